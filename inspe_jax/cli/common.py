@@ -199,8 +199,11 @@ def _root(
 def known(source: str) -> str:
     """Check the name of a built-in. Raises InspeError that lists what a scene can be."""
     from inspe_jax.scene.procedural.built_ins import BUILT_INS
+    from inspe_jax.scene.scene import what_is
 
     if source not in BUILT_INS:
+        if other := what_is(source):
+            raise InspeError(f"{source}: {other}")
         raise InspeError(
             f"no scene '{source}': give a built-in ({', '.join(BUILT_INS)}), a map (.xodr, "
             f".net.xml, .osm) or a saved .npz{nearest(source, tuple(BUILT_INS))}"

@@ -1,21 +1,49 @@
 """The exception for errors of the user, and hints for misspelt names."""
 
 import json
+import reprlib
 from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
 from importlib import metadata
 from typing import Any, TypeVar
 from urllib.parse import unquote, urlsplit
 
+from inspe_jax.core.words import visible
+
 Kind = TypeVar("Kind")
+
+LONGEST = 2000
+"""Most characters of an error's message. A longer one loses its middle."""
 
 
 class InspeError(ValueError):
     """Bad input: a file, a key, a value or a name that cannot be used.
 
     The message names what was given, where, and what is allowed. It is raised
-    before any tracing; the command line prints it and exits with status 2.
+    before any tracing; the command line prints it and exits with status 2. It shows control
+    characters of names as their escapes, and has at most :data:`LONGEST` characters.
     """
+
+    def __init__(self, message: str) -> None:
+        half = LONGEST // 2
+        if len(message) > LONGEST:
+            message = f"{message[: half - 2]} … {message[1 - half :]}"
+        super().__init__(visible(message))
+
+
+_SHORT = reprlib.Repr()
+_SHORT.maxlevel, _SHORT.maxlist, _SHORT.maxdict = 2, 6, 4
+_SHORT.maxstring = _SHORT.maxlong = _SHORT.maxother = 80
+
+
+def brief(value: Any) -> str:
+    """What a message quotes of a value: about 80 characters, of lists and mappings their first
+    items."""
+    try:
+        text = _SHORT.repr(value)
+    except ValueError:  # Python writes no integer of more than 4,300 digits
+        return "a number of thousands of digits"
+    return text if len(text) <= 80 else f"{text[:77]}..."
 
 
 def check_known(name: str, known: Iterable[str], what: str) -> None:
@@ -54,8 +82,7 @@ def _install(extra: str) -> str:
 
 def wrong_kind(name: str, given: Any, wanted: str) -> InspeError:
     """The error of an argument that is something else than what is ``wanted``."""
-    text = " ".join(repr(given).split())
-    text = text if len(text) <= 80 else f"{text[:77]}…"
+    text = " ".join(brief(given).split())
     return InspeError(f"{name}: got {text}, of type {type(given).__name__}; give {wanted}")
 
 

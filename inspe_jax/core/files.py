@@ -1,27 +1,46 @@
-"""Reading files that users write, key by key, and writing files whole or not at all."""
+"""Reading files that users write, key by key, and writing files whole or not at all.
+
+What is read is bounded before it is read: the size of text, the depth and the number of its parts,
+and the sizes that archives declare.
+"""
 
 import csv
+import errno
 import functools
+import gzip
 import io
 import json
+import math
 import os
+import re
+import stat
 import tempfile
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+import tomllib
+import zipfile
+import zlib
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import IO, Any, TypeVar
+from xml.parsers import expat
 
 import numpy as np
 import yaml
 from filelock import FileLock, Timeout
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from inspe_jax.core.errors import InspeError, nearest
+from inspe_jax.core.errors import InspeError, brief, nearest
+from inspe_jax.core.yaml_loader import DEPTH, check_digits, load_yaml
 
 Model = TypeVar("Model", bound=BaseModel)
 Content = TypeVar("Content")
 
+YAML, TEXT, ARRAYS = 2**22, 2**28, 2**30
+"""Largest file of YAML and of other text, and largest arrays of a file together [bytes]."""
+UNPACKED = 100
+"""A packed map is at most this many times as large when it is unpacked, or 64 MiB."""
+_FORMULA = re.compile("'*[=+\\-@\t\r\n＝＋－＠].", re.DOTALL)
 
 STRICT = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 """For models of what users write. A quoted number is reported as a mistake, not converted."""
@@ -36,7 +55,8 @@ def check_model(model: type[Model], content: Any, where: str) -> Model:
         return model.model_validate(content)
     except ValidationError as e:
         # A misspelt key is also a missing key. The unknown key is reported: it shows the mistake.
-        fault = max(e.errors(), key=lambda f: f["type"] == "extra_forbidden")
+        faults = e.errors(include_url=False)
+        fault = max(faults, key=lambda f: f["type"] == "extra_forbidden")
         key = "".join(
             f"[{part}]" if isinstance(part, int) else f".{part}" for part in fault["loc"]
         ).lstrip(".")
@@ -54,11 +74,27 @@ def check_model(model: type[Model], content: Any, where: str) -> Model:
         elif fault["type"] == "too_long":
             message = f"has more than {limits['max_length']}"
         elif fault["type"] == "list_type":
-            message = f"must be a list, got {fault['input']!r}"
+            message = f"must be a list, got {brief(fault['input'])}"
+        elif (number := _number_in(fault)) is not None:
+            message = f"must be a number, got {brief(fault['input'])}, a text: write {number}"
         else:
-            given = f", got {fault['input']!r}" if not isinstance(fault["input"], dict) else ""
+            given = f", got {brief(fault['input'])}" if not isinstance(fault["input"], dict) else ""
             message = fault["msg"][:1].lower() + fault["msg"][1:] + given
         raise InspeError(f"{where}: {key or 'the file'}: {message}") from None
+
+
+def _number_in(fault: Any) -> str | None:
+    """How to write the number that stands as text where one is wanted; None if there is none."""
+    text = fault["input"]
+    if fault["type"] not in ("float_type", "int_type") or not isinstance(text, str):
+        return None
+    try:
+        number = int(text) if text.isdecimal() else float(text)
+    except ValueError:
+        return None
+    written = yaml.safe_dump(number).split()[0]  # 1e30 would be text again
+    exponent = "; in YAML 1.0e+9 is a number, and 1e9 is text" if "e" in text.lower() else ""
+    return f"{written}, without quotes{exponent}"
 
 
 def _fields(model: type[BaseModel], path: Sequence[int | str]) -> set[str]:
@@ -81,45 +117,146 @@ def _inner_model(annotation: Any) -> Any:
     return None
 
 
-class _Loader(yaml.SafeLoader):
-    """A YAML loader for which a key given twice is an error; YAML itself would keep the last."""
-
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
-        """The mapping; raises YAMLError on a key given twice."""
-        keys = [self.construct_object(key, deep=True) for key, _ in node.value]
-        twice = next((key for key in keys if keys.count(key) > 1), None)
-        if twice is not None:
-            raise yaml.YAMLError(f"the key '{twice}' is given twice, {node.start_mark}".strip())
-        return super().construct_mapping(node, deep)
-
-
 def read_yaml(path: Path) -> Any:
-    """The content of a YAML file. Raises InspeError if it is missing or is not YAML."""
-    check_input(path)
+    """The content of a YAML file. Raises InspeError if it is missing, too large or not YAML."""
+    check_input(path, YAML)
     return parse_yaml(path.read_bytes(), str(path))
 
 
 def parse_yaml(text: str | bytes, where: str) -> Any:
     """The content of a YAML text. Raises InspeError, which names ``where``, if it is not YAML."""
     try:
-        return yaml.load(text if isinstance(text, str) else text.decode("utf-8"), _Loader)
-    except (yaml.YAMLError, UnicodeDecodeError) as e:
-        raise InspeError(f"{where}: not YAML: {' '.join(str(e).split())}") from e
+        return load_yaml(text if isinstance(text, str) else text.decode("utf-8"))
+    except (yaml.YAMLError, ValueError) as e:
+        words = " ".join(str(e).replace('"<unicode string>", ', "").split())
+        raise InspeError(f"{where}: not YAML: {words}") from e
+    except (TypeError, LookupError, AttributeError) as e:  # PyYAML is not prepared for it
+        raise InspeError(f"{where}: not YAML: a value is not of its tag") from e
 
 
 def read_json(path: Path) -> Any:
-    """The content of a JSON file. Raises InspeError if it is missing or is not JSON."""
-    check_input(path)
+    """The content of a JSON file. Raises InspeError if it is missing, too large or not JSON."""
+    check_input(path, TEXT)
     try:
-        return json.loads(path.read_bytes())
+        return json.loads(path.read_bytes(), parse_int=lambda text: int(check_digits(text)))
     except (ValueError, RecursionError) as e:
         raise InspeError(f"{path}: not JSON: {e}") from e
 
 
-def check_input(path: Path) -> None:
-    """Raise InspeError if there is no such file."""
-    if not path.is_file():
-        raise InspeError(f"{path}: no such file")
+def read_toml(path: Path) -> dict[str, Any]:
+    """The content of a TOML file. Raises InspeError if it is missing, too large or not TOML."""
+    check_input(path, YAML)
+    try:
+        return tomllib.loads(path.read_text("utf-8"))
+    except (ValueError, RecursionError) as e:
+        raise InspeError(f"{path}: not TOML: {e}") from e
+
+
+def read_csv(path: Path) -> list[dict[str, str]]:
+    """The rows of a CSV file. Raises InspeError if it is missing, too large or not CSV."""
+    check_input(path, TEXT)
+    return parse_csv(path.read_bytes(), str(path))
+
+
+def parse_csv(text: bytes, where: str) -> list[dict[str, str]]:
+    """The rows of a CSV text, as :func:`csv_text` had them.
+
+    Cells beyond the head's are left out. Raises InspeError, which names ``where``, for other text.
+    """
+    try:
+        rows = [*csv.reader(io.StringIO(text.decode("utf-8-sig"), newline=""))]
+    except (ValueError, csv.Error) as e:
+        raise InspeError(f"{where}: not CSV: {e}") from e
+    cells = [[_without_prefix(cell) for cell in row] for row in rows if row]
+    return [dict(zip(cells[0], row, strict=False)) for row in cells[1:]]
+
+
+@contextmanager
+def open_arrays(path: Path, otherwise: str) -> Iterator[Mapping[str, np.ndarray]]:
+    """The arrays of an ``.npz`` file by name: each is read when it is asked for, without pickle.
+
+    Raises InspeError if there is no such file, if its arrays are larger than :data:`ARRAYS`, and
+    with the words ``otherwise`` on any other error, also of what is done with the arrays.
+    """
+    check_input(path)
+    try:
+        with path.open("rb") as f:
+            with zipfile.ZipFile(f) as members:
+                sizes = {member.filename: member.file_size for member in members.infolist()}
+                if len(sizes) < len(members.infolist()):
+                    raise ValueError("two members have one name")
+            check_size(path, sum(sizes.values()), ARRAYS, "arrays")
+            f.seek(0)
+            with np.load(f, allow_pickle=False) as arrays:
+                yield arrays
+    except InspeError:
+        raise
+    except Exception as e:  # NumPy, zipfile and what reads the record raise many
+        raise InspeError(f"{path}: {otherwise}") from e
+
+
+def check_xml(file: IO[bytes], where: str, root: str) -> None:
+    """Raise InspeError unless a file is well-formed XML, at most :data:`DEPTH` deep, with a
+    ``root``.
+
+    It is read once, as a stream. A gzipped file may be :data:`UNPACKED` times its size.
+    """
+    parser, level = expat.ParserCreate(namespace_separator=" "), 0
+
+    def start(tag: str, _: Any) -> None:
+        nonlocal level
+        level += 1
+        name = tag.rpartition(" ")[2]
+        if level == 1 and name != root:
+            raise InspeError(f"{where}: the root element is <{name[:80]}>, not <{root}>")
+        if level > DEPTH:
+            line = parser.CurrentLineNumber
+            raise InspeError(f"{where}: line {line}: elements nested more than {DEPTH} deep")
+
+    def end(_: str) -> None:
+        nonlocal level
+        level -= 1
+
+    def entity(*_: Any) -> None:
+        raise InspeError(f"{where}: has XML entities of its own, which are not read")
+
+    parser.StartElementHandler, parser.EndElementHandler = start, end
+    parser.EntityDeclHandler = parser.SkippedEntityHandler = entity
+    most = math.inf
+    if isinstance(file, gzip.GzipFile):
+        most = max(2**26, UNPACKED * os.fstat(file.fileno()).st_size)
+    read = 0
+    try:
+        while chunk := file.read(2**20):
+            read += len(chunk)
+            check_size(where, read, most, "unpacked text")
+            parser.Parse(chunk)
+        parser.Parse(b"", True)
+    except (expat.ExpatError, OSError, EOFError, zlib.error) as e:
+        raise InspeError(f"{where}: not well-formed XML, perhaps cut short: {e}") from e
+
+
+def check_input(path: Path, most: float = math.inf) -> None:
+    """Raise InspeError if there is no such file, or if it has more than ``most`` bytes."""
+    try:
+        facts = path.stat()
+    except (FileNotFoundError, NotADirectoryError, ValueError):
+        raise InspeError(f"{path}: no such file") from None
+    except OSError as e:
+        raise InspeError(f"{path}: cannot be read: {e.strerror}") from None
+    if stat.S_ISDIR(facts.st_mode):
+        raise InspeError(f"{path}: is a folder; name a file")
+    if not stat.S_ISREG(facts.st_mode):
+        raise InspeError(f"{path}: is not a file on disk; name one")
+    check_size(path, facts.st_size, most, "content")
+
+
+def check_size(where: object, size: float, most: float, what: str) -> None:
+    """Raise InspeError if ``what`` has more than ``most`` bytes."""
+    if size > most:
+        raise InspeError(
+            f"{where}: has more than {most / 1e6:,.0f} MB of {what}, the most that is read"
+        )
 
 
 def cached_by_file(
@@ -139,8 +276,8 @@ def cached_by_file(
         def load(path: str | os.PathLike[str]) -> Content:
             path = Path(path)
             check_input(path)
-            stat = path.stat()
-            return cached(path, path.resolve(), stat.st_mtime_ns, stat.st_size)
+            facts = path.stat()
+            return cached(path, path.resolve(), facts.st_mtime_ns, facts.st_size)
 
         return load
 
@@ -176,13 +313,27 @@ def whole_file(path: str | os.PathLike[str]) -> Iterator[IO[bytes]]:
     except OSError as e:
         raise InspeError(f"{path}: cannot be written: {e.strerror}") from e
     try:
-        with os.fdopen(handle, "wb") as f:
+        with named(path), os.fdopen(handle, "wb") as f:
             yield f
         os.chmod(part, 0o666 & ~_umask())
         os.replace(part, path)
     except BaseException:
         Path(part).unlink(missing_ok=True)
         raise
+
+
+@contextmanager
+def named(path: str | os.PathLike[str]) -> Iterator[None]:
+    """Give errors of writing the name of the file, as of a full disk: the system gives none.
+
+    They are raised as InspeError.
+    """
+    try:
+        yield
+    except OSError as e:
+        if e.errno not in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS):
+            raise
+        raise InspeError(f"{path}: cannot be written: {e.strerror}") from e
 
 
 def prepare_folder(folder: str | os.PathLike[str]) -> Path:
@@ -232,12 +383,34 @@ def write_text(path: str | os.PathLike[str], text: str) -> None:
 
 
 def csv_text(rows: Sequence[Mapping[str, Any]]) -> str:
-    """Rows as CSV text, under the keys of the first; there must be at least one."""
+    """Rows as CSV text, under the keys of the first; there must be at least one.
+
+    Text that a spreadsheet would run as a formula gets an apostrophe before it (OWASP, "CSV
+    injection"), which :func:`parse_csv` takes away. Numbers stay as they are.
+    """
+    return csv_line(rows[0]) + "".join(
+        csv_line(row.get(key, "") for key in rows[0]) for row in rows
+    )
+
+
+def csv_line(cells: Iterable[Any]) -> str:
+    """A line of :func:`csv_text`."""
     text = io.StringIO()
-    table = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
-    table.writeheader()
-    table.writerows(rows)
-    return text.getvalue()
+    csv.writer(text).writerow(map(_with_prefix, cells))
+    return text.getvalue().removesuffix("\r\n") + "\n"  # a cell with either of them is quoted
+
+
+def _with_prefix(cell: Any) -> Any:
+    if isinstance(cell, str) and _FORMULA.match(cell):
+        try:
+            float(cell)
+        except ValueError:
+            return f"'{cell}"
+    return cell
+
+
+def _without_prefix(cell: str) -> str:
+    return cell[1:] if cell.startswith("'") and _FORMULA.match(cell) else cell
 
 
 def json_value(value: Any) -> Any:

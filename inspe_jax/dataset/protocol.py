@@ -15,7 +15,7 @@ import yaml
 from pydantic import Field
 
 from inspe_jax.core import version
-from inspe_jax.core.errors import InspeError, check_known
+from inspe_jax.core.errors import InspeError, brief, check_known
 from inspe_jax.core.files import check_model
 from inspe_jax.dataset.folders import SPLITS
 from inspe_jax.dataset.formats.options import DEFAULT_OPTIONS
@@ -257,7 +257,7 @@ def _settings(
     several = {key: getattr(entry, key) for key in SETTINGS if key not in kept}
     twice = next((key for key, values in several.items() if len(values) != 1), None)
     if twice is not None:
-        raise InspeError(f"{where}: {twice}: must be one value, got {given[twice]!r}")
+        raise InspeError(f"{where}: {twice}: must be one value, got {brief(given[twice])}")
     check_settings(several, where)
     check_seconds(several["seconds"][0], rate, f"{where}: seconds")
     if source.file is not None:

@@ -8,8 +8,6 @@ is not used for another scene, layout or method.
 import json
 import os
 import time
-import zipfile
-import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,23 +16,13 @@ import numpy as np
 from jaxtyping import Float
 
 from inspe_jax.core.errors import InspeError
-from inspe_jax.core.files import check_input, whole_file
+from inspe_jax.core.files import open_arrays, whole_file
 from inspe_jax.placement.run import Progress, Run, State
 
 FORMAT = "inspe_jax checkpoint 3"
 SUFFIXES = (".npz",)
 EVERY = 10.0
 """Time between two writes of a search's checkpoint [s]."""
-_NOT_A_CHECKPOINT = (
-    AttributeError,
-    EOFError,
-    KeyError,
-    OSError,
-    TypeError,
-    ValueError,
-    zipfile.BadZipFile,
-    zlib.error,
-)
 _ARRAY, _VALUE = "array: ", "value: "  # before the names of a state's arrays, and of its values
 
 
@@ -89,31 +77,24 @@ def save_checkpoint(kept: Checkpoint, path: str | os.PathLike[str]) -> None:
 def load_checkpoint(path: str | os.PathLike[str]) -> Checkpoint:
     """Read a checkpoint. Raises InspeError if the file is missing or is not a checkpoint."""
     path = Path(path)
-    check_input(path)
-    try:
-        with path.open("rb") as f, np.load(f, allow_pickle=False) as data:
-            return _unpack({name: data[name] for name in data.files})
-    except InspeError as e:
-        raise InspeError(f"{path}: {e}") from None
-    except _NOT_A_CHECKPOINT as e:
-        raise InspeError(
-            f"{path}: not a checkpoint of a search; name a new file, or one that --checkpoint wrote"
-        ) from e
+    other = "not a checkpoint of a search; name a new file, or one that --checkpoint wrote"
+    with open_arrays(path, other) as arrays:
+        return _unpack(arrays, path)
 
 
-def _unpack(data: dict[str, np.ndarray]) -> Checkpoint:
+def _unpack(data: Mapping[str, np.ndarray], path: Path) -> Checkpoint:
     record = json.loads(str(data["record"]))
     if record["format"] != FORMAT:
         if str(record["format"]).startswith(FORMAT.rstrip("0123456789")):
-            raise InspeError("written by another version of inspe_jax; delete it to start again")
+            raise InspeError(
+                f"{path}: written by another version of inspe_jax; delete it to start again"
+            )
         raise ValueError(f"format '{record['format']}', expected '{FORMAT}'")
     state: State = {
-        name.removeprefix(_ARRAY): value for name, value in data.items() if name.startswith(_ARRAY)
+        name.removeprefix(_ARRAY): data[name] for name in data if name.startswith(_ARRAY)
     }
     state |= {
-        name.removeprefix(_VALUE): value.item()
-        for name, value in data.items()
-        if name.startswith(_VALUE)
+        name.removeprefix(_VALUE): data[name].item() for name in data if name.startswith(_VALUE)
     }
     seconds, evaluations = record["limits"]
     return Checkpoint(

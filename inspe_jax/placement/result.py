@@ -1,8 +1,6 @@
 """The result of a search: the layout, its scores before and after, and its history; also as
 files."""
 
-import csv
-import io
 import json
 import os
 from collections.abc import Sequence
@@ -14,7 +12,15 @@ import numpy as np
 from jaxtyping import Float
 
 from inspe_jax.core.errors import InspeError
-from inspe_jax.core.files import check_input, csv_text, json_value, prepare_folder, write_text
+from inspe_jax.core.files import (
+    check_input,
+    csv_text,
+    json_value,
+    prepare_folder,
+    read_csv,
+    read_json,
+    write_text,
+)
 from inspe_jax.core.records import Described
 from inspe_jax.placement.run import Progress
 from inspe_jax.scoring.evaluate import Contribution, Scores
@@ -102,7 +108,6 @@ def load_result(folder: str | os.PathLike[str]) -> Result:
     place = Path(folder)
     if not place.is_dir():
         raise InspeError(f"{place}: no such folder")
-    check_input(place / "result.json")
     record = _read_record(place)  # first: a result of another version may lack other files
     for name in FILES:
         check_input(place / name)
@@ -114,9 +119,9 @@ def load_result(folder: str | os.PathLike[str]) -> Result:
         record["notes"] = tuple(record["notes"])
         history = tuple(
             Progress(**{key: float(value) for key, value in row.items()})
-            for row in _rows(place / "history.csv")
+            for row in read_csv(place / "history.csv")
         )
-        poses = [[float(row[key]) for key in _POSE] for row in _rows(place / "path.csv")]
+        poses = [[float(row[key]) for key in _POSE] for row in read_csv(place / "path.csv")]
         path = np.array(poses, float).reshape(-1, len(layout), 6)
         path[..., 3:] = np.radians(path[..., 3:])
         return Result(layout=layout, start=start, history=history, path=path, **record)
@@ -142,10 +147,10 @@ def save_comparison(results: Sequence[Result], folder: str | os.PathLike[str]) -
 
 def _read_record(place: Path) -> dict[str, Any]:
     """The content of ``result.json``. Raises InspeError if it is not a record of a result."""
+    record: dict[str, Any] = read_json(place / "result.json")
     try:
-        record = json.loads((place / "result.json").read_text(encoding="utf-8"))
         written = str(record["format"])
-    except (AttributeError, KeyError, TypeError, ValueError) as e:
+    except (KeyError, TypeError) as e:
         raise InspeError(f"{place}: not a result saved by this package") from e
     if written != FORMAT:
         known = written.startswith(FORMAT.rstrip("0123456789"))
@@ -173,10 +178,6 @@ def _path_rows(result: Result) -> list[dict[str, Any]]:
             values = np.append(pose[:3], np.degrees(pose[3:])).round(9).tolist()
             rows.append(at | {"sensor": sensor.name} | dict(zip(_POSE, values, strict=True)))
     return rows
-
-
-def _rows(path: Path) -> csv.DictReader:
-    return csv.DictReader(io.StringIO(path.read_text(encoding="utf-8")))
 
 
 def _of(result: Result) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable, Mapping, Sequence
+from html import escape
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ from shapely.geometry.polygon import orient
 
 from inspe_jax.core.errors import missing_extra
 from inspe_jax.core.files import csv_text
+from inspe_jax.core.words import isolated
 from inspe_jax.report.outlines import view_outline
 from inspe_jax.report.schedule import EXISTING_POLE, installation_schedule, materials
 from inspe_jax.scene.geojson import known_georeference
@@ -101,8 +103,10 @@ def plan_kml(layout: Layout, place: Intersection) -> str:
             geometry = geometry | {"coordinates": [*geometry["coordinates"], own["height_m"]]}
         view = own.pop("feature") == "view"
         return Placemark(
-            name=_readable(own.pop("name")),
-            description=_readable("<br/>".join(f"{key}: {value}" for key, value in own.items())),
+            name=isolated(own.pop("name")),
+            description="<br/>".join(  # viewers of maps read it as HTML
+                escape(isolated(f"{key}: {value}")) for key, value in own.items()
+            ),
             style_url=StyleUrl(url=f"#{own['kind']}") if view and own["kind"] in LINE else None,
             kml_geometry=create_kml_geometry(shape(geometry), altitude_mode=mode),
         )
@@ -123,16 +127,11 @@ def plan_kml(layout: Layout, place: Intersection) -> str:
         for kind, colour in LINE.items()
     ]
     document = Document(
-        name=_readable(f"{layout.name} at {place.name}"), styles=styles, features=folders
+        name=isolated(f"{layout.name} at {place.name}"), styles=styles, features=folders
     )
     return '<?xml version="1.0" encoding="UTF-8"?>\n' + KML(features=[document]).to_string(
         prettyprint=True
     )
-
-
-def _readable(text: str) -> str:
-    """A text without the characters that XML forbids."""
-    return "".join(c for c in text if c in "\t\n" or (c >= " " and not "\ud800" <= c <= "\udfff"))
 
 
 def bill_of_materials(layout: Layout, prices: Mapping[str, float]) -> str:

@@ -18,7 +18,7 @@ from matplotlib.backends.backend_pdf import PdfPages
 from matplotlib.figure import Figure
 
 from inspe_jax.core.errors import InspeError
-from inspe_jax.core.words import counted
+from inspe_jax.core.words import counted, isolated
 from inspe_jax.placement.problem import Case
 from inspe_jax.placement.result import STATUSES, Result
 from inspe_jax.placement.studies.pareto import ParetoPoint
@@ -230,10 +230,12 @@ def report_page(
 
 
 def template(room: str, name: str) -> Template:
-    """An HTML template ``name`` in a folder of the package. Inserted text is escaped."""
+    """An HTML template ``name`` in a folder of the package. Inserted text is escaped, and isolated
+    from its neighbours (:func:`~inspe_jax.core.words.isolated`)."""
     return Environment(
         loader=PackageLoader("inspe_jax", room),
         autoescape=True,
+        finalize=lambda value: isolated(value) if type(value) is str else value,
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,

@@ -42,7 +42,8 @@ from websockets.asyncio.server import ServerConnection
 from websockets.exceptions import ConnectionClosedOK
 from websockets.http11 import Request, Response
 
-from inspe_jax.core.errors import InspeError
+from inspe_jax.core.errors import InspeError, brief
+from inspe_jax.core.words import visible
 from inspe_jax.report.page_head import with_head
 
 PORTS = 100
@@ -55,6 +56,8 @@ SILENCE = 10.0
 """Time that a connection gets to send its request, and to receive the page [s]."""
 LINES, WHILE = 20, 10.0
 """Refusals that are logged one by one, and in which time [s]; further ones are only counted."""
+LINE = 300
+"""Most characters of such a line."""
 MESSAGE = 2**16
 """Largest message that is read [byte]; those of the page have some hundred bytes."""
 LARGEST = 1e9
@@ -123,12 +126,12 @@ class AccessRules:
         hosts, origins = (request.headers.get_all(name) for name in ("Host", "Origin"))
         upgrades = request.headers.get_all("Upgrade")
         if len(hosts) != 1 or not self._is_ours(hosts[0]):
-            return f"it asked for host {_short(hosts)}, which is not this machine"
+            return f"it asked for host {brief(hosts)}, which is not this machine"
         own = [f"{scheme}://{hosts[0]}".lower() for scheme in ("http", "https")]
         if len(upgrades) > 1:
             return "it asked for more than one protocol"
         if (upgrades or origins) and not (len(origins) == 1 and origins[0].lower() in own):
-            return f"a page of {_short(origins)} asked, not this one"
+            return f"a page of {brief(origins)} asked, not this one"
         path, _, query = request.path.partition("?")
         first = path.split("/")[1] if path.startswith("/") else ""
         if self.token and not secrets.compare_digest(
@@ -175,7 +178,7 @@ def fault_of(raw: Any) -> tuple[str, bool]:
         content = msgspec.msgpack.decode(raw)
         name = content.pop("type")
         if name not in _KINDS:
-            return f"a message of kind {_short(name)}", name not in _KNOWN
+            return f"a message of kind {brief(name)}", name not in _KNOWN
         message = msgspec.convert(content, _KINDS[name])
         if not set(content) <= set(message.__dict__):
             return f"a {name} has other fields than it should", True
@@ -392,9 +395,10 @@ class _Guard:
         if len(self._logged) >= LINES:
             self._not_logged += 1
             return False
-        words = record.getMessage()
+        words = visible(record.getMessage())
         if record.exc_info:
-            words += f": {_short(str(record.exc_info[1]))}"
+            words += f": {record.exc_info[1]!r}"
+        words = words if len(words) <= LINE else f"{words[:LINE]}…"
         if self._not_logged:
             words += f" (and {self._not_logged} more lines before)"
         record.msg, record.args, record.exc_info, record.exc_text = words, (), None, None
@@ -421,12 +425,6 @@ def _is_finite(value: Any) -> bool:
     if isinstance(value, int | float):
         return math.isfinite(value) and abs(value) <= LARGEST
     return True
-
-
-def _short(value: Any) -> str:
-    """A foreign value for a line of the log, without line ends."""
-    text = repr(value)
-    return text if len(text) <= 80 else f"{text[:80]}…"
 
 
 def _is_number(name: str) -> bool:

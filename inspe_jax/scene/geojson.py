@@ -1,7 +1,5 @@
 """GeoJSON (RFC 7946) and CSV of points: features in world metres."""
 
-import csv
-import io
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -15,7 +13,7 @@ from shapely.geometry import shape
 from shapely.geometry.base import BaseGeometry
 
 from inspe_jax.core.errors import InspeError
-from inspe_jax.core.files import check_input, check_model, read_json
+from inspe_jax.core.files import check_model, read_csv, read_json
 from inspe_jax.scene.georeference import WGS84, Georeference, to_wgs84
 from inspe_jax.scene.intersection import Intersection
 
@@ -96,7 +94,7 @@ def read_features(
         try:
             geometry = shapely.force_2d(shape(entry.geometry))
         except (ValueError, TypeError, KeyError, AttributeError, IndexError, OverflowError,
-                shapely.errors.ShapelyError) as error:  # fmt: skip
+                RecursionError,                 shapely.errors.ShapelyError) as error:  # fmt: skip
             raise InspeError(f"{where}.geometry: no geometry of GeoJSON") from error
         if geometry.is_empty:
             raise InspeError(f"{where}.geometry: has no coordinates")
@@ -116,22 +114,17 @@ def read_features(
 
 def _points(path: Path) -> dict[str, Any]:
     """A CSV file of points as the content of a GeoJSON file."""
-    check_input(path)
-    try:
-        rows = list(csv.DictReader(io.StringIO(path.read_text("utf-8-sig"))))
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise InspeError(f"{path}: not CSV: {error}") from error
     features = []
-    for k, row in enumerate(rows):
+    for k, row in enumerate(read_csv(path)):
         try:
             at = [float(row[key]) for key in _AT]
         except (KeyError, TypeError, ValueError) as error:
             raise InspeError(
                 f"{path}: row {k + 1}: needs a number under each of 'latitude' and 'longitude'; "
-                f"columns are {', '.join(str(key) for key in rows[k])}"
+                f"columns are {', '.join(row)}"
             ) from error
         point = {"type": "Point", "coordinates": at}
-        own = {key: _number(v) for key, v in row.items() if key and v and key not in _AT}
+        own = {key: _number(v) for key, v in row.items() if v and key not in _AT}
         features.append({"type": "Feature", "geometry": point, "properties": own})
     return {"type": "FeatureCollection", "features": features}
 

@@ -3,9 +3,8 @@
 import json
 import operator
 import os
-import zipfile
-import zlib
-from collections.abc import Callable, Sequence
+import struct
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
@@ -14,12 +13,14 @@ from typing import Any
 import numpy as np
 import shapely
 from jaxtyping import Bool, Float
+from shapely.geometry.base import BaseGeometry
 
 from inspe_jax.core.digest import ADDED, added
 from inspe_jax.core.errors import InspeError, nearest, wrong_kind
-from inspe_jax.core.files import check_input, check_output, whole_file
+from inspe_jax.core.files import check_output, open_arrays, whole_file
 from inspe_jax.core.pytree import pytree
 from inspe_jax.core.records import Described, check_record
+from inspe_jax.scene.geojson import SUFFIX as GEOJSON
 from inspe_jax.scene.georeference import Georeference
 from inspe_jax.scene.intersection import Arm, Intersection, Route
 from inspe_jax.scene.maps.registry import is_map
@@ -45,19 +46,6 @@ OF_MAP = "map_bodies"
 """How the names of arrays begin that hold the bodies which a place's map brings."""
 SCENE_SUFFIXES = (".npz",)
 AS_RECORDED = "as recorded"
-# What NumPy, shapely and the code below may raise on a file that is not a scene.
-_NOT_A_SCENE = (
-    AttributeError,
-    EOFError,
-    IndexError,
-    KeyError,
-    OSError,
-    TypeError,
-    ValueError,
-    zipfile.BadZipFile,
-    zlib.error,
-    shapely.errors.ShapelyError,
-)
 
 
 class _Earlier(Exception):
@@ -257,27 +245,20 @@ def load_scene(source: str | os.PathLike[str], profile: str | None = None) -> Sc
     if str(source) in BUILT_INS:
         return build_scene(built_in(str(source)), profile=profile or DEFAULT_PROFILE)
     path = Path(source)
-    if is_map(path):
-        raise InspeError(
-            f"{path}: a map is not a scene yet; build one: inspe scene {path} --junction ID "
-            "--out scene.npz (--list shows the junctions)"
-        )
+    if path.suffix != ".npz" and (other := what_is(path)):
+        raise InspeError(f"{path}: {other}")
     if path.suffix != ".npz":
         raise InspeError(
             f"no scene '{source}': a built-in ({', '.join(BUILT_INS)}) or a saved .npz file"
             + nearest(str(source), tuple(BUILT_INS))
         )
-    check_input(path)
-    with path.open("rb") as f:
+    with open_arrays(path, "not a scene saved by this package") as arrays:
         try:
-            with np.load(f, allow_pickle=False) as data:
-                scene = _unpack({k: data[k] for k in data.files})
+            scene = _unpack(arrays)
         except _Earlier:
             raise InspeError(
                 f"{path}: saved by another version of this package; build it again: inspe scene"
             ) from None
-        except _NOT_A_SCENE as e:
-            raise InspeError(f"{path}: not a scene saved by this package") from e
     own = dict(scene.settings).get("profile", BEFORE_PROFILES)
     if own not in profiles():
         raise InspeError(f"{path}: unknown profile '{own}': one of {', '.join(profiles())}")
@@ -290,6 +271,28 @@ def load_scene(source: str | os.PathLike[str], profile: str | None = None) -> Sc
         return scene.check()
     except InspeError as e:
         raise InspeError(f"{path}: {e}") from None
+
+
+def what_is(path: str | os.PathLike[str]) -> str:
+    """What a path is by its name, where that is a folder, a map, a scene or a layout, and what
+    takes it; otherwise "".
+    """
+    path = Path(path)
+    if path.is_dir():
+        own = path / "layout.yaml"
+        return f"is a folder; its layout is {own}" if own.is_file() else "is a folder; name a file"
+    if is_map(path):
+        return (
+            f"a map is not a scene yet; build one: inspe scene {path} --junction ID "
+            "--out scene.npz (--list shows the junctions)"
+        )
+    if path.suffix.lower() in SCENE_SUFFIXES:
+        return f"is a scene, which comes before the layout: inspe score {path} LAYOUT"
+    if path.suffix.lower() in (".yaml", ".yml", GEOJSON):
+        return (
+            f"is a layout or a study, not a scene: inspe score SCENE {path}, or inspe sweep {path}"
+        )
+    return ""
 
 
 def save_scene(scene: Scene, path: str | os.PathLike[str]) -> None:
@@ -320,6 +323,7 @@ def density_count(density: str | int) -> int:
     return count
 
 
+_POLYGON, _COLLECTION, _HAS_Z = 3, 7, 0x80000000  # kinds of WKB, and a flag of theirs
 _GRID = ("columns", "ground", "region", "center")
 _MESH = tuple(f.name for f in fields(Mesh))
 _TRAFFIC = tuple(f.name for f in fields(TrafficFrames))
@@ -367,15 +371,35 @@ def _pack(scene: Scene) -> dict[str, np.ndarray]:
     return arrays | pack_bodies(place.bodies, OF_MAP) | pack_bodies(scene.statics)
 
 
-def _unpack(data: dict[str, np.ndarray]) -> Scene:
+def _shape(wkb: bytes) -> BaseGeometry:
+    """The geometry of a WKB text, whose parts have no parts: deep ones overflow GEOS's stack.
+
+    Raises ValueError or struct.error on any other.
+    """
+    order, kind, count = struct.unpack_from("<BII", wkb)
+    at, own = 9, kind & ~_HAS_Z
+    if order != 1 or own > _COLLECTION:
+        raise ValueError("no geometry as shapely writes it")
+    for _ in range(count if own > _POLYGON else 0):
+        order, kind, count = struct.unpack_from("<BII", wkb, at)
+        own, size = kind & ~_HAS_Z, 24 if kind & _HAS_Z else 16
+        if order != 1 or not 0 < own <= _POLYGON:
+            raise ValueError("a part has parts itself")
+        at += 9
+        if own < _POLYGON:
+            at += count * size if own > 1 else size - 4  # a point has no count
+        for _ in range(count if own == _POLYGON else 0):
+            at += 4 + size * struct.unpack_from("<I", wkb, at)[0]
+    return shapely.from_wkb(wkb)
+
+
+def _unpack(data: Mapping[str, np.ndarray]) -> Scene:
     record = json.loads(str(data["record"]))
     if record["format"] not in (FORMAT, WITH_STATICS, WITH_TERRAIN):
         if str(record["format"]).startswith(FORMAT.rstrip("0123456789")):
             raise _Earlier
         raise ValueError(f"format '{record['format']}', expected '{FORMAT}'")
-    shapes = [
-        shapely.from_wkb(data[f"shape_{i}"].tobytes()) for i in range(len(record["regions"]) + 1)
-    ]
+    shapes = [_shape(data[f"shape_{i}"].tobytes()) for i in range(len(record["regions"]) + 1)]
     given = record.get("georeference")  # none in older files
     points = np.split(data["route_points"], np.cumsum(data["route_lengths"])[:-1])
     place = Intersection(

@@ -6,7 +6,7 @@ and lets some light through, on a trunk. Scores, recordings and pictures take th
 
 import json
 import zlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -251,7 +251,7 @@ def pack_bodies(bodies: Sequence[StaticBody], name: str = "statics") -> dict[str
     }
 
 
-def unpack_bodies(data: dict[str, np.ndarray], name: str = "statics") -> tuple[StaticBody, ...]:
+def unpack_bodies(data: Mapping[str, np.ndarray], name: str = "statics") -> tuple[StaticBody, ...]:
     """The bodies that :func:`pack_bodies` packed."""
     if f"{name}_kinds" not in data:
         return ()

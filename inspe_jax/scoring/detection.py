@@ -31,10 +31,10 @@ from inspe_jax.core.digest import added
 from inspe_jax.core.errors import InspeError, check_known
 from inspe_jax.core.files import (
     STRICT,
-    check_input,
     check_model,
     check_output,
     read_json,
+    read_toml,
     write_text,
 )
 from inspe_jax.scene.traffic.frames import CLASSES
@@ -218,13 +218,7 @@ def load_detection(path: str | os.PathLike[str]) -> DetectionCurves:
 
 
 def _read(path: Path) -> Any:
-    if path.suffix.lower() == ".json":
-        return read_json(path)
-    check_input(path)
-    try:
-        return tomllib.loads(path.read_text("utf-8"))
-    except ValueError as e:  # also what is not UTF-8
-        raise InspeError(f"{path}: not TOML: {e}") from e
+    return read_json(path) if path.suffix.lower() == ".json" else read_toml(path)
 
 
 def save_detection(curves: DetectionCurves | Fitted, path: str | os.PathLike[str]) -> None:

@@ -15,8 +15,8 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, Field, create_model
 
-from inspe_jax.core.errors import InspeError, nearest
-from inspe_jax.core.files import check_input, check_model
+from inspe_jax.core.errors import InspeError, brief, nearest
+from inspe_jax.core.files import check_model, read_toml
 from inspe_jax.sensing.kinds import SENSOR_KINDS, DeviceKeys, Positive, keys_of
 from inspe_jax.sensing.sensors import Spec
 
@@ -61,21 +61,16 @@ def load_devices(path: str | os.PathLike[str]) -> dict[str, Device]:
     Raises InspeError with the file, the device, the key and what is allowed.
     """
     path = Path(path)
-    check_input(path)
-    return _parse(path.read_bytes(), str(path))
+    return _parse(read_toml(path), str(path))
 
 
 @cache
 def _built_in() -> dict[str, Device]:
     resource = files("inspe_jax.sensing").joinpath("catalogue.toml")
-    return _parse(resource.read_bytes(), resource.name)
+    return _parse(tomllib.loads(resource.read_text("utf-8")), resource.name)
 
 
-def _parse(content: bytes, where: str) -> dict[str, Device]:
-    try:
-        tables = tomllib.loads(content.decode("utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as e:
-        raise InspeError(f"{where}: not TOML: {e}") from e
+def _parse(tables: dict[str, Any], where: str) -> dict[str, Device]:
     if not tables:
         raise InspeError(f"{where}: the catalogue is empty: it needs one table for each device")
     return {name: _device(name, table, f"{where}: {name}") for name, table in tables.items()}
@@ -143,7 +138,7 @@ def table_of(spec: Spec) -> dict[str, Any]:
 def _checked(table: Any, where: str) -> dict[str, Any]:
     """A device's table, which is a mapping. Raises InspeError."""
     if not isinstance(table, dict):
-        raise InspeError(f"{where}: must be a table of one device, got {table!r}")
+        raise InspeError(f"{where}: must be a table of one device, got {brief(table)}")
     return dict(table)
 
 

@@ -8,7 +8,7 @@ from typing import Any
 from inspe_jax.core.errors import InspeError, nearest, wrong_kind
 from inspe_jax.core.records import check_record
 from inspe_jax.scene.geojson import SUFFIX
-from inspe_jax.scene.scene import Scene
+from inspe_jax.scene.scene import Scene, what_is
 from inspe_jax.sensing.layout import Layout, load_layout
 from inspe_jax.sensing.layout_geojson import load_layout_geojson
 
@@ -39,7 +39,11 @@ def layout_of(given: Any, scene: Scene, *, unit_rule: bool = True) -> Layout:
 
 def rule_of(given: str | os.PathLike[str]) -> Callable[[Scene, str], Layout] | None:
     """The rule of this name; None if it is that of a file. Raises InspeError if it is neither."""
-    if Path(given).suffix.lower() in (".yaml", ".yml", SUFFIX) or Path(given).is_file():
+    if Path(given).suffix.lower() in (".yaml", ".yml", SUFFIX):
+        return None
+    if other := what_is(given):
+        raise InspeError(f"{given}: no layout: {other}")
+    if Path(given).is_file():
         return None
     rules = {key.lower(): rule for key, rule in LAYOUT_RULES.items()}
     if str(given).lower() not in rules:

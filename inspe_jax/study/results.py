@@ -5,15 +5,22 @@ to disk at once. A run that is killed leaves whole rows and at most one incomple
 dropped when the run is resumed.
 """
 
-import csv
-import io
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import IO
 
 from inspe_jax.core.errors import InspeError
-from inspe_jax.core.files import csv_text, lock_folder, prepare_folder, write_text
+from inspe_jax.core.files import (
+    csv_line,
+    csv_text,
+    lock_folder,
+    named,
+    parse_csv,
+    prepare_folder,
+    read_csv,
+    write_text,
+)
 from inspe_jax.study.plan import Study
 from inspe_jax.study.work import Row, columns, tag_columns, versions
 
@@ -63,10 +70,11 @@ class Results:
             new = not self.path.exists()
             self._file = self.path.open("a", newline="", encoding="utf-8")
             if new:
-                self._file.write(_line(self.columns))
-        self._file.write(_line(row.get(name, "") for name in self.columns))
-        self._file.flush()
-        os.fsync(self._file.fileno())
+                self._file.write(csv_line(self.columns))
+        with named(self.path):
+            self._file.write(csv_line(row.get(name, "") for name in self.columns))
+            self._file.flush()
+            os.fsync(self._file.fileno())
         self.rows[row["key"]] = {name: row.get(name, "") for name in self.columns}
 
     def finish(self) -> list[Row]:
@@ -89,14 +97,14 @@ class Results:
     def _taken_up(self) -> dict[str, Row]:
         if not self.path.exists():
             return {}
-        content, head = self.path.read_bytes(), _line(self.columns).encode("utf-8")
+        content, head = self.path.read_bytes(), csv_line(self.columns).encode("utf-8")
         if head.startswith(content):  # only a part of the header, or nothing after it
             self.path.unlink()
             return {}
         if not content.startswith(head):
             raise InspeError(f"{self.path}: its columns are not those of this study; {_ADVICE}")
         whole = content[: content.rfind(b"\n") + 1]
-        rows = list(csv.DictReader(io.StringIO(whole.decode("utf-8"))))
+        rows = parse_csv(whole, str(self.path))
         self._check(rows)
         if len(whole) < len(content):
             write_text(self.path, whole.decode("utf-8"))
@@ -123,16 +131,9 @@ class Results:
                     )
 
 
-def _line(values: Iterable[str]) -> str:
-    text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerow(list(values))
-    return text.getvalue()
-
-
 def read_results(folder: str | os.PathLike[str]) -> list[Row]:
     """The rows of ``results.csv`` in a folder. Raises InspeError if there is no such file."""
     path = Path(folder) / TABLE
     if not path.is_file():
         raise InspeError(f"{path}: no such file; run `inspe sweep` first")
-    with path.open(newline="", encoding="utf-8") as f:
-        return list(csv.DictReader(f))
+    return read_csv(path)

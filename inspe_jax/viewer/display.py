@@ -14,6 +14,7 @@ from jaxtyping import Float, UInt
 
 from inspe_jax.core.compiling import compiled, remember_seconds, usual_seconds, waiting_words
 from inspe_jax.core.errors import InspeError
+from inspe_jax.core.words import isolated
 from inspe_jax.placement.feasibility import Fault
 from inspe_jax.placement.problem import Case
 from inspe_jax.report.scene3d import Scene3D
@@ -289,7 +290,7 @@ class Display:
         )
         self._panel.headline.content, self._panel.scores.content, self._panel.notes.content = page
         self._panel.notes.visible = bool(page.notes)
-        words = f"{self.shown.name} at {self._case.scene.name}"
+        words = f"{isolated(self.shown.name)} at {isolated(self._case.scene.name)}"
         if self._current and scored is not None and scored.scores is not None:
             words = f"{scored.scores.surrogate:.4f}  {words}"  # also where the panel is collapsed
         if words != self._label:

@@ -7,6 +7,7 @@ from typing import Any
 
 import viser
 
+from inspe_jax.core.words import isolated
 from inspe_jax.sensing.catalogue import devices
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.sensing.sensors import Spec
@@ -96,7 +97,7 @@ class SensorControls:
 
     def list_sensors(self, names: Sequence[str], in_hand: int) -> None:
         """List these sensors, numbered from 1, and choose the one at place ``in_hand``."""
-        options = tuple(f"{k + 1}  {name}" for k, name in enumerate(names))
+        options = tuple(f"{k + 1}  {isolated(name)}" for k, name in enumerate(names))
         if options != tuple(self.sensor.options):
             self.sensor.options = options
             numbers = tuple(str(k + 1) for k in range(len(names)))
@@ -106,7 +107,7 @@ class SensorControls:
     def say_several(self, count: int, name: str) -> None:
         """Say whose the numbers are, where ``count`` sensors are selected, several."""
         self.several.visible = count > 1
-        whose = f"numbers are of <b>{escape(name)}</b>, the others move along"
+        whose = f"numbers are of <b>{escape(isolated(name))}</b>, the others move along"
         words = f"{count} sensors selected: {whose}."
         self.several.content = f'<div style="{_WORDS}">{words}</div>' if count > 1 else ""
 

@@ -430,6 +430,13 @@ BAD = [
         "no layout 'Cam-x': give a .yaml or .geojson file, or a strategy: Cam-c",
     ),
     (("score", "s.npz", "none.yaml"), "the layout is empty"),
+    (("score", "s.npz", "zero.npz"), "no layout: is a scene, which comes before the layout"),
+    (("score", "s.npz", "town.xodr"), "no layout: a map is not a scene yet; build one: inspe sc"),
+    (
+        ("score", "layout.yaml"),
+        "is a layout or a study, not a scene: inspe score SCENE lay",
+    ),
+    (("scene", "layout.yaml"), "is a layout or a study, not a scene"),
     (("score", "s.npz", "nan.yaml"), "height: input should be a finite number"),
     (("score", "s.npz", "buried.yaml"), "is in the ground"),
     (("score", "s.npz", "device.yaml"), "did you mean paper-lidar-"),

@@ -129,7 +129,7 @@ def test_what_is_no_result_is_refused(result, tmp_path):
         json.dumps(record | {"scores": {}}),
     ):
         (tmp_path / "result.json").write_text(content)
-        with pytest.raises(InspeError, match="not a result saved by this package"):
+        with pytest.raises(InspeError, match=r"not (a result saved by this package|JSON)"):
             load_result(tmp_path)
     (tmp_path / "result.json").write_text(good.replace(FORMAT, FORMAT[:-1] + "1"))
     (tmp_path / "path.csv").rename(tmp_path / "kept.csv")

@@ -207,9 +207,16 @@ def test_views_are_on_the_ground_of_their_pole(scene, layout):
 
 
 def test_names_may_be_anything(scene, layout):
-    sensor = replace(layout.sensors[0], name="Südost <1> & \x07\ud800 ☃")
-    odd = replace(layout, sensors=(sensor, *layout.sensors[1:]))
-    assert "Südost &lt;1&gt; &amp;  ☃" in plan_kml(odd, scene.intersection)
+    """Viewers of maps read a description as HTML, and a name as text."""
+    names = ("Südost <b>1</b> & \x07\ud800 ☃", "\u202e12", *(s.name for s in layout.sensors[2:]))
+    sensors = [replace(one, name=name) for one, name in zip(layout.sensors, names, strict=True)]
+    units = (replace(layout.units[0], name="<img src=x onerror=alert(1)>"), *layout.units[1:])
+    odd = replace(layout, sensors=tuple(sensors), units=units)
+    text = plan_kml(odd, scene.intersection)
+    assert "Südost &lt;b&gt;1&lt;/b&gt; &amp; \\x07\\ud800 ☃" in text
+    assert "unit: &amp;lt;img src=x onerror=alert(1)&amp;gt;&lt;br/&gt;device" in text
+    assert "<name>\\u202e12</name>" in text
+    assert "\u202e" not in text
 
 
 # ── Bad files ───────────────────────────────────────────────────────────────
@@ -259,7 +266,7 @@ def set_at(*path, to):
         (set_at("features", 1, "geometry", "coordinates", to=[11.6, 48.14]), "at most 2 m"),
         (set_at("features", 1, "geometry", to=None), "features[1].geometry: no geometry"),
         (set_at("features", 0, "geometry", "coordinates", to=[]), "has no coordinates"),
-        (set_at("features", 1, "geometry", "coordinates", to=[int("9" * 400), 1]), "no geometry"),
+        (set_at("features", 1, "geometry", "coordinates", to=[int("9" * 400), 1]), "400 digits"),
         (set_at("features", 1, "properties", "azimuth_deg", to=1e300), "azimuth_deg"),
     ],
 )  # fmt: skip

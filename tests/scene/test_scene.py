@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import shapely
 from worlds import LIDAR, crossing, place_sensors, random_traffic, world
 
 from inspe_jax.core.errors import InspeError
@@ -114,11 +115,14 @@ def test_values_out_of_range(options, message):
         ("none.npz", "none.npz: no such file"),
         ("bad.npz", "bad.npz: not a scene saved by this package"),
         ("town.xodr", "inspe scene .*--junction"),
+        ("own.yaml", "own.yaml: is a layout or a study, not a scene: inspe score SCENE own.yaml"),
+        (".", "is a folder; its layout is layout.yaml"),
     ],
 )
 def test_what_cannot_be_loaded(tmp_path, monkeypatch, name, message):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "bad.npz").write_bytes(b"PK\x03\x04 not really")
+    (tmp_path / "layout.yaml").touch()
     with pytest.raises(InspeError, match=message):
         load_scene(name)
 
@@ -206,6 +210,26 @@ def test_scenes_are_shown_in_one_line():
     assert len(repr(scene.intersection)) < 150
     assert "<td>15 m</td>" in scene._repr_html_()
     assert "<td>&lt;b&gt;four&lt;/b&gt;</td>" in scene._repr_html_()
+
+
+def test_a_scene_whose_shapes_are_nested_deep_is_refused(tmp_path):
+    """GEOS would end the process: it reads them by recursion."""
+    scene = build_scene(built_in("t_junction"), radius=15, frames=2, density=2)
+    flat = (
+        shapely.MultiPolygon([shapely.box(0, 0, 1, 1)]),
+        shapely.force_3d(shapely.box(0, 0, 1, 1)),
+    )
+    parts = (shapely.Point(0, 0), shapely.LineString([(0, 0), (1, 1)]), *flat[1:])
+    for area in (*flat, shapely.Polygon(), shapely.GeometryCollection(parts)):
+        place = replace(scene.intersection, mounting=area)
+        save_scene(replace(scene, intersection=place), tmp_path / "a.npz")
+        assert load_scene(tmp_path / "a.npz").intersection.mounting.wkb == area.wkb
+    with np.load(tmp_path / "a.npz") as data:
+        arrays = dict(data)
+    deep = b"\1\7\0\0\0\1\0\0\0" * 100_000
+    np.savez(tmp_path / "a.npz", **arrays | {"shape_0": np.frombuffer(deep, "u1")})
+    with pytest.raises(InspeError, match="not a scene saved by this package"):
+        load_scene(tmp_path / "a.npz")
 
 
 def test_nothing_is_left_of_a_scene_that_could_not_be_saved(tmp_path, monkeypatch):

@@ -306,7 +306,7 @@ NET += 'origBoundary="0,0,1,1" projParameter="!"/>{}</net>'
 
 BROKEN = {
     "empty": (NET.format(""), "the network has no roads"),
-    "cut": ("<net version='1.20'><edge id='a'", "not a SUMO network"),
+    "cut": ("<net version='1.20'><edge id='a'", "not well-formed XML, perhaps cut short"),
     "other": ("<html/>", "the root element is <html>, not <net>"),
     "nothing": ("", "not well-formed XML"),
 }

@@ -331,6 +331,16 @@ def test_numbers_that_are_none_poison_nothing(fresh, layout, number, caplog):
     assert len(caplog.messages) == (1 if isinstance(number, str) else 3)
 
 
+def test_a_long_text_for_a_number_is_logged_shortly(fresh, caplog):
+    with socket_of(fresh.url) as page:
+        enter(page)
+        set_value(page, fresh.panel.seconds, "x" * 60_000)
+        wait_until(lambda: caplog.messages)
+    (line,) = caplog.messages
+    assert "could not convert string to float: 'xxx" in line
+    assert len(line) < 400
+
+
 def test_a_typed_number_is_read_before_the_controls_are_shown_anew(fresh, layout, monkeypatch):
     """Even if that is asked for when the number has come, and nobody has read it yet."""
     asked = []

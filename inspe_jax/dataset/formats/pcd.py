@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Float
 
 from inspe_jax.core.errors import InspeError
-from inspe_jax.core.files import check_input, whole_file
+from inspe_jax.core.files import ARRAYS, check_input, whole_file
 
 _HEADER = """\
 # .PCD v0.7 - Point Cloud Data file format
@@ -65,7 +65,7 @@ def read_pcd(path: str | os.PathLike[str]) -> Float[np.ndarray, "N 4"]:
     PCD marks empty places so. Raises InspeError for any other file.
     """
     path = Path(path)
-    check_input(path)
+    check_input(path, ARRAYS)
     with path.open("rb") as f:
         header = _read_header(f, path)
         columns = _read_columns(f.read(), header, path)

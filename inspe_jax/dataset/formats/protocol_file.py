@@ -6,15 +6,14 @@ from typing import Any
 
 import yaml
 
-from inspe_jax.core.errors import InspeError
-from inspe_jax.core.files import write_text
+from inspe_jax.core.errors import InspeError, brief
+from inspe_jax.core.files import read_yaml, write_text
 from inspe_jax.simulation.frame import Station
 
 PROTOCOL = "data_protocol.yaml"
 """The usual name of the file, in the scenario's folder."""
 
 _WORLD = ("fixed_delta_seconds", "client_port", "seed", "weather", "town")
-_Loader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 _Base: Any = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
 
 
@@ -52,7 +51,7 @@ def write_protocol_file(
 
 def read_protocol_file(path: Path) -> dict[str, Any]:
     """What a protocol says; empty if there is no such file. Raises InspeError if it is not YAML."""
-    return as_mapping(load_yaml(path.read_bytes(), path), path) if path.is_file() else {}
+    return as_mapping(read_yaml(path), path) if path.is_file() else {}
 
 
 def make_folder(path: Path) -> Path:
@@ -72,26 +71,8 @@ def dump_yaml(content: Mapping[str, Any]) -> str:
     return text
 
 
-def load_yaml(text: bytes, path: Path) -> Any:
-    """What a YAML text holds. Raises InspeError, which names ``path``, on any other text.
-
-    For files of programs: it uses libyaml where that is there, which is fast, and does not look
-    for keys that are given twice, as :func:`~inspe_jax.core.files.parse_yaml` does.
-    """
-    try:
-        return yaml.load(text, _Loader)
-    except (yaml.YAMLError, ValueError) as e:
-        raise InspeError(f"{path}: not YAML: {' '.join(str(e).split())}") from e
-
-
 def as_mapping(content: Any, where: object) -> dict[str, Any]:
     """The content, if it is a mapping. Raises InspeError, which names ``where``, otherwise."""
     if not isinstance(content, dict):
         raise InspeError(f"{where}: must hold keys with values, got {brief(content)}")
     return content
-
-
-def brief(value: Any) -> str:
-    """A value as text of at most 80 characters, for error messages."""
-    text = repr(value)
-    return text if len(text) <= 80 else f"{text[:77]}..."

@@ -4,8 +4,6 @@ Its folder holds ``points.npy`` (all clouds one after the other), ``pictures.npy
 ``index.npz`` (poses, calibration, boxes, and where each cloud begins) and ``scenario.json``.
 """
 
-import io
-import zipfile
 from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
@@ -16,7 +14,7 @@ from jaxtyping import Float, Int, Int16, UInt8
 from pydantic import BaseModel
 
 from inspe_jax.core.errors import InspeError
-from inspe_jax.core.files import STRICT, check_model, read_json
+from inspe_jax.core.files import STRICT, check_model, open_arrays, read_json
 
 RECORD, INDEX, POINTS, PICTURES = "scenario.json", "index.npz", "points.npy", "pictures.npy"
 
@@ -64,7 +62,7 @@ class StoredScenario:
         for name, size in self.record.files.items():
             file = path / name
             if not file.is_file() or file.stat().st_size != size:
-                raise InspeError(f"{file}: is missing or damaged: delete {path} and cache it again")
+                raise InspeError(f"{file}: is missing or damaged: {self._advice}")
 
     def __getstate__(self) -> dict[str, Any]:
         return {key: self.__dict__[key] for key in ("path", "split", "record")}
@@ -100,11 +98,8 @@ class StoredScenario:
         (N, S), ``pixels`` (N, C).
         """
         path = self.path / INDEX
-        try:
-            with np.load(io.BytesIO(path.read_bytes())) as file:
-                found = {key: file[key] for key in INDEX_KEYS}
-        except (OSError, KeyError, ValueError, zipfile.BadZipFile) as e:
-            raise self._damaged(path) from e
+        with open_arrays(path, f"is missing or damaged: {self._advice}") as file:
+            found = {key: file[key] for key in INDEX_KEYS}
         for key in STATIC:
             found[key] = np.broadcast_to(found[key], (self.record.frames, *found[key].shape[1:]))
         return found
@@ -138,7 +133,8 @@ class StoredScenario:
             mapped: np.ndarray = np.load(self.path / name, mmap_mode="r").view(np.ndarray)
             return mapped
         except (OSError, ValueError) as e:
-            raise self._damaged(self.path / name) from e
+            raise InspeError(f"{self.path / name}: is missing or damaged: {self._advice}") from e
 
-    def _damaged(self, path: Path) -> InspeError:
-        return InspeError(f"{path}: is missing or damaged: delete {self.path} and cache it again")
+    @property
+    def _advice(self) -> str:
+        return f"delete {self.path} and cache it again"

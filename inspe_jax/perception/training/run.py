@@ -23,7 +23,9 @@ from inspe_jax.core.files import (
     STRICT,
     check_model,
     lock_folder,
+    named,
     prepare_folder,
+    read_csv,
     read_json,
     whole_file,
     write_text,
@@ -76,17 +78,16 @@ class Run:
     def rows(self, name: str) -> list[dict[str, float]]:
         """The rows of :data:`LOSSES` or of :data:`VALIDATION`."""
         path = self.path / name
-        if not path.is_file():
-            return []
-        with path.open(newline="", encoding="utf-8") as file:
-            return [
-                {key: float(value) for key, value in row.items()} for row in csv.DictReader(file)
-            ]
+        rows = read_csv(path) if path.is_file() else []
+        try:
+            return [{key: float(value) for key, value in row.items()} for row in rows]
+        except ValueError as e:
+            raise InspeError(f"{path}: not a table of numbers: {e}") from e
 
     def write(self, name: str, row: Mapping[str, float]) -> None:
         """Append a row; numbers are written so that they read back the same."""
         path = self.path / name
-        with path.open("a", newline="", encoding="utf-8") as file:
+        with named(path), path.open("a", newline="", encoding="utf-8") as file:
             table = csv.DictWriter(file, list(row), lineterminator="\n")
             if not file.tell():
                 table.writeheader()

@@ -1,6 +1,5 @@
 """Cost against score for mixes of devices: how many of which device are worth their price."""
 
-import csv
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -11,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from inspe_jax.core.errors import InspeError, nearest, or_usual
-from inspe_jax.core.files import check_input, csv_text, prepare_folder, write_text
+from inspe_jax.core.files import csv_text, prepare_folder, read_csv, write_text
 from inspe_jax.placement.constraints import Constraints
 from inspe_jax.placement.objective import Objective, total_price
 from inspe_jax.placement.optimise import DEFAULT_METHOD, compare
@@ -210,23 +209,21 @@ def load_pareto(folder: str | os.PathLike[str]) -> list[ParetoPoint]:
     Raises InspeError if it is missing or is not such a table.
     """
     path = Path(folder) / "pareto.csv"
-    check_input(path)
+    rows = read_csv(path)
     try:
-        with path.open(newline="", encoding="utf-8") as f:
-            table = csv.DictReader(f)
-            names = list(table.fieldnames or ())
-            devices = names[: names.index("cost_usd")]
-            return [
-                ParetoPoint(
-                    {name: int(row[name]) for name in devices},
-                    float(row["cost_usd"]),
-                    float(row["objective"]),
-                    row["front"] == "1",
-                    row["scene"],
-                    row["method"],
-                )
-                for row in table
-            ]
+        names = list(rows[0]) if rows else ["cost_usd"]
+        devices = names[: names.index("cost_usd")]
+        return [
+            ParetoPoint(
+                {name: int(row[name]) for name in devices},
+                float(row["cost_usd"]),
+                float(row["objective"]),
+                row["front"] == "1",
+                row["scene"],
+                row["method"],
+            )
+            for row in rows
+        ]
     except (KeyError, TypeError, ValueError) as e:
         raise InspeError(f"{path}: not a table written by `inspe pareto`") from e
 

@@ -16,7 +16,7 @@ from shapely.ops import unary_union
 
 from inspe_jax.core.carla_frame import flip, from_carla
 from inspe_jax.core.errors import InspeError
-from inspe_jax.core.files import cached_by_file
+from inspe_jax.core.files import ARRAYS, cached_by_file, check_input
 from inspe_jax.scene.intersection import Intersection
 from inspe_jax.scene.maps.parts import CLEARANCE
 from inspe_jax.scene.traffic.frames import CLASSES, Snapshot, TrafficFrames, pack_frames
@@ -93,6 +93,7 @@ def load_log(path: Path) -> RecorderLog:
 
     Raises InspeError if the file is missing, cut short or not a log.
     """
+    check_input(path, ARRAYS)
     reader = _Reader(path.read_bytes())
     try:
         reader.take("H")

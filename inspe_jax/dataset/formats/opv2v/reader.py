@@ -15,8 +15,8 @@ import numpy as np
 from jaxtyping import Float
 
 from inspe_jax.core.carla_frame import flip, from_carla
-from inspe_jax.core.errors import InspeError
-from inspe_jax.core.files import check_input
+from inspe_jax.core.errors import InspeError, brief
+from inspe_jax.core.files import YAML, check_input, parse_yaml
 from inspe_jax.dataset.formats.opv2v.writer import KMH, NO_LIDAR, OBSERVED, SECTIONS
 from inspe_jax.dataset.formats.pcd import read_notes, read_pcd
 from inspe_jax.dataset.formats.pictures import (
@@ -26,7 +26,7 @@ from inspe_jax.dataset.formats.pictures import (
     read_rgb,
     read_semantic,
 )
-from inspe_jax.dataset.formats.protocol_file import as_mapping, brief, load_yaml
+from inspe_jax.dataset.formats.protocol_file import as_mapping
 from inspe_jax.simulation.frame import Frame, Image, RoadUserBox, Scan, Station
 
 TICK = 0.05
@@ -129,17 +129,17 @@ def _content(path: Path, known: dict[bytes, dict[str, Any]]) -> dict[str, Any]:
     This text is parsed only once; ``known`` keeps what it holds. A file that cannot be divided so,
     because it is broken or an anchor in one half is used in the other, is parsed as a whole.
     """
-    check_input(path)
+    check_input(path, YAML)
     text = path.read_bytes()
     head, mark, tail = text.partition(_BOXES)
     if mark:
         try:
             if tail not in known:
-                known[tail] = as_mapping(load_yaml(mark + tail, path), path)
-            return {**as_mapping(load_yaml(head, path), path), **known[tail]}
+                known[tail] = as_mapping(parse_yaml(mark + tail, str(path)), path)
+            return {**as_mapping(parse_yaml(head, str(path)), path), **known[tail]}
         except InspeError:
             pass  # if the file is broken, parsing it as a whole says where
-    return as_mapping(load_yaml(text, path), path)
+    return as_mapping(parse_yaml(text, str(path)), path)
 
 
 def _numbers(

@@ -4,6 +4,7 @@ CARLA is left-handed. ``position`` flips its y and ``heading_of`` its yaw, as
 :mod:`inspe_jax.core.carla_frame` explains.
 """
 
+import io
 import os
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
@@ -16,7 +17,7 @@ import numpy as np
 from jaxtyping import Float
 
 from inspe_jax.core.errors import InspeError, missing_extra
-from inspe_jax.core.files import cached_by_file
+from inspe_jax.core.files import TEXT, cached_by_file, check_input, check_xml
 from inspe_jax.scene.georeference import Georeference, of_open_drive
 from inspe_jax.scene.maps.bodies import Shape
 from inspe_jax.scene.maps.lane_strips import LaneStrip
@@ -89,6 +90,7 @@ def load_map(path: Path) -> TownMap:
 
     Raises InspeError if the CARLA client or the file is missing, or if it is not OpenDRIVE.
     """
+    check_input(path, TEXT)
     text = path.read_bytes().decode("utf-8-sig", "replace")
     root = _root(path, text)
     try:
@@ -144,20 +146,10 @@ def _georeference(root: ET.Element) -> tuple[Georeference | None, list[str]]:
 
 def _root(path: Path, text: str) -> ET.Element:
     """The root of the XML, which is checked here: CARLA skips what it does not know, or aborts."""
-    try:
-        root = ET.fromstring(text.encode())
-    except ET.ParseError as error:
-        line, column = error.position
-        raise InspeError(
-            f"{path}: not well-formed XML, perhaps cut short: line {line}, column {column} "
-            f"({str(error).split(':')[0]})"
-        ) from error
+    check_xml(io.BytesIO(text.encode()), str(path), "OpenDRIVE")
+    root = ET.fromstring(text.encode())
     for element in root.iter():
         element.tag = element.tag.rpartition("}")[2]  # without its namespace
-    if root.tag != "OpenDRIVE":
-        raise InspeError(
-            f"{path}: not OpenDRIVE: the root element is <{root.tag}>, not <OpenDRIVE>"
-        )
     return root
 
 

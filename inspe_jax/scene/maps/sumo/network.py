@@ -13,7 +13,6 @@ import shutil
 import subprocess
 import sys
 import tempfile
-import xml.etree.ElementTree as ET
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,7 +23,7 @@ import numpy as np
 from jaxtyping import Float
 
 from inspe_jax.core.errors import InspeError, missing_extra
-from inspe_jax.core.files import cached_by_file
+from inspe_jax.core.files import cached_by_file, check_xml
 from inspe_jax.scene.georeference import Georeference
 
 NET_SUFFIXES = (".net.xml", ".net.xml.gz")
@@ -92,8 +91,9 @@ def load_net(path: Path) -> RoadNet:
     except ImportError as error:
         raise missing_extra("SUMO networks and OpenStreetMap need sumolib", "sumo") from error
     is_net = path.name.lower().endswith(NET_SUFFIXES)
+    if is_net:
+        _check(path, "net")
     file = path.resolve() if is_net else _converted(path)
-    _check_root(file, path, "net")
     try:
         net = sumolib.net.readNet(
             str(file), withInternal=True, withPedestrianConnections=True, lxml=False
@@ -107,15 +107,10 @@ def load_net(path: Path) -> RoadNet:
     return RoadNet(path.name.split(".")[0], path.name, file, net, shift)
 
 
-def _check_root(file: Path, path: Path, wanted: str) -> None:
-    """Raise InspeError if a file is not XML with the wanted root element."""
-    try:
-        with gzip.open(file) if file.name.endswith(".gz") else file.open("rb") as f:
-            root = next(ET.iterparse(f, events=("start",)))[1].tag
-    except (ET.ParseError, StopIteration, OSError) as error:
-        raise InspeError(f"{path}: not well-formed XML: {error}") from error
-    if root != wanted:
-        raise InspeError(f"{path}: the root element is <{root}>, not <{wanted}>")
+def _check(path: Path, root: str) -> None:
+    """Raise InspeError if a file is not XML with this root element."""
+    with gzip.open(path) if path.name.lower().endswith(".gz") else path.open("rb") as f:
+        check_xml(f, str(path), root)
 
 
 # ── SUMO's own programs ─────────────────────────────────────────────────────
@@ -133,9 +128,10 @@ def _converted(path: Path) -> Path:
     """The network that netconvert makes of a map."""
     kind = ".xodr" if path.suffix.lower() == ".xodr" else ".osm"
     if kind == ".osm":
-        _check_root(path, path, "osm")
+        _check(path, "osm")
     source, *options = _HOW[kind]
-    made = _folder() / (hashlib.sha256(path.read_bytes()).hexdigest()[:16] + ".net.xml")
+    with path.open("rb") as f:
+        made = _folder() / (hashlib.file_digest(f, "sha256").hexdigest()[:16] + ".net.xml")
     if not made.exists():
         part = made.with_suffix(".part.xml")
         run("netconvert", [source, str(path), "-o", str(part), *options], f"{path}")

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from shapely.geometry import LineString, Point, Polygon
 
 from inspe_jax.core.errors import InspeError
-from inspe_jax.core.files import check_input
+from inspe_jax.core.files import check_input, check_xml
 from inspe_jax.scene.geojson import Feature, known_georeference
 from inspe_jax.scene.intersection import Intersection
 from inspe_jax.scene.maps.openstreetmap.sizes import Sizes
@@ -36,12 +36,9 @@ def polygons_of(path: Path, place: Intersection) -> tuple[Feature, ...]:
     network that the coordinates could be of, or the file is no polygon file.
     """
     check_input(path)
-    try:
-        root = ET.parse(path).getroot()
-    except ET.ParseError as error:
-        raise InspeError(f"{path}: not well-formed XML: {error}") from error
-    if root.tag != "additional":
-        raise InspeError(f"{path}: the root element is <{root.tag}>, not <additional>")
+    with path.open("rb") as f:
+        check_xml(f, str(path), "additional")
+    root = ET.parse(path).getroot()
     sizes, found = Sizes(), []
     for element in root:
         kind = _kind(element)

@@ -28,8 +28,10 @@ SHORTER = {
     r"(inspe train .*)": r"\1 --steps 2",
     r"seconds=\d+": "seconds=1",
     r"seconds: \d+": "seconds: 0.5",
+    r"--radius \d+": "--radius 20",
+    r"radius: \d+": "radius: 20",
 }
-"""What takes long, and how much of it is enough here: only budgets and lengths."""
+"""What takes long, and how much of it is enough here: only budgets, lengths and sizes."""
 MODULES = [m.name for m in pkgutil.walk_packages(inspe_jax.__path__, "inspe_jax.")]
 
 

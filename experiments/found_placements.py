@@ -7,7 +7,8 @@ cameras look level: what aiming alone brings is told by the same placement with 
 down. Then all is as in ``table1.py``: the same traffic is recorded, a detector is trained for as
 many steps, and measured at two intersections that it has not seen, and on another time at all ten.
 Tells its mAP beside that under the placements by hand (``--beside``, the rows of ``table1.py``), of
-the seeds that all have, and the mean gain over seeds and placements of LiDARs.
+the seeds that all have, and the mean gain over placements of LiDARs. How much of a gain is due to
+gradients is not tested: there is no search without them beside it.
 
 Searches, sets and trainings are in the folder of --keep. A run that was stopped goes on there. A
 training that is done has its rows in the CSV in --out.
@@ -188,19 +189,27 @@ def scores_of(rows: list[Row], placement: str, scenes: set[str]) -> dict[str, fl
 
 
 def gain_with_lidars(rows: Rows, of: str) -> str:
-    """The mean gain of mAP over seeds and placements of LiDARs, with its 95 % interval by
-    Student's t of the differences between trainings with the same seed."""
-    gains = [
-        np.mean([own[model, found_from(name), kind] - own[model, name, kind] for kind in KINDS])
-        for own in means_of_seeds(rows, of).values()
+    """The mean gain of mAP over placements of LiDARs, with its 95 % interval by Student's t.
+
+    A placement is one observation: its seeds are trained under the same one, and are averaged.
+    """
+    seeds = means_of_seeds(rows, of).values()
+    each = [
+        [
+            own[model, found_from(name), kind] - own[model, name, kind]
+            for own in seeds
+            if (model, found_from(name), KINDS[0]) in own
+            for kind in KINDS
+        ]
         for name, model in BY_HAND.items()
-        if name in BY_SENSORS["lidar",] and (model, found_from(name), KINDS[0]) in own
+        if name in BY_SENSORS["lidar",]
     ]
+    gains = [np.mean(differences) for differences in each if differences]
     found = ttest_1samp(gains, 0.0)
     low, high = found.confidence_interval()
     return (
         f"{of}: with LiDARs, what was found gains {np.mean(gains):+.1f} points "
-        f"[{low:.1f}, {high:.1f}] in {len(gains)} pairs of trainings, p = {found.pvalue:.2f}"
+        f"[{low:.1f}, {high:.1f}] over {len(gains)} placements, p = {found.pvalue:.2f}"
     )
 
 

@@ -325,6 +325,35 @@ def _refuse(what: str, why: str, options: Sequence[str]) -> None:
         raise InspeError(f"{what}: {why}; leave out {names}")
 
 
+@app.command()
+def examples(
+    folder: Annotated[
+        Path, typer.Argument(metavar="DIR", help="An existing folder for the files.")
+    ] = Path(),
+) -> None:
+    """Write the example files of the README: two maps, poles, and a log of traffic.
+
+    Their places are made up. A file that is there already stays as it is.
+
+    Examples:
+
+    - `inspe examples`
+    """
+    import gzip
+    from importlib.resources import files
+
+    from inspe_jax.core.files import whole_file
+
+    for item in sorted(files("inspe_jax.scene").joinpath("examples").iterdir(), key=str):
+        path, content = folder / item.name.removesuffix(".gz"), item.read_bytes()
+        if path.exists():
+            out.print(f"kept {path}: it is there already", highlight=False)
+            continue
+        with whole_file(path) as file:
+            file.write(gzip.decompress(content) if item.name.endswith(".gz") else content)
+        out.print(f"wrote {path}", highlight=False)
+
+
 def _degrees(text: str) -> tuple[float, float]:
     """The latitude and longitude of ``--at``. Raises InspeError for any other text."""
     try:

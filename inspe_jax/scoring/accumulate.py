@@ -1,7 +1,7 @@
 """What sensors see of a tile in each frame: the one pass over traffic.
 
 It is written over the sets of :mod:`inspe_jax.scoring.reading`, so exact scores, soft scores and
-pictures run the same lines of code.
+pictures share what is counted here; their geometry differs.
 """
 
 from typing import Any

@@ -218,7 +218,15 @@ def layout_sources(entry: Sources, folder: Path, where: str) -> list[LayoutSourc
         _layout_source(item, own, folder, f"{where}: layouts[{k}]")
         for k, item in enumerate(entry.layouts)
     ]
-    check_names([item.name for item in layouts], f"{where}: layouts")
+    names = [source.name for source in layouts]
+    # A file that a strategy was saved to has the strategy's name: beside that, its own tells it.
+    layouts = [
+        replace(source, name=Path(item.file).stem)
+        if item.file and not item.name and names.count(source.name) > 1
+        else source
+        for item, source in zip(entry.layouts, layouts, strict=True)
+    ]
+    check_names([source.name for source in layouts], f"{where}: layouts")
     return layouts
 
 

@@ -221,6 +221,8 @@ def test_saved_scenes_and_layout_files(read, tmp_path):
     text = (tmp_path / "mine.yaml").read_text()
     (folder / "mine.yaml").write_text(text.replace("yaw_deg: 0.0", "yaw_deg: 1.0"))
     assert not set(keys) & {job.key for job in load_study(folder / "study.yaml").jobs}
+    beside = read(STUDY, layouts=["L-c", "mine.yaml"])
+    assert {job.layout.name for job in beside.jobs} == {"L-c", "mine"}
 
 
 @pytest.mark.parametrize(

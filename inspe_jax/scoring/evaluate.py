@@ -1,7 +1,7 @@
 """Score a layout on a scene: every metric, and their weighted sum P_sm."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import jax
@@ -39,6 +39,7 @@ from inspe_jax.sensing.conditions import FAIR, Conditions, perceiving
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.visibility.centered_scene import from_center, poses_about_center
 from inspe_jax.visibility.queries import check_layout
+from inspe_jax.visibility.tiles import CORE
 
 VISIBILITIES = ("in_view", "line_of_sight", "past_others")
 """What visibility means in information gain. ``in_view``: f, as in the paper. ``line_of_sight``: f
@@ -93,6 +94,10 @@ class Scores(PaperMetrics):
     can be negative only for occlusion with the reference ``covered``, whose voxels change with the
     sensors. ``seen_share`` (L,) is the share of frames and levels in which each column is seen. It
     is for pictures and has no gradient. ``settings`` are the options used.
+
+    ``parts`` has the metrics and P_sm of the columns of the ``core``, within 30 m of the centre
+    (paper, section 3), and of those ``outside``, by these names; it is empty where one of the two
+    has no columns, and where scores are soft.
     """
 
     metrics: dict[str, float]
@@ -102,6 +107,7 @@ class Scores(PaperMetrics):
     contributions: tuple[Contribution, ...]
     seen_share: Float[np.ndarray, " L"]
     settings: dict[str, Any]
+    parts: dict[str, dict[str, float]] = field(default_factory=dict)
 
     @property
     def information_gain_literal(self) -> float:
@@ -194,6 +200,7 @@ def evaluate(
             **conditions.record,
             **({} if asked.detection is None else dict(detection=asked.detection.record)),
         ),
+        parts=_by_part(scene, measured, tuple(values), by_name),
     )
 
 
@@ -280,6 +287,22 @@ def evaluate_many(
         Asked.of(**options, names=chosen(metrics, by_name), detection=detection),
     )
     return ManyScores(found, np.asarray(surrogate(found, by_name)))
+
+
+def _by_part(
+    scene: Scene, found: MetricValues, names: tuple[str, ...], weights: dict[str, float]
+) -> dict[str, dict[str, Any]]:
+    """:attr:`Scores.parts`."""
+    grid = scene.voxels
+    core = np.hypot(*(grid.columns - grid.center[:2]).T) <= CORE
+    if found.parts is None or core.all() or not core.any():
+        return {}
+    rows = {name: found.parts[name] for name in names}
+    rows["surrogate"] = surrogate(rows, weights)
+    return {
+        part: {name: _numbers(row[k]) for name, row in rows.items()}
+        for k, part in enumerate(("core", "outside"))
+    }
 
 
 def _by_region(

@@ -284,7 +284,12 @@ def _maps(
         yield words, _plan(scene, entry, of_columns[name], frame)
     if entry.targets is not None:
         reaching = entry.scores.conditions.layout(entry.layout)
-        yield ON_TARGET, targets_view(scene, reaching, entry.targets, frame=frame)
+        yield (
+            ON_TARGET,
+            targets_view(
+                scene, reaching, entry.targets, frame=frame, conditions=entry.scores.conditions
+            ),
+        )
 
 
 def _plan(scene: Scene, entry: ReportEntry, layer: MapLayer, frame: int) -> Figure:

@@ -364,7 +364,8 @@ def _entropy_terms(
 ) -> tuple[Float[Array, " 1+G"], Float[Array, ""], Float[Array, "2 2"]]:
     """:func:`~inspe_jax.scoring.metrics.entropy_terms` of all voxels: H(Ω|P) and H(Ω).
 
-    The third result is the two of all sensors, a column each for the core and outside. They are summed in parts; parts of nothing but padding are left out.
+    The third result is the two of all sensors, a column each for the core and outside. They are
+    summed in parts; parts of nothing but padding are left out.
     """
     sensors, number = len(views), len(tiled.occupancy)
     together = ENTROPIC if number and number % ENTROPIC == 0 else number

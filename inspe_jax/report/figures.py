@@ -189,7 +189,8 @@ def layer_raster(
         return uniform_filter(np.where(there, values, 0.0), rows, mode="constant")
 
     if layer.kinds:
-        found = np.argmax([mean(raster == kind) for kind in range(len(layer.kinds))], 0)
+        each = [mean(raster == kind) for kind in range(len(layer.kinds))]
+        found = np.argmax(np.round(each, 6), 0)  # of equals the first, whatever the rounding
     else:
         found = mean(raster) / np.where(there, mean(there), 1.0)
     return np.where(there, found, np.nan), extent

@@ -191,5 +191,5 @@ def facts_size(facts: str) -> float:
 
 def setting_words(settings: Mapping[str, Any]) -> str:
     """The light, the weather and the profile of scores or of a scene: they stand on its figure."""
-    parts = [str(settings[key]) for key in ("light", "weather") if key in settings]
-    return ", ".join([*parts, f"profile {settings['profile']}"])
+    words = dict(light="", weather="", profile="profile ")
+    return ", ".join(f"{word}{settings[key]}" for key, word in words.items() if key in settings)

@@ -108,7 +108,7 @@ def before_after(
         bar = fig.add_axes((SIDE_LEFT / WIDTH, 0.30 / height, 1.75 / WIDTH, 0.09 / height))
         fig.colorbar(image, cax=bar, orientation="horizontal", ticks=[0, 0.25, 0.5, 0.75, 1])
         bar.set_xticklabels(["0", "0.25", "0.5", "0.75", "1"])
-        bar.set_title(layer.label.replace("\n", " "), loc="left", size=7)
+        bar.set_title(layer.label.replace("\n", " ", 1), loc="left", size=7)
         if moved:
             keys.insert(0, Line2D([], [], **_ARROW, marker=">", ms=3, label=WENT))
         keys_left = (SIDE_LEFT + SIDE) / WIDTH

@@ -25,7 +25,7 @@ from shapely.geometry.base import BaseGeometry
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.report.bodies import body_keys, draw_bodies
-from inspe_jax.report.layers import CELL, MapLayer, seen_layer
+from inspe_jax.report.layers import MapLayer, cell_rows, seen_layer
 from inspe_jax.report.outlines import clear_outlines
 from inspe_jax.report.routes import LANE, WALK, center_distance, draw_routes
 from inspe_jax.report.sheet import (
@@ -177,10 +177,10 @@ def layer_raster(
 ) -> tuple[Float[np.ndarray, "N N"], tuple[float, float, float, float]]:
     """:func:`column_raster` of a layer as maps show it: of squares about each column where it asks.
 
-    They are the columns that there are in an odd number of rows, about :data:`CELL` wide.
+    They are the columns that there are in :func:`~inspe_jax.report.layers.cell_rows` rows.
     """
     raster, extent = column_raster(voxels, layer.values)
-    rows = 2 * round((CELL / voxels.spacing - 1) / 2) + 1
+    rows = cell_rows(voxels.spacing)
     if not layer.averaged or rows < 2:
         return raster, extent
     there = ~np.isnan(raster)

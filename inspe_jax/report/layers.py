@@ -14,8 +14,6 @@ user is in it."""
 CELL = 2.5
 """Side of the square about a column that maps show the mean of [m]: a few rays of a camera or a
 LiDAR wide at the reach of most."""
-MEAN = f"mean over {CELL:g} × {CELL:g} m"
-MOST = f"most of {CELL:g} × {CELL:g} m is"
 BLIND = (
     ("seen", "#f2f2f2"),
     ("hidden by traffic\nmost of the time", "#e69f00"),
@@ -55,8 +53,7 @@ class MapLayer:
 
 def layers(scene: Scene, shed: Viewshed) -> dict[str, MapLayer]:
     """Every layer by its name, from the viewshed of a layout."""
-    levels = scene.voxels.level_count
-
+    levels, cell = scene.voxels.level_count, cell_words(scene)
     exists = free_of_bodies(scene)
     number = exists.sum(1).astype(float)
     number[number == 0] = np.nan
@@ -75,10 +72,10 @@ def layers(scene: Scene, shed: Viewshed) -> dict[str, MapLayer]:
     most = max(float(entropy.sum(1).max(initial=0.0)), 1e-9)
     found = (
         seen_layer(mean(seen) / frames, scene),
-        MapLayer("blind", MOST, blind(scene, shed), kinds=BLIND, averaged=True),
+        MapLayer("blind", f"most of {cell} is", blind(scene, shed), kinds=BLIND, averaged=True),
         MapLayer(
             "redundancy",
-            f"sensors that have it in view,\nmean over its levels,\n{MEAN}",
+            f"sensors that have it in view,\nmean over its levels,\nmean over {cell}",
             mean(sensors),
             averaged=True,
             most=max(float(sensors.max(initial=0)), 1.0),
@@ -94,7 +91,7 @@ def layers(scene: Scene, shed: Viewshed) -> dict[str, MapLayer]:
         ),
         MapLayer(
             "unresolved",
-            f"entropy that sensors leave,\nsum over its levels [bit],\n{MEAN}",
+            f"entropy that sensors leave,\nsum over its levels [bit],\nmean over {cell}",
             left.sum(1),
             averaged=True,
             most=most,
@@ -105,12 +102,23 @@ def layers(scene: Scene, shed: Viewshed) -> dict[str, MapLayer]:
     return {layer.name: layer for layer in found}
 
 
+def cell_rows(spacing: float) -> int:
+    """How many rows of columns, so far apart [m], maps average: odd, about :data:`CELL` wide."""
+    return max(1, 2 * round((CELL / spacing - 1) / 2) + 1)
+
+
+def cell_words(scene: Scene) -> str:
+    """The square that maps average, in words."""
+    side = cell_rows(scene.voxels.spacing) * scene.voxels.spacing
+    return f"{side:g} × {side:g} m"
+
+
 def seen_layer(seen_share: Float[np.ndarray, " L"], scene: Scene) -> MapLayer:
     """How often each column is seen: :attr:`~inspe_jax.scoring.evaluate.Scores.seen_share`."""
     values, free = np.asarray(seen_share), free_of_bodies(scene).any(1)
     if values.shape == free.shape:  # else they are of another scene, which the map will say
         values = np.where(free, values, np.nan)
-    label = f"share of frames and levels\nin which it is seen,\n{MEAN}"
+    label = f"share of frames and levels\nin which it is seen,\nmean over {cell_words(scene)}"
     return MapLayer("seen", label, values, averaged=True)
 
 

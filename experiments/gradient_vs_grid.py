@@ -72,6 +72,7 @@ def options() -> argparse.Namespace:
     parser.add_argument("--places", default="", help="only these, with commas")
     parser.add_argument("--cold", action="store_true", help="compiling is part of the time")
     parser.add_argument("--processor", action="store_true", help="seconds of processor time")
+    parser.add_argument("--draw", action="store_true", help="only the picture, from the CSV")
     parser.add_argument("--mixes", default=",".join(MIXES), help="with commas")
     found = parser.parse_args()
     for name, known in (("methods", METHODS), ("mixes", MIXES), ("places", PLACES)):
@@ -261,51 +262,36 @@ def summary(rows: list[dict[str, str]], history: list[dict[str, str]]) -> str:
     return text
 
 
-def draw(history: list[dict[str, str]], clock: str, path: Path) -> None:
-    """Median best score against the time that was counted, a panel a cell.
-
-    ``clock`` says what was counted.
-    """
-    found = courses(history)
-    places, mixes = (list(dict.fromkeys(at[k] for at in found)) for k in range(2))
-    cells = [(place, mix) for place in places for mix in mixes]
-    columns = len(mixes) if len(mixes) > 1 else min(4, len(places))
-    rows = -(-len(cells) // columns)
-    figure = Figure(figsize=(3.4 * columns, 2.1 * rows + 1.2), layout="constrained")
-    axes = figure.subplots(rows, columns, squeeze=False)
-    for ax in axes.flat[len(cells) :]:
-        ax.set_axis_off()
-    for ax, cell_ in zip(axes.flat, cells, strict=False):
-        all_runs = [runs for at, runs in found.items() if at[:2] == cell_]
-        if not all_runs:
-            ax.set_axis_off()
-            continue
-        end = max(t for runs in all_runs for steps in runs.values() for t, _ in steps)
-        last = [np.median([s[-1][1] for s in runs.values()]) for runs in all_runs]
-        ax.set_ylim(min(last) - 0.05, max(last) + 0.01)  # the start is far below
-        for k, name in enumerate(METHODS):
-            runs = found.get((*cell_, name))
-            if not runs:
-                continue
-            times = np.linspace(0, end, 200)
-            best = [[best_at(steps, t) for t in times] for steps in runs.values()]
-            style = "-" if name in GRADIENT else "--"
-            ax.plot(times, np.median(best, 0), style, label=name, color=f"C{k}")
-        ax.set_title(", ".join(cell_), fontsize=9)
-        ax.tick_params(labelsize=8)
-    for ax in axes[-1]:
-        ax.set_xlabel(clock, fontsize=9)
-    for ax in axes[:, 0]:
-        ax.set_ylabel("exact P_sm", fontsize=9)
-    keys: dict[str, Any] = {}
-    for ax in axes.flat:
-        for handle, label in zip(*ax.get_legend_handles_labels(), strict=True):
-            keys.setdefault(label, handle)
-    seeds = len({row["seed"] for row in history})
-    words = f"median of {seeds} seeds" if seeds > 1 else "one seed"
+def draw(rows: list[dict[str, str]], path: Path) -> None:
+    """The final score of every search: a mark for the median of a method, a line from the worst
+    seed to the best, a panel for each mix of devices."""
+    places, mixes = (list(dict.fromkeys(row[key] for row in rows)) for key in ("place", "mix"))
+    names = [name for name in METHODS if any(row["method"] == name for row in rows)]
+    figure = Figure(figsize=(3.4 * len(mixes) + 1, 0.62 * len(places) + 1.4), layout="constrained")
+    axes = figure.subplots(1, len(mixes), sharey=True, squeeze=False)[0]
+    for ax, mix in zip(axes, mixes, strict=True):
+        for k, name in enumerate(names):
+            for y, place in enumerate(places):
+                at = dict(place=place, mix=mix, method=name)
+                found = [float(r["score"]) for r in rows if at.items() <= r.items()]
+                if not found:
+                    continue
+                look: dict[str, Any] = dict(color=f"C{k}", zorder=3)
+                up = y + 0.14 * (k - (len(names) - 1) / 2)
+                ax.plot([min(found), max(found)], [up, up], lw=1.6, solid_capstyle="butt", **look)
+                filled = f"C{k}" if name in GRADIENT else "white"
+                mark = ax.plot(np.median(found), up, "o^sDv"[k % 5], ms=5, mfc=filled, **look)
+                mark[0].set_label(name if y == 0 else "")
+        ax.set(title=mix, xlabel="exact P_sm", yticks=range(len(places)), yticklabels=places)
+        ax.hlines(np.arange(len(places) - 1) + 0.5, *ax.get_xlim(), color="#d0d0d0", lw=0.6)
+        ax.margins(x=0)
+        ax.invert_yaxis() if ax is axes[0] else None
+    seeds, last = len({row["seed"] for row in rows}), rows[-1]
+    spread = f"median of {seeds} seeds, and from the worst to the best" if seeds > 1 else "one seed"
     figure.legend(
-        list(keys.values()), list(keys), loc="outside upper center", fontsize=9, title=words,
-        ncols=len(keys),
+        *axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=len(names),
+        title=f"after {float(last['budget']):g} s ({last['clock']}), midday, clear, profile paper: "
+        f"{spread}",
     )  # fmt: skip
     figure.savefig(path, dpi=110)
 
@@ -314,6 +300,9 @@ def main() -> None:
     """Run what is missing; then the table and the picture of all there is."""
     given = options()
     stem = "gradient_vs_grid" + "_cold" * given.cold + "_quick" * given.quick
+    if given.draw:
+        draw(read_rows(given.out / f"{stem}.csv"), given.out / f"{stem}.png")
+        return
     path, courses_path = given.out / f"{stem}.csv", given.out / f"{stem}_history.csv"
     for row in read_rows(path):
         if float(row["budget"]) != given.seconds:
@@ -341,8 +330,7 @@ def main() -> None:
     text = summary(rows, steps)
     write_text(given.out / f"{stem}.md", text)
     console.print(text, highlight=False)
-    clock = "processor time [s]" if given.processor else "wall time [s]"
-    draw(steps, clock if given.cold else f"{clock}, compiled", given.out / f"{stem}.png")
+    draw(rows, given.out / f"{stem}.png")
 
 
 if __name__ == "__main__":

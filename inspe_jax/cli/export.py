@@ -6,7 +6,15 @@ from typing import Annotated
 import typer
 
 from inspe_jax.cli.claims import ForceOption, claims
-from inspe_jax.cli.common import LayoutArgument, SceneArgument, app, busy, out, scene_and_layout
+from inspe_jax.cli.common import (
+    LayoutArgument,
+    SceneArgument,
+    app,
+    busy,
+    note,
+    out,
+    scene_and_layout,
+)
 from inspe_jax.cli.options import PriceOption, prices
 
 
@@ -49,6 +57,9 @@ def export(
     with busy(f"reading {source}"):
         world, placed = scene_and_layout(source, sensors, None)
     texts = [PLAN_FORMATS[p.suffix.lower()](placed, world.intersection, given) for p in paths]
+    place = world.intersection
+    if place.georeference and (doubt := place.georeference.doubt(place.center)):
+        note([doubt])
     for path, text in zip(paths, texts, strict=True):
         write_text(path, text)
         out.print(f"wrote {path}")

@@ -216,6 +216,8 @@ def plan(
         fronts = fronts_of(study, rows, places, costs)
         found = plan_city(fronts, budget, worst=worst, importance=given)
     georeference = _projection(source)
+    if georeference and (doubt := georeference.doubt(places[0].center)):
+        note([doubt])
     _show(found, georeference)
     with busy("drawing"):
         written = _write(found, source, folder, size, georeference)

@@ -154,7 +154,8 @@ def targets(
         view = target_view(world, placed, road_user, conditions=conditions, detection=curves)
     show(targets_table(world, placed, view), targets_record(world, placed, view), record)
     if plot:
-        save_figure(targets_view(world, conditions.layout(placed), view), plot)
+        drawn = targets_view(world, conditions.layout(placed), view, conditions=conditions)
+        save_figure(drawn, plot)
         (err if record == "-" else out).print(f"drew {plot}")
 
 

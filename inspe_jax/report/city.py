@@ -21,7 +21,6 @@ from inspe_jax.report.sheet import (
     SIDE_GAP,
     SIDE_LEFT,
     WIDTH,
-    fit,
     house_style,
     sheet_of_two,
 )
@@ -101,7 +100,7 @@ def city_view(plan: CityPlan, name: str, roads: Sequence[Float[np.ndarray, "N 2"
     and its colour is the score. The curve has the best plans of other budgets.
     """
     words = plan_words(plan)
-    facts = "\n".join(fit(line, 130) for line in words)
+    facts = "\n".join(words)
     with house_style():
         title = f"{_money(plan.budget)} US dollars for the junctions of {name}"
         fig, (left, right) = sheet_of_two(title, facts, 2, _HEAD, _BELOW)

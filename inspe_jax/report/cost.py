@@ -8,7 +8,7 @@ from matplotlib.ticker import StrMethodFormatter
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.placement.studies.pareto import DeviceMix, ParetoPoint
-from inspe_jax.report.sheet import WIDTH, fit, house_style
+from inspe_jax.report.sheet import TITLE, WIDTH, fit, house_style
 
 FRONT, BEATEN = "#0072b2", "#808080"
 NAMED = 12
@@ -52,8 +52,8 @@ def pareto_view(mixes: Sequence[DeviceMix | ParetoPoint]) -> Figure:
         ax.grid(color="#e0e0e0", lw=0.4)
         ax.set_axisbelow(True)
         ax.legend(loc="lower right", frameon=False)
-        title = fit(f"Cost against score at {found[0].scene}", 68)
-        fig.text(0.085, 1 - 0.10 / height, title, size=10, weight="bold", va="top",
+        title = fit(f"Cost against score at {found[0].scene}", TITLE, 10)
+        fig.text(0.085, 1 - 0.10 / height, **title, weight="bold", va="top",
                  parse_math=False)  # fmt: skip
         facts = f"{len(found)} mixes of devices, each searched by {found[0].method}"
         fig.text(0.085, 1 - 0.29 / height, facts, va="top", parse_math=False)
@@ -61,7 +61,7 @@ def pareto_view(mixes: Sequence[DeviceMix | ParetoPoint]) -> Figure:
             words = f"{mix.name}: {mix.cost:,.0f} US dollars, {mix.objective:.4f}"
             y = 1 - (3.8 + 0.155 * k) / height
             fig.text(0.085, y, str(k + 1), color=FRONT, weight="bold", va="bottom")
-            fig.text(0.11, y, fit(words, 110), va="bottom", parse_math=False)
+            fig.text(0.11, y, **fit(words, 110, 7), va="bottom", parse_math=False)
     return fig
 
 

@@ -20,7 +20,7 @@ from matplotlib.ticker import (
 from inspe_jax.core.words import counted
 from inspe_jax.dataset.statistics import RANGE_EDGES, Band, Statistics, bands
 from inspe_jax.report.figures import CLASS_COLORS, KEYS
-from inspe_jax.report.sheet import NOTE_LINE, WIDTH, fit, house_style
+from inspe_jax.report.sheet import NOTE_LINE, TITLE, WIDTH, fit, house_style
 from inspe_jax.simulation.frame import KINDS
 
 FEWEST = 5
@@ -75,10 +75,8 @@ def statistics_view(found: Statistics) -> Figure:
 
 def _heading(fig: Figure, found: Statistics) -> None:
     height, total = fig.get_figheight(), found.total
-    title = fit(f"Data set {found.name}", 68)
-    fig.text(
-        _LEFT / WIDTH, 1 - 0.10 / height, title, size=10, weight="bold", va="top", parse_math=False
-    )
+    title = fit(f"Data set {found.name}", TITLE, 10)
+    fig.text(_LEFT / WIDTH, 1 - 0.10 / height, **title, weight="bold", va="top", parse_math=False)
     users = sum(found.tracks.values())
     what = [
         counted(len(found.splits), "split"),

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import shapely
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 from matplotlib.colors import ListedColormap
@@ -20,20 +20,23 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, PathPatch
 from matplotlib.path import Path as Outline
 from matplotlib.ticker import MaxNLocator
+from scipy.ndimage import uniform_filter
 from shapely.geometry.base import BaseGeometry
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.report.bodies import body_keys, draw_bodies
-from inspe_jax.report.layers import MapLayer, seen_layer
-from inspe_jax.report.outlines import view_outline
+from inspe_jax.report.layers import MapLayer, cell_rows, seen_layer
+from inspe_jax.report.outlines import clear_outlines
 from inspe_jax.report.routes import LANE, WALK, center_distance, draw_routes
 from inspe_jax.report.sheet import (
     CIRCLE,
     HALO,
+    LINE,
     MAP,
     fit,
     frame_map,
     house_style,
+    setting_words,
     sheet,
 )
 from inspe_jax.scene.regions import PRECEDENCE, Region
@@ -67,8 +70,7 @@ _POLE: dict[str, Any] = dict(ls="", marker="o", ms=4.5, mfc="white", mec="black"
 USER: dict[str, Any] = dict(fc="white", ec="black", lw=0.4)
 KEYS: dict[str, Any] = dict(borderpad=0.0, borderaxespad=0.0, frameon=False, handlelength=1.6)
 _MARKERS = defaultdict(lambda: "D", {"camera": "o", "lidar": "s"})
-LINE = 126
-"""Characters that fit on a line of a figure's heading."""
+_LABEL = 8.5  # height of a line of a layer's label [pt]
 _ROW = 9.5  # height of a row of the panel [pt]
 _BADGE = 8.5  # diameter of a sensor's number on the map [pt]
 
@@ -83,7 +85,8 @@ def scene_view(scene: Scene, *, frame: int = 0) -> Figure:
     facts = (
         f"radius {grid.radius:g} m, {grid.words}: {len(grid.columns):,} columns × "
         f"{grid.level_count} levels = {grid.count:,} voxels\n"
-        f"{len(place.arms)} arms, {len(scene.poles)} poles; {_users(scene, frame)}"
+        f"{len(place.arms)} arms, {len(scene.poles)} poles; {_users(scene, frame)}; "
+        f"{setting_words({'profile': scene.profile.name})}"
     )
     with house_style():
         fig, ax, panel = sheet(scene.name, facts, notes, 0.0)
@@ -110,26 +113,23 @@ def plan_view(
     another scene.
     """
     layer = layer or seen_layer(scores.seen_share, scene)
-    raster, extent = column_raster(scene.voxels, layer.values)
+    raster, extent = layer_raster(scene.voxels, layer)
     layout = scores.conditions.layout(layout)
     poses = np.asarray(layout.poses, float)
     facts = (
         f"{_score_line(scores)}\n"
-        f"radius {scene.voxels.radius:g} m, {scene.voxels.words}; {_users(scene, frame)}"
+        f"radius {scene.voxels.radius:g} m, {scene.voxels.words}; {_users(scene, frame)}; "
+        f"{setting_words(scores.settings)}"
     )
     keys = plan_keys(scene, layout)
     rows = 8 + len(layout) + len({s.unit for s in layout.sensors}) + 1.4 * len(keys)
     with house_style():
-        title = f"{layout.name} at {scene.name}{scores.conditions.words}"
+        title = f"{layout.name} at {scene.name}"
         fig, ax, panel = sheet(title, facts, [], rows * _ROW / 72, math=True)
         frame_map(ax, scene, max(scene.voxels.radius, center_distance(scene, poses).max()))
         image = draw_layer(ax, scene, layout, poses, layer, raster, extent, frame)
         draw_badges(ax, layout, poses)
-        top = 5.5 * _ROW
-        if layer.kinds:
-            top = _list_kinds(panel, layer)
-        else:
-            _color_bar(fig, panel, image, layer)
+        top = _list_kinds(panel, layer) if layer.kinds else _color_bar(fig, panel, image, layer)
         _list_sensors(panel, layout, poses, top)
         panel.legend(handles=keys, loc="lower left", **KEYS)
     return fig
@@ -170,6 +170,30 @@ def column_raster(
     raster[index[:, 1], index[:, 0]] = values
     (x, y), reach = voxels.center[:2].tolist(), half * voxels.spacing
     return raster, (x - reach, x + reach, y - reach, y + reach)
+
+
+def layer_raster(
+    voxels: VoxelGrid, layer: MapLayer
+) -> tuple[Float[np.ndarray, "N N"], tuple[float, float, float, float]]:
+    """:func:`column_raster` of a layer as maps show it: of squares about each column where it asks.
+
+    They are the columns that there are in :func:`~inspe_jax.report.layers.cell_rows` rows.
+    """
+    raster, extent = column_raster(voxels, layer.values)
+    rows = cell_rows(voxels.spacing)
+    if not layer.averaged or rows < 2:
+        return raster, extent
+    there = ~np.isnan(raster)
+
+    def mean(values: Bool[np.ndarray, "N N"] | Float[np.ndarray, "N N"]) -> np.ndarray:
+        return uniform_filter(np.where(there, values, 0.0), rows, mode="constant")
+
+    if layer.kinds:
+        each = [mean(raster == kind) for kind in range(len(layer.kinds))]
+        found = np.argmax(np.round(each, 6), 0)  # of equals the first, whatever the rounding
+    else:
+        found = mean(raster) / np.where(there, mean(there), 1.0)
+    return np.where(there, found, np.nan), extent
 
 
 def spread_badges(
@@ -291,8 +315,8 @@ def draw_layer(
     if layer.users:
         draw_users(ax, scene, frame, [USER] * len(CLASSES))
     for sensor, pose in zip(layout.sensors, poses, strict=True):
-        outline = view_outline(sensor.spec, pose, scene.intersection.ground(pose[None, :2])[0])
-        ax.plot(*outline.T, **wedge_look(sensor.spec), zorder=5)
+        for ring in clear_outlines(scene, sensor.spec, pose):
+            ax.plot(*ring.T, **wedge_look(sensor.spec), zorder=5)
     return image
 
 
@@ -361,14 +385,17 @@ def draw_badges(
         _badge(ax, place, numbers[k], kind)
 
 
-def _color_bar(fig: Figure, panel: Axes, image: Any, layer: MapLayer) -> None:
+def _color_bar(fig: Figure, panel: Axes, image: Any, layer: MapLayer) -> float:
+    """Draw a layer's colours below its label; returns their height [pt]."""
     depth = -panel.get_ylim()[0]
-    axes = panel.inset_axes((0.02, 1 - 30 / depth, 0.94, 7 / depth))
+    low = 13.0 + _LABEL * (1 + layer.label.count("\n"))
+    axes = panel.inset_axes((0.02, 1 - low / depth, 0.94, 7 / depth))
     ticks = ticks_of(layer)
     bar = fig.colorbar(image, cax=axes, orientation="horizontal", ticks=ticks)
     bar.ax.set_xticklabels([f"{tick:g}" for tick in ticks])
     middle = panel.get_xlim()[1] / 2
     panel.text(middle, -1, layer.label, ha="center", va="top", linespacing=1.2)
+    return low + 22.0
 
 
 def ticks_of(layer: MapLayer) -> list[float]:
@@ -386,9 +413,13 @@ def kind_keys(layer: MapLayer) -> list[Any]:
 
 def _list_kinds(panel: Axes, layer: MapLayer) -> float:
     """Draw the legend of the kinds of columns; returns its height [pt]."""
-    panel.add_artist(panel.legend(handles=kind_keys(layer), loc="upper left", **KEYS))
+    keys = panel.legend(
+        handles=kind_keys(layer), loc="upper left", title=layer.label, title_fontsize=7,
+        alignment="left", **KEYS,
+    )  # fmt: skip
+    panel.add_artist(keys)
     lines = sum(name.count("\n") for name, _ in layer.kinds)
-    return 11.0 * len(layer.kinds) + 9.0 * lines + 12.0
+    return 11.0 * (1 + len(layer.kinds)) + 9.0 * lines + 12.0
 
 
 def _list_sensors(panel: Axes, layout: Layout, poses: np.ndarray, top: float) -> None:
@@ -403,9 +434,9 @@ def _list_sensors(panel: Axes, layout: Layout, poses: np.ndarray, top: float) ->
         members = [k for k, sensor in enumerate(layout.sensors) if sensor.unit == u]
         if members:
             y -= _ROW
-            panel.text(0, y, fit(unit.name, 28), **look, weight="bold")
+            panel.text(0, y, **look | fit(unit.name, 28, 6.5), weight="bold")
         for k in members:
             y -= _ROW
             spec, height = layout.sensors[k].spec, poses[k, 2] - unit.base[2]
             _badge(panel, (6, y), k + 1, spec.kind)
-            panel.text(13, y, f"{fit(spec.name, 22)}, {height:.1f} m", **look)
+            panel.text(13, y, **look | fit(f"{spec.name}, {height:.1f} m", 30, 6.5))

@@ -17,7 +17,7 @@ from inspe_jax.core.words import counted
 from inspe_jax.dataset.folders import Scenario
 from inspe_jax.dataset.points_in_boxes import world_points
 from inspe_jax.report.figures import CLASS_COLORS, KEYS
-from inspe_jax.report.sheet import ASIDE, HALO, LEFT, MAP, PANEL, WIDTH, fit, house_style
+from inspe_jax.report.sheet import ASIDE, HALO, LEFT, MAP, PANEL, TITLE, WIDTH, fit, house_style
 from inspe_jax.simulation.frame import KINDS, Frame, Image, RoadUserBox, Station
 from inspe_jax.simulation.projection import box_lines, corners
 
@@ -105,7 +105,7 @@ def heading(fig: Figure, title: str, facts: str) -> None:
     """Write a title, and two lines of ``facts`` below it."""
     height = fig.get_figheight()
     at: dict[str, Any] = dict(x=LEFT / WIDTH, va="top", parse_math=False)
-    fig.text(y=1 - 0.10 / height, s=fit(title, 68), size=10, weight="bold", **at)
+    fig.text(y=1 - 0.10 / height, **fit(title, TITLE, 10), weight="bold", **at)
     fig.text(y=1 - 0.29 / height, s=facts, linespacing=1.35, **at)
 
 
@@ -209,7 +209,7 @@ def _draw_panel(fig: Figure, panel: Axes, frame: Frame, cloud: Any, images: bool
         y -= _ROW
         badge(panel, (6, y), name_of(station))
         inset = 13 + 3.2 * (len(name_of(station)) - 1)
-        panel.text(inset, y, fit(station.name, 26), **look, weight="bold")
+        panel.text(inset, y, **look | fit(station.name, 26, 6.5), weight="bold")
         y -= _ROW
         words = f"{counted(len(station.images), 'camera')}, {counted(len(station.scans), 'LiDAR')}"
         panel.text(13, y, words, **look)

@@ -1,12 +1,13 @@
 """The figure of coverage against height."""
 
 from collections.abc import Sequence
+from textwrap import fill
 
 import numpy as np
 from matplotlib.figure import Figure
 
 from inspe_jax.report.progress import COLORS, LINES
-from inspe_jax.report.sheet import WIDTH, fit, house_style
+from inspe_jax.report.sheet import TITLE, WIDTH, fit, house_style, setting_words
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scoring.evaluate import Scores
 
@@ -24,7 +25,7 @@ def height_view(scene: Scene, scored: Sequence[tuple[str, Scores]]) -> Figure:
         for k, (name, scores) in enumerate(scored):
             ax.plot(
                 scores.level_coverage, middle, color=COLORS[k % len(COLORS)],
-                ls=LINES[k % len(LINES)], lw=1.3, marker="o", ms=3, label=fit(name, 30),
+                ls=LINES[k % len(LINES)], lw=1.3, marker="o", ms=3, label=fill(name, 30),
             )  # fmt: skip
         low = min(min(scores.level_coverage) for _, scores in scored)
         ax.set(
@@ -35,9 +36,10 @@ def height_view(scene: Scene, scored: Sequence[tuple[str, Scores]]) -> Figure:
         )
         ax.grid(color="#e0e0e0", lw=0.4)
         ax.set_axisbelow(True)
-        title = fit(f"Coverage against height at {scene.name}", 68)
-        fig.text(0.085, 0.965, title, size=10, weight="bold", va="top", parse_math=False)
+        title = fit(f"Coverage against height at {scene.name}", TITLE, 10)
+        fig.text(0.085, 0.965, **title, weight="bold", va="top", parse_math=False)
         facts = f"radius {grid.radius:g} m, {grid.words}; traffic does not matter here"
+        facts += f"; {setting_words(scored[0][1].settings)}"
         fig.text(0.085, 0.88, facts, va="top", parse_math=False)
         fig.legend(loc="upper left", bbox_to_anchor=(0.66, 0.80), frameon=False)
     return fig

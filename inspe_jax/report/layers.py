@@ -11,6 +11,9 @@ from inspe_jax.scoring.viewshed import Viewshed, Visibility
 HIDDEN = 0.5
 """A column is a blind spot if traffic hides it for more than this share of the time that no road
 user is in it."""
+CELL = 2.5
+"""Side of the square about a column that maps show the mean of [m]: a few rays of a camera or a
+LiDAR wide at the reach of most."""
 BLIND = (
     ("seen", "#f2f2f2"),
     ("hidden by traffic\nmost of the time", "#e69f00"),
@@ -43,12 +46,14 @@ class MapLayer:
     kinds: tuple[tuple[str, str], ...] = ()
     users: bool = True
     """Whether the road users of one frame are drawn over it."""
+    averaged: bool = False
+    """Whether maps show, of squares as wide as :data:`CELL`, the mean or the most frequent kind: of
+    single columns, rays that miss some voxels and hit their neighbours make rings."""
 
 
 def layers(scene: Scene, shed: Viewshed) -> dict[str, MapLayer]:
     """Every layer by its name, from the viewshed of a layout."""
-    levels = scene.voxels.level_count
-
+    levels, cell = scene.voxels.level_count, cell_words(scene)
     exists = free_of_bodies(scene)
     number = exists.sum(1).astype(float)
     number[number == 0] = np.nan
@@ -67,11 +72,12 @@ def layers(scene: Scene, shed: Viewshed) -> dict[str, MapLayer]:
     most = max(float(entropy.sum(1).max(initial=0.0)), 1e-9)
     found = (
         seen_layer(mean(seen) / frames, scene),
-        MapLayer("blind", "blind spots", blind(scene, shed), kinds=BLIND),
+        MapLayer("blind", f"most of {cell} is", blind(scene, shed), kinds=BLIND, averaged=True),
         MapLayer(
             "redundancy",
-            "sensors that have a column in view,\nmean over its levels",
+            f"sensors that have it in view,\nmean over its levels,\nmean over {cell}",
             mean(sensors),
+            averaged=True,
             most=max(float(sensors.max(initial=0)), 1.0),
             colors="viridis",
         ),
@@ -85,8 +91,9 @@ def layers(scene: Scene, shed: Viewshed) -> dict[str, MapLayer]:
         ),
         MapLayer(
             "unresolved",
-            "entropy that sensors leave,\nsum over a column's levels [bit]",
+            f"entropy that sensors leave,\nsum over its levels [bit],\nmean over {cell}",
             left.sum(1),
+            averaged=True,
             most=most,
             colors="magma",
             users=False,
@@ -95,12 +102,24 @@ def layers(scene: Scene, shed: Viewshed) -> dict[str, MapLayer]:
     return {layer.name: layer for layer in found}
 
 
+def cell_rows(spacing: float) -> int:
+    """How many rows of columns, so far apart [m], maps average: odd, about :data:`CELL` wide."""
+    return max(1, 2 * round((CELL / spacing - 1) / 2) + 1)
+
+
+def cell_words(scene: Scene) -> str:
+    """The square that maps average, in words."""
+    side = cell_rows(scene.voxels.spacing) * scene.voxels.spacing
+    return f"{side:g} × {side:g} m"
+
+
 def seen_layer(seen_share: Float[np.ndarray, " L"], scene: Scene) -> MapLayer:
     """How often each column is seen: :attr:`~inspe_jax.scoring.evaluate.Scores.seen_share`."""
     values, free = np.asarray(seen_share), free_of_bodies(scene).any(1)
     if values.shape == free.shape:  # else they are of another scene, which the map will say
         values = np.where(free, values, np.nan)
-    return MapLayer("seen", "share of frames and levels\nin which a column is seen", values)
+    label = f"share of frames and levels\nin which it is seen,\nmean over {cell_words(scene)}"
+    return MapLayer("seen", label, values, averaged=True)
 
 
 def blind(scene: Scene, shed: Viewshed) -> Float[np.ndarray, " L"]:

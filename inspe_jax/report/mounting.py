@@ -33,9 +33,10 @@ def origin_words(place: Intersection) -> str:
     if place.georeference is not None:
         east, north = place.georeference.shift
         moved = f", plus {east:.2f} and {north:.2f}" if east or north else ""
+        doubt = place.georeference.doubt(place.center)
         return (
             f"x and y are those of the projection {place.georeference.crs}{moved}; latitude and "
-            f"longitude are WGS 84; {heights}."
+            f"longitude are WGS 84; {heights}.{f' But {doubt}.' if doubt else ''}"
         )
     shifted = f", less its netOffset unless that is over {GEOGRAPHIC:,.0f} m"
     shifted = shifted if place.source.endswith(SUMO) else ""

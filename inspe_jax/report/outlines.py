@@ -5,10 +5,16 @@ import shapely
 from jaxtyping import Float
 
 from inspe_jax.core.geometry import rotation
+from inspe_jax.scene.placed_bodies import convex_parts
+from inspe_jax.scene.scene import Scene
 from inspe_jax.sensing.sensors import Spec
 
 FAN = 97, 33
 """Rows and columns of the rays that outline a camera's view."""
+HIDING = ("building", "wall", "solid")
+"""Kinds of bodies that a drawn view ends at. The others are small, or let light through."""
+FARTHEST = 100.0
+"""A shadow on the ground ends at most this many times as far away as what casts it."""
 
 
 def view_outline(
@@ -28,6 +34,33 @@ def view_outline(
     angle = pose[5] + np.linspace(right, left, count)
     arc = pose[:2] + spec.grid.reach * np.column_stack([np.cos(angle), np.sin(angle)])
     return arc if whole else np.vstack([pose[:2], arc, pose[:2]])
+
+
+def clear_outlines(
+    scene: Scene, spec: Spec, pose: Float[np.ndarray, "6"]
+) -> list[Float[np.ndarray, "N 2"]]:
+    """:func:`view_outline` less what houses and walls hide of it, as closed rings [m].
+
+    Of the ground behind a body, it hides what lies below the sight lines over its top. One beneath
+    the sensor hides nothing here.
+    """
+    level = float(scene.intersection.ground(pose[None, :2])[0])
+    ring, high = view_outline(spec, pose, level), pose[2] - level
+    bodies = [one for one in scene.statics if one.kind in HIDING and one.base == 0]
+    if len(ring) < 4 or high <= 0 or not bodies:
+        return [ring]
+    view = shapely.make_valid(shapely.Polygon(ring))
+    parts = convex_parts(bodies, scene.intersection)
+    beyond = high / np.maximum(high - (parts.top - level), high / FARTHEST)  # of a shadow's end
+    ends = pose[:2] + beyond[:, None, None] * (parts.corners - pose[:2])
+    corners = np.concatenate([parts.corners, ends], 1)
+    shadows = shapely.convex_hull(shapely.multipoints(list(corners)))
+    hides = (parts.top > level) & shapely.intersects(shadows, view)
+    hides &= ~shapely.contains_xy(shadows, *pose[:2])
+    left = shapely.difference(view, shapely.union_all(shadows[hides]))
+    polygons = [one for one in shapely.get_parts(left) if one.geom_type == "Polygon"]
+    rings = [ring for one in polygons for ring in (one.exterior, *one.interiors)]
+    return [np.asarray(ring.coords) for ring in rings]
 
 
 def _ray_ends(spec: Spec, pose: Float[np.ndarray, "6"], level: float) -> Float[np.ndarray, "N 2"]:

@@ -51,6 +51,7 @@ from inspe_jax.scoring.targets import TargetView, target_view
 from inspe_jax.scoring.viewshed import Viewshed, Visibility, viewshed
 from inspe_jax.sensing.conditions import Conditions
 from inspe_jax.sensing.layout import Layout
+from inspe_jax.visibility.tiles import CORE
 
 DPI = 170
 """Resolution of the figures in a page [dots per inch]."""
@@ -220,6 +221,7 @@ def report_page(
         symbols={metric.name: metric.symbol for metric in metrics},
         best={m.name: max(record[m.name] for record in records) for m in metrics},
         weights=entries[0].scores.settings["weights"],
+        core=CORE,
         regions={r.key: WEIGHTS[r] for r in Region if r.key in records[0]["region_coverage"]},
         scene_figure=drawn(scene_view(scene, frame=frame)),
         height_figure=drawn(height_view(scene, [(e.layout.name, e.scores) for e in entries])),
@@ -287,7 +289,12 @@ def _maps(
         yield words, _plan(scene, entry, of_columns[name], frame)
     if entry.targets is not None:
         reaching = entry.scores.conditions.layout(entry.layout)
-        yield ON_TARGET, targets_view(scene, reaching, entry.targets, frame=frame)
+        yield (
+            ON_TARGET,
+            targets_view(
+                scene, reaching, entry.targets, frame=frame, conditions=entry.scores.conditions
+            ),
+        )
 
 
 def _plan(scene: Scene, entry: ReportEntry, layer: MapLayer, frame: int) -> Figure:

@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from inspe_jax.report.figures import column_raster, draw_badges, draw_layer, spread_badges
+from inspe_jax.report.figures import draw_badges, draw_layer, layer_raster, spread_badges
 from inspe_jax.report.layers import seen_layer
 from inspe_jax.report.routes import center_distance
 from inspe_jax.report.sheet import frame_map, house_style
@@ -28,7 +28,7 @@ def plan_picture(
 ) -> Figure:
     """A plan view without a heading: how often each column is seen, sensors, and blind spots."""
     layer = replace(seen_layer(scores.seen_share, scene), users=False)
-    raster, extent = column_raster(scene.voxels, layer.values)
+    raster, extent = layer_raster(scene.voxels, layer)
     layout = scores.conditions.layout(layout)
     poses = np.asarray(layout.poses, float)
     with house_style():

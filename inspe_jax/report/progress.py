@@ -15,10 +15,10 @@ from inspe_jax.placement.result import Result
 from inspe_jax.placement.run import Progress
 from inspe_jax.report.figures import (
     KEYS,
-    column_raster,
     draw_badges,
     draw_layer,
     in_math,
+    layer_raster,
     plan_keys,
 )
 from inspe_jax.report.layers import seen_layer
@@ -26,10 +26,12 @@ from inspe_jax.report.sheet import (
     HALO,
     SIDE,
     SIDE_LEFT,
+    TITLE,
     WIDTH,
     fit,
     frame_map,
     house_style,
+    setting_words,
     sheet_of_two,
 )
 from inspe_jax.scene.scene import Scene
@@ -77,16 +79,19 @@ def before_after(
         (
             of_scores.conditions.layout(of),
             np.asarray(of.poses, float),
-            seen_layer(of_scores.seen_share, scene),
-            *column_raster(scene.voxels, of_scores.seen_share),
+            layer := seen_layer(of_scores.seen_share, scene),
+            *layer_raster(scene.voxels, layer),
         )
         for of, of_scores in ((before, scores_before), (after, scores))[: 1 + moved]
     ]
     center, radius = scene.voxels.center[:2], scene.voxels.radius
     reach = max(radius, *(np.hypot(*(poses[:, :2] - center).T).max() for _, poses, *_ in maps))
     with house_style():
-        title = f"{before.name} at {scene.name}{scores.conditions.words}"
-        facts = f"radius {radius:g} m, {scene.voxels.words}; frame {frame} of the traffic"
+        title = f"{before.name} at {scene.name}"
+        facts = (
+            f"radius {radius:g} m, {scene.voxels.words}; frame {frame} of the traffic; "
+            f"{setting_words(scores.settings)}"
+        )
         keys = plan_keys(scene, before)
         below = _BELOW + _ROW * np.ceil((len(keys) + 1) / 2)
         fig, axes = sheet_of_two(title, facts, len(maps), _HEAD, below)
@@ -106,7 +111,7 @@ def before_after(
         bar = fig.add_axes((SIDE_LEFT / WIDTH, 0.30 / height, 1.75 / WIDTH, 0.09 / height))
         fig.colorbar(image, cax=bar, orientation="horizontal", ticks=[0, 0.25, 0.5, 0.75, 1])
         bar.set_xticklabels(["0", "0.25", "0.5", "0.75", "1"])
-        bar.set_title("share of frames and levels in which a column is seen", loc="left", size=7)
+        bar.set_title(layer.label.replace("\n", " ", 1), loc="left", size=7)
         if moved:
             keys.insert(0, Line2D([], [], **_ARROW, marker=">", ms=3, label=WENT))
         keys_left = (SIDE_LEFT + SIDE) / WIDTH
@@ -200,9 +205,11 @@ def history_view(results: Sequence[Result]) -> Figure:
         seeds = max(len(of) for of in by.values())
         scenes = " and ".join(dict.fromkeys(r["name"] for r in results[0].settings["scenes"]))
         title = f"Searches for {results[0].start.name} at {scenes}"
-        fig.text(0.085, 0.975, fit(title, 68), size=10, weight="bold", va="top", parse_math=False)
+        fig.text(0.085, 0.975, **fit(title, TITLE, 10), weight="bold", va="top", parse_math=False)
         words = f"median of {seeds} seeds and all between the worst and the best"
-        fig.text(0.085, 0.922, words if seeds > 1 else "one seed", va="top")
+        words = words if seeds > 1 else "one seed"
+        words += f"; {setting_words(results[0].scores.settings)}"
+        fig.text(0.085, 0.922, words, va="top")
         handles = [
             Line2D([], [], color=COLORS[k % len(COLORS)], ls=LINES[k % len(LINES)], lw=1.3,
                    label=f"{name}, {np.median([r.objective for r in of]):.4f}")

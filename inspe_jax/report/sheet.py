@@ -6,10 +6,11 @@ content: the map on the left, a panel for the legend on the right, a heading abo
 
 import base64
 import io
+import itertools
 import os
 import textwrap
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -40,6 +41,10 @@ WIDTH, MAP, LEFT, PANEL, ASIDE = 180 / 25.4, 4.75, 0.52, 5.40, 1.65  # [inch]
 HEAD, FOOT, NOTE_LINE = 0.62, 0.42, 0.125  # [inch]
 SIDE, SIDE_LEFT, SIDE_GAP = 3.10, 0.48, 0.30  # of two maps, before the first, between them [inch]
 ROW_GAP = 0.45  # between two rows of maps [inch]
+TITLE, LINE = 68, 126
+"""Characters that fit on a line: of a figure's title, and of the facts below it."""
+READABLE = 0.6
+"""Least share of the usual size of letters on one line."""
 CIRCLE: dict[str, Any] = dict(color="#404040", lw=0.8, ls=(0, (6, 3)))
 HALO = [patheffects.withStroke(linewidth=2.0, foreground="white", alpha=0.7)]
 
@@ -92,7 +97,7 @@ def sheet(
 
     ``panel_height`` is in inches; with ``math``, dollar signs in ``facts`` begin formulas.
     """
-    lines = [line for note in notes for line in textwrap.wrap(note, 126, subsequent_indent="  ")]
+    lines = [line for note in notes for line in textwrap.wrap(note, LINE, subsequent_indent="  ")]
     below = FOOT + (len(lines) * NOTE_LINE + 0.12 if lines else 0.0)
     body = max(MAP, panel_height)
     height = HEAD + body + below
@@ -102,9 +107,12 @@ def sheet(
     panel = fig.add_axes((PANEL / WIDTH, below / height, ASIDE / WIDTH, body / height))
     panel.set(xlim=(0, ASIDE * 72), ylim=(-body * 72, 0))  # in points
     panel.axis("off")
-    heading: dict[str, Any] = dict(size=10, weight="bold", va="top", parse_math=False)
-    fig.text(left, 1 - 0.10 / height, fit(title, 68), **heading)
-    fig.text(left, 1 - 0.29 / height, facts, va="top", parse_math=math, linespacing=1.35)
+    heading: dict[str, Any] = dict(weight="bold", va="top", parse_math=False)
+    fig.text(left, 1 - 0.10 / height, **fit(title, TITLE, 10), **heading)
+    fig.text(
+        left, 1 - 0.29 / height, facts, size=facts_size(facts), va="top", parse_math=math,
+        linespacing=1.35,
+    )  # fmt: skip
     fig.text(
         left, (below - FOOT) / height, "\n".join(lines),
         size=6.5, color="#404040", va="top", linespacing=1.3, parse_math=False,
@@ -124,8 +132,8 @@ def sheet_of_two(
     fig = Figure(figsize=(WIDTH, height), facecolor="white")
     left = SIDE_LEFT / WIDTH
     heading: dict[str, Any] = dict(va="top", parse_math=False)
-    fig.text(left, 1 - 0.10 / height, fit(title, 68), size=10, weight="bold", **heading)
-    fig.text(left, 1 - 0.29 / height, facts, **heading)
+    fig.text(left, 1 - 0.10 / height, **fit(title, TITLE, 10), weight="bold", **heading)
+    fig.text(left, 1 - 0.29 / height, facts, size=facts_size(facts), **heading)
     return fig, [
         fig.add_axes(
             (
@@ -158,6 +166,30 @@ def frame_map(ax: Axes, scene: Scene, reach: float) -> None:
     ax.text(0.965, 0.89, "N", ha="center", va="top", weight="bold", **at)
 
 
-def fit(name: str, length: int) -> str:
-    """A name, cut to ``length`` characters with an ellipsis at the end."""
-    return name if len(name) <= length else name[: length - 1] + "…"
+def fit(words: str, length: int, size: float) -> dict[str, Any]:
+    """Text that is never cut: what to pass to matplotlib for its words and their size [pt].
+
+    ``length`` characters of this ``size`` fit on its line. Longer words are smaller; those that
+    would be less than :data:`READABLE` of the size are on several lines, together 1.2 times as
+    high.
+    """
+    if READABLE * len(words) <= length:
+        return dict(s=words, size=size * min(1.0, length / max(len(words), 1)))
+    for lines in itertools.count(2):
+        share = 1.2 / lines
+        broken = textwrap.wrap(words, int(length / share))
+        if len(broken) <= lines:
+            return dict(s="\n".join(broken), size=size * share, linespacing=1.05)
+    raise AssertionError("some number of lines is enough")
+
+
+def facts_size(facts: str) -> float:
+    """The size [pt] in which the longest line of a figure's facts is as wide as the sheet."""
+    longest = max(map(len, facts.splitlines()), default=1)
+    return float(STYLE["font.size"] * min(1.0, LINE / max(longest, 1)))
+
+
+def setting_words(settings: Mapping[str, Any]) -> str:
+    """The light, the weather and the profile of scores or of a scene: they stand on its figure."""
+    words = dict(light="", weather="", profile="profile ")
+    return ", ".join(f"{word}{settings[key]}" for key, word in words.items() if key in settings)

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.report.figures import SENSOR_COLORS
-from inspe_jax.report.outlines import view_outline
+from inspe_jax.report.outlines import clear_outlines
 from inspe_jax.report.sheet import house_style
 from inspe_jax.scene.scene import Scene
 from inspe_jax.sensing.conditions import FAIR
@@ -85,12 +85,11 @@ def _marked(picture: Image, scene: Scene, layout: Layout, eye: _Eye) -> Figure:
         ax.set(xlim=(0, WIDTH), ylim=(HEIGHT, 0))
         ax.axis("off")
         for sensor, pose in zip(layout.sensors, poses, strict=True):
-            level = float(ground(pose[None, :2])[0])
-            line = view_outline(sensor.spec, pose, level)
-            there = pixels(eye, np.column_stack([line, ground(line) + 0.1]))
-            there[there[:, 2] < NEAR] = np.nan
-            color = SENSOR_COLORS[sensor.spec.kind]
-            ax.plot(*there[:, :2].T, color=color, lw=0.9, alpha=0.85)
+            for line in clear_outlines(scene, sensor.spec, pose):
+                there = pixels(eye, np.column_stack([line, ground(line) + 0.1]))
+                there[there[:, 2] < NEAR] = np.nan
+                color = SENSOR_COLORS[sensor.spec.kind]
+                ax.plot(*there[:, :2].T, color=color, lw=0.9, alpha=0.85)
         for unit, members in zip(layout.units, layout.members(), strict=True):
             if members:
                 words = "  ".join(str(s + 1) for s in members)

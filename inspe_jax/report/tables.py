@@ -27,6 +27,7 @@ from inspe_jax.scoring.evaluate import Scores
 from inspe_jax.scoring.metrics import METRICS, listed, listed_in
 from inspe_jax.sensing.conditions import Conditions
 from inspe_jax.sensing.layout import Layout
+from inspe_jax.visibility.tiles import CORE
 
 SPOTS = 5
 """Most blind spots in a table."""
@@ -66,12 +67,14 @@ def scores_table(scores: Scores, layout: Layout, sought: float | None = None) ->
     weights, rows = scores.settings.get("weights", {}), listed_in(scores)
 
     title = f"Scores of {layout.name}{scores.conditions.words}{_only(scores)}"
-    total = table_of(title, "metric", "symbol", "weight", "score")
+    places = [f"{place}\n{'≤' if place == 'core' else '>'} {CORE:g} m" for place in scores.parts]
+    total = table_of(title, "metric", "symbol", "weight", "score", *places)
     for metric in rows:
         look = "bold" if metric.name == "surrogate" else ""
         weight = f"{weights[metric.name]:g}" if metric.name in weights else ""
-        number = f"{scores.value(metric.name):.3f}"
-        total.add_row(metric.words, metric.symbol, weight, number, style=look)
+        values = [scores.value(metric.name), *(of[metric.name] for of in scores.parts.values())]
+        numbers = [f"{value:.3f}" for value in values]
+        total.add_row(metric.words, metric.symbol, weight, *numbers, style=look)
 
     regions = table_of("Share covered by region", "region", "weight", "share")
     for key, share in scores.region_coverage.items():
@@ -261,6 +264,7 @@ def scores_record(
         "information_gain_literal": float(scores.information_gain_literal),
         "region_coverage": {key: float(share) for key, share in scores.region_coverage.items()},
         "level_coverage": [float(share) for share in scores.level_coverage],
+        "parts": json_value(scores.parts),
         "contributions": [
             {
                 "sensor": part.sensor,

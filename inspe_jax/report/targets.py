@@ -12,12 +12,13 @@ from rich.console import Group, RenderableType
 from inspe_jax.report.figures import KEYS, column_raster, draw_badges, draw_layer, kind_keys
 from inspe_jax.report.layers import MapLayer, free_of_bodies
 from inspe_jax.report.routes import center_distance
-from inspe_jax.report.sheet import SIDE, frame_map, house_style, sheet_of_two
+from inspe_jax.report.sheet import SIDE, frame_map, house_style, setting_words, sheet_of_two
 from inspe_jax.report.tables import table_of
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scoring.detection import BANDS, FEW
 from inspe_jax.scoring.targets import TargetView
+from inspe_jax.sensing.conditions import FAIR, Conditions
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.visibility.queries import check_frame
 
@@ -161,17 +162,25 @@ def _panels(scene: Scene, layout: Layout, view: TargetView) -> list[Panel]:
     return [*panels, (words, map_of("chance", view.detectability, CHANCES), None)][:2]
 
 
-def targets_view(scene: Scene, layout: Layout, view: TargetView, *, frame: int = 0) -> Figure:
+def targets_view(
+    scene: Scene,
+    layout: Layout,
+    view: TargetView,
+    *,
+    frame: int = 0,
+    conditions: Conditions = FAIR,
+) -> Figure:
     """Maps of what a road user gets at each place: LiDAR returns, pixels per metre, and for layouts
     of one kind of sensor the chance that it is found.
 
+    ``view`` and ``layout`` are those in ``conditions``, which are named on the sheet.
     Raises InspeError if there is no such ``frame``.
     """
     check_frame(scene, frame)
     reach = max(scene.voxels.radius, center_distance(scene, np.asarray(layout.poses, float)).max())
     with house_style():
         title = f"What a {view.road_user} gets: {layout.name} at {scene.name}"
-        facts = f"at each place of the region, radius {scene.voxels.radius:g} m; frame {frame}"
+        facts = _facts(scene, frame, conditions)
         panels = _panels(scene, layout, view)
         fig, axes = sheet_of_two(title, facts, len(panels), _HEAD, _BELOW)
         for k, (ax, panel) in enumerate(zip(axes, panels, strict=True)):
@@ -188,6 +197,7 @@ def targets_change(
     after: tuple[Layout, TargetView],
     *,
     frame: int = 0,
+    conditions: Conditions = FAIR,
 ) -> Figure:
     """The maps of :func:`targets_view` of two layouts of the same sensors, one above the other.
 
@@ -201,7 +211,7 @@ def targets_change(
     )
     with house_style():
         title = f"What a {before[1].road_user} gets: before and after, at {scene.name}"
-        facts = f"at each place of the region, radius {scene.voxels.radius:g} m; frame {frame}"
+        facts = _facts(scene, frame, conditions)
         fig, axes = sheet_of_two(title, facts, 2, _HEAD, _BELOW, rows=2)
         for row, (when, (layout, view)) in enumerate((("before", before), ("after", after))):
             for k, panel in enumerate(_panels(scene, layout, view)):
@@ -212,6 +222,12 @@ def targets_change(
                 if row:
                     _draw_keys(fig, ax, panel, _BELOW - 0.45)
     return fig
+
+
+def _facts(scene: Scene, frame: int, conditions: Conditions) -> str:
+    settings = conditions.record | dict(profile=scene.profile.name)
+    where = f"at each place of the region, radius {scene.voxels.radius:g} m"
+    return f"{where}; frame {frame}; {setting_words(settings)}"
 
 
 def _draw(ax: Axes, scene: Scene, layout: Layout, panel: Panel, reach: float, frame: int) -> None:

@@ -11,6 +11,9 @@ from inspe_jax.core.errors import InspeError, missing_extra
 
 LOCAL = 0.5
 """Directions are those of a line of twice this length [m]."""
+MADE_UP = 1.0
+"""A place whose latitude and longitude are both nearer to 0 than this is in the sea [degrees]: its
+map's projection has its origin at 0° N 0° E for want of a true one."""
 WGS84 = "EPSG:4326"
 """Longitude and latitude as GNSS receivers, GeoJSON and KML have them."""
 
@@ -58,6 +61,16 @@ class Georeference:
         """Latitude and longitude of a point [m], as ``48.137000, 11.575000``."""
         lon, lat = self.to_degrees(np.asarray(point, float)[None, :2])[0]
         return f"{lat:.6f}, {lon:.6f}"
+
+    def doubt(self, point: Float[np.ndarray, "2"]) -> str:
+        """A warning where a point [m] is in the sea at 0° N 0° E; empty elsewhere."""
+        if not np.abs(self.to_degrees(np.asarray(point, float)[None, :2])).max() < MADE_UP:
+            return ""
+        return (
+            f"coordinates are in the sea, at {self.words(point)} (latitude, longitude): the map's "
+            f"projection '{self.crs}' begins at 0° N 0° E, which is no true place; give the map "
+            "its own before its coordinates are used on the Earth"
+        )
 
     def azimuth(
         self, points: Float[np.ndarray, "N 2"], yaw: Float[np.ndarray, " N"]

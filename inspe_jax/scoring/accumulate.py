@@ -4,8 +4,11 @@ It is written over the sets of :mod:`inspe_jax.scoring.reading`, so exact scores
 pictures share what is counted here; their geometry differs.
 """
 
+from functools import partial
 from typing import Any
 
+import jax
+import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from inspe_jax.core.numerics import Groups
@@ -62,11 +65,12 @@ def count_tile(
     frames: Frames,
     failures: Groups | None,
     asked: Asked,
+    core: Any = None,
 ) -> Counts:
     """Count what sensors at positions ``sensors`` [m] see of one tile in F frames.
 
     ``views`` are the sets of voxels that each sensor has in view; ``shadows`` is the result of
-    ``reading.shadows``.
+    ``reading.shadows``. ``core`` is the set of voxels in the core, None to count nothing there.
     """
     covered = reading.any_of(views, failures)
 
@@ -79,6 +83,13 @@ def count_tile(
             reading, union, covered, free, solid, asked.occlusion_reference
         )
         columns = reading.column_sums(reading.both(union.all, free), frames)
-        return Counts(seen, original, columns, sights)
+        near = None
+        if core is not None:  # few tiles are cut by its edge
+            whole = jnp.stack([seen[0], original[0]])
+            given = union.all, reading.in_frames(covered[0]), free, solid, asked.occlusion_reference
+            cut = partial(metrics.occlusion_terms_within, reading, reading.in_frames(core), *given)
+            number = tile.core.any().astype(int) + tile.core.all().astype(int)
+            near = jax.lax.switch(number, (lambda: jnp.zeros_like(whole), cut, lambda: whole))
+        return Counts(seen, original, columns, sights, near)
 
     return reading.in_parts(count, frames)

@@ -1,7 +1,7 @@
 """Score a layout on a scene: every metric, and their weighted sum P_sm."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import jax
@@ -40,6 +40,7 @@ from inspe_jax.sensing.conditions import FAIR, Case, Conditions, perceiving
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.visibility.centered_scene import from_center, poses_about_center
 from inspe_jax.visibility.queries import check_layout, check_places
+from inspe_jax.visibility.tiles import CORE
 
 VISIBILITIES = ("in_view", "line_of_sight", "past_others")
 """What visibility means in information gain. ``in_view``: f, as in the paper. ``line_of_sight``: f
@@ -94,6 +95,10 @@ class Scores(PaperMetrics, ByContent, Described):
     can be negative only for occlusion with the reference ``covered``, whose voxels change with the
     sensors. ``seen_share`` (L,) is the share of frames and levels in which each column is seen. It
     is for pictures and has no gradient. ``settings`` are the options used.
+
+    ``parts`` has the metrics and P_sm of the columns of the ``core``, within 30 m of the centre
+    (paper, section 3), and of those ``outside``, by these names; it is empty where one of the two
+    has no columns, and where scores are soft.
     """
 
     metrics: dict[str, float]
@@ -103,6 +108,7 @@ class Scores(PaperMetrics, ByContent, Described):
     contributions: tuple[Contribution, ...]
     seen_share: Float[np.ndarray, " L"]
     settings: dict[str, Any]
+    parts: dict[str, dict[str, float]] = field(default_factory=dict)
 
     def _facts(self) -> dict[str, Any]:
         shown = {**self.metrics, "P_sm": self.surrogate}
@@ -204,6 +210,7 @@ def evaluate(
             **conditions.record,
             **_limits(scene, asked.detection),
         ),
+        parts=_by_part(scene, measured, tuple(values), by_name),
     )
 
 
@@ -304,6 +311,22 @@ def evaluate_many(
         Asked.of(**options, names=chosen(metrics, by_name), detection=detection),
     )
     return ManyScores(found, np.asarray(surrogate(found, by_name)))
+
+
+def _by_part(
+    scene: Scene, found: MetricValues, names: tuple[str, ...], weights: dict[str, float]
+) -> dict[str, dict[str, Any]]:
+    """:attr:`Scores.parts`."""
+    grid = scene.voxels
+    core = np.hypot(*(grid.columns - grid.center[:2]).T) <= CORE
+    if found.parts is None or core.all() or not core.any():
+        return {}
+    rows = {name: found.parts[name] for name in names}
+    rows["surrogate"] = surrogate(rows, weights)
+    return {
+        part: {name: _numbers(row[k]) for name, row in rows.items()}
+        for k, part in enumerate(("core", "outside"))
+    }
 
 
 def _by_region(

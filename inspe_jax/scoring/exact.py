@@ -23,7 +23,7 @@ from inspe_jax.scoring.accumulate import count_tile
 from inspe_jax.scoring.asked import Asked
 from inspe_jax.scoring.detection import DetectionCurves
 from inspe_jax.scoring.metric import Metric, TileEvidence
-from inspe_jax.scoring.metrics import entropy_terms, resolved, tile_terms
+from inspe_jax.scoring.metrics import entropy, entropy_terms, resolved, tile_terms
 from inspe_jax.scoring.past_statics import past_statics, sights_past_statics
 from inspe_jax.scoring.reading import Bits, Counts, Frames
 from inspe_jax.scoring.sensor_array import SensorArray, SensorSet, sensor_array
@@ -159,16 +159,18 @@ def count_all(
         shapes = few.shape, chunk.prisms.top.shape, groups, chunk.split
         jobs.append(((_count, asked, *shapes), work))
     seen = np.zeros((2, 1 + groups, tiled.frame_count), np.int32)
+    core = np.zeros((2, tiled.frame_count), np.int32)
     columns = np.zeros(views.shape[1:], np.int32)
     levels = tiled.tiles.tile.heights.shape[1] if asked.counts_sight else 0
     kind = np.uint16 if tiled.frame_count < 2**16 else np.int32
     sights = np.zeros((*views.shape, levels), kind)
     for chunk, part in zip(tiled.chunks, run(jobs), strict=True):
         seen[:, :, chunk.frames] += np.stack([part.seen, part.original])
+        core[:, chunk.frames] += np.asarray(part.core)
         _add_counts(columns[chunk.tiles], part.columns)
         if asked.counts_sight:
             _add_counts(sights[:, chunk.tiles], part.sights)
-    found: Any = seen[0], seen[1], columns, sights if asked.counts_sight else None
+    found: Any = seen[0], seen[1], columns, sights if asked.counts_sight else None, core
     return Counts(*found)
 
 
@@ -194,7 +196,7 @@ def sight_shares(
 
 def join_frames(parts: list[Counts]) -> Counts:
     """The counts of consecutive runs of frames as those of all their frames."""
-    seen, original, columns, sights = zip(*parts, strict=True)
+    seen, original, columns, sights, core = zip(*parts, strict=True)
     return Counts(
         jnp.concatenate(seen, 1),
         jnp.concatenate(original, 1),
@@ -202,6 +204,7 @@ def join_frames(parts: list[Counts]) -> Counts:
         None
         if sights[0] is None
         else sum((_widened(part) for part in sights[1:]), _widened(sights[0])),
+        None if core[0] is None else jnp.concatenate(core, 1),
     )
 
 
@@ -219,7 +222,8 @@ def _add_counts(total: np.ndarray, counts: Any) -> None:
 def _split_count(asked: Asked) -> Callable[..., Counts]:
     """:func:`_count`, every device for its frames."""
     whole, first, second = (sharding.along(axis) for axis in (None, 0, 1))
-    gives: Any = Counts(second, second, first, first if asked.counts_sight else None)  # type: ignore[arg-type]
+    sights = first if asked.counts_sight else None
+    gives: Any = Counts(second, second, first, sights, second)  # type: ignore[arg-type]
     given = whole, whole, second, first, whole, whole
     return sharding.split(partial(_count, asked=asked), given, gives)
 
@@ -241,13 +245,14 @@ def _count(
     @unless_empty
     def count(tile: Tile, views: Array, solid: Array) -> Counts:
         frames = Frames(prisms, solid)
-        return count_tile(BITS, tile, views, sensors, shadows, frames, failures, asked)
+        core = jnp.where(tile.core, tile.there, tile.there.dtype.type(0))
+        return count_tile(BITS, tile, views, sensors, shadows, frames, failures, asked, core)
 
-    seen, original, columns, sights = jax.lax.map(
+    seen, original, columns, sights, core = jax.lax.map(
         lambda part: count(*part), (tile, views.swapaxes(0, 1), solid)
     )
     sights = sights.swapaxes(0, 1) if asked.counts_sight else None
-    return Counts(seen.sum(0), original.sum(0), columns, sights)
+    return Counts(seen.sum(0), original.sum(0), columns, sights, core.sum(0))
 
 
 @partial(jax.jit, static_argnames="metrics")
@@ -266,15 +271,17 @@ def _summarise(
     covered = BITS.any_of(views, failures)
     columns = bitmask.count(covered).reshape(len(covered), slabs, -1).sum(1)  # (1 + G, M·C)
     by_level = bitmask.count_levels(covered[0].reshape(slabs, -1).T, -(-levels // slabs))
+    *entropy, parts = _entropy_terms(tiled, views, counts.sights, reliability, failures)
     return summarise(
         tiled,
         tiled.tiles.column_shares(columns.astype(float)),
         by_level.reshape(-1),
-        _entropy_terms(tiled, views, counts.sights, reliability, failures),
+        (entropy[0], entropy[1]),
         counts,
         terms,
         failures,
         metrics,
+        entropy_of_parts=parts,
     )
 
 
@@ -354,18 +361,20 @@ def _entropy_terms(
     sights: Num[Array | np.ndarray, "S *N C Z"] | None,
     reliability: Float[Array, " S"],
     failures: Groups | None,
-) -> tuple[Float[Array, " 1+G"], Float[Array, ""]]:
+) -> tuple[Float[Array, " 1+G"], Float[Array, ""], Float[Array, "2 2"]]:
     """:func:`~inspe_jax.scoring.metrics.entropy_terms` of all voxels: H(Ω|P) and H(Ω).
 
-    They are summed in parts; parts of nothing but padding are left out.
+    The third result is the two of all sensors, a column each for the core and outside. They are
+    summed in parts; parts of nothing but padding are left out.
     """
     sensors, number = len(views), len(tiled.occupancy)
     together = ENTROPIC if number and number % ENTROPIC == 0 else number
     last = jnp.where(tiled.occupancy > 0, jnp.arange(number), -1).max(initial=-1)
     words = views.reshape(sensors, -1)
     counts = None if sights is None else sights.reshape(sensors, -1, sights.shape[-1])
+    core = tiled.tiles.tile.core.reshape(-1)
 
-    def add_part(part: Array, sums: tuple[Array, Array]) -> tuple[Array, Array]:
+    def add_part(part: Array, sums: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
         column, level, occupancy = (
             jax.lax.dynamic_slice_in_dim(of_voxels, part * together, together)
             for of_voxels in (tiled.column, tiled.level, tiled.occupancy)
@@ -376,10 +385,13 @@ def _entropy_terms(
             visible *= counts[:, column, level].astype(float) / tiled.frame_count
         q = resolved(visible, reliability, failures)
         remaining, total = entropy_terms(q, occupancy)
-        return sums[0] + remaining, sums[1] + total
+        near, h = core[column], entropy(occupancy)
+        within = jnp.stack([jnp.where(near, h, 0.0), jnp.where(near, 0.0, h)])
+        of_parts = jnp.stack([(within * (1.0 - q[0])[None]).sum(1), within.sum(1)])
+        return sums[0] + remaining, sums[1] + total, sums[2] + of_parts
 
     groups = 0 if failures is None else len(failures.first)
-    nothing = jnp.zeros(1 + groups), jnp.zeros(())
+    nothing = jnp.zeros(1 + groups), jnp.zeros(()), jnp.zeros((2, 2))
     return jax.lax.fori_loop(0, last // max(together, 1) + 1, add_part, nothing)
 
 

@@ -63,6 +63,18 @@ def occlusion_terms(
     return seen, jnp.broadcast_to(reading.count(counted), seen.shape)
 
 
+def occlusion_terms_within(
+    reading: Sets, part: Any, seen: Any, covered: Any, free: Any, solid: Any, reference: str
+) -> Num[Array, "2 F"]:
+    """:func:`occlusion_terms` of all sensors together, in the columns of ``part`` alone.
+
+    ``seen`` is what some sensor has in view and in line of sight in each frame.
+    """
+    counted = reading.both(counted_by_occlusion(free, solid, reference), part)
+    whole = reading.both(counted, covered) if reference == "covered" else counted
+    return jnp.stack([reading.count(reading.both(seen, counted)), reading.count(whole)])
+
+
 def counted_by_occlusion(free: Any, solid: Any, reference: str) -> Any:
     """The voxels that occlusion counts: those inside vehicles under ``targets``, else the others.
 

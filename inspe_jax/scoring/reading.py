@@ -70,13 +70,14 @@ class Counts(NamedTuple):
     sensors in row 0 and without group g in row 1 + g. ``columns``: for each column, the number of
     pairs of a voxel and a frame in which the voxel is outside vehicles and seen. ``sights``: in how
     many frames each sensor has each voxel in line of sight, in view or not; None where that is not
-    needed.
+    needed. ``core``: ``seen`` and ``original`` of all sensors in the core, None read softly.
     """
 
     seen: Num[Array, "1+G F"]
     original: Num[Array, "1+G F"]
     columns: Num[Array, "*N C"]
     sights: Num[Array, "S *N C Z"] | None
+    core: Num[Array, "2 F"] | None = None
 
 
 SensorRow = tuple[Float[Array, "3"], Any, Any]

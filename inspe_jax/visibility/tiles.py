@@ -32,6 +32,10 @@ CLOSE = 1e-2
 """Tests of whole tiles are wider by this [m], which is more than the error of single precision."""
 
 
+CORE = 30.0
+"""Radius of the core of the region of interest [m] (paper, section 3)."""
+
+
 class Tile(NamedTuple):
     """C neighbouring columns of up to Z voxels. In :class:`Tiles`, N tiles have a leading axis.
 
@@ -50,6 +54,11 @@ class Tile(NamedTuple):
     radius: Float[Array, "*N"]
     low: Float[Array, "*N"]
     high: Float[Array, "*N"]
+
+    @property
+    def core(self) -> Bool[Array, "*N C"]:
+        """Which columns are in the core: within :data:`CORE` of the scene's centre."""
+        return jnp.hypot(self.columns[..., 0, :], self.columns[..., 1, :]) <= CORE
 
 
 @pytree

@@ -1,6 +1,7 @@
 """From a map and a latitude to a plan in coordinates, on the command line, and back."""
 
 import json
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -9,6 +10,8 @@ import rasters
 from osm_town import LAT, LON, full_town
 from processes import inspe_here
 
+from inspe_jax import build_scene, built_in, save_scene
+from inspe_jax.scene.georeference import Georeference
 from inspe_jax.scene.scene import load_scene
 
 pytest.importorskip("sumolib", reason="needs SUMO: extra [sumo]")
@@ -66,6 +69,17 @@ def test_a_scene_by_coordinates_and_a_plan_to_hand_on(inspe, files):
     assert status == 2
     assert "plan.kml: is there already, and was changed since `inspe export` wrote it" in error
     assert inspe("export", "city.npz", "L-d1", "--out", "plan.kml", "--force")[0] == 0
+
+
+def test_a_plan_in_the_sea_is_doubted(inspe, files):
+    """As of CARLA's own towns, whose projection begins at 0° N 0° E."""
+    scene = build_scene(built_in("four_way"), radius=25, voxel=1, frames=2, density=5)
+    nowhere = Georeference("+proj=tmerc +lat_0=0 +lon_0=0 +datum=WGS84")
+    place = replace(scene.intersection, georeference=nowhere)
+    save_scene(replace(scene, intersection=place), files / "sea.npz")
+    status, text, error = inspe("export", "sea.npz", "Cam-d1", "--out", "sea.kml")
+    assert (status, text) == (0, "wrote sea.kml\n")
+    assert "Note: coordinates are in the sea, at 0.000000, 0.000000" in error
 
 
 BAD = [

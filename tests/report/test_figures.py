@@ -23,15 +23,18 @@ from inspe_jax.report.figures import (
     CLASS_COLORS,
     REGION_COLORS,
     column_raster,
+    layer_raster,
     plan_view,
     scene_view,
     spread_badges,
 )
-from inspe_jax.report.outlines import view_outline
-from inspe_jax.report.sheet import save_figure
+from inspe_jax.report.layers import MapLayer
+from inspe_jax.report.outlines import clear_outlines, view_outline
+from inspe_jax.report.sheet import fit, save_figure
 from inspe_jax.scene.procedural.built_ins import built_in
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.scene import build_scene
+from inspe_jax.scene.statics import tree, upright_box
 from inspe_jax.scoring.evaluate import Contribution, Scores
 from inspe_jax.sensing.layout import Sensor, Unit, make_layout
 from inspe_jax.sensing.sensors import CameraSpec, LidarSpec
@@ -98,6 +101,25 @@ def test_the_raster_puts_each_column_on_its_square(scene):
         assert raster[int(i), int(j)] == value
 
 
+def test_a_map_shows_the_mean_or_the_most_frequent_kind_of_a_square(scene):
+    """Of the columns within 1 m in x and in y; of equally many, the first kind."""
+    rng, columns = np.random.default_rng(1), scene.voxels.columns
+    near = np.abs(columns[:, None] - columns).max(-1) < 1.1
+    values, kinds = rng.uniform(size=len(columns)), rng.integers(0, 2, len(columns)).astype(float)
+    means = (near @ values) / near.sum(1)
+    most = (near @ kinds) / near.sum(1)
+    for layer, wanted in (
+        (MapLayer("a", "", values, averaged=True), means),
+        (MapLayer("a", "", values), values),
+        (MapLayer("a", "", kinds, kinds=(("x", ""), ("y", "")), averaged=True), most > 0.5),
+    ):
+        shown = layer_raster(scene.voxels, layer)[0]
+        where = column_raster(scene.voxels, np.arange(len(columns)))[0]
+        there = ~np.isnan(where)
+        assert (there == ~np.isnan(shown)).all()
+        np.testing.assert_allclose(shown[there], wanted[where[there].astype(int)], atol=1e-9)
+
+
 def test_one_seen_column_is_painted_where_it_is(scene, pair):
     empty = replace(scene, traffic=no_traffic())
     columns = scene.voxels.columns
@@ -105,7 +127,8 @@ def test_one_seen_column_is_painted_where_it_is(scene, pair):
     share = np.zeros(len(columns))
     share[one] = 1.0
     layout = place_sensors((replace_depth(CAMERA, 1.0), [10.0, -2.0, 6, 0, -0.3, 2.0]))
-    fig = plan_view(empty, layout, scores_of(scene, layout, share))
+    layer = MapLayer("seen", "", share)
+    fig = plan_view(empty, layout, scores_of(scene, layout, share), layer)
     colors = colormaps["cividis"]
     assert color_at(fig, columns[one]) == pytest.approx(colors(1.0)[:3], abs=0.01)
     for beside in ([1, 0], [-1, 0], [0, 1], [0, -1]):
@@ -209,6 +232,37 @@ def test_outlines_are_drawn_as_computed(scene, pair):
         level = scene.intersection.ground(pose[None, :2])[0]
         wanted = view_outline(sensor.spec, pose, level)
         assert any(xy.shape == wanted.shape and np.allclose(xy, wanted) for xy in lines)
+
+
+def test_an_outline_ends_at_houses(scene):
+    """A house of 5 m below a LiDAR at 6 m hides the ground up to six times as far as its own."""
+    house = upright_box("building", np.array([22.3, -7.7]), (2.0, 4.0, 5.0), 0.0)
+    tree_ = tree(np.array([12.3, 2.3]), radius=1.0, height=8.0, base=2.0)
+    there, pose = scene.with_statics([house, tree_]), np.array([12.3, -7.7, 6.0, 0, 0, 0])
+    pose[2] += scene.intersection.ground(pose[None, :2])[0]
+    whole = shapely.Polygon(view_outline(LIDAR, pose, pose[2] - 6.0))
+    (outer,) = clear_outlines(scene, LIDAR, pose)
+    assert shapely.Polygon(outer).equals(whole)
+    rings = clear_outlines(there, LIDAR, pose)
+    seen = shapely.Polygon(rings[0], rings[1:])
+    assert seen.within(whole.buffer(1e-6))
+    for x, y, clear in (
+        (8.9, 0.0, True), (10.0, 0.0, False), (40.0, 0.0, False), (40.0, 6.0, False),
+        (40.0, 12.0, True), (0.0, 14.0, True),
+    ):  # fmt: skip
+        assert seen.contains(shapely.Point(pose[:2] + [x, y])) == clear
+
+
+@pytest.mark.parametrize("length", [0, 5, 68, 69, 110, 150, 400])
+def test_no_text_is_cut(length):
+    """It is smaller, or on lines that are together hardly higher than the one."""
+    words = ("a name " * 100)[:length].strip()
+    found = fit(words, 68, 10.0)
+    lines = found["s"].split("\n")
+    assert " ".join(lines) == words
+    assert max(map(len, lines)) * found["size"] <= 680 + 1e-9
+    assert len(lines) * found["size"] <= 12 + 1e-9
+    assert (found["size"] == 10.0) == (length <= 68)
 
 
 def test_numbers_keep_apart_however_crowded_the_sensors_are():

@@ -94,6 +94,9 @@ def test_a_projection_is_named_with_its_shift():
     place = replace(crossing(), georeference=Georeference("EPSG:32632", (-690_000.0, 12.5)))
     assert "the projection EPSG:32632, plus -690000.00 and 12.50;" in origin_words(place)
     assert "plus" not in origin_words(replace(place, georeference=Georeference("EPSG:32632")))
+    assert "in the sea" not in origin_words(place)
+    nowhere = replace(place, georeference=Georeference("+proj=tmerc +lat_0=0 +lon_0=0"))
+    assert "But coordinates are in the sea, at 0.000000, 0.000000" in origin_words(nowhere)
 
 
 def test_a_model_cannot_be_bought():

@@ -50,6 +50,10 @@ SCORES = Scores(
     ),
     seen_share=np.zeros(3),
     settings={"weights": named(0.3, 0.5, 0.2), "occlusion_reference": "roi", "at": np.float32(0.5)},
+    parts={
+        "core": named(0.91, 0.92, 0.93) | {"surrogate": 0.94},
+        "outside": named(0.21, 0.22, 0.23) | {"surrogate": 0.24},
+    },
 )
 
 
@@ -94,6 +98,7 @@ def test_the_record_is_the_scores_exactly(scene, layout):
     assert record["information_gain_literal"] == pytest.approx(2 / 3)
     assert record["region_coverage"] == SCORES.region_coverage
     assert record["level_coverage"] == list(SCORES.level_coverage)
+    assert record["parts"] == SCORES.parts
     assert [(c["sensor"], c["unit"], c["device"]) for c in record["contributions"]] == [
         ("cam a", "mast", "test-camera"),
         ("[red]top[/red]", "pole [1]", "test-lidar"),
@@ -105,7 +110,7 @@ def test_the_record_is_the_scores_exactly(scene, layout):
 def test_the_record_says_of_what_and_how(scene, layout):
     record = scores_record(SCORES, scene, layout)
     assert set(record) == {
-        *METRICS, "information_gain_literal", "region_coverage", "level_coverage",
+        *METRICS, "information_gain_literal", "region_coverage", "level_coverage", "parts",
         "contributions", "blind_spots", "settings", "scene", "layout", "versions",
     }  # fmt: skip
     assert record["settings"] == {
@@ -144,7 +149,7 @@ def test_scores_of_another_layout_are_refused(scene, make):
 @pytest.mark.parametrize("width", WIDTHS)
 def test_scores_for_people_are_whole(layout, width):
     text = shown(scores_table(SCORES, layout), width)
-    assert row(text, "coverage", "C")[2:4] == ["0.3", "0.812"]
+    assert row(text, "coverage", "C")[2:6] == ["0.3", "0.812", "0.910", "0.210"]
     assert row(text, "occlusion", "O")[2:4] == ["0.5", "0.300"]
     assert row(text, "information", "gain", "IG")[3:5] == ["0.2", "0.333"]
     assert "0.700" in row(text, "surrogate", "P_sm")

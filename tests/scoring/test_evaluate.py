@@ -46,28 +46,39 @@ def solid_voxels(scene, frame):
 
 @pytest.mark.parametrize("reference", ["roi", "covered"])
 def test_scores_equal_those_of_walked_rays_and_embree(reference):
-    """C, O and IG once more, in NumPy, from the two oracles; both agree to 1e-3 by design."""
-    scene = world(count=15, seed=4)
+    """C, O and IG once more, in NumPy, from the two oracles; both agree to 1e-3 by design. Of all
+    columns, of those within 30 m of the centre, and of the others."""
+    scene = world(count=15, seed=4, radius=38.0, voxel=1.0)
     layout = random_layout(scene, SPECS, seed=4)
     f = raycast.in_view(scene, layout, "exact")
     solid = np.stack([solid_voxels(scene, k) for k in range(4)])
     w = scene.voxels.weight
+    core = np.hypot(*scene.voxels.centers[:, :2].T) < 30
+    everywhere = np.ones_like(core)
     shares = []
     for k in range(4):
         seen = (f & embree_line_of_sight(scene, layout, k)).any(0) & ~solid[k]
         original = ~solid[k] if reference == "roi" else ~solid[k] & f.any(0)
-        shares.append(seen.sum() / original.sum())
+        shares.append([(seen & a).sum() / (original & a).sum() for a in (everywhere, core, ~core)])
     p = solid.mean(0)
     with np.errstate(divide="ignore", invalid="ignore"):
         h = np.nan_to_num(-p * np.log(p) - (1 - p) * np.log(1 - p))
     q = 1 - np.prod([1 - s.reliability * row for s, row in zip(SPECS, f, strict=True)], axis=0)
-    expected = [w @ f.any(0) / w.sum(), np.mean(shares), (q * h).sum() / h.sum()]
 
     scores = evaluate(scene, layout, occlusion_reference=reference)
-    ours = [scores.coverage, scores.occlusion, scores.information_gain]
-    assert ours == pytest.approx(expected, abs=1e-3)
-    assert scores.surrogate == pytest.approx(np.dot([0.3, 0.5, 0.2], ours), abs=1e-6)
-    assert all(type(getattr(scores, name)) is float for name in FOUR)
+    whole = {name: scores.value(name) for name in FOUR}
+    found = dict(everywhere=whole) | scores.parts
+    for (name, ours), share, part in zip(
+        found.items(), np.mean(shares, 0), (everywhere, core, ~core), strict=True
+    ):
+        expected = [w[part] @ f.any(0)[part] / w[part].sum(), share]
+        expected.append((q * h)[part].sum() / h[part].sum())
+        assert [ours[key] for key in FOUR[:3]] == pytest.approx(expected, abs=1e-3), name
+        assert ours["surrogate"] == pytest.approx(np.dot([0.3, 0.5, 0.2], expected), abs=1e-3)
+        assert all(type(value) is float for value in ours.values())
+    assert list(found) == ["everywhere", "core", "outside"]
+    assert evaluate(scene, layout, softness=0.5).parts == {}
+    assert evaluate(world(frames=1), layout, weights=(0.5, 0.5, 0)).parts == {}  # it is all core
 
 
 def test_no_vehicles_make_occlusion_the_unweighted_coverage():

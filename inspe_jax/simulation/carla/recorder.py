@@ -4,6 +4,9 @@ The server has the town; the recorder places the scene's road users in it frame 
 frame is the same every time as far as the simulator allows: exposure, weather and wind change from
 tick to tick. There are two differences to the embedded recorder: all rays of a LiDAR's turn are
 fired at one moment, and sensors have no masts.
+
+Limit: no CARLA server has run it yet. Its tests run CARLA's own client against a stand-in for the
+server that speaks its protocol; pictures, returns and timing of a real server are untested.
 """
 
 import time

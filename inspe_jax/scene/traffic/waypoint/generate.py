@@ -57,8 +57,9 @@ def waypoint_traffic(
 
     There are about ``count`` objects at a time within ``radius`` [m] of the
     centre, in ``frames`` frames ``step`` seconds apart. ``mix`` is a key of
-    :data:`MIXES`. Unlike in the paper, road users
-    keep their distance, slow down for bends and give way where paths cross,
+    :data:`MIXES`. They are on the waypoints of the whole region; the paper takes the waypoints in
+    view of the sensors, so that its traffic depends on the placement. Also unlike in the paper,
+    road users keep their distance, slow down for bends and give way where paths cross,
     first come first served. They never overlap. Cyclists keep to the right of
     the lane, and pedestrians have routes of their own. A road user that leaves
     is replaced at an entry as soon as there is room. Where that leaves road

@@ -125,6 +125,7 @@ def search(
         pass
     finally:
         run.close()
+    run.settle()
     return run, run.history
 
 

@@ -217,7 +217,8 @@ def test_its_history_ends_at_its_score(found):
     ).tolist()
     assert (np.diff([row.evaluations for row in history]) >= 1).all()
     assert (np.diff([row.seconds for row in history]) > 0).all()
-    assert found.evaluations >= EVALUATIONS > history[-1].evaluations - 1
+    # The last may be of what it held when the budget was spent.
+    assert found.evaluations >= EVALUATIONS > history[-2].evaluations - 1
     assert found.seconds >= history[-1].seconds
     assert found.status == "budget spent"
 

@@ -347,8 +347,8 @@ def pulled(scene, start, monkeypatch):
     return problem
 
 
-ENDS = {"adam": 900, "greedy-adam": 250, "lbfgsb": 300, "projected-gradient": 300}
-ENDS |= {"greedy": 250, "grid": 400, "random": 200, "cma-es": 400}
+ENDS = {"adam": 400, "greedy-adam": 150, "lbfgsb": 150, "projected-gradient": 150}
+ENDS |= {"greedy": 150, "grid": 120, "random": 30, "cma-es": 90}
 """Looks at the clock in which a method comes through its kinds of step."""
 
 
@@ -357,14 +357,14 @@ def test_wherever_its_time_ends_it_is_not_below_what_it_preferred(name, pulled, 
     """By a clock that ends a search at any of its looks. A method prefers what it would end with:
     the best of what it last compared on one sample; and greedy placement, from when it is made."""
     unscored = 0
-    for ends in np.unique(np.geomspace(2, ENDS[name], 24).astype(int)):
+    for ends in np.unique(np.geomspace(2, ENDS[name], 12).astype(int)):
         pulled.preferred, pulled.compared = [start], (b"", [])
         run = Run(pulled, start, seconds=float(ends), clock=itertools.count().__next__)
         assert _drive(run, registry.METHODS[name]) in ("budget spent", "converged")
         unscored += pulled.preferred[-1] is not start
         assert run.best >= pulled.exact(pulled.preferred[-1]) - 1e-9, ends
         assert run.held is None
-    assert unscored > 8
+    assert unscored > 4
 
 
 # ── Grid ────────────────────────────────────────────────────────────────────

@@ -140,9 +140,11 @@ def step(run: Run, state: State) -> State:
 
 def _bursts_fit(run: Run) -> bool:
     """Whether the gradient is compiled, and a burst ends before :data:`UNTIL`."""
+    if not run.ready(GRADIENT):
+        return False
     drawn = run.problem.draw(run.rng(0), STEP_COLUMNS, STEP_FRAMES)
     burst = BURST * run.problem.gradient_cost(drawn) * run.exact_cost
-    return run.ready(GRADIENT) and run.share(run.spent + burst) < UNTIL
+    return run.share(run.spent + burst) < UNTIL
 
 
 def _improving(run: Run, state: State, x: Float[np.ndarray, " N"], value: float) -> Improving:

@@ -8,9 +8,10 @@ culling, every prism against every column (how this package began); Embree on it
 the segments to the voxels that each sensor has in view, nothing else; and the paper's
 Bresenham caster, which answers coverage alone. The rivals' answers are compared with ours.
 Then how the time grows with sensors, frames and objects; what 64 layouts take at once and one by
-one; what a soft score and its gradient take; what `inspe score` takes from the shell, the first
-time and the next; and how far from the machine's peak that is. Ratios are what to quote: machines
-differ. Ours runs on the device that JAX runs on.
+one; what a soft score and its gradient take; what a gradient on a sample takes beside what a
+search charges for it; what `inspe score` takes from the shell, the first time and the next; and how
+far from the machine's peak that is. Ratios are what to quote: machines differ. Ours runs on the
+device that JAX runs on.
 """
 
 import json
@@ -37,6 +38,7 @@ from rich.table import Table
 
 import inspe_jax
 from inspe_jax import Layout, Scene
+from inspe_jax.placement.problem import Problem
 from inspe_jax.scoring.tiled_scene import tiled_scene_of
 from inspe_jax.visibility import raycast
 from inspe_jax.visibility.centered_scene import about_center, poses_about_center
@@ -47,6 +49,8 @@ console = Console()
 
 SOFTNESS = 0.5
 """Of the gradient that is timed [m]."""
+SAMPLES = ((384, 3), (768, 6), (1536, 8), (2048, 8))
+"""Columns and frames of the samples on which gradients are timed."""
 
 WORKLOADS: dict[str, dict[str, Any]] = {
     "W1": dict(radius=50.0, voxel=0.5, density=40, frames=100),
@@ -137,6 +141,37 @@ def seconds(call: Callable[[], Any], repeats: int) -> float:
         call()
         times.append(time.perf_counter() - start)
     return float(np.median(times))
+
+
+def sampled_gradients(scene: Scene, quick: bool) -> list[dict[str, Any]]:
+    """What the gradient of a layout on a sample takes, in hard scores of it on the same sample, and
+    what a search charges for it. Both in turns, the least of several."""
+    found = []
+    for name in ("L-d1",) if quick else ("Cam-d1", "L-d1", "Cam-d1/L-d1"):
+        layout = inspe_jax.strategy(scene, name)
+        problem, poses = Problem(scene, layout), poses_about_center(scene, layout)
+        x = problem.space.start(layout)[0][None]
+        for size in SAMPLES[: 1 if quick else None]:
+            drawn = problem.draw(np.random.default_rng(0), *size)
+            on, sample = problem.take(drawn), problem.sample(np.random.default_rng(0), *size)
+            calls = (
+                partial(problem.slope, poses, on, jnp.asarray(SOFTNESS)),
+                partial(problem.rough, x, sample),
+            )
+            soft, hard = np.min([[seconds(call, 1) for call in calls] for _ in range(9)], 0)
+            charged = problem.gradient_cost(drawn) / problem.sample_cost(drawn)
+            found.append(
+                dict(
+                    layout=name, columns=size[0], frames=size[1],
+                    ratio=float(soft / hard), charged=float(charged),
+                )
+            )  # fmt: skip
+            console.print(
+                f"{name}, {size[0]} columns × {size[1]} frames: a gradient takes {soft / hard:.1f} "
+                f"hard scores and is charged {charged:.1f}",
+                highlight=False,
+            )
+    return found
 
 
 def every(layout: Layout, n: int) -> Layout:
@@ -383,6 +418,7 @@ def main() -> None:
     console.print(table, soft)
     grown = growth(name, options.seed, repeats)
     many = many_at_once(name, options.seed, *((2, 4) if options.quick else (64, 20)))
+    gradients = sampled_gradients(workload(name, options.seed, profile="paper"), options.quick)
     shell = from_the_shell(scene, layout, repeats // 2)
     roofline = least(scene, layout, warm)
 
@@ -395,6 +431,7 @@ def main() -> None:
         "workloads": others,
         "growth": grown,
         "many_layouts": many,
+        "sampled_gradients": gradients,
         "inspe_score": shell,
         "softness": SOFTNESS,
         "roofline": roofline,

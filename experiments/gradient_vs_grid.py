@@ -133,6 +133,7 @@ def search(
         pass
     finally:
         run.close()
+    run.settle()
     return run, run.history
 
 

@@ -15,16 +15,17 @@ class Checkpoint(NamedTuple):
     spent: tuple[float, float]
     scores: int
     best: int
+    held: Any
 
     @classmethod
     def of(cls, run: Run, state: dict[str, Any] | None) -> Self:
         """Now, before the run goes on."""
         spent = run.seconds, run.evaluations
-        return cls(state and saved(state), spent, len(run.history), len(run.path))
+        return cls(state and saved(state), spent, len(run.history), len(run.path), run.held)
 
     def take_up(self, later: Run, run: Run) -> None:
         """Let another run go on from here; it has nothing but the state, and the run's account."""
-        later.take_up(*self.spent, run.history[: self.scores], run.path[: self.best])
+        later.take_up(*self.spent, run.history[: self.scores], run.path[: self.best], self.held)
 
 
 def saved(state: dict[str, Any]) -> dict[str, Any]:

@@ -31,14 +31,15 @@ class Checkpoint:
     """A search after a step.
 
     ``of`` has what the search depends on, by name, as digests or words; ``state`` is the method's.
-    ``path`` (K, N) has the coordinates of every layout that was the best so far. ``seconds`` and
-    ``evaluations`` are spent, ``limits`` is the budget of both. ``status`` is "" while the search
-    runs, then how it ended.
+    ``path`` (K, N) has the coordinates of every layout that was the best so far, ``held`` (0 or 1,
+    N) those that the run holds. ``seconds`` and ``evaluations`` are spent, ``limits`` is the budget
+    of both. ``status`` is "" while the search runs, then how it ended.
     """
 
     of: dict[str, str]
     state: State
     path: Float[np.ndarray, "K N"]
+    held: Float[np.ndarray, "H N"]
     history: tuple[Progress, ...]
     seconds: float
     evaluations: float
@@ -60,6 +61,7 @@ def save_checkpoint(kept: Checkpoint, path: str | os.PathLike[str]) -> None:
     arrays = {
         "record": np.array(json.dumps(record)),
         "path": kept.path,
+        "held": kept.held,
         "history": np.array(history, float).reshape(-1, 4),
     }
     for name, value in kept.state.items():
@@ -101,6 +103,7 @@ def _unpack(data: Mapping[str, np.ndarray], path: Path) -> Checkpoint:
         of=dict(record["of"]),
         state=state,
         path=data["path"],
+        held=data.get("held", data["path"][:0]),
         history=tuple(Progress(*row) for row in data["history"].tolist()),
         seconds=float(record["seconds"]),
         evaluations=float(record["evaluations"]),
@@ -146,7 +149,7 @@ class CheckpointWriter:
             return {}
         kept = load_checkpoint(self.path)
         check_same(kept, self.of, self.path)
-        run.take_up(kept.seconds, kept.evaluations, kept.history, kept.path)
+        run.take_up(kept.seconds, kept.evaluations, kept.history, kept.path, *kept.held)
         self._kept = kept
         reached = run.best >= run.target
         over = kept.status == "converged" or (kept.status and kept.limits == run.limits)
@@ -179,6 +182,7 @@ class CheckpointWriter:
             of=self.of,
             state=state,
             path=np.array(run.path, float).reshape(-1, len(run.start)),
+            held=np.array([] if run.held is None else run.held, float).reshape(-1, len(run.start)),
             history=tuple(run.history),
             seconds=run.seconds,
             evaluations=run.evaluations,

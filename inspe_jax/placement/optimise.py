@@ -213,7 +213,7 @@ def _drive(run: Run, row: Method, keeper: CheckpointWriter | None = None) -> str
     """Run a method step by step to its end and return the status."""
     state = keeper.take_up(run) if keeper else {}
     if keeper and keeper.ended:
-        return keeper.ended
+        return _settled(run, keeper.ended)
     status = ""
     try:
         run.compile_ahead(row)
@@ -237,8 +237,20 @@ def _drive(run: Run, row: Method, keeper: CheckpointWriter | None = None) -> str
         status = "interrupted"
     finally:
         run.close()
+    status = _settled(run, status)
     if keeper:
         keeper.end(run, state, status)
+    return status
+
+
+def _settled(run: Run, status: str) -> str:
+    """The status of a search that ended, once what it held has its exact score."""
+    try:
+        run.settle()
+    except TargetReached:
+        return "target reached"
+    except KeyboardInterrupt:
+        return "interrupted"
     return status
 
 

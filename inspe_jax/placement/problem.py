@@ -44,6 +44,13 @@ the columns and of the frames that are in the sample. It was measured on 150,000
 frames, with 8 cameras, 4 LiDARs and both, on samples of 384 to 3072 columns and 3 to 24 frames:
 0.04 to 0.21. The exact score worked on two cores. Most of a small sample's cost is fixed."""
 
+GRADIENT_COST = (175.0, 430.0, 33.5e3, 0.7)
+"""The cost of a gradient in hard scores of the same sample is a·(n + b)/(n + c), with n
+columns·frames, and d times that for sensors that are not aimed: both take a fixed time and one that
+grows with n. Measured on two cores, on 384 × 3, 768 × 6 and 2048 × 8 columns × frames: 8, 21 and 59
+with 8 cameras; 5, 13 and 48 with 4 LiDARs; and 160 to 180 on a whole scene of 100 frames. This
+gives 8, 23, 59; 6, 16, 41; and 118 to 168. `experiments/benchmark_speed.py` measures it."""
+
 
 AnyScene = Scene | Case | str
 """A scene as users give it: as such, in conditions, or by name."""
@@ -237,6 +244,13 @@ class Problem:
             sights += len(at) * len(when) / len(part.centered.prisms.top)
             whole += len(part.centered.columns)
         return fixed + (by_column * columns + by_sight * sights) / whole
+
+    def gradient_cost(self, drawn: Drawn) -> float:
+        """The cost of the gradient of one layout on a sample, in exact scores."""
+        most, fixed, half, level = GRADIENT_COST
+        sights = sum(len(at) * len(when) for at, when in drawn)
+        kinds = np.mean([1.0 if sensor.spec.aimed else level for sensor in self.layout.sensors])
+        return self.sample_cost(drawn) * kinds * most * (sights + fixed) / (sights + half)
 
     def sample(self, rng: np.random.Generator, columns: int = 2048, frames: int = 8) -> Sample:
         """A sample of every case; see :meth:`draw`."""

@@ -14,16 +14,11 @@ from jaxtyping import Float
 from inspe_jax.core.compiling import waiting, working_clock
 from inspe_jax.core.errors import InspeError
 from inspe_jax.placement.compile_ahead import Ahead, CompileJob
-from inspe_jax.placement.problem import Problem, Sample
+from inspe_jax.placement.problem import Drawn, Problem, Sample
 
 State = dict[str, Any]
 """NumPy arrays, numbers and strings by name, as a checkpoint holds them. Never changed in place."""
 
-GRADIENT_COST = 3.4
-"""Cost of the gradient of one layout on a sample, in rough scores of that layout. Measured at three
-places with 4 LiDARs, 8 cameras and both, samples of 384 columns and 3 frames, rough scores four at
-a time: 2.9 to 4.3, 3.4 on average. With rough scores one by one on `four_way` it is 1.9 to 3.0, and
-2.8 to 3.2 since rays are read as a density."""
 AT_ONCE = 32
 """Number of rough scores between two checks of the budget: mostly some tenths of a second."""
 
@@ -80,6 +75,7 @@ class Run:
     of every layout that was the best so far, and ``best`` is the exact score of the last of them.
     ``history`` has every exact score. ``evaluations`` are spent so far; ``limits`` is the budget in
     seconds and in evaluations, and ``target`` the score that ends it. ``notes`` are for people.
+    ``held`` (N,) is a layout that the method prefers and that has no exact score yet, or None.
     """
 
     def __init__(
@@ -108,6 +104,7 @@ class Run:
         self.evaluations = 0.0
         self.path: list[Float[np.ndarray, " N"]] = []
         self.best = -np.inf
+        self.held: Float[np.ndarray, " N"] | None = None
         self.history: list[Progress] = []
         self.notes: list[str] = []
         self.limits = (seconds, evaluations)
@@ -115,6 +112,7 @@ class Run:
         self.target = target
         self._began = self._clock()
         self._ahead = Ahead({})
+        self._took: list[float] = []  # by exact scores of this process [s]
 
     @property
     def best_x(self) -> Float[np.ndarray, " N"]:
@@ -160,13 +158,30 @@ class Run:
         score, that of the start; TargetReached once the best score is the target or more; and
         InspeError if ``x`` is not feasible.
         """
-        x = np.array(x, float)
         if self.history:
             self._check_left()
+        return self._score(np.array(x, float))
+
+    def hold(self, x: Float[np.ndarray, " N"]) -> None:
+        """Keep the feasible coordinates (N,) that the method would end with, were it stopped now.
+
+        Room is left in the budget for their exact score. The next :meth:`offer` takes their place;
+        if the search ends before that, :meth:`settle` scores them. The best so far is not held.
+        """
+        self.held = None if np.array_equal(x, self.best_x) else np.array(x, float)
+
+    def settle(self) -> None:
+        """Score what is held, after the search. Raises TargetReached."""
+        if self.held is not None:
+            self._score(self.held)
+
+    def _score(self, x: Float[np.ndarray, " N"]) -> float:
+        began = self._clock()
         score = self.problem.exact(x)
+        self._took.append(self._clock() - began)
         if not self.history:
             self._began = self._clock()
-        self.evaluations += 1.0
+        self.evaluations, self.held = self.evaluations + 1.0, None
         better = score > self.best
         if better:
             self.best = score
@@ -180,22 +195,35 @@ class Run:
         return score
 
     def rough(self, x: Float[np.ndarray, "M N"], sample: Sample) -> Float[np.ndarray, " M"]:
-        """Hard scores of layouts on a sample. Charges M · ``sample.cost``.
+        """Hard scores of layouts on a sample; the best is held. Charges M · ``sample.cost``.
 
-        Raises BudgetSpent, which it checks every :data:`AT_ONCE` layouts; the scores of this call
-        are lost then.
+        Raises BudgetSpent, which it checks every :data:`AT_ONCE` layouts; the best so far is held.
         """
         scores: list[np.ndarray] = []
         for first in range(0, len(x), AT_ONCE):
             part = np.asarray(x[first : first + AT_ONCE], float)
             self.charge(len(part) * sample.cost)
             scores.append(self.problem.rough(part, sample))
+            self.hold(x[np.argmax(np.concatenate(scores))])
         return np.concatenate(scores)
 
     def charge(self, evaluations: float) -> None:
-        """Charge for work before it is done, in exact scores. Raises BudgetSpent."""
-        self._check_left()
+        """Charge for work before it is done, in exact scores.
+
+        Raises BudgetSpent, also where the budget has no more room than for what is held.
+        """
+        self._check_left(0.0 if self.held is None else self.exact_cost)
         self.evaluations += float(evaluations)
+
+    def charge_gradient(self, drawn: Drawn, layouts: int = 1) -> None:
+        """Charge for gradients of layouts on a sample before they are computed: see
+        :meth:`Problem.gradient_cost`. Raises BudgetSpent."""
+        self.charge(layouts * self.problem.gradient_cost(drawn))
+
+    @property
+    def exact_cost(self) -> Float[np.ndarray, "2"]:
+        """Seconds and evaluations of an exact score. The first of a process may compile."""
+        return np.array([min(self._took[1:], default=0.0), 1.0])
 
     def compile_ahead(self, method: Method) -> None:
         """Start to compile what the method will need, in another thread.
@@ -233,14 +261,15 @@ class Run:
         evaluations: float,
         history: Sequence[Progress],
         path: Float[np.ndarray, "K N"],
+        held: Float[np.ndarray, " N"] | None = None,
     ) -> None:
-        """Continue a run that had spent so many seconds and evaluations."""
+        """Continue a run that had spent so many seconds and evaluations, and held a layout."""
         self._began = self._clock() - seconds
         self.evaluations, self.history, self.path = evaluations, list(history), list(path)
-        self.best = history[-1].best if history else -np.inf
+        self.best, self.held = history[-1].best if history else -np.inf, held
 
-    def _check_left(self) -> None:
-        if self.left <= 0:
+    def _check_left(self, room: Float[np.ndarray, "2"] | float = 0.0) -> None:
+        if self.share(self.spent + room) >= 1:
             raise BudgetSpent
 
 

@@ -32,7 +32,7 @@ from inspe_jax.sensing.layout import Layout
 from inspe_jax.visibility.centered_scene import poses_about_center
 
 METHODS = {method.name: method for method in GRADIENTS}
-BUDGET = {"adam": 60, "greedy-adam": 1400, "lbfgsb": 80, "projected-gradient": 200}
+BUDGET = {"adam": 140, "greedy-adam": 1800, "lbfgsb": 690, "projected-gradient": 1700}
 """Exact scores' work in which each takes several of its steps; where a score is known, 8 times."""
 FOLLOWING = [name for name in METHODS if name != "greedy-adam"]
 """Those that need nothing but scores and slopes."""
@@ -160,6 +160,46 @@ def test_it_comes_to_the_optimum_of_a_known_score(tried, name, score):
     assert run.best > score
     scene = known.cases[0].scene
     assert_mountable(scene, known.space.layout(run.best_x), lanes_of(scene.intersection))
+
+
+@pytest.mark.parametrize(
+    ("strategy_name", "ratios"), [("Cam-d1", (8, 23, 59)), ("L-d1", (6, 16, 41))]
+)
+def test_a_gradient_is_charged_by_the_size_of_its_sample(scene, strategy_name, ratios):
+    """In hard scores of the same sample: those of GRADIENT_COST's docstring."""
+    problem = Problem(scene, strategy(scene, strategy_name))
+    for size, ratio in zip([(384, 3), (768, 6), (2048, 8)], ratios, strict=True):
+        drawn = (tuple(map(np.arange, size)),)
+        assert problem.gradient_cost(drawn) == pytest.approx(
+            ratio * problem.sample_cost(drawn), abs=0.5 * problem.sample_cost(drawn)
+        )
+
+
+@pytest.mark.parametrize("name", FOLLOWING)
+def test_every_method_is_charged_that_for_every_gradient(known, name, monkeypatch):
+    """And its hard scores for the rest; nothing else."""
+    due, charged = [], []
+
+    def spied(cls, does, price):
+        inner = getattr(cls, does)
+
+        def call(self, *given):
+            found = inner(self, *given)
+            price(self, *given)
+            return found
+
+        monkeypatch.setattr(cls, does, call)
+
+    def gradient(problem, poses, on, softness):
+        sizes = len(on[0].centered.columns), len(on[0].centered.prisms.top)
+        due.append(problem.gradient_cost((tuple(map(np.arange, sizes)),)))
+
+    spied(Known, "slope", gradient)
+    spied(Known, "rough", lambda problem, x, sample: due.append(len(x) * sample.cost))
+    spied(Run, "charge", lambda run, evaluations: charged.append(evaluations))
+    go(known, name)
+    assert sum(due) == pytest.approx(sum(charged))
+    assert len(due) > 10
 
 
 def test_bursts_and_moves_gain_what_greedy_placement_left(ran):

@@ -1,5 +1,6 @@
 """The baselines on functions with a known optimum, and on a small crossing."""
 
+import itertools
 from types import SimpleNamespace
 
 import numpy as np
@@ -10,10 +11,23 @@ from worlds import CAMERA, LIDAR, random_traffic, slow_but, world
 from inspe_jax.placement import candidate_table as tables
 from inspe_jax.placement import candidate_views, candidates, sampled_scores
 from inspe_jax.placement.constraints import Constraints
-from inspe_jax.placement.methods import batches, cma_es, greedy, grid, random_layouts
+from inspe_jax.placement.methods import (
+    adam,
+    batches,
+    cma_es,
+    greedy,
+    greedy_adam,
+    grid,
+    lbfgsb,
+    projected_gradient,
+    random_layouts,
+    registry,
+    solver_rounds,
+)
 from inspe_jax.placement.methods.finer_moves import finer, of_unit, sights
 from inspe_jax.placement.methods.registry import SEARCHES
 from inspe_jax.placement.objective import Objective
+from inspe_jax.placement.optimise import _drive
 from inspe_jax.placement.problem import Case, Problem
 from inspe_jax.placement.run import BudgetSpent, Run
 from inspe_jax.placement.sample_score import SampleScore, times
@@ -259,6 +273,99 @@ def test_a_generation_that_was_cut_short_is_asked_again(problem, start, whole):
             METHODS["cma-es"].step(run, state)
     go(METHODS["cma-es"], run, state)
     assert run.offers == first.offers
+
+
+# ── Ends, anywhere ──────────────────────────────────────────────────────────
+
+
+class Pulled(Problem):
+    """The soft score is how near all sensors are to the centre, to have a slope at no price.
+
+    It keeps what a method prefers, in ``preferred``: the best of all that it compared on the last
+    sample.
+    """
+
+    preferred: list
+    compared: tuple
+
+    def slope(self, poses, on, softness):
+        away = np.array(poses, np.float32) / 30
+        return 1 - float((away**2).sum()), -2 * away / 30
+
+    def rough(self, x, sample):
+        scores = super().rough(x, sample)
+        key = np.asarray(sample.arrays[0].centered.columns).tobytes()
+        pairs = self.compared[1] if self.compared[0] == key else []
+        pairs += zip(scores.tolist(), x, strict=True)
+        self.compared = key, pairs
+        self.preferred.append(max(pairs, key=lambda pair: pair[0])[1])
+        return scores
+
+
+@pytest.fixture
+def pulled(scene, start, monkeypatch):
+    """The problem; what is preferred on a sample, before the method comes to hold or offer it."""
+    problem = Pulled(scene, team(scene))
+
+    def watch(of, name, layout):
+        inner = getattr(of, name)
+
+        def watched(*given):
+            found = inner(*given)
+            if (x := layout(found, *given)) is not None:
+                problem.preferred.append(x)
+            return found
+
+        monkeypatch.setattr(of, name, watched)
+
+    for module in (adam, solver_rounds):
+        monkeypatch.setattr(module, "COLUMNS", 96)
+        monkeypatch.setattr(module, "FRAMES", 3)
+    monkeypatch.setattr(adam._ranked, "__defaults__", (1,))
+    monkeypatch.setattr(Run, "compile_ahead", lambda run, method: None)
+    watch(greedy, "lazy_greedy", lambda found, table: table.layout(start, found[0]))
+    watch(greedy, "exchange", lambda found, table, *_: table.layout(start, found))
+    watch(adam, "advance", lambda found, *_: adam.layouts(problem, found)[0])
+    watch(greedy_adam, "_bursts", lambda found, *_: found[0][0])
+    for module in (greedy, greedy_adam):
+        watch(module, "finer", lambda found, *_: found[0])
+    for module in (lbfgsb, projected_gradient):
+        inner = module.charged
+
+        def charged(run, drawn, score, layout, inner=inner):
+            losses = []
+
+            def heard(z):
+                loss, slope = score(z)
+                if losses and loss < min(losses):
+                    problem.preferred.append(layout(z))
+                losses.append(loss)
+                return loss, slope
+
+            return inner(run, drawn, heard, layout)
+
+        monkeypatch.setattr(module, "charged", charged)
+    return problem
+
+
+ENDS = {"adam": 400, "greedy-adam": 150, "lbfgsb": 150, "projected-gradient": 150}
+ENDS |= {"greedy": 150, "grid": 120, "random": 30, "cma-es": 90}
+"""Looks at the clock in which a method comes through its kinds of step."""
+
+
+@pytest.mark.parametrize("name", registry.METHODS)
+def test_wherever_its_time_ends_it_is_not_below_what_it_preferred(name, pulled, start):
+    """By a clock that ends a search at any of its looks. A method prefers what it would end with:
+    the best of what it last compared on one sample; and greedy placement, from when it is made."""
+    unscored = 0
+    for ends in np.unique(np.geomspace(2, ENDS[name], 12).astype(int)):
+        pulled.preferred, pulled.compared = [start], (b"", [])
+        run = Run(pulled, start, seconds=float(ends), clock=itertools.count().__next__)
+        assert _drive(run, registry.METHODS[name]) in ("budget spent", "converged")
+        unscored += pulled.preferred[-1] is not start
+        assert run.best >= pulled.exact(pulled.preferred[-1]) - 1e-9, ends
+        assert run.held is None
+    assert unscored > 4
 
 
 # ── Grid ────────────────────────────────────────────────────────────────────

@@ -5,7 +5,7 @@ end, so that the edges of views are precise.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import partial
 from typing import Any, TypeVar
 
@@ -20,7 +20,7 @@ from inspe_jax.core.parallel import run as on_all_cores
 from inspe_jax.placement.candidates import COLUMNS, FRAMES
 from inspe_jax.placement.methods.states import KEY, method_of
 from inspe_jax.placement.problem import Problem, per_problem
-from inspe_jax.placement.run import GRADIENT_COST, Run
+from inspe_jax.placement.run import Run
 
 SOFTNESS = (3.0, 0.3)
 """Softness at the start and at the end of a search [m]."""
@@ -75,8 +75,9 @@ class Charted:
 
 @dataclass(frozen=True, eq=False)
 class AdamState(Charted):
-    """Adam's layouts; how often some were ``culled``; and what was spent [s, exact scores] when the
-    search ``began`` and when it last ``looked`` at the best of them."""
+    """Adam's layouts, the one that was best when they were last compared first; how often some were
+    ``culled``; and what was spent [s, exact scores] when the search ``began`` and when it last
+    ``looked`` at the best of them."""
 
     culled: int
     began: Float[np.ndarray, "2"]
@@ -90,11 +91,11 @@ def begin_adam(run: Run) -> AdamState:
     """The given start and the best of some random layouts, in their charts."""
     problem = run.problem
     sample = problem.sample(run.rng(0), COLUMNS, FRAMES)
-    others = problem.space.random(run.rng(1), SCREENED)
-    ranked = others[np.argsort(-run.rough(others, sample), kind="stable")]
-    x = np.concatenate([run.start[None], ranked[: STARTS - 1]])
+    x = np.concatenate([run.start[None], problem.space.random(run.rng(1), SCREENED)])
+    ranked = np.argsort(-run.rough(x, sample), kind="stable")
+    kept = [0, *ranked[ranked > 0][: STARTS - 1]]
     now = run.spent
-    first = charted(problem, x, np.arange(STARTS))
+    first = charted(problem, x[ranked[np.isin(ranked, kept)]], np.arange(STARTS))
     return AdamState(**vars(first), culled=0, began=now, looked=now)
 
 
@@ -136,14 +137,23 @@ def step_adam(run: Run, state: AdamState) -> AdamState | None:
         state = _cull(run, state)
     elif done >= run.share(state.looked) + LOOKS:
         x = layouts(problem, state)
-        run.offer(x[_ranked(run, x, state.count)[0]])
-        state = replace(_charted_again(problem, state, x), looked=run.spent)
+        ranked = _ranked(run, x, state.count)
+        run.offer(x[ranked[0]])
+        state = _ordered(replace(_charted_again(problem, state, x), looked=run.spent), ranked)
 
     def now() -> tuple[float, float]:
         through = (run.done - began) / (_LAST - began)
         return annealed(SOFTNESS, through), annealed(RATE, through)
 
-    return advance(run, state, now, CHUNK)
+    state = advance(run, state, now, CHUNK)
+    run.hold(layouts(problem, state)[0])
+    return state
+
+
+def _ordered(state: AdamState, order: Int[np.ndarray, " M"]) -> AdamState:
+    """The layouts of a state in another order."""
+    rows = [field.name for field in fields(Charted) if field.name != "count"]
+    return replace(state, **{name: getattr(state, name)[order] for name in rows})
 
 
 def advance(run: Run, state: CT, now: Callable[[], tuple[float, float]], count: int) -> CT:
@@ -156,7 +166,7 @@ def advance(run: Run, state: CT, now: Callable[[], tuple[float, float]], count: 
         softness, rate = (jnp.asarray(x, float) for x in now())
         rng = run.rng(2, k)
         drawn = [problem.draw(rng, STEP_COLUMNS, STEP_FRAMES) for _ in line]
-        run.charge(len(line) * GRADIENT_COST * problem.sample_cost(drawn[0]))
+        run.charge_gradient(drawn[0], len(line))
         # One by one, on all cores: faster than all lines in one array.
         rows = zip(z, state.anchor, state.place, drawn, strict=True)
         jobs = [("slope", partial(score, *row, softness)) for row in rows]

@@ -72,8 +72,9 @@ def step(run: Run, state: CmaState) -> CmaState | None:
 
     All layouts of a generation share one sample, because only their order counts. The next
     generation has a fresh sample, so that noise averages out; a sample kept until the next restart
-    would be fitted instead. Every :data:`LOOK` generations the strategy's mean and the best of the
-    last generation are compared, and the best of them is scored exactly.
+    would be fitted instead. Every :data:`LOOK` generations, and before a
+    restart, the strategy's mean and the best of the last generation are compared, and the best of
+    them is scored exactly.
 
     A restart begins at the best of some random layouts, with twice the population (IPOP).
     """
@@ -88,11 +89,11 @@ def step(run: Run, state: CmaState) -> CmaState | None:
     loss = PENALTY * away - run.rough(x, sample)
     strategy.tell(list(zip(asked, loss.tolist(), strict=True)))
     state = replace(state, losses=np.concatenate([losses, loss[None]]))
-    if (key[1] + 1) % LOOK == 0:
+    narrow = asked.std(0).max() < NARROW or strategy.should_stop()
+    if narrow or (key[1] + 1) % LOOK == 0:
         mean = _layouts(run, state, strategy.mean[None])[0]
         state = _look(run, state, np.concatenate([mean, x[np.argsort(loss)[:FOLLOWED]]]))
-    narrow = asked.std(0).max() < NARROW
-    if state.waited >= PATIENCE or narrow or strategy.should_stop():
+    if state.waited >= PATIENCE or narrow:
         return _begin_again(run, state)
     _live[run] = ((key[0], key[1] + 1), strategy)
     return state

@@ -311,27 +311,32 @@ def look(run: Run, state: P) -> P:
     charge(run, table.tally, table.look(part - 1))
     # A first layout soon: as soon as some candidates of every kind have been looked at.
     if state.round == 0 and part == len(table.kinds) < len(table.parts):
-        picks, _ = lazy_greedy(table)
-        run.offer(table.layout(run.start, picks))
+        _placed(run, table)
     if part >= len(table.kinds):  # one chunk of each kind
         run.problem.known.add(VIEWS)
     return replace(state, part=part, phase="place" if part == len(table.parts) else "look")
 
 
 def place(run: Run, state: Placing) -> Exchanging | Moving:
-    """Place all sensors greedily, and score the layout exactly.
+    """Place all sensors greedily at candidates looked at, and score the layout exactly.
 
     If some sensor found no place, candidates are not exchanged.
     """
-    table = _table(run, state.round)
+    table = _table(run, state.round, state.part)
     charge(run, table.tally, PLACE_COST * sum(len(kind.foot) for kind in table.kinds))
-    picks, _ = lazy_greedy(table)
-    x = table.layout(run.start, picks)
-    value = run.offer(x)
+    picks, x, value = _placed(run, table)
     sensors = range(len(run.problem.layout))
     if len(picks) < len(sensors):
         return Moving(state.round, x, value, x)
     return Exchanging(state.round, x, value, np.array([picks[s] for s in sensors]))
+
+
+def _placed(run: Run, table: Table) -> tuple[Picks, Float[np.ndarray, " N"], float]:
+    """The candidates that greedy placement picks, their coordinates (N,) and exact score."""
+    picks, _ = lazy_greedy(table)
+    x = table.layout(run.start, picks)
+    run.hold(x)
+    return picks, x, run.offer(x)
 
 
 def _exchange(run: Run, state: Exchanging) -> Exchanging | Moving:
@@ -341,6 +346,8 @@ def _exchange(run: Run, state: Exchanging) -> Exchanging | Moving:
     charge(run, table.tally, EXCHANGE_COST * looked)
     before = dict(enumerate(state.picks.tolist()))
     picks = exchange(table, before, state.unit)
+    if picks != before:
+        run.hold(table.layout(state.x, picks))
     state = replace(
         state,
         picks=np.array([picks[s] for s in range(len(picks))]),
@@ -371,6 +378,8 @@ def _move(run: Run, state: Moving) -> Moving | Placing:
     charge(run, tally, (u == 0) * len(rows) + MOVE_COST * views)
     new, rows = finer(problem, tally, x, rows, (u,), state.width, run.rng(2, *key), wanted.tries)
     _passes[run] = (*key[:2], u + 1), tally, rows
+    if new is not x:
+        run.hold(new)
     moved = state.moved + (new is not x)
     state = replace(state, now=new, moved=moved, unit=u + 1)
     units = len(problem.layout.units)

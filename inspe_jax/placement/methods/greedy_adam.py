@@ -1,9 +1,9 @@
 """Greedy placement, then bursts of Adam and finer moves: the default.
 
 Candidates find the places, which gradients do not jump between; gradients move all sensors at
-once, at a small price, where the score has a slope; and finer moves, which are judged hard, gain
-where it has none. As long as the gradient is not compiled, and in rounds that begin when little
-budget is left, there are exchanges in place of bursts. With LiDARs alone it is greedy placement
+once where the score has a slope; and finer moves, which are judged hard, gain where it has none.
+As long as the gradient is not compiled, and where the budget has no room for a burst, there are
+exchanges instead. With LiDARs alone it is greedy placement
 with its own exchanges and moves: there exchanges gain more in the same time than bursts do. Where
 metrics other than the paper's have weight, it is CMA-ES: what candidates add to most of them is not
 known, and on detectability with cameras it comes further than Adam in the same time, and needs less
@@ -12,6 +12,7 @@ compiled.
 
 import time
 from dataclasses import dataclass, field, replace
+from functools import reduce
 
 import numpy as np
 from jaxtyping import Float
@@ -19,7 +20,7 @@ from jaxtyping import Float
 from inspe_jax.placement.candidates import COLUMNS, FRAMES
 from inspe_jax.placement.compile_ahead import CompileJob
 from inspe_jax.placement.methods import greedy
-from inspe_jax.placement.methods.adam import advance, charted, layouts
+from inspe_jax.placement.methods.adam import STEP_COLUMNS, STEP_FRAMES, advance, charted, layouts
 from inspe_jax.placement.methods.cma_es import CMA_ES
 from inspe_jax.placement.methods.finer_moves import Sighted, finer, of_unit, sights, with_unit
 from inspe_jax.placement.methods.greedy import FINER, MOVE_COST, charge
@@ -28,9 +29,9 @@ from inspe_jax.placement.run import Method, Run
 from inspe_jax.placement.sample_score import PAPER, Rows, SampleScore
 
 PLACING = 0.4
-"""Share of the budget at which the first round's placement ends at the latest."""
+"""Share of the budget after which the first round looks at no more candidates, if bursts fit."""
 UNTIL = 0.85
-"""Share of the budget after which Adam does not begin."""
+"""Share of the budget at which bursts of Adam end."""
 COMPILES = 3.0
 """How long the gradient compiles beside greedy placement, in what all that came before took: 19 s
 after 6 s, and 24 s after 9 s, on two cores."""
@@ -122,20 +123,29 @@ def step(run: Run, state: State) -> State:
     """
     if isinstance(state, Improving):
         return _pass(run, state)
-    if not run.ready(GRADIENT) or run.done >= UNTIL:
+    if not _bursts_fit(run):
         found = greedy.step(run, state)
         if isinstance(found, greedy.Moving):
             return _improving(run, state, found.x, found.value)
         assert isinstance(found, Placing | greedy.Exchanging)
         return found
-    late = state.round == 0 and len(run.history) > 1 and run.done >= PLACING
-    if late or not isinstance(state, Placing):
+    if not isinstance(state, Placing):
         return _improving(run, state, run.best_x, run.best)
     run.wait(greedy.VIEWS)
-    if state.phase == "look":
+    late = state.round == 0 and len(run.history) > 1 and run.done >= PLACING
+    if state.phase == "look" and not late:
         return greedy.look(run, state)
     placed = greedy.place(run, state)
     return _improving(run, state, placed.x, placed.value)
+
+
+def _bursts_fit(run: Run) -> bool:
+    """Whether the gradient is compiled, and a burst ends before :data:`UNTIL`."""
+    if not run.ready(GRADIENT):
+        return False
+    drawn = run.problem.draw(run.rng(0), STEP_COLUMNS, STEP_FRAMES)
+    burst = BURST * run.problem.gradient_cost(drawn) * run.exact_cost
+    return run.share(run.spent + burst) < UNTIL
 
 
 def _improving(run: Run, state: State, x: Float[np.ndarray, " N"], value: float) -> Improving:
@@ -158,19 +168,22 @@ def _pass(run: Run, state: Improving) -> Placing | Improving:
     charge(run, tally, len(problem.layout))
     first = state.x, sights(problem, tally, state.x, range(len(problem.layout)))
     at, value, moved, start = first, state.value, 0, state.value
-    if run.done < UNTIL and run.ready(GRADIENT):
+    if _bursts_fit(run):
         new, state = _bursts(run, state, tally, first[1])
         at, value = _better(run, at, value, new) if careful else (new, value)
     new, rng = at, run.rng(2, *key)
     for k in range(GENERATIONS * max(map(len, members))):
         units = [u for u, sensors in enumerate(members) if k < GENERATIONS * len(sensors)]
         charge(run, tally, MOVE_COST * TRIES * sum(len(members[u]) for u in units))
-        new = finer(problem, tally, *new, units, state.width, rng, TRIES)
+        before, new = new, finer(problem, tally, *new, units, state.width, rng, TRIES)
+        if new[0] is not before[0]:
+            run.hold(new[0])
     differs = new[0] != at[0]
     changed = [u for u in range(len(members)) if differs[of_unit(problem, u)].any()]
     if careful:
-        for u in changed:
+        for k, u in enumerate(changed):
             before = at
+            run.hold(reduce(lambda on, v: with_unit(problem, on, new, v), changed[k:], at)[0])
             at, value = _better(run, at, value, with_unit(problem, at, new, u))
             moved += at is not before
     else:
@@ -197,14 +210,14 @@ def _better(run: Run, at: Sighted, value: float, new: Sighted) -> tuple[Sighted,
 def _bursts(
     run: Run, state: Improving, tally: SampleScore, rows: dict[int, Rows]
 ) -> tuple[Sighted, Improving]:
-    """Bursts of Adam, each at rest at first, until one gains nothing on the sample.
+    """Bursts of Adam, each at rest at first, until one gains nothing on the sample or does not fit.
 
     Returns the layout, and the state with what the next burst begins with; ``rows`` are what the
     sensors see of the sample now.
     """
     problem, x = run.problem, state.x
     count, softness, rate = state.count, state.softness, state.rate
-    while True:
+    while _bursts_fit(run):
         start = charted(problem, x[None], ONE_LINE, count)
         after = advance(run, start, lambda: (softness, rate), BURST)
         count, new = after.count, layouts(problem, after)[0]
@@ -212,6 +225,7 @@ def _bursts(
         seen = sights(problem, tally, new, range(len(problem.layout)))
         if tally.value(seen) <= tally.value(rows):
             break
+        run.hold(new)
         x, rows = new, seen
     calmer = replace(state, count=count, softness=softness * CALMER, rate=rate * CALMER)
     return (x, rows), calmer

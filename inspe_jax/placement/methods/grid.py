@@ -68,6 +68,7 @@ def step(run: Run, state: GridState) -> GridState | None:
     done, key = len(state.scores), (state.sweep, state.block)
     sample = problem.sample(run.rng(*key), COLUMNS, FRAMES)
     scores = np.append(state.scores, run.rough(x[done : done + CHUNK], sample))
+    run.hold(x[np.argmax(scores)])
     if len(scores) < len(x):
         return replace(state, scores=scores)
     best, value = offer_better(run, x, scores, state.value)

@@ -1,5 +1,7 @@
 """L-BFGS-B on the soft score: in charts, within a box about the last round's end."""
 
+from typing import Any
+
 import jax.numpy as jnp
 import numpy as np
 
@@ -22,9 +24,17 @@ def _solve(run: Run, x: np.ndarray, data: tuple) -> np.ndarray:
     v, place = problem.space.chart(x)
     anchor, scale = on_host(v, float), problem.space.scale
     score = charted_score(problem)
+
+    def layout(z: Any) -> np.ndarray:
+        # The solver stays within its bounds, because it starts within them; but for rounding.
+        z = np.clip(np.asarray(z), -TRUST, TRUST)
+        return problem.space.from_chart(anchor + scale * z, place, np)
+
     # SciPy's solver through jaxopt's interface: jaxopt's own compiles for half a minute.
     solver = jaxopt.ScipyBoundedMinimize(
-        fun=charged(run, data[0], lambda z: score(jnp.asarray(z, float), anchor, place, *data)),
+        fun=charged(
+            run, data[0], lambda z: score(jnp.asarray(z, float), anchor, place, *data), layout
+        ),
         method="L-BFGS-B",
         value_and_grad=True,
         jit=False,
@@ -32,10 +42,7 @@ def _solve(run: Run, x: np.ndarray, data: tuple) -> np.ndarray:
         options={"maxfun": 2 * ITERATIONS},
     )
     still = np.zeros_like(anchor)
-    z = solver.run(still, bounds=(still - TRUST, still + TRUST)).params
-    # The solver stays within its bounds, because it starts within them at 0; but for rounding.
-    z = np.clip(np.asarray(z), -TRUST, TRUST)
-    return problem.space.from_chart(anchor + scale * z, place, np)
+    return layout(solver.run(still, bounds=(still - TRUST, still + TRUST)).params)
 
 
 LBFGSB = method_in_rounds(

@@ -25,7 +25,7 @@ def _solve(run: Run, x: np.ndarray, data: tuple) -> np.ndarray:
     # All coordinates of a block, as a foot's, have one scale. So the nearest point is the same in
     # coordinates divided by their scale.
     solver = jaxopt.ProjectedGradient(
-        charged(run, data[0], lambda z: score(z, *data)),
+        charged(run, data[0], lambda z: score(z, *data), project),
         projection=lambda z, _: jnp.asarray(project(z) / scale, float),
         value_and_grad=True,
         maxiter=ITERATIONS,

@@ -16,7 +16,8 @@ from jaxtyping import Array, Float
 from inspe_jax.placement.candidates import COLUMNS, FRAMES
 from inspe_jax.placement.methods.adam import SCREENED, SOFTNESS, annealed
 from inspe_jax.placement.methods.states import method_of
-from inspe_jax.placement.run import GRADIENT_COST, Method, Run
+from inspe_jax.placement.problem import Drawn
+from inspe_jax.placement.run import Method, Run
 
 with warnings.catch_warnings():
     # On import it warns that it is no longer maintained; the parts used here are tested here.
@@ -69,12 +70,24 @@ def _step(run: Run, state: RoundState, solve: Solve) -> RoundState | None:
 
 
 def charged(
-    run: Run, drawn: Any, score: Callable[[Array], tuple[Array, Array]]
+    run: Run,
+    drawn: Drawn,
+    score: Callable[[Array], tuple[Array, Array]],
+    layout: Callable[[Array], Float[np.ndarray, " N"]],
 ) -> Callable[[Array], tuple[Array, Array]]:
-    """A score and its slope, charged to the budget at every call."""
+    """A loss and its slope, charged to the budget at every call.
+
+    What is better than the first is held, in the coordinates (N,) that ``layout`` gives.
+    """
+    best: float | None = None
 
     def evaluate(z: Array) -> tuple[Array, Array]:
-        run.charge(GRADIENT_COST * run.problem.sample_cost(drawn))
-        return score(z)
+        nonlocal best
+        run.charge_gradient(drawn)
+        loss, slope = score(z)
+        if best is not None and loss < best:
+            run.hold(layout(z))
+        best = float(loss) if best is None else min(best, float(loss))
+        return loss, slope
 
     return evaluate

@@ -165,7 +165,8 @@ def view(
         bool,
         typer.Option(
             help="Put a random token into the page's address, so that only those who have the "
-            "address can open it. --no-token is allowed only with a --host of this machine."
+            "address can open it. On this machine it stays the same for the same --out. --no-token "
+            "is allowed only with a --host of this machine."
         ),
     ] = True,
     light: LightOption = "midday",
@@ -192,9 +193,11 @@ def view(
     from inspe_jax.core.errors import InspeError
     from inspe_jax.core.files import check_output
     from inspe_jax.placement.problem import Case
+    from inspe_jax.report.page_token import kept_token
     from inspe_jax.report.server import AccessRules
     from inspe_jax.scene.scene import load_scene
     from inspe_jax.sensing.conditions import Conditions
+    from inspe_jax.sensing.layout import layout_text
     from inspe_jax.viewer.app import Viewer
 
     check_output(path, (".yaml", ".yml"))
@@ -204,6 +207,8 @@ def view(
         world = load_scene(source, profile)
         layout = layout_on(world, sensors, unit_rule=False)
     access = AccessRules(host) if token else AccessRules(host, token="")
+    if token and access.local:  # a page that is open when the server ends gets in to the next one
+        access = replace(access, token=kept_token(str(path.resolve())))
     if not (token or access.local):
         raise InspeError(
             f"--no-token is allowed only on this machine, but --host {host} lets others connect"
@@ -256,6 +261,8 @@ def view(
         viewer.close()
         raise
     if not viewer.store.holds(viewer.layout):
-        kept = viewer.store.unsaved
-        out.print(f"not saved; the layout is kept in {kept}", highlight=False, soft_wrap=True)
+        out.print(viewer.store.words(viewer.layout), highlight=False, soft_wrap=True)
+        if viewer.store.kept(viewer.layout) is None:  # it would be lost
+            out.print(layout_text(viewer.layout), highlight=False, soft_wrap=True, markup=False)
+            leave_at_once(1)
     leave_at_once(0)

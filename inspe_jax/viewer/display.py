@@ -214,9 +214,13 @@ class Display:
         self.draw_voxels()
 
     def notify(self, title: str, words: str, color: Any) -> None:
-        """Show every browser a message for a while."""
-        for client in self._server.get_clients().values():
-            client.add_notification(title, words, color=color, auto_close_seconds=8.0)
+        """Show every browser a message for a while, in its turn; of one title the newest."""
+
+        def job() -> None:
+            for client in self._server.get_clients().values():
+                client.add_notification(title, words, color=color, auto_close_seconds=8.0)
+
+        self._queue.submit(job, key=("message", title))
 
     def close(self) -> None:
         """Cancel the action that waits, and finish what is being drawn."""

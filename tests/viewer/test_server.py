@@ -630,7 +630,7 @@ def test_a_browser_that_leaves_in_mid_drag_lets_go_there(viewer):
     wait_until(lambda: viewer.layout is not before and not viewer.views)
     assert viewer.layout.poses[0, 2] - before.poses[0, 2] == pytest.approx(0.5, abs=1e-3)
     wait_until(lambda: viewer.display.shown is viewer.layout)
-    wait_until(lambda: not any(t.is_alive() for t in view.sensor_view._recording._thread._threads))
+    wait_until(lambda: not view.sensor_view._recording._thread.is_alive())
     still_works(viewer)
 
 

@@ -74,11 +74,11 @@ def opened(viewer):
 
 
 def done(viewer, true=lambda: True, seconds=120):
-    """Wait until the queue has done what it was asked, and something holds."""
+    """Wait until the queue has done what it was asked and what follows, and something holds."""
     end = time.monotonic() + seconds
     while time.monotonic() < end:
         waits = []
-        viewer.queue.submit(lambda waits=waits: waits.append(1))
+        viewer.queue.submit(lambda w=waits: viewer.queue.submit(lambda: w.append(1)))
         while not waits:
             time.sleep(0.005)
         if true():

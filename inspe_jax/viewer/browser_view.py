@@ -146,7 +146,7 @@ class BrowserView:
         """Add a sensor, mounted as near as possible to the point that the browser looks at."""
         session, shift = self._viewer.session, self._viewer.scene3d.shift
         at = np.array(self.client.camera.look_at, float)[:2] + shift[:2]
-        self._add(lambda: session.add(name, session.inside(at)))
+        self._add(lambda: session.add(name, at))
 
     def remove(self) -> None:
         """Remove what is selected, and select the sensor after it."""

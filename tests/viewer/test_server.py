@@ -748,6 +748,39 @@ def test_a_key_is_heard_over_the_socket_but_not_during_a_search(viewer):
         wait_until(lambda: viewer.layout is not changed)
 
 
+def test_a_burst_of_requests_is_shown_once_and_holds_nobody_up(fresh, layout):
+    """Sixty times Undo undo sixty changes; of thousands a bounded number is done, and another
+    browser's request is done soon after."""
+    layouts = [replace(layout, name=f"{k}") for k in range(70)]
+    for one in layouts:
+        fresh.session.take(one)
+    shown, real = [], fresh.display.draw
+    fresh.display.draw = lambda *told: (shown.append(told[0]), real(*told))
+    undo = dict(type="CommandTriggerMessage", uuid=fresh.panel.keys["Undo"]._impl.uuid)
+    with socket_of(fresh.url) as page, socket_of(fresh.url) as other:
+        enter(page)
+        own_of(fresh)
+        enter(other)
+        wait_until(lambda: len(fresh.views) == 2)
+        done, going = [], threading.Event()
+        fresh.queue.submit(going.wait)
+        for _ in range(60):
+            send(page, **undo)
+        wait_until(lambda: len(fresh.queue._waiting) >= 60)
+        going.set()
+        wait_until(lambda: fresh.layout is layouts[9])
+        wait_until(lambda: shown and shown[-1] is layouts[9])
+        assert len(shown) < 5
+        for k in range(3000):
+            set_value(page, fresh.panel.edit, ("Undo", "Redo", "Save")[k % 3])
+        set_value(other, fresh.panel.edit, "Save")
+        fresh.queue.submit(lambda: done.append(True))
+        wait_until(lambda: done and not fresh.queue._waiting, 20)
+        began = time.monotonic()
+        fresh.close()
+        assert time.monotonic() - began < 10
+
+
 def test_a_key_that_no_page_offers_does_nothing(viewer):
     before = viewer.layout
     with socket_of(viewer.url) as page:

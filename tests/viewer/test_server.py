@@ -26,6 +26,7 @@ from worlds import world
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.placement.problem import Case
+from inspe_jax.report.page_token import kept_token
 from inspe_jax.report.server import (
     BROWSERS,
     LINES,
@@ -254,6 +255,27 @@ def test_addresses_are_those_that_others_can_use():
     assert AccessRules("::1").urls(1) != AccessRules("::1").urls(1)  # a token of its own each
     assert AccessRules("::1", token="").urls(1) == ["http://[::1]:1/"]
     assert len(access.token) >= 20
+
+
+def test_a_kept_token_is_its_user_s_alone(tmp_path):
+    first = kept_token("a.yaml", tmp_path)
+    assert kept_token("a.yaml", tmp_path) == first
+    assert kept_token("b.yaml", tmp_path) != first
+    files = sorted((tmp_path / "page_tokens").iterdir())
+    assert [oct(at.stat().st_mode & 0o777) for at in (files[0].parent, *files)] == [
+        "0o700", "0o600", "0o600",
+    ]  # fmt: skip
+    (at,) = (one for one in files if one.read_text() == first)
+    for spoil in (
+        lambda: at.chmod(0o644),  # others could have read it
+        lambda: (at.chmod(0o600), at.write_text("short")),
+        lambda: (at.rename(tmp_path / "real"), at.symlink_to(tmp_path / "real")),
+    ):
+        spoil()
+        tokens = [kept_token("a.yaml", tmp_path) for _ in range(2)]
+        assert len({first, *tokens}) == 3
+        assert all(len(token) == len(first) for token in tokens)
+    assert kept_token("a.yaml", tmp_path / "real") != first  # a file in the folder's place
 
 
 def test_a_version_of_viser_that_opens_its_port_otherwise_is_not_used(monkeypatch):

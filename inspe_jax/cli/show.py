@@ -7,7 +7,7 @@ import signal
 import time
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -261,8 +261,9 @@ def view(
         viewer.close()
         raise
     if not viewer.store.holds(viewer.layout):
-        out.print(viewer.store.words(viewer.layout), highlight=False, soft_wrap=True)
-        if viewer.store.kept(viewer.layout) is None:  # it would be lost
-            out.print(layout_text(viewer.layout), highlight=False, soft_wrap=True, markup=False)
+        plain: Any = dict(highlight=False, soft_wrap=True, markup=False)
+        out.print(viewer.store.words(viewer.layout), **plain)
+        if viewer.store.kept(viewer.layout) is None:
+            out.print("so it is printed here:", layout_text(viewer.layout), sep="\n", **plain)
             leave_at_once(1)
     leave_at_once(0)

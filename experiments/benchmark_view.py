@@ -169,7 +169,8 @@ def on_server(viewer: Viewer, s: int) -> float:
 
     def event() -> None:
         view_of(viewer).select(s)
-        viewer.queue.submit(lambda: done.put(time.monotonic()))
+        end = partial(viewer.queue.submit, lambda: done.put(time.monotonic()))
+        viewer.queue.submit(end)  # what it asks for is shown by what follows
 
     began = time.monotonic()
     viewer.server.get_event_loop().call_soon_threadsafe(event)
@@ -194,7 +195,7 @@ def answers(
     """Choose one sensor after another, of another unit each time, whenever it is ready."""
     for _ in range(count):
         time.sleep(rng.uniform(*PAUSE))
-        s = (view_of(viewer).in_hand + 5) % len(viewer.layout)
+        s = (view_of(viewer).selection[-1] + 5) % len(viewer.layout)
         ready()
         yield on_server(viewer, s) if tab is None else in_page(tab, viewer, s)
 

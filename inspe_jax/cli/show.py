@@ -7,7 +7,7 @@ import signal
 import time
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -173,7 +173,8 @@ def view(
         bool,
         typer.Option(
             help="Put a random token into the page's address, so that only those who have the "
-            "address can open it. --no-token is allowed only with a --host of this machine."
+            "address can open it. On this machine it stays the same for the same --out. --no-token "
+            "is allowed only with a --host of this machine."
         ),
     ] = True,
     light: LightOption = "midday",
@@ -200,15 +201,19 @@ def view(
     from inspe_jax.core.errors import InspeError
     from inspe_jax.core.files import check_output
     from inspe_jax.placement.problem import Case
+    from inspe_jax.report.page_token import kept_token
     from inspe_jax.report.server import AccessRules
     from inspe_jax.scene.scene import load_scene
     from inspe_jax.sensing.conditions import Conditions
+    from inspe_jax.sensing.layout import layout_text
     from inspe_jax.viewer.app import Viewer
 
     check_output(path, (".yaml", ".yml"))
     conditions, weights = Conditions.of(light, weather), options.weights()
     further, curves = options.further(), options.curves()
     access = AccessRules(host) if token else AccessRules(host, token="")
+    if token and access.local:  # a page that is open when the server ends gets in to the next one
+        access = replace(access, token=kept_token(str(path.resolve())))
     if not (token or access.local):
         raise InspeError(
             f"--no-token is allowed only on this machine, but --host {host} lets others connect"
@@ -265,6 +270,9 @@ def view(
         viewer.close()
         raise
     if not viewer.store.holds(viewer.layout):
-        kept = viewer.store.unsaved
-        out.print(f"not saved; the layout is kept in {kept}", highlight=False, soft_wrap=True)
+        plain: Any = dict(highlight=False, soft_wrap=True, markup=False)
+        out.print(viewer.store.words(viewer.layout), **plain)
+        if viewer.store.kept(viewer.layout) is None:
+            out.print("so it is printed here:", layout_text(viewer.layout), sep="\n", **plain)
+            leave_at_once(1)
     leave_at_once(0)

@@ -25,8 +25,9 @@ import secrets
 import socket
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from contextlib import AbstractContextManager, redirect_stdout
+from contextvars import ContextVar
 from dataclasses import dataclass, field, replace
 from functools import cache
 from typing import Any
@@ -45,6 +46,7 @@ from websockets.http11 import Request, Response
 from inspe_jax.core.errors import InspeError, brief
 from inspe_jax.core.words import visible
 from inspe_jax.report.page_head import with_head
+from inspe_jax.report.page_token import new_token
 
 PORTS = 100
 """Number of ports that are tried."""
@@ -64,8 +66,6 @@ LARGEST = 1e9
 """Largest number in a message; geometry in single precision overflows with larger ones."""
 LEAST = 1e-6
 """Least length of a rotation's quaternion, which should be 1."""
-TOKEN = 16
-"""Length of the token [byte]."""
 HEADERS = {
     "Cache-Control": "no-store",
     "Content-Security-Policy": "frame-ancestors 'none'; object-src 'none'; base-uri 'none'",
@@ -90,6 +90,8 @@ _KINDS = {kind.__name__: kind for kind in SENT}
 _KNOWN = {kind.__name__ for kind in kinds.Message.get_subclasses()}
 _HOST = re.compile(r"([a-z0-9.-]+|\[[0-9a-f:.]+\])(:[0-9]{1,5})?", re.IGNORECASE)
 _serving = threading.Lock()
+sender: ContextVar[Hashable] = ContextVar("sender", default=None)
+"""The connection whose message is being handled, in its task and in those that this one starts."""
 
 
 @dataclass(frozen=True)
@@ -100,7 +102,7 @@ class AccessRules:
     """
 
     host: str
-    token: str = field(default_factory=lambda: secrets.token_urlsafe(TOKEN))
+    token: str = field(default_factory=new_token)
     browsers: int = BROWSERS
 
     @property
@@ -210,8 +212,8 @@ def _own_names() -> set[str]:
 def serve(access: AccessRules, port: int, head: str = "") -> viser.ViserServer:
     """Start a server for browsers, at ``port`` or the next free one; at any free one for port 0.
 
-    ``head`` is HTML for the head of its page, such as a title; without it the page is viser's.
-    Raises InspeError if the host is not an address of this machine, or no port is free.
+    ``head`` is HTML for the page's head. Raises InspeError if the host is not an address of this
+    machine, or no port is free.
     """
     host = access.host
     _own_names()
@@ -376,6 +378,7 @@ class _Guard:
             raw = await receive()
             why, hostile = fault_of(raw)
             if not why:
+                sender.set(connection.id)
                 return raw
             if why not in reported:
                 reported.add(why)

@@ -10,7 +10,9 @@ import time
 import traceback
 import warnings
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import replace
+from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -44,6 +46,7 @@ COMPILES = 3.0
 """A search that said so this long ago still compiles [s]."""
 SEARCH_COMPILES = 40.0
 """Rough time that compiling a search takes [s]."""
+_FILE = '<div data-file style="padding:.2em 1em;font-size:.875em;overflow-wrap:anywhere">{}</div>'
 
 
 class Viewer(FileActions):
@@ -116,16 +119,19 @@ class Viewer(FileActions):
     def close(self, *, wait: bool = True) -> None:
         """Apply what is typed, stop the search, finish a report that is being written, and stop.
 
-        Without ``wait``, scores that are being computed are dropped: compiling may take a minute,
+        What browsers have asked for is done as far as that is quick; the rest is dropped. Without
+        ``wait``, scores that are being computed are dropped: compiling may take a minute,
         and cannot be interrupted.
         """
         self.settle()
         self._playing.cancel()
         self.searcher.close()
         self.scorer.close(wait=wait)
+        self.queue.close()
+        with suppress(InspeError, OSError):  # the store has why
+            self.store.keep(self.layout)
         self.store.close()
         self.display.close()
-        self.queue.close()
         for view in list(self.views.values()):
             view.close(wait=True)
         with quiet():
@@ -135,7 +141,8 @@ class Viewer(FileActions):
 
     async def _on_connect(self, client: Any) -> None:
         def job() -> None:
-            self.open_view(client)
+            if client.client_id in self.server.get_clients():
+                self.open_view(client)
             if client.client_id not in self.server.get_clients():  # it has left meanwhile
                 self._close_view(client)
 
@@ -175,7 +182,7 @@ class Viewer(FileActions):
 
     def restore(self) -> None:
         """Show the controls as they were: a browser has set one to an impossible value."""
-        self.queue.submit(self._show_controls)
+        self.queue.submit(self._show_controls, key="controls")
 
     def undo_or_redo(self, which: str) -> None:
         """Undo the last change, or redo it; ``which`` is "Undo" or "Redo"."""
@@ -232,7 +239,7 @@ class Viewer(FileActions):
             self.case = replace(self.case, conditions=around)
             self.scorer.case = self.searcher.case = self.case
             self.display.set_case(self.case)
-            self.show()
+            self._show_soon()
 
         self._unless_searching(job)
 
@@ -322,7 +329,10 @@ class Viewer(FileActions):
                 return
             self._best = layout
             self.show_held(layout)
-            self.store.keep(layout)  # in case the page is lost
+            try:
+                self.store.keep(layout)  # in case the page is lost
+            finally:
+                self._show_file(layout)
 
         self.queue.submit(job, key="better")
 
@@ -337,14 +347,14 @@ class Viewer(FileActions):
             self.panel.course.content = f"{words[0].upper()}{words[1:]}"
             color = "red" if ending.failed else "green" if ending.gain > 0 else None
             self.display.notify("Search", words, color)
-            self.after_change()
+            self.changed()
 
         self.queue.submit(job)
 
     # ── What is shown; on the thread of the queue ──
 
     def _unless_searching(self, job: Callable[[], Any]) -> None:
-        """Submit an action, except during a search: the page then shows the search's layout."""
+        """Submit an action, to be done unless a search runs: the page then shows its layout."""
         self.queue.submit(lambda: None if self.searching else job())
 
     def change(self, change: Callable[[], Any]) -> None:
@@ -354,32 +364,35 @@ class Viewer(FileActions):
             before = self.layout
             try:
                 change()
-            except Exception:
-                self._show_controls()  # as they were
-                raise
-            if self.layout is before:
-                self._show_controls()
-            else:
-                self.after_change()
+            finally:
+                if self.layout is before:
+                    self.restore()
+                else:
+                    self.changed()
 
         self._unless_searching(job)
 
-    def after_change(self) -> None:
-        """Keep the layout, show it and have it scored."""
+    def changed(self) -> None:
+        """Have views follow the layout, and show it soon: once for many changes in a row."""
+        for view in list(self.views.values()):
+            view.follow()
+        self._show_soon()
+
+    def _show_soon(self) -> None:
+        self.queue.submit(self.show, key="show")
+
+    def show(self) -> None:
+        """Keep the layout as it is now, show it, and have it scored."""
         try:
             self.store.keep(self.layout)
         finally:
-            self.show()
-
-    def show(self) -> None:
-        """Show the layout as it is now, and have it scored."""
-        for view in list(self.views.values()):
-            view.follow()
-        faults = self.session.faults()
-        self.display.draw(self.layout, faults, self.session.notes)
-        self._show_controls()
-        self._show_file()
-        self.scorer.score(self.layout, whole=True)
+            for view in list(self.views.values()):
+                view.follow()
+            faults = self.session.faults()
+            self.display.draw(self.layout, faults, self.session.notes)
+            self._show_controls()
+            self._show_file(self.layout)
+            self.scorer.score(self.layout, whole=True)
 
     def show_held(self, layout: Layout) -> None:
         """Show a layout in which a sensor is being moved, and have some frames of it scored."""
@@ -391,8 +404,8 @@ class Viewer(FileActions):
         for view in list(self.views.values()):
             view.show()
 
-    def _show_file(self) -> None:
-        self.panel.file.content = self.store.words(self.layout)
+    def _show_file(self, layout: Layout) -> None:
+        self.panel.file.content = _FILE.format(escape(self.store.words(layout)))
 
     def _head(self) -> str:
         title = f"{self.layout.name} at {self.case.scene.name} – inspe_jax"

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from inspe_jax.core.errors import InspeError
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.viewer.bindings import set_value
 from inspe_jax.viewer.handle import Handle, HandleDrag
@@ -34,7 +35,8 @@ class BrowserView:
     """What one browser has of its own: a selection, a handle, controls, and a recording.
 
     ``selection`` are the places of the selected sensors in the layout. The last of them is
-    ``in_hand``: it has the handle, and the others move along with it.
+    ``in_hand``: it has the handle, and the others move along with it. None is selected once another
+    change than :meth:`remove` has removed them.
     """
 
     def __init__(self, client: Any, viewer: Any) -> None:
@@ -56,9 +58,9 @@ class BrowserView:
         )
 
     @property
-    def in_hand(self) -> int:
-        """The place of the sensor that has the handle."""
-        return self.selection[-1]
+    def in_hand(self) -> int | None:
+        """The place of the sensor that has the handle, if one has."""
+        return self.selection[-1] if self.selection else None
 
     def close(self, *, wait: bool) -> None:
         """Record nothing more; with ``wait``, come back when the last recording has ended."""
@@ -86,7 +88,13 @@ class BrowserView:
 
     def step(self, by: int) -> None:
         """Select the sensor so many places after the one in hand, round and round."""
-        self._select(lambda: ((self.in_hand + by) % len(self._viewer.layout),))
+        first = min(by, 0)  # where nothing is selected, of the list's beginning or end
+
+        def found() -> tuple[int, ...]:
+            s = self.in_hand
+            return ((first if s is None else s + by) % len(self._viewer.layout),)
+
+        self._select(found)
 
     def click_number(self, u: int, *, several: bool = False) -> None:
         """Of the sensors on a unit, select the one after the one in hand, round and round; with
@@ -100,22 +108,23 @@ class BrowserView:
             if several:
                 others = tuple(k for k in self.selection if k not in members)
                 return others if set(members) <= set(self.selection) else (*others, *members)
-            after = [s for s in members if s > self.in_hand] if self.in_hand in members else []
+            held = self.in_hand if self.in_hand in members else None
+            after = [] if held is None else [s for s in members if s > held]
             return ((*after, *members)[0],)
 
         self._select(found)
 
     def swap(self, name: str) -> None:
         """Exchange the device of the sensor in hand."""
-        self._viewer.change(lambda: self._viewer.session.swap(self.in_hand, name))
+        self._viewer.change(lambda: self._viewer.session.swap(self._held(), name))
 
     def type_number(self, key: str, value: float) -> None:
         """Set a number of the pose of the sensor in hand, once nothing more is typed; that of the
         others changes by as much."""
 
         def change() -> None:
-            session, (*along, s) = self._viewer.session, self.selection
-            session.set_number(s, key, value, along)
+            session, s = self._viewer.session, self._held()
+            session.set_number(s, key, value, self.selection[:-1])
             if session.notes:  # the sensor cannot be mounted there
                 self._viewer.display.notify("Mounted nearby", "; ".join(session.notes), "orange")
 
@@ -125,23 +134,30 @@ class BrowserView:
         """Give the sensor in hand another name, once nothing more is typed."""
 
         def change() -> None:
-            self._viewer.session.rename(self.in_hand, name)
+            self._viewer.session.rename(self._held(), name)
 
         self._typing["name"].start(NAMED, lambda: self._viewer.change(change))
 
     def duplicate(self) -> None:
         """Add a copy of the sensor in hand to its unit, and select it."""
-        self._add(lambda: self._viewer.session.duplicate(self.in_hand))
+        self._add(lambda: self._viewer.session.duplicate(self._held()))
 
     def add(self, name: str) -> None:
         """Add a sensor, mounted as near as possible to the point that the browser looks at."""
         session, shift = self._viewer.session, self._viewer.scene3d.shift
         at = np.array(self.client.camera.look_at, float)[:2] + shift[:2]
-        self._add(lambda: session.add(name, session.inside(at)))
+        self._add(lambda: session.add(name, at))
 
     def remove(self) -> None:
-        """Remove what is selected."""
-        self._viewer.change(lambda: self._viewer.session.remove(*self.selection))
+        """Remove what is selected, and select the sensor after it."""
+
+        def job() -> None:
+            s = self._held()
+            self._viewer.session.remove(*self.selection)
+            self.follow()
+            self.selection = self.selection or (min(s, len(self._viewer.layout) - 1),)
+
+        self._viewer.change(job)
 
     # ── The handle ──
 
@@ -159,7 +175,7 @@ class BrowserView:
         """
         viewer = self._viewer
         if drag.phase == "start":
-            if not viewer.searching:
+            if not viewer.searching and self.selection:
                 self.dragging = Gripped(self.selection, viewer.layout)
             return
         self.drop_outdated()
@@ -179,12 +195,12 @@ class BrowserView:
             self._show_numbers(where)
         elif moved:  # and not only clicked
             viewer.session.move(s, pose, along)
-            viewer.after_change()
+            viewer.changed()
 
     # ── What is shown; on the thread of the queue ──
 
     def follow(self) -> None:
-        """Have the same sensors selected in the layout as it is now."""
+        """Have the same sensors selected in the layout as it is now, as far as they are there."""
         before, self._layout = self._layout, self._viewer.layout
         old, new = ([sensor.name for sensor in of.sensors] for of in (before, self._layout))
         if old == new:
@@ -194,7 +210,7 @@ class BrowserView:
         if len(old) == len(new):
             places = {s: places.get(s, s) for s in range(len(old))}
         kept = tuple(places[s] for s in self.selection if s in places)
-        self.selection = tuple(dict.fromkeys(kept)) or (min(self.in_hand, len(new) - 1),)
+        self.selection = tuple(dict.fromkeys(kept))
 
     def drop_outdated(self) -> bool:
         """End a drag of a layout that another browser has changed, or that is searched from;
@@ -211,19 +227,22 @@ class BrowserView:
         """Show what is selected of the layout as it is now, except for what is being dragged."""
         self.follow()
         s, layout, searching = self.in_hand, self._layout, self._viewer.searching
-        sensor, pose = layout.sensors[s], np.asarray(layout.poses[s], float)
+        count = len(self.selection)
 
         def set_controls() -> None:
             controls = self.controls
             controls.list_sensors([sensor.name for sensor in layout.sensors], s)
-            controls.say_several(len(self.selection), sensor.name)
-            controls.offer_device(sensor.spec)
-            controls.searching(searching)
-            set_value(controls.name, sensor.name)
+            controls.say_selected(count, "" if s is None else layout.sensors[s].name)
+            controls.enable(change=not searching, selected=s is not None)
+            if s is not None:
+                controls.offer_device(layout.sensors[s].spec)
 
         self._on_loop(set_controls)
-        if self.dragging is None:
+        if s is None:
+            self.handle.gizmo.visible = False
+        elif self.dragging is None:
             self._show_numbers(layout)
+            pose = np.asarray(layout.poses[s], float)
             self.handle.show(pose, self._viewer.scene3d.shift, visible=not searching)
 
     def show_outlines(self) -> None:
@@ -240,7 +259,7 @@ class BrowserView:
         others = (view for view in list(self._viewer.views.values()) if view is not self)
         if not held and any(view.dragging for view in others):
             layout = self._viewer.layout
-        s = min(self.in_hand, len(layout) - 1)
+        s = None if self.in_hand is None else min(self.in_hand, len(layout) - 1)
         self.sensor_view.look(Look(layout, s, frame, held))
 
     def show_table(self, layout: Layout, scored: ScoredLayout | None) -> None:
@@ -257,6 +276,9 @@ class BrowserView:
             if self.dragging is None:
                 there = (s for s in found() if s < len(self._viewer.layout))
                 self.selection = tuple(dict.fromkeys(there)) or self.selection
+            self._viewer.queue.submit(show, key=("selection", id(self)))
+
+        def show() -> None:
             self.show()
             self._viewer.display.show_selection(self)
 
@@ -274,13 +296,18 @@ class BrowserView:
 
     def _show_numbers(self, layout: Layout) -> None:
         """Show the numbers of the pose of the sensor in hand."""
-        numbers = self._viewer.session.numbers(layout, self.in_hand)
+        numbers = self._viewer.session.numbers(layout, self._held())
 
         def set_controls() -> None:
             for key, value in numbers.items():
                 set_value(self.controls.pose[key], round(value, DIGITS[key]))
 
         self._on_loop(set_controls)
+
+    def _held(self) -> int:
+        if self.in_hand is None:
+            raise InspeError("no sensor is selected: select one first")
+        return self.in_hand
 
     def _on_loop(self, show: Callable[[], None]) -> None:
         """Set controls on the event loop, so that it cannot come between a typed number and its

@@ -103,6 +103,7 @@ class Display:
         self._case, self._found = case, None
         for view in list(self._views.values()):
             view.sensor_view.case = case
+        self.draw_ground()
 
     def set_reference(self, layout: Layout, words: str) -> Reference:
         """Compare with this layout from now on, as it is scored; gives the reference before.
@@ -172,14 +173,14 @@ class Display:
         with self._server.atomic():
             self.draw_users(frame)
             ticked = [kind for kind, box in self._panel.shown.items() if box.value]
-            ticked = [] if self._panel.road_user else ticked
+            ticked = [] if self._mapped else ticked
             self.scene3d.draw_voxels(sight, ticked, faint=self._faded)
 
     def draw_ground(self) -> None:
         """Colour the ground as it is chosen: by regions, or by the chance to find a road user."""
-        road_user, found = self._panel.road_user, self._found
+        road_user, found = self._mapped, self._found
         with self._server.atomic():
-            if road_user is None or found is None or found[1] != road_user:
+            if road_user is None or found is None:
                 self.scene3d.draw_columns(None)
             else:
                 layer = banded(road_user, found[2], CHANCES)
@@ -215,9 +216,13 @@ class Display:
         self.draw_voxels()
 
     def notify(self, title: str, words: str, color: Any) -> None:
-        """Show every browser a message for a while."""
-        for client in self._server.get_clients().values():
-            client.add_notification(title, words, color=color, auto_close_seconds=8.0)
+        """Show every browser a message for a while, in its turn; of one title the newest."""
+
+        def job() -> None:
+            for client in self._server.get_clients().values():
+                client.add_notification(title, words, color=color, auto_close_seconds=8.0)
+
+        self._queue.submit(job, key=("message", title))
 
     def close(self) -> None:
         """Cancel the action that waits, and finish what is being drawn."""
@@ -242,6 +247,13 @@ class Display:
         """Whether the newest scores are of the shown layout, in the conditions that are shown."""
         found = self.scored
         return found is not None and found.layout is self.shown and self._is_here(found)
+
+    @property
+    def _mapped(self) -> str | None:
+        """The class of road users by whose chance the ground is coloured: the one that is chosen,
+        once that is found."""
+        found, chosen = self._found, self._panel.road_user
+        return chosen if found is not None and found[1] == chosen else None
 
     def _is_here(self, found: ScoredLayout) -> bool:
         """Whether scores are those in the conditions that are shown. Records are compared, as they
@@ -285,7 +297,8 @@ class Display:
             notes=self._notes,
             waiting=self._waiting_words(),
             faded=self._faded,
-            road_user=self._panel.road_user,
+            road_user=self._mapped,
+            awaited=self._panel.road_user if self._mapped is None else None,
             target=float(self._panel.target.value),
         )
         self._panel.headline.content, self._panel.scores.content, self._panel.notes.content = page

@@ -7,7 +7,7 @@ from typing import Any
 from inspe_jax.placement.problem import Case
 from inspe_jax.report.page import Start
 from inspe_jax.scoring.metrics import Weights
-from inspe_jax.sensing.layout import layout_text
+from inspe_jax.sensing.layout import Layout, layout_text
 from inspe_jax.viewer.display import Display
 from inspe_jax.viewer.job_queue import JobQueue
 from inspe_jax.viewer.panel import Panel
@@ -31,7 +31,7 @@ class FileActions:
     _report: Path | None = None
     _unless_searching: Callable[[Callable[[], Any]], None]
     change: Callable[[Callable[[], Any]], None]
-    _show_file: Callable[[], None]
+    _show_file: Callable[[Layout], None]
     _failed: Callable[[Exception], None]
 
     def save(self) -> None:
@@ -55,7 +55,7 @@ class FileActions:
 
     def _save(self, path: Path | None) -> None:
         self.store.save(self.layout, path)
-        self._show_file()
+        self._show_file(self.layout)
         self.display.notify("Saved", str(self.store.path), "green")
 
     def open_earlier(self, number: int) -> None:

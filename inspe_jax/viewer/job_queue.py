@@ -4,59 +4,97 @@ Browsers, the scorer and the search submit actions from threads of their own.
 """
 
 import threading
+from collections import defaultdict, deque
 from collections.abc import Callable, Hashable
-from concurrent.futures import ThreadPoolExecutor
+from contextvars import copy_context
+from functools import partial
+
+from inspe_jax.core.errors import InspeError
+from inspe_jax.report.server import sender
 
 Action = Callable[[], object]
+WAITING = 100
+"""Most actions of one browser that wait; a further one takes the place of the oldest."""
+PATIENCE = 2.0
+"""Time that waiting actions get at the end, before the rest is dropped [s]."""
 
 
 class JobQueue:
     """Runs actions one after another, in the order in which they were submitted.
 
-    ``failed`` is told of every exception that an action raises.
+    ``failed`` is told of every exception that an action raises. Of what a browser asks for, at most
+    :data:`WAITING` actions wait, the newest.
     """
 
     def __init__(self, failed: Callable[[Exception], None]) -> None:
         """``failed`` is called on the queue's thread with the exception that an action raised."""
         self.failed = failed
-        self._newest: dict[Hashable, Action] = {}
-        self._lock = threading.Lock()
+        self._waiting: dict[Hashable, tuple[Hashable, Action]] = {}  # by key: who asked, for what
+        self._asked: defaultdict[Hashable, deque[Hashable]] = defaultdict(deque)  # keys, by who
+        self._changed = threading.Condition()
         self._closed = False
-        self._thread = ThreadPoolExecutor(1, thread_name_prefix="queue")
+        self._thread = threading.Thread(target=self._work, name="queue", daemon=True)
+        self._thread.start()
 
     def submit(self, action: Action, key: Hashable = None) -> None:
         """Add an action. It replaces one of the same ``key`` that still waits.
 
-        Does nothing once the queue is closed.
+        Without a key it counts as the browser's whose message is being handled, if one is. Does
+        nothing once the queue is closed.
         """
-        key = object() if key is None else key
-        with self._lock:
+        who, key = (sender.get(), object()) if key is None else (None, key)
+        with self._changed:
             if self._closed:
                 return
-            if key not in self._newest:
-                self._thread.submit(self._run, key)
-            self._newest[key] = action
+            self._waiting[key] = who, action
+            if who is not None:
+                self._asked[who].append(key)
+                if len(self._asked[who]) > WAITING:
+                    del self._waiting[self._asked[who].popleft()]
+                    self._waiting["too many"] = None, _too_many
+            self._changed.notify()
 
-    def close(self, *, wait: bool = True) -> None:
-        """Run the actions that wait, and end the thread. Without ``wait``, drop them, and come
-        back at once."""
-        with self._lock:
+    def close(self, patience: float = PATIENCE) -> None:
+        """Run the actions that wait, for so long at most [s], drop the others, and end the thread.
+
+        Without ``patience``, drop all of them, and come back at once.
+        """
+        with self._changed:
             self._closed = True
-        self._thread.shutdown(wait=wait, cancel_futures=not wait)
+            self._changed.notify()
+        if patience:
+            self._thread.join(patience)
+        with self._changed:
+            self._waiting.clear()
+        if patience:
+            self._thread.join()  # for the action that runs
 
-    def _run(self, key: Hashable) -> None:
-        with self._lock:
-            action = self._newest.pop(key)
-        try:
-            action()
-        except Exception as e:
-            self.failed(e)
+    def _work(self) -> None:
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: self._waiting or self._closed)
+                if not self._waiting:
+                    return
+                who, action = self._waiting.pop(next(iter(self._waiting)))
+                if who is not None:
+                    self._asked[who].popleft()
+                    if not self._asked[who]:
+                        del self._asked[who]
+            try:
+                action()
+            except Exception as e:
+                self.failed(e)
+
+
+def _too_many() -> None:
+    raise InspeError(f"more was asked than can be done: only the newest {WAITING} requests are")
 
 
 class DelayedAction:
     """Runs one action after a delay; a newer action replaces the one that waits.
 
     The lock is held while the action runs: a caller of :meth:`run_now` continues when it is done.
+    Whoever runs it, it counts as of the browser that started it.
     """
 
     def __init__(self) -> None:
@@ -70,7 +108,7 @@ class DelayedAction:
             self.cancel()
             timer = threading.Timer(seconds, lambda: self._run(timer))
             timer.daemon = True
-            self._action, self._timer = action, timer
+            self._action, self._timer = partial(copy_context().run, action), timer
             timer.start()
 
     def run_now(self) -> None:

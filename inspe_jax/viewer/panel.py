@@ -142,7 +142,7 @@ class Panel:
                 for kind, name in VISIBILITY_NAMES.items()
             }
         with gui.add_folder("File"):
-            self.file = gui.add_markdown("")
+            self.file = gui.add_html("")
             self.save = gui.add_button("Save layout")
             self.download = gui.add_button("Download layout", color=SLATE)
             # Above the button that is pressed, at the panel's end: below it would be out of sight.

@@ -68,6 +68,7 @@ def score_panel(
     waiting: str = "scoring …",
     faded: bool = False,
     road_user: str | None = None,
+    awaited: str | None = None,
     target: float = 0.0,
 ) -> ScorePanel:
     """A layout's scores as HTML.
@@ -82,6 +83,7 @@ def score_panel(
     ``waiting``: what is being done while the layout has no scores.
     ``faded``: whether scores of another layout are faded.
     ``road_user``: by the chance to find whom the ground is coloured; None if it is not.
+    ``awaited``: by the chance to find whom it will be.
     ``target``: the P_sm that the layout should reach; 0 for none.
     """
     scores = None if scored is None else scored.scores
@@ -111,6 +113,7 @@ def score_panel(
         regions=[] if scores is None else list(_region_bars(scores, reference)),
         keys=LEGEND if road_user is None else _found_keys(road_user),
         mounting=MOUNTING_COLOR,
+        awaited=awaited,
     )
     return ScorePanel(headline, details, _NOTES.render(notes=notes) if notes else "")
 

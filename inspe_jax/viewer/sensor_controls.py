@@ -27,6 +27,7 @@ DIGITS = {"x": 2, "y": 2, "height": 2, "yaw": 1, "pitch": 1}
 """The decimals with which they are shown and typed."""
 
 
+NONE = "No sensor is selected"
 _WORDS = "padding:.1em 1em;font-size:.875em;line-height:1.4;color:#1d1d1f"
 
 
@@ -95,21 +96,24 @@ class SensorControls:
         bind_choice(self.new, chosen=self._choose)
         changes(self.add, lambda: view.add(self._devices[self.new.value]))
 
-    def list_sensors(self, names: Sequence[str], in_hand: int) -> None:
-        """List these sensors, numbered from 1, and choose the one at place ``in_hand``."""
+    def list_sensors(self, names: Sequence[str], in_hand: int | None) -> None:
+        """List these sensors, numbered from 1, and choose the one at place ``in_hand``, or none."""
         options = tuple(f"{k + 1}  {isolated(name)}" for k, name in enumerate(names))
+        options += (NONE,) if in_hand is None else ()
         if options != tuple(self.sensor.options):
             self.sensor.options = options
             numbers = tuple(str(k + 1) for k in range(len(names)))
             self.row_buttons.options = self.toggle_buttons.options = numbers
-        set_value(self.sensor, options[in_hand])
+        set_value(self.sensor, NONE if in_hand is None else options[in_hand])
 
-    def say_several(self, count: int, name: str) -> None:
-        """Say whose the numbers are, where ``count`` sensors are selected, several."""
-        self.several.visible = count > 1
+    def say_selected(self, count: int, name: str) -> None:
+        """Show the name of the sensor in hand, and whose the numbers are where not one sensor is
+        selected, but ``count``."""
+        set_value(self.name, name)
+        self.several.visible = count != 1
         whose = f"numbers are of <b>{escape(isolated(name))}</b>, the others move along"
-        words = f"{count} sensors selected: {whose}."
-        self.several.content = f'<div style="{_WORDS}">{words}</div>' if count > 1 else ""
+        words = f"{count} sensors selected: {whose}." if count else f"{NONE}: click on one."
+        self.several.content = f'<div style="{_WORDS}">{words}</div>' if count != 1 else ""
 
     def offer_device(self, spec: Spec) -> None:
         """Choose a device in the list; add it if the catalogue does not have it.
@@ -132,11 +136,13 @@ class SensorControls:
         """Show a row for each sensor of a layout, with what it adds to scores, if it has any."""
         self.table.content = sensor_table(layout, scored, selection)
 
-    def searching(self, on: bool) -> None:
-        """Leave only what selects, while a search runs."""
-        self.existing.visible = not on
-        for control in (self.device, self.new, self.name, *self.pose.values(), self.add):
-            control.disabled = on
+    def enable(self, *, change: bool, selected: bool) -> None:
+        """Leave only what selects unless the layout may change; and of what changes a selected
+        sensor nothing if none is."""
+        self.existing.visible = change and selected
+        self.new.disabled = self.add.disabled = not change
+        for control in (self.device, self.name, *self.pose.values()):
+            control.disabled = not (change and selected)
 
     def _choose(self) -> None:
         self._offered = None

@@ -27,7 +27,7 @@ from inspe_jax.sensing.sensors import CameraSpec, Spec
 from inspe_jax.simulation.embedded.recorder import LiveSensor
 from inspe_jax.simulation.frame import Image, RoadUserBox, Scan
 from inspe_jax.simulation.recorder import Recording
-from inspe_jax.viewer.job_queue import JobQueue
+from inspe_jax.viewer.job_queue import PATIENCE, JobQueue
 
 PIXELS = 320 * 240
 """Number of pixels of a picture, unless the camera itself has fewer."""
@@ -40,11 +40,11 @@ _TEMPLATE = template("viewer", "sensor_view.html.j2")
 
 
 class Look(NamedTuple):
-    """What is looked at: with sensor ``s`` of a layout, in frame ``t``. ``held``: it is moved at
-    the moment. Its unit then has no mast, and those of the others are where they were before."""
+    """What is looked at: with sensor ``s`` of a layout, or none, in frame ``t``. ``held``: it is
+    moved at the moment. Its unit then has no mast, and those of the others are where they were."""
 
     layout: Layout
-    s: int
+    s: int | None
     t: int
     held: bool
 
@@ -107,14 +107,14 @@ class SensorView:
 
     def close(self, *, wait: bool) -> None:
         """Record nothing more; with ``wait``, come back when the last recording has ended."""
-        self._recording.close(wait=wait)
+        self._recording.close(PATIENCE if wait else 0)
 
     def _look(self, at: Look) -> None:
         seen, page = None, ""
         try:
-            if self.on.value:
+            if self.on.value and at.s is not None:
                 pose = np.array(at.layout.poses[at.s], float)
-                boxes, seen = self._live_sensor(at).record(at.t, pose)
+                boxes, seen = self._live_sensor(at, at.s).record(at.t, pose)
                 spec = self.case.conditions.spec(at.layout.sensors[at.s].spec)
                 page = _page(spec, boxes, seen, held=at.held)
         except InspeError as e:
@@ -124,19 +124,20 @@ class SensorView:
             raise
         finally:
             self.picture.content, self.seen = page, seen
-            self._folder.label = f"Through sensor {at.s + 1}"
+            which = "a sensor" if at.s is None else f"sensor {at.s + 1}"
+            self._folder.label = f"Through {which}"
             self._show_points(world_points(seen).T if isinstance(seen, Scan) else None)
 
-    def _live_sensor(self, at: Look) -> LiveSensor:
+    def _live_sensor(self, at: Look, s: int) -> LiveSensor:
         """The selected sensor: while it is held, in the surroundings that it was taken up in."""
         if self._live is not None:
-            case, layout, s, sensor = self._live
+            case, layout, of, sensor = self._live
             there = layout is at.layout or (at.held and layout.sensors == at.layout.sensors)
-            if there and case is self.case and s == at.s:
+            if there and case is self.case and of == s:
                 return sensor
-        case, small = self.case, Recording(image_scale=image_scale(at.layout.sensors[at.s].spec))
-        sensor = LiveSensor(case.scene, at.layout, at.s, case.conditions, small)
-        self._live = case, at.layout, at.s, sensor
+        case, small = self.case, Recording(image_scale=image_scale(at.layout.sensors[s].spec))
+        sensor = LiveSensor(case.scene, at.layout, s, case.conditions, small)
+        self._live = case, at.layout, s, sensor
         return sensor
 
 

@@ -25,6 +25,8 @@ HEIGHT = 6.0
 """Height of a new sensor above the ground [m]."""
 LONGEST_NAME = 60
 """Number of characters that a sensor's name has at most."""
+TOLD = 0.01
+"""A number that comes out farther from what was typed is said [m, degrees]."""
 BESIDE = 0.8
 """A copy is turned by this fraction of the field of view, so that both views overlap a little."""
 
@@ -77,15 +79,15 @@ class LayoutSession:
         alone, and by as much for the sensors ``along``, whose units move as far in plan. The
         result is the nearest layout that can be mounted.
         """
-        old, pose = self.layout, np.array(pose, float)
-        pose[:2] = self.inside(pose[:2])
+        old, pose, notes = self.layout, np.array(pose, float), list[str]()
+        pose[:2] = self._inside(pose[:2], old.units[old.sensors[s].unit].name, notes)
         poses, units = np.array(old.poses, float), list(old.units)
         was = poses[s].copy()
         for unit in {old.sensors[k].unit for k in (s, *along)}:
             members, foot = list(old.members()[unit]), np.array(units[unit].base[:2])
             shift = pose[:2] - was[:2]
             if unit != old.sensors[s].unit:
-                shift = self.inside(foot + shift) - foot
+                shift = self._inside(foot + shift, units[unit].name, notes) - foot
             ground = self._ground(foot + shift)
             poses[members, :2] += shift
             poses[members, 2] += ground - self._ground(foot)
@@ -94,7 +96,7 @@ class LayoutSession:
         poses[together, 2] += pose[2] - was[2]
         poses[together, 3:] += (pose[3:] - was[3:] + np.pi) % (2 * np.pi) - np.pi
         poses[s, 3:] = pose[3:]
-        return self._mounted(replace(old, poses=poses, units=tuple(units)))
+        return self._mounted(replace(old, poses=poses, units=tuple(units)), notes)
 
     def move(self, s: int, pose: Float[np.ndarray, "6"], along: Sequence[int] = ()) -> None:
         """Move sensor ``s`` to a world pose, and others along: see :meth:`moved`."""
@@ -104,7 +106,8 @@ class LayoutSession:
         """Set a number of a sensor's pose: "x" or "y" in the world [m], "height" above the ground
         [m], "yaw" or "pitch" [degrees]. The sensors ``along`` change by as much.
 
-        Raises InspeError if it is not finite.
+        Where it comes to another number, notes begin with both. Raises InspeError if it is not
+        finite.
         """
         if not np.isfinite(value):
             raise InspeError(f"{key}: {value} is not a finite number")
@@ -116,6 +119,12 @@ class LayoutSession:
         else:
             pose[{"pitch": 4, "yaw": 5}[key]] = np.radians(value)
         self.move(s, pose, along)
+        stands, turns = self.numbers(self.layout, s)[key], key in ("yaw", "pitch")
+        away = (stands - value + 180) % 360 - 180 if turns else stands - value
+        if abs(away) > TOLD:
+            unit = "°" if turns else " m"
+            asked = f"{key} is {stands:.2f}{unit}, not {value:.10g}{unit} as asked for"
+            self.notes = (asked, *self.notes)
 
     def rename(self, s: int, name: str) -> None:
         """Give sensor ``s`` another name; an empty one changes nothing.
@@ -146,14 +155,17 @@ class LayoutSession:
     def add(self, name: str, at: Float[np.ndarray, "2"]) -> int:
         """Add a sensor of a device, on a unit of its own at ``at`` [m]; returns its number.
 
-        It looks at the scene's centre. Raises InspeError if the catalogue has no such device.
+        It looks at the scene's centre. A point outside of the region of interest is moved to its
+        rim. Raises InspeError if the catalogue has no such device.
         """
-        spec, old, foot = device(name).spec, self.layout, np.asarray(at, float)
+        spec, old, notes = device(name).spec, self.layout, list[str]()
+        unit_name = _free("unit", [u.name for u in old.units])
+        foot = self._inside(np.asarray(at, float), unit_name, notes)
         ground = self._ground(foot)
         to = self.scene.voxels.center[:2] - foot
         pitch = -np.arctan2(HEIGHT, max(np.hypot(*to), 1.0)) if spec.aimed else 0.0
         pose = [*foot, ground + HEIGHT, 0.0, pitch, np.arctan2(to[1], to[0])]
-        unit = Unit(_free("unit", [u.name for u in old.units]), (*foot.tolist(), ground))
+        unit = Unit(unit_name, (*foot.tolist(), ground))
         sensor = Sensor(_free(spec.name, [s.name for s in old.sensors]), spec, len(old.units))
         wanted = replace(
             old,
@@ -161,7 +173,7 @@ class LayoutSession:
             sensors=(*old.sensors, sensor),
             units=(*old.units, unit),
         )
-        self.take(*self._mounted(wanted, added=(unit.name,)))
+        self.take(*self._mounted(wanted, notes, added=(unit.name,)))
         return len(self.layout) - 1
 
     def duplicate(self, s: int) -> int:
@@ -241,18 +253,20 @@ class LayoutSession:
 
     # ── Mounting ──
 
-    def _mounted(self, wanted: Layout, added: Sequence[str] = ()) -> MountedLayout:
+    def _mounted(
+        self, wanted: Layout, before: Sequence[str] = (), added: Sequence[str] = ()
+    ) -> MountedLayout:
         """The nearest layout that can be mounted; the wanted one if there is none.
 
-        ``added`` are the names of its new units.
+        ``before`` are notes on what was done before, ``added`` the names of its new units.
         """
         try:
             space = self._space_for(wanted)
             x, notes = space.start(wanted, added)
             found = space.layout(x)
         except InspeError as wrong:
-            return wanted, (str(wrong),)
-        return found, notes
+            return wanted, (*before, str(wrong))
+        return found, (*before, *notes)
 
     def _space_for(self, wanted: Layout) -> Space:
         """Where the sensors of a layout may be.
@@ -273,11 +287,17 @@ class LayoutSession:
         if s >= len(self.layout):  # removed since it was chosen
             raise InspeError(f"there is no sensor {s + 1} any more")
 
-    def inside(self, at: Float[np.ndarray, "2"]) -> Float[np.ndarray, "2"]:
-        """The nearest point [m] within the region of interest."""
+    def _inside(
+        self, at: Float[np.ndarray, "2"], unit: str, notes: list[str]
+    ) -> Float[np.ndarray, "2"]:
+        """The nearest point [m] within the region of interest; it is noted if it is another."""
         center, radius = self.scene.voxels.center[:2], self.scene.voxels.radius
-        away = at - center
-        return center + away * min(1.0, radius / max(float(np.hypot(*away)), 1e-9))
+        away = float(np.hypot(*(at - center)))
+        if away <= radius:
+            return at
+        back = f"{away - radius:.2f} m back to the rim of the region of interest"
+        notes.append(f"unit '{unit}' brought {back}, whose radius is {radius:g} m")
+        return center + (at - center) * radius / away
 
     def _ground(self, foot: Float[np.ndarray, "2"]) -> float:
         return float(self.scene.intersection.ground(foot[None])[0])

@@ -52,6 +52,8 @@ class LayoutStore:
         self._kept = opened
         self._known: dict[Path, bytes] = {}  # this run's own files, as it has written them
         self._unsaved: Path | None = None
+        self._written: Layout | None = None  # what is in that file
+        self._wrong = ""  # why the newest layout is not
         self._taken_up: tuple[Path, Layout] | None = None
         self._report: threading.Thread | None = None
         if self._is(self.path, opened):  # it was opened from there
@@ -96,6 +98,10 @@ class LayoutStore:
             self._taken_up = earlier.path, layout
         return layout
 
+    def kept(self, layout: Layout) -> Path | None:
+        """The file that keeps the unsaved changes of a layout; None if none does."""
+        return self._unsaved if self._written is layout and self._owns(self._unsaved) else None
+
     def save(self, layout: Layout, path: Path | None = None) -> None:
         """Save the layout to ``path``, or to the present file. A file there is replaced.
 
@@ -111,23 +117,37 @@ class LayoutStore:
             self._taken_up = None
 
     def keep(self, layout: Layout) -> None:
-        """Keep the unsaved changes of a layout; remove their file if there are none."""
+        """Keep the unsaved changes of a layout; remove their file if there are none.
+
+        Raises InspeError or OSError if they cannot be kept: :meth:`words` then say so.
+        """
         if not self._owns(self._unsaved):
-            self._unsaved = None
+            self._unsaved = self._written = None
+        at, new = self._unsaved, self._unsaved is None
         if self.holds(layout):
-            if self._unsaved is not None:
-                self._unsaved.unlink(missing_ok=True)
+            if at is not None:
+                at.unlink(missing_ok=True)
                 self._unsaved = None
-            return
-        if self._unsaved is None:
-            self._unsaved = self._new_unsaved()
-        save_layout(layout, self._unsaved)
-        self._know(self._unsaved)
+        elif self._written is not layout:
+            try:
+                at = at or self._new_unsaved()
+                save_layout(layout, at)
+            except (InspeError, OSError) as e:
+                self._wrong = str(e)
+                if new and at is not None:  # it is empty
+                    at.unlink(missing_ok=True)
+                raise
+            self._unsaved, self._written = at, layout
+            self._know(at)
 
     def words(self, layout: Layout) -> str:
-        """Where the layout is saved, for the page, in Markdown."""
-        kept = "" if self.holds(layout) else f", not saved yet; kept in `{self.unsaved}`"
-        return f"`{self.path}`{kept}"
+        """Where the layout is: in its file, in the one that keeps it until then, or in none."""
+        if self.holds(layout):
+            there = self.path.exists()
+            return str(self.path) if there else f"nothing changed; to be saved in {self.path}"
+        kept = self.kept(layout)
+        where = f"kept in {kept}" if kept else f"and kept in no file: {self._wrong}"
+        return f"{self.path}, not saved yet, {where}"
 
     def report(
         self,

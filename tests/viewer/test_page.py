@@ -18,8 +18,10 @@ from worlds import world
 
 from inspe_jax.placement.problem import Case
 from inspe_jax.placement.space import Space
+from inspe_jax.report.page_token import kept_token
 from inspe_jax.report.plan_picture import LETTERS
 from inspe_jax.report.scene3d import turn_of
+from inspe_jax.report.server import AccessRules
 from inspe_jax.scoring.evaluate import evaluate
 from inspe_jax.sensing.conditions import FAIR, Conditions
 from inspe_jax.sensing.layout import load_layout, save_layout
@@ -516,7 +518,13 @@ def test_the_camera_in_hand_shows_what_the_recorder_records(tab, viewer, scene):
     night = Conditions("night")
     assert settled(tab, second) == evaluate(scene, viewer.layout, conditions=night).surrogate
     wait_until(tab, lambda: np.array_equal(shown(), wanted(night)))
-    assert tab.get_by_text("against the reference (midday, clear)").is_visible()
+    against = tab.get_by_text("against the reference (midday, clear)")
+    assert against.is_visible()
+    boxes = [found.bounding_box() for found in (against, tab.locator("[data-score]"))]
+    ends = [[box["x"] + box["width"], box["y"] + box["height"]] for box in boxes]
+    assert (np.array(ends[0]) <= ends[1]).all()  # all of it
+    undo = tab.get_by_role("button", name="Undo").bounding_box()
+    assert ends[1][1] <= undo["y"]
     panel = tab.locator(".mantine-ScrollArea-viewport:has([data-score])")
     assert panel.evaluate("e => e.scrollWidth <= e.clientWidth")  # nothing is cut off
 
@@ -621,6 +629,40 @@ def test_two_browsers_hold_sensors_of_their_own(chromium, tab, viewer):
     other.close()
     wait_until(tab, lambda: len(viewer.views) == 1)
     assert one.input_value().startswith("1")
+
+
+def test_where_the_server_ends_the_page_says_so_and_gets_in_to_the_next(
+    chromium, scene, layout, tmp_path
+):
+    """With the file that has the changes; at the same address."""
+    access = AccessRules("127.0.0.1", token=kept_token("page", tmp_path))
+    given = Case(scene), layout, tmp_path / "layout.yaml"
+    first = Viewer(*given, access=access, port=0)
+    tab = chromium.new_page(viewport={"width": 1440, "height": 900})
+    tab.goto(first.url)
+    before = settled(tab)
+    assert tab.locator("#lost").count() == 0
+    tab.get_by_label("height [m]").fill("9")
+    tab.keyboard.press("Enter")
+    settled(tab, before)
+    first.close()
+    said = tab.locator("#lost")
+    said.wait_for()
+    assert f"not saved yet, kept in {tmp_path}/layout.unsaved.yaml." in said.inner_text()
+    assert f"--port {first.port}" in said.inner_text()
+    again = AccessRules("127.0.0.1", token=kept_token("page", tmp_path))
+    second = Viewer(*given, access=again, port=first.port)
+    try:
+        assert second.url == first.url
+        said.wait_for(state="detached", timeout=WAIT)
+        assert settled(tab) == before
+        tab.get_by_text("An earlier run has left").wait_for()
+        tab.get_by_label("height [m]").fill("8")
+        tab.keyboard.press("Enter")
+        wait_until(tab, lambda: second.layout is not layout)
+    finally:
+        tab.close()
+        second.close()
 
 
 def test_a_number_is_clicked(tab, viewer):

@@ -26,6 +26,7 @@ from worlds import world
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.placement.problem import Case
+from inspe_jax.report.page_token import kept_token
 from inspe_jax.report.server import (
     BROWSERS,
     LINES,
@@ -254,6 +255,27 @@ def test_addresses_are_those_that_others_can_use():
     assert AccessRules("::1").urls(1) != AccessRules("::1").urls(1)  # a token of its own each
     assert AccessRules("::1", token="").urls(1) == ["http://[::1]:1/"]
     assert len(access.token) >= 20
+
+
+def test_a_kept_token_is_its_user_s_alone(tmp_path):
+    first = kept_token("a.yaml", tmp_path)
+    assert kept_token("a.yaml", tmp_path) == first
+    assert kept_token("b.yaml", tmp_path) != first
+    files = sorted((tmp_path / "page_tokens").iterdir())
+    assert [oct(at.stat().st_mode & 0o777) for at in (files[0].parent, *files)] == [
+        "0o700", "0o600", "0o600",
+    ]  # fmt: skip
+    (at,) = (one for one in files if one.read_text() == first)
+    for spoil in (
+        lambda: at.chmod(0o644),  # others could have read it
+        lambda: (at.chmod(0o600), at.write_text("short")),
+        lambda: (at.rename(tmp_path / "real"), at.symlink_to(tmp_path / "real")),
+    ):
+        spoil()
+        tokens = [kept_token("a.yaml", tmp_path) for _ in range(2)]
+        assert len({first, *tokens}) == 3
+        assert all(len(token) == len(first) for token in tokens)
+    assert kept_token("a.yaml", tmp_path / "real") != first  # a file in the folder's place
 
 
 def test_a_version_of_viser_that_opens_its_port_otherwise_is_not_used(monkeypatch):
@@ -640,7 +662,7 @@ def test_a_browser_that_leaves_in_mid_drag_lets_go_there(viewer):
     wait_until(lambda: viewer.layout is not before and not viewer.views)
     assert viewer.layout.poses[0, 2] - before.poses[0, 2] == pytest.approx(0.5, abs=1e-3)
     wait_until(lambda: viewer.display.shown is viewer.layout)
-    wait_until(lambda: not any(t.is_alive() for t in view.sensor_view._recording._thread._threads))
+    wait_until(lambda: not view.sensor_view._recording._thread.is_alive())
     still_works(viewer)
 
 
@@ -756,6 +778,39 @@ def test_a_key_is_heard_over_the_socket_but_not_during_a_search(viewer):
         wait_until(lambda: not viewer.searching)
         send(page, **key)
         wait_until(lambda: viewer.layout is not changed)
+
+
+def test_a_burst_of_requests_is_shown_once_and_holds_nobody_up(fresh, layout):
+    """Sixty times Undo undo sixty changes; of thousands a bounded number is done, and another
+    browser's request is done soon after."""
+    layouts = [replace(layout, name=f"{k}") for k in range(70)]
+    for one in layouts:
+        fresh.session.take(one)
+    shown, real = [], fresh.display.draw
+    fresh.display.draw = lambda *told: (shown.append(told[0]), real(*told))
+    undo = dict(type="CommandTriggerMessage", uuid=fresh.panel.keys["Undo"]._impl.uuid)
+    with socket_of(fresh.url) as page, socket_of(fresh.url) as other:
+        enter(page)
+        own_of(fresh)
+        enter(other)
+        wait_until(lambda: len(fresh.views) == 2)
+        done, going = [], threading.Event()
+        fresh.queue.submit(going.wait)
+        for _ in range(60):
+            send(page, **undo)
+        wait_until(lambda: len(fresh.queue._waiting) >= 60)
+        going.set()
+        wait_until(lambda: fresh.layout is layouts[9])
+        wait_until(lambda: shown and shown[-1] is layouts[9])
+        assert len(shown) < 5
+        for k in range(3000):
+            set_value(page, fresh.panel.edit, ("Undo", "Redo", "Save")[k % 3])
+        set_value(other, fresh.panel.edit, "Save")
+        fresh.queue.submit(lambda: done.append(True))
+        wait_until(lambda: done and not fresh.queue._waiting, 20)
+        began = time.monotonic()
+        fresh.close()
+        assert time.monotonic() - began < 10
 
 
 def test_a_key_that_no_page_offers_does_nothing(viewer):

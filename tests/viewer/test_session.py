@@ -139,6 +139,43 @@ def test_what_is_let_go_on_the_road_snaps_to_the_sidewalk(session):
     assert_mounted(session)
 
 
+@pytest.mark.parametrize(
+    ("key", "typed", "said"),
+    [
+        ("x", 1000.0, "x is {x:.2f} m, not 1000 m as asked for"),
+        ("y", -14.0, "y is {y:.2f} m, not -14 m as asked for"),
+        ("height", 60.0, "height is 12.00 m, not 60 m as asked for"),
+        ("pitch", 85.5, "pitch is 10.00°, not 85.5° as asked for"),
+        ("yaw", 400.0, None),
+        ("x", 9.5, None),
+    ],
+)
+def test_what_is_typed_and_what_comes_of_it_are_said(session, key, typed, said):
+    """And each step between: to the rim of the region, and from there to where one can mount."""
+    was, center = pose_of(session, 0)[:2], session.scene.voxels.center[:2]
+    radius = session.scene.voxels.radius
+    session.set_number(0, key, typed)
+    assert session.notes[:1] == (() if said is None else (said.format(**numbers(session)),))
+    asked = np.where(np.array(["x", "y"]) == key, typed, was)
+    away = np.hypot(*(asked - center))
+    beyond = [note for note in session.notes if "back to the rim" in note]
+    assert len(beyond) == (away > radius)
+    if beyond:
+        assert beyond[0].startswith(f"unit 'north' brought {away - radius:.2f} m back")
+        assert session.notes.index(beyond[0]) == 1
+    assert_mounted(session)
+
+
+def test_a_new_sensor_far_outside_is_said_to_be_brought_back(session):
+    session.add("paper-camera", session.scene.voxels.center[:2] + [0.0, 900.0])
+    back = f"{900.0 - session.scene.voxels.radius:.2f} m back to the rim"
+    assert session.notes[0].startswith(f"unit 'unit 1' brought {back}")
+
+
+def numbers(session):
+    return session.numbers(session.layout, 0)
+
+
 def test_heights_and_pitch_stay_within_what_mounting_allows(session):
     session.move(0, pose_of(session, 0) + [0, 0, 50, 0, 1.5, 0])
     assert session.height(0) == pytest.approx(12.0, abs=1e-3)

@@ -115,6 +115,32 @@ def test_the_newest_of_what_earlier_runs_left_is_offered(path, layout):
     assert offered == names[:4]
 
 
+@pytest.mark.parametrize("begun", [False, True])
+def test_what_is_said_to_be_kept_is_what_was_written(path, layout, monkeypatch, begun):
+    """On a full disk, or where the folder is read-only for a moment; then it is kept again."""
+    store, moved = LayoutStore(path, layout), raised(layout, 2.0)
+    if begun:
+        store.keep(raised(layout, 1.0))
+
+    def fails(*_):
+        raise InspeError("moved.unsaved.yaml: No space left on device")
+
+    with monkeypatch.context() as full:
+        full.setattr("inspe_jax.viewer.store.save_layout", fails)
+        with pytest.raises(InspeError, match="No space left"):
+            store.keep(moved)
+        assert store.kept(moved) is None
+        why = "moved.unsaved.yaml: No space left on device"
+        assert store.words(moved) == f"{path}, not saved yet, and kept in no file: {why}"
+    assert [found.name for found in path.parent.iterdir()] == ["moved.unsaved.yaml"] * begun
+    store.keep(moved)
+    assert store.words(moved) == f"{path}, not saved yet, kept in {store.unsaved}"
+    np.testing.assert_allclose(heights(store.kept(moved)), moved.poses[:, 2])
+    store.save(moved)
+    assert store.words(moved) == str(path)
+    assert store.kept(moved) is None
+
+
 def test_runs_at_the_same_time_keep_to_files_of_their_own(path, layout):
     """One goes back and forth, so that its file goes and comes, while another begins."""
     first, second = LayoutStore(path, layout), LayoutStore(path, layout)

@@ -12,12 +12,13 @@ from inspe_jax.core import compiling
 from inspe_jax.placement.constraints import Constraints
 from inspe_jax.placement.problem import Case
 from inspe_jax.placement.space import Space
+from inspe_jax.report.server import sender
 from inspe_jax.scoring.evaluate import evaluate
 from inspe_jax.scoring.metrics import METRICS
 from inspe_jax.scoring.viewshed import sight_in
 from inspe_jax.sensing.conditions import Conditions
 from inspe_jax.viewer import scorer as scorers
-from inspe_jax.viewer.job_queue import DelayedAction, JobQueue
+from inspe_jax.viewer.job_queue import WAITING, DelayedAction, JobQueue
 from inspe_jax.viewer.score_panel import cost_of, score_panel
 from inspe_jax.viewer.scorer import SHOWN, Scorer
 from inspe_jax.viewer.searcher import REASONS, SearchCallbacks, Searcher
@@ -51,6 +52,46 @@ def test_jobs_are_done_in_turn_and_only_the_newest_of_a_key():
     go.set()
     queue.close()
     assert done == [("drag", 4), "end"]
+
+
+def test_of_a_browser_only_the_newest_wait_and_the_end_comes_soon(monkeypatch):
+    """Whoever runs what one has typed; others, and what nobody has asked for, lose nothing."""
+    done, failed, go = [], [], threading.Event()
+    queue = JobQueue(failed.append)
+
+    def ask(who, count):
+        token = sender.set(who)
+        for k in range(count):
+            queue.submit(lambda k=k: done.append((who, k)))
+        sender.reset(token)
+
+    queue.submit(go.wait)
+    ask("one", WAITING)
+    ask(None, 3 * WAITING)
+    ask("other", 10_000)
+    typed = DelayedAction()
+    token = sender.set("other")
+    typed.start(60, lambda: queue.submit(lambda: done.append(("other", "typed"))))
+    sender.set("one")
+    typed.run_now()
+    sender.reset(token)
+    assert len(queue._waiting) == 5 * WAITING + 1
+    go.set()
+    while queue._waiting:
+        time.sleep(0.01)
+    queue.submit(go.clear)
+    queue.submit(lambda: go.wait(1))
+    queue.submit(lambda: done.append("never"))
+    began = time.monotonic()
+    queue.close(0.1)
+    assert time.monotonic() - began < 2
+    of = {who: [k for other, k in done if other == who] for who in ("one", None, "other")}
+    assert of["one"] == list(range(WAITING))
+    assert of[None] == list(range(3 * WAITING))
+    assert of["other"] == [*range(10_001 - WAITING, 10_000), "typed"]
+    assert [str(wrong) for wrong in failed] == [
+        f"more was asked than can be done: only the newest {WAITING} requests are"
+    ]
 
 
 def test_of_what_is_to_be_done_later_only_the_last_is_done():

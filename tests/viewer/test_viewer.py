@@ -3,6 +3,7 @@
 import asyncio
 import importlib.util
 import re
+import threading
 import time
 from base64 import b64decode
 from dataclasses import asdict, replace
@@ -74,11 +75,11 @@ def opened(viewer):
 
 
 def done(viewer, true=lambda: True, seconds=120):
-    """Wait until the queue has done what it was asked, and something holds."""
+    """Wait until the queue has done what it was asked and what follows, and something holds."""
     end = time.monotonic() + seconds
     while time.monotonic() < end:
         waits = []
-        viewer.queue.submit(lambda waits=waits: waits.append(1))
+        viewer.queue.submit(lambda w=waits: viewer.queue.submit(lambda: w.append(1)))
         while not waits:
             time.sleep(0.005)
         if true():
@@ -260,22 +261,33 @@ def test_frames_are_played_one_after_another_whatever_else_is_asked(viewer):
     assert np.diff(seen).min() > 0.2
 
 
-def test_the_ground_is_coloured_by_the_chance_that_a_road_user_is_found(viewer, scene, layout):
+def test_the_ground_is_coloured_by_the_chance_that_a_road_user_is_found(
+    viewer, scene, layout, monkeypatch
+):
     """A square for each column, in the band of its chance; no voxels over it; and a legend."""
 
     def voxels():
         found = viewer.scene3d.drawn.items()
         return [name for name, mesh in found if name.startswith("voxels/") and mesh.visible]
 
-    done(viewer, voxels)
-    set_value(viewer.panel.ground, "finding a pedestrian")
-    viewer.color_ground()
-
     def squares():
         found = viewer.scene3d.drawn
         return {n.removeprefix("columns/"): m for n, m in found.items() if n.startswith("columns/")}
 
-    done(viewer, squares)
+    done(viewer, voxels)
+    awaited, go = "Where a pedestrian is found is being computed", threading.Event()
+    find = viewer.scorer._find_chance
+    monkeypatch.setattr(viewer.scorer, "_find_chance", lambda *of: (go.wait(60), find(*of)))
+    set_value(viewer.panel.ground, "finding a pedestrian")
+    viewer.color_ground()
+    done(viewer)  # until there is a map, there is no legend of one
+    assert voxels()
+    assert not squares()
+    assert "never in view" in viewer.panel.scores.content
+    assert "pedestrian found ≥ 95 %" not in viewer.panel.scores.content
+    assert awaited in viewer.panel.scores.content
+    go.set()
+    done(viewer, lambda: squares() and awaited not in viewer.panel.scores.content)
     chance = target_view(scene, layout, "pedestrian").detectability
     edges = [*(least for least, _, _ in CHANCES), 2.0]
     counts = np.histogram(chance, edges)[0]
@@ -313,7 +325,7 @@ def test_numbers_typed_one_after_another_all_count(viewer, layout):
 
 
 def test_a_place_typed_far_outside_is_brought_to_the_rim(viewer, scene, layout, monkeypatch):
-    monkeypatch.setattr(viewer.session, "_mounted", lambda wanted: (wanted, ()))
+    monkeypatch.setattr(viewer.session, "_mounted", lambda wanted, notes: (wanted, notes))
     viewer.view.type_number("x", 1e4)
     done(viewer, lambda: viewer.layout is not layout)
     away = viewer.layout.poses[0, :2] - scene.voxels.center[:2]
@@ -604,6 +616,46 @@ def test_each_browser_selects_its_own_sensors_of_everybodys_layout(viewer, layou
         done(viewer)
         assert a.selection == b.selection == (1,)
     done(viewer, lambda: not ready())
+
+
+def test_what_somebody_else_removes_is_no_longer_selected_and_its_neighbour_is_not(viewer, layout):
+    """Nothing that follows, typed or pressed, is done to another sensor."""
+    view = viewer.view
+    viewer.change(lambda: viewer.session.remove(0))
+    done(viewer)
+    left = viewer.layout
+    assert view.selection == ()
+    assert "☑" not in view.controls.table.content
+    for ask in (
+        lambda: view.type_number("height", 9.0),
+        lambda: view.rename("mine"),
+        lambda: view.swap("velodyne-vlp-16"),
+        view.duplicate,
+        view.remove,
+    ):
+        viewer.told.clear()
+        ask()
+        viewer.settle()
+        done(viewer)
+        assert [words for _, words, _ in viewer.told] == ["no sensor is selected: select one first"]
+    for phase in ("start", "update", "end"):
+        viewer.queue.submit(
+            lambda phase=phase: view.drag(HandleDrag(phase, np.zeros(3), about(UP, 0)))
+        )
+    done(viewer)
+    assert viewer.layout is left
+    done(viewer, lambda: view.controls.sensor.value == "No sensor is selected")
+    assert view.controls.pose["x"].disabled
+    assert not view.handle.gizmo.visible
+    done(viewer, lambda: view.sensor_view._folder.label == "Through a sensor")
+    viewer.undo_or_redo("Undo")
+    done(viewer)
+    assert view.selection == ()
+    view.step(-1)
+    done(viewer)
+    assert view.selection == (1,)
+    done(viewer, lambda: view.handle.gizmo.visible and not view.controls.pose["x"].disabled)
+    assert len(view.controls.sensor.options) == 2
 
 
 def test_changes_are_against_a_layout_that_is_set_and_can_be_swapped(viewer, scene, layout):

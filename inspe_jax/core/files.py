@@ -195,7 +195,7 @@ def open_arrays(path: Path, otherwise: str) -> Iterator[Mapping[str, np.ndarray]
         raise InspeError(f"{path}: {otherwise}") from e
 
 
-def check_xml(file: IO[bytes], where: str, root: str) -> None:
+def check_xml(file: io.BufferedIOBase, where: str, root: str) -> None:
     """Raise InspeError unless a file is well-formed XML, at most :data:`DEPTH` deep, with a
     ``root``.
 

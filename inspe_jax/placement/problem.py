@@ -249,7 +249,7 @@ class Problem:
         """The cost of the gradient of one layout on a sample, in exact scores."""
         most, fixed, half, level = GRADIENT_COST
         sights = sum(len(at) * len(when) for at, when in drawn)
-        kinds = np.mean([1.0 if sensor.spec.aimed else level for sensor in self.layout.sensors])
+        kinds = float(np.mean([1.0 if x.spec.aimed else level for x in self.layout.sensors]))
         return self.sample_cost(drawn) * kinds * most * (sights + fixed) / (sights + half)
 
     def sample(self, rng: np.random.Generator, columns: int = 2048, frames: int = 8) -> Sample:

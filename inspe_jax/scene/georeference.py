@@ -57,12 +57,12 @@ class Georeference:
         """
         return np.column_stack(self._to_world.transform(*np.asarray(degrees, float).T)) + self.shift
 
-    def words(self, point: Float[np.ndarray, "2"]) -> str:
+    def words(self, point: Float[np.ndarray, "2"] | tuple[float, ...]) -> str:
         """Latitude and longitude of a point [m], as ``48.137000, 11.575000``."""
         lon, lat = self.to_degrees(np.asarray(point, float)[None, :2])[0]
         return f"{lat:.6f}, {lon:.6f}"
 
-    def doubt(self, point: Float[np.ndarray, "2"]) -> str:
+    def doubt(self, point: Float[np.ndarray, "2"] | tuple[float, ...]) -> str:
         """A warning where a point [m] is in the sea at 0° N 0° E; empty elsewhere."""
         if not np.abs(self.to_degrees(np.asarray(point, float)[None, :2])).max() < MADE_UP:
             return ""

@@ -71,10 +71,7 @@ OutOption = Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder fo
 @dataclass(frozen=True)
 class WeightOptions:
     """The weights of metrics in P_sm, by name, which metrics to compute besides, and the curves of
-    detectability.
-
-    ``--weights C O IG`` of before still works.
-    """
+    detectability."""
 
     weight: Annotated[
         list[str] | None,
@@ -94,18 +91,12 @@ class WeightOptions:
         ),
     ] = ""
     detection: DetectionOption = None
-    three_weights: Annotated[
-        tuple[float, float, float] | None,
-        typer.Option("--weights", metavar="C O IG", hidden=True),
-    ] = None
 
     def weights(self) -> dict[str, float]:
         """The weight of every metric. Raises InspeError if the weights are not valid."""
         from inspe_jax.scoring.metrics import weights_of
 
-        if self.weight and self.three_weights:
-            raise InspeError("--weight and --weights are the same option: give only --weight")
-        return weights_of(_weights(self.weight) if self.weight else self.three_weights)
+        return weights_of(_weights(self.weight) if self.weight else None)
 
     def curves(self) -> "DetectionCurves | None":
         """The curves of ``--detection``. Raises InspeError if the file holds no such curves."""
@@ -148,7 +139,7 @@ class ScoreOptions(WeightOptions):
     @property
     def given(self) -> bool:
         """Whether any of them says what counts."""
-        return any((self.weight, self.three_weights, self.region, self.road_user))
+        return any((self.weight, self.region, self.road_user))
 
     def curves(self) -> "DetectionCurves | None":
         """The curves of ``--detection``, for the classes of ``--road-user``."""

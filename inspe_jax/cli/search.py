@@ -284,7 +284,7 @@ def _find_cheapest(
     from inspe_jax.report.tables import cheapest_table
 
     check_target(target)
-    if not options.weight and not options.three_weights:
+    if not options.weight:
         options = replace(options, weight=["detectability=1"])
     objective, constraints = options.checked(prices=prices(price))
     check_search((method or DEFAULT_METHOD,), objective, seeds=(seed,))

@@ -6,21 +6,12 @@ objects. This module hashes fields alone, so a checkpoint fits the same search i
 
 import hashlib
 from collections.abc import Mapping, Sequence
-from dataclasses import field, fields, is_dataclass
+from dataclasses import fields, is_dataclass
 from enum import Enum
 from typing import Any
 
 import jax
 import numpy as np
-
-ADDED = "added"
-"""Key of the metadata of a field that a record did not have in an earlier version."""
-
-
-def added(default: Any, **metadata: Any) -> Any:
-    """A field that a record got in a later version: at its default, digests are those of before."""
-    return field(default=default, metadata={ADDED: default, **metadata})
-
 
 ORIGIN = "origin"
 """Key of the metadata of a field that says where a record came from, which is no content: digests
@@ -52,8 +43,6 @@ def _feed(found: "hashlib._Hash", thing: Any) -> None:
         found.update(f"record {type(thing).__name__};".encode())
         for part in fields(thing):
             value = part.metadata.get(ORIGIN, getattr(thing, part.name))
-            if ADDED in part.metadata and value == part.metadata[ADDED]:
-                continue
             found.update(f"{part.name}=".encode())
             _feed(found, value)
     elif isinstance(thing, Mapping):

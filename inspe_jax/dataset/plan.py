@@ -76,7 +76,6 @@ from inspe_jax.study.settings import (
     combinations,
     conditioned,
     defaults_of,
-    without_later,
 )
 from inspe_jax.study.sources import (
     LayoutSource,
@@ -133,12 +132,12 @@ class ScenarioPlan:
     @cached_property
     def scene(self) -> str:
         """A short text that identifies the scene."""
-        return digest([self.source.anywhere, without_later(self.build)])[:16]
+        return digest([self.source.anywhere, self.build])[:16]
 
     @cached_property
     def key(self) -> str:
         """A short text that identifies the scenario: by its content, not by its name."""
-        settings = without_later(self.settings)
+        settings = self.settings
         return digest([self.source.anywhere, self.layout, settings, self.recording])[:16]
 
     @cached_property

@@ -35,7 +35,6 @@ from inspe_jax.sensing.layout import parse_layout
 from inspe_jax.simulation.backends import BACKENDS
 from inspe_jax.study.settings import (
     CONDITIONS,
-    LATER,
     WORLD,
     Count,
     Line,
@@ -43,7 +42,6 @@ from inspe_jax.study.settings import (
     Text,
     check_settings,
     conditioned,
-    without_later,
 )
 from inspe_jax.study.sources import (
     LayoutSource,
@@ -54,8 +52,7 @@ from inspe_jax.study.sources import (
     scene_source,
 )
 
-FORMATS = ("inspe_jax scenario 2", "inspe_jax scenario 1")
-"""Formats of a protocol, the current one first. Scenarios of the other were recorded otherwise."""
+FORMAT = "inspe_jax scenario 2"
 PORT = 2000
 """CARLA's usual port. Readers of OPV2V data sets expect one in the protocol; it has no effect."""
 
@@ -126,7 +123,7 @@ def protocol_of(
         "content": source.content or None,
     }
     return {
-        "format": FORMATS[0],
+        "format": FORMAT,
         "name": plan.name,
         "split": plan.split,
         "world": {
@@ -137,7 +134,7 @@ def protocol_of(
             "town": source.built_in or str(source.map or source.file).partition(".")[0],
         },
         "scene": {key: value for key, value in scene.items() if value is not None},
-        "settings": without_later({key: plan.settings[key] for key in SETTINGS}),
+        "settings": {key: plan.settings[key] for key in SETTINGS},
         "recording": {
             "backend": backend,
             "rate_hz": plan.recording.rate,
@@ -186,7 +183,7 @@ def load_generation(
 def _from_protocol(content: dict[str, Any], where: str, folders: Iterable[Path]) -> Generation:
     entry = check_model(_Protocol, content, where)
     for key, value, known in (
-        ("format", entry.format, FORMATS),
+        ("format", entry.format, (FORMAT,)),
         ("split", entry.split, SPLITS),
         ("recording.backend", entry.recording.backend, tuple(BACKENDS)),
     ):
@@ -213,12 +210,6 @@ def _from_protocol(content: dict[str, Any], where: str, folders: Iterable[Path])
         if entry.versions.get(name) != now.get(name)
     ]
     notes = [f"made with {', '.join(sorted(differ))}: files may differ"] if differ else []
-    if entry.format != FORMATS[0]:
-        notes.append(
-            "recorded by an earlier version, in which road users returned points from beyond a "
-            "LiDAR's reach and looked different in each layout, a LiDAR's turn took as long as a "
-            "frame, and point clouds had a second name: files will differ"
-        )
     recorded = entry.recording
     return Generation(entry.name, (plan,), recorded.backend, tuple(notes), recorded.format)
 
@@ -245,14 +236,13 @@ def _settings(
     given: dict[str, Any], source: SceneSource, rate: float, where: str
 ) -> dict[str, Any]:
     """The settings of a protocol. For a saved scene, most of them are taken from its file."""
-    given = LATER | given
     for key in SETTINGS:
         if key not in given:
             raise InspeError(f"{where}: {key}: missing key")
     kept: dict[str, Any] = {}
     if source.file is not None:
         saved = dict(load_scene(source.file).settings)
-        kept = {key: saved.get(key, LATER.get(key, "")) for key in WORLD}
+        kept = {key: saved.get(key, "") for key in WORLD}
     entry = check_model(Settings, {k: v for k, v in given.items() if k not in kept}, where)
     several = {key: getattr(entry, key) for key in SETTINGS if key not in kept}
     twice = next((key for key, values in several.items() if len(values) != 1), None)

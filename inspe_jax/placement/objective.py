@@ -7,7 +7,6 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from inspe_jax.core.digest import ADDED, added
 from inspe_jax.core.errors import InspeError
 from inspe_jax.scene.regions import regions_of
 from inspe_jax.scene.scene import Scene
@@ -43,9 +42,9 @@ class Objective:
     price_weight: float = 0.0
     budget: float | None = None
     prices: Mapping[str, float] = field(default_factory=dict)
-    regions: tuple[str, ...] = added(())
-    metrics: tuple[str, ...] = added(())
-    detection: DetectionCurves | None = field(default=None, metadata={ADDED: None})
+    regions: tuple[str, ...] = ()
+    metrics: tuple[str, ...] = ()
+    detection: DetectionCurves | None = None
 
     @property
     def weights_by_name(self) -> dict[str, float]:

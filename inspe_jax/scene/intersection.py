@@ -14,7 +14,7 @@ from shapely.geometry import LineString, MultiPolygon, Point, Polygon
 from shapely.geometry.base import BaseGeometry
 from shapely.ops import unary_union
 
-from inspe_jax.core.digest import ADDED, ORIGIN, added
+from inspe_jax.core.digest import ORIGIN
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.records import Described, check_values
 from inspe_jax.scene.georeference import Georeference
@@ -97,12 +97,10 @@ class Intersection(Described):
     ground_points: Float[np.ndarray, "G 3"]
     notes: tuple[str, ...] = field(default=())
     map: Path | None = field(default=None, metadata={ORIGIN: None})
-    bodies: tuple[StaticBody, ...] = added(())
-    georeference: Georeference | None = field(default=None, metadata={ORIGIN: None, ADDED: None})
-    mesh: Mesh | None = field(default=None, metadata={ADDED: None})
-    level_points: Float[np.ndarray, "N 3"] | None = field(
-        default=None, metadata={ORIGIN: None, ADDED: None}
-    )
+    bodies: tuple[StaticBody, ...] = ()
+    georeference: Georeference | None = field(default=None, metadata={ORIGIN: None})
+    mesh: Mesh | None = None
+    level_points: Float[np.ndarray, "N 3"] | None = field(default=None, metadata={ORIGIN: None})
 
     def _facts(self) -> dict[str, Any]:
         counts = {part: len(getattr(self, part)) for part in ("arms", "routes", "poles", "bodies")}

@@ -15,7 +15,6 @@ import shapely
 from jaxtyping import Bool, Float
 from shapely.geometry.base import BaseGeometry
 
-from inspe_jax.core.digest import ADDED, added
 from inspe_jax.core.errors import InspeError, nearest, wrong_kind
 from inspe_jax.core.files import check_output, open_arrays, whole_file
 from inspe_jax.core.pytree import pytree
@@ -37,11 +36,7 @@ from inspe_jax.scene.traffic.frames import DENSITIES, TrafficFrames, shortfall
 from inspe_jax.scene.traffic.registry import traffic_model
 from inspe_jax.scene.voxels import VoxelGrid, build_voxels
 
-FORMAT = "inspe_jax scene 2"
-WITH_STATICS = "inspe_jax scene 3"
-"""The format of scenes with static bodies, which earlier versions would leave out in silence."""
-WITH_TERRAIN = "inspe_jax scene 4"
-"""And of scenes whose ground hides what is behind it, or that have a mesh."""
+FORMAT = "inspe_jax scene 5"
 OF_MAP = "map_bodies"
 """How the names of arrays begin that hold the bodies which a place's map brings."""
 SCENE_SUFFIXES = (".npz",)
@@ -67,8 +62,8 @@ class Scene(Described):
     traffic: TrafficFrames
     intersection: Intersection = field(metadata={"static": True})
     settings: tuple[tuple[str, str], ...] = field(metadata={"static": True}, default=())
-    statics: tuple[StaticBody, ...] = added((), static=True)
-    terrain: Terrain | None = field(default=None, metadata={ADDED: None, "static": True})
+    statics: tuple[StaticBody, ...] = field(metadata={"static": True}, default=())
+    terrain: Terrain | None = field(metadata={"static": True}, default=None)
 
     def _facts(self) -> dict[str, Any]:
         bodies = {"static bodies": len(self.statics)} if self.statics else {}
@@ -225,10 +220,7 @@ def build_scene(
         )
         settings |= dict(density=str(density), frames=str(frames), step=f"{step:g}")
         settings |= dict(mix=mix, traffic=str(traffic), seed=str(seed))
-    if statics != "none":
-        settings |= dict(statics=statics)
-    if terrain != "none":
-        settings |= dict(terrain=terrain)
+    settings |= dict(statics=statics, terrain=terrain)
     scene = Scene(voxels, found, intersection, tuple(settings.items()))
     scene = scene if terrain == "none" else scene.with_terrain()
     return scene.with_statics(statics_of(statics, intersection, radius, found)).check()
@@ -329,18 +321,11 @@ _MESH = tuple(f.name for f in fields(Mesh))
 _TRAFFIC = tuple(f.name for f in fields(TrafficFrames))
 
 
-def _format(scene: Scene) -> str:
-    """The oldest format that holds all of a scene."""
-    if scene.terrain is not None or scene.intersection.mesh is not None:
-        return WITH_TERRAIN
-    return WITH_STATICS if scene.statics else FORMAT
-
-
 def _pack(scene: Scene) -> dict[str, np.ndarray]:
     """A scene as plain arrays and one JSON text, with polygons as WKB."""
     place, grid = scene.intersection, scene.voxels
     record = {
-        "format": _format(scene),
+        "format": FORMAT,
         "name": place.name,
         "source": place.source,
         "notes": place.notes,
@@ -395,12 +380,12 @@ def _shape(wkb: bytes) -> BaseGeometry:
 
 def _unpack(data: Mapping[str, np.ndarray]) -> Scene:
     record = json.loads(str(data["record"]))
-    if record["format"] not in (FORMAT, WITH_STATICS, WITH_TERRAIN):
+    if record["format"] != FORMAT:
         if str(record["format"]).startswith(FORMAT.rstrip("0123456789")):
             raise _Earlier
         raise ValueError(f"format '{record['format']}', expected '{FORMAT}'")
     shapes = [_shape(data[f"shape_{i}"].tobytes()) for i in range(len(record["regions"]) + 1)]
-    given = record.get("georeference")  # none in older files
+    given = record["georeference"]
     points = np.split(data["route_points"], np.cumsum(data["route_lengths"])[:-1])
     place = Intersection(
         name=record["name"],
@@ -420,7 +405,7 @@ def _unpack(data: Mapping[str, np.ndarray]) -> Scene:
         georeference=given and Georeference(given[0], (given[1], given[2])),
         mesh=Mesh(*(data[f"mesh_{k}"] for k in _MESH)) if "mesh_triangles" in data else None,
     )
-    size, radius, level_count, *spacing = record["grid"]  # none in older files
+    size, radius, level_count, spacing = record["grid"]
     columns, ground, region, center = (data[f"grid_{k}"] for k in _GRID)
     grid = VoxelGrid(
         columns,
@@ -430,7 +415,7 @@ def _unpack(data: Mapping[str, np.ndarray]) -> Scene:
         size=size,
         radius=radius,
         level_count=level_count,
-        spacing=spacing[0] if spacing else size,
+        spacing=spacing,
     )
     traffic = TrafficFrames(**{k: data[f"traffic_{k}"] for k in _TRAFFIC})
     settings = tuple((k, v) for k, v in record["settings"])

@@ -9,7 +9,6 @@ import numpy as np
 import shapely
 from jaxtyping import Float, Int
 
-from inspe_jax.core.digest import added
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.pytree import pytree
 from inspe_jax.core.records import ByContent, Described, check_values
@@ -49,7 +48,7 @@ class VoxelGrid(ByContent, Described):
     radius: float = field(metadata={"static": True})
     level_count: int = field(metadata={"static": True})
     spacing: float = field(metadata={"static": True})
-    counted: tuple[int, ...] = added((), static=True)
+    counted: tuple[int, ...] = field(metadata={"static": True}, default=())
 
     def _facts(self) -> dict[str, Any]:
         return {"radius": f"{self.radius:g} m", "size": self.words, "voxels": self.count}

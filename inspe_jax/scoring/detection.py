@@ -27,7 +27,6 @@ from pydantic import BaseModel, create_model
 from scipy.optimize import minimize
 from scipy.special import expit, logit
 
-from inspe_jax.core.digest import added
 from inspe_jax.core.errors import InspeError, check_known
 from inspe_jax.core.files import (
     STRICT,
@@ -101,7 +100,7 @@ class DetectionCurves:
 
     lidar: tuple[DetectionCurve, ...]
     camera: tuple[DetectionCurve, ...]
-    road_users: tuple[str, ...] = added(())
+    road_users: tuple[str, ...] = ()
 
     def for_road_users(self, names: Iterable[str]) -> "DetectionCurves":
         """These curves, with only these classes counted; all if none is named.

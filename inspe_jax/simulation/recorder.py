@@ -8,7 +8,6 @@ from typing import Protocol
 
 import numpy as np
 
-from inspe_jax.core.digest import added
 from inspe_jax.core.errors import InspeError, check_known
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.sensing.lidar_returns import LidarNoise
@@ -42,8 +41,8 @@ class Recording:
     layers: tuple[str, ...] = ()
     image_scale: float = 1.0
     noise: LidarNoise = field(default_factory=LidarNoise)
-    turn: float = added(TURN)
-    image_size: tuple[int, int] | None = added(None)
+    turn: float = TURN
+    image_size: tuple[int, int] | None = None
 
     def check(self) -> None:
         """Raise InspeError where a value is out of range."""

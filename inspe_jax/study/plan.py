@@ -65,7 +65,6 @@ from inspe_jax.study.settings import (
     conditioned,
     defaults_of,
     one_of,
-    without_later,
 )
 from inspe_jax.study.sources import (
     LayoutSource,
@@ -112,14 +111,12 @@ class StudyJob:
     def key(self) -> str:
         """A short text that identifies the job: a digest of all that its result depends on."""
         curves = () if self.detection is None else (self.detection,)
-        return digest([self.source.anywhere, self.layout, without_later(self.settings), *curves])[
-            :16
-        ]
+        return digest([self.source.anywhere, self.layout, self.settings, *curves])[:16]
 
     @cached_property
     def scene(self) -> str:
         """A short text that identifies its scene."""
-        build = without_later({k: self.settings[k] for k in BUILD_SETTINGS})
+        build = {k: self.settings[k] for k in BUILD_SETTINGS}
         return digest([self.source.anywhere, build])[:16]
 
 

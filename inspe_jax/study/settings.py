@@ -22,9 +22,6 @@ T = TypeVar("T")
 WORLD = ("radius", "voxel", "density", "mix", "traffic", "seed", "statics", "terrain")
 """Settings of a scene, without the number of frames and the time between them."""
 CONDITIONS = ("light", "weather")
-LATER = {"statics": "none", "terrain": "none"}
-"""Settings that earlier versions did not have, and their defaults. At its default, such a setting
-is in no digest and no file, which so are those of before."""
 
 
 def _listed(value: Any) -> Any:
@@ -63,11 +60,6 @@ def defaults_of(keys: Iterable[str], profile: str = DEFAULT_PROFILE) -> dict[str
     own = {key: row.default for key, row in inspect.signature(build_scene).parameters.items()}
     own |= profile_of(profile).of_scene() | dict(profile=profile) | FAIR.record
     return {key: [own[key]] for key in keys}
-
-
-def without_later(settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Settings without those of :data:`LATER` that have their default."""
-    return {key: value for key, value in settings.items() if LATER.get(key, ...) != value}
 
 
 def combinations(

@@ -8,7 +8,6 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
-from inspe_jax.core.digest import added
 from inspe_jax.core.errors import InspeError, nearest
 from inspe_jax.core.files import check_input, read_yaml
 from inspe_jax.placement.strategies import choose
@@ -20,7 +19,6 @@ from inspe_jax.sensing.catalogue import device, spec_of
 from inspe_jax.sensing.layout import load_layout
 from inspe_jax.sensing.sensors import Spec
 from inspe_jax.study.settings import (
-    LATER,
     Count,
     Length,
     Line,
@@ -67,7 +65,7 @@ class LayoutSource:
     strategy: str | None = None
     options: tuple[tuple[str, Any], ...] = ()
     text: str | None = None
-    mix: tuple[tuple[str, int], ...] = added(())
+    mix: tuple[tuple[str, int], ...] = ()
 
 
 def digest_of(path: Path) -> str:
@@ -190,7 +188,7 @@ def scene_settings(
         raise InspeError(
             f"{where}: a saved scene keeps the settings it was built with; leave out {given}"
         )
-    kept = {"profile": BEFORE_PROFILES} | LATER | dict(load_scene(source.file).settings)
+    kept = {"profile": BEFORE_PROFILES} | dict(load_scene(source.file).settings)
     return {**whole} | {key: [kept.get(key, "")] for key in own}
 
 

@@ -23,7 +23,6 @@ from inspe_jax.scoring.metrics import listed
 from inspe_jax.sensing.conditions import Conditions
 from inspe_jax.sensing.layout import Layout, layout_text, parse_layout
 from inspe_jax.study.plan import BUILD_SETTINGS, SCORE_ONLY, SETTINGS, Study, StudyJob
-from inspe_jax.study.settings import without_later
 from inspe_jax.study.sources import LayoutSource, SceneSource, digest_of
 
 Row = dict[str, str]
@@ -43,7 +42,7 @@ _compiled_for: set[str] = set()
 def columns(study: Study) -> tuple[str, ...]:
     """The columns of a study's results."""
     first = ("key", "scene", "layout", *(f"tag_{name}" for name in study.tags))
-    used = {key for job in study.jobs for key in without_later(job.settings)}
+    used = {key for job in study.jobs for key in job.settings}
     return (
         *first,
         *(key for key in SETTINGS if key in used),

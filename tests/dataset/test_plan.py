@@ -470,10 +470,9 @@ def test_bad_protocols(read, tmp_path, key, value, message):
 
 
 def test_street_furniture_is_part_of_what_a_scenario_is(read, tmp_path):
-    """Without it, keys are those of before there was any; with it, only the road users are."""
+    """With and without it, the road users are the same."""
     study = "{scenes: [{built_in: four_way}], layouts: [Cam-d1], settings: {seconds: 2}}"
     (plan,) = read(study).scenarios
-    assert (plan.key, plan.scene, plan.seed) == ("60788a7b8766ab58", "6ade175f12b6a37b", 809256253)
     bare, street = read(study, settings=dict(seconds=2, statics=["none", "street"])).scenarios
     assert (bare.key, bare.scene) == (plan.key, plan.scene)
     assert street.key != bare.key
@@ -483,8 +482,6 @@ def test_street_furniture_is_part_of_what_a_scenario_is(read, tmp_path):
     assert street.build["statics"] == "street"
     for number, own in enumerate((bare, street)):
         path = protocol(own, tmp_path / str(number))
-        settings = yaml.safe_load(path.read_text())["settings"]
-        assert settings.get("statics") == (None if own is bare else "street")
         (again,) = load_generation(path).scenarios
         assert again.settings == own.settings
     with pytest.raises(InspeError, match=r"settings.statics: statics 'trees': one of none, map"):

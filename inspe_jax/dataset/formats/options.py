@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass
 
-from inspe_jax.core.digest import added
 from inspe_jax.core.errors import InspeError, check_known
 
 PICTURES = ("png", "jpeg")
@@ -23,10 +22,10 @@ class FileOptions:
     ``_bev_visibility.png``, by which HEAL's and CoAlign's camera readers choose boxes.
     """
 
-    pictures: str = added("png")
-    cameras_per_agent: int = added(0)
-    infra_set_names: bool = added(False)
-    visibility_maps: bool = added(False)
+    pictures: str = "png"
+    cameras_per_agent: int = 0
+    infra_set_names: bool = False
+    visibility_maps: bool = False
 
     def check(self, where: str) -> None:
         """Raise InspeError where a value is out of range."""

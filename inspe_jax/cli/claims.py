@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from filelock import FileLock
 from platformdirs import user_state_path
 
 from inspe_jax.core.errors import InspeError
@@ -89,20 +90,26 @@ class Claims:
 
     def end(self) -> None:
         """List what was written. Raises typer.Exit where a result is not where it was wanted."""
+        self.record()
+        if self.failed:
+            raise typer.Exit(1)
+
+    def record(self) -> None:
+        """List what was written so far: also where the command does not come to its end."""
         written = [
             path for path, before in self._before.items() if _stamp(path) not in (None, before)
         ]
-        if written:
-            with suppress(OSError, RuntimeError, InspeError):  # there is no such folder
+        if not written:
+            return
+        with suppress(OSError, RuntimeError, InspeError):  # there is no such folder, or it is full
+            _list().parent.mkdir(parents=True, exist_ok=True)
+            with FileLock(f"{_list()}.lock", timeout=5):
                 own = _listed()
                 for path in written:
                     own.pop(str(path.resolve()), None)
                     own[str(path.resolve())] = self.command, _digest(path)
                 lines = [f"{digest} {command} {name}" for name, (command, digest) in own.items()]
-                _list().parent.mkdir(parents=True, exist_ok=True)
                 write_text(_list(), "".join(f"{line}\n" for line in lines[-MOST:]))
-        if self.failed:
-            raise typer.Exit(1)
 
 
 claims = Claims()

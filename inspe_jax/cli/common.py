@@ -20,6 +20,7 @@ from inspe_jax.cli.claims import claims
 from inspe_jax.cli.stopping import CTRL_C, attended, step, stopped
 from inspe_jax.core.compiling import compiled, keep_programs, leave
 from inspe_jax.core.errors import InspeError, nearest
+from inspe_jax.core.words import visible
 from inspe_jax.placement.compile_ahead import compiles
 
 if TYPE_CHECKING:
@@ -34,7 +35,7 @@ class _Group(TyperGroup):
         try:
             return super().invoke(ctx)
         except KeyboardInterrupt:
-            err.print(plain(stopped()), soft_wrap=True)
+            err.print(plain(stopped()))
             leave_at_once(CTRL_C)  # XLA may still compute, and crashes if Python ends before it
 
 
@@ -55,17 +56,20 @@ class WholeConsole(Console):
 
     def print(self, *objects: Any, **how: Any) -> None:
         """Print as rich does, with whole lines."""
-        usual = self.width
+        texts = [visible(x) if isinstance(x, str) else x for x in objects]
+        for text in texts:
+            if isinstance(text, Text):
+                text.plain = visible(text.plain)
+        how = {"crop": False, "soft_wrap": all(isinstance(x, str) for x in objects)} | how
         if not self.is_terminal and "COLUMNS" not in os.environ:
             wide = self.options.update(width=10_000)
             tables = [x for x in objects if not isinstance(x, str)]
-            self.width = max([usual, *(Measurement.get(self, wide, x).minimum for x in tables)])
-        text = all(isinstance(x, str) for x in objects)
-        super().print(*objects, **{"crop": False, "soft_wrap": text} | how)
-        self.width = usual
+            needed = max((Measurement.get(self, wide, x).minimum for x in tables), default=0)
+            how["width"] = max(self.width, needed)
+        super().print(*texts, **how)
 
 
-out = WholeConsole(highlight=False)
+out = WholeConsole(highlight=False, markup=False)
 err = WholeConsole(stderr=True, highlight=False)
 
 DEFAULT_SCENE = "four_way"
@@ -125,6 +129,7 @@ def main() -> None:
 
 def leave_at_once(status: int) -> NoReturn:
     """End the process, whatever its other threads compile or score."""
+    claims.record()
     err.show_cursor()
     for stream in (sys.stdout, sys.stderr):
         with suppress(OSError):  # the reader of the pipe has gone
@@ -151,7 +156,7 @@ def _run() -> None:
         )
     else:
         return
-    err.print(f"[bold red]Error:[/] {plain(words)}", soft_wrap=True)
+    err.print(f"[bold red]Error:[/] {plain(words)}")
     sys.exit(2)
 
 
@@ -168,7 +173,7 @@ def _version(wanted: bool) -> None:
     if wanted:
         from inspe_jax.core.version import __version__
 
-        out.print(f"inspe_jax {__version__}", highlight=False)
+        out.print(f"inspe_jax {__version__}")
         raise typer.Exit
 
 
@@ -325,7 +330,7 @@ def run_study(
                 progress=report,
             )
     except KeyboardInterrupt:
-        err.print("stopped; give the same command again to resume", soft_wrap=True)
+        err.print("stopped; give the same command again to resume")
         raise typer.Exit(130) from None
 
 
@@ -368,13 +373,13 @@ def show(table: Any, record: dict[str, Any], path: str | None) -> None:
     out.print(table)
     if path:
         write_text(path, text + "\n")
-        out.print(f"wrote {path}", highlight=False)
+        out.print(f"wrote {path}")
 
 
 def note(notes: Iterable[str]) -> None:
     """Print notes on stderr, one per line."""
     for words in notes:
-        err.print(Text.assemble(("Note: ", "yellow"), words), soft_wrap=True)
+        err.print(Text.assemble(("Note: ", "yellow"), words))
 
 
 def plain(message: str) -> str:

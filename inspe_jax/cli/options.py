@@ -150,7 +150,7 @@ class ScoreOptions(WeightOptions):
             return curves
         return (curves or detection_curves()).for_road_users(self.road_user)
 
-    def sought(self, case: "Case", layout: "Layout") -> float | None:
+    def sought(self, case: "Case", layout: "Layout", **readings: str | None) -> float | None:
         """The score of what a layout was searched for; None where that is P_sm, or these options
         say what counts."""
         from inspe_jax.placement.objective import Objective
@@ -158,7 +158,7 @@ class ScoreOptions(WeightOptions):
 
         if layout.goal is None or self.given:
             return None
-        objective = Objective.of_goal(layout.goal, self.curves())
+        objective = Objective.of_goal(layout.goal, self.curves(), **readings)
         return Problem(case, layout, objective).exact_of(layout)
 
     def objective(self, **others: Any) -> "Objective":

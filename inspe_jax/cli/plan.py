@@ -158,7 +158,8 @@ def plan(
     )
     from inspe_jax.study.plan import SCORE_ONLY
 
-    claims.folder(folder, FILES, force=force)
+    if not dry_run:
+        claims.folder(folder, FILES, force=force)
     check_budget(budget)
     if method == SCORE_ONLY:
         raise InspeError(f"--method {method}: a plan needs a search")

@@ -347,11 +347,11 @@ def examples(
     for item in sorted(files("inspe_jax.scene").joinpath("examples").iterdir(), key=str):
         path, content = folder / item.name.removesuffix(".gz"), item.read_bytes()
         if path.exists():
-            out.print(f"kept {path}: it is there already", highlight=False)
+            out.print(f"kept {path}: it is there already")
             continue
         with whole_file(path) as file:
             file.write(gzip.decompress(content) if item.name.endswith(".gz") else content)
-        out.print(f"wrote {path}", highlight=False)
+        out.print(f"wrote {path}")
 
 
 def _degrees(text: str) -> tuple[float, float]:

@@ -3,7 +3,7 @@
 Imports are inside the commands: the map readers and matplotlib load slowly.
 """
 
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -27,9 +27,6 @@ from inspe_jax.cli.common import (
 )
 from inspe_jax.cli.options import DetectionOption, ScoreOptions, takes
 from inspe_jax.core.errors import check_known
-
-if TYPE_CHECKING:
-    pass
 
 
 @app.command()
@@ -102,7 +99,7 @@ def score(
             metrics=objective.metrics,
             detection=objective.detection,
         )
-        sought = options.sought(Case(world, conditions), placed)
+        sought = options.sought(Case(world, conditions), placed, **readings)
     tables = Group(scores_table(scores, placed, sought), "", blind_spots_table(world, scores))
     show(tables, scores_record(scores, world, placed, sought), record)
     if plot:

@@ -154,7 +154,7 @@ def optimise(
     with busy("drawing"):
         drawn = _draw(world, result, folder)
     names = "layout.yaml, start.yaml, result.json, history.csv and path.csv"
-    out.print(f"wrote {names} into {folder}; drew {drawn}", highlight=False, soft_wrap=True)
+    out.print(f"wrote {names} into {folder}; drew {drawn}")
     around = "".join(
         f" --{key} {value}"
         for key, value in result.scores.conditions.record.items()
@@ -164,8 +164,6 @@ def optimise(
         around += f" --metrics {','.join(further)}"
     out.print(
         f"next: inspe score {source} {folder / 'layout.yaml'}{around} --plot plan.png",
-        highlight=False,
-        soft_wrap=True,
     )
 
 
@@ -245,8 +243,6 @@ def compare(
     written = f"compare.csv, history.csv and layout.yaml into {folder}"
     out.print(
         f"wrote {written}; drew {folder / 'compare.png'}",
-        highlight=False,
-        soft_wrap=True,
     )
 
 
@@ -315,14 +311,12 @@ def _find_cheapest(
         words += ", none reaches it" if others else ""
     if found.found is None and (left := found.total - len(found.searched)):
         words += f"; {left} were not searched"
-    out.print(words, highlight=False, soft_wrap=True)
+    out.print(words)
     with busy("drawing"):
         drawn = _draw(world, best.result, folder)
     out.print(
         f"wrote its layout.yaml, start.yaml, result.json, history.csv and path.csv into {folder}; "
         f"drew {drawn}",
-        highlight=False,
-        soft_wrap=True,
     )
 
 
@@ -340,8 +334,6 @@ def _show(result: "Result") -> None:
         f"{result.method}, seed {result.seed}: {result.status} "
         f"({STATUSES[result.status]}) after {result.seconds:.0f} s, "
         f"{result.evaluations:.0f} exact scores' work",
-        highlight=False,
-        soft_wrap=True,
     )
     note(result.notes)
 

@@ -7,7 +7,7 @@ import signal
 import time
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -134,14 +134,14 @@ def report(
     path = claims.keep(lambda at: write_text(at, page), path)
     for entry in entries:
         words = goal_words(entry.layout, entry.scores, entry.sought)
-        out.print(words, highlight=False, soft_wrap=True)
-    out.print(f"wrote {path}, {path.stat().st_size / 1e6:.1f} MB", highlight=False)
+        out.print(words)
+    out.print(f"wrote {path}, {path.stat().st_size / 1e6:.1f} MB")
     if pdf:
         with busy("drawing"):
             sheets = report_sheets(world, entries, front=mixes, frame=frame)
         with whole_file(pdf) as f:
             f.write(sheets)
-        out.print(f"drew {pdf}", highlight=False)
+        out.print(f"drew {pdf}")
 
 
 def found_or_placed(world: "Scene", given: str) -> "tuple[Layout, Result | None]":
@@ -235,14 +235,13 @@ def view(
     try:
         if port not in (0, viewer.port):
             note([f"port {port} is not available: using {viewer.port}"])
-        out.print(f"open {viewer.url}", highlight=False, soft_wrap=True)
+        out.print(f"open {viewer.url}")
         if access.local:
             out.print(
                 "only this machine can open it; --host 0.0.0.0 lets other machines connect",
-                highlight=False,
             )
         for url in viewer.other_urls:
-            out.print(f"from other machines {url}", highlight=False, soft_wrap=True)
+            out.print(f"from other machines {url}")
         if not access.local:
             note(
                 [
@@ -258,7 +257,7 @@ def view(
                 ]
             )
         signal.signal(signal.SIGTERM, signal.default_int_handler)
-        out.print("Ctrl-C ends", highlight=False)
+        out.print("Ctrl-C ends")
         while True:
             time.sleep(1)  # a signal that another thread gets is noticed only after it
     except KeyboardInterrupt:
@@ -270,9 +269,8 @@ def view(
         viewer.close()
         raise
     if not viewer.store.holds(viewer.layout):
-        plain: Any = dict(highlight=False, soft_wrap=True, markup=False)
-        out.print(viewer.store.words(viewer.layout), **plain)
+        out.print(viewer.store.words(viewer.layout))
         if viewer.store.kept(viewer.layout) is None:
-            out.print("so it is printed here:", layout_text(viewer.layout), sep="\n", **plain)
+            out.print("so it is printed here:", layout_text(viewer.layout), sep="\n")
             leave_at_once(1)
     leave_at_once(0)

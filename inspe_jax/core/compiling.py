@@ -99,8 +99,8 @@ class _Watch:
             self._programs += event == COMPILED
             if event == LOWERED:
                 self._since[thread] = now
-                return
-            self._since.pop(thread, None)
+            else:
+                self._since.pop(thread, None)
             for stretches in (self._all, self.local.waits):
                 stretches.add(now - duration_secs, now)
 
@@ -218,14 +218,17 @@ def prune(folder: Path, most: int = KEPT) -> None:
     JAX's own limit would hold for another folder too that is set later, and locks all processes
     out of the folder for every program.
     """
-    with contextlib.suppress(OSError):  # another process removes some too
-        found = [(path, path.stat()) for path in folder.glob("*-cache")]
-        found.sort(key=lambda row: max(row[1].st_atime, row[1].st_mtime), reverse=True)
-        size = 0
-        for path, stat in found:
-            size += stat.st_size
-            if size > most:
-                path.unlink(missing_ok=True)
+    found: list[tuple[float, int, Path]] = []
+    for path in folder.glob("*-cache"):
+        with contextlib.suppress(OSError):  # another process removes some too
+            stat = path.stat()
+            found.append((max(stat.st_atime, stat.st_mtime), stat.st_size, path))
+    size = 0
+    for _, own, path in sorted(found, reverse=True):
+        size += own
+        if size > most:
+            with contextlib.suppress(OSError):
+                path.unlink()
 
 
 # ── About how long it takes ─────────────────────────────────────────────────

@@ -25,10 +25,10 @@ class InspeError(ValueError):
     """
 
     def __init__(self, message: str) -> None:
-        half = LONGEST // 2
+        message, half = visible(message), LONGEST // 2
         if len(message) > LONGEST:
             message = f"{message[: half - 2]} … {message[1 - half :]}"
-        super().__init__(visible(message))
+        super().__init__(message)
 
 
 _SHORT = reprlib.Repr()

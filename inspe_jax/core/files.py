@@ -168,6 +168,8 @@ def parse_csv(text: bytes, where: str) -> list[dict[str, str]]:
     except (ValueError, csv.Error) as e:
         raise InspeError(f"{where}: not CSV: {e}") from e
     cells = [[_without_prefix(cell) for cell in row] for row in rows if row]
+    if not cells:
+        raise InspeError(f"{where}: not CSV: it is empty")
     return [dict(zip(cells[0], row, strict=False)) for row in cells[1:]]
 
 

@@ -87,9 +87,9 @@ class Softness:
         for width in (value.field, value.shadow) if whole else (value,):
             if width is not None and not isinstance(width, jax.core.Tracer):
                 number = np.asarray(width)  # an operation of JAX would be traced under jit
-                if number.dtype.kind not in "iuf" or number.size != 1:
+                if number.dtype.kind not in "iuf" or number.ndim:
                     raise InspeError(f"softness {width!r}: a number of metres, 0 or more")
-                width = float(number.reshape(()))
+                width = float(number)
                 if not 0 <= width < float("inf"):
                     raise InspeError(f"softness {width:g}: 0 (exact) or more, in metres")
             widths.append(None if exact(width) else jnp.asarray(width, float))

@@ -52,8 +52,13 @@ def _check(value: Any, kind: Any, where: str, axes: dict[str, int]) -> None:
     elif get_origin(kind) is tuple:
         if not isinstance(value, tuple | list):
             raise wrong_kind(where, value, "a tuple")
-        for k, one in enumerate(value):
-            _check(one, get_args(kind)[0], f"{where}[{k}]", axes)
+        kinds = get_args(kind)
+        if kinds[-1] is Ellipsis:
+            kinds = kinds[:1] * len(value)
+        if len(kinds) != len(value):
+            raise wrong_kind(where, value, f"{len(kinds)} values")
+        for k, (one, own) in enumerate(zip(value, kinds, strict=True)):
+            _check(one, own, f"{where}[{k}]", axes)
     elif isinstance(kind, type) and kind is not Any:
         if not isinstance(value, kind):
             raise wrong_kind(where, value, f"a {kind.__name__}")

@@ -132,11 +132,12 @@ class CheckpointWriter:
 
     The state before a step is written. A step that was cut short is done again when the search is
     restored, so the search ends as it would have without the stop. ``ended`` is the status of a
-    search that had already ended, otherwise "".
+    search that had already ended, otherwise "". Where the file cannot be written, the search goes
+    on, and a note says so.
     """
 
     def __init__(self, path: str | os.PathLike[str], of: dict[str, str], run: Run) -> None:
-        self.path, self.of, self.ended = Path(path), of, ""
+        self.path, self.of, self.ended, self._notes = Path(path), of, "", run.notes
         self._last = time.monotonic()
         self._kept = self._now(run, {})
 
@@ -191,5 +192,9 @@ class CheckpointWriter:
         )
 
     def _write(self) -> None:
-        save_checkpoint(self._kept, self.path)
+        try:
+            save_checkpoint(self._kept, self.path)
+        except (InspeError, OSError) as e:
+            if (words := f"no checkpoint is written: {e}") not in self._notes:
+                self._notes.append(words)
         self._last = time.monotonic()

@@ -64,8 +64,10 @@ class Objective:
         return None if goal == Goal(usual) else goal
 
     @classmethod
-    def of_goal(cls, goal: Goal, detection: DetectionCurves | None = None) -> "Objective":
-        """The objective of a layout's goal, with these curves of detectability."""
+    def of_goal(
+        cls, goal: Goal, detection: DetectionCurves | None = None, **readings: Any
+    ) -> "Objective":
+        """The objective of a layout's goal, with these curves of detectability and readings."""
         if goal.road_users:
             detection = (detection or detection_curves()).for_road_users(goal.road_users)
         return cls(
@@ -73,6 +75,7 @@ class Objective:
             regions=goal.regions,
             failures=goal.failures,
             detection=detection,
+            **readings,
         )
 
     def check(self) -> None:

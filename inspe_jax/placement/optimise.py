@@ -3,6 +3,7 @@
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,7 @@ from jaxtyping import Float
 
 from inspe_jax.core.digest import digest
 from inspe_jax.core.errors import InspeError, check_known, nearest, or_usual, wrong_kind
-from inspe_jax.core.files import check_output, json_value
+from inspe_jax.core.files import check_output, check_writable, json_value
 from inspe_jax.core.version import versions
 from inspe_jax.placement.candidates import COLUMNS, FRAMES
 from inspe_jax.placement.checkpoint import SUFFIXES, CheckpointWriter
@@ -115,6 +116,8 @@ def optimise(
     (row,) = check_search((method,), objective, start, (seed,))
     seconds = _seconds(seconds, evaluations)
     check_output(checkpoint, SUFFIXES)
+    if checkpoint is not None:
+        check_writable(Path(checkpoint).parent)
     problem = Problem(cases_of(scene, conditions), layout, objective, constraints)
     x, notes = _start(problem, start, seed)
     run = Run(

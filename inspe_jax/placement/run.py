@@ -6,13 +6,14 @@ next, so a search can be stopped after any step and resumed.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from numbers import Real
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
 from inspe_jax.core.compiling import waiting, working_clock
-from inspe_jax.core.errors import InspeError
+from inspe_jax.core.errors import InspeError, wrong_kind
 from inspe_jax.placement.compile_ahead import Ahead, CompileJob
 from inspe_jax.placement.problem import Drawn, Problem, Sample
 
@@ -276,6 +277,8 @@ class Run:
 def check_budget(seconds: float | None, evaluations: float | None) -> None:
     """Raise InspeError where there is no budget, or one that is not more than nothing."""
     for name, value in dict(seconds=seconds, evaluations=evaluations).items():
+        if value is not None and (isinstance(value, bool) or not isinstance(value, Real)):
+            raise wrong_kind(name, value, "a number above 0")
         if value is not None and not 0 < value < np.inf:
             raise InspeError(f"{name} {value:g}: a budget must be more than 0, and finite")
     if seconds is None and evaluations is None:

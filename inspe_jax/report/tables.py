@@ -16,6 +16,7 @@ from rich.text import Text
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import json_value
 from inspe_jax.core.version import __version__
+from inspe_jax.core.words import visible
 from inspe_jax.placement.result import Result
 from inspe_jax.placement.studies.cheapest import Cheapest
 from inspe_jax.placement.studies.pareto import DeviceMix
@@ -317,22 +318,14 @@ def _origin(scene: Scene, layout: Layout) -> dict[str, Any]:
     }
 
 
-_PROSE = {"", "sensor", "unit", "maker", "source", "notes", "regions", "field of view", "devices"}
-_PROSE |= {"reason"}
+_PROSE = {
+    "", "sensor", "unit", "maker", "source", "notes", "reason", "regions", "field of view",
+    "devices",
+}  # fmt: skip
 _NAMES = {
-    "mix",
-    "P_sm",
-    "metric",
-    "method",
-    "symbol",
-    "region",
-    "scene",
-    "device",
-    "kind",
-    "name",
-    "centre [m]",
-}
-_NAMES |= {"pixels,\nchannels", "split", "class", "column", "setting", "value", "id"}
+    "mix", "P_sm", "metric", "method", "symbol", "region", "scene", "device", "kind", "name",
+    "centre [m]", "pixels,\nchannels", "split", "class", "column", "setting", "value", "id",
+}  # fmt: skip
 _WORD = 24
 """Longer words of prose may break [characters]."""
 
@@ -343,6 +336,13 @@ class WholeTable(Table):
     Columns of prose break between words. Where that is not enough, every row becomes a block of
     lines, one for each column.
     """
+
+    def add_row(self, *cells: RenderableType | None, **how: Any) -> None:
+        """Add a row; control characters of its texts show as escapes."""
+        for cell in cells:
+            if isinstance(cell, Text):
+                cell.plain = visible(cell.plain)
+        super().add_row(*(visible(x) if isinstance(x, str) else x for x in cells), **how)
 
     def __rich_measure__(self, console: Console, options: ConsoleOptions) -> Measurement:
         """From the narrowest width in which it is a table, to that of whole lines."""

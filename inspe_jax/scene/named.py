@@ -5,6 +5,7 @@ from functools import lru_cache
 from typing import Any
 
 from inspe_jax.core.errors import wrong_kind
+from inspe_jax.core.files import cached_by_file
 from inspe_jax.scene.procedural.built_ins import BUILT_INS
 from inspe_jax.scene.scene import Scene, load_scene
 
@@ -16,7 +17,9 @@ def scene_of(given: Any) -> Scene:
     else than a scene.
     """
     if isinstance(given, str | os.PathLike):
-        return _named(given) if given in BUILT_INS else load_scene(given)
+        if given in BUILT_INS:
+            return _named(given)
+        return _saved(given) if os.path.isfile(given) else load_scene(given)  # says what is wrong
     if not isinstance(given, Scene):
         raise wrong_kind(
             "scene",
@@ -26,6 +29,6 @@ def scene_of(given: Any) -> Scene:
     return given.check()
 
 
-@lru_cache(maxsize=2)  # or each score in a loop would build it again
-def _named(name: str) -> Scene:
-    return load_scene(name)
+# Or each score in a loop would build or read it again.
+_named = lru_cache(maxsize=2)(load_scene)
+_saved = cached_by_file(2)(load_scene)

@@ -93,19 +93,18 @@ def _of_parts(
 ) -> dict[str, Float[Array, " 2"]]:
     """Every metric of all sensors in the core and outside: sums over their own columns alone."""
     core = tiles.tile.core.reshape(tiles.slabs, -1)[0]
-    near, frames = jnp.asarray(counts.core, float), (whole.seen[:, 0], whole.original[:, 0])
+    frames = jnp.stack([whole.seen[:, 0], whole.original[:, 0]])
+    near = jnp.asarray(counts.core, float)
     found = []
-    for part, inside in enumerate((core, ~core)):
-        seen, original = (
-            n if part == 0 else all_ - n for n, all_ in zip(near, frames, strict=True)
-        )
+    for part, (inside, within) in enumerate(((core, near), (~core, frames - near))):
         weight = jnp.where(inside, whole.weight, 0.0)
-        counted = weight.any()
+        counted = weight.any()  # else, as 0/0 is no number, it is the whole
+        seen, original = jnp.where(counted, within, frames)[:, :, None]
         one = whole._replace(
             covered=whole.covered[:1],
-            weight=jnp.where(counted, weight, whole.weight),  # 0/0 is no number
-            seen=seen[:, None],
-            original=original[:, None],
+            weight=jnp.where(counted, weight, whole.weight),
+            seen=seen,
+            original=original,
             remaining=entropy[0, part],
             entropy=entropy[1, part],
         )

@@ -40,6 +40,7 @@ import yaml
 from jaxtyping import Array, Float
 from pydantic import BaseModel, Field
 
+from inspe_jax.core.digest import ORIGIN
 from inspe_jax.core.errors import InspeError, check_known, wrong_kind
 from inspe_jax.core.files import STRICT, check_model, read_yaml, write_text
 from inspe_jax.core.geometry import rotation
@@ -122,7 +123,7 @@ class Layout(ByContent, Described):
     units: tuple[Unit, ...] = field(metadata={"static": True})
     name: str = field(metadata={"static": True}, default="layout")
     profile: str | None = field(metadata={"static": True}, default=None)
-    goal: Goal | None = field(metadata={"static": True}, default=None)
+    goal: Goal | None = field(metadata={"static": True, ORIGIN: None}, default=None)
 
     def __len__(self) -> int:
         return len(self.sensors)

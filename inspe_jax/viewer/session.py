@@ -258,8 +258,10 @@ class LayoutSession:
     ) -> MountedLayout:
         """The nearest layout that can be mounted; the wanted one if there is none.
 
-        ``before`` are notes on what was done before, ``added`` the names of its new units.
+        ``before`` are notes on what was done before, ``added`` the names of its new units. It is
+        not what a search has found.
         """
+        wanted = replace(wanted, goal=None)
         try:
             space = self._space_for(wanted)
             x, notes = space.start(wanted, added)

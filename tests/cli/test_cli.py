@@ -22,12 +22,16 @@ import numpy as np
 import pytest
 import typer
 from processes import inspe_here, inspe_process
+from rich.text import Text
 from worlds import rilsa
 
 from inspe_jax.cli import stopping
 from inspe_jax.cli.claims import Claims
+from inspe_jax.cli.common import err, out
 from inspe_jax.core.compiling import keep_programs, prune
 from inspe_jax.core.files import write_text
+from inspe_jax.core.words import visible
+from inspe_jax.report.tables import table_of
 from inspe_jax.scene.procedural.built_ins import built_in
 from inspe_jax.scene.scene import build_scene, load_scene, save_scene
 
@@ -483,7 +487,7 @@ BAD = [
     (("scene", "none.net.xml", "--list"), "none.net.xml: no such file"),
     (("scene", "none.osm"), "choose a place on the map with --junction ID, --at LAT,LON or"),
     (("scene", "missing.xodr", "--list"), "missing.xodr: no such file"),
-    (("scene", "page.xodr", "--list"), "not OpenDRIVE"),
+    (("scene", "page.xodr", "--list"), "the root element is <html>, not <OpenDRIVE>"),
     (("scene", "cut.xodr", "--list"), "cut.xodr"),
     (("layout", "s.npz", "--strategy", "L-x"), "L-x"),
     (("layout", "s.npz", "--camera", "paper-camera-noon"), "did you mean paper-camera"),
@@ -579,7 +583,7 @@ SLOW = [
     (("optimise", "four_way", "--start", "Cam-d3"), "did you mean Cam-d2 or Cam-d1"),
     (("optimise", "four_way", "--also", "missing.npz"), "missing.npz: no such file"),
     (("optimise", "four_way", "--out", "/proc/o"), "/proc: no file can be written there"),
-    (("optimise", "four_way", "--target", 1, "--device", "a:1"), "a"),
+    (("optimise", "four_way", "--target", 1, "--device", "a:1"), "device 'a'"),
     (("compare", "four_way", "--methods", "grid,grid"), "one is named twice"),
     (("compare", "four_way", "--out", "mine"), "mine/layout.yaml: is there already, and `inspe"),
     (("pareto", "four_way", "--method", "adm"), "method 'adm': one of adam"),
@@ -655,6 +659,27 @@ def test_a_command_replaces_what_it_wrote_itself_alone(inspe, files, arguments):
     status, _, error = inspe("score", "s.npz", "layout.yaml", "--json", path)
     assert (arguments[0] == "score") == ("was changed since" in error)
     assert status == 2
+
+
+def test_what_was_written_before_ctrl_c_is_a_commands_own(tmp_path):
+    claims, path = Claims(), tmp_path / "layout.yaml"
+    for _ in range(2):  # the second time, it may be replaced
+        claims.begin("optimise")
+        claims.file(path, force=False)
+        write_text(path, "found")
+        claims.record()  # as where the process is left at once
+
+
+@pytest.mark.parametrize("name", ["L [/x]", "L [bold]x", "a\x1b]0;b\u202ec"])
+def test_names_are_printed_as_they_are_without_control_characters(name, capsys):
+    out.print(f"wrote {name}")
+    err.print(Text(name))
+    table = table_of("names", "name")
+    table.add_row(name)
+    out.print(table)
+    printed = capsys.readouterr()
+    assert printed.out.count(visible(name)) == 2
+    assert not {"\x1b", "\u202e"} & {*printed.out}
 
 
 def test_what_cannot_be_written_after_the_work_is_kept_elsewhere(tmp_path, capsys):

@@ -3,6 +3,7 @@
 import gzip
 import io
 import os
+import pickle
 import resource
 import time
 import zipfile
@@ -208,7 +209,10 @@ def test_a_wrong_value_is_quoted_shortly(text, words):
 
 
 def test_messages_are_of_bounded_length_and_of_visible_characters():
-    assert len(str(InspeError("begin " + "x" * 60_000 + " end"))) <= LONGEST
+    for text in ("x" * 60_000, "a\u202e" * 2000):
+        error = InspeError(f"begin {text} end")
+        assert len(str(error)) <= LONGEST
+        assert pickle.loads(pickle.dumps(error)).args == error.args  # as between processes
     assert str(InspeError("begin " + "x" * 60_000 + " end")).endswith("x end")
     assert str(InspeError("a\u202eb\x1b[2J\nc")) == "a\\u202eb\\x1b[2J\nc"
     assert brief(16**5000) == "a number of thousands of digits"

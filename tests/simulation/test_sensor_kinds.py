@@ -8,6 +8,7 @@ from worlds import CAMERA, place_sensors, with_boxes, world
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.geometry import rotation
+from inspe_jax.sensing.sensors import Spec
 from inspe_jax.simulation.backends import recorder_of
 from inspe_jax.simulation.carla import sensor_kinds
 from inspe_jax.simulation.carla.recorder import CarlaRecorder
@@ -18,15 +19,17 @@ from inspe_jax.simulation.recorder import Recording
 
 
 @dataclass(frozen=True)
-class FanSpec:
+class FanSpec(Spec):
     """A flat fan of ``count`` rays ahead, as of a radar, across ``fov`` [rad], to ``reach`` [m]."""
 
     name: str
     count: int
     fov: float
     reach: float
+    reliability: float = 1.0
 
     kind = "fan"
+    title = "fan"
 
 
 class Fan:

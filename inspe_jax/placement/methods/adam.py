@@ -256,7 +256,7 @@ def _charted_again(problem: Problem, state: AdamState, x: Float[np.ndarray, "M N
 def _offer_best(run: Run, state: AdamState) -> None:
     x = layouts(run.problem, state)
     _, first = np.unique(state.line, return_index=True)
-    for row in x[first]:
+    for row in x[np.sort(first)]:  # the one that is held comes first
         run.offer(row)
 
 

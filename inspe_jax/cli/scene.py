@@ -168,12 +168,12 @@ def scene(
     Examples:
 
     - `inspe scene roundabout --plot roundabout.png`
-    - `inspe scene MAP.xodr --list`
-    - `inspe scene MAP.xodr --junction 189 --radius 50 --density medium --out j189.npz`
+    - `inspe scene crossroads.xodr --list`
+    - `inspe scene crossroads.xodr --junction 100 --radius 50 --density medium --out j100.npz`
     - `inspe scene town.net.xml --junction 189 --traffic sumo --out j189.npz`
     - `inspe scene city.osm --at 48.137,11.575 --statics map --out city.npz`
     - `inspe scene city.osm --at 48.137,11.575 --elevation dem.tif --terrain ground`
-    - `inspe scene Town01.xodr --junction 54 --traffic run.log --step 0.1 --frames 200`
+    - `inspe scene crossroads.xodr --junction 100 --traffic run.log --step 0.1 --frames 200`
     - `inspe scene j189.npz --plot j189.png`
     """
     from inspe_jax.core.files import check_input

@@ -22,8 +22,12 @@ ELSEWHERE = {
 }
 """What a block that is not run here has in it, and why."""
 SHORTER = {
-    r"--seconds \d+": "--seconds 1",
-    r"(inspe (?:optimise|plan) (?!.*--seconds).*)": r"\1 --seconds 1",
+    r"--seconds \d+": "--evaluations 2",
+    r"(inspe (?:optimise|plan) (?!.*--evaluations).*)": r"\1 --evaluations 2",
+    r" --frames \d+": "",
+    r"(inspe scene (?=.*--out).*)": r"\1 --frames 8",
+    r"  density: \[low, high\]": "  frames: 8\n  density: [low]",
+    r":0-2|:0,2,4|:1-3": ":1-2",
     r"--seeds \d+": "--seeds 1",
     r"(inspe train .*)": r"\1 --steps 2",
     r"seconds=\d+": "seconds=1",

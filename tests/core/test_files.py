@@ -167,6 +167,7 @@ def test_arrays_are_bounded_before_they_are_unpacked(tmp_path, members, words, m
         (b"<!DOCTYPE a [<!ENTITY a SYSTEM 'b'>]><osm>&a;</osm>", "has XML entities of its own"),
         (b"<!DOCTYPE a SYSTEM 'b'><osm>&a;</osm>", "has XML entities of its own"),
     ],
+    ids=["deep", "bomb", "cut", "root", "open", "entity", "outside"],
 )
 def test_xml_is_bounded_before_its_tree_is_made(text, words, tmp_path):
     (tmp_path / "a").write_bytes(text)

@@ -60,13 +60,17 @@ class WholeConsole(Console):
         for text in texts:
             if isinstance(text, Text):
                 text.plain = visible(text.plain)
-        how = {"crop": False, "soft_wrap": all(isinstance(x, str) for x in objects)} | how
+        lines = all(isinstance(x, str | Text) for x in objects)
+        usual = self._width
         if not self.is_terminal and "COLUMNS" not in os.environ:
             wide = self.options.update(width=10_000)
             tables = [x for x in objects if not isinstance(x, str)]
             needed = max((Measurement.get(self, wide, x).minimum for x in tables), default=0)
-            how["width"] = max(self.width, needed)
-        super().print(*texts, **how)
+            self.width = max(self.width, needed)
+        try:
+            super().print(*texts, **{"crop": False, "soft_wrap": lines} | how)
+        finally:
+            self._width = usual
 
 
 out = WholeConsole(highlight=False, markup=False)

@@ -219,7 +219,7 @@ def test_a_wrong_file_says_what_is_wrong(place, spots, tmp_path, wrong):
         ),
         ("a.geojson", "[" * 100_000, "not JSON"),
         ("a.csv", "latitude,longitude\n48,\n", "row 1: needs a number"),
-        ("a.csv", "", "has no features"),
+        ("a.csv", "", "it is empty"),
     ],
 )
 def test_a_file_of_another_kind_says_so(place, tmp_path, name, text, words):

@@ -109,8 +109,7 @@ def test_a_scene_says_that_it_has_them(tmp_path):
     bare, street = (
         inspe_jax.build_scene(place, **size, **own) for own in ({}, {"statics": "street"})
     )
-    assert "statics" not in dict(bare.settings)
-    assert dict(street.settings)["statics"] == "street"
+    assert [dict(of.settings)["statics"] for of in (bare, street)] == ["none", "street"]
     assert bare.statics == ()
     other = inspe_jax.build_scene(place, **(size | dict(density=9)), statics="street", seed=3)
     assert digest(other.statics) == digest(street.statics)  # a place stays what it is

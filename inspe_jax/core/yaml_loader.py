@@ -14,7 +14,22 @@ _Base: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # libyaml's is fast,
 
 
 class _Loader(_Base):
-    """A YAML loader for which a key given twice is an error; YAML itself would keep the last."""
+    """A YAML loader for which a key given twice is an error; YAML itself would keep the last.
+
+    Nodes are made by recursion, in C: it ends at :data:`DEPTH`, before the stack does.
+    """
+
+    level = 0
+
+    def descend_resolver(self, parent: Any, index: Any) -> None:
+        """Called before each node is made. Raises YAMLError where they are nested too deep."""
+        self.level += 1
+        if self.level > DEPTH + 1:  # a scalar is a node too
+            raise yaml.YAMLError(f"is nested more than {DEPTH} deep")
+
+    def ascend_resolver(self) -> None:
+        """Called once a node is made."""
+        self.level -= 1
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         """The mapping; raises YAMLError on a key given twice."""

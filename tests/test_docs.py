@@ -31,7 +31,7 @@ SHORTER = {
     r"--seeds \d+": "--seeds 1",
     r"(inspe train .*)": r"\1 --steps 2",
     r"seconds=\d+": "evaluations=2",
-    r'load_scene\("four_way"\)': 'build_scene("four_way", radius=20, frames=8)',
+    r'load_scene\("four_way"\)': 'build_scene("four_way", radius=20, frames=10)',
     r"seconds: \d+": "seconds: 0.5",
     r"--radius \d+": "--radius 20",
     r"radius: \d+": "radius: 20",

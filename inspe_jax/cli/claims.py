@@ -6,7 +6,6 @@ the SHA-256 of its content, the command and the path. Without such a folder noth
 a command's own.
 """
 
-import hashlib
 import tempfile
 from collections.abc import Callable, Collection, Iterable
 from contextlib import suppress
@@ -18,7 +17,7 @@ from filelock import FileLock
 from platformdirs import user_state_path
 
 from inspe_jax.core.errors import InspeError
-from inspe_jax.core.files import check_folder, check_output, check_writable, write_text
+from inspe_jax.core.files import check_folder, check_output, check_writable, digest_of, write_text
 
 ForceOption = Annotated[
     bool,
@@ -62,7 +61,7 @@ class Claims:
                 command, digest = own.get(str(path.resolve()), ("", ""))
                 if command != self.command:
                     how = f"and `inspe {self.command}` did not write it"
-                elif digest != _digest(path):
+                elif digest != digest_of(path):
                     how = f"and was changed since `inspe {self.command}` wrote it"
                 else:
                     continue
@@ -107,7 +106,7 @@ class Claims:
                 own = _listed()
                 for path in written:
                     own.pop(str(path.resolve()), None)
-                    own[str(path.resolve())] = self.command, _digest(path)
+                    own[str(path.resolve())] = self.command, digest_of(path)
                 lines = [f"{digest} {command} {name}" for name, (command, digest) in own.items()]
                 write_text(_list(), "".join(f"{line}\n" for line in lines[-MOST:]))
 
@@ -126,11 +125,6 @@ def _listed() -> dict[str, tuple[str, str]]:
     except (OSError, RuntimeError, ValueError):
         return {}
     return {row[2]: (row[1], row[0]) for row in rows if len(row) == 3}
-
-
-def _digest(path: Path) -> str:
-    with path.open("rb") as f:
-        return hashlib.file_digest(f, "sha256").hexdigest()
 
 
 def _stamp(path: Path) -> tuple[int, int] | None:

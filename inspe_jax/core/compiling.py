@@ -10,7 +10,6 @@ import contextlib
 import json
 import os
 import sys
-import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -24,7 +23,7 @@ import jax.monitoring
 from platformdirs import user_cache_path
 
 from inspe_jax.core.errors import InspeError
-from inspe_jax.core.files import write_text
+from inspe_jax.core.files import check_writable, write_text
 
 TRACED = "/jax/core/compile/jaxpr_trace_duration"
 """Event that JAX records when a function has been traced."""
@@ -195,9 +194,8 @@ def keep_programs() -> None:
         if not folder.is_absolute():  # there is no home folder
             return
         folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=folder):
-            pass
-    except (OSError, RuntimeError):
+        check_writable(folder)
+    except (InspeError, OSError, RuntimeError):
         return
     jax.config.update("jax_compilation_cache_dir", str(folder))
     if "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS" not in os.environ:

@@ -8,6 +8,7 @@ import csv
 import errno
 import functools
 import gzip
+import hashlib
 import io
 import json
 import math
@@ -363,6 +364,12 @@ def check_writable(folder: Path) -> None:
             pass
     except OSError as e:
         raise InspeError(f"{folder}: no file can be written there: {e.strerror}") from e
+
+
+def digest_of(path: Path) -> str:
+    """The SHA-256 of a file's content, as hexadecimal text."""
+    with path.open("rb") as f:
+        return hashlib.file_digest(f, "sha256").hexdigest()
 
 
 def lock_folder(folder: Path, name: str) -> FileLock:

@@ -11,7 +11,6 @@ Paths are relative to the scenario's folder; digests are SHA-256. A file is comp
 read and compared by its digest as well, which takes as long as reading the disk does.
 """
 
-import hashlib
 import json
 import os
 import re
@@ -22,7 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from inspe_jax.core.errors import InspeError
-from inspe_jax.core.files import read_json, write_text
+from inspe_jax.core.files import digest_of, read_json, write_text
 
 MANIFEST, RECORDS = "manifest.json", ".frames"
 FORMAT = "inspe_jax manifest 1"
@@ -137,7 +136,7 @@ def reopen(folder: Path, found: Iterable[Fault]) -> None:
 
 def _measured(folder: Path, files: Iterable[Path]) -> dict[str, tuple[int, str]]:
     return {
-        path.relative_to(folder).as_posix(): (path.stat().st_size, _digest(path))
+        path.relative_to(folder).as_posix(): (path.stat().st_size, digest_of(path))
         for path in sorted(files)
     }
 
@@ -211,7 +210,7 @@ def _fault_of(path: Path, size: int, digest: str | None = None) -> str:
         now = path.stat().st_size
         if now != size:
             return f"is {now} bytes long, and was {size}"
-        if digest is not None and _digest(path) != digest:
+        if digest is not None and digest_of(path) != digest:
             return "its content has changed"
     except FileNotFoundError:
         return "is missing"
@@ -224,11 +223,6 @@ def _visible_files(folder: Path) -> Iterator[Path]:
     for top, folders, names in os.walk(folder):
         folders[:] = [name for name in folders if not name.startswith(".")]
         yield from (Path(top) / name for name in names if not name.startswith("."))
-
-
-def _digest(path: Path) -> str:
-    with path.open("rb") as f:
-        return hashlib.file_digest(f, "sha256").hexdigest()
 
 
 def _files(content: Any, where: Path) -> dict[str, tuple[int, str]]:

@@ -137,8 +137,7 @@ class ScenarioPlan:
     @cached_property
     def key(self) -> str:
         """A short text that identifies the scenario: by its content, not by its name."""
-        settings = self.settings
-        return digest([self.source.anywhere, self.layout, settings, self.recording])[:16]
+        return digest([self.source.anywhere, self.layout, self.settings, self.recording])[:16]
 
     @cached_property
     def traffic_key(self) -> str:

@@ -16,7 +16,7 @@ from pydantic import Field
 
 from inspe_jax.core import version
 from inspe_jax.core.errors import InspeError, brief, check_known
-from inspe_jax.core.files import check_model
+from inspe_jax.core.files import check_model, digest_of
 from inspe_jax.dataset.folders import SPLITS
 from inspe_jax.dataset.formats.options import DEFAULT_OPTIONS
 from inspe_jax.dataset.formats.registry import DEFAULT_FORMAT
@@ -47,7 +47,6 @@ from inspe_jax.study.sources import (
     LayoutSource,
     SceneEntry,
     SceneSource,
-    digest_of,
     read_study,
     scene_source,
 )

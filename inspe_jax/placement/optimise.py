@@ -161,9 +161,9 @@ def compare(
     number of seeds, from 0 on, or the seeds. The other options are as in :func:`optimise`. All
     searches use the same compiled scores. Each method first runs briefly, at most for its budget,
     and that time is not counted, so that none pays for compiling, also not by what is compiled
-    beside it. ``progress`` is called with the
-    method, the seed, the share of its budget spent and its best score. Ctrl-C ends the comparison
-    with the searches so far, the last one as it stands. Raises InspeError as :func:`optimise`.
+    beside it. ``progress`` is called with the method, the seed, the share of its budget spent and
+    its best score. Ctrl-C ends the comparison with the searches so far, the last one as it stands.
+    Raises InspeError as :func:`optimise`.
     """
     methods = [row.name for row in _knowing(objective)] if methods is None else methods
     several = range(seeds) if isinstance(seeds, int) else seeds

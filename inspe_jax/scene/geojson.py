@@ -94,7 +94,7 @@ def read_features(
         try:
             geometry = shapely.force_2d(shape(entry.geometry))
         except (ValueError, TypeError, KeyError, AttributeError, IndexError, OverflowError,
-                RecursionError,                 shapely.errors.ShapelyError) as error:  # fmt: skip
+                RecursionError, shapely.errors.ShapelyError) as error:  # fmt: skip
             raise InspeError(f"{where}.geometry: no geometry of GeoJSON") from error
         if geometry.is_empty:
             raise InspeError(f"{where}.geometry: has no coordinates")

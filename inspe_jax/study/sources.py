@@ -1,6 +1,5 @@
 """Where the scenes and layouts of a study come from; for sweeps and for data sets."""
 
-import hashlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -9,7 +8,7 @@ from typing import Annotated, Any
 from pydantic import Field
 
 from inspe_jax.core.errors import InspeError, nearest
-from inspe_jax.core.files import check_input, read_yaml
+from inspe_jax.core.files import check_input, digest_of, read_yaml
 from inspe_jax.placement.strategies import choose
 from inspe_jax.placement.studies.pareto import mix_name
 from inspe_jax.scene.procedural.built_ins import BUILT_INS
@@ -66,11 +65,6 @@ class LayoutSource:
     options: tuple[tuple[str, Any], ...] = ()
     text: str | None = None
     mix: tuple[tuple[str, int], ...] = ()
-
-
-def digest_of(path: Path) -> str:
-    """The SHA-256 of a file's content, as text."""
-    return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 # ── The file ────────────────────────────────────────────────────────────────

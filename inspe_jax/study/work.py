@@ -9,7 +9,7 @@ import jax
 
 from inspe_jax.core import version
 from inspe_jax.core.errors import InspeError
-from inspe_jax.core.files import check_input, parse_yaml
+from inspe_jax.core.files import check_input, digest_of, parse_yaml
 from inspe_jax.core.parallel import compiled
 from inspe_jax.placement import optimise
 from inspe_jax.placement.objective import Objective
@@ -23,7 +23,7 @@ from inspe_jax.scoring.metrics import listed
 from inspe_jax.sensing.conditions import Conditions
 from inspe_jax.sensing.layout import Layout, layout_text, parse_layout
 from inspe_jax.study.plan import BUILD_SETTINGS, SCORE_ONLY, SETTINGS, Study, StudyJob
-from inspe_jax.study.sources import LayoutSource, SceneSource, digest_of
+from inspe_jax.study.sources import LayoutSource, SceneSource
 
 Row = dict[str, str]
 

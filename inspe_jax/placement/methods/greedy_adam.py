@@ -3,11 +3,10 @@
 Candidates find the places, which gradients do not jump between; gradients move all sensors at
 once where the score has a slope; and finer moves, which are judged hard, gain where it has none.
 As long as the gradient is not compiled, and where the budget has no room for a burst, there are
-exchanges instead. With LiDARs alone it is greedy placement
-with its own exchanges and moves: there exchanges gain more in the same time than bursts do. Where
-metrics other than the paper's have weight, it is CMA-ES: what candidates add to most of them is not
-known, and on detectability with cameras it comes further than Adam in the same time, and needs less
-compiled.
+exchanges instead. With LiDARs alone it is greedy placement with its own exchanges and moves: there
+exchanges gain more in the same time than bursts do. Where metrics other than the paper's have
+weight, it is CMA-ES: what candidates add to most of them is not known, and on detectability with
+cameras it comes further than Adam in the same time, and needs less compiled.
 """
 
 import time

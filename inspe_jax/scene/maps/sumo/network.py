@@ -8,7 +8,6 @@ coordinates are millions of metres.
 import atexit
 import functools
 import gzip
-import hashlib
 import shutil
 import subprocess
 import sys
@@ -23,7 +22,7 @@ import numpy as np
 from jaxtyping import Float
 
 from inspe_jax.core.errors import InspeError, missing_extra
-from inspe_jax.core.files import cached_by_file, check_xml
+from inspe_jax.core.files import cached_by_file, check_xml, digest_of
 from inspe_jax.scene.georeference import Georeference
 
 NET_SUFFIXES = (".net.xml", ".net.xml.gz")
@@ -130,8 +129,7 @@ def _converted(path: Path) -> Path:
     if kind == ".osm":
         _check(path, "osm")
     source, *options = _HOW[kind]
-    with path.open("rb") as f:
-        made = _folder() / (hashlib.file_digest(f, "sha256").hexdigest()[:16] + ".net.xml")
+    made = _folder() / f"{digest_of(path)[:16]}.net.xml"
     if not made.exists():
         part = made.with_suffix(".part.xml")
         run("netconvert", [source, str(path), "-o", str(part), *options], f"{path}")

@@ -50,8 +50,8 @@ from inspe_jax.cli.common import progress
 from inspe_jax.core.digest import digest
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import write_text
-from inspe_jax.placement.strategies import STRATEGIES
-from inspe_jax.study.cluster import client
+from inspe_jax.jobs.cluster import client
+from inspe_jax.mounting.strategies import STRATEGIES
 from inspe_jax.study.plan import Study, StudyJob, make_study
 from inspe_jax.study.sweep import sweep
 from inspe_jax.study.work import Row

@@ -17,10 +17,10 @@ from rich.table import Table
 
 import inspe_jax
 from inspe_jax import Layout, Scene
+from inspe_jax.core.sheet import save_figure
+from inspe_jax.mounting.mixes import mix_name, starting_layout
 from inspe_jax.placement.objective import Objective
 from inspe_jax.placement.problem import Problem
-from inspe_jax.placement.studies.pareto import mix_name, starting_layout
-from inspe_jax.report.sheet import save_figure
 from inspe_jax.report.targets import targets_change
 
 console = Console()

@@ -45,11 +45,11 @@ from table1 import (
 from table2 import HERE, MAPS, QUICK_SIZE, Row, begin, places, run
 
 from inspe_jax.dataset import Cache
+from inspe_jax.jobs.sources import LayoutSource
 from inspe_jax.perception.inputs import BevGrid
 from inspe_jax.perception.training import Settings
 from inspe_jax.simulation.frame import KINDS
 from inspe_jax.study.plan import Study, make_study
-from inspe_jax.study.sources import LayoutSource
 
 BY_HAND = {"L-d1": "coalign", "L-d2": "coalign", "L-c": "coalign", "Cam-d2": "lss-resnet"}
 """The placements that searches begin at, and the detector that is trained under each."""

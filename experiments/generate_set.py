@@ -16,8 +16,8 @@ from rich.table import Table
 
 from inspe_jax.core.parallel import cores
 from inspe_jax.dataset import generate, load_generation, open, statistics
-from inspe_jax.report.dataset_figure import statistics_view
-from inspe_jax.report.frames import frame_view
+from inspe_jax.dataset.figure import statistics_view
+from inspe_jax.dataset.frame_figure import frame_view
 from inspe_jax.simulation.embedded.light import LIGHTS
 
 PAPER = 144_000

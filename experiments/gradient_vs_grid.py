@@ -34,11 +34,11 @@ import inspe_jax
 from inspe_jax import Layout, Scene
 from inspe_jax.core.compiling import compiled
 from inspe_jax.core.files import write_text
+from inspe_jax.mounting.mixes import starting_layout
 from inspe_jax.placement.methods.registry import GRADIENTS, METHODS
 from inspe_jax.placement.optimise import warming
 from inspe_jax.placement.problem import Problem
 from inspe_jax.placement.run import BudgetSpent, Method, Progress, Run
-from inspe_jax.placement.studies.pareto import starting_layout
 
 BUILT_INS = ("four_way", "t_junction", "roundabout")
 TOWNS = (("Town03", 422), ("Town04", 53), ("Town05", 53), ("Town07", 725), ("Town10HD", 189))

@@ -44,6 +44,9 @@ from inspe_jax.core.files import csv_text, write_text
 from inspe_jax.core.words import counted
 from inspe_jax.dataset import Cache, Generation, Loader
 from inspe_jax.dataset.plan import make_generation
+from inspe_jax.jobs.scenes import scene_of
+from inspe_jax.jobs.sources import SceneSource
+from inspe_jax.mounting.mixes import starting_layout
 from inspe_jax.perception.detections import Detections, truth_of
 from inspe_jax.perception.evaluation import Evaluation, evaluate
 from inspe_jax.perception.evaluation.matching import matched
@@ -51,12 +54,9 @@ from inspe_jax.perception.inputs import BevGrid
 from inspe_jax.perception.training import Run, Settings
 from inspe_jax.perception.training.predict import loader_of
 from inspe_jax.placement.problem import Problem
-from inspe_jax.placement.studies.pareto import starting_layout
 from inspe_jax.report.figures import OUTLINE, column_raster, draw_regions
 from inspe_jax.sensing.layout import save_layout
 from inspe_jax.simulation.frame import KINDS
-from inspe_jax.study.sources import SceneSource
-from inspe_jax.study.work import scene_of
 
 TEST_PLACES = ("Town05 four-way", "Town10HD four-way")
 """Where the detector is measured: one of two roads of many lanes, and one with crosswalks."""

@@ -46,12 +46,13 @@ from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import write_text
 from inspe_jax.core.geometry import Prism, rotation, solid_top
 from inspe_jax.core.numerics import step
-from inspe_jax.placement.strategies import STRATEGIES
+from inspe_jax.jobs.scenes import place_layout
+from inspe_jax.mounting.strategies import STRATEGIES
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scoring.metrics import weights_of
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.sensing.sensors import CameraSpec, LidarSpec, PinholeGrid, RayGrid, Spec
-from inspe_jax.study.work import place_layout, scene_of_job
+from inspe_jax.study.work import scene_of_job
 from inspe_jax.visibility import raycast
 from inspe_jax.visibility.centered_scene import about_center
 from inspe_jax.visibility.queries import in_view

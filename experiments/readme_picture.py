@@ -13,9 +13,9 @@ from typing import Any
 from common import CHROMIUM, arguments, browser_on, write_results
 
 import inspe_jax
+from inspe_jax.core.sheet import save_figure
 from inspe_jax.placement.problem import Case
 from inspe_jax.report.figures import plan_view
-from inspe_jax.report.sheet import save_figure
 from inspe_jax.report.targets import targets_view
 from inspe_jax.viewer.app import Viewer
 

@@ -51,6 +51,7 @@ from table2 import Stats, begin, places, run, statistics
 from inspe_jax.cli.common import progress
 from inspe_jax.dataset import Cache, Generation, cache, generate, open_cache
 from inspe_jax.dataset.plan import make_generation
+from inspe_jax.mounting.strategies import STRATEGIES
 from inspe_jax.perception.detector import MODELS, TEACHER, model_of
 from inspe_jax.perception.evaluation import Evaluation
 from inspe_jax.perception.inputs import BevGrid
@@ -66,7 +67,6 @@ from inspe_jax.perception.training import (
 )
 from inspe_jax.perception.training.predict import loader_of
 from inspe_jax.perception.training.run import VALIDATION
-from inspe_jax.placement.strategies import STRATEGIES
 from inspe_jax.simulation.frame import KINDS
 from inspe_jax.study.plan import make_study
 

@@ -31,7 +31,7 @@ from scipy.stats import spearmanr
 from inspe_jax.cli.common import progress
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import write_text
-from inspe_jax.placement.strategies import STRATEGIES
+from inspe_jax.mounting.strategies import STRATEGIES
 from inspe_jax.scene.profiles import DEFAULT_PROFILE, profiles
 from inspe_jax.study.plan import Study, make_study
 from inspe_jax.study.sweep import sweep

@@ -25,7 +25,7 @@ from table2 import HERE
 from inspe_jax.cli.common import progress
 from inspe_jax.dataset import Dataset, generate, load_generation, open
 from inspe_jax.dataset.points_in_boxes import count_inside
-from inspe_jax.placement.strategies import STRATEGIES
+from inspe_jax.mounting.strategies import STRATEGIES
 from inspe_jax.scene.traffic.frames import CLASSES, DENSITIES, MIXES, quota
 from inspe_jax.simulation.embedded.light import LIGHTS
 from inspe_jax.simulation.frame import Frame

@@ -22,11 +22,11 @@ from inspe_jax.core.compiling import NOTHING, keep_programs
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.numerics import Softness
 from inspe_jax.core.version import __version__ as __version__
+from inspe_jax.mounting.strategies import STRATEGIES, strategy
 from inspe_jax.placement.constraints import Constraints
 from inspe_jax.placement.objective import Objective
 from inspe_jax.placement.optimise import compare, methods, optimise
 from inspe_jax.placement.result import Result, load_result, save_result
-from inspe_jax.placement.strategies import STRATEGIES, strategy
 from inspe_jax.placement.studies.cheapest import cheapest
 from inspe_jax.placement.studies.pareto import pareto
 from inspe_jax.placement.studies.tolerance import tolerance

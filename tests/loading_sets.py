@@ -6,6 +6,7 @@ import numpy as np
 from frames import WORLD
 
 from inspe_jax.core.geometry import rotation
+from inspe_jax.core.pinhole import pixels
 from inspe_jax.dataset import (
     Frame,
     Image,
@@ -16,7 +17,7 @@ from inspe_jax.dataset import (
     write_protocol,
 )
 from inspe_jax.simulation.frame import KINDS
-from inspe_jax.simulation.projection import corners, pixels
+from inspe_jax.simulation.projection import corners
 
 MIDDLE = np.array([100.0, -50.0, 2.0])
 """Of the intersection, far from the world's origin."""

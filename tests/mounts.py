@@ -8,9 +8,9 @@ from shapely.geometry import LineString, Point
 from shapely.ops import unary_union
 from worlds import CAMERA
 
+from inspe_jax.mounting.strategies import strategy
 from inspe_jax.placement.constraints import Constraints
 from inspe_jax.placement.space import Space
-from inspe_jax.placement.strategies import strategy
 from inspe_jax.scene.intersection import Intersection
 from inspe_jax.scene.procedural.built_ins import built_in
 from inspe_jax.scene.scene import Scene, build_scene

@@ -17,20 +17,25 @@ LADDER = [
     "scene",
     "sensing",
     "visibility",
+    "mounting",
     "scoring",
+    "jobs",
     "placement",
     "study",
+    "report",
     "simulation",
     "dataset",
     "perception",
-    "report",
     "viewer",
     "cli",
 ]
+SCIENCE = LADDER[: LADDER.index("simulation")]
+RECORDINGS = {"simulation", "dataset", "perception"}
+APPS = {"viewer", "cli"}
 ROOMS = {
     "shapely": (
-        "scene/", "placement/constraints.py", "placement/space.py", "placement/site.py",
-        "simulation/", "report/",
+        "scene/", "mounting/site.py", "placement/constraints.py", "placement/space.py",
+        "simulation/", "report/", "viewer/scene3d.py",
     ),
     "carla": ("scene/maps/opendrive/", "simulation/carla/"),
     "embreex": ("simulation/embedded/embree.py",),
@@ -44,14 +49,17 @@ ROOMS = {
     "PIL": (
         "dataset/formats/", "dataset/loading/decode.py", "simulation/", "viewer/sensor_view.py",
     ),
-    "matplotlib": ("report/",),
-    "viser": ("report/", "viewer/"),
-    "websockets": ("report/server.py",),
-    "msgspec": ("report/server.py",),
+    "matplotlib": (
+        "core/sheet.py", "dataset/figure.py", "dataset/frame_figure.py", "perception/figure.py",
+        "report/", "study/city_report.py", "viewer/",
+    ),
+    "viser": ("viewer/",),
+    "websockets": ("viewer/server.py",),
+    "msgspec": ("viewer/server.py",),
     "jinja2": ("report/",),
     "typer": ("cli/",),
-    "distributed": ("study/",),
-    "dask": ("study/",),
+    "distributed": ("jobs/",),
+    "dask": ("jobs/",),
 }  # fmt: skip
 LEVEL = {room: i for i, room in enumerate(LADDER)}
 
@@ -81,6 +89,16 @@ def test_imports_run_only_downward(path):
         if name.startswith("inspe_jax.") and name != "inspe_jax.__version__":
             there = room(name.removeprefix("inspe_jax."))
             assert LEVEL[there] <= LEVEL[here], f"{here} imports {name}"
+
+
+def test_science_knows_neither_recordings_nor_apps_nor_recordings_studies():
+    for path in FILES:
+        here = path.relative_to(PACKAGE).with_suffix("").parts[0]
+        there = {room(n.removeprefix("inspe_jax.")) for n in imports(path) if "inspe_jax." in n}
+        if here in SCIENCE:
+            assert not there & (RECORDINGS | APPS), path
+        if here in RECORDINGS:
+            assert not there & {"study", "placement", "report", *APPS}, path
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(PACKAGE)))

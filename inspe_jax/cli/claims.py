@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from filelock import FileLock
 from platformdirs import user_state_path
 
 from inspe_jax.core.errors import InspeError
@@ -24,7 +23,7 @@ ForceOption = Annotated[
     typer.Option("--force", help="Replace files that this command did not write, or were changed."),
 ]
 MOST = 5000
-"""Largest number of lines of the list; the oldest go first."""
+"""Lines that stay of a list of twice as many; the oldest go."""
 
 
 class Claims:
@@ -102,13 +101,11 @@ class Claims:
             return
         with suppress(OSError, RuntimeError, InspeError):  # there is no such folder, or it is full
             _list().parent.mkdir(parents=True, exist_ok=True)
-            with FileLock(f"{_list()}.lock", timeout=5):
-                own = _listed()
-                for path in written:
-                    own.pop(str(path.resolve()), None)
-                    own[str(path.resolve())] = self.command, digest_of(path)
-                lines = [f"{digest} {command} {name}" for name, (command, digest) in own.items()]
-                write_text(_list(), "".join(f"{line}\n" for line in lines[-MOST:]))
+            new = [f"{digest_of(path)} {self.command} {path.resolve()}\n" for path in written]
+            with _list().open("a", encoding="utf-8") as f:  # whole lines, of all that write at once
+                f.write("".join(new))
+            if len(lines := _list().read_text("utf-8").splitlines(keepends=True)) > 2 * MOST:
+                write_text(_list(), "".join(lines[-MOST:]))
 
 
 claims = Claims()
@@ -119,7 +116,7 @@ def _list() -> Path:
 
 
 def _listed() -> dict[str, tuple[str, str]]:
-    """Command and digest of every file that was written, by its path, the oldest first."""
+    """Command and digest of every file that was written, by its path; a later line counts."""
     try:
         rows = [line.split(" ", 2) for line in _list().read_text("utf-8").splitlines()]
     except (OSError, RuntimeError, ValueError):

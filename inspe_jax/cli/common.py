@@ -19,7 +19,7 @@ from typer.core import TyperGroup
 from inspe_jax.cli.claims import claims
 from inspe_jax.cli.stopping import CTRL_C, attended, step, stopped
 from inspe_jax.core.compiling import compiled, keep_programs, leave
-from inspe_jax.core.errors import InspeError, nearest
+from inspe_jax.core.errors import EXTRAS, InspeError, missing_extra, nearest
 from inspe_jax.core.words import visible
 from inspe_jax.placement.compile_ahead import compiles
 
@@ -149,6 +149,11 @@ def _run() -> None:
     except OSError as e:
         where = f"{e.filename}: " if e.filename else ""
         words = where + (e.strerror or str(e) or type(e).__name__)  # a TimeoutError says nothing
+    except ModuleNotFoundError as e:
+        library = (e.name or "").partition(".")[0]
+        if library not in EXTRAS:
+            raise
+        words = str(missing_extra(f"this needs {library}", EXTRAS[library]))
     except (AssertionError, RuntimeError) as e:
         platforms = os.environ.get("JAX_PLATFORMS")
         if not platforms or _has_devices():

@@ -66,12 +66,12 @@ def stats(
     - `inspe dataset stats infra/test --json -`
     """
     from inspe_jax.core.files import csv_text, write_text
+    from inspe_jax.core.sheet import FORMATS, save_figure
     from inspe_jax.dataset.check import differing
+    from inspe_jax.dataset.figure import statistics_view
     from inspe_jax.dataset.folders import open_dataset
     from inspe_jax.dataset.statistics import statistics, table_row
-    from inspe_jax.report.dataset_figure import statistics_view
-    from inspe_jax.report.dataset_tables import statistics_record, statistics_table
-    from inspe_jax.report.sheet import FORMATS, save_figure
+    from inspe_jax.dataset.tables import statistics_record, statistics_table
 
     claims.file(plot, FORMATS, force=force)
     claims.file(row, (".csv",), force=force)
@@ -206,10 +206,10 @@ def show_frame(
     - `inspe dataset show infra/test/four_way 68`
     - `inspe dataset show infra 68 --scenario test/four_way --plot frame.png`
     """
+    from inspe_jax.core.sheet import FORMATS, save_figure
     from inspe_jax.dataset.folders import open_dataset
-    from inspe_jax.report.dataset_tables import frame_table
-    from inspe_jax.report.frames import frame_view
-    from inspe_jax.report.sheet import FORMATS, save_figure
+    from inspe_jax.dataset.frame_figure import frame_view
+    from inspe_jax.dataset.tables import frame_table
 
     claims.file(plot, FORMATS, force=force)
     chosen = open_dataset(folder).scenario(scenario)

@@ -173,7 +173,7 @@ def _tell_what_it_would_hold(generation: "Generation", backend: str, workers: in
     """Print a table of the splits, and the size and the time that the set would take."""
     from inspe_jax.core.parallel import cores
     from inspe_jax.dataset.estimate import estimate
-    from inspe_jax.report.dataset_tables import content_table
+    from inspe_jax.dataset.tables import content_table
 
     workers = workers or cores()
     with progress("scenarios") as report:

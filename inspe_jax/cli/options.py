@@ -241,8 +241,8 @@ class SearchOptions(ScoreOptions):
         self, method: str | None, seed: int, callback: Callable[[float, float, str], None]
     ) -> dict[str, Any]:
         """Method, budget, seed and progress of a command that searches many mixes of devices."""
+        from inspe_jax.mounting.mixes import mix_name
         from inspe_jax.placement.optimise import DEFAULT_METHOD
-        from inspe_jax.placement.studies.pareto import mix_name
 
         return dict(
             method=method or DEFAULT_METHOD,

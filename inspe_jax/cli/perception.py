@@ -5,7 +5,6 @@ Imports are inside the commands: Equinox is an extra, and JAX takes long to impo
 
 from itertools import product
 from pathlib import Path
-from types import ModuleType
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -24,7 +23,7 @@ from inspe_jax.cli.common import (
     show,
 )
 from inspe_jax.cli.options import SchedulerOption, WorkersOption
-from inspe_jax.core.errors import InspeError, missing_extra
+from inspe_jax.core.errors import InspeError
 
 if TYPE_CHECKING:
     from inspe_jax.dataset import Cache, Loader
@@ -100,11 +99,10 @@ def train_detector(
     - `inspe train infra --model v2x-vit --model coalign --seed 0 --seed 1 --out runs`
     """
     from inspe_jax.core.files import check_folder, check_model
-
-    training = _training()
+    from inspe_jax.jobs.engine import check_workers
+    from inspe_jax.perception import training
     from inspe_jax.perception.detector import model_of
     from inspe_jax.perception.training.source import pictures_in_words
-    from inspe_jax.study.engine import check_workers
 
     check_folder(folder)
     given = dict(steps=steps, batch=batch, rate=rate, every=every)
@@ -148,7 +146,9 @@ def _train_one(data: "Cache", folder: Path, settings: "Settings") -> None:
             elif now.step % settings.every == 0:
                 err.print(f"{now.model}: step {now.step:,} of {now.steps:,}, {facts}")
 
-        run = _training().train(data, folder, settings, progress=report)
+        from inspe_jax.perception import training
+
+        run = training.train(data, folder, settings, progress=report)
     out.print(f"{settings.model}: {_summary(run)}\nwrote {folder}")
 
 
@@ -161,9 +161,9 @@ def _train_many(
 ) -> None:
     """Trainings in processes of their own, with a bar of the steps of all."""
     from inspe_jax.core.files import prepare_folder
+    from inspe_jax.perception import training
     from inspe_jax.perception.inputs import BevGrid
 
-    training = _training()
     folders = [folder.resolve()]
     if len(wanted) > 1:
         folders = [folders[0] / f"{own.model}_{own.seed}" for own in wanted]
@@ -219,7 +219,7 @@ def evaluate_detector(
     - `inspe evaluate v2x-vit infra --split validate --csv table.csv`
     """
     from inspe_jax.core.files import csv_text, json_value, write_text
-    from inspe_jax.report.perception_tables import evaluation_table
+    from inspe_jax.perception.tables import evaluation_table
 
     claims.file(table, (".csv",), force=force)
     claims.file(record, force=force)
@@ -261,10 +261,10 @@ def detect(
     - `inspe detect v2x-vit infra --scenario four_way --frame 68 --score 0.1`
     """
     from inspe_jax.core.files import json_value
+    from inspe_jax.core.sheet import FORMATS, save_figure
     from inspe_jax.dataset import Loader
-    from inspe_jax.report.detections import draw
-    from inspe_jax.report.perception_tables import detections_table
-    from inspe_jax.report.sheet import FORMATS, save_figure
+    from inspe_jax.perception.figure import draw
+    from inspe_jax.perception.tables import detections_table
     from inspe_jax.simulation.frame import KINDS
 
     claims.file(plot, FORMATS, force=force)
@@ -296,17 +296,6 @@ def _unfinished(run: "Run", step: int) -> str:
     return "" if step >= steps else f", after {step:,} of {steps:,} steps"
 
 
-def _training() -> ModuleType:
-    """The room of trainings. Raises InspeError if Equinox is missing."""
-    try:
-        from inspe_jax.perception import training
-    except ModuleNotFoundError as e:
-        if e.name != "equinox":
-            raise
-        raise missing_extra("this needs Equinox", "perception") from e
-    return training
-
-
 def _cache(
     source: Path,
     folder: Path | None,
@@ -324,7 +313,7 @@ def _ready(
     folder: Path, source: Path, cache: Path | None, split: str
 ) -> "tuple[Run, int, Loader, Any]":
     """A run, the step of its last state, the frames of a set in order, and what detects in them."""
-    training = _training()
+    from inspe_jax.perception import training
     from inspe_jax.perception.detector import model_of
     from inspe_jax.perception.training.predict import loader_of
     from inspe_jax.perception.training.settings import check_sensors

@@ -145,8 +145,9 @@ def plan(
     - `inspe plan town.net.xml --junctions 189,401,53 --importance 189=3 --budget 20000 --worst`
     - `inspe plan city.osm --junctions all --budget 250000 --dry-run`
     """
+    from inspe_jax.mounting.mixes import mix_name
     from inspe_jax.placement.objective import Objective
-    from inspe_jax.placement.studies.pareto import device_mixes, mix_name
+    from inspe_jax.placement.studies.pareto import device_mixes
     from inspe_jax.study.budget import check_budget
     from inspe_jax.study.city import (
         check_importance,
@@ -227,7 +228,7 @@ def plan(
 
 def _show(found: "CityPlan", georeference: "Georeference | None") -> None:
     """Print the plan, and which searches failed."""
-    from inspe_jax.report.city import plan_table, plan_words
+    from inspe_jax.study.city_report import plan_table, plan_words
 
     out.print(plan_table(found, georeference))
     out.print("\n".join(plan_words(found)))
@@ -249,9 +250,9 @@ def _write(
 ) -> list[str]:
     """Write the plan's files, in place of those of an earlier plan; returns their names."""
     from inspe_jax.core.files import write_text
-    from inspe_jax.report.city import city_view
-    from inspe_jax.report.sheet import save_figure
+    from inspe_jax.core.sheet import save_figure
     from inspe_jax.scene.maps.registry import road_lines
+    from inspe_jax.study.city_report import city_view
 
     write_text(folder / "plan.csv", found.text(georeference))
     save_figure(city_view(found, source.name, road_lines(source)), folder / "plan.png")

@@ -73,11 +73,11 @@ def pareto(
       --price hesai-xt32=5000 --price paper-camera=800 --seconds 30`
     - `inspe pareto roundabout --budget 10000 --failures`
     """
+    from inspe_jax.core.sheet import save_figure
     from inspe_jax.placement.optimise import DEFAULT_METHOD, check_search
     from inspe_jax.placement.studies.pareto import device_mixes, layout_file, save_pareto
     from inspe_jax.placement.studies.pareto import pareto as search
     from inspe_jax.report.cost import pareto_view
-    from inspe_jax.report.sheet import save_figure
     from inspe_jax.report.tables import pareto_table
     from inspe_jax.scene.scene import load_scene
 

@@ -177,10 +177,10 @@ def scene(
     - `inspe scene j189.npz --plot j189.png`
     """
     from inspe_jax.core.files import check_input
-    from inspe_jax.placement.site import Site
+    from inspe_jax.core.sheet import FORMATS, save_figure
+    from inspe_jax.mounting.site import Site
     from inspe_jax.report.figures import scene_view
     from inspe_jax.report.scene_tables import scene_table
-    from inspe_jax.report.sheet import FORMATS, save_figure
     from inspe_jax.scene.maps.digital_twin import with_mesh
     from inspe_jax.scene.maps.elevation import with_elevation
     from inspe_jax.scene.maps.own_bodies import with_own_bodies
@@ -298,7 +298,7 @@ def layout(
     - `inspe layout four_way --strategy Cam-d1/L-d1 --out layout.yaml`
     - `inspe layout j189.npz --strategy L-c --lidar ouster-os1-128`
     """
-    from inspe_jax.placement.strategies import strategy as place
+    from inspe_jax.mounting.strategies import strategy as place
     from inspe_jax.report.scene_tables import layout_table
     from inspe_jax.scene.scene import load_scene
     from inspe_jax.sensing.catalogue import device

@@ -75,9 +75,9 @@ def score(
     """
     from rich.console import Group
 
+    from inspe_jax.core.sheet import FORMATS, save_figure
     from inspe_jax.placement.problem import Case
     from inspe_jax.report.figures import plan_view
-    from inspe_jax.report.sheet import FORMATS, save_figure
     from inspe_jax.report.tables import blind_spots_table, scores_record, scores_table
     from inspe_jax.scoring.evaluate import evaluate
     from inspe_jax.sensing.conditions import Conditions
@@ -133,7 +133,7 @@ def targets(
     - `inspe targets four_way Cam-d1/L-d1 --plot targets.png`
     - `inspe targets j189.npz layout.yaml --road-user cyclist --weather fog:100 --json -`
     """
-    from inspe_jax.report.sheet import FORMATS, save_figure
+    from inspe_jax.core.sheet import FORMATS, save_figure
     from inspe_jax.report.targets import targets_record, targets_table, targets_view
     from inspe_jax.scene.traffic.frames import CLASSES
     from inspe_jax.scoring.detection import load_detection

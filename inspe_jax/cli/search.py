@@ -108,9 +108,9 @@ def optimise(
     - `inspe optimise four_way --target 0.95 --region crosswalk --device velodyne-vlp-16:1-4`
     """
     from inspe_jax.core.files import check_output
+    from inspe_jax.mounting.mixes import starting_layout
     from inspe_jax.placement import optimise as search
     from inspe_jax.placement.result import FILES, save_result
-    from inspe_jax.placement.studies.pareto import starting_layout
     from inspe_jax.scene.scene import load_scene
     from inspe_jax.scoring.metrics import METRICS
     from inspe_jax.sensing.conditions import FAIR
@@ -198,10 +198,10 @@ def compare(
     - `inspe compare --methods greedy-adam,grid --seconds 10 --seeds 1`
     - `inspe compare j189.npz layout.yaml --seconds 60 --seeds 5 --out j189_methods`
     """
+    from inspe_jax.core.sheet import save_figure
     from inspe_jax.placement import optimise as search
     from inspe_jax.placement.result import save_comparison
     from inspe_jax.report.progress import history_view
-    from inspe_jax.report.sheet import save_figure
     from inspe_jax.report.tables import comparison_table
 
     files = ("compare.csv", "history.csv", "layout.yaml", "compare.png")
@@ -339,8 +339,8 @@ def _show(result: "Result") -> None:
 
 
 def _draw(world: "Scene", result: "Result", folder: Path) -> Path:
+    from inspe_jax.core.sheet import save_figure
     from inspe_jax.report.progress import before_after
-    from inspe_jax.report.sheet import save_figure
 
     path = folder / PICTURE
     parts = (result.start, result.layout, result.scores_before, result.scores)

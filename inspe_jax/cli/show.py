@@ -7,7 +7,7 @@ import signal
 import time
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -99,6 +99,7 @@ def report(
     from inspe_jax.report.tables import goal_words
     from inspe_jax.scene.scene import load_scene
     from inspe_jax.sensing.conditions import Conditions
+    from inspe_jax.viewer.page_views import VIEWS
     from inspe_jax.visibility.queries import check_frame
 
     claims.file(path, (".html", ".htm"), force=force)
@@ -128,9 +129,8 @@ def report(
             entry = replace(entry, tolerance=slopes)
         entries.append(entry)
     with progress("drawing") as callback:
-        page = report_page(
-            world, entries, front=mixes, frame=frame, prices=priced, progress=callback
-        )
+        shown: dict[str, Any] = dict(front=mixes, frame=frame, views=VIEWS)
+        page = report_page(world, entries, prices=priced, progress=callback, **shown)
     path = claims.keep(lambda at: write_text(at, page), path)
     for entry in entries:
         words = goal_words(entry.layout, entry.scores, entry.sought)
@@ -138,7 +138,7 @@ def report(
     out.print(f"wrote {path}, {path.stat().st_size / 1e6:.1f} MB")
     if pdf:
         with busy("drawing"):
-            sheets = report_sheets(world, entries, front=mixes, frame=frame)
+            sheets = report_sheets(world, entries, **shown)
         with whole_file(pdf) as f:
             f.write(sheets)
         out.print(f"drew {pdf}")
@@ -202,11 +202,11 @@ def view(
     from inspe_jax.core.files import check_output
     from inspe_jax.placement.problem import Case
     from inspe_jax.report.page_token import kept_token
-    from inspe_jax.report.server import AccessRules
     from inspe_jax.scene.scene import load_scene
     from inspe_jax.sensing.conditions import Conditions
     from inspe_jax.sensing.layout import layout_text
     from inspe_jax.viewer.app import Viewer
+    from inspe_jax.viewer.server import AccessRules
 
     check_output(path, (".yaml", ".yml"))
     conditions, weights = Conditions.of(light, weather), options.weights()

@@ -2,7 +2,8 @@
 
 import json
 import reprlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from difflib import get_close_matches
 from importlib import metadata
 from typing import Any, TypeVar
@@ -57,10 +58,28 @@ def check_known(name: str, known: Iterable[str], what: str) -> None:
         raise InspeError(f"{what} '{name}': one of {', '.join(known)}{hint}")
 
 
+EXTRAS = {
+    "dask": "sweep", "distributed": "sweep", "equinox": "perception", "filelock": "dataset",
+    "ifaddr": "view", "jinja2": "report", "msgspec": "view", "viser": "view", "websockets": "view",
+}  # fmt: skip
+"""The extra that brings a library that whole modules need."""
+
+
 def missing_extra(what: str, extra: str, where: str = "") -> InspeError:
     """The error of a library that is not installed: ``what`` needs it, and how the ``extra`` with
     it is installed, as this package was. ``where`` says where there is such a library."""
     return InspeError(f"{what}: {_install(extra)}{where and f' ({where})'}")
+
+
+@contextmanager
+def needs(what: str, extra: str, where: str = "") -> Iterator[None]:
+    """Turn an import in the block that fails into the error of a :func:`missing_extra`."""
+    try:
+        yield
+    except ImportError as e:
+        if (e.name or "").startswith("inspe_jax"):
+            raise
+        raise missing_extra(what, extra, where) from e
 
 
 def _install(extra: str) -> str:

@@ -28,7 +28,6 @@ from xml.parsers import expat
 
 import numpy as np
 import yaml
-from filelock import FileLock, Timeout
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from inspe_jax.core.errors import InspeError, brief, nearest
@@ -370,19 +369,6 @@ def digest_of(path: Path) -> str:
     """The SHA-256 of a file's content, as hexadecimal text."""
     with path.open("rb") as f:
         return hashlib.file_digest(f, "sha256").hexdigest()
-
-
-def lock_folder(folder: Path, name: str) -> FileLock:
-    """Take the lock ``name`` of a folder, until its ``release``.
-
-    A killed process leaves no lock. Raises InspeError if another run has it.
-    """
-    lock = FileLock(folder / name)
-    try:
-        lock.acquire(timeout=0)
-    except Timeout:
-        raise InspeError(f"{folder}: is in use by another run; wait until it is done") from None
-    return lock
 
 
 def write_text(path: str | os.PathLike[str], text: str) -> None:

@@ -13,10 +13,10 @@ from inspe_jax.dataset.chunk import FULL, SIZE, Chunk, Outcome, build, close, wo
 from inspe_jax.dataset.manifest import Fault
 from inspe_jax.dataset.plan import Generation, ScenarioPlan
 from inspe_jax.dataset.writer import DatasetWriter
+from inspe_jax.jobs.engine import load_cluster, run_jobs
+from inspe_jax.jobs.scenes import message_of
 from inspe_jax.simulation.backends import BACKENDS, check_backend, server_of
 from inspe_jax.simulation.recorder import Server
-from inspe_jax.study.engine import load_cluster, run_jobs
-from inspe_jax.study.work import message_of
 
 MB = 1e6
 CONTINUE = "make room, then give the same command again to resume"

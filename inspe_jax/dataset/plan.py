@@ -1,7 +1,7 @@
 """The plan of a data set: every layout on every scene in every setting. Read from YAML.
 
 The file is like that of a study (:mod:`inspe_jax.study.plan`), with other settings. Both modules
-share :mod:`inspe_jax.study.settings` and :mod:`inspe_jax.study.sources`; what is left in each is
+share :mod:`inspe_jax.jobs.settings` and :mod:`inspe_jax.jobs.sources`; what is left in each is
 its own: scenarios, splits and names here, jobs and searches there. The file::
 
     scenes:
@@ -60,11 +60,7 @@ from inspe_jax.core.words import counted
 from inspe_jax.dataset.folders import SPLITS
 from inspe_jax.dataset.formats.options import DEFAULT_OPTIONS, FileOptions
 from inspe_jax.dataset.formats.registry import DEFAULT_FORMAT, check_format
-from inspe_jax.scene.traffic.frames import DENSITIES, MOST_FRAMES
-from inspe_jax.sensing.conditions import CLEAR, Conditions
-from inspe_jax.simulation.backends import DEFAULT_BACKEND
-from inspe_jax.simulation.recorder import TURN, Recording
-from inspe_jax.study.settings import (
+from inspe_jax.jobs.settings import (
     CONDITIONS,
     WORLD,
     Length,
@@ -77,7 +73,7 @@ from inspe_jax.study.settings import (
     conditioned,
     defaults_of,
 )
-from inspe_jax.study.sources import (
+from inspe_jax.jobs.sources import (
     LayoutSource,
     SceneEntry,
     SceneSource,
@@ -86,6 +82,10 @@ from inspe_jax.study.sources import (
     layout_sources,
     with_named_layouts,
 )
+from inspe_jax.scene.traffic.frames import DENSITIES, MOST_FRAMES
+from inspe_jax.sensing.conditions import CLEAR, Conditions
+from inspe_jax.simulation.backends import DEFAULT_BACKEND
+from inspe_jax.simulation.recorder import TURN, Recording
 
 SECONDS = 10.0
 """Length of a scenario, if none is given [s]."""

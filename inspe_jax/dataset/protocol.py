@@ -30,10 +30,7 @@ from inspe_jax.dataset.plan import (
     make_generation,
     saved_seconds,
 )
-from inspe_jax.scene.scene import load_scene
-from inspe_jax.sensing.layout import parse_layout
-from inspe_jax.simulation.backends import BACKENDS
-from inspe_jax.study.settings import (
+from inspe_jax.jobs.settings import (
     CONDITIONS,
     WORLD,
     Count,
@@ -43,13 +40,10 @@ from inspe_jax.study.settings import (
     check_settings,
     conditioned,
 )
-from inspe_jax.study.sources import (
-    LayoutSource,
-    SceneEntry,
-    SceneSource,
-    read_study,
-    scene_source,
-)
+from inspe_jax.jobs.sources import LayoutSource, SceneEntry, SceneSource, read_study, scene_source
+from inspe_jax.scene.scene import load_scene
+from inspe_jax.sensing.layout import parse_layout
+from inspe_jax.simulation.backends import BACKENDS
 
 FORMAT = "inspe_jax scenario 2"
 PORT = 2000

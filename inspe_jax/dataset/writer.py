@@ -16,7 +16,7 @@ import yaml
 
 from inspe_jax.core.digest import digest
 from inspe_jax.core.errors import InspeError
-from inspe_jax.core.files import lock_folder, prepare_folder, read_yaml, write_text
+from inspe_jax.core.files import prepare_folder, read_yaml, write_text
 from inspe_jax.dataset.check import GENERATION
 from inspe_jax.dataset.folders import SPLITS
 from inspe_jax.dataset.formats.registry import DEFAULT_FORMAT, FORMATS
@@ -34,6 +34,7 @@ from inspe_jax.dataset.manifest import (
 )
 from inspe_jax.dataset.plan import Generation, ScenarioPlan
 from inspe_jax.dataset.protocol import versions
+from inspe_jax.jobs.locks import lock_folder
 
 RECORD, UNFINISHED = GENERATION, ".unfinished"
 FORMAT = "inspe_jax data set 2"

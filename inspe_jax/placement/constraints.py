@@ -7,7 +7,7 @@ import numpy as np
 from shapely.geometry.base import BaseGeometry
 
 from inspe_jax.core.errors import InspeError, check_known
-from inspe_jax.placement.site import CENTRAL_HEIGHTS, POLE_HEIGHTS
+from inspe_jax.mounting.site import CENTRAL_HEIGHTS, POLE_HEIGHTS
 from inspe_jax.sensing.kinds import SENSOR_KINDS
 from inspe_jax.sensing.layout import UNIT_HEIGHT
 

@@ -7,9 +7,9 @@ from itertools import combinations
 import numpy as np
 from jaxtyping import Bool, Float
 
+from inspe_jax.mounting.site import Site
 from inspe_jax.placement.constraints import PLACES, Constraints
 from inspe_jax.placement.coordinates import nearest_turn
-from inspe_jax.placement.site import Site
 from inspe_jax.scene.placed_bodies import body_at
 from inspe_jax.sensing.layout import UNIT_HEIGHT, UNIT_PLAN, Layout, Sensor, Unit
 

@@ -13,6 +13,7 @@ from inspe_jax.core.digest import digest
 from inspe_jax.core.errors import InspeError, check_known, nearest, or_usual, wrong_kind
 from inspe_jax.core.files import check_output, check_writable, json_value
 from inspe_jax.core.version import versions
+from inspe_jax.mounting.strategies import STRATEGIES, strategy
 from inspe_jax.placement.candidates import COLUMNS, FRAMES
 from inspe_jax.placement.checkpoint import SUFFIXES, CheckpointWriter
 from inspe_jax.placement.constraints import Constraints
@@ -29,7 +30,6 @@ from inspe_jax.placement.run import (
     check_budget,
     check_seed,
 )
-from inspe_jax.placement.strategies import STRATEGIES, strategy
 from inspe_jax.scoring.evaluate import Scores, evaluate
 from inspe_jax.sensing.conditions import Conditions
 from inspe_jax.sensing.layout import Layout

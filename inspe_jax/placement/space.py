@@ -18,12 +18,12 @@ from shapely import minimum_bounding_circle
 from shapely.geometry import MultiPoint
 
 from inspe_jax.core.errors import InspeError, nearest
-from inspe_jax.placement.brackets import Brackets
+from inspe_jax.mounting.brackets import Brackets
+from inspe_jax.mounting.site import Site
 from inspe_jax.placement.constraints import PLACES, Constraints
 from inspe_jax.placement.convex_regions import into_disc, make_regions
 from inspe_jax.placement.coordinates import PLANE, STEPS, Coordinates, Limits, Range
 from inspe_jax.placement.feasibility import TOLERANCE, Fault, differences, faults, on_span
-from inspe_jax.placement.site import Site
 from inspe_jax.scene.scene import Scene
 from inspe_jax.sensing.layout import UNIT_PLAN, Layout, make_layout
 

@@ -7,8 +7,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import StrMethodFormatter
 
 from inspe_jax.core.errors import InspeError
+from inspe_jax.core.sheet import TITLE, WIDTH, fit, house_style
 from inspe_jax.placement.studies.pareto import DeviceMix, ParetoPoint
-from inspe_jax.report.sheet import TITLE, WIDTH, fit, house_style
 
 FRONT, BEATEN = "#0072b2", "#808080"
 NAMED = 12

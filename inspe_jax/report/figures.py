@@ -24,13 +24,11 @@ from scipy.ndimage import uniform_filter
 from shapely.geometry.base import BaseGeometry
 
 from inspe_jax.core.errors import InspeError
-from inspe_jax.report.bodies import body_keys, draw_bodies
-from inspe_jax.report.layers import MapLayer, cell_rows, seen_layer
-from inspe_jax.report.outlines import clear_outlines
-from inspe_jax.report.routes import LANE, WALK, center_distance, draw_routes
-from inspe_jax.report.sheet import (
+from inspe_jax.core.sheet import (
     CIRCLE,
+    CLASS_COLORS,
     HALO,
+    KEYS,
     LINE,
     MAP,
     fit,
@@ -39,6 +37,10 @@ from inspe_jax.report.sheet import (
     setting_words,
     sheet,
 )
+from inspe_jax.report.bodies import body_keys, draw_bodies
+from inspe_jax.report.layers import MapLayer, cell_rows, seen_layer
+from inspe_jax.report.outlines import clear_outlines
+from inspe_jax.report.routes import LANE, WALK, center_distance, draw_routes
 from inspe_jax.scene.regions import PRECEDENCE, Region
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scene.traffic.frames import CLASSES
@@ -54,8 +56,6 @@ REGION_COLORS: dict[Region, str] = dict(
 )
 """Tints of Okabe and Ito's black, yellow, orange, bluish green and sky blue, by region."""
 
-CLASS_COLORS: tuple[str, ...] = ("#0072b2", "#d55e00", "#cc79a7", "#000000")
-"""Blue, vermilion, reddish purple and black, in the order of the road-user classes."""
 
 SENSOR_COLORS: defaultdict[str, str] = defaultdict(
     lambda: "#2f5d50", {"camera": "#c04a00", "lidar": "#8a2f74"}
@@ -68,7 +68,6 @@ OUTLINE: dict[str, Any] = dict(fc="none", ec="#999999", lw=0.45)
 _HATCH: dict[str, Any] = dict(fc="none", ec="#606060", lw=0.0, hatch="//////")
 _POLE: dict[str, Any] = dict(ls="", marker="o", ms=4.5, mfc="white", mec="black", mew=1.0)
 USER: dict[str, Any] = dict(fc="white", ec="black", lw=0.4)
-KEYS: dict[str, Any] = dict(borderpad=0.0, borderaxespad=0.0, frameon=False, handlelength=1.6)
 _MARKERS = defaultdict(lambda: "D", {"camera": "o", "lidar": "s"})
 _LABEL = 8.5  # height of a line of a layer's label [pt]
 _ROW = 9.5  # height of a row of the panel [pt]
@@ -90,7 +89,7 @@ def scene_view(scene: Scene, *, frame: int = 0) -> Figure:
     )
     with house_style():
         fig, ax, panel = sheet(scene.name, facts, notes, 0.0)
-        frame_map(ax, scene, grid.radius)
+        frame_map(ax, scene.voxels.center, scene.voxels.radius, grid.radius)
         draw_regions(ax, scene, lambda region: dict(_LINE, fc=REGION_COLORS[region]))
         ax.add_patch(_patch(place.mounting.intersection(_disc(scene)), **_HATCH, zorder=2))
         draw_routes(ax, scene)
@@ -126,7 +125,12 @@ def plan_view(
     with house_style():
         title = f"{layout.name} at {scene.name}"
         fig, ax, panel = sheet(title, facts, [], rows * _ROW / 72, math=True)
-        frame_map(ax, scene, max(scene.voxels.radius, center_distance(scene, poses).max()))
+        frame_map(
+            ax,
+            scene.voxels.center,
+            scene.voxels.radius,
+            max(scene.voxels.radius, center_distance(scene, poses).max()),
+        )
         image = draw_layer(ax, scene, layout, poses, layer, raster, extent, frame)
         draw_badges(ax, layout, poses)
         top = _list_kinds(panel, layer) if layer.kinds else _color_bar(fig, panel, image, layer)

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from shapely.geometry import Polygon, mapping
 from shapely.geometry.polygon import orient
 
-from inspe_jax.core.errors import missing_extra
+from inspe_jax.core.errors import needs
 from inspe_jax.core.files import csv_text
 from inspe_jax.core.words import isolated
 from inspe_jax.report.outlines import view_outline
@@ -87,13 +87,11 @@ def city_geojson(
 def plan_kml(layout: Layout, place: Intersection) -> str:
     """A plan as KML 2.2, with heights above the ground. Raises as :func:`plan_features`, and
     InspeError where fastkml is missing."""
-    try:
+    with needs("KML needs fastkml", "geo"):
         from fastkml import KML, Document, Folder, Placemark, Style, StyleUrl, enums
         from fastkml.geometry import create_kml_geometry
         from fastkml.styles import LineStyle, PolyStyle
         from pygeoif import shape
-    except ImportError as error:
-        raise missing_extra("KML needs fastkml", "geo") from error
 
     def placemark(one: dict[str, Any]) -> Any:
         own, geometry = dict(one["properties"]), one["geometry"]

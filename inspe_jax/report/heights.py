@@ -6,8 +6,8 @@ from textwrap import fill
 import numpy as np
 from matplotlib.figure import Figure
 
+from inspe_jax.core.sheet import TITLE, WIDTH, fit, house_style, setting_words
 from inspe_jax.report.progress import COLORS, LINES
-from inspe_jax.report.sheet import TITLE, WIDTH, fit, house_style, setting_words
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scoring.evaluate import Scores
 

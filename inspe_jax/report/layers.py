@@ -28,6 +28,8 @@ SIGHT_COLORS: dict[Visibility, str] = {
 }
 """Colours of voxels in one frame: the same, and sky blue for voxels that are seen."""
 
+USER_COLOR = "#fafafa"
+
 
 @dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
 class MapLayer:

@@ -18,6 +18,7 @@ from matplotlib.backends.backend_pdf import PdfPages
 from matplotlib.figure import Figure
 
 from inspe_jax.core.errors import InspeError
+from inspe_jax.core.sheet import house_style, jpeg_text, png_text
 from inspe_jax.core.words import counted, isolated
 from inspe_jax.placement.problem import Case
 from inspe_jax.placement.result import STATUSES, Result
@@ -26,19 +27,15 @@ from inspe_jax.placement.studies.tolerance import Tolerance
 from inspe_jax.report.cost import pareto_view
 from inspe_jax.report.figures import SENSOR_COLORS, plan_view, scene_view
 from inspe_jax.report.heights import height_view
-from inspe_jax.report.layers import BLIND, SIGHT_COLORS, MapLayer, layers
+from inspe_jax.report.layers import BLIND, SIGHT_COLORS, USER_COLOR, MapLayer, layers
 from inspe_jax.report.mounting import model_words, mounting_words, origin_words
 from inspe_jax.report.progress import before_after, history_view, same_sensors
-from inspe_jax.report.scene3d import USER_COLOR
-from inspe_jax.report.scene3d_page import scene3d_page
 from inspe_jax.report.schedule import (
     installation_schedule,
     materials,
     sensors_in_words,
     total_price,
 )
-from inspe_jax.report.sheet import house_style, jpeg_text, png_text
-from inspe_jax.report.still import DOTS, still_view
 from inspe_jax.report.tables import goal_words, scores_record, tolerance_record
 from inspe_jax.report.targets import targets_view
 from inspe_jax.scene.regions import WEIGHTS, Region
@@ -73,6 +70,16 @@ class Start(NamedTuple):
 
     layout: Layout
     words: str
+
+
+class PageViews(NamedTuple):
+    """Views of a layout in its scene that a page has room for, each of a frame of traffic.
+
+    ``photograph``: a picture, or None where it cannot be made. ``scene3d``: an HTML page.
+    """
+
+    photograph: Callable[[Scene, Layout, int], Figure | None]
+    scene3d: Callable[[Scene, Layout, Conditions, int], str]
 
 
 @dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
@@ -147,6 +154,7 @@ def report_page(
     front: Sequence[ParetoPoint] = (),
     frame: int = 0,
     prices: Mapping[str, float] | None = None,
+    views: PageViews | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> str:
     """The page of one or several layouts on a scene, as HTML.
@@ -154,6 +162,7 @@ def report_page(
     ``front``: mixes of devices, whose score is drawn against their cost.
     ``frame``: number of the frame of traffic that is drawn.
     ``prices``: of devices [US dollars], in place of the catalogue's.
+    ``views``: without them the page has no photograph and no scene in three dimensions.
     ``progress``: called with (steps done, steps).
 
     Raises InspeError if there is no layout, two have the same name, or there is no such frame.
@@ -190,8 +199,11 @@ def report_page(
                 summary=_summary(scene, entry, record["blind_spots"], *total),
                 blind=_shares(of_columns["blind"]),
                 figures=[(words, drawn(figure)) for words, figure in maps],
-                still=jpeg_text(found, DOTS) if (found := _still(scene, entry, frame)) else "",
-                scene3d=_text(scene3d_page(scene, entry.layout, entry.scores.conditions, frame)),
+                photograph=jpeg_text(photo, DPI)
+                if (photo := _photograph(scene, entry, frame, views))
+                else "",
+                scene3d=views
+                and _text(views.scene3d(scene, entry.layout, entry.scores.conditions, frame)),
                 change=_change(scene, entry, frame, drawn),
                 search=_search(entry, drawn),
                 tolerance=None
@@ -250,6 +262,7 @@ def report_sheets(
     *,
     front: Sequence[ParetoPoint] = (),
     frame: int = 0,
+    views: PageViews | None = None,
 ) -> bytes:
     """The figures of the page as a PDF, one on each sheet."""
     check_names([entry.layout.name for entry in entries])
@@ -257,7 +270,7 @@ def report_sheets(
     figures.append(height_view(scene, [(e.layout.name, e.scores) for e in entries]))
     for entry in entries:
         of_columns = layers(scene, entry.shed)
-        figures += [found] if (found := _still(scene, entry, frame)) else []
+        figures += [photo] if (photo := _photograph(scene, entry, frame, views)) else []
         figures += [figure for _, figure in _maps(scene, entry, of_columns, frame)]
         figures += [_moves(scene, entry, frame)] if entry.moves else []
         figures += [] if entry.result is None else [history_view([entry.result])]
@@ -394,9 +407,10 @@ def _shares(blind: MapLayer) -> list[tuple[str, str, float]]:
     return [(name.replace("\n", " "), color, part) for (name, color), part in rows]
 
 
-def _still(scene: Scene, entry: ReportEntry, frame: int) -> Figure | None:
-    """A picture of the layout in its place; None where it cannot be recorded."""
-    return still_view(scene, entry.scores.conditions.layout(entry.layout), frame=frame)
+def _photograph(
+    scene: Scene, entry: ReportEntry, frame: int, views: PageViews | None
+) -> Figure | None:
+    return views and views.photograph(scene, entry.scores.conditions.layout(entry.layout), frame)
 
 
 def _in_words(value: Any) -> str:

@@ -6,10 +6,10 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
+from inspe_jax.core.sheet import frame_map, house_style
 from inspe_jax.report.figures import draw_badges, draw_layer, layer_raster, spread_badges
 from inspe_jax.report.layers import seen_layer
 from inspe_jax.report.routes import center_distance
-from inspe_jax.report.sheet import frame_map, house_style
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scoring.blind_spots import BlindSpot
 from inspe_jax.scoring.evaluate import Scores
@@ -34,7 +34,12 @@ def plan_picture(
     with house_style():
         fig = Figure(figsize=(SIDE, SIDE), facecolor="white")
         ax = fig.add_axes((0.0, 0.0, 1.0, 1.0))
-        frame_map(ax, scene, max(scene.voxels.radius, center_distance(scene, poses).max()))
+        frame_map(
+            ax,
+            scene.voxels.center,
+            scene.voxels.radius,
+            max(scene.voxels.radius, center_distance(scene, poses).max()),
+        )
         ax.axis("off")
         draw_layer(ax, scene, layout, poses, layer, raster, extent, 0)
         draw_badges(ax, layout, poses, SIDE)

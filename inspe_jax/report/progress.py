@@ -11,19 +11,9 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import FancyArrowPatch
 
 from inspe_jax.core.errors import InspeError
-from inspe_jax.placement.result import Result
-from inspe_jax.placement.run import Progress
-from inspe_jax.report.figures import (
-    KEYS,
-    draw_badges,
-    draw_layer,
-    in_math,
-    layer_raster,
-    plan_keys,
-)
-from inspe_jax.report.layers import seen_layer
-from inspe_jax.report.sheet import (
+from inspe_jax.core.sheet import (
     HALO,
+    KEYS,
     SIDE,
     SIDE_LEFT,
     TITLE,
@@ -34,6 +24,10 @@ from inspe_jax.report.sheet import (
     setting_words,
     sheet_of_two,
 )
+from inspe_jax.placement.result import Result
+from inspe_jax.placement.run import Progress
+from inspe_jax.report.figures import draw_badges, draw_layer, in_math, layer_raster, plan_keys
+from inspe_jax.report.layers import seen_layer
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scoring.evaluate import Scores
 from inspe_jax.scoring.metrics import listed_in
@@ -100,7 +94,7 @@ def before_after(
         captions.append(_caption("after", scores))
         for k, (layout, poses, layer, raster, extent) in enumerate(maps):
             ax = axes[k]
-            frame_map(ax, scene, reach)
+            frame_map(ax, scene.voxels.center, scene.voxels.radius, reach)
             image = draw_layer(ax, scene, layout, poses, layer, raster, extent, frame)
             ax.set_title(captions[k], size=7.5, loc="left", pad=4)
             if k == 1:

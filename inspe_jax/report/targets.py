@@ -9,11 +9,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from rich.console import Group, RenderableType
 
-from inspe_jax.report.figures import KEYS, column_raster, draw_badges, draw_layer, kind_keys
+from inspe_jax.core.sheet import KEYS, SIDE, frame_map, house_style, setting_words, sheet_of_two
+from inspe_jax.core.tables import table_of
+from inspe_jax.report.figures import column_raster, draw_badges, draw_layer, kind_keys
 from inspe_jax.report.layers import MapLayer, free_of_bodies
 from inspe_jax.report.routes import center_distance
-from inspe_jax.report.sheet import SIDE, frame_map, house_style, setting_words, sheet_of_two
-from inspe_jax.report.tables import table_of
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scoring.detection import BANDS, FEW
@@ -233,7 +233,7 @@ def _facts(scene: Scene, frame: int, conditions: Conditions) -> str:
 def _draw(ax: Axes, scene: Scene, layout: Layout, panel: Panel, reach: float, frame: int) -> None:
     """Draw a map, and the sensors that it is of, with their numbers in the layout."""
     words, layer, pictures = panel
-    frame_map(ax, scene, reach)
+    frame_map(ax, scene.voxels.center, scene.voxels.radius, reach)
     raster, extent = column_raster(scene.voxels, layer.values)
     own = [
         s

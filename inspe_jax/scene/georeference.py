@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from inspe_jax.core.errors import InspeError, missing_extra
+from inspe_jax.core.errors import InspeError, needs
 
 LOCAL = 0.5
 """Directions are those of a line of twice this length [m]."""
@@ -137,8 +137,6 @@ def _ellipsoid() -> Any:
 
 
 def _pyproj() -> Any:
-    try:
+    with needs("coordinates need pyproj", "geo"):
         import pyproj
-    except ImportError as error:
-        raise missing_extra("coordinates need pyproj", "geo") from error
     return pyproj

@@ -27,7 +27,7 @@ class Profile:
     those of :func:`~inspe_jax.scoring.evaluate.evaluate`. ``camera_reliability`` and
     ``lidar_reliability`` multiply the device's own: the chance that a sensor perceives what is in
     its view. ``camera``, ``lidar_32`` and ``lidar_64`` are the devices of
-    :func:`~inspe_jax.placement.strategies.strategy`; ``camera_height``, ``lidar_height`` [m] and
+    :func:`~inspe_jax.mounting.strategies.strategy`; ``camera_height``, ``lidar_height`` [m] and
     ``camera_pitch_deg`` are its options, None for its own defaults. ``reasons`` has a reason for
     every value.
     """

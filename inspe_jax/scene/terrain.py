@@ -128,7 +128,6 @@ def between(given: Float[np.ndarray, "G 3"], at: Float[np.ndarray, "N 2"]) -> np
     """
     # Only here: their import takes a tenth of a second, of which no other command has a use.
     from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
-    from threadpoolctl import threadpool_limits
 
     plan, same = np.unique(np.round(given[:, :2], 3), axis=0, return_inverse=True)
     known = np.bincount(same.ravel(), given[:, 2]) / np.bincount(same.ravel())
@@ -136,10 +135,7 @@ def between(given: Float[np.ndarray, "G 3"], at: Float[np.ndarray, "N 2"]) -> np
         surface = LinearNDInterpolator(plan, known)
     except (QhullError, ValueError):  # fewer than three, or all on one line
         return np.asarray(NearestNDInterpolator(plan, known)(at))
-    # Where it is first asked, it solves a system of two equations for each triangle. OpenBLAS's
-    # threads wait for each other at every one, and for as long as another process has their cores.
-    with threadpool_limits(1, user_api="blas"):
-        heights = surface(at)
+    heights = surface(at)
     out = np.flatnonzero(np.isnan(heights))
     if len(out):
         hull = shapely.MultiPoint(plan).convex_hull

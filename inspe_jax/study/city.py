@@ -18,7 +18,7 @@ import numpy as np
 
 from inspe_jax.core.errors import InspeError, nearest
 from inspe_jax.core.files import csv_text
-from inspe_jax.placement.studies.pareto import mix_name
+from inspe_jax.mounting.mixes import mix_name
 from inspe_jax.scene.georeference import Georeference
 from inspe_jax.scene.maps.parts import MOST_LISTED, JunctionInfo
 from inspe_jax.scene.maps.registry import list_junctions

@@ -46,13 +46,7 @@ from pydantic import BeforeValidator, Field
 from inspe_jax.core.digest import digest
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import check_model
-from inspe_jax.placement.optimise import DEFAULT_SECONDS, METHODS
-from inspe_jax.placement.run import check_budget, check_seed
-from inspe_jax.scene.profiles import DEFAULT_PROFILE, profile_of
-from inspe_jax.scoring import metrics
-from inspe_jax.scoring.detection import DetectionCurves, detection_curves, load_detection
-from inspe_jax.scoring.evaluate import check_options
-from inspe_jax.study.settings import (
+from inspe_jax.jobs.settings import (
     CHECKS,
     CONDITIONS,
     Count,
@@ -66,7 +60,7 @@ from inspe_jax.study.settings import (
     defaults_of,
     one_of,
 )
-from inspe_jax.study.sources import (
+from inspe_jax.jobs.sources import (
     LayoutSource,
     SceneEntry,
     SceneSource,
@@ -76,6 +70,12 @@ from inspe_jax.study.sources import (
     read_study,
     with_named_layouts,
 )
+from inspe_jax.placement.optimise import DEFAULT_SECONDS, METHODS
+from inspe_jax.placement.run import check_budget, check_seed
+from inspe_jax.scene.profiles import DEFAULT_PROFILE, profile_of
+from inspe_jax.scoring import metrics
+from inspe_jax.scoring.detection import DetectionCurves, detection_curves, load_detection
+from inspe_jax.scoring.evaluate import check_options
 
 PAPER_METRICS = 3
 """Number of the paper's metrics, with which the registry begins."""

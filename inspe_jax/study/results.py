@@ -14,15 +14,16 @@ from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import (
     csv_line,
     csv_text,
-    lock_folder,
     named,
     parse_csv,
     prepare_folder,
     read_csv,
     write_text,
 )
+from inspe_jax.jobs.locks import lock_folder
+from inspe_jax.jobs.scenes import versions
 from inspe_jax.study.plan import Study
-from inspe_jax.study.work import Row, columns, tag_columns, versions
+from inspe_jax.study.work import Row, columns, tag_columns
 
 TABLE, LAYOUTS = "results.csv", "layouts"
 

@@ -5,10 +5,11 @@ from collections.abc import Callable
 from typing import Any
 
 from inspe_jax.core.errors import wrong_kind
-from inspe_jax.study.engine import check_workers, load_cluster, run_jobs
+from inspe_jax.jobs.engine import check_workers, load_cluster, run_jobs
+from inspe_jax.jobs.scenes import versions
 from inspe_jax.study.plan import Study, StudyJob, load_study
 from inspe_jax.study.results import Results
-from inspe_jax.study.work import Row, failure_columns, row_head, run_job, scene_of_job, versions
+from inspe_jax.study.work import Row, failure_columns, row_head, run_job, scene_of_job
 
 
 def sweep(

@@ -1,29 +1,18 @@
 """What a worker runs: it builds a scene, and turns a job into a row of the results."""
 
 from collections.abc import Mapping
-from functools import cache
-from pathlib import Path
 from typing import Any
 
-import jax
-
-from inspe_jax.core import version
-from inspe_jax.core.errors import InspeError
-from inspe_jax.core.files import check_input, digest_of, parse_yaml
-from inspe_jax.core.parallel import compiled
+from inspe_jax.jobs.scenes import message_of, place_layout, release_compiled, scene_of, versions
 from inspe_jax.placement import optimise
 from inspe_jax.placement.objective import Objective
 from inspe_jax.placement.problem import Case
-from inspe_jax.placement.strategies import strategy
-from inspe_jax.placement.studies.pareto import starting_layout
-from inspe_jax.scene.procedural.built_ins import built_in
-from inspe_jax.scene.scene import Scene, build_scene, load_scene
+from inspe_jax.scene.scene import Scene
 from inspe_jax.scoring.evaluate import Scores, evaluate
 from inspe_jax.scoring.metrics import listed
 from inspe_jax.sensing.conditions import Conditions
-from inspe_jax.sensing.layout import Layout, layout_text, parse_layout
+from inspe_jax.sensing.layout import Layout, layout_text
 from inspe_jax.study.plan import BUILD_SETTINGS, SCORE_ONLY, SETTINGS, Study, StudyJob
-from inspe_jax.study.sources import LayoutSource, SceneSource
 
 Row = dict[str, str]
 
@@ -33,10 +22,6 @@ FACTS = ("sensors", "voxels", "objects")
 """Columns: number of sensors, of voxels, and mean number of objects in a frame."""
 BEFORE = "surrogate_before"
 """Column of P_sm before a search; empty where nothing was searched."""
-COMPILED_SCENES = 6
-"""Most scenes whose compiled programs a worker keeps; programs depend on a scene's shapes."""
-
-_compiled_for: set[str] = set()
 
 
 def columns(study: Study) -> tuple[str, ...]:
@@ -56,47 +41,12 @@ def columns(study: Study) -> tuple[str, ...]:
     )
 
 
-@cache
-def versions() -> dict[str, str]:
-    """Versions that a result depends on."""
-    return version.versions(("jax", "numpy"))
-
-
 def scene_of_job(job: StudyJob) -> Scene | str:
     """The scene of a job; or an error message, which every job on the scene then reports."""
     try:
         return scene_of(job.source, {key: job.settings[key] for key in BUILD_SETTINGS})
     except Exception as e:
         return message_of(e)
-
-
-def scene_of(source: SceneSource, settings: dict[str, Any]) -> Scene:
-    """Build the scene of a source with ``settings``, or load a saved one.
-
-    Raises InspeError if its file is missing or has changed since the study was read, or as
-    building does.
-    """
-    if source.built_in is not None:
-        return build_scene(built_in(source.built_in), **settings)
-    path = Path(str(source.map or source.file))
-    check_input(path)
-    if digest_of(path) != source.content:
-        raise InspeError(f"{path}: has changed since the study was read")
-    if source.file is not None:
-        return load_scene(path)
-    from inspe_jax.scene.maps.registry import read_map
-
-    at: dict[str, Any] = dict(junction=source.junction, center=source.center)
-    return build_scene(read_map(path, **at, radius=settings["radius"]), **settings)
-
-
-def release_compiled(scene: str) -> None:
-    """Drop the programs compiled for earlier scenes, once there are many scenes."""
-    if scene not in _compiled_for and len(_compiled_for) >= COMPILED_SCENES:
-        jax.clear_caches()
-        compiled.clear()
-        _compiled_for.clear()
-    _compiled_for.add(scene)
 
 
 def run_job(scene: Scene | str, job: StudyJob, wanted: Row) -> tuple[Row, str | None]:
@@ -122,16 +72,6 @@ def run_job(scene: Scene | str, job: StudyJob, wanted: Row) -> tuple[Row, str | 
     row[LITERAL] = f"{scores.information_gain_literal:.7f}"
     row |= {BEFORE: "" if before is None else f"{before:.7f}", "status": "done", "error": ""}
     return row, None if found is None else layout_text(found)
-
-
-def place_layout(source: LayoutSource, scene: Scene) -> Layout:
-    """The layout of a source on a scene. A mix stands as :func:`starting_layout` places it."""
-    if source.mix:
-        return starting_layout(scene, dict(source.mix), dict(source.options))
-    if source.strategy is not None:
-        return strategy(scene, source.strategy, **dict(source.options))
-    assert source.text is not None
-    return parse_layout(parse_yaml(source.text, source.name), source.name, source.name, scene)
 
 
 def row_head(job: StudyJob) -> Row:
@@ -184,8 +124,3 @@ def _word(value: Any) -> str:
     if isinstance(value, list):
         return " ".join(map(_word, value))
     return str(value).removesuffix(".0") if isinstance(value, float) else str(value)
-
-
-def message_of(e: Exception) -> str:
-    """An exception in words: the message alone if it is an InspeError."""
-    return str(e) if isinstance(e, InspeError) else f"{type(e).__name__}: {e}"

@@ -23,8 +23,6 @@ from inspe_jax.core.compiling import usual_seconds, waiting_words
 from inspe_jax.core.errors import InspeError
 from inspe_jax.placement.problem import Case
 from inspe_jax.report.page import template
-from inspe_jax.report.scene3d_page import look_from
-from inspe_jax.report.server import AccessRules, quiet, serve
 from inspe_jax.scoring.detection import DetectionCurves
 from inspe_jax.scoring.metrics import Weights
 from inspe_jax.sensing.conditions import Conditions
@@ -34,9 +32,11 @@ from inspe_jax.viewer.browser_view import BrowserView
 from inspe_jax.viewer.display import BACK, Display
 from inspe_jax.viewer.file_actions import FileActions
 from inspe_jax.viewer.job_queue import DelayedAction, JobQueue
+from inspe_jax.viewer.page_views import look_from
 from inspe_jax.viewer.panel import Panel
 from inspe_jax.viewer.scorer import ScoredLayout, Scorer
 from inspe_jax.viewer.searcher import SearchCallbacks, SearchEnding, Searcher
+from inspe_jax.viewer.server import AccessRules, quiet, serve
 from inspe_jax.viewer.session import LayoutSession
 from inspe_jax.viewer.store import LayoutStore
 

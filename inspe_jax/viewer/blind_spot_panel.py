@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import viser
 
+from inspe_jax.core.sheet import png_text
 from inspe_jax.report.plan_picture import DOTS, LETTERS, plan_picture
-from inspe_jax.report.sheet import png_text
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scoring.blind_spots import BlindSpot, blind_spots
 from inspe_jax.scoring.evaluate import Scores

@@ -17,8 +17,6 @@ from inspe_jax.core.errors import InspeError
 from inspe_jax.core.words import isolated
 from inspe_jax.placement.feasibility import Fault
 from inspe_jax.placement.problem import Case
-from inspe_jax.report.scene3d import Scene3D
-from inspe_jax.report.scene3d_page import look_from
 from inspe_jax.report.targets import CHANCES, banded
 from inspe_jax.scoring.evaluate import Scores
 from inspe_jax.sensing.conditions import Conditions
@@ -26,7 +24,9 @@ from inspe_jax.sensing.layout import Layout
 from inspe_jax.viewer.blind_spot_panel import BlindSpotPanel
 from inspe_jax.viewer.browser_view import BrowserView
 from inspe_jax.viewer.job_queue import DelayedAction, JobQueue
+from inspe_jax.viewer.page_views import look_from
 from inspe_jax.viewer.panel import Panel
+from inspe_jax.viewer.scene3d import Scene3D
 from inspe_jax.viewer.score_panel import score_panel
 from inspe_jax.viewer.scorer import ScoredLayout
 

@@ -8,7 +8,7 @@ import viser
 from jaxtyping import Float
 
 from inspe_jax.core.geometry import rotation
-from inspe_jax.report.scene3d import quaternion, turn_of
+from inspe_jax.viewer.scene3d import quaternion, turn_of
 
 LENGTH = 90.0
 """Length of the handle's arrows [pixel]."""

@@ -10,7 +10,7 @@ from contextvars import copy_context
 from functools import partial
 
 from inspe_jax.core.errors import InspeError
-from inspe_jax.report.server import sender
+from inspe_jax.viewer.server import sender
 
 Action = Callable[[], object]
 WAITING = 100

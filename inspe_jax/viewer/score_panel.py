@@ -8,9 +8,8 @@ from inspe_jax.core.errors import InspeError
 from inspe_jax.core.words import counted
 from inspe_jax.placement.objective import Objective
 from inspe_jax.report.figures import SENSOR_COLORS
-from inspe_jax.report.layers import SIGHT_COLORS
+from inspe_jax.report.layers import SIGHT_COLORS, USER_COLOR
 from inspe_jax.report.page import template
-from inspe_jax.report.scene3d import BROKEN_COLOR, MOUNTING_COLOR, USER_COLOR
 from inspe_jax.report.schedule import price_of
 from inspe_jax.report.targets import CHANCES
 from inspe_jax.scoring.evaluate import Scores
@@ -18,6 +17,7 @@ from inspe_jax.scoring.metrics import METRICS, SURROGATE
 from inspe_jax.scoring.viewshed import Visibility
 from inspe_jax.sensing.catalogue import devices
 from inspe_jax.sensing.layout import Layout
+from inspe_jax.viewer.scene3d import BROKEN_COLOR, MOUNTING_COLOR
 from inspe_jax.viewer.scorer import ScoredLayout
 
 VISIBILITY_NAMES = {

@@ -8,7 +8,7 @@ import viser
 from jaxtyping import Float
 
 from inspe_jax.report.figures import SENSOR_COLORS
-from inspe_jax.report.scene3d import Outline, rgb
+from inspe_jax.viewer.scene3d import Outline, rgb
 
 WIDE = 0.4
 """Width of the outline of what a selected sensor looks at [m]."""

@@ -22,6 +22,7 @@ from inspe_jax.scene.scene import Scene
 from inspe_jax.scoring.detection import DetectionCurves
 from inspe_jax.scoring.metrics import Weights
 from inspe_jax.sensing.layout import Layout, layout_text, load_layout, save_layout
+from inspe_jax.viewer.page_views import VIEWS
 
 UNSAVED = "unsaved"
 """Part of the name of the file that keeps unsaved changes."""
@@ -175,7 +176,7 @@ class LayoutStore:
                 given: dict[str, Any] = dict(metrics=metrics, detection=detection)
                 given |= dict(start=start, target=target)
                 entry = report_entry(case, layout, weights, **given)
-                write_text(page, report_page(case.scene, [entry], frame=frame))
+                write_text(page, report_page(case.scene, [entry], frame=frame, views=VIEWS))
                 self._know(page)
             except Exception as e:
                 wrong = e

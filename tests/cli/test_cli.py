@@ -30,8 +30,8 @@ from inspe_jax.cli.claims import Claims
 from inspe_jax.cli.common import err, out
 from inspe_jax.core.compiling import keep_programs, prune
 from inspe_jax.core.files import write_text
+from inspe_jax.core.tables import table_of
 from inspe_jax.core.words import visible
-from inspe_jax.report.tables import table_of
 from inspe_jax.scene.procedural.built_ins import built_in
 from inspe_jax.scene.scene import build_scene, load_scene, save_scene
 

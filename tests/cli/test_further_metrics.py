@@ -17,12 +17,13 @@ from inspe_jax import (
     save_scene,
 )
 from inspe_jax.core.errors import InspeError
+from inspe_jax.jobs.scenes import versions
 from inspe_jax.placement.problem import Case
 from inspe_jax.report.page import report_entry, report_page
 from inspe_jax.scene.traffic.frames import CLASSES
 from inspe_jax.study.plan import make_study
 from inspe_jax.study.results import Results, read_results
-from inspe_jax.study.work import run_job, versions
+from inspe_jax.study.work import run_job
 from inspe_jax.viewer.score_panel import score_panel
 from inspe_jax.viewer.scorer import ScoredLayout
 
@@ -97,7 +98,6 @@ def test_a_page_has_them_and_a_map_of_what_a_pedestrian_gets(scene, layout, monk
     from inspe_jax.report import page
 
     monkeypatch.setattr(page, "png_text", lambda figure, _: str(len(figure.axes)))
-    monkeypatch.setattr(page, "scene3d_page", lambda *_: "")
     plain = report_page(scene, [report_entry(Case(scene), layout, None)])
     further = report_entry(Case(scene), layout, None, metrics=("detectability",))
     with_it = report_page(scene, [further])

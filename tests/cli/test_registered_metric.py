@@ -13,6 +13,7 @@ from rich.console import Console
 from worlds import place_sensors
 
 from inspe_jax import build_scene, built_in, device, evaluate, save_layout, save_scene, strategy
+from inspe_jax.jobs.scenes import versions
 from inspe_jax.placement.result import Result, load_result, save_result
 from inspe_jax.placement.run import Progress
 from inspe_jax.placement.studies.pareto import DeviceMix, save_pareto
@@ -22,7 +23,7 @@ from inspe_jax.report.progress import before_after
 from inspe_jax.scoring.metrics import METRICS, Metric
 from inspe_jax.study.plan import load_study
 from inspe_jax.study.results import Results, read_results
-from inspe_jax.study.work import run_job, versions
+from inspe_jax.study.work import run_job
 from inspe_jax.viewer.score_panel import score_panel
 from inspe_jax.viewer.scorer import ScoredLayout
 
@@ -122,7 +123,6 @@ def metrics_command(there):
 
 def report_page(there):
     there.monkeypatch.setattr(page, "png_text", lambda *_: "")
-    there.monkeypatch.setattr(page, "scene3d_page", lambda *_: "")
     shed = page.viewshed(there.scene, there.layout)
     return page.report_page(there.scene, [page.ReportEntry(there.layout, there.scores, shed)])
 

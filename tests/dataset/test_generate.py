@@ -75,7 +75,7 @@ def at_home(monkeypatch):
             yield here
 
     monkeypatch.setattr("inspe_jax.core.files.os", os)
-    monkeypatch.setattr("inspe_jax.study.cluster.client", client)
+    monkeypatch.setattr("inspe_jax.jobs.cluster.client", client)
 
 
 def write(folder: Path, **changes) -> Path:
@@ -458,10 +458,10 @@ def test_the_size_does_without_a_file_that_a_worker_renames(tmp_path, monkeypatc
 
 
 def test_workers_need_dask(tmp_path, monkeypatch):
-    for name in ("distributed", "inspe_jax.study.cluster"):
+    for name in ("distributed", "inspe_jax.jobs.cluster"):
         monkeypatch.setitem(sys.modules, name, None)
-    monkeypatch.delattr(sys.modules["inspe_jax.study"], "cluster", raising=False)
-    monkeypatch.delitem(sys.modules, "inspe_jax.study.cluster")
+    monkeypatch.delattr(sys.modules["inspe_jax.jobs"], "cluster", raising=False)
+    monkeypatch.delitem(sys.modules, "inspe_jax.jobs.cluster")
     with pytest.raises(InspeError, match=r"needs Dask: .*pip install .*\[sweep\]'"):
         generate(load_generation(write(tmp_path)), tmp_path / "out")
 

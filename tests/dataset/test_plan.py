@@ -14,7 +14,7 @@ from inspe_jax.dataset import load_generation, write_protocol
 from inspe_jax.dataset.folders import SPLITS
 from inspe_jax.dataset.plan import SETTINGS, _split
 from inspe_jax.dataset.protocol import protocol_of
-from inspe_jax.placement.strategies import strategy
+from inspe_jax.mounting.strategies import strategy
 from inspe_jax.scene.procedural.built_ins import BUILT_INS, built_in
 from inspe_jax.scene.scene import build_scene, save_scene
 from inspe_jax.sensing.layout import layout_text

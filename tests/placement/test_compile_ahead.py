@@ -10,13 +10,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from inspe_jax.mounting.strategies import strategy
 from inspe_jax.placement.compile_ahead import Ahead
 from inspe_jax.placement.methods import greedy_adam
 from inspe_jax.placement.methods.greedy import GREEDY
 from inspe_jax.placement.methods.greedy_adam import GRADIENT, GREEDY_ADAM
 from inspe_jax.placement.problem import Problem
 from inspe_jax.placement.run import BudgetSpent, Run
-from inspe_jax.placement.strategies import strategy
 from inspe_jax.scene.procedural.built_ins import built_in
 from inspe_jax.scene.scene import build_scene
 from inspe_jax.sensing.layout import Layout

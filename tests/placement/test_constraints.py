@@ -21,9 +21,9 @@ from shapely.geometry import MultiPoint
 from shapely.ops import unary_union
 from worlds import double_precision, world
 
+from inspe_jax.mounting.strategies import STRATEGIES, strategy
 from inspe_jax.placement.constraints import Constraints
 from inspe_jax.placement.space import Space
-from inspe_jax.placement.strategies import STRATEGIES, strategy
 from inspe_jax.scene.procedural.built_ins import BUILT_INS
 from inspe_jax.scene.scene import build_scene
 

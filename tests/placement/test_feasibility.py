@@ -19,10 +19,10 @@ from shapely.geometry import Point, box
 from worlds import CAMERA, LIDAR, world
 
 from inspe_jax.core.errors import InspeError
+from inspe_jax.mounting.strategies import strategy
 from inspe_jax.placement.constraints import Constraints
 from inspe_jax.placement.coordinates import Coordinates
 from inspe_jax.placement.space import Space
-from inspe_jax.placement.strategies import strategy
 from inspe_jax.sensing.layout import Sensor, Unit, make_layout
 
 # ── Rules one by one ────────────────────────────────────────────────────────

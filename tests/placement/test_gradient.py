@@ -16,6 +16,7 @@ from mounts import assert_mountable, lanes_of
 
 from inspe_jax.core.arrays import on_host
 from inspe_jax.core.numerics import Softness
+from inspe_jax.mounting.strategies import strategy
 from inspe_jax.placement.candidates import poses
 from inspe_jax.placement.methods import greedy, greedy_adam
 from inspe_jax.placement.methods.adam import annealed, charted_score
@@ -24,7 +25,6 @@ from inspe_jax.placement.methods.projected_gradient import scaled_score
 from inspe_jax.placement.methods.registry import GRADIENTS
 from inspe_jax.placement.problem import Problem, take
 from inspe_jax.placement.run import BudgetSpent, Run
-from inspe_jax.placement.strategies import strategy
 from inspe_jax.scene.procedural.built_ins import built_in
 from inspe_jax.scene.scene import build_scene
 from inspe_jax.scoring.metrics import surrogate, weights_of

@@ -13,6 +13,7 @@ from worlds import CAMERA, crossing
 
 from inspe_jax.core.digest import digest
 from inspe_jax.core.errors import InspeError
+from inspe_jax.mounting.strategies import strategy
 from inspe_jax.placement import checkpoint as files
 from inspe_jax.placement import optimise as module
 from inspe_jax.placement.checkpoint import FORMAT, load_checkpoint, save_checkpoint
@@ -21,7 +22,6 @@ from inspe_jax.placement.objective import Objective
 from inspe_jax.placement.optimise import METHODS, compare, methods, optimise
 from inspe_jax.placement.problem import Case, Problem
 from inspe_jax.placement.run import AT_ONCE, BudgetSpent, Method, Run
-from inspe_jax.placement.strategies import strategy
 from inspe_jax.scene.procedural.built_ins import built_in
 from inspe_jax.scene.scene import build_scene
 from inspe_jax.scoring.evaluate import evaluate

@@ -3,8 +3,8 @@
 import pytest
 from mounts import assert_mountable, lanes_of
 
+from inspe_jax.mounting.strategies import strategy
 from inspe_jax.placement.optimise import METHODS, compare
-from inspe_jax.placement.strategies import strategy
 from inspe_jax.scene.procedural.built_ins import built_in
 from inspe_jax.scene.scene import build_scene
 

@@ -7,10 +7,10 @@ from shapely.geometry import Point
 from worlds import LIDAR, place_sensors
 
 import inspe_jax
+from inspe_jax.mounting.site import Site
 from inspe_jax.placement.constraints import Constraints
 from inspe_jax.placement.problem import Problem
 from inspe_jax.placement.sample_score import SampleScore
-from inspe_jax.placement.site import Site
 from inspe_jax.placement.space import Space
 from inspe_jax.scene.placed_bodies import body_at
 from inspe_jax.scene.statics import tree, upright_box

@@ -18,9 +18,9 @@ from worlds import CAMERA, LIDAR, no_traffic, place_sensors, random_layout, with
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.geometry import rotation
+from inspe_jax.core.sheet import CLASS_COLORS, fit, save_figure
 from inspe_jax.report import figures, routes
 from inspe_jax.report.figures import (
-    CLASS_COLORS,
     REGION_COLORS,
     column_raster,
     layer_raster,
@@ -30,7 +30,6 @@ from inspe_jax.report.figures import (
 )
 from inspe_jax.report.layers import MapLayer
 from inspe_jax.report.outlines import clear_outlines, view_outline
-from inspe_jax.report.sheet import fit, save_figure
 from inspe_jax.scene.procedural.built_ins import built_in
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.scene import build_scene

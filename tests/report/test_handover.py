@@ -12,7 +12,7 @@ from shapely.geometry import Point, shape
 
 import inspe_jax
 from inspe_jax.core.errors import InspeError
-from inspe_jax.placement.strategies import strategy
+from inspe_jax.mounting.strategies import strategy
 from inspe_jax.report.handover import bill_of_materials, plan_geojson, plan_kml
 from inspe_jax.report.schedule import installation_schedule
 from inspe_jax.scene.georeference import Georeference

@@ -6,6 +6,7 @@ import io
 import json
 import re
 from dataclasses import replace
+from functools import partial
 from html.parser import HTMLParser
 
 import numpy as np
@@ -20,19 +21,19 @@ from inspe_jax.placement.problem import Case
 from inspe_jax.placement.result import load_result, save_result
 from inspe_jax.placement.studies.pareto import ParetoPoint
 from inspe_jax.placement.studies.tolerance import Slopes, Tolerance
+from inspe_jax.report import page as pages
 from inspe_jax.report.layers import BLIND, HIDDEN, layers
 from inspe_jax.report.page import (
     CAPTIONS,
     ReportEntry,
     Start,
     report_entry,
-    report_page,
-    report_sheets,
 )
-from inspe_jax.report.scene3d import runs
 from inspe_jax.report.tables import scores_record
 from inspe_jax.scoring.evaluate import evaluate
 from inspe_jax.scoring.viewshed import viewshed
+from inspe_jax.viewer.page_views import VIEWS
+from inspe_jax.viewer.scene3d import runs
 
 
 @pytest.fixture(scope="module")
@@ -62,6 +63,9 @@ def page(scene, entries):
     assert totals == (done[-1],) * len(done)
     return made
 
+
+report_page = partial(pages.report_page, views=VIEWS)
+report_sheets = partial(pages.report_sheets, views=VIEWS)
 
 RECORDED = importlib.util.find_spec("embreex") is not None
 """Whether a page has a picture of each layout in its place."""

@@ -15,6 +15,7 @@ from worlds import CAMERA, LIDAR, place_sensors, world
 import inspe_jax
 from inspe_jax.cli.common import WholeConsole
 from inspe_jax.core.errors import InspeError
+from inspe_jax.core.tables import table_of
 from inspe_jax.report.scene_tables import (
     built_ins_table,
     devices_table,
@@ -23,7 +24,7 @@ from inspe_jax.report.scene_tables import (
     profile_table,
     scene_table,
 )
-from inspe_jax.report.tables import scores_record, scores_table, sweep_table, table_of
+from inspe_jax.report.tables import scores_record, scores_table, sweep_table
 from inspe_jax.scene.procedural.built_ins import BUILT_INS
 from inspe_jax.scene.profiles import profiles
 from inspe_jax.scoring.evaluate import Contribution, Scores, evaluate

@@ -16,7 +16,7 @@ from shapely.geometry import mapping
 
 import inspe_jax
 from inspe_jax.core.errors import InspeError
-from inspe_jax.placement.site import Site
+from inspe_jax.mounting.site import Site
 from inspe_jax.report.scene_tables import scene_table
 from inspe_jax.scene.georeference import Georeference
 from inspe_jax.scene.maps.bodies import Ways

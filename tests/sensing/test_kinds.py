@@ -16,10 +16,10 @@ from worlds import LIDAR, world
 
 import inspe_jax
 from inspe_jax.core.errors import InspeError
+from inspe_jax.core.sheet import save_figure
 from inspe_jax.placement.constraints import Constraints
 from inspe_jax.report.figures import plan_view
 from inspe_jax.report.scene_tables import devices_table
-from inspe_jax.report.sheet import save_figure
 from inspe_jax.sensing import kinds
 from inspe_jax.sensing.catalogue import Device, load_devices, spec_of, table_of
 from inspe_jax.sensing.conditions import FAIR, Conditions

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from frames import car
 
+from inspe_jax.core.pinhole import pixels
 from inspe_jax.dataset import Image
-from inspe_jax.simulation.projection import NEAR, box_lines, corners, pixels
+from inspe_jax.simulation.projection import NEAR, box_lines, corners
 
 WIDE, HIGH = 800, 600
 CAMERA = Image(

@@ -18,7 +18,6 @@ from processes import (
 )
 
 from inspe_jax.core.errors import InspeError
-from inspe_jax.report.city import city_view, plan_words
 from inspe_jax.scene.maps.parts import JunctionInfo
 from inspe_jax.scene.maps.registry import read_map, road_lines
 from inspe_jax.scene.maps.sumo.network import run
@@ -32,6 +31,7 @@ from inspe_jax.study.city import (
     fronts_of,
     plan_city,
 )
+from inspe_jax.study.city_report import city_view, plan_words
 from inspe_jax.study.results import read_results
 
 LIES = "+proj=utm +zone=32 +ellps=WGS84 +datum=WGS84 +units=m +no_defs"

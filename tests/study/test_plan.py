@@ -8,13 +8,13 @@ import pytest
 import yaml
 
 from inspe_jax.core.errors import InspeError
-from inspe_jax.placement.studies.pareto import starting_layout
+from inspe_jax.jobs.scenes import place_layout
+from inspe_jax.mounting.mixes import starting_layout
 from inspe_jax.scene.procedural.built_ins import built_in
 from inspe_jax.scene.scene import build_scene, save_scene
 from inspe_jax.scoring.detection import detection_curves
 from inspe_jax.sensing.layout import layout_text, save_layout
 from inspe_jax.study.plan import SCORE_ONLY, SETTINGS, Study, load_study
-from inspe_jax.study.work import place_layout
 
 STUDY = """
 scenes:
@@ -190,7 +190,7 @@ def test_a_mix_of_devices_is_a_layout(read):
 def test_saved_scenes_and_layout_files(read, tmp_path):
     scene = build_scene(built_in("four_way"), radius=15, voxel=2, frames=2, density=5)
     save_scene(scene, tmp_path / "saved.npz")
-    from inspe_jax.placement.strategies import strategy
+    from inspe_jax.mounting.strategies import strategy
 
     save_layout(strategy(scene, "L-c"), tmp_path / "mine.yaml")
     study = read(STUDY, scenes=[{"file": "saved.npz"}], layouts=["mine.yaml"])

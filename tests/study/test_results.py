@@ -5,9 +5,10 @@ import csv
 import pytest
 
 from inspe_jax.core.errors import InspeError
+from inspe_jax.jobs.scenes import versions
 from inspe_jax.study.plan import make_study
 from inspe_jax.study.results import Results, read_results
-from inspe_jax.study.work import columns, failure_columns, row_head, versions
+from inspe_jax.study.work import columns, failure_columns, row_head
 
 
 @pytest.fixture

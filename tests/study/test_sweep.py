@@ -17,9 +17,9 @@ from processes import in_this_process, inspe_process, kill_with_workers, wait_fo
 
 from inspe_jax import Conditions, build_scene, built_in, evaluate, strategy
 from inspe_jax.core.errors import InspeError
+from inspe_jax.jobs import cluster
+from inspe_jax.jobs.engine import _by_scene, _run_jobs
 from inspe_jax.sensing.layout import load_layout
-from inspe_jax.study import cluster
-from inspe_jax.study.engine import _by_scene, _run_jobs
 from inspe_jax.study.plan import load_study
 from inspe_jax.study.results import Results, read_results
 from inspe_jax.study.sweep import sweep

@@ -20,8 +20,6 @@ from inspe_jax.placement.problem import Case
 from inspe_jax.placement.space import Space
 from inspe_jax.report.page_token import kept_token
 from inspe_jax.report.plan_picture import LETTERS
-from inspe_jax.report.scene3d import turn_of
-from inspe_jax.report.server import AccessRules
 from inspe_jax.scoring.evaluate import evaluate
 from inspe_jax.sensing.conditions import FAIR, Conditions
 from inspe_jax.sensing.layout import load_layout, save_layout
@@ -31,7 +29,9 @@ from inspe_jax.viewer import browser_view
 from inspe_jax.viewer.app import Viewer
 from inspe_jax.viewer.bindings import set_value
 from inspe_jax.viewer.handle import LENGTH
+from inspe_jax.viewer.scene3d import turn_of
 from inspe_jax.viewer.sensor_view import image_scale
+from inspe_jax.viewer.server import AccessRules
 
 pytestmark = pytest.mark.browser
 

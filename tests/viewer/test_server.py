@@ -27,7 +27,9 @@ from worlds import world
 from inspe_jax.core.errors import InspeError
 from inspe_jax.placement.problem import Case
 from inspe_jax.report.page_token import kept_token
-from inspe_jax.report.server import (
+from inspe_jax.viewer.app import Viewer
+from inspe_jax.viewer.searcher import SearchEnding
+from inspe_jax.viewer.server import (
     BROWSERS,
     LINES,
     MESSAGE,
@@ -37,8 +39,6 @@ from inspe_jax.report.server import (
     quiet,
     serve,
 )
-from inspe_jax.viewer.app import Viewer
-from inspe_jax.viewer.searcher import SearchEnding
 
 EVIL = "http://evil.example"
 
@@ -53,7 +53,7 @@ def _at_once(monkeypatch):
     """What is typed counts as soon as it comes, and every refusal has its line: the tests come
     faster than people do. `test_viewer` has how long more typing is waited for."""
     monkeypatch.setattr("inspe_jax.viewer.browser_view.TYPED", 0.01)
-    monkeypatch.setattr("inspe_jax.report.server.WHILE", 0.0)
+    monkeypatch.setattr("inspe_jax.viewer.server.WHILE", 0.0)
 
 
 @pytest.fixture
@@ -289,7 +289,7 @@ def test_a_version_of_viser_that_opens_its_port_otherwise_is_not_used(monkeypatc
             stopped.append(self)
 
     stopped = []
-    monkeypatch.setattr("inspe_jax.report.server.viser.ViserServer", Other)
+    monkeypatch.setattr("inspe_jax.viewer.server.viser.ViserServer", Other)
     with pytest.raises(RuntimeError, match="would be unprotected"):
         serve(AccessRules("127.0.0.1"), 0)
     assert stopped
@@ -514,7 +514,7 @@ def test_probes_of_the_port_leave_a_line_at_most(viewer, caplog, capfd):
 
 def test_many_refusals_are_counted_and_not_told_one_by_one(caplog, monkeypatch):
     """A page somewhere may ask without end."""
-    monkeypatch.setattr("inspe_jax.report.server.WHILE", 600.0)
+    monkeypatch.setattr("inspe_jax.viewer.server.WHILE", 600.0)
     server = serve(AccessRules("127.0.0.1"), 0)
     try:
         for _ in range(3 * LINES):

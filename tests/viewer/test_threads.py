@@ -12,7 +12,6 @@ from inspe_jax.core import compiling
 from inspe_jax.placement.constraints import Constraints
 from inspe_jax.placement.problem import Case
 from inspe_jax.placement.space import Space
-from inspe_jax.report.server import sender
 from inspe_jax.scoring.evaluate import evaluate
 from inspe_jax.scoring.metrics import METRICS
 from inspe_jax.scoring.viewshed import sight_in
@@ -22,6 +21,7 @@ from inspe_jax.viewer.job_queue import WAITING, DelayedAction, JobQueue
 from inspe_jax.viewer.score_panel import cost_of, score_panel
 from inspe_jax.viewer.scorer import SHOWN, Scorer
 from inspe_jax.viewer.searcher import REASONS, SearchCallbacks, Searcher
+from inspe_jax.viewer.server import sender
 
 WEIGHTS = (0.3, 0.5, 0.2)
 

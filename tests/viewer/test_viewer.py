@@ -22,11 +22,10 @@ from worlds import world
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.geometry import rotation
+from inspe_jax.core.sheet import png_text
 from inspe_jax.dataset.points_in_boxes import world_points
 from inspe_jax.placement.problem import Case
 from inspe_jax.report.plan_picture import DOTS, LETTERS, plan_picture
-from inspe_jax.report.scene3d import rgb
-from inspe_jax.report.sheet import png_text
 from inspe_jax.report.tables import scores_record
 from inspe_jax.report.targets import CHANCES
 from inspe_jax.scoring.blind_spots import blind_spots
@@ -42,6 +41,7 @@ from inspe_jax.viewer import sensor_view
 from inspe_jax.viewer.app import Viewer
 from inspe_jax.viewer.bindings import set_value
 from inspe_jax.viewer.handle import HandleDrag
+from inspe_jax.viewer.scene3d import rgb
 from inspe_jax.viewer.score_panel import LEGEND
 from inspe_jax.viewer.searcher import SearchEnding
 from inspe_jax.viewer.sensor_view import image_scale

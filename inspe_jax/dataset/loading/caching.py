@@ -24,7 +24,6 @@ from inspe_jax.core.errors import InspeError, nearest
 from inspe_jax.core.files import (
     STRICT,
     check_model,
-    lock_folder,
     prepare_folder,
     read_json,
     write_text,
@@ -33,6 +32,7 @@ from inspe_jax.core.parallel import cores
 from inspe_jax.dataset.folders import SPLITS, Dataset, Scenario, open_dataset
 from inspe_jax.dataset.loading.decode import PART, decode, digest_of_scenario
 from inspe_jax.dataset.loading.stored import RECORD, StoredScenario
+from inspe_jax.jobs.locks import lock_folder
 
 CACHE = "cache.json"
 FORMAT = "inspe_jax cache 2"

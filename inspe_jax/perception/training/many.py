@@ -8,12 +8,12 @@ from typing import Any
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.parallel import cores
 from inspe_jax.dataset.loading import open_cache
+from inspe_jax.jobs.engine import Messages, check_workers, load_cluster, run_jobs
 from inspe_jax.perception.detector import model_of
 from inspe_jax.perception.inputs import BevGrid
 from inspe_jax.perception.training.run import Run
 from inspe_jax.perception.training.settings import Settings
 from inspe_jax.perception.training.train import Report, train
-from inspe_jax.study.engine import Messages, check_workers, load_cluster, run_jobs
 
 Progress = Callable[[Report], None]
 """What is called after each step of a training."""

@@ -22,7 +22,6 @@ from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import (
     STRICT,
     check_model,
-    lock_folder,
     named,
     prepare_folder,
     read_csv,
@@ -30,6 +29,7 @@ from inspe_jax.core.files import (
     whole_file,
     write_text,
 )
+from inspe_jax.jobs.locks import lock_folder
 from inspe_jax.perception.detector import Detector, model_of
 from inspe_jax.perception.training.optimiser import optimiser
 from inspe_jax.perception.training.settings import Content

@@ -9,11 +9,12 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from inspe_jax.core.errors import InspeError
+from inspe_jax.mounting.mixes import starting_layout
 from inspe_jax.placement.constraints import Constraints
 from inspe_jax.placement.objective import Objective
 from inspe_jax.placement.optimise import DEFAULT_METHOD, optimise
 from inspe_jax.placement.problem import AnyScene, cases_of
-from inspe_jax.placement.studies.pareto import DeviceMix, device_mixes, progress_of, starting_layout
+from inspe_jax.placement.studies.pareto import DeviceMix, device_mixes, progress_of
 from inspe_jax.sensing.conditions import Conditions
 
 

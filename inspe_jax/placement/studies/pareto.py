@@ -7,23 +7,17 @@ from itertools import product
 from math import prod
 from pathlib import Path
 
-import numpy as np
-
 from inspe_jax.core.errors import InspeError, nearest, or_usual
 from inspe_jax.core.files import csv_text, prepare_folder, read_csv, write_text
+from inspe_jax.mounting.mixes import mix_name, starting_layout
 from inspe_jax.placement.constraints import Constraints
 from inspe_jax.placement.objective import Objective, total_price
 from inspe_jax.placement.optimise import DEFAULT_METHOD, compare
 from inspe_jax.placement.problem import AnyScene, cases_of
 from inspe_jax.placement.result import Result
-from inspe_jax.placement.site import Site
-from inspe_jax.placement.strategies import join
-from inspe_jax.scene.scene import Scene
 from inspe_jax.scoring.metrics import listed_in
-from inspe_jax.sensing.catalogue import device
 from inspe_jax.sensing.conditions import Conditions
-from inspe_jax.sensing.layout import Layout, save_layout
-from inspe_jax.sensing.sensors import Spec
+from inspe_jax.sensing.layout import save_layout
 
 MOST = 200
 """Largest number of mixes that are searched."""
@@ -78,53 +72,9 @@ class ParetoPoint:
         return mix_name(self.counts)
 
 
-def mix_name(counts: Mapping[str, int]) -> str:
-    """A mix in words, such as "4 hesai-xt32 + 2 paper-camera"."""
-    return " + ".join(f"{n} {name}" for name, n in counts.items() if n)
-
-
 def layout_file(counts: Mapping[str, int]) -> str:
     """The name of the file of a mix's layout."""
     return "_".join(f"{n}_{name}" for name, n in counts.items() if n) + ".yaml"
-
-
-def starting_layout(
-    scene: Scene, counts: Mapping[str, int], own: Mapping[str, Spec] | None = None
-) -> Layout:
-    """The layout from which the search of a mix starts.
-
-    Posts are at the junction's corners and roadsides. Each sensor is a unit of its own and looks
-    at the centre. LiDARs are placed first; each sensor takes the post that is furthest from those
-    already taken. ``counts`` has the number of each device; ``own`` has the specs of those that are
-    not in the catalogue. Raises InspeError if there are more sensors than posts, no sensor, or
-    nowhere to put a pole.
-    """
-    specs = {name: (own or {}).get(name) or device(name).spec for name in counts}
-    wanted = [(name, specs[name]) for name, n in counts.items() for _ in range(n)]
-    if not wanted:
-        raise InspeError("a mix needs at least one sensor")
-    wanted.sort(key=lambda row: row[1].aimed)
-    site = Site(scene.intersection, scene.voxels.radius, depth=30.0, bodies=scene.statics)
-    feet = np.concatenate([site.corners, site.roadsides])
-    posts = [f"corner {i + 1}" for i in range(len(site.corners))]
-    posts += [f"roadside {i + 1}" for i in range(len(site.roadsides))]
-    far = np.hypot(*(feet[:, None] - feet[None]).transpose(2, 0, 1))
-    order = [0]  # the next post is the one furthest from those taken
-    while len(order) < len(feet):
-        away = far[:, order].min(1)
-        away[order] = -1.0
-        order.append(int(away.argmax()))
-    if len(wanted) > len(order):
-        raise InspeError(
-            f"{scene.name}: {len(wanted)} sensors, but only {len(order)} posts at corners and "
-            "roadsides; allow fewer sensors"
-        )
-    views = []
-    for (_, spec), at in zip(wanted, order, strict=False):
-        post, foot = posts[at], feet[at]
-        view = site.camera(post, foot, site.center) if spec.aimed else site.lidar(post, foot)
-        views.append((view, spec))
-    return replace(join(mix_name(counts), scene.intersection, views), profile=scene.profile.name)
 
 
 def pareto(

@@ -21,7 +21,7 @@ from scipy import ndimage
 from shapely.geometry.base import BaseGeometry
 from shapely.ops import unary_union
 
-from inspe_jax.core.errors import InspeError, missing_extra
+from inspe_jax.core.errors import InspeError, needs
 from inspe_jax.core.files import check_input
 from inspe_jax.scene.intersection import Intersection
 from inspe_jax.scene.maps.bodies import Shape, with_bodies
@@ -325,8 +325,6 @@ def _shapes(
 
 
 def _trimesh() -> Any:
-    try:
+    with needs("meshes need trimesh", "geo"):
         import trimesh
-    except ImportError as error:
-        raise missing_extra("meshes need trimesh", "geo") from error
     return trimesh

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.ndimage import map_coordinates
 
-from inspe_jax.core.errors import InspeError, missing_extra
+from inspe_jax.core.errors import InspeError, needs
 from inspe_jax.core.files import check_input
 from inspe_jax.scene.georeference import from_wgs84
 from inspe_jax.scene.intersection import Intersection
@@ -163,10 +163,7 @@ def _own_proj() -> Iterator[None]:
 
 
 def _rasterio() -> Any:
-    try:
-        with _own_proj():
-            import rasterio
-            import rasterio.windows
-    except ImportError as error:
-        raise missing_extra("elevation models need rasterio", "geo") from error
+    with needs("elevation models need rasterio", "geo"), _own_proj():
+        import rasterio
+        import rasterio.windows
     return rasterio

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from inspe_jax.core.errors import InspeError, missing_extra, nearest
+from inspe_jax.core.errors import InspeError, nearest, needs
 from inspe_jax.scene.intersection import Intersection
 from inspe_jax.simulation.recorder import Server
 
@@ -26,11 +26,9 @@ _PARKED = ("Car", "Truck", "Bus", "Motorcycle", "Bicycle")
 
 def client_library() -> Any:
     """The module ``carla``. Raises InspeError if it is not installed."""
-    try:
+    what = "recording with CARLA needs its client, in the server's version"
+    with needs(what, "opendrive", "Linux and Windows, Python up to 3.12"):
         import carla
-    except ImportError as error:
-        what = "recording with CARLA needs its client, in the server's version"
-        raise missing_extra(what, "opendrive", "Linux and Windows, Python up to 3.12") from error
     return carla
 
 

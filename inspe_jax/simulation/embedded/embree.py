@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from inspe_jax.core.errors import missing_extra
+from inspe_jax.core.errors import needs
 
 
 class RayHits(NamedTuple):
@@ -78,10 +78,6 @@ def _rays(origins: Any, directions: Any, reach: Any) -> tuple[np.ndarray, np.nda
 
 
 def _library() -> tuple[Any, Any]:
-    try:
+    with needs("recording needs Embree", "dataset", "no wheels for Linux on ARM"):
         from embreex import mesh_construction, rtcore_scene
-    except ImportError as error:
-        raise missing_extra(
-            "recording needs Embree", "dataset", "no wheels for Linux on ARM"
-        ) from error
     return rtcore_scene, mesh_construction

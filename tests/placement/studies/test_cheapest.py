@@ -8,11 +8,11 @@ from rich.console import Console
 
 import inspe_jax
 from inspe_jax.core.errors import InspeError
+from inspe_jax.mounting.mixes import starting_layout
 from inspe_jax.placement.objective import Objective
 from inspe_jax.placement.optimise import methods, optimise
 from inspe_jax.placement.problem import Problem
 from inspe_jax.placement.studies.cheapest import cheapest
-from inspe_jax.placement.studies.pareto import starting_layout
 from inspe_jax.report.tables import before_after_table
 from inspe_jax.scene.procedural.built_ins import built_in
 from inspe_jax.scene.regions import Region

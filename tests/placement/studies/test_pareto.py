@@ -7,16 +7,11 @@ import pytest
 from mounts import assert_mountable, lanes_of
 
 from inspe_jax.core.errors import InspeError
+from inspe_jax.mounting.mixes import starting_layout
 from inspe_jax.placement.objective import Objective
 from inspe_jax.placement.problem import Case
 from inspe_jax.placement.studies import pareto as module
-from inspe_jax.placement.studies.pareto import (
-    device_mixes,
-    load_pareto,
-    pareto,
-    save_pareto,
-    starting_layout,
-)
+from inspe_jax.placement.studies.pareto import device_mixes, load_pareto, pareto, save_pareto
 from inspe_jax.scene.procedural.built_ins import built_in
 from inspe_jax.scene.scene import build_scene
 from inspe_jax.sensing.layout import load_layout

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from inspe_jax.core.errors import InspeError, missing_extra
+from inspe_jax.core.errors import InspeError, needs
 from inspe_jax.core.files import TEXT, cached_by_file, check_input, check_xml
 from inspe_jax.scene.georeference import Georeference, of_open_drive
 from inspe_jax.scene.maps.bodies import Shape
@@ -100,14 +100,9 @@ def load_map(path: Path) -> TownMap:
     junctions = sorted({r.junction for r in roads.values()} - {-1})
     if not roads:
         raise InspeError(f"{path}: the map has no roads")
-    try:
+    where = "Linux and Windows, Python up to 3.12"
+    with needs("reading OpenDRIVE needs the CARLA client", "opendrive", where):
         import carla
-    except ImportError as error:
-        raise missing_extra(
-            "reading OpenDRIVE needs the CARLA client",
-            "opendrive",
-            "Linux and Windows, Python up to 3.12",
-        ) from error
     try:
         with _quiet():
             parsed = carla.Map(path.stem, text)

@@ -21,7 +21,7 @@ from xml.sax import SAXException
 import numpy as np
 from jaxtyping import Float
 
-from inspe_jax.core.errors import InspeError, missing_extra
+from inspe_jax.core.errors import InspeError, missing_extra, needs
 from inspe_jax.core.files import cached_by_file, check_xml, digest_of
 from inspe_jax.scene.georeference import Georeference
 
@@ -85,10 +85,8 @@ def load_net(path: Path) -> RoadNet:
     Raises InspeError if SUMO or the file is missing, if it is another kind of file, or if it has no
     roads.
     """
-    try:
+    with needs("SUMO networks and OpenStreetMap need sumolib", "sumo"):
         import sumolib
-    except ImportError as error:
-        raise missing_extra("SUMO networks and OpenStreetMap need sumolib", "sumo") from error
     is_net = path.name.lower().endswith(NET_SUFFIXES)
     if is_net:
         _check(path, "net")

@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 from inspe_jax.core.geometry import rotation
 from inspe_jax.report.bodies import BODY_COLORS, body_meshes
 from inspe_jax.report.figures import SENSOR_COLORS
-from inspe_jax.report.layers import SIGHT_COLORS, MapLayer, free_of_bodies
+from inspe_jax.report.layers import SIGHT_COLORS, USER_COLOR, MapLayer, free_of_bodies
 from inspe_jax.report.outlines import view_outline
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.scene import Scene
@@ -31,7 +31,6 @@ GROUND_COLORS: dict[Region, str] = dict(
     zip(Region, ("#8c8f94", "#7c7f85", "#e6e6e6", "#c3c0b8", "#a3a59f"), strict=True)
 )
 """Greys, such as those of asphalt and paving; colours are kept for voxels and sensors."""
-USER_COLOR = "#fafafa"
 BROKEN_COLOR = "#ff1744"
 """Colour of sensors that break a rule of mounting; their number has a ! beside it, too."""
 OPACITY = 0.6

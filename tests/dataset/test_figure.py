@@ -13,13 +13,12 @@ from rich.console import Console
 
 import inspe_jax.dataset as dataset
 from inspe_jax.core.errors import InspeError
+from inspe_jax.core.sheet import CLASS_COLORS, save_figure
 from inspe_jax.dataset import Frame, Image, Station, write_frame, write_protocol
+from inspe_jax.dataset.figure import FEWEST, statistics_view
+from inspe_jax.dataset.frame_figure import frame_view
 from inspe_jax.dataset.statistics import PointCounts, statistics
-from inspe_jax.report.dataset_figure import FEWEST, statistics_view
-from inspe_jax.report.dataset_tables import frame_table, statistics_record, statistics_table
-from inspe_jax.report.figures import CLASS_COLORS
-from inspe_jax.report.frames import frame_view
-from inspe_jax.report.sheet import save_figure
+from inspe_jax.dataset.tables import frame_table, statistics_record, statistics_table
 from inspe_jax.simulation.frame import KINDS
 
 LEVEL = np.array([0.0, 0.0, 6.0, 0.0, 0.0, 0.0])

@@ -45,8 +45,8 @@ from websockets.http11 import Request, Response
 
 from inspe_jax.core.errors import InspeError, brief
 from inspe_jax.core.words import visible
-from inspe_jax.report.page_head import with_head
 from inspe_jax.report.page_token import new_token
+from inspe_jax.viewer.page_head import with_head
 
 PORTS = 100
 """Number of ports that are tried."""

@@ -17,10 +17,9 @@ from matplotlib.ticker import (
     StrMethodFormatter,
 )
 
+from inspe_jax.core.sheet import CLASS_COLORS, KEYS, NOTE_LINE, TITLE, WIDTH, fit, house_style
 from inspe_jax.core.words import counted
 from inspe_jax.dataset.statistics import RANGE_EDGES, Band, Statistics, bands
-from inspe_jax.report.figures import CLASS_COLORS, KEYS
-from inspe_jax.report.sheet import NOTE_LINE, TITLE, WIDTH, fit, house_style
 from inspe_jax.simulation.frame import KINDS
 
 FEWEST = 5

@@ -9,23 +9,15 @@ from pydantic import Field
 
 from inspe_jax.core.errors import InspeError, nearest
 from inspe_jax.core.files import check_input, digest_of, read_yaml
-from inspe_jax.placement.strategies import choose
-from inspe_jax.placement.studies.pareto import mix_name
+from inspe_jax.jobs.settings import Count, Length, Line, Strict, Text, check_names, check_settings
+from inspe_jax.mounting.mixes import mix_name
+from inspe_jax.mounting.strategies import choose
 from inspe_jax.scene.procedural.built_ins import BUILT_INS
 from inspe_jax.scene.profiles import BEFORE_PROFILES
 from inspe_jax.scene.scene import load_scene
 from inspe_jax.sensing.catalogue import device, spec_of
 from inspe_jax.sensing.layout import load_layout
 from inspe_jax.sensing.sensors import Spec
-from inspe_jax.study.settings import (
-    Count,
-    Length,
-    Line,
-    Strict,
-    Text,
-    check_names,
-    check_settings,
-)
 
 
 @dataclass(frozen=True)

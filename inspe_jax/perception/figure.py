@@ -13,13 +13,9 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from inspe_jax.core.errors import InspeError
+from inspe_jax.core.sheet import CLASS_COLORS, KEYS, house_style
 from inspe_jax.core.words import counted
-from inspe_jax.dataset.loading.batch import Batch, Cameras, Lidars
-from inspe_jax.perception.detections import Detections, check, truth_of
-from inspe_jax.perception.evaluation.matching import matched
-from inspe_jax.perception.evaluation.metrics import ERROR_DISTANCE
-from inspe_jax.report.figures import CLASS_COLORS, KEYS
-from inspe_jax.report.frames import (
+from inspe_jax.dataset.frame_figure import (
     BADGE_COLOR,
     MARGIN,
     RIM,
@@ -30,7 +26,10 @@ from inspe_jax.report.frames import (
     heading,
     sheet_of_pictures,
 )
-from inspe_jax.report.sheet import house_style
+from inspe_jax.dataset.loading.batch import Batch, Cameras, Lidars
+from inspe_jax.perception.detections import Detections, check, truth_of
+from inspe_jax.perception.evaluation.matching import matched
+from inspe_jax.perception.evaluation.metrics import ERROR_DISTANCE
 from inspe_jax.simulation.frame import KINDS, RoadUserBox
 from inspe_jax.simulation.projection import corners, edge_lines
 

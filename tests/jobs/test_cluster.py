@@ -4,7 +4,7 @@ import pytest
 
 from inspe_jax.core.errors import InspeError
 
-cluster = pytest.importorskip("inspe_jax.study.cluster")
+cluster = pytest.importorskip("inspe_jax.jobs.cluster")
 
 
 class Cluster:

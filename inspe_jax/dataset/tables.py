@@ -7,13 +7,13 @@ import numpy as np
 from rich.console import Group, RenderableType
 from rich.text import Text
 
+from inspe_jax.core.tables import table_of
 from inspe_jax.core.version import __version__
 from inspe_jax.dataset.estimate import Estimate
 from inspe_jax.dataset.folders import Scenario
 from inspe_jax.dataset.plan import Generation
 from inspe_jax.dataset.points_in_boxes import count_inside
 from inspe_jax.dataset.statistics import PointCounts, Statistics, bands, table_row
-from inspe_jax.report.tables import table_of
 from inspe_jax.simulation.frame import KINDS
 
 _AXES = ("length", "width", "height")

@@ -14,17 +14,9 @@ from matplotlib.ticker import MaxNLocator, StrMethodFormatter
 from rich.console import RenderableType
 from rich.text import Text
 
+from inspe_jax.core.sheet import HALO, SIDE, SIDE_GAP, SIDE_LEFT, WIDTH, house_style, sheet_of_two
+from inspe_jax.core.tables import table_of
 from inspe_jax.core.words import counted
-from inspe_jax.report.sheet import (
-    HALO,
-    SIDE,
-    SIDE_GAP,
-    SIDE_LEFT,
-    WIDTH,
-    house_style,
-    sheet_of_two,
-)
-from inspe_jax.report.tables import table_of
 from inspe_jax.scene.georeference import Georeference
 from inspe_jax.study.city import NOTHING, CityPlan
 

@@ -5,9 +5,9 @@ import pytest
 from worlds import CAMERA, LIDAR, place_sensors, with_boxes, world
 
 from inspe_jax.core.errors import InspeError
-from inspe_jax.report import still
-from inspe_jax.report.still import BACK, BEYOND, FOCAL, HEIGHT, UP, WIDTH, still_view
 from inspe_jax.sensing.layout import Sensor, Unit, make_layout
+from inspe_jax.viewer import still
+from inspe_jax.viewer.still import BACK, BEYOND, FOCAL, HEIGHT, UP, WIDTH, still_view
 
 RADIUS = 14.0
 

@@ -13,7 +13,7 @@ from distributed import Client, LocalCluster, Worker, WorkerPlugin
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.parallel import cores
-from inspe_jax.study.work import versions
+from inspe_jax.jobs.scenes import versions
 
 Started = TypeVar("Started")
 

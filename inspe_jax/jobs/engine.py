@@ -14,7 +14,7 @@ from itertools import groupby
 from typing import Any, Protocol, TypeVar
 from uuid import uuid4
 
-from inspe_jax.core.errors import InspeError, missing_extra
+from inspe_jax.core.errors import InspeError, needs
 
 JOBS_AHEAD = 3
 """Jobs that wait at each worker's thread, so that no worker waits for the next."""
@@ -48,13 +48,9 @@ def check_workers(scheduler: str | None, workers: int | None) -> None:
 
 
 def load_cluster() -> Any:
-    """Import and return :mod:`inspe_jax.study.cluster`. Raises InspeError if Dask is missing."""
-    try:
-        from inspe_jax.study import cluster
-    except ModuleNotFoundError as e:
-        if e.name not in ("dask", "distributed"):
-            raise
-        raise missing_extra("this needs Dask", "sweep") from e
+    """Import and return :mod:`inspe_jax.jobs.cluster`. Raises InspeError if Dask is missing."""
+    with needs("this needs Dask", "sweep"):
+        from inspe_jax.jobs import cluster
     return cluster
 
 

@@ -2,10 +2,10 @@
 
 from rich.table import Table
 
+from inspe_jax.core.tables import table_of
 from inspe_jax.perception.detections import Detections
 from inspe_jax.perception.evaluation import Evaluation
 from inspe_jax.perception.evaluation.metrics import DISTANCES
-from inspe_jax.report.tables import table_of
 from inspe_jax.simulation.frame import KINDS
 
 SHOWN = {"translation": "ATE [m]", "scale": "ASE", "orientation": "AOE [rad]"}

@@ -6,12 +6,11 @@ from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 
 from inspe_jax.core.errors import InspeError
+from inspe_jax.core.sheet import CLASS_COLORS, save_figure
 from inspe_jax.dataset.loading import Batch, Cameras, Lidars, Pillars, Targets
 from inspe_jax.dataset.loading.geometry import on_picture, pose_matrix
 from inspe_jax.perception.detections import Detections
-from inspe_jax.report.detections import MISSED_COLOR, TRUTH_COLOR, draw
-from inspe_jax.report.figures import CLASS_COLORS
-from inspe_jax.report.sheet import save_figure
+from inspe_jax.perception.figure import MISSED_COLOR, TRUTH_COLOR, draw
 
 POINTS = np.array([[3.0, 4, 0, 1], [-5, 1, 0, 1], [900, 0, 0, 1]], np.float32)
 """Three points, of which the last is far outside the plan."""

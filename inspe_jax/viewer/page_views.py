@@ -1,13 +1,15 @@
-"""A scene in three dimensions as a page that needs no server; and where a page looks from."""
+"""What a report page shows that needs more than figures: a photograph, and the scene to turn."""
 
 from typing import Any
 
-from inspe_jax.report.scene3d import Scene3D
-from inspe_jax.report.server import AccessRules, quiet, serve
+from inspe_jax.report.page import PageViews
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scoring.viewshed import Visibility, sight_in
 from inspe_jax.sensing.conditions import Conditions
 from inspe_jax.sensing.layout import Layout
+from inspe_jax.viewer.scene3d import Scene3D
+from inspe_jax.viewer.server import AccessRules, quiet, serve
+from inspe_jax.viewer.still import still_view
 
 
 def scene3d_page(scene: Scene, layout: Layout, conditions: Conditions, frame: int) -> str:
@@ -33,3 +35,6 @@ def look_from(camera: Any, scene: Scene, back: float = 1.0) -> None:
     radius = scene.voxels.radius
     camera.position = (0.0, -1.05 * back * radius, 0.95 * back * radius)
     camera.look_at = (0.0, -0.08 * radius, 0.0)
+
+
+VIEWS = PageViews(still_view, scene3d_page)

@@ -6,12 +6,12 @@ import pytest
 import shapely
 from mounts import assert_mountable, lanes_of
 
-from inspe_jax.placement.brackets import STANDOFF
+from inspe_jax.mounting.brackets import STANDOFF
+from inspe_jax.mounting.site import Site
+from inspe_jax.mounting.strategies import strategy
 from inspe_jax.placement.constraints import Constraints
 from inspe_jax.placement.optimise import optimise
-from inspe_jax.placement.site import Site
 from inspe_jax.placement.space import Space
-from inspe_jax.placement.strategies import strategy
 from inspe_jax.scene.placed_bodies import body_at
 from inspe_jax.scene.procedural.built_ins import built_in
 from inspe_jax.scene.scene import build_scene

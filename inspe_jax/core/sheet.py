@@ -15,13 +15,14 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from jaxtyping import Float
 from matplotlib import patheffects, style
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
 from inspe_jax.core.files import check_output, whole_file
-from inspe_jax.scene.scene import Scene
 
 FORMATS: dict[str, dict[str, None]] = {
     ".png": {},
@@ -47,6 +48,11 @@ READABLE = 0.6
 """Least share of the usual size of letters on one line."""
 CIRCLE: dict[str, Any] = dict(color="#404040", lw=0.8, ls=(0, (6, 3)))
 HALO = [patheffects.withStroke(linewidth=2.0, foreground="white", alpha=0.7)]
+
+CLASS_COLORS: tuple[str, ...] = ("#0072b2", "#d55e00", "#cc79a7", "#000000")
+"""Blue, vermilion, reddish purple and black, in the order of the road-user classes."""
+
+KEYS: dict[str, Any] = dict(borderpad=0.0, borderaxespad=0.0, frameon=False, handlelength=1.6)
 
 _DRAWING = threading.RLock()
 
@@ -148,14 +154,14 @@ def sheet_of_two(
     ]
 
 
-def frame_map(ax: Axes, scene: Scene, reach: float) -> None:
-    """Set a map's limits, ``reach`` [m] about the centre; draw circle, scale bar and north
-    arrow."""
-    x, y = scene.voxels.center[:2].tolist()
+def frame_map(ax: Axes, middle: Float[np.ndarray, "..."], radius: float, reach: float) -> None:
+    """Set a map's limits, ``reach`` [m] about the ``middle``; draw a circle of
+    ``radius`` [m] there, scale bar and north arrow."""
+    x, y = map(float, middle[:2])
     limit = 1.06 * reach
     ax.set(xlim=(x - limit, x + limit), ylim=(y - limit, y + limit), aspect="equal")
     ax.set(xlabel="x, east [m]", ylabel="y, north [m]")
-    ax.add_patch(Circle((x, y), scene.voxels.radius, fill=False, **CIRCLE, zorder=5))
+    ax.add_patch(Circle((x, y), radius, fill=False, **CIRCLE, zorder=5))
     bar = max((m for m in (1, 2, 5, 10, 20, 50, 100) if m <= 0.4 * limit), default=1)
     at: dict[str, Any] = dict(transform=ax.transAxes, zorder=9, path_effects=HALO)
     start, end = 0.98 - bar / (2 * limit), 0.98

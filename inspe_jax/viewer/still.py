@@ -8,9 +8,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from inspe_jax.core.errors import InspeError
+from inspe_jax.core.pinhole import pixels
+from inspe_jax.core.sheet import house_style
 from inspe_jax.report.figures import SENSOR_COLORS
 from inspe_jax.report.outlines import clear_outlines
-from inspe_jax.report.sheet import house_style
 from inspe_jax.scene.scene import Scene
 from inspe_jax.sensing.conditions import FAIR
 from inspe_jax.sensing.layout import Layout
@@ -18,7 +19,6 @@ from inspe_jax.sensing.sensors import CameraSpec
 from inspe_jax.simulation.embedded.sensors import simulated_sensor
 from inspe_jax.simulation.embedded.surroundings import surroundings_of
 from inspe_jax.simulation.frame import Image
-from inspe_jax.simulation.projection import pixels
 
 WIDTH, HEIGHT, DOTS = 1200, 660, 170
 """Of the picture [pixels], and how many of them an inch has."""
@@ -40,7 +40,7 @@ class _Eye(NamedTuple):
     intrinsic: Float[np.ndarray, "3 3"]
 
 
-def still_view(scene: Scene, layout: Layout, *, frame: int = 0) -> Figure | None:
+def still_view(scene: Scene, layout: Layout, frame: int = 0) -> Figure | None:
     """A layout in its place, from the south and above, with the road users of a frame.
 
     Lines show what each sensor looks at, numbers stand at the units' highest sensors. It is midday,

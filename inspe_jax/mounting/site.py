@@ -13,7 +13,7 @@ from shapely.ops import nearest_points, unary_union
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.polygons import merge
-from inspe_jax.placement.brackets import AT_AXIS, bracket_length, separate
+from inspe_jax.mounting.brackets import AT_AXIS, bracket_length, separate
 from inspe_jax.scene.intersection import Arm, Intersection
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.statics import StaticBody

@@ -10,7 +10,7 @@ from shapely.geometry import LineString, MultiPoint, Point
 from shapely.ops import unary_union
 
 from inspe_jax.core.errors import InspeError
-from inspe_jax.placement.strategies import STRATEGIES, spread, strategy
+from inspe_jax.mounting.strategies import STRATEGIES, spread, strategy
 from inspe_jax.scene.intersection import Arm, Intersection, Route, mouth_crosswalks
 from inspe_jax.scene.procedural.built_ins import BUILT_INS, built_in
 from inspe_jax.scene.regions import Region

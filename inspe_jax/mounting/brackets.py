@@ -59,7 +59,7 @@ class Brackets:
 
     @classmethod
     def of(cls, poles: Sequence[StaticBody], center: Float[np.ndarray, "2"]) -> "Brackets":
-        """Those of the poles of a site (:attr:`~inspe_jax.placement.site.Site.carriers`)."""
+        """Those of the poles of a site (:attr:`~inspe_jax.mounting.site.Site.carriers`)."""
         axis = np.array([pole.middle - center for pole in poles], float).reshape(-1, 2)
         return cls(axis, np.array([bracket_length(pole) for pole in poles], float))
 

@@ -13,11 +13,22 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
+from inspe_jax.core.sheet import (
+    ASIDE,
+    CLASS_COLORS,
+    HALO,
+    KEYS,
+    LEFT,
+    MAP,
+    PANEL,
+    TITLE,
+    WIDTH,
+    fit,
+    house_style,
+)
 from inspe_jax.core.words import counted
 from inspe_jax.dataset.folders import Scenario
 from inspe_jax.dataset.points_in_boxes import world_points
-from inspe_jax.report.figures import CLASS_COLORS, KEYS
-from inspe_jax.report.sheet import ASIDE, HALO, LEFT, MAP, PANEL, TITLE, WIDTH, fit, house_style
 from inspe_jax.simulation.frame import KINDS, Frame, Image, RoadUserBox, Station
 from inspe_jax.simulation.projection import box_lines, corners
 

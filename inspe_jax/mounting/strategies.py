@@ -27,7 +27,7 @@ import numpy as np
 from jaxtyping import Float
 
 from inspe_jax.core.errors import InspeError, nearest
-from inspe_jax.placement.site import (
+from inspe_jax.mounting.site import (
     ASIDE,
     CENTRAL_HEIGHTS,
     MAST,

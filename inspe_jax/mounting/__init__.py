@@ -1,0 +1,1 @@
+"""Where a map can carry sensors, and the usual placements there."""

@@ -29,7 +29,7 @@ from inspe_jax.simulation.embedded.embree import Caster
 from inspe_jax.simulation.embedded.light import LIGHTS
 from inspe_jax.simulation.embedded.materials import BUILDING, CROWN, POLE, ROOF, TRUNK
 from inspe_jax.simulation.embedded.recorder import EmbeddedRecorder, LiveSensor
-from inspe_jax.simulation.embedded.road_users import FrameActors, boxes_at, paints, pose_road_users
+from inspe_jax.simulation.embedded.road_users import FrameActors, boxes_of, paints, pose_road_users
 from inspe_jax.simulation.embedded.shapes import VARIANTS
 from inspe_jax.simulation.embedded.sunlit import SunlitPoints
 from inspe_jax.simulation.recorder import LAYERS, Recording
@@ -91,7 +91,7 @@ def nearest_triangle(origin, directions, triangles):
 def test_returns_agree_with_rays_and_triangles(scene, corners):
     """300 rays of one LiDAR: distances agree to a millimetre, and so do the road users."""
     recorder = EmbeddedRecorder(scene, corners)
-    boxes = boxes_at(scene.traffic, 0, 0)
+    boxes = boxes_of(scene.traffic.at(0), 0)
     actors = FrameActors(boxes, recorder.surroundings.static_world.center)
     lidar = recorder.sensors[0]
     returns = lidar.cast(actors, 0.0)
@@ -257,7 +257,7 @@ def test_lines_of_sight_reach_as_many_voxels_as_occlusion_says(crowded, name):
     in_view = inspe_jax.in_view(crowded, layout)
     centers, shares = crowded.voxels.centers, []
     for t in range(crowded.traffic.frame_count):
-        boxes = boxes_at(crowded.traffic, t, 0)
+        boxes = boxes_of(crowded.traffic.at(t), 0)
         road_users = pose_road_users(boxes, recorder.surroundings.static_world.center)
         still = recorder.surroundings.static_world.triangles
         caster = Caster(np.concatenate([still, road_users.triangles]))
@@ -414,7 +414,7 @@ def test_boxes_cover_cars_through_the_written_calibration(tmp_path):
                 continue
             # Not hidden: alone in the world it has as many pixels.
             actors = FrameActors((box,), recorder.surroundings.static_world.center)
-            free = recorder.sensors[0].image(actors, 0, np.random.default_rng(0), ("instance",))
+            free = recorder.sensors[0].record(actors, np.random.default_rng(0))
             own = free.instance > 0
             seen = image.instance == box.track + 1
             if not own.any() or seen.sum() < 0.98 * own.sum():
@@ -545,12 +545,12 @@ def test_the_same_seed_gives_the_same_frames_in_any_order(scene, light):
 def test_boxes_are_where_the_traffic_has_them():
     t = four_way(density="low").traffic  # so few that they drive
     on = np.flatnonzero(t.valid[1])
-    for b, box in zip(on, boxes_at(t, 1, 0), strict=True):
+    for b, box in zip(on, boxes_of(t.at(1), 0), strict=True):
         assert (box.track, box.yaw) == (t.track[1, b], t.yaw[1, b])
         for part, whole in ((box.center, t.center), (box.size, t.size)):
             np.testing.assert_array_equal(part, whole[1, b])
         np.testing.assert_array_equal(box.velocity, t.velocity[1, b])
-    fast = [box for box in boxes_at(t, 1, 0) if np.hypot(*box.velocity[:2]) > 3]
+    fast = [box for box in boxes_of(t.at(1), 0) if np.hypot(*box.velocity[:2]) > 3]
     assert len(fast) > 2
     for box in fast:  # the nose is in front
         ahead = np.array([np.cos(box.yaw), np.sin(box.yaw)]) @ box.velocity[:2]
@@ -575,7 +575,7 @@ def test_another_seed_gives_other_noise():
 def test_road_users_keep_their_looks(scene):
     names = {}
     for t in range(scene.traffic.frame_count):
-        for box in boxes_at(scene.traffic, t, 0):
+        for box in boxes_of(scene.traffic.at(t), 0):
             assert names.setdefault(box.track, box.name) == box.name
             assert box.name in VARIANTS[box.kind]
     assert len(set(names.values())) > 4

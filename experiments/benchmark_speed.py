@@ -29,12 +29,10 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from common import MAPS, arguments, machine, peak_memory, write_results
+from common import MAPS, arguments, console, machine, output, peak_memory, show, write_results
 from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 from matplotlib.figure import Figure
-from rich.console import Console
-from rich.table import Table
 
 import inspe_jax
 from inspe_jax import Layout, Scene
@@ -44,8 +42,6 @@ from inspe_jax.visibility import raycast
 from inspe_jax.visibility.centered_scene import about_center, poses_about_center
 from inspe_jax.visibility.shadows import may_shade, shadow_bounds
 from inspe_jax.visibility.view_masks import in_view_masks
-
-console = Console()
 
 SOFTNESS = 0.5
 """Of the gradient that is timed [m]."""
@@ -357,7 +353,7 @@ def measure_here(name: str, seed: int) -> dict[str, Any]:
 
 def main() -> None:
     """Run, print and write the table."""
-    options = arguments(__doc__)
+    options = arguments(__doc__, "seed")
     repeats = 2 if options.quick else 5
     console.print(" · ".join(f"{k} {v}" for k, v in machine().items()), highlight=False)
     name = "quick" if options.quick else "W1"
@@ -394,10 +390,8 @@ def main() -> None:
         dict(what="Embree, in-view segments", seconds=traced, ratio=traced / warm),
         dict(what="Bresenham, coverage alone", seconds=walked, ratio=walked / warm),
     ]
-    table = Table("", "seconds", "× warm", title="One layout on one scene")
-    for row in rows:
-        table.add_row(row["what"], f"{row['seconds']:.3f}", f"{row['ratio']:.1f}")
-    console.print(table)
+    cells = [(row["what"], f"{row['seconds']:.3f}", f"{row['ratio']:.1f}") for row in rows]
+    show(("", "seconds", "× warm"), cells, "One layout on one scene")
     console.print(
         f"{embree.segments / 1e6:.1f} million segments, {embree.segments / traced / 1e6:.1f} "
         f"million a second; line of sight agrees on {same:.6%}; peak memory of scoring "
@@ -406,23 +400,28 @@ def main() -> None:
     )
     names = [n for n in WORKLOADS if (n == "quick") == options.quick]
     others = [measured(n, options.seed) for n in names]
-    table = Table("", "voxels", "sensors", "cold [s]", "warm [s]", "× W1", "peak GiB")
-    soft = Table("", "cold [s]", "warm [s]", "× score", "peak GiB", title="Value and gradient")
     for row in others:
         row["ratio"] = row["warm"] / others[0]["warm"]
-        numbers = (f"{row[k]:,}" for k in ("voxels", "sensors"))
-        floats = (f"{row[k]:.2f}" for k in ("cold", "warm", "ratio", "memory"))
-        table.add_row(row["what"], *numbers, *floats)
-        floats = (f"{row[k]:.2f}" for k in ("slope_cold", "slope", "slope_ratio", "slope_memory"))
-        soft.add_row(row["what"], *floats)
-    console.print(table, soft)
+    show(
+        ("", "voxels", "sensors", "cold [s]", "warm [s]", "× W1", "peak GiB"),
+        [
+            (row["what"], *(f"{row[k]:,}" for k in ("voxels", "sensors")))
+            + tuple(f"{row[k]:.2f}" for k in ("cold", "warm", "ratio", "memory"))
+            for row in others
+        ],
+    )
+    soft = ("slope_cold", "slope", "slope_ratio", "slope_memory")
+    show(
+        ("", "cold [s]", "warm [s]", "× score", "peak GiB"),
+        [(row["what"], *(f"{row[k]:.2f}" for k in soft)) for row in others],
+        "Value and gradient",
+    )
     grown = growth(name, options.seed, repeats)
     many = many_at_once(name, options.seed, *((2, 4) if options.quick else (64, 20)))
     gradients = sampled_gradients(workload(name, options.seed, profile="paper"), options.quick)
     shell = from_the_shell(scene, layout, repeats // 2)
     roofline = least(scene, layout, warm)
 
-    stem = options.out / ("benchmark_speed_quick" if options.quick else "benchmark_speed")
     settings = {
         **size,
         "seed": options.seed,
@@ -436,9 +435,7 @@ def main() -> None:
         "softness": SOFTNESS,
         "roofline": roofline,
     }
-    write_results(stem.with_suffix(".csv"), rows, settings)
-    draw(rows, size).savefig(stem.with_suffix(".png"), dpi=150)
-    console.print(f"wrote {stem}.csv, .json and .png", highlight=False)
+    write_results(output(options, "benchmark_speed"), rows, settings, draw(rows, size))
 
 
 def draw(rows: list[dict[str, Any]], size: dict[str, Any]) -> Figure:

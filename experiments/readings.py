@@ -23,7 +23,7 @@ import argparse
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -32,13 +32,22 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from calibrate import START, jobs
-from common import METRICS, command_line, read_rows, write_results
+from common import (
+    METRICS,
+    arguments,
+    console,
+    markdown,
+    need_maps,
+    output,
+    read_rows,
+    say,
+    write_results,
+)
 from jaxtyping import Bool, Float, UInt8
 from matplotlib.figure import Figure
-from rich.console import Console
 from scipy.optimize import minimize
 from scipy.stats import spearmanr
-from table2 import LIGHTS, Stats, begin, read_paper
+from table2 import LIGHTS, Stats, read_paper
 
 import inspe_jax
 from inspe_jax.cli.common import progress
@@ -58,7 +67,6 @@ from inspe_jax.visibility.centered_scene import about_center
 from inspe_jax.visibility.queries import in_view
 from inspe_jax.visibility.shadows import shadow_ceilings
 
-console = Console()
 Table = Float[np.ndarray, "P 3"]
 """C, O and IG of every placement, a mean over the intersections."""
 NAMES = list(STRATEGIES)
@@ -626,16 +634,12 @@ class World:
     reliability: Mapping[str, float]
     known: dict[tuple[Any, ...], np.ndarray] = field(default_factory=dict)
 
-    @cached_property
-    def walked(self) -> set[tuple[str, str]]:
-        """What rays were walked of."""
-        return set(self.facts[0].rays)
-
     def possible(self, reading: Reading) -> bool:
         """Whether the facts tell it."""
         lidar = "LiDAR range" if reading.lidar_range else "LiDAR"
-        told = {(reading.walk, reading.camera), (reading.walk, lidar)} <= self.walked
-        return told and (reading.curve == "constant" or "frames" not in reading.fusion)
+        needed = {(reading.walk, reading.camera), (reading.walk, lidar)}
+        simple = reading.curve == "constant" or "frames" not in reading.fusion
+        return simple and needed <= set(self.facts[0].rays)
 
     def tables(self, reading: Reading) -> Float[np.ndarray, "2 P K L"]:
         """C and O at all that is tried, a mean over the intersections."""
@@ -643,10 +647,6 @@ class World:
             each = [coverage_and_occlusion(facts, reading) for facts in self.facts]
             self.known[reading.seen_as] = np.mean(each, 0)
         return self.known[reading.seen_as]
-
-    def parts(self, reading: Reading, numbers: Numbers) -> list[Part]:
-        """What IG is made of."""
-        return [Part.of(facts, reading, numbers) for facts in self.facts]
 
     def fit(
         self,
@@ -664,7 +664,7 @@ class World:
             off = np.abs(both - paper.T[:2, :, None, None])[:, own].mean((0, 1))
             k, at_ = np.unravel_index(off.argmin(), off.shape)
             numbers = int(k), int(at_)
-        parts = self.parts(reading, numbers)
+        parts = [Part.of(facts, reading, numbers) for facts in self.facts]
 
         def gain(values: Sequence[float]) -> np.ndarray:
             at = dict(zip(reading.numbers, values, strict=True))
@@ -815,7 +815,7 @@ def results(rows: Rows) -> str:
     """Readings with their numbers, differences and rank correlations, in Markdown."""
     head = ["reading", "numbers", "depth", "step", "lowest", "range", "r", "other", "loss"]
     head += [f"{mark} {symbol}" for mark in "Δρ" for symbol in SYMBOLS]
-    text = f"| {' | '.join(head)} |\n" + "|---" * len(head) + "|\n"
+    lines = []
     for row in rows:
         cells = [row["reading"], row["stage"], f"{row['camera_depth']:g}"]
         cells += [f"{row['azimuth_step']:g}", f"{row['lidar_lowest']:g}"]
@@ -825,8 +825,8 @@ def results(rows: Rows) -> str:
         cells += [f"{row['loss']:.4f}"]
         cells += [f"{row[f'difference {s}']:.4f}" for s in SYMBOLS]
         cells += [f"{row[f'Spearman {s}']:.3f}" for s in SYMBOLS]
-        text += f"| {' | '.join(cells)} |\n"
-    return text
+        lines.append(cells)
+    return markdown(head, lines) + "\n"
 
 
 def fusion(paper: np.ndarray, fits: Sequence[Fitted]) -> str:
@@ -836,8 +836,7 @@ def fusion(paper: np.ndarray, fits: Sequence[Fitted]) -> str:
     r = IG / C for each kind and the overlap C₁ + C₂ − C₁₂ of the table itself, the entropy being
     spread as coverage is, ``independent`` and ``max`` are the two ends of how they can fuse.
     """
-    head = "| table | placement | IG | of parts | independent | max |\n|---|---|---|---|---|---|\n"
-    text = head
+    lines = []
     tables = [
         ("to be met", paper),
         *((fit.reading.name, with_surrogate(fit.table)) for fit in fits),
@@ -849,8 +848,9 @@ def fusion(paper: np.ndarray, fits: Sequence[Fitted]) -> str:
         independent = a + b - r[0] * r[1] * (c1 + c2 - c12)
         most = r[0] * c1 + r[1] * c2 - min(r) * (c1 + c2 - c12)
         numbers = (both[2], 1 - (1 - a) * (1 - b), independent, most)
-        text += f"| {title} | {name} | {' | '.join(f'{x:.3f}' for x in numbers)} |\n"
-    return text
+        lines.append((title, name, *(f"{x:.3f}" for x in numbers)))
+    heads = ("table", "placement", "IG", "of parts", "independent", "max")
+    return markdown(heads, lines) + "\n"
 
 
 LIDARS = ("L-c", "L-d1", "L-d2")
@@ -859,31 +859,25 @@ LIDARS = ("L-c", "L-d1", "L-d2")
 def lidars(paper: np.ndarray, fits: Sequence[Fitted]) -> str:
     """C of the LiDAR placements and O / C, in Markdown."""
     head = [*(f"C {name}" for name in LIDARS), *(f"O/C {name}" for name in LIDARS)]
-    text = f"| table | {' | '.join(head)} |\n" + "|---" * 7 + "|\n"
+    lines = []
     for title, table in [("to be met", paper), *((fit.reading.name, fit.table) for fit in fits)]:
         rows = [table[NAMES.index(name)] for name in LIDARS]
         cells = [row[0] for row in rows] + [row[1] / row[0] for row in rows]
-        text += f"| {title} | {' | '.join(f'{x:.3f}' for x in cells)} |\n"
-    return text
+        lines.append((title, *(f"{x:.3f}" for x in cells)))
+    return markdown(("table", *head), lines) + "\n"
 
 
 LEAST = 0.001
 """The least loss that is drawn."""
 
 
-def draw(rows: Rows, best: np.ndarray, paper: np.ndarray, title: str, path: Path) -> None:
+def draw(rows: Rows, best: np.ndarray, paper: np.ndarray, title: str) -> Figure:
     """The loss of every reading, and what the best one leaves."""
     names = list(dict.fromkeys(row["reading"] for row in rows))
     figure = Figure(figsize=(11.5, 1.4 + 0.28 * len(names)), layout="constrained")
     left, right = figure.subplots(1, 2, width_ratios=(1.7, 1))
-    looks = dict(
-        zip(
-            STAGES,
-            (("o", "#bbbbbb"), ("s", "#e69f00"), ("D", "#0072b2"), ("x", "#d55e00")),
-            strict=True,
-        )
-    )
-    for stage, (marker, color) in looks.items():
+    looks = ("o", "#bbbbbb"), ("s", "#e69f00"), ("D", "#0072b2"), ("x", "#d55e00")
+    for stage, (marker, color) in zip(STAGES, looks, strict=True):
         at = [
             (max(row["loss"], LEAST), names.index(row["reading"]))
             for row in rows
@@ -895,11 +889,7 @@ def draw(rows: Rows, best: np.ndarray, paper: np.ndarray, title: str, path: Path
     left.set_yticks(range(len(names)), shown, fontsize=8)
     left.invert_yaxis()
     left.set_xscale("log")
-    ticks = [0.001, 0.003, 0.01, 0.02, 0.03, 0.04, 0.05, 0.07, 0.1, 0.2, 0.3, 0.5]
-    low, high = left.get_xlim()
-    ticks = [tick for tick in ticks if low <= tick <= high]
-    left.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
-    left.minorticks_off()
+    left.xaxis.set_major_formatter("{x:g}")
     left.grid(color="#e0e0e0", lw=0.5)
     left.set_xlabel("mean absolute difference of C, O and IG to the table")
     left.legend(fontsize=8, loc="best")
@@ -914,7 +904,7 @@ def draw(rows: Rows, best: np.ndarray, paper: np.ndarray, title: str, path: Path
         f"value − the table's, all fitted, reading:\n{title.replace('; ', ';' + chr(10))}",
         fontsize=9,
     )
-    figure.savefig(path, dpi=150)
+    return figure
 
 
 # ── The run ─────────────────────────────────────────────────────────────────
@@ -922,21 +912,20 @@ def draw(rows: Rows, best: np.ndarray, paper: np.ndarray, title: str, path: Path
 
 def options() -> argparse.Namespace:
     """The command line."""
-    parser = command_line(__doc__)
-    parser.add_argument("--seed", type=int, default=0, help="of the traffic and of the stand-in")
-    parser.add_argument("--paper", type=Path, metavar="FILE", help="the paper's Table 2 as CSV")
-    parser.add_argument("--setting", type=Path, metavar="FILE",
-                        help="calibrate.csv; where calibrate.py begins if not given")  # fmt: skip
-    parser.add_argument("--frames", type=int, default=20)
-    parser.add_argument("--spacing", type=float, default=1.0, help="of voxels [m]")
-    parser.add_argument("--scenes", type=int, default=10, help="only the first so many of the ten")
-    parser.add_argument("--checked", type=int, default=2,
-                        help="scenes on which facts are held against the scores")  # fmt: skip
-    given = parser.parse_args()
+    given = arguments(
+        __doc__,
+        *("seed", "paper"),
+        setting=dict(type=Path, metavar="FILE",
+                     help="calibrate.csv; where calibrate.py begins if not given"),
+        frames=dict(type=int, default=20),
+        spacing=dict(type=float, default=1.0, help="of voxels [m]"),
+        scenes=dict(type=int, default=10, help="only the first so many of the ten"),
+        checked=dict(type=int, default=2, help="scenes on which facts are held against the scores"),
+    )  # fmt: skip
+    need_maps(given)
     given.lights = LIGHTS[:1]
     if given.quick:
         given.paper = None
-    given.out.mkdir(parents=True, exist_ok=True)
     return given
 
 
@@ -992,7 +981,7 @@ def target(given: argparse.Namespace, world: World) -> tuple[np.ndarray, Reading
 def main() -> None:
     """Facts, readings, and what is told of them."""
     given = options()
-    stem = begin(given, "readings")
+    stem = output(given, "readings")
     setting = setting_of(given.setting)
     world = read_world(given, setting)
     paper, truth = target(given, world)
@@ -1022,10 +1011,10 @@ def main() -> None:
     text = f"{len(world.facts)} intersections, one voxel every {given.spacing:g} m\n\n"
     text = "" if given.quick else text
     text += "\n".join((results(rows), fusion(paper, shown), lidars(paper, [*fits, best])))
-    console.print(text, highlight=False, soft_wrap=True)
-    write_text(given.out / f"{stem}.md", text)
-    write_results(given.out / f"{stem}.csv", rows, vars(given) | dict(setting_values=setting))
-    draw(rows, with_surrogate(best.table), paper, best.reading.name, given.out / f"{stem}.png")
+    say(text)
+    write_text(stem.with_suffix(".md"), text)
+    figure = draw(rows, with_surrogate(best.table), paper, best.reading.name)
+    write_results(stem, rows, vars(given) | dict(setting_values=setting), figure)
     if truth:
         off = next(row["loss"] for row in rows if row["reading"] == truth.name)
         if off > FOUND:

@@ -272,9 +272,9 @@ def test_lamps_are_mirrored_towards_the_camera():
 # ---- size ------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("width", "height"), [(1920, 1080), (352, 128), (37, 211)])
-def test_pictures_of_any_size(width, height):
-    """The middle of a box is where the intrinsics put it, at night in rain too."""
+def test_a_narrow_picture_at_night_in_rain():
+    """The middle of a box is where the intrinsics put it."""
+    width, height = 37, 211
     spec = replace(CAMERA, width=width, height=height, focal=0.45 * width,
                    principal=(width / 2, height / 2))  # fmt: skip
     scene = with_boxes(empty(), (14, 1, np.pi / 2, *CAR))

@@ -19,7 +19,7 @@ from inspe_jax.scene.scene import build_scene
 from inspe_jax.scene.traffic.frames import CLASSES
 from inspe_jax.scoring.targets import target_view
 from inspe_jax.sensing.catalogue import device
-from inspe_jax.sensing.conditions import Conditions
+from inspe_jax.sensing.conditions import FAIR, Conditions
 from inspe_jax.sensing.layout import Unit
 from inspe_jax.sensing.lidar_returns import LidarNoise
 from inspe_jax.sensing.sensors import LidarSpec
@@ -135,10 +135,16 @@ def test_no_ray_slips_through_between_two_faces():
     assert np.abs(hits.distance - far)[facing].max() < 0.02  # the far side is 0.1 m further
 
 
-def test_points_lie_on_surfaces_within_the_noise(scene, corners):
+@pytest.fixture(scope="module")
+def turn(scene, corners):
+    """A LiDAR, and the returns of a turn of it on the empty road."""
     recorder = EmbeddedRecorder(scene, corners)
-    lidar = recorder.sensors[0]
-    returns = lidar.cast(FrameActors((), recorder.surroundings.static_world.center), 0.1)
+    (lidar, *_), center = recorder.sensors, recorder.surroundings.static_world.center
+    return lidar, lidar.cast(FrameActors((), center), 0.1)
+
+
+def test_points_lie_on_surfaces_within_the_noise(turn):
+    lidar, returns = turn
     noise = LidarNoise(range=0.03, lost=0.0, weakest_lost=0.0)
     scan = lidar.scan(returns, 0, noise, np.random.default_rng(1))
     back = np.isfinite(returns.distance)
@@ -153,10 +159,8 @@ def test_points_lie_on_surfaces_within_the_noise(scene, corners):
     )
 
 
-def test_the_given_share_of_returns_is_lost(scene, corners):
-    recorder = EmbeddedRecorder(scene, corners)
-    lidar = recorder.sensors[0]
-    returns = lidar.cast(FrameActors((), recorder.surroundings.static_world.center), 0.1)
+def test_the_given_share_of_returns_is_lost(turn):
+    lidar, returns = turn
     total = np.isfinite(returns.distance).sum()
 
     def left(**noise):
@@ -316,30 +320,35 @@ def camera_scene():
     return with_boxes(world(count=0, radius=40.0, voxel=2.0), (14, 0, np.pi / 2, 4.6, 1.85, 1.5))
 
 
-@pytest.fixture(scope="module")
-def looked_at():
-    layout = place_sensors((SMALL, [0.0, 0.0, 5.0, 0.0, np.radians(-18), 0.0]))
-    recording = Recording(layers=("depth", "instance", "semantic"))
-    return EmbeddedRecorder(camera_scene(), layout, recording=recording).frame(0)
+LOOKING = [0.0, 0.0, 5.0, 0.0, np.radians(-18), 0.0]
 
 
-def test_a_pixel_shows_what_the_pinhole_says(looked_at):
-    """The car's box, projected by hand, covers the car's pixels; their depth is the distance along
-    the axis to its near side."""
-    (image,) = looked_at.stations[0].images
-    seen = image.instance > 0
-    assert set(np.unique(image.instance)) == {0, looked_at.boxes[0].track + 1}
-    v, u = np.nonzero(seen)
-    box = looked_at.boxes[0]
+def picture(scene, pose=LOOKING, conditions=FAIR, spec=SMALL):
+    """A recorder with one camera, the boxes of its first frame, and its image with all layers."""
+    layout, recording = place_sensors((spec, [*pose])), Recording(layers=LAYERS)
+    recorder = EmbeddedRecorder(scene, layout, conditions, recording)
+    frame = recorder.frame(0)
+    return recorder, frame.boxes, frame.stations[0].images[0]
+
+
+def seen_from(image, box):
+    """The corners of a box in the camera's frame (8, 3), and the outline of it in the picture."""
     corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) / 2
     turn = rotation(np.array([0, 0, box.yaw]), np)
-    body = (corners * box.size @ turn.T + box.center - image.pose[:3]) @ rotation(
-        image.pose[3:], np
-    )
-    at = 160 - 140 * body[:, 1] / body[:, 0], 120 - 140 * body[:, 2] / body[:, 0]
-    assert u.min() + 0.5 >= at[0].min() - 1
-    assert u.max() + 0.5 <= at[0].max() + 1
-    hull = MultiPoint(np.column_stack(at)).convex_hull
+    world_ = corners * box.size @ turn.T + box.center
+    x, y, z = body = ((world_ - image.pose[:3]) @ rotation(image.pose[3:], np)).T
+    (f, _, cx), (_, g, cy), _ = image.intrinsic
+    return body.T, MultiPoint(np.column_stack([cx - f * y / x, cy - g * z / x])).convex_hull
+
+
+def test_a_pixel_shows_what_the_pinhole_says():
+    """The car's box, projected by hand, covers the car's pixels; their depth is the distance along
+    the axis to its near side."""
+    _, (box,), image = picture(camera_scene())
+    seen = image.instance > 0
+    assert set(np.unique(image.instance)) == {0, box.track + 1}
+    v, u = np.nonzero(seen)
+    body, hull = seen_from(image, box)
     inside = shapely.contains_xy(hull.buffer(0.8), u + 0.5, v + 0.5)
     assert inside.all()
     assert seen.sum() / hull.area > 0.7
@@ -348,23 +357,21 @@ def test_a_pixel_shows_what_the_pinhole_says(looked_at):
     assert (image.semantic[~seen] != 14).all()
 
 
-@pytest.mark.parametrize(("away", "turn"), [(10, 0.0), (10, 0.6), (20, 0.3), (40, -0.5), (60, 0.0)])
+@pytest.mark.parametrize(("away", "turn"), [(10, 0.6), (20, 0.3), (60, 0.0)])
 def test_pixels_per_metre_are_those_of_the_picture(away, turn):
     """A car that stands square on to the line of sight, ``turn`` off the axis: how wide its pixels
     are, over its length, is the pixel density on its near side, to 3 % and a pixel on each end."""
     spec = device("paper-camera").spec.with_performance(1.0, 90.0)
     empty = world(count=0, radius=70.0, voxel=2.0)
-    layout = place_sensors((spec, [0.0, 0.0, 0.75, 0.0, 0.0, -turn]))
     near, length = away - 1.85 / 2, 4.6
     scene = with_boxes(empty, (away, 0, np.pi / 2, length, 1.85, 1.5))
-    recorder = EmbeddedRecorder(scene, layout, recording=Recording(layers=("instance",)))
-    (image,) = recorder.frame(0).stations[0].images
+    recorder, _, image = picture(scene, [0.0, 0.0, 0.75, 0.0, 0.0, -turn], spec=spec)
     u = np.nonzero(image.instance > 0)[1]
     wide = u.max() + 1 - u.min()
     grid = replace(
         empty.voxels, columns=np.array([[near, 0.0]]), ground=np.zeros(1), region=np.zeros(1, int)
     )
-    view = target_view(replace(empty, voxels=grid), layout, "car")
+    view = target_view(replace(empty, voxels=grid), recorder.layout, "car")
     assert view.pixel_density[0] == pytest.approx(wide / length, rel=0.03, abs=2 / length)
 
 
@@ -379,14 +386,8 @@ def test_boxes_cover_cars_through_the_written_calibration(tmp_path):
     )  # fmt: skip
     recorder = EmbeddedRecorder(scene, layout, recording=Recording(layers=("instance", "depth")))
     folder = tmp_path / "train" / "one"
-    write_protocol(
-        folder,
-        {
-            "world": dict(
-                fixed_delta_seconds=0.1, client_port=2000, seed=0, weather="clear", town="a"
-            )
-        },
-    )
+    facts = dict(fixed_delta_seconds=0.1, client_port=2000, seed=0, weather="clear", town="a")
+    write_protocol(folder, {"world": facts})
     for t in range(2):
         write_frame(folder, recorder.frame(t))
     reports = opv2v_validator.check_set(tmp_path, attenuation=0.004)
@@ -397,20 +398,9 @@ def test_boxes_cover_cars_through_the_written_calibration(tmp_path):
         for box in frame.boxes:
             if box.kind != "car":
                 continue
-            corner = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) / 2
-            turn = rotation(np.array([0, 0, box.yaw]), np)
-            body = (corner * box.size @ turn.T + box.center - image.pose[:3]) @ rotation(
-                image.pose[3:], np
-            )
-            if (body[:, 0] < 1).any() or body[:, 0].min() > 45:
-                continue
-            f, (cx, cy) = image.intrinsic[0, 0], image.intrinsic[:2, 2]
-            at = np.column_stack(
-                [cx - f * body[:, 1] / body[:, 0], cy - f * body[:, 2] / body[:, 0]]
-            )
-            frame_box = shapely.box(0, 0, 640, 480)
-            hull = MultiPoint(at).convex_hull.intersection(frame_box)
-            if hull.area < 400:
+            body, hull = seen_from(image, box)
+            hull = hull.intersection(shapely.box(0, 0, 640, 480))
+            if not 1 <= body[:, 0].min() <= 45 or hull.area < 400:
                 continue
             # Not hidden: alone in the world it has as many pixels.
             actors = FrameActors((box,), recorder.surroundings.static_world.center)
@@ -426,14 +416,14 @@ def test_boxes_cover_cars_through_the_written_calibration(tmp_path):
     assert min(overlaps) >= 0.7
 
 
-@pytest.mark.parametrize(("pose", "slope"), [
-    ([9.0, 9.0, 6.0, 0.0, -0.3, -2.3], 0.0),
-    ([0.0, -14.0, 4.0, 0.0, -0.3, 1.57], 0.0),  # beside a truck that is partly behind it
-    ([-14.0, 0.0, 1.5, 0.4, 0.1, 0.0], 0.0),  # a car at its left, one behind
-    ([0.0, -9.0, 9.0, 0.0, -0.3, 0.2], -0.08),  # at dusk the ground falls like the shadows
-    ([9.0, 9.0, 9.0, 0.0, -0.4, -2.3], 0.08),
+@pytest.mark.parametrize(("pose", "slope", "light"), [
+    ([9.0, 9.0, 6.0, 0.0, -0.3, -2.3], 0.0, "midday"),
+    ([0.0, -14.0, 4.0, 0.0, -0.3, 1.57], 0.0, "dusk"),  # beside a truck that is partly behind it
+    ([-14.0, 0.0, 1.5, 0.4, 0.1, 0.0], 0.0, "midday"),  # a car at its left, one behind
+    ([0.0, -9.0, 9.0, 0.0, -0.3, 0.2], -0.08, "dusk"),  # the ground falls like the shadows
+    ([9.0, 9.0, 9.0, 0.0, -0.4, -2.3], 0.08, "midday"),
 ])  # fmt: skip
-def test_no_road_user_or_shadow_is_missed(pose, slope):
+def test_no_road_user_or_shadow_is_missed(pose, slope, light):
     """All rays of pixels and of sunlit points give the same as those that the camera selects."""
     truck, car = (8, 2.5, 3.4), (4.6, 1.9, 1.5)
     boxes = [
@@ -442,51 +432,38 @@ def test_no_road_user_or_shadow_is_missed(pose, slope):
         (-2, -6, 0.0, 0.6, 0.6, 1.8), (20, 2, 0.5, *car),
     ]  # fmt: skip
     crowd = with_boxes(world(count=0, radius=40.0, voxel=2.0, slope=slope), *boxes)
-    for light in ("midday", "dusk"):
-        recorder = EmbeddedRecorder(crowd, place_sensors((SMALL, pose)), Conditions.of(light))
-        (camera,) = recorder.sensors
-        actors = recorder.surroundings.actors(0)
-        seen = camera._changes_at(actors, paints(actors.boxes, 0), 0.0)
-        road_users, caster = actors.at(0.0)
-        background = camera.background
-        hits = caster.cast(
-            camera.origin, camera.directions, np.minimum(background.distance, 1000.0)
-        )
-        box = np.where(hits.face >= 0, road_users.box[hits.face], -1)
-        sunny = np.flatnonzero(background.in_sun & (box < 0))
-        sunny = sunny[np.abs(background.point[sunny, :2]).max(1) < 150]
-        dark = sunny[camera._in_shadow(caster, background.point[sunny], np.array([0.0, 0.0, 1.0]))]
-        found = np.full(len(box), -1)
-        found[seen.pixels] = seen.box
-        assert np.array_equal(found, box)
-        assert len(np.unique(box)) > 2  # close ones hide others
-        assert np.array_equal(np.sort(seen.pixels[seen.box < 0]), dark)
-        assert len(dark) > 100
+    recorder = EmbeddedRecorder(crowd, place_sensors((SMALL, pose)), Conditions.of(light))
+    (camera,) = recorder.sensors
+    actors = recorder.surroundings.actors(0)
+    seen = camera._changes_at(actors, paints(actors.boxes, 0), 0.0)
+    road_users, caster = actors.at(0.0)
+    background = camera.background
+    hits = caster.cast(camera.origin, camera.directions, np.minimum(background.distance, 1000.0))
+    box = np.where(hits.face >= 0, road_users.box[hits.face], -1)
+    sunny = np.flatnonzero(background.in_sun & (box < 0))
+    sunny = sunny[np.abs(background.point[sunny, :2]).max(1) < 150]
+    dark = sunny[camera._in_shadow(caster, background.point[sunny], np.array([0.0, 0.0, 1.0]))]
+    found = np.full(len(box), -1)
+    found[seen.pixels] = seen.box
+    assert np.array_equal(found, box)
+    assert len(np.unique(box)) > 2  # close ones hide others
+    assert np.array_equal(np.sort(seen.pixels[seen.box < 0]), dark)
+    assert len(dark) > 100
 
 
 def test_light_falls_and_noise_rises_from_midday_to_night():
-    layout = place_sensors((SMALL, [0.0, 0.0, 5.0, 0.0, np.radians(-18), 0.0]))
-    pictures = {
-        light: EmbeddedRecorder(camera_scene(), layout, Conditions.of(light)).frame(0)
-        .stations[0].images[0].rgb.astype(float)
-        for light in ("midday", "dusk", "night")
-    }  # fmt: skip
-    bright = [pictures[k][150:].mean() for k in ("midday", "dusk", "night")]
+    lights = [Conditions.of(light) for light in ("midday", "dusk", "night")]
+    pictures = [picture(camera_scene(), LOOKING, at)[2].rgb.astype(float) for at in lights]
+    bright = [rgb[150:].mean() for rgb in pictures]
     assert bright[0] > bright[1] > bright[2] > 5
-    grain = [np.abs(np.diff(pictures[k][:10], axis=1)).mean() for k in ("midday", "dusk", "night")]
+    grain = [np.abs(np.diff(rgb[:10], axis=1)).mean() for rgb in pictures]
     assert grain[0] < grain[1] < grain[2]
 
 
 def test_shadows_point_away_from_the_sun():
     """At midday the sun stands in the south-south-east: beside the car its north is darker."""
     scene = with_boxes(world(count=0, radius=40.0, voxel=2.0), (14, 0, 0, 6.0, 2.5, 3.4))
-    layout = place_sensors((SMALL, [14.0, 0.0, 14.0, 0.0, -np.pi / 2, 0.0]))
-    (image,) = (
-        EmbeddedRecorder(scene, layout, recording=Recording(layers=("instance",)))
-        .frame(0)
-        .stations[0]
-        .images
-    )
+    _, _, image = picture(scene, [14.0, 0.0, 14.0, 0.0, -np.pi / 2, 0.0])
     # Straight down, nose to the east: columns run from north (left) to south (right).
     v, u = np.nonzero(image.instance > 0)
     brightness = image.rgb.astype(float).mean(2)
@@ -507,14 +484,12 @@ def test_points_at_the_rim_are_in_the_last_squares():
 
 
 def test_fog_hides_what_is_far():
-    layout = place_sensors((SMALL, [0.0, 0.0, 5.0, 0.0, np.radians(-10), 0.0]))
-    scene = world(count=0, radius=40.0, voxel=2.0)
-
-    def contrast(weather):
-        image = EmbeddedRecorder(scene, layout, Conditions.of("midday", weather)).frame(0)
-        return image.stations[0].images[0].rgb[60:120].astype(float).std()
-
-    assert contrast("fog:40") < 0.6 * contrast("clear")
+    scene, pose = world(count=0, radius=40.0, voxel=2.0), [0.0, 0.0, 5.0, 0.0, -0.17, 0.0]
+    near, far = (
+        picture(scene, pose, Conditions.of("midday", weather))[2].rgb[60:120].astype(float).std()
+        for weather in ("fog:40", "clear")
+    )
+    assert near < 0.6 * far
 
 
 # ---- whole frames ------------------------------------------------------------------------------
@@ -527,19 +502,18 @@ def test_the_same_seed_gives_the_same_frames_in_any_order(scene, light):
     )
     given = (scene, layout, Conditions.of(light), Recording(layers=LAYERS))
     one, two = EmbeddedRecorder(*given), EmbeddedRecorder(*given)
-    first = [one.frame(t) for t in (0, 1)]
-    again = [two.frame(t) for t in (1, 0)][::-1]
-    other = EmbeddedRecorder(*given, seed=1).frame(0)
+    first, again = [one.frame(t) for t in (0, 1)], [two.frame(t) for t in (1, 0)][::-1]
+
+    def arrays(frame):
+        image, scan = frame.stations[0].images[0], frame.stations[1].scans[0]
+        return [image.rgb, scan.points, *(getattr(image, name) for name in LAYERS)]
+
     for a, b in zip(first, again, strict=True):
-        for s, t in zip(a.stations, b.stations, strict=True):
-            for i, j in zip(s.images, t.images, strict=True):
-                assert np.array_equal(i.rgb, j.rgb)
-                for name in LAYERS:
-                    assert getattr(i, name).shape == i.rgb.shape[:2]
-                    assert np.array_equal(getattr(i, name), getattr(j, name))
-            for i, j in zip(s.scans, t.scans, strict=True):
-                assert np.array_equal(i.points, j.points)
-    assert not np.array_equal(first[0].stations[0].images[0].rgb, other.stations[0].images[0].rgb)
+        for x, y in zip(arrays(a), arrays(b), strict=True):
+            np.testing.assert_array_equal(x, y)
+    other = arrays(EmbeddedRecorder(*given, seed=1).frame(0))
+    for x, y in zip(arrays(first[0])[:2], other[:2], strict=True):
+        assert not np.array_equal(x, y)
 
 
 def test_boxes_are_where_the_traffic_has_them():
@@ -557,21 +531,6 @@ def test_boxes_are_where_the_traffic_has_them():
         assert ahead > 0.9 * np.hypot(*box.velocity[:2])
 
 
-def test_another_seed_gives_other_noise():
-    """Without road users the seed changes the noise only."""
-    empty, at = world(count=0, radius=20.0, voxel=1.0), [0.0, 0.0, 6.0, 0.0, -0.3, -2.3]
-    layout = place_sensors((SMALL, at), (COARSE, at))
-    frames = [EmbeddedRecorder(empty, layout, seed=seed).frame(0) for seed in (0, 0, 1)]
-    images = [frame.stations[0].images[0] for frame in frames]
-    scans = [frame.stations[1].scans[0] for frame in frames]
-    assert np.array_equal(images[0].rgb, images[1].rgb)
-    off = images[0].rgb.astype(int) - images[2].rgb
-    assert (off != 0).mean() > 0.2
-    assert np.abs(off).mean() < 10
-    assert np.array_equal(scans[0].points, scans[1].points)
-    assert not np.array_equal(scans[0].points, scans[2].points)
-
-
 def test_road_users_keep_their_looks(scene):
     names = {}
     for t in range(scene.traffic.frame_count):
@@ -582,16 +541,13 @@ def test_road_users_keep_their_looks(scene):
     assert {CLASSES[k] for k in scene.traffic.kind[scene.traffic.valid]} >= {"car", "truck"}
 
 
-@pytest.mark.parametrize("light", LIGHTS)
+@pytest.mark.parametrize("light", ["midday", "night"])
 def test_layers_of_the_static_world(light):
     """The road where rays hit its plane; at night and without lamps only the sky lights it."""
     scene = world(count=0, radius=20.0, voxel=1.0)
     pose = np.array([0.0, 0.0, 6.0, 0.0, -0.3, -2.3])  # over the road: no mast
-    layout = place_sensors((SMALL, pose.tolist()))
-    given = (scene, layout, Conditions.of(light), Recording(layers=LAYERS))
-    recorder = EmbeddedRecorder(*given)
+    recorder, _, image = picture(scene, pose, Conditions.of(light))
     assert not len(recorder.surroundings.static_world.poles)
-    (image,) = recorder.frame(0).stations[0].images
     assert not image.instance.any()
     u, v = np.meshgrid(np.arange(SMALL.width) + 0.5, np.arange(SMALL.height) + 0.5)
     (cx, cy), f = SMALL.principal, SMALL.focal
@@ -620,15 +576,19 @@ def test_slopes_and_empty_roads_are_recorded():
     assert np.abs(at[near, 2] - height).mean() < 0.1
 
 
-def test_bad_input(scene, corners):
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        (dict(rate=0), "rate 0 Hz"),
+        (dict(image_scale=9), "image_scale 9"),
+        (dict(layers=("dept",)), "layer 'dept': one of .*did you mean depth"),
+    ],
+)
+def test_bad_input(scene, corners, given, words):
+    with pytest.raises(InspeError, match=words):
+        EmbeddedRecorder(scene, corners, recording=Recording(**given))
     with pytest.raises(InspeError, match=r"backend 'embeded': one of .*did you mean embedded"):
         recorder_of("embeded", scene, corners)
-    with pytest.raises(InspeError, match=r"rate 0 Hz"):
-        EmbeddedRecorder(scene, corners, recording=Recording(rate=0))
-    with pytest.raises(InspeError, match="image_scale 9"):
-        EmbeddedRecorder(scene, corners, recording=Recording(image_scale=9))
-    with pytest.raises(InspeError, match=r"layer 'dept': one of .*did you mean depth"):
-        EmbeddedRecorder(scene, corners, recording=Recording(layers=("dept",)))
 
 
 # ---- A sensor in hand -----------------------------------------------------------------------
@@ -646,8 +606,7 @@ def both():
     )
 
 
-@pytest.mark.parametrize("light", LIGHTS)
-@pytest.mark.parametrize("s", [0, 1])
+@pytest.mark.parametrize(("light", "s"), [("midday", 0), ("dusk", 1), ("night", 0)])
 def test_a_live_sensor_records_at_its_place_what_the_recorder_does(scene, both, light, s):
     around, small = Conditions(light), Recording(image_scale=0.5)
     whole = EmbeddedRecorder(scene, both, around, small, seed=3)
@@ -658,12 +617,9 @@ def test_a_live_sensor_records_at_its_place_what_the_recorder_does(scene, both, 
         boxes, found = live.record(t, np.array(both.poses[s]))
         station = frame.stations[both.sensors[s].unit]
         assert [box.track for box in boxes] == [box.track for box in frame.boxes]
-        if s == 0:
-            np.testing.assert_array_equal(found.rgb, station.images[0].rgb)
-            np.testing.assert_array_equal(found.pixels, station.images[0].pixels)
-        else:
-            np.testing.assert_array_equal(found.points, station.scans[0].points)
-            np.testing.assert_array_equal(found.returns, station.scans[0].returns)
+        (same,) = (*station.images, *station.scans)
+        for name in ("rgb", "pixels") if s == 0 else ("points", "returns"):
+            np.testing.assert_array_equal(getattr(found, name), getattr(same, name))
 
 
 def test_a_sensor_that_is_held_elsewhere_does_not_see_the_mast_it_left(scene, both):

@@ -19,7 +19,7 @@ from typer.core import TyperGroup
 from inspe_jax.cli.claims import claims
 from inspe_jax.cli.stopping import CTRL_C, attended, step, stopped
 from inspe_jax.core.compiling import compiled, keep_programs, leave
-from inspe_jax.core.errors import EXTRAS, InspeError, missing_extra, nearest
+from inspe_jax.core.errors import InspeError, missing_extra, nearest
 from inspe_jax.core.words import visible
 from inspe_jax.placement.compile_ahead import compiles
 
@@ -76,6 +76,11 @@ class WholeConsole(Console):
 out = WholeConsole(highlight=False, markup=False)
 err = WholeConsole(stderr=True, highlight=False)
 
+EXTRAS = {
+    "dataset": "dataset", "detect": "perception", "evaluate": "perception", "generate": "dataset",
+    "report": "report", "train": "perception", "view": "view",
+}  # fmt: skip
+"""The extra that brings the libraries of a whole command."""
 DEFAULT_SCENE = "four_way"
 DEFAULT_LAYOUT = "Cam-d1"
 
@@ -150,10 +155,10 @@ def _run() -> None:
         where = f"{e.filename}: " if e.filename else ""
         words = where + (e.strerror or str(e) or type(e).__name__)  # a TimeoutError says nothing
     except ModuleNotFoundError as e:
-        library = (e.name or "").partition(".")[0]
-        if library not in EXTRAS:
+        extra = EXTRAS.get(claims.command)
+        if extra is None or (e.name or "").startswith("inspe_jax"):
             raise
-        words = str(missing_extra(f"this needs {library}", EXTRAS[library]))
+        words = str(missing_extra(f"`inspe {claims.command}` needs {e.name}", extra))
     except (AssertionError, RuntimeError) as e:
         platforms = os.environ.get("JAX_PLATFORMS")
         if not platforms or _has_devices():

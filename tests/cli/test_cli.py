@@ -742,6 +742,37 @@ def test_missing_extra_says_what_to_install(inspe, files, monkeypatch, origin, c
     assert command in " ".join(error.split())
 
 
+@pytest.mark.process
+@pytest.mark.parametrize(
+    ("command", "library", "extra"),
+    [
+        ("view", "viser", "view"),
+        ("report", "jinja2", "report"),
+        ("generate set.yaml --out set", "PIL", "dataset"),
+        ("train set --model v2x-vit --out run", "equinox", "perception"),
+    ],
+)
+def test_a_command_without_its_extra_says_what_to_install(command, library, extra):
+    without = f"import sys; sys.modules[{library!r}] = None; from inspe_jax.cli import main; main()"
+    ran = subprocess.run(
+        [sys.executable, "-c", without, *command.split()], capture_output=True, text=True
+    )
+    assert ran.returncode == 2
+    assert f"`inspe {command.split()[0]}` needs {library}" in ran.stderr
+    assert f"[{extra}]'" in ran.stderr
+
+
+@pytest.mark.process
+def test_the_base_scores_and_draws_without_any_extra(tmp_path):
+    brought = "dask distributed embreex equinox fastkml filelock ifaddr jinja2 msgspec pyproj viser"
+    without = f"import sys; sys.modules |= dict.fromkeys({brought.split()!r})"
+    code = f"{without}; from inspe_jax.cli import main; main()"
+    plot = str(tmp_path / "plan.png")
+    done = [sys.executable, "-c", code, "score", "t_junction", "L-d1", "--plot", plot]
+    subprocess.run(done, check=True, capture_output=True)
+    assert Path(plot).exists()
+
+
 ON_ONE_CORE = """import os
 if hasattr(os, "sched_setaffinity"):
     os.sched_setaffinity(0, [min(os.sched_getaffinity(0))])

@@ -614,8 +614,8 @@ def test_what_needs_no_scene_is_refused_before_one_is_read(
     def slow(*_, **__):
         pytest.fail("the scene was read first")
 
-    for name in ("scene.load_scene", "scene.build_scene", "maps.registry.read_map"):
-        monkeypatch.setattr(f"inspe_jax.scene.{name}", slow)
+    for name in ("scene.scene.build_voxels", "cli.scene.read_map"):
+        monkeypatch.setattr(f"inspe_jax.{name}", slow)
     (files / "mine").mkdir(exist_ok=True)
     for name in ("mine/layout.yaml", "mine/r.html", "page.log"):
         (files / name).write_text("mine")
@@ -944,7 +944,7 @@ def test_a_device_that_is_not_there_is_told_in_a_line(inspe, monkeypatch, found)
         raise found or AssertionError("of this package")
 
     monkeypatch.setenv("JAX_PLATFORMS", "cuda")
-    monkeypatch.setattr("inspe_jax.scoring.evaluate.evaluate", fail)
+    monkeypatch.setattr("inspe_jax.cli.score.evaluate", fail)
     if found is None:
         with pytest.raises(AssertionError, match="of this package"):
             inspe("score", "s.npz", "layout.yaml")

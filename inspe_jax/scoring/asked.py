@@ -47,6 +47,12 @@ class Asked(NamedTuple):
         return "past_others" if any(metric.sight for metric in self.metrics) else None
 
     @property
+    def counted(self) -> "Asked":
+        """These options without what does not change the counts, so that fewer programs are
+        compiled."""
+        return Asked(self.occlusion_reference, self.sight or "in_view")
+
+    @property
     def counts_sight(self) -> bool:
         """Whether the number of frames in which each voxel is in line of sight is needed."""
         return self.sight is not None

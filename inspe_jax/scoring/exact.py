@@ -151,6 +151,7 @@ def count_all(
             ]
         )
     jobs: list[Job] = []
+    asked = asked.counted
     groups = 0 if failures is None else len(failures.first)
     for chunk in tiled.chunks:
         few = views[:, chunk.tiles]

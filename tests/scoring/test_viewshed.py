@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from worlds import CAMERA, LIDAR, no_traffic, random_layout, world
+from worlds import CAMERA, LIDAR, no_traffic, random_layout, solid_voxels, world
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.scoring import tiled_scene as made
@@ -29,18 +29,6 @@ def shed(scene, layout):
     return viewshed(scene, layout)
 
 
-def solid(scene, frame):
-    """Whether each voxel's centre is inside a vehicle, one after the other."""
-    t, found = scene.traffic, np.zeros(scene.voxels.count, bool)
-    for box in np.flatnonzero(t.valid[frame]):
-        away = scene.voxels.centers - t.center[frame, box]
-        cos, sin = np.cos(t.yaw[frame, box]), np.sin(t.yaw[frame, box])
-        along, aside = away[:, 0] * cos + away[:, 1] * sin, away[:, 1] * cos - away[:, 0] * sin
-        half = t.size[frame, box] / 2
-        found |= (np.abs(along) < half[0]) & (np.abs(aside) < half[1]) & (away[:, 2] < half[2])
-    return found
-
-
 def test_counts_are_those_of_line_of_sight_in_every_frame(scene, layout, shed):
     view = in_view(scene, layout)
     seen = [
@@ -49,12 +37,12 @@ def test_counts_are_those_of_line_of_sight_in_every_frame(scene, layout, shed):
     assert shed.frame_count == scene.traffic.frame_count == 4
     np.testing.assert_array_equal(shed.sensors, view.sum(0))
     np.testing.assert_array_equal(shed.seen, np.sum(seen, 0))
-    inside = np.sum([solid(scene, k) for k in range(4)], 0)
+    inside = np.sum([solid_voxels(scene, k) for k in range(4)], 0)
     assert (shed.occupied != inside).mean() < 1e-3  # centres on a face
     for k in (0, 3):
         sight = sight_in(scene, layout, k)
         occupied = sight == Visibility.OCCUPIED
-        assert (occupied != solid(scene, k)).mean() < 1e-3
+        assert (occupied != solid_voxels(scene, k)).mean() < 1e-3
         np.testing.assert_array_equal((sight == Visibility.SEEN)[~occupied], seen[k][~occupied])
         np.testing.assert_array_equal(
             (sight == Visibility.OUT_OF_VIEW)[~occupied], ~view.any(0)[~occupied]

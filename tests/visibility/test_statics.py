@@ -41,7 +41,7 @@ def street(slope=0.0, center=(0, 0, 0), **size):
 
 
 def layout_in(scene, count=6):
-    """Up to six sensors: on a roof, beneath a crown, behind a wall, beside a pole, and over the road."""
+    """Up to six: on a roof, beneath a crown, behind a wall, beside a pole, and over the road."""
     x, y, _ = scene.voxels.center
     at = [(11.0, 12.0, 7.0), (9.6, -8.6, 1.6), (-13.0, 9.9, 1.2)]
     at += [(7.1, 7.4, 3.0), (-3.0, -2.0, 5.5), (-10.4, -8.0, 7.5)]

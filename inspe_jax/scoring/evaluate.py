@@ -33,8 +33,6 @@ from inspe_jax.scoring.summary import MetricValues
 from inspe_jax.scoring.tiled_scene import (
     TiledScene,
     tiled_scene_of,
-    tiled_scene_without_masks,
-    whole_tiled_scene_of,
 )
 from inspe_jax.sensing.conditions import FAIR, Case, Conditions, perceiving
 from inspe_jax.sensing.layout import Layout
@@ -240,11 +238,11 @@ def _measured(
         sensors = sensor_array(sensor_set, ONE_MORE)
         # A step function of the poses has no gradient.
         poses = jax.lax.stop_gradient(layout.poses) if traced else layout.poses
-        tiled = (whole_tiled_scene_of if traced else tiled_scene_of)(scene)
+        tiled = tiled_scene_of(scene, whole=traced)
         padded = from_center(scene, sensors.padded(poses))
         return tiled, count_exactly(tiled, padded, sensors, voxel, asked)
     sensors = sensor_array(sensor_set)
-    tiled = tiled_scene_without_masks(scene)
+    tiled = tiled_scene_of(scene, whole=True, masks=False)
     padded = from_center(scene, sensors.padded(layout.poses))
     return tiled, read_softly(tiled.bucketed, padded, sensors, voxel, softness, asked=asked)
 
@@ -299,7 +297,7 @@ def evaluate_many(
     for one in layouts:
         check_places(scene, one)
     layout = perceiving(scene, layout, conditions)
-    tiled = whole_tiled_scene_of(scene)
+    tiled = tiled_scene_of(scene, whole=True)
     by_name = weights_of(weights)
     if by_name["information_gain"] > 0:
         check_entropy(scene, entropy(tiled.occupancy).sum())

@@ -22,7 +22,7 @@ from inspe_jax.scoring.evaluate import options_of
 from inspe_jax.scoring.exact import BITS, ONE_MORE, in_view_of, sight_shares
 from inspe_jax.scoring.reading import Frames
 from inspe_jax.scoring.sensor_array import SensorSet, sensor_array
-from inspe_jax.scoring.tiled_scene import by_level, tiled_scene_of, whole_tiled_scene_of
+from inspe_jax.scoring.tiled_scene import by_level, tiled_scene_of
 from inspe_jax.sensing.conditions import FAIR, Conditions, perceiving
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.visibility.centered_scene import poses_about_center
@@ -72,7 +72,7 @@ def viewshed(scene: Scene, layout: Layout, *, conditions: Conditions = FAIR) -> 
     levels = tiles.tile.heights.shape[1]
     seen = np.zeros((*views.shape[1:], levels), int)
     occupied = np.zeros_like(seen)
-    for chunk in whole_tiled_scene_of(scene).chunks:
+    for chunk in tiled_scene_of(scene, whole=True).chunks:
         assert chunk.solid is not None  # the scene has masks
         found = _seen_masks(tiles.tile, views, chunk.solid, chunk.prisms, sensors)
         seen += np.asarray(by_level(found, levels))
@@ -116,7 +116,7 @@ def sight_in(
     """
     frame = check_frame(scene, frame)
     layout, tiles, views, sensors = _views(scene, layout, conditions)
-    tiled = whole_tiled_scene_of(scene)
+    tiled = tiled_scene_of(scene, whole=True)
     (chunk,) = (c for c in tiled.chunks if c.begin <= frame < c.begin + len(c.prisms.top))
     assert chunk.solid is not None  # the scene has masks
     at = slice(frame - chunk.begin, frame - chunk.begin + 1)
@@ -135,7 +135,7 @@ def _views(
     """The layout under the conditions, the tiles, masks of what each sensor has in view, and the
     sensors' positions about the scene's centre [m]; the arrays end in empty places."""
     check_layout(scene, layout)
-    layout, tiled = perceiving(scene, layout, conditions), whole_tiled_scene_of(scene)
+    layout, tiled = perceiving(scene, layout, conditions), tiled_scene_of(scene, whole=True)
     sensors = sensor_array(SensorSet.of(layout), ONE_MORE)
     poses = sensors.padded(poses_about_center(scene, layout))
     views = np.asarray(in_view_of(tiled, poses, sensors, scene.voxels.size / 2))

@@ -33,7 +33,7 @@ from inspe_jax.scoring import metrics
 from inspe_jax.scoring.asked import Asked
 from inspe_jax.scoring.sensor_array import SensorSet, sensor_array
 from inspe_jax.scoring.soft import read_softly
-from inspe_jax.scoring.tiled_scene import SceneArrays, tiled_scene_without_masks
+from inspe_jax.scoring.tiled_scene import SceneArrays, tiled_scene_of
 from inspe_jax.sensing.sensors import LidarSpec
 from inspe_jax.visibility import bitmask
 from inspe_jax.visibility.centered_scene import about_center, poses_about_center
@@ -137,7 +137,7 @@ def test_tile_by_tile_is_all_vehicles_against_all_columns(reading):
     def tiled(poses):
         return total(
             measure_softly(
-                tiled_scene_without_masks(scene),
+                tiled_scene_of(scene, whole=True, masks=False),
                 poses,
                 sensor_set,
                 voxel,
@@ -172,7 +172,9 @@ def test_slabs_of_levels_and_runs_of_frames_are_put_together(double, size):
     field = SceneArrays(about_center(scene), jnp.asarray(scene.voxels.weight, float))
     softness, voxel = Softness.of(0.5), scene.voxels.size
     expected = compiled_measure(field, poses, sensor_set, voxel, softness)
-    found = measure_softly(tiled_scene_without_masks(scene), poses, sensor_set, voxel, softness)
+    found = measure_softly(
+        tiled_scene_of(scene, whole=True, masks=False), poses, sensor_set, voxel, softness
+    )
     assert 0.05 < float(expected.values["coverage"][0]) < 1
     jax.tree.map(partial(np.testing.assert_allclose, rtol=1e-12, atol=1e-12), found, expected)
 

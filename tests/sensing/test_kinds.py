@@ -21,7 +21,7 @@ from inspe_jax.placement.constraints import Constraints
 from inspe_jax.report.figures import plan_view
 from inspe_jax.report.scene_tables import devices_table
 from inspe_jax.sensing import kinds
-from inspe_jax.sensing.catalogue import Device, load_devices, spec_of, table_of
+from inspe_jax.sensing.catalogue import Device, spec_of, table_of
 from inspe_jax.sensing.conditions import FAIR, Conditions
 from inspe_jax.sensing.kinds import DeviceKeys, Positive
 from inspe_jax.sensing.layout import load_layout, save_layout
@@ -143,19 +143,13 @@ def test_its_layout_is_written_and_read_again(scene, layout, tmp_path):
     np.testing.assert_allclose(again.poses, layout.poses, atol=1e-9)
 
 
-def test_a_catalogue_may_have_it(fan, tmp_path):
-    path = tmp_path / "own.toml"
-    path.write_text(
-        '[my-fan]\nkind = "fan"\ntitle = "Fan"\nmaker = "us"\nsource = "made up"\n'
-        "rays = 3\nfov_deg = 90\nrange_m = 20\n"
-    )
-    row = load_devices(path)["my-fan"]
-    assert (row.kind, row.maker) == ("fan", "us")
-    assert row.spec == FanSpec("my-fan", 3, float(np.pi / 2), 20.0)
-    assert spec_of(table_of(row.spec), "my-fan", "here") == row.spec
-    path.write_text(path.read_text().replace("rays", "beams"))
+def test_its_keys_are_read_and_written(fan):
+    table = dict(kind="fan", rays=3, fov_deg=90.0, range_m=20.0)
+    spec = spec_of(table, "my-fan", "here")
+    assert spec == FanSpec("my-fan", 3, float(np.pi / 2), 20.0)
+    assert spec_of(table_of(spec), "my-fan", "here") == spec
     with pytest.raises(InspeError, match=r"my-fan: beams: unknown key; allowed: .*rays"):
-        load_devices(path)
+        spec_of(table | dict(beams=3), "my-fan", "my-fan")
 
 
 def test_weather_without_figures_for_it_takes_nothing(fan, layout):

@@ -25,7 +25,6 @@ from worlds import (
 )
 
 import inspe_jax
-from inspe_jax.core.errors import InspeError
 from inspe_jax.core.geometry import Cut, Line, below_top, plan_cut, stretch
 from inspe_jax.core.numerics import Softness, step
 from inspe_jax.report.tables import scores_record
@@ -454,23 +453,3 @@ def test_a_record_of_soft_scores_says_how_they_were_read():
     record = json.loads(json.dumps(scores_record(scores, scene, layout)))
     assert record["settings"]["softness"] == dict(field=0.5, shadow=0.25, rays="density")
     assert scores.parts == {}
-
-
-@pytest.mark.parametrize("softness", [-1.0, np.float32(-1), jnp.asarray(-1.0)])
-def test_softness_below_zero_is_refused(softness):
-    scene = world(**TINY)
-    layout = random_layout(scene, [LIDAR], 0, heights=(3.0, 8.0))
-    with pytest.raises(InspeError, match="softness -1: 0"):
-        inspe_jax.evaluate(scene, layout, softness=softness)
-
-
-@pytest.mark.parametrize("softness", ["0.5", [0.5], np.ones(2)])
-def test_softness_that_is_no_number_is_refused(softness):
-    with pytest.raises(InspeError, match="a number of metres"):
-        Softness.of(softness)
-
-
-@pytest.mark.parametrize("nothing", [0, 0.0, np.int64(0), np.zeros(()), jnp.zeros(())])
-def test_softness_of_nothing_is_exact(nothing):
-    assert Softness.of(nothing).exact
-    assert Softness.of(Softness(nothing, nothing)).exact

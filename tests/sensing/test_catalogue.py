@@ -235,8 +235,3 @@ def test_bad_keys_get_one_clear_message(old, new, message):
     with pytest.raises(InspeError, match=message) as caught:
         read(text.replace(old, new, 1))
     assert str(caught.value).startswith("here: mine: ")
-
-
-def test_a_device_that_is_no_table_is_refused():
-    with pytest.raises(InspeError, match="mine: must be a table of one device, got 3"):
-        spec_of(3, "mine", "mine")

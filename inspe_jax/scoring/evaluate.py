@@ -15,7 +15,6 @@ from inspe_jax.core.records import ByContent, Described, check_values
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scene.voxels import check_memory
-from inspe_jax.scoring.asked import Asked
 from inspe_jax.scoring.detection import DetectionCurves
 from inspe_jax.scoring.exact import ONE_MORE, count_exactly, measure_many
 from inspe_jax.scoring.metrics import (
@@ -27,6 +26,7 @@ from inspe_jax.scoring.metrics import (
     unknown_reference,
     weights_of,
 )
+from inspe_jax.scoring.options import ScoreOptions
 from inspe_jax.scoring.sensor_array import SensorSet, sensor_array
 from inspe_jax.scoring.soft import read_softly
 from inspe_jax.scoring.summary import MetricValues
@@ -168,22 +168,22 @@ def evaluate(
     so no entropy to resolve, unless information gain has weight 0; then information gain is 0.
     """
     scene, layout, conditions = check_layout(scene, layout, conditions)
-    options = options_of(scene, occlusion_reference, visibility)
-    check_options(weights, **options, detection=detection)
+    readings = options_of(scene, occlusion_reference, visibility)
+    check_options(weights, **readings, detection=detection)
     by_name = weights_of(weights)
-    asked = Asked.of(**options, names=chosen(metrics, by_name), detection=detection)
+    options = ScoreOptions.of(**readings, names=chosen(metrics, by_name), detection=detection)
     check_memory(scene.voxels.count, len(layout))
     layout = perceiving(scene, layout, conditions)
     # Without each sensor in turn, but not where poses are traced.
     traced = isinstance(layout.poses, jax.core.Tracer)
     each = () if traced else tuple((s,) for s in range(len(layout)))
-    tiled, found = _measured(scene, layout, each, Softness.of(softness), asked)
+    tiled, found = _measured(scene, layout, each, Softness.of(softness), options)
     if by_name["information_gain"] > 0:
         check_entropy(scene, found.entropy)
     found = found._replace(seen_share=jax.lax.stop_gradient(found.seen_share))
     regions = _by_region(scene, tiled, found.column_coverage)
     measured = jax.tree.map(_array, found)
-    values = {of.name: measured.values[of.name][: 1 + len(each)] for of in asked.metrics}
+    values = {of.name: measured.values[of.name][: 1 + len(each)] for of in options.metrics}
     rows = [*values.values(), surrogate(values, by_name)]
     total, *without = zip(*(_numbers(row) for row in rows), strict=True)
     return Scores(
@@ -203,10 +203,10 @@ def evaluate(
         settings=dict(
             weights={name: by_name[name] for name in values},
             profile=scene.profile.name,
-            **options,
+            **readings,
             softness=softness,
             **conditions.record,
-            **_limits(scene, asked.detection),
+            **_limits(scene, options.detection),
         ),
         parts=_by_part(scene, measured, tuple(values), by_name),
     )
@@ -229,7 +229,7 @@ def _measured(
     layout: Layout,
     failures: tuple[tuple[int, ...], ...],
     softness: Softness,
-    asked: Asked,
+    options: ScoreOptions,
 ) -> tuple[TiledScene, MetricValues]:
     """The scene in tiles and its metrics, of columns of tiles; counted exactly or read softly."""
     sensor_set, voxel = SensorSet.of(layout, failures), scene.voxels.size
@@ -240,11 +240,11 @@ def _measured(
         poses = jax.lax.stop_gradient(layout.poses) if traced else layout.poses
         tiled = tiled_scene_of(scene, whole=traced)
         padded = from_center(scene, sensors.padded(poses))
-        return tiled, count_exactly(tiled, padded, sensors, voxel, asked)
+        return tiled, count_exactly(tiled, padded, sensors, voxel, options)
     sensors = sensor_array(sensor_set)
     tiled = tiled_scene_of(scene, whole=True, masks=False)
     padded = from_center(scene, sensors.padded(layout.poses))
-    return tiled, read_softly(tiled.bucketed, padded, sensors, voxel, softness, asked=asked)
+    return tiled, read_softly(tiled.bucketed, padded, sensors, voxel, softness, options=options)
 
 
 @dataclass(frozen=True, eq=False)
@@ -275,8 +275,8 @@ def evaluate_many(
     InspeError as that does, and where ``poses`` has another shape or is traced.
     """
     scene, layout, conditions = check_layout(scene, layout, conditions)
-    options = options_of(scene, occlusion_reference, visibility)
-    check_options(weights, **options, detection=detection)
+    readings = options_of(scene, occlusion_reference, visibility)
+    check_options(weights, **readings, detection=detection)
     try:
         poses = np.asarray(poses, float)
     except (TypeError, ValueError):  # a traced array's error is a TypeError
@@ -306,7 +306,7 @@ def evaluate_many(
         np.stack([poses_about_center(scene, one) for one in layouts]),
         SensorSet.of(layout),
         scene.voxels.size,
-        Asked.of(**options, names=chosen(metrics, by_name), detection=detection),
+        ScoreOptions.of(**readings, names=chosen(metrics, by_name), detection=detection),
     )
     return ManyScores(found, np.asarray(surrogate(found, by_name)))
 

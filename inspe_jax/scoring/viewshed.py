@@ -6,7 +6,6 @@ scores count. They are for pictures: scores need only their sums.
 
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -17,9 +16,9 @@ from inspe_jax.core.geometry import Prism
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scoring import metrics
 from inspe_jax.scoring.accumulate import seen_in_tile
-from inspe_jax.scoring.asked import Asked
 from inspe_jax.scoring.evaluate import options_of
 from inspe_jax.scoring.exact import BITS, ONE_MORE, in_view_of, sight_shares
+from inspe_jax.scoring.options import ScoreOptions
 from inspe_jax.scoring.reading import Frames
 from inspe_jax.scoring.sensor_array import SensorSet, sensor_array
 from inspe_jax.scoring.tiled_scene import by_level, tiled_scene_of
@@ -100,11 +99,10 @@ def _visible(
     It is 1 for a voxel in view, or the share of frames in which the voxel is seen. The programs
     that a score compiles count it.
     """
-    options: dict[str, Any] = dict(options_of(scene))
-    asked = Asked.of(**options)
-    if not asked.counts_sight:
+    options = ScoreOptions.of(**options_of(scene))
+    if not options.counts_sight:
         return flags.astype(float)
-    return flags * sight_shares(tiled_scene_of(scene), views, sensors, asked, len(layout))
+    return flags * sight_shares(tiled_scene_of(scene), views, sensors, options, len(layout))
 
 
 def sight_in(
@@ -156,6 +154,6 @@ def _seen_masks(
     @unless_empty
     def see_tile(tile: Tile, views: Array, solid: Array) -> Array:
         rows = sensors, shadows, views
-        return seen_in_tile(BITS, rows, tile, Frames(prisms, solid), None, Asked())[0].all
+        return seen_in_tile(BITS, rows, tile, Frames(prisms, solid), None, ScoreOptions())[0].all
 
     return jax.lax.map(lambda part: see_tile(*part), (tiles, views.swapaxes(0, 1), solid))

@@ -23,7 +23,7 @@ from inspe_jax.core.parallel import run
 from inspe_jax.placement.candidate_views import view_jobs
 from inspe_jax.scoring import exact
 from inspe_jax.scoring import tiled_scene as made
-from inspe_jax.scoring.asked import Asked
+from inspe_jax.scoring.options import ScoreOptions
 from inspe_jax.scoring.sensor_array import SensorSet
 from inspe_jax.scoring.tiled_scene import SceneArrays
 from inspe_jax.visibility import bitmask
@@ -68,7 +68,7 @@ def both(scene, layout, failures=(), **options):
     field = SceneArrays(about_center(scene), jnp.asarray(scene.voxels.weight, float))
     dense = compiled_measure(field, poses, sensor_set, voxel, **options)
     return dense, exact.measure_exactly(
-        made.tiled_scene_of(scene), poses, sensor_set, voxel, Asked.of(**options)
+        made.tiled_scene_of(scene), poses, sensor_set, voxel, ScoreOptions.of(**options)
     )
 
 
@@ -155,7 +155,7 @@ def test_a_sample_is_counted_as_a_scene_of_its_own():
     assert_same(compiled_measure(field, poses, sensor_set, voxel), traced(poses, sample))
 
     grid, s = layout.sensors[0].spec.grid, jnp.stack([poses[0], poses[3], poses[0]])
-    (together,) = run(view_jobs(grid, voxel / 2, s, sample, Asked()))
+    (together,) = run(view_jobs(grid, voxel / 2, s, sample, ScoreOptions()))
     views, seen = (part[:3] for part in together[:2])
     assert views.shape == (3, 77 * levels)
     assert seen.shape == (3, 2, 77 * levels)

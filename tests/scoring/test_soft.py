@@ -29,7 +29,7 @@ from inspe_jax.core.geometry import Cut, Line, below_top, plan_cut, stretch
 from inspe_jax.core.numerics import Softness, step
 from inspe_jax.report.tables import scores_record
 from inspe_jax.scoring import metrics
-from inspe_jax.scoring.asked import Asked
+from inspe_jax.scoring.options import ScoreOptions
 from inspe_jax.scoring.sensor_array import SensorSet, sensor_array
 from inspe_jax.scoring.soft import read_softly
 from inspe_jax.scoring.tiled_scene import SceneArrays, tiled_scene_of
@@ -111,9 +111,9 @@ READINGS = {
 
 def measure_softly(tiled, poses, sensor_set, voxel, softness, asked=None):
     """:func:`read_softly` of arrays that are not padded."""
-    sensors, asked = sensor_array(sensor_set), asked or Asked.of()
+    sensors, asked = sensor_array(sensor_set), asked or ScoreOptions.of()
     padded = sensors.padded(poses)
-    found = read_softly(tiled.bucketed, padded, sensors, voxel, softness, asked=asked)
+    found = read_softly(tiled.bucketed, padded, sensors, voxel, softness, options=asked)
     return found.of_scene(tiled.tiles.place, len(sensor_set.failures))
 
 
@@ -141,7 +141,7 @@ def test_tile_by_tile_is_all_vehicles_against_all_columns(reading):
                 sensor_set,
                 voxel,
                 softness,
-                Asked.of(**options),
+                ScoreOptions.of(**options),
             )
         )
 

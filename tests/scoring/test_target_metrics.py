@@ -22,10 +22,10 @@ import inspe_jax
 from inspe_jax import Softness, evaluate, evaluate_many
 from inspe_jax.core.errors import InspeError
 from inspe_jax.scene.traffic.frames import CLASSES, ROAD_USERS
-from inspe_jax.scoring.asked import Asked
 from inspe_jax.scoring.detection import FEW, detection_curves
 from inspe_jax.scoring.exact import ONE_MORE, in_view_of, sight_shares
 from inspe_jax.scoring.metrics import chosen
+from inspe_jax.scoring.options import ScoreOptions
 from inspe_jax.scoring.sensor_array import SensorSet, sensor_array
 from inspe_jax.scoring.target_metrics import UNKNOWN, position_error, redundancy
 from inspe_jax.scoring.targets import target_view
@@ -175,7 +175,7 @@ def sight_of(scene, layout):
     tiled, sensors = tiled_scene_of(scene), sensor_array(SensorSet.of(layout), ONE_MORE)
     poses = sensors.padded(poses_about_center(scene, layout))
     views = np.asarray(in_view_of(tiled, poses, sensors, scene.voxels.size / 2))
-    asked = Asked.of(visibility="past_others")
+    asked = ScoreOptions.of(visibility="past_others")
     share = sight_shares(tiled, views, poses[:, :3], asked, len(layout))
     return inspe_jax.in_view(scene, layout) * share
 

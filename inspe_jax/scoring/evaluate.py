@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from inspe_jax.core.errors import InspeError, wrong_kind
+from inspe_jax.core.errors import InspeError, check_known, wrong_kind
 from inspe_jax.core.numerics import Softness
 from inspe_jax.core.records import ByContent, Described, check_values
 from inspe_jax.scene.regions import Region
@@ -23,7 +23,6 @@ from inspe_jax.scoring.metrics import (
     chosen,
     entropy,
     surrogate,
-    unknown_reference,
     weights_of,
 )
 from inspe_jax.scoring.options import ScoreOptions
@@ -386,10 +385,8 @@ def check_options(
     """Raise InspeError where an option of :func:`evaluate` is unknown."""
     if not (detection is None or isinstance(detection, DetectionCurves)):
         raise wrong_kind("detection", detection, "curves, as inspe_jax.load_detection reads them")
-    if occlusion_reference not in OCCLUSION_REFERENCES:
-        raise unknown_reference(occlusion_reference)
-    if visibility not in VISIBILITIES:
-        raise InspeError(f"visibility '{visibility}': one of {', '.join(VISIBILITIES)}")
+    check_known(occlusion_reference, OCCLUSION_REFERENCES, "occlusion_reference")
+    check_known(visibility, VISIBILITIES, "visibility")
     weights_of(weights)
 
 

@@ -45,7 +45,7 @@ from inspe_jax.visibility.shadows import (
     soft_sight,
 )
 from inspe_jax.visibility.statics import past_statics_chance
-from inspe_jax.visibility.tiles import Tile, solid_in
+from inspe_jax.visibility.tiles import Tile
 
 TOGETHER = 20
 """Frames that are read softly at once: what a tile needs of so many stays in a core's cache."""
@@ -431,10 +431,6 @@ class Numbers:
             )
 
         return jax.lax.map(look, (sensors, views))
-
-    def frames(self, tile: Tile, prisms: Prism) -> Frames:
-        """Frames of a tile, with the masks of its solid voxels found from the prisms."""
-        return Frames(prisms, solid_in(tile, prisms))
 
     @staticmethod
     def _real(frames: Frames) -> Float[Array, " F"]:

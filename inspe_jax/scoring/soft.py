@@ -20,11 +20,11 @@ from inspe_jax.scoring.accumulate import count_tile
 from inspe_jax.scoring.exact import join_frames
 from inspe_jax.scoring.metric import TileEvidence
 from inspe_jax.scoring.options import ScoreOptions
-from inspe_jax.scoring.reading import Counts, Numbers
+from inspe_jax.scoring.reading import Counts, Frames, Numbers
 from inspe_jax.scoring.sensor_array import SensorArray
 from inspe_jax.scoring.summary import MetricValues, summarise
 from inspe_jax.scoring.tiled_scene import TiledScene
-from inspe_jax.visibility.tiles import Tile, unless_empty
+from inspe_jax.visibility.tiles import Tile, solid_in, unless_empty
 
 SIGHTS = "sights"
 """Name of an array kept for the gradient: in how many frames each voxel is in line of sight."""
@@ -61,7 +61,7 @@ def read_softly(
         parts = []
         for chunk in tiled.chunks:
             shadows = numbers.shadows(positions, chunk.prisms)
-            frames = numbers.frames(tile, chunk.prisms)
+            frames = Frames(chunk.prisms, solid_in(tile, chunk.prisms))
             given = numbers, tile, f, positions, shadows, frames, failures, options
             parts.append(count_tile(*given))
         counts, sights = join_frames(parts), None

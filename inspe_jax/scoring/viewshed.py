@@ -10,7 +10,7 @@ from enum import IntEnum
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int, UInt
+from jaxtyping import Array, Float, Int, UInt
 
 from inspe_jax.core.geometry import Prism
 from inspe_jax.scene.scene import Scene
@@ -77,7 +77,10 @@ def viewshed(scene: Scene, layout: Layout, *, conditions: Conditions = FAIR) -> 
         seen += np.asarray(by_level(found, levels))
         occupied += np.asarray(by_level(chunk.solid, levels))
     flags = tiles.by_voxel(views[: len(layout)])  # (S, V)
-    visible = _visible(scene, layout, flags, views, sensors)
+    visible, options = flags.astype(float), ScoreOptions.of(**options_of(scene))
+    if options.counts_sight:  # by the programs that a score compiles
+        tiled = tiled_scene_of(scene)
+        visible *= sight_shares(tiled, views, sensors, options, len(layout))
     return Viewshed(
         sensors=flags.sum(0),
         seen=tiles.of_voxels(seen),
@@ -85,24 +88,6 @@ def viewshed(scene: Scene, layout: Layout, *, conditions: Conditions = FAIR) -> 
         resolved=1.0 - np.prod(1.0 - visible * layout.reliability[:, None], axis=0),
         frame_count=scene.traffic.frame_count,
     )
-
-
-def _visible(
-    scene: Scene,
-    layout: Layout,
-    flags: Bool[np.ndarray, "S V"],
-    views: UInt[np.ndarray, "s N C"],
-    sensors: Float[np.ndarray, "s 3"],
-) -> Float[np.ndarray, "S V"]:
-    """The visibility of each voxel from each sensor in information gain.
-
-    It is 1 for a voxel in view, or the share of frames in which the voxel is seen. The programs
-    that a score compiles count it.
-    """
-    options = ScoreOptions.of(**options_of(scene))
-    if not options.counts_sight:
-        return flags.astype(float)
-    return flags * sight_shares(tiled_scene_of(scene), views, sensors, options, len(layout))
 
 
 def sight_in(

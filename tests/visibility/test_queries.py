@@ -103,7 +103,7 @@ def test_in_view_of_a_tilted_lidar_with_part_of_a_turn(fov, turn):
 def test_a_ray_along_a_face_touches_the_voxels_on_both_sides(pose):
     """Ties are many where poses are round numbers; both sides read them as touching."""
     level = LidarSpec(
-        "level", tuple(np.radians(np.arange(-16.0, 16.0)).tolist()), 1800, 2 * np.pi, 40.0
+        "level", tuple(np.radians(np.arange(-16.0, 16.0)).tolist()), 720, 2 * np.pi, 40.0
     )
     scene = world(count=0)
     layout = place_sensors((level, pose))

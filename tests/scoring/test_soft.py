@@ -8,7 +8,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from dense_reference import measure
-from jax.test_util import check_grads
 from scipy.stats import spearmanr
 from worlds import (
     CAMERA,
@@ -117,14 +116,24 @@ def measure_softly(tiled, poses, sensor_set, voxel, softness, asked=None):
     return found.of_scene(tiled.tiles.place, len(sensor_set.failures))
 
 
-@pytest.mark.parametrize("reading", ["one width", slow("all but shadows"), slow("rays exact")])
-def test_tile_by_tile_is_all_vehicles_against_all_columns(reading):
+APART = dict(occlusion_reference="covered", visibility="line_of_sight")
+
+
+@pytest.mark.parametrize(
+    ("reading", "options", "failures"),
+    [
+        ("one width", {}, ()),
+        slow("one width", APART, ((0, 2), (1,))),
+        slow("all but shadows", APART, ((0, 2), (1,))),
+        slow("rays exact", APART, ((0, 2), (1,))),
+    ],
+)
+def test_tile_by_tile_is_all_vehicles_against_all_columns(reading, options, failures):
     """Values to rounding; slopes to 1e-5 of the largest, sums of thousands in another order."""
     scene = world(**SMALL)
     layout = random_layout(scene, [CAMERA, LIDAR, CAMERA], 3, heights=(3.0, 8.0))
-    sensor_set, poses = SensorSet.of(layout, ((0, 2), (1,))), poses_about_center(scene, layout)
+    sensor_set, poses = SensorSet.of(layout, failures), poses_about_center(scene, layout)
     field = SceneArrays(about_center(scene), jnp.asarray(scene.voxels.weight, float))
-    options = dict(occlusion_reference="covered", visibility="line_of_sight")
     softness, voxel = Softness.of(READINGS[reading]), scene.voxels.size
 
     def total(measures):
@@ -199,7 +208,8 @@ def test_gradients_are_those_of_differences(double, seed):
     the difference has a jump that the gradient has not.
     """
     scene = world(**TINY, seed=seed)
-    layout = random_layout(scene, [LIDAR, CAMERA, CAMERA], seed=5, heights=(3.0, 6.0))
+    near = LIDAR.with_performance(0.9, 8.0)  # else all is covered, and stays so
+    layout = random_layout(scene, [near, CAMERA, CAMERA], seed=5, heights=(3.0, 6.0))
     poses = jnp.asarray(layout.poses)
 
     def values(poses, softness):
@@ -223,20 +233,7 @@ def test_gradients_are_those_of_differences(double, seed):
             np.testing.assert_allclose(slope, difference, 1e-3, 1e-3 * largest, err_msg=name)
 
 
-def test_rays_have_slopes_as_a_density(double):
-    """Coverage by few channels, of which none is at the edge."""
-    scene = emptied(world(radius=10.0, voxel=1.0, frames=2))
-    layout = place_sensors((NEAR, [1.0, 2.0, 5.0, 0.0, 0.05, 0.4]))
-
-    def coverage(poses):
-        softness, moved = Softness(rays="density"), layout.with_poses(poses)
-        return inspe_jax.evaluate(scene, moved, weights=(1, 0, 0), softness=softness).surrogate
-
-    at = jnp.asarray(layout.poses)
-    assert np.abs(jax.grad(coverage)(at)).max() > 1e-3
-    check_grads(coverage, (at,), order=1, modes=["rev"], atol=1e-3, rtol=1e-3, eps=1e-7)
-
-
+@pytest.mark.slow
 def test_layouts_are_scored_and_differentiated_many_at_once():
     scene = world(**SMALL)
     layout = random_layout(scene, [CAMERA, LIDAR], 0, heights=(3.0, 8.0))

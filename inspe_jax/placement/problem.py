@@ -27,9 +27,9 @@ from inspe_jax.placement.sampled_scores import ScoreTerms, hard_scores, scores, 
 from inspe_jax.placement.space import Space
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scoring import metrics
-from inspe_jax.scoring.asked import Asked
 from inspe_jax.scoring.evaluate import check_entropy, options_of
 from inspe_jax.scoring.exact import measure_exactly
+from inspe_jax.scoring.options import ScoreOptions
 from inspe_jax.scoring.sensor_array import SensorSet, sensor_array
 from inspe_jax.scoring.tiled_scene import SceneArrays, TiledScene, tiled_sample, tiled_scene_of
 from inspe_jax.sensing.conditions import Case, Conditions, case_of, perceiving
@@ -125,7 +125,7 @@ class Problem:
         self.options = options_of(first, wanted.occlusion_reference, wanted.visibility)
         by_name = wanted.weights_by_name
         names = metrics.chosen(weights=by_name)
-        self.asked = Asked.of(**self.options, names=names, detection=wanted.detection)
+        self.asked = ScoreOptions.of(**self.options, names=names, detection=wanted.detection)
         self.objective = replace(
             wanted,
             weights={name: by_name[name] for name in names},

@@ -77,7 +77,7 @@ def pareto(
     from inspe_jax.placement.optimise import DEFAULT_METHOD, check_search
     from inspe_jax.placement.studies.pareto import device_mixes, layout_file, save_pareto
     from inspe_jax.placement.studies.pareto import pareto as search
-    from inspe_jax.report.cost import pareto_view
+    from inspe_jax.report.curves import pareto_view
     from inspe_jax.report.tables import pareto_table
     from inspe_jax.scene.scene import load_scene
 

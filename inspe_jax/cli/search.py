@@ -201,7 +201,7 @@ def compare(
     from inspe_jax.core.sheet import save_figure
     from inspe_jax.placement import optimise as search
     from inspe_jax.placement.result import save_comparison
-    from inspe_jax.report.progress import history_view
+    from inspe_jax.report.curves import history_view
     from inspe_jax.report.tables import comparison_table
 
     files = ("compare.csv", "history.csv", "layout.yaml", "compare.png")

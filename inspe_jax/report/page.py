@@ -25,12 +25,11 @@ from inspe_jax.placement.problem import Case
 from inspe_jax.placement.result import STATUSES, Result
 from inspe_jax.placement.studies.pareto import ParetoPoint
 from inspe_jax.placement.studies.tolerance import Tolerance
-from inspe_jax.report.cost import pareto_view
+from inspe_jax.report.curves import height_view, history_view, pareto_view
 from inspe_jax.report.figures import SENSOR_COLORS, plan_view, scene_view
-from inspe_jax.report.heights import height_view
 from inspe_jax.report.layers import BLIND, SIGHT_COLORS, USER_COLOR, MapLayer, layers
 from inspe_jax.report.mounting import model_words, mounting_words, origin_words
-from inspe_jax.report.progress import before_after, history_view, same_sensors
+from inspe_jax.report.progress import before_after, same_sensors
 from inspe_jax.report.schedule import (
     installation_schedule,
     materials,

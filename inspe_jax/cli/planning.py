@@ -70,7 +70,7 @@ def pareto(
         budget (USD): Leave out mixes of devices that cost more.
         seed: Seed of the searches.
     """
-    from inspe_jax.report.cost import pareto_view
+    from inspe_jax.report.curves import pareto_view
     from inspe_jax.report.tables import pareto_table
 
     objective, constraints = options.checked(prices=prices(price), budget=budget)

@@ -152,7 +152,7 @@ def compare(
         methods (A,B,…): Search methods, separated by commas; all if not given.
         seeds: Number of searches by each method; their seeds count from 0.
     """
-    from inspe_jax.report.progress import history_view
+    from inspe_jax.report.curves import history_view
     from inspe_jax.report.tables import comparison_table
 
     files = ("compare.csv", "history.csv", "layout.yaml", "compare.png")

@@ -208,7 +208,7 @@ def build_scene(
         settings |= dict(density=AS_RECORDED, frames=str(found.frame_count), step=f"{step:g}")
         settings |= dict(mix=AS_RECORDED, traffic=Path(traffic).name, seed="")
     else:
-        found = traffic_model(str(traffic)).make(
+        found = traffic_model(str(traffic))(
             intersection,
             radius=radius,
             count=density_count(density),

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float
-from shapely.geometry import MultiPoint, MultiPolygon, Point, Polygon
+from shapely.geometry import MultiPoint, Point, Polygon
 from shapely.geometry.base import BaseGeometry
 from shapely.ops import unary_union
 
@@ -18,6 +18,7 @@ from inspe_jax.scene.georeference import Georeference
 from inspe_jax.scene.intersection import Intersection, Route
 from inspe_jax.scene.lines import distinct, resampled
 from inspe_jax.scene.maps.approaches import CARRIAGEWAY, Approach, arms_of
+from inspe_jax.scene.maps.assembly import assembled, side_by_side
 from inspe_jax.scene.maps.bodies import NO_POLES, with_bodies
 from inspe_jax.scene.maps.lane_strips import LaneStrip, same_level
 from inspe_jax.scene.maps.openstreetmap.bodies import (
@@ -30,15 +31,9 @@ from inspe_jax.scene.maps.parts import (
     MARGIN,
     JunctionInfo,
     check_radius,
-    clean,
-    crossing_lines,
-    crosswalks_of,
     distance_from,
-    joined_lines,
     junctions_at,
-    mounting_of,
     valid,
-    walking_routes,
 )
 from inspe_jax.scene.maps.sumo.lanes import Streets, kind_of, streets_of
 from inspe_jax.scene.maps.sumo.network import OSM_SUFFIXES, SUMO, load_net
@@ -134,52 +129,31 @@ def read_sumo(
     near = [
         s for s in streets.lane_strips.values() if distance_from(s.center, middle).min() <= reach
     ]
-    if not near:
-        raise InspeError(
-            f"{road.source}: no roads within {radius:g} m of ({middle[0]:.1f}, {middle[1]:.1f})"
-        )
     interior = _interior(streets, members)
     own = {s.road for s in near if distance_from(s.center, middle).min() <= CLUSTER}
     lane_strips = same_level(near, [s.road in own or s.road in interior for s in near])
+    if not lane_strips:
+        raise InspeError(
+            f"{road.source}: no roads within {radius:g} m of ({middle[0]:.1f}, {middle[1]:.1f})"
+        )
     approaches = _approaches(streets, members)
     arms, arm_of = arms_of(approaches)
     notes: list[str] = []
-
-    ground = np.concatenate([s.center for s in lane_strips])
-    ground = ground[distance_from(ground, middle) <= reach + 5.0]
-    disc = Point(middle[:2]).buffer(reach, quad_segs=32)
-    areas = _areas(streets, lane_strips, members, interior, middle)
-    loops = [c for c in streets.crossings if distance_from(c, middle).min() <= reach]
-    walks = crosswalks_of(loops, areas, arms, ground, disc, notes)
-    areas[Region.CROSSWALK] = clean(unary_union(walks))
-    regions = {region: areas[region].intersection(disc) for region in Region}
-    found = Intersection(
+    found = assembled(
         name=f"{road.name} {place}",
         source=f"{road.source} {SUMO}",
-        center=middle,
-        regions=regions,
-        arms=arms,
-        routes=(),
-        mounting=mounting_of(regions, [], arms, disc),
-        poles=np.zeros((0, 3)),
-        ground_points=ground,
-        map=Path(path).resolve(),
+        path=Path(path),
         georeference=road.georeference,
+        middle=middle,
+        radius=radius,
+        lane_strips=lane_strips,
+        areas=_areas(streets, lane_strips, members, interior, middle),
+        arms=arms,
+        drives=_vehicle_routes(streets, approaches, arm_of, members, interior, middle, radius),
+        loops=streets.crossings,
+        poles=np.zeros((0, 3)),
+        notes=notes,
     )
-
-    pavements = [
-        run.center[:, :2]
-        for strip in lane_strips
-        if strip.kind == "sidewalk"
-        for run in strip.runs(distance_from(strip.center, middle) <= radius)
-    ]
-    people = [*crossing_lines(walks), *joined_lines(pavements)]
-    routes = [
-        *_vehicle_routes(streets, approaches, arm_of, members, interior, middle, radius),
-        *walking_routes(found, people),
-    ]
-    foot = found.on_ground(middle[None])[0]
-    found = replace(found, center=foot, routes=tuple(routes))
     if road.georeference is not None and str(path).lower().endswith(OSM_SUFFIXES):
         where = middle[:2], reach, road.georeference
         extract = extract_about(Path(path), *where)
@@ -276,11 +250,7 @@ def _areas(
     interior: set[int],
     middle: Float[np.ndarray, "3"],
 ) -> dict[Region, BaseGeometry]:
-    """Junction, driveway, shoulder and sidewalk, which do not overlap.
-
-    A node's outline also encloses its crossings and the corners where people wait. Those corners
-    are sidewalk.
-    """
+    """Junction, driveway, shoulder and sidewalk, which do not overlap."""
     reach = max(float(distance_from(s.center, middle).max()) for s in lane_strips)
     ground = np.concatenate([s.center for s in lane_strips])
     corners = {n for n, _ in streets.walks}
@@ -296,7 +266,7 @@ def _areas(
             if abs(at[2] - closest[2]) > 2.0:
                 continue
             shape = valid(Polygon(outline[:, :2]))
-            if node.getID() in corners:
+            if node.getID() in corners:  # its outline encloses where people wait, too
                 shape = shape.difference(walked)
             own = node.getID() in members
             parts[Region.JUNCTION if own else Region.DRIVEWAY].append(shape)
@@ -306,12 +276,7 @@ def _areas(
         else:
             region = Region.SHOULDER if strip.kind == "shoulder" else Region.SIDEWALK
         parts[region].append(strip.polygon)
-    areas: dict[Region, BaseGeometry] = {}
-    taken: BaseGeometry = MultiPolygon()
-    for region in (Region.JUNCTION, Region.DRIVEWAY, Region.SHOULDER, Region.SIDEWALK):
-        areas[region] = clean(unary_union(parts[region]).difference(taken))
-        taken = unary_union([taken, areas[region]])
-    return areas
+    return side_by_side(parts)
 
 
 # ── Routes ──────────────────────────────────────────────────────────────────
@@ -367,10 +332,7 @@ def _lane_paths(streets: Streets, start: str, interior: set[int]) -> Iterator[li
 def _follow(
     streets: Streets, start: str, direction: int, middle: np.ndarray, radius: float
 ) -> list[str]:
-    """Lanes from ``start`` onward (``direction`` 1) or back (−1) to the radius, in travel order.
-
-    At a fork the straightest lane is taken.
-    """
+    """Lanes from ``start`` on (1) or back (−1) to the radius, in travel order; straight on."""
     found: list[str] = []
     here = start
     for _ in range(50):

@@ -28,8 +28,6 @@ CLUSTER = 35.0
 """Junctions whose middle is this near to ``center`` count as one [m]."""
 MARGIN = 10.0
 """A map is read this much beyond the radius [m]."""
-CLEARANCE = 2.5
-"""Something that is higher or lower than the road by more than this is on another level [m]."""
 MOST_LISTED = 20
 """At most this many junctions are listed in an error."""
 

@@ -18,8 +18,13 @@ from inspe_jax.core.carla_frame import flip, from_carla
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import ARRAYS, cached_by_file, check_input
 from inspe_jax.scene.intersection import Intersection
-from inspe_jax.scene.maps.parts import CLEARANCE
-from inspe_jax.scene.traffic.frames import CLASSES, Snapshot, TrafficFrames, pack_frames
+from inspe_jax.scene.traffic.frames import (
+    CLASSES,
+    Snapshot,
+    TrafficFrames,
+    pack_frames,
+    standing_on,
+)
 
 LOG_SUFFIXES = (".log",)
 LONG = 6.0
@@ -126,15 +131,10 @@ def _packets(
         if packet == _FRAME:
             moments.append(_Moment(reader.take("Qdd")[2]))
         elif packet == _APPEARS:
-            for _ in range(*reader.take("H")):
-                actor = reader.take("IB6fI")[0]
+            for actor, *_ in reader.rows("IB6fI"):
                 name = reader.text()
-                facts = {}
-                for _ in range(*reader.take("H")):
-                    reader.take("B")
-                    key = reader.text()
-                    facts[key] = reader.text()
-                actors[actor] = name, facts
+                facts = [(reader.text(), reader.text()) for _ in reader.rows("B")]
+                actors[actor] = name, dict(facts)
         elif packet == _POSITIONS:
             moments[-1].where = {actor: at for actor, *at in reader.rows("I6f")}  # type: ignore[misc]
         elif packet == _KINEMATICS:
@@ -213,18 +213,15 @@ def _on_roads(seen: list[Snapshot], intersection: Intersection) -> float:
 
 
 def _at(log: RecorderLog, times: np.ndarray, time: float) -> _Moment:
-    """All actors at a time between two moments.
-
-    An actor that is in one moment only, or was teleported, is as in the nearer moment.
-    """
+    """All actors at a time between two moments; as in the nearer one who was teleported."""
     after = int(np.clip(np.searchsorted(times, time), 1, len(times) - 1)) if len(times) > 1 else 0
     one, two = log.moments[max(after - 1, 0)], log.moments[after]
     share = (time - one.time) / max(two.time - one.time, 1e-9)
     near = one if share < 0.5 else two
     where, velocity = dict(near.where), dict(near.velocity)
     for actor in one.where.keys() & two.where.keys():
-        a, b = np.array(one.where[actor]), np.array(two.where[actor])
-        change = b - a
+        a = np.array(one.where[actor])
+        change = np.array(two.where[actor]) - a
         change[3:] = (change[3:] + 180.0) % 360.0 - 180.0
         if np.abs(change[:3]).max() < JUMP * 100:
             where[actor] = tuple(a + share * change)
@@ -252,11 +249,7 @@ def _snapshot(
         [cos * offset[:, 0] - sin * offset[:, 1], sin * offset[:, 0] + cos * offset[:, 1]]
     )
     size = 2 * box[:, 3:]
-    ground = intersection.ground(middle)
-    foot = at[:, 2] + offset[:, 2] - size[:, 2] / 2
-    center = np.column_stack([middle, ground + size[:, 2] / 2])
     kind = np.array([log.kinds[actor] for actor in who], np.int8)
-    track = np.array(who, np.int32)
-    here = np.abs(foot - intersection.level(middle)) <= CLEARANCE
-    everybody = Snapshot(*(part[here] for part in (center, yaw, size, kind, track, speed)))
-    return everybody.within(intersection.center, radius)
+    everybody = Snapshot(middle, yaw, size, kind, np.array(who, np.int32), speed)
+    foot = at[:, 2] + offset[:, 2] - size[:, 2] / 2
+    return standing_on(intersection, radius, everybody, foot)

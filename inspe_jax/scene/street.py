@@ -100,13 +100,13 @@ def check_statics(name: str) -> None:
     check_known(name, STATICS, "statics")
 
 
-def street_bodies(place: Intersection, radius: float, seed: int = 0) -> tuple[StaticBody, ...]:
+def street_bodies(place: Intersection, radius: float) -> tuple[StaticBody, ...]:
     """Street furniture of an intersection out to :data:`BEYOND` its region of interest.
 
-    Where nobody walks, as at a motorway's ramp, there are lamp posts only. The same seed gives the
-    same bodies for the same place, whatever its traffic.
+    Where nobody walks, as at a motorway's ramp, there are lamp posts only. A place always has the
+    same, whatever its traffic.
     """
-    rng = np.random.default_rng([seed, zlib.crc32(place.name.encode())])
+    rng = np.random.default_rng([0, zlib.crc32(place.name.encode())])
     room = _Room.of(place, radius)
     town = (_signals, _shelters, _parked, _lamps, _trees, _boxes, _walls)
     for fill in (_lamps,) if room.walked.is_empty else town:

@@ -15,6 +15,7 @@ import inspe_jax
 from inspe_jax.core.errors import InspeError
 from inspe_jax.scene.georeference import Georeference
 from inspe_jax.scene.intersection import Route
+from inspe_jax.scene.maps import elevation
 from inspe_jax.scene.maps.elevation import with_elevation
 from inspe_jax.scene.terrain import between, terrain_of
 
@@ -111,7 +112,7 @@ def test_a_grid_without_projection_is_in_that_of_the_place(tmp_path):
         assert found.center[2] == pytest.approx(520.0, abs=2e-3)
 
 
-def test_what_is_wrong_is_said(tmp_path):
+def test_what_is_wrong_is_said(tmp_path, monkeypatch):
     own = place()
     with pytest.raises(InspeError, match="of another region"):
         with_elevation(own, model(tmp_path / "far.tif", at=(9_000.0, 0.0, 0.0)), RADIUS)
@@ -127,9 +128,9 @@ def test_what_is_wrong_is_said(tmp_path):
         with_elevation(own, tmp_path / "text.tif", RADIUS)
     with pytest.raises(InspeError, match=r"missing\.tif"):
         with_elevation(own, tmp_path / "missing.tif", RADIUS)
-    fine = model(tmp_path / "fine.tif", cell=0.012, reach=36.0)
+    monkeypatch.setattr(elevation, "MOST", 50)
     with pytest.raises(InspeError, match="resample it"):
-        with_elevation(own, fine, RADIUS)
+        with_elevation(own, model(tmp_path / "fine.tif", cell=1.0), RADIUS)
 
 
 @pytest.mark.filterwarnings("ignore:Dataset has no geotransform")

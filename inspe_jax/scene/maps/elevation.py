@@ -71,13 +71,15 @@ def _heights(
     check_input(path)
     if path.suffix.lower() not in DRIVERS:
         raise InspeError(f"{path}: an elevation model is {', '.join(DRIVERS)}")
-    rasterio = _rasterio()
+    with needs("elevation models need rasterio", "geo"), _own_proj():
+        import rasterio
+        import rasterio.windows
     try:
         with _own_proj(), rasterio.open(path, driver=DRIVERS[path.suffix.lower()]) as model:
             _check(model, path)
             points = _in_projection(place, path, model, at)
             row, column = _cells(model, points)
-            window = _window(rasterio, model, row, column, path)
+            window = rasterio.windows.Window(*_window(model, row, column, path))
             values = model.read(1, window=window, masked=True)
             scale, offset = model.scales[0], model.offsets[0]
     except rasterio.errors.RasterioError as error:
@@ -132,8 +134,10 @@ def _cells(model: Any, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return d * x + e * y + f - 0.5, a * x + b * y + c - 0.5
 
 
-def _window(rasterio: Any, model: Any, row: np.ndarray, column: np.ndarray, path: Path) -> Any:
-    """The cells around points. Raises InspeError where there are none, or too many."""
+def _window(
+    model: Any, row: np.ndarray, column: np.ndarray, path: Path
+) -> tuple[int, int, int, int]:
+    """First column and row of the cells around points, and how many there are of each."""
     ends = []
     for at, size in ((row, model.height), (column, model.width)):
         low, high = np.floor(at.min()) - 1, np.ceil(at.max()) + 2
@@ -148,7 +152,7 @@ def _window(rasterio: Any, model: Any, row: np.ndarray, column: np.ndarray, path
             f"{path}: has more than {MOST} cells a side around this place; resample it, as to 0.5 m"
         )
     (top, bottom), (left, right) = ends
-    return rasterio.windows.Window(left, top, right - left, bottom - top)
+    return left, top, right - left, bottom - top
 
 
 @contextmanager
@@ -160,10 +164,3 @@ def _own_proj() -> Iterator[None]:
         yield
     finally:
         os.environ.update(kept)
-
-
-def _rasterio() -> Any:
-    with needs("elevation models need rasterio", "geo"), _own_proj():
-        import rasterio
-        import rasterio.windows
-    return rasterio

@@ -1,7 +1,7 @@
 """Bodies of one's own from files: GeoJSON, CSV, and SUMO's polygons."""
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
@@ -81,7 +81,7 @@ def with_own_bodies(
             f"{away.min():,.0f} m away; coordinates are a longitude and then a latitude"
         )
     near = [one for one, far in zip(features, away, strict=True) if far <= reach + LARGE]
-    shapes = _once([made for one in near for made in _shapes(one)])
+    shapes = list(_once(made for one in near for made in _shapes(one)))
     notes: list[str] = []
     found = with_bodies(replace(place, bodies=()), shapes, reach, notes)
     poles = [one.polygon for one in found.bodies if one.kind == "pole"]
@@ -107,9 +107,7 @@ def _poles_left_out(
     """A line for each pole of the file that is not among ``poles``: its name or number, and why."""
     for one in features:
         kind = one.properties.get("kind") or USUAL.get(one.geometry.geom_type)
-        if kind != "pole":
-            continue
-        if poles and shapely.dwithin(poles, one.geometry, SAME_POLE).any():
+        if kind != "pole" or shapely.dwithin(poles, one.geometry, SAME_POLE).any():
             continue
         away = one.geometry.distance(shapely.Point(place.center[:2]))
         far = f"{away:.0f} m from the centre, farther than {reach:g} m"
@@ -118,16 +116,13 @@ def _poles_left_out(
         yield f"pole {name}: left out: {why}"
 
 
-def _once(shapes: list[Shape]) -> list[Shape]:
+def _once(shapes: Iterable[Shape]) -> Iterator[Shape]:
     """The shapes, without poles that stand where an earlier one does."""
-    found, feet = list[Shape](), list[BaseGeometry]()
+    feet: list[BaseGeometry] = []
     for one in shapes:
-        if one.kind == "pole":
-            if feet and shapely.dwithin(feet, one.area, SAME_POLE).any():
-                continue
-            feet.append(one.area)
-        found.append(one)
-    return found
+        if one.kind != "pole" or not shapely.dwithin(feet, one.area, SAME_POLE).any():
+            feet += [one.area] * (one.kind == "pole")
+            yield one
 
 
 def _shapes(one: Feature) -> Iterator[Shape]:

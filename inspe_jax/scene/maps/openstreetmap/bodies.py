@@ -218,8 +218,7 @@ class _Reader:
 
     def _rows(self, trees: list[Shape]) -> Iterator[Shape]:
         """Trees along tree rows, where none are mapped on their own."""
-        mapped = shapely.STRtree([tree.area.centroid for tree in trees])
-        count = 0
+        mapped, count = shapely.STRtree([tree.area.centroid for tree in trees]), 0
         for way in self.extract.ways.values():
             line = self._line(way)
             if way.tags.get("natural") != "tree_row" or len(line) < 2 or not self._near(line):
@@ -228,9 +227,8 @@ class _Reader:
             gaps = max(1, round(row.length / TREE_SPACING))
             for k in range(gaps + 1):
                 at = row.interpolate(k / gaps, normalized=True)
-                if not at.intersects(self.disc):
-                    continue
-                if not len(mapped.query(at, "dwithin", TREE_SPACING / 2)):
+                own = mapped.query(at, "dwithin", TREE_SPACING / 2)
+                if at.intersects(self.disc) and not len(own):
                     count += 1
                     yield self._tree(way.tags, np.array(at.coords[0]))
         if count:

@@ -338,9 +338,8 @@ def _follow(
     for _ in range(50):
         end = streets.lane_strips[here].center[-1 if direction > 0 else 0]
         options = (streets.follows if direction > 0 else streets.leads).get(here, [])
-        options = [
-            o for o in options if streets.lane_strips[o].kind == "driving" and o not in found
-        ]
+        options = [o for o in options if streets.lane_strips[o].kind == "driving"]
+        options = [o for o in options if o not in found]
         if not options or distance_from(end[None], middle)[0] > radius:
             break
 

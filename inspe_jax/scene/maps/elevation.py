@@ -98,20 +98,21 @@ def _heights(
 
 def _check(model: Any, path: Path) -> None:
     """Raise InspeError where a raster is no elevation model that can be read in parts."""
-    if model.count != 1:
-        raise InspeError(
-            f"{path}: has {model.count} bands, as a picture; an elevation model has one"
-        )
-    if model.crs is None and model.transform == model.transform.identity():
-        raise InspeError(f"{path}: does not say where it lies: it has no geotransform")
     unit = str(model.units[0] or "").strip().lower()
-    if unit not in METRES:
-        raise InspeError(f"{path}: has heights in {unit}, not in metres; convert it first")
-    if max(rows * columns for rows, columns in model.block_shapes) > MOST**2:
-        raise InspeError(
-            f"{path}: is stored in blocks of more than {MOST} × {MOST} cells, which are read "
-            "whole; store it in tiles: gdal_translate -co TILED=YES"
-        )
+    nowhere = model.crs is None and model.transform == model.transform.identity()
+    whole = max(rows * columns for rows, columns in model.block_shapes)
+    for wrong, words in (
+        (model.count != 1, f"has {model.count} bands, as a picture; an elevation model has one"),
+        (nowhere, "does not say where it lies: it has no geotransform"),
+        (unit not in METRES, f"has heights in {unit}, not in metres; convert it first"),
+        (
+            whole > MOST**2,
+            f"is stored in blocks of more than {MOST} × {MOST} cells, which are read whole; store "
+            "it in tiles: gdal_translate -co TILED=YES",
+        ),
+    ):
+        if wrong:
+            raise InspeError(f"{path}: {words}")
 
 
 def _in_projection(place: Intersection, path: Path, model: Any, at: np.ndarray) -> np.ndarray:

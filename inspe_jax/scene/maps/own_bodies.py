@@ -18,21 +18,9 @@ from inspe_jax.scene.geojson import Feature, read_features
 from inspe_jax.scene.intersection import Intersection
 from inspe_jax.scene.maps.bodies import NO_POLES, SAME_POLE, Shape, with_bodies
 from inspe_jax.scene.maps.sumo.polygons import SUFFIX, polygons_of
-from inspe_jax.scene.maps.usual_sizes import BARRIERS, BUILDING, FURNITURE, POLE, TREE, TREE_BASE
+from inspe_jax.scene.maps.usual_sizes import BARRIERS, HEIGHTS, POLE, TREE, crown_base
 from inspe_jax.scene.statics import HIGHEST, LEAFY, octagon
 
-PARKED = 1.5
-"""Height of a parked vehicle of which the file says none [m]."""
-HEIGHTS = {
-    "building": BUILDING,
-    "wall": BARRIERS["wall"][0],
-    "hedge": BARRIERS["hedge"][0],
-    "tree": TREE["height"],
-    "pole": POLE[0],
-    "furniture": FURNITURE,
-    "parked vehicle": PARKED,
-}
-"""Height of each kind of body of which the file says none [m]."""
 LARGE = 10.0
 """What lies this much beyond the reach may still come into it, as a crown about a point [m]."""
 NAMED = 20
@@ -59,11 +47,10 @@ def with_own_bodies(
     """A place with the bodies of a file besides its own, within ``reach`` [m] of its centre.
 
     Polygons, lines and points; properties are ``kind``, one of
-    :data:`HEIGHTS`, ``height_m``, ``base_m``, ``width_m`` of a line,
-    ``diameter_m`` of a point, and ``transmittance``. What is missing is usual
-    (:data:`USUAL`, :data:`HEIGHTS`). Of SUMO's polygons (.poly.xml) it is what
-    :func:`~inspe_jax.scene.maps.sumo.polygons.polygons_of` finds. Poles can carry sensors. What is
-    in the way of traffic is cut off, as of a map's bodies.
+    :data:`~inspe_jax.scene.maps.usual_sizes.HEIGHTS`, ``height_m``, ``base_m``, ``width_m`` of a
+    line, ``diameter_m`` of a point, and ``transmittance``. What is missing is usual. SUMO's
+    polygons (.poly.xml) are read by :func:`~inspe_jax.scene.maps.sumo.polygons.polygons_of`. Poles
+    can carry sensors. What is in the way of traffic is cut off, as of a map's bodies.
 
     Raises InspeError as :func:`~inspe_jax.scene.geojson.read_features`, if a property is wrong, and
     if nothing is so near.
@@ -138,8 +125,7 @@ def _shapes(one: Feature) -> Iterator[Shape]:
             raise InspeError(f"{where}: base_m {base:g} m must be below height_m {height:g} m")
         trunk, through = 0.0, own.transmittance
         if kind == "tree":
-            lowest, share = TREE_BASE
-            base = base or min(lowest, share * height)
+            base = base or crown_base(height)
             trunk = TREE["circumference"] / (2 * np.pi)
             through = LEAFY if through is None else through
         area = part

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from itertools import product
 from typing import TypeVar
 
 import numpy as np
@@ -24,6 +25,8 @@ from inspe_jax.scene.regions import Region
 
 STEP = 1.0
 """Spacing of the stations sampled along lanes and routes [m]."""
+RADIUS_READ = (0.0, 500.0)
+"""Allowed radius of what is read of a map [m]."""
 CLUSTER = 35.0
 """Junctions whose middle is this near to ``center`` count as one [m]."""
 MARGIN = 10.0
@@ -86,12 +89,6 @@ def junctions_at(
         raise InspeError(f"{source}: no junction within {CLUSTER:g} m of {where}{hint}")
     middle[2] = np.mean([middles[j][2] for j in members])
     return members, middle, f"at {where}"
-
-
-def check_radius(radius: float) -> None:
-    """Raise InspeError if a radius [m] is out of range for reading a map."""
-    if not 0 < radius <= 500:
-        raise InspeError(f"radius {radius:g} m is out of range: between 0 and 500 m")
 
 
 def distance_from(points: np.ndarray, middle: np.ndarray) -> np.ndarray:
@@ -157,19 +154,19 @@ def crossing_lines(walks: list[BaseGeometry]) -> Iterator[np.ndarray]:
 def joined_lines(lines: list[np.ndarray]) -> Iterator[np.ndarray]:
     """Footpaths (N, 2), joined where the end of one is within 1.5 m of another; 5 m or longer."""
     lines = list(lines)
+
+    def joint(line: np.ndarray) -> tuple[int, np.ndarray] | None:
+        for i, other in enumerate(lines):
+            for a, b in product((line, line[::-1]), (other, other[::-1])):
+                if np.hypot(*(a[-1] - b[0])) < 1.5:
+                    return i, np.concatenate([a, b])
+        return None
+
     while lines:
         line = lines.pop()
-        grown = True
-        while grown:
-            grown = False
-            for i, other in enumerate(lines):
-                for a in (line, line[::-1]):
-                    for b in (other, other[::-1]):
-                        if not grown and np.hypot(*(a[-1] - b[0])) < 1.5:
-                            line, grown = np.concatenate([a, b]), True
-                            del lines[i]
-                if grown:
-                    break
+        while found := joint(line):
+            del lines[found[0]]
+            line = found[1]
         if np.hypot(*np.diff(line, axis=0).T).sum() >= 5.0:
             yield resampled(line)
 

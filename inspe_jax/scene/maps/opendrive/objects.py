@@ -17,31 +17,24 @@ from shapely.geometry.base import BaseGeometry
 from inspe_jax.scene.lines import turned
 from inspe_jax.scene.maps.bodies import Shape
 from inspe_jax.scene.maps.opendrive.reference_line import ReferenceLine
-from inspe_jax.scene.maps.usual_sizes import (
-    BARRIERS,
-    BUILDING,
-    FURNITURE,
-    POLE,
-    TREE,
-    TREE_BASE,
-)
+from inspe_jax.scene.maps.usual_sizes import BARRIERS, HEIGHTS, POLE, TREE, crown_base
 from inspe_jax.scene.statics import HIGHEST, LEAFY, octagon
 
 PARKING = "parking space"
 """The kind of a shape that is no body."""
 KINDS = {
-    "building": ("building", BUILDING),
-    "tree": ("tree", TREE["height"]),
-    "vegetation": ("tree", TREE["height"]),
-    "pole": ("pole", POLE[0]),
-    "streetLamp": ("pole", POLE[0]),
-    "streetlamp": ("pole", POLE[0]),
-    "barrier": ("wall", BARRIERS["wall"][0]),
-    "soundBarrier": ("wall", BARRIERS["wall"][0]),
-    "obstacle": ("furniture", FURNITURE),
-    "parkingSpace": (PARKING, 0.0),
+    "building": "building",
+    "tree": "tree",
+    "vegetation": "tree",
+    "pole": "pole",
+    "streetLamp": "pole",
+    "streetlamp": "pole",
+    "barrier": "wall",
+    "soundBarrier": "wall",
+    "obstacle": "furniture",
+    "parkingSpace": PARKING,
 }
-"""For each type of object, the kind of body and its height where the map has none [m]."""
+"""The kind of body for each type of object."""
 SEEN_THROUGH = ("guardRail", "railing", "fence")
 """Subtypes of barriers that hide little."""
 LIFTED = 0.5
@@ -98,13 +91,13 @@ def shapes_of(root: ET.Element) -> tuple[tuple[Shape, ...], tuple[str, ...]]:
     return tuple(found), notes
 
 
-def _kind(element: ET.Element) -> tuple[str, float] | None:
-    """The kind of body of an object and its usual height; None if it is none."""
+def _kind(element: ET.Element) -> str | None:
+    """The kind of body of an object; None if it is none."""
     subtype = element.get("subtype", "")
     if subtype in SEEN_THROUGH:
         return None
     if "hedge" in (subtype, element.get("name", "").lower()):
-        return "hedge", BARRIERS["hedge"][0]
+        return "hedge"
     return KINDS.get(element.get("type", ""))
 
 
@@ -144,23 +137,21 @@ def _shape(
     element: ET.Element, area: BaseGeometry | None, low: float, high: float, counts: "Counter[str]"
 ) -> Iterator[Shape]:
     """A body on an area between two heights over the road."""
-    known = _kind(element)
-    if area is None or known is None:
+    kind = _kind(element)
+    if area is None or kind is None:
         counts["size"] += 1
         return
-    kind, usual = known
     if kind == PARKING:
         yield Shape(kind, area, 0.0)
         return
-    if kind == "tree" and next(element.iter("outline"), None) is not None:
-        kind = "hedge"  # a patch of plants
     base = low if low >= LIFTED else 0.0
     if not base < high <= HIGHEST or high - low <= 0:
         counts["height"] += 1
-        high = base + usual
+        high = base + HEIGHTS[kind]
+    if kind == "tree" and next(element.iter("outline"), None) is not None:
+        kind = "hedge"  # a patch of plants
     if kind == "tree":
-        lowest, share = TREE_BASE
-        crown = base or min(lowest, share * high)
+        crown = base or crown_base(high)
         trunk = min(TREE["circumference"] / (2 * np.pi), float(np.sqrt(area.area)) / 4)
         yield Shape("tree", area, high, crown, LEAFY, trunk)
     else:
@@ -179,8 +170,7 @@ def _simple(
         half = np.array([place.length, place.width]) / 2
         corners = half * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
         return Polygon(at + turned(corners, heading + turn)), *heights
-    kind, _ = _kind(element) or ("", 0.0)
-    usual = {"pole": POLE[1], "tree": TREE["diameter_crown"] / 2}.get(kind)
+    usual = {"pole": POLE[1], "tree": TREE["diameter_crown"] / 2}.get(_kind(element) or "")
     return None if usual is None else Polygon(octagon(at, usual)), *heights
 
 

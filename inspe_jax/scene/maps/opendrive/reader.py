@@ -32,12 +32,13 @@ from inspe_jax.scene.maps.opendrive.road_network import (
 from inspe_jax.scene.maps.parking import with_parked
 from inspe_jax.scene.maps.parts import (
     MARGIN,
+    RADIUS_READ,
     STEP,
     JunctionInfo,
-    check_radius,
     distance_from,
     junctions_at,
 )
+from inspe_jax.scene.voxels import check_range
 
 COARSE = 5.0
 """Spacing of the points of a map's road lines [m]."""
@@ -108,7 +109,7 @@ def read_opendrive(
     members, middle, place = junctions_at(
         town.source, town.junctions, lambda j: town.box(j)[0], junction, center
     )
-    check_radius(radius)
+    check_range("radius", radius, RADIUS_READ)
     interior = interior_of(town, members)
     reach = radius + MARGIN
     lane_strips = lane_strips_near(town, middle, reach + APRON)

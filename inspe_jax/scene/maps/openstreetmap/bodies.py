@@ -19,7 +19,7 @@ from inspe_jax.scene.lines import distinct
 from inspe_jax.scene.maps.bodies import SMALL, Shape
 from inspe_jax.scene.maps.openstreetmap.extract import Box, Extract, Tags, Way, read_extract
 from inspe_jax.scene.maps.openstreetmap.sizes import POLES, SOLID_FENCES, TREE_SPACING, Sizes
-from inspe_jax.scene.maps.usual_sizes import BARRIERS, TREE, TREE_BASE
+from inspe_jax.scene.maps.usual_sizes import BARRIERS, TREE, crown_base
 from inspe_jax.scene.statics import LEAFY, octagon
 from inspe_jax.scene.terrain import HIGHEST, LOWEST
 
@@ -242,12 +242,8 @@ class _Reader:
             self.sizes.size_or(tags, key, "tree", TREE[key], least=least, most=most)
             for key, least, most in (("diameter_crown", 0.3, 60.0), ("circumference", 0.05, 15.0))
         )
-        lowest, share = TREE_BASE
-        trunk = min(around / (2 * np.pi), across / 4)
-        return Shape(
-            "tree", Polygon(octagon(at, across / 2)), height, min(lowest, share * height),
-            LEAFY, trunk,
-        )  # fmt: skip
+        crown, trunk = Polygon(octagon(at, across / 2)), min(around / (2 * np.pi), across / 4)
+        return Shape("tree", crown, height, crown_base(height), LEAFY, trunk)
 
     def _poles(self) -> Iterator[Shape]:
         """Poles beside ways: a node of a road that has signals says only where drivers stop."""

@@ -1,17 +1,13 @@
 """Bodies of OpenStreetMap extracts: what stands where, how high, and in which coordinates."""
 
 import gzip
-import sys
 import tracemalloc
-import xml.etree.ElementTree as ET
-from pathlib import Path
 
 import numpy as np
 import pytest
 import shapely
 from osm_town import LAT, LON, METRES, Town, box, degrees, full_town
 from shapely.geometry import LineString, Point, Polygon
-from worlds import LIDAR, embree_line_of_sight, place_sensors
 
 import inspe_jax
 from inspe_jax.core.digest import digest
@@ -24,7 +20,6 @@ from inspe_jax.scene.maps.registry import list_junctions, read_map
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.scene import build_scene, load_scene, save_scene
 from inspe_jax.scene.street import map_bodies
-from inspe_jax.visibility.queries import line_of_sight
 
 pytest.importorskip("sumolib", reason="needs SUMO: extra [sumo]")
 pytest.importorskip("pyproj", reason="needs pyproj: extra [sumo]")
@@ -71,27 +66,6 @@ def test_the_middle_of_each_road_is_where_its_nodes_are(path, place):
         (middle,) = world(path, [ahead])
         assert across.length == pytest.approx(6.4, abs=0.01)
         assert np.hypot(*(np.array(across.centroid.coords[0]) - middle)) < 0.02
-
-
-def test_nodes_of_a_real_extract_are_where_netconvert_puts_them():
-    """An extract of the SUMO package, 90 km off the middle of its UTM zone; and sumolib's own
-    conversion."""
-    import sumo
-
-    file = f"{sumo.SUMO_HOME}/tools/game/racing/spreewaldring.osm"
-    road = load_net(Path(file))
-    georeference = road.georeference
-    root = ET.parse(file).getroot()
-    nodes = {n.get("id"): (n.get("lon"), n.get("lat")) for n in root.iter("node")}
-    kept = {node.getID() for node in road.net.getNodes()}
-    both = sorted(kept & nodes.keys())
-    given = np.array([nodes[n] for n in both], float)
-    found = georeference.from_degrees(given)
-    own = np.array([road.net.getNode(n).getCoord() for n in both])
-    assert len(own) > 10
-    assert np.abs(found - own).max() < 0.02  # what netconvert writes, rounded to 1 cm
-    assert np.allclose(georeference.to_degrees(found), given, atol=1e-9)
-    assert np.allclose(found[0], road.net.convertLonLat2XY(*given[0]), atol=1e-6)
 
 
 def test_a_house_is_as_large_as_in_the_file(path, bodies):
@@ -334,14 +308,6 @@ class InMetres:
     from_degrees = to_degrees
 
 
-def test_pyproj_is_named_where_it_is_missing(path, monkeypatch, tmp_path):
-    other = tmp_path / "other.osm"
-    other.write_text(path.read_text())
-    monkeypatch.setitem(sys.modules, "pyproj", None)
-    with pytest.raises(InspeError, match=r"pip install .*\[geo\]'"):
-        read_map(other, junction="1", radius=20)
-
-
 # ── In a scene ──────────────────────────────────────────────────────────────
 
 SIZE = dict(radius=30, voxel=1.0, spacing=2.0, frames=2, density=5)
@@ -368,26 +334,6 @@ def test_a_scene_has_the_map_s_bodies_and_keeps_them(place, scene, tmp_path):
         build_scene("four_way", **SIZE, statics="map")
     rebuilt = build_scene(again.intersection, **SIZE, statics="map")
     assert digest(rebuilt.statics) == digest(scene.statics)
-
-
-def test_line_of_sight_past_mapped_bodies_agrees_with_embree(scene, path):
-    """99.99 % of (sensor, voxel), from behind a house and from over the junction; and in plan: a
-    low sensor sees a voxel only where no house stands between."""
-    (x, y), (u, v) = world(path, [(24, 22), (-6.0, -6.5)])
-    layout = place_sensors((LIDAR, [x, y, 2.0, 0, 0, 0]), (LIDAR, [u, v, 5.0, 0, 0, 0]))
-    ours = line_of_sight(scene, layout, 0)
-    embree = embree_line_of_sight(scene, layout, 0)
-    known = scene.voxel_weight > 0
-    assert 0.05 < embree[:, known].mean() < 0.95
-    assert (ours != embree)[:, known].mean() <= 1e-4
-    houses = shapely.union_all(
-        [b.polygon for b in scene.statics if b.kind == "building" and b.base == 0]
-    )
-    low = scene.voxels.centers[:, 2] < 1.5
-    lines = shapely.linestrings([[(x, y), tuple(c[:2])] for c in scene.voxels.centers])
-    through = shapely.intersects(lines, houses.buffer(-0.01))
-    assert (through & low & known).sum() > 50
-    assert not (ours[0] & through & low & known).any()
 
 
 def test_points_with_heights_make_the_ground(tmp_path):

@@ -13,7 +13,7 @@ import inspe_jax
 from inspe_jax.core.digest import digest
 from inspe_jax.core.errors import InspeError
 from inspe_jax.scene.maps.bodies import simple_pieces, standing
-from inspe_jax.scene.maps.openstreetmap.bodies import extract_about, shapes_of
+from inspe_jax.scene.maps.openstreetmap.bodies import BodyReader, extract_about
 from inspe_jax.scene.maps.openstreetmap.extract import Box, read_extract
 from inspe_jax.scene.maps.openstreetmap.sizes import Sizes, length_of
 from inspe_jax.scene.maps.registry import list_junctions, read_map
@@ -292,7 +292,7 @@ def test_shapes_without_sense_are_mended_or_left_out(tmp_path, seed):
     file.write_text(f"<osm>{''.join([*nodes, *ways, *made])}</osm>")
     notes: list[str] = []
     where = np.zeros(2), 60.0, InMetres()
-    found = shapes_of(extract_about(file, *where), *where, notes)
+    found = BodyReader(extract_about(file, *where), *where, notes).shapes()
     bodies = standing(found, inspe_jax.built_in("four_way"), 60.0, notes)
     assert len(bodies) > 50
     assert all(b.polygon.is_valid and b.polygon.area > 0 for b in bodies)

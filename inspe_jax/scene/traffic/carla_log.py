@@ -8,7 +8,7 @@ import struct
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import shapely
@@ -74,22 +74,16 @@ class _Moment:
     velocity: dict[int, tuple[float, ...]] = field(default_factory=dict)
 
 
-@dataclass(frozen=True, eq=False)
-class RecorderLog:
+class RecorderLog(NamedTuple):
     """A log: the name of its map, its moments in order, and by actor the class and the box.
 
     A box is its offset from the actor and its half sizes [m].
     """
 
     map: str
-    moments: tuple[_Moment, ...]
+    moments: list[_Moment]
     kinds: dict[int, int]
     boxes: dict[int, np.ndarray]
-
-    @property
-    def duration(self) -> float:
-        """Time from the first moment to the last [s]."""
-        return self.moments[-1].time - self.moments[0].time
 
 
 @cached_by_file(4)
@@ -114,12 +108,11 @@ def load_log(path: Path) -> RecorderLog:
         raise InspeError(f"{path}: the log is cut short or broken") from error
     if not moments:
         raise InspeError(f"{path}: the log has no frames")
-    return RecorderLog(town.rpartition("/")[2], tuple(moments), kinds, boxes)
+    return RecorderLog(town.rpartition("/")[2], moments, kinds, boxes)
 
 
-def _packets(
-    reader: _Reader,
-) -> tuple[list[_Moment], dict[int, int], dict[int, np.ndarray]]:
+def _packets(reader: _Reader) -> tuple[list[_Moment], dict[int, int], dict[int, np.ndarray]]:
+    """The moments of a log's packets, and by actor the class and the box."""
     moments: list[_Moment] = []
     actors: dict[int, tuple[str, dict[str, str]]] = {}
     boxes: dict[int, np.ndarray] = {}
@@ -192,7 +185,7 @@ def log_traffic(
     seen = [_snapshot(log, _at(log, times, time), intersection, radius) for time in wanted]
     if not any(len(frame.kind) for frame in seen):
         raise InspeError(
-            f"{path}: in {log.duration:.0f} s nobody comes within {radius:g} m of "
+            f"{path}: in {times[-1] - times[0]:.0f} s nobody comes within {radius:g} m of "
             f"({intersection.center[0]:.1f}, {intersection.center[1]:.1f})"
         )
     if (share := _on_roads(seen, intersection)) < ON_ROADS:

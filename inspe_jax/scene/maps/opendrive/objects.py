@@ -7,8 +7,8 @@ signs. On parking spaces vehicles stand (:mod:`inspe_jax.scene.maps.parking`).
 import xml.etree.ElementTree as ET
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from shapely.geometry import LineString, Polygon
@@ -47,13 +47,15 @@ NOT_NUMBERS = (KeyError, ValueError, StopIteration)
 """What reading an element raises that lacks a number or has another word."""
 
 
-@dataclass(frozen=True)
-class Place:
-    """Where one object stands on its road, and how large it is [m]; sizes are 0 where unknown."""
+class Place(NamedTuple):
+    """Where one object stands on its road, and how large it is [m]; sizes are 0 where unknown.
+
+    Fields have the names of attributes of ``<object>``.
+    """
 
     s: float
     t: float
-    z: float
+    zOffset: float
     height: float
     length: float
     width: float
@@ -111,8 +113,7 @@ def _number(element: ET.Element, key: str, default: float = 0.0) -> float:
 
 def _shapes(element: ET.Element, line: ReferenceLine, counts: "Counter[str]") -> Iterator[Shape]:
     """The bodies of one object: one, or those of its repeats."""
-    own = Place(*(_number(element, k) for k in ("s", "t", "zOffset", "height", "length", "width",
-                                               "radius")))  # fmt: skip
+    own = Place(*(_number(element, key) for key in Place._fields))
     turn = _number(element, "hdg")
     outlines = [*element.iterfind("outline"), *element.iterfind("outlines/outline")]
     repeats = element.findall("repeat")
@@ -121,7 +122,7 @@ def _shapes(element: ET.Element, line: ReferenceLine, counts: "Counter[str]") ->
         for place in [place for row in rows for place in row or ()] or [own]:
             for outline in outlines:
                 area, low, high = _outlined(outline, own, place, turn, line)
-                yield from _shape(element, area, place.z + low, place.z + high, counts)
+                yield from _shape(element, area, place.zOffset + low, place.zOffset + high, counts)
         return
     if not repeats:
         yield from _shape(element, *_simple(element, own, turn, line), counts)
@@ -130,7 +131,9 @@ def _shapes(element: ET.Element, line: ReferenceLine, counts: "Counter[str]") ->
             yield from _shape(element, *_simple(element, place, turn, line), counts)
         if row is None:
             for place, area in _strip(own, repeat, line):
-                yield from _shape(element, area, place.z, place.z + place.height, counts)
+                yield from _shape(
+                    element, area, place.zOffset, place.zOffset + place.height, counts
+                )
 
 
 def _shape(
@@ -163,7 +166,7 @@ def _simple(
 ) -> tuple[BaseGeometry | None, float, float]:
     """The area and heights of an object without an outline; no area where it has no size."""
     at, heading = line.at(place.s, place.t)
-    heights = place.z, place.z + place.height
+    heights = place.zOffset, place.zOffset + place.height
     if place.radius > 0:
         return Polygon(octagon(at, place.radius)), *heights
     if place.length > 0 and place.width > 0:
@@ -205,19 +208,12 @@ def _outlined(
 def _place_at(own: Place, repeat: ET.Element, share: float) -> Place:
     """The place of an object at a share of the length of its ``<repeat>``."""
 
-    def between(key: str, default: float) -> float:
-        first = _number(repeat, f"{key}Start", default)
+    def between(key: str) -> float:
+        first = _number(repeat, f"{key}Start", getattr(own, key))
         return first + share * (_number(repeat, f"{key}End", first) - first)
 
-    return Place(
-        _number(repeat, "s", own.s) + share * _number(repeat, "length"),
-        between("t", own.t),
-        between("zOffset", own.z),
-        between("height", own.height),
-        between("length", own.length),
-        between("width", own.width),
-        between("radius", own.radius),
-    )
+    s = _number(repeat, "s", own.s) + share * _number(repeat, "length")
+    return Place(s, *(between(key) for key in Place._fields[1:]))
 
 
 def _places(own: Place, repeat: ET.Element) -> list[Place] | None:

@@ -45,21 +45,6 @@ def extract_about(
     return read_extract(path, Box(*degrees.min(0).tolist(), *degrees.max(0).tolist()))
 
 
-def shapes_of(
-    extract: Extract,
-    middle: Float[np.ndarray, "2"],
-    reach: float,
-    georeference: Georeference,
-    notes: list[str],
-) -> list[Shape]:
-    """The bodies of an extract that come within ``reach`` [m] of a point in world metres.
-
-    ``notes`` get what was assumed.
-    """
-    disc = Point(*np.asarray(middle)[:2]).buffer(reach)
-    return _Reader(extract, georeference, disc, notes).shapes()
-
-
 def spot_heights(extract: Extract, georeference: Georeference) -> Float[np.ndarray, "N 3"]:
     """The nodes of an extract that have a height (``ele``), in world metres."""
     found = [
@@ -80,13 +65,20 @@ def _elevation(text: str) -> float | None:
     return height if LOWEST < height < HIGHEST else None
 
 
-class _Reader:
-    """Makes shapes of an extract's elements that come into a disc."""
+class BodyReader:
+    """Makes shapes of an extract's elements that come within ``reach`` [m] of a point in world
+    metres. ``notes`` get what was assumed."""
 
     def __init__(
-        self, extract: Extract, georeference: Georeference, disc: Polygon, notes: list[str]
+        self,
+        extract: Extract,
+        middle: Float[np.ndarray, "2"],
+        reach: float,
+        georeference: Georeference,
+        notes: list[str],
     ) -> None:
-        self.extract, self.disc, self.notes, self.sizes = extract, disc, notes, Sizes()
+        self.extract, self.notes, self.sizes = extract, notes, Sizes()
+        self.disc = Point(*np.asarray(middle)[:2]).buffer(reach)
         names = list(extract.nodes)
         degrees = np.array([extract.nodes[n] for n in names], float).reshape(-1, 2)
         self.at = dict(zip(names, georeference.from_degrees(degrees), strict=True))

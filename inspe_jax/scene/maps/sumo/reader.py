@@ -21,11 +21,7 @@ from inspe_jax.scene.maps.approaches import CARRIAGEWAY, Approach, arms_of
 from inspe_jax.scene.maps.assembly import assembled, side_by_side
 from inspe_jax.scene.maps.bodies import NO_POLES, with_bodies
 from inspe_jax.scene.maps.lane_strips import LaneStrip, same_level
-from inspe_jax.scene.maps.openstreetmap.bodies import (
-    extract_about,
-    shapes_of,
-    spot_heights,
-)
+from inspe_jax.scene.maps.openstreetmap.bodies import BodyReader, extract_about, spot_heights
 from inspe_jax.scene.maps.parts import (
     CLUSTER,
     MARGIN,
@@ -159,7 +155,7 @@ def read_sumo(
         where = middle[:2], reach, road.georeference
         extract = extract_about(Path(path), *where)
         found = _on_heights(found, spot_heights(extract, road.georeference), radius, notes)
-        found = with_bodies(found, shapes_of(extract, *where, notes), reach, notes)
+        found = with_bodies(found, BodyReader(extract, *where, notes).shapes(), reach, notes)
     if not len(found.poles):
         notes.append(NO_POLES)
     return replace(found, notes=tuple(notes))

@@ -273,11 +273,7 @@ def test_what_is_wrong_is_said(tmp_path, monkeypatch, capsys):
     house = box_triangles((CENTER[0] + 15, CENTER[1] + 15, 0.0), (5, 5, 5), 0.0)
     (tmp_path / "text.ply").write_text("no mesh")
     for at, file, words in (
-        (
-            own,
-            written(tmp_path / "far.ply", faces() + [900.0, 0, 0]),
-            "the map.s coordinates",
-        ),
+        (own, written(tmp_path / "far.ply", faces() + [900.0, 0, 0]), "the map.s coordinates"),
         (own, written(tmp_path / "house.ply", house), "the mesh must have the roads"),
         (replace(own, regions={}), written(tmp_path / "twin.ply", faces()), "must have the roads"),
         (own, tmp_path / "text.ply", "not a mesh that trimesh reads"),

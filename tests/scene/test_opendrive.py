@@ -51,8 +51,7 @@ def road(number, junction, start, heading, length, both, links, height, grade) -
     lane = -1 if number == 10 else 1
     left = lanes("left", 1, kinds, "") if both else ""
     right = lanes(
-        *("right", -1, kinds),
-        f'<link><predecessor id="{lane}"/><successor id="{lane}"/></link>',
+        *("right", -1, kinds), f'<link><predecessor id="{lane}"/><successor id="{lane}"/></link>'
     )
     return (
         f'<road id="{number}" junction="{junction}" length="{length}"><link>{links}</link>'

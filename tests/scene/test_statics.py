@@ -13,15 +13,7 @@ from inspe_jax.core.digest import digest
 from inspe_jax.core.errors import InspeError
 from inspe_jax.scene.placed_bodies import body_at, convex_parts
 from inspe_jax.scene.scene import load_scene, save_scene
-from inspe_jax.scene.statics import (
-    CORNERS,
-    body,
-    octagon,
-    pole,
-    tree,
-    upright_box,
-    wall,
-)
+from inspe_jax.scene.statics import CORNERS, body, octagon, pole, tree, upright_box, wall
 
 ELL = np.array([[0, 0], [6, 0], [6, 2], [2, 2], [2, 6], [0, 6]], float)
 BOW = [[0, 0], [4, 4], [4, 0], [0, 4]]

@@ -21,19 +21,9 @@ from streets import (
 from inspe_jax.core.errors import InspeError
 from inspe_jax.scene.intersection import Intersection, Route
 from inspe_jax.scene.procedural.built_ins import built_in
-from inspe_jax.scene.traffic.frames import (
-    CLASSES,
-    MIXES,
-    ROAD_USERS,
-    TrafficFrames,
-    quota,
-)
+from inspe_jax.scene.traffic.frames import CLASSES, MIXES, ROAD_USERS, TrafficFrames, quota
 from inspe_jax.scene.traffic.waypoint.generate import waypoint_traffic
-from inspe_jax.scene.traffic.waypoint.model import (
-    WEDGED,
-    WaypointModel,
-    _overlap,
-)
+from inspe_jax.scene.traffic.waypoint.model import WEDGED, WaypointModel, _overlap
 from inspe_jax.scene.traffic.waypoint.paths import SPACING, lay_paths
 
 CAR, TRUCK, CYCLIST, PEDESTRIAN = range(4)

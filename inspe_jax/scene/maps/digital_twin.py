@@ -236,9 +236,7 @@ class _Grid:
         return (i * self.side + j)[inside], height[inside]
 
 
-def _repeated(
-    number: Int[np.ndarray, " F"],
-) -> tuple[Int[np.ndarray, " N"], Int[np.ndarray, " N"]]:
+def _repeated(number: Int[np.ndarray, " F"]) -> tuple[Int[np.ndarray, " N"], Int[np.ndarray, " N"]]:
     """Indices of row i repeated ``number[i]`` times, and the place of each among its own."""
     which = np.repeat(np.arange(len(number)), number)
     return which, np.arange(len(which)) - np.repeat(number.cumsum() - number, number)

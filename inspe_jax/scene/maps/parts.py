@@ -13,13 +13,7 @@ from shapely.geometry.base import BaseGeometry
 from shapely.ops import unary_union
 
 from inspe_jax.core.errors import InspeError, nearest
-from inspe_jax.scene.intersection import (
-    Arm,
-    Intersection,
-    Route,
-    corner_islands,
-    mouth_crosswalks,
-)
+from inspe_jax.scene.intersection import Arm, Intersection, Route, corner_islands, mouth_crosswalks
 from inspe_jax.scene.lines import resampled
 from inspe_jax.scene.regions import Region
 

@@ -15,14 +15,7 @@ from shapely.geometry import MultiPolygon, Polygon, box
 from inspe_jax.core.errors import InspeError, nearest
 from inspe_jax.scene.intersection import CROSSWALK_WIDTH, Arm, Intersection
 from inspe_jax.scene.lines import resampled, turned
-from inspe_jax.scene.procedural.curves import (
-    arc,
-    at_distance,
-    bend,
-    joined,
-    offset,
-    onto_ring,
-)
+from inspe_jax.scene.procedural.curves import arc, at_distance, bend, joined, offset, onto_ring
 from inspe_jax.scene.procedural.roads import (
     LENGTH,
     ROUTE_LENGTH,

@@ -161,12 +161,7 @@ def kind_of(name: str, facts: dict[str, str], length: float) -> int | None:
 
 
 def log_traffic(
-    intersection: Intersection,
-    path: Path,
-    *,
-    radius: float,
-    frames: int,
-    step: float = 1.0,
+    intersection: Intersection, path: Path, *, radius: float, frames: int, step: float = 1.0
 ) -> TrafficFrames:
     """The recorded traffic at an intersection of the log's own map, whatever its file is called.
 

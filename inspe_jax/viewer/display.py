@@ -302,7 +302,7 @@ class Display:
             target=float(self._panel.target.value),
         )
         self._panel.headline.content, self._panel.scores.content, self._panel.notes.content = page
-        self._panel.notes.visible = bool(page.notes)
+        self._panel.notes.visible = bool(page[2])
         words = f"{isolated(self.shown.name)} at {isolated(self._case.scene.name)}"
         if self._current and scored is not None and scored.scores is not None:
             words = f"{scored.scores.surrogate:.4f}  {words}"  # also where the panel is collapsed

@@ -3,6 +3,7 @@
 import threading
 import time
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -20,7 +21,7 @@ from inspe_jax.viewer import scorer as scorers
 from inspe_jax.viewer.job_queue import WAITING, DelayedAction, JobQueue
 from inspe_jax.viewer.score_panel import cost_of, score_panel
 from inspe_jax.viewer.scorer import SHOWN, Scorer
-from inspe_jax.viewer.searcher import REASONS, SearchCallbacks, Searcher
+from inspe_jax.viewer.searcher import REASONS, Searcher
 from inspe_jax.viewer.server import sender
 
 WEIGHTS = (0.3, 0.5, 0.2)
@@ -258,12 +259,13 @@ def test_a_fault_of_ours_does_not_end_the_scorer(layout, listening, monkeypatch)
 
 @pytest.fixture
 def heard():
-    return SearchCallbacks(Listener(), Listener(), Listener(), Listener())
+    names = "progress", "found", "compiling", "ended"
+    return SimpleNamespace(**{name: Listener() for name in names})
 
 
 @pytest.fixture
 def searcher(scene, heard):
-    found = Searcher(Case(scene), WEIGHTS, Constraints(), heard)
+    found = Searcher(Case(scene), WEIGHTS, Constraints(), **vars(heard))
     yield found
     found.close()
 
@@ -327,7 +329,7 @@ def test_a_search_is_stopped_in_the_midst_of_whatever_it_does(layout, searcher, 
 @pytest.mark.process
 def test_a_search_that_cannot_begin_says_why(scene, layout, heard):
     nowhere = Constraints(places="poles")  # there is none
-    searcher = Searcher(Case(scene), WEIGHTS, nowhere, heard)
+    searcher = Searcher(Case(scene), WEIGHTS, nowhere, **vars(heard))
     searcher.start(layout, "random", 5.0)
     ((ending,),) = heard.ended.wait(lambda told: told)
     assert ending.layout is None

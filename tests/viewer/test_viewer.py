@@ -7,6 +7,7 @@ import threading
 import time
 from base64 import b64decode
 from dataclasses import asdict, replace
+from functools import partial
 from io import BytesIO
 from types import SimpleNamespace
 
@@ -232,7 +233,7 @@ def test_nothing_is_changed_or_saved_while_a_search_runs(viewer, layout):
     done(viewer, lambda: viewer._best is not layout)
     for control in (viewer.panel.save, viewer.panel.report, viewer.view.controls.add):
         assert control.disabled
-    viewer.save()
+    viewer.files.save()
     viewer.view.remove()
     viewer.undo_or_redo("Undo")
     pull(viewer, (0, 0, 1.0))
@@ -342,8 +343,14 @@ def test_what_is_typed_counts_before_anything_else(viewer, layout, then, monkeyp
     set_value(viewer.view.controls.pose["yaw"], -90.0)
     viewer.view.type_number("yaw", -90.0)
     viewer.settle()  # what the panel does before each of them
-    own = then in ("duplicate", "select")
-    getattr(viewer.view if own else viewer, then)(*[1][: then == "select"])
+    asked = {
+        "save": viewer.files.save,
+        "optimise": viewer.optimise,
+        "duplicate": viewer.view.duplicate,
+        "select": partial(viewer.view.select, 1),
+        "write_report": viewer.files.write_report,
+    }
+    asked[then]()
     done(viewer)
     assert np.degrees(viewer.layout.poses[0, 5]) == pytest.approx(-90.0)
     if then == "save":
@@ -357,8 +364,8 @@ def test_every_control_lets_what_is_typed_count_first(viewer, layout, control, m
     """What a browser's press calls, of each control of the panel."""
     for name in ("duplicate", "remove", "select", "add", "swap"):
         monkeypatch.setattr(viewer.view, name, lambda *_: None)
-    for name in ("optimise", "save"):
-        monkeypatch.setattr(viewer, name, lambda *_: None)
+    monkeypatch.setattr(viewer, "optimise", lambda: None)
+    monkeypatch.setattr(viewer.files, "save", lambda: None)
     viewer.view.type_number("yaw", -90.0)
     own = hasattr(viewer.view.controls, control)
     state = getattr(viewer.view.controls if own else viewer.panel, control)._impl
@@ -391,12 +398,12 @@ def test_an_earlier_layout_is_opened_once_and_not_during_a_search(scene, layout,
     viewer = Viewer(Case(scene), layout, path, port=0)
     try:
         viewer.searching = True
-        viewer.open_earlier(0)
+        viewer.files.open_earlier(0)
         done(viewer)
         assert viewer.layout is layout
         assert viewer.panel.earlier.visible
         viewer.searching = False
-        viewer.open_earlier(0)
+        viewer.files.open_earlier(0)
         done(viewer)
         assert viewer.layout.poses[0, 2] == pytest.approx(layout.poses[0, 2] + 1.0)
         assert not viewer.panel.earlier.visible
@@ -454,20 +461,20 @@ def test_a_report_that_is_ready_is_offered_where_its_button_is(viewer, monkeypat
     sent = []
     browser = SimpleNamespace(send_file_download=lambda *told, **_: sent.append(told))
     panel = viewer.panel
-    viewer.download_report(browser)  # there is none yet
-    viewer.write_report()
+    viewer.files.download_report(browser)  # there is none yet
+    viewer.files.write_report()
     done(viewer, lambda: panel.download_report.visible)
     page = viewer.store.page
     assert panel.report_words.content == f"The report is ready: `{page.name}`"
-    viewer.download_report(browser)
+    viewer.files.download_report(browser)
     done(viewer)
     assert sent == [("layout.html", page.read_bytes())]
 
     def fails(*_, **__):
         raise InspeError("no room")
 
-    monkeypatch.setattr("inspe_jax.viewer.store.report_entry", fails)
-    viewer.write_report()
+    monkeypatch.setattr("inspe_jax.viewer.file_actions.report_entry", fails)
+    viewer.files.write_report()
     done(viewer, lambda: viewer.told[-1][1] == "no room")
     assert not panel.download_report.visible
     assert not panel.report_words.visible
@@ -475,9 +482,9 @@ def test_a_report_that_is_ready_is_offered_where_its_button_is(viewer, monkeypat
 
 def test_a_report_is_written_one_at_a_time_and_waited_for(scene, layout, tmp_path):
     viewer = Viewer(Case(scene), layout, tmp_path / "layout.yaml", port=0)
-    viewer.write_report()
-    viewer.write_report()
-    done(viewer, lambda: viewer.store._report is not None)
+    viewer.files.write_report()
+    viewer.files.write_report()
+    done(viewer, lambda: viewer.files._writing)
     viewer.close()
     page = (tmp_path / "layout.html").read_text()
     assert str(evaluate(scene, layout).surrogate) in page
@@ -491,8 +498,8 @@ def test_a_report_has_the_layout_that_was_opened_and_the_target(scene, layout, t
     higher = replace(layout, poses=np.array(layout.poses) + [0, 0, 0.5, 0, 0, 0])
     viewer.change(lambda: viewer.session.take(higher))
     done(viewer, lambda: viewer.layout is not layout)
-    viewer.write_report()
-    done(viewer, lambda: viewer.store._report is not None)
+    viewer.files.write_report()
+    done(viewer, lambda: viewer.files._writing)
     viewer.close()
     page = (tmp_path / "layout.html").read_text()
     assert "Before is the layout as it was opened." in page

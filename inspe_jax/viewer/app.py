@@ -220,7 +220,7 @@ class Viewer:
 
     def show_target(self) -> None:
         """Show how far the layout is from the target."""
-        self.queue.submit(self.display.show_target, key="target")
+        self.queue.submit(self.display.update_panel, key="target")
 
     def select_frame(self) -> None:
         """Show the slider's frame."""

@@ -136,12 +136,15 @@ LONG = (
 )  # fmt: skip
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Long files first, the longest before others: what a process is left with at the end is then
     short."""
     first = {stem: n for n, stem in enumerate(LONG)}
+    science = [config.rootpath / path for path in config.getini("testpaths")]
     items.sort(key=lambda item: first.get(item.path.stem, len(LONG)))
     for item in items:
+        if not any(item.path.is_relative_to(path) for path in science):
+            item.add_marker(pytest.mark.wing)
         if CHROMIUM is None and item.get_closest_marker("browser"):
             item.add_marker(pytest.mark.skip(reason="there is no Chromium here"))
 

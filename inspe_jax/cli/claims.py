@@ -10,7 +10,7 @@ import tempfile
 from collections.abc import Callable, Collection, Iterable
 from contextlib import suppress
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import typer
 from platformdirs import user_state_path
@@ -18,10 +18,6 @@ from platformdirs import user_state_path
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import check_folder, check_output, check_writable, digest_of, write_text
 
-ForceOption = Annotated[
-    bool,
-    typer.Option("--force", help="Replace files that this command did not write, or were changed."),
-]
 MOST = 5000
 """Lines that stay of a list of twice as many; the oldest go."""
 

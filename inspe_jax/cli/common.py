@@ -5,10 +5,10 @@ import os
 import re
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NoReturn
+from typing import Annotated, Any, NoReturn
 
 import typer
 from rich.console import Console
@@ -19,15 +19,18 @@ from typer.core import TyperGroup
 from inspe_jax.cli.claims import claims
 from inspe_jax.cli.stopping import CTRL_C, attended, step, stopped
 from inspe_jax.core.compiling import compiled, keep_programs, leave
-from inspe_jax.core.errors import EXTRAS, InspeError, missing_extra, nearest
+from inspe_jax.core.errors import InspeError, missing_extra, nearest
+from inspe_jax.core.files import check_input, read_json, write_text
 from inspe_jax.core.words import visible
 from inspe_jax.placement.compile_ahead import compiles
-
-if TYPE_CHECKING:
-    from inspe_jax.scene.scene import Scene
-    from inspe_jax.sensing.layout import Layout
-    from inspe_jax.study.plan import Study
-    from inspe_jax.study.work import Row
+from inspe_jax.scene.geojson import SUFFIX
+from inspe_jax.scene.procedural.built_ins import BUILT_INS
+from inspe_jax.scene.scene import Scene, load_scene, what_is
+from inspe_jax.sensing.layout import Layout, load_layout
+from inspe_jax.sensing.named import layout_of, rule_of
+from inspe_jax.study.plan import Study
+from inspe_jax.study.sweep import sweep
+from inspe_jax.study.work import Row
 
 
 class _Group(TyperGroup):
@@ -35,7 +38,7 @@ class _Group(TyperGroup):
         try:
             return super().invoke(ctx)
         except KeyboardInterrupt:
-            err.print(plain(stopped()))
+            err.print(Text(stopped()))
             leave_at_once(CTRL_C)  # XLA may still compute, and crashes if Python ends before it
 
 
@@ -76,38 +79,14 @@ class WholeConsole(Console):
 out = WholeConsole(highlight=False, markup=False)
 err = WholeConsole(stderr=True, highlight=False)
 
+EXTRAS = {
+    "dataset": "dataset", "detect": "perception", "evaluate": "perception", "generate": "dataset",
+    "report": "report", "train": "perception", "view": "view",
+}  # fmt: skip
+"""The extra that brings the libraries of a whole command."""
 DEFAULT_SCENE = "four_way"
 DEFAULT_LAYOUT = "Cam-d1"
 
-SceneArgument = Annotated[
-    str, typer.Argument(metavar="SCENE", help="A built-in intersection, or a scene saved as .npz.")
-]
-LayoutArgument = Annotated[
-    str,
-    typer.Argument(
-        metavar="LAYOUT",
-        help="A layout file (.yaml, or .geojson of `inspe export`), or the name of a strategy.",
-    ),
-]
-LightOption = Annotated[str, typer.Option(help="Light: midday, dusk or night.")]
-WeatherOption = Annotated[
-    str, typer.Option(help="Weather: clear, rain:10 (10 mm/h), or fog:200 (optical range 200 m).")
-]
-ProfileOption = Annotated[
-    str | None,
-    typer.Option(
-        metavar="NAME",
-        help="Profile for a built-in scene: paper (used if not given) or ideal; see "
-        "`inspe profiles`.",
-    ),
-]
-PlotOption = Annotated[
-    Path | None, typer.Option("--plot", metavar="FILE", help="Draw a figure: .png, .svg or .pdf.")
-]
-RecordOption = Annotated[
-    str | None,
-    typer.Option("--json", metavar="FILE|-", help="Write the result as JSON; - prints it instead."),
-]
 PICTURES = "400x300"
 """Width and height that pictures are decoded to if no option says [pixels]."""
 
@@ -123,7 +102,7 @@ def picture_size(text: str) -> tuple[int, int] | None:
 def main() -> None:
     """Run the command line. An InspeError is printed on one line; the exit status is then 2."""
     try:
-        with attended(lambda words: note([words]), leave_at_once):
+        with attended(note, leave_at_once):
             _run()
     except SystemExit as e:
         if compiled().now or compiles():  # Python would wait for the threads that do
@@ -150,10 +129,10 @@ def _run() -> None:
         where = f"{e.filename}: " if e.filename else ""
         words = where + (e.strerror or str(e) or type(e).__name__)  # a TimeoutError says nothing
     except ModuleNotFoundError as e:
-        library = (e.name or "").partition(".")[0]
-        if library not in EXTRAS:
+        extra = EXTRAS.get(claims.command)
+        if extra is None or (e.name or "").startswith("inspe_jax"):
             raise
-        words = str(missing_extra(f"this needs {library}", EXTRAS[library]))
+        words = str(missing_extra(f"`inspe {claims.command}` needs {e.name}", extra))
     except (AssertionError, RuntimeError) as e:
         platforms = os.environ.get("JAX_PLATFORMS")
         if not platforms or _has_devices():
@@ -165,7 +144,7 @@ def _run() -> None:
         )
     else:
         return
-    err.print(f"[bold red]Error:[/] {plain(words)}")
+    err.print(Text.assemble(("Error: ", "bold red"), words))
     sys.exit(2)
 
 
@@ -212,9 +191,6 @@ def _root(
 
 def known(source: str) -> str:
     """Check the name of a built-in. Raises InspeError that lists what a scene can be."""
-    from inspe_jax.scene.procedural.built_ins import BUILT_INS
-    from inspe_jax.scene.scene import what_is
-
     if source not in BUILT_INS:
         if other := what_is(source):
             raise InspeError(f"{source}: {other}")
@@ -225,10 +201,8 @@ def known(source: str) -> str:
     return source
 
 
-def scene_and_layout(source: str, sensors: str, profile: str | None) -> "tuple[Scene, Layout]":
+def scene_and_layout(source: str, sensors: str, profile: str | None) -> tuple[Scene, Layout]:
     """A scene, and a layout on it from a file or from the name of a strategy."""
-    from inspe_jax.scene.scene import load_scene
-
     check_layout(sensors)
     world = load_scene(source, profile)
     return world, layout_on(world, sensors)
@@ -236,47 +210,28 @@ def scene_and_layout(source: str, sensors: str, profile: str | None) -> "tuple[S
 
 def check_scene(source: str) -> None:
     """Raise InspeError if there is no such built-in or file: before another scene is built."""
-    from inspe_jax.core.files import check_input
-
     known(source) if Path(source).suffix != ".npz" else check_input(Path(source))
 
 
 def check_layout(sensors: str, *, unit_rule: bool = True) -> None:
     """Raise InspeError if a layout cannot be read: before its scene, which may take minutes."""
-    from inspe_jax.core.files import read_json
-    from inspe_jax.scene.geojson import SUFFIX
-    from inspe_jax.sensing.layout import load_layout
-    from inspe_jax.sensing.named import rule_of
-
     if Path(sensors).suffix.lower() == SUFFIX:
         read_json(Path(sensors))
     elif rule_of(sensors) is None:
         load_layout(sensors, unit_rule=unit_rule)
 
 
-def layout_on(world: "Scene", sensors: str, *, unit_rule: bool = True) -> "Layout":
+def layout_on(world: Scene, sensors: str, *, unit_rule: bool = True) -> Layout:
     """A layout on a scene, from a file or from the name of a strategy.
 
     With ``unit_rule``, the sensors of each unit in the file must be close to each other; see
     :func:`~inspe_jax.sensing.layout.make_layout`.
     """
-    from inspe_jax.sensing.named import layout_of
-
     layout = layout_of(sensors, world, unit_rule=unit_rule)
-    note_other_profile(world, layout)
+    if layout.profile not in (None, here := world.profile.name):
+        made = f"{layout.name} was made under the profile {layout.profile}"
+        note(f"{made}, but the scene under {here}")
     return layout
-
-
-def note_other_profile(world: "Scene", layout: "Layout") -> None:
-    """Print a note if a layout was made under another profile than its scene."""
-    here = world.profile.name
-    if layout.profile not in (None, here):
-        note(
-            [
-                f"{layout.name} was made under the profile {layout.profile}, but the scene "
-                f"under {here}"
-            ]
-        )
 
 
 @contextmanager
@@ -317,30 +272,20 @@ def progress(what: str) -> Iterator[Any]:
         yield report
 
 
-def run_study(
-    study: "Study",
-    folder: Path,
-    what: str,
-    scheduler: str | None,
-    workers: int | None,
-    retry: bool,
-) -> "list[Row]":
-    """The rows of a study, run with a bar that counts ``what``. Ctrl-C ends the command."""
-    from inspe_jax.study.sweep import sweep as run
-
+@contextmanager
+def resumable() -> Iterator[None]:
+    """Ctrl-C in the block ends the command, which goes on from what it has written."""
     try:
-        with progress(what) as report:
-            return run(
-                study,
-                folder,
-                scheduler=scheduler,
-                workers=workers,
-                retry=retry,
-                progress=report,
-            )
+        yield
     except KeyboardInterrupt:
         err.print("stopped; give the same command again to resume")
-        raise typer.Exit(130) from None
+        raise typer.Exit(CTRL_C) from None
+
+
+def run_study(study: Study, folder: Path, what: str, **how: Any) -> list[Row]:
+    """The rows of a study, run with a bar that counts ``what``; ``how`` as in :func:`sweep`."""
+    with resumable(), progress(what) as report:
+        return sweep(study, folder, progress=report, **how)
 
 
 @contextmanager
@@ -373,8 +318,6 @@ def search_bar(what: str) -> Iterator[Callable[[float, float, str], None]]:
 
 def show(table: Any, record: dict[str, Any], path: str | None) -> None:
     """Print a table, and write its record as JSON to ``path``; for "-" print the record alone."""
-    from inspe_jax.core.files import write_text
-
     text = json.dumps(record, indent=2)
     if path == "-":
         typer.echo(text)
@@ -385,14 +328,29 @@ def show(table: Any, record: dict[str, Any], path: str | None) -> None:
         out.print(f"wrote {path}")
 
 
-def note(notes: Iterable[str]) -> None:
+def said(words: str, record: str | None = None) -> None:
+    """Print a line; on stderr where ``record`` is "-", since stdout is then the record's."""
+    (err if record == "-" else out).print(words)
+
+
+def draw(figure: Callable[[], Any], path: Path | None, record: str | None = None) -> None:
+    """Draw a figure into a file, if one is asked for."""
+    if path:
+        from inspe_jax.core.sheet import save_figure
+
+        with busy("drawing"):
+            save_figure(figure(), path)
+        said(f"drew {path}", record)
+
+
+def note(*notes: str) -> None:
     """Print notes on stderr, one per line."""
     for words in notes:
         err.print(Text.assemble(("Note: ", "yellow"), words))
 
 
-def plain(message: str) -> str:
-    """A message in which brackets are not read as rich's markup."""
-    from rich.markup import escape
-
-    return escape(message)
+def note_some(notes: Sequence[str], most: int, others: str) -> None:
+    """Print the first notes; ``others`` says where to find those that are left."""
+    note(*notes[:most])
+    if len(notes) > most:
+        note(f"and {len(notes) - most:,} more: {others}")

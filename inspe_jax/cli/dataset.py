@@ -3,25 +3,28 @@
 Modules that take long to import, such as matplotlib, are imported inside the commands.
 """
 
+import time
 from pathlib import Path
-from typing import Annotated
 
 import typer
+from rich.text import Text
 
-from inspe_jax.cli.claims import ForceOption, claims
+from inspe_jax.cli.claims import claims
 from inspe_jax.cli.common import (
     PICTURES,
-    PlotOption,
-    RecordOption,
     app,
     busy,
-    err,
+    draw,
     note,
+    note_some,
     out,
     picture_size,
     progress,
+    said,
     show,
 )
+from inspe_jax.cli.options import command
+from inspe_jax.core.files import csv_text, write_text
 from inspe_jax.core.words import counted
 
 dataset_app = typer.Typer(
@@ -31,29 +34,18 @@ dataset_app = typer.Typer(
 )
 app.add_typer(dataset_app, name="dataset")
 
-SetArgument = Annotated[
-    Path, typer.Argument(metavar="DIR", help="A data set, one split of it, or one scenario.")
-]
-
-
 SHOWN = 20
 """Number of faults that are printed."""
 
 
-@dataset_app.command("stats")
+@command(dataset_app, name="stats")
 def stats(
-    folder: SetArgument,
-    plot: PlotOption = None,
-    record: RecordOption = None,
-    row: Annotated[
-        Path | None,
-        typer.Option(
-            "--csv",
-            metavar="FILE.csv",
-            help="Write the data set's row of a table that compares data sets.",
-        ),
-    ] = None,
-    force: ForceOption = False,
+    data: Path,
+    *,
+    plot: Path | None = None,
+    record: str | None = None,
+    row: Path | None = None,
+    force: bool = False,
 ) -> None:
     """Count the content of a data set: frames, boxes, sizes, and points in boxes by range.
 
@@ -64,9 +56,11 @@ def stats(
     - `inspe dataset stats infra`
     - `inspe dataset stats infra --plot infra.png --json infra.json --csv row.csv`
     - `inspe dataset stats infra/test --json -`
+
+    Args:
+        row (--csv FILE.csv): Write the data set's row of a table that compares data sets.
     """
-    from inspe_jax.core.files import csv_text, write_text
-    from inspe_jax.core.sheet import FORMATS, save_figure
+    from inspe_jax.core.sheet import FORMATS
     from inspe_jax.dataset.check import differing
     from inspe_jax.dataset.figure import statistics_view
     from inspe_jax.dataset.folders import open_dataset
@@ -76,39 +70,32 @@ def stats(
     claims.file(plot, FORMATS, force=force)
     claims.file(row, (".csv",), force=force)
     claims.file(record, force=force)
-    data = open_dataset(folder)
-    damaged = [fault for scenario in data.scenarios for fault in differing(scenario)]
+    recorded = open_dataset(data)
+    damaged = [fault for scenario in recorded.scenarios for fault in differing(scenario)]
     with progress("frames") as tell:
-        found = statistics(data, tell)
+        found = statistics(recorded, tell)
     show(statistics_table(found), statistics_record(found), record)
-    said = err if record == "-" else out
     if row:
         values = {key: "" if value is None else value for key, value in table_row(found).items()}
         write_text(row, csv_text([values]))
-        said.print(f"wrote {row}")
-    if plot:
-        with busy("drawing"):
-            save_figure(statistics_view(found), plot)
-        said.print(f"drew {plot}")
+        said(f"wrote {row}", record)
+    draw(lambda: statistics_view(found), plot, record)
     if damaged:
+        files = counted(len(damaged), "file")
         note(
-            [
-                f"{damaged[0]}",
-                f"{counted(len(damaged), 'file')} not as the manifests say: see "
-                f"inspe dataset check {folder}",
-            ]
+            f"{damaged[0]}",
+            f"{files} not as the manifests say: see inspe dataset check {data}",
         )
         raise typer.Exit(1)
 
 
-@dataset_app.command("check")
+@command(dataset_app, name="check")
 def check_files(
-    folder: SetArgument,
-    deep: Annotated[
-        bool, typer.Option("--deep", help="Read every file, and compare its SHA-256 as well.")
-    ] = False,
-    record: RecordOption = None,
-    force: ForceOption = False,
+    data: Path,
+    *,
+    deep: bool = False,
+    record: str | None = None,
+    force: bool = False,
 ) -> None:
     """Check whether files of a data set are missing, cut short or changed.
 
@@ -121,17 +108,16 @@ def check_files(
 
     - `inspe dataset check infra`
     - `inspe dataset check infra/test --deep --json faults.json`
+
+    Args:
+        deep: Read every file, and compare its SHA-256 as well.
     """
-    import time
-
-    from rich.text import Text
-
     from inspe_jax.dataset.check import check
 
     claims.file(record, force=force)
     began = time.monotonic()
     with progress("scenarios") as tell:
-        found = check(folder, deep, tell)
+        found = check(data, deep, tell)
     seconds = time.monotonic() - began
     speed = f", {found.size / 1e6 / seconds:,.0f} MB/s" if deep and seconds else ""
     words = (
@@ -140,31 +126,23 @@ def check_files(
         f"{counted(len(found.faults), 'fault') if found.faults else 'no fault'}"
     )
     show(Text(words, no_wrap=True, overflow="ignore"), found.record, record)
-    note(map(str, found.faults[:SHOWN]))
-    if len(found.faults) > SHOWN:
-        note([f"and {len(found.faults) - SHOWN:,} more: --json FILE lists all"])
+    note_some([str(fault) for fault in found.faults], SHOWN, "--json FILE lists all")
     if found.unknown:
         note(
-            [
-                f"{found.unknown[0]}: no manifest.json, so nothing is known of its files "
-                f"({counted(len(found.unknown), 'scenario')} like this)"
-            ]
+            f"{found.unknown[0]}: no manifest.json, so nothing is known of its files "
+            f"({counted(len(found.unknown), 'scenario')} like this)"
         )
     if found.faults or found.unknown:
         raise typer.Exit(1)
 
 
-@dataset_app.command("cache")
+@command(dataset_app, name="cache")
 def decode(
-    folder: SetArgument,
-    into: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for the cache.")],
-    size: Annotated[
-        str,
-        typer.Option("--pictures", metavar="WxH", help="Width and height of pictures, or none."),
-    ] = PICTURES,
-    workers: Annotated[
-        int | None, typer.Option(help="Number of processes; one per core if not given.")
-    ] = None,
+    data: Path,
+    *,
+    into: Path,
+    size: str = PICTURES,
+    workers: int | None = None,
 ) -> None:
     """Decode a data set into arrays that training reads at once, many times as fast as the files.
 
@@ -175,27 +153,30 @@ def decode(
     - `inspe dataset cache infra --out infra_cache`
     - `inspe dataset cache infra --out infra_cache --pictures 352x128`
     - `inspe dataset cache infra --out infra_cache --pictures none`
+
+    Args:
+        into (--out DIR): Folder for the cache.
+        size (--pictures WxH): Width and height of pictures, or none.
+        workers: Number of processes; one per core if not given.
     """
     from inspe_jax.dataset import cache
 
     with progress("frames") as tell:
-        made = cache(folder, into, pictures=picture_size(size), workers=workers, progress=tell)
+        made = cache(data, into, pictures=picture_size(size), workers=workers, progress=tell)
     frames = sum(scenario.record.frames for scenario in made.scenarios)
     out.print(
         f"{counted(len(made.scenarios), 'scenario')}, {counted(frames, 'frame')}\nwrote {into}"
     )
 
 
-@dataset_app.command("show")
+@command(dataset_app, name="show")
 def show_frame(
-    folder: SetArgument,
-    frame: Annotated[int, typer.Argument(metavar="FRAME", help="The number of the frame.")],
-    scenario: Annotated[
-        str | None,
-        typer.Option(metavar="NAME", help="The scenario, if there are several."),
-    ] = None,
-    plot: PlotOption = None,
-    force: ForceOption = False,
+    data: Path,
+    frame: int,
+    *,
+    scenario: str | None = None,
+    plot: Path | None = None,
+    force: bool = False,
 ) -> None:
     """List the road users of a frame, and draw their boxes on its images and its point cloud.
 
@@ -205,18 +186,19 @@ def show_frame(
 
     - `inspe dataset show infra/test/four_way 68`
     - `inspe dataset show infra 68 --scenario test/four_way --plot frame.png`
+
+    Args:
+        frame (FRAME): The number of the frame.
+        scenario (NAME): The scenario, if there are several.
     """
-    from inspe_jax.core.sheet import FORMATS, save_figure
+    from inspe_jax.core.sheet import FORMATS
     from inspe_jax.dataset.folders import open_dataset
     from inspe_jax.dataset.frame_figure import frame_view
     from inspe_jax.dataset.tables import frame_table
 
     claims.file(plot, FORMATS, force=force)
-    chosen = open_dataset(folder).scenario(scenario)
+    chosen = open_dataset(data).scenario(scenario)
     with busy(f"reading frame {frame}"):
         table = frame_table(chosen, frame)
     out.print(table)
-    if plot:
-        with busy("drawing"):
-            save_figure(frame_view(chosen, frame), plot)
-        out.print(f"drew {plot}")
+    draw(lambda: frame_view(chosen, frame), plot)

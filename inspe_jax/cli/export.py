@@ -1,39 +1,21 @@
 """A plan to hand on: `inspe export`."""
 
 from pathlib import Path
-from typing import Annotated
 
-import typer
-
-from inspe_jax.cli.claims import ForceOption, claims
-from inspe_jax.cli.common import (
-    LayoutArgument,
-    SceneArgument,
-    app,
-    busy,
-    note,
-    out,
-    scene_and_layout,
-)
-from inspe_jax.cli.options import PriceOption, prices
+from inspe_jax.cli.claims import claims
+from inspe_jax.cli.common import busy, note, out, scene_and_layout
+from inspe_jax.cli.options import command, prices
+from inspe_jax.core.files import write_text
 
 
-@app.command()
+@command()
 def export(
-    source: SceneArgument,
-    sensors: LayoutArgument,
-    files: Annotated[
-        list[Path] | None,
-        typer.Option(
-            "--out",
-            metavar="FILE.geojson|kml|csv",
-            help="A file to write; repeat it for more. GeoJSON and KML: poles, sensors with "
-            "height, azimuth and tilt, and what each looks at. CSV: a bill of materials. If not "
-            "given, plan.geojson.",
-        ),
-    ] = None,
-    price: PriceOption = None,
-    force: ForceOption = False,
+    source: str,
+    sensors: str,
+    *,
+    files: list[Path] | None = None,
+    price: list[str] | None = None,
+    force: bool = False,
 ) -> None:
     """Write a plan in coordinates of the Earth, for maps, surveyors and contractors.
 
@@ -46,8 +28,12 @@ def export(
     - `inspe export city.npz better/layout.yaml --out plan.geojson --out plan.kml`
     - `inspe export city.npz Cam-d1/L-d1 --out bill.csv --price paper-camera=900`
     - `inspe score city.npz plan.geojson`  (reads it back)
+
+    Args:
+        files (--out FILE.geojson|kml|csv): A file to write; repeat it for more. GeoJSON and
+            KML: poles, sensors with height, azimuth and tilt, and what each looks at. CSV: a
+            bill of materials. If not given, plan.geojson.
     """
-    from inspe_jax.core.files import write_text
     from inspe_jax.report.handover import PLAN_FORMATS
 
     given = prices(price)
@@ -59,7 +45,7 @@ def export(
     texts = [PLAN_FORMATS[p.suffix.lower()](placed, world.intersection, given) for p in paths]
     place = world.intersection
     if place.georeference and (doubt := place.georeference.doubt(place.center)):
-        note([doubt])
+        note(doubt)
     for path, text in zip(paths, texts, strict=True):
         write_text(path, text)
         out.print(f"wrote {path}")

@@ -6,13 +6,16 @@ Modules that take long to import, such as Dask, are imported inside the command.
 from collections import Counter
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import typer
 
-from inspe_jax.cli.common import app, busy, err, note, out, progress
+from inspe_jax.cli.common import busy, err, note, note_some, out, progress, resumable
+from inspe_jax.cli.options import command
+from inspe_jax.core.files import check_folder
+from inspe_jax.core.parallel import cores
 from inspe_jax.core.words import counted
-from inspe_jax.simulation.backends import BACKENDS, DEFAULT_BACKEND
+from inspe_jax.simulation.backends import check_backend, server_of
 
 if TYPE_CHECKING:
     from inspe_jax.dataset import Generation
@@ -23,58 +26,17 @@ MOST_NOTES = 12
 """Number of different notes that are printed."""
 
 
-@app.command()
+@command()
 def generate(
-    source: Annotated[
-        Path,
-        typer.Argument(
-            metavar="STUDY.yaml", help="What to record (see above), or a data_protocol.yaml."
-        ),
-    ],
-    folder: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for the data set.")],
-    backend: Annotated[
-        str | None,
-        typer.Option(
-            help=f"What records: {' or '.join(BACKENDS)}. If not given, {DEFAULT_BACKEND}, or as "
-            "the data_protocol.yaml says."
-        ),
-    ] = None,
-    workers: Annotated[
-        int | None,
-        typer.Option(
-            help="Number of processes. If not given, one per core, or as the backend allows."
-        ),
-    ] = None,
-    address: Annotated[
-        str | None,
-        typer.Option(
-            "--server",
-            metavar="HOST:PORT",
-            help="Address of the CARLA server, with --backend carla; 127.0.0.1:2000 if not given.",
-        ),
-    ] = None,
-    files: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="DIR", help="Folder of the map or saved scene that a data_protocol.yaml names."
-        ),
-    ] = None,
-    deep: Annotated[
-        bool,
-        typer.Option(
-            "--deep/--sizes",
-            help="Compare what is there by the digests of files, or by their sizes alone, which "
-            "is faster.",
-        ),
-    ] = True,
-    dry_run: Annotated[
-        bool,
-        typer.Option(
-            "--dry-run",
-            help="Say what the set would hold, its size and the time it takes: builds every scene, "
-            "and tries every layout on two frames.",
-        ),
-    ] = False,
+    source: Path,
+    *,
+    folder: Path,
+    backend: str | None = None,
+    workers: int | None = None,
+    address: str | None = None,
+    files: Path | None = None,
+    deep: bool = True,
+    dry_run: bool = False,
 ) -> None:
     """Generate a data set in OPV2V's format: what the sensors of layouts record in scenes.
 
@@ -107,11 +69,23 @@ def generate(
     - `inspe generate study.yaml --out set --workers 8`
     - `inspe generate towns.yaml --out towns --backend carla --server 192.168.0.7:2000`
     - `inspe generate set/train/SCENARIO/data_protocol.yaml --out again`
+
+    Args:
+        source (STUDY.yaml): What to record (see above), or a data_protocol.yaml.
+        folder (--out DIR): Folder for the data set.
+        backend: What records: embedded or carla. If not given, embedded, or as the
+            data_protocol.yaml says.
+        workers: Number of processes. If not given, one per core, or as the backend allows.
+        address (--server HOST:PORT): Address of the CARLA server, with --backend carla;
+            127.0.0.1:2000 if not given.
+        files (DIR): Folder of the map or saved scene that a data_protocol.yaml names.
+        deep (--deep/--sizes): Compare what is there by the digests of files, or by their sizes
+            alone, which is faster.
+        dry_run: Say what the set would hold, its size and the time it takes: builds every
+            scene, and tries every layout on two frames.
     """
-    from inspe_jax.core.files import check_folder
     from inspe_jax.dataset import generate as run
     from inspe_jax.dataset import load_generation
-    from inspe_jax.simulation.backends import check_backend, server_of
     from inspe_jax.simulation.recorder import Server
 
     check_folder(folder)
@@ -121,25 +95,21 @@ def generate(
     with busy(f"reading {source}"):
         generation = load_generation(source, files)
     server_of(backend or generation.backend, server)
-    note(generation.notes)
+    note(*generation.notes)
     if dry_run:
         _tell_what_it_would_hold(generation, backend or generation.backend, workers)
         return
-    try:
-        with progress("frames") as report:
-            result = run(
-                generation,
-                folder,
-                backend,
-                workers=workers,
-                server=server,
-                deep=deep,
-                progress=report,
-                checking=report and partial(report, what="scenarios compared"),
-            )
-    except KeyboardInterrupt:
-        err.print("stopped; give the same command again to resume")
-        raise typer.Exit(130) from None
+    with resumable(), progress("frames") as report:
+        result = run(
+            generation,
+            folder,
+            backend,
+            workers=workers,
+            server=server,
+            deep=deep,
+            progress=report,
+            checking=report and partial(report, what="scenarios compared"),
+        )
     speed = f", {result.seconds / result.recorded:.2g} s a frame" if result.recorded else ""
     out.print(
         f"{counted(result.scenarios, 'scenario')}, {counted(result.frames, 'frame')}, "
@@ -147,31 +117,23 @@ def generate(
     )
     out.print(f"wrote {result.folder}")
     damaged = [fault for faults in result.repaired.values() for fault in faults]
-    note(f"{fault}: recorded again" for fault in damaged[:SHOWN])
-    if len(damaged) > SHOWN:
-        note([f"and {counted(len(damaged) - SHOWN, 'file')} more"])
+    note_some([f"{fault}: recorded again" for fault in damaged], SHOWN, "recorded again, too")
     _note_often(Counter(words for notes in result.notes.values() for words in notes))
-    failures = list(result.failures.items())
-    note(f"{name}: {error}" for name, error in failures[:SHOWN])
-    if failures:
-        err.print(
-            f"{counted(len(failures), 'scenario')} could not be generated; "
-            "the same command tries again"
-        )
+    note(*[f"{name}: {error}" for name, error in result.failures.items()][:SHOWN])
+    if result.failures:
+        failed = counted(len(result.failures), "scenario")
+        err.print(f"{failed} could not be generated; the same command tries again")
         raise typer.Exit(1)
 
 
-def _note_often(counts: "Counter[str]") -> None:
+def _note_often(counts: Counter[str]) -> None:
     """Print notes on scenarios, each with their number; of many only the first."""
-    listed = list(counts.items())
-    note(f"{words} ({counted(count, 'scenario')})" for words, count in listed[:MOST_NOTES])
-    if len(listed) > MOST_NOTES:
-        note([f"and {len(listed) - MOST_NOTES} more: see notes in each data_protocol.yaml"])
+    notes = [f"{words} ({counted(count, 'scenario')})" for words, count in counts.items()]
+    note_some(notes, MOST_NOTES, "see notes in each data_protocol.yaml")
 
 
 def _tell_what_it_would_hold(generation: "Generation", backend: str, workers: int | None) -> None:
     """Print a table of the splits, and the size and the time that the set would take."""
-    from inspe_jax.core.parallel import cores
     from inspe_jax.dataset.estimate import estimate
     from inspe_jax.dataset.tables import content_table
 
@@ -186,7 +148,7 @@ def _tell_what_it_would_hold(generation: "Generation", backend: str, workers: in
     out.print(content_table(generation, found))
     _note_often(found.shortfalls)
     if found.size is None or found.seconds is None:
-        note([f"backend {backend}: size and time are not known without its server"])
+        note(f"backend {backend}: size and time are not known without its server")
         return
     hours = found.seconds / 3600
     took = f"{hours:.1f} h" if hours >= 1 else f"{max(60 * hours, 0.1):.1f} min"

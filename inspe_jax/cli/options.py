@@ -1,170 +1,262 @@
-"""Options that several commands share: records of options, and a decorator that adds them."""
+"""Options: what a command's signature and docstring say of them becomes the command line's.
 
+:func:`command` adds a function to the command line. Its positional parameters are arguments, the
+others are options, with their types and defaults; a parameter that is a dataclass stands for the
+options that are its fields. The section ``Args`` of the docstring, or ``Attributes`` of the
+dataclass, has the help of each::
+
+    name: Help.
+    name (FILE.csv): Help, with what the value is called.
+    name (--other FILE.csv): Help of an option that is not called as its parameter.
+
+:data:`SHARED` has the help of parameters that mean the same in all commands.
+"""
+
+import copy
 import functools
 import inspect
+import re
 from collections.abc import Callable
-from dataclasses import MISSING, dataclass, fields
+from dataclasses import asdict, dataclass, fields, is_dataclass
 from math import isnan
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
+from typing import Annotated, Any, get_type_hints
 
 import typer
 
-from inspe_jax.cli.common import ProfileOption, WeatherOption, check_scene
+from inspe_jax.cli.common import app, check_scene
 from inspe_jax.core.errors import InspeError
+from inspe_jax.mounting.mixes import mix_name
+from inspe_jax.placement.constraints import Constraints
+from inspe_jax.placement.objective import Objective
+from inspe_jax.placement.optimise import DEFAULT_METHOD
+from inspe_jax.placement.problem import Case, Problem
+from inspe_jax.placement.run import check_budget
+from inspe_jax.scene.scene import Scene, load_scene
+from inspe_jax.scoring.detection import DetectionCurves, detection_curves, load_detection
+from inspe_jax.scoring.metrics import chosen, names_of, weights_of
+from inspe_jax.sensing.conditions import Conditions
+from inspe_jax.sensing.layout import Layout
 
-if TYPE_CHECKING:
-    from inspe_jax.placement.constraints import Constraints
-    from inspe_jax.placement.objective import Objective
-    from inspe_jax.placement.problem import Case
-    from inspe_jax.scene.scene import Scene
-    from inspe_jax.scoring.detection import DetectionCurves
-    from inspe_jax.sensing.conditions import Conditions
-    from inspe_jax.sensing.layout import Layout
-
-PriceOption = Annotated[
-    list[str] | None,
-    typer.Option(
-        metavar="DEVICE=USD",
-        help="Price of a device, in place of the catalogue's; repeat it for other devices.",
-    ),
-]
-MethodOption = Annotated[
-    str | None,
-    typer.Option(
-        help="Search method, such as grid; greedy-adam if not given. `inspe compare` lists and "
-        "compares all methods."
-    ),
-]
-DetectionOption = Annotated[
-    Path | None,
-    typer.Option(
-        metavar="FILE.toml|json",
-        help="Curves of detectability in place of the usual ones: a table for each kind of sensor "
-        "and class, such as [lidar.pedestrian] with most, half and slope. What is not in the file "
-        "keeps the usual curve.",
-    ),
-]
+SHARED = """
+    source (SCENE): A built-in intersection, or a scene saved as .npz.
+    sensors (LAYOUT): A layout file (.yaml, or .geojson of `inspe export`), or the name of a
+        strategy.
+    light: Light: midday, dusk or night.
+    weather: Weather: clear, rain:10 (10 mm/h), or fog:200 (optical range 200 m).
+    profile (NAME): Profile for a built-in scene: paper (used if not given) or ideal; see `inspe
+        profiles`.
+    plot (FILE): Draw a figure: .png, .svg or .pdf.
+    record (--json FILE|-): Write the result as JSON; - prints it instead.
+    detection (FILE.toml|json): Curves of detectability in place of the usual ones: a table for each
+        kind of sensor and class, such as [lidar.pedestrian] with most, half and slope. What is not
+        in the file keeps the usual curve.
+    price (DEVICE=USD): Price of a device, in place of the catalogue's; repeat it for other devices.
+    device (DEVICE:COUNTS): A device of the catalogue, and the numbers of it to try, such as 0-4 or
+        0,4,8; repeat it for other devices. velodyne-vlp-16:1-4 if not given.
+    method: Search method, such as grid; greedy-adam if not given. `inspe compare` lists and
+        compares all methods.
+    start: Start of a search: given (the layout), random, or the name of a strategy.
+    scheduler (ADDRESS): Address of a running Dask scheduler, such as tcp://host:8786; if not given,
+        this machine's cores are used.
+    workers: Processes on this machine; one per core if not given.
+    data (DIR): A data set, one split of it, or one scenario.
+    recorded (SET): A data set, or the cache of one.
+    cache (DIR): Folder for the set's cache, if SET is none: SET_cache if not given.
+    split: Split of the set.
+    run (RUN): The folder of a training.
+    folder (--out DIR): Folder for the results.
+    force: Replace files that this command did not write, or were changed.
+"""
 DEFAULT_DEVICES = ("velodyne-vlp-16:1-4",)
-DeviceCountsOption = Annotated[
-    list[str] | None,
-    typer.Option(
-        metavar="DEVICE:COUNTS",
-        help="A device of the catalogue, and the numbers of it to try, such as 0-4 or 0,4,8; "
-        f"repeat it for other devices. {DEFAULT_DEVICES[0]} if not given.",
-    ),
-]
-SchedulerOption = Annotated[
-    str | None,
-    typer.Option(
-        metavar="ADDRESS",
-        help="Address of a running Dask scheduler, such as tcp://host:8786; if not given, this "
-        "machine's cores are used.",
-    ),
-]
-WorkersOption = Annotated[
-    int | None, typer.Option(help="Processes on this machine; one per core if not given.")
-]
-OutOption = Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for the results.")]
+LAST = ("folder", "force")
+"""Options that come last in the help."""
+
+Whole = Annotated[int, typer.Option(min=0)]
+Positive = Annotated[int, typer.Option(min=1)]
+
+_Command = Callable[..., None]
+
+
+def command(group: typer.Typer = app, name: str | None = None) -> Callable[[_Command], _Command]:
+    """A decorator that adds a function to a group of commands, as the module says."""
+
+    def decorate(function: _Command) -> _Command:
+        words, _, own = inspect.cleandoc(function.__doc__ or "").partition("\nArgs:\n")
+        records: dict[str, type] = {}
+        parameters: list[inspect.Parameter] = []
+        hints = get_type_hints(function, include_extras=True)
+        for one in inspect.signature(function).parameters.values():
+            if not is_dataclass(record := hints[one.name]):
+                parameters.append(_parameter(one, hints[one.name], _helps(SHARED) | _helps(own)))
+                continue
+            assert isinstance(record, type)
+            records[one.name] = record
+            types = get_type_hints(record, include_extras=True)
+            helps = _helps(SHARED)
+            for base in reversed(record.__mro__):
+                helps |= _helps(inspect.cleandoc(base.__doc__ or "").partition("Attributes:")[2])
+            for field in fields(record):
+                option = one.replace(name=field.name, default=field.default)
+                parameters.append(_parameter(option, types[field.name], helps))
+        parameters.sort(key=lambda p: (p.kind == p.KEYWORD_ONLY, p.name in LAST))
+
+        @functools.wraps(function)
+        def called(**given: Any) -> None:
+            made = {
+                key: record(**{field.name: given.pop(field.name) for field in fields(record)})
+                for key, record in records.items()
+            }
+            function(**given, **made)
+
+        called.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+        called.__annotations__ = {one.name: one.annotation for one in parameters}
+        group.command(name, help=words)(called)
+        return function
+
+    return decorate
+
+
+def _helps(text: str) -> dict[str, tuple[str, str]]:
+    """What a section of a docstring says of each parameter: what is in brackets, and the help."""
+    found = re.findall(r"^    (\w+)(?: \((\S.*?)\))?: (.*(?:\n     +.*)*)", text, re.MULTILINE)
+    return {name: (brackets, " ".join(words.split())) for name, brackets, words in found}
+
+
+def _parameter(
+    one: inspect.Parameter, hint: Any, helps: dict[str, tuple[str, str]]
+) -> inspect.Parameter:
+    """A parameter with what Typer must know of it."""
+    brackets, words = helps[one.name]
+    flag = re.match(r"--\S+", brackets)
+    metavar = brackets[flag.end() if flag else 0 :].strip() or None
+    if one.kind != one.KEYWORD_ONLY:
+        return one.replace(annotation=Annotated[hint, typer.Argument(metavar=metavar, help=words)])
+    name = flag[0] if flag else "--" + one.name.replace("_", "-")
+    if one.default is True and not flag:
+        name += f"/--no-{name[2:]}"
+    info = copy.copy(hint.__metadata__[0]) if hasattr(hint, "__metadata__") else typer.Option()
+    info.default, info.param_decls, info.metavar, info.help = name, (), metavar, words
+    return one.replace(annotation=Annotated[getattr(hint, "__origin__", hint), info])
+
+
+@dataclass(frozen=True)
+class MapOptions:
+    """What scenes are built with; what is None is as the profile has it.
+
+    Attributes:
+        radius: Radius of the region of interest [m].
+        voxel: Edge of a voxel [m].
+        density: Traffic: none, low, medium, high (0, 20, 40, 60 road users), or a number.
+        frames: Number of frames of traffic; 100 if not given.
+        statics (none|map|street): Bodies that stand in every frame and hide what is behind them:
+            none (if not given); map, the buildings, trees, walls and poles of an OpenStreetMap
+            extract or of OpenDRIVE's objects; or street, made-up parked vehicles, trees, walls,
+            posts and bus shelters.
+    """
+
+    radius: float | None = None
+    voxel: float | None = None
+    density: str | None = None
+    frames: int | None = None
+    statics: str | None = None
+
+    @property
+    def given(self) -> dict[str, Any]:
+        """Those that are given, by name."""
+        return {name: value for name, value in asdict(self).items() if value is not None}
+
+
+@dataclass(frozen=True)
+class SceneOptions(MapOptions):
+    """All that one scene is built with.
+
+    Attributes:
+        profile (NAME): Profile: it sets the options of the scene that are not given, and how scores
+            are read; paper if not given. See `inspe profiles`.
+        spacing: Score one voxel in each cell of this edge [m]. If not given: the profile's value
+            where --voxel is the profile's too, and otherwise every voxel.
+        step: Time from one frame to the next [s]; 1 if not given.
+        mix: Road users: mixed, fleet (sizes as varied as real ones), or largest (only the paper's
+            largest vehicle).
+        traffic (waypoints|sumo|LOG): Traffic model: waypoints (the paper's; used if not given),
+            sumo (on maps), or a .log file of CARLA's recorder.
+        seed: Seed of the traffic; 0 if not given.
+        terrain (none|ground): Whether the ground hides what is behind its brows: none (if not
+            given) or ground.
+    """
+
+    profile: str | None = None
+    spacing: float | None = None
+    step: float | None = None
+    mix: str | None = None
+    traffic: str | None = None
+    seed: int | None = None
+    terrain: str | None = None
 
 
 @dataclass(frozen=True)
 class WeightOptions:
-    """The weights of metrics in P_sm, by name, which metrics to compute besides, and the curves of
-    detectability."""
+    """The weights of metrics in P_sm, which metrics to compute besides, and curves.
 
-    weight: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="NAME=VALUE",
-            help="Weight of a metric in P_sm, such as coverage=0.3; repeat it for other metrics. "
-            "Metrics that you do not name get 0, and all weights must sum to 1. Without this "
-            "option every metric has its usual weight (see `inspe metrics`).",
-        ),
-    ] = None
-    metrics: Annotated[
-        str,
-        typer.Option(
-            metavar="A,B,…|all",
-            help="Further metrics to compute, such as detectability; see `inspe metrics`. Those "
-            "with weight are computed in any case.",
-        ),
-    ] = ""
-    detection: DetectionOption = None
+    Attributes:
+        weight (NAME=VALUE): Weight of a metric in P_sm, such as coverage=0.3; repeat it for other
+            metrics. Metrics that you do not name get 0, and all weights must sum to 1. Without this
+            option every metric has its usual weight (see `inspe metrics`).
+        metrics (A,B,…|all): Further metrics to compute, such as detectability; see `inspe metrics`.
+            Those with weight are computed in any case.
+    """
+
+    weight: list[str] | None = None
+    metrics: str = ""
+    detection: Path | None = None
 
     def weights(self) -> dict[str, float]:
         """The weight of every metric. Raises InspeError if the weights are not valid."""
-        from inspe_jax.scoring.metrics import weights_of
+        form = "NAME=VALUE, such as coverage=0.3"
+        return weights_of(numbers("--weight", self.weight, form) if self.weight else None)
 
-        return weights_of(_weights(self.weight) if self.weight else None)
-
-    def curves(self) -> "DetectionCurves | None":
+    def curves(self) -> DetectionCurves | None:
         """The curves of ``--detection``. Raises InspeError if the file holds no such curves."""
-        from inspe_jax.scoring.detection import load_detection
-
         return None if self.detection is None else load_detection(self.detection)
 
     def further(self) -> tuple[str, ...]:
         """The names of the further metrics. Raises InspeError if one is of no metric."""
-        from inspe_jax.scoring.metrics import chosen, names_of
-
         chosen(self.metrics)
         return names_of(self.metrics)
 
 
-def _weights(given: list[str]) -> dict[str, float]:
-    """Weights by metric from ``NAME=VALUE``. Raises InspeError for any other text."""
-    return _numbers("--weight", given, "NAME=VALUE, such as coverage=0.3")
-
-
 @dataclass(frozen=True)
 class ScoreOptions(WeightOptions):
-    """The weights, and what alone counts: regions, and classes of road users."""
+    """The weights, and what alone counts: regions, and classes of road users.
 
-    region: Annotated[
-        list[str] | None,
-        typer.Option(
-            help="Count only this region: driveway, junction, crosswalk, sidewalk or shoulder; "
-            "repeat it for more. For metrics that are means over places, such as detectability."
-        ),
-    ] = None
-    road_user: Annotated[
-        list[str] | None,
-        typer.Option(
-            help="Count only this class of road users: car, truck, cyclist or pedestrian; repeat "
-            "it for more. For detectability, points on target and localisation."
-        ),
-    ] = None
+    Attributes:
+        region: Count only this region: driveway, junction, crosswalk, sidewalk or shoulder; repeat
+            it for more. For metrics that are means over places, such as detectability.
+        road_user: Count only this class of road users: car, truck, cyclist or pedestrian; repeat it
+            for more. For detectability, points on target and localisation.
+    """
 
-    @property
-    def given(self) -> bool:
-        """Whether any of them says what counts."""
-        return any((self.weight, self.region, self.road_user))
+    region: list[str] | None = None
+    road_user: list[str] | None = None
 
-    def curves(self) -> "DetectionCurves | None":
+    def curves(self) -> DetectionCurves | None:
         """The curves of ``--detection``, for the classes of ``--road-user``."""
-        from inspe_jax.scoring.detection import detection_curves
-
         curves = super().curves()
         if not self.road_user:
             return curves
         return (curves or detection_curves()).for_road_users(self.road_user)
 
-    def sought(self, case: "Case", layout: "Layout", **readings: str | None) -> float | None:
+    def sought(self, case: Case, layout: Layout, **readings: str | None) -> float | None:
         """The score of what a layout was searched for; None where that is P_sm, or these options
         say what counts."""
-        from inspe_jax.placement.objective import Objective
-        from inspe_jax.placement.problem import Problem
-
-        if layout.goal is None or self.given:
+        if layout.goal is None or self.weight or self.region or self.road_user:
             return None
         objective = Objective.of_goal(layout.goal, self.curves(), **readings)
         return Problem(case, layout, objective).exact_of(layout)
 
-    def objective(self, **others: Any) -> "Objective":
+    def objective(self, **others: Any) -> Objective:
         """The objective that these options are of, checked."""
-        from inspe_jax.placement.objective import Objective
-
         wanted = Objective(
             weights=self.weights(),
             metrics=self.further(),
@@ -178,60 +270,33 @@ class ScoreOptions(WeightOptions):
 
 @dataclass(frozen=True)
 class SearchOptions(ScoreOptions):
-    """The options of every command that searches: budget, objective and constraints."""
+    """The options of every command that searches: budget, objective and constraints.
 
-    seconds: Annotated[
-        float | None,
-        typer.Option(help="Time of each search [s], without compiling that it waits for. Without a "
-                     "budget, 60; 20 in commands that run several searches."),
-    ] = None  # fmt: skip
-    evaluations: Annotated[
-        float | None,
-        typer.Option(
-            help="Work of each search, in exact scores; the same seed then gives the same "
-            "result on the same machine."
-        ),
-    ] = None
-    also: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="SCENE",
-            help="Another scene of the same intersection, with other traffic; repeat it for more. "
-            "The mean score over the scenes is maximised.",
-        ),
-    ] = None
-    worst: Annotated[
-        bool,
-        typer.Option(
-            "--worst", help="With several scenes, maximise the worst score, not the mean."
-        ),
-    ] = False
-    failures: Annotated[
-        bool,
-        typer.Option(
-            "--failures", help="N−1: maximise the mean score over the failures of one unit each."
-        ),
-    ] = False
-    places: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="[UNIT=]PLACES",
-            help="Where units may stand: any, areas, poles, or keep (where they are). For a single "
-            "unit write, for example, 'corner 1=keep'; repeat it for other units.",
-        ),
-    ] = None
-    heights: Annotated[
-        tuple[float, float],
-        typer.Option(metavar="LOW HIGH", help="Heights of sensors above the ground [m]."),
-    ] = (3.0, 12.0)
-    light: Annotated[
-        str,
-        typer.Option(
-            metavar="A,B,…", help="Light: midday, dusk or night; each one given counts as a scene."
-        ),
-    ] = "midday"
-    weather: WeatherOption = "clear"
-    profile: ProfileOption = None
+    Attributes:
+        seconds: Time of each search [s], without compiling that it waits for. Without a budget, 60;
+            20 in commands that run several searches.
+        evaluations: Work of each search, in exact scores; the same seed then gives the same result
+            on the same machine.
+        also (SCENE): Another scene of the same intersection, with other traffic; repeat it for
+            more. The mean score over the scenes is maximised.
+        worst: With several scenes, maximise the worst score, not the mean.
+        failures: N−1: maximise the mean score over the failures of one unit each.
+        places ([UNIT=]PLACES): Where units may stand: any, areas, poles, or keep (where they are).
+            For a single unit write, for example, 'corner 1=keep'; repeat it for other units.
+        heights (LOW HIGH): Heights of sensors above the ground [m].
+        light (A,B,…): Light: midday, dusk or night; each one given counts as a scene.
+    """
+
+    seconds: float | None = None
+    evaluations: float | None = None
+    also: list[str] | None = None
+    worst: bool = False
+    failures: bool = False
+    places: list[str] | None = None
+    heights: tuple[float, float] = (3.0, 12.0)
+    light: str = "midday"
+    weather: str = "clear"
+    profile: str | None = None
 
     def seconds_each(self) -> float | None:
         """Seconds for each search, in a command that runs several."""
@@ -241,9 +306,6 @@ class SearchOptions(ScoreOptions):
         self, method: str | None, seed: int, callback: Callable[[float, float, str], None]
     ) -> dict[str, Any]:
         """Method, budget, seed and progress of a command that searches many mixes of devices."""
-        from inspe_jax.mounting.mixes import mix_name
-        from inspe_jax.placement.optimise import DEFAULT_METHOD
-
         return dict(
             method=method or DEFAULT_METHOD,
             seconds=self.seconds_each(),
@@ -252,25 +314,17 @@ class SearchOptions(ScoreOptions):
             progress=lambda row, done, best: callback(done, best, mix_name(row)),
         )
 
-    def conditions(self) -> "list[Conditions]":
+    def conditions(self) -> list[Conditions]:
         """The conditions: every light that is given, with the weather."""
-        from inspe_jax.sensing.conditions import Conditions
-
         return [Conditions.of(light, self.weather) for light in self.light.split(",")]
 
-    def cases(self, scene: "Scene") -> "list[Case]":
+    def cases(self, scene: Scene) -> list[Case]:
         """The scene and those of ``--also``, each in every light that is given."""
-        from inspe_jax.placement.problem import Case
-        from inspe_jax.scene.scene import load_scene
-
         worlds = [scene, *(load_scene(other, self.profile) for other in self.also or ())]
         return [Case(world, conditions) for world in worlds for conditions in self.conditions()]
 
-    def checked(self, **objective: Any) -> "tuple[Objective, Constraints]":
+    def checked(self, **objective: Any) -> tuple[Objective, Constraints]:
         """The objective and the constraints, checked before any scene is read."""
-        from inspe_jax.placement.constraints import Constraints
-        from inspe_jax.placement.run import check_budget
-
         conditions = self.conditions()
         if self.worst and not self.also and len(conditions) == 1:
             raise InspeError(
@@ -284,43 +338,6 @@ class SearchOptions(ScoreOptions):
         for other in self.also or ():
             check_scene(other)
         return wanted, constraints
-
-
-def takes(record: type) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """A decorator for commands whose last argument, ``options``, is of this record.
-
-    The fields of the record become options of the command.
-    """
-
-    def decorate(command: Callable[..., None]) -> Callable[..., None]:
-        hints = get_type_hints(record, include_extras=True)
-        own = dict(inspect.signature(command).parameters)
-        del own["options"]
-        added = {
-            f.name: inspect.Parameter(
-                f.name,
-                inspect.Parameter.POSITIONAL_OR_KEYWORD,
-                default=inspect.Parameter.empty if f.default is MISSING else f.default,
-                annotation=hints[f.name],
-            )
-            for f in fields(record)
-        }
-
-        @functools.wraps(command)
-        def called(**given: Any) -> None:
-            command(
-                **{name: given[name] for name in own},
-                options=record(**{name: given[name] for name in added}),
-            )
-
-        # The folder for results comes last in the help, and whether it is written over.
-        last = ("folder", "force")
-        everything = sorted([*own.values(), *added.values()], key=lambda p: p.name in last)
-        called.__signature__ = inspect.Signature(everything)  # type: ignore[attr-defined]
-        called.__annotations__ = {p.name: p.annotation for p in everything}
-        return called
-
-    return decorate
 
 
 def _places(given: list[str]) -> str | dict[str, str]:
@@ -337,18 +354,13 @@ def _places(given: list[str]) -> str | dict[str, str]:
 
 def prices(given: list[str] | None) -> dict[str, float]:
     """Prices by device from ``DEVICE=USD``. Raises InspeError for any other text."""
-    return _numbers("--price", given or [], "DEVICE=USD, such as hesai-xt32=5000")
+    return numbers("--price", given, "DEVICE=USD, such as hesai-xt32=5000")
 
 
-def importances(given: list[str] | None) -> dict[str, float]:
-    """Importance by junction from ``ID=WEIGHT``. Raises InspeError for any other text."""
-    return _numbers("--importance", given or [], "ID=WEIGHT, such as 189=2")
-
-
-def _numbers(option: str, given: list[str], form: str) -> dict[str, float]:
+def numbers(option: str, given: list[str] | None, form: str) -> dict[str, float]:
     """Numbers by name from ``NAME=NUMBER``, in the order in which they are given."""
     found: dict[str, float] = {}
-    for text in given:
+    for text in given or ():
         name, _, number = text.partition("=")
         try:
             value = float(number.replace(",", ""))

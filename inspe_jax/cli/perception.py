@@ -9,21 +9,30 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from inspe_jax.cli.claims import ForceOption, claims
+from inspe_jax.cli.claims import claims
 from inspe_jax.cli.common import (
     PICTURES,
-    PlotOption,
-    RecordOption,
-    app,
     busy,
+    draw,
     err,
     out,
     picture_size,
     progress,
+    resumable,
+    said,
     show,
 )
-from inspe_jax.cli.options import SchedulerOption, WorkersOption
+from inspe_jax.cli.options import Positive, Whole, command
 from inspe_jax.core.errors import InspeError
+from inspe_jax.core.files import (
+    check_folder,
+    check_model,
+    csv_text,
+    json_value,
+    prepare_folder,
+    write_text,
+)
+from inspe_jax.jobs.engine import check_workers
 
 if TYPE_CHECKING:
     from inspe_jax.dataset import Cache, Loader
@@ -32,53 +41,24 @@ if TYPE_CHECKING:
 BOX = ("x", "y", "z", "length", "width", "height", "yaw", "velocity_x", "velocity_y")
 """Names of a box's numbers in records [m, rad, m/s], about the middle of the intersection."""
 
-SetArgument = Annotated[
-    Path, typer.Argument(metavar="SET", help="A data set, or the cache of one.")
-]
-RunArgument = Annotated[Path, typer.Argument(metavar="RUN", help="The folder of a training.")]
-CacheOption = Annotated[
-    Path | None,
-    typer.Option(
-        "--cache",
-        metavar="DIR",
-        help="Folder for the set's cache, if SET is none: SET_cache if not given.",
-    ),
-]
-SplitOption = Annotated[str, typer.Option(help="Split of the set.")]
 
-
-@app.command("train")
+@command(name="train")
 def train_detector(
-    source: SetArgument,
-    folder: Annotated[Path, typer.Option("--out", metavar="RUN", help="Folder of the training.")],
-    model: Annotated[
-        list[str] | None,
-        typer.Option(help="Detector; see above. Repeat it for more. coalign if not given."),
-    ] = None,
-    steps: Annotated[int, typer.Option(min=1, help="Steps of training.")] = 1500,
-    batch: Annotated[int, typer.Option(min=1, help="Frames of a step.")] = 2,
-    rate: Annotated[float, typer.Option(help="Highest learning rate.")] = 2e-3,
-    seed: Annotated[
-        list[int] | None,
-        typer.Option(min=0, help="Of weights, order and augmentation. Repeat it for more."),
-    ] = None,
-    every: Annotated[
-        int, typer.Option(min=1, help="Steps after which the state is kept, and mAP measured.")
-    ] = 250,
-    validate: Annotated[
-        int, typer.Option(min=0, help="Frames of the split validate that mAP is measured on.")
-    ] = 60,
-    augment: Annotated[bool, typer.Option(help="Mirror, turn and scale frames at random.")] = True,
-    pictures: Annotated[
-        str | None,
-        typer.Option(
-            metavar="WxH",
-            help=f"Width and height of pictures, or none. {PICTURES} if not given.",
-        ),
-    ] = None,
-    cache: CacheOption = None,
-    workers: WorkersOption = None,
-    scheduler: SchedulerOption = None,
+    recorded: Path,
+    *,
+    folder: Path,
+    model: list[str] | None = None,
+    steps: Positive = 1500,
+    batch: Positive = 2,
+    rate: float = 0.002,
+    seed: Annotated[list[int] | None, typer.Option(min=0)] = None,
+    every: Positive = 250,
+    validate: Whole = 60,
+    augment: bool = True,
+    pictures: str | None = None,
+    cache: Path | None = None,
+    workers: int | None = None,
+    scheduler: str | None = None,
 ) -> None:
     """Train a detector, or several, on the split train of a data set.
 
@@ -97,9 +77,19 @@ def train_detector(
     - `inspe train infra --model v2x-vit --out v2x-vit`
     - `inspe train infra_cache --model lss-eff --steps 3000 --out lss-eff`
     - `inspe train infra --model v2x-vit --model coalign --seed 0 --seed 1 --out runs`
+
+    Args:
+        folder (--out RUN): Folder of the training.
+        model: Detector; see above. Repeat it for more. coalign if not given.
+        steps: Steps of training.
+        batch: Frames of a step.
+        rate: Highest learning rate.
+        seed: Seed of the weights, the order of frames and the augmentation. Repeat it for more.
+        every: Steps after which the state is kept, and mAP measured.
+        validate: Frames of the split validate that mAP is measured on.
+        augment: Mirror, turn and scale frames at random.
+        pictures (WxH): Width and height of pictures, or none. 400x300 if not given.
     """
-    from inspe_jax.core.files import check_folder, check_model
-    from inspe_jax.jobs.engine import check_workers
     from inspe_jax.perception import training
     from inspe_jax.perception.detector import model_of
     from inspe_jax.perception.training.source import pictures_in_words
@@ -117,20 +107,17 @@ def train_detector(
         wanted.append(check_model(training.Settings, own, "training"))
     check_workers(scheduler, workers)
     many = len(wanted) > 1 or workers is not None or scheduler is not None
-    data = _cache(source, cache, size)
+    data = _cache(recorded, cache, size)
     if pictures and data.pictures != size:
         raise InspeError(
-            f"{source}: is a cache and has {pictures_in_words(data)}, not {pictures}: leave "
+            f"{recorded}: is a cache and has {pictures_in_words(data)}, not {pictures}: leave "
             f"--pictures out, or give the set itself"
         )
-    try:
+    with resumable():
         if many:
             _train_many(data, folder, wanted, workers, scheduler)
         else:
             _train_one(data, folder, wanted[0])
-    except KeyboardInterrupt:
-        err.print("stopped; give the same command again to go on")
-        raise typer.Exit(130) from None
 
 
 def _train_one(data: "Cache", folder: Path, settings: "Settings") -> None:
@@ -160,7 +147,6 @@ def _train_many(
     scheduler: str | None,
 ) -> None:
     """Trainings in processes of their own, with a bar of the steps of all."""
-    from inspe_jax.core.files import prepare_folder
     from inspe_jax.perception import training
     from inspe_jax.perception.inputs import BevGrid
 
@@ -194,18 +180,16 @@ def _summary(run: "Run") -> str:
     return f"{run.steps:,} steps{found}"
 
 
-@app.command("evaluate")
+@command(name="evaluate")
 def evaluate_detector(
-    folder: RunArgument,
-    source: SetArgument,
-    split: SplitOption = "test",
-    table: Annotated[
-        Path | None,
-        typer.Option("--csv", metavar="FILE.csv", help="Write the table's rows as CSV."),
-    ] = None,
-    record: RecordOption = None,
-    cache: CacheOption = None,
-    force: ForceOption = False,
+    run: Path,
+    recorded: Path,
+    *,
+    split: str = "test",
+    table: Path | None = None,
+    record: str | None = None,
+    cache: Path | None = None,
+    force: bool = False,
 ) -> None:
     """Measure what a trained detector finds: nuScenes' mAP and errors, by class.
 
@@ -217,41 +201,38 @@ def evaluate_detector(
 
     - `inspe evaluate v2x-vit infra`
     - `inspe evaluate v2x-vit infra --split validate --csv table.csv`
+
+    Args:
+        table (--csv FILE.csv): Write the table's rows as CSV.
     """
-    from inspe_jax.core.files import csv_text, json_value, write_text
     from inspe_jax.perception.tables import evaluation_table
 
     claims.file(table, (".csv",), force=force)
     claims.file(record, force=force)
-    run, step, loader, predictor = _ready(folder, source, cache, split)
+    training, step, loader, predictor = _ready(run, recorded, cache, split)
     with progress("frames") as tell:
         found = predictor.evaluate(loader, progress=tell)
     rows = [dict(row) for row in found.rows()]
-    content = {"run": str(run.path), "split": split, "step": step, "classes": rows}
-    show(evaluation_table(found, _unfinished(run, step)), json_value(content), record)
+    content = {"run": str(training.path), "split": split, "step": step, "classes": rows}
+    show(evaluation_table(found, _unfinished(training, step)), json_value(content), record)
     if table:
         write_text(table, csv_text(rows))
-        (err if record == "-" else out).print(f"wrote {table}")
+        said(f"wrote {table}", record)
 
 
-@app.command("detect")
+@command(name="detect")
 def detect(
-    folder: RunArgument,
-    source: SetArgument,
-    frame: Annotated[
-        int | None, typer.Option(help="Number of the frame; the first if not given.")
-    ] = None,
-    scenario: Annotated[
-        str | None, typer.Option(metavar="NAME", help="Its scenario; the first if not given.")
-    ] = None,
-    split: SplitOption = "test",
-    least: Annotated[
-        float, typer.Option("--score", min=0, max=1, help="Least score that is shown.")
-    ] = 0.3,
-    plot: PlotOption = None,
-    record: RecordOption = None,
-    cache: CacheOption = None,
-    force: ForceOption = False,
+    run: Path,
+    recorded: Path,
+    *,
+    frame: int | None = None,
+    scenario: str | None = None,
+    split: str = "test",
+    least: Annotated[float, typer.Option(min=0, max=1)] = 0.3,
+    plot: Path | None = None,
+    record: str | None = None,
+    cache: Path | None = None,
+    force: bool = False,
 ) -> None:
     """List what a trained detector finds in a frame, and draw it beside the ground truth.
 
@@ -259,17 +240,21 @@ def detect(
 
     - `inspe detect v2x-vit infra --plot detections.png`
     - `inspe detect v2x-vit infra --scenario four_way --frame 68 --score 0.1`
+
+    Args:
+        frame: Number of the frame; the first if not given.
+        scenario (NAME): Its scenario; the first if not given.
+        least (--score): Least score that is shown.
     """
-    from inspe_jax.core.files import json_value
-    from inspe_jax.core.sheet import FORMATS, save_figure
+    from inspe_jax.core.sheet import FORMATS
     from inspe_jax.dataset import Loader
-    from inspe_jax.perception.figure import draw
+    from inspe_jax.perception import figure
     from inspe_jax.perception.tables import detections_table
     from inspe_jax.simulation.frame import KINDS
 
     claims.file(plot, FORMATS, force=force)
     claims.file(record, force=force)
-    run, step, loader, predictor = _ready(folder, source, cache, split)
+    training, step, loader, predictor = _ready(run, recorded, cache, split)
     name, number, index = loader.find(scenario, frame)
     batch = loader[index]
     with busy("detecting"):
@@ -279,15 +264,16 @@ def detect(
         for box, kind, score in zip(*found, strict=True)
         if score >= least
     ]
-    where = {"run": str(run.path), "step": step, "scenario": name, "frame": number}
-    note = _unfinished(run, step)
-    show(detections_table(found, least, note), json_value({**where, "detections": boxes}), record)
-    if plot:
-        with busy("drawing"):
-            title = f"{run.content.settings.model}: {name}, frame {number}{note}"
-            whole = Loader(loader.cache, split, batch=1, shuffle=False, half=loader.half)[index]
-            save_figure(draw(whole, 0, found, title, least_score=least), plot)
-        (err if record == "-" else out).print(f"drew {plot}")
+    where = {"run": str(training.path), "step": step, "scenario": name, "frame": number}
+    until = _unfinished(training, step)
+    show(detections_table(found, least, until), json_value({**where, "detections": boxes}), record)
+
+    def drawn() -> Any:
+        title = f"{training.content.settings.model}: {name}, frame {number}{until}"
+        whole = Loader(loader.cache, split, batch=1, shuffle=False, half=loader.half)[index]
+        return figure.draw(whole, 0, found, title, least_score=least)
+
+    draw(drawn, plot, record)
 
 
 def _unfinished(run: "Run", step: int) -> str:

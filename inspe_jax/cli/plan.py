@@ -4,39 +4,35 @@ Imports are inside the command: Dask and matplotlib load slowly.
 """
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
-import typer
+import numpy as np
 
-from inspe_jax.cli.claims import ForceOption, claims
-from inspe_jax.cli.common import (
-    LightOption,
-    WeatherOption,
-    app,
-    busy,
-    note,
-    out,
-    run_study,
-)
+from inspe_jax.cli.claims import claims
+from inspe_jax.cli.common import busy, note, note_some, out, run_study
 from inspe_jax.cli.options import (
     DEFAULT_DEVICES,
-    DeviceCountsOption,
-    OutOption,
-    PriceOption,
-    SchedulerOption,
+    MapOptions,
     WeightOptions,
-    WorkersOption,
+    command,
     counts,
-    importances,
+    numbers,
     prices,
-    takes,
 )
 from inspe_jax.core.errors import InspeError
+from inspe_jax.core.files import write_text
 from inspe_jax.core.words import counted
+from inspe_jax.mounting.mixes import mix_name
+from inspe_jax.placement.objective import Objective
+from inspe_jax.placement.studies.pareto import device_mixes
+from inspe_jax.scene.georeference import Georeference
+from inspe_jax.scene.maps.registry import georeference_of, read_map, road_lines
+from inspe_jax.sensing.layout import load_layout
+from inspe_jax.study.plan import SCORE_ONLY
 
 if TYPE_CHECKING:
-    from inspe_jax.scene.georeference import Georeference
     from inspe_jax.study.city import CityPlan
+
 
 METHOD, EVALUATIONS = "greedy", 100.0
 """Method of the searches, and the budget of each in exact scores."""
@@ -45,85 +41,30 @@ SHOWN = 5
 """Number of mixes that failed whose error is printed."""
 
 
-@app.command()
-@takes(WeightOptions)
+@command()
 def plan(
-    source: Annotated[Path, typer.Argument(metavar="MAP", help="A map (.xodr, .net.xml, .osm).")],
-    budget: Annotated[
-        float, typer.Option(metavar="USD", help="What all junctions together may cost.")
-    ],
-    junctions: Annotated[
-        str,
-        typer.Option(
-            metavar="signals|all|ID,…",
-            help="Junctions of the map: those with signals, all, or ids with commas between; "
-            "`inspe scene MAP --list` lists them.",
-        ),
-    ] = "signals",
-    device: DeviceCountsOption = None,
-    price: PriceOption = None,
-    worst: Annotated[
-        bool,
-        typer.Option(
-            "--worst",
-            help="Maximise the least score of a junction, and then the sum; without it, the "
-            "weighted sum.",
-        ),
-    ] = False,
-    importance: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="ID=WEIGHT",
-            help="Weight of a junction in the sum, 1 if not given; repeat it for other junctions.",
-        ),
-    ] = None,
-    radius: Annotated[
-        float | None, typer.Option(help="Radius of each region of interest [m].")
-    ] = None,
-    voxel: Annotated[float | None, typer.Option(help="Edge of a voxel [m].")] = None,
-    density: Annotated[
-        str | None, typer.Option(help="Traffic: none, low, medium, high, or a number.")
-    ] = None,
-    frames: Annotated[
-        int | None, typer.Option(help="Number of frames of traffic; 100 if not given.")
-    ] = None,
-    statics: Annotated[
-        str | None,
-        typer.Option(
-            metavar="none|map|street",
-            help="Bodies that hide what is behind them, as of `inspe scene`; none if not given.",
-        ),
-    ] = None,
-    light: LightOption = "midday",
-    weather: WeatherOption = "clear",
-    profile: Annotated[
-        str | None,
-        typer.Option(metavar="NAME", help="Profile; paper if not given. See `inspe profiles`."),
-    ] = None,
-    method: Annotated[
-        str, typer.Option(help="Method of each search; `inspe compare` lists all methods.")
-    ] = METHOD,
-    evaluations: Annotated[
-        float | None,
-        typer.Option(
-            help=f"Work of each search, in exact scores; {EVALUATIONS:g} without a budget. A run "
-            "that was stopped then ends with the same plan."
-        ),
-    ] = None,
-    seconds: Annotated[float | None, typer.Option(help="Time of each search [s].")] = None,
-    seed: Annotated[int, typer.Option(help="Seed of the traffic and of the searches.")] = 0,
-    scheduler: SchedulerOption = None,
-    workers: WorkersOption = None,
-    retry: Annotated[
-        bool, typer.Option("--retry", help="Search again where an earlier run failed.")
-    ] = False,
-    dry_run: Annotated[
-        bool,
-        typer.Option("--dry-run", help="Only check the input, and print how many searches it has."),
-    ] = False,
-    folder: OutOption = Path("plan"),
-    force: ForceOption = False,
+    source: Path,
     *,
+    budget: float,
+    junctions: str = "signals",
+    device: list[str] | None = None,
+    price: list[str] | None = None,
+    worst: bool = False,
+    importance: list[str] | None = None,
+    build: MapOptions,
+    light: str = "midday",
+    weather: str = "clear",
+    profile: str | None = None,
+    method: str = METHOD,
+    evaluations: float | None = None,
+    seconds: float | None = None,
+    seed: int = 0,
+    scheduler: str | None = None,
+    workers: int | None = None,
+    retry: bool = False,
+    dry_run: bool = False,
+    folder: Path = Path("plan"),
+    force: bool = False,
     options: WeightOptions,
 ) -> None:
     """Share one budget out among the junctions of a map, where it does most.
@@ -144,10 +85,25 @@ def plan(
       --price hesai-xt32=5000 --price paper-camera=800`
     - `inspe plan town.net.xml --junctions 189,401,53 --importance 189=3 --budget 20000 --worst`
     - `inspe plan city.osm --junctions all --budget 250000 --dry-run`
+
+    Args:
+        source (MAP): A map (.xodr, .net.xml, .osm).
+        budget (USD): What all junctions together may cost.
+        junctions (signals|all|ID,…): Junctions of the map: those with signals, all, or ids with
+            commas between; `inspe scene MAP --list` lists them.
+        worst: Maximise the least score of a junction, and then the sum; without it, the
+            weighted sum.
+        importance (ID=WEIGHT): Weight of a junction in the sum, 1 if not given; repeat it for
+            other junctions.
+        profile (NAME): Profile; paper if not given. See `inspe profiles`.
+        method: Method of each search; `inspe compare` lists all methods.
+        evaluations: Work of each search, in exact scores; 100 without a budget. A run that was
+            stopped then ends with the same plan.
+        seconds: Time of each search [s].
+        seed: Seed of the traffic and of the searches.
+        retry: Search again where an earlier run failed.
+        dry_run: Only check the input, and print how many searches it has.
     """
-    from inspe_jax.mounting.mixes import mix_name
-    from inspe_jax.placement.objective import Objective
-    from inspe_jax.placement.studies.pareto import device_mixes
     from inspe_jax.study.budget import check_budget
     from inspe_jax.study.city import (
         check_importance,
@@ -157,25 +113,19 @@ def plan(
         fronts_of,
         plan_city,
     )
-    from inspe_jax.study.plan import SCORE_ONLY
 
     if not dry_run:
         claims.folder(folder, FILES, force=force)
     check_budget(budget)
     if method == SCORE_ONLY:
         raise InspeError(f"--method {method}: a plan needs a search")
-    given = importances(importance)
+    given = numbers("--importance", importance, "ID=WEIGHT, such as 189=2")
     options.curves()
     mixes = device_mixes(counts(device or list(DEFAULT_DEVICES)), Objective(prices=prices(price)))
     if evaluations is None and seconds is None:
         evaluations = EVALUATIONS
     settings = dict(
         profile=profile,
-        radius=radius,
-        voxel=voxel,
-        density=density,
-        frames=frames,
-        statics=statics,
         seed=seed,
         light=light,
         weather=weather,
@@ -195,16 +145,14 @@ def plan(
             source,
             places,
             [row for _, row in mixes],
-            {key: value for key, value in settings.items() if value is not None},
+            {key: value for key, value in settings.items() if value is not None} | build.given,
             **more,
         )
     size = float(study.jobs[0].settings["radius"])
     if pairs := close_pairs(places, 2 * size):
         note(
-            [
-                f"{counted(pairs, 'pair')} of junctions are nearer to each other than twice the "
-                "radius: their regions overlap, and each counts its own sensors alone"
-            ]
+            f"{counted(pairs, 'pair')} of junctions are nearer to each other than twice the "
+            "radius: their regions overlap, and each counts its own sensors alone"
         )
     if dry_run:
         out.print(
@@ -212,33 +160,31 @@ def plan(
             f"searches: {len(study.jobs):,}"
         )
         return
-    rows = run_study(study, folder, "searches", scheduler, workers, retry)
+    rows = run_study(study, folder, "searches", scheduler=scheduler, workers=workers, retry=retry)
     costs = {mix_name(row): cost for cost, row in mixes}
     with busy("sharing out the budget"):
         fronts = fronts_of(study, rows, places, costs)
         found = plan_city(fronts, budget, worst=worst, importance=given)
     georeference = _projection(source)
     if georeference and (doubt := georeference.doubt(places[0].center)):
-        note([doubt])
+        note(doubt)
     _show(found, georeference)
     with busy("drawing"):
         written = _write(found, source, folder, size, georeference)
     out.print(f"wrote {', '.join(written)} into {folder}")
 
 
-def _show(found: "CityPlan", georeference: "Georeference | None") -> None:
+def _show(found: "CityPlan", georeference: Georeference | None) -> None:
     """Print the plan, and which searches failed."""
     from inspe_jax.study.city_report import plan_table, plan_words
 
     out.print(plan_table(found, georeference))
     out.print("\n".join(plan_words(found)))
-    note(f"junction {name} is left out: {reason}" for name, reason in found.left_out.items())
+    note(*(f"junction {name} is left out: {why}" for name, why in found.left_out.items()))
     failed = [f"junction {one.name}: {words}" for one in found.fronts for words in one.errors]
-    note(failed[:SHOWN])
-    if len(failed) > SHOWN:
-        note([f"{len(failed)} mixes failed in all; results.csv has their errors"])
+    note_some(failed, SHOWN, "results.csv has their errors")
     if failed or found.left_out:
-        note(["some searches failed; --retry runs them again"])
+        note("some searches failed; --retry runs them again")
 
 
 def _write(
@@ -246,12 +192,10 @@ def _write(
     source: Path,
     folder: Path,
     radius: float,
-    georeference: "Georeference | None",
+    georeference: Georeference | None,
 ) -> list[str]:
     """Write the plan's files, in place of those of an earlier plan; returns their names."""
-    from inspe_jax.core.files import write_text
     from inspe_jax.core.sheet import save_figure
-    from inspe_jax.scene.maps.registry import road_lines
     from inspe_jax.study.city_report import city_view
 
     write_text(folder / "plan.csv", found.text(georeference))
@@ -262,29 +206,23 @@ def _write(
     return list(FILES)
 
 
-def _projection(source: Path) -> "Georeference | None":
+def _projection(source: Path) -> Georeference | None:
     """The projection of a map; None where it has none, and with a note where it cannot be used."""
-    from inspe_jax.scene.maps.registry import georeference_of
-
     georeference = georeference_of(source)
     if georeference is not None:
         try:
             georeference.check()
         except InspeError as e:
-            note([f"no coordinates: {e}"])
+            note(f"no coordinates: {e}")
             return None
     return georeference
 
 
 def _geojson(
-    found: "CityPlan", source: Path, folder: Path, radius: float, georeference: "Georeference"
+    found: "CityPlan", source: Path, folder: Path, radius: float, georeference: Georeference
 ) -> str:
     """The plan as GeoJSON. Each junction that gets devices is read once more for its ground."""
-    import numpy as np
-
     from inspe_jax.report.handover import city_geojson
-    from inspe_jax.scene.maps.registry import read_map
-    from inspe_jax.sensing.layout import load_layout
 
     layouts, points = {}, []
     for front, option in zip(found.fronts, found.chosen, strict=True):

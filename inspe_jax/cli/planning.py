@@ -5,24 +5,16 @@ Imports are inside the commands: gradient libraries and matplotlib load slowly.
 
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
-import typer
 
-from inspe_jax.cli.claims import ForceOption, claims
+from inspe_jax.cli.claims import claims
 from inspe_jax.cli.common import (
     DEFAULT_LAYOUT,
     DEFAULT_SCENE,
-    LayoutArgument,
-    LightOption,
-    ProfileOption,
-    RecordOption,
-    SceneArgument,
-    WeatherOption,
-    app,
     busy,
-    err,
+    draw,
     note,
     out,
     progress,
@@ -32,32 +24,33 @@ from inspe_jax.cli.common import (
 )
 from inspe_jax.cli.options import (
     DEFAULT_DEVICES,
-    DeviceCountsOption,
-    MethodOption,
-    OutOption,
-    PriceOption,
     ScoreOptions,
     SearchOptions,
+    command,
     counts,
     prices,
-    takes,
 )
+from inspe_jax.placement.optimise import DEFAULT_METHOD, check_search
+from inspe_jax.placement.problem import Case
+from inspe_jax.placement.studies import pareto as studies
+from inspe_jax.placement.studies.pareto import device_mixes, layout_file, save_pareto
+from inspe_jax.placement.studies.tolerance import check_errors
+from inspe_jax.placement.studies.tolerance import tolerance as installed
+from inspe_jax.scene.scene import load_scene
+from inspe_jax.sensing.conditions import Conditions
 
 
-@app.command()
-@takes(SearchOptions)
+@command()
 def pareto(
-    source: SceneArgument = DEFAULT_SCENE,
-    device: DeviceCountsOption = None,
-    price: PriceOption = None,
-    budget: Annotated[
-        float | None, typer.Option(metavar="USD", help="Leave out mixes of devices that cost more.")
-    ] = None,
-    method: MethodOption = None,
-    seed: Annotated[int, typer.Option(help="Seed of the searches.")] = 0,
-    folder: OutOption = Path("pareto"),
-    force: ForceOption = False,
+    source: str = DEFAULT_SCENE,
     *,
+    device: list[str] | None = None,
+    price: list[str] | None = None,
+    budget: float | None = None,
+    method: str | None = None,
+    seed: int = 0,
+    folder: Path = Path("pareto"),
+    force: bool = False,
     options: SearchOptions,
 ) -> None:
     """Compare mixes of devices by cost and score, and show which are worth their money.
@@ -72,14 +65,13 @@ def pareto(
     - `inspe pareto j189.npz --device hesai-xt32:0-2 --device paper-camera:0,4,8
       --price hesai-xt32=5000 --price paper-camera=800 --seconds 30`
     - `inspe pareto roundabout --budget 10000 --failures`
+
+    Args:
+        budget (USD): Leave out mixes of devices that cost more.
+        seed: Seed of the searches.
     """
-    from inspe_jax.core.sheet import save_figure
-    from inspe_jax.placement.optimise import DEFAULT_METHOD, check_search
-    from inspe_jax.placement.studies.pareto import device_mixes, layout_file, save_pareto
-    from inspe_jax.placement.studies.pareto import pareto as search
-    from inspe_jax.report.cost import pareto_view
+    from inspe_jax.report.curves import pareto_view
     from inspe_jax.report.tables import pareto_table
-    from inspe_jax.scene.scene import load_scene
 
     objective, constraints = options.checked(prices=prices(price), budget=budget)
     check_search((method or DEFAULT_METHOD,), objective, seeds=(seed,))
@@ -90,7 +82,7 @@ def pareto(
     with busy(f"reading {source}"):
         cases = options.cases(load_scene(source, options.profile))
     with search_bar("searching") as callback:
-        found = search(
+        found = studies.pareto(
             cases,
             wanted,
             objective=objective,
@@ -99,35 +91,27 @@ def pareto(
         )
     out.print(pareto_table(found))
     folder = claims.keep(partial(save_pareto, found), folder)
-    note(f"{mix.name}: {words}" for mix in found for words in mix.result.notes)
+    note(*(f"{mix.name}: {words}" for mix in found for words in mix.result.notes))
     if len(found) < len(mixes):
-        err.print(f"[yellow]Note:[/] stopped after {len(found)} of {len(mixes)} mixes")
-    with busy("drawing"):
-        save_figure(pareto_view(found), folder / "pareto.png")
-    out.print(
-        f"wrote pareto.csv and the layouts of the front into {folder}; drew {folder / 'pareto.png'}"
-    )
+        note(f"stopped after {len(found)} of {len(mixes)} mixes")
+    out.print(f"wrote pareto.csv and the layouts of the front into {folder}")
+    draw(lambda: pareto_view(found), folder / "pareto.png")
 
 
-@app.command()
-@takes(ScoreOptions)
+@command()
 def tolerance(
-    source: SceneArgument = DEFAULT_SCENE,
-    sensors: LayoutArgument = DEFAULT_LAYOUT,
-    position: Annotated[
-        float, typer.Option(help="Standard deviation of each of x, y and z [m].")
-    ] = 0.1,
-    angle: Annotated[
-        float, typer.Option(help="Standard deviation of yaw and of pitch [degrees].")
-    ] = 1.0,
-    samples: Annotated[int, typer.Option(help="Number of random installations.")] = 50,
-    seed: Annotated[int, typer.Option(help="Seed of the random errors.")] = 0,
-    light: LightOption = "midday",
-    weather: WeatherOption = "clear",
-    profile: ProfileOption = None,
-    record: RecordOption = None,
-    force: ForceOption = False,
+    source: str = DEFAULT_SCENE,
+    sensors: str = DEFAULT_LAYOUT,
     *,
+    position: float = 0.1,
+    angle: float = 1.0,
+    samples: int = 50,
+    seed: int = 0,
+    light: str = "midday",
+    weather: str = "clear",
+    profile: str | None = None,
+    record: str | None = None,
+    force: bool = False,
     options: ScoreOptions,
 ) -> None:
     """Show how installation errors change the score: a slope for each sensor, and random errors.
@@ -140,12 +124,14 @@ def tolerance(
     - `inspe tolerance`  (the built-in four-way with cameras at its corners)
     - `inspe tolerance j189.npz better/layout.yaml --position 0.2 --angle 2`
     - `inspe tolerance j189.npz layout.yaml --json tolerance.json`
+
+    Args:
+        position: Standard deviation of each of x, y and z [m].
+        angle: Standard deviation of yaw and of pitch [degrees].
+        samples: Number of random installations.
+        seed: Seed of the random errors.
     """
-    from inspe_jax.placement.problem import Case
-    from inspe_jax.placement.studies.tolerance import check_errors
-    from inspe_jax.placement.studies.tolerance import tolerance as installed
     from inspe_jax.report.tables import tolerance_record, tolerance_table
-    from inspe_jax.sensing.conditions import Conditions
 
     claims.file(record, force=force)
     objective = options.objective()
@@ -157,11 +143,6 @@ def tolerance(
     with busy(f"reading {source}"):
         world, placed = scene_and_layout(source, sensors, profile)
     with progress("installations") as report:
-        found = installed(
-            Case(world, conditions),
-            placed,
-            **errors,
-            objective=objective,
-            progress=report,
-        )
+        case = Case(world, conditions)
+        found = installed(case, placed, **errors, objective=objective, progress=report)
     show(tolerance_table(found, placed), tolerance_record(found, world, placed), record)

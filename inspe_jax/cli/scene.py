@@ -3,165 +3,64 @@
 Imports are inside the commands: the map readers and matplotlib load slowly.
 """
 
+import gzip
 from collections.abc import Sequence
 from functools import partial
+from importlib.resources import files
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Any
 
 import numpy as np
-import typer
 
-from inspe_jax.cli.claims import ForceOption, claims
+from inspe_jax.cli.claims import claims
 from inspe_jax.cli.common import (
     DEFAULT_LAYOUT,
     DEFAULT_SCENE,
-    PlotOption,
-    ProfileOption,
-    SceneArgument,
-    app,
     busy,
     check_layout,
-    err,
+    draw,
     known,
     note,
     out,
     progress,
 )
+from inspe_jax.cli.options import SceneOptions, command
 from inspe_jax.core.errors import InspeError
+from inspe_jax.core.files import check_input, whole_file
+from inspe_jax.mounting import strategies
+from inspe_jax.mounting.site import Site
+from inspe_jax.scene.maps.parts import MARGIN
+from inspe_jax.scene.maps.registry import (
+    georeference_of,
+    is_map,
+    junction_at,
+    list_junctions,
+    read_map,
+)
+from inspe_jax.scene.procedural.built_ins import built_in
+from inspe_jax.scene.profiles import DEFAULT_PROFILE, profile_of
+from inspe_jax.scene.scene import SCENE_SUFFIXES, build_scene, load_scene, save_scene
+from inspe_jax.scene.traffic.carla_log import LOG_SUFFIXES, load_log
+from inspe_jax.scene.traffic.registry import traffic_model
+from inspe_jax.sensing.catalogue import device
+from inspe_jax.sensing.layout import save_layout
 
-if TYPE_CHECKING:
-    from inspe_jax.scene.scene import Scene
 
-
-@app.command()
+@command()
 def scene(
-    source: Annotated[
-        str,
-        typer.Argument(
-            metavar="SCENE",
-            help="A built-in intersection, a map (.xodr, .net.xml, .osm), or a scene saved as "
-            ".npz.",
-        ),
-    ] = DEFAULT_SCENE,
-    list_: Annotated[
-        bool,
-        typer.Option("--list", help="List the junctions of a map, or the built-in intersections."),
-    ] = False,
-    junction: Annotated[
-        str | None, typer.Option(help="Id of a junction on the map; see --list.")
-    ] = None,
-    center: Annotated[
-        tuple[float, float] | None,
-        typer.Option(
-            metavar="X Y",
-            help="Centre [m] in place of a junction id, for a place with several junctions.",
-        ),
-    ] = None,
-    at: Annotated[
-        str | None,
-        typer.Option(
-            metavar="LAT,LON",
-            help="The junction nearest to a latitude and longitude [degrees], on a map that has "
-            "them.",
-        ),
-    ] = None,
-    bodies: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE.geojson|csv|poly.xml",
-            help="Houses, walls, trees and poles of your own, besides those of the map: polygons, "
-            "lines and points in degrees, with properties kind and height_m; points without a kind "
-            "are poles. Or SUMO's polygons. Poles can carry sensors; with --statics map all hide "
-            "what is behind them.",
-        ),
-    ] = None,
-    profile: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME",
-            help="Profile: it sets the options below that are not given, and how scores are read; "
-            "paper if not given. See `inspe profiles`.",
-        ),
-    ] = None,
-    radius: Annotated[
-        float | None, typer.Option(help="Radius of the region of interest [m].")
-    ] = None,
-    voxel: Annotated[float | None, typer.Option(help="Edge of a voxel [m].")] = None,
-    spacing: Annotated[
-        float | None,
-        typer.Option(
-            help="Score one voxel in each cell of this edge [m]. If not given: the profile's value "
-            "where --voxel is the profile's too, and otherwise every voxel."
-        ),
-    ] = None,
-    density: Annotated[
-        str | None,
-        typer.Option(
-            help="Traffic: none, low, medium, high (0, 20, 40, 60 road users), or a number."
-        ),
-    ] = None,
-    frames: Annotated[
-        int | None, typer.Option(help="Number of frames of traffic; 100 if not given.")
-    ] = None,
-    step: Annotated[
-        float | None, typer.Option(help="Time from one frame to the next [s]; 1 if not given.")
-    ] = None,
-    mix: Annotated[
-        str | None,
-        typer.Option(
-            help="Road users: mixed, fleet (sizes as varied as real ones), or largest (only the "
-            "paper's largest vehicle)."
-        ),
-    ] = None,
-    traffic: Annotated[
-        str | None,
-        typer.Option(
-            metavar="waypoints|sumo|LOG",
-            help="Traffic model: waypoints (the paper's; used if not given), sumo (on maps), or a "
-            ".log file of CARLA's recorder.",
-        ),
-    ] = None,
-    seed: Annotated[int | None, typer.Option(help="Seed of the traffic; 0 if not given.")] = None,
-    statics: Annotated[
-        str | None,
-        typer.Option(
-            metavar="none|map|street",
-            help="Bodies that stand in every frame and hide what is behind them: none (if not "
-            "given); map, the buildings, trees, walls and poles of an OpenStreetMap extract or "
-            "of OpenDRIVE's objects; or street, made-up parked vehicles, trees, walls, posts and "
-            "bus shelters.",
-        ),
-    ] = None,
-    terrain: Annotated[
-        str | None,
-        typer.Option(
-            metavar="none|ground",
-            help="Whether the ground hides what is behind its brows: none (if not given) or "
-            "ground.",
-        ),
-    ] = None,
-    mesh: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE.glb|ply|obj",
-            help="Mesh of the place in the map's coordinates [m], a digital twin: its ground, "
-            "and what stands on it; with --statics map and --terrain ground they hide what is "
-            "behind them.",
-        ),
-    ] = None,
-    elevation: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE.tif|asc",
-            help="Elevation model (GeoTIFF, ASCII grid) in place of the map's heights; with "
-            "--terrain ground it hides what is behind it.",
-        ),
-    ] = None,
-    save: Annotated[
-        Path | None, typer.Option("--out", metavar="FILE.npz", help="Save the scene.")
-    ] = None,
-    plot: PlotOption = None,
-    force: ForceOption = False,
+    source: str = DEFAULT_SCENE,
+    *,
+    list_: bool = False,
+    junction: str | None = None,
+    center: tuple[float, float] | None = None,
+    at: str | None = None,
+    bodies: Path | None = None,
+    options: SceneOptions,
+    mesh: Path | None = None,
+    elevation: Path | None = None,
+    save: Path | None = None,
+    plot: Path | None = None,
+    force: bool = False,
 ) -> None:
     """Build a scene of one intersection: its region of interest, voxels and traffic.
 
@@ -175,61 +74,50 @@ def scene(
     - `inspe scene city.osm --at 48.137,11.575 --elevation dem.tif --terrain ground`
     - `inspe scene crossroads.xodr --junction 100 --traffic run.log --step 0.1 --frames 200`
     - `inspe scene j189.npz --plot j189.png`
+
+    Args:
+        source (SCENE): A built-in intersection, a map (.xodr, .net.xml, .osm), or a scene saved
+            as .npz.
+        list_ (--list): List the junctions of a map, or the built-in intersections.
+        junction: Id of a junction on the map; see --list.
+        center (X Y): Centre [m] in place of a junction id, for a place with several junctions.
+        at (LAT,LON): The junction nearest to a latitude and longitude [degrees], on a map that
+            has them.
+        bodies (FILE.geojson|csv|poly.xml): Houses, walls, trees and poles of your own, besides
+            those of the map: polygons, lines and points in degrees, with properties kind and
+            height_m; points without a kind are poles. Or SUMO's polygons. Poles can carry
+            sensors; with --statics map all hide what is behind them.
+        mesh (FILE.glb|ply|obj): Mesh of the place in the map's coordinates [m], a digital twin:
+            its ground, and what stands on it; with --statics map and --terrain ground they hide
+            what is behind them.
+        elevation (FILE.tif|asc): Elevation model (GeoTIFF, ASCII grid) in place of the map's
+            heights; with --terrain ground it hides what is behind it.
+        save (--out FILE.npz): Save the scene.
     """
-    from inspe_jax.core.files import check_input
-    from inspe_jax.core.sheet import FORMATS, save_figure
-    from inspe_jax.mounting.site import Site
+    from inspe_jax.core.sheet import FORMATS
     from inspe_jax.report.figures import scene_view
     from inspe_jax.report.scene_tables import scene_table
     from inspe_jax.scene.maps.digital_twin import with_mesh
     from inspe_jax.scene.maps.elevation import with_elevation
     from inspe_jax.scene.maps.own_bodies import with_own_bodies
-    from inspe_jax.scene.maps.parts import MARGIN
-    from inspe_jax.scene.maps.registry import is_map, junction_at, read_map
-    from inspe_jax.scene.procedural.built_ins import built_in
-    from inspe_jax.scene.profiles import DEFAULT_PROFILE, profile_of
-    from inspe_jax.scene.scene import (
-        SCENE_SUFFIXES,
-        build_scene,
-        load_scene,
-        save_scene,
-    )
-    from inspe_jax.scene.traffic.carla_log import LOG_SUFFIXES, load_log
-    from inspe_jax.scene.traffic.registry import traffic_model
 
     if list_:
         _list_places(source)
         return
     claims.file(save, SCENE_SUFFIXES, force=force)
     claims.file(plot, FORMATS, force=force)
-    options: dict[str, Any] = {
-        name: value
-        for name, value in dict(
-            profile=profile,
-            radius=radius,
-            voxel=voxel,
-            spacing=spacing,
-            density=density,
-            frames=frames,
-            step=step,
-            mix=mix,
-            traffic=traffic,
-            seed=seed,
-            statics=statics,
-            terrain=terrain,
-        ).items()
-        if value is not None
-    }
+    settings = options.given
+    traffic = options.traffic
     path, own = Path(source), list[np.ndarray]()
     places = dict(junction=junction, center=center, at=at, bodies=bodies)
     places |= dict(elevation=elevation, mesh=mesh)
     given = [name for name, value in places.items() if value is not None]
     if path.suffix == ".npz":
-        _refuse(source, "a saved scene keeps the settings it was built with", [*options, *given])
+        _refuse(source, "a saved scene keeps the settings it was built with", [*settings, *given])
         built = load_scene(source)
     else:
         if traffic is not None and traffic.endswith(LOG_SUFFIXES):
-            ours = [name for name in ("density", "mix", "seed") if name in options]
+            ours = [name for name in ("density", "mix", "seed") if name in settings]
             _refuse(f"--traffic {traffic}", "a log has traffic of its own", ours)
             load_log(traffic)
         elif traffic is not None:
@@ -244,7 +132,8 @@ def scene(
                 )
             for file in filter(None, (bodies, elevation, mesh)):
                 check_input(file)
-            size = profile_of(profile or DEFAULT_PROFILE).of_scene(radius=radius)["radius"]
+            profile = profile_of(options.profile or DEFAULT_PROFILE)
+            size = profile.of_scene(radius=options.radius)["radius"]
             with busy(f"reading {path.name}"):
                 if at is not None:
                     junction = str(junction_at(path, *_degrees(at)).id)
@@ -259,37 +148,30 @@ def scene(
             place = built_in(known(source))
             _refuse(source, "a built-in intersection is no map", given)
         with progress("traffic") as report:
-            built = build_scene(place, **options, progress=report)
+            built = build_scene(place, **settings, progress=report)
     out.print(scene_table(built))
-    _warn_of_full_roads(built)
+    if short := built.shortfall:
+        note(f"road users: {short}; a larger radius holds more")
     site = Site(built.intersection, built.voxels.radius, depth=30.0, bodies=built.statics)
-    note(
-        f"the pole at ({x:.1f}, {y:.1f}) carries no sensor: {why}"
-        for x, y in own
-        if (why := site.why_none(np.array([x, y])))
-    )
+    for x, y in own:
+        if why := site.why_none(np.array([x, y])):
+            note(f"the pole at ({x:.1f}, {y:.1f}) carries no sensor: {why}")
     if save:
         save = claims.keep(partial(save_scene, built), save)
         out.print(f"saved {save}")
-    if plot:
-        save_figure(scene_view(built), plot)
-        out.print(f"drew {plot}")
+    draw(lambda: scene_view(built), plot)
 
 
-@app.command()
+@command()
 def layout(
-    source: SceneArgument = DEFAULT_SCENE,
-    strategy: Annotated[
-        str,
-        typer.Option(help="Cam-c, Cam-d1, Cam-d2, L-c, L-d1, L-d2, or a pair such as Cam-c/L-c."),
-    ] = DEFAULT_LAYOUT,
-    camera: Annotated[str | None, typer.Option(help="Camera device; see `inspe devices`.")] = None,
-    lidar: Annotated[str | None, typer.Option(help="LiDAR device; see `inspe devices`.")] = None,
-    profile: ProfileOption = None,
-    save: Annotated[
-        Path | None, typer.Option("--out", metavar="FILE.yaml", help="Save the layout.")
-    ] = None,
-    force: ForceOption = False,
+    source: str = DEFAULT_SCENE,
+    *,
+    strategy: str = DEFAULT_LAYOUT,
+    camera: str | None = None,
+    lidar: str | None = None,
+    profile: str | None = None,
+    save: Path | None = None,
+    force: bool = False,
 ) -> None:
     """Place sensors on a scene by one of the paper's strategies.
 
@@ -297,12 +179,14 @@ def layout(
 
     - `inspe layout four_way --strategy Cam-d1/L-d1 --out layout.yaml`
     - `inspe layout j189.npz --strategy L-c --lidar ouster-os1-128`
+
+    Args:
+        strategy: Cam-c, Cam-d1, Cam-d2, L-c, L-d1, L-d2, or a pair such as Cam-c/L-c.
+        camera: Camera device; see `inspe devices`.
+        lidar: LiDAR device; see `inspe devices`.
+        save (--out FILE.yaml): Save the layout.
     """
-    from inspe_jax.mounting.strategies import strategy as place
     from inspe_jax.report.scene_tables import layout_table
-    from inspe_jax.scene.scene import load_scene
-    from inspe_jax.sensing.catalogue import device
-    from inspe_jax.sensing.layout import save_layout
 
     devices: dict[str, Any] = {
         k: v for k, v in dict(camera=camera, lidar=lidar).items() if v is not None
@@ -311,7 +195,7 @@ def layout(
     check_layout(strategy)
     for name in devices.values():
         device(name)
-    placed = place(load_scene(source, profile), strategy, **devices)
+    placed = strategies.strategy(load_scene(source, profile), strategy, **devices)
     out.print(layout_table(placed))
     if save:
         save_layout(placed, save)
@@ -325,11 +209,9 @@ def _refuse(what: str, why: str, options: Sequence[str]) -> None:
         raise InspeError(f"{what}: {why}; leave out {names}")
 
 
-@app.command()
+@command()
 def examples(
-    folder: Annotated[
-        Path, typer.Argument(metavar="DIR", help="An existing folder for the files.")
-    ] = Path(),
+    folder: Path = Path(),
 ) -> None:
     """Write the example files of the README: two maps, poles, and a log of traffic.
 
@@ -338,12 +220,10 @@ def examples(
     Examples:
 
     - `inspe examples`
+
+    Args:
+        folder (DIR): An existing folder for the files.
     """
-    import gzip
-    from importlib.resources import files
-
-    from inspe_jax.core.files import whole_file
-
     for item in sorted(files("inspe_jax.scene").joinpath("examples").iterdir(), key=str):
         path, content = folder / item.name.removesuffix(".gz"), item.read_bytes()
         if path.exists():
@@ -363,15 +243,8 @@ def _degrees(text: str) -> tuple[float, float]:
     return lat, lon
 
 
-def _warn_of_full_roads(built: "Scene") -> None:
-    """Print a note if the traffic has less than was asked for."""
-    if short := built.shortfall:
-        err.print(f"[yellow]Note:[/] road users: {short}; a larger radius holds more")
-
-
 def _list_places(source: str) -> None:
     from inspe_jax.report.scene_tables import built_ins_table, junctions_table
-    from inspe_jax.scene.maps.registry import georeference_of, is_map, list_junctions
 
     if is_map(source):
         with busy(f"reading {source}"):

@@ -3,58 +3,45 @@
 Imports are inside the commands: the map readers and matplotlib load slowly.
 """
 
-from typing import Annotated
+from pathlib import Path
 
-import typer
+from rich.console import Group
 
-from inspe_jax.cli.claims import ForceOption, claims
+from inspe_jax.cli.claims import claims
 from inspe_jax.cli.common import (
     DEFAULT_LAYOUT,
     DEFAULT_SCENE,
-    LayoutArgument,
-    LightOption,
-    PlotOption,
-    ProfileOption,
-    RecordOption,
-    SceneArgument,
-    WeatherOption,
-    app,
     busy,
-    err,
+    draw,
     out,
     scene_and_layout,
     show,
 )
-from inspe_jax.cli.options import DetectionOption, ScoreOptions, takes
+from inspe_jax.cli.options import ScoreOptions, command
 from inspe_jax.core.errors import check_known
+from inspe_jax.placement.problem import Case
+from inspe_jax.scene.profiles import profiles as known_profiles
+from inspe_jax.scene.traffic.frames import CLASSES
+from inspe_jax.scoring.detection import load_detection
+from inspe_jax.scoring.evaluate import evaluate
+from inspe_jax.scoring.targets import target_view
+from inspe_jax.sensing import catalogue
+from inspe_jax.sensing.conditions import Conditions
 
 
-@app.command()
-@takes(ScoreOptions)
+@command()
 def score(
-    source: SceneArgument = DEFAULT_SCENE,
-    sensors: LayoutArgument = DEFAULT_LAYOUT,
-    record: RecordOption = None,
-    plot: PlotOption = None,
-    occlusion_reference: Annotated[
-        str | None,
-        typer.Option(
-            help="The voxels that occlusion is measured on: roi, covered or targets; the profile's "
-            "if not given."
-        ),
-    ] = None,
-    visibility: Annotated[
-        str | None,
-        typer.Option(
-            help="What information gain takes as visible: in_view, line_of_sight or past_others; "
-            "the profile's if not given."
-        ),
-    ] = None,
-    light: LightOption = "midday",
-    weather: WeatherOption = "clear",
-    profile: ProfileOption = None,
-    force: ForceOption = False,
+    source: str = DEFAULT_SCENE,
+    sensors: str = DEFAULT_LAYOUT,
     *,
+    record: str | None = None,
+    plot: Path | None = None,
+    occlusion_reference: str | None = None,
+    visibility: str | None = None,
+    light: str = "midday",
+    weather: str = "clear",
+    profile: str | None = None,
+    force: bool = False,
     options: ScoreOptions,
 ) -> None:
     """Score a layout on a scene: every metric, and their weighted sum P_sm.
@@ -72,15 +59,16 @@ def score(
     - `inspe score four_way L-d1 --weight detectability=1 --region crosswalk --road-user pedestrian`
 
     A layout that a search found says what it was searched for; that is scored too.
-    """
-    from rich.console import Group
 
-    from inspe_jax.core.sheet import FORMATS, save_figure
-    from inspe_jax.placement.problem import Case
+    Args:
+        occlusion_reference: The voxels that occlusion is measured on: roi, covered or targets;
+            the profile's if not given.
+        visibility: What information gain takes as visible: in_view, line_of_sight or
+            past_others; the profile's if not given.
+    """
+    from inspe_jax.core.sheet import FORMATS
     from inspe_jax.report.figures import plan_view
     from inspe_jax.report.tables import blind_spots_table, scores_record, scores_table
-    from inspe_jax.scoring.evaluate import evaluate
-    from inspe_jax.sensing.conditions import Conditions
 
     claims.file(plot, FORMATS, force=force)
     claims.file(record, force=force)
@@ -102,25 +90,22 @@ def score(
         sought = options.sought(Case(world, conditions), placed, **readings)
     tables = Group(scores_table(scores, placed, sought), "", blind_spots_table(world, scores))
     show(tables, scores_record(scores, world, placed, sought), record)
-    if plot:
-        save_figure(plan_view(world, placed, scores), plot)
-        (err if record == "-" else out).print(f"drew {plot}")
+    draw(lambda: plan_view(world, placed, scores), plot, record)
 
 
-@app.command()
+@command()
 def targets(
-    source: SceneArgument = DEFAULT_SCENE,
-    sensors: LayoutArgument = DEFAULT_LAYOUT,
-    road_user: Annotated[
-        str, typer.Option(help="Who stands there: car, truck, cyclist or pedestrian.")
-    ] = "pedestrian",
-    record: RecordOption = None,
-    plot: PlotOption = None,
-    light: LightOption = "midday",
-    weather: WeatherOption = "clear",
-    profile: ProfileOption = None,
-    detection: DetectionOption = None,
-    force: ForceOption = False,
+    source: str = DEFAULT_SCENE,
+    sensors: str = DEFAULT_LAYOUT,
+    *,
+    road_user: str = "pedestrian",
+    record: str | None = None,
+    plot: Path | None = None,
+    light: str = "midday",
+    weather: str = "clear",
+    profile: str | None = None,
+    detection: Path | None = None,
+    force: bool = False,
 ) -> None:
     """Show what a road user gets at each place: LiDAR returns, and pixels per metre of the cameras.
 
@@ -132,13 +117,12 @@ def targets(
     - `inspe targets four_way L-d1`
     - `inspe targets four_way Cam-d1/L-d1 --plot targets.png`
     - `inspe targets j189.npz layout.yaml --road-user cyclist --weather fog:100 --json -`
+
+    Args:
+        road_user: Who stands there: car, truck, cyclist or pedestrian.
     """
-    from inspe_jax.core.sheet import FORMATS, save_figure
+    from inspe_jax.core.sheet import FORMATS
     from inspe_jax.report.targets import targets_record, targets_table, targets_view
-    from inspe_jax.scene.traffic.frames import CLASSES
-    from inspe_jax.scoring.detection import load_detection
-    from inspe_jax.scoring.targets import target_view
-    from inspe_jax.sensing.conditions import Conditions
 
     claims.file(plot, FORMATS, force=force)
     claims.file(record, force=force)
@@ -150,13 +134,11 @@ def targets(
     with busy("counting rays"):
         view = target_view(world, placed, road_user, conditions=conditions, detection=curves)
     show(targets_table(world, placed, view), targets_record(world, placed, view), record)
-    if plot:
-        drawn = targets_view(world, conditions.layout(placed), view, conditions=conditions)
-        save_figure(drawn, plot)
-        (err if record == "-" else out).print(f"drew {plot}")
+    placed = conditions.layout(placed)
+    draw(lambda: targets_view(world, placed, view, conditions=conditions), plot, record)
 
 
-@app.command()
+@command()
 def metrics() -> None:
     """List the metrics of a layout's score: name, symbol, usual weight in P_sm, and meaning.
 
@@ -169,26 +151,24 @@ def metrics() -> None:
     out.print(metrics_table())
 
 
-@app.command()
+@command()
 def devices() -> None:
     """List the cameras and LiDARs of the catalogue, with the sources of their data.
 
     Example: `inspe devices`; in a layout file write `device: hesai-xt32`.
     """
     from inspe_jax.report.scene_tables import devices_table
-    from inspe_jax.sensing.catalogue import devices as catalogue
 
-    out.print(devices_table(catalogue()))
+    out.print(devices_table(catalogue.devices()))
 
 
-@app.command()
+@command()
 def profiles() -> None:
     """List the profiles for building scenes: every value, and the reason for it.
 
     Example: `inspe profiles`; then `inspe score four_way L-d1 --profile ideal`.
     """
     from inspe_jax.report.scene_tables import profile_table
-    from inspe_jax.scene.profiles import profiles as known
 
-    for profile in known().values():
+    for profile in known_profiles().values():
         out.print(profile_table(profile))

@@ -6,88 +6,48 @@ Imports are inside the commands: gradient libraries and matplotlib load slowly.
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
 
-import typer
-
-from inspe_jax.cli.claims import ForceOption, claims
+from inspe_jax.cli.claims import claims
 from inspe_jax.cli.common import (
     DEFAULT_LAYOUT,
     DEFAULT_SCENE,
-    LayoutArgument,
-    SceneArgument,
-    app,
     busy,
-    err,
+    draw,
     note,
     out,
     scene_and_layout,
     search_bar,
 )
-from inspe_jax.cli.options import (
-    MethodOption,
-    OutOption,
-    PriceOption,
-    SearchOptions,
-    counts,
-    prices,
-    takes,
-)
+from inspe_jax.cli.options import SearchOptions, command, counts, prices
 from inspe_jax.core.errors import InspeError
-
-if TYPE_CHECKING:
-    from inspe_jax.placement.result import Result
-    from inspe_jax.scene.scene import Scene
+from inspe_jax.core.files import check_output
+from inspe_jax.mounting.mixes import starting_layout
+from inspe_jax.placement import optimise as search
+from inspe_jax.placement.result import FILES, STATUSES, Result, save_comparison, save_result
+from inspe_jax.placement.studies.cheapest import cheapest, check_target
+from inspe_jax.placement.studies.pareto import device_mixes
+from inspe_jax.scene.scene import Scene, load_scene
+from inspe_jax.scoring.metrics import METRICS
+from inspe_jax.sensing import catalogue
+from inspe_jax.sensing.conditions import FAIR
 
 PICTURE = "before_after.png"
 
-StartOption = Annotated[
-    str,
-    typer.Option(help="Start of a search: given (the layout), random, or the name of a strategy."),
-]
 
-
-@app.command()
-@takes(SearchOptions)
+@command()
 def optimise(
-    source: SceneArgument = DEFAULT_SCENE,
-    sensors: Annotated[
-        str | None,
-        typer.Argument(
-            metavar="LAYOUT",
-            help=f"A layout file, or the name of a strategy; {DEFAULT_LAYOUT} if not given.",
-        ),
-    ] = None,
-    method: MethodOption = None,
-    seed: Annotated[int, typer.Option(help="Seed of the search.")] = 0,
-    start: StartOption = "given",
-    target: Annotated[
-        float | None,
-        typer.Option(
-            help="Search for the cheapest mix of devices that reaches this score, in place of a "
-            "better layout. The score is detectability if no --weight is given.",
-        ),
-    ] = None,
-    device: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="DEVICE:COUNTS",
-            help="In place of a layout: a device of the catalogue, and the number of it, at the "
-            "junction's corners and roadsides where the search begins; repeat it for others. With "
-            "--target the numbers to try, such as 0-4 or 0,4,8; those of the layout if not given.",
-        ),
-    ] = None,
-    price: PriceOption = None,
-    checkpoint: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE.npz",
-            help="Save the state of the search every 10 s; resume from the file if it exists.",
-        ),
-    ] = None,
-    folder: OutOption = Path("optimised"),
-    force: ForceOption = False,
+    source: str = DEFAULT_SCENE,
+    sensors: str | None = None,
     *,
+    method: str | None = None,
+    seed: int = 0,
+    start: str = "given",
+    target: float | None = None,
+    device: list[str] | None = None,
+    price: list[str] | None = None,
+    checkpoint: Path | None = None,
+    folder: Path = Path("optimised"),
+    force: bool = False,
     options: SearchOptions,
 ) -> None:
     """Search for a better layout of the same sensors, one that can be mounted.
@@ -106,15 +66,19 @@ def optimise(
     - `inspe optimise roundabout L-d1 --weight detectability=1 --region crosswalk`
     - `inspe optimise four_way --device velodyne-vlp-16:2 --device paper-camera:4`
     - `inspe optimise four_way --target 0.95 --region crosswalk --device velodyne-vlp-16:1-4`
-    """
-    from inspe_jax.core.files import check_output
-    from inspe_jax.mounting.mixes import starting_layout
-    from inspe_jax.placement import optimise as search
-    from inspe_jax.placement.result import FILES, save_result
-    from inspe_jax.scene.scene import load_scene
-    from inspe_jax.scoring.metrics import METRICS
-    from inspe_jax.sensing.conditions import FAIR
 
+    Args:
+        sensors (LAYOUT): A layout file, or the name of a strategy; Cam-d1 if not given.
+        seed: Seed of the search.
+        target: Search for the cheapest mix of devices that reaches this score, in place of a
+            better layout. The score is detectability if no --weight is given.
+        device (DEVICE:COUNTS): In place of a layout: a device of the catalogue, and the number
+            of it, at the junction's corners and roadsides where the search begins; repeat it
+            for others. With --target the numbers to try, such as 0-4 or 0,4,8; those of the
+            layout if not given.
+        checkpoint (FILE.npz): Save the state of the search every 10 s; resume from the file if
+            it exists.
+    """
     claims.folder(folder, (*FILES, PICTURE), force=force)
     check_output(checkpoint, (".npz",))
     if target is not None:
@@ -150,11 +114,7 @@ def optimise(
             checkpoint=checkpoint,
         )
     _show(result)
-    folder = claims.keep(partial(save_result, result), folder)
-    with busy("drawing"):
-        drawn = _draw(world, result, folder)
-    names = "layout.yaml, start.yaml, result.json, history.csv and path.csv"
-    out.print(f"wrote {names} into {folder}; drew {drawn}")
+    folder = _save(world, result, folder)
     around = "".join(
         f" --{key} {value}"
         for key, value in result.scores.conditions.record.items()
@@ -162,29 +122,19 @@ def optimise(
     )
     if further := [name for name in result.scores.metrics if not METRICS[name].usual]:
         around += f" --metrics {','.join(further)}"
-    out.print(
-        f"next: inspe score {source} {folder / 'layout.yaml'}{around} --plot plan.png",
-    )
+    out.print(f"next: inspe score {source} {folder / 'layout.yaml'}{around} --plot plan.png")
 
 
-@app.command()
-@takes(SearchOptions)
+@command()
 def compare(
-    source: SceneArgument = DEFAULT_SCENE,
-    sensors: LayoutArgument = DEFAULT_LAYOUT,
-    methods: Annotated[
-        str,
-        typer.Option(
-            metavar="A,B,…", help="Search methods, separated by commas; all if not given."
-        ),
-    ] = "",
-    seeds: Annotated[
-        int, typer.Option(help="Number of searches by each method; their seeds count from 0.")
-    ] = 3,
-    start: StartOption = "given",
-    folder: OutOption = Path("compared"),
-    force: ForceOption = False,
+    source: str = DEFAULT_SCENE,
+    sensors: str = DEFAULT_LAYOUT,
     *,
+    methods: str = "",
+    seeds: int = 3,
+    start: str = "given",
+    folder: Path = Path("compared"),
+    force: bool = False,
     options: SearchOptions,
 ) -> None:
     """Compare search methods on equal terms: how good their layouts are, and how soon.
@@ -197,11 +147,12 @@ def compare(
 
     - `inspe compare --methods greedy-adam,grid --seconds 10 --seeds 1`
     - `inspe compare j189.npz layout.yaml --seconds 60 --seeds 5 --out j189_methods`
+
+    Args:
+        methods (A,B,…): Search methods, separated by commas; all if not given.
+        seeds: Number of searches by each method; their seeds count from 0.
     """
-    from inspe_jax.core.sheet import save_figure
-    from inspe_jax.placement import optimise as search
-    from inspe_jax.placement.result import save_comparison
-    from inspe_jax.report.progress import history_view
+    from inspe_jax.report.curves import history_view
     from inspe_jax.report.tables import comparison_table
 
     files = ("compare.csv", "history.csv", "layout.yaml", "compare.png")
@@ -235,24 +186,18 @@ def compare(
         )
     out.print(comparison_table(results))
     folder = claims.keep(partial(save_comparison, results), folder)
-    note(note for note in dict.fromkeys(note for result in results for note in result.notes))
+    note(*dict.fromkeys(words for result in results for words in result.notes))
     if len(results) < len(runs):
-        err.print(f"[yellow]Note:[/] stopped after {len(results)} of {len(runs)} searches")
-    with busy("drawing"):
-        save_figure(history_view(results), folder / "compare.png")
-    written = f"compare.csv, history.csv and layout.yaml into {folder}"
-    out.print(
-        f"wrote {written}; drew {folder / 'compare.png'}",
-    )
+        note(f"stopped after {len(results)} of {len(runs)} searches")
+    out.print(f"wrote compare.csv, history.csv and layout.yaml into {folder}")
+    draw(lambda: history_view(results), folder / "compare.png")
 
 
 def _mix(device: list[str] | None, sensors: str | None) -> dict[str, int]:
     """The number of each device of ``--device``; raises InspeError where it is not one number."""
-    from inspe_jax.sensing.catalogue import device as known
-
     mix = counts(device or [])
     for name, several in mix.items():
-        known(name)
+        catalogue.device(name)
         if len(several) > 1 or several[0] < 0:
             raise InspeError(f"--device {name}: one number of it; several are for --target")
     if mix and (sensors or not sum(n for (n,) in mix.values())):
@@ -273,17 +218,13 @@ def _find_cheapest(
     options: SearchOptions,
 ) -> None:
     """`inspe optimise --target`: the cheapest mix of devices that reaches a score."""
-    from inspe_jax.placement.optimise import DEFAULT_METHOD, check_search
-    from inspe_jax.placement.result import save_result
-    from inspe_jax.placement.studies.cheapest import cheapest, check_target
-    from inspe_jax.placement.studies.pareto import device_mixes
     from inspe_jax.report.tables import cheapest_table
 
     check_target(target)
     if not options.weight:
         options = replace(options, weight=["detectability=1"])
     objective, constraints = options.checked(prices=prices(price))
-    check_search((method or DEFAULT_METHOD,), objective, seeds=(seed,))
+    search.check_search((method or search.DEFAULT_METHOD,), objective, seeds=(seed,))
     if device:
         device_mixes(counts(device), objective)
     with busy(f"reading {source}"):
@@ -302,7 +243,6 @@ def _find_cheapest(
         )
     out.print(cheapest_table(found))
     best = found.best
-    folder = claims.keep(partial(save_result, best.result), folder)
     if found.found is None:
         words = f"none of {len(found.searched)} mixes reaches {target:g}; the best is {best.name}"
     else:
@@ -312,20 +252,11 @@ def _find_cheapest(
     if found.found is None and (left := found.total - len(found.searched)):
         words += f"; {left} were not searched"
     out.print(words)
-    with busy("drawing"):
-        drawn = _draw(world, best.result, folder)
-    out.print(
-        f"wrote its layout.yaml, start.yaml, result.json, history.csv and path.csv into {folder}; "
-        f"drew {drawn}",
-    )
+    _save(world, best.result, folder)
 
 
-# ── What is printed of a search ───────────────────────────────────────────────
-
-
-def _show(result: "Result") -> None:
+def _show(result: Result) -> None:
     """Print the scores before and after a search, what moved, and its notes."""
-    from inspe_jax.placement.result import STATUSES
     from inspe_jax.report.tables import before_after_table, moves_table
 
     out.print(before_after_table(result))
@@ -333,16 +264,17 @@ def _show(result: "Result") -> None:
     out.print(
         f"{result.method}, seed {result.seed}: {result.status} "
         f"({STATUSES[result.status]}) after {result.seconds:.0f} s, "
-        f"{result.evaluations:.0f} exact scores' work",
+        f"{result.evaluations:.0f} exact scores' work"
     )
-    note(result.notes)
+    note(*result.notes)
 
 
-def _draw(world: "Scene", result: "Result", folder: Path) -> Path:
-    from inspe_jax.core.sheet import save_figure
+def _save(world: Scene, result: Result, folder: Path) -> Path:
+    """Write and draw a search; returns the folder that has it."""
     from inspe_jax.report.progress import before_after
 
-    path = folder / PICTURE
+    folder = claims.keep(partial(save_result, result), folder)
+    out.print(f"wrote layout.yaml, start.yaml, result.json, history.csv and path.csv into {folder}")
     parts = (result.start, result.layout, result.scores_before, result.scores)
-    save_figure(before_after(world, *parts, path=result.path), path)
-    return path
+    draw(lambda: before_after(world, *parts, path=result.path), folder / PICTURE)
+    return folder

@@ -7,20 +7,14 @@ import signal
 import time
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
-from inspe_jax.cli.claims import ForceOption, claims
+from inspe_jax.cli.claims import claims
 from inspe_jax.cli.common import (
     DEFAULT_LAYOUT,
     DEFAULT_SCENE,
-    LayoutArgument,
-    LightOption,
-    ProfileOption,
-    SceneArgument,
-    WeatherOption,
-    app,
     busy,
     check_layout,
     layout_on,
@@ -29,53 +23,34 @@ from inspe_jax.cli.common import (
     out,
     progress,
 )
-from inspe_jax.cli.options import PriceOption, ScoreOptions, WeightOptions, prices, takes
+from inspe_jax.cli.options import ScoreOptions, WeightOptions, command, prices
+from inspe_jax.core.errors import InspeError
+from inspe_jax.core.files import check_output, whole_file, write_text
+from inspe_jax.placement.problem import Case
+from inspe_jax.placement.result import Result, load_result
+from inspe_jax.placement.studies.pareto import load_pareto
+from inspe_jax.placement.studies.tolerance import tolerance as installed
+from inspe_jax.scene.scene import Scene, load_scene
+from inspe_jax.sensing.conditions import Conditions
+from inspe_jax.sensing.layout import Layout, layout_text
+from inspe_jax.visibility.queries import check_frame
 
-if TYPE_CHECKING:
-    from inspe_jax.placement.result import Result
-    from inspe_jax.scene.scene import Scene
-    from inspe_jax.sensing.layout import Layout
 
-
-@app.command()
-@takes(ScoreOptions)
+@command()
 def report(
-    source: SceneArgument = DEFAULT_SCENE,
-    sensors: Annotated[
-        list[str] | None,
-        typer.Argument(
-            metavar="LAYOUT",
-            help="Layouts to show side by side: .yaml files, names of strategies, or folders of "
-            "`inspe optimise`, for which the page also shows the search.",
-        ),
-    ] = None,
-    path: Annotated[
-        Path, typer.Option("--out", metavar="FILE.html", help="File of the page.")
-    ] = Path("report.html"),
-    pdf: Annotated[
-        Path | None, typer.Option(metavar="FILE.pdf", help="Also write the figures as a PDF.")
-    ] = None,
-    tolerance: Annotated[
-        bool,
-        typer.Option(
-            help="Show how carefully each layout must be installed; takes half a minute to compile."
-        ),
-    ] = False,
-    front: Annotated[
-        Path | None,
-        typer.Option(
-            "--pareto",
-            metavar="DIR",
-            help="Also draw cost against score, from a folder of `inspe pareto`.",
-        ),
-    ] = None,
-    frame: Annotated[int, typer.Option(help="Number of the frame of traffic that is drawn.")] = 0,
-    price: PriceOption = None,
-    light: LightOption = "midday",
-    weather: WeatherOption = "clear",
-    profile: ProfileOption = None,
-    force: ForceOption = False,
+    source: str = DEFAULT_SCENE,
+    sensors: list[str] | None = None,
     *,
+    path: Path = Path("report.html"),
+    pdf: Path | None = None,
+    tolerance: bool = False,
+    front: Path | None = None,
+    frame: int = 0,
+    price: list[str] | None = None,
+    light: str = "midday",
+    weather: str = "clear",
+    profile: str | None = None,
+    force: bool = False,
     options: ScoreOptions,
 ) -> None:
     """Write a page to hand on: what is mounted where and what it costs, scores side by side, blind
@@ -90,17 +65,20 @@ def report(
     - `inspe report j189.npz start.yaml better --tolerance --out j189.html`  (`better` is a
       folder of `inspe optimise`)
     - `inspe report roundabout Cam-d1 L-d1 Cam-d1/L-d1 --light night --pdf roundabout.pdf`
+
+    Args:
+        sensors (LAYOUT): Layouts to show side by side: .yaml files, names of strategies, or
+            folders of `inspe optimise`, for which the page also shows the search.
+        path (--out FILE.html): File of the page.
+        pdf (FILE.pdf): Also write the figures as a PDF.
+        tolerance: Show how carefully each layout must be installed; takes half a minute to
+            compile.
+        front (--pareto DIR): Also draw cost against score, from a folder of `inspe pareto`.
+        frame: Number of the frame of traffic that is drawn.
     """
-    from inspe_jax.core.files import whole_file, write_text
-    from inspe_jax.placement.problem import Case
-    from inspe_jax.placement.studies.pareto import load_pareto
-    from inspe_jax.placement.studies.tolerance import tolerance as installed
     from inspe_jax.report.page import check_names, report_entry, report_page, report_sheets
     from inspe_jax.report.tables import goal_words
-    from inspe_jax.scene.scene import load_scene
-    from inspe_jax.sensing.conditions import Conditions
     from inspe_jax.viewer.page_views import VIEWS
-    from inspe_jax.visibility.queries import check_frame
 
     claims.file(path, (".html", ".htm"), force=force)
     claims.file(pdf, (".pdf",), force=force)
@@ -114,7 +92,7 @@ def report(
     with busy(f"reading {source}"):
         world = objective.within(load_scene(source, profile))
         check_frame(world, frame)
-        placed = [found_or_placed(world, given) for given in wanted]
+        placed = [_found_or_placed(world, given) for given in wanted]
     case = Case(world, conditions)
     check_names([layout.name for layout, _ in placed])
     entries = []
@@ -133,8 +111,7 @@ def report(
         page = report_page(world, entries, prices=priced, progress=callback, **shown)
     path = claims.keep(lambda at: write_text(at, page), path)
     for entry in entries:
-        words = goal_words(entry.layout, entry.scores, entry.sought)
-        out.print(words)
+        out.print(goal_words(entry.layout, entry.scores, entry.sought))
     out.print(f"wrote {path}, {path.stat().st_size / 1e6:.1f} MB")
     if pdf:
         with busy("drawing"):
@@ -144,43 +121,26 @@ def report(
         out.print(f"drew {pdf}")
 
 
-def found_or_placed(world: "Scene", given: str) -> "tuple[Layout, Result | None]":
+def _found_or_placed(world: Scene, given: str) -> tuple[Layout, Result | None]:
     """A layout; and the search that found it, if ``given`` is the folder of a search."""
-    from inspe_jax.placement.result import load_result
-
     if Path(given).is_dir():
         result = load_result(given)
         return result.layout, result
     return layout_on(world, given), None
 
 
-@app.command()
-@takes(WeightOptions)
+@command()
 def view(
-    source: SceneArgument = DEFAULT_SCENE,
-    sensors: LayoutArgument = DEFAULT_LAYOUT,
-    path: Annotated[
-        Path, typer.Option("--out", metavar="FILE.yaml", help="File in which the layout is saved.")
-    ] = Path("viewed.yaml"),
-    port: Annotated[
-        int, typer.Option(min=0, max=65535, help="Port; if it is taken, the next free one is used.")
-    ] = 8080,
-    host: Annotated[
-        str,
-        typer.Option(help="Address to listen on; 0.0.0.0 lets other machines connect."),
-    ] = "127.0.0.1",
-    token: Annotated[
-        bool,
-        typer.Option(
-            help="Put a random token into the page's address, so that only those who have the "
-            "address can open it. On this machine it stays the same for the same --out. --no-token "
-            "is allowed only with a --host of this machine."
-        ),
-    ] = True,
-    light: LightOption = "midday",
-    weather: WeatherOption = "clear",
-    profile: ProfileOption = None,
+    source: str = DEFAULT_SCENE,
+    sensors: str = DEFAULT_LAYOUT,
     *,
+    path: Path = Path("viewed.yaml"),
+    port: Annotated[int, typer.Option(min=0, max=65535)] = 8080,
+    host: str = "127.0.0.1",
+    token: bool = True,
+    light: str = "midday",
+    weather: str = "clear",
+    profile: str | None = None,
     options: WeightOptions,
 ) -> None:
     """Serve a page on which you drag sensors and see the scores follow.
@@ -197,14 +157,16 @@ def view(
     - `inspe view`  (the built-in four-way with cameras at its corners)
     - `inspe view j189.npz layout.yaml --out better.yaml --light night`
     - `inspe view roundabout Cam-d1/L-d1 --port 9000 --host 0.0.0.0`
+
+    Args:
+        path (--out FILE.yaml): File in which the layout is saved.
+        port: Port; if it is taken, the next free one is used.
+        host: Address to listen on; 0.0.0.0 lets other machines connect.
+        token: Put a random token into the page's address, so that only those who have the
+            address can open it. On this machine it stays the same for the same --out.
+            --no-token is allowed only with a --host of this machine.
     """
-    from inspe_jax.core.errors import InspeError
-    from inspe_jax.core.files import check_output
-    from inspe_jax.placement.problem import Case
     from inspe_jax.report.page_token import kept_token
-    from inspe_jax.scene.scene import load_scene
-    from inspe_jax.sensing.conditions import Conditions
-    from inspe_jax.sensing.layout import layout_text
     from inspe_jax.viewer.app import Viewer
     from inspe_jax.viewer.server import AccessRules
 
@@ -234,28 +196,20 @@ def view(
     )
     try:
         if port not in (0, viewer.port):
-            note([f"port {port} is not available: using {viewer.port}"])
+            note(f"port {port} is not available: using {viewer.port}")
         out.print(f"open {viewer.url}")
         if access.local:
-            out.print(
-                "only this machine can open it; --host 0.0.0.0 lets other machines connect",
-            )
+            out.print("only this machine can open it; --host 0.0.0.0 lets other machines connect")
         for url in viewer.other_urls:
             out.print(f"from other machines {url}")
         if not access.local:
             note(
-                [
-                    "everyone who has the address can look, change and save; the connection is not "
-                    "encrypted"
-                ]
+                "everyone who has the address can look, change and save; the connection is not "
+                "encrypted"
             )
         for earlier in viewer.store.earlier:
-            note(
-                [
-                    f"{earlier.path} is of an earlier run: the page offers to open it, and does "
-                    "not replace it"
-                ]
-            )
+            words = "is of an earlier run: the page offers to open it, and does not replace it"
+            note(f"{earlier.path} {words}")
         signal.signal(signal.SIGTERM, signal.default_int_handler)
         out.print("Ctrl-C ends")
         while True:

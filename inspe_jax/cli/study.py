@@ -4,37 +4,28 @@ Imports are inside the command: Dask loads slowly.
 """
 
 from pathlib import Path
-from typing import Annotated
 
 import typer
 
-from inspe_jax.cli.common import app, busy, err, note, out, run_study
-from inspe_jax.cli.options import SchedulerOption, WorkersOption
+from inspe_jax.cli.common import busy, err, note_some, out, run_study
+from inspe_jax.cli.options import command
+from inspe_jax.core.files import check_folder
 from inspe_jax.core.words import counted
+from inspe_jax.study.plan import load_study
 
 SHOWN = 3
 """Number of failures whose error is printed."""
 
-StudyArgument = Annotated[
-    Path, typer.Argument(metavar="STUDY.yaml", help="Scenes, layouts and settings; see above.")
-]
 
-
-@app.command()
+@command()
 def sweep(
-    source: StudyArgument,
-    scheduler: SchedulerOption = None,
-    workers: WorkersOption = None,
-    retry: Annotated[
-        bool, typer.Option("--retry", help="Run jobs again that failed in an earlier run.")
-    ] = False,
-    dry_run: Annotated[
-        bool,
-        typer.Option("--dry-run", help="Only check the study, and print how many jobs it has."),
-    ] = False,
-    folder: Annotated[
-        Path, typer.Option("--out", metavar="DIR", help="Folder for the results.")
-    ] = Path("sweep"),
+    source: Path,
+    *,
+    scheduler: str | None = None,
+    workers: int | None = None,
+    retry: bool = False,
+    dry_run: bool = False,
+    folder: Path = Path("sweep"),
 ) -> None:
     """Score every layout on every scene in every setting, or run a search from each.
 
@@ -64,10 +55,13 @@ def sweep(
     - `inspe sweep study.yaml --dry-run`
     - `inspe sweep study.yaml --out results --workers 8`
     - `inspe sweep study.yaml --out results --scheduler tcp://cluster:8786`
+
+    Args:
+        source (STUDY.yaml): Scenes, layouts and settings; see above.
+        retry: Run jobs again that failed in an earlier run.
+        dry_run: Only check the study, and print how many jobs it has.
     """
-    from inspe_jax.core.files import check_folder
     from inspe_jax.report.tables import sweep_table
-    from inspe_jax.study.plan import load_study
 
     check_folder(folder)
     with busy(f"reading {source}"):
@@ -80,12 +74,11 @@ def sweep(
             f"{counted(len(layouts), 'layout')} on {counted(len(scenes), 'scene')}"
         )
         return
-    rows = run_study(study, folder, "jobs", scheduler, workers, retry)
+    rows = run_study(study, folder, "jobs", scheduler=scheduler, workers=workers, retry=retry)
     out.print(sweep_table(rows))
     failures = [row for row in rows if row["status"] != "done"]
-    note(f"{row['layout']} on {row['scene']}: {row['error']}" for row in failures[:SHOWN])
-    if len(failures) > SHOWN:
-        note([f"{len(failures)} jobs failed in all; results.csv has their errors"])
+    errors = [f"{row['layout']} on {row['scene']}: {row['error']}" for row in failures]
+    note_some(errors, SHOWN, "results.csv has their errors")
     out.print(f"wrote {folder / 'results.csv'}")
     if failures:
         err.print("some jobs failed; --retry runs them again")

@@ -58,13 +58,6 @@ def check_known(name: str, known: Iterable[str], what: str) -> None:
         raise InspeError(f"{what} '{name}': one of {', '.join(known)}{hint}")
 
 
-EXTRAS = {
-    "dask": "sweep", "distributed": "sweep", "equinox": "perception", "filelock": "dataset",
-    "ifaddr": "view", "jinja2": "report", "msgspec": "view", "viser": "view", "websockets": "view",
-}  # fmt: skip
-"""The extra that brings a library that whole modules need."""
-
-
 def missing_extra(what: str, extra: str, where: str = "") -> InspeError:
     """The error of a library that is not installed: ``what`` needs it, and how the ``extra`` with
     it is installed, as this package was. ``where`` says where there is such a library."""

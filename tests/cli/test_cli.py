@@ -614,8 +614,8 @@ def test_what_needs_no_scene_is_refused_before_one_is_read(
     def slow(*_, **__):
         pytest.fail("the scene was read first")
 
-    for name in ("scene.load_scene", "scene.build_scene", "maps.registry.read_map"):
-        monkeypatch.setattr(f"inspe_jax.scene.{name}", slow)
+    for name in ("scene.scene.build_voxels", "cli.scene.read_map"):
+        monkeypatch.setattr(f"inspe_jax.{name}", slow)
     (files / "mine").mkdir(exist_ok=True)
     for name in ("mine/layout.yaml", "mine/r.html", "page.log"):
         (files / name).write_text("mine")
@@ -740,6 +740,37 @@ def test_missing_extra_says_what_to_install(inspe, files, monkeypatch, origin, c
     status, _, error = inspe("scene", "ok.xodr", "--list")
     assert status == 2
     assert command in " ".join(error.split())
+
+
+@pytest.mark.process
+@pytest.mark.parametrize(
+    ("command", "library", "extra"),
+    [
+        ("view", "viser", "view"),
+        ("report", "jinja2", "report"),
+        ("generate set.yaml --out set", "PIL", "dataset"),
+        ("train set --model v2x-vit --out run", "equinox", "perception"),
+    ],
+)
+def test_a_command_without_its_extra_says_what_to_install(command, library, extra):
+    without = f"import sys; sys.modules[{library!r}] = None; from inspe_jax.cli import main; main()"
+    ran = subprocess.run(
+        [sys.executable, "-c", without, *command.split()], capture_output=True, text=True
+    )
+    assert ran.returncode == 2
+    assert f"`inspe {command.split()[0]}` needs {library}" in ran.stderr
+    assert f"[{extra}]'" in ran.stderr
+
+
+@pytest.mark.process
+def test_the_base_scores_and_draws_without_any_extra(tmp_path):
+    brought = "dask distributed embreex equinox fastkml filelock ifaddr jinja2 msgspec pyproj viser"
+    without = f"import sys; sys.modules |= dict.fromkeys({brought.split()!r})"
+    code = f"{without}; from inspe_jax.cli import main; main()"
+    plot = str(tmp_path / "plan.png")
+    done = [sys.executable, "-c", code, "score", "t_junction", "L-d1", "--plot", plot]
+    subprocess.run(done, check=True, capture_output=True)
+    assert Path(plot).exists()
 
 
 ON_ONE_CORE = """import os
@@ -913,7 +944,7 @@ def test_a_device_that_is_not_there_is_told_in_a_line(inspe, monkeypatch, found)
         raise found or AssertionError("of this package")
 
     monkeypatch.setenv("JAX_PLATFORMS", "cuda")
-    monkeypatch.setattr("inspe_jax.scoring.evaluate.evaluate", fail)
+    monkeypatch.setattr("inspe_jax.cli.score.evaluate", fail)
     if found is None:
         with pytest.raises(AssertionError, match="of this package"):
             inspe("score", "s.npz", "layout.yaml")

@@ -109,7 +109,7 @@ def test_a_page_has_them_and_a_map_of_what_a_pedestrian_gets(scene, layout, monk
 
 def test_the_panel_of_the_page_shows_them(scene, layout):
     scores = evaluate(scene, layout, metrics=("detectability",))
-    panel = score_panel(layout, ScoredLayout(layout, scores, 3, 0.1), frames=3).details
+    panel = score_panel(layout, ScoredLayout(layout, scores, 3, 0.1), frames=3)[1]
     assert "detectability D" in panel
     assert "localisation" not in panel
 

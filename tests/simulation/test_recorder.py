@@ -16,7 +16,6 @@ from inspe_jax.dataset import open as open_dataset
 from inspe_jax.dataset import write_frame, write_protocol
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.scene import build_scene
-from inspe_jax.scene.traffic.frames import CLASSES
 from inspe_jax.scoring.targets import target_view
 from inspe_jax.sensing.catalogue import device
 from inspe_jax.sensing.conditions import FAIR, Conditions
@@ -388,30 +387,24 @@ def test_boxes_cover_cars_through_the_written_calibration(tmp_path):
     folder = tmp_path / "train" / "one"
     facts = dict(fixed_delta_seconds=0.1, client_port=2000, seed=0, weather="clear", town="a")
     write_protocol(folder, {"world": facts})
-    for t in range(2):
-        write_frame(folder, recorder.frame(t))
+    recorded = [recorder.frame(t) for t in range(2)]
+    for frame in recorded:
+        write_frame(folder, frame)
     reports = opv2v_validator.check_set(tmp_path, attenuation=0.004)
     assert reports["train/one"].points > 10_000
     overlaps = []
-    for frame in (open_dataset(folder).scenarios[0].frame(t) for t in range(2)):
-        image = frame.stations[0].images[0]
+    v, u = np.indices((480, 640)) + 0.5
+    for t in range(2):
+        frame = open_dataset(folder).scenarios[0].frame(t)
+        image, share = frame.stations[0].images[0], recorded[t].stations[0].images[0].share
+        shares = {box.track: part for box, part in zip(recorded[t].boxes, share, strict=True)}
         for box in frame.boxes:
-            if box.kind != "car":
-                continue
             body, hull = seen_from(image, box)
             hull = hull.intersection(shapely.box(0, 0, 640, 480))
-            if not 1 <= body[:, 0].min() <= 45 or hull.area < 400:
-                continue
-            # Not hidden: alone in the world it has as many pixels.
-            actors = FrameActors((box,), recorder.surroundings.static_world.center)
-            free = recorder.sensors[0].record(actors, np.random.default_rng(0))
-            own = free.instance > 0
-            seen = image.instance == box.track + 1
-            if not own.any() or seen.sum() < 0.98 * own.sum():
-                continue
-            v, u = np.nonzero(seen)
-            pixels = shapely.union_all(shapely.box(u, v, u + 1, v + 1))
-            overlaps.append(pixels.intersection(hull).area / pixels.union(hull).area)
+            near = 1 <= body[:, 0].min() <= 45 and hull.area >= 400
+            if box.kind == "car" and near and shares[box.track] >= 0.98:
+                inside, seen = shapely.contains_xy(hull, u, v), image.instance == box.track + 1
+                overlaps.append((inside & seen).sum() / (inside | seen).sum())
     assert len(overlaps) >= 5
     assert min(overlaps) >= 0.7
 
@@ -538,7 +531,6 @@ def test_road_users_keep_their_looks(scene):
             assert names.setdefault(box.track, box.name) == box.name
             assert box.name in VARIANTS[box.kind]
     assert len(set(names.values())) > 4
-    assert {CLASSES[k] for k in scene.traffic.kind[scene.traffic.valid]} >= {"car", "truck"}
 
 
 @pytest.mark.parametrize("light", ["midday", "night"])

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 from benchmark_speed import Embree
-from common import MAPS, arguments, console, output, show, write_results
+from common import arguments, console, output, show, town_junction, write_results
 from matplotlib.figure import Figure
 from rich.progress import track
 
@@ -25,12 +25,7 @@ from inspe_jax.visibility import raycast
 def world(quick: bool, seed: int) -> Scene:
     """A scene with slopes where the map is at hand, else the built-in four-way."""
     radius, frames = (20.0, 2) if quick else (30.0, 5)
-    if not quick and (MAPS / "Town03.xodr").is_file():
-        from inspe_jax.scene.maps.opendrive.reader import read_opendrive
-
-        place = read_opendrive(MAPS / "Town03.xodr", junction=222, radius=radius)
-    else:
-        place = inspe_jax.built_in("four_way")
+    place = town_junction("Town03", 222, radius, quick)
     return inspe_jax.build_scene(place, profile="ideal", radius=radius, frames=frames, seed=seed)
 
 

@@ -23,6 +23,7 @@ from rich.table import Table
 
 import inspe_jax
 from inspe_jax.core.files import write_text
+from inspe_jax.scene.maps.registry import read_map
 
 console = Console()
 METRICS = {
@@ -129,6 +130,14 @@ def kept_folder(keep: Path | None) -> Iterator[Path]:
 def on_maps(scenes: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """Entries of a study with whole paths of their maps."""
     return [scene | dict(map=str(MAPS / scene["map"])) for scene in scenes]
+
+
+def town_junction(town: str, junction: int, radius: float, quick: bool) -> inspe_jax.Intersection:
+    """A junction of a town map; the built-in four-way in a quick run, or without that map."""
+    path = MAPS / f"{town}.xodr"
+    if quick or not path.is_file():
+        return inspe_jax.built_in("four_way")
+    return read_map(path, junction=junction, radius=radius)
 
 
 def machine() -> dict[str, str]:

@@ -431,8 +431,8 @@ def main() -> None:
         }
         furthest = draw_furthest(rows, found, scenes, into)
     related = correlations(rows, size.resamples)
-    settings = dict(vars(given), size=size._asdict())
-    write_results(stem, rows, settings, draw(rows, related))
+    facts = dict(vars(given), size=size._asdict())
+    write_results(stem, rows, facts, draw(rows, related))
     write_results(Path(f"{stem}_correlations"), related, dict(vars(given)))
     for row in related:
         if row["road_user"] == "mean":

@@ -4,7 +4,7 @@ Everything is in the world frame (ENU), in metres and radians. A pose is (x, y, 
 yaw).
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Self
 
@@ -138,12 +138,13 @@ def check_frame(frame: Frame) -> None:
     """Raise InspeError where a value of a frame is not valid. This reads all deferred fields."""
     where = f"frame {frame.number}"
     _whole_number(frame.number, 0, MOST_FRAME, "frame")
-    for track in (box.track for box in frame.boxes):
-        _whole_number(track, 0, MOST_TRACK, f"{where}: track")
-    for number in (station.number for station in frame.stations):
-        _whole_number(number, 1, None, f"{where}: station")
-    _no_two([box.track for box in frame.boxes], f"{where}: track")
-    _no_two([station.number for station in frame.stations], f"{where}: station")
+    tracks = [box.track for box in frame.boxes]
+    numbers = [station.number for station in frame.stations]
+    for what, own, least, most in (("track", tracks, 0, MOST_TRACK), ("station", numbers, 1, None)):
+        for number in own:
+            _whole_number(number, least, most, f"{where}: {what}")
+            if own.count(number) > 1:
+                raise InspeError(f"{where}: {what} {number} is given twice")
     for box in frame.boxes:
         _check_box(box, f"{where}: track {box.track}")
     for station in frame.stations:
@@ -151,20 +152,18 @@ def check_frame(frame: Frame) -> None:
         _numbers(station.pose, (6,), f"{here}: pose")
         for i, image in enumerate(station.images):
             _check_image(image, f"{here}: image {i}")
-            _check_counts(image, ("pixels", "share"), frame.boxes, f"{here}: image {i}")
+            counts = dict(pixels=image.pixels, share=image.share)
+            _check_counts(counts, len(tracks), f"{here}: image {i}")
         for i, scan in enumerate(station.scans):
             _numbers(scan.pose, (6,), f"{here}: scan {i}: pose")
             _check_points(scan.points, f"{here}: scan {i}: points")
-            _check_counts(scan, ("returns",), frame.boxes, f"{here}: scan {i}")
+            _check_counts(dict(returns=scan.returns), len(tracks), f"{here}: scan {i}")
 
 
-def _check_counts(
-    record: Image | Scan, fields: Sequence[str], boxes: Sequence[RoadUserBox], where: str
-) -> None:
-    for name in fields:
-        counts = getattr(record, name)
-        if counts is not None:
-            _numbers(counts, (len(boxes),), f"{where}: {name}")
+def _check_counts(counts: Mapping[str, Any], road_users: int, where: str) -> None:
+    for name, each in counts.items():
+        if each is not None:
+            _numbers(each, (road_users,), f"{where}: {name}")
 
 
 def _check_box(box: RoadUserBox, where: str) -> None:
@@ -222,9 +221,3 @@ def _whole_number(value: Any, least: int, most: int | None, where: str) -> None:
     if not whole or value < least or (most is not None and value > most):
         allowed = f"at least {least}" if most is None else f"{least} to {most}"
         raise InspeError(f"{where} {value!r} is out of range: a whole number, {allowed}")
-
-
-def _no_two(numbers: Sequence[int], where: str) -> None:
-    twice = next((n for n in numbers if numbers.count(n) > 1), None)
-    if twice is not None:
-        raise InspeError(f"{where} {twice} is given twice")

@@ -20,7 +20,7 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass, fields, is_dataclass
 from math import isnan
 from pathlib import Path
-from typing import Annotated, Any, get_type_hints
+from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
 import typer
 
@@ -68,7 +68,6 @@ SHARED = """
     folder (--out DIR): Folder for the results.
     force: Replace files that this command did not write, or were changed.
 """
-DEFAULT_DEVICES = ("velodyne-vlp-16:1-4",)
 LAST = ("folder", "force")
 """Options that come last in the help."""
 
@@ -135,9 +134,12 @@ def _parameter(
     name = flag[0] if flag else "--" + one.name.replace("_", "-")
     if one.default is True and not flag:
         name += f"/--no-{name[2:]}"
-    info = copy.copy(hint.__metadata__[0]) if hasattr(hint, "__metadata__") else typer.Option()
-    info.default, info.param_decls, info.metavar, info.help = name, (), metavar, words
-    return one.replace(annotation=Annotated[getattr(hint, "__origin__", hint), info])
+    info = typer.Option()
+    if get_origin(hint) is Annotated:  # with bounds
+        hint, bounds = get_args(hint)
+        info = copy.copy(bounds)
+    info.default, info.metavar, info.help = name, metavar, words
+    return one.replace(annotation=Annotated[hint, info])
 
 
 @dataclass(frozen=True)
@@ -374,10 +376,10 @@ def numbers(option: str, given: list[str] | None, form: str) -> dict[str, float]
     return found
 
 
-def counts(given: list[str]) -> dict[str, list[int]]:
+def device_counts(given: list[str] | None) -> dict[str, list[int]]:
     """Numbers of each device to try, from ``DEVICE:0-4`` or ``DEVICE:0,4,8``."""
     found: dict[str, list[int]] = {}
-    for text in given:
+    for text in given or ("velodyne-vlp-16:1-4",):
         name, _, several = text.rpartition(":")
         try:
             low, to, high = several.partition("-")

@@ -1,7 +1,4 @@
-"""Scenes, and layouts by rule: `inspe scene` and `layout`.
-
-Imports are inside the commands: the map readers and matplotlib load slowly.
-"""
+"""Scenes, and layouts by rule: `inspe scene` and `layout`."""
 
 import gzip
 from collections.abc import Sequence

@@ -21,17 +21,18 @@ import jax
 import numpy as np
 import pytest
 import typer
-from processes import inspe_here, inspe_process
+from processes import inspe_here, inspe_process, refused
 from rich.text import Text
 from worlds import rilsa
 
 from inspe_jax.cli import stopping
 from inspe_jax.cli.claims import Claims
-from inspe_jax.cli.common import err, out
+from inspe_jax.cli.common import app, err, out
 from inspe_jax.core.compiling import keep_programs, prune
 from inspe_jax.core.files import write_text
 from inspe_jax.core.tables import table_of
 from inspe_jax.core.words import visible
+from inspe_jax.placement.result import FILES
 from inspe_jax.scene.procedural.built_ins import built_in
 from inspe_jax.scene.scene import build_scene, load_scene, save_scene
 
@@ -109,28 +110,16 @@ def test_targets_prints_tables_and_the_same_numbers_as_json(inspe, files):
     record = json.loads(text)
     assert record["road_user"] == "cyclist"
     assert f"{record['lidar_returns']['all']['median']:.1f}" in table
-    status, _, error = inspe("targets", "s.npz", "layout.yaml", "--road-user", "dog")
-    assert status == 2
-    assert "one of car, truck, cyclist, pedestrian" in error
-
-
-def test_plots_are_written(inspe, files):
-    assert inspe("score", "s.npz", "layout.yaml", "--plot", "plan.png")[0] == 0
-    assert inspe("scene", "s.npz", "--plot", "scene.svg")[0] == 0
-    assert (files / "plan.png").read_bytes().startswith(b"\x89PNG")
-    assert b"<svg" in (files / "scene.svg").read_bytes()[:1000]
 
 
 def test_report_has_the_numbers_of_score(inspe, files):
-    status, words, _ = inspe("report", "s.npz", "layout.yaml", "L-c", "--pdf", "figures.pdf")
+    status, words, _ = inspe("report", "s.npz", "layout.yaml", "--pdf", "figures.pdf")
     assert status == 0
     assert "wrote report.html" in words
     page = (files / "report.html").read_text(encoding="utf-8")
     found = re.search(r"data:application/json;base64,([^\"]+)", page)
-    for record, name in zip(
-        json.loads(base64.b64decode(found[1])), ("layout.yaml", "L-c"), strict=True
-    ):
-        assert record == json.loads(inspe("score", "s.npz", name, "--json", "-")[1])
+    score = inspe("score", "s.npz", "layout.yaml", "--json", "-")[1]
+    assert json.loads(base64.b64decode(found[1])) == [json.loads(score)]
     assert (files / "figures.pdf").read_bytes().startswith(b"%PDF")
 
 
@@ -218,15 +207,13 @@ def test_roads_that_cannot_hold_the_traffic_say_so(inspe):
     )
 
 
-def test_metrics_are_listed(inspe):
+def test_what_is_known_is_listed(inspe):
     text = inspe("metrics")[1]
     for name, symbol, weight in (("coverage", "C", 0.3), ("information_gain", "IG", 0.2)):
         assert re.search(rf"{name} +{symbol} +{weight} +\w+", text)
     assert re.search(r"surrogate +P_sm +the weighted sum", text)
-
-
-def test_devices_and_version(inspe):
     assert "paper-lidar-64" in inspe("devices")[1]
+    assert "ideal" in inspe("profiles")[1]
     assert inspe("--version")[1].startswith("inspe_jax 0.")
 
 
@@ -239,14 +226,7 @@ def test_optimise_writes_a_better_layout_and_shows_it(inspe, files):
     arguments = ("s.npz", "away.yaml", "--method", "random", "--evaluations", 120, "--out", "o")
     status, text, error = inspe("optimise", *arguments)
     assert (status, error) == (0, "")
-    assert search_files(files / "o") == [
-        "before_after.png",
-        "history.csv",
-        "layout.yaml",
-        "path.csv",
-        "result.json",
-        "start.yaml",
-    ]
+    assert search_files(files / "o") == sorted((*FILES, "before_after.png"))
     record = json.loads((files / "o" / "result.json").read_text())
     assert record["objective"] > record["objective_before"] + 0.01
     for layout, key in (("layout.yaml", "scores"), ("start.yaml", "scores_before")):
@@ -260,17 +240,10 @@ def test_optimise_writes_a_better_layout_and_shows_it(inspe, files):
 
 def test_optimise_goes_on_from_its_checkpoint_and_takes_every_option(inspe, files):
     arguments = ("s.npz", "away.yaml", "--method", "random", "--evaluations", 3, "--out", "p")
-    options = ("--also", "s.npz", "--worst", "--places", "areas", "--heights", 4, 8, "--seed", 5)
     options = (
-        *options,
-        "--weight",
-        "coverage=0.5",
-        "--weight",
-        "occlusion=0.5",
-        "--start",
-        "random",
-        "--checkpoint",
-        "c.npz",
+        *("--also", "s.npz", "--worst", "--places", "areas", "--heights", 4, 8, "--seed", 5),
+        *("--weight", "coverage=0.5", "--weight", "occlusion=0.5"),
+        *("--start", "random", "--checkpoint", "c.npz"),
     )
     assert inspe("optimise", *arguments, *options)[0] == 0
     settings = json.loads((files / "p" / "result.json").read_text())["settings"]
@@ -304,12 +277,8 @@ def test_compare_ranks_methods(inspe, files):
     assert search_files(files / "v") == ["compare.csv", "compare.png", "history.csv", "layout.yaml"]
     with (files / "v" / "compare.csv").open() as f:
         rows = list(csv.DictReader(f))
-    assert [(row["method"], row["seed"]) for row in rows] == [
-        ("random", "0"),
-        ("random", "1"),
-        ("grid", "0"),
-        ("grid", "1"),
-    ]
+    runs = [(row["method"], row["seed"]) for row in rows]
+    assert runs == [("random", "0"), ("random", "1"), ("grid", "0"), ("grid", "1")]
     best = max(float(row["objective"]) for row in rows)
     assert f"{best:.4f}" in text
     again = json.loads(inspe("score", "s.npz", "v/layout.yaml", "--json", "-")[1])
@@ -339,15 +308,15 @@ def test_pareto_finds_what_is_worth_its_money(inspe, files):
 
 def test_tolerance_prints_and_writes_the_same(inspe, files):
     arguments = ("--samples", 3, "--position", 0.2, "--angle", 2, "--json")
-    status, text, _ = inspe("tolerance", "s.npz", "layout.yaml", *arguments, "-")
+    status, text, _ = inspe("tolerance", "s.npz", "away.yaml", *arguments, "-")
     assert status == 0
     record = json.loads(text)
     assert (record["settings"]["position"], record["settings"]["samples"]) == (0.2, 3)
     assert record["settings"]["angle_deg"] == pytest.approx(2)
     assert len(record["left"]) == 3
-    again = json.loads(inspe("score", "s.npz", "layout.yaml", "--json", "-")[1])
+    again = json.loads(inspe("score", "s.npz", "away.yaml", "--json", "-")[1])
     assert record["score"] == pytest.approx(again["surrogate"], abs=1e-5)
-    status, text, _ = inspe("tolerance", "s.npz", "layout.yaml", *arguments, "t.json")
+    status, text, _ = inspe("tolerance", "s.npz", "away.yaml", *arguments, "t.json")
     assert status == 0
     assert json.loads((files / "t.json").read_text()) == record
     assert f"{record['score']:.4f}" in text
@@ -411,34 +380,24 @@ def test_a_data_set_is_checked_and_counted_before_it_is_made(inspe, files):
     assert "dark.yaml: settings.light: light 'dark': one of midday, dusk, night" in words
 
 
-COMMANDS = [
-    *("scene", "layout", "score", "optimise", "compare", "pareto", "tolerance", "sweep", "export"),
-    "generate",
-]
-
-
-@pytest.mark.parametrize("command", COMMANDS)
-def test_help_has_examples(inspe, command):
-    status, text, _ = inspe(command, "--help")
-    assert status == 0
-    assert "Examples" in text
-    assert f"inspe {command}" in text
+def test_every_command_has_examples_and_says_what_its_options_are():
+    count = 0
+    for name, group in typer.main.get_command(app).commands.items():
+        for word, command in getattr(group, "commands", {"": group}).items():
+            example = f"Examples?:.*`inspe {name} {word}".strip()
+            assert re.search(example, command.help, re.DOTALL), (name, word)
+            assert all(one.help for one in command.params), (name, word)
+            count += 1
+    assert count > 20
 
 
 BAD = [
     (("score", "none.npz"), "none.npz: no such file"),
-    (("score", "s.npz", "missing.yaml"), "missing.yaml: no such file"),
-    (
-        ("score", "s.npz", "Cam-x"),
-        "no layout 'Cam-x': give a .yaml or .geojson file, or a strategy: Cam-c",
-    ),
+    (("score", "s.npz", "Cam-x"), "no layout 'Cam-x': give a .yaml or .geojson file, or a strat"),
     (("score", "s.npz", "none.yaml"), "the layout is empty"),
     (("score", "s.npz", "zero.npz"), "no layout: is a scene, which comes before the layout"),
     (("score", "s.npz", "town.xodr"), "no layout: a map is not a scene yet; build one: inspe sc"),
-    (
-        ("score", "layout.yaml"),
-        "is a layout or a study, not a scene: inspe score SCENE lay",
-    ),
+    (("score", "layout.yaml"), "is a layout or a study, not a scene: inspe score SCENE lay"),
     (("scene", "layout.yaml"), "is a layout or a study, not a scene"),
     (("score", "s.npz", "nan.yaml"), "height: input should be a finite number"),
     (("score", "s.npz", "buried.yaml"), "is in the ground"),
@@ -450,12 +409,8 @@ BAD = [
     (("score", "s.npz", "layout.yaml", "--weight", "coverage=0.3"), "sum to 1"),
     (("score", "s.npz", "layout.yaml", "--weight", "coverage"), "coverage=0.3"),
     (("score", "s.npz", "layout.yaml", "--weight", "coverag=1"), "did you mean coverage"),
-    (
-        ("score", "s.npz", "layout.yaml", "--weight", "coverage=1", "--weight", "coverage=1"),
-        "coverage is given twice",
-    ),
+    (("score", "s.npz", *("--weight", "coverage=1") * 2), "coverage is given twice"),
     (("score", "s.npz", "layout.yaml", "--json", "no/such/folder.json"), "no such folder"),
-    (("score", "s.npz", "layout.yaml", "--json", "a.json", "--plot", "b.xyz"), "must end in .png"),
     (("scene", "four_way", "--out", "s2.npz", "--plot", "b.xyz"), "must end in .png"),
     (("scene", "four_way", "--out", "s2.txt"), "must end in .npz"),
     (("layout", "four_way", "--out", "l.txt"), "must end in .yaml"),
@@ -464,33 +419,23 @@ BAD = [
     (("scene", "nosuch", "--list"), "no scene 'nosuch': give a built-in (four_way"),
     (("scene", "for_way"), "did you mean four_way"),
     (("scene", "four_way", "--statics", "stret"), "one of none, map, street; did you mean street?"),
-    (("scene", "s.npz", "--statics", "street"), "leave out --statics"),
-    (
-        ("scene", "four_way", "--junction", 3),
-        "a built-in intersection is no map; leave out --junction",
-    ),
+    (("scene", "four_way", "--junction", 3), "a built-in intersection is no map; leave out --ju"),
     (("scene", "four_way", "--radius", 500), "radius 500 m is out of range"),
     (("scene", "four_way", "--voxel", 0.001), "voxel 0.001 m is out of range"),
     (("scene", "four_way", "--radius", 200, "--voxel", 0.05), "too large for memory"),
     (("scene", "s.npz", "--radius", 30), "a saved scene keeps the settings it was built with"),
     (("scene", "page.xodr"), "choose a place on the map with --junction ID, --at LAT,LON or"),
     (("scene", "four_way", "--frames", 10**9), "at most 10000"),
-    (
-        ("score", "s.npz", "list.yaml"),
-        "must hold keys with values: devices, name, order, profile, searched_for, units",
-    ),
+    (("score", "s.npz", "list.yaml"), "must hold keys with values: devices, name, order, profile"),
     (("scene", "four_way", "--traffic", "sumo"), "four_way: SUMO runs on a map"),
     (("scene", "four_way", "--traffic", "cars"), "traffic 'cars': waypoints, sumo, or a log"),
     (("scene", "four_way", "--traffic", "none.log"), "none.log: no such file"),
     (("scene", "four_way", "--traffic", "a.log", "--seed", 1), "a log has traffic of its own"),
     (("scene", "four_way", "--step", 0), "traffic step 0.0 is out of range: above 0"),
     (("scene", "none.net.xml", "--list"), "none.net.xml: no such file"),
-    (("scene", "none.osm"), "choose a place on the map with --junction ID, --at LAT,LON or"),
     (("scene", "missing.xodr", "--list"), "missing.xodr: no such file"),
     (("scene", "page.xodr", "--list"), "the root element is <html>, not <OpenDRIVE>"),
     (("scene", "cut.xodr", "--list"), "cut.xodr"),
-    (("layout", "s.npz", "--strategy", "L-x"), "L-x"),
-    (("layout", "s.npz", "--camera", "paper-camera-noon"), "did you mean paper-camera"),
     (("score", "s.npz", "--light", "noon"), "light 'noon': one of midday, dusk, night"),
     (("score", "s.npz", "--weather", "rain:x"), "rain:NUMBER, between 0.1 and 200 mm/h"),
     (("optimise", "s.npz", "--light", "midday,noon"), "light 'noon': one of"),
@@ -501,14 +446,11 @@ BAD = [
     (("generate", "none.yaml", "--out", "set", "--backend", "carl"), "did you mean carla"),
     (("generate", "none.yaml", "--out", "set", "--server", "sim:two"), "server 'sim:two': HOST"),
     (("generate", "none.yaml", "--out", "set"), "none.yaml: the study is empty"),
-    (("optimise", "s.npz", "--method", "adm"), "method 'adm': one of adam"),
     (("optimise", "s.npz", "--seconds", 0), "seconds 0: a budget must be more than 0"),
     (("optimise", "s.npz", "--evaluations", -1), "evaluations -1: a budget must be"),
     (("optimise", "s.npz", "--seed", -1), "seed -1: a whole number"),
-    (("optimise", "s.npz", "--start", "Cam-d3"), "did you mean Cam-d2 or Cam-d1"),
     (("optimise", "s.npz", "--start", "L-c"), "start 'L-c' has 0 of kind camera"),
     (("optimise", "s.npz", "--worst"), "add scenes with --also"),
-    (("optimise", "s.npz", "--also", "missing.npz"), "missing.npz: no such file"),
     (("optimise", "nosuch", "--out", "no/such"), "no/such: no such folder: no"),
     (("optimise", "nosuch", "--out", "s.npz"), "s.npz: is a file; name a folder"),
     (("optimise", "nosuch", "--checkpoint", "c.txt"), "c.txt: the name must end in .npz"),
@@ -519,7 +461,6 @@ BAD = [
     (("optimise", "s.npz", "layout.yaml", "--checkpoint", "s.npz"), "not a checkpoint of a search"),
     (("optimise", "empty.npz"), "information gain needs traffic"),
     (("compare", "s.npz", "--methods", "grid,gird"), "method 'gird': one of adam"),
-    (("compare", "s.npz", "--methods", "grid,grid"), "one is named twice"),
     (("compare", "s.npz", "--seeds", 0), "seeds 0: give at least 1"),
     (("compare", "nosuch", "--out", "no/such"), "no/such: no such folder: no"),
     (("compare", "nosuch", "--seconds", 0), "seconds 0: a budget must be more than 0"),
@@ -532,7 +473,6 @@ BAD = [
     (("pareto", "s.npz", "--price", "hesai-xt32=-5"), "price of hesai-xt32 -5.0: 0 or more"),
     (("pareto", "s.npz", "--budget", 100), "the cheapest costs 4,000"),
     (("pareto", "nosuch"), "no scene 'nosuch'"),
-    (("tolerance", "s.npz", "--angle", 90), "angle 90° is out of range: between 0° and 30°"),
     (("tolerance", "s.npz", "--position", -1), "position -1 m is out of range: between 0 m and 2"),
     (("tolerance", "s.npz", "--samples", 0), "samples 0 is out of range: between 1 and 10000"),
     (("tolerance", "nosuch"), "no scene 'nosuch'"),
@@ -542,16 +482,8 @@ BAD = [
     (("report", "s.npz", "L-c", "L-d3"), "no layout 'L-d3'"),
     (("report", "s.npz", "--frame", 99), "frame 99 is out of range"),
     (("report", "s.npz", "."), "result.json: no such file"),
-    (("report", "s.npz", "--pareto", "."), "pareto.csv: no such file"),
     (("view", "nosuch", "--out", "moved.json"), "moved.json: the name must end in .yaml"),
-    (
-        ("view", "s.npz", "--host", "203.0.113.1"),
-        "host 203.0.113.1, port 8080: no server can be started",
-    ),
-    (
-        ("view", "s.npz", "--host", "0.0.0.0", "--no-token"),
-        "--no-token is allowed only on this machine, but --host 0.0.0.0 lets others connect",
-    ),
+    (("view", "s.npz", "--host", "203.0.113.1"), "host 203.0.113.1, port 8080: no server can be"),
     (("view", "s.npz", "layout.yaml", "--light", "noon"), "light"),
     (("tolerance", "s.npz", "--json", "no/such.json"), "no such folder"),
 ]
@@ -561,17 +493,11 @@ BAD = [
     ("arguments", "message"), BAD, ids=[" ".join(map(str, arguments)) for arguments, _ in BAD]
 )
 def test_bad_input_is_one_message_and_status_2(inspe, files, arguments, message):
-    before = sorted(files.iterdir())
-    status, _, error = inspe(*arguments)
-    assert status == 2
-    assert message in " ".join(error.split())
-    assert "Traceback" not in error
-    assert sorted(files.iterdir()) == before  # nothing half-written
+    refused(inspe, files, arguments, message)
 
 
 SLOW = [
     (("score", "four_way", "missing.yaml"), "missing.yaml: no such file"),
-    (("score", "four_way", "list.yaml"), "list.yaml"),
     (("score", "four_way", "Cam-d3"), "no layout 'Cam-d3'"),
     (("score", "four_way", "--visibility", "all"), "visibility 'all': one of"),
     (("targets", "four_way", "missing.geojson"), "missing.geojson: no such file"),
@@ -590,10 +516,7 @@ SLOW = [
     (("tolerance", "four_way", "--angle", 90), "angle 90° is out of range"),
     (("report", "four_way", "Cam-d1", "missing.yaml"), "missing.yaml: no such file"),
     (("report", "four_way", "--pareto", "."), "pareto.csv: no such file"),
-    (
-        ("report", "four_way", "--out", "mine/r.html"),
-        "r.html: is there already, and `inspe",
-    ),
+    (("report", "four_way", "--out", "mine/r.html"), "r.html: is there already, and `inspe"),
     (("export", "four_way", "missing.yaml"), "missing.yaml: no such file"),
     (("view", "four_way", "missing.yaml"), "missing.yaml: no such file"),
     (("view", "four_way", "--host", "0.0.0.0", "--no-token"), "--no-token is allowed only on"),

@@ -24,8 +24,6 @@ from inspe_jax.scene.traffic.frames import CLASSES
 from inspe_jax.study.plan import make_study
 from inspe_jax.study.results import Results, read_results
 from inspe_jax.study.work import run_job
-from inspe_jax.viewer.score_panel import score_panel
-from inspe_jax.viewer.scorer import ScoredLayout
 
 
 @pytest.fixture(scope="module")
@@ -105,13 +103,6 @@ def test_a_page_has_them_and_a_map_of_what_a_pedestrian_gets(scene, layout, monk
     assert "detectability D" not in plain
     assert page.ON_TARGET in with_it
     assert "detectability D" in with_it
-
-
-def test_the_panel_of_the_page_shows_them(scene, layout):
-    scores = evaluate(scene, layout, metrics=("detectability",))
-    panel = score_panel(layout, ScoredLayout(layout, scores, 3, 0.1), frames=3).details
-    assert "detectability D" in panel
-    assert "localisation" not in panel
 
 
 def test_studies_have_a_column_for_each(scene, tmp_path):

@@ -169,7 +169,7 @@ def test_dry_runs_and_ctrl_c(inspe, files, monkeypatch):
     def stopped(*given, **more):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("inspe_jax.cli.common.sweep", stopped)
+    monkeypatch.setattr("inspe_jax.cli.study.run", stopped)
     status, _, error = inspe("plan", "grid.net.xml", *MIXES, "--budget", 1)
     assert status == 130
     assert "give the same command again to resume" in error
@@ -274,7 +274,7 @@ def test_what_failed_is_told_and_left_out(inspe, files, monkeypatch):
         scores |= {key: "nowhere to put a pole" for key in scores if key[0] == "B0"}
         return rows_of(study, scores | {("A1", "2 velodyne-vlp-16"): "too many"})
 
-    monkeypatch.setattr("inspe_jax.cli.common.sweep", searched)
+    monkeypatch.setattr("inspe_jax.cli.study.run", searched)
     command = ("plan", "grid.net.xml", *MIXES, "--out", "failing")
     status, text, error = inspe(*command, "--budget", 1)
     assert status == 0

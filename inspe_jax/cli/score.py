@@ -40,9 +40,6 @@ def score(
     plot: Path | None = None,
     occlusion_reference: str | None = None,
     visibility: str | None = None,
-    light: str = "midday",
-    weather: str = "clear",
-    profile: str | None = None,
     force: bool = False,
     options: ScoreOptions,
 ) -> None:
@@ -75,9 +72,9 @@ def score(
     claims.file(plot, FORMATS, force=force)
     claims.file(record, force=force)
     readings = dict(occlusion_reference=occlusion_reference, visibility=visibility)
-    conditions, objective = Conditions.of(light, weather), options.objective(**readings)
+    conditions, objective = options.conditions, options.objective(**readings)
     with busy(f"reading {source}"):
-        world, placed = scene_and_layout(source, sensors, profile)
+        world, placed = scene_and_layout(source, sensors, options.profile)
         world = objective.within(world)
     with busy("scoring"):
         scores = evaluate(
@@ -149,9 +146,6 @@ def tolerance(
     angle: float = 1.0,
     samples: int = 50,
     seed: int = 0,
-    light: str = "midday",
-    weather: str = "clear",
-    profile: str | None = None,
     record: str | None = None,
     force: bool = False,
     options: ScoreOptions,
@@ -181,9 +175,9 @@ def tolerance(
         position=position, angle=float(np.radians(angle)), samples=samples, seed=seed
     )
     check_errors(**errors)
-    conditions = Conditions.of(light, weather)
+    conditions = options.conditions
     with busy(f"reading {source}"):
-        world, placed = scene_and_layout(source, sensors, profile)
+        world, placed = scene_and_layout(source, sensors, options.profile)
     with progress("installations") as report:
         case = Case(world, conditions)
         found = installed(case, placed, **errors, objective=objective, progress=report)

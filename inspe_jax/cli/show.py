@@ -29,7 +29,6 @@ from inspe_jax.placement.result import Result, load_result
 from inspe_jax.placement.studies.pareto import load_pareto
 from inspe_jax.placement.studies.tolerance import tolerance as installed
 from inspe_jax.scene.scene import Scene, load_scene
-from inspe_jax.sensing.conditions import Conditions
 from inspe_jax.sensing.layout import Layout, layout_text
 from inspe_jax.visibility.queries import check_frame
 
@@ -45,9 +44,6 @@ def report(
     front: Path | None = None,
     frame: int = 0,
     price: list[str] | None = None,
-    light: str = "midday",
-    weather: str = "clear",
-    profile: str | None = None,
     force: bool = False,
     options: ScoreOptions,
 ) -> None:
@@ -80,7 +76,7 @@ def report(
 
     claims.file(path, (".html", ".htm"), force=force)
     claims.file(pdf, (".pdf",), force=force)
-    conditions, objective = Conditions.of(light, weather), options.objective()
+    conditions, objective = options.conditions, options.objective()
     priced = prices(price)
     wanted = sensors or [DEFAULT_LAYOUT]
     for given in wanted:
@@ -88,7 +84,7 @@ def report(
             check_layout(given)
     mixes = load_pareto(front) if front else []
     with busy(f"reading {source}"):
-        world = objective.within(load_scene(source, profile))
+        world = objective.within(load_scene(source, options.profile))
         check_frame(world, frame)
         placed = [_found_or_placed(world, given) for given in wanted]
     case = Case(world, conditions)
@@ -136,9 +132,6 @@ def view(
     port: Annotated[int, typer.Option(min=0, max=65535)] = 8080,
     host: str = "127.0.0.1",
     token: bool = True,
-    light: str = "midday",
-    weather: str = "clear",
-    profile: str | None = None,
     options: WeightOptions,
 ) -> None:
     """Serve a page on which you drag sensors and see the scores follow.
@@ -169,7 +162,7 @@ def view(
     from inspe_jax.viewer.server import AccessRules
 
     check_output(path, (".yaml", ".yml"))
-    conditions, weights = Conditions.of(light, weather), options.weights()
+    conditions, weights = options.conditions, options.weights()
     further, curves = options.further(), options.curves()
     access = AccessRules(host) if token else AccessRules(host, token="")
     if token and access.local:  # a page that is open when the server ends gets in to the next one
@@ -180,7 +173,7 @@ def view(
         )
     check_layout(sensors, unit_rule=False)
     with busy(f"reading {source}"):
-        world = load_scene(source, profile)
+        world = load_scene(source, options.profile)
         layout = layout_on(world, sensors, unit_rule=False)
     viewer = Viewer(
         Case(world, conditions),

@@ -65,9 +65,6 @@ def plan(
     worst: bool = False,
     importance: list[str] | None = None,
     build: MapOptions,
-    light: str = "midday",
-    weather: str = "clear",
-    profile: str | None = None,
     method: str = METHOD,
     evaluations: float | None = None,
     seconds: float | None = None,
@@ -105,7 +102,6 @@ def plan(
             weighted sum.
         importance (ID=WEIGHT): Weight of a junction in the sum, 1 if not given; repeat it for
             other junctions.
-        profile (NAME): Profile; paper if not given. See `inspe profiles`.
         method: Method of each search; `inspe compare` lists all methods.
         evaluations: Work of each search, in exact scores; 100 without a budget. A run that was
             stopped then ends with the same plan.
@@ -135,10 +131,10 @@ def plan(
     if evaluations is None and seconds is None:
         evaluations = EVALUATIONS
     settings = dict(
-        profile=profile,
+        profile=options.profile,
         seed=seed,
-        light=light,
-        weather=weather,
+        light=options.light,
+        weather=options.weather,
         weights=options.weights(),
         method=method,
         evaluations=evaluations,

@@ -214,8 +214,8 @@ def main() -> None:
         sizes = {
             "set, MB a frame": counted.total.size / frames / 1e6,
             "cache, MB a frame": found.size / frames / 1e6,
-            "cache, points": stored.files["points.npy"] / frames / 1e6,
-            "cache, pictures": stored.files["pictures.npy"] / frames / 1e6,
+            "cache, points": stored.files["points.raw"] / frames / 1e6,
+            "cache, pictures": stored.files["pictures.raw"] / frames / 1e6,
             "points of a cloud": counted.mean_points or 0.0,
             "decoding, s a frame": decoding / frames,
         }

@@ -245,7 +245,7 @@ def row_of(place: str, scores: dict[str, str], found: Evaluation) -> dict[str, A
     row: dict[str, Any] = dict(place=place, layout=scores["layout"], lidars=int(scores["lidars"]))
     row |= {metric: round(float(scores[metric]), 5) for metric in SCORES}
     row |= dict(frames=found.frames, mean_ap=round(100 * found.mean_ap, 3))
-    each = zip(found.kinds, found.class_ap, strict=True)
+    each = zip(KINDS, found.class_ap, strict=True)
     return row | {f"ap_{kind}": round(100 * float(ap), 3) for kind, ap in each}
 
 

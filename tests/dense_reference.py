@@ -21,7 +21,7 @@ from inspe_jax.scoring.tiled_scene import SceneArrays
 from inspe_jax.sensing.sensors import RayGrid
 from inspe_jax.visibility import bitmask
 from inspe_jax.visibility.centered_scene import CenteredScene
-from inspe_jax.visibility.in_view import TOGETHER, density_view, in_view_margins, transform_of
+from inspe_jax.visibility.in_view import density_view, in_view_margins, transform_of
 from inspe_jax.visibility.shadows import shadow_ceilings, soft_sight
 
 
@@ -158,10 +158,6 @@ class FrameSums(NamedTuple):
     sight_share: Float[Array, "S V"]
 
 
-BLOCK = 1024
-"""Columns watched at a time: what they need stays in a core's cache through all frames."""
-
-
 @partial(jax.jit, static_argnames=("reference", "visibility", "at_sensor"))
 def accumulate_frames(
     ground: CenteredScene,
@@ -174,65 +170,30 @@ def accumulate_frames(
     visibility: str,
     at_sensor: bool = False,
 ) -> FrameSums:
-    """Go through the frames once for each block of columns.
+    """Go through the frames, one after the other.
 
     Gives O, the occupancy p̂, and the share of frames in which each voxel is
     seen; unless ``visibility`` is ``in_view`` also that in which each sensor has each voxel in
     line of sight, else 1.
     """
-    share_sight = visibility != "in_view"
-    (length, levels), frames = ground.heights.shape, len(ground.prisms.top)
+    covered = leave_one_out(f, failures)
 
-    def block(part: tuple[Array, ...]) -> tuple[tuple, tuple]:
-        there, columns, heights, f = part  # (C, 1), (C, 2), (C, Z), (C, S, Z)
-        f = f.swapaxes(0, 1)  # (S, C, Z)
-        flat = (len(sensors), -1)
-        covered = leave_one_out(f.reshape(flat), failures)
+    @jax.checkpoint  # kept for the gradient, every frame's sight lines would not fit in memory
+    def watch(prisms: Prism) -> tuple[tuple, tuple]:
+        solid = step(solid_top(ground.columns, prisms)[:, None] - ground.heights)
+        at = sensors, prisms, ground.columns, ground.heights, width
+        look = partial(sight, *at, at_sensor=at_sensor)
+        clear = line = look()
+        if reference == "targets" or visibility == "past_others":
+            clear = jnp.where(solid[None] > 0, look(ignore_self_occlusion=True), line)
+        free, inside = (1.0 - solid).ravel(), solid.ravel()
+        visible = leave_one_out(f * clear.reshape(f.shape), failures)
+        terms = occlusion_terms(visible, covered, free, inside, reference)
+        in_sight = (clear if visibility == "past_others" else line).reshape(f.shape)
+        return (inside, visible[0] * free, in_sight), terms
 
-        @jax.checkpoint  # kept for the gradient, every frame's sight lines would not fit in memory
-        def watch(prisms: Prism) -> tuple[tuple, tuple]:
-            solid = there * step(solid_top(columns, prisms)[:, None] - heights)
-            look = partial(sight, sensors, prisms, columns, heights, width, at_sensor=at_sensor)
-            clear = line = look()
-            if reference == "targets" or visibility == "past_others":
-                others = look(ignore_self_occlusion=True)
-                clear = jnp.where(solid[None] > 0, others, line)
-            visible = leave_one_out((f * clear).reshape(flat), failures)
-            free, inside = (there - solid).ravel(), solid.ravel()
-            terms = occlusion_terms(visible, covered, free, inside, reference)
-            in_sight = clear if visibility == "past_others" else line
-            share = in_sight.reshape(flat) if share_sight else jnp.ones(())
-            return (inside, visible[0] * free, share), terms
-
-        def some(sums: tuple, prisms: Prism) -> tuple[tuple, tuple]:
-            gathered, terms = jax.vmap(watch)(prisms)
-            return jax.tree.map(lambda x, new: x + new.sum(0), sums, gathered), terms
-
-        zeros = jnp.zeros_like(covered[0])
-        start = (zeros, zeros, jnp.zeros(f.shape).reshape(flat) if share_sight else jnp.zeros(()))
-        return jax.lax.scan(some, start, prisms)
-
-    # Frames that are gone through together, if that is little: XLA's loops are slow.
-    few = TOGETHER // (len(sensors) * min(length, BLOCK) * levels)
-    together = max(n for n in range(1, frames + 1) if frames % n == 0 and n <= max(few, 1))
-    split = frames // together, together
-    prisms = jax.tree.map(lambda x: x.reshape(*split, *x.shape[1:]), ground.prisms)
-
-    def blocks(x: Array) -> Array:
-        """(L, …) as (N, C, …), padded with zeros."""
-        count = -(-length // BLOCK)
-        size = -(-length // count)
-        x = jnp.pad(x, [(0, count * size - length)] + [(0, 0)] * (x.ndim - 1))
-        return x.reshape(count, size, *x.shape[1:])
-
-    by_column = f.reshape(-1, length, levels).swapaxes(0, 1)
-    parts = (jnp.ones((length, 1)), ground.columns, ground.heights, by_column)
-    sums, terms = jax.lax.map(block, tuple(map(blocks, parts)))
-    # (T, 1 + G), over the blocks
-    seen, original = (term.sum(0).reshape(frames, -1) for term in terms)
-    occupancy, seen_share = (s.reshape(-1)[: length * levels] / frames for s in sums[:2])
-    sight_share = jnp.ones_like(f)
-    if share_sight:
-        total = sums[2].swapaxes(0, 1).reshape(len(sensors), -1)  # (S, N·C·Z)
-        sight_share = total[:, : length * levels] / frames
+    each, (seen, original) = jax.lax.map(watch, ground.prisms)
+    occupancy, seen_share, sight_share = (of.mean(0) for of in each)
+    if visibility == "in_view":
+        sight_share = jnp.ones_like(f)
     return FrameSums(metrics.occlusion(seen, original), occupancy, seen_share, sight_share)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from shapely.geometry import LineString, Point
 from shapely.ops import unary_union
-from worlds import CAMERA
+from worlds import CAMERA, LIDAR
 
 from inspe_jax.mounting.strategies import strategy
 from inspe_jax.placement.constraints import Constraints
@@ -15,6 +15,7 @@ from inspe_jax.scene.intersection import Intersection
 from inspe_jax.scene.procedural.built_ins import built_in
 from inspe_jax.scene.scene import Scene, build_scene
 from inspe_jax.sensing.layout import Layout, Sensor, Unit, make_layout
+from inspe_jax.sensing.sensors import Spec
 
 SCENES: dict[str, Scene] = {}
 
@@ -70,6 +71,19 @@ def assert_mountable(scene: Scene, layout: Layout, lanes, *, central: bool = Fal
             apart = np.abs(layout.poses[a] - layout.poses[b])
             assert np.hypot(*apart[:2]) <= 2.0 + 1e-3
             assert apart[2] <= 4.0 + 1e-3
+
+
+def team(scene: Scene, second: Spec = LIDAR) -> Layout:
+    """A camera and a LiDAR on one pole, two cameras on another, one on a third; all look up."""
+    c = scene.voxels.center
+    units = [
+        Unit(name, (c[0] + x, c[1] + y, c[2]))
+        for name, x, y in (("a", 9, 9), ("b", -9, -9), ("c", -9, 9))
+    ]
+    members = [("ca", CAMERA, 0), ("la", second, 0), ("cb", CAMERA, 1), ("db", CAMERA, 1)]
+    members += [("cc", CAMERA, 2)]
+    poses = [[*units[u].base[:2], 4.0, 0.0, 0.15, 0.7 * s] for s, (_, _, u) in enumerate(members)]
+    return make_layout([Sensor(*row) for row in members], units, np.array(poses))
 
 
 def two_sensors(scene: Scene, foot, *hung, pitch=-0.3) -> Layout:

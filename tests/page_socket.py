@@ -38,7 +38,7 @@ def socket_of(url, *, origin=None, host=None, version=viser.__version__):
         compression=None,
         max_size=None,
         proxy=None,
-        close_timeout=1,  # nobody reads what the server says, so its answer may never get through
+        close_timeout=0.1,  # nobody reads what the server says, so its answer may never get through
         create_connection=_named(host),
     ) as found:
         yield found

@@ -34,6 +34,8 @@ CAMERA = CameraSpec(
 
 TINY = dict(radius=10.0, voxel=2.0, frames=2, count=6)
 """The size of :func:`world` where gradients are taken and differences of them."""
+SMALL = dict(radius=15.0, voxel=1.0)
+"""And where soft scores are, in single precision."""
 TALL = dict(radius=10.0, voxel=0.12, frames=2)
 """And where columns have more levels than a word has bits."""
 BOXES = 16
@@ -136,6 +138,12 @@ def no_traffic() -> TrafficFrames:
         kind=np.zeros((1, 0), np.int8),
         **still(1, 0),
     )
+
+
+def emptied(scene: Scene) -> Scene:
+    """A scene in whose frames there is nobody; programs that serve the scene serve it too."""
+    traffic = scene.traffic
+    return replace(scene, traffic=replace(traffic, valid=np.zeros_like(traffic.valid)))
 
 
 def world(
@@ -275,6 +283,19 @@ def embree_line_of_sight(scene: Scene, layout: Layout, frame: int) -> np.ndarray
         )
         clear.append(hit < 0)
     return np.stack(clear)
+
+
+def solid_voxels(scene, frame):
+    """The voxels (V,) whose centre is in a vehicle, by turning each into the vehicle's frame."""
+    t, centers = scene.traffic, scene.voxels.centers
+    solid = np.zeros(len(centers), bool)
+    for b in np.flatnonzero(t.valid[frame]):
+        c, yaw, size = t.center[frame, b], t.yaw[frame, b], t.size[frame, b]
+        d = centers[:, :2] - c[:2]
+        x, y = d @ [np.cos(yaw), np.sin(yaw)], d @ [-np.sin(yaw), np.cos(yaw)]
+        stands = (np.abs(x) < size[0] / 2) & (np.abs(y) < size[1] / 2)
+        solid |= stands & (centers[:, 2] < c[2] + size[2] / 2)
+    return solid
 
 
 def double_precision() -> AbstractContextManager[None]:

@@ -150,7 +150,7 @@ def compare(
         methods (A,B,…): Search methods, separated by commas; all if not given.
         seeds: Number of searches by each method; their seeds count from 0.
     """
-    from inspe_jax.report.progress import history_view
+    from inspe_jax.report.curves import history_view
     from inspe_jax.report.tables import comparison_table
 
     files = ("compare.csv", "history.csv", "layout.yaml", "compare.png")
@@ -221,7 +221,7 @@ def pareto(
         budget (USD): Leave out mixes of devices that cost more.
         seed: Seed of the searches.
     """
-    from inspe_jax.report.cost import pareto_view
+    from inspe_jax.report.curves import pareto_view
     from inspe_jax.report.tables import pareto_table
 
     objective, constraints = options.checked(prices=prices(price), budget=budget)

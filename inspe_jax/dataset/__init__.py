@@ -5,7 +5,8 @@ from inspe_jax.dataset.check import Check, check
 from inspe_jax.dataset.folders import Dataset, Scenario
 from inspe_jax.dataset.folders import open_dataset as open
 from inspe_jax.dataset.formats.options import FileOptions
-from inspe_jax.dataset.formats.registry import read_frame, write_frame, write_protocol
+from inspe_jax.dataset.formats.protocol_file import write_protocol
+from inspe_jax.dataset.formats.registry import read_frame, write_frame
 from inspe_jax.dataset.generate import GenerationResult, generate
 from inspe_jax.dataset.loading import (
     Augment,

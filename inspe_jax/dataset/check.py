@@ -9,6 +9,7 @@ from typing import Any
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import read_yaml
 from inspe_jax.dataset.folders import Dataset, Scenario, open_dataset
+from inspe_jax.dataset.formats.protocol_file import PROTOCOL
 from inspe_jax.dataset.manifest import Fault, Manifest, faults, manifest_of, missing_frames
 
 GENERATION = "generation.yaml"
@@ -87,7 +88,7 @@ def _missing_frames(scenario: Scenario, manifest: Manifest) -> list[Fault]:
         count = round(told["settings"]["seconds"] * told["recording"]["rate_hz"])
     except (InspeError, KeyError, TypeError):
         return []  # a damaged protocol is a fault of its own
-    return missing_frames(scenario.path, manifest, count, scenario.format.protocol_file)
+    return missing_frames(scenario.path, manifest, count, PROTOCOL)
 
 
 def _missing_scenarios(data: Dataset) -> list[Fault]:

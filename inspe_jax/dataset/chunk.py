@@ -5,7 +5,7 @@ import multiprocessing
 import threading
 from collections.abc import Iterator
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,7 @@ from filelock import FileLock
 
 from inspe_jax.core.files import parse_yaml
 from inspe_jax.dataset.formats.agents import with_cameras
+from inspe_jax.dataset.formats.protocol_file import PROTOCOL, write_protocol
 from inspe_jax.dataset.formats.ranges import lidar_range
 from inspe_jax.dataset.formats.registry import DEFAULT_FORMAT, FORMATS
 from inspe_jax.dataset.manifest import record_frame, recorded_frames
@@ -92,7 +93,7 @@ class WorkerState:
 
     key: str = ""
     recorder: Recorder | None = None
-    protocol: dict[str, Any] | None = None
+    protocol: dict[str, Any] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     error: str = ""
     stack: ExitStack | None = None
@@ -123,7 +124,7 @@ class WorkerState:
     def close(self) -> None:
         """Close the recorder, if one is open."""
         stack = self.stack
-        self.key, self.recorder, self.protocol, self.notes = "", None, None, ()
+        self.key, self.recorder, self.protocol, self.notes = "", None, {}, ()
         self.error, self.stack = "", None
         if stack is not None:
             stack.close()
@@ -158,7 +159,7 @@ def work(scene: Scene | str, chunk: Chunk) -> Outcome:
     if isinstance(scene, str):
         return Outcome(error=scene)
     notes: tuple[str, ...] = ()
-    stored, options = FORMATS[chunk.format], chunk.plan.files
+    options = chunk.plan.files
     try:
         with FileLock(chunk.lock):
             for t in _missing(chunk):
@@ -174,12 +175,11 @@ def work(scene: Scene | str, chunk: Chunk) -> Outcome:
                     except Exception as e:
                         return Outcome(error=f"frame {t}: {message_of(e)}")
                     frame = with_counts(frame)
-                    if not stored.is_begun(chunk.folder):
+                    if not (chunk.folder / PROTOCOL).is_file():
                         agents = with_cameras(frame.stations, options.cameras_per_agent)
-                        protocol = _worker.protocol or {}
-                        protocol["lidar_range"] = lidar_range(agents, scene.voxels)
-                        stored.write_protocol(chunk.folder, protocol, agents)
-                    files = stored.write(chunk.folder, frame, options)
+                        range_ = {"lidar_range": lidar_range(agents, scene.voxels)}
+                        write_protocol(chunk.folder, _worker.protocol | range_, agents)
+                    files = FORMATS[chunk.format].write(chunk.folder, frame, options)
                     record_frame(chunk.folder, t, files)
     except Exception as e:
         fault = os_error(e)

@@ -2,12 +2,14 @@
 
 import os
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 from inspe_jax.core.errors import InspeError, nearest
+from inspe_jax.dataset.formats.protocol_file import read_protocol
 from inspe_jax.dataset.formats.registry import (
     DEFAULT_FORMAT,
     FORMATS,
@@ -40,7 +42,7 @@ class Scenario:
     @cached_property
     def protocol(self) -> Mapping[str, Any]:
         """What made the scenario; empty if nothing says so."""
-        return self.format.read_protocol(self.path)
+        return read_protocol(self.path)
 
     @cached_property
     def agents(self) -> tuple[int, ...]:
@@ -126,6 +128,17 @@ def open_dataset(path: str | os.PathLike[str]) -> Dataset:
         )
         raise InspeError(f"{given}: not a data set: expected one of {expected} in it")
     return Dataset(folder, found)
+
+
+def disk_size(folder: Path) -> int:
+    """Size of all files in a folder and below it [bytes]; a file with two names counts once."""
+    sizes = {}
+    for place, _, names in os.walk(folder):
+        for name in names:
+            with suppress(FileNotFoundError):  # a worker's, which it renamed just now
+                status = os.lstat(os.path.join(place, name))
+                sizes[status.st_dev, status.st_ino] = status.st_size
+    return sum(sizes.values())
 
 
 def _scenarios(split: Path) -> tuple[Scenario, ...]:

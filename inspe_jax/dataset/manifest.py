@@ -69,9 +69,7 @@ class Fault:
 
 def record_frame(folder: Path, number: int, files: Iterable[Path]) -> None:
     """Record the files of a frame that has been written. Its record is its last file."""
-    record = folder / RECORDS / f"{number:06d}.json"
-    record.parent.mkdir(exist_ok=True)
-    write_text(record, _text(_measured(folder, files)))
+    _write_record(folder, number, _measured(folder, files))
 
 
 def recorded_frames(folder: Path, deep: bool = False) -> dict[int, Files]:
@@ -111,27 +109,29 @@ def write_manifest(folder: Path, files: Iterable[Path]) -> None:
     write_text(folder / MANIFEST, _text(content))
 
 
-def reopen(folder: Path, found: Iterable[Fault]) -> None:
-    """Make a complete scenario an unfinished one, in which frames with a fault are missing.
+def reopen(folder: Path, found: Iterable[Fault], protocol: str) -> None:
+    """Make a complete scenario an unfinished one, with a record of each frame without a fault.
 
-    A file that belongs to no frame is written with the next frame: where it has a fault, it is
-    deleted, and the first frame counts as missing. Without a valid manifest all frames do.
+    The protocol is written with the first frame. Where a file of no frame has a fault, it is
+    deleted, and the first frame counts as missing; where the manifest has, all frames do.
     """
+    manifest, _ = manifest_of(folder)
     found = list(found)
-    if any(fault.path == folder / MANIFEST for fault in found):
-        (folder / MANIFEST).unlink(missing_ok=True)
-        return
-    manifest = read_manifest(folder)
-    frames = dict(manifest.frames) if manifest else {}
-    for fault in found:
-        if fault.frame is None:
-            fault.path.unlink(missing_ok=True)
-        frames.pop(min(frames, default=0) if fault.frame is None else fault.frame, None)
+    trusted = manifest is not None and folder / MANIFEST not in {fault.path for fault in found}
+    frames = dict(manifest.frames) if manifest and trusted else {}
+    for number in {fault.frame for fault in found}:
+        if number is None:
+            (folder / protocol).unlink(missing_ok=True)
+        frames.pop(min(frames, default=0) if number is None else number, None)
     for number, files in frames.items():
-        record = folder / RECORDS / f"{number:06d}.json"
-        record.parent.mkdir(exist_ok=True)
-        write_text(record, _text(files))
+        _write_record(folder, number, files)
     (folder / MANIFEST).unlink(missing_ok=True)
+
+
+def _write_record(folder: Path, number: int, files: Files) -> None:
+    record = folder / RECORDS / f"{number:06d}.json"
+    record.parent.mkdir(exist_ok=True)
+    write_text(record, _text(files))
 
 
 def _measured(folder: Path, files: Iterable[Path]) -> dict[str, tuple[int, str]]:
@@ -148,38 +148,22 @@ def _text(content: Mapping[str, Any]) -> str:
 # ── Reading and comparing ───────────────────────────────────────────────────
 
 
-def read_manifest(folder: Path) -> Manifest | None:
-    """The manifest of a scenario; None where there is none. Raises InspeError if it is broken."""
-    path = folder / MANIFEST
-    if not path.is_file():
-        return None
-    content = read_json(path)
-    if not isinstance(content, dict) or content.get("format") != FORMAT:
-        raise InspeError(f"{path}: not a manifest of this version of the package")
-    frames = content.get("frames")
-    if not isinstance(frames, dict) or not all(re.fullmatch("[0-9]+", key) for key in frames):
-        raise InspeError(f"{path}: frames: must hold files by the number of their frame")
-    return Manifest(
-        files=_files(content.get("files"), path),
-        frames={int(number): _files(files, path) for number, files in frames.items()},
-    )
-
-
 def manifest_of(folder: Path) -> tuple[Manifest | None, list[Fault]]:
     """The manifest of a scenario, None where there is none; or the fault of a broken one."""
+    path = folder / MANIFEST
+    if not path.is_file():
+        return None, []
     try:
-        return read_manifest(folder), []
+        content = read_json(path)
+        if not isinstance(content, dict) or content.get("format") != FORMAT:
+            raise InspeError(f"{path}: not a manifest of this version of the package")
+        frames = content.get("frames")
+        if not isinstance(frames, dict) or not all(re.fullmatch("[0-9]+", key) for key in frames):
+            raise InspeError(f"{path}: frames: must hold files by the number of their frame")
+        each = {int(number): _files(files, path) for number, files in frames.items()}
+        return Manifest(_files(content.get("files"), path), each), []
     except InspeError as e:
-        path = folder / MANIFEST
         return None, [Fault(path, str(e).removeprefix(f"{path}: "))]
-
-
-def missing_frames(folder: Path, manifest: Manifest, count: int, protocol: str) -> list[Fault]:
-    """A fault where the manifest lacks the file ``protocol``, or files of a frame 0 … count − 1."""
-    listed = {number for number, files in manifest.frames.items() if files}
-    if listed == set(range(count)) and protocol in manifest.files:
-        return []
-    return [Fault(folder / MANIFEST, f"does not list all files of {count} frames")]
 
 
 def faults(
@@ -202,6 +186,14 @@ def faults(
     known = {folder / path for _, path, _, _ in rows} | {folder / MANIFEST}
     strange = sorted(set(_visible_files(folder)) - known) if others else ()
     return found + [Fault(path, "not in the manifest") for path in strange]
+
+
+def missing_frames(folder: Path, manifest: Manifest, count: int, protocol: str) -> list[Fault]:
+    """A fault where the manifest lacks the file ``protocol``, or files of a frame 0 … count − 1."""
+    listed = {number for number, files in manifest.frames.items() if files}
+    if listed == set(range(count)) and protocol in manifest.files:
+        return []
+    return [Fault(folder / MANIFEST, f"does not list all files of {count} frames")]
 
 
 def _fault_of(path: Path, size: int, digest: str | None = None) -> str:
@@ -231,12 +223,10 @@ def _files(content: Any, where: Path) -> dict[str, tuple[int, str]]:
     found = dict[str, tuple[int, str]]()
     for path, entry in entries:
         match entry:
-            case [int(size), str(digest)] if _is_inside(path):
+            case [int(size), str(digest)] if (
+                "\0" not in path and not Path(path).is_absolute() and ".." not in Path(path).parts
+            ):
                 found[path] = size, digest
             case _:
                 raise InspeError(f"{where}: {path}: must be the size and the digest of a file")
     return found
-
-
-def _is_inside(path: str) -> bool:
-    return "\0" not in path and not Path(path).is_absolute() and ".." not in Path(path).parts

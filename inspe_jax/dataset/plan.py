@@ -80,7 +80,6 @@ from inspe_jax.jobs.sources import (
     Sources,
     each_scene,
     layout_sources,
-    with_named_layouts,
 )
 from inspe_jax.scene.traffic.frames import DENSITIES, MOST_FRAMES
 from inspe_jax.sensing.conditions import CLEAR, Conditions
@@ -262,7 +261,7 @@ def make_generation(
     ``where`` is the name of the file for errors, ``name`` that of the data set if the file gives
     none. Raises InspeError that names the file, the key and what is allowed.
     """
-    entry = check_model(_File, with_named_layouts(content), where)
+    entry = check_model(_File, content, where)
     recording, files = entry.recording(where), entry.files(where)
     whole = {key: getattr(entry.settings, key) for key in SETTINGS}
     check_settings(whole, f"{where}: settings")

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from inspe_jax.core.errors import InspeError
-from inspe_jax.dataset.folders import Dataset, Scenario, open_dataset
+from inspe_jax.dataset.folders import Dataset, Scenario, disk_size, open_dataset
 from inspe_jax.dataset.formats.registry import FORMATS
 from inspe_jax.dataset.points_in_boxes import count_inside
 from inspe_jax.simulation.frame import KINDS, Frame
@@ -231,7 +231,7 @@ class _Counts:
         """Count a scenario; gives control back after every frame."""
         users: dict[int, tuple[int, list[float], int]] = {}
         self.counts["agents"] += len(scenario.agents)
-        self.counts["size"] += _disk_size(scenario.path)
+        self.counts["size"] += disk_size(scenario.path)
         for number in scenario.frames:
             frame = scenario.frame(number)
             for box in frame.boxes:
@@ -292,16 +292,6 @@ class _Counts:
 def _point_counts(parts: list[np.ndarray]) -> PointCounts:
     kind, away, points = np.concatenate(parts, 1) if parts else np.zeros((3, 0), np.float32)
     return PointCounts(kind.astype(np.int8), away, points.astype(np.int32))
-
-
-def _disk_size(folder: Path) -> int:
-    """Size of all files in a folder and below it [bytes]; a file with two names counts once."""
-    sizes = {}
-    for place, _, names in os.walk(folder):
-        for name in names:
-            status = os.stat(os.path.join(place, name), follow_symlinks=False)
-            sizes[status.st_dev, status.st_ino] = status.st_size
-    return sum(sizes.values())
 
 
 def _world(protocol: Mapping[str, Any]) -> Mapping[str, Any]:

@@ -8,7 +8,6 @@ run records the missing frames only, and those of which a file is damaged.
 import os
 import shutil
 from collections.abc import Callable
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +17,9 @@ from inspe_jax.core.digest import digest
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import prepare_folder, read_yaml, write_text
 from inspe_jax.dataset.check import GENERATION
-from inspe_jax.dataset.folders import SPLITS
-from inspe_jax.dataset.formats.registry import DEFAULT_FORMAT, FORMATS
+from inspe_jax.dataset.folders import SPLITS, disk_size
+from inspe_jax.dataset.formats.protocol_file import PROTOCOL
+from inspe_jax.dataset.formats.registry import DEFAULT_FORMAT
 from inspe_jax.dataset.manifest import (
     MANIFEST,
     RECORDS,
@@ -36,7 +36,7 @@ from inspe_jax.dataset.plan import Generation, ScenarioPlan
 from inspe_jax.dataset.protocol import versions
 from inspe_jax.jobs.locks import lock_folder
 
-RECORD, UNFINISHED = GENERATION, ".unfinished"
+UNFINISHED = ".unfinished"
 FORMAT = "inspe_jax data set 2"
 
 _ADVICE = "name another folder, or delete this one to start again"
@@ -65,8 +65,7 @@ class DatasetWriter:
         """
         self.folder = prepare_folder(folder)
         self.format_name = generation.format
-        self.format = FORMATS[generation.format]
-        self._lock = lock_folder(self.folder, f".{RECORD}.lock")
+        self._lock = lock_folder(self.folder, f".{GENERATION}.lock")
         try:
             self._check(record_of(generation, backend))
             self.there: dict[str, set[int]] = {}
@@ -108,7 +107,7 @@ class DatasetWriter:
             return False
         for part in folder.rglob(".*.part"):  # half-written files of a worker that was killed
             part.unlink()
-        write_manifest(folder, [folder / self.format.protocol_file])
+        write_manifest(folder, [folder / PROTOCOL])
         place.parent.mkdir(exist_ok=True)
         os.replace(folder, place)
         shutil.rmtree(place / RECORDS)
@@ -133,26 +132,19 @@ class DatasetWriter:
     @property
     def size(self) -> int:
         """Size of all scenarios, finished or not [bytes]; a file with two names counts once."""
-        found = {}
-        for top in (*SPLITS, UNFINISHED):
-            for folder, _, names in os.walk(self.folder / top):
-                for name in names:
-                    with suppress(FileNotFoundError):  # a worker's, which it renamed just now
-                        facts = os.lstat(os.path.join(folder, name))
-                        found[facts.st_dev, facts.st_ino] = facts.st_size
-        return sum(found.values())
+        return sum(disk_size(self.folder / top) for top in (*SPLITS, UNFINISHED))
 
     def _check(self, record: dict[str, Any]) -> None:
         """Write the record of the data set, or compare it with the one that is there."""
-        path = self.folder / RECORD
+        path = self.folder / GENERATION
         text = yaml.safe_dump(record, sort_keys=False, default_flow_style=None)
         if not path.exists():
             strange = [
-                p.name for p in self.folder.iterdir() if not p.name.startswith(f".{RECORD}.")
+                p.name for p in self.folder.iterdir() if not p.name.startswith(f".{GENERATION}.")
             ]
             if strange:
                 raise InspeError(
-                    f"{self.folder}: has no {RECORD}, so it is no data set, but it is not empty: "
+                    f"{self.folder}: has no {GENERATION}, so it is no data set, but is not empty: "
                     f"{strange[0]}; name another folder"
                 )
             write_text(path, text)
@@ -188,7 +180,7 @@ class DatasetWriter:
             self.damage[plan.name] = found
             shutil.rmtree(folder, ignore_errors=True)
             folder.parent.mkdir(parents=True, exist_ok=True)
-            reopen(place, found)
+            reopen(place, found, PROTOCOL)
             os.replace(place, folder)
         there = set(recorded_frames(folder, deep))
         forget_others(folder, there)
@@ -203,7 +195,7 @@ class DatasetWriter:
         manifest, found = manifest_of(place)
         if manifest is None:
             return found or [Fault(place / MANIFEST, "is missing")]
-        missing = missing_frames(place, manifest, plan.frames, self.format.protocol_file)
+        missing = missing_frames(place, manifest, plan.frames, PROTOCOL)
         return missing or faults(place, manifest, deep)
 
 

@@ -1,10 +1,7 @@
 """Schedules jobs on Dask workers. A job goes to a worker that already holds its scene.
 
-Knows nothing of what a job or a scene is: callers pass both, and the function that runs one.
-
-Each job is a future of its own, rather than one for a whole scene. So every result is on disk as
-soon as it is there, a run that is killed loses only the jobs that were running, the jobs of one
-large scene occupy all workers, and a job that kills its worker takes no other with it.
+Each job is a future of its own: a run that is killed loses only the jobs that were running, the
+jobs of one large scene occupy all workers, and a job that kills its worker takes no other with it.
 """
 
 from collections import Counter, deque
@@ -103,11 +100,9 @@ def run_jobs(
 
 
 def _by_scene(jobs: Sequence[J]) -> list[list[J]]:
-    """The jobs of each scene: one scene of every place first, then a second one of each, and so on.
-
-    Scenes of one place need the same compiled programs. Side by side, every worker would compile
-    them; one after the other, the first compiles them and the rest read them from the cache.
-    """
+    """The jobs of each scene: first one scene of every place, then a second one of each, …"""
+    # Side by side, every worker would compile the programs of a place; one after the other, the
+    # first compiles them and the rest read them from the cache.
     groups = [list(group) for _, group in groupby(jobs, key=lambda job: job.scene)]
     met: Counter[Hashable] = Counter()
     turns = []
@@ -134,13 +129,9 @@ def _run_jobs(
     work: Callable[..., Any],
     given: Sequence[Any] = (),
 ) -> Iterator[tuple[J, Any]]:
-    """Run jobs, ``ahead`` of them at workers at a time; yields as :func:`run_jobs` does.
-
-    As many scenes are open as there are workers. Dask builds each scene at the worker that has
-    least to do, and sends jobs to the worker that holds their scene. When a job is done, one of
-    the same scene follows, so that a worker stays with the scene it has compiled for as long as
-    there are jobs of it.
-    """
+    """Run jobs, ``ahead`` of them at workers at a time; yields as :func:`run_jobs` does."""
+    # As many scenes are open as there are workers. Dask sends jobs to the worker that holds their
+    # scene. When a job is done, one of the same scene follows.
     from distributed import CancelledError, as_completed
 
     run = uuid4().hex[:8]  # others may use the same scheduler, so keys must differ

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from inspe_jax.core.errors import InspeError, nearest
 from inspe_jax.core.files import check_input, digest_of, read_yaml
@@ -84,7 +84,10 @@ class SceneEntry(Strict):
 
 
 class LayoutEntry(Strict):
-    """A layout of a study file."""
+    """A layout of a study file; a name alone is that of a file or of a strategy.
+
+    The order of options is part of the keys of jobs.
+    """
 
     name: Line | None = None
     strategy: str | None = None
@@ -93,8 +96,15 @@ class LayoutEntry(Strict):
     camera: str | None = None
     lidar: str | None = None
     camera_height: Length | None = None
-    camera_pitch_deg: float | None = None
     lidar_height: Length | None = None
+    camera_pitch_deg: float | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _of_name(cls, given: Any) -> Any:
+        if not isinstance(given, str):
+            return given
+        return {"file" if Path(given).suffix in (".yaml", ".yml") else "strategy": given}
 
 
 class Sources(Strict):
@@ -178,21 +188,6 @@ def scene_settings(
     return {**whole} | {key: [kept.get(key, "")] for key in own}
 
 
-def with_named_layouts(content: Mapping[str, Any]) -> dict[str, Any]:
-    """The content of a study file, with layouts that are given by a name alone made entries."""
-    layouts = content.get("layouts")
-    if not isinstance(layouts, list):
-        return dict(content)
-    return {**content, "layouts": [_named(entry) for entry in layouts]}
-
-
-def _named(entry: Any) -> Any:
-    """The entry of a layout that is given by a name alone, of a file or of a strategy."""
-    if not isinstance(entry, str):
-        return entry
-    return {"file" if Path(entry).suffix in (".yaml", ".yml") else "strategy": entry}
-
-
 def layout_sources(entry: Sources, folder: Path, where: str) -> list[LayoutSource]:
     """The sources of a study's layouts. Raises InspeError for an unknown device or strategy."""
     own = {
@@ -219,11 +214,7 @@ def _layout_source(
 ) -> LayoutSource:
     if [entry.strategy, entry.file, entry.mix].count(None) != 2:
         raise InspeError(f"{where}: give either a strategy or a file, or a mix of devices")
-    options: dict[str, Any] = {
-        key: value
-        for key in ("camera", "lidar", "camera_height", "lidar_height", "camera_pitch_deg")
-        if (value := getattr(entry, key)) is not None
-    }
+    options = entry.model_dump(exclude={"name", "strategy", "file", "mix"}, exclude_none=True)
     if options and entry.strategy is None:
         kind = "file" if entry.mix is None else "mix"
         raise InspeError(f"{where}: a {kind} has its own devices; leave out {', '.join(options)}")

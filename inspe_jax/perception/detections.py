@@ -48,32 +48,16 @@ def check(detections: Detections, where: str) -> None:
             raise InspeError(f"{where}: box {n}: {name} {values[n].tolist()}: {allowed}")
 
 
-def truth_of(
-    targets: Targets, b: int, *, least_returns: int = 0, half: float | None = None
-) -> Detections:
+def truth_of(targets: Targets, b: int) -> Detections:
     """The road users of frame b of a batch as detections with score 1.
 
-    Those with fewer than ``least_returns`` returns, of all LiDARs of the frame together, are left
-    out: nuScenes requires 1, because nobody could label what no sensor saw. The default keeps all,
-    so that placements are compared on the same truth: with 1, a placement that sees less would be
-    asked for less. ``half`` leaves boxes out as :func:`within` does.
-
-    Raises InspeError if ``least_returns`` is above 0 and the targets have no LiDAR to count returns
-    of, as in a set with cameras alone. In a cache that mixes both sorts of scenario, a scenario
-    without LiDARs has 0 returns, so that ``least_returns`` leaves out all of its road users.
+    All of them, also those that no sensor saw, so that placements are compared on the same truth.
+    nuScenes leaves out those without a return.
     """
     kept = np.array(targets.mask[b], bool)
-    if least_returns > 0:
-        if targets.returns.shape[-1] == 0:
-            raise InspeError(
-                f"least_returns {least_returns}: the set has no LiDARs whose returns could be "
-                "counted: use 0"
-            )
-        kept &= np.asarray(targets.returns[b]).sum(-1) >= least_returns
     boxes = np.asarray(targets.boxes[b], np.float32)[kept]
     kind = np.asarray(targets.kind[b], np.int32)[kept]
-    found = Detections(boxes, kind, np.ones(len(boxes), np.float32))
-    return found if half is None else within(found, half)
+    return Detections(boxes, kind, np.ones(len(boxes), np.float32))
 
 
 def within(detections: Detections, half: float) -> Detections:

@@ -15,9 +15,9 @@ from jaxtyping import Array, Bool, Float, UInt
 from inspe_jax.core.arrays import on_host
 from inspe_jax.core.parallel import Job, parts_of
 from inspe_jax.scoring.accumulate import seen_by_sensor
-from inspe_jax.scoring.asked import Asked
 from inspe_jax.scoring.detection import detection_curves
 from inspe_jax.scoring.exact import BITS
+from inspe_jax.scoring.options import ScoreOptions
 from inspe_jax.scoring.reading import Frames
 from inspe_jax.scoring.target_evidence import target_evidence_of_sensor
 from inspe_jax.scoring.tiled_scene import TiledScene, WorkChunk
@@ -59,7 +59,7 @@ def view_jobs(
     half: float,
     poses: Float[Array | np.ndarray, "K 6"],
     tiled: TiledScene,
-    asked: Asked,
+    asked: ScoreOptions,
     pixels: float = 1.0,
 ) -> list[Job]:
     """Jobs for what one sensor has in view, and sees in each frame, from each of K poses.
@@ -106,7 +106,7 @@ def _view(
     chunk: WorkChunk,
     statics: Statics | None,
     last: Bool[Array, " N"],
-    asked: Asked,
+    asked: ScoreOptions,
 ) -> tuple[UInt[Array, "K N C"], UInt[Array, "K T N C"], Float[Array, "K N Q C"]]:
     """Views, what is seen in frames, and chances of Q classes; Q is 0 unless they are asked for."""
     curves = asked.detection or detection_curves()

@@ -8,36 +8,38 @@ is not used for another scene, layout or method.
 import json
 import os
 import time
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import astuple, dataclass, fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import open_arrays, whole_file
-from inspe_jax.placement.run import Progress, Run, State
+from inspe_jax.placement.run import Progress, Run
 
-FORMAT = "inspe_jax checkpoint 3"
+FORMAT = "inspe_jax checkpoint 4"
 SUFFIXES = (".npz",)
 EVERY = 10.0
 """Time between two writes of a search's checkpoint [s]."""
-_ARRAY, _VALUE = "array: ", "value: "  # before the names of a state's arrays, and of its values
+_STATE = "state: "  # before the names of a state's fields
 
 
 @dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
 class Checkpoint:
     """A search after a step.
 
-    ``of`` has what the search depends on, by name, as digests or words; ``state`` is the method's.
-    ``path`` (K, N) has the coordinates of every layout that was the best so far, ``held`` (0 or 1,
-    N) those that the run holds. ``seconds`` and ``evaluations`` are spent, ``limits`` is the budget
-    of both. ``status`` is "" while the search runs, then how it ended.
+    ``of`` has what the search depends on, by name, as digests or words; ``state`` is the method's,
+    as :func:`state_fields` gives it. ``path`` (K, N) has the coordinates of every layout that was
+    the best so far, ``held`` (0 or 1, N) those that the run holds. ``seconds`` and ``evaluations``
+    are spent, ``limits`` is the budget of both. ``status`` is "" while the search runs, then how it
+    ended.
     """
 
     of: dict[str, str]
-    state: State
+    state: dict[str, Any]
     path: Float[np.ndarray, "K N"]
     held: Float[np.ndarray, "H N"]
     history: tuple[Progress, ...]
@@ -47,69 +49,61 @@ class Checkpoint:
     status: str = ""
 
 
+def state_fields(state: Any) -> dict[str, Any]:
+    """The fields of a method's state by name, and the name of its class; none for None."""
+    return {} if state is None else {"class": type(state).__name__, **vars(state)}
+
+
+def state_of(states: Sequence[type[Any]], named: Mapping[str, Any]) -> Any:
+    """The state, of one of the classes ``states``, that :func:`state_fields` gave ``named`` for.
+
+    Raises KeyError if a field is missing.
+    """
+    if not named:
+        return None
+    kind = {kind.__name__: kind for kind in states}[named["class"]]
+    return kind(**{field.name: named[field.name] for field in fields(kind)})
+
+
 def save_checkpoint(kept: Checkpoint, path: str | os.PathLike[str]) -> None:
     """Write a checkpoint over the old one; if that fails, the old one stays."""
-    record = {
-        "format": FORMAT,
-        "of": kept.of,
-        "seconds": kept.seconds,
-        "evaluations": kept.evaluations,
-        "limits": kept.limits,
-        "status": kept.status,
-    }
-    history = [[row.seconds, row.evaluations, row.score, row.best] for row in kept.history]
+    plain = ("of", "seconds", "evaluations", "limits", "status")
+    record = {"format": FORMAT, **{name: getattr(kept, name) for name in plain}}
     arrays = {
         "record": np.array(json.dumps(record)),
         "path": kept.path,
         "held": kept.held,
-        "history": np.array(history, float).reshape(-1, 4),
+        "history": np.array([astuple(row) for row in kept.history], float).reshape(-1, 4),
+        **{_STATE + name: np.asarray(value) for name, value in kept.state.items()},
     }
-    for name, value in kept.state.items():
-        if isinstance(value, np.ndarray) and value.dtype.kind in "biufU":
-            arrays[_ARRAY + name] = value
-        elif isinstance(value, bool | int | float | str | np.generic):
-            arrays[_VALUE + name] = np.array(value)
-        else:
-            # An error of the method, not of the user.
-            raise TypeError(f"state '{name}': a {type(value).__name__} cannot be kept")
     with whole_file(path) as f:
         np.savez(f, **arrays)  # type: ignore[arg-type]  # names are ours
 
 
 def load_checkpoint(path: str | os.PathLike[str]) -> Checkpoint:
     """Read a checkpoint. Raises InspeError if the file is missing or is not a checkpoint."""
-    path = Path(path)
     other = "not a checkpoint of a search; name a new file, or one that --checkpoint wrote"
-    with open_arrays(path, other) as arrays:
-        return _unpack(arrays, path)
-
-
-def _unpack(data: Mapping[str, np.ndarray], path: Path) -> Checkpoint:
-    record = json.loads(str(data["record"]))
-    if record["format"] != FORMAT:
-        if str(record["format"]).startswith(FORMAT.rstrip("0123456789")):
-            raise InspeError(
-                f"{path}: written by another version of inspe_jax; delete it to start again"
-            )
-        raise ValueError(f"format '{record['format']}', expected '{FORMAT}'")
-    state: State = {
-        name.removeprefix(_ARRAY): data[name] for name in data if name.startswith(_ARRAY)
-    }
-    state |= {
-        name.removeprefix(_VALUE): data[name].item() for name in data if name.startswith(_VALUE)
-    }
-    seconds, evaluations = record["limits"]
-    return Checkpoint(
-        of=dict(record["of"]),
-        state=state,
-        path=data["path"],
-        held=data.get("held", data["path"][:0]),
-        history=tuple(Progress(*row) for row in data["history"].tolist()),
-        seconds=float(record["seconds"]),
-        evaluations=float(record["evaluations"]),
-        limits=(seconds, evaluations),
-        status=str(record["status"]),
-    )
+    with open_arrays(Path(path), other) as data:
+        record = json.loads(str(data["record"]))
+        written = str(record["format"])
+        if written != FORMAT:
+            if written.startswith(FORMAT.rstrip("0123456789")):
+                raise InspeError(
+                    f"{path}: written by another version of inspe_jax; delete it to start again"
+                )
+            raise ValueError(f"format '{written}', expected '{FORMAT}'")
+        state = {name.removeprefix(_STATE): data[name] for name in data if name.startswith(_STATE)}
+        return Checkpoint(
+            state={name: x if x.ndim else x.item() for name, x in state.items()},
+            path=data["path"],
+            held=data["held"],
+            history=tuple(Progress(*row) for row in data["history"].tolist()),
+            of=dict(record["of"]),
+            seconds=float(record["seconds"]),
+            evaluations=float(record["evaluations"]),
+            limits=tuple(record["limits"]),
+            status=str(record["status"]),
+        )
 
 
 def check_same(kept: Checkpoint, of: Mapping[str, str], path: str | os.PathLike[str]) -> None:
@@ -137,18 +131,18 @@ class CheckpointWriter:
     """
 
     def __init__(self, path: str | os.PathLike[str], of: dict[str, str], run: Run) -> None:
-        self.path, self.of, self.ended, self._notes = Path(path), of, "", run.notes
+        self.path, self.of, self.ended, self._run = Path(path), of, "", run
         self._last = time.monotonic()
-        self._kept = self._now(run, {})
+        self._kept = self._now(None)
 
-    def take_up(self, run: Run) -> State:
-        """Restore a run from the file and return the method's state, which is empty at the start.
+    def take_up(self, states: Sequence[type[Any]]) -> Any:
+        """Restore the run from the file and return the method's state, None at the start.
 
         Raises InspeError if the file is not a checkpoint of this search.
         """
         if not self.path.exists():
-            return {}
-        kept = load_checkpoint(self.path)
+            return None
+        run, kept = self._run, load_checkpoint(self.path)
         check_same(kept, self.of, self.path)
         run.take_up(kept.seconds, kept.evaluations, kept.history, kept.path, *kept.held)
         self._kept = kept
@@ -164,24 +158,25 @@ class CheckpointWriter:
             )
         else:
             run.notes.append(f"went on from {self.path}, after {kept.seconds:.0f} s of search")
-        return kept.state
+        return state_of(states, kept.state)
 
-    def mark(self, run: Run, state: State) -> None:
+    def mark(self, state: Any) -> None:
         """Keep the state of the search before a step, and write it if it is time."""
-        self._kept = self._now(run, state)
+        self._kept = self._now(state)
         if time.monotonic() - self._last >= EVERY:
             self._write()
 
-    def end(self, run: Run, state: State, status: str) -> None:
+    def end(self, state: Any, status: str) -> None:
         """Write how the search ended; if interrupted, the state before its last step is kept."""
         if status != "interrupted":
-            self._kept = self._now(run, state, status)
+            self._kept = self._now(state, status)
         self._write()
 
-    def _now(self, run: Run, state: State, status: str = "") -> Checkpoint:
+    def _now(self, state: Any, status: str = "") -> Checkpoint:
+        run = self._run
         return Checkpoint(
             of=self.of,
-            state=state,
+            state=state_fields(state),
             path=np.array(run.path, float).reshape(-1, len(run.start)),
             held=np.array([] if run.held is None else run.held, float).reshape(-1, len(run.start)),
             history=tuple(run.history),
@@ -195,6 +190,6 @@ class CheckpointWriter:
         try:
             save_checkpoint(self._kept, self.path)
         except (InspeError, OSError) as e:
-            if (words := f"no checkpoint is written: {e}") not in self._notes:
-                self._notes.append(words)
+            if (words := f"no checkpoint is written: {e}") not in self._run.notes:
+                self._run.notes.append(words)
         self._last = time.monotonic()

@@ -1,10 +1,7 @@
 """Compiles in another thread what a search will need, while the search goes on."""
 
-import atexit
-import os
-import threading
 from collections.abc import Callable, Mapping
-from concurrent.futures import Future
+from concurrent.futures import Future, ThreadPoolExecutor
 from weakref import WeakSet
 
 import jax
@@ -15,8 +12,8 @@ CompileJob = Callable[[], bool]
 """Calls a function on the shapes that the search will use, so that it is compiled. Returns False if
 it did not, because no time is left for it."""
 
-_threads: "WeakSet[threading.Thread]" = WeakSet()
-_one_by_one = threading.Lock()  # the next search may use what an ended one still compiles
+_thread = ThreadPoolExecutor(1, "compile")  # Python waits for it at the end: XLA would abort
+_jobs: "WeakSet[Future[bool]]" = WeakSet()
 
 
 class Ahead:
@@ -26,18 +23,19 @@ class Ahead:
     """
 
     def __init__(self, jobs: Mapping[str, CompileJob]) -> None:
-        self._done: dict[str, Future[bool]] = {name: Future() for name in jobs}
         double = jax.config.jax_enable_x64  # type: ignore[attr-defined]
-        work = [(self._done[name], job) for name, job in jobs.items()]
-        if work:
-            thread = threading.Thread(target=_work, args=(work, double), daemon=True)
-            _threads.add(thread)
-            thread.start()
+
+        def done(job: CompileJob) -> bool:
+            with at_precision(double):  # a thread does not inherit JAX's settings
+                return job()
+
+        self._done = {name: _thread.submit(done, job) for name, job in jobs.items()}
+        _jobs.update(self._done.values())
 
     def ready(self, name: str) -> bool:
         """Whether a job is done, or there is none of that name. Raises the job's error."""
-        done = self._done.get(name)
-        return done is None or (done.done() and not done.cancelled() and done.result())
+        job = self._done.get(name)
+        return job is None or (job.done() and not job.cancelled() and job.result())
 
     def wait(self, name: str) -> None:
         """Wait until a job is done; return at once if there is none. Raises the job's error."""
@@ -46,35 +44,10 @@ class Ahead:
 
     def close(self) -> None:
         """Start no further job."""
-        for done in self._done.values():
-            done.cancel()
-
-
-def _work(work: list[tuple["Future[bool]", CompileJob]], double: bool) -> None:
-    # Threads do not inherit JAX's settings of the one that starts them.
-    with at_precision(double), _one_by_one:
-        for done, job in work:
-            if not done.set_running_or_notify_cancel():
-                continue
-            try:
-                done.set_result(job())
-            except BaseException as e:  # raised where the search asks for it
-                done.set_exception(e)
+        for job in self._done.values():
+            job.cancel()
 
 
 def compiles() -> bool:
     """Whether a job still runs, also of a search that has ended."""
-    return any(thread.is_alive() for thread in _threads)
-
-
-@atexit.register
-def _wait() -> None:
-    """Wait for the jobs that run: XLA aborts if Python ends before it.
-
-    Ctrl-C ends the process at once, and so does the command line.
-    """
-    try:
-        for thread in list(_threads):
-            thread.join()
-    except KeyboardInterrupt:
-        os._exit(130)
+    return any(job.running() for job in _jobs)

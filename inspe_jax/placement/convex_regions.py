@@ -21,9 +21,7 @@ _INSIDE = 0.99  # the inverses of the charts map the edge to here, where the slo
 def to_bounded(v: Any, radius: Any, xp: Any) -> Any:
     """r·sin(v/r), which maps any v to −r … r; near 0, v counts metres (or radians).
 
-    It is a sine and not the usual v/√(1 + v²). At 98 % of the range, the slope of the latter is
-    only 0.0075, so a search hardly leaves that place. The slope of the sine is 0.2 there, and a
-    step beyond the end comes back. A radius of 0 gives 0.
+    At 98 % of the range its slope is 0.2, that of v/√(1 + v²) 0.0075. A radius of 0 gives 0.
     """
     return radius * xp.sin(_turn(v, radius, xp))
 

@@ -84,22 +84,40 @@ class Range(NamedTuple):
         :func:`inspe_jax.placement.convex_regions.to_bounded`."""
         return xp.asarray(self.middle, v.dtype) + to_bounded(v, xp.asarray(self.half, v.dtype), xp)
 
-    def from_bounded(self, x: Any) -> Any:
+    def from_bounded(self, x: Any, xp: Any) -> Any:
         """The inverse of :meth:`to_bounded`."""
-        return from_bounded(x - self.middle, self.half, np)
+        return from_bounded(x - self.middle, self.half, xp)
+
+
+class Disc(NamedTuple):
+    """Discs about 0 with the radii ``half`` (n,), with the methods of :class:`Range`."""
+
+    half: Float[np.ndarray, " n"]
+
+    def clip(self, x: Any, xp: Any) -> Any:
+        """The nearest points (n, 2) of the discs."""
+        return into_disc(x, xp.asarray(self.half, x.dtype), xp)
+
+    def to_bounded(self, v: Any, xp: Any) -> Any:
+        """Points of the discs, from any points (n, 2)."""
+        return to_disc(v, xp.asarray(self.half, v.dtype), xp)
+
+    def from_bounded(self, x: Any, xp: Any) -> Any:
+        """The inverse of :meth:`to_bounded`."""
+        return from_disc(x, self.half, xp)
 
 
 @dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
 class Limits:
-    """Discs for ``arm`` (U,) and ``offset`` (S,) [m] and intervals for the others.
+    """The limits of all coordinates except ``base``.
 
-    ``sector`` (S,) tells whose yaw is limited, ``aimed`` (S,) which sensors are usually aimed down
-    at a place, as cameras.
+    ``sector`` (S,): whose yaw is limited. ``aimed`` (S,): which sensors are usually aimed down at
+    a place, as cameras.
     """
 
-    arm: Float[np.ndarray, " U"]
+    arm: Disc
     height: Range
-    offset: Float[np.ndarray, " S"]
+    offset: Disc
     rise: Range
     yaw: Range
     pitch: Range
@@ -128,9 +146,9 @@ class Limits:
         spread = np.where(alone, 0.0, np.minimum(UNIT_HEIGHT / 2, above.half))
         arm = np.where(alone, plan, plan / 2)
         return cls(
-            arm,
+            Disc(arm),
             Range(above.low + spread, above.high - spread),
-            (plan - arm)[unit],
+            Disc((plan - arm)[unit]),
             Range(-spread[unit], spread[unit]),
             yaw,
             pitch,
@@ -142,40 +160,24 @@ class Limits:
         """The nearest coordinates within the limits. A yaw keeps its number of turns."""
         turned = nearest_turn(c.yaw, xp.asarray(self.yaw.middle, c.yaw.dtype), xp)
         back = self.yaw.clip(turned, xp) - turned
-        return Coordinates(
-            c.base,
-            into_disc(c.arm, xp.asarray(self.arm, c.arm.dtype), xp),
-            self.height.clip(c.height, xp),
-            into_disc(c.offset, xp.asarray(self.offset, c.offset.dtype), xp),
-            self.rise.clip(c.rise, xp),
-            c.yaw + xp.where(xp.asarray(self.sector), back, xp.zeros_like(back)),
-            self.pitch.clip(c.pitch, xp),
-        )
+        yaw = c.yaw + xp.where(xp.asarray(self.sector), back, xp.zeros_like(back))
+        return self._each("clip", c, yaw, xp)
 
     def to_bounded(self, v: Coordinates, xp: Any) -> Coordinates:
         """Coordinates within the limits, from any ``v``; in the middle they move as ``v`` does."""
-        return Coordinates(
-            v.base,
-            to_disc(v.arm, xp.asarray(self.arm, v.arm.dtype), xp),
-            self.height.to_bounded(v.height, xp),
-            to_disc(v.offset, xp.asarray(self.offset, v.offset.dtype), xp),
-            self.rise.to_bounded(v.rise, xp),
-            xp.where(xp.asarray(self.sector), self.yaw.to_bounded(v.yaw, xp), v.yaw),
-            self.pitch.to_bounded(v.pitch, xp),
-        )
+        yaw = xp.where(xp.asarray(self.sector), self.yaw.to_bounded(v.yaw, xp), v.yaw)
+        return self._each("to_bounded", v, yaw, xp)
 
     def from_bounded(self, c: Coordinates) -> Coordinates:
         """The inverse of :meth:`to_bounded`; a coordinate on a limit counts as slightly inside."""
         turned = nearest_turn(c.yaw, self.yaw.middle, np)
-        return Coordinates(
-            c.base,
-            from_disc(c.arm, self.arm, np),
-            self.height.from_bounded(c.height),
-            from_disc(c.offset, self.offset, np),
-            self.rise.from_bounded(c.rise),
-            np.where(self.sector, self.yaw.from_bounded(turned), c.yaw),
-            self.pitch.from_bounded(c.pitch),
-        )
+        yaw = np.where(self.sector, self.yaw.from_bounded(turned, np), c.yaw)
+        return self._each("from_bounded", c, yaw, np)
+
+    def _each(self, method: str, c: Coordinates, yaw: Any, xp: Any) -> Coordinates:
+        names = ("arm", "height", "offset", "rise", "pitch")
+        parts = {name: getattr(getattr(self, name), method)(getattr(c, name), xp) for name in names}
+        return c._replace(yaw=yaw, **parts)
 
     def draw(
         self, rng: np.random.Generator, base: Float[np.ndarray, "M U 2"], unit: np.ndarray
@@ -204,20 +206,20 @@ class Limits:
         aimed = nearest_turn(aimed, self.yaw.middle, np)
         may = (aimed >= self.yaw.low) & (aimed <= self.yaw.high)
         yaw = np.where(may & (rng.uniform(size=may.shape) < 0.5), aimed, anywhere)
-        parts = (base, disc(self.arm), even(self.height), disc(self.offset), even(self.rise))
+        parts = (
+            base,
+            disc(self.arm.half),
+            even(self.height),
+            disc(self.offset.half),
+            even(self.rise),
+        )
         pitch = rng.uniform(low, high, (count, len(low)))
         return [Coordinates(*row) for row in zip(*parts, yaw, pitch, strict=True)]
 
     def may_change(self) -> dict[str, np.ndarray]:
         """Whether each coordinate, except ``base``, can change, by unit or sensor."""
-        return dict(
-            arm=self.arm > 0,
-            height=self.height.half > 0,
-            offset=self.offset > 0,
-            rise=self.rise.half > 0,
-            yaw=self.yaw.half > 0,
-            pitch=self.pitch.half > 0,
-        )
+        names = ("arm", "height", "offset", "rise", "yaw", "pitch")
+        return {name: getattr(self, name).half > 0 for name in names}
 
 
 def nearest_turn(angle: Any, about: Any, xp: Any) -> Any:

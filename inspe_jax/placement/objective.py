@@ -22,13 +22,13 @@ COMBINATIONS: dict[str, Any] = {"mean": (jnp.mean, np.mean), "worst": (jnp.min, 
 
 @dataclass(frozen=True)
 class Objective:
-    """What is maximised: the mean or the worst P_sm of some scenes, less a price for the sensors.
+    """What is maximised: the mean or the worst P_sm of some scenes.
 
     ``weights``, ``occlusion_reference`` and ``visibility`` are as in :func:`inspe_jax.evaluate`.
     ``over`` says how the scores of several scenes are combined, "mean" or "worst". With
     ``failures`` a score is N−1: the mean over the units of the score without that unit.
-    ``price_weight`` is how much score a thousand US dollars must bring. ``budget`` is the most that
-    the layout may cost [US dollars]. ``prices`` of devices [US dollars] replace the catalogue's.
+    ``budget`` is the most that the layout may cost [US dollars]. ``prices`` of devices [US dollars]
+    replace the catalogue's.
     ``regions``, by name, are the only ones that count; all if none is given. ``metrics`` are also
     in the scores of results; they do not change what is found. ``detection`` has the curves of
     detectability, the usual ones if None.
@@ -39,7 +39,6 @@ class Objective:
     visibility: str | None = None
     over: str = "mean"
     failures: bool = False
-    price_weight: float = 0.0
     budget: float | None = None
     prices: Mapping[str, float] = field(default_factory=dict)
     regions: tuple[str, ...] = ()
@@ -86,8 +85,6 @@ class Objective:
         self._check_regions()
         if self.over not in COMBINATIONS:
             raise InspeError(f"over '{self.over}': one of {', '.join(COMBINATIONS)}")
-        if not self.price_weight >= 0:
-            raise InspeError(f"price_weight {self.price_weight}: 0 or more, per 1000 US dollars")
         for name, price in self.prices.items():
             if not 0 <= price < float("inf"):
                 raise InspeError(f"price of {name} {price}: 0 or more, in US dollars")
@@ -126,24 +123,18 @@ class Objective:
             )
         return price
 
-    def cost(self, layout: Layout) -> float:
-        """What the layout's sensors cost [US dollars]."""
+    def check_cost(self, layout: Layout) -> None:
+        """Raise InspeError where the layout's sensors cost more than the budget."""
+        if self.budget is None:
+            return
         names = [sensor.spec.name for sensor in layout.sensors]
         count = {name: names.count(name) for name in names}
-        return total_price({name: self.price_of(name) for name in count}, count)
-
-    def price(self, layout: Layout) -> float:
-        """What is taken off the score for the cost. Raises InspeError where it exceeds the
-        budget."""
-        if self.budget is None and not self.price_weight:
-            return 0.0
-        cost = self.cost(layout)
-        if self.budget is not None and cost > self.budget:
+        cost = total_price({name: self.price_of(name) for name in count}, count)
+        if cost > self.budget:
             raise InspeError(
                 f"{layout.name}: the sensors cost {cost:,.2f} US dollars, more than the budget of "
                 f"{self.budget:,.2f}; use fewer or cheaper ones"
             )
-        return self.price_weight * cost / 1000
 
 
 def total_price(price: Mapping[str, float], count: Mapping[str, int]) -> float:

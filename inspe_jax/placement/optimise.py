@@ -3,6 +3,7 @@
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -25,12 +26,11 @@ from inspe_jax.placement.run import (
     BudgetSpent,
     Method,
     Run,
-    State,
     TargetReached,
     check_budget,
     check_seed,
 )
-from inspe_jax.scoring.evaluate import Scores, evaluate
+from inspe_jax.scoring.evaluate import evaluate
 from inspe_jax.sensing.conditions import Conditions
 from inspe_jax.sensing.layout import Layout
 
@@ -49,9 +49,6 @@ LIBRARIES = ("jax", "numpy", "scipy", "optax", "jaxopt", "cmaes")
 
 _ENDING = 0.1
 """A method that stops with at most this share of the budget left has used its budget."""
-
-Start = tuple[Float[np.ndarray, " N"], tuple[str, ...]]
-"""Feasible coordinates to begin at, and notes on what was moved to make them feasible."""
 
 
 def methods(objective: Objective | None = None) -> dict[str, str]:
@@ -119,11 +116,12 @@ def optimise(
     if checkpoint is not None:
         check_writable(Path(checkpoint).parent)
     problem = Problem(cases_of(scene, conditions), layout, objective, constraints)
-    x, notes = _start(problem, start, seed)
-    run = Run(
+    return _search(
         problem,
-        x,
-        seed=seed,
+        row,
+        seed,
+        start,
+        checkpoint,
         seconds=seconds,
         evaluations=evaluations,
         clock=clock,
@@ -131,15 +129,6 @@ def optimise(
         found=None if found is None else lambda x, best: found(problem.space.layout(x), best),
         target=target,
     )
-    run.notes += notes
-    keeper = None
-    if checkpoint is not None:
-        keeper = CheckpointWriter(checkpoint, _search(problem, row, seed, start), run)
-    status = _drive(run, row, keeper)
-    try:
-        return _result(run, row, status, start)
-    except KeyboardInterrupt:  # the search is over; its result is kept
-        return _result(run, row, "interrupted", start)
 
 
 def compare(
@@ -183,19 +172,18 @@ def compare(
             if _drive(trial, row) == "interrupted":
                 raise KeyboardInterrupt
             for seed in several:
-                x, notes = _start(problem, start, seed)
-                run = Run(
+                told = None if progress is None else partial(progress, row.name, seed)
+                result = _search(
                     problem,
-                    x,
-                    seed=seed,
+                    row,
+                    seed,
+                    start,
                     seconds=seconds,
                     evaluations=evaluations,
-                    progress=_naming(progress, row.name, seed),
+                    progress=told,
                 )
-                run.notes += notes
-                status = _drive(run, row)
-                results.append(_result(run, row, status, start))
-                if status == "interrupted":
+                results.append(result)
+                if result.status == "interrupted":
                     return results
     except KeyboardInterrupt:
         if not results:
@@ -212,9 +200,40 @@ def warming(problem: Problem) -> float:
 # ── One search ──────────────────────────────────────────────────────────────
 
 
+def _search(
+    problem: Problem,
+    row: Method,
+    seed: int,
+    start: str | Layout,
+    checkpoint: str | os.PathLike[str] | None = None,
+    **options: Any,
+) -> Result:
+    """A search from a start; ``options`` are those of :class:`Run`."""
+    x, notes = _start(problem, start, seed)
+    run = Run(problem, x, seed=seed, **options)
+    run.notes += notes
+    keeper = None
+    if checkpoint is not None:
+        of = {
+            "scene": digest(problem.cases),
+            "layout": digest(problem.layout),
+            "objective": digest(problem.objective),
+            "constraints": digest(problem.space.constraints),
+            "start": start.lower() if isinstance(start, str) else digest(start),
+            "method": row.name,
+            "seed": str(seed),
+        }
+        keeper = CheckpointWriter(checkpoint, of, run)
+    status = _drive(run, row, keeper)
+    try:
+        return _result(run, row, status, start)
+    except KeyboardInterrupt:  # the search is over; its result is kept
+        return _result(run, row, "interrupted", start)
+
+
 def _drive(run: Run, row: Method, keeper: CheckpointWriter | None = None) -> str:
     """Run a method step by step to its end and return the status."""
-    state = keeper.take_up(run) if keeper else {}
+    state = keeper.take_up(row.states) if keeper else None
     if keeper and keeper.ended:
         return _settled(run, keeper.ended)
     status = ""
@@ -222,11 +241,11 @@ def _drive(run: Run, row: Method, keeper: CheckpointWriter | None = None) -> str
         run.compile_ahead(row)
         if not run.history:
             run.offer(run.start)
-        following: State | None = state or row.begin(run)
+        following = row.begin(run) if state is None else state
         while following is not None:
             state = following
             if keeper:
-                keeper.mark(run, state)
+                keeper.mark(state)
             following = row.step(run, state)
             run.report()
         status = "converged" if run.left > _ENDING else "budget spent"
@@ -242,7 +261,7 @@ def _drive(run: Run, row: Method, keeper: CheckpointWriter | None = None) -> str
         run.close()
     status = _settled(run, status)
     if keeper:
-        keeper.end(run, state, status)
+        keeper.end(state, status)
     return status
 
 
@@ -274,19 +293,9 @@ def _result(run: Run, row: Method, status: str, begun: str | Layout) -> Result:
     elif run.best == before:
         notes.append("nothing better than the start was found; try a larger budget or start")
     case = problem.cases[0]
-
-    def scores(of: Layout) -> Scores:
-        return evaluate(
-            case.scene,
-            of,
-            conditions=case.conditions,
-            weights=objective.weights,
-            occlusion_reference=objective.occlusion_reference,
-            visibility=objective.visibility,
-            metrics=objective.metrics,
-            detection=objective.detection,
-        )
-
+    options = ("weights", "occlusion_reference", "visibility", "metrics", "detection")
+    readings = {name: getattr(objective, name) for name in options}
+    scores = partial(evaluate, case.scene, conditions=case.conditions, **readings)
     after = scores(found)
     return Result(
         layout=replace(named_optimised(found), goal=objective.goal),
@@ -351,30 +360,12 @@ def _settings(problem: Problem) -> dict[str, Any]:
 # ── Options ─────────────────────────────────────────────────────────────────
 
 
-def _method(name: str, objective: Objective | None) -> Method:
-    check_known(name, METHODS, "method")
-    if others := METHODS[name].unknown(or_usual("objective", objective, Objective).weights_by_name):
-        raise InspeError(
-            f"method '{name}' does not know {', '.join(others)}, which has weight; use one of "
-            f"{', '.join(row.name for row in _knowing(objective))}"
-        )
-    return METHODS[name]
-
-
 def _seconds(seconds: float | None, evaluations: float | None) -> float | None:
     """The budget in seconds, with the default where there is none at all."""
     if seconds is None and evaluations is None:
         seconds = DEFAULT_SECONDS
     check_budget(seconds, evaluations)
     return seconds
-
-
-def _naming(
-    progress: Callable[[str, int, float, float], None] | None, name: str, seed: int
-) -> Callable[[float, float], None] | None:
-    if progress is None:
-        return None
-    return lambda done, best: progress(name, seed, done, best)
 
 
 def check_search(
@@ -385,7 +376,15 @@ def check_search(
 ) -> list[Method]:
     """The methods of these names. Raises InspeError where one is unknown or named twice, does not
     know the objective, or the start or a seed cannot be: all that needs no scene to be seen."""
-    rows = [_method(name, objective) for name in methods]
+    weights = or_usual("objective", objective, Objective).weights_by_name
+    for name in methods:
+        check_known(name, METHODS, "method")
+        if others := METHODS[name].unknown(weights):
+            raise InspeError(
+                f"method '{name}' does not know {', '.join(others)}, which has weight; use one of "
+                f"{', '.join(row.name for row in _knowing(objective))}"
+            )
+    rows = [METHODS[name] for name in methods]
     if not rows:
         raise InspeError(f"no method to compare: give some of {', '.join(METHODS)}")
     if len(set(methods)) < len(rows):
@@ -405,7 +404,10 @@ def check_search(
     return rows
 
 
-def _start(problem: Problem, start: str | Layout, seed: int) -> Start:
+def _start(
+    problem: Problem, start: str | Layout, seed: int
+) -> tuple[Float[np.ndarray, " N"], tuple[str, ...]]:
+    """Feasible coordinates to begin at, and notes on what was moved to make them feasible."""
     if isinstance(start, Layout):
         return problem.space.start(start)
     if start.lower() == "given":
@@ -431,16 +433,3 @@ def _start(problem: Problem, start: str | Layout, seed: int) -> Start:
         for unit, post in zip(given.units, posts, strict=True)
     )
     return problem.space.start(Layout(poses, given.sensors, units, placed.name))
-
-
-def _search(problem: Problem, row: Method, seed: int, start: str | Layout) -> dict[str, str]:
-    """What a checkpoint must agree with, by name."""
-    return {
-        "scene": digest(problem.cases),
-        "layout": digest(problem.layout),
-        "objective": digest(problem.objective),
-        "constraints": digest(problem.space.constraints),
-        "start": start.lower() if isinstance(start, str) else digest(start),
-        "method": row.name,
-        "seed": str(seed),
-    }

@@ -27,9 +27,9 @@ from inspe_jax.placement.sampled_scores import ScoreTerms, hard_scores, scores, 
 from inspe_jax.placement.space import Space
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scoring import metrics
-from inspe_jax.scoring.asked import Asked
 from inspe_jax.scoring.evaluate import check_entropy, options_of
 from inspe_jax.scoring.exact import measure_exactly
+from inspe_jax.scoring.options import ScoreOptions
 from inspe_jax.scoring.sensor_array import SensorSet, sensor_array
 from inspe_jax.scoring.tiled_scene import SceneArrays, TiledScene, tiled_sample, tiled_scene_of
 from inspe_jax.sensing.conditions import Case, Conditions, case_of, perceiving
@@ -40,17 +40,14 @@ from inspe_jax.visibility.queries import check_layout
 
 _SAMPLE_COST = (0.05, 0.3, 1.9)
 """The cost of a rough score in exact scores is a + b·columns + c·columns·frames, of the shares of
-the columns and of the frames that are in the sample. It was measured on 150,000 voxels and 100
-frames, with 8 cameras, 4 LiDARs and both, on samples of 384 to 3072 columns and 3 to 24 frames:
-0.04 to 0.21. The exact score worked on two cores. Most of a small sample's cost is fixed."""
+the columns and of the frames that are in the sample. Measured on two cores, with 8 cameras, 4
+LiDARs and both, on 150,000 voxels and 100 frames: 0.04 to 0.21."""
 
 GRADIENT_COST = (175.0, 430.0, 33.5e3, 0.7)
 """The cost of a gradient in hard scores of the same sample is a·(n + b)/(n + c), with n
-columns·frames, and d times that for sensors that are not aimed: both take a fixed time and one that
-grows with n. Measured on two cores, on 384 × 3, 768 × 6 and 2048 × 8 columns × frames: 8, 21 and 59
-with 8 cameras; 5, 13 and 48 with 4 LiDARs; and 160 to 180 on a whole scene of 100 frames. This
-gives 8, 23, 59; 6, 16, 41; and 118 to 168. `experiments/benchmark_speed.py` measures it."""
-
+columns·frames, and d times that for sensors that are not aimed. On 384 × 3, 768 × 6 and 2048 × 8
+columns × frames it gives 8, 23 and 59 with cameras, and 6, 16 and 41 with LiDARs.
+`experiments/benchmark_speed.py` measures it: 8, 21 and 59, and 5, 13 and 48, on two cores."""
 
 AnyScene = Scene | Case | str
 """A scene as users give it: as such, in conditions, or by name."""
@@ -111,10 +108,7 @@ class Problem:
         objective: Objective | None = None,
         constraints: Constraints | None = None,
     ) -> None:
-        """Raises InspeError where scenes do not fit together or an option is out of range.
-
-        Constraints are not checked here, but when :attr:`space` is first used.
-        """
+        """Raises InspeError where scenes do not fit together or an option is out of range."""
         wanted = or_usual("objective", objective, Objective)
         self._constraints = or_usual("constraints", constraints, Constraints)
         wanted.check()
@@ -125,7 +119,7 @@ class Problem:
         self.options = options_of(first, wanted.occlusion_reference, wanted.visibility)
         by_name = wanted.weights_by_name
         names = metrics.chosen(weights=by_name)
-        self.asked = Asked.of(**self.options, names=names, detection=wanted.detection)
+        self.asked = ScoreOptions.of(**self.options, names=names, detection=wanted.detection)
         self.objective = replace(
             wanted,
             weights={name: by_name[name] for name in names},
@@ -133,29 +127,10 @@ class Problem:
             visibility=self.options["visibility"],
         )
         for case in self.cases[1:]:
-            if not np.allclose(case.scene.voxels.center, first.voxels.center, atol=1e-6):
-                raise InspeError(
-                    f"{case.scene.name} has another centre than {first.name}: scenes searched "
-                    "together are of one intersection, with other traffic or other light"
-                )
-            if case.scene.profile != first.profile:
-                raise InspeError(
-                    f"{case.scene.name} is of the profile {case.scene.profile.name} and "
-                    f"{first.name} of {first.profile.name}: scenes searched together are of one"
-                )
-            if digest(case.scene.terrain) != digest(first.terrain):
-                raise InspeError(
-                    f"{case.scene.name} and {first.name} have other terrain: scenes searched "
-                    "together are of one place; give both or neither Scene.with_terrain"
-                )
-            if digest(case.scene.statics) != digest(first.statics):
-                raise InspeError(
-                    f"{case.scene.name} and {first.name} have other static bodies: scenes searched "
-                    "together are of one place; give both the same with Scene.with_statics"
-                )
+            check_one_place(first, case.scene)
         _, layout, _ = check_layout(first, layout)
         self.layout = layout
-        self.price = self.objective.price(layout)
+        self.objective.check_cost(layout)
         failures = layout.members() if self.objective.failures else ()
         if self.objective.failures and len(layout.units) < 2:
             raise InspeError(f"{layout.name}: failures need at least two units, it has one")
@@ -219,13 +194,12 @@ class Problem:
     def _combined(self, each: Float[Array, " N"]) -> float:
         """The objective, from P_sm of every case."""
         combine = COMBINATIONS[self.objective.over][1]
-        return float(combine(np.asarray(each, float))) - self.price
+        return float(combine(np.asarray(each, float)))
 
     def draw(self, rng: np.random.Generator, columns: int, frames: int) -> Drawn:
         """Evenly spread columns and frames of each case, from a random first one; all if fewer.
 
-        The same sizes give arrays of the same shapes. Estimates of scores have no bias, and less
-        noise than with columns drawn one by one.
+        Estimates of scores have no bias, and less noise than with columns drawn one by one.
         """
         return tuple(
             (
@@ -295,7 +269,7 @@ class Problem:
             asked=self.asked,
             over=self.objective.over,
         )
-        return float(value) - self.price, np.asarray(slope)[: len(poses)]
+        return float(value), np.asarray(slope)[: len(poses)]
 
     # ── Candidates one by one, for greedy and integer programs ──
 
@@ -325,12 +299,7 @@ class Problem:
     ) -> dict[int, CandidateViews]:
         """What some sensors of the layout have in view, and see in each frame, each at K poses.
 
-        ``poses`` about the scene's centre are by the sensors' places in the layout. With
-        :meth:`voxel_weights`, the metrics of a set of sensors are sums: C of ``weight`` over the
-        voxels that some sensor has in view, O of ``free`` over the voxels and frames that some
-        sensor sees, and, where visibility is ``in_view``, IG of
-        ``entropy``·(1 − ∏(1 − reliability·view)). If detectability has weight, it is the mean over
-        classes of ``places``·(1 − ∏(1 − chance)).
+        ``poses`` about the scene's centre are by the sensors' places in the layout.
         """
         jobs, wanted = list[Job](), list[tuple[list[int], int, int]]()
         for case, tiled, sensor_set in zip(
@@ -350,6 +319,22 @@ class Problem:
                 found.setdefault(s, []).append(CandidateViews(*(part[rows] for part in views)))
                 begin = rows.stop
         return {s: joined(parts, -1) for s, parts in found.items()}
+
+
+def check_one_place(first: Scene, other: Scene) -> None:
+    """Raise InspeError where two scenes are not of one intersection and profile."""
+    profiles = f"the profiles {other.profile.name} and {first.profile.name}"
+    for same, what in (
+        (np.allclose(other.voxels.center, first.voxels.center, atol=1e-6), "other centres"),
+        (other.profile == first.profile, profiles),
+        (digest(other.terrain) == digest(first.terrain), "other terrain"),
+        (digest(other.statics) == digest(first.statics), "other static bodies"),
+    ):
+        if not same:
+            raise InspeError(
+                f"{other.name} and {first.name} have {what}: scenes searched together are of one "
+                "place and profile, with other traffic, light or weather"
+            )
 
 
 def _alike(

@@ -186,18 +186,16 @@ def _of(result: Result) -> dict[str, Any]:
 
 def _record(result: Result) -> dict[str, Any]:
     """The record for JSON: all but the layouts, the history and the path."""
+    plain = ("method", "status", "objective_before", "objective", "evaluations", "seconds", "seed")
+    scores = {
+        name: json_value(asdict(replace(getattr(result, name), seen_share=np.zeros(0))))
+        for name in ("scores_before", "scores")
+    }
     return {
         "format": FORMAT,
-        "method": result.method,
-        "status": result.status,
-        "objective_before": result.objective_before,
-        "objective": result.objective,
-        "evaluations": result.evaluations,
-        "seconds": result.seconds,
-        "seed": result.seed,
+        **{name: getattr(result, name) for name in plain},
         "notes": list(result.notes),
-        "scores_before": json_value(asdict(replace(result.scores_before, seen_share=np.zeros(0)))),
-        "scores": json_value(asdict(replace(result.scores, seen_share=np.zeros(0)))),
+        **scores,
         "settings": json_value(result.settings),
         "versions": result.versions,
     }

@@ -1,7 +1,7 @@
 """One run of a search: its start, its budget, exact and rough scores, and the best so far.
 
-A method says how a search begins and does one step of it. A step goes from one flat state to the
-next, so a search can be stopped after any step and resumed.
+A method says how a search begins and does one step of it. A step goes from one state to the next,
+so a search can be stopped after any step and resumed.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -16,9 +16,6 @@ from inspe_jax.core.compiling import waiting, working_clock
 from inspe_jax.core.errors import InspeError, wrong_kind
 from inspe_jax.placement.compile_ahead import Ahead, CompileJob
 from inspe_jax.placement.problem import Drawn, Problem, Sample
-
-State = dict[str, Any]
-"""NumPy arrays, numbers and strings by name, as a checkpoint holds them. Never changed in place."""
 
 AT_ONCE = 32
 """Number of rough scores between two checks of the budget: mostly some tenths of a second."""
@@ -36,16 +33,18 @@ class TargetReached(Exception):
 class Method:
     """A search method, a row of the registry.
 
-    ``begin`` gives the first state. ``step`` does about a second of work and gives the next state,
-    or None if nothing is left to do; it does not change the state that it gets. ``ahead`` gives
+    ``states`` are the frozen dataclasses of its states. Their fields are NumPy arrays, numbers and
+    strings, as a checkpoint holds them. ``begin`` gives the first state. ``step`` does about a
+    second of work and gives the next state, or None if nothing is left to do. ``ahead`` gives
     jobs by name, in order, that compile what later steps need while the first steps run. ``knows``
     are the metrics that it can maximise; None for all.
     """
 
     name: str
     summary: str
-    begin: "Callable[[Run], State]"
-    step: "Callable[[Run, State], State | None]"
+    states: tuple[type[Any], ...]
+    begin: "Callable[[Run], Any]"
+    step: "Callable[[Run, Any], Any]"
     ahead: "Callable[[Run], Mapping[str, CompileJob]]" = lambda run: {}
     knows: tuple[str, ...] | None = None
 
@@ -77,6 +76,7 @@ class Run:
     ``history`` has every exact score. ``evaluations`` are spent so far; ``limits`` is the budget in
     seconds and in evaluations, and ``target`` the score that ends it. ``notes`` are for people.
     ``held`` (N,) is a layout that the method prefers and that has no exact score yet, or None.
+    ``cache`` is for what a method can compute again from its state.
     """
 
     def __init__(
@@ -92,14 +92,8 @@ class Run:
         found: Callable[[Float[np.ndarray, " N"], float], None] | None = None,
         target: float = np.inf,
     ) -> None:
-        """Raises InspeError where there is no budget, or one of nothing.
-
-        The budget is spent when the first of ``seconds`` and ``evaluations`` is. Seconds count from
-        the first exact score on, without those that this thread waits for a program to be compiled;
-        or by another ``clock``. ``progress`` is called with the share of the budget spent and the
-        best score, ``found`` with coordinates that are the best so far and their score. A score of
-        ``target`` or more ends the search.
-        """
+        """The options are those of :func:`~inspe_jax.placement.optimise.optimise`; ``found`` is
+        called with coordinates. Raises InspeError where there is no budget, or one of nothing."""
         check_budget(seconds, evaluations)
         self.problem, self.seed, self.start = problem, seed, np.array(start, float)
         self.evaluations = 0.0
@@ -108,6 +102,7 @@ class Run:
         self.held: Float[np.ndarray, " N"] | None = None
         self.history: list[Progress] = []
         self.notes: list[str] = []
+        self.cache: dict[str, Any] = {}
         self.limits = (seconds, evaluations)
         self._clock, self._progress, self._found = clock or working_clock(), progress, found
         self.target = target
@@ -127,7 +122,7 @@ class Run:
 
     @property
     def left(self) -> float:
-        """Share of the budget that is left, from 1 to 0; for schedules."""
+        """Share of the budget that is left, from 1 to 0."""
         return 1.0 - self.done
 
     @property
@@ -153,10 +148,9 @@ class Run:
         return np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=key))
 
     def offer(self, x: Float[np.ndarray, " N"]) -> float:
-        """The exact score of feasible coordinates (N,); they are kept if they are the best so far.
+        """The exact score of feasible coordinates (N,), for one evaluation.
 
-        Charges one evaluation. Raises BudgetSpent if the budget is spent, except for the first
-        score, that of the start; TargetReached once the best score is the target or more; and
+        Raises BudgetSpent, except for the first score, that of the start; TargetReached; and
         InspeError if ``x`` is not feasible.
         """
         if self.history:
@@ -166,8 +160,8 @@ class Run:
     def hold(self, x: Float[np.ndarray, " N"]) -> None:
         """Keep the feasible coordinates (N,) that the method would end with, were it stopped now.
 
-        Room is left in the budget for their exact score. The next :meth:`offer` takes their place;
-        if the search ends before that, :meth:`settle` scores them. The best so far is not held.
+        If the search ends before the next :meth:`offer`, :meth:`settle` scores them; the budget
+        keeps room for that.
         """
         self.held = None if np.array_equal(x, self.best_x) else np.array(x, float)
 
@@ -209,16 +203,12 @@ class Run:
         return np.concatenate(scores)
 
     def charge(self, evaluations: float) -> None:
-        """Charge for work before it is done, in exact scores.
-
-        Raises BudgetSpent, also where the budget has no more room than for what is held.
-        """
+        """Charge for work before it is done, in exact scores. Raises BudgetSpent."""
         self._check_left(0.0 if self.held is None else self.exact_cost)
         self.evaluations += float(evaluations)
 
     def charge_gradient(self, drawn: Drawn, layouts: int = 1) -> None:
-        """Charge for gradients of layouts on a sample before they are computed: see
-        :meth:`Problem.gradient_cost`. Raises BudgetSpent."""
+        """Charge for gradients of layouts on a sample. Raises BudgetSpent."""
         self.charge(layouts * self.problem.gradient_cost(drawn))
 
     @property
@@ -229,8 +219,7 @@ class Run:
     def compile_ahead(self, method: Method) -> None:
         """Start to compile what the method will need, in another thread.
 
-        Only if the budget has seconds. With a budget of evaluations a seed repeats, so the result
-        must not depend on how long compiling takes.
+        Not with a budget of evaluations alone: then a seed repeats, whatever compiling takes.
         """
         if self.limits[0] is not None:
             self._ahead = Ahead(method.ahead(self))
@@ -240,10 +229,7 @@ class Run:
         return self._ahead.ready(name)
 
     def wait(self, name: str) -> None:
-        """Wait until a job of ``Method.ahead`` is done, if it was started. Raises its error.
-
-        The clock stands still meanwhile.
-        """
+        """Wait, off the clock, until a job of ``Method.ahead`` is done. Raises its error."""
         with waiting():
             self._ahead.wait(name)
 

@@ -76,7 +76,7 @@ class SampleScore:
         objective, each = problem.objective, problem.voxel_weights(sample)
         weights = objective.weights_by_name
         c, o, ig, d = (weights[name] for name in KNOWN)
-        self.sample, self.price = sample, problem.price
+        self.sample = sample
         self._weight = c * each.weight
         self._free = o * each.free
         self._entropy = ig * each.entropy
@@ -138,7 +138,7 @@ class SampleScore:
         """The score of a set of sensors, given the row of each."""
         total = sum(x.sum() for x in (self._weight, self._free, self._entropy, self._places))
         left = [sum(part.sum() for part in self._left(rows, there)) for there in self._there]
-        return float(total - np.mean(left) - self.price)
+        return float(total - np.mean(left))
 
     def worth(self, rows: SampledRows, s: int) -> Worth:
         """What each part of the row of one more sensor ``s`` adds; the sum over it is its gain."""

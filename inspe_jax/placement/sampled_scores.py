@@ -14,8 +14,8 @@ from jaxtyping import Array, Float, Int
 from inspe_jax.core.numerics import Softness
 from inspe_jax.placement.objective import COMBINATIONS
 from inspe_jax.scoring import metrics
-from inspe_jax.scoring.asked import Asked
 from inspe_jax.scoring.exact import count_exactly
+from inspe_jax.scoring.options import ScoreOptions
 from inspe_jax.scoring.sensor_array import SensorArray
 from inspe_jax.scoring.soft import read_softly
 from inspe_jax.scoring.summary import MetricValues
@@ -58,7 +58,7 @@ def hard_scores(
     scenes: tuple[TiledScene, ...],
     terms: ScoreTerms,
     *,
-    asked: Asked,
+    asked: ScoreOptions,
 ) -> Float[Array, " N"]:
     """P_sm of N cases, read hard; ``poses`` are about the scene's centre and padded."""
     measures = [
@@ -75,7 +75,7 @@ def soft_slope(
     terms: ScoreTerms,
     softness: Float[Array, ""],
     *,
-    asked: Asked,
+    asked: ScoreOptions,
     over: str,
 ) -> tuple[Float[Array, ""], Float[Array, "S 6"]]:
     """The combined score of all cases, read with ``softness`` [m], and its gradient in the poses.
@@ -88,7 +88,7 @@ def soft_slope(
 
     def score(poses: Array) -> Array:
         measures = [
-            read_softly(tiled.bucketed, poses, sensors, voxel, width, asked=asked)
+            read_softly(tiled.bucketed, poses, sensors, voxel, width, options=asked)
             for tiled, sensors, voxel in zip(scenes, terms.sensors, terms.voxel, strict=True)
         ]
         return COMBINATIONS[over][0](scores(measures, terms.weights, terms.failures))

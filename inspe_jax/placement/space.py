@@ -21,7 +21,7 @@ from inspe_jax.core.errors import InspeError, nearest
 from inspe_jax.mounting.brackets import Brackets
 from inspe_jax.mounting.site import Site
 from inspe_jax.placement.constraints import PLACES, Constraints
-from inspe_jax.placement.convex_regions import into_disc, make_regions
+from inspe_jax.placement.convex_regions import make_regions
 from inspe_jax.placement.coordinates import PLANE, STEPS, Coordinates, Limits, Range
 from inspe_jax.placement.feasibility import TOLERANCE, Fault, differences, faults, on_span
 from inspe_jax.scene.scene import Scene
@@ -295,7 +295,7 @@ class Space:
             one_spot = len(members) == 1 or circle.area == 0
             arm[u] = out[members[0]] if one_spot else circle.centroid.coords[0]
             height[u] = (above[members].min() + above[members].max()) / 2
-        arm = into_disc(arm, self._limits.arm, np)
+        arm = self._limits.arm.clip(arm, np)
         height = self._limits.height.clip(height, np)
         wanted = Coordinates(
             feet - self.center[:2],

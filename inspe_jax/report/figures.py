@@ -112,9 +112,7 @@ def plan_view(
     another scene.
     """
     layer = layer or seen_layer(scores.seen_share, scene)
-    raster, extent = layer_raster(scene.voxels, layer)
     layout = scores.conditions.layout(layout)
-    poses = np.asarray(layout.poses, float)
     facts = (
         f"{_score_line(scores)}\n"
         f"radius {scene.voxels.radius:g} m, {scene.voxels.words}; {_users(scene, frame)}; "
@@ -125,16 +123,9 @@ def plan_view(
     with house_style():
         title = f"{layout.name} at {scene.name}"
         fig, ax, panel = sheet(title, facts, [], rows * _ROW / 72, math=True)
-        frame_map(
-            ax,
-            scene.voxels.center,
-            scene.voxels.radius,
-            max(scene.voxels.radius, center_distance(scene, poses).max()),
-        )
-        image = draw_layer(ax, scene, layout, poses, layer, raster, extent, frame)
-        draw_badges(ax, layout, poses)
+        image = draw_plan(ax, scene, layout, layer, reach_of(scene, layout), frame)
         top = _list_kinds(panel, layer) if layer.kinds else _color_bar(fig, panel, image, layer)
-        _list_sensors(panel, layout, poses, top)
+        _list_sensors(panel, layout, top)
         panel.legend(handles=keys, loc="lower left", **KEYS)
     return fig
 
@@ -292,20 +283,31 @@ def _patch(shape: BaseGeometry, **look: Any) -> PathPatch:
     return PathPatch(Outline.make_compound_path(*rings) if rings else empty, **look)
 
 
-def draw_layer(
+def reach_of(scene: Scene, *layouts: Layout) -> float:
+    """How far from the centre a map of layouts must reach to show all sensors [m]."""
+    away = [center_distance(scene, np.asarray(one.poses, float)).max() for one in layouts]
+    return max(scene.voxels.radius, *away)
+
+
+def draw_plan(
     ax: Axes,
     scene: Scene,
     layout: Layout,
-    poses: np.ndarray,
     layer: MapLayer,
-    raster: np.ndarray,
-    extent: tuple[float, float, float, float],
-    frame: int,
+    reach: float,
+    frame: int = 0,
+    *,
+    side: float = MAP,
+    numbers: Sequence[int] | None = None,
 ) -> AxesImage:
-    """Draw a layer, and over it one frame's road users and what each sensor looks at.
+    """Draw a map of ``reach`` [m] and ``side`` [inch]: a layer, and over it one frame's road users,
+    what each sensor looks at, and its number.
 
-    ``raster`` and ``extent`` are those of :func:`column_raster`; ``poses`` (S, 6) are in the world.
+    ``numbers`` are 1, 2, … unless given. Raises InspeError if the layer is of another scene.
     """
+    raster, extent = layer_raster(scene.voxels, layer)
+    frame_map(ax, scene.voxels.center, scene.voxels.radius, reach)
+    poses = np.asarray(layout.poses, float)
     colors: Any = layer.colors
     if layer.kinds:
         colors = ListedColormap([color for _, color in layer.kinds])
@@ -321,6 +323,7 @@ def draw_layer(
     for sensor, pose in zip(layout.sensors, poses, strict=True):
         for ring in clear_outlines(scene, sensor.spec, pose):
             ax.plot(*ring.T, **wedge_look(sensor.spec), zorder=5)
+    _draw_badges(ax, layout, poses, side, numbers or range(1, len(poses) + 1))
     return image
 
 
@@ -363,18 +366,10 @@ def _badge(ax: Axes, at: Sequence[float] | np.ndarray, number: int, kind: str) -
     )  # fmt: skip
 
 
-def draw_badges(
-    ax: Axes,
-    layout: Layout,
-    poses: np.ndarray,
-    side: float = MAP,
-    numbers: Sequence[int] | None = None,
+def _draw_badges(
+    ax: Axes, layout: Layout, poses: np.ndarray, side: float, numbers: Sequence[int]
 ) -> None:
-    """Draw a dot at each sensor and its number beside it; a camera's number is in front of it.
-
-    ``side`` is that of the map [inch]. ``numbers`` are 1, 2, … unless given.
-    """
-    numbers = range(1, len(poses) + 1) if numbers is None else numbers
+    """Draw a dot at each sensor and its number beside it; a camera's number is in front of it."""
     (left, right), (low, high) = ax.get_xlim(), ax.get_ylim()
     out = poses[:, :2] - [(left + right) / 2, (low + high) / 2]
     out /= np.maximum(np.hypot(*out.T), 1e-9)[:, None]
@@ -426,16 +421,13 @@ def _list_kinds(panel: Axes, layer: MapLayer) -> float:
     return 11.0 * (1 + len(layer.kinds)) + 9.0 * lines + 12.0
 
 
-def _list_sensors(panel: Axes, layout: Layout, poses: np.ndarray, top: float) -> None:
-    """List every unit, and under it its sensors: number, device, and height above the base.
-
-    The list begins ``top`` [pt] below the panel's upper edge.
-    """
+def _list_sensors(panel: Axes, layout: Layout, top: float) -> None:
+    """List units with their sensors, from ``top`` [pt] below the panel's upper edge."""
+    poses = np.asarray(layout.poses, float)
     look: dict[str, Any] = dict(size=6.5, va="center", parse_math=False)
     y = -top
     panel.text(0, y, "device, height above the ground", **look, color="#404040")
-    for u, unit in enumerate(layout.units):
-        members = [k for k, sensor in enumerate(layout.sensors) if sensor.unit == u]
+    for unit, members in zip(layout.units, layout.members(), strict=True):
         if members:
             y -= _ROW
             panel.text(0, y, **look | fit(unit.name, 28, 6.5), weight="bold")

@@ -7,7 +7,7 @@ from math import dist
 import numpy as np
 
 from inspe_jax.report.scene_tables import resolution_of
-from inspe_jax.report.schedule import EXISTING_POLE, MaterialRow, SensorRow, UnitRow
+from inspe_jax.report.schedule import EXISTING_POLE, MaterialRow, UnitRow
 from inspe_jax.scene.intersection import BUILT_IN, Intersection
 from inspe_jax.scene.maps.sumo.network import GEOGRAPHIC, SUMO
 from inspe_jax.scene.scene import Scene
@@ -66,27 +66,22 @@ def mounting_words(scene: Scene, units: Sequence[UnitRow]) -> str:
             "on past it, mount it beside the pole: what the pole then hides, the scores count as "
             "seen."
         )
-    below = [row.number for row, unit in around if not _is_highest(row, unit)]
+    below = [
+        str(row.number)
+        for row, unit in around
+        if any(one is not row and one.height >= row.height - ONE_POINT for one in unit.sensors)
+    ]
     if below:
-        who = f"sensors {_listed(below)}" if len(below) > 1 else f"sensor {below[0]}"
+        *first, last = below
+        who = f"sensors {', '.join(first)} and {last}" if first else f"sensor {last}"
         words.append(f"So with {who}, as other sensors of the unit are as high or higher.")
-    if any(_at_one_point(unit) for unit in units):
+    places = [[(*row.position, row.height) for row in unit.sensors] for unit in units]
+    if any(dist(a, b) < ONE_POINT for at in places for a, b in combinations(at, 2)):
         words.append(
             "Sensors of a unit at one point are mounted side by side, as near to it as their "
             "housings allow."
         )
     return " ".join(words)
-
-
-def _is_highest(row: SensorRow, unit: UnitRow) -> bool:
-    """Whether all others of the unit are lower."""
-    return all(one is row or one.height < row.height - ONE_POINT for one in unit.sensors)
-
-
-def _at_one_point(unit: UnitRow) -> bool:
-    """Whether two sensors of a unit are at one point."""
-    at = [(*row.position, row.height) for row in unit.sensors]
-    return any(dist(a, b) < ONE_POINT for a, b in combinations(at, 2))
 
 
 def model_words(layout: Layout, rows: Sequence[MaterialRow]) -> list[str]:
@@ -106,9 +101,3 @@ def model_words(layout: Layout, rows: Sequence[MaterialRow]) -> list[str]:
                 f"{what}, a field of view of {view} and a reach of {spec.grid.reach:g} m."
             )
     return found
-
-
-def _listed(numbers: Sequence[int]) -> str:
-    """Numbers in a sentence: ``1, 2 and 3``."""
-    *first, last = (str(number) for number in numbers)
-    return f"{', '.join(first)} and {last}" if first else last

@@ -7,9 +7,10 @@ exact ones too, in the same record as `inspe score --json` writes.
 import base64
 import io
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import date
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -24,12 +25,11 @@ from inspe_jax.placement.problem import Case
 from inspe_jax.placement.result import STATUSES, Result
 from inspe_jax.placement.studies.pareto import ParetoPoint
 from inspe_jax.placement.studies.tolerance import Tolerance
-from inspe_jax.report.cost import pareto_view
+from inspe_jax.report.curves import height_view, history_view, pareto_view
 from inspe_jax.report.figures import SENSOR_COLORS, plan_view, scene_view
-from inspe_jax.report.heights import height_view
 from inspe_jax.report.layers import BLIND, SIGHT_COLORS, USER_COLOR, MapLayer, layers
 from inspe_jax.report.mounting import model_words, mounting_words, origin_words
-from inspe_jax.report.progress import before_after, history_view, same_sensors
+from inspe_jax.report.progress import before_after, same_sensors
 from inspe_jax.report.schedule import (
     installation_schedule,
     materials,
@@ -104,11 +104,6 @@ class ReportEntry:
     targets: TargetView | None = None
     sought: float | None = None
 
-    @property
-    def moves(self) -> bool:
-        """Whether there is a layout before, of the same sensors."""
-        return self.start is not None and same_sensors(self.start.layout, self.layout)
-
 
 def report_entry(
     case: Case,
@@ -128,23 +123,23 @@ def report_entry(
     search if None. ``target`` is the P_sm that the layout should reach. Raises InspeError as
     :func:`inspe_jax.evaluate` does.
     """
-    scene, conditions = case.scene, case.conditions
-
-    def scores(of: Layout) -> Scores:
-        given: dict[str, Any] = dict(weights=weights, metrics=metrics, detection=detection)
-        return evaluate(scene, of, conditions=conditions, **given)
-
-    shed = viewshed(scene, layout, conditions=conditions)
+    scene, around = case.scene, dict(conditions=case.conditions)
+    options: dict[str, Any] = around | dict(weights=weights, metrics=metrics, detection=detection)
     if start is None and result is not None:
         start = Start(result.start, "where the search began")
-    before, found = None if start is None else scores(start.layout), scores(layout)
-    targets = None
+    found, targets = evaluate(scene, layout, **options), None
     if any(row.name in found.metrics for row in ROWS):
-        targets = target_view(scene, layout, conditions=conditions, detection=detection)
+        targets = target_view(scene, layout, **around, detection=detection)
     return ReportEntry(
-        layout, found, shed, result=result, start=start, before=before, target=target,
+        layout,
+        found,
+        viewshed(scene, layout, **around),
+        result=result,
+        start=start,
+        before=None if start is None else evaluate(scene, start.layout, **options),
+        target=target,
         targets=targets,
-    )  # fmt: skip
+    )
 
 
 def report_page(
@@ -168,57 +163,61 @@ def report_page(
     Raises InspeError if there is no layout, two have the same name, or there is no such frame.
     """
     check_names([entry.layout.name for entry in entries])
-    steps = 2 + bool(front) + len(entries) * (1 + len(CAPTIONS))
-    for entry in entries:
-        steps += entry.moves + (entry.result is not None) + (entry.targets is not None)
-    done = 0
+    maps = [layers(scene, entry.shed) for entry in entries]
+    figures = [
+        _scene_figures(scene, entries, frame) | _front_figure(front),
+        *(_figures(scene, *pair, frame) for pair in zip(entries, maps, strict=True)),
+    ]
+    steps, done = sum(map(len, figures)) + len(entries), 0
 
-    def drawn(figure: Figure) -> str:
+    def step() -> None:
         nonlocal done
         done += 1
         if progress:
             progress(done, steps)
-        return png_text(figure, DPI)
 
-    parts = []
-    for entry in entries:
-        of_columns = layers(scene, entry.shed)
-        maps = _maps(scene, entry, of_columns, frame)
+    def drawn(of: Mapping[str, Callable[[], Figure]]) -> dict[str, str]:
+        images = {}
+        for words, draw in of.items():
+            images[words] = png_text(draw(), DPI)
+            step()
+        return images
+
+    parts: list[dict[str, Any]] = []
+    for entry, of_columns, own in zip(entries, maps, figures[1:], strict=True):
+        layout, scores = entry.layout, entry.scores
+        units = installation_schedule(layout, scene.intersection, prices or {})
+        rows = materials(layout, prices or {})
+        record = scores_record(scores, scene, layout, entry.sought)
+        photograph = _photograph(scene, entry, frame, views)
         parts.append(
             dict(
-                name=entry.layout.name,
-                goal=entry.layout.goal and entry.layout.goal.words,
-                record=(record := scores_record(entry.scores, scene, entry.layout, entry.sought)),
-                units=(
-                    units := installation_schedule(entry.layout, scene.intersection, prices or {})
-                ),
+                entry=entry,
+                name=layout.name,
+                record=record,
+                units=units,
                 mounting=mounting_words(scene, units),
-                materials=(rows := materials(entry.layout, prices or {})),
-                total=(total := total_price(rows)),
-                models=model_words(entry.layout, rows),
-                summary=_summary(scene, entry, record["blind_spots"], *total),
+                materials=rows,
+                total=total_price(rows),
+                models=model_words(layout, rows),
+                summary=_summary(scene, entry, record["blind_spots"], *total_price(rows)),
                 blind=_shares(of_columns["blind"]),
-                figures=[(words, drawn(figure)) for words, figure in maps],
-                photograph=jpeg_text(photo, DPI)
-                if (photo := _photograph(scene, entry, frame, views))
-                else "",
-                scene3d=views
-                and _text(views.scene3d(scene, entry.layout, entry.scores.conditions, frame)),
-                change=_change(scene, entry, frame, drawn),
-                search=_search(entry, drawn),
-                tolerance=None
-                if entry.tolerance is None
-                else tolerance_record(entry.tolerance, scene, entry.layout),
+                images=drawn(own),
+                photograph=photograph and jpeg_text(photograph, DPI),
+                scene3d=views and _text(views.scene3d(scene, layout, scores.conditions, frame)),
+                tolerance=entry.tolerance and tolerance_record(entry.tolerance, scene, layout),
             )
         )
-        done += 1
+        step()
+    records = [part["record"] for part in parts]
     metrics = listed_in(*(entry.scores for entry in entries))
-    records: list[dict[str, Any]] = [part["record"] for part in parts]  # type: ignore[misc]
     return template("report", "page.html.j2").render(
         scene=scene,
         north="true north" if scene.intersection.georeference else "north, the y axis of the map",
         origin=origin_words(scene.intersection),
         in_words=_in_words,
+        searched_on=_searched_on,
+        statuses=STATUSES,
         spots=SPOTS,
         around=entries[0].scores.conditions.words,
         keys={
@@ -229,18 +228,83 @@ def report_page(
             "LiDAR": SENSOR_COLORS["lidar"],
         },
         parts=parts,
+        maps=(*CAPTIONS.values(), ON_TARGET),
         metrics=metrics,
         symbols={metric.name: metric.symbol for metric in metrics},
         best={m.name: max(record[m.name] for record in records) for m in metrics},
         weights=entries[0].scores.settings["weights"],
         core=CORE,
         regions={r.key: WEIGHTS[r] for r in Region if r.key in records[0]["region_coverage"]},
-        scene_figure=drawn(scene_view(scene, frame=frame)),
-        height_figure=drawn(height_view(scene, [(e.layout.name, e.scores) for e in entries])),
-        front_figure=drawn(pareto_view(front)) if front else None,
+        images=drawn(figures[0]),
         record=_text(json.dumps(records, indent=2)),
         made=date.today().isoformat(),
     )
+
+
+def report_sheets(
+    scene: Scene,
+    entries: Sequence[ReportEntry],
+    *,
+    front: Sequence[ParetoPoint] = (),
+    frame: int = 0,
+    views: PageViews | None = None,
+) -> bytes:
+    """The figures of the page as a PDF, one on each sheet."""
+    check_names([entry.layout.name for entry in entries])
+    figures = [draw() for draw in _scene_figures(scene, entries, frame).values()]
+    for entry in entries:
+        figures += [photo] if (photo := _photograph(scene, entry, frame, views)) else []
+        own = _figures(scene, entry, layers(scene, entry.shed), frame)
+        figures += [draw() for draw in own.values()]
+    figures += [draw() for draw in _front_figure(front).values()]
+    made = io.BytesIO()
+    with house_style(), PdfPages(made, metadata={"CreationDate": None}) as pdf:
+        for figure in figures:
+            pdf.savefig(figure)
+    return made.getvalue()
+
+
+Figures = dict[str, Callable[[], Figure]]
+"""What draws each figure, by what it shows in words."""
+
+
+def _scene_figures(scene: Scene, entries: Sequence[ReportEntry], frame: int) -> Figures:
+    return {
+        "The scene": partial(scene_view, scene, frame=frame),
+        "Coverage against height": partial(
+            height_view, scene, [(entry.layout.name, entry.scores) for entry in entries]
+        ),
+    }
+
+
+def _front_figure(front: Sequence[ParetoPoint]) -> Figures:
+    return {"Cost against score": partial(pareto_view, front)} if front else {}
+
+
+def _figures(
+    scene: Scene, entry: ReportEntry, of_columns: Mapping[str, MapLayer], frame: int
+) -> Figures:
+    """The figures of a layout, its maps first."""
+    layout, scores, result = entry.layout, entry.scores, entry.result
+    found: Figures = {
+        words: partial(plan_view, scene, layout, scores, of_columns[name], frame=frame)
+        for name, words in CAPTIONS.items()
+    }
+    if entry.targets is not None:
+        around = scores.conditions
+        found[ON_TARGET] = partial(
+            targets_view, scene, around.layout(layout), entry.targets, frame=frame,
+            conditions=around,
+        )  # fmt: skip
+    if entry.start is not None and same_sensors(entry.start.layout, layout):
+        assert entry.before is not None
+        found["Before and after"] = partial(
+            before_after, scene, entry.start.layout, layout, entry.before, scores,
+            path=result and result.path, frame=frame,
+        )  # fmt: skip
+    if result is not None:
+        found["Score against time"] = partial(history_view, [result])
+    return found
 
 
 def template(room: str, name: str) -> Template:
@@ -256,33 +320,6 @@ def template(room: str, name: str) -> Template:
     ).get_template(name)
 
 
-def report_sheets(
-    scene: Scene,
-    entries: Sequence[ReportEntry],
-    *,
-    front: Sequence[ParetoPoint] = (),
-    frame: int = 0,
-    views: PageViews | None = None,
-) -> bytes:
-    """The figures of the page as a PDF, one on each sheet."""
-    check_names([entry.layout.name for entry in entries])
-    figures = [scene_view(scene, frame=frame)]
-    figures.append(height_view(scene, [(e.layout.name, e.scores) for e in entries]))
-    for entry in entries:
-        of_columns = layers(scene, entry.shed)
-        figures += [photo] if (photo := _photograph(scene, entry, frame, views)) else []
-        figures += [figure for _, figure in _maps(scene, entry, of_columns, frame)]
-        figures += [_moves(scene, entry, frame)] if entry.moves else []
-        figures += [] if entry.result is None else [history_view([entry.result])]
-    if front:
-        figures.append(pareto_view(front))
-    made = io.BytesIO()
-    with house_style(), PdfPages(made, metadata={"CreationDate": None}) as pdf:
-        for figure in figures:
-            pdf.savefig(figure)
-    return made.getvalue()
-
-
 def check_names(names: Sequence[str]) -> None:
     """Raise InspeError if there is no layout, or two have the same name."""
     if not names:
@@ -292,35 +329,6 @@ def check_names(names: Sequence[str]) -> None:
             raise InspeError(
                 f"two layouts are named '{name}': give each layout file another `name:`"
             )
-
-
-def _maps(
-    scene: Scene, entry: ReportEntry, of_columns: Mapping[str, MapLayer], frame: int
-) -> Iterator[tuple[str, Figure]]:
-    """The maps of a layout, each with its caption."""
-    for name, words in CAPTIONS.items():
-        yield words, _plan(scene, entry, of_columns[name], frame)
-    if entry.targets is not None:
-        reaching = entry.scores.conditions.layout(entry.layout)
-        yield (
-            ON_TARGET,
-            targets_view(
-                scene, reaching, entry.targets, frame=frame, conditions=entry.scores.conditions
-            ),
-        )
-
-
-def _plan(scene: Scene, entry: ReportEntry, layer: MapLayer, frame: int) -> Figure:
-    return plan_view(scene, entry.layout, entry.scores, layer, frame=frame)
-
-
-def _moves(scene: Scene, entry: ReportEntry, frame: int) -> Figure:
-    assert entry.start is not None
-    assert entry.before is not None
-    start, path = entry.start.layout, None if entry.result is None else entry.result.path
-    return before_after(
-        scene, start, entry.layout, entry.before, entry.scores, path=path, frame=frame
-    )
 
 
 def _summary(
@@ -362,40 +370,11 @@ def _summary(
     return found
 
 
-def _change(
-    scene: Scene, entry: ReportEntry, frame: int, drawn: Callable[[Figure], str]
-) -> dict[str, Any] | None:
-    """What the page shows of the layout before; None if there is none."""
-    if entry.start is None or entry.before is None:
-        return None
-    before, after = entry.before, entry.scores
-    return dict(
-        words=entry.start.words,
-        rows=[(m, before.value(m.name), after.value(m.name)) for m in listed_in(after)],
-        moves=drawn(_moves(scene, entry, frame)) if entry.moves else "",
-    )
-
-
-def _search(entry: ReportEntry, drawn: Callable[[Figure], str]) -> dict[str, Any] | None:
-    """What the page shows of the search that found a layout; None if there was no search."""
-    result = entry.result
-    if result is None:
-        return None
-    asked = result.settings
-    where = [
+def _searched_on(result: Result) -> str:
+    """The scenes of a search, with their light and weather."""
+    return " and ".join(
         f"{row['name']}{Conditions.of(row['light'], row['weather']).words}"
-        for row in asked["scenes"]
-    ]
-    return dict(
-        where=" and ".join(where),
-        weights=asked["objective"]["weights"],
-        method=result.method,
-        status=STATUSES[result.status],
-        seconds=result.seconds,
-        evaluations=result.evaluations,
-        before=result.objective_before,
-        after=result.objective,
-        course=drawn(history_view([result])),
+        for row in result.settings["scenes"]
     )
 
 

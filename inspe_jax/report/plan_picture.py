@@ -6,10 +6,9 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from inspe_jax.core.sheet import frame_map, house_style
-from inspe_jax.report.figures import draw_badges, draw_layer, layer_raster, spread_badges
+from inspe_jax.core.sheet import house_style
+from inspe_jax.report.figures import draw_plan, reach_of, spread_badges
 from inspe_jax.report.layers import seen_layer
-from inspe_jax.report.routes import center_distance
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scoring.blind_spots import BlindSpot
 from inspe_jax.scoring.evaluate import Scores
@@ -28,21 +27,12 @@ def plan_picture(
 ) -> Figure:
     """A plan view without a heading: how often each column is seen, sensors, and blind spots."""
     layer = replace(seen_layer(scores.seen_share, scene), users=False)
-    raster, extent = layer_raster(scene.voxels, layer)
     layout = scores.conditions.layout(layout)
-    poses = np.asarray(layout.poses, float)
     with house_style():
         fig = Figure(figsize=(SIDE, SIDE), facecolor="white")
         ax = fig.add_axes((0.0, 0.0, 1.0, 1.0))
-        frame_map(
-            ax,
-            scene.voxels.center,
-            scene.voxels.radius,
-            max(scene.voxels.radius, center_distance(scene, poses).max()),
-        )
+        draw_plan(ax, scene, layout, layer, reach_of(scene, layout), side=SIDE)
         ax.axis("off")
-        draw_layer(ax, scene, layout, poses, layer, raster, extent, 0)
-        draw_badges(ax, layout, poses, SIDE)
         at = np.array([spot.at for spot in spots]).reshape(-1, 2)
         apart = APART * np.ptp(ax.get_xlim())
         for letter, (x, y) in zip(LETTERS, spread_badges(at, 0.0 * at, apart), strict=False):

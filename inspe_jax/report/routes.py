@@ -23,11 +23,11 @@ def draw_routes(ax: Axes, scene: Scene) -> None:
         ax.add_collection(drawn, autolim=False)
         drawn.set_clip_path(inside)
     shape = radius * np.array([[0.012, 0.0], [-0.012, 0.008], [-0.012, -0.008]])
-    heads = [at + shape @ np.array([d, [-d[1], d[0]]]) for at, d in _arrow_heads(scene)]
+    heads = [at + shape @ np.array([d, [-d[1], d[0]]]) for at, d in arrow_heads(scene)]
     ax.add_collection(PolyCollection(heads, fc="#303030", ec="none", zorder=3), autolim=False)
 
 
-def _arrow_heads(scene: Scene) -> list[tuple[np.ndarray, np.ndarray]]:
+def arrow_heads(scene: Scene) -> list[tuple[np.ndarray, np.ndarray]]:
     """(x, y) [m] and direction of the arrow heads on lanes.
 
     Several routes can run on one lane; one arrow head stands for all of them.

@@ -106,16 +106,8 @@ def layout_table(layout: Layout) -> RenderableType:
 
 def devices_table(devices: Mapping[str, Device] | Iterable[Device]) -> RenderableType:
     """The catalogue: resolution, reach and price of each device, and the sources of the data."""
-    headers = (
-        "device",
-        "kind",
-        "pixels,\nchannels",
-        "field\nof view",
-        "reach\n[m]",
-        "rays",
-        "price\n[US$]",
-    )
-    table = table_of("Devices", *headers)
+    heads = ("pixels,\nchannels", "field\nof view", "reach\n[m]", "rays", "price\n[US$]")
+    table = table_of("Devices", "device", "kind", *heads)
     sources = [Text("Where their figures are from", style="bold")]
     for device in devices.values() if isinstance(devices, Mapping) else devices:
         resolution, view = resolution_of(device.spec)
@@ -144,24 +136,15 @@ def junctions_table(
 
     With a projection, also latitude and longitude.
     """
-    rows = [
-        (
-            str(info.id),
-            _position(info.center),
-            _on_earth(georeference, np.array(info.center)),
-            str(info.arms),
-            f"{info.size:.1f}",
-            str(info.crosswalks),
-            str(info.signals),
-        )
-        for info in infos
-    ]
-    heads = ["id", "centre [m]", "latitude, longitude", "arms", "size\n[m]", "cross-\nwalks",
-             "signals"]  # fmt: skip
-    kept = [k for k in range(len(heads)) if k != 2 or any(row[2] for row in rows)]
-    table = table_of(f"Junctions of {map_name}", *(heads[k] for k in kept))
-    for row in rows:
-        table.add_row(*(row[k] for k in kept))
+    infos = list(infos)
+    places = [_on_earth(georeference, np.array(info.center)) for info in infos]
+    degrees = ["latitude, longitude"] if any(places) else []
+    heads = ("arms", "size\n[m]", "cross-\nwalks", "signals")
+    table = table_of(f"Junctions of {map_name}", "id", "centre [m]", *degrees, *heads)
+    for info, place in zip(infos, places, strict=True):
+        at = [_position(info.center), *([place] if degrees else [])]
+        numbers = (f"{info.arms}", f"{info.size:.1f}", f"{info.crosswalks}", f"{info.signals}")
+        table.add_row(f"{info.id}", *at, *numbers)
     return table
 
 

@@ -126,16 +126,8 @@ def installation_schedule(
             for s in members
         )
         at = (*feet[u].tolist(), float(ground[u]))
-        lon_lat = None if degrees is None else degrees[u].tolist()
-        rows.append(
-            UnitRow(
-                layout.units[u].name,
-                at,
-                None if lon_lat is None else (lon_lat[1], lon_lat[0]),
-                words[u],
-                sensors,
-            )
-        )
+        lat_lon = None if degrees is None else tuple(degrees[u, ::-1].tolist())
+        rows.append(UnitRow(layout.units[u].name, at, lat_lon, words[u], sensors))
     return tuple(rows)
 
 
@@ -162,7 +154,7 @@ def total_price(rows: tuple[MaterialRow, ...]) -> tuple[float | None, tuple[str,
 def sensors_in_words(layout: Layout) -> str:
     """How many sensors of each kind there are: ``8 cameras and 4 LiDARs``."""
     count = Counter(sensor.spec.kind for sensor in layout.sensors)
-    words = {"camera": "camera", "lidar": "LiDAR"}
+    words = {"lidar": "LiDAR"}
     return " and ".join(counted(number, words.get(kind, kind)) for kind, number in count.items())
 
 

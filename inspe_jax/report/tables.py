@@ -133,15 +133,17 @@ def moves_table(before: Layout, after: Layout) -> RenderableType:
     Distance is in plan. Turns are positive counter-clockwise and nose-up.
     """
     table = table_of("What moved", "#", "sensor", *_MOVES)
-    poses, new = (np.asarray(of.poses, float) for of in (before, after))
+    old, new = (np.asarray(of.poses, float) for of in (before, after))
+    low, high = (
+        poses[:, 2] - [of.units[sensor.unit].base[2] for sensor in of.sensors]
+        for of, poses in ((before, old), (after, new))
+    )
     for k, sensor in enumerate(after.sensors):
-        ground = (before.units[before.sensors[k].unit].base[2], after.units[sensor.unit].base[2])
-        height = new[k, 2] - ground[1]
-        yaw, pitch = np.degrees(new[k, [5, 4]] - poses[k, [5, 4]])
+        yaw, pitch = np.degrees(new[k, [5, 4]] - old[k, [5, 4]])
         values = (
-            f"{np.hypot(*(new[k, :2] - poses[k, :2])):.1f}",
-            f"{height:.1f}",
-            f"{height - (poses[k, 2] - ground[0]):+z.1f}",
+            f"{np.hypot(*(new[k, :2] - old[k, :2])):.1f}",
+            f"{high[k]:.1f}",
+            f"{high[k] - low[k]:+z.1f}",
             f"{180 - (180 - yaw) % 360:+z.0f}",
             f"{pitch:+z.0f}",
         )
@@ -274,15 +276,13 @@ def scores_record(
         ],
         "blind_spots": [json_value(asdict(spot)) for spot in blind_spots(scene, scores.seen_share)],
         "settings": json_value(scores.settings),
-        **_sought(layout, sought),
+        **(
+            {}
+            if sought is None or layout.goal is None
+            else {"searched_for": {**layout.goal.record, "score": sought}}
+        ),
         **_origin(scene, layout),
     }
-
-
-def _sought(layout: Layout, sought: float | None) -> dict[str, Any]:
-    if sought is None or layout.goal is None:
-        return {}
-    return {"searched_for": {**layout.goal.record, "score": sought}}
 
 
 def blind_spots_table(scene: Scene, scores: Scores) -> RenderableType:

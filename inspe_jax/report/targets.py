@@ -1,5 +1,6 @@
 """What a road user gets at each place: tables, records and maps of returns, px/m and chances."""
 
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -9,11 +10,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from rich.console import Group, RenderableType
 
-from inspe_jax.core.sheet import KEYS, SIDE, frame_map, house_style, setting_words, sheet_of_two
+from inspe_jax.core.sheet import KEYS, SIDE, house_style, setting_words, sheet_of_two
 from inspe_jax.core.tables import table_of
-from inspe_jax.report.figures import column_raster, draw_badges, draw_layer, kind_keys
+from inspe_jax.report.figures import draw_plan, kind_keys, reach_of
 from inspe_jax.report.layers import MapLayer, free_of_bodies
-from inspe_jax.report.routes import center_distance
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scoring.detection import BANDS, FEW
@@ -22,15 +22,17 @@ from inspe_jax.sensing.conditions import FAIR, Conditions
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.visibility.queries import check_frame
 
-RETURNS: tuple[tuple[float, str, str], ...] = (
+Bands = tuple[tuple[float, str, str], ...]
+"""Kinds of columns: least number, words and colour of each."""
+RETURNS: Bands = (
     (0.0, "< 1", "#202020"),
     (1.0, f"1 – {FEW:g}", "#d55e00"),
     (FEW, f"{FEW:g} – 16", "#f0e442"),
     (16.0, "16 – 64", "#9ecae1"),
     (64.0, "≥ 64", "#2171b5"),
 )
-"""Kinds of columns by LiDAR returns on a target: least number, words and colour."""
-PIXELS: tuple[tuple[float, str, str], ...] = (
+"""Kinds of columns by LiDAR returns on a target."""
+PIXELS: Bands = (
     (0.0, f"< {BANDS['monitor']:g}", "#202020"),
     *(
         (least, f"{name}, ≥ {least:g}", color)
@@ -41,7 +43,7 @@ PIXELS: tuple[tuple[float, str, str], ...] = (
 )
 """Kinds of columns by pixels per metre: the bands of EN 62676-4."""
 
-CHANCES: tuple[tuple[float, str, str], ...] = (
+CHANCES: Bands = (
     (0.0, "< 50 %", "#202020"),
     (0.5, "50 – 80 %", "#d55e00"),
     (0.8, "80 – 90 %", "#f0e442"),
@@ -53,9 +55,7 @@ CHANCES: tuple[tuple[float, str, str], ...] = (
 _HEAD, _BELOW = 0.80, 1.35  # above and below the maps [inch]
 
 
-def banded(
-    name: str, values: Float[np.ndarray, " L"], bands: tuple[tuple[float, str, str], ...]
-) -> MapLayer:
+def banded(name: str, values: Float[np.ndarray, " L"], bands: Bands) -> MapLayer:
     """A layer whose columns have the kind of the highest band that they reach."""
     number = np.searchsorted([least for least, _, _ in bands], values, side="right") - 1.0
     number[np.isnan(values)] = np.nan
@@ -80,35 +80,39 @@ def _measured(layout: Layout) -> dict[str, bool]:
 
 def targets_table(scene: Scene, layout: Layout, view: TargetView) -> RenderableType:
     """By region: how many LiDAR returns and how many pixels per metre a road user gets."""
-    parts: list[RenderableType] = []
+    tables: list[RenderableType] = []
     has = _measured(layout)
+
+    def add(title: str, values: np.ndarray, columns: Mapping[str, Callable[..., str]]) -> None:
+        """A table with a row for each region: what each column says of its values."""
+        table = table_of(f"{title}: share of places", "region", *columns)
+        for region, own in _shares(scene, values):
+            table.add_row(region, *(say(own) for say in columns.values()))
+        tables.extend([table, ""])
+
+    def between(bands: Bands) -> dict[str, Callable[..., str]]:
+        ends = [*(least for least, _, _ in bands[1:]), np.inf]
+        return {
+            words: lambda x, low=low, high=high: f"{((x >= low) & (x < high)).mean():.0%}"
+            for (low, words, _), high in zip(bands, ends, strict=True)
+        }
+
+    median = {"median": lambda x: f"{np.median(x):.1f}"}
     if has["returns"]:
-        table = table_of(
-            f"LiDAR returns on a {view.road_user}, mean over frames: share of places", "region",
-            "median", "10 %", *(words for _, words, _ in RETURNS),
-        )  # fmt: skip
-        for region, values in _shares(scene, view.points_on_target):
-            kinds = banded("", values, RETURNS).values
-            each = [f"{(kinds == k).mean():.0%}" for k in range(len(RETURNS))]
-            low, middle = np.percentile(values, [10, 50])
-            table.add_row(region, f"{middle:.1f}", f"{low:.1f}", *each)
-        parts += [table, ""]
+        low = {"10 %": lambda x: f"{np.percentile(x, 10):.1f}"}
+        title = f"LiDAR returns on a {view.road_user}, mean over frames"
+        add(title, view.points_on_target, median | low | between(RETURNS))
     if has["pixels"]:
-        names = (f"{name}\n≥ {least:g}" for name, least in BANDS.items())
-        table = table_of("Pixels per metre of the best camera, no traffic: share of places",
-                         "region", "median", *names)  # fmt: skip
-        for region, values in _shares(scene, view.pixel_density):
-            each = [f"{(values >= least).mean():.0%}" for least in BANDS.values()]
-            table.add_row(region, f"{np.median(values):.1f}", *each)
-        parts += [table, ""]
-    heads = [words for _, words, _ in CHANCES]
-    table = table_of(f"Chance that a detector finds a {view.road_user}: share of places", "region",
-                     "mean", *heads)  # fmt: skip
-    for region, values in _shares(scene, view.detectability):
-        kinds = banded("", values, CHANCES).values
-        each = [f"{(kinds == k).mean():.0%}" for k in range(len(CHANCES))]
-        table.add_row(region, f"{values.mean():.3f}", *each)
-    return Group(*parts, table)
+        title = "Pixels per metre of the best camera, no traffic"
+        reach = {
+            f"{name}\n≥ {least:g}": lambda x, least=least: f"{(x >= least).mean():.0%}"
+            for name, least in BANDS.items()
+        }
+        add(title, view.pixel_density, median | reach)
+    mean = {"mean": lambda x: f"{x.mean():.3f}"}
+    title = f"Chance that a detector finds a {view.road_user}"
+    add(title, view.detectability, mean | between(CHANCES))
+    return Group(*tables[:-1])
 
 
 def targets_record(scene: Scene, layout: Layout, view: TargetView) -> dict[str, Any]:
@@ -147,9 +151,7 @@ def _panels(scene: Scene, layout: Layout, view: TargetView) -> list[Panel]:
     has, taken = _measured(layout), ~free_of_bodies(scene).any(1)
     panels: list[Panel] = []
 
-    def map_of(
-        name: str, values: np.ndarray, bands: tuple[tuple[float, str, str], ...]
-    ) -> MapLayer:
+    def map_of(name: str, values: np.ndarray, bands: Bands) -> MapLayer:
         return banded(name, np.where(taken, np.nan, values), bands)
 
     if has["returns"]:
@@ -177,14 +179,13 @@ def targets_view(
     Raises InspeError if there is no such ``frame``.
     """
     check_frame(scene, frame)
-    reach = max(scene.voxels.radius, center_distance(scene, np.asarray(layout.poses, float)).max())
     with house_style():
         title = f"What a {view.road_user} gets: {layout.name} at {scene.name}"
         facts = _facts(scene, frame, conditions)
         panels = _panels(scene, layout, view)
         fig, axes = sheet_of_two(title, facts, len(panels), _HEAD, _BELOW)
         for k, (ax, panel) in enumerate(zip(axes, panels, strict=True)):
-            _draw(ax, scene, layout, panel, reach, frame)
+            _draw(ax, scene, layout, panel, reach_of(scene, layout), frame)
             if k:
                 ax.set(ylabel="")
             _draw_keys(fig, ax, panel, _BELOW - 0.45)
@@ -204,11 +205,7 @@ def targets_change(
     Raises InspeError if there is no such ``frame``.
     """
     check_frame(scene, frame)
-    layouts = before[0], after[0]
-    reach = max(
-        scene.voxels.radius,
-        *(center_distance(scene, np.asarray(x.poses, float)).max() for x in layouts),
-    )
+    reach = reach_of(scene, before[0], after[0])
     with house_style():
         title = f"What a {before[1].road_user} gets: before and after, at {scene.name}"
         facts = _facts(scene, frame, conditions)
@@ -233,8 +230,6 @@ def _facts(scene: Scene, frame: int, conditions: Conditions) -> str:
 def _draw(ax: Axes, scene: Scene, layout: Layout, panel: Panel, reach: float, frame: int) -> None:
     """Draw a map, and the sensors that it is of, with their numbers in the layout."""
     words, layer, pictures = panel
-    frame_map(ax, scene.voxels.center, scene.voxels.radius, reach)
-    raster, extent = column_raster(scene.voxels, layer.values)
     own = [
         s
         for s, each in enumerate(layout.sensors)
@@ -242,8 +237,7 @@ def _draw(ax: Axes, scene: Scene, layout: Layout, panel: Panel, reach: float, fr
     ]
     poses = np.asarray(layout.poses, float)[own]
     few = replace(layout, poses=poses, sensors=tuple(layout.sensors[s] for s in own))
-    draw_layer(ax, scene, few, poses, layer, raster, extent, frame)
-    draw_badges(ax, few, poses, SIDE, [s + 1 for s in own])
+    draw_plan(ax, scene, few, layer, reach, frame, side=SIDE, numbers=[s + 1 for s in own])
     ax.set_title(words, size=7.5, loc="left", pad=4)
 
 

@@ -24,6 +24,8 @@ from inspe_jax.scene.statics import StaticBody
 
 BUILT_IN = "built-in"
 """Source of a place that is made up."""
+CLEARANCE = 2.5
+"""Something that is higher or lower than the road by more than this is on another level [m]."""
 CROSSWALK_WIDTH = 3.0
 """Width of a crosswalk that is added where a map has none [m]."""
 

@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cache
 from importlib.resources import files
+from types import MappingProxyType
 from typing import Any
 
 from inspe_jax.core.errors import InspeError, nearest
@@ -68,28 +69,21 @@ class Profile:
         return own | {key: value for key, value in given.items() if value is not None}
 
 
-def profiles() -> dict[str, Profile]:
+@cache
+def profiles() -> Mapping[str, Profile]:
     """Every profile by name, the default first."""
-    return dict(_built_in())
+    text = files("inspe_jax.scene").joinpath("profiles.toml").read_text(encoding="utf-8")
+    found = {}
+    for name, table in tomllib.loads(text).items():
+        title = table.pop("title")
+        values, reasons = ({k: row[of] for k, row in table.items()} for of in ("value", "reason"))
+        found[name] = Profile(name, title, **values, reasons=reasons)
+    return MappingProxyType(found)
 
 
 def profile_of(name: str) -> Profile:
     """A profile by name. Raises InspeError with the known names."""
-    known = _built_in()
+    known = profiles()
     if name not in known:
         raise InspeError(f"no profile '{name}': {', '.join(known)}{nearest(name, tuple(known))}")
     return known[name]
-
-
-@cache
-def _built_in() -> dict[str, Profile]:
-    text = files("inspe_jax.scene").joinpath("profiles.toml").read_text(encoding="utf-8")
-    return {name: _profile(name, dict(table)) for name, table in tomllib.loads(text).items()}
-
-
-def _profile(name: str, table: dict[str, Any]) -> Profile:
-    title = table.pop("title")
-    values = {key: row["value"] for key, row in table.items()}
-    return Profile(
-        name, title, **values, reasons={key: row["reason"] for key, row in table.items()}
-    )

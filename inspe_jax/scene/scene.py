@@ -26,7 +26,7 @@ from inspe_jax.scene.maps.registry import is_map
 from inspe_jax.scene.mesh import Mesh
 from inspe_jax.scene.placed_bodies import inside_bodies
 from inspe_jax.scene.procedural.built_ins import BUILT_INS, built_in
-from inspe_jax.scene.profiles import BEFORE_PROFILES, DEFAULT_PROFILE, Profile, profile_of, profiles
+from inspe_jax.scene.profiles import BEFORE_PROFILES, DEFAULT_PROFILE, Profile, profile_of
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.statics import StaticBody, pack_bodies, unpack_bodies
 from inspe_jax.scene.street import check_statics, statics_of
@@ -41,10 +41,6 @@ OF_MAP = "map_bodies"
 """How the names of arrays begin that hold the bodies which a place's map brings."""
 SCENE_SUFFIXES = (".npz",)
 AS_RECORDED = "as recorded"
-
-
-class _Earlier(Exception):
-    """The file is a scene in an older format that is no longer read."""
 
 
 @pytree
@@ -90,10 +86,9 @@ class Scene(Described):
         place = self.intersection.standing_on(terrain.points)
         grid = replace(self.voxels, ground=terrain.height(self.voxels.columns))
         # Road users stand on the same ground.
-        center = np.array(self.traffic.center)
-        flat = center[..., :2].reshape(-1, 2)
-        rise = terrain.height(flat) - self.intersection.ground(flat)
-        center[..., 2] += np.where(self.traffic.valid, rise.reshape(self.traffic.valid.shape), 0.0)
+        center, there = np.array(self.traffic.center), self.traffic.valid
+        at = center[there, :2]
+        center[there, 2] += terrain.height(at) - self.intersection.ground(at)
         traffic = replace(self.traffic, center=center)
         return replace(self, voxels=grid, traffic=traffic, intersection=place, terrain=terrain)
 
@@ -142,8 +137,7 @@ class Scene(Described):
     def shortfall(self) -> str:
         """What its traffic has less of than was asked for, in words; empty if it has it all.
 
-        See :func:`~inspe_jax.scene.traffic.frames.shortfall`. Of recorded traffic nothing was
-        asked.
+        See :func:`~inspe_jax.scene.traffic.frames.shortfall`.
         """
         asked = dict(self.settings)
         density, mix = asked.get("density", AS_RECORDED), asked.get("mix", AS_RECORDED)
@@ -208,7 +202,7 @@ def build_scene(
         settings |= dict(density=AS_RECORDED, frames=str(found.frame_count), step=f"{step:g}")
         settings |= dict(mix=AS_RECORDED, traffic=Path(traffic).name, seed="")
     else:
-        found = traffic_model(str(traffic)).make(
+        found = traffic_model(str(traffic))(
             intersection,
             radius=radius,
             count=density_count(density),
@@ -237,9 +231,9 @@ def load_scene(source: str | os.PathLike[str], profile: str | None = None) -> Sc
     if str(source) in BUILT_INS:
         return build_scene(built_in(str(source)), profile=profile or DEFAULT_PROFILE)
     path = Path(source)
-    if path.suffix != ".npz" and (other := what_is(path)):
-        raise InspeError(f"{path}: {other}")
-    if path.suffix != ".npz":
+    if path.suffix not in SCENE_SUFFIXES:
+        if other := what_is(path):
+            raise InspeError(f"{path}: {other}")
         raise InspeError(
             f"no scene '{source}': a built-in ({', '.join(BUILT_INS)}) or a saved .npz file"
             + nearest(str(source), tuple(BUILT_INS))
@@ -247,22 +241,15 @@ def load_scene(source: str | os.PathLike[str], profile: str | None = None) -> Sc
     with open_arrays(path, "not a scene saved by this package") as arrays:
         try:
             scene = _unpack(arrays)
-        except _Earlier:
-            raise InspeError(
-                f"{path}: saved by another version of this package; build it again: inspe scene"
-            ) from None
-    own = dict(scene.settings).get("profile", BEFORE_PROFILES)
-    if own not in profiles():
-        raise InspeError(f"{path}: unknown profile '{own}': one of {', '.join(profiles())}")
-    if profile not in (None, own):
-        raise InspeError(
-            f"{path}: built under the profile {own}, not {profile}; build it again: "
-            f"inspe scene … --profile {profile}"
-        )
-    try:
-        return scene.check()
-    except InspeError as e:
-        raise InspeError(f"{path}: {e}") from None
+            own = scene.profile.name
+            if profile not in (None, own):
+                raise InspeError(
+                    f"built under the profile {own}, not {profile}; build it again: "
+                    f"inspe scene … --profile {profile}"
+                )
+            return scene.check()
+        except InspeError as e:
+            raise InspeError(f"{path}: {e}") from None
 
 
 def what_is(path: str | os.PathLike[str]) -> str:
@@ -357,10 +344,7 @@ def _pack(scene: Scene) -> dict[str, np.ndarray]:
 
 
 def _shape(wkb: bytes) -> BaseGeometry:
-    """The geometry of a WKB text, whose parts have no parts: deep ones overflow GEOS's stack.
-
-    Raises ValueError or struct.error on any other.
-    """
+    """The geometry of a WKB text, whose parts have no parts: deep ones overflow GEOS's stack."""
     order, kind, count = struct.unpack_from("<BII", wkb)
     at, own = 9, kind & ~_HAS_Z
     if order != 1 or own > _COLLECTION:
@@ -381,9 +365,9 @@ def _shape(wkb: bytes) -> BaseGeometry:
 def _unpack(data: Mapping[str, np.ndarray]) -> Scene:
     record = json.loads(str(data["record"]))
     if record["format"] != FORMAT:
-        if str(record["format"]).startswith(FORMAT.rstrip("0123456789")):
-            raise _Earlier
-        raise ValueError(f"format '{record['format']}', expected '{FORMAT}'")
+        if not str(record["format"]).startswith(FORMAT.rstrip("0123456789")):
+            raise ValueError(f"format '{record['format']}', expected '{FORMAT}'")
+        raise InspeError("saved by another version of this package; build it again: inspe scene")
     shapes = [_shape(data[f"shape_{i}"].tobytes()) for i in range(len(record["regions"]) + 1)]
     given = record["georeference"]
     points = np.split(data["route_points"], np.cumsum(data["route_lengths"])[:-1])
@@ -405,18 +389,7 @@ def _unpack(data: Mapping[str, np.ndarray]) -> Scene:
         georeference=given and Georeference(given[0], (given[1], given[2])),
         mesh=Mesh(*(data[f"mesh_{k}"] for k in _MESH)) if "mesh_triangles" in data else None,
     )
-    size, radius, level_count, spacing = record["grid"]
-    columns, ground, region, center = (data[f"grid_{k}"] for k in _GRID)
-    grid = VoxelGrid(
-        columns,
-        ground,
-        region,
-        center,
-        size=size,
-        radius=radius,
-        level_count=level_count,
-        spacing=spacing,
-    )
+    grid = VoxelGrid(*(data[f"grid_{k}"] for k in _GRID), *record["grid"])
     traffic = TrafficFrames(**{k: data[f"traffic_{k}"] for k in _TRAFFIC})
     settings = tuple((k, v) for k, v in record["settings"])
     terrain = None

@@ -67,7 +67,7 @@ class StaticBody:
 
     @property
     def number(self) -> int:
-        """A number that hangs on its outline alone, for what it looks like."""
+        """Seed of its looks: a hash of its outline."""
         return zlib.crc32(np.round(self.outline, 3).tobytes())
 
     @property
@@ -149,8 +149,7 @@ def body(
 
 
 def _without_straight(corners: Float[np.ndarray, "N 2"]) -> Float[np.ndarray, "M 2"]:
-    """An outline without corners that lie on the line between their neighbours, within
-    :data:`STRAIGHT`: pieces of such corners alone would have no area, only sides without an end."""
+    """An outline without corners within :data:`STRAIGHT` of the line between their neighbours."""
     while len(corners) > 3:
         before, after = np.roll(corners, 1, 0), np.roll(corners, -1, 0)
         chord, to = after - before, corners - before
@@ -191,14 +190,8 @@ def wall(
     points = np.array(line, float)
     if points.ndim != 2 or points.shape[1] != 2 or len(points) < 2:
         raise InspeError(f"{kind}: a line of shape {points.shape}; two points (x, y) or more")
-    return tuple(
-        body(
-            kind,
-            LineString(ends).buffer(width / 2, cap_style="flat").exterior.coords,
-            height,
-        )
-        for ends in pairwise(points)
-    )
+    stretches = (LineString(ends).buffer(width / 2, cap_style="flat") for ends in pairwise(points))
+    return tuple(body(kind, stretch.exterior.coords, height) for stretch in stretches)
 
 
 def tree(

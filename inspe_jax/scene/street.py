@@ -7,8 +7,9 @@ for sensors. Where there is no room for a thing, it is left out.
 """
 
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from itertools import islice
 from typing import NamedTuple
 
 import numpy as np
@@ -99,18 +100,18 @@ def check_statics(name: str) -> None:
     check_known(name, STATICS, "statics")
 
 
-def street_bodies(place: Intersection, radius: float, seed: int = 0) -> tuple[StaticBody, ...]:
+def street_bodies(place: Intersection, radius: float) -> tuple[StaticBody, ...]:
     """Street furniture of an intersection out to :data:`BEYOND` its region of interest.
 
-    Where nobody walks, as at a motorway's ramp, there are lamp posts only. The same seed gives the
-    same bodies for the same place, whatever its traffic.
+    Where nobody walks, as at a motorway's ramp, there are lamp posts only. A place always has the
+    same, whatever its traffic.
     """
-    rng = np.random.default_rng([seed, zlib.crc32(place.name.encode())])
+    rng = np.random.default_rng([0, zlib.crc32(place.name.encode())])
     room = _Room.of(place, radius)
     town = (_signals, _shelters, _parked, _lamps, _trees, _boxes, _walls)
     for fill in (_lamps,) if room.walked.is_empty else town:
         for one in fill(room, rng):
-            room.add(one)
+            room.bodies.append(one)
     return tuple(room.bodies)
 
 
@@ -158,8 +159,8 @@ class _Room:
     lanes: BaseGeometry
     walked: BaseGeometry
     crossings: BaseGeometry
-    poles: BaseGeometry
     ground: BaseGeometry
+    poles: BaseGeometry
     bodies: list[StaticBody]
 
     @classmethod
@@ -168,30 +169,19 @@ class _Room:
         routes = with_walkways(place, radius).routes
         lines = [(r.user, r.width, LineString(r.waypoints[:, :2])) for r in routes
                  if len(r.waypoints) > 1]  # fmt: skip
-        lanes = unary_union(
-            [
-                line.buffer(width / 2, cap_style="flat", join_style="mitre")
-                for user, width, line in lines
-                if user == "vehicle"
-            ]
-        )
+        lanes = unary_union([line.buffer(width / 2, cap_style="flat", join_style="mitre")
+                             for user, width, line in lines if user == "vehicle"])  # fmt: skip
         walked = unary_union([line.buffer(WALKED) for user, _, line in lines if user != "vehicle"])
         some = (Region.CROSSWALK, Region.JUNCTION)
         crossings = unary_union([place.regions[r] for r in some if r in place.regions])
-        feet = np.asarray(place.poles, float).reshape(-1, 3)[:, :2]
-        poles = unary_union([Point(foot).buffer(FROM_POLES) for foot in feet])
-        ground = unary_union(list(place.regions.values())).intersection(area.buffer(5.0))
-        near = area.buffer(5.0)
-        return cls(place, area, lanes.intersection(near), walked.intersection(near),
-                   crossings.intersection(near), poles, ground, [])  # fmt: skip
-
-    def add(self, one: StaticBody) -> None:
-        self.bodies.append(one)
+        poles = unary_union([Point(foot[:2]).buffer(FROM_POLES) for foot in place.poles])
+        near, ground = area.buffer(5.0), unary_union(list(place.regions.values()))
+        shapes = (shape.intersection(near) for shape in (lanes, walked, crossings, ground))
+        return cls(place, area, *shapes, poles, [])
 
     def takes(self, one: StaticBody, from_crossings: float = 0.3) -> bool:
         """Whether a body may stand where it is."""
-        foot = _footprint(one)
-        hangs = one.polygon
+        foot, hangs = _footprint(one), one.polygon
         return (
             self.area.contains(hangs)
             and foot.distance(self.lanes) >= LANE_GAP - 1e-6
@@ -200,9 +190,9 @@ class _Room:
             and not hangs.intersects(self.poles)
             and (one.base >= OVER_LANES or hangs.distance(self.lanes) >= LANE_GAP - 1e-6)
             and (one.base >= HEADROOM or not hangs.intersects(self.walked))
-            and all(foot.distance(_footprint(other)) >= APART for other in self.bodies)
             and all(
-                one.trunk == 0 or other.trunk == 0 or not hangs.intersects(other.polygon)
+                foot.distance(_footprint(other)) >= APART
+                and not (one.trunk and other.trunk and hangs.intersects(other.polygon))
                 for other in self.bodies
             )
         )
@@ -226,6 +216,10 @@ class _Room:
                 yield Spot(at, along, out if probe[0].distance(self.lanes) > probe[1].distance(
                     self.lanes) else -out)  # fmt: skip
 
+    def first(self, tries: Iterable[StaticBody], from_crossings: float = 0.3) -> list[StaticBody]:
+        """The first body that may stand where it is, if any."""
+        return [*islice((one for one in tries if self.takes(one, from_crossings)), 1)]
+
     @property
     def kerb(self) -> BaseGeometry:
         """The edge of the lanes where something else than a lane begins."""
@@ -243,10 +237,6 @@ def room_along(place: Intersection, radius: float, step: float) -> list[Spot]:
     return list(room.along(room.back, lambda: step))
 
 
-def _first(room: _Room, tries: Iterator[StaticBody], away: float) -> StaticBody | None:
-    return next((one for one in tries if room.takes(one, away)), None)
-
-
 def _signals(room: _Room, rng: np.random.Generator) -> Iterator[StaticBody]:
     """A signal post at either kerb of each arm, where drivers stop, unless a pole is there."""
     for arm in room.place.arms:
@@ -254,17 +244,13 @@ def _signals(room: _Room, rng: np.random.Generator) -> Iterator[StaticBody]:
         across = np.array([-ahead[1], ahead[0]])
         for side in (-1, 1):
             foot = np.array(arm.mouth) + 4.2 * ahead + side * (arm.width / 2 + 0.4) * across
-            post = pole(foot, radius=0.07, height=3.4)
-            if room.takes(post):
-                yield post
+            yield from room.first([pole(foot, radius=0.07, height=3.4)])
 
 
 def _lamps(room: _Room, rng: np.random.Generator) -> Iterator[StaticBody]:
     """Lamp posts at the kerb, some 25 m apart."""
     for spot in room.along(room.kerb, lambda: float(rng.uniform(22, 28))):
-        post = pole(spot.moved(0.5), radius=0.09, height=8.0)
-        if room.takes(post):
-            yield post
+        yield from room.first([pole(spot.moved(0.5), radius=0.09, height=8.0)])
 
 
 def _shelters(room: _Room, rng: np.random.Generator) -> Iterator[StaticBody]:
@@ -277,10 +263,10 @@ def _shelters(room: _Room, rng: np.random.Generator) -> Iterator[StaticBody]:
             upright_box("furniture", spot.moved(out), (4.0, 1.3, 2.4), spot.yaw)
             for out in (-0.7, 0.0, 0.3)
         )
-        one = _first(room, tries, 3 * FROM_CROSSING)
-        if one is not None and all(one.polygon.distance(o.polygon) > 40 for o in found):
-            found.append(one)
-            yield one
+        for one in room.first(tries, 3 * FROM_CROSSING):
+            if all(one.polygon.distance(o.polygon) > 40 for o in found):
+                found.append(one)
+                yield one
         if len(found) == 2:
             return
 
@@ -306,9 +292,7 @@ def _parked(room: _Room, rng: np.random.Generator) -> Iterator[StaticBody]:
             upright_box("parked vehicle", spot.moved(LANE_GAP + size[1] / 2), size, turn)
             for size in sizes
         )
-        one = _first(room, tries, FROM_CROSSING)
-        if one is not None:
-            yield one
+        yield from room.first(tries, FROM_CROSSING)
 
 
 def _trees(room: _Room, rng: np.random.Generator) -> Iterator[StaticBody]:
@@ -321,17 +305,15 @@ def _trees(room: _Room, rng: np.random.Generator) -> Iterator[StaticBody]:
                 tree(spot.moved(out), radius=wide, height=height, base=base, trunk=0.14)
                 for out in (-0.3, 0.3)
             )
-            one = _first(room, tries, FROM_CROSSING)
-            if one is not None:
-                yield one
+            yield from room.first(tries, FROM_CROSSING)
 
 
 def _boxes(room: _Room, rng: np.random.Generator) -> Iterator[StaticBody]:
     """Switch boxes at the back of sidewalks, some 35 m apart."""
     for spot in room.along(room.back, lambda: float(rng.uniform(28, 42))):
-        box = upright_box("furniture", spot.moved(-0.25), (1.1, 0.4, 1.3), spot.yaw)
-        if room.takes(box):
-            yield box
+        yield from room.first(
+            [upright_box("furniture", spot.moved(-0.25), (1.1, 0.4, 1.3), spot.yaw)]
+        )
 
 
 def _walls(room: _Room, rng: np.random.Generator) -> Iterator[StaticBody]:
@@ -341,5 +323,4 @@ def _walls(room: _Room, rng: np.random.Generator) -> Iterator[StaticBody]:
         long, height = float(rng.uniform(5, 8)), height * float(rng.uniform(0.8, 1.15))
         out = spot.moved(0.2 + width / 2)
         one = upright_box(kind, out, (long, width, height), spot.yaw)
-        if room.takes(one, FROM_CROSSING):
-            yield one
+        yield from room.first([one], FROM_CROSSING)

@@ -112,10 +112,10 @@ def build_voxels(
     Raises InspeError if a value is out of range, if the grid would not fit in memory, or
     if no region lies within the radius.
     """
-    _check_range("radius", radius, RADIUS_LIMITS)
-    _check_range("voxel", voxel, VOXEL_LIMITS)
+    check_range("radius", radius, RADIUS_LIMITS)
+    check_range("voxel", voxel, VOXEL_LIMITS)
     spacing = voxel if spacing is None else spacing
-    _check_range("spacing", spacing, (voxel, SPACING_LIMIT))
+    check_range("spacing", spacing, (voxel, SPACING_LIMIT))
     level_count = max(1, int(ROI_HEIGHT / spacing + 0.5))
     half = int(np.ceil(radius / spacing))
     check_memory(np.pi * (radius / spacing) ** 2 * level_count, 4)
@@ -152,7 +152,8 @@ def build_voxels(
     )
 
 
-def _check_range(name: str, value: float, limits: tuple[float, float]) -> None:
+def check_range(name: str, value: float, limits: tuple[float, float]) -> None:
+    """Raise InspeError if a length [m] is not within limits."""
     if not limits[0] <= value <= limits[1]:
         raise InspeError(
             f"{name} {value:g} m is out of range: between {limits[0]:g} and {limits[1]:g} m"

@@ -13,13 +13,13 @@ from jaxtyping import Array, Float
 
 from inspe_jax.core.numerics import Groups
 from inspe_jax.scoring import metrics
-from inspe_jax.scoring.asked import Asked
+from inspe_jax.scoring.options import ScoreOptions
 from inspe_jax.scoring.reading import Counts, Frames, Reading, SensorRow
 from inspe_jax.visibility.tiles import Tile
 
 
 def seen_by_sensor(
-    reading: Reading, row: SensorRow, tile: Tile, frames: Frames, asked: Asked
+    reading: Reading, row: SensorRow, tile: Tile, frames: Frames, options: ScoreOptions
 ) -> tuple[Any, Any]:
     """The voxels that one sensor sees in each frame: those in view (f = 1) and in line of sight.
 
@@ -27,7 +27,7 @@ def seen_by_sensor(
     them: it differs from occlusion in which voxels inside vehicles count.
     """
     sensor, shadows, view = row
-    clear, in_sight = reading.line_of_sight(sensor, shadows, tile, frames, asked)
+    clear, in_sight = reading.line_of_sight(sensor, shadows, tile, frames, options)
     return reading.both(reading.in_frames(view), clear), in_sight
 
 
@@ -37,7 +37,7 @@ def seen_in_tile(
     tile: Tile,
     frames: Frames,
     failures: Groups | None,
-    asked: Asked,
+    options: ScoreOptions,
 ) -> tuple[Any, Any]:
     """What some sensor sees in each frame, and how often each has each voxel in line of sight.
 
@@ -48,8 +48,8 @@ def seen_in_tile(
     """
 
     def see_from(row: SensorRow) -> tuple[Any, Any]:
-        visible, in_sight = seen_by_sensor(reading, row, tile, frames, asked)
-        if not asked.counts_sight:
+        visible, in_sight = seen_by_sensor(reading, row, tile, frames, options)
+        if not options.counts_sight:
             return visible, None
         return visible, reading.level_sums(in_sight, frames, len(tile.heights))
 
@@ -64,7 +64,7 @@ def count_tile(
     shadows: Any,
     frames: Frames,
     failures: Groups | None,
-    asked: Asked,
+    options: ScoreOptions,
     core: Any = None,
 ) -> Counts:
     """Count what sensors at positions ``sensors`` [m] see of one tile in F frames.
@@ -78,15 +78,21 @@ def count_tile(
         solid = reading.solid(frames, len(tile.heights))
         free = reading.outside(reading.in_frames(reading.voxels(tile)), solid)
         rows = sensors, shadows, views
-        union, sights = seen_in_tile(reading, rows, tile, frames, failures, asked)
+        union, sights = seen_in_tile(reading, rows, tile, frames, failures, options)
         seen, original = metrics.occlusion_terms(
-            reading, union, covered, free, solid, asked.occlusion_reference
+            reading, union, covered, free, solid, options.occlusion_reference
         )
         columns = reading.column_sums(reading.both(union.all, free), frames)
         near = None
         if core is not None:  # few tiles are cut by its edge
             whole = jnp.stack([seen[0], original[0]])
-            given = union.all, reading.in_frames(covered[0]), free, solid, asked.occlusion_reference
+            given = (
+                union.all,
+                reading.in_frames(covered[0]),
+                free,
+                solid,
+                options.occlusion_reference,
+            )
             cut = partial(metrics.occlusion_terms_within, reading, reading.in_frames(core), *given)
             number = tile.core.any().astype(int) + tile.core.all().astype(int)
             near = jax.lax.switch(number, (lambda: jnp.zeros_like(whole), cut, lambda: whole))

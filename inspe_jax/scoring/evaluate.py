@@ -9,13 +9,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from inspe_jax.core.errors import InspeError, wrong_kind
+from inspe_jax.core.errors import InspeError, check_known, wrong_kind
 from inspe_jax.core.numerics import Softness
 from inspe_jax.core.records import ByContent, Described, check_values
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scene.voxels import check_memory
-from inspe_jax.scoring.asked import Asked
 from inspe_jax.scoring.detection import DetectionCurves
 from inspe_jax.scoring.exact import ONE_MORE, count_exactly, measure_many
 from inspe_jax.scoring.metrics import (
@@ -24,17 +23,15 @@ from inspe_jax.scoring.metrics import (
     chosen,
     entropy,
     surrogate,
-    unknown_reference,
     weights_of,
 )
+from inspe_jax.scoring.options import ScoreOptions
 from inspe_jax.scoring.sensor_array import SensorSet, sensor_array
 from inspe_jax.scoring.soft import read_softly
 from inspe_jax.scoring.summary import MetricValues
 from inspe_jax.scoring.tiled_scene import (
     TiledScene,
     tiled_scene_of,
-    tiled_scene_without_masks,
-    whole_tiled_scene_of,
 )
 from inspe_jax.sensing.conditions import FAIR, Case, Conditions, perceiving
 from inspe_jax.sensing.layout import Layout
@@ -170,22 +167,22 @@ def evaluate(
     so no entropy to resolve, unless information gain has weight 0; then information gain is 0.
     """
     scene, layout, conditions = check_layout(scene, layout, conditions)
-    options = options_of(scene, occlusion_reference, visibility)
-    check_options(weights, **options, detection=detection)
+    readings = options_of(scene, occlusion_reference, visibility)
+    check_options(weights, **readings, detection=detection)
     by_name = weights_of(weights)
-    asked = Asked.of(**options, names=chosen(metrics, by_name), detection=detection)
+    options = ScoreOptions.of(**readings, names=chosen(metrics, by_name), detection=detection)
     check_memory(scene.voxels.count, len(layout))
     layout = perceiving(scene, layout, conditions)
     # Without each sensor in turn, but not where poses are traced.
     traced = isinstance(layout.poses, jax.core.Tracer)
     each = () if traced else tuple((s,) for s in range(len(layout)))
-    tiled, found = _measured(scene, layout, each, Softness.of(softness), asked)
+    tiled, found = _measured(scene, layout, each, Softness.of(softness), options)
     if by_name["information_gain"] > 0:
         check_entropy(scene, found.entropy)
     found = found._replace(seen_share=jax.lax.stop_gradient(found.seen_share))
     regions = _by_region(scene, tiled, found.column_coverage)
     measured = jax.tree.map(_array, found)
-    values = {of.name: measured.values[of.name][: 1 + len(each)] for of in asked.metrics}
+    values = {of.name: measured.values[of.name][: 1 + len(each)] for of in options.metrics}
     rows = [*values.values(), surrogate(values, by_name)]
     total, *without = zip(*(_numbers(row) for row in rows), strict=True)
     return Scores(
@@ -205,10 +202,10 @@ def evaluate(
         settings=dict(
             weights={name: by_name[name] for name in values},
             profile=scene.profile.name,
-            **options,
+            **readings,
             softness=softness,
             **conditions.record,
-            **_limits(scene, asked.detection),
+            **_limits(scene, options.detection),
         ),
         parts=_by_part(scene, measured, tuple(values), by_name),
     )
@@ -231,7 +228,7 @@ def _measured(
     layout: Layout,
     failures: tuple[tuple[int, ...], ...],
     softness: Softness,
-    asked: Asked,
+    options: ScoreOptions,
 ) -> tuple[TiledScene, MetricValues]:
     """The scene in tiles and its metrics, of columns of tiles; counted exactly or read softly."""
     sensor_set, voxel = SensorSet.of(layout, failures), scene.voxels.size
@@ -240,13 +237,13 @@ def _measured(
         sensors = sensor_array(sensor_set, ONE_MORE)
         # A step function of the poses has no gradient.
         poses = jax.lax.stop_gradient(layout.poses) if traced else layout.poses
-        tiled = (whole_tiled_scene_of if traced else tiled_scene_of)(scene)
+        tiled = tiled_scene_of(scene, whole=traced)
         padded = from_center(scene, sensors.padded(poses))
-        return tiled, count_exactly(tiled, padded, sensors, voxel, asked)
+        return tiled, count_exactly(tiled, padded, sensors, voxel, options)
     sensors = sensor_array(sensor_set)
-    tiled = tiled_scene_without_masks(scene)
+    tiled = tiled_scene_of(scene, whole=True, masks=False)
     padded = from_center(scene, sensors.padded(layout.poses))
-    return tiled, read_softly(tiled.bucketed, padded, sensors, voxel, softness, asked=asked)
+    return tiled, read_softly(tiled.bucketed, padded, sensors, voxel, softness, options=options)
 
 
 @dataclass(frozen=True, eq=False)
@@ -277,8 +274,8 @@ def evaluate_many(
     InspeError as that does, and where ``poses`` has another shape or is traced.
     """
     scene, layout, conditions = check_layout(scene, layout, conditions)
-    options = options_of(scene, occlusion_reference, visibility)
-    check_options(weights, **options, detection=detection)
+    readings = options_of(scene, occlusion_reference, visibility)
+    check_options(weights, **readings, detection=detection)
     try:
         poses = np.asarray(poses, float)
     except (TypeError, ValueError):  # a traced array's error is a TypeError
@@ -299,7 +296,7 @@ def evaluate_many(
     for one in layouts:
         check_places(scene, one)
     layout = perceiving(scene, layout, conditions)
-    tiled = whole_tiled_scene_of(scene)
+    tiled = tiled_scene_of(scene, whole=True)
     by_name = weights_of(weights)
     if by_name["information_gain"] > 0:
         check_entropy(scene, entropy(tiled.occupancy).sum())
@@ -308,7 +305,7 @@ def evaluate_many(
         np.stack([poses_about_center(scene, one) for one in layouts]),
         SensorSet.of(layout),
         scene.voxels.size,
-        Asked.of(**options, names=chosen(metrics, by_name), detection=detection),
+        ScoreOptions.of(**readings, names=chosen(metrics, by_name), detection=detection),
     )
     return ManyScores(found, np.asarray(surrogate(found, by_name)))
 
@@ -388,10 +385,8 @@ def check_options(
     """Raise InspeError where an option of :func:`evaluate` is unknown."""
     if not (detection is None or isinstance(detection, DetectionCurves)):
         raise wrong_kind("detection", detection, "curves, as inspe_jax.load_detection reads them")
-    if occlusion_reference not in OCCLUSION_REFERENCES:
-        raise unknown_reference(occlusion_reference)
-    if visibility not in VISIBILITIES:
-        raise InspeError(f"visibility '{visibility}': one of {', '.join(VISIBILITIES)}")
+    check_known(occlusion_reference, OCCLUSION_REFERENCES, "occlusion_reference")
+    check_known(visibility, VISIBILITIES, "visibility")
     weights_of(weights)
 
 

@@ -20,10 +20,10 @@ from inspe_jax.core.geometry import Prism
 from inspe_jax.core.numerics import Groups
 from inspe_jax.core.parallel import Job, cores, run
 from inspe_jax.scoring.accumulate import count_tile
-from inspe_jax.scoring.asked import Asked
 from inspe_jax.scoring.detection import DetectionCurves
 from inspe_jax.scoring.metric import Metric, TileEvidence
 from inspe_jax.scoring.metrics import entropy, entropy_terms, resolved, tile_terms
+from inspe_jax.scoring.options import ScoreOptions
 from inspe_jax.scoring.past_statics import past_statics, sights_past_statics
 from inspe_jax.scoring.reading import Bits, Counts, Frames
 from inspe_jax.scoring.sensor_array import SensorArray, SensorSet, sensor_array
@@ -45,7 +45,7 @@ def measure_exactly(
     poses: Float[Array, "S 6"],
     sensor_set: SensorSet,
     voxel: float,
-    asked: Asked | None = None,
+    options: ScoreOptions | None = None,
 ) -> MetricValues:
     """The metrics of poses (x, y, z [m], roll, pitch, yaw [rad]) about the scene's centre.
 
@@ -53,7 +53,9 @@ def measure_exactly(
     then every chunk of ``tiled`` must have all tiles.
     """
     sensors = sensor_array(sensor_set, ONE_MORE)
-    measured = count_exactly(tiled, sensors.padded(poses), sensors, voxel, asked or Asked.of())
+    measured = count_exactly(
+        tiled, sensors.padded(poses), sensors, voxel, options or ScoreOptions.of()
+    )
     return measured.of_scene(tiled.tiles.place, len(sensor_set.failures))
 
 
@@ -62,20 +64,20 @@ def count_exactly(
     poses: Float[Array | np.ndarray, "S 6"],
     sensors: SensorArray,
     voxel: float | Array,
-    asked: Asked,
+    options: ScoreOptions,
 ) -> MetricValues:
     """:func:`measure_exactly` of padded arrays.
 
     The result has the tiles' columns, and a row for each group of failures that there is room for.
     """
     views = in_view_of(tiled, poses, sensors, voxel / 2)
-    counts = count_all(tiled, views, poses[:, :3], sensors.failures, asked)
-    terms = _terms(tiled, views, counts.sights, poses, sensors, asked)
-    if asked.visibility == "in_view":
+    counts = count_all(tiled, views, poses[:, :3], sensors.failures, options)
+    terms = _terms(tiled, views, counts.sights, poses, sensors, options)
+    if options.visibility == "in_view":
         counts = counts._replace(sights=None)
     columns_only = replace(tiled.bucketed, chunks=())
     given = columns_only, views, counts, terms, sensors.reliability, sensors.failures
-    return _summarise(*given, metrics=asked.metrics)
+    return _summarise(*given, metrics=options.metrics)
 
 
 def in_view_of(
@@ -137,7 +139,7 @@ def count_all(
     views: UInt[Array | np.ndarray, "S N C"],
     sensors: Float[Array | np.ndarray, "S 3"],
     failures: Groups | None,
-    asked: Asked,
+    options: ScoreOptions,
 ) -> Counts:
     """Count what sensors at positions ``sensors`` see of all tiles in all frames.
 
@@ -146,31 +148,34 @@ def count_all(
     if isinstance(views, jax.core.Tracer):
         return join_frames(
             [
-                _count(chunk.tile, views, chunk.solid, chunk.prisms, sensors, failures, asked=asked)
+                _count(
+                    chunk.tile, views, chunk.solid, chunk.prisms, sensors, failures, options=options
+                )
                 for chunk in tiled.chunks
             ]
         )
     jobs: list[Job] = []
+    options = options.counted
     groups = 0 if failures is None else len(failures.first)
     for chunk in tiled.chunks:
         few = views[:, chunk.tiles]
-        count = _split_count(asked) if chunk.split else partial(_count, asked=asked)
+        count = _split_count(options) if chunk.split else partial(_count, options=options)
         work = partial(count, chunk.tile, few, chunk.solid, chunk.prisms, sensors, failures)
         shapes = few.shape, chunk.prisms.top.shape, groups, chunk.split
-        jobs.append(((_count, asked, *shapes), work))
+        jobs.append(((_count, options, *shapes), work))
     seen = np.zeros((2, 1 + groups, tiled.frame_count), np.int32)
     core = np.zeros((2, tiled.frame_count), np.int32)
     columns = np.zeros(views.shape[1:], np.int32)
-    levels = tiled.tiles.tile.heights.shape[1] if asked.counts_sight else 0
+    levels = tiled.tiles.tile.heights.shape[1] if options.counts_sight else 0
     kind = np.uint16 if tiled.frame_count < 2**16 else np.int32
     sights = np.zeros((*views.shape, levels), kind)
     for chunk, part in zip(tiled.chunks, run(jobs), strict=True):
         seen[:, :, chunk.frames] += np.stack([part.seen, part.original])
         core[:, chunk.frames] += np.asarray(part.core)
         _add_counts(columns[chunk.tiles], part.columns)
-        if asked.counts_sight:
+        if options.counts_sight:
             _add_counts(sights[:, chunk.tiles], part.sights)
-    found: Any = seen[0], seen[1], columns, sights if asked.counts_sight else None, core
+    found: Any = seen[0], seen[1], columns, sights if options.counts_sight else None, core
     return Counts(*found)
 
 
@@ -178,17 +183,17 @@ def sight_shares(
     tiled: TiledScene,
     views: UInt[np.ndarray, "S N C"],
     sensors: Float[np.ndarray, "S 3"],
-    asked: Asked,
+    options: ScoreOptions,
     count: int,
 ) -> Float[np.ndarray, "count V"]:
     """The share of frames in which each of ``count`` sensors has each voxel in line of sight.
 
     Whether the voxel is in view does not matter; but from a sensor that has nothing of a tile in
-    view, the tile's shares are 0. ``views`` and ``sensors`` as in :func:`count_all`; ``asked`` must
-    count sights.
+    view, the tile's shares are 0. ``views`` and ``sensors`` as in :func:`count_all`; ``options``
+    must count sights.
     """
-    sights = count_all(tiled, views, sensors, None, asked).sights
-    assert sights is not None  # asked.counts_sight
+    sights = count_all(tiled, views, sensors, None, options).sights
+    assert sights is not None  # options.counts_sight
     sights = sights_past_statics(tiled, sights, views, sensors)
     shares = [tiled.tiles.of_voxels(np.asarray(of)) for of in sights[:count]]
     return np.stack(shares) / tiled.frame_count
@@ -219,16 +224,16 @@ def _add_counts(total: np.ndarray, counts: Any) -> None:
 
 
 @cache
-def _split_count(asked: Asked) -> Callable[..., Counts]:
+def _split_count(options: ScoreOptions) -> Callable[..., Counts]:
     """:func:`_count`, every device for its frames."""
     whole, first, second = (sharding.along(axis) for axis in (None, 0, 1))
-    sights = first if asked.counts_sight else None
+    sights = first if options.counts_sight else None
     gives: Any = Counts(second, second, first, sights, second)  # type: ignore[arg-type]
     given = whole, whole, second, first, whole, whole
-    return sharding.split(partial(_count, asked=asked), given, gives)
+    return sharding.split(partial(_count, options=options), given, gives)
 
 
-@partial(jax.jit, static_argnames="asked")
+@partial(jax.jit, static_argnames="options")
 def _count(
     tile: Tile,
     views: UInt[Array, "S n C"],
@@ -237,7 +242,7 @@ def _count(
     sensors: Float[Array, "S 3"],
     failures: Groups | None,
     *,
-    asked: Asked,
+    options: ScoreOptions,
 ) -> Counts:
     """Count n tiles in F frames, tile by tile."""
     shadows = BITS.shadows(sensors, prisms)
@@ -246,12 +251,12 @@ def _count(
     def count(tile: Tile, views: Array, solid: Array) -> Counts:
         frames = Frames(prisms, solid)
         core = jnp.where(tile.core, tile.there, tile.there.dtype.type(0))
-        return count_tile(BITS, tile, views, sensors, shadows, frames, failures, asked, core)
+        return count_tile(BITS, tile, views, sensors, shadows, frames, failures, options, core)
 
     seen, original, columns, sights, core = jax.lax.map(
         lambda part: count(*part), (tile, views.swapaxes(0, 1), solid)
     )
-    sights = sights.swapaxes(0, 1) if asked.counts_sight else None
+    sights = sights.swapaxes(0, 1) if options.counts_sight else None
     return Counts(seen.sum(0), original.sum(0), columns, sights, core.sum(0))
 
 
@@ -291,15 +296,15 @@ def _terms(
     sights: Num[Array | np.ndarray, "S N C Z"] | None,
     poses: Float[Array | np.ndarray, "S 6"],
     sensors: SensorArray,
-    asked: Asked,
+    options: ScoreOptions,
 ) -> dict[str, Any]:
     """The further terms that metrics ask for, by metric, one row for each tile."""
-    if all(metric.terms is None for metric in asked.metrics):
+    if all(metric.terms is None for metric in options.metrics):
         return {}
     tiles = tiled.tiles
-    static: dict[str, Any] = dict(metrics=asked.metrics, detection=asked.detection)
+    static: dict[str, Any] = dict(metrics=options.metrics, detection=options.detection)
     work = partial(_tile_terms, **static, whole=tiles.slabs == 1)
-    if not any(metric.sight for metric in asked.metrics):
+    if not any(metric.sight for metric in options.metrics):
         sights = None
     if sights is not None:
         sights = sights_past_statics(tiled, sights, views, poses[:, :3])
@@ -316,7 +321,7 @@ def _terms(
     for first in range(step):
         given = jax.tree.map(np.asarray, of(slice(first, None, step)))
         shapes = tuple(leaf.shape for leaf in jax.tree.leaves(given))
-        jobs.append(((_tile_terms, asked, sensors.kinds, shapes), partial(work, *given)))
+        jobs.append(((_tile_terms, options, sensors.kinds, shapes), partial(work, *given)))
     parts = run(jobs)
 
     def joined(*part: Array) -> np.ndarray:
@@ -400,7 +405,7 @@ def measure_many(
     poses: Float[np.ndarray, "M S 6"],
     sensor_set: SensorSet,
     voxel: float,
-    asked: Asked,
+    options: ScoreOptions,
 ) -> dict[str, Float[np.ndarray, " M"]]:
     """Every metric of M layouts of the same sensors; every chunk of ``tiled`` has all tiles.
 
@@ -410,41 +415,41 @@ def measure_many(
     data = tiled.bucketed, sensors, voxel
     shapes = tuple(leaf.shape for leaf in jax.tree.leaves(data[:2]))
     each = sharding.devices()
-    work = partial(_one_layout, asked=asked) if each == 1 else _layout_each(asked)
+    work = partial(_one_layout, options=options) if each == 1 else _layout_each(options)
     # A layout for a core, or one for every device: devices that would be idle repeat the first.
     whole = np.stack([sensors.padded(row) for row in poses])
     rows = np.resize(whole, (-(-len(whole) // each), each, *whole.shape[1:]))
     jobs: list[Job] = [
         (
-            (measure_many, asked, sensors.kinds, shapes),
+            (measure_many, options, sensors.kinds, shapes),
             partial(work, row[0] if each == 1 else row, *data),
         )
         for row in rows
     ]
-    found = np.stack(run(jobs)).reshape(-1, len(asked.metrics))[: len(poses)]
-    return {metric.name: column for metric, column in zip(asked.metrics, found.T, strict=True)}
+    found = np.stack(run(jobs)).reshape(-1, len(options.metrics))[: len(poses)]
+    return {metric.name: column for metric, column in zip(options.metrics, found.T, strict=True)}
 
 
-@partial(jax.jit, static_argnames="asked")
+@partial(jax.jit, static_argnames="options")
 def _one_layout(
     poses: Float[Array, "S 6"],
     tiled: TiledScene,
     sensors: SensorArray,
     voxel: Float[Array, ""],
     *,
-    asked: Asked,
+    options: ScoreOptions,
 ) -> Float[Array, " K"]:
     """Every metric of one layout."""
-    found = count_exactly(tiled, poses, sensors, voxel, asked).values
-    return jnp.stack([found[metric.name][0] for metric in asked.metrics])
+    found = count_exactly(tiled, poses, sensors, voxel, options).values
+    return jnp.stack([found[metric.name][0] for metric in options.metrics])
 
 
 @cache
-def _layout_each(asked: Asked) -> Callable[..., Array]:
+def _layout_each(options: ScoreOptions) -> Callable[..., Array]:
     """:func:`_one_layout`, every device for a layout."""
     whole, first = sharding.along(None), sharding.along(0)
     return sharding.split(
-        lambda poses, *data: _one_layout(poses[0], *data, asked=asked)[None],
+        lambda poses, *data: _one_layout(poses[0], *data, options=options)[None],
         (first, whole, whole, whole),
         first,
     )

@@ -83,13 +83,6 @@ def counted_by_occlusion(free: Any, solid: Any, reference: str) -> Any:
     return solid if reference == "targets" else free
 
 
-def unknown_reference(reference: str) -> InspeError:
-    """The error of a reference that is none of :data:`OCCLUSION_REFERENCES`."""
-    return InspeError(
-        f"occlusion_reference '{reference}': one of {', '.join(OCCLUSION_REFERENCES)}"
-    )
-
-
 def occlusion(seen: Float[Array, "T ..."], original: Float[Array, "T ..."]) -> Float[Array, "..."]:
     """O = mean over frames of 1 − |V_occ| / |V_orig|; higher is better.
 

@@ -32,7 +32,7 @@ from inspe_jax.core.numerics import (
     exact,
     leave_one_out,
 )
-from inspe_jax.scoring.asked import Asked
+from inspe_jax.scoring.options import ScoreOptions
 from inspe_jax.visibility import bitmask
 from inspe_jax.visibility.centered_scene import Statics
 from inspe_jax.visibility.in_view import soft_view
@@ -45,7 +45,7 @@ from inspe_jax.visibility.shadows import (
     soft_sight,
 )
 from inspe_jax.visibility.statics import past_statics_chance
-from inspe_jax.visibility.tiles import Tile, solid_in
+from inspe_jax.visibility.tiles import Tile
 
 TOGETHER = 20
 """Frames that are read softly at once: what a tile needs of so many stays in a core's cache."""
@@ -166,13 +166,18 @@ class Bits:
         return jax.vmap(shadow_bounds, (0, None))(sensors, prisms)
 
     def line_of_sight(
-        self, sensor: Float[Array, "3"], shadows: Any, tile: Tile, frames: Frames, asked: Asked
+        self,
+        sensor: Float[Array, "3"],
+        shadows: Any,
+        tile: Tile,
+        frames: Frames,
+        options: ScoreOptions,
     ) -> tuple[UInt[Array, "F C"], UInt[Array, "F C"]]:
         """The voxels in line of sight of a sensor: once as occlusion counts them, and once as
         information gain does."""
-        spared = frames.solid if asked.ignores_self_occlusion else None
+        spared = frames.solid if options.ignores_self_occlusion else None
         clear = clear_masks(sensor, shadows, tile, spared)
-        return clear, clear if asked.sight == "past_others" else clear & ~frames.solid
+        return clear, clear if options.sight == "past_others" else clear & ~frames.solid
 
     def over_sensors(
         self, see_from: SeeFrom, rows: SensorRow, frames: Frames, failures: Groups | None
@@ -319,7 +324,12 @@ class Numbers:
         """None: what shadows need is found tile by tile, and again for the gradient."""
 
     def line_of_sight(
-        self, sensor: Float[Array, "3"], shadows: Any, tile: Tile, frames: Frames, asked: Asked
+        self,
+        sensor: Float[Array, "3"],
+        shadows: Any,
+        tile: Tile,
+        frames: Frames,
+        options: ScoreOptions,
     ) -> tuple[Float[Array, "Z F C"], Float[Array, "Z F C"]]:
         """The chance that each voxel is in line of sight: once as occlusion counts it, and once as
         information gain does."""
@@ -330,7 +340,7 @@ class Numbers:
         @partial(jax.checkpoint, policy=jax.checkpoint_policies.save_only_these_names(WON))
         def read(sensor: Array) -> tuple[Array, Array]:
             fixed = jax.lax.stop_gradient(sensor)
-            own = spared if asked.ignores_self_occlusion else False
+            own = spared if options.ignores_self_occlusion else False
             if exact(width):
                 look = partial(exact_sight, sensor, frames.prisms, tile.columns, tile.heights)
             else:
@@ -339,7 +349,7 @@ class Numbers:
                 at = sensor, frames.prisms, marked, tile.columns, tile.heights, width
                 look = partial(soft_sight, *at, at_sensor=self.softness.shadows_at_sensor)
             clear = look(ignore_self_occlusion=own)
-            return clear, look(ignore_self_occlusion=False) if asked.sight_apart else clear
+            return clear, look(ignore_self_occlusion=False) if options.sight_apart else clear
 
         return read(sensor)
 
@@ -421,10 +431,6 @@ class Numbers:
             )
 
         return jax.lax.map(look, (sensors, views))
-
-    def frames(self, tile: Tile, prisms: Prism) -> Frames:
-        """Frames of a tile, with the masks of its solid voxels found from the prisms."""
-        return Frames(prisms, solid_in(tile, prisms))
 
     @staticmethod
     def _real(frames: Frames) -> Float[Array, " F"]:

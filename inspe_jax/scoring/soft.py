@@ -17,20 +17,20 @@ from jaxtyping import Array, Float
 from inspe_jax.core.numerics import Softness
 from inspe_jax.scoring import metrics
 from inspe_jax.scoring.accumulate import count_tile
-from inspe_jax.scoring.asked import Asked
 from inspe_jax.scoring.exact import join_frames
 from inspe_jax.scoring.metric import TileEvidence
-from inspe_jax.scoring.reading import Counts, Numbers
+from inspe_jax.scoring.options import ScoreOptions
+from inspe_jax.scoring.reading import Counts, Frames, Numbers
 from inspe_jax.scoring.sensor_array import SensorArray
 from inspe_jax.scoring.summary import MetricValues, summarise
 from inspe_jax.scoring.tiled_scene import TiledScene
-from inspe_jax.visibility.tiles import Tile, unless_empty
+from inspe_jax.visibility.tiles import Tile, solid_in, unless_empty
 
 SIGHTS = "sights"
 """Name of an array kept for the gradient: in how many frames each voxel is in line of sight."""
 
 
-@partial(jax.jit, static_argnames="asked")
+@partial(jax.jit, static_argnames="options")
 def read_softly(
     tiled: TiledScene,
     poses: Float[Array, "S 6"],
@@ -38,7 +38,7 @@ def read_softly(
     voxel: float | Array,
     softness: Softness,
     *,
-    asked: Asked,
+    options: ScoreOptions,
 ) -> MetricValues:
     """The metrics of poses (x, y, z [m], roll, pitch, yaw [rad]) about the scene's centre.
 
@@ -61,8 +61,8 @@ def read_softly(
         parts = []
         for chunk in tiled.chunks:
             shadows = numbers.shadows(positions, chunk.prisms)
-            frames = numbers.frames(tile, chunk.prisms)
-            given = numbers, tile, f, positions, shadows, frames, failures, asked
+            frames = Frames(chunk.prisms, solid_in(tile, chunk.prisms))
+            given = numbers, tile, f, positions, shadows, frames, failures, options
             parts.append(count_tile(*given))
         counts, sights = join_frames(parts), None
         if counts.sights is not None:
@@ -70,15 +70,15 @@ def read_softly(
             sights = sights if past is None else sights * past.swapaxes(1, 2)
         of_sensors = f, sights, tiled.frame_count, poses, sensors
         whole = tiled.tiles.slabs == 1
-        at = TileEvidence(numbers, tile, *of_sensors, last, whole, asked.detection)
-        visible = f if asked.visibility == "in_view" else at.visible
+        at = TileEvidence(numbers, tile, *of_sensors, last, whole, options.detection)
+        visible = f if options.visibility == "in_view" else at.visible
         covered = numbers.any_of(f, failures)
         return (
             covered.sum(1),
             covered[0].sum(1),
             metrics.resolved(visible, jnp.asarray(sensors.reliability, float), failures),
             counts._replace(sights=None),
-            metrics.tile_terms(asked.metrics, at),
+            metrics.tile_terms(options.metrics, at),
         )
 
     tiles = tiled.tiles
@@ -96,6 +96,6 @@ def read_softly(
         counts._replace(seen=counts.seen.sum(0), original=counts.original.sum(0)),
         terms,
         failures,
-        asked.metrics,
+        options.metrics,
         numbers.width,
     )

@@ -14,13 +14,13 @@ from jaxtyping import Float
 from inspe_jax.core.errors import check_known
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scene.traffic.frames import CLASSES, ROAD_USERS, RoadUser
-from inspe_jax.scoring.asked import Asked
 from inspe_jax.scoring.detection import (
     DetectionCurve,
     DetectionCurves,
     detection_curves,
 )
 from inspe_jax.scoring.exact import ONE_MORE, sight_shares
+from inspe_jax.scoring.options import ScoreOptions
 from inspe_jax.scoring.sensor_array import SensorSet, sensor_array
 from inspe_jax.scoring.tiled_scene import tiled_scene_of
 from inspe_jax.sensing.conditions import Case, Conditions
@@ -166,6 +166,6 @@ def _line_of_sight(scene: Scene, layout: Layout) -> Float[np.ndarray, "S L Z"]:
     there = np.asarray(tiled.tiles.tile.there)
     views = np.broadcast_to(there, (len(positions), *there.shape)).copy()
     views[len(layout) :] = 0
-    asked = Asked.of(visibility="past_others")
-    found = sight_shares(tiled, views, positions, asked, len(layout))
+    options = ScoreOptions.of(visibility="past_others")
+    found = sight_shares(tiled, views, positions, options, len(layout))
     return found.reshape(len(layout), -1, scene.voxels.level_count)

@@ -3,7 +3,6 @@
 It is made once for a scene, or for a sample of one, and serves every layout.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import pairwise
@@ -123,44 +122,28 @@ class TiledScene:
         return replace(self, tiles=replace(self.tiles, place=None), device_tiles=None)
 
 
-_kept_scenes: "WeakKeyDictionary[Scene, dict[tuple[str, jnp.dtype], TiledScene]]" = (
-    WeakKeyDictionary()
-)
+_kept_scenes: "WeakKeyDictionary[Scene, dict[tuple, TiledScene]]" = WeakKeyDictionary()
 
 
-def tiled_scene_of(scene: Scene) -> TiledScene:
+def tiled_scene_of(scene: Scene, *, whole: bool = False, masks: bool = True) -> TiledScene:
     """A scene's :class:`TiledScene`, its tiles and frames divided into chunks for all cores.
+
+    ``whole``: all tiles are in every chunk, for one core or one device. ``masks``: a whole one has
+    the masks of solid voxels. Soft scores do without: a compiled gradient would hold several copies
+    of them as constants.
 
     It is made at the first call and kept as long as the scene, one for each floating-point
     precision that JAX is set to.
     """
-    return _kept(scene, "in chunks", _tile_scene)
-
-
-def whole_tiled_scene_of(scene: Scene) -> TiledScene:
-    """A scene's :class:`TiledScene` with all tiles in every chunk: for one core or one device."""
-    return _kept(scene, "whole", _tile_whole)
-
-
-def tiled_scene_without_masks(scene: Scene) -> TiledScene:
-    """:func:`whole_tiled_scene_of` without the masks of solid voxels, for soft scores.
-
-    A compiled gradient would hold several copies of the masks as constants.
-    """
-    return _kept(scene, "without masks", lambda scene: _tile_whole(scene, masks=False))
-
-
-def _kept(scene: Scene, kind: str, make: Callable[[Scene], TiledScene]) -> TiledScene:
-    """A scene's tiled scene of one ``kind``, made if it is not kept yet."""
     kept = _kept_scenes.setdefault(scene, {})
-    key = kind, jnp.zeros((), float).dtype
+    key = whole, masks, jnp.zeros((), float).dtype
     if key not in kept:
-        kept[key] = untraced(lambda: make(scene))
+        kept[key] = untraced(lambda: _tile_whole(scene, masks) if whole else _tile_scene(scene))
     return kept[key]
 
 
-def _tile_whole(scene: Scene, masks: bool = True) -> TiledScene:
-    """:func:`whole_tiled_scene_of`, with or without masks of solid voxels."""
+def _tile_whole(scene: Scene, masks: bool) -> TiledScene:
+    """The scene with all tiles in every chunk."""
     tiled, prisms = tiled_scene_of(scene), about_center(scene).prisms
     chunks, tile = [], tiled.tiles.tile
     for begin in range(0, tiled.frame_count, FRAMES):
@@ -175,7 +158,7 @@ def _rows(arrays: Any, rows: slice | Int[np.ndarray, " N"]) -> Any:
 
 
 def _tile_scene(scene: Scene) -> TiledScene:
-    """:func:`tiled_scene_of`, made anew."""
+    """The scene in chunks for all cores or devices."""
     centered = about_center(scene)
     tiles = tiles_of(centered)
     total = len(centered.prisms.top)

@@ -6,23 +6,22 @@ scores count. They are for pictures: scores need only their sums.
 
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int, UInt
+from jaxtyping import Array, Float, Int, UInt
 
 from inspe_jax.core.geometry import Prism
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scoring import metrics
 from inspe_jax.scoring.accumulate import seen_in_tile
-from inspe_jax.scoring.asked import Asked
 from inspe_jax.scoring.evaluate import options_of
 from inspe_jax.scoring.exact import BITS, ONE_MORE, in_view_of, sight_shares
+from inspe_jax.scoring.options import ScoreOptions
 from inspe_jax.scoring.reading import Frames
 from inspe_jax.scoring.sensor_array import SensorSet, sensor_array
-from inspe_jax.scoring.tiled_scene import by_level, tiled_scene_of, whole_tiled_scene_of
+from inspe_jax.scoring.tiled_scene import by_level, tiled_scene_of
 from inspe_jax.sensing.conditions import FAIR, Conditions, perceiving
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.visibility.centered_scene import poses_about_center
@@ -72,13 +71,16 @@ def viewshed(scene: Scene, layout: Layout, *, conditions: Conditions = FAIR) -> 
     levels = tiles.tile.heights.shape[1]
     seen = np.zeros((*views.shape[1:], levels), int)
     occupied = np.zeros_like(seen)
-    for chunk in whole_tiled_scene_of(scene).chunks:
+    for chunk in tiled_scene_of(scene, whole=True).chunks:
         assert chunk.solid is not None  # the scene has masks
         found = _seen_masks(tiles.tile, views, chunk.solid, chunk.prisms, sensors)
         seen += np.asarray(by_level(found, levels))
         occupied += np.asarray(by_level(chunk.solid, levels))
     flags = tiles.by_voxel(views[: len(layout)])  # (S, V)
-    visible = _visible(scene, layout, flags, views, sensors)
+    visible, options = flags.astype(float), ScoreOptions.of(**options_of(scene))
+    if options.counts_sight:  # by the programs that a score compiles
+        tiled = tiled_scene_of(scene)
+        visible *= sight_shares(tiled, views, sensors, options, len(layout))
     return Viewshed(
         sensors=flags.sum(0),
         seen=tiles.of_voxels(seen),
@@ -86,25 +88,6 @@ def viewshed(scene: Scene, layout: Layout, *, conditions: Conditions = FAIR) -> 
         resolved=1.0 - np.prod(1.0 - visible * layout.reliability[:, None], axis=0),
         frame_count=scene.traffic.frame_count,
     )
-
-
-def _visible(
-    scene: Scene,
-    layout: Layout,
-    flags: Bool[np.ndarray, "S V"],
-    views: UInt[np.ndarray, "s N C"],
-    sensors: Float[np.ndarray, "s 3"],
-) -> Float[np.ndarray, "S V"]:
-    """The visibility of each voxel from each sensor in information gain.
-
-    It is 1 for a voxel in view, or the share of frames in which the voxel is seen. The programs
-    that a score compiles count it.
-    """
-    options: dict[str, Any] = dict(options_of(scene))
-    asked = Asked.of(**options)
-    if not asked.counts_sight:
-        return flags.astype(float)
-    return flags * sight_shares(tiled_scene_of(scene), views, sensors, asked, len(layout))
 
 
 def sight_in(
@@ -116,7 +99,7 @@ def sight_in(
     """
     frame = check_frame(scene, frame)
     layout, tiles, views, sensors = _views(scene, layout, conditions)
-    tiled = whole_tiled_scene_of(scene)
+    tiled = tiled_scene_of(scene, whole=True)
     (chunk,) = (c for c in tiled.chunks if c.begin <= frame < c.begin + len(c.prisms.top))
     assert chunk.solid is not None  # the scene has masks
     at = slice(frame - chunk.begin, frame - chunk.begin + 1)
@@ -135,7 +118,7 @@ def _views(
     """The layout under the conditions, the tiles, masks of what each sensor has in view, and the
     sensors' positions about the scene's centre [m]; the arrays end in empty places."""
     check_layout(scene, layout)
-    layout, tiled = perceiving(scene, layout, conditions), whole_tiled_scene_of(scene)
+    layout, tiled = perceiving(scene, layout, conditions), tiled_scene_of(scene, whole=True)
     sensors = sensor_array(SensorSet.of(layout), ONE_MORE)
     poses = sensors.padded(poses_about_center(scene, layout))
     views = np.asarray(in_view_of(tiled, poses, sensors, scene.voxels.size / 2))
@@ -156,6 +139,6 @@ def _seen_masks(
     @unless_empty
     def see_tile(tile: Tile, views: Array, solid: Array) -> Array:
         rows = sensors, shadows, views
-        return seen_in_tile(BITS, rows, tile, Frames(prisms, solid), None, Asked())[0].all
+        return seen_in_tile(BITS, rows, tile, Frames(prisms, solid), None, ScoreOptions())[0].all
 
     return jax.lax.map(lambda part: see_tile(*part), (tiles, views.swapaxes(0, 1), solid))

@@ -1,29 +1,25 @@
-"""Named devices: ``catalogue.toml``, and catalogues that users write in the same format.
+"""Named devices: ``catalogue.toml``, and specs from its keys.
 
-Files are in degrees, metres and US dollars, with the unit in each key; specs are in radians.
+The file is in degrees, metres and US dollars, with the unit in each key; specs are in radians.
 A device is a spec with the source of its figures. The head of ``catalogue.toml`` describes
 the keys.
 """
 
-import os
 import tomllib
 from dataclasses import dataclass
 from functools import cache, lru_cache
 from importlib.resources import files
-from pathlib import Path
-from typing import Annotated, Any
-
-from pydantic import BaseModel, Field, create_model
+from typing import Any
 
 from inspe_jax.core.errors import InspeError, brief, nearest
-from inspe_jax.core.files import check_model, read_toml
-from inspe_jax.sensing.kinds import SENSOR_KINDS, DeviceKeys, Positive, keys_of
+from inspe_jax.core.files import check_model
+from inspe_jax.sensing.kinds import SENSOR_KINDS, keys_of
 from inspe_jax.sensing.sensors import Spec
 
 
 @dataclass(frozen=True)
 class Device:
-    """One row of a catalogue: a spec, its maker and its price.
+    """One row of the catalogue: a spec, its maker and its price.
 
     ``price_usd`` is a list price [US$] of the year in ``note``, None if none is public.
     ``source`` says where the figures come from, ``note`` what was assumed. ``product`` is False for
@@ -55,45 +51,18 @@ def device(name: str) -> Device:
     return known[name]
 
 
-def load_devices(path: str | os.PathLike[str]) -> dict[str, Device]:
-    """Read a catalogue file (TOML, as ``catalogue.toml``) and return its devices by name.
-
-    Raises InspeError with the file, the device, the key and what is allowed.
-    """
-    path = Path(path)
-    return _parse(read_toml(path), str(path))
+_ABOUT = ("title", "maker", "source", "note", "price_usd", "product")
 
 
 @cache
 def _built_in() -> dict[str, Device]:
     resource = files("inspe_jax.sensing").joinpath("catalogue.toml")
-    return _parse(tomllib.loads(resource.read_text("utf-8")), resource.name)
-
-
-def _parse(tables: dict[str, Any], where: str) -> dict[str, Device]:
-    if not tables:
-        raise InspeError(f"{where}: the catalogue is empty: it needs one table for each device")
-    return {name: _device(name, table, f"{where}: {name}") for name, table in tables.items()}
-
-
-# ── The entries ─────────────────────────────────────────────────────────────
-
-_Text = Annotated[str, Field(min_length=1)]
-
-
-class _About(BaseModel):
-    title: _Text
-    maker: _Text
-    source: _Text
-    note: str = ""
-    price_usd: Positive | None = None
-    product: bool = True
-
-
-@cache
-def _entry(keys: type[DeviceKeys]) -> Any:
-    """What a catalogue holds of a device: the keys of its kind, and what is known about it."""
-    return create_model(keys.__name__, __base__=(keys, _About))
+    found = {}
+    for name, table in tomllib.loads(resource.read_text("utf-8")).items():
+        about = {"price_usd": None} | {key: table.pop(key) for key in _ABOUT if key in table}
+        spec = spec_of(table, name, f"{resource.name}: {name}")
+        found[name] = Device(name=name, kind=spec.kind, spec=spec, **about)
+    return found
 
 
 def spec_of(table: Any, name: str, where: str) -> Spec:
@@ -102,15 +71,18 @@ def spec_of(table: Any, name: str, where: str) -> Spec:
     ``like`` may name a device of the built-in catalogue: its keys are taken where ``table`` gives
     none. Raises InspeError that names ``where``, the key and what is allowed.
     """
-    table = _checked(table, where)
+    if not isinstance(table, dict):
+        raise InspeError(f"{where}: must be a table of one device, got {brief(table)}")
+    table = dict(table)
     if "like" in table:
         try:
             other = device(table.pop("like")).spec
         except InspeError as e:
             raise InspeError(f"{where}: like: {e}") from None
         table = SENSOR_KINDS[other.kind].combined(table_of(other), table)
-    keys = _keys(table, where)
-    return check_model(keys, table, where).spec(name, where)
+    if "kind" not in table:
+        raise InspeError(f"{where}: kind: missing key")
+    return check_model(keys_of(table["kind"], where), table, where).spec(name, where)
 
 
 @lru_cache(maxsize=1024)
@@ -133,33 +105,3 @@ def table_of(spec: Spec) -> dict[str, Any]:
     They are Python's numbers, also if the spec has NumPy's.
     """
     return SENSOR_KINDS[spec.kind].table(spec)
-
-
-def _checked(table: Any, where: str) -> dict[str, Any]:
-    """A device's table, which is a mapping. Raises InspeError."""
-    if not isinstance(table, dict):
-        raise InspeError(f"{where}: must be a table of one device, got {brief(table)}")
-    return dict(table)
-
-
-def _keys(table: dict[str, Any], where: str) -> type[DeviceKeys]:
-    """The keys that the kind of a device has. Raises InspeError."""
-    if "kind" not in table:
-        raise InspeError(f"{where}: kind: missing key")
-    return keys_of(table["kind"], where)
-
-
-def _device(name: str, table: Any, where: str) -> Device:
-    table = _checked(table, where)
-    entry = check_model(_entry(_keys(table, where)), table, where)
-    return Device(
-        name=name,
-        kind=entry.kind,
-        title=entry.title,
-        maker=entry.maker,
-        spec=entry.spec(name, where),
-        price_usd=entry.price_usd,
-        source=entry.source,
-        note=entry.note,
-        product=entry.product,
-    )

@@ -8,7 +8,7 @@ to no as the score rises.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import floor, gcd, isfinite
+from math import floor, gcd
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -56,8 +56,8 @@ def share_out(
     costs: Sequence[Sequence[float]],
     scores: Sequence[Sequence[float]],
     budget: float,
+    weights: Sequence[float],
     *,
-    weights: Sequence[float] | None = None,
     worst: bool = False,
     gap: float = 0.0,
     seconds: float = SECONDS,
@@ -65,15 +65,17 @@ def share_out(
     """Choose one option for each place within a budget: the greatest weighted sum of scores.
 
     ``costs`` and ``scores`` have a row for each place with a number for each of its options [US
-    dollars, to the cent]. ``weights`` of the places are 1 if not given. With ``worst``, the least
-    score is maximised, and then the sum among the choices that reach it. ``gap`` is by how much of
-    the sum the choice may fall short, and ``seconds`` is how long it may take.
+    dollars, to the cent], ``weights`` a number for each place. With ``worst``, the least score is
+    maximised, and then the sum among the choices that reach it. ``gap`` is by how much of the sum
+    the choice may fall short, and ``seconds`` is how long it may take.
 
-    The cost is exact, in cents, and never exceeds the budget. Raises InspeError if a number is not
-    valid, the cheapest options exceed the budget, or HiGHS finds no choice in time.
+    The cost is exact, in cents, and never exceeds the budget. Raises InspeError if the budget or a
+    cost is not valid, the cheapest options exceed the budget, or HiGHS finds no choice in time.
     """
-    weights = [1.0] * len(costs) if weights is None else weights
-    _check(costs, scores, budget, weights)
+    check_budget(budget)
+    for cost in (cost for row in costs for cost in row):
+        if not 0 <= cost <= DEAREST or abs(100 * cost - round(100 * cost)) > 1e-3:
+            raise InspeError(f"cost {cost}: 0 or more US dollars, to the cent")
     cents = [np.array([round(100 * cost) for cost in row], np.int64) for row in costs]
     limit = floor(100 * budget + 1e-6)
     least = sum(int(row.min()) for row in cents)
@@ -107,37 +109,6 @@ def check_budget(budget: float) -> None:
     """Raise InspeError for a budget that is no sum of money [US dollars]."""
     if not 0 <= budget <= DEAREST:
         raise InspeError(f"budget {budget:g}: 0 to {DEAREST:g} US dollars")
-
-
-def _check(
-    costs: Sequence[Sequence[float]],
-    scores: Sequence[Sequence[float]],
-    budget: float,
-    weights: Sequence[float],
-) -> None:
-    """Raise InspeError where a number is not valid, or rows do not fit each other."""
-    check_budget(budget)
-    if not len(costs):
-        raise InspeError("no place to share the budget among")
-    if not len(costs) == len(scores) == len(weights):
-        raise InspeError(
-            f"costs of {counted(len(costs), 'place')}, but scores of {len(scores)} and weights of "
-            f"{len(weights)}"
-        )
-    for k, (cost, score, weight) in enumerate(zip(costs, scores, weights, strict=True)):
-        if not len(cost) or len(cost) != len(score):
-            raise InspeError(
-                f"place {k + 1}: {len(cost)} costs and {len(score)} scores: it needs as many of "
-                "both, and at least one"
-            )
-        for value in cost:
-            if not 0 <= value <= DEAREST or abs(100 * value - round(100 * value)) > 1e-3:
-                raise InspeError(f"place {k + 1}: cost {value}: 0 or more US dollars, to the cent")
-        for value in score:
-            if not isfinite(value):
-                raise InspeError(f"place {k + 1}: score {value} is not finite")
-        if not 0 < weight < float("inf"):
-            raise InspeError(f"place {k + 1}: weight {weight}: more than 0")
 
 
 def _greatest_worst(

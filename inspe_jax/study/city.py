@@ -33,8 +33,6 @@ CURVE = 24
 """Number of budgets for which a plan's curve is solved."""
 CURVE_GAP, CURVE_SECONDS = 1e-4, 5.0
 """How exact the curve's points are, as a share of the score, and how long each may take [s]."""
-DEGREES = 7
-"""Decimals of degrees: a centimetre."""
 
 
 @dataclass(frozen=True)
@@ -121,17 +119,21 @@ class CityPlan:
         rows: list[dict[str, Any]] = []
         for k, (front, option) in enumerate(zip(self.fronts, self.chosen, strict=True)):
             row: dict[str, Any] = {"junction": front.name}
-            if degrees is not None:
-                row |= dict(latitude=_fixed(degrees[k, 1]), longitude=_fixed(degrees[k, 0]))
-            row |= dict(x=f"{middles[k, 0]:.2f}", y=f"{middles[k, 1]:.2f}")
-            row |= dict(importance=f"{self.weights[k]:g}", mix=option.mix)
-            row |= dict(cost_usd=f"{option.cost:.2f}", score=f"{option.score:.7f}")
-            rows.append(row | dict(layout=option.layout))
+            if degrees is not None:  # to a centimetre
+                row |= dict(latitude=f"{degrees[k, 1]:.7f}", longitude=f"{degrees[k, 0]:.7f}")
+            rows.append(
+                row
+                | dict(
+                    x=f"{middles[k, 0]:.2f}",
+                    y=f"{middles[k, 1]:.2f}",
+                    importance=f"{self.weights[k]:g}",
+                    mix=option.mix,
+                    cost_usd=f"{option.cost:.2f}",
+                    score=f"{option.score:.7f}",
+                    layout=option.layout,
+                )
+            )
         return csv_text(rows)
-
-
-def _fixed(degrees: float) -> str:
-    return f"{degrees:.{DEGREES}f}"
 
 
 def choose_junctions(path: str | os.PathLike[str], wanted: str) -> tuple[JunctionInfo, ...]:
@@ -215,7 +217,7 @@ def fronts_of(
     Mixes that failed are not on it, nor is one that is beaten by a mix that costs no more.
     """
     by_key = {row["key"]: row for row in rows}
-    options: dict[str, list[Option]] = {str(one.id): [NOTHING] for one in junctions}
+    options = {str(one.id): [NOTHING] for one in junctions}
     errors: dict[str, list[str]] = {name: [] for name in options}
     for job in study.jobs:
         row, name = by_key[job.key], job.source.name
@@ -265,13 +267,13 @@ def plan_city(
     scores = [[option.score for option in front.options] for front in able]
 
     def shared(amount: float, **how: Any) -> Share:
-        return share_out(costs, scores, amount, weights=weights, worst=worst, **how)
+        return share_out(costs, scores, amount, weights, worst=worst, **how)
 
     share = shared(budget)
-    budgets = np.linspace(0, _end_of_curve(costs, budget), CURVE).round(2)
+    end = max(min(sum(row[-1] for row in costs), 3 * budget), budget, 1.0)
     quick = dict(gap=CURVE_GAP, seconds=CURVE_SECONDS)
-    curve = [(float(amount), shared(float(amount), **quick)) for amount in budgets]
-    curve.append((budget, share))
+    amounts = np.linspace(0, end, CURVE).round(2).tolist()
+    curve = [*((amount, shared(amount, **quick)) for amount in amounts), (budget, share)]
     return CityPlan(
         budget,
         able,
@@ -282,11 +284,6 @@ def plan_city(
         left_out,
         tuple(sorted(curve, key=lambda point: point[0])),
     )
-
-
-def _end_of_curve(costs: Sequence[Sequence[float]], budget: float) -> float:
-    """The greatest budget of the curve: all that can be spent, or thrice the plan's budget."""
-    return max(min(sum(row[-1] for row in costs), 3 * budget), budget, 1.0)
 
 
 def _even(

@@ -91,11 +91,9 @@ def city_view(plan: CityPlan, name: str, roads: Sequence[Float[np.ndarray, "N 2"
     ``name`` is that of the map, and ``roads`` are its lines [m]. A dot is larger the more is spent,
     and its colour is the score. The curve has the best plans of other budgets.
     """
-    words = plan_words(plan)
-    facts = "\n".join(words)
+    title = f"{_money(plan.budget)} US dollars for the junctions of {name}"
     with house_style():
-        title = f"{_money(plan.budget)} US dollars for the junctions of {name}"
-        fig, (left, right) = sheet_of_two(title, facts, 2, _HEAD, _BELOW)
+        fig, (left, right) = sheet_of_two(title, "\n".join(plan_words(plan)), 2, _HEAD, _BELOW)
         _draw_map(fig, left, plan, roads)
         _draw_curve(right, plan)
     return fig
@@ -114,28 +112,27 @@ def _draw_map(
     low, high = middles.min(0), middles.max(0)
     reach = 0.56 * max(float((high - low).max()), 100.0)
     (left, below), (right, above) = (low + high) / 2 - reach, (low + high) / 2 + reach
-    ax.set(xlim=(left, right), ylim=(below, above), aspect="equal")
-    ax.set(xticks=[], yticks=[])  # the scale says how far; plan.csv has coordinates
+    # The scale says how far; plan.csv has coordinates.
+    ax.set(xlim=(left, right), ylim=(below, above), aspect="equal", xticks=[], yticks=[])
     ax.add_collection(LineCollection(list(roads), **ROADS), autolim=False)
     x, y = middles.T
     wide = _diameter(cost, cost.max()) * min(1.0, np.sqrt(_MANY / len(cost)))
     none, order = np.flatnonzero(~gets), np.argsort(-cost, kind="stable")
     some = order[gets[order]]  # small dots over large ones
     ax.scatter(x[none], y[none], s=wide[none] ** 2, fc="white", ec=OTHER, linewidths=0.8, zorder=4)
-    dots = ax.scatter(
-        x[some], y[some], s=wide[some] ** 2, c=score[some], cmap=SCORES, norm=_norm(score[gets]),
-        ec="white", linewidths=0.5, zorder=4,
-    )  # fmt: skip
     _draw_names(ax, plan, middles, wide)
     _draw_scale(ax, reach)
-    if gets.any():
-        _draw_keys(fig, ax, dots, {float(cost[k]): float(wide[k]) for k in order})
+    if not gets.any():
+        return
+    dots = ax.scatter(
+        x[some], y[some], s=wide[some] ** 2, c=score[some], cmap=SCORES, norm=_norm(score[some]),
+        ec="white", linewidths=0.5, zorder=4,
+    )  # fmt: skip
+    _draw_keys(fig, ax, dots, {float(cost[k]): float(wide[k]) for k in order})
 
 
 def _norm(scores: Float[np.ndarray, " N"]) -> Normalize:
     """Colours from a tenth below the least score to a tenth above the greatest."""
-    if not len(scores):
-        return Normalize(0, 1)
     low, high = np.floor(10 * scores.min()) / 10, np.ceil(10 * scores.max()) / 10
     return Normalize(low, max(high, low + 0.1))
 

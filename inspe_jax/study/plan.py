@@ -36,8 +36,9 @@ The form of the file. Paths are relative to it; every setting is one value or a 
 
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import product
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -68,7 +69,6 @@ from inspe_jax.jobs.sources import (
     each_scene,
     layout_sources,
     read_study,
-    with_named_layouts,
 )
 from inspe_jax.placement.optimise import DEFAULT_SECONDS, METHODS
 from inspe_jax.placement.run import check_budget, check_seed
@@ -159,11 +159,6 @@ def _canonical_weights(given: Any) -> list[float] | dict[str, float]:
     return list(by_name.values())[:PAPER_METRICS]
 
 
-def _in_any(weights: list[dict[str, float]]) -> dict[str, float]:
-    """The largest weight that each metric has."""
-    return {name: max(row[name] for row in weights) for name in metrics.METRICS} if weights else {}
-
-
 def _check_weights(value: Any) -> None:
     """Raise InspeError where a study's weights are not numbers by name, or three numbers."""
     numbers = list(value.values()) if isinstance(value, dict) else value
@@ -176,14 +171,10 @@ def _check_weights(value: Any) -> None:
     metrics.weights_of(value)
 
 
-_Frames = Annotated[int, Field(ge=1)]
-_Budget = Annotated[float, Field(gt=0)]
-
-
 class _Build(WorldSettings):
     profile: Several[str] = Field(default=[])
     spacing: Several[Length] = Field(default=[])
-    frames: Several[_Frames] = Field(default=[])
+    frames: Several[Annotated[int, Field(ge=1)]] = Field(default=[])
     step: Several[Length] = Field(default=[])
 
 
@@ -194,8 +185,8 @@ class _Settings(_Build):
     occlusion_reference: Several[str] = Field(default=[])
     visibility: Several[str] = Field(default=[])
     method: Several[str] = Field(default=[])
-    seconds: Several[_Budget] = Field(default=[])
-    evaluations: Several[_Budget] = Field(default=[])
+    seconds: Several[Length] = Field(default=[])
+    evaluations: Several[Length] = Field(default=[])
     search_seed: Several[Count] = Field(default=[])
 
 
@@ -235,12 +226,13 @@ def make_study(
     content: Mapping[str, Any], folder: Path, where: str = "study", name: str = "study"
 ) -> Study:
     """A study from the content of a study file; its paths are relative to ``folder``."""
-    entry = check_model(_StudyFile, with_named_layouts(content), where)
+    entry = check_model(_StudyFile, content, where)
     whole = {key: getattr(entry.settings, key) for key in SETTINGS}
     check_settings(whole, f"{where}: settings", _CHECKS)
     weights = [metrics.weights_of(given) for given in entry.settings.weights]
     try:
-        found = metrics.chosen(entry.metrics, _in_any(weights))
+        most = {name: max(row[name] for row in weights) for name in metrics.METRICS if weights}
+        found = metrics.chosen(entry.metrics, most)
     except InspeError as e:
         raise InspeError(f"{where}: metrics: {e}") from None
     curves = _curves(entry.detection, folder, where)
@@ -250,15 +242,13 @@ def make_study(
         for profile in given["profile"] or [DEFAULT_PROFILE]:
             of = given | dict(profile=[profile])
             defaults = _defaults(profile, sized=bool(given["voxel"]))
-            for build in combinations(of, BUILD_SETTINGS, defaults):
-                for layout in layouts:
-                    for rest in combinations(
-                        of, (*CONDITIONS, *SCORE_SETTINGS, *SEARCH_SETTINGS), defaults
-                    ):
-                        settings = build | _completed(conditioned(rest))
-                        job = StudyJob(source, layout, settings, dict(item.tags), (), curves)
-                        jobs.setdefault(job.key, job)
-    return Study(entry.name or name, tuple(replace(job, metrics=found) for job in jobs.values()))
+            builds = combinations(of, BUILD_SETTINGS, defaults)
+            rests = combinations(of, SETTINGS[len(BUILD_SETTINGS) :], defaults)
+            for build, layout, rest in product(builds, layouts, rests):
+                settings = build | _completed(conditioned(rest))
+                job = StudyJob(source, layout, settings, dict(item.tags), found, curves)
+                jobs.setdefault(job.key, job)
+    return Study(entry.name or name, tuple(jobs.values()))
 
 
 def _curves(given: str | None, folder: Path, where: str) -> DetectionCurves | None:
@@ -279,19 +269,16 @@ def _defaults(profile: str, sized: bool) -> dict[str, list[Any]]:
     """
     own = profile_of(profile)
     lattice = dict(spacing=[None]) if sized else {}
-    return (
-        defaults_of((*BUILD_SETTINGS, *CONDITIONS), profile)
-        | lattice
-        | dict(
-            weights=[None],
-            occlusion_reference=[own.occlusion_reference],
-            visibility=[own.visibility],
-            method=[SCORE_ONLY],
-            seconds=[None],
-            evaluations=[None],
-            search_seed=[0],
-        )
+    rest = dict(
+        weights=[None],
+        occlusion_reference=[own.occlusion_reference],
+        visibility=[own.visibility],
+        method=[SCORE_ONLY],
+        seconds=[None],
+        evaluations=[None],
+        search_seed=[0],
     )
+    return defaults_of((*BUILD_SETTINGS, *CONDITIONS), profile) | lattice | rest
 
 
 def _completed(settings: dict[str, Any]) -> dict[str, Any]:

@@ -93,6 +93,7 @@ def failure_columns(error: str) -> Row:
 def _scored(
     scene: Scene, layout: Layout, job: StudyJob
 ) -> tuple[Scores, float | None, Layout | None]:
+    """(scores, P_sm before a search, the layout that the search found)."""
     given = job.settings
     around = Conditions.of(given["light"], given["weather"])
     options: dict[str, Any] = dict(

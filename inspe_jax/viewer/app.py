@@ -35,7 +35,7 @@ from inspe_jax.viewer.job_queue import DelayedAction, JobQueue
 from inspe_jax.viewer.page_views import look_from
 from inspe_jax.viewer.panel import Panel
 from inspe_jax.viewer.scorer import ScoredLayout, Scorer
-from inspe_jax.viewer.searcher import SearchCallbacks, SearchEnding, Searcher
+from inspe_jax.viewer.searcher import SearchEnding, Searcher
 from inspe_jax.viewer.server import AccessRules, quiet, serve
 from inspe_jax.viewer.session import LayoutSession
 from inspe_jax.viewer.store import LayoutStore
@@ -49,7 +49,7 @@ SEARCH_COMPILES = 40.0
 _FILE = '<div data-file style="padding:.2em 1em;font-size:.875em;overflow-wrap:anywhere">{}</div>'
 
 
-class Viewer(FileActions):
+class Viewer:
     """A layout on a scene, served to browsers.
 
     ``url`` and ``port`` are the page's address, ``other_urls`` its addresses for other machines.
@@ -87,6 +87,7 @@ class Viewer(FileActions):
         self._course, self._began = "", 0.0  # how far the search is, and when it began
         self.queue = JobQueue(self._failed)
         self._playing = DelayedAction()
+        self.files = FileActions(self)
         self.access = AccessRules("127.0.0.1") if access is None else access
         self.server = serve(self.access, port, self._head())
         self.port = self.server.get_port()
@@ -100,8 +101,11 @@ class Viewer(FileActions):
             case,
             weights,
             self.session.constraints,
-            SearchCallbacks(self._on_progress, self._on_better, self._on_compiling, self._on_end),
-            detection,
+            progress=self._on_progress,
+            found=self._on_better,
+            compiling=self._on_compiling,
+            ended=self._on_end,
+            detection=detection,
         )
         self.panel.offer_earlier(self.store.earlier)
         self.queue.submit(lambda: self.display.draw_users(0))
@@ -130,7 +134,7 @@ class Viewer(FileActions):
         self.queue.close()
         with suppress(InspeError, OSError):  # the store has why
             self.store.keep(self.layout)
-        self.store.close()
+        self.files.close()
         self.display.close()
         for view in list(self.views.values()):
             view.close(wait=True)
@@ -203,7 +207,7 @@ class Viewer(FileActions):
             self.display.set_reference(self.layout, "the layout that was made it")
             self.display.notify("Reference set", "changes are shown against this layout now", None)
 
-        self._unless_searching(job)
+        self.unless_searching(job)
 
     def swap_reference(self) -> None:
         """Exchange the layout for the one that it is compared with."""
@@ -216,7 +220,7 @@ class Viewer(FileActions):
 
     def show_target(self) -> None:
         """Show how far the layout is from the target."""
-        self.queue.submit(self.display.show_target, key="target")
+        self.queue.submit(self.display.update_panel, key="target")
 
     def select_frame(self) -> None:
         """Show the slider's frame."""
@@ -241,7 +245,7 @@ class Viewer(FileActions):
             self.display.set_case(self.case)
             self._show_soon()
 
-        self._unless_searching(job)
+        self.unless_searching(job)
 
     def look_at_all(self, client: Any) -> None:
         """Point a browser's camera at the whole scene again."""
@@ -332,7 +336,7 @@ class Viewer(FileActions):
             try:
                 self.store.keep(layout)  # in case the page is lost
             finally:
-                self._show_file(layout)
+                self.show_file(layout)
 
         self.queue.submit(job, key="better")
 
@@ -353,7 +357,7 @@ class Viewer(FileActions):
 
     # ── What is shown; on the thread of the queue ──
 
-    def _unless_searching(self, job: Callable[[], Any]) -> None:
+    def unless_searching(self, job: Callable[[], Any]) -> None:
         """Submit an action, to be done unless a search runs: the page then shows its layout."""
         self.queue.submit(lambda: None if self.searching else job())
 
@@ -370,7 +374,7 @@ class Viewer(FileActions):
                 else:
                     self.changed()
 
-        self._unless_searching(job)
+        self.unless_searching(job)
 
     def changed(self) -> None:
         """Have views follow the layout, and show it soon: once for many changes in a row."""
@@ -391,7 +395,7 @@ class Viewer(FileActions):
             faults = self.session.faults()
             self.display.draw(self.layout, faults, self.session.notes)
             self._show_controls()
-            self._show_file(self.layout)
+            self.show_file(self.layout)
             self.scorer.score(self.layout, whole=True)
 
     def show_held(self, layout: Layout) -> None:
@@ -404,7 +408,8 @@ class Viewer(FileActions):
         for view in list(self.views.values()):
             view.show()
 
-    def _show_file(self, layout: Layout) -> None:
+    def show_file(self, layout: Layout) -> None:
+        """Say which file has a layout."""
         self.panel.file.content = _FILE.format(escape(self.store.words(layout)))
 
     def _head(self) -> str:

@@ -9,7 +9,7 @@ def bind(
     ask: Callable[[Any], object],
     *,
     refuse: Callable[[], None],
-    settle: Callable[[], None] | None = None,
+    settle: Callable[[], None] = lambda: None,
 ) -> None:
     """Call ``ask`` with the browser that uses a control, on the event loop, so that order is kept.
 
@@ -24,12 +24,11 @@ def bind(
         if options is not None and control.value not in options:
             refuse()
             return
-        if settle is not None:
-            settle()
+        settle()
         ask(event.client)
 
-    kinds = (getattr(control, name, None) for name in ("on_click", "on_trigger", "on_update"))
-    register = next(kind for kind in kinds if kind is not None)
+    names = ("on_click", "on_trigger", "on_update")
+    register = next(getattr(control, name) for name in names if hasattr(control, name))
     register(called)
 
 

@@ -15,7 +15,7 @@ from inspe_jax.viewer.job_queue import DelayedAction
 from inspe_jax.viewer.scorer import ScoredLayout
 from inspe_jax.viewer.selection3d import Selection3D
 from inspe_jax.viewer.sensor_controls import DIGITS, POSE, SensorControls
-from inspe_jax.viewer.sensor_view import Look, SensorView
+from inspe_jax.viewer.sensor_view import SensorShot, SensorView
 
 TYPED = 0.7
 """A typed number is applied after this time without another key [s], or before another action."""
@@ -260,7 +260,7 @@ class BrowserView:
         if not held and any(view.dragging for view in others):
             layout = self._viewer.layout
         s = None if self.in_hand is None else min(self.in_hand, len(layout) - 1)
-        self.sensor_view.look(Look(layout, s, frame, held))
+        self.sensor_view.look(SensorShot(layout, s, frame, held))
 
     def show_table(self, layout: Layout, scored: ScoredLayout | None) -> None:
         """Show a row for each sensor of a layout, with what it adds to scores, if it has any."""

@@ -124,7 +124,7 @@ class Display:
     def compare_with(self, reference: Reference) -> None:
         """Compare with this reference from now on."""
         self.reference = reference
-        self._show_scores()
+        self.update_panel()
 
     def draw(
         self,
@@ -145,7 +145,7 @@ class Display:
         for view in list(self._views.values()):
             view.show_outlines()
             self._look(view)
-        self._show_scores()
+        self.update_panel()
         self._wait()
 
     def show_selection(self, view: BrowserView) -> None:
@@ -186,7 +186,7 @@ class Display:
                 layer = banded(road_user, found[2], CHANCES)
                 self.scene3d.draw_columns(layer, faint=found[0] is not self.shown)
             self.draw_voxels()
-        self._show_scores()
+        self.update_panel()
 
     def show_found(self, layout: Layout, road_user: str, chance: Float[Any, " L"]) -> None:
         """Show the chance to find a road user at each column."""
@@ -204,11 +204,7 @@ class Display:
         scores, record = scored.scores, self.reference.conditions.record
         if scored.layout is self.reference.layout and scores and scores.conditions.record == record:
             self.reference.scores[scored.frames] = scores
-        self._show_scores()
-
-    def show_target(self) -> None:
-        """Show the target that is chosen beside the scores."""
-        self._show_scores()
+        self.update_panel()
 
     def show_sight(self, layout: Layout, frame: int, sight: UInt[Any, " V"]) -> None:
         """Show which voxels a layout sees in a frame; ``sight`` is a Visibility for each."""
@@ -277,12 +273,13 @@ class Display:
                     self._faded = True
                     self.blind_spots.outdated()
                     self.draw_ground()
-                self._show_scores()
+                self.update_panel()
                 self._wait()
 
         self._waiting.start(STALE, lambda: self._queue.submit(job, key="waiting"))
 
-    def _show_scores(self) -> None:
+    def update_panel(self) -> None:
+        """Show what is known of the shown layout, and the target, in the panel."""
         scored = self.scored
         for view in list(self._views.values()):
             self._show_table(view)
@@ -302,7 +299,7 @@ class Display:
             target=float(self._panel.target.value),
         )
         self._panel.headline.content, self._panel.scores.content, self._panel.notes.content = page
-        self._panel.notes.visible = bool(page.notes)
+        self._panel.notes.visible = bool(page[2])
         words = f"{isolated(self.shown.name)} at {isolated(self._case.scene.name)}"
         if self._current and scored is not None and scored.scores is not None:
             words = f"{scored.scores.surrogate:.4f}  {words}"  # also where the panel is collapsed

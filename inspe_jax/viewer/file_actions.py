@@ -1,118 +1,129 @@
 """What a browser asks of files: to save the layout, to open one, to write and to send them."""
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from inspe_jax.placement.problem import Case
-from inspe_jax.report.page import Start
-from inspe_jax.scoring.metrics import Weights
-from inspe_jax.sensing.layout import Layout, layout_text
-from inspe_jax.viewer.display import Display
+from inspe_jax.report.page import Start, report_entry, report_page
+from inspe_jax.sensing.layout import layout_text
 from inspe_jax.viewer.job_queue import JobQueue
-from inspe_jax.viewer.panel import Panel
-from inspe_jax.viewer.session import LayoutSession
-from inspe_jax.viewer.store import EarlierFile, LayoutStore
+from inspe_jax.viewer.page_views import VIEWS
 
 
 class FileActions:
     """The part of a :class:`~inspe_jax.viewer.app.Viewer` that has to do with files."""
 
-    case: Case
-    weights: Weights
-    further: dict[str, Any]
-    store: LayoutStore
-    session: LayoutSession
-    queue: JobQueue
-    panel: Panel
-    display: Display
-    searching: bool
-    layout: Any
-    _report: Path | None = None
-    _unless_searching: Callable[[Callable[[], Any]], None]
-    change: Callable[[Callable[[], Any]], None]
-    _show_file: Callable[[Layout], None]
-    _failed: Callable[[Exception], None]
+    def __init__(self, viewer: Any) -> None:
+        self._viewer = viewer
+        self._report: Path | None = None
+        self._writing = False
+        self._reports = JobQueue(self._report_failed)  # a report takes seconds to draw
+
+    def close(self) -> None:
+        """Finish a report that is being written."""
+        self._reports.close()
 
     def save(self) -> None:
         """Save the layout; ask first if that would replace a file of an earlier run."""
 
         def job() -> None:
-            if self.store.would_replace(self.layout):
-                self.panel.ask_replace(self.store.path.name, self.store.beside.name)
+            store = self._viewer.store
+            if store.would_replace(self._viewer.layout):
+                self._viewer.panel.ask_replace(store.path.name, store.beside.name)
             else:
                 self._save(None)
 
-        self._unless_searching(job)
+        self._viewer.unless_searching(job)
 
     def replace(self) -> None:
         """Save the layout in place of the file that is there."""
-        self._unless_searching(lambda: self._save(None))
+        self._viewer.unless_searching(lambda: self._save(None))
 
     def save_beside(self) -> None:
         """Save the layout under a new name, and keep that name from now on."""
-        self._unless_searching(lambda: self._save(self.store.beside))
+        self._viewer.unless_searching(lambda: self._save(self._viewer.store.beside))
 
     def _save(self, path: Path | None) -> None:
-        self.store.save(self.layout, path)
-        self._show_file(self.layout)
-        self.display.notify("Saved", str(self.store.path), "green")
+        viewer = self._viewer
+        viewer.store.save(viewer.layout, path)
+        viewer.show_file(viewer.layout)
+        viewer.display.notify("Saved", str(viewer.store.path), "green")
 
     def open_earlier(self, number: int) -> None:
         """Open a layout that an earlier run has left."""
+        viewer = self._viewer
 
         def change() -> None:
-            earlier: EarlierFile = self.store.earlier[number]
-            self.session.take(self.store.open(earlier))
-            self.panel.withdraw(number)
-            self.display.notify("Opened", earlier.path.name, None)
+            earlier = viewer.store.earlier[number]
+            viewer.session.take(viewer.store.open(earlier))
+            viewer.panel.withdraw(number)
+            viewer.display.notify("Opened", earlier.path.name, None)
 
-        self.change(change)
+        viewer.change(change)
 
     def download(self, client: Any) -> None:
         """Send a browser the layout, as it would be saved."""
-        self.queue.submit(lambda: send(client, self.store.path.name, layout_text(self.layout)))
+        viewer = self._viewer
+        viewer.queue.submit(
+            lambda: _send(client, viewer.store.path.name, layout_text(viewer.layout))
+        )
 
     def write_report(self) -> None:
         """Write a report beside the layout's file, and offer it to browsers; one at a time.
 
         It has before and after where the layout is not the reference, and the target if one is set.
         """
-
-        def ended(page: Path, wrong: Exception | None) -> None:
-            self.queue.submit(lambda: show(page, wrong))
-
-        def show(page: Path, wrong: Exception | None) -> None:
-            self.panel.report.disabled = self.searching
-            if wrong is None:
-                self._report = page
-                self.panel.show_report(f"The report is ready: `{page.name}`", ready=True)
-                self.display.notify("Report", "The report is ready", "green")
-            else:
-                self.panel.show_report("", ready=False)
-                self._failed(wrong)
+        viewer = self._viewer
 
         def job() -> None:
-            given = self.case, self.layout, self.weights, self.panel.shown_frame, ended
-            before = self.display.reference
-            start = None if before.layout is self.layout else Start(before.layout, before.words)
-            target = float(self.panel.target.value) or None
-            if self.store.report(*given, **self.further, start=start, target=target):
-                self.panel.report.disabled = True
-                self.panel.show_report("The report is being drawn …", ready=False)
+            if self._writing:
+                return
+            self._writing = viewer.panel.report.disabled = True
+            viewer.panel.show_report("The report is being drawn …", ready=False)
+            case, layout, frame = viewer.case, viewer.layout, viewer.panel.shown_frame
+            before = viewer.display.reference
+            start = None if before.layout is layout else Start(before.layout, before.words)
+            target = float(viewer.panel.target.value) or None
 
-        self._unless_searching(job)
+            def write() -> None:
+                entry = report_entry(
+                    case, layout, viewer.weights, start=start, target=target, **viewer.further
+                )
+                text = report_page(case.scene, [entry], frame=frame, views=VIEWS)
+                page = viewer.store.write_page(text)
+                viewer.queue.submit(lambda: self._show_report(page))
+
+            self._reports.submit(write)
+
+        viewer.unless_searching(job)
 
     def download_report(self, client: Any) -> None:
         """Send a browser the report that was written last."""
 
         def job() -> None:
             if self._report is not None:
-                send(client, self._report.name, self._report.read_text(encoding="utf-8"))
+                _send(client, self._report.name, self._report.read_text(encoding="utf-8"))
 
-        self.queue.submit(job)
+        self._viewer.queue.submit(job)
+
+    def _report_failed(self, wrong: Exception) -> None:
+        def job() -> None:
+            self._show_report(None)
+            raise wrong
+
+        self._viewer.queue.submit(job)
+
+    def _show_report(self, page: Path | None) -> None:
+        """Offer a report that is written; None offers none."""
+        panel = self._viewer.panel
+        self._writing, panel.report.disabled = False, self._viewer.searching
+        if page is None:
+            panel.show_report("", ready=False)
+        else:
+            self._report = page
+            panel.show_report(f"The report is ready: `{page.name}`", ready=True)
+            self._viewer.display.notify("Report", "The report is ready", "green")
 
 
-def send(client: Any, name: str, text: str) -> None:
+def _send(client: Any, name: str, text: str) -> None:
     """Have a browser save a file among its downloads."""
     client.send_file_download(name, text.encode(), save_immediately=True)

@@ -43,46 +43,19 @@ class Key(NamedTuple):
     changes: bool = False
 
 
+def _of_view(ask: Callable[[Any], None]) -> Callable[[Any, Any], object]:
+    """Ask something of the view of the browser in which the key is pressed."""
+    return lambda viewer, client: viewer.ask(client, ask)
+
+
 KEYS = (
-    Key("Undo", "Z", "cmd/ctrl", "Ctrl+Z", lambda viewer, _: viewer.undo_or_redo("Undo"), True),
-    Key(
-        "Redo",
-        "Z",
-        "cmd/ctrl+shift",
-        "Ctrl+Shift+Z",
-        lambda viewer, _: viewer.undo_or_redo("Redo"),
-        True,
-    ),
-    Key("Save layout", "S", "cmd/ctrl", "Ctrl+S", lambda viewer, _: viewer.save(), True),
-    Key(
-        "Select the next sensor",
-        "N",
-        None,
-        "N",
-        lambda viewer, client: viewer.ask(client, lambda view: view.step(1)),
-    ),
-    Key(
-        "Select the sensor before",
-        "N",
-        "shift",
-        "Shift+N",
-        lambda viewer, client: viewer.ask(client, lambda view: view.step(-1)),
-    ),
-    Key(
-        "Remove what is selected",
-        "delete",
-        None,
-        "Delete",
-        lambda viewer, client: viewer.ask(client, lambda view: view.remove()),
-        True,
-    ),
-    Key(
-        "Look at the whole intersection",
-        "home",
-        None,
-        "Home",
-        lambda viewer, client: viewer.look_at_all(client),
-    ),
+    Key("Undo", "Z", "cmd/ctrl", "Ctrl+Z", lambda v, _: v.undo_or_redo("Undo"), True),
+    Key("Redo", "Z", "cmd/ctrl+shift", "Ctrl+Shift+Z", lambda v, _: v.undo_or_redo("Redo"), True),
+    Key("Save layout", "S", "cmd/ctrl", "Ctrl+S", lambda v, _: v.files.save(), True),
+    Key("Select the next sensor", "N", None, "N", _of_view(lambda view: view.step(1))),
+    Key("Select the sensor before", "N", "shift", "Shift+N", _of_view(lambda view: view.step(-1))),
+    Key("Remove what is selected", "delete", None, "Delete", _of_view(lambda v: v.remove()), True),
+    Key("Look at the whole intersection", "home", None, "Home", lambda v, c: v.look_at_all(c)),
     Key("List the keys", "H", None, "H or ?", lambda _, client: _list_keys(client)),
 )
 """They are not heard while a number is typed. Arrows and W, A, S, D, Q, E move the camera, which is
@@ -155,31 +128,27 @@ class Panel:
             for key in KEYS
         }
 
-        def looks(control: Any, ask: Callable[[], object]) -> None:
-            bind(control, lambda _: ask(), refuse=viewer.restore)
-
         for key in KEYS:
-            settle = viewer.settle if key.changes else None
-            command, ask = self.keys[key.words], partial(key.ask, viewer)
-            bind(command, ask, refuse=viewer.restore, settle=settle)
+            bound = self._changes if key.changes else self._looks
+            bound(self.keys[key.words], partial(key.ask, viewer))
         self._changes(self.edit, lambda _: self._edit(self.edit.value))
         compare = {"Set to this": viewer.set_reference, "Swap": viewer.swap_reference}
         self._changes(self.compare, lambda _: compare[self.compare.value]())
         bind_choice(self.method)
         self._changes(self.optimise, lambda _: viewer.optimise())
-        looks(self.stop, viewer.stop)
-        looks(self.target, viewer.show_target)
+        self._looks(self.stop, lambda _: viewer.stop())
+        self._looks(self.target, lambda _: viewer.show_target())
         for control in (self.frame, self.play):
-            looks(control, viewer.select_frame)
+            self._looks(control, lambda _: viewer.select_frame())
         for choice in (self.light, self.weather):
             self._changes(choice, lambda _: viewer.change_conditions())
-        looks(self.ground, viewer.color_ground)
+        self._looks(self.ground, lambda _: viewer.color_ground())
         for box in self.shown.values():
-            looks(box, viewer.show_voxels)
-        self._changes(self.save, lambda _: viewer.save())
-        self._changes(self.download, viewer.download)
-        self._changes(self.report, lambda _: viewer.write_report())
-        bind(self.download_report, viewer.download_report, refuse=viewer.restore)
+            self._looks(box, lambda _: viewer.show_voxels())
+        self._changes(self.save, lambda _: viewer.files.save())
+        self._changes(self.download, viewer.files.download)
+        self._changes(self.report, lambda _: viewer.files.write_report())
+        self._looks(self.download_report, viewer.files.download_report)
 
     @property
     def sensor_orders(self) -> tuple[float, float, float, float]:
@@ -204,14 +173,14 @@ class Panel:
             leave = self._gui.add_button("Leave them", color="gray")
             self._changes(leave, lambda _: self._leave())
 
+    def _open_earlier(self, number: int, _: Any) -> None:
+        self._viewer.files.open_earlier(number)
+
     def withdraw(self, number: int) -> None:
         """Stop offering a layout, since it is open."""
         self.offers[number].visible = False
         if not any(offer.visible for offer in self.offers):
             self._leave()
-
-    def _open_earlier(self, number: int, _: Any) -> None:
-        self._viewer.open_earlier(number)
 
     def _leave(self) -> None:
         self.earlier.visible = False
@@ -225,8 +194,8 @@ class Panel:
                 f"`{name}` was not written by this run of the viewer. It may hold other work."
             )
             for answer, then in (
-                (self._gui.add_button(f"Save as {other}"), self._viewer.save_beside),
-                (self._gui.add_button(f"Replace {name}", color="red"), self._viewer.replace),
+                (self._gui.add_button(f"Save as {other}"), self._viewer.files.save_beside),
+                (self._gui.add_button(f"Replace {name}", color="red"), self._viewer.files.replace),
                 (self._gui.add_button("Cancel", color="gray"), lambda: None),
             ):
                 self._changes(answer, partial(self._answer, then))
@@ -250,13 +219,17 @@ class Panel:
         """The slider's frame. With a single frame the slider still has two places."""
         return min(max(int(self.frame.value), 0), self._frames - 1)
 
+    def _looks(self, control: Any, ask: Callable[[Any], object]) -> None:
+        """Bind what changes only what is shown, and what stops a search."""
+        bind(control, ask, refuse=self._viewer.restore)
+
     def _changes(self, control: Any, ask: Callable[[Any], object]) -> None:
         """Bind what changes the layout, saves it or begins something with it."""
         bind(control, ask, refuse=self._viewer.restore, settle=self._viewer.settle)
 
     def _edit(self, what: str) -> None:
         if what == "Save":
-            self._viewer.save()
+            self._viewer.files.save()
         else:
             self._viewer.undo_or_redo(what)
 

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import shapely
 import viser
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from matplotlib.colors import to_hex, to_rgb
 from scipy.spatial.transform import Rotation
 
@@ -78,7 +78,7 @@ class Scene3D:
     def __init__(self, api: viser.SceneApi, scene: Scene) -> None:
         """Draw the ground, the lanes and the static bodies."""
         self.api, self.scene = api, scene
-        self.shift = scene.voxels.center
+        self.shift, self._ground = scene.voxels.center, scene.intersection.ground
         self.drawn: dict[str, Any] = {}
         self._looks: dict[int, tuple[Spec, str]] = {}  # of the sensors that are drawn
         self._at: dict[int, Float[np.ndarray, 6]] = {}  # their poses
@@ -144,28 +144,25 @@ class Scene3D:
                 for name in before:
                     self.drawn[name].visible = kind in wanted
                 continue
-            if kind in wanted:
-                draw = self._draw_tint if kind in TINTS else self._draw_hidden
-                new = draw(prefix, kind, kinds, fading)
+            if kind in wanted and kind in TINTS:
+                new = self._draw_tint(prefix, kind, kinds, fading)
+            elif kind in wanted and (kinds == kind).any():
+                self._draw_hidden(prefix, kinds == kind, fading * OPACITY)
+                new = {prefix}
             for name in before:
                 if name not in new:
                     self._forget(name)
 
-    def _draw_hidden(
-        self, name: str, kind: Visibility, kinds: Int[np.ndarray, "L Z"], fading: float
-    ) -> set[str]:
-        """Draw the voxels of a kind as boxes; returns the names of what is drawn."""
+    def _draw_hidden(self, name: str, hidden: Bool[np.ndarray, "L Z"], opacity: float) -> None:
+        """Draw voxels as boxes."""
         grid = self.scene.voxels
-        column, low, high = runs(kinds == kind)
-        if not len(column):
-            return set()
+        column, low, high = runs(hidden)
         foot = grid.ground[column] + grid.spacing * low
         tall = grid.spacing * (high - low)
         center = np.column_stack([grid.columns[column], foot + tall / 2]) - self.shift
         wide = np.full(len(column), 0.94 * grid.spacing)
         size = np.column_stack([wide, wide, tall])
-        self._boxes(name, center, size, SIGHT_COLORS[kind], opacity=fading * OPACITY)
-        return {name}
+        self._boxes(name, center, size, SIGHT_COLORS[Visibility.HIDDEN], opacity=opacity)
 
     def _draw_tint(
         self, name: str, kind: Visibility, kinds: Int[np.ndarray, "L Z"], fading: float
@@ -186,8 +183,7 @@ class Scene3D:
 
         With ``faint`` they are nearly transparent, for a layout that has changed since.
         """
-        for name in [name for name in self.drawn if name.startswith("columns/")]:
-            self._forget(name)
+        self._forget_all("columns/")
         if layer is None:
             return
         for kind, (words, color) in enumerate(layer.kinds):
@@ -196,8 +192,7 @@ class Scene3D:
 
     def draw_letters(self, places: dict[str, tuple[float, float]]) -> None:
         """Draw a letter at each place [m] of the ground, in place of those before."""
-        for name in [name for name in self.drawn if name.startswith("letters/")]:
-            self._forget(name)
+        self._forget_all("letters/")
         for letter, at in places.items():
             (point,) = self._on_ground(np.array([at]), lift=1.0)
             name = f"letters/{letter}"
@@ -220,10 +215,8 @@ class Scene3D:
         ]
         for k, look in list(self._looks.items()):
             if k >= len(looks) or look != looks[k]:
-                for part in ("device", "frustum", "pole", "view"):
-                    self._forget(f"sensors/{k + 1}/{part}")
-                del self._looks[k]
-                self._at.pop(k, None)
+                self._forget_all(f"sensors/{k + 1}/")
+                del self._looks[k], self._at[k]
         poses = np.asarray(layout.poses, float)
         for k, (spec, color) in enumerate(looks):
             if k not in self._looks:
@@ -266,8 +259,10 @@ class Scene3D:
         if isinstance(spec, CameraSpec):
             frustum = self.drawn[f"{name}/frustum"]
             frustum.position, frustum.wxyz = at, quaternion(turn @ OPTICAL)
-        self.drawn[f"{name}/pole"].points = self._pole(at).astype(np.float32)
-        self.drawn[f"{name}/view"].points = self._view(spec, pose).astype(np.float32)
+        pole = np.array([[*self._on_ground(pose[None, :2], lift=0.0), at]])
+        view = self._on_ground(view_outline(spec, pose, self._ground(pose[None, :2])[0]))
+        self.drawn[f"{name}/pole"].points = pole.astype(np.float32)
+        self.drawn[f"{name}/view"].points = segments(view).astype(np.float32)
 
     def _number(
         self, layout: Layout, poses: Float[np.ndarray, "S 6"], wrong: set[int]
@@ -285,12 +280,9 @@ class Scene3D:
                 label = self.api.add_label(f"numbers/{u + 1}", word, anchor="bottom-center")
                 self.drawn[f"numbers/{u + 1}"] = label
                 new[u] = self.drawn[f"numbers/{u + 1}/ball"] = self.api.add_icosphere(
-                    f"numbers/{u + 1}/ball",
-                    BALL,
-                    opacity=0.0,
-                    cast_shadow=False,
+                    f"numbers/{u + 1}/ball", BALL, opacity=0.0, cast_shadow=False,
                     position=(0.0, 0.0, BALL),
-                )
+                )  # fmt: skip
             label.text, label.position = word, at
         for u in range(len(units), self._units):
             self._forget(f"numbers/{u + 1}/ball")
@@ -298,17 +290,13 @@ class Scene3D:
         self._units = len(units)
         return new
 
-    def _pole(self, at: Float[np.ndarray, "3"]) -> Float[np.ndarray, "1 2 3"]:
-        foot = self._on_ground(at[None, :2] + self.shift[:2], lift=0.0)[0]
-        return np.array([[foot, at]])
-
-    def _view(self, spec: Spec, pose: Float[np.ndarray, "6"]) -> Float[np.ndarray, "M 2 3"]:
-        level = self.scene.intersection.ground(pose[None, :2])[0]
-        return segments(self._on_ground(view_outline(spec, pose, level)))
-
     def _forget(self, name: str) -> None:
         if name in self.drawn:
             self.drawn.pop(name).remove()
+
+    def _forget_all(self, prefix: str) -> None:
+        for name in [name for name in self.drawn if name.startswith(prefix)]:
+            self._forget(name)
 
     @cached_property
     def _corners(self) -> tuple[Float[np.ndarray, "C 3"], Int[np.ndarray, "L 4"]]:
@@ -354,7 +342,7 @@ class Scene3D:
             self._lines("ground/lanes", np.concatenate(near), "#ffffff", 0.06)
 
     def _on_ground(self, xy: Float[np.ndarray, "N 2"], lift: float = LIFT) -> np.ndarray:
-        z = self.scene.intersection.ground(np.asarray(xy, float))
+        z = self._ground(np.asarray(xy, float))
         return np.column_stack([xy, z + lift]) - self.shift
 
     def _lines(self, name: str, ends: np.ndarray, color: str, wide: float) -> None:
@@ -385,18 +373,11 @@ class Scene3D:
         if turn is None:
             turn = np.tile([1.0, 0.0, 0.0, 0.0], (len(center), 1))
         self.drawn[name] = self.api.add_batched_meshes_simple(
-            name,
-            _BOX.astype(np.float32),
-            _FACES.astype(np.uint32),
-            turn.astype(np.float32),
-            center.astype(np.float32),
-            batched_scales=size.astype(np.float32),
-            batched_colors=rgb(color),
-            opacity=opacity,
-            lod="off",
-            flat_shading=True,
+            name, _BOX.astype(np.float32), _FACES.astype(np.uint32), turn.astype(np.float32),
+            center.astype(np.float32), batched_scales=size.astype(np.float32),
+            batched_colors=rgb(color), opacity=opacity, lod="off", flat_shading=True,
             cast_shadow=opacity is None,
-        )
+        )  # fmt: skip
 
 
 def runs(flags: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -413,9 +394,7 @@ def segments(line: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "M 2 3"]:
 
 def mixed(one: str, other: str, share: float) -> str:
     """A colour between two, with so much of the other, from 0 to 1."""
-    pairs = zip(to_rgb(one), to_rgb(other), strict=True)
-    red, green, blue = ((1.0 - share) * a + share * b for a, b in pairs)
-    return to_hex((red, green, blue))
+    return to_hex((1.0 - share) * np.array(to_rgb(one)) + share * np.array(to_rgb(other)))
 
 
 def rgb(color: str) -> tuple[int, int, int]:

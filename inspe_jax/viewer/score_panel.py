@@ -1,12 +1,9 @@
 """The panel of a layout's scores, with the rules of mounting that it breaks, and its sensors."""
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import Any
 
-from inspe_jax.core.errors import InspeError
 from inspe_jax.core.words import counted
-from inspe_jax.placement.objective import Objective
 from inspe_jax.report.figures import SENSOR_COLORS
 from inspe_jax.report.layers import SIGHT_COLORS, USER_COLOR
 from inspe_jax.report.page import template
@@ -47,14 +44,6 @@ _NOTES = template("viewer", "notes.html.j2")
 _TABLE = template("viewer", "sensor_table.html.j2")
 
 
-class ScorePanel(NamedTuple):
-    """Scores as HTML: P_sm and how far scoring is; all else; and notes on the last change."""
-
-    headline: str
-    details: str
-    notes: str
-
-
 def score_panel(
     layout: Layout,
     scored: ScoredLayout | None,
@@ -70,30 +59,33 @@ def score_panel(
     road_user: str | None = None,
     awaited: str | None = None,
     target: float = 0.0,
-) -> ScorePanel:
-    """A layout's scores as HTML.
+) -> tuple[str, str, str]:
+    """A layout's scores as HTML: P_sm and how far scoring is; all else; notes on the last change.
 
-    ``scored``: the newest scores, or None. Those of another layout are shown in grey.
-    ``frames``: number of frames of the whole traffic.
-    ``outdated``: whether the scores are of other conditions, or of another layout.
-    ``reference``: the scores of the layout that this one is compared with, on the same frames.
-    ``reference_words``: which layout that is.
-    ``faults``: the rules of mounting that the layout breaks, in words.
-    ``notes``: how mounting has changed the last change, in words.
-    ``waiting``: what is being done while the layout has no scores.
-    ``faded``: whether scores of another layout are faded.
-    ``road_user``: by the chance to find whom the ground is coloured; None if it is not.
-    ``awaited``: by the chance to find whom it will be.
-    ``target``: the P_sm that the layout should reach; 0 for none.
+    Args:
+        layout: The layout.
+        scored: The newest scores, or None. Those of another layout are shown in grey.
+        frames: Number of frames of the whole traffic.
+        outdated: Whether the scores are of other conditions, or of another layout.
+        reference: Scores of the layout that this one is compared with, on the same frames.
+        reference_words: Which layout that is.
+        faults: The rules of mounting that the layout breaks, in words.
+        notes: How mounting has changed the last change, in words.
+        waiting: What is being done while the layout has no scores.
+        faded: Whether scores of another layout are faded.
+        road_user: Class of the road users by whose detectability the ground is coloured.
+        awaited: Class of those by whose detectability it will be.
+        target: The P_sm that the layout should reach; 0 for none.
     """
     scores = None if scored is None else scored.scores
     before = None if scores is None or reference is None else reference.surrogate
     new = scored if scored is not None and scored.layout is layout and not outdated else None
+    against = f"The reference is {reference_words}"
     headline = _HEADLINE.render(
         scores=scores,
         around="" if scores is None else scores.conditions.words,
         change="" if scores is None else _change(scores.surrogate, before),
-        against=f"The reference is {reference_words}",
+        against=against,
         before=before,
         target=target,
         target_color=TARGET_COLOR,
@@ -104,18 +96,18 @@ def score_panel(
     )
     details = _DETAILS.render(
         scores=scores,
-        against=f"The reference is {reference_words}",
+        against=against,
         faded=faded and new is None,
         wrong="" if new is None else new.wrong,
         faults=faults,
         broken=BROKEN_COLOR,
-        metrics=[] if scores is None else list(_metric_bars(scores, reference)),
-        regions=[] if scores is None else list(_region_bars(scores, reference)),
+        metrics=[] if scores is None else _metric_bars(scores, reference),
+        regions=[] if scores is None else _region_bars(scores, reference),
         keys=LEGEND if road_user is None else _found_keys(road_user),
         mounting=MOUNTING_COLOR,
         awaited=awaited,
     )
-    return ScorePanel(headline, details, _NOTES.render(notes=notes) if notes else "")
+    return headline, details, _NOTES.render(notes=notes) if notes else ""
 
 
 def sensor_table(layout: Layout, scored: ScoredLayout | None, selection: Sequence[int]) -> str:
@@ -152,45 +144,39 @@ def sensor_table(layout: Layout, scored: ScoredLayout | None, selection: Sequenc
     )
 
 
-@dataclass(frozen=True)
-class Bar:
-    """A score from 0 to 1 with its ``meaning``, and what it was before, if that is known."""
+def _bar(words: str, meaning: str, value: float, before: float | None) -> dict[str, Any]:
+    """A score from 0 to 1 with its meaning, and what it was before, if that is known.
 
-    words: str
-    meaning: str
-    value: float
-    before: float | None
-
-    @property
-    def digits(self) -> str:
-        """Three digits; more where they would say 1 and it is less."""
-        enough = (n for n in (3, 4) if self.value == 1.0 or round(self.value, n) < 1.0)
-        return f"{self.value:.{next(enough, 5)}f}"
-
-    @property
-    def change(self) -> str:
-        """What has changed, or nothing."""
-        return _change(self.value, self.before, 3)
-
-    @property
-    def worse(self) -> bool:
-        """Whether it was more before."""
-        return self.before is not None and self.value < self.before
+    It has three digits; more where they would say 1 and it is less.
+    """
+    enough = (n for n in (3, 4) if value == 1.0 or round(value, n) < 1.0)
+    return dict(
+        words=words,
+        meaning=meaning,
+        value=value,
+        before=before,
+        digits=f"{value:.{next(enough, 5)}f}",
+        change=_change(value, before, 3),
+        worse=before is not None and value < before,
+    )
 
 
-def _metric_bars(scores: Scores, reference: Scores | None) -> Iterator[Bar]:
-    for metric in METRICS.values():
-        if metric.name in scores.metrics:
-            before = None if reference is None else reference.metrics.get(metric.name)
-            words = f"{metric.words} {metric.symbol}"
-            yield Bar(words, metric.summary, scores.metrics[metric.name], before)
+def _metric_bars(scores: Scores, reference: Scores | None) -> list[dict[str, Any]]:
+    known = {} if reference is None else reference.metrics
+    return [
+        _bar(f"{m.words} {m.symbol}", m.summary, scores.metrics[m.name], known.get(m.name))
+        for m in METRICS.values()
+        if m.name in scores.metrics
+    ]
 
 
-def _region_bars(scores: Scores, reference: Scores | None) -> Iterator[Bar]:
-    for region, value in scores.region_coverage.items():
-        before = None if reference is None else reference.region_coverage.get(region)
-        meaning = f"share of the {region}'s voxels that some sensor ray passes through"
-        yield Bar(region, meaning, value, before)
+def _region_bars(scores: Scores, reference: Scores | None) -> list[dict[str, Any]]:
+    known = {} if reference is None else reference.region_coverage
+    meaning = "share of the {}'s voxels that some sensor ray passes through"
+    return [
+        _bar(region, meaning.format(region), value, known.get(region))
+        for region, value in scores.region_coverage.items()
+    ]
 
 
 def _change(value: float, before: float | None, digits: int = 4) -> str:
@@ -222,13 +208,11 @@ def _state(scored: ScoredLayout, frames: int) -> str:
 
 def cost_of(layout: Layout) -> str:
     """What a layout's sensors cost by the catalogue's prices, in words."""
-    wanted, known, unknown = Objective(), 0.0, set[str]()
-    for sensor in layout.sensors:
-        try:
-            known += wanted.price_of(sensor.spec.name)
-        except InspeError:
-            unknown.add(sensor.spec.name)
+    known, names = devices(), [sensor.spec.name for sensor in layout.sensors]
+    prices = {name: price_of(known, name) for name in names}
+    cost = sum(prices[name] or 0.0 for name in names)
+    unknown = sorted(name for name, price in prices.items() if price is None)
     if not unknown:
-        return f"{known:,.0f} US dollars"
-    without = f"no list price for {', '.join(sorted(unknown))}"
-    return f"{known:,.0f} US dollars and {without}" if known else without
+        return f"{cost:,.0f} US dollars"
+    without = f"no list price for {', '.join(unknown)}"
+    return f"{cost:,.0f} US dollars and {without}" if cost else without

@@ -7,6 +7,7 @@ already out of date are not begun.
 import threading
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -91,25 +92,24 @@ class Scorer:
 
     def select_frame(self, frame: int) -> None:
         """Select the frame whose voxels are found from now on."""
-        with self._changed:
-            self._frame = frame
-            self._todo |= {"sight"}
-            self._changed.notify()
+        self._frame = frame
+        self._do("sight")
 
     def find_targets(self, road_user: str | None) -> None:
         """Find the chance to find a road user of this class, for every layout from now on."""
-        with self._changed:
-            self._road_user = road_user
-            self._todo |= {"found"}
-            self._changed.notify()
+        self._road_user = road_user
+        self._do("found")
 
     def close(self, *, wait: bool = True) -> None:
         """End the thread, once it has done what it is at; with ``wait``, come back then."""
-        with self._changed:
-            self._todo |= {"end"}
-            self._changed.notify()
+        self._do("end")
         if wait:
             self._thread.join()
+
+    def _do(self, job: str) -> None:
+        with self._changed:
+            self._todo.add(job)
+            self._changed.notify()
 
     def _work(self) -> None:
         resumed = 0.0
@@ -129,16 +129,17 @@ class Scorer:
                 return
             if layout is None:
                 continue
-            if job == "sight":
-                self._find_visible(layout, frame)
-            elif job == "found":
-                if road_user is not None:
-                    self._find_chance(layout, road_user)
-            else:
+            if job in ("few", "whole"):
                 begun = time.monotonic()
                 self._score(layout, job == "whole", since)
                 ended = time.monotonic()
                 resumed = ended + (min(ended - begun, LONGEST_REST) if job == "few" else 0.0)
+                continue
+            with suppress(Exception):  # the scores report it
+                if job == "sight":
+                    self._find_visible(layout, frame)
+                elif road_user is not None:
+                    self._find_chance(layout, road_user)
 
     def _score(self, layout: Layout, whole: bool, since: float) -> None:
         scene, scores, wrong = self.case.scene if whole else self.few, None, ""
@@ -152,18 +153,10 @@ class Scorer:
         self._scored(ScoredLayout(layout, scores, frames, time.monotonic() - since, wrong))
 
     def _find_visible(self, layout: Layout, frame: int) -> None:
-        try:
-            sight = sight_in(self.case.scene, layout, frame, conditions=self.case.conditions)
-        except Exception:  # the scores report it
-            return
+        sight = sight_in(self.case.scene, layout, frame, conditions=self.case.conditions)
         self._sighted(layout, frame, sight)
 
     def _find_chance(self, layout: Layout, road_user: str) -> None:
-        around, curves = self.case.conditions, self.detection
-        try:
-            view = target_view(
-                self.case.scene, layout, road_user, conditions=around, detection=curves
-            )
-        except Exception:  # the scores report it
-            return
+        scene, around = self.case.scene, self.case.conditions
+        view = target_view(scene, layout, road_user, conditions=around, detection=self.detection)
         self._found(layout, road_user, view.detectability)

@@ -24,6 +24,8 @@ import threading
 import time
 import traceback
 from dataclasses import dataclass, field
+from functools import partial
+from queue import SimpleQueue
 from typing import IO, Any
 
 import jax
@@ -70,14 +72,11 @@ class SearchTask:
 
 
 class _MessageWriter:
-    """Writes messages to the page's process, from any thread.
-
-    ``compiled`` is the compile time before the present search began [s].
-    """
+    """Writes messages to the page's process, from any thread."""
 
     def __init__(self, sink: IO[bytes]) -> None:
         self._sink, self._lock = sink, threading.Lock()
-        self.compiled = 0.0
+        self.compiled = 0.0  # compile time before the present search began [s]
 
     def send(self, *message: object) -> None:
         with self._lock:
@@ -92,39 +91,24 @@ def main() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C ends the page's process
     if hasattr(os, "nice"):  # not on Windows
         os.nice(NICE)
-    tasks = _TaskQueue(sys.stdin.buffer)
+    tasks = SimpleQueue[SearchTask]()
+    threading.Thread(target=_read, args=(sys.stdin.buffer, tasks), daemon=True).start()
     out.send("ready")
     threading.Thread(target=_report_compiling, args=(out,), daemon=True).start()
     while True:
-        _search(tasks.next(), out)
+        _search(tasks.get(), out)
 
 
-class _TaskQueue:
-    """Reads the input on a thread of its own: at its end the process ends at once."""
-
-    def __init__(self, source: IO[bytes]) -> None:
-        self._source = source
-        self._waiting: list[SearchTask] = []
-        self._changed = threading.Condition()
-        threading.Thread(target=self._read, daemon=True).start()
-
-    def next(self) -> SearchTask:
-        with self._changed:
-            self._changed.wait_for(lambda: self._waiting)
-            return self._waiting.pop(0)
-
-    def _read(self) -> None:
-        while True:
-            try:
-                task = pickle.load(self._source)
-            except EOFError:
-                leave(0)
-            except Exception as e:
-                traceback.print_exception(e)
-                leave(1)
-            with self._changed:
-                self._waiting.append(task)
-                self._changed.notify()
+def _read(source: IO[bytes], tasks: SimpleQueue[SearchTask]) -> None:
+    """Read the input on a thread of its own: at its end the process ends at once."""
+    while True:
+        try:
+            tasks.put(pickle.load(source))
+        except EOFError:
+            leave(0)
+        except Exception as e:
+            traceback.print_exception(e)
+            leave(1)
 
 
 def _search(task: SearchTask, out: _MessageWriter) -> None:
@@ -140,8 +124,8 @@ def _search(task: SearchTask, out: _MessageWriter) -> None:
             objective=task.objective,
             constraints=task.constraints,
             target=task.target,
-            progress=lambda done, best: out.send("progress", done, best),
-            found=lambda layout, score: out.send("found", layout, score),
+            progress=partial(out.send, "progress"),
+            found=partial(out.send, "found"),
         )
     except InspeError as e:
         out.send("failed", str(e))

@@ -22,7 +22,7 @@ from inspe_jax.viewer.search_process import SearchTask
 
 PATIENCE = 0.4
 """Time that a process gets to end by itself before it is killed [s]."""
-KILLED = -9
+KILLED, KILLED_WORDS = -9, "killed, as happens when memory runs out"
 """Exit status of a process that the system killed; does not occur on Windows."""
 PROCESS_ENVIRONMENT = {"XLA_PYTHON_CLIENT_PREALLOCATE": "false"}
 """Of the search's process: the page's process already has most of a graphics card's memory."""
@@ -66,26 +66,15 @@ class SearchEnding:
         return f"{self.reason}: P_sm {score} in {seconds:.0f} s, with compiling"
 
 
-@dataclass(frozen=True)
-class SearchCallbacks:
-    """Functions that a search calls, on a thread of its own.
-
-    ``progress`` gets the fraction of the budget that is spent and the best score; ``found`` gets
-    every layout that is the best so far and its score; ``compiling`` gets the time that compiling
-    has taken so far [s]; ``ended`` is called once, at the end.
-    """
-
-    progress: Callable[[float, float], None]
-    found: Callable[[Layout, float], None]
-    compiling: Callable[[float], None]
-    ended: Callable[[SearchEnding], None]
-
-
 class Searcher:
     """Runs one search at a time; ``running`` is true until ``ended`` is called.
 
     Searches run in a process beside this one. It is kept for the next search, which then finds
     the programs that are compiled already.
+
+    Four functions are called on a thread of its own: ``progress`` with the fraction of the budget
+    that is spent and the best score, ``found`` with every layout that is the best so far and its
+    score, ``compiling`` with the time that compiling has taken so far [s], ``ended`` once.
     """
 
     def __init__(
@@ -93,12 +82,17 @@ class Searcher:
         case: Case,
         weights: Weights,
         constraints: Constraints,
-        callbacks: SearchCallbacks,
+        *,
+        progress: Callable[[float, float], None],
+        found: Callable[[Layout, float], None],
+        compiling: Callable[[float], None],
+        ended: Callable[[SearchEnding], None],
         detection: DetectionCurves | None = None,
     ) -> None:
         self.case, self.constraints = case, constraints
         self.objective = Objective(weights=weights, detection=detection)
-        self._callbacks, self._lock = callbacks, threading.RLock()
+        self._progress, self._found, self._compiling = progress, found, compiling
+        self._ended, self._lock = ended, threading.RLock()
         self._process: subprocess.Popen[bytes] | None = None
         self._closed = self._ready = False
         self._best: tuple[Layout, float] | None = None
@@ -183,11 +177,10 @@ class Searcher:
         self.running = False
         if self._best is None:
             reason = reason if failed else "stopped before there was a score"
-            self._callbacks.ended(SearchEnding(None, 0.0, 0.0, reason, failed))
+            self._ended(SearchEnding(None, 0.0, 0.0, reason, failed))
         else:
             layout, score = self._best
-            ending = SearchEnding(named_optimised(layout), self._first, score, reason, failed)
-            self._callbacks.ended(ending)
+            self._ended(SearchEnding(named_optimised(layout), self._first, score, reason, failed))
 
     def _send(self, process: "subprocess.Popen[bytes]", task: SearchTask) -> None:
         """Send a search to its process. If the process has ended, :meth:`_listen` reports it."""
@@ -222,25 +215,26 @@ class Searcher:
             process.kill()
             self._process, status = None, _release(process)
             if self.running:
-                self._end(f"the search's process ended by itself ({_reason(status)})", failed=True)
+                why = KILLED_WORDS if status == KILLED else f"status {status}"
+                self._end(f"the search's process ended by itself ({why})", failed=True)
 
     def _receive(self, kind: str, *content: Any) -> None:
         if kind == "progress":
-            self._callbacks.progress(*content)
+            self._progress(*content)
         elif kind == "compiling":
-            self._callbacks.compiling(*content)
+            self._compiling(*content)
         elif kind == "found":
             if self._best is None:
                 self._first = content[1]
             self._best = content
-            self._callbacks.found(*content)
+            self._found(*content)
         elif kind == "failed":
             self._end(content[0], failed=True)
         elif kind == "ended":
             result, self.running = content[0], False
             scores = result.objective_before, result.objective
             reason = REASONS[result.status]
-            self._callbacks.ended(SearchEnding(result.layout, *scores, reason, notes=result.notes))
+            self._ended(SearchEnding(result.layout, *scores, reason, notes=result.notes))
 
 
 def _release(process: "subprocess.Popen[bytes]") -> int:
@@ -249,10 +243,3 @@ def _release(process: "subprocess.Popen[bytes]") -> int:
     with contextlib.suppress(OSError):  # what it has not read is lost
         process.stdin.close()
     return process.wait()
-
-
-def _reason(status: int) -> str:
-    """What an exit status means."""
-    if status == KILLED:
-        return "killed, as happens when memory runs out"
-    return f"status {status}"

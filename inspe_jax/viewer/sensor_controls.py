@@ -93,7 +93,7 @@ class SensorControls:
             selects(number, partial(self._typed, view, key))
         changes(self.device, lambda: view.swap(self._devices[self.device.value]))
         changes(self.existing, lambda: self._do(view, self.existing.value))
-        bind_choice(self.new, chosen=self._choose)
+        bind_choice(self.new, chosen=self._not_offered)
         changes(self.add, lambda: view.add(self._devices[self.new.value]))
 
     def list_sensors(self, names: Sequence[str], in_hand: int | None) -> None:
@@ -144,7 +144,7 @@ class SensorControls:
         for control in (self.device, self.name, *self.pose.values()):
             control.disabled = not (change and selected)
 
-    def _choose(self) -> None:
+    def _not_offered(self) -> None:
         self._offered = None
 
     def _typed(self, view: Any, key: str) -> None:

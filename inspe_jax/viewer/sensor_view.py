@@ -7,7 +7,7 @@ meanwhile: pictures of a place that is already out of date are not begun.
 
 import base64
 import io
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -35,30 +35,17 @@ LISTED = 6
 """Number of road users that are listed, the nearest ones."""
 QUALITY = 88
 """Of a JPEG, of 100."""
-_NEAREST = "; the nearest:"
 _TEMPLATE = template("viewer", "sensor_view.html.j2")
 
 
-class Look(NamedTuple):
-    """What is looked at: with sensor ``s`` of a layout, or none, in frame ``t``. ``held``: it is
-    moved at the moment. Its unit then has no mast, and those of the others are where they were."""
+class SensorShot(NamedTuple):
+    """What is recorded: sensor ``s`` of a layout, or none, in frame ``t``. ``held``: it is being
+    moved. Its unit then has no mast, and those of the others are where they were."""
 
     layout: Layout
     s: int | None
     t: int
     held: bool
-
-    def same(self, other: "Look") -> bool:
-        """Whether another is the same: layouts are, if they are one object."""
-        return self.layout is other.layout and self[1:] == other[1:]
-
-
-class Seen(NamedTuple):
-    """A road user that a sensor has something of: its class, its distance [m], and how much."""
-
-    kind: str
-    distance: float
-    much: str
 
 
 class SensorView:
@@ -83,7 +70,7 @@ class SensorView:
         self._folder, self._show_points = folder, show_points
         self._recording = JobQueue(failed)
         self._live: tuple[Case, Layout, int, LiveSensor] | None = None
-        self._newest: tuple[Case, Look] | None = None
+        self._newest: tuple[Case, SensorShot] | None = None
         with folder:
             self.on = gui.add_checkbox("Live", True, hint="Record what the selected sensor gets")
             self.picture = gui.add_html("")
@@ -94,14 +81,15 @@ class SensorView:
             if newest is not None and event.client is not None:
                 self.look(newest[1])
 
-    def look(self, at: Look) -> None:
+    def look(self, at: SensorShot) -> None:
         """Show this, unless something newer is to be shown before it is begun.
 
         Does nothing if it is shown already.
         """
-        newest = self._newest
-        if newest is not None and newest[0] is self.case and newest[1].same(at):
-            return
+        if self._newest is not None:
+            case, newest = self._newest
+            if case is self.case and newest.layout is at.layout and newest[1:] == at[1:]:
+                return
         self._newest = self.case, at
         self._recording.submit(lambda: self._look(at), key="look")
 
@@ -109,7 +97,7 @@ class SensorView:
         """Record nothing more; with ``wait``, come back when the last recording has ended."""
         self._recording.close(PATIENCE if wait else 0)
 
-    def _look(self, at: Look) -> None:
+    def _look(self, at: SensorShot) -> None:
         seen, page = None, ""
         try:
             if self.on.value and at.s is not None:
@@ -128,7 +116,7 @@ class SensorView:
             self._folder.label = f"Through {which}"
             self._show_points(world_points(seen).T if isinstance(seen, Scan) else None)
 
-    def _live_sensor(self, at: Look, s: int) -> LiveSensor:
+    def _live_sensor(self, at: SensorShot, s: int) -> LiveSensor:
         """The selected sensor: while it is held, in the surroundings that it was taken up in."""
         if self._live is not None:
             case, layout, of, sensor = self._live
@@ -143,40 +131,27 @@ class SensorView:
 
 def _page(spec: Spec, boxes: Sequence[RoadUserBox], seen: Image | Scan, *, held: bool) -> str:
     """What a sensor has recorded, as HTML."""
-    rows = sorted(_rows(spec, boxes, seen), key=lambda row: row.distance)
-    return _TEMPLATE.render(
-        wrong="",
-        image=picture_url(seen.rgb, exact=not held) if isinstance(seen, Image) else "",
-        summary=_summary(boxes, seen),
-        rows=rows[:LISTED],
-    )
-
-
-def _summary(boxes: Sequence[RoadUserBox], seen: Image | Scan) -> str:
-    if isinstance(seen, Image):
-        shown = np.count_nonzero(np.asarray(seen.pixels))
-        return f"{shown} of {len(boxes)} road users are in the picture{_NEAREST}"
-    enough = np.count_nonzero(np.asarray(seen.returns) >= FEW)
-    some = f"{enough} of {len(boxes)} road users have {FEW:g} or more"
-    return f"{len(seen.points):,} points; {some}{_NEAREST}"
-
-
-def _rows(spec: Spec, boxes: Sequence[RoadUserBox], seen: Image | Scan) -> Iterator[Seen]:
-    """The road users that a sensor has something of."""
     pose = np.asarray(seen.pose, float)
     at = np.array([box.center for box in boxes]).reshape(-1, 3)
     away = np.linalg.norm(at - pose[:3], axis=1)
-    if isinstance(seen, Scan):
-        for box, distance, points in zip(boxes, away, np.asarray(seen.returns), strict=True):
-            if points > 0:
-                yield Seen(box.kind, distance, counted(int(points), "point"))
-        return
-    sharp = np.where(away <= spec.grid.reach, pixel_density_at(spec, pose, at), np.nan)
-    for box, distance, density, share in zip(
-        boxes, away, sharp, np.asarray(seen.share), strict=True
-    ):
-        if share > 0:
-            yield Seen(box.kind, distance, f"{_sharpness(density)}; {1 - share:.0%} hidden")
+    if isinstance(seen, Image):
+        image = picture_url(seen.rgb, exact=not held)
+        shown = np.count_nonzero(np.asarray(seen.pixels))
+        summary = f"{shown} of {len(boxes)} road users are in the picture"
+        sharp = np.where(away <= spec.grid.reach, pixel_density_at(spec, pose, at), np.nan)
+        share = np.asarray(seen.share)
+        there = share > 0
+        much = [f"{_sharpness(d)}; {1 - s:.0%} hidden" for d, s in zip(sharp, share, strict=True)]
+    else:
+        image, returns = "", np.asarray(seen.returns)
+        enough = np.count_nonzero(returns >= FEW)
+        summary = f"{len(seen.points):,} points; {enough} of {len(boxes)} road users have {FEW:g}"
+        summary += " or more"
+        there, much = returns > 0, [counted(int(points), "point") for points in returns]
+    nearest = [k for k in np.argsort(away, kind="stable") if there[k]][:LISTED]
+    rows = [dict(kind=boxes[k].kind, distance=away[k], much=much[k]) for k in nearest]
+    summary += "; the nearest:"
+    return _TEMPLATE.render(wrong="", image=image, summary=summary, rows=rows)
 
 
 def _sharpness(density: float) -> str:

@@ -112,14 +112,13 @@ class AccessRules:
 
     def urls(self, port: int) -> list[str]:
         """Addresses of the page; the one for this machine first."""
-        hosts = [self.host]
-        if _is_everywhere(self.host):
-            version = ipaddress.ip_address(self.host).version
-            ips = [ip for adapter in ifaddr.get_adapters() for ip in adapter.ips]
-            found = [str(ip.ip) if ip.is_IPv4 else ip.ip[0] for ip in ips]
-            there = [ip for ip in map(ipaddress.ip_address, found) if ip.version == version]
-            outward = [ip for ip in there if not (ip.is_loopback or ip.is_link_local)]
-            hosts = ["localhost" if version == 4 else "::1", *map(str, outward)]
+        hosts, every = [self.host], _address(self.host)
+        if every is not None and every.is_unspecified:
+            hosts = ["localhost" if every.version == 4 else "::1"]
+            for ip in (ip for adapter in ifaddr.get_adapters() for ip in adapter.ips):
+                at = ipaddress.ip_address(str(ip.ip) if ip.is_IPv4 else ip.ip[0])
+                if at.version == every.version and not (at.is_loopback or at.is_link_local):
+                    hosts.append(str(at))
         path = f"/{self.token}/" if self.token else "/"
         return [f"http://{f'[{host}]' if ':' in host else host}:{port}{path}" for host in hosts]
 
@@ -148,10 +147,6 @@ class AccessRules:
             return "its address names another server"
         return ""
 
-    def rest(self, path: str) -> str:
-        """A path without the token."""
-        return path.removeprefix(f"/{self.token}") if self.token else path
-
     def _is_ours(self, header: str) -> bool:
         """Whether a ``Host`` names this machine.
 
@@ -164,7 +159,7 @@ class AccessRules:
         if self.local:
             return name == self.host.lower() or _is_loopback(name)
         own = _own_names() | {self.host.lower()}
-        return name in own or _is_loopback(name) or _is_number(name)
+        return name in own or _address(name) is not None or _is_loopback(name)
 
 
 def fault_of(raw: Any) -> tuple[str, bool]:
@@ -250,9 +245,7 @@ def _guarded(access: AccessRules, port: int, head: str) -> viser.ViserServer:
     module, real, opened = websockets.asyncio.server, websockets.asyncio.server.serve, []
 
     def serve_behind(handler: Any, *args: Any, **options: Any) -> Any:
-        if (
-            handler.__module__ != viser.infra._infra.__name__
-        ):  # a server of somebody else, at the same time
+        if handler.__module__ != viser.infra._infra.__name__:  # somebody else's server
             return real(handler, *args, **options)
         opened.append(port)
         guard = _Guard(access, handler, options["process_request"], head)
@@ -341,22 +334,17 @@ class _Guard:
             words = f"This is refused: {why}.\nOpen the address that was printed.\n"
             response: Response | None = connection.respond(status, words)
         else:
-            path = self.access.rest(request.path)
+            token = self.access.token
+            path = request.path.removeprefix(f"/{token}") if token else request.path
             response = self._files(connection, replace(request, path=path))
-            if response is not None and self.head:
-                self._give_head(response)
+            if response is not None and self.head and _is_page(response):
+                zipped = response.headers["Content-Encoding"] == "gzip"
+                response.body = with_head(bytes(response.body), self.head, zipped=zipped)
+                del response.headers["Content-Length"]
+                response.headers["Content-Length"] = str(len(response.body))
         if response is not None:
-            for name, value in HEADERS.items():
-                response.headers[name] = value
+            response.headers.update(HEADERS)
         return response
-
-    def _give_head(self, response: Response) -> None:
-        """Put the head into viser's page."""
-        if response.headers.get("Content-Type", "").startswith("text/html"):
-            zipped = response.headers["Content-Encoding"] == "gzip"
-            response.body = with_head(bytes(response.body), self.head, zipped=zipped)
-            del response.headers["Content-Length"]
-            response.headers["Content-Length"] = str(len(response.body))
 
     async def handle(self, connection: ServerConnection) -> None:
         """Pass a connection on to viser, unless too many pages are open."""
@@ -415,9 +403,13 @@ class _Guard:
         self.log.warning("%s: %r", context.get("message"), wrong)
 
 
+def _is_page(response: Response) -> bool:
+    return response.headers.get("Content-Type", "").startswith("text/html")
+
+
 def _is_finite(value: Any) -> bool:
     if isinstance(value, dict):
-        value = list(value.values())
+        return all(map(_is_finite, value.values()))
     if isinstance(value, list):
         return all(map(_is_finite, value))
     if isinstance(value, str):  # viser turns it into a number for controls that have one
@@ -430,19 +422,14 @@ def _is_finite(value: Any) -> bool:
     return True
 
 
-def _is_number(name: str) -> bool:
+def _address(name: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:
+    """The IP address that a host's name is; None if it is another name."""
     try:
-        ipaddress.ip_address(name)
+        return ipaddress.ip_address(name)
     except ValueError:
-        return False
-    return True
+        return None
 
 
 def _is_loopback(name: str) -> bool:
-    return name.lower() == "localhost" or (
-        _is_number(name) and ipaddress.ip_address(name).is_loopback
-    )
-
-
-def _is_everywhere(name: str) -> bool:
-    return _is_number(name) and ipaddress.ip_address(name).is_unspecified
+    address = _address(name)
+    return name.lower() == "localhost" or (address is not None and address.is_loopback)

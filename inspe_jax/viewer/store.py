@@ -5,24 +5,17 @@ only when the user says so.
 """
 
 import re
-import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime
 from itertools import count
 from pathlib import Path
-from typing import Any
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import write_text
-from inspe_jax.placement.problem import Case
-from inspe_jax.report.page import Start, report_entry, report_page
 from inspe_jax.scene.scene import Scene
-from inspe_jax.scoring.detection import DetectionCurves
-from inspe_jax.scoring.metrics import Weights
 from inspe_jax.sensing.layout import Layout, layout_text, load_layout, save_layout
-from inspe_jax.viewer.page_views import VIEWS
 
 UNSAVED = "unsaved"
 """Part of the name of the file that keeps unsaved changes."""
@@ -56,7 +49,6 @@ class LayoutStore:
         self._written: Layout | None = None  # what is in that file
         self._wrong = ""  # why the newest layout is not
         self._taken_up: tuple[Path, Layout] | None = None
-        self._report: threading.Thread | None = None
         if self._is(self.path, opened):  # it was opened from there
             self._know(self.path)
         found = [at for at in self._others() if not self._is(at, opened)]
@@ -150,48 +142,12 @@ class LayoutStore:
         where = f"kept in {kept}" if kept else f"and kept in no file: {self._wrong}"
         return f"{self.path}, not saved yet, {where}"
 
-    def report(
-        self,
-        case: Case,
-        layout: Layout,
-        weights: Weights,
-        frame: int,
-        ended: Callable[[Path, Exception | None], None],
-        metrics: Sequence[str] = (),
-        detection: DetectionCurves | None = None,
-        start: Start | None = None,
-        target: float | None = None,
-    ) -> bool:
-        """Write a report on a thread of its own.
-
-        ``ended`` is called with its file and with the exception, or None; what follows is as in
-        :func:`~inspe_jax.report.page.report_entry`. Returns False, and does nothing, if one is
-        being written.
-        """
+    def write_page(self, text: str) -> Path:
+        """Write a report as :attr:`page`, which is returned."""
         page = self.page
-
-        def work() -> None:
-            wrong = None
-            try:
-                given: dict[str, Any] = dict(metrics=metrics, detection=detection)
-                given |= dict(start=start, target=target)
-                entry = report_entry(case, layout, weights, **given)
-                write_text(page, report_page(case.scene, [entry], frame=frame, views=VIEWS))
-                self._know(page)
-            except Exception as e:
-                wrong = e
-            ended(page, wrong)
-
-        if self._report is not None and self._report.is_alive():
-            return False
-        self._report = threading.Thread(target=work, name="report")
-        self._report.start()
-        return True
-
-    def close(self) -> None:
-        """Wait until a report that is being written is done."""
-        if self._report is not None:
-            self._report.join()
+        write_text(page, text)
+        self._know(page)
+        return page
 
     def _know(self, path: Path) -> None:
         self._known[path] = path.read_bytes()

@@ -68,7 +68,9 @@ def test_a_certain_reading_leaves_a_finite_gradient():
 
 
 def test_softness_is_one_width_or_one_for_each_kind():
-    assert Softness.of(0) == Softness.of(0.0) == Softness.of(Softness())
+    for nothing in (0, 0.0, np.int64(0), np.zeros(()), jnp.zeros(())):
+        assert Softness.of(nothing) == Softness.of(Softness(nothing, nothing)) == Softness.of(0)
+        assert Softness.of(nothing).exact
     one = Softness.of(0.3)
     assert (float(one.field), one.shadow, one.rays) == (pytest.approx(0.3), one.field, "density")
     mixed = Softness.of(Softness(field=0.5, shadow=0.0))
@@ -77,7 +79,8 @@ def test_softness_is_one_width_or_one_for_each_kind():
     given = jnp.asarray(0.3)  # a number of JAX's is none that is traced
     inside = jax.jit(lambda: Softness.of(Softness.of(given)).field)()
     assert float(inside) == pytest.approx(0.3)
-    for bad in (-1.0, "1", Softness(shadow=-0.1), float("nan"), float("inf")):
+    wrong = "1", [0.5], np.ones(2), np.float32(-1), jnp.asarray(-1.0)
+    for bad in (-1.0, Softness(shadow=-0.1), float("nan"), float("inf"), *wrong):
         with pytest.raises(InspeError, match="softness"):
             Softness.of(bad)
     with pytest.raises(InspeError, match="rays 'dense': one of exact, density"):

@@ -69,7 +69,7 @@ def toy_read(folder: Path, number: int, agents: tuple[int, ...], protocol) -> Fr
     return Frame(number, flat["time"], boxes, tuple(stations))
 
 
-TOY = DatasetFormat(toy_agents, toy_frames, toy_read, toy_write, "0.npz", "made_by.yaml")
+TOY = DatasetFormat(toy_agents, toy_frames, toy_read, toy_write, "0.npz")
 
 
 @pytest.fixture(autouse=True)
@@ -92,7 +92,7 @@ def study(folder: Path, **changes) -> Path:
 def test_frames_are_read_back_as_they_were_written(tmp_path):
     for number in (3, 68):
         dataset.write_frame(tmp_path / "train" / "a", frame(number), "npz")
-    dataset.write_protocol(tmp_path / "train" / "a", {"world": WORLD}, format="npz")
+    dataset.write_protocol(tmp_path / "train" / "a", {"world": WORLD})
     dataset.write_frame(tmp_path / "train" / "b", frame(1))  # OPV2V, in the same set
     first, second = dataset.open(tmp_path).splits["train"]
     assert (first.format, first.agents, first.frames) == (TOY, (-1, -2), (3, 68))
@@ -100,20 +100,15 @@ def test_frames_are_read_back_as_they_were_written(tmp_path):
     assert_same(first.frame(68), frame(68))
     assert_same(dataset.read_frame(first.path, 3), frame(3))
     assert_same(second.frame(1), frame(1))
-    assert sorted(path.name for path in first.path.iterdir()) == ["3.npz", "68.npz", "made_by.yaml"]
+    names = ["3.npz", "68.npz", "data_protocol.yaml"]
+    assert sorted(path.name for path in first.path.iterdir()) == names
 
 
-def test_a_folder_has_the_format_of_its_frames(tmp_path, monkeypatch):
-    """Also if two formats use the same name for the protocol, or there is no protocol."""
-    alike = DatasetFormat(toy_agents, toy_frames, toy_read, toy_write, "0.npz")
-    monkeypatch.setitem(FORMATS, "npz", alike)
-    for name, of in (("a", "npz"), ("b", "opv2v")):
-        dataset.write_frame(tmp_path / name, frame(1), of)
+def test_a_folder_has_the_format_of_its_frames(tmp_path):
+    for name in ("npz", "opv2v"):
+        dataset.write_frame(tmp_path / name, frame(1), name)
     kinds = [scenario.format for scenario in dataset.open(tmp_path).scenarios]
-    assert kinds == [alike, FORMATS["opv2v"]]
-    for name, of in (("a", "npz"), ("b", "opv2v")):
-        dataset.write_protocol(tmp_path / name, {"world": WORLD}, format=of)
-    assert [scenario.format for scenario in dataset.open(tmp_path).scenarios] == kinds
+    assert kinds == [TOY, FORMATS["opv2v"]]
 
 
 def test_statistics_of_a_new_format(tmp_path):
@@ -144,19 +139,18 @@ def test_a_data_set_is_generated_in_a_new_format(tmp_path, monkeypatch):
     (scenario,) = dataset.open(tmp_path / "out").scenarios
     assert (scenario.format, scenario.frames) == (TOY, tuple(range(14)))
     # Its protocol gives a plan in the same format.
-    again = load_generation(scenario.path / "made_by.yaml")
+    again = load_generation(scenario.path / "data_protocol.yaml")
     assert (again.format, again.scenarios[0].seed) == ("npz", plan.seed)
     other = load_generation(study(tmp_path))
     with pytest.raises(InspeError, match="holds another data set, data_format npz"):
         DatasetWriter(other, tmp_path / "out", "embedded")
 
 
-@pytest.mark.parametrize("use", ["study", "frame", "protocol"])
+@pytest.mark.parametrize("use", ["study", "frame"])
 def test_unknown_formats(tmp_path, use):
     uses = SimpleNamespace(
         study=lambda: load_generation(study(tmp_path, format="opv2")),
         frame=lambda: dataset.write_frame(tmp_path / "a", frame(1), "opv2"),
-        protocol=lambda: dataset.write_protocol(tmp_path / "a", {"world": WORLD}, (), "opv2"),
     )
     with pytest.raises(InspeError, match="format: 'opv2': one of opv2v, npz; did you mean opv2v"):
         getattr(uses, use)()

@@ -2,13 +2,11 @@
 
 import numpy as np
 import pytest
-from loading_sets import HEIGHT, MARK, MIDDLE, WIDTH, write_set
+from loading_sets import MARK, MIDDLE
 
-from inspe_jax import dataset
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.geometry import rotation
 from inspe_jax.dataset.loading import Augment, Loader, PaddedPoints, Similarity, on_picture
-from inspe_jax.dataset.loading.geometry import pose_matrix
 
 CASES = {
     "none": None,
@@ -17,13 +15,6 @@ CASES = {
     "scaled": Augment(flip=0, turn=0, scale=(0.8, 1.25)),
     "all": Augment(flip=1, turn=np.pi, scale=(0.8, 1.25)),
 }
-
-
-@pytest.fixture(scope="module")
-def cached(tmp_path_factory):
-    root = tmp_path_factory.mktemp("loading")
-    write_set(root / "set")
-    return dataset.cache(root / "set", root / "cache", pictures=(HEIGHT, WIDTH), workers=1)
 
 
 @pytest.fixture(params=CASES, scope="module")
@@ -175,13 +166,6 @@ def test_a_stretch_of_a_cloud_that_is_too_large(cached):
             assert rows <= {tuple(row) for row in whole.points[1, 0][whole.mask[1, 0]]}
             firsts.append(tuple(found.lidars.points[b, 0, 0]))
         assert (len(set(firsts)) > 1) == shuffle
-
-
-def test_a_pose_is_a_matrix():
-    pose = np.array([1, 2, 3, 0.1, 0.2, 0.3])
-    found = pose_matrix(pose)
-    np.testing.assert_allclose(found[:3, :3], rotation(pose[3:], np))
-    np.testing.assert_allclose(found[:, 3], [1, 2, 3, 1])
 
 
 def test_a_similarity_by_hand():

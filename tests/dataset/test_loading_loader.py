@@ -1,25 +1,16 @@
 """The loader: its order, its seeds, its shapes, sampling by class, and what it refuses."""
 
 import pickle
-from collections import Counter
 from dataclasses import replace
 
 import jax
 import numpy as np
 import pytest
-from loading_sets import HEIGHT, MIDDLE, WIDTH, frame_of, write_scenario, write_set
+from loading_sets import HEIGHT, MIDDLE, WIDTH, frame_of, write_scenario
 
 from inspe_jax import dataset
 from inspe_jax.core.errors import InspeError
-from inspe_jax.dataset.loading import Augment, Loader, PaddedPoints, PillarGrid, order
-from inspe_jax.simulation.frame import KINDS
-
-
-@pytest.fixture(scope="module")
-def cached(tmp_path_factory):
-    root = tmp_path_factory.mktemp("loading")
-    write_set(root / "set")
-    return dataset.cache(root / "set", root / "cache", pictures=(HEIGHT, WIDTH), workers=1)
+from inspe_jax.dataset.loading import Augment, Loader, PaddedPoints, PillarGrid
 
 
 def assert_equal(a, b) -> None:
@@ -54,14 +45,12 @@ def test_an_epoch_has_each_frame_once(cached):
     assert epochs[0] != epochs[1] != epochs[2]
     assert numbers(loader) == epochs[0]
     assert len(loader) == 7
-
-
-def test_in_training_batches_are_full(cached):
-    loader = Loader(cached, batch=3, workers=0)
-    assert len(loader) == 2
-    found = list(loader)
-    assert all(batch.valid.all() for batch in found)
-    assert len(set(numbers(found))) == 6
+    full = Loader(cached, batch=3, workers=0)
+    assert len(full) == 2
+    assert all(batch.valid.all() for batch in full)
+    assert len(set(numbers(full))) == 6
+    with pytest.raises(IndexError, match="below 0"):
+        loader[-1]
 
 
 def test_in_evaluation_the_last_batch_is_filled_up(cached):
@@ -140,36 +129,6 @@ def test_scenarios_of_fewer_sensors_are_padded(tmp_path):
         Loader(blind, sensors=("camera",))
 
 
-def test_sampling_by_class(cached):
-    """Frames 0 to 2 have every class, 3 to 6 have no cyclist and no pedestrian."""
-    shares = {"cyclist": 2.0, "car": 1.0}
-    loader = Loader(cached, batch=1, by_class=shares, workers=0)
-    assert len(loader) == 7
-    found = Counter(numbers(loader.steps(0, 70)))
-    rare = sum(found[n] for n in (0, 1, 2))
-    # 2 of 3 draws are for cyclists, 5 of 7 after rounding; cars are in every frame.
-    assert 50 <= rare <= 70
-    assert set(found) == set(range(7))
-    only = Loader(cached, batch=1, by_class={"pedestrian": 1.0}, workers=0)
-    assert set(numbers(only.steps(0, 14))) == {0, 1, 2}
-
-
-def test_a_balanced_order_has_the_shares_exactly():
-    members = {"car": range(100), "cyclist": [100, 101, 102], "truck": [103]}
-    shares = {"car": 1.0, "cyclist": 2.0, "truck": 0.0}
-    drawn = order.balanced(members, shares, 30, np.random.default_rng(0))
-    counts = Counter(drawn.tolist())
-    assert len(drawn) == 30
-    assert sum(counts[n] for n in (100, 101, 102)) == 20
-    assert {counts[n] for n in (100, 101, 102)} == {6, 7}  # as often as each other
-    assert max(counts[n] for n in range(100)) == 1
-    assert counts[103] == 0
-    rounded = order.balanced(
-        members, {"car": 1, "truck": 1, "cyclist": 1}, 8, np.random.default_rng(0)
-    )
-    assert len(rounded) == 8
-
-
 def test_road_users_out_of_reach_are_left_out(cached):
     every = Loader(cached, "test", batch=3, shuffle=False, workers=0)[0].targets
     near = Loader(cached, "test", batch=3, shuffle=False, half=8.0, workers=0)[0].targets
@@ -184,40 +143,25 @@ def test_road_users_out_of_reach_are_left_out(cached):
         assert one.track[b, 0] == every.track[b, away[b].argmin()]
 
 
-def test_reach_counts_for_sampling_by_class(cached):
-    with pytest.raises(InspeError, match="no frame of split 'test' has a truck in reach"):
-        Loader(cached, "test", batch=1, by_class={"truck": 1.0}, half=0.5)
-
-
-def test_errors_of_workers_reach_the_caller(cached, monkeypatch):
-    loader = Loader(cached, batch=1, workers=2)
-    given = loader.assembly.batch
-
-    def broken(frames, draws, size):
-        if int(frames[0, 1]) == 2:
-            raise InspeError("a broken frame")
-        return given(frames, draws, size)
-
-    object.__setattr__(loader.assembly, "batch", broken)
-    with pytest.raises(InspeError, match="a broken frame"):
-        list(loader)
-
-
-def test_batches_that_nobody_asks_for_are_not_made(cached):
-    """Leaving a loop early ends its threads; nothing is made far ahead."""
-    loader = Loader(cached, batch=1, workers=2)
+def test_errors_of_workers_reach_the_caller_and_nothing_is_made_far_ahead(cached, monkeypatch):
+    """Leaving a loop early ends its threads."""
     made = []
-    given = loader.assembly.batch
+    given = Loader.__getitem__
 
-    def counted(*args):
-        made.append(1)
-        return given(*args)
+    def counted(loader, step):
+        made.append(step)
+        if step == 9:
+            raise InspeError("a broken frame")
+        return given(loader, step)
 
-    object.__setattr__(loader.assembly, "batch", counted)
+    monkeypatch.setattr(Loader, "__getitem__", counted)
+    loader = Loader(cached, batch=1, workers=2)
     steps = loader.steps()
     next(steps)
     steps.close()
     assert 1 <= len(made) <= 4
+    with pytest.raises(InspeError, match="a broken frame"):
+        list(loader.steps(7, 14))
 
 
 def test_a_loader_can_be_sent_to_another_process(cached):
@@ -247,25 +191,11 @@ def test_a_batch_is_a_pytree(cached):
         (dict(sensors=("radar",)), "sensors: 'radar': one of camera, lidar"),
         (dict(sensors="lidar"), "sensors 'lidar': a list"),
         (dict(sensors=()), "a list with at least one"),
-        (dict(by_class={"bike": 1.0}), "by_class: 'bike': one of car"),
-        (dict(by_class={"car": -1.0}), "a share, 0 or more"),
-        (dict(by_class={"car": 0.0}), "a share must be above 0"),
     ],
 )
 def test_bad_arguments(cached, bad, message):
     with pytest.raises(InspeError, match=message):
         Loader(cached, **bad)
-
-
-def test_a_negative_step(cached):
-    with pytest.raises(IndexError, match="below 0"):
-        Loader(cached, batch=1)[-1]
-
-
-def test_every_kind_has_frames(cached):
-    stored = cached.split("train")[1]
-    found = [stored.frames_with(k, None).tolist() for k in range(len(KINDS))]
-    assert found == [[0, 1, 2, 3], [0, 1, 2, 3], [], []]
 
 
 def test_targets_say_how_many_pixels_show_a_road_user(tmp_path):

@@ -16,7 +16,7 @@ from inspe_jax.cli.common import app
 from inspe_jax.core.errors import InspeError
 from inspe_jax.dataset import FileOptions, chunk, load_generation, read_frame
 from inspe_jax.dataset.check import check
-from inspe_jax.dataset.manifest import MANIFEST, RECORDS, read_manifest
+from inspe_jax.dataset.manifest import MANIFEST, RECORDS, manifest_of
 from inspe_jax.dataset.writer import DatasetWriter
 
 FRAMES = 4
@@ -93,7 +93,7 @@ def test_a_whole_set_has_no_fault(made):
     own = [path for path in files if path.name not in (MANIFEST, "generation.yaml")]
     assert found.files == len(own)
     assert found.size == sum(path.stat().st_size for path in own)
-    manifest = read_manifest(scenario(out))
+    manifest, _ = manifest_of(scenario(out))
     assert sorted(manifest.frames) == list(range(FRAMES))
     assert [*manifest.files] == ["data_protocol.yaml"]
 
@@ -254,8 +254,9 @@ def test_a_manifest_that_points_out_of_its_folder_is_rejected(copy):
         given = json.loads(path.read_text())
         given["files"][name] = [1, "0" * 64]
         path.write_text(json.dumps(given))
-        with pytest.raises(InspeError, match="must be the size and the digest"):
-            read_manifest(path.parent)
+        manifest, (fault,) = manifest_of(path.parent)
+        assert manifest is None
+        assert "must be the size and the digest" in fault.what
 
 
 def test_half_a_frame_is_not_complete(copy):

@@ -19,7 +19,7 @@ from inspe_jax.dataset import Frame, read_frame, write_frame, write_protocol
 from inspe_jax.dataset.formats import protocol_file
 from inspe_jax.dataset.formats.options import FileOptions
 from inspe_jax.dataset.formats.opv2v import writer
-from inspe_jax.dataset.formats.pictures import read_depth, write_depth
+from inspe_jax.dataset.formats.pictures import read_picture, write_picture
 
 
 def written(folder: Path, given: Frame | None = None) -> Path:
@@ -262,7 +262,7 @@ def test_any_parser_reads_the_same(tmp_path):
 
 
 def test_a_frame_that_fails_halfway_does_not_count(tmp_path, monkeypatch):
-    """The disk becomes full at the last picture: the earlier frame of this number is gone, too."""
+    """The disk becomes full at the fourth picture: the earlier frame of this number is gone."""
     scenario = written(tmp_path / "a")
     count = [0]
 
@@ -271,7 +271,7 @@ def test_a_frame_that_fails_halfway_does_not_count(tmp_path, monkeypatch):
         if count[0] == 4:
             raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(writer, "write_rgb", full)
+    monkeypatch.setattr(writer, "write_picture", full)
     with pytest.raises(OSError, match="No space"):
         write_frame(scenario, frame())
     assert not list(scenario.rglob("*.yaml.*"))
@@ -281,12 +281,8 @@ def test_a_frame_that_fails_halfway_does_not_count(tmp_path, monkeypatch):
 
 def test_yaml_is_the_last_file_of_each_agent(tmp_path, monkeypatch):
     order = []
-    for name in ("write_pcd", "write_rgb", "write_depth", "write_instance", "write_semantic"):
+    for name in ("write_pcd", "write_picture", "write_text"):
         monkeypatch.setattr(writer, name, lambda path, *_, **__: order.append(path.suffix))
-    monkeypatch.setattr(writer, "write_text", lambda path, *_: order.append(path.suffix))
-    monkeypatch.setattr(
-        writer, "LAYERS", {name: getattr(writer, f"write_{name}") for name in writer.LAYERS}
-    )
     write_frame(tmp_path, frame())
     assert order[-2:] == [".yaml"] * 2
     assert ".yaml" not in order[:-2]
@@ -422,9 +418,9 @@ def test_what_was_observed_of_each_road_user(tmp_path):
 
 def test_depth_is_capped_and_reads_as_infinite(tmp_path):
     path = tmp_path / "depth.png"
-    write_depth(path, np.array([[0.0, 1.234, 655.34], [655.35, 1e6, np.inf]]))
+    write_picture(path, "depth", np.array([[0.0, 1.234, 655.34], [655.35, 1e6, np.inf]]))
     expected = [[0, 1.23, 655.34], [np.inf] * 3]
-    np.testing.assert_allclose(read_depth(path), np.array(expected, np.float32))
+    np.testing.assert_allclose(read_picture(path, "depth"), np.array(expected, np.float32))
 
 
 @pytest.mark.parametrize(

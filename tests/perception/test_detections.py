@@ -1,37 +1,29 @@
 """The ground truth of a batch as detections."""
 
 import numpy as np
-import pytest
 
-from inspe_jax.core.errors import InspeError
 from inspe_jax.dataset.loading import Targets
 from inspe_jax.perception.detections import truth_of, within
 
 
-def targets(lidars: int = 2) -> Targets:
+def targets() -> Targets:
     """Two frames: three road users and a place for padding; and none."""
     boxes = np.zeros((2, 4, 9), np.float32)
     boxes[0, :3, 0], boxes[0, :3, 1] = [5, -20, 30], [0, 20.5, 1]
     boxes[0, :3, 3:6] = [4, 2, 1.5]
-    returns = np.zeros((2, 4, 2), np.int32)
-    returns[0, :3] = [[3, 0], [0, 0], [2, 2]]
     return Targets(
         boxes=boxes,
         kind=np.array([[1, 0, 3, 0], [0] * 4], np.int32),
         track=np.array([[7, 8, 9, 0], [0] * 4], np.int32),
-        returns=returns[..., :lidars],
+        returns=np.zeros((2, 4, 0), np.int32),
         pixels=np.zeros((2, 4, 0), np.float32),
         mask=np.array([[True, True, True, False], [False] * 4]),
     )
 
 
-def kinds(found) -> list[int]:
-    return found.kind.tolist()
-
-
 def test_the_truth_is_what_is_no_padding():
     found = truth_of(targets(), 0)
-    assert kinds(found) == [1, 0, 3]
+    assert found.kind.tolist() == [1, 0, 3]
     np.testing.assert_array_equal(found.boxes, targets().boxes[0, :3])
     assert found.score.tolist() == [1, 1, 1]
     assert [part.dtype for part in found] == [np.float32, np.int32, np.float32]
@@ -39,19 +31,6 @@ def test_the_truth_is_what_is_no_padding():
     assert [part.shape for part in none] == [(0, 9), (0,), (0,)]
 
 
-def test_road_users_with_few_returns_of_all_lidars_are_left_out():
-    assert kinds(truth_of(targets(), 0, least_returns=1)) == [1, 3]
-    assert kinds(truth_of(targets(), 0, least_returns=4)) == [3]
-    assert kinds(truth_of(targets(1), 0, least_returns=3)) == [1]
-
-
-def test_without_lidars_nothing_can_be_left_out_by_returns():
-    assert kinds(truth_of(targets(0), 0)) == [1, 0, 3]
-    with pytest.raises(InspeError, match=r"least_returns 1: the set has no LiDARs .* use 0"):
-        truth_of(targets(0), 0, least_returns=1)
-
-
 def test_a_region_keeps_its_edge():
-    assert kinds(truth_of(targets(), 0, half=20.5)) == [1, 0]
-    assert kinds(truth_of(targets(), 0, half=20.4)) == [1]
-    assert kinds(within(truth_of(targets(), 0), 30)) == [1, 0, 3]
+    for half, kept in ((30, [1, 0, 3]), (20.5, [1, 0]), (20.4, [1])):
+        assert within(truth_of(targets(), 0), half).kind.tolist() == kept

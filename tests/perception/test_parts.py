@@ -1,5 +1,7 @@
 """What detectors are made of, against the same written otherwise."""
 
+from functools import partial
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -13,9 +15,8 @@ from inspe_jax.dataset.loading import PillarGrid, Pillars, Targets, on_picture
 from inspe_jax.dataset.loading.geometry import pose_matrix
 from inspe_jax.perception.encoders import LiftSplat, PillarEncoder
 from inspe_jax.perception.encoders.lift_splat import EMPTY_WEIGHT, HEIGHTS
-from inspe_jax.perception.fusion import AttFuse, DiscoNet, HMViT, Mean, V2VNet, V2XViT
+from inspe_jax.perception.fusion import AttFuse, DiscoNet, HMViT, Mean, V2VNet, V2XViT, v2x_vit
 from inspe_jax.perception.fusion.heterogeneous import HeterogeneousAttention
-from inspe_jax.perception.fusion.v2x_vit import WindowAttention
 from inspe_jax.perception.fusion.windows import (
     from_grids,
     from_windows,
@@ -208,15 +209,27 @@ FUSIONS = {
 
 
 @pytest.mark.parametrize("name", FUSIONS)
-def test_fusion_heeds_who_is_present_and_not_the_order(name):
+def test_fusion_heeds_who_is_present_and_not_the_order(name, monkeypatch):
     """What an absent agent has changes nothing; two of one modality can be exchanged; and one
-    agent alone keeps its map where nothing but weights of agents is learnt."""
+    agent alone keeps its map where nothing but weights of agents is learnt. Every weight learns."""
+    monkeypatch.setattr(v2x_vit, "LAYERS", 1)  # the others are the same
     fusion = made(FUSIONS[name])
     x, other = noise(2, 3, 16, 16, 16), noise(2, 3, 16, 16, 16, seed=1)
     present = np.array([[True, True, True], [True, False, False]])
     mixed = np.where(present[..., None, None, None], x, other)
-    fuse = eqx.filter_jit(lambda x, present: fusion(x, present))
-    found = np.asarray(fuse(x, present))
+
+    @eqx.filter_jit
+    @partial(eqx.filter_grad, has_aux=True)
+    def slopes(fusion, x, present):
+        found = fusion(x, present)
+        return (found * other[:, 0]).sum(), found
+
+    def fuse(x, present):
+        return np.asarray(slopes(fusion, x, present)[1])
+
+    learnt, found = slopes(fusion, x, present)
+    found = np.asarray(found)
+    assert all(np.asarray(leaf).any() for leaf in jax.tree.leaves(learnt))
     np.testing.assert_allclose(fuse(mixed, present), found, atol=1e-5)
     np.testing.assert_allclose(fuse(x[:, [1, 0, 2]], present[:, [1, 0, 2]]), found, atol=1e-4)
     assert not np.allclose(fuse(other, present), found, atol=0.01)
@@ -254,7 +267,7 @@ def test_agents_attend_by_the_modalities_of_both():
 
 
 def test_a_window_attends_with_a_bias_by_the_offset_of_its_cells():
-    windows = made(lambda key: WindowAttention(8, 2, 2, key))
+    windows = made(lambda key: v2x_vit.WindowAttention(8, 2, 2, key))
     bias, x = noise(2, 9, seed=1), noise(1, 4, 4, 8)
     windows = eqx.tree_at(lambda it: it.bias, windows, jnp.asarray(bias))
     found = np.asarray(eqx.filter_jit(windows)(x))

@@ -1,6 +1,7 @@
 """Trainings: repeated, stopped, damaged, refused."""
 
 import shutil
+from dataclasses import replace
 from importlib import import_module
 
 import equinox as eqx
@@ -8,10 +9,11 @@ import jax
 import numpy as np
 import pytest
 from loading_sets import HEIGHT, WIDTH, frame_of, write_scenario, write_set
-from processes import on_devices
+from processes import in_this_process, on_devices
 
 from inspe_jax import dataset
 from inspe_jax.core.errors import InspeError
+from inspe_jax.perception.detector import MODELS
 from inspe_jax.perception.distillation import distillation
 from inspe_jax.perception.inputs import BevGrid
 from inspe_jax.perception.training import Settings, Training, open_run, train, train_all
@@ -78,17 +80,15 @@ def test_a_stopped_training_goes_on_to_the_same_losses(stopped_and_not):
 def test_trainings_by_workers_are_the_same_and_one_that_fails_stops_no_other(
     stopped_and_not, cached, tmp_path
 ):
+    """By a worker that is a thread; those of the command line are processes."""
     whole, _ = stopped_and_not
     (tmp_path / "bad").mkdir()
     (tmp_path / "bad" / "notes.txt").write_text("of somebody else")
     trainings = [Training(cached.path, tmp_path / name, SETTINGS, GRID) for name in ("bad", "good")]
     told = []
-    found = {
-        training.folder.name: result
-        for training, result in train_all(
-            trainings, workers=1, progress=lambda done, steps: told.append((done, steps))
-        )
-    }
+    with in_this_process() as cluster:
+        given = dict(scheduler=cluster.scheduler_address, progress=lambda *now: told.append(now))
+        found = {each.folder.name: result for each, result in train_all(trainings, **given)}
     assert isinstance(found["bad"], InspeError)
     assert "has other files" in str(found["bad"])
     assert found["good"].done
@@ -181,10 +181,12 @@ def test_a_run_without_a_state_may_be_begun_otherwise(cached, tmp_path):
         train(cached, tmp_path / "run", SETTINGS, grid=BevGrid(half=20))
 
 
-def test_a_model_that_is_taught_has_its_teacher_first(cached, tmp_path):
-    settings = Settings(model="disconet", steps=2, batch=2, every=1, validate_frames=0)
+def test_a_model_that_is_taught_has_its_teacher_first(cached, tmp_path, monkeypatch):
+    """As DiscoNet, but of LiDARs alone, which is compiled sooner."""
+    monkeypatch.setitem(MODELS, "pupil", replace(MODELS["disconet"], sensors=("lidar",)))
+    settings = Settings(model="pupil", steps=2, batch=2, every=1, validate_frames=0)
     with pytest.raises(Stop):
-        train(cached, tmp_path / "run", settings, grid=GRID, progress=stop_at(2, "disconet"))
+        train(cached, tmp_path / "run", settings, grid=GRID, progress=stop_at(2, "pupil"))
     run = train(cached, tmp_path / "run", settings, grid=GRID)
     assert run.done
     assert open_run(tmp_path / "run" / "teacher").done

@@ -34,7 +34,7 @@ from inspe_jax.scene.scene import build_scene
 def test_random_layouts_can_be_mounted(name):
     scene = scene_named(name)
     space, lanes = space_of(name), lanes_of(scene.intersection)
-    rows = space.random(np.random.default_rng(0), 200)
+    rows = space.random(np.random.default_rng(0), 80)
     for x in rows:
         layout = space.layout(x)
         assert space.violations(layout) == []
@@ -58,7 +58,7 @@ def test_random_layouts_of_a_town_can_be_mounted(maps):
         assert space.violations(given) == []
         np.testing.assert_allclose(space.layout(x).poses, given.poses, atol=1e-6)
     poses = jax.jit(space.poses)
-    for x in space.random(np.random.default_rng(0), 200):
+    for x in space.random(np.random.default_rng(0), 80):
         layout = space.layout(x)
         assert space.violations(layout) == []
         assert_mountable(scene, layout, lanes)
@@ -106,10 +106,8 @@ def test_every_strategy_is_a_feasible_start(built):
         np.testing.assert_allclose(again.poses, given.poses, atol=1e-6)
         bases = [[unit.base for unit in layout.units] for layout in (given, again)]
         np.testing.assert_allclose(*bases, atol=1e-6)
-        about = jax.jit(space.poses)(jnp.asarray(x, float))
-        np.testing.assert_allclose(
-            about, given.poses - np.append(space.center, np.zeros(3)), atol=1e-4
-        )
+    about = given.poses - np.append(space.center, np.zeros(3))
+    np.testing.assert_allclose(jax.jit(space.poses)(jnp.asarray(x, float)), about, atol=1e-4)
 
 
 @pytest.mark.parametrize(
@@ -245,22 +243,20 @@ def test_a_pole_in_an_area_is_charted_there_and_one_apart_is_not():
         assert notes == ()
         v, place = space.chart(x)
         assert (space._pieces.area[place[0]] > 0) == area
-        from_chart = jax.jit(space.from_chart)
-        back = space.split(np.asarray(from_chart(jnp.asarray(v, float), place)))
+        back = space.split(space.from_chart(v, place, np))
         assert np.hypot(*(back.base[0] - pole[:2])) <= off
 
 
-@pytest.mark.parametrize("size", [0.0, 1.0, 100.0, 1e30])
-def test_any_chart_coordinates_are_feasible(size):
+def test_any_chart_coordinates_are_feasible():
     space = space_of("roundabout")
     rng = np.random.default_rng(6)
     poles = np.flatnonzero(space._pole)
     back = jax.jit(space.from_chart)
-    for x in space.random(rng, 20):
+    for x, size in zip(space.random(rng, 40), np.resize([0.0, 1.0, 100.0, 1e30], 40), strict=True):
         place = space.chart(x)[1]
         place[0] = rng.choice(poles)  # tied to a pole
-        v = jnp.asarray(np.clip(size * rng.normal(size=space.size), -3e38, 3e38), float)
-        v = v.at[-len(x) // 2 :].set(jnp.clip(v[-len(x) // 2 :], -1e6, 1e6))
+        v = np.clip(size * rng.normal(size=space.size), -3e38, 3e38).astype(np.float32)
+        v[-len(x) // 2 :] = v[-len(x) // 2 :].clip(-1e6, 1e6)
         y = np.asarray(back(v, place), float)
         assert space.violations(space.layout(y)) == []
         np.testing.assert_allclose(space.split(y).base[0], space._pieces.corners[place[0], 0])
@@ -312,7 +308,8 @@ def test_gradients_are_finite_everywhere():
 def test_jit_vmap_and_double_precision():
     space = space_of("five_way")
     x = space.random(np.random.default_rng(8), 5)
-    single = np.array([jax.jit(space.poses)(jnp.asarray(row, float)) for row in x])
+    poses = jax.jit(space.poses)
+    single = np.array([poses(jnp.asarray(row, float)) for row in x])
     np.testing.assert_allclose(
         jax.jit(jax.vmap(space.poses))(jnp.asarray(x, float)), single, atol=1e-5
     )

@@ -71,23 +71,17 @@ def test_merged_pieces_are_convex_and_cover_exactly(shape, most):
     assert shapely.union_all(parts).area == pytest.approx(sum(part.area for part in parts))
 
 
-def test_a_round_outline_stays_one_piece():
+def test_pieces_that_share_two_sides_in_line_stay_apart_and_slivers_are_left_out():
     (outline,) = merge(triangles(Point(0, 0).buffer(5)))
     assert len(outline) == 64
-
-
-def test_pieces_that_share_two_sides_in_line_stay_apart():
+    assert merge(triangles(box(0, 0, 1, LEAST_AREA * 0.9))) == []
+    assert merge(np.zeros((0, 3, 2))) == []
     middle, corners = [1.0, 1.0], [[0.0, 0.0], [2.0, 0.0], [2.0, 2.0], [0.0, 2.0]]
     fan = [[a, b, middle] for a, b in zip(corners, corners[1:] + corners[:1], strict=True)]
     outlines = merge(np.array(fan))
     assert sum(Polygon(outline).area for outline in outlines) == pytest.approx(4)
     for outline in outlines:
         assert len(np.unique(outline, axis=0)) == len(outline)
-
-
-def test_slivers_are_left_out():
-    assert merge(triangles(box(0, 0, 1, LEAST_AREA * 0.9))) == []
-    assert merge(np.zeros((0, 3, 2))) == []
 
 
 @pytest.mark.parametrize("nearest", [PIECES.nearest, nearest])

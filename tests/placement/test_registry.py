@@ -4,21 +4,16 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from checkpoints import saved
-from worlds import CAMERA, LIDAR, world
+from mounts import team
+from worlds import world
 
 import inspe_jax
 from inspe_jax.core.errors import InspeError
 from inspe_jax.placement.candidates import project
 from inspe_jax.placement.checkpoint import load_checkpoint
 from inspe_jax.placement.methods import registry
-from inspe_jax.placement.methods.cma_es import CmaState
-from inspe_jax.placement.methods.grid import GridState
-from inspe_jax.placement.methods.random_layouts import RandomState
-from inspe_jax.placement.methods.solver_rounds import RoundState
-from inspe_jax.placement.methods.states import from_dict, method_of, to_dict
 from inspe_jax.placement.optimise import compare, methods, optimise
-from inspe_jax.sensing.layout import Sensor, Unit, make_layout
+from inspe_jax.placement.run import Method
 
 # ── What the file of a method holds ─────────────────────────────────────────
 
@@ -47,22 +42,19 @@ def step(run, state):
     return ClimbState(x, value, state.count + 1)
 
 
-TOY = method_of("toy", "hill climbing by random steps", ClimbState, begin, step)
+TOY = Method("toy", "hill climbing by random steps", (ClimbState,), begin, step)
 
 # ── Its row, and what follows from it ───────────────────────────────────────
 
 
 @pytest.fixture(scope="module")
 def scene():
-    return world(radius=20.0, voxel=1.0, frames=4, count=10, seed=3)
+    return world(radius=20.0, voxel=1.0, frames=5, count=12, seed=3)
 
 
 @pytest.fixture(scope="module")
 def layout(scene):
-    c = scene.voxels.center
-    units = [Unit(name, (c[0] + s * 9, c[1] + s * 9, c[2])) for name, s in (("a", 1), ("b", -1))]
-    poses = [[*units[u].base[:2], 4.0, 0.0, 0.15, 0.7] for u in (0, 1)]
-    return make_layout([Sensor("c", CAMERA, 0), Sensor("l", LIDAR, 1)], units, np.array(poses))
+    return team(scene)
 
 
 @pytest.fixture
@@ -89,26 +81,7 @@ def test_without_its_row_the_method_is_not_known(scene, layout):
 def test_a_search_by_it_goes_on_from_its_checkpoint(toy, scene, layout, tmp_path):
     path = tmp_path / "kept.npz"
     optimise(scene, layout, method="toy", evaluations=6, checkpoint=path)
-    assert load_checkpoint(path).state.keys() == {"x", "value", "count"}
+    assert load_checkpoint(path).state.keys() == {"class", "x", "value", "count"}
     later = optimise(scene, layout, method="toy", evaluations=12, checkpoint=path)
     whole = optimise(scene, layout, method="toy", evaluations=12)
     assert [row.score for row in later.history] == [row.score for row in whole.history]
-
-
-@pytest.mark.parametrize(
-    ("record", "keys"),
-    [
-        (GridState, "x value level sweep block moved scores"),
-        (RandomState, "count x value"),
-        (CmaState, "restart from told best waited"),
-        (RoundState, "x count"),
-    ],
-)
-def test_checkpoints_of_before_states_were_records_are_read(record, keys):
-    """Their keys are as they were, and all of them are needed."""
-    held = {key: np.arange(3.0) + i for i, key in enumerate(keys.split())}
-    again = to_dict(from_dict(record, saved(held)))
-    assert again.keys() == held.keys()
-    assert all(np.array_equal(again[key], held[key]) for key in held)
-    with pytest.raises(KeyError):
-        from_dict(record, {key: held[key] for key in list(held)[1:]})

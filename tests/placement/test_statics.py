@@ -14,7 +14,7 @@ from inspe_jax.placement.sample_score import SampleScore
 from inspe_jax.placement.space import Space
 from inspe_jax.scene.placed_bodies import body_at
 from inspe_jax.scene.statics import tree, upright_box
-from inspe_jax.scoring.tiled_scene import tiled_scene_without_masks
+from inspe_jax.scoring.tiled_scene import tiled_scene_of
 from inspe_jax.sensing.layout import UNIT_PLAN
 from inspe_jax.visibility.centered_scene import poses_about_center
 
@@ -99,7 +99,7 @@ def test_samples_of_searches_know_the_bodies(planted):
     softness = jnp.asarray(0.5, float)
     each = [
         problem.slope(poses, on, softness)
-        for on in (sample.arrays, (tiled_scene_without_masks(planted),))
+        for on in (sample.arrays, (tiled_scene_of(planted, whole=True, masks=False),))
     ]
     assert each[0][0] == pytest.approx(each[1][0], abs=2e-6)
     np.testing.assert_allclose(each[0][1], each[1][1], atol=1e-5)

@@ -10,7 +10,7 @@ from rich.console import Console
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.placement.studies.pareto import DeviceMix
-from inspe_jax.report.cost import NAMED, pareto_view
+from inspe_jax.report.curves import NAMED, pareto_view
 from inspe_jax.report.tables import pareto_table
 from inspe_jax.scoring.evaluate import ManyScores
 
@@ -30,10 +30,6 @@ def found():
     return [mix_of(1, 100, 0.2, True), mix_of(2, 150, 0.1, False), mix_of(3, 300, 0.6, True)]
 
 
-def words(fig):
-    return [text.get_text() for text in fig.texts]
-
-
 def test_the_front_is_a_staircase_with_its_mixes_named(found):
     fig = pareto_view(found)
     (ax,) = fig.axes
@@ -41,27 +37,24 @@ def test_the_front_is_a_staircase_with_its_mixes_named(found):
     assert stairs.get_drawstyle() == "steps-post"
     assert list(zip(*front.get_data(), strict=True)) == [(100, 0.2), (300, 0.6)]
     assert list(zip(*beaten.get_data(), strict=True)) == [(150, 0.1)]
-    assert "1 device: 100 US dollars, 0.2000" in words(fig)
-    assert "3 device: 300 US dollars, 0.6000" in words(fig)
-    assert not any(text.startswith("2 device") for text in words(fig))
+    assert "1 device: 100 US dollars, 0.2000" in [text.get_text() for text in fig.texts]
+    assert "3 device: 300 US dollars, 0.6000" in [text.get_text() for text in fig.texts]
+    assert not any(text.startswith("2 device") for text in [text.get_text() for text in fig.texts])
     assert [text.get_text() for text in ax.texts] == ["1", "2"]
-    assert "Cost against score at here" in words(fig)
+    assert "Cost against score at here" in [text.get_text() for text in fig.texts]
 
 
 def test_no_more_are_named_than_there_is_room_for(found):
     many = [mix_of(k, 100 * k, 1 - 0.5**k, True) for k in range(1, NAMED + 9)]
     fig = pareto_view(many)
     assert len(fig.axes[0].texts) == NAMED
-    assert "1 device: 100 US dollars, 0.5000" in words(fig)
-    assert f"{NAMED + 8} device" not in " ".join(words(fig))
+    assert "1 device: 100 US dollars, 0.5000" in [text.get_text() for text in fig.texts]
+    assert f"{NAMED + 8} device" not in " ".join([text.get_text() for text in fig.texts])
 
 
 def test_one_mix_is_a_figure_too(found):
     (ax,) = pareto_view([replace(found[0], cost=0.0)]).axes
     assert ax.lines[1].get_data()[0].tolist() == [0.0]
-
-
-def test_nothing_to_draw():
     with pytest.raises(InspeError, match="no mix"):
         pareto_view([])
 

@@ -40,10 +40,13 @@ def scene():
 
 @pytest.fixture(scope="module")
 def layout(scene):
+    """One camera is a device of the layout's own."""
     placed = strategy(scene, "Cam-d1/L-d1", lidar="hesai-xt32")
     poses = np.array(placed.poses)
     poses[1, 3:] = np.radians([3.0, -17.25, 179.99])
-    return placed.with_poses(poses)
+    first, *rest = placed.sensors
+    own = replace(first, spec=replace(first.spec, name="my-camera", reliability=0.5))
+    return replace(placed, poses=poses, sensors=(own, *rest))
 
 
 @pytest.mark.parametrize("system", SYSTEMS)
@@ -107,15 +110,8 @@ def test_angles_and_heights_are_those_of_the_field(scene, layout):
     assert Point(11.00005, 48.0).within(shape(features[2]["geometry"]).buffer(1e-6))
 
 
-def test_devices_of_one_s_own_go_with_the_plan(scene, layout, tmp_path):
-    own = replace(layout.sensors[0].spec, name="my-camera", reliability=0.5)
-    placed = replace(layout, sensors=(replace(layout.sensors[0], spec=own), *layout.sensors[1:]))
-    (tmp_path / "plan.geojson").write_text(plan_geojson(placed, scene.intersection))
-    again = load_layout_geojson(tmp_path / "plan.geojson", scene.intersection)
-    assert again.sensors[0].spec == own
-
-
-def test_gdal_reads_the_plan(scene, layout, tmp_path):
+def test_gdal_reads_the_plan_and_what_it_saves_is_still_the_layout(scene, layout, tmp_path):
+    """Saved anew, it is without the file's own members, and coordinates have other names."""
     pyogrio = pytest.importorskip("pyogrio", reason="needs pyogrio: extra [test]")
     path = tmp_path / "plan.geojson"
     path.write_text(plan_geojson(layout, scene.intersection))
@@ -134,6 +130,17 @@ def test_gdal_reads_the_plan(scene, layout, tmp_path):
         np.abs(georeference.from_degrees(np.array(at)) - np.asarray(layout.poses)[:, :2]).max()
         < 1e-3
     )
+    again = tmp_path / "again.geojson"
+    pyogrio.raw.write(
+        again, geometry, fields, meta["fields"], geometry_type="Unknown", crs="EPSG:4326",
+        driver="GeoJSON", COORDINATE_PRECISION=9,
+    )  # fmt: skip
+    with pytest.raises(InspeError, match="my-camera"):  # whose figures are a member of the file
+        load_layout_geojson(again, scene.intersection)
+    again.write_text(again.read_text().replace("my-camera", "paper-camera"))
+    found = load_layout_geojson(again, scene.intersection)
+    assert found.profile == layout.profile
+    assert np.abs(np.asarray(found.poses) - np.asarray(layout.poses))[:, :3].max() < 2e-3
 
 
 def test_kml_is_valid_and_says_the_same(scene, layout, tmp_path):
@@ -168,28 +175,12 @@ def test_a_bill_adds_up(layout):
     count = {row["device"]: int(row["count"]) for row in rows}
     assert sum(count.values()) == len(layout)
     assert count["hesai-xt32"] == 4
-    assert {row["device"]: float(row["price_usd"]) for row in rows} == PRICES
-    for row in rows:
-        assert float(row["total_usd"]) == pytest.approx(
-            PRICES[row["device"]] * count[row["device"]]
-        )
-    (row, *_) = csv.DictReader(io.StringIO(bill_of_materials(layout, {})))
-    assert (row["device"], row["price_usd"], row["total_usd"]) == ("paper-camera", "", "")
-
-
-def test_a_layer_saved_anew_is_still_the_layout(scene, layout, tmp_path):
-    """As GDAL writes it: without the file's own members, with other coordinates' names."""
-    pyogrio = pytest.importorskip("pyogrio", reason="needs pyogrio: extra [test]")
-    path, again = tmp_path / "plan.geojson", tmp_path / "again.geojson"
-    path.write_text(plan_geojson(layout, scene.intersection))
-    meta, _, geometry, fields = pyogrio.raw.read(path)
-    pyogrio.raw.write(
-        again, geometry, fields, meta["fields"], geometry_type="Unknown", crs="EPSG:4326",
-        driver="GeoJSON", COORDINATE_PRECISION=9,
-    )  # fmt: skip
-    found = load_layout_geojson(again, scene.intersection)
-    assert found.profile == layout.profile
-    assert np.abs(np.asarray(found.poses) - np.asarray(layout.poses))[:, :3].max() < 2e-3
+    unknown, *known = rows
+    assert (unknown["device"], unknown["price_usd"], unknown["total_usd"]) == ("my-camera", "", "")
+    assert {row["device"]: float(row["price_usd"]) for row in known} == PRICES
+    for row in known:
+        total = PRICES[row["device"]] * count[row["device"]]
+        assert float(row["total_usd"]) == pytest.approx(total)
 
 
 def test_views_are_on_the_ground_of_their_pole(scene, layout):
@@ -220,18 +211,6 @@ def test_names_may_be_anything(scene, layout):
 
 
 # ── Bad files ───────────────────────────────────────────────────────────────
-
-
-def changed(scene, layout, tmp_path, change) -> str:
-    """The message of a plan that is changed in place before it is read."""
-    content = json.loads(plan_geojson(layout, scene.intersection))
-    content = change(content) or content
-    path = tmp_path / "plan.geojson"
-    path.write_text(json.dumps(content))
-    with pytest.raises(InspeError) as error:
-        load_layout_geojson(path, scene.intersection)
-    assert str(error.value).startswith(str(path))
-    return str(error.value)
 
 
 def set_at(*path, to):
@@ -271,7 +250,15 @@ def set_at(*path, to):
     ],
 )  # fmt: skip
 def test_a_wrong_file_says_what_is_wrong(scene, layout, tmp_path, change, words):
-    assert words in changed(scene, layout, tmp_path, change)
+    """The plan is changed in place before it is read."""
+    content = json.loads(plan_geojson(layout, scene.intersection))
+    content = change(content) or content
+    path = tmp_path / "plan.geojson"
+    path.write_text(json.dumps(content))
+    with pytest.raises(InspeError) as error:
+        load_layout_geojson(path, scene.intersection)
+    assert str(error.value).startswith(str(path))
+    assert words in str(error.value)
 
 
 def test_a_place_without_coordinates_says_so(layout, scene):

@@ -15,7 +15,6 @@ from inspe_jax.sensing.catalogue import device
 from inspe_jax.sensing.layout import Sensor, Unit, make_layout
 
 ALONE = "In the scores no pole, arm or housing hides anything."
-"""What is said where there is nothing else to say."""
 
 
 @pytest.fixture(scope="module")
@@ -31,50 +30,40 @@ def words_of(scene, *sensors):
     return mounting_words(scene, installation_schedule(layout, scene.intersection, {}))
 
 
-def test_sensors_on_an_arm_need_no_words(scene):
-    assert words_of(scene, (CAMERA, 1.5, 6.0)) == ALONE
+ARM, AXIS = (CAMERA, 1.5, 6.5), (CAMERA, 0.0, 6.0)
+AIMED, LOW = "on the side of the pole that it faces", "the pole ends below it"
+BESIDE, POINT = "as other sensors of the unit are as high or higher", "mounted side by side"
 
 
-def test_a_camera_on_the_axis_goes_on_the_side_that_it_faces(scene):
-    words = words_of(scene, (CAMERA, 0.0, 6.0))
-    assert "An aimed sensor on the axis of its pole goes on the side of the pole" in words
-    assert "all round" not in words
+@pytest.mark.parametrize(
+    ("sensors", "said"),
+    [
+        ([ARM], []),
+        ([AXIS], [AIMED]),
+        ([(LIDAR, 0.0, 7.0), ARM], [LOW]),
+        ([ARM, (LIDAR, 0.0, 6.0)], [LOW, f"So with sensor 2, {BESIDE}"]),
+        ([ARM, (LIDAR, 0.0, 6.5)], [LOW, f"So with sensor 2, {BESIDE}"]),
+        ([(LIDAR, 0.0, 4.0), ARM, (LIDAR, 0.0, 6.0)], [LOW, f"So with sensors 1 and 3, {BESIDE}"]),
+        ([ARM, ARM], [POINT]),
+        ([ARM, (CAMERA, 1.5, 6.0)], []),
+    ],
+)
+def test_what_the_plan_leaves_open(scene, sensors, said):
+    words = words_of(scene, *sensors)
+    assert words.startswith(ALONE)
+    assert all(one in words for one in said)
+    for other in {AIMED, LOW, BESIDE, POINT}:
+        assert (other in words) == any(other in one for one in said)
 
 
-def test_a_lidar_on_the_axis_needs_a_pole_that_ends_below_it(scene):
-    words = words_of(scene, (LIDAR, 0.0, 7.0), (CAMERA, 1.5, 6.0))
-    assert "Where a sensor on the axis looks all round, the pole ends below it." in words
-    assert "So with" not in words
-    assert "faces" not in words
-
-
-@pytest.mark.parametrize("height", [6.0, 6.5])
-def test_a_lidar_below_a_camera_s_arm_is_hidden_by_the_pole(scene, height):
-    words = words_of(scene, (CAMERA, 1.5, 6.5), (LIDAR, 0.0, height))
-    assert "what the pole then hides, the scores count as seen." in words
-    assert "So with sensor 2, as other sensors of the unit are as high or higher." in words
-    assert "So with sensors 1 and 3, as" in words_of(
-        scene, (LIDAR, 0.0, 4.0), (CAMERA, 1.5, 6.5), (LIDAR, 0.0, height)
-    )
-
-
-def test_sensors_at_one_point_are_side_by_side(scene):
-    said = "Sensors of a unit at one point are mounted side by side"
-    assert said in words_of(scene, (CAMERA, 1.5, 6.5), (CAMERA, 1.5, 6.5))
-    assert said not in words_of(scene, (CAMERA, 1.5, 6.5), (CAMERA, 1.5, 6.0))
-
-
-def test_poles_that_are_bodies_hide_something(scene):
-    standing = scene.with_statics([pole((-9.0, 9.0), radius=0.1, height=6.0)])
-    assert "only poles that are bodies of the scene hide" in words_of(standing, (CAMERA, 1.5, 6.0))
-
-
-def test_an_existing_pole_may_be_too_low(scene):
+def test_poles_that_stand_there(scene):
+    """Those that are bodies hide something; how high others are is not known."""
+    body = scene.with_statics([pole((-9.0, 9.0), radius=0.1, height=6.0)])
+    assert "only poles that are bodies of the scene hide" in words_of(body, ARM)
     place = replace(scene.intersection, poles=np.array([[9.0, 8.0, 0.0]]))
-    there = replace(scene, intersection=place)
     said = "How high existing poles are is not known."
-    assert said in words_of(there, (CAMERA, 1.5, 6.0))
-    assert said not in words_of(scene, (CAMERA, 1.5, 6.0))
+    assert said in words_of(replace(scene, intersection=place), ARM)
+    assert said not in words_of(scene, ARM)
 
 
 def test_a_built_in_place_is_made_up():

@@ -23,12 +23,7 @@ from inspe_jax.placement.studies.pareto import ParetoPoint
 from inspe_jax.placement.studies.tolerance import Slopes, Tolerance
 from inspe_jax.report import page as pages
 from inspe_jax.report.layers import BLIND, HIDDEN, layers
-from inspe_jax.report.page import (
-    CAPTIONS,
-    ReportEntry,
-    Start,
-    report_entry,
-)
+from inspe_jax.report.page import CAPTIONS, ReportEntry, Start, report_entry
 from inspe_jax.report.tables import scores_record
 from inspe_jax.scoring.evaluate import evaluate
 from inspe_jax.scoring.viewshed import viewshed
@@ -136,11 +131,11 @@ def test_every_figure_is_there_and_shows_something(entries, page):
 
 
 def test_figures_as_sheets(scene, entries):
-    made = report_sheets(scene, entries)
+    made = report_sheets(scene, entries[:1])
     assert made.startswith(b"%PDF")
     count = len(re.findall(rb"/Type /Page\b", made))
-    assert count == 2 + len(entries) * (len(CAPTIONS) + RECORDED)
-    assert made == report_sheets(scene, entries)
+    assert count == 2 + len(CAPTIONS) + RECORDED
+    assert made == report_sheets(scene, entries[:1])
 
 
 def test_what_a_search_found_comes_with_before_and_after(scene, tmp_path):
@@ -163,12 +158,11 @@ def test_what_a_search_found_comes_with_before_and_after(scene, tmp_path):
     assert {str(result.objective_before), str(result.objective)} <= set(reader.titles)
     sheets = report_sheets(scene, [entry], front=front)
     assert len(re.findall(rb"/Type /Page\b", sheets)) == len(shown)
-    plain = Reader(report_page(scene, [report_entry(case, begun, (0.3, 0.5, 0.2))]))
-    assert len(plain.images) == 2 + len(CAPTIONS) + RECORDED
 
 
 def test_a_layout_comes_with_the_one_before_and_its_target(scene):
-    """Scores of both and what was gained; and a map of both where they have the same sensors."""
+    """Scores of both and what was gained; a map of both where they have the same sensors, which the
+    second layout has not."""
     case, weights = Case(scene), (0.3, 0.5, 0.2)
     begun = place_sensors((CAMERA, [9.0, 9.0, 6.0, 0, -0.3, 0.8]))
     turned = place_sensors((CAMERA, [9.0, 9.0, 6.0, 0, -0.3, -2.4]))
@@ -176,29 +170,18 @@ def test_a_layout_comes_with_the_one_before_and_its_target(scene):
     entry = report_entry(case, turned, weights, start=start, target=0.99)
     first, second = (evaluate(scene, of).surrogate for of in (begun, turned))
     assert (entry.before.surrogate, entry.scores.surrogate) == (first, second)
-    told = []
-    page = Reader(report_page(scene, [entry], progress=lambda *now: told.append(now)))
-    assert told[-1][0] == told[-1][1]
+    more = place_sensors(*[(CAMERA, [x, 9.0, 6.0, 0, -0.3, -2.4]) for x in (-9.0, 9.0)])
+    more = replace(more, name="more")
+    reached = report_entry(case, more, weights, start=start, target=0.01)
+    page = Reader(pages.report_page(scene, [entry, reached]))
     words = " ".join(" ".join(page.words).split())
     assert "Before is the layout of last week." in words
-    assert "metric before after gain" in words
+    assert words.count("metric before after gain") == 2
     assert f"surrogate P_sm {first:.3f} {second:.3f} {second - first:+.3f}" in words
     assert {str(first), str(second), str(second - first)} <= set(page.titles)
     assert f"The target for P_sm, 0.99, is missed by {0.99 - second:.4f}." in words
-    assert "Before and after" in [shown["alt"] for shown in page.images]
-    sheets = report_sheets(scene, [entry])
-    assert len(re.findall(rb"/Type /Page\b", sheets)) == len(page.images)
-
-    more = place_sensors(*[(CAMERA, [x, 9.0, 6.0, 0, -0.3, -2.4]) for x in (-9.0, 9.0)])
-    reached = report_entry(case, more, weights, start=start, target=0.01)
-    page = Reader(report_page(scene, [reached]))
-    words = " ".join(" ".join(page.words).split())
     assert "The target for P_sm, 0.01, is reached." in words
-    assert "metric before after gain" in words
-    assert "Before and after" not in [shown["alt"] for shown in page.images]
-    plain = Reader(report_page(scene, [report_entry(case, turned, weights)]))
-    assert "The target for P_sm" not in " ".join(plain.words)
-    assert "metric before after gain" not in " ".join(" ".join(plain.words).split())
+    assert [shown["alt"] for shown in page.images].count("Before and after") == 1
 
 
 def test_layouts_have_names_of_their_own(scene, entries):

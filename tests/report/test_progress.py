@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from matplotlib.backends.backend_agg import FigureCanvasAgg
+from drawn import misplaced
 from matplotlib.collections import PolyCollection
 from matplotlib.patches import FancyArrowPatch
 from rich.console import Console
@@ -15,9 +15,10 @@ from inspe_jax.core.errors import InspeError
 from inspe_jax.placement.optimise import METHODS
 from inspe_jax.placement.result import Result
 from inspe_jax.placement.run import Progress
+from inspe_jax.report.curves import history_view
 from inspe_jax.report.figures import layer_raster
 from inspe_jax.report.layers import seen_layer
-from inspe_jax.report.progress import MOVED, WENT, before_after, history_view
+from inspe_jax.report.progress import MOVED, WENT, before_after
 from inspe_jax.report.tables import before_after_table, comparison_table, moves_table
 from inspe_jax.scoring.evaluate import evaluate
 
@@ -64,7 +65,7 @@ def maps_of(fig):
     return [ax for ax in fig.axes if ax.images]
 
 
-def test_both_maps_show_their_scores_on_one_scale(result, scene):
+def test_both_maps_show_their_scores_on_one_scale_and_an_arrow_what_moved(result, scene):
     left, right = maps_of(compare_of(result, scene))
     for ax, scores, when in (
         (left, result.scores_before, "before"),
@@ -79,17 +80,13 @@ def test_both_maps_show_their_scores_on_one_scale(result, scene):
         assert title.startswith(when)
         for value in (scores.surrogate, scores.coverage, scores.occlusion):
             assert f"{value:.3f}" in title
+    arrows = [[p for p in ax.patches if isinstance(p, FancyArrowPatch)] for ax in (left, right)]
+    assert not arrows[0]
+    (arrow,) = arrows[1]  # of the camera from its old place; the LiDAR stayed
+    assert arrow._posA_posB == [(9.0, 9.0), (9.0, -8.0)]
     assert left.get_xlim() == right.get_xlim()
     assert left.get_ylim() == right.get_ylim()
     assert (result.scores.seen_share != result.scores_before.seen_share).any()
-
-
-def test_an_arrow_leads_from_the_old_place_to_the_new(result, scene):
-    left, right = maps_of(compare_of(result, scene))
-    arrows = [[p for p in ax.patches if isinstance(p, FancyArrowPatch)] for ax in (left, right)]
-    assert not arrows[0]
-    (arrow,) = arrows[1]  # the LiDAR stayed
-    assert arrow._posA_posB == [(9.0, 9.0), (9.0, -8.0)]
 
 
 def test_a_way_leads_through_where_the_search_had_a_unit(result, scene):
@@ -142,40 +139,9 @@ def test_one_map_and_no_key_of_arrows_where_nothing_moved(result, scene):
     assert "camera, view to 30 m" in words
 
 
-def words_overlap(fig):
-    """Pairs of texts outside the maps whose boxes overlap, and texts that leave the sheet."""
-    canvas = FigureCanvasAgg(fig)
-    canvas.draw()
-    texts = [*fig.texts, *(t for legend in fig.legends for t in legend.get_texts())]
-    for ax in fig.axes:
-        texts += [ax.xaxis.label, ax.yaxis.label, ax.title, ax._left_title]
-        for axis, k in ((ax.xaxis, 0), (ax.yaxis, 1)):  # ticks beyond the limits are not drawn
-            low, high = axis.get_view_interval()
-            texts += [t for t in axis.get_ticklabels() if low <= t.get_position()[k] <= high]
-    sheet = fig.bbox
-    boxes = [
-        (t.get_text(), t.get_window_extent(canvas.get_renderer()))
-        for t in texts
-        if t.get_text() and t.get_visible()
-    ]
-    found = [
-        (a, b)
-        for i, (a, box) in enumerate(boxes)
-        for b, other in boxes[i + 1 :]
-        if box.overlaps(other)
-    ]
-    out = [
-        name
-        for name, box in boxes
-        if box.x0 < 0 or box.y0 < 0 or box.x1 > sheet.x1 or box.y1 > sheet.y1
-    ]
-    return found + out
-
-
 def test_nothing_overlaps(result, scene):
-    assert words_overlap(compare_of(result, scene)) == []
-    every = [replace(result, method=name) for name in METHODS]
-    assert words_overlap(history_view(every)) == []
+    assert misplaced(compare_of(result, scene)) == []
+    assert misplaced(history_view([replace(result, method=name) for name in METHODS])) == []
 
 
 def test_other_sensors_and_other_scenes_are_refused(result, scene):

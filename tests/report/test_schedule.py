@@ -19,6 +19,7 @@ from inspe_jax.report.schedule import (
     total_price,
 )
 from inspe_jax.scene.georeference import Georeference
+from inspe_jax.scoring.blind_spots import blind_spots
 from inspe_jax.sensing.layout import Sensor, Unit, make_layout
 
 
@@ -106,28 +107,20 @@ def test_a_page_says_what_to_mount_where(page):
     assert "corner: x 9.00 , y 8.00 , z 0.00 m; new pole" in words
     assert "1 east test-camera 9.00 8.00 5.00 90.0 12.0 0.0 0.00 – 900" in words
     assert "2 arm test-camera 9.00 9.50 6.00 225.0 30.0 3.0 1.50 0 900" in words
-    assert "height [m] azimuth [°] tilt [°] roll [°] from the pole [m] towards [°]" in words
     assert "--price test-lidar=USD" in words
     assert "scores, weights coverage 0.3, occlusion 0.5, information gain 0.2" in words
     assert "inspe report --tolerance" in words
     assert "total, without prices that are unknown 1,800" in words
-    (first, second, *_), share = _spots(scene, entry), entry.scores.seen_share
-    assert len(share) == len(scene.voxels.columns)
+    first, second, *_ = blind_spots(scene, entry.scores.seen_share)
     assert f"Most is missed on the {first.name} ({first.unseen:.0%} of time" in words
     assert f"1 {first.name} {100 * first.unseen:.0f} %" in words
     assert f"2 {second.name} {100 * second.unseen:.0f} %" in words
 
 
-def _spots(scene, entry):
-    from inspe_jax.scoring.blind_spots import blind_spots
-
-    return blind_spots(scene, entry.scores.seen_share)
-
-
 def test_a_list_that_is_cut_says_of_how_many(page, monkeypatch):
     _, scene, entry = page
     monkeypatch.setattr("inspe_jax.report.page.SPOTS", 1)
-    made, count = report_page(scene, [entry]), len(_spots(scene, entry))
+    made, count = report_page(scene, [entry]), len(blind_spots(scene, entry.scores.seen_share))
     assert count > 1
     assert re.search(rf"sees them: 1 of\s+{count}\.", made)
 

@@ -5,14 +5,12 @@ import json
 import math
 import re
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from rich.console import Console
 from worlds import CAMERA, LIDAR, place_sensors, world
 
-import inspe_jax
 from inspe_jax.cli.common import WholeConsole
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.tables import table_of
@@ -25,7 +23,7 @@ from inspe_jax.report.scene_tables import (
     scene_table,
 )
 from inspe_jax.report.tables import scores_record, scores_table, sweep_table
-from inspe_jax.scene.procedural.built_ins import BUILT_INS
+from inspe_jax.scene.maps.parts import JunctionInfo
 from inspe_jax.scene.profiles import profiles
 from inspe_jax.scoring.evaluate import Contribution, Scores, evaluate
 from inspe_jax.sensing.catalogue import Device, devices
@@ -94,6 +92,14 @@ def row(text, *begins):
 def test_the_record_is_the_scores_exactly(scene, layout):
     record = scores_record(SCORES, scene, layout)
     assert json.loads(json.dumps(record)) == record
+    assert set(record) == {
+        *METRICS, "information_gain_literal", "region_coverage", "level_coverage", "parts",
+        "contributions", "blind_spots", "settings", "scene", "layout", "versions",
+    }  # fmt: skip
+    assert record["settings"] == SCORES.settings | {"at": 0.5}
+    about = dict(name="test crossing", source="tests", settings={"radius": "12", "seed": "0"})
+    assert (record["scene"], record["layout"]) == (about, "a layout")
+    assert set(record["versions"]) == {"inspe_jax", "jax", "numpy"}
     for name in (*METRICS, "information_gain_literal"):
         assert record[name] == getattr(SCORES, name)
     assert record["information_gain_literal"] == pytest.approx(2 / 3)
@@ -106,27 +112,6 @@ def test_the_record_is_the_scores_exactly(scene, layout):
     ]
     for part, given in zip(record["contributions"], SCORES.contributions, strict=True):
         assert [part[name] for name in METRICS] == [getattr(given, name) for name in METRICS]
-
-
-def test_the_record_says_of_what_and_how(scene, layout):
-    record = scores_record(SCORES, scene, layout)
-    assert set(record) == {
-        *METRICS, "information_gain_literal", "region_coverage", "level_coverage", "parts",
-        "contributions", "blind_spots", "settings", "scene", "layout", "versions",
-    }  # fmt: skip
-    assert record["settings"] == {
-        "weights": named(0.3, 0.5, 0.2),
-        "occlusion_reference": "roi",
-        "at": 0.5,
-    }
-    assert record["scene"] == {
-        "name": "test crossing",
-        "source": "tests",
-        "settings": {"radius": "12", "seed": "0"},
-    }
-    assert record["layout"] == "a layout"
-    assert record["versions"]["inspe_jax"] == inspe_jax.__version__
-    assert set(record["versions"]) == {"inspe_jax", "jax", "numpy"}
 
 
 def test_real_scores_make_a_record_and_a_table(scene):
@@ -218,24 +203,10 @@ def test_devices_for_people():
 
 
 @pytest.mark.parametrize("width", WIDTHS)
-def test_the_built_in_catalogue_is_whole(width):
-    text = shown(devices_table(devices()), width)
-    for name, device in devices().items():
-        assert len(device.spec.grid.directions()) > 0
-        assert f" {name} " in text  # in the table
-        assert f"\n{name}: " in text  # among the sources
-        assert f"{len(device.spec.grid.directions()):,}" in text
-
-
-@pytest.mark.parametrize("width", WIDTHS)
 def test_junctions_for_people(width):
-    names = ("id", "center", "arms", "size", "crosswalks", "signals")
     infos = [
-        SimpleNamespace(**dict(zip(names, values, strict=True)))
-        for values in (
-            (189, (-47.81, -20.4, 0.0), 4, 44.26, 2, 4),
-            (7, (1234.5, 0.0, 10.0), 3, 9.0, 0, 0),
-        )
+        JunctionInfo(189, (-47.81, -20.4, 0.0), 4, 44.26, 2, 4),
+        JunctionInfo(7, (1234.5, 0.0, 10.0), 3, 9.0, 0, 0),
     ]
     text = shown(junctions_table(infos, "Town.xodr"), width)
     assert "Junctions of Town.xodr" in text
@@ -243,20 +214,12 @@ def test_junctions_for_people(width):
     assert row(text, "7")[1:] == ["1234.5,", "0.0,", "10.0", "3", "9.0", "0", "0"]
 
 
-def test_built_ins_for_people():
-    text = shown(built_ins_table())
-    for name in BUILT_INS:
-        assert name in text
-    assert row(text, "t_junction")[1] == "3"
-
-
 # ── Narrow terminals ────────────────────────────────────────────────────────
 
 
 def junctions(*ids):
-    names = ("id", "center", "arms", "size", "crosswalks", "signals")
-    rows = [dict(zip(names, (i, (-12.5, 7.0, 0.0), 4, 44.26, 12, 3), strict=True)) for i in ids]
-    return junctions_table([SimpleNamespace(**row) for row in rows], "city.osm")
+    infos = [JunctionInfo(i, (-12.5, 7.0, 0.0), 4, 44.26, 12, 3) for i in ids]
+    return junctions_table(infos, "city.osm")
 
 
 def mixes():

@@ -14,8 +14,8 @@ import inspe_jax
 from inspe_jax.core.errors import InspeError
 from inspe_jax.scene.maps.digital_twin import Y_UP, read_mesh, with_mesh
 from inspe_jax.scene.statics import tree
-from inspe_jax.scene.street import statics_of
-from inspe_jax.scene.traffic.frames import TrafficFrames
+from inspe_jax.scene.street import map_bodies, statics_of
+from inspe_jax.scene.traffic.frames import Snapshot, pack_frames
 from inspe_jax.visibility.queries import line_of_sight
 
 trimesh = pytest.importorskip("trimesh", reason="meshes need trimesh: extra [geo]")
@@ -184,26 +184,18 @@ def test_colours_of_materials_and_textures(tmp_path):
         assert np.abs(found.colour.astype(int) - colour).max() <= 3
 
 
-def test_bodies_of_ones_own_stay_beside_a_mesh(twin):
-    """Those of the map are left out, as the mesh has them, and a note says how many."""
-    tree_of_the_map = tree((CENTER[0] + 16, CENTER[1] - 16), radius=1.5, height=6.0, base=2.5)
-    found = with_mesh(replace(place(), bodies=(tree_of_the_map,)), twin, RADIUS)
+def test_a_solid_that_somebody_brushes_stays(twin):
+    """And bodies of the map are left out for those of the mesh; a note says how many."""
+    own = tree((CENTER[0] + 16, CENTER[1] - 16), radius=1.5, height=6.0, base=2.5)
+    found = with_mesh(replace(place(), bodies=(own,)), twin, RADIUS)
     assert {one.kind for one in found.bodies} == {"solid"}
     assert "1 bodies of the map left out" in " ".join(found.notes)
-
-
-def test_a_solid_that_somebody_brushes_stays(twin):
-    found = with_mesh(place(), twin, RADIUS)
-    size = dict(radius=RADIUS, voxel=1.0, frames=1, density="none")
-    scene = inspe_jax.build_scene(found, statics="map", **size)
-    wall = max(scene.statics, key=lambda one: one.polygon.area)
-    x, y = wall.outline[0]
-    person = TrafficFrames(
-        center=np.array([[[x, y, 31.0]]]), yaw=np.zeros((1, 1)), size=np.full((1, 1, 3), 0.5),
-        kind=np.full((1, 1), 3, np.int8), valid=np.ones((1, 1), bool),
-        track=np.zeros((1, 1), np.int32), velocity=np.zeros((1, 1, 3)), time=np.zeros(1),
+    wall = max(map_bodies(found, RADIUS), key=lambda one: one.polygon.area)
+    person = Snapshot(
+        np.array([[*wall.outline[0], 31.0]]), np.zeros(1), np.full((1, 3), 0.5),
+        np.full(1, 3, np.int8), np.zeros(1, np.int32), np.zeros((1, 3)),
     )  # fmt: skip
-    assert wall in statics_of("map", found, RADIUS, person)
+    assert wall in statics_of("map", found, RADIUS, pack_frames([person], 1.0))
 
 
 def test_lines_of_sight_are_those_of_the_mesh(twin):
@@ -278,22 +270,18 @@ def test_recordings_show_the_mesh_itself(twin, tmp_path):
 
 def test_what_is_wrong_is_said(tmp_path, monkeypatch, capsys):
     own = place()
-    with pytest.raises(InspeError, match="must be in the map's coordinates"):
-        with_mesh(own, written(tmp_path / "far.ply", faces() + [900.0, 0, 0]), RADIUS)
     house = box_triangles((CENTER[0] + 15, CENTER[1] + 15, 0.0), (5, 5, 5), 0.0)
-    written(tmp_path / "house.ply", house)
-    with pytest.raises(InspeError, match="the mesh must have the roads"):
-        with_mesh(own, tmp_path / "house.ply", RADIUS)
     (tmp_path / "text.ply").write_text("no mesh")
-    with pytest.raises(InspeError, match="not a mesh that trimesh reads"):
-        with_mesh(own, tmp_path / "text.ply", RADIUS)
-    with pytest.raises(InspeError, match=r"a mesh is \.glb"):
-        with_mesh(own, tmp_path / "twin.stl", RADIUS)
-    with pytest.raises(InspeError, match=r"missing\.ply"):
-        with_mesh(own, tmp_path / "missing.ply", RADIUS)
-    flat = replace(own, regions={})
-    with pytest.raises(InspeError, match="the mesh must have the roads"):
-        with_mesh(flat, written(tmp_path / "twin.ply", faces()), RADIUS)
+    for at, file, words in (
+        (own, written(tmp_path / "far.ply", faces() + [900.0, 0, 0]), "the map.s coordinates"),
+        (own, written(tmp_path / "house.ply", house), "the mesh must have the roads"),
+        (replace(own, regions={}), written(tmp_path / "twin.ply", faces()), "must have the roads"),
+        (own, tmp_path / "text.ply", "not a mesh that trimesh reads"),
+        (own, tmp_path / "twin.stl", r"a mesh is \.glb"),
+        (own, tmp_path / "missing.ply", r"missing\.ply"),
+    ):
+        with pytest.raises(InspeError, match=words):
+            with_mesh(at, file, RADIUS)
     run = partial(inspe_here, tmp_path, monkeypatch, capsys)
     status, _, errors = run("scene", "four_way", "--mesh", "twin.ply")
     assert status == 2

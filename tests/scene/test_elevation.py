@@ -7,14 +7,13 @@ import numpy as np
 import pytest
 import rasters
 from processes import inspe_here
-from scipy import interpolate
-from threadpoolctl import threadpool_info, threadpool_limits
 from worlds import crossing, rilsa
 
 import inspe_jax
 from inspe_jax.core.errors import InspeError
 from inspe_jax.scene.georeference import Georeference
 from inspe_jax.scene.intersection import Route
+from inspe_jax.scene.maps import elevation
 from inspe_jax.scene.maps.elevation import with_elevation
 from inspe_jax.scene.terrain import between, terrain_of
 
@@ -111,7 +110,7 @@ def test_a_grid_without_projection_is_in_that_of_the_place(tmp_path):
         assert found.center[2] == pytest.approx(520.0, abs=2e-3)
 
 
-def test_what_is_wrong_is_said(tmp_path):
+def test_what_is_wrong_is_said(tmp_path, monkeypatch):
     own = place()
     with pytest.raises(InspeError, match="of another region"):
         with_elevation(own, model(tmp_path / "far.tif", at=(9_000.0, 0.0, 0.0)), RADIUS)
@@ -127,9 +126,9 @@ def test_what_is_wrong_is_said(tmp_path):
         with_elevation(own, tmp_path / "text.tif", RADIUS)
     with pytest.raises(InspeError, match=r"missing\.tif"):
         with_elevation(own, tmp_path / "missing.tif", RADIUS)
-    fine = model(tmp_path / "fine.tif", cell=0.012, reach=36.0)
+    monkeypatch.setattr(elevation, "MOST", 50)
     with pytest.raises(InspeError, match="resample it"):
-        with_elevation(own, fine, RADIUS)
+        with_elevation(own, model(tmp_path / "fine.tif", cell=1.0), RADIUS)
 
 
 @pytest.mark.filterwarnings("ignore:Dataset has no geotransform")
@@ -200,26 +199,6 @@ def test_there_is_no_step_at_the_rim_of_what_is_known():
     steps = [np.abs(np.diff(heights, axis=axis)).max() for axis in (0, 1)]
     assert max(steps) < 0.15
     assert between(known[:2], at).min() == pytest.approx(known[:2, 2].min())
-
-
-def test_triangles_are_found_on_one_core(monkeypatch):
-    """On more, they wait for whatever else runs there."""
-
-    def cores():
-        return {one["num_threads"] for one in threadpool_info() if one["user_api"] == "blas"}
-
-    class Surface(interpolate.LinearNDInterpolator):
-        def __call__(self, at):
-            found.append(cores())
-            return super().__call__(at)
-
-    found = []
-    monkeypatch.setattr(interpolate, "LinearNDInterpolator", Surface)
-    known = np.array([[0.0, 0.0, 1.0], [4.0, 0.0, 2.0], [0.0, 4.0, 3.0]])
-    with threadpool_limits(2, user_api="blas"):
-        assert between(known, np.array([[1.0, 1.0]])) == pytest.approx(1.75)
-        assert cores() == {2}
-    assert found == [{1}]
 
 
 def test_traffic_of_a_map_stays_on_other_ground():

@@ -122,7 +122,5 @@ def test_a_saved_scene_keeps_its_coordinates(town, tmp_path):
     save_scene(scene, tmp_path / "city.npz")
     again = load_scene(tmp_path / "city.npz").intersection
     assert again.georeference == place.georeference
-    (words,) = [again.georeference.words(place.center)]
-    lat, lon = (float(part) for part in words.split(", "))
-    assert abs(lat - LAT) < 1e-5
-    assert abs(lon - LON) < 1e-5
+    words = again.georeference.words(place.center).split(", ")
+    assert np.array(words, float) == pytest.approx([LAT, LON], abs=1e-5)

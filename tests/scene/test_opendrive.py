@@ -51,8 +51,7 @@ def road(number, junction, start, heading, length, both, links, height, grade) -
     lane = -1 if number == 10 else 1
     left = lanes("left", 1, kinds, "") if both else ""
     right = lanes(
-        *("right", -1, kinds),
-        f'<link><predecessor id="{lane}"/><successor id="{lane}"/></link>',
+        *("right", -1, kinds), f'<link><predecessor id="{lane}"/><successor id="{lane}"/></link>'
     )
     return (
         f'<road id="{number}" junction="{junction}" length="{length}"><link>{links}</link>'
@@ -101,17 +100,17 @@ def street(shift=(0.0, 0.0), turn=0.0, bridge=False) -> str:
     )
 
 
-@pytest.fixture
-def write(tmp_path):
+@pytest.fixture(scope="module")
+def write(tmp_path_factory):
     def to_file(text: str, name: str = "street.xodr") -> Path:
-        path = tmp_path / name
+        path = tmp_path_factory.mktemp("map") / name
         path.write_text(text)
         return path
 
     return to_file
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def plain(write) -> Intersection:
     return read_opendrive(write(street()), junction=7, radius=30)
 
@@ -152,6 +151,9 @@ def test_street_has_two_arms_and_drives_on_the_right(plain):
     west, east = sorted(plain.arms, key=lambda a: a.mouth[0])
     np.testing.assert_allclose([west.mouth, east.mouth], [[-10, 0], [10, 0]], atol=0.01)
     np.testing.assert_allclose([west.width, east.width], 7, atol=0.01)
+    np.testing.assert_allclose(plain.center, [0, 0, 1.2], atol=0.02)
+    x, _, z = plain.ground_points.T
+    np.testing.assert_allclose(z, 0.02 * (x + 60), atol=0.01)
     np.testing.assert_allclose(np.cos([west.bearing, east.bearing]), [-1, 1], atol=1e-6)
     vehicles = [r for r in plain.routes if r.user == "vehicle"]
     assert len(vehicles) == 2
@@ -179,13 +181,6 @@ def test_street_pedestrians_cross_both_ways_from_sidewalk_to_sidewalk(plain):
     assert shapely.contains_xy(plain.regions[Region.SIDEWALK].buffer(0.1), ends).all()
 
 
-def test_street_centre_and_ground_lie_on_the_slope(plain):
-    np.testing.assert_allclose(plain.center, [0, 0, 1.2], atol=0.02)
-    np.testing.assert_allclose(
-        plain.ground_points[:, 2], 0.02 * (plain.ground_points[:, 0] + 60), atol=0.01
-    )
-
-
 def test_a_bridge_overhead_is_left_out(write, plain):
     bridged = read_opendrive(write(street(bridge=True), "bridged.xodr"), junction=7, radius=30)
     assert bridged.ground_points[:, 2].max() < 3
@@ -193,15 +188,13 @@ def test_a_bridge_overhead_is_left_out(write, plain):
         assert bridged.regions[region].equals(plain.regions[region])
 
 
-@pytest.mark.parametrize("turn", [0.0, np.pi / 2, 0.7])
-def test_moving_the_map_moves_the_intersection(write, plain, turn):
-    moved = read_opendrive(write(street((250.0, -90.0), turn), "moved.xodr"), junction=7, radius=30)
+def test_moving_the_map_moves_the_intersection(write, plain):
+    moved = read_opendrive(write(street((250.0, -90.0), 0.7), "moved.xodr"), junction=7, radius=30)
     for region in Region:
-        expected = affinity.rotate(plain.regions[region], turn, origin=(0, 0), use_radians=True)
+        expected = affinity.rotate(plain.regions[region], 0.7, origin=(0, 0), use_radians=True)
         expected = affinity.translate(expected, 250, -90)
         # CARLA computes in float32, good to 3e-5 m here; the rim is a 128-gon, not turned along.
-        difference = moved.regions[region].symmetric_difference(expected)
-        assert difference.area < 0.15
+        assert moved.regions[region].symmetric_difference(expected).area < 0.15
 
 
 def test_center_takes_the_junctions_near_it_for_one(write):
@@ -243,22 +236,12 @@ def test_each_bad_input_gets_its_message(write, case):
         read_opendrive(write(text), **{"junction": 7, **options})
 
 
-def test_a_missing_file_is_named(tmp_path):
+def test_a_missing_file_or_client_is_named(write, tmp_path, monkeypatch):
     with pytest.raises(InspeError, match=r"nowhere.xodr: no such file"):
         list_junctions(tmp_path / "nowhere.xodr")
-
-
-def test_a_missing_client_says_what_to_install(write, monkeypatch):
     monkeypatch.setitem(sys.modules, "carla", None)
     with pytest.raises(InspeError, match=r"pip install .*\[opendrive\]'"):
         read_opendrive(write(GOOD, "unread.xodr"), junction=7)
-
-
-def test_a_changed_file_is_read_again(write):
-    path = write(street())
-    before = read_opendrive(path, junction=7, radius=30).center[0]
-    path.write_text(street((100.0, 0.0)))
-    assert read_opendrive(path, junction=7, radius=30).center[0] == pytest.approx(before + 100)
 
 
 def test_the_client_is_silent(write, capfd):
@@ -399,24 +382,6 @@ def polynomial(rows, key: str, s: float) -> float:
     row = [r for r in rows if float(r.get(key)) <= s][-1:]
     ds = s - float(row[0].get(key)) if row else 0.0
     return sum(float(row[0].get(k)) * ds**i for i, k in enumerate("abcd")) if row else 0.0
-
-
-@needs_maps
-def test_sumo_puts_the_same_lanes_in_the_same_place():
-    place = read_opendrive(town("Town04"), junction=916)
-    root = ET.parse(MAPS / "Town04.net.xml").getroot()
-    offset = np.array(root.find("location").get("netOffset").split(","), float)
-    points = [
-        np.array(corner.split(",")[:2], float) - offset
-        for lane in root.iter("lane")
-        if "all" in lane.get("disallow", "") or "passenger" in lane.get("allow", "passenger")
-        for corner in lane.get("shape").split()
-    ]
-    points = np.array(points)
-    near = points[np.hypot(*(points - place.center[:2]).T) < 50]
-    surface = shapely.union_all([place.regions[r] for r in (Region.JUNCTION, Region.DRIVEWAY)])
-    assert len(near) > 100
-    assert shapely.contains_xy(surface.buffer(0.5), near).mean() > 0.9
 
 
 @needs_maps

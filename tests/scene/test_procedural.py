@@ -4,23 +4,16 @@ import numpy as np
 import pytest
 import shapely
 from shapely import affinity
-from shapely.geometry import LineString, Point, Polygon, box
+from shapely.geometry import LineString, Point, box
 from shapely.ops import unary_union
 
 from inspe_jax.core.errors import InspeError
-from inspe_jax.scene.procedural.built_ins import BUILT_INS, built_in, crossing, ramp, roundabout
-from inspe_jax.scene.procedural.curves import arc, bend, joined, offset, onto_ring
+from inspe_jax.scene.procedural.built_ins import BUILT_INS, built_in, crossing
+from inspe_jax.scene.procedural.curves import bend, offset, onto_ring
 from inspe_jax.scene.regions import Region
-from inspe_jax.scene.voxels import build_voxels
 
 PLACES = {name: built_in(name) for name in BUILT_INS}
-PLACES["four of one's own"] = crossing(
-    "own", (215, 20, 80, 300), lanes_in=(1, 2, 3, 1), lanes_out=(2, 1, 0, 3), corner_radius=6.0,
-    sidewalk=2.0,
-)  # fmt: skip
-PLACES["one half empty"] = crossing("half", (0, 60, 120), lanes_in=1, lanes_out=1)
-PLACES["round of three"] = roundabout("three", bearings_deg=(10, 100, 250), island=20.0)
-PLACES["steep ramp"] = ramp("steep", lanes=2, angle_deg=30.0, bend_radius=70.0)
+PLACES["one half empty"] = crossing("one half empty", (0, 60, 120), (1, 1, 1))
 ARMS = dict(four_way=4, five_way=5, t_junction=3, triangle=3, roundabout=4, highway_ramp=3)
 ON_FOOT = [n for n in PLACES if "ramp" not in n]
 
@@ -169,8 +162,6 @@ def points_of(lines):
 @pytest.mark.parametrize("turn", [quarter_turn, mirror, diagonal])
 def test_the_four_way_is_symmetric(turn):
     place = PLACES["four_way"]
-    for region, shape in (*place.regions.items(), ("mounting", place.mounting)):
-        assert turn(shape).symmetric_difference(shape).area < 1e-6, region
     lines = [r.waypoints[:, :2] for r in place.routes]
     if turn is not quarter_turn:  # in the mirror everybody drives on the left: backwards
         lines = [line[::-1] for line in lines]
@@ -183,37 +174,18 @@ def test_the_four_way_is_symmetric(turn):
 @pytest.mark.parametrize(
     ("name", "moved"),
     [
+        ("four_way", quarter_turn),
+        ("four_way", mirror),
         ("triangle", lambda g: affinity.rotate(g, 120, origin=(0, 0))),
         ("roundabout", quarter_turn),
         ("roundabout", mirror),
         ("t_junction", lambda g: affinity.scale(g, -1, 1, origin=(0, 0))),
     ],
 )
-def test_other_symmetries(name, moved):
-    for region, shape in PLACES[name].regions.items():
-        assert moved(shape).symmetric_difference(shape).area < 1e-6, region
-
-
-def test_turning_the_bearings_turns_everything():
-    bearings, options = np.array([0, 70, 128, 190, 275]), dict(lanes_in=(2, 1, 1, 2, 1))
-    plain, turned = (crossing("x", tuple(bearings + by), **options) for by in (0.0, 31.0))
-    for region, shape in plain.regions.items():
-        expected = affinity.rotate(shape, 31, origin=(0, 0))
-        assert expected.symmetric_difference(turned.regions[region]).area < 1e-6
-    c, s = np.cos(np.radians(31)), np.sin(np.radians(31))
-    for before, after in zip(plain.routes, turned.routes, strict=True):
-        xy = before.waypoints[:, :2] @ [[c, s], [-s, c]]
-        if len(xy) == len(after.waypoints):  # as good as always: rounding decides at a half metre
-            np.testing.assert_allclose(after.waypoints[:, :2], xy, atol=1e-9)
-        assert LineString(xy).hausdorff_distance(LineString(after.waypoints[:, :2])) < 0.02
-
-
-def test_the_order_of_the_arms_does_not_matter():
-    one = crossing("x", (0, 90, 200), lanes_in=(1, 2, 3), lanes_out=(3, 1, 2))
-    two = crossing("x", (200, 0, 450), lanes_in=(3, 1, 2), lanes_out=(2, 3, 1))
-    assert one.arms == two.arms
-    assert [arm.width for arm in one.arms] == [14.0, 10.5, 17.5]
-    assert all(a.equals(b) for a, b in zip(one.regions.values(), two.regions.values(), strict=True))
+def test_areas_are_symmetric(name, moved):
+    place = PLACES[name]
+    for shape in (*place.regions.values(), place.mounting):
+        assert moved(shape).symmetric_difference(shape).area < 1e-6
 
 
 # ── Ground ──────────────────────────────────────────────────────────────────
@@ -242,25 +214,14 @@ def test_regions_lie_side_by_side(name):
 
 
 @every_place
-def test_every_column_near_the_middle_is_labelled(name):
-    """Out to the nearest sidewalk's far side, but for islands and a motorway's median."""
+def test_there_is_no_gap_near_the_middle(name):
+    """Regions cover the ground to the nearest sidewalk's far side, but for a motorway's median."""
     place = PLACES[name]
     ground = unary_union([s.buffer(1e-6) for s in (*place.regions.values(), place.mounting)])
-    if name in ON_FOOT:
-        reach = ground.exterior.distance(Point(0, 0)) if ground.geom_type == "Polygon" else 0
-        assert reach > 2
-        assert not ground.interiors
-    else:
-        reach = 12
-    grid = build_voxels(place, radius=max(reach, 10), voxel=0.5)
-    half = int(np.ceil(2 * reach))
-    lattice = (np.arange(-half, half) + 0.5) / 2
-    inside = [(x, y) for x in lattice for y in lattice if np.hypot(x, y) < reach - 0.1]
-    labelled = {tuple(c) for c in grid.columns.round(2).tolist()}
-    bare = [xy for xy in inside if tuple(np.round(xy, 2).tolist()) not in labelled]
+    assert ground.contains(Point(0, 0).buffer(2.0))
+    assert not ground.interiors
     free = place.mounting.difference(unary_union(list(place.regions.values())))
-    assert all(free.buffer(1e-6).contains(Point(xy)) for xy in bare)
-    assert bool(bare) == ("round" in name or name not in ON_FOOT)
+    assert (free.area > 1) == (name in ("roundabout", "highway_ramp"))  # islands, a median
 
 
 @every_place
@@ -285,7 +246,7 @@ def test_mounting_is_off_the_road_and_carries_every_pole(name):
 def test_arms_are_the_road_at_the_mouth(name):
     """Kerb to kerb: just inside ``width`` it is road, just outside it is not."""
     place = PLACES[name]
-    assert place.name == name or name not in BUILT_INS
+    assert place.name == name
     assert len(place.arms) == ARMS.get(name, len(place.arms))
     for arm in place.arms:
         along = np.array([np.cos(arm.bearing), np.sin(arm.bearing)])
@@ -298,13 +259,6 @@ def test_arms_are_the_road_at_the_mouth(name):
         kerbs = [np.asarray(arm.mouth) + side * arm.width / 2 * across for side in (-1, 1)]
         assert place.regions[Region.JUNCTION].distance(LineString(kerbs)) < 1e-6
         assert along @ arm.mouth > 0
-
-
-def test_roads_fill_the_largest_region_of_interest():
-    assert carriageway(PLACES["four_way"]).contains(box(-119, -6, 119, 6))
-    for place in PLACES.values():
-        np.testing.assert_array_equal(place.center, 0)
-        assert (place.ground(np.array([[0.0, 0.0], [70.0, -30.0]])) == 0).all()
 
 
 # ── Routes ──────────────────────────────────────────────────────────────────
@@ -349,7 +303,7 @@ def test_routes_run_from_rim_to_rim_on_the_arms_named(name):
         ):
             outward = np.array([np.cos(arm.bearing), np.sin(arm.bearing)])
             assert along @ outward > 0.8  # the ramp bends beyond its mouth
-            if len(place.arms) and "ramp" not in name:
+            if "ramp" not in name:
                 assert along @ outward == pytest.approx(1)
                 beside = np.abs(outward[0] * end[1] - outward[1] * end[0])
                 assert beside < arm.width
@@ -366,23 +320,17 @@ def test_vehicles_keep_right(name):
             assert 1.7 < way[0] * y - way[1] * x < 14
 
 
-def test_motorway_keeps_right():
-    for route in routes(PLACES["highway_ramp"], "vehicle"):
-        east = headings(route)[-1, 0] > 0
-        assert np.sign(route.waypoints[-1, 1]) == (-1 if east else 1)
-
-
 @every_place
 def test_every_movement_and_every_lane_is_served(name):
     place = PLACES[name]
-    if name in ON_FOOT and name != "four of one's own":  # where one arm has no way out
+    if name in ON_FOOT:
         count = len(place.arms)
         pairs = {(i, j) for i in range(count) for j in range(count) if i != j}
         assert {r.through for r in routes(place, "vehicle")} == pairs
     starts = {tuple(r.waypoints[0, :2].round(3)) for r in routes(place, "vehicle")}
     lanes = {"four_way": 8, "five_way": 7, "t_junction": 5, "triangle": 3, "roundabout": 4}
-    lanes |= {"highway_ramp": 7, "four of one's own": 7}
-    assert len(starts) == lanes.get(name, len(starts))
+    lanes |= {"highway_ramp": 7, "one half empty": 3}
+    assert len(starts) == lanes[name]
 
 
 def test_movements_of_the_four_way():
@@ -399,13 +347,12 @@ def test_movements_of_the_four_way():
 
 
 def test_traffic_circulates_counter_clockwise_one_way():
-    for name in ("roundabout", "round of three"):
-        for route in routes(PLACES[name], "vehicle"):
-            ring = route.waypoints[np.hypot(*route.waypoints[:, :2].T) < 24]
-            x, y = ring[:, 0], ring[:, 1]
-            assert (x[:-1] * y[1:] - y[:-1] * x[1:] > 0).all()
-            around = np.unwrap(np.arctan2(y, x))
-            assert around[-1] - around[0] < 2 * np.pi
+    for route in routes(PLACES["roundabout"], "vehicle"):
+        ring = route.waypoints[np.hypot(*route.waypoints[:, :2].T) < 24]
+        x, y = ring[:, 0], ring[:, 1]
+        assert (x[:-1] * y[1:] - y[:-1] * x[1:] > 0).all()
+        around = np.unwrap(np.arctan2(y, x))
+        assert around[-1] - around[0] < 2 * np.pi
 
 
 def test_the_ramp_merges_into_the_outer_lane():
@@ -423,113 +370,43 @@ def test_people_walk_on_sidewalks_and_crosswalks(name):
     paths = unary_union([place.regions[r] for r in (Region.SIDEWALK, Region.CROSSWALK)])
     people = routes(place, "pedestrian")
     assert len(people) == 4 * len(place.arms)  # a crosswalk and a corner each, both ways
-    crossing_people = 0
-    for route in people:
-        line = LineString(route.waypoints[:, :2])
-        assert line.difference(paths.buffer(1e-6)).length < 1e-6
-        crossing_people += line.intersects(carriageway(place))
-        assert route.width == 2
-        back = [other.waypoints for other in people if len(other.waypoints) == len(route.waypoints)]
-        assert any(np.allclose(route.waypoints[::-1], other, atol=1e-9) for other in back)
-    assert crossing_people == 2 * len(place.arms)
+    lines = [LineString(route.waypoints[:, :2]) for route in people]
+    assert all(line.difference(paths.buffer(1e-6)).length < 1e-6 for line in lines)
+    assert sum(line.intersects(carriageway(place)) for line in lines) == 2 * len(place.arms)
+    assert points_of(r.waypoints for r in people) == points_of(r.waypoints[::-1] for r in people)
 
 
-def test_nobody_walks_on_the_motorway():
+def test_nobody_walks_on_the_motorway_and_who_drives_keeps_right():
     place = PLACES["highway_ramp"]
     assert not routes(place, "pedestrian")
     assert place.regions[Region.CROSSWALK].is_empty
     assert place.regions[Region.SIDEWALK].is_empty
     assert place.notes == ("a motorway: no crosswalks and no sidewalks",)
+    for route in routes(place, "vehicle"):
+        assert np.sign(route.waypoints[-1, 1]) == -np.sign(headings(route)[-1, 0])
 
 
 # ── Curves ──────────────────────────────────────────────────────────────────
 
 
-def test_offsets_are_as_far_as_they_say():
-    line = joined([-5.0, 0.0], arc(np.array([0.0, 4.0]), 4.0, -np.pi / 2, 0.0), [4.0, 9.0])
-    for left in (1.5, -2.0):
-        moved = LineString(offset(line, left))
-        for t in np.linspace(0.01, 0.99, 50):
-            point = moved.interpolate(t, normalized=True)
-            # Outside a bend a mitre is further off than the edges, by 1/cos 1.5° − 1.
-            assert LineString(line).distance(point) == pytest.approx(abs(left), rel=4e-4)
-    # A square corner, mitred.
+def test_offsets_and_bends_are_where_they_say():
+    """A mitred corner; an arc between its tangents; the way onto a ring, which touches both."""
     square = offset(np.array([[0.0, 0.0], [4.0, 0.0], [4.0, 4.0]]), 1.0)
     np.testing.assert_allclose(square, [[0, 1], [3, 1], [3, 4]], atol=1e-12)
-
-
-def test_a_bend_is_an_arc_between_its_tangents():
     east, north = np.eye(2)
     line = bend(np.array([-10.0, 0.0]), east, np.array([0.0, 20.0]), north, 6.0)
-    np.testing.assert_allclose(
-        line[[0, 1, -2, -1]], [[-10, 0], [-6, 0], [0, 6], [0, 20]], atol=1e-9
-    )
+    ends = line[[0, 1, -2, -1]]
+    np.testing.assert_allclose(ends, [[-10, 0], [-6, 0], [0, 6], [0, 20]], atol=1e-9)
     np.testing.assert_allclose(np.hypot(*(line[1:-1] - [-6, 6]).T), 6)
-    widest = bend(np.array([-10.0, 0.0]), east, np.array([0.0, 20.0]), north)
-    np.testing.assert_allclose(np.hypot(*(widest[:-1] - [-10, 10]).T), 10)
-    # To another lane: tangent at both ends, and nowhere back.
-    shift = bend(np.zeros(2), east, np.array([30.0, 3.5]), east)
+    shift = bend(np.zeros(2), east, np.array([30.0, 3.5]), east)  # to another lane, nowhere back
     assert (np.diff(shift, axis=0) >= 0).all()
-    assert np.diff(shift[:2], axis=0)[0, 1] < 0.02
-
-
-def test_the_way_onto_a_ring_touches_line_and_ring():
     line = onto_ring(4.5, 18.0, 12.0)
     assert line[0] == pytest.approx([np.sqrt(30**2 - 16.5**2), 4.5])
-    assert np.hypot(*line[-1]) == pytest.approx(18)
-    assert np.hypot(*line.T).min() == pytest.approx(18)
-    assert Polygon(line).area > 0
+    assert np.hypot(*line[-1]) == np.hypot(*line.T).min() == pytest.approx(18)
 
 
-# ── What cannot be built ────────────────────────────────────────────────────
-
-
-@pytest.mark.parametrize(
-    ("build", "message"),
-    [
-        (lambda: crossing("odd", (0, 180)), r"odd: arms at 0, 180°: give at least three arms"),
-        (lambda: crossing("odd", (0, 20, 180)), r"at 0, 20, 180°: .*40° or more apart"),
-        (lambda: crossing("odd", (0, 170, 350)), r"40° or more apart"),
-        (lambda: crossing("odd", (0, 120, float("nan"))), r"nan°: give at least three arms"),
-        (
-            lambda: crossing("odd", (0, 120, 240), lanes_in=(1, 0, 1), lanes_out=(1, 0, 1)),
-            r"odd: every arm needs a lane, and the one at 120° has none",
-        ),
-        (
-            lambda: crossing("odd", (0, 120, 240), lanes_in=(1, 2)),
-            r"odd: lanes_in has 2 entries for 3 arms: give one number, or one for each arm",
-        ),
-        (
-            lambda: crossing("odd", (0, 120, 240), lanes_out=-1),
-            r"lanes_out -1 is out of range: a whole number from 0 to 6",
-        ),
-        (lambda: crossing("odd", (0, 120, 240), lanes_in=1.5), r"lanes_in 1.5 is out of range"),
-        (
-            lambda: crossing("odd", (0, 90, 180), corner_radius=3.0),
-            r"corner radius 3 m is out of range: between 4.5 and 30 m",
-        ),
-        (lambda: crossing("odd", (0, 90, 180), lane_width=0.0), r"lane width 0 m .* 2 and 6 m"),
-        (lambda: crossing("odd", (0, 90, 180), sidewalk=0.0), r"sidewalk 0 m .* 0.5 and 10 m"),
-        (
-            lambda: roundabout(bearings_deg=(0, 50, 180)),
-            r"roundabout: arms 50° apart do not fit on a ring of 18 m: at least 67°",
-        ),
-        (lambda: roundabout(island=2.0), r"island 2 m is out of range: between 4 and 40 m"),
-        (lambda: ramp(angle_deg=60.0), r"ramp angle 60° is out of range: between 8 and 45°"),
-        (lambda: ramp(lanes=0), r"lanes 0 is out of range: a whole number from 1 to 6"),
-        (
-            lambda: built_in("round"),
-            r"no built-in intersection 'round': one of four_way, .*did you",
-        ),
-        (lambda: built_in("xyz"), r"no built-in intersection 'xyz': .*highway_ramp$"),
-    ],
-)
-def test_what_cannot_be_built(build, message):
-    with pytest.raises(InspeError, match=message):
-        build()
-
-
-def test_without_gutters():
-    place = crossing("bare", (0, 90, 180, 270), shoulder=0.0)
-    assert place.regions[Region.SHOULDER].is_empty
-    assert place.regions[Region.CROSSWALK].area == pytest.approx(4 * 3 * 14)
+def test_a_built_in_that_is_not_known_is_an_error():
+    with pytest.raises(
+        InspeError, match=r"no built-in intersection 'round': one of four_way, .*did you"
+    ):
+        built_in("round")

@@ -7,13 +7,11 @@ import pytest
 
 from inspe_jax import evaluate, evaluate_many, strategy
 from inspe_jax.core.errors import InspeError
-from inspe_jax.placement.objective import Objective
 from inspe_jax.placement.problem import Problem
 from inspe_jax.scene.procedural.built_ins import built_in
 from inspe_jax.scene.profiles import BEFORE_PROFILES, DEFAULT_PROFILE, Profile, profile_of, profiles
 from inspe_jax.scene.scene import build_scene, load_scene, save_scene
 from inspe_jax.scoring.evaluate import check_options
-from inspe_jax.scoring.viewshed import viewshed
 from inspe_jax.sensing.catalogue import device
 from inspe_jax.sensing.layout import load_layout, save_layout
 
@@ -47,13 +45,6 @@ def test_every_value_has_a_reason_and_can_be_had(name):
 def test_a_scene_is_built_as_its_profile_says():
     assert next(iter(profiles())) == DEFAULT_PROFILE
     own = profile_of("paper")
-    assert own.of_scene() == dict(
-        radius=own.radius,
-        voxel=own.voxel,
-        spacing=own.spacing,
-        density=own.density,
-        mix=own.mix,
-    )
     assert own.of_scene(voxel=own.voxel)["spacing"] == own.spacing
     assert own.of_scene(voxel=2 * own.voxel)["spacing"] is None
     assert own.of_scene(voxel=1.0, spacing=2.0)["spacing"] == 2.0
@@ -106,12 +97,6 @@ def test_what_is_scored_is_what_the_profile_says(scene, ideal):
     problem = Problem(scene, layout)
     assert problem.exact_of(layout) == pytest.approx(scores.surrogate, abs=1e-6)
     assert problem.objective.visibility == own.visibility
-    asked = Problem(scene, layout, Objective(visibility="in_view"))
-    assert asked.exact_of(layout) > problem.exact_of(layout)
-    resolved = viewshed(scene, layout).resolved
-    assert (
-        resolved.max() <= 1 - (1 - own.camera_reliability) ** 8 * (1 - own.lidar_reliability) ** 4
-    )
 
 
 def test_files_say_their_profile(tmp_path, scene, ideal):
@@ -128,9 +113,8 @@ def test_files_say_their_profile(tmp_path, scene, ideal):
     before = replace(scene, settings=tuple((k, v) for k, v in scene.settings if k != "profile"))
     save_scene(before, tmp_path / "before.npz")
     assert load_scene(tmp_path / "before.npz").profile.name == BEFORE_PROFILES
-    other = replace(scene, settings=(("profile", "parer"),))
-    save_scene(other, tmp_path / "other.npz")
-    with pytest.raises(InspeError, match=r"other.npz: unknown profile 'parer': one of paper"):
+    save_scene(replace(scene, settings=(("profile", "parer"),)), tmp_path / "other.npz")
+    with pytest.raises(InspeError, match=r"other.npz: no profile 'parer': paper"):
         load_scene(tmp_path / "other.npz")
     text = (tmp_path / "layout.yaml").read_text().replace("profile: ideal", "profile: idael")
     (tmp_path / "layout.yaml").write_text(text)
@@ -139,9 +123,7 @@ def test_files_say_their_profile(tmp_path, scene, ideal):
 
 
 def test_profiles_are_not_mixed(scene, ideal):
-    with pytest.raises(
-        InspeError, match=r"profile ideal and .* of paper: scenes searched together"
-    ):
+    with pytest.raises(InspeError, match=r"profiles ideal and paper: scenes searched together"):
         Problem([scene, ideal], strategy(scene, "L-c"))
     with pytest.raises(InspeError, match=r"no profile 'papre'.*paper"):
         build_scene(built_in("four_way"), profile="papre")

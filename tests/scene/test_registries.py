@@ -10,15 +10,15 @@ from processes import inspe_here
 from inspe_jax.core.errors import InspeError
 from inspe_jax.scene.maps import registry as maps
 from inspe_jax.scene.maps.parts import JunctionInfo
-from inspe_jax.scene.procedural.built_ins import built_in, crossing
+from inspe_jax.scene.procedural.built_ins import crossing
 from inspe_jax.scene.scene import build_scene, load_scene, save_scene
 from inspe_jax.scene.traffic import registry as models
 from inspe_jax.scene.traffic.frames import TrafficFrames
 
 MAP = """\
 junctions:
-  north: {bearings_deg: [0, 90, 180, 270], lanes_in: 1, lanes_out: 1}
-  south: {bearings_deg: [10, 130, 250]}
+  north: {bearings_deg: [0, 90, 180, 270], lanes: [1, 1, 1, 1]}
+  south: {bearings_deg: [10, 130, 250], lanes: [2, 2, 2]}
 """
 
 # ── What the module of a map format holds ───────────────────────────────────
@@ -37,6 +37,10 @@ def list_junctions(path):
     )
 
 
+def georeference_of(path):
+    """It says nothing of the Earth."""
+
+
 def road_lines(path):
     """Its roads are straight lines from the origin."""
     bearings = [a for given in _junctions(path).values() for a in given["bearings_deg"]]
@@ -49,8 +53,7 @@ def read_toy(path, *, junction=None, center=None, radius=50.0):
     found = _junctions(path)
     if junction not in found:
         raise InspeError(f"{path}: no junction '{junction}': {', '.join(found)}")
-    given = dict(found[junction])
-    return crossing(f"{Path(path).name} {junction}", given.pop("bearings_deg"), **given)
+    return crossing(f"{Path(path).name} {junction}", **found[junction])
 
 
 # ── What the module of a traffic model holds ────────────────────────────────
@@ -77,26 +80,22 @@ def parked_traffic(intersection, *, radius, count, frames, mix, step, seed, prog
 
 @pytest.fixture
 def toy_map(monkeypatch, tmp_path):
-    row = maps.MapFormat("toy", (".toy.yaml",), __name__, reader="read_toy")
+    row = maps.MapFormat((".toy.yaml",), __name__, reader="read_toy")
     monkeypatch.setattr(maps, "FORMATS", [*maps.FORMATS, row])
     path = tmp_path / "town.toy.yaml"
     path.write_text(MAP)
     return path
 
 
-@pytest.fixture
-def parked(monkeypatch):
-    row = models.TrafficModel(__name__, "parked_traffic")
-    monkeypatch.setitem(models.TRAFFIC_MODELS, "parked", row)
-
-
 def test_a_row_is_all_that_a_map_format_needs(toy_map, tmp_path):
+    with pytest.raises(InspeError, match=r"town\.toy: not a map: its name must end in \.xodr"):
+        maps.read_map(tmp_path / "town.toy", junction="north")
     assert maps.is_map(toy_map)
     assert [info.id for info in maps.list_junctions(toy_map)] == ["north", "south"]
-    assert maps.georeference_of(toy_map) is None  # its module has no such function
+    assert maps.georeference_of(toy_map) is None
     assert len(maps.road_lines(toy_map)) == 7
     place = maps.read_map(toy_map, junction="north", radius=30)
-    own = crossing("own", (0, 90, 180, 270), lanes_in=1, lanes_out=1)
+    own = crossing("own", (0, 90, 180, 270), (1, 1, 1, 1))
     assert place.regions.keys() == own.regions.keys()
     assert all(place.regions[r].equals(own.regions[r]) for r in own.regions)
     scene = build_scene(place, radius=20, voxel=1.0, frames=2, density=5)
@@ -118,25 +117,12 @@ def test_the_command_line_lists_and_builds_a_map_of_a_new_format(
     assert len(load_scene(tmp_path / "south.npz").intersection.arms) == 3
 
 
-def test_without_its_row_a_map_is_not_known(tmp_path):
-    path = tmp_path / "town.toy.yaml"
-    path.write_text(MAP)
-    assert not maps.is_map(path)
-    with pytest.raises(
-        InspeError, match=r"town\.toy\.yaml: not a map: its name must end in \.xodr"
-    ):
-        maps.read_map(path, junction="north")
-
-
-def test_a_row_is_all_that_a_traffic_model_needs(parked):
-    scene = build_scene(
-        built_in("four_way"), radius=20, voxel=1.0, frames=3, density=2, traffic="parked"
-    )
+def test_a_row_is_all_that_a_traffic_model_needs(monkeypatch):
+    size = dict(radius=20, voxel=1.0, frames=3, density=2)
+    with pytest.raises(InspeError, match=r"traffic 'parked': waypoints, sumo, or a log of"):
+        build_scene("four_way", traffic="parked", **size)
+    monkeypatch.setitem(models.TRAFFIC_MODELS, "parked", f"{__name__}:parked_traffic")
+    scene = build_scene("four_way", traffic="parked", **size)
     assert scene.traffic.valid.shape == (3, 2)
     assert dict(scene.settings)["traffic"] == "parked"
     np.testing.assert_array_equal(scene.traffic.center[0], scene.traffic.center[2])
-
-
-def test_a_traffic_model_that_is_not_known_is_an_error():
-    with pytest.raises(InspeError, match=r"traffic 'parked': waypoints, sumo, or a log of"):
-        build_scene(built_in("four_way"), traffic="parked")

@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import shapely
-from worlds import LIDAR, crossing, place_sensors, random_traffic, world
+from worlds import LIDAR, crossing, place_sensors, world
 
+from inspe_jax.core.digest import digest
 from inspe_jax.core.errors import InspeError
 from inspe_jax.placement.problem import Problem
 from inspe_jax.scene.procedural.built_ins import built_in
@@ -54,35 +55,26 @@ def test_voxels_run_from_the_ground_to_four_metres():
 
 def test_the_area_of_the_columns_is_that_of_the_regions():
     """14 m roads and 4 m sidewalks within 20 m, by shapely."""
-    from shapely import union_all
-    from shapely.geometry import Point
-
     place = crossing()
-    area = union_all(list(place.regions.values())).intersection(Point(0, 0).buffer(20, 64)).area
+    disc = shapely.Point(0, 0).buffer(20, 64)
+    area = shapely.union_all(list(place.regions.values())).intersection(disc).area
     grid = build_voxels(place, radius=20, voxel=0.25)
     assert len(grid.columns) * 0.25**2 == pytest.approx(area, rel=0.01)
 
 
-@pytest.mark.parametrize("spacing", [None, 1.25])
-def test_a_saved_scene_loads_the_same(tmp_path, spacing):
-    scene = build_scene(built_in("t_junction"), radius=20, spacing=spacing, frames=3, density=5)
-    assert dict(scene.settings)["spacing"] == f"{spacing or 0.5:g}"
-    path = tmp_path / "t.npz"
-    save_scene(scene, path)
-    again = load_scene(path)
-    for part in ("voxels", "traffic"):
-        for name, value in vars(getattr(scene, part)).items():
-            np.testing.assert_array_equal(getattr(getattr(again, part), name), value)
+def test_a_saved_scene_loads_the_same(tmp_path):
+    scene = build_scene(built_in("t_junction"), radius=20, spacing=1.25, frames=3, density=5)
+    assert dict(scene.settings)["spacing"] == "1.25"
+    save_scene(scene, tmp_path / "t.npz")
+    again = load_scene(tmp_path / "t.npz")
+    assert digest((scene.voxels, scene.traffic)) == digest((again.voxels, again.traffic))
     a, b = scene.intersection, again.intersection
-    assert a.name == b.name
-    assert a.notes == b.notes
-    assert a.arms == b.arms
+    assert (a.name, a.notes, a.arms) == (b.name, b.notes, b.arms)
     assert all(b.regions[r].equals(g) for r, g in a.regions.items())
     assert b.mounting.equals(a.mounting)
-    np.testing.assert_array_equal(a.poles, b.poles)
-    for r, q in zip(a.routes, b.routes, strict=True):
-        np.testing.assert_array_equal(r.waypoints, q.waypoints)
-        assert (r.width, r.user, r.through) == (q.width, q.user, q.through)
+    assert digest((a.poles, a.routes, a.ground_points)) == digest(
+        (b.poles, b.routes, b.ground_points)
+    )
     assert again.settings == scene.settings
 
 
@@ -128,17 +120,10 @@ def test_what_cannot_be_loaded(tmp_path, monkeypatch, name, message):
 
 
 CORRUPT = {
-    "place_center": "center",
     "poles": "poles",
-    "ground_points": "ground_points",
     "route_points": r"routes\[0\].waypoints",
     "grid_columns": "voxels.columns",
-    "grid_ground": "voxels.ground",
-    "grid_center": "voxels.center",
     "traffic_center": "traffic.center",
-    "traffic_yaw": "traffic.yaw",
-    "traffic_size": "traffic.size",
-    "traffic_velocity": "traffic.velocity",
     "traffic_time": "traffic.time",
     "statics_corners": r"statics\[0\].outline",
     "statics_numbers": r"statics\[0\].height",
@@ -230,23 +215,3 @@ def test_a_scene_whose_shapes_are_nested_deep_is_refused(tmp_path):
     np.savez(tmp_path / "a.npz", **arrays | {"shape_0": np.frombuffer(deep, "u1")})
     with pytest.raises(InspeError, match="not a scene saved by this package"):
         load_scene(tmp_path / "a.npz")
-
-
-def test_nothing_is_left_of_a_scene_that_could_not_be_saved(tmp_path, monkeypatch):
-    scene = build_scene(built_in("t_junction"), radius=15, frames=2, density=2)
-
-    def fail(*_, **__):
-        raise OSError("disk full")
-
-    monkeypatch.setattr(np, "savez_compressed", fail)
-    with pytest.raises(OSError, match="disk full"):
-        save_scene(scene, tmp_path / "t.npz")
-    assert list(tmp_path.iterdir()) == []
-    with pytest.raises(InspeError, match="no such folder"):
-        save_scene(scene, tmp_path / "nowhere" / "t.npz")
-
-
-def test_traffic_of_the_test_world_is_padded():
-    traffic = random_traffic(crossing(), 3, 10, 20.0, seed=0)
-    assert traffic.frame_count == 3
-    assert traffic.mean_count == pytest.approx(traffic.valid.sum() / 3)

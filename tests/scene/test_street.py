@@ -82,12 +82,6 @@ def test_on_a_town_map(maps):
     assert len(bodies) > 50
 
 
-def test_a_seed_repeats_and_another_does_not():
-    place = inspe_jax.built_in("four_way")
-    one, again, other = (street_bodies(place, RADIUS, seed) for seed in (0, 0, 1))
-    assert digest(one) == digest(again) != digest(other)
-
-
 def test_no_road_user_touches_a_body_and_what_one_touches_is_left_out():
     place = inspe_jax.built_in("t_junction")
     scene = inspe_jax.build_scene(

@@ -13,8 +13,8 @@ import pytest
 from inspe_jax import fit_detection, load_detection, save_detection
 from inspe_jax.core.errors import InspeError
 from inspe_jax.scene.traffic.frames import CLASSES
-from inspe_jax.scoring.asked import Asked
 from inspe_jax.scoring.detection import KINDS, DetectionCurve, detection_curves
+from inspe_jax.scoring.options import ScoreOptions
 
 
 @pytest.mark.parametrize("slope", [1.0, 1.5, 2.2, 10.0])
@@ -84,11 +84,11 @@ def test_a_file_of_curves_replaces_those_that_it_has(tmp_path):
     ]
     assert hash(curves) != hash(usual)
     assert pickle.loads(pickle.dumps(curves)) == curves
-    asked = Asked.of(detection=curves)
+    asked = ScoreOptions.of(detection=curves)
     assert asked.detection == curves
     whole = tmp_path / "whole.toml"
     whole.write_bytes(files("inspe_jax.scoring").joinpath("detection.toml").read_bytes())
-    assert Asked.of(detection=load_detection(whole)) == Asked.of()  # the usual ones
+    assert ScoreOptions.of(detection=load_detection(whole)) == ScoreOptions.of()  # the usual ones
 
 
 def test_fitted_curves_are_written_and_read(tmp_path):

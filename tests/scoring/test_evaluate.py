@@ -13,6 +13,7 @@ from worlds import (
     no_traffic,
     place_sensors,
     random_layout,
+    solid_voxels,
     with_boxes,
     world,
 )
@@ -29,19 +30,6 @@ from inspe_jax.visibility import raycast
 
 SPECS = [LIDAR, CAMERA, CAMERA]
 FOUR = ("coverage", "occlusion", "information_gain", "surrogate")
-
-
-def solid_voxels(scene, frame):
-    """Voxels whose centre is in a vehicle, by turning each into the vehicle's frame."""
-    t, centers = scene.traffic, scene.voxels.centers
-    solid = np.zeros(len(centers), bool)
-    for b in np.flatnonzero(t.valid[frame]):
-        c, yaw, size = t.center[frame, b], t.yaw[frame, b], t.size[frame, b]
-        d = centers[:, :2] - c[:2]
-        x, y = d @ [np.cos(yaw), np.sin(yaw)], d @ [-np.sin(yaw), np.cos(yaw)]
-        stands = (np.abs(x) < size[0] / 2) & (np.abs(y) < size[1] / 2)
-        solid |= stands & (centers[:, 2] < c[2] + size[2] / 2)
-    return solid
 
 
 @pytest.mark.parametrize("reference", ["roi", "covered"])
@@ -77,8 +65,6 @@ def test_scores_equal_those_of_walked_rays_and_embree(reference):
         assert ours["surrogate"] == pytest.approx(np.dot([0.3, 0.5, 0.2], expected), abs=1e-3)
         assert all(type(value) is float for value in ours.values())
     assert list(found) == ["everywhere", "core", "outside"]
-    assert evaluate(scene, layout, softness=0.5).parts == {}
-    assert evaluate(world(frames=1), layout, weights=(0.5, 0.5, 0)).parts == {}  # it is all core
 
 
 def test_no_vehicles_make_occlusion_the_unweighted_coverage():
@@ -110,7 +96,7 @@ def test_a_sensor_that_sees_all_scores_one():
     assert scores.level_coverage == pytest.approx([1] * 8)
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_adding_a_sensor_never_lowers_a_score(seed):
     """Sensors are added one by one; contributions are the drop back, so never negative."""
     scene = world(seed=seed)
@@ -142,30 +128,33 @@ def test_contributions_are_leave_one_out_drops():
 def test_targets_are_the_vehicles_own_voxels_and_do_not_hide_themselves():
     """One car in full view: every voxel of it that is in view counts as seen."""
     scene = with_boxes(world(), (5.0, 0.0, 0.0, 4.0, 1.8, 1.5))
-    scene = replace(scene, traffic=_twice(scene.traffic, away=(5.0, 0.25)))
+    scene = replace(scene, traffic=_again(scene.traffic, away=(5.0, 0.25)))
     layout = place_sensors((LIDAR, [0.0, 0.0, 5.0, 0.0, 0.0, 0.0]))
     scores = evaluate(scene, layout, occlusion_reference="targets")
     f = raycast.in_view(scene, layout, "exact")[0]
-    shares = [f[solid_voxels(scene, k)].mean() for k in range(2)]
+    shares = [f[solid_voxels(scene, k)].mean() for k in range(4)]
     assert scores.occlusion == pytest.approx(np.mean(shares), abs=1e-6)
     # A truck in between hides it.
     hidden = with_boxes(scene, (5.0, 0.0, 0.0, 4.0, 1.8, 1.5), (2.0, 0.0, 0.0, 1.0, 8.0, 4.9))
-    hidden = replace(hidden, traffic=_twice(hidden.traffic, away=(5.0, 0.25)))
+    hidden = replace(hidden, traffic=_again(hidden.traffic, away=(5.0, 0.25)))
     low = place_sensors((LIDAR, [0.0, 0.0, 5.0, 0.0, 0.0, 0.0]))
     assert evaluate(hidden, low, occlusion_reference="targets").occlusion < scores.occlusion
 
 
-def _twice(traffic, away):
-    """The frame twice, its first box moved in the second, so that there is entropy."""
-    two = jax.tree.map(lambda leaf: np.repeat(leaf, 2, 0), traffic)
-    two.center[1, 0, :2] += away
-    return two
+def _again(traffic, away):
+    """The frame four times, its first box moved in one of them, so that there is entropy."""
+    four = jax.tree.map(lambda leaf: np.repeat(leaf, 4, 0), traffic)
+    four.center[1, 0, :2] += away
+    return four
 
 
-@pytest.mark.parametrize("visibility", ["line_of_sight", "past_others"])
-def test_information_gain_in_sight_is_that_of_embree_under_every_reference(visibility):
+@pytest.mark.parametrize(
+    ("visibility", "references"),
+    [("line_of_sight", ("covered",)), ("past_others", metrics.OCCLUSION_REFERENCES)],
+)
+def test_information_gain_in_sight_is_that_of_embree_under_every_reference(visibility, references):
     """Past the others: each voxel inside a vehicle once more, with that vehicle taken away."""
-    scene, frames = world(count=10, seed=5, radius=18.0), range(4)
+    scene, frames = world(count=10, seed=5), range(4)
     layout = random_layout(scene, SPECS, seed=2, heights=(1.0, 5.0))
     solid = np.stack([solid_voxels(scene, k) for k in frames])
     p = np.clip(solid.mean(0), 1e-12, 1 - 1e-12)
@@ -180,7 +169,7 @@ def test_information_gain_in_sight_is_that_of_embree_under_every_reference(visib
     f = raycast.in_view(scene, layout, "exact")
     q = 1 - np.prod([1 - s.reliability * x for s, x in zip(SPECS, f * share, strict=True)], axis=0)
     found = set()
-    for reference in metrics.OCCLUSION_REFERENCES:
+    for reference in references:
         scores = evaluate(scene, layout, visibility=visibility, occlusion_reference=reference)
         found.add(scores.information_gain)
         assert scores.information_gain == pytest.approx((q * h).sum() / h.sum(), abs=1e-3)
@@ -237,13 +226,8 @@ MIRROR = np.array([[1.0, 0.0], [0.0, -1.0]])
 
 @pytest.mark.parametrize(
     ("turn", "shift"),
-    [
-        (np.eye(2), np.array([13.5, -7.0, 2.5])),
-        (QUARTER, np.zeros(3)),
-        (MIRROR, np.zeros(3)),
-        (MIRROR @ QUARTER, np.array([100.0, 250.0, -3.0])),
-    ],
-    ids=["translate", "quarter-turn", "mirror", "all"],
+    [(QUARTER, np.zeros(3)), (MIRROR @ QUARTER, np.array([100.0, 250.0, -3.0]))],
+    ids=["quarter-turn", "all"],
 )
 def test_moving_the_whole_world_changes_nothing(turn, shift):
     """To 2e-4: the world is rounded anew in single precision (1e-5 m on 50 m), which can flip
@@ -282,6 +266,7 @@ def test_settings_and_seen_share():
     scene = world()
     layout = random_layout(scene, [LIDAR], seed=0)
     scores = evaluate(scene, layout)
+    assert scores.parts == {}  # it is all core
     assert metrics.weights_of(scores.settings["weights"]) == metrics.weights_of()
     assert scores.seen_share.shape == (len(scene.voxels.columns),)
     assert 0 < scores.seen_share.mean() < scores.coverage + 0.05
@@ -306,23 +291,22 @@ def test_many_layouts_score_as_they_do_one_by_one():
 
 
 def test_scenes_layouts_and_metrics_are_taken_by_name(tmp_path):
-    scene = world(radius=10.0, voxel=2.0, frames=2, count=6)
-    layout = place_sensors((LIDAR, [0.0, 0.0, 5.0, 0, 0, 0]))
+    scene = ij.build_scene("four_way", radius=15, voxel=2.0, frames=2, density=4)
+    layout = ij.strategy(scene, "Cam-d1")
     files = tmp_path / "scene.npz", str(tmp_path / "layout.yaml")
     ij.save_scene(scene, files[0])
     ij.save_layout(layout, files[1])
+    layout = ij.load_layout(files[1], scene)
     scores = evaluate(scene, layout, metrics="all")
     assert tuple(scores.metrics) == tuple(metrics.METRICS)
     assert evaluate(*files, metrics=", ".join(metrics.METRICS)) == scores
     assert evaluate_many(*files, layout.poses[None]).coverage == pytest.approx(scores.coverage)
-    assert ij.in_view(*files).shape == (1, scene.voxels.count)
-    assert ij.line_of_sight(*files, 0).shape == (1, scene.voxels.count)
-    assert ij.target_view(*files).found.shape == (1, len(scene.voxels.columns))
-    assert ij.tolerance(*files, samples=1).score == pytest.approx(scores.surrogate)
-    four = ij.build_scene("four_way", radius=15, voxel=2.0, frames=2, density=4)
-    placed = ij.strategy(four, "Cam-d1")
-    assert evaluate(four, "cam-D1") == evaluate(four, placed)
-    assert "P_sm 0." in repr(evaluate(four, placed))
+    assert ij.in_view(*files).shape == (len(layout), scene.voxels.count)
+    assert ij.line_of_sight(*files, 0).shape == (len(layout), scene.voxels.count)
+    assert ij.target_view(*files).found.shape == (len(layout), len(scene.voxels.columns))
+    by_name = evaluate(scene, "cam-D1", metrics="all")
+    assert by_name.metrics == pytest.approx(scores.metrics, abs=1e-4)  # files are rounded
+    assert "P_sm 0." in repr(by_name)
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,6 @@
 """Scores counted in bit masks against the same measures with a number for every voxel."""
 
 from dataclasses import replace
-from itertools import product
 
 import jax
 import jax.numpy as jnp
@@ -16,38 +15,45 @@ from worlds import (
     random_layout,
     random_traffic,
     slow_but,
+    solid_voxels,
     world,
 )
 
 from inspe_jax.core.parallel import run
 from inspe_jax.placement.candidate_views import view_jobs
-from inspe_jax.scoring import exact, metrics
+from inspe_jax.scoring import exact
 from inspe_jax.scoring import tiled_scene as made
-from inspe_jax.scoring.asked import Asked
+from inspe_jax.scoring.options import ScoreOptions
 from inspe_jax.scoring.sensor_array import SensorSet
 from inspe_jax.scoring.tiled_scene import SceneArrays
-from inspe_jax.sensing.conditions import Conditions
-from inspe_jax.visibility import bitmask, view_masks
+from inspe_jax.visibility import bitmask
 from inspe_jax.visibility.centered_scene import CenteredScene, about_center, poses_about_center
 from inspe_jax.visibility.tiles import tiles_of
 
 SPECS = [LIDAR, CAMERA, CAMERA, LIDAR]
 
 
-def slow(*case):
-    """A case that shows more of what the others show."""
-    return pytest.param(*case, marks=pytest.mark.slow)
-
-
 UNITS = ((0, 2), (1,), (3,))  # as failures: several sensors in a group, not in order
+LOW, MIDDLE, HIGH = (0.3, 1.2), (1.0, 4.0), (1.0, 8.0)  # the sensors' heights
 SCENES = {
-    "plain": dict(),
-    "sloping, off centre": dict(slope=0.08, center=(812.0, -455.0, 31.0)),
-    "more levels than a word has bits": TALL,
-    "two words of vehicles": dict(count=45),
-    "two parts of frames": dict(frames=131, count=3, voxel=1.0, radius=10.0),
-    "no vehicle": dict(count=0),
-}
+    "plain": (dict(count=20), MIDDLE, "covered", "in_view"),
+    "all references": (dict(count=20), MIDDLE, "covered", "past_others"),
+    "sight apart": (dict(count=20), MIDDLE, "targets", "line_of_sight"),
+    "own voxels": (dict(count=20), MIDDLE, "targets", "in_view"),
+    "own voxels, all the way": (dict(count=20), MIDDLE, "targets", "past_others"),
+    "sloping, off centre": (
+        dict(slope=0.08, center=(812.0, -455.0, 31.0)), HIGH, "roi", "line_of_sight"
+    ),
+    # The upper levels' columns stand in vehicles, without a solid voxel.
+    "more levels than a word has bits": (TALL | dict(count=2), LOW, "roi", "past_others"),
+    "steep": (dict(slope=0.3, count=20), LOW, "roi", "past_others"),
+    "two words of vehicles": (dict(count=45), HIGH, "covered", "line_of_sight"),
+    "two parts of frames": (
+        dict(frames=131, count=3, voxel=1.0, radius=10.0), HIGH, "roi", "in_view"
+    ),
+    "no vehicle": (dict(count=0), HIGH, "roi", "in_view"),
+}  # fmt: skip
+"""Every occlusion reference with every visibility, and what is special of the world."""
 
 
 compiled_measure = jax.jit(
@@ -62,7 +68,7 @@ def both(scene, layout, failures=(), **options):
     field = SceneArrays(about_center(scene), jnp.asarray(scene.voxels.weight, float))
     dense = compiled_measure(field, poses, sensor_set, voxel, **options)
     return dense, exact.measure_exactly(
-        made.tiled_scene_of(scene), poses, sensor_set, voxel, Asked.of(**options)
+        made.tiled_scene_of(scene), poses, sensor_set, voxel, ScoreOptions.of(**options)
     )
 
 
@@ -81,56 +87,20 @@ def assert_same(dense, counted):
 
 @pytest.mark.parametrize("name", SCENES)
 def test_masks_count_what_numbers_add_up_to(name):
-    scene = world(seed=3, **SCENES[name])
-    assert (scene.voxels.level_count > bitmask.WORD) == (SCENES[name] is TALL)
+    """With all sensors, and without those of each unit."""
+    size, heights, reference, visibility = SCENES[name]
+    scene = world(seed=7, **size)
+    assert (scene.voxels.level_count > bitmask.WORD) == ("levels" in name)
     x, y = scene.voxels.center[:2]
-    layout = random_layout(scene, SPECS, seed=5)
+    layout = random_layout(scene, SPECS, seed=8, heights=heights)
     if scene.voxels.radius <= 10:  # nearer, so that something is seen
         poses = np.asarray(layout.poses)
         poses[:, :2] = [x, y] + (poses[:, :2] - [x, y]) / 2
         layout = layout.with_poses(poses)
-    dense, counted = both(scene, layout, UNITS)
+    options = dict(occlusion_reference=reference, visibility=visibility)
+    dense, counted = both(scene, layout, UNITS, **options)
     assert 0.05 < float(dense.values["coverage"][0]) < 1
     assert_same(dense, counted)
-
-
-READINGS = list(product(metrics.OCCLUSION_REFERENCES, ["in_view", "line_of_sight", "past_others"]))
-
-
-def check_reading(reference, visibility, failures):
-    scene = world(seed=7, count=20)
-    layout = random_layout(scene, SPECS, seed=8, heights=(1.0, 4.0))
-    options = dict(occlusion_reference=reference, visibility=visibility)
-    assert_same(*both(scene, layout, failures, **options))
-
-
-@pytest.mark.parametrize(("reference", "visibility"), READINGS)
-def test_every_reading_is_counted_alike(reference, visibility):
-    """With all sensors, and without those of each unit."""
-    check_reading(reference, visibility, UNITS)
-
-
-@pytest.mark.parametrize(
-    "size",
-    [
-        TALL | dict(count=2),  # the upper levels' columns stand in vehicles, without a solid voxel
-        slow(dict(voxel=1.0, radius=20.0, count=20)),
-        dict(slope=0.3, count=20),
-    ],
-)
-def test_above_a_vehicle_that_spares_its_own_voxels_it_hides(size):
-    """Of sensors lower than its top."""
-    scene = world(seed=7, **size)
-    layout = random_layout(scene, SPECS, seed=8, heights=(0.3, 1.2))
-    options = dict(occlusion_reference="roi", visibility="past_others")
-    assert_same(*both(scene, layout, UNITS, **options))
-
-
-@pytest.mark.parametrize(
-    "reading", slow_but(READINGS, ("covered", "line_of_sight")), ids=map("-".join, READINGS)
-)
-def test_without_failures_every_reading_is_counted_alike(reading):
-    check_reading(*reading, ())
 
 
 def test_a_sensor_in_every_awkward_place():
@@ -143,11 +113,11 @@ def test_a_sensor_in_every_awkward_place():
     )
     voxel = scene.voxels.centers[len(scene.voxels.centers) // 2]
     layout = random_layout(scene, SPECS, seed=1)
-    poses = np.array(layout.poses)
+    poses, options = np.array(layout.poses), dict(occlusion_reference="covered")
     poses[0, :3], poses[1, :3] = inside, (*beside, 1.2)
     poses[2, :3], poses[3, :3] = voxel, (0.0, 0.0, 3.0)
     poses[3, 3:] = 0.0
-    assert_same(*both(scene, layout.with_poses(poses)))
+    assert_same(*both(scene, layout.with_poses(poses), visibility="line_of_sight", **options))
 
 
 def test_any_number_of_cores_gives_the_same_bits(monkeypatch):
@@ -185,7 +155,7 @@ def test_a_sample_is_counted_as_a_scene_of_its_own():
     assert_same(compiled_measure(field, poses, sensor_set, voxel), traced(poses, sample))
 
     grid, s = layout.sensors[0].spec.grid, jnp.stack([poses[0], poses[3], poses[0]])
-    (together,) = run(view_jobs(grid, voxel / 2, s, sample, Asked()))
+    (together,) = run(view_jobs(grid, voxel / 2, s, sample, ScoreOptions()))
     views, seen = (part[:3] for part in together[:2])
     assert views.shape == (3, 77 * levels)
     assert seen.shape == (3, 2, 77 * levels)
@@ -195,18 +165,6 @@ def test_a_sample_is_counted_as_a_scene_of_its_own():
     alone = SensorSet(((grid, (0,)),), (1.0,), (0,), (1.0,))
     one = compiled_measure(field, poses[:1], alone, voxel)
     assert views[0].mean() == pytest.approx(float(one.column_coverage.mean()), abs=1e-6)
-
-
-def test_layouts_of_one_shape_compile_once():
-    scene = world(seed=9)
-    first, second = (random_layout(scene, SPECS, seed=k) for k in (1, 2))
-    both(scene, first)
-    parts = view_masks.view_masks, exact._count, exact._summarise
-    before = [part._cache_size() for part in parts]
-    both(scene, second)
-    assert [part._cache_size() for part in parts] == before
-    assert both(scene, Conditions.of("night", "fog:50").layout(second))[1].values["coverage"][0] > 0
-    assert [part._cache_size() for part in parts] == before
 
 
 def test_a_world_is_kept_as_long_as_its_scene():
@@ -225,16 +183,7 @@ def test_a_world_is_kept_as_long_as_its_scene():
 def test_occupancy_is_the_share_of_frames_in_which_a_voxel_is_in_a_vehicle(voxel):
     """Each centre against each box, by hand; where it always is, 0 does as well as 1."""
     scene = world(voxel=voxel, radius=10.0, frames=3, count=9, slope=0.05)
-    t, inside = scene.traffic, []
-    for k in range(3):
-        away = scene.voxels.centers[:, None] - t.center[k]  # (V, B, 3)
-        cos, sin = np.cos(t.yaw[k]), np.sin(t.yaw[k])
-        along, aside = (
-            away[..., 0] * cos + away[..., 1] * sin,
-            away[..., 1] * cos - away[..., 0] * sin,
-        )
-        within = np.abs(np.stack([along, aside], -1)) < t.size[k, :, :2] / 2
-        inside.append((within.all(-1) & (away[..., 2] < t.size[k, :, 2] / 2) & t.valid[k]).any(1))
+    inside = [solid_voxels(scene, k) for k in range(3)]
     share = np.mean(inside, 0)
     assert 0.01 < ((share > 0) & (share < 1)).mean() < 0.5
     np.testing.assert_allclose(made.tiled_scene_of(scene).voxel_occupancy, share % 1, atol=1e-6)

@@ -81,16 +81,17 @@ def test_it_carries_weight_in_the_surrogate(scene, layout):
 
 
 def test_softly_it_has_a_slope(scene, layout):
-    soft = inspe_jax.evaluate(scene, layout, softness=inspe_jax.Softness(1e-4, 1e-4, "exact"))
-    exact = inspe_jax.evaluate(scene, layout)
-    for name in ("watched_twice", "worst_frame"):
-        assert soft.metrics[name] == pytest.approx(exact.metrics[name], abs=2e-3)
+    def values(poses, width):
+        softness = inspe_jax.Softness(width, width, "exact")
+        found = inspe_jax.evaluate(scene, layout.with_poses(poses), softness=softness).metrics
+        return found["watched_twice"], found["worst_frame"]
 
-    def score(poses):
-        given = dict(softness=1.0, weights={"watched_twice": 1.0})
-        return inspe_jax.evaluate(scene, layout.with_poses(poses), **given).surrogate
-
-    assert np.abs(jax.grad(score)(layout.poses)[:, :2]).max() > 1e-4
+    poses = jnp.asarray(layout.poses, float)
+    slope, worst = jax.grad(values, has_aux=True)(poses, 1.0)
+    assert np.abs(slope[:, :2]).max() > 1e-4
+    assert 0 < worst < 1
+    sharp, exact = jax.vjp(lambda poses: values(poses, 1e-4), poses)[0], values(poses, None)
+    assert np.asarray(sharp) == pytest.approx(np.asarray(exact), abs=2e-3)
 
 
 def test_a_search_maximises_it(scene):

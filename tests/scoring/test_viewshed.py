@@ -4,13 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from worlds import CAMERA, LIDAR, no_traffic, random_layout, world
+from worlds import CAMERA, LIDAR, no_traffic, random_layout, solid_voxels, world
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.scoring import tiled_scene as made
 from inspe_jax.scoring.evaluate import evaluate
 from inspe_jax.scoring.viewshed import Visibility, sight_in, viewshed
-from inspe_jax.sensing.conditions import Conditions
+from inspe_jax.sensing.conditions import FAIR, Conditions
 from inspe_jax.visibility.queries import in_view, line_of_sight
 
 
@@ -29,18 +29,6 @@ def shed(scene, layout):
     return viewshed(scene, layout)
 
 
-def solid(scene, frame):
-    """Whether each voxel's centre is inside a vehicle, one after the other."""
-    t, found = scene.traffic, np.zeros(scene.voxels.count, bool)
-    for box in np.flatnonzero(t.valid[frame]):
-        away = scene.voxels.centers - t.center[frame, box]
-        cos, sin = np.cos(t.yaw[frame, box]), np.sin(t.yaw[frame, box])
-        along, aside = away[:, 0] * cos + away[:, 1] * sin, away[:, 1] * cos - away[:, 0] * sin
-        half = t.size[frame, box] / 2
-        found |= (np.abs(along) < half[0]) & (np.abs(aside) < half[1]) & (away[:, 2] < half[2])
-    return found
-
-
 def test_counts_are_those_of_line_of_sight_in_every_frame(scene, layout, shed):
     view = in_view(scene, layout)
     seen = [
@@ -49,12 +37,12 @@ def test_counts_are_those_of_line_of_sight_in_every_frame(scene, layout, shed):
     assert shed.frame_count == scene.traffic.frame_count == 4
     np.testing.assert_array_equal(shed.sensors, view.sum(0))
     np.testing.assert_array_equal(shed.seen, np.sum(seen, 0))
-    inside = np.sum([solid(scene, k) for k in range(4)], 0)
+    inside = np.sum([solid_voxels(scene, k) for k in range(4)], 0)
     assert (shed.occupied != inside).mean() < 1e-3  # centres on a face
     for k in (0, 3):
         sight = sight_in(scene, layout, k)
         occupied = sight == Visibility.OCCUPIED
-        assert (occupied != solid(scene, k)).mean() < 1e-3
+        assert (occupied != solid_voxels(scene, k)).mean() < 1e-3
         np.testing.assert_array_equal((sight == Visibility.SEEN)[~occupied], seen[k][~occupied])
         np.testing.assert_array_equal(
             (sight == Visibility.OUT_OF_VIEW)[~occupied], ~view.any(0)[~occupied]
@@ -62,34 +50,22 @@ def test_counts_are_those_of_line_of_sight_in_every_frame(scene, layout, shed):
         assert {*Visibility} == set(sight.tolist())
 
 
-def test_scores_are_sums_over_it(scene, layout, shed):
-    scores = evaluate(scene, layout)
+@pytest.mark.parametrize(
+    ("around", "profile"), [(FAIR, "paper"), (Conditions.of("night", "fog:100"), "ideal")]
+)
+def test_scores_are_sums_over_it(scene, layout, around, profile):
+    """Also of sensors that perceive less, and with the profile's visibility."""
+    of = replace(scene, settings=(("profile", profile),))
+    assert (of.profile.visibility == "past_others") == (profile == "paper")
+    shed, scores = viewshed(of, layout, conditions=around), evaluate(of, layout, conditions=around)
     weight = scene.voxels.weight
     assert weight @ (shed.sensors > 0) / weight.sum() == pytest.approx(scores.coverage, abs=1e-6)
     by_column = shed.seen.reshape(-1, scene.voxels.level_count).mean(1) / shed.frame_count
     np.testing.assert_allclose(by_column, scores.seen_share, atol=1e-6)
     gain = shed.entropy @ shed.resolved / shed.entropy.sum()
     assert gain == pytest.approx(scores.information_gain, abs=1e-5)
-
-
-def test_what_is_resolved_is_as_the_profile_has_it(scene, layout):
-    as_profile = replace(scene, settings=(("profile", "paper"),))
-    assert as_profile.profile.visibility == "past_others"
-    shed, scores = viewshed(as_profile, layout), evaluate(as_profile, layout)
-    gain = shed.entropy @ shed.resolved / shed.entropy.sum()
-    assert gain == pytest.approx(scores.information_gain, abs=1e-5)
-    in_view_alone = evaluate(as_profile, layout, visibility="in_view").information_gain
-    assert gain < in_view_alone - 0.01
-
-
-def test_conditions_and_sensors_that_perceive_less(scene, layout):
-    dim = Conditions.of("night", "fog:100")
-    shed, scores = viewshed(scene, layout, conditions=dim), evaluate(scene, layout, conditions=dim)
-    weight = scene.voxels.weight
-    assert weight @ (shed.sensors > 0) / weight.sum() == pytest.approx(scores.coverage, abs=1e-6)
-    gain = shed.entropy @ shed.resolved / shed.entropy.sum()
-    assert gain == pytest.approx(scores.information_gain, abs=1e-5)
-    assert gain < 0.95 * evaluate(scene, layout).information_gain
+    in_view_alone = evaluate(of, layout, conditions=around, visibility="in_view").information_gain
+    assert (gain < in_view_alone - 0.01) == (profile == "paper")
 
 
 def test_runs_of_frames_are_put_together(scene, layout, shed, monkeypatch):

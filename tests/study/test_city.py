@@ -177,28 +177,19 @@ def test_dry_runs_and_ctrl_c(inspe, files, monkeypatch):
 
 BAD = [
     (("none.net.xml",), "none.net.xml: no such file"),
-    (("grid.csv",), "grid.csv: not a map: its name must end in"),
     (("grid.net.xml", "--junctions", "A0,B7"), "no junction 'B7' among A0, A1, B0, B1; did you"),
     (("grid.net.xml", "--junctions", ","), "junctions ',': write signals, all, or ids"),
-    (("grid.net.xml", "--junctions", "A0,A0"), "write signals, all, or ids with commas"),
     (("grid.net.xml", "--importance", "A9=2"), "importance: no junction 'A9' among"),
     (("grid.net.xml", "--importance", "A0=0"), "importance A0=0: more than 0"),
     (("grid.net.xml", "--importance", "A0"), "--importance A0: write ID=WEIGHT, such as 189=2"),
-    (("grid.net.xml", "--importance", "A0=inf"), "importance A0=inf: more than 0"),
     (("grid.net.xml", "--budget", "-1"), "budget -1: 0 to 1e+10 US dollars"),
-    (("grid.net.xml", "--budget", "nan"), "budget nan: 0 to 1e+10 US dollars"),
     (("grid.net.xml", "--device", "paper-camera:1"), "has no list price in the catalogue"),
-    (("grid.net.xml", "--device", "velodyne:1"), "no device 'velodyne'"),
     (("grid.net.xml", "--price", "paper-camera=1"), "price of 'paper-camera', which is in no mix"),
     (("grid.net.xml", "--method", "none"), "--method none: a plan needs a search"),
     (("grid.net.xml", "--method", "gready"), "settings.method: 'gready': one of"),
     (("grid.net.xml", "--density", "many"), "settings.density: density 'many'"),
-    (("grid.net.xml", "--frames", "0"), "settings.frames[0]"),
     (("grid.net.xml", "--radius", "-3"), "settings.radius[0]"),
-    (("grid.net.xml", "--weight", "coverage=2"), "sum to 1"),
-    (("grid.net.xml", "--detection", "none.toml"), "none.toml: no such file"),
     (("grid.net.xml", "--workers", "0"), "workers 0: give 1 or more"),
-    (("grid.net.xml", "--out", "no/such"), "no such folder"),
 ]
 
 
@@ -222,15 +213,9 @@ def rows_of(study, scores):
     found = []
     for job in study.jobs:
         value = scores[job.source.name, job.layout.name]
-        done = isinstance(value, float)
-        found.append(
-            dict(
-                key=job.key,
-                status="done" if done else "failed",
-                surrogate=str(value) if done else "",
-                error="" if done else value,
-            )
-        )
+        done = dict(status="done", surrogate=str(value), error="")
+        failed = dict(status="failed", surrogate="", error=value)
+        found.append({"key": job.key} | (done if isinstance(value, float) else failed))
     return found
 
 
@@ -287,17 +272,6 @@ def test_what_failed_is_told_and_left_out(inspe, files, monkeypatch):
     assert "every search failed; at B0" in error
 
 
-def test_neither_prices_nor_the_budget_change_the_study(files):
-    """And a junction or a mix more only adds jobs."""
-    path, settings = files / "grid.net.xml", dict(method="greedy", evaluations=3)
-    one = city_study(path, [junction("A0")], [{"paper-camera": 1}], settings)
-    both = [junction("A0"), junction("A1")]
-    more = city_study(path, both, [{"paper-camera": 1}, {"paper-camera": 2}], settings)
-    keys = {job.key for job in more.jobs}
-    assert len(keys) == 4
-    assert {job.key for job in one.jobs} < keys
-
-
 def synthetic(count: int, name: str = "{}") -> list[JunctionFront]:
     rng = np.random.default_rng(0)
     found = []
@@ -310,10 +284,13 @@ def synthetic(count: int, name: str = "{}") -> list[JunctionFront]:
     return found
 
 
-@pytest.mark.parametrize("worst", [False, True], ids=["sum", "worst"])
 @pytest.mark.parametrize(
-    ("count", "name", "labels"),
-    [(3, "J{}", ["J0", "J1", "J2"]), (2, "cluster_{}00000", ["1", "2"]), (61, "{}", [])],
+    ("count", "name", "labels", "worst"),
+    [
+        (3, "J{}", ["J0", "J1", "J2"], True),
+        (2, "cluster_{}00000", ["1", "2"], False),
+        (61, "{}", [], False),
+    ],
 )
 def test_the_figure_names_junctions_where_there_is_room(count, name, labels, worst):
     plan = plan_city(synthetic(count, name), 4000.0 * count, worst=worst)
@@ -321,26 +298,22 @@ def test_the_figure_names_junctions_where_there_is_room(count, name, labels, wor
     texts = [text.get_text() for text in map_.texts]
     assert [text for text in texts if text not in ("N", "1 km", "500 m", "200 m")] == labels
     assert curve.get_ylabel() == ("least score" if worst else "mean of the scores")
-    least, total = plan.value(plan.even), plan.value(plan.share)
-    assert least <= total
-
-
-def test_a_plan_in_words():
-    plan = plan_city(synthetic(4), 12_000)
-    spent, proof, even = plan_words(plan)
-    assert spent.startswith("12,000 of 12,000 US dollars, at")
-    assert proof.startswith("proved: of the mixes searched, no plan for this money has")
-    assert "would give a mean of" in even
+    assert plan.value(plan.even) <= plan.value(plan.share)
     empty = plan_city(synthetic(4), 0.0, worst=True)
-    assert plan_words(empty)[0].startswith("0 of 0 US dollars, at 0 of 4 junctions")
-    assert plan_words(empty)[2].endswith("; devices for all cost 16,000 or more")
     assert city_view(empty, "town").axes
+    assert plan_words(empty)[2].endswith("; devices for all cost 16,000 or more")
 
 
 def test_choosing_junctions(files, monkeypatch):
+    """And a junction or a mix more only adds jobs to a study."""
     path = files / "grid.net.xml"
     assert [one.id for one in choose_junctions(path, "signals")] == ["A0", "A1", "B0", "B1"]
     assert [one.id for one in choose_junctions(path, "B1, A0")] == ["B1", "A0"]
+    both, settings = [junction("A0"), junction("A1")], dict(method="greedy", evaluations=3)
+    one = city_study(path, both[:1], [{"paper-camera": 1}], settings)
+    more = city_study(path, both, [{"paper-camera": 1}, {"paper-camera": 2}], settings)
+    assert len(more.jobs) == 4
+    assert {job.key for job in one.jobs} < {job.key for job in more.jobs}
     some = (junction("a", signals=0), junction("b", signals=0))
     monkeypatch.setattr("inspe_jax.study.city.list_junctions", lambda path: some)
     assert choose_junctions(path, "all") == some
@@ -358,13 +331,6 @@ def test_roads_are_where_the_junctions_are(files):
         away = np.hypot(*(points - np.array(one.center[:2])).T)
         assert away.min() < 15
     assert read_map(path, junction="A0", radius=20).georeference is not None
-
-
-def test_roads_of_an_open_drive_map(maps):
-    path = maps / "Town07.xodr"
-    points = np.concatenate(road_lines(path))
-    for one in choose_junctions(path, "all"):
-        assert np.hypot(*(points - np.array(one.center[:2])).T).min() < 20
 
 
 @pytest.mark.process

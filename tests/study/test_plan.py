@@ -42,29 +42,21 @@ def read(tmp_path):
     return read
 
 
-def test_jobs_that_are_chosen_from_a_study_keep_its_metrics(read):
+def test_every_combination_is_a_job(read):
     study = read(STUDY, metrics=["redundancy"])
     assert "redundancy" in study.metrics
     assert Study("some", study.jobs[2:]).metrics == study.metrics
-
-
-def test_every_combination_is_a_job(read):
-    study = read(STUDY)
     assert study.name == "study"
     assert study.tags == ("kind",)
     got = [
         (j.source.name, j.settings["density"], j.layout.name, j.settings["light"],
          j.settings["weather"]) for j in study.jobs
     ]  # fmt: skip
-    assert got == list(
-        product(
-            ("four_way", "circle"),
-            ("low", 33),
-            ("Cam-d1", "thirty-two"),
-            ("midday", "night"),
-            ("clear", "rain:10"),
-        )
-    )
+    weather = ("clear", "rain:10")
+    layouts = ("Cam-d1", "thirty-two")
+    assert got == [
+        *product(("four_way", "circle"), ("low", 33), layouts, ("midday", "night"), weather)
+    ]
     assert len({job.key for job in study.jobs}) == 32
     assert len({job.scene for job in study.jobs}) == 4
     for job in study.jobs:
@@ -219,13 +211,12 @@ def test_saved_scenes_and_layout_files(read, tmp_path):
         (dict(scenes=[{}]), r"scenes\[0\]: give exactly one of built_in, map and file"),
         (dict(scenes=[{"built_in": "five_ways"}]), r"scenes\[0\].built_in.*did you mean five_way"),
         (dict(scenes=[{"built_in": "four_way", "map": "a.xodr"}]), r"give exactly one of built_in"),
-        (
-            dict(scenes=[{"built_in": "four_way", "junction": 3}]),
-            r"junction and center are only for",
-        ),
+        (dict(scenes=[{"built_in": "four_way", "center": [1, 2]}]), "junction and center are only"),
         (dict(scenes=[{"built_in": "four_way", "radios": 3}]), r"unknown key; did you mean radius"),
         (dict(scenes=[{"built_in": "four_way"}] * 2), r"scenes: two are named 'four_way'"),
         (dict(scenes=[{"map": "a.xodr", "junction": 3}]), r"a.xodr: no such file"),
+        (dict(scenes=[{"map": "study.yaml"}]), "choose a place on the map: give either junction"),
+        (dict(scenes=[{"map": "study.yaml", "junction": 1, "center": [0, 0]}]), "choose a place"),
         (dict(scenes=[{"file": "a.npz"}]), r"a.npz: no such file"),
         (dict(scenes=[{"built_in": "four_way", "radius": -1}]), r"radius.*greater than 0"),
         (dict(layouts=["Cam-d9"]), r"layouts\[0\]: no strategy 'Cam-d9'.*did you mean Cam-d"),
@@ -236,20 +227,10 @@ def test_saved_scenes_and_layout_files(read, tmp_path):
         (dict(layouts=[{"mix": {"paper-camera": 1}, "lidar": "x"}]), "a mix has its own devices"),
         (dict(layouts=[{"mix": {"paper-camara": 1}}]), r"layouts\[0\].mix: no device 'paper-cam"),
         (dict(layouts=[{"mix": {"paper-camera": 0}}]), r"layouts\[0\].mix: needs at least one"),
-        (
-            dict(layouts=[{"mix": {"paper-camera": -1}}]),
-            r"layouts\[0\].mix.paper-camera: .*or equal",
-        ),
-        (dict(layouts=[{"mix": {}}]), r"layouts\[0\].mix: .*at least 1"),
+        (dict(layouts=[{"mix": {"paper-camera": -1}}]), r"mix.paper-camera: .*or equal"),
         (dict(layouts=[{"strategy": "L-c", "lidar": "no"}]), r"layouts\[0\]: no device 'no'"),
-        (
-            dict(layouts=[{"strategy": "L-c", "lidar": "paper-camera"}]),
-            r"layouts\[0\]: lidar 'paper-camera' is a camera",
-        ),
-        (
-            dict(layouts=[{"strategy": "L-c", "lidar_height": 99.0}]),
-            r"layouts\[0\]: lidar_height 99",
-        ),
+        (dict(layouts=[{"strategy": "L-c", "lidar": "paper-camera"}]), "paper-camera' is a camera"),
+        (dict(layouts=[{"strategy": "L-c", "lidar_height": 99.0}]), "lidar_height 99"),
         (dict(layouts=[{"strategy": "L-c", "name": "two\nlines"}]), r"layouts\[0\].name: string"),
         (dict(scenes=[{"built_in": "four_way", "tags": {"a": "b\tc"}}]), r"scenes\[0\].tags.a"),
         (dict(settings=dict(density="many")), r"settings.density: density 'many': none, low"),
@@ -258,11 +239,8 @@ def test_saved_scenes_and_layout_files(read, tmp_path):
         (dict(settings=dict(mix="bikes")), r"settings.mix: 'bikes': one of mixed, fleet, largest"),
         (dict(settings=dict(method="adm")), r"settings.method: 'adm': one of none, .*mean adam"),
         (dict(settings=dict(weights=[0.5, 0.5, 0.5])), r"settings.weights: .* sum to 1"),
-        (dict(settings=dict(weights=[0.5, 0.5])), r"settings.weights: .* 3 numbers, for coverage"),
         (dict(settings=dict(weights=["0.5", 0.5, 0])), r"settings.weights: .* a number for each"),
         (dict(settings=dict(weights={"coverag": 1})), r"settings.weights: .* mean coverage\?"),
-        (dict(settings=dict(weights={"coverage": 0.9})), r"settings.weights: .* sum to 1"),
-        (dict(settings=dict(weights=1)), r"settings.weights: 1: give a number for each metric"),
         (dict(settings=dict(frames=0)), r"settings.frames\[0\]: .*greater than or equal to 1"),
         (dict(settings=dict(seconds=[])), r"settings.seconds: needs at least 1"),
         (dict(settings=dict(light=None)), r"settings.light\[0\]: input should be a valid string"),
@@ -286,12 +264,3 @@ def test_a_file_that_is_no_study(tmp_path):
         path.write_text(text)
         with pytest.raises(InspeError, match=message):
             load_study(path)
-
-
-def test_a_map_needs_to_know_which_place(read, tmp_path):
-    (tmp_path / "a.xodr").write_text("<OpenDRIVE/>")
-    for entry in ({"map": "a.xodr"}, {"map": "a.xodr", "junction": 1, "center": [0, 0]}):
-        with pytest.raises(InspeError, match="choose a place on the map: give either junction"):
-            read(STUDY, scenes=[entry])
-    (first, *_) = read(STUDY, scenes=[{"map": "a.xodr", "center": [0, 1.5]}]).jobs
-    assert first.source.name == "a 0, 1.5"

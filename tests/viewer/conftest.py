@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from worlds import CAMERA, LIDAR, place_sensors
 
 
@@ -12,3 +13,10 @@ def layout():
         (CAMERA, [9.0, 9.0, 6.0, 0, -0.3, np.radians(-100)]),
         (LIDAR, [-9.0, -9.0, 5.0, 0, 0, 0]),
     )
+
+
+@pytest.fixture
+def plain_plan(monkeypatch):
+    """Plan views are empty: each takes longer to draw than all else that follows a change."""
+    picture = "inspe_jax.viewer.blind_spot_panel.plan_picture"
+    monkeypatch.setattr(picture, lambda *_: Figure((0.1, 0.1)))

@@ -3,6 +3,7 @@
 import threading
 import time
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -20,7 +21,7 @@ from inspe_jax.viewer import scorer as scorers
 from inspe_jax.viewer.job_queue import WAITING, DelayedAction, JobQueue
 from inspe_jax.viewer.score_panel import cost_of, score_panel
 from inspe_jax.viewer.scorer import SHOWN, Scorer
-from inspe_jax.viewer.searcher import REASONS, SearchCallbacks, Searcher
+from inspe_jax.viewer.searcher import REASONS, Searcher
 from inspe_jax.viewer.server import sender
 
 WEIGHTS = (0.3, 0.5, 0.2)
@@ -258,18 +259,24 @@ def test_a_fault_of_ours_does_not_end_the_scorer(layout, listening, monkeypatch)
 
 @pytest.fixture
 def heard():
-    return SearchCallbacks(Listener(), Listener(), Listener(), Listener())
+    names = "progress", "found", "compiling", "ended"
+    return SimpleNamespace(**{name: Listener() for name in names})
 
 
 @pytest.fixture
 def searcher(scene, heard):
-    found = Searcher(Case(scene), WEIGHTS, Constraints(), heard)
+    found = Searcher(Case(scene), WEIGHTS, Constraints(), **vars(heard))
     yield found
     found.close()
 
 
 @pytest.mark.process
-def test_a_search_tells_what_it_finds_and_can_be_stopped(scene, layout, searcher, heard):
+def test_a_search_tells_what_it_finds_and_can_be_stopped(
+    scene, layout, searcher, heard, tmp_path, monkeypatch
+):
+    """Its process does not look for modules in the folder of somebody's scene."""
+    (tmp_path / "yaml.py").write_text("raise SystemExit('this is not YAML')")
+    monkeypatch.chdir(tmp_path)
     searcher.start(layout, "random", 600.0)
     heard.found.wait(lambda told: len(told) >= 2)
     assert searcher.running
@@ -294,18 +301,23 @@ def test_a_search_tells_what_it_finds_and_can_be_stopped(scene, layout, searcher
 
 
 @pytest.mark.process
-def test_a_search_comes_to_its_end_and_the_next_uses_what_it_compiled(layout, searcher, heard):
+def test_a_search_comes_to_its_end_and_the_next_uses_what_it_compiled(
+    scene, layout, searcher, heard
+):
+    """The second ends with its target, long before its time."""
     searcher.start(layout, "random", 2.0)
     ((first,),) = heard.ended.wait(lambda told: told)
     assert first.reason == REASONS["budget spent"]
     assert not first.failed
     assert first.gain >= 0
     process, compiled = searcher._process, len(heard.compiling.heard)
-    searcher.start(layout, "random", 2.0)
+    target = evaluate(scene, layout).surrogate + 1e-4
+    searcher.start(layout, "random", 600.0, target)
     _, (second,) = heard.ended.wait(lambda told: len(told) == 2)
     assert searcher._process is process
     assert len(heard.compiling.heard) <= compiled + 4  # hardly any: a second's
-    assert second.layout is not None
+    assert second.reason == REASONS["target reached"]
+    assert evaluate(scene, second.layout).surrogate >= target
 
 
 @pytest.mark.process
@@ -327,7 +339,7 @@ def test_a_search_is_stopped_in_the_midst_of_whatever_it_does(layout, searcher, 
 @pytest.mark.process
 def test_a_search_that_cannot_begin_says_why(scene, layout, heard):
     nowhere = Constraints(places="poles")  # there is none
-    searcher = Searcher(Case(scene), WEIGHTS, nowhere, heard)
+    searcher = Searcher(Case(scene), WEIGHTS, nowhere, **vars(heard))
     searcher.start(layout, "random", 5.0)
     ((ending,),) = heard.ended.wait(lambda told: told)
     assert ending.layout is None
@@ -338,6 +350,7 @@ def test_a_search_that_cannot_begin_says_why(scene, layout, heard):
 
 @pytest.mark.process
 def test_a_search_whose_process_dies_leaves_its_best(layout, searcher, heard):
+    """A process ends by itself when nobody is there who could ask it for something."""
     searcher.start(layout, "random", 600.0)
     heard.found.wait(lambda told: len(told) >= 2)
     searcher._process.kill()
@@ -345,19 +358,12 @@ def test_a_search_whose_process_dies_leaves_its_best(layout, searcher, heard):
     assert ending.failed
     assert "memory runs out" in ending.reason
     np.testing.assert_array_equal(ending.layout.poses, heard.found.heard[-1][0].poses)
-    searcher.start(layout, "random", 1.0)  # in a new process
-    assert not heard.ended.wait(lambda told: len(told) == 2)[1][0].failed
-
-
-@pytest.mark.process
-def test_a_search_s_process_looks_for_modules_where_they_belong(
-    layout, searcher, heard, tmp_path, monkeypatch
-):
-    """And not in the folder of somebody's scene."""
-    (tmp_path / "yaml.py").write_text("raise SystemExit('this is not YAML')")
-    monkeypatch.chdir(tmp_path)
-    searcher.start(layout, "random", 600.0)
+    heard.found.heard.clear()
+    searcher.start(layout, "random", 600.0)  # in a new process
     heard.found.wait(lambda told: told)
+    process = searcher._process
+    process.stdin.close()
+    assert process.wait(30) == 0
 
 
 def test_nothing_that_is_kept_compiled_is_cut_short(monkeypatch):
@@ -394,16 +400,6 @@ def test_a_search_that_no_process_can_have_says_why(layout, searcher, heard, mon
     assert (first.failed, second.failed) == (True, True)
     assert "Cannot allocate memory" in first.reason
     assert "could not be sent" in second.reason
-
-
-@pytest.mark.process
-def test_a_search_does_not_outlive_who_asked_for_it(layout, searcher, heard):
-    """Were it to, it would go on for all its time."""
-    searcher.start(layout, "random", 600.0)
-    heard.found.wait(lambda told: told)
-    process = searcher._process
-    process.stdin.close()
-    assert process.wait(30) == 0
 
 
 # ── The score panel ──

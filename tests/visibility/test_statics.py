@@ -12,6 +12,7 @@ from worlds import (
     double_precision,
     embree_line_of_sight,
     place_sensors,
+    solid_voxels,
     street_bodies,
     world,
 )
@@ -39,8 +40,8 @@ def street(slope=0.0, center=(0, 0, 0), **size):
     return scene.with_statics(street_bodies(scene.intersection))
 
 
-def layout_in(scene):
-    """Six sensors: on a roof, beneath a crown, behind a wall, beside a pole, and over the road."""
+def layout_in(scene, count=6):
+    """Up to six: on a roof, beneath a crown, behind a wall, beside a pole, and over the road."""
     x, y, _ = scene.voxels.center
     at = [(11.0, 12.0, 7.0), (9.6, -8.6, 1.6), (-13.0, 9.9, 1.2)]
     at += [(7.1, 7.4, 3.0), (-3.0, -2.0, 5.5), (-10.4, -8.0, 7.5)]
@@ -49,7 +50,7 @@ def layout_in(scene):
         [x + dx, y + dy, g + up, 0.0, -0.3, np.arctan2(-dy, -dx)]
         for (dx, dy, up), g in zip(at, ground.tolist(), strict=True)
     ]
-    return place_sensors(*zip([LIDAR, CAMERA] * 3, poses, strict=True))
+    return place_sensors(*[*zip([LIDAR, CAMERA] * 3, poses, strict=True)][:count])
 
 
 @pytest.mark.parametrize(("slope", "center"), [(0.0, (0, 0, 0)), (-0.08, (1873.2, -951.7, 41.0))])
@@ -83,7 +84,7 @@ def test_in_view_agrees_with_rays_that_end_at_bodies():
     then: at 0.5 m, in 0.1 to 1 % of the voxels, and in 3.5 % for a sensor 1 m above a roof.
     """
     scene = street()
-    layout = layout_in(scene)
+    layout = layout_in(scene, 4)
     ours, walked = in_view(scene, layout), raycast.in_view(scene, layout, "exact")
     weight = scene.voxel_weight
     both = [weight @ found.any(0) / weight.sum() for found in (ours, walked)]
@@ -135,7 +136,7 @@ def test_scores_are_counts_of_voxels_outside_bodies():
     t, share = scene.traffic, []
     for frame in range(t.frame_count):
         seen = (f & line_of_sight(scene, layout, frame)).any(0)
-        free = there & ~_in_vehicles(scene, frame)
+        free = there & ~solid_voxels(scene, frame)
         share.append((seen & free).sum() / free.sum())
     assert scores.occlusion == pytest.approx(np.mean(share), abs=1e-4)
     levels = (some.reshape(inside.shape) & ~inside).sum(0) / (~inside).sum(0)
@@ -149,17 +150,6 @@ def test_scores_are_counts_of_voxels_outside_bodies():
     assert scores.surrogate < open_.surrogate - 0.02
 
 
-def _in_vehicles(scene, frame):
-    t, found = scene.traffic, np.zeros(scene.voxels.count, bool)
-    for b in np.flatnonzero(t.valid[frame]):
-        to, yaw = scene.voxels.centers - t.center[frame, b], t.yaw[frame, b]
-        along = np.cos(yaw) * to[:, 0] + np.sin(yaw) * to[:, 1]
-        across = np.cos(yaw) * to[:, 1] - np.sin(yaw) * to[:, 0]
-        half = t.size[frame, b] / 2
-        found |= (np.abs(along) < half[0]) & (np.abs(across) < half[1]) & (to[:, 2] < half[2])
-    return found
-
-
 def test_soft_reading_becomes_the_exact_one():
     """With opaque bodies; what crowns let through is multiplied in the soft reading alone."""
     scene = street()
@@ -171,10 +161,9 @@ def test_soft_reading_becomes_the_exact_one():
             inspe_jax.evaluate(solid, layout, softness=Softness(w, w, "exact")).surrogate
             - exact.surrogate
         )
-        for w in (0.3, 0.01, 1e-4)
+        for w in (0.3, 1e-4)
     ]
-    assert gaps[0] > gaps[1] > gaps[2]
-    assert gaps[2] < 1e-5
+    assert gaps[0] > gaps[1] < 1e-5
     # Behind a crown of 0.4 lies 0.4 of a voxel, and behind two of them 0.16.
     crowns = [tree((x, 0), radius=2, height=8, base=1, transmittance=0.4) for x in (6.0, 12.0)]
     at = about_center(world(count=0).with_statics(crowns))

@@ -11,6 +11,7 @@ from worlds import (
     MAPS,
     double_precision,
     embree_line_of_sight,
+    emptied,
     place_sensors,
     street_bodies,
     world,
@@ -19,7 +20,6 @@ from worlds import (
 import inspe_jax
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.height_field import ground_ceiling, ground_margin
-from inspe_jax.core.numerics import Softness
 from inspe_jax.placement.problem import Case, Problem
 from inspe_jax.scene.terrain import Terrain
 from inspe_jax.visibility.centered_scene import about_center
@@ -66,8 +66,9 @@ def sensors_in(scene, count=5, seed=0):
     return place_sensors(*[(LIDAR, pose) for pose in poses.tolist()])
 
 
-@pytest.mark.parametrize("bodies", [False, True])
-@pytest.mark.parametrize("center", [(0.0, 0.0, 0.0), (1873.2, -951.7, 41.0)])
+@pytest.mark.parametrize(
+    ("center", "bodies"), [((0.0, 0.0, 0.0), False), ((1873.2, -951.7, 41.0), True)]
+)
 def test_line_of_sight_agrees_with_embree(center, bodies):
     """At least 99.99 % of (sensor, voxel), of which the ground hides a good part."""
     scene = hills("knolls", center)
@@ -151,7 +152,8 @@ def test_the_two_forms_agree():
     seen = 0
     for pose in np.asarray(sensors_in(scene, 12).poses):
         below, low = both(jnp.asarray(pose[:3], float))
-        sure = jnp.abs(low) > 1e-3
+        below, low = np.asarray(below), np.asarray(low)
+        sure = np.abs(low) > 1e-3
         assert ((low > 0) == below)[sure].all()
         seen += below.sum()
     assert seen > 100
@@ -161,14 +163,16 @@ def test_the_soft_reading_becomes_the_exact_one():
     scene, half = hills(), 0
     centered = about_center(scene)
     layout = sensors_in(scene)
-    exact = line_of_sight(replace(scene, traffic=_none(scene)), layout, 0)
+    exact = line_of_sight(emptied(scene), layout, 0)
     tiles = tiles_of(centered)
+
+    @jax.jit
+    def chances(at):
+        one = lambda tile: past_statics_chance(at, centered.statics, tile, 1e-3)  # noqa: E731
+        return jax.lax.map(one, tiles.tile)
+
     for s, pose in enumerate(np.asarray(layout.poses)):
-        soft = jax.jit(
-            lambda at: jax.lax.map(
-                lambda tile: past_statics_chance(at, centered.statics, tile, 1e-3), tiles.tile
-            )
-        )(jnp.asarray(pose[:3], float))
+        soft = chances(jnp.asarray(pose[:3], float))
         found = tiles.of_voxels(np.asarray(soft).swapaxes(1, 2))
         half += ((found > 0.01) & (found < 0.99)).sum()
         sure = (found < 0.01) | (found > 0.99)
@@ -176,25 +180,20 @@ def test_the_soft_reading_becomes_the_exact_one():
     assert half < 0.002 * exact.size
 
 
-def _none(scene):
-    t = scene.traffic
-    return replace(t, valid=np.zeros_like(t.valid))
-
-
 def test_gradients_are_differences():
     """Of the sum of chances over a tile, in x, y and z, where one crossing decides throughout."""
     with double_precision():
         scene = hills(voxel=1.0)
         centered = about_center(scene)
-        tile = jax.tree.map(lambda x: x[0], tiles_of(centered).tile)
+        tile = jax.tree.map(lambda x: np.asarray(x)[0], tiles_of(centered).tile)
         found = 0.0
         for pose in np.asarray(sensors_in(scene, 4).poses):
-            at, width = jnp.asarray(pose[:3]), 0.3
+            at, width = pose[:3], 0.3
             given = centered.statics, tile, width
             slope = np.asarray(slope_of_chances(at, *given))
             step = 1e-5
             ends = [
-                [sum_of_chances(at.at[n].add(sign * step), *given) for sign in (1, -1)]
+                [sum_of_chances(at + sign * step * np.eye(3)[n], *given) for sign in (1, -1)]
                 for n in range(3)
             ]
             differences = np.array([(float(a) - float(b)) / (2 * step) for a, b in ends])
@@ -203,23 +202,13 @@ def test_gradients_are_differences():
     assert found > 1.0
 
 
-def test_a_higher_sensor_sees_more_and_the_gradient_says_so():
-    """A LiDAR behind a brow: the soft score rises with its height, and its slope is positive."""
+def test_a_higher_sensor_sees_more():
+    """A LiDAR behind a brow."""
     scene = hills("knolls")
     layout = sensors_in(scene, 1)
-
-    def soft(up):
-        poses = layout.poses + jnp.array([[0.0, 0.0, 1.0, 0.0, 0.0, 0.0]]) * up
-        moved = replace(layout, poses=poses)
-        return inspe_jax.evaluate(scene, moved, softness=Softness.of(0.5)).occlusion
-
-    assert jax.grad(soft)(0.0) > 0
-    scores = [inspe_jax.evaluate(scene, sensors_up(layout, up)).occlusion for up in (0.0, 2.0)]
+    higher = layout.with_poses(np.asarray(layout.poses) + np.array([0, 0, 2.0, 0, 0, 0]))
+    scores = [inspe_jax.evaluate(scene, of).occlusion for of in (layout, higher)]
     assert scores[1] > scores[0]
-
-
-def sensors_up(layout, up):
-    return replace(layout, poses=np.asarray(layout.poses) + np.array([0, 0, up, 0, 0, 0]))
 
 
 def test_a_surface_by_hand():

@@ -1,5 +1,6 @@
 """The file that says what made a scenario, and the YAML that formats share."""
 
+import os
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,7 @@ from inspe_jax.core.files import read_yaml, write_text
 from inspe_jax.simulation.frame import Station
 
 PROTOCOL = "data_protocol.yaml"
-"""The usual name of the file, in the scenario's folder."""
+"""The name of the file, in the scenario's folder."""
 
 _WORLD = ("fixed_delta_seconds", "client_port", "seed", "weather", "town")
 _Base: Any = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
@@ -25,17 +26,19 @@ class _Dumper(_Base):
         return True
 
 
-def write_protocol_file(
-    path: Path, protocol: Mapping[str, Any], stations: Iterable[Station] = ()
+def write_protocol(
+    scenario: str | os.PathLike[str],
+    protocol: Mapping[str, Any],
+    stations: Iterable[Station] = (),
 ) -> None:
-    """Write a protocol, its keys in the order given.
+    """Write what made a scenario into its folder, as :data:`PROTOCOL`, its keys in the order given.
 
     ``protocol`` must have ``world`` with fixed_delta_seconds (the time step [s]), client_port,
     seed, weather and town, because some readers need them. The names of ``stations`` are added
     under ``stations``. The folder is made if it is missing. Raises InspeError where a key is
     missing, or YAML cannot hold a value.
     """
-    make_folder(path.parent)
+    path = make_folder(Path(scenario)) / PROTOCOL
     world = protocol.get("world")
     for key in _WORLD:
         if not isinstance(world, Mapping) or key not in world:
@@ -49,8 +52,9 @@ def write_protocol_file(
     write_text(path, text)
 
 
-def read_protocol_file(path: Path) -> dict[str, Any]:
-    """What a protocol says; empty if there is no such file. Raises InspeError if it is not YAML."""
+def read_protocol(scenario: Path) -> dict[str, Any]:
+    """What made a scenario; empty if nothing says so. Raises InspeError if it is not YAML."""
+    path = scenario / PROTOCOL
     return as_mapping(read_yaml(path), path) if path.is_file() else {}
 
 

@@ -6,7 +6,7 @@ figures then work with it.
 """
 
 import os
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,17 +15,13 @@ from inspe_jax.core.errors import InspeError, check_known
 from inspe_jax.dataset.formats.options import DEFAULT_OPTIONS, FileOptions
 from inspe_jax.dataset.formats.opv2v import reader as opv2v_reader
 from inspe_jax.dataset.formats.opv2v import writer as opv2v_writer
-from inspe_jax.dataset.formats.protocol_file import (
-    PROTOCOL,
-    read_protocol_file,
-    write_protocol_file,
-)
-from inspe_jax.simulation.frame import Frame, Station
+from inspe_jax.dataset.formats.protocol_file import PROTOCOL, read_protocol
+from inspe_jax.simulation.frame import Frame
 
 
 @dataclass(frozen=True)
 class DatasetFormat:
-    """How a scenario is stored in its folder.
+    """How the frames of a scenario are stored in its folder.
 
     ``agents(folder)`` gives the ids of the agents: infrastructure −1, −2, … first, then vehicles.
     ``frames(folder, agents)`` gives the numbers of the frames that are complete.
@@ -34,7 +30,6 @@ class DatasetFormat:
     ``write(folder, frame, options)`` writes a frame over an earlier one, and gives its files. The
     folder may be missing. A frame that is only half written must not count as complete.
     ``example`` is the path of a file of frame 0, for error messages.
-    ``protocol_file`` is the name of the YAML file that says what made the scenario.
     """
 
     agents: Callable[[Path], tuple[int, ...]]
@@ -42,25 +37,6 @@ class DatasetFormat:
     read: Callable[[Path, int, tuple[int, ...], Mapping[str, Any]], Frame]
     write: Callable[[Path, Frame, FileOptions], Sequence[Path]]
     example: str
-    protocol_file: str = PROTOCOL
-
-    def is_begun(self, folder: Path) -> bool:
-        """Whether the protocol of a scenario is there: it is written before the first frame."""
-        return (folder / self.protocol_file).is_file()
-
-    def has_frames(self, folder: Path) -> bool:
-        """Whether an agent of a folder has a frame, even if other agents do not."""
-        return any(self.frames(folder, (agent,)) for agent in self.agents(folder))
-
-    def read_protocol(self, folder: Path) -> dict[str, Any]:
-        """What made a scenario; empty if nothing says so. Raises InspeError if it is not YAML."""
-        return read_protocol_file(folder / self.protocol_file)
-
-    def write_protocol(
-        self, folder: Path, protocol: Mapping[str, Any], stations: Iterable[Station] = ()
-    ) -> None:
-        """Write the protocol, as :func:`~.protocol_file.write_protocol_file` does."""
-        write_protocol_file(folder / self.protocol_file, protocol, stations)
 
 
 DEFAULT_FORMAT = "opv2v"
@@ -82,16 +58,12 @@ def check_format(name: str, where: str) -> None:
 
 
 def format_of(folder: Path) -> DatasetFormat | None:
-    """The format of a scenario's folder; None where the folder is no scenario.
-
-    The name of the protocol file decides. If it fits several formats, or none, the first format
-    of which a frame is there is taken.
-    """
-    begun = [row for row in FORMATS.values() if row.is_begun(folder)]
-    if len(begun) == 1:
-        return begun[0]
-    found = (row for row in begun or FORMATS.values() if row.has_frames(folder))
-    return next(found, begun[0] if begun else None)
+    """The format of a scenario's folder: the first of which an agent has a frame, even if other
+    agents do not; None where the folder is no scenario."""
+    for row in FORMATS.values():
+        if any(row.frames(folder, (agent,)) for agent in row.agents(folder)):
+            return row
+    return FORMATS[DEFAULT_FORMAT] if (folder / PROTOCOL).is_file() else None
 
 
 def read_frame(scenario: str | os.PathLike[str], number: int) -> Frame:
@@ -104,7 +76,7 @@ def read_frame(scenario: str | os.PathLike[str], number: int) -> Frame:
     if not folder.is_dir():
         raise InspeError(f"{folder}: no such folder")
     row = format_of(folder) or FORMATS[DEFAULT_FORMAT]  # its reader says what is missing
-    return row.read(folder, number, row.agents(folder), row.read_protocol(folder))
+    return row.read(folder, number, row.agents(folder), read_protocol(folder))
 
 
 def write_frame(
@@ -123,18 +95,3 @@ def write_frame(
     check_format(format, "format")
     options.check("options")
     return tuple(FORMATS[format].write(Path(scenario), frame, options))
-
-
-def write_protocol(
-    scenario: str | os.PathLike[str],
-    protocol: Mapping[str, Any],
-    stations: Iterable[Station] = (),
-    format: str = DEFAULT_FORMAT,
-) -> None:
-    """Write what made a scenario into its folder, as ``data_protocol.yaml`` for OPV2V.
-
-    See :func:`~inspe_jax.dataset.formats.protocol_file.write_protocol_file` for what ``protocol``
-    must hold. Raises InspeError where a key is missing or the format is unknown.
-    """
-    check_format(format, "format")
-    FORMATS[format].write_protocol(Path(scenario), protocol, stations)

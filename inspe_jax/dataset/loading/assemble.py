@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -12,7 +11,7 @@ from inspe_jax.dataset.loading.batch import Batch, Cameras, Lidars, Pillars, Tar
 from inspe_jax.dataset.loading.caching import Cache
 from inspe_jax.dataset.loading.geometry import Similarity
 from inspe_jax.dataset.loading.pillars import PillarGrid, grouping
-from inspe_jax.dataset.loading.points import pad_points, sample, to_metres, woven
+from inspe_jax.dataset.loading.points import sample, to_metres, woven
 from inspe_jax.dataset.loading.stored import StoredScenario
 
 
@@ -34,86 +33,80 @@ class Assembly:
     augment: Augment | None
     training: bool
 
-    @cached_property
-    def lidars(self) -> int:
-        """Number of LiDARs of a frame: the largest in the cache."""
-        return max(each.record.lidars for each in self.cache.scenarios)
-
-    @cached_property
-    def cameras(self) -> int:
-        """Number of cameras of a frame: the largest in the cache."""
-        return max(each.record.cameras for each in self.cache.scenarios)
-
-    @cached_property
-    def groups(self) -> int:
-        """Number of groups of LiDARs that share pillars: the largest in the cache."""
-        units = max(each.record.lidar_units for each in self.cache.scenarios)
-        per = "sensor" if self.grid is None else self.grid.per
-        return {"sensor": self.lidars, "unit": units, "all": 1}[per]
-
     def batch(
-        self,
-        frames: Int[np.ndarray, "F 2"],
-        draws: Sequence[np.random.Generator],
-        size: int,
+        self, frames: Int[np.ndarray, "F 2"], draws: Sequence[np.random.Generator], size: int
     ) -> Batch:
         """The batch of some frames, each a scenario's index and the place in it.
 
         ``draws`` has a source of random numbers for each. The batch is filled up to ``size``.
         """
-        pixels = self.cache.pictures
-        found = Batch(
-            lidars=self._no_lidars(size) if "lidar" in self.sensors and self.lidars else None,
-            cameras=_no_cameras(size, self.cameras, *pixels)
-            if "camera" in self.sensors and self.cameras and pixels
-            else None,
-            targets=_no_targets(size, self.most_boxes, self.lidars, self.cameras),
+        found = self._empty(size)
+        for b, ((s, t), draw) in enumerate(zip(frames.tolist(), draws, strict=True)):
+            self._fill(found, b, s, t, draw)
+        return found
+
+    def _empty(self, size: int) -> Batch:
+        """A batch that is all padding; shapes are those of the whole cache."""
+        records = [each.record for each in self.cache.scenarios]
+        lidars = max(each.lidars for each in records)
+        cameras = max(each.cameras for each in records)
+        pixels, found_lidars, found_cameras = self.cache.pictures, None, None
+        if "lidar" in self.sensors and lidars:
+            shape = size, lidars, self.most_points
+            pillars = None
+            if self.grid is not None:
+                units = max(each.lidar_units for each in records)
+                groups = {"sensor": lidars, "unit": units, "all": 1}[self.grid.per]
+                pillars = self.grid.empty(size, groups)
+            found_lidars = Lidars(
+                points=np.zeros((*shape, 4), np.float32) if pillars is None else None,
+                mask=np.zeros(shape, bool) if pillars is None else None,
+                pillars=pillars,
+                pose=_identities(size, lidars),
+                present=np.zeros((size, lidars), bool),
+                unit=np.zeros((size, lidars), np.int32),
+            )
+        if "camera" in self.sensors and cameras and pixels:
+            found_cameras = Cameras(
+                pixels=np.zeros((size, cameras, *pixels, 3), np.uint8),
+                intrinsic=_identities(size, cameras, side=3),
+                pose=_identities(size, cameras),
+                present=np.zeros((size, cameras), bool),
+                unit=np.zeros((size, cameras), np.int32),
+            )
+        places = size, self.most_boxes
+        return Batch(
+            lidars=found_lidars,
+            cameras=found_cameras,
+            targets=Targets(
+                boxes=np.zeros((*places, 9), np.float32),
+                kind=np.zeros(places, np.int32),
+                track=np.zeros(places, np.int32),
+                returns=np.zeros((*places, lidars), np.int32),
+                pixels=np.zeros((*places, cameras), np.float32),
+                mask=np.zeros(places, bool),
+            ),
             scenario=np.zeros(size, np.int32),
             number=np.zeros(size, np.int32),
             transform=_identities(size),
-            valid=np.arange(size) < len(frames),
+            valid=np.zeros(size, bool),
         )
-        for b, (chosen, draw) in enumerate(zip(frames, draws, strict=True)):
-            self._fill(found, b, int(chosen[0]), int(chosen[1]), draw)
-        for b in range(len(frames), size):  # what is not written is what memory held before
-            if found.lidars is not None and found.lidars.points is not None:
-                found.lidars.points[b] = 0
-            if found.cameras is not None:
-                found.cameras.pixels[b] = 0
-        return found
 
     def _fill(self, found: Batch, b: int, s: int, t: int, draw: np.random.Generator) -> None:
         stored = self.scenarios[s]
-        index, record = stored.index, stored.record
         moved = Similarity() if self.augment is None else self.augment.similarity(draw)
-        present = np.ones(record.lidars, bool)
-        if self.augment is not None and found.lidars is not None:
-            present = self.augment.kept(record.lidars, draw)
-        found.scenario[b], found.number[b] = s, index["number"][t]
-        found.transform[b] = moved.matrix
+        found.scenario[b], found.number[b] = s, stored.index["number"][t]
+        found.transform[b], found.valid[b] = moved.matrix, True
+        heard, seen = np.ones(stored.record.lidars, bool), np.ones(stored.record.cameras, bool)
         if found.lidars is not None:
-            self._fill_lidars(found.lidars, b, stored, t, moved, present, draw)
-        kept = np.ones(record.cameras, bool)
+            if self.augment is not None:
+                heard = self.augment.kept(len(heard), draw)
+            self._fill_lidars(found.lidars, b, stored, t, moved, heard, draw)
         if found.cameras is not None:
             if self.augment is not None:
-                kept = self.augment.kept(record.cameras, draw)
-            _fill_cameras(found.cameras, b, stored, t, moved, kept)
-        self._fill_targets(found.targets, b, stored, t, moved, present, kept)
-
-    def _no_lidars(self, size: int) -> Lidars:
-        lidars, points, pillars = self.lidars, None, None
-        if self.grid is None:
-            points = np.empty((size, lidars, self.most_points, 4), np.float32)
-        else:
-            pillars = self.grid.empty(size, self.groups)
-        return Lidars(
-            points=points,
-            mask=None if points is None else np.zeros(points.shape[:3], bool),
-            pillars=pillars,
-            pose=_identities(size, lidars),
-            present=np.zeros((size, lidars), bool),
-            unit=np.zeros((size, lidars), np.int32),
-        )
+                seen = self.augment.kept(len(seen), draw)
+            _fill_cameras(found.cameras, b, stored, t, moved, seen)
+        self._fill_targets(found.targets, b, stored, t, moved, heard, seen)
 
     def _fill_lidars(
         self,
@@ -125,34 +118,24 @@ class Assembly:
         present: Bool[np.ndarray, " S"],
         draw: np.random.Generator,
     ) -> None:
-        index, count = stored.index, stored.record.lidars
-        local = np.array(index["lidar_pose"][t])  # (S, 4, 4)
-        local[:, :3, 3] -= stored.middle
-        poses = moved.of_poses(local)
-        found.unit[b, :count] = index["lidar_unit"]
-        found.present[b, :count] = present
-        found.pose[b, :count][present] = poses[present]
-        order = self._drawn(draw)
+        poses = _fill_poses(found, b, stored, t, moved, present)
+        order = draw if self.training else None
         clouds = {}
-        for s in range(self.lidars):
-            steps = stored.cloud(t, s) if s < count and present[s] else None
+        for s in np.flatnonzero(present).tolist():
+            steps = stored.cloud(t, s)
             if found.points is not None and found.mask is not None:
-                steps = None if steps is None else sample(steps, self.most_points, order)
-                length = 0 if steps is None else len(steps)
-                pad_points(found.points[b, s], found.mask[b, s], length)
-                out = found.points[b, s, :length]
-            elif steps is not None:
+                steps = sample(steps, self.most_points, order)
+                found.mask[b, s, : len(steps)] = True
+                out = found.points[b, s, : len(steps)]
+            else:
                 out = clouds[s] = np.empty((len(steps), 4), np.float32)
-            if steps is not None:
-                to_metres(steps, index["steps"][t, s], moved.linear, poses[s, :3, 3], out)
+            to_metres(steps, stored.index["steps"][t, s], moved.linear, poses[s, :3, 3], out)
         if found.pillars is not None and self.grid is not None:
-            for g, members in enumerate(grouping(index["lidar_unit"], present, self.grid.per)):
+            groups = grouping(stored.index["lidar_unit"], present, self.grid.per)
+            for g, members in enumerate(groups):
                 if members:
                     own = Pillars(*(part[b, g] for part in found.pillars))
                     self.grid.fill(woven([clouds[s] for s in members]), own, order)
-
-    def _drawn(self, draw: np.random.Generator) -> np.random.Generator | None:
-        return draw if self.training else None
 
     def _fill_targets(
         self,
@@ -161,8 +144,8 @@ class Assembly:
         stored: StoredScenario,
         t: int,
         moved: Similarity,
-        present: Bool[np.ndarray, " S"],
-        kept: Bool[np.ndarray, " C"],
+        heard: Bool[np.ndarray, " S"],
+        seen: Bool[np.ndarray, " C"],
     ) -> None:
         index, own = stored.index, stored.boxes(t)
         boxes = np.array(index["boxes"][own])
@@ -176,11 +159,10 @@ class Assembly:
             chosen = np.sort(chosen[np.argsort(away[chosen], kind="stable")[: self.most_boxes]])
         count = len(chosen)
         found.boxes[b, :count] = boxes[chosen]
-        for name in ("kind", "track"):
-            getattr(found, name)[b, :count] = index[name][own][chosen]
-        found.returns[b, :count, : len(present)] = index["returns"][own][chosen] * present
-        pixels = np.where(kept, index["pixels"][own][chosen], 0)
-        found.pixels[b, :count, : len(kept)] = pixels
+        found.kind[b, :count] = index["kind"][own][chosen]
+        found.track[b, :count] = index["track"][own][chosen]
+        found.returns[b, :count, : len(heard)] = index["returns"][own][chosen] * heard
+        found.pixels[b, :count, : len(seen)] = np.where(seen, index["pixels"][own][chosen], 0)
         found.mask[b, :count] = True
 
 
@@ -190,42 +172,33 @@ def _fill_cameras(
     stored: StoredScenario,
     t: int,
     moved: Similarity,
-    kept: Bool[np.ndarray, " C"],
+    present: Bool[np.ndarray, " C"],
 ) -> None:
-    index, count = stored.index, stored.record.cameras
-    local = np.array(index["camera_pose"][t])
-    local[:, :3, 3] -= stored.middle
-    found.unit[b, :count] = index["camera_unit"]
-    found.present[b, :count] = kept
-    found.pose[b, :count][kept] = moved.of_poses(local)[kept]
-    width = found.pixels.shape[3]
-    found.intrinsic[b, :count][kept] = moved.of_intrinsics(index["intrinsic"][t], width)[kept]
-    for c in range(found.pixels.shape[1]):
-        if c < count and kept[c]:
-            moved.copy_picture(stored.pictures[t, c], found.pixels[b, c])
-        else:
-            found.pixels[b, c] = 0
+    _fill_poses(found, b, stored, t, moved, present)
+    there, width = np.flatnonzero(present), found.pixels.shape[3]
+    found.intrinsic[b, there] = moved.of_intrinsics(stored.index["intrinsic"][t], width)[there]
+    for c in there.tolist():
+        moved.copy_picture(stored.pictures[t, c], found.pixels[b, c])
 
 
-def _no_cameras(size: int, cameras: int, height: int, width: int) -> Cameras:
-    return Cameras(
-        pixels=np.empty((size, cameras, height, width, 3), np.uint8),
-        intrinsic=_identities(size, cameras, side=3),
-        pose=_identities(size, cameras),
-        present=np.zeros((size, cameras), bool),
-        unit=np.zeros((size, cameras), np.int32),
-    )
-
-
-def _no_targets(size: int, boxes: int, lidars: int, cameras: int) -> Targets:
-    return Targets(
-        boxes=np.zeros((size, boxes, 9), np.float32),
-        kind=np.zeros((size, boxes), np.int32),
-        track=np.zeros((size, boxes), np.int32),
-        returns=np.zeros((size, boxes, lidars), np.int32),
-        pixels=np.zeros((size, boxes, cameras), np.float32),
-        mask=np.zeros((size, boxes), bool),
-    )
+def _fill_poses(
+    found: Lidars | Cameras,
+    b: int,
+    stored: StoredScenario,
+    t: int,
+    moved: Similarity,
+    present: Bool[np.ndarray, " S"],
+) -> Float[np.ndarray, "S 4 4"]:
+    """Write the units of a frame's sensors, which are present, and the poses of these; gives the
+    poses of all."""
+    kind, count = "lidar" if isinstance(found, Lidars) else "camera", len(present)
+    poses = np.array(stored.index[f"{kind}_pose"][t])
+    poses[:, :3, 3] -= stored.middle
+    found.unit[b, :count] = stored.index[f"{kind}_unit"]
+    found.present[b, :count] = present
+    poses = moved.of_poses(poses)
+    found.pose[b, :count][present] = poses[present]
+    return poses
 
 
 def _identities(*leading: int, side: int = 4) -> Float[np.ndarray, "... 4 4"]:

@@ -1,33 +1,22 @@
 """The decoded cache of a data set: made once, then read as fast as memory is copied.
 
 A cache is a folder with ``cache.json`` and, for each scenario, a folder ``SPLIT/SCENARIO`` as
-:mod:`inspe_jax.dataset.loading.stored` has it. Its arrays are in NumPy's own format and are mapped
-into memory: nothing is decoded when they are read, and the system keeps what was read lately.
-
-Why not a library: zarr compresses chunks, which have to be unpacked for each read, and has no rows
-of unequal length, as clouds are. Arrow has them, in the same memory-mapped form, but is 100 MB to
-install. LMDB maps values as well, but they are bytes whose shapes would be written by hand.
+:mod:`inspe_jax.dataset.loading.stored` has it. Its arrays are mapped into memory: nothing is
+decoded when they are read, and the system keeps what was read lately.
 """
 
 import json
 import multiprocessing
 import os
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future, ProcessPoolExecutor, as_completed
-from contextlib import contextmanager
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from pathlib import Path
 
 from pydantic import BaseModel
 
 from inspe_jax.core.errors import InspeError, nearest
-from inspe_jax.core.files import (
-    STRICT,
-    check_model,
-    prepare_folder,
-    read_json,
-    write_text,
-)
+from inspe_jax.core.files import STRICT, check_model, prepare_folder, read_json, write_text
 from inspe_jax.core.parallel import cores
 from inspe_jax.dataset.folders import SPLITS, Dataset, Scenario, open_dataset
 from inspe_jax.dataset.loading.decode import PART, decode, digest_of_scenario
@@ -35,12 +24,15 @@ from inspe_jax.dataset.loading.stored import RECORD, StoredScenario
 from inspe_jax.jobs.locks import lock_folder
 
 CACHE = "cache.json"
-FORMAT = "inspe_jax cache 2"
+FORMAT = "inspe_jax cache 3"
 LOCK = f".{CACHE}.lock"
 
 PICTURES = (300, 400)
 """Height and width of pictures, if none are given. A cyclist in a camera of 800 × 600 has about 200
 pixels in the median, and about 50 at this size; at half of it, a dozen, which is too few."""
+
+Job = tuple[Scenario, Path, str, tuple[int, int] | None]
+"""The arguments of :func:`~inspe_jax.dataset.loading.decode.decode`."""
 
 
 class _Record(BaseModel):
@@ -71,27 +63,14 @@ class Cache:
         """The scenarios of a split. Raises InspeError, which lists the splits, for another name."""
         splits = self.splits
         if name not in splits:
-            known = ", ".join(splits) or "none"
             hint = nearest(name, tuple(splits))
-            raise InspeError(f"{self.path}: no split '{name}': there is {known}{hint}")
+            raise InspeError(f"{self.path}: no split '{name}': there is {', '.join(splits)}{hint}")
         return splits[name]
 
     @property
     def size(self) -> int:
         """Bytes of all arrays."""
         return sum(scenario.size for scenario in self.scenarios)
-
-    def check(self, dataset: Dataset | str | os.PathLike[str]) -> None:
-        """Raise InspeError if a scenario of the set is missing, or is not the one decoded here."""
-        data = dataset if isinstance(dataset, Dataset) else open_dataset(dataset)
-        here = {(each.split, each.name): each for each in self.scenarios}
-        for split, scenario in _with_frames(data):
-            stored = here.get((split, scenario.name))
-            if stored is None:
-                raise InspeError(
-                    f"{self.path}: has no {split}/{scenario.name} of {data.path}: cache it again"
-                )
-            _check_source(stored, scenario, digest_of_scenario(scenario))
 
 
 def cache(
@@ -121,26 +100,36 @@ def cache(
         raise InspeError(f"pictures {pictures}: (height, width), whole numbers of 1 or more")
     if workers is not None and workers < 1:
         raise InspeError(f"workers {workers}: 1 or more")
-    listed = list(_with_frames(data))
+    listed = [
+        (split, scenario)
+        for split, scenarios in data.splits.items()
+        for scenario in scenarios
+        if scenario.frames
+    ]
     total = sum(len(scenario.frames) for _, scenario in listed)
     if not total:
         raise InspeError(f"{data.path}: no scenario has a frame")
     path = prepare_folder(folder).resolve()
-    with _locked(path):
+    with lock_folder(path, LOCK):
         _claim(path, pictures)
         there = {(each.split, each.name): each for each in _stored(path)}
-        todo, done = [], 0
+        todo: list[Job] = []
+        done = 0
         for split, scenario in listed:
             source = digest_of_scenario(scenario)
             stored = there.get((split, scenario.name))
             if stored is None:
                 todo.append((scenario, path / split / scenario.name, source, pictures))
+            elif stored.record.source != source:
+                raise InspeError(
+                    f"{stored.path}: was not decoded from {scenario.path} as it is now: name "
+                    f"another folder, or delete this scenario to decode it again"
+                )
             else:
-                _check_source(stored, scenario, source)
                 done += stored.record.frames
         if progress:
             progress(done, total)
-        for _, frames in _decode_all(todo, cores() if workers is None else workers):
+        for frames in _decode_all(todo, cores() if workers is None else workers):
             done += frames
             if progress:
                 progress(done, total)
@@ -161,43 +150,29 @@ def open_cache(folder: str | os.PathLike[str]) -> Cache:
 
 def pictures_of(folder: str | os.PathLike[str]) -> tuple[int, int] | None:
     """The size (height, width) of the pictures of a cache, which may have no scenario yet."""
-    size = _read_record(Path(folder)).pictures
-    return None if size is None else (size[0], size[1])
+    path = Path(folder) / CACHE
+    record = check_model(_Record, read_json(path), str(path))
+    if record.format != FORMAT:
+        raise InspeError(
+            f"{path}: format '{record.format}', not '{FORMAT}': it was made by another version: "
+            f"name another folder"
+        )
+    return None if record.pictures is None else (record.pictures[0], record.pictures[1])
 
 
-def _decode_all(
-    todo: list[tuple[Scenario, Path, str, tuple[int, int] | None]], workers: int
-) -> Iterator[tuple[str, int]]:
+def _decode_all(todo: list[Job], workers: int) -> Iterator[int]:
+    """Decode scenarios, in this process or in several; yields the number of frames of each."""
     workers = min(workers, len(todo))
     if workers <= 1:
-        for job in todo:
-            yield decode(*job)
+        yield from (decode(*job) for job in todo)
         return
     # Not forked: a process with threads, such as JAX's, may lock up after a fork.
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(workers, context) as pool:
-        waiting: list[Future[tuple[str, int]]] = [pool.submit(decode, *job) for job in todo]
-        try:
-            for each in as_completed(waiting):
-                yield each.result()
-        finally:
-            for each in waiting:
-                each.cancel()
-
-
-def _with_frames(data: Dataset) -> Iterator[tuple[str, Scenario]]:
-    for split, scenarios in data.splits.items():
-        for scenario in scenarios:
-            if scenario.frames:
-                yield split, scenario
-
-
-def _check_source(stored: StoredScenario, scenario: Scenario, source: str) -> None:
-    if stored.record.source != source:
-        raise InspeError(
-            f"{stored.path}: was not decoded from {scenario.path} as it is now: name another "
-            f"folder, or delete this scenario to decode it again"
-        )
+    pool = ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"))
+    try:
+        for each in as_completed([pool.submit(decode, *job) for job in todo]):
+            yield each.result()
+    finally:
+        pool.shutdown(cancel_futures=True)
 
 
 def _claim(path: Path, pictures: tuple[int, int] | None) -> None:
@@ -219,16 +194,6 @@ def _claim(path: Path, pictures: tuple[int, int] | None) -> None:
         )
 
 
-def _read_record(path: Path) -> _Record:
-    record = check_model(_Record, read_json(path / CACHE), str(path / CACHE))
-    if record.format != FORMAT:
-        raise InspeError(
-            f"{path / CACHE}: format '{record.format}', not '{FORMAT}': it was made by another "
-            f"version: name another folder"
-        )
-    return record
-
-
 def _stored(path: Path) -> Iterator[StoredScenario]:
     """The complete scenarios of a cache, split by split."""
     usual = {name: k for k, name in enumerate(SPLITS)}
@@ -239,12 +204,3 @@ def _stored(path: Path) -> Iterator[StoredScenario]:
                 if not (place / RECORD).is_file():
                     raise InspeError(f"{place}: is no part of a cache: move it away")
                 yield StoredScenario(place, split.name)
-
-
-@contextmanager
-def _locked(path: Path) -> Iterator[None]:
-    lock = lock_folder(path, LOCK)
-    try:
-        yield
-    finally:
-        lock.release()

@@ -1,14 +1,13 @@
 """Batches of a cache for training: in a repeatable order, augmented, read ahead by threads.
 
-Why threads, not worker processes as in PyTorch or ``grain``: what takes time is NumPy copying and
-multiplying large arrays, during which Python's lock is free, and threads need not copy a batch from
-one process to another. A :class:`Loader` is a source of random access, so ``grain`` can read it all
-the same: ``grain.MapDataset.source(loader).repeat()``. By ``experiments/loading.py`` its threads
-are about as fast as these, and its worker processes take two to six times as long.
+Threads, not worker processes: what takes time is NumPy copying and multiplying large arrays, during
+which Python's lock is free, and no batch has to be copied from another process. A :class:`Loader`
+is a source of random access, which ``grain`` can read as well; ``experiments/loading.py`` compares
+both.
 """
 
 from collections import deque
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Literal, get_args
@@ -17,14 +16,12 @@ import numpy as np
 from jaxtyping import Int
 
 from inspe_jax.core.errors import InspeError, check_known, nearest
-from inspe_jax.dataset.loading import order
 from inspe_jax.dataset.loading.assemble import Assembly
 from inspe_jax.dataset.loading.augment import Augment
 from inspe_jax.dataset.loading.batch import Batch
 from inspe_jax.dataset.loading.caching import Cache
 from inspe_jax.dataset.loading.pillars import PillarGrid
 from inspe_jax.dataset.loading.stored import StoredScenario
-from inspe_jax.simulation.frame import KINDS
 
 Sensor = Literal["camera", "lidar"]
 SENSORS: tuple[Sensor, ...] = get_args(Sensor)
@@ -60,9 +57,7 @@ class Loader:
 
     With ``shuffle``, each epoch has another order, and leaves out what does not fill a batch.
     Without, frames come as stored, and the last batch is filled up with frames that are not
-    ``valid``: for evaluation. ``by_class`` gives the share of each class of road user in what is
-    drawn, see :func:`~inspe_jax.dataset.loading.order.balanced`; an epoch then still has as many
-    frames as the split.
+    ``valid``: for evaluation.
 
     ``sensors`` are "camera", "lidar" or both; what the cache does not have is None in the batches.
     ``points`` says how LiDARs are given. Road users are left out whose middle is farther than
@@ -84,15 +79,14 @@ class Loader:
         sensors: Sequence[Sensor] = SENSORS,
         points: PaddedPoints | PillarGrid = PaddedPoints(),
         augment: Augment | None = None,
-        by_class: Mapping[str, float] | None = None,
         half: float | None = None,
         most_boxes: int | None = None,
         workers: int = 2,
     ) -> None:
         """Raises InspeError that says which argument is not allowed, and what is."""
         self.cache, self.split, self.seed, self.batch = cache, split, seed, batch
-        self.shuffle, self.by_class, self.workers = shuffle, by_class, workers
-        self._orders: dict[int, Int[np.ndarray, " D"]] = {}
+        self.shuffle, self.workers = shuffle, workers
+        self._orders: dict[int, Int[np.ndarray, " F"]] = {}
         self.scenarios: tuple[StoredScenario, ...] = cache.split(split)
         for name, value, least in (("batch", batch, 1), ("seed", seed, 0), ("workers", workers, 0)):
             if isinstance(value, bool) or not isinstance(value, int) or value < least:
@@ -108,7 +102,6 @@ class Loader:
         places = [(s, t) for s, count in enumerate(counts) for t in range(count)]
         self.frames: Int[np.ndarray, "F 2"] = np.array(places)
         """Every frame: the index of its scenario, and its place in it."""
-        self._members = self._frames_by_class(by_class) if by_class is not None else None
         if len(self) == 0:
             raise InspeError(
                 f"{cache.path}: split '{split}' has {len(places)} frames, less than a batch of "
@@ -124,17 +117,13 @@ class Loader:
             most_boxes=most_boxes or max(1, *(each.record.most_boxes for each in cache.scenarios)),
             half=self.half,
             augment=augment,
-            training=self._drawn or augment is not None,
+            training=shuffle or augment is not None,
         )
 
     def __len__(self) -> int:
         """Number of batches of an epoch."""
         frames = len(self.frames)
-        return frames // self.batch if self._drawn else -(-frames // self.batch)
-
-    @property
-    def _drawn(self) -> bool:
-        return self.shuffle or self.by_class is not None
+        return frames // self.batch if self.shuffle else -(-frames // self.batch)
 
     def __getitem__(self, step: int) -> Batch:
         """The batch of a step. Raises IndexError for a negative one."""
@@ -201,43 +190,18 @@ class Loader:
         at = np.flatnonzero((self.frames == [s, t]).all(1))
         return names[s], numbers[t], int(at[0])
 
-    def order(self, epoch: int) -> Int[np.ndarray, " D"]:
-        """The frames that an epoch draws, as rows of :attr:`frames`."""
+    def order(self, epoch: int) -> Int[np.ndarray, " F"]:
+        """The rows of :attr:`frames` in the order of an epoch."""
+        if not self.shuffle:
+            return np.arange(len(self.frames))
         known = self._orders
-        drawn = known[epoch] if epoch in known else self._draw(epoch)
+        drawn = known.get(epoch)
+        if drawn is None:
+            rng = np.random.default_rng([self.seed, epoch, 0, 0])
+            drawn = rng.permutation(len(self.frames))
         # Threads share what was drawn last; where two draw at once, they draw the same.
         self._orders = {key: known[key] for key in known if abs(key - epoch) == 1} | {epoch: drawn}
         return drawn
-
-    def _draw(self, epoch: int) -> Int[np.ndarray, " D"]:
-        rng = np.random.default_rng([self.seed, epoch, 0, 0])
-        if self._members is not None and self.by_class is not None:
-            return order.balanced(self._members, self.by_class, len(self.frames), rng)
-        if self.shuffle:
-            return order.shuffled(len(self.frames), rng)
-        return order.in_order(len(self.frames))
-
-    def _frames_by_class(self, by_class: Mapping[str, float]) -> dict[str, np.ndarray]:
-        """The frames of each class that is to be drawn."""
-        first = np.cumsum([0, *(scenario.record.frames for scenario in self.scenarios)])
-        found = {}
-        for name, share in by_class.items():
-            check_known(name, KINDS, "by_class:")
-            if not 0 <= share < np.inf:
-                raise InspeError(f"by_class: {name}: {share}: a share, 0 or more")
-            parts = [
-                first[s] + scenario.frames_with(KINDS.index(name), self.half)
-                for s, scenario in enumerate(self.scenarios)
-            ]
-            found[name] = np.concatenate(parts)
-            if share and not len(found[name]):
-                raise InspeError(
-                    f"by_class: no frame of split '{self.split}' has a {name}"
-                    f"{'' if self.half is None else ' in reach'}: leave it out"
-                )
-        if not sum(by_class.values()):
-            raise InspeError("by_class: a share must be above 0")
-        return found
 
 
 def _check_sensors(sensors: Sequence[str], cache: Cache) -> None:

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Int16
+from jaxtyping import Float, Int16
 
 from inspe_jax.core.geometry import rotation
 
@@ -65,12 +65,6 @@ def sample(
     if end <= len(steps):
         return steps[first:end]
     return np.concatenate([steps[first:], steps[: end - len(steps)]])
-
-
-def pad_points(out: Float[np.ndarray, "N 4"], mask: Bool[np.ndarray, " N"], count: int) -> None:
-    """Mark the first ``count`` of N points, and set the others to 0."""
-    mask[:count], mask[count:] = True, False
-    out[count:] = 0
 
 
 def woven(clouds: Sequence[Float[np.ndarray, "_ 4"]]) -> Float[np.ndarray, "N 4"]:

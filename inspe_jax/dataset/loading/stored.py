@@ -1,7 +1,8 @@
-"""A scenario in the cache: arrays in NumPy's own format, mapped into memory when they are used.
+"""A scenario in the cache: arrays that are mapped into memory when they are used.
 
-Its folder holds ``points.npy`` (all clouds one after the other), ``pictures.npy`` (T, C, H, W, 3),
-``index.npz`` (poses, calibration, boxes, and where each cloud begins) and ``scenario.json``.
+Its folder holds ``points.raw`` (all clouds one after the other, 16-bit), ``pictures.raw`` (bytes of
+T × C pictures), ``index.npz`` (poses, calibration, boxes, and where each cloud begins) and
+``scenario.json``.
 """
 
 from collections.abc import Mapping
@@ -10,36 +11,29 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int, Int16, UInt8
+from jaxtyping import Float, Int16, UInt8
 from pydantic import BaseModel
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import STRICT, check_model, open_arrays, read_json
 
-RECORD, INDEX, POINTS, PICTURES = "scenario.json", "index.npz", "points.npy", "pictures.npy"
-
-INDEX_KEYS = (
-    *("number", "starts", "steps", "lidar_pose", "lidar_unit"),
-    *("camera_pose", "intrinsic", "camera_unit"),
-    *("box_starts", "boxes", "kind", "track", "returns", "pixels"),
-)
-
-STATIC = ("lidar_pose", "camera_pose", "intrinsic")
-"""Arrays that are stored once if they are the same in all frames, as for sensors that stand."""
+RECORD, INDEX, POINTS, PICTURES = "scenario.json", "index.npz", "points.raw", "pictures.raw"
 
 
 class ScenarioRecord(BaseModel):
     """What ``scenario.json`` says.
 
     ``source`` is the digest of the scenario that was decoded, ``middle`` that of the intersection
-    on the ground [m] in its world, and ``files`` the size of each file [bytes]. The counts are the
-    largest of a frame: LiDARs, units that have any, cameras, points of a cloud, boxes.
+    on the ground [m] in its world, ``pictures`` their height and width, and ``files`` the size of
+    each file [bytes]. The counts are the largest of a frame: LiDARs, units that have any, cameras,
+    points of a cloud, boxes.
     """
 
     model_config = STRICT
 
     source: str
     middle: list[float]
+    pictures: list[int] | None
     frames: int
     lidars: int
     lidar_units: int
@@ -62,7 +56,7 @@ class StoredScenario:
         for name, size in self.record.files.items():
             file = path / name
             if not file.is_file() or file.stat().st_size != size:
-                raise InspeError(f"{file}: is missing or damaged: {self._advice}")
+                raise InspeError(f"{file}: {self._damaged}")
 
     def __getstate__(self) -> dict[str, Any]:
         return {key: self.__dict__[key] for key in ("path", "split", "record")}
@@ -77,15 +71,21 @@ class StoredScenario:
         """Bytes of all arrays."""
         return sum(self.record.files.values())
 
+    @property
+    def middle(self) -> Float[np.ndarray, "3"]:
+        """The middle of the intersection on the ground, in the world [m]."""
+        return np.array(self.record.middle)
+
     @cached_property
     def points(self) -> Int16[np.ndarray, "N 4"]:
         """All clouds, as :func:`~inspe_jax.dataset.loading.points.to_steps` has them."""
-        return self._mapped(POINTS)
+        return self._mapped(POINTS, np.int16).reshape(-1, 4)
 
     @cached_property
     def pictures(self) -> UInt8[np.ndarray, "T C H W 3"]:
         """All pictures."""
-        return self._mapped(PICTURES)
+        shape = self.record.frames, self.record.cameras, *(self.record.pictures or (0, 0)), 3
+        return self._mapped(PICTURES, np.uint8).reshape(shape)
 
     @cached_property
     def index(self) -> Mapping[str, np.ndarray]:
@@ -97,12 +97,8 @@ class StoredScenario:
         ``box_starts`` (T + 1,), ``boxes`` (N, 9), ``kind`` (N,), ``track`` (N,), ``returns``
         (N, S), ``pixels`` (N, C).
         """
-        path = self.path / INDEX
-        with open_arrays(path, f"is missing or damaged: {self._advice}") as file:
-            found = {key: file[key] for key in INDEX_KEYS}
-        for key in STATIC:
-            found[key] = np.broadcast_to(found[key], (self.record.frames, *found[key].shape[1:]))
-        return found
+        with open_arrays(self.path / INDEX, self._damaged) as file:
+            return dict(file)
 
     def cloud(self, t: int, s: int) -> Int16[np.ndarray, "N 4"]:
         """The stored points of a LiDAR in frame t."""
@@ -114,27 +110,12 @@ class StoredScenario:
         first, end = self.index["box_starts"][t : t + 2]
         return slice(int(first), int(end))
 
-    @property
-    def middle(self) -> Float[np.ndarray, "3"]:
-        """The middle of the intersection on the ground, in the world [m]."""
-        return np.array(self.record.middle)
-
-    def frames_with(self, kind: int, half: float | None) -> Int[np.ndarray, " F"]:
-        """The frames that have a road user of a kind, within ``half`` to each side [m] if given."""
-        own = self.index["kind"] == kind
-        if half is not None:
-            own &= (np.abs(self.index["boxes"][:, :2] - self.middle[:2]) <= half).all(1)
-        frame = np.searchsorted(self.index["box_starts"], np.flatnonzero(own), side="right") - 1
-        return np.unique(frame)
-
-    def _mapped(self, name: str) -> np.ndarray:
-        try:
-            # Without memmap's own class, whose every slice runs code of Python.
-            mapped: np.ndarray = np.load(self.path / name, mmap_mode="r").view(np.ndarray)
-            return mapped
-        except (OSError, ValueError) as e:
-            raise InspeError(f"{self.path / name}: is missing or damaged: {self._advice}") from e
+    def _mapped(self, name: str, kind: Any) -> np.ndarray:
+        """The numbers of a file, as a plain array: each slice of a memmap runs code of Python."""
+        if not self.record.files[name]:  # no empty file can be mapped
+            return np.zeros(0, kind)
+        return np.asarray(np.memmap(self.path / name, kind, "r"))
 
     @property
-    def _advice(self) -> str:
-        return f"delete {self.path} and cache it again"
+    def _damaged(self) -> str:
+        return f"is missing or damaged: delete {self.path} and cache it again"

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from inspe_jax.core.errors import InspeError, check_known
+from inspe_jax.core.errors import InspeError
 from inspe_jax.core.words import counted
 from inspe_jax.perception.detections import Detections, check
 from inspe_jax.perception.evaluation.matching import Places, by_score, match
@@ -33,51 +33,45 @@ class Boxes(NamedTuple):
     score: Float[np.ndarray, " N"]
 
 
-def evaluate(
-    detections: Sequence[Detections], truth: Sequence[Detections], kinds: Sequence[str] = KINDS
-) -> Evaluation:
+def evaluate(detections: Sequence[Detections], truth: Sequence[Detections]) -> Evaluation:
     """The measures of ``detections`` against ``truth``, which both have a record for each frame.
 
-    ``kinds`` are the classes to evaluate, others are ignored. The scores of ``truth`` mean nothing.
-    All measures are those of ``nuscenes-devkit``, also the order of equal scores: of these, the
-    later frame and in it the later box comes first. What the devkit does before, leaving boxes out
-    that are far away or have no points, is for the caller to do.
+    The scores of ``truth`` mean nothing. All measures are those of ``nuscenes-devkit``, also the
+    order of equal scores: of these, the later frame and in it the later box comes first. The caller
+    leaves out boxes that are not to count.
 
     Raises InspeError if the numbers of frames differ, boxes or scores are not finite numbers, a
     size is not above 0, a score is not from 0 to 1, a kind is not known, or there is no road user
-    of ``kinds`` in any frame.
+    in any frame.
     """
-    wanted = _indices(kinds)
     if len(detections) != len(truth):
         raise InspeError(
             f"detections of {counted(len(detections), 'frame')}, but ground truth of "
             f"{len(truth):,}: give one of each for every frame, empty if there is none"
         )
     found, users = _joined(detections, "detections"), _joined(truth, "truth")
-    if not np.isin(users.kind, wanted).any():
+    if not len(users.kind):
         raise InspeError(
-            f"truth: no {' or '.join(kinds)} in {counted(len(truth), 'frame')}: there is nothing "
+            f"truth: no {' or '.join(KINDS)} in {counted(len(truth), 'frame')}: there is nothing "
             "to find; use other frames"
         )
-    shape = len(wanted), len(DISTANCES)
+    shape = len(KINDS), len(DISTANCES)
     result = Evaluation(
-        kinds=tuple(kinds),
         frames=len(truth),
         ap=np.full(shape, np.nan),
-        errors=np.full((len(wanted), len(ERRORS)), np.nan),
-        users=np.array([(users.kind == k).sum() for k in wanted]),
-        detections=np.array([(found.kind == k).sum() for k in wanted]),
+        errors=np.full((len(KINDS), len(ERRORS)), np.nan),
+        users=np.bincount(users.kind, minlength=len(KINDS)),
+        detections=np.bincount(found.kind, minlength=len(KINDS)),
         matched=np.zeros(shape, int),
         precision=np.zeros((*shape, RECALLS)),
         score=np.zeros((*shape, RECALLS)),
     )
-    for row, k in enumerate(wanted):
-        if result.users[row]:
-            _fill(result, row, _of_kind(found, k), _of_kind(users, k))
+    for k in np.flatnonzero(result.users).tolist():
+        _fill(result, k, *(Boxes(*(part[of.kind == k] for part in of)) for of in (found, users)))
     return result
 
 
-def _fill(result: Evaluation, row: int, found: Boxes, users: Boxes) -> None:
+def _fill(result: Evaluation, k: int, found: Boxes, users: Boxes) -> None:
     """Write the measures of one class."""
     found = Boxes(*(part[by_score(found.score)] for part in found))
     places = [Places(of.frame, of.boxes[:, :2]) for of in (found, users)]
@@ -85,28 +79,12 @@ def _fill(result: Evaluation, row: int, found: Boxes, users: Boxes) -> None:
     for d, distance in enumerate(DISTANCES):
         true = taken[d] >= 0
         on = curve(true, found.score, len(users.kind))
-        result.matched[row, d] = true.sum()
-        result.precision[row, d], result.score[row, d] = on.precision, on.score
-        result.ap[row, d] = average_precision(on.precision)
+        result.matched[k, d] = true.sum()
+        result.precision[k, d], result.score[k, d] = on.precision, on.score
+        result.ap[k, d] = average_precision(on.precision)
         if distance == ERROR_DISTANCE:
             each = differences(found.boxes[true], users.boxes[taken[d, true]], away[d, true])
-            result.errors[row] = mean_errors(each, found.score[true], on)
-
-
-def _of_kind(of: Boxes, kind: int) -> Boxes:
-    own = of.kind == kind
-    return Boxes(*(part[own] for part in of))
-
-
-def _indices(kinds: Sequence[str]) -> list[int]:
-    """The index of each class. Raises InspeError if one is unknown or given twice, or for none."""
-    if isinstance(kinds, str) or not kinds:
-        raise InspeError(f"kinds {kinds!r}: a list with at least one of {', '.join(KINDS)}")
-    for kind in kinds:
-        check_known(kind, KINDS, "kinds:")
-    if len(set(kinds)) < len(kinds):
-        raise InspeError(f"kinds: {', '.join(kinds)}: each only once")
-    return [KINDS.index(kind) for kind in kinds]
+            result.errors[k] = mean_errors(each, found.score[true], on)
 
 
 def _joined(frames: Sequence[Detections], what: str) -> Boxes:

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from inspe_jax.core.errors import InspeError, nearest
+from inspe_jax.simulation.frame import KINDS
 
 DISTANCES = (0.5, 1.0, 2.0, 4.0)
 """Detections are true if they are nearer in plan than one of these [m]; AP is the mean over all."""
@@ -98,18 +98,18 @@ def mean_errors(
 
 @dataclass(frozen=True, eq=False)
 class Evaluation:
-    """The measures of K classes at the D :data:`DISTANCES`, and the E :data:`ERRORS`.
+    """The measures of the K classes of
+    :data:`~inspe_jax.simulation.frame.KINDS` at the D :data:`DISTANCES`, and the E :data:`ERRORS`.
 
     ``ap`` and ``errors`` are NaN for classes that the truth has no road user of. ``users``,
     ``detections`` and ``matched`` are counts: road users, detections, and those of them that are
-    true at each distance. ``precision`` and ``score`` are of :meth:`precision_recall`.
+    true at each distance. ``precision`` and ``score`` are those of each :class:`Curve`.
 
     Classes without truth are left out of all means, so that these do not depend on which classes
     happen to be in the frames. The devkit counts them, with AP 0 and errors 1; nuScenes' own splits
     have all classes. Detections of such a class count nowhere, neither here nor in the devkit.
     """
 
-    kinds: tuple[str, ...]
     frames: int
     ap: Float[np.ndarray, "K D"]
     errors: Float[np.ndarray, "K E"]
@@ -143,24 +143,11 @@ class Evaluation:
     def nds_without_attributes(self) -> float:
         """(5 mAP + Σ max(0, 1 − error)) / 9, over the four mean errors.
 
-        nuScenes' detection score (NDS) has a fifth error, of attributes, and divides by 10. So this
-        is no number of nuScenes' leader board.
+        nuScenes' detection score (NDS) has a fifth error, of attributes, and divides by 10: this is
+        not comparable with nuScenes' leader board.
         """
         scores = np.maximum(0, 1 - self.mean_errors)
         return float(AP_WEIGHT * self.mean_ap + np.sum(scores)) / (AP_WEIGHT + len(ERRORS))
-
-    def precision_recall(self, kind: str, distance: float) -> Curve:
-        """The curve of a class at one of :data:`DISTANCES`; 0 for a class that is not present.
-
-        Raises InspeError for another class or distance.
-        """
-        if kind not in self.kinds:
-            hint = nearest(kind, self.kinds)
-            raise InspeError(f"kind '{kind}': one of {', '.join(self.kinds)}{hint}")
-        if distance not in DISTANCES:
-            raise InspeError(f"distance {distance}: one of {', '.join(map(str, DISTANCES))} m")
-        at = self.kinds.index(kind), DISTANCES.index(distance)
-        return Curve(np.linspace(0, 1, RECALLS), self.precision[at], self.score[at])
 
     def rows(self) -> list[Mapping[str, Any]]:
         """A row for each class and one for all, for CSV. Empty: measures of a class without truth,
@@ -169,7 +156,7 @@ class Evaluation:
         measures = self.ap, self.class_ap, self.errors
         rows = [
             _row(kind, [part[k] for part in counts], [part[k] for part in measures])
-            for k, kind in enumerate(self.kinds)
+            for k, kind in enumerate(KINDS)
         ]
         means = [np.mean(self.ap[self.present], 0), self.mean_ap, self.mean_errors]
         totals = [np.sum(part, 0) for part in counts]

@@ -5,7 +5,7 @@ end, so that the edges of views are precise.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, fields, replace
 from functools import partial
 from typing import Any, TypeVar
 
@@ -18,9 +18,8 @@ from jaxtyping import Float, Int
 from inspe_jax.core.arrays import on_host
 from inspe_jax.core.parallel import run as on_all_cores
 from inspe_jax.placement.candidates import COLUMNS, FRAMES
-from inspe_jax.placement.methods.states import KEY, method_of
 from inspe_jax.placement.problem import Problem, per_problem
-from inspe_jax.placement.run import Run
+from inspe_jax.placement.run import Method, Run
 
 SOFTNESS = (3.0, 0.3)
 """Softness at the start and at the end of a search [m]."""
@@ -54,7 +53,7 @@ def annealed(ends: Any, done: float) -> float:
 
 
 @dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
-class Charted:
+class ChartedLayouts:
     """M layouts in charts of their coordinates, and what Adam remembers of their slopes.
 
     A layout stands ``z`` (M, N) typical steps from ``anchor`` (M, N), in the charts ``place``
@@ -66,15 +65,15 @@ class Charted:
     anchor: Float[np.ndarray, "M N"]
     z: Float[np.ndarray, "M N"]
     place: Int[np.ndarray, "M U"]
-    steps: Int[np.ndarray, " M"] = field(metadata={KEY: "optax 0"})
-    mean: Float[np.ndarray, "M N"] = field(metadata={KEY: "optax 1"})
-    square: Float[np.ndarray, "M N"] = field(metadata={KEY: "optax 2"})
+    steps: Int[np.ndarray, " M"]
+    mean: Float[np.ndarray, "M N"]
+    square: Float[np.ndarray, "M N"]
     line: Int[np.ndarray, " M"]
     count: int
 
 
 @dataclass(frozen=True, eq=False)
-class AdamState(Charted):
+class AdamState(ChartedLayouts):
     """Adam's layouts, the one that was best when they were last compared first; how often some were
     ``culled``; and what was spent [s, exact scores] when the search ``began`` and when it last
     ``looked`` at the best of them."""
@@ -84,7 +83,7 @@ class AdamState(Charted):
     looked: Float[np.ndarray, "2"]
 
 
-CT = TypeVar("CT", bound=Charted)
+L = TypeVar("L", bound=ChartedLayouts)
 
 
 def begin_adam(run: Run) -> AdamState:
@@ -101,11 +100,11 @@ def begin_adam(run: Run) -> AdamState:
 
 def charted(
     problem: Problem, x: Float[np.ndarray, "M N"], line: Int[np.ndarray, " M"], count: int = 0
-) -> Charted:
+) -> ChartedLayouts:
     """Layouts (M, N) in new charts, with Adam at rest."""
     anchor, place = _charts(problem, x)
     still = np.zeros_like(anchor)
-    return Charted(anchor, still, place, *_moments(_at_rest(still)), line, count)
+    return ChartedLayouts(anchor, still, place, *_moments(_at_rest(still)), line, count)
 
 
 def _charts(problem: Problem, x: Float[np.ndarray, "M N"]) -> tuple[np.ndarray, np.ndarray]:
@@ -115,12 +114,12 @@ def _charts(problem: Problem, x: Float[np.ndarray, "M N"]) -> tuple[np.ndarray, 
 
 
 def _moments(optimiser: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Optax's state as arrays: steps, mean and square of :class:`Charted`."""
+    """Optax's state as arrays: steps, mean and square of :class:`ChartedLayouts`."""
     steps, mean, square = map(np.asarray, jax.tree.leaves(optimiser))
     return steps, mean, square
 
 
-def _optimiser_state(state: Charted) -> Any:
+def _optimiser_state(state: ChartedLayouts) -> Any:
     """The arrays of :func:`_moments` as optax's state."""
     tree = jax.tree.structure(jax.eval_shape(_at_rest, state.z))
     return jax.tree.unflatten(tree, map(jnp.asarray, (state.steps, state.mean, state.square)))
@@ -152,11 +151,11 @@ def step_adam(run: Run, state: AdamState) -> AdamState | None:
 
 def _ordered(state: AdamState, order: Int[np.ndarray, " M"]) -> AdamState:
     """The layouts of a state in another order."""
-    rows = [field.name for field in fields(Charted) if field.name != "count"]
+    rows = [field.name for field in fields(ChartedLayouts) if field.name != "count"]
     return replace(state, **{name: getattr(state, name)[order] for name in rows})
 
 
-def advance(run: Run, state: CT, now: Callable[[], tuple[float, float]], count: int) -> CT:
+def advance(run: Run, state: L, now: Callable[[], tuple[float, float]], count: int) -> L:
     """Do ``count`` gradient steps, each on new samples; ``now`` gives softness [m] and rate."""
     problem, line, z = run.problem, state.line, state.z
     optimiser, score, move = _optimiser_state(state), charted_score(problem), _mover(problem)
@@ -190,9 +189,7 @@ def score_through(problem: Problem, poses: Callable[..., Any]) -> Score:
     """The loss and its slope in the first argument of ``poses``.
 
     The function that is returned takes the arguments of ``poses``, then the drawn columns and
-    frames, then the softness [m]. The chain rule has two parts: from the arguments to poses, which
-    differs between problems and is little to compile; and from poses to the score, which is
-    compiled once for all problems.
+    frames, then the softness [m]. The slope from poses on is compiled once for all problems.
     """
     forward = jax.jit(poses)
 
@@ -218,7 +215,7 @@ def _mover(problem: Problem) -> Callable[..., Any]:
     return jax.jit(move)
 
 
-def layouts(problem: Problem, state: Charted) -> Float[np.ndarray, "M N"]:
+def layouts(problem: Problem, state: ChartedLayouts) -> Float[np.ndarray, "M N"]:
     """Coordinates (M, N) of the layouts of a state."""
     rows = zip(state.anchor + problem.space.scale * state.z, state.place, strict=True)
     return np.stack([problem.space.from_chart(v, place, np) for v, place in rows])
@@ -260,10 +257,10 @@ def _offer_best(run: Run, state: AdamState) -> None:
         run.offer(row)
 
 
-ADAM = method_of(
+ADAM = Method(
     "adam",
     "Adam on the soft score, from 3 m to 0.3 m softness, several layouts at once",
-    AdamState,
+    (AdamState,),
     begin_adam,
     step_adam,
 )

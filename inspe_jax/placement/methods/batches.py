@@ -1,9 +1,7 @@
 """What grid and random search share: layouts in a step, and which of them to score exactly.
 
-They compete on equal terms with the gradient methods. Like them, they score layouts on a sample
-of columns and frames, of the same size, and score exactly only the best layout on it. Layouts
-that are compared share a sample, so its errors are alike for all of them. The next comparison
-draws a fresh sample, so that no layout is chosen because it suits one sample.
+Layouts that are compared share a sample, and only the best on it is scored exactly. The next
+comparison has another sample.
 """
 
 import numpy as np

@@ -1,15 +1,13 @@
 """CMA-ES: an evolution strategy on samples of the score, with restarts (IPOP)."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
-from weakref import WeakKeyDictionary
 
 import numpy as np
 from jaxtyping import Float
 
 from inspe_jax.placement.candidates import COLUMNS, FRAMES, project
-from inspe_jax.placement.methods.states import KEY, method_of
-from inspe_jax.placement.run import Run
+from inspe_jax.placement.run import Method, Run
 
 if TYPE_CHECKING:
     from cmaes import CMA
@@ -30,13 +28,10 @@ typical steps."""
 SCREENED = 16
 """Random layouts of which the best is where a restart begins."""
 
-_live: "WeakKeyDictionary[Run, tuple[tuple[int, int], CMA]]" = WeakKeyDictionary()
-"""The strategy of each run with the (restart, generation) it has come to."""
-
 
 @dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
 class CmaState:
-    """The losses that a strategy was told since its last restart, from which it can be made again.
+    """The losses since the last restart, from which the strategy can be made again.
 
     ``restart``, its number; ``origin`` (N,), the layout where it began; ``losses`` (G, P), those
     of G generations of P; ``best``, its best exact score; ``waited``, the exact scores
@@ -44,8 +39,8 @@ class CmaState:
     """
 
     restart: int
-    origin: Float[np.ndarray, " N"] = field(metadata={KEY: "from"})
-    losses: Float[np.ndarray, "G P"] = field(metadata={KEY: "told"})
+    origin: Float[np.ndarray, " N"]
+    losses: Float[np.ndarray, "G P"]
     best: float = -np.inf
     waited: int = 0
 
@@ -64,19 +59,11 @@ def _restart(x: Float[np.ndarray, " N"], count: int, size: int) -> CmaState:
 def step(run: Run, state: CmaState) -> CmaState | None:
     """One generation; sometimes an exact score; and a restart where scores stop to improve.
 
-    The variables are the free coordinates, in typical steps from where the strategy began. A point
-    that the strategy asks for may lie outside the feasible set. Then the nearest feasible layout is
-    scored, and the strategy is told that score, less a penalty for the distance, at the point it
-    asked for. If it were told the projected points, its covariance would become flat across the
-    bounds.
-
-    All layouts of a generation share one sample, because only their order counts. The next
-    generation has a fresh sample, so that noise averages out; a sample kept until the next restart
-    would be fitted instead. Every :data:`LOOK` generations, and before a
-    restart, the strategy's mean and the best of the last generation are compared, and the best of
-    them is scored exactly.
-
-    A restart begins at the best of some random layouts, with twice the population (IPOP).
+    1. The strategy asks for points, in typical steps of the free coordinates from where it began.
+       The nearest feasible layouts are scored on one sample, less a penalty for their distance.
+    2. Every :data:`LOOK` generations, and before a restart, the strategy's mean and the best of the
+       generation are compared on another sample, and the best of them is scored exactly.
+    3. A restart begins at the best of some random layouts, with twice the population (IPOP).
     """
     problem, losses = run.problem, state.losses
     if not len(problem.space.free):
@@ -95,7 +82,7 @@ def step(run: Run, state: CmaState) -> CmaState | None:
         state = _look(run, state, np.concatenate([mean, x[np.argsort(loss)[:FOLLOWED]]]))
     if state.waited >= PATIENCE or narrow:
         return _begin_again(run, state)
-    _live[run] = ((key[0], key[1] + 1), strategy)
+    run.cache["strategy"] = (key[0], key[1] + 1), strategy
     return state
 
 
@@ -127,17 +114,16 @@ def _layouts(
 
 
 def _strategy(run: Run, state: CmaState) -> "CMA":
-    """The strategy at this state; where it is not at hand, made again by asking and telling.
+    """The strategy at this state, from the run's cache or made again from the losses.
 
-    So a checkpoint needs only what was told, and the search goes on as if it had not been stopped.
-    The strategy is taken out of the register, so that a generation that is cut short leaves none
-    behind that has asked and was not told.
+    It is taken out of the cache: one that has asked for a generation that was then cut short must
+    not be used again.
     """
     from cmaes import CMA  # only here: its import takes a third as long as all others
 
     losses, restart = state.losses, state.restart
-    at, strategy = _live.pop(run, ((-1, -1), None))
-    if strategy is not None and at == (restart, len(losses)):
+    at, strategy = run.cache.pop("strategy", (None, None))
+    if at == (restart, len(losses)):
         return strategy
     strategy = CMA(
         mean=np.zeros(len(run.problem.space.free)),
@@ -151,4 +137,4 @@ def _strategy(run: Run, state: CmaState) -> "CMA":
     return strategy
 
 
-CMA_ES = method_of("cma-es", "evolution strategy with restarts", CmaState, begin, step)
+CMA_ES = Method("cma-es", "evolution strategy with restarts", (CmaState,), begin, step)

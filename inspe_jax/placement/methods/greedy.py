@@ -6,9 +6,7 @@ that what it adds to any layout is a sum over bits (:mod:`inspe_jax.placement.sa
 
 import heapq
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from typing import TypeVar
-from weakref import WeakKeyDictionary
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -17,9 +15,8 @@ from inspe_jax.placement.candidate_table import HEIGHTS, Picks, Table
 from inspe_jax.placement.candidates import COLUMNS, FRAMES
 from inspe_jax.placement.compile_ahead import CompileJob
 from inspe_jax.placement.methods.finer_moves import finer, sights
-from inspe_jax.placement.methods.states import KEY, method_of
 from inspe_jax.placement.problem import Problem
-from inspe_jax.placement.run import Run
+from inspe_jax.placement.run import Method, Run
 from inspe_jax.placement.sample_score import KNOWN, LEAST, Rows, SampleScore, Worth, times
 
 TRIES = 64
@@ -28,19 +25,17 @@ WIDTH, NARROW = 1.0, 0.02
 """Finer moves, in typical steps: the first ones, and those at which a round ends."""
 LEVEL_COLUMNS, LEVEL_HEIGHTS, LEVEL_TRIES, LEVEL_NARROW = 2, 2, 0.5, 5.0
 """Where no sensor is aimed: factors on the columns of a sample, on the heights of candidates, on
-:data:`TRIES` and on :data:`NARROW`. There are few candidates there, a view of twice the columns
-costs an eighth more, and how a round ends depends most on where it began."""
+:data:`TRIES` and on :data:`NARROW`."""
 FINER = 0.6
 """What the width shrinks by where less than half of the units moved, or it was for nothing."""
 PASSES = 3
 """Passes over the units from one exact score to the next."""
 VIEW_COST = 1.1
 """What one sensor sees of a sample, in a sensor's share of a rough score of it. This and the next
-three as measured on 8 cameras, 4 LiDARs and both, 150,000 voxels (0.9 to 1.2)."""
+three are measured on 8 cameras, 4 LiDARs and both, 150,000 voxels."""
 MOVE_COST, PLACE_COST, EXCHANGE_COST = 2.2, 0.45, 0.125
-"""A finer move of one sensor, which then sees more than most candidates do; placing all sensors
-greedily, for each candidate; and exchanging a unit, for each candidate of each of its sensors; in
-views (2.0 to 2.6, 0.3 to 0.7, and 0.11 to 0.13)."""
+"""In views: a finer move of one sensor; placing all sensors greedily, for each candidate; and
+exchanging a unit, for each candidate of each of its sensors."""
 
 VIEWS = "views"
 """What is compiled ahead."""
@@ -75,10 +70,9 @@ def effort(problem: Problem) -> Effort:
 def lazy_greedy(table: Table) -> tuple[Picks, int]:
     """Place one sensor after the other, each time the one that adds most, at its best candidate.
 
-    Returns the chosen candidates, and how many gains were computed again. The gain of a candidate
-    only falls as other sensors are placed, so an earlier gain is an upper bound (Minoux 1978). A
-    heap of these bounds gives the best candidate after a few evaluations. The first sensor of a
-    unit fixes the unit's foot; its other sensors choose among the candidates there.
+    Returns the chosen candidates, and how many gains were computed again. An earlier gain is an
+    upper bound of a later one (Minoux 1978). The first sensor of a unit fixes the unit's foot; its
+    other sensors choose among the candidates there.
     """
     problem, tally, picks = table.problem, table.tally, Picks()
     heap: list[tuple[float, int, int, int]] = []  # (−bound, sensor, candidate, placed then)
@@ -172,25 +166,19 @@ def _fill(table: Table, picks: Picks, sensors: Sequence[int], foot: int) -> Pick
 
 # ── The method ──────────────────────────────────────────────────────────────
 
-# What a checkpoint need not hold, since it can be found again.
-_tables: "WeakKeyDictionary[Run, tuple[int, Table]]" = WeakKeyDictionary()
-"""The candidates of each run's present round."""
-_passes: "WeakKeyDictionary[Run, tuple[tuple[int, ...], SampleScore, dict[int, Rows]]]" = (
-    WeakKeyDictionary()
-)
-"""The sample of each run's present pass, and what the sensors see of it."""
-
 
 @dataclass(frozen=True)
 class Placing:
     """Before a sensor is placed in a round; ``part`` parts of its candidates were looked at.
 
-    ``phase`` is ``look``, or ``place`` when that is all of them.
+    ``looked``: whether that is all of them. ``count`` gradient steps were done in earlier rounds,
+    by :mod:`~inspe_jax.placement.methods.greedy_adam`.
     """
 
     round: int = 0
     part: int = 0
-    phase: str = "look"
+    looked: bool = False
+    count: int = 0
 
 
 @dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
@@ -207,7 +195,6 @@ class Exchanging:
     picks: Int[np.ndarray, " S"]
     unit: int = 0
     moved: int = 0
-    phase: str = "exchange"
 
 
 @dataclass(frozen=True, eq=False)
@@ -225,12 +212,10 @@ class Moving:
     width: float = WIDTH
     unit: int = 0
     moved: int = 0
-    passes: int = field(default=0, metadata={KEY: "pass"})
-    phase: str = "move"
+    passes: int = 0
 
 
 GreedyState = Placing | Exchanging | Moving
-P = TypeVar("P", bound=Placing)
 
 
 def begin(run: Run) -> Placing:
@@ -239,20 +224,21 @@ def begin(run: Run) -> Placing:
 
 
 def step(run: Run, state: GreedyState) -> GreedyState:
-    """A piece of a round: looking, placing, exchanging, moving.
+    """A piece of a round.
 
-    A round sees what the candidates see; places sensors greedily; takes out unit after unit and
-    puts it back where it adds most, until that brings nothing; and then moves units by ever
-    smaller steps, each pass on a fresh sample. Placing, every pass of exchanges and some passes of
-    moves end with an exact score; moves that made it worse are taken back. The next round has
-    another sample and candidates between the first ones.
+    1. Look: find what the candidates see.
+    2. Place sensors greedily.
+    3. Exchange: take out unit after unit and put it back where it adds most, until nothing is
+       gained.
+    4. Move units by ever smaller steps, each pass on a fresh sample.
+
+    Placing, every pass of exchanges and some passes of moves end with an exact score; moves that
+    made it worse are taken back. The next round has another sample and other candidates.
     """
     run.wait(VIEWS)
     match state:
-        case Placing(phase="look"):
-            return look(run, state)
         case Placing():
-            return place(run, state)
+            return place(run, state) if state.looked else look(run, state)
         case Exchanging():
             return _exchange(run, state)
         case Moving():
@@ -283,15 +269,15 @@ def charge(run: Run, tally: SampleScore, views: float) -> None:
 
 def _table(run: Run, number: int, looked: int | None = None) -> Table:
     """A round's candidates, with so many parts looked at, or all; from memory or once more."""
-    held, table = _tables.get(run, (-1, None))
-    if table is not None and held == number:
+    held, table = run.cache.get("table", (-1, None))
+    if held == number:
         looked = len(table.parts) if looked is None else looked
         if sum(len(kind.rows) for kind in table.kinds) == looked:
             return table
     table = _new_table(run, number)
     for part in range(len(table.parts) if looked is None else looked):
         table.look(part)
-    _tables[run] = number, table
+    run.cache["table"] = number, table
     return table
 
 
@@ -302,10 +288,10 @@ def _new_table(run: Run, number: int) -> Table:
 
 def forget(run: Run) -> None:
     """Let go of a round's candidates, some 100 MB, when they are not looked at any more."""
-    _tables.pop(run, None)
+    run.cache.pop("table", None)
 
 
-def look(run: Run, state: P) -> P:
+def look(run: Run, state: Placing) -> Placing:
     """Look at a further part of the candidates."""
     table, part = _table(run, state.round, state.part), state.part + 1
     charge(run, table.tally, table.look(part - 1))
@@ -314,7 +300,7 @@ def look(run: Run, state: P) -> P:
         _placed(run, table)
     if part >= len(table.kinds):  # one chunk of each kind
         run.problem.known.add(VIEWS)
-    return replace(state, part=part, phase="place" if part == len(table.parts) else "look")
+    return replace(state, part=part, looked=part == len(table.parts))
 
 
 def place(run: Run, state: Placing) -> Exchanging | Moving:
@@ -368,16 +354,14 @@ def _exchange(run: Run, state: Exchanging) -> Exchanging | Moving:
 def _move(run: Run, state: Moving) -> Moving | Placing:
     problem, u, wanted = run.problem, state.unit, effort(run.problem)
     x, key = state.now, (state.round, state.passes, u)
-    held = _passes.pop(run, None)
-    if held is not None and held[0] == key:
-        _, tally, rows = held
-    else:
+    held, tally, rows = run.cache.pop("pass", (None, None, None))
+    if held != key:
         tally = SampleScore(problem, problem.sample(run.rng(1, *key[:2]), wanted.columns, FRAMES))
         rows = sights(problem, tally, x, range(len(problem.layout)))
     views = wanted.tries * len(problem.layout.members()[u])
     charge(run, tally, (u == 0) * len(rows) + MOVE_COST * views)
     new, rows = finer(problem, tally, x, rows, (u,), state.width, run.rng(2, *key), wanted.tries)
-    _passes[run] = (*key[:2], u + 1), tally, rows
+    run.cache["pass"] = (*key[:2], u + 1), tally, rows
     if new is not x:
         run.hold(new)
     moved = state.moved + (new is not x)
@@ -398,14 +382,12 @@ def _move(run: Run, state: Moving) -> Moving | Placing:
     return replace(state, now=state.x, moved=0, width=width)
 
 
-GREEDY = replace(
-    method_of(
-        "greedy",
-        "sensor by sensor the best candidate pose, then exchanges and finer moves",
-        {"look": Placing, "place": Placing, "exchange": Exchanging, "move": Moving},
-        begin,
-        step,
-        ahead,
-    ),
+GREEDY = Method(
+    "greedy",
+    "sensor by sensor the best candidate pose, then exchanges and finer moves",
+    (Placing, Exchanging, Moving),
+    begin,
+    step,
+    ahead,
     knows=KNOWN,
 )

@@ -1,16 +1,16 @@
 """Greedy placement, then bursts of Adam and finer moves: the default.
 
-Candidates find the places, which gradients do not jump between; gradients move all sensors at
-once where the score has a slope; and finer moves, which are judged hard, gain where it has none.
-As long as the gradient is not compiled, and where the budget has no room for a burst, there are
-exchanges instead. With LiDARs alone it is greedy placement with its own exchanges and moves: there
-exchanges gain more in the same time than bursts do. Where metrics other than the paper's have
-weight, it is CMA-ES: what candidates add to most of them is not known, and on detectability with
-cameras it comes further than Adam in the same time, and needs less compiled.
+1. Greedy placement finds the poles: gradients cannot jump to another pole, candidates can.
+2. Bursts of Adam move all sensors at once. While the gradient is compiled, and where the budget has
+   no room for a burst, units are exchanged instead.
+3. Finer moves, judged hard, gain where the score has no slope.
+
+With LiDARs alone it is :data:`~inspe_jax.placement.methods.greedy.GREEDY`, whose exchanges gain
+more there; where metrics other than the paper's have weight, it is CMA-ES.
 """
 
 import time
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import reduce
 
 import numpy as np
@@ -22,8 +22,7 @@ from inspe_jax.placement.methods import greedy
 from inspe_jax.placement.methods.adam import STEP_COLUMNS, STEP_FRAMES, advance, charted, layouts
 from inspe_jax.placement.methods.cma_es import CMA_ES
 from inspe_jax.placement.methods.finer_moves import Sighted, finer, of_unit, sights, with_unit
-from inspe_jax.placement.methods.greedy import FINER, MOVE_COST, charge
-from inspe_jax.placement.methods.states import KEY, method_of
+from inspe_jax.placement.methods.greedy import FINER, MOVE_COST, Placing, charge
 from inspe_jax.placement.run import Method, Run
 from inspe_jax.placement.sample_score import PAPER, Rows, SampleScore
 
@@ -32,8 +31,7 @@ PLACING = 0.4
 UNTIL = 0.85
 """Share of the budget at which bursts of Adam end."""
 COMPILES = 3.0
-"""How long the gradient compiles beside greedy placement, in what all that came before took: 19 s
-after 6 s, and 24 s after 9 s, on two cores."""
+"""How long the gradient compiles beside greedy placement, in what all that came before took."""
 BURST = 12
 """Gradient steps from one look at what they gain to the next."""
 SOFTNESS, RATE = 0.5, 0.3
@@ -41,27 +39,15 @@ SOFTNESS, RATE = 0.5, 0.3
 CALMER = 0.6
 """What both shrink by where a burst gained nothing."""
 NARROW = 0.1
-"""Where moves get narrower, in typical steps, they and bursts begin again at the widest.
-
-Without gradients, of six cameras at four places, 500 evaluations end 0.0014 higher in the mean of
-six searches than with new candidates after 0.02, and 800 end 0.004 higher."""
+"""Where moves get narrower, in typical steps, they and bursts begin again at the widest."""
 TRIES, GENERATIONS = 8, 8
-"""Moves of each unit that are tried at once, from the best so far, and how often for each sensor.
-
-Eight times eight come as far as 64 at once in about half the charged work, on two scenes."""
+"""Moves of each unit that are tried at once, and how often for each sensor."""
 
 GRADIENT = "gradient"
 """What is compiled ahead, after what greedy placement needs."""
 
 ONE_LINE = np.zeros(1, int)
 """The line of a single layout."""
-
-
-@dataclass(frozen=True)
-class Placing(greedy.Placing):
-    """Greedy placement of a round; ``count`` gradient steps were done in those before."""
-
-    count: int = 0
 
 
 @dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
@@ -80,16 +66,10 @@ class Improving:
     count: int
     widest: float
     width: float = greedy.WIDTH
-    passes: int = field(default=0, metadata={KEY: "pass"})
+    passes: int = 0
     softness: float = SOFTNESS
     rate: float = RATE
     careful: bool = False
-    phase: str = "improve"
-
-
-def begin(run: Run) -> Placing:
-    """Before greedy placement."""
-    return Placing()
 
 
 def ahead(run: Run) -> dict[str, CompileJob]:
@@ -117,8 +97,7 @@ State = Placing | greedy.Exchanging | Improving
 def step(run: Run, state: State) -> State:
     """A piece of greedy placement, or a pass of bursts and moves; then the next round.
 
-    Where bursts follow, units are not exchanged: bursts and moves gain more in the same time. A
-    round has other candidates than those before and often ends elsewhere.
+    Where bursts follow, units are not exchanged: bursts and moves gain more in the same time.
     """
     if isinstance(state, Improving):
         return _pass(run, state)
@@ -132,7 +111,7 @@ def step(run: Run, state: State) -> State:
         return _improving(run, state, run.best_x, run.best)
     run.wait(greedy.VIEWS)
     late = state.round == 0 and len(run.history) > 1 and run.done >= PLACING
-    if state.phase == "look" and not late:
+    if not state.looked and not late:
         return greedy.look(run, state)
     placed = greedy.place(run, state)
     return _improving(run, state, placed.x, placed.value)
@@ -157,9 +136,8 @@ def _improving(run: Run, state: State, x: Float[np.ndarray, " N"], value: float)
 def _pass(run: Run, state: Improving) -> Placing | Improving:
     """Bursts while they gain, then moves of every unit, on a sample of its own; judged exactly.
 
-    At first all together. Once that gained nothing, what gains on a sample is as often a loss in
-    the whole scene; from then on, the bursts and each unit's moves are judged, and taken back, on
-    their own. A round ends when moves of all widths, from the widest on, gained nothing.
+    At first all together; once that gained nothing, the bursts and each unit's moves on their own.
+    A round ends when moves of all widths, from the widest on, gained nothing.
     """
     problem, key, careful = run.problem, (state.round, state.passes), state.careful
     tally = SampleScore(problem, problem.sample(run.rng(1, *key), COLUMNS, FRAMES))
@@ -230,17 +208,12 @@ def _bursts(
     return (x, rows), calmer
 
 
-_AIMED = method_of(
+_AIMED = Method(
     "greedy-adam",
     "greedy placement, then Adam and finer moves; greedy with LiDARs only; CMA-ES for metrics "
     "other than the paper's",
-    {
-        "look": Placing,
-        "place": Placing,
-        "exchange": greedy.Exchanging,
-        "improve": Improving,
-    },
-    begin,
+    (*greedy.GREEDY.states, Improving, *CMA_ES.states),
+    greedy.begin,
     step,
     ahead,
 )

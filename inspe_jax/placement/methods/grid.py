@@ -17,8 +17,7 @@ from inspe_jax.placement.candidates import (
     set_heights,
 )
 from inspe_jax.placement.methods.batches import CHUNK, offer_better
-from inspe_jax.placement.methods.states import method_of
-from inspe_jax.placement.run import Run
+from inspe_jax.placement.run import Method, Run
 from inspe_jax.placement.space import Space
 
 STEPS = {"yaw": np.pi / 4, "pitch": np.pi / 18, "height": 2.0}
@@ -56,11 +55,9 @@ def begin(run: Run) -> GridState:
 def step(run: Run, state: GridState) -> GridState | None:
     """Score some more points of the block's grid; score the best exactly when all are done.
 
-    A grid over all sensors at once is far too large: 24 feet, 8 yaws, 3 pitches and 3 heights for
-    each of 8 cameras are 10^26 layouts. So one block is searched at a time, and all else stays:
-    yaw × pitch × height for each sensor of a unit, then where the unit stands and which way it is
-    turned, then the next unit. Sweeps over all units follow until one finds nothing better. Then
-    the grid is made finer, about the present layout.
+    One block is searched at a time: yaw × pitch × height for each sensor of a unit, then where the
+    unit stands and which way it is turned, then the next unit. Sweeps over all units follow until
+    one finds nothing better. Then the grid is made finer, about the present layout.
     """
     problem = run.problem
     blocks = _blocks(problem.layout.members())
@@ -136,6 +133,6 @@ def _aim(space: Space, x: np.ndarray, block: _Block, level: int) -> np.ndarray:
     return set_heights(space, found, block.unit, block.sensors, above)
 
 
-GRID = method_of(
-    "grid", "one unit or sensor at a time, on ever finer grids", GridState, begin, step
+GRID = Method(
+    "grid", "one unit or sensor at a time, on ever finer grids", (GridState,), begin, step
 )

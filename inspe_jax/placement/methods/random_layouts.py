@@ -7,8 +7,7 @@ from jaxtyping import Float
 
 from inspe_jax.placement.candidates import COLUMNS, FRAMES
 from inspe_jax.placement.methods.batches import CHUNK, offer_better
-from inspe_jax.placement.methods.states import method_of
-from inspe_jax.placement.run import Run
+from inspe_jax.placement.run import Method, Run
 
 
 @dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
@@ -35,4 +34,4 @@ def step(run: Run, state: RandomState) -> RandomState:
     return RandomState(count + 1, x[best], value)
 
 
-RANDOM = method_of("random", "random feasible layouts", RandomState, begin, step)
+RANDOM = Method("random", "random feasible layouts", (RandomState,), begin, step)

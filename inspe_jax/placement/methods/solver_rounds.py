@@ -15,7 +15,6 @@ from jaxtyping import Array, Float
 
 from inspe_jax.placement.candidates import COLUMNS, FRAMES
 from inspe_jax.placement.methods.adam import SCREENED, SOFTNESS, annealed
-from inspe_jax.placement.methods.states import method_of
 from inspe_jax.placement.problem import Drawn
 from inspe_jax.placement.run import Method, Run
 
@@ -44,7 +43,7 @@ class RoundState:
 
 def method_in_rounds(name: str, summary: str, solve: Solve) -> Method:
     """A row of the registry for a solver that works in rounds."""
-    return method_of(name, summary, RoundState, begin, lambda run, at: _step(run, at, solve))
+    return Method(name, summary, (RoundState,), begin, lambda run, at: _step(run, at, solve))
 
 
 def begin(run: Run) -> RoundState:

@@ -9,13 +9,14 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from inspe_jax.core.errors import InspeError
-from inspe_jax.mounting.mixes import starting_layout
 from inspe_jax.placement.constraints import Constraints
 from inspe_jax.placement.objective import Objective
 from inspe_jax.placement.optimise import DEFAULT_METHOD, optimise
 from inspe_jax.placement.problem import AnyScene, cases_of
-from inspe_jax.placement.studies.pareto import DeviceMix, device_mixes, progress_of
+from inspe_jax.placement.result import Result
+from inspe_jax.placement.studies.pareto import DeviceMix, device_mixes, searched
 from inspe_jax.sensing.conditions import Conditions
+from inspe_jax.sensing.layout import Layout
 
 
 @dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
@@ -71,30 +72,23 @@ def cheapest(
     usual = Objective(weights={"detectability": 1.0})
     objective = usual if objective is None else objective
     wanted, cases = device_mixes(counts, objective), cases_of(scene, conditions)
-    starts = [starting_layout(cases[0].scene, row) for _, row in wanted]
-    searched: list[DeviceMix] = []
-    for k, ((cost, row), start) in enumerate(zip(wanted, starts, strict=True)):
-        try:
-            result = optimise(
-                cases,
-                start,
-                method,
-                seconds,
-                evaluations,
-                seed,
-                objective,
-                constraints,
-                progress=progress_of(progress, row, k, len(wanted)),
-                target=target,
-            )
-        except KeyboardInterrupt:
-            if not searched:
-                raise
-            break
-        searched.append(DeviceMix(row, cost, result))
-        if result.objective >= target or result.status == "interrupted":
-            break
-    return Cheapest(target, tuple(searched), len(wanted))
+
+    def search(start: Layout, told: Callable[..., None]) -> Result:
+        return optimise(
+            cases,
+            start,
+            method,
+            seconds,
+            evaluations,
+            seed,
+            objective,
+            constraints,
+            progress=told,
+            target=target,
+        )
+
+    found = searched(wanted, cases[0].scene, search, progress, target)
+    return Cheapest(target, tuple(found), len(wanted))
 
 
 def check_target(target: float) -> None:

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from itertools import product
 from math import prod
 from pathlib import Path
+from typing import Any
 
 from inspe_jax.core.errors import InspeError, nearest, or_usual
 from inspe_jax.core.files import csv_text, prepare_folder, read_csv, write_text
@@ -15,9 +16,10 @@ from inspe_jax.placement.objective import Objective, total_price
 from inspe_jax.placement.optimise import DEFAULT_METHOD, compare
 from inspe_jax.placement.problem import AnyScene, cases_of
 from inspe_jax.placement.result import Result
+from inspe_jax.scene.scene import Scene
 from inspe_jax.scoring.metrics import listed_in
 from inspe_jax.sensing.conditions import Conditions
-from inspe_jax.sensing.layout import save_layout
+from inspe_jax.sensing.layout import Layout, save_layout
 
 MOST = 200
 """Largest number of mixes that are searched."""
@@ -107,29 +109,55 @@ def pareto(
     objective = or_usual("objective", objective, Objective)
     wanted = device_mixes(counts, objective)
     cases = cases_of(scene, conditions)
-    starts = [starting_layout(cases[0].scene, row) for _, row in wanted]
+
+    def search(start: Layout, told: Callable[..., None]) -> Result:
+        (result,) = compare(
+            cases,
+            start,
+            (method,),
+            seconds=seconds,
+            evaluations=evaluations,
+            seeds=(seed,),
+            objective=objective,
+            constraints=constraints,
+            progress=told,
+        )
+        return result
+
+    found = searched(wanted, cases[0].scene, search, progress)
+    return [replace(mix, front=_on_front(mix, found)) for mix in found]
+
+
+def searched(
+    wanted: Sequence[tuple[float, dict[str, int]]],
+    scene: Scene,
+    search: Callable[[Layout, Callable[..., None]], Result],
+    progress: Callable[[Mapping[str, int], float, float], None] | None,
+    enough: float = float("inf"),
+) -> list[DeviceMix]:
+    """The mixes ``wanted``, searched one after another until one has an objective of ``enough``.
+
+    ``search`` gets a start, and what to call with the share of its budget and its best score as the
+    last two arguments. Ctrl-C ends with the mixes so far.
+    """
+    starts = [starting_layout(scene, row) for _, row in wanted]
     found: list[DeviceMix] = []
     for k, ((cost, row), start) in enumerate(zip(wanted, starts, strict=True)):
+
+        def report(*at: Any, row: Mapping[str, int] = row, k: int = k) -> None:
+            if progress is not None:
+                progress(row, (k + at[-2]) / len(wanted), at[-1])
+
         try:
-            (result,) = compare(
-                cases,
-                start,
-                (method,),
-                seconds=seconds,
-                evaluations=evaluations,
-                seeds=(seed,),
-                objective=objective,
-                constraints=constraints,
-                progress=progress_of(progress, row, k, len(wanted)),
-            )
+            result = search(start, report)
         except KeyboardInterrupt:
             if not found:
                 raise
             break
         found.append(DeviceMix(row, cost, result))
-        if result.status == "interrupted":
+        if result.objective >= enough or result.status == "interrupted":
             break
-    return [replace(mix, front=_on_front(mix, found)) for mix in found]
+    return found
 
 
 def save_pareto(found: Sequence[DeviceMix], folder: str | os.PathLike[str]) -> None:
@@ -220,19 +248,6 @@ def device_mixes(
     if len(within) > MOST:
         raise InspeError(f"{len(within)} mixes, and {_ADVICE}")
     return within
-
-
-def progress_of(
-    progress: Callable[[Mapping[str, int], float, float], None] | None,
-    row: Mapping[str, int],
-    k: int,
-    total: int,
-) -> Callable[..., None] | None:
-    """What the search of mix number ``k`` of ``total`` calls: its last two arguments are the share
-    of its budget spent and its best score."""
-    if progress is None:
-        return None
-    return lambda *search: progress(row, (k + search[-2]) / total, search[-1])
 
 
 def _on_front(mix: DeviceMix, others: Sequence[DeviceMix]) -> bool:

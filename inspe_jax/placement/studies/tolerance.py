@@ -12,7 +12,7 @@ from inspe_jax.core.errors import InspeError
 from inspe_jax.placement.objective import Objective
 from inspe_jax.placement.problem import AnyScene, Problem, cases_of
 from inspe_jax.placement.run import check_seed
-from inspe_jax.scoring.tiled_scene import tiled_scene_without_masks
+from inspe_jax.scoring.tiled_scene import tiled_scene_of
 from inspe_jax.sensing.conditions import Conditions
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.visibility.centered_scene import poses_about_center
@@ -112,7 +112,9 @@ def tolerance(
     layout = problem.layout
     planned = problem.exact_of(layout)
     poses = poses_about_center(problem.cases[0].scene, layout)
-    worlds = tuple(tiled_scene_without_masks(case.scene).bucketed for case in problem.cases)
+    worlds = tuple(
+        tiled_scene_of(case.scene, whole=True, masks=False).bucketed for case in problem.cases
+    )
     slope = np.asarray(problem.slope(poses, worlds, jnp.asarray(softness, float))[1], float)
     per = np.array([POSITION_STEP] * 3 + [np.radians(1.0)] * 3)
     rows = tuple(

@@ -68,7 +68,7 @@ def with_mesh(place: Intersection, path: str | os.PathLike[str], radius: float) 
     has too many triangles or solids.
     """
     mesh = _near(read_mesh(path), place, radius + MARGIN, path)
-    grid = _Grid.of(place, radius + MARGIN)
+    grid = _Grid(place, radius + MARGIN)
     world = mesh.world
     cell, z = grid.surfaces(world)
     ground = _ground(place, grid, cell, z, path)
@@ -93,7 +93,8 @@ def read_mesh(path: str | os.PathLike[str]) -> Mesh:
     if file.suffix.lower() not in SUFFIXES:
         raise InspeError(f"{path}: a mesh is {', '.join(SUFFIXES)}")
     check_input(file)
-    trimesh = _trimesh()
+    with needs("meshes need trimesh", "geo"):
+        import trimesh
     try:
         parts = list(_parts(trimesh.load_scene(file, process=False)))
     except Exception as error:  # its readers raise whatever they run into
@@ -158,13 +159,9 @@ def _near(mesh: Mesh, place: Intersection, reach: float, path: Any) -> Mesh:
 class _Grid:
     """Square cells about a place."""
 
-    def __init__(self, corner: Float[np.ndarray, "2"], side: int) -> None:
-        self.corner, self.side = corner, side
-
-    @classmethod
-    def of(cls, place: Intersection, reach: float) -> "_Grid":
+    def __init__(self, place: Intersection, reach: float) -> None:
         half = int(np.ceil(reach / CELL))
-        return cls(np.asarray(place.center, float)[:2] - half * CELL, 2 * half)
+        self.corner, self.side = np.asarray(place.center, float)[:2] - half * CELL, 2 * half
 
     def middle(self, cell: Int[np.ndarray, " N"]) -> Float[np.ndarray, "N 2"]:
         """The middles of cells by number."""
@@ -239,10 +236,8 @@ class _Grid:
         return (i * self.side + j)[inside], height[inside]
 
 
-def _repeated(
-    number: Int[np.ndarray, " F"],
-) -> tuple[Int[np.ndarray, " N"], Int[np.ndarray, " N"]]:
-    """Each row as often as its ``number`` says: which row it is, and the how manieth of its own."""
+def _repeated(number: Int[np.ndarray, " F"]) -> tuple[Int[np.ndarray, " N"], Int[np.ndarray, " N"]]:
+    """Indices of row i repeated ``number[i]`` times, and the place of each among its own."""
     which = np.repeat(np.arange(len(number)), number)
     return which, np.arange(len(which)) - np.repeat(number.cumsum() - number, number)
 
@@ -254,11 +249,7 @@ def _ground(
     z: Float[np.ndarray, " N"],
     path: Any,
 ) -> Float[np.ndarray, "G 3"]:
-    """Points of the ground: in each cell of the regions, the surface nearest to the level around.
-
-    That level is the median of the lowest surfaces within some metres. Where there is none near it,
-    as where a road user hides the road in a survey, the cell has no point.
-    """
+    """Points of the ground: in cells of the regions, the surface nearest to the median around."""
     regions = unary_union(list(place.regions.values()))
     shapely.prepare(regions)
     on = shapely.contains_xy(regions, *grid.middle(cell).T)
@@ -275,7 +266,7 @@ def _ground(
     level = ndimage.median_filter(image.reshape(grid.side, grid.side), int(AROUND / CELL)).ravel()
     off = np.abs(z - level[cell])
     nearest = np.lexsort([off, cell])[lowest]
-    nearest = nearest[off[nearest] < LOW]
+    nearest = nearest[off[nearest] < LOW]  # a road user of a survey hides the road
     return np.column_stack([grid.middle(cell[nearest]), z[nearest]])
 
 
@@ -292,18 +283,17 @@ def _shapes(
     over = z - place.ground(grid.middle(cell))
     count, high = grid.side**2, over > LOW
     wall = edges > LOW
-    top = np.full(count, -np.inf)
-    np.maximum.at(top, np.r_[cell[high], upright[wall]], np.r_[over[high], edges[wall]])
-    base = np.full(count, np.inf)
-    np.minimum.at(base, np.r_[cell[high], upright[wall]], np.r_[over[high], edges[wall]])
+    top, base, foot = np.full(count, -np.inf), np.full(count, np.inf), np.full(count, np.inf)
+    at, level = np.r_[cell[high], upright[wall]], np.r_[over[high], edges[wall]]
+    np.maximum.at(top, at, level)
+    np.minimum.at(base, at, level)
+    np.minimum.at(foot, upright, edges)
     # Beside cells with a surface, cells with upright faces alone are on the far side of a wall.
     square = (grid.side, grid.side)
     covered = np.zeros(count, bool)
     covered[cell[high]] = True
     near = ndimage.binary_dilation(covered.reshape(square), np.ones((3, 3))).ravel()
     there = (top > LOW) & (covered | ~near)
-    foot = np.full(count, np.inf)
-    np.minimum.at(foot, upright, edges)
     stands = there & (np.minimum(foot, base) < STANDS)
     stands = ndimage.binary_fill_holes(stands.reshape(square)).ravel() & there
     base = np.where(stands, 0.0, base)
@@ -322,9 +312,3 @@ def _shapes(
         low = min(float(base[own].mean()), height - LOW)
         for part in shapely.get_parts(unary_union(squares[own])):
             yield Shape("solid", part, height, max(low, 0.0))
-
-
-def _trimesh() -> Any:
-    with needs("meshes need trimesh", "geo"):
-        import trimesh
-    return trimesh

@@ -71,13 +71,15 @@ def _heights(
     check_input(path)
     if path.suffix.lower() not in DRIVERS:
         raise InspeError(f"{path}: an elevation model is {', '.join(DRIVERS)}")
-    rasterio = _rasterio()
+    with needs("elevation models need rasterio", "geo"), _own_proj():
+        import rasterio
+        import rasterio.windows
     try:
         with _own_proj(), rasterio.open(path, driver=DRIVERS[path.suffix.lower()]) as model:
             _check(model, path)
             points = _in_projection(place, path, model, at)
             row, column = _cells(model, points)
-            window = _window(rasterio, model, row, column, path)
+            window = rasterio.windows.Window(*_window(model, row, column, path))
             values = model.read(1, window=window, masked=True)
             scale, offset = model.scales[0], model.offsets[0]
     except rasterio.errors.RasterioError as error:
@@ -96,20 +98,21 @@ def _heights(
 
 def _check(model: Any, path: Path) -> None:
     """Raise InspeError where a raster is no elevation model that can be read in parts."""
-    if model.count != 1:
-        raise InspeError(
-            f"{path}: has {model.count} bands, as a picture; an elevation model has one"
-        )
-    if model.crs is None and model.transform == model.transform.identity():
-        raise InspeError(f"{path}: does not say where it lies: it has no geotransform")
     unit = str(model.units[0] or "").strip().lower()
-    if unit not in METRES:
-        raise InspeError(f"{path}: has heights in {unit}, not in metres; convert it first")
-    if max(rows * columns for rows, columns in model.block_shapes) > MOST**2:
-        raise InspeError(
-            f"{path}: is stored in blocks of more than {MOST} × {MOST} cells, which are read "
-            "whole; store it in tiles: gdal_translate -co TILED=YES"
-        )
+    nowhere = model.crs is None and model.transform == model.transform.identity()
+    whole = max(rows * columns for rows, columns in model.block_shapes)
+    for wrong, words in (
+        (model.count != 1, f"has {model.count} bands, as a picture; an elevation model has one"),
+        (nowhere, "does not say where it lies: it has no geotransform"),
+        (unit not in METRES, f"has heights in {unit}, not in metres; convert it first"),
+        (
+            whole > MOST**2,
+            f"is stored in blocks of more than {MOST} × {MOST} cells, which are read whole; store "
+            "it in tiles: gdal_translate -co TILED=YES",
+        ),
+    ):
+        if wrong:
+            raise InspeError(f"{path}: {words}")
 
 
 def _in_projection(place: Intersection, path: Path, model: Any, at: np.ndarray) -> np.ndarray:
@@ -132,8 +135,10 @@ def _cells(model: Any, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return d * x + e * y + f - 0.5, a * x + b * y + c - 0.5
 
 
-def _window(rasterio: Any, model: Any, row: np.ndarray, column: np.ndarray, path: Path) -> Any:
-    """The cells around points. Raises InspeError where there are none, or too many."""
+def _window(
+    model: Any, row: np.ndarray, column: np.ndarray, path: Path
+) -> tuple[int, int, int, int]:
+    """First column and row of the cells around points, and how many there are of each."""
     ends = []
     for at, size in ((row, model.height), (column, model.width)):
         low, high = np.floor(at.min()) - 1, np.ceil(at.max()) + 2
@@ -148,7 +153,7 @@ def _window(rasterio: Any, model: Any, row: np.ndarray, column: np.ndarray, path
             f"{path}: has more than {MOST} cells a side around this place; resample it, as to 0.5 m"
         )
     (top, bottom), (left, right) = ends
-    return rasterio.windows.Window(left, top, right - left, bottom - top)
+    return left, top, right - left, bottom - top
 
 
 @contextmanager
@@ -160,10 +165,3 @@ def _own_proj() -> Iterator[None]:
         yield
     finally:
         os.environ.update(kept)
-
-
-def _rasterio() -> Any:
-    with needs("elevation models need rasterio", "geo"), _own_proj():
-        import rasterio
-        import rasterio.windows
-    return rasterio

@@ -14,7 +14,7 @@ from shapely.geometry import Polygon
 from shapely.geometry.base import BaseGeometry
 from shapely.ops import unary_union
 
-from inspe_jax.scene.maps.parts import CLEARANCE
+from inspe_jax.scene.intersection import CLEARANCE
 
 GRADE = 0.3
 """A lane that climbs more steeply than this is on another level. Town03 has streets of 0.2."""

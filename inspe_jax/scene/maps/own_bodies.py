@@ -1,7 +1,7 @@
 """Bodies of one's own from files: GeoJSON, CSV, and SUMO's polygons."""
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
@@ -18,21 +18,9 @@ from inspe_jax.scene.geojson import Feature, read_features
 from inspe_jax.scene.intersection import Intersection
 from inspe_jax.scene.maps.bodies import NO_POLES, SAME_POLE, Shape, with_bodies
 from inspe_jax.scene.maps.sumo.polygons import SUFFIX, polygons_of
-from inspe_jax.scene.maps.usual_sizes import BARRIERS, BUILDING, FURNITURE, POLE, TREE, TREE_BASE
+from inspe_jax.scene.maps.usual_sizes import BARRIERS, HEIGHTS, POLE, TREE, crown_base
 from inspe_jax.scene.statics import HIGHEST, LEAFY, octagon
 
-PARKED = 1.5
-"""Height of a parked vehicle of which the file says none [m]."""
-HEIGHTS = {
-    "building": BUILDING,
-    "wall": BARRIERS["wall"][0],
-    "hedge": BARRIERS["hedge"][0],
-    "tree": TREE["height"],
-    "pole": POLE[0],
-    "furniture": FURNITURE,
-    "parked vehicle": PARKED,
-}
-"""Height of each kind of body of which the file says none [m]."""
 LARGE = 10.0
 """What lies this much beyond the reach may still come into it, as a crown about a point [m]."""
 NAMED = 20
@@ -59,11 +47,10 @@ def with_own_bodies(
     """A place with the bodies of a file besides its own, within ``reach`` [m] of its centre.
 
     Polygons, lines and points; properties are ``kind``, one of
-    :data:`HEIGHTS`, ``height_m``, ``base_m``, ``width_m`` of a line,
-    ``diameter_m`` of a point, and ``transmittance``. What is missing is usual
-    (:data:`USUAL`, :data:`HEIGHTS`). Of SUMO's polygons (.poly.xml) it is what
-    :func:`~inspe_jax.scene.maps.sumo.polygons.polygons_of` finds. Poles can carry sensors. What is
-    in the way of traffic is cut off, as of a map's bodies.
+    :data:`~inspe_jax.scene.maps.usual_sizes.HEIGHTS`, ``height_m``, ``base_m``, ``width_m`` of a
+    line, ``diameter_m`` of a point, and ``transmittance``. What is missing is usual. SUMO's
+    polygons (.poly.xml) are read by :func:`~inspe_jax.scene.maps.sumo.polygons.polygons_of`. Poles
+    can carry sensors. What is in the way of traffic is cut off, as of a map's bodies.
 
     Raises InspeError as :func:`~inspe_jax.scene.geojson.read_features`, if a property is wrong, and
     if nothing is so near.
@@ -81,7 +68,7 @@ def with_own_bodies(
             f"{away.min():,.0f} m away; coordinates are a longitude and then a latitude"
         )
     near = [one for one, far in zip(features, away, strict=True) if far <= reach + LARGE]
-    shapes = _once([made for one in near for made in _shapes(one)])
+    shapes = list(_once(made for one in near for made in _shapes(one)))
     notes: list[str] = []
     found = with_bodies(replace(place, bodies=()), shapes, reach, notes)
     poles = [one.polygon for one in found.bodies if one.kind == "pole"]
@@ -107,9 +94,7 @@ def _poles_left_out(
     """A line for each pole of the file that is not among ``poles``: its name or number, and why."""
     for one in features:
         kind = one.properties.get("kind") or USUAL.get(one.geometry.geom_type)
-        if kind != "pole":
-            continue
-        if poles and shapely.dwithin(poles, one.geometry, SAME_POLE).any():
+        if kind != "pole" or shapely.dwithin(poles, one.geometry, SAME_POLE).any():
             continue
         away = one.geometry.distance(shapely.Point(place.center[:2]))
         far = f"{away:.0f} m from the centre, farther than {reach:g} m"
@@ -118,16 +103,13 @@ def _poles_left_out(
         yield f"pole {name}: left out: {why}"
 
 
-def _once(shapes: list[Shape]) -> list[Shape]:
+def _once(shapes: Iterable[Shape]) -> Iterator[Shape]:
     """The shapes, without poles that stand where an earlier one does."""
-    found, feet = list[Shape](), list[BaseGeometry]()
+    feet: list[BaseGeometry] = []
     for one in shapes:
-        if one.kind == "pole":
-            if feet and shapely.dwithin(feet, one.area, SAME_POLE).any():
-                continue
-            feet.append(one.area)
-        found.append(one)
-    return found
+        if one.kind != "pole" or not shapely.dwithin(feet, one.area, SAME_POLE).any():
+            feet += [one.area] * (one.kind == "pole")
+            yield one
 
 
 def _shapes(one: Feature) -> Iterator[Shape]:
@@ -143,8 +125,7 @@ def _shapes(one: Feature) -> Iterator[Shape]:
             raise InspeError(f"{where}: base_m {base:g} m must be below height_m {height:g} m")
         trunk, through = 0.0, own.transmittance
         if kind == "tree":
-            lowest, share = TREE_BASE
-            base = base or min(lowest, share * height)
+            base = base or crown_base(height)
             trunk = TREE["circumference"] / (2 * np.pi)
             through = LEAFY if through is None else through
         area = part

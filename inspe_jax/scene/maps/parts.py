@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from itertools import product
 from typing import TypeVar
 
 import numpy as np
@@ -12,24 +13,18 @@ from shapely.geometry.base import BaseGeometry
 from shapely.ops import unary_union
 
 from inspe_jax.core.errors import InspeError, nearest
-from inspe_jax.scene.intersection import (
-    Arm,
-    Intersection,
-    Route,
-    corner_islands,
-    mouth_crosswalks,
-)
+from inspe_jax.scene.intersection import Arm, Intersection, Route, corner_islands, mouth_crosswalks
 from inspe_jax.scene.lines import resampled
 from inspe_jax.scene.regions import Region
 
 STEP = 1.0
 """Spacing of the stations sampled along lanes and routes [m]."""
+RADIUS_READ = (0.0, 500.0)
+"""Allowed radius of what is read of a map [m]."""
 CLUSTER = 35.0
 """Junctions whose middle is this near to ``center`` count as one [m]."""
 MARGIN = 10.0
 """A map is read this much beyond the radius [m]."""
-CLEARANCE = 2.5
-"""Something that is higher or lower than the road by more than this is on another level [m]."""
 MOST_LISTED = 20
 """At most this many junctions are listed in an error."""
 
@@ -88,12 +83,6 @@ def junctions_at(
         raise InspeError(f"{source}: no junction within {CLUSTER:g} m of {where}{hint}")
     middle[2] = np.mean([middles[j][2] for j in members])
     return members, middle, f"at {where}"
-
-
-def check_radius(radius: float) -> None:
-    """Raise InspeError if a radius [m] is out of range for reading a map."""
-    if not 0 < radius <= 500:
-        raise InspeError(f"radius {radius:g} m is out of range: between 0 and 500 m")
 
 
 def distance_from(points: np.ndarray, middle: np.ndarray) -> np.ndarray:
@@ -159,19 +148,19 @@ def crossing_lines(walks: list[BaseGeometry]) -> Iterator[np.ndarray]:
 def joined_lines(lines: list[np.ndarray]) -> Iterator[np.ndarray]:
     """Footpaths (N, 2), joined where the end of one is within 1.5 m of another; 5 m or longer."""
     lines = list(lines)
+
+    def joint(line: np.ndarray) -> tuple[int, np.ndarray] | None:
+        for i, other in enumerate(lines):
+            for a, b in product((line, line[::-1]), (other, other[::-1])):
+                if np.hypot(*(a[-1] - b[0])) < 1.5:
+                    return i, np.concatenate([a, b])
+        return None
+
     while lines:
         line = lines.pop()
-        grown = True
-        while grown:
-            grown = False
-            for i, other in enumerate(lines):
-                for a in (line, line[::-1]):
-                    for b in (other, other[::-1]):
-                        if not grown and np.hypot(*(a[-1] - b[0])) < 1.5:
-                            line, grown = np.concatenate([a, b]), True
-                            del lines[i]
-                if grown:
-                    break
+        while found := joint(line):
+            del lines[found[0]]
+            line = found[1]
         if np.hypot(*np.diff(line, axis=0).T).sum() >= 5.0:
             yield resampled(line)
 

@@ -4,9 +4,8 @@ To add a format, write a module that reads it and add its row to :data:`FORMATS`
 """
 
 import os
-from dataclasses import dataclass
 from importlib import import_module
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -18,40 +17,24 @@ from inspe_jax.scene.maps.parts import JunctionInfo
 from inspe_jax.scene.maps.sumo.network import NET_SUFFIXES, OSM_SUFFIXES
 
 
-@dataclass(frozen=True)
-class MapFormat:
+class MapFormat(NamedTuple):
     """A format of map files.
 
-    ``suffixes`` are those of its files, in lower case. ``module`` has a function
-    ``list_junctions(path)``, and one with the name ``reader``, which is called as
-    :func:`read_map`. It may have ``georeference_of(path)`` and ``road_lines(path)``. It is imported
-    on first use, because it may need a package of an extra.
+    ``suffixes`` are those of its files, in lower case. ``module`` has functions
+    ``list_junctions(path)``, ``georeference_of(path)`` and ``road_lines(path)``, and one with the
+    name ``reader``, which is called as :func:`read_map`. It is imported on first use, because it
+    may need a package of an extra.
     """
 
-    name: str
     suffixes: tuple[str, ...]
     module: str
     reader: str
 
-    def call(self, function: str, *given: Any, **options: Any) -> Any:
-        """Call a function of the module."""
-        return getattr(import_module(self.module), function)(*given, **options)
-
-    def may_call(self, function: str, *given: Any) -> Any:
-        """Call a function that the module may have; None where it has none."""
-        known = hasattr(import_module(self.module), function)
-        return self.call(function, *given) if known else None
-
 
 FORMATS = [
+    MapFormat((".xodr",), "inspe_jax.scene.maps.opendrive.reader", "read_opendrive"),
     MapFormat(
-        "OpenDRIVE", (".xodr",), "inspe_jax.scene.maps.opendrive.reader", reader="read_opendrive"
-    ),
-    MapFormat(
-        "SUMO network or OpenStreetMap",
-        (*NET_SUFFIXES, *OSM_SUFFIXES),
-        "inspe_jax.scene.maps.sumo.reader",
-        reader="read_sumo",
+        (*NET_SUFFIXES, *OSM_SUFFIXES), "inspe_jax.scene.maps.sumo.reader", reader="read_sumo"
     ),
 ]
 """The formats. The first that fits a file's name reads it."""
@@ -71,30 +54,33 @@ def is_map(path: str | os.PathLike[str]) -> bool:
     return str(path).lower().endswith(map_suffixes())
 
 
-def _format_of(path: str | os.PathLike[str]) -> MapFormat:
-    """The format of a file by its name. Raises InspeError if no format has that name."""
-    name = str(path).lower()
+def _call(path: str | os.PathLike[str], function: str, **options: Any) -> Any:
+    """Call a function of the module for a file's name, or its reader."""
     for row in FORMATS:
-        if name.endswith(row.suffixes):
-            return row
+        if str(path).lower().endswith(row.suffixes):
+            return getattr(import_module(row.module), function or row.reader)(path, **options)
     raise InspeError(f"{path}: not a map: its name must end in {', '.join(map_suffixes())}")
 
 
 def list_junctions(path: str | os.PathLike[str]) -> tuple[JunctionInfo, ...]:
     """The junctions of a map. Raises InspeError as :func:`read_map`."""
-    return _format_of(path).call("list_junctions", path)
+    found: tuple[JunctionInfo, ...] = _call(path, "list_junctions")
+    return found
 
 
 def georeference_of(path: str | os.PathLike[str]) -> Georeference | None:
-    """The projection of a map's coordinates, None if it has none. Raises InspeError as
-    :func:`read_map`."""
-    found: Georeference | None = _format_of(path).may_call("georeference_of", path)
+    """The projection of a map's coordinates, None if it has none that can be used.
+
+    Raises InspeError as :func:`read_map`.
+    """
+    found: Georeference | None = _call(path, "georeference_of")
     return found
 
 
 def road_lines(path: str | os.PathLike[str]) -> list[Float[np.ndarray, "N 2"]]:
     """The lines of a map's roads [m], for drawing. Raises InspeError as :func:`read_map`."""
-    return _format_of(path).may_call("road_lines", path) or []
+    found: list[np.ndarray] = _call(path, "road_lines")
+    return found
 
 
 def junction_at(path: str | os.PathLike[str], lat: float, lon: float) -> JunctionInfo:
@@ -135,7 +121,9 @@ def read_map(
     """One junction of a map and its surroundings, by its id or a centre (x, y) [m].
 
     See :func:`~inspe_jax.scene.maps.opendrive.reader.read_opendrive` and
-    :func:`~inspe_jax.scene.maps.sumo.reader.read_sumo`, which also say what errors they raise.
+    :func:`~inspe_jax.scene.maps.sumo.reader.read_sumo`. Raises InspeError for another suffix, if an
+    extra or the file is missing, if the file is not a map, or if it has no such junction or no road
+    near.
     """
-    row = _format_of(path)
-    return row.call(row.reader, path, junction=junction, center=center, radius=radius)
+    place: Intersection = _call(path, "", junction=junction, center=center, radius=radius)
+    return place

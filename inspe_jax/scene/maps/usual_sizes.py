@@ -6,9 +6,20 @@ BARRIERS = {"wall": (2.0, 0.25), "city_wall": (6.0, 1.0), "hedge": (1.5, 0.7), "
 """Height and width of barriers."""
 TREE = {"height": 8.0, "diameter_crown": 5.0, "circumference": 0.94}
 """A tree."""
-TREE_BASE = 2.5, 0.4
-"""Crowns begin at this height, or at this share of a lower tree's height."""
 POLE = 6.0, 0.1
 """Height and radius of a pole."""
-FURNITURE = 1.0
-"""Height of an obstacle."""
+HEIGHTS = {
+    "building": BUILDING,
+    "wall": BARRIERS["wall"][0],
+    "hedge": BARRIERS["hedge"][0],
+    "tree": TREE["height"],
+    "pole": POLE[0],
+    "furniture": 1.0,
+    "parked vehicle": 1.5,
+}
+"""Height of each kind of body of which a map says none."""
+
+
+def crown_base(height: float) -> float:
+    """Height at which the crown of a tree begins, of which a map says none."""
+    return min(2.5, 0.4 * height)

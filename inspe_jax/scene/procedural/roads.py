@@ -9,7 +9,6 @@ from shapely.geometry import MultiPolygon, Polygon
 from shapely.geometry.base import BaseGeometry
 from shapely.ops import unary_union
 
-from inspe_jax.core.errors import InspeError
 from inspe_jax.scene.intersection import (
     BUILT_IN,
     CROSSWALK_WIDTH,
@@ -26,6 +25,8 @@ LENGTH = 120.0
 """Length of roads from the middle [m]."""
 ROUTE_LENGTH = 110.0
 """Length of routes from the middle [m]."""
+SHOULDER, SIDEWALK = 1.0, 3.0
+"""Width of shoulders and of sidewalks [m]."""
 
 _CORNER = np.radians(150.0)  # arms nearer than this have a corner; between others the kerb runs on
 _STRAIGHT = np.radians(30.0)  # a movement that turns less goes straight on
@@ -34,11 +35,10 @@ _STOP = CROSSWALK_WIDTH + 1.0  # from the mouth to where drivers stop [m]
 
 @dataclass(frozen=True)
 class Road:
-    """A straight arm: its lanes on either side of an axis through the origin."""
+    """A straight arm: as many lanes in as out, on either side of an axis through the origin."""
 
     bearing: float
-    lanes_in: int
-    lanes_out: int
+    lanes: int
     lane_width: float
     median: float = 0.0
 
@@ -49,14 +49,9 @@ class Road:
         return np.round([np.cos(self.bearing), np.sin(self.bearing)], 15)
 
     @property
-    def left(self) -> float:
-        """Distance from the axis to the kerb of the inbound lanes, left looking outward [m]."""
-        return self.median / 2 + self.lanes_in * self.lane_width
-
-    @property
-    def right(self) -> float:
-        """Distance from the axis to the kerb of the outbound lanes [m]."""
-        return self.median / 2 + self.lanes_out * self.lane_width
+    def half(self) -> float:
+        """Distance from the axis to either kerb [m]."""
+        return self.median / 2 + self.lanes * self.lane_width
 
     def lane(self, k: int) -> float:
         """Distance from the axis to the middle of the k-th lane, in either direction [m]."""
@@ -69,12 +64,12 @@ class Road:
 
     def arm(self, mouth: float) -> Arm:
         """This road as an arm that enters the junction ``mouth`` [m] from the middle."""
-        x, y = self.at(mouth, (self.left - self.right) / 2)
-        return Arm((float(x), float(y)), self.bearing, self.left + self.right)
+        x, y = self.at(mouth, 0.0)
+        return Arm((float(x), float(y)), self.bearing, 2 * self.half)
 
     def carriageway(self, start: float, end: float) -> Polygon:
         """The carriageway from kerb to kerb between two stations [m]."""
-        across = ((start, -self.right), (end, -self.right), (end, self.left), (start, self.left))
+        across = ((start, -self.half), (end, -self.half), (end, self.half), (start, self.half))
         return Polygon([self.at(*corner) for corner in across])
 
 
@@ -84,9 +79,6 @@ def town(
     mouths: list[float],
     kerbs: list[np.ndarray],
     routes: Sequence[Route],
-    *,
-    shoulder: float,
-    sidewalk: float,
     islands: BaseGeometry | None = None,
     notes: tuple[str, ...] = (),
 ) -> Intersection:
@@ -94,42 +86,36 @@ def town(
 
     ``mouths`` are the distances from the middle at which the junction ends on each road [m].
     ``kerbs`` go round it: kerb i runs from the mouth of road i, on its left looking outward, to
-    the mouth of the next road, on its right. ``islands`` are cut out of the carriageway. Raises
-    InspeError if the roads do not fit together.
+    the mouth of the next road, on its right. ``islands`` are cut out of the carriageway.
     """
-    after = roads[1:] + roads[:1]
     long = [
-        joined(a.at(LENGTH, a.left), kerb, b.at(LENGTH, -b.right))
-        for a, b, kerb in zip(roads, after, kerbs, strict=True)
+        joined(a.at(LENGTH, a.half), kerb, b.at(LENGTH, -b.half))
+        for a, b, kerb in zip(roads, roads[1:] + roads[:1], kerbs, strict=True)
     ]
     arms = tuple(road.arm(mouth) for road, mouth in zip(roads, mouths, strict=True))
     driveway = MultiPolygon([r.carriageway(m, LENGTH) for r, m in zip(roads, mouths, strict=True)])
     junction = Polygon(joined(*kerbs))
-    mounting = MultiPolygon([strip(line, 0.0, shoulder + sidewalk) for line in long])
-    gutters = [strip(line, 0.0, shoulder) for line in long] if shoulder else []
-    walks = MultiPolygon([strip(line, shoulder, shoulder + sidewalk) for line in long])
-    if not all(shape.is_valid for shape in (driveway, junction, mounting, walks)):
-        raise InspeError(f"{name}: the arms do not fit together; spread them or narrow them")
+    mounting = MultiPolygon([strip(line, 0.0, SHOULDER + SIDEWALK) for line in long])
     if islands is not None:
         driveway, junction = driveway.difference(islands), junction.difference(islands)
         mounting = unary_union([mounting, islands])
     # People walk from sidewalk to sidewalk, so a crosswalk spans the shoulders too.
-    spans = tuple(replace(arm, width=arm.width + 2 * shoulder) for arm in arms)
-    crosswalks = mouth_crosswalks(spans)
+    crosswalks = mouth_crosswalks(
+        tuple(replace(arm, width=arm.width + 2 * SHOULDER) for arm in arms)
+    )
     regions = {
         Region.DRIVEWAY: driveway,
         Region.JUNCTION: junction,
         Region.CROSSWALK: crosswalks,
-        Region.SIDEWALK: walks,
-        Region.SHOULDER: MultiPolygon(gutters),
+        Region.SIDEWALK: MultiPolygon([strip(x, SHOULDER, SHOULDER + SIDEWALK) for x in long]),
+        Region.SHOULDER: MultiPolygon([strip(line, 0.0, SHOULDER) for line in long]),
     }
-    footway = shoulder + sidewalk / 2
     people = [
         route(line, 2.0, user="pedestrian")
-        for walk in _footpaths(roads, mouths, kerbs, footway)
+        for walk in _footpaths(roads, mouths, kerbs, SHOULDER + SIDEWALK / 2)
         for line in (walk, walk[::-1])
     ]
-    poles = _poles(roads, mouths, kerbs, shoulder + min(0.5, sidewalk / 2))
+    poles = _poles(roads, mouths, kerbs, SHOULDER + 0.5)
     mounting = mounting.difference(crosswalks)
     return on_level_ground(name, regions, arms, [*routes, *people], mounting, poles, notes)
 
@@ -140,20 +126,17 @@ def _footpaths(
     """Footpaths over every crosswalk and along every sidewalk, ``back`` [m] from the kerb."""
     for road, mouth in zip(roads, mouths, strict=True):
         middle = mouth + CROSSWALK_WIDTH / 2
-        yield np.array([road.at(middle, -road.right - back), road.at(middle, road.left + back)])
+        yield np.array([road.at(middle, -road.half - back), road.at(middle, road.half + back)])
     for a, b, kerb in zip(roads, roads[1:] + roads[:1], kerbs, strict=True):
-        start = a.at(station(a.left + back), a.left)
-        end = b.at(station(b.right + back), -b.right)
+        start = a.at(station(a.half + back), a.half)
+        end = b.at(station(b.half + back), -b.half)
         yield offset(joined(start, kerb, end), -back)
 
 
 def _poles(
     roads: list[Road], mouths: list[float], kerbs: list[np.ndarray], back: float
 ) -> Float[np.ndarray, "P 3"]:
-    """A signal pole at every corner, ``back`` [m] from the kerb.
-
-    Where the kerb runs on from road to road there are two poles, each where drivers stop.
-    """
+    """Signal poles ``back`` [m] from the kerb: at every corner, or where drivers stop if none."""
     feet: list[np.ndarray] = []
     for i, kerb in enumerate(kerbs):
         j = (i + 1) % len(roads)
@@ -162,8 +145,8 @@ def _poles(
             line = offset(kerb, -back)
             feet.append(resampled(line, length(line) / 2)[1])
         else:
-            feet.append(a.at(mouths[i] + _STOP, a.left + back))
-            feet.append(b.at(mouths[j] + _STOP, -b.right - back))
+            feet.append(a.at(mouths[i] + _STOP, a.half + back))
+            feet.append(b.at(mouths[j] + _STOP, -b.half - back))
     return np.column_stack([np.array(feet), np.zeros(len(feet))])
 
 
@@ -183,7 +166,7 @@ def corners(roads: list[Road], radius: float) -> tuple[list[float], list[np.ndar
             mouths[j] = max(mouths[j], float(arc[-1] @ roads[j].along))
     kerbs = []
     for i, (a, b) in enumerate(zip(roads, after, strict=True)):
-        start, end = a.at(mouths[i], a.left), b.at(mouths[(i + 1) % len(roads)], -b.right)
+        start, end = a.at(mouths[i], a.half), b.at(mouths[(i + 1) % len(roads)], -b.half)
         round_it = arcs[i] if len(arcs[i]) else bend(start, -a.along, end, b.along)
         kerbs.append(joined(start, round_it, end))
     return mouths, kerbs
@@ -193,7 +176,7 @@ def _corner(a: Road, b: Road, radius: float) -> Float[np.ndarray, "N 2"]:
     """The arc of the kerb between two neighbouring roads; no points if there is no corner."""
     if gap(a, b) >= _CORNER:
         return np.zeros((0, 2))
-    start, end = a.at(LENGTH, a.left), b.at(LENGTH, -b.right)
+    start, end = a.at(LENGTH, a.half), b.at(LENGTH, -b.half)
     return fillet(start, -a.along, end, b.along, radius)
 
 
@@ -242,9 +225,9 @@ def turns(roads: list[Road], mouths: list[float], corner_radius: float) -> Itera
             start, end = a.at(mouths[i], a.lane(k)), b.at(mouths[j], -b.lane(n))
             room = np.inf
             if j == (i + 1) % len(roads) and gap(a, b) < _CORNER:  # on the driver's right
-                room = min(a.left - a.lane(k), b.right - b.lane(n))
+                room = min(a.half - a.lane(k), b.half - b.lane(n))
             elif j == (i - 1) % len(roads) and gap(b, a) < _CORNER:
-                room = min(a.right + a.lane(k), b.left + b.lane(n))
+                room = min(a.half + a.lane(k), b.half + b.lane(n))
             path = joined(
                 a.at(station(a.lane(k)), a.lane(k)),
                 bend(start, -a.along, end, b.along, corner_radius + room),
@@ -254,27 +237,20 @@ def turns(roads: list[Road], mouths: list[float], corner_radius: float) -> Itera
 
 
 def _movements(roads: list[Road], i: int) -> list[tuple[int, int, int]]:
-    """(exit arm, entry lane, exit lane) of each movement from road i; lanes count from the axis.
-
-    Right turns use the outermost lanes, left turns the innermost. Going straight on, each lane
-    keeps its number if the exit has that lane. A lane without any of these goes to the
-    straightest exit.
-    """
-    lanes = roads[i].lanes_in
-    exits = [j for j, road in enumerate(roads) if j != i and road.lanes_out]
-    if not lanes or not exits:
-        return []
+    """(exit arm, entry lane, exit lane) of each movement from road i; lanes count from the axis."""
+    lanes = roads[i].lanes
+    exits = [j for j in range(len(roads)) if j != i]
     turn = {j: np.pi - gap(roads[i], roads[j]) for j in exits}  # right is positive
     found = []
     for j in exits:
-        if abs(turn[j]) < _STRAIGHT:
-            found += [(j, k, k) for k in range(min(lanes, roads[j].lanes_out))]
-        elif turn[j] > 0:
-            found.append((j, lanes - 1, roads[j].lanes_out - 1))
+        if abs(turn[j]) < _STRAIGHT:  # each lane keeps its number if the exit has that lane
+            found += [(j, k, k) for k in range(min(lanes, roads[j].lanes))]
+        elif turn[j] > 0:  # right turns use the outermost lanes, left turns the innermost
+            found.append((j, lanes - 1, roads[j].lanes - 1))
         else:
             found.append((j, 0, 0))
     straightest = min(exits, key=lambda j: abs(turn[j]))
-    last = roads[straightest].lanes_out - 1
+    last = roads[straightest].lanes - 1
     idle = set(range(lanes)) - {k for _, k, _ in found}
     return found + [(straightest, k, min(k, last)) for k in sorted(idle)]
 

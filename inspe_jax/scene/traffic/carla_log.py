@@ -8,7 +8,7 @@ import struct
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import shapely
@@ -18,8 +18,13 @@ from inspe_jax.core.carla_frame import flip, from_carla
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import ARRAYS, cached_by_file, check_input
 from inspe_jax.scene.intersection import Intersection
-from inspe_jax.scene.maps.parts import CLEARANCE
-from inspe_jax.scene.traffic.frames import CLASSES, Snapshot, TrafficFrames, pack_frames
+from inspe_jax.scene.traffic.frames import (
+    CLASSES,
+    Snapshot,
+    TrafficFrames,
+    pack_frames,
+    standing_on,
+)
 
 LOG_SUFFIXES = (".log",)
 LONG = 6.0
@@ -69,22 +74,16 @@ class _Moment:
     velocity: dict[int, tuple[float, ...]] = field(default_factory=dict)
 
 
-@dataclass(frozen=True, eq=False)
-class RecorderLog:
+class RecorderLog(NamedTuple):
     """A log: the name of its map, its moments in order, and by actor the class and the box.
 
     A box is its offset from the actor and its half sizes [m].
     """
 
     map: str
-    moments: tuple[_Moment, ...]
+    moments: list[_Moment]
     kinds: dict[int, int]
     boxes: dict[int, np.ndarray]
-
-    @property
-    def duration(self) -> float:
-        """Time from the first moment to the last [s]."""
-        return self.moments[-1].time - self.moments[0].time
 
 
 @cached_by_file(4)
@@ -109,12 +108,11 @@ def load_log(path: Path) -> RecorderLog:
         raise InspeError(f"{path}: the log is cut short or broken") from error
     if not moments:
         raise InspeError(f"{path}: the log has no frames")
-    return RecorderLog(town.rpartition("/")[2], tuple(moments), kinds, boxes)
+    return RecorderLog(town.rpartition("/")[2], moments, kinds, boxes)
 
 
-def _packets(
-    reader: _Reader,
-) -> tuple[list[_Moment], dict[int, int], dict[int, np.ndarray]]:
+def _packets(reader: _Reader) -> tuple[list[_Moment], dict[int, int], dict[int, np.ndarray]]:
+    """The moments of a log's packets, and by actor the class and the box."""
     moments: list[_Moment] = []
     actors: dict[int, tuple[str, dict[str, str]]] = {}
     boxes: dict[int, np.ndarray] = {}
@@ -126,15 +124,10 @@ def _packets(
         if packet == _FRAME:
             moments.append(_Moment(reader.take("Qdd")[2]))
         elif packet == _APPEARS:
-            for _ in range(*reader.take("H")):
-                actor = reader.take("IB6fI")[0]
+            for actor, *_ in reader.rows("IB6fI"):
                 name = reader.text()
-                facts = {}
-                for _ in range(*reader.take("H")):
-                    reader.take("B")
-                    key = reader.text()
-                    facts[key] = reader.text()
-                actors[actor] = name, facts
+                facts = [(reader.text(), reader.text()) for _ in reader.rows("B")]
+                actors[actor] = name, dict(facts)
         elif packet == _POSITIONS:
             moments[-1].where = {actor: at for actor, *at in reader.rows("I6f")}  # type: ignore[misc]
         elif packet == _KINEMATICS:
@@ -168,12 +161,7 @@ def kind_of(name: str, facts: dict[str, str], length: float) -> int | None:
 
 
 def log_traffic(
-    intersection: Intersection,
-    path: Path,
-    *,
-    radius: float,
-    frames: int,
-    step: float = 1.0,
+    intersection: Intersection, path: Path, *, radius: float, frames: int, step: float = 1.0
 ) -> TrafficFrames:
     """The recorded traffic at an intersection of the log's own map, whatever its file is called.
 
@@ -192,7 +180,7 @@ def log_traffic(
     seen = [_snapshot(log, _at(log, times, time), intersection, radius) for time in wanted]
     if not any(len(frame.kind) for frame in seen):
         raise InspeError(
-            f"{path}: in {log.duration:.0f} s nobody comes within {radius:g} m of "
+            f"{path}: in {times[-1] - times[0]:.0f} s nobody comes within {radius:g} m of "
             f"({intersection.center[0]:.1f}, {intersection.center[1]:.1f})"
         )
     if (share := _on_roads(seen, intersection)) < ON_ROADS:
@@ -213,18 +201,15 @@ def _on_roads(seen: list[Snapshot], intersection: Intersection) -> float:
 
 
 def _at(log: RecorderLog, times: np.ndarray, time: float) -> _Moment:
-    """All actors at a time between two moments.
-
-    An actor that is in one moment only, or was teleported, is as in the nearer moment.
-    """
+    """All actors at a time between two moments; as in the nearer one who was teleported."""
     after = int(np.clip(np.searchsorted(times, time), 1, len(times) - 1)) if len(times) > 1 else 0
     one, two = log.moments[max(after - 1, 0)], log.moments[after]
     share = (time - one.time) / max(two.time - one.time, 1e-9)
     near = one if share < 0.5 else two
     where, velocity = dict(near.where), dict(near.velocity)
     for actor in one.where.keys() & two.where.keys():
-        a, b = np.array(one.where[actor]), np.array(two.where[actor])
-        change = b - a
+        a = np.array(one.where[actor])
+        change = np.array(two.where[actor]) - a
         change[3:] = (change[3:] + 180.0) % 360.0 - 180.0
         if np.abs(change[:3]).max() < JUMP * 100:
             where[actor] = tuple(a + share * change)
@@ -252,11 +237,7 @@ def _snapshot(
         [cos * offset[:, 0] - sin * offset[:, 1], sin * offset[:, 0] + cos * offset[:, 1]]
     )
     size = 2 * box[:, 3:]
-    ground = intersection.ground(middle)
-    foot = at[:, 2] + offset[:, 2] - size[:, 2] / 2
-    center = np.column_stack([middle, ground + size[:, 2] / 2])
     kind = np.array([log.kinds[actor] for actor in who], np.int8)
-    track = np.array(who, np.int32)
-    here = np.abs(foot - intersection.level(middle)) <= CLEARANCE
-    everybody = Snapshot(*(part[here] for part in (center, yaw, size, kind, track, speed)))
-    return everybody.within(intersection.center, radius)
+    everybody = Snapshot(middle, yaw, size, kind, np.array(who, np.int32), speed)
+    foot = at[:, 2] + offset[:, 2] - size[:, 2] / 2
+    return standing_on(intersection, radius, everybody, foot)

@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float, Int
 from inspe_jax.core.errors import InspeError, check_known
 from inspe_jax.core.pytree import pytree
 from inspe_jax.core.records import ByContent, Described, check_values
+from inspe_jax.scene.intersection import CLEARANCE, Intersection
 
 DENSITIES: dict[str, int] = {"none": 0, "low": 20, "medium": 40, "high": 60}
 """Mean number of objects in the region of interest at each density (paper, section 4)."""
@@ -253,15 +254,28 @@ def shortfall(traffic: TrafficFrames, count: int, mix: str) -> str:
     wanted = quota(MIXES[mix], [True] * len(CLASSES), count)
     off = traffic.mean_by_class - wanted
     much = np.maximum(NOTICEABLE * wanted, LEAST_NOTICED)
-    each = [(f"{name}s {w + o:.1f}", w) for name, o, w in zip(CLASSES, off, wanted, strict=True)]
-    less = ", ".join(f"{n} of {w}" for (n, w), o, m in zip(each, off, much, strict=True) if o <= -m)
-    more = ", ".join(
-        f"{n} instead of {w}" for (n, w), o, m in zip(each, off, much, strict=True) if o >= m
-    )
+    rows = [*zip(CLASSES, off, wanted, much, strict=True)]
+    less = ", ".join(f"{name}s {w + o:.1f} of {w}" for name, o, w, m in rows if o <= -m)
+    more = ", ".join(f"{name}s {w + o:.1f} instead of {w}" for name, o, w, m in rows if o >= m)
     if not less and off.sum() > -max(NOTICEABLE / 2 * count, LEAST_NOTICED):
         return ""
-    parts = [part for part in (less, more) if part]
-    return f"asked {count}, got {count + off.sum():.1f}" + ": " * bool(parts) + "; ".join(parts)
+    said = "; ".join(part for part in (less, more) if part)
+    return f"asked {count}, got {count + off.sum():.1f}" + (said and f": {said}")
+
+
+def standing_on(
+    place: Intersection, radius: float, snapshot: Snapshot, foot: Float[np.ndarray, " n"]
+) -> Snapshot:
+    """Road users set on the ground of a place, but for those beyond ``radius`` [m] of its centre.
+
+    ``foot`` [m] are their heights in the map's own coordinates: those who are on another level are
+    left out. A height that is not a number is on the ground.
+    """
+    middle, up = snapshot.center[:, :2], snapshot.size[:, 2] / 2
+    here = ~(np.abs(foot - place.level(middle)) > CLEARANCE)
+    center = np.column_stack([middle, place.ground(middle) + up])
+    everybody = Snapshot(*(part[here] for part in snapshot._replace(center=center)))
+    return everybody.within(place.center, radius)
 
 
 def check_traffic(

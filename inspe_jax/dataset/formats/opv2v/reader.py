@@ -19,13 +19,7 @@ from inspe_jax.core.errors import InspeError, brief
 from inspe_jax.core.files import YAML, check_input, parse_yaml
 from inspe_jax.dataset.formats.opv2v.writer import KMH, NO_LIDAR, OBSERVED, SECTIONS
 from inspe_jax.dataset.formats.pcd import read_notes, read_pcd
-from inspe_jax.dataset.formats.pictures import (
-    SUFFIXES,
-    read_depth,
-    read_instance,
-    read_rgb,
-    read_semantic,
-)
+from inspe_jax.dataset.formats.pictures import LAYERS, SUFFIXES, read_picture
 from inspe_jax.dataset.formats.protocol_file import as_mapping
 from inspe_jax.simulation.frame import Frame, Image, RoadUserBox, Scan, Station
 
@@ -284,25 +278,11 @@ def _images(
         camera = as_mapping(content[key], where)
         pose = from_carla(_numbers(camera, "cords", (6,), where))
         intrinsic = _numbers(camera, "intrinsic", (3, 3), where)
-        files = {field: path.with_name(f"{path.stem}_{word}{i}.png") for field, word in _PICTURES}
-        named = [files["rgb"].with_suffix(suffix) for suffix in suffixes]
+        files = {layer: path.with_name(f"{path.stem}_{layer}{i}.png") for layer in LAYERS}
+        named = [path.with_name(f"{path.stem}_camera{i}{suffix}") for suffix in suffixes]
         files["rgb"] = next((file for file in named if file.is_file()), named[0])
         if files["rgb"].is_file() and not camera.get("blank"):
-            there = {field: file for field, file in files.items() if file.is_file()}
+            there = {layer: file for layer, file in files.items() if file.is_file()}
             missing = dict.fromkeys(files.keys() - there.keys())
-            later = {field: partial(_READERS[field], file) for field, file in there.items()}
+            later = {layer: partial(read_picture, file, layer) for layer, file in there.items()}
             yield Image.deferred(later, pose=pose, intrinsic=intrinsic, **missing, **_of(counts, i))
-
-
-_PICTURES = (
-    ("rgb", "camera"),
-    ("depth", "depth"),
-    ("instance", "instance"),
-    ("semantic", "semantic"),
-)
-_READERS = {
-    "rgb": read_rgb,
-    "depth": read_depth,
-    "instance": read_instance,
-    "semantic": read_semantic,
-}

@@ -19,13 +19,7 @@ from inspe_jax.core.files import whole_file, write_text
 from inspe_jax.dataset.formats.agents import is_blank, with_cameras
 from inspe_jax.dataset.formats.options import DEFAULT_OPTIONS, FileOptions
 from inspe_jax.dataset.formats.pcd import write_pcd
-from inspe_jax.dataset.formats.pictures import (
-    SUFFIXES,
-    write_depth,
-    write_instance,
-    write_rgb,
-    write_semantic,
-)
+from inspe_jax.dataset.formats.pictures import LAYERS, SUFFIXES, write_picture
 from inspe_jax.dataset.formats.protocol_file import dump_yaml, make_folder
 from inspe_jax.dataset.formats.visibility import visibility_map
 from inspe_jax.simulation.frame import Frame, Image, RoadUserBox, Scan, Station, check_frame
@@ -47,9 +41,6 @@ KMH = 3.6
 DECIMALS = 7
 """Decimals of lengths [m], angles [°] and speeds [km/h]: values are right to 1e-6, and so is the
 sum of ``location`` and ``center``."""
-
-LAYERS = {"depth": write_depth, "instance": write_instance, "semantic": write_semantic}
-"""What writes each layer of a picture."""
 
 OBSERVED = (
     ("lidar_points", "scans", "returns", 0),
@@ -85,7 +76,7 @@ def write_frame(
             files += _write_image(agent, stem, i, image, options)
         if options.visibility_maps:
             files.append(agent / f"{stem}_bev_visibility.png")
-            write_semantic(files[-1], visibility_map(station, frame.boxes))
+            write_picture(files[-1], "semantic", visibility_map(station, frame.boxes))
     for station, agent in zip(stations, agents, strict=True):
         files.append(agent / f"{stem}.yaml")
         write_text(files[-1], dump_yaml(_sensors(station)) + boxes)
@@ -127,12 +118,12 @@ def _write_scans(agent: Path, stem: str, scans: Sequence[Scan], options: FileOpt
 
 def _write_image(agent: Path, stem: str, i: int, image: Image, options: FileOptions) -> list[Path]:
     files = [agent / f"{stem}_camera{i}{SUFFIXES[options.pictures]}"]
-    write_rgb(files[0], image.rgb)
-    for name, write in LAYERS.items():
+    write_picture(files[0], "rgb", image.rgb)
+    for name in LAYERS:
         layer = getattr(image, name)
         if layer is not None:
             files.append(agent / f"{stem}_{name}{i}.png")
-            write(files[-1], layer)
+            write_picture(files[-1], name, layer)
     return files
 
 

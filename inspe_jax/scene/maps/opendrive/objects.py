@@ -7,8 +7,8 @@ signs. On parking spaces vehicles stand (:mod:`inspe_jax.scene.maps.parking`).
 import xml.etree.ElementTree as ET
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from shapely.geometry import LineString, Polygon
@@ -17,31 +17,24 @@ from shapely.geometry.base import BaseGeometry
 from inspe_jax.scene.lines import turned
 from inspe_jax.scene.maps.bodies import Shape
 from inspe_jax.scene.maps.opendrive.reference_line import ReferenceLine
-from inspe_jax.scene.maps.usual_sizes import (
-    BARRIERS,
-    BUILDING,
-    FURNITURE,
-    POLE,
-    TREE,
-    TREE_BASE,
-)
+from inspe_jax.scene.maps.usual_sizes import BARRIERS, HEIGHTS, POLE, TREE, crown_base
 from inspe_jax.scene.statics import HIGHEST, LEAFY, octagon
 
 PARKING = "parking space"
 """The kind of a shape that is no body."""
 KINDS = {
-    "building": ("building", BUILDING),
-    "tree": ("tree", TREE["height"]),
-    "vegetation": ("tree", TREE["height"]),
-    "pole": ("pole", POLE[0]),
-    "streetLamp": ("pole", POLE[0]),
-    "streetlamp": ("pole", POLE[0]),
-    "barrier": ("wall", BARRIERS["wall"][0]),
-    "soundBarrier": ("wall", BARRIERS["wall"][0]),
-    "obstacle": ("furniture", FURNITURE),
-    "parkingSpace": (PARKING, 0.0),
+    "building": "building",
+    "tree": "tree",
+    "vegetation": "tree",
+    "pole": "pole",
+    "streetLamp": "pole",
+    "streetlamp": "pole",
+    "barrier": "wall",
+    "soundBarrier": "wall",
+    "obstacle": "furniture",
+    "parkingSpace": PARKING,
 }
-"""For each type of object, the kind of body and its height where the map has none [m]."""
+"""The kind of body for each type of object."""
 SEEN_THROUGH = ("guardRail", "railing", "fence")
 """Subtypes of barriers that hide little."""
 LIFTED = 0.5
@@ -54,13 +47,15 @@ NOT_NUMBERS = (KeyError, ValueError, StopIteration)
 """What reading an element raises that lacks a number or has another word."""
 
 
-@dataclass(frozen=True)
-class Place:
-    """Where one object stands on its road, and how large it is [m]; sizes are 0 where unknown."""
+class Place(NamedTuple):
+    """Where one object stands on its road, and how large it is [m]; sizes are 0 where unknown.
+
+    Fields have the names of attributes of ``<object>``.
+    """
 
     s: float
     t: float
-    z: float
+    zOffset: float
     height: float
     length: float
     width: float
@@ -98,13 +93,13 @@ def shapes_of(root: ET.Element) -> tuple[tuple[Shape, ...], tuple[str, ...]]:
     return tuple(found), notes
 
 
-def _kind(element: ET.Element) -> tuple[str, float] | None:
-    """The kind of body of an object and its usual height; None if it is none."""
+def _kind(element: ET.Element) -> str | None:
+    """The kind of body of an object; None if it is none."""
     subtype = element.get("subtype", "")
     if subtype in SEEN_THROUGH:
         return None
     if "hedge" in (subtype, element.get("name", "").lower()):
-        return "hedge", BARRIERS["hedge"][0]
+        return "hedge"
     return KINDS.get(element.get("type", ""))
 
 
@@ -118,8 +113,7 @@ def _number(element: ET.Element, key: str, default: float = 0.0) -> float:
 
 def _shapes(element: ET.Element, line: ReferenceLine, counts: "Counter[str]") -> Iterator[Shape]:
     """The bodies of one object: one, or those of its repeats."""
-    own = Place(*(_number(element, k) for k in ("s", "t", "zOffset", "height", "length", "width",
-                                               "radius")))  # fmt: skip
+    own = Place(*(_number(element, key) for key in Place._fields))
     turn = _number(element, "hdg")
     outlines = [*element.iterfind("outline"), *element.iterfind("outlines/outline")]
     repeats = element.findall("repeat")
@@ -128,7 +122,7 @@ def _shapes(element: ET.Element, line: ReferenceLine, counts: "Counter[str]") ->
         for place in [place for row in rows for place in row or ()] or [own]:
             for outline in outlines:
                 area, low, high = _outlined(outline, own, place, turn, line)
-                yield from _shape(element, area, place.z + low, place.z + high, counts)
+                yield from _shape(element, area, place.zOffset + low, place.zOffset + high, counts)
         return
     if not repeats:
         yield from _shape(element, *_simple(element, own, turn, line), counts)
@@ -137,30 +131,30 @@ def _shapes(element: ET.Element, line: ReferenceLine, counts: "Counter[str]") ->
             yield from _shape(element, *_simple(element, place, turn, line), counts)
         if row is None:
             for place, area in _strip(own, repeat, line):
-                yield from _shape(element, area, place.z, place.z + place.height, counts)
+                yield from _shape(
+                    element, area, place.zOffset, place.zOffset + place.height, counts
+                )
 
 
 def _shape(
     element: ET.Element, area: BaseGeometry | None, low: float, high: float, counts: "Counter[str]"
 ) -> Iterator[Shape]:
     """A body on an area between two heights over the road."""
-    known = _kind(element)
-    if area is None or known is None:
+    kind = _kind(element)
+    if area is None or kind is None:
         counts["size"] += 1
         return
-    kind, usual = known
     if kind == PARKING:
         yield Shape(kind, area, 0.0)
         return
-    if kind == "tree" and next(element.iter("outline"), None) is not None:
-        kind = "hedge"  # a patch of plants
     base = low if low >= LIFTED else 0.0
     if not base < high <= HIGHEST or high - low <= 0:
         counts["height"] += 1
-        high = base + usual
+        high = base + HEIGHTS[kind]
+    if kind == "tree" and next(element.iter("outline"), None) is not None:
+        kind = "hedge"  # a patch of plants
     if kind == "tree":
-        lowest, share = TREE_BASE
-        crown = base or min(lowest, share * high)
+        crown = base or crown_base(high)
         trunk = min(TREE["circumference"] / (2 * np.pi), float(np.sqrt(area.area)) / 4)
         yield Shape("tree", area, high, crown, LEAFY, trunk)
     else:
@@ -172,15 +166,14 @@ def _simple(
 ) -> tuple[BaseGeometry | None, float, float]:
     """The area and heights of an object without an outline; no area where it has no size."""
     at, heading = line.at(place.s, place.t)
-    heights = place.z, place.z + place.height
+    heights = place.zOffset, place.zOffset + place.height
     if place.radius > 0:
         return Polygon(octagon(at, place.radius)), *heights
     if place.length > 0 and place.width > 0:
         half = np.array([place.length, place.width]) / 2
         corners = half * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
         return Polygon(at + turned(corners, heading + turn)), *heights
-    kind, _ = _kind(element) or ("", 0.0)
-    usual = {"pole": POLE[1], "tree": TREE["diameter_crown"] / 2}.get(kind)
+    usual = {"pole": POLE[1], "tree": TREE["diameter_crown"] / 2}.get(_kind(element) or "")
     return None if usual is None else Polygon(octagon(at, usual)), *heights
 
 
@@ -215,19 +208,12 @@ def _outlined(
 def _place_at(own: Place, repeat: ET.Element, share: float) -> Place:
     """The place of an object at a share of the length of its ``<repeat>``."""
 
-    def between(key: str, default: float) -> float:
-        first = _number(repeat, f"{key}Start", default)
+    def between(key: str) -> float:
+        first = _number(repeat, f"{key}Start", getattr(own, key))
         return first + share * (_number(repeat, f"{key}End", first) - first)
 
-    return Place(
-        _number(repeat, "s", own.s) + share * _number(repeat, "length"),
-        between("t", own.t),
-        between("zOffset", own.z),
-        between("height", own.height),
-        between("length", own.length),
-        between("width", own.width),
-        between("radius", own.radius),
-    )
+    s = _number(repeat, "s", own.s) + share * _number(repeat, "length")
+    return Place(s, *(between(key) for key in Place._fields[1:]))
 
 
 def _places(own: Place, repeat: ET.Element) -> list[Place] | None:

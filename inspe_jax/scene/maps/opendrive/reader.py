@@ -10,15 +10,15 @@ import numpy as np
 import shapely
 from jaxtyping import Float
 from shapely.geometry import LineString, Point
-from shapely.ops import unary_union
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.scene.georeference import Georeference
 from inspe_jax.scene.intersection import Intersection, Route
 from inspe_jax.scene.lines import resampled
-from inspe_jax.scene.maps.approaches import SIDEWALK, TRAVEL, Approach, arms_of
+from inspe_jax.scene.maps.approaches import TRAVEL, Approach, arms_of
+from inspe_jax.scene.maps.assembly import assembled
 from inspe_jax.scene.maps.bodies import NO_POLES, with_bodies
-from inspe_jax.scene.maps.lane_strips import LaneStrip, same_level
+from inspe_jax.scene.maps.lane_strips import same_level
 from inspe_jax.scene.maps.opendrive.objects import PARKING
 from inspe_jax.scene.maps.opendrive.regions import approaches_of, areas_of, interior_of
 from inspe_jax.scene.maps.opendrive.road_network import (
@@ -32,19 +32,13 @@ from inspe_jax.scene.maps.opendrive.road_network import (
 from inspe_jax.scene.maps.parking import with_parked
 from inspe_jax.scene.maps.parts import (
     MARGIN,
+    RADIUS_READ,
     STEP,
     JunctionInfo,
-    check_radius,
-    clean,
-    crossing_lines,
-    crosswalks_of,
     distance_from,
-    joined_lines,
     junctions_at,
-    mounting_of,
-    walking_routes,
 )
-from inspe_jax.scene.regions import Region
+from inspe_jax.scene.voxels import check_range
 
 COARSE = 5.0
 """Spacing of the points of a map's road lines [m]."""
@@ -115,7 +109,7 @@ def read_opendrive(
     members, middle, place = junctions_at(
         town.source, town.junctions, lambda j: town.box(j)[0], junction, center
     )
-    check_radius(radius)
+    check_range("radius", radius, RADIUS_READ)
     interior = interior_of(town, members)
     reach = radius + MARGIN
     lane_strips = lane_strips_near(town, middle, reach + APRON)
@@ -128,42 +122,22 @@ def read_opendrive(
     approaches = approaches_of(town, members)
     arms, arm_of = arms_of(approaches)
     notes: list[str] = []
-
-    areas = areas_of(town, lane_strips, members, interior, notes)
-    ground = np.concatenate([s.center for s in lane_strips])
-    ground = ground[distance_from(ground, middle) <= reach + 5.0]
-    disc = Point(middle[:2]).buffer(reach, quad_segs=32)
-    walks = crosswalks_of(town.crosswalks, areas, arms, ground, disc, notes)
-    areas[Region.CROSSWALK] = clean(unary_union(walks))
-    regions = {region: areas[region].intersection(disc) for region in Region}
-
-    medians = [s.polygon for s in lane_strips if s.kind == "median"]
-    mounting = mounting_of(regions, medians, arms, disc)
-
-    signals = town.signals[distance_from(town.signals, middle) <= reach]
-    found = Intersection(
+    found = assembled(
         name=f"{town.name} {place}",
         source=f"{town.source} (OpenDRIVE)",
-        center=middle,
-        regions=regions,
-        arms=arms,
-        routes=(),
-        mounting=mounting,
-        poles=signals,
-        ground_points=ground,
-        map=Path(path).resolve(),
+        path=Path(path),
         georeference=town.georeference,
+        middle=middle,
+        radius=radius,
+        lane_strips=lane_strips,
+        areas=areas_of(town, lane_strips, members, interior, notes),
+        arms=arms,
+        drives=_vehicle_routes(town, approaches, arm_of, members, interior, middle, radius),
+        loops=town.crosswalks,
+        # Signals are at the height of their lights, or below ground.
+        poles=town.signals[distance_from(town.signals, middle) <= reach],
+        notes=notes,
     )
-
-    people = [*crossing_lines(walks), *_pavements(lane_strips, middle, radius)]
-    routes = [
-        *_vehicle_routes(town, approaches, arm_of, members, interior, middle, radius),
-        *walking_routes(found, people),
-    ]
-    # Signals are at the height of their lights, or below ground; the poles' feet are on the ground.
-    poles = found.on_ground(signals) if len(signals) else signals
-    foot = found.on_ground(middle[None])[0]
-    found = replace(found, center=foot, poles=poles, routes=tuple(routes))
     notes += town.notes
     bodies = [shape for shape in town.shapes if shape.kind != PARKING]
     spaces = [shape.area for shape in town.shapes if shape.kind == PARKING]
@@ -186,7 +160,6 @@ def _vehicle_routes(
 ) -> Iterator[Route]:
     """Every path from an inbound lane to another arm, from radius to radius; no U-turns."""
     inside = {r.id for r in town.roads.values() if r.junction in members} | interior
-
     # By position, not by road, because a step may skip a road that is a stub.
     cuts = [LineString([approach.point(k) for k in approach.kerbs]) for approach in approaches]
 
@@ -235,14 +208,10 @@ def _lane_paths(mouth: Any, inside: set[int]) -> Iterator[list[Any]]:
 
 
 def _follow(start: Any, direction: str, middle: np.ndarray, radius: float) -> list[Any]:
-    """Waypoints from a lane onward (``direction`` 'next') or back ('previous') to the radius.
-
-    At a fork the straightest lane is taken. The line ends early if the lane ends, or after four
-    radii on a winding road.
-    """
+    """Waypoints from a lane on ('next') or back ('previous') to the radius, straight on."""
     line: list[Any] = []
     here = start
-    for _ in range(int(4 * radius / STEP)):
+    for _ in range(int(4 * radius / STEP)):  # four radii on a winding road
         options = getattr(here, direction)(STEP)
         if (
             not options
@@ -253,12 +222,3 @@ def _follow(start: Any, direction: str, middle: np.ndarray, radius: float) -> li
         here = max(options, key=lambda w: float(heading_of(w) @ heading))
         line.append(here)
     return line
-
-
-def _pavements(
-    lane_strips: list[LaneStrip], middle: np.ndarray, radius: float
-) -> Iterator[np.ndarray]:
-    """The middle lines of sidewalks (N, 2), joined where one continues another; 5 m or longer."""
-    walks = [s for s in lane_strips if s.kind in SIDEWALK]
-    near = [run for s in walks for run in s.runs(distance_from(s.center, middle) <= radius)]
-    return joined_lines([s.center[:, :2] for s in near])

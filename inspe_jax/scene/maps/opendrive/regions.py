@@ -5,11 +5,12 @@ from dataclasses import replace
 
 import numpy as np
 import shapely
-from shapely.geometry import LineString, MultiPolygon, Polygon
+from shapely.geometry import LineString, Polygon
 from shapely.geometry.base import BaseGeometry
 from shapely.ops import unary_union
 
 from inspe_jax.scene.maps.approaches import CARRIAGEWAY, SHOULDER, SIDEWALK, Approach
+from inspe_jax.scene.maps.assembly import side_by_side
 from inspe_jax.scene.maps.lane_strips import LaneStrip
 from inspe_jax.scene.maps.opendrive.road_network import (
     INSET,
@@ -18,7 +19,7 @@ from inspe_jax.scene.maps.opendrive.road_network import (
     heading_of,
     position,
 )
-from inspe_jax.scene.maps.parts import CLUSTER, clean, valid
+from inspe_jax.scene.maps.parts import CLUSTER, valid
 from inspe_jax.scene.regions import Region
 
 ISLAND = 3.0
@@ -141,12 +142,7 @@ def areas_of(
             "sidewalks and shoulders end at the junction in the map; its corners were drawn "
             "between those of neighbouring roads"
         )
-    areas: dict[Region, BaseGeometry] = {}
-    taken: BaseGeometry = MultiPolygon()
-    for region in (Region.JUNCTION, Region.DRIVEWAY, Region.SHOULDER, Region.SIDEWALK):
-        areas[region] = clean(unary_union(parts[region]).difference(taken))
-        taken = unary_union([taken, areas[region]])
-    return areas
+    return side_by_side(parts)
 
 
 def _paved(

@@ -92,7 +92,11 @@ def load_map(path: Path) -> TownMap:
     """
     check_input(path, TEXT)
     text = path.read_bytes().decode("utf-8-sig", "replace")
-    root = _root(path, text)
+    # Checked here: CARLA skips what it does not know, or aborts.
+    check_xml(io.BytesIO(text.encode()), str(path), "OpenDRIVE")
+    root = ET.fromstring(text.encode())
+    for element in root.iter():
+        element.tag = element.tag.rpartition("}")[2]  # without its namespace
     try:
         roads = {r.id: r for r in map(_road, root.iter("road"))}
     except (AttributeError, KeyError, TypeError, ValueError) as error:
@@ -120,11 +124,8 @@ def load_map(path: Path) -> TownMap:
 
 
 def _georeference(root: ET.Element) -> tuple[Georeference | None, list[str]]:
-    """The projection that the header names, if it can be used, and a note if it cannot.
-
-    The header's ``<offset>`` leads from the roads' coordinates, which are those of the world here,
-    to those of the projection.
-    """
+    """The projection that the header names, if it can be used, and a note if it cannot."""
+    # The header's offset leads from the roads' coordinates, here the world's, to the projection's.
     offset = root.find("header/offset")
     try:
         given = {} if offset is None else offset.attrib
@@ -137,15 +138,6 @@ def _georeference(root: ET.Element) -> tuple[Georeference | None, list[str]]:
     except (InspeError, ValueError) as error:
         return None, [f"no coordinates: the map's projection: {error}"]
     return found, []
-
-
-def _root(path: Path, text: str) -> ET.Element:
-    """The root of the XML, which is checked here: CARLA skips what it does not know, or aborts."""
-    check_xml(io.BytesIO(text.encode()), str(path), "OpenDRIVE")
-    root = ET.fromstring(text.encode())
-    for element in root.iter():
-        element.tag = element.tag.rpartition("}")[2]  # without its namespace
-    return root
 
 
 def _road(element: ET.Element) -> OpenDriveRoad:

@@ -19,7 +19,7 @@ from inspe_jax.scene.lines import distinct
 from inspe_jax.scene.maps.bodies import SMALL, Shape
 from inspe_jax.scene.maps.openstreetmap.extract import Box, Extract, Tags, Way, read_extract
 from inspe_jax.scene.maps.openstreetmap.sizes import POLES, SOLID_FENCES, TREE_SPACING, Sizes
-from inspe_jax.scene.maps.usual_sizes import BARRIERS, TREE, TREE_BASE
+from inspe_jax.scene.maps.usual_sizes import BARRIERS, TREE, crown_base
 from inspe_jax.scene.statics import LEAFY, octagon
 from inspe_jax.scene.terrain import HIGHEST, LOWEST
 
@@ -45,21 +45,6 @@ def extract_about(
     return read_extract(path, Box(*degrees.min(0).tolist(), *degrees.max(0).tolist()))
 
 
-def shapes_of(
-    extract: Extract,
-    middle: Float[np.ndarray, "2"],
-    reach: float,
-    georeference: Georeference,
-    notes: list[str],
-) -> list[Shape]:
-    """The bodies of an extract that come within ``reach`` [m] of a point in world metres.
-
-    ``notes`` get what was assumed.
-    """
-    disc = Point(*np.asarray(middle)[:2]).buffer(reach)
-    return _Reader(extract, georeference, disc, notes).shapes()
-
-
 def spot_heights(extract: Extract, georeference: Georeference) -> Float[np.ndarray, "N 3"]:
     """The nodes of an extract that have a height (``ele``), in world metres."""
     found = [
@@ -80,13 +65,20 @@ def _elevation(text: str) -> float | None:
     return height if LOWEST < height < HIGHEST else None
 
 
-class _Reader:
-    """Makes shapes of an extract's elements that come into a disc."""
+class BodyReader:
+    """Makes shapes of an extract's elements that come within ``reach`` [m] of a point in world
+    metres. ``notes`` get what was assumed."""
 
     def __init__(
-        self, extract: Extract, georeference: Georeference, disc: Polygon, notes: list[str]
+        self,
+        extract: Extract,
+        middle: Float[np.ndarray, "2"],
+        reach: float,
+        georeference: Georeference,
+        notes: list[str],
     ) -> None:
-        self.extract, self.disc, self.notes, self.sizes = extract, disc, notes, Sizes()
+        self.extract, self.notes, self.sizes = extract, notes, Sizes()
+        self.disc = Point(*np.asarray(middle)[:2]).buffer(reach)
         names = list(extract.nodes)
         degrees = np.array([extract.nodes[n] for n in names], float).reshape(-1, 2)
         self.at = dict(zip(names, georeference.from_degrees(degrees), strict=True))
@@ -218,8 +210,7 @@ class _Reader:
 
     def _rows(self, trees: list[Shape]) -> Iterator[Shape]:
         """Trees along tree rows, where none are mapped on their own."""
-        mapped = shapely.STRtree([tree.area.centroid for tree in trees])
-        count = 0
+        mapped, count = shapely.STRtree([tree.area.centroid for tree in trees]), 0
         for way in self.extract.ways.values():
             line = self._line(way)
             if way.tags.get("natural") != "tree_row" or len(line) < 2 or not self._near(line):
@@ -228,9 +219,8 @@ class _Reader:
             gaps = max(1, round(row.length / TREE_SPACING))
             for k in range(gaps + 1):
                 at = row.interpolate(k / gaps, normalized=True)
-                if not at.intersects(self.disc):
-                    continue
-                if not len(mapped.query(at, "dwithin", TREE_SPACING / 2)):
+                own = mapped.query(at, "dwithin", TREE_SPACING / 2)
+                if at.intersects(self.disc) and not len(own):
                     count += 1
                     yield self._tree(way.tags, np.array(at.coords[0]))
         if count:
@@ -244,12 +234,8 @@ class _Reader:
             self.sizes.size_or(tags, key, "tree", TREE[key], least=least, most=most)
             for key, least, most in (("diameter_crown", 0.3, 60.0), ("circumference", 0.05, 15.0))
         )
-        lowest, share = TREE_BASE
-        trunk = min(around / (2 * np.pi), across / 4)
-        return Shape(
-            "tree", Polygon(octagon(at, across / 2)), height, min(lowest, share * height),
-            LEAFY, trunk,
-        )  # fmt: skip
+        crown, trunk = Polygon(octagon(at, across / 2)), min(around / (2 * np.pi), across / 4)
+        return Shape("tree", crown, height, crown_base(height), LEAFY, trunk)
 
     def _poles(self) -> Iterator[Shape]:
         """Poles beside ways: a node of a road that has signals says only where drivers stop."""

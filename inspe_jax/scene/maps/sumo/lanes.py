@@ -79,9 +79,9 @@ def streets_of(road: RoadNet) -> Streets:
                 follows[lane.getID()] = [
                     link.getViaLaneID() or link.getToLane().getID() for link in lane.getOutgoing()
                 ]
-    for lane, following in follows.items():
-        following[:] = [other for other in following if other in lane_strips]
-        for other in following:
+    for lane in follows:
+        follows[lane] = [other for other in follows[lane] if other in lane_strips]
+        for other in follows[lane]:
             leads.setdefault(other, []).append(lane)
     numbers = {edge.getID(): number for number, edge in enumerate(edges)}
     return Streets(road, numbers, lane_strips, follows, leads, tuple(crossings), tuple(walks))

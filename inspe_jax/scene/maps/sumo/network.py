@@ -5,14 +5,15 @@ that they begin at (0, 0); that shift is undone here. It is kept for geographic 
 coordinates are millions of metres.
 """
 
-import atexit
 import functools
 import gzip
+import os
 import shutil
 import subprocess
 import sys
 import tempfile
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -114,11 +115,9 @@ def _check(path: Path, root: str) -> None:
 
 
 @functools.cache
-def _folder() -> Path:
+def _folder() -> "tempfile.TemporaryDirectory[str]":
     """A folder for converted networks, which is removed when this process ends."""
-    folder = tempfile.mkdtemp(prefix="inspe_jax_")
-    atexit.register(shutil.rmtree, folder, ignore_errors=True)
-    return Path(folder)
+    return tempfile.TemporaryDirectory(prefix="inspe_jax_", ignore_cleanup_errors=True)
 
 
 def _converted(path: Path) -> Path:
@@ -127,7 +126,7 @@ def _converted(path: Path) -> Path:
     if kind == ".osm":
         _check(path, "osm")
     source, *options = _HOW[kind]
-    made = _folder() / f"{digest_of(path)[:16]}.net.xml"
+    made = Path(_folder().name, f"{digest_of(path)[:16]}.net.xml")
     if not made.exists():
         part = made.with_suffix(".part.xml")
         run("netconvert", [source, str(path), "-o", str(part), *options], f"{path}")
@@ -137,14 +136,12 @@ def _converted(path: Path) -> Path:
 
 def program(name: str) -> str:
     """The path of a SUMO program: in the installed package, beside Python, or on PATH."""
-    try:
+    folders = [str(Path(sys.executable).parent), os.environ.get("PATH", os.defpath)]
+    with suppress(ImportError):
         import sumo
 
-        inside = Path(sumo.SUMO_HOME) / "bin" / name
-        found = shutil.which(str(inside))
-    except ImportError:
-        found = None
-    found = found or shutil.which(name, path=str(Path(sys.executable).parent)) or shutil.which(name)
+        folders.insert(0, os.path.join(sumo.SUMO_HOME, "bin"))
+    found = shutil.which(name, path=os.pathsep.join(folders))
     if found is None:
         raise missing_extra(f"{name} is missing", "sumo")
     return found

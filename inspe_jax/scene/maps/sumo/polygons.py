@@ -45,11 +45,16 @@ def polygons_of(path: Path, place: Intersection) -> tuple[Feature, ...]:
         if kind is None:
             continue
         where = f"{path}: <{element.tag}> '{element.get('id', '')}'"
+        degrees = element.get("geo") in ("1", "true") or "lon" in element.attrib
         try:
-            points = _points(element)
+            if element.tag == "poi":
+                keys = ("lon", "lat") if degrees else ("x", "y")
+                rows = [[element.attrib[key] for key in keys]]
+            else:
+                rows = [point.split(",")[:2] for point in element.attrib["shape"].split()]
+            points = np.array(rows, float).reshape(-1, 2)
         except (KeyError, ValueError) as error:
             raise InspeError(f"{where}: a coordinate is missing or no number: {error}") from error
-        degrees = element.get("geo") in ("1", "true") or "lon" in element.attrib
         at = _world(points, degrees, place, path)
         properties: dict[str, Any] = {"kind": kind}
         tags = {one.get("key", ""): one.get("value", "") for one in element.iterfind("param")}
@@ -59,12 +64,10 @@ def polygons_of(path: Path, place: Intersection) -> tuple[Feature, ...]:
             properties |= dict(base_m=base, height_m=height)
         elif (given := sizes.length(tags, "height")) is not None:
             properties["height_m"] = given
-        if len(at) == 1:
-            found.append(Feature(Point(at[0]), properties, where))
-        elif len(at) > 3 and (at[0] == at[-1]).all():
-            found.append(Feature(Polygon(at), properties, where))
-        elif kind != "building":
-            found.append(Feature(LineString(at), properties, where))
+        closed = len(at) > 3 and (at[0] == at[-1]).all()
+        if len(at) == 1 or closed or kind != "building":
+            shape = Point(at[0]) if len(at) == 1 else Polygon(at) if closed else LineString(at)
+            found.append(Feature(shape, properties, where))
     return tuple(found)
 
 
@@ -74,14 +77,6 @@ def _kind(element: ET.Element) -> str | None:
         return None
     own = element.get("type", "")
     return next((kind for name, kind in TYPES.items() if f"{own}.".startswith(f"{name}.")), None)
-
-
-def _points(element: ET.Element) -> Float[np.ndarray, "N 2"]:
-    if element.tag == "poi":
-        keys = ("lon", "lat") if "lon" in element.attrib else ("x", "y")
-        return np.array([[float(element.attrib[key]) for key in keys]])
-    rows = [point.split(",")[:2] for point in element.attrib["shape"].split()]
-    return np.array(rows, float).reshape(-1, 2)
 
 
 def _world(

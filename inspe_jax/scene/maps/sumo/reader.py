@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float
-from shapely.geometry import MultiPoint, MultiPolygon, Point, Polygon
+from shapely.geometry import MultiPoint, Point, Polygon
 from shapely.geometry.base import BaseGeometry
 from shapely.ops import unary_union
 
@@ -18,32 +18,24 @@ from inspe_jax.scene.georeference import Georeference
 from inspe_jax.scene.intersection import Intersection, Route
 from inspe_jax.scene.lines import distinct, resampled
 from inspe_jax.scene.maps.approaches import CARRIAGEWAY, Approach, arms_of
+from inspe_jax.scene.maps.assembly import assembled, side_by_side
 from inspe_jax.scene.maps.bodies import NO_POLES, with_bodies
 from inspe_jax.scene.maps.lane_strips import LaneStrip, same_level
-from inspe_jax.scene.maps.openstreetmap.bodies import (
-    extract_about,
-    shapes_of,
-    spot_heights,
-)
+from inspe_jax.scene.maps.openstreetmap.bodies import BodyReader, extract_about, spot_heights
 from inspe_jax.scene.maps.parts import (
     CLUSTER,
     MARGIN,
+    RADIUS_READ,
     JunctionInfo,
-    check_radius,
-    clean,
-    crossing_lines,
-    crosswalks_of,
     distance_from,
-    joined_lines,
     junctions_at,
-    mounting_of,
     valid,
-    walking_routes,
 )
 from inspe_jax.scene.maps.sumo.lanes import Streets, kind_of, streets_of
 from inspe_jax.scene.maps.sumo.network import OSM_SUFFIXES, SUMO, load_net
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.terrain import laid_on
+from inspe_jax.scene.voxels import check_range
 
 NEAR_SPOTS = 20.0
 """Spot heights count as around a place if no road is so far out of their hull [m]."""
@@ -82,7 +74,7 @@ def list_junctions(path: str | os.PathLike[str]) -> tuple[JunctionInfo, ...]:
         x, y, z = (float(v) for v in _middle(streets, node.getID()))
         outline = streets.road.to_world(node.getShape())[:, :2].reshape(-1, 2)
         size = float(np.ptp(outline, axis=0).max()) if len(outline) else 0.0
-        arms, _ = arms_of(_approaches(streets, {node.getID()}))
+        arms, _ = arms_of(_Junction(streets, {node.getID()}).approaches())
         near = int((distance_from(middles, np.array([x, y])) < size / 2 + 8.0).sum())
         lit = node.getType().startswith("traffic_light")
         lights = sum(not e.getFunction() for e in _roads(node.getIncoming())) if lit else 0
@@ -129,62 +121,41 @@ def read_sumo(
     members, middle, place = junctions_at(
         road.source, nodes, partial(_middle, streets), junction, center
     )
-    check_radius(radius)
+    check_range("radius", radius, RADIUS_READ)
     reach = radius + MARGIN
     near = [
         s for s in streets.lane_strips.values() if distance_from(s.center, middle).min() <= reach
     ]
-    if not near:
+    here = _Junction(streets, members)
+    own = {s.road for s in near if distance_from(s.center, middle).min() <= CLUSTER}
+    lane_strips = same_level(near, [s.road in own or s.road in here.interior for s in near])
+    if not lane_strips:
         raise InspeError(
             f"{road.source}: no roads within {radius:g} m of ({middle[0]:.1f}, {middle[1]:.1f})"
         )
-    interior = _interior(streets, members)
-    own = {s.road for s in near if distance_from(s.center, middle).min() <= CLUSTER}
-    lane_strips = same_level(near, [s.road in own or s.road in interior for s in near])
-    approaches = _approaches(streets, members)
+    approaches = here.approaches()
     arms, arm_of = arms_of(approaches)
     notes: list[str] = []
-
-    ground = np.concatenate([s.center for s in lane_strips])
-    ground = ground[distance_from(ground, middle) <= reach + 5.0]
-    disc = Point(middle[:2]).buffer(reach, quad_segs=32)
-    areas = _areas(streets, lane_strips, members, interior, middle)
-    loops = [c for c in streets.crossings if distance_from(c, middle).min() <= reach]
-    walks = crosswalks_of(loops, areas, arms, ground, disc, notes)
-    areas[Region.CROSSWALK] = clean(unary_union(walks))
-    regions = {region: areas[region].intersection(disc) for region in Region}
-    found = Intersection(
+    found = assembled(
         name=f"{road.name} {place}",
         source=f"{road.source} {SUMO}",
-        center=middle,
-        regions=regions,
-        arms=arms,
-        routes=(),
-        mounting=mounting_of(regions, [], arms, disc),
-        poles=np.zeros((0, 3)),
-        ground_points=ground,
-        map=Path(path).resolve(),
+        path=Path(path),
         georeference=road.georeference,
+        middle=middle,
+        radius=radius,
+        lane_strips=lane_strips,
+        areas=here.areas(lane_strips, middle),
+        arms=arms,
+        drives=here.routes(approaches, arm_of, middle, radius),
+        loops=streets.crossings,
+        poles=np.zeros((0, 3)),
+        notes=notes,
     )
-
-    pavements = [
-        run.center[:, :2]
-        for strip in lane_strips
-        if strip.kind == "sidewalk"
-        for run in strip.runs(distance_from(strip.center, middle) <= radius)
-    ]
-    people = [*crossing_lines(walks), *joined_lines(pavements)]
-    routes = [
-        *_vehicle_routes(streets, approaches, arm_of, members, interior, middle, radius),
-        *walking_routes(found, people),
-    ]
-    foot = found.on_ground(middle[None])[0]
-    found = replace(found, center=foot, routes=tuple(routes))
     if road.georeference is not None and str(path).lower().endswith(OSM_SUFFIXES):
         where = middle[:2], reach, road.georeference
         extract = extract_about(Path(path), *where)
         found = _on_heights(found, spot_heights(extract, road.georeference), radius, notes)
-        found = with_bodies(found, shapes_of(extract, *where, notes), reach, notes)
+        found = with_bodies(found, BodyReader(extract, *where, notes).shapes(), reach, notes)
     if not len(found.poles):
         notes.append(NO_POLES)
     return replace(found, notes=tuple(notes))
@@ -215,33 +186,104 @@ def _middle(streets: Streets, name: str) -> np.ndarray:
     return middle
 
 
-def _edges_at(streets: Streets, members: set[str]) -> dict[int, Any]:
-    """The edges that begin or end at the given nodes, by number."""
-    nodes = [streets.road.net.getNode(name) for name in members]
-    edges = [edge for node in nodes for edge in (*node.getIncoming(), *node.getOutgoing())]
-    return dict(sorted((streets.numbers[edge.getID()], edge) for edge in {*edges}))
+class _Junction:
+    """Nodes of a network that are one junction, and the edges that begin or end there."""
 
+    def __init__(self, streets: Streets, members: set[str]) -> None:
+        nodes = [streets.road.net.getNode(name) for name in members]
+        edges = {edge for node in nodes for edge in (*node.getIncoming(), *node.getOutgoing())}
+        self.streets, self.members = streets, members
+        self.edges = dict(sorted((streets.numbers[edge.getID()], edge) for edge in edges))
+        self.interior = {
+            number
+            for number, edge in self.edges.items()
+            if {edge.getFromNode().getID(), edge.getToNode().getID()} <= members
+            and (edge.getFunction() or edge.getLength() <= 2 * CLUSTER)
+        }
+        """Numbers of the edges inside the junction, or from one of its nodes to another."""
 
-def _interior(streets: Streets, members: set[str]) -> set[int]:
-    """Numbers of the edges inside the junction, or from one of its nodes to another."""
-    inside = set()
-    for number, edge in _edges_at(streets, members).items():
-        ends = {edge.getFromNode().getID(), edge.getToNode().getID()}
-        if ends <= members and (edge.getFunction() or edge.getLength() <= 2 * CLUSTER):
-            inside.add(number)
-    return inside
+    def approaches(self) -> list[Approach]:
+        """The near ends of the edges that lead to or from the junction."""
+        return [
+            _approach(self.streets, number, edge, end)
+            for number, edge in self.edges.items()
+            if number not in self.interior and not edge.getFunction() and _roads([edge])
+            for end, node in (("end", edge.getToNode()), ("start", edge.getFromNode()))
+            if node.getID() in self.members
+        ]
 
+    def areas(
+        self, lane_strips: list[LaneStrip], middle: Float[np.ndarray, "3"]
+    ) -> dict[Region, BaseGeometry]:
+        """Junction, driveway, shoulder and sidewalk, which do not overlap."""
+        reach = max(float(distance_from(s.center, middle).max()) for s in lane_strips)
+        ground = np.concatenate([s.center for s in lane_strips])
+        corners = {n for n, _ in self.streets.walks}
+        waiting = [
+            shape for _, shape in self.streets.walks if shape.distance(Point(middle[:2])) <= reach
+        ]
+        parts: dict[Region, list[BaseGeometry]] = {region: [] for region in Region}
+        parts[Region.SIDEWALK] += waiting
+        walked = unary_union(waiting)
+        for node in self.streets.road.net.getNodes():
+            at = self.streets.node(node.getID())
+            closest = ground[np.argmin(distance_from(ground, at))]
+            outline = self.streets.road.to_world(node.getShape())
+            near = distance_from(at[None], middle)[0] <= reach + CLUSTER
+            if len(outline) > 2 and near and abs(at[2] - closest[2]) <= 2.0:
+                shape = valid(Polygon(outline[:, :2]))
+                if node.getID() in corners:  # its outline encloses where people wait, too
+                    shape = shape.difference(walked)
+                own = node.getID() in self.members
+                parts[Region.JUNCTION if own else Region.DRIVEWAY].append(shape)
+        for strip in lane_strips:
+            if strip.kind in CARRIAGEWAY:
+                region = Region.JUNCTION if strip.road in self.interior else Region.DRIVEWAY
+            else:
+                region = Region.SHOULDER if strip.kind == "shoulder" else Region.SIDEWALK
+            parts[region].append(strip.polygon)
+        return side_by_side(parts)
 
-def _approaches(streets: Streets, members: set[str]) -> list[Approach]:
-    """The approaches of the junction: the near ends of the edges that lead to or from it."""
-    inside = _interior(streets, members)
-    return [
-        _approach(streets, number, edge, end)
-        for number, edge in _edges_at(streets, members).items()
-        if number not in inside and not edge.getFunction() and _roads([edge])
-        for end, node in (("end", edge.getToNode()), ("start", edge.getFromNode()))
-        if node.getID() in members
-    ]
+    def routes(
+        self,
+        approaches: list[Approach],
+        arm_of: dict[tuple[int, str], int],
+        middle: np.ndarray,
+        radius: float,
+    ) -> Iterator[Route]:
+        """Every path from an inbound lane to another arm, from radius to radius; no U-turns."""
+        strips = self.streets.lane_strips
+        for road in (approach.road for approach in approaches if approach.end == "end"):
+            arm = arm_of[road, "end"]
+            for lane in self.edges[road].getLanes():
+                name = lane.getID()
+                if name not in strips or strips[name].kind != "driving":
+                    continue
+                before = _follow(self.streets, name, -1, middle, radius)
+                for path in self._paths(name):
+                    exit_arm = arm_of.get((strips[path[-1]].road, "start"), -1)
+                    if exit_arm in (arm, -1):
+                        continue
+                    names = [*before, *path, *_follow(self.streets, path[-1], 1, middle, radius)]
+                    line = distinct(np.concatenate([strips[n].center for n in names]))
+                    at = distance_from(line, strips[name].center[-1]).argmin()
+                    line = _about(line, at, middle, radius)
+                    if len(line) > 1:
+                        yield Route(resampled(line), lane.getWidth(), "vehicle", (arm, exit_arm))
+
+    def _paths(self, start: str) -> Iterator[list[str]]:
+        """All sequences of lanes from an inbound lane through the junction to one beyond."""
+        stack = [[start]]
+        while stack:
+            path = stack.pop()
+            for lane in self.streets.follows[path[-1]]:
+                strip = self.streets.lane_strips[lane]
+                if strip.kind != "driving" or lane in path:  # at most once round a roundabout
+                    continue
+                if strip.road in self.interior:
+                    stack.append([*path, lane])
+                else:
+                    yield [*path, lane]
 
 
 def _approach(streets: Streets, number: int, edge: Any, end: str) -> Approach:
@@ -269,116 +311,17 @@ def _approach(streets: Streets, number: int, edge: Any, end: str) -> Approach:
     )
 
 
-def _areas(
-    streets: Streets,
-    lane_strips: list[LaneStrip],
-    members: set[str],
-    interior: set[int],
-    middle: Float[np.ndarray, "3"],
-) -> dict[Region, BaseGeometry]:
-    """Junction, driveway, shoulder and sidewalk, which do not overlap.
-
-    A node's outline also encloses its crossings and the corners where people wait. Those corners
-    are sidewalk.
-    """
-    reach = max(float(distance_from(s.center, middle).max()) for s in lane_strips)
-    ground = np.concatenate([s.center for s in lane_strips])
-    corners = {n for n, _ in streets.walks}
-    waiting = [shape for _, shape in streets.walks if shape.distance(Point(middle[:2])) <= reach]
-    parts: dict[Region, list[BaseGeometry]] = {region: [] for region in Region}
-    parts[Region.SIDEWALK] += waiting
-    walked = unary_union(waiting)
-    for node in streets.road.net.getNodes():
-        at = streets.node(node.getID())
-        closest = ground[np.argmin(distance_from(ground, at))]
-        outline = streets.road.to_world(node.getShape())
-        if len(outline) > 2 and distance_from(at[None], middle)[0] <= reach + CLUSTER:
-            if abs(at[2] - closest[2]) > 2.0:
-                continue
-            shape = valid(Polygon(outline[:, :2]))
-            if node.getID() in corners:
-                shape = shape.difference(walked)
-            own = node.getID() in members
-            parts[Region.JUNCTION if own else Region.DRIVEWAY].append(shape)
-    for strip in lane_strips:
-        if strip.kind in CARRIAGEWAY:
-            region = Region.JUNCTION if strip.road in interior else Region.DRIVEWAY
-        else:
-            region = Region.SHOULDER if strip.kind == "shoulder" else Region.SIDEWALK
-        parts[region].append(strip.polygon)
-    areas: dict[Region, BaseGeometry] = {}
-    taken: BaseGeometry = MultiPolygon()
-    for region in (Region.JUNCTION, Region.DRIVEWAY, Region.SHOULDER, Region.SIDEWALK):
-        areas[region] = clean(unary_union(parts[region]).difference(taken))
-        taken = unary_union([taken, areas[region]])
-    return areas
-
-
-# ── Routes ──────────────────────────────────────────────────────────────────
-
-
-def _vehicle_routes(
-    streets: Streets,
-    approaches: list[Approach],
-    arm_of: dict[tuple[int, str], int],
-    members: set[str],
-    interior: set[int],
-    middle: np.ndarray,
-    radius: float,
-) -> Iterator[Route]:
-    """Every path from an inbound lane to another arm, from radius to radius; no U-turns."""
-    edges = streets.road.net.getEdges(withInternal=True)
-    for approach in approaches:
-        if approach.end != "end":
-            continue
-        for lane in edges[approach.road].getLanes():
-            strip = streets.lane_strips.get(lane.getID())
-            if strip is None or strip.kind != "driving":
-                continue
-            before = _follow(streets, lane.getID(), -1, middle, radius)
-            for path in _lane_paths(streets, lane.getID(), interior):
-                last = streets.lane_strips[path[-1]]
-                exit_arm = arm_of.get((last.road, "start"), -1)
-                if exit_arm in (arm_of[approach.road, "end"], -1):
-                    continue
-                names = [*before, *path, *_follow(streets, path[-1], 1, middle, radius)]
-                line = distinct(np.concatenate([streets.lane_strips[n].center for n in names]))
-                line = _about(line, distance_from(line, strip.center[-1]).argmin(), middle, radius)
-                if len(line) > 1:
-                    through = (arm_of[approach.road, "end"], exit_arm)
-                    yield Route(resampled(line), lane.getWidth(), "vehicle", through)
-
-
-def _lane_paths(streets: Streets, start: str, interior: set[int]) -> Iterator[list[str]]:
-    """All sequences of lanes from an inbound lane through the junction to the first one beyond."""
-    stack = [[start]]
-    while stack:
-        path = stack.pop()
-        for lane in streets.follows[path[-1]]:
-            strip = streets.lane_strips[lane]
-            if strip.kind != "driving" or lane in path:  # at most once round a roundabout
-                continue
-            if strip.road in interior:
-                stack.append([*path, lane])
-            else:
-                yield [*path, lane]
-
-
 def _follow(
     streets: Streets, start: str, direction: int, middle: np.ndarray, radius: float
 ) -> list[str]:
-    """Lanes from ``start`` onward (``direction`` 1) or back (−1) to the radius, in travel order.
-
-    At a fork the straightest lane is taken.
-    """
+    """Lanes from ``start`` on (1) or back (−1) to the radius, in travel order; straight on."""
     found: list[str] = []
     here = start
     for _ in range(50):
         end = streets.lane_strips[here].center[-1 if direction > 0 else 0]
         options = (streets.follows if direction > 0 else streets.leads).get(here, [])
-        options = [
-            o for o in options if streets.lane_strips[o].kind == "driving" and o not in found
-        ]
+        options = [o for o in options if streets.lane_strips[o].kind == "driving"]
+        options = [o for o in options if o not in found]
         if not options or distance_from(end[None], middle)[0] > radius:
             break
 

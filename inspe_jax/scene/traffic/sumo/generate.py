@@ -15,7 +15,6 @@ from jaxtyping import Int
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.scene.intersection import Intersection
-from inspe_jax.scene.maps.parts import CLEARANCE
 from inspe_jax.scene.maps.sumo.lanes import Streets, streets_of
 from inspe_jax.scene.maps.sumo.network import load_net, run
 from inspe_jax.scene.traffic.frames import (
@@ -28,6 +27,7 @@ from inspe_jax.scene.traffic.frames import (
     check_traffic,
     pack_frames,
     quota,
+    standing_on,
 )
 from inspe_jax.scene.traffic.sumo.routes import V_CLASS, TravelPath, paths_through
 
@@ -115,7 +115,14 @@ def sumo_traffic(
         raise InspeError(
             f"{intersection.name}: no road leads through {radius:g} m of the centre for mix '{mix}'"
         )
-    streams = _streams(paths, wanted, MIXES[mix], seed)
+    # Each class has random numbers of its own.
+    streams = [
+        ArrivalStream(kind, paths[name], MIXES[mix], rng)
+        for kind, (name, rng) in enumerate(
+            zip(CLASSES, np.random.default_rng(seed).spawn(len(CLASSES)), strict=True)
+        )
+        if wanted[kind]
+    ]
     with tempfile.TemporaryDirectory() as folder:
         sumo = _SumoRuns(Path(folder), streets, intersection, radius, seed, small)
         rates = _rates(sumo, streams, wanted, frames * step, progress)
@@ -126,10 +133,7 @@ def sumo_traffic(
 
 
 def _small_step(step: float) -> float:
-    """The longest step of SUMO [s] that divides the step of frames, 20 to 200 ms.
-
-    Raises InspeError if there is none.
-    """
+    """The longest step of SUMO [s] that divides the step of frames, 20 to 200 ms."""
     time = round(step * 1000)
     parts = [n for n in range(1, time + 1) if time % n == 0 and 20 <= time / n <= 1000 * STEP]
     if abs(step * 1000 - time) > 1e-6 or not parts:
@@ -140,18 +144,6 @@ def _small_step(step: float) -> float:
     return time / parts[0] / 1000
 
 
-def _streams(
-    paths: dict[str, list[TravelPath]], wanted: Int[np.ndarray, " K"], mix: Mix, seed: int
-) -> list[ArrivalStream]:
-    """A stream of arrivals for each class that is wanted, each with random numbers of its own."""
-    streams = np.random.default_rng(seed).spawn(len(CLASSES))
-    return [
-        ArrivalStream(kind, paths[name], mix, rng)
-        for kind, (name, rng) in enumerate(zip(CLASSES, streams, strict=True))
-        if wanted[kind]
-    ]
-
-
 def _rates(
     sumo: "_SumoRuns",
     streams: list[ArrivalStream],
@@ -159,10 +151,7 @@ def _rates(
     time: float,
     progress: Callable[[int, int], None] | None,
 ) -> list[float]:
-    """Arrivals a second of each class with which about the wanted number is in the region.
-
-    The number is the mean over ``time`` [s].
-    """
+    """Arrivals a second of each class with which about as many as wanted are there in ``time``."""
     target = np.array([wanted[a.kind] for a in streams], float)
     most = np.array([SWIFTEST * sum(w.weight for w in a.paths) for a in streams])
     stay = np.array([2 * sumo.radius / min(ROAD_USERS[a.kind].top_speed, 6.0) for a in streams])
@@ -241,10 +230,7 @@ class _SumoRuns:
     def _snapshot(
         self, moment: list[dict[str, str]], sizes: dict[str, tuple[int, int, np.ndarray]]
     ) -> Snapshot:
-        """Road users at one moment of SUMO's output.
-
-        SUMO gives the middle of a vehicle's front, and headings clockwise from north.
-        """
+        """Road users at a moment of SUMO's output: middles of fronts, headings from north."""
         who = [sizes[one["id"]] for one in moment]
         size = np.array([s for _, _, s in who], float).reshape(-1, 3)
         kind = np.array([k for k, _, _ in who], np.int8)
@@ -257,13 +243,9 @@ class _SumoRuns:
         heading = np.column_stack([np.cos(yaw), np.sin(yaw)])
         speed = np.array([float(one["speed"]) for one in moment])
         middle = at[:, :2] - heading * size[:, :1] / 2
-        ground = self.intersection.ground(middle)
-        here = ~(np.abs(at[:, 2] - self.intersection.level(middle)) > CLEARANCE)
-        center = np.column_stack([middle, ground + size[:, 2] / 2])
         velocity = np.column_stack([heading * speed[:, None], np.zeros(len(speed))])
-        parts = (center, yaw, size, kind, track, velocity)
-        everybody = Snapshot(*(part[here] for part in parts))
-        return everybody.within(self.intersection.center, self.radius)
+        everybody = Snapshot(middle, yaw, size, kind, track, velocity)
+        return standing_on(self.intersection, self.radius, everybody, at[:, 2])
 
 
 def _moments(file: Path) -> Iterator[list[dict[str, str]]]:
@@ -277,10 +259,7 @@ def _moments(file: Path) -> Iterator[list[dict[str, str]]]:
 def _write_routes(
     file: Path, streams: list[ArrivalStream], rates: list[float], end: float
 ) -> dict[str, tuple[int, int, np.ndarray]]:
-    """Write SUMO's input: type, route and departure of every road user.
-
-    Returns the (class, track, size) of each by name.
-    """
+    """Write type, route and departure of every road user; its (class, track, size) by name."""
     root = ET.Element("routes")
     people: list[tuple[float, ET.Element]] = []
     sizes: dict[str, tuple[int, int, np.ndarray]] = {}

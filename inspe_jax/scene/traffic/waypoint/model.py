@@ -159,11 +159,7 @@ class WaypointModel:
         return bool(free)
 
     def _first_free(self, who: int | np.intp) -> bool:
-        """Whether a user may enter inside its first block.
-
-        Nobody may hold a block in conflict with it, and nobody may stand near, because the user
-        must be able to leave the block again.
-        """
+        """Whether a user may enter inside its first block, and can leave it again."""
         on = np.flatnonzero(self.active)
         first = self.paths.block[self.path[who], :1]
         away = self.point[on, :2] - self.point[who, :2]
@@ -192,10 +188,7 @@ class WaypointModel:
         return (self.granted[on] & (until > self._ends(on)[1][:, None])).any(-1)
 
     def _pressed(self, on: np.ndarray, leader: np.ndarray) -> np.ndarray:
-        """Whether each user has stood long while one of the six behind it holds a block.
-
-        If it gave way to others, that block would stay held, perhaps against the same others.
-        """
+        """Whether each user has stood long while one of the six behind it holds a block."""
         holds = self.granted[on] & (
             self.paths.leave[self.paths.block[self.path[on]]] > self._ends(on)[1][:, None]
         )
@@ -208,27 +201,22 @@ class WaypointModel:
     def _give_way(
         self, on: np.ndarray, free: np.ndarray, leader: np.ndarray, follows: np.ndarray
     ) -> None:
-        """Grant blocks: first to users that are further on, then first come, first served.
-
-        A user asks for a block in time to brake before it, if nobody between it and the stop line
-        still waits for a grant. The block is granted if nobody holds a block in conflict with it
-        and there is room to leave it again. A flowing stream keeps flowing until the user that
-        waits longest has waited :data:`PATIENCE`. Then nobody in conflict with it goes before it.
-        So streams take turns, and streams without a conflict go together, as at signals.
-        """
+        """Grant blocks: first to users that are further on, then first come, first served."""
         column, block = self._next_block(on)
         line = self._line_distance(on)
         # Index -1 means nobody ahead and reads the last entry: no stop line.
         line_of = np.append(line, np.inf)
+        # Users ask in time to brake, if nobody before the stop line still waits for a grant.
         near = line < self.speed[on] ** 2 / (2 * BRAKING) + 1.5 * self.speed[on] + 2.0
         clear = (free >= line) | (line_of[leader] > line)
         asking = np.flatnonzero(near & clear & (block >= 0))
         self.asked[on[asking]] = np.minimum(self.asked[on[asking]], self.time)
         needed = self.paths.leave[block] - self._ends(on)[1] + 0.5
         reach = free + _reach(free, line, leader, follows)
-        asking = asking[reach[asking] >= needed[asking]]
+        asking = asking[reach[asking] >= needed[asking]]  # there is room to leave it again
         if not len(asking):
             return
+        # Nobody in conflict with who waited too long goes before it: so streams take turns.
         asked = self.asked[on[asking]]
         longest = int(np.argmin(asked))
         due = np.zeros(len(asking), bool)
@@ -261,13 +249,12 @@ class WaypointModel:
         )
 
     def _look_ahead(self, on: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Free distance along each path [m], the user that ends it, and whether it is followed.
+        """Free distance along each path [m] less the user's gap, and the user that ends it.
 
-        The second is an index into ``on``, −1 for nobody. The third is the cosine between the two
-        headings if they are similar, so that one follows the other, else 0. The body, slightly
-        widened, is moved along its path until it meets another body; the last step is found by
-        bisection. The user's own gap is subtracted.
+        The latter is an index into ``on``, −1 for nobody. Third is the cosine between the headings
+        of a user and one that it follows, else 0.
         """
+        # The body, slightly widened, is moved along its path until it meets another.
         half = self.size[on, :2] / 2
         probe = half + [0.0, SIDE_MARGIN]
         look = np.minimum(LOOK, self.size[on, 0])  # so that no body fits between two looks
@@ -307,11 +294,7 @@ class WaypointModel:
         return free, leader, np.where((leader >= 0) & (along > 0.7), along, 0.0)
 
     def _move(self, on: np.ndarray, speed: np.ndarray, dt: float) -> None:
-        """Move all users that stay clear of each other; the others stand.
-
-        Nobody overlaps before. So repeatedly holding back one of each pair that would meet ends
-        with no overlap.
-        """
+        """Move all users that stay clear of each other; the others stand."""
         was_arc, was_point, was_heading = self.arc[on], self.point[on], self.heading[on]
         self.arc[on] = was_arc + speed * dt
         self._place(on)
@@ -321,7 +304,7 @@ class WaypointModel:
         apart = self.point[on, None, :2] - self.point[None, on, :2]
         within = reach[:, None] + reach + 2 * dt * self.top_speed.max()  # also if held back
         i, j = np.nonzero(np.triu(apart[..., 0] ** 2 + apart[..., 1] ** 2 < within**2, 1))
-        while True:
+        while True:  # nobody overlapped before, so holding back one of each pair ends
             point, heading = self.point[on, :2], self.heading[on]
             met = _overlap(point[i], heading[i], half[i], point[j], heading[j], half[j])
             if not met.any():
@@ -348,10 +331,7 @@ class WaypointModel:
 
 
 def _safe_speed(free: np.ndarray, leader_speed: np.ndarray) -> np.ndarray:
-    """Speed [m/s] at which a user can stop within the free distance [m] if its leader brakes.
-
-    Krauss, *Microscopic modeling of traffic flow*, 1998.
-    """
+    """Speed [m/s] at which one can stop in the free distance [m] if its leader brakes (Krauss)."""
     lag = BRAKING * REACTION
     free = np.maximum(free, 0.0)
     reach = np.sqrt(lag**2 + leader_speed**2 + 2 * BRAKING * free) - lag
@@ -361,11 +341,7 @@ def _safe_speed(free: np.ndarray, leader_speed: np.ndarray) -> np.ndarray:
 def _reach(
     free: np.ndarray, line: np.ndarray, leader: np.ndarray, follows: np.ndarray
 ) -> np.ndarray:
-    """Distance that each user's leader can surely move on [m], from a chain of six leaders.
-
-    A leader moves as far as its own stop line and its own leader allow. Infinite if nobody is
-    ahead, or only somebody that crosses.
-    """
+    """Distance that each user's leader can surely move on [m], by a chain of six; ∞ without one."""
     ahead = np.where(follows > 0, 0.0, np.inf)
     for _ in range(6):
         ahead = np.where(follows > 0, np.minimum(line, free + ahead)[leader], np.inf)
@@ -384,10 +360,7 @@ def _overlap(
     point_a: np.ndarray, heading_a: np.ndarray, half_a: np.ndarray,
     point_b: np.ndarray, heading_b: np.ndarray, half_b: np.ndarray,
 ) -> Bool[np.ndarray, " Q"]:  # fmt: skip
-    """Whether two rectangles overlap, by separating axes.
-
-    Centres [m], unit headings and half lengths and widths [m], each (Q, 2) or (2,).
-    """
+    """Whether two rectangles overlap, by separating axes."""
     to = point_b - point_a
     cos = np.abs(heading_a[..., 0] * heading_b[..., 0] + heading_a[..., 1] * heading_b[..., 1])
     sin = np.abs(heading_a[..., 0] * heading_b[..., 1] - heading_a[..., 1] * heading_b[..., 0])

@@ -133,7 +133,7 @@ def lay_paths(intersection: Intersection, radius: float) -> Paths:
 
 def _line(route: Route, kind: int) -> np.ndarray:
     """A route's poses for one kind of path; cyclists and pedestrians keep to the right."""
-    points = _resample(np.asarray(route.waypoints, float))
+    points = resample(np.asarray(route.waypoints, float))
     offset = (0.0, max(route.width / 2 - 0.6, 0.0), min(route.width / 4, 0.5))[kind]
     if not offset or len(points) < 2:
         return points
@@ -143,10 +143,10 @@ def _line(route: Route, kind: int) -> np.ndarray:
     moved[:, 1] -= offset * heading[:, 0]
     # In a bend tighter than the offset the line would run backwards: those points are left out.
     forward = _dot(np.diff(moved[:, :2], axis=0), heading[1:]) > 0
-    return _resample(moved[np.concatenate([[True], forward])])
+    return resample(moved[np.concatenate([[True], forward])])
 
 
-def _resample(points: np.ndarray) -> np.ndarray:
+def resample(points: np.ndarray) -> np.ndarray:
     """The polyline at every :data:`SPACING` metres of its length in plan, from its start."""
     step = np.diff(points[:, :2], axis=0)
     arc = np.concatenate([[0.0], np.cumsum(np.sqrt(_dot(step, step)))])
@@ -180,10 +180,7 @@ def _limit(heading: np.ndarray) -> np.ndarray:
 def _weights(
     first: np.ndarray, user: np.ndarray, enter: np.ndarray, leave: np.ndarray
 ) -> np.ndarray:
-    """Shares of arrivals: equal for each entry lane; in it, straight on up to three times a turn's.
-
-    Each class draws among its own paths, so pedestrians' entries do not compete with vehicles'.
-    """
+    """Shares of arrivals: equal for entry lanes; in one, straight on up to three times a turn."""
     straight = 1 + 2 * np.maximum(_dot(enter, leave), 0.0)
     apart = first[:, None, :2] - first[None, :, :2]
     together = (_dot(apart, apart) < 1.0) & (user[:, None] == user)
@@ -247,10 +244,7 @@ def _conflicts(
 def _since_stream(
     path: np.ndarray, one: np.ndarray, two: np.ndarray
 ) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
-    """A function: metres since a pose's path was last in one stream with another path.
-
-    ``one`` and ``two`` are pairs of poses in one stream.
-    """
+    """A function: metres since a pose's path was last in one stream with another path."""
     first = np.searchsorted(path, path)  # first pose of each pose's path
     shared = np.full((path[-1] + 1, len(path)), -1)
     shared[path[two], one] = one

@@ -8,7 +8,7 @@ from scipy.spatial import cKDTree
 
 from inspe_jax.scene.intersection import Intersection, Route, mouth_crosswalks
 from inspe_jax.scene.maps.parts import crossing_lines, walking_routes
-from inspe_jax.scene.traffic.waypoint.paths import SPACING
+from inspe_jax.scene.traffic.waypoint.paths import SPACING, resample
 
 BESIDE = 1.5
 """Distance of a footpath's middle from the lane's edge [m]: room for two that meet."""
@@ -49,7 +49,7 @@ def _cross(lanes: list[Route]) -> bool:
     """Whether two lanes meet, at one height, at more than 45°."""
     if not lanes:
         return False
-    fine = [_line(lane) for lane in lanes]
+    fine = [resample(lane.waypoints) for lane in lanes]
     point, heading = np.concatenate(fine), np.concatenate([_heading(line) for line in fine])
     one, two = cKDTree(point).query_pairs(1.0, output_type="ndarray").reshape(-1, 2).T
     return bool(((heading[one] * heading[two]).sum(1) < CROSSING).any())
@@ -59,11 +59,11 @@ def _beside(lanes: list[Route]) -> Iterator[np.ndarray]:
     """Lines (N, 2) to the right of lanes where no other lane is; the longest first."""
     by_width: dict[float, list[np.ndarray]] = {}
     for lane in lanes:
-        by_width.setdefault(lane.width, []).append(_line(lane)[:, :2])
+        by_width.setdefault(lane.width, []).append(resample(lane.waypoints)[:, :2])
     trees = {width: cKDTree(np.concatenate(lines)) for width, lines in by_width.items()}
     runs: list[np.ndarray] = []
     for lane in lanes:
-        line = _line(lane)[:, :2]
+        line = resample(lane.waypoints)[:, :2]
         ahead = _heading(line)
         beside = line + (lane.width / 2 + BESIDE) * np.stack([ahead[:, 1], -ahead[:, 0]], -1)
         away = [tree.query(beside)[0] - width / 2 for width, tree in trees.items()]
@@ -82,13 +82,6 @@ def _runs(line: np.ndarray, free: np.ndarray) -> list[np.ndarray]:
     parts = np.split(np.arange(len(line)), np.flatnonzero(np.diff(free.astype(int))) + 1)
     least = SHORTEST / SPACING
     return [line[part] for part in parts if len(part) > least and free[part[0]]]
-
-
-def _line(route: Route) -> np.ndarray:
-    """A route's points every :data:`SPACING` metres."""
-    even = np.arange(0.0, route.length + 1e-9, SPACING)
-    points = np.asarray(route.waypoints, float)
-    return np.stack([np.interp(even, route.arc, axis) for axis in points.T], -1)
 
 
 def _heading(line: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""What is asked of a score: options that the paper leaves open, which metrics, and which curves."""
+"""The options of a score: what the paper leaves open, which metrics, and which curves."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -8,8 +8,8 @@ from inspe_jax.scoring.metric import Metric
 from inspe_jax.scoring.metrics import METRICS, chosen
 
 
-class Asked(NamedTuple):
-    """What is asked of a score: the two options that the paper leaves open, and which metrics.
+class ScoreOptions(NamedTuple):
+    """The options of a score: the two that the paper leaves open, the metrics and the curves.
 
     Options as in :func:`inspe_jax.evaluate`; ``detection`` is None for the usual curves. Static:
     another value compiles another program.
@@ -27,7 +27,7 @@ class Asked(NamedTuple):
         visibility: str = "in_view",
         names: Sequence[str] | None = None,
         detection: DetectionCurves | None = None,
-    ) -> "Asked":
+    ) -> "ScoreOptions":
         """These options, and the metrics of these names; the usual ones if None.
 
         Curves that equal the usual ones are the usual ones.
@@ -45,6 +45,12 @@ class Asked(NamedTuple):
         if self.visibility != "in_view":
             return self.visibility
         return "past_others" if any(metric.sight for metric in self.metrics) else None
+
+    @property
+    def counted(self) -> "ScoreOptions":
+        """These options without what does not change the counts, so that fewer programs are
+        compiled."""
+        return ScoreOptions(self.occlusion_reference, self.sight or "in_view")
 
     @property
     def counts_sight(self) -> bool:

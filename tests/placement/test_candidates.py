@@ -1,0 +1,356 @@
+"""Candidate poses: where they are, what each sees and adds, and greedy placement among them."""
+
+import numpy as np
+import pytest
+from mounts import team
+from worlds import random_traffic, slow_but, world
+
+from inspe_jax.placement import candidate_table as tables
+from inspe_jax.placement import candidate_views, candidates, sampled_scores
+from inspe_jax.placement.constraints import Constraints
+from inspe_jax.placement.methods import greedy, grid
+from inspe_jax.placement.methods.finer_moves import finer, of_unit, sights
+from inspe_jax.placement.objective import Objective
+from inspe_jax.placement.problem import Case, Problem
+from inspe_jax.placement.run import Run
+from inspe_jax.placement.sample_score import SampleScore, times
+from inspe_jax.placement.space import Space
+from inspe_jax.scene.scene import Scene
+from inspe_jax.scoring.detection import detection_curves
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return world(radius=20.0, voxel=1.0, frames=5, count=12, seed=3)
+
+
+@pytest.fixture(scope="module")
+def problem(scene):
+    return Problem(scene, team(scene))
+
+
+@pytest.fixture(scope="module")
+def start(problem):
+    return problem.space.start(problem.layout)[0]
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _small():
+    """Few candidates, so that a test takes a second."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(tables, "FRAMES", 3)
+        patch.setattr(tables, "YAWS", 4)
+        patch.setattr(tables, "CHUNK", 64)
+        patch.setattr(candidates, "SPACING", 12.0)
+        yield
+
+
+# ── Candidates ──────────────────────────────────────────────────────────────
+
+
+def test_sensors_hang_where_they_are_asked_to(problem, start):
+    space = problem.space
+    asked = np.array([[3.0, 7.0], [12.0, 8.0], [3.0, 3.0], [9.5, 9.5]])
+    x = candidates.set_heights(space, np.tile(start, (4, 1)), 1, (2, 3), asked)
+    for row, heights in zip(x, asked, strict=True):
+        assert np.allclose(candidates.above_ground(space, row)[2:4], heights, atol=1e-4)
+        layout = space.layout(row)
+        assert space.violations(layout) == []
+        assert np.allclose(np.asarray(layout.poses)[2:4, 2], heights, atol=1e-3)
+
+
+def test_few_layouts_are_projected_as_many_are(problem):
+    """One or two by NumPy, more by what is compiled."""
+    wild = problem.space.random(np.random.default_rng(3), 12)
+    wild += np.random.default_rng(4).normal(size=wild.shape) * 5 * problem.space.scale
+    many = candidates.project(problem.space, wild)
+    few = np.concatenate([candidates.project(problem.space, wild[k : k + 2]) for k in (0, 2, 4)])
+    assert np.abs(many - wild).max() > 1
+    np.testing.assert_allclose(few, many[:6], atol=1e-4)
+
+
+def test_limits_are_those_of_the_constraints(scene):
+    constraints = Constraints(heights=(4.0, 9.0))
+    space = Space(scene, team(scene), constraints)
+    heights, pitches = candidates.limits(space, space.start(space.given)[0])
+    assert np.allclose(heights, [[4.0, 9.0]] * 5, atol=1e-4)
+    camera, lidar = (np.array(constraints.pitch[kind]) for kind in ("camera", "lidar"))
+    assert np.allclose(pitches, [camera, lidar, camera, camera, camera], atol=1e-5)
+
+
+def test_few_feet_of_a_lattice_are_far_apart(problem, monkeypatch):
+    monkeypatch.setattr(candidates, "SPACING", 3.0)
+    every, few = candidates.lattice(problem.space, 10**6), candidates.lattice(problem.space, 12)
+    assert len(few) == 12 < len(every)
+    gaps = np.hypot(*np.moveaxis(few[:, None] - few, -1, 0)) + 99 * np.eye(12)
+    assert gaps.min() > 5.0
+    reach = np.hypot(*np.moveaxis(every[:, None] - few, -1, 0)).min(1)
+    assert reach.max() <= gaps.min() + 1e-9  # none is left further out than the chosen stand apart
+
+
+def test_units_that_must_stay_have_their_feet_among_the_candidates(scene):
+    space = Space(scene, team(scene), Constraints(places="keep"))
+    feet = candidates.lattice(space, 1)
+    for u in range(3):
+        assert space.can_stand(feet)[u].any()
+
+
+# ── Scores of samples ───────────────────────────────────────────────────────
+
+
+def other_traffic(scene):
+    traffic = random_traffic(scene.intersection, 5, 20, 20.0, seed=8)
+    return Scene(scene.voxels, traffic, scene.intersection)
+
+
+IN_SIGHT = dict(visibility="line_of_sight")
+OBJECTIVES = {
+    "default": Objective(),
+    "N−1, in sight, two scenes": Objective((0.2, 0.3, 0.5), failures=True, **IN_SIGHT),
+    "targets": Objective(occlusion_reference="targets"),
+    "targets, in sight": Objective(occlusion_reference="targets", **IN_SIGHT),
+    "past others": Objective(visibility="past_others"),
+    "targets, past others": Objective(occlusion_reference="targets", visibility="past_others"),
+    "detectability, N−1": Objective(
+        {"detectability": 0.7, "occlusion": 0.3},
+        failures=True,
+        detection=detection_curves().for_road_users(["pedestrian", "cyclist"]),
+    ),
+    "detectability, two scenes": Objective(
+        {"detectability": 0.6, "coverage": 0.2, "information_gain": 0.2}
+    ),
+}
+QUICK = ("default", "N−1, in sight, two scenes", "targets, in sight", "detectability, N−1")
+
+
+@pytest.mark.parametrize("name", slow_but(OBJECTIVES, *QUICK))
+def test_bits_add_up_to_the_score(scene, name):
+    """The sum over what each sensor sees is the rough score; and gains are differences of it."""
+    scenes = [scene, Case(other_traffic(scene))] if name.endswith("two scenes") else scene
+    problem = Problem(scenes, team(scene), OBJECTIVES[name])
+    sample = problem.sample(np.random.default_rng(1), 96, 3)
+    tally, x = SampleScore(problem, sample), problem.space.random(np.random.default_rng(2), 3)
+    stand = candidates.poses(problem.space, x)
+    bits = {s: tally.views(problem, {s: stand[:, s]})[s] for s in range(5)}
+    for m, score in enumerate(problem.rough(x, sample)):
+        rows = {s: row[m] for s, row in bits.items()}
+        assert tally.value(rows) == pytest.approx(score, abs=2e-5)
+        for s in rows:
+            rest = {t: row for t, row in rows.items() if t != s}
+            added = tally.value(rows) - tally.value(rest)
+            assert times(rows[s][None], tally.worth(rest, s))[0] == pytest.approx(added, abs=1e-6)
+            assert tally.gains(rest, {s: rows[s][None]})[0] == pytest.approx(added, abs=1e-6)
+            # Submodular: beside fewer others it adds at least as much.
+            fewer = dict(list(rest.items())[::2])
+            assert times(rows[s][None], tally.worth(fewer, s))[0] >= added - 1e-6
+    rest = {s: bits[s][0] for s in (0, 1, 4)}
+    together = tally.gains(rest, {s: bits[s] for s in (2, 3)})
+    for m in range(3):
+        both = rest | {s: bits[s][m] for s in (2, 3)}
+        assert together[m] == pytest.approx(tally.value(both) - tally.value(rest), abs=1e-6)
+
+
+def test_what_is_compiled_serves_any_number_of_layouts_and_poses(problem):
+    """And what it gives of one does not depend on the others, to the last bit."""
+    sample = problem.sample(np.random.default_rng(3), candidates.COLUMNS, candidates.FRAMES)
+    x = problem.space.random(np.random.default_rng(4), 11)
+    poses = candidates.poses(problem.space, x)[:, 0]
+    rough, (views, seen, _) = problem.rough(x, sample), problem.views({0: poses}, sample)[0]
+    compiled = sampled_scores.hard_scores._cache_size(), candidate_views._view._cache_size()
+    assert len(rough) == len(views) == len(seen) == len(x)
+    for count in (1, 3):
+        np.testing.assert_array_equal(problem.rough(x[:count], sample), rough[:count])
+        few = problem.views({0: poses[-count:]}, sample)[0]
+        for part, whole in zip(few[:2], (views, seen), strict=True):
+            np.testing.assert_array_equal(part, whole[-count:])
+    assert (
+        sampled_scores.hard_scores._cache_size(),
+        candidate_views._view._cache_size(),
+    ) == compiled
+
+
+def test_grids_of_a_unit_leave_the_others_alone(problem, start):
+    space, members = problem.space, problem.layout.members()
+    index = candidates.coordinates(space)
+    for block in grid._blocks(members):
+        for level in (0, 2):
+            x = grid._grid(space, start, block, level)
+            assert np.array_equal(x[0], start)
+            assert len(np.unique(x, axis=0)) == len(x) > 10
+            others = [s for s in range(len(problem.layout)) if s not in block.sensors]
+            for part in (index.yaw[others], index.pitch[others], index.rise[others]):
+                assert np.allclose(x[:, part], start[part], atol=1e-6)
+            assert np.allclose(candidates.project(space, x), x, atol=1e-4)
+
+
+# ── Greedy ──────────────────────────────────────────────────────────────────
+
+
+def whole_table(problem):
+    made = tables.Table.of(problem, np.random.default_rng(0), 96, 2)
+    for part in range(len(made.parts)):
+        made.look(part)
+    return made
+
+
+@pytest.fixture(scope="module")
+def table(problem):
+    return whole_table(problem)
+
+
+@pytest.fixture(scope="module")
+def finding(scene):
+    """The same with most of the weight on detectability."""
+    return whole_table(Problem(scene, team(scene), OBJECTIVES["detectability, N−1"]))
+
+
+def gain(table, picks, s, k):
+    """What a candidate adds, from two values."""
+    before, after = table.rows(picks), table.rows(picks | {s: int(k)})
+    return table.tally.value(after) - table.tally.value(before)
+
+
+def may_stand(table, picks, s, k):
+    """The unit's rule, sensor by sensor."""
+    layout, kind = table.problem.layout, table.kind_of(s)
+    unit = layout.sensors[s].unit
+    if not table.stand[unit, kind.foot[k]]:
+        return False
+    for t, j in picks.items():
+        if t != s and layout.sensors[t].unit == unit:
+            other = table.kind_of(t)
+            apart = abs(other.height[j] - kind.height[k])
+            if other.foot[j] != kind.foot[k] or apart > 4.0:
+                return False
+    return True
+
+
+def test_lazy_greedy_takes_what_an_exhaustive_search_would(table):
+    check_lazy(table)
+
+
+def test_lazy_greedy_is_right_for_detectability(finding):
+    """The chance that some sensor finds a road user, 1 − ∏(1 − p), gains less and less, too: every
+    candidate's gain is worked out anew beside every set of picks, and never grows."""
+    check_lazy(finding)
+    picks, _ = greedy.lazy_greedy(finding)
+    so_far, bounds = {}, {}
+    for s, k in picks.items():
+        rows = finding.rows(so_far)
+        for t in set(picks) - set(so_far):
+            gains = finding.gains(t, rows)
+            assert (gains <= bounds.get(t, np.inf) + 1e-6).all()
+            bounds[t] = gains
+        so_far[s] = k
+    first = finding.gains(4, {})
+    assert (first - bounds[4]).max() > 0.01  # it does fall
+    chance = np.concatenate([part.chance for part in finding.kind_of(1).rows])
+    assert chance.min() >= 0
+    assert chance.max() <= 1
+    assert chance.mean() > 0.01
+
+
+def check_lazy(table):
+    """Every sensor placed is the one that adds most, at its best candidate, all worked out anew."""
+    picks, again = greedy.lazy_greedy(table)
+    assert sorted(picks) == list(range(5))
+    so_far, looked = {}, 0
+    for s, k in picks.items():
+        best = 0.0
+        for t in set(picks) - set(so_far):
+            kind = table.kind_of(t)
+            used = {k for q, k in so_far.items() if table.kind_of(q) is kind}  # each only once
+            free = set(range(len(kind.foot))) - used
+            at = [j for j in sorted(free) if may_stand(table, so_far, t, j)]
+            gains = table.gains(t, table.rows(so_far))[at]
+            best, looked = max(best, gains.max()), looked + len(at)
+        assert gain(table, so_far, s, k) == pytest.approx(best, abs=2e-6)
+        assert may_stand(table, so_far, s, k)
+        so_far[s] = k
+    assert again < looked / 5
+
+
+def test_a_layout_of_picks_sees_what_their_candidates_see(table, problem, start):
+    picks, _ = greedy.lazy_greedy(table)
+    x = table.layout(start, picks)
+    assert problem.space.violations(problem.space.layout(x)) == []
+    score = problem.rough(x[None], table.tally.sample)[0]
+    # Single precision may tip a voxel that a ray just touches.
+    assert table.tally.value(table.rows(picks)) == pytest.approx(score, abs=2e-3)
+
+
+def test_every_round_looks_at_candidates_of_its_own(problem, start):
+    run = Run(problem, start, evaluations=1.0)
+    first, second, again = (greedy._table(run, number).kinds[0] for number in (0, 1, 0))
+    assert set(first.yaw.round(6)).isdisjoint(second.yaw.round(6))
+    np.testing.assert_array_equal(first.yaw, again.yaw)
+
+
+def test_exchange_finds_the_best_replacement_there_is(table):
+    """For a unit of one sensor: every candidate tried; for others: never worse, within the rule."""
+    rng = np.random.default_rng(4)
+    for _ in range(3):
+        picks = {}
+        for s in range(5):
+            kind = table.kind_of(s)
+            at = [k for k in rng.permutation(len(kind.foot)) if may_stand(table, picks, s, k)]
+            picks[s] = int(at[0])
+        before = table.tally.value(table.rows(picks))
+        rest = {s: k for s, k in picks.items() if s != 4}
+        found = greedy.exchange(table, picks, 2)
+        assert found | rest == found
+        best = max(gain(table, rest, 4, k) for k in range(len(table.kind_of(4).foot)))
+        assert gain(table, rest, 4, found[4]) == pytest.approx(best, abs=2e-6)
+        for u in (0, 1):
+            found = greedy.exchange(table, found, u)
+            assert all(may_stand(table, found, s, k) for s, k in found.items())
+        assert table.tally.value(table.rows(found)) > before
+
+
+def test_exchange_of_two_sensors_tries_every_foot(table):
+    """The bound leaves out no foot at which the greedy filling is better."""
+    picks, _ = greedy.lazy_greedy(table)
+    rest = {s: k for s, k in picks.items() if s not in (2, 3)}
+    values = [
+        table.tally.value(table.rows(greedy._fill(table, rest, (2, 3), int(foot))))
+        for foot in np.flatnonzero(table.stand[1])
+    ]
+    found = greedy.exchange(table, picks, 1)
+    assert table.tally.value(table.rows(found)) >= max(values) - 1e-6
+
+
+def test_finer_moves_of_several_units_are_judged_one_beside_another(table, problem, start):
+    """Together they add what the sample says of the layout with all of them."""
+    space, tally, units = problem.space, table.tally, range(len(problem.layout.units))
+    rows = sights(problem, tally, start, range(5))
+    x, before = start, tally.value(rows)
+    for k in range(3):
+        x, rows = finer(problem, tally, x, rows, units, 0.5, np.random.default_rng(k), 16)
+        value = tally.value(rows)
+        assert value >= before - 1e-6
+        assert value == pytest.approx(problem.rough(x[None], tally.sample)[0], abs=2e-5)
+        before = value
+    assert not space.violations(space.layout(x))
+    moved = [(x != start)[of_unit(problem, u)].any() for u in units]
+    assert sum(moved) > 1
+    parts = np.concatenate([of_unit(problem, u) for u in units])
+    assert sorted(parts) == list(range(space.size))  # every coordinate is of one unit
+
+
+def test_finer_moves_are_of_one_unit_and_never_for_the_worse(table, problem, start):
+    space, tally = problem.space, table.tally
+    stand = candidates.poses(space, start[None])[0]
+    rows = {s: tally.views(problem, {s: stand[s][None]})[s][0] for s in range(5)}
+    x, moved = start, 0
+    for k in range(6):
+        new, seen = finer(problem, tally, x, rows, (1,), 0.5, np.random.default_rng(k), 64)
+        assert tally.value(seen) >= tally.value(rows)
+        a, b = (candidates.poses(space, row[None])[0] for row in (x, new))
+        assert np.allclose(a[[0, 1, 4]], b[[0, 1, 4]], atol=1e-5)
+        if new is not x:
+            moved += 1
+            assert tally.value(seen) == pytest.approx(
+                problem.rough(new[None], tally.sample)[0], abs=2e-5
+            )
+        x, rows = new, seen
+    assert moved

@@ -1,0 +1,590 @@
+"""The search methods: one contract for all of them, and what is particular to some."""
+
+import gc
+import itertools
+import weakref
+from functools import cache
+from itertools import pairwise
+from types import SimpleNamespace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from dense_reference import measure
+from mounts import assert_mountable, lanes_of, team
+from worlds import CAMERA, world
+
+from inspe_jax.core.arrays import on_host
+from inspe_jax.core.numerics import Softness
+from inspe_jax.mounting.strategies import strategy
+from inspe_jax.placement import candidate_table, candidates
+from inspe_jax.placement.checkpoint import (
+    Checkpoint,
+    load_checkpoint,
+    save_checkpoint,
+    state_fields,
+    state_of,
+)
+from inspe_jax.placement.methods import (
+    adam,
+    cma_es,
+    greedy,
+    greedy_adam,
+    grid,
+    lbfgsb,
+    projected_gradient,
+    random_layouts,
+    solver_rounds,
+)
+from inspe_jax.placement.methods.registry import METHODS
+from inspe_jax.placement.optimise import _drive
+from inspe_jax.placement.problem import Problem, take
+from inspe_jax.placement.run import BudgetSpent, Run
+from inspe_jax.scene.procedural.built_ins import built_in
+from inspe_jax.scene.scene import build_scene
+from inspe_jax.scoring.metrics import surrogate, weights_of
+from inspe_jax.sensing.layout import Layout
+from inspe_jax.visibility.centered_scene import poses_about_center
+
+SLOPES = ("adam", "lbfgsb", "projected-gradient")
+"""Methods that need nothing but scores and slopes."""
+SMALL = [
+    ("COLUMNS", 96, (adam, cma_es, greedy, greedy_adam, grid, random_layouts, solver_rounds)),
+    ("FRAMES", 3, (adam, candidate_table, cma_es, greedy, greedy_adam, grid, random_layouts)),
+    ("FRAMES", 3, (solver_rounds,)),
+    ("STEP_COLUMNS", 96, (adam, greedy_adam)),
+    ("ROUND_COLUMNS", 96, (solver_rounds,)),
+    ("ROUND_FRAMES", 3, (solver_rounds,)),
+    ("SCREENED", 8, (adam, cma_es, solver_rounds)),
+    ("HEIGHTS", 2, (greedy,)),
+    ("YAWS", 4, (candidate_table,)),
+    ("TRIES", 8, (greedy,)),
+    ("CHUNK", 64, (candidate_table,)),
+    ("CHUNK", 8, (grid, random_layouts)),
+    ("SPACING", 12.0, (candidates,)),
+    ("LOOK", 3, (cma_es,)),
+    ("PATIENCE", 2, (cma_es,)),
+]
+"""Small samples and few candidates: all gradients are of one compiled program."""
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _small():
+    with pytest.MonkeyPatch.context() as patch:
+        for name, value, modules in SMALL:
+            for module in modules:
+                patch.setattr(module, name, value)
+        patch.setattr(adam._ranked, "__defaults__", (1,))
+        yield
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return world(radius=20.0, voxel=1.0, frames=5, count=12, seed=3)
+
+
+class Preferring(Problem):
+    """It keeps what a method prefers: the best of all that it compared on the last sample."""
+
+    def __init__(self, *given):
+        super().__init__(*given)
+        self.preferred, self.compared = [], (b"", [])
+
+    def rough(self, x, sample):
+        scores = super().rough(x, sample)
+        key = np.asarray(sample.arrays[0].centered.columns).tobytes()
+        pairs = self.compared[1] if self.compared[0] == key else []
+        pairs += zip(scores.tolist(), x, strict=True)
+        self.compared = key, pairs
+        self.preferred.append(max(pairs, key=lambda pair: pair[0])[1])
+        return scores
+
+
+@pytest.fixture(scope="module")
+def problem(scene):
+    return Preferring(scene, team(scene, second=CAMERA))
+
+
+def begun(problem, evaluations, seed=0):
+    """A run that has scored its start."""
+    run = Run(problem, problem.space.start(problem.layout)[0], evaluations=evaluations, seed=seed)
+    run.offer(run.start)
+    return run
+
+
+def steps(run, method, state=None):
+    """What a checkpoint holds before each step, until the method or the budget ends."""
+    try:
+        state = method.begin(run) if state is None else state
+        while state is not None:
+            held = np.array([] if run.held is None else run.held, float).reshape(-1, len(run.start))
+            account = run.seconds, run.evaluations, run.limits
+            yield Checkpoint(
+                {}, state_fields(state), np.array(run.path), held, (*run.history,), *account
+            )
+            state = method.step(run, state)
+    except BudgetSpent:
+        pass
+
+
+def offers(run):
+    return [(round(row.evaluations, 9), row.score) for row in run.history]
+
+
+# ── One contract for all methods ────────────────────────────────────────────
+
+BUDGET = {"grid": 30.0, "random": 30.0, "greedy": 80.0, "cma-es": 40.0}
+BUDGET |= {"adam": 150.0, "greedy-adam": 250.0, "lbfgsb": 60.0, "projected-gradient": 60.0}
+"""Evaluations in which each method comes through all of its kinds of step, but for restarts."""
+PARTS = {
+    "greedy": {"Placing", "Exchanging", "Moving"},
+    "greedy-adam": {"Placing", "Improving"},
+}
+
+
+@pytest.fixture(scope="module")
+def ran(problem):
+    """A method's run to the end of its budget, and its checkpoints."""
+
+    @cache
+    def of(name):
+        run = begun(problem, BUDGET[name])
+        return run, list(steps(run, METHODS[name]))
+
+    return of
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_a_method_finds_better_layouts_that_can_be_mounted(name, problem, ran):
+    run, seen = ran(name)
+    assert run.best > run.history[0].score + 0.01
+    layout = problem.space.layout(run.best_x)
+    assert problem.space.violations(layout) == []
+    assert problem.exact_of(layout) == pytest.approx(run.best, abs=1e-6)
+    scene = problem.cases[0].scene
+    assert_mountable(scene, layout, lanes_of(scene.intersection))
+    assert PARTS.get(name, set()) <= {kept.state["class"] for kept in seen}
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_from_a_checkpoint_it_goes_on_as_if_nothing_had_come_between(name, problem, ran, tmp_path):
+    """Through a file. So a seed repeats; and another does not."""
+    first, seen = ran(name)
+    half = len(seen) // 2
+    save_checkpoint(seen[half], tmp_path / "kept.npz")
+    kept, later = load_checkpoint(tmp_path / "kept.npz"), begun(problem, BUDGET[name])
+    later.take_up(kept.seconds, kept.evaluations, kept.history, kept.path, *kept.held)
+    for _ in steps(later, METHODS[name], state_of(METHODS[name].states, kept.state)):
+        pass
+    assert 1 <= len(kept.history) < len(first.history)
+    assert offers(later) == offers(first)
+    np.testing.assert_array_equal(later.best_x, first.best_x)
+    other = list(itertools.islice(steps(begun(problem, BUDGET[name], 1), METHODS[name]), half + 1))
+    mine, theirs = (np.concatenate([at.path[-1:], at.held]) for at in (seen[half], other[-1]))
+    assert mine.tolist() != theirs.tolist()
+
+
+ENDS = {"adam": 200, "greedy-adam": 150, "lbfgsb": 60, "projected-gradient": 60}
+ENDS |= {"greedy": 150, "grid": 60, "random": 30, "cma-es": 60}
+"""Looks at the clock in which a method comes through its kinds of step."""
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_wherever_its_time_ends_it_is_not_below_what_it_preferred(name, problem, monkeypatch):
+    """By a clock that ends a search at any of its looks. A method prefers what it would end with:
+    the best of what it last compared on one sample; and greedy placement, from when it is made."""
+    start = problem.space.start(problem.layout)[0]
+
+    def watch(of, function, layout):
+        inner = getattr(of, function)
+
+        def watched(*given):
+            found = inner(*given)
+            problem.preferred.append(layout(found, *given))
+            return found
+
+        monkeypatch.setattr(of, function, watched)
+
+    monkeypatch.setattr(Run, "compile_ahead", lambda run, method: None)
+    watch(greedy, "lazy_greedy", lambda found, table: table.layout(start, found[0]))
+    watch(greedy, "exchange", lambda found, table, *_: table.layout(start, found))
+    watch(adam, "advance", lambda found, *_: adam.layouts(problem, found)[0])
+    watch(greedy_adam, "_bursts", lambda found, *_: found[0][0])
+    for module in (greedy, greedy_adam):
+        watch(module, "finer", lambda found, *_: found[0])
+    for module in (lbfgsb, projected_gradient):
+
+        def charged(run, drawn, score, layout, inner=module.charged):
+            losses = []
+
+            def heard(z):
+                loss, slope = score(z)
+                if losses and loss < min(losses):
+                    problem.preferred.append(layout(z))
+                losses.append(loss)
+                return loss, slope
+
+            return inner(run, drawn, heard, layout)
+
+        monkeypatch.setattr(module, "charged", charged)
+    unscored = 0
+    for ends in np.unique(np.geomspace(3, ENDS[name], 4).astype(int)):
+        problem.preferred, problem.compared = [start], (b"", [])
+        run = Run(problem, start, seconds=float(ends), clock=itertools.count().__next__)
+        assert _drive(run, METHODS[name]) in ("budget spent", "converged")
+        unscored += problem.preferred[-1] is not start
+        assert run.best >= problem.exact(problem.preferred[-1]) - 1e-9, ends
+        assert run.held is None
+    assert unscored > 1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", SLOPES)
+def test_what_is_compiled_goes_with_its_problem(name):
+    """Thousands of problems can be searched one after another: nothing outside keeps any."""
+    scene = build_scene(built_in("four_way"), radius=15, voxel=2.0, frames=2, density=20)
+    problem = Problem(scene, strategy(scene, "Cam-c"))
+    run = begun(problem, 20_000)
+    for _ in steps(run, METHODS[name]):
+        if problem.compiled:
+            break
+    alive = weakref.ref(problem)
+    del problem, run
+    gc.collect()
+    assert alive() is None
+
+
+# ── Functions with a known optimum ──────────────────────────────────────────
+
+
+class Box:
+    """A space of numbers from −3 to 3, the last of them frozen."""
+
+    def __init__(self, size=5):
+        self.size, self.scale = size, np.array([1.0] * (size - 1) + [0.0])
+        self.free = np.arange(size - 1)
+
+    def project(self, x, xp=np):
+        return x.clip(-3, 3)
+
+    def poses(self, x):
+        return x
+
+    def start(self, layout):
+        return np.zeros(self.size), ()
+
+    def random(self, rng, count):
+        return np.column_stack([rng.uniform(-3, 3, (count, self.size - 1)), np.zeros(count)])
+
+
+class Bowl:
+    """A function with one summit; a sample shifts all of its values, and each a little."""
+
+    def __init__(self, space, height, noise=0.0, layout=None):
+        self.space, self._height, self._noise, self.layout = space, height, noise, layout
+
+    def exact(self, x):
+        return float(self._height(np.asarray(x, float)[None])[0])
+
+    def sample(self, rng, columns, frames):
+        return SimpleNamespace(cost=0.02, seed=int(rng.integers(2**31)))
+
+    def rough(self, x, sample):
+        rng = np.random.default_rng(sample.seed)
+        shift, tilt = rng.normal(), rng.normal(size=x.shape[1])
+        return self._height(x) + shift + self._noise * (x @ tilt)
+
+
+@pytest.mark.parametrize(
+    ("summit", "noise"), [((1.0, -2.0, 0.5, 2.0), 0.0), ((3.0, 3.0, -1.0, 9.0), 0.02)]
+)
+def test_cma_climbs_to_the_summit_or_to_the_bound_before_it(summit, noise):
+    run = begun(Bowl(Box(), lambda x: -((x[:, :4] - summit) ** 2).sum(1) / 10, noise), 60)
+    list(steps(run, METHODS["cma-es"]))
+    assert np.abs(run.best_x[:4] - np.clip(summit, -3, 3)).max() < (0.3 if noise else 0.05)
+    assert run.best_x[4] == 0
+
+
+def test_cma_restarts_with_twice_the_population_and_finds_the_higher_summit():
+    def height(x):
+        low = np.exp(-((x[:, :4]) ** 2).sum(1))
+        return low + 3 * np.exp(-((x[:, :4] - 2) ** 2).sum(1))
+
+    run = begun(Bowl(Box(), height), 300)
+    losses = [kept.state["losses"] for kept in steps(run, METHODS["cma-es"])]
+    assert [told.shape[1] for told in losses if len(told) == 0][1:3] == [16, 32]
+    assert run.best == pytest.approx(height(np.full((1, 4), 2.0))[0], abs=0.02)
+
+
+@pytest.mark.parametrize(("free", "size"), [(4, 8), (7, 9), (47, 15)])
+def test_cma_begins_with_the_population_of_the_tutorial(free, size):
+    """4 + ⌊3 ln n⌋, table 1 of Hansen's (arXiv 1604.00772)."""
+    run = begun(Bowl(Box(free + 1), lambda x: -x.sum(1)), 1)
+    assert METHODS["cma-es"].begin(run).losses.shape[1] == size
+
+
+def test_a_generation_that_was_cut_short_is_asked_again(problem, ran, monkeypatch):
+    """Ctrl-C in the middle of a step leaves no strategy that has asked and not been told."""
+    cma, run = METHODS["cma-es"], begun(problem, BUDGET["cma-es"])
+    state = cma.step(run, cma.step(run, cma.begin(run)))
+    with monkeypatch.context() as patch:
+        patch.setattr(run, "rough", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+        with pytest.raises(KeyboardInterrupt):
+            cma.step(run, state)
+    list(steps(run, cma, state))
+    assert offers(run) == offers(ran("cma-es")[0])
+
+
+def test_random_finds_the_summit_as_nearly_as_its_draws_do():
+    """Of n even draws the nearest in a box of 4 dimensions is about n^(−1/4) of its width away."""
+    summit = np.array([1.0, -2.0, 0.5, 2.0])
+    run = begun(Bowl(Box(), lambda x: -np.abs(x[:, :4] - summit).max(1)), 40)
+    list(steps(run, METHODS["random"]))
+    draws = 0.9 * 40 / 0.02
+    assert -run.best < 6 * draws**-0.25
+    assert len(run.history) < 15  # exact scores only for what beats the best so far
+
+
+def test_grid_comes_as_near_to_a_summit_as_its_finest_step(problem):
+    """Where coordinates do not depend on each other, one block at a time is enough."""
+    space = problem.space
+    target = space.random(np.random.default_rng(5), 1)[0]
+    above, c = candidates.above_ground(space, target), space.split(target)
+
+    def height(x):
+        lost = []
+        for row in x:
+            r = space.split(row)
+            turned = np.sin((r.yaw - c.yaw) / 2) ** 2
+            lifted = (candidates.above_ground(space, row) - above) ** 2
+            away = ((r.base - c.base) ** 2).sum(1)
+            pitched = (r.pitch - c.pitch) ** 2
+            lost.append(turned.sum() + lifted.sum() / 16 + away.sum() / 100 + 4 * pitched.sum())
+        return -np.array(lost)
+
+    run = begun(Bowl(space, height, layout=problem.layout), 4000)
+    list(steps(run, METHODS["grid"]))
+    assert run.left > 0  # it stopped by itself
+    found = space.split(run.best_x)
+    finest = 2.0**-grid.FINEST
+    assert np.hypot(*(found.base - c.base).T).max() < 2 * grid.SPACING * finest
+    assert np.abs(np.sin((found.yaw - c.yaw) / 2)).max() < 2 * grid.STEPS["yaw"] * finest
+    assert np.abs(found.pitch - c.pitch).max() < 2 * grid.STEPS["pitch"] * finest
+    lifted = candidates.above_ground(space, run.best_x) - above
+    assert np.abs(lifted).max() < 2 * grid.STEPS["height"] * finest
+
+
+class Known(Problem):
+    """A score of which all is known: how near the sensors are to where they were asked to be.
+
+    1 for the poses ``at``; a sample moves its optimum by up to 0.2 m, as samples of scenes do.
+    """
+
+    REACH = np.array([30.0, 30.0, 6.0, 2.0, 2.0, 2.0])  # of a sensor's near poses [m, rad]
+
+    def __init__(self, scene, layout, at):
+        super().__init__(scene, layout)
+        self.at = np.asarray(poses_about_center(scene, at), float)
+
+    def nearness(self, poses, at):
+        """The mean over sensors, and its slope in their poses."""
+        away = (np.asarray(poses, float) - at) / self.REACH
+        each = np.exp(-0.5 * (away**2).sum(-1))
+        return float(each.mean()), -each[:, None] * away / self.REACH / len(each)
+
+    def moved(self, arrays):
+        return self.at + 0.2 * np.sin(np.sum(np.asarray(arrays[0].centered.columns[0], float)))
+
+    def exact_of(self, layout):
+        return self.nearness(poses_about_center(self.cases[0].scene, layout), self.at)[0]
+
+    def rough(self, x, sample):
+        at = self.moved(sample.arrays)
+        return np.array([self.nearness(row, at)[0] for row in candidates.poses(self.space, x)])
+
+    def slope(self, poses, on, softness):
+        value, slope = self.nearness(poses, self.moved(on))
+        return value, on_host(slope, float)
+
+
+@pytest.fixture(scope="module")
+def known(scene):
+    layout = team(scene, second=CAMERA)
+    turned = np.asarray(layout.poses) + [0, 0, 3.0, 0, -0.3, -2.0]
+    return Known(scene, layout, layout.with_poses(turned))
+
+
+@pytest.mark.parametrize(
+    ("name", "score"),
+    # L-BFGS-B ends where a unit is at the edge of its piece of ground.
+    [("adam", 0.999), ("lbfgsb", 0.75), ("projected-gradient", 0.99)],
+)
+def test_it_comes_to_the_optimum_of_a_known_score(known, name, score):
+    run = begun(known, 8 * BUDGET[name])
+    list(steps(run, METHODS[name]))
+    assert run.history[0].score < 0.6
+    assert run.best > score
+    assert known.space.violations(known.space.layout(run.best_x)) == []
+
+
+# ── Gradients ───────────────────────────────────────────────────────────────
+
+
+@pytest.mark.parametrize(
+    ("strategy_name", "ratios"), [("Cam-d1", (8, 23, 59)), ("L-d1", (6, 16, 41))]
+)
+def test_a_gradient_is_charged_by_the_size_of_its_sample(small, strategy_name, ratios):
+    """In hard scores of the same sample: those of GRADIENT_COST's docstring."""
+    problem = Problem(small, strategy(small, strategy_name))
+    for size, ratio in zip([(384, 3), (768, 6), (2048, 8)], ratios, strict=True):
+        drawn = (tuple(map(np.arange, size)),)
+        charged = problem.gradient_cost(drawn) / problem.sample_cost(drawn)
+        assert charged == pytest.approx(ratio, abs=0.5)
+
+
+@pytest.mark.parametrize("name", SLOPES)
+def test_every_method_is_charged_that_for_every_gradient(known, name, monkeypatch):
+    """And its hard scores for the rest; nothing else."""
+    due, charged = [], []
+
+    def spied(cls, does, price):
+        inner = getattr(cls, does)
+
+        def call(self, *given):
+            found = inner(self, *given)
+            price(self, *given)
+            return found
+
+        monkeypatch.setattr(cls, does, call)
+
+    def gradient(problem, poses, on, softness):
+        sizes = len(on[0].centered.columns), len(on[0].centered.prisms.top)
+        due.append(problem.gradient_cost((tuple(map(np.arange, sizes)),)))
+
+    spied(Known, "slope", gradient)
+    spied(Known, "rough", lambda problem, x, sample: due.append(len(x) * sample.cost))
+    spied(Run, "charge", lambda run, evaluations: charged.append(evaluations))
+    list(steps(begun(known, BUDGET[name]), METHODS[name]))
+    assert sum(due) == pytest.approx(sum(charged))
+    assert len(due) > 10
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("way", [adam.charted_score, projected_gradient.scaled_score])
+def test_a_slope_is_that_of_every_vehicle_against_every_column(problem, way):
+    """What gradients are of, against the same measures in the open; to rounding."""
+    space, x = problem.space, problem.space.random(np.random.default_rng(1), 1)[0]
+    drawn, softness = problem.draw(np.random.default_rng(0), 96, 3), jnp.asarray(0.5, float)
+    field = take(problem.arrays, drawn)[0]
+
+    @jax.jit
+    @jax.value_and_grad
+    def expected(x):
+        at = field, space.poses(x), problem.sensor_sets[0], 1.0, Softness.of(0.5)
+        found = measure(*at, **problem.options)
+        return -surrogate(found.values, weights_of())[0]
+
+    scale = np.where(space.scale > 0, space.scale, 1)
+    if way is adam.charted_score:
+        v, place = space.chart(x)
+        at = on_host(np.zeros_like(v), float), on_host(v, float), place
+        x, slopes = space.from_chart(v, place, np), jax.jacobian(space.from_chart)(at[1], place)
+    else:
+        at, slopes = (on_host(x / scale, float),), np.eye(len(x))
+    value, slope = way(problem)(*at, drawn, softness)
+    assert -0.99 < value < -0.1
+    plain, slope_of_plain = expected(jnp.asarray(x, float))
+    assert value == pytest.approx(float(plain), abs=2e-6)
+    np.testing.assert_allclose(slope, scale * (np.asarray(slope_of_plain) @ slopes), atol=1e-5)
+
+
+def test_with_a_larger_budget_it_goes_on_in_shares_of_that(known):
+    """Adam looks at an exact score after each 0.15 of the budget, not of the one it had before."""
+    part = begun(known, BUDGET["adam"])
+    *_, kept = steps(part, METHODS["adam"])
+    again = begun(known, 5 * BUDGET["adam"])
+    again.take_up(part.seconds, part.evaluations, part.history, part.path)
+    state = state_of(METHODS["adam"].states, kept.state)
+    while len(again.history) == len(part.history):
+        state = METHODS["adam"].step(again, state)
+    assert again.evaluations < part.evaluations + 0.3 * again.limits[1]
+
+
+def test_softness_falls_geometrically():
+    assert adam.annealed((3.0, 0.3), 0.0) == 3.0
+    assert adam.annealed((3.0, 0.3), 0.5) == pytest.approx(np.sqrt(0.9))
+    assert adam.annealed((3.0, 0.3), 2.0) == pytest.approx(0.3)
+
+
+# ── The default ─────────────────────────────────────────────────────────────
+
+
+def test_bursts_and_moves_gain_what_greedy_placement_left(ran):
+    """Bursts are taken, else each pass has one; and passes gain, judged together or one by one."""
+    states = [kept.state for kept in ran("greedy-adam")[1]]
+    improving = [state["class"] == "Improving" for state in states]
+    passes = [(a, b) for (a, b), both in zip(pairwise(states), pairwise(improving), strict=True)
+              if all(both)]  # fmt: skip
+    assert any(b["count"] > a["count"] + greedy_adam.BURST for a, b in passes)
+    assert any(b["value"] > a["value"] for a, b in passes)
+    assert all(b["value"] >= a["value"] for a, b in passes)
+
+
+class Flat(Problem):
+    """A score without a slope: gradients are of nothing, and what they cost is not what counts."""
+
+    def slope(self, poses, on, softness):
+        return 0.5, np.zeros((len(poses), 6), jnp.zeros((), float).dtype)
+
+
+@pytest.fixture(scope="module")
+def small():
+    return build_scene(built_in("four_way"), radius=15, voxel=2.0, frames=2, density=20)
+
+
+def test_one_burst_a_pass_where_they_gain_nothing(small, monkeypatch):
+    """It is not taken, and the next one is shorter, until moves begin again at the widest. They do
+    if they gained since they last did; else there is another round."""
+    monkeypatch.setattr(greedy_adam, "NARROW", 0.5)  # after two passes that gain nothing
+    whole, method = strategy(small, "Cam-d1"), METHODS["greedy-adam"]
+    three = Layout(whole.poses[:3], whole.sensors[:3], whole.units[:2], "three cameras")
+    run = begun(Flat(small, three), 5000)
+    first, state = [], method.begin(run)
+    while run.done < 0.8 and state.round == 0:
+        first += [state] if isinstance(state, greedy_adam.Improving) else []
+        state = method.step(run, state)
+    assert run.best > run.history[0].score
+    assert len(first) > 3
+    for k, state in enumerate(first):
+        assert state.count == k * greedy_adam.BURST
+    again = 0
+    for before, after in pairwise(first):
+        if after.width > before.width:
+            again += 1
+            assert after.value == after.widest > before.widest
+            assert (after.width, after.rate) == (greedy.WIDTH, greedy_adam.RATE)
+        else:
+            assert after.widest == before.widest
+            assert after.rate == pytest.approx(before.rate * greedy_adam.CALMER)
+    assert again
+    more, above = begun(run.problem, 10**6), dict(vars(first[-1]), value=2.0, width=0.5)
+    wide = method.step(more, greedy_adam.Improving(**above | dict(widest=1.9)))
+    assert (wide.width, wide.widest) == (greedy.WIDTH, 2.0)
+    ended = method.step(more, greedy_adam.Improving(**above | dict(widest=2.0)))
+    assert isinstance(ended, greedy.Placing)
+    assert ended.round == 1
+
+
+def test_where_no_sensor_is_aimed_it_is_greedy(small):
+    """Score by score; and no gradient is compiled."""
+    problem = Problem(small, strategy(small, "L-c"))
+    start = problem.space.start(problem.layout)[0]
+    ahead = METHODS["greedy-adam"].ahead(Run(problem, start, seconds=1e6))
+    assert greedy_adam.GRADIENT not in ahead
+    runs = [begun(problem, 300) for _ in range(2)]
+    for run, name in zip(runs, ("greedy-adam", "greedy"), strict=True):
+        list(steps(run, METHODS[name]))
+    assert offers(runs[0]) == offers(runs[1])
+    assert runs[0].best > runs[0].history[0].score
+    assert "slope" not in problem.known

@@ -20,14 +20,13 @@ from typer.core import TyperGroup
 from inspe_jax.cli.claims import claims
 from inspe_jax.cli.stopping import CTRL_C, attended, step, stopped
 from inspe_jax.core.compiling import compiled, keep_programs, leave
-from inspe_jax.core.errors import InspeError, missing_extra, nearest
+from inspe_jax.core.errors import InspeError, missing_extra
 from inspe_jax.core.files import check_input, read_json, write_text
 from inspe_jax.core.version import __version__
 from inspe_jax.core.words import visible
 from inspe_jax.placement.compile_ahead import compiles
 from inspe_jax.scene.geojson import SUFFIX
-from inspe_jax.scene.procedural.built_ins import BUILT_INS
-from inspe_jax.scene.scene import Scene, load_scene, what_is
+from inspe_jax.scene.scene import SCENE_SUFFIXES, Scene, check_scene_name, load_scene
 from inspe_jax.sensing.layout import Layout, load_layout
 from inspe_jax.sensing.named import layout_of, rule_of
 
@@ -182,18 +181,6 @@ def _root(
         jax.config.update("jax_enable_compilation_cache", False)
 
 
-def known(source: str) -> str:
-    """Check the name of a built-in. Raises InspeError that lists what a scene can be."""
-    if source not in BUILT_INS:
-        if other := what_is(source):
-            raise InspeError(f"{source}: {other}")
-        raise InspeError(
-            f"no scene '{source}': give a built-in ({', '.join(BUILT_INS)}), a map (.xodr, "
-            f".net.xml, .osm) or a saved .npz{nearest(source, tuple(BUILT_INS))}"
-        )
-    return source
-
-
 def scene_and_layout(source: str, sensors: str, profile: str | None) -> tuple[Scene, Layout]:
     """A scene, and a layout on it from a file or from the name of a strategy."""
     check_layout(sensors)
@@ -203,7 +190,9 @@ def scene_and_layout(source: str, sensors: str, profile: str | None) -> tuple[Sc
 
 def check_scene(source: str) -> None:
     """Raise InspeError if there is no such built-in or file: before another scene is built."""
-    known(source) if Path(source).suffix != ".npz" else check_input(Path(source))
+    check_scene_name(source)
+    if Path(source).suffix in SCENE_SUFFIXES:
+        check_input(Path(source))
 
 
 def check_layout(sensors: str, *, unit_rule: bool = True) -> None:

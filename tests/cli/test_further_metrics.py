@@ -28,7 +28,7 @@ from inspe_jax.study.work import run_job
 
 @pytest.fixture(scope="module")
 def scene():
-    return build_scene(built_in("four_way"), radius=25, voxel=1.0, frames=3, density=5)
+    return build_scene(built_in("four_way"), radius=20, voxel=1.0, frames=5, density=8)
 
 
 @pytest.fixture(scope="module")
@@ -104,7 +104,7 @@ def test_studies_have_a_column_for_each(scene, tmp_path):
     content = {
         "scenes": [{"built_in": "four_way"}],
         "layouts": ["L-c"],
-        "settings": {"radius": 25, "voxel": 1, "frames": 3, "density": 5},
+        "settings": {"radius": 20, "voxel": 1, "frames": 5, "density": 8},
     }
     plain = make_study(content, tmp_path)
     study = make_study(content | {"metrics": ["detectability"]}, tmp_path)

@@ -37,13 +37,13 @@ TOY = Metric(
 STUDY = """
 scenes: [{built_in: four_way}]
 layouts: [L-c]
-settings: {radius: 12, voxel: 1, frames: 3, density: 5}
+settings: {radius: 20, voxel: 1, frames: 5, density: 8}
 """
 
 
 @pytest.fixture(scope="module")
 def scene():
-    return build_scene(built_in("four_way"), radius=12, voxel=1.0, frames=3, density=5)
+    return build_scene(built_in("four_way"), radius=20, voxel=1.0, frames=5, density=8)
 
 
 @pytest.fixture(scope="module")
@@ -128,8 +128,8 @@ def report_page(there):
 
 
 def viewer_panel(there):
-    scored = ScoredLayout(there.layout, there.scores, 3, 0.1)
-    return "".join(score_panel(there.layout, scored, frames=3))
+    scored = ScoredLayout(there.layout, there.scores, 5, 0.1)
+    return "".join(score_panel(there.layout, scored, frames=5))
 
 
 def before_and_after(there):

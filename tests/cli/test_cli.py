@@ -78,11 +78,27 @@ def inspe(files, monkeypatch, capsys):
     return partial(inspe_here, files, monkeypatch, capsys)
 
 
-def test_score_prints_a_table_and_the_same_numbers_as_json(inspe, files):
-    status, table, _ = inspe("score", "s.npz", "layout.yaml", "--json", "scores.json")
-    assert status == 0
-    status, text, _ = inspe("score", "s.npz", "layout.yaml", "--json", "-")
-    record = json.loads(text)
+@pytest.fixture
+def done(inspe):
+    """Run a command that does what it is told; its stdout."""
+
+    def run(*arguments):
+        status, text, error = inspe(*arguments)
+        assert status == 0, error
+        return text
+
+    return run
+
+
+@pytest.fixture
+def scored(done):
+    """The record of a score."""
+    return lambda *arguments: json.loads(done("score", *arguments, "--json", "-"))
+
+
+def test_score_prints_a_table_and_the_same_numbers_as_json(done, scored, files):
+    table = done("score", "s.npz", "layout.yaml", "--json", "scores.json")
+    record = scored("s.npz", "layout.yaml")
     assert record == json.loads((files / "scores.json").read_text())
     for name in ("coverage", "occlusion", "information_gain", "surrogate"):
         assert 0 < record[name] < 1
@@ -90,10 +106,9 @@ def test_score_prints_a_table_and_the_same_numbers_as_json(inspe, files):
     assert len(record["contributions"]) == 2
 
 
-def test_targets_prints_tables_and_the_same_numbers_as_json(inspe, files):
+def test_targets_prints_tables_and_the_same_numbers_as_json(done, files):
     given = ("targets", "s.npz", "layout.yaml", "--road-user", "cyclist")
-    status, table, _ = inspe(*given, "--plot", "targets.png", "--json", "targets.json")
-    assert status == 0
+    table = done(*given, "--plot", "targets.png", "--json", "targets.json")
     assert "on a cyclist" in table
     assert (files / "targets.png").stat().st_size > 10_000
     record = json.loads((files / "targets.json").read_text())
@@ -101,14 +116,12 @@ def test_targets_prints_tables_and_the_same_numbers_as_json(inspe, files):
     assert f"{record['lidar_returns']['all']['median']:.1f}" in table
 
 
-def test_report_has_the_numbers_of_score(inspe, files):
-    status, words, _ = inspe("report", "s.npz", "layout.yaml", "--pdf", "figures.pdf")
-    assert status == 0
+def test_report_has_the_numbers_of_score(done, scored, files):
+    words = done("report", "s.npz", "layout.yaml", "--pdf", "figures.pdf")
     assert "wrote report.html" in words
     page = (files / "report.html").read_text(encoding="utf-8")
     found = re.search(r"data:application/json;base64,([^\"]+)", page)
-    score = inspe("score", "s.npz", "layout.yaml", "--json", "-")[1]
-    assert json.loads(base64.b64decode(found[1])) == [json.loads(score)]
+    assert json.loads(base64.b64decode(found[1])) == [scored("s.npz", "layout.yaml")]
     assert (files / "figures.pdf").read_bytes().startswith(b"%PDF")
 
 
@@ -146,43 +159,37 @@ def test_view_serves_until_it_is_stopped(files, stop):
     assert not (files / "moved.yaml").exists()
 
 
-def test_a_strategy_is_written_and_scores_as_by_name(inspe):
-    assert inspe("layout", "s.npz", "--strategy", "cam-d1/l-d1", "--out", "placed.yaml")[0] == 0
-    by_file = json.loads(inspe("score", "s.npz", "placed.yaml", "--json", "-")[1])
-    by_name = json.loads(inspe("score", "s.npz", "Cam-d1/L-d1", "--json", "-")[1])
+def test_a_strategy_is_written_and_scores_as_by_name(done, scored):
+    done("layout", "s.npz", "--strategy", "cam-d1/l-d1", "--out", "placed.yaml")
+    by_file = scored("s.npz", "placed.yaml")
+    by_name = scored("s.npz", "Cam-d1/L-d1")
     # The file keeps 0.1 mm and 0.0001°.
     assert by_file["surrogate"] == pytest.approx(by_name["surrogate"], abs=1e-3)
 
 
-def test_scene_from_a_built_in_is_saved_and_listed(inspe, files):
+def test_scene_from_a_built_in_is_saved_and_listed(inspe, done, files):
     arguments = ("--radius", 15, "--voxel", 1, "--density", "low", "--frames", 3)
-    status, text, _ = inspe("scene", "triangle", *arguments, "--out", "t.npz")
-    assert status == 0
+    text = done("scene", "triangle", *arguments, "--out", "t.npz")
     assert "voxels" in text
     assert (files / "t.npz").is_file()
     assert "roundabout" in inspe("scene", "--list")[1]
 
 
-def test_a_scene_with_street_furniture_is_saved_and_scored(inspe, files):
+def test_a_scene_with_street_furniture_is_saved_and_scored(inspe, done, files):
     arguments = ("--radius", 30, "--voxel", 1, "--spacing", 2, "--density", "low", "--frames", 2)
-    status, text, _ = inspe(
-        "scene", "four_way", *arguments, "--statics", "street", "--out", "f.npz"
-    )
-    assert status == 0
+    text = done("scene", "four_way", *arguments, "--statics", "street", "--out", "f.npz")
     assert re.search(r"static bodies .*parked vehicle \d+, .*tree \d+", " ".join(text.split()))
     assert "statics street" in " ".join(text.split())
     assert "static bodies" in inspe("scene", "f.npz")[1]
     assert len(load_scene(files / "f.npz").statics) > 20
 
 
-def test_a_scene_without_traffic_is_built(inspe, files):
+def test_a_scene_without_traffic_is_built(done, scored, files):
     arguments = ("--radius", 12, "--density", "none", "--out", "quiet.npz")
-    assert inspe("scene", "four_way", *arguments)[0] == 0
+    done("scene", "four_way", *arguments)
     assert (files / "quiet.npz").is_file()
     weights = ("--weight", "coverage=0.5", "--weight", "occlusion=0.5")
-    status, text, _ = inspe("score", "quiet.npz", "layout.yaml", *weights, "--json", "-")
-    assert status == 0
-    record = json.loads(text)
+    record = scored("quiet.npz", "layout.yaml", *weights)
     assert record["information_gain"] == 0
     assert record["settings"]["weights"] == HALVES
     assert record["surrogate"] == pytest.approx((record["coverage"] + record["occlusion"]) / 2)
@@ -210,7 +217,7 @@ def search_files(folder):
     return sorted(path.name for path in folder.iterdir())
 
 
-def test_optimise_writes_a_better_layout_and_shows_it(inspe, files):
+def test_optimise_writes_a_better_layout_and_shows_it(inspe, scored, files):
     """The file it writes scores as it says."""
     arguments = ("s.npz", "away.yaml", "--method", "random", "--evaluations", 120, "--out", "o")
     status, text, error = inspe("optimise", *arguments)
@@ -219,7 +226,7 @@ def test_optimise_writes_a_better_layout_and_shows_it(inspe, files):
     record = json.loads((files / "o" / "result.json").read_text())
     assert record["objective"] > record["objective_before"] + 0.01
     for layout, key in (("layout.yaml", "scores"), ("start.yaml", "scores_before")):
-        again = json.loads(inspe("score", "s.npz", f"o/{layout}", "--json", "-")[1])
+        again = scored("s.npz", f"o/{layout}")
         assert again["surrogate"] == pytest.approx(record[key]["surrogate"], abs=1e-4)
         assert f"{record[key]['surrogate']:.3f}" in text
     assert (files / "o" / "before_after.png").read_bytes().startswith(b"\x89PNG")
@@ -227,14 +234,14 @@ def test_optimise_writes_a_better_layout_and_shows_it(inspe, files):
     assert "next: inspe score s.npz o/layout.yaml" in text
 
 
-def test_optimise_goes_on_from_its_checkpoint_and_takes_every_option(inspe, files):
+def test_optimise_goes_on_from_its_checkpoint_and_takes_every_option(inspe, done, files):
     arguments = ("s.npz", "away.yaml", "--method", "random", "--evaluations", 3, "--out", "p")
     options = (
         *("--also", "s.npz", "--worst", "--places", "areas", "--heights", 4, 8, "--seed", 5),
         *("--weight", "coverage=0.5", "--weight", "occlusion=0.5"),
         *("--start", "random", "--checkpoint", "c.npz"),
     )
-    assert inspe("optimise", *arguments, *options)[0] == 0
+    done("optimise", *arguments, *options)
     settings = json.loads((files / "p" / "result.json").read_text())["settings"]
     assert (settings["start"], settings["budget"]["evaluations"]) == ("random", 3)
     assert settings["objective"]["over"] == "worst"
@@ -259,10 +266,9 @@ def test_optimise_says_where_a_start_had_to_be_moved(inspe, files):
     (files / "road.yaml").unlink()
 
 
-def test_compare_ranks_methods(inspe, files):
+def test_compare_ranks_methods(done, scored, files):
     arguments = ("--methods", "random, grid", "--evaluations", 40, "--seeds", 2, "--out", "v")
-    status, text, _ = inspe("compare", "s.npz", "away.yaml", *arguments)
-    assert status == 0
+    text = done("compare", "s.npz", "away.yaml", *arguments)
     assert search_files(files / "v") == ["compare.csv", "compare.png", "history.csv", "layout.yaml"]
     with (files / "v" / "compare.csv").open() as f:
         rows = list(csv.DictReader(f))
@@ -270,18 +276,17 @@ def test_compare_ranks_methods(inspe, files):
     assert runs == [("random", "0"), ("random", "1"), ("grid", "0"), ("grid", "1")]
     best = max(float(row["objective"]) for row in rows)
     assert f"{best:.4f}" in text
-    again = json.loads(inspe("score", "s.npz", "v/layout.yaml", "--json", "-")[1])
+    again = scored("s.npz", "v/layout.yaml")
     assert again["surrogate"] == pytest.approx(best, abs=1e-4)
     with (files / "v" / "history.csv").open() as f:
         assert {row["method"] for row in csv.DictReader(f)} == {"random", "grid"}
 
 
-def test_pareto_finds_what_is_worth_its_money(inspe, files):
+def test_pareto_finds_what_is_worth_its_money(done, scored, files):
     devices = ("--device", "velodyne-vlp-16:0,1", "--device", "paper-camera:0-1")
     prices = ("--price", "paper-camera=1,000")
     arguments = ("--method", "random", "--evaluations", 3, "--out", "w")
-    status, text, _ = inspe("pareto", "s.npz", *devices, *prices, *arguments)
-    assert status == 0
+    text = done("pareto", "s.npz", *devices, *prices, *arguments)
     with (files / "w" / "pareto.csv").open() as f:
         rows = list(csv.DictReader(f))
     assert [float(row["cost_usd"]) for row in rows] == [1000, 4000, 5000]
@@ -290,29 +295,28 @@ def test_pareto_finds_what_is_worth_its_money(inspe, files):
         ["pareto.csv", "pareto.png", *(row["layout"] for row in front)]
     )
     for row in front:
-        again = json.loads(inspe("score", "s.npz", f"w/{row['layout']}", "--json", "-")[1])
+        again = scored("s.npz", f"w/{row['layout']}")
         assert again["surrogate"] == pytest.approx(float(row["surrogate"]), abs=1e-4)
         assert f"{float(row['objective']):.4f}" in text
 
 
-def test_tolerance_prints_and_writes_the_same(inspe, files):
+def test_tolerance_prints_and_writes_the_same(done, scored, files):
     arguments = ("--samples", 3, "--position", 0.2, "--angle", 2, "--json", "t.json")
-    status, text, _ = inspe("tolerance", "s.npz", "away.yaml", *arguments)
-    assert status == 0
+    text = done("tolerance", "s.npz", "away.yaml", *arguments)
     record = json.loads((files / "t.json").read_text())
     assert (record["settings"]["position"], record["settings"]["samples"]) == (0.2, 3)
     assert record["settings"]["angle_deg"] == pytest.approx(2)
     assert len(record["left"]) == 3
-    again = json.loads(inspe("score", "s.npz", "away.yaml", "--json", "-")[1])
+    again = scored("s.npz", "away.yaml")
     assert record["score"] == pytest.approx(again["surrogate"], abs=1e-5)
     assert f"{record['score']:.4f}" in text
     assert f"{record['slopes'][0]['yaw_per_deg']:+.5f}" in text
 
 
-def test_light_and_weather(inspe, files):
+def test_light_and_weather(inspe, done, scored, files):
     """In a score; and in a search, where every light is a scene of its own."""
     fair, foul = (
-        json.loads(inspe("score", "s.npz", "layout.yaml", "--json", "-", *more)[1])
+        scored("s.npz", "layout.yaml", *more)
         for more in ((), ("--light", "night", "--weather", "fog:50"))
     )
     assert foul["surrogate"] < fair["surrogate"]
@@ -321,21 +325,19 @@ def test_light_and_weather(inspe, files):
     assert "dusk, clear" in title
     both = ("--light", "midday,night", "--weather", "fog:50", "--worst")
     arguments = ("--method", "random", "--evaluations", 2, "--out", "foggy")
-    status, _, _ = inspe("optimise", "s.npz", "layout.yaml", *both, *arguments)
-    assert status == 0
+    done("optimise", "s.npz", "layout.yaml", *both, *arguments)
     record = json.loads((files / "foggy" / "result.json").read_text())
     lights = [row["light"] for row in record["settings"]["scenes"]]
     assert lights == ["midday", "night"]
-    night = ("--light", "night", "--weather", "fog:50", "--json", "-")
-    start = json.loads(inspe("score", "s.npz", "foggy/start.yaml", *night)[1])
+    night = ("--light", "night", "--weather", "fog:50")
+    start = scored("s.npz", "foggy/start.yaml", *night)
     assert record["objective_before"] == pytest.approx(start["surrogate"], abs=1e-4)
 
 
-def test_a_study_is_checked_and_counted_before_it_is_run(inspe, files):
+def test_a_study_is_checked_and_counted_before_it_is_run(inspe, done, files):
     text = "scenes: [{file: s.npz}]\nlayouts: [layout.yaml, L-c]\nsettings: {light: [%s]}\n"
     (files / "study.yaml").write_text(text % "midday, night")
-    status, words, _ = inspe("sweep", "study.yaml", "--dry-run")
-    assert status == 0
+    words = done("sweep", "study.yaml", "--dry-run")
     assert "study: 4 jobs, 2 layouts on 1 scene" in words
     assert not (files / "sweep").exists()
     (files / "dark.yaml").write_text(text % "dark")
@@ -503,7 +505,7 @@ WRITES = [
 
 
 @pytest.mark.parametrize("arguments", WRITES, ids=[row[0] for row in WRITES])
-def test_a_command_replaces_what_it_wrote_itself_alone(inspe, files, arguments):
+def test_a_command_replaces_what_it_wrote_itself_alone(inspe, done, files, arguments):
     """And not when somebody has changed that since, nor what another command wrote."""
     path = files / arguments[-1]
     if not path.suffix:
@@ -519,9 +521,9 @@ def test_a_command_replaces_what_it_wrote_itself_alone(inspe, files, arguments):
             assert word in error
 
     refused("is there already", f"`inspe {arguments[0]}` did not write it")
-    assert inspe(*arguments, "--force")[0] == 0
+    done(*arguments, "--force")
     assert path.read_bytes() != b"mine"
-    assert inspe(*arguments)[0] == 0
+    done(*arguments)
     path.write_bytes(path.read_bytes() + b"# mine")
     refused("was changed since")
     status, _, error = inspe("score", "s.npz", "layout.yaml", "--json", path)
@@ -568,18 +570,14 @@ def test_unknown_junction_lists_those_there_are(inspe, maps):
     assert "189" in error
 
 
-def test_a_network_and_its_traffic(inspe, files):
+def test_a_network_and_its_traffic(inspe, done, files):
     net = rilsa()
-    status, table, _ = inspe("scene", net, "--list")
-    assert status == 0
+    table = done("scene", net, "--list")
     assert "rilsa1.net.xml" in table
     where = ("--junction", 0, "--radius", 25, "--voxel", 1, "--density", 8, "--frames", 5)
-    status, table, _ = inspe(
-        "scene", net, *where, "--traffic", "sumo", "--step", 0.5, "--out", "sumo.npz"
-    )
-    assert status == 0
+    done("scene", net, *where, "--traffic", "sumo", "--step", 0.5, "--out", "sumo.npz")
     assert dict(load_scene(files / "sumo.npz").settings)["traffic"] == "sumo"
-    assert inspe("score", "sumo.npz", "L-d1")[0] == 0
+    done("score", "sumo.npz", "L-d1")
     status, _, error = inspe("scene", net, "--junction", 9)
     assert status == 2
     assert "no junction '9'; there are: 0" in error

@@ -12,29 +12,20 @@ from typing import Any
 
 import numpy as np
 from benchmark_speed import Embree
-from common import MAPS, arguments, write_results
+from common import arguments, console, output, show, town_junction, write_results
 from matplotlib.figure import Figure
-from rich.console import Console
 from rich.progress import track
-from rich.table import Table
 
 import inspe_jax
 from inspe_jax import Layout, Scene, Sensor, Unit
 from inspe_jax.sensing.sensors import Spec
 from inspe_jax.visibility import raycast
 
-console = Console()
-
 
 def world(quick: bool, seed: int) -> Scene:
     """A scene with slopes where the map is at hand, else the built-in four-way."""
     radius, frames = (20.0, 2) if quick else (30.0, 5)
-    if not quick and (MAPS / "Town03.xodr").is_file():
-        from inspe_jax.scene.maps.opendrive.reader import read_opendrive
-
-        place = read_opendrive(MAPS / "Town03.xodr", junction=222, radius=radius)
-    else:
-        place = inspe_jax.built_in("four_way")
+    place = town_junction("Town03", 222, radius, quick)
     return inspe_jax.build_scene(place, profile="ideal", radius=radius, frames=frames, seed=seed)
 
 
@@ -50,7 +41,7 @@ def random_layout(scene: Scene, specs: list[Spec], rng: np.random.Generator) -> 
 
 def main() -> None:
     """Compare, print and write."""
-    options = arguments(__doc__)
+    options = arguments(__doc__, "seed")
     rng = np.random.default_rng(options.seed)
     scene = world(options.quick, options.seed)
     weight = scene.voxels.weight / scene.voxels.weight.sum()
@@ -84,26 +75,19 @@ def main() -> None:
     ]
     sight = 1.0 - float(np.mean(differ))
 
-    table = Table(
-        "device", "agrees", "Bresenham\nagrees", "C", "C\nexact", "C\nBresenham",
-        title=f"In view on {scene.name}, worst of {poses} random poses; C is their mean",
-    )  # fmt: skip
-    table.columns[0].min_width = max(map(len, names))
-    for r in rows:
-        table.add_row(
-            r["device"],
-            f"{r['agreement']:.5%}",
-            f"{r['agreement_bresenham']:.2%}",
-            *(f"{r[k]:.4f}" for k in ("coverage", "coverage_exact", "coverage_bresenham")),
-        )
-    console.print(table)
+    show(
+        ("device", "agrees", "Bresenham\nagrees", "C", "C\nexact", "C\nBresenham"),
+        [
+            (r["device"], f"{r['agreement']:.5%}", f"{r['agreement_bresenham']:.2%}")
+            + tuple(f"{r[k]:.4f}" for k in ("coverage", "coverage_exact", "coverage_bresenham"))
+            for r in rows
+        ],
+        f"In view on {scene.name}, worst of {poses} random poses; C is their mean",
+    )
     total = np.size(differ)
     console.print(f"line of sight agrees with Embree on {sight:.6%} of {total:,} triples")
-    stem = options.out / ("agreement_quick" if options.quick else "agreement")
     settings = dict(scene.settings, seed=options.seed, poses=poses, line_of_sight=sight)
-    write_results(stem.with_suffix(".csv"), rows, settings)
-    draw(rows).savefig(stem.with_suffix(".png"), dpi=150)
-    console.print(f"wrote {stem}.csv, .json and .png", highlight=False)
+    write_results(output(options, "agreement"), rows, settings, draw(rows))
 
 
 def draw(rows: list[dict[str, Any]]) -> Figure:

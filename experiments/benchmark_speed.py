@@ -7,18 +7,14 @@ same cores: our exact scores, cold (with compilation) and warm; the same without
 culling, every prism against every column (how this package began); Embree on its best case,
 the segments to the voxels that each sensor has in view, nothing else; and the paper's
 Bresenham caster, which answers coverage alone. The rivals' answers are compared with ours.
-Then how the time grows with sensors, frames and objects; what 64 layouts take at once and one by
-one; what a soft score and its gradient take; what a gradient on a sample takes beside what a
-search charges for it; what `inspe score` takes from the shell, the first time and the next; and how
-far from the machine's peak that is. Ratios are what to quote: machines differ. Ours runs on the
-device that JAX runs on.
+Then how the time grows with sensors, frames and objects; what a soft score and its gradient take;
+and what a gradient on a sample takes beside what a search charges for it. Ratios are what to quote:
+machines differ. Ours runs on the device that JAX runs on.
 """
 
 import json
-import os
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -29,23 +25,25 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from common import MAPS, arguments, machine, peak_memory, write_results
+from common import (
+    arguments,
+    console,
+    machine,
+    output,
+    peak_memory,
+    show,
+    town_junction,
+    write_results,
+)
 from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 from matplotlib.figure import Figure
-from rich.console import Console
-from rich.table import Table
 
 import inspe_jax
 from inspe_jax import Layout, Scene
 from inspe_jax.placement.problem import Problem
-from inspe_jax.scoring.tiled_scene import tiled_scene_of
 from inspe_jax.visibility import raycast
-from inspe_jax.visibility.centered_scene import about_center, poses_about_center
-from inspe_jax.visibility.shadows import may_shade, shadow_bounds
-from inspe_jax.visibility.view_masks import in_view_masks
-
-console = Console()
+from inspe_jax.visibility.centered_scene import poses_about_center
 
 SOFTNESS = 0.5
 """Of the gradient that is timed [m]."""
@@ -63,12 +61,7 @@ WORKLOADS: dict[str, dict[str, Any]] = {
 def workload(name: str, seed: int, **other: Any) -> Scene:
     """One of the workloads, some of its settings changed."""
     size: dict[str, Any] = dict(profile="ideal", seed=seed) | WORKLOADS[name] | other
-    if name != "quick" and (MAPS / "Town05.xodr").is_file():
-        from inspe_jax.scene.maps.opendrive.reader import read_opendrive
-
-        place = read_opendrive(MAPS / "Town05.xodr", junction=53, radius=size["radius"])
-    else:
-        place = inspe_jax.built_in("four_way")
+    place = town_junction("Town05", 53, size["radius"], quick=name == "quick")
     return inspe_jax.build_scene(place, **size)
 
 
@@ -211,30 +204,6 @@ def growth(name: str, seed: int, repeats: int) -> list[dict[str, Any]]:
     return rows
 
 
-def many_at_once(name: str, seed: int, count: int, frames: int) -> dict[str, float]:
-    """Seconds of so many random layouts on some frames, one by one and all at once."""
-    scene = workload(name, seed, frames=frames)
-    layout, rng = sensors(scene), np.random.default_rng(seed)
-    size = np.array([5.0, 5.0, 1.0, 0.0, 0.1, 1.0])
-    poses = np.asarray(layout.poses) + rng.normal(size=(count, len(layout), 6)) * size
-
-    def one_by_one() -> np.ndarray:
-        scores = [inspe_jax.evaluate(scene, layout.with_poses(row)) for row in poses]
-        return np.array([score.surrogate for score in scores])
-
-    def together() -> np.ndarray:
-        return inspe_jax.evaluate_many(scene, layout, poses).surrogate
-
-    off = float(np.abs(one_by_one() - together()).max())
-    alone, all_ = seconds(one_by_one, 3), seconds(together, 3)
-    console.print(
-        f"{count} layouts on {frames} frames: {alone:.2f} s one by one, {all_:.2f} s at once, "
-        f"{alone / all_:.2f} times as many a second; differ by {off:.1e}",
-        highlight=False,
-    )
-    return dict(layouts=count, frames=frames, one_by_one=alone, at_once=all_, off=off)
-
-
 def slope(scene: Scene, layout: Layout) -> dict[str, float]:
     """Seconds of a soft score and its gradient in all poses, every frame, cold and warm; and of
     exact scores of the same layout, warm."""
@@ -247,90 +216,6 @@ def slope(scene: Scene, layout: Layout) -> dict[str, float]:
     inspe_jax.evaluate(scene, layout)
     exact = seconds(partial(inspe_jax.evaluate, scene, layout), 5)
     return dict(slope_cold=cold, slope=warm, slope_ratio=warm / exact)
-
-
-def from_the_shell(scene: Scene, layout: Layout, repeats: int) -> dict[str, float]:
-    """Seconds of `inspe score`, the first time and once what it compiles is kept."""
-    with tempfile.TemporaryDirectory() as folder:
-        inspe_jax.save_scene(scene, Path(folder) / "scene.npz")
-        inspe_jax.save_layout(layout, Path(folder) / "layout.yaml")
-        command = "from inspe_jax.cli import main; main()"
-        ran = partial(
-            subprocess.run,
-            [sys.executable, "-c", command, "score", "scene.npz", "layout.yaml"],
-            cwd=folder,
-            env=os.environ | {"JAX_COMPILATION_CACHE_DIR": str(Path(folder) / "compiled")},
-            check=True,
-            capture_output=True,
-        )
-        first, again = seconds(ran, 1), seconds(ran, repeats)
-    console.print(f"inspe score: {first:.1f} s, then {again:.1f} s", highlight=False)
-    return dict(first=first, again=again)
-
-
-def peak() -> dict[str, float]:
-    """What this machine does at most: operations a second, in a product of matrices, and bytes a
-    second, in a sum of two long rows; in single precision."""
-    n, long = 2048, 2**25
-    square, row = jnp.ones((n, n), jnp.float32), jnp.ones(long, jnp.float32)
-    product, add = (
-        jax.jit(lambda x: jnp.matmul(x, x, precision="highest")),
-        jax.jit(lambda x: x + x[::-1]),
-    )
-    for call, x in ((product, square), (add, row)):
-        jax.block_until_ready(call(x))
-    flops = 2 * n**3 / seconds(lambda: jax.block_until_ready(product(square)), 5)
-    moved = 3 * 4 * long / seconds(lambda: jax.block_until_ready(add(row)), 5)
-    return dict(operations=flops, bytes=moved)
-
-
-PER_VOXEL, PER_PRISM, PER_COLUMN = 120, 27, 16
-"""Operations, counted in the formulas: whether a voxel is in view by its nearest ray; the ceiling
-of one prism over one column; a column's mask from its ceiling."""
-
-
-def least(scene: Scene, layout: Layout, warm: float) -> dict[str, float]:
-    """What a score must do at least, worked out this way, and how long that takes at the
-    machine's peak.
-
-    Of the voxels those in tiles that have some in view; of the sight lines, in all frames, those
-    to the columns in view, and of the prisms those whose shadow may touch the column's tile.
-    Bytes: the masks of solid voxels once, and the tiles once for each sensor that sees some.
-    """
-    world, poses = tiled_scene_of(scene), poses_about_center(scene, layout)
-    tile, half = world.tiles.tile, scene.voxels.size / 2
-    prisms = about_center(scene).prisms
-    voxels = columns = crossed = 0.0
-    moved = float(sum(np.asarray(share.solid).nbytes for share in world.chunks))
-    for grid, index in layout.groups():
-        for s in index:
-            views = np.asarray(in_view_masks(grid, poses[s], tile, half)) != 0  # (N, C)
-            touched = views.any(1)
-            cast = shadow_bounds(poses[s, :3], prisms)
-            shading = jax.lax.map(lambda part: may_shade(poses[s, :3], cast, part).sum(), tile)  # noqa: B023
-            voxels += touched.sum() * tile.heights[0].size
-            columns += views.sum() * len(prisms.top)
-            crossed += float((views.sum(1) * np.asarray(shading)).sum())
-            moved += touched.sum() * tile.heights[0].nbytes
-    operations = PER_VOXEL * voxels + PER_PRISM * crossed + PER_COLUMN * columns
-    most = peak()
-    floor = max(operations / most["operations"], moved / most["bytes"])
-    console.print(
-        f"at least {operations / 1e9:.2f} G operations ({voxels / 1e6:.2f} M voxels, "
-        f"{crossed / 1e6:.0f} M columns under a prism, {columns / 1e6:.0f} M columns) and "
-        f"{moved / 1e6:.0f} MB; at {most['operations'] / 1e9:.0f} G operations and "
-        f"{most['bytes'] / 1e9:.1f} GB a second that is {1e3 * floor:.0f} ms, "
-        f"{warm / floor:.0f} times less than a score takes",
-        highlight=False,
-    )
-    return dict(
-        operations=float(operations),
-        bytes=float(moved),
-        floor=float(floor),
-        gap=float(warm / floor),
-        peak_operations=most["operations"],
-        peak_bytes=most["bytes"],
-    )
 
 
 def measured(name: str, seed: int) -> dict[str, Any]:
@@ -357,7 +242,7 @@ def measure_here(name: str, seed: int) -> dict[str, Any]:
 
 def main() -> None:
     """Run, print and write the table."""
-    options = arguments(__doc__)
+    options = arguments(__doc__, "seed")
     repeats = 2 if options.quick else 5
     console.print(" · ".join(f"{k} {v}" for k, v in machine().items()), highlight=False)
     name = "quick" if options.quick else "W1"
@@ -394,10 +279,8 @@ def main() -> None:
         dict(what="Embree, in-view segments", seconds=traced, ratio=traced / warm),
         dict(what="Bresenham, coverage alone", seconds=walked, ratio=walked / warm),
     ]
-    table = Table("", "seconds", "× warm", title="One layout on one scene")
-    for row in rows:
-        table.add_row(row["what"], f"{row['seconds']:.3f}", f"{row['ratio']:.1f}")
-    console.print(table)
+    cells = [(row["what"], f"{row['seconds']:.3f}", f"{row['ratio']:.1f}") for row in rows]
+    show(("", "seconds", "× warm"), cells, "One layout on one scene")
     console.print(
         f"{embree.segments / 1e6:.1f} million segments, {embree.segments / traced / 1e6:.1f} "
         f"million a second; line of sight agrees on {same:.6%}; peak memory of scoring "
@@ -406,23 +289,25 @@ def main() -> None:
     )
     names = [n for n in WORKLOADS if (n == "quick") == options.quick]
     others = [measured(n, options.seed) for n in names]
-    table = Table("", "voxels", "sensors", "cold [s]", "warm [s]", "× W1", "peak GiB")
-    soft = Table("", "cold [s]", "warm [s]", "× score", "peak GiB", title="Value and gradient")
     for row in others:
         row["ratio"] = row["warm"] / others[0]["warm"]
-        numbers = (f"{row[k]:,}" for k in ("voxels", "sensors"))
-        floats = (f"{row[k]:.2f}" for k in ("cold", "warm", "ratio", "memory"))
-        table.add_row(row["what"], *numbers, *floats)
-        floats = (f"{row[k]:.2f}" for k in ("slope_cold", "slope", "slope_ratio", "slope_memory"))
-        soft.add_row(row["what"], *floats)
-    console.print(table, soft)
+    show(
+        ("", "voxels", "sensors", "cold [s]", "warm [s]", "× W1", "peak GiB"),
+        [
+            (row["what"], *(f"{row[k]:,}" for k in ("voxels", "sensors")))
+            + tuple(f"{row[k]:.2f}" for k in ("cold", "warm", "ratio", "memory"))
+            for row in others
+        ],
+    )
+    soft = ("slope_cold", "slope", "slope_ratio", "slope_memory")
+    show(
+        ("", "cold [s]", "warm [s]", "× score", "peak GiB"),
+        [(row["what"], *(f"{row[k]:.2f}" for k in soft)) for row in others],
+        "Value and gradient",
+    )
     grown = growth(name, options.seed, repeats)
-    many = many_at_once(name, options.seed, *((2, 4) if options.quick else (64, 20)))
     gradients = sampled_gradients(workload(name, options.seed, profile="paper"), options.quick)
-    shell = from_the_shell(scene, layout, repeats // 2)
-    roofline = least(scene, layout, warm)
 
-    stem = options.out / ("benchmark_speed_quick" if options.quick else "benchmark_speed")
     settings = {
         **size,
         "seed": options.seed,
@@ -430,15 +315,10 @@ def main() -> None:
         "peak_memory_gib": memory,
         "workloads": others,
         "growth": grown,
-        "many_layouts": many,
         "sampled_gradients": gradients,
-        "inspe_score": shell,
         "softness": SOFTNESS,
-        "roofline": roofline,
     }
-    write_results(stem.with_suffix(".csv"), rows, settings)
-    draw(rows, size).savefig(stem.with_suffix(".png"), dpi=150)
-    console.print(f"wrote {stem}.csv, .json and .png", highlight=False)
+    write_results(output(options, "benchmark_speed"), rows, settings, draw(rows, size))
 
 
 def draw(rows: list[dict[str, Any]], size: dict[str, Any]) -> Figure:

@@ -42,10 +42,8 @@ from typing import Any
 
 import numpy as np
 from benchmark_speed import sensors, workload
-from common import CHROMIUM, arguments, browser_on, machine, write_results
+from common import CHROMIUM, arguments, browser_on, console, machine, output, show, write_results
 from matplotlib.figure import Figure
-from rich.console import Console
-from rich.table import Table
 
 from inspe_jax.core.geometry import rotation
 from inspe_jax.placement.optimise import DEFAULT_METHOD
@@ -56,8 +54,6 @@ from inspe_jax.viewer.browser_view import BrowserView
 from inspe_jax.viewer.handle import HandleDrag
 from inspe_jax.viewer.panel import BLIND_SPOTS
 from inspe_jax.viewer.sensor_controls import POSE
-
-console = Console()
 
 Ready = Callable[[], object]
 """Comes back when something can be timed."""
@@ -343,7 +339,7 @@ def times_of(rows: list[dict[str, Any]]) -> dict[tuple[str, str], list[float]]:
 
 def main() -> None:
     """Run and report."""
-    given = arguments(__doc__)
+    given = arguments(__doc__, "seed")
     scene = workload("quick" if given.quick else "W1", given.seed)
     layout = sensors(scene)
     many = (2, 2, 2, 2, 1, 1) if given.quick else (30, 20, 20, 40, 10, 10)  # searches compile long
@@ -379,17 +375,14 @@ def main() -> None:
                             rows.append({"browser": browser, **row})
             finally:
                 viewer.close()
-    table = Table("", *looked, title="median (most), in seconds")
-    found = times_of(rows)
+    found, cells = times_of(rows), []
     for name in (*SCORES.values(), *RECORDINGS.values(), *ANSWERS, *STOPS):
         times = [found[name, browser] for browser in looked]
-        table.add_row(name, *(f"{np.median(of):.3f} ({max(of):.3f})" for of in times))
-    console.print(table)
+        cells.append((name, *(f"{np.median(of):.3f} ({max(of):.3f})" for of in times)))
+    show(("", *looked), cells, "median (most), in seconds")
     console.print(" · ".join(f"{key} {value}" for key, value in machine().items()))
-    path = given.out / "benchmark_view.csv"
-    write_results(path, rows, {"seed": given.seed, "quick": given.quick, **counts})
-    figure(rows).savefig(path.with_suffix(".png"), dpi=160)
-    console.print(f"wrote {path}, .json and .png")
+    settings = {"seed": given.seed, "quick": given.quick, **counts}
+    write_results(output(given, "benchmark_view"), rows, settings, figure(rows))
 
 
 if __name__ == "__main__":

@@ -28,16 +28,25 @@ from typing import Any
 
 import numpy as np
 from cmaes import CMA
-from common import MAPS, METRICS, command_line, processes, write_results
+from common import (
+    MAPS,
+    METRICS,
+    arguments,
+    console,
+    markdown,
+    need_maps,
+    output,
+    processes,
+    say,
+    write_results,
+)
 from matplotlib.figure import Figure
-from rich.console import Console
 from scipy.interpolate import RBFInterpolator
 from scipy.stats import qmc
 from table2 import (
     LIGHTS,
     QUICK_SIZE,
     Stats,
-    begin,
     correlation,
     difference,
     panels,
@@ -109,33 +118,30 @@ OFF, OFF_LEFT_OUT = 0.05, 0.07
 FOUND = 0.005
 """A table of the model's own is met if nothing is further off in the mean."""
 
-console = Console()
 Setting = dict[str, Any]
 
 
 def options() -> argparse.Namespace:
     """The command line."""
-    parser = command_line(__doc__)
-    parser.add_argument("--seed", type=int, default=0, help="of the traffic and of the stand-in")
-    parser.add_argument("--paper", type=Path, metavar="FILE", help="the paper's Table 2 as CSV")
-    parser.add_argument("--frames", type=int, default=20, help="in the search; 100 at the end")
-    parser.add_argument("--spacing", type=float, default=0.8, help="of voxels in the search [m]")
-    parser.add_argument("--folds", type=int, default=9, help="placements left out in turn")
-    parser.add_argument("--passes", type=int, default=PASSES, help="through all, at most")
-    parser.add_argument("--design", type=int, default=DESIGN, help="settings of a surrogate")
-    parser.add_argument("--rounds", type=int, default=ROUNDS, help="in which it proposes more")
-    parser.add_argument("--scenes", type=int, default=10, help="only the first so many of the ten")
-    parser.add_argument("--lights", nargs="+", default=["midday"], choices=LIGHTS,
-                        help="midday if not given: cameras vary more over all of them")  # fmt: skip
-    parser.add_argument("--only", nargs="+", default=list(CHOICES), choices=list(CHOICES),
-                        metavar="SETTING", help=f"of {', '.join(CHOICES)}")  # fmt: skip
-    parser.add_argument("--workers", type=int, help="processes; one a core if not given")
-    parser.add_argument("--scheduler", metavar="ADDRESS", help="a running Dask scheduler")
-    given = parser.parse_args()
+    given = arguments(
+        __doc__,
+        *("seed", "paper", "workers", "scheduler"),
+        frames=dict(type=int, default=20, help="in the search; 100 at the end"),
+        spacing=dict(type=float, default=0.8, help="of voxels in the search [m]"),
+        folds=dict(type=int, default=9, help="placements left out in turn"),
+        passes=dict(type=int, default=PASSES, help="through all, at most"),
+        design=dict(type=int, default=DESIGN, help="settings of a surrogate"),
+        rounds=dict(type=int, default=ROUNDS, help="in which it proposes more"),
+        scenes=dict(type=int, default=10, help="only the first so many of the ten"),
+        lights=dict(nargs="+", default=["midday"], choices=LIGHTS,
+                    help="midday if not given: cameras vary more over all of them"),
+        only=dict(nargs="+", default=list(CHOICES), choices=list(CHOICES),
+                  metavar="SETTING", help=f"of {', '.join(CHOICES)}"),
+    )  # fmt: skip
     if given.quick:
         given.only, given.paper, given.folds = QUICK_CHOICES, None, 1
         given.scenes, given.design, given.rounds, given.passes = QUICK_SEARCH
-    given.out.mkdir(parents=True, exist_ok=True)
+    need_maps(given)
     return given
 
 
@@ -429,17 +435,11 @@ def told(
 ) -> str:
     """Settings and differences, in Markdown; ``out`` has each placement as it was predicted."""
     names, left = list(dict.fromkeys(name for name, _ in paper)), list(best)[1:]
-    text = "| setting | fitted to all | where one was left out |" + (" truth |" if truth else "")
-    text += "\n|---|---|---|" + ("---|" if truth else "") + "\n"
+    settings, metrics = [], []
     for key, value in best[ALL].items():
         counts = Counter(str(best[name][key]) for name in left)
         each = ", ".join(f"{other} ({count})" for other, count in counts.items())
-        text += f"| {key} | {value} | {each} |" + (f" {truth[key]} |" if truth else "") + "\n"
-    text += (
-        f"\n| metric | Spearman (at least {min(RANK.values())}, {max(RANK.values())} of P_sm) | "
-        f"mean absolute difference, fitted (at most {OFF}) | left out (at most {OFF_LEFT_OUT}) |\n"
-        "|---|---|---|---|\n"
-    )
+        settings.append((key, value, each, *([truth[key]] if truth else [])))
     for metric, symbol in METRICS.items():
         off = [
             f"{difference(of, paper, some, metric):.4f}"
@@ -450,11 +450,18 @@ def told(
         cells = [
             f"{x} ({'yes' if y else 'no'})" for x, y in zip((f"{rank:.3f}", *off), met, strict=True)
         ]
-        text += f"| {symbol} | {' | '.join(cells)} |\n"
-    return text
+        metrics.append((symbol, *cells))
+    heads = ["setting", "fitted to all", "where one was left out", *(["truth"] if truth else [])]
+    others = (
+        "metric",
+        f"Spearman (at least {min(RANK.values())}, {max(RANK.values())} of P_sm)",
+        f"mean absolute difference, fitted (at most {OFF})",
+        f"left out (at most {OFF_LEFT_OUT})",
+    )
+    return f"{markdown(heads, settings)}\n\n{markdown(others, metrics)}\n"
 
 
-def draw(names: Sequence[str], fitted: Stats, out: Stats, paper: Stats, path: Path) -> None:
+def draw(names: Sequence[str], fitted: Stats, out: Stats, paper: Stats) -> Figure:
     """Fitted and left-out values of every placement beside the paper's, a panel a metric."""
     figure = Figure(figsize=(8.4, 5.6), layout="constrained")
     marks: list[tuple[str, Stats, dict[str, Any]]] = [
@@ -467,19 +474,19 @@ def draw(names: Sequence[str], fitted: Stats, out: Stats, paper: Stats, path: Pa
             rows = [of.get((name, metric), (np.nan, 0.0))[0] for name in names]
             ax.plot(rows, ls="", label=label, **style)
     figure.axes[0].legend(fontsize=8, loc="lower right")
-    figure.savefig(path, dpi=150)
+    return figure
 
 
 def main() -> None:
     """The search, with workers that stay for all of it."""
     given = options()
-    stem = begin(given, "calibrate")
+    stem = output(given, "calibrate")
     with client(given.scheduler, processes(given)) as workers:  # the same ones for every study
         address = str(workers.scheduler_info()["address"])
-        calibrate(given, stem, Tables(given, given.out / f"{stem}_jobs", address))
+        calibrate(given, stem, Tables(given, Path(f"{stem}_jobs"), address))
 
 
-def calibrate(given: argparse.Namespace, stem: str, tables: Tables) -> None:
+def calibrate(given: argparse.Namespace, stem: Path, tables: Tables) -> None:
     """The search, and what is told of it."""
     truth, paper = (None, read_paper(given.paper)) if given.paper else stand_in(tables, given)
     names = [name for name in STRATEGIES if (name, "surrogate") in paper]
@@ -495,16 +502,16 @@ def calibrate(given: argparse.Namespace, stem: str, tables: Tables) -> None:
         for metric in METRICS
     }
     text = told(best, fitted, out, paper, truth)
-    console.print(text, highlight=False, soft_wrap=True)
-    write_text(given.out / f"{stem}.md", text)
+    say(text)
+    write_text(stem.with_suffix(".md"), text)
     tried = [
         dict(off=f"{loss(of, paper, names):.5f}", **at)
         for at, of in zip(tables.tried.values(), tables.of([*tables.tried.values()]), strict=True)
     ]
-    write_results(given.out / f"{stem}_tried.csv", tried, vars(given) | dict(jobs=len(tables.rows)))
+    settings = vars(given) | dict(jobs=len(tables.rows))
+    write_results(Path(f"{stem}_tried"), tried, settings)
     rows = [dict(fitted_without=fold if fold != ALL else "", **at) for fold, at in best.items()]
-    write_results(given.out / f"{stem}.csv", rows, vars(given) | dict(jobs=len(tables.rows)))
-    draw(names, fitted, out, paper, given.out / f"{stem}.png")
+    write_results(stem, rows, settings, draw(names, fitted, out, paper))
     off = loss(fitted, paper, names)
     if truth and off > FOUND:
         raise SystemExit(f"a table that is reachable was missed by {off:.4f}")

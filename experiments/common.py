@@ -9,7 +9,7 @@ import resource
 import shutil
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -17,10 +17,15 @@ from typing import Any
 import jax
 import numpy as np
 from filelock import FileLock
+from matplotlib.figure import Figure
+from rich.console import Console
+from rich.table import Table
 
 import inspe_jax
 from inspe_jax.core.files import write_text
+from inspe_jax.scene.maps.registry import read_map
 
+console = Console()
 METRICS = {
     "coverage": "C",
     "occlusion": "O",
@@ -68,23 +73,39 @@ def browser_on(url: str, *, drawn: bool = True) -> Iterator[Any]:
         chromium.close()
 
 
-def command_line(description: str | None) -> argparse.ArgumentParser:
-    """What every experiment takes, to which it may add: ``--quick`` and ``--out``."""
+OPTIONS: dict[str, dict[str, Any]] = {
+    "seed": dict(type=int, default=0),
+    "keep": dict(type=Path, help="folder that what is made stays in"),
+    "workers": dict(type=int, help="processes; one a core if not given"),
+    "scheduler": dict(metavar="ADDRESS", help="a running Dask scheduler"),
+    "paper": dict(type=Path, metavar="FILE", help="the paper's Table 2 as CSV"),
+}
+"""Options that several experiments have."""
+
+
+def arguments(description: str | None, *shared: str, **own: dict[str, Any]) -> argparse.Namespace:
+    """The options of an experiment: ``--quick``, ``--out``, some of :data:`OPTIONS`, its own."""
     parser = argparse.ArgumentParser(
         description=description, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--quick", action="store_true", help="a small run that shows it works")
     parser.add_argument("--out", type=Path, default=Path("out"), help="folder for CSV and PNG")
-    return parser
-
-
-def arguments(description: str | None) -> argparse.Namespace:
-    """The options of most experiments: ``--quick``, ``--out`` and ``--seed``."""
-    parser = command_line(description)
-    parser.add_argument("--seed", type=int, default=0)
+    for name, how in ({name: OPTIONS[name] for name in shared} | own).items():
+        parser.add_argument(f"--{name.replace('_', '-')}", **how)
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
     return options
+
+
+def output(given: argparse.Namespace, name: str) -> Path:
+    """The path of an experiment's output, without a suffix; that of a quick run says so."""
+    return given.out / (f"{name}_quick" if given.quick else name)
+
+
+def need_maps(given: argparse.Namespace) -> None:
+    """Stop where the town maps are not at hand, unless the run is quick."""
+    if not given.quick and not MAPS.is_dir():
+        raise SystemExit(f"the town maps are not at {MAPS}; --quick needs none")
 
 
 def processes(given: argparse.Namespace) -> int | None:
@@ -109,6 +130,14 @@ def kept_folder(keep: Path | None) -> Iterator[Path]:
 def on_maps(scenes: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """Entries of a study with whole paths of their maps."""
     return [scene | dict(map=str(MAPS / scene["map"])) for scene in scenes]
+
+
+def town_junction(town: str, junction: int, radius: float, quick: bool) -> inspe_jax.Intersection:
+    """A junction of a town map; the built-in four-way in a quick run, or without that map."""
+    path = MAPS / f"{town}.xodr"
+    if quick or not path.is_file():
+        return inspe_jax.built_in("four_way")
+    return read_map(path, junction=junction, radius=radius)
 
 
 def machine() -> dict[str, str]:
@@ -143,13 +172,42 @@ def peak_memory() -> float:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit / 2**30
 
 
-def write_results(path: Path, rows: list[dict[str, Any]], settings: dict[str, Any]) -> None:
-    """Write rows as CSV and, beside them, the settings and versions as JSON."""
+def write_results(
+    path: Path,
+    rows: list[dict[str, Any]],
+    settings: dict[str, Any],
+    figure: Figure | None = None,
+    dpi: int = 150,
+) -> None:
+    """Write rows as CSV and, beside them, settings and versions as JSON and the picture as PNG."""
+    path = path.with_suffix(".csv")
     with path.open("w", newline="", encoding="utf-8") as f:
         writer = csv.DictWriter(f, fieldnames=list(rows[0]))
         writer.writeheader()
         writer.writerows(rows)
     write_settings(path.with_suffix(".json"), settings)
+    if figure is not None:
+        figure.savefig(path.with_suffix(".png"), dpi=dpi)
+    console.print(f"wrote {path}, .json{'' if figure is None else ' and .png'}", highlight=False)
+
+
+def show(heads: Sequence[str], rows: Iterable[Sequence[Any]], title: str | None = None) -> None:
+    """Print rows as a table."""
+    table = Table(*heads, title=title)
+    for row in rows:
+        table.add_row(*map(str, row))
+    console.print(table)
+
+
+def say(text: str) -> None:
+    """Print text, such as Markdown, as it is."""
+    console.print(text, highlight=False, soft_wrap=True, markup=False)
+
+
+def markdown(heads: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
+    """A table in Markdown."""
+    lines = ["| " + " | ".join(heads) + " |", "|---" * len(heads) + "|"]
+    return "\n".join([*lines, *("| " + " | ".join(map(str, row)) + " |" for row in rows)])
 
 
 def append_rows(path: Path, rows: list[dict[str, Any]]) -> None:

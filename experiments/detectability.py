@@ -10,10 +10,8 @@ and how many pixels per metre there are.
 from typing import Any
 
 import numpy as np
-from common import arguments, write_results
-from rich.console import Console
+from common import arguments, console, output, show, write_results
 from rich.progress import track
-from rich.table import Table
 
 import inspe_jax
 from inspe_jax import Layout, Scene
@@ -23,7 +21,6 @@ from inspe_jax.placement.objective import Objective
 from inspe_jax.placement.problem import Problem
 from inspe_jax.report.targets import targets_change
 
-console = Console()
 NINE = [*(f"{kind}-{how}" for kind in ("Cam", "L") for how in ("c", "d1", "d2"))]
 NINE += [f"Cam-{how}/L-{how}" for how in ("c", "d1", "d2")]
 BY_HAND, AT_RANDOM = "the nine placements", "all at random"
@@ -56,7 +53,7 @@ def scores(scene: Scene, layouts: list[Layout]) -> dict[str, list[float]]:
 
 def main() -> None:
     """Measure, print and draw."""
-    given = arguments(__doc__)
+    given = arguments(__doc__, "seed")
     size: dict[str, Any] = dict(frames=40, seed=given.seed)
     if given.quick:
         size |= dict(radius=15, voxel=1.0, frames=4)
@@ -84,11 +81,9 @@ def main() -> None:
             for name, own in found.items()
             for metric, values in own.items()
         ]
-    table = Table("profile", "layouts", "metric", "least", "median", "most", "IQR")
-    for row in rows:
-        numbers = [f"{row[key]:.3f}" for key in ("least", "median", "most", "iqr")]
-        table.add_row(*(str(row[key]) for key in ("profile", "layouts", "metric")), *numbers)
-    console.print(table)
+    names, numbers = ("profile", "layouts", "metric"), ("least", "median", "most", "iqr")
+    cells = [[*(r[key] for key in names), *(f"{r[key]:.3f}" for key in numbers)] for r in rows]
+    show((*names, *numbers), cells)
 
     start = starting_layout(scene, SEARCHED)
     budget: dict[str, Any] = dict(evaluations=30) if given.quick else dict(seconds=120)
@@ -96,11 +91,9 @@ def main() -> None:
     result = inspe_jax.optimise(scene, start, seed=given.seed, objective=objective, **budget)
     console.print(f"{start.name}: D {result.objective_before:.3f} to {result.objective:.3f}")
     pairs = [(of, inspe_jax.target_view(scene, of)) for of in (result.start, result.layout)]
-    picture = given.out / "detectability.png"
-    save_figure(targets_change(scene, *pairs), picture)
-    console.print(f"drew {picture}")
-    settings = size | dict(number=number, search=result.settings)
-    write_results(given.out / "detectability.csv", rows, settings)
+    stem, settings = output(given, "detectability"), size | dict(number=number)
+    save_figure(targets_change(scene, *pairs), stem.with_suffix(".png"))
+    write_results(stem, rows, settings | dict(search=result.settings))
 
 
 if __name__ == "__main__":

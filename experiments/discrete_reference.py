@@ -14,10 +14,8 @@ import time
 from typing import Any
 
 import numpy as np
-from common import arguments, write_results
+from common import arguments, console, output, show, write_results
 from matplotlib.figure import Figure
-from rich.console import Console
-from rich.table import Table
 
 import inspe_jax
 from inspe_jax import Constraints, Layout, Scene, Sensor
@@ -29,7 +27,6 @@ from inspe_jax.placement.problem import Problem
 from inspe_jax.placement.sample_score import SampleScore
 from inspe_jax.placement.studies.discrete import best_subset
 
-console = Console()
 ALL = 10**9
 """More columns and frames than there are."""
 HEIGHT = 6.0
@@ -135,7 +132,7 @@ def searches(scene: Scene, layout: Layout, quick: bool) -> list[dict[str, Any]]:
 
 def main() -> None:
     """Solve, compare, print and write."""
-    options = arguments(__doc__)
+    options = arguments(__doc__, "seed")
     scene, layout = instance(options.quick, options.seed)
     problem = Problem(scene, layout)
     with console.status("looking at candidates"):
@@ -147,25 +144,26 @@ def main() -> None:
     for row in rows:
         row["share"] = row["score"] / optimum
 
-    shown = Table(
-        "method", "seed", "P_sm", "share of\noptimum", "seconds",
-        title=f"{figures['cameras']} of {figures['candidates']} candidate poses on {scene.name}",
-    )  # fmt: skip
-    for row in rows:
-        shown.add_row(
-            row["method"], str(row["seed"]), f"{row['score']:.4f}", f"{row['share']:.2%}",
-            f"{row['seconds']:.2f}",
-        )  # fmt: skip
-    console.print(shown)
+    show(
+        ("method", "seed", "P_sm", "share of\noptimum", "seconds"),
+        [
+            (
+                r["method"],
+                r["seed"],
+                f"{r['score']:.4f}",
+                f"{r['share']:.2%}",
+                f"{r['seconds']:.2f}",
+            )
+            for r in rows
+        ],
+        f"{figures['cameras']} of {figures['candidates']} candidate poses on {scene.name}",
+    )
     console.print(
         f"no choice exceeds {figures['bound']:.6f}; lazy evaluation worked out "
         f"{figures['gains_worked_out']} gains, plain greedy {figures['gains_of_plain_greedy']}"
     )
-    stem = options.out / ("discrete_reference_quick" if options.quick else "discrete_reference")
     settings = dict(scene.settings, seed=options.seed, **figures)
-    write_results(stem.with_suffix(".csv"), rows, settings)
-    draw(rows).savefig(stem.with_suffix(".png"), dpi=150)
-    console.print(f"wrote {stem}.csv, .json and .png", highlight=False)
+    write_results(output(options, "discrete_reference"), rows, settings, draw(rows))
 
 
 def draw(rows: list[dict[str, Any]]) -> Figure:

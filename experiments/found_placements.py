@@ -20,8 +20,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from common import command_line, kept_folder, write_results
-from rich.console import Console
+from common import MAPS, arguments, kept_folder, markdown, need_maps, output, say, write_results
 from scipy.stats import ttest_1samp
 from table1 import (
     BY_SENSORS,
@@ -42,7 +41,7 @@ from table1 import (
     train_some,
     trained,
 )
-from table2 import HERE, MAPS, QUICK_SIZE, Row, begin, places, run
+from table2 import HERE, QUICK_SIZE, Row, places, run
 
 from inspe_jax.dataset import Cache
 from inspe_jax.jobs.sources import LayoutSource
@@ -58,28 +57,24 @@ LOOKS_DOWN: dict[str, Any] = {"strategy": "Cam-d2", "camera_pitch_deg": -25.0, "
 """The placement of cameras, aimed by hand, as a study file has it."""
 SEARCH = 150.0
 
-console = Console()
-
 
 def options() -> argparse.Namespace:
     """The command line."""
-    parser = command_line(__doc__)
-    parser.add_argument("--keep", type=Path, help="folder that all stays in: 6 GB")
-    parser.add_argument("--steps", type=int, default=STEPS, help="of each training")
-    parser.add_argument("--seeds", type=int, default=3, help="trainings of each placement")
-    parser.add_argument("--search", type=float, default=SEARCH, help="in exact scores' work")
-    parser.add_argument("--lights", nargs="+", default=["midday", "night"])
-    parser.add_argument("--densities", nargs="+", default=["medium", "high"])
-    parser.add_argument("--beside", type=Path, default=HERE / "table1.csv", metavar="FILE",
-                        help="rows of trainings by hand, of as many steps")  # fmt: skip
-    parser.add_argument(
-        "--workers", type=int, help="processes that search, record and train; one a core"
-    )
-    parser.set_defaults(scheduler=None)  # its workers could not import table1.py
-    given = parser.parse_args()
+    given = arguments(
+        __doc__,
+        *("keep", "workers"),
+        steps=dict(type=int, default=STEPS, help="of each training"),
+        seeds=dict(type=int, default=3, help="trainings of each placement"),
+        search=dict(type=float, default=SEARCH, help="in exact scores' work"),
+        lights=dict(nargs="+", default=["midday", "night"]),
+        densities=dict(nargs="+", default=["medium", "high"]),
+        beside=dict(type=Path, default=HERE / "table1.csv", metavar="FILE",
+                    help="rows of trainings by hand, of as many steps"),
+    )  # fmt: skip
+    given.scheduler = None  # its workers could not import table1.py
     if not given.beside.is_file():
-        parser.error(f"--beside {given.beside}: no such file; table1.py writes it")
-    given.out.mkdir(parents=True, exist_ok=True)
+        raise SystemExit(f"--beside {given.beside}: no such file; table1.py writes it")
+    need_maps(given)
     return given
 
 
@@ -216,10 +211,7 @@ def gain_with_lidars(rows: Rows, of: str) -> str:
 def table(given: argparse.Namespace, rows: Rows, scored: list[Row]) -> str:
     """By placement: P_sm and AP by hand and as found, the mean over the seeds of both, in
     Markdown."""
-    lines = [
-        "| held out | placement | P_sm | " + " | ".join(KINDS) + " | mean | each seed |",
-        "|---" * 9 + "|",
-    ]
+    lines = []
     for of, part in {"places": "train", "time": "later"}.items():
         # Splits are of intersections: the same ones for every placement.
         held_out = {s.source.name for s in planned(given, "L-d1", part).splits["test"]}
@@ -234,15 +226,14 @@ def table(given: argparse.Namespace, rows: Rows, scored: list[Row]) -> str:
                 ap = np.array([[own[model, name, kind] for kind in KINDS] for own in each])
                 cells = [f"{score:.3f}", *(f"{x:.1f}" for x in (*ap.mean(0), ap.mean()))]
                 by_seed = ", ".join(f"{x:.1f}" for x in ap.mean(1))
-                lines.append(f"| {of} | {name} | {' | '.join(cells)} | {by_seed} |")
-    return "\n".join(lines)
+                lines.append((of, name, *cells, by_seed))
+    return markdown(("held out", "placement", "P_sm", *KINDS, "mean", "each seed"), lines)
 
 
 def main() -> None:
     """Search, record, train, measure, tell."""
     given = options()
-    stem = begin(given, "found_placements")
-    path = given.out / f"{stem}.csv"
+    path = output(given, "found_placements").with_suffix(".csv")
     if not given.quick:
         check_settings(path, given)
     by_hand = [
@@ -260,9 +251,9 @@ def main() -> None:
         rows = by_hand + run_all(given, into, found, down, path)
     kept = ("layout", "scene", "surrogate_before", "surrogate")
     scores = [{key: row.get(key, "") for key in kept} for row in scored]
-    write_results(path.with_name(f"{stem}_scores.csv"), scores, dict(vars(given)))
+    write_results(path.with_name("found_placements_scores.csv"), scores, dict(vars(given)))
     parts = [table(given, rows, scored), *(gain_with_lidars(rows, of) for of in HELD_OUT)]
-    console.print("\n\n".join(parts), highlight=False, soft_wrap=True, markup=False)
+    say("\n\n".join(parts))
 
 
 if __name__ == "__main__":

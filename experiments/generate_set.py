@@ -9,11 +9,9 @@ one frame in each light. The set is thrown away unless --keep says where to leav
 from pathlib import Path
 from typing import Any
 
-from common import command_line, kept_folder, processes, write_results
-from rich.console import Console
-from rich.progress import Progress
-from rich.table import Table
+from common import arguments, kept_folder, output, processes, show, write_results
 
+from inspe_jax.cli.common import progress
 from inspe_jax.core.parallel import cores
 from inspe_jax.dataset import generate, load_generation, open, statistics
 from inspe_jax.dataset.figure import statistics_view
@@ -29,8 +27,6 @@ settings: {{density: {densities}, light: [{light}], {size}}}
 rate_hz: 10
 """
 
-console = Console()
-
 
 def record(light: str, quick: bool, into: Path, workers: int | None) -> dict[str, Any]:
     """All scenarios in one light: frames, seconds and megabytes."""
@@ -38,12 +34,8 @@ def record(light: str, quick: bool, into: Path, workers: int | None) -> dict[str
     densities = "[low]" if quick else "[low, medium, high]"
     size = "seconds: 0.2, radius: 25, voxel: 1" if quick else "seconds: 5"
     study.write_text(STUDY.format(light=light, densities=densities, size=size))
-    with Progress(console=console, transient=True) as bar:
-        task = bar.add_task(light)
-        made = generate(
-            load_generation(study), into / light, workers=workers,
-            progress=lambda done, total: bar.update(task, completed=done, total=total),
-        )  # fmt: skip
+    with progress(light) as report:
+        made = generate(load_generation(study), into / light, workers=workers, progress=report)
     assert not made.failures, made.failures
     assert made.recorded == made.frames, f"{into}: frames were there before; name another folder"
     return dict(
@@ -62,33 +54,24 @@ def row(name: str, found: dict[str, Any]) -> list[str]:
 
 def main() -> None:
     """Record, print, draw and write."""
-    parser = command_line(__doc__)
-    parser.add_argument("--workers", type=int, help="processes; one a core if not given")
-    parser.add_argument("--keep", type=Path, help="folder that the set stays in: 10 GB")
-    given = parser.parse_args()
-    given.out.mkdir(parents=True, exist_ok=True)
-    path = given.out / "generate_set.csv"
+    given = arguments(__doc__, "workers", "keep")
+    stem = output(given, "generate_set")
     with kept_folder(given.keep) as into:
         lights = ("midday", "night") if given.quick else tuple(LIGHTS)
         rows = [record(light, given.quick, into, processes(given)) for light in lights]
         for found in rows:
             scenario = open(into / found["light"]).scenarios[0]
             view = frame_view(scenario, scenario.frames[-1])
-            view.savefig(path.with_name(f"generate_set_{found['light']}.png"), dpi=100)
-        statistics_view(statistics(open(into / "midday"))).savefig(
-            path.with_suffix(".png"), dpi=100
-        )
+            view.savefig(f"{stem}_{found['light']}.png", dpi=100)
+        figure = statistics_view(statistics(open(into / "midday")))
     total = {key: sum(found[key] for found in rows) for key in rows[0] if key != "light"}
-    table = Table(
-        "", "scenarios", "frames", "seconds", "s each", "MB each", "hours", "TB",
-        caption=f"in the last two columns what {PAPER} frames would take",
-    )  # fmt: skip
-    for found in rows:
-        table.add_row(*row(found["light"], found))
-    table.add_row(*row("all", total))
-    console.print(table)
-    write_results(path, rows, {"quick": given.quick, "workers": processes(given) or cores()})
-    console.print(f"wrote {path}, .json and .png, and a frame in each light")
+    show(
+        ("", "scenarios", "frames", "seconds", "s each", "MB each", "hours", "TB"),
+        [*(row(found["light"], found) for found in rows), row("all", total)],
+        f"in the last two columns what {PAPER} frames would take",
+    )
+    settings = {"quick": given.quick, "workers": processes(given) or cores()}
+    write_results(stem, rows, settings, figure, dpi=100)
 
 
 if __name__ == "__main__":

@@ -26,9 +26,8 @@ from typing import Any
 
 import jax
 import numpy as np
-from common import MAPS, append_rows, command_line, read_rows, write_settings
+from common import MAPS, append_rows, arguments, console, markdown, read_rows, write_settings
 from matplotlib.figure import Figure
-from rich.console import Console
 
 import inspe_jax
 from inspe_jax import Layout, Scene
@@ -60,32 +59,30 @@ Clock = Callable[[], float]
 Found = Iterator[tuple[int, str, list[Progress], float, float]]
 """Searches as they come: seed, method, scores, work in exact scores, and seconds of compiling."""
 
-console = Console()
-
 
 def options() -> argparse.Namespace:
     """The command line."""
-    parser = command_line(__doc__)
-    parser.add_argument("--seconds", type=float, default=10.0, help="for each search")
-    parser.add_argument("--seeds", type=int, default=5)
-    parser.add_argument("--methods", default=",".join(METHODS), help="with commas")
-    parser.add_argument("--places", default="", help="only these, with commas")
-    parser.add_argument("--cold", action="store_true", help="compiling is part of the time")
-    parser.add_argument("--processor", action="store_true", help="seconds of processor time")
-    parser.add_argument("--draw", action="store_true", help="only the picture, from the CSV")
-    parser.add_argument("--mixes", default=",".join(MIXES), help="with commas")
-    found = parser.parse_args()
+    found = arguments(
+        __doc__,
+        seconds=dict(type=float, default=10.0, help="for each search"),
+        seeds=dict(type=int, default=5),
+        methods=dict(default=",".join(METHODS), help="with commas"),
+        places=dict(default="", help="only these, with commas"),
+        cold=dict(action="store_true", help="compiling is part of the time"),
+        processor=dict(action="store_true", help="seconds of processor time"),
+        draw=dict(action="store_true", help="only the picture, from the CSV"),
+        mixes=dict(default=",".join(MIXES), help="with commas"),
+    )
     for name, known in (("methods", METHODS), ("mixes", MIXES), ("places", PLACES)):
         for part in getattr(found, name).split(","):
             if part and part not in known:
-                parser.error(f"--{name} {part}: some of {', '.join(known)}")
+                raise SystemExit(f"--{name} {part}: some of {', '.join(known)}")
     if found.quick:
         found.seconds, found.seeds = 5.0 if found.cold else 0.5, 1
-        if found.methods == parser.get_default("methods"):
+        if found.methods == ",".join(METHODS):
             found.methods = "greedy-adam,grid,cma-es"  # the others compile for a minute
             if found.cold:  # each of them for a quarter of one
                 found.methods = "greedy-adam,greedy"
-    found.out.mkdir(parents=True, exist_ok=True)
     return found
 
 
@@ -231,8 +228,7 @@ def summary(rows: list[dict[str, str]], history: list[dict[str, str]]) -> str:
     """A table for the README: medians, spread, who wins, how soon."""
     table, course = medians(rows), courses(history)
     names = [name for name in METHODS if any(name in by for by in table.values())]
-    text = "| cell | start | " + " | ".join(names) + " | grid's end reached |\n"
-    text += "|---" * (len(names) + 3) + "|\n"
+    lines = []
     wins, early, within = dict.fromkeys(GRADIENT, 0), 0, 0
     budget = float(rows[0]["budget"])
     for at, by in table.items():
@@ -255,8 +251,9 @@ def summary(rows: list[dict[str, str]], history: list[dict[str, str]]) -> str:
             early += ratio >= 10
             within += ours_took <= budget / 10
             sooner = f"{ratio:.1f}× sooner by {best}"
-        text += f"| {at[0]}, {at[1]} | {float(start):.3f} | {' | '.join(cells)} | {sooner} |\n"
-    text += "\nAt least as good in the median as every search without gradients, of "
+        lines.append((f"{at[0]}, {at[1]}", f"{float(start):.3f}", *cells, sooner))
+    text = markdown(("cell", "start", *names, "grid's end reached"), lines)
+    text += "\n\nAt least as good in the median as every search without gradients, of "
     text += f"{len(table)} cells: " + ", ".join(f"{name} {n}" for name, n in wins.items()) + ".\n"
     text += f"Grid's final score in a tenth of the time that grid took to it: {early}; of the "
     text += f"time that grid was given: {within}.\n"

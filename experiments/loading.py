@@ -24,10 +24,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from common import command_line, kept_folder, machine, write_results
+from common import arguments, console, kept_folder, machine, output, show, write_results
 from matplotlib.figure import Figure
-from rich.console import Console
-from rich.table import Table
 
 from inspe_jax.dataset import Dataset, cache, generate, load_generation, open
 from inspe_jax.dataset.loading import Augment, Batch, Cache, Loader, PillarGrid
@@ -61,8 +59,6 @@ KINDS: dict[str, dict[str, Any]] = {
     "8 pictures": dict(sensors=CAMERA, augment=Augment()),
     "all sensors": dict(augment=Augment()),
 }
-
-console = Console()
 
 
 def record(into: Path, quick: bool) -> Dataset:
@@ -197,12 +193,7 @@ def figure(rows: list[dict[str, Any]]) -> Figure:
 
 def main() -> None:
     """Record, decode, measure, draw and write."""
-    parser = command_line(__doc__)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--keep", type=Path, help="folder that set and cache stay in: 1 GB")
-    given = parser.parse_args()
-    given.out.mkdir(parents=True, exist_ok=True)
-    path = given.out / "loading.csv"
+    given = arguments(__doc__, "seed", "keep")
     with kept_folder(given.keep) as into:
         data = record(into, given.quick)
         began = time.perf_counter()
@@ -223,12 +214,12 @@ def main() -> None:
         for name, value in sizes.items():
             console.print(f"{name}: {value:.3g}")
         rows = measure(data, found, given.quick, given.seed)
-    table = Table("", "read by", "workers", "frames a second", "least", "most", "CPU ms a frame")
+    cells = []
     for row in rows:
         numbers = [f"{row[key]:.0f}" for key in ("median", "least", "most")]
         cpu = f"{row['cpu_ms']:.1f}" if row["cpu_ms"] else ""
-        table.add_row(row["kind"], row["reader"], str(row["workers"]), *numbers, cpu)
-    console.print(table)
+        cells.append((row["kind"], row["reader"], row["workers"], *numbers, cpu))
+    show(("", "read by", "workers", "frames a second", "least", "most", "CPU ms a frame"), cells)
     reached = max(
         row["median"]
         for row in rows
@@ -237,9 +228,7 @@ def main() -> None:
     console.print(f"LiDAR frames a second: {reached:.0f}, {TARGET} were claimed")
     console.print(" · ".join(f"{key} {value}" for key, value in machine().items()))
     settings = {"seed": given.seed, "quick": given.quick, "batch": BATCH, "frames": frames}
-    write_results(path, rows, settings | sizes)
-    figure(rows).savefig(path.with_suffix(".png"), dpi=160)
-    console.print(f"wrote {path}, .json and .png")
+    write_results(output(given, "loading"), rows, settings | sizes, figure(rows))
 
 
 if __name__ == "__main__":

@@ -25,17 +25,20 @@ import jax
 import numpy as np
 from common import (
     METRICS,
-    command_line,
+    arguments,
+    console,
     kept_folder,
+    markdown,
+    need_maps,
     on_maps,
+    output,
     read_rows,
     write_results,
 )
 from matplotlib.figure import Figure
-from rich.console import Console
 from scipy.stats import pearsonr, spearmanr
 from table1 import interval, predictor_of, recorded, trained
-from table2 import begin, places
+from table2 import places
 
 import inspe_jax
 from inspe_jax import Layout, Objective, Scene
@@ -80,7 +83,6 @@ FOUND_BY = {"*": "found for P_sm", "P": "found for D"}
 SURE = 0.3
 """Least score of a detection that is drawn as found; as in ``inspe detect``."""
 
-console = Console()
 Rows = list[dict[str, Any]]
 
 
@@ -109,18 +111,6 @@ QUICK = Size(
     dict(frames=4, radius=25.0, voxel=1.0),
     BevGrid(half=25.6),
 )
-
-
-def options() -> argparse.Namespace:
-    """The command line."""
-    parser = command_line(__doc__)
-    parser.add_argument("--keep", type=Path, help="folder that sets and training stay in: 3 GB")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--steps", type=int, help=f"of the training; {WHOLE.steps} if not given")
-    parser.add_argument("--workers", type=int, help="processes that record; one a core")
-    given = parser.parse_args()
-    given.out.mkdir(parents=True, exist_ok=True)
-    return given
 
 
 # ── Placements ──────────────────────────────────────────────────────────────
@@ -306,14 +296,16 @@ def correlations(rows: Rows, resamples: int) -> Rows:
 
 def summary(rows: Rows) -> list[str]:
     """What the searches gained, and where P_sm is furthest off, in lines."""
-    lines = ["| place | from | searched | gain in P_sm | in D | in mAP |", "|---" * 6 + "|"]
+    gained = []
     for place in dict.fromkeys(row["place"] for row in rows):
         own = {row["layout"]: row for row in rows if row["place"] == place}
         for name, metric in itertools.product(own, SEARCHED):
             if found := own.get(searched_from(name, metric)):
                 better = {key: float(found[key]) - float(own[name][key]) for key in GAINED}
-                gains = " | ".join(f"{better[key]:{form}}" for key, form in GAINED.items())
-                lines.append(f"| {place} | {name} | {SCORES[metric]} | {gains} |")
+                gains = (f"{better[key]:{form}}" for key, form in GAINED.items())
+                gained.append((place, name, SCORES[metric], *gains))
+    heads = ("place", "from", "searched", "gain in P_sm", "in D", "in mAP")
+    lines = [markdown(heads, gained)]
     off = off_the_line(rows)
     for k in np.argsort(-np.abs(off))[:5]:
         row = rows[int(k)]
@@ -367,14 +359,8 @@ def draw_furthest(rows: Rows, found: ByPlacement, scenes: dict[str, Scene], into
         )
         ax.set_xticks([])
         ax.set_yticks([])
-    bar = figure.colorbar(
-        image,
-        ax=figure.axes,
-        location="bottom",
-        shrink=0.4,
-        aspect=40,
-        boundaries=np.linspace(0, 1),
-    )
+    look = dict(location="bottom", shrink=0.4, aspect=40, boundaries=np.linspace(0, 1))
+    bar = figure.colorbar(image, ax=figure.axes, **look)
     bar.set_ticks([0, 0.5, 1])
     bar.set_label("share of frames and levels in which a column is seen")
     return figure
@@ -398,15 +384,9 @@ def draw(rows: Rows, related: Rows) -> Figure:
             sign = next(
                 (m for m, words in FOUND_BY.items() if row["layout"].startswith(words)), sign
             )
-            ax.plot(
-                float(row[metric]),
-                float(row["mean_ap"]),
-                marker=sign,
-                markersize=7,
-                color=f"C{places_.index(row['place'])}",
-                markerfacecolor="none" if sign == "s" else None,
-                linestyle="none",
-            )
+            look = dict(color=f"C{places_.index(row['place'])}", ms=7, ls="none")
+            fill = "none" if sign == "s" else None
+            ax.plot(float(row[metric]), float(row["mean_ap"]), marker=sign, mfc=fill, **look)
         wanted = dict(less="place", road_user="mean", metric=metric, correlation="pearson")
         r = next(row for row in related if wanted.items() <= row.items())
         ax.set_xlabel(symbol)
@@ -416,9 +396,7 @@ def draw(rows: Rows, related: Rows) -> Figure:
     signs = {"$4$": "4 LiDARs at random", "s": "by hand", **FOUND_BY}
     for sign, words in signs.items():
         fill = "none" if sign == "s" else None
-        figure.axes[0].plot(
-            [], [], marker=sign, linestyle="none", color="0.3", markerfacecolor=fill, label=words
-        )
+        figure.axes[0].plot([], [], marker=sign, ls="none", color="0.3", mfc=fill, label=words)
     figure.axes[0].set_ylabel("mAP [%]")
     figure.legend(loc="outside upper center", ncols=6, fontsize=9)
     return figure
@@ -426,8 +404,10 @@ def draw(rows: Rows, related: Rows) -> Figure:
 
 def main() -> None:
     """Place, record, train, measure, tell."""
-    given = options()
-    stem = begin(given, "random_placements")
+    steps = dict(type=int, help=f"of the training; {WHOLE.steps} if not given")
+    given = arguments(__doc__, "keep", "seed", "workers", steps=steps)
+    need_maps(given)
+    stem = output(given, "random_placements")
     size = QUICK if given.quick else WHOLE
     with kept_folder(given.keep) as into:
         plan = planned(given, size, True, into)
@@ -450,18 +430,16 @@ def main() -> None:
             for place in dict.fromkeys(row["place"] for row in rows)
         }
         furthest = draw_furthest(rows, found, scenes, into)
-    path = given.out / f"{stem}.csv"
-    write_results(path, rows, dict(vars(given), size=size._asdict()))
     related = correlations(rows, size.resamples)
-    write_results(path.with_name(f"{stem}_correlations.csv"), related, dict(vars(given)))
+    settings = dict(vars(given), size=size._asdict())
+    write_results(stem, rows, settings, draw(rows, related))
+    write_results(Path(f"{stem}_correlations"), related, dict(vars(given)))
     for row in related:
         if row["road_user"] == "mean":
             value = f"{row['correlation']} {row['value']} [{row['low']}, {row['high']}]"
             console.print(f"less {row['less']}: {SCORES[row['metric']]}: {value}", highlight=False)
     console.print("\n".join(summary(rows)), highlight=False)
-    draw(rows, related).savefig(path.with_suffix(".png"), dpi=150)
-    furthest.savefig(path.with_name(f"{stem}_furthest.png"), dpi=110)
-    console.print(f"wrote {path}, .json and two .png", highlight=False)
+    furthest.savefig(f"{stem}_furthest.png", dpi=110)
 
 
 if __name__ == "__main__":

@@ -4,14 +4,13 @@ At one setting (where ``calibrate.py`` begins, or what it found: ``--setting FIL
 gathered once, of every voxel and sensor, by a caster in NumPy that shares no code with the scores:
 how many rays pass through, at what distance, and in which frames the line of sight is clear. Every
 reading is then worked out from the same facts: what "a ray passes through a voxel" means (any part
-of the voxel, Bresenham's lines, two or three rays), how many rays a camera has, how reliability
-falls with range, how the sensors that have a voxel in view are fused, and how far LiDARs perceive.
+of the voxel, Bresenham's lines, two or three rays), how reliability falls with range, how the
+sensors that have a voxel in view are fused, and how far LiDARs perceive.
 
-Every reading is shown with three choices of its numbers: all as given; its reliabilities (with the
-scale of their range, or the share of dependence) fitted to the paper's IG; and also the cameras'
-depth and the LiDARs' azimuth step and lowest channel fitted to C and O. Readings are compared by
-the last one, as each needs numbers of its own. For the scores' reading and for the best one, it is
-repeated without each placement, which is then predicted.
+Each reading is fitted to the table, as it needs numbers of its own: its reliabilities (with the
+scale of their range, or the share of dependence) to IG, and the cameras' depth and the LiDARs'
+azimuth step and lowest channel to C and O. Readings are compared by the mean absolute difference
+that is left.
 
 ``--paper FILE`` is the paper's table as in ``table2.py``; its numbers are not in this repository.
 Without it, or with ``--quick``, the model's own table under a reading drawn by ``--seed`` stands
@@ -23,7 +22,7 @@ import argparse
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -32,13 +31,22 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from calibrate import START, jobs
-from common import METRICS, command_line, read_rows, write_results
+from common import (
+    METRICS,
+    arguments,
+    console,
+    markdown,
+    need_maps,
+    output,
+    read_rows,
+    say,
+    write_results,
+)
 from jaxtyping import Bool, Float, UInt8
 from matplotlib.figure import Figure
-from rich.console import Console
 from scipy.optimize import minimize
 from scipy.stats import spearmanr
-from table2 import LIGHTS, Stats, begin, read_paper
+from table2 import LIGHTS, Stats, read_paper
 
 import inspe_jax
 from inspe_jax.cli.common import progress
@@ -58,7 +66,6 @@ from inspe_jax.visibility.centered_scene import about_center
 from inspe_jax.visibility.queries import in_view
 from inspe_jax.visibility.shadows import shadow_ceilings
 
-console = Console()
 Table = Float[np.ndarray, "P 3"]
 """C, O and IG of every placement, a mean over the intersections."""
 NAMES = list(STRATEGIES)
@@ -77,7 +84,6 @@ class Reading:
     why: str
     walk: str = "exact"
     least: int = 1
-    camera: str = "given"
     curve: str = "constant"
     fusion: str = "independent"
     lidar_range: bool = False
@@ -85,7 +91,7 @@ class Reading:
     @property
     def seen_as(self) -> tuple[Any, ...]:
         """What decides C and O."""
-        return self.walk, self.least, self.camera, self.lidar_range
+        return self.walk, self.least, self.lidar_range
 
     @property
     def numbers(self) -> tuple[str, ...]:
@@ -102,35 +108,18 @@ CURVES: dict[str, Callable[[Any, Any], Any]] = {
 }
 """How reliability falls with the distance d [m]."""
 
-CAMERAS: dict[str, tuple[float, float, float]] = {
-    "given": (0.0, 0.0, 1.0),
-    "80 × 60": (0.1, 0.1, 1.0),
-    "352 × 264": (0.44, 0.44, 1.0),
-    "352 × 128": (0.44, 128 / 600, 1.0),
-    "352 × 128, lower part": (0.44, 0.44, 128 / 264),
-    "800 × 600": (1.0, 1.0, 1.0),
-}
-"""Rays of a camera: samples a pixel across and down, and the share of its rows, from below."""
-
 READINGS = (
     Reading("as scored", "any ray meets any part of the voxel; constant r; independent sensors"),
     Reading("Bresenham", "the paper names this walk: it skips what a ray only clips", "bresenham"),
     Reading("2 rays", "one return is noise to most detectors", least=2),
     Reading("3 rays", "the same", least=3),
     Reading("Bresenham, 2 rays", "both", "bresenham", 2),
-    *(
-        Reading(f"camera {name}", "the rays that a detector's input has", camera=name)
-        for name in CAMERAS
-        if name != "given"
-    ),
     Reading("r exponential", "what is far away has fewer points and pixels", curve="exponential"),
     Reading("r linear", "the same", curve="linear"),
     Reading("max of all", "what one sensor misses, all miss", fusion="max"),
     Reading("max in a modality", "sensors of a kind miss alike", fusion="max in a modality"),
     Reading("max of modalities", "kinds of sensor miss alike", fusion="max of modalities"),
     Reading("dependent in part", "between independent and max, by a share", fusion="in part"),
-    Reading("frame by frame", "fused in each frame, then averaged", fusion="frames"),
-    Reading("frame by frame, max of all", "the same, where all miss alike", fusion="frames, max"),
     Reading("LiDAR range", "LiDARs perceive less far than they reach", lidar_range=True),
 )
 """The first is what the scores do; every other one is that but for one thing, with its reason."""
@@ -313,7 +302,7 @@ class Facts:
     def seen(self, reading: Reading, kind: int) -> Bool[np.ndarray, "K s V"]:
         """f of cameras (0) or LiDARs (1) at all that is tried."""
         if kind == 0:
-            rays = self.rays[reading.walk, reading.camera]
+            rays = self.rays[reading.walk, "camera"]
         else:
             rays = self.rays[reading.walk, "LiDAR range" if reading.lidar_range else "LiDAR"]
         return rays >= reading.least
@@ -346,15 +335,6 @@ class Variants:
         ranges = len(self.ranges) if reading.lidar_range else 1
         step_, lowest = self.lidars[at // ranges]
         return dict(azimuth_step=step_, lidar_lowest=lowest, lidar_range=self.ranges[at % ranges])
-
-
-def grid_of(spec: Spec, reach: float, camera: str = "given") -> RayGrid:
-    """The rays of a device, to a reach; of a camera as :data:`CAMERAS` has it."""
-    if not isinstance(spec, CameraSpec) or camera == "given":
-        return replace(spec.grid, reach=reach)
-    across, down, part = CAMERAS[camera]
-    wide, tall = (replace(spec, downsample=share).grid for share in (across, down))
-    return replace(wide, rows=tall.rows[: round(part * len(tall.rows))], reach=reach)
 
 
 def lidar_at(spec: LidarSpec, share: float, lowest: float) -> LidarSpec:
@@ -406,8 +386,8 @@ def _rays(
 ) -> dict[tuple[str, str], UInt8[np.ndarray, "K s V"]]:
     """Rays through every voxel, of each sensor in all that is tried."""
 
-    def camera(walk: str, name: str, s: int) -> np.ndarray:
-        grid = grid_of(specs[s], max(variants.depths), name)
+    def camera(walk: str, s: int) -> np.ndarray:
+        grid = replace(specs[s].grid, reach=max(variants.depths))
         return cast(grid, poses[s], centers, edge, variants.depths, walk)
 
     def lidar(walk: str, s: int) -> np.ndarray:
@@ -421,8 +401,8 @@ def _rays(
 
     kinds = [isinstance(spec, CameraSpec) for spec in specs]
     todo: dict[tuple[str, str], Callable[[int], np.ndarray]] = {
-        **{("exact", name): partial(camera, "exact", name) for name in CAMERAS},
-        ("bresenham", "given"): partial(camera, "bresenham", "given"),
+        ("exact", "camera"): partial(camera, "exact"),
+        ("bresenham", "camera"): partial(camera, "bresenham"),
         ("exact", "LiDAR range"): partial(lidar, "exact"),
         ("bresenham", "LiDAR"): partial(lidar, "bresenham"),
     }
@@ -509,8 +489,7 @@ class Part:
     """What IG is made of on one intersection, at one choice of numbers: voxels with entropy only.
 
     ``share`` (V,) of all entropy; ``seen`` (S, V) is f times the share of frames with a line of
-    sight. Fused frame by frame it is ``together`` (P, c + 1, l + 1) instead: the share of entropy
-    that so many cameras and so many LiDARs of a placement see.
+    sight.
     """
 
     own: Bool[np.ndarray, "P S"]
@@ -518,7 +497,6 @@ class Part:
     share: Float[np.ndarray, " V"]
     distance: Float[np.ndarray, "S V"]
     seen: Float[np.ndarray, "S V"]
-    together: Float[np.ndarray, "P c l"]
 
     @classmethod
     def of(cls, facts: Facts, reading: Reading, numbers: Numbers) -> "Part":
@@ -533,39 +511,17 @@ class Part:
         sights = np.unpackbits(clear, -1, count=count)[..., some].astype(bool)  # (S, T, V)
         if visibility == "in_view":
             sights = np.ones_like(sights[:, :1])
-        together = np.zeros((0, 0, 0))
-        if reading.fusion.startswith("frames"):
-            sights &= f[:, None]
-            most = facts.own[:, : facts.cameras].sum(1).max(), facts.own.sum(1).max()
-            together = np.zeros((len(NAMES), most[0] + 1, most[1] + 1))
-            for p, own in enumerate(facts.own):
-                first, second = (
-                    sights[kind][own[kind]].sum(0)
-                    for kind in (slice(facts.cameras), slice(facts.cameras, None))
-                )
-                at = (first * (most[1] + 1) + second).ravel()
-                weights = np.broadcast_to(share / sights.shape[1], first.shape).ravel()
-                bins = np.bincount(at, weights, minlength=together[p].size)
-                together[p] = bins.reshape(together[p].shape)
         return cls(
             facts.own,
             facts.cameras,
             share,
             facts.distance[:, some],
             (f * sights.mean(1)).astype(np.float32),
-            together,
         )
 
     def gain(self, reading: Reading, at: Mapping[str, float]) -> Float[np.ndarray, " P"]:
         """IG of every placement."""
         r = at["camera r"], at["LiDAR r"]
-        if reading.fusion.startswith("frames"):
-            number = np.indices(self.together.shape[1:])
-            if reading.fusion == "frames, max":
-                q = np.max([r[k] * (number[k] > 0) for k in range(2)], 0)
-            else:
-                q = 1.0 - (1.0 - r[0]) ** number[0] * (1.0 - r[1]) ** number[1]
-            return (self.together * q).sum((1, 2))
         kinds = slice(self.cameras), slice(self.cameras, None)
         curve = CURVES[reading.curve]
         scales = at.get("camera scale [m]"), at.get("LiDAR scale [m]")
@@ -626,17 +582,6 @@ class World:
     reliability: Mapping[str, float]
     known: dict[tuple[Any, ...], np.ndarray] = field(default_factory=dict)
 
-    @cached_property
-    def walked(self) -> set[tuple[str, str]]:
-        """What rays were walked of."""
-        return set(self.facts[0].rays)
-
-    def possible(self, reading: Reading) -> bool:
-        """Whether the facts tell it."""
-        lidar = "LiDAR range" if reading.lidar_range else "LiDAR"
-        told = {(reading.walk, reading.camera), (reading.walk, lidar)} <= self.walked
-        return told and (reading.curve == "constant" or "frames" not in reading.fusion)
-
     def tables(self, reading: Reading) -> Float[np.ndarray, "2 P K L"]:
         """C and O at all that is tried, a mean over the intersections."""
         if reading.seen_as not in self.known:
@@ -644,88 +589,34 @@ class World:
             self.known[reading.seen_as] = np.mean(each, 0)
         return self.known[reading.seen_as]
 
-    def parts(self, reading: Reading, numbers: Numbers) -> list[Part]:
-        """What IG is made of."""
-        return [Part.of(facts, reading, numbers) for facts in self.facts]
-
-    def fit(
-        self,
-        reading: Reading,
-        paper: np.ndarray,
-        *,
-        numbers: Numbers | None = (0, 0),
-        fit_r: bool = True,
-        among: Sequence[int] = range(len(NAMES)),
-        start: Mapping[str, float] | None = None,
-    ) -> Fitted:
-        """A reading at its best for some placements: ``numbers`` too, where they are not given."""
-        both, own = self.tables(reading), list(among)
-        if numbers is None:
-            off = np.abs(both - paper.T[:2, :, None, None])[:, own].mean((0, 1))
-            k, at_ = np.unravel_index(off.argmin(), off.shape)
-            numbers = int(k), int(at_)
-        parts = self.parts(reading, numbers)
-
-        def gain(values: Sequence[float]) -> np.ndarray:
-            at = dict(zip(reading.numbers, values, strict=True))
-            return np.mean([part.gain(reading, at) for part in parts], 0)
-
-        begun = dict(FIRST) | dict(self.reliability) | dict(start or {})
-        values = [begun[name] for name in reading.numbers]
-        if fit_r:
-            limits = [LIMITS.get(name, SCALES) for name in reading.numbers]
-            values = minimize(
-                lambda x: np.abs(gain(x) - paper[:, 2])[own].mean(),
-                values,
-                method="Nelder-Mead",
-                bounds=limits,
-                options=dict(xatol=1e-3, fatol=1e-5, maxiter=80 * len(values)),
-            ).x.tolist()
-        at = dict(zip(reading.numbers, values, strict=True))
-        table = np.column_stack([both[0, :, *numbers], both[1, :, *numbers], gain(values)])
+    def at(self, reading: Reading, numbers: Numbers, values: Sequence[float], parts: Any) -> Fitted:
+        """A reading at some numbers; ``parts`` are those of the intersections."""
+        at, both = dict(zip(reading.numbers, values, strict=True)), self.tables(reading)
+        gain = np.mean([part.gain(reading, at) for part in parts], 0)
+        table = np.column_stack([both[0, :, *numbers], both[1, :, *numbers], gain])
         return Fitted(reading, numbers, at, table)
 
-    def left_out(self, fitted: Fitted, paper: np.ndarray) -> Table:
-        """Every placement as a fit to all the others has it."""
-        rows = []
-        for p in range(len(NAMES)):
-            among = [n for n in range(len(NAMES)) if n != p]
-            fold = self.fit(fitted.reading, paper, numbers=None, among=among, start=fitted.at)
-            rows.append(fold.table[p])
-        return np.array(rows)
-
-    def together(self, singles: Sequence[Fitted], paper: np.ndarray) -> Fitted:
-        """Readings joined, as long as another one helps: the one that helps most, each time."""
-        plain = READINGS[0]
-        best = min(singles, key=lambda fitted: loss(fitted.table, paper))
-        while True:
-            tried = []
-            for single in singles:
-                new = {
-                    name: getattr(single.reading, name)
-                    for name in ("walk", "least", "camera", "curve", "fusion", "lidar_range")
-                    if getattr(single.reading, name) != getattr(plain, name)
-                }
-                if not new or any(getattr(best.reading, k) != getattr(plain, k) for k in new):
-                    continue
-                joined = replace(
-                    best.reading,
-                    name=f"{best.reading.name}; {single.reading.name}",
-                    why="what helps most, joined",
-                    **new,
-                )
-                if self.possible(joined):
-                    tried.append(self.fit(joined, paper, numbers=None, start=best.at))
-            if not tried:
-                return best
-            new_best = min(tried, key=lambda fitted: loss(fitted.table, paper))
-            if loss(new_best.table, paper) > loss(best.table, paper) - WORTH:
-                return best
-            best = new_best
-
-
-WORTH = 0.001
-"""A reading is joined to others if the loss falls by more than this."""
+    def fit(self, reading: Reading, paper: np.ndarray | None) -> Fitted:
+        """A reading at its best for a table; as given if there is none."""
+        numbers: Numbers = (0, 0)
+        if paper is not None:
+            off = np.abs(self.tables(reading) - paper.T[:2, :, None, None]).mean((0, 1))
+            k, lidar = np.unravel_index(off.argmin(), off.shape)
+            numbers = int(k), int(lidar)
+        parts = [Part.of(facts, reading, numbers) for facts in self.facts]
+        begun = dict(FIRST) | dict(self.reliability)
+        values = [begun[name] for name in reading.numbers]
+        if paper is not None:
+            values = minimize(
+                lambda x: np.abs(
+                    self.at(reading, numbers, x, parts).table[:, 2] - paper[:, 2]
+                ).mean(),
+                values,
+                method="Nelder-Mead",
+                bounds=[LIMITS.get(name, SCALES) for name in reading.numbers],
+                options=dict(xatol=1e-3, fatol=1e-5, maxiter=80 * len(values)),
+            ).x.tolist()
+        return self.at(reading, numbers, values, parts)
 
 
 def differences(table: Table, paper: np.ndarray) -> Float[np.ndarray, " 4"]:
@@ -768,13 +659,13 @@ def check(facts: Facts, scene: Scene, layouts: Mapping[str, Layout], world: "Wor
             views |= {walk: raycast.in_view(scene, layout, walk) for walk in raycast.WALKS}
         for s in np.flatnonzero(facts.own[p]):
             at = int(np.flatnonzero((poses == facts.poses[s]).all(1))[0])
-            kind, number = ("given", s) if s < facts.cameras else ("LiDAR", s - facts.cameras)
+            kind, number = ("camera", s) if s < facts.cameras else ("LiDAR", s - facts.cameras)
             for by, view in views.items():
                 ours = facts.rays["bresenham" if by == "bresenham" else "exact", kind][0, number]
                 same.setdefault(by, []).append(float(((ours > 0) == view[at]).mean()))
             rays["exact", kind][0, number] = views["inspe_jax"][at]
     one = World([replace(facts, rays=rays)], world.variants, world.reliability)
-    mine = with_surrogate(one.fit(plain, np.zeros((len(NAMES), 4)), fit_r=False).table)
+    mine = with_surrogate(one.fit(plain, None).table)
     options_ = {key: facts.settings[key] for key in ("occlusion_reference", "visibility")}
     scores = [inspe_jax.evaluate(scene, layouts[name], **options_) for name in NAMES]
     rows = np.array([[score.value(metric) for metric in METRICS] for score in scores])
@@ -791,12 +682,12 @@ def check(facts: Facts, scene: Scene, layouts: Mapping[str, Layout], world: "Wor
 
 
 Rows = list[dict[str, Any]]
-STAGES = ("as given", "r fitted", "all fitted", "left out")
 
 
-def row_of(stage: str, fitted: Fitted, table: Table, paper: np.ndarray, world: World) -> Any:
+def row_of(fitted: Fitted, paper: np.ndarray, world: World) -> dict[str, Any]:
     """A row of the results."""
-    row: dict[str, Any] = dict(reading=fitted.reading.name, stage=stage)
+    table = fitted.table
+    row: dict[str, Any] = dict(reading=fitted.reading.name, stage="all fitted")
     row |= dict(camera_depth=world.variants.depths[fitted.numbers[0]])
     row |= world.variants.lidar(fitted.reading, fitted.numbers[1])
     names = ("camera r", "LiDAR r", *FIRST)
@@ -813,11 +704,11 @@ def row_of(stage: str, fitted: Fitted, table: Table, paper: np.ndarray, world: W
 
 def results(rows: Rows) -> str:
     """Readings with their numbers, differences and rank correlations, in Markdown."""
-    head = ["reading", "numbers", "depth", "step", "lowest", "range", "r", "other", "loss"]
+    head = ["reading", "depth", "step", "lowest", "range", "r", "other", "loss"]
     head += [f"{mark} {symbol}" for mark in "Δρ" for symbol in SYMBOLS]
-    text = f"| {' | '.join(head)} |\n" + "|---" * len(head) + "|\n"
+    lines = []
     for row in rows:
-        cells = [row["reading"], row["stage"], f"{row['camera_depth']:g}"]
+        cells = [row["reading"], f"{row['camera_depth']:g}"]
         cells += [f"{row['azimuth_step']:g}", f"{row['lidar_lowest']:g}"]
         cells += ["" if np.isinf(row["lidar_range"]) else f"{row['lidar_range']:g}"]
         cells += [f"{row['camera r']:.2f}, {row['LiDAR r']:.2f}"]
@@ -825,96 +716,18 @@ def results(rows: Rows) -> str:
         cells += [f"{row['loss']:.4f}"]
         cells += [f"{row[f'difference {s}']:.4f}" for s in SYMBOLS]
         cells += [f"{row[f'Spearman {s}']:.3f}" for s in SYMBOLS]
-        text += f"| {' | '.join(cells)} |\n"
-    return text
+        lines.append(cells)
+    return markdown(head, lines) + "\n"
 
 
-def fusion(paper: np.ndarray, fits: Sequence[Fitted]) -> str:
-    """IG of the joined placements beside what their parts give, in Markdown.
-
-    ``of parts`` is 1 − (1 − IG₁)(1 − IG₂), as if what they see lay at random. With a reliability
-    r = IG / C for each kind and the overlap C₁ + C₂ − C₁₂ of the table itself, the entropy being
-    spread as coverage is, ``independent`` and ``max`` are the two ends of how they can fuse.
-    """
-    head = "| table | placement | IG | of parts | independent | max |\n|---|---|---|---|---|---|\n"
-    text = head
-    tables = [
-        ("to be met", paper),
-        *((fit.reading.name, with_surrogate(fit.table)) for fit in fits),
-    ]
-    for (title, table), name in product(tables, FUSED):
-        one, two, both = (table[NAMES.index(x)] for x in (*name.split("/"), name))
-        (a, b), (c1, c2, c12) = (one[2], two[2]), (one[0], two[0], both[0])
-        r = a / c1, b / c2
-        independent = a + b - r[0] * r[1] * (c1 + c2 - c12)
-        most = r[0] * c1 + r[1] * c2 - min(r) * (c1 + c2 - c12)
-        numbers = (both[2], 1 - (1 - a) * (1 - b), independent, most)
-        text += f"| {title} | {name} | {' | '.join(f'{x:.3f}' for x in numbers)} |\n"
-    return text
-
-
-LIDARS = ("L-c", "L-d1", "L-d2")
-
-
-def lidars(paper: np.ndarray, fits: Sequence[Fitted]) -> str:
-    """C of the LiDAR placements and O / C, in Markdown."""
-    head = [*(f"C {name}" for name in LIDARS), *(f"O/C {name}" for name in LIDARS)]
-    text = f"| table | {' | '.join(head)} |\n" + "|---" * 7 + "|\n"
-    for title, table in [("to be met", paper), *((fit.reading.name, fit.table) for fit in fits)]:
-        rows = [table[NAMES.index(name)] for name in LIDARS]
-        cells = [row[0] for row in rows] + [row[1] / row[0] for row in rows]
-        text += f"| {title} | {' | '.join(f'{x:.3f}' for x in cells)} |\n"
-    return text
-
-
-LEAST = 0.001
-"""The least loss that is drawn."""
-
-
-def draw(rows: Rows, best: np.ndarray, paper: np.ndarray, title: str, path: Path) -> None:
-    """The loss of every reading, and what the best one leaves."""
-    names = list(dict.fromkeys(row["reading"] for row in rows))
-    figure = Figure(figsize=(11.5, 1.4 + 0.28 * len(names)), layout="constrained")
-    left, right = figure.subplots(1, 2, width_ratios=(1.7, 1))
-    looks = dict(
-        zip(
-            STAGES,
-            (("o", "#bbbbbb"), ("s", "#e69f00"), ("D", "#0072b2"), ("x", "#d55e00")),
-            strict=True,
-        )
-    )
-    for stage, (marker, color) in looks.items():
-        at = [
-            (max(row["loss"], LEAST), names.index(row["reading"]))
-            for row in rows
-            if row["stage"] == stage
-        ]
-        if at:
-            left.plot(*zip(*at, strict=True), marker, color=color, ms=5.5, ls="", label=stage)
-    shown = [name.replace("; ", ";\n") for name in names]
-    left.set_yticks(range(len(names)), shown, fontsize=8)
-    left.invert_yaxis()
-    left.set_xscale("log")
-    ticks = [0.001, 0.003, 0.01, 0.02, 0.03, 0.04, 0.05, 0.07, 0.1, 0.2, 0.3, 0.5]
-    low, high = left.get_xlim()
-    ticks = [tick for tick in ticks if low <= tick <= high]
-    left.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
-    left.minorticks_off()
-    left.grid(color="#e0e0e0", lw=0.5)
-    left.set_xlabel("mean absolute difference of C, O and IG to the table")
-    left.legend(fontsize=8, loc="best")
-    off = best - paper
-    right.imshow(off, cmap="RdBu", vmin=-0.15, vmax=0.15, aspect="auto")
-    for p, k in np.ndindex(*off.shape):
-        color = "white" if abs(off[p, k]) > 0.1 else "black"
-        right.text(k, p, f"{off[p, k]:+.3f}", ha="center", va="center", fontsize=8, color=color)
-    right.set_xticks(range(4), SYMBOLS)
-    right.set_yticks(range(len(NAMES)), NAMES, fontsize=8)
-    right.set_title(
-        f"value − the table's, all fitted, reading:\n{title.replace('; ', ';' + chr(10))}",
-        fontsize=9,
-    )
-    figure.savefig(path, dpi=150)
+def draw(rows: Rows) -> Figure:
+    """What every reading leaves."""
+    figure = Figure(figsize=(7.0, 1.2 + 0.28 * len(rows)), layout="constrained")
+    axes = figure.subplots()
+    axes.barh([row["reading"] for row in rows], [row["loss"] for row in rows], color="#0072b2")
+    axes.invert_yaxis()
+    axes.set_xlabel("mean absolute difference of C, O and IG to the table")
+    return figure
 
 
 # ── The run ─────────────────────────────────────────────────────────────────
@@ -922,21 +735,20 @@ def draw(rows: Rows, best: np.ndarray, paper: np.ndarray, title: str, path: Path
 
 def options() -> argparse.Namespace:
     """The command line."""
-    parser = command_line(__doc__)
-    parser.add_argument("--seed", type=int, default=0, help="of the traffic and of the stand-in")
-    parser.add_argument("--paper", type=Path, metavar="FILE", help="the paper's Table 2 as CSV")
-    parser.add_argument("--setting", type=Path, metavar="FILE",
-                        help="calibrate.csv; where calibrate.py begins if not given")  # fmt: skip
-    parser.add_argument("--frames", type=int, default=20)
-    parser.add_argument("--spacing", type=float, default=1.0, help="of voxels [m]")
-    parser.add_argument("--scenes", type=int, default=10, help="only the first so many of the ten")
-    parser.add_argument("--checked", type=int, default=2,
-                        help="scenes on which facts are held against the scores")  # fmt: skip
-    given = parser.parse_args()
+    given = arguments(
+        __doc__,
+        *("seed", "paper"),
+        setting=dict(type=Path, metavar="FILE",
+                     help="calibrate.csv; where calibrate.py begins if not given"),
+        frames=dict(type=int, default=20),
+        spacing=dict(type=float, default=1.0, help="of voxels [m]"),
+        scenes=dict(type=int, default=10, help="only the first so many of the ten"),
+        checked=dict(type=int, default=2, help="scenes on which facts are held against the scores"),
+    )  # fmt: skip
+    need_maps(given)
     given.lights = LIGHTS[:1]
     if given.quick:
         given.paper = None
-    given.out.mkdir(parents=True, exist_ok=True)
     return given
 
 
@@ -985,47 +797,29 @@ def target(given: argparse.Namespace, world: World) -> tuple[np.ndarray, Reading
             raise SystemExit(f"{given.paper}: no {missing[0][1]} of {missing[0][0]}")
         return np.array([[stats[name, metric][0] for metric in METRICS] for name in NAMES]), None
     truth = READINGS[np.random.default_rng(given.seed).integers(len(READINGS))]
-    nothing = np.zeros((len(NAMES), 4))
-    return with_surrogate(world.fit(truth, nothing, fit_r=False).table), truth
+    return with_surrogate(world.fit(truth, None).table), truth
 
 
 def main() -> None:
     """Facts, readings, and what is told of them."""
     given = options()
-    stem = begin(given, "readings")
+    stem = output(given, "readings")
     setting = setting_of(given.setting)
     world = read_world(given, setting)
     paper, truth = target(given, world)
     rows: Rows = []
-    fits: list[Fitted] = []
-
-    def note(stage: str, fitted: Fitted, table: Table | None = None) -> None:
-        table = fitted.table if table is None else table
-        rows.append(row_of(stage, fitted, table, paper, world))
-        console.print(f"{fitted.reading.name}, {stage}: {rows[-1]['loss']:.4f} off")
-
     for reading in READINGS:
-        if not given.quick and reading.curve == "constant" and reading.fusion != "in part":
-            note("as given", world.fit(reading, paper, fit_r=False))
-        if not given.quick:
-            note("r fitted", world.fit(reading, paper))
-        fits.append(world.fit(reading, paper, numbers=None))
-        note("all fitted", fits[-1])
-    if given.quick:
-        best = min(fits, key=lambda fitted: loss(fitted.table, paper))
-    else:
-        best = world.together(fits, paper)
-        note("all fitted", best)
-        for fitted in (fits[0], best):
-            note("left out", fitted, world.left_out(fitted, paper))
-    shown = [fits[0], best]
-    text = f"{len(world.facts)} intersections, one voxel every {given.spacing:g} m\n\n"
-    text = "" if given.quick else text
-    text += "\n".join((results(rows), fusion(paper, shown), lidars(paper, [*fits, best])))
-    console.print(text, highlight=False, soft_wrap=True)
-    write_text(given.out / f"{stem}.md", text)
-    write_results(given.out / f"{stem}.csv", rows, vars(given) | dict(setting_values=setting))
-    draw(rows, with_surrogate(best.table), paper, best.reading.name, given.out / f"{stem}.png")
+        rows.append(row_of(world.fit(reading, paper), paper, world))
+        console.print(f"{reading.name}: {rows[-1]['loss']:.4f} off")
+    text = results(rows)
+    say(f"{len(world.facts)} intersections, one voxel every {given.spacing:g} m\n\n{text}")
+    write_text(stem.with_suffix(".md"), text)
+    write_results(stem, rows, vars(given) | dict(setting_values=setting), draw(rows))
+    best = min(rows, key=lambda row: row["loss"])
+    met = best["loss"] <= FOUND
+    say(
+        f"a reading meets the table: {'yes' if met else 'no'}; {best['reading']} {best['loss']:.4f}"
+    )
     if truth:
         off = next(row["loss"] for row in rows if row["reading"] == truth.name)
         if off > FOUND:

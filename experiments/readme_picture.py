@@ -10,7 +10,7 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from common import CHROMIUM, arguments, browser_on, write_results
+from common import CHROMIUM, METRICS, arguments, browser_on, write_results
 
 import inspe_jax
 from inspe_jax.core.sheet import save_figure
@@ -25,17 +25,15 @@ SCROLLED = 330
 
 def main() -> None:
     """Score, draw and write."""
-    options = arguments(__doc__)
+    options = arguments(__doc__, "seed")
     size: dict[str, Any] = dict(radius=25.0, voxel=1.0, frames=5) if options.quick else {}
     scene = inspe_jax.build_scene(inspe_jax.built_in("four_way"), **size, seed=options.seed)
     layout = inspe_jax.strategy(scene, "Cam-d1")
     scores = inspe_jax.evaluate(scene, layout)
     picture = options.out / "four_way.png"
     save_figure(plan_view(scene, layout, scores), picture)
-    names = ("coverage", "occlusion", "information_gain", "surrogate")
-    row = {name: getattr(scores, name) for name in names}
-    write_results(options.out / "four_way.csv", [row], dict(scene.settings))
-    print(f"wrote {picture}, .csv and .json")
+    row = {name: scores.value(name) for name in METRICS}
+    write_results(options.out / "four_way", [row], dict(scene.settings))
     both = inspe_jax.strategy(scene, "Cam-d1/L-d1")
     picture = options.out / "targets.png"
     save_figure(targets_view(scene, both, inspe_jax.target_view(scene, both)), picture)

@@ -11,10 +11,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from common import arguments, write_results
+from common import arguments, output, show, write_results
 from matplotlib.figure import Figure
-from rich.console import Console
-from rich.table import Table
 
 from inspe_jax.scene.procedural.built_ins import built_in
 from inspe_jax.scene.scene import Scene, build_scene
@@ -30,7 +28,6 @@ HEIGHT = 6.0
 """Of the LiDARs [m]."""
 BASE = (9.0, 9.0)
 """Of their unit [m]."""
-console = Console()
 
 
 @dataclass(frozen=True)
@@ -112,21 +109,16 @@ def draw(results: list[Found]) -> Figure:
 
 def main() -> None:
     """Record, print, draw and write."""
-    given = arguments(__doc__)
+    given = arguments(__doc__, "seed")
     frames = 2 if given.quick else 20
     settings = dict(radius=80, voxel=1, frames=frames, step=0.5, density="high", seed=given.seed)
     scene = build_scene(built_in("four_way"), **settings)
     results = list(recorded(scene))
     clear = {found.device: found for found in results if found.weather == "clear"}
     rows = [row(found, clear[found.device]) for found in results]
-    table = Table(*(key.replace("_", "\n") for key in rows[0]), title="Points of recorded scans")
-    for entry in rows:
-        table.add_row(*map(str, entry.values()))
-    console.print(table)
-    stem = "recorded_returns_quick" if given.quick else "recorded_returns"
-    write_results(given.out / f"{stem}.csv", rows, settings)
-    draw(results).savefig(given.out / f"{stem}.png", dpi=150)
-    console.print(f"wrote {given.out}/{stem}.csv, .json and .png", highlight=False)
+    heads = [key.replace("_", "\n") for key in rows[0]]
+    show(heads, [list(entry.values()) for entry in rows], "Points of recorded scans")
+    write_results(output(given, "recorded_returns"), rows, settings, draw(results))
 
 
 if __name__ == "__main__":

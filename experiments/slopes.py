@@ -30,17 +30,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from agreement import random_layout
-from common import command_line, write_results
+from common import arguments, console, output, show, write_results
 from jaxtyping import Float
-from rich.console import Console
 from rich.progress import track
-from rich.table import Table
 
 import inspe_jax
 from inspe_jax import Layout, Scene, Softness
 from inspe_jax.core.parallel import at_precision
-
-console = Console()
 
 STEPS = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6)
 """Steps of central differences, in units of :data:`SCALE`."""
@@ -162,16 +158,14 @@ def feasible(scene: Scene, spec: Any, count: int, rng: np.random.Generator) -> L
 
 def main() -> None:
     """Compare, print and write."""
-    parser = command_line(__doc__)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument(
-        "--poses", type=int, default=16, help="poses of the second question's means"
+    options = arguments(
+        __doc__,
+        "seed",
+        poses=dict(type=int, default=16, help="poses of the second question's means"),
+        softness=dict(type=float, default=SOFTNESS, help="width [m]"),
+        exact_rays=dict(action="store_true", help="also with rays read exactly"),
+        device=dict(action="append", help="only this device; repeat it for more"),
     )
-    parser.add_argument("--softness", type=float, default=SOFTNESS, help="width [m]")
-    parser.add_argument("--exact-rays", action="store_true", help="also with rays read exactly")
-    parser.add_argument("--device", action="append", help="only this device; repeat it for more")
-    options = parser.parse_args()
-    options.out.mkdir(parents=True, exist_ok=True)
     quick, width = options.quick, options.softness
     build = partial(inspe_jax.build_scene, inspe_jax.built_in("four_way"), seed=options.seed)
     small = build(radius=20, frames=4, voxel=0.4, spacing=2.0)
@@ -193,20 +187,16 @@ def main() -> None:
             found = against_exact(whole, layout, rays, shifts, width)
             rows.append(dict(device=name, rays=rays, **steps, **found))
 
-    table = Table(
-        "device", "worst\nstep", "exact score", "plain", "noise",
-        title=f"Cosine of the gradient with differences, softness {width} m, {near} poses",
-    )  # fmt: skip
+    shown = []
     for row in rows:
         worst = min(row[f"step_{step:g}"] for step in STEPS)
         name = row["device"] if row["rays"] == "density" else f"{row['device']}, exact rays"
         cells = f"{row['cosine']:.3f} ± {row['cosine_error']:.3f}", f"{row['plain_cosine']:.3f}"
-        table.add_row(name, f"{worst:.4f}", *cells, f"{row['noise']:.2f}")
-    console.print(table)
-    stem = options.out / ("slopes_quick" if quick else "slopes")
+        shown.append((name, f"{worst:.4f}", *cells, f"{row['noise']:.2f}"))
+    title = f"Cosine of the gradient with differences, softness {width} m, {near} poses"
+    show(("device", "worst\nstep", "exact score", "plain", "noise"), shown, title)
     settings = dict(whole.settings, seed=options.seed, near=near, softness=width)
-    write_results(stem.with_suffix(".csv"), rows, settings)
-    console.print(f"wrote {stem}.csv and .json", highlight=False)
+    write_results(output(options, "slopes"), rows, settings)
 
 
 if __name__ == "__main__":

@@ -16,10 +16,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from common import MAPS, METRICS, arguments, peak_memory, write_results
-from rich.console import Console
+from common import MAPS, METRICS, arguments, console, output, peak_memory, show, write_results
 from rich.progress import track
-from rich.table import Table
 from shapely.geometry import Point
 
 import inspe_jax
@@ -27,8 +25,6 @@ from inspe_jax import Layout, Scene
 from inspe_jax.scene.maps.registry import list_junctions, read_map
 from inspe_jax.scene.statics import StaticBody, body, tree, upright_box
 from inspe_jax.scene.street import room_along
-
-console = Console()
 
 TOWN, JUNCTION, RADIUS = "Town10HD.xodr", 189, 50.0
 BLOCK = Path(__file__).resolve().parents[1] / "tests" / "maps" / "neukoelln.osm.gz"
@@ -119,7 +115,7 @@ def peak_of(name: str, bodies: bool) -> float:
 
 def main() -> None:
     """Score, time, print and write."""
-    options = arguments(__doc__)
+    options = arguments(__doc__, "seed")
     quick = options.quick
     size: dict[str, Any] = dict(radius=20, voxel=0.5, frames=5) if quick else {}
     places = {"four_way": inspe_jax.built_in("four_way")}
@@ -136,23 +132,17 @@ def main() -> None:
         scenes[name] = bodies.with_statics([]), bodies
     names = ["Cam-d1", "L-d2"] if quick else list(inspe_jax.STRATEGIES)
     rows = placements(scenes, names)
-    table = Table(
-        "scene", "placement", "C", "", "O", "", "P_sm", "", title="In the open and between bodies"
-    )
-    for row in rows:
-        numbers = [row[f"{key}_{of}"] for key in ("coverage", "occlusion", "surrogate")
-                   for of in ("none", "bodies")]  # fmt: skip
-        table.add_row(row["scene"], row["placement"], *(f"{number:.3f}" for number in numbers))
-    console.print(table)
-    stem = options.out / ("statics_quick" if quick else "statics")
+    shown = [f"{key}_{of}" for key in ("coverage", "occlusion", "surrogate")
+             for of in ("none", "bodies")]  # fmt: skip
+    cells = [[row["scene"], row["placement"], *(f"{row[k]:.3f}" for k in shown)] for row in rows]
+    show(("scene", "placement", "C", "", "O", "", "P_sm", ""), cells, "In the open, with bodies")
     counts = {name: len(full.statics) for name, (_, full) in scenes.items()}
-    write_results(stem.with_suffix(".csv"), rows, dict(seed=options.seed, bodies=counts))
+    write_results(output(options, "statics"), rows, dict(seed=options.seed, bodies=counts))
     if not quick:
         times = [cost(name, ROUNDS) for name in ("Cam-d1/L-d1", "L-d2")]
         for row in times:
             console.print(row)
-        write_results(options.out / "statics_cost.csv", times, dict(rounds=ROUNDS))
-    console.print(f"wrote {stem}.csv", highlight=False)
+        write_results(options.out / "statics_cost", times, dict(rounds=ROUNDS))
 
 
 if __name__ == "__main__":

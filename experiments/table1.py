@@ -35,18 +35,22 @@ from common import (
     MAPS,
     METRICS,
     append_rows,
-    command_line,
+    arguments,
+    console,
     kept_folder,
+    markdown,
+    need_maps,
     on_maps,
+    output,
     processes,
     read_rows,
+    say,
     write_results,
     write_settings,
 )
 from matplotlib.figure import Figure
-from rich.console import Console
 from scipy.stats import bootstrap, pearsonr, rankdata
-from table2 import Stats, begin, places, run, statistics
+from table2 import Stats, places, run, statistics
 
 from inspe_jax.cli.common import progress
 from inspe_jax.dataset import Cache, Generation, cache, generate, open_cache
@@ -107,7 +111,6 @@ QUICK_MODELS = ("coalign", "lss-resnet")
 QUICK_STEPS = {("camera",): 240, ("lidar",): 120, ("lidar", "camera"): 240}
 """What --quick trains if ``--models`` does not say, and for how many steps, by sensors."""
 
-console = Console()
 Rows = list[dict[str, Any]]
 
 
@@ -131,23 +134,20 @@ class Job(NamedTuple):
 
 def options() -> argparse.Namespace:
     """The command line."""
-    parser = command_line(__doc__)
-    parser.add_argument("--keep", type=Path, help="folder that sets and trainings stay in: 40 GB")
-    parser.add_argument("--steps", type=int, default=STEPS, help="of each training")
-    parser.add_argument("--models", metavar="NAMES", help="only these detectors, with commas")
-    parser.add_argument("--record", action="store_true", help="only record and decode")
-    parser.add_argument("--lights", nargs="+", default=["midday", "night"])
-    parser.add_argument("--densities", nargs="+", default=["medium", "high"])
-    parser.add_argument("--paper1", type=Path, metavar="FILE", help="the paper's Table 1 as CSV")
-    parser.add_argument(
-        "--workers", type=int, help="processes that record and train; one a core if not given"
+    given = arguments(
+        __doc__,
+        *("keep", "workers", "scheduler"),
+        steps=dict(type=int, default=STEPS, help="of each training"),
+        models=dict(metavar="NAMES", help="only these detectors, with commas"),
+        record=dict(action="store_true", help="only record and decode"),
+        lights=dict(nargs="+", default=["midday", "night"]),
+        densities=dict(nargs="+", default=["medium", "high"]),
+        paper1=dict(type=Path, metavar="FILE", help="the paper's Table 1 as CSV"),
     )
-    parser.add_argument("--scheduler", metavar="ADDRESS", help="a Dask scheduler, for trainings")
-    given = parser.parse_args()
     for name in given.models.split(",") if given.models else ():
         if name not in NAMES:
-            parser.error(f"--models {name}: some of {', '.join(NAMES)}")
-    given.out.mkdir(parents=True, exist_ok=True)
+            raise SystemExit(f"--models {name}: some of {', '.join(NAMES)}")
+    need_maps(given)
     return given
 
 
@@ -415,7 +415,7 @@ def read_paper1(path: Path | None) -> Means:
 
 def table(found: Means, paper: Means) -> str:
     """Detectors and placements × classes in Markdown, the paper's in brackets."""
-    lines = ["| detector | placement | " + " | ".join(KINDS) + " | mean |", "|---" * 7 + "|"]
+    lines = []
     there = {at[:2] for at in found}
     for model, placement in dict.fromkeys(job[:2] for job in every_job() if job[:2] in there):
         cells = []
@@ -425,13 +425,13 @@ def table(found: Means, paper: Means) -> str:
         beside = [
             f"{a:.1f}" + ("" if np.isnan(b) else f" ({b:.1f})") for a, b in zip(*cells, strict=True)
         ]
-        lines.append(f"| {NAMES[model]} | {placement} | " + " | ".join(beside) + " |")
-    return "\n".join(lines)
+        lines.append((NAMES[model], placement, *beside))
+    return markdown(("detector", "placement", *KINDS, "mean"), lines)
 
 
 def seeds_table(rows: Rows, of: str) -> str:
     """mAP of each seed and its standard deviation, of detectors with several, in Markdown."""
-    lines = ["| detector | placement | mAP of each seed | standard deviation |", "|---" * 4 + "|"]
+    lines = []
     found = means_of_seeds(rows, of).values()
     for model, placement in dict.fromkeys(job[:2] for job in every_job()):
         each = [
@@ -441,8 +441,8 @@ def seeds_table(rows: Rows, of: str) -> str:
         ]
         if len(each) > 1:
             cell = ", ".join(f"{ap:.1f}" for ap in each)
-            lines.append(f"| {NAMES[model]} | {placement} | {cell} | {np.std(each, ddof=1):.1f} |")
-    return "\n".join(lines)
+            lines.append((NAMES[model], placement, cell, f"{np.std(each, ddof=1):.1f}"))
+    return markdown(("detector", "placement", "mAP of each seed", "standard deviation"), lines)
 
 
 def of_placements(found: Means, kind: str | None = None) -> dict[str, float]:
@@ -465,13 +465,6 @@ def spearman(x: np.ndarray, y: np.ndarray, axis: int = -1) -> np.ndarray:
     return pearson(rankdata(x, axis=axis), rankdata(y, axis=axis), axis)
 
 
-def resampled(
-    measure: Any, x: np.ndarray, y: np.ndarray, rows: np.ndarray, axis: int = -1
-) -> np.ndarray:
-    """A correlation between some rows of two arrays."""
-    return measure(x[rows], y[rows], axis)
-
-
 def interval(of: Any, count: int, resamples: int = RESAMPLES) -> tuple[float, float]:
     """The middle 95 % of ``of(rows)``, over ``count`` rows drawn anew with replacement."""
     found = bootstrap((np.arange(count),), of, n_resamples=resamples, method="percentile", rng=0)
@@ -487,7 +480,10 @@ def correlations(found: Means, ours: Any) -> list[dict[str, Any]]:
         for metric in METRICS:
             x = np.array([ours[placement, metric][0] for placement in own])
             for name, measure in (("pearson", pearson), ("spearman", spearman)):
-                low, high = interval(partial(resampled, measure, x, y), len(own))
+                low, high = interval(
+                    lambda rows, axis=-1: measure(x[rows], y[rows], axis),  # noqa: B023
+                    len(own),
+                )
                 value = float(measure(x, y))
                 rows.append(
                     dict(road_user=kind or "all", metric=metric, correlation=name,
@@ -499,30 +495,29 @@ def correlations(found: Means, ours: Any) -> list[dict[str, Any]]:
 def placements_table(found: dict[str, Means], ours: dict[str, Stats]) -> str:
     """P_sm and the mean mAP of each placement in Markdown, by what frames are of."""
     own = {of: of_placements(each) for of, each in found.items()}
-    heads = [f"P_sm, {of} | mAP, {of}" for of in own]
-    lines = ["| placement | " + " | ".join(heads) + " |", "|---" * (1 + 2 * len(own)) + "|"]
+    heads, lines = [f"{what}, {of}" for of in own for what in ("P_sm", "mAP")], []
     for placement in own["places"]:
         cells = [
             f"{ours[of][placement, 'surrogate'][0]:.3f} | {ap[placement]:.1f}"
             for of, ap in own.items()
         ]
-        lines.append(f"| {placement} | " + " | ".join(cells) + " |")
-    return "\n".join(lines)
+        lines.append((placement, *cells))
+    return markdown(("placement", *heads), lines)
 
 
 def correlations_table(rows: list[dict[str, Any]]) -> str:
     """Pearson's and Spearman's with each metric in Markdown, the intervals for all classes."""
     shown = {"surrogate": METRICS["surrogate"]} | METRICS
-    lines = ["| mAP at | " + " | ".join(shown.values()) + " |", "|---" * (1 + len(shown)) + "|"]
+    lines = []
     for of, kind in dict.fromkeys((row["frames_of"], row["road_user"]) for row in rows):
         cells: dict[str, list[str]] = {}
         for row in rows:
             if (row["frames_of"], row["road_user"]) == (of, kind):
                 ends = f" [{row['low']:.2f}, {row['high']:.2f}]" if kind == "all" else ""
                 cells.setdefault(row["metric"], []).append(f"{row['value']:.2f}{ends}")
-        line = " | ".join(", ".join(cells[metric]) for metric in shown)
-        lines.append(f"| {of}{'' if kind == 'all' else f', {kind}s'} | {line} |")
-    return "\n".join(lines)
+        at = of if kind == "all" else f"{of}, {kind}s"
+        lines.append((at, *(", ".join(cells[metric]) for metric in shown)))
+    return markdown(("mAP at", *shown.values()), lines)
 
 
 def conclusions(found: Means) -> list[str]:
@@ -589,16 +584,10 @@ def draw(found: Means, ours: Any, paper: Means) -> Figure:
     return figure
 
 
-def say(text: str) -> None:
-    """Print Markdown as it is."""
-    console.print(text, highlight=False, soft_wrap=True, markup=False)
-
-
 def main() -> None:
     """Record, train, measure, tell."""
     given = options()
-    stem = begin(given, "table1")
-    path = given.out / f"{stem}.csv"
+    path = output(given, "table1").with_suffix(".csv")
     with kept_folder(given.keep) as into:
         if given.quick:
             write_results(path, quick(given, into), dict(vars(given)))
@@ -640,7 +629,6 @@ def tell(given: argparse.Namespace, into: Path, path: Path, rows: Rows) -> None:
     ]
     write_results(path.with_name("table1_correlations.csv"), written, dict(vars(given)))
     draw(of_own["places"], ours["places"], paper).savefig(path.with_suffix(".png"), dpi=150)
-    console.print(f"wrote {path}, .json and .png", highlight=False)
 
 
 if __name__ == "__main__":

@@ -23,9 +23,20 @@ from typing import Any
 
 import numpy as np
 import yaml
-from common import MAPS, METRICS, command_line, processes, read_rows, write_results
+from common import (
+    MAPS,
+    METRICS,
+    arguments,
+    console,
+    markdown,
+    need_maps,
+    output,
+    processes,
+    read_rows,
+    say,
+    write_results,
+)
 from matplotlib.figure import Figure
-from rich.console import Console
 from scipy.stats import spearmanr
 
 from inspe_jax.cli.common import progress
@@ -47,7 +58,6 @@ QUICK = [
 """Intersections of a quick run: they need no map."""
 QUICK_SIZE: dict[str, Any] = dict(radius=20.0, voxel=1.0, frames=3)
 
-console = Console()
 Row = Mapping[str, str]
 Stats = dict[tuple[str, str], tuple[float, float]]
 """(mean, standard deviation) by placement and metric."""
@@ -55,30 +65,21 @@ Stats = dict[tuple[str, str], tuple[float, float]]
 
 def options() -> argparse.Namespace:
     """The command line."""
-    parser = command_line(__doc__)
-    parser.add_argument("--seed", type=int, default=0, help="of the traffic and the searches")
-    parser.add_argument("--profile", default=DEFAULT_PROFILE, choices=list(profiles()))
-    parser.add_argument("--radius", type=float, help="of the region of interest [m]")
-    parser.add_argument("--voxel", type=float, help="size [m]")
-    parser.add_argument("--frames", type=int, default=100)
-    parser.add_argument("--mix", help="mixed, or largest; the profile's if not given")
-    parser.add_argument("--lights", nargs="+", default=list(LIGHTS), choices=LIGHTS)
-    parser.add_argument("--densities", nargs="+", default=list(DENSITIES), choices=DENSITIES)
-    parser.add_argument("--optimise", type=float, default=0.0, metavar="WORK",
-                        help="search from every placement; in exact scores' work")  # fmt: skip
-    parser.add_argument("--paper", type=Path, metavar="FILE", help="the paper's Table 2 as CSV")
-    parser.add_argument("--workers", type=int, help="processes; one a core if not given")
-    parser.add_argument("--scheduler", metavar="ADDRESS", help="a running Dask scheduler")
-    found = parser.parse_args()
-    found.out.mkdir(parents=True, exist_ok=True)
+    found = arguments(
+        __doc__,
+        *("seed", "paper", "workers", "scheduler"),
+        profile=dict(default=DEFAULT_PROFILE, choices=list(profiles())),
+        radius=dict(type=float, help="of the region of interest [m]"),
+        voxel=dict(type=float, help="size [m]"),
+        frames=dict(type=int, default=100),
+        mix=dict(help="mixed, or largest; the profile's if not given"),
+        lights=dict(nargs="+", default=list(LIGHTS), choices=LIGHTS),
+        densities=dict(nargs="+", default=list(DENSITIES), choices=DENSITIES),
+        optimise=dict(type=float, default=0.0, metavar="WORK",
+                      help="search from every placement; in exact scores' work"),
+    )  # fmt: skip
+    need_maps(found)
     return found
-
-
-def begin(given: argparse.Namespace, name: str) -> str:
-    """Make sure that the maps are there, keep what is compiled; gives the name of the output."""
-    if not given.quick and not MAPS.is_dir():
-        raise SystemExit(f"the town maps are not at {MAPS}; --quick needs none")
-    return f"{name}_quick" if given.quick else name
 
 
 def places(given: argparse.Namespace) -> list[dict[str, Any]]:
@@ -136,8 +137,7 @@ def read_paper(path: Path) -> Stats:
 
 def table(stats: Stats, paper: Stats) -> str:
     """Placements × metrics in Markdown; beside the paper's, with the differences, if given."""
-    text = "| placement | " + " | ".join(METRICS.values()) + " |\n"
-    text += "|---" * (len(METRICS) + 1) + "|\n"
+    rows = []
     for name in STRATEGIES:
         cells = []
         for metric in METRICS:
@@ -147,7 +147,8 @@ def table(stats: Stats, paper: Stats) -> str:
                 theirs, spread = paper[name, metric]
                 words += f" (paper {theirs:.3f} ± {spread:.3f}, {mean - theirs:+.3f})"
             cells.append(words)
-        text += f"| {name} | {' | '.join(cells)} |\n"
+        rows.append((name, *cells))
+    text = markdown(("placement", *METRICS.values()), rows) + "\n"
     for metric, symbol in METRICS.items():
         both = [name for name in STRATEGIES if (name, metric) in paper and (name, metric) in stats]
         if len(both) > 2:
@@ -227,22 +228,23 @@ def _each(names: list[str], values: list[float]) -> str:
 
 def optimised(rows: list[Row]) -> str:
     """What searches gain, on every intersection, over the best placement by hand."""
-    text = "| intersection | best by hand | best found | gain | from | mean gain of a placement |\n"
-    text += "|---" * 6 + "|\n"
+    lines = []
     for place in dict.fromkeys(row["scene"] for row in rows):
         own = [row for row in rows if row["scene"] == place]
         before = {row["layout"]: float(row["surrogate_before"]) for row in own}
         after = {row["layout"]: float(row["surrogate"]) for row in own}
         hand, found = (max(x, key=x.__getitem__) for x in (before, after))
         each = np.mean([after[name] - before[name] for name in before])
-        text += f"| {place} | {before[hand]:.4f} ({hand}) | {after[found]:.4f} | "
-        text += f"{after[found] - before[hand]:+.4f} | {found} | {each:+.4f} |\n"
-    after_all = statistics(rows)
-    text += "\n| placement | by hand | found from it |\n|---|---|---|\n"
+        cells = f"{before[hand]:.4f} ({hand})", f"{after[found]:.4f}"
+        gain = f"{after[found] - before[hand]:+.4f}"
+        lines.append((place, *cells, gain, found, f"{each:+.4f}"))
+    heads = ("best by hand", "best found", "gain", "from", "mean gain of a placement")
+    after_all, both = statistics(rows), []
     for name in dict.fromkeys(row["layout"] for row in rows):
         starts = [float(row["surrogate_before"]) for row in rows if row["layout"] == name]
-        text += f"| {name} | {np.mean(starts):.4f} | {after_all[name, 'surrogate'][0]:.4f} |\n"
-    return text
+        both.append((name, f"{np.mean(starts):.4f}", f"{after_all[name, 'surrogate'][0]:.4f}"))
+    text = markdown(("intersection", *heads), lines)
+    return f"{text}\n\n{markdown(('placement', 'by hand', 'found from it'), both)}\n"
 
 
 def panels(figure: Figure, names: Sequence[str]) -> Iterator[tuple[Any, str]]:
@@ -256,7 +258,7 @@ def panels(figure: Figure, names: Sequence[str]) -> Iterator[tuple[Any, str]]:
         yield ax, metric
 
 
-def draw(stats: Stats, paper: Stats, path: Path) -> None:
+def draw(stats: Stats, paper: Stats) -> Figure:
     """Mean and standard deviation of every placement, a panel a metric."""
     figure = Figure(figsize=(8.4, 5.6), layout="constrained")
     names = list(STRATEGIES)
@@ -272,17 +274,17 @@ def draw(stats: Stats, paper: Stats, path: Path) -> None:
         ax.set_ylabel("mean ± standard deviation", fontsize=8)
     if paper:
         figure.axes[0].legend(fontsize=8, loc="lower right")
-    figure.savefig(path, dpi=150)
+    return figure
 
 
 def main() -> None:
     """The study, its table, what follows from it, and the figure."""
     given = options()
-    stem = begin(given, "table2")
+    stem = output(given, "table2")
     if given.quick:
         given.lights, given.densities = USUAL[:1], USUAL[1:]
     study = plan(given, density=list(given.densities), light=list(given.lights))
-    rows = run(study, given.out / f"{stem}_jobs", given)
+    rows = run(study, Path(f"{stem}_jobs"), given)
     usual = [row for row in rows if (row["light"], row["density"]) == USUAL]
     stats, paper = statistics(usual), read_paper(given.paper) if given.paper else {}
     text = f"Of {len(usual)} scores at {USUAL[0]}, {USUAL[1]} density:\n\n{table(stats, paper)}\n"
@@ -292,15 +294,14 @@ def main() -> None:
     if given.optimise:
         searches = plan(given, density="medium", light="midday", method="greedy-adam",
                         evaluations=given.optimise, search_seed=given.seed)  # fmt: skip
-        text += "\n" + optimised(run(searches, given.out / f"{stem}_searches", given))
-    console.print(text, highlight=False, soft_wrap=True)
-    write_text(given.out / f"{stem}.md", text)
+        text += "\n" + optimised(run(searches, Path(f"{stem}_searches"), given))
+    say(text)
+    write_text(stem.with_suffix(".md"), text)
     summary = [
         dict(placement=name, metric=metric, mean=f"{mean:.6f}", std=f"{std:.6f}")
         for (name, metric), (mean, std) in stats.items()
     ]
-    write_results(given.out / f"{stem}.csv", summary, vars(given) | dict(jobs=len(rows)))
-    draw(stats, paper, given.out / f"{stem}.png")
+    write_results(stem, summary, vars(given) | dict(jobs=len(rows)), draw(stats, paper))
 
 
 if __name__ == "__main__":

@@ -15,10 +15,8 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from common import METRICS, arguments, on_maps, write_results
-from rich.console import Console
+from common import METRICS, arguments, console, on_maps, output, show, write_results
 from rich.progress import track
-from rich.table import Table
 from table2 import places
 
 import inspe_jax
@@ -29,8 +27,6 @@ from inspe_jax.scene.maps.registry import read_map
 CRESTS = (500.0, 250.0)
 """Radius of the crest [m]: residential streets have such."""
 RADIUS, ROUNDS = 50.0, 5
-
-console = Console()
 
 
 def over_crest(place: Intersection, radius: float) -> Intersection:
@@ -78,7 +74,7 @@ def compared(place: Intersection, names: list[str], **size: Any) -> list[dict[st
 
 def main() -> None:
     """Score, time, print and write."""
-    given = arguments(__doc__)
+    given = arguments(__doc__, "seed")
     size: dict[str, Any] = dict(radius=RADIUS, seed=given.seed)
     if given.quick:
         size |= dict(radius=20, voxel=0.5, frames=5)
@@ -86,7 +82,7 @@ def main() -> None:
     rows: list[dict[str, Any]] = []
     for place in intersections(given):
         rows += compared(place, names, **size)
-    table = Table("scene", "largest loss of C", "O", "P_sm", "placement", "time")
+    cells = []
     for scene in dict.fromkeys(row["scene"] for row in rows):
         own = [row for row in rows if row["scene"] == scene]
         lost = {
@@ -95,11 +91,9 @@ def main() -> None:
         }
         told = [f"{row[f'{key}_none'] - row[f'{key}_ground']:.4f}" for key, row in lost.items()]
         ratio = np.median([row["time_ratio"] for row in own])
-        table.add_row(scene, *told, lost["surrogate"]["placement"], f"{ratio:.2f} ×")
-    console.print(table)
-    stem = given.out / ("terrain_quick" if given.quick else "terrain")
-    write_results(stem.with_suffix(".csv"), rows, dict(seed=given.seed, crests=CRESTS))
-    console.print(f"wrote {stem}.csv", highlight=False)
+        cells.append((scene, *told, lost["surrogate"]["placement"], f"{ratio:.2f} ×"))
+    show(("scene", "largest loss of C", "O", "P_sm", "placement", "time"), cells)
+    write_results(output(given, "terrain"), rows, dict(seed=given.seed, crests=CRESTS))
 
 
 if __name__ == "__main__":

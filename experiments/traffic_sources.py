@@ -11,11 +11,9 @@ from typing import Any
 
 import numpy as np
 import sumo
-from common import MAPS, arguments, write_results
+from common import MAPS, METRICS, arguments, console, output, show, write_results
 from matplotlib.figure import Figure
-from rich.console import Console
 from rich.progress import track
-from rich.table import Table
 
 import inspe_jax
 from inspe_jax import STRATEGIES, Intersection, Scene
@@ -24,7 +22,6 @@ from inspe_jax.scene.maps.registry import read_map
 from inspe_jax.scene.traffic.registry import TRAFFIC_MODELS
 from inspe_jax.scoring.viewshed import viewshed
 
-console = Console()
 LEVEL = 1.0
 """Height above the ground at which p̂ is drawn [m]."""
 NAMES = {"waypoints": "waypoint model", "sumo": "SUMO"}
@@ -49,7 +46,7 @@ def occupancy(scene: Scene) -> tuple[np.ndarray, float]:
 
 def main() -> None:
     """Build, score, print and write."""
-    options = arguments(__doc__)
+    options = arguments(__doc__, "seed")
     place, radius = intersection(options.quick)
     quick = dict(voxel=1.0, density="low", frames=20)
     whole = dict(voxel=0.5, density="medium", frames=200)
@@ -73,26 +70,22 @@ def main() -> None:
         )
         for name in layouts:
             scores = inspe_jax.evaluate(scene, inspe_jax.strategy(scene, name))
-            found = dict(
-                coverage=scores.coverage,
-                occlusion=scores.occlusion,
-                information_gain=scores.information_gain,
-                surrogate=scores.surrogate,
-            )
+            found = {metric: scores.value(metric) for metric in METRICS}
             rows.append(dict(traffic=source, seed=seed, layout=name, **facts, **found))
 
-    table = Table(
-        "placement", "O", "O\nSUMO", "IG", "IG\nSUMO", "P_sm", "P_sm\nSUMO", "change",
-        title=f"{place.name}: waypoint model and SUMO, mean of {len(seeds)}",
-    )  # fmt: skip
+    shown = []
     for name in layouts:
         cells = [
             mean(rows, source, name, key)
             for key in ("occlusion", "information_gain", "surrogate")
             for source in TRAFFIC_MODELS
         ]
-        table.add_row(name, *(f"{x:.3f}" for x in cells), f"{cells[5] - cells[4]:+.3f}")
-    console.print(table)
+        shown.append((name, *(f"{x:.3f}" for x in cells), f"{cells[5] - cells[4]:+.3f}"))
+    show(
+        ("placement", "O", "O\nSUMO", "IG", "IG\nSUMO", "P_sm", "P_sm\nSUMO", "change"),
+        shown,
+        f"{place.name}: waypoint model and SUMO, mean of {len(seeds)}",
+    )
     for source in TRAFFIC_MODELS:
         own = [r for r in rows if r["traffic"] == source and r["layout"] == layouts[0]]
         console.print(
@@ -101,10 +94,10 @@ def main() -> None:
             f"{np.mean([r['voxels_ever_occupied'] for r in own]):.1%} of the voxels ever occupied",
             highlight=False,
         )
-    stem = options.out / ("traffic_sources_quick" if options.quick else "traffic_sources")
-    write_results(stem.with_suffix(".csv"), rows, dict(settings, place=place.name))
-    draw(drawn, rows, layouts).savefig(stem.with_suffix(".png"), dpi=150)
-    console.print(f"wrote {stem}.csv, .json and .png", highlight=False)
+    figure = draw(drawn, rows, layouts)
+    write_results(
+        output(options, "traffic_sources"), rows, settings | dict(place=place.name), figure
+    )
 
 
 def mean(rows: list[dict[str, Any]], source: str, layout: str, key: str) -> float:

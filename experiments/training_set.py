@@ -16,10 +16,18 @@ from typing import Any
 
 import numpy as np
 import yaml
-from common import MAPS, command_line, kept_folder, on_maps, processes, write_results
+from common import (
+    arguments,
+    console,
+    kept_folder,
+    need_maps,
+    on_maps,
+    output,
+    processes,
+    show,
+    write_results,
+)
 from matplotlib.figure import Figure
-from rich.console import Console
-from rich.table import Table
 from table2 import HERE
 
 from inspe_jax.cli.common import progress
@@ -44,22 +52,6 @@ REAL: dict[str, list[tuple[str, float, float]]] = {
     "pedestrian": [("adult", 0.5, 0.5)],
 }
 """Length and width [m]: makers' data sheets; the longest that EU directive 96/53/EC allows."""
-
-console = Console()
-
-
-def options() -> argparse.Namespace:
-    """The command line."""
-    parser = command_line(__doc__)
-    parser.add_argument("--keep", type=Path, help="folder that the set stays in: about 3 GB")
-    parser.add_argument("--workers", type=int, help="processes; one a core if not given")
-    parser.add_argument("--lights", nargs="+", default=list(LIGHTS), choices=LIGHTS)
-    parser.add_argument("--mix", default="fleet", choices=list(MIXES), help="of the road users")
-    given = parser.parse_args()
-    given.out.mkdir(parents=True, exist_ok=True)
-    if not given.quick and not MAPS.is_dir():
-        raise SystemExit(f"the town maps are not at {MAPS}; --quick needs none")
-    return given
 
 
 def study(given: argparse.Namespace, **changes: Any) -> dict[str, Any]:
@@ -154,9 +146,9 @@ def total(rows: Rows, **of: str) -> Counter[str]:
     return found
 
 
-def densities_table(rows: Rows) -> Table:
+def tell_densities(rows: Rows) -> None:
     """Road users of each class a frame, of those asked for."""
-    found = Table("density", *(f"{name}s" for name in CLASSES), "all", title="Road users a frame")
+    found = []
     for density in dict.fromkeys(row["density"] for row in rows):
         cells = []
         for of in (*({"road_user": name} for name in CLASSES), {}):
@@ -164,15 +156,13 @@ def densities_table(rows: Rows) -> Table:
             one = next(row for row in rows if row["density"] == density)["placement"]
             asked = total(rows, density=density, placement=one, **of)["asked"]
             cells.append(f"{sums['boxes'] * classes / sums['frames']:.1f} of {asked}")
-        found.add_row(density, *cells)
-    return found
+        found.append((density, *cells))
+    show(("density", *(f"{name}s" for name in CLASSES), "all"), found, "Road users a frame")
 
 
-def placements_table(rows: Rows, title: str) -> Table:
+def tell_placements(rows: Rows, title: str) -> None:
     """Boxes without a return, and points in a box for each return of its road user."""
-    found = Table("placement", title=title)
-    for name in CLASSES:
-        found.add_column(f"{name}s without\na return, points\na return")
+    found = []
     for placement in dict.fromkeys(row["placement"] for row in rows):
         if STRATEGIES[placement].lidars:
             cells = []
@@ -180,8 +170,9 @@ def placements_table(rows: Rows, title: str) -> Table:
                 sums = total(rows, placement=placement, road_user=name)
                 none = sums["without_return"] / max(sums["boxes"], 1)
                 cells.append(f"{none:.1%}, {sums['points_inside'] / max(sums['returns'], 1):.2f}")
-            found.add_row(placement, *cells)
-    return found
+            found.append((placement, *cells))
+    heads = [f"{name}s without\na return, points\na return" for name in CLASSES]
+    show(("placement", *heads), found, title)
 
 
 def draw(data: Dataset) -> Figure:
@@ -209,8 +200,13 @@ def draw(data: Dataset) -> Figure:
 
 def main() -> None:
     """Record, count, print, draw and write."""
-    given = options()
-    stem = "training_set_quick" if given.quick else "training_set"
+    given = arguments(
+        __doc__,
+        *("keep", "workers"),
+        lights=dict(nargs="+", default=list(LIGHTS), choices=LIGHTS),
+        mix=dict(default="fleet", choices=list(MIXES), help="of the road users"),
+    )
+    need_maps(given)
     with kept_folder(given.keep) as into:
         light = given.lights[0]
         data = recorded(study(given), into / "set", processes(given))
@@ -219,13 +215,13 @@ def main() -> None:
         slow = study(given, lidar_turn_s=1, layouts=["L-d1"])
         slow["settings"] |= dict(light=[light])
         before = counted(recorded(slow, into / "slow_turn", processes(given)), given.mix, light)
-        draw(data).savefig(given.out / f"{stem}.png", dpi=150)
-    console.print(densities_table(rows))
-    console.print(placements_table(rows, "What LiDARs return of road users"))
-    console.print(placements_table(before, "The same with a turn of 1 s"))
+        figure = draw(data)
+    tell_densities(rows)
+    tell_placements(rows, "What LiDARs return of road users")
+    tell_placements(before, "The same with a turn of 1 s")
     every = [row | dict(turn_s=turn) for turn, part in ((0.1, rows), (1.0, before)) for row in part]
-    write_results(given.out / f"{stem}.csv", every, dict(mix=given.mix, study=study(given)))
-    console.print(f"wrote {given.out}/{stem}.csv, .json and .png", highlight=False)
+    settings = dict(mix=given.mix, study=study(given))
+    write_results(output(given, "training_set"), every, settings, figure)
 
 
 if __name__ == "__main__":

@@ -27,8 +27,16 @@ from typing import Any
 import equinox as eqx
 import jax
 import numpy as np
-from common import command_line, kept_folder, peak_memory, write_results
-from rich.console import Console
+from common import (
+    arguments,
+    console,
+    kept_folder,
+    markdown,
+    output,
+    peak_memory,
+    say,
+    write_results,
+)
 from table1 import NAMES, PICTURES, recorded
 
 from inspe_jax.cli.common import progress
@@ -47,20 +55,6 @@ SHARE = 0.1
 LOSSES = "losses"
 PARTS = ("pillars", "pictures", "pyramids", "fusion", "head", LOSSES, "teacher", "optimiser")
 """Of a step. All but losses are named scopes."""
-
-console = Console()
-
-
-def options() -> argparse.Namespace:
-    """The command line."""
-    parser = command_line(__doc__)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--keep", type=Path, help="folder that the frames stay in: 1 GB")
-    parser.add_argument("--steps", type=int, default=9, help="that are measured")
-    given = parser.parse_args()
-    given.workers = 1
-    given.out.mkdir(parents=True, exist_ok=True)
-    return given
 
 
 def frames(given: argparse.Namespace, into: Path) -> Path:
@@ -189,19 +183,21 @@ def measured(name: str, path: Path, times: int, half: float) -> dict[str, Any]:
 def table(rows: list[dict[str, Any]]) -> str:
     """The rows in Markdown; a dash is a part that the detector does not have."""
     heads = ("detector", "after", "parameters", "a batch", "a step", *PARTS, "memory")
-    lines = ["| " + " | ".join(heads) + " |", "|---" * len(heads) + "|"]
+    lines = []
     for row in rows:
         cells = [NAMES[row["model"]], row["after"], f"{row['parameters']:,}"]
         cells += [f"{row['loading_ms']} ms", f"{row['step_ms'] / 1e3:.2f} s"]
         times = [row[f"{part}_ms"] / 1e3 for part in PARTS]
         cells += [f"{seconds:.2f}" if seconds else "–" for seconds in times]
-        lines.append("| " + " | ".join([*cells, f"{row['memory_gib']} GiB"]) + " |")
-    return "\n".join(lines)
+        lines.append([*cells, f"{row['memory_gib']} GiB"])
+    return markdown(heads, lines)
 
 
 def main() -> None:
     """Record, measure, tell."""
-    given = options()
+    steps = dict(type=int, default=9, help="that are measured")
+    given = arguments(__doc__, "seed", "keep", steps=steps)
+    given.workers = 1
     models = QUICK_MODELS if given.quick else [name for name in MODELS if name != TEACHER]
     times, half = (2, 25.6) if given.quick else (given.steps, BevGrid().half)
     rows = []
@@ -213,12 +209,10 @@ def main() -> None:
                 rows.append(pool.submit(measured, name, path, times, half).result())
             if bar:
                 bar(done, len(models), name)
-    out = given.out / "training_step.csv"
-    write_results(out, rows, dict(vars(given)))
-    console.print(table(rows), highlight=False, soft_wrap=True, markup=False)
+    write_results(output(given, "training_step"), rows, dict(vars(given)))
+    say(table(rows))
     share = max(row["loading_ms"] / row["step_ms"] for row in rows)
     console.print(f"loading takes at most {share:.1%} of a step, {SHARE:.0%} was claimed")
-    console.print(f"wrote {out} and .json", highlight=False)
 
 
 if __name__ == "__main__":

@@ -43,14 +43,6 @@ def matrix(pose: Sequence[float]) -> np.ndarray:
     )
 
 
-def pose(matrix: np.ndarray) -> tuple[float, ...]:
-    """The pose of a matrix; actors that are attached to another one get theirs from it."""
-    pitch = np.arcsin(np.clip(matrix[2, 0], -1, 1))
-    yaw = np.arctan2(matrix[1, 0], matrix[0, 0])
-    roll = np.arctan2(-matrix[2, 1], matrix[2, 2])
-    return (*matrix[:3, 3].tolist(), *np.degrees([pitch, yaw, roll]).tolist())
-
-
 def instance_of(actor: int) -> int:
     """The 16 bits of an actor in instance segmentation.
 
@@ -91,25 +83,16 @@ def cast(
 
 
 def overlap(a: Box, b: Box) -> bool:
-    """Whether two boxes overlap: no axis of theirs, or across both, separates them."""
-    turns = a.matrix[:3, :3], b.matrix[:3, :3]
-    across = np.cross(turns[0].T[:, None], turns[1].T[None]).reshape(-1, 3)
-    axes = np.concatenate([turns[0].T, turns[1].T, across])  # (15, 3)
-    gap = np.abs(axes @ (a.matrix[:3, 3] - b.matrix[:3, 3]))
-    reach = np.abs(axes @ turns[0]) @ a.extent + np.abs(axes @ turns[1]) @ b.extent
-    return bool(np.all(gap <= reach + 1e-9))
-
-
-def swept(spec: Mapping[str, str], seconds: float) -> float:
-    """The angle by which a LiDAR turns in a time [deg]."""
-    return float(spec["rotation_frequency"]) * float(spec["horizontal_fov"]) * seconds
+    """Whether two upright boxes may overlap: in height, and the circles around them in plan."""
+    apart = np.abs(a.matrix[:3, 3] - b.matrix[:3, 3])
+    reach = sum(np.hypot(*box.extent[:2]) for box in (a, b))
+    return bool(apart[2] < a.extent[2] + b.extent[2] and np.hypot(*apart[:2]) < reach)
 
 
 def scan(
-    spec: Mapping[str, str], where: np.ndarray, boxes: Sequence[Box], start: float, seconds: float
+    spec: Mapping[str, str], where: np.ndarray, boxes: Sequence[Box], seconds: float
 ) -> tuple[list[int], np.ndarray]:
-    """A LiDAR's turn that begins at an angle [deg]: points per channel, and all points (P, 4),
-    float32.
+    """What a LiDAR measures in a time: points per channel, and all points (P, 4), float32.
 
     Points are in the sensor's own frame with intensity exp(-a d), channel after channel from the
     upper one down. As in CARLA there are `points_per_second` × `seconds` rays.
@@ -118,16 +101,11 @@ def scan(
     upper, lower = float(spec["upper_fov"]), float(spec["lower_fov"])
     rays = int(np.floor(float(spec["points_per_second"]) * seconds / channels + 0.5))
     pitch = np.radians(np.linspace(upper, lower, channels))[:, None]  # (C, 1)
-    turned = start + swept(spec, seconds) * np.arange(rays) / max(rays, 1)
-    yaw = np.radians(turned % span - span / 2)  # (H,)
-    own = np.stack(
-        [
-            np.cos(pitch) * np.cos(yaw),
-            np.cos(pitch) * np.sin(yaw),
-            np.broadcast_to(np.sin(pitch), (channels, rays)),
-        ],
-        -1,
-    ).reshape(-1, 3)
+    swept = float(spec["rotation_frequency"]) * span * seconds
+    yaw = np.radians(swept * np.arange(rays) / max(rays, 1) % span - span / 2)  # (H,)
+    up = np.broadcast_to(np.sin(pitch), (channels, rays))
+    own = np.stack([np.cos(pitch) * np.cos(yaw), np.cos(pitch) * np.sin(yaw), up], -1)
+    own = own.reshape(-1, 3)
     reach, _ = cast(where[:3, 3], own @ where[:3, :3].T, boxes)
     hit = reach <= float(spec["range"])
     intensity = np.exp(-float(spec["atmosphere_attenuation_rate"]) * reach[hit])
@@ -166,20 +144,13 @@ def picture(
         rgb = np.stack([code & 255, code >> 8 & 255, code >> 16], -1)
     else:
         # One row per box, then sky and ground, which -2 and -1 select.
-        rows = {
-            "rgb": [*(box.colour for box in boxes), (150, 190, 230), (96, 96, 64 + frame % 128)],
-            "semantic_segmentation": [
-                *((box.tag, 0, 0) for box in boxes),
-                (SKY, 0, 0),
-                (GROUND, 0, 0),
-            ],
-            "instance_segmentation": [
-                *((box.tag, box.instance & 255, box.instance >> 8) for box in boxes),
-                (SKY, 0, 0),
-                (GROUND, 0, 0),
-            ],
-        }
-        rgb = np.array(rows[kind])[which]
+        if kind == "rgb":
+            rows = [*(box.colour for box in boxes), (150, 190, 230), (96, 96, 64 + frame % 128)]
+        else:
+            number = [box.instance if kind.startswith("instance") else 0 for box in boxes]
+            rows = [(box.tag, n & 255, n >> 8) for box, n in zip(boxes, number, strict=True)]
+            rows += [(SKY, 0, 0), (GROUND, 0, 0)]
+        rgb = np.array(rows)[which]
     bgra = np.full((len(depth), 4), 255, np.uint8)
     bgra[:, :3] = rgb[:, ::-1]
     return bgra.reshape(int(spec["image_size_y"]), int(spec["image_size_x"]), 4)

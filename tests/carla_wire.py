@@ -1,48 +1,27 @@
 """A CARLA 0.9.16 server without a simulator, for the unmodified client: the wire.
 
-    python tests/carla_wire.py MAP.xodr [MAP.xodr ...] [--rpc PORT] [--scenery FILE.json]
-        [--mute BLUEPRINT] [--after MEASUREMENTS] [--version VERSION]
-
-prints the port it listens on, on the loopback only. It ends on SIGTERM and with its parent. What
-it tells is in `carla_world`, what its sensors see in `carla_rays`, what can be spawned in
-`carla_blueprints`. A layout that the client does not expect ends the client's process: clients of
-tests run in processes of their own.
+`python tests/carla_wire.py MAP.xodr [MAP.xodr ...]` (see --help) prints the port it listens on, on
+the loopback only. It ends on SIGTERM and with its parent. What it tells is in `carla_world`, what
+its sensors see in `carla_rays`, what can be spawned in `carla_blueprints`. A layout that the client
+does not expect ends the client's process: clients of tests run in processes of their own.
 
 **Calls** are msgpack over TCP. A request is [0, id, name, [[no reply wanted], *arguments]], a
 reply [1, id, nil, response]. A response is [[1, value]], or [[False]] where nothing is returned.
-An error is [[0, [text]]] for both, as what may be missing is told by its length; a client raises
-it as RuntimeError. Of an error in the third place of a reply, where msgpack-RPC has it, it tells
-only the name of the call. All that a client asks for comes over one connection, in order.
+An error is [[0, [text]]] for both; a client raises it as RuntimeError.
 
-- `get_world` asks for version, get_episode_info, get_sensor_token of stream 1,
-  get_episode_settings, get_required_files, query_lights_state; without synchronous mode it then
-  waits for a snapshot, and the server has to bring some by itself.
-- `apply_settings` sends set_episode_settings and, where `fixed_delta_seconds` is set, tick_cues
-  until snapshots tell that time: it costs a frame or two, and returns the frame before. On the
-  wire that time is [False] or [True, seconds]; `str(settings)` shows rubbish for the former.
-- `tick` waits for a snapshot of the frame that tick_cue answered. Measurements come before or
-  after: here after, as a recorder must not count on finding them.
-- `set_transform`, `set_target_velocity`, `set_weather` and the like wait for no reply;
-  `set_simulate_physics`, `spawn_actor` and `destroy` do. `actor.get_transform` reads the last
-  snapshot; `actor.bounding_box` asks get_actor_bounding_box each time; `get_actors` asks
-  get_actors_by_id for those that the client has not met.
-- `apply_batch_sync` sends apply_batch of commands [[number, fields]] and False, and for
-  `do_tick` a tick_cue of its own; its response is a bare list of responses with actors' ids. In
-  SpawnActor the parent is [False] or [True, id], the kind of attachment is memory that nobody
-  wrote, and what is to be done then has 0 for the actor, which is the one spawned.
-- `get_map` asks for get_map_info, get_required_files, get_map_data, the first time or two after a
-  map was loaded. Where no files are required, none are kept on the disk.
-- `load_world` sends load_new_episode (name, whether to reset settings, layers; no name reloads),
-  then begins anew with get_episode_info, which must have another id by then. What listened to
-  snapshots is thrown away meanwhile, so none should come just then.
-- An attribute of a blueprint is [name, type, default, recommended, modifiable, restricted], one of
-  an actor [name, type, value]; numbers are text too.
+- Without synchronous mode `get_world` waits for a snapshot: the server brings some by itself.
+- `apply_settings` with `fixed_delta_seconds` sends tick_cues until snapshots tell that time, which
+  is [False] or [True, seconds] on the wire.
+- `tick` waits for a snapshot of the frame that tick_cue answered. Measurements come after it here,
+  as a recorder must not count on finding them.
+- `apply_batch_sync` sends commands [[number, fields]]; its response is a bare list of responses
+  with actors' ids. In SpawnActor what is to be done then has 0 for the actor that is spawned.
+- `load_world` sends load_new_episode and begins anew with get_episode_info, which must have another
+  id by then. What listened to snapshots is thrown away meanwhile: none should come just then.
 
 **Streams.** A client connects once for each thing it listens to and sends the u32 number of the
-stream; the server sends u32 lengths and payloads. `listen` returns before that connection is made,
-so that a tick right after it misses its measurement more often than not, where the server does not
-mind; here a tick waits for who asked for a stream. `stop` closes the connection and makes no call.
-Several clients may listen to one sensor.
+stream; the server sends u32 lengths and payloads. `listen` returns before that connection is made;
+here a tick waits for who asked for a stream. `stop` closes the connection and makes no call.
 
 A payload has 48 bytes: kind and frame u64, time f64, the sensor's x, y, z, pitch, yaw, roll f32.
 Then for a LiDAR the angle [rad] f32, the number of channels u32, the points of each u32, and points
@@ -54,7 +33,6 @@ turning [deg/s] and acceleration in 15 f32, and 54 bytes that are of vehicles an
 
 import argparse
 import json
-import math
 import os
 import signal
 import socket
@@ -72,7 +50,7 @@ from socketserver import StreamRequestHandler, ThreadingTCPServer
 from typing import Any
 
 import msgpack
-from carla_rays import picture, scan, sight
+from carla_rays import matrix, picture, scan, sight
 from carla_world import CALLS, SNAPSHOTS, STEP, VERSION, Actor, Refused, World
 
 KINDS = {
@@ -92,12 +70,11 @@ class Wire:
     def __init__(
         self,
         maps: Sequence[Path],
-        port: int = 0,
         scenery: Sequence[dict] = (),
         mute: str = "",
         after: int = 0,
     ):
-        self.servers = [Server(self, Calls, port), Server(self, Streams, 0)]
+        self.servers = [Server(self, Calls), Server(self, Streams)]
         self.port, self.stream_port = (server.server_address[1] for server in self.servers)
         self.world = World(maps, self.token, scenery)
         self.mute, self.left = mute, after
@@ -133,7 +110,7 @@ class Wire:
                 if arguments[1]:
                     self.world.tick_cue()
             elif name in CALLS:
-                reply = attempt(CALLS[name], self.world, *arguments)
+                reply = attempt(getattr(self.world, name), *arguments)
             else:
                 reply = [[0, [f"this server has no {name}"]]]
             connection.sendall(msgpack.packb([1, number, None, reply]))
@@ -151,9 +128,9 @@ class Wire:
         self.send(self.snapshot(), self.listeners[SNAPSHOTS])
         self.world.ticked = self.world.fresh = False
         self.sights.clear()
-        for actor, seconds, start in self.world.due():
-            if (listeners := self.listeners[actor.stream]) and not self.silent(actor):
-                self.send(self.measurement(actor, seconds, start), listeners)
+        for actor in list(self.world.actors.values()):
+            if (listeners := self.listeners.get(actor.stream)) and not self.silent(actor):
+                self.send(self.measurement(actor), listeners)
 
     def silent(self, actor: Actor) -> bool:
         """Whether a measurement is not sent."""
@@ -165,12 +142,12 @@ class Wire:
     def header(self, kind: str, where: Sequence[float]) -> bytes:
         return struct.pack("<QQd6f", KINDS[kind], self.world.frame, self.world.time, *where)
 
-    def measurement(self, actor: Actor, seconds: float, start: float) -> bytes:
-        name, spec, where = actor.blueprint.name, actor.attributes, self.world.where(actor)
-        boxes, head = self.world.boxes(), self.header(name, self.world.placed(actor))
+    def measurement(self, actor: Actor) -> bytes:
+        name, spec, where = actor.blueprint.name, actor.attributes, matrix(actor.pose)
+        boxes, head = self.world.boxes(), self.header(name, actor.pose)
         if name == "sensor.lidar.ray_cast":
-            counts, points = scan(spec, where, boxes, start, seconds)
-            head += struct.pack("<fI", math.radians(actor.angle), len(counts))
+            counts, points = scan(spec, where, boxes, self.world.step)
+            head += struct.pack("<fI", 0.0, len(counts))
             return head + struct.pack(f"<{len(counts)}I", *counts) + points.tobytes()
         same = (where.tobytes(), *(spec[key] for key in ("image_size_x", "image_size_y", "fov")))
         if same not in self.sights:
@@ -185,7 +162,7 @@ class Wire:
         body = struct.pack("<Qdf", world.episode, time.time(), world.step)
         body += struct.pack("<3iI", 0, 0, 0, world.fresh)
         for actor in world.actors.values():
-            body += struct.pack("<IB6f", actor.number, 1, *world.placed(actor)) + bytes(36 + 54)
+            body += struct.pack("<IB6f", actor.number, 1, *actor.pose) + bytes(36 + 54)
         return self.header("snapshot", (0.0,) * 6) + body
 
     # -- Streams -------------------------------------------------------------------------------
@@ -229,9 +206,9 @@ class Server(ThreadingTCPServer):
     allow_reuse_address = True
     daemon_threads = True
 
-    def __init__(self, wire: Wire, handler: type, port: int):
+    def __init__(self, wire: Wire, handler: type):
         self.wire = wire
-        super().__init__(("127.0.0.1", port), handler)
+        super().__init__(("127.0.0.1", 0), handler)
 
 
 class Calls(StreamRequestHandler):
@@ -275,7 +252,6 @@ def serving(*arguments: str | Path) -> Iterator[int]:
 def main() -> None:
     parser = argparse.ArgumentParser(description="A CARLA server without a simulator.")
     parser.add_argument("maps", type=Path, nargs="+", help="OpenDRIVE files; the first is loaded")
-    parser.add_argument("--rpc", type=int, default=0, help="port; 0 takes a free one")
     parser.add_argument("--scenery", type=Path, help="JSON: a list of {tag, pose, extent}")
     parser.add_argument("--mute", default="", help="sensors of this blueprint go silent")
     parser.add_argument("--after", type=int, default=0, help="when so many measurements are sent")
@@ -284,7 +260,7 @@ def main() -> None:
     parent = os.getppid()
     signal.signal(signal.SIGTERM, lambda *_: sys.exit())
     scenery = json.loads(given.scenery.read_text()) if given.scenery else ()
-    wire = Wire(given.maps, given.rpc, scenery, given.mute, given.after)
+    wire = Wire(given.maps, scenery, given.mute, given.after)
     wire.world.release = given.version
     wire.run()
     print(wire.port, flush=True)

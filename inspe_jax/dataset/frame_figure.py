@@ -30,7 +30,7 @@ from inspe_jax.core.words import counted
 from inspe_jax.dataset.folders import Scenario
 from inspe_jax.dataset.points_in_boxes import world_points
 from inspe_jax.simulation.frame import KINDS, Frame, Image, RoadUserBox, Station
-from inspe_jax.simulation.projection import box_lines, corners
+from inspe_jax.simulation.projection import corners, edge_lines
 
 MARGIN = 6.0
 """Margin of the plan around road users and stations [m]."""
@@ -247,7 +247,7 @@ def _keys(frame: Frame, images: bool) -> list[Any]:
 def _draw_image(ax: Axes, image: Image, boxes: Sequence[RoadUserBox], words: str) -> None:
     """An image, and the boxes that fall into it."""
     height, width = image.rgb.shape[:2]
-    lines, owner = box_lines(image, boxes, width, height)
+    lines, owner = edge_lines(image, corners(boxes), width, height)
     seen = set(range(len(boxes)))
     if image.instance is not None:
         found = set(np.unique(image.instance).tolist())

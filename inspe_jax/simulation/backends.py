@@ -16,40 +16,35 @@ if TYPE_CHECKING:
     from inspe_jax.sensing.layout import Layout
     from inspe_jax.simulation.recorder import Recorder, Recording, Server
 
-Opening = Callable[..., AbstractContextManager["Recorder"]]
-
 
 @dataclass(frozen=True)
 class Backend:
     """A way to record.
 
-    ``open`` takes a scene, a layout, conditions, a :class:`Recording`, a seed, a server and an
-    appearance seed, and gives a recorder for a ``with`` block. ``packages`` are the libraries that
+    ``open`` takes the keywords of :func:`recorder_of` but ``backend``, and gives a recorder for a
+    ``with`` block. ``packages`` are the libraries that
     the recorded bytes depend on. A ``remote`` backend records with a server. ``most_workers``
     processes can record at the same time; None if there is no limit. ``statics``: it records the
     scene's static bodies.
     """
 
-    open: Opening
+    open: Callable[..., AbstractContextManager["Recorder"]]
     packages: tuple[str, ...]
     remote: bool = False
     most_workers: int | None = None
     statics: bool = False
 
 
-def _embedded(*given: Any) -> "AbstractContextManager[Recorder]":
+def _embedded(server: None, **options: Any) -> "AbstractContextManager[Recorder]":
     from inspe_jax.simulation.embedded.recorder import EmbeddedRecorder
 
-    scene, layout, conditions, recording, seed, _, appearance_seed = given
-    return nullcontext(
-        EmbeddedRecorder(scene, layout, conditions, recording, seed, appearance_seed)
-    )
+    return nullcontext(EmbeddedRecorder(**options))
 
 
-def _carla(*given: Any) -> "AbstractContextManager[Recorder]":
+def _carla(**options: Any) -> "AbstractContextManager[Recorder]":
     from inspe_jax.simulation.carla.recorder import CarlaRecorder
 
-    return CarlaRecorder(*given)
+    return CarlaRecorder(**options)
 
 
 BACKENDS: dict[str, Backend] = {
@@ -103,5 +98,12 @@ def recorder_of(
     from inspe_jax.sensing.conditions import FAIR
 
     check_backend(backend)
-    around = FAIR if conditions is None else conditions
-    return BACKENDS[backend].open(scene, layout, around, recording, seed, server, appearance_seed)
+    return BACKENDS[backend].open(
+        scene=scene,
+        layout=layout,
+        conditions=FAIR if conditions is None else conditions,
+        recording=recording,
+        seed=seed,
+        server=server,
+        appearance_seed=appearance_seed,
+    )

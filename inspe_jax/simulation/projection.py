@@ -31,22 +31,15 @@ def corners(boxes: Sequence[RoadUserBox]) -> Float[np.ndarray, "B 8 3"]:
     return found
 
 
-def box_lines(
-    image: Pinhole, boxes: Sequence[RoadUserBox], width: int, height: int
+def edge_lines(
+    image: Pinhole, box_corners: Float[np.ndarray, "B 8 3"], width: int, height: int
 ) -> tuple[Float[np.ndarray, "M 2 2"], Int[np.ndarray, " M"]]:
     """The parts of boxes' edges that lie in a picture: (column, row) of their ends, and the index
     of the box of each.
 
-    ``width`` and ``height`` are the picture's, in pixels. A box behind the camera, or outside the
-    picture, has no edges.
+    ``box_corners`` are those of :func:`corners`; ``width`` and ``height`` are the picture's, in
+    pixels. A box behind the camera, or outside the picture, has no edges.
     """
-    return edge_lines(image, corners(boxes), width, height)
-
-
-def edge_lines(
-    image: Pinhole, box_corners: Float[np.ndarray, "B 8 3"], width: int, height: int
-) -> tuple[Float[np.ndarray, "M 2 2"], Int[np.ndarray, " M"]]:
-    """What :func:`box_lines` gives, of boxes by their :func:`corners`."""
     lines, owner = _in_front(image, box_corners, NEAR)
     for axis, most in ((0, width), (1, height)):
         lines, owner = _cut(lines, owner, lines[..., axis])

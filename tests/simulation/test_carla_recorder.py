@@ -37,10 +37,9 @@ from inspe_jax.simulation.backends import recorder_of
 from inspe_jax.simulation.carla.instances import instances_of
 from inspe_jax.simulation.carla.sensor_kinds import notes_of
 from inspe_jax.simulation.carla.sensors import intrinsic_of, lidar_attributes, weather_of
-from inspe_jax.simulation.carla.server import town_of
 from inspe_jax.simulation.carla.traffic import body_of
 from inspe_jax.simulation.frame import RoadUserBox
-from inspe_jax.simulation.recorder import Server
+from inspe_jax.simulation.recorder import Recording, Server
 
 PARKED = {"tag": 14, "pose": [-47.76, 20.43, 0.8, 0.0, 30.0, 0.0], "extent": [2.2, 0.9, 0.8]}
 """A car that is part of the map, in the middle of the junction."""
@@ -139,13 +138,9 @@ def test_the_server_is_synchronous_meanwhile_and_restored_afterwards(recorded):
     assert meanwhile["weather"] == pytest.approx([63.2, 7.0], abs=0.1)
     assert meanwhile["below"] != "Car"
     sensors = [name for name in meanwhile["actors"] if name.startswith("sensor.")]
-    assert sensors == sorted(
-        [
-            *2 * [f"sensor.camera.{kind}_segmentation" for kind in ("instance", "semantic")],
-            *2 * ["sensor.camera.depth", "sensor.camera.rgb"],
-            "sensor.lidar.ray_cast",
-        ]
-    )
+    kinds = ("depth", "instance_segmentation", "rgb", "semantic_segmentation")
+    cameras = [f"sensor.camera.{kind}" for kind in kinds for _ in range(2)]
+    assert sensors == [*cameras, "sensor.lidar.ray_cast"]
     assert after == {
         "map": client.TOWN,
         "settings": [False, None],
@@ -326,17 +321,13 @@ def generated(maps, tmp_path_factory):
     return folder / "towns.yaml", folder / "set", port, words + err
 
 
-def test_the_address_of_the_server_is_not_in_the_data_set(generated):
-    _, folder, port, words = generated
+def test_notes_are_in_the_data_set_and_the_address_of_the_server_is_not(generated):
+    study, folder, port, words = generated
     assert "1 scenario, 2 frames" in words
     ((name, report),) = check_set(folder).items()
     assert (report.agents, report.frames) == (1, 2)
     for file in (folder / "generation.yaml", folder / name / "data_protocol.yaml"):
         assert not re.search(rf"(?<![\w.]){port}(?![\w.])|localhost", file.read_text())
-
-
-def test_what_carla_cannot_record_is_noted(generated):
-    study, folder, _, words = generated
     (scenario,) = dataset.open(folder).scenarios
     kept, turns = scenario.protocol["notes"]
     assert turns.endswith("of a LiDAR's turn at once: lidar_turn_s is 0")
@@ -377,26 +368,19 @@ def test_everything_is_restored_on_ctrl_c(maps, tmp_path):
 # ── Without a server ────────────────────────────────────────────────────────────────────────────
 
 
-def test_scenes_that_no_server_has():
-    scene = world(radius=12.0, voxel=1.0)
-    layout = place_sensors((client.CAMERA, [0, 0, 6, 0, 0, 0]))
-    with (
-        pytest.raises(InspeError, match=r"test crossing: its source is tests.*\.xodr"),
-        recorder_of("carla", scene, layout),
-    ):
-        pass
-
-
-def test_a_missing_client(monkeypatch):
+@pytest.mark.parametrize(
+    ("source", "words"),
+    [
+        ("tests", r"test crossing: its source is tests.*\.xodr"),
+        ("Town03.xodr (OpenDRIVE)", r"pip install .*\[opendrive\]'"),
+    ],
+)
+def test_scenes_that_no_server_has_and_a_missing_client(monkeypatch, source, words):
     monkeypatch.setitem(sys.modules, "carla", None)
-    place = replace(crossing(), source="Town03.xodr (OpenDRIVE)")
-    assert town_of(place) == "Town03"
+    place = replace(crossing(), source=source)
     scene = replace(world(radius=12.0, voxel=1.0), intersection=place)
     layout = place_sensors((client.CAMERA, [0, 0, 6, 0, 0, 0]))
-    with (
-        pytest.raises(InspeError, match=r"pip install .*\[opendrive\]'"),
-        recorder_of("carla", scene, layout),
-    ):
+    with pytest.raises(InspeError, match=words), recorder_of("carla", scene, layout):
         pass
 
 
@@ -411,7 +395,7 @@ def test_uneven_channels_and_shifted_axes_are_noted():
 
 
 def test_a_lidar_turns_once_a_frame_with_all_its_rays():
-    given = lidar_attributes(client.LIDAR, 20.0)
+    given = lidar_attributes(client.LIDAR, Recording(rate=20.0))
     assert int(given["points_per_second"]) == 32 * 360 * 20
     assert float(given["rotation_frequency"]) == 20
     assert [float(given[f"{end}_fov"]) for end in ("lower", "upper")] == pytest.approx([-30, 2])
@@ -460,24 +444,16 @@ def test_two_numbers_of_one_road_user_are_merged_and_others_ignored():
     tags = np.array([[13, 19, 12], [1, 19, 11]])
     numbers = np.array([[700, 8, 9], [8, 8, 0]])
     depth = np.array([[9.8, 9.7, 30.0], [10.0, 9.7, np.inf]])
-    intrinsic = intrinsic_of(replace(client.CAMERA, width=3, height=2, focal=30.0), (3, 2))
+    small = replace(client.CAMERA, width=3, height=2, focal=30.0)
+    intrinsic = intrinsic_of(small, Recording())
     found = instances_of(tags, numbers, depth, np.zeros(6), intrinsic, (box,))
     np.testing.assert_array_equal(found, [[5, 5, 0], [0, 5, 0]])
 
 
-@pytest.mark.parametrize(
-    ("text", "server"),
-    [
-        ("sim", Server("sim", 2000)),
-        ("sim:3000", Server("sim", 3000)),
-        ("3000", Server("127.0.0.1", 3000)),
-    ],
-)
-def test_servers_by_text(text, server):
-    assert Server.of(text) == server
-
-
-@pytest.mark.parametrize("text", ["", ":", "sim:", ":2000", "sim:two", "sim:70000", "0"])
-def test_invalid_servers(text):
-    with pytest.raises(InspeError, match=r"server|port"):
-        Server.of(text)
+def test_servers_by_text():
+    assert Server.of("sim") == Server("sim", 2000)
+    assert Server.of("sim:3000") == Server("sim", 3000)
+    assert Server.of("3000") == Server("127.0.0.1", 3000)
+    for text in ("", ":", "sim:", ":2000", "sim:two", "sim:70000", "0"):
+        with pytest.raises(InspeError, match=r"server|port"):
+            Server.of(text)

@@ -13,7 +13,7 @@ from inspe_jax.sensing.conditions import Conditions
 from inspe_jax.simulation.embedded import headlights, light, wet_road
 from inspe_jax.simulation.embedded.headlights import GroundMap, beams_of, on_road_users
 from inspe_jax.simulation.embedded.recorder import EmbeddedRecorder
-from inspe_jax.simulation.embedded.road_users import FrameActors, boxes_at
+from inspe_jax.simulation.embedded.road_users import FrameActors, boxes_of
 from inspe_jax.simulation.recorder import Recording
 
 pytest.importorskip("embreex", reason="no wheels of Embree for this platform")
@@ -93,7 +93,7 @@ def test_an_unlit_car_stands_out_from_the_road_at_night():
 def driver():
     """A car at the centre that looks east, on a level road, and the map of its light."""
     scene = with_boxes(empty(), (0, 0, 0.0, *CAR))
-    actors = FrameActors(boxes_at(scene.traffic, 0, 0), scene.intersection.center)
+    actors = FrameActors(boxes_of(scene.traffic.at(0), 0), scene.intersection.center)
     ground = GroundMap(scene.intersection, 30.0, light.LIGHTS["night"])
     return actors, ground, ground.lit(actors)
 
@@ -153,7 +153,7 @@ def test_the_fine_map_lies_between_the_points_of_the_grid(driver):
 
 def test_what_stands_ahead_casts_a_shadow_and_is_lit():
     blocked = with_boxes(empty(), (0, 0, 0.0, *CAR), (8, 0, 0.0, 2.0, 1.85, 1.5))
-    actors = FrameActors(boxes_at(blocked.traffic, 0, 0), blocked.intersection.center)
+    actors = FrameActors(boxes_of(blocked.traffic.at(0), 0), blocked.intersection.center)
     ground = GroundMap(blocked.intersection, 30.0, light.LIGHTS["night"])
     lit = ground.lit(actors)
     assert at(ground, lit, 6, 0) > 0
@@ -272,9 +272,9 @@ def test_lamps_are_mirrored_towards_the_camera():
 # ---- size ------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("width", "height"), [(1920, 1080), (352, 128), (37, 211)])
-def test_pictures_of_any_size(width, height):
-    """The middle of a box is where the intrinsics put it, at night in rain too."""
+def test_a_narrow_picture_at_night_in_rain():
+    """The middle of a box is where the intrinsics put it."""
+    width, height = 37, 211
     spec = replace(CAMERA, width=width, height=height, focal=0.45 * width,
                    principal=(width / 2, height / 2))  # fmt: skip
     scene = with_boxes(empty(), (14, 1, np.pi / 2, *CAR))

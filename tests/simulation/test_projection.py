@@ -8,7 +8,7 @@ from frames import car
 
 from inspe_jax.core.pinhole import pixels
 from inspe_jax.dataset import Image
-from inspe_jax.simulation.projection import NEAR, box_lines, corners
+from inspe_jax.simulation.projection import NEAR, corners, edge_lines
 
 WIDE, HIGH = 800, 600
 CAMERA = Image(
@@ -34,7 +34,7 @@ def test_corners_in_the_world():
 def test_a_known_corner_falls_on_a_known_pixel():
     """The near left top corner (8, 1, 2): 1/8 to the left, 4/8 below the middle."""
     np.testing.assert_allclose(pixels(CAMERA, np.array([8.0, 1.0, 2.0])), [400 - 12.5, 300 + 50, 8])
-    lines, owner = box_lines(CAMERA, [BOX], WIDE, HIGH)
+    lines, owner = edge_lines(CAMERA, corners([BOX]), WIDE, HIGH)
     assert len(lines) == 12
     assert not owner.any()
     ends = lines.reshape(-1, 2)
@@ -60,9 +60,9 @@ def test_boxes_behind_or_outside_are_left_out():
     behind = replace(BOX, track=1, center=np.array([-10.0, 0.0, 1.0]))
     beside = replace(BOX, track=2, center=np.array([10.0, 60.0, 1.0]))
     below = replace(BOX, track=3, center=np.array([10.0, 0.0, -60.0]))
-    _, owner = box_lines(CAMERA, [behind, beside, BOX, below], WIDE, HIGH)
+    _, owner = edge_lines(CAMERA, corners([behind, beside, BOX, below]), WIDE, HIGH)
     assert set(owner.tolist()) == {2}
-    assert len(box_lines(CAMERA, [], WIDE, HIGH)[0]) == 0
+    assert len(edge_lines(CAMERA, corners([]), WIDE, HIGH)[0]) == 0
 
 
 def test_a_box_that_reaches_behind_the_camera_is_cut():
@@ -72,7 +72,7 @@ def test_a_box_that_reaches_behind_the_camera_is_cut():
     depth is 3·100/300 = 1 m for the top, 5/3 m for the bottom.
     """
     long = replace(BOX, center=np.array([1.0, 0.0, 2.0]), size=np.array([20.0, 2.0, 2.0]))
-    lines, _ = box_lines(CAMERA, [long], WIDE, HIGH)
+    lines, _ = edge_lines(CAMERA, corners([long]), WIDE, HIGH)
     ends = lines.reshape(-1, 2)
     assert np.isfinite(ends).all()
     assert ends.min() >= -1e-9
@@ -87,6 +87,6 @@ def test_edges_are_cut_at_the_near_plane():
     """A beam overhead is cut close to the camera; the rest is in the picture."""
     camera = replace_pose([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
     beam = replace(BOX, center=np.array([0.0, 0.0, 1.0]), size=np.array([8.0, 1e-4, 1e-4]))
-    lines, _ = box_lines(camera, [beam], WIDE, HIGH)
+    lines, _ = edge_lines(camera, corners([beam]), WIDE, HIGH)
     spread = np.abs(lines.reshape(-1, 2) - [400, 300]).max()
     assert spread == pytest.approx(100 * 0.5e-4 / NEAR, rel=1e-6)

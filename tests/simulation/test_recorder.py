@@ -16,10 +16,9 @@ from inspe_jax.dataset import open as open_dataset
 from inspe_jax.dataset import write_frame, write_protocol
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.scene import build_scene
-from inspe_jax.scene.traffic.frames import CLASSES
 from inspe_jax.scoring.targets import target_view
 from inspe_jax.sensing.catalogue import device
-from inspe_jax.sensing.conditions import Conditions
+from inspe_jax.sensing.conditions import FAIR, Conditions
 from inspe_jax.sensing.layout import Unit
 from inspe_jax.sensing.lidar_returns import LidarNoise
 from inspe_jax.sensing.sensors import LidarSpec
@@ -29,7 +28,7 @@ from inspe_jax.simulation.embedded.embree import Caster
 from inspe_jax.simulation.embedded.light import LIGHTS
 from inspe_jax.simulation.embedded.materials import BUILDING, CROWN, POLE, ROOF, TRUNK
 from inspe_jax.simulation.embedded.recorder import EmbeddedRecorder, LiveSensor
-from inspe_jax.simulation.embedded.road_users import FrameActors, boxes_at, paints, pose_road_users
+from inspe_jax.simulation.embedded.road_users import FrameActors, boxes_of, paints, pose_road_users
 from inspe_jax.simulation.embedded.shapes import VARIANTS
 from inspe_jax.simulation.embedded.sunlit import SunlitPoints
 from inspe_jax.simulation.recorder import LAYERS, Recording
@@ -91,7 +90,7 @@ def nearest_triangle(origin, directions, triangles):
 def test_returns_agree_with_rays_and_triangles(scene, corners):
     """300 rays of one LiDAR: distances agree to a millimetre, and so do the road users."""
     recorder = EmbeddedRecorder(scene, corners)
-    boxes = boxes_at(scene.traffic, 0, 0)
+    boxes = boxes_of(scene.traffic.at(0), 0)
     actors = FrameActors(boxes, recorder.surroundings.static_world.center)
     lidar = recorder.sensors[0]
     returns = lidar.cast(actors, 0.0)
@@ -135,10 +134,16 @@ def test_no_ray_slips_through_between_two_faces():
     assert np.abs(hits.distance - far)[facing].max() < 0.02  # the far side is 0.1 m further
 
 
-def test_points_lie_on_surfaces_within_the_noise(scene, corners):
+@pytest.fixture(scope="module")
+def turn(scene, corners):
+    """A LiDAR, and the returns of a turn of it on the empty road."""
     recorder = EmbeddedRecorder(scene, corners)
-    lidar = recorder.sensors[0]
-    returns = lidar.cast(FrameActors((), recorder.surroundings.static_world.center), 0.1)
+    (lidar, *_), center = recorder.sensors, recorder.surroundings.static_world.center
+    return lidar, lidar.cast(FrameActors((), center), 0.1)
+
+
+def test_points_lie_on_surfaces_within_the_noise(turn):
+    lidar, returns = turn
     noise = LidarNoise(range=0.03, lost=0.0, weakest_lost=0.0)
     scan = lidar.scan(returns, 0, noise, np.random.default_rng(1))
     back = np.isfinite(returns.distance)
@@ -153,10 +158,8 @@ def test_points_lie_on_surfaces_within_the_noise(scene, corners):
     )
 
 
-def test_the_given_share_of_returns_is_lost(scene, corners):
-    recorder = EmbeddedRecorder(scene, corners)
-    lidar = recorder.sensors[0]
-    returns = lidar.cast(FrameActors((), recorder.surroundings.static_world.center), 0.1)
+def test_the_given_share_of_returns_is_lost(turn):
+    lidar, returns = turn
     total = np.isfinite(returns.distance).sum()
 
     def left(**noise):
@@ -257,7 +260,7 @@ def test_lines_of_sight_reach_as_many_voxels_as_occlusion_says(crowded, name):
     in_view = inspe_jax.in_view(crowded, layout)
     centers, shares = crowded.voxels.centers, []
     for t in range(crowded.traffic.frame_count):
-        boxes = boxes_at(crowded.traffic, t, 0)
+        boxes = boxes_of(crowded.traffic.at(t), 0)
         road_users = pose_road_users(boxes, recorder.surroundings.static_world.center)
         still = recorder.surroundings.static_world.triangles
         caster = Caster(np.concatenate([still, road_users.triangles]))
@@ -316,30 +319,35 @@ def camera_scene():
     return with_boxes(world(count=0, radius=40.0, voxel=2.0), (14, 0, np.pi / 2, 4.6, 1.85, 1.5))
 
 
-@pytest.fixture(scope="module")
-def looked_at():
-    layout = place_sensors((SMALL, [0.0, 0.0, 5.0, 0.0, np.radians(-18), 0.0]))
-    recording = Recording(layers=("depth", "instance", "semantic"))
-    return EmbeddedRecorder(camera_scene(), layout, recording=recording).frame(0)
+LOOKING = [0.0, 0.0, 5.0, 0.0, np.radians(-18), 0.0]
 
 
-def test_a_pixel_shows_what_the_pinhole_says(looked_at):
-    """The car's box, projected by hand, covers the car's pixels; their depth is the distance along
-    the axis to its near side."""
-    (image,) = looked_at.stations[0].images
-    seen = image.instance > 0
-    assert set(np.unique(image.instance)) == {0, looked_at.boxes[0].track + 1}
-    v, u = np.nonzero(seen)
-    box = looked_at.boxes[0]
+def picture(scene, pose=LOOKING, conditions=FAIR, spec=SMALL):
+    """A recorder with one camera, the boxes of its first frame, and its image with all layers."""
+    layout, recording = place_sensors((spec, [*pose])), Recording(layers=LAYERS)
+    recorder = EmbeddedRecorder(scene, layout, conditions, recording)
+    frame = recorder.frame(0)
+    return recorder, frame.boxes, frame.stations[0].images[0]
+
+
+def seen_from(image, box):
+    """The corners of a box in the camera's frame (8, 3), and the outline of it in the picture."""
     corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) / 2
     turn = rotation(np.array([0, 0, box.yaw]), np)
-    body = (corners * box.size @ turn.T + box.center - image.pose[:3]) @ rotation(
-        image.pose[3:], np
-    )
-    at = 160 - 140 * body[:, 1] / body[:, 0], 120 - 140 * body[:, 2] / body[:, 0]
-    assert u.min() + 0.5 >= at[0].min() - 1
-    assert u.max() + 0.5 <= at[0].max() + 1
-    hull = MultiPoint(np.column_stack(at)).convex_hull
+    world_ = corners * box.size @ turn.T + box.center
+    x, y, z = body = ((world_ - image.pose[:3]) @ rotation(image.pose[3:], np)).T
+    (f, _, cx), (_, g, cy), _ = image.intrinsic
+    return body.T, MultiPoint(np.column_stack([cx - f * y / x, cy - g * z / x])).convex_hull
+
+
+def test_a_pixel_shows_what_the_pinhole_says():
+    """The car's box, projected by hand, covers the car's pixels; their depth is the distance along
+    the axis to its near side."""
+    _, (box,), image = picture(camera_scene())
+    seen = image.instance > 0
+    assert set(np.unique(image.instance)) == {0, box.track + 1}
+    v, u = np.nonzero(seen)
+    body, hull = seen_from(image, box)
     inside = shapely.contains_xy(hull.buffer(0.8), u + 0.5, v + 0.5)
     assert inside.all()
     assert seen.sum() / hull.area > 0.7
@@ -348,23 +356,21 @@ def test_a_pixel_shows_what_the_pinhole_says(looked_at):
     assert (image.semantic[~seen] != 14).all()
 
 
-@pytest.mark.parametrize(("away", "turn"), [(10, 0.0), (10, 0.6), (20, 0.3), (40, -0.5), (60, 0.0)])
+@pytest.mark.parametrize(("away", "turn"), [(10, 0.6), (20, 0.3), (60, 0.0)])
 def test_pixels_per_metre_are_those_of_the_picture(away, turn):
     """A car that stands square on to the line of sight, ``turn`` off the axis: how wide its pixels
     are, over its length, is the pixel density on its near side, to 3 % and a pixel on each end."""
     spec = device("paper-camera").spec.with_performance(1.0, 90.0)
     empty = world(count=0, radius=70.0, voxel=2.0)
-    layout = place_sensors((spec, [0.0, 0.0, 0.75, 0.0, 0.0, -turn]))
     near, length = away - 1.85 / 2, 4.6
     scene = with_boxes(empty, (away, 0, np.pi / 2, length, 1.85, 1.5))
-    recorder = EmbeddedRecorder(scene, layout, recording=Recording(layers=("instance",)))
-    (image,) = recorder.frame(0).stations[0].images
+    recorder, _, image = picture(scene, [0.0, 0.0, 0.75, 0.0, 0.0, -turn], spec=spec)
     u = np.nonzero(image.instance > 0)[1]
     wide = u.max() + 1 - u.min()
     grid = replace(
         empty.voxels, columns=np.array([[near, 0.0]]), ground=np.zeros(1), region=np.zeros(1, int)
     )
-    view = target_view(replace(empty, voxels=grid), layout, "car")
+    view = target_view(replace(empty, voxels=grid), recorder.layout, "car")
     assert view.pixel_density[0] == pytest.approx(wide / length, rel=0.03, abs=2 / length)
 
 
@@ -379,61 +385,38 @@ def test_boxes_cover_cars_through_the_written_calibration(tmp_path):
     )  # fmt: skip
     recorder = EmbeddedRecorder(scene, layout, recording=Recording(layers=("instance", "depth")))
     folder = tmp_path / "train" / "one"
-    write_protocol(
-        folder,
-        {
-            "world": dict(
-                fixed_delta_seconds=0.1, client_port=2000, seed=0, weather="clear", town="a"
-            )
-        },
-    )
-    for t in range(2):
-        write_frame(folder, recorder.frame(t))
+    facts = dict(fixed_delta_seconds=0.1, client_port=2000, seed=0, weather="clear", town="a")
+    write_protocol(folder, {"world": facts})
+    recorded = [recorder.frame(t) for t in range(2)]
+    for frame in recorded:
+        write_frame(folder, frame)
     reports = opv2v_validator.check_set(tmp_path, attenuation=0.004)
     assert reports["train/one"].points > 10_000
     overlaps = []
-    for frame in (open_dataset(folder).scenarios[0].frame(t) for t in range(2)):
-        image = frame.stations[0].images[0]
+    v, u = np.indices((480, 640)) + 0.5
+    for t in range(2):
+        frame = open_dataset(folder).scenarios[0].frame(t)
+        image, share = frame.stations[0].images[0], recorded[t].stations[0].images[0].share
+        shares = {box.track: part for box, part in zip(recorded[t].boxes, share, strict=True)}
         for box in frame.boxes:
-            if box.kind != "car":
-                continue
-            corner = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) / 2
-            turn = rotation(np.array([0, 0, box.yaw]), np)
-            body = (corner * box.size @ turn.T + box.center - image.pose[:3]) @ rotation(
-                image.pose[3:], np
-            )
-            if (body[:, 0] < 1).any() or body[:, 0].min() > 45:
-                continue
-            f, (cx, cy) = image.intrinsic[0, 0], image.intrinsic[:2, 2]
-            at = np.column_stack(
-                [cx - f * body[:, 1] / body[:, 0], cy - f * body[:, 2] / body[:, 0]]
-            )
-            frame_box = shapely.box(0, 0, 640, 480)
-            hull = MultiPoint(at).convex_hull.intersection(frame_box)
-            if hull.area < 400:
-                continue
-            # Not hidden: alone in the world it has as many pixels.
-            actors = FrameActors((box,), recorder.surroundings.static_world.center)
-            free = recorder.sensors[0].image(actors, 0, np.random.default_rng(0), ("instance",))
-            own = free.instance > 0
-            seen = image.instance == box.track + 1
-            if not own.any() or seen.sum() < 0.98 * own.sum():
-                continue
-            v, u = np.nonzero(seen)
-            pixels = shapely.union_all(shapely.box(u, v, u + 1, v + 1))
-            overlaps.append(pixels.intersection(hull).area / pixels.union(hull).area)
+            body, hull = seen_from(image, box)
+            hull = hull.intersection(shapely.box(0, 0, 640, 480))
+            near = 1 <= body[:, 0].min() <= 45 and hull.area >= 400
+            if box.kind == "car" and near and shares[box.track] >= 0.98:
+                inside, seen = shapely.contains_xy(hull, u, v), image.instance == box.track + 1
+                overlaps.append((inside & seen).sum() / (inside | seen).sum())
     assert len(overlaps) >= 5
     assert min(overlaps) >= 0.7
 
 
-@pytest.mark.parametrize(("pose", "slope"), [
-    ([9.0, 9.0, 6.0, 0.0, -0.3, -2.3], 0.0),
-    ([0.0, -14.0, 4.0, 0.0, -0.3, 1.57], 0.0),  # beside a truck that is partly behind it
-    ([-14.0, 0.0, 1.5, 0.4, 0.1, 0.0], 0.0),  # a car at its left, one behind
-    ([0.0, -9.0, 9.0, 0.0, -0.3, 0.2], -0.08),  # at dusk the ground falls like the shadows
-    ([9.0, 9.0, 9.0, 0.0, -0.4, -2.3], 0.08),
+@pytest.mark.parametrize(("pose", "slope", "light"), [
+    ([9.0, 9.0, 6.0, 0.0, -0.3, -2.3], 0.0, "midday"),
+    ([0.0, -14.0, 4.0, 0.0, -0.3, 1.57], 0.0, "dusk"),  # beside a truck that is partly behind it
+    ([-14.0, 0.0, 1.5, 0.4, 0.1, 0.0], 0.0, "midday"),  # a car at its left, one behind
+    ([0.0, -9.0, 9.0, 0.0, -0.3, 0.2], -0.08, "dusk"),  # the ground falls like the shadows
+    ([9.0, 9.0, 9.0, 0.0, -0.4, -2.3], 0.08, "midday"),
 ])  # fmt: skip
-def test_no_road_user_or_shadow_is_missed(pose, slope):
+def test_no_road_user_or_shadow_is_missed(pose, slope, light):
     """All rays of pixels and of sunlit points give the same as those that the camera selects."""
     truck, car = (8, 2.5, 3.4), (4.6, 1.9, 1.5)
     boxes = [
@@ -442,51 +425,38 @@ def test_no_road_user_or_shadow_is_missed(pose, slope):
         (-2, -6, 0.0, 0.6, 0.6, 1.8), (20, 2, 0.5, *car),
     ]  # fmt: skip
     crowd = with_boxes(world(count=0, radius=40.0, voxel=2.0, slope=slope), *boxes)
-    for light in ("midday", "dusk"):
-        recorder = EmbeddedRecorder(crowd, place_sensors((SMALL, pose)), Conditions.of(light))
-        (camera,) = recorder.sensors
-        actors = recorder.surroundings.actors(0)
-        seen = camera._changes_at(actors, paints(actors.boxes, 0), 0.0)
-        road_users, caster = actors.at(0.0)
-        background = camera.background
-        hits = caster.cast(
-            camera.origin, camera.directions, np.minimum(background.distance, 1000.0)
-        )
-        box = np.where(hits.face >= 0, road_users.box[hits.face], -1)
-        sunny = np.flatnonzero(background.in_sun & (box < 0))
-        sunny = sunny[np.abs(background.point[sunny, :2]).max(1) < 150]
-        dark = sunny[camera._in_shadow(caster, background.point[sunny], np.array([0.0, 0.0, 1.0]))]
-        found = np.full(len(box), -1)
-        found[seen.pixels] = seen.box
-        assert np.array_equal(found, box)
-        assert len(np.unique(box)) > 2  # close ones hide others
-        assert np.array_equal(np.sort(seen.pixels[seen.box < 0]), dark)
-        assert len(dark) > 100
+    recorder = EmbeddedRecorder(crowd, place_sensors((SMALL, pose)), Conditions.of(light))
+    (camera,) = recorder.sensors
+    actors = recorder.surroundings.actors(0)
+    seen = camera._changes_at(actors, paints(actors.boxes, 0), 0.0)
+    road_users, caster = actors.at(0.0)
+    background = camera.background
+    hits = caster.cast(camera.origin, camera.directions, np.minimum(background.distance, 1000.0))
+    box = np.where(hits.face >= 0, road_users.box[hits.face], -1)
+    sunny = np.flatnonzero(background.in_sun & (box < 0))
+    sunny = sunny[np.abs(background.point[sunny, :2]).max(1) < 150]
+    dark = sunny[camera._in_shadow(caster, background.point[sunny], np.array([0.0, 0.0, 1.0]))]
+    found = np.full(len(box), -1)
+    found[seen.pixels] = seen.box
+    assert np.array_equal(found, box)
+    assert len(np.unique(box)) > 2  # close ones hide others
+    assert np.array_equal(np.sort(seen.pixels[seen.box < 0]), dark)
+    assert len(dark) > 100
 
 
 def test_light_falls_and_noise_rises_from_midday_to_night():
-    layout = place_sensors((SMALL, [0.0, 0.0, 5.0, 0.0, np.radians(-18), 0.0]))
-    pictures = {
-        light: EmbeddedRecorder(camera_scene(), layout, Conditions.of(light)).frame(0)
-        .stations[0].images[0].rgb.astype(float)
-        for light in ("midday", "dusk", "night")
-    }  # fmt: skip
-    bright = [pictures[k][150:].mean() for k in ("midday", "dusk", "night")]
+    lights = [Conditions.of(light) for light in ("midday", "dusk", "night")]
+    pictures = [picture(camera_scene(), LOOKING, at)[2].rgb.astype(float) for at in lights]
+    bright = [rgb[150:].mean() for rgb in pictures]
     assert bright[0] > bright[1] > bright[2] > 5
-    grain = [np.abs(np.diff(pictures[k][:10], axis=1)).mean() for k in ("midday", "dusk", "night")]
+    grain = [np.abs(np.diff(rgb[:10], axis=1)).mean() for rgb in pictures]
     assert grain[0] < grain[1] < grain[2]
 
 
 def test_shadows_point_away_from_the_sun():
     """At midday the sun stands in the south-south-east: beside the car its north is darker."""
     scene = with_boxes(world(count=0, radius=40.0, voxel=2.0), (14, 0, 0, 6.0, 2.5, 3.4))
-    layout = place_sensors((SMALL, [14.0, 0.0, 14.0, 0.0, -np.pi / 2, 0.0]))
-    (image,) = (
-        EmbeddedRecorder(scene, layout, recording=Recording(layers=("instance",)))
-        .frame(0)
-        .stations[0]
-        .images
-    )
+    _, _, image = picture(scene, [14.0, 0.0, 14.0, 0.0, -np.pi / 2, 0.0])
     # Straight down, nose to the east: columns run from north (left) to south (right).
     v, u = np.nonzero(image.instance > 0)
     brightness = image.rgb.astype(float).mean(2)
@@ -507,14 +477,12 @@ def test_points_at_the_rim_are_in_the_last_squares():
 
 
 def test_fog_hides_what_is_far():
-    layout = place_sensors((SMALL, [0.0, 0.0, 5.0, 0.0, np.radians(-10), 0.0]))
-    scene = world(count=0, radius=40.0, voxel=2.0)
-
-    def contrast(weather):
-        image = EmbeddedRecorder(scene, layout, Conditions.of("midday", weather)).frame(0)
-        return image.stations[0].images[0].rgb[60:120].astype(float).std()
-
-    assert contrast("fog:40") < 0.6 * contrast("clear")
+    scene, pose = world(count=0, radius=40.0, voxel=2.0), [0.0, 0.0, 5.0, 0.0, -0.17, 0.0]
+    near, far = (
+        picture(scene, pose, Conditions.of("midday", weather))[2].rgb[60:120].astype(float).std()
+        for weather in ("fog:40", "clear")
+    )
+    assert near < 0.6 * far
 
 
 # ---- whole frames ------------------------------------------------------------------------------
@@ -527,71 +495,51 @@ def test_the_same_seed_gives_the_same_frames_in_any_order(scene, light):
     )
     given = (scene, layout, Conditions.of(light), Recording(layers=LAYERS))
     one, two = EmbeddedRecorder(*given), EmbeddedRecorder(*given)
-    first = [one.frame(t) for t in (0, 1)]
-    again = [two.frame(t) for t in (1, 0)][::-1]
-    other = EmbeddedRecorder(*given, seed=1).frame(0)
+    first, again = [one.frame(t) for t in (0, 1)], [two.frame(t) for t in (1, 0)][::-1]
+
+    def arrays(frame):
+        image, scan = frame.stations[0].images[0], frame.stations[1].scans[0]
+        return [image.rgb, scan.points, *(getattr(image, name) for name in LAYERS)]
+
     for a, b in zip(first, again, strict=True):
-        for s, t in zip(a.stations, b.stations, strict=True):
-            for i, j in zip(s.images, t.images, strict=True):
-                assert np.array_equal(i.rgb, j.rgb)
-                for name in LAYERS:
-                    assert getattr(i, name).shape == i.rgb.shape[:2]
-                    assert np.array_equal(getattr(i, name), getattr(j, name))
-            for i, j in zip(s.scans, t.scans, strict=True):
-                assert np.array_equal(i.points, j.points)
-    assert not np.array_equal(first[0].stations[0].images[0].rgb, other.stations[0].images[0].rgb)
+        for x, y in zip(arrays(a), arrays(b), strict=True):
+            np.testing.assert_array_equal(x, y)
+    other = arrays(EmbeddedRecorder(*given, seed=1).frame(0))
+    for x, y in zip(arrays(first[0])[:2], other[:2], strict=True):
+        assert not np.array_equal(x, y)
 
 
 def test_boxes_are_where_the_traffic_has_them():
     t = four_way(density="low").traffic  # so few that they drive
     on = np.flatnonzero(t.valid[1])
-    for b, box in zip(on, boxes_at(t, 1, 0), strict=True):
+    for b, box in zip(on, boxes_of(t.at(1), 0), strict=True):
         assert (box.track, box.yaw) == (t.track[1, b], t.yaw[1, b])
         for part, whole in ((box.center, t.center), (box.size, t.size)):
             np.testing.assert_array_equal(part, whole[1, b])
         np.testing.assert_array_equal(box.velocity, t.velocity[1, b])
-    fast = [box for box in boxes_at(t, 1, 0) if np.hypot(*box.velocity[:2]) > 3]
+    fast = [box for box in boxes_of(t.at(1), 0) if np.hypot(*box.velocity[:2]) > 3]
     assert len(fast) > 2
     for box in fast:  # the nose is in front
         ahead = np.array([np.cos(box.yaw), np.sin(box.yaw)]) @ box.velocity[:2]
         assert ahead > 0.9 * np.hypot(*box.velocity[:2])
 
 
-def test_another_seed_gives_other_noise():
-    """Without road users the seed changes the noise only."""
-    empty, at = world(count=0, radius=20.0, voxel=1.0), [0.0, 0.0, 6.0, 0.0, -0.3, -2.3]
-    layout = place_sensors((SMALL, at), (COARSE, at))
-    frames = [EmbeddedRecorder(empty, layout, seed=seed).frame(0) for seed in (0, 0, 1)]
-    images = [frame.stations[0].images[0] for frame in frames]
-    scans = [frame.stations[1].scans[0] for frame in frames]
-    assert np.array_equal(images[0].rgb, images[1].rgb)
-    off = images[0].rgb.astype(int) - images[2].rgb
-    assert (off != 0).mean() > 0.2
-    assert np.abs(off).mean() < 10
-    assert np.array_equal(scans[0].points, scans[1].points)
-    assert not np.array_equal(scans[0].points, scans[2].points)
-
-
 def test_road_users_keep_their_looks(scene):
     names = {}
     for t in range(scene.traffic.frame_count):
-        for box in boxes_at(scene.traffic, t, 0):
+        for box in boxes_of(scene.traffic.at(t), 0):
             assert names.setdefault(box.track, box.name) == box.name
             assert box.name in VARIANTS[box.kind]
     assert len(set(names.values())) > 4
-    assert {CLASSES[k] for k in scene.traffic.kind[scene.traffic.valid]} >= {"car", "truck"}
 
 
-@pytest.mark.parametrize("light", LIGHTS)
+@pytest.mark.parametrize("light", ["midday", "night"])
 def test_layers_of_the_static_world(light):
     """The road where rays hit its plane; at night and without lamps only the sky lights it."""
     scene = world(count=0, radius=20.0, voxel=1.0)
     pose = np.array([0.0, 0.0, 6.0, 0.0, -0.3, -2.3])  # over the road: no mast
-    layout = place_sensors((SMALL, pose.tolist()))
-    given = (scene, layout, Conditions.of(light), Recording(layers=LAYERS))
-    recorder = EmbeddedRecorder(*given)
+    recorder, _, image = picture(scene, pose, Conditions.of(light))
     assert not len(recorder.surroundings.static_world.poles)
-    (image,) = recorder.frame(0).stations[0].images
     assert not image.instance.any()
     u, v = np.meshgrid(np.arange(SMALL.width) + 0.5, np.arange(SMALL.height) + 0.5)
     (cx, cy), f = SMALL.principal, SMALL.focal
@@ -620,15 +568,19 @@ def test_slopes_and_empty_roads_are_recorded():
     assert np.abs(at[near, 2] - height).mean() < 0.1
 
 
-def test_bad_input(scene, corners):
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        (dict(rate=0), "rate 0 Hz"),
+        (dict(image_scale=9), "image_scale 9"),
+        (dict(layers=("dept",)), "layer 'dept': one of .*did you mean depth"),
+    ],
+)
+def test_bad_input(scene, corners, given, words):
+    with pytest.raises(InspeError, match=words):
+        EmbeddedRecorder(scene, corners, recording=Recording(**given))
     with pytest.raises(InspeError, match=r"backend 'embeded': one of .*did you mean embedded"):
         recorder_of("embeded", scene, corners)
-    with pytest.raises(InspeError, match=r"rate 0 Hz"):
-        EmbeddedRecorder(scene, corners, recording=Recording(rate=0))
-    with pytest.raises(InspeError, match="image_scale 9"):
-        EmbeddedRecorder(scene, corners, recording=Recording(image_scale=9))
-    with pytest.raises(InspeError, match=r"layer 'dept': one of .*did you mean depth"):
-        EmbeddedRecorder(scene, corners, recording=Recording(layers=("dept",)))
 
 
 # ---- A sensor in hand -----------------------------------------------------------------------
@@ -646,8 +598,7 @@ def both():
     )
 
 
-@pytest.mark.parametrize("light", LIGHTS)
-@pytest.mark.parametrize("s", [0, 1])
+@pytest.mark.parametrize(("light", "s"), [("midday", 0), ("dusk", 1), ("night", 0)])
 def test_a_live_sensor_records_at_its_place_what_the_recorder_does(scene, both, light, s):
     around, small = Conditions(light), Recording(image_scale=0.5)
     whole = EmbeddedRecorder(scene, both, around, small, seed=3)
@@ -658,12 +609,9 @@ def test_a_live_sensor_records_at_its_place_what_the_recorder_does(scene, both, 
         boxes, found = live.record(t, np.array(both.poses[s]))
         station = frame.stations[both.sensors[s].unit]
         assert [box.track for box in boxes] == [box.track for box in frame.boxes]
-        if s == 0:
-            np.testing.assert_array_equal(found.rgb, station.images[0].rgb)
-            np.testing.assert_array_equal(found.pixels, station.images[0].pixels)
-        else:
-            np.testing.assert_array_equal(found.points, station.scans[0].points)
-            np.testing.assert_array_equal(found.returns, station.scans[0].returns)
+        (same,) = (*station.images, *station.scans)
+        for name in ("rgb", "pixels") if s == 0 else ("points", "returns"):
+            np.testing.assert_array_equal(getattr(found, name), getattr(same, name))
 
 
 def test_a_sensor_that_is_held_elsewhere_does_not_see_the_mast_it_left(scene, both):

@@ -12,7 +12,6 @@ from jaxtyping import Float
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.sensing.layout import Layout
-from inspe_jax.sensing.sensors import CameraSpec, LidarSpec
 from inspe_jax.simulation.carla.instances import instances_of
 from inspe_jax.simulation.carla.sensors import (
     camera_attributes,
@@ -84,14 +83,9 @@ def _pictures(recording: Recording) -> dict[str, str]:
     return {picture: PICTURES[picture] for picture in dict.fromkeys(("rgb", *needed))}
 
 
-def _camera_attributes(spec: CameraSpec, recording: Recording) -> dict[str, str]:
-    return camera_attributes(spec, recording.picture_size(spec.width, spec.height))
-
-
 def _image(measured: Measured) -> Image:
     data, pose, layers = measured.data, measured.pose, dict[str, Any]()
-    spec = measured.spec
-    intrinsic = intrinsic_of(spec, measured.recording.picture_size(spec.width, spec.height))
+    intrinsic = intrinsic_of(measured.spec, measured.recording)
     if "depth" in data:
         layers["depth"] = depth_of(data["depth"])
     if "instance" in data:
@@ -105,10 +99,6 @@ def _image(measured: Measured) -> Image:
     return Image(pose, intrinsic, colours_of(data["rgb"]), **wanted)
 
 
-def _lidar_attributes(spec: LidarSpec, recording: Recording) -> dict[str, str]:
-    return lidar_attributes(spec, recording.rate)
-
-
 def _scan(measured: Measured) -> Scan:
     directions, distances = points_of(measured.data["points"])
     noise = measured.recording.noise
@@ -117,8 +107,8 @@ def _scan(measured: Measured) -> Scan:
 
 
 SENSOR_KINDS: dict[str, CarlaSensorKind] = {
-    "camera": CarlaSensorKind(_pictures, _camera_attributes, camera_note, _image),
-    "lidar": CarlaSensorKind(lambda _: {"points": LIDAR}, _lidar_attributes, lidar_note, _scan),
+    "camera": CarlaSensorKind(_pictures, camera_attributes, camera_note, _image),
+    "lidar": CarlaSensorKind(lambda _: {"points": LIDAR}, lidar_attributes, lidar_note, _scan),
 }
 """By the ``kind`` of a spec."""
 

@@ -17,6 +17,7 @@ from inspe_jax.sensing.conditions import Conditions
 from inspe_jax.sensing.lidar_returns import ATTENUATION
 from inspe_jax.sensing.sensors import CameraSpec, LidarSpec
 from inspe_jax.simulation.embedded.light import light_of
+from inspe_jax.simulation.recorder import Recording
 
 FAR = 1000.0
 """The largest depth that CARLA's depth camera can tell [m]."""
@@ -24,8 +25,8 @@ EVEN = np.radians(0.02)
 """Channels that are this close to evenly spaced ones count as even [rad]: tables are rounded."""
 
 
-def lidar_attributes(spec: LidarSpec, rate: float) -> dict[str, str]:
-    """Attributes of a LiDAR: one turn per frame at ``rate`` [Hz], all rays of the spec, no losses.
+def lidar_attributes(spec: LidarSpec, recording: Recording) -> dict[str, str]:
+    """Attributes of a LiDAR: one turn per frame, all rays of the spec, no losses.
 
     Random losses are added afterwards, by :mod:`inspe_jax.simulation.lidar_noise`: CARLA's own
     random numbers continue from frame to frame, and a frame should be the same however often it is
@@ -35,8 +36,8 @@ def lidar_attributes(spec: LidarSpec, rate: float) -> dict[str, str]:
     return {
         "channels": str(channels),
         "range": repr(float(spec.reach)),
-        "points_per_second": str(round(spec.azimuth_count * channels * rate)),
-        "rotation_frequency": repr(float(rate)),
+        "points_per_second": str(round(spec.azimuth_count * channels * recording.rate)),
+        "rotation_frequency": repr(float(recording.rate)),
         "upper_fov": repr(float(np.degrees(max(spec.elevations)))),
         "lower_fov": repr(float(np.degrees(min(spec.elevations)))),
         "horizontal_fov": repr(min(float(np.degrees(spec.azimuth_fov)), 360.0)),
@@ -47,12 +48,12 @@ def lidar_attributes(spec: LidarSpec, rate: float) -> dict[str, str]:
     }
 
 
-def camera_attributes(spec: CameraSpec, size: tuple[int, int]) -> dict[str, str]:
-    """Attributes of a camera: ``size`` of the picture (width, height), horizontal field of view.
+def camera_attributes(spec: CameraSpec, recording: Recording) -> dict[str, str]:
+    """Attributes of a camera: the size of its pictures, and its horizontal field of view.
 
     Raises InspeError for a size of another shape than the spec's own.
     """
-    width, height = size
+    width, height = recording.picture_size(spec.width, spec.height)
     if abs(height - spec.height * width / spec.width) > 1:
         raise InspeError(
             f"image_size [{width}, {height}]: CARLA's pixels are square, and {spec.name} has "
@@ -66,12 +67,12 @@ def camera_attributes(spec: CameraSpec, size: tuple[int, int]) -> dict[str, str]
     }
 
 
-def intrinsic_of(spec: CameraSpec, size: tuple[int, int]) -> Float[np.ndarray, "3 3"]:
+def intrinsic_of(spec: CameraSpec, recording: Recording) -> Float[np.ndarray, "3 3"]:
     """Calibration of a camera with :func:`camera_attributes`, in pixels.
 
     Pixels are square, and the principal point is in the middle.
     """
-    width, height = size
+    width, height = recording.picture_size(spec.width, spec.height)
     focal = spec.focal * width / spec.width
     return np.array([[focal, 0.0, width / 2], [0.0, focal, height / 2], [0.0, 0.0, 1.0]])
 

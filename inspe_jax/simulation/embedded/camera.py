@@ -153,22 +153,9 @@ class Camera:
     # ── A frame ─────────────────────────────────────────────────────────────
 
     def record(self, actors: FrameActors, rng: np.random.Generator) -> Image:
-        """The picture of one frame, with the layers that the recording asks for."""
-        return self.image(actors, self.appearance_seed, rng, self.recording.layers)
-
-    def image(
-        self,
-        actors: FrameActors,
-        seed: int,
-        rng: np.random.Generator,
-        layers: tuple[str, ...] = (),
-    ) -> Image:
-        """The picture of one frame; the middle of the exposure is the frame's time.
-
-        ``seed`` is that of the road users' colours, ``rng`` is for the noise.
-        """
+        """The picture of one frame; the middle of the exposure is the frame's time."""
         moments = self.light.moments
-        painted = paints(actors.boxes, seed)
+        painted = paints(actors.boxes, self.appearance_seed)
         middle = None
         total = self.background.colour.copy()
         if self.lit_ground is not None:
@@ -188,9 +175,9 @@ class Camera:
         rgb = tone_map(total.reshape(*shape, 3), self.gain, rng)
         middle = middle or self._changes_at(actors, painted, 0.0)
         extra = {}
-        if layers:
+        if self.recording.layers:
             whole = self._layers(middle, actors.boxes)
-            extra = {name: whole[name].reshape(shape) for name in layers}
+            extra = {name: whole[name].reshape(shape) for name in self.recording.layers}
         pixels = np.bincount(middle.box[middle.box >= 0], minlength=len(actors.boxes))
         share = self._visible_share(pixels, actors)
         return Image(self.pose, self.intrinsic, rgb, **extra, pixels=pixels, share=share)

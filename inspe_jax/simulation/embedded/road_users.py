@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from inspe_jax.core.geometry import rotation
-from inspe_jax.scene.traffic.frames import CLASSES, Snapshot, TrafficFrames
+from inspe_jax.scene.traffic.frames import CLASSES, Snapshot
 from inspe_jax.simulation.embedded.embree import Caster
 from inspe_jax.simulation.embedded.shapes import PARTS, VARIANTS, fitting, paint, shape_of
 from inspe_jax.simulation.frame import RoadUserBox
@@ -46,11 +46,6 @@ def boxes_of(seen: Snapshot, seed: int) -> tuple[RoadUserBox, ...]:
         )
         for center, yaw, size, kind, track, velocity in zip(*seen, strict=True)
     )
-
-
-def boxes_at(traffic: TrafficFrames, t: int, seed: int) -> tuple[RoadUserBox, ...]:
-    """The road users of frame t as boxes with names."""
-    return boxes_of(traffic.at(t), seed)
 
 
 def _variant(kind: str, track: int, seed: int, size: Float[np.ndarray, "3"]) -> int:

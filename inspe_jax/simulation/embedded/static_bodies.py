@@ -17,17 +17,7 @@ from shapely.geometry import Polygon
 from inspe_jax.core.geometry import rotation
 from inspe_jax.scene.intersection import Intersection
 from inspe_jax.scene.statics import StaticBody, octagon
-from inspe_jax.simulation.embedded.materials import (
-    BUILDING,
-    CROWN,
-    FURNITURE,
-    PARKED_CAR,
-    PARKED_TRUCK,
-    POLE,
-    ROOF,
-    TRUNK,
-    WALL,
-)
+from inspe_jax.simulation.embedded import materials
 from inspe_jax.simulation.embedded.shapes import PARTS, fitting, paint, shape_of
 from inspe_jax.simulation.parked import box_of, is_box, kind_of
 
@@ -56,21 +46,32 @@ def body_parts(one: StaticBody, place: Intersection) -> Iterator[Part]:
     yield from _LOOKS[one.kind](one, place, level, rng)
 
 
+def quads(*corners: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "F 3 3"]:
+    """Two triangles for each quadrilateral, by its four ``corners`` in turn."""
+    a, b, c, d = corners
+    return np.concatenate([np.stack([a, b, c], -2), np.stack([a, c, d], -2)]).reshape(-1, 3, 3)
+
+
+def walls(
+    low: Float[np.ndarray, "*n N 3"], high: Float[np.ndarray, "*n N 3"]
+) -> Float[np.ndarray, "F 3 3"]:
+    """The walls between two rings of points."""
+    return quads(low, np.roll(low, -1, -2), np.roll(high, -1, -2), high)
+
+
 def _prism(
     outline: Float[np.ndarray, "N 2"], bottom: float, top: float
 ) -> tuple[Float[np.ndarray, "F 3 3"], Float[np.ndarray, "F 3 3"], Float[np.ndarray, "F 3 3"]]:
     """The sides, the top and the bottom of a prism."""
     low = np.column_stack([outline, np.full(len(outline), bottom)])
     high = low + [0.0, 0.0, top - bottom]
-    a, b, c, d = low, np.roll(low, -1, 0), np.roll(high, -1, 0), high
     cut = shapely.constrained_delaunay_triangles(Polygon(outline)).geoms
     flat = np.array([t.exterior.coords[:3] for t in cut])
 
     def lid(z: float) -> np.ndarray:
         return np.concatenate([flat, np.full((*flat.shape[:2], 1), z)], 2)
 
-    sides = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
-    return sides, lid(top), lid(bottom)
+    return walls(low, high), lid(top), lid(bottom)
 
 
 def _bottom(one: StaticBody, place: Intersection, level: float) -> float:
@@ -104,7 +105,7 @@ def _trunk(one: StaticBody, place: Intersection, level: float) -> Iterator[Part]
     if one.trunk > 0:
         outline = octagon(one.middle, one.trunk)
         sides, lid, _ = _prism(outline, _foot(outline, place), level + one.base)
-        yield Part(np.concatenate([sides, lid]), TRUNK)
+        yield Part(np.concatenate([sides, lid]), materials.TRUNK)
 
 
 def _thinned(
@@ -132,13 +133,11 @@ def _tree(
         ring = one.middle + size * (outline - one.middle)
         rings.append(np.column_stack([ring, np.full(len(ring), bottom + up * tall)]))
     ball = np.array(rings)
-    next_ = np.roll(ball, -1, 1)
-    a, b, c, d = ball[:-1], next_[:-1], next_[1:], ball[1:]
-    faces = [np.stack(t, 2).reshape(-1, 3, 3) for t in ((a, b, c), (a, c, d))]
+    faces = [walls(ball[:-1], ball[1:])]
     for ring, middle in ((ball[0], bottom), (ball[-1], bottom + tall)):
         tip = np.broadcast_to([*one.middle, middle], ring.shape)
         faces.append(np.stack([ring, np.roll(ring, -1, 0), tip], 1))
-    yield Part(_thinned(np.concatenate(faces), one, rng), CROWN)
+    yield Part(_thinned(np.concatenate(faces), one, rng), materials.CROWN)
     yield from _trunk(one, place, level)
 
 
@@ -147,7 +146,7 @@ def _parked(
 ) -> Iterator[Part]:
     """The shape of a vehicle that fits, in a colour of its own; a plain box on other outlines."""
     if not is_box(one):
-        yield from _solid(FURNITURE, FURNITURE)(one, place, level, rng)
+        yield from _solid(materials.FURNITURE, materials.FURNITURE)(one, place, level, rng)
         return
     size, yaw = box_of(one)
     kind = kind_of(size)
@@ -156,18 +155,18 @@ def _parked(
     at = np.array([*one.middle, level + one.height / 2])
     corners = (shape.vertices * size) @ turn.T + at
     table = np.array([colours[part] for part in PARTS])
-    material = PARKED_TRUCK if kind == "truck" else PARKED_CAR
+    material = materials.PARKED_TRUCK if kind == "truck" else materials.PARKED_CAR
     yield Part(corners[shape.faces], material, table[shape.part])
 
 
 _LOOKS: dict[str, Callable[..., Iterator[Part]]] = {
-    "building": _solid(BUILDING, ROOF),
-    "wall": _solid(WALL, WALL),
-    "hedge": _solid(CROWN, CROWN),
+    "building": _solid(materials.BUILDING, materials.ROOF),
+    "wall": _solid(materials.WALL, materials.WALL),
+    "hedge": _solid(materials.CROWN, materials.CROWN),
     "tree": _tree,
-    "pole": _solid(POLE, POLE),
-    "furniture": _solid(FURNITURE, FURNITURE),
+    "pole": _solid(materials.POLE, materials.POLE),
+    "furniture": _solid(materials.FURNITURE, materials.FURNITURE),
     "parked vehicle": _parked,
-    "solid": _solid(BUILDING, ROOF),
+    "solid": _solid(materials.BUILDING, materials.ROOF),
 }
 """How each of :data:`~inspe_jax.scene.statics.KINDS` looks."""

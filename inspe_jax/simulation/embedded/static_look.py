@@ -3,36 +3,19 @@
 import numpy as np
 
 from inspe_jax.scene.regions import Region
-from inspe_jax.simulation.embedded.materials import (
-    BUILDING,
-    COLOURED,
-    CROWN,
-    FURNITURE,
-    GROUND,
-    KERB,
-    PARKED_CAR,
-    PARKED_TRUCK,
-    POLE,
-    ROOF,
-    SURVEYED,
-    TRUNK,
-    WALL,
-)
+from inspe_jax.simulation.embedded import materials
 from inspe_jax.simulation.embedded.static_world import StaticWorld
 from inspe_jax.simulation.embedded.surface import GRASS, PAINT, noise
 
-_OF_MATERIAL = {
-    KERB: 2,
-    BUILDING: 3,
-    ROOF: 3,
-    TRUNK: 9,
-    CROWN: 9,
-    POLE: 6,
-    WALL: 4,
-    FURNITURE: 20,
-    PARKED_CAR: 14,
-    PARKED_TRUCK: 15,
-    SURVEYED: 20,
+_LABELS = {
+    (materials.KERB,): 2,
+    (materials.BUILDING, materials.ROOF): 3,
+    (materials.WALL,): 4,
+    (materials.POLE,): 6,
+    (materials.TRUNK, materials.CROWN): 9,
+    (materials.PARKED_CAR,): 14,
+    (materials.PARKED_TRUCK,): 15,
+    (materials.FURNITURE, materials.SURVEYED): 20,
 }
 OF_LABEL = {
     Region.DRIVEWAY: 1,
@@ -53,42 +36,41 @@ def static_look(
     material = np.where(face >= 0, static_world.material[face], -1)
     body = np.where(face >= 0, static_world.body[face], 0)
     albedo, semantic = np.zeros((len(face), 3), np.float32), np.zeros(len(face), int)
-    for kind, label in _OF_MATERIAL.items():
-        semantic[material == kind] = label
-    ground = material == GROUND
+    for kinds, label in _LABELS.items():
+        semantic[np.isin(material, kinds)] = label
+    ground = material == materials.GROUND
     world = point[:, :2] + static_world.center[:2]
     albedo[ground] = static_world.surface.albedo(world[ground])
     labels = np.array([OF_LABEL[k] for k in (*Region, GRASS, PAINT)])
     semantic[ground] = labels[static_world.surface.label(world[ground])]
-    albedo[material == KERB] = 0.34
-    albedo[material == ROOF] = [0.16, 0.12, 0.11]
-    albedo[material == TRUNK] = [0.11, 0.075, 0.05]
-    albedo[material == POLE] = [0.28, 0.29, 0.30]
-    rough = material == WALL
+    for kind, colour in _PLAIN.items():
+        albedo[material == kind] = colour
+    rough = material == materials.WALL
     stone = 0.7 + 0.6 * noise(point[rough][:, :2] * 3.1 + point[rough][:, 2:] * 4.3)
     albedo[rough] = np.array([0.34, 0.31, 0.27]) * stone[:, None]
-    box = material == FURNITURE
+    box = material == materials.FURNITURE
     albedo[box] = _FURNITURE[body[box] % len(_FURNITURE)]
-    own = np.isin(material, COLOURED)
+    own = np.isin(material, materials.COLOURED)
     albedo[own] = static_world.colour[face[own]]
-    crown = material == CROWN
+    crown = material == materials.CROWN
     leaf = 0.6 + 0.8 * noise(point[crown][:, :2] * 2.5 + point[crown][:, 2:] * 1.7)
     tint = 0.8 + 0.4 * (body[crown] * 0.618 % 1.0)
     albedo[crown] = np.array([0.065, 0.11, 0.035]) * (leaf * tint)[:, None]
-    wall = material == BUILDING
+    wall = material == materials.BUILDING
     albedo[wall] = _facade_colours(point[wall], normal[wall], body[wall])
     return albedo, semantic
 
 
+_PLAIN = {
+    materials.KERB: (0.34, 0.34, 0.34),
+    materials.ROOF: (0.16, 0.12, 0.11),
+    materials.TRUNK: (0.11, 0.075, 0.05),
+    materials.POLE: (0.28, 0.29, 0.30),
+}
 _FURNITURE = np.array([[0.18, 0.20, 0.20], [0.12, 0.17, 0.13], [0.30, 0.30, 0.29]])
 _WALLS = np.array(
-    [
-        [0.42, 0.36, 0.30],
-        [0.34, 0.17, 0.12],
-        [0.50, 0.48, 0.44],
-        [0.30, 0.31, 0.33],
-        [0.46, 0.38, 0.24],
-    ]
+    [[0.42, 0.36, 0.30], [0.34, 0.17, 0.12], [0.50, 0.48, 0.44], [0.30, 0.31, 0.33]]
+    + [[0.46, 0.38, 0.24]]
 )
 
 
@@ -98,9 +80,7 @@ def _facade_colours(point: np.ndarray, normal: np.ndarray, body: np.ndarray) -> 
     across, up = along % 2.8, (point[:, 2] + 0.4) % 3.0
     pane = (across > 0.8) & (across < 2.1) & (up > 1.0) & (up < 2.4)
     frame = (across > 0.7) & (across < 2.2) & (up > 0.9) & (up < 2.5)
-    colour = (
-        _WALLS[body % len(_WALLS)]
-        * (0.9 + 0.2 * noise(np.column_stack([along, point[:, 2]]) * 1.3))[:, None]
-    )
+    plaster = 0.9 + 0.2 * noise(np.column_stack([along, point[:, 2]]) * 1.3)
+    colour = _WALLS[body % len(_WALLS)] * plaster[:, None]
     colour = np.where(frame[:, None], 0.55, colour)
     return np.where(pane[:, None], [0.05, 0.06, 0.075], colour)

@@ -26,17 +26,8 @@ from inspe_jax.scene.mesh import LOW, Mesh
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.statics import StaticBody
 from inspe_jax.scene.terrain import MARGIN, lattice_faces
-from inspe_jax.simulation.embedded.materials import (
-    BUILDING,
-    CROWN,
-    GROUND,
-    KERB,
-    POLE,
-    ROOF,
-    SURVEYED,
-    TRUNK,
-)
-from inspe_jax.simulation.embedded.static_bodies import Part, body_parts
+from inspe_jax.simulation.embedded import materials
+from inspe_jax.simulation.embedded.static_bodies import Part, body_parts, quads, walls
 from inspe_jax.simulation.embedded.surface import Surface, lay_surface
 
 SRGB = 2.2
@@ -94,7 +85,11 @@ def build_static_world(
     fixed = _all_but_masts(intersection, radius, tuple(bodies))
     poles = [p for p in fixed.poles if all(np.hypot(*(p[:2] - m[:2])) > 0.5 for m in masts)]
     posts = np.array([*masts, *poles], float).reshape(-1, 4)
-    parts = [*fixed.low, *(Part(_tube(p[:3], POLE_RADIUS, p[3]), POLE) for p in posts), *fixed.high]
+    parts = [
+        *fixed.low,
+        *(Part(_tube(p[:3], POLE_RADIUS, p[3]), materials.POLE) for p in posts),
+        *fixed.high,
+    ]
     sizes = [len(part.triangles) for part in parts]
     return StaticWorld(
         center=center,
@@ -127,25 +122,25 @@ def _all_but_masts(
     rng = np.random.default_rng(zlib.crc32(intersection.name.encode()))
     own = unary_union([one.polygon for one in bodies])
     mesh = intersection.mesh if any(one.kind == "solid" for one in bodies) else None
-    low = [Part(_ground(intersection, radius), GROUND)]
+    low = [Part(_ground(intersection, radius), materials.GROUND)]
     high = list[Part]()
     if mesh is None:
-        low += [Part(ring, KERB) for ring in _kerbs(intersection)]
+        low += [Part(ring, materials.KERB) for ring in _kerbs(intersection)]
         taken = unary_union(list(intersection.regions.values())).buffer(CLEAR)
         if bodies:
             taken = unary_union([taken, own.buffer(CLEAR)])
         built = list[Polygon]()
         for k, corners in enumerate(_plots(intersection, taken, radius, rng)):
-            walls, roof = _house(corners, intersection, float(rng.uniform(6, 18)))
-            high += [Part(walls, BUILDING, body=k), Part(roof, ROOF, body=k)]
+            sides, roof = _house(corners, intersection, float(rng.uniform(6, 18)))
+            high += [Part(sides, materials.BUILDING, body=k), Part(roof, materials.ROOF, body=k)]
             built.append(Polygon(corners).buffer(1.0))
         taken = unary_union([taken, *built])
         for k, (foot, height) in enumerate(_trees(intersection, taken, radius, rng)):
-            high.append(Part(_tube(foot, 0.18, 0.45 * height), TRUNK, body=k))
-            high.append(Part(_crown(foot, height, rng), CROWN, body=k))
+            high.append(Part(_tube(foot, 0.18, 0.45 * height), materials.TRUNK, body=k))
+            high.append(Part(_crown(foot, height, rng), materials.CROWN, body=k))
     else:
         faces, colour = _surveyed(mesh, intersection)
-        high.append(Part(faces, SURVEYED, colour))
+        high.append(Part(faces, materials.SURVEYED, colour))
     for k, one in enumerate(bodies):
         if mesh is None or one.kind != "solid":
             high += [part._replace(body=k) for part in body_parts(one, intersection)]
@@ -230,8 +225,7 @@ def _wall(line: np.ndarray, place: Intersection, height: float) -> Float[np.ndar
     """A vertical ribbon along a line (N, 2), as high as ``height`` above the ground."""
     low = np.column_stack([line, place.ground(line) - 0.05])
     high = low + [0.0, 0.0, height + 0.05]
-    a, b, c, d = low[:-1], low[1:], high[1:], high[:-1]
-    return np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
+    return quads(low[:-1], low[1:], high[1:], high[:-1])
 
 
 def _lid(shape: BaseGeometry, place: Intersection, height: float) -> Float[np.ndarray, "F 3 3"]:
@@ -249,9 +243,9 @@ def _tube(foot: np.ndarray, radius: float, height: float) -> Float[np.ndarray, "
     turn = np.linspace(0, 2 * np.pi, 9)
     ring = foot + radius * np.column_stack([np.cos(turn), np.sin(turn), np.zeros(9)])
     top = ring + [0.0, 0.0, height]
-    a, b, c, d = ring[:-1], ring[1:], top[1:], top[:-1]
-    cap = np.broadcast_to(foot + [0.0, 0.0, height], a.shape)
-    return np.concatenate([np.stack(t, 1) for t in ((a, b, c), (a, c, d), (d, c, cap))])
+    cap = np.broadcast_to(foot + [0.0, 0.0, height], (8, 3))
+    sides = quads(ring[:-1], ring[1:], top[1:], top[:-1])
+    return np.concatenate([sides, np.stack([top[:-1], top[1:], cap], 1)])
 
 
 def _plots(
@@ -285,9 +279,7 @@ def _house(
     base = place.ground(corners).min() - 0.5
     low = np.column_stack([corners, np.full(4, base)])
     high = low + [0.0, 0.0, height + 0.5]
-    a, b, c, d = low, np.roll(low, -1, 0), np.roll(high, -1, 0), high
-    walls = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
-    return walls, np.array([high[[0, 1, 2]], high[[0, 2, 3]]])
+    return walls(low, high), np.array([high[[0, 1, 2]], high[[0, 2, 3]]])
 
 
 def _trees(
@@ -312,19 +304,8 @@ def _crown(foot: np.ndarray, height: float, rng: np.random.Generator) -> Float[n
     turn = np.linspace(0, 2 * np.pi, columns, endpoint=False)[None]
     lump = 1 + rng.uniform(-0.18, 0.18, (rows + 1, columns))
     lump[[0, -1]] = 1.0
-    ball = (
-        np.stack(
-            [
-                wide * np.cos(up) * np.cos(turn) * lump,
-                wide * np.cos(up) * np.sin(turn) * lump,
-                tall * np.sin(up) * np.ones_like(turn),
-            ],
-            -1,
-        )
-        + foot
-        + [0.0, 0.0, height - tall]
-    )
-    next_ = np.roll(ball, -1, 1)
-    a, b, c, d = ball[:-1], next_[:-1], next_[1:], ball[1:]
-    faces = np.concatenate([np.stack([a, b, c], 2), np.stack([a, c, d], 2)])
-    return faces.reshape(-1, 3, 3)
+    x = wide * np.cos(up) * np.cos(turn) * lump
+    y = wide * np.cos(up) * np.sin(turn) * lump
+    z = np.broadcast_to(tall * np.sin(up), x.shape)
+    ball = np.stack([x, y, z], -1) + foot + [0.0, 0.0, height - tall]
+    return walls(ball[:-1], ball[1:])

@@ -10,7 +10,7 @@ from inspe_jax.sensing.conditions import Conditions
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.simulation.embedded.embree import Caster, check_embree
 from inspe_jax.simulation.embedded.headlights import GroundMap
-from inspe_jax.simulation.embedded.road_users import FrameActors, boxes_at, boxes_of
+from inspe_jax.simulation.embedded.road_users import FrameActors, boxes_of
 from inspe_jax.simulation.embedded.shading import Shading
 from inspe_jax.simulation.embedded.static_world import StaticWorld, build_static_world
 from inspe_jax.simulation.frame import RoadUserBox
@@ -41,7 +41,7 @@ class Surroundings:
 
     def actors(self, t: int) -> FrameActors:
         """The road users of frame t."""
-        boxes = boxes_at(self.traffic, t, self.appearance_seed) + self.parked
+        boxes = boxes_of(self.traffic.at(t), self.appearance_seed) + self.parked
         return FrameActors(boxes, self.static_world.center)
 
 

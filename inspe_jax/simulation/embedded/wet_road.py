@@ -10,9 +10,9 @@ from typing import NamedTuple, Self
 import numpy as np
 from jaxtyping import Float, Int
 
+from inspe_jax.simulation.embedded import materials
 from inspe_jax.simulation.embedded.embree import Caster
 from inspe_jax.simulation.embedded.light import parts
-from inspe_jax.simulation.embedded.materials import GROUND
 from inspe_jax.simulation.embedded.shading import FAR, Shading
 from inspe_jax.simulation.embedded.static_look import static_look
 from inspe_jax.simulation.embedded.static_world import StaticWorld
@@ -55,7 +55,7 @@ def wetness_at(
     """
     whole = Wetness(*(np.zeros(len(face), np.float32) for _ in Wetness._fields))
     if wet > 0:
-        ground = np.flatnonzero((face >= 0) & (static_world.material[face] == GROUND))
+        ground = np.flatnonzero((face >= 0) & (static_world.material[face] == materials.GROUND))
         for into, own in zip(whole, wetness_on(static_world, point[ground], wet), strict=True):
             into[ground] = own
     return whole

@@ -80,7 +80,10 @@ def assert_same(dense, counted):
         np.testing.assert_allclose(ours, theirs, rtol, 2e-6, err_msg=name)
 
 
-@pytest.mark.parametrize("name", SCENES)
+FURTHER = ("own voxels", "all references", "steep")
+
+
+@pytest.mark.parametrize("name", slow_but(SCENES, *(SCENES.keys() - FURTHER)))
 def test_masks_count_what_numbers_add_up_to(name):
     """With all sensors, and without those of each unit."""
     size, heights, reference, visibility = SCENES[name]

@@ -421,7 +421,7 @@ def test_a_worker_has_one_recorder_at_a_time(tmp_path, monkeypatch):
     monkeypatch.setattr(chunk, "_worker", chunk.WorkerState())
     day, night, *_ = load_generation(write(tmp_path)).scenarios
     for number, (plan, first) in enumerate(((day, 0), (day, 10), (night, 0))):
-        given = tmp_path / plan.name, tmp_path / f"lock {number}", first, first + 1, 2
+        given = tmp_path / plan.name, tmp_path / f"lock {number}", range(first, first + 2), 2
         todo = chunk.Chunk(plan, "embedded", *given)
         found = [chunk.work(chunk.build(todo), todo) for _ in range(2)]
         assert found[0] == chunk.Outcome(notes=("camera: made up", "lidar: made up"))
@@ -435,7 +435,7 @@ def test_a_worker_has_one_recorder_at_a_time(tmp_path, monkeypatch):
 def test_a_disk_error_is_no_error_of_the_scenario(tmp_path):
     (plan, *_) = load_generation(write(tmp_path)).scenarios
     (tmp_path / "file").touch()
-    given = tmp_path / "file" / "scenario", tmp_path / "lock", 0, 9, 10
+    given = tmp_path / "file" / "scenario", tmp_path / "lock", range(10), 10
     todo = chunk.Chunk(plan, "embedded", *given)
     found = made_up.work(chunk.build(todo), todo)
     assert found == chunk.Outcome(

@@ -37,7 +37,7 @@ def generation(folder: Path):
 def work_on(writer: DatasetWriter, plan) -> Path:
     """Record what is missing of a scenario, as a worker does; gives its unfinished folder."""
     folder = writer.unfinished(plan)
-    todo = chunk.Chunk(plan, "embedded", folder, writer.lock(plan, 0), 0, FRAMES - 1, FRAMES)
+    todo = chunk.Chunk(plan, "embedded", folder, writer.lock(plan, 0), range(FRAMES), FRAMES)
     assert not chunk.work(chunk.build(todo), todo).error
     return folder
 

@@ -199,12 +199,12 @@ def test_a_cell_of_the_map_has_the_mean_of_what_falls_into_it():
 
 TYPES = (0, 0, 1)
 FUSIONS = {
-    "mean": lambda key: Mean(),
-    "attfuse": lambda key: AttFuse(),
-    "disconet": lambda key: DiscoNet(16, key),
-    "v2vnet": lambda key: V2VNet(16, key),
-    "v2x-vit": lambda key: V2XViT(16, TYPES, key),
-    "hm-vit": lambda key: HMViT(16, TYPES, key),
+    "mean": Mean,
+    "attfuse": AttFuse,
+    "disconet": DiscoNet,
+    "v2vnet": V2VNet,
+    "v2x-vit": V2XViT,
+    "hm-vit": HMViT,
 }
 
 
@@ -213,7 +213,7 @@ def test_fusion_heeds_who_is_present_and_not_the_order(name, monkeypatch):
     """What an absent agent has changes nothing; two of one modality can be exchanged; and one
     agent alone keeps its map where nothing but weights of agents is learnt. Every weight learns."""
     monkeypatch.setattr(v2x_vit, "LAYERS", 1)  # the others are the same
-    fusion = made(FUSIONS[name])
+    fusion = made(lambda key: FUSIONS[name](16, TYPES, key))
     x, other = noise(2, 3, 16, 16, 16), noise(2, 3, 16, 16, 16, seed=1)
     present = np.array([[True, True, True], [True, False, False]])
     mixed = np.where(present[..., None, None, None], x, other)
@@ -290,7 +290,7 @@ def test_a_window_attends_with_a_bias_by_the_offset_of_its_cells():
 
 def test_v2vnet_takes_in_the_mean_message_of_the_others():
     """On maps of one cell only the middle of a convolution counts."""
-    fusion = made(lambda key: V2VNet(4, key))
+    fusion = made(lambda key: V2VNet(4, TYPES, key))
     x, present = noise(1, 3, 1, 1, 4), np.array([[True, True, False]])
     found = np.asarray(eqx.filter_jit(lambda x: fusion(x, present))(x))[0, 0, 0]
     w = jax.tree.map(np.asarray, fusion)
@@ -315,7 +315,7 @@ def test_v2vnet_takes_in_the_mean_message_of_the_others():
 
 
 def test_disconet_weighs_senders_for_each_cell():
-    fusion = made(lambda key: DiscoNet(8, key))
+    fusion = made(lambda key: DiscoNet(8, TYPES, key))
     x, present = noise(1, 3, 1, 2, 8), np.array([[True, False, True]])
     found = np.asarray(eqx.filter_jit(lambda x: fusion(x, present))(x))[0, 0]
     w, there = jax.tree.map(np.asarray, fusion), (0, 2)

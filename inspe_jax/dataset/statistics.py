@@ -150,8 +150,8 @@ def statistics(
             f"{data.path}: no frame in {count} scenario{'s' * (count != 1)}: expected {examples}, "
             f"for every agent"
         )
-    splits, tracks, crowd = [], [], []
-    merged, single, sensors = [], [], []
+    splits, crowd, merged, single, sensors = [], [], [], [], []
+    tracks: list[tuple[int, list[float], int]] = []
     for name, scenarios in data.splits.items():
         counts = dict.fromkeys(COUNTS, 0)
         for scenario in scenarios:

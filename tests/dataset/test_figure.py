@@ -133,12 +133,6 @@ def test_a_set_without_things_is_drawn(tmp_path):
     assert not len(panels(fig)["Length"][0].patches)
 
 
-def test_the_figure_is_the_same_each_time(found, tmp_path):
-    for name in ("a.svg", "b.svg"):
-        save_figure(statistics_view(found), tmp_path / name)
-    assert (tmp_path / "a.svg").read_bytes() == (tmp_path / "b.svg").read_bytes()
-
-
 def test_boxes_are_where_the_calibration_puts_them(scenario):
     """The near corners of the box ahead are 12.5 pixels beside and 50 below the middle; see
     test_projection. The box behind the camera is not on the picture."""

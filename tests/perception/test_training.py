@@ -139,7 +139,7 @@ def test_a_damaged_state_is_named_and_the_one_before_is_there(stopped_and_not, c
     for broken in (content[:1000], content + b"x", b""):
         path.write_bytes(broken)
         with pytest.raises(InspeError, match=r"step_00000004.eqx: is damaged.*from step 2"):
-            open_run(folder).detector()
+            open_run(folder).last()
     path.unlink()
     again = train(cached, folder, SETTINGS, grid=GRID)
     assert again.rows(LOSSES) == stopped_and_not[0].rows(LOSSES)

@@ -58,23 +58,31 @@ def _made_up():
     back()
 
 
-@pytest.fixture
-def at_home(monkeypatch):
+@contextmanager
+def one_thread():
     """One worker in this process, which does not have to import anything first.
 
-    For tests where this makes no difference; `undisturbed` and the slow tests use processes.
+    For what makes no difference: tests that kill something use processes.
     """
     from distributed import Client, LocalCluster
 
     @contextmanager
     def client(scheduler, workers):
-        monkeypatch.setattr(chunk, "_worker", chunk.WorkerState())
+        patch.setattr(chunk, "_worker", chunk.WorkerState())
         given = dict(n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None)
         with LocalCluster(**given, memory_limit=None) as cluster, Client(cluster) as here:
             yield here
 
-    monkeypatch.setattr("inspe_jax.core.files.os", os)
-    monkeypatch.setattr("inspe_jax.jobs.cluster.client", client)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("inspe_jax.core.files.os", os)
+        patch.setattr("inspe_jax.jobs.cluster.client", client)
+        yield
+
+
+@pytest.fixture
+def at_home():
+    with one_thread():
+        yield
 
 
 def write(folder: Path, **changes) -> Path:
@@ -128,9 +136,10 @@ def undisturbed(tmp_path_factory) -> tuple[Path, dict[str, bytes]]:
     path = write(folder)
     told = []
     back = made_up.use()
-    made = generate(
-        load_generation(path), folder / "out", workers=2, progress=lambda *at: told.append(at)
-    )
+    with one_thread():
+        made = generate(
+            load_generation(path), folder / "out", workers=1, progress=lambda *at: told.append(at)
+        )
     back()
     assert told[0] == (0, 8 * FRAMES)
     assert told[-1] == (8 * FRAMES, 8 * FRAMES)

@@ -242,7 +242,7 @@ def rows_of(job: Job, of: str, found: Evaluation, steps: int, seconds: float) ->
             **{f"ap_{d}m": round(float(found.ap[k, n]), 5) for n, d in enumerate((0.5, 1, 2, 4))},
             seconds=round(seconds),
         )
-        for k, kind in enumerate(found.kinds)
+        for k, kind in enumerate(KINDS)
     ]  # fmt: skip
 
 

@@ -214,7 +214,7 @@ def test_points_are_drawn_that_are_no_padding(points):
     assert sorted(np.asarray(cloud).tolist()) == [[-5, 1], [3, 4]]
 
 
-@pytest.mark.parametrize(("cameras", "points"), [(False, "padded"), (True, None), (False, None)])
+@pytest.mark.parametrize(("cameras", "points"), [(False, "padded"), (True, None)])
 def test_sensors_may_be_missing(tmp_path, cameras, points):
     fig = draw(batch(cameras, points), 0, detections(), "few sensors")
     save_figure(fig, tmp_path / "few.png")

@@ -80,9 +80,9 @@ class Loader:
                 raise InspeError(f"{name} {value!r}: a whole number, at least {least}")
         grid = points if isinstance(points, PillarGrid) else None
         most = None if isinstance(points, PillarGrid) else points
-        for name, value in (("most_boxes", most_boxes), ("points", most)):
-            if value is not None and value < 1:
-                raise InspeError(f"{name} {value}: must be 1 or more")
+        for name, limit in (("most_boxes", most_boxes), ("points", most)):
+            if limit is not None and limit < 1:
+                raise InspeError(f"{name} {limit}: must be 1 or more")
         _check_sensors(sensors, cache)
         if grid is not None:
             grid.check()

@@ -14,6 +14,7 @@ from shapely.geometry import box
 from inspe_jax.dataset.loading import PillarGrid, Pillars, Targets, on_picture
 from inspe_jax.dataset.loading.geometry import pose_matrix
 from inspe_jax.perception.encoders import LiftSplat, PillarEncoder
+from inspe_jax.perception.encoders.images import ImageEncoder
 from inspe_jax.perception.encoders.lift_splat import EMPTY_WEIGHT, HEIGHTS
 from inspe_jax.perception.fusion import AttFuse, DiscoNet, HMViT, Mean, V2VNet, V2XViT, v2x_vit
 from inspe_jax.perception.fusion.heterogeneous import HeterogeneousAttention
@@ -141,6 +142,14 @@ def test_a_pillar_is_the_maximum_over_its_points_and_padding_changes_nothing():
     hidden = np.maximum(np.array(rows) @ inner.weight + inner.bias, 0)
     told = np.maximum(hidden @ outer.weight + outer.bias, 0).max(0)
     np.testing.assert_allclose(found[0, 0, 7, 2], told, rtol=1e-4, atol=1e-5)
+
+
+def test_every_weight_of_a_resnet_learns():
+    encoder = made(lambda key: ImageEncoder("resnet", 16, key))
+    pixels = np.random.default_rng(0).integers(0, 256, (1, 48, 64, 3)).astype(np.uint8)
+    weights = noise(1, 12, 16, 16)
+    slopes = eqx.filter_jit(eqx.filter_grad(lambda encoder: (encoder(pixels) * weights).sum()))
+    assert all(np.asarray(leaf).any() for leaf in jax.tree.leaves(slopes(encoder)))
 
 
 def test_lifted_features_fall_into_the_cell_that_their_pixel_and_height_show():

@@ -224,7 +224,7 @@ def trained(data: Cache, folder: Path, settings: Settings, grid: BevGrid) -> Run
 
 def predictor_of(run: Run) -> Predictor:
     """The detector of a training."""
-    return Predictor(run.detector(), run.content.agents, run.content.grid)
+    return Predictor(run.last()[1], run.content.agents, run.content.grid)
 
 
 def measured(predictor: Predictor, model: str, data: Cache, split: str) -> Evaluation:
@@ -242,7 +242,7 @@ def rows_of(job: Job, of: str, found: Evaluation, steps: int, seconds: float) ->
             **{f"ap_{d}m": round(float(found.ap[k, n]), 5) for n, d in enumerate((0.5, 1, 2, 4))},
             seconds=round(seconds),
         )
-        for k, kind in enumerate(found.kinds)
+        for k, kind in enumerate(KINDS)
     ]  # fmt: skip
 
 

@@ -159,12 +159,7 @@ class Site:
         crosswalks = self.place.regions.get(Region.CROSSWALK, Polygon())
         near = Point(self.center).buffer(self.radius, quad_segs=64)
         open_ = self.place.mounting.intersection(near).difference(self.lanes).difference(crosswalks)
-        return open_.difference(self.taken) if self.bodies else open_
-
-    @cached_property
-    def taken(self) -> BaseGeometry:
-        """The ground on which static bodies let no unit stand."""
-        return unary_union(list(self.rooms))
+        return open_.difference(unary_union(list(self.rooms))) if self.bodies else open_
 
     @cached_property
     def rooms(self) -> tuple[BaseGeometry, ...]:
@@ -411,6 +406,16 @@ def kerb(arm: Arm, side: int, outward: float = 0.0) -> Float[np.ndarray, "2"]:
     along = np.array([np.cos(arm.bearing), np.sin(arm.bearing)])
     across = np.array([-along[1], along[0]])
     return np.asarray(arm.mouth) + outward * along + side * arm.width / 2 * across
+
+
+def farthest_first(points: Float[np.ndarray, "N 2"], most: int) -> list[int]:
+    """Indices of up to ``most`` points: the first, then always the farthest from those before."""
+    away = np.full(len(points), np.inf)
+    chosen = [0] if len(points) else []
+    while len(chosen) < min(most, len(points)):
+        away = np.minimum(away, np.hypot(*(points - points[chosen[-1]]).T))
+        chosen.append(int(away.argmax()))
+    return chosen
 
 
 def spread(azimuths: Float[np.ndarray, " N"], count: int) -> list[int]:

@@ -102,9 +102,13 @@ class Space:
         for u, foot in enumerate(self._feet):
             row: list[int] = []
             areas, poles = kinds[u]
-            if self._kept[u]:
-                self._check_kept(u)
-            else:
+            unit, away = self.given.units[u].name, float(np.hypot(*foot))
+            if self._kept[u] and away > self.site.radius + TOLERANCE:
+                raise InspeError(
+                    f"unit '{unit}' stands {away:.1f} m from the centre, beyond the radius of "
+                    f"{self.site.radius:g} m: it cannot stay there"
+                )
+            if not self._kept[u]:
                 near = np.hypot(*(feet - foot).T) <= (np.inf if move is None else move)
                 row = [*range(len(shared))] if areas else []
                 row += [*(len(shared) + np.flatnonzero(near))] if poles else []
@@ -118,30 +122,18 @@ class Space:
                 row.append(len(pool))
                 pool.append(foot[None])
             if not row:
-                raise InspeError(self._nowhere(u))
+                what = {"any": "no mounting area and no pole", "areas": "no mounting area"}
+                near = "the centre" if move is None else "its foot"
+                raise InspeError(
+                    f"{self.place.name}: unit '{unit}' has nowhere to stand: "
+                    f"{what.get(self._places[u], 'no pole')} off the driving lanes within "
+                    f"{self.site.radius if move is None else move:g} m of {near}; use places "
+                    "'keep', a larger move, an area of your own or a map with sidewalks"
+                )
             rows.append(row)
         self._pieces = make_regions(pool)
         self._allowed = np.array([np.isin(np.arange(len(pool)), row) for row in rows])
         self._pole = np.isin(np.arange(len(pool)), len(shared) + np.arange(len(feet)))
-
-    def _check_kept(self, u: int) -> None:
-        away, unit = float(np.hypot(*self._feet[u])), self.given.units[u]
-        if away > self.site.radius + TOLERANCE:
-            raise InspeError(
-                f"unit '{unit.name}' stands {away:.1f} m from the centre, beyond the radius of "
-                f"{self.site.radius:g} m: it cannot stay there"
-            )
-
-    def _nowhere(self, u: int) -> str:
-        what = {"any": "no mounting area and no pole", "areas": "no mounting area"}
-        where = f"{self.site.radius:g} m of the centre"
-        if self.constraints.move is not None:
-            where = f"{self.constraints.move:g} m of its foot"
-        return (
-            f"{self.place.name}: unit '{self.given.units[u].name}' has nowhere to stand: "
-            f"{what.get(self._places[u], 'no pole')} off the driving lanes within {where}; "
-            "use places 'keep', a larger move, an area of your own or a map with sidewalks"
-        )
 
     def _set_rasters(self) -> None:
         self._reach = self.site.radius + UNIT_PLAN + 4 * _CELL

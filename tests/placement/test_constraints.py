@@ -308,8 +308,7 @@ def test_gradients_are_finite_everywhere():
 def test_jit_vmap_and_double_precision():
     space = space_of("five_way")
     x = space.random(np.random.default_rng(8), 5)
-    poses = jax.jit(space.poses)
-    single = np.array([poses(jnp.asarray(row, float)) for row in x])
+    single = np.array([jax.jit(space.poses)(jnp.asarray(row, float)) for row in x])
     np.testing.assert_allclose(
         jax.jit(jax.vmap(space.poses))(jnp.asarray(x, float)), single, atol=1e-5
     )

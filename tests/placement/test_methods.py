@@ -32,14 +32,12 @@ from inspe_jax.placement.methods import (
     greedy,
     greedy_adam,
     grid,
-    lbfgsb,
-    projected_gradient,
     random_layouts,
     solver_rounds,
 )
 from inspe_jax.placement.methods.registry import METHODS
 from inspe_jax.placement.optimise import _drive
-from inspe_jax.placement.problem import Problem, take
+from inspe_jax.placement.problem import Problem
 from inspe_jax.placement.run import BudgetSpent, Run
 from inspe_jax.scene.procedural.built_ins import built_in
 from inspe_jax.scene.scene import build_scene
@@ -61,7 +59,7 @@ SMALL = [
     ("YAWS", 4, (candidate_table,)),
     ("TRIES", 8, (greedy,)),
     ("CHUNK", 64, (candidate_table,)),
-    ("CHUNK", 8, (grid, random_layouts)),
+    ("BATCH", 8, (grid, random_layouts)),
     ("SPACING", 12.0, (candidates,)),
     ("LOOK", 3, (cma_es,)),
     ("PATIENCE", 2, (cma_es,)),
@@ -213,21 +211,21 @@ def test_wherever_its_time_ends_it_is_not_below_what_it_preferred(name, problem,
     watch(greedy_adam, "_bursts", lambda found, *_: found[0][0])
     for module in (greedy, greedy_adam):
         watch(module, "finer", lambda found, *_: found[0])
-    for module in (lbfgsb, projected_gradient):
+    inner = solver_rounds.charged
 
-        def charged(run, drawn, score, layout, inner=module.charged):
-            losses = []
+    def charged(run, drawn, score, layout):
+        losses = []
 
-            def heard(z):
-                loss, slope = score(z)
-                if losses and loss < min(losses):
-                    problem.preferred.append(layout(z))
-                losses.append(loss)
-                return loss, slope
+        def heard(z):
+            loss, slope = score(z)
+            if losses and loss < min(losses):
+                problem.preferred.append(layout(z))
+            losses.append(loss)
+            return loss, slope
 
-            return inner(run, drawn, heard, layout)
+        return inner(run, drawn, heard, layout)
 
-        monkeypatch.setattr(module, "charged", charged)
+    monkeypatch.setattr(solver_rounds, "charged", charged)
     unscored = 0
     for ends in np.unique(np.geomspace(3, ENDS[name], 4).astype(int)):
         problem.preferred, problem.compared = [start], (b"", [])
@@ -471,12 +469,12 @@ def test_every_method_is_charged_that_for_every_gradient(known, name, monkeypatc
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("way", [adam.charted_score, projected_gradient.scaled_score])
+@pytest.mark.parametrize("way", [adam.charted_score, solver_rounds.scaled_score])
 def test_a_slope_is_that_of_every_vehicle_against_every_column(problem, way):
     """What gradients are of, against the same measures in the open; to rounding."""
     space, x = problem.space, problem.space.random(np.random.default_rng(1), 1)[0]
     drawn, softness = problem.draw(np.random.default_rng(0), 96, 3), jnp.asarray(0.5, float)
-    field = take(problem.arrays, drawn)[0]
+    field = problem.take(drawn)[0]
 
     @jax.jit
     @jax.value_and_grad

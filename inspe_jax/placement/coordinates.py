@@ -136,11 +136,9 @@ class Limits:
     ) -> "Limits":
         """Limits from the ``unit`` (S,) of each sensor and the heights ``above`` (U,) the ground.
 
-        ``plan`` is the largest distance of a sensor from its foot, brackets aside [m].
-
-        A head keeps some distance from the ends of its heights, and sensors stay within the same
-        distance of their head. So sensors keep to the heights and the unit rule, and can be
-        anywhere within both. A unit's only sensor is at its head.
+        ``plan`` is the largest distance of a sensor from its foot, brackets aside [m]. Heads keep
+        as far from the ends of their heights as sensors may be from their head. A unit's only
+        sensor is at its head.
         """
         alone = np.bincount(unit, minlength=len(above.low)) == 1
         spread = np.where(alone, 0.0, np.minimum(UNIT_HEIGHT / 2, above.half))

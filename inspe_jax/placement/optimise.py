@@ -30,7 +30,7 @@ from inspe_jax.placement.run import (
     check_budget,
     check_seed,
 )
-from inspe_jax.scoring.evaluate import evaluate
+from inspe_jax.scoring.evaluate import Scores, evaluate
 from inspe_jax.sensing.conditions import Conditions
 from inspe_jax.sensing.layout import Layout
 
@@ -42,8 +42,7 @@ STARTS = ("given", "random")
 """Names of starts, in addition to the strategies' names."""
 WARMING, WARMING_SAMPLES = 14.0, 400.0
 """Budget of the run that compiles a method before it is compared: in evaluations, and in scores of
-one layout on a sample. The larger counts: in a small scene a sample costs as much as an
-evaluation."""
+one layout on a sample; the larger counts."""
 LIBRARIES = ("jax", "numpy", "scipy", "optax", "jaxopt", "cmaes")
 """Libraries on which the outcome of a method depends; a result has their versions."""
 
@@ -294,8 +293,11 @@ def _result(run: Run, row: Method, status: str, begun: str | Layout) -> Result:
         notes.append("nothing better than the start was found; try a larger budget or start")
     case = problem.cases[0]
     options = ("weights", "occlusion_reference", "visibility", "metrics", "detection")
-    readings = {name: getattr(objective, name) for name in options}
-    scores = partial(evaluate, case.scene, conditions=case.conditions, **readings)
+    readings: dict[str, Any] = {name: getattr(objective, name) for name in options}
+
+    def scores(of: Layout) -> Scores:
+        return evaluate(case.scene, of, conditions=case.conditions, **readings)
+
     after = scores(found)
     return Result(
         layout=replace(named_optimised(found), goal=objective.goal),

@@ -236,7 +236,7 @@ class Problem:
         parts = []
         for part, (at, when) in zip(self._on_host, drawn, strict=True):
             centered, (count, levels) = part.centered, part.centered.heights.shape
-            leaves = (part.weight, part.occupancy)
+            leaves: Any = (part.weight, part.occupancy)
             weight, occupancy = (np.reshape(x, (count, levels))[at].ravel() for x in leaves)
             place = CenteredScene(
                 centered.columns[at],

@@ -2,9 +2,9 @@
 
 A point of the set is a flat array of :class:`Coordinates`. The set is a product of the places
 where each unit's foot may stand (a union of convex pieces of ground and of poles), of discs, and
-of intervals. There are two ways to stay in it. :meth:`Space.project` gives its nearest point.
-:meth:`Space.chart` and :meth:`Space.from_chart` convert to coordinates without bounds and back.
-:meth:`Space.faults` uses neither: it checks a layout on the map.
+of intervals. :meth:`Space.project` gives its nearest point; :meth:`Space.chart` and
+:meth:`Space.from_chart` convert to coordinates without bounds and back. :meth:`Space.faults`
+checks a layout on the map instead.
 """
 
 from collections.abc import Collection
@@ -183,10 +183,8 @@ class Space:
         if self._brackets:
             at = self._brackets.positions(at, c.yaw, self._limits.aimed, xp)
         above = c.height[self._unit] + c.rise
-        # A sensor over a lane is raised to the clearance. Two sensors of a unit that are up to 4 m
-        # apart stay so. If both are raised, or one up to at most the other, they come no further
-        # apart. If one is raised past the other, it is at the clearance and the other at the lowest
-        # height or above, and Constraints.check ensures that these are at most 4 m apart.
+        # A sensor over a lane is raised to the clearance. Two sensors of a unit stay within 4 m:
+        # Constraints.check ensures that the clearance is at most 4 m above the lowest height.
         cell = xp.floor((at + self._reach) / _CELL).astype(int)
         i, j = xp.clip(cell, 0, len(self._lane) - 1).T
         raised = xp.maximum(above, self.constraints.clearance)
@@ -232,11 +230,10 @@ class Space:
     def chart(self, x: Float[Any, " N"]) -> tuple[Float[np.ndarray, " N"], Int[np.ndarray, " U"]]:
         """Feasible coordinates as coordinates without bounds, and the region (U,) of each unit.
 
-        A region is a piece of ground or a pole. In the middle of its range, a coordinate without
-        bounds moves as the coordinate itself, in metres or radians; ``scale`` is a typical step of
-        both. If a unit's pole is on an area where the unit may stand, or within 0.5 m of it, the
-        area is its region. A coordinate on a bound counts as slightly inside, by 1 % of the way to
-        the middle.
+        A region is a piece of ground or a pole; the area, if a unit's pole is on one where the unit
+        may stand, or within 0.5 m of it. In the middle of its range, a coordinate without bounds
+        moves as the coordinate itself. A coordinate on a bound counts as slightly inside, by 1 % of
+        the way to the middle.
         """
         c = self.split(np.asarray(x, float))
         far = self._pieces.nearest(c.base, self._allowed)[2]  # (U, K), squared
@@ -260,9 +257,8 @@ class Space:
     ) -> tuple[Float[np.ndarray, " N"], tuple[str, ...]]:
         """The feasible coordinates nearest to a layout of these sensors, and notes on what moved.
 
-        A unit's sensors move with its foot and keep their heights above the ground. The notes say
-        of units with a name in ``added`` that they were added, not moved. Raises InspeError if the
-        layout has other sensors.
+        A unit's sensors move with its foot and keep their heights above the ground. Units with a
+        name in ``added`` are said to be added. Raises InspeError if the layout has other sensors.
         """
         ours, theirs = ([(s.spec, s.unit) for s in of.sensors] for of in (self.given, layout))
         if ours != theirs:
@@ -281,8 +277,7 @@ class Space:
         arm, height = np.zeros_like(feet), np.zeros(len(feet))
         for u, members in enumerate(map(list, layout.members())):
             # The head is the middle of the smallest circle round the foot and its sensors, each
-            # without its bracket. If any point is near enough to the foot and to every sensor,
-            # this one is.
+            # without its bracket.
             circle = minimum_bounding_circle(MultiPoint([(0.0, 0.0), *out[members]]))
             one_spot = len(members) == 1 or circle.area == 0
             arm[u] = out[members[0]] if one_spot else circle.centroid.coords[0]

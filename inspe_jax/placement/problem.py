@@ -237,7 +237,7 @@ class Problem:
         for part, (at, when) in zip(self._on_host, drawn, strict=True):
             centered, (count, levels) = part.centered, part.centered.heights.shape
             leaves: Any = (part.weight, part.occupancy)
-            weight, occupancy = (np.reshape(x, (count, levels))[at].ravel() for x in leaves)
+            rows: list[Any] = [np.reshape(x, (count, levels))[at].ravel() for x in leaves]
             place = CenteredScene(
                 centered.columns[at],
                 centered.heights[at],
@@ -246,7 +246,7 @@ class Problem:
                 None if centered.inside is None else centered.inside[at],
                 centered.statics,
             )
-            parts.append(SceneArrays(place, weight, occupancy))
+            parts.append(SceneArrays(place, *rows))
         return tuple(parts)
 
     @cached_property

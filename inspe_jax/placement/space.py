@@ -22,10 +22,10 @@ from inspe_jax.mounting.brackets import Brackets
 from inspe_jax.mounting.site import Site
 from inspe_jax.placement.constraints import PLACES, Constraints
 from inspe_jax.placement.convex_regions import make_regions
-from inspe_jax.placement.coordinates import PLANE, STEPS, Coordinates, Limits, Range
+from inspe_jax.placement.coordinates import PLANE, STEPS, Coordinates, Disc, Limits, Range
 from inspe_jax.placement.feasibility import TOLERANCE, Fault, differences, faults, on_span
 from inspe_jax.scene.scene import Scene
-from inspe_jax.sensing.layout import UNIT_PLAN, Layout, make_layout
+from inspe_jax.sensing.layout import UNIT_HEIGHT, UNIT_PLAN, Layout, make_layout
 
 _NEAR = 0.5  # a foot is charted on an area this near rather than on a pole [m]
 _APART = 2.5  # between the feet of two random units, where possible [m]
@@ -84,13 +84,23 @@ class Space:
         self._places = [options.places_of(name) for name in units]
         span = on_span(self.given, self.site)
         self._kept = span | (np.array(self._places) == "keep")
-        self._limits = Limits.of(
-            self._unit,
-            Range(*np.where(span[:, None], options.span_heights, options.heights).T),
-            Range(*np.array([options.yaw.get(name, (-np.pi, np.pi)) for name in names]).T),
-            Range(*np.array([options.pitch[sensor.spec.kind] for sensor in sensors]).T),
-            np.array([sensor.spec.aimed for sensor in sensors]),
-            self._brackets.largest_offset(UNIT_PLAN),
+        above = Range(*np.where(span[:, None], options.span_heights, options.heights).T)
+        yaw = Range(*np.array([options.yaw.get(name, (-np.pi, np.pi)) for name in names]).T)
+        # A head keeps as far from the ends of its heights as its sensors may be from it, so they
+        # keep to the heights and the unit rule. A unit's only sensor is at its head.
+        plan = self._brackets.largest_offset(UNIT_PLAN)
+        alone = np.bincount(self._unit, minlength=len(units)) == 1
+        spread = np.where(alone, 0.0, np.minimum(UNIT_HEIGHT / 2, above.half))
+        arm = np.where(alone, plan, plan / 2)
+        self._limits = Limits(
+            arm=Disc(arm),
+            height=Range(above.low + spread, above.high - spread),
+            offset=Disc((plan - arm)[self._unit]),
+            rise=Range(-spread[self._unit], spread[self._unit]),
+            yaw=yaw,
+            pitch=Range(*np.array([options.pitch[sensor.spec.kind] for sensor in sensors]).T),
+            sector=yaw.half < np.pi,
+            aimed=np.array([sensor.spec.aimed for sensor in sensors]),
         )
 
     def _set_places(self) -> None:

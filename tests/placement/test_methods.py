@@ -334,16 +334,6 @@ def test_a_generation_that_was_cut_short_is_asked_again(problem, ran, monkeypatc
     assert offers(run) == offers(ran("cma-es")[0])
 
 
-def test_random_finds_the_summit_as_nearly_as_its_draws_do():
-    """Of n even draws the nearest in a box of 4 dimensions is about n^(−1/4) of its width away."""
-    summit = np.array([1.0, -2.0, 0.5, 2.0])
-    run = begun(Bowl(Box(), lambda x: -np.abs(x[:, :4] - summit).max(1)), 40)
-    list(steps(run, METHODS["random"]))
-    draws = 0.9 * 40 / 0.02
-    assert -run.best < 6 * draws**-0.25
-    assert len(run.history) < 15  # exact scores only for what beats the best so far
-
-
 def test_grid_comes_as_near_to_a_summit_as_its_finest_step(problem):
     """Where coordinates do not depend on each other, one block at a time is enough."""
     space = problem.space
@@ -507,12 +497,6 @@ def test_with_a_larger_budget_it_goes_on_in_shares_of_that(known):
     while len(again.history) == len(part.history):
         state = METHODS["adam"].step(again, state)
     assert again.evaluations < part.evaluations + 0.3 * again.limits[1]
-
-
-def test_softness_falls_geometrically():
-    assert adam.annealed((3.0, 0.3), 0.0) == 3.0
-    assert adam.annealed((3.0, 0.3), 0.5) == pytest.approx(np.sqrt(0.9))
-    assert adam.annealed((3.0, 0.3), 2.0) == pytest.approx(0.3)
 
 
 # ── The default ─────────────────────────────────────────────────────────────

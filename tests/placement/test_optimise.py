@@ -481,13 +481,8 @@ def test_methods_are_compared_on_equal_terms(scene, layout, quick):
     assert ("climb", 1, 1.0, results[-1].objective) in told
 
 
-def test_a_comparison_that_is_stopped_gives_what_it_has(scene, layout, quick):
+def test_a_comparison_that_is_stopped_gives_what_it_has(scene, layout, quick, monkeypatch):
     quick("climb", climb)
-    quick("stop", lambda run, state: (_ for _ in ()).throw(KeyboardInterrupt))
-    results = compare(scene, layout, ["climb", "stop"], evaluations=4, seeds=1)
-    assert [r.method for r in results] == ["climb"]
-    with pytest.raises(KeyboardInterrupt):
-        compare(scene, layout, ["stop"], evaluations=4, seeds=1)
 
     def later(run, state):
         if run.seed == 1 and state.count == 2:
@@ -500,6 +495,20 @@ def test_a_comparison_that_is_stopped_gives_what_it_has(scene, layout, quick):
         ("later", 0, "converged", 6),
         ("later", 1, "interrupted", 3),
     ]
+    # Before a first score: while a start is found.
+    whole, stops = module._start, [True, False]
+
+    def interrupted(*arguments):
+        if stops.pop():
+            raise KeyboardInterrupt
+        return whole(*arguments)
+
+    monkeypatch.setattr(module, "_start", interrupted)
+    results = compare(scene, layout, ["climb", "later"], evaluations=4, seeds=1)
+    assert [r.method for r in results] == ["climb"]
+    stops.append(True)
+    with pytest.raises(KeyboardInterrupt):
+        compare(scene, layout, ["climb"], evaluations=4, seeds=1)
 
 
 def test_a_budget_shorter_than_what_comes_before_it_gives_the_start(scene, layout):

@@ -160,7 +160,7 @@ def step_adam(run: Run, state: AdamState) -> AdamState | None:
 def advance(run: Run, state: L, now: Callable[[], tuple[float, float]], count: int) -> L:
     """Do ``count`` gradient steps, each on new samples; ``now`` gives softness [m] and rate."""
     problem, line, z = run.problem, state.line, state.z
-    optimiser, score, move = _optimiser_state(state), charted_score(problem), _mover(problem)
+    optimiser, score = _optimiser_state(state), charted_score(problem)
     together = (line[:, None] == line[None]).astype(z.dtype)
     mean = together / together.sum(1, keepdims=True)
     for k in range(state.count, state.count + count):
@@ -172,7 +172,7 @@ def advance(run: Run, state: L, now: Callable[[], tuple[float, float]], count: i
         rows = zip(z, state.anchor, state.place, drawn, strict=True)
         jobs = [("slope", partial(score, *row, softness)) for row in rows]
         slopes = [slope for _, slope in on_all_cores(jobs, problem.known)]
-        moved, optimiser = move(z, mean @ np.stack(slopes), optimiser, rate)
+        moved, optimiser = _move(z, mean @ np.stack(slopes), optimiser, rate)
         z = np.asarray(moved)
     steps, running, square = _moments(optimiser)
     return replace(state, z=z, steps=steps, mean=running, square=square, count=state.count + count)
@@ -207,14 +207,12 @@ def score_through(problem: Problem, poses: Callable[..., Any]) -> Score:
     return score
 
 
-@per_problem
-def _mover(problem: Problem) -> Callable[..., Any]:
-    def move(z, slope, optimiser, rate):  # type: ignore[no-untyped-def]
-        with jax.numpy_dtype_promotion("standard"):  # optax's own, whatever the caller's is
-            update, optimiser = jax.vmap(_adam.update)(slope, optimiser)
-        return z - rate * update, optimiser
-
-    return jax.jit(move)
+@jax.jit
+def _move(z, slope, optimiser, rate):  # type: ignore[no-untyped-def]
+    """One step of Adam for each layout, and its state after it."""
+    with jax.numpy_dtype_promotion("standard"):  # optax's own, whatever the caller's is
+        update, optimiser = jax.vmap(_adam.update)(slope, optimiser)
+    return z - rate * update, optimiser
 
 
 def layouts(problem: Problem, state: ChartedLayouts) -> Float[np.ndarray, "M N"]:

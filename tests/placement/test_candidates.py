@@ -152,7 +152,7 @@ def test_bits_add_up_to_the_score(scene, name):
 
 def test_what_is_compiled_serves_any_number_of_layouts_and_poses(problem):
     """And what it gives of one does not depend on the others, to the last bit."""
-    sample = problem.sample(np.random.default_rng(3), candidates.COLUMNS, candidates.FRAMES)
+    sample = problem.sample(np.random.default_rng(3), 96, 3)
     x = problem.space.random(np.random.default_rng(4), 11)
     poses = candidates.poses(problem.space, x)[:, 0]
     rough, (views, seen, _) = problem.rough(x, sample), problem.views({0: poses}, sample)[0]
@@ -281,7 +281,7 @@ def test_a_layout_of_picks_sees_what_their_candidates_see(table, problem, start)
 
 def test_every_round_looks_at_candidates_of_its_own(problem, start):
     run = Run(problem, start, evaluations=1.0)
-    first, second, again = (greedy._table(run, number).kinds[0] for number in (0, 1, 0))
+    first, second, again = (greedy._new_table(run, n).kinds[0] for n in (0, 1, 0))
     assert set(first.yaw.round(6)).isdisjoint(second.yaw.round(6))
     np.testing.assert_array_equal(first.yaw, again.yaw)
 

@@ -321,7 +321,7 @@ def with_tables(text: str) -> str:
         begin = f"<!-- {table.__name__} -->\n"
         pattern = re.compile(re.escape(begin) + r".*?(?=<!-- end -->)", re.DOTALL)
         new = begin + table() + "\n"
-        text, count = pattern.subn(lambda _, new=new: new, text)
+        text, count = pattern.subn(new.replace("\\", r"\\"), text)
         if count != 1:
             raise ValueError(f"{table.__name__}: {count} places in the text")
     return text

@@ -5,8 +5,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import readme_tables
 import table1
 from common import read_rows
+from found_placements import gain_with_lidars
 from training_step import PARTS, parts_of, shares
 
 from inspe_jax.simulation.frame import KINDS
@@ -28,6 +30,12 @@ def scores() -> dict[str, table1.Stats]:
     return of
 
 
+def test_the_tables_of_the_readme_are_those_of_the_rows():
+    assert readme_tables.with_tables(README) == README
+    with pytest.raises(ValueError, match="slopes: 0 places"):
+        readme_tables.with_tables("")
+
+
 def test_correlations_are_those_of_the_rows(found, scores, monkeypatch):
     monkeypatch.setattr(table1, "interval", lambda *of: (np.nan, np.nan))
     kept = {
@@ -41,6 +49,16 @@ def test_correlations_are_those_of_the_rows(found, scores, monkeypatch):
             assert float(kept[at]) == pytest.approx(row["value"], abs=6e-4)  # of three digits
             count += 1
     assert count == 2 * (1 + len(KINDS)) * 4 * 2
+
+
+@pytest.mark.parametrize(
+    ("of", "gain"), [("places", "+2.1 points [-1.4, 5.7]"), ("time", "-0.1 points [-5.2, 4.9]")]
+)
+def test_a_placement_is_one_observation_however_many_seeds(of, gain):
+    """As the README's table has it, which is computed in another place."""
+    rows = [*ROWS, *read_rows(HERE / "found_placements.csv")]
+    assert f"{gain} over 3 placements" in gain_with_lidars(rows, of)
+    assert gain.replace(" points", "") in readme_tables.found_placements()
 
 
 def test_what_is_concluded_is_yes_or_no(found):

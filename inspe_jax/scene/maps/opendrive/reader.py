@@ -70,13 +70,9 @@ def road_lines(path: str | os.PathLike[str]) -> list[Float[np.ndarray, "N 2"]]:
     for road in town.roads.values():
         for start, end, lanes in road.sections:
             lane = next((name for name, kind in lanes.items() if kind == "driving"), 0)
-            inset = min(INSET, (end - start) / 4)
-            count = max(2, int(np.ceil((end - start) / COARSE)) + 1)
-            stations = np.linspace(start + inset, end - inset, count) if lane else ()
-            marks = [town.at(road.id, lane, float(s)) for s in stations]
-            line = [position(mark.transform.location)[:2] for mark in marks if mark is not None]
-            if len(line) > 1:
-                found.append(np.array(line))
+            marks = town.along(road.id, lane, start, end, COARSE) if lane else []
+            if len(marks) > 1:
+                found.append(np.array([position(m.transform.location)[:2] for m in marks]))
     return found
 
 

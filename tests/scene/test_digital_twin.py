@@ -1,7 +1,6 @@
 """A place from a mesh: its ground and solids against the mesh itself, by Embree and on paper."""
 
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import pytest
@@ -282,7 +281,8 @@ def test_what_is_wrong_is_said(tmp_path, monkeypatch, capsys):
     ):
         with pytest.raises(InspeError, match=words):
             with_mesh(at, file, RADIUS)
-    run = partial(inspe_here, tmp_path, monkeypatch, capsys)
-    status, _, errors = run("scene", "four_way", "--mesh", "twin.ply")
-    assert status == 2
-    assert "a built-in intersection is no map" in " ".join(errors.split())
+    for option, file in (("--mesh", "twin.ply"), ("--elevation", "dem.tif")):
+        given = "scene", "four_way", option, file
+        status, _, errors = inspe_here(tmp_path, monkeypatch, capsys, *given)
+        assert status == 2
+        assert "a built-in intersection is no map" in " ".join(errors.split())

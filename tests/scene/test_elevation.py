@@ -1,12 +1,10 @@
 """Heights of the ground from elevation models, against planes that they were made of."""
 
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import pytest
 import rasters
-from processes import inspe_here
 from worlds import crossing, rilsa
 
 import inspe_jax
@@ -179,14 +177,6 @@ def test_beyond_the_radius_the_nearest_height_goes_on(tmp_path):
     assert np.isfinite(terrain.heights).all()
     edge = terrain.height(np.array([[CENTER[0] + 34.0, CENTER[1]]]))
     assert edge == pytest.approx(plane(CENTER[0] + 23.0, CENTER[1]), abs=0.11)
-
-
-def test_only_maps_take_a_model(tmp_path, monkeypatch, capsys):
-    model(tmp_path / "dem.tif")
-    run = partial(inspe_here, tmp_path, monkeypatch, capsys)
-    status, _, errors = run("scene", "four_way", "--elevation", "dem.tif")
-    assert status == 2
-    assert "a built-in intersection is no map" in " ".join(errors.split())
 
 
 def test_there_is_no_step_at_the_rim_of_what_is_known():

@@ -60,10 +60,15 @@ class Route:
     user: str = "vehicle"
     through: tuple[int, int] = (-1, -1)
 
+    @cached_property
+    def arc(self) -> Float[np.ndarray, " N"]:
+        """Plan-view arc length at each waypoint [m]."""
+        return arc_of(self.waypoints)
+
     @property
     def length(self) -> float:
         """Plan-view length [m]."""
-        return float(arc_of(self.waypoints)[-1])
+        return float(self.arc[-1])
 
 
 @dataclass(frozen=True, eq=False, repr=False)  # arrays inside: identity is equality

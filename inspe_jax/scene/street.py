@@ -76,8 +76,8 @@ def statics_of(
     if name == "street":
         return untouched(street_bodies(place, radius), traffic)
     found = map_bodies(place, radius)
-    kept = {id(one) for one in untouched(found, traffic)}
-    return tuple(one for one in found if one.kind in ("building", "solid") or id(one) in kept)
+    kept = untouched(found, traffic)
+    return tuple(one for one in found if one.kind in ("building", "solid") or one in kept)
 
 
 def map_bodies(place: Intersection, radius: float) -> tuple[StaticBody, ...]:

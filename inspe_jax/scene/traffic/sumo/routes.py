@@ -150,14 +150,9 @@ def _arc_at(edge: _Edge, reach: float, *, first: bool) -> float:
 
 def _returns(one: _Edge, two: _Edge) -> bool:
     """Whether edge ``two`` leads back along edge ``one``."""
-    return bool(
-        one.edge.getFromNode() is two.edge.getToNode()
-        and one.edge.getToNode() is two.edge.getFromNode()
-    ) or bool(
-        np.hypot(*(one.line[0] - two.line[-1])) < 20.0
-        and _alike(one, two) < -0.9
-        and one.edge.getFromNode() is two.edge.getToNode()
-    )
+    beside = np.hypot(*(one.line[0] - two.line[-1])) < 20.0 and _alike(one, two) < -0.9
+    there = one.edge.getToNode() is two.edge.getFromNode() or bool(beside)
+    return there and one.edge.getFromNode() is two.edge.getToNode()
 
 
 def _alike(one: _Edge, two: _Edge) -> float:

@@ -394,7 +394,8 @@ def _unpack(data: Mapping[str, np.ndarray]) -> Scene:
         georeference=given and Georeference(given[0], (given[1], given[2])),
         mesh=Mesh(*(data[f"mesh_{k}"] for k in _MESH)) if "mesh_triangles" in data else None,
     )
-    grid = VoxelGrid(*(data[f"grid_{k}"] for k in _GRID), *record["grid"])
+    columns, ground, region, center = (data[f"grid_{k}"] for k in _GRID)
+    grid = VoxelGrid(columns, ground, region, center, *record["grid"])
     traffic = TrafficFrames(**{k: data[f"traffic_{k}"] for k in _TRAFFIC})
     settings = tuple((k, v) for k, v in record["settings"])
     terrain = None

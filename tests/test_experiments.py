@@ -14,6 +14,7 @@ from training_step import PARTS, parts_of, shares
 from inspe_jax.simulation.frame import KINDS
 
 HERE = Path(table1.__file__).parent
+README = (HERE / "README.md").read_text(encoding="utf-8")
 ROWS = read_rows(HERE / "table1.csv")
 
 

@@ -58,7 +58,7 @@ def instance(quick: bool, seed: int) -> tuple[Scene, Layout]:
 def candidates(problem: Problem, quick: bool, seed: int) -> Candidates:
     """Candidate poses, the same for every camera, and all that they see."""
     layout, space = problem.layout, problem.space
-    tally = SampleScore(problem, problem.sample(np.random.default_rng(seed), ALL, ALL))
+    sampled = SampleScore(problem, problem.sample(np.random.default_rng(seed), ALL, ALL))
     feet = lattice(space, 6 if quick else 16)
     stand = space.can_stand(feet)
     common = np.flatnonzero(stand.all(0))
@@ -67,7 +67,7 @@ def candidates(problem: Problem, quick: bool, seed: int) -> Candidates:
         part.ravel() for part in np.meshgrid(common, [HEIGHT], yaws, PITCHES, indexing="ij")
     )
     kind = CandidateKind(tuple(range(len(layout))), foot, height, yaw, pitch)
-    table = Candidates(problem, tally, feet, stand, [kind])
+    table = Candidates(problem, sampled, feet, stand, [kind])
     for part in range(len(table.parts)):
         table.look(part)
     return table
@@ -75,8 +75,8 @@ def candidates(problem: Problem, quick: bool, seed: int) -> Candidates:
 
 def discrete(table: Candidates, seconds: float) -> tuple[list[dict[str, Any]], dict[str, Any]]:
     """The optimum and greedy's choice: a row each; and the instance's figures."""
-    problem, tally = table.problem, table.tally
-    kind, k, shares = table.kinds[0], len(problem.layout), problem.voxel_weights(tally.sample)
+    problem, sampled = table.problem, table.sampled
+    kind, k, shares = table.kinds[0], len(problem.layout), problem.voxel_weights(sampled.sample)
     count, voxels = len(kind.foot), len(shares.weight)
     bits = np.concatenate([part.bits for part in kind.rows])[:count]
     began = time.perf_counter()

@@ -34,8 +34,8 @@ from inspe_jax import Layout, Scene
 from inspe_jax.core.compiling import compiled
 from inspe_jax.core.files import write_text
 from inspe_jax.mounting.mixes import starting_layout
+from inspe_jax.placement.candidates import COLUMNS, FRAMES
 from inspe_jax.placement.methods.registry import GRADIENTS, METHODS
-from inspe_jax.placement.optimise import warming
 from inspe_jax.placement.problem import Problem
 from inspe_jax.placement.run import BudgetSpent, Method, Progress, Run
 
@@ -107,6 +107,12 @@ def scenes(quick: bool, only: str) -> Iterator[tuple[str, Scene]]:
 
         place = read_opendrive(path, junction=junction, radius=size["radius"])
         yield name, inspe_jax.build_scene(place, **size)
+
+
+def warming(problem: Problem) -> float:
+    """A budget in which any method comes to each of its parts [evaluations]."""
+    drawn = problem.draw(np.random.default_rng(0), COLUMNS, FRAMES)
+    return max(14.0, 400.0 * problem.sample_cost(drawn))
 
 
 def search(

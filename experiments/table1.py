@@ -224,7 +224,7 @@ def trained(data: Cache, folder: Path, settings: Settings, grid: BevGrid) -> Run
 
 def predictor_of(run: Run) -> Predictor:
     """The detector of a training."""
-    return Predictor(run.detector(), run.content.agents, run.content.grid)
+    return Predictor(run.last()[1], run.content.agents, run.content.grid)
 
 
 def measured(predictor: Predictor, model: str, data: Cache, split: str) -> Evaluation:

@@ -84,14 +84,16 @@ def view_margins(
     return of_grids(lambda grid, at: in_view_margins(grid, at, centers, half), poses, groups)
 
 
+@partial(jax.jit, static_argnames=("groups", "half"))
 def views(
     poses: Float[Array, "S 6"],
-    centers: Float[Array, "V 3"],
+    ground: CenteredScene,
     groups: SensorsOfGrids,
     half: float,
     softness: Softness,
 ) -> Float[Array, "S V"]:
     """f of all sensors, all voxels at once."""
+    centers = ground.centers
     if softness.rays != "density":
         field, ray = view_margins(poses, centers, groups, half)
         return step(field, softness.field) * step(ray)
@@ -118,7 +120,7 @@ def measure(
     ``voxel`` is the edge of a voxel [m]. Differentiable in the poses where ``softness`` is not 0.
     """
     ground = field.centered
-    f = views(poses, ground.centers, sensor_set.groups, voxel / 2, softness)
+    f = views(poses, ground, sensor_set.groups, voxel / 2, softness)
     failures = Groups.of_rows(sensor_set.failures, len(poses))
     seen = accumulate_frames(
         ground,
@@ -130,8 +132,21 @@ def measure(
         visibility=visibility,
         at_sensor=softness.shadows_at_sensor,
     )
+    return summarise(field, f, seen, np.array(sensor_set.reliability), failures)
+
+
+@jax.jit
+def summarise(
+    field: SceneArrays,
+    f: Float[Array, "S V"],
+    seen: "FrameSums",
+    reliability: Float[Array, " S"],
+    failures: Groups | None,
+) -> MetricValues:
+    """The metrics from what is in view and what is seen."""
+    ground = field.centered
     occupancy = seen.occupancy if field.occupancy is None else field.occupancy
-    q = f * (seen.sight_share * jnp.asarray(sensor_set.reliability, float)[:, None])
+    q = f * (seen.sight_share * reliability.astype(f.dtype)[:, None])
     covered, resolved = leave_one_out(f, failures), leave_one_out(q, failures)
     remaining, total = metrics.entropy_terms(resolved, occupancy)
     by_column = covered[0].reshape(ground.heights.shape)

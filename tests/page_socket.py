@@ -6,7 +6,7 @@ from urllib.parse import urlsplit
 import msgspec
 import viser
 from websockets.exceptions import ConnectionClosed
-from websockets.sync.client import ClientConnection, connect
+from websockets.sync.client import connect
 
 CAMERA = dict(
     type="ViewerCameraMessage",
@@ -23,23 +23,17 @@ CAMERA = dict(
 
 
 @contextmanager
-def socket_of(url, *, origin=None, host=None, version=viser.__version__):
-    """A connection to the server of a page at ``url``, as from a page of ``origin``.
-
-    ``host`` is what the request calls the server. An empty ``origin`` is left out.
-    """
+def socket_of(url, *, origin=None):
+    """A connection to the server of a page at ``url``, as from a page of ``origin``."""
     there = urlsplit(url)
-    headers = {"Host": host} if host is not None else {}
     with connect(
         f"ws://{there.netloc}{there.path.rstrip('/')}",
-        origin=(f"http://{there.netloc}" if origin is None else origin) or None,
-        subprotocols=[f"viser-v{version}"],
-        additional_headers=headers,
+        origin=origin or f"http://{there.netloc}",
+        subprotocols=[f"viser-v{viser.__version__}"],
         compression=None,
         max_size=None,
         proxy=None,
         close_timeout=0.1,  # nobody reads what the server says, so its answer may never get through
-        create_connection=_named(host),
     ) as found:
         yield found
 
@@ -74,24 +68,3 @@ def ended_by(socket):
             socket.recv(timeout=30)
     except ConnectionClosed as end:
         return end.rcvd.code
-
-
-def _named(host):
-    """A client's connection that calls the server by another name."""
-
-    class Named(ClientConnection):
-        def handshake(self, additional_headers=None, *args, **options):
-            if host is not None:
-                make = self.protocol.connect
-
-                def renamed():
-                    request = make()
-                    del request.headers["Host"]
-                    request.headers["Host"] = host
-                    return request
-
-                self.protocol.connect = renamed
-                additional_headers = None
-            return super().handshake(additional_headers, *args, **options)
-
-    return Named

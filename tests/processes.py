@@ -73,6 +73,16 @@ def inspe_here(
     return status, captured.out, captured.err
 
 
+def refused(inspe: Any, folder: Path, arguments: Any, message: str) -> None:
+    """The command ends with a message and status 2, and writes nothing in the folder."""
+    before = sorted(folder.iterdir())
+    status, _, error = inspe(*arguments)
+    assert status == 2
+    assert message in " ".join(error.split())
+    assert "Traceback" not in error
+    assert sorted(folder.iterdir()) == before
+
+
 def in_this_process() -> Any:
     """A scheduler with a worker that is a thread."""
     import distributed

@@ -1,17 +1,16 @@
-"""Every public name says what it is, and what the README shows runs."""
+"""What CONTRIBUTING.md names is there, and what the README shows runs."""
 
-import importlib
-import inspect
-import os
-import pkgutil
 import re
-import subprocess
-import sys
+import shlex
+import time
 from pathlib import Path
 
 import pytest
+from processes import in_this_process
+from typer.testing import CliRunner
 
 import inspe_jax
+from inspe_jax.cli.common import app
 
 ROOT = Path(__file__).parents[1]
 BLOCK = re.compile(r"^```(bash|python|yaml)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
@@ -22,39 +21,30 @@ ELSEWHERE = {
 }
 """What a block that is not run here has in it, and why."""
 SHORTER = {
+    # Searches and trainings: what each may do.
     r"--seconds \d+": "--evaluations 2",
     r"(inspe (?:optimise|plan) (?!.*--evaluations).*)": r"\1 --evaluations 2",
-    r" --frames \d+": "",
-    r"(inspe scene (?=.*--out).*)": r"\1 --frames 8",
-    r"  density: \[low, high\]": "  frames: 8\n  density: [low]",
-    r":0-2|:0,2,4|:1-3": ":1-2",
-    r"--seeds \d+": "--seeds 1",
-    r"(inspe train .*)": r"\1 --steps 2",
     r"seconds=\d+": "evaluations=2",
-    r'load_scene\("four_way"\)': 'build_scene("four_way", radius=20, frames=10)',
-    r"seconds: \d+": "seconds: 0.5",
-    r"--radius \d+": "--radius 20",
+    r"--seeds \d+": "--seeds 1",
+    r":0-2|:1-3": ":0-1",
+    r":0,2,4|:2,4": ":1",
+    r"(inspe train .*)": r"\1 --steps 2 --batch 1 --validate 1",
+    # Scenes and recordings: how large they are.
+    r" --frames \d+| --radius \d+": "",
+    r"(inspe (?:scene (?=.*--out)|plan).*)": r"\1 --frames 10 --radius 20 --voxel 1",
+    r"light: \[midday, night\]": "light: [night]",
+    r"  density: \[low, high\]": "  frames: 10\n  voxel: 1\n  density: low",
+    r'load_scene\("four_way"\)': 'build_scene("four_way", radius=20, voxel=1, frames=10)',
     r"radius: \d+": "radius: 20",
+    r"- built_in: four_way": "- {built_in: four_way, radius: 20}",
+    r"seconds: \d+": "seconds: 0.5",
+    r"352x128": "176x64",
+    r"\[352, 128\]": "[176, 64]",
+    # Where they run.
+    r"(inspe (?:generate|dataset cache) .*)": r"\1 --workers 1",
+    r"(inspe (?:plan|sweep) .*)": r"\1 --scheduler HERE",
 }
-"""What takes long, and how much of it is enough here: only budgets, lengths and sizes."""
-MODULES = [m.name for m in pkgutil.walk_packages(inspe_jax.__path__, "inspe_jax.")]
-
-
-@pytest.mark.parametrize("name", inspe_jax.__all__)
-def test_public_names_are_documented(name):
-    thing = getattr(inspe_jax, name)
-    if callable(thing):
-        assert inspect.getdoc(thing), f"{name} has no docstring"
-
-
-@pytest.mark.parametrize("module", MODULES)
-def test_modules_and_their_public_functions_are_documented(module):
-    loaded = importlib.import_module(module)
-    assert loaded.__doc__ or module.endswith(("scene", "sensing", "placement", "report")), module
-    for name, thing in vars(loaded).items():
-        own = getattr(thing, "__module__", None) == module
-        if own and not name.startswith("_") and inspect.isroutine(thing):
-            assert inspect.getdoc(thing), f"{module}.{name} has no docstring"
+"""What takes long, and how much of it is enough here: only budgets, lengths, sizes and workers."""
 
 
 def test_contributing_names_files_that_are_there():
@@ -77,26 +67,30 @@ def test_every_block_of_the_readme_runs(tmp_path, monkeypatch):
     pytest.importorskip("sumolib", reason="OpenStreetMap needs SUMO")
     text, names, skipped = (ROOT / "README.md").read_text(encoding="utf-8"), {}, []
     monkeypatch.chdir(tmp_path)
-    programs = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
-    for found in BLOCK.finditer(text):
-        where = f"README.md:{text[: found.start()].count(chr(10)) + 2}"
-        language, block = found.groups()
-        if why := [key for key in ELSEWHERE if key in block]:
-            skipped += why
-            continue
-        for long, short in SHORTER.items():
-            block = re.sub(long, short, block)
-        if language == "yaml":
-            Path(re.match(r"# (\w+\.yaml)\n", block)[1]).write_text(block)
-        elif language == "python":
-            exec(compile(block, where, "exec"), names)
-        else:
-            ran = subprocess.run(
-                ["bash", "-euo", "pipefail", "-c", block],
-                env=os.environ | {"PATH": programs},
-                capture_output=True,
-                text=True,
-                timeout=900,
-            )
-            assert ran.returncode == 0, f"{where}\n{block}{ran.stdout[-2000:]}{ran.stderr[-2000:]}"
+    with in_this_process() as cluster:
+        for found in BLOCK.finditer(text):
+            where = f"README.md:{text[: found.start()].count(chr(10)) + 2}"
+            language, block = found.groups()
+            if why := [key for key in ELSEWHERE if key in block]:
+                skipped += why
+                continue
+            for long, short in SHORTER.items():
+                block = re.sub(long, short.replace("HERE", cluster.scheduler_address), block)
+            if language == "yaml":
+                Path(re.match(r"# (\w+\.yaml)\n", block)[1]).write_text(block)
+            elif language == "python":
+                exec(compile(block, where, "exec"), names)
+            else:
+                run(where, block)
     assert sorted(skipped) == sorted(ELSEWHERE)
+
+
+def run(where, block):
+    """The commands of a block, in this process: what one compiles, the next has."""
+    for line in block.splitlines():
+        program, *arguments = shlex.split(line)
+        assert program == "inspe", where
+        began = time.monotonic()
+        found = CliRunner().invoke(app, arguments)
+        print(f"{time.monotonic() - began:5.1f} s: {line}")
+        assert found.exit_code == 0, f"{where}: {found.output[-2000:]}{found.exception}"

@@ -183,12 +183,16 @@ def street_bodies(place: Intersection) -> list[StaticBody]:
     ]
 
 
-def with_boxes(scene: Scene, *boxes: tuple[float, float, float, float, float, float]) -> Scene:
-    """One frame of given boxes, each (x, y, yaw, length, width, height), on the ground."""
+def with_boxes(
+    scene: Scene, *boxes: tuple[float, float, float, float, float, float], frames: int = 1
+) -> Scene:
+    """One frame of given boxes, each (x, y, yaw, length, width, height), on the ground; or the same
+    several times."""
     b = np.array(boxes, float).reshape(-1, 6)
     z = scene.intersection.ground(b[:, :2]) + b[:, 5] / 2
     center = np.column_stack([b[:, :2], z])
-    traffic = _filled_up(center[None], b[None, :, 2], b[None, :, 3:], np.ones((1, len(b)), bool))
+    one = center[None], b[None, :, 2], b[None, :, 3:], np.ones((1, len(b)), bool)
+    traffic = _filled_up(*(np.repeat(x, frames, 0) for x in one))
     return replace(scene, traffic=traffic)
 
 

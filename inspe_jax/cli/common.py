@@ -10,6 +10,7 @@ from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
 from typing import Annotated, Any, NoReturn
 
+import jax
 import typer
 from rich.console import Console
 from rich.measure import Measurement
@@ -19,18 +20,15 @@ from typer.core import TyperGroup
 from inspe_jax.cli.claims import claims
 from inspe_jax.cli.stopping import CTRL_C, attended, step, stopped
 from inspe_jax.core.compiling import compiled, keep_programs, leave
-from inspe_jax.core.errors import InspeError, missing_extra, nearest
+from inspe_jax.core.errors import InspeError, missing_extra
 from inspe_jax.core.files import check_input, read_json, write_text
+from inspe_jax.core.version import __version__
 from inspe_jax.core.words import visible
 from inspe_jax.placement.compile_ahead import compiles
 from inspe_jax.scene.geojson import SUFFIX
-from inspe_jax.scene.procedural.built_ins import BUILT_INS
-from inspe_jax.scene.scene import Scene, load_scene, what_is
+from inspe_jax.scene.scene import SCENE_SUFFIXES, Scene, check_scene_name, load_scene
 from inspe_jax.sensing.layout import Layout, load_layout
 from inspe_jax.sensing.named import layout_of, rule_of
-from inspe_jax.study.plan import Study
-from inspe_jax.study.sweep import sweep
-from inspe_jax.study.work import Row
 
 
 class _Group(TyperGroup):
@@ -149,8 +147,6 @@ def _run() -> None:
 
 
 def _has_devices() -> bool:
-    import jax
-
     try:
         return bool(jax.devices())
     except (AssertionError, RuntimeError):
@@ -159,8 +155,6 @@ def _has_devices() -> bool:
 
 def _version(wanted: bool) -> None:
     if wanted:
-        from inspe_jax.core.version import __version__
-
         out.print(f"inspe_jax {__version__}")
         raise typer.Exit
 
@@ -179,26 +173,12 @@ def _root(
         ),
     ] = True,
 ) -> None:
-    import jax
-
     claims.begin(context.invoked_subcommand or "")
     context.call_on_close(claims.end)
     if cache:
         keep_programs()
     else:
         jax.config.update("jax_enable_compilation_cache", False)
-
-
-def known(source: str) -> str:
-    """Check the name of a built-in. Raises InspeError that lists what a scene can be."""
-    if source not in BUILT_INS:
-        if other := what_is(source):
-            raise InspeError(f"{source}: {other}")
-        raise InspeError(
-            f"no scene '{source}': give a built-in ({', '.join(BUILT_INS)}), a map (.xodr, "
-            f".net.xml, .osm) or a saved .npz{nearest(source, tuple(BUILT_INS))}"
-        )
-    return source
 
 
 def scene_and_layout(source: str, sensors: str, profile: str | None) -> tuple[Scene, Layout]:
@@ -210,7 +190,9 @@ def scene_and_layout(source: str, sensors: str, profile: str | None) -> tuple[Sc
 
 def check_scene(source: str) -> None:
     """Raise InspeError if there is no such built-in or file: before another scene is built."""
-    known(source) if Path(source).suffix != ".npz" else check_input(Path(source))
+    check_scene_name(source)
+    if Path(source).suffix in SCENE_SUFFIXES:
+        check_input(Path(source))
 
 
 def check_layout(sensors: str, *, unit_rule: bool = True) -> None:
@@ -280,12 +262,6 @@ def resumable() -> Iterator[None]:
     except KeyboardInterrupt:
         err.print("stopped; give the same command again to resume")
         raise typer.Exit(CTRL_C) from None
-
-
-def run_study(study: Study, folder: Path, what: str, **how: Any) -> list[Row]:
-    """The rows of a study, run with a bar that counts ``what``; ``how`` as in :func:`sweep`."""
-    with resumable(), progress(what) as report:
-        return sweep(study, folder, progress=report, **how)
 
 
 @contextmanager

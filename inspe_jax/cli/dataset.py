@@ -1,7 +1,4 @@
-"""The commands `inspe dataset stats`, `check`, `cache` and `show`.
-
-Modules that take long to import, such as matplotlib, are imported inside the commands.
-"""
+"""The commands `inspe dataset stats`, `check`, `cache` and `show`."""
 
 import time
 from pathlib import Path

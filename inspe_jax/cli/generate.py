@@ -1,7 +1,4 @@
-"""The command `inspe generate`: records every layout on every scene in every setting.
-
-Modules that take long to import, such as Dask, are imported inside the command.
-"""
+"""The command `inspe generate`: records every layout on every scene in every setting."""
 
 from collections import Counter
 from functools import partial

@@ -20,7 +20,7 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass, fields, is_dataclass
 from math import isnan
 from pathlib import Path
-from typing import Annotated, Any, get_type_hints
+from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
 import typer
 
@@ -44,8 +44,8 @@ SHARED = """
         strategy.
     light: Light: midday, dusk or night.
     weather: Weather: clear, rain:10 (10 mm/h), or fog:200 (optical range 200 m).
-    profile (NAME): Profile for a built-in scene: paper (used if not given) or ideal; see `inspe
-        profiles`.
+    profile (NAME): Profile for a scene that is built: paper (used if not given) or ideal; see
+        `inspe profiles`.
     plot (FILE): Draw a figure: .png, .svg or .pdf.
     record (--json FILE|-): Write the result as JSON; - prints it instead.
     detection (FILE.toml|json): Curves of detectability in place of the usual ones: a table for each
@@ -68,7 +68,6 @@ SHARED = """
     folder (--out DIR): Folder for the results.
     force: Replace files that this command did not write, or were changed.
 """
-DEFAULT_DEVICES = ("velodyne-vlp-16:1-4",)
 LAST = ("folder", "force")
 """Options that come last in the help."""
 
@@ -135,9 +134,12 @@ def _parameter(
     name = flag[0] if flag else "--" + one.name.replace("_", "-")
     if one.default is True and not flag:
         name += f"/--no-{name[2:]}"
-    info = copy.copy(hint.__metadata__[0]) if hasattr(hint, "__metadata__") else typer.Option()
-    info.default, info.param_decls, info.metavar, info.help = name, (), metavar, words
-    return one.replace(annotation=Annotated[getattr(hint, "__origin__", hint), info])
+    info = typer.Option()
+    if get_origin(hint) is Annotated:  # with bounds
+        hint, bounds = get_args(hint)
+        info = copy.copy(bounds)
+    info.default, info.metavar, info.help = name, metavar, words
+    return one.replace(annotation=Annotated[hint, info])
 
 
 @dataclass(frozen=True)
@@ -197,7 +199,7 @@ class SceneOptions(MapOptions):
 
 @dataclass(frozen=True)
 class WeightOptions:
-    """The weights of metrics in P_sm, which metrics to compute besides, and curves.
+    """How layouts are scored: weights in P_sm, further metrics, curves, light and weather.
 
     Attributes:
         weight (NAME=VALUE): Weight of a metric in P_sm, such as coverage=0.3; repeat it for other
@@ -210,6 +212,14 @@ class WeightOptions:
     weight: list[str] | None = None
     metrics: str = ""
     detection: Path | None = None
+    light: str = "midday"
+    weather: str = "clear"
+    profile: str | None = None
+
+    @property
+    def conditions(self) -> Conditions:
+        """The light and the weather."""
+        return Conditions.of(self.light, self.weather)
 
     def weights(self) -> dict[str, float]:
         """The weight of every metric. Raises InspeError if the weights are not valid."""
@@ -294,9 +304,6 @@ class SearchOptions(ScoreOptions):
     failures: bool = False
     places: list[str] | None = None
     heights: tuple[float, float] = (3.0, 12.0)
-    light: str = "midday"
-    weather: str = "clear"
-    profile: str | None = None
 
     def seconds_each(self) -> float | None:
         """Seconds for each search, in a command that runs several."""
@@ -314,19 +321,19 @@ class SearchOptions(ScoreOptions):
             progress=lambda row, done, best: callback(done, best, mix_name(row)),
         )
 
-    def conditions(self) -> list[Conditions]:
+    def each_light(self) -> list[Conditions]:
         """The conditions: every light that is given, with the weather."""
         return [Conditions.of(light, self.weather) for light in self.light.split(",")]
 
     def cases(self, scene: Scene) -> list[Case]:
         """The scene and those of ``--also``, each in every light that is given."""
         worlds = [scene, *(load_scene(other, self.profile) for other in self.also or ())]
-        return [Case(world, conditions) for world in worlds for conditions in self.conditions()]
+        return [Case(world, conditions) for world in worlds for conditions in self.each_light()]
 
     def checked(self, **objective: Any) -> tuple[Objective, Constraints]:
         """The objective and the constraints, checked before any scene is read."""
-        conditions = self.conditions()
-        if self.worst and not self.also and len(conditions) == 1:
+        lights = self.each_light()
+        if self.worst and not self.also and len(lights) == 1:
             raise InspeError(
                 "--worst needs several scenes: add scenes with --also, or give more than one light"
             )
@@ -374,10 +381,10 @@ def numbers(option: str, given: list[str] | None, form: str) -> dict[str, float]
     return found
 
 
-def counts(given: list[str]) -> dict[str, list[int]]:
+def device_counts(given: list[str] | None) -> dict[str, list[int]]:
     """Numbers of each device to try, from ``DEVICE:0-4`` or ``DEVICE:0,4,8``."""
     found: dict[str, list[int]] = {}
-    for text in given:
+    for text in given or ("velodyne-vlp-16:1-4",):
         name, _, several = text.rpartition(":")
         try:
             low, to, high = several.partition("-")

@@ -1,7 +1,4 @@
-"""Detectors trained on data sets: `inspe train`, `inspe evaluate` and `inspe detect`.
-
-Imports are inside the commands: Equinox is an extra, and JAX takes long to import.
-"""
+"""Detectors trained on data sets: `inspe train`, `inspe evaluate` and `inspe detect`."""
 
 from itertools import product
 from pathlib import Path

@@ -1,7 +1,4 @@
-"""Scenes, and layouts by rule: `inspe scene` and `layout`.
-
-Imports are inside the commands: the map readers and matplotlib load slowly.
-"""
+"""Scenes, and layouts by rule: `inspe scene` and `layout`."""
 
 import gzip
 from collections.abc import Sequence
@@ -19,7 +16,6 @@ from inspe_jax.cli.common import (
     busy,
     check_layout,
     draw,
-    known,
     note,
     out,
     progress,
@@ -39,7 +35,13 @@ from inspe_jax.scene.maps.registry import (
 )
 from inspe_jax.scene.procedural.built_ins import built_in
 from inspe_jax.scene.profiles import DEFAULT_PROFILE, profile_of
-from inspe_jax.scene.scene import SCENE_SUFFIXES, build_scene, load_scene, save_scene
+from inspe_jax.scene.scene import (
+    SCENE_SUFFIXES,
+    build_scene,
+    check_scene_name,
+    load_scene,
+    save_scene,
+)
 from inspe_jax.scene.traffic.carla_log import LOG_SUFFIXES, load_log
 from inspe_jax.scene.traffic.registry import traffic_model
 from inspe_jax.sensing.catalogue import device
@@ -145,7 +147,8 @@ def scene(
                 there = {tuple(foot) for foot in before[:, :2].tolist()}
                 own = [foot for foot in place.poles[:, :2] if tuple(foot.tolist()) not in there]
         else:
-            place = built_in(known(source))
+            check_scene_name(source)
+            place = built_in(source)
             _refuse(source, "a built-in intersection is no map", given)
         with progress("traffic") as report:
             built = build_scene(place, **settings, progress=report)
@@ -251,5 +254,5 @@ def _list_places(source: str) -> None:
             found, georeference = list_junctions(source), georeference_of(source)
         out.print(junctions_table(found, Path(source).name, georeference))
         return
-    known(source)
+    check_scene_name(source)
     out.print(built_ins_table())

@@ -1,10 +1,9 @@
-"""Scores: `inspe score`, `targets`, `metrics`, `devices` and `profiles`.
-
-Imports are inside the commands: the map readers and matplotlib load slowly.
-"""
+"""Scores: `inspe score`, `targets`, `tolerance`, `metrics`, `devices` and `profiles`."""
 
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 from rich.console import Group
 
 from inspe_jax.cli.claims import claims
@@ -14,12 +13,15 @@ from inspe_jax.cli.common import (
     busy,
     draw,
     out,
+    progress,
     scene_and_layout,
     show,
 )
 from inspe_jax.cli.options import ScoreOptions, command
 from inspe_jax.core.errors import check_known
 from inspe_jax.placement.problem import Case
+from inspe_jax.placement.studies.tolerance import check_errors
+from inspe_jax.placement.studies.tolerance import tolerance as installed
 from inspe_jax.scene.profiles import profiles as known_profiles
 from inspe_jax.scene.traffic.frames import CLASSES
 from inspe_jax.scoring.detection import load_detection
@@ -38,9 +40,6 @@ def score(
     plot: Path | None = None,
     occlusion_reference: str | None = None,
     visibility: str | None = None,
-    light: str = "midday",
-    weather: str = "clear",
-    profile: str | None = None,
     force: bool = False,
     options: ScoreOptions,
 ) -> None:
@@ -73,9 +72,9 @@ def score(
     claims.file(plot, FORMATS, force=force)
     claims.file(record, force=force)
     readings = dict(occlusion_reference=occlusion_reference, visibility=visibility)
-    conditions, objective = Conditions.of(light, weather), options.objective(**readings)
+    conditions, objective = options.conditions, options.objective(**readings)
     with busy(f"reading {source}"):
-        world, placed = scene_and_layout(source, sensors, profile)
+        world, placed = scene_and_layout(source, sensors, options.profile)
         world = objective.within(world)
     with busy("scoring"):
         scores = evaluate(
@@ -136,6 +135,53 @@ def targets(
     show(targets_table(world, placed, view), targets_record(world, placed, view), record)
     placed = conditions.layout(placed)
     draw(lambda: targets_view(world, placed, view, conditions=conditions), plot, record)
+
+
+@command()
+def tolerance(
+    source: str = DEFAULT_SCENE,
+    sensors: str = DEFAULT_LAYOUT,
+    *,
+    position: float = 0.1,
+    angle: float = 1.0,
+    samples: int = 50,
+    seed: int = 0,
+    record: str | None = None,
+    force: bool = False,
+    options: ScoreOptions,
+) -> None:
+    """Show how installation errors change the score: a slope for each sensor, and random errors.
+
+    A slope says how much P_sm gains when one sensor is moved by 10 cm or turned by 1°. The scores
+    after random errors are exact.
+
+    Examples:
+
+    - `inspe tolerance`  (the built-in four-way with cameras at its corners)
+    - `inspe tolerance j189.npz better/layout.yaml --position 0.2 --angle 2`
+    - `inspe tolerance j189.npz layout.yaml --json tolerance.json`
+
+    Args:
+        position: Standard deviation of each of x, y and z [m].
+        angle: Standard deviation of yaw and of pitch [degrees].
+        samples: Number of random installations.
+        seed: Seed of the random errors.
+    """
+    from inspe_jax.report.tables import tolerance_record, tolerance_table
+
+    claims.file(record, force=force)
+    objective = options.objective()
+    errors = dict[str, Any](
+        position=position, angle=float(np.radians(angle)), samples=samples, seed=seed
+    )
+    check_errors(**errors)
+    conditions = options.conditions
+    with busy(f"reading {source}"):
+        world, placed = scene_and_layout(source, sensors, options.profile)
+    with progress("installations") as report:
+        case = Case(world, conditions)
+        found = installed(case, placed, **errors, objective=objective, progress=report)
+    show(tolerance_table(found, placed), tolerance_record(found, world, placed), record)
 
 
 @command()

@@ -1,7 +1,4 @@
-"""Search for better placements, and compare search methods: `inspe optimise` and `inspe compare`.
-
-Imports are inside the commands: gradient libraries and matplotlib load slowly.
-"""
+"""Searches for better placements: `inspe optimise`, `compare` and `pareto`."""
 
 from dataclasses import replace
 from functools import partial
@@ -18,14 +15,15 @@ from inspe_jax.cli.common import (
     scene_and_layout,
     search_bar,
 )
-from inspe_jax.cli.options import SearchOptions, command, counts, prices
+from inspe_jax.cli.options import SearchOptions, command, device_counts, prices
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import check_output
 from inspe_jax.mounting.mixes import starting_layout
 from inspe_jax.placement import optimise as search
 from inspe_jax.placement.result import FILES, STATUSES, Result, save_comparison, save_result
+from inspe_jax.placement.studies import pareto as studies
 from inspe_jax.placement.studies.cheapest import cheapest, check_target
-from inspe_jax.placement.studies.pareto import device_mixes
+from inspe_jax.placement.studies.pareto import device_mixes, layout_file, save_pareto
 from inspe_jax.scene.scene import Scene, load_scene
 from inspe_jax.scoring.metrics import METRICS
 from inspe_jax.sensing import catalogue
@@ -193,9 +191,67 @@ def compare(
     draw(lambda: history_view(results), folder / "compare.png")
 
 
+@command()
+def pareto(
+    source: str = DEFAULT_SCENE,
+    *,
+    device: list[str] | None = None,
+    price: list[str] | None = None,
+    budget: float | None = None,
+    method: str | None = None,
+    seed: int = 0,
+    folder: Path = Path("pareto"),
+    force: bool = False,
+    options: SearchOptions,
+) -> None:
+    """Compare mixes of devices by cost and score, and show which are worth their money.
+
+    For every mix a search places the sensors, from a start at the junction's corners and
+    roadsides. Ctrl-C ends with the mixes so far. The folder of --out gets pareto.csv, pareto.png
+    and a layout file for each mix on the Pareto front.
+
+    Examples:
+
+    - `inspe pareto`  (one to four 16-channel LiDARs at the built-in four-way)
+    - `inspe pareto j189.npz --device hesai-xt32:0-2 --device paper-camera:0,4,8
+      --price hesai-xt32=5000 --price paper-camera=800 --seconds 30`
+    - `inspe pareto roundabout --budget 10000 --failures`
+
+    Args:
+        budget (USD): Leave out mixes of devices that cost more.
+        seed: Seed of the searches.
+    """
+    from inspe_jax.report.curves import pareto_view
+    from inspe_jax.report.tables import pareto_table
+
+    objective, constraints = options.checked(prices=prices(price), budget=budget)
+    search.check_search((method or search.DEFAULT_METHOD,), objective, seeds=(seed,))
+    wanted = device_counts(device)
+    mixes = [row for _, row in device_mixes(wanted, objective)]
+    names = ("pareto.csv", "pareto.png", *map(layout_file, mixes))
+    claims.folder(folder, names, force=force)
+    with busy(f"reading {source}"):
+        cases = options.cases(load_scene(source, options.profile))
+    with search_bar("searching") as callback:
+        found = studies.pareto(
+            cases,
+            wanted,
+            objective=objective,
+            constraints=constraints,
+            **options.of_mixes(method, seed, callback),
+        )
+    out.print(pareto_table(found))
+    folder = claims.keep(partial(save_pareto, found), folder)
+    note(*(f"{mix.name}: {words}" for mix in found for words in mix.result.notes))
+    if len(found) < len(mixes):
+        note(f"stopped after {len(found)} of {len(mixes)} mixes")
+    out.print(f"wrote pareto.csv and the layouts of the front into {folder}")
+    draw(lambda: pareto_view(found), folder / "pareto.png")
+
+
 def _mix(device: list[str] | None, sensors: str | None) -> dict[str, int]:
     """The number of each device of ``--device``; raises InspeError where it is not one number."""
-    mix = counts(device or [])
+    mix = device_counts(device) if device else {}
     for name, several in mix.items():
         catalogue.device(name)
         if len(several) > 1 or several[0] < 0:
@@ -226,16 +282,16 @@ def _find_cheapest(
     objective, constraints = options.checked(prices=prices(price))
     search.check_search((method or search.DEFAULT_METHOD,), objective, seeds=(seed,))
     if device:
-        device_mixes(counts(device), objective)
+        device_mixes(device_counts(device), objective)
     with busy(f"reading {source}"):
         world, placed = scene_and_layout(source, sensors, options.profile)
         cases = options.cases(world)
     names = [sensor.spec.name for sensor in placed.sensors]
-    wanted = counts(device) if device else {n: range(names.count(n) + 1) for n in sorted({*names})}
+    of_layout = {name: range(names.count(name) + 1) for name in sorted({*names})}
     with search_bar("searching") as callback:
         found = cheapest(
             cases,
-            wanted,
+            device_counts(device) if device else of_layout,
             target,
             objective=objective,
             constraints=constraints,

@@ -1,7 +1,4 @@
-"""Pages in a browser: `inspe report` and `inspe view`.
-
-Imports are inside the commands: matplotlib and the web server load slowly.
-"""
+"""What is handed on or shown: `inspe report`, `view` and `export`."""
 
 import signal
 import time
@@ -22,6 +19,7 @@ from inspe_jax.cli.common import (
     note,
     out,
     progress,
+    scene_and_layout,
 )
 from inspe_jax.cli.options import ScoreOptions, WeightOptions, command, prices
 from inspe_jax.core.errors import InspeError
@@ -31,7 +29,6 @@ from inspe_jax.placement.result import Result, load_result
 from inspe_jax.placement.studies.pareto import load_pareto
 from inspe_jax.placement.studies.tolerance import tolerance as installed
 from inspe_jax.scene.scene import Scene, load_scene
-from inspe_jax.sensing.conditions import Conditions
 from inspe_jax.sensing.layout import Layout, layout_text
 from inspe_jax.visibility.queries import check_frame
 
@@ -47,9 +44,6 @@ def report(
     front: Path | None = None,
     frame: int = 0,
     price: list[str] | None = None,
-    light: str = "midday",
-    weather: str = "clear",
-    profile: str | None = None,
     force: bool = False,
     options: ScoreOptions,
 ) -> None:
@@ -82,7 +76,7 @@ def report(
 
     claims.file(path, (".html", ".htm"), force=force)
     claims.file(pdf, (".pdf",), force=force)
-    conditions, objective = Conditions.of(light, weather), options.objective()
+    conditions, objective = options.conditions, options.objective()
     priced = prices(price)
     wanted = sensors or [DEFAULT_LAYOUT]
     for given in wanted:
@@ -90,7 +84,7 @@ def report(
             check_layout(given)
     mixes = load_pareto(front) if front else []
     with busy(f"reading {source}"):
-        world = objective.within(load_scene(source, profile))
+        world = objective.within(load_scene(source, options.profile))
         check_frame(world, frame)
         placed = [_found_or_placed(world, given) for given in wanted]
     case = Case(world, conditions)
@@ -138,9 +132,6 @@ def view(
     port: Annotated[int, typer.Option(min=0, max=65535)] = 8080,
     host: str = "127.0.0.1",
     token: bool = True,
-    light: str = "midday",
-    weather: str = "clear",
-    profile: str | None = None,
     options: WeightOptions,
 ) -> None:
     """Serve a page on which you drag sensors and see the scores follow.
@@ -171,7 +162,7 @@ def view(
     from inspe_jax.viewer.server import AccessRules
 
     check_output(path, (".yaml", ".yml"))
-    conditions, weights = Conditions.of(light, weather), options.weights()
+    conditions, weights = options.conditions, options.weights()
     further, curves = options.further(), options.curves()
     access = AccessRules(host) if token else AccessRules(host, token="")
     if token and access.local:  # a page that is open when the server ends gets in to the next one
@@ -182,7 +173,7 @@ def view(
         )
     check_layout(sensors, unit_rule=False)
     with busy(f"reading {source}"):
-        world = load_scene(source, profile)
+        world = load_scene(source, options.profile)
         layout = layout_on(world, sensors, unit_rule=False)
     viewer = Viewer(
         Case(world, conditions),
@@ -228,3 +219,46 @@ def view(
             out.print("so it is printed here:", layout_text(viewer.layout), sep="\n")
             leave_at_once(1)
     leave_at_once(0)
+
+
+@command()
+def export(
+    source: str,
+    sensors: str,
+    *,
+    files: list[Path] | None = None,
+    price: list[str] | None = None,
+    force: bool = False,
+) -> None:
+    """Write a plan in coordinates of the Earth, for maps, surveyors and contractors.
+
+    The scene must be of a map with a projection, as OpenStreetMap. Degrees are those of WGS 84;
+    azimuths are clockwise from true north; heights are above the ground at the foot of the pole.
+    The GeoJSON can be edited in a map and read back in place of a layout file.
+
+    Examples:
+
+    - `inspe export city.npz better/layout.yaml --out plan.geojson --out plan.kml`
+    - `inspe export city.npz Cam-d1/L-d1 --out bill.csv --price paper-camera=900`
+    - `inspe score city.npz plan.geojson`  (reads it back)
+
+    Args:
+        files (--out FILE.geojson|kml|csv): A file to write; repeat it for more. GeoJSON and
+            KML: poles, sensors with height, azimuth and tilt, and what each looks at. CSV: a
+            bill of materials. If not given, plan.geojson.
+    """
+    from inspe_jax.report.handover import PLAN_FORMATS
+
+    given = prices(price)
+    paths = files or [Path("plan.geojson")]
+    for path in paths:
+        claims.file(path, PLAN_FORMATS, force=force)
+    with busy(f"reading {source}"):
+        world, placed = scene_and_layout(source, sensors, None)
+    texts = [PLAN_FORMATS[p.suffix.lower()](placed, world.intersection, given) for p in paths]
+    place = world.intersection
+    if place.georeference and (doubt := place.georeference.doubt(place.center)):
+        note(doubt)
+    for path, text in zip(paths, texts, strict=True):
+        write_text(path, text)
+        out.print(f"wrote {path}")

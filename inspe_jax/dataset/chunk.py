@@ -27,15 +27,13 @@ from inspe_jax.sensing.layout import Layout, layout_text, parse_layout
 from inspe_jax.simulation.backends import recorder_of
 from inspe_jax.simulation.recorder import Recorder, Server
 
-SIZE = 10
-"""Number of frames in a chunk."""
 FULL = (errno.ENOSPC, errno.EDQUOT)
 """Error numbers of a full disk."""
 
 
 @dataclass(frozen=True)
 class Chunk:
-    """Frames ``first`` to ``last`` of a scenario that is written to ``folder``.
+    """Some ``frames`` of a scenario that is written to ``folder``.
 
     ``missing`` of them were not written yet when the chunk was sent. A process that writes a chunk
     holds the file ``lock``, so that only one does. ``server`` is the one that the backend records
@@ -46,8 +44,7 @@ class Chunk:
     backend: str
     folder: Path
     lock: Path
-    first: int
-    last: int
+    frames: range
     missing: int
     server: Server | None = None
     format: str = DEFAULT_FORMAT
@@ -55,7 +52,7 @@ class Chunk:
     @property
     def key(self) -> str:
         """A short text that identifies the chunk."""
-        return f"{self.plan.key}-{self.first}"
+        return f"{self.plan.key}-{self.frames.start}"
 
     @property
     def scene(self) -> str:
@@ -209,7 +206,7 @@ def _missing(chunk: Chunk) -> Iterator[int]:
     sender = multiprocessing.parent_process()
     # No other process writes frames of this chunk now: this one holds the lock.
     there = recorded_frames(chunk.folder)
-    for t in sorted(set(range(chunk.first, chunk.last + 1)) - set(there)):
+    for t in sorted({*chunk.frames} - set(there)):
         if sender is not None and not sender.is_alive():
             return
         yield t

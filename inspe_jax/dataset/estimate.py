@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from inspe_jax.dataset.chunk import SIZE, layout_of
+from inspe_jax.dataset.chunk import layout_of
 from inspe_jax.dataset.formats.registry import FORMATS
 from inspe_jax.dataset.manifest import record_frame
 from inspe_jax.dataset.plan import Generation, ScenarioPlan
@@ -93,17 +93,24 @@ def estimate(
         began = time.perf_counter()
         scene = scene_of(plans[0].source, plans[0].build)
         built = time.perf_counter() - began
-        seconds += built * min(workers, sum(map(_chunks, plans)))
+        seconds += built * min(workers, sum(len(plan.chunks) for plan in plans))
         boxes = _boxes(scene, backend)
         if scene.shortfall:
             where = f"{plans[0].source.name}, {plans[0].settings['density']}"
             shortfalls[f"{where}: road users: {scene.shortfall}"] += len(plans)
         for plan in plans:
-            _count(splits[plan.split], plan, boxes)
+            split = splits[plan.split]
+            split.scenes.add(plan.traffic_key)
+            split.scenarios += 1
+            split.frames += plan.frames
+            split.densities[str(plan.settings["density"])] += 1
+            split.kinds[plan.kind] += 1
+            split.boxes.update(boxes)
             if tried is not None:
                 sample = _sample(generation.format, backend, plan, scene, tried)
                 size += plan.frames * sample.size
-                seconds += plan.frames * sample.frame + sample.setup * min(workers, _chunks(plan))
+                seconds += plan.frames * sample.frame
+                seconds += sample.setup * min(workers, len(plan.chunks))
             done += 1
             if progress:
                 progress(done, len(generation.scenarios))
@@ -119,20 +126,6 @@ def _boxes(scene: Scene, backend: str) -> Counter[str]:
         parked, _ = parked_vehicles(scene)
         count += scene.traffic.frame_count * np.bincount(parked.kind, minlength=len(CLASSES))
     return Counter(dict(zip(CLASSES, count.tolist(), strict=True)))
-
-
-def _count(content: SplitContent, plan: ScenarioPlan, boxes: Counter[str]) -> None:
-    content.scenes.add(plan.traffic_key)
-    content.scenarios += 1
-    content.frames += plan.frames
-    content.densities[str(plan.settings["density"])] += 1
-    content.kinds[plan.kind] += 1
-    content.boxes.update(boxes)
-
-
-def _chunks(plan: ScenarioPlan) -> int:
-    """The number of pieces in which the frames of a scenario are divided among workers."""
-    return -(-plan.frames // SIZE)
 
 
 def _sample(

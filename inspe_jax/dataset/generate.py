@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from inspe_jax.core.errors import InspeError
-from inspe_jax.dataset.chunk import FULL, SIZE, Chunk, Outcome, build, close, work
+from inspe_jax.dataset.chunk import FULL, Chunk, Outcome, build, close, work
 from inspe_jax.dataset.manifest import Fault
 from inspe_jax.dataset.plan import Generation, ScenarioPlan
 from inspe_jax.dataset.writer import DatasetWriter
@@ -172,14 +172,11 @@ def _chunks(
 ) -> list[Chunk]:
     """The chunks of a scenario that have missing frames."""
     found = []
-    for first in range(0, plan.frames, SIZE):
-        last = min(first + SIZE, plan.frames) - 1
-        missing = len(set(range(first, last + 1)) - writer.there[plan.name])
+    for frames in plan.chunks:
+        missing = len({*frames} - writer.there[plan.name])
         if missing:
-            files = writer.unfinished(plan), writer.lock(plan, first)
-            found.append(
-                Chunk(plan, backend, *files, first, last, missing, server, writer.format_name)
-            )
+            files = writer.unfinished(plan), writer.lock(plan, frames.start)
+            found.append(Chunk(plan, backend, *files, frames, missing, server, writer.format_name))
     return found
 
 

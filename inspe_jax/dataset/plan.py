@@ -92,6 +92,8 @@ SETTINGS = (*WORLD, *CONDITIONS, "seconds")
 PROPORTIONS: dict[Any, float] = {"train": 7, "validate": 1, "test": 2}
 """Proportions of the scenarios in the splits, if none are given."""
 LONGEST_NAME = 120
+CHUNK = 10
+"""Number of frames that a worker records at a time."""
 
 
 @dataclass(frozen=True)
@@ -116,6 +118,12 @@ class ScenarioPlan:
     def frames(self) -> int:
         """Number of frames."""
         return round(self.settings["seconds"] * self.recording.rate)
+
+    @property
+    def chunks(self) -> list[range]:
+        """The frames, in parts that workers share."""
+        frames = range(self.frames)
+        return [frames[first : first + CHUNK] for first in frames[::CHUNK]]
 
     @property
     def conditions(self) -> Conditions:

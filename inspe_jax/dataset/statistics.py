@@ -1,7 +1,7 @@
 """Statistics of a data set: of each split, of each class of road user, and points by range."""
 
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -10,13 +10,17 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from inspe_jax.core.errors import InspeError
-from inspe_jax.dataset.folders import Dataset, Scenario, disk_size, open_dataset
+from inspe_jax.dataset.folders import Dataset, disk_size, open_dataset
 from inspe_jax.dataset.formats.registry import FORMATS
 from inspe_jax.dataset.points_in_boxes import count_inside
-from inspe_jax.simulation.frame import KINDS, Frame
+from inspe_jax.simulation.frame import KINDS, RoadUserBox, Scan
 
 RANGE_EDGES: Float[np.ndarray, " R"] = 5 * 2 ** (np.arange(-4, 14) / 2)
 """Limits of the range bands [m], each √2 times the one before: 1.25, 1.8, 2.5 … 453."""
+
+
+COUNTS = ("frames", "images", "clouds", "points", "boxes", "agents", "size")
+"""Of a split; the first five are sums over frames."""
 
 
 @dataclass(frozen=True)
@@ -146,17 +150,54 @@ def statistics(
             f"{data.path}: no frame in {count} scenario{'s' * (count != 1)}: expected {examples}, "
             f"for every agent"
         )
-    counter = _Counts()
-    splits = []
+    splits, crowd, merged, single, sensors = [], [], [], [], []
+    tracks: list[tuple[int, list[float], int]] = []
     for name, scenarios in data.splits.items():
-        start = dict(counter.counts)
+        counts = dict.fromkeys(COUNTS, 0)
         for scenario in scenarios:
-            for _ in counter.add(scenario):
+            users: dict[int, tuple[int, list[float], int]] = {}
+            counts["agents"] += len(scenario.agents)
+            counts["size"] += disk_size(scenario.path)
+            for number in scenario.frames:
+                frame = scenario.frame(number)
+                scans = [scan for station in frame.stations for scan in station.scans]
+                images = sum(len(station.images) for station in frame.stations)
+                for box in frame.boxes:
+                    kind, size = KINDS.index(box.kind), np.asarray(box.size).tolist()
+                    kind, size, before = users.get(box.track, (kind, size, 0))
+                    users[box.track] = kind, size, before + 1
+                points = sum(len(scan.points) for scan in scans)
+                more = (1, images, len(scans), points, len(frame.boxes))
+                for key, count in zip(COUNTS, more, strict=False):
+                    counts[key] += count
+                if scans and frame.boxes:
+                    together, each = _points_in_boxes(scans, frame.boxes)
+                    merged.append(together)
+                    single.append(each)
+                sensors.append((images, len(scans)))
+                crowd.append(len(frame.boxes))
                 if progress:
-                    progress(len(counter.crowd), total_frames)
-        counts = {key: count - start[key] for key, count in counter.counts.items()}
+                    progress(len(crowd), total_frames)
+            tracks += users.values()
         splits.append(Split(name=name, scenarios=len(scenarios), **counts))
-    return counter.statistics(data, tuple(splits))
+    kinds, sizes, frames = zip(*tracks, strict=True) if tracks else ((), (), ())
+    least, most = np.min(sensors, 0).tolist(), np.max(sensors, 0).tolist()
+    return Statistics(
+        path=data.path,
+        splits=tuple(splits),
+        users=Users(
+            np.array(kinds, np.int64),
+            np.array(sizes, float).reshape(-1, 3),
+            np.array(frames, int),
+        ),
+        crowd=np.array(crowd),
+        merged=_point_counts(merged),
+        single=_point_counts(single),
+        cameras=(least[0], most[0]),
+        lidars=(least[1], most[1]),
+        agents=tuple(scenario.agents for scenario in data.scenarios),
+        protocols=tuple(scenario.protocol for scenario in data.scenarios),
+    )
 
 
 def bands(counts: PointCounts, kind: int) -> tuple[Band, ...]:
@@ -214,79 +255,18 @@ def table_row(found: Statistics) -> dict[str, str | int | None]:
     }
 
 
-class _Counts:
-    """The counts so far."""
-
-    def __init__(self) -> None:
-        keys = ("frames", "agents", "images", "clouds", "points", "boxes", "size")
-        self.counts = dict.fromkeys(keys, 0)
-        self.crowd: list[int] = []
-        self.users: list[tuple[int, list[float], int]] = []
-        self.merged: list[np.ndarray] = []
-        self.single: list[np.ndarray] = []
-        self.cameras: set[int] = set()
-        self.lidars: set[int] = set()
-
-    def add(self, scenario: Scenario) -> Iterator[None]:
-        """Count a scenario; gives control back after every frame."""
-        users: dict[int, tuple[int, list[float], int]] = {}
-        self.counts["agents"] += len(scenario.agents)
-        self.counts["size"] += disk_size(scenario.path)
-        for number in scenario.frames:
-            frame = scenario.frame(number)
-            for box in frame.boxes:
-                kind, size = KINDS.index(box.kind), np.asarray(box.size).tolist()
-                kind, size, before = users.get(box.track, (kind, size, 0))
-                users[box.track] = kind, size, before + 1
-            self._add_sensors(frame)
-            self._add_points(frame)
-            self.crowd.append(len(frame.boxes))
-            self.counts["frames"] += 1
-            self.counts["boxes"] += len(frame.boxes)
-            yield
-        self.users += users.values()
-
-    def _add_sensors(self, frame: Frame) -> None:
-        images = sum(len(station.images) for station in frame.stations)
-        scans = [scan for station in frame.stations for scan in station.scans]
-        self.cameras.add(images)
-        self.lidars.add(len(scans))
-        self.counts["images"] += images
-        self.counts["clouds"] += len(scans)
-        self.counts["points"] += sum(len(scan.points) for scan in scans)
-
-    def _add_points(self, frame: Frame) -> None:
-        scans = [scan for station in frame.stations for scan in station.scans]
-        if not (scans and frame.boxes):
-            return
-        points = count_inside(scans, frame.boxes)  # (S, B)
-        kind = np.array([KINDS.index(box.kind) for box in frame.boxes])
-        sensors = np.array([scan.pose[:3] for scan in scans])
-        middles = np.array([box.center for box in frame.boxes])
-        away = np.linalg.norm(middles - sensors[:, None], axis=-1)  # (S, B)
-        self.merged.append(np.stack([kind, away.min(0), points.sum(0)]).astype(np.float32))
-        each = np.stack([np.broadcast_to(kind, away.shape), away, points])  # (3, S, B)
-        self.single.append(each.reshape(3, -1).astype(np.float32))
-
-    def statistics(self, data: Dataset, splits: tuple[Split, ...]) -> Statistics:
-        """The statistics of all that was counted."""
-        kind, size, frames = zip(*self.users, strict=True) if self.users else ((), (), ())
-        return Statistics(
-            path=data.path,
-            splits=splits,
-            users=Users(
-                np.array(kind, np.int64),
-                np.array(size, float).reshape(-1, 3),
-                np.array(frames, int),
-            ),
-            crowd=np.array(self.crowd),
-            merged=_point_counts(self.merged),
-            single=_point_counts(self.single),
-            cameras=(min(self.cameras), max(self.cameras)),
-            lidars=(min(self.lidars), max(self.lidars)),
-            agents=tuple(scenario.agents for scenario in data.scenarios),
-            protocols=tuple(scenario.protocol for scenario in data.scenarios),
-        )
+def _points_in_boxes(
+    scans: Sequence[Scan], boxes: Sequence[RoadUserBox]
+) -> tuple[Float[np.ndarray, "3 B"], Float[np.ndarray, "3 N"]]:
+    """Kind, range and points of each box: of all scans together, and of each scan (N = S B)."""
+    points = count_inside(scans, boxes)  # (S, B)
+    kind = np.array([KINDS.index(box.kind) for box in boxes])
+    sensors = np.array([scan.pose[:3] for scan in scans])
+    middles = np.array([box.center for box in boxes])
+    away = np.linalg.norm(middles - sensors[:, None], axis=-1)  # (S, B)
+    together = np.stack([kind, away.min(0), points.sum(0)])
+    each = np.stack([np.broadcast_to(kind, away.shape), away, points]).reshape(3, -1)
+    return together.astype(np.float32), each.astype(np.float32)
 
 
 def _point_counts(parts: list[np.ndarray]) -> PointCounts:

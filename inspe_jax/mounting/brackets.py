@@ -1,8 +1,7 @@
 """Brackets: sensors hang beside a pole that stands in the scene, never within it.
 
-A pole that is one of the scene's bodies hides what is behind it, also from the sensors that it
-carries: one of 0.2 m hides 29° of a sensor 0.4 m from its axis. A sensor that is aimed hangs on the
-side that it looks to; another hangs towards the middle of the junction.
+A sensor that is aimed hangs on the side that it looks to; another hangs towards the middle of the
+junction. Behind it the pole hides: one of 0.2 m hides 29° of a sensor 0.4 m from its axis.
 """
 
 from collections.abc import Sequence

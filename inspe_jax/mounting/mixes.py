@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from inspe_jax.core.errors import InspeError
-from inspe_jax.mounting.site import Site
+from inspe_jax.mounting.site import Site, farthest_first
 from inspe_jax.mounting.strategies import join
 from inspe_jax.scene.scene import Scene
 from inspe_jax.sensing.catalogue import device
@@ -39,12 +39,7 @@ def starting_layout(
     feet = np.concatenate([site.corners, site.roadsides])
     posts = [f"corner {i + 1}" for i in range(len(site.corners))]
     posts += [f"roadside {i + 1}" for i in range(len(site.roadsides))]
-    far = np.hypot(*(feet[:, None] - feet[None]).transpose(2, 0, 1))
-    order = [0]  # the next post is the one furthest from those taken
-    while len(order) < len(feet):
-        away = far[:, order].min(1)
-        away[order] = -1.0
-        order.append(int(away.argmax()))
+    order = farthest_first(feet, len(feet))
     if len(wanted) > len(order):
         raise InspeError(
             f"{scene.name}: {len(wanted)} sensors, but only {len(order)} posts at corners and "

@@ -70,8 +70,8 @@ class Site:
     ``radius`` bounds the region of interest [m]. ``depth`` is the cameras' effective
     depth [m]. ``camera_height`` and ``lidar_height`` [m] and ``camera_pitch`` [rad]
     are None if the rule chooses them. ``bodies`` stand in every frame: no unit stands in one, nor
-    within :data:`~inspe_jax.sensing.layout.UNIT_PLAN` of one that reaches to ``lowest`` [m above
-    the ground], the lowest height of a sensor, so that no sensor can be inside.
+    within :data:`~inspe_jax.sensing.layout.UNIT_PLAN` of one that reaches to ``lowest``, the lowest
+    height of a sensor [m above the ground].
     """
 
     place: Intersection
@@ -92,9 +92,7 @@ class Site:
     def arms(self) -> tuple[Arm, ...]:
         """The arms, counter-clockwise by the place of their mouths, from the intersection's first.
 
-        A mouth farther than :data:`CORE` from the centre, as on a motorway, is
-        moved in along its arm. From farther out, cameras would watch the road and
-        not the junction.
+        A mouth farther than :data:`CORE` from the centre, as on a motorway, is moved in.
         """
         # By place, not bearing: a ramp and its motorway have nearly the same bearing.
         first, *others = self.place.arms
@@ -159,12 +157,7 @@ class Site:
         crosswalks = self.place.regions.get(Region.CROSSWALK, Polygon())
         near = Point(self.center).buffer(self.radius, quad_segs=64)
         open_ = self.place.mounting.intersection(near).difference(self.lanes).difference(crosswalks)
-        return open_.difference(self.taken) if self.bodies else open_
-
-    @cached_property
-    def taken(self) -> BaseGeometry:
-        """The ground on which static bodies let no unit stand."""
-        return unary_union(list(self.rooms))
+        return open_.difference(unary_union(list(self.rooms))) if self.bodies else open_
 
     @cached_property
     def rooms(self) -> tuple[BaseGeometry, ...]:
@@ -257,11 +250,8 @@ class Site:
         return bool(self.lanes.contains(Point(point)))
 
     def lattice(self, spacing: float) -> Float[np.ndarray, "F 2"]:
-        """Feet on the core, about the centre [m]: one in each square of a lattice that meets it.
-
-        It is the core's point nearest to the middle of the square, so that areas narrower than
-        ``spacing`` also have feet.
-        """
+        """Feet on the core, about the centre [m]: one in each square of a lattice that meets it,
+        the core's point nearest to the middle of the square."""
         steps = np.arange(-np.ceil(self.radius / spacing), np.ceil(self.radius / spacing) + 1)
         middles = np.stack(np.meshgrid(steps, steps, indexing="ij"), -1).reshape(-1, 2) * spacing
         if self.core.is_empty:
@@ -308,9 +298,8 @@ class Site:
     def corners(self) -> Float[np.ndarray, "2N 2"]:
         """Feet of the corner poles [m]: one at the left kerb of each arm, then at the right kerbs.
 
-        Where the gap between two arms is narrow, one pole serves both: the left one of
-        an arm is the right one of the next. The other right one stands :data:`SETBACK`
-        farther out.
+        Where the gap between two arms is narrow, one pole serves both, and the right one stands
+        :data:`SETBACK` farther out.
         """
         after = self.arms[1:] + self.arms[:1]
         left = [
@@ -365,8 +354,7 @@ class Site:
         """A camera that looks at ``target`` (x, y) [m], or along ``yaw`` [rad] as far as that.
 
         The optical axis meets the target 1 m above the ground, but at 5 m or more in
-        plan and at most at 0.6 of the camera's depth. Otherwise the camera would look
-        at the pole's foot, or farther than it perceives. ``mast`` is the distance from
+        plan and at most at 0.6 of the camera's depth. ``mast`` is the distance from
         the pole to the camera, towards the junction [m]; it is 0 if the camera is too
         low to hang over traffic. If the site has a ``camera_pitch``, that is the pitch.
         """
@@ -389,11 +377,7 @@ class Site:
         return View(post, foot, offset, height, yaw, pitch)
 
     def lidar(self, post: str, foot: Float[np.ndarray, "2"], *, height: float = 5.0) -> View:
-        """A level LiDAR on the pole, with azimuth 0 towards the centre of the junction.
-
-        It is level because it spins: a tilt would gain coverage towards the junction and lose it
-        behind.
-        """
+        """A level LiDAR on the pole, with azimuth 0 towards the centre of the junction."""
         to = self.center - foot
         yaw = float(np.arctan2(to[1], to[0])) if to.any() else self.arms[0].bearing
         offset = self._bracket(foot, yaw)
@@ -411,6 +395,16 @@ def kerb(arm: Arm, side: int, outward: float = 0.0) -> Float[np.ndarray, "2"]:
     along = np.array([np.cos(arm.bearing), np.sin(arm.bearing)])
     across = np.array([-along[1], along[0]])
     return np.asarray(arm.mouth) + outward * along + side * arm.width / 2 * across
+
+
+def farthest_first(points: Float[np.ndarray, "N 2"], most: int) -> list[int]:
+    """Indices of up to ``most`` points: the first, then always the farthest from those before."""
+    away = np.full(len(points), np.inf)
+    chosen = [0] if len(points) else []
+    while len(chosen) < min(most, len(points)):
+        away = np.minimum(away, np.hypot(*(points - points[chosen[-1]]).T))
+        chosen.append(int(away.argmax()))
+    return chosen
 
 
 def spread(azimuths: Float[np.ndarray, " N"], count: int) -> list[int]:

@@ -1,22 +1,16 @@
 """The paper's placements by name, generated for any intersection.
 
-A strategy is a row of :data:`STRATEGIES`: a rule that aims cameras, a rule that
-places LiDARs, or both. A rule takes a :class:`Site` and returns :class:`View`\\ s.
-Sensors that stand together are then joined into units. The strategies are those of
-InSPE (arXiv 2504.08240), section 4, which names the placements and counts their
-devices. It does not say exactly where they stand; this module decides that:
+A strategy is a row of :data:`STRATEGIES`: a rule that aims cameras, a rule that places LiDARs, or
+both. InSPE (arXiv 2504.08240), section 4, names the placements and counts their devices; where they
+stand is decided here:
 
-- *corner*: where the left kerb of an arm (looking outward) meets the right kerb of
-  the next. The sensors use a signal pole that stands near, or the nearest mounting
-  area. Where the gap between two arms is wide, as on the far side of a T, each kerb
-  has a corner of its own.
+- *corner*: where the left kerb of an arm (looking outward) meets the right kerb of the next, on a
+  signal pole that stands near, or on the nearest mounting area. Where the gap between two arms is
+  wide, as on the far side of a T, each kerb has a corner of its own.
 - *roadside*: a pole at the right kerb of an arm, :data:`SETBACK` outside the mouth.
-- *centre*: a span wire over the middle of the junction. Only there may a unit's
-  ``base`` lie in a driving lane, because the unit hangs above the traffic. At a
-  roundabout the base is on the central island.
+- *centre*: a span wire over the middle of the junction; at a roundabout, the central island.
 
-Everything is relative to the intersection's first arm, so a layout turns with its
-intersection.
+Everything is relative to the intersection's first arm, so a layout turns with its intersection.
 """
 
 from collections.abc import Callable
@@ -67,9 +61,8 @@ def central_cameras(site: Site) -> list[View]:
 def corner_cameras(site: Site) -> list[View]:
     """A camera on each arm's corner pole looks out along the arm; a second one looks back.
 
-    The second looks along the arm over the junction. From a pole far beside its arm, as at a
-    roundabout, the first camera looks at the arm instead, because along the arm's direction there
-    is no road. With only two arms, cameras on the poles at their other kerbs look out as well.
+    From a pole far beside its arm, as at a roundabout, the first camera looks at the arm instead.
+    With only two arms, cameras on the poles at their other kerbs look out as well.
     """
     arms = site.arms
     left, right = np.split(site.corners, 2)
@@ -95,8 +88,7 @@ def corner_cameras(site: Site) -> list[View]:
 def roadside_cameras(site: Site) -> list[View]:
     """A camera on each arm's roadside pole looks at the crosswalk and junction, a second outward.
 
-    The second looks at the arm's driveway. With only two arms, cameras on the poles at their other
-    kerbs look at the crosswalks as well.
+    With only two arms, cameras on the poles at their other kerbs look at the crosswalks as well.
     """
     arms = site.arms
     right, left = np.split(site.roadsides, 2)

@@ -52,22 +52,6 @@ class Model:
     taught: bool = False
 
 
-def _mean(channels: int, modalities: tuple[int, ...], key: Array) -> Fusion:
-    return Mean()
-
-
-def _att_fuse(channels: int, modalities: tuple[int, ...], key: Array) -> Fusion:
-    return AttFuse()
-
-
-def _v2vnet(channels: int, modalities: tuple[int, ...], key: Array) -> Fusion:
-    return V2VNet(channels, key)
-
-
-def _disco_net(channels: int, modalities: tuple[int, ...], key: Array) -> Fusion:
-    return DiscoNet(channels, key)
-
-
 LIDAR: tuple[Sensor, ...] = ("lidar",)
 CAMERA: tuple[Sensor, ...] = ("camera",)
 BOTH: tuple[Sensor, ...] = ("lidar", "camera")
@@ -75,18 +59,18 @@ BOTH: tuple[Sensor, ...] = ("lidar", "camera")
 TEACHER = "early-fusion"
 
 MODELS: dict[str, Model] = {
-    "lss-eff": Model(CAMERA, _mean, "Philion and Fidler 2020; Tan and Le 2019", joined=True),
+    "lss-eff": Model(CAMERA, Mean, "Philion and Fidler 2020; Tan and Le 2019", joined=True),
     "lss-resnet": Model(
-        CAMERA, _mean, "Philion and Fidler 2020; He et al. 2016", images="resnet", joined=True
+        CAMERA, Mean, "Philion and Fidler 2020; He et al. 2016", images="resnet", joined=True
     ),
-    "v2vnet": Model(LIDAR, _v2vnet, "Wang et al. 2020"),
+    "v2vnet": Model(LIDAR, V2VNet, "Wang et al. 2020"),
     "v2x-vit": Model(LIDAR, V2XViT, "Xu et al. 2022"),
-    "coalign": Model(LIDAR, _att_fuse, "Lu et al. 2023", every_scale=True),
-    "attfuse": Model(BOTH, _att_fuse, "Xu et al. 2022"),
-    "disconet": Model(BOTH, _disco_net, "Li et al. 2021", taught=True),
+    "coalign": Model(LIDAR, AttFuse, "Lu et al. 2023", every_scale=True),
+    "attfuse": Model(BOTH, AttFuse, "Xu et al. 2022"),
+    "disconet": Model(BOTH, DiscoNet, "Li et al. 2021", taught=True),
     "hm-vit": Model(BOTH, HMViT, "Xiang et al. 2023"),
     TEACHER: Model(
-        LIDAR, _mean, "DiscoNet's teacher: the pillars of all units together", joined=True
+        LIDAR, Mean, "DiscoNet's teacher: the pillars of all units together", joined=True
     ),
 }
 """Detectors by name. CoAlign's correction of poses is left out: the poses are exact."""

@@ -100,13 +100,16 @@ def inputs_of(batch: Batch, agents: Agents) -> Inputs:
         unit = np.where(cameras.present, _ranks(cameras.unit), -1).astype(np.int32)
         _check_count(int(unit.max(initial=-1)) + 1, agents.cameras, "cameras")
         present.append((unit[..., None] == np.arange(agents.cameras)).any(1))
+    there = np.concatenate(present, -1)
+    # A frame without an agent has the first: attention to nothing has no value.
+    there[~there.any(-1), 0] = True
     return Inputs(
         pillars=pillars,
         pixels=None if cameras is None else cameras.pixels,
         intrinsic=None if cameras is None else cameras.intrinsic,
         pose=None if cameras is None else cameras.pose,
         unit=unit,
-        present=_one_at_least(np.concatenate(present, -1)),
+        present=there,
     )
 
 
@@ -117,12 +120,8 @@ def _filled_up(pillars: Pillars, count: int) -> Pillars:
     _check_count(int(used.max(initial=-1)) + 1, count, "LiDARs")
     if missing <= 0:
         return Pillars(*(part[:, :count] for part in pillars))
-    return Pillars(
-        *(
-            np.concatenate([part, np.zeros((len(part), missing, *part.shape[2:]), part.dtype)], 1)
-            for part in pillars
-        )
-    )
+    more = [(0, 0), (0, missing)]
+    return Pillars(*(np.pad(part, more + [(0, 0)] * (part.ndim - 2)) for part in pillars))
 
 
 def _check_count(there: int, most: int, what: str) -> None:
@@ -140,10 +139,3 @@ def _ranks(unit: Int32[np.ndarray, "B C"]) -> Int32[np.ndarray, "B C"]:
         there = np.unique(row[row > 0])
         found[b] = np.where(row > 0, np.searchsorted(there, row), -1)
     return found
-
-
-def _one_at_least(present: Bool[np.ndarray, "B A"]) -> Bool[np.ndarray, "B A"]:
-    """With the first agent of a frame that has none: its maps are empty, and attention to nothing
-    has no value."""
-    present[~present.any(-1), 0] = True
-    return present

@@ -14,7 +14,7 @@ from inspe_jax.placement.candidates import (
     set_heights,
 )
 from inspe_jax.placement.problem import Problem
-from inspe_jax.placement.sample_score import Rows, SampleScore, times
+from inspe_jax.placement.sample_score import Rows, SampleScore
 from inspe_jax.sensing.layout import UNIT_HEIGHT
 
 HEIGHTS, YAWS = 3, 8
@@ -51,7 +51,7 @@ class Table:
     """The candidates of every kind of sensor of a problem, on one sample."""
 
     problem: Problem
-    tally: SampleScore
+    sampled: SampleScore
     feet: Float[np.ndarray, "F 2"]
     stand: Bool[np.ndarray, "U F"]
     kinds: list[CandidateKind]
@@ -70,7 +70,7 @@ class Table:
         The candidates are shifted at random by up to a step if not ``first``.
         """
         space, layout = problem.space, problem.layout
-        tally = SampleScore(problem, problem.sample(rng, columns, FRAMES))
+        sampled = SampleScore(problem, problem.sample(rng, columns, FRAMES))
         feet = lattice(space)
         stand = space.can_stand(feet)
         shift = np.array([0.5, 0.0, 0.5]) if first else rng.uniform(size=3)
@@ -91,7 +91,7 @@ class Table:
             order = rng.permutation(product[0].size)
             foot, height, yaw, pitch = (part.ravel()[order] for part in product)
             kinds.append(CandidateKind(tuple(sensors), foot, height, yaw, pitch))
-        return cls(problem, tally, feet, stand, kinds)
+        return cls(problem, sampled, feet, stand, kinds)
 
     @property
     def parts(self) -> list[CandidateKind]:
@@ -112,7 +112,7 @@ class Table:
         x[:, index.height[u]] = kind.height[at]
         x[:, index.yaw[s]] = kind.yaw[at]
         x[:, index.pitch[s]] = kind.pitch[at]
-        kind.rows.append(self.tally.views(self.problem, {s: poses(space, x)[:, s]})[s])
+        kind.rows.append(self.sampled.views(self.problem, {s: poses(space, x)[:, s]})[s])
         return len(np.unique(at))
 
     def kind_of(self, s: int) -> CandidateKind:
@@ -125,8 +125,8 @@ class Table:
 
     def gains(self, s: int, rows: dict[int, Rows]) -> Float[np.ndarray, " K"]:
         """The gain of sensor ``s`` at each candidate, beside others that see ``rows``."""
-        kind, worth = self.kind_of(s), self.tally.worth(rows, s)
-        return np.concatenate([times(part, worth) for part in kind.rows])[: len(kind.foot)]
+        kind, weights = self.kind_of(s), self.sampled.marginal(rows, s)
+        return np.concatenate([weights.dot(part) for part in kind.rows])[: len(kind.foot)]
 
     def fits(self, picks: Picks, s: int, k: Int[np.ndarray, " n"] | int) -> np.ndarray:
         """Whether sensor ``s`` may be at candidates ``k``, beside the sensors already placed."""

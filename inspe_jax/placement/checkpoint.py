@@ -106,21 +106,6 @@ def load_checkpoint(path: str | os.PathLike[str]) -> Checkpoint:
         )
 
 
-def check_same(kept: Checkpoint, of: Mapping[str, str], path: str | os.PathLike[str]) -> None:
-    """Raise InspeError if a checkpoint is of another search; the message names what differs."""
-    other = []
-    for name, value in of.items():
-        was = kept.of.get(name)
-        if was != value:
-            plain = was is not None and len(value) < 30 and len(was) < 30  # words, not digests
-            other.append(f"{name} ({was}, not {value})" if plain else name)
-    if other:
-        raise InspeError(
-            f"{path}: a checkpoint of another search, with another {', another '.join(other)}; "
-            "name another file, or delete it to start again"
-        )
-
-
 class CheckpointWriter:
     """Writes the state of a search to its checkpoint from time to time, and restores it.
 
@@ -143,7 +128,17 @@ class CheckpointWriter:
         if not self.path.exists():
             return None
         run, kept = self._run, load_checkpoint(self.path)
-        check_same(kept, self.of, self.path)
+        other = []
+        for name, value in self.of.items():
+            was = kept.of.get(name)
+            if was != value:
+                plain = was is not None and len(value) < 30 and len(was) < 30  # words, not digests
+                other.append(f"{name} ({was}, not {value})" if plain else name)
+        if other:
+            raise InspeError(
+                f"{self.path}: a checkpoint of another search, with another "
+                f"{', another '.join(other)}; name another file, or delete it to start again"
+            )
         run.take_up(kept.seconds, kept.evaluations, kept.history, kept.path, *kept.held)
         self._kept = kept
         reached = run.best >= run.target

@@ -17,7 +17,6 @@ from inspe_jax.placement.convex_regions import (
     to_bounded,
     to_disc,
 )
-from inspe_jax.sensing.layout import UNIT_HEIGHT, UNIT_PLAN
 
 STEPS = dict(base=5.0, arm=0.5, height=2.0, offset=0.5, rise=1.0, yaw=np.pi / 4, pitch=np.pi / 18)
 """A typical step of each coordinate [m or rad]."""
@@ -123,38 +122,6 @@ class Limits:
     pitch: Range
     sector: Bool[np.ndarray, " S"]
     aimed: Bool[np.ndarray, " S"]
-
-    @classmethod
-    def of(
-        cls,
-        unit: np.ndarray,
-        above: Range,
-        yaw: Range,
-        pitch: Range,
-        aimed: np.ndarray,
-        plan: float = UNIT_PLAN,
-    ) -> "Limits":
-        """Limits from the ``unit`` (S,) of each sensor and the heights ``above`` (U,) the ground.
-
-        ``plan`` is the largest distance of a sensor from its foot, brackets aside [m].
-
-        A head keeps some distance from the ends of its heights, and sensors stay within the same
-        distance of their head. So sensors keep to the heights and the unit rule, and can be
-        anywhere within both. A unit's only sensor is at its head.
-        """
-        alone = np.bincount(unit, minlength=len(above.low)) == 1
-        spread = np.where(alone, 0.0, np.minimum(UNIT_HEIGHT / 2, above.half))
-        arm = np.where(alone, plan, plan / 2)
-        return cls(
-            Disc(arm),
-            Range(above.low + spread, above.high - spread),
-            Disc((plan - arm)[unit]),
-            Range(-spread[unit], spread[unit]),
-            yaw,
-            pitch,
-            yaw.half < np.pi,
-            aimed,
-        )
 
     def clip(self, c: Coordinates, xp: Any) -> Coordinates:
         """The nearest coordinates within the limits. A yaw keeps its number of turns."""

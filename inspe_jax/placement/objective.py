@@ -82,15 +82,6 @@ class Objective:
         reference, visibility = self.occlusion_reference or "roi", self.visibility or "in_view"
         check_options(self.weights, reference, visibility, detection=self.detection)
         metrics.chosen(self.metrics)
-        self._check_regions()
-        if self.over not in COMBINATIONS:
-            raise InspeError(f"over '{self.over}': one of {', '.join(COMBINATIONS)}")
-        for name, price in self.prices.items():
-            if not 0 <= price < float("inf"):
-                raise InspeError(f"price of {name} {price}: 0 or more, in US dollars")
-
-    def _check_regions(self) -> None:
-        """Raise InspeError where a region is unknown, or what has weight is not one of regions."""
         regions_of(self.regions)
         for name, weight in self.weights_by_name.items():
             if self.regions and weight and not metrics.METRICS[name].by_region:
@@ -99,6 +90,11 @@ class Objective:
                     f"{name} counts every voxel, whatever its region; for some regions only, give "
                     f"all weight to {', '.join(some)}"
                 )
+        if self.over not in COMBINATIONS:
+            raise InspeError(f"over '{self.over}': one of {', '.join(COMBINATIONS)}")
+        for name, price in self.prices.items():
+            if not 0 <= price < float("inf"):
+                raise InspeError(f"price of {name} {price}: 0 or more, in US dollars")
 
     def within(self, scene: Scene) -> Scene:
         """The scene with weight only in the regions that count. Raises InspeError if it has none of

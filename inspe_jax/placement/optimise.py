@@ -15,7 +15,6 @@ from inspe_jax.core.errors import InspeError, check_known, nearest, or_usual, wr
 from inspe_jax.core.files import check_output, check_writable, json_value
 from inspe_jax.core.version import versions
 from inspe_jax.mounting.strategies import STRATEGIES, strategy
-from inspe_jax.placement.candidates import COLUMNS, FRAMES
 from inspe_jax.placement.checkpoint import SUFFIXES, CheckpointWriter
 from inspe_jax.placement.constraints import Constraints
 from inspe_jax.placement.methods.registry import METHODS
@@ -30,7 +29,7 @@ from inspe_jax.placement.run import (
     check_budget,
     check_seed,
 )
-from inspe_jax.scoring.evaluate import evaluate
+from inspe_jax.scoring.evaluate import Scores, evaluate
 from inspe_jax.sensing.conditions import Conditions
 from inspe_jax.sensing.layout import Layout
 
@@ -40,10 +39,6 @@ DEFAULT_SECONDS = 60.0
 """Budget if none is given [s]."""
 STARTS = ("given", "random")
 """Names of starts, in addition to the strategies' names."""
-WARMING, WARMING_SAMPLES = 14.0, 400.0
-"""Budget of the run that compiles a method before it is compared: in evaluations, and in scores of
-one layout on a sample. The larger counts: in a small scene a sample costs as much as an
-evaluation."""
 LIBRARIES = ("jax", "numpy", "scipy", "optax", "jaxopt", "cmaes")
 """Libraries on which the outcome of a method depends; a result has their versions."""
 
@@ -148,10 +143,9 @@ def compare(
 
     ``methods`` are names of :func:`methods`; None means all that know the objective. ``seeds`` is a
     number of seeds, from 0 on, or the seeds. The other options are as in :func:`optimise`. All
-    searches use the same compiled scores. Each method first runs briefly, at most for its budget,
-    and that time is not counted, so that none pays for compiling, also not by what is compiled
-    beside it. ``progress`` is called with the method, the seed, the share of its budget spent and
-    its best score. Ctrl-C ends the comparison with the searches so far, the last one as it stands.
+    searches use the same compiled scores, and none pays for compiling: nothing is compiled beside
+    them. ``progress`` is called with the method, the seed, the share of its budget spent and its
+    best score. Ctrl-C ends the comparison with the searches so far, the last one as it stands.
     Raises InspeError as :func:`optimise`.
     """
     methods = [row.name for row in _knowing(objective)] if methods is None else methods
@@ -160,17 +154,8 @@ def compare(
     seconds = _seconds(seconds, evaluations)
     problem = Problem(cases_of(scene, conditions), layout, objective, constraints)
     results: list[Result] = []
-    most = np.inf if evaluations is None else evaluations
     try:
         for row in rows:
-            trial = Run(
-                problem,
-                _start(problem, start, several[0])[0],
-                seed=several[0],
-                evaluations=min(warming(problem), most),
-            )
-            if _drive(trial, row) == "interrupted":
-                raise KeyboardInterrupt
             for seed in several:
                 told = None if progress is None else partial(progress, row.name, seed)
                 result = _search(
@@ -178,6 +163,7 @@ def compare(
                     row,
                     seed,
                     start,
+                    beside=False,
                     seconds=seconds,
                     evaluations=evaluations,
                     progress=told,
@@ -191,12 +177,6 @@ def compare(
     return results
 
 
-def warming(problem: Problem) -> float:
-    """A budget in which any method comes to each of its parts [evaluations]."""
-    drawn = problem.draw(np.random.default_rng(0), COLUMNS, FRAMES)
-    return max(WARMING, WARMING_SAMPLES * problem.sample_cost(drawn))
-
-
 # ── One search ──────────────────────────────────────────────────────────────
 
 
@@ -206,13 +186,15 @@ def _search(
     seed: int,
     start: str | Layout,
     checkpoint: str | os.PathLike[str] | None = None,
+    beside: bool = True,
     **options: Any,
 ) -> Result:
-    """A search from a start; ``options`` are those of :class:`Run`."""
+    """A search from a start; ``options`` are those of :class:`Run`. ``beside``: whether programs
+    are compiled beside it."""
     x, notes = _start(problem, start, seed)
     run = Run(problem, x, seed=seed, **options)
     run.notes += notes
-    keeper = None
+    writer = None
     if checkpoint is not None:
         of = {
             "scene": digest(problem.cases),
@@ -223,29 +205,32 @@ def _search(
             "method": row.name,
             "seed": str(seed),
         }
-        keeper = CheckpointWriter(checkpoint, of, run)
-    status = _drive(run, row, keeper)
+        writer = CheckpointWriter(checkpoint, of, run)
+    status = _drive(run, row, writer, beside)
     try:
         return _result(run, row, status, start)
     except KeyboardInterrupt:  # the search is over; its result is kept
         return _result(run, row, "interrupted", start)
 
 
-def _drive(run: Run, row: Method, keeper: CheckpointWriter | None = None) -> str:
+def _drive(
+    run: Run, row: Method, writer: CheckpointWriter | None = None, beside: bool = True
+) -> str:
     """Run a method step by step to its end and return the status."""
-    state = keeper.take_up(row.states) if keeper else None
-    if keeper and keeper.ended:
-        return _settled(run, keeper.ended)
+    state = writer.take_up(row.states) if writer else None
+    if writer and writer.ended:
+        return _settled(run, writer.ended)
     status = ""
     try:
-        run.compile_ahead(row)
+        if beside:
+            run.compile_ahead(row)
         if not run.history:
             run.offer(run.start)
         following = row.begin(run) if state is None else state
         while following is not None:
             state = following
-            if keeper:
-                keeper.mark(state)
+            if writer:
+                writer.mark(state)
             following = row.step(run, state)
             run.report()
         status = "converged" if run.left > _ENDING else "budget spent"
@@ -260,8 +245,8 @@ def _drive(run: Run, row: Method, keeper: CheckpointWriter | None = None) -> str
     finally:
         run.close()
     status = _settled(run, status)
-    if keeper:
-        keeper.end(state, status)
+    if writer:
+        writer.end(state, status)
     return status
 
 
@@ -294,8 +279,11 @@ def _result(run: Run, row: Method, status: str, begun: str | Layout) -> Result:
         notes.append("nothing better than the start was found; try a larger budget or start")
     case = problem.cases[0]
     options = ("weights", "occlusion_reference", "visibility", "metrics", "detection")
-    readings = {name: getattr(objective, name) for name in options}
-    scores = partial(evaluate, case.scene, conditions=case.conditions, **readings)
+    readings: dict[str, Any] = {name: getattr(objective, name) for name in options}
+
+    def scores(of: Layout) -> Scores:
+        return evaluate(case.scene, of, conditions=case.conditions, **readings)
+
     after = scores(found)
     return Result(
         layout=replace(named_optimised(found), goal=objective.goal),

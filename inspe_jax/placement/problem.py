@@ -233,7 +233,21 @@ class Problem:
 
     def take(self, drawn: Drawn) -> tuple[SceneArrays, ...]:
         """The drawn columns and frames of every case's arrays, in NumPy."""
-        return take(self._on_host, drawn)
+        parts = []
+        for part, (at, when) in zip(self._on_host, drawn, strict=True):
+            centered, (count, levels) = part.centered, part.centered.heights.shape
+            leaves: Any = (part.weight, part.occupancy)
+            rows: list[Any] = [np.reshape(x, (count, levels))[at].ravel() for x in leaves]
+            place = CenteredScene(
+                centered.columns[at],
+                centered.heights[at],
+                centered.ground[at],
+                jax.tree.map(lambda leaf: leaf[when], centered.prisms),  # noqa: B023
+                None if centered.inside is None else centered.inside[at],
+                centered.statics,
+            )
+            parts.append(SceneArrays(place, *rows))
+        return tuple(parts)
 
     @cached_property
     def _on_host(self) -> tuple[SceneArrays, ...]:
@@ -360,24 +374,6 @@ def per_problem(build: "Callable[[Problem], Any]") -> "Callable[[Problem], Any]"
         return problem.compiled[build]
 
     return built_once
-
-
-def take(arrays: tuple[SceneArrays, ...], drawn: Drawn) -> tuple[SceneArrays, ...]:
-    """The drawn columns and frames of every case's arrays."""
-    parts = []
-    for part, (at, when) in zip(arrays, drawn, strict=True):
-        centered = part.centered
-        levels = centered.heights.shape[1]
-        leaves = (part.weight, part.occupancy)
-        weight, occupancy = (x.reshape(-1, levels)[at].reshape(-1) for x in leaves)  # type: ignore[union-attr]
-        prisms = jax.tree.map(lambda leaf: leaf[when], centered.prisms)  # noqa: B023
-        columns, heights, ground = (
-            x[at] for x in (centered.columns, centered.heights, centered.ground)
-        )
-        inside = None if centered.inside is None else centered.inside[at]
-        place = CenteredScene(columns, heights, ground, prisms, inside, centered.statics)
-        parts.append(SceneArrays(place, weight, occupancy))
-    return tuple(parts)
 
 
 def _spread(rng: np.random.Generator, total: int, count: int) -> np.ndarray:

@@ -108,12 +108,18 @@ def load_result(folder: str | os.PathLike[str]) -> Result:
     place = Path(folder)
     if not place.is_dir():
         raise InspeError(f"{place}: no such folder")
-    record = _read_record(place)  # first: a result of another version may lack other files
-    for name in FILES:
-        check_input(place / name)
-    layout, start = (load_layout(place / name) for name in FILES[:2])
+    record = read_json(place / "result.json")
     try:
-        del record["format"]
+        written = str(record.pop("format"))
+        if written != FORMAT and written.startswith(FORMAT.rstrip("0123456789")):
+            raise InspeError(
+                f"{place}: a result of another version of inspe_jax; run the search again"
+            )
+        if written != FORMAT:
+            raise ValueError(written)
+        for name in FILES:
+            check_input(place / name)
+        layout, start = (load_layout(place / name) for name in FILES[:2])
         for key in ("scores_before", "scores"):
             record[key] = _scores(record[key])
         record["notes"] = tuple(record["notes"])
@@ -143,24 +149,6 @@ def save_comparison(results: Sequence[Result], folder: str | os.PathLike[str]) -
     write_text(place / "compare.csv", csv_text(rows))
     steps = [_of(result) | asdict(row) for result in results for row in result.history]
     write_text(place / "history.csv", csv_text(steps))
-
-
-def _read_record(place: Path) -> dict[str, Any]:
-    """The content of ``result.json``. Raises InspeError if it is not a record of a result."""
-    record: dict[str, Any] = read_json(place / "result.json")
-    try:
-        written = str(record["format"])
-    except (KeyError, TypeError) as e:
-        raise InspeError(f"{place}: not a result saved by this package") from e
-    if written != FORMAT:
-        known = written.startswith(FORMAT.rstrip("0123456789"))
-        what = (
-            "a result of another version of inspe_jax; run the search again"
-            if known
-            else ("not a result saved by this package")
-        )
-        raise InspeError(f"{place}: {what}")
-    return record
 
 
 _POSE = ("x", "y", "z", "roll_deg", "pitch_deg", "yaw_deg")

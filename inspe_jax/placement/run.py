@@ -157,6 +157,19 @@ class Run:
             self._check_left()
         return self._score(np.array(x, float))
 
+    def offer_better(
+        self, x: Float[np.ndarray, "M N"], scores: Float[np.ndarray, " M"], value: float
+    ) -> tuple[int, float]:
+        """Score exactly the row of ``x`` that has the best of ``scores``, unless that is row 0.
+
+        ``value`` is the exact score of row 0. Returns the index of the row with the better exact
+        score, and that score. Raises as :meth:`offer`.
+        """
+        best = int(np.argmax(scores))
+        if best and (exact := self.offer(x[best])) > value:
+            return best, exact
+        return 0, value
+
     def hold(self, x: Float[np.ndarray, " N"]) -> None:
         """Keep the feasible coordinates (N,) that the method would end with, were it stopped now.
 

@@ -52,11 +52,17 @@ class Rows:
 
 
 @dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
-class Worth:
+class MarginalWeights:
     """What each bit (W,) of one more sensor adds, and each chance (X,)."""
 
     bits: Float[np.ndarray, " W"]
     chance: Float[np.ndarray, " X"]
+
+    def dot(self, rows: Rows) -> Float[np.ndarray, " K"]:
+        """The marginal gains (K,) of rows: the sums over their set bits and of their chances."""
+        value, bits = self.bits.astype(np.float32), rows.bits
+        parts = [bits[k : k + _PART].astype(np.float32) @ value for k in range(0, len(bits), _PART)]
+        return np.concatenate([np.zeros(0), *parts]) + rows.chance @ self.chance
 
 
 SampledRows = Mapping[int, Rows]
@@ -140,10 +146,10 @@ class SampleScore:
         left = [sum(part.sum() for part in self._left(rows, there)) for there in self._there]
         return float(total - np.mean(left))
 
-    def worth(self, rows: SampledRows, s: int) -> Worth:
-        """What each part of the row of one more sensor ``s`` adds; the sum over it is its gain."""
-        worth, finds = np.zeros(self._voxels + self._free.size), np.zeros(len(self._places))
-        first, rest = worth[: self._voxels], worth[self._voxels :].reshape(self._free.shape)
+    def marginal(self, rows: SampledRows, s: int) -> MarginalWeights:
+        """What each part of the row of one more sensor ``s`` adds beside the others."""
+        bits, finds = np.zeros(self._voxels + self._free.size), np.zeros(len(self._places))
+        first, rest = bits[: self._voxels], bits[self._voxels :].reshape(self._free.shape)
         for there in self._there:
             if s not in there:
                 continue
@@ -157,7 +163,7 @@ class SampleScore:
             else:
                 first += resolved
         count = len(self._there)
-        return Worth((worth / count).astype(np.float32), (finds / count).astype(np.float32))
+        return MarginalWeights(*((x / count).astype(np.float32) for x in (bits, finds)))
 
     def gains(self, rows: SampledRows, added: SampledRows) -> Float[np.ndarray, " K"]:
         """What some more sensors add together, for K choices of all their poses."""
@@ -172,14 +178,6 @@ class SampleScore:
             for s, more in new.items():
                 missed *= 1 - self._resolved(s, more.bits)
             finds = 1 - np.prod([1 - more.chance for more in new.values()], 0)
-            worth = Worth(np.concatenate([weight, free]), unfound)
-            gains += times(Rows(union, finds), worth) + (1 - missed) @ entropy
+            weights = MarginalWeights(np.concatenate([weight, free]), unfound)
+            gains += weights.dot(Rows(union, finds)) + (1 - missed) @ entropy
         return gains / len(self._there)
-
-
-def times(rows: Rows, worth: Worth) -> Float[np.ndarray, " K"]:
-    """The sums (K,) over the rows: of ``worth`` over the set bits, and of chances times it."""
-    value = worth.bits.astype(np.float32)
-    bits = rows.bits
-    parts = [bits[k : k + _PART].astype(np.float32) @ value for k in range(0, len(bits), _PART)]
-    return np.concatenate([np.zeros(0), *parts]) + rows.chance @ worth.chance

@@ -1,7 +1,4 @@
-"""The score of poses on samples, for searches.
-
-Sensors, weights and samples are arrays here, so programs compiled for one problem serve others.
-"""
+"""The score of poses on samples: programs that are compiled for one problem and serve others."""
 
 from functools import partial
 from typing import Any, NamedTuple

@@ -2,9 +2,9 @@
 
 A point of the set is a flat array of :class:`Coordinates`. The set is a product of the places
 where each unit's foot may stand (a union of convex pieces of ground and of poles), of discs, and
-of intervals. There are two ways to stay in it. :meth:`Space.project` gives its nearest point.
-:meth:`Space.chart` and :meth:`Space.from_chart` convert to coordinates without bounds and back.
-:meth:`Space.faults` uses neither: it checks a layout on the map.
+of intervals. :meth:`Space.project` gives its nearest point; :meth:`Space.chart` and
+:meth:`Space.from_chart` convert to coordinates without bounds and back. :meth:`Space.faults`
+checks a layout on the map instead.
 """
 
 from collections.abc import Collection
@@ -22,10 +22,10 @@ from inspe_jax.mounting.brackets import Brackets
 from inspe_jax.mounting.site import Site
 from inspe_jax.placement.constraints import PLACES, Constraints
 from inspe_jax.placement.convex_regions import make_regions
-from inspe_jax.placement.coordinates import PLANE, STEPS, Coordinates, Limits, Range
+from inspe_jax.placement.coordinates import PLANE, STEPS, Coordinates, Disc, Limits, Range
 from inspe_jax.placement.feasibility import TOLERANCE, Fault, differences, faults, on_span
 from inspe_jax.scene.scene import Scene
-from inspe_jax.sensing.layout import UNIT_PLAN, Layout, make_layout
+from inspe_jax.sensing.layout import UNIT_HEIGHT, UNIT_PLAN, Layout, make_layout
 
 _NEAR = 0.5  # a foot is charted on an area this near rather than on a pole [m]
 _APART = 2.5  # between the feet of two random units, where possible [m]
@@ -84,13 +84,23 @@ class Space:
         self._places = [options.places_of(name) for name in units]
         span = on_span(self.given, self.site)
         self._kept = span | (np.array(self._places) == "keep")
-        self._limits = Limits.of(
-            self._unit,
-            Range(*np.where(span[:, None], options.span_heights, options.heights).T),
-            Range(*np.array([options.yaw.get(name, (-np.pi, np.pi)) for name in names]).T),
-            Range(*np.array([options.pitch[sensor.spec.kind] for sensor in sensors]).T),
-            np.array([sensor.spec.aimed for sensor in sensors]),
-            self._brackets.largest_offset(UNIT_PLAN),
+        above = Range(*np.where(span[:, None], options.span_heights, options.heights).T)
+        yaw = Range(*np.array([options.yaw.get(name, (-np.pi, np.pi)) for name in names]).T)
+        # A head keeps as far from the ends of its heights as its sensors may be from it, so they
+        # keep to the heights and the unit rule. A unit's only sensor is at its head.
+        plan = self._brackets.largest_offset(UNIT_PLAN)
+        alone = np.bincount(self._unit, minlength=len(units)) == 1
+        spread = np.where(alone, 0.0, np.minimum(UNIT_HEIGHT / 2, above.half))
+        arm = np.where(alone, plan, plan / 2)
+        self._limits = Limits(
+            arm=Disc(arm),
+            height=Range(above.low + spread, above.high - spread),
+            offset=Disc((plan - arm)[self._unit]),
+            rise=Range(-spread[self._unit], spread[self._unit]),
+            yaw=yaw,
+            pitch=Range(*np.array([options.pitch[sensor.spec.kind] for sensor in sensors]).T),
+            sector=yaw.half < np.pi,
+            aimed=np.array([sensor.spec.aimed for sensor in sensors]),
         )
 
     def _set_places(self) -> None:
@@ -102,9 +112,13 @@ class Space:
         for u, foot in enumerate(self._feet):
             row: list[int] = []
             areas, poles = kinds[u]
-            if self._kept[u]:
-                self._check_kept(u)
-            else:
+            unit, away = self.given.units[u].name, float(np.hypot(*foot))
+            if self._kept[u] and away > self.site.radius + TOLERANCE:
+                raise InspeError(
+                    f"unit '{unit}' stands {away:.1f} m from the centre, beyond the radius of "
+                    f"{self.site.radius:g} m: it cannot stay there"
+                )
+            if not self._kept[u]:
                 near = np.hypot(*(feet - foot).T) <= (np.inf if move is None else move)
                 row = [*range(len(shared))] if areas else []
                 row += [*(len(shared) + np.flatnonzero(near))] if poles else []
@@ -118,30 +132,18 @@ class Space:
                 row.append(len(pool))
                 pool.append(foot[None])
             if not row:
-                raise InspeError(self._nowhere(u))
+                what = {"any": "no mounting area and no pole", "areas": "no mounting area"}
+                near = "the centre" if move is None else "its foot"
+                raise InspeError(
+                    f"{self.place.name}: unit '{unit}' has nowhere to stand: "
+                    f"{what.get(self._places[u], 'no pole')} off the driving lanes within "
+                    f"{self.site.radius if move is None else move:g} m of {near}; use places "
+                    "'keep', a larger move, an area of your own or a map with sidewalks"
+                )
             rows.append(row)
         self._pieces = make_regions(pool)
         self._allowed = np.array([np.isin(np.arange(len(pool)), row) for row in rows])
         self._pole = np.isin(np.arange(len(pool)), len(shared) + np.arange(len(feet)))
-
-    def _check_kept(self, u: int) -> None:
-        away, unit = float(np.hypot(*self._feet[u])), self.given.units[u]
-        if away > self.site.radius + TOLERANCE:
-            raise InspeError(
-                f"unit '{unit.name}' stands {away:.1f} m from the centre, beyond the radius of "
-                f"{self.site.radius:g} m: it cannot stay there"
-            )
-
-    def _nowhere(self, u: int) -> str:
-        what = {"any": "no mounting area and no pole", "areas": "no mounting area"}
-        where = f"{self.site.radius:g} m of the centre"
-        if self.constraints.move is not None:
-            where = f"{self.constraints.move:g} m of its foot"
-        return (
-            f"{self.place.name}: unit '{self.given.units[u].name}' has nowhere to stand: "
-            f"{what.get(self._places[u], 'no pole')} off the driving lanes within {where}; "
-            "use places 'keep', a larger move, an area of your own or a map with sidewalks"
-        )
 
     def _set_rasters(self) -> None:
         self._reach = self.site.radius + UNIT_PLAN + 4 * _CELL
@@ -191,10 +193,8 @@ class Space:
         if self._brackets:
             at = self._brackets.positions(at, c.yaw, self._limits.aimed, xp)
         above = c.height[self._unit] + c.rise
-        # A sensor over a lane is raised to the clearance. Two sensors of a unit that are up to 4 m
-        # apart stay so. If both are raised, or one up to at most the other, they come no further
-        # apart. If one is raised past the other, it is at the clearance and the other at the lowest
-        # height or above, and Constraints.check ensures that these are at most 4 m apart.
+        # A sensor over a lane is raised to the clearance. Two sensors of a unit stay within 4 m:
+        # Constraints.check ensures that the clearance is at most 4 m above the lowest height.
         cell = xp.floor((at + self._reach) / _CELL).astype(int)
         i, j = xp.clip(cell, 0, len(self._lane) - 1).T
         raised = xp.maximum(above, self.constraints.clearance)
@@ -240,11 +240,10 @@ class Space:
     def chart(self, x: Float[Any, " N"]) -> tuple[Float[np.ndarray, " N"], Int[np.ndarray, " U"]]:
         """Feasible coordinates as coordinates without bounds, and the region (U,) of each unit.
 
-        A region is a piece of ground or a pole. In the middle of its range, a coordinate without
-        bounds moves as the coordinate itself, in metres or radians; ``scale`` is a typical step of
-        both. If a unit's pole is on an area where the unit may stand, or within 0.5 m of it, the
-        area is its region. A coordinate on a bound counts as slightly inside, by 1 % of the way to
-        the middle.
+        A region is a piece of ground or a pole; the area, if a unit's pole is on one where the unit
+        may stand, or within 0.5 m of it. In the middle of its range, a coordinate without bounds
+        moves as the coordinate itself. A coordinate on a bound counts as slightly inside, by 1 % of
+        the way to the middle.
         """
         c = self.split(np.asarray(x, float))
         far = self._pieces.nearest(c.base, self._allowed)[2]  # (U, K), squared
@@ -268,9 +267,8 @@ class Space:
     ) -> tuple[Float[np.ndarray, " N"], tuple[str, ...]]:
         """The feasible coordinates nearest to a layout of these sensors, and notes on what moved.
 
-        A unit's sensors move with its foot and keep their heights above the ground. The notes say
-        of units with a name in ``added`` that they were added, not moved. Raises InspeError if the
-        layout has other sensors.
+        A unit's sensors move with its foot and keep their heights above the ground. Units with a
+        name in ``added`` are said to be added. Raises InspeError if the layout has other sensors.
         """
         ours, theirs = ([(s.spec, s.unit) for s in of.sensors] for of in (self.given, layout))
         if ours != theirs:
@@ -289,8 +287,7 @@ class Space:
         arm, height = np.zeros_like(feet), np.zeros(len(feet))
         for u, members in enumerate(map(list, layout.members())):
             # The head is the middle of the smallest circle round the foot and its sensors, each
-            # without its bracket. If any point is near enough to the foot and to every sensor,
-            # this one is.
+            # without its bracket.
             circle = minimum_bounding_circle(MultiPoint([(0.0, 0.0), *out[members]]))
             one_spot = len(members) == 1 or circle.area == 0
             arm[u] = out[members[0]] if one_spot else circle.centroid.coords[0]

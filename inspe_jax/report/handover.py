@@ -6,7 +6,6 @@ from html import escape
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
 from shapely.geometry import Polygon, mapping
 from shapely.geometry.polygon import orient
 
@@ -46,14 +45,11 @@ def plan_features(layout: Layout, place: Intersection) -> list[dict[str, Any]]:
         outline = view_outline(sensor.spec, pose, float(level))
         if len(outline) < 4:  # it looks at nothing, as from below the ground
             continue
-        ring = orient(Polygon(_degrees(outline, place)))
+        degrees = known_georeference(place).to_degrees(outline).round(DIGITS)
+        ring = orient(Polygon(degrees))
         about = dict(feature="view", name=sensor.name, kind=sensor.spec.kind)
         found.append({"type": "Feature", "geometry": mapping(ring), "properties": about})
     return found
-
-
-def _degrees(points: Float[np.ndarray, "N 2"], place: Intersection) -> Float[np.ndarray, "N 2"]:
-    return known_georeference(place).to_degrees(points).round(DIGITS)
 
 
 def plan_geojson(layout: Layout, place: Intersection) -> str:
@@ -109,14 +105,10 @@ def plan_kml(layout: Layout, place: Intersection) -> str:
             kml_geometry=create_kml_geometry(shape(geometry), altitude_mode=mode),
         )
 
-    features = plan_features(layout, place)
-    folders = []
-    for kind in ("unit", "sensor", "view"):
-        folder = Folder(name=f"{kind}s")
-        for one in features:
-            if one["properties"]["feature"] == kind:
-                folder.append(placemark(one))
-        folders.append(folder)
+    by_kind: dict[str, list[Any]] = {"unit": [], "sensor": [], "view": []}
+    for one in plan_features(layout, place):
+        by_kind[one["properties"]["feature"]].append(placemark(one))
+    folders = [Folder(name=f"{kind}s", features=own) for kind, own in by_kind.items()]
     styles = [
         Style(
             id=kind,

@@ -123,20 +123,24 @@ def report_entry(
     search if None. ``target`` is the P_sm that the layout should reach. Raises InspeError as
     :func:`inspe_jax.evaluate` does.
     """
-    scene, around = case.scene, dict(conditions=case.conditions)
-    options: dict[str, Any] = around | dict(weights=weights, metrics=metrics, detection=detection)
+    scene, around = case.scene, case.conditions
+    options: dict[str, Any] = dict(weights=weights, metrics=metrics, detection=detection)
+
+    def scores(of: Layout) -> Scores:
+        return evaluate(scene, of, conditions=around, **options)
+
     if start is None and result is not None:
         start = Start(result.start, "where the search began")
-    found, targets = evaluate(scene, layout, **options), None
+    found, targets = scores(layout), None
     if any(row.name in found.metrics for row in ROWS):
-        targets = target_view(scene, layout, **around, detection=detection)
+        targets = target_view(scene, layout, conditions=around, detection=detection)
     return ReportEntry(
         layout,
         found,
-        viewshed(scene, layout, **around),
+        viewshed(scene, layout, conditions=around),
         result=result,
         start=start,
-        before=None if start is None else evaluate(scene, start.layout, **options),
+        before=None if start is None else scores(start.layout),
         target=target,
         targets=targets,
     )
@@ -300,7 +304,7 @@ def _figures(
         assert entry.before is not None
         found["Before and after"] = partial(
             before_after, scene, entry.start.layout, layout, entry.before, scores,
-            path=result and result.path, frame=frame,
+            path=None if result is None else result.path, frame=frame,
         )  # fmt: skip
     if result is not None:
         found["Score against time"] = partial(history_view, [result])

@@ -2,7 +2,6 @@
 
 from collections import Counter
 from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float
@@ -12,6 +11,7 @@ from rich.text import Text
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.tables import table_of
 from inspe_jax.scene.georeference import Georeference
+from inspe_jax.scene.maps.parts import JunctionInfo
 from inspe_jax.scene.procedural.built_ins import BUILT_INS, built_in
 from inspe_jax.scene.profiles import Profile
 from inspe_jax.scene.regions import WEIGHTS, Region
@@ -20,9 +20,6 @@ from inspe_jax.scene.terrain import Terrain
 from inspe_jax.sensing.catalogue import Device
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.sensing.sensors import Spec
-
-if TYPE_CHECKING:
-    from inspe_jax.scene.maps.opendrive.reader import JunctionInfo
 
 
 def scene_table(scene: Scene) -> RenderableType:
@@ -130,7 +127,7 @@ def profile_table(profile: Profile) -> RenderableType:
 
 
 def junctions_table(
-    infos: "Iterable[JunctionInfo]", map_name: str, georeference: Georeference | None = None
+    infos: Iterable[JunctionInfo], map_name: str, georeference: Georeference | None = None
 ) -> RenderableType:
     """The junctions of a map: id, centre (x, y, z) [m], arms, size, crosswalks and signals.
 

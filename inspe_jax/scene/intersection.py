@@ -18,6 +18,7 @@ from inspe_jax.core.digest import ORIGIN
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.records import Described, check_values
 from inspe_jax.scene.georeference import Georeference
+from inspe_jax.scene.lines import arc_of
 from inspe_jax.scene.mesh import Mesh
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.statics import StaticBody
@@ -62,8 +63,7 @@ class Route:
     @cached_property
     def arc(self) -> Float[np.ndarray, " N"]:
         """Plan-view arc length at each waypoint [m]."""
-        steps = np.linalg.norm(np.diff(self.waypoints[:, :2], axis=0), axis=1)
-        return np.concatenate([[0.0], np.cumsum(steps)])
+        return arc_of(self.waypoints)
 
     @property
     def length(self) -> float:

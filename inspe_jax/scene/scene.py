@@ -231,13 +231,7 @@ def load_scene(source: str | os.PathLike[str], profile: str | None = None) -> Sc
     if str(source) in BUILT_INS:
         return build_scene(built_in(str(source)), profile=profile or DEFAULT_PROFILE)
     path = Path(source)
-    if path.suffix not in SCENE_SUFFIXES:
-        if other := what_is(path):
-            raise InspeError(f"{path}: {other}")
-        raise InspeError(
-            f"no scene '{source}': a built-in ({', '.join(BUILT_INS)}) or a saved .npz file"
-            + nearest(str(source), tuple(BUILT_INS))
-        )
+    check_scene_name(path)
     with open_arrays(path, "not a scene saved by this package") as arrays:
         try:
             scene = _unpack(arrays)
@@ -250,6 +244,17 @@ def load_scene(source: str | os.PathLike[str], profile: str | None = None) -> Sc
             return scene.check()
         except InspeError as e:
             raise InspeError(f"{path}: {e}") from None
+
+
+def check_scene_name(source: str | os.PathLike[str]) -> None:
+    """Raise InspeError unless a name is that of a built-in, or can be that of a saved scene."""
+    if str(source) in BUILT_INS or Path(source).suffix in SCENE_SUFFIXES:
+        return
+    if other := what_is(source):
+        raise InspeError(f"{source}: {other}")
+    known = tuple(BUILT_INS)
+    what = f"a built-in ({', '.join(known)}), a saved .npz, or a map (.xodr, .net.xml, .osm)"
+    raise InspeError(f"no scene '{source}': give {what}{nearest(str(source), known)}")
 
 
 def what_is(path: str | os.PathLike[str]) -> str:
@@ -389,7 +394,8 @@ def _unpack(data: Mapping[str, np.ndarray]) -> Scene:
         georeference=given and Georeference(given[0], (given[1], given[2])),
         mesh=Mesh(*(data[f"mesh_{k}"] for k in _MESH)) if "mesh_triangles" in data else None,
     )
-    grid = VoxelGrid(*(data[f"grid_{k}"] for k in _GRID), *record["grid"])
+    columns, ground, region, center = (data[f"grid_{k}"] for k in _GRID)
+    grid = VoxelGrid(columns, ground, region, center, *record["grid"])
     traffic = TrafficFrames(**{k: data[f"traffic_{k}"] for k in _TRAFFIC})
     settings = tuple((k, v) for k, v in record["settings"])
     terrain = None

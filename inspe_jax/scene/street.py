@@ -76,8 +76,8 @@ def statics_of(
     if name == "street":
         return untouched(street_bodies(place, radius), traffic)
     found = map_bodies(place, radius)
-    kept = {id(one) for one in untouched(found, traffic)}
-    return tuple(one for one in found if one.kind in ("building", "solid") or id(one) in kept)
+    kept = untouched(found, traffic)
+    return tuple(one for one in found if one.kind in ("building", "solid") or one in kept)
 
 
 def map_bodies(place: Intersection, radius: float) -> tuple[StaticBody, ...]:
@@ -176,8 +176,10 @@ class _Room:
         crossings = unary_union([place.regions[r] for r in some if r in place.regions])
         poles = unary_union([Point(foot[:2]).buffer(FROM_POLES) for foot in place.poles])
         near, ground = area.buffer(5.0), unary_union(list(place.regions.values()))
-        shapes = (shape.intersection(near) for shape in (lanes, walked, crossings, ground))
-        return cls(place, area, *shapes, poles, [])
+        lanes, walked, crossings, ground = (
+            shape.intersection(near) for shape in (lanes, walked, crossings, ground)
+        )
+        return cls(place, area, lanes, walked, crossings, ground, poles, [])
 
     def takes(self, one: StaticBody, from_crossings: float = 0.3) -> bool:
         """Whether a body may stand where it is."""

@@ -368,7 +368,7 @@ def _numbers(x: Any) -> Any:
 
 def options_of(
     scene: Scene, occlusion_reference: str | None = None, visibility: str | None = None
-) -> dict[str, str]:
+) -> dict[str, Any]:
     """The two options by name; the scene's profile gives those that are None."""
     return dict(
         occlusion_reference=occlusion_reference or scene.profile.occlusion_reference,

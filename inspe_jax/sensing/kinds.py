@@ -1,8 +1,8 @@
 """Kinds of sensor: the keys with which a catalogue describes their devices.
 
 To add a kind, write its spec, a subclass of :class:`~inspe_jax.sensing.sensors.Spec`, and here its
-catalogue keys with a row of :data:`SENSOR_KINDS`. Scores, searches, layout files and catalogues
-work with the new kind then. Light and weather take nothing from it until ``conditions.toml`` has
+catalogue keys with a row of :data:`SENSOR_KINDS`. Scores, searches and layout files work
+with the new kind then. Light and weather take nothing from it until ``conditions.toml`` has
 figures for it, and a profile does not change its reliability. A recorder says that it cannot
 simulate the kind until it has a row in the recorder's own table.
 """

@@ -268,8 +268,8 @@ def _defaults(profile: str, sized: bool) -> dict[str, list[Any]]:
     Where the study gives a voxel size (``sized``), the spacing is found when a scene is built.
     """
     own = profile_of(profile)
-    lattice = dict(spacing=[None]) if sized else {}
-    rest = dict(
+    lattice: dict[str, list[Any]] = dict(spacing=[None]) if sized else {}
+    rest: dict[str, list[Any]] = dict(
         weights=[None],
         occlusion_reference=[own.occlusion_reference],
         visibility=[own.visibility],

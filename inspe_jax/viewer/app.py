@@ -82,7 +82,7 @@ class Viewer:
         self.frames = case.scene.traffic.frame_count
         self.session = LayoutSession(case.scene, layout)
         self.views: dict[int, BrowserView] = {}
-        self.searching, self._best = False, layout
+        self.searching = False
         self._waiting, self._compiles = "", -COMPILES  # what compiles, and when it last did
         self._course, self._began = "", 0.0  # how far the search is, and when it began
         self.queue = JobQueue(self._failed)
@@ -259,7 +259,7 @@ class Viewer:
         def job() -> None:
             if self.searching:
                 return
-            self.searching, self._best = True, self.layout
+            self.searching = True
             self.panel.searching(True)
             set_value(self.panel.bar, 0.0)
             usual = usual_seconds(f"search by {method}", SEARCH_COMPILES)
@@ -331,7 +331,6 @@ class Viewer:
         def job() -> None:
             if not self.searching:
                 return
-            self._best = layout
             self.show_held(layout)
             try:
                 self.store.keep(layout)  # in case the page is lost

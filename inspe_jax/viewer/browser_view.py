@@ -2,6 +2,7 @@
 numbers, and what they see. The layout is everybody's."""
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -49,13 +50,8 @@ class BrowserView:
         self.controls = SensorControls(client.gui, viewer, self, viewer.panel.sensor_orders)
         self.selection3d = Selection3D(client.scene, viewer.scene3d.shift)
         self.handle = Handle(client.scene, self.on_drag)
-        self.sensor_view = SensorView(
-            client.gui,
-            self.controls.sensor_view,
-            viewer.case,
-            viewer.queue.failed,
-            self._show_points,
-        )
+        folder, failed = self.controls.sensor_view, viewer.queue.failed
+        self.sensor_view = SensorView(client.gui, folder, viewer.case, failed, self._show_points)
 
     @property
     def in_hand(self) -> int | None:
@@ -133,10 +129,9 @@ class BrowserView:
     def rename(self, name: str) -> None:
         """Give the sensor in hand another name, once nothing more is typed."""
 
-        def change() -> None:
-            self._viewer.session.rename(self._held(), name)
-
-        self._typing["name"].start(NAMED, lambda: self._viewer.change(change))
+        viewer = self._viewer
+        rename = partial(viewer.change, lambda: viewer.session.rename(self._held(), name))
+        self._typing["name"].start(NAMED, rename)
 
     def duplicate(self) -> None:
         """Add a copy of the sensor in hand to its unit, and select it."""

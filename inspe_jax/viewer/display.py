@@ -152,7 +152,7 @@ class Display:
         """Show a browser what its selected sensors see, and which they are."""
         view.show_outlines()
         self._look(view)
-        self._show_table(view)
+        view.show_table(self.shown, self.scored if self._current else None)
 
     def draw_users(self, frame: int) -> None:
         """Show the road users of a frame."""
@@ -261,9 +261,6 @@ class Display:
         """Look through a browser's selected sensor in the frame that is shown."""
         view.look(self.shown, max(self._drawn_frame, 0))
 
-    def _show_table(self, view: BrowserView) -> None:
-        view.show_table(self.shown, self.scored if self._current else None)
-
     def _wait(self) -> None:
         """Until the shown layout has scores, fade the old ones and say what is being done."""
 
@@ -282,7 +279,11 @@ class Display:
         """Show what is known of the shown layout, and the target, in the panel."""
         scored = self.scored
         for view in list(self._views.values()):
-            self._show_table(view)
+            view.show_table(self.shown, scored if self._current else None)
+        state, waiting = compiled(), "scoring …"
+        if state.now:
+            usual = usual_seconds(SCORES, SCORES_COMPILE)
+            waiting = waiting_words(state.seconds - self._compiled, usual)
         page = score_panel(
             self.shown,
             scored,
@@ -292,7 +293,7 @@ class Display:
             reference_words=self.reference.words,
             faults=[fault.words for fault in self._faults],
             notes=self._notes,
-            waiting=self._waiting_words(),
+            waiting=waiting,
             faded=self._faded,
             road_user=self._mapped,
             awaited=self._panel.road_user if self._mapped is None else None,
@@ -306,10 +307,3 @@ class Display:
         if words != self._label:
             self._label = words
             self._server.gui.set_panel_label(words)
-
-    def _waiting_words(self) -> str:
-        """What is being done while there are no scores yet."""
-        state = compiled()
-        if not state.now:
-            return "scoring …"
-        return waiting_words(state.seconds - self._compiled, usual_seconds(SCORES, SCORES_COMPILE))

@@ -4,7 +4,6 @@ Browsers, the scorer and the search submit actions from threads of their own.
 """
 
 import threading
-from collections import defaultdict, deque
 from collections.abc import Callable, Hashable
 from contextvars import copy_context
 from functools import partial
@@ -22,15 +21,13 @@ PATIENCE = 2.0
 class JobQueue:
     """Runs actions one after another, in the order in which they were submitted.
 
-    ``failed`` is told of every exception that an action raises. Of what a browser asks for, at most
-    :data:`WAITING` actions wait, the newest.
+    Of what a browser asks for, at most :data:`WAITING` actions wait, the newest.
     """
 
     def __init__(self, failed: Callable[[Exception], None]) -> None:
-        """``failed`` is called on the queue's thread with the exception that an action raised."""
+        """``failed`` is called on the queue's thread with every exception that an action raises."""
         self.failed = failed
         self._waiting: dict[Hashable, tuple[Hashable, Action]] = {}  # by key: who asked, for what
-        self._asked: defaultdict[Hashable, deque[Hashable]] = defaultdict(deque)  # keys, by who
         self._changed = threading.Condition()
         self._closed = False
         self._thread = threading.Thread(target=self._work, name="queue", daemon=True)
@@ -47,11 +44,10 @@ class JobQueue:
             if self._closed:
                 return
             self._waiting[key] = who, action
-            if who is not None:
-                self._asked[who].append(key)
-                if len(self._asked[who]) > WAITING:
-                    del self._waiting[self._asked[who].popleft()]
-                    self._waiting["too many"] = None, _too_many
+            own = [] if who is None else [k for k, (by, _) in self._waiting.items() if by == who]
+            if len(own) > WAITING:
+                del self._waiting[own[0]]
+                self._waiting["too many"] = None, _too_many
             self._changed.notify()
 
     def close(self, patience: float = PATIENCE) -> None:
@@ -75,11 +71,7 @@ class JobQueue:
                 self._changed.wait_for(lambda: self._waiting or self._closed)
                 if not self._waiting:
                     return
-                who, action = self._waiting.pop(next(iter(self._waiting)))
-                if who is not None:
-                    self._asked[who].popleft()
-                    if not self._asked[who]:
-                        del self._asked[who]
+                _, action = self._waiting.pop(next(iter(self._waiting)))
             try:
                 action()
             except Exception as e:

@@ -71,8 +71,7 @@ class Panel:
     def __init__(self, gui: viser.GuiApi, viewer: Any, frames: int, around: Conditions) -> None:
         """``viewer`` has the methods that are bound below; ``frames`` of traffic there are, and
         the conditions at the start are those ``around``."""
-        plain: Any = dict(show_logo=False, show_share_button=False, brand_color=(0, 114, 178))
-        gui.configure_theme(**plain)
+        gui.configure_theme(show_logo=False, show_share_button=False, brand_color=(0, 114, 178))
         gui.main_panel.dock_right()
         self._gui, self._viewer, self._frames = gui, viewer, frames
         self._question: Any = None
@@ -131,7 +130,9 @@ class Panel:
         for key in KEYS:
             bound = self._changes if key.changes else self._looks
             bound(self.keys[key.words], partial(key.ask, viewer))
-        self._changes(self.edit, lambda _: self._edit(self.edit.value))
+        edit = {which: partial(viewer.undo_or_redo, which) for which in ("Undo", "Redo")}
+        edit["Save"] = viewer.files.save
+        self._changes(self.edit, lambda _: edit[self.edit.value]())
         compare = {"Set to this": viewer.set_reference, "Swap": viewer.swap_reference}
         self._changes(self.compare, lambda _: compare[self.compare.value]())
         bind_choice(self.method)
@@ -226,12 +227,6 @@ class Panel:
     def _changes(self, control: Any, ask: Callable[[Any], object]) -> None:
         """Bind what changes the layout, saves it or begins something with it."""
         bind(control, ask, refuse=self._viewer.restore, settle=self._viewer.settle)
-
-    def _edit(self, what: str) -> None:
-        if what == "Save":
-            self._viewer.files.save()
-        else:
-            self._viewer.undo_or_redo(what)
 
     def show_report(self, words: str, *, ready: bool) -> None:
         """Say how far the report is, and offer it once it is ``ready``."""

@@ -394,7 +394,9 @@ def segments(line: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "M 2 3"]:
 
 def mixed(one: str, other: str, share: float) -> str:
     """A colour between two, with so much of the other, from 0 to 1."""
-    return to_hex((1.0 - share) * np.array(to_rgb(one)) + share * np.array(to_rgb(other)))
+    pairs = zip(to_rgb(one), to_rgb(other), strict=True)
+    red, green, blue = ((1.0 - share) * a + share * b for a, b in pairs)
+    return to_hex((red, green, blue))
 
 
 def rgb(color: str) -> tuple[int, int, int]:
@@ -405,9 +407,9 @@ def rgb(color: str) -> tuple[int, int, int]:
 
 def quaternion(turn: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "4"]:
     """A rotation matrix as w, x, y, z."""
-    return np.roll(Rotation.from_matrix(turn).as_quat(), 1)
+    return np.asarray(Rotation.from_matrix(turn).as_quat(scalar_first=True))
 
 
 def turn_of(wxyz: Float[np.ndarray, "4"]) -> Float[np.ndarray, "3 3"]:
     """The rotation matrix of w, x, y, z."""
-    return Rotation.from_quat(np.roll(np.asarray(wxyz, float), -1)).as_matrix()
+    return Rotation.from_quat(np.asarray(wxyz, float), scalar_first=True).as_matrix()

@@ -80,6 +80,9 @@ def score_panel(
     scores = None if scored is None else scored.scores
     before = None if scores is None or reference is None else reference.surrogate
     new = scored if scored is not None and scored.layout is layout and not outdated else None
+    reference_in = ""  # other conditions, those of its scores
+    if scores is not None and reference is not None and scores.conditions != reference.conditions:
+        reference_in = str(reference.conditions)
     against = f"The reference is {reference_words}"
     headline = _HEADLINE.render(
         scores=scores,
@@ -89,7 +92,7 @@ def score_panel(
         before=before,
         target=target,
         target_color=TARGET_COLOR,
-        reference_in=_elsewhere(scores, reference),
+        reference_in=reference_in,
         meaning=f"P_sm: {SURROGATE.summary}",
         state=waiting if new is None else _state(new, frames),
         new=new is not None,
@@ -183,13 +186,6 @@ def _change(value: float, before: float | None, digits: int = 4) -> str:
     """A change with its sign; nothing where none is known, or would be seen in its digits."""
     text = "" if before is None else f"{value - before:+.{digits}f}"
     return text if text.strip("+-0.") else ""
-
-
-def _elsewhere(scores: Scores | None, reference: Scores | None) -> str:
-    """The conditions of the reference's scores, if they are others."""
-    if scores is None or reference is None or scores.conditions == reference.conditions:
-        return ""
-    return str(reference.conditions)
 
 
 def _found_keys(road_user: str) -> tuple[tuple[str, str], ...]:

@@ -15,7 +15,6 @@ The process ends when its input does. It has the metrics that ``import inspe_jax
 objective with weight on another one fails in it.
 """
 
-import math
 import os
 import pickle
 import signal
@@ -23,20 +22,15 @@ import sys
 import threading
 import time
 import traceback
-from dataclasses import dataclass, field
 from functools import partial
 from queue import SimpleQueue
-from typing import IO, Any
+from typing import IO, Any, NamedTuple
 
 import jax
 
 from inspe_jax.core.compiling import compiled, leave, remember_seconds
 from inspe_jax.core.errors import InspeError
-from inspe_jax.placement.constraints import Constraints
-from inspe_jax.placement.objective import Objective
 from inspe_jax.placement.optimise import optimise
-from inspe_jax.placement.problem import Case
-from inspe_jax.sensing.layout import Layout
 
 SETTINGS = (
     "jax_compilation_cache_dir",
@@ -52,23 +46,17 @@ NICE = 5
 """How much the search's priority is lowered, so that the page gets the cores first."""
 
 
-@dataclass(frozen=True)
-class SearchTask:
-    """A search, with the arguments of :func:`~inspe_jax.placement.optimise.optimise`.
+class SearchTask(NamedTuple):
+    """A search: the ``arguments`` of :func:`~inspe_jax.placement.optimise.optimise` by name, and
+    the ``settings`` of JAX."""
 
-    ``settings`` are those of JAX.
-    """
+    arguments: dict[str, Any]
+    settings: dict[str, Any]
 
-    case: Case
-    layout: Layout
-    method: str
-    seconds: float
-    objective: Objective
-    constraints: Constraints
-    target: float = math.inf
-    settings: dict[str, Any] = field(
-        default_factory=lambda: {name: getattr(jax.config, name) for name in SETTINGS}
-    )
+
+def search_task(**arguments: Any) -> SearchTask:
+    """A search with these arguments, and with the settings of this process."""
+    return SearchTask(arguments, {name: getattr(jax.config, name) for name in SETTINGS})
 
 
 class _MessageWriter:
@@ -117,13 +105,7 @@ def _search(task: SearchTask, out: _MessageWriter) -> None:
     out.compiled = before = compiled().seconds
     try:
         result = optimise(
-            task.case,
-            task.layout,
-            task.method,
-            task.seconds,
-            objective=task.objective,
-            constraints=task.constraints,
-            target=task.target,
+            **task.arguments,
             progress=partial(out.send, "progress"),
             found=partial(out.send, "found"),
         )
@@ -133,7 +115,7 @@ def _search(task: SearchTask, out: _MessageWriter) -> None:
         traceback.print_exception(e)
         out.send("failed", f"the search failed: {e!r}")
     else:
-        remember_seconds(f"search by {task.method}", compiled().seconds - before)
+        remember_seconds(f"search by {task.arguments['method']}", compiled().seconds - before)
         out.send("ended", result)
 
 

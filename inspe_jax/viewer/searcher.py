@@ -18,7 +18,7 @@ from inspe_jax.placement.problem import Case
 from inspe_jax.scoring.detection import DetectionCurves
 from inspe_jax.scoring.metrics import Weights
 from inspe_jax.sensing.layout import Layout
-from inspe_jax.viewer.search_process import SearchTask
+from inspe_jax.viewer.search_process import SearchTask, search_task
 
 PATIENCE = 0.4
 """Time that a process gets to end by itself before it is killed [s]."""
@@ -136,9 +136,10 @@ class Searcher:
             except OSError as e:
                 self._end(f"no process could be started for the search: {e.strerror}", failed=True)
                 return
-            task = SearchTask(
-                self.case, layout, method, seconds, self.objective, self.constraints, target
-            )
+            task = search_task(
+                scene=self.case, layout=layout, method=method, seconds=seconds, target=target,
+                objective=self.objective, constraints=self.constraints,
+            )  # fmt: skip
             # The process reads only once it has started; the caller should not wait for that.
             threading.Thread(target=self._send, args=(self._process, task), daemon=True).start()
 
@@ -233,8 +234,9 @@ class Searcher:
         elif kind == "ended":
             result, self.running = content[0], False
             scores = result.objective_before, result.objective
-            reason = REASONS[result.status]
-            self._ended(SearchEnding(result.layout, *scores, reason, notes=result.notes))
+            self._ended(
+                SearchEnding(result.layout, *scores, REASONS[result.status], notes=result.notes)
+            )
 
 
 def _release(process: "subprocess.Popen[bytes]") -> int:

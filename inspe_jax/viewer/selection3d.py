@@ -28,15 +28,13 @@ class Selection3D:
     def draw_outlines(self, outlines: Sequence[Outline]) -> None:
         """Draw these outlines in place of those before."""
         for k, found in enumerate(outlines):
+            color = rgb(found.color)
             if k == len(self.outlines):
-                color = rgb(found.color)
-                self.outlines.append(
-                    self._api.add_line_segments(
-                        f"selected/{k + 1}", found.points, color, thickness=WIDE
-                    )
-                )
+                name = f"selected/{k + 1}"
+                line = self._api.add_line_segments(name, found.points, color, thickness=WIDE)
+                self.outlines.append(line)
             line = self.outlines[k]
-            line.points, line.colors = found.points, np.array(rgb(found.color), np.uint8)
+            line.points, line.colors = found.points, np.array(color, np.uint8)
             line.visible = True
         for line in self.outlines[len(outlines) :]:
             line.visible = False
@@ -48,14 +46,10 @@ class Selection3D:
                 self.points.remove()
             self.points = None
             return
-        at = (points - self._shift).astype(np.float32)
+        at, color = (points - self._shift).astype(np.float32), rgb(SENSOR_COLORS["lidar"])
         if self.points is None:
             self.points = self._api.add_point_cloud(
-                "points",
-                at,
-                rgb(SENSOR_COLORS["lidar"]),
-                point_size=POINT_SIZE,
-                point_shading="flat",
+                "points", at, color, point_size=POINT_SIZE, point_shading="flat"
             )
         else:
             self.points.points = at

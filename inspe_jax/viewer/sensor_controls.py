@@ -15,18 +15,10 @@ from inspe_jax.viewer.bindings import bind, bind_choice, set_value
 from inspe_jax.viewer.score_panel import sensor_table
 from inspe_jax.viewer.scorer import ScoredLayout
 
-POSE = {
-    "x": "x [m]",
-    "y": "y [m]",
-    "height": "height [m]",
-    "yaw": "yaw [°]",
-    "pitch": "pitch [°]",
-}
-"""The numbers of a pose, with their labels."""
 DIGITS = {"x": 2, "y": 2, "height": 2, "yaw": 1, "pitch": 1}
-"""The decimals with which they are shown and typed."""
-
-
+"""The numbers of a pose, with the decimals that are shown and typed."""
+POSE = {key: f"{key} [°]" if key in ("yaw", "pitch") else f"{key} [m]" for key in DIGITS}
+"""Their labels."""
 NONE = "No sensor is selected"
 _WORDS = "padding:.1em 1em;font-size:.875em;line-height:1.4;color:#1d1d1f"
 
@@ -85,14 +77,18 @@ class SensorControls:
         def changes(control: Any, ask: Callable[[], object]) -> None:
             bind(control, lambda _: ask(), refuse=viewer.restore, settle=viewer.settle)
 
+        def typed(key: str) -> None:
+            view.type_number(key, float(self.pose[key].value))
+
+        existing = {"Duplicate": view.duplicate, "Remove": view.remove}
         selects(self.sensor, lambda: view.select(self.sensor.options.index(self.sensor.value)))
         selects(self.row_buttons, lambda: view.select(int(self.row_buttons.value) - 1))
         selects(self.toggle_buttons, lambda: view.toggle(int(self.toggle_buttons.value) - 1))
         selects(self.name, lambda: view.rename(self.name.value))
         for key, number in self.pose.items():
-            selects(number, partial(self._typed, view, key))
+            selects(number, partial(typed, key))
         changes(self.device, lambda: view.swap(self._devices[self.device.value]))
-        changes(self.existing, lambda: self._do(view, self.existing.value))
+        changes(self.existing, lambda: existing[self.existing.value]())
         bind_choice(self.new, chosen=self._not_offered)
         changes(self.add, lambda: view.add(self._devices[self.new.value]))
 
@@ -146,12 +142,3 @@ class SensorControls:
 
     def _not_offered(self) -> None:
         self._offered = None
-
-    def _typed(self, view: Any, key: str) -> None:
-        view.type_number(key, float(self.pose[key].value))
-
-    def _do(self, view: Any, what: str) -> None:
-        if what == "Duplicate":
-            view.duplicate()
-        else:
-            view.remove()

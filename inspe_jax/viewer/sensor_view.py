@@ -63,8 +63,8 @@ class SensorView:
         failed: Callable[[Exception], None],
         show_points: Callable[[Float[np.ndarray, "N 3"] | None], None],
     ) -> None:
-        """``folder`` is filled. ``failed`` is told of errors, except that the recorder is not
-        there, which the page says in place of a picture."""
+        """``folder`` is filled. ``failed`` gets errors, except that the recorder is not there,
+        which the page says in place of a picture."""
         self.case = case
         self.seen: Image | Scan | None = None
         self._folder, self._show_points = folder, show_points

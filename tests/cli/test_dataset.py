@@ -6,7 +6,7 @@ from functools import partial
 
 import pytest
 from frames import WORLD, frame
-from processes import inspe_here
+from processes import inspe_here, refused
 
 from inspe_jax.dataset import write_frame, write_protocol
 
@@ -58,14 +58,6 @@ def test_show_lists_and_draws_a_frame(inspe, files):
     assert inspe("show", "infra/train", 4, "--scenario", "a")[0] == 0
 
 
-@pytest.mark.parametrize("command", ["stats", "show"])
-def test_help_has_examples(inspe, command):
-    status, text, _ = inspe(command, "--help")
-    assert status == 0
-    assert "Examples" in text
-    assert f"inspe dataset {command}" in text
-
-
 BAD = [
     (("stats", "nosuch"), "nosuch: no such folder"),
     (("stats", "none"), "none: not a data set"),
@@ -85,9 +77,4 @@ BAD = [
     ("arguments", "message"), BAD, ids=[" ".join(map(str, arguments)) for arguments, _ in BAD]
 )
 def test_bad_input_is_one_message_and_status_2(inspe, files, arguments, message):
-    before = sorted(files.iterdir())
-    status, _, error = inspe(*arguments)
-    assert status == 2
-    assert message in " ".join(error.split())
-    assert "Traceback" not in error
-    assert sorted(files.iterdir()) == before
+    refused(inspe, files, arguments, message)

@@ -37,13 +37,13 @@ TOY = Metric(
 STUDY = """
 scenes: [{built_in: four_way}]
 layouts: [L-c]
-settings: {radius: 12, voxel: 1, frames: 3, density: 5}
+settings: {radius: 20, voxel: 1, frames: 5, density: 8}
 """
 
 
 @pytest.fixture(scope="module")
 def scene():
-    return build_scene(built_in("four_way"), radius=12, voxel=1.0, frames=3, density=5)
+    return build_scene(built_in("four_way"), radius=20, voxel=1.0, frames=5, density=8)
 
 
 @pytest.fixture(scope="module")
@@ -128,12 +128,15 @@ def report_page(there):
 
 
 def viewer_panel(there):
-    scored = ScoredLayout(there.layout, there.scores, 3, 0.1)
-    return "".join(score_panel(there.layout, scored, frames=3))
+    scored = ScoredLayout(there.layout, there.scores, 5, 0.1)
+    return "".join(score_panel(there.layout, scored, frames=5))
 
 
 def before_and_after(there):
-    return shown(tables.before_after_table(there.result))
+    result, layout = there.result, there.layout
+    figure = before_after(there.scene, result.start, layout, result.scores_before, result.scores)
+    titles = [ax.get_title(loc="left") for ax in figure.axes]
+    return " ".join([shown(tables.before_after_table(result)), *titles])
 
 
 def map_heading(there):
@@ -141,35 +144,20 @@ def map_heading(there):
     return " ".join(text.get_text() for text in figure.texts)
 
 
-def maps_before_and_after(there):
-    result, layout = there.result, there.layout
-    figure = before_after(there.scene, result.start, layout, result.scores_before, result.scores)
-    return " ".join(ax.get_title(loc="left") for ax in figure.axes)
-
-
-def pareto_table(there):
-    return shown(tables.pareto_table([DeviceMix({"paper-camera": 1}, 800.0, there.result)]))
-
-
-def pareto_csv(there):
-    save_pareto([DeviceMix({"paper-camera": 1}, 800.0, there.result, front=True)], there.folder)
+def pareto(there):
+    mixes = [DeviceMix({"paper-camera": 1}, 800.0, there.result, front=True)]
+    save_pareto(mixes, there.folder)
     (row,) = csv.DictReader((there.folder / "pareto.csv").read_text().splitlines())
-    return str(row)
+    return shown(tables.pareto_table(mixes)) + str(row)
 
 
-def sweep_table_on_disk(there):
+def sweep(there):
     """A row of a study's results, as a worker finds it, written and read again."""
     study = load_study(there.folder / "study.yaml")
-    (job,) = study.jobs
+    row, found = run_job(there.scene, study.jobs[0], versions())
     with Results(study, there.folder / "out") as results:
-        results.add(*run_job(there.scene, job, versions()))
-    return str(read_results(there.folder / "out"))
-
-
-def sweep_table(there):
-    study = load_study(there.folder / "study.yaml")
-    row, _ = run_job(there.scene, study.jobs[0], versions())
-    return shown(tables.sweep_table([row]))
+        results.add(row, found)
+    return shown(tables.sweep_table([row])) + str(read_results(there.folder / "out"))
 
 
 PLACES = {
@@ -178,13 +166,10 @@ PLACES = {
     metrics_command: ("worst_frame", "W_f", TOY.summary),
     report_page: ("worst frame W_f", TOY.summary, ">{value:.3f}<", ">{drop:+.4f}<"),
     viewer_panel: ("worst frame W_f", "width:{percent:.1f}%", ">{value:.3f}<"),
-    before_and_after: ("worst frame", "W_f", "{before:.3f}", "{value:.3f}"),
+    before_and_after: ("worst frame", "W_f", "$W_{{f}}$ {before:.3f}", "$W_{{f}}$ {value:.3f}"),
     map_heading: ("$W_{{f}}$ {value:.3f}",),
-    maps_before_and_after: ("$W_{{f}}$ {before:.3f}", "$W_{{f}}$ {value:.3f}"),
-    pareto_table: ("W_f", "{value:.3f}"),
-    pareto_csv: ("'worst_frame': '{value!r}'",),
-    sweep_table_on_disk: ("'worst_frame': '{central:.7f}'",),
-    sweep_table: ("W_f", "{central:.3f} ± 0.00"),
+    pareto: ("W_f", "{value:.3f}", "'worst_frame': '{value!r}'"),
+    sweep: ("W_f", "{central:.3f} ± 0.00", "'worst_frame': '{central:.7f}'"),
 }
 
 

@@ -67,7 +67,7 @@ def test_sizes_and_counts_are_those_of_the_set(tmp_path, monkeypatch):
     monkeypatch.setattr(chunk, "_worker", chunk.WorkerState())
     with DatasetWriter(generation, tmp_path / "out", "embedded") as writer:
         for plan in generation.scenarios:
-            given = writer.unfinished(plan), writer.lock(plan, 0), 0, plan.frames - 1, plan.frames
+            given = writer.unfinished(plan), writer.lock(plan, 0), range(plan.frames), plan.frames
             todo = chunk.Chunk(plan, "embedded", *given)
             assert not chunk.work(chunk.build(todo), todo).error
             assert writer.finish(plan)

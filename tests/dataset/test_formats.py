@@ -128,8 +128,8 @@ def test_a_data_set_is_generated_in_a_new_format(tmp_path, monkeypatch):
     plan = generation.scenarios[0]
     with DatasetWriter(generation, tmp_path / "out", "embedded") as writer:
         folder = writer.unfinished(plan)
-        for first, last in ((0, 9), (10, 13)):
-            given = folder, writer.lock(plan, first), first, last, last - first + 1
+        for frames in plan.chunks:
+            given = folder, writer.lock(plan, frames.start), frames, len(frames)
             todo = chunk.Chunk(plan, "embedded", *given, format=generation.format)
             scene = chunk.build(todo)
             assert writer.finish(plan) is False

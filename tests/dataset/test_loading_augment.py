@@ -6,7 +6,7 @@ from loading_sets import MARK, MIDDLE
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.geometry import rotation
-from inspe_jax.dataset.loading import Augment, Loader, PaddedPoints, Similarity, on_picture
+from inspe_jax.dataset.loading import Augment, Loader, Similarity, on_picture
 
 CASES = {
     "none": None,
@@ -152,9 +152,7 @@ def test_a_stretch_of_a_cloud_that_is_too_large(cached):
     """Another one in each epoch when training, the same one in evaluation."""
     whole = Loader(cached, "test", batch=3, shuffle=False, workers=0)[0].lidars
     for shuffle in (False, True):
-        loader = Loader(
-            cached, "test", batch=3, shuffle=shuffle, points=PaddedPoints(20), workers=0
-        )
+        loader = Loader(cached, "test", batch=3, shuffle=shuffle, points=20, workers=0)
         firsts = []
         for epoch in range(4):
             found = loader[epoch]

@@ -10,7 +10,7 @@ from loading_sets import HEIGHT, MIDDLE, WIDTH, frame_of, write_scenario
 
 from inspe_jax import dataset
 from inspe_jax.core.errors import InspeError
-from inspe_jax.dataset.loading import Augment, Loader, PaddedPoints, PillarGrid
+from inspe_jax.dataset.loading import Augment, Loader, PillarGrid
 
 
 def assert_equal(a, b) -> None:
@@ -24,7 +24,7 @@ def numbers(batches) -> list[int]:
 
 def test_the_order_repeats_with_its_seed_whatever_the_workers(cached):
     """Also all random changes; and a training that goes on gets what it would have got."""
-    settings = dict(batch=2, augment=Augment(drop=0.3), points=PaddedPoints(30))
+    settings = dict(batch=2, augment=Augment(drop=0.3), points=30)
     given = [list(Loader(cached, seed=3, workers=w, **settings).steps(0, 8)) for w in (0, 1, 3)]
     for others in given[1:]:
         for a, b in zip(given[0], others, strict=True):
@@ -187,7 +187,7 @@ def test_a_batch_is_a_pytree(cached):
         (dict(seed=-1), "seed -1"),
         (dict(workers=1.5), "workers 1.5"),
         (dict(most_boxes=0), "most_boxes 0"),
-        (dict(points=PaddedPoints(0)), "most 0"),
+        (dict(points=0), "points 0: must be 1 or more"),
         (dict(sensors=("radar",)), "sensors: 'radar': one of camera, lidar"),
         (dict(sensors="lidar"), "sensors 'lidar': a list"),
         (dict(sensors=()), "a list with at least one"),

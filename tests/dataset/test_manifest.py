@@ -37,7 +37,7 @@ def generation(folder: Path):
 def work_on(writer: DatasetWriter, plan) -> Path:
     """Record what is missing of a scenario, as a worker does; gives its unfinished folder."""
     folder = writer.unfinished(plan)
-    todo = chunk.Chunk(plan, "embedded", folder, writer.lock(plan, 0), 0, FRAMES - 1, FRAMES)
+    todo = chunk.Chunk(plan, "embedded", folder, writer.lock(plan, 0), range(FRAMES), FRAMES)
     assert not chunk.work(chunk.build(todo), todo).error
     return folder
 
@@ -98,26 +98,10 @@ def test_a_whole_set_has_no_fault(made):
     assert [*manifest.files] == ["data_protocol.yaml"]
 
 
-def test_a_copy_has_the_same_size(made, copy):
-    """No file has two names, which a copy would make two files."""
-    (_, out), (_, other) = made, copy
-    assert check(other).size == check(out).size == check(other, deep=True).size
-    disk = [
-        {(s.st_dev, s.st_ino): s.st_size for s in (p.stat() for p in top.rglob("*") if p.is_file())}
-        for top in (out, other)
-    ]
-    assert sum(disk[0].values()) == sum(disk[1].values())
-
-
 def flip_bit(path: Path, at: int) -> None:
     data = bytearray(path.read_bytes())
     data[at] ^= 0x40
     path.write_bytes(data)
-
-
-def to_nan(path: Path) -> None:
-    data = path.read_bytes()
-    path.write_bytes(data[:-16] + np.full(1, np.nan, "<f4").tobytes() + data[-12:])
 
 
 def move_box(path: Path) -> None:
@@ -131,10 +115,7 @@ DAMAGE = {
     "a picture is cut short": (
         "000001_camera0.png", lambda p: p.write_bytes(p.read_bytes()[:-9]), False, "bytes long"),
     "a picture has changed": ("000001_camera0.png", lambda p: flip_bit(p, 60), True, "has changed"),
-    "a depth picture has changed": (
-        "000001_depth0.png", lambda p: flip_bit(p, 60), True, "has changed"),
     "a byte of a point is flipped": ("000001.pcd", lambda p: flip_bit(p, -30), True, "has changed"),
-    "a point is NaN": ("000001.pcd", to_nan, True, "has changed"),
     "a box has moved": ("000001.yaml", move_box, True, "has changed"),
     "the boxes are missing": ("000001.yaml", Path.unlink, False, "is missing"),
 }  # fmt: skip
@@ -150,6 +131,8 @@ def test_damage_is_found_and_repaired(made, copy, name):
     assert (fault.path, fault.frame) == (path, 1)
     assert what in fault.what
     assert (check(out).faults == ()) == needs_deep
+    if needs_deep:
+        assert record(plan, out, deep=False) == {}
     ((repaired,),) = record(plan, out).values()
     assert repaired == fault
     assert content(out) == content(made[1])
@@ -174,13 +157,6 @@ def test_a_protocol_and_a_manifest_are_repaired(made, copy):
             assert len(check(out).faults) == 1
         assert len(record(plan, out)) == 1
         assert content(out) == whole
-
-
-def test_sizes_alone_are_compared_where_that_is_asked_for(copy):
-    plan, out = copy
-    flip_bit(next(iter(sorted(scenario(out).rglob("*.pcd")))), -3)
-    assert record(plan, out, deep=False) == {}
-    assert len(record(plan, out)) == 1
 
 
 def test_a_scenario_that_is_gone_and_a_file_too_many(copy):
@@ -224,18 +200,22 @@ def test_a_picture_that_is_not_of_the_set_is_not_read(copy):
     np.testing.assert_array_equal(read_frame(scenario(out), 1).stations[0].images[0].rgb, before)
 
 
-@pytest.mark.parametrize("text", ["", "{}", "[1]", '{"a": 3}'])
+@pytest.mark.parametrize("text", ["", "{}", '{"a": 3}'])
 def test_a_broken_record_of_a_frame_counts_as_none(made, copy, text):
-    """Of a run that was cut off: it goes on, and records that frame again."""
+    """Of a run that was cut off: it goes on, and records that frame again, and those with a file
+    that was changed, or left empty by a crash of the machine."""
     plan, out = copy
     one = plan.scenarios[0]
     with DatasetWriter(plan, out, "embedded") as writer:
         shutil.rmtree(writer.place(one))
         folder = work_on(writer, one)
         (folder / RECORDS / "000001.json").write_text(text)
+        (folder / "-1" / "000002.pcd").write_bytes(b"")
         flip_bit(folder / "-1" / "000003.pcd", -30)
+        assert not writer.finish(one)
+        assert writer.there[one.name] == {0, 3}  # by sizes
     with DatasetWriter(plan, out, "embedded") as writer:
-        assert writer.there[one.name] == {0, 2}  # frame 3 is damaged
+        assert writer.there[one.name] == {0}
     record(plan, out)
     assert content(out) == content(made[1])
 
@@ -257,18 +237,6 @@ def test_a_manifest_that_points_out_of_its_folder_is_rejected(copy):
         manifest, (fault,) = manifest_of(path.parent)
         assert manifest is None
         assert "must be the size and the digest" in fault.what
-
-
-def test_half_a_frame_is_not_complete(copy):
-    """A file that a crash of the machine left empty: the record of its frame says its size."""
-    plan, out = copy
-    with DatasetWriter(plan, out, "embedded") as writer:
-        one = plan.scenarios[0]
-        shutil.rmtree(writer.place(one))
-        folder = work_on(writer, one)
-        (folder / "-1" / "000002.pcd").write_bytes(b"")
-        assert not writer.finish(one)
-        assert writer.there[one.name] == {0, 1, 3}
 
 
 def test_the_command(copy, tmp_path):

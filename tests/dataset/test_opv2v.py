@@ -1,7 +1,6 @@
 """Writing and reading frames; the files are checked against the rules of the public readers."""
 
 import re
-import shutil
 import tempfile
 from dataclasses import replace
 from pathlib import Path
@@ -12,7 +11,6 @@ import yaml
 from frames import FRAMES, UNIT, WORLD, assert_same, car, frame, image, scan, station
 from hypothesis import given, settings
 from opv2v_validator import check_scenario, check_set
-from PIL import Image as Pillow
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.dataset import Frame, read_frame, write_frame, write_protocol
@@ -67,25 +65,18 @@ def test_readers_accept_a_set(tmp_path):
     assert (train.boxes, train.boxes_in_range) == (8, 8)
 
 
-def test_intensities_and_points_on_boxes_are_judged(tmp_path):
-    """A LiDAR at the origin, 6 m up, and one point on the roof of a car 8 m to its left."""
+def test_intensities_are_judged(tmp_path):
+    """A LiDAR at the origin, 6 m up, and one point 8 m to its left."""
     pose = np.array([0, 0, 6.0, 0, 0, 0])
-    box = car(center=np.array([0, 8.0, 0.75]), yaw=0.0, velocity=np.zeros(3))
     point = np.array([[0.5, 8.0, -4.6, 0]])
     point[0, 3] = np.exp(-0.004 * np.linalg.norm(point[0, :3]))
-    here = replace(station(1, cameras=0, lidars=0), pose=pose)
-    lit = replace(scan(), pose=pose, points=point)
-    scenario = written(tmp_path / "a", frame(boxes=[box], stations=[replace(here, scans=(lit,))]))
-    report = check_scenario(scenario, attenuation=0.004, every_box_hit=True)
-    assert report.boxes_hit == report.boxes_in_range == 1
-    dim = replace(lit, points=point * [1, 1, 1, 0.9])
-    scenario = written(tmp_path / "b", frame(boxes=[box], stations=[replace(here, scans=(dim,))]))
+    for name, share in (("a", 1), ("b", 0.9)):
+        lit = replace(scan(), pose=pose, points=point * [1, 1, 1, share])
+        here = replace(station(1, cameras=0, lidars=0), pose=pose, scans=(lit,))
+        written(tmp_path / name, frame(boxes=[car()], stations=[here]))
+    check_scenario(tmp_path / "a", attenuation=0.004)
     with pytest.raises(AssertionError, match="intensity is off"):
-        check_scenario(scenario, attenuation=0.004)
-    right = replace(lit, points=point * [1, -1, 1, 1])
-    scenario = written(tmp_path / "c", frame(boxes=[box], stations=[replace(here, scans=(right,))]))
-    with pytest.raises(AssertionError, match=r"no point in \[3\]"):
-        check_scenario(scenario, every_box_hit=True)
+        check_scenario(tmp_path / "b", attenuation=0.004)
 
 
 def damage_yaml(change):
@@ -111,14 +102,6 @@ def lift_center(holds: dict) -> None:
         holds[section][3]["center"] = [0, 0, 0]
 
 
-def grey_picture(agent: Path) -> None:
-    Pillow.open(agent / "000068_camera0.png").convert("L").save(agent / "000068_camera0.png")
-
-
-def large_picture(agent: Path) -> None:
-    Pillow.new("RGB", (80, 60)).save(agent / "000068_camera1.png")
-
-
 def blue_intensity(agent: Path) -> None:
     path = agent / "000068.pcd"
     head, body = path.read_bytes().split(b"DATA binary\n")
@@ -130,25 +113,11 @@ def blue_intensity(agent: Path) -> None:
 @pytest.mark.parametrize(
     ("damage", "message"),
     [
-        (lambda a: (a / "000068.pcd").unlink(), "No such file"),
-        (lambda a: (a / "000068_lidar1.pcd").touch(), "1 LiDARs, 2 point clouds"),
         (lambda a: (a / "000068_lidar0.pcd").touch(), "not the points of the first"),
         (lambda a: (a / "000068_camera1.png").unlink(), "2 cameras, 1 pictures"),
-        (lambda a: (a / "000068.yaml").unlink(), "no frame"),
         (lambda a: (a.parent / "-1" / "000068.yaml").unlink(), "frames are not those"),
-        (lambda a: (a / "000070.pcd").write_bytes(b""), "without its YAML"),
-        (lambda a: (a / ".000068.pcd.1.part").write_bytes(b""), "not a file of the format"),
-        (lambda a: (a.parent / "data_protocol.yaml").unlink(), "data_protocol.yaml: missing"),
-        (lambda a: a.rename(a.parent / "unit"), "not the id of a unit"),
-        (grey_picture, "mode L, not RGB"),
-        (large_picture, "the intrinsic says"),
         (blue_intensity, "more than the red byte"),
-        (damage_yaml(lambda d: d.pop("lidar_pose0")), "no lidar_pose0"),
-        (damage_yaml(lambda d: d.pop("trucks")), "no trucks"),
-        (damage_yaml(lambda d: d.update(RSU=False)), "RSU is not true"),
         (damage_yaml(lambda d: d["vehicles"].pop(7)), "cyclists.7 is not vehicles.7"),
-        (damage_yaml(lambda d: d["cyclists"].pop(7)), "vehicles are not all"),
-        (damage_yaml(lambda d: d["vehicles"][7].pop("angle")), "is not vehicles.7"),
         (damage_yaml(lift_center), "not straight up"),
         (damage_yaml(shift_camera), "off by"),
         (damage_yaml(invert_extrinsic), "off by"),
@@ -160,12 +129,6 @@ def test_readers_reject_what_is_damaged(tmp_path, damage, message):
     damage(scenario / "-2")
     with pytest.raises((AssertionError, FileNotFoundError), match=message):
         check_scenario(scenario)
-
-
-def test_points_out_of_the_readers_range_are_rejected(tmp_path):
-    scenario = written(tmp_path / "a")
-    with pytest.raises(AssertionError, match="no point within"):
-        check_scenario(scenario, lidar_range=(-140.8, -38.4, 0, 140.8, 38.4, 4))
 
 
 def test_yaml_of_a_known_frame(tmp_path):
@@ -207,24 +170,6 @@ def test_yaml_of_a_known_frame(tmp_path):
     # The LiDAR is 1.5 m above the camera, which looks 30° down: partly behind, partly above.
     above = [-1.5 * np.sin(np.radians(30)), 0, 1.5 * np.cos(np.radians(30))]
     np.testing.assert_allclose(extrinsic[:3, 3], above, atol=1e-9)
-
-
-def test_a_box_is_projected_to_where_the_picture_shows_it(tmp_path):
-    """Using the files alone: a car ahead and to the left of a camera is left of the middle."""
-    seen = image(800, 600, pose=[0, 0, 6, 0, 0, np.radians(90)], layers=False)
-    here = replace(station(1, 0, 1), images=(seen,))
-    scenario = written(
-        tmp_path / "a", frame(boxes=[car(center=np.array([-5.0, 20.0, 0.75]))], stations=[here])
-    )
-    read = content(scenario / "-1" / "000068.yaml")
-    x, y, z, roll, yaw, pitch = read["camera0"]["cords"]
-    assert (roll, yaw, pitch) == (0, -90, 0)
-    box = read["vehicles"][3]
-    dx, dy, dz = np.add(box["location"], box["center"]) - [x, y, z]
-    forward, right, up = -dy, dx, dz  # yaw −90° in a left-handed world faces −y
-    k = np.array(read["camera0"]["intrinsic"])
-    u, v, w = k @ [right, -up, forward]
-    assert (u / w, v / w) == pytest.approx((400 - 5 * 5 / 20, 300 + 5 * 5.25 / 20))
 
 
 def test_the_same_frame_gives_the_same_bytes(tmp_path):
@@ -363,10 +308,7 @@ def test_agents_with_as_many_cameras_each(tmp_path):
     assert black["cords"][5] == 90.0  # CARLA's pitch: straight up
 
 
-@pytest.mark.parametrize(
-    "observed",
-    [True, [1, 2], "yes", {3: True}, {3: {"lidar_points": 5}}, {3: {"lidar_points": {}}}],
-)
+@pytest.mark.parametrize("observed", [[1, 2], {3: True}, {3: {"lidar_points": 5}}])
 def test_what_others_call_observed_is_left_out(tmp_path, observed):
     """And a velocity that is no vector, or not as long as the speed."""
     scenario = written(tmp_path / "a", frame(boxes=[car(3)]))
@@ -423,6 +365,14 @@ def test_depth_is_capped_and_reads_as_infinite(tmp_path):
     np.testing.assert_allclose(read_picture(path, "depth"), np.array(expected, np.float32))
 
 
+def seen(**changes) -> dict:
+    return {"stations": (replace(station(), images=(replace(image(), **changes),)),)}
+
+
+def heard(points) -> dict:
+    return {"stations": (replace(station(), scans=(replace(scan(), points=points),)),)}
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
@@ -439,6 +389,18 @@ def test_depth_is_capped_and_reads_as_infinite(tmp_path):
         ({"stations": (station(0),)}, "station 0 is out of range"),
         ({"stations": (station(1), station(1))}, "station 1 is given twice"),
         ({"stations": (replace(station(), pose=np.zeros(5)),)}, "station 1: pose must be"),
+        (seen(rgb=np.zeros((6, 8), np.uint8)), r"image 0: rgb must be uint8 \(height, width, 3\)"),
+        (seen(rgb=np.zeros((6, 8, 3))), "rgb must be uint8"),
+        (seen(depth=np.zeros((6, 9))), "depth must be .6, 8. as rgb, of floats"),
+        (seen(depth=np.full((6, 8), np.nan)), "depth runs from nan"),
+        (seen(depth=np.full((6, 8), -1.0)), "depth runs from -1.0"),
+        (seen(instance=np.full((6, 8), 2**16)), "instance runs from 65536"),
+        (seen(instance=np.zeros((6, 8))), "instance must be .* of integers"),
+        (seen(semantic=np.full((6, 8), 300, np.uint16)), "semantic runs from 300"),
+        (seen(intrinsic=np.eye(4)), "frame 68: station 1: .*intrinsic must be"),
+        (heard(np.zeros((5, 3))), "scan 0: points must be .*float64 .5, 3."),
+        (heard(np.full((1, 4), np.nan)), "points must be finite"),
+        (heard(np.array([[0, 0, 0, 1.01]])), "intensity runs from 1.01 to 1.01: allowed 0 to 1"),
     ],
 )
 def test_frames_that_cannot_be_written_leave_no_file(tmp_path, changes, message):
@@ -447,48 +409,11 @@ def test_frames_that_cannot_be_written_leave_no_file(tmp_path, changes, message)
     assert not (tmp_path / "a").exists()
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"rgb": np.zeros((6, 8), np.uint8)}, r"image 0: rgb must be uint8 \(height, width, 3\)"),
-        ({"rgb": np.zeros((6, 8, 3))}, "rgb must be uint8"),
-        ({"depth": np.zeros((6, 9))}, "depth must be .6, 8. as rgb, of floats"),
-        ({"depth": np.full((6, 8), np.nan)}, "depth runs from nan"),
-        ({"depth": np.full((6, 8), -1.0)}, "depth runs from -1.0"),
-        ({"instance": np.full((6, 8), 2**16)}, "instance runs from 65536"),
-        ({"instance": np.zeros((6, 8))}, "instance must be .* of integers"),
-        ({"semantic": np.full((6, 8), 300, np.uint16)}, "semantic runs from 300"),
-        ({"intrinsic": np.eye(4)}, "intrinsic must be"),
-    ],
-)
-def test_images_that_cannot_be_written(tmp_path, changes, message):
-    here = replace(station(), images=(replace(image(), **changes),))
-    with pytest.raises(InspeError, match=f"frame 68: station 1: .*{message}"):
-        write_frame(tmp_path / "a", frame(stations=[here]))
-
-
-@pytest.mark.parametrize(
-    ("points", "message"),
-    [
-        (np.zeros((5, 3)), "must be .*float64 .5, 3."),
-        (np.full((1, 4), np.nan), "must be finite"),
-        (np.array([[0, 0, 0, 1.01]]), "intensity runs from 1.01 to 1.01: allowed 0 to 1"),
-    ],
-)
-def test_scans_that_cannot_be_written(tmp_path, points, message):
-    here = replace(station(), scans=(replace(scan(), points=points),))
-    with pytest.raises(InspeError, match=f"scan 0: points:? {message}"):
-        write_frame(tmp_path / "a", frame(stations=[here]))
-
-
-@pytest.mark.parametrize("key", WORLD)
-def test_protocols_must_have_the_keys_of_world(tmp_path, key):
-    world = {k: v for k, v in WORLD.items() if k != key}
-    with pytest.raises(InspeError, match=rf"data_protocol.yaml: world.{key}: missing key"):
-        write_protocol(tmp_path, {"world": world})
-
-
-def test_protocols_must_be_plain_yaml(tmp_path):
+def test_protocols_must_have_the_keys_of_world_and_be_plain_yaml(tmp_path):
+    for key in WORLD:
+        world = {k: v for k, v in WORLD.items() if k != key}
+        with pytest.raises(InspeError, match=rf"data_protocol.yaml: world.{key}: missing key"):
+            write_protocol(tmp_path, {"world": world})
     with pytest.raises(InspeError, match=r"data_protocol.yaml: .*cannot represent"):
         write_protocol(tmp_path, {"world": WORLD, "noise": np.float32(0.02)})
 
@@ -497,11 +422,3 @@ def test_a_folder_that_cannot_be_made(tmp_path):
     (tmp_path / "file").touch()
     with pytest.raises(InspeError, match="file/-1: the folder cannot be created"):
         write_frame(tmp_path / "file", frame())
-
-
-def test_stations_missing_a_frame_are_named(tmp_path):
-    scenario = written(tmp_path / "a")
-    shutil.rmtree(scenario / "-2")
-    (scenario / "-2").mkdir()
-    with pytest.raises(InspeError, match=r"-2/000068.yaml: no such frame; there are none"):
-        read_frame(scenario, 68)

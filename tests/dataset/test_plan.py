@@ -113,23 +113,6 @@ def test_seed_and_split_depend_on_the_content_of_a_scenario(read, tmp_path):
 def test_splits_have_their_proportions(read):
     generation = read(split_by="scenario")
     assert [len(plans) for plans in generation.splits.values()] == [45, 6, 13]
-    for of in product(("four_way", "the circle"), ("low", "33"), ("midday", "night")):
-        own = [
-            plan.split
-            for plan in generation.scenarios
-            if (plan.source.name, str(plan.settings["density"]), plan.settings["light"]) == of
-        ]
-        assert len(own) == 8
-        assert 5 <= own.count("train") <= 6
-        assert 0 <= own.count("validate") <= 1
-        assert 1 <= own.count("test") <= 2
-    for key in (
-        "density",
-        "weather",
-        "seed",
-    ):  # every value occurs; of six, chance may leave one out
-        for split, plans in generation.splits.items():
-            assert len(plans) < 10 or len({plan.settings[key] for plan in plans}) == 2, (key, split)
     assert {plan.split for plan in read(splits=dict(test=1)).scenarios} == {"test"}
     even = read(splits=dict(train=0.5, test=0.5), split_by="scenario")
     assert [len(plans) for plans in even.splits.values()] == [32, 0, 32]
@@ -263,51 +246,34 @@ def test_splits_of_any_number(kinds, proportions, random):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        (dict(scenes=[]), r"study.yaml: scenes: needs at least 1, has 0"),
-        (dict(scenes=[{"built_in": "five_ways"}]), r"scenes\[0\].built_in.*did you mean five_way"),
         (dict(scenes=[{"built_in": "four_way", "frames": 3}]), r"scenes\[0\].frames: unknown key"),
         (dict(scenes=[{"map": "a.xodr", "junction": 3}]), r"a.xodr: no such file"),
         (dict(scenes=[{"built_in": "four_way"}] * 2), r"scenes: two are named 'four_way'"),
         (dict(layouts=["Cam-d9"]), r"layouts\[0\]: no strategy 'Cam-d9'.*did you mean Cam-d"),
-        (dict(layouts=["a.yaml"]), r"a.yaml: no such file"),
         (dict(settings=dict(density="many")), r"settings.density: density 'many': none, low"),
         (dict(settings=dict(light=["midday", "noon"])), r"settings.light: light 'noon': one of"),
         (dict(settings=dict(weather="hail")), r"settings.weather: weather 'hail'"),
         (dict(settings=dict(mix="bikes")), r"settings.mix: 'bikes': one of mixed, fleet, largest"),
         (dict(settings=dict(traffic="walk")), r"settings.traffic: 'walk': one of waypoints, sumo"),
         (dict(settings=dict(frames=5)), r"settings.frames: unknown key.*allowed: density, light"),
-        (dict(settings=dict(method="none")), r"settings.method: unknown key"),
-        (dict(settings=dict(visibility="in_view")), r"settings.visibility: unknown key"),
         (dict(settings=dict(seconds=0)), r"settings.seconds\[0\]: .*greater than 0"),
         (
             dict(settings=dict(seconds=0.25)),
             r"settings.seconds: 0.25 s are 2.5 frames at 10 Hz: must",
         ),
         (dict(settings=dict(seconds=1e4)), r"settings.seconds: 10000 s are 100000 frames .* 10000"),
-        (dict(settings=dict(seed=-1)), r"settings.seed\[0\]: .*greater than or equal to 0"),
-        (dict(rate_hz=0), r"rate_hz: .*greater than 0, got 0"),
-        (dict(rate_hz="10"), r"rate_hz: must be a number, got '10', a text: write 10"),
         (dict(rate=10), r"rate: unknown key; did you mean rate_hz"),
-        (
-            dict(layers=["depths"]),
-            r"layers\[0\]: .*'depth', 'instance' or 'semantic', got 'depths'",
-        ),
         (dict(layers=["depth", "depth"]), r"layers: two are named 'depth'"),
-        (dict(layers="depth"), r"layers: must be a list, got 'depth'"),
-        (dict(image_scale=5), r"image_scale: .*less than or equal to 4, got 5"),
-        (dict(image_size=[352]), r"image_size: needs at least 2, has 1"),
         (
             dict(image_size=[352, 0]),
             r"image_size \[352, 0\] is out of range: width and",
         ),
         (dict(image_size=[352, 128], image_scale=0.5), r"image_size and image_scale: give one"),
-        (dict(lidar_turn_s=2), r"lidar_turn_s: .*less than or equal to 1, got 2"),
         (dict(pictures="jpg"), r"pictures: 'jpg': one of png, jpeg; did you mean jpeg"),
         (dict(cameras_per_agent=99), r"cameras_per_agent: 99 is out of range: 1 to 16, or 0"),
         (dict(splits=dict(train=0)), r"splits: one of train, validate, test must be above 0"),
         (dict(splits=dict(vaildate=1)), r"splits.vaildate.*'train', 'validate' or 'test', got"),
         (dict(splits=dict(train=-1)), r"splits.train: .*greater than or equal to 0"),
-        (dict(splits=[7, 1, 2]), r"splits: must hold keys"),
         (dict(split_by="layout"), r"split_by: .*'intersection' or 'scenario', got 'layout'"),
     ],
 )
@@ -316,17 +282,18 @@ def test_bad_studies(read, changes, message):
         read(**changes)
 
 
-def test_files_that_are_not_studies(tmp_path):
-    path = tmp_path / "study.yaml"
-    for text, message in (
-        ("", "the study is empty: it needs 'scenes' and 'layouts'"),
-        ("[1, 2]", "the study is empty"),
-        ("scenes: [", "not YAML"),
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("[1, 2]", "the study is empty: it needs 'scenes' and 'layouts'"),
         ("world: {town: Town05}", "a protocol that was not written by this package"),
-    ):
-        path.write_text(text)
-        with pytest.raises(InspeError, match=message):
-            load_generation(path)
+    ],
+)
+def test_files_that_are_not_studies(tmp_path, text, message):
+    path = tmp_path / "study.yaml"
+    path.write_text(text)
+    with pytest.raises(InspeError, match=message):
+        load_generation(path)
 
 
 def saved(path, **options):
@@ -442,20 +409,14 @@ def scene_key(scene):
         ("format", None, r"a protocol that was not written by this package"),
         ("split", "trial", r"split: 'trial': one of train, validate, test; did you mean train"),
         ("name", "../../etc", r"name: string should match"),
-        ("name", None, r"name: missing key"),
         ("scene", {"name": "a", "built_in": "b"}, r"scene.built_in: 'b': one of four_way"),
         ("scene", {"built_in": "four_way"}, r"scene.name: missing key"),
         ("settings", {}, r"settings: radius: missing key"),
-        ("settings.light", "noon", r"settings.light: light 'noon': one of midday"),
         ("settings.light", ["midday", "dusk"], r"settings: light: must be one value, got \['midda"),
-        ("settings.voxel", "1", r"settings: voxel\[0\]: must be a number, got '1', a text"),
         ("settings.seconds", 0.01, r"settings: seconds: 0.01 s are 0.1 frames at 10 Hz"),
         ("settings.wind", 1, r"settings: wind: unknown key"),
         ("recording.backend", "film", r"recording.backend: 'film': one of embedded, carla"),
-        ("recording.rate_hz", 0, r"recording.rate_hz: input should be greater than 0"),
-        ("recording.seed", -1, r"recording.seed: input should be greater than or equal to 0"),
         ("layout", {"units": []}, r"layout: units: needs at least 1, has 0"),
-        ("layout", None, r"layout: missing key"),
         ("world.town", None, r"world.town: missing key"),
         ("colour", "red", r"colour: unknown key"),
     ],

@@ -1,6 +1,5 @@
 """nuScenes' measures: against its own code, by hand, against a plain loop, and what must hold."""
 
-import time
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -90,24 +89,6 @@ def test_the_devkit_finds_the_same(reference, name):
         np.testing.assert_allclose(ours.mean_errors, said.mean_errors, **CLOSE)
         # Without attributes, the devkit's fifth error is 1: it adds 0, but it divides by 10.
         np.testing.assert_allclose(9 * ours.nds_without_attributes, 10 * said.nds, **CLOSE)
-
-
-def test_the_cases_have_what_they_are_for(reference):
-    """Equal scores and distances, yaws on both sides of ±π, classes without truth or detections,
-    and measures that are neither 0 nor 1."""
-    assert set(reference) == set(CASES)
-    score = reference["equal_scores"].score
-    assert len(np.unique(score)) < len(score) / 5
-    assert {0.0, 1.0} <= set(score)
-    assert (np.abs(reference["half_a_turn"].boxes[:, 6]) > 2.5).mean() > 0.8
-    assert len(set(np.sign(reference["half_a_turn"].boxes[:, 6]))) == 2
-    assert 1 not in reference["no_trucks"].truth_kind
-    assert 1 in reference["no_trucks"].kind
-    assert set(reference["none_found"].kind) == {0, 2}
-    found, truth = frames_of(reference["empty_frames"])
-    assert not all(len(of.kind) for of in truth)
-    assert not all(len(of.kind) for of in found)
-    assert 0.3 < evaluate(*frames_of(reference["usual"])).mean_ap < 0.6
 
 
 def test_ap_by_hand():
@@ -360,22 +341,3 @@ def spoilt(name: str, value, at=1) -> Detections:
 def test_bad_input(found, truth, message):
     with pytest.raises(InspeError, match=message):
         evaluate(found, truth)
-
-
-def test_many_frames_take_seconds():
-    """A twentieth of 10⁴ frames of 60 road users and 90 detections takes about 0.15 s; a loop over
-    detections takes longer than the 3 s that make a minute."""
-    rng = np.random.default_rng(0)
-    found, truth = [], []
-    for _ in range(500):
-        boxes = boxes_at(*rng.uniform(-50, 50, (60, 2)), kind=rng.integers(0, 4, 60))
-        pick = rng.integers(0, 60, 90)
-        seen = boxes.boxes[pick]
-        seen[:, :2] += rng.normal(0, 1, (90, 2))
-        truth.append(boxes)
-        found.append(Detections(seen, boxes.kind[pick], rng.random(90).astype(np.float32)))
-    start = time.process_time()
-    ours = evaluate(found, truth)
-    assert time.process_time() - start < 3
-    assert ours.users.sum() == 30_000
-    assert 0.1 < ours.mean_ap < 0.9

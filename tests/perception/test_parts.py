@@ -14,6 +14,7 @@ from shapely.geometry import box
 from inspe_jax.dataset.loading import PillarGrid, Pillars, Targets, on_picture
 from inspe_jax.dataset.loading.geometry import pose_matrix
 from inspe_jax.perception.encoders import LiftSplat, PillarEncoder
+from inspe_jax.perception.encoders.images import ImageEncoder
 from inspe_jax.perception.encoders.lift_splat import EMPTY_WEIGHT, HEIGHTS
 from inspe_jax.perception.fusion import AttFuse, DiscoNet, HMViT, Mean, V2VNet, V2XViT, v2x_vit
 from inspe_jax.perception.fusion.heterogeneous import HeterogeneousAttention
@@ -143,6 +144,14 @@ def test_a_pillar_is_the_maximum_over_its_points_and_padding_changes_nothing():
     np.testing.assert_allclose(found[0, 0, 7, 2], told, rtol=1e-4, atol=1e-5)
 
 
+def test_every_weight_of_a_resnet_learns():
+    encoder = made(lambda key: ImageEncoder("resnet", 16, key))
+    pixels = np.random.default_rng(0).integers(0, 256, (1, 48, 64, 3)).astype(np.uint8)
+    weights = noise(1, 12, 16, 16)
+    slopes = eqx.filter_jit(eqx.filter_grad(lambda encoder: (encoder(pixels) * weights).sum()))
+    assert all(np.asarray(leaf).any() for leaf in jax.tree.leaves(slopes(encoder)))
+
+
 def test_lifted_features_fall_into_the_cell_that_their_pixel_and_height_show():
     """The other way round: the point in a cell of the map, projected, is the pixel it came from."""
     grid, high, wide = BevGrid(half=51.2), 48, 64
@@ -199,12 +208,12 @@ def test_a_cell_of_the_map_has_the_mean_of_what_falls_into_it():
 
 TYPES = (0, 0, 1)
 FUSIONS = {
-    "mean": lambda key: Mean(),
-    "attfuse": lambda key: AttFuse(),
-    "disconet": lambda key: DiscoNet(16, key),
-    "v2vnet": lambda key: V2VNet(16, key),
-    "v2x-vit": lambda key: V2XViT(16, TYPES, key),
-    "hm-vit": lambda key: HMViT(16, TYPES, key),
+    "mean": Mean,
+    "attfuse": AttFuse,
+    "disconet": DiscoNet,
+    "v2vnet": V2VNet,
+    "v2x-vit": V2XViT,
+    "hm-vit": HMViT,
 }
 
 
@@ -213,7 +222,7 @@ def test_fusion_heeds_who_is_present_and_not_the_order(name, monkeypatch):
     """What an absent agent has changes nothing; two of one modality can be exchanged; and one
     agent alone keeps its map where nothing but weights of agents is learnt. Every weight learns."""
     monkeypatch.setattr(v2x_vit, "LAYERS", 1)  # the others are the same
-    fusion = made(FUSIONS[name])
+    fusion = made(lambda key: FUSIONS[name](16, TYPES, key))
     x, other = noise(2, 3, 16, 16, 16), noise(2, 3, 16, 16, 16, seed=1)
     present = np.array([[True, True, True], [True, False, False]])
     mixed = np.where(present[..., None, None, None], x, other)
@@ -290,7 +299,7 @@ def test_a_window_attends_with_a_bias_by_the_offset_of_its_cells():
 
 def test_v2vnet_takes_in_the_mean_message_of_the_others():
     """On maps of one cell only the middle of a convolution counts."""
-    fusion = made(lambda key: V2VNet(4, key))
+    fusion = made(lambda key: V2VNet(4, TYPES, key))
     x, present = noise(1, 3, 1, 1, 4), np.array([[True, True, False]])
     found = np.asarray(eqx.filter_jit(lambda x: fusion(x, present))(x))[0, 0, 0]
     w = jax.tree.map(np.asarray, fusion)
@@ -315,7 +324,7 @@ def test_v2vnet_takes_in_the_mean_message_of_the_others():
 
 
 def test_disconet_weighs_senders_for_each_cell():
-    fusion = made(lambda key: DiscoNet(8, key))
+    fusion = made(lambda key: DiscoNet(8, TYPES, key))
     x, present = noise(1, 3, 1, 2, 8), np.array([[True, False, True]])
     found = np.asarray(eqx.filter_jit(lambda x: fusion(x, present))(x))[0, 0]
     w, there = jax.tree.map(np.asarray, fusion), (0, 2)

@@ -131,12 +131,6 @@ def test_two_devices_share_a_batch(stopped_and_not, cached, tmp_path):
         np.testing.assert_allclose(two, one, rtol=1e-3)
 
 
-def test_two_trainings_in_one_folder_are_refused(cached, tmp_path):
-    same = Training(cached.path, tmp_path / "run", SETTINGS, GRID)
-    with pytest.raises(InspeError, match="two trainings"):
-        list(train_all([same, same]))
-
-
 def test_a_damaged_state_is_named_and_the_one_before_is_there(stopped_and_not, cached, tmp_path):
     folder = tmp_path / "run"
     shutil.copytree(stopped_and_not[0].path, folder)
@@ -145,7 +139,7 @@ def test_a_damaged_state_is_named_and_the_one_before_is_there(stopped_and_not, c
     for broken in (content[:1000], content + b"x", b""):
         path.write_bytes(broken)
         with pytest.raises(InspeError, match=r"step_00000004.eqx: is damaged.*from step 2"):
-            open_run(folder).detector()
+            open_run(folder).last()
     path.unlink()
     again = train(cached, folder, SETTINGS, grid=GRID)
     assert again.rows(LOSSES) == stopped_and_not[0].rows(LOSSES)
@@ -172,13 +166,20 @@ def test_whatever_a_kill_leaves_is_mended(stopped_and_not, cached, tmp_path):
     assert again.rows(LOSSES) == whole.rows(LOSSES)[:1]
 
 
-def test_a_run_without_a_state_may_be_begun_otherwise(cached, tmp_path):
+def test_what_cannot_be_trained_leaves_no_folder(cached, tmp_path):
     many = SETTINGS.model_copy(update={"batch": 64})
     with pytest.raises(InspeError, match="use a smaller batch"):
         train(cached, tmp_path / "run", many, grid=GRID)
     assert not (tmp_path / "run").exists()
     with pytest.raises(InspeError, match=r"50 cells .* a multiple of 32 .* half 12\.8 m"):
         train(cached, tmp_path / "run", SETTINGS, grid=BevGrid(half=20))
+    same = Training(cached.path, tmp_path / "run", SETTINGS, GRID)
+    with pytest.raises(InspeError, match="two trainings"):
+        list(train_all([same, same]))
+    (tmp_path / "mine.txt").touch()
+    with pytest.raises(InspeError, match=r"has other files, such as mine.txt"):
+        train(cached, tmp_path, SETTINGS, grid=GRID)
+    assert [path.name for path in tmp_path.iterdir()] == ["mine.txt"]
 
 
 def test_a_model_that_is_taught_has_its_teacher_first(cached, tmp_path, monkeypatch):
@@ -227,6 +228,11 @@ def test_other_settings_are_refused_in_the_same_folder(stopped_and_not, cached, 
         train(cached, folder, SETTINGS, grid=BevGrid(half=25.6))
     with pytest.raises(InspeError, match="not a training run"):
         open_run(tmp_path)
+    shutil.copytree(folder, tmp_path / "old")
+    record = tmp_path / "old" / "run.json"
+    record.write_text(record.read_text().replace('"inspe_jax run 2"', '"inspe_jax run 1"'))
+    with pytest.raises(InspeError, match="made by another version: train again into another"):
+        open_run(tmp_path / "old")
 
 
 @pytest.mark.parametrize(("loss", "weight", "step"), [(np.nan, 0, 3), (1.0, np.nan, 4)])
@@ -266,13 +272,6 @@ def test_only_one_process_trains_a_run(cached, tmp_path):
         assert again == run
 
 
-def test_other_files_are_left_as_they_are(cached, tmp_path):
-    (tmp_path / "mine.txt").touch()
-    with pytest.raises(InspeError, match=r"has other files, such as mine.txt"):
-        train(cached, tmp_path, SETTINGS, grid=GRID)
-    assert [path.name for path in tmp_path.iterdir()] == ["mine.txt"]
-
-
 def test_a_model_needs_its_sensors(cached, tmp_path):
     write_scenario(tmp_path / "set" / "train" / "a", [frame_of(0, lidars=False)])
     blind = cache_of(tmp_path / "set", pictures=None)
@@ -298,11 +297,3 @@ def test_pictures_of_another_size_are_refused(stopped_and_not, tmp_path):
     assert cache_of(other.path, pictures=None).pictures == (24, 32)
     with pytest.raises(InspeError, match=r"other: is a cache already: leave --cache .*more out"):
         cache_of(other.path, pictures=None, folder=tmp_path / "more")
-
-
-def test_a_run_of_an_earlier_version_is_refused(stopped_and_not, tmp_path):
-    shutil.copytree(stopped_and_not[0].path, tmp_path / "old")
-    record = tmp_path / "old" / "run.json"
-    record.write_text(record.read_text().replace('"inspe_jax run 2"', '"inspe_jax run 1"'))
-    with pytest.raises(InspeError, match="made by another version: train again into another"):
-        open_run(tmp_path / "old")

@@ -13,7 +13,7 @@ from inspe_jax.placement.methods.finer_moves import finer, of_unit, sights
 from inspe_jax.placement.objective import Objective
 from inspe_jax.placement.problem import Case, Problem
 from inspe_jax.placement.run import Run
-from inspe_jax.placement.sample_score import SampleScore, times
+from inspe_jax.placement.sample_score import SampleScore
 from inspe_jax.placement.space import Space
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scoring.detection import detection_curves
@@ -129,30 +129,30 @@ def test_bits_add_up_to_the_score(scene, name):
     scenes = [scene, Case(other_traffic(scene))] if name.endswith("two scenes") else scene
     problem = Problem(scenes, team(scene), OBJECTIVES[name])
     sample = problem.sample(np.random.default_rng(1), 96, 3)
-    tally, x = SampleScore(problem, sample), problem.space.random(np.random.default_rng(2), 3)
+    sampled, x = SampleScore(problem, sample), problem.space.random(np.random.default_rng(2), 3)
     stand = candidates.poses(problem.space, x)
-    bits = {s: tally.views(problem, {s: stand[:, s]})[s] for s in range(5)}
+    bits = {s: sampled.views(problem, {s: stand[:, s]})[s] for s in range(5)}
     for m, score in enumerate(problem.rough(x, sample)):
         rows = {s: row[m] for s, row in bits.items()}
-        assert tally.value(rows) == pytest.approx(score, abs=2e-5)
+        assert sampled.value(rows) == pytest.approx(score, abs=2e-5)
         for s in rows:
             rest = {t: row for t, row in rows.items() if t != s}
-            added = tally.value(rows) - tally.value(rest)
-            assert times(rows[s][None], tally.worth(rest, s))[0] == pytest.approx(added, abs=1e-6)
-            assert tally.gains(rest, {s: rows[s][None]})[0] == pytest.approx(added, abs=1e-6)
+            added = sampled.value(rows) - sampled.value(rest)
+            assert sampled.marginal(rest, s).dot(rows[s][None])[0] == pytest.approx(added, abs=1e-6)
+            assert sampled.gains(rest, {s: rows[s][None]})[0] == pytest.approx(added, abs=1e-6)
             # Submodular: beside fewer others it adds at least as much.
             fewer = dict(list(rest.items())[::2])
-            assert times(rows[s][None], tally.worth(fewer, s))[0] >= added - 1e-6
+            assert sampled.marginal(fewer, s).dot(rows[s][None])[0] >= added - 1e-6
     rest = {s: bits[s][0] for s in (0, 1, 4)}
-    together = tally.gains(rest, {s: bits[s] for s in (2, 3)})
+    together = sampled.gains(rest, {s: bits[s] for s in (2, 3)})
     for m in range(3):
         both = rest | {s: bits[s][m] for s in (2, 3)}
-        assert together[m] == pytest.approx(tally.value(both) - tally.value(rest), abs=1e-6)
+        assert together[m] == pytest.approx(sampled.value(both) - sampled.value(rest), abs=1e-6)
 
 
 def test_what_is_compiled_serves_any_number_of_layouts_and_poses(problem):
     """And what it gives of one does not depend on the others, to the last bit."""
-    sample = problem.sample(np.random.default_rng(3), candidates.COLUMNS, candidates.FRAMES)
+    sample = problem.sample(np.random.default_rng(3), 96, 3)
     x = problem.space.random(np.random.default_rng(4), 11)
     poses = candidates.poses(problem.space, x)[:, 0]
     rough, (views, seen, _) = problem.rough(x, sample), problem.views({0: poses}, sample)[0]
@@ -207,7 +207,7 @@ def finding(scene):
 def gain(table, picks, s, k):
     """What a candidate adds, from two values."""
     before, after = table.rows(picks), table.rows(picks | {s: int(k)})
-    return table.tally.value(after) - table.tally.value(before)
+    return table.sampled.value(after) - table.sampled.value(before)
 
 
 def may_stand(table, picks, s, k):
@@ -274,14 +274,14 @@ def test_a_layout_of_picks_sees_what_their_candidates_see(table, problem, start)
     picks, _ = greedy.lazy_greedy(table)
     x = table.layout(start, picks)
     assert problem.space.violations(problem.space.layout(x)) == []
-    score = problem.rough(x[None], table.tally.sample)[0]
+    score = problem.rough(x[None], table.sampled.sample)[0]
     # Single precision may tip a voxel that a ray just touches.
-    assert table.tally.value(table.rows(picks)) == pytest.approx(score, abs=2e-3)
+    assert table.sampled.value(table.rows(picks)) == pytest.approx(score, abs=2e-3)
 
 
 def test_every_round_looks_at_candidates_of_its_own(problem, start):
     run = Run(problem, start, evaluations=1.0)
-    first, second, again = (greedy._table(run, number).kinds[0] for number in (0, 1, 0))
+    first, second, again = (greedy._new_table(run, n).kinds[0] for n in (0, 1, 0))
     assert set(first.yaw.round(6)).isdisjoint(second.yaw.round(6))
     np.testing.assert_array_equal(first.yaw, again.yaw)
 
@@ -295,7 +295,7 @@ def test_exchange_finds_the_best_replacement_there_is(table):
             kind = table.kind_of(s)
             at = [k for k in rng.permutation(len(kind.foot)) if may_stand(table, picks, s, k)]
             picks[s] = int(at[0])
-        before = table.tally.value(table.rows(picks))
+        before = table.sampled.value(table.rows(picks))
         rest = {s: k for s, k in picks.items() if s != 4}
         found = greedy.exchange(table, picks, 2)
         assert found | rest == found
@@ -304,53 +304,31 @@ def test_exchange_finds_the_best_replacement_there_is(table):
         for u in (0, 1):
             found = greedy.exchange(table, found, u)
             assert all(may_stand(table, found, s, k) for s, k in found.items())
-        assert table.tally.value(table.rows(found)) > before
-
-
-def test_exchange_of_two_sensors_tries_every_foot(table):
-    """The bound leaves out no foot at which the greedy filling is better."""
+        assert table.sampled.value(table.rows(found)) > before
+    # For two sensors the bound leaves out no foot at which the greedy filling is better.
     picks, _ = greedy.lazy_greedy(table)
     rest = {s: k for s, k in picks.items() if s not in (2, 3)}
-    values = [
-        table.tally.value(table.rows(greedy._fill(table, rest, (2, 3), int(foot))))
-        for foot in np.flatnonzero(table.stand[1])
+    filled = [
+        greedy._fill(table, rest, (2, 3), int(foot)) for foot in np.flatnonzero(table.stand[1])
     ]
-    found = greedy.exchange(table, picks, 1)
-    assert table.tally.value(table.rows(found)) >= max(values) - 1e-6
+    best = max(table.sampled.value(table.rows(found)) for found in filled)
+    assert table.sampled.value(table.rows(greedy.exchange(table, picks, 1))) >= best - 1e-6
 
 
-def test_finer_moves_of_several_units_are_judged_one_beside_another(table, problem, start):
+@pytest.mark.parametrize("units", [(1,), (0, 1, 2)])
+def test_finer_moves_are_of_their_units_and_never_for_the_worse(table, problem, start, units):
     """Together they add what the sample says of the layout with all of them."""
-    space, tally, units = problem.space, table.tally, range(len(problem.layout.units))
-    rows = sights(problem, tally, start, range(5))
-    x, before = start, tally.value(rows)
-    for k in range(3):
-        x, rows = finer(problem, tally, x, rows, units, 0.5, np.random.default_rng(k), 16)
-        value = tally.value(rows)
+    space, sampled = problem.space, table.sampled
+    rows = sights(problem, sampled, start, range(5))
+    x, before = start, sampled.value(rows)
+    for k in range(4):
+        x, rows = finer(problem, sampled, x, rows, units, 0.5, np.random.default_rng(k), 16)
+        value = sampled.value(rows)
         assert value >= before - 1e-6
-        assert value == pytest.approx(problem.rough(x[None], tally.sample)[0], abs=2e-5)
+        assert value == pytest.approx(problem.rough(x[None], sampled.sample)[0], abs=2e-5)
         before = value
     assert not space.violations(space.layout(x))
-    moved = [(x != start)[of_unit(problem, u)].any() for u in units]
-    assert sum(moved) > 1
-    parts = np.concatenate([of_unit(problem, u) for u in units])
-    assert sorted(parts) == list(range(space.size))  # every coordinate is of one unit
-
-
-def test_finer_moves_are_of_one_unit_and_never_for_the_worse(table, problem, start):
-    space, tally = problem.space, table.tally
-    stand = candidates.poses(space, start[None])[0]
-    rows = {s: tally.views(problem, {s: stand[s][None]})[s][0] for s in range(5)}
-    x, moved = start, 0
-    for k in range(6):
-        new, seen = finer(problem, tally, x, rows, (1,), 0.5, np.random.default_rng(k), 64)
-        assert tally.value(seen) >= tally.value(rows)
-        a, b = (candidates.poses(space, row[None])[0] for row in (x, new))
-        assert np.allclose(a[[0, 1, 4]], b[[0, 1, 4]], atol=1e-5)
-        if new is not x:
-            moved += 1
-            assert tally.value(seen) == pytest.approx(
-                problem.rough(new[None], tally.sample)[0], abs=2e-5
-            )
-        x, rows = new, seen
-    assert moved
+    parts = [of_unit(problem, u) for u in range(3)]
+    assert sorted(np.concatenate(parts)) == list(range(space.size))
+    moved = [bool((np.abs(x - start)[part] > 1e-5).any()) for part in parts]
+    assert moved == [u in units for u in range(3)]

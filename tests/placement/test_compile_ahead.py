@@ -182,7 +182,7 @@ def test_the_end_of_the_process_waits_for_xla():
     """A job that is in C and comes back to Python, as XLA does."""
     code = (
         "import time; from inspe_jax.placement.compile_ahead import Ahead\n"
-        "Ahead({'a': lambda: time.sleep(1.0) or print('over', flush=True) or True})"
+        "Ahead({'a': lambda: time.sleep(0.5) or print('over', flush=True) or True})"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
     assert (done.returncode, done.stdout) == (0, "over\n")

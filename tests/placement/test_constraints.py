@@ -67,9 +67,10 @@ def test_random_layouts_of_a_town_can_be_mounted(maps):
         np.testing.assert_allclose(poses(jnp.asarray(x, float)), about, atol=0.1)
 
 
-def test_random_units_stand_apart_and_half_of_them_on_poles():
+def test_random_units_stand_apart_half_of_them_on_poles_and_half_look_inward():
     space = space_of()
-    base = np.array([space.split(x).base for x in space.random(np.random.default_rng(1), 300)])
+    rows = space.random(np.random.default_rng(1), 300)
+    base = np.array([space.split(x).base for x in rows])
     pairs = [base[:, a] - base[:, b] for a, b in combinations(range(base.shape[1]), 2)]
     assert (np.hypot(*np.moveaxis(np.array(pairs), -1, 0)) > 2.5).mean() > 0.999
     poles = space.site.poles - space.center[:2]
@@ -77,11 +78,7 @@ def test_random_units_stand_apart_and_half_of_them_on_poles():
     # Four units share four poles: later ones find their draw taken more often.
     assert 0.35 < on_pole.mean() < 0.55
     assert 0.45 < on_pole[:, 0].mean() < 0.55
-
-
-def test_half_of_the_random_directions_are_inward():
-    space = space_of()
-    poses = np.array([space.layout(x).poses for x in space.random(np.random.default_rng(2), 300)])
+    poses = np.array([space.layout(x).poses for x in rows])
     inward = np.arctan2(*(space.center[:2] - poses[..., :2]).transpose(2, 0, 1)[::-1])
     off = np.abs((poses[..., 5] - inward + np.pi) % (2 * np.pi) - np.pi)
     # Half within 60°, and a third of the other half by chance; arms shift directions a little.
@@ -308,8 +305,7 @@ def test_gradients_are_finite_everywhere():
 def test_jit_vmap_and_double_precision():
     space = space_of("five_way")
     x = space.random(np.random.default_rng(8), 5)
-    poses = jax.jit(space.poses)
-    single = np.array([poses(jnp.asarray(row, float)) for row in x])
+    single = np.array([jax.jit(space.poses)(jnp.asarray(row, float)) for row in x])
     np.testing.assert_allclose(
         jax.jit(jax.vmap(space.poses))(jnp.asarray(x, float)), single, atol=1e-5
     )

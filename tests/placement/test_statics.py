@@ -40,7 +40,7 @@ def planted(scene):
     )
 
 
-def test_poles_of_a_placement_stand_clear(scene, planted):
+def test_poles_of_placements_and_of_random_layouts_stand_clear(scene, planted):
     before, after = (inspe_jax.strategy(of, "Cam-d1/L-d1") for of in (scene, planted))
     feet = np.array([unit.base[:2] for unit in after.units])
     moved = np.hypot(*(feet - [unit.base[:2] for unit in before.units]).T)
@@ -50,14 +50,9 @@ def test_poles_of_a_placement_stand_clear(scene, planted):
         assert planted.statics[1].polygon.distance(Point(foot)) > 0
     for pose in after.poses:
         assert body_at(planted.statics, planted.intersection, np.asarray(pose)[:3]) is None
-    assert not Space(planted, after).faults(after)
-
-
-def test_no_random_layout_has_a_sensor_in_a_body(planted):
-    layout = inspe_jax.strategy(planted, "Cam-d1/L-d1")
-    space = Space(planted, layout)
-    for x in space.random(np.random.default_rng(3), 40):
-        found = space.layout(x)
+    space = Space(planted, after)
+    assert not space.faults(after)
+    for found in map(space.layout, space.random(np.random.default_rng(3), 40)):
         assert not space.faults(found)
         for pose in found.poses:
             assert body_at(planted.statics, planted.intersection, np.asarray(pose)[:3]) is None

@@ -25,7 +25,7 @@ from inspe_jax.report.scene_tables import (
 from inspe_jax.report.tables import scores_record, scores_table, sweep_table
 from inspe_jax.scene.maps.parts import JunctionInfo
 from inspe_jax.scene.profiles import profiles
-from inspe_jax.scoring.evaluate import Contribution, Scores, evaluate
+from inspe_jax.scoring.evaluate import Contribution, Scores
 from inspe_jax.sensing.catalogue import Device, devices
 from inspe_jax.sensing.layout import Sensor, Unit, make_layout
 
@@ -112,17 +112,6 @@ def test_the_record_is_the_scores_exactly(scene, layout):
     ]
     for part, given in zip(record["contributions"], SCORES.contributions, strict=True):
         assert [part[name] for name in METRICS] == [getattr(given, name) for name in METRICS]
-
-
-def test_real_scores_make_a_record_and_a_table(scene):
-    layout = place_sensors((CAMERA, [5, 5, 6, 0, -0.4, -2.0]), (LIDAR, [-5, 5, 5, 0, 0, 0.0]))
-    scores = evaluate(scene, layout)
-    record = json.loads(json.dumps(scores_record(scores, scene, layout)))
-    text = shown(scores_table(scores, layout))
-    for name in METRICS:
-        assert record[name] == getattr(scores, name)
-        assert f"{record[name]:.3f}" in text
-    assert [c["sensor"] for c in record["contributions"]] == ["s0", "s1"]
 
 
 @pytest.mark.parametrize("make", [lambda s, w, la: scores_table(s, la), scores_record])

@@ -28,7 +28,6 @@ from inspe_jax.scene.traffic.waypoint.congestion import (
     CongestedModel,
 )
 from inspe_jax.scene.traffic.waypoint.generate import waypoint_traffic
-from inspe_jax.scene.traffic.waypoint.model import WaypointModel
 from inspe_jax.scene.traffic.waypoint.paths import lay_paths
 from inspe_jax.scene.traffic.waypoint.walkways import BESIDE, SLACK, with_walkways
 
@@ -40,16 +39,6 @@ RADIUS, COUNT = 40.0, 60
 @cache
 def full() -> TrafficFrames:
     return waypoint_traffic(crossing(), radius=RADIUS, count=COUNT, frames=40)
-
-
-def models(count: int = COUNT) -> tuple[WaypointModel, CongestedModel]:
-    """Both models of the same place, before anybody is there."""
-    paths = lay_paths(crossing(), RADIUS)
-    kind = np.repeat(np.arange(4, dtype=np.int8), quota(MIXES["mixed"], [True] * 4, count))
-    spare = np.full(count, PEDESTRIAN, np.int8)
-    mix, seed = MIXES["mixed"], np.random.default_rng
-    free = WaypointModel(paths, ROAD_USERS, kind, mix, seed(0))
-    return free, CongestedModel(paths, ROAD_USERS, kind, mix, seed(0), spare)
 
 
 def of(counts: list[int], frames: int = 2) -> TrafficFrames:
@@ -89,18 +78,6 @@ def test_high_density_holds_in_narrow_towns(town: str, junction: int) -> None:
     assert traffic.mean_by_class[[CYCLIST, PEDESTRIAN]].min() >= 4
 
 
-def test_more_come_in_than_where_traffic_leaves_freely() -> None:
-    there = []
-    for model in models():
-        model.fill()
-        for _ in range(300):
-            model.step(0.2)
-        there.append(np.bincount(model.kind[model.active], minlength=4))
-    free, dense = there
-    assert dense[:PEDESTRIAN].sum() > 1.1 * free[:PEDESTRIAN].sum()
-    assert dense[TRUCK] > free[TRUCK]
-
-
 def test_vehicles_leave_one_by_one_and_wait_at_the_end_of_their_lane() -> None:
     """More cars than a road of one lane holds: a queue stands at its end, and moves on."""
     paths = lay_paths(intersection([Route(line((-FAR, 0), (FAR, 0)), LANE)]), 50)
@@ -129,7 +106,10 @@ def test_vehicles_leave_one_by_one_and_wait_at_the_end_of_their_lane() -> None:
 
 def test_where_nobody_is_missing_vehicles_leave_freely() -> None:
     """From the shortest headway on nothing differs from the other model but who comes in."""
-    _, model = models(count=8)
+    paths, mix = lay_paths(crossing(), RADIUS), MIXES["mixed"]
+    kind = np.repeat(np.arange(4, dtype=np.int8), quota(mix, [True] * 4, 8))
+    spare = np.full(8, PEDESTRIAN, np.int8)
+    model = CongestedModel(paths, ROAD_USERS, kind, mix, np.random.default_rng(0), spare)
     model.fill()
     for _ in range(300):
         model.step(0.2)

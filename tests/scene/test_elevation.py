@@ -1,12 +1,10 @@
 """Heights of the ground from elevation models, against planes that they were made of."""
 
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import pytest
 import rasters
-from processes import inspe_here
 from worlds import crossing, rilsa
 
 import inspe_jax
@@ -47,20 +45,25 @@ def plane(x, y):
     return 520.0 + 0.05 * (x - CENTER[0]) - 0.02 * (y - CENTER[1])
 
 
-def model(path, crs=UTM, cell=2.0, reach=60.0, at=CENTER, holes=None, **profile):
+def raster(path, heights, left=0.0, top=0.0, cell=1.0, **profile):
+    """A raster of heights (…, N, M), whose first cell has its corner at (left, top)."""
+    heights = np.atleast_3d(heights.T).T
+    profile = dict(crs=UTM, transform=rasterio.Affine(cell, 0, left, 0, -cell, top)) | profile
+    size = dict(count=len(heights), height=heights.shape[1], width=heights.shape[2])
+    with rasterio.open(path, "w", dtype=heights.dtype, **size, **profile) as file:
+        file.write(heights)
+    return path
+
+
+def model(path, cell=2.0, reach=60.0, at=CENTER, holes=None, **profile):
     """A GeoTIFF or an ASCII grid of the plane in the place's projection."""
-    size = int(2 * reach / cell)
     left, top = at[0] - SHIFT[0] - reach, at[1] - SHIFT[1] + reach
-    x = left + SHIFT[0] + (np.arange(size) + 0.5) * cell
-    y = top + SHIFT[1] - (np.arange(size) + 0.5) * cell
-    heights = plane(*np.meshgrid(x, y)).astype(np.float32)
+    steps = (np.arange(int(2 * reach / cell)) + 0.5) * cell
+    heights = plane(*np.meshgrid(left + SHIFT[0] + steps, top + SHIFT[1] - steps))
     if holes is not None:
         heights[holes] = -9999
-    profile = dict(count=1, dtype="float32", nodata=-9999, crs=crs) | profile
-    transform = rasterio.Affine(cell, 0, left, 0, -cell, top)
-    with rasterio.open(path, "w", width=size, height=size, transform=transform, **profile) as file:
-        file.write(heights, 1)
-    return path
+    profile = dict(nodata=-9999) | profile
+    return raster(path, heights.astype(np.float32), left, top, cell, **profile)
 
 
 def test_heights_are_the_models(tmp_path):
@@ -87,13 +90,8 @@ def test_a_model_in_degrees_agrees(tmp_path):
     at = (np.arange(size) + 0.5) * cell
     degrees = np.stack(np.meshgrid(left + at, top - at), -1).reshape(-1, 2)
     heights = plane(*own.georeference.from_degrees(degrees).T).reshape(size, size)
-    kind = dict(driver="GTiff", count=1, dtype="float64", crs="EPSG:4326")
-    transform = rasterio.Affine(cell, 0, left, 0, -cell, top)
-    with rasterio.open(
-        tmp_path / "wgs84.tif", "w", width=size, height=size, transform=transform, **kind
-    ) as file:
-        file.write(heights, 1)
-    found = with_elevation(own, tmp_path / "wgs84.tif", RADIUS)
+    path = raster(tmp_path / "wgs84.tif", heights, left, top, cell, crs="EPSG:4326")
+    found = with_elevation(own, path, RADIUS)
     x, y, z = terrain_of(found, RADIUS).points.T
     near = np.hypot(x - CENTER[0], y - CENTER[1]) < RADIUS
     assert z[near] == pytest.approx(plane(x, y)[near], abs=0.01)
@@ -111,21 +109,18 @@ def test_a_grid_without_projection_is_in_that_of_the_place(tmp_path):
 
 
 def test_what_is_wrong_is_said(tmp_path, monkeypatch):
-    own = place()
-    with pytest.raises(InspeError, match="of another region"):
-        with_elevation(own, model(tmp_path / "far.tif", at=(9_000.0, 0.0, 0.0)), RADIUS)
-    with pytest.raises(InspeError, match=r"has heights for \d+% of the ground within 20 m"):
-        with_elevation(own, model(tmp_path / "small.tif", reach=12.0), RADIUS)
-    holed = model(tmp_path / "holes.tif", holes=np.s_[28:32, 28:32])
-    with pytest.raises(InspeError, match="has heights for 9"):
-        with_elevation(own, holed, RADIUS)
-    with pytest.raises(InspeError, match="does not say where on the"):
-        with_elevation(replace(own, georeference=None), model(tmp_path / "dem.tif"), RADIUS)
+    own, good = place(), model(tmp_path / "dem.tif")
     (tmp_path / "text.tif").write_text("no picture")
-    with pytest.raises(InspeError, match="not an elevation model"):
-        with_elevation(own, tmp_path / "text.tif", RADIUS)
-    with pytest.raises(InspeError, match=r"missing\.tif"):
-        with_elevation(own, tmp_path / "missing.tif", RADIUS)
+    for at, path, words in (
+        (own, model(tmp_path / "far.tif", at=(9_000.0, 0.0, 0.0)), "of another region"),
+        (own, model(tmp_path / "small.tif", reach=12.0), r"for \d+% of the ground within 20 m"),
+        (own, model(tmp_path / "holes.tif", holes=np.s_[28:32, 28:32]), "has heights for 9"),
+        (replace(own, georeference=None), good, "does not say where on the"),
+        (own, tmp_path / "text.tif", "not an elevation model"),
+        (own, tmp_path / "missing.tif", r"missing\.tif"),
+    ):
+        with pytest.raises(InspeError, match=words):
+            with_elevation(at, path, RADIUS)
     monkeypatch.setattr(elevation, "MOST", 50)
     with pytest.raises(InspeError, match="resample it"):
         with_elevation(own, model(tmp_path / "fine.tif", cell=1.0), RADIUS)
@@ -133,30 +128,26 @@ def test_what_is_wrong_is_said(tmp_path, monkeypatch):
 
 @pytest.mark.filterwarnings("ignore:Dataset has no geotransform")
 def test_what_is_no_elevation_model_is_refused(tmp_path):
-    own = place()
-    picture = dict(dtype="uint8", count=3, nodata=None)
-    with rasterio.open(
-        tmp_path / "photo.tif", "w", driver="GTiff", width=9, height=9, crs=UTM,
-        transform=rasterio.Affine(1, 0, 0, 0, -1, 9), **picture,
-    ) as file:  # fmt: skip
-        file.write(np.zeros((3, 9, 9), np.uint8))
-    with pytest.raises(InspeError, match="has 3 bands, as a picture"):
-        with_elevation(own, tmp_path / "photo.tif", RADIUS)
-    model(tmp_path / "void.tif", holes=np.s_[28:32, 28:32], nodata=None)
-    with pytest.raises(InspeError, match="if some stand for no data"):
-        with_elevation(own, tmp_path / "void.tif", RADIUS)
+    own, nowhere = place(), dict(crs=None, transform=rasterio.Affine.identity())
     model(tmp_path / "feet.tif")
     with rasterio.open(tmp_path / "feet.tif", "r+") as file:
         file.units = ["ft"]
-    with pytest.raises(InspeError, match="heights in ft, not in metres"):
-        with_elevation(own, tmp_path / "feet.tif", RADIUS)
-    with rasterio.open(
-        tmp_path / "plain.tif", "w", driver="GTiff", width=300, height=300, count=1,
-        dtype="float32",
-    ) as file:  # fmt: skip
-        file.write(np.zeros((300, 300), np.float32), 1)
-    with pytest.raises(InspeError, match="it has no geotransform"):
-        with_elevation(replace(own, georeference=None), tmp_path / "plain.tif", RADIUS)
+    for at, path, words in (
+        (own, raster(tmp_path / "photo.tif", np.zeros((3, 9, 9), np.uint8)), "has 3 bands, as a"),
+        (
+            own,
+            model(tmp_path / "void.tif", holes=np.s_[28:32, 28:32], nodata=None),
+            "if some stand for no data",
+        ),
+        (own, tmp_path / "feet.tif", "heights in ft, not in metres"),
+        (
+            replace(own, georeference=None),
+            raster(tmp_path / "plain.tif", np.zeros((300, 300), np.float32), **nowhere),
+            "it has no geotransform",
+        ),
+    ):
+        with pytest.raises(InspeError, match=words):
+            with_elevation(at, path, RADIUS)
 
 
 def test_no_other_file_and_no_address_is_read(tmp_path):
@@ -179,14 +170,6 @@ def test_beyond_the_radius_the_nearest_height_goes_on(tmp_path):
     assert np.isfinite(terrain.heights).all()
     edge = terrain.height(np.array([[CENTER[0] + 34.0, CENTER[1]]]))
     assert edge == pytest.approx(plane(CENTER[0] + 23.0, CENTER[1]), abs=0.11)
-
-
-def test_only_maps_take_a_model(tmp_path, monkeypatch, capsys):
-    model(tmp_path / "dem.tif")
-    run = partial(inspe_here, tmp_path, monkeypatch, capsys)
-    status, _, errors = run("scene", "four_way", "--elevation", "dem.tif")
-    assert status == 2
-    assert "a built-in intersection is no map" in " ".join(errors.split())
 
 
 def test_there_is_no_step_at_the_rim_of_what_is_known():

@@ -9,11 +9,9 @@ import shapely
 from osm_town import LAT, LON, METRES, Town, box, degrees, full_town
 from shapely.geometry import LineString, Point, Polygon
 
-import inspe_jax
 from inspe_jax.core.digest import digest
 from inspe_jax.core.errors import InspeError
-from inspe_jax.scene.maps.bodies import simple_pieces, standing
-from inspe_jax.scene.maps.openstreetmap.bodies import BodyReader, extract_about
+from inspe_jax.scene.maps.bodies import simple_pieces
 from inspe_jax.scene.maps.openstreetmap.extract import Box, read_extract
 from inspe_jax.scene.maps.openstreetmap.sizes import Sizes, length_of
 from inspe_jax.scene.maps.registry import list_junctions, read_map
@@ -261,51 +259,28 @@ def test_outlines_that_the_extract_cuts_are_closed_or_left_out(tmp_path):
 @pytest.mark.parametrize("seed", range(2))
 def test_shapes_without_sense_are_mended_or_left_out(tmp_path, seed):
     """Ways on a few nodes over and over, with tags at random: bodies or notes, and no crash."""
-    rng = np.random.default_rng(seed)
-    nodes = [f'<node id="{k}" lon="{rng.integers(-40, 40)}" lat="{rng.integers(-40, 40)}"/>'
-             for k in range(25)]  # fmt: skip
-    tags = [("building", "yes"), ("building:part", "yes"), ("building", "roof"), ("height", "2"),
+    rng, town = np.random.default_rng(seed), Town()
+    nodes = [town.node(tuple(rng.integers(-40, 40, 2).tolist())) for _ in range(25)]
+    nodes += range(9990, 9995)  # which are not there
+    tags = [("building", "yes"), ("building__part", "yes"), ("building", "roof"), ("height", "2"),
             ("barrier", "wall"), ("barrier", "hedge"), ("area", "yes"), ("natural", "tree_row"),
-            ("min_height", "3"), ("height", "-"), ("building:levels", "-3"),
+            ("min_height", "3"), ("height", "-"), ("building__levels", "-3"),
             ("width", "0")]  # fmt: skip
 
     def some():
-        return "".join(
-            f'<tag k="{k}" v="{v}"/>' for k, v in (tags[i] for i in rng.integers(0, 12, 4))
-        )
+        return dict(tags[i] for i in rng.integers(0, 12, 4))
 
-    ways = []
-    for k in range(120):
-        refs = [*rng.integers(0, 30, rng.integers(1, 8))]
-        refs += refs[:1] * int(rng.integers(0, 3))
-        through = "".join(f'<nd ref="{n}"/>' for n in refs)
-        ways.append(f'<way id="{k}">{through}{some()}</way>')
-    roles = ["outer", "inner", ""]
-    rings = [
-        "".join(f'<member type="way" ref="{w}" role="{rng.choice(roles)}"/>'
-                for w in rng.integers(0, 125, 4))
-        for _ in range(40)
-    ]  # fmt: skip
-    made = [f'<relation id="{k}">{r}<tag k="type" v="multipolygon"/>{some()}</relation>'
-            for k, r in enumerate(rings)]  # fmt: skip
-    file = tmp_path / "odd.osm"
-    file.write_text(f"<osm>{''.join([*nodes, *ways, *made])}</osm>")
-    notes: list[str] = []
-    where = np.zeros(2), 60.0, InMetres()
-    found = BodyReader(extract_about(file, *where), *where, notes).shapes()
-    bodies = standing(found, inspe_jax.built_in("four_way"), 60.0, notes)
-    assert len(bodies) > 50
-    assert all(b.polygon.is_valid and b.polygon.area > 0 for b in bodies)
-    assert any("mended" in note for note in notes)
-
-
-class InMetres:
-    """Where degrees are metres."""
-
-    def to_degrees(self, points):
-        return np.asarray(points)
-
-    from_degrees = to_degrees
+    ways = [9999]
+    for _ in range(120):
+        through = [nodes[i] for i in rng.integers(0, 30, rng.integers(1, 8))]
+        ways.append(town.way(through + through[:1] * int(rng.integers(0, 3)), **some()))
+    for _ in range(40):
+        rings = [(ways[i], rng.choice(["outer", "inner", ""])) for i in rng.integers(0, 121, 4)]
+        town.relation(rings, **some())
+    place = read_map(town.write(tmp_path / "odd.osm"), junction=town.middle, radius=50)
+    assert len(place.bodies) > 50
+    assert all(b.polygon.is_valid and b.polygon.area > 0 for b in place.bodies)
+    assert any("mended" in note for note in place.notes)
 
 
 # ── In a scene ──────────────────────────────────────────────────────────────

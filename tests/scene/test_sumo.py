@@ -14,6 +14,7 @@ from shapely.geometry import LineString, Point, Polygon
 from worlds import MAPS, rilsa
 
 import inspe_jax
+from inspe_jax.core.digest import digest
 from inspe_jax.core.errors import InspeError
 from inspe_jax.scene.maps.registry import list_junctions, read_map
 from inspe_jax.scene.regions import Region
@@ -237,15 +238,12 @@ def test_the_same_seed_gives_the_same_traffic(place):
     assert not np.array_equal(one.center, other.center)
 
 
-def test_the_scores_take_it_and_a_saved_scene_keeps_it(place, tmp_path):
+def test_a_saved_scene_keeps_it(place, tmp_path):
     scene = build_scene(place, radius=25, voxel=1.0, density=10, frames=4, traffic="sumo")
     save_scene(scene, tmp_path / "s.npz")
     again = load_scene(tmp_path / "s.npz")
-    for name in ("center", "track", "velocity", "time"):
-        assert np.array_equal(getattr(scene.traffic, name), getattr(again.traffic, name))
+    assert digest(again.traffic) == digest(scene.traffic)
     assert dict(again.settings)["traffic"] == "sumo"
-    scores = inspe_jax.evaluate(again, inspe_jax.strategy(again, "L-d1"))
-    assert 0.5 < scores.surrogate <= 1.0
 
 
 def test_the_largest_vehicle_alone_and_progress_to_its_end(place):

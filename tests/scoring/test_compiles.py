@@ -5,7 +5,7 @@ from functools import cache
 import jax
 import numpy as np
 import pytest
-from worlds import CAMERA, LIDAR, random_layout
+from worlds import CAMERA, LIDAR, SMALL, random_layout
 
 import inspe_jax
 from inspe_jax.core.compiling import compiled
@@ -24,7 +24,7 @@ OTHER_CAMERA = CameraSpec("other-camera", 640, 480, 500.0, (320.0, 240.0), 0.1, 
 @cache
 def scene_of(name="t_junction", density=10, seed=0):
     return inspe_jax.build_scene(
-        inspe_jax.built_in(name), radius=15, voxel=1.0, frames=3, density=density, seed=seed
+        inspe_jax.built_in(name), **SMALL, frames=4, density=density, seed=seed
     )
 
 

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from worlds import CAMERA, LIDAR, random_layout, world
+from worlds import CAMERA, LIDAR, SMALL, random_layout, world
 
 import inspe_jax
 from inspe_jax.core.errors import InspeError
@@ -50,7 +50,7 @@ def registered(monkeypatch):
 
 @pytest.fixture(scope="module")
 def scene():
-    return world(seed=3, voxel=1.0)
+    return world(**SMALL, seed=3)
 
 
 @pytest.fixture(scope="module")

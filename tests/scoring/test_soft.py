@@ -39,9 +39,6 @@ from inspe_jax.visibility.in_view import in_view_margins
 from inspe_jax.visibility.shadows import soft_sight
 
 NEAR = LidarSpec("near", tuple(np.radians([-60.0, -40.0, -25.0, -10.0])), 360, 2 * np.pi, 18.0)
-compiled_measure = jax.jit(
-    measure, static_argnames=("sensor_set", "voxel", "occlusion_reference", "visibility")
-)
 
 
 def slow(*case):
@@ -140,7 +137,7 @@ def test_tile_by_tile_is_all_vehicles_against_all_columns(reading, options, fail
         return sum(value.sum() for value in measures.values.values()), measures
 
     def plain(poses):
-        return total(compiled_measure(field, poses, sensor_set, voxel, softness, **options))
+        return total(measure(field, poses, sensor_set, voxel, softness, **options))
 
     def tiled(poses):
         return total(
@@ -179,7 +176,7 @@ def test_slabs_of_levels_and_runs_of_frames_are_put_together(double, size):
     poses = poses * jnp.array([0.3, 0.3, 1, 1, 1, 1], poses.dtype)[None]  # near the middle
     field = SceneArrays(about_center(scene), jnp.asarray(scene.voxels.weight, float))
     softness, voxel = Softness.of(0.5), scene.voxels.size
-    expected = compiled_measure(field, poses, sensor_set, voxel, softness)
+    expected = measure(field, poses, sensor_set, voxel, softness)
     found = measure_softly(
         tiled_scene_of(scene, whole=True, masks=False), poses, sensor_set, voxel, softness
     )

@@ -2,7 +2,16 @@
 
 import numpy as np
 import pytest
-from worlds import CAMERA, LIDAR, box_triangles, place_sensors, triangles, with_boxes, world
+from worlds import (
+    CAMERA,
+    LIDAR,
+    box_triangles,
+    emptied,
+    place_sensors,
+    triangles,
+    with_boxes,
+    world,
+)
 
 import inspe_jax
 from inspe_jax.core.errors import InspeError
@@ -13,12 +22,13 @@ from inspe_jax.scoring.detection import BANDS, detection_curves
 from inspe_jax.scoring.targets import _found, target_view
 from inspe_jax.sensing.lidar_returns import LidarNoise
 
+SIZE = dict(radius=20.0, voxel=0.5, frames=6)
 ALL_RETURN = LidarNoise(lost=0.0, weakest_lost=0.0)
 
 
 @pytest.fixture(scope="module")
 def scene():
-    return world(radius=20.0, voxel=0.5, frames=6, count=10, seed=7)
+    return world(**SIZE, count=10, seed=7)
 
 
 @pytest.fixture(scope="module")
@@ -86,9 +96,11 @@ def test_pixels_per_metre_by_hand():
 
 @pytest.mark.parametrize("roll", [0.6, np.pi / 2])
 def test_a_rolled_camera_has_as_many_pixels(roll):
-    scene = world(radius=20.0, voxel=1.0, count=0)
-    ahead = (scene.voxels.columns == [10.5, 0.5]).all(1)
-    level, rolled = (place_sensors((CAMERA, [0.5, 0.5, 0.86, of, 0.0, 0.0])) for of in (0.0, roll))
+    scene = emptied(world(**SIZE))
+    ahead = (scene.voxels.columns == [10.25, 0.25]).all(1)
+    level, rolled = (
+        place_sensors((CAMERA, [0.25, 0.25, 0.86, of, 0.0, 0.0])) for of in (0.0, roll)
+    )
     expected = target_view(scene, level).pixel_density[ahead]
     np.testing.assert_allclose(target_view(scene, rolled).pixel_density[ahead], expected, 1e-4)
 
@@ -104,7 +116,8 @@ def test_who_is_higher_than_the_region_is_not_cut(lidars):
 
 
 def test_a_wall_of_a_truck_hides_a_pedestrian_and_noise_thins_what_is_left(lidars):
-    scene = with_boxes(world(radius=20.0, voxel=0.5), (0.0, 5.0, 0.0, 30.0, 1.0, 3.9))
+    wall = (0.0, 5.0, 0.0, 30.0, 1.0, 3.9)
+    scene = with_boxes(world(**SIZE), wall, frames=6)
     one = place_sensors((LIDAR, [0.0, 9.0, 3.0, 0.0, 0.0, 0.0]))
     open_, behind = (target_view(scene, one, noise=noise) for noise in (ALL_RETURN, LidarNoise()))
     south = (scene.voxels.columns == [0.25, -5.75]).all(1)
@@ -123,7 +136,7 @@ def test_fog_takes_what_is_far(scene, lidars):
 
 
 def test_without_traffic_nothing_is_hidden(lidars):
-    view = target_view(world(radius=20.0, voxel=1.0, count=0), lidars)
+    view = target_view(emptied(world(**SIZE)), lidars)
     np.testing.assert_allclose(view.returns, view.returns_in_the_open, rtol=1e-6)
     assert (view.seen == 1.0).all()
 
@@ -165,12 +178,13 @@ def test_the_map_has_one_panel_for_each_kind_of_sensor(scene, lidars):
 
 def test_a_target_is_found_by_what_is_in_sight_of_it():
     """Behind a truck all of a pedestrian is hidden; behind a car, what is above it is found."""
-    open_ = world(radius=25.0, voxel=0.5, count=0)
+    open_ = emptied(world(**SIZE))
     layout = place_sensors((LIDAR, [-15.0, 0.25, 4.0, 0.0, 0.0, 0.0]))
     place = np.flatnonzero((open_.voxels.columns == [6.25, 0.25]).all(1))[0]
     found = []
     for height in (None, 1.2, 3.6):
-        scene = open_ if height is None else with_boxes(open_, (3.5, 0.25, 0, 3.0, 2.5, height))
+        car = (3.5, 0.25, 0, 3.0, 2.5, height)
+        scene = open_ if height is None else with_boxes(open_, car, frames=6)
         found.append(target_view(scene, layout, "pedestrian").detectability[place])
     assert found[0] > found[1] > 0.1
     assert found[2] == 0

@@ -32,7 +32,7 @@ def test_what_clear_air_leaves_at_the_depth_is_left_at_the_effective_one(depth, 
     assert z * np.exp(extinction * z) == pytest.approx(depth, rel=1e-9)
 
 
-@pytest.mark.parametrize(("light", "weather"), zip(3 * lights(), WEATHERS, strict=False))
+@pytest.mark.parametrize(("light", "weather"), [*zip(3 * lights(), WEATHERS, strict=False)])
 def test_conditions_only_ever_take_something(light, weather):
     around = Conditions.of(light, weather)
     for spec in (CAMERA, LIDAR):

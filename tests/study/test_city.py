@@ -9,13 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from processes import (
-    in_this_process,
-    inspe_here,
-    inspe_process,
-    kill_with_workers,
-    wait_for_rows,
-)
+from processes import in_this_process, inspe_here
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.scene.maps.parts import JunctionInfo
@@ -169,7 +163,7 @@ def test_dry_runs_and_ctrl_c(inspe, files, monkeypatch):
     def stopped(*given, **more):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("inspe_jax.cli.common.sweep", stopped)
+    monkeypatch.setattr("inspe_jax.cli.study.run", stopped)
     status, _, error = inspe("plan", "grid.net.xml", *MIXES, "--budget", 1)
     assert status == 130
     assert "give the same command again to resume" in error
@@ -259,7 +253,7 @@ def test_what_failed_is_told_and_left_out(inspe, files, monkeypatch):
         scores |= {key: "nowhere to put a pole" for key in scores if key[0] == "B0"}
         return rows_of(study, scores | {("A1", "2 velodyne-vlp-16"): "too many"})
 
-    monkeypatch.setattr("inspe_jax.cli.common.sweep", searched)
+    monkeypatch.setattr("inspe_jax.cli.study.run", searched)
     command = ("plan", "grid.net.xml", *MIXES, "--out", "failing")
     status, text, error = inspe(*command, "--budget", 1)
     assert status == 0
@@ -331,25 +325,3 @@ def test_roads_are_where_the_junctions_are(files):
         away = np.hypot(*(points - np.array(one.center[:2])).T)
         assert away.min() < 15
     assert read_map(path, junction="A0", radius=20).georeference is not None
-
-
-@pytest.mark.process
-def test_a_killed_run_ends_with_the_same_plan(files, tmp_path):
-    command = ("plan", files / "grid.net.xml", *SMALL, *MIXES, "--budget", 12_000, "--workers", 2)
-
-    def begin(name):
-        return inspe_process(*map(str, (*command, "--out", tmp_path / name)),
-                             start_new_session=True)  # fmt: skip
-
-    process = begin("whole")
-    _, error = process.communicate(timeout=500)
-    assert process.returncode == 0, error
-    process = begin("killed")
-    wait_for_rows(process, tmp_path / "killed", 5)
-    kill_with_workers(process)
-    assert len(read_results(tmp_path / "killed")) < 16
-    process = begin("killed")
-    _, error = process.communicate(timeout=500)
-    assert process.returncode == 0, error
-    for name in ("plan.csv", "plan.geojson", "results.csv", "plan.png"):
-        assert (tmp_path / "killed" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()

@@ -3,7 +3,12 @@
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
-from worlds import CAMERA, LIDAR, place_sensors
+from worlds import CAMERA, LIDAR, place_sensors, world
+
+
+@pytest.fixture(scope="session")
+def scene():
+    return world(radius=14.0, voxel=1.0, frames=3, count=4)
 
 
 @pytest.fixture(scope="session")

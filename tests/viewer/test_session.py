@@ -55,31 +55,26 @@ def assert_mounted(session):
 
 
 def test_a_unit_goes_with_its_sensor_in_plan_and_no_other(session):
+    """Height and direction are a sensor's own."""
     before = np.array(session.layout.poses)
-    pose = pose_of(session, 0) + [0.5, 1.0, 0, 0, 0, 0]
+    pose = pose_of(session, 0) + [0.5, 1.0, 1.5, 0, -0.1, 0.4]
     shown, _ = session.moved(0, pose)
     np.testing.assert_array_equal(session.layout.poses, before)  # only looked at
     session.move(0, pose)
     np.testing.assert_array_equal(session.layout.poses, shown.poses)
     went = np.array(session.layout.poses) - before
-    np.testing.assert_allclose(went[:2, :2], [[0.5, 1.0]] * 2, atol=1e-6)
+    np.testing.assert_allclose(went[0], [0.5, 1.0, 1.5, 0, -0.1, 0.4], atol=1e-6)
+    np.testing.assert_allclose(went[1], [0.5, 1.0, 0, 0, 0, 0], atol=1e-6)
     np.testing.assert_allclose(went[2], 0, atol=1e-9)
     assert session.layout.units[0].base[:2] == pytest.approx((9.5, 10.0))
+    assert session.height(0) == pytest.approx(7.5, abs=1e-6)
     assert session.notes == ()
     assert_mounted(session)
 
 
-def test_height_and_direction_are_a_sensor_s_own(session):
-    before = np.array(session.layout.poses)
-    session.move(0, pose_of(session, 0) + [0, 0, 1.5, 0, -0.1, 0.4])
-    went = np.array(session.layout.poses) - before
-    np.testing.assert_allclose(went[0], [0, 0, 1.5, 0, -0.1, 0.4], atol=1e-6)
-    np.testing.assert_allclose(went[1:], 0, atol=1e-6)
-    assert session.height(0) == pytest.approx(7.5, abs=1e-6)
-
-
 def test_sensors_go_along_with_another(session):
-    """One on its own unit and one on another: as far in plan, up, and round, each on its own."""
+    """One on its own unit and one on another: as far in plan, up, and round, each on its own; and
+    not out of the region."""
     before = np.array(session.layout.poses)
     session.move(0, pose_of(session, 0) + [0.5, 1.0, 1.5, 0, -0.1, 0.4], along=(2, 1))
     went = np.array(session.layout.poses) - before
@@ -89,6 +84,11 @@ def test_sensors_go_along_with_another(session):
     assert_mounted(session)
     assert session.undo()
     np.testing.assert_array_equal(session.layout.poses, before)
+    session.move(2, pose_of(session, 2) + [22.0, 22.0, 0, 0, 0, 0], along=(0,))
+    center = session.scene.voxels.center[:2]
+    away = np.hypot(*(np.array(session.layout.poses)[:, :2] - center).T)
+    assert (away <= session.scene.voxels.radius + 1.0).all()  # the other camera is beside its foot
+    assert_mounted(session)
 
 
 def test_a_number_changes_by_as_much_for_those_along(session):
@@ -101,35 +101,6 @@ def test_a_number_changes_by_as_much_for_those_along(session):
     session.set_number(2, "height", 7.0, along=(1,))
     went = np.array(session.layout.poses)[:, 2] - before[:, 2]
     np.testing.assert_allclose(went, [0, 2.0, 2.0], atol=1e-6)
-
-
-def test_those_along_stay_within_the_region(session):
-    far = pose_of(session, 2) + [22.0, 22.0, 0, 0, 0, 0]
-    session.move(2, far, along=(0,))
-    center = session.scene.voxels.center[:2]
-    away = np.hypot(*(np.array(session.layout.poses)[:, :2] - center).T)
-    assert (away <= session.scene.voxels.radius + 1.0).all()  # the other camera is beside its foot
-    assert_mounted(session)
-
-
-def test_several_sensors_are_removed_at_once(session):
-    with pytest.raises(InspeError, match="all 3 sensors cannot be removed"):
-        session.remove(0, 1, 2)
-    assert len(session.layout) == 3
-    session.remove(2, 0)
-    assert [sensor.name for sensor in session.layout.sensors] == ["b"]
-    assert [unit.name for unit in session.layout.units] == ["north"]
-    assert session.undo()
-    assert not session.undo()
-
-
-def test_a_sensor_that_is_gone_is_not_removed_or_copied(session):
-    before = session.layout
-    for change in (session.remove, session.duplicate):
-        with pytest.raises(InspeError, match="there is no sensor 8 any more"):
-            change(7)
-    assert session.layout is before
-    assert not session.undo()
 
 
 def test_what_is_let_go_on_the_road_snaps_to_the_sidewalk(session):
@@ -166,12 +137,6 @@ def test_what_is_typed_and_what_comes_of_it_are_said(session, key, typed, said):
     assert_mounted(session)
 
 
-def test_a_new_sensor_far_outside_is_said_to_be_brought_back(session):
-    session.add("paper-camera", session.scene.voxels.center[:2] + [0.0, 900.0])
-    back = f"{900.0 - session.scene.voxels.radius:.2f} m back to the rim"
-    assert session.notes[0].startswith(f"unit 'unit 1' brought {back}")
-
-
 def numbers(session):
     return session.numbers(session.layout, 0)
 
@@ -185,9 +150,14 @@ def test_heights_and_pitch_stay_within_what_mounting_allows(session):
     assert_mounted(session)
 
 
-def test_on_a_slope_a_unit_keeps_its_heights_above_the_ground():
+@pytest.mark.parametrize("base", [0.0, 2.0])
+def test_on_a_slope_a_unit_keeps_its_heights_above_the_ground(base):
+    """Also where its base is not on the ground: a file may give a base any height."""
     scene = world(radius=15.0, voxel=1.0, frames=2, count=4, slope=0.2)
-    session = LayoutSession(scene, two_units(scene))
+    layout = two_units(scene)
+    x, y, z = layout.units[0].base
+    raised = replace(layout.units[0], base=(x, y, z + base))
+    session = LayoutSession(scene, replace(layout, units=(raised, layout.units[1])))
     session.move(0, pose_of(session, 0) + [1.5, 0, 0, 0, 0, 0])
     assert session.height(0) == pytest.approx(6.0, abs=1e-6)
     assert session.height(1) == pytest.approx(7.0, abs=1e-6)
@@ -231,6 +201,9 @@ def test_a_new_sensor_stands_on_a_unit_of_its_own_and_looks_at_the_centre(sessio
     names = [sensor.name for sensor in session.layout.sensors]
     assert len(set(names)) == 5
     assert_mounted(session)
+    session.add("paper-camera", session.scene.voxels.center[:2] + [0.0, 900.0])
+    back = f"{900.0 - session.scene.voxels.radius:.2f} m back to the rim"
+    assert session.notes[0].startswith(f"unit 'unit 3' brought {back}")
 
 
 def test_a_copy_stands_beside_its_model_and_looks_to_its_left(session):
@@ -246,39 +219,22 @@ def test_a_copy_stands_beside_its_model_and_looks_to_its_left(session):
     assert_mounted(session)
 
 
-def test_heights_are_above_the_ground_also_where_a_base_is_not_on_it(scene):
-    """A file may give a base any height."""
-    layout = two_units(scene)
-    x, y, z = layout.units[0].base
-    raised = replace(layout.units[0], base=(x, y, z + 2.0))
-    session = LayoutSession(scene, replace(layout, units=(raised, layout.units[1])))
-    session.move(0, pose_of(session, 0) + [0.5, 0.5, 1.0, 0, 0, 0])
-    assert session.height(0) == pytest.approx(7.0, abs=1e-6)
-    assert session.height(1) == pytest.approx(7.0, abs=1e-6)
-
-
-def test_notes_are_of_the_last_change(session):
-    session.move(0, np.array([5.0, 12.0, 6.0, 0, -0.3, -2.3]))
-    assert session.notes
-    session.moved(0, np.array([5.0, -12.0, 6.0, 0, -0.3, -2.3]))  # only looked at
-    assert "2.30 m" in session.notes[0]
-    session.remove(1)  # its unit has another
-    assert session.notes == ()
-    session.undo()
-    assert session.notes == ()
-
-
 def test_a_unit_goes_with_its_last_sensor_and_the_last_sensor_stays(session):
-    gone = session.layout.units[1].name
-    session.remove(2)
-    assert [unit.name for unit in session.layout.units] == ["north"]
-    assert session.notes == (f"unit '{gone}' removed with its last sensor",)
-    session.remove(0)
-    assert session.notes == ()
+    with pytest.raises(InspeError, match="all 3 sensors cannot be removed"):
+        session.remove(0, 1, 2)
+    for change in (session.remove, session.duplicate):
+        with pytest.raises(InspeError, match="there is no sensor 8 any more"):
+            change(7)
+    assert not session.undo()
+    session.remove(2, 0)
     assert [sensor.name for sensor in session.layout.sensors] == ["b"]
+    assert [unit.name for unit in session.layout.units] == ["north"]
+    assert session.notes == ("unit 'south' removed with its last sensor",)
     with pytest.raises(InspeError, match="the last sensor cannot be removed"):
         session.remove(0)
-    assert len(session.layout) == 1
+    assert session.undo()
+    assert session.notes == ()
+    assert not session.undo()
 
 
 def test_another_device(session):

@@ -12,6 +12,7 @@ from worlds import (
     double_precision,
     embree_line_of_sight,
     place_sensors,
+    slow_but,
     solid_voxels,
     street_bodies,
     world,
@@ -251,7 +252,7 @@ def test_masks_leave_out_tiles_of_which_nothing_is_in_view():
     assert not found[1:].any()
 
 
-@pytest.mark.parametrize("hilly", [False, True])
+@pytest.mark.parametrize("hilly", slow_but([False, True], True))
 def test_a_real_block_agrees_with_embree(hilly):
     """A crossroads of Berlin-Neukölln from OpenStreetMap, level and on made-up slopes of 12 %."""
     pytest.importorskip("sumolib", reason="needs SUMO: extra [sumo]")

@@ -3,10 +3,8 @@
 Points are written as ``x y z rgb``, float32 and binary, with the intensity in the red byte of
 ``rgb``, as OPV2V has it.
 
-Why not a library: pypcd4 (1.5) rejects a file without COUNT, which the format allows; it reads one
-whose POINTS contradict WIDTH and HEIGHT; and on damaged files it raises ValueError,
-UnicodeDecodeError or pydantic's errors, without the file's name. Checks around it would be about as
-long as this reader. Open3D is a large dependency.
+A reader of its own, because pypcd4 (1.5) rejects files without COUNT, which the format allows, and
+raises errors of many kinds, without the file's name, on damaged ones.
 """
 
 import os

@@ -11,7 +11,7 @@ from inspe_jax.dataset.loading.augment import Augment
 from inspe_jax.dataset.loading.batch import Batch, Cameras, Lidars, Pillars, Targets
 from inspe_jax.dataset.loading.caching import Cache, cache, open_cache
 from inspe_jax.dataset.loading.geometry import Similarity, on_picture
-from inspe_jax.dataset.loading.loader import Loader, PaddedPoints
+from inspe_jax.dataset.loading.loader import Loader
 from inspe_jax.dataset.loading.pillars import PillarGrid, pillar_features, taken
 
 __all__ = [
@@ -21,7 +21,6 @@ __all__ = [
     "Cameras",
     "Lidars",
     "Loader",
-    "PaddedPoints",
     "PillarGrid",
     "Pillars",
     "Similarity",

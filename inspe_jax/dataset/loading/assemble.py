@@ -43,6 +43,8 @@ class Assembly:
         found = self._empty(size)
         for b, ((s, t), draw) in enumerate(zip(frames.tolist(), draws, strict=True)):
             self._fill(found, b, s, t, draw)
+        if found.cameras is not None:
+            found.cameras.pixels[~found.cameras.present] = 0
         return found
 
     def _empty(self, size: int) -> Batch:
@@ -68,7 +70,7 @@ class Assembly:
             )
         if "camera" in self.sensors and cameras and pixels:
             found_cameras = Cameras(
-                pixels=np.zeros((size, cameras, *pixels, 3), np.uint8),
+                pixels=np.empty((size, cameras, *pixels, 3), np.uint8),
                 intrinsic=_identities(size, cameras, side=3),
                 pose=_identities(size, cameras),
                 present=np.zeros((size, cameras), bool),

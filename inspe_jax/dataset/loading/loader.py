@@ -9,7 +9,6 @@ both.
 from collections import deque
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
 from typing import Literal, get_args
 
 import numpy as np
@@ -31,22 +30,6 @@ AHEAD = 2
 is ready when a step of training is quicker than usual."""
 
 
-@dataclass(frozen=True)
-class PaddedPoints:
-    """Clouds as points, of which each has at most ``most``; the largest of the cache if None.
-
-    Of a larger cloud a random stretch is taken, another one in each epoch; since clouds are stored
-    in random order, it is a fair sample.
-    """
-
-    most: int | None = None
-
-    def check(self) -> None:
-        """Raise InspeError where a value is out of range."""
-        if self.most is not None and self.most < 1:
-            raise InspeError(f"points: most {self.most}: must be 1 or more")
-
-
 class Loader:
     """The batches of a split.
 
@@ -60,10 +43,14 @@ class Loader:
     ``valid``: for evaluation.
 
     ``sensors`` are "camera", "lidar" or both; what the cache does not have is None in the batches.
-    ``points`` says how LiDARs are given. Road users are left out whose middle is farther than
-    ``half`` [m] from the middle of the intersection, along x or y: the half of a pillar grid if
-    not given, otherwise none is. ``most_boxes`` is the number M of boxes; if not given, the largest
-    of a frame in the cache. Where there are more, those farthest from the middle are left out.
+    Clouds are given as points, of which each has at most ``points``, the largest of the cache if
+    None, or as pillars of a grid. Of a larger cloud a random stretch is taken, another one in each
+    epoch; since clouds are stored in random order, it is a fair sample.
+
+    Road users are left out whose middle is farther than ``half`` [m] from the middle of the
+    intersection, along x or y: the half of a pillar grid if not given, otherwise none is.
+    ``most_boxes`` is the number M of boxes; if not given, the largest of a frame in the cache.
+    Where there are more, those farthest from the middle are left out.
 
     Shapes come from the whole cache, so that they are the same for all of its splits.
     """
@@ -77,7 +64,7 @@ class Loader:
         seed: int = 0,
         shuffle: bool = True,
         sensors: Sequence[Sensor] = SENSORS,
-        points: PaddedPoints | PillarGrid = PaddedPoints(),
+        points: int | PillarGrid | None = None,
         augment: Augment | None = None,
         half: float | None = None,
         most_boxes: int | None = None,
@@ -91,13 +78,17 @@ class Loader:
         for name, value, least in (("batch", batch, 1), ("seed", seed, 0), ("workers", workers, 0)):
             if isinstance(value, bool) or not isinstance(value, int) or value < least:
                 raise InspeError(f"{name} {value!r}: a whole number, at least {least}")
-        if most_boxes is not None and most_boxes < 1:
-            raise InspeError(f"most_boxes {most_boxes}: must be 1 or more")
+        grid = points if isinstance(points, PillarGrid) else None
+        most = None if isinstance(points, PillarGrid) else points
+        for name, limit in (("most_boxes", most_boxes), ("points", most)):
+            if limit is not None and limit < 1:
+                raise InspeError(f"{name} {limit}: must be 1 or more")
         _check_sensors(sensors, cache)
-        points.check()
+        if grid is not None:
+            grid.check()
         if augment is not None:
             augment.check()
-        self.half = points.half if half is None and isinstance(points, PillarGrid) else half
+        self.half = grid.half if half is None and grid is not None else half
         counts = [scenario.record.frames for scenario in self.scenarios]
         places = [(s, t) for s, count in enumerate(counts) for t in range(count)]
         self.frames: Int[np.ndarray, "F 2"] = np.array(places)
@@ -107,12 +98,11 @@ class Loader:
                 f"{cache.path}: split '{split}' has {len(places)} frames, less than a batch of "
                 f"{batch}: use a smaller batch, or shuffle=False"
             )
-        most = points.most if isinstance(points, PaddedPoints) else None
         self.assembly = Assembly(
             cache=cache,
             scenarios=self.scenarios,
             sensors=tuple(sensors),
-            grid=points if isinstance(points, PillarGrid) else None,
+            grid=grid,
             most_points=most or max(1, *(each.record.most_points for each in cache.scenarios)),
             most_boxes=most_boxes or max(1, *(each.record.most_boxes for each in cache.scenarios)),
             half=self.half,

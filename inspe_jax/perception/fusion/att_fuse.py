@@ -9,7 +9,10 @@ from inspe_jax.perception.layers import attend
 
 
 class AttFuse(eqx.Module):
-    """Scaled dot-product attention of the features themselves; it has no parameters."""
+    """Scaled dot-product attention of the features themselves."""
+
+    def __init__(self, channels: int, modalities: tuple[int, ...], key: Array) -> None:
+        """It has no parameters."""
 
     def __call__(
         self, x: Float[Array, "B A H W C"], present: Bool[Array, "B A"]

@@ -23,7 +23,7 @@ class DiscoNet(eqx.Module):
     sender: Linear
     edge: Perceptron
 
-    def __init__(self, channels: int, key: Array) -> None:
+    def __init__(self, channels: int, modalities: tuple[int, ...], key: Array) -> None:
         a, b, c = jax.random.split(key, 3)
         # A linear map of a pair is the sum of one of each; together, their input has variance 2.
         self.receiver = Linear(channels, HIDDEN[0], a)

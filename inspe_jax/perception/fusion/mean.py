@@ -14,6 +14,9 @@ def mean_of(x: Float[Array, "B A H W C"], present: Bool[Array, "B A"]) -> Float[
 class Mean(eqx.Module):
     """No fusion but the mean: for detectors with one agent."""
 
+    def __init__(self, channels: int, modalities: tuple[int, ...], key: Array) -> None:
+        """It has no parameters."""
+
     def __call__(
         self, x: Float[Array, "B A H W C"], present: Bool[Array, "B A"]
     ) -> Float[Array, "B H W C"]:

@@ -38,7 +38,7 @@ class V2VNet(eqx.Module):
     sender: Conv
     unit: ConvGRU
 
-    def __init__(self, channels: int, key: Array) -> None:
+    def __init__(self, channels: int, modalities: tuple[int, ...], key: Array) -> None:
         a, b, c = jax.random.split(key, 3)
         # A convolution of a pair is the sum of one of each.
         self.receiver = Conv(channels, channels, a)

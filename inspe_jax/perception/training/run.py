@@ -140,12 +140,9 @@ class Run:
         weights = eqx.filter(detector, eqx.is_inexact_array)
         return detector, optimiser(settings.steps, settings.rate).init(weights)
 
-    def detector(self) -> Detector:
-        """The detector of the last state. Raises InspeError if there is none, or it is damaged."""
-        return self.last()[1]
-
     def last(self) -> tuple[int, Detector]:
-        """The step of the last state and its detector; raises what :meth:`detector` does."""
+        """The step of the last state and its detector. Raises InspeError if there is none, or it is
+        damaged."""
         if not self.states:
             raise InspeError(f"{self.path}: has no state yet: train it first")
         step, (detector, _) = self.restore()

@@ -109,7 +109,7 @@ def train(
             own = settings.model_copy(update={"model": TEACHER})
             into = run.path / TEACHER_RUN
             taught = train(cache, into, own, grid=grid, workers=workers, progress=progress)
-            teacher = taught.detector()
+            _, teacher = taught.last()
         _train(loader, run, teacher, progress)
     return run
 

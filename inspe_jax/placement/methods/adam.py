@@ -129,16 +129,24 @@ def step_adam(run: Run, state: AdamState) -> AdamState | None:
     """Some gradient steps of all layouts; at :data:`CULLS` the better ones replace the worse."""
     problem, done = run.problem, run.done
     if done >= _LAST:
-        _offer_best(run, state)
+        x = layouts(problem, state)
+        _, first = np.unique(state.line, return_index=True)
+        for row in x[np.sort(first)]:  # the one that is held comes first
+            run.offer(row)
         return None
     began = run.share(state.began)
     if state.culled < len(CULLS) and done >= CULLS[state.culled]:
         state = _cull(run, state)
     elif done >= run.share(state.looked) + LOOKS:
         x = layouts(problem, state)
-        ranked = _ranked(run, x, state.count)
-        run.offer(x[ranked[0]])
-        state = _ordered(replace(_charted_again(problem, state, x), looked=run.spent), ranked)
+        order = _ranked(run, x, state.count)
+        run.offer(x[order[0]])
+        # In new charts: a unit at the edge of a region can go on into the next.
+        anchor, place = _charts(problem, x)
+        held = dict(anchor=anchor, z=np.zeros_like(anchor), place=place)
+        rows = [field.name for field in fields(ChartedLayouts) if field.name != "count"]
+        sorted_rows = {name: held.get(name, getattr(state, name))[order] for name in rows}
+        state = replace(state, **sorted_rows, looked=run.spent)
 
     def now() -> tuple[float, float]:
         through = (run.done - began) / (_LAST - began)
@@ -149,16 +157,10 @@ def step_adam(run: Run, state: AdamState) -> AdamState | None:
     return state
 
 
-def _ordered(state: AdamState, order: Int[np.ndarray, " M"]) -> AdamState:
-    """The layouts of a state in another order."""
-    rows = [field.name for field in fields(ChartedLayouts) if field.name != "count"]
-    return replace(state, **{name: getattr(state, name)[order] for name in rows})
-
-
 def advance(run: Run, state: L, now: Callable[[], tuple[float, float]], count: int) -> L:
     """Do ``count`` gradient steps, each on new samples; ``now`` gives softness [m] and rate."""
     problem, line, z = run.problem, state.line, state.z
-    optimiser, score, move = _optimiser_state(state), charted_score(problem), _mover(problem)
+    optimiser, score = _optimiser_state(state), charted_score(problem)
     together = (line[:, None] == line[None]).astype(z.dtype)
     mean = together / together.sum(1, keepdims=True)
     for k in range(state.count, state.count + count):
@@ -170,7 +172,7 @@ def advance(run: Run, state: L, now: Callable[[], tuple[float, float]], count: i
         rows = zip(z, state.anchor, state.place, drawn, strict=True)
         jobs = [("slope", partial(score, *row, softness)) for row in rows]
         slopes = [slope for _, slope in on_all_cores(jobs, problem.known)]
-        moved, optimiser = move(z, mean @ np.stack(slopes), optimiser, rate)
+        moved, optimiser = _move(z, mean @ np.stack(slopes), optimiser, rate)
         z = np.asarray(moved)
     steps, running, square = _moments(optimiser)
     return replace(state, z=z, steps=steps, mean=running, square=square, count=state.count + count)
@@ -205,14 +207,12 @@ def score_through(problem: Problem, poses: Callable[..., Any]) -> Score:
     return score
 
 
-@per_problem
-def _mover(problem: Problem) -> Callable[..., Any]:
-    def move(z, slope, optimiser, rate):  # type: ignore[no-untyped-def]
-        with jax.numpy_dtype_promotion("standard"):  # optax's own, whatever the caller's is
-            update, optimiser = jax.vmap(_adam.update)(slope, optimiser)
-        return z - rate * update, optimiser
-
-    return jax.jit(move)
+@jax.jit
+def _move(z, slope, optimiser, rate):  # type: ignore[no-untyped-def]
+    """One step of Adam for each layout, and its state after it."""
+    with jax.numpy_dtype_promotion("standard"):  # optax's own, whatever the caller's is
+        update, optimiser = jax.vmap(_adam.update)(slope, optimiser)
+    return z - rate * update, optimiser
 
 
 def layouts(problem: Problem, state: ChartedLayouts) -> Float[np.ndarray, "M N"]:
@@ -228,10 +228,7 @@ def _ranked(run: Run, x: np.ndarray, key: int, size: int = 4) -> np.ndarray:
 
 
 def _cull(run: Run, state: AdamState) -> AdamState:
-    """Keep the better half of the layouts, twice as often, in new charts, with Adam at rest.
-
-    Copies of one layout take the mean of their gradients, so each step has more samples.
-    """
+    """Keep the better half of the layouts, twice as often, in new charts, with Adam at rest."""
     x = layouts(run.problem, state)
     kept = max(1, STARTS // 2 ** (state.culled + 1))
     best = _ranked(run, x, state.culled)[:kept]
@@ -239,22 +236,6 @@ def _cull(run: Run, state: AdamState) -> AdamState:
     line = np.arange(STARTS) % kept
     fresh = charted(run.problem, np.resize(x[best], x.shape), line, state.count)
     return AdamState(**vars(fresh), culled=state.culled + 1, began=state.began, looked=run.spent)
-
-
-def _charted_again(problem: Problem, state: AdamState, x: Float[np.ndarray, "M N"]) -> AdamState:
-    """The same layouts in new charts, with Adam's memory.
-
-    A unit that has reached the edge of a region of ground can go on into the next region.
-    """
-    anchor, place = _charts(problem, x)
-    return replace(state, anchor=anchor, z=np.zeros_like(anchor), place=place)
-
-
-def _offer_best(run: Run, state: AdamState) -> None:
-    x = layouts(run.problem, state)
-    _, first = np.unique(state.line, return_index=True)
-    for row in x[np.sort(first)]:  # the one that is held comes first
-        run.offer(row)
 
 
 ADAM = Method(

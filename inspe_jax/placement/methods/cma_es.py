@@ -81,7 +81,11 @@ def step(run: Run, state: CmaState) -> CmaState | None:
         mean = _layouts(run, state, strategy.mean[None])[0]
         state = _look(run, state, np.concatenate([mean, x[np.argsort(loss)[:FOLLOWED]]]))
     if state.waited >= PATIENCE or narrow:
-        return _begin_again(run, state)
+        count = state.restart + 1
+        x = problem.space.random(run.rng(2, count), SCREENED)
+        sample = problem.sample(run.rng(3, count), COLUMNS, FRAMES)
+        size = 2 * state.losses.shape[1]
+        return _restart(x[np.argmax(run.rough(x, sample))], count, size)
     run.cache["strategy"] = (key[0], key[1] + 1), strategy
     return state
 
@@ -92,13 +96,6 @@ def _look(run: Run, state: CmaState, x: Float[np.ndarray, "M N"]) -> CmaState:
     value = run.offer(x[np.argmax(run.rough(x, sample))])
     waited = 0 if value > state.best else state.waited + 1
     return replace(state, best=max(value, state.best), waited=waited)
-
-
-def _begin_again(run: Run, state: CmaState) -> CmaState:
-    count = state.restart + 1
-    x = run.problem.space.random(run.rng(2, count), SCREENED)
-    sample = run.problem.sample(run.rng(3, count), COLUMNS, FRAMES)
-    return _restart(x[np.argmax(run.rough(x, sample))], count, 2 * state.losses.shape[1])
 
 
 def _layouts(

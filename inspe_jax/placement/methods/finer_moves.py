@@ -14,17 +14,17 @@ Sighted = tuple[Float[np.ndarray, " N"], dict[int, Rows]]
 
 
 def sights(
-    problem: Problem, tally: SampleScore, x: Float[np.ndarray, " N"], sensors: Sequence[int]
+    problem: Problem, sampled: SampleScore, x: Float[np.ndarray, " N"], sensors: Sequence[int]
 ) -> dict[int, Rows]:
     """What some sensors of a layout see."""
     stand = poses(problem.space, x[None])[0]
-    found = tally.views(problem, {s: stand[s][None] for s in sensors})
+    found = sampled.views(problem, {s: stand[s][None] for s in sensors})
     return {s: rows[0] for s, rows in found.items()}
 
 
 def finer(
     problem: Problem,
-    tally: SampleScore,
+    sampled: SampleScore,
     x: Float[np.ndarray, " N"],
     rows: dict[int, Rows],
     units: Sequence[int],
@@ -49,13 +49,13 @@ def finer(
     flat = project(space, tried.reshape(-1, space.size))
     tried = flat.reshape(tried.shape)
     stand = poses(space, flat).reshape(len(units), tries, -1, 6)
-    new = tally.views(
+    new = sampled.views(
         problem, {s: at[:, s] for u, at in zip(units, stand, strict=True) for s in members[u]}
     )
     for u, part in zip(units, tried, strict=True):
         others = {s: row for s, row in rows.items() if s not in members[u]}
         choice = {s: Rows.joined([rows[s][None], new[s]]) for s in members[u]}
-        now, *gains = tally.gains(others, choice)
+        now, *gains = sampled.gains(others, choice)
         best = int(np.argmax(gains))
         if gains[best] > now + LEAST:
             moved = part[best], {s: new[s][best] for s in members[u]}

@@ -17,7 +17,7 @@ from inspe_jax.placement.compile_ahead import CompileJob
 from inspe_jax.placement.methods.finer_moves import finer, sights
 from inspe_jax.placement.problem import Problem
 from inspe_jax.placement.run import Method, Run
-from inspe_jax.placement.sample_score import KNOWN, LEAST, Rows, SampleScore, Worth, times
+from inspe_jax.placement.sample_score import KNOWN, LEAST, MarginalWeights, Rows, SampleScore
 
 TRIES = 64
 """Finer moves tried for a unit in one step."""
@@ -74,7 +74,7 @@ def lazy_greedy(table: Table) -> tuple[Picks, int]:
     upper bound of a later one (Minoux 1978). The first sensor of a unit fixes the unit's foot; its
     other sensors choose among the candidates there.
     """
-    problem, tally, picks = table.problem, table.tally, Picks()
+    problem, sampled, picks = table.problem, table.sampled, Picks()
     heap: list[tuple[float, int, int, int]] = []  # (−bound, sensor, candidate, placed then)
     alike = [group for kind in table.kinds for group in _interchangeable(problem, kind.sensors)]
     group_of = {s: group for group in alike for s in group}
@@ -82,12 +82,12 @@ def lazy_greedy(table: Table) -> tuple[Picks, int]:
         gains = table.gains(group[0], {})
         heap += [(-gain, group[0], k, 0) for k, gain in enumerate(gains.tolist())]
     heapq.heapify(heap)
-    again, worths = 0, dict[int, Worth]()
+    again, weights = 0, dict[int, MarginalWeights]()
     while heap and len(picks) < len(problem.layout):
         _, s, k, then = heapq.heappop(heap)
         if then == len(picks) and s not in picks and table.fits(picks, s, k):
             picks[s] = k
-            worths.clear()
+            weights.clear()
             continue
         # Units that stand there already come first: others are still free to go elsewhere.
         may = [t for t in group_of[s] if t not in picks and table.fits(picks, t, k)]
@@ -96,10 +96,10 @@ def lazy_greedy(table: Table) -> tuple[Picks, int]:
             continue  # nor ever after: units only ever take places
         rows = table.rows(picks)
         for t in may:
-            if t not in worths:
-                worths[t] = tally.worth(rows, t)
+            if t not in weights:
+                weights[t] = sampled.marginal(rows, t)
         row = table.kind_of(s).row(k)
-        found = [float(times(row[None], worths[t])[0]) for t in may]
+        found = [float(weights[t].dot(row[None])[0]) for t in may]
         best = int(np.argmax(found))
         again += 1
         heapq.heappush(heap, (-found[best], may[best], k, len(picks)))
@@ -121,27 +121,27 @@ def exchange(table: Table, picks: Picks, u: int) -> Picks:
     each alone; so feet are tried in the order of that bound until none can be better. Then each
     of its sensors chooses again, the others as they are.
     """
-    tally, members = table.tally, table.problem.layout.members()[u]
+    sampled, members = table.sampled, table.problem.layout.members()[u]
     others = {s: k for s, k in picks.items() if s not in members}
     rows = table.rows(others)
-    nothing = tally.value(rows)
+    nothing = sampled.value(rows)
     bound = np.where(table.stand[u], 0.0, -np.inf)
     for s in members:
         most = np.full(len(bound), -np.inf)
         kind, gains = table.kind_of(s), table.gains(s, rows)
         np.maximum.at(most, kind.foot, gains)
         bound += most
-    best, value = picks, tally.value(table.rows(picks)) + LEAST
+    best, value = picks, sampled.value(table.rows(picks)) + LEAST
     for foot in np.argsort(-bound, kind="stable"):
         if nothing + bound[foot] <= value:
             break
         filled = _fill(table, others, members, int(foot))
-        if (score := tally.value(table.rows(filled))) > value:
+        if (score := sampled.value(table.rows(filled))) > value:
             best, value = filled, score
     for s in members:
         rest = {t: k for t, k in best.items() if t != s}
         again = _fill(table, rest, (s,), int(table.kind_of(s).foot[best[s]]))
-        if (score := tally.value(table.rows(again))) > value:
+        if (score := sampled.value(table.rows(again))) > value:
             best, value = again, score
     return best
 
@@ -155,7 +155,7 @@ def _fill(table: Table, picks: Picks, sensors: Sequence[int], foot: int) -> Pick
             kind = table.kind_of(s)
             at = np.flatnonzero(kind.foot == foot)
             at = at[table.fits(picks, s, at)]
-            gains = times(Rows.joined([kind.row(k) for k in at]), table.tally.worth(rows, s))
+            gains = table.sampled.marginal(rows, s).dot(Rows.joined([kind.row(k) for k in at]))
             best = int(gains.argmax())
             found.append((float(gains[best]), s, int(at[best])))
         _, s, k = max(found, key=lambda row: row[0])
@@ -262,9 +262,9 @@ def ahead(run: Run) -> dict[str, CompileJob]:
     return {VIEWS: look}
 
 
-def charge(run: Run, tally: SampleScore, views: float) -> None:
+def charge(run: Run, sampled: SampleScore, views: float) -> None:
     """Charge for looking at what one sensor sees, so many times."""
-    run.charge(views * VIEW_COST * tally.sample.cost / len(run.problem.layout))
+    run.charge(views * VIEW_COST * sampled.sample.cost / len(run.problem.layout))
 
 
 def _table(run: Run, number: int, looked: int | None = None) -> Table:
@@ -294,7 +294,7 @@ def forget(run: Run) -> None:
 def look(run: Run, state: Placing) -> Placing:
     """Look at a further part of the candidates."""
     table, part = _table(run, state.round, state.part), state.part + 1
-    charge(run, table.tally, table.look(part - 1))
+    charge(run, table.sampled, table.look(part - 1))
     # A first layout soon: as soon as some candidates of every kind have been looked at.
     if state.round == 0 and part == len(table.kinds) < len(table.parts):
         _placed(run, table)
@@ -309,7 +309,7 @@ def place(run: Run, state: Placing) -> Exchanging | Moving:
     If some sensor found no place, candidates are not exchanged.
     """
     table = _table(run, state.round, state.part)
-    charge(run, table.tally, PLACE_COST * sum(len(kind.foot) for kind in table.kinds))
+    charge(run, table.sampled, PLACE_COST * sum(len(kind.foot) for kind in table.kinds))
     picks, x, value = _placed(run, table)
     sensors = range(len(run.problem.layout))
     if len(picks) < len(sensors):
@@ -329,7 +329,7 @@ def _exchange(run: Run, state: Exchanging) -> Exchanging | Moving:
     table = _table(run, state.round)
     members = run.problem.layout.members()[state.unit]
     looked = sum(len(table.kind_of(s).foot) for s in members)
-    charge(run, table.tally, EXCHANGE_COST * looked)
+    charge(run, table.sampled, EXCHANGE_COST * looked)
     before = dict(enumerate(state.picks.tolist()))
     picks = exchange(table, before, state.unit)
     if picks != before:
@@ -354,14 +354,14 @@ def _exchange(run: Run, state: Exchanging) -> Exchanging | Moving:
 def _move(run: Run, state: Moving) -> Moving | Placing:
     problem, u, wanted = run.problem, state.unit, effort(run.problem)
     x, key = state.now, (state.round, state.passes, u)
-    held, tally, rows = run.cache.pop("pass", (None, None, None))
+    held, sampled, rows = run.cache.pop("pass", (None, None, None))
     if held != key:
-        tally = SampleScore(problem, problem.sample(run.rng(1, *key[:2]), wanted.columns, FRAMES))
-        rows = sights(problem, tally, x, range(len(problem.layout)))
+        sampled = SampleScore(problem, problem.sample(run.rng(1, *key[:2]), wanted.columns, FRAMES))
+        rows = sights(problem, sampled, x, range(len(problem.layout)))
     views = wanted.tries * len(problem.layout.members()[u])
-    charge(run, tally, (u == 0) * len(rows) + MOVE_COST * views)
-    new, rows = finer(problem, tally, x, rows, (u,), state.width, run.rng(2, *key), wanted.tries)
-    run.cache["pass"] = (*key[:2], u + 1), tally, rows
+    charge(run, sampled, (u == 0) * len(rows) + MOVE_COST * views)
+    new, rows = finer(problem, sampled, x, rows, (u,), state.width, run.rng(2, *key), wanted.tries)
+    run.cache["pass"] = (*key[:2], u + 1), sampled, rows
     if new is not x:
         run.hold(new)
     moved = state.moved + (new is not x)

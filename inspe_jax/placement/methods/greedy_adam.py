@@ -140,19 +140,19 @@ def _pass(run: Run, state: Improving) -> Placing | Improving:
     A round ends when moves of all widths, from the widest on, gained nothing.
     """
     problem, key, careful = run.problem, (state.round, state.passes), state.careful
-    tally = SampleScore(problem, problem.sample(run.rng(1, *key), COLUMNS, FRAMES))
+    sampled = SampleScore(problem, problem.sample(run.rng(1, *key), COLUMNS, FRAMES))
     members = problem.layout.members()
-    charge(run, tally, len(problem.layout))
-    first = state.x, sights(problem, tally, state.x, range(len(problem.layout)))
+    charge(run, sampled, len(problem.layout))
+    first = state.x, sights(problem, sampled, state.x, range(len(problem.layout)))
     at, value, moved, start = first, state.value, 0, state.value
     if _bursts_fit(run):
-        new, state = _bursts(run, state, tally, first[1])
+        new, state = _bursts(run, state, sampled, first[1])
         at, value = _better(run, at, value, new) if careful else (new, value)
     new, rng = at, run.rng(2, *key)
     for k in range(GENERATIONS * max(map(len, members))):
         units = [u for u, sensors in enumerate(members) if k < GENERATIONS * len(sensors)]
-        charge(run, tally, MOVE_COST * TRIES * sum(len(members[u]) for u in units))
-        before, new = new, finer(problem, tally, *new, units, state.width, rng, TRIES)
+        charge(run, sampled, MOVE_COST * TRIES * sum(len(members[u]) for u in units))
+        before, new = new, finer(problem, sampled, *new, units, state.width, rng, TRIES)
         if new[0] is not before[0]:
             run.hold(new[0])
     differs = new[0] != at[0]
@@ -185,7 +185,7 @@ def _better(run: Run, at: Sighted, value: float, new: Sighted) -> tuple[Sighted,
 
 
 def _bursts(
-    run: Run, state: Improving, tally: SampleScore, rows: dict[int, Rows]
+    run: Run, state: Improving, sampled: SampleScore, rows: dict[int, Rows]
 ) -> tuple[Sighted, Improving]:
     """Bursts of Adam, each at rest at first, until one gains nothing on the sample or does not fit.
 
@@ -198,9 +198,9 @@ def _bursts(
         start = charted(problem, x[None], ONE_LINE, count)
         after = advance(run, start, lambda: (softness, rate), BURST)
         count, new = after.count, layouts(problem, after)[0]
-        charge(run, tally, len(problem.layout))
-        seen = sights(problem, tally, new, range(len(problem.layout)))
-        if tally.value(seen) <= tally.value(rows):
+        charge(run, sampled, len(problem.layout))
+        seen = sights(problem, sampled, new, range(len(problem.layout)))
+        if sampled.value(seen) <= sampled.value(rows):
             break
         run.hold(new)
         x, rows = new, seen

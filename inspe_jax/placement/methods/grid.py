@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from inspe_jax.placement.candidates import (
+    BATCH,
     COLUMNS,
     FRAMES,
     SPACING,
@@ -16,7 +17,6 @@ from inspe_jax.placement.candidates import (
     project,
     set_heights,
 )
-from inspe_jax.placement.methods.batches import CHUNK, offer_better
 from inspe_jax.placement.run import Method, Run
 from inspe_jax.placement.space import Space
 
@@ -64,11 +64,11 @@ def step(run: Run, state: GridState) -> GridState | None:
     x = _grid(problem.space, state.x, blocks[state.block], state.level)
     done, key = len(state.scores), (state.sweep, state.block)
     sample = problem.sample(run.rng(*key), COLUMNS, FRAMES)
-    scores = np.append(state.scores, run.rough(x[done : done + CHUNK], sample))
+    scores = np.append(state.scores, run.rough(x[done : done + BATCH], sample))
     run.hold(x[np.argmax(scores)])
     if len(scores) < len(x):
         return replace(state, scores=scores)
-    best, value = offer_better(run, x, scores, state.value)
+    best, value = run.offer_better(x, scores, state.value)
     moved = bool(state.moved or best)
     block = state.block + 1
     state = replace(state, x=x[best], value=value, moved=moved, block=block, scores=np.zeros(0))

@@ -5,9 +5,8 @@ from inspe_jax.placement.methods.cma_es import CMA_ES
 from inspe_jax.placement.methods.greedy import GREEDY
 from inspe_jax.placement.methods.greedy_adam import GREEDY_ADAM
 from inspe_jax.placement.methods.grid import GRID
-from inspe_jax.placement.methods.lbfgsb import LBFGSB
-from inspe_jax.placement.methods.projected_gradient import PROJECTED_GRADIENT
 from inspe_jax.placement.methods.random_layouts import RANDOM
+from inspe_jax.placement.methods.solver_rounds import LBFGSB, PROJECTED_GRADIENT
 from inspe_jax.placement.run import Method
 
 GRADIENTS: tuple[Method, ...] = (ADAM, GREEDY_ADAM, LBFGSB, PROJECTED_GRADIENT)

@@ -1,4 +1,4 @@
-"""What L-BFGS-B and projected gradients share: rounds of one sample each on the soft score.
+"""L-BFGS-B and projected gradients on the soft score, in rounds.
 
 These solvers search along a line and cannot work with noise. So a round keeps its sample and its
 softness, and ends when the solver ends.
@@ -7,26 +7,37 @@ softness, and ends when the solver ends.
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from inspe_jax.core.arrays import on_host
 from inspe_jax.placement.candidates import COLUMNS, FRAMES
-from inspe_jax.placement.methods.adam import SCREENED, SOFTNESS, annealed
-from inspe_jax.placement.problem import Drawn
+from inspe_jax.placement.methods.adam import (
+    SCREENED,
+    SOFTNESS,
+    Score,
+    annealed,
+    charted_score,
+    score_through,
+)
+from inspe_jax.placement.problem import Drawn, Problem, per_problem
 from inspe_jax.placement.run import Method, Run
 
 with warnings.catch_warnings():
     # On import it warns that it is no longer maintained; the parts used here are tested here.
     warnings.simplefilter("ignore", DeprecationWarning)
-    import jaxopt as jaxopt  # the one import of it: the methods take it from here
+    import jaxopt
 
 ROUND_COLUMNS, ROUND_FRAMES = 1536, 8
 """Size of the sample of one round: larger than Adam's, because a round keeps its sample."""
 ITERATIONS = 8
 """Iterations of the solver in a round."""
+TRUST = 2.0
+"""How far a coordinate may go in one round of L-BFGS-B, in typical steps."""
 _LAST_ROUND = 0.9  # share of the budget after which no new round begins
 
 Solve = Callable[[Run, np.ndarray, tuple[Any, Any]], np.ndarray]
@@ -41,11 +52,6 @@ class RoundState:
     count: int = 0
 
 
-def method_in_rounds(name: str, summary: str, solve: Solve) -> Method:
-    """A row of the registry for a solver that works in rounds."""
-    return Method(name, summary, (RoundState,), begin, lambda run, at: _step(run, at, solve))
-
-
 def begin(run: Run) -> RoundState:
     """The better of the given start and the best of some random ones."""
     problem = run.problem
@@ -54,14 +60,13 @@ def begin(run: Run) -> RoundState:
     return RoundState(x[run.rough(x, sample).argmax()])
 
 
-def _step(run: Run, state: RoundState, solve: Solve) -> RoundState | None:
+def _step(solve: Solve, run: Run, state: RoundState) -> RoundState | None:
     """One round: a fresh sample, a softness, and some iterations of the solver on them."""
     done = run.done
     if done >= _LAST_ROUND:
         run.offer(state.x)
         return None
-    problem = run.problem
-    drawn = problem.draw(run.rng(2, state.count), ROUND_COLUMNS, ROUND_FRAMES)
+    drawn = run.problem.draw(run.rng(2, state.count), ROUND_COLUMNS, ROUND_FRAMES)
     softness = jnp.asarray(annealed(SOFTNESS, done / _LAST_ROUND), float)
     x = solve(run, state.x, (drawn, softness))
     run.offer(x)
@@ -90,3 +95,84 @@ def charged(
         return loss, slope
 
     return evaluate
+
+
+# ── L-BFGS-B: in charts, within a box about the last round's end ────────────
+
+
+def _lbfgsb(run: Run, x: np.ndarray, data: tuple) -> np.ndarray:
+    problem = run.problem
+    v, place = problem.space.chart(x)
+    anchor, scale = on_host(v, float), problem.space.scale
+    score = charted_score(problem)
+
+    def layout(z: Any) -> np.ndarray:
+        # The solver stays within its bounds, because it starts within them; but for rounding.
+        z = np.clip(np.asarray(z), -TRUST, TRUST)
+        return problem.space.from_chart(anchor + scale * z, place, np)
+
+    # SciPy's solver through jaxopt's interface: jaxopt's own compiles for half a minute.
+    solver = jaxopt.ScipyBoundedMinimize(
+        fun=charged(
+            run, data[0], lambda z: score(jnp.asarray(z, float), anchor, place, *data), layout
+        ),
+        method="L-BFGS-B",
+        value_and_grad=True,
+        jit=False,
+        maxiter=ITERATIONS,
+        options={"maxfun": 2 * ITERATIONS},
+    )
+    still = np.zeros_like(anchor)
+    return layout(solver.run(still, bounds=(still - TRUST, still + TRUST)).params)
+
+
+LBFGSB = Method(
+    "lbfgsb",
+    "L-BFGS-B on the soft score in rounds, each on a fresh sample of the scene",
+    (RoundState,),
+    begin,
+    partial(_step, _lbfgsb),
+)
+
+# ── Accelerated projected gradients: in coordinates divided by their scale ──
+
+
+def _projected_gradient(run: Run, x: np.ndarray, data: tuple) -> np.ndarray:
+    problem = run.problem
+    scale, score = _nonzero_scale(problem), scaled_score(problem)
+
+    def project(z: Array) -> np.ndarray:
+        return problem.space.project(scale * np.asarray(z, float), np)
+
+    # All coordinates of a block, as a foot's, have one scale. So the nearest point is the same in
+    # coordinates divided by their scale.
+    solver = jaxopt.ProjectedGradient(
+        charged(run, data[0], lambda z: score(z, *data), project),
+        projection=lambda z, _: jnp.asarray(project(z) / scale, float),
+        value_and_grad=True,
+        maxiter=ITERATIONS,
+        maxls=6,
+        implicit_diff=False,
+        jit=False,  # its loops are Python's, as for L-BFGS-B: nothing of them is compiled
+    )
+    return project(solver.run(jnp.asarray(x / scale, float), None).params)
+
+
+@per_problem
+def scaled_score(problem: Problem) -> Score:
+    """What is minimised, and its slope, in coordinates divided by their scale."""
+    scale = jnp.asarray(_nonzero_scale(problem), float)
+    return score_through(problem, lambda z: problem.space.poses(scale * z))
+
+
+def _nonzero_scale(problem: Problem) -> Float[np.ndarray, " N"]:
+    return np.where(problem.space.scale > 0, problem.space.scale, 1.0)
+
+
+PROJECTED_GRADIENT = Method(
+    "projected-gradient",
+    "accelerated projected gradients on the soft score, in rounds",
+    (RoundState,),
+    begin,
+    partial(_step, _projected_gradient),
+)

@@ -1,8 +1,6 @@
 """The cheapest mix of devices that reaches a target: such as D of 0.95 on crosswalks.
 
 Mixes are searched in the order of their cost, and the first that reaches the target ends the study.
-That no cheaper one does is as sure as the searches are: each of them is in the result, with the
-best that it found.
 """
 
 from collections.abc import Callable, Mapping, Sequence

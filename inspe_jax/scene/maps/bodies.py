@@ -16,14 +16,8 @@ from inspe_jax.core.errors import InspeError
 from inspe_jax.scene.intersection import Intersection
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.statics import StaticBody, body
+from inspe_jax.scene.street import HEADROOM, OVER_LANES, WALKED
 
-OVER_LANES = 4.5
-"""What begins this high hangs over lanes [m]: it is the usual clearance."""
-OVER_PATHS = 2.4
-"""What begins this high hangs over footpaths [m]."""
-BESIDE_PATH = 0.8
-"""Bodies are cut off this near to the middle of a footpath [m]: people walk up to 0.8 m beside
-it."""
 SMALL = {"building": 0.5, "furniture": 0.1, "wall": 0.02, "hedge": 0.05, "tree": 0.2, "pole": 0.0,
          "parked vehicle": 0.5, "solid": 0.05}  # fmt: skip
 """Parts of less than this are left out [m²]."""
@@ -72,20 +66,19 @@ class Ways(NamedTuple):
         """Those of a place that has its regions and routes."""
         roads = (Region.DRIVEWAY, Region.JUNCTION, Region.CROSSWALK)
         lanes = unary_union([place.regions[r] for r in roads if r in place.regions])
-        walked = [
-            LineString(r.waypoints[:, :2]).buffer(
-                BESIDE_PATH, cap_style="square", join_style="mitre"
-            )
+        lines = [
+            LineString(r.waypoints[:, :2])
             for r in place.routes
             if r.user == "pedestrian" and len(r.waypoints) > 1
         ]
+        walked = shapely.buffer(lines, WALKED, cap_style="square", join_style="mitre")
         return cls(lanes, unary_union([lanes, *walked]))
 
     def under(self, base: float) -> BaseGeometry:
         """The ground over which nothing may be that begins so high [m]; empty for high bodies."""
         if base >= OVER_LANES:
             return Polygon()
-        return self.lanes if base >= OVER_PATHS else self.paths
+        return self.lanes if base >= HEADROOM else self.paths
 
 
 def standing(

@@ -36,6 +36,17 @@ class LaneStrip:
     left: Float[np.ndarray, "N 2"]
     right: Float[np.ndarray, "N 2"]
 
+    @classmethod
+    def along(
+        cls, road: int, lane: int, junction: int, kind: str, center: Float[np.ndarray, "N 3"],
+        ahead: Float[np.ndarray, "N 2"], width: Float[np.ndarray, " N"] | float,
+    ) -> "LaneStrip":  # fmt: skip
+        """A strip of a width [m] along a middle line with unit headings ``ahead``."""
+        half = np.broadcast_to(width, len(center))[:, None] / 2
+        across = np.column_stack([-ahead[:, 1], ahead[:, 0]]) * half
+        left, right = center[:, :2] + across, center[:, :2] - across
+        return cls(road, lane, junction, kind, center, left, right)
+
     @functools.cached_property
     def polygon(self) -> BaseGeometry:
         """The lane's surface. Where a tight bend folds an edge over, it is joined from quads."""

@@ -31,7 +31,7 @@ USUAL = {"Polygon": "building", "LineString": "wall", "Point": "pole"}
 _Metres = Annotated[float, Field(gt=0, le=HIGHEST)]
 
 
-class _Body(BaseModel):
+class _Properties(BaseModel):
     model_config = ConfigDict(extra="ignore", allow_inf_nan=False)
     kind: str | None = None
     height_m: _Metres | None = None
@@ -114,7 +114,7 @@ def _once(shapes: Iterable[Shape]) -> Iterator[Shape]:
 
 def _shapes(one: Feature) -> Iterator[Shape]:
     """The bodies of one feature."""
-    where, own = one.where, check_model(_Body, one.properties, f"{one.where}.properties")
+    where, own = one.where, check_model(_Properties, one.properties, f"{one.where}.properties")
     for part in _parts(one.geometry):
         if part.geom_type not in USUAL or part.is_empty:
             raise InspeError(f"{where}: a {part.geom_type} is no body: {', '.join(USUAL)}")

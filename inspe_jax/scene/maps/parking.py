@@ -93,9 +93,8 @@ def _along(lanes: Iterable[LaneStrip]) -> Iterator[Spot]:
         across = float(np.median(wide)) > DEEP
         pitch = ABREAST if across else PARALLEL
         for at in np.arange(pitch / 2, arc[-1] - pitch / 2 + 1e-9, pitch):
-            middle = np.array([np.interp(at, arc, x) for x in line.T])
-            before, after = (
-                np.array([np.interp(at + d, arc, x) for x in line.T]) for d in (-0.5, 0.5)
+            before, middle, after = (
+                np.array([np.interp(at + d, arc, x) for x in line.T]) for d in (-0.5, 0.0, 0.5)
             )
             yaw = float(np.arctan2(*(after - before)[::-1]))
             width = float(np.interp(at, arc, wide))

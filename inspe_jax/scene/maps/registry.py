@@ -118,12 +118,23 @@ def read_map(
     center: tuple[float, float] | None = None,
     radius: float = 50.0,
 ) -> Intersection:
-    """One junction of a map and its surroundings, by its id or a centre (x, y) [m].
+    """One junction of a map and its surroundings, in world metres (ENU).
 
-    See :func:`~inspe_jax.scene.maps.opendrive.reader.read_opendrive` and
-    :func:`~inspe_jax.scene.maps.sumo.reader.read_sumo`. Raises InspeError for another suffix, if an
-    extra or the file is missing, if the file is not a map, or if it has no such junction or no road
-    near.
+    Coordinates are those of the map; of a network, those of the map that it was made from
+    (:mod:`inspe_jax.scene.maps.sumo.network`). Lanes are read to ``radius`` + 10 m. Roads on
+    another level are left out. OpenStreetMap extracts and OpenDRIVE bring the bodies that they
+    have, and extracts the ground between points that have a height (``ele``).
+
+    Args:
+        path: File of one of the :data:`FORMATS`.
+        junction: Id of a junction of OpenDRIVE, or of a node of a network.
+        center: (x, y) [m] in place of an id. All junctions within 35 m of it count as one, as those
+            of a roundabout.
+        radius: Routes begin and end there [m].
+
+    Raises:
+        InspeError: An extra or the file is missing, the file is not a map, or it has no such
+            junction or no road near.
     """
     place: Intersection = _call(path, "", junction=junction, center=center, radius=radius)
     return place

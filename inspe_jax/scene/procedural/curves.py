@@ -96,11 +96,6 @@ def offset(line: Float[np.ndarray, "N 2"], left: float) -> Float[np.ndarray, "N 
     return line + left * (before + after) / (1 + (before * after).sum(1))[:, None]
 
 
-def length(line: Float[np.ndarray, "N 2"]) -> float:
-    """Length of a line [m]."""
-    return float(np.hypot(*np.diff(line, axis=0).T).sum())
-
-
 def at_distance(
     start: Float[np.ndarray, "2"], direction: Float[np.ndarray, "2"], distance: float
 ) -> Float[np.ndarray, "2"]:

@@ -17,8 +17,8 @@ from inspe_jax.scene.intersection import (
     Route,
     mouth_crosswalks,
 )
-from inspe_jax.scene.lines import resampled
-from inspe_jax.scene.procedural.curves import bend, fillet, joined, length, offset
+from inspe_jax.scene.lines import arc_of, resampled
+from inspe_jax.scene.procedural.curves import bend, fillet, joined, offset
 from inspe_jax.scene.regions import Region
 
 LENGTH = 120.0
@@ -143,7 +143,7 @@ def _poles(
         a, b = roads[i], roads[j]
         if gap(a, b) < _CORNER:
             line = offset(kerb, -back)
-            feet.append(resampled(line, length(line) / 2)[1])
+            feet.append(resampled(line, arc_of(line)[-1] / 2)[1])
         else:
             feet.append(a.at(mouths[i] + _STOP, a.half + back))
             feet.append(b.at(mouths[j] + _STOP, -b.half - back))

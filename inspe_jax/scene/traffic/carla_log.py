@@ -40,7 +40,7 @@ _FRAME, _APPEARS, _POSITIONS, _KINEMATICS, _BOXES = 0, 2, 6, 12, 13
 _VEHICLE, _WALKER = "vehicle.", "walker."
 
 
-class _Reader:
+class _PacketReader:
     """Reads values one after the other, as CARLA packs them: little-endian, without gaps."""
 
     def __init__(self, data: bytes) -> None:
@@ -93,7 +93,7 @@ def load_log(path: Path) -> RecorderLog:
     Raises InspeError if the file is missing, cut short or not a log.
     """
     check_input(path, ARRAYS)
-    reader = _Reader(path.read_bytes())
+    reader = _PacketReader(path.read_bytes())
     try:
         reader.take("H")
         if reader.text() != _MAGIC:
@@ -111,7 +111,7 @@ def load_log(path: Path) -> RecorderLog:
     return RecorderLog(town.rpartition("/")[2], moments, kinds, boxes)
 
 
-def _packets(reader: _Reader) -> tuple[list[_Moment], dict[int, int], dict[int, np.ndarray]]:
+def _packets(reader: _PacketReader) -> tuple[list[_Moment], dict[int, int], dict[int, np.ndarray]]:
     """The moments of a log's packets, and by actor the class and the box."""
     moments: list[_Moment] = []
     actors: dict[int, tuple[str, dict[str, str]]] = {}

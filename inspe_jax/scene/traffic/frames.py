@@ -57,7 +57,7 @@ ROAD_USERS: tuple[RoadUser, ...] = (
 """How each class looks and moves in the waypoint model, in the order of :data:`CLASSES`."""
 
 
-class Body(NamedTuple):
+class BodySize(NamedTuple):
     """One sort of vehicle or person of a class: its share of the class, and its mean length, width
     and height [m]."""
 
@@ -76,7 +76,7 @@ class Mix:
 
     shares: tuple[float, ...]
     spread: float
-    bodies: Mapping[str, tuple[Body, ...]] = field(default_factory=dict)
+    bodies: Mapping[str, tuple[BodySize, ...]] = field(default_factory=dict)
 
     def mean_size(self, kind: int, rng: np.random.Generator) -> Float[np.ndarray, "3"]:
         """The mean size [m] of a road user of the class CLASSES[kind]."""
@@ -87,35 +87,35 @@ class Mix:
         return np.array(bodies[rng.choice(len(bodies), p=share / share.sum())].size)
 
 
-FLEET: Mapping[str, tuple[Body, ...]] = {
+FLEET: Mapping[str, tuple[BodySize, ...]] = {
     "car": (
-        Body(7, (3.60, 1.65, 1.50)),  # mini: VW up
-        Body(18, (4.07, 1.75, 1.45)),  # small: VW Polo
-        Body(24, (4.28, 1.79, 1.49)),  # compact: VW Golf
-        Body(12, (4.77, 1.83, 1.48)),  # medium: VW Passat
-        Body(5, (4.94, 1.87, 1.47)),  # large: Mercedes E class
-        Body(10, (4.51, 1.84, 1.68)),  # SUV: VW Tiguan
-        Body(6, (4.92, 2.00, 1.75)),  # off-road: BMW X5
-        Body(9, (4.53, 1.83, 1.66)),  # mini van: VW Touran
-        Body(4, (4.90, 1.90, 1.99)),  # large van: VW T6
-        Body(5, (5.93, 2.02, 2.62)),  # van of trade: Mercedes Sprinter, medium
+        BodySize(7, (3.60, 1.65, 1.50)),  # mini: VW up
+        BodySize(18, (4.07, 1.75, 1.45)),  # small: VW Polo
+        BodySize(24, (4.28, 1.79, 1.49)),  # compact: VW Golf
+        BodySize(12, (4.77, 1.83, 1.48)),  # medium: VW Passat
+        BodySize(5, (4.94, 1.87, 1.47)),  # large: Mercedes E class
+        BodySize(10, (4.51, 1.84, 1.68)),  # SUV: VW Tiguan
+        BodySize(6, (4.92, 2.00, 1.75)),  # off-road: BMW X5
+        BodySize(9, (4.53, 1.83, 1.66)),  # mini van: VW Touran
+        BodySize(4, (4.90, 1.90, 1.99)),  # large van: VW T6
+        BodySize(5, (5.93, 2.02, 2.62)),  # van of trade: Mercedes Sprinter, medium
     ),
     "truck": (
-        Body(35, (7.10, 2.30, 3.20)),  # 7.5 t: Mercedes Atego
-        Body(25, (9.80, 2.55, 3.80)),  # 18 t with a box
-        Body(10, (9.50, 2.55, 3.50)),  # refuse collector, three axles
-        Body(15, (12.14, 2.55, 3.12)),  # city bus: Mercedes Citaro
-        Body(15, (16.50, 2.55, 4.00)),  # semi-trailer: the longest and highest of 96/53/EC
+        BodySize(35, (7.10, 2.30, 3.20)),  # 7.5 t: Mercedes Atego
+        BodySize(25, (9.80, 2.55, 3.80)),  # 18 t with a box
+        BodySize(10, (9.50, 2.55, 3.50)),  # refuse collector, three axles
+        BodySize(15, (12.14, 2.55, 3.12)),  # city bus: Mercedes Citaro
+        BodySize(15, (16.50, 2.55, 4.00)),  # semi-trailer: the longest and highest of 96/53/EC
     ),
     "cyclist": (
-        Body(80, (1.80, 0.65, 1.75)),
-        Body(8, (2.50, 0.75, 1.75)),  # cargo bicycle: Urban Arrow
-        Body(12, (2.10, 0.80, 1.65)),  # motorcycle or scooter with its rider
+        BodySize(80, (1.80, 0.65, 1.75)),
+        BodySize(8, (2.50, 0.75, 1.75)),  # cargo bicycle: Urban Arrow
+        BodySize(12, (2.10, 0.80, 1.65)),  # motorcycle or scooter with its rider
     ),
     "pedestrian": (
-        Body(82, (0.50, 0.50, 1.72)),
-        Body(10, (0.45, 0.45, 1.45)),  # 11 years old
-        Body(8, (0.40, 0.40, 1.15)),  # 6 years old
+        BodySize(82, (0.50, 0.50, 1.72)),
+        BodySize(10, (0.45, 0.45, 1.45)),  # 11 years old
+        BodySize(8, (0.40, 0.40, 1.15)),  # 6 years old
     ),
 }
 """Vehicles as they are registered, and people of all ages.

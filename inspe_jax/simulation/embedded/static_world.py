@@ -21,10 +21,11 @@ from shapely.geometry.base import BaseGeometry
 from shapely.ops import unary_union
 
 from inspe_jax.scene.intersection import Intersection
-from inspe_jax.scene.maps.bodies import OVER_LANES, OVER_PATHS, Ways
+from inspe_jax.scene.maps.bodies import Ways
 from inspe_jax.scene.mesh import LOW, Mesh
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.statics import StaticBody
+from inspe_jax.scene.street import HEADROOM, OVER_LANES
 from inspe_jax.scene.terrain import MARGIN, lattice_faces
 from inspe_jax.simulation.embedded import materials
 from inspe_jax.simulation.embedded.static_bodies import Part, body_parts, quads, walls
@@ -178,10 +179,10 @@ def _surveyed(
     known = ((triangles[..., :2] >= low) & (triangles[..., :2] <= high)).all((1, 2))
     ways, middle = Ways.of(place), triangles[..., :2].mean(1)
     in_way = np.zeros(len(triangles), bool)
-    for base in (0.0, OVER_PATHS):
+    for base in (0.0, HEADROOM):
         area = ways.under(base)
         shapely.prepare(area)
-        below = over.max(1) < (OVER_PATHS if base == 0 else OVER_LANES)
+        below = over.max(1) < (HEADROOM if base == 0 else OVER_LANES)
         in_way |= below & shapely.contains_xy(area, *middle.T)
     shown = (over.max(1) > LOW) & known & ~in_way
     return triangles[shown], (mesh.colour[shown] / 255.0) ** SRGB

@@ -2,6 +2,7 @@
 
 import csv
 from dataclasses import replace
+from types import SimpleNamespace
 
 import pytest
 from mounts import assert_mountable, lanes_of
@@ -9,8 +10,13 @@ from mounts import assert_mountable, lanes_of
 from inspe_jax.core.errors import InspeError
 from inspe_jax.mounting.mixes import starting_layout
 from inspe_jax.placement.objective import Objective
-from inspe_jax.placement.studies import pareto as module
-from inspe_jax.placement.studies.pareto import device_mixes, load_pareto, pareto, save_pareto
+from inspe_jax.placement.studies.pareto import (
+    device_mixes,
+    load_pareto,
+    pareto,
+    save_pareto,
+    searched,
+)
 from inspe_jax.scene.procedural.built_ins import built_in
 from inspe_jax.scene.scene import build_scene
 from inspe_jax.sensing.layout import load_layout
@@ -47,7 +53,7 @@ def test_every_mix_is_searched_cheapest_first(found):
     assert [row for row, _, _ in told][-1] == mixed[-1].counts
 
 
-def test_the_front_is_what_no_other_mix_beats(found):
+def test_the_front_is_what_no_other_mix_beats(found, scene):
     """Against its definition: another is no dearer and no worse, and cheaper or better."""
     mixed, _ = found
     for mix in mixed:
@@ -60,11 +66,8 @@ def test_the_front_is_what_no_other_mix_beats(found):
         ]
         assert mix.front == (not beaten)
     assert mixed[0].front
-
-
-def test_every_layout_can_be_mounted_and_has_its_sensors(found, scene):
     lanes = lanes_of(scene.intersection)
-    for mix in found[0]:
+    for mix in mixed:
         names = [sensor.spec.name for sensor in mix.result.layout.sensors]
         assert {name: names.count(name) for name in mix.counts} == dict(mix.counts)
         assert_mountable(scene, mix.result.layout, lanes)
@@ -99,37 +102,37 @@ def test_a_budget_leaves_out_what_costs_more():
     objective = Objective(prices={CAMERA: 1000.0}, budget=5000.0)
     costs = [cost for cost, _ in device_mixes({CAMERA: range(4), LIDAR: (0, 1)}, objective)]
     assert costs == [1000, 2000, 3000, 4000, 5000]
+    rows = [row for _, row in device_mixes({LIDAR: range(4)}, Objective(failures=True))]
+    assert rows == [{LIDAR: 2}, {LIDAR: 3}]  # one may fail
 
 
-@pytest.mark.parametrize("stop", [1, 2])
-def test_ctrl_c_ends_with_the_mixes_so_far(scene, stop):
-    """In the middle of a search, which is the last of the mixes."""
+@pytest.mark.parametrize(
+    ("ends", "count"),
+    [
+        ([0.1, 0.2, 0.3], 3),
+        ([0.1, 0.9, 0.3], 2),  # enough
+        ([0.1, "interrupted"], 2),
+        ([0.1, KeyboardInterrupt], 1),  # before the first score
+    ],
+)
+def test_mixes_are_searched_until_one_is_enough_or_ctrl_c(scene, ends, count):
+    wanted = [(4000.0 * n, {LIDAR: n}) for n in (1, 2, 3)]
+    left, told = iter(ends), []
 
-    def interrupt(row, share, best):
-        if row == {LIDAR: stop} and share * 2 > stop - 1:
-            raise KeyboardInterrupt
+    def search(start, report):
+        end = next(left)
+        report("its method", 0, 0.5, 0.2)
+        if end is KeyboardInterrupt:
+            raise end
+        status = end if isinstance(end, str) else "budget spent"
+        return SimpleNamespace(objective=0.2 if end == status else end, status=status)
 
-    found = pareto(scene, {LIDAR: (1, 2)}, method="random", evaluations=4, progress=interrupt)
-    assert [dict(mix.counts) for mix in found] == [{LIDAR: n} for n in range(1, stop + 1)]
-    assert found[-1].result.status == "interrupted"
-    assert found[0].front
-
-
-def test_ctrl_c_before_the_first_score_leaves_nothing_or_what_there_is(scene, monkeypatch):
-    """While a mix is compiled."""
-    whole, calls = module.compare, []
-
-    def interrupted(*arguments, **options):
-        if calls:
-            raise KeyboardInterrupt
-        calls.append(1)
-        return whole(*arguments, **options)
-
-    monkeypatch.setattr(module, "compare", interrupted)
-    (mix,) = pareto(scene, {LIDAR: (1, 2)}, method="random", evaluations=2)
-    assert mix.counts == {LIDAR: 1}
+    found = searched(wanted, scene, search, lambda *at: told.append(at), enough=0.9)
+    assert [mix.counts for mix in found] == [{LIDAR: n} for n in range(1, count + 1)]
+    assert told[0] == ({LIDAR: 1}, pytest.approx(0.5 / 3), 0.2)
+    left = iter([KeyboardInterrupt])
     with pytest.raises(KeyboardInterrupt):
-        pareto(scene, {LIDAR: (1, 2)}, method="random", evaluations=2)
+        searched(wanted, scene, search, None)
 
 
 def test_a_mix_that_costs_its_budget_to_the_cent_is_searched(scene):
@@ -137,11 +140,6 @@ def test_a_mix_that_costs_its_budget_to_the_cent_is_searched(scene):
     priced = Objective(prices={LIDAR: 1999.85}, budget=13998.95)
     assert [row for _, row in device_mixes({LIDAR: [7]}, priced)] == [{LIDAR: 7}]
     priced.check_cost(starting_layout(scene, {LIDAR: 7}))
-
-
-def test_failures_leave_out_mixes_of_one_sensor():
-    rows = [row for _, row in device_mixes({LIDAR: range(4)}, Objective(failures=True))]
-    assert rows == [{LIDAR: 2}, {LIDAR: 3}]
 
 
 def test_sensors_start_on_posts_of_their_own_lidars_first(scene):

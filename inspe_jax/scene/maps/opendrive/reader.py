@@ -70,13 +70,9 @@ def road_lines(path: str | os.PathLike[str]) -> list[Float[np.ndarray, "N 2"]]:
     for road in town.roads.values():
         for start, end, lanes in road.sections:
             lane = next((name for name, kind in lanes.items() if kind == "driving"), 0)
-            inset = min(INSET, (end - start) / 4)
-            count = max(2, int(np.ceil((end - start) / COARSE)) + 1)
-            stations = np.linspace(start + inset, end - inset, count) if lane else ()
-            marks = [town.at(road.id, lane, float(s)) for s in stations]
-            line = [position(mark.transform.location)[:2] for mark in marks if mark is not None]
-            if len(line) > 1:
-                found.append(np.array(line))
+            marks = town.along(road.id, lane, start, end, COARSE) if lane else []
+            if len(marks) > 1:
+                found.append(np.array([position(m.transform.location)[:2] for m in marks]))
     return found
 
 
@@ -95,16 +91,7 @@ def read_opendrive(
     center: tuple[float, float] | None = None,
     radius: float = 50.0,
 ) -> Intersection:
-    """One junction of an OpenDRIVE file and its surroundings, in world metres (ENU).
-
-    Give ``junction``, an id of the file, or ``center`` (x, y) [m] for a place that is not one
-    OpenDRIVE junction, as a roundabout. With ``center``, all junctions within 35 m of it count as
-    one. Lanes are read to ``radius`` + 10 m. Routes begin and end at ``radius``. Roads on another
-    level are left out.
-
-    Raises InspeError if the CARLA client or the file is missing, if the file is not well-formed
-    OpenDRIVE, or if it has no such junction or no road near.
-    """
+    """One junction of an OpenDRIVE file: :func:`~inspe_jax.scene.maps.registry.read_map`."""
     town = load_map(path)
     members, middle, place = junctions_at(
         town.source, town.junctions, lambda j: town.box(j)[0], junction, center

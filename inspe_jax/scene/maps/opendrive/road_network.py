@@ -67,6 +67,12 @@ class TownMap:
         """CARLA's waypoint in the middle of a lane, s [m] along the road; None beyond its ends."""
         return self.carla.get_waypoint_xodr(road, lane, s)
 
+    def along(self, road: int, lane: int, start: float, end: float, spacing: float) -> list[Any]:
+        """CARLA's waypoints along a lane from one s to another, about ``spacing`` [m] apart."""
+        inset, count = min(INSET, (end - start) / 4), int(np.ceil((end - start) / spacing)) + 1
+        stations = np.linspace(start + inset, end - inset, max(2, count)).tolist()
+        return [w for s in stations if (w := self.at(road, lane, s)) is not None]
+
     def box(self, junction: int) -> tuple[np.ndarray, float]:
         """Middle (3,) and larger side of a junction's bounding box [m]."""
         for road in self.roads.values():
@@ -215,19 +221,14 @@ def lane_strips_near(town: TownMap, middle: np.ndarray, reach: float) -> list[La
         if not road.near(middle, reach):
             continue
         for start, end, lanes in road.sections:
-            count = max(2, int(np.ceil((end - start) / STEP)) + 1)
-            inset = min(INSET, (end - start) / 4)
-            stations = np.linspace(start + inset, end - inset, count)
             for lane, kind in lanes.items():
-                line = [w for s in stations if (w := town.at(road.id, lane, s)) is not None]
+                line = town.along(road.id, lane, start, end, STEP)
                 if len(line) < 2 or max(w.lane_width for w in line) < 0.05:
                     continue
                 center = np.array([position(w.transform.location) for w in line])
-                along = np.array([heading_of(w) for w in line])
-                half = np.array([w.lane_width for w in line])[:, None] / 2
-                across = np.column_stack([-along[:, 1], along[:, 0]]) * half
-                edges = center[:, :2] + across, center[:, :2] - across
-                strip = LaneStrip(road.id, lane, road.junction, kind, center, *edges)
+                ahead = np.array([heading_of(w) for w in line])
+                width = np.array([w.lane_width for w in line])
+                strip = LaneStrip.along(road.id, lane, road.junction, kind, center, ahead, width)
                 # One lane's width farther, so that the disc cuts the lane, and not its stations.
-                found += strip.runs(distance_from(center, middle) <= reach + 2 * half.max() + STEP)
+                found += strip.runs(distance_from(center, middle) <= reach + width.max() + STEP)
     return found

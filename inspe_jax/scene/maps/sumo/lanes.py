@@ -88,10 +88,9 @@ def streets_of(road: RoadNet) -> Streets:
 
 
 def _lane_strip(number: int, lane: Any, line: np.ndarray, inside: bool) -> LaneStrip:
-    """A lane's middle line at evenly spaced stations, and its edges."""
+    """A lane with evenly spaced stations."""
     center = resampled(line)
-    along = np.gradient(center[:, :2], axis=0)
-    along /= np.hypot(*along.T)[:, None]
-    across = np.column_stack([-along[:, 1], along[:, 0]]) * lane.getWidth() / 2
-    edges = center[:, :2] + across, center[:, :2] - across
-    return LaneStrip(number, lane.getIndex(), 1 if inside else -1, kind_of(lane), center, *edges)
+    ahead = np.gradient(center[:, :2], axis=0)
+    ahead /= np.hypot(*ahead.T)[:, None]
+    junction, width = 1 if inside else -1, lane.getWidth()
+    return LaneStrip.along(number, lane.getIndex(), junction, kind_of(lane), center, ahead, width)

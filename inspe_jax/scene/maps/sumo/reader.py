@@ -103,18 +103,7 @@ def read_sumo(
     center: tuple[float, float] | None = None,
     radius: float = 50.0,
 ) -> Intersection:
-    """One junction of a SUMO network (.net.xml) or OpenStreetMap extract (.osm), in world metres.
-
-    Give ``junction``, the id of a node, or ``center`` (x, y) [m]. With ``center``, all junctions
-    within 35 m of it count as one, as those of a roundabout. Coordinates are those of the map that
-    the network was made from (:mod:`inspe_jax.scene.maps.sumo.network`). Lanes are read to
-    ``radius`` + 10 m. Routes begin and end at ``radius``. Roads on another level are left out.
-    Extracts bring their buildings, trees, walls and poles, as far as lanes are read, and the ground
-    between points that have a height (``ele``).
-
-    Raises InspeError if SUMO or the file is missing, if the file is not a network, or if it has no
-    such junction or no road near.
-    """
+    """One junction of a network or extract: :func:`~inspe_jax.scene.maps.registry.read_map`."""
     streets = streets_of(load_net(Path(path)))
     road = streets.road
     nodes = [node.getID() for node in road.net.getNodes() if _is_junction(node)]

@@ -8,6 +8,7 @@ from jaxtyping import Float
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
+from inspe_jax.scene.lines import arc_of
 from inspe_jax.scene.maps.parts import distance_from
 from inspe_jax.scene.maps.sumo.lanes import Streets
 from inspe_jax.scene.traffic.frames import CLASSES
@@ -50,17 +51,13 @@ def paths_through(
 
 @dataclass(frozen=True)
 class _Edge:
-    """An edge near the region.
-
-    ``line`` is its middle line, ``arc`` the arc length at each point, ``away`` each point's
-    distance from the centre [m]; ``lanes`` counts those that a class may use.
-    """
+    """An edge near the region."""
 
     name: str
-    line: Float[np.ndarray, "N 2"]
-    arc: Float[np.ndarray, " N"]
-    away: Float[np.ndarray, " N"]
-    lanes: int
+    line: Float[np.ndarray, "N 2"]  # its middle [m]
+    arc: Float[np.ndarray, " N"]  # length to each point [m]
+    away: Float[np.ndarray, " N"]  # distance of each point from the centre [m]
+    lanes: int  # that the class may use
     edge: Any
 
 
@@ -80,19 +77,14 @@ def _edges(streets: Streets, v_class: str, center: np.ndarray, reach: float) -> 
         away = distance_from(line, center)
         if away.min() > reach:
             continue
-        steps = np.hypot(*np.diff(line, axis=0).T)
-        arc = np.concatenate([[0.0], np.cumsum(steps)]) * edge.getLength() / steps.sum()
+        arc = arc_of(line)
+        arc = arc * edge.getLength() / arc[-1]
         found.append(_Edge(edge.getID(), line, arc, away, len(lanes), edge))
     return found
 
 
 def _drives(streets: Streets, v_class: str, center: np.ndarray, radius: float) -> list[TravelPath]:
-    """The shortest path from every road that leads into the region to every road that leads out.
-
-    A path leads back to the road it came from only if there is no other. Going straight on is up
-    to three times as likely as turning. Paths begin some distance up the road, so that queues have
-    room.
-    """
+    """The shortest path from every road that leads into the region to every road that leads out."""
     edges = _edges(streets, v_class, center, radius + LEAD_IN)
     index = {e.name: k for k, e in enumerate(edges)}
     links = [
@@ -118,9 +110,11 @@ def _drives(streets: Streets, v_class: str, center: np.ndarray, radius: float) -
         away, before = dijkstra(graph, indices=entry, return_predecessors=True)
         paths = [_path(before, k) for k in exits if k != entry and np.isfinite(away[k])]
         paths = [p for p in paths if min(edges[k].away.min() for k in p) <= radius]
+        # Back to the road it came from only if there is no other; straight on is likelier.
         onward = [p for p in paths if not _returns(edges[entry], edges[p[-1]])] or paths
         if not onward:
             continue
+        # Queues have room.
         first = _upstream(edges, links, entry)
         begin = _arc_at(edges[first[0]], radius + LEAD_IN, first=True)
         straight = [1 + 2 * max(_alike(edges[entry], edges[p[-1]]), 0.0) for p in onward]
@@ -156,14 +150,9 @@ def _arc_at(edge: _Edge, reach: float, *, first: bool) -> float:
 
 def _returns(one: _Edge, two: _Edge) -> bool:
     """Whether edge ``two`` leads back along edge ``one``."""
-    return bool(
-        one.edge.getFromNode() is two.edge.getToNode()
-        and one.edge.getToNode() is two.edge.getFromNode()
-    ) or bool(
-        np.hypot(*(one.line[0] - two.line[-1])) < 20.0
-        and _alike(one, two) < -0.9
-        and one.edge.getFromNode() is two.edge.getToNode()
-    )
+    beside = np.hypot(*(one.line[0] - two.line[-1])) < 20.0 and _alike(one, two) < -0.9
+    there = one.edge.getToNode() is two.edge.getFromNode() or bool(beside)
+    return there and one.edge.getFromNode() is two.edge.getToNode()
 
 
 def _alike(one: _Edge, two: _Edge) -> float:

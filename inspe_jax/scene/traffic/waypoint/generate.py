@@ -96,11 +96,9 @@ def waypoint_traffic(
 
 
 def _kinds(paths: Paths, mix: Mix, count: int) -> Int[np.ndarray, " M"]:
-    """Classes of ``count`` road users, among those that have a path.
-
-    Cyclists ride only where there are pedestrians too, so not on motorways.
-    """
+    """Classes of ``count`` road users, among those that have a path."""
     has_path = [bool((paths.user == PATH_USERS.index(u.path)).any()) for u in ROAD_USERS]
+    # Cyclists ride only where there are pedestrians too, so not on motorways.
     has_path[CLASSES.index("cyclist")] &= has_path[CLASSES.index("pedestrian")]
     return np.repeat(np.arange(len(CLASSES), dtype=np.int8), quota(mix, has_path, count))
 
@@ -115,8 +113,7 @@ def _warmed_up(paths: Paths, kind: np.ndarray, mix: str, seed: int) -> WaypointM
     if _holds(there, np.bincount(kind, minlength=len(CLASSES))):
         return model
     walkers = CLASSES.index("pedestrian")
-    may_walk = (kind == walkers).any()
-    spare = np.full(len(kind) if may_walk else 0, walkers, kind.dtype)
+    spare = np.full(len(kind) if walkers in kind else 0, walkers, kind.dtype)
     rng = np.random.default_rng(seed)
     full = CongestedModel(paths, ROAD_USERS, rng.permutation(kind), MIXES[mix], rng, spare)
     full.fill()

@@ -1,0 +1,331 @@
+"""Writes the tables of experiments/README.md from the CSV beside it.
+
+A table stands between a line ``<!-- NAME -->``, with the name of a function of this module, and a
+line ``<!-- end -->``.
+"""
+
+import re
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+
+import numpy as np
+from common import METRICS, read_rows
+from scipy.stats import ttest_1samp
+
+from inspe_jax.core.files import write_text
+
+HERE = Path(__file__).resolve().parent
+README = HERE / "README.md"
+PLACEMENTS = [
+    *("Cam-c", "Cam-d1", "Cam-d2", "L-c", "L-d1", "L-d2"),
+    *("Cam-c/L-c", "Cam-d1/L-d1", "Cam-d2/L-d2"),
+]
+HELD_OUT = {"places": ("Town03 five-way", "Town04 T"), "time": ()}
+"""Intersections at which a detector is measured, by what was held out; all where none is named."""
+FOUND = {"L-d1": "coalign", "L-d2": "coalign", "L-c": "coalign", "Cam-d2": "lss-resnet"}
+"""Placements from which searches start, and the detector that is trained under each."""
+DOWN = "Cam-d2, 25° down"
+USERS = ("car", "truck", "cyclist", "pedestrian")
+
+Row = dict[str, str]
+
+
+def rows_of(name: str, **having: str) -> list[Row]:
+    """The rows of a CSV that have these values."""
+    found = read_rows(HERE / f"{name}.csv")
+    return [row for row in found if all(row[key] == value for key, value in having.items())]
+
+
+def numbers(rows: Iterable[Row], key: str) -> np.ndarray:
+    """A column of rows."""
+    return np.array([float(row[key]) for row in rows])
+
+
+def values(rows: Iterable[Row], key: str) -> list[str]:
+    """What a column has, each once, in its order."""
+    return list(dict.fromkeys(row[key] for row in rows))
+
+
+def markdown(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """A table in Markdown."""
+    lines = [heads, ["---"] * len(heads), *rows]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+def slopes() -> str:
+    """Cosines of gradients with differences: of the soft score, and of the exact score's mean."""
+    cameras = [r for r in rows_of("slopes") if re.search("camera|aca", r["device"])]
+    rows = []
+    for kind, own in {
+        "cameras": cameras,
+        "LiDARs": [r for r in rows_of("slopes") if r not in cameras],
+    }.items():
+        soft = min(numbers(own, key).min() for key in own[0] if key.startswith("step_"))
+        exact = numbers(own, "cosine")
+        ends = f"{exact.min():.3f}, {np.median(exact):.3f}, {exact.max():.3f}"
+        rows.append([kind, f"{len(own)}", f"{soft:.4f}", ends])
+    return markdown(["", "devices", "soft score: least", "exact score: least, median, most"], rows)
+
+
+def searches() -> str:
+    """Exact P_sm after searches: of each cell the median over seeds, then the mean over cells."""
+    methods = ("greedy-adam", "greedy", "grid", "random", "cma-es")
+    clocks = {"gradient_vs_grid": "warm, 10 s", "gradient_vs_grid_cold": "cold, 20 s"}
+    found = []
+    for file, mix in ((f, mix) for f in clocks for mix in values(rows_of(f), "mix")):
+        cells = [rows_of(file, mix=mix, place=place) for place in values(rows_of(file), "place")]
+        scores = np.array([
+            [np.median(numbers([r for r in cell if r["method"] == m], "score")) for m in methods]
+            for cell in cells
+        ])  # fmt: skip
+        start = np.mean([float(cell[0]["start"]) for cell in cells])
+        lead = scores[:, 0] - scores[:, 1:].max(1)
+        means = [f"{x:.4f}" for x in scores.mean(0)]
+        first = [f"{(lead >= 0).sum()} of {len(lead)}", f"{lead.min():+.4f}"]
+        found.append([clocks[file], mix, f"{start:.3f}", *means, *first])
+    return markdown(["clock", "sensors", "start", *methods, "first in", "least lead"], found)
+
+
+def detectability() -> str:
+    """D and P_sm of placements: median, and the range between the quartiles."""
+    columns = [(p, m) for p in ("ideal", "paper") for m in ("D", "P_sm")]
+    rows = [
+        [layouts]
+        + [
+            f"{float(row['median']):.3f}, {float(row['iqr']):.3f}"
+            for profile, metric in columns
+            for row in rows_of("detectability", profile=profile, metric=metric, layouts=layouts)
+        ]
+        for layouts in values(rows_of("detectability"), "layouts")
+    ]
+    return markdown(["layouts", *(f"{metric}, {profile}" for profile, metric in columns)], rows)
+
+
+def table2() -> str:
+    """The nine placements on the ten intersections: mean ± standard deviation."""
+    rows = [
+        [placement]
+        + [
+            f"{float(row['mean']):.3f} ± {float(row['std']):.3f}"
+            for metric in METRICS
+            for row in rows_of("table2", placement=placement, metric=metric)
+        ]
+        for placement in PLACEMENTS
+    ]
+    return markdown(["placement", *METRICS.values()], rows)
+
+
+def mean_ap(file: str, of: str, placement: str, model: str | None = None) -> float:
+    """mAP [%]: the mean over road users, seeds and, unless one is named, detectors."""
+    rows = rows_of(file, frames_of=of, placement=placement)
+    models = [model] if model else values(rows, "model")
+    each = [
+        numbers([r for r in rows if (r["model"], r["road_user"]) == (one, user)], "ap").mean()
+        for one in models
+        for user in USERS
+    ]
+    return 100 * float(np.mean(each))
+
+
+def table1() -> str:
+    """mAP of the nine placements beside P_sm at the same intersections."""
+    scores = rows_of("table1_scores", metric="surrogate")
+    rows = []
+    for placement in PLACEMENTS:
+        cells = [placement]
+        for of in HELD_OUT:
+            (own,) = (r for r in scores if (r["frames_of"], r["placement"]) == (of, placement))
+            cells += [f"{float(own['mean']):.3f}", f"{mean_ap('table1', of, placement):.1f}"]
+        rows.append(cells)
+    heads = ["P_sm, other places", "mAP, other places", "P_sm, all ten", "mAP, another time"]
+    return markdown(["placement", *heads], rows)
+
+
+def with_interval(row: Row) -> str:
+    """A correlation with the middle 95 % of it."""
+    value, low, high = (float(row[key]) for key in ("value", "low", "high"))
+    return f"{value:.2f} [{low:.2f}, {high:.2f}]"
+
+
+def correlations() -> str:
+    """Correlations of mAP with the metrics over the nine placements, Pearson's and Spearman's."""
+    rows = []
+    for of in ("places", "time", "paper"):
+        cells = [of]
+        for metric in ("surrogate", "coverage", "occlusion", "information_gain"):
+            own = rows_of("table1_correlations", frames_of=of, road_user="all", metric=metric)
+            cells.append(", ".join(with_interval(row) for row in own))
+        rows.append(cells)
+    return markdown(["mAP at", "P_sm", "C", "O", "IG"], rows)
+
+
+def found_placements() -> str:
+    """P_sm and mAP of placements by hand and as searches found them."""
+    scores = rows_of("found_placements_scores")
+
+    def line(placement: str, file: str, model: str, layout: str, key: str) -> list[str]:
+        cells = [placement]
+        for of, at in HELD_OUT.items():
+            own = [r for r in scores if r["layout"] == layout and (not at or r["scene"] in at)]
+            cells += [f"{numbers(own, key).mean():.3f}"]
+            cells += [f"{mean_ap(file, of, placement, model):.1f}"]
+        return cells
+
+    rows, gains = [], []
+    for name, model in FOUND.items():
+        found = f"found from {name}"
+        rows.append(line(name, "table1", model, name, "surrogate_before"))
+        rows.append(line(found, "found_placements", model, name, "surrogate"))
+        gains.append([
+            mean_ap("found_placements", of, found, model) - mean_ap("table1", of, name, model)
+            for of in HELD_OUT
+        ])  # fmt: skip
+    rows.append(line(DOWN, "found_placements", FOUND["Cam-d2"], DOWN, "surrogate"))
+    *lidars, cameras = np.array(gains)
+    low, high = ttest_1samp(lidars, 0.0).confidence_interval()
+    of_lidars = zip(np.mean(lidars, 0), low, high, strict=True)
+    intervals = ["{:+.1f} [{:.1f}, {:.1f}]".format(*each) for each in of_lidars]
+    rows.append(["gain with LiDARs, 95 % interval", "", intervals[0], "", intervals[1]])
+    rows.append(["gain with cameras", "", f"{cameras[0]:+.1f}", "", f"{cameras[1]:+.1f}"])
+    heads = ["P_sm, other places", "mAP", "P_sm, another time", "mAP"]
+    return markdown(["placement", *heads], rows)
+
+
+def random_correlations() -> str:
+    """Pearson's correlation of mAP with the metrics over random placements."""
+    names = ("surrogate", "coverage", "occlusion", "information_gain", "detectability")
+    rows = []
+    for less in ("place", "place and number"):
+        own = rows_of(
+            "random_placements_correlations", less=less, road_user="mean", correlation="pearson"
+        )
+        by_metric = {row["metric"]: with_interval(row) for row in own}
+        rows.append([f"less the mean of the {less}", *(by_metric[name] for name in names)])
+    return markdown(["", "P_sm", "C", "O", "IG", "D"], rows)
+
+
+def random_gains() -> str:
+    """What searches gain in P_sm, D and mAP, by what they search for and where they start."""
+    all_rows = rows_of("random_placements")
+    places = values(all_rows, "place")
+    own = {(row["place"], row["layout"]): row for row in all_rows}
+    rows = []
+    for name, goal in ((name, goal) for name in ("L-c", "L-d2", "L-d1") for goal in ("P_sm", "D")):
+        cells = [name, goal]
+        for place in places:
+            old, new = own[place, name], own[place, f"found for {goal} from {name}"]
+            for key, digits in (("surrogate", 3), ("detectability", 3), ("mean_ap", 1)):
+                cells.append(f"{float(new[key]) - float(old[key]):+.{digits}f}")
+        rows.append(cells)
+    heads = [f"{what}, {place.split()[0]}" for place in places for what in ("P_sm", "D", "mAP")]
+    return markdown(["from", "searched", *heads], rows)
+
+
+def statics() -> str:
+    """P_sm of the nine placements without and with static bodies."""
+    scenes = values(rows_of("statics"), "scene")
+    rows = [
+        [placement]
+        + [
+            f"{float(row['surrogate_none']):.3f}, {float(row['surrogate_bodies']):.3f}"
+            for scene in scenes
+            for row in rows_of("statics", scene=scene, placement=placement)
+        ]
+        for placement in PLACEMENTS
+    ]
+    return markdown(["placement", *scenes], rows)
+
+
+def terrain() -> str:
+    """What the ground takes from P_sm at each scene: the most of the nine placements."""
+    rows = []
+    for scene in values(rows_of("terrain"), "scene")[2:]:  # after two made-up crests
+        own = rows_of("terrain", scene=scene)
+        steep, high = (float(own[0][key]) for key in ("steepest", "range"))
+        lost = numbers(own, "surrogate_none") - numbers(own, "surrogate_ground")
+        times = np.median(numbers(own, "time_ratio"))
+        rows.append([scene, f"{steep:.0%}", f"{high:.1f} m", f"{lost.max():.3f}", f"{times:.2f}"])
+    heads = ["scene", "steepest", "lowest to highest", "most that P_sm loses", "× the time"]
+    return markdown(heads, rows)
+
+
+def recorded_returns() -> str:
+    """Furthest point in each weather, and the share of points on road users that is left."""
+    weathers = values(rows_of("recorded_returns"), "weather")
+    rows = [
+        [device]
+        + [
+            f"{float(row['furthest']):.1f} of {float(row['reach']):.1f} m, "
+            f"{100 * float(row['share_on_road_users']):.1f} %"
+            for weather in weathers
+            for row in rows_of("recorded_returns", device=device, weather=weather)
+        ]
+        for device in values(rows_of("recorded_returns"), "device")
+    ]
+    return markdown(["device", *weathers], rows)
+
+
+def loading() -> str:
+    """Frames a second: the median of several rounds (least to most)."""
+    readers = {"from the set": ("set", "0"), "cache": ("cache", "0"), "2 workers": ("cache", "2")}
+    rows = []
+    kinds = [kind for kind in values(rows_of("loading"), "kind") if "0.8 m" not in kind]
+    for kind in kinds:
+        cells = [kind]
+        for reader, workers in readers.values():
+            own = rows_of("loading", kind=kind, reader=reader, workers=workers)
+            ends = [[float(row[key]) for key in ("median", "least", "most")] for row in own]
+            cells.append("".join("{:.0f} ({:.0f}–{:.0f})".format(*each) for each in ends))
+        rows.append(cells)
+    return markdown(["", *readers], rows)
+
+
+def training_step() -> str:
+    """A step of each detector: its data, its time, what takes most of it, and memory."""
+    rows = []
+    for row in rows_of("training_step"):
+        times = {k.removesuffix("_ms"): float(row[k]) for k in row if k.endswith("_ms")}
+        batch, step = times.pop("loading"), times.pop("step")
+        first, second = sorted(times, key=times.__getitem__, reverse=True)[:2]
+        most = [f"{part} {times[part] / step:.0%}" for part in (first, second)]
+        memory = f"{float(row['memory_gib']):.1f} GiB"
+        about = [row["model"], row["after"], f"{int(row['parameters']):,}"]
+        rows.append([*about, f"{batch:.1f} ms", f"{step / 1000:.2f} s", *most, memory])
+    heads = ["detector", "after", "parameters", "a batch", "a step", "most of it", "next", "memory"]
+    return markdown(heads, rows)
+
+
+def road_users() -> str:
+    """Road users in a frame, of those that a density asks for."""
+    rows = []
+    for density in ("high", "medium", "low"):
+        cells = [density]
+        for user in USERS:
+            own = rows_of("training_set", density=density, road_user=user, turn_s="0.1")
+            mean = numbers(own, "boxes").sum() / numbers(own, "frames").sum()
+            cells.append(f"{mean:.1f} of {own[0]['asked']}")
+        rows.append(cells)
+    return markdown(["density", *(f"{user}s" for user in USERS)], rows)
+
+
+TABLES: tuple[Callable[[], str], ...] = (
+    slopes, searches, detectability, table2,  table1, correlations, found_placements,
+    random_correlations, random_gains, statics, terrain, recorded_returns, loading, training_step,
+    road_users,
+)  # fmt: skip
+
+
+def with_tables(text: str) -> str:
+    """A text with its tables as the CSV has them. Each table stands in it once."""
+    for table in TABLES:
+        begin = f"<!-- {table.__name__} -->\n"
+        pattern = re.compile(re.escape(begin) + r".*?(?=<!-- end -->)", re.DOTALL)
+        new = begin + table() + "\n"
+        text, count = pattern.subn(new.replace("\\", r"\\"), text)
+        if count != 1:
+            raise ValueError(f"{table.__name__}: {count} places in the text")
+    return text
+
+
+if __name__ == "__main__":
+    write_text(README, with_tables(README.read_text(encoding="utf-8")))

@@ -5,11 +5,11 @@ line ``<!-- end -->``.
 """
 
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import numpy as np
-from common import METRICS, read_rows
+from common import METRICS, markdown, read_rows
 from scipy.stats import ttest_1samp
 
 from inspe_jax.core.files import write_text
@@ -44,12 +44,6 @@ def numbers(rows: Iterable[Row], key: str) -> np.ndarray:
 def values(rows: Iterable[Row], key: str) -> list[str]:
     """What a column has, each once, in its order."""
     return list(dict.fromkeys(row[key] for row in rows))
-
-
-def markdown(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """A table in Markdown."""
-    lines = [heads, ["---"] * len(heads), *rows]
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
 def slopes() -> str:

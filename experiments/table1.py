@@ -4,10 +4,10 @@ Records the ten intersections under the paper's three placements of cameras and 
 other six are parts, and trains the eight detectors on three placements each, all for the same
 number of steps. Each is measured on two intersections that it has not seen, and on another time at
 all ten. Tells nuScenes' mAP by detector, placement and class beside the paper's (``--paper1 FILE``,
-with the columns model, placement, class, map_percent), and that of each seed where there are
-several; the mean mAP of each placement beside its P_sm, and its correlation with P_sm, C, O and IG,
-with intervals from resampling the placements; and what the paper concludes from its table, yes or
-no with numbers. All but the first are told for another time, too, and for the paper's own mAP.
+with the columns model, placement, class, map_percent); the correlation of the mean mAP of each
+placement with P_sm, C, O and IG, with intervals from resampling the placements; and what the paper
+concludes from its table, yes or no with numbers. All but the first are told for another time, too,
+and for the paper's own mAP.
 
 P_sm, C, O and IG are the mean over the intersections where mAP is measured, and for the paper's
 over all ten; at midday and medium density, of the default profile, as in ``table2.csv``.
@@ -429,22 +429,6 @@ def table(found: Means, paper: Means) -> str:
     return markdown(("detector", "placement", *KINDS, "mean"), lines)
 
 
-def seeds_table(rows: Rows, of: str) -> str:
-    """mAP of each seed and its standard deviation, of detectors with several, in Markdown."""
-    lines = []
-    found = means_of_seeds(rows, of).values()
-    for model, placement in dict.fromkeys(job[:2] for job in every_job()):
-        each = [
-            np.mean([own[model, placement, kind] for kind in KINDS])
-            for own in found
-            if (model, placement, KINDS[0]) in own
-        ]
-        if len(each) > 1:
-            cell = ", ".join(f"{ap:.1f}" for ap in each)
-            lines.append((NAMES[model], placement, cell, f"{np.std(each, ddof=1):.1f}"))
-    return markdown(("detector", "placement", "mAP of each seed", "standard deviation"), lines)
-
-
 def of_placements(found: Means, kind: str | None = None) -> dict[str, float]:
     """The mean mAP of each placement, over its detectors and over classes, or of one class."""
     there = {placement for _, placement, _ in found}
@@ -490,34 +474,6 @@ def correlations(found: Means, ours: Any) -> list[dict[str, Any]]:
                          value=value, low=low, high=high)
                 )  # fmt: skip
     return rows
-
-
-def placements_table(found: dict[str, Means], ours: dict[str, Stats]) -> str:
-    """P_sm and the mean mAP of each placement in Markdown, by what frames are of."""
-    own = {of: of_placements(each) for of, each in found.items()}
-    heads, lines = [f"{what}, {of}" for of in own for what in ("P_sm", "mAP")], []
-    for placement in own["places"]:
-        cells = [
-            f"{ours[of][placement, 'surrogate'][0]:.3f} | {ap[placement]:.1f}"
-            for of, ap in own.items()
-        ]
-        lines.append((placement, *cells))
-    return markdown(("placement", *heads), lines)
-
-
-def correlations_table(rows: list[dict[str, Any]]) -> str:
-    """Pearson's and Spearman's with each metric in Markdown, the intervals for all classes."""
-    shown = {"surrogate": METRICS["surrogate"]} | METRICS
-    lines = []
-    for of, kind in dict.fromkeys((row["frames_of"], row["road_user"]) for row in rows):
-        cells: dict[str, list[str]] = {}
-        for row in rows:
-            if (row["frames_of"], row["road_user"]) == (of, kind):
-                ends = f" [{row['low']:.2f}, {row['high']:.2f}]" if kind == "all" else ""
-                cells.setdefault(row["metric"], []).append(f"{row['value']:.2f}{ends}")
-        at = of if kind == "all" else f"{of}, {kind}s"
-        lines.append((at, *(", ".join(cells[metric]) for metric in shown)))
-    return markdown(("mAP at", *shown.values()), lines)
 
 
 def conclusions(found: Means) -> list[str]:
@@ -602,7 +558,7 @@ def tell(given: argparse.Namespace, into: Path, path: Path, rows: Rows) -> None:
     of_own = {of: means(rows, of) for of in HELD_OUT}
     for of, title in HELD_OUT.items():
         beside = paper if of == "places" else {}
-        say(f"# {title}\n\n{table(of_own[of], beside)}\n\n{seeds_table(rows, of)}\n")
+        say(f"# {title}\n\n{table(of_own[of], beside)}\n")
     left = set(every_job()) - {of_job(row) for row in rows}
     if left:
         console.print(
@@ -621,13 +577,14 @@ def tell(given: argparse.Namespace, into: Path, path: Path, rows: Rows) -> None:
         for of, found in every.items()
         for row in correlations(found, ours[of])
     ]
-    say(f"# Placements\n\n{placements_table(every, ours)}\n\n{correlations_table(related)}\n")
     for of, found in every.items():
         say("\n".join([f"# What the paper concludes: {of}", *conclusions(found)]))
     written = [
         row | {key: round(row[key], 3) for key in ("value", "low", "high")} for row in related
     ]
     write_results(path.with_name("table1_correlations.csv"), written, dict(vars(given)))
+    of_all = [row.values() for row in written if row["road_user"] == "all"]
+    say(f"# Correlations of mAP over placements\n\n{markdown(list(written[0]), map(list, of_all))}")
     draw(of_own["places"], ours["places"], paper).savefig(path.with_suffix(".png"), dpi=150)
 
 

@@ -146,14 +146,10 @@ def count_all(
     ``views`` are masks of what each has in view (:func:`in_view_of`).
     """
     if isinstance(views, jax.core.Tracer):
-        return join_frames(
-            [
-                _count(
-                    chunk.tile, views, chunk.solid, chunk.prisms, sensors, failures, options=options
-                )
-                for chunk in tiled.chunks
-            ]
-        )
+        given = sensors, failures
+        each = partial(_count, options=options)
+        parts = [each(c.tile, views, c.solid, c.prisms, *given) for c in tiled.chunks]
+        return join_frames(parts)
     jobs: list[Job] = []
     options = options.counted
     groups = 0 if failures is None else len(failures.first)
@@ -202,13 +198,12 @@ def sight_shares(
 def join_frames(parts: list[Counts]) -> Counts:
     """The counts of consecutive runs of frames as those of all their frames."""
     seen, original, columns, sights, core = zip(*parts, strict=True)
+    in_sight = None if sights[0] is None else sum(map(_widened, sights[1:]), _widened(sights[0]))
     return Counts(
         jnp.concatenate(seen, 1),
         jnp.concatenate(original, 1),
         sum(columns[1:], columns[0]),
-        None
-        if sights[0] is None
-        else sum((_widened(part) for part in sights[1:]), _widened(sights[0])),
+        in_sight,
         None if core[0] is None else jnp.concatenate(core, 1),
     )
 

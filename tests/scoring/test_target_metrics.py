@@ -68,8 +68,14 @@ def weighted(scene, values):
     return float(values @ weight / weight.sum())
 
 
+@pytest.fixture(scope="module")
+def on_users(scene, layout):
+    """Returns or pixels (S, L, Z) on each slab of each road user at each column, counted with
+    care."""
+    return [on_slabs(scene, layout, user) for user in ROAD_USERS]
+
+
 def on_slabs(scene, layout, user):
-    """Returns or pixels (S, L, Z) on each slab of a road user at each column, counted with care."""
     grid = scene.voxels
     shift = grid.center
     edges = jnp.asarray(np.arange(grid.level_count + 1) * grid.spacing, float)
@@ -101,7 +107,7 @@ def chance(curve, number):
 
 
 @pytest.mark.parametrize("sensors", [[0], [1], [0, 1, 2]], ids=str)
-def test_the_chance_of_detection_is_that_of_every_frame(scene, layout, clear, sensors):
+def test_the_chance_of_detection_is_that_of_every_frame(scene, layout, clear, on_users, sensors):
     """One sensor: exact, up to how rays on a target are counted. Several: they are independent.
 
     From 8 m on: nearer, a car or a truck is longer than it is far away, and some of it is in view
@@ -117,8 +123,8 @@ def test_the_chance_of_detection_is_that_of_every_frame(scene, layout, clear, se
     some = blinded(layout, sensors)
     found = evaluate(only, some, metrics=FURTHER).metrics["detectability"]
     joint = []
-    for k, user in enumerate(ROAD_USERS):
-        number = on_slabs(scene, layout, user)[None] * seen
+    for k, on_slabs in enumerate(on_users):
+        number = on_slabs[None] * seen
         missed = 1.0
         for s in sensors:
             of_kind = curves.camera if layout.sensors[s].spec.focal_pixels else curves.lidar

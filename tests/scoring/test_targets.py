@@ -32,6 +32,12 @@ def scene():
 
 
 @pytest.fixture(scope="module")
+def coarse():
+    """Where numbers are not compared with rays."""
+    return world(**SIZE | dict(voxel=1.0), count=10, seed=7)
+
+
+@pytest.fixture(scope="module")
 def lidars():
     return place_sensors(
         (LIDAR, [9.0, 9.0, 5.0, 0.0, 0.0, 0.3]), (LIDAR, [-9.0, -9.0, 4.0, 0.0, 0.03, 1.0])
@@ -128,15 +134,15 @@ def test_a_wall_of_a_truck_hides_a_pedestrian_and_noise_thins_what_is_left(lidar
     assert kept == pytest.approx(0.7, abs=0.001)  # near enough that none is weak
 
 
-def test_fog_takes_what_is_far(scene, lidars):
+def test_fog_takes_what_is_far(coarse, lidars):
     fog = inspe_jax.Conditions.of(weather="fog:50")
-    clear, dim = target_view(scene, lidars), target_view(scene, lidars, conditions=fog)
+    clear, dim = target_view(coarse, lidars), target_view(coarse, lidars, conditions=fog)
     assert dim.points_on_target.sum() < 0.9 * clear.points_on_target.sum()
     assert (dim.returns <= clear.returns + 1e-4).all()
 
 
-def test_without_traffic_nothing_is_hidden(lidars):
-    view = target_view(emptied(world(**SIZE)), lidars)
+def test_without_traffic_nothing_is_hidden(coarse, lidars):
+    view = target_view(emptied(coarse), lidars)
     np.testing.assert_allclose(view.returns, view.returns_in_the_open, rtol=1e-6)
     assert (view.seen == 1.0).all()
 
@@ -152,28 +158,28 @@ def test_bands_and_records():
     assert list(BANDS.values()) == [12.5, 25.0, 62.5, 125.0, 250.0]  # EN 62676-4
 
 
-def test_the_map_has_one_panel_for_each_kind_of_sensor(scene, lidars):
+def test_the_map_has_one_panel_for_each_kind_of_sensor(coarse, lidars):
     """And one for the chance of detection where there is only one kind."""
-    view = target_view(scene, lidars)
-    assert len(targets_view(scene, lidars, view).axes) == 2
-    assert "pixels_per_metre" not in targets_record(scene, lidars, view)
+    view = target_view(coarse, lidars)
+    assert len(targets_view(coarse, lidars, view).axes) == 2
+    assert "pixels_per_metre" not in targets_record(coarse, lidars, view)
     with pytest.raises(InspeError, match="frame 99 is out of range"):
-        targets_view(scene, lidars, view, frame=99)
+        targets_view(coarse, lidars, view, frame=99)
     blind = place_sensors((CAMERA, [9.0, 9.0, 5.0, 0, 0.5, 0.8]))
-    view = target_view(scene, blind)
+    view = target_view(coarse, blind)
     assert not view.pixel_density.any()
     assert view.detectability.mean() < 0.01
-    assert len(targets_view(scene, blind, view).axes) == 2
+    assert len(targets_view(coarse, blind, view).axes) == 2
     both = place_sensors((LIDAR, [9.0, 9.0, 5.0, 0, 0, 0]), (CAMERA, [9.0, -9.0, 5.0, 0, -0.2, 2]))
-    view = target_view(scene, both)
-    assert len(targets_view(scene, both, view).axes) == 2
-    record = targets_record(scene, both, view)
+    view = target_view(coarse, both)
+    assert len(targets_view(coarse, both, view).axes) == 2
+    record = targets_record(coarse, both, view)
     shares = record["lidar_returns"]["all"]["shares"]
     values = view.points_on_target
     assert shares["at least 5"] == pytest.approx((values >= 5).mean())
     assert set(record["pixels_per_metre"]["all"]["shares"]) == set(BANDS)
     assert record["detectability"]["all"] == pytest.approx(view.detectability.mean())
-    assert len(targets_change(scene, (both, view), (both, view)).axes) == 4
+    assert len(targets_change(coarse, (both, view), (both, view)).axes) == 4
 
 
 def test_a_target_is_found_by_what_is_in_sight_of_it():

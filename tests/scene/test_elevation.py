@@ -128,12 +128,16 @@ def test_what_is_wrong_is_said(tmp_path, monkeypatch):
 
 @pytest.mark.filterwarnings("ignore:Dataset has no geotransform")
 def test_what_is_no_elevation_model_is_refused(tmp_path):
-    own, nowhere = place(), dict(crs=None, transform=rasterio.Affine.identity())
+    own, nowhere = place(), dict(crs=None, transform=None)
     model(tmp_path / "feet.tif")
     with rasterio.open(tmp_path / "feet.tif", "r+") as file:
         file.units = ["ft"]
     for at, path, words in (
-        (own, raster(tmp_path / "photo.tif", np.zeros((3, 9, 9), np.uint8)), "has 3 bands, as a"),
+        (
+            own,
+            raster(tmp_path / "photo.tif", np.zeros((3, 9, 9), np.uint8), top=9.0),
+            "has 3 bands, as a",
+        ),
         (
             own,
             model(tmp_path / "void.tif", holes=np.s_[28:32, 28:32], nodata=None),

@@ -5,6 +5,7 @@ that they begin at (0, 0); that shift is undone here. It is kept for geographic 
 coordinates are millions of metres.
 """
 
+import atexit
 import functools
 import gzip
 import os
@@ -115,9 +116,11 @@ def _check(path: Path, root: str) -> None:
 
 
 @functools.cache
-def _folder() -> "tempfile.TemporaryDirectory[str]":
+def _folder() -> Path:
     """A folder for converted networks, which is removed when this process ends."""
-    return tempfile.TemporaryDirectory(prefix="inspe_jax_", ignore_cleanup_errors=True)
+    folder = tempfile.TemporaryDirectory(prefix="inspe_jax_", ignore_cleanup_errors=True)
+    atexit.register(folder.cleanup)
+    return Path(folder.name)
 
 
 def _converted(path: Path) -> Path:
@@ -126,7 +129,7 @@ def _converted(path: Path) -> Path:
     if kind == ".osm":
         _check(path, "osm")
     source, *options = _HOW[kind]
-    made = Path(_folder().name, f"{digest_of(path)[:16]}.net.xml")
+    made = _folder() / f"{digest_of(path)[:16]}.net.xml"
     if not made.exists():
         part = made.with_suffix(".part.xml")
         run("netconvert", [source, str(path), "-o", str(part), *options], f"{path}")

@@ -109,17 +109,16 @@ def load_result(folder: str | os.PathLike[str]) -> Result:
     if not place.is_dir():
         raise InspeError(f"{place}: no such folder")
     record = read_json(place / "result.json")
+    other = f"{place}: not a result saved by this package"
+    written = str(record.pop("format", "")) if isinstance(record, dict) else ""
+    if written != FORMAT:  # first: a result of another version may lack other files
+        if written.startswith(FORMAT.rstrip("0123456789")):
+            other = f"{place}: a result of another version of inspe_jax; run the search again"
+        raise InspeError(other)
+    for name in FILES:
+        check_input(place / name)
+    layout, start = (load_layout(place / name) for name in FILES[:2])
     try:
-        written = str(record.pop("format"))
-        if written != FORMAT and written.startswith(FORMAT.rstrip("0123456789")):
-            raise InspeError(
-                f"{place}: a result of another version of inspe_jax; run the search again"
-            )
-        if written != FORMAT:
-            raise ValueError(written)
-        for name in FILES:
-            check_input(place / name)
-        layout, start = (load_layout(place / name) for name in FILES[:2])
         for key in ("scores_before", "scores"):
             record[key] = _scores(record[key])
         record["notes"] = tuple(record["notes"])
@@ -132,7 +131,7 @@ def load_result(folder: str | os.PathLike[str]) -> Result:
         path[..., 3:] = np.radians(path[..., 3:])
         return Result(layout=layout, start=start, history=history, path=path, **record)
     except (KeyError, TypeError, ValueError, AttributeError) as e:
-        raise InspeError(f"{place}: not a result saved by this package") from e
+        raise InspeError(other) from e
 
 
 def save_comparison(results: Sequence[Result], folder: str | os.PathLike[str]) -> None:

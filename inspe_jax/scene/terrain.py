@@ -6,6 +6,7 @@ model. Between them the surface is that of triangles, as fine as what scores and
 
 import math
 from collections.abc import Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -135,7 +136,10 @@ def between(given: Float[np.ndarray, "G 3"], at: Float[np.ndarray, "N 2"]) -> np
         surface = LinearNDInterpolator(plan, known)
     except (QhullError, ValueError):  # fewer than three, or all on one line
         return np.asarray(NearestNDInterpolator(plan, known)(at))
-    heights = surface(at)
+    # Where it is first asked, it solves a system of two equations for each triangle. OpenBLAS's
+    # threads wait for each other at every one, and for as long as another process has their cores.
+    with _one_thread():
+        heights = surface(at)
     out = np.flatnonzero(np.isnan(heights))
     if len(out):
         hull = shapely.MultiPoint(plan).convex_hull
@@ -149,3 +153,12 @@ def between(given: Float[np.ndarray, "G 3"], at: Float[np.ndarray, "N 2"]) -> np
     missing = np.isnan(heights)
     heights[missing] = NearestNDInterpolator(plan, known)(at[missing])
     return np.asarray(heights)
+
+
+def _one_thread() -> AbstractContextManager[object]:
+    """For BLAS in the block; threadpoolctl comes with the extras that read maps with heights."""
+    try:
+        from threadpoolctl import threadpool_limits
+    except ImportError:
+        return nullcontext()
+    return threadpool_limits(1, user_api="blas")

@@ -37,6 +37,7 @@ from common import (
     need_maps,
     output,
     processes,
+    progress,
     say,
     write_results,
 )
@@ -55,7 +56,6 @@ from table2 import (
     statistics,
 )
 
-from inspe_jax.cli.common import progress
 from inspe_jax.core.digest import digest
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import write_text

@@ -9,7 +9,7 @@ import resource
 import shutil
 import sys
 import tempfile
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -19,6 +19,7 @@ import numpy as np
 from filelock import FileLock
 from matplotlib.figure import Figure
 from rich.console import Console
+from rich.progress import Progress
 from rich.table import Table
 
 import inspe_jax
@@ -51,6 +52,19 @@ UNDRAWN = """for (const name of ['drawArrays', 'drawElements', 'drawRangeElement
     WebGL2RenderingContext.prototype[name] = () => {};"""
 """In a page: nothing is drawn in three dimensions, as though a graphics card did it at once. All
 else is as it is, also what a click meets."""
+
+
+@contextmanager
+def progress(what: str) -> Iterator[Callable[..., None]]:
+    """Show a bar on a terminal; yields a callback (done, total)."""
+    bar = Progress(console=Console(stderr=True), transient=True, disable=not sys.stderr.isatty())
+    with bar:
+        task = bar.add_task(what, total=None)
+
+        def report(done: int, total: int, what: str = what, facts: str = "") -> None:
+            bar.update(task, completed=done, total=total, description=f"{what} {facts}")
+
+        yield report
 
 
 @contextmanager

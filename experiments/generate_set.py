@@ -9,9 +9,8 @@ one frame in each light. The set is thrown away unless --keep says where to leav
 from pathlib import Path
 from typing import Any
 
-from common import arguments, kept_folder, output, processes, show, write_results
+from common import arguments, kept_folder, output, processes, progress, show, write_results
 
-from inspe_jax.cli.common import progress
 from inspe_jax.core.parallel import cores
 from inspe_jax.dataset import generate, load_generation, open, statistics
 from inspe_jax.dataset.figure import statistics_view

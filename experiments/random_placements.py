@@ -32,6 +32,7 @@ from common import (
     need_maps,
     on_maps,
     output,
+    progress,
     read_rows,
     write_results,
 )
@@ -42,7 +43,6 @@ from table2 import places
 
 import inspe_jax
 from inspe_jax import Layout, Objective, Scene
-from inspe_jax.cli.common import progress
 from inspe_jax.core.files import csv_text, write_text
 from inspe_jax.core.words import counted
 from inspe_jax.dataset import Cache, Generation, Loader
@@ -225,8 +225,7 @@ def detected(run: Run, data: Cache, which: dict[str, tuple[str, str]]) -> ByPlac
             detections, truth = found.setdefault(at, ([], []))
             detections += predictor(batch)
             truth.append(truth_of(batch.targets, 0))
-            if bar:
-                bar(done, len(loader))
+            bar(done, len(loader))
     return found
 
 

@@ -38,6 +38,7 @@ from common import (
     markdown,
     need_maps,
     output,
+    progress,
     read_rows,
     say,
     write_results,
@@ -49,7 +50,6 @@ from scipy.stats import spearmanr
 from table2 import LIGHTS, Stats, read_paper
 
 import inspe_jax
-from inspe_jax.cli.common import progress
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import write_text
 from inspe_jax.core.geometry import Prism, rotation, solid_top

@@ -43,6 +43,7 @@ from common import (
     on_maps,
     output,
     processes,
+    progress,
     read_rows,
     say,
     write_results,
@@ -52,7 +53,6 @@ from matplotlib.figure import Figure
 from scipy.stats import bootstrap, pearsonr, rankdata
 from table2 import Stats, places, run, statistics
 
-from inspe_jax.cli.common import progress
 from inspe_jax.dataset import Cache, Generation, cache, generate, open_cache
 from inspe_jax.dataset.plan import make_generation
 from inspe_jax.mounting.strategies import STRATEGIES
@@ -219,7 +219,7 @@ def trained(data: Cache, folder: Path, settings: Settings, grid: BevGrid) -> Run
             mean_ap = "" if now.mean_ap is None else f", mAP {now.mean_ap:.1%}"
             bar(now.step, now.steps, folder.name, f"loss {now.loss:.2f}{mean_ap}")
 
-        return train(data, folder, settings, grid=grid, progress=report if bar else None)
+        return train(data, folder, settings, grid=grid, progress=report)
 
 
 def predictor_of(run: Run) -> Predictor:

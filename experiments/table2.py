@@ -32,6 +32,7 @@ from common import (
     need_maps,
     output,
     processes,
+    progress,
     read_rows,
     say,
     write_results,
@@ -39,7 +40,6 @@ from common import (
 from matplotlib.figure import Figure
 from scipy.stats import spearmanr
 
-from inspe_jax.cli.common import progress
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import write_text
 from inspe_jax.mounting.strategies import STRATEGIES

@@ -24,13 +24,13 @@ from common import (
     on_maps,
     output,
     processes,
+    progress,
     show,
     write_results,
 )
 from matplotlib.figure import Figure
 from table2 import HERE
 
-from inspe_jax.cli.common import progress
 from inspe_jax.dataset import Dataset, generate, load_generation, open
 from inspe_jax.dataset.points_in_boxes import count_inside
 from inspe_jax.mounting.strategies import STRATEGIES
@@ -110,8 +110,7 @@ def counted(data: Dataset, mix: str, light: str) -> "Rows":
             layout = str(scenario.protocol["layout"]["name"])
             at = layout, str(scenario.protocol["settings"]["density"])
             found.setdefault(at, []).extend(of_frame(scenario.frame(t)) for t in scenario.frames)
-            if report:
-                report(done, len(chosen))
+            report(done, len(chosen))
     rows = []
     for (placement, density), frames in found.items():
         asked = quota(MIXES[mix], [True] * len(CLASSES), DENSITIES[density])

@@ -34,12 +34,12 @@ from common import (
     markdown,
     output,
     peak_memory,
+    progress,
     say,
     write_results,
 )
 from table1 import NAMES, PICTURES, recorded
 
-from inspe_jax.cli.common import progress
 from inspe_jax.dataset import open_cache
 from inspe_jax.dataset.plan import make_generation
 from inspe_jax.perception.detector import MODELS, TEACHER, Detector, model_of, parameters
@@ -207,8 +207,7 @@ def main() -> None:
             # A process each, so that each has a peak of its own.
             with ProcessPoolExecutor(1, get_context("spawn")) as pool:
                 rows.append(pool.submit(measured, name, path, times, half).result())
-            if bar:
-                bar(done, len(models), name)
+            bar(done, len(models), name)
     write_results(output(given, "training_step"), rows, dict(vars(given)))
     say(table(rows))
     share = max(row["loading_ms"] / row["step_ms"] for row in rows)

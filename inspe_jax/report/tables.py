@@ -71,7 +71,7 @@ def scores_table(scores: Scores, layout: Layout, sought: float | None = None) ->
         look = "bold" if metric.name == "surrogate" else ""
         weight = f"{weights[metric.name]:g}" if metric.name in weights else ""
         values = [scores.value(metric.name), *(of[metric.name] for of in scores.parts.values())]
-        numbers = [f"{value:.3f}" for value in values]
+        numbers = [f"{value:z.3f}" for value in values]
         total.add_row(metric.words, metric.symbol, weight, *numbers, style=look)
 
     regions = table_of("Share covered by region", "region", "weight", "share")
@@ -85,7 +85,7 @@ def scores_table(scores: Scores, layout: Layout, sought: float | None = None) ->
     each = table_of("What each sensor adds", "#", "sensor", "device", *(m.symbol for m in rows))
     for k, (part, _, device) in enumerate(members):
         digits = 4 if len(rows) <= 5 else 3  # as many as a narrow terminal shows
-        drops = [f"{part.value(metric.name):+.{digits}f}" for metric in rows]
+        drops = [f"{part.value(metric.name):+z.{digits}f}" for metric in rows]
         each.add_row(str(k + 1), Text(part.sensor), Text(device), *drops)
 
     # Side by side as far as the terminal has room.
@@ -190,7 +190,7 @@ def pareto_table(found: Sequence[DeviceMix]) -> RenderableType:
         "Cost against score", "mix", "cost\n[US$]", *(m.symbol for m in metrics), "objective", ""
     )
     for mix in found:
-        scores = [f"{mix.result.scores.value(m.name):.3f}" for m in metrics]
+        scores = [f"{mix.result.scores.value(m.name):z.3f}" for m in metrics]
         numbers = (f"{mix.cost:,.0f}", *scores, f"{mix.result.objective:.4f}")
         words = ("front", "bold") if mix.front else ("", "")
         table.add_row(Text(mix.name), *numbers, words[0], style=words[1])
@@ -217,7 +217,7 @@ def tolerance_table(found: Tolerance, layout: Layout) -> RenderableType:
     slopes = table_of(f"What P_sm of {layout.name}{around.words} gains", "#", "sensor", *heads)
     for k, row in enumerate(found.slopes):
         values = (row.x, row.y, row.z, row.yaw, row.pitch)
-        slopes.add_row(str(k + 1), Text(row.sensor), *(f"{value:+.5f}" for value in values))
+        slopes.add_row(str(k + 1), Text(row.sensor), *(f"{value:+z.5f}" for value in values))
     settings = found.settings
     errors = f"{settings['position']:g} m and {settings['angle_deg']:g}°"
     left = table_of(f"After errors of {errors} (standard deviation)", "installed", "P_sm", "change")

@@ -58,7 +58,7 @@ def test_scores_have_those_that_are_named(run, scene, layout):
     assert "localisation" not in record
     assert "detectability" in record["contributions"][0]
     words = run("score", "s.npz", "layout.yaml", "--metrics", "all")
-    for name in ("detectability D", "localisation L", "redundancy R 0 "):
+    for name in ("detectability D", "localisation L", "redundancy R 0 0.000"):
         assert name in words
     usual = run("score", "s.npz", "layout.yaml")
     assert "detectability" not in usual

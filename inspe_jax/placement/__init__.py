@@ -1,1 +1,1 @@
-"""Where sensors stand: the paper's strategies, the rules of mounting, and the search."""
+"""The search for better places: what mounting allows, methods, cost and tolerance."""

@@ -35,7 +35,7 @@ it compiles runs fast enough on scenes as small as these."""
 KEPT = 2 * 2**30
 """Bytes of compiled programs that are kept from run to run."""
 
-PROGRAMS = 2600
+PROGRAMS = 1500
 """Programs that all tests together may compile, or read where another process compiled them.
 
 Each is traced, lowered and compiled, and that is most of what a run takes. A test that needs many
@@ -131,8 +131,8 @@ def pytest_terminal_summary(terminalreporter) -> None:
 
 
 LONG = (
-    "test_page", "test_notebooks", "test_sweep", "test_gradient", "test_soft", "test_queries",
-    "test_exact", "test_generate", "test_city",
+    "test_docs", "test_notebooks", "test_soft", "test_methods", "test_page", "test_cli", "test_sweep",
+    "test_target_metrics", "test_evaluate", "test_exact", "test_generate", "test_city",
 )  # fmt: skip
 
 

@@ -132,7 +132,8 @@ def pytest_terminal_summary(terminalreporter) -> None:
 
 LONG = (
     "test_docs", "test_notebooks", "test_soft", "test_methods", "test_page", "test_cli",
-    "test_sweep", "test_target_metrics", "test_evaluate", "test_exact", "test_generate", "test_city",
+    "test_sweep", "test_target_metrics", "test_evaluate", "test_exact", "test_generate",
+    "test_city",
 )  # fmt: skip
 
 

@@ -210,11 +210,6 @@ def medians(rows: list[dict[str, str]]) -> dict[tuple[str, str], dict[str, np.nd
     }
 
 
-def best_at(steps: list[tuple[float, float]], seconds: float) -> float:
-    """Best score found by a time."""
-    return max((score for t, score in steps if t <= seconds), default=np.nan)
-
-
 def courses(rows: list[dict[str, str]]) -> dict[tuple[str, str, str], dict[str, list]]:
     """(seconds, best) of every run, by cell and method, then by seed."""
     found: dict[tuple[str, str, str], dict[str, list]] = {}

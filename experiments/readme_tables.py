@@ -95,18 +95,22 @@ def detectability() -> str:
     return markdown(["layouts", *(f"{metric}, {profile}" for profile, metric in columns)], rows)
 
 
+def by_placement(heads: Iterable[str], cells: Callable[[str], list[str]]) -> str:
+    """A table with a row for each of the nine placements."""
+    rows = [[placement, *cells(placement)] for placement in PLACEMENTS]
+    return markdown(["placement", *heads], rows)
+
+
 def table2() -> str:
     """The nine placements on the ten intersections: mean ± standard deviation."""
-    rows = [
-        [placement]
-        + [
+    return by_placement(
+        METRICS.values(),
+        lambda placement: [
             f"{float(row['mean']):.3f} ± {float(row['std']):.3f}"
             for metric in METRICS
             for row in rows_of("table2", placement=placement, metric=metric)
-        ]
-        for placement in PLACEMENTS
-    ]
-    return markdown(["placement", *METRICS.values()], rows)
+        ],
+    )
 
 
 def mean_ap(file: str, of: str, placement: str, model: str | None = None) -> float:
@@ -218,16 +222,14 @@ def random_gains() -> str:
 def statics() -> str:
     """P_sm of the nine placements without and with static bodies."""
     scenes = values(rows_of("statics"), "scene")
-    rows = [
-        [placement]
-        + [
+    return by_placement(
+        scenes,
+        lambda placement: [
             f"{float(row['surrogate_none']):.3f}, {float(row['surrogate_bodies']):.3f}"
             for scene in scenes
             for row in rows_of("statics", scene=scene, placement=placement)
-        ]
-        for placement in PLACEMENTS
-    ]
-    return markdown(["placement", *scenes], rows)
+        ],
+    )
 
 
 def terrain() -> str:

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from inspe_jax.core.convex import outlines
 from inspe_jax.core.geometry import Prism, solid_top
 from inspe_jax.core.numerics import Groups, Softness, Width, exact, leave_one_out, step
 from inspe_jax.scoring import metrics
@@ -22,7 +23,8 @@ from inspe_jax.sensing.sensors import RayGrid
 from inspe_jax.visibility import bitmask
 from inspe_jax.visibility.centered_scene import CenteredScene
 from inspe_jax.visibility.in_view import density_view, in_view_margins, transform_of
-from inspe_jax.visibility.shadows import shadow_ceilings, soft_sight
+from inspe_jax.visibility.shadows import shadow_ceilings
+from inspe_jax.visibility.soft_sight import Sights, clear_chance
 
 
 def occlusion_terms(visible, covered, free, solid, reference):
@@ -39,12 +41,11 @@ def sight(
     heights: Float[Array, "L Z"],
     width: Width = None,
     *,
-    at_sensor: bool = False,
     ignore_self_occlusion: bool = False,
 ) -> Float[Array, "S L Z"]:
     """Chance that the prisms (B,) of one frame leave each sensor's sight line to a voxel clear.
 
-    As :func:`soft_sight` has it, but every prism is looked at from every column; read exactly, of
+    As :func:`clear_chance` has it, but every prism is looked at from every column; read exactly, of
     all sensors together.
     """
     if exact(width):
@@ -53,14 +54,10 @@ def sight(
         )
         return step(heights[None] - ceilings[:, :, None])
     frame = jax.tree.map(lambda leaf: leaf[None], prisms)
-    marked = bitmask.marks(frame.valid.T)
-
-    def one(sensor: Float[Array, "3"]) -> Float[Array, "L Z"]:
-        at = sensor, frame, marked, columns.T, heights.T, width
-        own = dict(at_sensor=at_sensor, ignore_self_occlusion=ignore_self_occlusion)
-        return soft_sight(*at, **own)[:, 0].T
-
-    return jax.lax.map(one, sensors)
+    marked = bitmask.marks(frame.valid.T)[..., None]
+    spared = jnp.full((heights.shape[1], 1, len(columns)), ignore_self_occlusion)
+    of = Sights(outlines(frame), marked, columns.T, heights.T, width, spared)
+    return jax.lax.map(lambda sensor: clear_chance(sensor, of)[:, 0].T, sensors)
 
 
 SensorsOfGrids = tuple[tuple[RayGrid, tuple[int, ...]], ...]
@@ -130,7 +127,6 @@ def measure(
         failures=failures,
         reference=occlusion_reference,
         visibility=visibility,
-        at_sensor=softness.shadows_at_sensor,
     )
     return summarise(field, f, seen, np.array(sensor_set.reliability), failures)
 
@@ -173,7 +169,7 @@ class FrameSums(NamedTuple):
     sight_share: Float[Array, "S V"]
 
 
-@partial(jax.jit, static_argnames=("reference", "visibility", "at_sensor"))
+@partial(jax.jit, static_argnames=("reference", "visibility"))
 def accumulate_frames(
     ground: CenteredScene,
     sensors: Float[Array, "S 3"],
@@ -183,7 +179,6 @@ def accumulate_frames(
     failures: Groups | None,
     reference: str,
     visibility: str,
-    at_sensor: bool = False,
 ) -> FrameSums:
     """Go through the frames, one after the other.
 
@@ -197,7 +192,7 @@ def accumulate_frames(
     def watch(prisms: Prism) -> tuple[tuple, tuple]:
         solid = step(solid_top(ground.columns, prisms)[:, None] - ground.heights)
         at = sensors, prisms, ground.columns, ground.heights, width
-        look = partial(sight, *at, at_sensor=at_sensor)
+        look = partial(sight, *at)
         clear = line = look()
         if reference == "targets" or visibility == "past_others":
             clear = jnp.where(solid[None] > 0, look(ignore_self_occlusion=True), line)

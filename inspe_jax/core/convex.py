@@ -1,13 +1,13 @@
-"""Sight line against an upright prism on any convex outline, which may begin above the ground.
+"""Sight line against upright prisms on convex outlines: vehicles, and bodies, which may begin above
+the ground.
 
-The general form of :mod:`inspe_jax.core.geometry`, which is for rectangles, and as there it has two
-forms, which ``tests/core/test_convex.py`` compares:
+- :func:`sight_cut` is the cut of a line and a prism, in the margins [m] that soft scores read. A
+  rectangle is a convex outline of four sides (:func:`outlines`).
+- :func:`convex_shadow`, for exact scores, follows from it: the heights between which a prism hides
+  a column, in u = 1/t, without a division for each sight line. Of rectangles,
+  :func:`inspe_jax.core.geometry.shadow_ceiling` is the same and faster.
 
-- :func:`convex_shadow`, for exact scores: the heights between which a prism hides a column, in
-  u = 1/t, without a division for each sight line.
-- :func:`prism_margins`, for soft scores, three margins in metres: how deep the line cuts in
-  sideways, how far it passes below the top, and how far above the bottom. The line meets the prism
-  exactly where all three are positive.
+``tests/core/test_convex.py`` holds both to the cut.
 """
 
 from typing import NamedTuple
@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from inspe_jax.core.geometry import FAR, NEVER, Cut, Line, below_top
+from inspe_jax.core.geometry import FAR, NEVER, Prism
 from inspe_jax.core.numerics import nonzero
 
 SEAM = 5e-5
@@ -110,66 +110,124 @@ def convex_shadow(
     return floor, jnp.where(exit_ < entry, ceiling, NEVER)
 
 
-def convex_cut(prism: ConvexPrism, line: Line) -> Cut:
-    """How sight lines cut one convex outline in plan; the line starts at (x, y) in the same frame.
-
-    ``beside`` is the least overlap on the separating axes of a segment and a convex outline: the
-    normals of its sides and that of the line. t₀ and t₁ are clipped to the outline's stretch along
-    the line, as in :func:`~inspe_jax.core.geometry.plan_cut`.
-    """
-    x, y, ex, ey = line
-    squared = ex * ex + ey * ey
-    length = jnp.sqrt(jnp.maximum(squared, 1e-12))
-    inner = jnp.full_like(ex, FAR)
-    enters, leaves = jnp.zeros_like(ex), jnp.ones_like(ex)
-    left, right = jnp.full_like(ex, -FAR), jnp.full_like(ex, -FAR)
-    first, last = jnp.full_like(ex, FAR), jnp.full_like(ex, -FAR)
-    for k in range(prism.offset.shape[-1]):
-        nx, ny = prism.normal[k, 0], prism.normal[k, 1]
-        start, along = nx * x + ny * y - prism.offset[k], nx * ex + ny * ey
-        inner = jnp.minimum(inner, -jnp.minimum(start, start + along))
-        t = -start / nonzero(along)
-        enters = jnp.where(along < 0, jnp.maximum(enters, t), enters)
-        leaves = jnp.where(along < 0, leaves, jnp.minimum(leaves, t))
-        cx, cy = prism.corners[k, 0] - x, prism.corners[k, 1] - y
-        across = (ex * cy - ey * cx) / length
-        left, right = jnp.maximum(left, across), jnp.maximum(right, -across)
-        t = (cx * ex + cy * ey) / jnp.maximum(squared, 1e-9)
-        first, last = jnp.minimum(first, t), jnp.maximum(last, t)
-    # A line straight down has no length in plan and no normal: the sides decide, for all of it.
-    straight = squared < 1e-9
-    beside = jnp.where(straight, FAR, jnp.minimum(left, right))
-    first = jnp.where(straight, 0.0, jnp.clip(first, 0.0, 1.0))
-    last = jnp.where(straight, 1.0, jnp.clip(last, 0.0, 1.0))
-    return Cut(
-        jnp.minimum(beside, inner) + SEAM,
-        jnp.clip(enters, first, last),
-        jnp.clip(leaves, first, last),
+def outlines(prism: Prism) -> ConvexPrism:
+    """Rectangular prisms as convex ones, which they are."""
+    cos, sin = jnp.cos(prism.yaw), jnp.sin(prism.yaw)
+    along, across = jnp.stack([cos, sin], -1), jnp.stack([-sin, cos], -1)
+    a, b = prism.half[..., :1] * along, prism.half[..., 1:] * across
+    normal = jnp.stack([along, across, -along, -across], -2)
+    from_center = (normal * prism.center[..., None, :]).sum(-1)
+    return ConvexPrism(
+        prism.center[..., None, :] + jnp.stack([a - b, a + b, b - a, -a - b], -2),
+        normal,
+        from_center + jnp.concatenate([prism.half, prism.half], -1),
+        jnp.full_like(prism.top, -FAR),
+        prism.top,
+        jnp.zeros_like(prism.top),
+        prism.valid,
     )
 
 
-def above_bottom(
-    cut: Cut, sink: Float[Array, "*n"], drop: Float[Array, "*n"]
-) -> Float[Array, "*n"]:
-    """How far sight lines pass above a prism's bottom [m]; negative where they pass beneath.
+NO_LEVER = 0.02
+"""Least part of a sight line that is left behind a prism. A shift of the sensor moves the line at
+the prism by this part of it; nearer to the column it is taken to be so much."""
 
-    ``sink`` is the bottom's depth below the sensor, ``drop`` the target's [m]. As
-    :func:`~inspe_jax.core.geometry.below_top`, at the highest point of the line in the prism.
+
+class SightCut(NamedTuple):
+    """How sight lines cut a prism in plan, as far as the sensor would have to move to change it.
+
+    ``left`` and ``right``: how far the sensor has to move aside until the line passes the prism on
+    its left or right side [m]; negative where it does, by how far the sensor has to move until it
+    does not. ``ahead``: how far from the sensor the line leaves the prism [m], negative behind the
+    sensor. ``near`` and ``far``: the shares τ of the line from the column to where it leaves the
+    prism, and to where it enters: 0 at the column, 1 at the sensor, and ``near`` is more behind it.
+
+    ``of_left``, ``of_right``, ``of_near`` and ``of_far`` are derivatives where the sensor moves
+    across the line, to the left as seen from the column. Where it moves along the line, those of
+    the shares are −τ/L, and those of the sides ``along_left`` and ``along_right``.
     """
-    return sink - jnp.minimum(drop * cut.enters, drop * cut.leaves)
+
+    left: Float[Array, "*n"]
+    right: Float[Array, "*n"]
+    ahead: Float[Array, "*n"]
+    near: Float[Array, "*n"]
+    far: Float[Array, "*n"]
+    of_left: Float[Array, "*n"]
+    of_right: Float[Array, "*n"]
+    along_left: Float[Array, "*n"]
+    along_right: Float[Array, "*n"]
+    of_near: Float[Array, "*n"]
+    of_far: Float[Array, "*n"]
 
 
-def prism_margins(
+def sight_cut(
     prism: ConvexPrism,
-    sensor: Float[Array, "3"],
-    columns: Float[Array, "2 C"],
-    heights: Float[Array, "Z C"],
-) -> tuple[Float[Array, " C"], Float[Array, "Z C"], Float[Array, "Z C"]]:
-    """The margins [m] of sight lines to columns of voxels: sideways, below the top, above the
-    bottom of one prism."""
-    x, y, z = sensor
-    line = Line(x, y, columns[0] - x, columns[1] - y)
-    beside, enters, leaves = convex_cut(prism, line)
-    cut, drop = Cut(beside, enters[None], leaves[None]), z - heights  # (Z, C)
-    below = below_top(cut, prism.top - z, drop)
-    return beside, below, above_bottom(cut, z - prism.bottom, drop)
+    sx: Float[Array, ""],
+    sy: Float[Array, ""],
+    x: Float[Array, "*n"],
+    y: Float[Array, "*n"],
+) -> SightCut:
+    """How sight lines from (sx, sy) to columns at (x, y) cut one convex outline in plan.
+
+    A line turns about the column where it ends. So to pass a corner at a share τ of the line from
+    the column, the sensor has to move by the corner's distance from the line over τ; and to pass a
+    side of the prism, by the most that a corner asks for. Corners beyond the column ask for
+    nothing, unless the line enters the prism before it ends. Where the line misses the prism,
+    ``near`` and ``far`` are within its stretch along the line.
+
+    With φ the angle between the line and the direction to a corner, that move is L·tan φ. Its
+    derivative along the line is tan φ, and across it 1 + tan² φ; where τ is kept at NO_LEVER, they
+    are 0 and τ/NO_LEVER.
+    """
+    dx, dy = sx - x, sy - y
+    squared = jnp.maximum(dx * dx + dy * dy, 1e-9)
+    length = jnp.sqrt(squared)
+    ux, uy = dx / length, dy / length
+    depth, near, far, of_near, of_far = (jnp.full_like(dx, k) for k in (FAR, -FAR, FAR, 0.0, 0.0))
+    enters = jnp.full(dx.shape, True)
+    for k in range(len(prism.offset)):
+        nx, ny = prism.normal[k, 0], prism.normal[k, 1]
+        inside, along = prism.offset[k] - nx * x - ny * y, nx * ux + ny * uy
+        at = inside / nonzero(along * length)
+        turn = (nx * uy - ny * ux) * at / nonzero(along * length)
+        nearer, farther = (along < 0) & (at > near), (along > 0) & (at < far)
+        near, of_near = jnp.where(nearer, at, near), jnp.where(nearer, turn, of_near)
+        far, of_far = jnp.where(farther, at, far), jnp.where(farther, turn, of_far)
+        depth = jnp.where(inside < depth, inside, depth)
+        enters &= (along <= 0) | (inside > 0)
+    left, right, first, last = (jnp.full_like(dx, k) for k in (-FAR, -FAR, FAR, -FAR))
+    of_first, of_last, at_left, at_right = (jnp.zeros_like(dx),) * 4
+    for k in range(len(prism.offset)):
+        cx, cy = prism.corners[k, 0] - x, prism.corners[k, 1] - y
+        share, aside = (cx * ux + cy * uy) / length, cy * ux - cx * uy
+        move = aside / jnp.where(share > NO_LEVER, share, NO_LEVER)
+        asks = enters | (share > 0)
+        wider, other = asks & (move > left), asks & (-move > right)
+        left, at_left = jnp.where(wider, move, left), jnp.where(wider, share, at_left)
+        right, at_right = jnp.where(other, -move, right), jnp.where(other, share, at_right)
+        nearer, farther = share < first, share > last
+        first, of_first = jnp.where(nearer, share, first), jnp.where(nearer, aside, of_first)
+        last, of_last = jnp.where(farther, share, last), jnp.where(farther, aside, of_last)
+
+    def kept(at: Array, turn: Array, most: float) -> tuple[Array, Array]:
+        """τ of a crossing, in the prism's stretch and on the line, and its derivative across."""
+        turn = jnp.where(at < first, of_first / squared, turn)
+        turn = jnp.where(at > last, of_last / squared, turn)
+        at = jnp.clip(at, first, last)
+        return jnp.clip(at, 0.0, most), jnp.where((at > 0) & (at < most), turn, 0.0)
+
+    # A line straight down has no length in plan, and no sides: it is inside or not.
+    straight = squared < 1e-8
+
+    def side(move: Array, share: Array) -> tuple[Array, Array, Array]:
+        """How far to move past a corner, and the derivatives across the line and along it."""
+        tangent = jnp.where((share > NO_LEVER) & ~straight, move / length, 0.0)
+        across = jnp.where(share > NO_LEVER, 1.0 + tangent * tangent, share / NO_LEVER)
+        return jnp.where(straight, depth, move), across, tangent
+
+    (near, of_near), (far, of_far) = kept(near, of_near, FAR), kept(far, of_far, 1.0)
+    ahead = jnp.where(straight, depth, (1.0 - near) * length)
+    left, of_left, along_left = side(left, at_left)
+    right, of_right, along_right = side(right, at_right)
+    sides = -of_left, of_right, along_left, along_right
+    return SightCut(left, right, ahead, near, far, *sides, of_near, of_far)

@@ -5,17 +5,13 @@ Ray against cube: :func:`ray_cube_margin`, the separation on the separating axes
 Sight line against prism: in plan the line from sensor s to column c is s + t·(c − s), 0 ≤ t ≤ 1. It
 cuts the prism's rectangle from t₀ to t₁, or misses it. The prism hides the column below the height
 at which the line touches its top: z* = z_s + rise/t, with rise the top's height above the sensor,
-t = t₁ for a sensor above the top and t = t₀ for one below. This module has that cut in two forms,
-which ``tests/core/test_geometry.py`` compares:
+t = t₁ for a sensor above the top and t = t₀ for one below.
 
-- :func:`shadow_ceiling`, for exact scores, works in u = 1/t (:func:`_plan_crossings`). Each u is
-  linear in the column, so a sight line costs no division, and t₀ and t₁ are compared but never
-  computed. It gives z* itself, :data:`NEVER` where the line misses.
-- :func:`plan_cut` with :func:`below_top`, for soft scores, gives margins in metres: how deep the
-  line cuts in sideways, also where it misses, and how far it passes below the top at t₀ or t₁.
-  ``plan_cut(…).beside > 0`` exactly where the ceiling of a valid prism is not :data:`NEVER`.
-
-They stay two: exact scores need the speed of the first, gradients need the metres of the second.
+:func:`shadow_ceiling`, for exact scores, works in u = 1/t (:func:`_plan_crossings`). Each u is
+linear in the column, so a sight line costs no division, and t₀ and t₁ are compared but never
+computed. It gives z* itself, :data:`NEVER` where the line misses. It follows from the one cut of
+all prisms, :func:`inspe_jax.core.convex.sight_cut`, and ``tests/core/test_convex.py`` holds it to
+that.
 """
 
 from typing import Any, NamedTuple
@@ -168,8 +164,7 @@ def shadow_ceiling(
     entry and exit in plan (t₁ clipped to 1): z* = z_s − (z_s − h)/t₁ for a sensor above the top,
     whose sight line is lowest where it leaves the prism; z* = z_s + (h − z_s)/t₀ for a sensor
     below, whose sight line is lowest where it enters. Nothing is seen beneath a prism. With
-    ``ignore_self_occlusion`` a prism does not hide the columns it stands on. The soft form of the
-    same cut is :func:`plan_cut`.
+    ``ignore_self_occlusion`` a prism does not hide the columns it stands on.
     """
     leaves, entry = _plan_crossings(terms, dx, dy)
     exit_ = jnp.maximum(leaves, 1.0)
@@ -185,7 +180,7 @@ def _plan_crossings(
 ) -> tuple[Float[Array, " L"], Float[Array, " L"]]:
     """(1/t₁, 1/t₀) of each sight line, with t₁ not clipped: 1/t₁ < 1 where the line ends inside.
 
-    The line misses where 1/t₁ ≥ 1/t₀ or 1/t₀ ≤ 1. :func:`plan_cut` has t₀ and t₁ themselves.
+    The line misses where 1/t₁ ≥ 1/t₀ or 1/t₀ ≤ 1.
     """
     ex, ey = terms.cos * dx + terms.sin * dy, terms.cos * dy - terms.sin * dx
     x_exit, x_entry = _crossings(ex * terms.x_near, ex * terms.x_far, terms.x_inside)
@@ -199,152 +194,6 @@ def _crossings(
     """(1/exit, 1/entry) of a slab; for a sensor inside it, entry is at t = 0 and 1/entry is FAR."""
     low, high = jnp.minimum(u, v), jnp.maximum(u, v)
     return jnp.where(inside, high, low), jnp.where(inside, FAR, high)
-
-
-class Line(NamedTuple):
-    """Sight lines in plan, in a rectangle's own frame: from (x, y) to (x + ex, y + ey) [m]."""
-
-    x: Float[Array, "*n"]
-    y: Float[Array, "*n"]
-    ex: Float[Array, "*n"]
-    ey: Float[Array, "*n"]
-
-
-Half = tuple[Float[Array, "*n"], Float[Array, "*n"]]
-"""Half of a rectangle's length and width [m]."""
-
-
-def plan_margin(line: Line, half: Half) -> Float[Array, "*n"]:
-    """How deep a sight line cuts into a rectangle in plan [m]; negative by how far it misses.
-
-    The separating axes of a segment and a rectangle are the rectangle's two and the line's normal.
-    """
-    (x, y, ex, ey), (a, b) = line, half
-    length = jnp.sqrt(jnp.maximum(ex * ex + ey * ey, 1e-12))
-    support = a * jnp.abs(ey) + b * jnp.abs(ex)
-    # A line straight down has no length in plan and no normal: the other two axes decide.
-    beside = jnp.where(length < 1e-5, a + b, (support - jnp.abs(x * ey - y * ex)) / length)
-    ahead = a + jnp.abs(ex) / 2 - jnp.abs(x + ex / 2)
-    across = b + jnp.abs(ey) / 2 - jnp.abs(y + ey / 2)
-    return jnp.minimum(beside, jnp.minimum(ahead, across))
-
-
-class Cut(NamedTuple):
-    """Where sight lines cut a prism in plan, made by :func:`plan_cut`.
-
-    ``beside``: how deep a line cuts in sideways [m], negative where it misses. ``enters`` and
-    ``leaves``: t₀ and t₁ along the line, from 0 at the sensor to 1 at the column.
-    """
-
-    beside: Float[Array, "*n"]
-    enters: Float[Array, "*n"]
-    leaves: Float[Array, "*n"]
-
-
-def plan_cut(line: Line, half: Half) -> Cut:
-    """How sight lines cut a rectangle in plan, in the rectangle's frame.
-
-    t₀ and t₁ are clipped to the rectangle's :func:`stretch` along the line, because a line that
-    misses has none of its own. The exact form of the same cut is :func:`shadow_ceiling`.
-    """
-    first, last = stretch(line, half)
-    x_in, x_out = _slab(line.x, line.ex, half[0])
-    y_in, y_out = _slab(line.y, line.ey, half[1])
-    return Cut(
-        plan_margin(line, half),
-        jnp.clip(jnp.maximum(x_in, y_in), first, last),
-        jnp.clip(jnp.minimum(x_out, y_out), first, last),
-    )
-
-
-def stretch(line: Line, half: Half) -> tuple[Float[Array, "*n"], Float[Array, "*n"]]:
-    """The first and last t at which a rectangle lies beside a sight line or on it, in 0 … 1.
-
-    These are the projections of the rectangle's outermost corners onto the line.
-    """
-    (x, y, ex, ey), (a, b) = line, half
-    squared = jnp.maximum(ex * ex + ey * ey, 1e-9)
-    middle, spread = -(x * ex + y * ey) / squared, (a * jnp.abs(ex) + b * jnp.abs(ey)) / squared
-    return jnp.clip(middle - spread, 0.0, 1.0), jnp.clip(middle + spread, 0.0, 1.0)
-
-
-def below_top(cut: Cut, rise: Float[Array, "*n"], drop: Float[Array, "*n"]) -> Float[Array, "*n"]:
-    """How far sight lines pass below a prism's top [m]; negative where they pass above.
-
-    ``rise`` is the top's height above the sensor, ``drop`` the target's depth below it [m]. The
-    line z_s + t·(z − z_s) is lowest where it leaves the prism, at t₁, if it falls, and where it
-    enters, at t₀, if it rises. The margin is measured at the prism, between line and top. So it
-    stays bounded as a prism comes near the sensor, where the height of the shadow does not.
-    """
-    return rise + jnp.maximum(drop * cut.enters, drop * cut.leaves)
-
-
-class SensorCut(NamedTuple):
-    """How sight lines cut a prism in plan, as far as the sensor would have to move to change it.
-
-    ``left`` and ``right``: how far the sensor has to move aside until the line passes the prism on
-    its left or right side [m]; negative where it does, by how far the sensor has to move until it
-    does not. ``ahead``: how far along the line the prism's far end is [m], negative behind the
-    sensor.
-    """
-
-    left: Float[Array, "*n"]
-    right: Float[Array, "*n"]
-    ahead: Float[Array, "*n"]
-
-
-_NO_LEVER = 0.02
-"""Least part of a sight line that is left behind a prism. A shift of the sensor moves the line at
-the prism by this part of it; nearer to the column it is taken to be so much."""
-
-
-def lever(t: Float[Array, "*n"]) -> Float[Array, "*n"]:
-    """How far a sight line moves at t, from 0 at the sensor to 1 at the column, where the sensor
-    moves by 1: 1 − t, and at least a little."""
-    return jnp.maximum(1.0 - t, _NO_LEVER)
-
-
-def sensor_cut(line: Line, half: Half) -> SensorCut:
-    """How sight lines cut a rectangle in plan, in its own frame, as margins at the sensor.
-
-    A line turns about the column where it ends. So to pass a corner at t along the line, the sensor
-    has to move by the corner's distance from it over 1 − t; and to pass a side of the prism, by the
-    most that a corner asks for. Corners beyond the column ask for nothing, unless the line enters
-    the prism before it ends. The line meets the prism where all three margins are positive, as
-    :func:`shadow_ceiling` has it.
-    """
-    (x, y, ex, ey), (a, b) = line, half
-    squared = jnp.maximum(ex * ex + ey * ey, 1e-9)
-    length = jnp.sqrt(squared)
-    middle, aside = -(x * ex + y * ey), x * ey - y * ex
-    enters = jnp.maximum(_slab(x, ex, a)[0], _slab(y, ey, b)[0]) < 1.0
-    right, left = jnp.full_like(length, -FAR), jnp.full_like(length, -FAR)
-    for k, m in ((1, 1), (1, -1), (-1, 1), (-1, -1)):  # the corner (k·a, m·b)
-        t = (middle + (k * a * ex + m * b * ey)) / squared
-        move = ((k * a * ey - m * b * ex) - aside) / (length * lever(jnp.maximum(t, 0.0)))
-        asks = enters | (t < 1.0)
-        right = jnp.where(asks, jnp.maximum(right, move), right)
-        left = jnp.where(asks, jnp.maximum(left, -move), left)
-    ahead = (middle + a * jnp.abs(ex) + b * jnp.abs(ey)) / length
-    # A line straight down has no length in plan, and no sides: it is inside or not.
-    point, within = squared < 1e-8, jnp.minimum(a - jnp.abs(x), b - jnp.abs(y))
-    return SensorCut(*(jnp.where(point, within, margin) for margin in (left, right, ahead)))
-
-
-def top_at_sensor(
-    cut: Cut, rise: Float[Array, "*n"], drop: Float[Array, "*n"]
-) -> Float[Array, "*n"]:
-    """:func:`below_top` at the sensor: how far it has to rise for the line to touch the top [m]."""
-    return below_top(cut, rise, drop) / lever(jnp.where(drop > 0, cut.leaves, cut.enters))
-
-
-def _slab(
-    start: Float[Array, "*n"], along: Float[Array, "*n"], half: Float[Array, "*n"]
-) -> tuple[Float[Array, "*n"], Float[Array, "*n"]]:
-    """The t at which start + t·along enters and leaves −half … half; far out if parallel to it."""
-    along = nonzero(along)
-    middle, spread = -start / along, half / jnp.abs(along)
-    return middle - spread, middle + spread
 
 
 def solid_top(columns: Float[Array, "L 2"], prism: Prism) -> Float[Array, " L"]:

@@ -43,6 +43,15 @@ def step(margin: Float[Array, "*n"], width: Width = None) -> Float[Array, "*n"]:
     return u * u * (3.0 - 2.0 * u)
 
 
+def slope_of_step(margin: Float[Array, "*n"], width: Width) -> Float[Array, "*n"]:
+    """The derivative of :func:`step` in the margin [1/m]; 0 where it is read exactly."""
+    if exact(width):
+        return jnp.zeros_like(margin)
+    width = jnp.asarray(width, margin.dtype)
+    u = jnp.clip(0.5 + margin / (2.0 * REACH * width), 0.0, 1.0)
+    return 3.0 * u * (1.0 - u) / (REACH * width)
+
+
 def certain_beyond(width: Width) -> float | Float[Array, ""]:
     """How far from the threshold [m] a reading is certain: 0 if it is exact."""
     return 0.0 if exact(width) else REACH * width  # type: ignore[operator]  # it is no None
@@ -58,12 +67,15 @@ class Softness:
     """How margins are read. ``field`` and ``shadow`` are widths [m]; None, the default, is exact.
 
     ``field``: from the edges of a field of view and the end of its reach. ``shadow``: how far the
-    sensor has to move until a sight line touches a vehicle's side or top; with exact rays, from the
-    line to the side or top, at the vehicle. ``rays``: ``exact``, where a voxel is in view if a
-    ray passes through it, which has no slope; or ``density``, the chance of that under a random
-    phase of the grid (:mod:`inspe_jax.visibility.ray_density`), which is smooth. None, the default,
-    is ``density`` where a width is given. As the widths go to 0, a score with exact rays becomes
-    the exact score, and one with a density its mean over phases.
+    sensor has to move until a sight line touches the side or the top of what hides: a vehicle, a
+    body or the ground. ``rays``: ``exact``, where a voxel is in view if a ray passes through it,
+    which has no slope; or ``density``, the chance of that under a random phase of the grid
+    (:mod:`inspe_jax.visibility.ray_density`), which is smooth. None, the default, is ``density``
+    where a width is given.
+
+    So there are three readings, each with its limit as the widths go to 0: exact; soft with exact
+    rays, which becomes the exact score; and soft with a density, which becomes its mean over phases
+    of the ray grid. The last is what one width means, as ``softness=0.5``.
     """
 
     field: Width = None
@@ -96,15 +108,6 @@ class Softness:
         soft = any(width is not None for width in widths)
         rays = (value.rays if whole else None) or ("density" if soft else "exact")
         return cls(widths[0], widths[-1], rays)
-
-    @property
-    def shadows_at_sensor(self) -> bool:
-        """Whether margins of shadows are measured at the sensor, not at the vehicle.
-
-        As a density of rays, they are the mean over places near by
-        (:func:`inspe_jax.visibility.shadows.soft_sight`).
-        """
-        return self.rays == "density"
 
     @property
     def exact(self) -> bool:

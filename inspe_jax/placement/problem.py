@@ -275,9 +275,10 @@ class Problem:
 
         ``on`` are the samples or the scenes that it is computed on.
         """
+        tiled = (tiled_sample(x, masks=False) if isinstance(x, SceneArrays) else x for x in on)
         value, slope = soft_slope(
             self.terms.sensors[0].padded(on_host(poses, float)),
-            on,
+            tuple(scene.bucketed for scene in tiled),
             self.terms,
             softness,
             asked=self.asked,

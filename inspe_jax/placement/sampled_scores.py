@@ -16,7 +16,7 @@ from inspe_jax.scoring.options import ScoreOptions
 from inspe_jax.scoring.sensor_array import SensorArray
 from inspe_jax.scoring.soft import read_softly
 from inspe_jax.scoring.summary import MetricValues
-from inspe_jax.scoring.tiled_scene import SceneArrays, TiledScene, sample_in_one_tile
+from inspe_jax.scoring.tiled_scene import TiledScene
 
 
 class ScoreTerms(NamedTuple):
@@ -68,7 +68,7 @@ def hard_scores(
 @partial(jax.jit, static_argnames=("asked", "over"))
 def soft_slope(
     poses: Float[Array, "S 6"],
-    on: tuple[SceneArrays, ...] | tuple[TiledScene, ...],
+    scenes: tuple[TiledScene, ...],
     terms: ScoreTerms,
     softness: Float[Array, ""],
     *,
@@ -77,15 +77,14 @@ def soft_slope(
 ) -> tuple[Float[Array, ""], Float[Array, "S 6"]]:
     """The combined score of all cases, read with ``softness`` [m], and its gradient in the poses.
 
-    ``on`` are samples, or whole scenes in tiles; ``over`` is one of :data:`COMBINATIONS`. ``poses``
-    are about the scene's centre and padded.
+    ``scenes`` are samples or whole scenes, in tiles; ``over`` is one of :data:`COMBINATIONS`.
+    ``poses`` are about the scene's centre and padded.
     """
     width = Softness.of(softness)
-    scenes = [sample_in_one_tile(part) if isinstance(part, SceneArrays) else part for part in on]
 
     def score(poses: Array) -> Array:
         measures = [
-            read_softly(tiled.bucketed, poses, sensors, voxel, width, options=asked)
+            read_softly(tiled, poses, sensors, voxel, width, options=asked)
             for tiled, sensors, voxel in zip(scenes, terms.sensors, terms.voxel, strict=True)
         ]
         return COMBINATIONS[over][0](scores(measures, terms.weights, terms.failures))

@@ -27,7 +27,7 @@ def seen_by_sensor(
     them: it differs from occlusion in which voxels inside vehicles count.
     """
     sensor, shadows, view = row
-    clear, in_sight = reading.line_of_sight(sensor, shadows, tile, frames, options)
+    clear, in_sight = reading.line_of_sight(sensor, shadows, view, tile, frames, options)
     return reading.both(reading.in_frames(view), clear), in_sight
 
 
@@ -47,13 +47,13 @@ def seen_in_tile(
     ``rows`` are of all sensors: positions (S, 3), shadows, and one set in view each.
     """
 
-    def see_from(row: SensorRow) -> tuple[Any, Any]:
+    def see_from(row: SensorRow, reading: Reading, tile: Tile, frames: Frames) -> tuple[Any, Any]:
         visible, in_sight = seen_by_sensor(reading, row, tile, frames, options)
         if not options.counts_sight:
             return visible, None
         return visible, reading.level_sums(in_sight, frames, len(tile.heights))
 
-    return reading.over_sensors(see_from, rows, frames, failures)
+    return reading.over_sensors(see_from, rows, (reading, tile, frames), failures)
 
 
 def count_tile(

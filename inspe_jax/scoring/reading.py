@@ -23,6 +23,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, Num, UInt
 
+from inspe_jax.core.convex import outlines
 from inspe_jax.core.geometry import Prism
 from inspe_jax.core.numerics import (
     Groups,
@@ -32,22 +33,21 @@ from inspe_jax.core.numerics import (
     exact,
     leave_one_out,
 )
+from inspe_jax.core.pytree import pytree
 from inspe_jax.scoring.options import ScoreOptions
 from inspe_jax.visibility import bitmask
 from inspe_jax.visibility.centered_scene import Statics
 from inspe_jax.visibility.in_view import soft_view
 from inspe_jax.visibility.shadows import (
-    WON,
     clear_masks,
     exact_sight,
-    may_shade,
     shadow_bounds,
-    soft_sight,
 )
+from inspe_jax.visibility.soft_sight import Sights, cell_marks, clear_chance
 from inspe_jax.visibility.statics import past_statics_chance
 from inspe_jax.visibility.tiles import Tile
 
-TOGETHER = 20
+TOGETHER = 128
 """Frames that are read softly at once: what a tile needs of so many stays in a core's cache."""
 
 
@@ -82,9 +82,9 @@ class Counts(NamedTuple):
 
 SensorRow = tuple[Float[Array, "3"], Any, Any]
 """One sensor: its position, what its shadows need, and the set that it has in view."""
-SeeFrom = Callable[[SensorRow], tuple[Any, Any]]
-"""Gives, for one sensor, the set that it sees in each frame, and the number of frames in which each
-voxel is in line of sight, or None."""
+SeeFrom = Callable[..., tuple[Any, Any]]
+"""Gives, for one sensor and what else is given, the set that it sees in each frame, and the number
+of frames in which each voxel is in line of sight, or None."""
 
 
 # ── Exactly ─────────────────────────────────────────────────────────────────
@@ -106,6 +106,7 @@ class BitUnion:
         return jnp.concatenate([seen[None], seen[None] - self.alone(of)])
 
 
+@pytree
 @dataclass(frozen=True)
 class Bits:
     """Margins read exactly; a set is a mask of levels for each column."""
@@ -169,6 +170,7 @@ class Bits:
         self,
         sensor: Float[Array, "3"],
         shadows: Any,
+        view: Any,
         tile: Tile,
         frames: Frames,
         options: ScoreOptions,
@@ -180,7 +182,7 @@ class Bits:
         return clear, clear if options.sight == "past_others" else clear & ~frames.solid
 
     def over_sensors(
-        self, see_from: SeeFrom, rows: SensorRow, frames: Frames, failures: Groups | None
+        self, see_from: SeeFrom, rows: SensorRow, given: tuple, failures: Groups | None
     ) -> tuple[BitUnion, Any]:
         """The union of what the sensors see, and how often each has each voxel in line of sight.
 
@@ -202,14 +204,14 @@ class Bits:
 
         def add_sensor(i: Array, state: tuple) -> tuple:
             once, twice, before, each, sights = state
-            visible, sight = see_from(jax.tree.map(lambda leaf: leaf[listed[i]], rows))
+            visible, sight = see_from(jax.tree.map(lambda leaf: leaf[listed[i]], rows), *given)
             before = jnp.where(opens(i), once, before)  # what the groups before this one see
             if groups:
                 each = each.at[i].set(visible)
             sights = jax.tree.map(lambda all_, one: all_.at[listed[i]].set(one), sights, sight)
             return once | visible, twice | (before & visible), before, each, sights
 
-        visible, sight = jax.eval_shape(see_from, jax.tree.map(lambda leaf: leaf[0], rows))
+        visible, sight = jax.eval_shape(see_from, jax.tree.map(lambda leaf: leaf[0], rows), *given)
         none = jnp.zeros(visible.shape, visible.dtype)
         each = jnp.zeros((len(views) if groups else 0, *none.shape), none.dtype)
         sights = jax.tree.map(lambda one: jnp.zeros((len(views), *one.shape), one.dtype), sight)
@@ -255,6 +257,7 @@ class NumberUnion:
         return (self.rows * of[None]).sum(1).sum(-1)
 
 
+@pytree
 @dataclass(frozen=True)
 class Numbers:
     """Margins read with a softness; a set is a chance for each voxel.
@@ -327,6 +330,7 @@ class Numbers:
         self,
         sensor: Float[Array, "3"],
         shadows: Any,
+        view: Any,
         tile: Tile,
         frames: Frames,
         options: ScoreOptions,
@@ -337,40 +341,39 @@ class Numbers:
         reach = certain_beyond(width)
         spared = self.solid(frames, len(tile.heights)) > 0
 
-        @partial(jax.checkpoint, policy=jax.checkpoint_policies.save_only_these_names(WON))
-        def read(sensor: Array) -> tuple[Array, Array]:
+        own = spared if options.ignores_self_occlusion else False
+        if exact(width):
+            look = partial(exact_sight, sensor, frames.prisms, tile.columns, tile.heights)
+        else:
             fixed = jax.lax.stop_gradient(sensor)
-            own = spared if options.ignores_self_occlusion else False
-            if exact(width):
-                look = partial(exact_sight, sensor, frames.prisms, tile.columns, tile.heights)
-            else:
-                bounds = shadow_bounds(fixed, frames.prisms, reach)
-                marked = bitmask.marks(may_shade(fixed, bounds, tile))
-                at = sensor, frames.prisms, marked, tile.columns, tile.heights, width
-                look = partial(soft_sight, *at, at_sensor=self.softness.shadows_at_sensor)
-            clear = look(ignore_self_occlusion=own)
-            return clear, look(ignore_self_occlusion=False) if options.sight_apart else clear
+            prisms = outlines(frames.prisms)
+            bounds = shadow_bounds(fixed, frames.prisms, reach)
+            marked = cell_marks(fixed, prisms, bounds, tile, reach)
+            if not any(metric.sight for metric in options.metrics):  # else, in view or not
+                cells = (view > 0).any(0).reshape(marked.shape[-1], -1).any(1)
+                marked = jnp.where(cells, marked, jnp.uint32(0))
+            at = prisms, marked, tile.columns, tile.heights, width
 
-        return read(sensor)
+            def look(ignore_self_occlusion: Any) -> Array:
+                spared = None if ignore_self_occlusion is False else ignore_self_occlusion
+                return clear_chance(sensor, Sights(*at, spared))
+
+        clear = look(ignore_self_occlusion=own)
+        return clear, look(ignore_self_occlusion=False) if options.sight_apart else clear
 
     def over_sensors(
-        self, see_from: SeeFrom, rows: SensorRow, frames: Frames, failures: Groups | None
+        self, see_from: SeeFrom, rows: SensorRow, given: tuple, failures: Groups | None
     ) -> tuple[NumberUnion, Any]:
         """The union of what the sensors see, and how often each has each voxel in line of sight.
 
         A sensor that has nothing of the tile in view is skipped.
         """
-
-        def see_unless_blind(row: SensorRow) -> tuple[Any, Any]:
-            shapes = jax.eval_shape(see_from, row)
-            nothing = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes)
-            return jax.lax.cond((row[2] > 0).any(), see_from, lambda _: nothing, row)
-
-        visible, sights = jax.lax.map(see_unless_blind, rows)
-        return NumberUnion(leave_one_out(visible, failures)), sights
+        positions, _, views = rows
+        union, sights = _union(see_from, positions, views, failures, given)
+        return NumberUnion(union), sights
 
     def in_parts(self, work: Callable[[Frames], Counts], frames: Frames) -> Counts:
-        """``work`` on :data:`TOGETHER` frames at a time, computed again for the gradient."""
+        """``work`` on :data:`TOGETHER` frames at a time."""
         total = len(frames.prisms.top)
         parts = -(-total // TOGETHER)
         each = -(-total // parts)
@@ -384,9 +387,7 @@ class Numbers:
             """(parts, 1 + G, each) as (1 + G, F), without the padding."""
             return x.swapaxes(0, 1).reshape(x.shape[1], -1)[:, :total]
 
-        found = jax.lax.map(
-            jax.checkpoint(work), jax.tree.map(split, frames._replace(real=jnp.ones(total)))
-        )
+        found = jax.lax.map(work, jax.tree.map(split, frames._replace(real=jnp.ones(total))))
         return Counts(
             joined(found.seen),
             joined(found.original),
@@ -436,6 +437,84 @@ class Numbers:
     def _real(frames: Frames) -> Float[Array, " F"]:
         """1 for every frame, 0 for padding."""
         return jnp.ones(len(frames.prisms.top)) if frames.real is None else frames.real
+
+
+@partial(jax.custom_vjp, nondiff_argnums=(0,))
+def _union(
+    see_from: SeeFrom,
+    positions: Float[Array, "S 3"],
+    views: Float[Array, "S Z C"],
+    failures: Groups | None,
+    given: tuple,
+) -> tuple[Float[Array, "1+G Z F C"], Any]:
+    """The chance that some sensor sees each voxel, of all and without each group, and the sights.
+
+    Only the sensors' ``positions`` and ``views`` have gradients.
+    """
+    of_sensor, listed, number = _in_view(see_from, positions, views, given)
+    visible, sights = jax.eval_shape(of_sensor, positions[0], views[0])
+
+    def add(i: Array, state: tuple) -> tuple:
+        s = listed[i]
+        left, each, sights = state
+        visible, sight = of_sensor(positions[s], views[s])
+        if failures is None:
+            left = left * (1.0 - visible)
+        else:
+            each = each.at[s].set(visible)
+        return left, each, jax.tree.map(lambda all_, one: all_.at[s].set(one), sights, sight)
+
+    rows = 0 if failures is None else len(views)
+    each = jnp.zeros((rows, *visible.shape), visible.dtype)
+    sights = jax.tree.map(lambda one: jnp.zeros((len(views), *one.shape), one.dtype), sights)
+    state = jnp.ones(visible.shape, visible.dtype), each, sights
+    left, each, sights = jax.lax.fori_loop(0, number, add, state)
+    return (1.0 - left)[None] if failures is None else leave_one_out(each, failures), sights
+
+
+def _in_view(
+    see_from: SeeFrom, positions: Array, views: Array, given: tuple
+) -> tuple[Callable, Array, Array]:
+    """What one sensor sees as a function of its position and view, the sensors that have some of
+    the tile in view, before the others, and their number."""
+    has = (views > 0).any((1, 2))
+
+    def of_sensor(position: Array, view: Array) -> tuple[Array, Any]:
+        return see_from((position, None, view), *given)
+
+    return of_sensor, jnp.argsort(~has, stable=True), has.sum()
+
+
+def _union_forward(see_from: SeeFrom, *given: Any) -> tuple[Any, tuple]:
+    found = _union(see_from, *given)
+    return found, (found[0], *given)
+
+
+def _union_backward(see_from: SeeFrom, kept: tuple, wanted: tuple) -> tuple:
+    """Sensor by sensor again. ∂(1 − ∏(1 − pₛ))/∂pₛ = ∏/(1 − pₛ); where pₛ = 1 it is certain and has
+    no slope of its own."""
+    union, positions, views, failures, given = kept
+    of_sensor, listed, number = _in_view(see_from, positions, views, given)
+    of_union, of_sights = wanted
+
+    def add(i: Array, slopes: tuple[Array, Array]) -> tuple[Array, Array]:
+        s = listed[i]
+        (visible, _), back = jax.vjp(of_sensor, positions[s], views[s])
+        each = (1.0 - union) * of_union
+        if failures is not None:
+            place = jnp.argsort(jnp.asarray(failures.order))[s]
+            lost = (jnp.asarray(failures.first) <= place) & (place < jnp.asarray(failures.end))
+            each = jnp.where(jnp.pad(lost, (1, 0))[:, None, None, None], 0.0, each)
+        left = 1.0 - visible
+        slope = jnp.where(left > 0, each.sum(0) / jnp.where(left > 0, left, 1.0), 0.0)
+        new = back((slope, jax.tree.map(lambda leaf: leaf[s], of_sights)))
+        return jax.tree.map(lambda all_, one: all_.at[s].set(one), slopes, new)
+
+    none = jnp.zeros_like(positions), jnp.zeros_like(views)
+    return *jax.lax.fori_loop(0, number, add, none), None, None
+
+
+_union.defvjp(_union_forward, _union_backward)
 
 
 Reading = Bits | Numbers

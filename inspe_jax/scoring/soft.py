@@ -26,6 +26,9 @@ from inspe_jax.scoring.summary import MetricValues, summarise
 from inspe_jax.scoring.tiled_scene import TiledScene
 from inspe_jax.visibility.tiles import Tile, solid_in, unless_empty
 
+KEPT = 2**24
+"""Voxels × frames up to which all that a gradient needs is kept. Of more it would be gigabytes, and
+is found again tile by tile."""
 SIGHTS = "sights"
 """Name of an array kept for the gradient: in how many frames each voxel is in line of sight."""
 
@@ -51,9 +54,6 @@ def read_softly(
     numbers = Numbers(jax.lax.stop_gradient(softness))
     failures, positions = sensors.failures, poses[:, :3]
 
-    # What every tile needs for the gradient would be gigabytes, so it is found again. Only the
-    # sights are kept: finding them again would take one more pass over all frames.
-    @partial(jax.checkpoint, policy=jax.checkpoint_policies.save_only_these_names(SIGHTS))
     def read_tile(tile: Tile, last: Array) -> tuple[Array, Array, Array, Counts, dict[str, Any]]:
         f = numbers.views(tile, poses, sensors, voxel / 2)
         past = numbers.past_statics(tile, positions, tiled.statics, f)
@@ -82,6 +82,11 @@ def read_softly(
         )
 
     tiles = tiled.tiles
+    if tiles.tile.heights.size * tiled.frame_count > KEPT:
+        # Of what the gradient needs only the sights are kept: finding them again would take one
+        # more pass over all frames.
+        only = jax.checkpoint_policies.save_only_these_names(SIGHTS)
+        read_tile = jax.checkpoint(read_tile, policy=only)
     columns, by_level, resolved, counts, terms = jax.lax.map(
         lambda given: unless_empty(read_tile)(*given), (tiles.tile, tiles.last)
     )

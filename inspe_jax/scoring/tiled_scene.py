@@ -22,7 +22,7 @@ from inspe_jax.core.pytree import pytree
 from inspe_jax.scene.scene import Scene
 from inspe_jax.visibility import bitmask
 from inspe_jax.visibility.centered_scene import CenteredScene, Statics, about_center
-from inspe_jax.visibility.tiles import CHUNKS, Tile, Tiles, one_tile, solid, tiles_of
+from inspe_jax.visibility.tiles import CELL, CHUNKS, Tile, Tiles, solid, tiles_of
 
 FRAMES = 128
 """Frames in one chunk: what a tile needs of so many stays in a core's cache."""
@@ -227,21 +227,29 @@ def _frame_runs(total: int) -> list[tuple[int, int, bool]]:
     return runs
 
 
-def tiled_sample(sample: SceneArrays) -> TiledScene:
+def tiled_sample(sample: SceneArrays, masks: bool = True) -> TiledScene:
     """The :class:`TiledScene` of some columns and frames, in one chunk.
 
-    Samples of one size give tiled scenes of one shape.
+    Samples of one size give tiled scenes of one shape. ``masks`` as in :func:`tiled_scene_of`;
+    without them, it is for soft scores, and every column is a cell: they are far apart.
     """
-    tiles = tiles_of(sample.centered)
-    weight = np.asarray(_mean_weight(sample, tiles.level_count))
-    return _in_one_chunk(sample, tiles, _column_weight(tiles, weight))
-
-
-def sample_in_one_tile(sample: SceneArrays) -> TiledScene:
-    """The :class:`TiledScene` of a sample in one tile, without masks; traced or not."""
-    tiles = one_tile(sample.centered)
-    weight = _mean_weight(sample, tiles.level_count)
-    return _in_one_chunk(sample, tiles, weight, masks=False)
+    assert sample.occupancy is not None  # p̂ over all frames, not over the sample's
+    tiles = tiles_of(sample.centered, CELL if masks else 1)
+    prisms, levels = sample.centered.prisms, tiles.level_count
+    height = tiles.tile.heights.shape[1]
+    columns = len(tiles.tile.there) // tiles.slabs * tiles.tile.there.shape[1]
+    level = np.arange(levels)
+    column = np.asarray(tiles.place)[:, None] + level // height * columns  # (L, Z)
+    return TiledScene(
+        tiles,
+        (WorkChunk(tiles.tile, prisms, solid(tiles.tile, prisms) if masks else None),),
+        _column_weight(tiles, np.asarray(_mean_weight(sample, levels))),
+        sample.occupancy,
+        on_device(column.reshape(-1)),
+        on_device(np.tile(level % height, len(column))),
+        len(prisms.top),
+        statics=sample.centered.statics,
+    )
 
 
 def _mean_weight(sample: SceneArrays, levels: int) -> Float[Any, " L"]:
@@ -249,31 +257,6 @@ def _mean_weight(sample: SceneArrays, levels: int) -> Float[Any, " L"]:
     if sample.centered.inside is None:
         return sample.weight[::levels]
     return sample.weight.reshape(-1, levels).mean(1)
-
-
-def _in_one_chunk(
-    sample: SceneArrays, tiles: Tiles, weight: Float[Array, " MC"], masks: bool = True
-) -> TiledScene:
-    """The tiles of a sample as one chunk of all its frames."""
-    assert sample.occupancy is not None  # p̂ over all frames, not over the sample's
-    prisms = sample.centered.prisms
-    levels, height = tiles.level_count, tiles.tile.heights.shape[1]
-    inside = solid(tiles.tile, prisms) if masks else None
-    chunk = WorkChunk(tiles.tile, prisms, inside)
-    assert tiles.place is not None  # only TiledScene.bucketed drops it
-    columns = len(tiles.tile.there) // tiles.slabs * tiles.tile.there.shape[1]
-    level = np.arange(levels)
-    column = np.asarray(tiles.place)[:, None] + level // height * columns  # (L, Z)
-    return TiledScene(
-        tiles,
-        (chunk,),
-        weight,
-        sample.occupancy,
-        on_device(column.reshape(-1)),
-        on_device(np.tile(level % height, len(column))),
-        len(prisms.top),
-        statics=sample.centered.statics,
-    )
 
 
 def _column_weight(tiles: Tiles, weight: Float[np.ndarray, " L"]) -> Float[Array, " MC"]:

@@ -9,27 +9,17 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jax.ad_checkpoint import checkpoint_name
 from jaxtyping import Array, Bool, Float, UInt
 
 from inspe_jax.core.geometry import (
     FAR,
     NEVER,
-    Cut,
-    Half,
-    Line,
     Prism,
     ShadowTerms,
-    below_top,
-    plan_cut,
-    plan_margin,
-    sensor_cut,
     shadow_ceiling,
     shadow_terms,
-    stretch,
-    top_at_sensor,
 )
-from inspe_jax.core.numerics import REACH, Width, step
+from inspe_jax.core.numerics import step
 from inspe_jax.visibility import bitmask
 from inspe_jax.visibility.tiles import CLOSE, Tile, pack_levels
 
@@ -87,152 +77,6 @@ def exact_sight(
     if isinstance(ignore_self_occlusion, bool):
         return clear(ignore_self_occlusion)
     return jnp.where(ignore_self_occlusion, clear(True), clear(False))
-
-
-WINNERS = 2
-"""Prisms that are read softly for a column: those that hide most of it."""
-LAST = 1e-6
-"""What a prism that seems to pass below a line counts in the order of those that hide it [m]."""
-WON = "won"
-"""Name of the array of these prisms' numbers, which is kept for the gradient. Finding them is most
-of the work, and the numbers take little memory."""
-
-
-def soft_sight(
-    sensor: Float[Array, "3"],
-    prisms: Prism,
-    marked: UInt[Array, "W F"],
-    columns: Float[Array, "2 C"],
-    heights: Float[Array, "Z C"],
-    width: Width,
-    *,
-    at_sensor: bool = False,
-    ignore_self_occlusion: bool | Bool[Array, "Z F C"] = False,
-) -> Float[Array, "Z F C"]:
-    """Chance that the marked prisms (F, B) of each frame leave the sight line to each voxel clear.
-
-    It is ∏ (1 − p) over the :data:`WINNERS` prisms that hide most of the column. p is the product
-    of two readings of ``width`` [m]: how deep the line cuts into the prism sideways, and how far it
-    passes below the top. A prism that narrowly misses counts too. The winners are found without
-    differentiation, by how much they hide of the line to the first of ``heights``, the lowest.
-
-    Margins are measured at the prism; or ``at_sensor``, by how far the sensor has to move. Then p
-    is about the mean of the exact reading over places of the sensor near by, so that slopes are
-    those of exact scores averaged over such places. A line is read on both sides, since a
-    pedestrian is narrower than most widths. And close to a vehicle, where the sensor's place
-    matters little, the edge of its shadow is sharp. Measured at the prism it would be as wide
-    there as anywhere, but on one side only: the voxels inside the vehicle do not count.
-
-    ``ignore_self_occlusion`` says whether a prism leaves the columns that it stands on clear. As an
-    array it says so for each voxel; then one pass over the prisms finds the winners of both cases.
-    """
-    if not prisms.top.shape[1]:  # a scene without traffic
-        return jnp.ones((len(heights), len(prisms.top), heights.shape[1]), heights.dtype)
-    both = not isinstance(ignore_self_occlusion, bool)
-    x, y = columns[:, None]
-    fixed, soft = jax.lax.stop_gradient((sensor, jnp.asarray(width, sensor.dtype)))
-    # (7, F, B): x, y, cos, sin, half sides and top of each prism, to be fetched by its number.
-    table = jnp.stack(
-        [
-            *(prisms.center[..., 0], prisms.center[..., 1], jnp.cos(prisms.yaw)),
-            *(jnp.sin(prisms.yaw), prisms.half[..., 0], prisms.half[..., 1], prisms.top),
-        ]
-    )
-    frames, count = prisms.top.shape
-    spare = jnp.uint32(2 ** max(count - 1, 1).bit_length() - 1)
-
-    sets = (False, True) if both else (ignore_self_occlusion,)
-    aside_of, top_of = (_passing, top_at_sensor) if at_sensor else (_cutting, below_top)
-
-    def rank_prism(best: Any, index: Array, some: Array) -> Any:
-        prism = table[:, jnp.arange(frames), index][:, :, None]
-        line = _own_frame(prism, fixed[0], fixed[1], x, y)
-        own_half = prism[4], prism[5]
-        # For t₀ and t₁ the ends of the stretch along the line will do, to find an order. Who is
-        # just too low by them may yet hide a little: it comes last, and is read as the others.
-        ends = Cut(line.x, *stretch(line, own_half))
-        below = top_of(ends, prism[6] - fixed[2], fixed[2] - heights[:1])
-        hides = aside_of(line, own_half, soft) * jnp.maximum(below + REACH * soft, LAST)
-        stands = _stands(line, own_half)
-        # The prism's number replaces the last bits of how much it hides: max then keeps both.
-        key = jax.lax.bitcast_convert_type(hides.astype(jnp.float32), jnp.uint32)
-        key = (key & ~spare) | index.astype(jnp.uint32)[:, None]
-        key = jnp.where((hides > 0) & some[:, None], key, jnp.uint32(0))
-        ranked = []
-        for held, own in zip(best, sets, strict=True):
-            new, ranks = jnp.where(stands, jnp.uint32(0), key) if own else key, []
-            for k in range(len(held)):
-                ranks.append(jnp.maximum(held[k], new))
-                new = jnp.minimum(held[k], new)
-            ranked.append(tuple(ranks))
-        return tuple(ranked)
-
-    nobody = jnp.zeros((frames, x.shape[-1]), jnp.uint32)
-    none = ((nobody,) * min(WINNERS, count),) * len(sets)
-    best = bitmask.fold_marked(marked, rank_prism, none)
-    best = jax.tree.map(partial(checkpoint_name, name=WON), best)
-    # The sensor once for every point: slopes are then added point by point, and summed once.
-    sx, sy, sz = (jnp.broadcast_to(s, nobody.shape) for s in sensor)
-
-    def clear_of(best: tuple[Array, ...]) -> Float[Array, "Z F C"]:
-        """The chance that the prisms of these keys (F, C) leave each line clear."""
-        cuts = []
-        for key in best:
-            won = jnp.take_along_axis(table, (key & spare).astype(jnp.int32)[None], 2)
-            line, own_half = _own_frame(won, sx, sy, x, y), (won[4], won[5])
-            hides = jnp.where(key > spare, aside_of(line, own_half, width), 0.0)
-            cuts.append((plan_cut(line, own_half), won[6] - sz, hides))
-
-        @jax.checkpoint
-        def level(z: Float[Array, "1 C"]) -> Float[Array, "F C"]:
-            clear = jnp.ones_like(sz)
-            for cut, rise, hides in cuts:
-                clear *= 1.0 - hides * step(top_of(cut, rise, sz - z), width)
-            return clear
-
-        return jax.lax.map(level, heights[:, None])
-
-    if not both:
-        return clear_of(best[0])
-    nothing = jnp.zeros((len(heights), *nobody.shape), sz.dtype)
-
-    def read_case(case: tuple[Array, Array]) -> Float[Array, "Z F C"]:
-        asked, best = case
-        return jax.lax.cond(asked, clear_of, lambda _: nothing, tuple(best))
-
-    asked = jnp.stack([jnp.array(True), jnp.any(ignore_self_occlusion)])
-    line, others = jax.lax.map(read_case, (asked, jnp.stack([jnp.stack(ranks) for ranks in best])))
-    return jnp.where(ignore_self_occlusion, others, line)
-
-
-def _own_frame(prism: Float[Array, "7 ..."], sx: Array, sy: Array, x: Array, y: Array) -> Line:
-    """The line from (sx, sy) to (x, y) in a prism's own frame."""
-    cx, cy, cos, sin = prism[:4]
-    dx, dy, ox, oy = sx - cx, sy - cy, x - sx, y - sy
-    return Line(
-        *(cos * dx + sin * dy, cos * dy - sin * dx),
-        *(cos * ox + sin * oy, cos * oy - sin * ox),
-    )
-
-
-def _stands(line: Line, half: Half) -> Bool[Array, "*n"]:
-    """Whether a prism stands on the column at which each line ends."""
-    return (jnp.abs(line.x + line.ex) < half[0]) & (jnp.abs(line.y + line.ey) < half[1])
-
-
-def _cutting(line: Line, half: Half, width: Width) -> Float[Array, "*n"]:
-    """The chance that a line meets a prism in plan, by how deep it cuts into it."""
-    return step(plan_margin(line, half), width)
-
-
-def _passing(line: Line, half: Half, width: Width) -> Float[Array, "*n"]:
-    """The chance that a line meets a prism in plan, from places of the sensor near by.
-
-    It passes neither to the left nor to the right, which exclude each other.
-    """
-    cut = sensor_cut(line, half)
-    between = jnp.maximum(step(cut.left, width) + step(cut.right, width) - 1.0, 0.0)
-    return between * step(cut.ahead, width)
 
 
 # ── Tile by tile ───────────────────────────────────────────────────

@@ -8,27 +8,25 @@ passes through it. Read softly, what all prisms and the ground let through is mu
 
 import operator
 from collections.abc import Callable
-from functools import partial, reduce
+from functools import reduce
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, UInt
 
-from inspe_jax.core.convex import ConvexPrism, convex_shadow, convex_terms, prism_margins
+from inspe_jax.core.convex import ConvexPrism, convex_shadow, convex_terms
 from inspe_jax.core.geometry import FAR, NEVER, Prism
 from inspe_jax.core.height_field import HeightField, ground_ceiling, ground_margin
-from inspe_jax.core.numerics import Width, certain_beyond, exact, step
-from inspe_jax.visibility import bitmask
+from inspe_jax.core.numerics import Width, certain_beyond, step
 from inspe_jax.visibility.centered_scene import Statics
 from inspe_jax.visibility.shadows import ShadowBounds, may_shade, shadow_bounds
+from inspe_jax.visibility.soft_sight import HALF, Sights, cell_marks, clear_chance
 from inspe_jax.visibility.tiles import CLOSE, Tile, pack_levels, unless_empty
 
 TOGETHER = 16
 """Prisms that are read exactly at once; a divisor of
 :data:`~inspe_jax.visibility.centered_scene.PARTS`."""
-HALF = 0.5
-"""Read exactly, a crown hides what is behind it if its transmittance is less than this."""
 
 
 def _bounds(sensor: Float[Array, "3"], bodies: ConvexPrism, wider: Any = 0.0) -> ShadowBounds:
@@ -168,20 +166,6 @@ past_statics_of_sensor = jax.jit(past_statics_masks)
 """The same, compiled for one sensor."""
 
 
-def _hidden(
-    sensor: Float[Array, "3"],
-    prism: ConvexPrism,
-    columns: Float[Array, "2 C"],
-    heights: Float[Array, "Z C"],
-    width: Width,
-) -> Float[Array, "Z C"]:
-    """The chance that one prism hides each voxel, read with ``width`` [m]."""
-    beside, below, above = prism_margins(prism, sensor, columns, heights)
-    hides = step(beside, width)[None] * step(below, width) * step(above, width)
-    opaque = step(HALF - prism.clear) if exact(width) else 1.0 - prism.clear
-    return hides * opaque
-
-
 def past_statics_chance(
     sensor: Float[Array, "3"], statics: Statics, tile: Tile, width: Width
 ) -> Float[Array, "Z C"]:
@@ -195,9 +179,10 @@ def past_statics_chance(
     clear, fixed = jnp.ones_like(tile.heights), jax.lax.stop_gradient(sensor)
     beyond = certain_beyond(width)
     if (bodies := statics.bodies) is not None:
-        near = may_shade(fixed, _bounds(fixed, bodies, beyond), tile)
-        marked = bitmask.marks(near & bodies.valid[:, None])
-        clear *= _clear(sensor, bodies, marked, tile.columns, tile.heights, width)
+        frame = jax.tree.map(lambda leaf: leaf[None], bodies)
+        marked = cell_marks(fixed, frame, _bounds(fixed, bodies, beyond), tile, beyond)
+        sights = Sights(frame, marked, tile.columns, tile.heights, width)
+        clear *= clear_chance(sensor, sights, False)[:, 0]
     if (ground := statics.ground) is not None:
 
         def over(at: Array) -> Array:
@@ -208,50 +193,3 @@ def past_statics_chance(
             _may_rise(fixed, ground, tile, beyond), over, lambda _: jnp.ones_like(clear), sensor
         )
     return clear
-
-
-@jax.custom_vjp
-def _clear(
-    sensor: Float[Array, "3"],
-    bodies: ConvexPrism,
-    marked: UInt[Array, "W 1"],
-    columns: Float[Array, "2 C"],
-    heights: Float[Array, "Z C"],
-    width: Width,
-) -> Float[Array, "Z C"]:
-    """The product over the marked prisms, one after another: as many steps as are marked."""
-
-    def add(clear: Array, index: Int[Array, "1"], some: Array) -> Array:
-        prism = jax.tree.map(lambda leaf: leaf[index[0]], bodies)
-        left = 1.0 - _hidden(sensor, prism, columns, heights, width)
-        return clear * jnp.where(some, left, 1.0)
-
-    return bitmask.fold_marked(marked, add, jnp.ones_like(heights))
-
-
-def _clear_forward(*given: Any) -> tuple[Array, tuple]:
-    clear = _clear(*given)
-    return clear, (clear, *given)
-
-
-def _clear_backward(kept: tuple, wanted: Float[Array, "Z C"]) -> tuple:
-    """The gradient prism by prism, found again: nothing of each is kept.
-
-    ∂∏(1 − pᵢ) = −Σ ∂pᵢ · ∏/(1 − pᵢ). Where a prism hides for certain, pᵢ = 1, its own slope is 0,
-    and so is what the others add.
-    """
-    clear, sensor, bodies, marked, columns, heights, width = kept
-
-    def add(slope: Array, index: Int[Array, "1"], some: Array) -> Array:
-        prism = jax.tree.map(lambda leaf: leaf[index[0]], bodies)
-        of = partial(_hidden, prism=prism, columns=columns, heights=heights, width=width)
-        hidden, back = jax.vjp(of, sensor)
-        left = 1.0 - hidden
-        others = jnp.where(clear > 0, clear / jnp.where(left > 0, left, 1.0), 0.0)
-        return slope - jnp.where(some, back(wanted * others)[0], 0.0)
-
-    slope = bitmask.fold_marked(marked, add, jnp.zeros_like(sensor))
-    return slope, None, None, None, None, None
-
-
-_clear.defvjp(_clear_forward, _clear_backward)

@@ -22,6 +22,8 @@ from inspe_jax.visibility.centered_scene import CenteredScene
 
 COLUMNS = (96, 320)
 """Columns of a tile: in a small sample, and otherwise."""
+CELL = 8
+"""Columns of a cell: a tile is read softly cell by cell."""
 CHUNKS = 8
 """Most chunks that the tiles are divided into. The number of tiles is a multiple of it, so that
 chunks have equal size."""
@@ -43,7 +45,8 @@ class Tile(NamedTuple):
     centres [m], and ``ground`` (C,) is that of the ground. ``there`` (C,) is one mask for each
     column: a bit is 1 where the voxel exists, and 0 where it is padding. All columns are within
     ``radius`` of ``center`` (2,), and all centres of voxels are between the heights ``low`` and
-    ``high`` [m].
+    ``high`` [m]. A cell is C/K columns one after another; ``cells`` (3, K) has the x and y of the
+    middle of each, and the radius within which its columns are [m].
     """
 
     columns: Float[Array, "*N 2 C"]
@@ -54,6 +57,7 @@ class Tile(NamedTuple):
     radius: Float[Array, "*N"]
     low: Float[Array, "*N"]
     high: Float[Array, "*N"]
+    cells: Float[Array, "*N 3 K"]
 
     @property
     def core(self) -> Bool[Array, "*N C"]:
@@ -119,7 +123,7 @@ class Tiles:
         return values[..., : self.level_count].reshape(*lead, -1)
 
 
-def tiles_of(scene: CenteredScene) -> Tiles:
+def tiles_of(scene: CenteredScene, cell: int = CELL) -> Tiles:
     """The columns in tiles of nearly equal size, by halving along the longer side.
 
     Tiles end in padding, which repeats a column. There are also some tiles of padding only, so that
@@ -132,7 +136,8 @@ def tiles_of(scene: CenteredScene) -> Tiles:
     number = wide_bucket(len(parts), CHUNKS, WIDE)
     index, real = np.zeros((number, size), int), np.zeros((number, size), bool)
     for t, part in enumerate(parts):
-        index[t], real[t, : len(part)] = part[0], True
+        part = _by_cell(columns, part)
+        index[t], real[t, : len(part)] = part[-1], True
         index[t, : len(part)] = part
     place = np.empty(len(columns), int)
     place[index[real]] = np.flatnonzero(real)
@@ -145,8 +150,9 @@ def tiles_of(scene: CenteredScene) -> Tiles:
     if scene.inside is not None:
         there = there & ~np.asarray(scene.inside)[index][:, :, slab].transpose(2, 0, 1, 3)
     there = bitmask.pack(there)[..., 0]  # (slabs, N, C)
-    middle = (xy.min(2) + xy.max(2)) / 2
-    away = np.hypot(*(xy - middle[:, :, None]).swapaxes(0, 1)).max(1)
+    middle, away = _circles(xy)
+    in_cells = xy.reshape(number, 2, -1, cell)
+    cells = np.concatenate([x.reshape(number, -1, size // cell) for x in _circles(in_cells)], 1)
 
     def stacked(x: np.ndarray) -> Array:
         return on_device(x.reshape(slabs * number, *x.shape[2:]))
@@ -163,6 +169,7 @@ def tiles_of(scene: CenteredScene) -> Tiles:
         radius=repeated(away),
         low=stacked(z.min((2, 3))),
         high=stacked(z.max((2, 3))),
+        cells=repeated(cells),
     )
     return Tiles(tile, place, heights.shape[1], scene.inside is not None)
 
@@ -182,26 +189,25 @@ def _halved(
     ]
 
 
-def one_tile(scene: CenteredScene) -> Tiles:
-    """All columns in one tile of each slab, traced or not: for a few columns, far apart."""
-    columns, heights = scene.columns, scene.heights
-    slab, exists = _slabs(heights.shape[1])
-    slabs = len(slab)
-    z = heights[:, slab].transpose(1, 2, 0)  # (slabs, Z, L)
-    middle = (columns.min(0) + columns.max(0)) / 2
-    away = jnp.hypot(*(columns - middle[None]).T).max()
+def _by_cell(
+    columns: Float[np.ndarray, "L 2"], index: Int[np.ndarray, " l"]
+) -> Int[np.ndarray, " l"]:
+    """The numbers of a tile's columns in cells of :data:`CELL` neighbours, the last with fewer."""
+    if len(index) <= CELL:
+        return index
+    xy = columns[index]
+    along = xy[:, (xy.max(0) - xy.min(0)).argmax()]
+    index, middle = index[along.argsort(kind="stable")], -(-len(index) // (2 * CELL)) * CELL
+    return np.concatenate([_by_cell(columns, index[:middle]), _by_cell(columns, index[middle:])])
 
-    def repeated(x: Array) -> Array:
-        return jnp.broadcast_to(x, (slabs, *x.shape))
 
-    there = jnp.broadcast_to(jnp.asarray(bitmask.pack(exists)), (slabs, len(columns)))
-    if scene.inside is not None:
-        free = ~jnp.asarray(scene.inside)[:, slab].transpose(2, 1, 0)  # (Z, slabs, L)
-        there = there & pack_levels(free, there.dtype)
-    ends = z.min((1, 2)), z.max((1, 2))
-    ground = repeated(scene.ground)
-    tile = Tile(repeated(columns.T), z, ground, there, repeated(middle), repeated(away), *ends)
-    return Tiles(tile, np.arange(len(columns)), heights.shape[1], scene.inside is not None)
+def _circles(
+    xy: Float[np.ndarray, "*N C"],
+) -> tuple[Float[np.ndarray, "*N"], Float[np.ndarray, "*M"]]:
+    """The middle of N × 2 × … sets of columns, and the N × … radii about it in which they are."""
+    middle = (xy.min(-1) + xy.max(-1)) / 2
+    away = xy - middle[..., None]
+    return middle, np.hypot(away[:, 0], away[:, 1]).max(-1)
 
 
 def _slabs(levels: int) -> tuple[Int[np.ndarray, "slabs Z"], Bool[np.ndarray, "slabs Z"]]:

@@ -1,17 +1,12 @@
 from functools import partial
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
-from worlds import double_precision
 
 from inspe_jax.core.geometry import (
-    FAR,
     NEVER,
-    Line,
     Prism,
-    plan_cut,
     ray_cube_margin,
     rotation,
     shadow_ceiling,
@@ -143,87 +138,3 @@ def test_solid_top_is_the_highest_prism_that_stands_there():
     )
     columns = singles([[0.0, 0.0], [-1.0, 0.0], [0.5, 1.9], [9.0, 9.0], [5.0, 5.0]])
     assert jax.jit(solid_top)(columns, prisms).tolist() == [3.0, 1.5, 3.0, NEVER, NEVER]
-
-
-def test_the_ceiling_follows_from_the_plan_view_cut():
-    """:func:`shadow_ceiling` against :func:`plan_cut`, in double precision, at random.
-
-    A valid prism hides a column exactly where ``beside`` > 0. The ceiling is then z_s + rise/t:
-    t = t₁, at most 1, for a sensor above the top, and t = t₀ for one below. If a sensor below the
-    top is inside the prism in plan, t₀ = 0, and FAR stands for 1/t₀.
-
-    Rounding, with ε = 2⁻⁵² and D = 90 m, more than any distance here:
-
-    - A coordinate in the prism's frame is a sum of two products, with an error of at most 4 ε D. It
-      shifts the line sideways by as much. So where |beside| < 100 ε D = 2e-12 m, the line may hit
-      or miss.
-    - Let the sensor be at a distance m from the plane of the crossed side, and e be the line's
-      extent across that plane. Both have an error of 4 ε D, and u = 1/t = e/m. So u has an error of
-      4 ε D (1 + u)/m ≤ 8 ε D u/m, as u ≥ 1.
-    - ``plan_cut`` computes t = (m from two quotients)/e: the same error, and 2 ε D u/m more.
-
-    So the two ceilings differ by at most 20 ε D u/m times the rise, and 4 ε of their own size.
-    """
-    rng = np.random.default_rng(11)
-    sensors, prisms, columns = 60, 80, 200
-    with double_precision():
-        sensor = jnp.asarray(rng.uniform([-30, -30, 0.3], [30, 30, 9.0], (sensors, 3)))
-        prism = Prism(
-            center=jnp.asarray(rng.uniform(-30, 30, (prisms, 2))),
-            yaw=jnp.asarray(rng.uniform(-np.pi, np.pi, prisms)),
-            half=jnp.asarray(rng.uniform([0.3, 0.3], [9.0, 2.0], (prisms, 2))),
-            top=jnp.asarray(rng.uniform(0.5, 4.5, prisms)),
-            valid=jnp.asarray(rng.uniform(size=prisms) < 0.9),
-        )
-        column = jnp.asarray(rng.uniform(-30, 30, (columns, 2)))
-        found = jax.jit(jax.vmap(ceilings_and_cuts, (0, None, None)))(sensor, prism, column)
-        ceiling, spared, cut, nearest, stands = jax.tree.map(np.asarray, found)
-        assert ceiling.dtype == np.float64
-    epsilon, reach = np.finfo(float).eps, 90.0
-    heights = np.asarray(sensor)[:, 2, None]  # (S, 1)
-    valid, rise = np.asarray(prism.valid)[:, None], (np.asarray(prism.top) - heights)[:, :, None]
-    hidden, cuts = ceiling > NEVER, (cut.beside > 0) & valid
-    sure = np.abs(cut.beside) > 100 * epsilon * reach
-    np.testing.assert_array_equal(hidden[sure], cuts[sure])
-    assert (~sure).mean() < 1e-5
-    np.testing.assert_array_equal((spared > NEVER)[sure], (cuts & ~stands)[sure])
-
-    inside = cut.enters == 0  # the sensor, in plan
-    t = np.where(rise < 0, cut.leaves, np.where(inside, 1 / FAR, cut.enters))
-    with np.errstate(divide="ignore"):
-        expected = heights[:, :, None] + rise / t
-        rounding = np.abs(rise) / t * 20 * epsilon * reach / nearest[:, :, None]
-    rounding = rounding + 4 * epsilon * np.abs(expected)
-    both = hidden & cuts
-    assert (np.abs(ceiling - expected) <= rounding)[both].all()
-    # Every case is there many times, and is compared to a nanometre unless m is tiny.
-    for case in (rise < 0, rise > 0, inside & (rise < 0), inside & (rise > 0), stands, t == 1):
-        assert (both & case).sum() > 500
-    assert (rounding < 1e-9)[both & ~inside].mean() > 0.99
-
-
-def ceilings_and_cuts(sensor, prism, column):
-    """Of one sensor, B prisms and L columns: ceilings, ceilings without self-occlusion and cuts
-    (B, L); the sensor's distance from the nearest plane of a side (B,); and whether a prism stands
-    on a column (B, L).
-    """
-    each = jax.tree.map(lambda leaf: leaf[:, None], prism)  # (B, 1, …)
-    terms = jax.tree.map(lambda leaf: leaf[:, None], shadow_terms(sensor, prism))
-    dx, dy = column[None, :, 0] - sensor[0], column[None, :, 1] - sensor[1]  # (1, L)
-
-    def own_frame(x, y):
-        cos, sin = jnp.cos(each.yaw), jnp.sin(each.yaw)
-        return cos * x + sin * y, cos * y - sin * x
-
-    x, y = own_frame(sensor[0] - each.center[..., 0], sensor[1] - each.center[..., 1])
-    ex, ey = own_frame(dx, dy)
-    half = each.half[..., 0], each.half[..., 1]
-    cut = plan_cut(Line(*jnp.broadcast_arrays(x, y, ex, ey)), half)
-    to_sides = [jnp.abs(jnp.abs(at) - side) for at, side in zip((x, y), half, strict=True)]
-    return (
-        shadow_ceiling(terms, dx, dy, sensor[2]),
-        shadow_ceiling(terms, dx, dy, sensor[2], ignore_self_occlusion=True),
-        cut,
-        jnp.minimum(*to_sides)[:, 0],
-        (jnp.abs(x + ex) < half[0]) & (jnp.abs(y + ey) < half[1]),
-    )

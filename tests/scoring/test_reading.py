@@ -81,13 +81,13 @@ def test_unions_of_all_sensors_and_without_each_group(reading, rng, units):
     of = rng.uniform(size=(Z, F, C)) < 0.7
     failures = Groups.of_rows(units, S)
 
+    def look(row, visible, given):
+        return visible[row[0]], reading.level_sums(visible[row[0]], given, Z)
+
     @jax.jit
     def found(views, visible, of, given):
-        def look(row):
-            return visible[row[0]], reading.level_sums(visible[row[0]], given, Z)
-
         rows = jnp.arange(S), None, views
-        union, sights = reading.over_sensors(look, rows, given, failures)
+        union, sights = reading.over_sensors(look, rows, (visible, given), failures)
         return union.all, sights, union.count(of), reading.any_of(views, failures)
 
     left = [range(S), *([s for s in range(S) if s not in unit] for unit in units)]
@@ -142,8 +142,7 @@ def test_occlusion_references_by_hand(reading, reference, seen, original):
     @jax.jit
     def found(visible, covered, free, solid):
         rows = jnp.zeros(1), None, covered
-        given = frames(np.zeros((Z, F, C), bool))
-        union, _ = reading.over_sensors(lambda row: (visible, None), rows, given, None)
+        union, _ = reading.over_sensors(lambda row, seen: (seen, None), rows, (visible,), None)
         return metrics.occlusion_terms(reading, union, covered, free, solid, reference)
 
     terms = found(*map(make, (visible, covered, ~solid, solid)))

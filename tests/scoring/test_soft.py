@@ -24,8 +24,7 @@ from worlds import (
 )
 
 import inspe_jax
-from inspe_jax.core.geometry import Cut, Line, below_top, plan_cut, stretch
-from inspe_jax.core.numerics import Softness, step
+from inspe_jax.core.numerics import Softness
 from inspe_jax.report.tables import scores_record
 from inspe_jax.scoring import metrics
 from inspe_jax.scoring.options import ScoreOptions
@@ -33,10 +32,8 @@ from inspe_jax.scoring.sensor_array import SensorSet, sensor_array
 from inspe_jax.scoring.soft import read_softly
 from inspe_jax.scoring.tiled_scene import SceneArrays, tiled_scene_of
 from inspe_jax.sensing.sensors import LidarSpec
-from inspe_jax.visibility import bitmask
 from inspe_jax.visibility.centered_scene import about_center, poses_about_center
 from inspe_jax.visibility.in_view import in_view_margins
-from inspe_jax.visibility.shadows import soft_sight
 
 NEAR = LidarSpec("near", tuple(np.radians([-60.0, -40.0, -25.0, -10.0])), 360, 2 * np.pi, 18.0)
 
@@ -295,8 +292,7 @@ def test_shadows_alone_have_the_gradient_of_the_exact_score():
     """A LiDAR that has all in view: what it loses, it loses to traffic.
 
     The exact score is a fine staircase: its difference over ±0.5 m against the mean soft slope
-    along the way, at a softness of 2 cm. Measured 2 % apart; with one vehicle a column read instead
-    of two 9 %, and 15 % where vehicles far from the line were dropped.
+    along the way, at a softness of 5 cm. Measured 4 % apart.
     """
     scene = world(radius=20.0, voxel=1.0, frames=12, count=14, seed=5)
     dense = LidarSpec(
@@ -309,7 +305,7 @@ def test_shadows_alone_have_the_gradient_of_the_exact_score():
         widths = Softness(shadow=softness, rays="exact")
         return inspe_jax.evaluate(scene, moved, softness=widths).occlusion
 
-    slope = jax.grad(partial(occlusion, softness=0.02))
+    slope = jax.grad(partial(occlusion, softness=0.05))
     start = jnp.asarray(layout.poses, float)
     for coordinate in range(3):
         way = [start.at[0, coordinate].add(d) for d in np.linspace(-0.5, 0.5, 21)]
@@ -346,86 +342,6 @@ def test_no_nan_in_degenerate_places():
             assert np.isfinite(np.asarray(found)).all(), poses
             # 3 m around: what is certain has no slope.
             assert softness < 1 or np.abs(found).max(1).all(), poses
-
-
-@pytest.mark.parametrize("width", [0.1, 1.0])
-@pytest.mark.parametrize("ignore_self_occlusion", [False, True])
-def test_soft_sight_lines_are_clear_of_the_two_prisms_that_hide_most(width, ignore_self_occlusion):
-    """Beside the same in the open: every prism's margins, sorted, the first two multiplied.
-
-    Sensors at random, all columns and levels. Prisms are told apart to 1e-3 of what they hide:
-    columns whose second and third are nearer to each other than that are left out.
-    """
-    scene = world(radius=20.0, voxel=1.0, frames=6, count=16, seed=2)
-    ground = about_center(scene)
-    rng = np.random.default_rng(0)
-    columns, heights = np.asarray(ground.columns).T, np.asarray(ground.heights).T
-    marked = bitmask.marks(jnp.asarray(ground.prisms.valid).T)
-    for sensor in rng.uniform([-20, -20, 2], [20, 20, 9], (4, 3)):
-        at = jnp.asarray(sensor, float), ground.prisms, marked, columns, heights, width
-        found = np.asarray(compiled_sight(*at, ignore_self_occlusion=ignore_self_occlusion))
-        expected, close = hidden_by_two(
-            sensor, ground.prisms, columns, heights, width, ignore_self_occlusion
-        )
-        assert (expected < 0.9).mean() > 0.01
-        assert close.mean() < 0.05
-        np.testing.assert_allclose(found[:, ~close], expected[:, ~close], atol=2e-4)
-
-
-compiled_sight = jax.jit(soft_sight, static_argnames="ignore_self_occlusion")
-compiled_cut, compiled_below = jax.jit(plan_cut), jax.jit(below_top)
-compiled_stretch, compiled_step = jax.jit(stretch), jax.jit(step)
-
-
-def hidden_by_two(sensor, prisms, columns, heights, width, ignore_self_occlusion):
-    """(Z, F, C) chances, and (F, C) where the second prism is nearly another."""
-
-    def each(part):  # (F, B, 1)
-        return np.asarray(part, float)[..., None]
-
-    cos, sin = np.cos(each(prisms.yaw)), np.sin(each(prisms.yaw))
-    from_, to = np.asarray(sensor), columns[:, None, None]  # (2, 1, 1, C)
-    dx, dy = (from_[k] - each(prisms.center[..., k]) for k in (0, 1))
-    ox, oy = to[0] - from_[0], to[1] - from_[1]
-    px, py = cos * dx + sin * dy, cos * dy - sin * dx
-    ex, ey = cos * ox + sin * oy, cos * oy - sin * ox
-    half = each(prisms.half[..., 0]), each(prisms.half[..., 1])
-    line = Line(*map(jnp.asarray, np.broadcast_arrays(px, py, ex, ey)))
-    half = tuple(map(jnp.asarray, half))
-    cut = compiled_cut(line, half)
-    rise = each(prisms.top) - sensor[2]
-
-    def depth(z, cut):
-        return np.asarray(
-            compiled_below(cut, jnp.asarray(rise), jnp.asarray(sensor[2] - z)[None, None])
-        )
-
-    beside = np.asarray(compiled_step(cut.beside, width))
-    lowest = depth(heights[0], Cut(cut.beside, *compiled_stretch(line, half)))
-    most = beside * np.maximum(lowest + 3 * width, 0) * each(prisms.valid)
-    if ignore_self_occlusion:
-        most = np.where((abs(px + ex) < half[0]) & (abs(py + ey) < half[1]), 0, most)
-    order = np.argsort(-most, axis=1)  # (F, B, C)
-    ordered = np.take_along_axis(most, order, 1)
-    clear = []
-    for z in heights:
-        hides = beside * np.asarray(compiled_step(jnp.asarray(depth(z, cut)), width)) * (most > 0)
-        two = np.take_along_axis(hides, order[:, :2], 1)
-        clear.append((1 - two).prod(1))
-    return np.array(clear), (ordered[:, 1] > 0) & (ordered[:, 2] > 0.999 * ordered[:, 1])
-
-
-def test_cuts_by_hand():
-    """From 5 m up at the origin, a car at 8..12 m, 1.8 m wide and 1.5 m high; targets beyond."""
-    ex, ey = jnp.array([14.25, 14.25, 6.0]), jnp.array([0.0, 14.25, 0.0])
-    line = Line(jnp.full(3, -10.0), jnp.zeros(3), ex, ey)
-    cut = plan_cut(line, (jnp.array(2.0), jnp.array(0.9)))
-    # Ahead: half the width deep. Aside: the corner (8, 0.9) is 7.1/√2 from the line. Short: 2 m.
-    np.testing.assert_allclose(cut.beside, [0.9, -7.1 / 2**0.5, -2.0], atol=1e-5)
-    # Falling to 0.5 m: at 12 m it is 5 − 4.5·12/14.25 high. Rising to 6 m: lowest where it enters.
-    for target, lowest in ((0.5, 5 - 4.5 * 12 / 14.25), (6.0, 5 + 8 / 14.25)):
-        below = below_top(cut, jnp.array(1.5 - 5), jnp.array(5 - target))
-        assert float(below[0]) == pytest.approx(1.5 - lowest, abs=1e-5)
 
 
 def test_the_field_of_view_has_a_depth_in_metres():

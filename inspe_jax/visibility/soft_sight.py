@@ -1,0 +1,347 @@
+"""Sight lines past upright prisms, read softly: vehicles in each frame, and bodies in all of them.
+
+The chance that a line is clear is ∏ (1 − p) over the prisms, with p from the one cut of
+:func:`~inspe_jax.core.convex.sight_cut`. Every margin is a distance that the sensor has to move, so
+that p is about the mean of the exact reading over places of the sensor near by, and slopes are
+those of exact scores averaged over such places.
+
+Only what may be hidden is read: cells of neighbouring columns with the prisms that are marked for
+them, in blocks of cells with about as many marks. Every operation of a block is on arrays that stay
+in a core's nearest cache.
+"""
+
+import math
+from collections.abc import Callable
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int, UInt
+
+from inspe_jax.core.convex import NO_LEVER, SEAM, ConvexPrism, SightCut, sight_cut
+from inspe_jax.core.geometry import FAR
+from inspe_jax.core.numerics import Width, exact, slope_of_step, step
+from inspe_jax.visibility import bitmask
+from inspe_jax.visibility.shadows import ShadowBounds, may_shade
+from inspe_jax.visibility.tiles import CLOSE, Tile
+
+LINES = 2048
+"""Sight lines that are read at once."""
+HALF = 0.5
+"""Read exactly, a crown hides what is behind it if its transmittance is less than this."""
+
+
+class Sights(NamedTuple):
+    """What sight lines are read of: prisms (F, B) in F frames, those that are ``marked`` for each
+    frame and each of K cells of as many columns, the ``columns`` and the ``heights`` of voxels.
+
+    ``spared`` are voxels that a prism which stands on their column does not hide; None for none.
+    """
+
+    prisms: ConvexPrism
+    marked: UInt[Array, "W F K"]
+    columns: Float[Array, "2 C"]
+    heights: Float[Array, "Z C"]
+    width: Width
+    spared: Bool[Array, "Z F C"] | None = None
+
+
+@partial(jax.custom_vjp, nondiff_argnums=(2,))
+def clear_chance(
+    sensor: Float[Array, "3"], of: Sights, solid: bool = True
+) -> Float[Array, "Z F C"]:
+    """The chance that prisms leave the line from a sensor to each voxel clear, in each frame.
+
+    ``solid``: all prisms stand on the ground and let no light through. Only the sensor has a
+    gradient.
+    """
+    frames, cells = of.marked.shape[1:]
+    clear = jnp.ones((len(of.heights), frames * cells, of.columns.shape[1] // cells))
+    if not of.marked.size:  # a scene without traffic
+        return clear.reshape(len(of.heights), frames, -1)
+    blocks, block = _blocks(of, solid)
+
+    def read(number: Array, clear: Array) -> Array:
+        rows = block(number)
+        return clear.at[:, rows.number].set(rows.clear(sensor), mode="drop", unique_indices=True)
+
+    clear = jax.lax.fori_loop(0, blocks, read, clear)
+    return clear.reshape(len(of.heights), frames, -1)
+
+
+def _forward(sensor: Array, of: Sights, solid: bool) -> tuple[Array, tuple]:
+    clear = clear_chance(sensor, of, solid)
+    return clear, (sensor, of, clear)
+
+
+def _backward(solid: bool, kept: tuple, wanted: Float[Array, "Z F C"]) -> tuple:
+    """Cell by cell again: nothing of a prism is kept."""
+    sensor, of, clear = kept
+    if not of.marked.size:
+        return jnp.zeros_like(sensor), None
+    frames, cells = of.marked.shape[1:]
+    # A line has a slope where it is neither clear nor hidden for certain, and somebody asks.
+    wanted = jnp.where(clear < 1.0, wanted * clear, 0.0)
+    wanted = wanted.reshape(len(wanted), frames, cells, -1)
+    asked = (wanted != 0).any((0, 3))
+    blocks, block = _blocks(of._replace(marked=jnp.where(asked, of.marked, jnp.uint32(0))), solid)
+    wanted = wanted.reshape(len(wanted), frames * cells, -1)
+
+    def add(number: Array, slope: Array) -> Array:
+        rows = block(number)
+        return slope + rows.slope(sensor, wanted.at[:, rows.number].get(mode="fill", fill_value=0))
+
+    return jax.lax.fori_loop(0, blocks, add, jnp.zeros_like(sensor)), None
+
+
+clear_chance.defvjp(_forward, _backward)
+
+
+class _Rows(NamedTuple):
+    """A block of R cells of G columns: the ``number`` of each among frames × cells, how clear their
+    lines are from a sensor, and the ``slope`` of a sum of that in the sensor's place, with weights
+    that are multiplied by it."""
+
+    number: Int[Array, " R"]
+    clear: Callable[[Float[Array, "3"]], Float[Array, "Z R G"]]
+    slope: Callable[[Float[Array, "3"], Float[Array, "Z R G"]], Float[Array, "3"]]
+
+
+def _blocks(of: Sights, solid: bool) -> tuple[Array, Callable[[Array], _Rows]]:
+    """The number of blocks of cells that have marks, and what gives one. Most marks come first."""
+    words, frames, cells = of.marked.shape
+    each = of.columns.shape[1] // cells
+    marked = of.marked.reshape(words, -1)
+    count = bitmask.count(marked).sum(0)
+    together = min(max(LINES // each, 1), count.size)
+    order = _most_first(count)
+    order = jnp.pad(order, (0, -count.size % together), constant_values=count.size)
+    table, shape = _packed(of.prisms)
+
+    def block(number: Array) -> _Rows:
+        number = jax.lax.dynamic_slice_in_dim(order, number * together, together)
+        frame, cell = jnp.divmod(jnp.minimum(number, count.size - 1), cells)
+        x, y = of.columns.reshape(2, cells, each)[:, cell]
+        z = of.heights.reshape(-1, cells, each)[:, cell]
+        marks = marked.at[:, number].get(mode="fill", fill_value=0)
+        spared = None
+        if of.spared is not None:
+            spared = of.spared.reshape(len(z), frames, cells, each)[:, frame, cell]
+
+        def met(
+            sensor: Float[Array, "3"], index: Array, some: Array
+        ) -> tuple[ConvexPrism, SightCut, Float[Array, "R G"]]:
+            """A prism of each row, how lines cut it in plan, and the chance that they meet it."""
+            prism = _unpacked(table[:, frame, index][:, :, None], shape)
+            cut = sight_cut(prism, sensor[0], sensor[1], x, y)
+            return prism, cut, jnp.where(some[:, None], _within(cut, of.width), 0.0)
+
+        def hides(
+            prism: ConvexPrism, cut: SightCut, within: Array, sz: Array, level: tuple
+        ) -> tuple[Array, Levels]:
+            """How much of a level a prism of each row hides, and what that comes from."""
+            z, spared = level
+            at = _at_level(prism, cut.near, cut.far, z, sz, of.width, solid)
+            found = within * at.hidden
+            if spared is not None:
+                found = jnp.where(spared & _stands(prism, x, y), 0.0, found)
+            return found, at
+
+        def clear(sensor: Float[Array, "3"]) -> Float[Array, "Z R G"]:
+            def hide(clear: Array, index: Array, some: Array) -> Array:
+                found = *met(sensor, index, some), sensor[2]
+                # Level by level, or XLA would find the cut again for each.
+                left = lambda level: level[0] * (1.0 - hides(*found, level[1:])[0])  # noqa: E731
+                return jax.lax.map(left, (clear, z, spared))
+
+            return bitmask.fold_marked(marks, hide, jnp.ones_like(z))
+
+        def slope(sensor: Float[Array, "3"], wanted: Float[Array, "Z R G"]) -> Float[Array, "3"]:
+            """∂∏(1 − pᵢ) = −Σ ∂pᵢ · ∏/(1 − pᵢ). Where a prism hides for certain, pᵢ = 1, its own
+            slope is 0, and so is what the others add.
+            """
+            dx, dy = sensor[0] - x, sensor[1] - y
+            length = jnp.sqrt(jnp.maximum(dx * dx + dy * dy, 1e-9))
+            ux, uy = dx / length, dy / length
+
+            def add(slope: Array, index: Array, some: Array) -> Array:
+                prism, cut, within = met(sensor, index, some)
+
+                def add_level(sums: tuple, of_level: tuple) -> tuple[tuple, None]:
+                    wanted, *level = of_level
+                    hidden, at = hides(prism, cut, within, sensor[2], level)
+                    some = (hidden > 0) & (hidden < 1.0)
+                    wanted = jnp.where(some, -wanted / jnp.where(some, 1.0 - hidden, 1.0), 0.0)
+                    by = at.hidden, within * at.by_near, within * at.by_far, within * at.by_height
+                    return tuple(s + wanted * d for s, d in zip(sums, by, strict=True)), None
+
+                sums = (jnp.zeros_like(x),) * 4
+                (by_within, by_near, by_far, by_height), _ = jax.lax.scan(
+                    add_level, sums, (wanted, z, spared)
+                )
+                sides = step(cut.left + SEAM, of.width) + step(cut.right + SEAM, of.width) - 1.0
+                ahead = step(cut.ahead, of.width)
+                by_sides = jnp.where((sides > 0) & some[:, None], by_within * ahead, 0.0)
+                by_left = by_sides * slope_of_step(cut.left + SEAM, of.width)
+                by_right = by_sides * slope_of_step(cut.right + SEAM, of.width)
+                by_ahead = jnp.where((sides > 0) & some[:, None], by_within * sides, 0.0)
+                by_ahead *= slope_of_step(cut.ahead, of.width)
+                by_near -= by_ahead * length  # ahead = (1 − τ)·L, beside the 1 along the line
+                along = by_left * cut.along_left + by_right * cut.along_right
+                along += by_ahead * (1.0 - cut.near)
+                along -= by_near * cut.near / length
+                along -= by_far * jnp.where(cut.far < 1.0, cut.far, 0.0) / length
+                across = by_left * cut.of_left + by_right * cut.of_right
+                across += by_near * cut.of_near + by_far * cut.of_far
+                new = along * ux - across * uy, along * uy + across * ux, by_height
+                return slope + jnp.stack([part.sum() for part in new])
+
+            return bitmask.fold_marked(marks, add, jnp.zeros_like(sensor))
+
+        return _Rows(number, clear, slope)
+
+    return -(-(count > 0).sum() // together), block
+
+
+def cell_marks(
+    sensor: Float[Array, "3"],
+    prisms: ConvexPrism,
+    bounds: ShadowBounds,
+    tile: Tile,
+    reach: float | Array,
+) -> UInt[Array, "W F K"]:
+    """Marks of the prisms (F, B) that may hide something of each cell of a tile; no other one does.
+
+    Of those that :func:`~inspe_jax.visibility.shadows.may_shade` the tile, these are not aside of
+    all lines from the cell, nor behind cell or sensor, and their shadow does not end before it.
+    ``bounds`` are those of the prisms, and ``reach`` [m] is how far the sensor may have to move.
+    """
+    marked = bitmask.marks(may_shade(sensor, bounds, tile))
+    nothing = jnp.zeros((*marked.shape, tile.cells.shape[-1]), jnp.uint32)
+    if not marked.size:  # a scene without traffic
+        return nothing
+    x, y, radius = tile.cells[:, None]  # (1, K)
+    radius = radius + CLOSE
+    dx, dy = sensor[0] - x, sensor[1] - y
+    squared = jnp.maximum(dx * dx + dy * dy, 1e-9)
+    length = jnp.sqrt(squared)
+    # From anywhere in the cell to anywhere within reach of the sensor, lines are between the two
+    # straight edges that touch both circles: aside of the middle line by so much over their cosine.
+    close = length <= radius + reach
+    cosine = jnp.sqrt(jnp.maximum(1.0 - (radius + reach) ** 2 / squared, 1e-6))
+    drop = jnp.maximum(sensor[2] - tile.low, CLOSE)
+    table, shape = _packed(prisms)
+    frames = jnp.arange(marked.shape[1])
+
+    def add(found: Array, index: Array, some: Array) -> Array:
+        prism = _unpacked(table[:, frames, index][:, :, None], shape)
+        left, right, first, last = (jnp.full_like(dx, k) for k in (FAR, -FAR, FAR, -FAR))
+        for k in range(len(prism.offset)):
+            cx, cy = prism.corners[k, 0] - x, prism.corners[k, 1] - y
+            share, aside = (cx * dx + cy * dy) / squared, (cx * dy - cy * dx) / length
+            wide = radius * jnp.abs(1.0 - share) + reach * jnp.maximum(share, NO_LEVER)
+            wide = wide / cosine + CLOSE
+            left, right = jnp.minimum(left, aside - wide), jnp.maximum(right, aside + wide)
+            first, last = jnp.minimum(first, share), jnp.maximum(last, share)
+        meets = (left < 0) & (right > 0) & (last * length > -radius - CLOSE)
+        meets &= (first - 1.0) * length < reach + radius
+        meets |= close
+        fall = bounds.fall[index, frames][:, None]
+        meets &= (length - radius <= drop * fall + CLOSE) & some[:, None]
+        bit = jnp.uint32(1) << (index % bitmask.WORD).astype(jnp.uint32)
+        word = jnp.arange(len(found), dtype=index.dtype)[:, None] == (index // bitmask.WORD)[None]
+        return jnp.where(word[:, :, None] & meets[None], found | bit[None, :, None], found)
+
+    return bitmask.fold_marked(marked, add, nothing)
+
+
+def _most_first(count: Int[Array, " N"]) -> Int[Array, " N"]:
+    """The numbers of the greatest counts first: sorted as one integer each, which is the faster."""
+    bits = max(count.size - 1, 1).bit_length()
+    key = (jnp.uint32(2 ** (32 - bits) - 1) - count.astype(jnp.uint32)) << bits
+    key = jax.lax.sort(key | jnp.arange(count.size, dtype=jnp.uint32), is_stable=False)
+    return (key & jnp.uint32(2**bits - 1)).astype(jnp.int32)
+
+
+def _within(cut: SightCut, width: Width) -> Float[Array, "*n"]:
+    """The chance that a line meets a prism in plan: it passes neither to the left nor to the right,
+    which exclude each other, and the prism is ahead."""
+    sides = step(cut.left + SEAM, width) + step(cut.right + SEAM, width) - 1.0
+    return jnp.maximum(sides, 0.0) * step(cut.ahead, width)
+
+
+class Levels(NamedTuple):
+    """How much of lines to one level a prism hides where they meet it in plan, and the derivatives
+    of that by ``near`` and ``far`` of the cut and by the sensor's height."""
+
+    hidden: Float[Array, "R G"]
+    by_near: Float[Array, "R G"]
+    by_far: Float[Array, "R G"]
+    by_height: Float[Array, "R G"]
+
+
+def _at_level(
+    prism: ConvexPrism,
+    near: Float[Array, "R G"],
+    far: Float[Array, "R G"],
+    z: Float[Array, "R G"],
+    sz: Float[Array, ""],
+    width: Width,
+    solid: bool,
+) -> Levels:
+    """What a prism hides of lines to heights ``z`` that meet it in plan.
+
+    A line is lowest in the prism where it leaves it if it falls, and where it enters if it rises.
+    At a share τ of the line from the voxel its height is z + (sz − z)·τ, and it moves by τ where
+    the sensor moves by 1; close to the column that is taken to be NO_LEVER.
+    """
+
+    def rises(height: Array, at: Array) -> tuple[Array, Array, Array]:
+        """How far the sensor has to rise for the line to pass ``height`` at τ, and the derivatives
+        in τ and in the sensor's height."""
+        lever = 1.0 / jnp.maximum(at, NO_LEVER)
+        need = (height - z - (sz - z) * at) * lever
+        by_at = jnp.where(at > NO_LEVER, need, 0.0) + sz - z
+        return need, -by_at * lever, -at * lever
+
+    falls = sz > z
+    below, by_low, by_height = rises(prism.top, jnp.where(falls, near, far))
+    hidden, by = step(below, width), slope_of_step(below, width)
+    by_low, by_high, by_height = by * by_low, jnp.zeros_like(by), by * by_height
+    if not solid:
+        beneath, by_high, by_rise = rises(prism.bottom, jnp.where(falls, far, near))
+        opaque = step(HALF - prism.clear) if exact(width) else 1.0 - prism.clear
+        over, by_over = step(-beneath, width) * opaque, slope_of_step(-beneath, width) * opaque
+        by_low, by_high = by_low * over, -hidden * by_over * by_high
+        by_height = by_height * over - hidden * by_over * by_rise
+        hidden *= over
+    by_near, by_far = jnp.where(falls, by_low, by_high), jnp.where(falls, by_high, by_low)
+    return Levels(hidden, by_near, by_far, by_height)
+
+
+def _stands(prism: ConvexPrism, x: Float[Array, "*n"], y: Float[Array, "*n"]) -> Bool[Array, "*n"]:
+    """Whether a prism stands on columns."""
+    inside = jnp.full(x.shape, True)
+    for k in range(len(prism.offset)):
+        inside &= prism.normal[k, 0] * x + prism.normal[k, 1] * y < prism.offset[k]
+    return inside
+
+
+def _packed(prisms: ConvexPrism) -> tuple[Float[Array, "N F B"], tuple[tuple[int, ...], ...]]:
+    """All numbers of prisms in one array, to be fetched together, and the shapes of one's own."""
+    each = jax.tree.leaves(prisms._replace(valid=None))
+    lead = prisms.top.ndim
+    flat = [leaf.reshape(*leaf.shape[:lead], -1) for leaf in each]
+    return jnp.moveaxis(jnp.concatenate(flat, -1), -1, 0), tuple(x.shape[lead:] for x in each)
+
+
+def _unpacked(table: Float[Array, "N R 1"], shapes: tuple[tuple[int, ...], ...]) -> ConvexPrism:
+    """The prisms of :func:`_packed`, with the table's other axes behind their own."""
+    ends = np.cumsum([math.prod(shape) for shape in shapes])
+    parts = (table[end - math.prod(shape) : end] for end, shape in zip(ends, shapes, strict=True))
+    leaves = [
+        part.reshape(*shape, *table.shape[1:]) for part, shape in zip(parts, shapes, strict=True)
+    ]
+    return ConvexPrism(*leaves, valid=True)

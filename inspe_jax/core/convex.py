@@ -173,7 +173,7 @@ def sight_cut(
     the column, the sensor has to move by the corner's distance from the line over τ; and to pass a
     side of the prism, by the most that a corner asks for. Corners beyond the column ask for
     nothing, unless the line enters the prism before it ends. Where the line misses the prism,
-    ``near`` and ``far`` are within its stretch along the line.
+    ``near`` and ``far`` are at the corner that it passes.
 
     With φ the angle between the line and the direction to a corner, that move is L·tan φ. Its
     derivative along the line is tan φ, and across it 1 + tan² φ; where τ is kept at NO_LEVER, they
@@ -195,8 +195,8 @@ def sight_cut(
         far, of_far = jnp.where(farther, at, far), jnp.where(farther, turn, of_far)
         depth = jnp.where(inside < depth, inside, depth)
         enters &= (along <= 0) | (inside > 0)
-    left, right, first, last = (jnp.full_like(dx, k) for k in (-FAR, -FAR, FAR, -FAR))
-    of_first, of_last, at_left, at_right = (jnp.zeros_like(dx),) * 4
+    left, right = jnp.full_like(dx, -FAR), jnp.full_like(dx, -FAR)
+    at_left, at_right = jnp.zeros_like(dx), jnp.zeros_like(dx)
     for k in range(len(prism.offset)):
         cx, cy = prism.corners[k, 0] - x, prism.corners[k, 1] - y
         share, aside = (cx * ux + cy * uy) / length, cy * ux - cx * uy
@@ -205,15 +205,14 @@ def sight_cut(
         wider, other = asks & (move > left), asks & (-move > right)
         left, at_left = jnp.where(wider, move, left), jnp.where(wider, share, at_left)
         right, at_right = jnp.where(other, -move, right), jnp.where(other, share, at_right)
-        nearer, farther = share < first, share > last
-        first, of_first = jnp.where(nearer, share, first), jnp.where(nearer, aside, of_first)
-        last, of_last = jnp.where(farther, share, last), jnp.where(farther, aside, of_last)
 
     def kept(at: Array, turn: Array, most: float) -> tuple[Array, Array]:
-        """τ of a crossing, in the prism's stretch and on the line, and its derivative across."""
-        turn = jnp.where(at < first, of_first / squared, turn)
-        turn = jnp.where(at > last, of_last / squared, turn)
-        at = jnp.clip(at, first, last)
+        """τ of a crossing, kept on the line, and its derivative across. Where the line misses, they
+        are those of the corner that it passes."""
+        for margin, corner, sign in ((left, at_left, 1.0), (right, at_right, -1.0)):
+            aside = sign * margin * jnp.where(corner > NO_LEVER, corner, NO_LEVER)
+            turn = jnp.where(margin < 0, aside / squared, turn)
+            at = jnp.where(margin < 0, corner, at)
         return jnp.clip(at, 0.0, most), jnp.where((at > 0) & (at < most), turn, 0.0)
 
     # A line straight down has no length in plan, and no sides: it is inside or not.

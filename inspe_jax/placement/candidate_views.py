@@ -125,7 +125,7 @@ def _view(
             seen, in_sight = seen_by_sensor(BITS, row, tile, frames, asked)
             if not asked.metrics:
                 return seen, jnp.zeros((0, len(view)), tile.heights.dtype)
-            number = BITS.level_sums(in_sight, frames, len(tile.heights)).T
+            number = BITS.level_sums(in_sight, len(tile.heights)).T
             sight = number.astype(tile.heights.dtype) / len(chunk.prisms.top)
             if statics is not None:
                 sight *= bitmask.chances(past, len(tile.heights)).astype(sight.dtype)

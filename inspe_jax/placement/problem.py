@@ -43,11 +43,11 @@ _SAMPLE_COST = (0.05, 0.3, 1.9)
 the columns and of the frames that are in the sample. Measured on two cores, with 8 cameras, 4
 LiDARs and both, on 150,000 voxels and 100 frames: 0.04 to 0.21."""
 
-GRADIENT_COST = (175.0, 430.0, 33.5e3, 0.7)
+GRADIENT_COST = (30.0, 5.2e3, 49.0e3)
 """The cost of a gradient in hard scores of the same sample is a·(n + b)/(n + c), with n
-columns·frames, and d times that for sensors that are not aimed. On 384 × 3, 768 × 6 and 2048 × 8
-columns × frames it gives 8, 23 and 59 with cameras, and 6, 16 and 41 with LiDARs.
-`experiments/benchmark_speed.py` measures it: 8, 21 and 59, and 5, 13 and 48, on two cores."""
+columns·frames. On 384 × 3, 768 × 6 and 2048 × 8 columns × frames it gives 3.8, 5.5 and 9.9.
+`experiments/benchmark_speed.py` measures it on two cores: 3.7, 5.3 and 10.0 with eight cameras,
+3.3, 5.8 and 9.4 with four LiDARs."""
 
 AnyScene = Scene | Case | str
 """A scene as users give it: as such, in conditions, or by name."""
@@ -221,10 +221,9 @@ class Problem:
 
     def gradient_cost(self, drawn: Drawn) -> float:
         """The cost of the gradient of one layout on a sample, in exact scores."""
-        most, fixed, half, level = GRADIENT_COST
+        most, fixed, half = GRADIENT_COST
         sights = sum(len(at) * len(when) for at, when in drawn)
-        kinds = float(np.mean([1.0 if x.spec.aimed else level for x in self.layout.sensors]))
-        return self.sample_cost(drawn) * kinds * most * (sights + fixed) / (sights + half)
+        return self.sample_cost(drawn) * most * (sights + fixed) / (sights + half)
 
     def sample(self, rng: np.random.Generator, columns: int = 2048, frames: int = 8) -> Sample:
         """A sample of every case; see :meth:`draw`."""

@@ -13,8 +13,9 @@ from jaxtyping import Array, Float
 
 from inspe_jax.core.numerics import Groups
 from inspe_jax.scoring import metrics
+from inspe_jax.scoring.numbers import Reading
 from inspe_jax.scoring.options import ScoreOptions
-from inspe_jax.scoring.reading import Counts, Frames, Reading, SensorRow
+from inspe_jax.scoring.reading import Counts, Frames, SensorRow
 from inspe_jax.visibility.tiles import Tile
 
 
@@ -51,7 +52,7 @@ def seen_in_tile(
         visible, in_sight = seen_by_sensor(reading, row, tile, frames, options)
         if not options.counts_sight:
             return visible, None
-        return visible, reading.level_sums(in_sight, frames, len(tile.heights))
+        return visible, reading.level_sums(in_sight, len(tile.heights))
 
     return reading.over_sensors(see_from, rows, (reading, tile, frames), failures)
 
@@ -73,29 +74,25 @@ def count_tile(
     ``reading.shadows``. ``core`` is the set of voxels in the core, None to count nothing there.
     """
     covered = reading.any_of(views, failures)
-
-    def count(frames: Frames) -> Counts:
-        solid = reading.solid(frames, len(tile.heights))
-        free = reading.outside(reading.in_frames(reading.voxels(tile)), solid)
-        rows = sensors, shadows, views
-        union, sights = seen_in_tile(reading, rows, tile, frames, failures, options)
-        seen, original = metrics.occlusion_terms(
-            reading, union, covered, free, solid, options.occlusion_reference
+    solid = reading.solid(frames, len(tile.heights))
+    free = reading.outside(reading.in_frames(reading.voxels(tile)), solid)
+    rows = sensors, shadows, views
+    union, sights = seen_in_tile(reading, rows, tile, frames, failures, options)
+    seen, original = metrics.occlusion_terms(
+        reading, union, covered, free, solid, options.occlusion_reference
+    )
+    columns = reading.column_sums(reading.both(union.all, free))
+    near = None
+    if core is not None:  # few tiles are cut by its edge
+        whole = jnp.stack([seen[0], original[0]])
+        given = (
+            union.all,
+            reading.in_frames(covered[0]),
+            free,
+            solid,
+            options.occlusion_reference,
         )
-        columns = reading.column_sums(reading.both(union.all, free), frames)
-        near = None
-        if core is not None:  # few tiles are cut by its edge
-            whole = jnp.stack([seen[0], original[0]])
-            given = (
-                union.all,
-                reading.in_frames(covered[0]),
-                free,
-                solid,
-                options.occlusion_reference,
-            )
-            cut = partial(metrics.occlusion_terms_within, reading, reading.in_frames(core), *given)
-            number = tile.core.any().astype(int) + tile.core.all().astype(int)
-            near = jax.lax.switch(number, (lambda: jnp.zeros_like(whole), cut, lambda: whole))
-        return Counts(seen, original, columns, sights, near)
-
-    return reading.in_parts(count, frames)
+        cut = partial(metrics.occlusion_terms_within, reading, reading.in_frames(core), *given)
+        number = tile.core.any().astype(int) + tile.core.all().astype(int)
+        near = jax.lax.switch(number, (lambda: jnp.zeros_like(whole), cut, lambda: whole))
+    return Counts(seen, original, columns, sights, near)

@@ -19,8 +19,9 @@ from inspe_jax.scoring import metrics
 from inspe_jax.scoring.accumulate import count_tile
 from inspe_jax.scoring.exact import join_frames
 from inspe_jax.scoring.metric import TileEvidence
+from inspe_jax.scoring.numbers import Numbers
 from inspe_jax.scoring.options import ScoreOptions
-from inspe_jax.scoring.reading import Counts, Frames, Numbers
+from inspe_jax.scoring.reading import Counts, Frames
 from inspe_jax.scoring.sensor_array import SensorArray
 from inspe_jax.scoring.summary import MetricValues, summarise
 from inspe_jax.scoring.tiled_scene import TiledScene

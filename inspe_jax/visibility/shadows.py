@@ -4,7 +4,6 @@ The sensor's rays do not matter here. Vehicles are prisms; :mod:`inspe_jax.core.
 shadow of one of them.
 """
 
-from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -19,7 +18,6 @@ from inspe_jax.core.geometry import (
     shadow_ceiling,
     shadow_terms,
 )
-from inspe_jax.core.numerics import step
 from inspe_jax.visibility import bitmask
 from inspe_jax.visibility.tiles import CLOSE, Tile, pack_levels
 
@@ -51,32 +49,6 @@ def shadow_ceilings(
         return jax.lax.scan(lift, start, shadow_terms(sensor, prisms), unroll=8)[0]
 
     return jax.vmap(of_sensor)(sensors)
-
-
-def exact_sight(
-    sensor: Float[Array, "3"],
-    prisms: Prism,
-    columns: Float[Array, "2 C"],
-    heights: Float[Array, "Z C"],
-    *,
-    ignore_self_occlusion: bool | Bool[Array, "Z F C"] = False,
-) -> Float[Array, "Z F C"]:
-    """1 where the prisms (F, B) of each frame leave the sight line to each voxel clear, else 0.
-
-    The highest ceiling of all prisms over a column decides. ``ignore_self_occlusion`` as in
-    :func:`soft_sight`.
-    """
-
-    def clear(own: bool) -> Float[Array, "Z F C"]:
-        ceilings = partial(
-            shadow_ceilings, sensor[None], columns=columns.T, ignore_self_occlusion=own
-        )
-        over = jax.vmap(lambda prisms: ceilings(prisms=prisms)[0])(prisms)
-        return step(heights[:, None] - over[None])
-
-    if isinstance(ignore_self_occlusion, bool):
-        return clear(ignore_self_occlusion)
-    return jnp.where(ignore_self_occlusion, clear(True), clear(False))
 
 
 # ── Tile by tile ───────────────────────────────────────────────────

@@ -171,7 +171,7 @@ def _blocks(of: Sights, solid: bool) -> tuple[Array, Callable[[Array], _Rows]]:
 
                 def add_level(sums: tuple, of_level: tuple) -> tuple[tuple, None]:
                     wanted, *level = of_level
-                    hidden, at = hides(prism, cut, within, sensor[2], level)
+                    hidden, at = hides(prism, cut, within, sensor[2], tuple(level))
                     some = (hidden > 0) & (hidden < 1.0)
                     wanted = jnp.where(some, -wanted / jnp.where(some, 1.0 - hidden, 1.0), 0.0)
                     by = at.hidden, within * at.by_near, within * at.by_far, within * at.by_height
@@ -329,19 +329,17 @@ def _stands(prism: ConvexPrism, x: Float[Array, "*n"], y: Float[Array, "*n"]) ->
     return inside
 
 
-def _packed(prisms: ConvexPrism) -> tuple[Float[Array, "N F B"], tuple[tuple[int, ...], ...]]:
+def _packed(prisms: ConvexPrism) -> tuple[Float[Array, "N F B"], list[tuple[int, ...]]]:
     """All numbers of prisms in one array, to be fetched together, and the shapes of one's own."""
-    each = jax.tree.leaves(prisms._replace(valid=None))
-    lead = prisms.top.ndim
-    flat = [leaf.reshape(*leaf.shape[:lead], -1) for leaf in each]
-    return jnp.moveaxis(jnp.concatenate(flat, -1), -1, 0), tuple(x.shape[lead:] for x in each)
+    numbers = prisms._replace(valid=prisms.top)  # of no use here
+    lead = prisms.top.shape
+    flat = [leaf.reshape(*lead, -1) for leaf in numbers]
+    shapes = [leaf.shape[len(lead) :] for leaf in numbers]
+    return jnp.moveaxis(jnp.concatenate(flat, -1), -1, 0), shapes
 
 
-def _unpacked(table: Float[Array, "N R 1"], shapes: tuple[tuple[int, ...], ...]) -> ConvexPrism:
+def _unpacked(table: Float[Array, "N R 1"], shapes: list[tuple[int, ...]]) -> ConvexPrism:
     """The prisms of :func:`_packed`, with the table's other axes behind their own."""
-    ends = np.cumsum([math.prod(shape) for shape in shapes])
-    parts = (table[end - math.prod(shape) : end] for end, shape in zip(ends, shapes, strict=True))
-    leaves = [
-        part.reshape(*shape, *table.shape[1:]) for part, shape in zip(parts, shapes, strict=True)
-    ]
-    return ConvexPrism(*leaves, valid=True)
+    ends = np.cumsum([math.prod(shape) for shape in shapes])[:-1]
+    parts = zip(jnp.split(table, ends), shapes, strict=True)
+    return ConvexPrism(*(part.reshape(*shape, *table.shape[1:]) for part, shape in parts))

@@ -419,16 +419,13 @@ def test_it_comes_to_the_optimum_of_a_known_score(known, name, score):
 # ── Gradients ───────────────────────────────────────────────────────────────
 
 
-@pytest.mark.parametrize(
-    ("strategy_name", "ratios"), [("Cam-d1", (8, 23, 59)), ("L-d1", (6, 16, 41))]
-)
-def test_a_gradient_is_charged_by_the_size_of_its_sample(small, strategy_name, ratios):
+def test_a_gradient_is_charged_by_the_size_of_its_sample(small):
     """In hard scores of the same sample: those of GRADIENT_COST's docstring."""
-    problem = Problem(small, strategy(small, strategy_name))
-    for size, ratio in zip([(384, 3), (768, 6), (2048, 8)], ratios, strict=True):
+    problem = Problem(small, strategy(small, "Cam-d1"))
+    for size, ratio in zip([(384, 3), (768, 6), (2048, 8)], (3.8, 5.5, 9.9), strict=True):
         drawn = (tuple(map(np.arange, size)),)
         charged = problem.gradient_cost(drawn) / problem.sample_cost(drawn)
-        assert charged == pytest.approx(ratio, abs=0.5)
+        assert charged == pytest.approx(ratio, abs=0.1)
 
 
 @pytest.mark.parametrize("name", SLOPES)

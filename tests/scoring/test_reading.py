@@ -8,7 +8,8 @@ import pytest
 from inspe_jax.core.geometry import Prism
 from inspe_jax.core.numerics import Groups, Softness
 from inspe_jax.scoring import metrics
-from inspe_jax.scoring.reading import Bits, Counts, Frames, Numbers
+from inspe_jax.scoring.numbers import Numbers
+from inspe_jax.scoring.reading import Bits, Frames
 from inspe_jax.visibility import bitmask
 
 S, Z, F, C = 5, 6, 7, 9
@@ -56,8 +57,8 @@ def test_sets_are_counted_as_flags(reading, rng):
             reading.count(reading.outside(a, both)),
             reading.solid(given, Z),
             reading.count_both(rows, a),
-            reading.column_sums(a, given),
-            reading.level_sums(a, given, Z),
+            reading.column_sums(a),
+            reading.level_sums(a, Z),
         )
 
     expected = (
@@ -81,13 +82,13 @@ def test_unions_of_all_sensors_and_without_each_group(reading, rng, units):
     of = rng.uniform(size=(Z, F, C)) < 0.7
     failures = Groups.of_rows(units, S)
 
-    def look(row, visible, given):
-        return visible[row[0]], reading.level_sums(visible[row[0]], given, Z)
+    def look(row, visible):
+        return visible[row[0]], reading.level_sums(visible[row[0]], Z)
 
     @jax.jit
     def found(views, visible, of, given):
         rows = jnp.arange(S), None, views
-        union, sights = reading.over_sensors(look, rows, (visible, given), failures)
+        union, sights = reading.over_sensors(look, rows, (visible,), failures)
         return union.all, sights, union.count(of), reading.any_of(views, failures)
 
     left = [range(S), *([s for s in range(S) if s not in unit] for unit in units)]
@@ -99,26 +100,6 @@ def test_unions_of_all_sensors_and_without_each_group(reading, rng, units):
     )
     sets = (as_set(reading, flags) for flags in (views, visible, of))
     jax.tree.map(np.testing.assert_array_equal, found(*sets, frames(of)), expected)
-
-
-def test_many_frames_softly_are_those_of_its_parts(rng):
-    """In parts, the last of which ends in padding that counts for nothing."""
-    numbers, total = Numbers(Softness()), 47
-    flags = rng.uniform(size=(Z, total, C)) < 0.5
-    words = bitmask.pack(np.moveaxis(flags, 0, -1))[..., 0]
-    empty = np.zeros((total, 1))
-    prisms = Prism(np.zeros((total, 1, 2)), empty, np.ones((total, 1, 2)), empty, empty > 0)
-
-    def count(part):
-        found = 1.0 - numbers.solid(part, Z)
-        seen = numbers.count(found)[None]
-        sights = numbers.level_sums(found, part, Z)[None]
-        return Counts(seen, seen, numbers.column_sums(found, part), sights)
-
-    found = jax.jit(lambda given: numbers.in_parts(count, given))(Frames(prisms, words))
-    np.testing.assert_array_equal(found.seen[0], (~flags).sum((0, 2)))
-    np.testing.assert_array_equal(found.columns, (~flags).sum((0, 1)))
-    np.testing.assert_array_equal(found.sights[0], (~flags).sum(1).T)
 
 
 @pytest.mark.parametrize(

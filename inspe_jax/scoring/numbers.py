@@ -1,0 +1,268 @@
+"""The soft reading of what sensors see of a tile: a chance for each voxel, with gradients.
+
+As :class:`~inspe_jax.scoring.reading.Bits`, but a set of F frames, C columns and Z levels is an
+array (Z, F, C) of chances. The gradient is found sensor by sensor, of those that have some of the
+tile in view, and nothing of a sensor's sight lines is kept for it.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from inspe_jax.core.convex import outlines
+from inspe_jax.core.geometry import Prism
+from inspe_jax.core.numerics import Groups, Softness, Width, certain_beyond, leave_one_out
+from inspe_jax.core.pytree import pytree
+from inspe_jax.scoring.options import ScoreOptions
+from inspe_jax.scoring.reading import Bits, Frames, SeeFrom, SensorRow
+from inspe_jax.visibility import bitmask
+from inspe_jax.visibility.centered_scene import Statics
+from inspe_jax.visibility.in_view import soft_view
+from inspe_jax.visibility.shadows import shadow_bounds
+from inspe_jax.visibility.soft_sight import Sights, cell_marks, clear_chance
+from inspe_jax.visibility.statics import past_statics_chance
+from inspe_jax.visibility.tiles import Tile
+
+
+@dataclass(frozen=True)
+class NumberUnion:
+    """The chance that some sensor sees a voxel in a frame.
+
+    Row 0 is of all sensors, row 1 + g of all but group g.
+    """
+
+    rows: Float[Array, "1+G Z F C"]
+
+    @property
+    def all(self) -> Float[Array, "Z F C"]:
+        """What some sensor sees, of all sensors."""
+        return self.rows[0]
+
+    def count(self, of: Float[Array, "Z F C"]) -> Float[Array, "1+G F"]:
+        """How many voxels of a set some sensor sees: of all sensors, and without each group."""
+        return (self.rows * of[None]).sum(1).sum(-1)
+
+
+@pytree
+@dataclass(frozen=True)
+class Numbers:
+    """Margins read with a softness; a set is a chance for each voxel.
+
+    ``softness`` itself has no gradient.
+    """
+
+    softness: Softness
+
+    def voxels(self, tile: Tile) -> Float[Array, "Z C"]:
+        """The voxels that there are."""
+        return bitmask.chances(tile.there, len(tile.heights))
+
+    def in_frames(self, found: Float[Array, "... Z C"]) -> Float[Array, "... Z 1 C"]:
+        """A set that is the same in every frame."""
+        return found[..., None, :]
+
+    def solid(self, frames: Frames, levels: int) -> Float[Array, "Z F C"]:
+        """The voxels inside a vehicle. They do not depend on sensors and are read exactly."""
+        return bitmask.chances(frames.solid, levels)
+
+    def both(self, a: Float[Array, "..."], b: Float[Array, "..."]) -> Float[Array, "..."]:
+        """Intersection of two sets: their chances multiplied."""
+        return a * b
+
+    def outside(self, a: Float[Array, "..."], b: Float[Array, "..."]) -> Float[Array, "..."]:
+        """The voxels of set ``a`` that are not in ``b``, a subset of ``a``."""
+        return a - b
+
+    def any_of(
+        self, rows: Float[Array, "S ..."], failures: Groups | None
+    ) -> Float[Array, "1+G ..."]:
+        """Union of all rows, and of all but each group's: 1 − ∏(1 − p)."""
+        return leave_one_out(rows, failures)
+
+    def count(self, found: Float[Array, "Z ... C"]) -> Float[Array, "..."]:
+        """How many voxels a set has."""
+        return found.sum(0).sum(-1)
+
+    def count_both(
+        self, rows: Float[Array, "1+G Z C"], found: Float[Array, "Z F C"]
+    ) -> Float[Array, "1+G F"]:
+        """How many voxels of each row are in a set, in each frame."""
+        return (rows[:, :, None] * found[None]).sum(1).sum(-1)
+
+    @property
+    def width(self) -> Width:
+        """The width [m] with which the edges of a field of view are read."""
+        return self.softness.field
+
+    def chances(self, found: Float[Array, "... Z C"], levels: int) -> Float[Array, "... Z C"]:
+        """The chance of each voxel to be in a set."""
+        return found
+
+    def column_sums(self, found: Float[Array, "Z F C"]) -> Float[Array, " C"]:
+        """How many voxels of a set each column has, summed over the frames."""
+        return found.sum(0).sum(0)
+
+    def level_sums(self, found: Float[Array, "Z F C"], levels: int) -> Float[Array, "C Z"]:
+        """In how many frames each voxel is in a set."""
+        return found.sum(1).T
+
+    def shadows(self, sensors: Float[Array, "S 3"], prisms: Prism) -> Any:
+        """None: what shadows need is found tile by tile, and again for the gradient."""
+
+    def line_of_sight(
+        self,
+        sensor: Float[Array, "3"],
+        shadows: Any,
+        view: Any,
+        tile: Tile,
+        frames: Frames,
+        options: ScoreOptions,
+    ) -> tuple[Float[Array, "Z F C"], Float[Array, "Z F C"]]:
+        """The chance that each voxel is in line of sight: once as occlusion counts it, and once as
+        information gain does."""
+        width, fixed = self.softness.shadow, jax.lax.stop_gradient(sensor)
+        prisms, reach = outlines(frames.prisms), certain_beyond(width)
+        bounds = shadow_bounds(fixed, frames.prisms, reach)
+        marked = cell_marks(fixed, prisms, bounds, tile, reach)
+        if not any(metric.sight for metric in options.metrics):  # else, in view or not
+            cells = (view > 0).any(0).reshape(marked.shape[-1], -1).any(1)
+            marked = jnp.where(cells, marked, jnp.uint32(0))
+        at = prisms, marked, tile.columns, tile.heights, width
+        own = self.solid(frames, len(tile.heights)) > 0 if options.ignores_self_occlusion else None
+        clear = clear_chance(sensor, Sights(*at, own))
+        return clear, clear_chance(sensor, Sights(*at)) if options.sight_apart else clear
+
+    def over_sensors(
+        self, see_from: SeeFrom, rows: SensorRow, given: tuple, failures: Groups | None
+    ) -> tuple[NumberUnion, Any]:
+        """The union of what the sensors see, and how often each has each voxel in line of sight.
+
+        A sensor that has nothing of the tile in view is skipped.
+        """
+        positions, _, views = rows
+        union, sights = _union(see_from, positions, views, failures, given)
+        return NumberUnion(union), sights
+
+    def views(
+        self, tile: Tile, poses: Float[Array, "S 6"], sensors: Any, half: float | Array
+    ) -> Float[Array, "S Z C"]:
+        """The chance that each sensor has each voxel of a tile in view; ``half`` an edge [m]."""
+
+        def view(sensor: tuple[Array, Any, Array]) -> Array:
+            kind, table, pose = sensor
+            return soft_view(sensors.kinds, kind, table, half, self.softness, pose, tile)
+
+        each = jnp.asarray(sensors.kind), jax.tree.map(jnp.asarray, sensors.table), poses
+        return jax.lax.map(view, each)
+
+    def past_statics(
+        self,
+        tile: Tile,
+        sensors: Float[Array, "S 3"],
+        statics: Statics | None,
+        views: Float[Array, "S Z C"],
+    ) -> Float[Array, "S Z C"] | None:
+        """The chance that bodies and the ground leave each voxel in sight; None without any.
+
+        Of a sensor that has nothing of the tile in view it is 0.
+        """
+        if statics is None:
+            return None
+
+        def look(row: tuple[Array, Array]) -> Array:
+            sensor, view = row
+            past = partial(past_statics_chance, statics=statics, tile=tile)
+            return jax.lax.cond(
+                (view > 0).any(),
+                lambda sensor: past(sensor, width=self.softness.shadow),
+                lambda _: jnp.zeros_like(view),
+                sensor,
+            )
+
+        return jax.lax.map(look, (sensors, views))
+
+
+@partial(jax.custom_vjp, nondiff_argnums=(0,))
+def _union(
+    see_from: SeeFrom,
+    positions: Float[Array, "S 3"],
+    views: Float[Array, "S Z C"],
+    failures: Groups | None,
+    given: tuple,
+) -> tuple[Float[Array, "1+G Z F C"], Any]:
+    """The chance that some sensor sees each voxel, of all and without each group, and the sights.
+
+    Only the sensors' ``positions`` and ``views`` have gradients.
+    """
+    of_sensor, listed, number = _in_view(see_from, positions, views, given)
+    visible, sights = jax.eval_shape(of_sensor, positions[0], views[0])
+
+    def add(i: Array, state: tuple) -> tuple:
+        s = listed[i]
+        left, each, sights = state
+        visible, sight = of_sensor(positions[s], views[s])
+        if failures is None:
+            left = left * (1.0 - visible)
+        else:
+            each = each.at[s].set(visible)
+        return left, each, jax.tree.map(lambda all_, one: all_.at[s].set(one), sights, sight)
+
+    rows = 0 if failures is None else len(views)
+    each = jnp.zeros((rows, *visible.shape), visible.dtype)
+    sights = jax.tree.map(lambda one: jnp.zeros((len(views), *one.shape), one.dtype), sights)
+    state = jnp.ones(visible.shape, visible.dtype), each, sights
+    left, each, sights = jax.lax.fori_loop(0, number, add, state)
+    return (1.0 - left)[None] if failures is None else leave_one_out(each, failures), sights
+
+
+def _in_view(
+    see_from: SeeFrom, positions: Array, views: Array, given: tuple
+) -> tuple[Callable, Array, Array]:
+    """What one sensor sees as a function of its position and view, the sensors that have some of
+    the tile in view, before the others, and their number."""
+    has = (views > 0).any((1, 2))
+
+    def of_sensor(position: Array, view: Array) -> tuple[Array, Any]:
+        return see_from((position, None, view), *given)
+
+    return of_sensor, jnp.argsort(~has, stable=True), has.sum()
+
+
+def _union_forward(see_from: SeeFrom, *given: Any) -> tuple[Any, tuple]:
+    found = _union(see_from, *given)
+    return found, (found[0], *given)
+
+
+def _union_backward(see_from: SeeFrom, kept: tuple, wanted: tuple) -> tuple:
+    """Sensor by sensor again. ∂(1 − ∏(1 − pₛ))/∂pₛ = ∏/(1 − pₛ); where pₛ = 1 it is certain and has
+    no slope of its own."""
+    union, positions, views, failures, given = kept
+    of_sensor, listed, number = _in_view(see_from, positions, views, given)
+    of_union, of_sights = wanted
+
+    def add(i: Array, slopes: tuple[Array, Array]) -> tuple[Array, Array]:
+        s = listed[i]
+        (visible, _), back = jax.vjp(of_sensor, positions[s], views[s])
+        each = (1.0 - union) * of_union
+        if failures is not None:
+            place = jnp.argsort(jnp.asarray(failures.order))[s]
+            lost = (jnp.asarray(failures.first) <= place) & (place < jnp.asarray(failures.end))
+            each = jnp.where(jnp.pad(lost, (1, 0))[:, None, None, None], 0.0, each)
+        left = 1.0 - visible
+        slope = jnp.where(left > 0, each.sum(0) / jnp.where(left > 0, left, 1.0), 0.0)
+        new = back((slope, jax.tree.map(lambda leaf: leaf[s], of_sights)))
+        return jax.tree.map(lambda all_, one: all_.at[s].set(one), slopes, new)
+
+    none = jnp.zeros_like(positions), jnp.zeros_like(views)
+    return *jax.lax.fori_loop(0, number, add, none), None, None
+
+
+_union.defvjp(_union_forward, _union_backward)
+
+
+Reading = Bits | Numbers

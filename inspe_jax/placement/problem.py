@@ -46,8 +46,8 @@ LiDARs and both, on 150,000 voxels and 100 frames: 0.04 to 0.21."""
 GRADIENT_COST = (30.0, 5.2e3, 49.0e3)
 """The cost of a gradient in hard scores of the same sample is a·(n + b)/(n + c), with n
 columns·frames. On 384 × 3, 768 × 6 and 2048 × 8 columns × frames it gives 3.8, 5.5 and 9.9.
-`experiments/benchmark_speed.py` measures it on two cores: 3.7, 5.3 and 10.0 with eight cameras,
-3.3, 5.8 and 9.4 with four LiDARs."""
+`experiments/benchmark_speed.py` measures it on two cores: 3.3, 5.6 and 8.3 with eight cameras, and
+up to a fifth more with four LiDARs."""
 
 AnyScene = Scene | Case | str
 """A scene as users give it: as such, in conditions, or by name."""

@@ -215,7 +215,7 @@ def cell_marks(
     """Marks of the prisms (F, B) that may hide something of each cell of a tile; no other one does.
 
     Of those that :func:`~inspe_jax.visibility.shadows.may_shade` the tile, these are not aside of
-    all lines from the cell, nor behind cell or sensor, and their shadow does not end before it.
+    all lines from the cell, nor behind cell or sensor, and their shadows do not end before it.
     ``bounds`` are those of the prisms, and ``reach`` [m] is how far the sensor may have to move.
     """
     marked = bitmask.marks(may_shade(sensor, bounds, tile))
@@ -231,14 +231,20 @@ def cell_marks(
     # straight edges that touch both circles: aside of the middle line by so much over their cosine.
     close = length <= radius + reach
     cosine = jnp.sqrt(jnp.maximum(1.0 - (radius + reach) ** 2 / squared, 1e-6))
-    drop = jnp.maximum(sensor[2] - tile.low, CLOSE)
+    # A prism hides the lowest voxel only if it is within so much of the line for each metre of its
+    # top above it.
+    longest = jnp.sqrt((length + radius) ** 2 + reach * reach)
+    drop = jnp.maximum(sensor[2] - tile.low - reach, CLOSE)
     table, shape = _packed(prisms)
     frames = jnp.arange(marked.shape[1])
 
     def add(found: Array, index: Array, some: Array) -> Array:
         prism = _unpacked(table[:, frames, index][:, :, None], shape)
-        left, right, first, last = (jnp.full_like(dx, k) for k in (FAR, -FAR, FAR, -FAR))
+        ends = (FAR, -FAR, FAR, -FAR, -FAR)
+        left, right, first, last, away = (jnp.full_like(dx, k) for k in ends)
         for k in range(len(prism.offset)):
+            nx, ny = prism.normal[k, 0], prism.normal[k, 1]
+            away = jnp.maximum(away, nx * x + ny * y - prism.offset[k])
             cx, cy = prism.corners[k, 0] - x, prism.corners[k, 1] - y
             share, aside = (cx * dx + cy * dy) / squared, (cx * dy - cy * dx) / length
             wide = radius * jnp.abs(1.0 - share) + reach * jnp.maximum(share, NO_LEVER)
@@ -248,8 +254,8 @@ def cell_marks(
         meets = (left < 0) & (right > 0) & (last * length > -radius - CLOSE)
         meets &= (first - 1.0) * length < reach + radius
         meets |= close
-        fall = bounds.fall[index, frames][:, None]
-        meets &= (length - radius <= drop * fall + CLOSE) & some[:, None]
+        share = jnp.maximum((prism.top - tile.low) / drop, 0.0) + NO_LEVER
+        meets &= (away - radius <= share * longest + CLOSE) & some[:, None]
         bit = jnp.uint32(1) << (index % bitmask.WORD).astype(jnp.uint32)
         word = jnp.arange(len(found), dtype=index.dtype)[:, None] == (index // bitmask.WORD)[None]
         return jnp.where(word[:, :, None] & meets[None], found | bit[None, :, None], found)

@@ -142,9 +142,9 @@ class SightCut(NamedTuple):
     sensor. ``near`` and ``far``: the shares τ of the line from the column to where it leaves the
     prism, and to where it enters: 0 at the column, 1 at the sensor, and ``near`` is more behind it.
 
-    ``of_left``, ``of_right``, ``of_near`` and ``of_far`` are derivatives where the sensor moves
-    across the line, to the left as seen from the column. Where it moves along the line, those of
-    the shares are −τ/L, and those of the sides ``along_left`` and ``along_right``.
+    ``of_left`` to ``of_far`` are derivatives where the sensor moves across the line, to the left as
+    seen from the column. Where it moves along the line, those of the shares are −τ/L, and the
+    others ``along_left`` to ``along_ahead``.
     """
 
     left: Float[Array, "*n"]
@@ -156,6 +156,8 @@ class SightCut(NamedTuple):
     of_right: Float[Array, "*n"]
     along_left: Float[Array, "*n"]
     along_right: Float[Array, "*n"]
+    of_ahead: Float[Array, "*n"]
+    along_ahead: Float[Array, "*n"]
     of_near: Float[Array, "*n"]
     of_far: Float[Array, "*n"]
 
@@ -224,9 +226,19 @@ def sight_cut(
         across = jnp.where(share > NO_LEVER, 1.0 + tangent * tangent, share / NO_LEVER)
         return jnp.where(straight, depth, move), across, tangent
 
-    (near, of_near), (far, of_far) = kept(near, of_near, FAR), kept(far, of_far, 1.0)
-    ahead = jnp.where(straight, depth, (1.0 - near) * length)
     left, of_left, along_left = side(left, at_left)
     right, of_right, along_right = side(right, at_right)
-    sides = -of_left, of_right, along_left, along_right
+    of_left = -of_left
+    (near, of_near), (far, of_far) = kept(near, of_near, FAR), kept(far, of_far, 1.0)
+    # Of a line that misses, the line that passes the corner counts, from where the sensor is then.
+    passes = jnp.minimum(jnp.minimum(left, right), 0.0)
+    turns, grows = (
+        jnp.where(left < right, a, b) * passes
+        for a, b in ((of_left, of_right), (along_left, along_right))
+    )
+    whole = jnp.sqrt(squared + passes * passes)
+    ahead = jnp.where(straight, depth, (1.0 - near) * whole)
+    of_ahead = (1.0 - near) * turns / whole - whole * of_near
+    along_ahead = (1.0 - near) * (length + grows) / whole + whole * near / length
+    sides = of_left, of_right, along_left, along_right, of_ahead, along_ahead
     return SightCut(left, right, ahead, near, far, *sides, of_near, of_far)

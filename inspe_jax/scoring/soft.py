@@ -1,9 +1,7 @@
 """Soft scores, tile by tile: the scores that have gradients.
 
 A soft reading is exactly 0 or 1 beyond a few widths (:func:`inspe_jax.core.numerics.step`). So a
-tile that is far from a field of view or a shadow can skip it, and the result is the same. (Where
-there are more levels than bits in a word, the vehicles that hide most are found for each slab of
-levels, not for the whole column.)
+tile that is far from a field of view or a shadow can skip it, and the result is the same.
 """
 
 from functools import partial

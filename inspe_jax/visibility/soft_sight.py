@@ -188,13 +188,11 @@ def _blocks(of: Sights, solid: bool) -> tuple[Array, Callable[[Array], _Rows]]:
                 by_right = by_sides * slope_of_step(cut.right + SEAM, of.width)
                 by_ahead = jnp.where((sides > 0) & some[:, None], by_within * sides, 0.0)
                 by_ahead *= slope_of_step(cut.ahead, of.width)
-                by_near -= by_ahead * length  # ahead = (1 − τ)·L, beside the 1 along the line
                 along = by_left * cut.along_left + by_right * cut.along_right
-                along += by_ahead * (1.0 - cut.near)
-                along -= by_near * cut.near / length
+                along += by_ahead * cut.along_ahead - by_near * cut.near / length
                 along -= by_far * jnp.where(cut.far < 1.0, cut.far, 0.0) / length
                 across = by_left * cut.of_left + by_right * cut.of_right
-                across += by_near * cut.of_near + by_far * cut.of_far
+                across += by_ahead * cut.of_ahead + by_near * cut.of_near + by_far * cut.of_far
                 new = along * ux - across * uy, along * uy + across * ux, by_height
                 return slope + jnp.stack([part.sum() for part in new])
 

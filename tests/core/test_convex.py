@@ -147,8 +147,8 @@ def test_derivatives_of_a_cut_are_its_differences():
     length = np.hypot(*(sensors - columns).T)
     far = np.where(cut.far < 1, cut.far, 0)
     expected = (
-        (cut.along_left, cut.along_right, 1.0, -cut.near / length, -far / length),
-        (cut.of_left, cut.of_right, -length * cut.of_near, cut.of_near, cut.of_far),
+        (cut.along_left, cut.along_right, cut.along_ahead, -cut.near / length, -far / length),
+        (cut.of_left, cut.of_right, cut.of_ahead, cut.of_near, cut.of_far),
     )
     beside = np.minimum(cut.left, cut.right) > -3  # where soft scores read them
     for (more, less), slopes in zip(moves, expected, strict=True):

@@ -426,8 +426,8 @@ def test_the_score_stays_in_sight_and_the_page_is_its_own(tab, viewer):
 def test_rows_of_the_sensors_are_clicked_one_or_several(tab, viewer, layout):
     first = score_of(tab)
     rows = tab.locator("[data-sensor]")
+    rows.nth(1).click()  # waits until they are drawn, after the score
     assert rows.count() == 2
-    rows.nth(1).click()
     wait_until(tab, lambda: view_of(viewer).selection == (1,))
     rows.nth(0).click(modifiers=["Shift"])
     wait_until(tab, lambda: view_of(viewer).selection == (1, 0))

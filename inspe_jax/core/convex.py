@@ -240,5 +240,8 @@ def sight_cut(
     ahead = jnp.where(straight, depth, (1.0 - near) * whole)
     of_ahead = (1.0 - near) * turns / whole - whole * of_near
     along_ahead = (1.0 - near) * (length + grows) / whole + whole * near / length
+    inside = depth > 0  # the column: then the prism is ahead from everywhere
+    ahead = jnp.where(inside, FAR, ahead)
+    of_ahead, along_ahead = (jnp.where(inside, 0.0, by) for by in (of_ahead, along_ahead))
     sides = of_left, of_right, along_left, along_right, of_ahead, along_ahead
     return SightCut(left, right, ahead, near, far, *sides, of_near, of_far)

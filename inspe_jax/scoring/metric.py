@@ -18,7 +18,7 @@ from inspe_jax.visibility.tiles import Tile
 class Sets(Protocol):
     """The operations on sets of a tile's voxels that metrics use.
 
-    :mod:`inspe_jax.scoring.reading` has both implementations, exact and soft.
+    :mod:`inspe_jax.scoring.reading` has the exact one, :mod:`inspe_jax.scoring.numbers` the soft.
     """
 
     def voxels(self, tile: Tile) -> Any:

@@ -26,8 +26,8 @@ from inspe_jax.scoring.tiled_scene import TiledScene
 from inspe_jax.visibility.tiles import Tile, solid_in, unless_empty
 
 KEPT = 2**24
-"""Voxels × frames up to which all that a gradient needs is kept. Of more it would be gigabytes, and
-is found again tile by tile."""
+"""Voxels × frames × rows up to which all that a gradient needs is kept. Of more it would be
+gigabytes, and is found again tile by tile."""
 SIGHTS = "sights"
 """Name of an array kept for the gradient: in how many frames each voxel is in line of sight."""
 
@@ -81,7 +81,8 @@ def read_softly(
         )
 
     tiles = tiled.tiles
-    if tiles.tile.heights.size * tiled.frame_count > KEPT:
+    rows = 1 if failures is None else 1 + len(failures.first)
+    if rows * tiles.tile.heights.size * tiled.frame_count > KEPT:
         # Of what the gradient needs only the sights are kept: finding them again would take one
         # more pass over all frames.
         only = jax.checkpoint_policies.save_only_these_names(SIGHTS)

@@ -78,9 +78,8 @@ class ShadowBounds(NamedTuple):
 def shadow_bounds(sensor: Float[Array, "3"], prisms: Prism, wider: Any = 0.0) -> ShadowBounds:
     """The bounds of one sensor's shadows of prisms (T, B), the same for all tiles.
 
-    Prisms are taken ``wider`` and higher by so much [m], along the sight line and across it. Read
-    softly, a line may meet the rectangle about a prism along the line (:func:`_passing`); so then
-    the circle is that about any such rectangle.
+    Prisms are taken ``wider`` and higher by so much [m], along the sight line and across it; then
+    the circle is that about any rectangle about the prism.
     """
     x, y = prisms.center[..., 0] - sensor[0], prisms.center[..., 1] - sensor[1]
     soft = not (isinstance(wider, float) and wider == 0)

@@ -117,7 +117,8 @@ def _blocks(of: Sights, solid: bool) -> tuple[Array, Callable[[Array], _Rows]]:
     count = bitmask.count(marked).sum(0)
     together = min(max(LINES // each, 1), count.size)
     order = _most_first(count)
-    order = jnp.pad(order, (0, -count.size % together), constant_values=count.size)
+    spare = count.size + jnp.arange(-count.size % together, dtype=order.dtype)
+    order = jnp.concatenate([order, spare])
     table, shape = _packed(of.prisms)
 
     def block(number: Array) -> _Rows:
@@ -253,6 +254,7 @@ def cell_marks(
         meets &= (first - 1.0) * length < reach + radius
         meets |= close
         share = jnp.maximum((prism.top - tile.low) / drop, 0.0) + NO_LEVER
+        share = jnp.where(prism.top > sensor[2] - reach - CLOSE, FAR, share)
         meets &= (away - radius <= share * longest + CLOSE) & some[:, None]
         bit = jnp.uint32(1) << (index % bitmask.WORD).astype(jnp.uint32)
         word = jnp.arange(len(found), dtype=index.dtype)[:, None] == (index // bitmask.WORD)[None]
@@ -297,9 +299,11 @@ def _at_level(
 ) -> Levels:
     """What a prism hides of lines to heights ``z`` that meet it in plan.
 
-    A line is lowest in the prism where it leaves it if it falls, and where it enters if it rises.
-    At a share τ of the line from the voxel its height is z + (sz − z)·τ, and it moves by τ where
-    the sensor moves by 1; close to the column that is taken to be NO_LEVER.
+    A line is lowest in the prism where it leaves it if it falls, and where it enters if it rises;
+    which of them decides is told by the line that touches the top, so that nothing jumps where the
+    sensor passes a voxel's height. At a share τ of the line from the voxel its height is
+    z + (sz − z)·τ, and it moves by τ where the sensor moves by 1; close to the column that is taken
+    to be NO_LEVER.
     """
 
     def rises(height: Array, at: Array) -> tuple[Array, Array, Array]:
@@ -310,18 +314,20 @@ def _at_level(
         by_at = jnp.where(at > NO_LEVER, need, 0.0) + sz - z
         return need, -by_at * lever, -at * lever
 
-    falls = sz > z
-    below, by_low, by_height = rises(prism.top, jnp.where(falls, near, far))
+    low_is_near, high_is_near = prism.top > z, prism.bottom <= z
+    below, by_low, by_height = rises(prism.top, jnp.where(low_is_near, near, far))
     hidden, by = step(below, width), slope_of_step(below, width)
-    by_low, by_high, by_height = by * by_low, jnp.zeros_like(by), by * by_height
+    by_low, by_height = by * by_low, by * by_height
+    by_near, by_far = jnp.where(low_is_near, by_low, 0.0), jnp.where(low_is_near, 0.0, by_low)
     if not solid:
-        beneath, by_high, by_rise = rises(prism.bottom, jnp.where(falls, far, near))
+        beneath, by_high, by_rise = rises(prism.bottom, jnp.where(high_is_near, near, far))
         opaque = step(HALF - prism.clear) if exact(width) else 1.0 - prism.clear
         over, by_over = step(-beneath, width) * opaque, slope_of_step(-beneath, width) * opaque
-        by_low, by_high = by_low * over, -hidden * by_over * by_high
+        by_high = -hidden * by_over * by_high
+        by_near = by_near * over + jnp.where(high_is_near, by_high, 0.0)
+        by_far = by_far * over + jnp.where(high_is_near, 0.0, by_high)
         by_height = by_height * over - hidden * by_over * by_rise
         hidden *= over
-    by_near, by_far = jnp.where(falls, by_low, by_high), jnp.where(falls, by_high, by_low)
     return Levels(hidden, by_near, by_far, by_height)
 
 

@@ -172,9 +172,10 @@ def past_statics_chance(
     """The chance that bodies and the ground leave the sight line from a sensor to each voxel of a
     tile clear.
 
-    It is ∏ (1 − p·(1 − transmittance)) over all prisms, with p the product of the three margins
+    It is ∏ (1 − p·(1 − transmittance)) over all prisms, with p the product of the margins of a cut
     read with ``width`` [m], and of the ground, whose margin is how far the sensor is too low. What
-    narrowly misses counts too. Only the sensor has a gradient.
+    narrowly misses counts too. Pieces of one body are taken as independent, so that at widths above
+    their own size some light comes through. Only the sensor has a gradient.
     """
     clear, fixed = jnp.ones_like(tile.heights), jax.lax.stop_gradient(sensor)
     beyond = certain_beyond(width)

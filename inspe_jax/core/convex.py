@@ -141,6 +141,7 @@ class SightCut(NamedTuple):
     does not. ``ahead``: how far from the sensor the line leaves the prism [m], negative behind the
     sensor. ``near`` and ``far``: the shares τ of the line from the column to where it leaves the
     prism, and to where it enters: 0 at the column, 1 at the sensor, and ``near`` is more behind it.
+    ``depth``: how deep in the outline the column is [m], negative outside.
 
     ``of_left`` to ``of_far`` are derivatives where the sensor moves across the line, to the left as
     seen from the column. Where it moves along the line, those of the shares are −τ/L, and the
@@ -152,6 +153,7 @@ class SightCut(NamedTuple):
     ahead: Float[Array, "*n"]
     near: Float[Array, "*n"]
     far: Float[Array, "*n"]
+    depth: Float[Array, "*n"]
     of_left: Float[Array, "*n"]
     of_right: Float[Array, "*n"]
     along_left: Float[Array, "*n"]
@@ -208,15 +210,6 @@ def sight_cut(
         left, at_left = jnp.where(wider, move, left), jnp.where(wider, share, at_left)
         right, at_right = jnp.where(other, -move, right), jnp.where(other, share, at_right)
 
-    def kept(at: Array, turn: Array, most: float) -> tuple[Array, Array]:
-        """τ of a crossing, kept on the line, and its derivative across. Where the line misses, they
-        are those of the corner that it passes."""
-        for margin, corner, sign in ((left, at_left, 1.0), (right, at_right, -1.0)):
-            aside = sign * margin * jnp.where(corner > NO_LEVER, corner, NO_LEVER)
-            turn = jnp.where(margin < 0, aside / squared, turn)
-            at = jnp.where(margin < 0, corner, at)
-        return jnp.clip(at, 0.0, most), jnp.where((at > 0) & (at < most), turn, 0.0)
-
     # A line straight down has no length in plan, and no sides: it is inside or not.
     straight = squared < 1e-8
 
@@ -229,19 +222,27 @@ def sight_cut(
     left, of_left, along_left = side(left, at_left)
     right, of_right, along_right = side(right, at_right)
     of_left = -of_left
+    # The side that the line is nearer to passing, or passes.
+    to_left = left < right
+    pairs = (left, right), (of_left, of_right), (along_left, along_right), (at_left, at_right)
+    margin, turns, grows, corner = (jnp.where(to_left, *pair) for pair in pairs)
+    misses, passes = margin < 0, jnp.minimum(margin, 0.0)
+    aside = jnp.where(to_left, passes, -passes) * jnp.where(corner > NO_LEVER, corner, NO_LEVER)
+
+    def kept(at: Array, turn: Array, most: float) -> tuple[Array, Array]:
+        """τ of a crossing, kept on the line, and its derivative across. Where the line misses, they
+        are those of the corner that it passes."""
+        at, turn = jnp.where(misses, corner, at), jnp.where(misses, aside / squared, turn)
+        return jnp.clip(at, 0.0, most), jnp.where((at > 0) & (at < most), turn, 0.0)
+
     (near, of_near), (far, of_far) = kept(near, of_near, FAR), kept(far, of_far, 1.0)
     # Of a line that misses, the line that passes the corner counts, from where the sensor is then.
-    passes = jnp.minimum(jnp.minimum(left, right), 0.0)
-    turns, grows = (
-        jnp.where(left < right, a, b) * passes
-        for a, b in ((of_left, of_right), (along_left, along_right))
-    )
     whole = jnp.sqrt(squared + passes * passes)
     ahead = jnp.where(straight, depth, (1.0 - near) * whole)
-    of_ahead = (1.0 - near) * turns / whole - whole * of_near
-    along_ahead = (1.0 - near) * (length + grows) / whole + whole * near / length
+    of_ahead = (1.0 - near) * turns * passes / whole - whole * of_near
+    along_ahead = (1.0 - near) * (length + grows * passes) / whole + whole * near / length
     inside = depth > 0  # the column: then the prism is ahead from everywhere
     ahead = jnp.where(inside, FAR, ahead)
     of_ahead, along_ahead = (jnp.where(inside, 0.0, by) for by in (of_ahead, along_ahead))
     sides = of_left, of_right, along_left, along_right, of_ahead, along_ahead
-    return SightCut(left, right, ahead, near, far, *sides, of_near, of_far)
+    return SightCut(left, right, ahead, near, far, depth, *sides, of_near, of_far)

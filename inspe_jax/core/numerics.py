@@ -39,17 +39,21 @@ def step(margin: Float[Array, "*n"], width: Width = None) -> Float[Array, "*n"]:
     """
     if exact(width):
         return (margin > 0).astype(margin.dtype)
-    u = jnp.clip(0.5 + margin / (2.0 * REACH * jnp.asarray(width, margin.dtype)), 0.0, 1.0)
+    u = _risen(margin, width)
     return u * u * (3.0 - 2.0 * u)
+
+
+def _risen(margin: Float[Array, "*n"], width: Width) -> Float[Array, "*n"]:
+    """u of :func:`step`."""
+    return jnp.clip(0.5 + margin / (2.0 * REACH * jnp.asarray(width, margin.dtype)), 0.0, 1.0)
 
 
 def slope_of_step(margin: Float[Array, "*n"], width: Width) -> Float[Array, "*n"]:
     """The derivative of :func:`step` in the margin [1/m]; 0 where it is read exactly."""
     if exact(width):
         return jnp.zeros_like(margin)
-    width = jnp.asarray(width, margin.dtype)
-    u = jnp.clip(0.5 + margin / (2.0 * REACH * width), 0.0, 1.0)
-    return 3.0 * u * (1.0 - u) / (REACH * width)
+    u = _risen(margin, width)
+    return 3.0 * u * (1.0 - u) / (REACH * jnp.asarray(width, margin.dtype))
 
 
 def certain_beyond(width: Width) -> float | Float[Array, ""]:

@@ -94,6 +94,15 @@ def marks(flags: Bool[Array, "B ..."]) -> UInt[Array, "W ..."]:
     return jnp.where(flags, bit, jnp.uint32(0)).sum(1, dtype=jnp.uint32)
 
 
+def with_mark(
+    marked: UInt[Array, "W T K"], index: Int[Array, " T"], where: Bool[Array, "T K"]
+) -> UInt[Array, "W T K"]:
+    """Marks with a further one: number ``index`` of each row, in the places ``where`` it is."""
+    bit = jnp.uint32(1) << (index % WORD).astype(jnp.uint32)
+    word = jnp.arange(len(marked), dtype=index.dtype)[:, None] == (index // WORD)[None]
+    return jnp.where(word[:, :, None] & where[None], marked | bit[None, :, None], marked)
+
+
 def lowest_bit(masks: UInt[Array, "*n"]) -> Int[Array, "*n"]:
     """Number of the lowest bit that is set; meaningless where none is."""
     return jnp.minimum(count((masks & (~masks + 1)) - 1), WORD - 1)

@@ -59,8 +59,6 @@ def clear_chance(
     """
     frames, cells = of.marked.shape[1:]
     clear = jnp.ones((len(of.heights), frames * cells, of.columns.shape[1] // cells))
-    if not of.marked.size:  # a scene without traffic
-        return clear.reshape(len(of.heights), frames, -1)
     blocks, block = _blocks(of, solid)
 
     def read(number: Array, clear: Array) -> Array:
@@ -79,8 +77,6 @@ def _forward(sensor: Array, of: Sights, solid: bool) -> tuple[Array, tuple]:
 def _backward(solid: bool, kept: tuple, wanted: Float[Array, "Z F C"]) -> tuple:
     """Cell by cell again: nothing of a prism is kept."""
     sensor, of, clear = kept
-    if not of.marked.size:
-        return jnp.zeros_like(sensor), None
     frames, cells = of.marked.shape[1:]
     # A line has a slope where it is neither clear nor hidden for certain, and somebody asks.
     wanted = jnp.where(clear < 1.0, wanted * clear, 0.0)
@@ -113,7 +109,7 @@ def _blocks(of: Sights, solid: bool) -> tuple[Array, Callable[[Array], _Rows]]:
     """The number of blocks of cells that have marks, and what gives one. Most marks come first."""
     words, frames, cells = of.marked.shape
     each = of.columns.shape[1] // cells
-    marked = of.marked.reshape(words, -1)
+    marked = of.marked.reshape(words, frames * cells)
     count = bitmask.count(marked).sum(0)
     together = min(max(LINES // each, 1), count.size)
     order = _most_first(count)
@@ -131,28 +127,29 @@ def _blocks(of: Sights, solid: bool) -> tuple[Array, Callable[[Array], _Rows]]:
         if of.spared is not None:
             spared = of.spared.reshape(len(z), frames, cells, each)[:, frame, cell]
 
-        def met(
+        def meeting(
             sensor: Float[Array, "3"], index: Array, some: Array
-        ) -> tuple[ConvexPrism, SightCut, Float[Array, "R G"]]:
+        ) -> tuple[ConvexPrism, SightCut, InPlan]:
             """A prism of each row, how lines cut it in plan, and the chance that they meet it."""
             prism = _unpacked(table[:, frame, index][:, :, None], shape)
             cut = sight_cut(prism, sensor[0], sensor[1], x, y)
-            return prism, cut, jnp.where(some[:, None], _within(cut, of.width), 0.0)
+            plan = _in_plan(cut, of.width)
+            return prism, cut, plan._replace(met=jnp.where(some[:, None], plan.met, 0.0))
 
         def hides(
-            prism: ConvexPrism, cut: SightCut, within: Array, sz: Array, level: tuple
-        ) -> tuple[Array, Levels]:
+            prism: ConvexPrism, cut: SightCut, plan: InPlan, sz: Array, level: tuple
+        ) -> tuple[Array, AtLevel]:
             """How much of a level a prism of each row hides, and what that comes from."""
             z, spared = level
             at = _at_level(prism, cut.near, cut.far, z, sz, of.width, solid)
-            found = within * at.hidden
-            if spared is not None:
-                found = jnp.where(spared & _stands(prism, x, y), 0.0, found)
+            found = plan.met * at.hidden
+            if spared is not None:  # by those that stand on the column
+                found = jnp.where(spared & (cut.depth > 0), 0.0, found)
             return found, at
 
         def clear(sensor: Float[Array, "3"]) -> Float[Array, "Z R G"]:
             def hide(clear: Array, index: Array, some: Array) -> Array:
-                found = *met(sensor, index, some), sensor[2]
+                found = *meeting(sensor, index, some), sensor[2]
                 # Level by level, or XLA would find the cut again for each.
                 left = lambda level: level[0] * (1.0 - hides(*found, level[1:])[0])  # noqa: E731
                 return jax.lax.map(left, (clear, z, spared))
@@ -168,27 +165,23 @@ def _blocks(of: Sights, solid: bool) -> tuple[Array, Callable[[Array], _Rows]]:
             ux, uy = dx / length, dy / length
 
             def add(slope: Array, index: Array, some: Array) -> Array:
-                prism, cut, within = met(sensor, index, some)
+                prism, cut, plan = meeting(sensor, index, some)
 
                 def add_level(sums: tuple, of_level: tuple) -> tuple[tuple, None]:
                     wanted, *level = of_level
-                    hidden, at = hides(prism, cut, within, sensor[2], tuple(level))
+                    hidden, at = hides(prism, cut, plan, sensor[2], tuple(level))
                     some = (hidden > 0) & (hidden < 1.0)
                     wanted = jnp.where(some, -wanted / jnp.where(some, 1.0 - hidden, 1.0), 0.0)
-                    by = at.hidden, within * at.by_near, within * at.by_far, within * at.by_height
-                    return tuple(s + wanted * d for s, d in zip(sums, by, strict=True)), None
+                    met = (plan.met * by for by in (at.by_near, at.by_far, at.by_height))
+                    slopes = zip(sums, (at.hidden, *met), strict=True)
+                    return tuple(total + wanted * by for total, by in slopes), None
 
                 sums = (jnp.zeros_like(x),) * 4
-                (by_within, by_near, by_far, by_height), _ = jax.lax.scan(
+                (by_met, by_near, by_far, by_height), _ = jax.lax.scan(
                     add_level, sums, (wanted, z, spared)
                 )
-                sides = step(cut.left + SEAM, of.width) + step(cut.right + SEAM, of.width) - 1.0
-                ahead = step(cut.ahead, of.width)
-                by_sides = jnp.where((sides > 0) & some[:, None], by_within * ahead, 0.0)
-                by_left = by_sides * slope_of_step(cut.left + SEAM, of.width)
-                by_right = by_sides * slope_of_step(cut.right + SEAM, of.width)
-                by_ahead = jnp.where((sides > 0) & some[:, None], by_within * sides, 0.0)
-                by_ahead *= slope_of_step(cut.ahead, of.width)
+                margins = plan.by_left, plan.by_right, plan.by_ahead
+                by_left, by_right, by_ahead = (by_met * by for by in margins)
                 along = by_left * cut.along_left + by_right * cut.along_right
                 along += by_ahead * cut.along_ahead - by_near * cut.near / length
                 along -= by_far * jnp.where(cut.far < 1.0, cut.far, 0.0) / length
@@ -218,9 +211,6 @@ def cell_marks(
     ``bounds`` are those of the prisms, and ``reach`` [m] is how far the sensor may have to move.
     """
     marked = bitmask.marks(may_shade(sensor, bounds, tile))
-    nothing = jnp.zeros((*marked.shape, tile.cells.shape[-1]), jnp.uint32)
-    if not marked.size:  # a scene without traffic
-        return nothing
     x, y, radius = tile.cells[:, None]  # (1, K)
     radius = radius + CLOSE
     dx, dy = sensor[0] - x, sensor[1] - y
@@ -256,10 +246,9 @@ def cell_marks(
         share = jnp.maximum((prism.top - tile.low) / drop, 0.0) + NO_LEVER
         share = jnp.where(prism.top > sensor[2] - reach - CLOSE, FAR, share)
         meets &= (away - radius <= share * longest + CLOSE) & some[:, None]
-        bit = jnp.uint32(1) << (index % bitmask.WORD).astype(jnp.uint32)
-        word = jnp.arange(len(found), dtype=index.dtype)[:, None] == (index // bitmask.WORD)[None]
-        return jnp.where(word[:, :, None] & meets[None], found | bit[None, :, None], found)
+        return bitmask.with_mark(found, index, meets)
 
+    nothing = jnp.zeros((*marked.shape, tile.cells.shape[-1]), jnp.uint32)
     return bitmask.fold_marked(marked, add, nothing)
 
 
@@ -271,14 +260,31 @@ def _most_first(count: Int[Array, " N"]) -> Int[Array, " N"]:
     return (key & jnp.uint32(2**bits - 1)).astype(jnp.int32)
 
 
-def _within(cut: SightCut, width: Width) -> Float[Array, "*n"]:
-    """The chance that a line meets a prism in plan: it passes neither to the left nor to the right,
-    which exclude each other, and the prism is ahead."""
-    sides = step(cut.left + SEAM, width) + step(cut.right + SEAM, width) - 1.0
-    return jnp.maximum(sides, 0.0) * step(cut.ahead, width)
+class InPlan(NamedTuple):
+    """The chance that a line meets a prism in plan, and its derivatives by the cut's margins where
+    it is not 0."""
+
+    met: Float[Array, "*n"]
+    by_left: Float[Array, "*n"]
+    by_right: Float[Array, "*n"]
+    by_ahead: Float[Array, "*n"]
 
 
-class Levels(NamedTuple):
+def _in_plan(cut: SightCut, width: Width) -> InPlan:
+    """A line meets a prism if it passes neither to the left nor to the right, which exclude each
+    other, and the prism is ahead."""
+    left, right = cut.left + SEAM, cut.right + SEAM
+    sides = jnp.maximum(step(left, width) + step(right, width) - 1.0, 0.0)
+    ahead = step(cut.ahead, width)
+    return InPlan(
+        sides * ahead,
+        ahead * slope_of_step(left, width),
+        ahead * slope_of_step(right, width),
+        sides * slope_of_step(cut.ahead, width),
+    )
+
+
+class AtLevel(NamedTuple):
     """How much of lines to one level a prism hides where they meet it in plan, and the derivatives
     of that by ``near`` and ``far`` of the cut and by the sensor's height."""
 
@@ -296,7 +302,7 @@ def _at_level(
     sz: Float[Array, ""],
     width: Width,
     solid: bool,
-) -> Levels:
+) -> AtLevel:
     """What a prism hides of lines to heights ``z`` that meet it in plan.
 
     A line is lowest in the prism where it leaves it if it falls, and where it enters if it rises;
@@ -328,23 +334,16 @@ def _at_level(
         by_far = by_far * over + jnp.where(high_is_near, 0.0, by_high)
         by_height = by_height * over - hidden * by_over * by_rise
         hidden *= over
-    return Levels(hidden, by_near, by_far, by_height)
-
-
-def _stands(prism: ConvexPrism, x: Float[Array, "*n"], y: Float[Array, "*n"]) -> Bool[Array, "*n"]:
-    """Whether a prism stands on columns."""
-    inside = jnp.full(x.shape, True)
-    for k in range(len(prism.offset)):
-        inside &= prism.normal[k, 0] * x + prism.normal[k, 1] * y < prism.offset[k]
-    return inside
+    return AtLevel(hidden, by_near, by_far, by_height)
 
 
 def _packed(prisms: ConvexPrism) -> tuple[Float[Array, "N F B"], list[tuple[int, ...]]]:
     """All numbers of prisms in one array, to be fetched together, and the shapes of one's own."""
     numbers = prisms._replace(valid=prisms.top)  # of no use here
     lead = prisms.top.shape
-    flat = [leaf.reshape(*lead, -1) for leaf in numbers]
     shapes = [leaf.shape[len(lead) :] for leaf in numbers]
+    each = zip(numbers, shapes, strict=True)
+    flat = [leaf.reshape(*lead, math.prod(shape)) for leaf, shape in each]
     return jnp.moveaxis(jnp.concatenate(flat, -1), -1, 0), shapes
 
 

@@ -180,9 +180,8 @@ def _halved(
     """The numbers of the columns in ``number`` parts, whose sizes differ by at most one."""
     if number == 1:
         return [index]
-    xy, few = columns[index], number // 2
-    along = xy[:, (xy.max(0) - xy.min(0)).argmax()]
-    index, middle = index[along.argsort(kind="stable")], len(index) * few // number
+    few = number // 2
+    index, middle = _along_the_longer_side(columns, index), len(index) * few // number
     return [
         *_halved(columns, index[:middle], few),
         *_halved(columns, index[middle:], number - few),
@@ -195,10 +194,18 @@ def _by_cell(
     """The numbers of a tile's columns in cells of :data:`CELL` neighbours, the last with fewer."""
     if len(index) <= CELL:
         return index
+    index = _along_the_longer_side(columns, index)
+    middle = -(-len(index) // (2 * CELL)) * CELL
+    return np.concatenate([_by_cell(columns, index[:middle]), _by_cell(columns, index[middle:])])
+
+
+def _along_the_longer_side(
+    columns: Float[np.ndarray, "L 2"], index: Int[np.ndarray, " l"]
+) -> Int[np.ndarray, " l"]:
+    """The numbers of columns in their order along the longer side of the box about them."""
     xy = columns[index]
     along = xy[:, (xy.max(0) - xy.min(0)).argmax()]
-    index, middle = index[along.argsort(kind="stable")], -(-len(index) // (2 * CELL)) * CELL
-    return np.concatenate([_by_cell(columns, index[:middle]), _by_cell(columns, index[middle:])])
+    return index[along.argsort(kind="stable")]
 
 
 def _circles(

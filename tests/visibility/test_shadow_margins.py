@@ -9,7 +9,7 @@ from inspe_jax.core.convex import outlines, sight_cut
 from inspe_jax.core.numerics import REACH
 from inspe_jax.visibility import bitmask
 from inspe_jax.visibility.centered_scene import Prism
-from inspe_jax.visibility.soft_sight import Sights, _within, clear_chance
+from inspe_jax.visibility.soft_sight import Sights, _in_plan, clear_chance
 
 WIDTH = 0.5
 
@@ -47,7 +47,7 @@ def passing(sensor, column, half, width):
     def one(sensor, column, half):
         none = jnp.zeros(())
         about_origin = Prism(jnp.zeros(2), none, half, none, none == 0)
-        return _within(sight_cut(outlines(about_origin), *sensor, *column), width)
+        return _in_plan(sight_cut(outlines(about_origin), *sensor, *column), width).met
 
     return jax.vmap(one)(sensor, column, half)
 

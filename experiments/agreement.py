@@ -11,6 +11,7 @@ Embree.
 from typing import Any
 
 import numpy as np
+import raycast
 from benchmark_speed import Embree
 from common import arguments, console, output, show, town_junction, write_results
 from matplotlib.figure import Figure
@@ -19,7 +20,6 @@ from rich.progress import track
 import inspe_jax
 from inspe_jax import Layout, Scene, Sensor, Unit
 from inspe_jax.sensing.sensors import Spec
-from inspe_jax.visibility import raycast
 
 
 def world(quick: bool, seed: int) -> Scene:

@@ -25,6 +25,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+import raycast
 from common import (
     arguments,
     console,
@@ -42,7 +43,6 @@ from matplotlib.figure import Figure
 import inspe_jax
 from inspe_jax import Layout, Scene
 from inspe_jax.placement.problem import Problem
-from inspe_jax.visibility import raycast
 from inspe_jax.visibility.centered_scene import poses_about_center
 
 SOFTNESS = 0.5
@@ -60,7 +60,7 @@ WORKLOADS: dict[str, dict[str, Any]] = {
 
 def workload(name: str, seed: int, **other: Any) -> Scene:
     """One of the workloads, some of its settings changed."""
-    size: dict[str, Any] = dict(profile="ideal", seed=seed) | WORKLOADS[name] | other
+    size: dict[str, Any] = dict(seed=seed) | WORKLOADS[name] | other
     place = town_junction("Town05", 53, size["radius"], quick=name == "quick")
     return inspe_jax.build_scene(place, **size)
 
@@ -306,7 +306,7 @@ def main() -> None:
         "Value and gradient",
     )
     grown = growth(name, options.seed, repeats)
-    gradients = sampled_gradients(workload(name, options.seed, profile="paper"), options.quick)
+    gradients = sampled_gradients(scene, options.quick)
 
     settings = {
         **size,

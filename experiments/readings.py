@@ -30,6 +30,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+import raycast
 from calibrate import START, jobs
 from common import (
     METRICS,
@@ -61,7 +62,6 @@ from inspe_jax.scoring.metrics import weights_of
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.sensing.sensors import CameraSpec, LidarSpec, PinholeGrid, RayGrid, Spec
 from inspe_jax.study.work import scene_of_job
-from inspe_jax.visibility import raycast
 from inspe_jax.visibility.centered_scene import about_center
 from inspe_jax.visibility.queries import in_view
 from inspe_jax.visibility.shadows import shadow_ceilings

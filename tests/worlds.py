@@ -3,6 +3,7 @@
 from collections.abc import Iterable
 from contextlib import AbstractContextManager
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ import pytest
 import shapely
 from shapely.geometry import box
 
+from inspe_jax.core.geometry import rotation
 from inspe_jax.scene.intersection import Intersection
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.scene import Scene
@@ -267,6 +269,34 @@ def box_triangles(foot: Any, size: Any, yaw: float) -> np.ndarray:
     corners = flat @ turn.T
     solid = [np.column_stack([corners, np.full(4, z)]) for z in (0.0, size[2])]
     return (np.concatenate(solid) + np.asarray(foot))[_FACES]
+
+
+def rays_on_box(
+    spec: Spec, pose: Any, foot: Any, size: Any, edges: Any = (0.0, np.inf), headings: int = 6
+) -> np.ndarray:
+    """Rays of a grid that meet an upright box on its foot, by the height at which they do, the mean
+    over headings: every ray against the box's slabs."""
+    turn = rotation(np.asarray(pose[3:], float), np)
+    to = np.asarray(foot) + [0, 0, size[2] / 2] - np.asarray(pose[:3])
+    ratio = np.linalg.norm(size) / 2 / np.linalg.norm(to)
+    body = _directions(spec)
+    toward = body @ (turn.T @ to) / np.linalg.norm(to)
+    rays = body[toward > (np.sqrt(1 - ratio**2) - 1e-6 if ratio < 1 else -1)] @ turn.T
+    found = []
+    for yaw in (np.arange(headings) + 0.3) * np.pi / headings:
+        axes = rotation(np.array([0.0, 0.0, yaw]), np).T
+        start, along = axes @ -to, rays @ axes.T
+        with np.errstate(divide="ignore"):
+            ends = (np.array([-1, 1])[:, None, None] * np.asarray(size) / 2 - start) / along
+        first, last = ends.min(0).max(1), ends.max(0).min(1)
+        met = (first < last) & (last > 0) & (first < spec.grid.reach)
+        found.append(np.histogram((pose[2] + first * rays[:, 2] - foot[2])[met], edges)[0])
+    return np.mean(found, 0)
+
+
+@cache
+def _directions(spec: Spec) -> np.ndarray:
+    return spec.grid.directions()
 
 
 def embree_line_of_sight(scene: Scene, layout: Layout, frame: int) -> np.ndarray:

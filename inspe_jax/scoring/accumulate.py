@@ -96,3 +96,21 @@ def count_tile(
         number = tile.core.any().astype(int) + tile.core.all().astype(int)
         near = jax.lax.switch(number, (lambda: jnp.zeros_like(whole), cut, lambda: whole))
     return Counts(seen, original, columns, sights, near)
+
+
+def join_frames(parts: list[Counts]) -> Counts:
+    """The counts of consecutive runs of frames as those of all their frames."""
+    seen, original, columns, sights, core = zip(*parts, strict=True)
+    in_sight = None if sights[0] is None else sum(map(_widened, sights[1:]), _widened(sights[0]))
+    return Counts(
+        jnp.concatenate(seen, 1),
+        jnp.concatenate(original, 1),
+        sum(columns[1:], columns[0]),
+        in_sight,
+        None if core[0] is None else jnp.concatenate(core, 1),
+    )
+
+
+def _widened(counts: Array) -> Array:
+    """Counts as wider integers, so that sums do not overflow; sums of chances as they are."""
+    return counts.astype(int) if jnp.issubdtype(counts.dtype, jnp.integer) else counts

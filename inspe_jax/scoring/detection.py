@@ -13,7 +13,7 @@ import json
 import os
 import tomllib
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import asdict, dataclass, replace
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
@@ -37,6 +37,7 @@ from inspe_jax.core.files import (
     write_text,
 )
 from inspe_jax.scene.traffic.frames import CLASSES
+from inspe_jax.sensing.kinds import SENSOR_KINDS
 
 BANDS: dict[str, float] = {
     "monitor": 12.5,
@@ -92,14 +93,13 @@ Fitted = Mapping[tuple[str, str], DetectionCurve]
 class DetectionCurves:
     """One curve for each kind of sensor and each class of road user.
 
-    ``lidar`` and ``camera`` have a curve for each of
+    ``by_kind`` has the kinds' names with a curve for each of
     :data:`~inspe_jax.scene.traffic.frames.CLASSES`, in that order. Metrics of what a detector gets
     are means over the classes named in ``road_users``, all of them if it is empty. Scores are
     compiled for the curves, so they are compared by value.
     """
 
-    lidar: tuple[DetectionCurve, ...]
-    camera: tuple[DetectionCurve, ...]
+    by_kind: tuple[tuple[str, tuple[DetectionCurve, ...]], ...]
     road_users: tuple[str, ...] = ()
 
     def for_road_users(self, names: Iterable[str]) -> "DetectionCurves":
@@ -118,37 +118,41 @@ class DetectionCurves:
         return [CLASSES.index(name) for name in self.road_users or CLASSES]
 
     def of(self, kind: str) -> tuple[DetectionCurve, ...]:
-        """The curves of one kind of sensor, a curve for each class."""
-        found: tuple[DetectionCurve, ...] = getattr(self, kind)
-        return found
+        """The curves of one kind of sensor, a curve for each class.
+
+        Raises InspeError where there are none.
+        """
+        for name, curves in self.by_kind:
+            if name == kind:
+                return curves
+        raise InspeError(
+            f"detection: there are no curves for sensors of kind '{kind}'; give one for each of "
+            f"{', '.join(CLASSES)} with detection=, as inspe_jax.load_detection reads them"
+        )
 
     def with_curves(self, fitted: Fitted) -> "DetectionCurves":
         """These curves, with those of ``fitted`` in place of the ones of the same kind and class.
 
-        Raises InspeError where a kind or a class is unknown.
+        Raises InspeError where a kind or a class is unknown, or a further kind lacks a class.
         """
-        new = {kind: list(self.of(kind)) for kind in KINDS}
+        new = {kind: dict(zip(CLASSES, curves, strict=True)) for kind, curves in self.by_kind}
         for (kind, road_user), curve in fitted.items():
-            check_known(kind, KINDS, "kind of sensor")
+            check_known(kind, SENSOR_KINDS, "kind of sensor")
             check_known(road_user, CLASSES, "road user")
-            new[kind][CLASSES.index(road_user)] = curve
-        lidar, camera = (tuple(new[kind]) for kind in KINDS)
-        return replace(self, lidar=lidar, camera=camera)
+            new.setdefault(kind, {})[road_user] = curve
+        for kind, of in new.items():
+            if missing := [name for name in CLASSES if name not in of]:
+                raise InspeError(f"{kind}: it has no curve for {', '.join(missing)}")
+        by_kind = ((kind, tuple(of[name] for name in CLASSES)) for kind, of in new.items())
+        return replace(self, by_kind=tuple(by_kind))
 
     @property
     def record(self) -> dict[str, dict[str, dict[str, float]]]:
         """The numbers of every curve by kind and class: the content of a file of curves."""
         return {
-            kind: {
-                name: {f.name: getattr(curve, f.name) for f in fields(curve)}
-                for name, curve in zip(CLASSES, self.of(kind), strict=True)
-            }
-            for kind in KINDS
+            kind: {name: asdict(curve) for name, curve in zip(CLASSES, curves, strict=True)}
+            for kind, curves in self.by_kind
         }
-
-
-KINDS = ("lidar", "camera")
-"""The kinds of sensors that have curves."""
 
 
 @cache
@@ -156,10 +160,12 @@ def detection_curves() -> DetectionCurves:
     """The usual curves, from ``detection.toml``."""
     text = files("inspe_jax.scoring").joinpath("detection.toml").read_text("utf-8")
     content = tomllib.loads(text)
-    lidar, camera = (
-        tuple(DetectionCurve(**content[kind][name]) for name in CLASSES) for kind in KINDS
+    return DetectionCurves(
+        tuple(
+            (kind, tuple(DetectionCurve(**of[name]) for name in CLASSES))
+            for kind, of in content.items()
+        )
     )
-    return DetectionCurves(lidar, camera)
 
 
 class _CurveEntry(BaseModel):
@@ -175,7 +181,6 @@ def _table(name: str, keys: Iterable[str], entry: Any) -> type[BaseModel]:
     return create_model(name, __config__=STRICT, **optional)
 
 
-_CurvesFile = _table("_CurvesFile", KINDS, _table("_KindEntry", CLASSES, _CurveEntry))
 SUFFIXES = (".toml", ".json")
 """What the name of a file of curves ends in."""
 
@@ -198,22 +203,25 @@ def load_detection(path: str | os.PathLike[str]) -> DetectionCurves:
         raise InspeError(
             f"{path}: curves of detection are in a file ending {' or '.join(SUFFIXES)}"
         )
-    given: dict[str, Any] = check_model(_CurvesFile, _read(path), str(path)).model_dump()
+    model = _table("_CurvesFile", SENSOR_KINDS, _table("_KindEntry", CLASSES, _CurveEntry))
+    given: dict[str, Any] = check_model(model, _read(path), str(path)).model_dump()
     fitted: dict[tuple[str, str], DetectionCurve] = {}
-    for kind, of in given.items():
-        for road_user, row in (of or {}).items():
-            if row is None:
-                continue
-            try:
-                fitted[kind, road_user] = DetectionCurve(**row)
-            except InspeError as e:
-                raise InspeError(f"{path}: {kind}.{road_user}: {e}") from None
-    if not fitted:
-        raise InspeError(
-            f"{path}: it has no curve; give at least one, such as a table [lidar.car] with most, "
-            "half and slope"
-        )
-    return detection_curves().with_curves(fitted)
+    where = f"{path}"
+    try:
+        for kind, of in given.items():
+            for road_user, row in (of or {}).items():
+                where = f"{path}: {kind}.{road_user}"
+                if row is not None:
+                    fitted[kind, road_user] = DetectionCurve(**row)
+        where = f"{path}"
+        if not fitted:
+            raise InspeError(
+                "it has no curve; give at least one, such as a table [lidar.car] with most, half "
+                "and slope"
+            )
+        return detection_curves().with_curves(fitted)
+    except InspeError as e:
+        raise InspeError(f"{where}: {e}") from None
 
 
 def _read(path: Path) -> Any:
@@ -253,7 +261,7 @@ def fit_detection(
                 f"box {line}: a row needs sensor, road_user, number and found, such as lidar, car, "
                 "12, 1"
             ) from None
-        for value, known in zip(key, (KINDS, CLASSES), strict=True):
+        for value, known in zip(key, (SENSOR_KINDS, CLASSES), strict=True):
             check_known(value, known, f"box {line}:")
         if not 0 <= number < float("inf") or found not in (0.0, 1.0):
             raise InspeError(f"box {line}: number is 0 or more and found 0 or 1, not {dict(row)}")

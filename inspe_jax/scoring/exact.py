@@ -19,7 +19,7 @@ from inspe_jax.core import sharding
 from inspe_jax.core.geometry import Prism
 from inspe_jax.core.numerics import Groups
 from inspe_jax.core.parallel import Job, cores, run
-from inspe_jax.scoring.accumulate import count_tile
+from inspe_jax.scoring.accumulate import count_tile, join_frames
 from inspe_jax.scoring.detection import DetectionCurves
 from inspe_jax.scoring.metric import Metric, TileEvidence
 from inspe_jax.scoring.metrics import entropy, entropy_terms, resolved, tile_terms
@@ -70,14 +70,25 @@ def count_exactly(
 
     The result has the tiles' columns, and a row for each group of failures that there is room for.
     """
-    views = in_view_of(tiled, poses, sensors, voxel / 2)
-    counts = count_all(tiled, views, poses[:, :3], sensors.failures, options)
-    terms = _terms(tiled, views, counts.sights, poses, sensors, options)
+    views, counts, terms = evidence_of_tiles(tiled, poses, sensors, voxel, options)
     if options.visibility == "in_view":
         counts = counts._replace(sights=None)
     columns_only = replace(tiled.bucketed, chunks=())
     given = columns_only, views, counts, terms, sensors.reliability, sensors.failures
     return _summarise(*given, metrics=options.metrics)
+
+
+def evidence_of_tiles(
+    tiled: TiledScene,
+    poses: Float[Array | np.ndarray, "S 6"],
+    sensors: SensorArray,
+    voxel: float | Array,
+    options: ScoreOptions,
+) -> tuple[UInt[Array | np.ndarray, "S N C"], Counts, dict[str, Any]]:
+    """Masks of what is in view, the counts, and the further terms of the metrics, by metric."""
+    views = in_view_of(tiled, poses, sensors, voxel / 2)
+    counts = count_all(tiled, views, poses[:, :3], sensors.failures, options)
+    return views, counts, _terms(tiled, views, counts.sights, poses, sensors, options)
 
 
 def in_view_of(
@@ -193,24 +204,6 @@ def sight_shares(
     sights = sights_past_statics(tiled, sights, views, sensors)
     shares = [tiled.tiles.of_voxels(np.asarray(of)) for of in sights[:count]]
     return np.stack(shares) / tiled.frame_count
-
-
-def join_frames(parts: list[Counts]) -> Counts:
-    """The counts of consecutive runs of frames as those of all their frames."""
-    seen, original, columns, sights, core = zip(*parts, strict=True)
-    in_sight = None if sights[0] is None else sum(map(_widened, sights[1:]), _widened(sights[0]))
-    return Counts(
-        jnp.concatenate(seen, 1),
-        jnp.concatenate(original, 1),
-        sum(columns[1:], columns[0]),
-        in_sight,
-        None if core[0] is None else jnp.concatenate(core, 1),
-    )
-
-
-def _widened(counts: Array) -> Array:
-    """Counts as wider integers, so that sums do not overflow; sums of chances as they are."""
-    return counts.astype(int) if jnp.issubdtype(counts.dtype, jnp.integer) else counts
 
 
 def _add_counts(total: np.ndarray, counts: Any) -> None:

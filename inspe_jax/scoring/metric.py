@@ -120,15 +120,18 @@ class Evidence(NamedTuple):
 
     def columns(self, name: str) -> Float[Array, "... L"]:
         """A metric's terms of columns (N, …, C), summed over the slabs of levels, as (…, L)."""
-        found = self.terms[name]
-        each = found.reshape(self.slabs, -1, *found.shape[1:]).sum(0)
-        each = jnp.moveaxis(each, 0, -2)
-        return each.reshape(*each.shape[:-2], -1)
+        return column_sums(self.terms[name], self.slabs)
 
     def level_means(self, name: str) -> Float[Array, "... L"]:
         """The same as means over each column's levels."""
         found = self.columns(name)
         return found / jnp.broadcast_to(jnp.asarray(self.levels, found.dtype), found.shape)
+
+
+def column_sums(found: Float[Array, "N ... C"], slabs: int) -> Float[Array, "... L"]:
+    """Terms of columns, one row for each tile, summed over the slabs of levels."""
+    each = jnp.moveaxis(jnp.reshape(found, (slabs, -1, *found.shape[1:])).sum(0), 0, -2)
+    return each.reshape(*each.shape[:-2], -1)
 
 
 @dataclass(frozen=True)

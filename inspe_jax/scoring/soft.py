@@ -14,8 +14,7 @@ from jaxtyping import Array, Float
 
 from inspe_jax.core.numerics import Softness
 from inspe_jax.scoring import metrics
-from inspe_jax.scoring.accumulate import count_tile
-from inspe_jax.scoring.exact import join_frames
+from inspe_jax.scoring.accumulate import count_tile, join_frames
 from inspe_jax.scoring.metric import TileEvidence
 from inspe_jax.scoring.numbers import Numbers
 from inspe_jax.scoring.options import ScoreOptions

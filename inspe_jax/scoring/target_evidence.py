@@ -1,8 +1,9 @@
 """What each sensor has on road users that stand at each column, from one look at the geometry.
 
-:mod:`inspe_jax.scoring.targets` counts rays on boxes of any heading with care, for maps. Here the
-same is found for scores, in one pass for all classes: rays are counted on slabs of an upright face,
-and a road user is a face of its mean width, with its roof above.
+A road user of any heading is an upright face of its mean width, half its mean depth in front of its
+middle, with a roof behind it; rays are counted slab by slab. Metrics are means of it, and maps
+(:mod:`inspe_jax.scoring.targets`) its columns. Beside rays that are walked, numbers are within 5 %,
+but for cameras nearer than two lengths of a vehicle: there up to 15 % too low.
 """
 
 from functools import partial
@@ -25,14 +26,13 @@ from inspe_jax.sensing.lidar_returns import LidarNoise
 from inspe_jax.sensing.rays import Kind, Rays, RayTable
 from inspe_jax.visibility import bitmask
 from inspe_jax.visibility.in_view import transform_of
-from inspe_jax.visibility.target_rays import rays_on_face, scale_at, share_between_sides
+from inspe_jax.visibility.target_rays import NEAR, rays_on_face, scale_at, share_between_sides
 from inspe_jax.visibility.tiles import Tile
 
 DETECT = BANDS["detect"]
 """Pixels per metre that are asked for."""
 LEVEL_GROUND = 0.05
 """Standard deviation of the ground's height, by which a camera ranges [m]."""
-_NOISE = LidarNoise()
 
 SIZES = np.array([user.size for user in ROAD_USERS])
 """Length, width and height of each class (K, 3) [m]."""
@@ -40,6 +40,8 @@ WIDTH = 2 * (SIZES[:, 0] + SIZES[:, 1]) / np.pi
 """Mean width of each class over its headings [m]: Cauchy's formula for a convex outline."""
 CHORD = np.pi * SIZES[:, 0] * SIZES[:, 1] / (2 * (SIZES[:, 0] + SIZES[:, 1]))
 """Mean depth of each class along lines of sight [m]: its area over its mean width."""
+HIGHEST = 6.0
+"""Higher than any road user [m]."""
 WALKER = SIZES[CLASSES.index("pedestrian"), 2]
 
 
@@ -113,62 +115,72 @@ def target_evidence_of_sensor(
     ``pixels`` is the number of pixels that a ray stands for. Other arguments as in
     :func:`target_evidence`, and ``sight`` (Z, C) is of this sensor.
     """
-    kind, transform, camera = tile.heights.dtype, transform_of(pose), rays.slants
+    kind, transform, noise = tile.heights.dtype, transform_of(pose), rays.signal.noise
     to = tile.columns[0] - pose[0], tile.columns[1] - pose[1]
     away = jnp.sqrt(jnp.maximum(to[0] ** 2 + to[1] ** 2, CHORD.max() ** 2))
     foot, (low, high) = tile.ground - pose[2], _slabs(tile)
-    dense, distance = rays_on_face(rays, transform, to, low + foot[None], high + foot[None])
-    dense *= step(jnp.asarray(rays.table.reach, kind) - distance, width)
-    dense *= jnp.asarray(pixels, kind) if camera else _NOISE.share_returned(distance, jnp)
-    dense /= high - low  # per square metre of the face
+    # What is above the highest level is a slab of its own.
+    low, high = jnp.concatenate([low, high[-1:]]), jnp.concatenate([high, high[-1:] + HIGHEST])
+    users = detection.counted
+    curves = [detection.of(rays.signal.name)[k] for k in users]
+    plan = jnp.sqrt(jnp.maximum(to[0] ** 2 + to[1] ** 2, NEAR**2))
+    bearing, middle = (to[0] / plan, to[1] / plan), (*to, foot + WALKER / 2)
+
+    def counted(at: tuple[Array, Array], low: Array, high: Array) -> Float[Array, "Z C"]:
+        """Returns or pixels on slabs of a face, a metre wide, between heights above the sensor."""
+        number, distance = rays_on_face(rays, transform, at, low, high)
+        number *= step(jnp.asarray(rays.table.reach, kind) - distance, width)
+        share = jnp.asarray(pixels, kind) if noise is None else noise.share_returned(distance, jnp)
+        return number * share
+
+    def of_class(tall: Array, wide: Array, chord: Array) -> Float[Array, "Z+1 C"]:
+        """Returns or pixels on each slab of a class: on its front, and from above on its roof."""
+        front, back = away - chord / 2, away + chord / 2
+        upright = (foot[None] + jnp.minimum(edge, tall) for edge in (low, high))
+        face = counted((bearing[0] * front, bearing[1] * front), *upright) * (front / away)[None]
+        top = jnp.minimum(foot + tall, 0.0) * away
+        roof = counted(
+            (bearing[0] * away, bearing[1] * away), (top / front)[None], (top / back)[None]
+        )
+        return wide * (face + jnp.where((low < tall) & (high >= tall), roof, 0.0))
+
+    tall, wide, chord = (jnp.asarray(x[users], kind) for x in (SIZES[:, 2], WIDTH, CHORD))
+    inside = share_between_sides(rays, transform, middle, wide[:, None], tall[:, None])
+    on = jax.vmap(of_class, out_axes=1)(tall, wide, chord) * inside[None]  # (Z + 1, K, C)
     sight *= bitmask.chances(tile.there, len(tile.heights))
     # A level that no frame shows counts for no other: below one that traffic hides all are hidden,
     # but below a crown they may be in sight.
-    shown = jnp.where(sight > 0, dense, 0.0)
-
-    users = detection.counted
-    curves = [(detection.camera if camera else detection.lidar)[k] for k in users]
-    sizes = (x[users] for x in (SIZES[:, 2], WIDTH, CHORD))
-    tall, wide, chord = (jnp.asarray(x, kind)[:, None] for x in sizes)
-    front = away[None] / (away[None] - chord / 2)  # the front is nearer than the middle
-    roof = chord * jnp.maximum(-foot[None] - tall, 0.0) / away[None]  # as a part of the face
-    middle = (*to, foot + WALKER / 2)
-    inside = share_between_sides(rays, transform, middle, wide, tall)
-    wide *= inside
+    shown = jnp.where(sight > 0, 1.0, 0.0)[:, None]
 
     def chances(number: Float[Array, "K C"]) -> Float[Array, "K C"]:
         return jnp.stack([curve.chance(n) for curve, n in zip(curves, number, strict=True)])
 
-    def add_level(
-        state: tuple[Array, Array, Array, Array], level: tuple[Array, Array, Array, Array]
-    ) -> tuple[tuple[Array, Array, Array, Array], None]:
+    def add_level(state: tuple[Array, Array, Array, Array], level: tuple[Array, Array]) -> Any:
         """One level further down. Traffic hides a road user from below, so that the chance and the
         number rise by what a level adds, in the frames in which it is in sight. What stands for all
         frames hides some levels altogether."""
         number, before, chance, amount = state
-        dense, sight, low, high = jax.tree.map(lambda x: x[None], level)
-        top = (low < tall) & (high >= tall)
-        face = jnp.clip(tall - low, 0.0, high - low) * front + jnp.where(top, roof, 0.0)
-        number += wide * dense * face
+        on, sight = level
+        number += on
         now = chances(number)
-        gained = (now - before) * sight
-        return (number, now, chance + gained, amount + wide * dense * face * sight), None
+        gained = (now - before) * sight[None]
+        return (number, now, chance + gained, amount + on * sight[None]), None
 
     # Above the highest level: in a slab below others what they have, else as that level is seen.
-    rest = jnp.maximum(tall - high[-1][None], 0.0) * front
-    rest += jnp.where(tall > high[-1][None], roof, 0.0)
-    above = wide * shown[-1][None] * rest
+    above = on[-1] * shown[-1]
     none = jnp.zeros_like(above)
     seen = jnp.where(last, above, none) * sight[-1][None]
+    ground = counted(to, foot[None] + low[:1], foot[None] + high[:1])[0] / (high[0] - low[0])
     begin = above, jnp.where(last, none, chances(above)), none, seen
-    levels = shown, sight, low, high
-    (_, _, chance, amount), _ = jax.lax.scan(add_level, begin, levels, reverse=True)
+    (_, _, chance, amount), _ = jax.lax.scan(
+        add_level, begin, (on[:-1] * shown, sight), reverse=True
+    )
     return TargetEvidence(
         chance,
-        none if camera else amount,
+        none if noise is None else amount,
         _sharp(rays, transform, pixels, middle, tile, width),
         _precision(
-            to, away, foot, amount, WIDTH[users], dense[0], sight[0] * inside[-1], low[0], camera
+            to, away, foot, amount, WIDTH[users], ground, sight[0] * inside[-1], low[0], noise
         ),
     )
 
@@ -193,7 +205,7 @@ def _sharp(
     The margin [m] is how much further off that would still be so. In a tile above the lowest slab
     of levels it is 0: it belongs to the column, once.
     """
-    if not rays.slants:
+    if rays.signal.noise is not None:
         return jnp.zeros_like(to[0])
     scale, inside = scale_at(rays, transform, to)
     focal = jnp.sqrt(jnp.asarray(pixels, scale.dtype)) * rays.table.columns_per_unit
@@ -212,28 +224,28 @@ def _precision(
     dense: Float[Array, " C"],
     foot_seen: Float[Array, " C"],
     low: Float[Array, " C"],
-    camera: bool,
+    noise: LidarNoise | None,
 ) -> Float[Array, "3 C"]:
     """Fisher's information of one sensor on the place of a road user in plan [1/m²].
 
     The mean over classes.
 
     Across the line of sight, n returns or pixels lie evenly over a width w, so that their mean has
-    the variance w²/(12 n). Along it, each return has the LiDAR's noise of range. A camera ranges by
+    the variance w²/(12 n). Along it, each return has the noise of range. A camera ranges by
     the pixel in which a pedestrian's foot stands on the ground: with s pixels per metre of an
     upright face, it is 1/s · d/h long there, for a camera h above and d away; and the ground is
     level to :data:`LEVEL_GROUND`. ``foot_seen`` is how often the foot is in sight and in the
     picture.
     """
     across = (12.0 * amount / jnp.asarray(wide**2, amount.dtype)[:, None]).mean(0)
-    if camera:
+    if noise is None:
         slant = away / jnp.maximum(-foot, 0.5)
         some = jnp.maximum(dense, 1e-6)
         ranged = 1.0 / (slant * slant * (1.0 / (12.0 * some) + LEVEL_GROUND**2))
         ranged *= foot_seen * jnp.minimum(dense, 1.0)
         along = jnp.where(low < 1e-3, ranged, 0.0)
     else:
-        along = amount.mean(0) / _NOISE.range**2
+        along = amount.mean(0) / noise.range**2
     length = jnp.sqrt(jnp.maximum(to[0] ** 2 + to[1] ** 2, 1e-6))
     cos, sin = to[0] / length, to[1] / length
     return jnp.stack(

@@ -2,8 +2,10 @@
 
 To add a kind, write its spec, a subclass of :class:`~inspe_jax.sensing.sensors.Spec`, and here its
 catalogue keys with a row of :data:`SENSOR_KINDS`. Scores, searches and layout files work
-with the new kind then. Light and weather take nothing from it until ``conditions.toml`` has
-figures for it, and a profile does not change its reliability. A recorder says that it cannot
+with the new kind then. A detector finds road users with it as with the kind whose class of rays it
+has, or with a class of its own by the curves and the noise that its ``signal`` names. Light and
+weather take nothing from it until ``conditions.toml`` has figures for it, and a profile does not
+change its reliability. A recorder says that it cannot
 simulate the kind until it has a row in the recorder's own table.
 """
 

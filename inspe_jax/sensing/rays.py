@@ -18,6 +18,7 @@ from jaxtyping import Array, Bool, Float, Int
 from inspe_jax.core.geometry import FAR, Point
 from inspe_jax.core.numerics import arctan2
 from inspe_jax.core.pytree import pytree
+from inspe_jax.sensing.lidar_returns import LidarNoise
 
 _MIN_DISTANCE = 1e-6  # least distance from an axis on which an angle has no derivative [m]
 _ANGLE_ERROR = 1e-6  # largest error of an angle in single precision [rad]
@@ -61,6 +62,18 @@ class RayTable(NamedTuple):
     counts: Float[Array | np.ndarray, "*S N"]
     count_steps: Float[Array | np.ndarray, "*S"]
     wide: Bool[Array | np.ndarray, "*S"]
+
+
+class Signal(NamedTuple):
+    """What a sensor's rays bring a detector.
+
+    ``name`` is that of the curves by which the detector finds road users
+    (:mod:`inspe_jax.scoring.detection`). ``noise`` says which rays come back, and how exactly they
+    range; None for pictures, of which all pixels count.
+    """
+
+    name: str
+    noise: LidarNoise | None = None
 
 
 class Kind(NamedTuple):
@@ -154,6 +167,8 @@ class Rays:
 
     # Each kind defines the following in its own coordinates.
 
+    signal: ClassVar[Signal]
+    """What they bring a detector."""
     slants: ClassVar[bool] = False
     """Whether coordinates are tangents; then :meth:`beyond_row` measures along an axis."""
 
@@ -242,6 +257,8 @@ class Rays:
 @dataclass(frozen=True)
 class SphericalRays(Rays):
     """A LiDAR's rays: rows are elevations ψ, columns azimuths θ [rad]."""
+
+    signal = Signal("lidar", LidarNoise())
 
     @staticmethod
     def direction(row: Any, column: Any, xp: Any = jnp) -> tuple[Any, Any, Any]:
@@ -334,6 +351,7 @@ class SphericalRays(Rays):
 class PinholeRays(Rays):
     """A camera's rays: rows and columns are the tangents z/x and y/x."""
 
+    signal = Signal("camera")
     slants = True
 
     @staticmethod

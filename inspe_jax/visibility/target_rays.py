@@ -1,32 +1,17 @@
-"""Rays on a target: how many a road user gets where it stands, slab by slab of its height.
+"""Rays on road users: how many meet an upright face, and how large it is in a picture.
 
-A target is an upright box whose heading is not known: results are means over headings. Rays are a
-density (:mod:`inspe_jax.visibility.ray_density`), so a number is the mean over random phases of the
-grid. It has a slope in the sensor's pose, except where a plane of the target passes out of reach or
-its top comes into sight.
+Rays are a density (:mod:`inspe_jax.visibility.ray_density`), so a number is the mean over random
+phases of the grid. It has a slope in the sensor's pose.
 """
-
-import functools
-from functools import partial
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
 from inspe_jax.core.geometry import Point, dot3
-from inspe_jax.core.numerics import arctan2
-from inspe_jax.sensing.lidar_returns import LidarNoise
 from inspe_jax.sensing.rays import Rays
 from inspe_jax.visibility.in_view import RigidTransform, to_body
 
-HEADINGS = 12
-"""Headings of a target, evenly spread over half a turn, that a number is the mean of."""
-OFFSET = 0.5 - 12**-0.5
-"""Where in its part of the half turn each heading is. Widths have kinks at quarter turns. With this
-offset they bring no error to first order, and in the middle of each part about 1 %."""
-PLANES = 6
-"""Upright planes through the sensor that cut a target, at the nodes of Gauss and Legendre."""
 ASIDE = 4.0
 """Half as wide as the widest road user, and a little [m]: beyond, none is in view."""
 NEAR = 0.5
@@ -35,66 +20,6 @@ _LEAST = 1e-9  # what numbers that are divided by are at least, in whatever unit
 _SLANT = 0.02  # least cosine of the angle to a camera's axis, or sine of that to a LiDAR's
 _DEEP = 0.1  # least depth ahead of a camera [m]
 _SMALL = 3e-5  # the least part of a grid, in its coordinates, in which rays are counted
-
-
-@partial(jax.jit, static_argnames=("size", "noise"))
-def rays_on_target(
-    rays: Rays,
-    transform: RigidTransform,
-    feet: Float[Array, "L 3"],
-    slabs: Float[Array, " Z+1"],
-    *,
-    size: tuple[float, float, float],
-    noise: LidarNoise | None = None,
-) -> Float[Array, "L Z"]:
-    """The expected number of rays on each slab of a target that stands at each of L feet.
-
-    ``size`` is length, width and height [m]. ``slabs`` are the heights above the foot [m] between
-    which the slabs lie, ascending; what is above the target has no rays. Those on its top belong to
-    the highest slab. Traffic does not matter. With ``noise``, only the rays that come back count.
-
-    Upright planes through the sensor cut the target. In each, rays on a slab have elevations from
-    its lower to its upper edge at the front, or to the far edge of the top where the sensor is
-    higher than that. Their number is this angle, times the angle between planes, times the density
-    of rays there in the middle. So a camera's pixels on a target as near as it is large, which
-    fills much of the picture, are not counted well.
-    """
-    half = np.array(size[:2]) / 2
-    to = feet - transform.position[None]
-    square = to[:, 0] ** 2 + to[:, 1] ** 2
-    away = jnp.sqrt(jnp.maximum(square, _LEAST))
-    # The bearing of the target; any, for one straight below.
-    cos, sin = jnp.where(square > _LEAST, to[:, 0] / away, 1.0), to[:, 1] / away
-    edges = jnp.minimum(slabs, size[2])
-    low, high = to[:, 2:] + edges[None, :-1], to[:, 2:] + edges[None, 1:]  # (L, Z)
-    on_top = (edges[:-1] < size[2]) & (edges[1:] >= size[2])
-
-    def in_plane(plane: tuple[Array, Array, Array]) -> Float[Array, "L Z"]:
-        heading, node, weight = plane
-        left, right = _sides(away, half, heading)
-        turn = (left + right) / 2 + node * (left - right) / 2
-        wide = weight * (left - right) / 2
-        front, back = _chord(away, half, heading, turn)
-        x = cos * jnp.cos(turn) - sin * jnp.sin(turn)
-        y = sin * jnp.cos(turn) + cos * jnp.sin(turn)
-        over = on_top[None] & (high < 0)
-        far = jnp.where(over, back[:, None], front[:, None])
-        least, most = arctan2(low, jnp.broadcast_to(front[:, None], low.shape)), arctan2(high, far)
-        middle = (least + most) / 2
-        up = jnp.where(over, high, (low + high) / 2)
-        distance = jnp.sqrt(((front[:, None] + far) / 2) ** 2 + up * up)
-        bearing, elevation = (x[:, None], y[:, None]), (jnp.cos(middle), jnp.sin(middle))
-        number = _rays_within(
-            rays, transform.to_world, bearing, elevation, most - least, wide[:, None]
-        )
-        number = jnp.where((distance <= rays.table.reach) & (most > least), number, 0.0)
-        return number if noise is None else number * noise.share_returned(distance, jnp)
-
-    turns = (np.arange(HEADINGS) + OFFSET) * np.pi / HEADINGS
-    nodes, weights = np.polynomial.legendre.leggauss(PLANES)
-    planes = np.repeat(turns, PLANES), np.tile(nodes, HEADINGS), np.tile(weights, HEADINGS)
-    found = jax.lax.map(in_plane, tuple(jnp.asarray(part, float) for part in planes))
-    return found.sum(0) / HEADINGS
 
 
 def rays_on_face(
@@ -123,8 +48,7 @@ def rays_on_face(
     bearing = to[0][None] / away, to[1][None] / away
     elevation = away / distance, middle / distance
     tall = away * (high - low) / (distance * distance)
-    given = rays, transform.to_world, bearing, elevation, tall, 1.0 / away
-    return _rays_within(*given, sides=False), distance
+    return _rays_within(rays, transform.to_world, bearing, elevation, tall, 1.0 / away), distance
 
 
 def share_between_sides(
@@ -136,12 +60,21 @@ def share_between_sides(
 ) -> Float[Array, "K C"]:
     """How much of upright faces, square on in plan, is between the sides of the field of view.
 
-    ``to`` are their middles from the sensor, ``width`` and ``tall`` their sizes [m].
+    ``to`` are their middles from the sensor, ``width`` and ``tall`` their sizes [m]. A side is a
+    plane through the sensor; it cuts a face as though all of it were spread evenly along the
+    plane's normal.
     """
     if rays.wraps:
         return jnp.ones((len(width), len(to[0])), to[0].dtype)
     q, aside, up = jax.tree.map(lambda x: x[None], _face_axes(transform, to))
-    return _between_sides(rays, q, aside, up, width, tall)
+    inside = []
+    for k, sign in enumerate((1.0, -1.0)):  # to the left of the right side, and the other way
+        margin, across, along = (rays.square_column(x, rays.table.outer, k) for x in (q, aside, up))
+        spread = jnp.maximum(jnp.abs(across) * width + jnp.abs(along) * tall, _SMALL)
+        inside.append(jnp.clip(0.5 + sign * margin / spread, 0.0, 1.0))
+    # A field of more than half a turn is what is inside of either side.
+    total = inside[0] + inside[1]
+    return jnp.clip(jnp.where(rays.table.wide, total, total - 1.0), 0.0, 1.0)
 
 
 def _face_axes(transform: RigidTransform, to: Point) -> tuple[Point, Point, Point]:
@@ -151,24 +84,6 @@ def _face_axes(transform: RigidTransform, to: Point) -> tuple[Point, Point, Poin
     parts = to, (-to[1] / plan, to[0] / plan, zero), (zero, zero, zero + 1.0)
     q, aside, up = (to_body(transform.to_world, part) for part in parts)
     return q, aside, up
-
-
-def _between_sides(
-    rays: Rays, q: Point, aside: Point, up: Point, wide: Array, tall: Array
-) -> Float[Array, "*n"]:
-    """How much of a patch about each point ``q`` is between the sides of the field of view.
-
-    A side is a plane through the sensor. A patch is ``wide`` along ``aside`` and ``tall`` along
-    ``up``; a plane cuts it as though all of it were spread evenly along the plane's normal.
-    """
-    inside = []
-    for k, sign in enumerate((1.0, -1.0)):  # to the left of the right side, and the other way
-        margin, across, along = (rays.square_column(x, rays.table.outer, k) for x in (q, aside, up))
-        spread = jnp.maximum(jnp.abs(across) * wide + jnp.abs(along) * tall, _SMALL)
-        inside.append(jnp.clip(0.5 + sign * margin / spread, 0.0, 1.0))
-    # A field of more than half a turn is what is inside of either side.
-    total = inside[0] + inside[1]
-    return jnp.clip(jnp.where(rays.table.wide, total, total - 1.0), 0.0, 1.0)
 
 
 def _shift_inside(rays: Rays, transform: RigidTransform, to: Point) -> Float[Array, " C"]:
@@ -186,18 +101,18 @@ def _shift_inside(rays: Rays, transform: RigidTransform, to: Point) -> Float[Arr
     return jnp.where(rays.table.wide, either, jnp.clip(found[0] + found[1], -ASIDE, ASIDE))
 
 
-@partial(jax.jit, static_argnames="height")
+@jax.jit
 def picture_scale(
-    rays: Rays, transform: RigidTransform, feet: Float[Array, "L 3"], *, height: float
-) -> Float[Array, " L"]:
-    """How far a metre across a target is in the picture, ``height`` metres above each foot [1/m].
+    rays: Rays, transform: RigidTransform, points: Float[Array, "N 3"]
+) -> Float[Array, " N"]:
+    """How far a metre across a target at each point is in the picture [1/m].
 
     The metre is level, and square on to the line of sight in plan. In a camera's tangents it is
     1 / depth along the optical axis in the middle of the picture, and more towards its sides; times
     the focal length in pixels, it is pixels per metre. It is 0 where the point is outside of the
     field of view or the reach.
     """
-    to = feet + jnp.array([[0.0, 0.0, height]], feet.dtype) - transform.position[None]
+    to = points - transform.position[None]
     scale, margin = scale_at(rays, transform, (to[:, 0], to[:, 1], to[:, 2]))
     return jnp.where(margin > 0, scale, 0.0)
 
@@ -214,47 +129,6 @@ def scale_at(
     return jnp.sqrt(row * row + column * column + _LEAST), rays.field_margin(q, rays.table.outer)
 
 
-def _sides(
-    away: Float[Array, " L"], half: np.ndarray, heading: Float[Array, ""]
-) -> tuple[Float[Array, " L"], Float[Array, " L"]]:
-    """Bearings of the left and the right end of a rectangle ``away`` metres ahead [rad].
-
-    Around a sensor that is inside, it takes up the whole turn.
-    """
-    cos, sin = jnp.cos(heading), jnp.sin(heading)
-    inside = (jnp.abs(away * cos) < half[0]) & (jnp.abs(away * sin) < half[1])
-    ends = [
-        arctan2(
-            jnp.full_like(away, i * half[0]) * sin + j * half[1] * cos,
-            away + i * half[0] * cos - j * half[1] * sin,
-        )
-        for i, j in ((1, 1), (1, -1), (-1, 1), (-1, -1))
-    ]
-    left = functools.reduce(jnp.maximum, ends)
-    right = functools.reduce(jnp.minimum, ends)
-    return jnp.where(inside, np.pi, left), jnp.where(inside, -np.pi, right)
-
-
-def _chord(
-    away: Float[Array, " L"],
-    half: np.ndarray,
-    heading: Float[Array, ""],
-    bearing: Float[Array, " L"],
-) -> tuple[Float[Array, " L"], Float[Array, " L"]]:
-    """Where a line at a bearing enters and leaves a rectangle ``away`` metres ahead [m]."""
-    enters, leaves = jnp.zeros_like(away), jnp.full_like(away, jnp.inf)
-    turned = bearing - heading
-    for start, along, side in (
-        (-away * jnp.cos(heading), jnp.cos(turned), half[0]),
-        (away * jnp.sin(heading), jnp.sin(turned), half[1]),
-    ):
-        safe = jnp.where(jnp.abs(along) < _LEAST, _LEAST, along)
-        one, other = (-side - start) / safe, (side - start) / safe
-        enters = jnp.maximum(enters, jnp.minimum(one, other))
-        leaves = jnp.minimum(leaves, jnp.maximum(one, other))
-    return enters, jnp.maximum(leaves, enters)
-
-
 def _rays_within(
     rays: Rays,
     to_world: Float[Array, "3 3"],
@@ -262,13 +136,11 @@ def _rays_within(
     elevation: tuple[Float[Array, "*n"], Float[Array, "*n"]],
     tall: Float[Array, "*n"],
     wide: Float[Array, "..."],
-    sides: bool = True,
 ) -> Float[Array, "*n"]:
     """The expected number of rays within ``tall`` by ``wide`` radians about directions.
 
     ``bearing`` is x and y of a unit vector in plan, ``elevation`` the cosine and the sine of that
-    angle. The part of the angles that is outside of the grid is left out; without ``sides``, only
-    that beyond the outer rows.
+    angle. The part of the angles that is beyond the outer rows is left out.
     """
     x, y = bearing
     cos, sin = elevation
@@ -286,6 +158,4 @@ def _rays_within(
     rows = jnp.clip(rays.rows_below(row + reach), 0.0, count)
     rows = (rows - jnp.clip(rays.rows_below(row - reach), 0.0, count)) / (2 * reach)
     number = dense * rows * jnp.asarray(table.columns_per_unit) * tall * wide
-    if sides and not rays.wraps:
-        number *= _between_sides(rays, ahead, aside, upward, wide, tall)
     return jnp.where(ahead[0] > 0, number, 0.0) if rays.slants else number

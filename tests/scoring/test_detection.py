@@ -2,7 +2,6 @@
 
 import json
 import pickle
-from dataclasses import replace
 from importlib.resources import files
 
 import jax
@@ -13,8 +12,9 @@ import pytest
 from inspe_jax import fit_detection, load_detection, save_detection
 from inspe_jax.core.errors import InspeError
 from inspe_jax.scene.traffic.frames import CLASSES
-from inspe_jax.scoring.detection import KINDS, DetectionCurve, detection_curves
+from inspe_jax.scoring.detection import DetectionCurve, detection_curves
 from inspe_jax.scoring.options import ScoreOptions
+from inspe_jax.sensing.kinds import SENSOR_KINDS
 
 
 @pytest.mark.parametrize("slope", [1.0, 1.5, 2.2, 10.0])
@@ -33,8 +33,7 @@ def test_a_curve_is_a_logistic_function_of_the_logarithm(slope):
 
 
 def test_every_class_and_kind_has_a_curve():
-    curves = [detection_curves().of(kind) for kind in KINDS]
-    assert sorted(KINDS) == ["camera", "lidar"]
+    curves = [detection_curves().of(kind) for kind in SENSOR_KINDS]
     assert all(len(of) == len(CLASSES) for of in curves)
     assert all(0.9 <= curve.most <= 1 for of in curves for curve in of)
     with pytest.raises(InspeError, match="most is in 0 … 1"):
@@ -77,10 +76,10 @@ def test_a_file_of_curves_replaces_those_that_it_has(tmp_path):
     (tmp_path / "mine.toml").write_text(text)
     curves, usual = load_detection(tmp_path / "mine.toml"), detection_curves()
     at = CLASSES.index("pedestrian")
-    assert curves.lidar[at] == DetectionCurve(0.8, 30.0, 2.5)
-    assert curves.camera == usual.camera
-    assert [c for k, c in enumerate(curves.lidar) if k != at] == [
-        c for k, c in enumerate(usual.lidar) if k != at
+    assert curves.of("lidar")[at] == DetectionCurve(0.8, 30.0, 2.5)
+    assert curves.of("camera") == usual.of("camera")
+    assert [a == b for a, b in zip(curves.of("lidar"), usual.of("lidar"), strict=True)] == [
+        k != at for k in range(len(CLASSES))
     ]
     assert hash(curves) != hash(usual)
     assert pickle.loads(pickle.dumps(curves)) == curves
@@ -97,10 +96,10 @@ def test_fitted_curves_are_written_and_read(tmp_path):
     save_detection(fitted, path)
     curves = load_detection(path)
     assert curves == detection_curves().with_curves(fitted)
-    assert curves.camera[CLASSES.index("car")] == fitted["camera", "car"]
+    assert curves.of("camera")[CLASSES.index("car")] == fitted["camera", "car"]
     assert json.loads(path.read_text())["camera"]["car"]["half"] == 250.0
-    save_detection(replace(curves, lidar=curves.lidar[::-1]), path)
-    assert load_detection(path).lidar == curves.lidar[::-1]
+    save_detection(curves, path)
+    assert load_detection(path) == curves
     with pytest.raises(InspeError, match="did you mean lidar"):
         save_detection({("lidr", "car"): DetectionCurve(0.9, 250.0, 1.2)}, path)
     with pytest.raises(InspeError, match=r"must end in \.json"):

@@ -5,6 +5,7 @@ from dataclasses import replace
 import jax
 import numpy as np
 import pytest
+import raycast
 from shapely import affinity
 from worlds import (
     CAMERA,
@@ -26,7 +27,6 @@ from inspe_jax.scoring import metrics
 from inspe_jax.scoring.evaluate import evaluate, evaluate_many
 from inspe_jax.scoring.viewshed import viewshed
 from inspe_jax.sensing.sensors import LidarSpec
-from inspe_jax.visibility import raycast
 
 SPECS = [LIDAR, CAMERA, CAMERA]
 FOUR = ("coverage", "occlusion", "information_gain", "surrogate")

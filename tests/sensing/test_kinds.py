@@ -10,24 +10,29 @@ from functools import cached_property
 
 import numpy as np
 import pytest
+import raycast
 from matplotlib.text import Text
 from rich.console import Console
-from worlds import LIDAR, world
+from worlds import LIDAR, emptied, world
 
 import inspe_jax
 from inspe_jax.core.errors import InspeError
+from inspe_jax.core.pytree import pytree
 from inspe_jax.core.sheet import save_figure
 from inspe_jax.placement.constraints import Constraints
 from inspe_jax.report.figures import plan_view
 from inspe_jax.report.scene_tables import devices_table
+from inspe_jax.scene.traffic.frames import CLASSES
+from inspe_jax.scoring.detection import DetectionCurve, detection_curves
 from inspe_jax.sensing import kinds
 from inspe_jax.sensing.catalogue import Device, spec_of, table_of
 from inspe_jax.sensing.conditions import FAIR, Conditions
 from inspe_jax.sensing.kinds import DeviceKeys, Positive
 from inspe_jax.sensing.layout import load_layout, save_layout
+from inspe_jax.sensing.lidar_returns import LidarNoise
+from inspe_jax.sensing.rays import Signal, SphericalRays
 from inspe_jax.sensing.sensors import Spec, SphericalGrid
 from inspe_jax.simulation.embedded.recorder import EmbeddedRecorder
-from inspe_jax.visibility import raycast
 from inspe_jax.visibility.queries import in_view
 
 # ── First file: the spec ────────────────────────────────────────────────────
@@ -49,7 +54,18 @@ class FanSpec(Spec):
     @cached_property
     def grid(self):
         step = self.fov / (self.count - 1)
-        return SphericalGrid((0.0,), -self.fov / 2, step, self.count, False, self.reach)
+        return FanGrid((0.0,), -self.fov / 2, step, self.count, False, self.reach)
+
+
+@pytree
+@dataclass(frozen=True)
+class FanRays(SphericalRays):
+    signal = Signal("fan", LidarNoise(range=0.1, lost=0.0))
+
+
+@dataclass(frozen=True)
+class FanGrid(SphericalGrid):
+    _rays = FanRays
 
 
 # ── Second file: what a catalogue says of it ────────────────────────────────
@@ -124,6 +140,20 @@ def test_its_score_is_that_of_its_rays(scene, layout):
     weight = scene.voxels.weight
     assert scores.coverage == pytest.approx(weight @ walked / weight.sum(), abs=1e-3)
     assert scores.contributions[0].coverage > 0
+
+
+def test_a_detector_finds_road_users_by_its_own_curves_and_noise(scene, layout):
+    """Curves of another kind say nothing of it: without its own, it is named."""
+    with pytest.raises(InspeError, match="no curves for sensors of kind 'fan'; give one for each"):
+        inspe_jax.target_view(scene, layout)
+    with pytest.raises(InspeError, match="fan: it has no curve for truck, cyclist, pedestrian"):
+        detection_curves().with_curves({("fan", "car"): DetectionCurve(0.5, 1.0, 1.0)})
+    own = {("fan", name): DetectionCurve(0.5, 1.0, 1.0) for name in CLASSES}
+    curves = detection_curves().with_curves(own)
+    view = inspe_jax.target_view(emptied(scene), layout, detection=curves)
+    few = 1.0 / (1.0 + 1.0 / np.maximum(view.returns[:2], 1e-9))
+    assert view.returns[:2].max() > 1
+    np.testing.assert_allclose(view.found[:2], 0.5 * few, atol=1e-4)
 
 
 def test_a_search_places_it(scene, layout):

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import opv2v_validator
 import pytest
+import raycast
 import shapely
 from shapely.geometry import MultiPoint
 from worlds import CAMERA, crossing, place_sensors, slow_but, with_boxes, world
@@ -32,7 +33,6 @@ from inspe_jax.simulation.embedded.road_users import FrameActors, boxes_of, pain
 from inspe_jax.simulation.embedded.shapes import VARIANTS
 from inspe_jax.simulation.embedded.sunlit import SunlitPoints
 from inspe_jax.simulation.recorder import LAYERS, Recording
-from inspe_jax.visibility import raycast
 
 pytest.importorskip("embreex", reason="no wheels of Embree for this platform")
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import raycast
 from scipy.spatial import cKDTree
 from worlds import (
     CAMERA,
@@ -17,7 +18,6 @@ from worlds import (
 from inspe_jax.core.errors import InspeError
 from inspe_jax.sensing.catalogue import devices
 from inspe_jax.sensing.sensors import CameraSpec, LidarSpec
-from inspe_jax.visibility import raycast
 from inspe_jax.visibility.in_view import in_view_margins
 from inspe_jax.visibility.queries import in_view, line_of_sight
 

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
+import raycast
 from worlds import CAMERA, LIDAR, place_sensors, random_layout, world
 
 from inspe_jax.core.errors import InspeError
-from inspe_jax.visibility import raycast
 
 
 def test_exact_walk_agrees_with_a_slab_test_of_every_box():

@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import raycast
 from worlds import (
     CAMERA,
     LIDAR,
@@ -23,7 +24,6 @@ from inspe_jax.core.errors import InspeError
 from inspe_jax.core.numerics import Softness
 from inspe_jax.scene.statics import body, pole, tree, upright_box
 from inspe_jax.scoring.viewshed import viewshed
-from inspe_jax.visibility import raycast
 from inspe_jax.visibility.centered_scene import about_center, poses_about_center
 from inspe_jax.visibility.queries import in_view, line_of_sight
 from inspe_jax.visibility.statics import past_statics_chance, past_statics_of_sensor

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from inspe_jax.core.convex import outlines
-from inspe_jax.core.geometry import Prism, solid_top
+from inspe_jax.core.geometry import NEVER, Prism, top_over
 from inspe_jax.core.numerics import Groups, Softness, Width, exact, leave_one_out, step
 from inspe_jax.scoring import metrics
 from inspe_jax.scoring.sensor_array import SensorSet
@@ -207,3 +207,10 @@ def accumulate_frames(
     if visibility == "in_view":
         sight_share = jnp.ones_like(f)
     return FrameSums(metrics.occlusion(seen, original), occupancy, seen_share, sight_share)
+
+
+def solid_top(columns: Float[Array, "L 2"], prism: Prism) -> Float[Array, " L"]:
+    """Top [m] of the highest prism that stands on each column; :data:`NEVER` where none does."""
+    prism = jax.tree.map(lambda leaf: leaf[:, None], prism)  # (B, 1, …)
+    tops = top_over(prism, columns[None, :, 0], columns[None, :, 1])
+    return jnp.max(tops, axis=0, initial=NEVER)

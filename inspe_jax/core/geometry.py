@@ -16,7 +16,6 @@ that.
 
 from typing import Any, NamedTuple
 
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
@@ -194,13 +193,6 @@ def _crossings(
     """(1/exit, 1/entry) of a slab; for a sensor inside it, entry is at t = 0 and 1/entry is FAR."""
     low, high = jnp.minimum(u, v), jnp.maximum(u, v)
     return jnp.where(inside, high, low), jnp.where(inside, FAR, high)
-
-
-def solid_top(columns: Float[Array, "L 2"], prism: Prism) -> Float[Array, " L"]:
-    """Top [m] of the highest prism that stands on each column; :data:`NEVER` where none does."""
-    prism = jax.tree.map(lambda leaf: leaf[:, None], prism)  # (B, 1, …)
-    tops = top_over(prism, columns[None, :, 0], columns[None, :, 1])
-    return jnp.max(tops, axis=0, initial=NEVER)
 
 
 def top_over(prism: Prism, x: Float[Array, "*n"], y: Float[Array, "*n"]) -> Float[Array, "*n"]:

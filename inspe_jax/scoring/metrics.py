@@ -110,7 +110,8 @@ def resolved(
     """q_i = 1 − ∏_s (1 − ρ_s v_si), the chance that some sensor resolves voxel i.
 
     ``reliability`` is ρ. ``visible`` is v: f, or the share of frames in which sensor s sees voxel
-    i.
+    i. Sensors are taken as independent, though the same traffic hides a voxel from several: fused
+    frame by frame, IG of the nine placements is 0 to 0.03 lower, most with many LiDARs.
     """
     each = jnp.reshape(reliability, (-1,) + (1,) * (visible.ndim - 1))
     return leave_one_out(visible * each, failures)
@@ -123,8 +124,9 @@ def entropy_terms(
 
     H(Ω) = Σ H(p̂_i) and H(Ω|P) = Σ (1 − q_i) H(p̂_i). ``occupancy`` is p̂_i, the share of frames in
     which voxel i is occupied; ``resolved`` is q_i of :func:`resolved`. The paper's H(Ω|P) is read
-    here as the entropy that remains. For an erasure channel, IG is then the mutual information
-    divided by H(Ω).
+    here as the entropy that remains. Where q is of what is in view, each sensor is an erasure
+    channel, and IG the mutual information divided by H(Ω); behind traffic it is not, as what is
+    seen then depends on what is occupied.
     """
     h = entropy(occupancy)
     return dot(1.0 - resolved, h), dot(jnp.ones_like(h), h)

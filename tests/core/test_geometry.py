@@ -11,7 +11,7 @@ from inspe_jax.core.geometry import (
     rotation,
     shadow_ceiling,
     shadow_terms,
-    solid_top,
+    top_over,
 )
 
 singles = partial(np.array, dtype=np.float32)
@@ -128,7 +128,7 @@ def test_a_sensor_in_the_plane_of_a_side_sees_as_from_either_side_of_it(x):
     assert np.isfinite(ceiling((x, -5.0, 5.0), (x, 5.0), x=0.0))
 
 
-def test_solid_top_is_the_highest_prism_that_stands_there():
+def test_a_prism_has_its_top_where_it_stands():
     prisms = Prism(
         center=singles([[0.0, 0.0], [0.5, 0.0], [9.0, 9.0]]),
         yaw=singles([0.0, np.pi / 2, 0.0]),
@@ -136,5 +136,7 @@ def test_solid_top_is_the_highest_prism_that_stands_there():
         top=singles([1.5, 3.0, 2.0]),
         valid=np.array([True, True, False]),
     )
-    columns = singles([[0.0, 0.0], [-1.0, 0.0], [0.5, 1.9], [9.0, 9.0], [5.0, 5.0]])
-    assert jax.jit(solid_top)(columns, prisms).tolist() == [3.0, 1.5, 3.0, NEVER, NEVER]
+    x, y = singles([[0.0, -1.0, 0.5, 9.0, 5.0]] * 3), singles([[0.0, 0.0, 1.9, 9.0, 5.0]] * 3)
+    each = jax.tree.map(lambda leaf: leaf[:, None], prisms)
+    found = jax.jit(top_over)(each, x, y).max(0)
+    assert found.tolist() == [3.0, 1.5, 3.0, NEVER, NEVER]

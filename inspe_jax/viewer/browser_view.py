@@ -11,10 +11,9 @@ from jaxtyping import Float
 from inspe_jax.core.errors import InspeError
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.viewer.bindings import set_value
-from inspe_jax.viewer.handle import Handle, HandleDrag
 from inspe_jax.viewer.job_queue import DelayedAction
 from inspe_jax.viewer.scorer import ScoredLayout
-from inspe_jax.viewer.selection3d import Selection3D
+from inspe_jax.viewer.selection3d import HandleDrag, Selection3D
 from inspe_jax.viewer.sensor_controls import DIGITS, POSE, SensorControls
 from inspe_jax.viewer.sensor_view import SensorShot, SensorView
 
@@ -48,8 +47,7 @@ class BrowserView:
         self._layout: Layout = viewer.layout  # that the places are of
         self._typing = {key: DelayedAction() for key in (*POSE, "name")}
         self.controls = SensorControls(client.gui, viewer, self, viewer.panel.sensor_orders)
-        self.selection3d = Selection3D(client.scene, viewer.scene3d.shift)
-        self.handle = Handle(client.scene, self.on_drag)
+        self.selection3d = Selection3D(client.scene, viewer.scene3d.shift, self.on_drag)
         folder, failed = self.controls.sensor_view, viewer.queue.failed
         self.sensor_view = SensorView(client.gui, folder, viewer.case, failed, self._show_points)
 
@@ -182,7 +180,7 @@ class BrowserView:
                 self.show()  # the handle back on its sensor
             return
         (*along, s), of, moved = gripped
-        pose = drag.on(np.array(of.poses[s], float), viewer.scene3d.shift)
+        pose = drag.on(np.array(of.poses[s], float))
         if drag.phase == "update":
             self.dragging = gripped._replace(moved=True)
             where, _ = viewer.session.moved(s, pose, along)
@@ -234,11 +232,10 @@ class BrowserView:
 
         self._on_loop(set_controls)
         if s is None:
-            self.handle.gizmo.visible = False
+            self.selection3d.gizmo.visible = False
         elif self.dragging is None:
             self._show_numbers(layout)
-            pose = np.asarray(layout.poses[s], float)
-            self.handle.show(pose, self._viewer.scene3d.shift, visible=not searching)
+            self.selection3d.put_handle(np.asarray(layout.poses[s], float), visible=not searching)
 
     def show_outlines(self) -> None:
         """Draw the outlines of what is selected as wide as they should be."""

@@ -1,6 +1,6 @@
 """The controls of one browser: for a new sensor, for the selected one, and the list of all."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
 from html import escape
 from typing import Any
@@ -11,7 +11,7 @@ from inspe_jax.core.words import isolated
 from inspe_jax.sensing.catalogue import devices
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.sensing.sensors import Spec
-from inspe_jax.viewer.bindings import bind, bind_choice, set_value
+from inspe_jax.viewer.bindings import bind, set_value
 from inspe_jax.viewer.score_panel import sensor_table
 from inspe_jax.viewer.scorer import ScoredLayout
 
@@ -37,7 +37,7 @@ class SensorControls:
     def __init__(
         self, gui: viser.GuiApi, viewer: Any, view: Any, orders: tuple[float, float, float, float]
     ) -> None:
-        """``viewer`` refuses what is impossible, ``view`` has the methods that are bound below.
+        """``viewer`` applies what is typed, ``view`` has the methods that are bound below.
         ``orders`` are the places in the panel of the four folders."""
         known = sorted((one.spec for one in devices().values()), key=lambda spec: spec.title)
         self._devices = {label_of(spec): spec.name for spec in known}
@@ -71,26 +71,18 @@ class SensorControls:
             self.row_buttons = gui.add_button_group("Select", ("1",))
             self.toggle_buttons = gui.add_button_group("Select together", ("1",))
 
-        def selects(control: Any, ask: Callable[[], object]) -> None:
-            bind(control, lambda _: ask(), refuse=viewer.restore)
-
-        def changes(control: Any, ask: Callable[[], object]) -> None:
-            bind(control, lambda _: ask(), refuse=viewer.restore, settle=viewer.settle)
-
-        def typed(key: str) -> None:
-            view.type_number(key, float(self.pose[key].value))
-
+        changes = partial(bind, settle=viewer.settle)
         existing = {"Duplicate": view.duplicate, "Remove": view.remove}
-        selects(self.sensor, lambda: view.select(self.sensor.options.index(self.sensor.value)))
-        selects(self.row_buttons, lambda: view.select(int(self.row_buttons.value) - 1))
-        selects(self.toggle_buttons, lambda: view.toggle(int(self.toggle_buttons.value) - 1))
-        selects(self.name, lambda: view.rename(self.name.value))
+        bind(self.sensor, lambda _: view.select(self.sensor.options.index(self.sensor.value)))
+        bind(self.row_buttons, lambda _: view.select(int(self.row_buttons.value) - 1))
+        bind(self.toggle_buttons, lambda _: view.toggle(int(self.toggle_buttons.value) - 1))
+        bind(self.name, lambda _: view.rename(self.name.value))
         for key, number in self.pose.items():
-            selects(number, partial(typed, key))
-        changes(self.device, lambda: view.swap(self._devices[self.device.value]))
-        changes(self.existing, lambda: existing[self.existing.value]())
-        bind_choice(self.new, chosen=self._not_offered)
-        changes(self.add, lambda: view.add(self._devices[self.new.value]))
+            bind(number, lambda _, key=key, number=number: view.type_number(key, number.value))
+        changes(self.device, lambda _: view.swap(self._devices[self.device.value]))
+        changes(self.existing, lambda _: existing[self.existing.value]())
+        bind(self.new, lambda _: self._not_offered())
+        changes(self.add, lambda _: view.add(self._devices[self.new.value]))
 
     def list_sensors(self, names: Sequence[str], in_hand: int | None) -> None:
         """List these sensors, numbered from 1, and choose the one at place ``in_hand``, or none."""

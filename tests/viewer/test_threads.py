@@ -19,11 +19,10 @@ from inspe_jax.scoring.metrics import METRICS
 from inspe_jax.scoring.viewshed import sight_in
 from inspe_jax.sensing.conditions import Conditions
 from inspe_jax.viewer import scorer as scorers
-from inspe_jax.viewer.job_queue import WAITING, DelayedAction, JobQueue
+from inspe_jax.viewer.job_queue import WAITING, DelayedAction, JobQueue, asker
 from inspe_jax.viewer.score_panel import cost_of, score_panel
 from inspe_jax.viewer.scorer import Scorer
 from inspe_jax.viewer.searcher import REASONS, Searcher
-from inspe_jax.viewer.server import sender
 
 WEIGHTS = (0.3, 0.5, 0.2)
 
@@ -49,21 +48,21 @@ def test_of_a_browser_only_the_newest_wait_and_the_end_comes_soon(monkeypatch):
     queue = JobQueue(failed.append)
 
     def ask(who, count):
-        token = sender.set(who)
+        token = asker.set(who)
         for k in range(count):
             queue.submit(lambda k=k: done.append((who, k)))
-        sender.reset(token)
+        asker.reset(token)
 
     queue.submit(go.wait)
     ask("one", WAITING)
     ask(None, 3 * WAITING)
     ask("other", 10_000)
     typed = DelayedAction()
-    token = sender.set("other")
+    token = asker.set("other")
     typed.start(60, lambda: queue.submit(lambda: done.append(("other", "typed"))))
-    sender.set("one")
+    asker.set("one")
     typed.run_now()
-    sender.reset(token)
+    asker.reset(token)
     assert len(queue._waiting) == 5 * WAITING + 1
     go.set()
     while queue._waiting:
@@ -358,7 +357,7 @@ def test_a_search_that_no_process_can_have_says_why(layout, searcher, heard, mon
     first, second = (ending for (ending,) in heard.ended.wait(lambda told: len(told) == 2))
     assert (first.failed, second.failed) == (True, True)
     assert "Cannot allocate memory" in first.reason
-    assert "could not be sent" in second.reason
+    assert "could not be started" in second.reason
 
 
 # ── The score panel ──

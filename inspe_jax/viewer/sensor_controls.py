@@ -45,8 +45,6 @@ class SensorControls:
             self.new = gui.add_dropdown(
                 "New device", list(self._devices), hint="The device that Add mounts"
             )
-            # The label that was last put there; none once a person has chosen another.
-            self._offered: str | None = self.new.value
             self.add = gui.add_button(
                 "Add", hint="Mount a new sensor as near as possible to the point you look at"
             )
@@ -81,7 +79,6 @@ class SensorControls:
             bind(number, lambda _, key=key, number=number: view.type_number(key, number.value))
         changes(self.device, lambda _: view.swap(self._devices[self.device.value]))
         changes(self.existing, lambda _: existing[self.existing.value]())
-        bind(self.new, lambda _: self._not_offered())
         changes(self.add, lambda _: view.add(self._devices[self.new.value]))
 
     def list_sensors(self, names: Sequence[str], in_hand: int | None) -> None:
@@ -104,19 +101,12 @@ class SensorControls:
         self.several.content = f'<div style="{_WORDS}">{words}</div>' if count != 1 else ""
 
     def offer_device(self, spec: Spec) -> None:
-        """Choose a device in the list; add it if the catalogue does not have it.
-
-        Until a person has chosen a device for a new sensor, it is the same.
-        """
+        """Choose a device in the list; add it if the catalogue does not have it."""
         label = label_of(spec)
         if label not in self.device.options:
             self._devices[label] = spec.name
             self.device.options = (*self.device.options, label)
         set_value(self.device, label)
-        # A value that is not the one offered last was chosen just now, and is about to be reported.
-        if self.new.value == self._offered and label in self.new.options:
-            self._offered = label
-            set_value(self.new, label)
 
     def show_table(
         self, layout: Layout, scored: ScoredLayout | None, selection: Sequence[int]
@@ -131,6 +121,3 @@ class SensorControls:
         self.new.disabled = self.add.disabled = not change
         for control in (self.device, self.name, *self.pose.values()):
             control.disabled = not (change and selected)
-
-    def _not_offered(self) -> None:
-        self._offered = None

@@ -3,6 +3,7 @@
 import socket
 import threading
 import time
+from contextlib import contextmanager
 from dataclasses import replace
 from urllib.error import HTTPError
 from urllib.parse import urlsplit
@@ -71,10 +72,6 @@ def own_of(viewer):
     wait_until(there)
     ((client, view),) = viewer.views.items()
     return client, view
-
-
-def yaw_of(layout):
-    return np.degrees(layout.poses[0, 5])
 
 
 # ── Who is let in ──
@@ -186,7 +183,7 @@ def test_a_version_of_viser_that_opens_its_port_otherwise_is_not_used(monkeypatc
 
     class Other:
         def __init__(self, **_):
-            self.stopped = False
+            pass
 
         def stop(self):
             stopped.append(self)
@@ -222,15 +219,23 @@ def test_a_handle_is_pulled_by_its_own_browser_alone(viewer):
         wait_until(lambda: viewer.layout is before)  # it was one change
 
 
-def test_a_browser_that_leaves_in_mid_drag_lets_go_there(viewer):
-    before = viewer.layout
-    up = np.array(before.poses[0, :3]) - viewer.scene3d.shift + [0, 0, 0.5]
+@contextmanager
+def dragging(viewer):
+    """A page that pulls its handle up by half a metre and has not let go: its socket, the id of
+    its client, its view, and where the handle was."""
     with socket_of(viewer.url) as page:
         enter(page)
         owner, view = own_of(viewer)
+        at = np.array(view.selection3d.gizmo.position)
         pull(page, owner, None, "Start")
-        pull(page, owner, up.tolist())
-        wait_until(lambda: viewer.display.shown is not before)
+        pull(page, owner, (at + [0, 0, 0.5]).tolist())
+        wait_until(lambda: viewer.display.shown is not viewer.layout)
+        yield page, owner, view, at
+
+
+def test_a_browser_that_leaves_in_mid_drag_lets_go_there(viewer):
+    before = viewer.layout
+    with dragging(viewer) as (_, _, view, _):
         assert viewer.layout is before
     wait_until(lambda: viewer.layout is not before and not viewer.views)
     assert viewer.layout.poses[0, 2] - before.poses[0, 2] == pytest.approx(0.5, abs=1e-3)
@@ -242,7 +247,7 @@ def test_what_a_browser_has_typed_counts_when_it_leaves(viewer, monkeypatch):
     """Before what others do after it has left."""
     monkeypatch.setattr("inspe_jax.viewer.browser_view.TYPED", 600.0)
     before = viewer.layout
-    yaw = 12.5 if yaw_of(before) < 12 else -12.5
+    yaw = 12.5 if np.degrees(before.poses[0, 5]) < 12 else -12.5
     with socket_of(viewer.url) as page:
         enter(page)
         _, view = own_of(viewer)
@@ -250,19 +255,13 @@ def test_what_a_browser_has_typed_counts_when_it_leaves(viewer, monkeypatch):
         wait_until(lambda: view._typing["yaw"]._action)
         assert viewer.layout is before
     wait_until(lambda: viewer.layout is not before)
-    assert yaw_of(viewer.layout) == pytest.approx(yaw)
+    assert np.degrees(viewer.layout.poses[0, 5]) == pytest.approx(yaw)
 
 
 def test_a_search_ends_a_drag_and_shows_what_it_begins_from(viewer, monkeypatch):
     monkeypatch.setattr(viewer.searcher, "start", lambda *_: None)
     before = viewer.layout
-    with socket_of(viewer.url) as page:
-        enter(page)
-        owner, view = own_of(viewer)
-        at = np.array(view.selection3d.gizmo.position)
-        pull(page, owner, None, "Start")
-        pull(page, owner, (at + [0, 0, 1.0]).tolist())
-        wait_until(lambda: viewer.display.shown is not before)
+    with dragging(viewer) as (page, owner, view, at):
         viewer.optimise()
         wait_until(lambda: viewer.display.shown is before)
         assert view.dragging is None
@@ -276,18 +275,13 @@ def test_a_search_ends_a_drag_and_shows_what_it_begins_from(viewer, monkeypatch)
 
 def test_what_another_browser_does_in_vain_leaves_a_drag_as_it_is(viewer):
     before = viewer.layout
-    with socket_of(viewer.url) as page:
-        enter(page)
-        owner, view = own_of(viewer)
-        up = np.array(view.selection3d.gizmo.position) + [0, 0, 0.5]
-        pull(page, owner, None, "Start")
-        pull(page, owner, up.tolist())
-        wait_until(lambda: viewer.display.shown is not before)
+    with dragging(viewer) as (page, owner, view, at):
         viewer.restore()
         view.select(1)
         done = []
         viewer.queue.submit(lambda: done.append(True))
         wait_until(lambda: done)
+        up = at + [0, 0, 0.5]
         np.testing.assert_allclose(view.selection3d.gizmo.position, up, atol=1e-5)
         assert view.selection == (0,)
         pull(page, owner, None, "End")
@@ -313,19 +307,6 @@ def test_a_typed_number_is_read_before_the_controls_are_shown_anew(fresh, layout
         wait_until(lambda: fresh.layout is not layout)
     assert asked
     assert np.degrees(fresh.layout.poses[0, 4]) == pytest.approx(-7.0)
-
-
-def test_numbers_that_are_far_off_are_brought_back(fresh, scene):
-    with socket_of(fresh.url) as page:
-        enter(page)
-        numbers = own_of(fresh)[1].controls.pose.values()
-        for sign, control in zip((1, -1, 1, -1, 1), numbers, strict=True):
-            before = fresh.layout
-            set_value(page, control, sign * 1e9)
-            wait_until(lambda before=before: fresh.layout is not before, 10)
-    assert np.isfinite(fresh.layout.poses).all()
-    assert fresh.session.faults() == []
-    assert np.hypot(*fresh.layout.poses[0, :2]) <= scene.voxels.radius + 1e-3
 
 
 def test_a_burst_of_requests_is_shown_once_and_holds_nobody_up(fresh, layout):

@@ -145,6 +145,21 @@ def height(session, s):
     return numbers(session, s)["height"]
 
 
+def test_numbers_far_off_are_brought_back_and_what_is_none_is_refused(session):
+    for sign, key in zip((1, -1, 1, -1, 1), numbers(session), strict=True):
+        session.set_number(0, key, sign * 1e9)
+    assert np.isfinite(session.layout.poses).all()
+    assert_mounted(session)
+    before = session.layout
+    for wrong in (np.nan, np.inf, 1e300):
+        for key in numbers(session):
+            with pytest.raises(InspeError, match="is not a finite number, or too large"):
+                session.set_number(0, key, wrong)
+    with pytest.raises(InspeError, match="no such place"):
+        session.add("paper-camera", np.array([np.nan, 0.0]))
+    assert session.layout is before
+
+
 def test_heights_and_pitch_stay_within_what_mounting_allows(session):
     session.move(0, pose_of(session, 0) + [0, 0, 50, 0, 1.5, 0])
     assert height(session, 0) == pytest.approx(12.0, abs=1e-3)

@@ -82,26 +82,19 @@ def test_of_a_browser_only_the_newest_wait_and_the_end_comes_soon(monkeypatch):
     ]
 
 
-def test_of_what_is_to_be_done_later_only_the_last_is_done():
+def test_of_what_is_to_be_done_later_the_last_is_done_once_and_can_be_done_now():
     done, later, told = [], DelayedAction(), threading.Event()
     for k in range(3):
         later.start(0.05, lambda k=k: (done.append(k), told.set()))
     assert told.wait(60)
+    later.run_now()
+    assert done == [2]
     later.start(60, lambda: done.append("never"))
     later.cancel()
-    assert done == [2]
-
-
-def test_what_is_to_be_done_later_is_done_once_and_can_be_done_now():
-    done, later = [], DelayedAction()
     later.start(60, lambda: done.append("now"))
     later.run_now()
     later.run_now()
-    assert done == ["now"]
-    later.start(0.02, lambda: done.append("later"))
-    time.sleep(0.2)
-    later.run_now()
-    assert done == ["now", "later"]
+    assert done == [2, "now"]
 
 
 def test_a_job_that_fails_does_not_end_the_others():
@@ -402,6 +395,10 @@ def test_the_panel_says_scores_faults_and_cost(scene, layout):
     assert "opacity" not in waits
     assert "opacity:.3" in panel(replace(layout, name="moved"), scored, frames=50, faded=True)
     assert "opacity" not in panel(layout, scored, frames=50, faded=True)  # it is this one's
+    above, far = (panel(layout, scored, frames=50, target=target) for target in (0.01, 1.0))
+    assert "target" not in text
+    assert "target reached" in above
+    assert f"{1.0 - scores.surrogate:.4f} to the target" in far
     failed = replace(scored, scores=None, wrong="no <traffic>")
     assert "no &lt;traffic&gt;" in panel(layout, failed, frames=50)
 

@@ -132,7 +132,7 @@ class Viewer:
         self.files.close()
         self.display.close()
         for view in list(self.views.values()):
-            view.close(wait=True)
+            view.sensor_view.close(wait=True)
         with quiet():
             self.server.stop()
 
@@ -156,7 +156,7 @@ class Viewer:
         if view is not None:
             view.settle()
             self.views.pop(client.client_id, None)
-            self.queue.submit(lambda: view.close(wait=False))
+            self.queue.submit(lambda: view.sensor_view.close(wait=False))
 
     def open_view(self, client: Any) -> BrowserView:
         """Show a browser a selection of its own; on the thread of the queue."""

@@ -12,6 +12,7 @@ from inspe_jax.core.errors import InspeError
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.viewer.bindings import set_value
 from inspe_jax.viewer.job_queue import DelayedAction
+from inspe_jax.viewer.score_panel import sensor_table
 from inspe_jax.viewer.scorer import ScoredLayout
 from inspe_jax.viewer.selection3d import HandleDrag, Selection3D
 from inspe_jax.viewer.sensor_controls import DIGITS, POSE, SensorControls
@@ -55,10 +56,6 @@ class BrowserView:
     def in_hand(self) -> int | None:
         """The place of the sensor that has the handle, if one has."""
         return self.selection[-1] if self.selection else None
-
-    def close(self, *, wait: bool) -> None:
-        """Record nothing more; with ``wait``, come back when the last recording has ended."""
-        self.sensor_view.close(wait=wait)
 
     # ── What the browser asks for. Places are those in the layout when it is done ──
 
@@ -256,7 +253,7 @@ class BrowserView:
 
     def show_table(self, layout: Layout, scored: ScoredLayout | None) -> None:
         """Show a row for each sensor of a layout, with what it adds to scores, if it has any."""
-        self.controls.show_table(layout, scored, self.selection)
+        self.controls.table.content = sensor_table(layout, scored, self.selection)
 
     def _select(self, found: Callable[[], tuple[int, ...]]) -> None:
         """Select the sensors at the places that ``found`` gives, as far as they are there; not in

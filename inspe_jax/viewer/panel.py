@@ -154,11 +154,13 @@ class Panel:
                 "They are not replaced unless you say so."
             )
             for number, at in enumerate(earlier):
-                offer = self._gui.add_button(f"Open {at.name}")
-                self._changes(offer, lambda _, n=number: self._viewer.files.open_earlier(n))
-                self.offers.append(offer)
+                self.offers.append(self._gui.add_button(f"Open {at.name}"))
+                self._changes(self.offers[-1], partial(self._open_earlier, number))
             leave = self._gui.add_button("Leave them", color="gray")
             self._changes(leave, lambda _: setattr(self.earlier, "visible", False))
+
+    def _open_earlier(self, number: int, _: Any) -> None:
+        self._viewer.files.open_earlier(number)
 
     def withdraw(self, number: int) -> None:
         """Stop offering a layout, since it is open."""

@@ -363,7 +363,8 @@ def segments(line: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "M 2 3"]:
 
 def mixed(one: str, other: str, share: float) -> str:
     """A colour between two, with so much of the other, from 0 to 1."""
-    return to_hex((1.0 - share) * np.array(to_rgb(one)) + share * np.array(to_rgb(other)))
+    red, green, blue = (1.0 - share) * np.array(to_rgb(one)) + share * np.array(to_rgb(other))
+    return to_hex((red, green, blue))
 
 
 def rgb(color: str) -> tuple[int, int, int]:

@@ -9,11 +9,8 @@ import viser
 
 from inspe_jax.core.words import isolated
 from inspe_jax.sensing.catalogue import devices
-from inspe_jax.sensing.layout import Layout
 from inspe_jax.sensing.sensors import Spec
 from inspe_jax.viewer.bindings import bind, set_value
-from inspe_jax.viewer.score_panel import sensor_table
-from inspe_jax.viewer.scorer import ScoredLayout
 
 DIGITS = {"x": 2, "y": 2, "height": 2, "yaw": 1, "pitch": 1}
 """The numbers of a pose, with the decimals that are shown and typed."""
@@ -69,6 +66,9 @@ class SensorControls:
             self.row_buttons = gui.add_button_group("Select", ("1",))
             self.toggle_buttons = gui.add_button_group("Select together", ("1",))
 
+        def typed(key: str, _: Any) -> None:
+            view.type_number(key, self.pose[key].value)
+
         changes = partial(bind, settle=viewer.settle)
         existing = {"Duplicate": view.duplicate, "Remove": view.remove}
         bind(self.sensor, lambda _: view.select(self.sensor.options.index(self.sensor.value)))
@@ -76,7 +76,7 @@ class SensorControls:
         bind(self.toggle_buttons, lambda _: view.toggle(int(self.toggle_buttons.value) - 1))
         bind(self.name, lambda _: view.rename(self.name.value))
         for key, number in self.pose.items():
-            bind(number, lambda _, key=key, number=number: view.type_number(key, number.value))
+            bind(number, partial(typed, key))
         changes(self.device, lambda _: view.swap(self._devices[self.device.value]))
         changes(self.existing, lambda _: existing[self.existing.value]())
         changes(self.add, lambda _: view.add(self._devices[self.new.value]))
@@ -107,12 +107,6 @@ class SensorControls:
             self._devices[label] = spec.name
             self.device.options = (*self.device.options, label)
         set_value(self.device, label)
-
-    def show_table(
-        self, layout: Layout, scored: ScoredLayout | None, selection: Sequence[int]
-    ) -> None:
-        """Show a row for each sensor of a layout, with what it adds to scores, if it has any."""
-        self.table.content = sensor_table(layout, scored, selection)
 
     def enable(self, *, change: bool, selected: bool) -> None:
         """Leave only what selects unless the layout may change; and of what changes a selected

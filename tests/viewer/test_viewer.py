@@ -210,6 +210,7 @@ def test_frames_are_played_one_after_another_whatever_else_is_asked(viewer, monk
 
 
 def test_numbers_typed_one_after_another_all_count(viewer, layout):
+    """Also the last, when the page is closed."""
     viewer.view.type_number("height", 1.0)  # on the way to 10
     viewer.view.type_number("height", 10.0)
     viewer.view.type_number("yaw", -90.0)
@@ -224,6 +225,10 @@ def test_numbers_typed_one_after_another_all_count(viewer, layout):
     done(viewer, lambda: viewer.told)
     assert viewer.told[-1][0] == "Mounted nearby"
     assert viewer.told[-1][1].startswith("height is 12.00 m, not 60 m as asked for")
+    viewer.view.type_number("yaw", 30.0)
+    viewer.close()
+    kept = load_layout(viewer.store.unsaved)
+    assert np.degrees(kept.poses[0, 5]) == pytest.approx(30.0)
 
 
 def test_what_is_typed_counts_before_whatever_is_pressed(viewer, monkeypatch):
@@ -286,15 +291,6 @@ def test_an_earlier_layout_is_opened_once_and_not_during_a_search(scene, layout,
         viewer.close()
 
 
-def test_what_is_typed_counts_when_the_page_is_closed(scene, layout, tmp_path):
-    viewer = Viewer(Case(scene), layout, tmp_path / "layout.yaml", port=0)
-    viewer.view = opened(viewer)
-    viewer.view.type_number("yaw", -90.0)
-    viewer.close()
-    kept = load_layout(viewer.store.unsaved)
-    assert np.degrees(kept.poses[0, 5]) == pytest.approx(-90.0)
-
-
 def test_a_new_sensor_stands_where_one_looks(viewer, scene):
     client = SimpleNamespace(camera=SimpleNamespace(look_at=np.array([9.0, -9.0, 0.0])))
     viewer.view.client = client
@@ -345,14 +341,6 @@ def test_a_report_is_sent_to_who_asks_with_the_layout_that_was_opened_and_the_ta
     assert len(sent) == 1
 
 
-def test_a_unit_without_sensors_has_no_number(viewer, layout):
-    bare = replace(layout, units=(*layout.units, Unit("spare", (0.0, 0.0, 0.0))))
-    done(viewer)
-    viewer.scene3d.draw_layout(bare)
-    labels = [name for name in viewer.scene3d.drawn if re.fullmatch("numbers/[0-9]+", name)]
-    assert len(labels) == len(layout.units)
-
-
 def test_a_click_on_the_numbers_of_a_unit_goes_round_its_sensors(viewer):
     """And with Shift, it selects all of them."""
 
@@ -371,6 +359,10 @@ def test_a_click_on_the_numbers_of_a_unit_goes_round_its_sensors(viewer):
     assert [click(number, shift=True) for number in (0, 1, 0, 1)] == [
         (2, 0, 1), (0, 1), (0, 1), (0, 1, 2),
     ]  # fmt: skip
+    bare = (*viewer.layout.units, Unit("spare", (0.0, 0.0, 0.0)))  # has no sensor, and no number
+    viewer.scene3d.draw_layout(replace(viewer.layout, units=bare))
+    labels = [name for name in viewer.scene3d.drawn if re.fullmatch("numbers/[0-9]+", name)]
+    assert len(labels) == 2
 
 
 def test_sensors_that_are_selected_together_move_turn_and_go_together(viewer, layout):

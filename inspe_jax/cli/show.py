@@ -140,7 +140,7 @@ def view(
     exchange sensors, start a search, undo, save, and write a report. Unsaved changes are kept in
     a file beside the layout. A file of an earlier run is not replaced without asking. A layout
     that breaks a rule of mounting opens too; its sensors are red and the page gives the reason.
-    Only this machine can open the page; another one, through the tunnel that is printed. The
+    Only this machine can open the page; another one can through the tunnel that is printed. The
     address contains a secret: everyone on this machine who has it can do all of this. It stays
     the same for the same --out. Ctrl-C ends the server.
 
@@ -185,7 +185,7 @@ def view(
         if port not in (0, viewer.port):
             note(f"port {port} is not available: using {viewer.port}")
         out.print(f"open {viewer.url}")
-        out.print(f"only this machine can open it; another one after {_tunnel(viewer.port)}")
+        out.print(f"only this machine can open it; on another one, first {_tunnel(viewer.port)}")
         for earlier in viewer.store.earlier:
             words = "is of an earlier run: the page offers to open it, and does not replace it"
             note(f"{earlier} {words}")

@@ -51,8 +51,8 @@ from inspe_jax.placement.problem import Case
 from inspe_jax.viewer.app import Viewer
 from inspe_jax.viewer.bindings import set_value
 from inspe_jax.viewer.browser_view import BrowserView
-from inspe_jax.viewer.handle import HandleDrag
 from inspe_jax.viewer.panel import BLIND_SPOTS
+from inspe_jax.viewer.selection3d import HandleDrag
 from inspe_jax.viewer.sensor_controls import POSE
 
 Ready = Callable[[], object]
@@ -109,7 +109,7 @@ def drag(viewer: Viewer, s: int, rng: np.random.Generator) -> dict[str, float]:
 
     view.select(s)
     pose = np.array(viewer.layout.poses[s], float)
-    turn, at = rotation(np.array([0.0, 0.0, pose[5]]), np), pose[:3] - viewer.scene3d.shift
+    turn, at = rotation(np.array([0.0, 0.0, pose[5]]), np), pose[:3]
     away = np.append(rng.uniform(-3, 3, 2), rng.uniform(-1, 1))
     view.on_drag(HandleDrag("start", at, turn))
     for k in range(1, STEPS + 1):
@@ -138,7 +138,7 @@ def recordings(viewer: Viewer, s: int, count: int) -> Iterator[float]:
     view = view_of(viewer)
     view.select(s)
     pose = np.array(viewer.layout.poses[s], float)
-    turn, at = rotation(np.array([0.0, 0.0, pose[5]]), np), pose[:3] - viewer.scene3d.shift
+    turn, at = rotation(np.array([0.0, 0.0, pose[5]]), np), pose[:3]
     view.on_drag(HandleDrag("start", at, turn))
     began, seen, last = time.monotonic(), view.sensor_view.seen, None
     moved, done = began, 0
@@ -175,9 +175,7 @@ def on_server(viewer: Viewer, s: int) -> float:
 
 def in_page(tab: Any, viewer: Viewer, s: int) -> float:
     """Choose a sensor in the page's list; seconds until the page shows its pose."""
-    x, y, _, _, pitch, yaw = np.asarray(viewer.layout.poses[s], float)
-    height = viewer.session.height(s)
-    pose = dict(x=x, y=y, height=height, yaw=np.degrees(yaw), pitch=np.degrees(pitch))
+    pose = viewer.session.numbers(viewer.layout, s)
     tab.get_by_label("Sensor", exact=True).click(force=True)
     tab.evaluate(LOOK, {POSE[key]: round(float(value), 1) for key, value in pose.items()})
     tab.get_by_role("option").nth(s).click()

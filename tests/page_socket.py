@@ -3,23 +3,9 @@
 from contextlib import contextmanager
 from urllib.parse import urlsplit
 
-import msgspec
+import msgpack
 import viser
-from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
-
-CAMERA = dict(
-    type="ViewerCameraMessage",
-    wxyz=[1.0, 0.0, 0.0, 0.0],
-    position=[0.0, -20.0, 20.0],
-    fov=0.8,
-    near=0.01,
-    far=1000.0,
-    image_height=900,
-    image_width=1440,
-    look_at=[0.0, 0.0, 0.0],
-    up_direction=[0.0, 0.0, 1.0],
-)
 
 
 @contextmanager
@@ -40,12 +26,16 @@ def socket_of(url, *, origin=None):
 
 def send(socket, **message):
     """Send a message of viser's."""
-    socket.send(msgspec.msgpack.encode(message))
+    socket.send(msgpack.packb(message))
 
 
 def enter(socket):
     """Be a client: viser counts one after its camera's first message."""
-    send(socket, **CAMERA)
+    send(
+        socket, type="ViewerCameraMessage", wxyz=[1.0, 0.0, 0.0, 0.0], position=[0.0, -20.0, 20.0],
+        look_at=[0.0, 0.0, 0.0], up_direction=[0.0, 0.0, 1.0], fov=0.8, near=0.01, far=1000.0,
+        image_height=900, image_width=1440,
+    )  # fmt: skip
 
 
 def set_value(socket, control, value):
@@ -59,12 +49,3 @@ def pull(socket, owner, position, phase="Update", wxyz=(1.0, 0.0, 0.0, 0.0)):
     kind = "" if phase == "Update" else "Drag"
     kind = f"TransformControls{kind}{phase}Message"
     send(socket, type=kind, name="/handle", owner=str(owner), **where)
-
-
-def ended_by(socket):
-    """The code with which the server ends a connection, after whatever it says before."""
-    try:
-        while True:
-            socket.recv(timeout=30)
-    except ConnectionClosed as end:
-        return end.rcvd.code

@@ -55,7 +55,6 @@ ROOMS = {
     ),
     "viser": ("viewer/",),
     "websockets": ("viewer/server.py",),
-    "msgspec": ("viewer/server.py",),
     "jinja2": ("report/",),
     "typer": ("cli/",),
     "distributed": ("jobs/",),

@@ -4,6 +4,7 @@ import signal
 import time
 from dataclasses import replace
 from pathlib import Path
+from socket import gethostname
 from typing import Annotated, Any
 
 import typer
@@ -129,9 +130,8 @@ def view(
     sensors: str = DEFAULT_LAYOUT,
     *,
     path: Path = Path("viewed.yaml"),
-    port: Annotated[int, typer.Option(min=0, max=65535)] = 8080,
+    port: Annotated[int, typer.Option(min=0, max=65000)] = 8080,
     host: str = "127.0.0.1",
-    token: bool = True,
     options: WeightOptions,
 ) -> None:
     """Serve a page on which you drag sensors and see the scores follow.
@@ -140,36 +140,32 @@ def view(
     exchange sensors, start a search, undo, save, and write a report. Unsaved changes are kept in
     a file beside the layout. A file of an earlier run is not replaced without asking. A layout
     that breaks a rule of mounting opens too; its sensors are red and the page gives the reason.
-    The printed address contains a secret: everyone who has it can do all of this. Ctrl-C ends the
-    server.
+    Only this machine can open the page; another one can through the tunnel that is printed. The
+    address contains a secret: everyone on this machine who has it can do all of this. It stays
+    the same for the same --out. Ctrl-C ends the server.
 
     Examples:
 
     - `inspe view`  (the built-in four-way with cameras at its corners)
     - `inspe view j189.npz layout.yaml --out better.yaml --light night`
-    - `inspe view roundabout Cam-d1/L-d1 --port 9000 --host 0.0.0.0`
+    - `inspe view roundabout Cam-d1/L-d1 --port 9000`
 
     Args:
         path (--out FILE.yaml): File in which the layout is saved.
         port: Port; if it is taken, the next free one is used.
-        host: Address to listen on; 0.0.0.0 lets other machines connect.
-        token: Put a random token into the page's address, so that only those who have the
-            address can open it. On this machine it stays the same for the same --out.
-            --no-token is allowed only with a --host of this machine.
+        host: Address to listen on; 127.0.0.1 is the only one.
     """
     from inspe_jax.report.page_token import kept_token
     from inspe_jax.viewer.app import Viewer
-    from inspe_jax.viewer.server import AccessRules
+    from inspe_jax.viewer.server import HOST
 
     check_output(path, (".yaml", ".yml"))
     conditions, weights = options.conditions, options.weights()
     further, curves = options.further(), options.curves()
-    access = AccessRules(host) if token else AccessRules(host, token="")
-    if token and access.local:  # a page that is open when the server ends gets in to the next one
-        access = replace(access, token=kept_token(str(path.resolve())))
-    if not (token or access.local):
+    if host not in (HOST, "localhost"):
         raise InspeError(
-            f"--no-token is allowed only on this machine, but --host {host} lets others connect"
+            f"--host {host}: only this machine can open the page. Leave --host out; on another "
+            f"machine run `{_tunnel(port)}`, and open the printed address there"
         )
     check_layout(sensors, unit_rule=False)
     with busy(f"reading {source}"):
@@ -182,25 +178,17 @@ def view(
         weights=weights,
         metrics=further,
         detection=curves,
-        access=access,
+        token=kept_token(str(path.resolve())),  # a page that is open gets in to the next server
         port=port,
     )
     try:
         if port not in (0, viewer.port):
             note(f"port {port} is not available: using {viewer.port}")
         out.print(f"open {viewer.url}")
-        if access.local:
-            out.print("only this machine can open it; --host 0.0.0.0 lets other machines connect")
-        for url in viewer.other_urls:
-            out.print(f"from other machines {url}")
-        if not access.local:
-            note(
-                "everyone who has the address can look, change and save; the connection is not "
-                "encrypted"
-            )
+        out.print(f"only this machine can open it; on another one, first {_tunnel(viewer.port)}")
         for earlier in viewer.store.earlier:
             words = "is of an earlier run: the page offers to open it, and does not replace it"
-            note(f"{earlier.path} {words}")
+            note(f"{earlier} {words}")
         signal.signal(signal.SIGTERM, signal.default_int_handler)
         out.print("Ctrl-C ends")
         while True:
@@ -219,6 +207,11 @@ def view(
             out.print("so it is printed here:", layout_text(viewer.layout), sep="\n")
             leave_at_once(1)
     leave_at_once(0)
+
+
+def _tunnel(port: int) -> str:
+    """The command that lets another machine open a page of this one."""
+    return f"ssh -L {port}:localhost:{port} {gethostname()}"
 
 
 @command()

@@ -17,12 +17,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, UInt
+from jaxtyping import UInt
 
 from inspe_jax.core.compiling import usual_seconds, waiting_words
 from inspe_jax.core.errors import InspeError
 from inspe_jax.placement.problem import Case
 from inspe_jax.report.page import template
+from inspe_jax.report.page_token import new_token
 from inspe_jax.scoring.detection import DetectionCurves
 from inspe_jax.scoring.metrics import Weights
 from inspe_jax.sensing.conditions import Conditions
@@ -32,28 +33,26 @@ from inspe_jax.viewer.browser_view import BrowserView
 from inspe_jax.viewer.display import BACK, Display
 from inspe_jax.viewer.file_actions import FileActions
 from inspe_jax.viewer.job_queue import DelayedAction, JobQueue
-from inspe_jax.viewer.page_views import look_from
 from inspe_jax.viewer.panel import Panel
+from inspe_jax.viewer.scene3d import look_from
 from inspe_jax.viewer.scorer import ScoredLayout, Scorer
 from inspe_jax.viewer.searcher import SearchEnding, Searcher
-from inspe_jax.viewer.server import AccessRules, quiet, serve
+from inspe_jax.viewer.server import HOST, quiet, serve
 from inspe_jax.viewer.session import LayoutSession
 from inspe_jax.viewer.store import LayoutStore
 
 PLAYED = 0.25
 """Least time between two frames that are played [s]."""
-COMPILES = 3.0
-"""A search that said so this long ago still compiles [s]."""
 SEARCH_COMPILES = 40.0
 """Rough time that compiling a search takes [s]."""
 _FILE = '<div data-file style="padding:.2em 1em;font-size:.875em;overflow-wrap:anywhere">{}</div>'
 
 
 class Viewer:
-    """A layout on a scene, served to browsers.
+    """A layout on a scene, served to browsers on this machine.
 
-    ``url`` and ``port`` are the page's address, ``other_urls`` its addresses for other machines.
-    ``views`` are what each browser has of its own, by the ids of its clients.
+    ``url`` is the page's address, on ``port``. ``views`` are what each browser has of its own, by
+    the ids of its clients.
     """
 
     def __init__(
@@ -65,16 +64,14 @@ class Viewer:
         weights: Weights = None,
         metrics: Sequence[str] = (),
         detection: DetectionCurves | None = None,
-        access: AccessRules | None = None,
+        token: str | None = None,
         port: int = 8080,
     ) -> None:
         """Serve the page at once.
 
         ``path`` is the layout's file. ``weights``, ``metrics`` and ``detection`` as in
-        :func:`inspe_jax.evaluate`.
-        ``access`` says on which address the viewer listens and who may open the page. Without it,
-        only browsers on this machine may, and only with the secret token that ``url`` contains. If
-        ``port`` is taken, the next free one is used. Raises InspeError if no port can be opened.
+        :func:`inspe_jax.evaluate`. ``token`` is the secret that ``url`` contains, a new one if not
+        given: only who has it can open the page. If ``port`` is taken, the next free one is used.
         """
         self.case, self.weights = case, weights
         self.further = dict[str, Any](metrics=metrics, detection=detection)
@@ -83,20 +80,18 @@ class Viewer:
         self.session = LayoutSession(case.scene, layout)
         self.views: dict[int, BrowserView] = {}
         self.searching = False
-        self._waiting, self._compiles = "", -COMPILES  # what compiles, and when it last did
         self._course, self._began = "", 0.0  # how far the search is, and when it began
         self.queue = JobQueue(self._failed)
         self._playing = DelayedAction()
         self.files = FileActions(self)
-        self.access = AccessRules("127.0.0.1") if access is None else access
-        self.server = serve(self.access, port, self._head())
+        token = token or new_token()
+        self.server = serve(port, token, self._head())
         self.port = self.server.get_port()
-        self.url, *self.other_urls = self.access.urls(self.port)
+        self.url = f"http://{HOST}:{self.port}/{token}/"
         self.panel = Panel(self.server.gui, self, self.frames, case.conditions)
         self.display = Display(self.server, case, layout, self.panel, self.queue, self.views)
         self.scene3d = self.display.scene3d
-        heard = self._on_scores, self._on_sight, self._on_found
-        self.scorer = Scorer(case, weights, *heard, **self.further)
+        self.scorer = Scorer(case, weights, self._on_scores, self._on_sight, **self.further)
         self.searcher = Searcher(
             case,
             weights,
@@ -137,7 +132,7 @@ class Viewer:
         self.files.close()
         self.display.close()
         for view in list(self.views.values()):
-            view.close(wait=True)
+            view.sensor_view.close(wait=True)
         with quiet():
             self.server.stop()
 
@@ -161,7 +156,7 @@ class Viewer:
         if view is not None:
             view.settle()
             self.views.pop(client.client_id, None)
-            self.queue.submit(lambda: view.close(wait=False))
+            self.queue.submit(lambda: view.sensor_view.close(wait=False))
 
     def open_view(self, client: Any) -> BrowserView:
         """Show a browser a selection of its own; on the thread of the queue."""
@@ -194,9 +189,6 @@ class Viewer:
         def job() -> None:
             if not {"Undo": self.session.undo, "Redo": self.session.redo}[which]():
                 self.display.notify(which, f"there is nothing more to {which.lower()}", None)
-            elif self.session.crossed is not None:  # it was swapped with the reference there
-                before, after = self.session.crossed
-                self.display.compare_with(before if which == "Undo" else after)
 
         self.change(job)
 
@@ -204,19 +196,10 @@ class Viewer:
         """Compare with the present layout from now on."""
 
         def job() -> None:
-            self.display.set_reference(self.layout, "the layout that was made it")
+            self.display.set_reference(self.layout)
             self.display.notify("Reference set", "changes are shown against this layout now", None)
 
         self.unless_searching(job)
-
-    def swap_reference(self) -> None:
-        """Exchange the layout for the one that it is compared with."""
-
-        def job() -> None:
-            before = self.display.set_reference(self.layout, "the layout that it was swapped with")
-            self.session.take(before.layout, along=(before, self.display.reference))
-
-        self.change(job)
 
     def show_target(self) -> None:
         """Show how far the layout is from the target."""
@@ -229,11 +212,6 @@ class Viewer:
     def show_voxels(self) -> None:
         """Show the kinds of voxels that are ticked."""
         self.queue.submit(self.display.draw_voxels, key="ticks")
-
-    def color_ground(self) -> None:
-        """Colour the ground as it is chosen, once what that needs is found."""
-        self.scorer.find_targets(self.panel.road_user)
-        self.queue.submit(self.display.draw_ground, key="ground")
 
     def change_conditions(self) -> None:
         """Score, show and search in the light and the weather that are chosen."""
@@ -292,9 +270,6 @@ class Viewer:
 
         self.queue.submit(job, key="sight")
 
-    def _on_found(self, layout: Layout, road_user: str, chance: Float[np.ndarray, " L"]) -> None:
-        self.queue.submit(lambda: self.display.show_found(layout, road_user, chance), key="found")
-
     def _next(self) -> None:
         if self.panel.play.value:
             set_value(self.panel.frame, (int(self.panel.frame.value) + 1) % self.frames)
@@ -307,7 +282,7 @@ class Viewer:
             left = (1 - done) * float(self.panel.seconds.value)
             set_value(self.panel.bar, 100.0 * done)
             self._course = f"best {best:.4f}, {left:.0f} s left"
-            self._show_course()
+            self.panel.course.content = self._course
 
         self.queue.submit(job, key="progress")
 
@@ -315,17 +290,11 @@ class Viewer:
         def job() -> None:
             if self.searching:
                 what = f"search by {self.panel.method.value}"
-                self._waiting = waiting_words(seconds, usual_seconds(what, SEARCH_COMPILES))
-                self._compiles = time.monotonic()
-                self._show_course()
+                waiting = waiting_words(seconds, usual_seconds(what, SEARCH_COMPILES))
+                course = f"{self._course}; " if self._course else ""
+                self.panel.course.content = f"{course}{waiting}, which does not count"
 
         self.queue.submit(job, key="compiling")
-
-    def _show_course(self) -> None:
-        """Say how far the search is, and that it compiles as long as it does."""
-        waits = time.monotonic() - self._compiles < COMPILES
-        waiting = [f"{self._waiting}, which does not count"] if waits else []
-        self.panel.course.content = "; ".join([*filter(None, [self._course]), *waiting])
 
     def _on_better(self, layout: Layout, score: float) -> None:
         def job() -> None:

@@ -3,39 +3,29 @@
 from collections.abc import Callable
 from typing import Any
 
+from inspe_jax.viewer.job_queue import asker
+
 
 def bind(
-    control: Any,
-    ask: Callable[[Any], object],
-    *,
-    refuse: Callable[[], None],
-    settle: Callable[[], None] = lambda: None,
+    control: Any, ask: Callable[[Any], object], settle: Callable[[], None] = lambda: None
 ) -> None:
     """Call ``ask`` with the browser that uses a control, on the event loop, so that order is kept.
 
-    ``control`` is a button, a command with a key, or has a value. For a value that is not an
-    option, ``refuse`` is called instead. ``settle`` is called before, to apply typed numbers.
+    ``control`` is a button, a command with a key, or has a value. Nothing is called for a value
+    that is not an option any more. ``settle`` is called before, to apply typed numbers.
     """
 
     async def called(event: Any) -> None:
-        if event.client is None:
-            return
         options = getattr(control, "options", None)
-        if options is not None and control.value not in options:
-            refuse()
+        if event.client is None or (options is not None and control.value not in options):
             return
+        asker.set(event.client_id)
         settle()
         ask(event.client)
 
     names = ("on_click", "on_trigger", "on_update")
     register = next(getattr(control, name) for name in names if hasattr(control, name))
     register(called)
-
-
-def bind_choice(control: Any, chosen: Callable[[], object] = lambda: None) -> None:
-    """Choose the first option in place of a value that is none, in a list that nothing follows
-    until a button is pressed. ``chosen`` is called when a browser chooses an option."""
-    bind(control, lambda _: chosen(), refuse=lambda: set_value(control, control.options[0]))
 
 
 def set_value(control: Any, value: Any) -> None:

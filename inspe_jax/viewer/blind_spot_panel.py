@@ -5,6 +5,7 @@ dragged meanwhile.
 """
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from inspe_jax.scene.scene import Scene
 from inspe_jax.scoring.blind_spots import BlindSpot, blind_spots
 from inspe_jax.scoring.evaluate import Scores
 from inspe_jax.sensing.layout import Layout
+from inspe_jax.viewer.bindings import bind
 from inspe_jax.viewer.job_queue import JobQueue
 from inspe_jax.viewer.panel import BLIND_SPOTS, SLATE
 
@@ -40,15 +42,11 @@ class BlindSpotPanel:
         gui: viser.GuiApi,
         folder: Any,
         scene: Scene,
-        queue: JobQueue,
-        draw_letters: Callable[[dict[str, tuple[float, float]]], None],
+        failed: Callable[[Exception], None],
     ) -> None:
-        """``folder`` is empty and invisible until there are scores. Errors go to ``queue``, which
-        also draws the letters of the blind spots in the scene."""
+        """``folder`` is empty and invisible until there are scores. ``failed`` gets errors."""
         self.spots: tuple[BlindSpot, ...] = ()
-        self._folder, self._scene = folder, scene
-        self._queue, self._draw_letters = queue, draw_letters
-        self._drawing = JobQueue(queue.failed)
+        self._folder, self._scene, self._drawing = folder, scene, JobQueue(failed)
         with folder:
             self.picture = gui.add_html("")
             self.buttons = [
@@ -56,7 +54,7 @@ class BlindSpotPanel:
                 for letter in LETTERS
             ]
         for k, button in enumerate(self.buttons):
-            self._bind(k, button)
+            bind(button, partial(self._look_at, k))
 
     def show(self, layout: Layout, scores: Scores) -> None:
         """Show the scores of all frames of a layout, as soon as they are drawn."""
@@ -79,21 +77,15 @@ class BlindSpotPanel:
             if button.visible:
                 spot = self.spots[k]
                 button.label = f"{LETTERS[k]}  {spot.name}: {spot.unseen:.0%} unseen"
-        places = {letter: spot.at for letter, spot in zip(LETTERS, self.spots, strict=False)}
-        self._queue.submit(lambda: self._draw_letters(places), key="letters")
         self._title("")
         self._folder.visible = True
 
     def _title(self, when: str) -> None:
         self._folder.label = BLIND_SPOTS + when
 
-    def _bind(self, k: int, button: Any) -> None:
-        @button.on_click
-        async def _(event: Any) -> None:
-            if event.client is None or k >= len(self.spots):
-                return
+    def _look_at(self, k: int, client: Any) -> None:
+        if k < len(self.spots):
             at = np.array(self.spots[k].at)
             ground = self._scene.intersection.ground(at[None])
             look_at = np.append(at, ground) - self._scene.voxels.center
-            camera = event.client.camera
-            camera.position, camera.look_at = look_at + AWAY, look_at
+            client.camera.position, client.camera.look_at = look_at + AWAY, look_at

@@ -11,10 +11,10 @@ from jaxtyping import Float
 from inspe_jax.core.errors import InspeError
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.viewer.bindings import set_value
-from inspe_jax.viewer.handle import Handle, HandleDrag
 from inspe_jax.viewer.job_queue import DelayedAction
+from inspe_jax.viewer.score_panel import sensor_table
 from inspe_jax.viewer.scorer import ScoredLayout
-from inspe_jax.viewer.selection3d import Selection3D
+from inspe_jax.viewer.selection3d import HandleDrag, Selection3D
 from inspe_jax.viewer.sensor_controls import DIGITS, POSE, SensorControls
 from inspe_jax.viewer.sensor_view import SensorShot, SensorView
 
@@ -48,8 +48,7 @@ class BrowserView:
         self._layout: Layout = viewer.layout  # that the places are of
         self._typing = {key: DelayedAction() for key in (*POSE, "name")}
         self.controls = SensorControls(client.gui, viewer, self, viewer.panel.sensor_orders)
-        self.selection3d = Selection3D(client.scene, viewer.scene3d.shift)
-        self.handle = Handle(client.scene, self.on_drag)
+        self.selection3d = Selection3D(client.scene, viewer.scene3d.shift, self.on_drag)
         folder, failed = self.controls.sensor_view, viewer.queue.failed
         self.sensor_view = SensorView(client.gui, folder, viewer.case, failed, self._show_points)
 
@@ -57,10 +56,6 @@ class BrowserView:
     def in_hand(self) -> int | None:
         """The place of the sensor that has the handle, if one has."""
         return self.selection[-1] if self.selection else None
-
-    def close(self, *, wait: bool) -> None:
-        """Record nothing more; with ``wait``, come back when the last recording has ended."""
-        self.sensor_view.close(wait=wait)
 
     # ── What the browser asks for. Places are those in the layout when it is done ──
 
@@ -182,7 +177,7 @@ class BrowserView:
                 self.show()  # the handle back on its sensor
             return
         (*along, s), of, moved = gripped
-        pose = drag.on(np.array(of.poses[s], float), viewer.scene3d.shift)
+        pose = drag.on(np.array(of.poses[s], float))
         if drag.phase == "update":
             self.dragging = gripped._replace(moved=True)
             where, _ = viewer.session.moved(s, pose, along)
@@ -234,11 +229,10 @@ class BrowserView:
 
         self._on_loop(set_controls)
         if s is None:
-            self.handle.gizmo.visible = False
+            self.selection3d.gizmo.visible = False
         elif self.dragging is None:
             self._show_numbers(layout)
-            pose = np.asarray(layout.poses[s], float)
-            self.handle.show(pose, self._viewer.scene3d.shift, visible=not searching)
+            self.selection3d.put_handle(np.asarray(layout.poses[s], float), visible=not searching)
 
     def show_outlines(self) -> None:
         """Draw the outlines of what is selected as wide as they should be."""
@@ -259,7 +253,7 @@ class BrowserView:
 
     def show_table(self, layout: Layout, scored: ScoredLayout | None) -> None:
         """Show a row for each sensor of a layout, with what it adds to scores, if it has any."""
-        self.controls.show_table(layout, scored, self.selection)
+        self.controls.table.content = sensor_table(layout, scored, self.selection)
 
     def _select(self, found: Callable[[], tuple[int, ...]]) -> None:
         """Select the sensors at the places that ``found`` gives, as far as they are there; not in

@@ -10,30 +10,26 @@ from functools import partial
 from typing import Any, NamedTuple
 
 import viser
-from jaxtyping import Float, UInt
+from jaxtyping import UInt
 
 from inspe_jax.core.compiling import compiled, remember_seconds, usual_seconds, waiting_words
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.words import isolated
 from inspe_jax.placement.feasibility import Fault
 from inspe_jax.placement.problem import Case
-from inspe_jax.report.targets import CHANCES, banded
 from inspe_jax.scoring.evaluate import Scores
 from inspe_jax.sensing.conditions import Conditions
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.viewer.blind_spot_panel import BlindSpotPanel
 from inspe_jax.viewer.browser_view import BrowserView
-from inspe_jax.viewer.job_queue import DelayedAction, JobQueue
-from inspe_jax.viewer.page_views import look_from
+from inspe_jax.viewer.job_queue import DelayedAction, JobQueue, asker
 from inspe_jax.viewer.panel import Panel
-from inspe_jax.viewer.scene3d import Scene3D
+from inspe_jax.viewer.scene3d import Scene3D, look_from
 from inspe_jax.viewer.score_panel import score_panel
 from inspe_jax.viewer.scorer import ScoredLayout
 
 BACK = 1.25
 """How far the camera is at first, in the usual distance."""
-NARROW = 0.8
-"""A window that is narrower than this, width to height, is taken for a telephone's."""
 STALE = 0.5
 """Scores and voxels of the layout before fade after this time [s]."""
 SCORES, SCORES_COMPILE = "scores", 10.0
@@ -79,36 +75,24 @@ class Display:
         self._notes: Sequence[str] = ()
         self._newest: dict[int, ScoredLayout] = {}  # the newest scores, by number of frames
         self._sight: tuple[int, UInt[Any, " V"]] | None = None
-        self._found: tuple[Layout, str, Float[Any, " L"]] | None = None
         self._drawn_frame, self._faded, self._label = -1, False, ""
         self._compiled = compiled().seconds  # when the newest scores came
         self._waiting = DelayedAction()
         self.scene3d = Scene3D(server.scene, case.scene)
-        self.blind_spots = BlindSpotPanel(
-            server.gui, panel.blind_spots, case.scene, queue, self.scene3d.draw_letters
-        )
+        self.blind_spots = BlindSpotPanel(server.gui, panel.blind_spots, case.scene, queue.failed)
         self.scene3d.draw_mounting()
         look_from(server.initial_camera, case.scene, back=BACK)
-        server.on_client_connect(self._greet)
-
-    def _greet(self, client: Any) -> None:
-        """Set a new browser's camera: farther off on a narrow screen."""
-        if client.camera.aspect < NARROW:
-            radius = self._case.scene.voxels.radius
-            client.camera.position = (0.0, -2.3 * radius, 2.2 * radius)
-            client.camera.look_at = (0.0, -0.1 * radius, 0.0)
 
     def set_case(self, case: Case) -> None:
         """Show layouts in other conditions from now on."""
-        self._case, self._found = case, None
+        self._case = case
         for view in list(self._views.values()):
             view.sensor_view.case = case
-        self.draw_ground()
 
-    def set_reference(self, layout: Layout, words: str) -> Reference:
-        """Compare with this layout from now on, as it is scored; gives the reference before.
+    def set_reference(self, layout: Layout) -> None:
+        """Compare with this layout from now on, as it is scored.
 
-        Raises InspeError as long as the layout has no scores of all frames.
+        Raises InspeError as long as it has no scores of all frames.
         """
         scored = {
             frames: found.scores
@@ -116,14 +100,9 @@ class Display:
             if found.layout is layout and found.scores is not None and self._is_here(found)
         }
         if self._frames not in scored:
-            raise InspeError("the reference can be set or swapped once all frames are scored")
-        before, new = self.reference, Reference(layout, words, self._case.conditions, scored)
-        self.compare_with(new)
-        return before
-
-    def compare_with(self, reference: Reference) -> None:
-        """Compare with this reference from now on."""
-        self.reference = reference
+            raise InspeError("the reference can be set once all frames are scored")
+        words = "the layout that was made it"
+        self.reference = Reference(layout, words, self._case.conditions, scored)
         self.update_panel()
 
     def draw(
@@ -163,35 +142,14 @@ class Display:
                 self._look(view)
 
     def draw_voxels(self) -> None:
-        """Show the kinds of voxels that are ticked, in the frame that is shown.
-
-        None is shown where the ground has colours of its own, which they would hide.
-        """
+        """Show the kinds of voxels that are ticked, in the frame that is shown."""
         if self._sight is None:
             return
         frame, sight = self._sight
         with self._server.atomic():
             self.draw_users(frame)
             ticked = [kind for kind, box in self._panel.shown.items() if box.value]
-            ticked = [] if self._mapped else ticked
             self.scene3d.draw_voxels(sight, ticked, faint=self._faded)
-
-    def draw_ground(self) -> None:
-        """Colour the ground as it is chosen: by regions, or by the chance to find a road user."""
-        road_user, found = self._mapped, self._found
-        with self._server.atomic():
-            if road_user is None or found is None:
-                self.scene3d.draw_columns(None)
-            else:
-                layer = banded(road_user, found[2], CHANCES)
-                self.scene3d.draw_columns(layer, faint=found[0] is not self.shown)
-            self.draw_voxels()
-        self.update_panel()
-
-    def show_found(self, layout: Layout, road_user: str, chance: Float[Any, " L"]) -> None:
-        """Show the chance to find a road user at each column."""
-        self._found = layout, road_user, chance
-        self.draw_ground()
 
     def show_scores(self, scored: ScoredLayout) -> None:
         """Show new scores."""
@@ -233,6 +191,7 @@ class Display:
 
             async def clicked(event: Any, ask: Callable[[BrowserView], None] = ask) -> None:
                 view = self._views.get(event.client_id)
+                asker.set(event.client_id)
                 if view is not None:
                     ask(view)
 
@@ -243,13 +202,6 @@ class Display:
         """Whether the newest scores are of the shown layout, in the conditions that are shown."""
         found = self.scored
         return found is not None and found.layout is self.shown and self._is_here(found)
-
-    @property
-    def _mapped(self) -> str | None:
-        """The class of road users by whose chance the ground is coloured: the one that is chosen,
-        once that is found."""
-        found, chosen = self._found, self._panel.road_user
-        return chosen if found is not None and found[1] == chosen else None
 
     def _is_here(self, found: ScoredLayout) -> bool:
         """Whether scores are those in the conditions that are shown. Records are compared, as they
@@ -269,7 +221,7 @@ class Display:
                 if not self._faded:
                     self._faded = True
                     self.blind_spots.outdated()
-                    self.draw_ground()
+                    self.draw_voxels()
                 self.update_panel()
                 self._wait()
 
@@ -295,8 +247,6 @@ class Display:
             notes=self._notes,
             waiting=waiting,
             faded=self._faded,
-            road_user=self._mapped,
-            awaited=self._panel.road_user if self._mapped is None else None,
             target=float(self._panel.target.value),
         )
         self._panel.headline.content, self._panel.scores.content, self._panel.notes.content = page

@@ -5,17 +5,18 @@ Browsers, the scorer and the search submit actions from threads of their own.
 
 import threading
 from collections.abc import Callable, Hashable
-from contextvars import copy_context
+from contextvars import ContextVar, copy_context
 from functools import partial
 
 from inspe_jax.core.errors import InspeError
-from inspe_jax.viewer.server import sender
 
 Action = Callable[[], object]
 WAITING = 100
 """Most actions of one browser that wait; a further one takes the place of the oldest."""
 PATIENCE = 2.0
 """Time that waiting actions get at the end, before the rest is dropped [s]."""
+asker: ContextVar[Hashable] = ContextVar("asker", default=None)
+"""The browser whose event is being handled, if one is."""
 
 
 class JobQueue:
@@ -36,10 +37,9 @@ class JobQueue:
     def submit(self, action: Action, key: Hashable = None) -> None:
         """Add an action. It replaces one of the same ``key`` that still waits.
 
-        Without a key it counts as the browser's whose message is being handled, if one is. Does
-        nothing once the queue is closed.
+        Without a key it counts as of the :data:`asker`. Does nothing once the queue is closed.
         """
-        who, key = (sender.get(), object()) if key is None else (None, key)
+        who, key = (asker.get(), object()) if key is None else (None, key)
         with self._changed:
             if self._closed:
                 return

@@ -1,18 +1,18 @@
 """The controls beside the scene: buttons, numbers, and the text between them."""
 
 from collections.abc import Callable, Sequence
+from datetime import datetime
 from functools import partial
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import viser
 
 from inspe_jax.placement.optimise import DEFAULT_METHOD, METHODS
-from inspe_jax.scene.traffic.frames import CLASSES
 from inspe_jax.scoring.viewshed import Visibility
 from inspe_jax.sensing.conditions import Conditions, lights, weathers
-from inspe_jax.viewer.bindings import bind, bind_choice, set_value
+from inspe_jax.viewer.bindings import bind, set_value
 from inspe_jax.viewer.score_panel import REFERENCE, VISIBILITY_NAMES
-from inspe_jax.viewer.store import EarlierFile
 
 SECONDS = 60.0
 """Usual time of a search [s]."""
@@ -25,9 +25,6 @@ SLATE = (86, 104, 122)
 """Colour of buttons that are not the main one of their folder."""
 BLIND_SPOTS = "Blind spots"
 """The title of their folder, while what is in it is of the layout in hand."""
-REGIONS = "regions"
-GROUND: dict[str, str | None] = {REGIONS: None} | {f"finding a {name}": name for name in CLASSES}
-"""What the ground can be coloured by: its regions, or the chance to find a road user there."""
 
 
 class Key(NamedTuple):
@@ -74,13 +71,13 @@ class Panel:
         gui.configure_theme(show_logo=False, show_share_button=False, brand_color=(0, 114, 178))
         gui.main_panel.dock_right()
         self._gui, self._viewer, self._frames = gui, viewer, frames
-        self._question: Any = None
+        self._changes = partial(bind, settle=viewer.settle)
         self.offers: list[Any] = []
         self.earlier = gui.add_folder("Earlier work", visible=False)
         self.headline = gui.add_html("")
         self.edit = gui.add_button_group("", ("Undo", "Redo", "Save"))
         self.scores = gui.add_html("")
-        self.compare = gui.add_button_group("Reference", ("Set to this", "Swap"), hint=REFERENCE)
+        self.compare = gui.add_button("Set as reference", color=SLATE, hint=REFERENCE)
         self.target = gui.add_number(
             "Target", 0.0, min=0.0, max=1.0, step=0.01,
             hint="The P_sm that the layout should reach, as an orange mark: a search ends there; "
@@ -103,12 +100,6 @@ class Panel:
             self.weather = gui.add_dropdown(
                 "Weather", list(dict.fromkeys((*weathers(), given))), initial_value=given
             )
-            self.ground = gui.add_dropdown(
-                "Ground",
-                list(GROUND),
-                hint="Colour the ground by its regions; or by the chance that a detector finds a "
-                "road user who stands there, mean over all frames. Voxels are then not drawn.",
-            )
             self.shown = {
                 kind: gui.add_checkbox(name, kind is not Visibility.SEEN)
                 for kind, name in VISIBILITY_NAMES.items()
@@ -117,39 +108,29 @@ class Panel:
             self.file = gui.add_html("")
             self.save = gui.add_button("Save layout")
             self.download = gui.add_button("Download layout", color=SLATE)
-            # Above the button that is pressed, at the panel's end: below it would be out of sight.
-            self.report_words = gui.add_markdown("", visible=False)
-            self.download_report = gui.add_button("Download report", visible=False, color="green")
-            self.report = gui.add_button("Write report", hint="And offer it for download here")
+            self.report = gui.add_button("Write report", hint="Beside the layout, and download it")
 
-        self.keys = {
-            key.words: gui.add_command(key.words, hotkey=key.key, modifier=key.modifier)
-            for key in KEYS
-        }
-
+        self.keys: dict[str, Any] = {}
         for key in KEYS:
-            bound = self._changes if key.changes else self._looks
-            bound(self.keys[key.words], partial(key.ask, viewer))
+            command = gui.add_command(key.words, hotkey=key.key, modifier=key.modifier)
+            (self._changes if key.changes else bind)(command, partial(key.ask, viewer))
+            self.keys[key.words] = command
         edit = {which: partial(viewer.undo_or_redo, which) for which in ("Undo", "Redo")}
         edit["Save"] = viewer.files.save
         self._changes(self.edit, lambda _: edit[self.edit.value]())
-        compare = {"Set to this": viewer.set_reference, "Swap": viewer.swap_reference}
-        self._changes(self.compare, lambda _: compare[self.compare.value]())
-        bind_choice(self.method)
+        self._changes(self.compare, lambda _: viewer.set_reference())
         self._changes(self.optimise, lambda _: viewer.optimise())
-        self._looks(self.stop, lambda _: viewer.stop())
-        self._looks(self.target, lambda _: viewer.show_target())
+        bind(self.stop, lambda _: viewer.stop())
+        bind(self.target, lambda _: viewer.show_target())
         for control in (self.frame, self.play):
-            self._looks(control, lambda _: viewer.select_frame())
+            bind(control, lambda _: viewer.select_frame())
         for choice in (self.light, self.weather):
             self._changes(choice, lambda _: viewer.change_conditions())
-        self._looks(self.ground, lambda _: viewer.color_ground())
         for box in self.shown.values():
-            self._looks(box, lambda _: viewer.show_voxels())
+            bind(box, lambda _: viewer.show_voxels())
         self._changes(self.save, lambda _: viewer.files.save())
         self._changes(self.download, viewer.files.download)
-        self._changes(self.report, lambda _: viewer.files.write_report())
-        self._looks(self.download_report, viewer.files.download_report)
+        self._changes(self.report, viewer.files.write_report)
 
     @property
     def sensor_orders(self) -> tuple[float, float, float, float]:
@@ -158,21 +139,25 @@ class Panel:
         after = float(self.target.order)
         return after + 0.1, after + 0.2, after + 0.4, after + 0.5
 
-    def offer_earlier(self, earlier: Sequence[EarlierFile]) -> None:
+    def offer_earlier(self, earlier: Sequence[Path]) -> None:
         """Offer to open layouts that an earlier run has left."""
         if not earlier:
             return
+        names = [
+            f"`{at.name}` of {datetime.fromtimestamp(at.stat().st_mtime):%d %B, %H:%M}"
+            for at in earlier
+        ]
         self.earlier.visible = True
         with self.earlier:
             self._gui.add_markdown(
-                f"An earlier run has left {' and '.join(one.words for one in earlier)}. "
+                f"An earlier run has left {' and '.join(names)}. "
                 "They are not replaced unless you say so."
             )
-            for number, one in enumerate(earlier):
-                self.offers.append(self._gui.add_button(f"Open {one.path.name}"))
+            for number, at in enumerate(earlier):
+                self.offers.append(self._gui.add_button(f"Open {at.name}"))
                 self._changes(self.offers[-1], partial(self._open_earlier, number))
             leave = self._gui.add_button("Leave them", color="gray")
-            self._changes(leave, lambda _: self._leave())
+            self._changes(leave, lambda _: setattr(self.earlier, "visible", False))
 
     def _open_earlier(self, number: int, _: Any) -> None:
         self._viewer.files.open_earlier(number)
@@ -180,59 +165,32 @@ class Panel:
     def withdraw(self, number: int) -> None:
         """Stop offering a layout, since it is open."""
         self.offers[number].visible = False
-        if not any(offer.visible for offer in self.offers):
-            self._leave()
+        self.earlier.visible = any(offer.visible for offer in self.offers)
 
-    def _leave(self) -> None:
-        self.earlier.visible = False
+    def ask_replace(self, path: Path, other: Path) -> None:
+        """Ask whether to save in ``path``, a file of an earlier run, or in ``other``, a new one."""
+        question = self._gui.add_modal(f"Replace {path.name}?")
 
-    def ask_replace(self, name: str, other: str) -> None:
-        """Ask whether to replace the file ``name`` of an earlier run; ``other`` is a free name."""
-        self._end_question()
-        self._question = self._gui.add_modal(f"Replace {name}?")
-        with self._question:
+        def offer(words: str, color: Any, at: Path | None) -> None:
+            def answer(_: Any) -> None:
+                question.close()
+                if at is not None:
+                    self._viewer.files.save_in(at)
+
+            self._changes(self._gui.add_button(words, color=color), answer)
+
+        with question:
             self._gui.add_markdown(
-                f"`{name}` was not written by this run of the viewer. It may hold other work."
+                f"`{path.name}` was not written by this run of the viewer. It may hold other work."
             )
-            for answer, then in (
-                (self._gui.add_button(f"Save as {other}"), self._viewer.files.save_beside),
-                (self._gui.add_button(f"Replace {name}", color="red"), self._viewer.files.replace),
-                (self._gui.add_button("Cancel", color="gray"), lambda: None),
-            ):
-                self._changes(answer, partial(self._answer, then))
-
-    def _answer(self, then: Callable[[], None], _: Any) -> None:
-        self._end_question()
-        then()
-
-    def _end_question(self) -> None:
-        if self._question is not None:
-            self._question.close()
-            self._question = None
-
-    @property
-    def road_user(self) -> str | None:
-        """The class of road users by whose chance the ground is coloured; None for its regions."""
-        return GROUND.get(self.ground.value)
+            offer(f"Save as {other.name}", None, other)
+            offer(f"Replace {path.name}", "red", path)
+            offer("Cancel", "gray", None)
 
     @property
     def shown_frame(self) -> int:
         """The slider's frame. With a single frame the slider still has two places."""
         return min(max(int(self.frame.value), 0), self._frames - 1)
-
-    def _looks(self, control: Any, ask: Callable[[Any], object]) -> None:
-        """Bind what changes only what is shown, and what stops a search."""
-        bind(control, ask, refuse=self._viewer.restore)
-
-    def _changes(self, control: Any, ask: Callable[[Any], object]) -> None:
-        """Bind what changes the layout, saves it or begins something with it."""
-        bind(control, ask, refuse=self._viewer.restore, settle=self._viewer.settle)
-
-    def show_report(self, words: str, *, ready: bool) -> None:
-        """Say how far the report is, and offer it once it is ``ready``."""
-        self.report_words.content = words
-        self.report_words.visible = bool(words)
-        self.download_report.visible = ready
 
     def show_conditions(self, around: Conditions) -> None:
         """Choose the light and the weather that there are."""

@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 from inspe_jax.core.geometry import rotation
 from inspe_jax.report.bodies import BODY_COLORS, body_meshes
 from inspe_jax.report.figures import SENSOR_COLORS
-from inspe_jax.report.layers import SIGHT_COLORS, USER_COLOR, MapLayer, free_of_bodies
+from inspe_jax.report.layers import SIGHT_COLORS, USER_COLOR, free_of_bodies
 from inspe_jax.report.outlines import view_outline
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.scene import Scene
@@ -82,7 +82,6 @@ class Scene3D:
         self.drawn: dict[str, Any] = {}
         self._looks: dict[int, tuple[Spec, str]] = {}  # of the sensors that are drawn
         self._at: dict[int, Float[np.ndarray, 6]] = {}  # their poses
-        self._sight: tuple[np.ndarray, bool] | None = None  # of the voxels that are drawn
         self._units = 0  # number of units that have a label
         api.set_up_direction("+z")
         api.configure_environment_map(None)
@@ -135,25 +134,13 @@ class Scene3D:
         """
         free, wanted, fading = free_of_bodies(self.scene), set(shown), FAINT if faint else 1.0
         kinds = np.where(free, np.asarray(sight).reshape(free.shape), -1)
-        same = self._sight is not None and self._sight[0] is sight and self._sight[1] == faint
-        self._sight = sight, faint
-        for kind in (Visibility.HIDDEN, *TINTS):
-            prefix, new = f"voxels/{kind.name.lower().replace('_', ' ')}", set[str]()
-            before = [name for name in self.drawn if name.startswith(prefix)]
-            if same and before:
-                for name in before:
-                    self.drawn[name].visible = kind in wanted
-                continue
-            if kind in wanted and kind in TINTS:
-                new = self._draw_tint(prefix, kind, kinds, fading)
-            elif kind in wanted and (kinds == kind).any():
-                self._draw_hidden(prefix, kinds == kind, fading * OPACITY)
-                new = {prefix}
-            for name in before:
-                if name not in new:
-                    self._forget(name)
+        self._forget_all("voxels/")
+        if Visibility.HIDDEN in wanted and (kinds == Visibility.HIDDEN).any():
+            self._draw_hidden(kinds == Visibility.HIDDEN, fading * OPACITY)
+        for kind in wanted.intersection(TINTS):
+            self._draw_tint(kind, kinds, fading)
 
-    def _draw_hidden(self, name: str, hidden: Bool[np.ndarray, "L Z"], opacity: float) -> None:
+    def _draw_hidden(self, hidden: Bool[np.ndarray, "L Z"], opacity: float) -> None:
         """Draw voxels as boxes."""
         grid = self.scene.voxels
         column, low, high = runs(hidden)
@@ -162,41 +149,17 @@ class Scene3D:
         center = np.column_stack([grid.columns[column], foot + tall / 2]) - self.shift
         wide = np.full(len(column), 0.94 * grid.spacing)
         size = np.column_stack([wide, wide, tall])
-        self._boxes(name, center, size, SIGHT_COLORS[Visibility.HIDDEN], opacity=opacity)
+        color = SIGHT_COLORS[Visibility.HIDDEN]
+        self._boxes("voxels/hidden", center, size, color, opacity=opacity)
 
-    def _draw_tint(
-        self, name: str, kind: Visibility, kinds: Int[np.ndarray, "L Z"], fading: float
-    ) -> set[str]:
-        """Tint the columns that are mostly of a kind; returns the names of what is drawn."""
+    def _draw_tint(self, kind: Visibility, kinds: Int[np.ndarray, "L Z"], fading: float) -> None:
+        """Tint the columns that are mostly of a kind."""
         counts = np.stack([(kinds == other).sum(1) for other in Visibility])
-        mostly, drawn = (counts.argmax(0) == kind) & (counts[kind] > 0), set[str]()
+        mostly = (counts.argmax(0) == kind) & (counts[kind] > 0)
         for region, ground in GROUND_COLORS.items():
-            own = mostly & (self.scene.voxels.region == region)
-            if own.any():
-                color = mixed(ground, SIGHT_COLORS[kind], fading * TINTS[kind])
-                self._squares(f"{name}/{region.key}", own, color, LIFT / 2)
-                drawn.add(f"{name}/{region.key}")
-        return drawn
-
-    def draw_columns(self, layer: MapLayer | None, *, faint: bool = False) -> None:
-        """Draw the columns on the ground in the colours of a layer of kinds; None draws none.
-
-        With ``faint`` they are nearly transparent, for a layout that has changed since.
-        """
-        self._forget_all("columns/")
-        if layer is None:
-            return
-        for kind, (words, color) in enumerate(layer.kinds):
-            own = layer.values == kind
-            self._squares(f"columns/{words}", own, color, LIFT / 2, FAINT if faint else None)
-
-    def draw_letters(self, places: dict[str, tuple[float, float]]) -> None:
-        """Draw a letter at each place [m] of the ground, in place of those before."""
-        self._forget_all("letters/")
-        for letter, at in places.items():
-            (point,) = self._on_ground(np.array([at]), lift=1.0)
-            name = f"letters/{letter}"
-            self.drawn[name] = self.api.add_label(name, letter, position=point)
+            name = f"voxels/{kind.name.lower().replace('_', ' ')}/{region.key}"
+            color = mixed(ground, SIGHT_COLORS[kind], fading * TINTS[kind])
+            self._squares(name, mostly & (self.scene.voxels.region == region), color, LIFT / 2)
 
     def draw_layout(
         self, layout: Layout, broken: Iterable[int] = ()
@@ -314,9 +277,7 @@ class Scene3D:
         for region, color in GROUND_COLORS.items():
             self._squares(f"ground/{region.key}", grid.region == region, color, 0.0)
 
-    def _squares(
-        self, name: str, own: np.ndarray, color: str, lift: float, opacity: float | None = None
-    ) -> None:
+    def _squares(self, name: str, own: np.ndarray, color: str, lift: float) -> None:
         """Draw the squares of some columns (L,) so high above the ground [m], as one mesh."""
         if not own.any():
             return
@@ -327,7 +288,7 @@ class Scene3D:
         points = points[used] + [0.0, 0.0, lift]
         self.drawn[name] = self.api.add_mesh_simple(
             name, points.astype(np.float32), faces.astype(np.uint32), color=rgb(color),
-            side="double", cast_shadow=False, opacity=opacity,
+            side="double", cast_shadow=False,
         )  # fmt: skip
 
     def _draw_lanes(self) -> None:
@@ -380,6 +341,14 @@ class Scene3D:
         )  # fmt: skip
 
 
+def look_from(camera: Any, scene: Scene, back: float = 1.0) -> None:
+    """Point a camera at the whole scene from the south and from above; ``back`` scales its
+    distance."""
+    radius = scene.voxels.radius
+    camera.position = (0.0, -1.05 * back * radius, 0.95 * back * radius)
+    camera.look_at = (0.0, -0.08 * radius, 0.0)
+
+
 def runs(flags: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Runs of true flags (L, Z) in a column: (column, first level, one past the last level)."""
     edges = np.diff(np.pad(flags.astype(np.int8), ((0, 0), (1, 1))), axis=1)
@@ -394,8 +363,7 @@ def segments(line: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "M 2 3"]:
 
 def mixed(one: str, other: str, share: float) -> str:
     """A colour between two, with so much of the other, from 0 to 1."""
-    pairs = zip(to_rgb(one), to_rgb(other), strict=True)
-    red, green, blue = ((1.0 - share) * a + share * b for a, b in pairs)
+    red, green, blue = (1.0 - share) * np.array(to_rgb(one)) + share * np.array(to_rgb(other))
     return to_hex((red, green, blue))
 
 

@@ -7,12 +7,10 @@ from inspe_jax.core.words import counted
 from inspe_jax.report.figures import SENSOR_COLORS
 from inspe_jax.report.layers import SIGHT_COLORS, USER_COLOR
 from inspe_jax.report.page import template
-from inspe_jax.report.schedule import price_of
-from inspe_jax.report.targets import CHANCES
+from inspe_jax.report.schedule import materials, total_price
 from inspe_jax.scoring.evaluate import Scores
 from inspe_jax.scoring.metrics import METRICS, SURROGATE
 from inspe_jax.scoring.viewshed import Visibility
-from inspe_jax.sensing.catalogue import devices
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.viewer.scene3d import BROKEN_COLOR, MOUNTING_COLOR
 from inspe_jax.viewer.scorer import ScoredLayout
@@ -30,11 +28,8 @@ LEGEND = (
     ("LiDAR", SENSOR_COLORS["lidar"]),
 )
 
-REFERENCE = (
-    "What changes are compared with: at first the layout as it was opened. Set to this: from now "
-    "on the layout as it is. Swap: the two change places"
-)
-"""What the reference is, in words."""
+REFERENCE = "Compare with this layout from now on; at first with the layout as it was opened"
+"""What setting the reference does."""
 TARGET_COLOR = "#d55e00"
 """Of the mark of the target."""
 
@@ -56,8 +51,6 @@ def score_panel(
     notes: Sequence[str] = (),
     waiting: str = "scoring …",
     faded: bool = False,
-    road_user: str | None = None,
-    awaited: str | None = None,
     target: float = 0.0,
 ) -> tuple[str, str, str]:
     """A layout's scores as HTML: P_sm and how far scoring is; all else; notes on the last change.
@@ -73,8 +66,6 @@ def score_panel(
         notes: How mounting has changed the last change, in words.
         waiting: What is being done while the layout has no scores.
         faded: Whether scores of another layout are faded.
-        road_user: Class of the road users by whose detectability the ground is coloured.
-        awaited: Class of those by whose detectability it will be.
         target: The P_sm that the layout should reach; 0 for none.
     """
     scores = None if scored is None else scored.scores
@@ -106,9 +97,8 @@ def score_panel(
         broken=BROKEN_COLOR,
         metrics=[] if scores is None else _metric_bars(scores, reference),
         regions=[] if scores is None else _region_bars(scores, reference),
-        keys=LEGEND if road_user is None else _found_keys(road_user),
+        keys=LEGEND,
         mounting=MOUNTING_COLOR,
-        awaited=awaited,
     )
     return headline, details, _NOTES.render(notes=notes) if notes else ""
 
@@ -122,27 +112,24 @@ def sensor_table(layout: Layout, scored: ScoredLayout | None, selection: Sequenc
     """
     scores = None if scored is None else scored.scores
     lost = [row.surrogate for row in scores.contributions] if scores else [None] * len(layout)
-    known, rows = devices(), []
-    for number, (sensor, loss) in enumerate(zip(layout.sensors, lost, strict=True), 1):
-        price = price_of(known, sensor.spec.name)
-        rows.append(
-            dict(
-                number=number,
-                name=sensor.name,
-                price="" if price is None else f"{price:,.0f}",
-                lost="" if loss is None else f"{loss:.4f}",
-                ticked=number - 1 in selection,
-                bold=number - 1 in selection[-1:],
-            )
+    prices = {row.device: row.price for row in materials(layout, {})}
+    rows = [
+        dict(
+            number=k + 1,
+            name=sensor.name,
+            price="" if prices[sensor.spec.name] is None else f"{prices[sensor.spec.name]:,.0f}",
+            lost="" if loss is None else f"{loss:.4f}",
+            ticked=k in selection,
+            bold=k in selection[-1:],
         )
-    priced = any(row["price"] for row in rows)
-    sensors, units = counted(len(layout), "sensor"), counted(len(layout.units), "unit")
+        for k, (sensor, loss) in enumerate(zip(layout.sensors, lost, strict=True))
+    ]
     return _TABLE.render(
         rows=rows,
-        priced=priced,
+        priced=any(row["price"] for row in rows),
         together=len(selection),
-        sensors=sensors,
-        units=units,
+        sensors=counted(len(layout), "sensor"),
+        units=counted(len(layout.units), "unit"),
         cost=cost_of(layout),
     )
 
@@ -188,13 +175,6 @@ def _change(value: float, before: float | None, digits: int = 4) -> str:
     return text if text.strip("+-0.") else ""
 
 
-def _found_keys(road_user: str) -> tuple[tuple[str, str], ...]:
-    """The legend where the ground has the colours of the chance to find a road user."""
-    kinds = {*VISIBILITY_NAMES.values()}
-    rest = tuple(row for row in LEGEND if row[0] not in kinds)
-    return (*((f"{road_user} found {words}", color) for _, words, color in CHANCES), *rest)
-
-
 def _state(scored: ScoredLayout, frames: int) -> str:
     if scored.scores is None:
         return "no scores"
@@ -204,11 +184,8 @@ def _state(scored: ScoredLayout, frames: int) -> str:
 
 def cost_of(layout: Layout) -> str:
     """What a layout's sensors cost by the catalogue's prices, in words."""
-    known, names = devices(), [sensor.spec.name for sensor in layout.sensors]
-    prices = {name: price_of(known, name) for name in names}
-    cost = sum(prices[name] or 0.0 for name in names)
-    unknown = sorted(name for name, price in prices.items() if price is None)
-    if not unknown:
-        return f"{cost:,.0f} US dollars"
-    without = f"no list price for {', '.join(unknown)}"
-    return f"{cost:,.0f} US dollars and {without}" if cost else without
+    cost, unknown = total_price(materials(layout, {}))
+    words = [] if cost is None else [f"{cost:,.0f} US dollars"]
+    if unknown:
+        words.append(f"no list price for {', '.join(sorted(unknown))}")
+    return " and ".join(words)

@@ -13,14 +13,13 @@ from typing import Any
 
 import jax
 import numpy as np
-from jaxtyping import Float, UInt
+from jaxtyping import UInt
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.placement.problem import Case
 from inspe_jax.scoring.detection import DetectionCurves
 from inspe_jax.scoring.evaluate import Scores, evaluate
 from inspe_jax.scoring.metrics import Weights
-from inspe_jax.scoring.targets import target_view
 from inspe_jax.scoring.viewshed import sight_in
 from inspe_jax.sensing.layout import Layout
 
@@ -28,7 +27,7 @@ SHOWN = 20
 """Number of frames that are scored first, evenly spread over all."""
 LONGEST_REST = 0.3
 """From one scoring to the next while a sensor is dragged, at most [s]: the first one compiles."""
-_JOBS = ("end", "few", "sight", "found", "whole")  # the first of them is done first
+_JOBS = ("end", "few", "sight", "whole")  # the first of them is done first
 
 
 @dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
@@ -55,50 +54,40 @@ class Scorer:
         weights: Weights,
         scored: Callable[[ScoredLayout], None],
         sighted: Callable[[Layout, int, UInt[np.ndarray, " V"]], None],
-        found: Callable[[Layout, str, Float[np.ndarray, " L"]], None] = lambda *_: None,
         metrics: Sequence[str] = (),
         detection: DetectionCurves | None = None,
     ) -> None:
         """The callbacks run on the scorer's thread.
 
-        ``scored`` gets scores; ``sighted`` gets a layout, a frame and the Visibility of each voxel;
-        ``found`` a layout, a class of road users and the chance to find one at each column.
+        ``scored`` gets scores; ``sighted`` gets a layout, a frame and the Visibility of each voxel.
         ``weights``, ``metrics`` and ``detection`` as in :func:`inspe_jax.evaluate`.
         """
-        self.case, self.detection = case, detection
+        self.case = case
         self._options: dict[str, Any] = dict(weights=weights, metrics=metrics, detection=detection)
-        self._scored, self._sighted, self._found = scored, sighted, found
+        self._scored, self._sighted = scored, sighted
         traffic = case.scene.traffic
         step = max(1, -(-traffic.frame_count // SHOWN))
         self.few = replace(case.scene, traffic=jax.tree.map(lambda leaf: leaf[::step], traffic))
         self._layout: Layout | None = None
         self._frame, self._since = 0, 0.0
-        self._road_user: str | None = None
         self._todo: set[str] = set()
         self._changed = threading.Condition()
         self._thread = threading.Thread(target=self._work, name="scorer", daemon=True)
         self._thread.start()
 
     def score(self, layout: Layout, *, whole: bool) -> None:
-        """Score a layout on a few frames, and with ``whole`` on all; find which voxels it sees.
-
-        With ``whole``, the chance to find road users too, if a class of them is selected.
-        """
+        """Score a layout on a few frames, and with ``whole`` on all; find which voxels it sees."""
         with self._changed:
             self._layout, self._since = layout, time.monotonic()
-            self._todo -= {"whole", "found"}
-            self._todo |= {"few", "sight", *(["whole", "found"] if whole else [])}
+            self._todo |= {"few", "sight", "whole"}
+            if not whole:
+                self._todo.remove("whole")
             self._changed.notify()
 
     def select_frame(self, frame: int) -> None:
         """Select the frame whose voxels are found from now on."""
         self._frame = frame
         self._do("sight")
-
-    def find_targets(self, road_user: str | None) -> None:
-        """Find the chance to find a road user of this class, for every layout from now on."""
-        self._road_user = road_user
-        self._do("found")
 
     def close(self, *, wait: bool = True) -> None:
         """End the thread, once it has done what it is at; with ``wait``, come back then."""
@@ -124,7 +113,6 @@ class Scorer:
                 job = next(j for j in _JOBS if j in self._todo)
                 self._todo.remove(job)
                 layout, frame, since = self._layout, self._frame, self._since
-                road_user = self._road_user
             if job == "end":
                 return
             if layout is None:
@@ -136,10 +124,8 @@ class Scorer:
                 resumed = ended + (min(ended - begun, LONGEST_REST) if job == "few" else 0.0)
                 continue
             with suppress(Exception):  # the scores report it
-                if job == "sight":
-                    self._find_visible(layout, frame)
-                elif road_user is not None:
-                    self._find_chance(layout, road_user)
+                sight = sight_in(self.case.scene, layout, frame, conditions=self.case.conditions)
+                self._sighted(layout, frame, sight)
 
     def _score(self, layout: Layout, whole: bool, since: float) -> None:
         scene, scores, wrong = self.case.scene if whole else self.few, None, ""
@@ -151,12 +137,3 @@ class Scorer:
             wrong = f"it could not be scored: {e!r}"
         frames = scene.traffic.frame_count
         self._scored(ScoredLayout(layout, scores, frames, time.monotonic() - since, wrong))
-
-    def _find_visible(self, layout: Layout, frame: int) -> None:
-        sight = sight_in(self.case.scene, layout, frame, conditions=self.case.conditions)
-        self._sighted(layout, frame, sight)
-
-    def _find_chance(self, layout: Layout, road_user: str) -> None:
-        scene, around = self.case.scene, self.case.conditions
-        view = target_view(scene, layout, road_user, conditions=around, detection=self.detection)
-        self._found(layout, road_user, view.detectability)

@@ -2,8 +2,9 @@
 
 XLA compiles for many seconds and cannot be interrupted, but a process can be killed.
 :class:`~inspe_jax.viewer.searcher.Searcher` runs it as
-``python -m inspe_jax.viewer.search_process``. It reads pickled :class:`SearchTask` records from
-its input. For each it writes messages to its output, pickled tuples of a kind and its content:
+``python -m inspe_jax.viewer.search_process``. It reads searches from its input, the arguments of
+:func:`~inspe_jax.placement.optimise.optimise` by name, pickled. For each it writes messages to its
+output, pickled tuples of a kind and its content:
 
 - ``("ready",)`` once
 - ``("progress", fraction of the budget that is spent, best score)``
@@ -20,78 +21,47 @@ import pickle
 import signal
 import sys
 import threading
-import time
 import traceback
+from collections.abc import Callable
 from functools import partial
 from queue import SimpleQueue
-from typing import IO, Any, NamedTuple
-
-import jax
+from typing import IO, Any
 
 from inspe_jax.core.compiling import compiled, leave, remember_seconds
 from inspe_jax.core.errors import InspeError
 from inspe_jax.placement.optimise import optimise
 
-SETTINGS = (
-    "jax_compilation_cache_dir",
-    "jax_compilation_cache_max_size",
-    "jax_enable_compilation_cache",
-    "jax_enable_x64",
-    "jax_persistent_cache_min_compile_time_secs",
-)
-"""Settings of JAX that a search takes over from the page's process."""
 EVERY = 0.25
 """Time between two messages that it compiles [s]."""
 NICE = 5
 """How much the search's priority is lowered, so that the page gets the cores first."""
 
 
-class SearchTask(NamedTuple):
-    """A search: the ``arguments`` of :func:`~inspe_jax.placement.optimise.optimise` by name, and
-    the ``settings`` of JAX."""
-
-    arguments: dict[str, Any]
-    settings: dict[str, Any]
-
-
-def search_task(**arguments: Any) -> SearchTask:
-    """A search with these arguments, and with the settings of this process."""
-    return SearchTask(arguments, {name: getattr(jax.config, name) for name in SETTINGS})
-
-
-class _MessageWriter:
-    """Writes messages to the page's process, from any thread."""
-
-    def __init__(self, sink: IO[bytes]) -> None:
-        self._sink, self._lock = sink, threading.Lock()
-        self.compiled = 0.0  # compile time before the present search began [s]
-
-    def send(self, *message: object) -> None:
-        with self._lock:
-            pickle.dump(message, self._sink)
-            self._sink.flush()
-
-
 def main() -> None:
     """Run the searches that come in, until the input ends."""
-    out = _MessageWriter(os.fdopen(os.dup(1), "wb"))
+    sink, lock = os.fdopen(os.dup(1), "wb"), threading.Lock()
     os.dup2(2, 1)  # what libraries print must not look like a message
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C ends the page's process
     if hasattr(os, "nice"):  # not on Windows
         os.nice(NICE)
-    tasks = SimpleQueue[SearchTask]()
-    threading.Thread(target=_read, args=(sys.stdin.buffer, tasks), daemon=True).start()
-    out.send("ready")
-    threading.Thread(target=_report_compiling, args=(out,), daemon=True).start()
+
+    def send(*message: object) -> None:
+        with lock:
+            pickle.dump(message, sink)
+            sink.flush()
+
+    searches = SimpleQueue[dict[str, Any]]()
+    threading.Thread(target=_read, args=(sys.stdin.buffer, searches), daemon=True).start()
+    send("ready")
     while True:
-        _search(tasks.get(), out)
+        _search(searches.get(), send)
 
 
-def _read(source: IO[bytes], tasks: SimpleQueue[SearchTask]) -> None:
+def _read(source: IO[bytes], searches: SimpleQueue[dict[str, Any]]) -> None:
     """Read the input on a thread of its own: at its end the process ends at once."""
     while True:
         try:
-            tasks.put(pickle.load(source))
+            searches.put(pickle.load(source))
         except EOFError:
             leave(0)
         except Exception as e:
@@ -99,32 +69,29 @@ def _read(source: IO[bytes], tasks: SimpleQueue[SearchTask]) -> None:
             leave(1)
 
 
-def _search(task: SearchTask, out: _MessageWriter) -> None:
-    for name, value in task.settings.items():
-        jax.config.update(name, value)
-    out.compiled = before = compiled().seconds
+def _search(arguments: dict[str, Any], send: Callable[..., None]) -> None:
+    before, ended = compiled().seconds, threading.Event()
+
+    def report_compiling() -> None:
+        while not ended.wait(EVERY):
+            if (state := compiled()).now:
+                send("compiling", state.seconds - before)
+
+    threading.Thread(target=report_compiling, daemon=True).start()
     try:
         result = optimise(
-            **task.arguments,
-            progress=partial(out.send, "progress"),
-            found=partial(out.send, "found"),
+            **arguments, progress=partial(send, "progress"), found=partial(send, "found")
         )
     except InspeError as e:
-        out.send("failed", str(e))
+        send("failed", str(e))
     except Exception as e:
         traceback.print_exception(e)
-        out.send("failed", f"the search failed: {e!r}")
+        send("failed", f"the search failed: {e!r}")
     else:
-        remember_seconds(f"search by {task.arguments['method']}", compiled().seconds - before)
-        out.send("ended", result)
-
-
-def _report_compiling(out: _MessageWriter) -> None:
-    while True:
-        time.sleep(EVERY)
-        state = compiled()
-        if state.now:
-            out.send("compiling", state.seconds - out.compiled)
+        remember_seconds(f"search by {arguments['method']}", compiled().seconds - before)
+        send("ended", result)
+    finally:
+        ended.set()
 
 
 if __name__ == "__main__":

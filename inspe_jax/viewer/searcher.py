@@ -11,6 +11,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+import jax
+
 from inspe_jax.placement.constraints import Constraints
 from inspe_jax.placement.objective import Objective
 from inspe_jax.placement.optimise import named_optimised
@@ -18,15 +20,21 @@ from inspe_jax.placement.problem import Case
 from inspe_jax.scoring.detection import DetectionCurves
 from inspe_jax.scoring.metrics import Weights
 from inspe_jax.sensing.layout import Layout
-from inspe_jax.viewer.search_process import SearchTask, search_task
 
 PATIENCE = 0.4
 """Time that a process gets to end by itself before it is killed [s]."""
-KILLED, KILLED_WORDS = -9, "killed, as happens when memory runs out"
+KILLED = -9
 """Exit status of a process that the system killed; does not occur on Windows."""
 PROCESS_ENVIRONMENT = {"XLA_PYTHON_CLIENT_PREALLOCATE": "false"}
 """Of the search's process: the page's process already has most of a graphics card's memory."""
-
+SETTINGS = (
+    "jax_compilation_cache_dir",
+    "jax_compilation_cache_max_size",
+    "jax_enable_compilation_cache",
+    "jax_enable_x64",
+    "jax_persistent_cache_min_compile_time_secs",
+)
+"""Settings of JAX that it takes over from this one, through its environment."""
 
 REASONS = {
     "converged": "ended, as it finds nothing better",
@@ -102,55 +110,35 @@ class Searcher:
     @property
     def gain(self) -> float:
         """What the objective has gained over the start so far."""
-        best = self._best
-        return 0.0 if best is None else best[1] - self._first
-
-    def warm(self) -> None:
-        """Start the process ahead of time, so that a search does not wait for it."""
-        with self._lock:
-            if self._process is not None or self._closed:
-                return
-            # -P: modules are not looked for in the folder that the user works in.
-            command = [sys.executable, "-P", "-m", "inspe_jax.viewer.search_process"]
-            self._process = subprocess.Popen(
-                command,
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                env=os.environ | PROCESS_ENVIRONMENT,
-                start_new_session=True,  # Ctrl-C is for the page
-            )
-            self._ready = False
-            threading.Thread(
-                target=self._listen, args=(self._process,), name="search", daemon=True
-            ).start()
+        return 0.0 if self._best is None else self._best[1] - self._first
 
     def start(self, layout: Layout, method: str, seconds: float, target: float = math.inf) -> None:
         """Start a search from a layout, which also ends with a score of ``target`` or more. Does
         nothing while another one runs."""
+        search = dict(
+            scene=self.case, layout=layout, method=method, seconds=seconds, target=target,
+            objective=self.objective, constraints=self.constraints,
+        )  # fmt: skip
         with self._lock:
             if self.running or self._closed:
                 return
             self.running, self._best = True, None
             try:
-                self.warm()
-            except OSError as e:
-                self._end(f"no process could be started for the search: {e.strerror}", failed=True)
+                given = pickle.dumps(search)
+                process = self._warm()
+            except Exception as e:  # such as a metric that cannot be pickled, or no memory
+                self._end(f"the search could not be started: {e}", failed=True)
                 return
-            task = search_task(
-                scene=self.case, layout=layout, method=method, seconds=seconds, target=target,
-                objective=self.objective, constraints=self.constraints,
-            )  # fmt: skip
             # The process reads only once it has started; the caller should not wait for that.
-            threading.Thread(target=self._send, args=(self._process, task), daemon=True).start()
+            threading.Thread(target=_write, args=(process, given), daemon=True).start()
 
     def stop(self) -> None:
         """End the search now, whatever it is doing, with the best layout so far."""
         with self._lock:
-            if not self.running:
-                return
-            self._end_process()
-            self._end(REASONS["interrupted"])
-        self.warm()  # for the next
+            if self.running:
+                self._end_process()
+                self._end(REASONS["interrupted"])
+                self._warm()  # for the next
 
     def close(self) -> None:
         """Stop the search, and end the process."""
@@ -160,18 +148,34 @@ class Searcher:
             if self.running:
                 self._end(REASONS["interrupted"])
 
+    def _warm(self) -> "subprocess.Popen[bytes]":
+        """The process, which is started if there is none: a search need not wait for it."""
+        if self._process is None:
+            set_here = {name.upper(): getattr(jax.config, name) for name in SETTINGS}
+            settings = {name: str(value) for name, value in set_here.items() if value is not None}
+            # -P: modules are not looked for in the folder that the user works in.
+            self._process = subprocess.Popen(
+                [sys.executable, "-P", "-m", "inspe_jax.viewer.search_process"],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                env=os.environ | PROCESS_ENVIRONMENT | settings,
+                start_new_session=True,  # Ctrl-C is for the page
+            )
+            self._ready = False
+            threading.Thread(target=self._listen, args=(self._process,), daemon=True).start()
+        return self._process
+
     def _end_process(self) -> None:
         process, self._process = self._process, None
         if process is None:
             return
         if self._ready:  # it ends when its input does, but not in the midst of writing a file
-            assert process.stdin is not None
-            with contextlib.suppress(OSError, ValueError):
-                process.stdin.close()
+            _close_input(process)
             with contextlib.suppress(subprocess.TimeoutExpired):
                 process.wait(PATIENCE)
         process.kill()
-        _release(process)
+        _close_input(process)
+        process.wait()
 
     def _end(self, reason: str, *, failed: bool = False) -> None:
         """Report the end of a search that has no result."""
@@ -182,19 +186,6 @@ class Searcher:
         else:
             layout, score = self._best
             self._ended(SearchEnding(named_optimised(layout), self._first, score, reason, failed))
-
-    def _send(self, process: "subprocess.Popen[bytes]", task: SearchTask) -> None:
-        """Send a search to its process. If the process has ended, :meth:`_listen` reports it."""
-        assert process.stdin is not None
-        try:
-            process.stdin.write(pickle.dumps(task))
-            process.stdin.flush()
-        except (OSError, ValueError):  # ended, closed
-            return
-        except Exception as e:
-            with self._lock:
-                if process is self._process and self.running:
-                    self._end(f"the search could not be sent to its process: {e}", failed=True)
 
     def _listen(self, process: "subprocess.Popen[bytes]") -> None:
         assert process.stdout is not None
@@ -213,10 +204,11 @@ class Searcher:
         with self._lock:
             if process is not self._process:
                 return
-            process.kill()
-            self._process, status = None, _release(process)
+            self._end_process()
             if self.running:
-                why = KILLED_WORDS if status == KILLED else f"status {status}"
+                status = process.returncode
+                killed = status == KILLED
+                why = "killed, as happens when memory runs out" if killed else f"status {status}"
                 self._end(f"the search's process ended by itself ({why})", failed=True)
 
     def _receive(self, kind: str, *content: Any) -> None:
@@ -239,9 +231,15 @@ class Searcher:
             )
 
 
-def _release(process: "subprocess.Popen[bytes]") -> int:
-    """Wait for a process that is ending; returns its exit status."""
+def _write(process: "subprocess.Popen[bytes]", search: bytes) -> None:
+    """Send a search to its process. That the process has ended is found by who listens to it."""
     assert process.stdin is not None
-    with contextlib.suppress(OSError):  # what it has not read is lost
+    with contextlib.suppress(OSError, ValueError):
+        process.stdin.write(search)
+        process.stdin.flush()
+
+
+def _close_input(process: "subprocess.Popen[bytes]") -> None:
+    assert process.stdin is not None
+    with contextlib.suppress(OSError, ValueError):  # what it has not read is lost
         process.stdin.close()
-    return process.wait()

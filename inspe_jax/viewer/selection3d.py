@@ -1,29 +1,83 @@
-"""What one browser sees of its selected sensors in three dimensions."""
+"""What one browser has in three dimensions: the handle on a sensor, outlines, a LiDAR's points.
 
-from collections.abc import Sequence
+The handle's arrows and planes move the sensor in hand, its rings turn it.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import viser
 from jaxtyping import Float
 
+from inspe_jax.core.geometry import rotation
 from inspe_jax.report.figures import SENSOR_COLORS
-from inspe_jax.viewer.scene3d import Outline, rgb
+from inspe_jax.viewer.job_queue import asker
+from inspe_jax.viewer.scene3d import Outline, quaternion, rgb, turn_of
 
+LENGTH = 90.0
+"""Length of the handle's arrows [pixel]."""
 WIDE = 0.4
 """Width of the outline of what a selected sensor looks at [m]."""
 POINT_SIZE = 0.14
 """Of a LiDAR's points, which have the colour of LiDARs [m]."""
 
 
-class Selection3D:
-    """Outlines of what the selected sensors look at, wider than others, and a LiDAR's points."""
+@dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
+class HandleDrag:
+    """One event of a drag: the handle is gripped ("start"), moved ("update") or let go ("end").
 
-    def __init__(self, api: viser.SceneApi, shift: Float[np.ndarray, "3"]) -> None:
-        """``shift`` is the scene's centre [m]."""
+    ``at`` (3,) is the handle's position in the world [m], ``turn`` its rotation matrix.
+    """
+
+    phase: str
+    at: Float[np.ndarray, "3"]
+    turn: Float[np.ndarray, "3 3"]
+
+    def on(self, pose: Float[np.ndarray, "6"]) -> Float[np.ndarray, "6"]:
+        """The world pose that the drag gives a sensor.
+
+        The handle stands upright and faces along the yaw of ``pose``, the pose that it was put on.
+        A turn about the vertical axis changes the yaw, one about the left axis the pitch. A turn
+        about the forward axis changes nothing, since no sensor is mounted with a roll.
+        """
+        ahead, dragged = self.turn[:, 0], pose.copy()
+        dragged[:3] = self.at
+        dragged[4] += np.arcsin(np.clip(ahead[2], -1, 1))
+        dragged[5] = np.arctan2(ahead[1], ahead[0])
+        return dragged
+
+
+class Selection3D:
+    """The handle, outlines of what the selected sensors look at, wider than others, and points."""
+
+    def __init__(
+        self,
+        api: viser.SceneApi,
+        shift: Float[np.ndarray, "3"],
+        dragged: Callable[[HandleDrag], None],
+    ) -> None:
+        """``shift`` is the scene's centre [m]. ``dragged`` is called on the server's event loop."""
         self._api, self._shift = api, shift
         self.outlines: list[Any] = []
         self.points: Any = None
+        self.gizmo = gizmo = api.add_transform_controls(
+            "handle", scale=LENGTH, fixed=True, line_width=3.5, depth_test=False
+        )
+
+        @gizmo.on_update
+        async def _(event: viser.TransformControlsEvent) -> None:
+            if event.client is not None:
+                asker.set(event.client_id)
+                at = np.array(gizmo.position) + shift
+                dragged(HandleDrag(event.phase, at, turn_of(gizmo.wxyz)))
+
+    def put_handle(self, pose: Float[np.ndarray, "6"], *, visible: bool) -> None:
+        """Put the handle on a world pose, upright."""
+        self.gizmo.wxyz = quaternion(rotation(np.array([0.0, 0.0, pose[5]]), np))
+        self.gizmo.position = pose[:3] - self._shift
+        self.gizmo.visible = visible
 
     def draw_outlines(self, outlines: Sequence[Outline]) -> None:
         """Draw these outlines in place of those before."""

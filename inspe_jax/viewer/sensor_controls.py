@@ -1,6 +1,6 @@
 """The controls of one browser: for a new sensor, for the selected one, and the list of all."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
 from html import escape
 from typing import Any
@@ -9,11 +9,8 @@ import viser
 
 from inspe_jax.core.words import isolated
 from inspe_jax.sensing.catalogue import devices
-from inspe_jax.sensing.layout import Layout
 from inspe_jax.sensing.sensors import Spec
-from inspe_jax.viewer.bindings import bind, bind_choice, set_value
-from inspe_jax.viewer.score_panel import sensor_table
-from inspe_jax.viewer.scorer import ScoredLayout
+from inspe_jax.viewer.bindings import bind, set_value
 
 DIGITS = {"x": 2, "y": 2, "height": 2, "yaw": 1, "pitch": 1}
 """The numbers of a pose, with the decimals that are shown and typed."""
@@ -37,7 +34,7 @@ class SensorControls:
     def __init__(
         self, gui: viser.GuiApi, viewer: Any, view: Any, orders: tuple[float, float, float, float]
     ) -> None:
-        """``viewer`` refuses what is impossible, ``view`` has the methods that are bound below.
+        """``viewer`` applies what is typed, ``view`` has the methods that are bound below.
         ``orders`` are the places in the panel of the four folders."""
         known = sorted((one.spec for one in devices().values()), key=lambda spec: spec.title)
         self._devices = {label_of(spec): spec.name for spec in known}
@@ -45,8 +42,6 @@ class SensorControls:
             self.new = gui.add_dropdown(
                 "New device", list(self._devices), hint="The device that Add mounts"
             )
-            # The label that was last put there; none once a person has chosen another.
-            self._offered: str | None = self.new.value
             self.add = gui.add_button(
                 "Add", hint="Mount a new sensor as near as possible to the point you look at"
             )
@@ -71,26 +66,20 @@ class SensorControls:
             self.row_buttons = gui.add_button_group("Select", ("1",))
             self.toggle_buttons = gui.add_button_group("Select together", ("1",))
 
-        def selects(control: Any, ask: Callable[[], object]) -> None:
-            bind(control, lambda _: ask(), refuse=viewer.restore)
+        def typed(key: str, _: Any) -> None:
+            view.type_number(key, self.pose[key].value)
 
-        def changes(control: Any, ask: Callable[[], object]) -> None:
-            bind(control, lambda _: ask(), refuse=viewer.restore, settle=viewer.settle)
-
-        def typed(key: str) -> None:
-            view.type_number(key, float(self.pose[key].value))
-
+        changes = partial(bind, settle=viewer.settle)
         existing = {"Duplicate": view.duplicate, "Remove": view.remove}
-        selects(self.sensor, lambda: view.select(self.sensor.options.index(self.sensor.value)))
-        selects(self.row_buttons, lambda: view.select(int(self.row_buttons.value) - 1))
-        selects(self.toggle_buttons, lambda: view.toggle(int(self.toggle_buttons.value) - 1))
-        selects(self.name, lambda: view.rename(self.name.value))
+        bind(self.sensor, lambda _: view.select(self.sensor.options.index(self.sensor.value)))
+        bind(self.row_buttons, lambda _: view.select(int(self.row_buttons.value) - 1))
+        bind(self.toggle_buttons, lambda _: view.toggle(int(self.toggle_buttons.value) - 1))
+        bind(self.name, lambda _: view.rename(self.name.value))
         for key, number in self.pose.items():
-            selects(number, partial(typed, key))
-        changes(self.device, lambda: view.swap(self._devices[self.device.value]))
-        changes(self.existing, lambda: existing[self.existing.value]())
-        bind_choice(self.new, chosen=self._not_offered)
-        changes(self.add, lambda: view.add(self._devices[self.new.value]))
+            bind(number, partial(typed, key))
+        changes(self.device, lambda _: view.swap(self._devices[self.device.value]))
+        changes(self.existing, lambda _: existing[self.existing.value]())
+        changes(self.add, lambda _: view.add(self._devices[self.new.value]))
 
     def list_sensors(self, names: Sequence[str], in_hand: int | None) -> None:
         """List these sensors, numbered from 1, and choose the one at place ``in_hand``, or none."""
@@ -112,25 +101,12 @@ class SensorControls:
         self.several.content = f'<div style="{_WORDS}">{words}</div>' if count != 1 else ""
 
     def offer_device(self, spec: Spec) -> None:
-        """Choose a device in the list; add it if the catalogue does not have it.
-
-        Until a person has chosen a device for a new sensor, it is the same.
-        """
+        """Choose a device in the list; add it if the catalogue does not have it."""
         label = label_of(spec)
         if label not in self.device.options:
             self._devices[label] = spec.name
             self.device.options = (*self.device.options, label)
         set_value(self.device, label)
-        # A value that is not the one offered last was chosen just now, and is about to be reported.
-        if self.new.value == self._offered and label in self.new.options:
-            self._offered = label
-            set_value(self.new, label)
-
-    def show_table(
-        self, layout: Layout, scored: ScoredLayout | None, selection: Sequence[int]
-    ) -> None:
-        """Show a row for each sensor of a layout, with what it adds to scores, if it has any."""
-        self.table.content = sensor_table(layout, scored, selection)
 
     def enable(self, *, change: bool, selected: bool) -> None:
         """Leave only what selects unless the layout may change; and of what changes a selected
@@ -139,6 +115,3 @@ class SensorControls:
         self.new.disabled = self.add.disabled = not change
         for control in (self.device, self.name, *self.pose.values()):
             control.disabled = not (change and selected)
-
-    def _not_offered(self) -> None:
-        self._offered = None

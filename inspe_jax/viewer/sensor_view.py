@@ -34,7 +34,7 @@ PIXELS = 320 * 240
 LISTED = 6
 """Number of road users that are listed, the nearest ones."""
 QUALITY = 88
-"""Of a JPEG, of 100."""
+"""Of a picture, of 100."""
 _TEMPLATE = template("viewer", "sensor_view.html.j2")
 
 
@@ -104,7 +104,7 @@ class SensorView:
                 pose = np.array(at.layout.poses[at.s], float)
                 boxes, seen = self._live_sensor(at, at.s).record(at.t, pose)
                 spec = self.case.conditions.spec(at.layout.sensors[at.s].spec)
-                page = _page(spec, boxes, seen, held=at.held)
+                page = _page(spec, boxes, seen)
         except InspeError as e:
             page = _TEMPLATE.render(wrong=str(e))
         except Exception:
@@ -129,13 +129,13 @@ class SensorView:
         return sensor
 
 
-def _page(spec: Spec, boxes: Sequence[RoadUserBox], seen: Image | Scan, *, held: bool) -> str:
+def _page(spec: Spec, boxes: Sequence[RoadUserBox], seen: Image | Scan) -> str:
     """What a sensor has recorded, as HTML."""
     pose = np.asarray(seen.pose, float)
     at = np.array([box.center for box in boxes]).reshape(-1, 3)
     away = np.linalg.norm(at - pose[:3], axis=1)
     if isinstance(seen, Image):
-        image = picture_url(seen.rgb, exact=not held)
+        image = picture_url(seen.rgb)
         shown = np.count_nonzero(np.asarray(seen.pixels))
         summary = f"{shown} of {len(boxes)} road users are in the picture"
         sharp = np.where(away <= spec.grid.reach, pixel_density_at(spec, pose, at), np.nan)
@@ -172,8 +172,8 @@ def image_scale(spec: Spec) -> float:
     return min(1.0, float(np.sqrt(PIXELS / (spec.width * spec.height))))
 
 
-def picture_url(rgb: UInt8[np.ndarray, "H W 3"], *, exact: bool) -> str:
-    """A picture as a URL that contains it: PNG if it is to be exact, and the smaller JPEG else."""
-    file, kind = io.BytesIO(), "png" if exact else "jpeg"
-    Pillow.fromarray(rgb).save(file, kind, quality=QUALITY)
-    return f"data:image/{kind};base64,{base64.b64encode(file.getvalue()).decode()}"
+def picture_url(rgb: UInt8[np.ndarray, "H W 3"]) -> str:
+    """A picture as a URL that contains it."""
+    file = io.BytesIO()
+    Pillow.fromarray(rgb).save(file, "jpeg", quality=QUALITY)
+    return f"data:image/jpeg;base64,{base64.b64encode(file.getvalue()).decode()}"

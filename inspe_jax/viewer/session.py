@@ -6,7 +6,6 @@ Every change gives the nearest layout that can be mounted. Nothing here knows of
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -23,26 +22,22 @@ REMEMBERED = 200
 """Number of changes that can be undone."""
 HEIGHT = 6.0
 """Height of a new sensor above the ground [m]."""
-LONGEST_NAME = 60
-"""Number of characters that a sensor's name has at most."""
 TOLD = 0.01
 """A number that comes out farther from what was typed is said [m, degrees]."""
 BESIDE = 0.8
 """A copy is turned by this fraction of the field of view, so that both views overlap a little."""
 
+LARGEST = 1e9
+"""A number that is typed is not larger [m, degrees]: poses are in single precision."""
 
 MountedLayout = tuple[Layout, tuple[str, ...]]
 """A layout, and in words how it differs from the one that was asked for."""
-Step = tuple[Layout, Any]
-"""A layout on the other side of a change, and what else that changed."""
 
 
 class LayoutSession:
     """A layout on a scene, with its history.
 
     ``layout`` is the layout as it is now; ``notes`` say how mounting has altered the last change.
-    ``crossed`` is what was changed :meth:`along <take>` with the layout in what was undone or
-    redone last, if anything was.
     """
 
     def __init__(
@@ -53,9 +48,8 @@ class LayoutSession:
         self.scene, self.layout = scene, layout
         self.constraints = constraints or Constraints()
         self.notes: tuple[str, ...] = ()
-        self._past: list[Step] = []
-        self._future: list[Step] = []
-        self.crossed: Any = None
+        self._past: list[Layout] = []
+        self._future: list[Layout] = []
         self._space: Space | None = None
         self._own = {sensor.spec.name: sensor.spec for sensor in layout.sensors}
 
@@ -107,13 +101,13 @@ class LayoutSession:
         [m], "yaw" or "pitch" [degrees]. The sensors ``along`` change by as much.
 
         Where it comes to another number, notes begin with both. Raises InspeError if it is not
-        finite.
+        finite, or larger than :data:`LARGEST`.
         """
-        if not np.isfinite(value):
-            raise InspeError(f"{key}: {value} is not a finite number")
+        if not abs(value) <= LARGEST:
+            raise InspeError(f"{key}: {value} is not a finite number, or too large")
         pose = np.array(self.layout.poses[s], float)
         if key == "height":
-            pose[2] += value - self.height(s)
+            pose[2] += value - self.numbers(self.layout, s)["height"]
         elif key in ("x", "y"):
             pose["xy".index(key)] = value
         else:
@@ -129,24 +123,19 @@ class LayoutSession:
     def rename(self, s: int, name: str) -> None:
         """Give sensor ``s`` another name; an empty one changes nothing.
 
-        Raises InspeError if it is too long, or another sensor has it.
+        Raises InspeError if another sensor has it.
         """
         name, sensors = name.strip(), list(self.layout.sensors)
         if name in ("", sensors[s].name):
             return
-        if len(name) > LONGEST_NAME:
-            raise InspeError(f"a sensor's name has {LONGEST_NAME} characters at most")
         if any(name == other.name for k, other in enumerate(sensors) if k != s):
             raise InspeError(f"another sensor is named '{name}': give each its own name")
         sensors[s] = replace(sensors[s], name=name)
         self.take(replace(self.layout, sensors=tuple(sensors)))
 
-    def height(self, s: int) -> float:
-        """Height of sensor ``s`` above the ground at its unit's foot [m]."""
-        return self.numbers(self.layout, s)["height"]
-
     def numbers(self, layout: Layout, s: int) -> dict[str, float]:
-        """The numbers of a sensor's pose, as :meth:`set_number` has them."""
+        """The numbers of a sensor's pose, as :meth:`set_number` has them; the height is above the
+        ground at its unit's foot."""
         x, y, z, _, pitch, yaw = np.asarray(layout.poses[s], float).tolist()
         foot = np.array(layout.units[layout.sensors[s].unit].base[:2])
         turns = dict(yaw=math.degrees(yaw), pitch=math.degrees(pitch))
@@ -179,7 +168,6 @@ class LayoutSession:
     def duplicate(self, s: int) -> int:
         """Add a copy of sensor ``s`` to its unit, turned to its left; returns its number."""
         old = self.layout
-        self._check_there(s)
         sensor, poses = old.sensors[s], np.asarray(old.poses, float)
         # A sensor that looks all round is not turned.
         wide = sensor.spec.field_of_view[0] % (2 * np.pi)
@@ -200,8 +188,6 @@ class LayoutSession:
         Raises InspeError if no sensor would be left.
         """
         old = self.layout
-        for s in which:
-            self._check_there(s)
         keep = [k for k in range(len(old)) if k not in which]
         if not keep:
             what = f"all {len(old)} sensors" if len(old) > 1 else "the last sensor"
@@ -224,12 +210,9 @@ class LayoutSession:
         sensors[s] = replace(sensors[s], spec=spec)
         self.take(*self._mounted(replace(self.layout, sensors=tuple(sensors))))
 
-    def take(self, layout: Layout, notes: tuple[str, ...] = (), along: Any = None) -> None:
-        """Continue with another layout; :meth:`undo` brings back the one before.
-
-        ``along`` says what else changes with it, to whoever undoes it.
-        """
-        self._past = [*self._past[1 - REMEMBERED :], (self.layout, along)]
+    def take(self, layout: Layout, notes: tuple[str, ...] = ()) -> None:
+        """Continue with another layout; :meth:`undo` brings back the one before."""
+        self._past = [*self._past[1 - REMEMBERED :], self.layout]
         self._future = []
         self.layout, self.notes = layout, notes
 
@@ -243,12 +226,11 @@ class LayoutSession:
         """Redo the change that was undone last; returns False if there is none."""
         return self._go(self._future, self._past)
 
-    def _go(self, there: "list[Step]", here: "list[Step]") -> bool:
+    def _go(self, there: list[Layout], here: list[Layout]) -> bool:
         if not there:
             return False
-        layout, self.crossed = there.pop()
-        here.append((self.layout, self.crossed))
-        self.layout, self.notes = layout, ()
+        here.append(self.layout)
+        self.layout, self.notes = there.pop(), ()
         return True
 
     # ── Mounting ──
@@ -285,16 +267,17 @@ class LayoutSession:
             self._space = kept = Space(self.scene, wanted, self.constraints)
         return kept
 
-    def _check_there(self, s: int) -> None:
-        if s >= len(self.layout):  # removed since it was chosen
-            raise InspeError(f"there is no sensor {s + 1} any more")
-
     def _inside(
         self, at: Float[np.ndarray, "2"], unit: str, notes: list[str]
     ) -> Float[np.ndarray, "2"]:
-        """The nearest point [m] within the region of interest; it is noted if it is another."""
+        """The nearest point [m] within the region of interest; it is noted if it is another.
+
+        Raises InspeError if it is not finite.
+        """
         center, radius = self.scene.voxels.center[:2], self.scene.voxels.radius
         away = float(np.hypot(*(at - center)))
+        if not np.isfinite(away):  # of a camera in a window without a size
+            raise InspeError("there is no such place")
         if away <= radius:
             return at
         back = f"{away - radius:.2f} m back to the rim of the region of interest"

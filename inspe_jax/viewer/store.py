@@ -7,8 +7,6 @@ only when the user says so.
 import re
 from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import dataclass
-from datetime import datetime
 from itertools import count
 from pathlib import Path
 
@@ -23,21 +21,11 @@ OFFERED = 4
 """Most files of earlier runs that are offered."""
 
 
-@dataclass(frozen=True)
-class EarlierFile:
-    """A layout file of an earlier run: where it is, and when it was written."""
-
-    path: Path
-    written: datetime
-
-    @property
-    def words(self) -> str:
-        """Name and time for the page, in Markdown."""
-        return f"`{self.path.name}` of {self.written:%d %B, %H:%M}"
-
-
 class LayoutStore:
-    """The files of one layout: ``path``, where it is saved, and ``unsaved`` beside it."""
+    """The files of one layout: ``path``, where it is saved, and ``unsaved`` beside it.
+
+    ``earlier`` are files that earlier runs have left, the newest first.
+    """
 
     def __init__(self, path: Path, opened: Layout, scene: Scene | None = None) -> None:
         """``opened`` is the layout at the start. ``scene`` gives ground heights that files leave
@@ -51,28 +39,23 @@ class LayoutStore:
         self._taken_up: tuple[Path, Layout] | None = None
         if self._is(self.path, opened):  # it was opened from there
             self._know(self.path)
-        found = [at for at in self._others() if not self._is(at, opened)]
-        self.earlier = tuple(
-            EarlierFile(at, datetime.fromtimestamp(at.stat().st_mtime)) for at in found[:OFFERED]
-        )
+        self.earlier = [at for at in self._others() if not self._is(at, opened)][:OFFERED]
 
     @property
     def unsaved(self) -> Path:
         """The file that keeps unsaved changes; never a file of an earlier run."""
-        return self._unsaved or next(self._unsaved_names())
+        return self._unsaved or _free(self._unsaved_names())
 
     @property
     def page(self) -> Path:
         """The report's file. A report of another run is not replaced: the name gets a number."""
-        at = self.path.with_suffix(".html")
-        own = [page for page in self._known if page.stem.startswith(at.stem)]
-        pages = [page for page in own if page.suffix == at.suffix]
-        return pages[-1] if pages else _free(at) if at.exists() else at
+        pages = _numbered(self.path.with_suffix(".html"))
+        return next(page for page in pages if page in self._known or not page.exists())
 
     @property
     def beside(self) -> Path:
         """The next free name beside :attr:`path`."""
-        return _free(self.path)
+        return _free(_numbered(self.path))
 
     def holds(self, layout: Layout) -> bool:
         """Whether a layout has no unsaved changes."""
@@ -82,13 +65,13 @@ class LayoutStore:
         """Whether saving would replace another layout that this run has not written."""
         return not (self._owns(self.path) or self._is(self.path, layout)) and self.path.exists()
 
-    def open(self, earlier: EarlierFile) -> Layout:
+    def open(self, earlier: Path) -> Layout:
         """Read a layout of an earlier run. Raises InspeError if the file is not a layout."""
-        layout = load_layout(earlier.path, self._scene, unit_rule=False)
-        if earlier.path == self.path:
+        layout = load_layout(earlier, self._scene, unit_rule=False)
+        if earlier == self.path:
             self._kept = layout
-        elif UNSAVED in earlier.path.name:
-            self._taken_up = earlier.path, layout
+        elif UNSAVED in earlier.name:
+            self._taken_up = earlier, layout
         return layout
 
     def kept(self, layout: Layout) -> Path | None:
@@ -178,12 +161,8 @@ class LayoutStore:
         return sorted(found, key=lambda at: at.stat().st_mtime, reverse=True)
 
     def _unsaved_names(self) -> Iterator[Path]:
-        """Free names for the file of unsaved changes."""
-        for number in count(1):
-            mark = UNSAVED if number == 1 else f"{UNSAVED}-{number}"
-            at = self.path.with_name(f"{self.path.stem}.{mark}{self.path.suffix}")
-            if not at.exists():
-                yield at
+        """Names for the file of unsaved changes."""
+        return _numbered(self.path.with_name(f"{self.path.stem}.{UNSAVED}{self.path.suffix}"))
 
     def _new_unsaved(self) -> Path:
         """A new file of that kind; another run may be choosing a name at the same time."""
@@ -195,7 +174,12 @@ class LayoutStore:
         raise AssertionError("unreachable: there is always a free name")
 
 
-def _free(path: Path) -> Path:
-    """The first free name beside a path, with a number from 2."""
-    names = (path.with_name(f"{path.stem}-{k}{path.suffix}") for k in count(2))
-    return next(at for at in names if not at.exists())
+def _numbered(path: Path) -> Iterator[Path]:
+    """A path, and then those beside it, with numbers from 2."""
+    yield path
+    for k in count(2):
+        yield path.with_name(f"{path.stem}-{k}{path.suffix}")
+
+
+def _free(paths: Iterator[Path]) -> Path:
+    return next(at for at in paths if not at.exists())

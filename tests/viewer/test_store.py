@@ -26,7 +26,7 @@ def heights(path):
 
 def test_a_new_file_is_written_without_a_question(path, layout):
     store = LayoutStore(path, layout)
-    assert store.earlier == ()
+    assert store.earlier == []
     higher = raised(layout, 1.0)
     store.keep(higher)
     assert store.unsaved.is_file()
@@ -43,8 +43,7 @@ def test_what_was_saved_earlier_is_offered_and_not_replaced_unasked(path, layout
     better, other = raised(layout, 1.0), raised(layout, 2.0)
     LayoutStore(path, layout).save(better)
     store = LayoutStore(path, layout)
-    assert [earlier.path for earlier in store.earlier] == [path]
-    assert "moved.yaml" in store.earlier[0].words
+    assert store.earlier == [path]
     assert store.would_replace(other)
     store.save(other, store.beside)
     assert store.path.name == "moved-2.yaml"
@@ -53,7 +52,7 @@ def test_what_was_saved_earlier_is_offered_and_not_replaced_unasked(path, layout
     assert not store.would_replace(other)
     assert store.beside.name == "moved-2-2.yaml"
     again = LayoutStore(path, layout)
-    assert {earlier.path.name for earlier in again.earlier} == {"moved.yaml", "moved-2.yaml"}
+    assert {at.name for at in again.earlier} == {"moved.yaml", "moved-2.yaml"}
 
 
 def test_what_was_saved_earlier_can_be_gone_on_from(path, layout):
@@ -70,7 +69,7 @@ def test_what_was_saved_earlier_can_be_gone_on_from(path, layout):
 def test_what_is_opened_from_its_own_file_is_saved_there(path, layout):
     save_layout(layout, path)
     store = LayoutStore(path, load_layout(path))
-    assert store.earlier == ()
+    assert store.earlier == []
     assert not store.would_replace(raised(layout, 1.0))
 
 
@@ -87,7 +86,7 @@ def test_what_an_earlier_run_did_not_save_is_kept_until_what_became_of_it_is(pat
     before.keep(first)
     store = LayoutStore(path, layout)
     kept = before.unsaved
-    assert [earlier.path for earlier in store.earlier] == [kept]
+    assert store.earlier == [kept]
     store.keep(second)
     assert store.unsaved != kept
     np.testing.assert_allclose(heights(kept), first.poses[:, 2])
@@ -109,7 +108,7 @@ def test_the_newest_of_what_earlier_runs_left_is_offered(path, layout):
         at = path.with_name(name)
         save_layout(raised(layout, 1.0 + age), at)
         os.utime(at, (1e9 - age, 1e9 - age))
-    offered = [earlier.path.name for earlier in LayoutStore(path, layout).earlier]
+    offered = [at.name for at in LayoutStore(path, layout).earlier]
     assert offered == names[:4]
 
 

@@ -19,11 +19,10 @@ from inspe_jax.scoring.metrics import METRICS
 from inspe_jax.scoring.viewshed import sight_in
 from inspe_jax.sensing.conditions import Conditions
 from inspe_jax.viewer import scorer as scorers
-from inspe_jax.viewer.job_queue import WAITING, DelayedAction, JobQueue
+from inspe_jax.viewer.job_queue import WAITING, DelayedAction, JobQueue, asker
 from inspe_jax.viewer.score_panel import cost_of, score_panel
 from inspe_jax.viewer.scorer import Scorer
 from inspe_jax.viewer.searcher import REASONS, Searcher
-from inspe_jax.viewer.server import sender
 
 WEIGHTS = (0.3, 0.5, 0.2)
 
@@ -49,21 +48,21 @@ def test_of_a_browser_only_the_newest_wait_and_the_end_comes_soon(monkeypatch):
     queue = JobQueue(failed.append)
 
     def ask(who, count):
-        token = sender.set(who)
+        token = asker.set(who)
         for k in range(count):
             queue.submit(lambda k=k: done.append((who, k)))
-        sender.reset(token)
+        asker.reset(token)
 
     queue.submit(go.wait)
     ask("one", WAITING)
     ask(None, 3 * WAITING)
     ask("other", 10_000)
     typed = DelayedAction()
-    token = sender.set("other")
+    token = asker.set("other")
     typed.start(60, lambda: queue.submit(lambda: done.append(("other", "typed"))))
-    sender.set("one")
+    asker.set("one")
     typed.run_now()
-    sender.reset(token)
+    asker.reset(token)
     assert len(queue._waiting) == 5 * WAITING + 1
     go.set()
     while queue._waiting:
@@ -83,26 +82,19 @@ def test_of_a_browser_only_the_newest_wait_and_the_end_comes_soon(monkeypatch):
     ]
 
 
-def test_of_what_is_to_be_done_later_only_the_last_is_done():
+def test_of_what_is_to_be_done_later_the_last_is_done_once_and_can_be_done_now():
     done, later, told = [], DelayedAction(), threading.Event()
     for k in range(3):
         later.start(0.05, lambda k=k: (done.append(k), told.set()))
     assert told.wait(60)
+    later.run_now()
+    assert done == [2]
     later.start(60, lambda: done.append("never"))
     later.cancel()
-    assert done == [2]
-
-
-def test_what_is_to_be_done_later_is_done_once_and_can_be_done_now():
-    done, later = [], DelayedAction()
     later.start(60, lambda: done.append("now"))
     later.run_now()
     later.run_now()
-    assert done == ["now"]
-    later.start(0.02, lambda: done.append("later"))
-    time.sleep(0.2)
-    later.run_now()
-    assert done == ["now", "later"]
+    assert done == [2, "now"]
 
 
 def test_a_job_that_fails_does_not_end_the_others():
@@ -296,18 +288,6 @@ def test_a_search_is_stopped_in_the_midst_of_whatever_it_does(layout, searcher, 
 
 
 @pytest.mark.process
-def test_a_search_that_cannot_begin_says_why(scene, layout, heard):
-    nowhere = Constraints(places="poles")  # there is none
-    searcher = Searcher(Case(scene), WEIGHTS, nowhere, **vars(heard))
-    searcher.start(layout, "random", 5.0)
-    ((ending,),) = heard.ended.wait(lambda told: told)
-    assert ending.layout is None
-    assert ending.failed
-    assert "nowhere to stand" in ending.reason
-    searcher.close()
-
-
-@pytest.mark.process
 def test_a_search_whose_process_dies_leaves_its_best(layout, searcher, heard):
     """A process ends by itself when nobody is there who could ask it for something."""
     searcher.start(layout, "random", 600.0)
@@ -346,7 +326,7 @@ def test_nothing_that_is_kept_compiled_is_cut_short(monkeypatch):
 
 
 @pytest.mark.process
-def test_a_search_that_no_process_can_have_says_why(layout, searcher, heard, monkeypatch):
+def test_a_search_that_cannot_begin_says_why(layout, searcher, heard, monkeypatch):
     def fail(*_, **__):
         raise OSError(12, "Cannot allocate memory")
 
@@ -355,10 +335,13 @@ def test_a_search_that_no_process_can_have_says_why(layout, searcher, heard, mon
     monkeypatch.undo()
     assert not searcher.running
     searcher.start(replace(layout, name=lambda: None), "random", 5.0)  # cannot be pickled
-    first, second = (ending for (ending,) in heard.ended.wait(lambda told: len(told) == 2))
-    assert (first.failed, second.failed) == (True, True)
-    assert "Cannot allocate memory" in first.reason
-    assert "could not be sent" in second.reason
+    heard.ended.wait(lambda told: len(told) == 2)
+    searcher.constraints = Constraints(places="poles")  # there is none
+    searcher.start(layout, "random", 5.0)
+    endings = [ending for (ending,) in heard.ended.wait(lambda told: len(told) == 3)]
+    assert [(ending.failed, ending.layout) for ending in endings] == [(True, None)] * 3
+    reasons = "Cannot allocate memory", "could not be started", "nowhere to stand"
+    assert all(why in ending.reason for why, ending in zip(reasons, endings, strict=True))
 
 
 # ── The score panel ──
@@ -369,6 +352,7 @@ def panel(*given, **further):
 
 
 def test_the_panel_says_scores_faults_and_cost(scene, layout):
+    assert cost_of(layout) == "no list price for test-camera, test-lidar"
     scored = scorers.ScoredLayout(layout, evaluate(scene, layout), 50, 0.25)
     scores = scored.scores
     less = {name: value - 0.01 for name, value in scores.metrics.items()}
@@ -403,9 +387,9 @@ def test_the_panel_says_scores_faults_and_cost(scene, layout):
     assert "opacity" not in waits
     assert "opacity:.3" in panel(replace(layout, name="moved"), scored, frames=50, faded=True)
     assert "opacity" not in panel(layout, scored, frames=50, faded=True)  # it is this one's
+    above, far = (panel(layout, scored, frames=50, target=target) for target in (0.01, 1.0))
+    assert "target" not in text
+    assert "target reached" in above
+    assert f"{1.0 - scores.surrogate:.4f} to the target" in far
     failed = replace(scored, scores=None, wrong="no <traffic>")
     assert "no &lt;traffic&gt;" in panel(layout, failed, frames=50)
-
-
-def test_cost_is_the_catalogue_s_and_says_what_it_has_not(layout):
-    assert cost_of(layout) == "no list price for test-camera, test-lidar"

@@ -3,7 +3,6 @@
 import asyncio
 import importlib.util
 import re
-import threading
 import time
 from base64 import b64decode
 from dataclasses import asdict, replace
@@ -23,9 +22,7 @@ from inspe_jax.dataset.points_in_boxes import world_points
 from inspe_jax.placement.problem import Case
 from inspe_jax.report.plan_picture import LETTERS, plan_picture
 from inspe_jax.report.tables import scores_record
-from inspe_jax.report.targets import CHANCES
 from inspe_jax.scoring.evaluate import evaluate
-from inspe_jax.scoring.targets import target_view
 from inspe_jax.sensing.catalogue import devices
 from inspe_jax.sensing.conditions import FAIR, Conditions
 from inspe_jax.sensing.layout import Unit, load_layout, save_layout
@@ -35,10 +32,10 @@ from inspe_jax.simulation.recorder import Recording
 from inspe_jax.viewer import sensor_view
 from inspe_jax.viewer.app import Viewer
 from inspe_jax.viewer.bindings import set_value
-from inspe_jax.viewer.handle import HandleDrag
 from inspe_jax.viewer.scene3d import OPACITY, rgb
 from inspe_jax.viewer.score_panel import LEGEND
 from inspe_jax.viewer.searcher import SearchEnding
+from inspe_jax.viewer.selection3d import HandleDrag
 from inspe_jax.viewer.sensor_view import image_scale
 
 AHEAD, LEFT, UP = np.eye(3)
@@ -87,7 +84,7 @@ def about(axis, degrees):
 
 
 def pull(viewer, shift=(0, 0, 0), turn=None, phases=("start", "update", "end")):
-    at = np.array(viewer.layout.poses[viewer.view.in_hand, :3]) - viewer.scene3d.shift
+    at = np.array(viewer.layout.poses[viewer.view.in_hand, :3])
     turn = about(UP, 0) if turn is None else turn
     for phase in phases:
         to = at if phase == "start" else at + shift
@@ -103,15 +100,15 @@ def pull(viewer, shift=(0, 0, 0), turn=None, phases=("start", "update", "end")):
 )
 def test_rings_turn_by_yaw_and_pitch_and_never_roll(layout, axis, degrees, yaw, pitch):
     """Nose-up is a turn about the axis to the left by a negative angle."""
-    pose, shift = np.array(layout.poses[0], float), np.array([1.0, 2.0, 3.0])
-    turned = HandleDrag("end", pose[:3] - shift, about(axis, degrees)).on(pose, shift)
-    np.testing.assert_allclose(turned[:3], pose[:3])
+    pose, away = np.array(layout.poses[0], float), np.array([1.0, 2.0, 3.0])
+    turned = HandleDrag("end", pose[:3] + away, about(axis, degrees)).on(pose)
+    np.testing.assert_allclose(turned[:3], pose[:3] + away)
     np.testing.assert_allclose(np.degrees(turned - pose)[3:], [0, pitch, yaw], atol=1e-3)
 
 
 def test_a_drag_is_of_the_sensor_that_it_began_on(viewer, layout):
     """Another browser takes another sensor in hand meanwhile, or changes the layout."""
-    at = np.array(layout.poses[0, :3]) - viewer.scene3d.shift + [0, 0, 1.0]
+    at = np.array(layout.poses[0, :3]) + [0, 0, 1.0]
     pull(viewer, (0, 0, 1.0), phases=("start", "update"))
     viewer.view.select(1)
     viewer.queue.submit(lambda: viewer.view.drag(HandleDrag("end", at, about(UP, 0))))
@@ -212,59 +209,8 @@ def test_frames_are_played_one_after_another_whatever_else_is_asked(viewer, monk
     assert np.diff(seen).min() > 0.04
 
 
-def test_the_ground_is_coloured_by_the_chance_that_a_road_user_is_found(
-    viewer, scene, layout, monkeypatch
-):
-    """A square for each column, in the band of its chance; no voxels over it; and a legend."""
-
-    def voxels():
-        found = viewer.scene3d.drawn.items()
-        return [name for name, mesh in found if name.startswith("voxels/") and mesh.visible]
-
-    def squares():
-        found = viewer.scene3d.drawn
-        return {n.removeprefix("columns/"): m for n, m in found.items() if n.startswith("columns/")}
-
-    done(viewer, voxels)
-    awaited, go = "Where a pedestrian is found is being computed", threading.Event()
-    find = viewer.scorer._find_chance
-    monkeypatch.setattr(viewer.scorer, "_find_chance", lambda *of: (go.wait(60), find(*of)))
-    set_value(viewer.panel.ground, "finding a pedestrian")
-    viewer.color_ground()
-    done(viewer)  # until there is a map, there is no legend of one
-    assert voxels()
-    assert not squares()
-    assert "never in view" in viewer.panel.scores.content
-    assert "pedestrian found ≥ 95 %" not in viewer.panel.scores.content
-    assert awaited in viewer.panel.scores.content
-    go.set()
-    done(viewer, lambda: squares() and awaited not in viewer.panel.scores.content)
-    chance = target_view(scene, layout, "pedestrian").detectability
-    edges = [*(least for least, _, _ in CHANCES), 2.0]
-    counts = np.histogram(chance, edges)[0]
-    wanted = {words: n for (_, words, _), n in zip(CHANCES, counts, strict=True)}
-    drawn = {words: len(mesh.faces) // 2 for words, mesh in squares().items()}
-    assert drawn == {words: count for words, count in wanted.items() if count}
-    assert len(drawn) > 1
-    for _, words, color in CHANCES:
-        assert words not in drawn or tuple(squares()[words].color) == rgb(color)
-    assert not voxels()
-    assert "pedestrian found ≥ 95 %" in viewer.panel.scores.content
-    assert "never in view" not in viewer.panel.scores.content
-    before = drawn
-    viewer.view.type_number("yaw", 60.0)
-    viewer.settle()
-    done(
-        viewer, lambda: squares() and {w: len(m.faces) // 2 for w, m in squares().items()} != before
-    )
-    set_value(viewer.panel.ground, "regions")
-    viewer.color_ground()
-    done(viewer, lambda: not squares())
-    done(viewer, voxels)
-    assert "never in view" in viewer.panel.scores.content
-
-
 def test_numbers_typed_one_after_another_all_count(viewer, layout):
+    """Also the last, when the page is closed."""
     viewer.view.type_number("height", 1.0)  # on the way to 10
     viewer.view.type_number("height", 10.0)
     viewer.view.type_number("yaw", -90.0)
@@ -274,6 +220,15 @@ def test_numbers_typed_one_after_another_all_count(viewer, layout):
     wanted[0, 2], wanted[0, 5] = 10.0, np.radians(-90)
     np.testing.assert_allclose(viewer.layout.poses, wanted, atol=1e-6)
     assert [viewer.session.undo() for _ in range(3)] == [True, True, False]
+    viewer.view.type_number("height", 60.0)
+    viewer.settle()
+    done(viewer, lambda: viewer.told)
+    assert viewer.told[-1][0] == "Mounted nearby"
+    assert viewer.told[-1][1].startswith("height is 12.00 m, not 60 m as asked for")
+    viewer.view.type_number("yaw", 30.0)
+    viewer.close()
+    kept = load_layout(viewer.store.unsaved)
+    assert np.degrees(kept.poses[0, 5]) == pytest.approx(30.0)
 
 
 def test_what_is_typed_counts_before_whatever_is_pressed(viewer, monkeypatch):
@@ -283,13 +238,14 @@ def test_what_is_typed_counts_before_whatever_is_pressed(viewer, monkeypatch):
     begun, client = [], SimpleNamespace(camera=None, send_file_download=lambda *_, **__: None)
     monkeypatch.setattr(viewer.searcher, "start", lambda *told: begun.append(told))
     set_value(viewer.panel.target, 0.9)
-    monkeypatch.setattr(viewer.files, "write_report", lambda: None)
+    monkeypatch.setattr("inspe_jax.viewer.file_actions.report_entry", lambda *_, **__: None)
+    monkeypatch.setattr("inspe_jax.viewer.file_actions.report_page", lambda *_, **__: "")
     own, panel = viewer.view.controls, viewer.panel
     pressed = panel.save, panel.report, own.existing, own.add, own.device, panel.optimise
     for yaw, control in enumerate(pressed, 10):
         viewer.view.type_number("yaw", float(yaw))
         for called in control._impl.update_cb:
-            asyncio.run(called(SimpleNamespace(client=client)))
+            asyncio.run(called(SimpleNamespace(client=client, client_id=-1)))
         done(viewer)
         assert np.degrees(viewer.layout.poses[0, 5]) == pytest.approx(yaw)
         viewer.view.select(0)  # and not the copy that was asked for
@@ -300,7 +256,7 @@ def test_what_is_typed_counts_before_whatever_is_pressed(viewer, monkeypatch):
 
 
 def test_what_is_typed_counts_before_a_drag_and_a_click(viewer, layout):
-    at = np.array(layout.poses[0, :3]) - viewer.scene3d.shift
+    at = np.array(layout.poses[0, :3])
     viewer.view.type_number("yaw", -90.0)
     viewer.view.on_drag(HandleDrag("start", at, about(UP, 0)))
     for phase in ("update", "end"):
@@ -335,15 +291,6 @@ def test_an_earlier_layout_is_opened_once_and_not_during_a_search(scene, layout,
         viewer.close()
 
 
-def test_what_is_typed_counts_when_the_page_is_closed(scene, layout, tmp_path):
-    viewer = Viewer(Case(scene), layout, tmp_path / "layout.yaml", port=0)
-    viewer.view = opened(viewer)
-    viewer.view.type_number("yaw", -90.0)
-    viewer.close()
-    kept = load_layout(viewer.store.unsaved)
-    assert np.degrees(kept.poses[0, 5]) == pytest.approx(-90.0)
-
-
 def test_a_new_sensor_stands_where_one_looks(viewer, scene):
     client = SimpleNamespace(camera=SimpleNamespace(look_at=np.array([9.0, -9.0, 0.0])))
     viewer.view.client = client
@@ -357,86 +304,41 @@ def test_a_new_sensor_stands_where_one_looks(viewer, scene):
     assert np.hypot(*viewer.layout.poses[3, :2]) <= scene.voxels.radius + 1e-3
 
 
-def test_devices_are_listed_by_kind_and_a_new_one_is_of_the_kind_in_hand(viewer):
-    """Until one is chosen by hand."""
+def test_devices_are_listed_by_kind(viewer):
     controls = viewer.view.controls
     kinds = [label.partition(": ")[0] for label in controls.new.options]
     assert kinds == sorted(kinds)
     assert set(kinds) == {"LiDAR", "camera"}
     shown = "camera: test-camera"  # which the catalogue has not
     done(viewer, lambda: controls.device.value == shown)
-    for name in ("basler-aca1600-60gc", "hesai-xt32"):
-        viewer.view.swap(name)
-        viewer.change(lambda: None)
-        done(viewer, lambda name=name: controls.new.value.endswith(f": {name}"))
-    assert controls.new.value == "LiDAR: hesai-xt32"
-    set_value(controls.new, "camera: paper-camera")
-    viewer.queue.submit(viewer.view.show)  # comes between the choice and its report
-    done(viewer)
-    for called in controls.new._impl.update_cb:
-        asyncio.run(called(SimpleNamespace(client=SimpleNamespace())))
-    viewer.view.swap("velodyne-vlp-16")
-    done(viewer, lambda: controls.device.value == "LiDAR: velodyne-vlp-16")
-    assert controls.new.value == "camera: paper-camera"
 
 
-def test_a_report_that_is_ready_is_offered_where_its_button_is(viewer, monkeypatch):
-    """One is written at a time."""
-    sent, drawn, go = [], [], threading.Event()
+def test_a_report_is_sent_to_who_asks_with_the_layout_that_was_opened_and_the_target(
+    viewer, scene, layout, monkeypatch
+):
+    sent = []
     browser = SimpleNamespace(send_file_download=lambda *told, **_: sent.append(told))
-    panel, files = viewer.panel, "inspe_jax.viewer.file_actions"
-    monkeypatch.setattr(f"{files}.report_entry", lambda *_, **__: (drawn.append(1), go.wait(60)))
-    monkeypatch.setattr(f"{files}.report_page", lambda *_, **__: "the report")
-    viewer.files.download_report(browser)  # there is none yet
-    for _ in range(2):
-        viewer.files.write_report()
-    done(viewer)
-    assert panel.report.disabled
-    go.set()
-    done(viewer, lambda: panel.download_report.visible)
-    assert drawn == [1]
-    page = viewer.store.page
-    assert panel.report_words.content == f"The report is ready: `{page.name}`"
-    viewer.files.download_report(browser)
-    done(viewer)
-    assert sent == [("layout.html", b"the report")]
+    set_value(viewer.panel.target, 0.95)
+    higher = replace(layout, poses=np.array(layout.poses) + [0, 0, 0.5, 0, 0, 0])
+    viewer.change(lambda: viewer.session.take(higher))
+    viewer.files.write_report(browser)
+    done(viewer, lambda: sent and not viewer.panel.report.disabled)
+    page = viewer.store.page.read_text()
+    assert sent == [("layout.html", page.encode())]
+    assert "Before is the layout as it was opened." in page
+    before, after = (evaluate(scene, of).surrogate for of in (layout, viewer.layout))
+    assert f"P_sm is {after:.4f}; before, it was {before:.4f} ({after - before:+.4f})." in page
+    titles = re.findall('title="([^"]*)"', page)
+    assert {str(before), str(after), str(after - before)} <= set(titles)
+    assert "The target for P_sm, 0.95, is" in page
 
     def fails(*_, **__):
         raise InspeError("no room")
 
-    monkeypatch.setattr(f"{files}.report_entry", fails)
-    viewer.files.write_report()
-    done(viewer, lambda: viewer.told[-1][1] == "no room")
-    assert not panel.download_report.visible
-    assert not panel.report_words.visible
-    assert not panel.report.disabled
-
-
-def test_a_report_has_the_layout_that_was_opened_and_the_target(scene, layout, tmp_path):
-    viewer = Viewer(Case(scene), layout, tmp_path / "layout.yaml", port=0)
-    viewer.panel.target.value = 0.95
-    higher = replace(layout, poses=np.array(layout.poses) + [0, 0, 0.5, 0, 0, 0])
-    viewer.change(lambda: viewer.session.take(higher))
-    done(viewer, lambda: viewer.layout is not layout)
-    viewer.files.write_report()
-    done(viewer)
-    viewer.close()  # which waits for it
-    page = (tmp_path / "layout.html").read_text()
-    assert "Before is the layout as it was opened." in page
-    before, after = (evaluate(scene, of).surrogate for of in (layout, viewer.layout))
-    assert f"P_sm is {after:.4f}; before, it was {before:.4f} ({after - before:+.4f})." in page
-    assert {str(before), str(after), str(after - before)} <= set(
-        re.findall('title="([^"]*)"', page)
-    )
-    assert "The target for P_sm, 0.95, is" in page
-
-
-def test_a_unit_without_sensors_has_no_number(viewer, layout):
-    bare = replace(layout, units=(*layout.units, Unit("spare", (0.0, 0.0, 0.0))))
-    done(viewer)
-    viewer.scene3d.draw_layout(bare)
-    labels = [name for name in viewer.scene3d.drawn if re.fullmatch("numbers/[0-9]+", name)]
-    assert len(labels) == len(layout.units)
+    monkeypatch.setattr("inspe_jax.viewer.file_actions.report_entry", fails)
+    viewer.files.write_report(browser)
+    done(viewer, lambda: viewer.told[-1][1] == "no room" and not viewer.panel.report.disabled)
+    assert len(sent) == 1
 
 
 def test_a_click_on_the_numbers_of_a_unit_goes_round_its_sensors(viewer):
@@ -457,6 +359,10 @@ def test_a_click_on_the_numbers_of_a_unit_goes_round_its_sensors(viewer):
     assert [click(number, shift=True) for number in (0, 1, 0, 1)] == [
         (2, 0, 1), (0, 1), (0, 1), (0, 1, 2),
     ]  # fmt: skip
+    bare = (*viewer.layout.units, Unit("spare", (0.0, 0.0, 0.0)))  # has no sensor, and no number
+    viewer.scene3d.draw_layout(replace(viewer.layout, units=bare))
+    labels = [name for name in viewer.scene3d.drawn if re.fullmatch("numbers/[0-9]+", name)]
+    assert len(labels) == 2
 
 
 def test_sensors_that_are_selected_together_move_turn_and_go_together(viewer, layout):
@@ -473,7 +379,7 @@ def test_sensors_that_are_selected_together_move_turn_and_go_together(viewer, la
         drawn = viewer.scene3d.drawn[f"sensors/{k}/view"]
         np.testing.assert_array_equal(outline.points, drawn.points)
         assert outline.visible
-    at = before[1, :3] - viewer.scene3d.shift
+    at = before[1, :3]
     for phase in ("start", "update", "end"):
         shift = [0.0, 0.0, 0.0] if phase == "start" else [0.3, 0.4, 1.0]
         event = HandleDrag(phase, at + shift, np.eye(3))
@@ -568,7 +474,7 @@ def test_what_somebody_else_removes_is_no_longer_selected_and_its_neighbour_is_n
     assert viewer.layout is left
     done(viewer, lambda: view.controls.sensor.value == "No sensor is selected")
     assert view.controls.pose["x"].disabled
-    assert not view.handle.gizmo.visible
+    assert not view.selection3d.gizmo.visible
     done(viewer, lambda: view.sensor_view._folder.label == "Through a sensor")
     viewer.undo_or_redo("Undo")
     done(viewer)
@@ -576,83 +482,54 @@ def test_what_somebody_else_removes_is_no_longer_selected_and_its_neighbour_is_n
     view.step(-1)
     done(viewer)
     assert view.selection == (1,)
-    done(viewer, lambda: view.handle.gizmo.visible and not view.controls.pose["x"].disabled)
+    done(viewer, lambda: view.selection3d.gizmo.visible and not view.controls.pose["x"].disabled)
     assert len(view.controls.sensor.options) == 2
 
 
-def test_changes_are_against_a_layout_that_is_set_and_can_be_swapped(viewer, scene, layout):
-    def p_sm(of):
+def test_changes_are_against_the_opened_layout_or_one_that_is_set(viewer, scene, layout):
+    def p_sm():
         done(viewer, lambda: viewer.display._current and viewer.display.scored.frames == 3)
-        assert viewer.layout is of
-        return p_sm_of(scene, of)
+        return evaluate(scene, viewer.layout).surrogate
 
     def headline():
         done(viewer)
         return viewer.panel.headline.content
 
-    first = p_sm(layout)
+    first = p_sm()
     assert "against the reference" not in headline()
     pull(viewer, (1.0, 0, -3.0))
-    moved = viewer.layout
-    second = p_sm(moved)
+    second = p_sm()
     assert f"{second - first:+.4f} against the reference" in headline()
+    assert "The reference is the layout as it was opened" in headline()
     viewer.set_reference()
     assert "against the reference" not in headline()
-    assert p_sm(moved) == second
     pull(viewer, (0, 0, 1.0))
-    third = viewer.layout
-    assert f"{p_sm(third) - second:+.4f} against the reference" in headline()
-    viewer.swap_reference()
-    done(viewer, lambda: viewer.layout is moved)
-    assert f"{p_sm(moved) - p_sm_of(scene, third):+.4f} against the reference" in headline()
-    assert "The reference is the layout that it was swapped with" in headline()
-    viewer.swap_reference()
-    done(viewer, lambda: viewer.layout is third)
-    # Undoing a swap gives the reference back, too, and redoing it swaps the two again.
-    for which, shown, other in (
-        ("Undo", moved, third), ("Undo", third, moved), ("Redo", moved, third),
-        ("Undo", third, moved), ("Undo", moved, moved), ("Redo", third, moved),
-    ):  # fmt: skip
-        viewer.undo_or_redo(which)
-        done(viewer, lambda shown=shown: viewer.layout is shown)
-        p_sm(shown)
-        assert viewer.display.reference.layout is other
-        change = p_sm_of(scene, shown) - p_sm_of(scene, other)
-        assert (f"{change:+.4f} against the reference" in headline()) == (shown is not other)
+    assert f"{p_sm() - second:+.4f} against the reference" in headline()
 
 
-def test_how_far_a_target_is(viewer, scene, layout):
-    done(viewer, lambda: viewer.display._current and viewer.display.scored.frames == 3)
-    score = p_sm_of(scene, layout)
-    assert "target" not in viewer.panel.headline.content
-    for target, words in ((1.0, f"{1.0 - score:.4f} to the target"), (0.01, "target reached")):
-        set_value(viewer.panel.target, target)
-        viewer.show_target()
-        done(viewer)
-        assert words in viewer.panel.headline.content
-        assert f'data-target="{target}"' in viewer.panel.headline.content
-    set_value(viewer.panel.target, 0.0)
-    viewer.show_target()
-    done(viewer)
-    assert "target" not in viewer.panel.headline.content
-
-
-def test_the_reference_has_scores_of_one_light_alone(viewer, scene, layout):
-    """Also if it is set before all frames have been scored in another one."""
+def test_scores_of_another_light_are_not_taken_for_those_asked_for(
+    viewer, scene, layout, monkeypatch
+):
+    """They arrive late, or stand there until the new ones come; and are none of the reference."""
+    monkeypatch.setattr("inspe_jax.viewer.display.STALE", 0.05)
     done(viewer, lambda: viewer.display.scored and viewer.display.scored.frames == 3)
+    old = viewer.display.scored
     viewer.scorer.close()  # nothing is scored in the new light
     viewer.panel.light.value = "night"
     viewer.change_conditions()
+    viewer._on_scores(old)
     viewer.set_reference()
     done(viewer, lambda: viewer.told)
-    assert viewer.told[-1][1] == "the reference can be set or swapped once all frames are scored"
+    assert viewer.told[-1][1] == "the reference can be set once all frames are scored"
+    assert 'data-state="scoring …"' in viewer.panel.headline.content
+    done(viewer, lambda: "opacity:.3" in viewer.panel.scores.content)
+    assert viewer.scene3d.drawn["voxels/hidden"].opacity < OPACITY / 2
     night = evaluate(scene, layout, conditions=Conditions("night"))
-    viewer._on_scores(replace(viewer.display.scored, scores=night))
+    viewer._on_scores(replace(old, scores=night))
     viewer.set_reference()
     done(viewer, lambda: viewer.told[-1][0] == "Reference set")
-    late = replace(viewer.display.scored, scores=evaluate(scene, layout))
-    viewer._on_scores(late)
-    done(viewer, lambda: viewer.display.scored is late)
+    viewer._on_scores(old)
+    done(viewer, lambda: viewer.display.scored is old)
     assert viewer.display.reference.scores == {3: night}
 
 
@@ -674,21 +551,11 @@ def test_a_search_says_that_it_still_compiles_beside_its_best_score(viewer, monk
     viewer._on_compiling(12.0)
     done(viewer, lambda: "compiling" in viewer.panel.course.content)
     viewer._on_progress(0.0, 0.5)
+    viewer._on_compiling(13.0)
     done(viewer, lambda: "best 0.5000, 10 s left; compiling" in viewer.panel.course.content)
-    viewer._compiles -= 4.0  # it has not said so for a while
     viewer._on_progress(0.1, 0.6)
     done(viewer, lambda: viewer.panel.course.content == "best 0.6000, 9 s left")
     viewer._on_end(SearchEnding(None, 0.0, 0.0, "stopped"))
-
-
-def test_what_cannot_be_mounted_where_it_is_typed_is_said(viewer):
-    viewer.view.type_number("height", 60.0)
-    viewer.settle()
-    done(viewer, lambda: viewer.told)
-    title, words, _ = viewer.told[-1]
-    assert title == "Mounted nearby"
-    assert "m" in words
-    assert viewer.session.height(0) < 60
 
 
 def test_what_is_beyond_a_sensors_reach_in_the_dark_is_said(viewer, scene):
@@ -707,26 +574,12 @@ def test_what_is_beyond_a_sensors_reach_in_the_dark_is_said(viewer, scene):
     done(viewer, lambda: "beyond its reach" in view.picture.content)
 
 
-def p_sm_of(scene, layout):
-    return evaluate(scene, layout).surrogate
-
-
 def test_blind_spots_are_listed_as_the_record_of_the_scores_has_them(
     viewer, scene, layout, monkeypatch
 ):
-    """Ranked, in words, and again after a change; their letters stand in the scene."""
+    """Ranked, in words, and again after a change."""
     monkeypatch.setattr("inspe_jax.viewer.blind_spot_panel.plan_picture", plan_picture)
     panel = viewer.display.blind_spots
-
-    def letters_stand():
-        drawn = viewer.scene3d.drawn
-        names = [f"letters/{letter}" for letter in LETTERS[: len(panel.spots)]]
-        return sorted(name for name in drawn if name.startswith("letters/")) == names and all(
-            np.allclose(drawn[name].position[:2] + viewer.scene3d.shift[:2], spot.at, atol=1e-3)
-            for name, spot in zip(names, panel.spots, strict=True)
-        )
-
-    done(viewer, lambda: panel.spots and letters_stand())
 
     def listed_for(of):
         wanted = scores_record(evaluate(scene, of), scene, of)["blind_spots"][: len(LETTERS)]
@@ -771,14 +624,13 @@ def test_what_a_sensor_sees_follows_the_drag_and_is_the_recorders_on_release(vie
     done(viewer, lambda: same(view.seen, first))
     pull(viewer, (0.7, 0, 0.5), phases=("start", "update"))
     done(viewer, lambda: view.seen.pose[2] == pytest.approx(6.5, abs=1e-6))
-    assert "data:image/jpeg" in view.picture.content
     pull(viewer, (0.7, 0, 0.5), phases=("end",))
     wanted = recorded(scene, viewer.layout, 0, 0)
     assert not same(first, wanted)
-    done(viewer, lambda: same(view.seen, wanted) and "data:image/png" in view.picture.content)
-    exact = view.picture.content.partition("data:image/png;base64,")[2].partition('"')[0]
-    shown = np.asarray(Pillow.open(BytesIO(b64decode(exact))))
-    np.testing.assert_array_equal(shown, wanted.rgb)
+    done(viewer, lambda: same(view.seen, wanted))
+    jpeg = view.picture.content.partition("data:image/jpeg;base64,")[2].partition('"')[0]
+    shown = np.asarray(Pillow.open(BytesIO(b64decode(jpeg))), float)
+    assert np.abs(shown - wanted.rgb).mean() < 6  # of 255
     listed = np.count_nonzero(wanted.pixels)
     assert f"{listed} of {len(wanted.pixels)} road users are in the picture" in view.picture.content
     assert "px/m" in view.picture.content
@@ -820,21 +672,6 @@ def test_light_and_weather_change_scores_and_pictures(viewer, scene, layout):
     if importlib.util.find_spec("embreex"):
         wanted = recorded(scene, layout, 0, 0, night)
         done(viewer, lambda: same(viewer.view.sensor_view.seen, wanted))
-
-
-def test_scores_of_other_conditions_are_not_taken_for_those_asked_for(viewer, monkeypatch):
-    """They arrive late, or stand there until the new ones come."""
-    monkeypatch.setattr("inspe_jax.viewer.display.STALE", 0.05)
-    done(viewer, lambda: viewer.display.scored and viewer.display.scored.frames == 3)
-    old = viewer.display.scored
-    viewer.scorer.close()  # no new ones come
-    viewer.panel.light.value = "night"
-    viewer.change_conditions()
-    viewer._on_scores(old)
-    done(viewer)
-    assert 'data-state="scoring …"' in viewer.panel.headline.content
-    done(viewer, lambda: "opacity:.3" in viewer.panel.scores.content)
-    assert viewer.scene3d.drawn["voxels/hidden"].opacity < OPACITY / 2
 
 
 def test_the_view_can_be_switched_off_and_says_what_it_needs(viewer, monkeypatch):
@@ -882,15 +719,11 @@ def test_a_sensor_gets_another_name(viewer, layout):
     assert viewer.layout.sensors[1].name == "<b>north west</b>"
     assert "&lt;b&gt;north west&lt;/b&gt;" in viewer.view.controls.table.content
     assert "<b>" not in viewer.view.controls.table.content
-    for name, wrong in (
-        (layout.sensors[0].name, "another sensor is named"),
-        ("x" * 61, "60 characters at most"),
-    ):
-        viewer.view.rename(name)
-        viewer.settle()
-        done(viewer)
-        assert wrong in viewer.told[-1][1]
-        assert viewer.layout.sensors[1].name == "<b>north west</b>"
-        done(viewer, lambda: viewer.view.controls.name.value == "<b>north west</b>")
+    viewer.view.rename(layout.sensors[0].name)
+    viewer.settle()
+    done(viewer)
+    assert "another sensor is named" in viewer.told[-1][1]
+    assert viewer.layout.sensors[1].name == "<b>north west</b>"
+    done(viewer, lambda: viewer.view.controls.name.value == "<b>north west</b>")
     viewer.undo_or_redo("Undo")
     done(viewer, lambda: viewer.layout is layout)

@@ -6,8 +6,8 @@ from worlds import CAMERA, LIDAR, place_sensors, with_boxes, world
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.sensing.layout import Sensor, Unit, make_layout
-from inspe_jax.viewer import still
-from inspe_jax.viewer.still import BACK, BEYOND, FOCAL, HEIGHT, UP, WIDTH, still_view
+from inspe_jax.viewer import page_views
+from inspe_jax.viewer.page_views import BACK, BEYOND, FOCAL, HEIGHT, UP, WIDTH, still_view
 
 RADIUS = 14.0
 
@@ -37,7 +37,7 @@ def seen_at(scene, point, size=RADIUS):
 
 
 def test_numbers_stand_at_the_highest_sensor_of_each_unit(scene, layout):
-    size = (still._eye_on(scene, layout).pose[2] - scene.voxels.center[2]) / UP
+    size = (page_views._eye_on(scene, layout).pose[2] - scene.voxels.center[2]) / UP
     assert size > RADIUS  # a sensor of 6 m would stick out at the top
     (ax,) = still_view(scene, layout).axes
     assert [mark.get_text() for mark in ax.texts] == ["1", "2"]
@@ -50,7 +50,7 @@ def test_a_pole_is_upright_and_arms_are_level(scene):
     poses = np.array([[x, y, 5.0, 0, 0, 0], [x - 1.5, y, 6.0, 0, -0.2, 0]])
     sensors = [Sensor("a", LIDAR, 0), Sensor("b", CAMERA, 0)]
     layout = make_layout(sensors, [Unit("corner", (x, y, 0.0))], poses)
-    size = (still._eye_on(scene, layout).pose[2] - scene.voxels.center[2]) / UP
+    size = (page_views._eye_on(scene, layout).pose[2] - scene.voxels.center[2]) / UP
     (ax,) = still_view(scene, layout).axes
     drawn = [line.get_xydata() for line in ax.lines if len(line.get_xydata()) == 2]
     ends = [[[x, y, 0.0], [x, y, 6.0]], [[x, y, 5.0]] * 2, [[x, y, 6.0], [x - 1.5, y, 6.0]]]
@@ -78,7 +78,7 @@ def test_a_road_user_is_where_it_should_be_in_the_picture(scene, layout):
     changed = np.abs(picture(car) - picture(scene)).max(-1) > 60  # its body, beyond the noise
     rows, columns = np.nonzero(changed)
     level = scene.intersection.ground(at[None])[0]
-    size = (still._eye_on(scene, layout).pose[2] - scene.voxels.center[2]) / UP
+    size = (page_views._eye_on(scene, layout).pose[2] - scene.voxels.center[2]) / UP
     column, row = seen_at(scene, [*at, level + 0.75], size)
     metre = seen_at(scene, [*at + [1.0, 0.0], level + 0.75], size)[0] - column
     assert changed.sum() > metre**2
@@ -90,5 +90,5 @@ def test_without_embree_there_is_none(layout, monkeypatch):
     def none(*_):
         raise InspeError("recording needs Embree")
 
-    monkeypatch.setattr(still, "surroundings_of", none)
+    monkeypatch.setattr(page_views, "surroundings_of", none)
     assert still_view(world(radius=RADIUS, voxel=1.0, frames=1, count=0), layout) is None

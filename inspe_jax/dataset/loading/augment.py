@@ -1,9 +1,8 @@
-"""Random changes to a frame that leave it consistent: mirror, turn, scale, and drop of sensors."""
+"""Random changes to a frame that leave it consistent: mirror, turn and scale."""
 
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.dataset.loading.geometry import Similarity
@@ -14,24 +13,22 @@ class Augment:
     """How frames are changed at random, each by itself.
 
     ``flip`` is the chance that the intersection is mirrored. ``turn`` [rad] limits its turn about
-    the vertical to ± ``turn``, and ``scale`` its scale; both are uniform. ``drop`` is the chance
-    that a sensor is missing; one of each modality always stays. A mirrored intersection has its
-    traffic on the other side of the road: use ``flip=0`` where a model is to learn the side.
+    the vertical to ± ``turn``, and ``scale`` its scale; both are uniform. A mirrored intersection
+    has its traffic on the other side of the road: use ``flip=0`` where a model is to learn the
+    side.
 
     The defaults are those of SECOND (Yan, Mao and Li 2018) and PointPillars (Lang et al. 2019): a
-    mirror every other time, ±π/4, and 0.95 to 1.05. Neither drops sensors.
+    mirror every other time, ±π/4, and 0.95 to 1.05.
     """
 
     flip: float = 0.5
     turn: float = np.pi / 4
     scale: tuple[float, float] = (0.95, 1.05)
-    drop: float = 0.0
 
     def check(self) -> None:
         """Raise InspeError where a value is out of range."""
-        for name in ("flip", "drop"):
-            if not 0 <= getattr(self, name) <= 1:
-                raise InspeError(f"augment: {name} {getattr(self, name)}: a chance, 0 to 1")
+        if not 0 <= self.flip <= 1:
+            raise InspeError(f"augment: flip {self.flip}: a chance, 0 to 1")
         if not 0 <= self.turn <= np.pi:
             raise InspeError(f"augment: turn {self.turn}: 0 to π, in radians")
         low, high = self.scale
@@ -45,10 +42,3 @@ class Augment:
             turn=float(rng.uniform(-self.turn, self.turn)),
             scale=float(rng.uniform(*self.scale)),
         )
-
-    def kept(self, count: int, rng: np.random.Generator) -> Bool[np.ndarray, " S"]:
-        """Which of ``count`` sensors stay: at least one, if there is one."""
-        kept: np.ndarray = rng.random(count) >= self.drop
-        if count and not kept.any():
-            kept[rng.integers(count)] = True
-        return kept

@@ -1,26 +1,22 @@
 """Statistics of a data set: of each split, of each class of road user, and points by range."""
 
 import os
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from inspe_jax.core.errors import InspeError
-from inspe_jax.dataset.folders import Dataset, disk_size, open_dataset
+from inspe_jax.dataset.folders import Dataset, Scenario, disk_size, open_dataset
 from inspe_jax.dataset.formats.registry import FORMATS
 from inspe_jax.dataset.points_in_boxes import count_inside
 from inspe_jax.simulation.frame import KINDS, RoadUserBox, Scan
 
 RANGE_EDGES: Float[np.ndarray, " R"] = 5 * 2 ** (np.arange(-4, 14) / 2)
 """Limits of the range bands [m], each √2 times the one before: 1.25, 1.8, 2.5 … 453."""
-
-
-COUNTS = ("frames", "images", "clouds", "points", "boxes", "agents", "size")
-"""Of a split; the first five are sums over frames."""
 
 
 @dataclass(frozen=True)
@@ -75,6 +71,11 @@ class Band:
     share: float
     quartiles: tuple[float, float, float] | None
 
+    @property
+    def middle(self) -> float:
+        """The geometric mean of the limits [m]."""
+        return float(np.sqrt(self.low * self.high))
+
 
 @dataclass(frozen=True, eq=False)
 class Statistics:
@@ -83,8 +84,8 @@ class Statistics:
     ``merged`` has each box of each frame once, with the points of all scans of that frame, and
     with the range to the nearest LiDAR. ``single`` has each box once per scan. Both leave out
     frames without a scan. ``crowd`` is the number of road users in each of F frames; ``cameras``
-    and ``lidars`` are the smallest and the largest number in a frame. ``agents`` and ``protocols``
-    are those of each scenario.
+    and ``lidars`` are the smallest and the largest number in a frame. ``agents`` are those of each
+    scenario; ``towns`` are the different maps, None where a protocol does not say it.
     """
 
     path: Path
@@ -96,7 +97,7 @@ class Statistics:
     cameras: tuple[int, int]
     lidars: tuple[int, int]
     agents: tuple[tuple[int, ...], ...] = field(repr=False)
-    protocols: tuple[Mapping[str, Any], ...] = field(repr=False)
+    towns: frozenset[str | None] = field(repr=False)
 
     @property
     def name(self) -> str:
@@ -106,12 +107,8 @@ class Statistics:
     @property
     def total(self) -> Split:
         """All splits together."""
-        counts = {
-            key: sum(getattr(split, key) for split in self.splits)
-            for key in Split.__dataclass_fields__
-            if key != "name"
-        }
-        return Split(name="all", **counts)
+        counts = sum((Counter(_counts(split)) for split in self.splits), Counter[str]())
+        return _split("all", counts)
 
     @property
     def mean_points(self) -> float | None:
@@ -153,23 +150,21 @@ def statistics(
     splits, crowd, merged, single, sensors = [], [], [], [], []
     tracks: list[tuple[int, list[float], int]] = []
     for name, scenarios in data.splits.items():
-        counts = dict.fromkeys(COUNTS, 0)
+        counts = Counter[str](scenarios=len(scenarios))
         for scenario in scenarios:
             users: dict[int, tuple[int, list[float], int]] = {}
-            counts["agents"] += len(scenario.agents)
-            counts["size"] += disk_size(scenario.path)
+            counts.update(agents=len(scenario.agents), size=disk_size(scenario.path))
             for number in scenario.frames:
                 frame = scenario.frame(number)
                 scans = [scan for station in frame.stations for scan in station.scans]
                 images = sum(len(station.images) for station in frame.stations)
-                for box in frame.boxes:
-                    kind, size = KINDS.index(box.kind), np.asarray(box.size).tolist()
-                    kind, size, before = users.get(box.track, (kind, size, 0))
-                    users[box.track] = kind, size, before + 1
                 points = sum(len(scan.points) for scan in scans)
-                more = (1, images, len(scans), points, len(frame.boxes))
-                for key, count in zip(COUNTS, more, strict=False):
-                    counts[key] += count
+                counts.update(frames=1, images=images, clouds=len(scans), points=points)
+                counts.update(boxes=len(frame.boxes))
+                for box in frame.boxes:
+                    first = KINDS.index(box.kind), np.asarray(box.size).tolist(), 0
+                    kind, size, before = users.get(box.track, first)
+                    users[box.track] = kind, size, before + 1
                 if scans and frame.boxes:
                     together, each = _points_in_boxes(scans, frame.boxes)
                     merged.append(together)
@@ -179,7 +174,7 @@ def statistics(
                 if progress:
                     progress(len(crowd), total_frames)
             tracks += users.values()
-        splits.append(Split(name=name, scenarios=len(scenarios), **counts))
+        splits.append(_split(name, counts))
     kinds, sizes, frames = zip(*tracks, strict=True) if tracks else ((), (), ())
     least, most = np.min(sensors, 0).tolist(), np.max(sensors, 0).tolist()
     return Statistics(
@@ -196,7 +191,7 @@ def statistics(
         cameras=(least[0], most[0]),
         lidars=(least[1], most[1]),
         agents=tuple(scenario.agents for scenario in data.scenarios),
-        protocols=tuple(scenario.protocol for scenario in data.scenarios),
+        towns=frozenset(map(_town, data.scenarios)),
     )
 
 
@@ -222,25 +217,13 @@ def bands(counts: PointCounts, kind: int) -> tuple[Band, ...]:
 def table_row(found: Statistics) -> dict[str, str | int | None]:
     """The row of a data set in a table that compares data sets; unknown values are None.
 
-    Counted: ``V2X`` is V2V, I2I or V2X for vehicles, infrastructure or both (V or I if no scenario
-    has two agents); ``cameras`` and ``LiDARs`` are per frame; ``maps`` are the different
-    ``world.town`` of the protocols. Taken from the protocols, if they have them: ``year``,
-    ``source``, and ``intersection``, of which the different ones of each map are counted. If a
-    protocol has no ``source`` but a simulator's time step, ``world.fixed_delta_seconds``, the
-    source is ``sim``.
+    ``V2X`` is V2V, I2I or V2X for vehicles, infrastructure or both (V or I if no scenario has two
+    agents); ``cameras`` and ``LiDARs`` are per frame; ``maps`` are the different ``world.town`` of
+    the protocols.
     """
     total = found.total
-    towns = [_world(protocol).get("town") for protocol in found.protocols]
-    crossings = [protocol.get("intersection") for protocol in found.protocols]
-    sources = [
-        protocol.get("source", "sim" if "fixed_delta_seconds" in _world(protocol) else None)
-        for protocol in found.protocols
-    ]
-    years = [protocol.get("year") for protocol in found.protocols]
     return {
         "name": found.name,
-        "year": _joined(years),
-        "source": _joined(sources),
         "V2X": _v2x(found.agents),
         "cameras": _span(found.cameras),
         "LiDARs": _span(found.lidars),
@@ -250,9 +233,22 @@ def table_row(found: Statistics) -> dict[str, str | int | None]:
         "3D boxes": total.boxes,
         "classes": sum(count > 0 for count in found.tracks.values()),
         "scenarios": total.scenarios,
-        "intersections": _distinct(list(zip(towns, crossings, strict=True)), crossings),
-        "maps": _distinct(towns, towns),
+        "maps": None if None in found.towns else len(found.towns),
     }
+
+
+def _counts(split: Split) -> dict[str, int]:
+    return {key: value for key, value in asdict(split).items() if key != "name"}
+
+
+def _split(name: str, counts: Mapping[str, int]) -> Split:
+    return Split(name, **{f.name: counts[f.name] for f in fields(Split) if f.name != "name"})
+
+
+def _town(scenario: Scenario) -> str | None:
+    world = scenario.protocol.get("world")
+    town = world.get("town") if isinstance(world, Mapping) else None
+    return None if town is None else str(town)
 
 
 def _points_in_boxes(
@@ -274,11 +270,6 @@ def _point_counts(parts: list[np.ndarray]) -> PointCounts:
     return PointCounts(kind.astype(np.int8), away, points.astype(np.int32))
 
 
-def _world(protocol: Mapping[str, Any]) -> Mapping[str, Any]:
-    world = protocol.get("world")
-    return world if isinstance(world, Mapping) else {}
-
-
 def _v2x(agents: Sequence[Sequence[int]]) -> str:
     vehicles = max(sum(agent >= 0 for agent in each) for each in agents)
     units = max(sum(agent < 0 for agent in each) for each in agents)
@@ -291,12 +282,3 @@ def _v2x(agents: Sequence[Sequence[int]]) -> str:
 def _span(ends: tuple[int, int]) -> str | int:
     low, high = ends
     return high if low == high else f"{low}–{high}"
-
-
-def _joined(words: Sequence[Any]) -> str | None:
-    return ", ".join(sorted({str(word) for word in words if word is not None})) or None
-
-
-def _distinct(values: Sequence[Any], needed: Sequence[Any]) -> int | None:
-    """The number of different values; None if one of those ``needed`` is unknown."""
-    return None if any(value is None for value in needed) else len({str(v) for v in values})

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator, StrMethodFormatter
@@ -39,11 +40,10 @@ def statistics_view(found: Statistics) -> Figure:
     rows, foot = [1.5, 1.8, *[2.8] * scanned], 0.1 + NOTE_LINE * len(notes)
     height = HEAD + sum(rows) + foot
     with house_style():
-        fig = Figure(figsize=(WIDTH, height), facecolor="white", layout="constrained")
-        room = (0.0, foot / height, 1.0, sum(rows) / height)
-        fig.get_layout_engine().set(rect=room)  # type: ignore[union-attr]
+        layout = ConstrainedLayoutEngine(rect=(0.0, foot / height, 1.0, sum(rows) / height))
+        fig = Figure(figsize=(WIDTH, height), facecolor="white", layout=layout)
         _heading(fig, found)
-        parts = fig.subfigures(len(rows), 1, height_ratios=rows)
+        parts: Any = fig.subfigures(len(rows), 1, height_ratios=rows)
         left, right = parts[0].subplots(1, 2)
         _draw_classes(left, found)
         _draw_per_frame(right, found)

@@ -197,7 +197,7 @@ def _draw_panel(fig: Figure, panel: Axes, frame: Frame, cloud: Any, images: bool
     y = 0.0
     if cloud is not None:
         axes = panel.inset_axes((0.02, 1 - 21 / (MAP * 72), 0.94, 7 / (MAP * 72)))
-        bar = fig.colorbar(cloud, cax=axes, orientation="horizontal", extend="max")
+        bar = fig.colorbar(cloud, cax=axes, orientation="horizontal", extend="both")
         bar.ax.locator_params(nbins=5)
         middle = panel.get_xlim()[1] / 2
         panel.text(middle, -1, "height of a point, z [m]", ha="center", va="top")

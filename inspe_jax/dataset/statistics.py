@@ -3,7 +3,7 @@
 import os
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 
 import numpy as np
@@ -36,6 +36,9 @@ class Split:
     points: int
     boxes: int
     size: int
+
+
+COUNTS = tuple(f.name for f in fields(Split) if f.name != "name")
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,8 +110,7 @@ class Statistics:
     @property
     def total(self) -> Split:
         """All splits together."""
-        counts = sum((Counter(_counts(split)) for split in self.splits), Counter[str]())
-        return _split("all", counts)
+        return Split("all", **{k: sum(getattr(each, k) for each in self.splits) for k in COUNTS})
 
     @property
     def mean_points(self) -> float | None:
@@ -174,7 +176,7 @@ def statistics(
                 if progress:
                     progress(len(crowd), total_frames)
             tracks += users.values()
-        splits.append(_split(name, counts))
+        splits.append(Split(name, **{key: counts[key] for key in COUNTS}))
     kinds, sizes, frames = zip(*tracks, strict=True) if tracks else ((), (), ())
     least, most = np.min(sensors, 0).tolist(), np.max(sensors, 0).tolist()
     return Statistics(
@@ -235,14 +237,6 @@ def table_row(found: Statistics) -> dict[str, str | int | None]:
         "scenarios": total.scenarios,
         "maps": None if None in found.towns else len(found.towns),
     }
-
-
-def _counts(split: Split) -> dict[str, int]:
-    return {key: value for key, value in asdict(split).items() if key != "name"}
-
-
-def _split(name: str, counts: Mapping[str, int]) -> Split:
-    return Split(name, **{f.name: counts[f.name] for f in fields(Split) if f.name != "name"})
 
 
 def _town(scenario: Scenario) -> str | None:

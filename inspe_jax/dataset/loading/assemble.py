@@ -6,10 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-from inspe_jax.dataset.loading.augment import Augment
 from inspe_jax.dataset.loading.batch import Batch, Cameras, Lidars, Pillars, Targets
 from inspe_jax.dataset.loading.caching import Cache
-from inspe_jax.dataset.loading.geometry import Similarity
+from inspe_jax.dataset.loading.geometry import Augment, Similarity
 from inspe_jax.dataset.loading.pillars import PillarGrid
 from inspe_jax.dataset.loading.points import to_metres, woven
 from inspe_jax.dataset.loading.stored import StoredScenario

@@ -16,7 +16,7 @@ from pathlib import Path
 from inspe_jax.core.errors import InspeError, nearest
 from inspe_jax.core.files import check_model, prepare_folder, read_json, write_text
 from inspe_jax.core.parallel import cores
-from inspe_jax.dataset.folders import SPLITS, Dataset, Scenario, open_dataset
+from inspe_jax.dataset.folders import Dataset, Scenario, open_dataset, split_order
 from inspe_jax.dataset.loading.stored import (
     PART,
     RECORD,
@@ -197,9 +197,8 @@ def _claim(path: Path, pictures: tuple[int, int] | None) -> None:
 
 def _stored(path: Path) -> Iterator[StoredScenario]:
     """The complete scenarios of a cache, split by split."""
-    usual = {name: k for k, name in enumerate(SPLITS)}
     splits = sorted(child for child in path.iterdir() if child.is_dir())
-    for split in sorted(splits, key=lambda child: usual.get(child.name, len(usual))):
+    for split in sorted(splits, key=split_order):
         for place in sorted(child for child in split.iterdir() if child.is_dir()):
             if not (place.name.startswith(".") and place.name.endswith(PART)):
                 if not (place / RECORD).is_file():

@@ -17,9 +17,9 @@ from jaxtyping import Int
 
 from inspe_jax.core.errors import InspeError, check_known, nearest
 from inspe_jax.dataset.loading.assemble import Assembly
-from inspe_jax.dataset.loading.augment import Augment
 from inspe_jax.dataset.loading.batch import Batch
 from inspe_jax.dataset.loading.caching import Cache
+from inspe_jax.dataset.loading.geometry import Augment
 from inspe_jax.dataset.loading.pillars import PillarGrid
 from inspe_jax.dataset.loading.stored import StoredScenario
 

@@ -25,17 +25,16 @@ MOST_DOTS = 2000
 
 _TITLE: dict[str, Any] = dict(loc="left", size=7, weight="bold", pad=4)
 _GRID: dict[str, Any] = dict(color="#e0e0e0", lw=0.4)
-_ONE: dict[str, Any] = dict(lw=1.4, marker="o", ms=2.2)
-_MERGED: dict[str, Any] = dict(color="#303030", lw=1.0, ls=(0, (4, 1.5)))
+_MEDIAN: dict[str, Any] = dict(lw=1.4, marker="o", ms=2.2)
 
 
 def statistics_view(found: Statistics) -> Figure:
     """A figure of a data set: objects per class and per frame, their sizes, and points by range.
 
-    Sizes count each road user once per scenario. Points are shown for single scans, and for all
-    scans of a frame together; this part is left out if no road user was scanned.
+    Sizes count each road user once per scenario. Points are those of all scans of a frame; this
+    part is left out if no road user was scanned.
     """
-    scanned = len(found.single.kind) > 0
+    scanned = len(found.points.kind) > 0
     notes = textwrap.wrap(_notes(found), 130)
     rows, foot = [1.5, 1.8, *[2.8] * scanned], 0.1 + NOTE_LINE * len(notes)
     height = HEAD + sum(rows) + foot
@@ -77,9 +76,9 @@ def _notes(found: Statistics) -> str:
     if not found.total.clouds:
         return f"{sizes} The data set has no point clouds."
     return (
-        f"{sizes} Points: the range is from the LiDAR to the middle of the box; for all scans of a "
-        "frame, from the nearest LiDAR. Median and quartiles are of the boxes with at least one "
-        f"point, in range bands a factor of √2 wide that have {FEWEST} boxes or more."
+        f"{sizes} Points: of all scans of a frame, by range from the nearest LiDAR to the middle "
+        "of the box. Median and quartiles are of the boxes with at least one point, in range bands "
+        f"a factor of √2 wide that have {FEWEST} boxes or more."
     )
 
 
@@ -168,14 +167,13 @@ def _draw_points(part: SubFigure, found: Statistics) -> None:
     point."""
     part.suptitle("Points per object by range", x=LEFT / WIDTH, ha="left", size=7, weight="bold")
     handles = [
-        Line2D([], [], color="#606060", **_ONE, label="one scan, median"),
+        Line2D([], [], color="#606060", **_MEDIAN, label="median"),
         Patch(fc="#606060", alpha=0.25, label="quartiles"),
         Line2D([], [], ls="", marker="o", ms=2, mfc="#a8a8a8", mec="none", label="a box"),
-        Line2D([], [], **_MERGED, label="all scans of a frame"),
     ]
-    part.legend(handles=handles, loc="outside lower center", ncols=4, **KEYS)
+    part.legend(handles=handles, loc="outside lower center", ncols=3, **KEYS)
     panels = part.subplots(2, len(KINDS), sharex=True, sharey="row", height_ratios=(4, 1))
-    every = found.single
+    every = found.points
     for k, (kind, color, (ax, below)) in enumerate(zip(KINDS, CLASS_COLORS, panels.T, strict=True)):
         ax.set_title(kind, **_TITLE)
         own = np.flatnonzero((every.kind == k) & (every.points > 0))
@@ -184,22 +182,22 @@ def _draw_points(part: SubFigure, found: Statistics) -> None:
             every.range[own], every.points[own], "o", ms=1.2, mfc="#a8a8a8", mec="none",
             alpha=0.5, zorder=1, rasterized=True,
         )  # fmt: skip
-        for counts, look in ((every, dict(color=color, **_ONE)), (found.merged, _MERGED)):
-            shown = [band for band in bands(counts, k) if band.boxes >= FEWEST]
-            below.plot([band.middle for band in shown], [band.share for band in shown], **look)
-            hit = [(band.middle, *band.quartiles) for band in shown if band.quartiles]
-            x, first, middle, last = np.array(hit).reshape(-1, 4).T
-            ax.plot(x, middle, **look)
-            if counts is every:
-                ax.fill_between(x, first, last, color=color, alpha=0.25, lw=0)
+        shown = [band for band in bands(every, k) if band.boxes >= FEWEST]
+        shares = [band.share for band in shown]
+        below.plot([band.middle for band in shown], shares, color=color, **_MEDIAN)
+        hit = [(band.middle, *band.quartiles) for band in shown if band.quartiles]
+        x, first, middle, last = np.array(hit).reshape(-1, 4).T
+        ax.plot(x, middle, color=color, **_MEDIAN)
+        ax.fill_between(x, first, last, color=color, alpha=0.25, lw=0)
         if not (every.kind == k).any():
             ax.text(0.5, 0.5, "none", transform=ax.transAxes, ha="center", color="#808080")
         below.set(xlabel="range [m]")
         _grid(ax)
         _grid(below)
-    most = max(10.0, float(found.merged.points.max(initial=0)))
+    most = max(10.0, float(every.points.max(initial=0)))
     above, below = panels[:, 0]
-    above.set(xscale="log", yscale="log", ylim=(0.8, 1.5 * most), ylabel="points in the box")
+    above.set(xscale="log", xlim=(0.9 * max(0.1, every.range.min()), 1.1 * every.range.max()))
+    above.set(yscale="log", ylim=(0.8, 1.5 * most), ylabel="points in the box")
     below.set(ylim=(-0.06, 1.06), yticks=[0, 0.5, 1], ylabel="share\nwith any")
     _logarithmic(above.xaxis, 1, 2, 5)
     _logarithmic(above.yaxis, 1)

@@ -53,8 +53,8 @@ class Users:
 
 @dataclass(frozen=True, eq=False)
 class PointCounts:
-    """The points inside N boxes: the index of each box in KINDS, the distance from the LiDAR to the
-    middle of the box [m], and the number of points."""
+    """The points of all scans of a frame inside N boxes: the index of each box in KINDS, the
+    distance from the nearest LiDAR to the middle of the box [m], and the number of points."""
 
     kind: Int[np.ndarray, " N"]
     range: Float[np.ndarray, " N"]
@@ -84,19 +84,17 @@ class Band:
 class Statistics:
     """The statistics of a data set.
 
-    ``merged`` has each box of each frame once, with the points of all scans of that frame, and
-    with the range to the nearest LiDAR. ``single`` has each box once per scan. Both leave out
-    frames without a scan. ``crowd`` is the number of road users in each of F frames; ``cameras``
-    and ``lidars`` are the smallest and the largest number in a frame. ``agents`` are those of each
-    scenario; ``towns`` are the different maps, None where a protocol does not say it.
+    ``points`` has each box of each frame with a scan. ``crowd`` is the number of road users in each
+    of F frames; ``cameras`` and ``lidars`` are the smallest and the largest number in a frame.
+    ``agents`` are those of each scenario; ``towns`` are the different maps, None where a protocol
+    does not say it.
     """
 
     path: Path
     splits: tuple[Split, ...]
     users: Users
     crowd: Int[np.ndarray, " F"]
-    merged: PointCounts = field(repr=False)
-    single: PointCounts = field(repr=False)
+    points: PointCounts = field(repr=False)
     cameras: tuple[int, int]
     lidars: tuple[int, int]
     agents: tuple[tuple[int, ...], ...] = field(repr=False)
@@ -149,7 +147,7 @@ def statistics(
             f"{data.path}: no frame in {count} scenario{'s' * (count != 1)}: expected {examples}, "
             f"for every agent"
         )
-    splits, crowd, merged, single, sensors = [], [], [], [], []
+    splits, crowd, inside, sensors = [], [], [], []
     tracks: list[tuple[int, list[float], int]] = []
     for name, scenarios in data.splits.items():
         counts = Counter[str](scenarios=len(scenarios))
@@ -168,9 +166,7 @@ def statistics(
                     kind, size, before = users.get(box.track, first)
                     users[box.track] = kind, size, before + 1
                 if scans and frame.boxes:
-                    together, each = _points_in_boxes(scans, frame.boxes)
-                    merged.append(together)
-                    single.append(each)
+                    inside.append(_points_in_boxes(scans, frame.boxes))
                 sensors.append((images, len(scans)))
                 crowd.append(len(frame.boxes))
                 if progress:
@@ -178,6 +174,7 @@ def statistics(
             tracks += users.values()
         splits.append(Split(name, **{key: counts[key] for key in COUNTS}))
     kinds, sizes, frames = zip(*tracks, strict=True) if tracks else ((), (), ())
+    kind, away, points = np.concatenate(inside or [np.zeros((3, 0), np.float32)], 1)
     least, most = np.min(sensors, 0).tolist(), np.max(sensors, 0).tolist()
     return Statistics(
         path=data.path,
@@ -188,8 +185,7 @@ def statistics(
             np.array(frames, int),
         ),
         crowd=np.array(crowd),
-        merged=_point_counts(merged),
-        single=_point_counts(single),
+        points=PointCounts(kind.astype(np.int8), away, points.astype(np.int32)),
         cameras=(least[0], most[0]),
         lidars=(least[1], most[1]),
         agents=tuple(scenario.agents for scenario in data.scenarios),
@@ -247,21 +243,13 @@ def _town(scenario: Scenario) -> str | None:
 
 def _points_in_boxes(
     scans: Sequence[Scan], boxes: Sequence[RoadUserBox]
-) -> tuple[Float[np.ndarray, "3 B"], Float[np.ndarray, "3 N"]]:
-    """Kind, range and points of each box: of all scans together, and of each scan (N = S B)."""
-    points = count_inside(scans, boxes)  # (S, B)
-    kind = np.array([KINDS.index(box.kind) for box in boxes])
+) -> Float[np.ndarray, "3 B"]:
+    """Kind, range to the nearest scan, and points of each box."""
+    kind = [KINDS.index(box.kind) for box in boxes]
     sensors = np.array([scan.pose[:3] for scan in scans])
     middles = np.array([box.center for box in boxes])
     away = np.linalg.norm(middles - sensors[:, None], axis=-1)  # (S, B)
-    together = np.stack([kind, away.min(0), points.sum(0)])
-    each = np.stack([np.broadcast_to(kind, away.shape), away, points]).reshape(3, -1)
-    return together.astype(np.float32), each.astype(np.float32)
-
-
-def _point_counts(parts: list[np.ndarray]) -> PointCounts:
-    kind, away, points = np.concatenate(parts, 1) if parts else np.zeros((3, 0), np.float32)
-    return PointCounts(kind.astype(np.int8), away, points.astype(np.int32))
+    return np.stack([kind, away.min(0), count_inside(scans, boxes).sum(0)]).astype(np.float32)
 
 
 def _v2x(agents: Sequence[Sequence[int]]) -> str:

@@ -14,7 +14,7 @@ from inspe_jax.dataset.estimate import Estimate
 from inspe_jax.dataset.folders import Scenario
 from inspe_jax.dataset.plan import Generation
 from inspe_jax.dataset.points_in_boxes import count_inside
-from inspe_jax.dataset.statistics import PointCounts, Statistics, bands, table_row
+from inspe_jax.dataset.statistics import Statistics, bands, table_row
 from inspe_jax.simulation.frame import KINDS
 
 _AXES = ("length", "width", "height")
@@ -65,7 +65,7 @@ def statistics_table(found: Statistics) -> RenderableType:
     classes = table_of("Classes, medians", "class", *heads)
     for k, kind in enumerate(KINDS):
         sizes = found.users.size[found.users.kind == k]
-        points = found.merged.points[found.merged.kind == k]
+        points = found.points.points[found.points.kind == k]
         middle = [f"{value:.2f}" for value in np.median(sizes, 0)] if len(sizes) else [_NONE] * 3
         seen = (f"{np.median(points):,.0f}", f"{(points > 0).mean():.1%}") if len(points) else ()
         classes.add_row(
@@ -81,8 +81,7 @@ def statistics_table(found: Statistics) -> RenderableType:
 def statistics_record(found: Statistics) -> dict[str, Any]:
     """The statistics of a data set as a JSON-serialisable record.
 
-    ``points`` has the range bands of each class, for single scans and for all scans of a frame
-    together. Sizes [m] are given as quartiles.
+    ``points`` has the range bands of each class. Sizes [m] are given as quartiles.
     """
     return {
         "name": found.name,
@@ -98,7 +97,9 @@ def statistics_record(found: Statistics) -> dict[str, Any]:
             "least": int(found.crowd.min()),
             "most": int(found.crowd.max()),
         },
-        "points": {"one_scan": _bands(found.single), "all_scans": _bands(found.merged)},
+        "points": {
+            kind: [asdict(band) for band in bands(found.points, k)] for k, kind in enumerate(KINDS)
+        },
         "row": table_row(found),
         "versions": {"inspe_jax": __version__, "numpy": np.__version__},
     }
@@ -129,7 +130,3 @@ def _sizes(found: Statistics, kind: int) -> dict[str, list[float] | None]:
         return dict.fromkeys(_AXES)
     quartiles = np.percentile(sizes, [25, 50, 75], axis=0).T.tolist()
     return dict(zip(_AXES, quartiles, strict=True))
-
-
-def _bands(counts: PointCounts) -> dict[str, list[dict[str, Any]]]:
-    return {kind: [asdict(band) for band in bands(counts, k)] for k, kind in enumerate(KINDS)}

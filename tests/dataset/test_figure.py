@@ -97,23 +97,20 @@ def test_sizes_are_drawn_where_they_are(found):
 
 
 def test_points_against_range_are_those_counted(found):
-    """Single scans: 1 to 5 points at 8 m, and too few boxes at 30 m; all scans together: 10
-    points."""
+    """1 to 5 points at 8 m, and too few boxes at 30 m."""
     kind = np.zeros(FEWEST + 2, int)
-    single = PointCounts(kind, np.array([8.0] * 5 + [30, 30]), np.array([1, 2, 3, 4, 5, 9, 9]))
-    merged = PointCounts(kind[:5], np.full(5, 9.0), np.full(5, 10))
-    fig = statistics_view(replace(found, single=single, merged=merged))
+    points = PointCounts(kind, np.array([8.0] * 5 + [30, 30]), np.array([1, 2, 3, 4, 5, 9, 9]))
+    fig = statistics_view(replace(found, points=points))
     above, *_ = panels(fig)["car"]
-    dots, one, together = above.lines
+    dots, median = above.lines
     assert sorted(dots.get_ydata()) == [1, 2, 3, 4, 5, 9, 9]
-    np.testing.assert_allclose(one.get_xydata(), [[(50**0.5 * 10) ** 0.5, 3]])
-    np.testing.assert_allclose(together.get_xydata(), [[(50**0.5 * 10) ** 0.5, 10]])
+    np.testing.assert_allclose(median.get_xydata(), [[(50**0.5 * 10) ** 0.5, 3]])
     (band,) = above.collections
     assert band.get_paths()[0].get_extents().ymin == 2
     assert band.get_paths()[0].get_extents().ymax == 4
     assert above.get_xscale() == above.get_yscale() == "log"
     below = next(ax for ax in fig.axes if ax.get_ylabel() == "share\nwith any")
-    assert [line.get_ydata().tolist() for line in below.lines] == [[1], [1]]
+    assert [line.get_ydata().tolist() for line in below.lines] == [[1]]
     (none, *_) = panels(fig)["pedestrian"]
     assert [text.get_text() for text in none.texts] == ["none"]
 
@@ -121,13 +118,16 @@ def test_points_against_range_are_those_counted(found):
 def test_sets_without_point_clouds_or_road_users_are_drawn(found, tmp_path):
     empty = PointCounts(np.zeros(0, int), np.zeros(0), np.zeros(0, int))
     splits = tuple(replace(split, clouds=0, points=0) for split in found.splits)
-    fig = statistics_view(replace(found, splits=splits, single=empty, merged=empty))
+    fig = statistics_view(replace(found, splits=splits, points=empty))
     assert "car" not in panels(fig)
     assert "The data set has no point clouds" in words(fig)
     write_frame(tmp_path / "a", Frame(1, 0.05, (), (station(),)))
-    fig = statistics_view(statistics(tmp_path / "a"))
-    save_figure(fig, tmp_path / "empty.png")
-    assert not len(panels(fig)["Length"][0].patches)
+    write_frame(tmp_path / "b", Frame(1, 0.05, (AHEAD,), (station(),)))  # no point is on it
+    empty, missed = (statistics_view(statistics(tmp_path / name)) for name in "ab")
+    for fig in (empty, missed):
+        save_figure(fig, tmp_path / "drawn.png")
+    assert not len(panels(empty)["Length"][0].patches)
+    assert "pedestrian" in panels(missed)
 
 
 def test_boxes_are_where_the_calibration_puts_them(scenario):
@@ -204,8 +204,7 @@ def test_tables_and_the_record_have_the_counts(found, scenario):
     assert record["classes"]["cyclist"]["length"] is None
     assert record["objects_per_frame"] == {"mean": 2, "least": 2, "most": 2}
     assert record["total"]["points"] == 1500
-    assert sum(band["boxes"] for band in record["points"]["one_scan"]["car"]) == 12
-    assert sum(band["boxes"] for band in record["points"]["all_scans"]["car"]) == 6
+    assert sum(band["boxes"] for band in record["points"]["car"]) == 6
     rows = [row.split() for row in printed(frame_table(scenario, 0)).splitlines()]
     (row,) = (row for row in rows if row[:2] == ["2", "truck"])
     assert row[2:9] == ["-20.0", "0.0", "90", "10.0", "9.00", "2.50", "4.00"]

@@ -77,16 +77,12 @@ def test_the_counts_of_each_split_and_class(made):
     assert statistics(dataset.open(made / "train" / "b")).total.frames == 1
 
 
-def test_points_by_scan_and_together(made):
-    found = statistics(made)
-    cars = found.single.kind == 0
-    assert sorted(zip(found.single.range[cars], found.single.points[cars], strict=True)) == (
-        [(10, 2)] * 4 + [(20, 1)] * 4
-    )
-    cars = found.merged.kind == 0
-    np.testing.assert_allclose(found.merged.range[cars], 10)
-    assert found.merged.points[cars].tolist() == [3] * 4
-    assert found.merged.points[~cars].tolist() == [0, 0]
+def test_points_of_all_scans(made):
+    found = statistics(made).points
+    cars = found.kind == 0
+    np.testing.assert_allclose(found.range[cars], 10)
+    assert found.points[cars].tolist() == [3] * 4
+    assert found.points[~cars].tolist() == [0, 0]
 
 
 def test_a_file_with_two_names_counts_once(made):
@@ -128,8 +124,7 @@ def test_a_data_set_of_other_people_without_types_or_point_clouds(tmp_path):
     found = statistics(tmp_path)
     assert found.boxes["car"] == 1
     assert found.total.points == 2
-    assert found.merged.points.tolist() == [2]
-    assert found.single.range.tolist() == [10, 10]
+    assert (found.points.points.tolist(), found.points.range.tolist()) == ([2], [10])
     assert table_row(found)["V2X"] == "V2V"
 
 
@@ -138,8 +133,8 @@ def test_sets_without_point_clouds_or_road_users(tmp_path):
     found = statistics(tmp_path / "a")
     assert (found.total.clouds, found.total.points, found.mean_points) == (0, 0, None)
     assert found.total.images == 2
-    assert len(found.single.kind) == len(found.merged.kind) == 0
-    assert bands(found.single, 0) == ()
+    assert len(found.points.kind) == 0
+    assert bands(found.points, 0) == ()
     write_frame(tmp_path / "b", frame(1, boxes=()))
     found = statistics(tmp_path / "b")
     assert found.crowd.tolist() == [0]

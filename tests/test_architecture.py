@@ -47,7 +47,7 @@ ROOMS = {
     "optax": ("placement/methods/adam.py", "perception/training/optimiser.py"),
     "equinox": ("perception/",),
     "PIL": (
-        "dataset/formats/", "dataset/loading/decode.py", "simulation/", "viewer/sensor_view.py",
+        "dataset/formats/", "dataset/loading/stored.py", "simulation/", "viewer/sensor_view.py",
     ),
     "matplotlib": (
         "core/sheet.py", "dataset/figure.py", "dataset/frame_figure.py", "perception/figure.py",

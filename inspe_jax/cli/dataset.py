@@ -99,7 +99,7 @@ def check_files(
     `inspe generate` writes a manifest.json with each scenario, which has the size and the SHA-256
     of every file. Sizes are compared at once; --deep reads the whole set, as fast as the disk
     allows. The exit status is 1 if a file is not as the manifest says, or a scenario has none. The
-    `inspe generate` that made the set records damaged frames again.
+    `inspe generate` that made the set records damaged scenarios again.
 
     Examples:
 

@@ -9,8 +9,7 @@ from typing import Any
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import read_yaml
 from inspe_jax.dataset.folders import Dataset, Scenario, open_dataset
-from inspe_jax.dataset.formats.protocol_file import PROTOCOL
-from inspe_jax.dataset.manifest import Fault, Manifest, faults, manifest_of, missing_frames
+from inspe_jax.dataset.manifest import Fault, compare
 
 GENERATION = "generation.yaml"
 """The record of a generated data set: among other things, which scenarios it has."""
@@ -58,14 +57,12 @@ def check(
     files = size = known = 0
     unknown = []
     for number, scenario in enumerate(data.scenarios, 1):
-        manifest, broken = manifest_of(scenario.path)
-        found += broken
+        manifest, own = compare(scenario.path, _frame_count(scenario), deep, others=True)
+        found += own
         if manifest is not None:
             known, size = known + 1, size + manifest.size
-            files += sum(1 for _ in manifest.all)
-            found += faults(scenario.path, manifest, deep, others=True)
-            found += _missing_frames(scenario, manifest)
-        elif not broken:
+            files += len(manifest.files)
+        elif not own:
             unknown.append(scenario.path)
         if progress:
             progress(number, len(data.scenarios))
@@ -77,18 +74,16 @@ def differing(scenario: Scenario) -> list[Fault]:
 
     Files that the manifest does not know are left out.
     """
-    manifest, broken = manifest_of(scenario.path)
-    return broken if manifest is None else faults(scenario.path, manifest)
+    return compare(scenario.path)[1]
 
 
-def _missing_frames(scenario: Scenario, manifest: Manifest) -> list[Fault]:
-    """A fault where the manifest lists fewer frames than the protocol says there are."""
+def _frame_count(scenario: Scenario) -> int | None:
+    """How many frames the protocol says there are; a damaged one is a fault of its own."""
     try:
         told = scenario.protocol
-        count = round(told["settings"]["seconds"] * told["recording"]["rate_hz"])
+        return round(told["settings"]["seconds"] * told["recording"]["rate_hz"])
     except (InspeError, KeyError, TypeError):
-        return []  # a damaged protocol is a fault of its own
-    return missing_frames(scenario.path, manifest, count, PROTOCOL)
+        return None
 
 
 def _missing_scenarios(data: Dataset) -> list[Fault]:

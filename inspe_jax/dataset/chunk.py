@@ -1,6 +1,5 @@
 """The work of a worker process: it records and writes a few frames of a scenario."""
 
-import errno
 import multiprocessing
 import threading
 from collections.abc import Iterator
@@ -12,9 +11,8 @@ from typing import Any
 from filelock import FileLock
 
 from inspe_jax.core.files import parse_yaml
-from inspe_jax.dataset.formats.agents import with_cameras
+from inspe_jax.dataset.formats.other_readers import lidar_range, with_cameras
 from inspe_jax.dataset.formats.protocol_file import PROTOCOL, write_protocol
-from inspe_jax.dataset.formats.ranges import lidar_range
 from inspe_jax.dataset.formats.registry import DEFAULT_FORMAT, FORMATS
 from inspe_jax.dataset.manifest import record_frame, recorded_frames
 from inspe_jax.dataset.plan import ScenarioPlan
@@ -26,9 +24,6 @@ from inspe_jax.scene.scene import Scene
 from inspe_jax.sensing.layout import Layout, layout_text, parse_layout
 from inspe_jax.simulation.backends import recorder_of
 from inspe_jax.simulation.recorder import Recorder, Server
-
-FULL = (errno.ENOSPC, errno.EDQUOT)
-"""Error numbers of a full disk."""
 
 
 @dataclass(frozen=True)
@@ -70,13 +65,11 @@ class Outcome:
     """The result of a chunk.
 
     ``error`` says why it could not be recorded, ``fault`` why it could not be written; both are
-    empty on success. ``full`` is true if the disk is full. ``notes`` say what the recorder cannot
-    record as the layout has it.
+    empty on success. ``notes`` say what the recorder cannot record as the layout has it.
     """
 
     error: str = ""
     fault: str = ""
-    full: bool = False
     notes: tuple[str, ...] = ()
 
 
@@ -84,7 +77,7 @@ class Outcome:
 class WorkerState:
     """The recorder that a worker process has open, of the scenario with this ``key``, if any.
 
-    ``protocol`` is that of the scenario. ``error`` says why the recorder could not be opened.
+    ``protocol`` is that of the scenario, with what the recorder cannot record in ``notes``.
     ``closing`` is true once no further frame may be recorded.
     """
 
@@ -92,39 +85,32 @@ class WorkerState:
     recorder: Recorder | None = None
     protocol: dict[str, Any] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
-    error: str = ""
-    stack: ExitStack | None = None
+    stack: ExitStack = field(default_factory=ExitStack)
     closing: bool = False
 
-    def open(self, scene: Scene, chunk: Chunk) -> None:
-        """Open the recorder of a chunk's scenario, unless it is open; close that of another one."""
-        if self.key == chunk.plan.key:
-            return
+    def open(self, scene: Scene, chunk: Chunk) -> Recorder:
+        """The recorder of a chunk's scenario; that of another one is closed."""
+        plan = chunk.plan
+        if self.recorder is not None and self.key == plan.key:
+            return self.recorder
         self.close()
         release_compiled(chunk.scene)
-        self.key, plan = chunk.plan.key, chunk.plan
-        try:
-            layout, content = layout_of(plan, scene)
-            given = (scene, layout, plan.conditions, plan.recording, plan.seed, chunk.server)
-            self.stack = ExitStack()
-            self.recorder = self.stack.enter_context(
-                recorder_of(chunk.backend, *given, plan.appearance_seed)
-            )
-            short = scene.shortfall
-            self.notes = (*self.recorder.notes, *([f"road users: {short}"] if short else []))
-            self.protocol = protocol_of(
-                plan, content, chunk.backend, self.notes, chunk.format, scene.voxels.center.tolist()
-            )
-        except Exception as e:
-            self.error = message_of(e)
+        layout, content = layout_of(plan, scene)
+        given = (scene, layout, plan.conditions, plan.recording, plan.seed, chunk.server)
+        opened = recorder_of(chunk.backend, *given, plan.appearance_seed)
+        recorder = self.stack.enter_context(opened)
+        short = scene.shortfall
+        self.notes = (*recorder.notes, *([f"road users: {short}"] if short else []))
+        self.protocol = protocol_of(
+            plan, content, chunk.backend, self.notes, chunk.format, scene.voxels.center.tolist()
+        )
+        self.key, self.recorder = plan.key, recorder
+        return recorder
 
     def close(self) -> None:
         """Close the recorder, if one is open."""
-        stack = self.stack
-        self.key, self.recorder, self.protocol, self.notes = "", None, {}, ()
-        self.error, self.stack = "", None
-        if stack is not None:
-            stack.close()
+        self.recorder = None
+        self.stack.close()
 
 
 _worker = WorkerState()
@@ -163,14 +149,12 @@ def work(scene: Scene | str, chunk: Chunk) -> Outcome:
                 with _recording:
                     if _worker.closing:
                         break
-                    _worker.open(scene, chunk)
-                    if _worker.error:
-                        return Outcome(error=_worker.error)
-                    notes = _worker.notes
                     try:
-                        frame = replace(_worker.recorder.frame(t), number=t)  # type: ignore[union-attr]
+                        recorder = _worker.open(scene, chunk)
+                        frame = replace(recorder.frame(t), number=t)
                     except Exception as e:
                         return Outcome(error=f"frame {t}: {message_of(e)}")
+                    notes = _worker.notes
                     frame = with_counts(frame)
                     if not (chunk.folder / PROTOCOL).is_file():
                         agents = with_cameras(frame.stations, options.cameras_per_agent)
@@ -179,10 +163,9 @@ def work(scene: Scene | str, chunk: Chunk) -> Outcome:
                     files = FORMATS[chunk.format].write(chunk.folder, frame, options)
                     record_frame(chunk.folder, t, files)
     except Exception as e:
-        fault = os_error(e)
-        if fault is None:
-            return Outcome(error=message_of(e))
-        return Outcome(fault=message_of(e), full=fault.errno in FULL)
+        if isinstance(e, OSError) or isinstance(e.__cause__, OSError):
+            return Outcome(fault=message_of(e))
+        return Outcome(error=message_of(e))
     return Outcome(notes=notes)
 
 
@@ -191,14 +174,6 @@ def close() -> None:
     _worker.closing = True
     with _recording:
         _worker.close()
-
-
-def os_error(e: BaseException) -> OSError | None:
-    """The OSError that caused an error, if any."""
-    cause: BaseException | None = e
-    while cause is not None and not isinstance(cause, OSError):
-        cause = cause.__cause__
-    return cause
 
 
 def _missing(chunk: Chunk) -> Iterator[int]:

@@ -8,7 +8,7 @@ set are sums of these.
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -27,23 +27,6 @@ from inspe_jax.simulation.backends import BACKENDS, recorder_of
 from inspe_jax.simulation.parked import parked_vehicles
 
 
-@dataclass
-class SplitContent:
-    """What a split would hold.
-
-    ``densities`` and ``kinds`` are the numbers of its scenarios by density of the traffic and by
-    kind of intersection; ``boxes`` is the number of road users of each class, each counted once a
-    frame.
-    """
-
-    scenes: set[str] = field(default_factory=set)
-    scenarios: int = 0
-    frames: int = 0
-    densities: Counter[str] = field(default_factory=Counter)
-    kinds: Counter[str] = field(default_factory=Counter)
-    boxes: Counter[str] = field(default_factory=Counter)
-
-
 @dataclass(frozen=True)
 class Sample:
     """What a layout takes: seconds until its first frame, and seconds and bytes a frame."""
@@ -57,12 +40,13 @@ class Sample:
 class Estimate:
     """What a data set would hold and take.
 
+    ``boxes`` is the number of road users of each class in each split, each counted once a frame;
     ``size`` [bytes] and ``seconds`` are None where the backend cannot be tried without its server.
     ``shortfalls`` say what scenes have less of than was asked for, each with the number of
     scenarios.
     """
 
-    splits: Mapping[str, SplitContent]
+    boxes: Mapping[str, Counter[str]]
     size: float | None
     seconds: float | None
     shortfalls: Counter[str]
@@ -82,7 +66,7 @@ def estimate(
     """
     backend = backend or generation.backend
     tried = None if BACKENDS[backend].remote else dict[tuple[Any, ...], Sample]()
-    splits = {split: SplitContent() for split in generation.splits}
+    boxes = {split: Counter[str]() for split in generation.splits}
     by_scene: dict[str, list[ScenarioPlan]] = {}
     for plan in generation.scenarios:
         by_scene.setdefault(plan.scene, []).append(plan)
@@ -94,18 +78,12 @@ def estimate(
         scene = scene_of(plans[0].source, plans[0].build)
         built = time.perf_counter() - began
         seconds += built * min(workers, sum(len(plan.chunks) for plan in plans))
-        boxes = _boxes(scene, backend)
+        own = _boxes(scene, backend)
         if scene.shortfall:
             where = f"{plans[0].source.name}, {plans[0].settings['density']}"
             shortfalls[f"{where}: road users: {scene.shortfall}"] += len(plans)
         for plan in plans:
-            split = splits[plan.split]
-            split.scenes.add(plan.traffic_key)
-            split.scenarios += 1
-            split.frames += plan.frames
-            split.densities[str(plan.settings["density"])] += 1
-            split.kinds[plan.kind] += 1
-            split.boxes.update(boxes)
+            boxes[plan.split].update(own)
             if tried is not None:
                 sample = _sample(generation.format, backend, plan, scene, tried)
                 size += plan.frames * sample.size
@@ -115,8 +93,8 @@ def estimate(
             if progress:
                 progress(done, len(generation.scenarios))
     if tried is None:
-        return Estimate(splits, None, None, shortfalls)
-    return Estimate(splits, size, seconds / workers, shortfalls)
+        return Estimate(boxes, None, None, shortfalls)
+    return Estimate(boxes, size, seconds / workers, shortfalls)
 
 
 def _boxes(scene: Scene, backend: str) -> Counter[str]:

@@ -85,18 +85,18 @@ class Dataset:
         found = [key for key, scenario in named.items() if name in (None, key, scenario.name)]
         if len(found) == 1:
             return named[found[0]]
-        listed = ", ".join((found or list(named))[:MOST_LISTED])
-        more = len(found or named) - MOST_LISTED
-        if more > 0:
-            listed += f" and {more} more"
+        names = found or [*named]
+        listed = ", ".join(names[:MOST_LISTED])
+        if len(names) > MOST_LISTED:
+            listed += f" and {len(names) - MOST_LISTED} more"
         if name is None:
-            raise InspeError(f"{self.path}: {len(named)} scenarios: name one of {listed}")
-        if found:
-            raise InspeError(f"{self.path}: scenario '{name}' is in {len(found)} splits: {listed}")
-        names = (*named, *(scenario.name for scenario in self.scenarios))
-        raise InspeError(
-            f"{self.path}: no scenario '{name}': one of {listed}{nearest(name, names)}"
-        )
+            what = f"{len(named)} scenarios: name one of {listed}"
+        elif found:
+            what = f"scenario '{name}' is in {len(found)} splits: {listed}"
+        else:
+            known = (*named, *(scenario.name for scenario in self.scenarios))
+            what = f"no scenario '{name}': one of {listed}{nearest(name, known)}"
+        raise InspeError(f"{self.path}: {what}")
 
 
 def open_dataset(path: str | os.PathLike[str]) -> Dataset:
@@ -116,10 +116,8 @@ def open_dataset(path: str | os.PathLike[str]) -> Dataset:
     scenarios = _scenarios(folder)
     if scenarios:
         return Dataset(folder, {folder.name: scenarios})
-    splits = {child.name: _scenarios(child) for child in _folders(folder)}
-    first = [name for name in SPLITS if name in splits]
-    ordered = [*first, *(name for name in splits if name not in first)]
-    found = {name: splits[name] for name in ordered if splits[name]}
+    splits = sorted(_folders(folder), key=split_order)
+    found = {split.name: scenarios for split in splits if (scenarios := _scenarios(split))}
     if not found:
         expected = ", ".join(
             f"{above}{row.example}"
@@ -128,6 +126,11 @@ def open_dataset(path: str | os.PathLike[str]) -> Dataset:
         )
         raise InspeError(f"{given}: not a data set: expected one of {expected} in it")
     return Dataset(folder, found)
+
+
+def split_order(split: Path) -> int:
+    """Sorts the folders of splits: the usual ones first."""
+    return SPLITS.index(split.name) if split.name in SPLITS else len(SPLITS)
 
 
 def disk_size(folder: Path) -> int:

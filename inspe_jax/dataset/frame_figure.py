@@ -130,10 +130,10 @@ def _draw_plan(ax: Axes, frame: Frame) -> Any:
     drawn = None
     if cloud.size:
         cloud = cloud[:, np.argsort(cloud[2], kind="stable")]  # the highest on top
-        low, high = _heights(frame, cloud[2])
+        low, high = np.percentile(cloud[2], (1, 99))
         drawn = ax.scatter(
-            cloud[0], cloud[1], c=cloud[2], s=0.35, lw=0, cmap=_HEIGHTS, vmin=low, vmax=high,
-            rasterized=True, zorder=1,
+            cloud[0], cloud[1], c=cloud[2], s=0.35, lw=0, cmap=_HEIGHTS, vmin=low,
+            vmax=max(high, low + 1.0), rasterized=True, zorder=1,
         )  # fmt: skip
     draw_footprints(ax, frame.boxes, [_color(box) for box in frame.boxes])
     for station in frame.stations:
@@ -171,20 +171,12 @@ def _limits(
     one of these."""
     places = [box.center[:2] for box in frame.boxes]
     places += [station.pose[:2] for station in frame.stations]
-    if len(places) < 2 and cloud.size:
-        places += list(cloud[:2].T)
-    spots = np.array(places).reshape(-1, 2) if places else np.zeros((1, 2))
+    if len(places) < 2:
+        places += list(cloud[:2].T) or [np.zeros(2)]
+    spots = np.array(places)
     low, high = spots.min(0), spots.max(0)
     (x, y), reach = (low + high) / 2, float((high - low).max()) / 2 + MARGIN
     return (x - reach, x + reach), (y - reach, y + reach)
-
-
-def _heights(frame: Frame, z: Float[np.ndarray, " N"]) -> tuple[float, float]:
-    """Limits of the colours [m]: from the ground to the top of the boxes, or of most points."""
-    low = float(np.percentile(z, 1))
-    tops = [box.center[2] + box.size[2] / 2 for box in frame.boxes]
-    high = max(tops, default=float(np.percentile(z, 99)))
-    return low, max(high, low + 1.0)
 
 
 def _color(box: RoadUserBox) -> str:
@@ -205,25 +197,19 @@ def _draw_panel(fig: Figure, panel: Axes, frame: Frame, cloud: Any, images: bool
     y = 0.0
     if cloud is not None:
         axes = panel.inset_axes((0.02, 1 - 21 / (MAP * 72), 0.94, 7 / (MAP * 72)))
-        bar = fig.colorbar(cloud, cax=axes, orientation="horizontal", extend="max")
+        bar = fig.colorbar(cloud, cax=axes, orientation="horizontal", extend="both")
         bar.ax.locator_params(nbins=5)
         middle = panel.get_xlim()[1] / 2
         panel.text(middle, -1, "height of a point, z [m]", ha="center", va="top")
         y = -42.0
     look: dict[str, Any] = dict(size=6.5, va="center", parse_math=False)
-    keys = 10 + len({box.kind for box in frame.boxes})
-    room = int((MAP * 72 + y) / _ROW - keys) // 2
-    for k, station in enumerate(frame.stations):
-        if k == room and len(frame.stations) > room + 1:
-            panel.text(0, y - _ROW, f"and {len(frame.stations) - room} more stations", **look)
-            break
+    most = int((MAP * 72 + y) / _ROW) - 10 - len(KINDS)
+    for station in frame.stations[:most]:
         y -= _ROW
         badge(panel, (6, y), name_of(station))
-        inset = 13 + 3.2 * (len(name_of(station)) - 1)
-        panel.text(inset, y, **look | fit(station.name, 26, 6.5), weight="bold")
-        y -= _ROW
-        words = f"{counted(len(station.images), 'camera')}, {counted(len(station.scans), 'LiDAR')}"
-        panel.text(13, y, words, **look)
+        panel.text(13 + 3.2 * (len(name_of(station)) - 1), y, **look | fit(station.name, 26, 6.5))
+    more = len(frame.stations[most:])
+    panel.text(0, y - _ROW, f"and {counted(more, 'more station')}" if more else "", **look)
     panel.legend(handles=_keys(frame, images), loc="lower left", **KEYS)
 
 

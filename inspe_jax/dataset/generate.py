@@ -1,7 +1,7 @@
 """Generates a data set with worker processes on this machine."""
 
+import errno
 import os
-import shutil
 import time
 from collections.abc import Callable
 from contextlib import suppress
@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from inspe_jax.core.errors import InspeError
-from inspe_jax.dataset.chunk import FULL, Chunk, Outcome, build, close, work
+from inspe_jax.dataset.chunk import Chunk, Outcome, build, close, work
 from inspe_jax.dataset.manifest import Fault
 from inspe_jax.dataset.plan import Generation, ScenarioPlan
 from inspe_jax.dataset.writer import DatasetWriter
@@ -18,8 +18,7 @@ from inspe_jax.jobs.scenes import message_of
 from inspe_jax.simulation.backends import BACKENDS, check_backend, server_of
 from inspe_jax.simulation.recorder import Server
 
-MB = 1e6
-CONTINUE = "make room, then give the same command again to resume"
+CONTINUE = "give the same command again to resume"
 
 
 @dataclass(frozen=True)
@@ -66,7 +65,7 @@ def generate(
 
     After a run was killed, call this again: it continues, and gives the same bytes. Scenarios that
     are there are compared with their manifests, by digests if ``deep``, otherwise by the sizes of
-    files, and frames that are damaged are recorded again; ``checking`` is called with (scenarios
+    files, and those that are damaged are recorded again; ``checking`` is called with (scenarios
     compared, all). If a scenario cannot be generated, its error is in the result's ``failures``,
     and the others are generated.
 
@@ -97,7 +96,7 @@ def generate(
                 repaired=writer.damage,
             )
     except OSError as e:
-        if e.errno not in FULL:
+        if e.errno not in (errno.ENOSPC, errno.EDQUOT):
             raise
         raise InspeError(f"{folder}: the disk is full; {CONTINUE}") from e
 
@@ -148,9 +147,7 @@ def _record(
                 plan = chunk.plan
                 outcome = Outcome(message_of(found)) if isinstance(found, Exception) else found
                 if outcome.fault:
-                    raise InspeError(
-                        _disk_full(writer, generation) if outcome.full else outcome.fault
-                    )
+                    raise InspeError(f"{outcome.fault}; {CONTINUE}")
                 unsettled[plan.name] -= 1
                 if outcome.error:
                     failures.setdefault(plan.name, outcome.error)
@@ -178,16 +175,3 @@ def _chunks(
             files = writer.unfinished(plan), writer.lock(plan, frames.start)
             found.append(Chunk(plan, backend, *files, frames, missing, server, writer.format_name))
     return found
-
-
-def _disk_full(writer: DatasetWriter, generation: Generation) -> str:
-    """The error of a full disk, with an estimate of the space that is still needed."""
-    complete = writer.count_frames(generation)
-    message = (
-        f"{writer.folder}: the disk is full: {complete} of {generation.frames} frames are there"
-    )
-    if complete:
-        needed = writer.size / complete * (generation.frames - complete)
-        free = shutil.disk_usage(writer.folder).free
-        message += f", about {needed / MB:.1f} MB more are needed, and {free / MB:.1f} MB are free"
-    return f"{message}; {CONTINUE}"

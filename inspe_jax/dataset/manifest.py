@@ -14,7 +14,7 @@ read and compared by its digest as well, which takes as long as reading the disk
 import json
 import os
 import re
-from collections.abc import Container, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,6 +22,7 @@ from typing import Any
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import digest_of, read_json, write_text
+from inspe_jax.dataset.formats.protocol_file import PROTOCOL
 
 MANIFEST, RECORDS = "manifest.json", ".frames"
 FORMAT = "inspe_jax manifest 1"
@@ -31,34 +32,23 @@ Files = Mapping[str, tuple[int, str]]
 
 @dataclass(frozen=True)
 class Manifest:
-    """The files of a scenario: those of each frame, by its number, and the others."""
+    """The files of a scenario, and the numbers of the frames that have some of them."""
 
     files: Files
-    frames: Mapping[int, Files]
-
-    @property
-    def all(self) -> Iterator[tuple[int | None, str, int, str]]:
-        """The frame (None: of no frame), path, size and digest of every file."""
-        for path, (size, digest) in self.files.items():
-            yield None, path, size, digest
-        for number, files in self.frames.items():
-            for path, (size, digest) in files.items():
-                yield number, path, size, digest
+    frames: frozenset[int]
 
     @property
     def size(self) -> int:
         """Size of all files [bytes]."""
-        return sum(size for _, _, size, _ in self.all)
+        return sum(size for size, _ in self.files.values())
 
 
 @dataclass(frozen=True)
 class Fault:
-    """A file that is not as the manifest says: what is wrong, and the frame it belongs to (None:
-    to no frame)."""
+    """A file that is not as the manifest says, and what is wrong with it."""
 
     path: Path
     what: str
-    frame: int | None = None
 
     def __str__(self) -> str:
         return f"{self.path}: {self.what}"
@@ -69,34 +59,31 @@ class Fault:
 
 def record_frame(folder: Path, number: int, files: Iterable[Path]) -> None:
     """Record the files of a frame that has been written. Its record is its last file."""
-    _write_record(folder, number, _measured(folder, files))
+    record = folder / RECORDS / f"{number:06d}.json"
+    record.parent.mkdir(exist_ok=True)
+    write_text(record, _text(_measured(folder, files)))
 
 
 def recorded_frames(folder: Path, deep: bool = False) -> dict[int, Files]:
     """The records of the frames of an unfinished scenario, of which all files have their size.
 
-    ``deep`` compares digests, too. A record that cannot be read counts as none.
+    ``deep`` compares digests, too. Other records are deleted, so that their frames are missing.
     """
     found = dict[int, Files]()
     for path in sorted((folder / RECORDS).glob("[0-9]*.json")):
         try:
             files = _files(read_json(path), path)
         except InspeError:
-            continue
+            files = {}
         faulty = (
             _fault_of(folder / file, size, digest if deep else None)
             for file, (size, digest) in files.items()
         )
         if files and not any(faulty):
             found[int(path.stem)] = files
-    return found
-
-
-def forget_others(folder: Path, frames: Container[int]) -> None:
-    """Delete the records of frames that are not among ``frames``, so that they count as missing."""
-    for path in (folder / RECORDS).glob("[0-9]*.json"):
-        if int(path.stem) not in frames:
+        else:
             path.unlink(missing_ok=True)
+    return found
 
 
 def write_manifest(folder: Path, files: Iterable[Path]) -> None:
@@ -107,31 +94,6 @@ def write_manifest(folder: Path, files: Iterable[Path]) -> None:
         "frames": {str(number): own for number, own in recorded_frames(folder).items()},
     }
     write_text(folder / MANIFEST, _text(content))
-
-
-def reopen(folder: Path, found: Iterable[Fault], protocol: str) -> None:
-    """Make a complete scenario an unfinished one, with a record of each frame without a fault.
-
-    The protocol is written with the first frame. Where a file of no frame has a fault, it is
-    deleted, and the first frame counts as missing; where the manifest has, all frames do.
-    """
-    manifest, _ = manifest_of(folder)
-    found = list(found)
-    trusted = manifest is not None and folder / MANIFEST not in {fault.path for fault in found}
-    frames = dict(manifest.frames) if manifest and trusted else {}
-    for number in {fault.frame for fault in found}:
-        if number is None:
-            (folder / protocol).unlink(missing_ok=True)
-        frames.pop(min(frames, default=0) if number is None else number, None)
-    for number, files in frames.items():
-        _write_record(folder, number, files)
-    (folder / MANIFEST).unlink(missing_ok=True)
-
-
-def _write_record(folder: Path, number: int, files: Files) -> None:
-    record = folder / RECORDS / f"{number:06d}.json"
-    record.parent.mkdir(exist_ok=True)
-    write_text(record, _text(files))
 
 
 def _measured(folder: Path, files: Iterable[Path]) -> dict[str, tuple[int, str]]:
@@ -161,42 +123,43 @@ def manifest_of(folder: Path) -> tuple[Manifest | None, list[Fault]]:
         if not isinstance(frames, dict) or not all(re.fullmatch("[0-9]+", key) for key in frames):
             raise InspeError(f"{path}: frames: must hold files by the number of their frame")
         each = {int(number): _files(files, path) for number, files in frames.items()}
-        return Manifest(_files(content.get("files"), path), each), []
+        files = _files(content.get("files"), path)
     except InspeError as e:
         return None, [Fault(path, str(e).removeprefix(f"{path}: "))]
+    for own in each.values():
+        files |= own
+    return Manifest(files, frozenset(number for number, own in each.items() if own)), []
 
 
-def faults(
-    folder: Path, manifest: Manifest, deep: bool = False, others: bool = False
-) -> list[Fault]:
-    """The files that are not as the manifest says; ``deep`` also reads and compares them.
+def compare(
+    folder: Path, count: int | None = None, deep: bool = False, others: bool = False
+) -> tuple[Manifest | None, list[Fault]]:
+    """The manifest of a scenario, None where there is none, and what is not as it says.
 
-    With ``others``, files that the manifest does not know are faults too, but for hidden ones.
+    With ``count``, a manifest has a fault that lacks the protocol, or files of a frame 0 … count −
+    1. ``deep`` also reads files and compares them; with ``others``, files that the manifest does
+    not know are faults too, but for hidden ones.
     """
-    rows = list(manifest.all)
-
-    def check(row: tuple[int | None, str, int, str]) -> Fault | None:
-        number, path, size, digest = row
-        what = _fault_of(folder / path, size, digest if deep else None)
-        return Fault(folder / path, what, number) if what else None
-
+    manifest, found = manifest_of(folder)
+    if manifest is None:
+        return None, found
+    listed = manifest.frames == set(range(count or 0)) and PROTOCOL in manifest.files
+    if count is not None and not listed:
+        found.append(Fault(folder / MANIFEST, f"does not list all files of {count} frames"))
+    rows = [
+        (folder / path, size, digest if deep else None)
+        for path, (size, digest) in manifest.files.items()
+    ]
     # A digest is computed without Python's lock, so that threads use every core.
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        found = [fault for fault in pool.map(check, rows) if fault]
-    known = {folder / path for _, path, _, _ in rows} | {folder / MANIFEST}
+        each = pool.map(lambda row: _fault_of(*row), rows)
+    found += [Fault(row[0], what) for row, what in zip(rows, each, strict=True) if what]
+    known = {row[0] for row in rows} | {folder / MANIFEST}
     strange = sorted(set(_visible_files(folder)) - known) if others else ()
-    return found + [Fault(path, "not in the manifest") for path in strange]
+    return manifest, found + [Fault(path, "not in the manifest") for path in strange]
 
 
-def missing_frames(folder: Path, manifest: Manifest, count: int, protocol: str) -> list[Fault]:
-    """A fault where the manifest lacks the file ``protocol``, or files of a frame 0 … count − 1."""
-    listed = {number for number, files in manifest.frames.items() if files}
-    if listed == set(range(count)) and protocol in manifest.files:
-        return []
-    return [Fault(folder / MANIFEST, f"does not list all files of {count} frames")]
-
-
-def _fault_of(path: Path, size: int, digest: str | None = None) -> str:
+def _fault_of(path: Path, size: int, digest: str | None) -> str:
     """What is wrong with a file; empty if nothing is."""
     try:
         now = path.stat().st_size

@@ -1,8 +1,6 @@
 """The plan of a data set: every layout on every scene in every setting. Read from YAML.
 
-The file is like that of a study (:mod:`inspe_jax.study.plan`), with other settings. Both modules
-share :mod:`inspe_jax.jobs.settings` and :mod:`inspe_jax.jobs.sources`; what is left in each is
-its own: scenarios, splits and names here, jobs and searches there. The file::
+The file is like that of a study (:mod:`inspe_jax.study.plan`), with other settings::
 
     scenes:
       - built_in: four_way
@@ -54,12 +52,12 @@ import numpy as np
 from pydantic import Field
 
 from inspe_jax.core.digest import digest
-from inspe_jax.core.errors import InspeError
+from inspe_jax.core.errors import InspeError, check_known
 from inspe_jax.core.files import check_model
 from inspe_jax.core.words import counted
 from inspe_jax.dataset.folders import SPLITS
 from inspe_jax.dataset.formats.options import DEFAULT_OPTIONS, FileOptions
-from inspe_jax.dataset.formats.registry import DEFAULT_FORMAT, check_format
+from inspe_jax.dataset.formats.registry import DEFAULT_FORMAT, FORMATS
 from inspe_jax.jobs.settings import (
     CONDITIONS,
     WORLD,
@@ -231,7 +229,7 @@ class RecordingEntry(Strict):
 
         Raises InspeError where a layer is given twice, or the format of the data set is unknown.
         """
-        check_format(self.format, f"{where}: format")
+        check_known(self.format, FORMATS, f"{where}: format:")
         check_names([str(layer) for layer in self.layers], f"{where}: layers")
         size = self.image_size
         found = Recording(

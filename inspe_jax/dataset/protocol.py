@@ -6,7 +6,7 @@ content.
 
 import os
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import fields
+from dataclasses import asdict
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, Any
@@ -40,8 +40,14 @@ from inspe_jax.jobs.settings import (
     check_settings,
     conditioned,
 )
-from inspe_jax.jobs.sources import LayoutSource, SceneEntry, SceneSource, read_study, scene_source
-from inspe_jax.scene.scene import load_scene
+from inspe_jax.jobs.sources import (
+    LayoutSource,
+    SceneEntry,
+    SceneSource,
+    read_study,
+    scene_settings,
+    scene_source,
+)
 from inspe_jax.sensing.layout import parse_layout
 from inspe_jax.simulation.backends import BACKENDS
 
@@ -60,19 +66,11 @@ class _Recording(RecordingEntry):
     seed: Count
 
 
-class _World(Strict):
-    fixed_delta_seconds: Any
-    client_port: Any
-    seed: Any
-    weather: Any
-    town: Any
-
-
 class _Protocol(Strict):
     format: str
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_+-][A-Za-z0-9._+-]*$")]
     split: Text
-    world: _World
+    world: dict[str, Any]
     scene: _Scene
     settings: dict[str, Any]
     recording: _Recording
@@ -81,7 +79,7 @@ class _Protocol(Strict):
     versions: dict[str, str]
     notes: list[str] = Field(default=[])
     middle: Annotated[list[float], Field(min_length=3, max_length=3)] | None = None
-    lidar_range: list[float] | dict[int, list[float]] = Field(default=[])  # earlier, of each agent
+    lidar_range: list[float] = Field(default=[])
     stations: dict[int, str] = Field(default={})
 
 
@@ -106,16 +104,23 @@ def protocol_of(
     [m].
     """
     source = plan.source.anywhere
-    scene = {
-        "name": source.name,
-        "built_in": source.built_in,
-        "map": source.map,
-        "junction": source.junction,
-        "center": None if source.center is None else list(source.center),
-        "file": source.file,
-        "content": source.content or None,
+    scene = asdict(source) | {"content": source.content or None}
+    if source.center is not None:
+        scene["center"] = list(source.center)
+    size = plan.recording.image_size
+    recording = {
+        "backend": backend,
+        "rate_hz": plan.recording.rate,
+        "layers": list(plan.recording.layers),
+        "image_scale": plan.recording.image_scale,
+        "image_size": list(size) if size else None,
+        "lidar_turn_s": plan.recording.turn,
+        "seed": plan.seed,
+        "format": None if format == DEFAULT_FORMAT else format,
     }
-    return {
+    for key, value in asdict(plan.files).items():
+        recording[key] = None if value == getattr(DEFAULT_OPTIONS, key) else value
+    content = {
         "format": FORMAT,
         "name": plan.name,
         "split": plan.split,
@@ -126,29 +131,20 @@ def protocol_of(
             "weather": plan.conditions.record,
             "town": source.built_in or str(source.map or source.file).partition(".")[0],
         },
-        "scene": {key: value for key, value in scene.items() if value is not None},
+        "scene": _without_none(scene),
         "settings": {key: plan.settings[key] for key in SETTINGS},
-        "recording": {
-            "backend": backend,
-            "rate_hz": plan.recording.rate,
-            "layers": list(plan.recording.layers),
-            "image_scale": plan.recording.image_scale,
-            **({"image_size": list(size)} if (size := plan.recording.image_size) else {}),
-            "lidar_turn_s": plan.recording.turn,
-            "seed": plan.seed,
-            **({} if format == DEFAULT_FORMAT else {"format": format}),
-            **{
-                f.name: getattr(plan.files, f.name)
-                for f in fields(plan.files)
-                if getattr(plan.files, f.name) != getattr(DEFAULT_OPTIONS, f.name)
-            },
-        },
-        **({"tags": dict(plan.tags)} if plan.tags else {}),
+        "recording": _without_none(recording),
+        "tags": dict(plan.tags) or None,
         "layout": dict(layout),
         "versions": versions(backend),
-        **({"middle": [float(x) for x in middle]} if middle is not None else {}),
-        **({"notes": list(notes)} if notes else {}),
+        "middle": None if middle is None else [float(x) for x in middle],
+        "notes": list(notes) or None,
     }
+    return _without_none(content)
+
+
+def _without_none(content: Mapping[str, Any]) -> dict[str, Any]:
+    return {key: value for key, value in content.items() if value is not None}
 
 
 def load_generation(
@@ -232,10 +228,7 @@ def _settings(
     for key in SETTINGS:
         if key not in given:
             raise InspeError(f"{where}: {key}: missing key")
-    kept: dict[str, Any] = {}
-    if source.file is not None:
-        saved = dict(load_scene(source.file).settings)
-        kept = {key: saved.get(key, "") for key in WORLD}
+    kept = scene_settings(source, dict.fromkeys(WORLD, ()), {}, where)
     entry = check_model(Settings, {k: v for k, v in given.items() if k not in kept}, where)
     several = {key: getattr(entry, key) for key in SETTINGS if key not in kept}
     twice = next((key for key, values in several.items() if len(values) != 1), None)
@@ -245,6 +238,6 @@ def _settings(
     check_seconds(several["seconds"][0], rate, f"{where}: seconds")
     if source.file is not None:
         saved_seconds(source, several["seconds"], rate, where)
-    one = {key: values[0] for key, values in several.items()} | kept
+    one = {key: values[0] for key, values in (several | kept).items()}
     one |= conditioned({key: one[key] for key in CONDITIONS})
     return {key: one[key] for key in SETTINGS}

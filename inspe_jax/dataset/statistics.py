@@ -1,26 +1,22 @@
 """Statistics of a data set: of each split, of each class of road user, and points by range."""
 
 import os
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from inspe_jax.core.errors import InspeError
-from inspe_jax.dataset.folders import Dataset, disk_size, open_dataset
+from inspe_jax.dataset.folders import Dataset, Scenario, disk_size, open_dataset
 from inspe_jax.dataset.formats.registry import FORMATS
 from inspe_jax.dataset.points_in_boxes import count_inside
 from inspe_jax.simulation.frame import KINDS, RoadUserBox, Scan
 
 RANGE_EDGES: Float[np.ndarray, " R"] = 5 * 2 ** (np.arange(-4, 14) / 2)
 """Limits of the range bands [m], each √2 times the one before: 1.25, 1.8, 2.5 … 453."""
-
-
-COUNTS = ("frames", "images", "clouds", "points", "boxes", "agents", "size")
-"""Of a split; the first five are sums over frames."""
 
 
 @dataclass(frozen=True)
@@ -42,6 +38,9 @@ class Split:
     size: int
 
 
+COUNTS = tuple(f.name for f in fields(Split) if f.name != "name")
+
+
 @dataclass(frozen=True, eq=False)
 class Users:
     """The K road users of all scenarios: the index of each in KINDS, the size (length, width,
@@ -54,8 +53,8 @@ class Users:
 
 @dataclass(frozen=True, eq=False)
 class PointCounts:
-    """The points inside N boxes: the index of each box in KINDS, the distance from the LiDAR to the
-    middle of the box [m], and the number of points."""
+    """The points of all scans of a frame inside N boxes: the index of each box in KINDS, the
+    distance from the nearest LiDAR to the middle of the box [m], and the number of points."""
 
     kind: Int[np.ndarray, " N"]
     range: Float[np.ndarray, " N"]
@@ -75,28 +74,31 @@ class Band:
     share: float
     quartiles: tuple[float, float, float] | None
 
+    @property
+    def middle(self) -> float:
+        """The geometric mean of the limits [m]."""
+        return float(np.sqrt(self.low * self.high))
+
 
 @dataclass(frozen=True, eq=False)
 class Statistics:
     """The statistics of a data set.
 
-    ``merged`` has each box of each frame once, with the points of all scans of that frame, and
-    with the range to the nearest LiDAR. ``single`` has each box once per scan. Both leave out
-    frames without a scan. ``crowd`` is the number of road users in each of F frames; ``cameras``
-    and ``lidars`` are the smallest and the largest number in a frame. ``agents`` and ``protocols``
-    are those of each scenario.
+    ``points`` has each box of each frame with a scan. ``crowd`` is the number of road users in each
+    of F frames; ``cameras`` and ``lidars`` are the smallest and the largest number in a frame.
+    ``agents`` are those of each scenario; ``towns`` are the different maps, None where a protocol
+    does not say it.
     """
 
     path: Path
     splits: tuple[Split, ...]
     users: Users
     crowd: Int[np.ndarray, " F"]
-    merged: PointCounts = field(repr=False)
-    single: PointCounts = field(repr=False)
+    points: PointCounts = field(repr=False)
     cameras: tuple[int, int]
     lidars: tuple[int, int]
     agents: tuple[tuple[int, ...], ...] = field(repr=False)
-    protocols: tuple[Mapping[str, Any], ...] = field(repr=False)
+    towns: frozenset[str | None] = field(repr=False)
 
     @property
     def name(self) -> str:
@@ -106,12 +108,7 @@ class Statistics:
     @property
     def total(self) -> Split:
         """All splits together."""
-        counts = {
-            key: sum(getattr(split, key) for split in self.splits)
-            for key in Split.__dataclass_fields__
-            if key != "name"
-        }
-        return Split(name="all", **counts)
+        return Split("all", **{k: sum(getattr(each, k) for each in self.splits) for k in COUNTS})
 
     @property
     def mean_points(self) -> float | None:
@@ -150,37 +147,34 @@ def statistics(
             f"{data.path}: no frame in {count} scenario{'s' * (count != 1)}: expected {examples}, "
             f"for every agent"
         )
-    splits, crowd, merged, single, sensors = [], [], [], [], []
+    splits, crowd, inside, sensors = [], [], [], []
     tracks: list[tuple[int, list[float], int]] = []
     for name, scenarios in data.splits.items():
-        counts = dict.fromkeys(COUNTS, 0)
+        counts = Counter[str](scenarios=len(scenarios))
         for scenario in scenarios:
             users: dict[int, tuple[int, list[float], int]] = {}
-            counts["agents"] += len(scenario.agents)
-            counts["size"] += disk_size(scenario.path)
+            counts.update(agents=len(scenario.agents), size=disk_size(scenario.path))
             for number in scenario.frames:
                 frame = scenario.frame(number)
                 scans = [scan for station in frame.stations for scan in station.scans]
                 images = sum(len(station.images) for station in frame.stations)
-                for box in frame.boxes:
-                    kind, size = KINDS.index(box.kind), np.asarray(box.size).tolist()
-                    kind, size, before = users.get(box.track, (kind, size, 0))
-                    users[box.track] = kind, size, before + 1
                 points = sum(len(scan.points) for scan in scans)
-                more = (1, images, len(scans), points, len(frame.boxes))
-                for key, count in zip(COUNTS, more, strict=False):
-                    counts[key] += count
+                counts.update(frames=1, images=images, clouds=len(scans), points=points)
+                counts.update(boxes=len(frame.boxes))
+                for box in frame.boxes:
+                    first = KINDS.index(box.kind), np.asarray(box.size).tolist(), 0
+                    kind, size, before = users.get(box.track, first)
+                    users[box.track] = kind, size, before + 1
                 if scans and frame.boxes:
-                    together, each = _points_in_boxes(scans, frame.boxes)
-                    merged.append(together)
-                    single.append(each)
+                    inside.append(_points_in_boxes(scans, frame.boxes))
                 sensors.append((images, len(scans)))
                 crowd.append(len(frame.boxes))
                 if progress:
                     progress(len(crowd), total_frames)
             tracks += users.values()
-        splits.append(Split(name=name, scenarios=len(scenarios), **counts))
+        splits.append(Split(name, **{key: counts[key] for key in COUNTS}))
     kinds, sizes, frames = zip(*tracks, strict=True) if tracks else ((), (), ())
+    kind, away, points = np.concatenate(inside or [np.zeros((3, 0), np.float32)], 1)
     least, most = np.min(sensors, 0).tolist(), np.max(sensors, 0).tolist()
     return Statistics(
         path=data.path,
@@ -191,12 +185,11 @@ def statistics(
             np.array(frames, int),
         ),
         crowd=np.array(crowd),
-        merged=_point_counts(merged),
-        single=_point_counts(single),
+        points=PointCounts(kind.astype(np.int8), away, points.astype(np.int32)),
         cameras=(least[0], most[0]),
         lidars=(least[1], most[1]),
         agents=tuple(scenario.agents for scenario in data.scenarios),
-        protocols=tuple(scenario.protocol for scenario in data.scenarios),
+        towns=frozenset(map(_town, data.scenarios)),
     )
 
 
@@ -222,25 +215,13 @@ def bands(counts: PointCounts, kind: int) -> tuple[Band, ...]:
 def table_row(found: Statistics) -> dict[str, str | int | None]:
     """The row of a data set in a table that compares data sets; unknown values are None.
 
-    Counted: ``V2X`` is V2V, I2I or V2X for vehicles, infrastructure or both (V or I if no scenario
-    has two agents); ``cameras`` and ``LiDARs`` are per frame; ``maps`` are the different
-    ``world.town`` of the protocols. Taken from the protocols, if they have them: ``year``,
-    ``source``, and ``intersection``, of which the different ones of each map are counted. If a
-    protocol has no ``source`` but a simulator's time step, ``world.fixed_delta_seconds``, the
-    source is ``sim``.
+    ``V2X`` is V2V, I2I or V2X for vehicles, infrastructure or both (V or I if no scenario has two
+    agents); ``cameras`` and ``LiDARs`` are per frame; ``maps`` are the different ``world.town`` of
+    the protocols.
     """
     total = found.total
-    towns = [_world(protocol).get("town") for protocol in found.protocols]
-    crossings = [protocol.get("intersection") for protocol in found.protocols]
-    sources = [
-        protocol.get("source", "sim" if "fixed_delta_seconds" in _world(protocol) else None)
-        for protocol in found.protocols
-    ]
-    years = [protocol.get("year") for protocol in found.protocols]
     return {
         "name": found.name,
-        "year": _joined(years),
-        "source": _joined(sources),
         "V2X": _v2x(found.agents),
         "cameras": _span(found.cameras),
         "LiDARs": _span(found.lidars),
@@ -250,33 +231,25 @@ def table_row(found: Statistics) -> dict[str, str | int | None]:
         "3D boxes": total.boxes,
         "classes": sum(count > 0 for count in found.tracks.values()),
         "scenarios": total.scenarios,
-        "intersections": _distinct(list(zip(towns, crossings, strict=True)), crossings),
-        "maps": _distinct(towns, towns),
+        "maps": None if None in found.towns else len(found.towns),
     }
+
+
+def _town(scenario: Scenario) -> str | None:
+    world = scenario.protocol.get("world")
+    town = world.get("town") if isinstance(world, Mapping) else None
+    return None if town is None else str(town)
 
 
 def _points_in_boxes(
     scans: Sequence[Scan], boxes: Sequence[RoadUserBox]
-) -> tuple[Float[np.ndarray, "3 B"], Float[np.ndarray, "3 N"]]:
-    """Kind, range and points of each box: of all scans together, and of each scan (N = S B)."""
-    points = count_inside(scans, boxes)  # (S, B)
-    kind = np.array([KINDS.index(box.kind) for box in boxes])
+) -> Float[np.ndarray, "3 B"]:
+    """Kind, range to the nearest scan, and points of each box."""
+    kind = [KINDS.index(box.kind) for box in boxes]
     sensors = np.array([scan.pose[:3] for scan in scans])
     middles = np.array([box.center for box in boxes])
     away = np.linalg.norm(middles - sensors[:, None], axis=-1)  # (S, B)
-    together = np.stack([kind, away.min(0), points.sum(0)])
-    each = np.stack([np.broadcast_to(kind, away.shape), away, points]).reshape(3, -1)
-    return together.astype(np.float32), each.astype(np.float32)
-
-
-def _point_counts(parts: list[np.ndarray]) -> PointCounts:
-    kind, away, points = np.concatenate(parts, 1) if parts else np.zeros((3, 0), np.float32)
-    return PointCounts(kind.astype(np.int8), away, points.astype(np.int32))
-
-
-def _world(protocol: Mapping[str, Any]) -> Mapping[str, Any]:
-    world = protocol.get("world")
-    return world if isinstance(world, Mapping) else {}
+    return np.stack([kind, away.min(0), count_inside(scans, boxes).sum(0)]).astype(np.float32)
 
 
 def _v2x(agents: Sequence[Sequence[int]]) -> str:
@@ -291,12 +264,3 @@ def _v2x(agents: Sequence[Sequence[int]]) -> str:
 def _span(ends: tuple[int, int]) -> str | int:
     low, high = ends
     return high if low == high else f"{low}–{high}"
-
-
-def _joined(words: Sequence[Any]) -> str | None:
-    return ", ".join(sorted({str(word) for word in words if word is not None})) or None
-
-
-def _distinct(values: Sequence[Any], needed: Sequence[Any]) -> int | None:
-    """The number of different values; None if one of those ``needed`` is unknown."""
-    return None if any(value is None for value in needed) else len({str(v) for v in values})

@@ -1,5 +1,6 @@
 """Tables for people, and records for JSON, of a data set and of a frame."""
 
+from collections import Counter
 from dataclasses import asdict
 from typing import Any
 
@@ -13,7 +14,7 @@ from inspe_jax.dataset.estimate import Estimate
 from inspe_jax.dataset.folders import Scenario
 from inspe_jax.dataset.plan import Generation
 from inspe_jax.dataset.points_in_boxes import count_inside
-from inspe_jax.dataset.statistics import PointCounts, Statistics, bands, table_row
+from inspe_jax.dataset.statistics import Statistics, bands, table_row
 from inspe_jax.simulation.frame import KINDS
 
 _AXES = ("length", "width", "height")
@@ -22,26 +23,26 @@ _NONE = "–"
 
 def content_table(generation: Generation, found: Estimate) -> RenderableType:
     """Tables of a data set that is to be generated: its splits, and how balanced they are."""
-    splits = [(name, split) for name, split in found.splits.items() if split.scenarios]
+    splits = {name: plans for name, plans in generation.splits.items() if plans}
     sizes = table_of(
         f"Data set {generation.name}", "split", "scenes", "scenarios", "frames",
         *(f"{kind}s" for kind in KINDS),
     )  # fmt: skip
-    for name, split in splits:
-        boxes = (f"{split.boxes[kind]:,}" for kind in KINDS)
-        counts = (len(split.scenes), split.scenarios, split.frames)
-        sizes.add_row(name, *(f"{count:,}" for count in counts), *boxes)
-    balance = table_of("Scenarios of each split", "", *(name for name, _ in splits))
-    plans = generation.scenarios
-    for value in dict.fromkeys(str(plan.settings["density"]) for plan in plans):
-        balance.add_row(Text(value), *(f"{split.densities[value]:,}" for _, split in splits))
-    for value in dict.fromkeys(plan.kind for plan in plans):
-        balance.add_row(Text(value), *(f"{split.kinds[value]:,}" for _, split in splits))
+    for name, plans in splits.items():
+        scenes = len({plan.traffic_key for plan in plans})
+        counts = scenes, len(plans), sum(plan.frames for plan in plans)
+        boxes = (found.boxes[name][kind] for kind in KINDS)
+        sizes.add_row(name, *(f"{count:,}" for count in (*counts, *boxes)))
+    balance = table_of("Scenarios of each split", "", *splits)
+    for of in (lambda plan: str(plan.settings["density"]), lambda plan: plan.kind):
+        each = [Counter(map(of, plans)) for plans in splits.values()]
+        for value in dict.fromkeys(map(of, generation.scenarios)):
+            balance.add_row(Text(value), *(f"{counts[value]:,}" for counts in each))
     return Group(sizes, "", balance)
 
 
 def statistics_table(found: Statistics) -> RenderableType:
-    """Tables of a data set: its splits, its classes, and its row of a table that compares sets."""
+    """Tables of a data set: its splits and its classes."""
     counts = (
         "scenarios",
         "frames",
@@ -64,7 +65,7 @@ def statistics_table(found: Statistics) -> RenderableType:
     classes = table_of("Classes, medians", "class", *heads)
     for k, kind in enumerate(KINDS):
         sizes = found.users.size[found.users.kind == k]
-        points = found.merged.points[found.merged.kind == k]
+        points = found.points.points[found.points.kind == k]
         middle = [f"{value:.2f}" for value in np.median(sizes, 0)] if len(sizes) else [_NONE] * 3
         seen = (f"{np.median(points):,.0f}", f"{(points > 0).mean():.1%}") if len(points) else ()
         classes.add_row(
@@ -74,19 +75,13 @@ def statistics_table(found: Statistics) -> RenderableType:
             *middle,
             *(seen or (_NONE, _NONE)),
         )
-
-    row = table_of("Table row", "column", "value")
-    for name, value in table_row(found).items():
-        words = f"{value:,}" if isinstance(value, int) else _NONE if value is None else value
-        row.add_row(name, Text(words))
-    return Group(splits, "", classes, "", row)
+    return Group(splits, "", classes)
 
 
 def statistics_record(found: Statistics) -> dict[str, Any]:
     """The statistics of a data set as a JSON-serialisable record.
 
-    ``points`` has the range bands of each class, for single scans and for all scans of a frame
-    together. Sizes [m] are given as quartiles.
+    ``points`` has the range bands of each class. Sizes [m] are given as quartiles.
     """
     return {
         "name": found.name,
@@ -102,7 +97,9 @@ def statistics_record(found: Statistics) -> dict[str, Any]:
             "least": int(found.crowd.min()),
             "most": int(found.crowd.max()),
         },
-        "points": {"one_scan": _bands(found.single), "all_scans": _bands(found.merged)},
+        "points": {
+            kind: [asdict(band) for band in bands(found.points, k)] for k, kind in enumerate(KINDS)
+        },
         "row": table_row(found),
         "versions": {"inspe_jax": __version__, "numpy": np.__version__},
     }
@@ -133,7 +130,3 @@ def _sizes(found: Statistics, kind: int) -> dict[str, list[float] | None]:
         return dict.fromkeys(_AXES)
     quartiles = np.percentile(sizes, [25, 50, 75], axis=0).T.tolist()
     return dict(zip(_AXES, quartiles, strict=True))
-
-
-def _bands(counts: PointCounts) -> dict[str, list[dict[str, Any]]]:
-    return {kind: [asdict(band) for band in bands(counts, k)] for k, kind in enumerate(KINDS)}

@@ -2,7 +2,8 @@
 
 A scenario is written under ``.unfinished``, where readers do not look, and moves into its split
 when it is complete. So the splits hold complete scenarios only, even if a run is killed. The next
-run records the missing frames only, and those of which a file is damaged.
+run records the missing frames only; a complete scenario of which a file is damaged is recorded
+again.
 """
 
 import os
@@ -24,12 +25,8 @@ from inspe_jax.dataset.manifest import (
     MANIFEST,
     RECORDS,
     Fault,
-    faults,
-    forget_others,
-    manifest_of,
-    missing_frames,
+    compare,
     recorded_frames,
-    reopen,
     write_manifest,
 )
 from inspe_jax.dataset.plan import Generation, ScenarioPlan
@@ -122,13 +119,6 @@ class DatasetWriter:
         """Number of complete frames, as last counted."""
         return sum(map(len, self.there.values()))
 
-    def count_frames(self, generation: Generation) -> int:
-        """Count the complete frames of all scenarios again, finished or not."""
-        for plan in generation.scenarios:
-            if not self.place(plan).exists():
-                self.there[plan.name] = set(recorded_frames(self.unfinished(plan)))
-        return self.frames
-
     @property
     def size(self) -> int:
         """Size of all scenarios, finished or not [bytes]; a file with two names counts once."""
@@ -180,11 +170,10 @@ class DatasetWriter:
             self.damage[plan.name] = found
             shutil.rmtree(folder, ignore_errors=True)
             folder.parent.mkdir(parents=True, exist_ok=True)
-            reopen(place, found, PROTOCOL)
+            for name in (PROTOCOL, MANIFEST):
+                (place / name).unlink(missing_ok=True)
             os.replace(place, folder)
-        there = set(recorded_frames(folder, deep))
-        forget_others(folder, there)
-        return there
+        return set(recorded_frames(folder, deep))
 
     def _faults(self, plan: ScenarioPlan, deep: bool) -> list[Fault]:
         """What is wrong with the files of a finished scenario.
@@ -192,11 +181,10 @@ class DatasetWriter:
         Files that the manifest does not know are left alone: they may be the user's.
         """
         place = self.place(plan)
-        manifest, found = manifest_of(place)
-        if manifest is None:
-            return found or [Fault(place / MANIFEST, "is missing")]
-        missing = missing_frames(place, manifest, plan.frames, PROTOCOL)
-        return missing or faults(place, manifest, deep)
+        manifest, found = compare(place, plan.frames, deep)
+        if manifest is None and not found:
+            return [Fault(place / MANIFEST, "is missing")]
+        return found
 
 
 def record_of(generation: Generation, backend: str) -> dict[str, Any]:

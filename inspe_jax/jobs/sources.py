@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 from pydantic import Field, model_validator
 
-from inspe_jax.core.errors import InspeError, nearest
+from inspe_jax.core.errors import InspeError, check_known
 from inspe_jax.core.files import check_input, digest_of, read_yaml
 from inspe_jax.jobs.settings import Count, Length, Line, Strict, Text, check_names, check_settings
 from inspe_jax.mounting.mixes import mix_name
@@ -146,11 +146,7 @@ def scene_source(entry: SceneEntry, folder: Path, where: str) -> SceneSource:
     if entry.map is None and (entry.junction is not None or entry.center is not None):
         raise InspeError(f"{where}: junction and center are only for maps")
     if entry.built_in is not None:
-        if entry.built_in not in BUILT_INS:
-            raise InspeError(
-                f"{where}.built_in: '{entry.built_in}': one of {', '.join(BUILT_INS)}"
-                + nearest(entry.built_in, tuple(BUILT_INS))
-            )
+        check_known(entry.built_in, BUILT_INS, f"{where}.built_in:")
         return SceneSource(entry.name or entry.built_in, built_in=entry.built_in)
     path = (folder / str(entry.map or entry.file)).resolve()
     check_input(path)

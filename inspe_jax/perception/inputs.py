@@ -60,7 +60,6 @@ class BevGrid:
             high=self.high,
             most_points=most_points,
             most_pillars=min(most_pillars, self.side**2),
-            per="unit",
         )
 
 

@@ -139,7 +139,8 @@ def test_a_set_a_split_or_a_scenario_can_be_opened(tmp_path):
 
 
 def test_frames_of_a_scenario(tmp_path):
-    scenario = dataset.open(ours(tmp_path)).splits["train"][0]
+    folder = ours(tmp_path) / "train" / "a"
+    (scenario,) = dataset.open(folder).scenarios
     assert scenario.protocol["world"]["town"] == "four_way"
     assert scenario.agents == (-1, -2)
     assert scenario.frames == (0, 2)
@@ -147,29 +148,37 @@ def test_frames_of_a_scenario(tmp_path):
     assert [s.name for s in scenario.frame(2).stations] == ["mast 1", "mast 2"]
     with pytest.raises(InspeError, match=r"000004.yaml: no such frame; there are 2, 0 to 2"):
         scenario.frame(4)
-
-
-def test_an_incomplete_frame_does_not_count(tmp_path):
-    scenario = ours(tmp_path) / "train" / "a"
-    (scenario / "-2" / "000002.yaml").unlink()
-    assert dataset.open(scenario).scenarios[0].frames == (0,)
-
-
-def test_the_time_step_comes_from_the_protocol(tmp_path):
-    write_frame(tmp_path, frame(30))
-    write_protocol(tmp_path, {"world": {**WORLD, "fixed_delta_seconds": 0.1}})
-    assert read_frame(tmp_path, 30).time == pytest.approx(3)
+    (folder / "-2" / "000002.yaml").unlink()  # the frame is not complete then
+    write_protocol(folder, {"world": {**WORLD, "fixed_delta_seconds": 0.1}})
+    (scenario,) = dataset.open(folder).scenarios
+    assert scenario.frames == (0,)
+    write_frame(folder, frame(30))
+    assert read_frame(folder, 30).time == pytest.approx(3)
+    (folder / "data_protocol.yaml").write_text("world: {")
+    with pytest.raises(InspeError, match=r"data_protocol.yaml: not YAML"):
+        _ = dataset.open(folder).scenarios[0].protocol
 
 
 def test_pictures_and_points_are_read_when_used(tmp_path):
-    """Only once: what was read stays when the files are deleted."""
+    """Only once: what was read stays when the files are deleted.
+
+    Records can be copied, pickled, changed and printed before.
+    """
     write_frame(tmp_path, frame())
     read = read_frame(tmp_path, 68)
     first, second = read.stations
-    kept = first.images[0].rgb, first.images[0].depth, first.scans[0].points
+    given = frame().stations[0].images[0]
+    image = first.images[0]
+    assert "rgb" not in repr(image)
+    for made in (copy.copy(image), pickle.loads(pickle.dumps(image)), replace(image, depth=None)):
+        np.testing.assert_array_equal(made.rgb, given.rgb)
+    assert replace(image, depth=None).depth is None
+    with pytest.raises(AttributeError, match="Image has no 'colour'"):
+        _ = image.colour
+    kept = image.rgb, image.depth, first.scans[0].points
     for path in [*tmp_path.rglob("*.png"), *tmp_path.rglob("*.pcd")]:
         path.unlink()
-    again = first.images[0].rgb, first.images[0].depth, first.scans[0].points
+    again = image.rgb, image.depth, first.scans[0].points
     assert all(a is b for a, b in zip(kept, again, strict=True))
     with pytest.raises(InspeError, match=r"-2/000068_camera0.png: no such file"):
         _ = second.images[0].rgb
@@ -177,53 +186,38 @@ def test_pictures_and_points_are_read_when_used(tmp_path):
         _ = second.scans[0].points
 
 
-def test_deferred_records_are_records(tmp_path):
-    """They can be copied, pickled, changed and printed."""
-    write_frame(tmp_path, frame())
-    read = read_frame(tmp_path, 68).stations[0].images[0]
-    assert "rgb" not in repr(read)
-    given = frame().stations[0].images[0]
-    for made in (copy.copy(read), pickle.loads(pickle.dumps(read)), replace(read, depth=None)):
-        np.testing.assert_array_equal(made.rgb, given.rgb)
-    assert replace(read, depth=None).depth is None
-    with pytest.raises(AttributeError, match="Image has no 'colour'"):
-        _ = read.colour
+def short(cut: int):
+    return lambda path: path.write_bytes(path.read_bytes()[:cut])
+
+
+def of_mode(mode: str):
+    return lambda path: Pillow.new(mode, (8, 6)).save(path)
 
 
 @pytest.mark.parametrize(
-    ("name", "cut"), [("camera0", 0), ("depth0", 10), ("instance0", 60), ("semantic0", 60)]
+    ("name", "field", "damage", "message"),
+    [
+        ("_camera0.png", "rgb", short(0), "not a readable picture"),
+        ("_depth0.png", "depth", short(10), "not a readable picture"),
+        ("_instance0.png", "instance", short(60), "not a readable picture"),
+        ("_depth0.png", "depth", of_mode("RGB"), "its pixels are RGB: must be 16-bit"),
+        ("_instance0.png", "instance", of_mode("L"), "its pixels are L: must be 16-bit"),
+        ("_semantic0.png", "semantic", of_mode("RGB"), "its pixels are RGB: must be 8-bit"),
+        (".pcd", "points", short(-1), "cut short"),
+        (".pcd", "", short(0), "not a PCD file"),
+    ],
 )
-def test_broken_pictures(tmp_path, name, cut):
+def test_broken_pictures_and_points(tmp_path, name, field, damage, message):
     write_frame(tmp_path, frame(stations=[station()]))
-    path = tmp_path / "-1" / f"000068_{name}.png"
-    path.write_bytes(path.read_bytes()[:cut])
-    picture = read_frame(tmp_path, 68).stations[0].images[0]
-    with pytest.raises(InspeError, match=f"{path}: not a readable picture"):
-        getattr(picture, {"camera0": "rgb"}.get(name, name[:-1]))
+    path = tmp_path / "-1" / f"000068{name}"
+    damage(path)
 
+    def use():
+        (read,) = read_frame(tmp_path, 68).stations
+        return getattr(read.scans[0] if field == "points" else read.images[0], field)
 
-@pytest.mark.parametrize(
-    ("name", "mode", "message"),
-    [("depth", "RGB", "16-bit"), ("instance", "L", "16-bit"), ("semantic", "RGB", "8-bit")],
-)
-def test_pictures_of_another_kind(tmp_path, name, mode, message):
-    write_frame(tmp_path, frame(stations=[station()]))
-    Pillow.new(mode, (8, 6)).save(tmp_path / "-1" / f"000068_{name}0.png")
-    picture = read_frame(tmp_path, 68).stations[0].images[0]
-    with pytest.raises(InspeError, match=f"{name}0.png: its pixels are {mode}: must be {message}"):
-        getattr(picture, name)
-
-
-def test_broken_points(tmp_path):
-    write_frame(tmp_path, frame(stations=[station()]))
-    path = tmp_path / "-1" / "000068.pcd"
-    path.write_bytes(path.read_bytes()[:-1])
-    read = read_frame(tmp_path, 68)
-    with pytest.raises(InspeError, match=f"{path}: cut short"):
-        _ = read.stations[0].scans[0].points
-    path.write_bytes(b"")
-    with pytest.raises(InspeError, match=f"{path}: not a PCD file"):
-        read_frame(tmp_path, 68)
+    with pytest.raises(InspeError, match=f"{path}: {message}"):
+        use()
 
 
 @pytest.mark.parametrize(
@@ -261,18 +255,10 @@ def test_frames_with_anchors_are_read_whole(others):
     assert speed == pytest.approx(20 / 3.6)
 
 
-def test_broken_protocol(tmp_path):
-    scenario = ours(tmp_path) / "test" / "c"
-    (scenario / "data_protocol.yaml").write_text("world: {")
-    with pytest.raises(InspeError, match=r"data_protocol.yaml: not YAML"):
-        _ = dataset.open(scenario).scenarios[0].protocol
-
-
 def test_folders_that_are_not_data_sets(tmp_path):
-    with pytest.raises(InspeError, match="missing: no such folder"):
-        dataset.open(tmp_path / "missing")
-    with pytest.raises(InspeError, match="missing: no such folder"):
-        read_frame(tmp_path / "missing", 0)
+    for use in (dataset.open, lambda path: read_frame(path, 0)):
+        with pytest.raises(InspeError, match="missing: no such folder"):
+            use(tmp_path / "missing")
     with pytest.raises(InspeError, match="not a scenario: it has no folder of an agent"):
         read_frame(tmp_path, 0)
     (tmp_path / "train" / "a" / "-1").mkdir(parents=True)

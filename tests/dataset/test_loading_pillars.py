@@ -1,6 +1,7 @@
 """Pillars, compared with a dictionary that is filled point by point."""
 
 from collections import defaultdict
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,7 +10,6 @@ from loading_sets import frame_of, write_scenario
 from inspe_jax import dataset
 from inspe_jax.core.errors import InspeError
 from inspe_jax.dataset.loading import Loader, PillarGrid, pillar_features
-from inspe_jax.dataset.loading.pillars import grouping
 from inspe_jax.dataset.loading.points import woven
 
 GRID = PillarGrid(half=8.0, cell=2.0, low=-1, high=3, most_points=40, most_pillars=64)
@@ -38,30 +38,25 @@ def filled(points, grid, rng=None):
     return out
 
 
-def test_every_point_in_reach_is_in_its_pillar():
-    found, expected = filled(cloud(), GRID), by_hand(cloud(), GRID)
+@pytest.mark.parametrize("most", [40, 3])
+def test_every_point_in_reach_is_in_its_pillar(most):
+    """A full pillar keeps its first points: clouds are in random order, so they are a fair
+    sample."""
+    grid = replace(GRID, most_points=most)
+    found, expected = filled(cloud(), grid), by_hand(cloud(), grid)
     assert 40 < len(expected) <= 64
     assert (found.counts > 0).sum() == len(expected)
+    assert most == 40 or found.counts.max() == most
     for p in np.flatnonzero(found.counts):
         rows = [tuple(row) for row in found.points[p, : found.counts[p]]]
-        assert rows == expected[tuple(found.cells[p])]
+        assert rows == expected[tuple(found.cells[p])][:most]
         assert not found.points[p, found.counts[p] :].any()
     assert not found.points[found.counts == 0].any()
 
 
-def test_a_full_pillar_keeps_its_first_points():
-    """The points of a cloud are stored in random order: the first are a fair sample."""
-    grid = PillarGrid(half=8.0, cell=2.0, low=-1, high=3, most_points=3, most_pillars=64)
-    found, expected = filled(cloud(), grid), by_hand(cloud(), grid)
-    assert found.counts.max() == 3
-    for p in np.flatnonzero(found.counts):
-        rows = [tuple(row) for row in found.points[p, : found.counts[p]]]
-        assert rows == expected[tuple(found.cells[p])][:3]
-
-
 def test_too_many_pillars():
     """Which are kept is drawn, and is the same where nothing is to be drawn."""
-    grid = PillarGrid(half=8.0, cell=2.0, low=-1, high=3, most_points=40, most_pillars=10)
+    grid = replace(GRID, most_pillars=10)
     expected = by_hand(cloud(), grid)
     seen = set()
     for seed in range(8):
@@ -75,17 +70,13 @@ def test_too_many_pillars():
     np.testing.assert_array_equal(filled(cloud(), grid).cells, filled(cloud(), grid).cells)
 
 
-def test_clouds_without_a_point_in_reach():
-    for points in (np.zeros((0, 4), np.float32), cloud() + np.float32(100)):
-        found = filled(points, GRID)
-        assert not any(part.any() for part in found)
-
-
-def test_edges_of_the_grid():
+def test_edges_of_the_grid_and_clouds_out_of_reach():
     edge = np.nextafter(np.float32(8), np.float32(0))
     points = np.array([[edge, edge, 0, 1], [-edge, -edge, 0, 1], [8, 0, 0, 1]], np.float32)
     found = filled(points, GRID)
     assert sorted(map(tuple, found.cells[found.counts > 0].tolist())) == [(0, 0), (7, 7)]
+    for points in (np.zeros((0, 4), np.float32), cloud() + np.float32(100)):
+        assert not any(part.any() for part in filled(points, GRID))
 
 
 def test_features_are_those_of_pointpillars():
@@ -104,22 +95,19 @@ def test_features_are_those_of_pointpillars():
         assert (np.abs(features[p, : len(own), 7:]) <= 1.0 + 1e-5).all()
 
 
-@pytest.mark.parametrize(("per", "groups"), [("sensor", 3), ("unit", 2), ("all", 1)])
-def test_pillars_of_sensors_units_or_all_together(tmp_path, per, groups):
+def test_pillars_of_a_unit_have_the_points_of_all_its_lidars(tmp_path):
     """The second unit has two LiDARs."""
     frame = frame_of(0, cameras=False)
     first, second = frame.stations
-    both = type(second)(2, "b", second.pose, (), (second.scans[0], first.scans[0]))
-    frame = type(frame)(0, 0.0, frame.boxes, (first, both))
-    write_scenario(tmp_path / "set" / "train" / "a", [frame])
+    both = replace(second, scans=(second.scans[0], first.scans[0]))
+    write_scenario(tmp_path / "set" / "train" / "a", [replace(frame, stations=(first, both))])
     found = dataset.cache(tmp_path / "set", tmp_path / "cache", pictures=None, workers=1)
     points = Loader(found, batch=1, shuffle=False, workers=0)[0].lidars
-    grid = PillarGrid(half=16.0, cell=1.0, per=per, most_points=64, most_pillars=1024)
+    grid = PillarGrid(half=16.0, cell=1.0, most_points=64, most_pillars=1024)
     lidars = Loader(found, batch=1, shuffle=False, points=grid, workers=0)[0].lidars
     assert lidars.points is lidars.mask is None
-    assert lidars.pillars.points.shape == (1, groups, 1024, 64, 4)
-    sets = {"sensor": [[0], [1], [2]], "unit": [[0], [1, 2]], "all": [[0, 1, 2]]}[per]
-    for g, members in enumerate(sets):
+    assert lidars.pillars.points.shape == (1, 2, 1024, 64, 4)
+    for g, members in enumerate([[0], [1, 2]]):
         own = np.concatenate([points.points[0, s][points.mask[0, s]] for s in members])
         expected = {cell: len(rows) for cell, rows in by_hand(own, grid).items()}
         counts = lidars.pillars.counts[0, g]
@@ -142,14 +130,6 @@ def test_clouds_are_woven_evenly():
     assert len(woven([clouds[0][:0], clouds[2]])) == 10
 
 
-def test_groups_without_the_lidars_that_are_gone():
-    unit, present = np.array([1, 2, 2]), np.array([True, False, True])
-    assert grouping(unit, present, "sensor") == [[0], [], [2]]
-    assert grouping(unit, present, "unit") == [[0], [2]]
-    assert grouping(unit, present, "all") == [[0, 2]]
-    assert grouping(unit, np.array([True, False, False]), "unit") == [[0], []]
-
-
 @pytest.mark.parametrize(
     ("bad", "message"),
     [
@@ -157,7 +137,6 @@ def test_groups_without_the_lidars_that_are_gone():
         (dict(cell=0.0), "cell 0.0 m must be above 0"),
         (dict(low=3.0, high=3.0), "low 3.0 m must be below"),
         (dict(most_points=0), "most_points 0"),
-        (dict(per="agent"), "per 'agent': one of sensor, unit, all"),
     ],
 )
 def test_bad_grids(bad, message):

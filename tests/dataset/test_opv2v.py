@@ -93,10 +93,6 @@ def shift_camera(holds: dict) -> None:
     holds["camera0"]["cords"][0] += 1e-6
 
 
-def invert_extrinsic(holds: dict) -> None:
-    holds["camera0"]["extrinsic"] = np.linalg.inv(holds["camera0"]["extrinsic"]).tolist()
-
-
 def lift_center(holds: dict) -> None:
     for section in ("vehicles", "cars"):
         holds[section][3]["center"] = [0, 0, 0]
@@ -104,10 +100,8 @@ def lift_center(holds: dict) -> None:
 
 def blue_intensity(agent: Path) -> None:
     path = agent / "000068.pcd"
-    head, body = path.read_bytes().split(b"DATA binary\n")
-    rows = np.frombuffer(body, "<u4").reshape(-1, 4).copy()
-    rows[:, 3] >>= 16
-    path.write_bytes(head + b"DATA binary\n" + rows.tobytes())
+    whole = path.read_bytes()
+    path.write_bytes(whole[:-4] + b"\1" + whole[-3:])
 
 
 @pytest.mark.parametrize(
@@ -120,7 +114,6 @@ def blue_intensity(agent: Path) -> None:
         (damage_yaml(lambda d: d["vehicles"].pop(7)), "cyclists.7 is not vehicles.7"),
         (damage_yaml(lift_center), "not straight up"),
         (damage_yaml(shift_camera), "off by"),
-        (damage_yaml(invert_extrinsic), "off by"),
     ],
 )
 def test_readers_reject_what_is_damaged(tmp_path, damage, message):
@@ -172,12 +165,6 @@ def test_yaml_of_a_known_frame(tmp_path):
     np.testing.assert_allclose(extrinsic[:3, 3], above, atol=1e-9)
 
 
-def test_the_same_frame_gives_the_same_bytes(tmp_path):
-    given = frame()
-    turned = replace(given, boxes=given.boxes[::-1])
-    assert files(written(tmp_path / "a", given)) == files(written(tmp_path / "b", turned))
-
-
 def test_both_yaml_libraries_write_the_same(tmp_path, monkeypatch):
     """With and without libyaml; also names that YAML could read as a number, a date or null."""
     if not yaml.__with_libyaml__:
@@ -194,16 +181,9 @@ def test_both_yaml_libraries_write_the_same(tmp_path, monkeypatch):
     assert files(written(tmp_path / "b", frame(boxes=boxes))) == fast
     read = yaml.safe_load(fast["-1/000068.yaml"])["vehicles"]
     assert [read[i]["name"] for i in range(len(names))] == names
-
-
-def test_any_parser_reads_the_same(tmp_path):
-    """The package's reader parses the text in two halves; `safe_load` parses it as a whole."""
-    scenario = written(tmp_path / "a", frame(boxes=[car(i, yaw=1e-6 * i) for i in range(9)]))
-    text = (scenario / "-1" / "000068.yaml").read_text()
-    assert re.search(r"\d[eE][-+]?\d", text)
-    for entry in yaml.safe_load(text)["vehicles"].values():
-        assert all(type(number) is float for number in entry["angle"])
-    assert_same(read_frame(scenario, 68), frame(boxes=[car(i, yaw=1e-6 * i) for i in range(9)]))
+    assert re.search(rb"\d[eE][-+]?\d", fast["-1/000068.yaml"])
+    assert all(type(number) is float for entry in read.values() for number in entry["angle"])
+    assert files(written(tmp_path / "c", frame(boxes=boxes[::-1]))) == fast  # in any order
 
 
 def test_a_frame_that_fails_halfway_does_not_count(tmp_path, monkeypatch):
@@ -219,45 +199,37 @@ def test_a_frame_that_fails_halfway_does_not_count(tmp_path, monkeypatch):
     monkeypatch.setattr(writer, "write_picture", full)
     with pytest.raises(OSError, match="No space"):
         write_frame(scenario, frame())
-    assert not list(scenario.rglob("*.yaml.*"))
     assert not list(scenario.glob("-*/*.yaml"))
     assert not list(scenario.rglob("*.part"))
 
 
-def test_yaml_is_the_last_file_of_each_agent(tmp_path, monkeypatch):
-    order = []
-    for name in ("write_pcd", "write_picture", "write_text"):
-        monkeypatch.setattr(writer, name, lambda path, *_, **__: order.append(path.suffix))
-    write_frame(tmp_path, frame())
-    assert order[-2:] == [".yaml"] * 2
-    assert ".yaml" not in order[:-2]
-    assert len(order) == 2 * (1 + 2 * 4 + 1)
+def test_a_frame_written_again_leaves_nothing_behind(tmp_path, monkeypatch):
+    """The second frame has fewer cameras and no layers: old pictures must not be read with it.
 
-
-def test_a_frame_written_again_leaves_nothing_behind(tmp_path):
-    """The second frame has fewer cameras and no layers: old pictures must not be read with it."""
+    Without its YAML file it does not count; while its first file is there, it counts as begun.
+    """
     scenario = written(tmp_path / "a", frame(stations=[station(1, cameras=3)]))
     (scenario / "-1" / ".000068.pcd.killed.part").touch()
     bare = frame(stations=[station(1, cameras=1, layers=False)])
-    written(scenario, bare)
-    check_scenario(scenario)
-    assert_same(read_frame(scenario, 68), bare)
-
-
-def test_a_frame_is_cleared_so_that_it_can_be_resumed(tmp_path, monkeypatch):
-    """Without its YAML file it does not count; while its first file is there, it counts as
-    begun."""
-    scenario = written(tmp_path / "a", frame(stations=[station()]))
-    gone, unlink = [], Path.unlink
+    gone, order, unlink, write_text = [], [], Path.unlink, writer.write_text
 
     def watch(path, **how):
         gone.append(path.name)
         unlink(path, **how)
 
-    monkeypatch.setattr(Path, "unlink", watch)
-    write_frame(scenario, frame(stations=[station()]))
+    def last(path, text):
+        order.extend(sorted(p.suffix for p in scenario.glob("*/*")))
+        write_text(path, text)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "unlink", watch)
+        patch.setattr(writer, "write_text", last)
+        write_frame(scenario, bare)
     assert (gone[0], gone[-1]) == ("000068.yaml", "000068.pcd")
-    assert len(gone) == len(set(gone)) == 10
+    assert len(gone) == len(set(gone)) == 1 + 3 * 4 + 1 + 1
+    assert order == [".pcd", ".png"]
+    check_scenario(scenario)
+    assert_same(read_frame(scenario, 68), bare)
 
 
 def test_the_infra_set_variant_has_a_second_name_for_the_points(tmp_path):
@@ -376,27 +348,21 @@ def heard(points) -> dict:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"number": -1}, "frame -1 is out of range"),
         ({"number": 10**6}, "frame 1000000 is out of range: a whole number, 0 to 999999"),
         ({"boxes": (car(), car())}, "track 3 is given twice"),
-        ({"boxes": (car(-1),)}, "track -1 is out of range"),
         ({"boxes": (car(65535),)}, "0 to 65534"),
         ({"boxes": (car(1.5),)}, "track 1.5 is out of range"),
         ({"boxes": (car(kind="bus"),)}, "kind 'bus': one of car, truck"),
         ({"boxes": (car(center=np.array([0, np.nan, 0])),)}, "track 3: center must be finite"),
         ({"boxes": (car(size=np.array([1, 1, 0])),)}, "size .* is not above 0"),
-        ({"boxes": (car(yaw=np.inf),)}, "yaw must be finite"),
         ({"stations": (station(0),)}, "station 0 is out of range"),
         ({"stations": (station(1), station(1))}, "station 1 is given twice"),
         ({"stations": (replace(station(), pose=np.zeros(5)),)}, "station 1: pose must be"),
         (seen(rgb=np.zeros((6, 8), np.uint8)), r"image 0: rgb must be uint8 \(height, width, 3\)"),
-        (seen(rgb=np.zeros((6, 8, 3))), "rgb must be uint8"),
         (seen(depth=np.zeros((6, 9))), "depth must be .6, 8. as rgb, of floats"),
         (seen(depth=np.full((6, 8), np.nan)), "depth runs from nan"),
-        (seen(depth=np.full((6, 8), -1.0)), "depth runs from -1.0"),
         (seen(instance=np.full((6, 8), 2**16)), "instance runs from 65536"),
         (seen(instance=np.zeros((6, 8))), "instance must be .* of integers"),
-        (seen(semantic=np.full((6, 8), 300, np.uint16)), "semantic runs from 300"),
         (seen(intrinsic=np.eye(4)), "frame 68: station 1: .*intrinsic must be"),
         (heard(np.zeros((5, 3))), "scan 0: points must be .*float64 .5, 3."),
         (heard(np.full((1, 4), np.nan)), "points must be finite"),
@@ -416,9 +382,6 @@ def test_protocols_must_have_the_keys_of_world_and_be_plain_yaml(tmp_path):
             write_protocol(tmp_path, {"world": world})
     with pytest.raises(InspeError, match=r"data_protocol.yaml: .*cannot represent"):
         write_protocol(tmp_path, {"world": WORLD, "noise": np.float32(0.02)})
-
-
-def test_a_folder_that_cannot_be_made(tmp_path):
     (tmp_path / "file").touch()
     with pytest.raises(InspeError, match="file/-1: the folder cannot be created"):
         write_frame(tmp_path / "file", frame())

@@ -8,7 +8,7 @@ from PIL import Image
 
 from inspe_jax.core.carla_frame import to_carla
 from inspe_jax.dataset import FileOptions, Station, write_frame, write_protocol
-from inspe_jax.dataset.formats.ranges import lidar_range
+from inspe_jax.dataset.formats.other_readers import lidar_range
 from inspe_jax.scene.voxels import VoxelGrid
 
 TILTED = np.array([14.0, -11.0, 6.2, np.radians(4), np.radians(-12), np.radians(-150)])

@@ -1,6 +1,5 @@
 """Statistics of small data sets, compared with counts by hand and by brute force."""
 
-import os
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +10,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import inspe_jax.dataset as dataset
-from inspe_jax.core.errors import InspeError
 from inspe_jax.core.geometry import rotation
 from inspe_jax.dataset import Frame, Scan, Station, write_frame, write_protocol
 from inspe_jax.dataset.points_in_boxes import SLACK, count_inside
@@ -44,7 +42,7 @@ def made(tmp_path_factory):
         Station(1, "near", near, (image(layers=False),), (one,)),
         Station(2, "far", far, (), (two,)),
     )
-    protocol = {"world": WORLD, "year": 2025, "intersection": "1"}
+    protocol = {"world": WORLD}
     for place, numbers in (("train/a", (0, 2)), ("train/b", (7,)), ("test/a", (3,))):
         for number in numbers:
             boxes = (box, other) if number in (2, 7) else (box,)
@@ -53,40 +51,38 @@ def made(tmp_path_factory):
     return root
 
 
-def test_the_counts_of_each_split(made):
+def test_the_counts_of_each_split_and_class(made):
     told = []
     found = statistics(made, lambda done, total: told.append((done, total)))
-    train, test = found.splits
-    assert (train.name, train.scenarios, train.frames, train.agents) == ("train", 2, 3, 4)
-    assert (train.images, train.clouds, train.points, train.boxes) == (3, 6, 12, 5)
-    assert (test.name, test.scenarios, test.frames, test.agents) == ("test", 1, 1, 2)
-    assert (test.images, test.clouds, test.points, test.boxes) == (1, 2, 4, 1)
-    assert found.total.frames == 4
-    assert found.mean_points == 2.0
     assert told == [(1, 4), (2, 4), (3, 4), (4, 4)]
+    of = ("name", "scenarios", "frames", "agents", "images", "clouds", "points", "boxes")
+    for split, expected in zip(
+        (*found.splits, found.total),
+        (
+            ("train", 2, 3, 4, 3, 6, 12, 5),
+            ("test", 1, 1, 2, 1, 2, 4, 1),
+            ("all", 3, 4, 6, 4, 8, 16, 6),
+        ),
+        strict=True,
+    ):
+        assert tuple(getattr(split, key) for key in of) == expected
+    assert found.mean_points == 2.0
     assert sorted(found.crowd.tolist()) == [1, 1, 2, 2]
-    assert found.cameras == (1, 1)
-    assert found.lidars == (2, 2)
-
-
-def test_classes_by_box_and_by_road_user(made):
-    found = statistics(made)
+    assert (found.cameras, found.lidars) == ((1, 1), (2, 2))
     assert found.boxes == {"car": 4, "truck": 2, "cyclist": 0, "pedestrian": 0}
     assert found.tracks == {"car": 3, "truck": 2, "cyclist": 0, "pedestrian": 0}
     trucks = found.users.size[found.users.kind == KINDS.index("truck")]
     np.testing.assert_allclose(trucks, [[9, 2.5, 4]] * 2, atol=1e-6)
+    assert statistics(made / "train").total.frames == 3
+    assert statistics(dataset.open(made / "train" / "b")).total.frames == 1
 
 
-def test_points_by_scan_and_together(made):
-    found = statistics(made)
-    cars = found.single.kind == 0
-    assert sorted(zip(found.single.range[cars], found.single.points[cars], strict=True)) == (
-        [(10, 2)] * 4 + [(20, 1)] * 4
-    )
-    cars = found.merged.kind == 0
-    np.testing.assert_allclose(found.merged.range[cars], 10)
-    assert found.merged.points[cars].tolist() == [3] * 4
-    assert found.merged.points[~cars].tolist() == [0, 0]
+def test_points_of_all_scans(made):
+    found = statistics(made).points
+    cars = found.kind == 0
+    np.testing.assert_allclose(found.range[cars], 10)
+    assert found.points[cars].tolist() == [3] * 4
+    assert found.points[~cars].tolist() == [0, 0]
 
 
 def test_a_file_with_two_names_counts_once(made):
@@ -99,29 +95,18 @@ def test_a_file_with_two_names_counts_once(made):
     assert statistics(made).splits[1].size == size
 
 
-def test_statistics_of_a_split_or_a_scenario(made):
-    assert statistics(made / "train").total.frames == 3
-    assert statistics(dataset.open(made / "train" / "b")).total.frames == 1
-
-
 def test_a_row_of_a_table(made):
-    assert table_row(statistics(made)) == {
-        "name": "made", "year": "2025", "source": "sim", "V2X": "I2I", "cameras": 1, "LiDARs": 2,
-        "frames": 4, "images": 4, "point clouds": 8, "3D boxes": 6, "classes": 2, "scenarios": 3,
-        "intersections": 1, "maps": 1,
-    }  # fmt: skip
-
-
-def test_unknown_columns_are_empty(made):
     found = statistics(made)
-    bare = replace(found, protocols=({},) * 3, cameras=(4, 6), agents=((-1, 641),))
-    row = table_row(bare)
-    assert [row[key] for key in ("year", "source", "maps", "intersections")] == [None] * 4
-    assert (row["V2X"], row["cameras"]) == ("V2X", "4–6")
-    for agents, kind in (((641, 9), "V2V"), ((-1, -2), "I2I"), ((641,), "V"), ((-1,), "I")):
-        assert table_row(replace(bare, agents=(agents,)))["V2X"] == kind
-    real = replace(bare, protocols=({"source": "real", "world": {"town": "x"}},))
-    assert [table_row(real)[key] for key in ("source", "maps")] == ["real", 1]
+    assert table_row(found) == {
+        "name": "made", "V2X": "I2I", "cameras": 1, "LiDARs": 2, "frames": 4, "images": 4,
+        "point clouds": 8, "3D boxes": 6, "classes": 2, "scenarios": 3, "maps": 1,
+    }  # fmt: skip
+    bare = table_row(replace(found, towns=frozenset({None, "x"}), cameras=(4, 6)))
+    assert (bare["maps"], bare["cameras"]) == (None, "4–6")
+    for agents, kind in (
+        ((-1, 641), "V2X"), ((641, 9), "V2V"), ((-1, -2), "I2I"), ((641,), "V"), ((-1,), "I"),
+    ):  # fmt: skip
+        assert table_row(replace(found, agents=(agents,)))["V2X"] == kind
 
 
 def test_a_data_set_of_other_people_without_types_or_point_clouds(tmp_path):
@@ -139,44 +124,22 @@ def test_a_data_set_of_other_people_without_types_or_point_clouds(tmp_path):
     found = statistics(tmp_path)
     assert found.boxes["car"] == 1
     assert found.total.points == 2
-    assert found.merged.points.tolist() == [2]
-    assert found.single.range.tolist() == [10, 10]
+    assert (found.points.points.tolist(), found.points.range.tolist()) == ([2], [10])
     assert table_row(found)["V2X"] == "V2V"
 
 
-def test_a_set_without_point_clouds(tmp_path):
+def test_sets_without_point_clouds_or_road_users(tmp_path):
     write_frame(tmp_path / "a", frame(1, stations=(station(1, lidars=0),)))
     found = statistics(tmp_path / "a")
     assert (found.total.clouds, found.total.points, found.mean_points) == (0, 0, None)
     assert found.total.images == 2
-    assert len(found.single.kind) == len(found.merged.kind) == 0
-    assert bands(found.single, 0) == ()
-
-
-def test_frames_without_road_users(tmp_path):
-    write_frame(tmp_path / "a", frame(1, boxes=()))
-    found = statistics(tmp_path / "a")
+    assert len(found.points.kind) == 0
+    assert bands(found.points, 0) == ()
+    write_frame(tmp_path / "b", frame(1, boxes=()))
+    found = statistics(tmp_path / "b")
     assert found.crowd.tolist() == [0]
     assert found.users.size.shape == (0, 3)
     assert sum(found.boxes.values()) == 0
-
-
-def test_no_such_set_and_no_frame(tmp_path):
-    with pytest.raises(InspeError, match="nosuch: no such folder"):
-        statistics(tmp_path / "nosuch")
-    with pytest.raises(InspeError, match="not a data set"):
-        statistics(tmp_path)
-    write_protocol(tmp_path / "train" / "a", {"world": WORLD})
-    with pytest.raises(InspeError, match="no frame in 1 scenario"):
-        statistics(tmp_path)
-
-
-def test_a_broken_file_is_named(made, tmp_path):
-    write_frame(tmp_path / "a", frame(1))
-    broken = tmp_path / "a" / "-2" / "000001.pcd"
-    os.truncate(broken, broken.stat().st_size - 4)
-    with pytest.raises(InspeError, match=r"-2/000001\.pcd: cut short"):
-        statistics(tmp_path / "a")
 
 
 def test_bands_of_range():
@@ -199,13 +162,9 @@ def test_points_in_a_turned_box():
     box = car(center=np.array([10.0, 5.0, 1.0]), yaw=np.pi / 6, size=np.array([4.0, 2.0, 2.0]))
     ahead, left = np.array([3**0.5 / 2, 0.5, 0]), np.array([-0.5, 3**0.5 / 2, 0])
     middle, up = box.center, np.array([0.0, 0.0, 1.0])
-    inside = [
-        middle,
-        middle + 1.99 * ahead,
-        middle - 0.99 * left,
-        middle + 1.9 * ahead + 0.9 * left,
-    ]
-    outside = [middle + 2.01 * ahead, middle + 1.01 * left, middle + [1.9, 0.9, 0]]
+    within = [np.zeros(3), 1.99 * ahead, -0.99 * left, 1.9 * ahead + 0.9 * left]
+    inside = [middle + at for at in within]
+    outside = [middle + at for at in (2.01 * ahead, 1.01 * left, np.array([1.9, 0.9, 0]))]
     faces = [middle + 2 * ahead, middle - left, middle + up]
     road = [middle - up, middle - up + 0.0005]
     for points, count in ((inside, 4), (outside, 0), (faces, 3), (road, 0)):
@@ -242,7 +201,5 @@ def test_points_in_boxes_against_every_pair(seed):
                 expected[i, k] += (beyond <= SLACK).all() and top <= SLACK and bottom >= SLACK
     np.testing.assert_array_equal(count_inside(scans, boxes), expected)
 
-
-def test_nothing_to_count():
-    assert count_inside([], [car()]).shape == (0, 1)
-    assert count_inside([scan_of([[0, 0, 0]])], []).shape == (1, 0)
+    assert count_inside([], boxes).shape == (0, 7)
+    assert count_inside(scans, []).shape == (3, 0)

@@ -1,5 +1,7 @@
 """The processes that a study starts on this machine, as Dask's own classes would begin and end."""
 
+from unittest.mock import MagicMock
+
 import pytest
 
 from inspe_jax.core.errors import InspeError
@@ -7,57 +9,32 @@ from inspe_jax.core.errors import InspeError
 cluster = pytest.importorskip("inspe_jax.jobs.cluster")
 
 
-class Cluster:
-    """Ends later than Dask waits for it."""
-
-    ended = False
-
-    def __init__(self, **given):
-        self.count = given["n_workers"]
-
-    def adapt(self, **given):
-        assert given["minimum"] == given["maximum"] == self.count
-
-    def close(self):
-        Cluster.ended = True
-        raise TimeoutError
+@pytest.fixture
+def dask(monkeypatch):
+    """Dask's classes: a cluster and a client that take longer to end than Dask waits."""
+    made = MagicMock()
+    made.LocalCluster.return_value.close.side_effect = TimeoutError
+    client = made.Client.return_value.__enter__.return_value = made.Client.return_value
+    client.__exit__.return_value = False
+    client.wait_for_workers.side_effect = TimeoutError
+    for name in ("LocalCluster", "Client"):
+        monkeypatch.setattr(cluster, name, getattr(made, name))
+    return made
 
 
-class Client:
-    def __init__(self, of):
-        self.of = of
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *error):
-        pass
-
-    def register_plugin(self, plugin):
-        pass
-
-    def wait_for_workers(self, count, timeout):
-        raise TimeoutError
-
-
-def test_a_cluster_that_is_slow_to_end_loses_nothing(monkeypatch):
-    monkeypatch.setattr(cluster, "LocalCluster", Cluster)
-    monkeypatch.setattr(cluster, "Client", Client)
+def test_a_cluster_that_is_slow_to_end_loses_nothing(dask):
     with cluster.client(None, 2) as here:
-        assert here.of.count == 2
-    assert Cluster.ended
+        assert here is dask.Client.return_value
+    assert dask.LocalCluster.call_args.kwargs["n_workers"] == 2
+    dask.LocalCluster.return_value.adapt.assert_called_with(minimum=2, maximum=2, interval="1s")
+    dask.LocalCluster.return_value.close.assert_called_once()
     with pytest.raises(TimeoutError, match="of the work"), cluster.client(None, 2):
         raise TimeoutError("of the work")
 
 
 @pytest.mark.parametrize("late", ["LocalCluster", "Client"])
-def test_a_cluster_that_does_not_start_says_so(monkeypatch, late):
-    def never(*given, **options):
-        raise TimeoutError
-
-    monkeypatch.setattr(cluster, "LocalCluster", Cluster)
-    monkeypatch.setattr(cluster, "Client", Client)
-    monkeypatch.setattr(cluster, late, never)
+def test_a_cluster_that_does_not_start_says_so(dask, late):
+    getattr(dask, late).side_effect = TimeoutError
     wrong = pytest.raises(InspeError, match="3 worker processes did not start in time")
     with wrong, cluster.client(None, 3):
         pass

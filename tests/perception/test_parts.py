@@ -120,7 +120,7 @@ def test_windows_and_grids_are_cells_of_the_map():
 
 
 def test_a_pillar_is_the_maximum_over_its_points_and_padding_changes_nothing():
-    grid = PillarGrid(half=3.2, cell=0.8, most_points=3, most_pillars=4, per="unit")
+    grid = PillarGrid(half=3.2, cell=0.8, most_points=3, most_pillars=4)
     points, counts = noise(1, 2, 4, 3, 4), np.array([[[3, 2, 0, 0], [1, 0, 0, 0]]], np.int32)
     cells = np.array([[[[0, 5], [7, 2], [0, 0], [0, 0]], [[0, 5], [0, 0], [0, 0], [0, 0]]]])
     there = np.arange(3) < counts[..., None]

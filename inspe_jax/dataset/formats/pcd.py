@@ -88,7 +88,11 @@ def read_notes(path: str | os.PathLike[str]) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class _Header:
-    """The content of the header. ``row`` is the layout of a point, ``notes`` are the comments."""
+    """The content of the header.
+
+    ``row`` is the layout of a point; its fields are named by their index, because ``names`` may
+    repeat. ``notes`` are the comments.
+    """
 
     names: tuple[str, ...]
     row: np.dtype
@@ -124,7 +128,6 @@ def _read_header(f: IO[bytes], path: Path) -> _Header:
 
 
 def _row(entries: dict[str, list[str]], path: Path) -> np.dtype:
-    """The layout of one point. Fields are named by their index, because their names may repeat."""
     names, types = entries["FIELDS"], entries["TYPE"]
     sizes = _integers(entries, "SIZE", path)
     counts = _integers(entries, "COUNT", path) or [1] * len(names)
@@ -159,35 +162,29 @@ def _integers(entries: dict[str, list[str]], key: str, path: Path) -> list[int]:
 
 def _read_columns(body: bytes, header: _Header, path: Path) -> dict[str, np.ndarray]:
     """The first value of each field, by name. Raises InspeError if the file has too few."""
-    needed = header.points * header.row.itemsize
-    if header.data == "ascii":
-        return _read_text(body, header, path)
-    if len(body) < needed:
-        raise InspeError(
-            f"{path}: cut short: {header.points} POINTS need {needed} bytes, there are {len(body)}"
-        )
-    rows = np.frombuffer(body[:needed], header.row)
-    return {name: rows[str(i)][:, 0] for i, name in reversed([*enumerate(header.names)])}
-
-
-def _read_text(body: bytes, header: _Header, path: Path) -> dict[str, np.ndarray]:
-    counts = [header.row[i].shape[0] for i in range(len(header.names))]
-    try:
-        values = np.array(body.split(), "S").astype(np.float64)
-    except ValueError as e:
-        raise InspeError(f"{path}: its points are not numbers: {e}") from None
-    if len(values) != header.points * sum(counts):
-        raise InspeError(
-            f"{path}: {header.points} POINTS need {sum(counts)} numbers each, there are "
-            f"{len(values)}"
-        )
-    table = values.reshape(header.points, sum(counts))
-    first = np.cumsum([0, *counts])
-    columns = {}
-    for i, name in reversed([*enumerate(header.names)]):
+    points, row = header.points, header.row
+    counts = [row[i].shape[0] for i in range(len(header.names))]
+    if header.data == "binary":
+        needed = points * row.itemsize
+        if len(body) < needed:
+            raise InspeError(
+                f"{path}: cut short: {points} POINTS need {needed} bytes, there are {len(body)}"
+            )
+        rows = np.frombuffer(body[:needed], row)
+        columns = [rows[str(i)][:, 0] for i in range(len(counts))]
+    else:
+        try:
+            values = np.array(body.split(), "S").astype(np.float64)
+        except ValueError as e:
+            raise InspeError(f"{path}: its points are not numbers: {e}") from None
+        if len(values) != points * sum(counts):
+            raise InspeError(
+                f"{path}: {points} POINTS need {sum(counts)} numbers each, there are {len(values)}"
+            )
+        table, first = values.reshape(points, sum(counts)), np.cumsum([0, *counts])
         with np.errstate(over="ignore", invalid="ignore"):
-            columns[name] = table[:, first[i]].astype(header.row[i].base)
-    return columns
+            columns = [table[:, first[i]].astype(row[i].base) for i in range(len(counts))]
+    return dict(reversed([*zip(header.names, columns, strict=True)]))
 
 
 def _intensity(columns: dict[str, np.ndarray], path: Path) -> Any:

@@ -52,11 +52,6 @@ FORMATS: dict[str, DatasetFormat] = {
 """The formats by name. The first that fits a folder reads it."""
 
 
-def check_format(name: str, where: str) -> None:
-    """Raise InspeError for a format that is not in :data:`FORMATS`."""
-    check_known(name, FORMATS, f"{where}:")
-
-
 def format_of(folder: Path) -> DatasetFormat | None:
     """The format of a scenario's folder: the first of which an agent has a frame, even if other
     agents do not; None where the folder is no scenario."""
@@ -92,6 +87,6 @@ def write_frame(
     option is out of range, or the frame is not valid. For OPV2V see
     :func:`~inspe_jax.dataset.formats.opv2v.writer.write_frame`.
     """
-    check_format(format, "format")
+    check_known(format, FORMATS, "format:")
     options.check("options")
     return tuple(FORMATS[format].write(Path(scenario), frame, options))

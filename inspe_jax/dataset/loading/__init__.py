@@ -7,10 +7,9 @@
     for step, batch in enumerate(loader.steps()): ...
 """
 
-from inspe_jax.dataset.loading.augment import Augment
 from inspe_jax.dataset.loading.batch import Batch, Cameras, Lidars, Pillars, Targets
 from inspe_jax.dataset.loading.caching import Cache, cache, open_cache
-from inspe_jax.dataset.loading.geometry import Similarity, on_picture
+from inspe_jax.dataset.loading.geometry import Augment, Similarity, on_picture
 from inspe_jax.dataset.loading.loader import Loader
 from inspe_jax.dataset.loading.pillars import PillarGrid, pillar_features, taken
 

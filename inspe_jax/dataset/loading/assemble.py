@@ -4,14 +4,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
-from inspe_jax.dataset.loading.augment import Augment
 from inspe_jax.dataset.loading.batch import Batch, Cameras, Lidars, Pillars, Targets
 from inspe_jax.dataset.loading.caching import Cache
-from inspe_jax.dataset.loading.geometry import Similarity
-from inspe_jax.dataset.loading.pillars import PillarGrid, grouping
-from inspe_jax.dataset.loading.points import sample, to_metres, woven
+from inspe_jax.dataset.loading.geometry import Augment, Similarity
+from inspe_jax.dataset.loading.pillars import PillarGrid
+from inspe_jax.dataset.loading.points import to_metres, woven
 from inspe_jax.dataset.loading.stored import StoredScenario
 
 
@@ -19,16 +18,14 @@ from inspe_jax.dataset.loading.stored import StoredScenario
 class Assembly:
     """How frames become batches: the arguments of the :class:`~.loader.Loader`, checked.
 
-    Where there is no place for all points, those that are kept are drawn at random in ``training``;
-    otherwise they are always the same.
+    Where there is no place for all pillars, those that are kept are drawn at random in
+    ``training``; otherwise they are always the same.
     """
 
     cache: Cache
     scenarios: tuple[StoredScenario, ...]
     sensors: tuple[str, ...]
     grid: PillarGrid | None
-    most_points: int
-    most_boxes: int
     half: float | None
     augment: Augment | None
     training: bool
@@ -42,7 +39,15 @@ class Assembly:
         """
         found = self._empty(size)
         for b, ((s, t), draw) in enumerate(zip(frames.tolist(), draws, strict=True)):
-            self._fill(found, b, s, t, draw)
+            stored = self.scenarios[s]
+            moved = Similarity() if self.augment is None else self.augment.similarity(draw)
+            found.scenario[b], found.number[b] = s, stored.index["number"][t]
+            found.transform[b], found.valid[b] = moved.matrix, True
+            if found.lidars is not None:
+                self._fill_lidars(found.lidars, b, stored, t, moved, draw)
+            if found.cameras is not None:
+                _fill_cameras(found.cameras, b, stored, t, moved)
+            self._fill_targets(found.targets, b, stored, t, moved)
         if found.cameras is not None:
             found.cameras.pixels[~found.cameras.present] = 0
         return found
@@ -54,16 +59,12 @@ class Assembly:
         cameras = max(each.cameras for each in records)
         pixels, found_lidars, found_cameras = self.cache.pictures, None, None
         if "lidar" in self.sensors and lidars:
-            shape = size, lidars, self.most_points
-            pillars = None
-            if self.grid is not None:
-                units = max(each.lidar_units for each in records)
-                groups = {"sensor": lidars, "unit": units, "all": 1}[self.grid.per]
-                pillars = self.grid.empty(size, groups)
+            grid, shape = self.grid, (size, lidars, max(1, *(r.most_points for r in records)))
+            units = max(each.lidar_units for each in records)
             found_lidars = Lidars(
-                points=np.zeros((*shape, 4), np.float32) if pillars is None else None,
-                mask=np.zeros(shape, bool) if pillars is None else None,
-                pillars=pillars,
+                points=np.zeros((*shape, 4), np.float32) if grid is None else None,
+                mask=np.zeros(shape, bool) if grid is None else None,
+                pillars=None if grid is None else grid.empty(size, units),
                 pose=_identities(size, lidars),
                 present=np.zeros((size, lidars), bool),
                 unit=np.zeros((size, lidars), np.int32),
@@ -76,7 +77,7 @@ class Assembly:
                 present=np.zeros((size, cameras), bool),
                 unit=np.zeros((size, cameras), np.int32),
             )
-        places = size, self.most_boxes
+        places = size, max(1, *(each.most_boxes for each in records))
         return Batch(
             lidars=found_lidars,
             cameras=found_cameras,
@@ -94,22 +95,6 @@ class Assembly:
             valid=np.zeros(size, bool),
         )
 
-    def _fill(self, found: Batch, b: int, s: int, t: int, draw: np.random.Generator) -> None:
-        stored = self.scenarios[s]
-        moved = Similarity() if self.augment is None else self.augment.similarity(draw)
-        found.scenario[b], found.number[b] = s, stored.index["number"][t]
-        found.transform[b], found.valid[b] = moved.matrix, True
-        heard, seen = np.ones(stored.record.lidars, bool), np.ones(stored.record.cameras, bool)
-        if found.lidars is not None:
-            if self.augment is not None:
-                heard = self.augment.kept(len(heard), draw)
-            self._fill_lidars(found.lidars, b, stored, t, moved, heard, draw)
-        if found.cameras is not None:
-            if self.augment is not None:
-                seen = self.augment.kept(len(seen), draw)
-            _fill_cameras(found.cameras, b, stored, t, moved, seen)
-        self._fill_targets(found.targets, b, stored, t, moved, heard, seen)
-
     def _fill_lidars(
         self,
         found: Lidars,
@@ -117,89 +102,69 @@ class Assembly:
         stored: StoredScenario,
         t: int,
         moved: Similarity,
-        present: Bool[np.ndarray, " S"],
         draw: np.random.Generator,
     ) -> None:
-        poses = _fill_poses(found, b, stored, t, moved, present)
-        order = draw if self.training else None
-        clouds = {}
-        for s in np.flatnonzero(present).tolist():
+        index, clouds = stored.index, list[np.ndarray]()
+        poses = _fill_poses(found, b, stored, t, moved)
+        for s, pose in enumerate(poses):
             steps = stored.cloud(t, s)
             if found.points is not None and found.mask is not None:
-                steps = sample(steps, self.most_points, order)
                 found.mask[b, s, : len(steps)] = True
                 out = found.points[b, s, : len(steps)]
             else:
-                out = clouds[s] = np.empty((len(steps), 4), np.float32)
-            to_metres(steps, stored.index["steps"][t, s], moved.linear, poses[s, :3, 3], out)
+                out = np.empty((len(steps), 4), np.float32)
+                clouds.append(out)
+            to_metres(steps, index["steps"][t, s], moved.linear, pose[:3, 3], out)
         if found.pillars is not None and self.grid is not None:
-            groups = grouping(stored.index["lidar_unit"], present, self.grid.per)
-            for g, members in enumerate(groups):
-                if members:
-                    own = Pillars(*(part[b, g] for part in found.pillars))
-                    self.grid.fill(woven([clouds[s] for s in members]), own, order)
+            order = draw if self.training else None
+            for g, unit in enumerate(np.unique(index["lidar_unit"])):
+                own = [clouds[s] for s in np.flatnonzero(index["lidar_unit"] == unit)]
+                group = Pillars(*(part[b, g] for part in found.pillars))
+                self.grid.fill(woven(own), group, order)
 
     def _fill_targets(
-        self,
-        found: Targets,
-        b: int,
-        stored: StoredScenario,
-        t: int,
-        moved: Similarity,
-        heard: Bool[np.ndarray, " S"],
-        seen: Bool[np.ndarray, " C"],
+        self, found: Targets, b: int, stored: StoredScenario, t: int, moved: Similarity
     ) -> None:
-        index, own = stored.index, stored.boxes(t)
-        boxes = np.array(index["boxes"][own])
+        own = {
+            name: stored.index[name][stored.boxes(t)]
+            for name in ("boxes", "kind", "track", "returns", "pixels")
+        }
+        boxes = np.array(own["boxes"])
         boxes[:, :3] -= stored.middle
-        boxes = moved.of_boxes(boxes)
-        away = np.abs(boxes[:, :2]).max(1, initial=0)
-        chosen = np.arange(len(boxes))
+        own["boxes"] = moved.of_boxes(boxes)
+        near = np.ones(len(boxes), bool)
         if self.half is not None:
-            chosen = np.flatnonzero(away <= self.half)
-        if len(chosen) > self.most_boxes:
-            chosen = np.sort(chosen[np.argsort(away[chosen], kind="stable")[: self.most_boxes]])
-        count = len(chosen)
-        found.boxes[b, :count] = boxes[chosen]
-        found.kind[b, :count] = index["kind"][own][chosen]
-        found.track[b, :count] = index["track"][own][chosen]
-        found.returns[b, :count, : len(heard)] = index["returns"][own][chosen] * heard
-        found.pixels[b, :count, : len(seen)] = np.where(seen, index["pixels"][own][chosen], 0)
+            near = np.abs(own["boxes"][:, :2]).max(1, initial=0) <= self.half
+        count = int(near.sum())
         found.mask[b, :count] = True
+        for name in ("boxes", "kind", "track"):
+            getattr(found, name)[b, :count] = own[name][near]
+        for name in ("returns", "pixels"):  # of as many sensors as the scenario has
+            sensors = own[name].shape[1]
+            getattr(found, name)[b, :count, :sensors] = own[name][near]
 
 
 def _fill_cameras(
-    found: Cameras,
-    b: int,
-    stored: StoredScenario,
-    t: int,
-    moved: Similarity,
-    present: Bool[np.ndarray, " C"],
+    found: Cameras, b: int, stored: StoredScenario, t: int, moved: Similarity
 ) -> None:
-    _fill_poses(found, b, stored, t, moved, present)
-    there, width = np.flatnonzero(present), found.pixels.shape[3]
-    found.intrinsic[b, there] = moved.of_intrinsics(stored.index["intrinsic"][t], width)[there]
-    for c in there.tolist():
+    count = len(_fill_poses(found, b, stored, t, moved))
+    width = found.pixels.shape[3]
+    found.intrinsic[b, :count] = moved.of_intrinsics(stored.index["intrinsic"][t], width)
+    for c in range(count):
         moved.copy_picture(stored.pictures[t, c], found.pixels[b, c])
 
 
 def _fill_poses(
-    found: Lidars | Cameras,
-    b: int,
-    stored: StoredScenario,
-    t: int,
-    moved: Similarity,
-    present: Bool[np.ndarray, " S"],
+    found: Lidars | Cameras, b: int, stored: StoredScenario, t: int, moved: Similarity
 ) -> Float[np.ndarray, "S 4 4"]:
-    """Write the units of a frame's sensors, which are present, and the poses of these; gives the
-    poses of all."""
-    kind, count = "lidar" if isinstance(found, Lidars) else "camera", len(present)
+    """Write the units and the poses of a frame's sensors; gives the poses."""
+    kind = "lidar" if isinstance(found, Lidars) else "camera"
     poses = np.array(stored.index[f"{kind}_pose"][t])
     poses[:, :3, 3] -= stored.middle
+    poses, count = moved.of_poses(poses), len(poses)
     found.unit[b, :count] = stored.index[f"{kind}_unit"]
-    found.present[b, :count] = present
-    poses = moved.of_poses(poses)
-    found.pose[b, :count][present] = poses[present]
+    found.present[b, :count] = True
+    found.pose[b, :count] = poses
     return poses
 
 

@@ -2,7 +2,7 @@
 
 Their shapes are the same in every batch, so that what is compiled once fits all. What is padding
 is 0, and its mask is false. Letters in shapes: B frames, S LiDARs, C cameras, N points of a cloud,
-M road users, H × W pixels, G groups of LiDARs, P pillars, K points of a pillar. Positions are in
+M road users, H × W pixels, G units with LiDARs, P pillars, K points of a pillar. Positions are in
 the frame of the intersection, in metres: its middle on the ground is the origin, and the axes are
 those of the world, unless the frame was augmented.
 """
@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float32, Int32, UInt8
 
 
 class Pillars(NamedTuple):
-    """The points of LiDARs by the pillars of a grid.
+    """The points of units' LiDARs by the pillars of a grid.
 
     ``points`` are x, y, z and intensity 0…1; ``counts`` of them are in each pillar, 0 in padding,
     and come first. ``cells`` are the pillar's place in the grid, along x and along y.
@@ -62,10 +62,9 @@ class Targets(NamedTuple):
     ``boxes`` are x, y, z of the middle, length, width, height [m], yaw [rad], and velocity in x and
     y [m/s]. ``kind`` is the index in :data:`~inspe_jax.simulation.frame.KINDS`, ``track`` the
     number of the road user in its scenario, and ``returns`` how many returns each LiDAR has of it
-    (if the set does not say: how many points in its box): 0 for a LiDAR that is not present, and
-    all of them, also those that padding or pillars have no place for. ``pixels`` is how many pixels
-    of each picture show it, counted where the picture was recorded and scaled to this size: 0 for a
-    camera that is not present, and −1 if the set does not say.
+    (if the set does not say: how many points in its box), also of those that pillars have no place
+    for. ``pixels`` is how many pixels of each picture show it, counted where the picture was
+    recorded and scaled to this size, and −1 if the set does not say.
     """
 
     boxes: Float32[np.ndarray, "B M 9"]

@@ -13,15 +13,19 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from pathlib import Path
 
-from pydantic import BaseModel
-
 from inspe_jax.core.errors import InspeError, nearest
-from inspe_jax.core.files import STRICT, check_model, prepare_folder, read_json, write_text
+from inspe_jax.core.files import check_model, prepare_folder, read_json, write_text
 from inspe_jax.core.parallel import cores
-from inspe_jax.dataset.folders import SPLITS, Dataset, Scenario, open_dataset
-from inspe_jax.dataset.loading.decode import PART, decode, digest_of_scenario
-from inspe_jax.dataset.loading.stored import RECORD, StoredScenario
+from inspe_jax.dataset.folders import Dataset, Scenario, open_dataset, split_order
+from inspe_jax.dataset.loading.stored import (
+    PART,
+    RECORD,
+    StoredScenario,
+    decode,
+    digest_of_scenario,
+)
 from inspe_jax.jobs.locks import lock_folder
+from inspe_jax.jobs.settings import Strict
 
 CACHE = "cache.json"
 FORMAT = "inspe_jax cache 3"
@@ -32,12 +36,10 @@ PICTURES = (300, 400)
 pixels in the median, and about 50 at this size; at half of it, a dozen, which is too few."""
 
 Job = tuple[Scenario, Path, str, tuple[int, int] | None]
-"""The arguments of :func:`~inspe_jax.dataset.loading.decode.decode`."""
+"""The arguments of :func:`~inspe_jax.dataset.loading.stored.decode`."""
 
 
-class _Record(BaseModel):
-    model_config = STRICT
-
+class _Record(Strict):
     format: str
     pictures: list[int] | None
 
@@ -53,11 +55,10 @@ class Cache:
     @property
     def splits(self) -> dict[str, tuple[StoredScenario, ...]]:
         """The scenarios of each split."""
-        names = dict.fromkeys(scenario.split for scenario in self.scenarios)
-        return {
-            name: tuple(scenario for scenario in self.scenarios if scenario.split == name)
-            for name in names
-        }
+        found: dict[str, tuple[StoredScenario, ...]] = {}
+        for scenario in self.scenarios:
+            found[scenario.split] = (*found.get(scenario.split, ()), scenario)
+        return found
 
     def split(self, name: str) -> tuple[StoredScenario, ...]:
         """The scenarios of a split. Raises InspeError, which lists the splits, for another name."""
@@ -196,9 +197,8 @@ def _claim(path: Path, pictures: tuple[int, int] | None) -> None:
 
 def _stored(path: Path) -> Iterator[StoredScenario]:
     """The complete scenarios of a cache, split by split."""
-    usual = {name: k for k, name in enumerate(SPLITS)}
     splits = sorted(child for child in path.iterdir() if child.is_dir())
-    for split in sorted(splits, key=lambda child: usual.get(child.name, len(usual))):
+    for split in sorted(splits, key=split_order):
         for place in sorted(child for child in split.iterdir() if child.is_dir()):
             if not (place.name.startswith(".") and place.name.endswith(PART)):
                 if not (place / RECORD).is_file():

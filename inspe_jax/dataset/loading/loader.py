@@ -9,6 +9,7 @@ both.
 from collections import deque
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from itertools import count
 from typing import Literal, get_args
 
 import numpy as np
@@ -16,9 +17,9 @@ from jaxtyping import Int
 
 from inspe_jax.core.errors import InspeError, check_known, nearest
 from inspe_jax.dataset.loading.assemble import Assembly
-from inspe_jax.dataset.loading.augment import Augment
 from inspe_jax.dataset.loading.batch import Batch
 from inspe_jax.dataset.loading.caching import Cache
+from inspe_jax.dataset.loading.geometry import Augment
 from inspe_jax.dataset.loading.pillars import PillarGrid
 from inspe_jax.dataset.loading.stored import StoredScenario
 
@@ -43,16 +44,14 @@ class Loader:
     ``valid``: for evaluation.
 
     ``sensors`` are "camera", "lidar" or both; what the cache does not have is None in the batches.
-    Clouds are given as points, of which each has at most ``points``, the largest of the cache if
-    None, or as pillars of a grid. Of a larger cloud a random stretch is taken, another one in each
-    epoch; since clouds are stored in random order, it is a fair sample.
+    Clouds are given as they are, or their ``points`` as pillars of a grid. They are in random
+    order, so the first points of a cloud are a fair sample of it.
 
     Road users are left out whose middle is farther than ``half`` [m] from the middle of the
     intersection, along x or y: the half of a pillar grid if not given, otherwise none is.
-    ``most_boxes`` is the number M of boxes; if not given, the largest of a frame in the cache.
-    Where there are more, those farthest from the middle are left out.
 
-    Shapes come from the whole cache, so that they are the same for all of its splits.
+    Shapes come from the whole cache, so that they are the same for all of its splits: each cloud
+    has room for the largest one, and each frame for the most road users.
     """
 
     def __init__(
@@ -64,31 +63,23 @@ class Loader:
         seed: int = 0,
         shuffle: bool = True,
         sensors: Sequence[Sensor] = SENSORS,
-        points: int | PillarGrid | None = None,
+        points: PillarGrid | None = None,
         augment: Augment | None = None,
         half: float | None = None,
-        most_boxes: int | None = None,
         workers: int = 2,
     ) -> None:
         """Raises InspeError that says which argument is not allowed, and what is."""
         self.cache, self.split, self.seed, self.batch = cache, split, seed, batch
         self.shuffle, self.workers = shuffle, workers
-        self._orders: dict[int, Int[np.ndarray, " F"]] = {}
         self.scenarios: tuple[StoredScenario, ...] = cache.split(split)
         for name, value, least in (("batch", batch, 1), ("seed", seed, 0), ("workers", workers, 0)):
             if isinstance(value, bool) or not isinstance(value, int) or value < least:
                 raise InspeError(f"{name} {value!r}: a whole number, at least {least}")
-        grid = points if isinstance(points, PillarGrid) else None
-        most = None if isinstance(points, PillarGrid) else points
-        for name, limit in (("most_boxes", most_boxes), ("points", most)):
-            if limit is not None and limit < 1:
-                raise InspeError(f"{name} {limit}: must be 1 or more")
         _check_sensors(sensors, cache)
-        if grid is not None:
-            grid.check()
-        if augment is not None:
-            augment.check()
-        self.half = grid.half if half is None and grid is not None else half
+        for each in (points, augment):
+            if each is not None:
+                each.check()
+        self.half = points.half if half is None and points is not None else half
         counts = [scenario.record.frames for scenario in self.scenarios]
         places = [(s, t) for s, count in enumerate(counts) for t in range(count)]
         self.frames: Int[np.ndarray, "F 2"] = np.array(places)
@@ -102,9 +93,7 @@ class Loader:
             cache=cache,
             scenarios=self.scenarios,
             sensors=tuple(sensors),
-            grid=grid,
-            most_points=most or max(1, *(each.record.most_points for each in cache.scenarios)),
-            most_boxes=most_boxes or max(1, *(each.record.most_boxes for each in cache.scenarios)),
+            grid=points,
             half=self.half,
             augment=augment,
             training=shuffle or augment is not None,
@@ -136,22 +125,18 @@ class Loader:
 
         ``workers`` threads make them ahead of time; with 0 they are made when they are asked for.
         """
+        each = count(start) if stop is None else iter(range(start, stop))
         if not self.workers:
-            step = start
-            while stop is None or step < stop:
-                yield self[step]
-                step += 1
+            yield from map(self.__getitem__, each)
             return
         waiting: deque[Future[Batch]] = deque()
         pool = ThreadPoolExecutor(self.workers, "loader")
         try:
-            step = start
-            while True:
-                while len(waiting) < AHEAD * self.workers and (stop is None or step < stop):
-                    waiting.append(pool.submit(self.__getitem__, step))
-                    step += 1
-                if not waiting:
-                    return
+            for step in each:
+                waiting.append(pool.submit(self.__getitem__, step))
+                if len(waiting) == AHEAD * self.workers:
+                    yield waiting.popleft().result()
+            while waiting:
                 yield waiting.popleft().result()
         finally:
             pool.shutdown(cancel_futures=True)
@@ -163,35 +148,29 @@ class Loader:
         with batches of one. Raises InspeError that says which there are.
         """
         names = [each.name for each in self.scenarios]
-        if scenario is not None and scenario not in names:
-            hint = nearest(scenario, names)
+        name = names[0] if scenario is None else scenario
+        if name not in names:
+            more = " …" * (len(names) > 3)
             raise InspeError(
-                f"no scenario '{scenario}' in split '{self.split}': it has {', '.join(names[:3])}"
-                f"{' …' if len(names) > 3 else ''}{hint}"
+                f"no scenario '{name}' in split '{self.split}': it has {', '.join(names[:3])}{more}"
+                f"{nearest(name, names)}"
             )
-        s = 0 if scenario is None else names.index(scenario)
+        s = names.index(name)
         numbers = self.scenarios[s].index["number"].tolist()
-        if frame is not None and frame not in numbers:
+        number = numbers[0] if frame is None else frame
+        if number not in numbers:
             raise InspeError(
-                f"{names[s]}: no frame {frame}: it has {len(numbers)}, from {numbers[0]} to "
+                f"{name}: no frame {number}: it has {len(numbers)}, from {numbers[0]} to "
                 f"{numbers[-1]}"
             )
-        t = 0 if frame is None else numbers.index(frame)
-        at = np.flatnonzero((self.frames == [s, t]).all(1))
-        return names[s], numbers[t], int(at[0])
+        before = sum(each.record.frames for each in self.scenarios[:s])
+        return name, number, before + numbers.index(number)
 
     def order(self, epoch: int) -> Int[np.ndarray, " F"]:
         """The rows of :attr:`frames` in the order of an epoch."""
         if not self.shuffle:
             return np.arange(len(self.frames))
-        known = self._orders
-        drawn = known.get(epoch)
-        if drawn is None:
-            rng = np.random.default_rng([self.seed, epoch, 0, 0])
-            drawn = rng.permutation(len(self.frames))
-        # Threads share what was drawn last; where two draw at once, they draw the same.
-        self._orders = {key: known[key] for key in known if abs(key - epoch) == 1} | {epoch: drawn}
-        return drawn
+        return np.random.default_rng([self.seed, epoch, 0, 0]).permutation(len(self.frames))
 
 
 def _check_sensors(sensors: Sequence[str], cache: Cache) -> None:
@@ -205,8 +184,5 @@ def _check_sensors(sensors: Sequence[str], cache: Cache) -> None:
         "lidar": max(each.record.lidars for each in cache.scenarios),
     }
     if not any(there[name] for name in sensors):
-        without = " or ".join(sensors)
-        how = (
-            "" if cache.pictures or "camera" not in sensors else ": it was made with pictures=None"
-        )
-        raise InspeError(f"{cache.path}: has no {without}{how}")
+        how = ": it was made with pictures=None" * ("camera" in sensors and not cache.pictures)
+        raise InspeError(f"{cache.path}: has no {' or '.join(sensors)}{how}")

@@ -1,15 +1,14 @@
 """Divides points among the pillars of a grid (PointPillars, Lang et al. 2019)."""
 
 from dataclasses import dataclass
-from typing import Any, Literal, get_args
+from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.dataset.loading.batch import Pillars
 
-Grouping = Literal["sensor", "unit", "all"]
 _SMALL = 2**16
 
 
@@ -18,9 +17,9 @@ class PillarGrid:
     """A square grid of pillars about the middle of the intersection.
 
     It reaches ``half`` to each side [m], and from ``low`` to ``high`` above the ground [m];
-    pillars are ``cell`` wide [m]. Of a pillar's points, ``most_points`` are kept, and of the
-    pillars that have a point ``most_pillars``, both at random. ``per`` says whose points are
-    together: those of each sensor, of each infrastructure unit, or all.
+    pillars are ``cell`` wide [m]. The points of an infrastructure unit are together. Of a pillar's
+    points, ``most_points`` are kept, and of the pillars that have a point ``most_pillars``, both at
+    random.
 
     The defaults: 256 × 256 pillars of 0.4 m reach 51.2 m, beyond the region of 50 m, and can be
     halved eight times; 0.4 m is the usual width for cooperative perception on OPV2V. From 1 m
@@ -35,7 +34,6 @@ class PillarGrid:
     high: float = 5.0
     most_points: int = 16
     most_pillars: int = 8000
-    per: Grouping = "sensor"
 
     @property
     def side(self) -> int:
@@ -56,8 +54,6 @@ class PillarGrid:
         for name in ("most_points", "most_pillars"):
             if getattr(self, name) < 1:
                 raise InspeError(f"pillars: {name} {getattr(self, name)}: must be 1 or more")
-        if self.per not in get_args(Grouping):
-            raise InspeError(f"pillars: per '{self.per}': one of {', '.join(get_args(Grouping))}")
 
     def empty(self, *leading: int) -> Pillars:
         """Arrays without a point, with these leading axes."""
@@ -138,14 +134,3 @@ def taken(pillars: Pillars, grid: PillarGrid, xp: Any = np) -> Any:
     """Which places of each pillar have a point, as (…, P, K)."""
     slots = xp.arange(grid.most_points).reshape((1,) * pillars.counts.ndim + (-1,))
     return slots < pillars.counts[..., None]
-
-
-def grouping(
-    unit: Int[np.ndarray, " S"], present: Bool[np.ndarray, " S"], per: Grouping
-) -> list[list[int]]:
-    """The LiDARs of each group, by index; groups without a LiDAR that is present are empty."""
-    if per == "all":
-        return [np.flatnonzero(present).tolist()]
-    if per == "sensor":
-        return [[s] if present[s] else [] for s in range(len(unit))]
-    return [np.flatnonzero((unit == number) & present).tolist() for number in np.unique(unit)]

@@ -54,19 +54,6 @@ def to_metres(
         out[part] += shift[: len(out[part])]
 
 
-def sample(
-    steps: Int16[np.ndarray, "N 4"], most: int, rng: np.random.Generator | None
-) -> Int16[np.ndarray, "K 4"]:
-    """At most so many points of a cloud as stored: a stretch that begins at random, or first."""
-    if len(steps) <= most:
-        return steps
-    first = int(rng.integers(len(steps))) if rng is not None else 0
-    end = first + most
-    if end <= len(steps):
-        return steps[first:end]
-    return np.concatenate([steps[first:], steps[: end - len(steps)]])
-
-
 def woven(clouds: Sequence[Float[np.ndarray, "_ 4"]]) -> Float[np.ndarray, "N 4"]:
     """Clouds in random order as one in random order: each is spread over all of it evenly."""
     if len(clouds) == 1:

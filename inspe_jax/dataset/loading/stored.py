@@ -1,26 +1,38 @@
-"""A scenario in the cache: arrays that are mapped into memory when they are used.
+"""A scenario in the cache: decoded from the set once, then mapped into memory when it is used.
 
 Its folder holds ``points.raw`` (all clouds one after the other, 16-bit), ``pictures.raw`` (bytes of
 T × C pictures), ``index.npz`` (poses, calibration, boxes, and where each cloud begins) and
 ``scenario.json``.
 """
 
-from collections.abc import Mapping
+import hashlib
+import json
+import os
+import shutil
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int16, UInt8
-from pydantic import BaseModel
+from PIL import Image as Pillow
 
 from inspe_jax.core.errors import InspeError
-from inspe_jax.core.files import STRICT, check_model, open_arrays, read_json
+from inspe_jax.core.files import check_model, json_value, open_arrays, read_json
+from inspe_jax.dataset.folders import Scenario
+from inspe_jax.dataset.loading.geometry import pose_matrix
+from inspe_jax.dataset.loading.points import to_steps
+from inspe_jax.dataset.points_in_boxes import returns_of
+from inspe_jax.jobs.settings import Strict
+from inspe_jax.simulation.frame import KINDS, Image, RoadUserBox, Scan
 
 RECORD, INDEX, POINTS, PICTURES = "scenario.json", "index.npz", "points.raw", "pictures.raw"
+PART = ".part"
 
 
-class ScenarioRecord(BaseModel):
+class ScenarioRecord(Strict):
     """What ``scenario.json`` says.
 
     ``source`` is the digest of the scenario that was decoded, ``middle`` that of the intersection
@@ -28,8 +40,6 @@ class ScenarioRecord(BaseModel):
     each file [bytes]. The counts are the largest of a frame: LiDARs, units that have any, cameras,
     points of a cloud, boxes.
     """
-
-    model_config = STRICT
 
     source: str
     middle: list[float]
@@ -119,3 +129,174 @@ class StoredScenario:
     @property
     def _damaged(self) -> str:
         return f"is missing or damaged: delete {self.path} and cache it again"
+
+
+# ── Decoding ────────────────────────────────────────────────────────────────
+
+
+def digest_of_scenario(scenario: Scenario) -> str:
+    """Identifies what a scenario holds, by its protocol and the names and sizes of its files.
+
+    It is the same for a copy. Files are not read, so it does not notice one that was altered but
+    kept its size.
+    """
+    found = hashlib.sha256()
+    found.update(json.dumps(json_value(scenario.protocol), sort_keys=True, default=str).encode())
+    for place, folders, names in os.walk(scenario.path):
+        folders.sort()
+        for name in sorted(names):
+            path = Path(place, name)
+            found.update(f"{path.relative_to(scenario.path).as_posix()} ".encode())
+            found.update(f"{path.stat().st_size}\n".encode())
+    return found.hexdigest()
+
+
+def decode(scenario: Scenario, place: Path, source: str, pictures: tuple[int, int] | None) -> int:
+    """Decode a scenario into the folder ``place``, which appears when it is complete.
+
+    ``source`` is its digest; ``pictures`` are resized to (height, width), or left out if None.
+    Gives the number of its frames. Raises InspeError if a file is broken, frames do not have the
+    same sensors, or the disk is full.
+    """
+    part = place.with_name(f".{place.name}{PART}")
+    shutil.rmtree(part, ignore_errors=True)
+    try:
+        part.mkdir(parents=True)
+        _write(scenario, part, source, pictures)
+        os.replace(part, place)
+    except OSError as e:
+        raise InspeError(
+            f"{place}: {e.strerror or e}; give the same command again to resume"
+        ) from e
+    finally:
+        shutil.rmtree(part, ignore_errors=True)
+    return len(scenario.frames)
+
+
+def _write(scenario: Scenario, part: Path, source: str, size: tuple[int, int] | None) -> None:
+    each: dict[str, list[Any]] = defaultdict(list)  # by frame
+    units: tuple[list[int], list[int]] | None = None
+    end = 0
+    with (part / POINTS).open("wb") as points, (part / PICTURES).open("wb") as pictures:
+        for number in scenario.frames:
+            frame = scenario.frame(number)
+            scans = [scan for station in frame.stations for scan in station.scans]
+            images = [image for station in frame.stations for image in station.images if size]
+            now = (
+                [station.number for station in frame.stations for _ in station.scans],
+                [station.number for station in frame.stations for _ in station.images if size],
+            )
+            units = units or now
+            if now != units:
+                raise InspeError(
+                    f"{scenario.path}: frame {number} has LiDARs and cameras of stations {now}, "
+                    f"frames before have {units}: leave it out, or complete its files"
+                )
+            clouds = [
+                to_steps(scan.points, scan.pose, np.random.default_rng([number, s]))
+                for s, scan in enumerate(scans)
+            ]
+            for cloud, _ in clouds:
+                points.write(cloud.tobytes())
+            for image in images:
+                pictures.write(resized(image.rgb, size or (1, 1)).tobytes())
+            starts = end + np.cumsum([0, *(len(cloud) for cloud, _ in clouds)])
+            end = starts[-1]
+            row = {
+                "starts": starts,
+                "steps": np.array([step for _, step in clouds]).reshape(-1, 4),
+                "lidar_pose": _poses(scans),
+                "camera_pose": _poses(images),
+                **_calibration(images, size or (1, 1), len(frame.boxes)),
+                **_boxes(frame.boxes),
+                "returns": returns_of(scans, frame.boxes).T.astype(np.int32),  # (B, S)
+            }
+            for key, value in row.items():
+                each[key].append(value)
+    counts = [len(boxes) for boxes in each["boxes"]]
+    index = {
+        key: np.concatenate(each.pop(key))
+        for key in ("boxes", "kind", "track", "returns", "pixels")
+    }
+    index |= {key: np.stack(values) for key, values in each.items()}
+    lidars, cameras = units or ([], [])
+    index |= {
+        "number": np.array(scenario.frames, np.int32),
+        "box_starts": np.cumsum([0, *counts]),
+        "lidar_unit": np.array(lidars, np.int32),
+        "camera_unit": np.array(cameras, np.int32),
+    }
+    np.savez(part / INDEX, **index)  # type: ignore[arg-type]
+    record = {
+        "source": source,
+        "middle": _middle(scenario, index),
+        "pictures": size,
+        "frames": len(scenario.frames),
+        "lidars": len(lidars),
+        "lidar_units": len(set(lidars)),
+        "cameras": len(cameras),
+        "most_points": int(np.diff(index["starts"]).max(initial=0)),
+        "most_boxes": max(counts),
+        "files": {path.name: path.stat().st_size for path in sorted(part.iterdir())},
+    }
+    (part / RECORD).write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
+
+
+def resized(rgb: Any, size: tuple[int, int]) -> np.ndarray:
+    """A picture as (height, width, 3); each pixel is the mean of the area that it covers."""
+    height, width = size
+    rgb = np.asarray(rgb)
+    if rgb.shape[:2] == size:
+        return rgb
+    return np.asarray(Pillow.fromarray(rgb).resize((width, height), Pillow.Resampling.BOX))
+
+
+def _poses(of: Sequence[Scan | Image]) -> Float[np.ndarray, "S 4 4"]:
+    return np.array([pose_matrix(each.pose) for each in of]).reshape(-1, 4, 4)
+
+
+def _calibration(
+    images: Sequence[Image], size: tuple[int, int], boxes: int
+) -> dict[str, np.ndarray]:
+    """Matrices of pictures of this size, and how many of their pixels show each road user, −1
+    where the set does not say. (0, 0) is a corner, so both scale with the size."""
+    intrinsic = np.zeros((len(images), 3, 3))
+    pixels = np.full((boxes, len(images)), -1, np.float32)
+    for c, image in enumerate(images):
+        height, width = np.asarray(image.rgb).shape[:2]
+        factors = np.array([[size[1] / width], [size[0] / height], [1.0]])
+        intrinsic[c] = np.asarray(image.intrinsic, float) * factors
+        if image.pixels is not None:
+            pixels[:, c] = np.asarray(image.pixels) * (size[0] * size[1] / (height * width))
+    return {"intrinsic": intrinsic, "pixels": pixels}
+
+
+def _boxes(boxes: Sequence[RoadUserBox]) -> dict[str, np.ndarray]:
+    rows = [[*box.center, *box.size, box.yaw, *np.asarray(box.velocity)[:2]] for box in boxes]
+    return {
+        "boxes": np.array(rows, float).reshape(-1, 9),
+        "kind": np.array([KINDS.index(box.kind) for box in boxes], np.int32),
+        "track": np.array([box.track for box in boxes], np.int32),
+    }
+
+
+def _middle(scenario: Scenario, index: dict[str, np.ndarray]) -> list[float]:
+    """The middle of the intersection on the ground [m].
+
+    It is what the protocol says. Of a set whose protocols do not say it, it is the middle of where
+    road users are in all frames, which is the same for every placement of sensors in the same
+    traffic, or of the sensors where there are no road users. The ground is then the median of the
+    bottoms of all boxes.
+    """
+    told = scenario.protocol.get("middle")
+    if isinstance(told, list) and len(told) == 3:
+        return [float(x) for x in told]
+    boxes = index["boxes"]
+    poses = np.concatenate([index["lidar_pose"], index["camera_pose"]], 1).reshape(-1, 4, 4)
+    middle = np.zeros(3)
+    if len(boxes):
+        middle[:2] = (boxes[:, :2].min(0) + boxes[:, :2].max(0)) / 2
+        middle[2] = np.median(boxes[:, 2] - boxes[:, 5] / 2)
+    elif len(poses):
+        middle[:2] = (poses[:, :2, 3].min(0) + poses[:, :2, 3].max(0)) / 2
+    return middle.tolist()

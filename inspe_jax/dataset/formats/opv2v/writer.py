@@ -16,12 +16,11 @@ import numpy as np
 
 from inspe_jax.core.carla_frame import between, flip, to_carla
 from inspe_jax.core.files import whole_file, write_text
-from inspe_jax.dataset.formats.agents import is_blank, with_cameras
 from inspe_jax.dataset.formats.options import DEFAULT_OPTIONS, FileOptions
+from inspe_jax.dataset.formats.other_readers import is_blank, visibility_map, with_cameras
 from inspe_jax.dataset.formats.pcd import write_pcd
 from inspe_jax.dataset.formats.pictures import LAYERS, SUFFIXES, write_picture
 from inspe_jax.dataset.formats.protocol_file import dump_yaml, make_folder
-from inspe_jax.dataset.formats.visibility import visibility_map
 from inspe_jax.simulation.frame import Frame, Image, RoadUserBox, Scan, Station, check_frame
 
 SECTIONS: dict[str, str] = {

@@ -1,0 +1,164 @@
+"""What other people's readers of OPV2V data sets need: agents with the same number of cameras each,
+the range of points and boxes to keep, and maps of what cameras see.
+
+Readers of camera data sets put the pictures of an agent into one array, four of each in OPV2V. A
+station with more cameras becomes several agents; one with fewer is filled up with black pictures
+of cameras that look straight up, where nothing is that a detector looks for.
+
+The range that is set in readers, 3 m below the LiDAR to 1 m above it, is for one on the roof of a
+car: of a LiDAR on a pole they keep no road user.
+
+HEAL's and CoAlign's camera readers keep the boxes whose middle lies on a pixel of an agent's map,
+OPV2V's ``_bev_visibility.png``, that is not black.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Bool, Float, Int, UInt8
+from PIL import Image as Pillow
+from PIL import ImageDraw
+
+from inspe_jax.core.geometry import rotation
+from inspe_jax.scene.voxels import VoxelGrid
+from inspe_jax.simulation.frame import Image, RoadUserBox, Station
+
+UP = np.array([0.0, np.pi / 2, 0.0])
+"""Roll, pitch and yaw of a camera that looks straight up [rad]."""
+
+HIGHEST = 5.0
+"""No road user is higher [m]: vehicles are limited to 4 m in most of Europe, 4.9 m in Britain."""
+BEYOND = 9.5
+"""How far a road user in the region may reach out of it [m]: half the diagonal of a road train,
+18.75 m × 2.55 m, the longest vehicle of directive 96/53/EC."""
+BELOW = 0.5
+"""How far the ground out there may lie below the region's lowest [m]: 5 % over that length."""
+STEP = 6.4
+"""Limits along x and y are multiples of this [m]: 16 pillars of 0.4 m, so that networks can halve
+their grid four times."""
+
+PIXELS = 256
+"""Width and height of a map, as in OPV2V and these readers."""
+PIXEL = 0.39
+"""Size of a pixel [m], as in OPV2V and these readers: they see 50 m ahead, back and aside."""
+MIDDLE = 127
+"""Row and column of the agent."""
+CORNERS = np.array([[1, 1, 0], [1, -1, 0], [-1, -1, 0], [-1, 1, 0]]) / 2
+"""In plan, of a box of length and width 1."""
+
+
+def frame_of(agent: Station) -> Float[np.ndarray, "6"]:
+    """The pose of the frame that readers know an agent by: that of its first LiDAR, or of its unit
+    where it has none (x, y, z [m], roll, pitch, yaw [rad])."""
+    return np.asarray(agent.scans[0].pose if agent.scans else agent.pose, float)
+
+
+def with_cameras(stations: Sequence[Station], count: int) -> tuple[Station, ...]:
+    """The stations as agents with ``count`` cameras each; 0 leaves them as they are.
+
+    The first agent of a station keeps its number and its LiDARs. Others have the numbers after the
+    last station's, in the order of the stations, and no LiDAR. A station without a camera stays
+    without one where no other has one.
+    """
+    if not count or not any(station.images for station in stations):
+        return tuple(stations)
+    first, further = [], []
+    number = max(station.number for station in stations)
+    like = next(image for station in stations for image in station.images)
+    for station in stations:
+        images = list(station.images)
+        first.append(replace(station, images=_filled(images[:count], count, station, like)))
+        for start in range(count, len(images), count):
+            number += 1
+            own = _filled(images[start : start + count], count, station, like)
+            name = f"{station.name} {start // count + 1}"
+            further.append(replace(station, number=number, name=name, images=own, scans=()))
+    return (*first, *further)
+
+
+def is_blank(image: Image) -> bool:
+    """Whether an image only fills up an agent's cameras."""
+    return bool(np.allclose(image.pose[3:], UP, atol=1e-6)) and not np.any(image.rgb)
+
+
+def _filled(images: list[Image], count: int, station: Station, like: Image) -> tuple[Image, ...]:
+    if len(images) == count:
+        return tuple(images)
+    size = (images or [like])[0]
+    black = Image(
+        pose=np.array([*station.pose[:3], *UP]),
+        intrinsic=size.intrinsic,
+        rgb=np.zeros_like(size.rgb),
+        **{
+            name: _nothing(getattr(size, name))
+            for name in ("depth", "instance", "semantic", "pixels", "share")
+        },
+    )
+    return (*images, *[black] * (count - len(images)))
+
+
+def _nothing(layer: np.ndarray | None) -> np.ndarray | None:
+    """A layer of a picture that shows nothing: 0, or infinitely far."""
+    if layer is None:
+        return None
+    return np.full_like(layer, np.inf if layer.dtype.kind == "f" and layer.ndim == 2 else 0)
+
+
+def lidar_range(agents: Sequence[Station], voxels: VoxelGrid) -> list[float]:
+    """The range that holds every road user of the region as a whole, seen from any agent.
+
+    It is [x, y, z, x, y, z] [m], lower and upper limits in the frame of an agent's first LiDAR, or
+    of its unit where it has none, the same on all four sides: what readers call
+    ``cav_lidar_range``. They drop a box unless all of its corners lie inside, and may take any
+    agent as the one in whose frame the boxes are.
+    """
+    ground = np.column_stack([voxels.columns, voxels.ground])
+    around = np.concatenate([ground - [0.0, 0.0, BELOW], ground + [0.0, 0.0, HIGHEST]])
+    side, low, high = 0.0, np.inf, -np.inf
+    for agent in agents:
+        pose = frame_of(agent)
+        turn = rotation(pose[3:], np)
+        at = (around - pose[:3]) @ turn  # (N, 3)
+        tilted = BEYOND * float(np.hypot(*turn[:2, 2]))  # what BEYOND in plan is along z
+        side = max(side, float(np.abs(at[:, :2]).max()) + BEYOND)
+        low, high = min(low, at[:, 2].min() - tilted), max(high, at[:, 2].max() + tilted)
+    side = round(float(np.ceil(side / STEP) * STEP), 1)
+    return [-side, -side, float(np.floor(low)), side, side, float(np.ceil(high))]
+
+
+def visibility_map(agent: Station, boxes: Sequence[RoadUserBox]) -> UInt8[np.ndarray, "256 256"]:
+    """The map of an agent: white on black, ahead is up.
+
+    It is in the frame of the agent's first LiDAR, or of its unit where it has none. A road user is
+    white where at least one pixel of a camera shows it, or where it was not counted what pixels
+    show.
+    """
+    pose = frame_of(agent)
+    turn = rotation(pose[3:], np)
+    picture = Pillow.new("L", (PIXELS, PIXELS))
+    draw = ImageDraw.Draw(picture)
+    for box, seen in zip(boxes, _seen(agent, len(boxes)), strict=True):
+        if seen:
+            middle = np.asarray(box.center, float)
+            facing = rotation(np.array([0.0, 0.0, box.yaw]), np)
+            corners = middle + (CORNERS * box.size) @ facing.T
+            at = _pixels((np.vstack([corners, middle]) - pose[:3]) @ turn)
+            draw.polygon([tuple(p) for p in at[:4].tolist()], fill=255)
+            draw.point(tuple(at[4].tolist()), fill=255)
+    return np.asarray(picture)
+
+
+def _seen(agent: Station, count: int) -> Bool[np.ndarray, " B"]:
+    if any(image.pixels is None for image in agent.images):
+        return np.ones(count, bool)
+    shown = np.zeros(count, bool)
+    for image in agent.images:
+        shown |= np.asarray(image.pixels) > 0
+    return shown
+
+
+def _pixels(points: Float[np.ndarray, "N 3"]) -> Int[np.ndarray, "N 2"]:
+    """Column and row of points of the agent's frame; the readers round towards the agent, too."""
+    ahead, left = (np.trunc(points[:, i] / PIXEL).astype(int) for i in (0, 1))
+    return np.column_stack([MIDDLE - left, MIDDLE - ahead])

@@ -1,13 +1,10 @@
 """The exception for errors of the user, and hints for misspelt names."""
 
-import json
 import reprlib
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from difflib import get_close_matches
-from importlib import metadata
 from typing import Any, TypeVar
-from urllib.parse import unquote, urlsplit
 
 from inspe_jax.core.words import visible
 
@@ -59,9 +56,10 @@ def check_known(name: str, known: Iterable[str], what: str) -> None:
 
 
 def missing_extra(what: str, extra: str, where: str = "") -> InspeError:
-    """The error of a library that is not installed: ``what`` needs it, and how the ``extra`` with
-    it is installed, as this package was. ``where`` says where there is such a library."""
-    return InspeError(f"{what}: {_install(extra)}{where and f' ({where})'}")
+    """The error of a library that is not installed: ``what`` needs it, and the ``extra`` has it.
+    ``where`` says where there is such a library."""
+    command = f"in a checkout of inspe_jax: pip install '.[{extra}]'"
+    return InspeError(f"{what}: {command}{where and f' ({where})'}")
 
 
 @contextmanager
@@ -73,23 +71,6 @@ def needs(what: str, extra: str, where: str = "") -> Iterator[None]:
         if (e.name or "").startswith("inspe_jax"):
             raise
         raise missing_extra(what, extra, where) from e
-
-
-def _install(extra: str) -> str:
-    """The command that installs an extra: from the folder or address that this package is from."""
-    package = f"inspe_jax[{extra}]"
-    try:
-        origin = json.loads(metadata.distribution("inspe_jax").read_text("direct_url.json") or "{}")
-    except metadata.PackageNotFoundError:  # run in its folder
-        origin = {}
-    url = origin.get("url", "")
-    if "dir_info" in origin:
-        editable = "-e " if origin["dir_info"].get("editable") else ""
-        return f"in {unquote(urlsplit(url).path)}: pip install {editable}'.[{extra}]'"
-    if url:
-        vcs = origin.get("vcs_info", {}).get("vcs")
-        return f"pip install '{package} @ {f'{vcs}+' if vcs else ''}{url}'"
-    return f"pip install '{package}'"
 
 
 def wrong_kind(name: str, given: Any, wanted: str) -> InspeError:

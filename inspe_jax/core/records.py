@@ -3,7 +3,6 @@
 import math
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
-from html import escape
 from types import UnionType
 from typing import Any, Union, get_args, get_origin
 
@@ -131,18 +130,10 @@ def _content(x: Any) -> Any:
 
 
 class Described:
-    """For dataclasses with ``repr=False``: one line for a prompt, a small table for a notebook, of
-    the facts by name that ``_facts`` has."""
+    """For dataclasses with ``repr=False``: one line of the facts by name that ``_facts`` has."""
 
     def _facts(self) -> dict[str, Any]:
         raise NotImplementedError
 
     def __repr__(self) -> str:
         return f"<{type(self).__name__}: {', '.join(f'{k} {v}' for k, v in self._facts().items())}>"
-
-    def _repr_html_(self) -> str:
-        rows = "".join(
-            f"<tr><th>{escape(key)}</th><td>{escape(str(value))}</td></tr>"
-            for key, value in self._facts().items()
-        )
-        return f"<table><caption>{type(self).__name__}</caption>{rows}</table>"

@@ -28,7 +28,7 @@ from typing import IO, Any, NamedTuple
 
 import jax
 
-from inspe_jax.core.compiling import compiled, leave, remember_seconds
+from inspe_jax.core.compiling import compiled, leave
 from inspe_jax.core.errors import InspeError
 from inspe_jax.placement.optimise import optimise
 
@@ -102,7 +102,7 @@ def _read(source: IO[bytes], tasks: SimpleQueue[SearchTask]) -> None:
 def _search(task: SearchTask, out: _MessageWriter) -> None:
     for name, value in task.settings.items():
         jax.config.update(name, value)
-    out.compiled = before = compiled().seconds
+    out.compiled = compiled().seconds
     try:
         result = optimise(
             **task.arguments,
@@ -115,7 +115,6 @@ def _search(task: SearchTask, out: _MessageWriter) -> None:
         traceback.print_exception(e)
         out.send("failed", f"the search failed: {e!r}")
     else:
-        remember_seconds(f"search by {task.arguments['method']}", compiled().seconds - before)
         out.send("ended", result)
 
 

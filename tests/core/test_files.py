@@ -192,16 +192,13 @@ class Row(BaseModel):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("height: 1e9", "height: must be a number, got '1e9', a text: write 1000000000.0, without "
-         "quotes; in YAML 1.0e+9 is a number, and 1e9 is text"),
-        ("height: 1e30", "write 1.0e+30, without quotes"),
-        ("count: '5'", "count: must be a number, got '5', a text: write 5, without quotes"),
+        ("height: 1e9", "height: input should be a valid number, got '1e9'"),
         ("height: high", "height: input should be a valid number, got 'high'"),
         (f"height: '{'x' * 60_000}'", "height: input should be a valid number, got 'xxx"),
         (f"names: '{'x' * 60_000}'", "names: must be a list, got 'xxx"),
         (f"{'x' * 900}: 1", "unknown key; allowed: count, height, names"),
     ],
-)  # fmt: skip
+)
 def test_a_wrong_value_is_quoted_shortly(text, words):
     with pytest.raises(InspeError) as caught:
         check_model(Row, parse_yaml(text, "a"), "a.yaml")

@@ -47,7 +47,7 @@ class LidarKeys(DeviceKeys):
     """A LiDAR: elevations as a table or as even steps, and a step of azimuth."""
 
     spec_type = LidarSpec
-    replaces = {  # as declared by the base
+    replaces = {
         "elevations_deg": ("elevation_range_deg", "channels"),
         "elevation_range_deg": ("elevations_deg",),
     }

@@ -51,8 +51,7 @@ from inspe_jax.jobs.scenes import scene_of
 from inspe_jax.jobs.sources import SceneSource
 from inspe_jax.mounting.mixes import starting_layout
 from inspe_jax.perception.detections import Detections, truth_of
-from inspe_jax.perception.evaluation import Evaluation, evaluate
-from inspe_jax.perception.evaluation.matching import matched
+from inspe_jax.perception.evaluation import Evaluation, evaluate, matched
 from inspe_jax.perception.inputs import BevGrid
 from inspe_jax.perception.training import Run, Settings
 from inspe_jax.perception.training.predict import loader_of

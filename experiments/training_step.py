@@ -44,9 +44,8 @@ from inspe_jax.dataset import open_cache
 from inspe_jax.dataset.plan import make_generation
 from inspe_jax.perception.detector import MODELS, TEACHER, Detector, model_of, parameters
 from inspe_jax.perception.inputs import BevGrid, inputs_of
-from inspe_jax.perception.training.optimiser import optimiser
 from inspe_jax.perception.training.predict import loader_of
-from inspe_jax.perception.training.settings import AUGMENT, Settings, agents_of
+from inspe_jax.perception.training.settings import AUGMENT, Settings, agents_of, optimiser
 from inspe_jax.perception.training.train import training_step
 
 QUICK_MODELS = ("coalign",)

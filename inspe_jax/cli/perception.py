@@ -188,7 +188,7 @@ def evaluate_detector(
     cache: Path | None = None,
     force: bool = False,
 ) -> None:
-    """Measure what a trained detector finds: nuScenes' mAP and errors, by class.
+    """Measure what a trained detector finds: nuScenes' mAP, by class.
 
     Detections are true if they are nearer than 0.5, 1, 2 and 4 m to a road user of their class; AP
     is the mean over these. All road users of the frames count, also those that no sensor sees, so

@@ -1,13 +1,13 @@
 """What XLA compiles in this process: how many programs, for how long, and who waits for it.
 
-Progress displays use it to tell users what they are waiting for, and the clock of a search stands
-still while the search waits for a program. It is measured from the events that JAX records. The
-programs are kept on disk for the next process.
+Progress displays use it, and the clock of a search stands still while the search waits for a
+program. It is measured from the events that JAX records. The programs are kept on disk for the next
+process.
 """
 
 import atexit
 import contextlib
-import json
+import copy
 import os
 import sys
 import threading
@@ -23,7 +23,7 @@ import jax.monitoring
 from platformdirs import user_cache_path
 
 from inspe_jax.core.errors import InspeError
-from inspe_jax.core.files import check_writable, write_text
+from inspe_jax.core.files import check_writable
 
 TRACED = "/jax/core/compile/jaxpr_trace_duration"
 """Event that JAX records when a function has been traced."""
@@ -60,15 +60,6 @@ class Stretches:
             begin = min(begin, first)
         self._stretches.append((begin, end))
         self.seconds += end - begin
-
-    def before(self, time: float) -> float:
-        """The seconds before a time."""
-        seconds = self.seconds
-        for first, last in reversed(self._stretches):
-            if last <= time:
-                break
-            seconds -= last - max(first, time)
-        return seconds
 
 
 class _Local(threading.local):
@@ -112,11 +103,10 @@ class _Watch:
         alive = {thread.ident for thread in threading.enumerate()}
         with self._lock:
             self._since = {thread: at for thread, at in self._since.items() if thread in alive}
-            seconds = self._all.seconds
+            waits = copy.deepcopy(self._all)
             if self._since:
-                since = min(self._since.values())
-                seconds = self._all.before(since) + time.monotonic() - since
-            return Compiled(self._programs, seconds, bool(self._since))
+                waits.add(min(self._since.values()), time.monotonic())
+            return Compiled(self._programs, waits.seconds, bool(self._since))
 
 
 _watch = _Watch()
@@ -227,52 +217,6 @@ def prune(folder: Path, most: int = KEPT) -> None:
         if size > most:
             with contextlib.suppress(OSError):
                 path.unlink()
-
-
-# ── About how long it takes ─────────────────────────────────────────────────
-
-TIMES = "compile_times.json"
-"""File in JAX's cache folder: seconds that compiling took the last time, by purpose."""
-NOTICED = 1.0
-"""Faster compiling is not remembered, because the program was read from the cache [s]."""
-
-
-def usual_seconds(what: str, default: float) -> float:
-    """Seconds that compiling ``what`` took last time on this machine; ``default`` if unknown."""
-    try:
-        return float(_times()[what])
-    except (KeyError, TypeError, ValueError):
-        return default
-
-
-def remember_seconds(what: str, seconds: float) -> None:
-    """Remember the seconds that compiling ``what`` took, if JAX has a cache on disk."""
-    path = _times_file()
-    if path is None or seconds < NOTICED:
-        return
-    with contextlib.suppress(OSError, InspeError):  # it is only an estimate
-        write_text(path, json.dumps(_times() | {what: round(seconds, 1)}))
-
-
-def waiting_words(seconds: float, usual: float) -> str:
-    """The message to a user who has waited ``seconds`` for compiling that takes ``usual`` [s]."""
-    if seconds < usual:
-        return f"compiling: {seconds:.0f} s of about {usual:.0f} s"
-    return f"compiling: {seconds:.0f} s, longer than the usual {usual:.0f} s"
-
-
-def _times() -> dict[str, float]:
-    path = _times_file()
-    try:
-        found = json.loads(path.read_text()) if path is not None else {}
-    except (OSError, ValueError):
-        return {}
-    return found if isinstance(found, dict) else {}
-
-
-def _times_file() -> Path | None:
-    folder = kept_in()
-    return None if folder is None else folder / TIMES
 
 
 # ── Ending the process while something is compiled ──────────────────────────

@@ -14,6 +14,7 @@ import json
 import math
 import os
 import re
+import secrets
 import stat
 import tempfile
 import tomllib
@@ -45,6 +46,14 @@ _FORMULA = re.compile("'*[=+\\-@\t\r\n＝＋－＠].", re.DOTALL)
 STRICT = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 """For models of what users write. A quoted number is reported as a mistake, not converted."""
 
+_WORDS = {
+    "missing": "missing key",
+    "too_short": "needs at least {min_length}, has {actual_length}",
+    "too_long": "has more than {max_length}",
+    "list_type": "must be a list, got {given}",
+}
+"""What is said of pydantic's kinds of fault, in place of its own words."""
+
 
 def check_model(model: type[Model], content: Any, where: str) -> Model:
     """Read ``content`` as a pydantic ``model``. Raises InspeError with the first fault.
@@ -60,26 +69,20 @@ def check_model(model: type[Model], content: Any, where: str) -> Model:
         key = "".join(
             f"[{part}]" if isinstance(part, int) else f".{part}" for part in fault["loc"]
         ).lstrip(".")
-        limits = fault.get("ctx", {})
+        given = brief(fault["input"])
         if fault["type"] == "extra_forbidden":
             known = sorted(_fields(model, fault["loc"][:-1]))
             message = f"unknown key{nearest(str(fault['loc'][-1]), known)}"
             message += f"; allowed: {', '.join(known)}"
-        elif fault["type"] == "missing":
-            message = "missing key"
         elif fault["type"] in ("model_type", "dict_type"):
             message = f"must hold keys with values: {', '.join(sorted(model.model_fields))}"
-        elif fault["type"] == "too_short":
-            message = f"needs at least {limits['min_length']}, has {limits['actual_length']}"
-        elif fault["type"] == "too_long":
-            message = f"has more than {limits['max_length']}"
-        elif fault["type"] == "list_type":
-            message = f"must be a list, got {brief(fault['input'])}"
         elif (number := _number_in(fault)) is not None:
-            message = f"must be a number, got {brief(fault['input'])}, a text: write {number}"
+            message = f"must be a number, got {given}, a text: write {number}"
+        elif fault["type"] in _WORDS:
+            message = _WORDS[fault["type"]].format(given=given, **fault.get("ctx", {}))
         else:
-            given = f", got {brief(fault['input'])}" if not isinstance(fault["input"], dict) else ""
-            message = fault["msg"][:1].lower() + fault["msg"][1:] + given
+            message = fault["msg"][:1].lower() + fault["msg"][1:]
+            message += "" if isinstance(fault["input"], dict) else f", got {given}"
         raise InspeError(f"{where}: {key or 'the file'}: {message}") from None
 
 
@@ -270,14 +273,11 @@ def cached_by_file(
     """
 
     def decorated(read: Callable[[Path], Content]) -> Callable[[str | os.PathLike[str]], Content]:
-        @functools.lru_cache(maxsize=size)
-        def cached(path: Path, _where: Path, _modified: int, _size: int) -> Content:
-            return read(path)
+        cached = functools.lru_cache(maxsize=size)(lambda path, *facts: read(path))
 
         @functools.wraps(read)
         def load(path: str | os.PathLike[str]) -> Content:
-            path = Path(path)
-            check_input(path)
+            check_input(path := Path(path))
             facts = path.stat()
             return cached(path, path.resolve(), facts.st_mtime_ns, facts.st_size)
 
@@ -310,17 +310,17 @@ def whole_file(path: str | os.PathLike[str]) -> Iterator[IO[bytes]]:
     """
     check_output(path)
     path = Path(path)
+    part = path.with_name(f".{path.name}.{secrets.token_hex(4)}.part")
     try:
-        handle, part = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".part")
+        file = part.open("xb")
     except OSError as e:
         raise InspeError(f"{path}: cannot be written: {e.strerror}") from e
     try:
-        with named(path), os.fdopen(handle, "wb") as f:
-            yield f
-        os.chmod(part, 0o666 & ~_umask())
-        os.replace(part, path)
+        with named(path), file:
+            yield file
+        part.replace(path)
     except BaseException:
-        Path(part).unlink(missing_ok=True)
+        part.unlink(missing_ok=True)
         raise
 
 
@@ -418,9 +418,3 @@ def json_value(value: Any) -> Any:
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
     return [json_value(item) for item in value] if isinstance(value, list | tuple) else value
-
-
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask

@@ -9,8 +9,6 @@ from inspe_jax.core.errors import InspeError
 from inspe_jax.dataset.loading.batch import Targets
 from inspe_jax.simulation.frame import KINDS
 
-_INDICES = np.arange(len(KINDS))
-
 
 class Detections(NamedTuple):
     """The N boxes of one frame, without padding.
@@ -28,24 +26,23 @@ class Detections(NamedTuple):
 
 
 def check(detections: Detections, where: str) -> None:
-    """Raise InspeError, which begins with ``where``, if boxes or scores are not finite numbers, a
-    size is not above 0, a score is not from 0 to 1, a kind is not known, or numbers of boxes
-    differ."""
+    """Raise InspeError, which begins with ``where``, if a box is not finite, a size is not above 0,
+    a score is not from 0 to 1, a kind is not known, or numbers of boxes differ."""
     boxes, kind, score = (np.asarray(part) for part in detections)
     if boxes.shape != (len(kind), 9) or kind.shape != score.shape or kind.ndim != 1:
         raise InspeError(
             f"{where}: boxes, kind and score have the shapes {boxes.shape}, {kind.shape} and "
             f"{score.shape}: (N, 9), (N,) and (N,) are needed"
         )
-    for fine, name, values, allowed in (
-        (np.isfinite(boxes).all(1), "box", boxes, "finite numbers are needed"),
-        ((boxes[:, 3:6] > 0).all(1), "size", boxes[:, 3:6], "must be above 0"),
-        ((score >= 0) & (score <= 1), "score", score, "must be from 0 to 1"),
-        (np.isin(kind, _INDICES), "kind", kind, f"0 to {_INDICES[-1]}: {', '.join(KINDS)}"),
-    ):
-        if not fine.all():
-            n = int(np.argmin(fine))
-            raise InspeError(f"{where}: box {n}: {name} {values[n].tolist()}: {allowed}")
+    fine = np.isfinite(boxes).all(1) & (boxes[:, 3:6] > 0).all(1)
+    fine &= (score >= 0) & (score <= 1) & np.isin(kind, range(len(KINDS)))
+    if not fine.all():
+        n = int(np.argmin(fine))
+        raise InspeError(
+            f"{where}: box {n}: {boxes[n].tolist()} of kind {kind[n]} and score {score[n]:g}: "
+            f"numbers must be finite, sizes above 0, scores from 0 to 1, and kinds from 0 to "
+            f"{len(KINDS) - 1}"
+        )
 
 
 def truth_of(targets: Targets, b: int) -> Detections:

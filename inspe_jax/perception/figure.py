@@ -1,10 +1,10 @@
 """A figure of detections beside ground truth: in plan over the points, and on the pictures."""
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 from matplotlib import patheffects
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
@@ -28,8 +28,7 @@ from inspe_jax.dataset.frame_figure import (
 )
 from inspe_jax.dataset.loading.batch import Batch, Cameras, Lidars
 from inspe_jax.perception.detections import Detections, check, truth_of
-from inspe_jax.perception.evaluation.matching import matched
-from inspe_jax.perception.evaluation.metrics import ERROR_DISTANCE
+from inspe_jax.perception.evaluation import USUAL_DISTANCE, matched
 from inspe_jax.simulation.frame import KINDS, RoadUserBox
 from inspe_jax.simulation.projection import corners, edge_lines
 
@@ -47,14 +46,25 @@ _SCORE_HALO = [patheffects.withStroke(linewidth=1.2, foreground="white")]
 
 @dataclass(frozen=True, eq=False)
 class _Compared:
-    """What is drawn: truth and detections as boxes, and which of them have no counterpart."""
+    """Truth and detections, and which of them have no counterpart."""
 
     truth: Detections
     found: Detections
-    users: list[RoadUserBox]
-    boxes: list[RoadUserBox]
     missed: Bool[np.ndarray, " M"]
     false: Bool[np.ndarray, " N"]
+
+
+class _Group(NamedTuple):
+    """Boxes that are drawn alike, their colours in plan, and their looks there and on pictures.
+
+    ``line`` is their colour on pictures, None for the same as in plan.
+    """
+
+    boxes: list[RoadUserBox]
+    colors: list[str]
+    in_plan: dict[str, Any]
+    on_pictures: dict[str, Any]
+    line: str | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,26 +90,39 @@ def draw(
     if not batch.valid[b]:
         raise InspeError(f"frame {b} of the batch is padding: use one that is valid")
     check(detections, "detections")
-    shown = Detections(*(np.asarray(p)[detections.score >= least_score] for p in detections))
-    compared = _compare(truth_of(batch.targets, b), shown)
+    found = Detections(*(np.asarray(p)[detections.score >= least_score] for p in detections))
+    truth = truth_of(batch.targets, b)
+    taken = matched(found, truth)
+    missed = ~np.isin(np.arange(len(truth.kind)), taken)
+    compared = _Compared(truth, found, missed, taken < 0)
+    groups = _groups(compared)
     cameras = batch.cameras
     there = [] if cameras is None else np.flatnonzero(cameras.present[b]).tolist()
     shapes = [] if cameras is None else [cameras.pixels.shape[2:4]] * len(there)
     with house_style():
         fig, ax, panel, places = sheet_of_pictures(shapes)
         heading(fig, title, _facts(compared, len(detections.kind), least_score))
-        _draw_plan(ax, batch, b, compared)
+        _draw_plan(ax, batch, b, compared, groups)
         _draw_panel(panel, compared, bool(there), batch.lidars is not None)
         if cameras is not None:
             for place, c in zip(places, there, strict=True):
-                _draw_image(place, cameras, b, c, compared)
+                _draw_image(place, cameras, b, c, groups)
     return fig
 
 
-def _compare(truth: Detections, found: Detections) -> _Compared:
-    taken = matched(found, truth)
-    missed = ~np.isin(np.arange(len(truth.kind)), taken)
-    return _Compared(truth, found, _boxes(truth), _boxes(found), missed, taken < 0)
+def _groups(compared: _Compared) -> list[_Group]:
+    """Road users that are found and missed, then detections that are right and false."""
+    users, boxes, groups = _boxes(compared.truth), _boxes(compared.found), []
+    for missed, fill, line in ((False, _FILL, "white"), (True, MISSED_COLOR, MISSED_COLOR)):
+        own = [users[n] for n in np.flatnonzero(compared.missed == missed)]
+        look = dict(fill=fill, lw=0.5, zorder=3)
+        groups.append(_Group(own, [TRUTH_COLOR] * len(own), look, dict(lw=0.8), line))
+    for false, style in ((False, "-"), (True, _DASHES)):
+        own = [boxes[n] for n in np.flatnonzero(compared.false == false)]
+        colors = [CLASS_COLORS[KINDS.index(box.kind)] for box in own]
+        look = dict(ls=style, zorder=4)
+        groups.append(_Group(own, colors, look, dict(lw=0.7, ls=style, path_effects=RIM)))
+    return groups
 
 
 def _boxes(of: Detections) -> list[RoadUserBox]:
@@ -119,22 +142,19 @@ def _boxes(of: Detections) -> list[RoadUserBox]:
 
 def _facts(compared: _Compared, given: int, least_score: float) -> str:
     """Two lines: how many of both there are, and how many of them match."""
-    left_out = given - len(compared.boxes)
-    words = (
-        f"{counted(len(compared.users), 'road user')}; {counted(len(compared.boxes), 'detection')}"
-    )
+    users, boxes = len(compared.missed), len(compared.false)
+    words = f"{counted(users, 'road user')}; {counted(boxes, 'detection')}"
     if least_score > 0:
-        words += f" with a score of {least_score:g} or more, and {left_out:,} below, not drawn"
+        words += f" with a score of {least_score:g} or more, and {given - boxes:,} below, not drawn"
     missed, false = int(compared.missed.sum()), int(compared.false.sum())
-    found = len(compared.users) - missed
     return (
-        f"{words}\nwithin {ERROR_DISTANCE:g} m: {found:,} found, {missed:,} missed, "
+        f"{words}\nwithin {USUAL_DISTANCE:g} m: {users - missed:,} found, {missed:,} missed, "
         f"{counted(false, 'false detection')}"
     )
 
 
-def _draw_plan(ax: Axes, batch: Batch, b: int, compared: _Compared) -> None:
-    """Draw points, sensors, truth and detections in plan."""
+def _draw_plan(ax: Axes, batch: Batch, b: int, compared: _Compared, groups: list[_Group]) -> None:
+    """Draw points, truth, detections with their scores, and units with their cameras in plan."""
     sensors = [each for each in (batch.lidars, batch.cameras) if each is not None]
     places = [each.pose[b, each.present[b], :2, 3] for each in sensors]
     spots = np.concatenate([compared.truth.boxes[:, :2], compared.found.boxes[:, :2], *places])
@@ -147,22 +167,22 @@ def _draw_plan(ax: Axes, batch: Batch, b: int, compared: _Compared) -> None:
         near = (x > x0) & (x < x1) & (y > y0) & (y < y1)
         ax.scatter(x[near], y[near], c=_POINT, s=0.3, lw=0, rasterized=True, zorder=1)
     ax.plot(*compared.truth.boxes[compared.missed, :2].T, **_DISC, zorder=2)
-    for missed, fill in ((False, _FILL), (True, MISSED_COLOR)):
-        users = [compared.users[n] for n in np.flatnonzero(compared.missed == missed)]
-        colors = [TRUTH_COLOR] * len(users)
-        draw_footprints(ax, users, colors, fill=fill, lw=0.5, zorder=3)
-    for false, style in ((False, "-"), (True, _DASHES)):
-        own = np.flatnonzero(compared.false == false)
-        colors = [_color(compared.found.kind[n]) for n in own]
-        draw_footprints(ax, [compared.boxes[n] for n in own], colors, ls=style, zorder=4)
+    for group in groups:
+        draw_footprints(ax, group.boxes, group.colors, **group.in_plan)
     ax.plot(*compared.found.boxes[compared.false, :2].T, ls="", **_CROSS, zorder=5)
-    _draw_scores(ax, compared)
-    for unit in _units(batch, b):
-        _draw_unit(ax, batch, b, unit)
-
-
-def _color(kind: int) -> str:
-    return CLASS_COLORS[kind]
+    for box, score in zip(_boxes(compared.found), compared.found.score, strict=True):
+        ax.annotate(
+            f"{score:.2f}".removeprefix("0"), (corners([box])[..., 0].max(), box.center[1]),
+            xytext=(1, 0), textcoords="offset points", size=4.5, va="center", zorder=5,
+            color=CLASS_COLORS[KINDS.index(box.kind)], path_effects=_SCORE_HALO,
+            annotation_clip=True,
+        )  # fmt: skip
+    if batch.cameras is not None:
+        for pose in batch.cameras.pose[b, batch.cameras.present[b]]:
+            draw_direction(ax, pose[:2, 3], float(np.arctan2(pose[1, 0], pose[0, 0])))
+    units = np.concatenate([each.unit[b, each.present[b]] for each in sensors])
+    for unit in np.unique(units):
+        badge(ax, np.concatenate(places)[units == unit].mean(0), str(unit))
 
 
 def _points(lidars: Lidars, b: int) -> Float[np.ndarray, "N 2"]:
@@ -176,38 +196,6 @@ def _points(lidars: Lidars, b: int) -> Float[np.ndarray, "N 2"]:
     return points[b][inside[b]][:, :2]
 
 
-def _draw_scores(ax: Axes, compared: _Compared) -> None:
-    """Write the score of each detection right of its box."""
-    for box, kind, score in zip(
-        compared.boxes, compared.found.kind, compared.found.score, strict=True
-    ):
-        ax.annotate(
-            f"{score:.2f}".removeprefix("0"), (corners([box])[..., 0].max(), box.center[1]),
-            xytext=(1, 0), textcoords="offset points", size=4.5, color=_color(kind), va="center",
-            zorder=5, path_effects=_SCORE_HALO, annotation_clip=True,
-        )  # fmt: skip
-
-
-def _units(batch: Batch, b: int) -> list[int]:
-    """The numbers of the units that have a sensor in a frame."""
-    sensors = [each for each in (batch.lidars, batch.cameras) if each is not None]
-    return sorted({int(unit) for each in sensors for unit in each.unit[b][each.present[b]]})
-
-
-def _draw_unit(ax: Axes, batch: Batch, b: int, unit: int) -> None:
-    """Mark a unit in the middle of its sensors, and where its cameras look."""
-    places = []
-    for each in (batch.lidars, batch.cameras):
-        if each is not None:
-            own = each.present[b] & (each.unit[b] == unit)
-            places.append(each.pose[b, own])
-    poses = np.concatenate(places)
-    if batch.cameras is not None:
-        for pose in places[-1]:
-            draw_direction(ax, pose[:2, 3], float(np.arctan2(pose[1, 0], pose[0, 0])))
-    badge(ax, poses[:, :2, 3].mean(0), str(unit))
-
-
 def _draw_panel(panel: Axes, compared: _Compared, cameras: bool, points: bool) -> None:
     """A table of counts by class, and the legend."""
     look: dict[str, Any] = dict(size=6.5, va="center", parse_math=False)
@@ -215,7 +203,7 @@ def _draw_panel(panel: Axes, compared: _Compared, cameras: bool, points: bool) -
         panel.text(x, -_ROW / 2, word, ha="right", **look)
     for k, kind in enumerate(KINDS):
         y = -_ROW * (k + 1.5)
-        panel.text(0, y, kind, color=_color(k), weight="bold", **look)
+        panel.text(0, y, kind, color=CLASS_COLORS[k], weight="bold", **look)
         missed = compared.missed[compared.truth.kind == k]
         counts = (~missed).sum(), missed.sum(), compared.false[compared.found.kind == k].sum()
         for x, count in zip(_COLUMNS, counts, strict=True):
@@ -224,8 +212,8 @@ def _draw_panel(panel: Axes, compared: _Compared, cameras: bool, points: bool) -
     truth = "ground truth (white below)" if cameras else "ground truth"
     keys: list[Any] = [
         Patch(fc=_FILL, ec=TRUTH_COLOR, lw=0.5, label=truth),
-        Patch(fc="none", ec=_color(0), lw=0.8, label="detection, and its score"),
-        Line2D([], [], **_DISC, label=f"missed: none within {ERROR_DISTANCE:g} m"),
+        Patch(fc="none", ec=CLASS_COLORS[0], lw=0.8, label="detection, and its score"),
+        Line2D([], [], **_DISC, label=f"missed: none within {USUAL_DISTANCE:g} m"),
         Line2D([], [], **wrong, label="false detection"),
     ]
     if points:
@@ -235,27 +223,21 @@ def _draw_panel(panel: Axes, compared: _Compared, cameras: bool, points: bool) -
     panel.legend(handles=keys, loc="lower left", **KEYS)
 
 
-def _draw_image(ax: Axes, cameras: Cameras, b: int, c: int, compared: _Compared) -> None:
+def _draw_image(ax: Axes, cameras: Cameras, b: int, c: int, groups: list[_Group]) -> None:
     """A picture with truth and detections on it."""
     pixels = cameras.pixels[b, c]
     height, width = pixels.shape[:2]
     pose = cameras.pose[b, c].astype(float)
     camera = _Camera(cameras.intrinsic[b, c].astype(float), np.zeros(6))
-
-    def lines_of(boxes: list[RoadUserBox]) -> tuple[np.ndarray, Int[np.ndarray, " L"]]:
-        return edge_lines(camera, (corners(boxes) - pose[:3, 3]) @ pose[:3, :3], width, height)
-
-    lines, owner = lines_of(compared.users)
-    for wrong, color in ((False, "white"), (True, MISSED_COLOR)):
-        own = compared.missed[owner] == wrong
-        ax.add_collection(LineCollection(list(lines[own]), colors=color, lw=0.8), autolim=False)
-    lines, owner = lines_of(compared.boxes)
-    for wrong, style in ((False, "-"), (True, _DASHES)):
-        own = compared.false[owner] == wrong
-        colors = [_color(kind) for kind in compared.found.kind[owner[own]]]
-        drawn = LineCollection(list(lines[own]), colors=colors, lw=0.7, ls=style)
-        drawn.set_path_effects(RIM)
-        ax.add_collection(drawn, autolim=False)
+    shown = 0
+    for group in groups:
+        there = (corners(group.boxes) - pose[:3, 3]) @ pose[:3, :3]
+        lines, owner = edge_lines(camera, there, width, height)
+        colors = group.line or [group.colors[k] for k in owner]
+        ax.add_collection(
+            LineCollection(list(lines), colors=colors, **group.on_pictures), autolim=False
+        )
+        shown += 0 if group.line else len(np.unique(owner))
     number = int((cameras.unit[b, :c] == cameras.unit[b, c]).sum())
     words = f"unit {cameras.unit[b, c]}, camera {number}"
-    draw_picture(ax, pixels, f"{words}: {counted(len(set(owner.tolist())), 'detection')}")
+    draw_picture(ax, pixels, f"{words}: {counted(shown, 'detection')}")

@@ -5,7 +5,7 @@ LiDARs come first. Everything is in the frame of the intersection, so that no ma
 from one agent to another.
 """
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -51,16 +51,9 @@ class BevGrid:
                 f"is needed, as with half {MULTIPLE * self.cell / 2:g} m"
             )
 
-    def pillars(self, most_pillars: int = 6000, most_points: int = 16) -> PillarGrid:
-        """How points are divided among the same cells, for each unit: no more than there are."""
-        return PillarGrid(
-            half=self.half,
-            cell=self.cell,
-            low=self.low,
-            high=self.high,
-            most_points=most_points,
-            most_pillars=min(most_pillars, self.side**2),
-        )
+    def pillars(self) -> PillarGrid:
+        """How points are divided among the same cells, for each unit: 6,000 at most."""
+        return PillarGrid(**asdict(self), most_pillars=min(6000, self.side**2))
 
 
 class Inputs(NamedTuple):

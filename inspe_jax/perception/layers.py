@@ -16,6 +16,8 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
+Activation = Callable[[Any], Any]
+
 NEAR_ZERO = 1e-5
 """Added to variances, as is usual."""
 GROUPS = 8
@@ -138,11 +140,11 @@ class CellNorm(eqx.Module):
 
 
 class Block(eqx.Module):
-    """A convolution, a norm and a rectifier (or another activation)."""
+    """A convolution, a norm and a rectifier, or another activation."""
 
     conv: Conv
     norm: Norm
-    activation: Callable[[Any], Any] = eqx.field(static=True)
+    activation: Activation = eqx.field(static=True)
 
     def __init__(
         self,
@@ -152,7 +154,7 @@ class Block(eqx.Module):
         *,
         width: int = 3,
         stride: int = 1,
-        activation: Callable[[Any], Any] = jax.nn.relu,
+        activation: Activation = jax.nn.relu,
     ) -> None:
         self.conv = Conv(inputs, outputs, key, width=width, stride=stride)
         self.norm = Norm(outputs)
@@ -163,18 +165,28 @@ class Block(eqx.Module):
 
 
 class Perceptron(eqx.Module):
-    """Two linear maps with a rectifier between, of each cell by itself."""
+    """Two linear maps with a rectifier, or another activation, between, of each cell by itself."""
 
     inner: Linear
     outer: Linear
+    activation: Activation = eqx.field(static=True)
 
-    def __init__(self, inputs: int, hidden: int, outputs: int, key: Array) -> None:
+    def __init__(
+        self,
+        inputs: int,
+        hidden: int,
+        outputs: int,
+        key: Array,
+        *,
+        activation: Activation = jax.nn.relu,
+    ) -> None:
         first, second = jax.random.split(key)
         self.inner = Linear(inputs, hidden, first)
         self.outer = Linear(hidden, outputs, second)
+        self.activation = activation
 
     def __call__(self, x: Float[Array, "*n c"]) -> Float[Array, "*n d"]:
-        return self.outer(jax.nn.relu(self.inner(x)))
+        return self.outer(self.activation(self.inner(x)))
 
 
 def enlarged(x: Float[Array, "*n h w c"], times: int) -> Float[Array, "*n ht wt c"]:

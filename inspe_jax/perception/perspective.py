@@ -92,5 +92,4 @@ def _on_pictures(
         found: Array = on_picture(points.reshape(-1, 3), pose, intrinsic, jnp)
         return found.reshape(points.shape)
 
-    of_frame = jax.vmap(one, in_axes=(None, 0, 0))
-    return jax.vmap(of_frame)(corners, pose, intrinsic)
+    return jax.vmap(jax.vmap(one, in_axes=(None, 0, 0)))(corners, pose, intrinsic)

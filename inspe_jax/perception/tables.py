@@ -4,33 +4,25 @@ from rich.table import Table
 
 from inspe_jax.core.tables import table_of
 from inspe_jax.perception.detections import Detections
-from inspe_jax.perception.evaluation import Evaluation
-from inspe_jax.perception.evaluation.metrics import DISTANCES
+from inspe_jax.perception.evaluation import DISTANCES, Evaluation
 from inspe_jax.simulation.frame import KINDS
-
-SHOWN = {"translation": "ATE [m]", "scale": "ASE", "orientation": "AOE [rad]"}
-"""Errors in the table, by nuScenes' short names. One frame does not tell velocity."""
 
 
 def evaluation_table(found: Evaluation, note: str = "") -> Table:
-    """AP by class and distance, and the mean errors of what was found at 2 m; ``note`` ends the
-    title."""
+    """AP by class and distance; ``note`` ends the title."""
     table = table_of(
         f"mAP {found.mean_ap:.1%} of {found.frames:,} frames{note}",
         "class",
         "users",
         *(f"{distance:g} m" for distance in DISTANCES),
         "AP",
-        *SHOWN.values(),
     )
     for row in found.rows():
         precisions = (row[f"ap_{distance:g}m"] for distance in DISTANCES)
-        errors = (row[f"{name}_error"] for name in SHOWN)
         table.add_row(
             str(row["class"]),
             f"{row['road_users']:,}",
             *("–" if value == "" else f"{value:.1%}" for value in (*precisions, row["ap"])),
-            *("–" if value == "" else f"{value:.2f}" for value in errors),
         )
     return table
 

@@ -79,7 +79,9 @@ def spec_of(table: Any, name: str, where: str) -> Spec:
             other = device(table.pop("like")).spec
         except InspeError as e:
             raise InspeError(f"{where}: like: {e}") from None
-        table = SENSOR_KINDS[other.kind].combined(table_of(other), table)
+        replaces = SENSOR_KINDS[other.kind].replaces
+        gone = {key for own in table for key in replaces.get(own, ())}
+        table = {key: x for key, x in table_of(other).items() if key not in gone} | table
     if "kind" not in table:
         raise InspeError(f"{where}: kind: missing key")
     return check_model(keys_of(table["kind"], where), table, where).spec(name, where)

@@ -48,11 +48,8 @@ class Conditions:
     intensity: float | None = None
 
     def __post_init__(self) -> None:  # safe: it is not a pytree, so only users create it
-        for kind, given, known in (
-            ("light", self.light, lights()),
-            ("weather", self.weather, weathers()),
-        ):
-            check_known(given, known, kind)
+        check_known(self.light, lights(), "light")
+        check_known(self.weather, weathers(), "weather")
         if self.weather == CLEAR:
             if self.intensity is not None:
                 raise InspeError(
@@ -139,13 +136,12 @@ def perceiving(scene: Scene, layout: Layout, conditions: Conditions) -> Layout:
     if set(share.values()) == {1.0}:
         return there
     return _with_specs(
-        there,
-        lambda spec: spec.with_performance(spec.reliability * share.get(spec.kind, 1.0)),
+        there, lambda spec: spec.with_performance(spec.reliability * share.get(spec.kind, 1.0))
     )
 
 
 def _with_specs(layout: Layout, change: Callable[[Spec], Spec]) -> Layout:
-    """The same sensors with each device changed, once for all sensors that have it."""
+    """The same sensors with each device changed, once for all that have it."""
     changed = {spec: change(spec) for spec in {sensor.spec for sensor in layout.sensors}}
     sensors = (replace(sensor, spec=changed[sensor.spec]) for sensor in layout.sensors)
     return replace(layout, sensors=tuple(sensors))

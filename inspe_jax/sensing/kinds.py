@@ -1,12 +1,9 @@
 """Kinds of sensor: the keys with which a catalogue describes their devices.
 
-To add a kind, write its spec, a subclass of :class:`~inspe_jax.sensing.sensors.Spec`, and here its
-catalogue keys with a row of :data:`SENSOR_KINDS`. Scores, searches and layout files work
-with the new kind then. A detector finds road users with it as with the kind whose class of rays it
-has, or with a class of its own by the curves and the noise that its ``signal`` names. Light and
-weather take nothing from it until ``conditions.toml`` has figures for it, and a profile does not
-change its reliability. A recorder says that it cannot
-simulate the kind until it has a row in the recorder's own table.
+A new kind is a row of :data:`SENSOR_KINDS`; scores, searches and layout files work with it then. A
+detector finds road users with it as with the kind whose class of rays it has, or with a class of
+its own by the curves and the noise that its ``signal`` names. Light and weather take nothing from
+it until ``conditions.toml`` has figures for it, and a profile does not change its reliability.
 """
 
 from itertools import pairwise
@@ -34,8 +31,8 @@ class DeviceKeys(BaseModel):
 
     spec_type: ClassVar[type[Spec]]
     """The spec that they make."""
-    alternatives: ClassVar[tuple[str, ...]] = ()
-    """Keys of which a device has exactly one."""
+    replaces: ClassVar[dict[str, tuple[str, ...]]] = {}
+    """What a key of a device that is like another takes the place of, besides its namesake."""
 
     def spec(self, name: str, where: str) -> Spec:
         """The spec [rad, m] of a device. Raises InspeError that names ``where`` and the key."""
@@ -46,19 +43,15 @@ class DeviceKeys(BaseModel):
         """The keys of a spec of this kind, as Python's own numbers; :meth:`spec` reads them."""
         raise NotImplementedError
 
-    @classmethod
-    def combined(cls, other: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
-        """The keys of a device that is like another: ``own``, and ``other`` where it has none."""
-        if any(key in own for key in cls.alternatives):
-            other = {key: value for key, value in other.items() if key not in cls.alternatives}
-        return other | own
-
 
 class LidarKeys(DeviceKeys):
     """A LiDAR: elevations as a table or as even steps, and a step of azimuth."""
 
     spec_type = LidarSpec
-    alternatives = ("elevations_deg", "elevation_range_deg")
+    replaces = {
+        "elevations_deg": ("elevation_range_deg", "channels"),
+        "elevation_range_deg": ("elevations_deg",),
+    }
 
     range_m: Positive
     azimuth_step_deg: Annotated[float, Field(ge=0.001, le=360)]
@@ -98,13 +91,6 @@ class LidarKeys(DeviceKeys):
             reliability=float(spec.reliability),
         )
 
-    @classmethod
-    def combined(cls, other: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
-        """As for every kind; a table of elevations comes with its own number of channels."""
-        if "elevations_deg" in own:
-            other = {key: value for key, value in other.items() if key != "channels"}
-        return super().combined(other, own)
-
     def _elevations(self, where: str) -> list[float]:
         """Degrees, strictly ascending: the table, or even steps over the range."""
         key, table = "elevations_deg", self.elevations_deg
@@ -134,7 +120,7 @@ class CameraKeys(DeviceKeys):
     """A camera: its picture, its focal length or field of view, and its effective depth."""
 
     spec_type = CameraSpec
-    alternatives = ("hfov_deg", "focal_px")
+    replaces = {"hfov_deg": ("focal_px",), "focal_px": ("hfov_deg",)}
 
     width: Annotated[int, Field(ge=1)]
     height: Annotated[int, Field(ge=1)]

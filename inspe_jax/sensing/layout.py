@@ -1,31 +1,18 @@
 """A layout: infrastructure units, their sensors and the sensors' poses, and its YAML file.
 
-The file, in metres and degrees of the world frame::
+The file is in metres and degrees of the world frame; README.md shows one::
 
     units:
       - name: north-east pole
         base: [12.0, 11.5]           # x, y; a third number is the height of the base
         sensors:
-          - device: paper-camera
-            height: 6.0              # above the base
-            offset: [0.0, 0.5]       # x, y from the base (0, 0 if left out)
-            yaw_deg: -135.0          # counter-clockwise from +x
-            pitch_deg: -15.0         # positive nose-up (0 if left out)
-            roll_deg: 0.0            # (0 if left out)
+          - {device: paper-camera, height: 6.0, yaw_deg: -135.0}  # also offset, pitch_deg, roll_deg
 
-Sensors are in the order of the file, unit by unit. A layout of another order has its sensors'
-names in that order under ``order``, such as ``order: [left, middle, right]``.
-
-A device that is not in the catalogue is described in the file itself, with the catalogue's keys.
-With ``like`` it has another device's keys where it gives none::
-
-    devices:
-      my-camera: {like: paper-camera, depth_m: 45}
-
-``profile: paper`` names the profile that the layout was made under, ``searched_for`` what a search
-has maximised, where that is not the usual P_sm::
-
-    searched_for: {weights: {detectability: 1.0}, regions: [crosswalk], road_users: [pedestrian]}
+Sensors are in the order of the file, unit by unit, unless ``order`` has their names in another.
+``devices`` describes those that are not in the catalogue, with its keys, or ``like`` another.
+``profile`` names the profile that the layout was made under, ``searched_for`` what a search has
+maximised, where that is not the usual P_sm, such as
+``{weights: {detectability: 1.0}, regions: [crosswalk], road_users: [pedestrian]}``.
 """
 
 import os
@@ -179,11 +166,8 @@ class Layout(ByContent, Described):
 
     @property
     def reliability(self) -> Float[np.ndarray, " S"]:
-        """The reliability of each sensor's device, as in the catalogue.
-
-        A score takes it times what the scene's profile and the conditions leave of it: that of
-        :func:`inspe_jax.sensing.conditions.perceiving`.
-        """
+        """The reliability of each sensor's device; :func:`~inspe_jax.sensing.conditions.perceiving`
+        gives the devices that of a scene."""
         return np.array([sensor.spec.reliability for sensor in self.sensors])
 
 
@@ -243,16 +227,12 @@ def _check_pair(where: str, unit: Unit, a: Sensor, b: Sensor, apart: np.ndarray)
 # ── The file ────────────────────────────────────────────────────────────────
 
 
-class _Strict(BaseModel):
-    model_config = STRICT
-
-
 _Metres = Annotated[float, Field(ge=-1e6, le=1e6)]
 _World = Annotated[float, Field(ge=-1e8, le=1e8)]  # northings are up to 1e7, some have a prefix
 _Degrees = Annotated[float, Field(ge=-360, le=360)]
 
 
-class _SensorEntry(_Strict):
+class _SensorEntry(BaseModel, **STRICT):
     device: str
     height: _Metres
     yaw_deg: _Degrees
@@ -262,20 +242,20 @@ class _SensorEntry(_Strict):
     name: str | None = None
 
 
-class _UnitEntry(_Strict):
+class _UnitEntry(BaseModel, **STRICT):
     name: str | None = None
     base: Annotated[list[_World], Field(min_length=2, max_length=3)]
     sensors: Annotated[list[_SensorEntry], Field(min_length=1)]
 
 
-class _GoalEntry(_Strict):
+class _GoalEntry(BaseModel, **STRICT):
     weights: dict[str, float]
     regions: list[str] = []
     road_users: list[str] = []
     failures: bool = False
 
 
-class _LayoutFile(_Strict):
+class _LayoutFile(BaseModel, **STRICT):
     name: str | None = None
     profile: str | None = None
     searched_for: _GoalEntry | None = None
@@ -358,10 +338,8 @@ def _goal(entry: _GoalEntry | None, where: str) -> Goal | None:
 
 
 def save_layout(layout: Layout, path: str | os.PathLike[str]) -> None:
-    """Write a layout file that :func:`load_layout` reads back to the same poses, to 1e-9.
-
-    Raises InspeError as :func:`layout_text` does.
-    """
+    """Write a layout file that :func:`load_layout` reads back to the same poses, to 1e-9. Raises
+    InspeError as :func:`layout_text` does."""
     write_text(path, layout_text(layout))
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, Field
 
 from inspe_jax.core.errors import InspeError, nearest
 from inspe_jax.core.files import check_model
@@ -26,13 +26,11 @@ _Finite = Annotated[float, Field(allow_inf_nan=False)]
 
 
 class _Unit(BaseModel):
-    model_config = ConfigDict(extra="ignore")
     name: str
     profile: str | None = None
 
 
 class _Sensor(BaseModel):
-    model_config = ConfigDict(extra="ignore")
     name: str
     unit: str
     device: str

@@ -94,11 +94,7 @@ class Kind(NamedTuple):
 
 @dataclass(frozen=True)
 class Rays:
-    """A grid of rays inside a compiled program: its numbers are arrays, traced or not.
-
-    Each kind has its own coordinates of rows and columns, and overrides the methods that depend on
-    them.
-    """
+    """A grid of rays inside a compiled program: its numbers are arrays, traced or not."""
 
     table: RayTable
     wraps: bool = field(metadata={"static": True})
@@ -152,6 +148,16 @@ class Rays:
             return both
         return jnp.where(self.table.wide, jnp.maximum(after, -before), both)
 
+    def square_column(self, q: Point, edges: Edges, edge: int) -> Float[Array, "*n"]:
+        """Perpendicular distance of points to the left of the first column (0) or the last (1) [m]:
+        of the half-plane of its azimuth, or of the plane through it."""
+        cos, sin = edges.column_turn
+        return q[1] * cos[edge] - q[0] * sin[edge]
+
+    def beyond_edge(self, q: Point, edge: int) -> Float[Array, "*n"]:
+        """How far points lie left of the first column (0) or the last (1) [m]; linear."""
+        return self.square_column(q, self.table.edges, edge)
+
     def rows_below(self, row: Float[Array, "*n"]) -> Float[Array, "*n"]:
         """How many row spacings lie between the outer first row and a row coordinate.
 
@@ -191,14 +197,6 @@ class Rays:
 
     def square_row(self, q: Point, edges: Edges, edge: int) -> Float[Array, "*n"]:
         """Perpendicular distance of points beyond the first row (0) or the last (1) [m]."""
-        raise NotImplementedError
-
-    def beyond_edge(self, q: Point, edge: int) -> Float[Array, "*n"]:
-        """How far points lie beyond the first column (0) or the last (1) [m]; linear."""
-        raise NotImplementedError
-
-    def square_column(self, q: Point, edges: Edges, edge: int) -> Float[Array, "*n"]:
-        """Perpendicular distance of points beyond the first column (0) or the last (1) [m]."""
         raise NotImplementedError
 
     def row_normal(self, q: Point) -> Point:
@@ -282,15 +280,6 @@ class SphericalRays(Rays):
         """Distance above the cone of that row's elevation."""
         cos, sin = edges.row_turn
         return q[2] * cos[edge] - _plan(q) * sin[edge]
-
-    def beyond_edge(self, q: Point, edge: int) -> Float[Array, "*n"]:
-        """Distance to the left of the half-plane of that column's azimuth."""
-        return self.square_column(q, self.table.edges, edge)
-
-    def square_column(self, q: Point, edges: Edges, edge: int) -> Float[Array, "*n"]:
-        """Distance to the left of the half-plane of that column's azimuth."""
-        cos, sin = edges.column_turn
-        return q[1] * cos[edge] - q[0] * sin[edge]
 
     def row_normal(self, q: Point) -> Point:
         """Upward along the meridian."""
@@ -380,11 +369,6 @@ class PinholeRays(Rays):
         """Distance above the plane through that row."""
         cos, sin = edges.row_turn
         return q[2] * cos[edge] - q[0] * sin[edge]
-
-    def square_column(self, q: Point, edges: Edges, edge: int) -> Float[Array, "*n"]:
-        """Distance to the left of the plane through that column."""
-        cos, sin = edges.column_turn
-        return q[1] * cos[edge] - q[0] * sin[edge]
 
     def row_normal(self, q: Point) -> Point:
         """Gradient of z/x, times x²."""

@@ -163,13 +163,11 @@ class PinholeGrid(RayGrid):
 
 
 class Spec:
-    """What you buy: the base of every kind of sensor.
+    """The base of every kind of sensor: what you buy.
 
-    A kind is a frozen dataclass derived from this class, with fields for ``name``, ``reliability``
-    and whatever else its grid of rays needs. It has a row in
+    A kind is a frozen dataclass with whatever its grid of rays needs, and has a row in
     :data:`~inspe_jax.sensing.kinds.SENSOR_KINDS`. ``reliability`` is the chance that what is in
-    view is perceived. Below are the facts of a kind, with the values for a sensor that looks level
-    or all round.
+    view is perceived. Defaults are those of a sensor that looks level or all round.
     """
 
     name: str
@@ -236,7 +234,6 @@ class CameraSpec(Spec):
     ``width``, ``height``, the ``focal`` length and the ``principal`` point are in
     pixels. ``downsample`` is λ: the rays are ⌊λ·height⌋ × ⌊λ·width⌋ and pass through
     the centres of the enlarged pixels. ``depth`` [m] is measured along the ray.
-    ``reliability`` is the chance that what is in view is perceived.
     """
 
     name: str
@@ -298,7 +295,7 @@ class LidarSpec(Spec):
 
     ``elevations`` ascend [rad]; ``azimuth_count`` is J; ``azimuth_fov`` is θ₀
     [rad], 2π for a spinning LiDAR; ``reach`` is t_max [m]. Azimuths are
-    θ_j = −θ₀/2 + j·θ₀/J (paper, section 3). ``reliability`` is as for a camera.
+    θ_j = −θ₀/2 + j·θ₀/J (paper, section 3).
     """
 
     name: str

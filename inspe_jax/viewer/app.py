@@ -19,7 +19,6 @@ from typing import Any
 import numpy as np
 from jaxtyping import UInt
 
-from inspe_jax.core.compiling import usual_seconds, waiting_words
 from inspe_jax.core.errors import InspeError
 from inspe_jax.placement.problem import Case
 from inspe_jax.report.page import template
@@ -43,8 +42,6 @@ from inspe_jax.viewer.store import LayoutStore
 
 PLAYED = 0.25
 """Least time between two frames that are played [s]."""
-SEARCH_COMPILES = 40.0
-"""Rough time that compiling a search takes [s]."""
 _FILE = '<div data-file style="padding:.2em 1em;font-size:.875em;overflow-wrap:anywhere">{}</div>'
 
 
@@ -240,9 +237,8 @@ class Viewer:
             self.searching = True
             self.panel.searching(True)
             set_value(self.panel.bar, 0.0)
-            usual = usual_seconds(f"search by {method}", SEARCH_COMPILES)
             self._course = ""
-            self.panel.course.content = f"starting; compiles first, for {usual:.0f} s or so"
+            self.panel.course.content = "starting; compiles first, for half a minute or so"
             self._began = time.monotonic()
             dropped = [view.drop_outdated() for view in list(self.views.values())]
             if any(dropped):
@@ -289,10 +285,9 @@ class Viewer:
     def _on_compiling(self, seconds: float) -> None:
         def job() -> None:
             if self.searching:
-                what = f"search by {self.panel.method.value}"
-                waiting = waiting_words(seconds, usual_seconds(what, SEARCH_COMPILES))
                 course = f"{self._course}; " if self._course else ""
-                self.panel.course.content = f"{course}{waiting}, which does not count"
+                waiting = f"{course}compiling: {seconds:.0f} s, which does not count"
+                self.panel.course.content = waiting
 
         self.queue.submit(job, key="compiling")
 

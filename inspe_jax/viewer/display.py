@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import viser
 from jaxtyping import UInt
 
-from inspe_jax.core.compiling import compiled, remember_seconds, usual_seconds, waiting_words
+from inspe_jax.core.compiling import compiled
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.words import isolated
 from inspe_jax.placement.feasibility import Fault
@@ -32,8 +32,6 @@ BACK = 1.25
 """How far the camera is at first, in the usual distance."""
 STALE = 0.5
 """Scores and voxels of the layout before fade after this time [s]."""
-SCORES, SCORES_COMPILE = "scores", 10.0
-"""Name under which the compile time of scores is remembered, and its rough value [s]."""
 
 
 class Reference(NamedTuple):
@@ -153,9 +151,7 @@ class Display:
 
     def show_scores(self, scored: ScoredLayout) -> None:
         """Show new scores."""
-        self.scored, before = scored, self._compiled
-        self._compiled = compiled().seconds
-        remember_seconds(SCORES, self._compiled - before)
+        self.scored, self._compiled = scored, compiled().seconds
         if scored.scores is not None and scored.frames == self._frames:
             self.blind_spots.show(scored.layout, scored.scores)
         self._newest[scored.frames] = scored
@@ -234,8 +230,7 @@ class Display:
             view.show_table(self.shown, scored if self._current else None)
         state, waiting = compiled(), "scoring …"
         if state.now:
-            usual = usual_seconds(SCORES, SCORES_COMPILE)
-            waiting = waiting_words(state.seconds - self._compiled, usual)
+            waiting = f"compiling: {state.seconds - self._compiled:.0f} s"
         page = score_panel(
             self.shown,
             scored,

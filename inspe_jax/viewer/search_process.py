@@ -27,7 +27,7 @@ from functools import partial
 from queue import SimpleQueue
 from typing import IO, Any
 
-from inspe_jax.core.compiling import compiled, leave, remember_seconds
+from inspe_jax.core.compiling import compiled, leave
 from inspe_jax.core.errors import InspeError
 from inspe_jax.placement.optimise import optimise
 
@@ -88,7 +88,6 @@ def _search(arguments: dict[str, Any], send: Callable[..., None]) -> None:
         traceback.print_exception(e)
         send("failed", f"the search failed: {e!r}")
     else:
-        remember_seconds(f"search by {arguments['method']}", compiled().seconds - before)
         send("ended", result)
     finally:
         ended.set()

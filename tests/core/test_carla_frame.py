@@ -16,14 +16,11 @@ def test_known_pose():
 
 
 @given(POSES)
-def test_there_and_back(pose):
+def test_there_and_back_one_by_one_or_many_at_once(pose):
     np.testing.assert_allclose(from_carla(to_carla(pose)), pose, rtol=1e-14, atol=1e-14)
-
-
-def test_many_at_once():
-    poses = np.random.default_rng(0).normal(size=(4, 5, 6))
-    np.testing.assert_array_equal(to_carla(poses)[2, 3], to_carla(poses[2, 3]))
-    np.testing.assert_array_equal(from_carla(poses)[2, 3], from_carla(poses[2, 3]))
+    two = np.array([[pose, pose]])
+    np.testing.assert_array_equal(to_carla(two)[0, 1], to_carla(pose))
+    np.testing.assert_array_equal(from_carla(two)[0, 1], from_carla(pose))
 
 
 def test_matrix_is_the_clients():
@@ -60,10 +57,3 @@ def test_between_two_bodies():
     lidar = to_carla([5, 6, 3, 0, 0, 0])
     camera = to_carla([5, 6, 4, 0, 0, np.radians(-90)])
     np.testing.assert_allclose(between(lidar, camera) @ [0, 2, 0, 1], [2, 0, -1, 1], atol=1e-12)
-
-
-def test_flip_leaves_what_it_is_given():
-    points = np.ones((2, 4), np.float32)
-    assert flip(points).dtype == np.float32
-    assert (flip(points)[:, 1] == -1).all()
-    assert (points == 1).all()

@@ -8,14 +8,7 @@ import jax.numpy as jnp
 import pytest
 
 from inspe_jax.core import compiling
-from inspe_jax.core.compiling import (
-    compiled,
-    remember_seconds,
-    usual_seconds,
-    waiting,
-    waiting_words,
-    working_clock,
-)
+from inspe_jax.core.compiling import compiled, waiting, working_clock
 from inspe_jax.core.parallel import run
 
 
@@ -98,19 +91,3 @@ def test_a_clock_stands_still_while_its_thread_waits_for_a_program(monkeypatch, 
         thread.start()
         thread.join()
     assert (clock() - began < 0.15) == stands
-
-
-def test_how_long_it_takes_is_as_long_as_the_last_time(tmp_path, monkeypatch):
-    monkeypatch.setattr(compiling, "_times_file", lambda: tmp_path / "times.json")
-    assert usual_seconds("scores", 10.0) == 10.0
-    remember_seconds("scores", 7.25)
-    remember_seconds("scores", 0.1)  # read from what was kept
-    assert usual_seconds("scores", 10.0) == 7.2
-    assert usual_seconds("search", 40.0) == 40.0
-    for broken in ("{", "[1]", '{"scores": "long"}'):
-        (tmp_path / "times.json").write_text(broken)
-        assert usual_seconds("scores", 10.0) == 10.0
-    monkeypatch.setattr(compiling, "_times_file", lambda: None)
-    remember_seconds("scores", 7.25)
-    assert waiting_words(3.2, 10.0) == "compiling: 3 s of about 10 s"
-    assert "longer than the usual 10 s" in waiting_words(12.0, 10.0)

@@ -4,7 +4,6 @@ from dataclasses import field, make_dataclass, replace
 
 import jax
 import numpy as np
-import pytest
 
 import inspe_jax
 from inspe_jax.core.pytree import pytree
@@ -34,11 +33,8 @@ def test_there_and_back_with_the_names_of_fields():
 def test_two_classes_with_the_same_fields_have_structures_that_differ():
     """Else programs traced for one run on the other: JAX's own dataclasses are taken as equal."""
     assert jax.tree.structure(One(1.0, 7)) != jax.tree.structure(Other(1.0, 7))
-
-
-def test_a_cameras_rays_are_not_taken_for_a_lidars():
     table = inspe_jax.device("paper-camera").spec.grid.rays.table
-    camera, lidar = (kind(table, False) for kind in (PinholeRays, SphericalRays))
-    assert jax.tree.structure(camera) != jax.tree.structure(lidar)
-    with pytest.raises(ValueError, match="SphericalRays"):
-        jax.tree.map(lambda a, b: a, camera, lidar)
+    camera, lidar = (
+        jax.tree.structure(kind(table, False)) for kind in (PinholeRays, SphericalRays)
+    )
+    assert camera != lidar

@@ -263,15 +263,15 @@ def test_agents_attend_by_the_modalities_of_both():
         a, told = TYPES[i], []
         for h in range(2):
             part = slice(4 * h, 4 * h + 4)
-            query = (x[0, i, m, t] @ w.queries.weight[a])[part]
+            query = (x[0, i, m, t] @ w.queries[a])[part]
             scores, values = [], []
             for j, s in ((j, s) for j in (0, 1) for s in range(4)):
                 b, sent = TYPES[j], x[0, j, m, s]
-                key = (sent @ w.keys.weight[b])[part]
-                scores.append(query @ w.relations.weight[a, b, h] @ key / 2)
-                values.append((sent @ w.values.weight[b])[part] @ w.messages.weight[a, b, h])
+                key = (sent @ w.keys[b])[part]
+                scores.append(query @ w.relations[a, b, h] @ key / 2)
+                values.append((sent @ w.values[b])[part] @ w.messages[a, b, h])
             told.append(softmax(np.array(scores)) @ np.array(values))
-        expected = np.concatenate(told) @ w.outputs.weight[a]
+        expected = np.concatenate(told) @ w.outputs[a]
         np.testing.assert_allclose(found[0, i, m, t], expected, rtol=1e-3, atol=1e-4)
 
 

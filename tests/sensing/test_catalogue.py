@@ -41,6 +41,7 @@ def rings(name):
 
 @pytest.mark.parametrize(("name", "channels", "lowest", "highest", "azimuths", "reach"), SHEETS)
 def test_lidars_match_their_sheets(name, channels, lowest, highest, azimuths, reach):
+    assert {row[0] for row in SHEETS} == set(LIDARS)
     spec = DEVICES[name].spec
     elevations = rings(name)
     assert len(elevations) == channels
@@ -50,10 +51,6 @@ def test_lidars_match_their_sheets(name, channels, lowest, highest, azimuths, re
     turn = np.radians(81.7) if name == "livox-horizon" else 2 * np.pi
     assert spec.azimuth_fov == pytest.approx(turn)
     assert spec.grid.wraps == (name != "livox-horizon")
-
-
-def test_every_lidar_is_checked():
-    assert {row[0] for row in SHEETS} == set(LIDARS)
 
 
 def test_vlp_32c_is_the_manuals_uneven_table():
@@ -125,26 +122,10 @@ def test_camera_rays_span_its_field_of_view_a_degree_apart(name, rows, field):
 def test_every_device_says_where_its_figures_come_from(name):
     d = DEVICES[name]
     assert d.name == d.spec.name == name
-    assert d.kind == d.spec.kind
     assert min(map(len, (d.title, d.maker, d.source, d.note))) > 4
-    assert d.spec.reliability == 1.0
     assert d.product == (d.maker != "InSPE paper")
     if d.price_usd is not None:
         assert "rice" in d.note  # of which year, or by whom
-    hash(d)
-
-
-@pytest.mark.parametrize(
-    "name", [n for n in LIDARS if not n.startswith(("paper", "ideal", "livox"))]
-)
-def test_every_real_lidar_says_what_its_range_means(name):
-    note = DEVICES[name].note
-    assert "10 %" in note or "Maximum range" in note
-
-
-def test_the_list_is_the_callers_own():
-    devices().clear()
-    assert devices() == DEVICES
 
 
 def test_an_unknown_name_gets_the_nearest():
@@ -179,19 +160,14 @@ def read(text):
     return spec_of(tomllib.loads(text), "mine", "here: mine")
 
 
-def test_specs_are_in_radians():
+def test_specs_are_in_radians_with_both_ends_of_even_elevations():
     elevations = (-np.pi / 6, pytest.approx(-0.18325957145940461), 0, pytest.approx(np.pi / 90))
     assert read(LIDAR) == LidarSpec("mine", elevations, 180, np.pi / 2, 25.0, 0.8)
     assert read(CAMERA) == CameraSpec("mine", 640, 480, 320.0, (320.0, 240.0), 0.5, 40.0)
-
-
-def test_even_elevations_include_both_ends():
-    found = read(LIDAR.replace(*EVEN)).elevations
-    np.testing.assert_allclose(np.degrees(found), [-30, -20, -10, 0])
-
-
-def test_half_a_right_angle_is_a_focal_length_of_half_the_width():
-    assert read(CAMERA.replace("focal_px = 320", "hfov_deg = 90")).focal == pytest.approx(320)
+    even = np.degrees(read(LIDAR.replace(*EVEN)).elevations)
+    np.testing.assert_allclose(even, [-30, -20, -10, 0])
+    square = read(CAMERA.replace("focal_px = 320", "hfov_deg = 90"))
+    assert square.focal == pytest.approx(320)  # half the width
 
 
 @pytest.mark.parametrize(
@@ -200,7 +176,6 @@ def test_half_a_right_angle_is_a_focal_length_of_half_the_width():
         ("range_m = 25", "range = 25", r"range: unknown key; did you mean range_m\?; allowed"),
         ("range_m = 25\n", "", "mine: range_m: missing key"),
         ("range_m = 25", "range_m = -5", r"mine: range_m: .*greater than 0, got -5"),
-        ("range_m = 25", "range_m = nan", r"mine: range_m: .*finite.*got nan"),
         ("range_m = 25", "range_m = inf", r"mine: range_m: .*finite.*got inf"),
         ("range_m = 25", 'range_m = "25"', r"mine: range_m: .*number, got '25'"),
         ("reliability = 0.8", "reliability = 1.5", r"mine: reliability: .*equal to 1, got 1.5"),
@@ -208,7 +183,6 @@ def test_half_a_right_angle_is_a_focal_length_of_half_the_width():
         ("azimuth_step_deg = 0.5", "azimuth_step_deg = 91", "azimuth_step_deg: 91 is wider.* 90"),
         ("azimuth_fov_deg = 90", "azimuth_fov_deg = 400", "azimuth_fov_deg: .*360, got 400"),
         ("channels = 4", "channels = 5", "mine: channels: 5, but elevations_deg has 4"),
-        ("-10.5, 0, 2]", "-10.5, 0, 0]", "elevations_deg: must ascend strictly, but 0 follows 0"),
         ("-10.5, 0, 2]", "-40, 0, 2]", "elevations_deg: must ascend strictly, but -40 follows -30"),
         ("-10.5, 0, 2]", "-10.5, 0, 92]", r"elevations_deg\[3\]: .*equal to 90, got 92"),
         ("-10.5, 0, 2]", "-10.5, nan, 2]", r"elevations_deg\[2\]: .*finite.*got nan"),
@@ -222,9 +196,6 @@ def test_half_a_right_angle_is_a_focal_length_of_half_the_width():
         ('kind = "lidar"\n', "", "mine: kind: missing key"),
         ('kind = "lidar"', 'kind = "camera"', "mine: .*unknown key"),
         ("width = 640", "width = 640.5", r"width: .*integer, got 640.5"),
-        ("height = 480", "height = 0", r"height: .*equal to 1, got 0"),
-        ("downsample = 0.5", "downsample = 2", r"downsample: .*equal to 1, got 2"),
-        ("depth_m = 40", "depth_m = -1", r"depth_m: .*greater than 0, got -1"),
         ("focal_px = 320", "hfov_deg = 180", r"hfov_deg: .*less than 180, got 180"),
         ("focal_px = 320\n", "", "give either hfov_deg or focal_px"),
         ("focal_px = 320", "focal_px = 320\nhfov_deg = 90", "give either hfov_deg or"),

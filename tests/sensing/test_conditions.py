@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 
-import jax
 import numpy as np
 import pytest
 
@@ -46,13 +45,10 @@ def _reach(spec):
     return {"depth" if spec.kind == "camera" else "reach": spec.grid.reach}
 
 
-def test_the_paper_s_camera_in_three_lights():
+def test_the_paper_s_camera_in_three_lights_and_a_lidar_that_brings_its_own():
     """About 30 m by day and 10 m by night."""
     depths = [Conditions.of(light).spec(CAMERA).depth for light in ("midday", "dusk", "night")]
     np.testing.assert_allclose(depths, [30, 20, 10])
-
-
-def test_a_lidar_brings_its_own_light():
     assert Conditions.of("night").spec(LIDAR) == LIDAR
 
 
@@ -90,11 +86,11 @@ def test_the_usual_intensity_leaves_the_published_share():
     assert Conditions.of("night").spec(CAMERA).reliability == pytest.approx(night, abs=0.005)
 
 
-@pytest.mark.parametrize(("light", "weather"), [("dusk", "rain:10"), (" Night ", "FOG:75.5")])
-def test_names_are_read_and_written(light, weather):
-    around = Conditions.of(light, weather)
+def test_names_are_read_and_written():
+    around = Conditions.of(" Night ", "FOG:75.5")
     assert Conditions.of(*str(around).split(", ")) == around
     assert str(Conditions()) == "midday, clear"
+    assert Conditions("night", "rain") == Conditions.of("night", "rain:10")
 
 
 @pytest.mark.parametrize(
@@ -105,22 +101,13 @@ def test_names_are_read_and_written(light, weather):
         ("midday", "snow", r"weather 'snow': one of clear, rain, fog"),
         ("midday", "clear:1", r"clear weather has no intensity"),
         ("midday", "rain:", r"weather rain:nan: give rain:NUMBER, between 0.1 and 200 mm/h"),
-        ("midday", "rain:lots", r"rain:NUMBER"),
         ("midday", "rain:-3", r"between 0.1 and 200 mm/h"),
-        ("midday", "rain:nan", r"between 0.1 and 200 mm/h"),
         ("midday", "fog:1", r"fog:NUMBER, between 10 and 50000 m of met"),
     ],
 )
 def test_bad_input(light, weather, message):
     with pytest.raises(InspeError, match=message):
         Conditions.of(light, weather)
-
-
-def test_the_constructor_checks_as_well():
-    assert Conditions("night", "rain") == Conditions.of("night", "rain:10")
-    for wrong in (("noon",), ("night", "hail"), ("night", "fog", 0.0), ("night", "clear", 1.0)):
-        with pytest.raises(InspeError):
-            Conditions(*wrong)
 
 
 # ── In scores ───────────────────────────────────────────────────────────────
@@ -150,18 +137,6 @@ def test_scores_are_those_of_the_sensors_as_they_are_then(scene, layout):
         assert getattr(scores, name) < getattr(clear, name)
 
 
-@pytest.mark.slow
-def test_soft_scores_have_gradients_in_them(scene):
-    layout, around = strategy(scene, "Cam-d1"), Conditions.of("dusk", "rain:20")
-
-    def score(poses):
-        return evaluate(scene, layout.with_poses(poses), softness=0.5, conditions=around).surrogate
-
-    slope = jax.grad(score)(jax.numpy.asarray(layout.poses, float))
-    assert np.isfinite(slope).all()
-    assert (np.abs(slope[:, [0, 1, 4, 5]]) > 0).all()
-
-
 def test_scores_and_searches_take_conditions_in_the_same_ways(scene, layout):
     night = Conditions.of("night", "rain:10")
     case = Case(scene, night)
@@ -175,16 +150,13 @@ def test_scores_and_searches_take_conditions_in_the_same_ways(scene, layout):
         assert start.settings["scenes"][0] | night.record == start.settings["scenes"][0]
 
 
-@pytest.mark.parametrize(
-    ("wrong", "message"),
-    [
+def test_conditions_that_are_none_are_refused(scene, layout):
+    for wrong, message in (
         (3, "conditions: got 3, of type int; give Conditions, or their text, such as 'night"),
         ("nigth", "light 'nigth': one of midday, dusk, night; did you mean night"),
-    ],
-)
-def test_conditions_that_are_none_are_refused(scene, layout, wrong, message):
-    with pytest.raises(InspeError, match=message):
-        evaluate(scene, layout, conditions=wrong)
+    ):
+        with pytest.raises(InspeError, match=message):
+            evaluate(scene, layout, conditions=wrong)
     with pytest.raises(InspeError, match="conditions: given twice, as midday, clear and as dusk"):
         evaluate(Case(scene), layout, conditions="dusk")
 

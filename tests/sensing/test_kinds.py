@@ -3,8 +3,6 @@
 Here the kind is a fan: rays of one plane, as of a radar or a single-plane scanner.
 """
 
-import io
-import re
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -12,7 +10,6 @@ import numpy as np
 import pytest
 import raycast
 from matplotlib.text import Text
-from rich.console import Console
 from worlds import LIDAR, emptied, world
 
 import inspe_jax
@@ -21,11 +18,10 @@ from inspe_jax.core.pytree import pytree
 from inspe_jax.core.sheet import save_figure
 from inspe_jax.placement.constraints import Constraints
 from inspe_jax.report.figures import plan_view
-from inspe_jax.report.scene_tables import devices_table
 from inspe_jax.scene.traffic.frames import CLASSES
 from inspe_jax.scoring.detection import DetectionCurve, detection_curves
 from inspe_jax.sensing import kinds
-from inspe_jax.sensing.catalogue import Device, spec_of, table_of
+from inspe_jax.sensing.catalogue import spec_of, table_of
 from inspe_jax.sensing.conditions import FAIR, Conditions
 from inspe_jax.sensing.kinds import DeviceKeys, Positive
 from inspe_jax.sensing.layout import load_layout, save_layout
@@ -166,14 +162,11 @@ def test_a_search_places_it(scene, layout):
     assert ((pitches > low - 1e-3) & (pitches < high + 1e-3)).all()
 
 
-def test_its_layout_is_written_and_read_again(scene, layout, tmp_path):
+def test_its_keys_and_layouts_are_read_and_written(scene, layout, tmp_path):
     save_layout(layout, tmp_path / "again.yaml")
     again = load_layout(tmp_path / "again.yaml", scene)
     assert again.sensors == layout.sensors
     np.testing.assert_allclose(again.poses, layout.poses, atol=1e-9)
-
-
-def test_its_keys_are_read_and_written(fan):
     table = dict(kind="fan", rays=3, fov_deg=90.0, range_m=20.0)
     spec = spec_of(table, "my-fan", "here")
     assert spec == FanSpec("my-fan", 3, float(np.pi / 2), 20.0)
@@ -190,14 +183,11 @@ def test_weather_without_figures_for_it_takes_nothing(fan, layout):
     assert FAIR.layout(layout) is layout
 
 
-def test_figures_and_tables_show_it(scene, layout, tmp_path):
+def test_figures_show_it(scene, layout, tmp_path):
     drawn = plan_view(scene, layout, inspe_jax.evaluate(scene, layout))
     legend = [text.get_text() for text in drawn.findobj(Text)]
     assert "fan of rays, reach 30 m" in legend
     save_figure(drawn, tmp_path / "plan.png")
-    console = Console(width=200, record=True, file=io.StringIO())
-    console.print(devices_table([device_of(layout.sensors[0].spec)]))
-    assert re.search(r"my-fan\W+fan\W+1\W+120° × 0°\W+30\W+241", console.export_text())
 
 
 def test_the_recorder_says_that_it_cannot_simulate_it(scene, layout):
@@ -211,7 +201,3 @@ def test_without_its_row_the_kind_is_not_known(tmp_path):
     path.write_text(LAYOUT)
     with pytest.raises(InspeError, match=r"devices.my-fan: kind: must be 'lidar' or 'camera'"):
         load_layout(path)
-
-
-def device_of(spec):
-    return Device(spec.name, spec.kind, "Fan", "us", spec, None, "made up", "")

@@ -50,15 +50,10 @@ def test_a_file_gives_world_poses(tmp_path):
     ("change", "message"),
     [
         (("height: 6.0", "heigth: 6.0"), r"sensors\[0\].heigth: unknown key; did you mean height"),
-        (
-            ("yaw_deg: 90", "yaw-deg: 90"),
-            r"sensors\[0\].yaw-deg: unknown key; did you mean yaw_deg",
-        ),
         (("units:", "unit:"), r"unit: unknown key; did you mean units\?"),
         (("        height: 6.0\n", ""), r"units\[0\].sensors\[0\].height: missing key"),
         (("device: paper-camera", "device: paper-camera-middy"), "paper-camera"),
         (("height: 6.0", "height: .nan"), r"height: .*finite"),
-        (("height: 6.0", "height: high"), r"sensors\[0\].height: .*'high'"),
         (("base: [12.0, -3.0, 0.5]", "base: [12.0]"), r"units\[0\].base: needs at least 2, has 1"),
         (("pitch_deg: -15", "pitch_deg: -115"), r"pitch_deg: .*-90.*-115"),
         (
@@ -70,7 +65,6 @@ def test_a_file_gives_world_poses(tmp_path):
             r"sensors 'pole 1' and 'pole 2' are 4.50 m apart in height; at most 4 m",
         ),
         (("height: 6.0", "height: '6'"), r"sensors\[0\].height: .*'6'"),
-        (("height: 6.0", "height: true"), r"sensors\[0\].height: .*True"),
         (("yaw_deg: 90", "yaw_deg: 1.0e+30"), r"yaw_deg: .*360"),
         (("base: [12.0,", "base: [1.0e+200,"), r"units\[0\].base\[0\]: "),
         (("height: 6.0", "height: 6.0\n        height: 7.0"), "the key 'height' is given twice"),
@@ -108,11 +102,6 @@ def test_a_base_without_height_stands_on_the_scenes_ground(tmp_path):
     assert load_layout(path).poses[:, 2] == pytest.approx([6.0, 5.0])
     given = load_layout(write(tmp_path, GOOD), scene)
     assert given.poses[:, 2] == pytest.approx([6.5, 5.5])
-
-
-def test_no_such_file(tmp_path):
-    with pytest.raises(InspeError, match=r"none.yaml: no such file"):
-        load_layout(tmp_path / "none.yaml")
 
 
 pose = st.tuples(
@@ -167,6 +156,8 @@ def test_layouts_are_equal_and_have_one_hash_by_their_content():
     assert layout == same != other
     assert len({layout, same, other}) == 2
     assert layout != replace(layout, name="another")
+    with pytest.raises(InspeError, match=r"shape \(1, 6\), expected \(2, 6\)"):
+        layout.with_poses(np.zeros((1, 6)))
     assert jax.jit(lambda a: a == a and a.poses.sum() > 0)(layout)
     leaves, structure = jax.tree.flatten(layout)
     assert jax.tree.unflatten(structure, leaves) == layout
@@ -221,9 +212,7 @@ units:
     [
         ("{like: paper-camara}", r"devices.x: like: no device 'paper-camara'.*mean paper-camera"),
         ("{depth_m: 3}", r"devices.x: kind: missing key"),
-        ("{kind: radar}", r"devices.x: kind: must be 'lidar' or 'camera', got 'radar'"),
         ("{kind: [lidar]}", r"devices.x: kind: must be 'lidar' or 'camera', got \['lidar'\]"),
-        ("{like: paper-camera, kind: radar}", r"devices.x: kind: must be 'lidar' or 'camera'"),
         ("{like: paper-camera, range_m: 3}", r"devices.x: range_m: unknown key"),
         ("{like: paper-camera, depth_m: -3}", r"devices.x: depth_m: .*greater than 0"),
         ("{like: paper-lidar-32, channels: 3}", r"devices.x: channels: 3, but elevations_deg has"),
@@ -276,9 +265,3 @@ def test_rays_are_the_specification_turned_and_moved():
     body = [-np.cos(np.radians(25)), 0, -np.sin(np.radians(25))]
     turn = np.asarray(rotation(np.array([0.1, -0.2, 0.3]), np))
     np.testing.assert_allclose(directions[0], turn @ body, atol=1e-12)
-
-
-def test_wrong_number_of_poses():
-    layout = place_sensors((LIDAR, [1.0, 2.0, 5.0, 0, 0, 0]))
-    with pytest.raises(InspeError, match=r"shape \(2, 6\), expected \(1, 6\)"):
-        layout.with_poses(np.zeros((2, 6)))

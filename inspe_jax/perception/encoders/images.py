@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, UInt8
 
-from inspe_jax.perception.layers import Block, Conv, Depthwise, Linear, Norm, enlarged
+from inspe_jax.perception.layers import Block, Conv, Depthwise, Norm, Perceptron, enlarged
 
 STEM = (16, 24)
 """Channels at a half and a quarter of the sides, which two blocks give: the inverted residuals that
@@ -29,31 +29,15 @@ JOINED = 64
 """Channels of the stages' maps after they are joined."""
 
 
-class SqueezeExcite(eqx.Module):
-    """Weights channels by what the whole picture has (Hu et al. 2018)."""
-
-    squeeze: Linear
-    excite: Linear
-
-    def __init__(self, channels: int, squeezed: int, key: Array) -> None:
-        first, second = jax.random.split(key)
-        self.squeeze = Linear(channels, squeezed, first)
-        self.excite = Linear(squeezed, channels, second)
-
-    def __call__(self, x: Float[Array, "n h w c"]) -> Float[Array, "n h w c"]:
-        hidden = jax.nn.swish(self.squeeze(x.mean((1, 2))))
-        return x * jax.nn.sigmoid(self.excite(hidden))[:, None, None]
-
-
 class InvertedResidual(eqx.Module):
-    """EfficientNet's MBConv: widen, convolve each channel, weight channels, narrow."""
+    """EfficientNet's MBConv: widen, convolve each channel, weigh channels by the whole picture
+    (squeeze and excitation, Hu et al. 2018), narrow."""
 
     widen: Block
     depthwise: Depthwise
     norm: Norm
-    weigh: SqueezeExcite
-    narrow: Conv
-    narrow_norm: Norm
+    weigh: Perceptron
+    narrow: Block
 
     def __init__(self, inputs: int, outputs: int, key: Array, *, stride: int = 1) -> None:
         inside = inputs * EXPANSION
@@ -61,13 +45,13 @@ class InvertedResidual(eqx.Module):
         self.widen = Block(inputs, inside, a, width=1, activation=jax.nn.swish)
         self.depthwise = Depthwise(inside, b, stride=stride)
         self.norm = Norm(inside)
-        self.weigh = SqueezeExcite(inside, max(1, inputs // 4), c)
-        self.narrow = Conv(inside, outputs, d, width=1)
-        self.narrow_norm = Norm(outputs)
+        self.weigh = Perceptron(inside, max(1, inputs // 4), inside, c, activation=jax.nn.swish)
+        self.narrow = Block(inside, outputs, d, width=1, activation=jax.nn.identity)
 
     def __call__(self, x: Float[Array, "n h w c"]) -> Float[Array, "n hs ws d"]:
         inside = jax.nn.swish(self.norm(self.depthwise(self.widen(x))))
-        found = self.narrow_norm(self.narrow(self.weigh(inside)))
+        weight = jax.nn.sigmoid(self.weigh(inside.mean((1, 2))))
+        found = self.narrow(inside * weight[:, None, None])
         return found + x if found.shape == x.shape else found
 
 
@@ -76,8 +60,7 @@ class Bottleneck(eqx.Module):
 
     narrow: Block
     convolve: Block
-    widen: Conv
-    norm: Norm
+    widen: Block
     shortcut: Conv | None
 
     def __init__(self, inputs: int, outputs: int, key: Array, *, stride: int = 1) -> None:
@@ -85,14 +68,13 @@ class Bottleneck(eqx.Module):
         inside = outputs // 2
         self.narrow = Block(inputs, inside, a, width=1)
         self.convolve = Block(inside, inside, b, stride=stride)
-        self.widen = Conv(inside, outputs, c, width=1)
-        self.norm = Norm(outputs)
+        self.widen = Block(inside, outputs, c, width=1, activation=jax.nn.identity)
         same = inputs == outputs and stride == 1
         self.shortcut = None if same else Conv(inputs, outputs, d, width=1, stride=stride)
 
     def __call__(self, x: Float[Array, "n h w c"]) -> Float[Array, "n hs ws d"]:
         beside = x if self.shortcut is None else self.shortcut(x)
-        return jax.nn.relu(self.norm(self.widen(self.convolve(self.narrow(x)))) + beside)
+        return jax.nn.relu(self.widen(self.convolve(self.narrow(x))) + beside)
 
 
 BLOCKS: dict[str, type[InvertedResidual] | type[Bottleneck]] = {

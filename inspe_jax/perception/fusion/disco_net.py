@@ -1,7 +1,7 @@
 """DiscoNet (Li et al. 2021): a graph of agents whose edges have a weight for each cell.
 
-Its teacher, which joins the pillars of all units from the start, and the distillation loss are in
-:mod:`inspe_jax.perception.distillation`.
+Its teacher joins the pillars of all units from the start; the distillation loss is in
+:mod:`inspe_jax.perception.training.train`.
 """
 
 import equinox as eqx

@@ -10,15 +10,9 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 
-class ByModality(eqx.Module):
-    """A matrix for each modality, or for each pair of them."""
-
-    weight: Float[Array, "*k c d"]
-
-    def __init__(self, modalities: tuple[int, ...], inputs: int, outputs: int, key: Array) -> None:
-        # For a linear map with nothing behind: variance is kept.
-        shape = (*modalities, inputs, outputs)
-        self.weight = jax.random.normal(key, shape, jnp.float32) * inputs**-0.5
+def _by_modality(shape: tuple[int, ...], key: Array) -> Float[Array, "*k c d"]:
+    """A matrix for each modality, or for each pair of them, that keeps variance."""
+    return jax.random.normal(key, shape, jnp.float32) * shape[-2] ** -0.5
 
 
 class HeterogeneousAttention(eqx.Module):
@@ -28,12 +22,12 @@ class HeterogeneousAttention(eqx.Module):
     matches a receiver, and what the receiver takes of it, have matrices by both modalities.
     """
 
-    queries: ByModality
-    keys: ByModality
-    values: ByModality
-    relations: ByModality
-    messages: ByModality
-    outputs: ByModality
+    queries: Float[Array, "k c c"]
+    keys: Float[Array, "k c c"]
+    values: Float[Array, "k c c"]
+    relations: Float[Array, "k k h d d"]
+    messages: Float[Array, "k k h d d"]
+    outputs: Float[Array, "k c c"]
     modalities: tuple[int, ...] = eqx.field(static=True)
     heads: int = eqx.field(static=True)
 
@@ -41,10 +35,10 @@ class HeterogeneousAttention(eqx.Module):
         kinds, each = max(modalities) + 1, channels // heads
         *of_one, relations, messages = jax.random.split(key, 6)
         self.queries, self.keys, self.values, self.outputs = (
-            ByModality((kinds,), channels, channels, own) for own in of_one
+            _by_modality((kinds, channels, channels), own) for own in of_one
         )
         self.relations, self.messages = (
-            ByModality((kinds, kinds, heads), each, each, own) for own in (relations, messages)
+            _by_modality((kinds, kinds, heads, each, each), own) for own in (relations, messages)
         )
         self.modalities, self.heads = tuple(modalities), heads
 
@@ -54,13 +48,11 @@ class HeterogeneousAttention(eqx.Module):
         """``x`` has M windows of T cells for each agent; absent agents are attended to by none."""
         kinds = np.array(self.modalities)
         query, key, value = (
-            jnp.einsum("bamtc,acd->bamtd", x, part.weight[kinds]).reshape(
-                *x.shape[:4], self.heads, -1
-            )
+            jnp.einsum("bamtc,acd->bamtd", x, part[kinds]).reshape(*x.shape[:4], self.heads, -1)
             for part in (self.queries, self.keys, self.values)
         )
         relation, message = (  # (receiver, sender, heads, c, c)
-            part.weight[kinds[:, None], kinds[None, :]] for part in (self.relations, self.messages)
+            part[kinds[:, None], kinds[None, :]] for part in (self.relations, self.messages)
         )
         asked = jnp.einsum("bimtuc,ijucd->bimtjud", query, relation)
         told = jnp.einsum("bjmsuc,ijucd->bijmsud", value, message)
@@ -68,4 +60,4 @@ class HeterogeneousAttention(eqx.Module):
         scores = jnp.where(present[:, None, None, None, None, :, None], scores, -jnp.inf)
         weights = jax.nn.softmax(scores, (-2, -1))
         found = jnp.einsum("bmuitjs,bijmsud->bimtud", weights, told).reshape(x.shape)
-        return jnp.einsum("bamtc,acd->bamtd", found, self.outputs.weight[kinds])
+        return jnp.einsum("bamtc,acd->bamtd", found, self.outputs[kinds])

@@ -64,10 +64,9 @@ def train_all(
 ) -> Iterator[tuple[Training, Any]]:
     """Train every detector; yields each training as it is done, with its run or its exception.
 
-    Each goes on from its last state, so that a kill loses no more than the steps after it: then
-    call this again. ``progress`` is called with (steps done, steps) of all trainings together. With
-    ``work``, a worker does ``work(training, progress)``, which may measure what was trained, and
-    what that gives takes the place of the run.
+    Each goes on from its last state. ``progress`` is called with (steps done, steps) of all
+    trainings together. With ``work``, a worker does ``work(training, progress)``, which may measure
+    what was trained, and what that gives takes the place of the run.
 
     ``scheduler``: address of a running Dask scheduler, whose workers reach caches and runs at the
     same paths. ``workers``: without a scheduler, number of processes on this machine, which share

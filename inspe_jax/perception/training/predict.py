@@ -6,7 +6,6 @@ from typing import Any
 import equinox as eqx
 import numpy as np
 
-from inspe_jax.core.errors import InspeError
 from inspe_jax.dataset.loading import Batch, Cache, Loader
 from inspe_jax.perception.detections import Detections, truth_of, within
 from inspe_jax.perception.detector import Detector, model_of
@@ -29,10 +28,6 @@ def loader_of(name: str, cache: Cache, split: str, grid: BevGrid, **how: Any) ->
         half=grid.half,
         **how,
     )
-
-
-class NoTruth(InspeError):
-    """Frames without a road user: there is nothing to find, and no mAP."""
 
 
 @eqx.filter_jit
@@ -63,7 +58,8 @@ class Predictor:
         """The measures over the batches of a loader, or over about ``most`` frames of them.
 
         Detections count where road users do: within the loader's ``half``.
-        ``progress`` is called with (batches done, all batches). Raises :class:`NoTruth`.
+        ``progress`` is called with (batches done, all batches). Raises
+        :class:`~inspe_jax.perception.evaluation.NoTruth`.
         """
         found: list[Detections] = []
         truth: list[Detections] = []
@@ -74,8 +70,6 @@ class Predictor:
             truth += [truth_of(batch.targets, b) for b in np.flatnonzero(batch.valid).tolist()]
             if progress:
                 progress(done, len(chosen))
-        if not any(len(frame.kind) for frame in truth):
-            raise NoTruth(f"no road user in {len(truth)} frames: measure on others")
         return evaluate(found, truth)
 
 

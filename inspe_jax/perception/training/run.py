@@ -5,14 +5,13 @@
 250 steps: the detector and the optimiser's moments, as Equinox writes them.
 """
 
-import csv
 import json
 import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import equinox as eqx
 import jax
@@ -22,6 +21,7 @@ from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import (
     STRICT,
     check_model,
+    csv_line,
     named,
     prepare_folder,
     read_csv,
@@ -31,11 +31,9 @@ from inspe_jax.core.files import (
 )
 from inspe_jax.jobs.locks import lock_folder
 from inspe_jax.perception.detector import Detector, model_of
-from inspe_jax.perception.training.optimiser import optimiser
-from inspe_jax.perception.training.settings import Content
+from inspe_jax.perception.training.settings import Content, optimiser
 
 RECORD, LOSSES, VALIDATION, LOCK = "run.json", "losses.csv", "validation.csv", ".run.lock"
-FORMAT = "inspe_jax run 2"
 TEACHER_RUN = "teacher"
 """The folder in a run of a model that is taught: that of its teacher's training."""
 KEPT = 2
@@ -48,7 +46,7 @@ State = tuple[Detector, Any]
 class _Record(BaseModel):
     model_config = STRICT
 
-    format: str
+    format: Literal["inspe_jax run 2"] = "inspe_jax run 2"
     content: Content
 
 
@@ -70,11 +68,6 @@ class Run:
         """Steps done, as of the last state."""
         return self.states[-1][0] if self.states else 0
 
-    @property
-    def done(self) -> bool:
-        """Whether all steps are done."""
-        return self.steps >= self.content.settings.steps
-
     def rows(self, name: str) -> list[dict[str, float]]:
         """The rows of :data:`LOSSES` or of :data:`VALIDATION`."""
         path = self.path / name
@@ -88,10 +81,9 @@ class Run:
         """Append a row; numbers are written so that they read back the same."""
         path = self.path / name
         with named(path), path.open("a", newline="", encoding="utf-8") as file:
-            table = csv.DictWriter(file, list(row), lineterminator="\n")
             if not file.tell():
-                table.writeheader()
-            table.writerow(row)
+                file.write(csv_line(row))
+            file.write(csv_line(row.values()))
 
     def forget(self, after: int) -> None:
         """Drop the rows of steps after ``after``: they are told again, and come out the same."""
@@ -153,9 +145,9 @@ class Run:
 def begun(folder: str | os.PathLike[str], content: Content) -> Iterator[Run]:
     """A run in ``folder``, new or begun before with the same content, while it is trained.
 
-    Meanwhile nobody else begins or trains it. What a kill left unfinished goes. A run without a
-    state is replaced: nothing of it would be lost. Raises InspeError if another process trains
-    it, or if the folder has another run, saying what is different, or other files.
+    Meanwhile nobody else begins or trains it. What a kill left unfinished goes. Raises InspeError
+    if another process trains it, or if the folder has another run, saying what is different, or
+    other files.
     """
     path = prepare_folder(folder).resolve()
     if not (path / RECORD).is_file():
@@ -170,48 +162,41 @@ def begun(folder: str | os.PathLike[str], content: Content) -> Iterator[Run]:
 
 
 def _recorded(path: Path, content: Content) -> Run:
-    """The run of a folder, whose record is written if it has no state of another."""
+    """The run of a folder, whose record is written if it has none."""
     if (path / RECORD).is_file():
         run = open_run(path)
         if run.content == content:
             return run
-        if run.states:
-            here, there = (each.model_dump() for each in (run.content, content))
-            had, given = ({**each, **each["settings"]} for each in (here, there))
-            key = next(key for key in given if key != "settings" and had[key] != given[key])
-            what = f"{key} {had[key]}, not {given[key]}"
-            raise InspeError(
-                f"{path}: this run has {'other scenarios' if key == 'scenarios' else what}: name "
-                f"another folder, or give the same again to go on"
-            )
-        _check_no_others(path)
-    record = _Record(format=FORMAT, content=content)
-    write_text(path / RECORD, json.dumps(record.model_dump(), indent=2) + "\n")
+        here, there = (each.model_dump() for each in (run.content, content))
+        had, given = ({**each, **each["settings"]} for each in (here, there))
+        key = next(key for key in given if key != "settings" and had[key] != given[key])
+        what = f"{key} {had[key]}, not {given[key]}"
+        raise InspeError(
+            f"{path}: this run has {'other scenarios' if key == 'scenarios' else what}: name "
+            f"another folder, or give the same again to go on"
+        )
+    write_text(path / RECORD, json.dumps(_Record(content=content).model_dump(), indent=2) + "\n")
     return Run(path, content)
 
 
 def _check_no_others(path: Path) -> None:
-    """Raise InspeError if a folder has files that are not those of a run without a state."""
-    own = {RECORD, LOCK, LOSSES, VALIDATION, TEACHER_RUN}
+    """Raise InspeError if a folder has more than a teacher, and what a kill left."""
     others = sorted(
-        child.name for child in path.iterdir() if child.name not in own and child.suffix != ".part"
+        child.name
+        for child in path.iterdir()
+        if child.name not in (LOCK, TEACHER_RUN) and child.suffix != ".part"
     )
     if others:
         raise InspeError(f"{path}: has other files, such as {others[0]}: name an empty folder")
 
 
 def open_run(folder: str | os.PathLike[str]) -> Run:
-    """The run in a folder. Raises InspeError if there is none, or its record is damaged."""
+    """The run in a folder. Raises InspeError if there is none, or its record is damaged or of
+    another version."""
     path = Path(folder).resolve()
     if not (path / RECORD).is_file():
         raise InspeError(f"{folder}: not a training run: make one with inspe train")
-    record = check_model(_Record, read_json(path / RECORD), str(path / RECORD))
-    if record.format != FORMAT:
-        raise InspeError(
-            f"{path / RECORD}: format '{record.format}', not '{FORMAT}': it was made by another "
-            f"version: train again into another folder"
-        )
-    return Run(path, record.content)
+    return Run(path, check_model(_Record, read_json(path / RECORD), str(path / RECORD)).content)
 
 
 def _step(line: str) -> float:

@@ -1,8 +1,10 @@
-"""What a training is told. All of it is in the record of its run."""
+"""What a training is told, all of which is in the record of its run, and the optimiser."""
 
-from typing import Annotated
+import functools
+from typing import Annotated, TypeAlias
 
 import numpy as np
+import optax
 from pydantic import BaseModel, Field
 
 from inspe_jax.core.errors import InspeError
@@ -13,6 +15,17 @@ from inspe_jax.perception.inputs import Agents, BevGrid
 
 AUGMENT = Augment(flip=0.5, turn=np.pi, scale=(0.95, 1.05))
 """Intersections have arms in any direction, so they are turned by any angle."""
+
+Optimiser: TypeAlias = optax.GradientTransformation
+
+RISE = 0.3
+"""Share of the steps in which the learning rate rises; as in OneCycle's usual setting."""
+FEWEST = 4
+"""Steps of the shortest schedule: of fewer, three tenths are none, and a rise has no length."""
+DECAY = 0.01
+"""AdamW's weight decay (Loshchilov and Hutter 2019)."""
+MOST_GRADIENT = 10.0
+"""Norm to which gradients are cut. A first step has 30 to 100; later ones are below it."""
 
 
 class Settings(BaseModel):
@@ -64,6 +77,16 @@ class Content(BaseModel):
     def grid(self) -> BevGrid:
         """The cells that the detector is made for."""
         return BevGrid(half=self.half, cell=self.cell, low=self.low, high=self.high)
+
+
+@functools.cache  # equal ones are the same, so that a step is compiled once for all of them
+def optimiser(steps: int, rate: float) -> Optimiser:
+    """AdamW on cut gradients; its rate rises to ``rate`` and falls once in ``steps`` (Smith and
+    Topin 2019)."""
+    rates = optax.cosine_onecycle_schedule(max(steps, FEWEST), rate, RISE)
+    return optax.chain(
+        optax.clip_by_global_norm(MOST_GRADIENT), optax.adamw(rates, weight_decay=DECAY)
+    )
 
 
 def agents_of(cache: Cache) -> Agents:

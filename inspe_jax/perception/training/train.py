@@ -2,32 +2,34 @@
 
 import os
 from collections.abc import Callable
+from dataclasses import asdict
 from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 from jaxtyping import Array, Float
 
-from inspe_jax.core import sharding
 from inspe_jax.core.digest import digest
 from inspe_jax.core.errors import InspeError
 from inspe_jax.dataset.loading import Cache, Loader, Targets
 from inspe_jax.perception.detector import TEACHER, Detector, model_of
-from inspe_jax.perception.distillation import distillation
+from inspe_jax.perception.evaluation import NoTruth
 from inspe_jax.perception.head import aims, loss
 from inspe_jax.perception.inputs import BevGrid, Inputs, inputs_of
 from inspe_jax.perception.perspective import perspective_loss
-from inspe_jax.perception.training.optimiser import Optimiser, optimiser
-from inspe_jax.perception.training.predict import NoTruth, Predictor, loader_of
+from inspe_jax.perception.training.predict import Predictor, loader_of
 from inspe_jax.perception.training.run import LOSSES, TEACHER_RUN, VALIDATION, Run, begun
 from inspe_jax.perception.training.settings import (
     AUGMENT,
     Content,
+    Optimiser,
     Settings,
     agents_of,
     check_sensors,
+    optimiser,
 )
 from inspe_jax.simulation.frame import KINDS
 
@@ -52,7 +54,6 @@ class _Losses(NamedTuple):
 
 def content_of(cache: Cache, settings: Settings, grid: BevGrid) -> Content:
     """What a run of these settings on a cache depends on."""
-    agents = agents_of(cache)
     sources = sorted((each.split, each.name, each.record.source) for each in cache.scenarios)
     return Content(
         settings=settings,
@@ -61,12 +62,8 @@ def content_of(cache: Cache, settings: Settings, grid: BevGrid) -> Content:
         },
         scenarios=digest(sources),
         pictures=None if cache.pictures is None else list(cache.pictures),
-        lidars=agents.lidars,
-        cameras=agents.cameras,
-        half=grid.half,
-        cell=grid.cell,
-        low=grid.low,
-        high=grid.high,
+        **agents_of(cache)._asdict(),
+        **asdict(grid),
     )
 
 
@@ -76,14 +73,13 @@ def train(
     settings: Settings,
     *,
     grid: BevGrid | None = None,
-    workers: int = 1,
     progress: Callable[[Report], None] | None = None,
 ) -> Run:
     """Train a detector on the split ``train`` of a cache; the run is in ``folder``.
 
     After a kill, call this again: it goes on from the last state. On a CPU, its losses are then the
     same to the last digit as without the kill. A model that is taught has its teacher
-    trained first, in ``folder/teacher``. With several devices, each takes its share of a batch.
+    trained first, in ``folder/teacher``.
 
     Raises InspeError if the cache has no data of the model's sensors or no split ``train``; if the
     folder has another run, or another process trains it; if the last state is damaged; or if a
@@ -101,14 +97,14 @@ def train(
         batch=settings.batch,
         seed=settings.seed,
         augment=AUGMENT if settings.augment else None,
-        workers=workers,
+        workers=1,
     )
     with begun(folder, content_of(cache, settings, grid)) as run:
         teacher = None
         if model.taught:
             own = settings.model_copy(update={"model": TEACHER})
             into = run.path / TEACHER_RUN
-            taught = train(cache, into, own, grid=grid, workers=workers, progress=progress)
+            taught = train(cache, into, own, grid=grid, progress=progress)
             _, teacher = taught.last()
         _train(loader, run, teacher, progress)
     return run
@@ -129,10 +125,10 @@ def _train(
     if first >= settings.steps:
         return
     chain = optimiser(settings.steps, settings.rate)
-    late, mean_ap = None, _last_map(run)
+    measured = run.rows(VALIDATION)
+    late, mean_ap = None, measured[-1]["mean_ap"] if measured else None
     for number, batch in enumerate(loader.steps(first, settings.steps), first + 1):
-        inputs, targets = _placed((inputs_of(batch, agents), batch.targets))
-        constant = teacher, inputs, targets, grid, chain
+        constant = teacher, inputs_of(batch, agents), batch.targets, grid, chain
         detector, moments, losses = training_step(constant, detector, moments)
         row = {name: float(value) for name, value in losses._asdict().items()}
         total = sum(row.values())
@@ -179,6 +175,19 @@ def objective(
     return sum(losses, jnp.zeros(())), losses
 
 
+def distillation(
+    taught: Float[Array, "B h w c"], teacher: Float[Array, "B h w c"]
+) -> Float[Array, ""]:
+    """The loss of a student whose features are to say what its teacher's say (DiscoNet, Li et al.
+    2021): the Kullback–Leibler divergence of their distributions over channels, for a cell.
+
+    DiscoNet's code weighs its sum by 1e5; a mean over cells needs no weight beside the others.
+    """
+    target = jax.nn.log_softmax(lax.stop_gradient(teacher), -1)
+    own = jax.nn.log_softmax(taught, -1)
+    return (jnp.exp(target) * (target - own)).sum(-1).mean()
+
+
 @eqx.filter_jit(donate="all-except-first")
 def training_step(
     constant: tuple[Detector | None, Inputs, Targets, BevGrid, Optimiser],
@@ -193,17 +202,6 @@ def training_step(
     with jax.named_scope("optimiser"), jax.numpy_dtype_promotion("standard"):
         updates, moments = chain.update(gradient, moments, weights)
     return eqx.apply_updates(detector, updates), moments, losses
-
-
-def _placed(arrays: Any) -> Any:
-    """Arrays of a batch, split among the devices if there are several and they divide it."""
-    frames = len(jax.tree.leaves(arrays)[0])
-    return sharding.put(arrays, 0) if sharding.divides(frames) else arrays
-
-
-def _last_map(run: Run) -> float | None:
-    rows = run.rows(VALIDATION)
-    return rows[-1]["mean_ap"] if rows else None
 
 
 def _validate(cache: Cache, run: Run, predictor: Predictor, step: int) -> float | None:

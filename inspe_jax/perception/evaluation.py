@@ -1,0 +1,159 @@
+"""nuScenes' mean average precision (mAP) of detections against ground truth.
+
+Equations and constants are those of nuScenes' detection challenge (Caesar et al., "nuScenes: A
+Multimodal Dataset for Autonomous Driving", CVPR 2020, section 3.1), and, where the paper leaves
+something open, those of its ``nuscenes-devkit`` 1.2 with ``detection_cvpr_2019.json``.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from inspe_jax.core.errors import InspeError
+from inspe_jax.core.words import counted
+from inspe_jax.perception.detections import Detections, check
+from inspe_jax.simulation.frame import KINDS
+
+DISTANCES = (0.5, 1.0, 2.0, 4.0)
+"""Detections are true if they are nearer in plan than one of these [m]; AP is the mean over all."""
+
+USUAL_DISTANCE = 2.0
+"""The one of these that figures show [m]."""
+
+RECALLS = 101
+"""Precision is interpolated at this many recalls from 0 to 1."""
+
+LEAST_RECALL = LEAST_PRECISION = 0.1
+"""Recalls up to this, and precision below it, do not count: noise has a part in them."""
+
+
+class NoTruth(InspeError):
+    """Frames without a road user: there is nothing to find, and no mAP."""
+
+
+@dataclass(frozen=True, eq=False)
+class Evaluation:
+    """AP of the K classes of :data:`~inspe_jax.simulation.frame.KINDS` at the D :data:`DISTANCES`.
+
+    ``users`` are the numbers of road users. Classes that the truth has none of have the AP NaN, and
+    are left out of all means; the devkit counts them with AP 0.
+    """
+
+    frames: int
+    ap: Float[np.ndarray, "K D"]
+    users: Int[np.ndarray, " K"]
+
+    @property
+    def present(self) -> Bool[np.ndarray, " K"]:
+        """Which classes the truth has road users of."""
+        return self.users > 0
+
+    @property
+    def class_ap(self) -> Float[np.ndarray, " K"]:
+        """AP of each class: the mean over distances."""
+        return np.mean(self.ap, 1)
+
+    @property
+    def mean_ap(self) -> float:
+        """MAP: the mean of ``class_ap`` over the classes that are present."""
+        return float(np.mean(self.class_ap[self.present]))
+
+    def rows(self) -> list[dict[str, Any]]:
+        """A row for each class and one for all, for CSV; AP of a class without truth is empty."""
+        counts = [*self.users, self.users.sum()]
+        means = [*np.column_stack([self.ap, self.class_ap])]
+        means.append(np.array([*np.mean(self.ap[self.present], 0), self.mean_ap]))
+        names = [*(f"ap_{distance:g}m" for distance in DISTANCES), "ap"]
+        return [
+            {"class": kind, "road_users": int(count)}
+            | {name: "" if np.isnan(x) else float(x) for name, x in zip(names, ap, strict=True)}
+            for kind, count, ap in zip([*KINDS, "all"], counts, means, strict=True)
+        ]
+
+
+def evaluate(detections: Sequence[Detections], truth: Sequence[Detections]) -> Evaluation:
+    """The measures of ``detections`` against ``truth``, which both have a record for each frame.
+
+    The scores of ``truth`` mean nothing. Of equal scores, the later frame and in it the later box
+    comes first, as in nuScenes' code. The caller leaves out boxes that are not to count.
+
+    Raises InspeError if the numbers of frames differ or boxes are not valid, and :class:`NoTruth`
+    if there is no road user in any frame.
+    """
+    if len(detections) != len(truth):
+        raise InspeError(
+            f"detections of {counted(len(detections), 'frame')}, but ground truth of "
+            f"{len(truth):,}: give one of each for every frame, empty if there is none"
+        )
+    for frames, what in ((detections, "detections"), (truth, "truth")):
+        for t, frame in enumerate(frames):
+            check(frame, f"{what}: frame {t}")
+    users = np.bincount(
+        np.concatenate([np.zeros(0, int), *(frame.kind for frame in truth)]), minlength=len(KINDS)
+    )
+    if not users.any():
+        raise NoTruth(
+            f"truth: no {' or '.join(KINDS)} in {counted(len(truth), 'frame')}: there is nothing "
+            "to find; use other frames"
+        )
+    kind, score = (
+        np.concatenate([getattr(frame, name) for frame in detections]) for name in ("kind", "score")
+    )
+    pairs = list(zip(detections, truth, strict=True))
+    taken = [[matched(*pair, distance) for pair in pairs] for distance in DISTANCES]
+    true = np.array([np.concatenate(frames) >= 0 for frames in taken])
+    ap = np.full((len(KINDS), len(DISTANCES)), np.nan)
+    for k in np.flatnonzero(users):
+        own = np.flatnonzero(kind == k)
+        own = own[_by_score(score[own])]
+        ap[k] = [average_precision(row[own], users[k]) for row in true]
+    return Evaluation(len(truth), ap, users)
+
+
+def average_precision(true: Bool[np.ndarray, " N"], users: int) -> float:
+    """AP of N detections by falling score, of which some are ``true``, of ``users`` road users.
+
+    Mean of max(0, precision − 0.1) / 0.9 over the recalls above 0.1, with precision interpolated
+    between the recalls that are reached, and 0 beyond them.
+    """
+    if not true.any():
+        return 0.0
+    hits = np.cumsum(true).astype(float)
+    recall = np.linspace(0, 1, RECALLS)
+    precision = np.interp(recall, hits / users, hits / np.arange(1, len(true) + 1), right=0)
+    counted_ones = precision[round(100 * LEAST_RECALL) + 1 :]
+    above = np.maximum(counted_ones - LEAST_PRECISION, 0)
+    return float(np.mean(above)) / (1 - LEAST_PRECISION)
+
+
+def matched(
+    detections: Detections, truth: Detections, distance: float = USUAL_DISTANCE
+) -> Int[np.ndarray, " N"]:
+    """The index of the road user in ``truth`` that each detection of one frame takes; −1 if none.
+
+    Detections of a class choose by falling score: each takes the nearest road user of its class
+    that is not taken yet, if it is nearer in plan than the ``distance`` [m].
+    """
+    found = np.full(len(detections.kind), -1)
+    for kind in np.unique(detections.kind):
+        own, users = (np.flatnonzero(of.kind == kind) for of in (detections, truth))
+        own = own[_by_score(detections.score[own])]
+        off = detections.boxes[own, None, :2].astype(float) - truth.boxes[None, users, :2]
+        away = np.sqrt(off[..., 0] ** 2 + off[..., 1] ** 2)
+        rows, columns = np.nonzero(away < distance)
+        order = np.lexsort((away[rows, columns], rows))  # stable: of equal ones, the first user
+        taken: set[int] = set()
+        near = own[rows[order]].tolist(), users[columns[order]].tolist()
+        for n, user in zip(*near, strict=True):
+            if found[n] < 0 and user not in taken:
+                found[n] = user
+                taken.add(user)
+    return found
+
+
+def _by_score(score: Float[np.ndarray, " N"]) -> Int[np.ndarray, " N"]:
+    """Indices by falling score. Of equal scores, the last comes first, as in nuScenes' code."""
+    return np.argsort(score, kind="stable")[::-1]

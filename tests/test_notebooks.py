@@ -8,15 +8,10 @@ from nbclient import NotebookClient
 
 NOTEBOOKS = sorted((Path(__file__).resolve().parents[1] / "notebooks").glob("*.ipynb"))
 
-AS_A_READER = {"02_gradient_vs_grid"}
-"""Compiled as for a reader: gradients that are compiled as for tests run too long."""
-
 
 @pytest.mark.notebook
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.stem)
-def test_notebook_runs(path, tmp_path, monkeypatch):
-    if path.stem in AS_A_READER:
-        monkeypatch.delenv("XLA_FLAGS")
+def test_notebook_runs(path, tmp_path):
     notebook = nbformat.read(path, as_version=4)
     NotebookClient(notebook, timeout=300, resources={"metadata": {"path": tmp_path}}).execute()
     printed = [o for cell in notebook.cells for o in cell.get("outputs", ())]

@@ -24,36 +24,29 @@ junctions:
 # ── What the module of a map format holds ───────────────────────────────────
 
 
-def _junctions(path):
-    return yaml.safe_load(Path(path).read_text())["junctions"]
+class ToyMap:
+    """Straight roads from the origin, at which all junctions are."""
 
+    georeference = None
 
-def list_junctions(path):
-    """Junctions of a toy map, all at the origin."""
-    found = _junctions(path)
-    return tuple(
-        JunctionInfo(name, (0.0, 0.0, 0.0), len(given["bearings_deg"]), 20.0, 0, 0)
-        for name, given in found.items()
-    )
+    def __init__(self, path):
+        self.name = Path(path).name
+        self.junctions = yaml.safe_load(Path(path).read_text())["junctions"]
 
+    def list_junctions(self):
+        return tuple(
+            JunctionInfo(name, (0.0, 0.0, 0.0), len(given["bearings_deg"]), 20.0, 0, 0)
+            for name, given in self.junctions.items()
+        )
 
-def georeference_of(path):
-    """It says nothing of the Earth."""
+    def road_lines(self):
+        bearings = [a for given in self.junctions.values() for a in given["bearings_deg"]]
+        ends = 50 * np.column_stack([np.sin(np.radians(bearings)), np.cos(np.radians(bearings))])
+        return [np.array([[0, 0], end]) for end in ends]
 
-
-def road_lines(path):
-    """Its roads are straight lines from the origin."""
-    bearings = [a for given in _junctions(path).values() for a in given["bearings_deg"]]
-    ends = 50 * np.column_stack([np.sin(np.radians(bearings)), np.cos(np.radians(bearings))])
-    return [np.array([[0, 0], end]) for end in ends]
-
-
-def read_toy(path, *, junction=None, center=None, radius=50.0):
-    """A junction by its name; its parameters are those of a built-in crossing."""
-    found = _junctions(path)
-    if junction not in found:
-        raise InspeError(f"{path}: no junction '{junction}': {', '.join(found)}")
-    return crossing(f"{Path(path).name} {junction}", **found[junction])
+    def read(self, junction, center, radius):
+        """A junction by its name; its parameters are those of a built-in crossing."""
+        return crossing(f"{self.name} {junction}", **self.junctions[junction])
 
 
 # ── What the module of a traffic model holds ────────────────────────────────
@@ -80,7 +73,7 @@ def parked_traffic(intersection, *, radius, count, frames, mix, step, seed, prog
 
 @pytest.fixture
 def toy_map(monkeypatch, tmp_path):
-    row = maps.MapFormat((".toy.yaml",), __name__, reader="read_toy")
+    row = maps.MapFormat((".toy.yaml",), f"{__name__}:ToyMap")
     monkeypatch.setattr(maps, "FORMATS", [*maps.FORMATS, row])
     path = tmp_path / "town.toy.yaml"
     path.write_text(MAP)

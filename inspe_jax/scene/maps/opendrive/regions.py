@@ -10,7 +10,6 @@ from shapely.geometry.base import BaseGeometry
 from shapely.ops import unary_union
 
 from inspe_jax.scene.maps.approaches import CARRIAGEWAY, SHOULDER, SIDEWALK, Approach
-from inspe_jax.scene.maps.assembly import side_by_side
 from inspe_jax.scene.maps.lane_strips import LaneStrip
 from inspe_jax.scene.maps.opendrive.road_network import (
     INSET,
@@ -111,8 +110,8 @@ def areas_of(
     members: set[int],
     interior: set[int],
     notes: list[str],
-) -> dict[Region, BaseGeometry]:
-    """Driveway, junction, sidewalk and shoulder, which do not overlap."""
+) -> dict[Region, list[BaseGeometry]]:
+    """The parts of driveway, junction, sidewalk and shoulder."""
     parts: dict[Region, list[BaseGeometry]] = {region: [] for region in Region}
     drawn = False
     for number in sorted({s.junction for s in lane_strips} - {-1}):
@@ -142,7 +141,7 @@ def areas_of(
             "sidewalks and shoulders end at the junction in the map; its corners were drawn "
             "between those of neighbouring roads"
         )
-    return side_by_side(parts)
+    return parts
 
 
 def _paved(

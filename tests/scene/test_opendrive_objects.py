@@ -160,7 +160,7 @@ def test_they_stand_beside_the_lanes_of_a_place():
 
 def test_pieces_worked_out_on_paper():
     def line(shape: str):
-        return ReferenceLine.of(ET.fromstring(
+        return ReferenceLine(ET.fromstring(
             f'<road><planView><geometry s="0" x="1" y="2" hdg="{np.pi / 2}" length="10">{shape}'
             "</geometry></planView></road>"))  # fmt: skip
 
@@ -197,7 +197,7 @@ def test_the_line_is_carla_s(town):
     roads = {int(r.get("id")): r for r in ET.parse(path).getroot().iter("road")}
     for number in rng.permutation([*carla.roads])[:60].tolist():
         road = carla.roads[number]
-        line = ReferenceLine.of(roads[number])
+        line = ReferenceLine(roads[number])
         start, end, lanes = road.sections[0]
         if end - start < 2:
             continue

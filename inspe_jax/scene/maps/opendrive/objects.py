@@ -71,7 +71,7 @@ def shapes_of(root: ET.Element) -> tuple[tuple[Shape, ...], tuple[str, ...]]:
         if not elements:
             continue
         try:
-            line = ReferenceLine.of(road)
+            line = ReferenceLine(road)
         except NOT_NUMBERS:
             counts["bad"] += len(elements)
             continue

@@ -9,7 +9,7 @@ from shapely.geometry import LineString, Polygon
 from shapely.geometry.base import BaseGeometry
 from shapely.ops import unary_union
 
-from inspe_jax.scene.maps.approaches import CARRIAGEWAY, SHOULDER, SIDEWALK, Approach
+from inspe_jax.scene.maps.approaches import CARRIAGEWAY, SHOULDER, SIDEWALK, Approach, heading
 from inspe_jax.scene.maps.lane_strips import LaneStrip
 from inspe_jax.scene.maps.opendrive.road_network import (
     INSET,
@@ -74,7 +74,7 @@ def _approach(town: TownMap, road: OpenDriveRoad, end: str) -> Approach | None:
     if here is None or there is None:
         return None
     chord = there.point(sum(there.kerbs) / 2) - here.point(sum(here.kerbs) / 2)
-    return replace(here, end=end, bearing=float(np.arctan2(chord[1], chord[0])))
+    return replace(here, end=end, bearing=heading(chord))
 
 
 def _cut(town: TownMap, road: OpenDriveRoad, s: float, away: int) -> Approach | None:
@@ -93,15 +93,12 @@ def _cut(town: TownMap, road: OpenDriveRoad, s: float, away: int) -> Approach | 
     forward = heading_of(guide)
     if forward @ (ahead - origin) * away * step < 0:
         forward = -forward
-    left = np.array([-forward[1], forward[0]])
-    cut = []
-    for lane, kind, waypoint in found:
-        offset = float((position(waypoint.transform.location)[:2] - origin) @ left)
-        inbound = bool(forward @ heading_of(waypoint) < 0)
-        half = waypoint.lane_width / 2
-        cut.append((lane, kind, offset - half, offset + half, inbound))
-    heading = float(np.arctan2(forward[1], forward[0]))
-    return Approach(road.id, "", origin, heading, heading, tuple(cut))
+    cut = [
+        (lane, kind, position(w.transform.location)[:2], w.lane_width,
+         bool(forward @ heading_of(w) < 0))
+        for lane, kind, w in found
+    ]  # fmt: skip
+    return Approach.across(road.id, "", origin, forward, heading(forward), cut)
 
 
 def areas_of(

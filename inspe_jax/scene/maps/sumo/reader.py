@@ -13,7 +13,7 @@ from shapely.ops import unary_union
 
 from inspe_jax.scene.intersection import Intersection, Route
 from inspe_jax.scene.lines import distinct, resampled
-from inspe_jax.scene.maps.approaches import CARRIAGEWAY, Approach
+from inspe_jax.scene.maps.approaches import CARRIAGEWAY, Approach, heading
 from inspe_jax.scene.maps.bodies import with_bodies
 from inspe_jax.scene.maps.lane_strips import LaneStrip
 from inspe_jax.scene.maps.openstreetmap.bodies import BodyReader, extract_about, spot_heights
@@ -235,21 +235,12 @@ def _approach(streets: Streets, number: int, edge: Any, end: str) -> Approach:
     guide = next(s for _, s in lane_strips if s.kind == "driving").center[::step, :2]
     origin, outward = guide[0], guide[min(2, len(guide) - 1)] - guide[0]
     outward = outward / np.hypot(*outward)
-    left = np.array([-outward[1], outward[0]])
-    cut = []
-    for lane, strip in lane_strips:
-        offset = float((strip.center[::step][0, :2] - origin) @ left)
-        half = lane.getWidth() / 2
-        cut.append((lane.getIndex(), strip.kind, offset - half, offset + half, end == "end"))
     chord = guide[min(15, len(guide) - 1)] - guide[0]
-    return Approach(
-        number,
-        end,
-        origin,
-        float(np.arctan2(outward[1], outward[0])),
-        float(np.arctan2(chord[1], chord[0])),
-        tuple(cut),
-    )
+    cut = [
+        (lane.getIndex(), strip.kind, strip.center[::step][0, :2], lane.getWidth(), end == "end")
+        for lane, strip in lane_strips
+    ]
+    return Approach.across(number, end, origin, outward, heading(chord), cut)
 
 
 def _on_heights(

@@ -17,7 +17,7 @@ from shapely.ops import unary_union
 from inspe_jax.scene.georeference import Georeference
 from inspe_jax.scene.lines import distinct
 from inspe_jax.scene.maps.bodies import SMALL, Shape
-from inspe_jax.scene.maps.openstreetmap.extract import Box, Extract, Tags, Way, read_extract
+from inspe_jax.scene.maps.openstreetmap.extract import Extract, Tags, Way, read_extract
 from inspe_jax.scene.maps.openstreetmap.sizes import POLES, SOLID_FENCES, TREE_SPACING, Sizes
 from inspe_jax.scene.maps.usual_sizes import BARRIERS, TREE, crown_base
 from inspe_jax.scene.statics import LEAFY, octagon
@@ -42,7 +42,7 @@ def extract_about(
     rim = np.linspace(-far, far, 9)
     square = [(x, y) for x in rim for y in (-far, far)] + [(x, y) for y in rim for x in (-far, far)]
     degrees = georeference.to_degrees(np.asarray(middle, float)[:2] + np.array(square))
-    return read_extract(path, Box(*degrees.min(0).tolist(), *degrees.max(0).tolist()))
+    return read_extract(path, (*degrees.min(0).tolist(), *degrees.max(0).tolist()))
 
 
 def spot_heights(extract: Extract, georeference: Georeference) -> Float[np.ndarray, "N 3"]:
@@ -127,11 +127,7 @@ class BodyReader:
                 continue
             ways = [(name, role) for name, role in relation.ways if name in self.extract.ways]
             outer = [name for name, role in ways if role != "inner"]
-            tags = relation.tags
-            if not _is_area(tags):  # as was usual once: the tags are those of the outline
-                own = [self.extract.ways[name].tags for name in outer]
-                tags = next((t for t in own if _is_area(t)), {})
-            if not tags:
+            if not _is_area(relation.tags):
                 continue
             drawn |= {name for name in outer if _is_area(self.extract.ways[name].tags)}
             area = self._rings(outer)
@@ -141,7 +137,7 @@ class BodyReader:
             self.open += area.is_empty or missing
             if not area.is_empty:
                 holes = self._rings(name for name, role in ways if role == "inner")
-                yield tags, area.difference(holes)
+                yield relation.tags, area.difference(holes)
         for name, way in self.extract.ways.items():
             if name not in drawn and _is_area(way.tags):
                 outline = self._outline(way)

@@ -8,9 +8,7 @@ import shapely
 from shapely.geometry import Point, Polygon, box
 from worlds import MAPS
 
-import inspe_jax
-from inspe_jax.scene.maps.bodies import standing
-from inspe_jax.scene.maps.opendrive.objects import shapes_of
+from inspe_jax.scene.maps.opendrive.objects import PARKING, shapes_of
 from inspe_jax.scene.maps.opendrive.reference_line import ReferenceLine
 
 LINE = '<geometry s="0" x="10" y="20" hdg="0" length="100"><line/></geometry>'
@@ -82,6 +80,8 @@ def test_trees_poles_and_barriers():
         '<object type="vegetation" name="hedge" s="5" t="4" length="9" width="1" height="2"/>'
     )
     assert hedge.kind == "hedge"
+    space = one('<object type="parkingSpace" s="20" t="6" length="5" width="2.4"/>')
+    assert (space.kind, space.area.bounds) == (PARKING, (27.5, 24.8, 32.5, 27.2))
 
 
 def test_repeats_with_gaps_and_without():
@@ -139,20 +139,6 @@ def test_what_is_no_body_or_makes_no_sense():
         "objects of the map with a number missing or wrong: 3, left out",
     )
     assert read('<object type="tree" s="0" t="0"/>', "<geometry/>")[0] == ()
-
-
-def test_they_stand_beside_the_lanes_of_a_place():
-    """Built-in: lanes along the axes. One house is cut at the sidewalk's middle, one is free."""
-    shapes, _ = read(
-        '<object type="building" s="0" t="0" length="16" width="16" height="7"/>'
-        '<object type="building" s="15" t="5" length="10" width="8" height="7"/>'
-        '<object type="pole" s="-10" t="-20" height="5"/>'
-    )
-    notes: list[str] = []
-    bodies = standing(shapes, inspe_jax.built_in("four_way"), 60.0, notes)
-    assert {b.kind for b in bodies} == {"building"}
-    assert any("cut off" in n for n in notes)
-    assert any("left out" in n for n in notes)
 
 
 # ── The reference line ──────────────────────────────────────────────────────

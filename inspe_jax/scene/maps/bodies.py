@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import shapely
 import shapely.affinity
+from scipy.spatial import cKDTree
 from shapely.geometry import LineString, Point, Polygon, box
 from shapely.geometry.base import BaseGeometry
 from shapely.ops import unary_union
@@ -81,14 +82,15 @@ class Ways(NamedTuple):
         return self.lanes if base >= HEADROOM else self.paths
 
 
-def standing(
-    shapes: Iterable[Shape], place: Intersection, reach: float, notes: list[str]
-) -> tuple[StaticBody, ...]:
-    """The bodies of a place's map that come within ``reach`` [m] of its centre.
+def with_bodies(
+    place: Intersection, shapes: Iterable[Shape], reach: float, notes: list[str]
+) -> Intersection:
+    """A place with the bodies of its map that come within ``reach`` [m] of its centre.
 
     Outlines that cross themselves are mended. What is on lanes, crossings or the middle of
     footpaths is cut off; a tree or a pole there is left out, and a crown begins above lanes or is
-    narrower. Polygons with holes are cut into simple ones. ``notes`` get what was done.
+    narrower. Polygons with holes are cut into simple ones. Poles on the ground can carry sensors.
+    ``notes`` get what was done.
     """
     ways, disc = Ways.of(place), Point(place.center[:2]).buffer(reach)
     shapely.prepare([disc, *ways])
@@ -114,24 +116,12 @@ def standing(
         for key, words in said.items()
         if counts[key]
     ]
-    return tuple(found)
-
-
-def with_bodies(
-    place: Intersection, shapes: Iterable[Shape], reach: float, notes: list[str]
-) -> Intersection:
-    """A place with the bodies of its map (:func:`standing`), whose poles can carry sensors.
-
-    ``notes`` get what was done.
-    """
-    bodies = standing(shapes, place, reach, notes)
-    feet = np.array([one.middle for one in bodies if one.kind == "pole" and one.base == 0])
+    feet = np.array([one.middle for one in found if one.kind == "pole" and one.base == 0])
     own = place.on_ground(feet) if len(feet) else np.zeros((0, 3))
     poles = np.asarray(place.poles, float).reshape(-1, 3)
     if len(own) and len(poles):  # a signal's mark is where its pole is
-        apart = np.hypot(*(poles[:, None] - own)[..., :2].transpose(2, 0, 1)).min(1)
-        poles = poles[apart > SAME_POLE]
-    return replace(place, bodies=bodies, poles=np.vstack([poles, own]))
+        poles = poles[cKDTree(own[:, :2]).query(poles[:, :2])[0] > SAME_POLE]
+    return replace(place, bodies=tuple(found), poles=np.vstack([poles, own]))
 
 
 def _mended(area: BaseGeometry) -> BaseGeometry:

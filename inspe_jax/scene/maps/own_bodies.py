@@ -109,7 +109,7 @@ def _once(shapes: Iterable[Shape]) -> Iterator[Shape]:
 def _shapes(one: Feature) -> Iterator[Shape]:
     """The bodies of one feature."""
     where, own = one.where, check_model(_Properties, one.properties, f"{one.where}.properties")
-    for part in _parts(one.geometry):
+    for part in shapely.get_parts(shapely.get_parts(one.geometry)):
         if part.geom_type not in USUAL or part.is_empty:
             raise InspeError(f"{where}: a {part.geom_type} is no body: {', '.join(USUAL)}")
         kind = own.kind or USUAL[part.geom_type]
@@ -131,12 +131,3 @@ def _shapes(one: Feature) -> Iterator[Shape]:
             radius = (own.diameter_m or usual) / 2
             area, trunk = Polygon(octagon(part.coords[0], radius)), min(trunk, radius / 2)
         yield Shape(kind, area, height, base, through or 0.0, trunk)
-
-
-def _parts(geometry: BaseGeometry) -> Iterator[BaseGeometry]:
-    """The parts of a geometry that has some, and of its parts."""
-    for part in shapely.get_parts(geometry):
-        if hasattr(part, "geoms"):
-            yield from _parts(part)
-        else:
-            yield part

@@ -16,7 +16,7 @@ from inspe_jax.scene.lines import distinct, resampled
 from inspe_jax.scene.maps.approaches import CARRIAGEWAY, Approach, heading
 from inspe_jax.scene.maps.bodies import with_bodies
 from inspe_jax.scene.maps.lane_strips import LaneStrip
-from inspe_jax.scene.maps.openstreetmap.bodies import BodyReader, extract_about, spot_heights
+from inspe_jax.scene.maps.openstreetmap.bodies import BodyReader
 from inspe_jax.scene.maps.parts import CLUSTER, MARGIN, distance_from, valid
 from inspe_jax.scene.maps.road_map import Id, MapJunction, Node, RoadMap
 from inspe_jax.scene.maps.sumo.lanes import Streets, kind_of, streets_of
@@ -159,10 +159,9 @@ class SumoJunction(MapJunction):
         if projection is None or not str(self.map.path).lower().endswith(OSM_SUFFIXES):
             return place
         reach = self.radius + MARGIN
-        extract = extract_about(self.map.path, self.middle[:2], reach, projection)
-        place = _on_heights(place, spot_heights(extract, projection), self.radius, notes)
-        shapes = BodyReader(extract, self.middle[:2], reach, projection, notes).shapes()
-        return with_bodies(place, shapes, reach, notes)
+        reader = BodyReader(self.map.path, self.middle[:2], reach, projection, notes)
+        place = _on_heights(place, reader.spot_heights(), self.radius, notes)
+        return with_bodies(place, reader.shapes(), reach, notes)
 
     def drives(self, arm_of: dict[tuple[int, str], int]) -> Iterator[Route]:
         strips = self.streets.lane_strips

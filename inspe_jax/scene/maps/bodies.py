@@ -32,8 +32,7 @@ CUT_TOLERANCE = 0.05
 class Shape(NamedTuple):
     """What a map says of one body: its kind, its area in plan (any polygons) and heights [m].
 
-    As :class:`~inspe_jax.scene.statics.StaticBody`. ``whole``: a tree or a pole, which stands whole
-    where its ``foot`` is, or not at all.
+    As :class:`~inspe_jax.scene.statics.StaticBody`. A tree or a pole stands whole or not at all.
     """
 
     kind: str
@@ -42,18 +41,6 @@ class Shape(NamedTuple):
     base: float = 0.0
     transmittance: float = 0.0
     trunk: float = 0.0
-
-    @property
-    def whole(self) -> bool:
-        """Whether it stands whole or not at all."""
-        return self.kind in ("tree", "pole")
-
-    @property
-    def foot(self) -> BaseGeometry:
-        """Where it stands, in plan."""
-        if self.trunk > 0:
-            return self.area.centroid.buffer(self.trunk)
-        return self.area
 
 
 class Ways(NamedTuple):
@@ -139,7 +126,7 @@ def _free(shape: Shape, ways: Ways, counts: "Counter[str]") -> Shape | None:
     taken = ways.under(shape.base)
     if not taken.intersects(shape.area):
         return shape
-    if shape.whole:
+    if shape.kind == "pole":
         return None
     left = shape.area.difference(taken)
     left = unary_union([p for p in shapely.get_parts(left) if p.area > SMALL[shape.kind]])
@@ -154,7 +141,8 @@ def _free(shape: Shape, ways: Ways, counts: "Counter[str]") -> Shape | None:
 
 def _free_tree(shape: Shape, ways: Ways, counts: "Counter[str]") -> Shape | None:
     """A tree whose crown is over no lane below :data:`OVER_LANES`."""
-    if ways.paths.intersects(shape.foot):
+    foot = shape.area.centroid.buffer(shape.trunk) if shape.trunk > 0 else shape.area
+    if ways.paths.intersects(foot):
         return None
     if not ways.under(shape.base).intersects(shape.area):
         return shape

@@ -53,7 +53,7 @@ class BodyReader:
         square = [(x, y) for x in rim for y in (-far, far)]
         square += [(x, y) for y in rim for x in (-far, far)]
         degrees = georeference.to_degrees(middle + np.array(square))
-        west, south, east, north = *degrees.min(0).tolist(), *degrees.max(0).tolist()
+        (west, south), (east, north) = degrees.min(0).tolist(), degrees.max(0).tolist()
         self.extract = read_extract(path, (west, south, east, north))
         at = np.array([*self.extract.nodes.values()], float).reshape(-1, 2)
         self.at = dict(zip(self.extract.nodes, georeference.from_degrees(at), strict=True))

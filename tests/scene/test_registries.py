@@ -72,8 +72,7 @@ def parked_traffic(intersection, *, radius, count, frames, mix, step, seed, prog
 
 @pytest.fixture
 def toy_map(monkeypatch, tmp_path):
-    row = maps.MapFormat((".toy.yaml",), f"{__name__}:ToyMap")
-    monkeypatch.setattr(maps, "FORMATS", [*maps.FORMATS, row])
+    monkeypatch.setitem(maps.FORMATS, (".toy.yaml",), f"{__name__}:ToyMap")
     path = tmp_path / "town.toy.yaml"
     path.write_text(MAP)
     return path

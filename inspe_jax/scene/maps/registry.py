@@ -5,7 +5,6 @@ To add a format, write a module that reads it and add its row to :data:`FORMATS`
 
 import os
 from importlib import import_module
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -17,25 +16,14 @@ from inspe_jax.scene.maps.parts import JunctionInfo
 from inspe_jax.scene.maps.road_map import RoadMap
 from inspe_jax.scene.maps.sumo.network import NET_SUFFIXES, OSM_SUFFIXES
 
-
-class MapFormat(NamedTuple):
-    """A format of map files.
-
-    ``suffixes`` are those of its files, in lower case. ``reader`` names a module and in it what
-    opens a file: a :class:`~inspe_jax.scene.maps.road_map.RoadMap`, or what has the same
-    ``georeference``, ``list_junctions``, ``road_lines`` and ``read``. The module is imported on
-    first use, because it may need a package of an extra.
-    """
-
-    suffixes: tuple[str, ...]
-    reader: str
-
-
-FORMATS = [
-    MapFormat((".xodr",), "inspe_jax.scene.maps.opendrive.reader:OpenDriveMap"),
-    MapFormat((*NET_SUFFIXES, *OSM_SUFFIXES), "inspe_jax.scene.maps.sumo.reader:SumoMap"),
-]
-"""The formats. The first that fits a file's name reads it."""
+FORMATS: dict[tuple[str, ...], str] = {
+    (".xodr",): "inspe_jax.scene.maps.opendrive.reader:OpenDriveMap",
+    (*NET_SUFFIXES, *OSM_SUFFIXES): "inspe_jax.scene.maps.sumo.reader:SumoMap",
+}
+"""For the suffixes of files, in lower case, a module and in it what opens such a file:
+a :class:`~inspe_jax.scene.maps.road_map.RoadMap`, or what has the same ``georeference``,
+``list_junctions``, ``road_lines`` and ``read``. The first that fits a file's name reads it. A
+module is imported on first use, because it may need a package of an extra."""
 
 
 FAR = 100.0
@@ -44,7 +32,7 @@ FAR = 100.0
 
 def map_suffixes() -> tuple[str, ...]:
     """The suffixes of map files."""
-    return tuple(suffix for row in FORMATS for suffix in row.suffixes)
+    return tuple(suffix for suffixes in FORMATS for suffix in suffixes)
 
 
 def is_map(path: str | os.PathLike[str]) -> bool:
@@ -57,9 +45,9 @@ def open_map(path: str | os.PathLike[str]) -> RoadMap:
 
     Raises InspeError if an extra or the file is missing, or if the file is not a map.
     """
-    for row in FORMATS:
-        if str(path).lower().endswith(row.suffixes):
-            module, _, name = row.reader.partition(":")
+    for suffixes, reader in FORMATS.items():
+        if str(path).lower().endswith(suffixes):
+            module, _, name = reader.partition(":")
             found: RoadMap = getattr(import_module(module), name)(path)
             return found
     raise InspeError(f"{path}: not a map: its name must end in {', '.join(map_suffixes())}")

@@ -111,7 +111,11 @@ class BodyReader:
                 continue
             ways = [(name, role) for name, role in relation.ways if name in self.extract.ways]
             outer = [name for name, role in ways if role != "inner"]
-            if not _is_area(relation.tags):
+            tags = relation.tags
+            if not _is_area(tags):  # as was usual once: the tags are those of the outline
+                own = [self.extract.ways[name].tags for name in outer]
+                tags = next((t for t in own if _is_area(t)), {})
+            if not tags:
                 continue
             drawn |= {name for name in outer if _is_area(self.extract.ways[name].tags)}
             area = self._rings(outer)
@@ -121,7 +125,7 @@ class BodyReader:
             self.open += area.is_empty or missing
             if not area.is_empty:
                 holes = self._rings(name for name, role in ways if role == "inner")
-                yield relation.tags, area.difference(holes)
+                yield tags, area.difference(holes)
         for name, way in self.extract.ways.items():
             if name not in drawn and _is_area(way.tags):
                 outline = self._outline(way)

@@ -103,9 +103,9 @@ def scenes(quick: bool, only: str) -> Iterator[tuple[str, Scene]]:
         if not path.is_file():
             console.print(f"{name}: no map at hand, left out")
             continue
-        from inspe_jax.scene.maps.opendrive.reader import read_opendrive
+        from inspe_jax.scene.maps.registry import read_map
 
-        place = read_opendrive(path, junction=junction, radius=size["radius"])
+        place = read_map(path, junction=junction, radius=size["radius"])
         yield name, inspe_jax.build_scene(place, **size)
 
 

@@ -94,6 +94,6 @@ def place_in(town: str, **where: Any) -> Intersection:
     pytest.importorskip("carla", reason="needs the CARLA client")
     if not (MAPS / f"{town}.xodr").is_file():
         pytest.skip("needs the maps beside the checkout")
-    from inspe_jax.scene.maps.opendrive.reader import read_opendrive
+    from inspe_jax.scene.maps.registry import read_map
 
-    return read_opendrive(MAPS / f"{town}.xodr", **where)
+    return read_map(MAPS / f"{town}.xodr", **where)

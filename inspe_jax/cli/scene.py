@@ -85,10 +85,10 @@ def scene(
         center (X Y): Centre [m] in place of a junction id, for a place with several junctions.
         at (LAT,LON): The junction nearest to a latitude and longitude [degrees], on a map that
             has them.
-        bodies (FILE.geojson|csv|poly.xml): Houses, walls, trees and poles of your own, besides
+        bodies (FILE.geojson|csv): Houses, walls, trees and poles of your own, besides
             those of the map: polygons, lines and points in degrees, with properties kind and
-            height_m; points without a kind are poles. Or SUMO's polygons. Poles can carry
-            sensors; with --statics map all hide what is behind them.
+            height_m; points without a kind are poles. Poles can carry sensors; with --statics map
+            all hide what is behind them.
         mesh (FILE.glb|ply|obj): Mesh of the place in the map's coordinates [m], a digital twin:
             its ground, and what stands on it; with --statics map and --terrain ground they hide
             what is behind them.

@@ -110,9 +110,9 @@ def scene_named(name: str) -> Scene:
     if name not in SCENES:
         arms = {"four": FOUR, "tee": TEE, "wye": WYE, "five": FIVE, "bend": (0, 180)}
         if name == "town":
-            from inspe_jax.scene.maps.opendrive.reader import read_opendrive
+            from inspe_jax.scene.maps.registry import read_map
 
-            place = read_opendrive(MAPS / "Town05.xodr", junction=53)
+            place = read_map(MAPS / "Town05.xodr", junction=53)
         elif name == "small":
             place = hand_made(FOUR, mouth=8.0, width=7.0)
         else:

@@ -45,9 +45,9 @@ def test_random_layouts_can_be_mounted(name):
 
 
 def test_random_layouts_of_a_town_can_be_mounted(maps):
-    from inspe_jax.scene.maps.opendrive.reader import read_opendrive
+    from inspe_jax.scene.maps.registry import read_map
 
-    place = read_opendrive(maps / "Town03.xodr", junction=222)  # it rises, and has no sidewalks
+    place = read_map(maps / "Town03.xodr", junction=222)  # it rises, and has no sidewalks
     scene = build_scene(place, radius=40.0, voxel=2.0, density="none", frames=1)
     lanes = lanes_of(place)
     for name in STRATEGIES:

@@ -74,6 +74,12 @@ def written(path, triangles, colour=None):
     return path
 
 
+def within(bodies, area):
+    """The bodies within an area, and the ground that they cover."""
+    own = [one for one in bodies if area.covers(one.polygon)]
+    return own, shapely.unary_union([one.polygon for one in own])
+
+
 @pytest.fixture(scope="module")
 def twin(tmp_path_factory):
     return written(tmp_path_factory.mktemp("twin") / "twin.ply", faces(), (180, 90, 60, 255))
@@ -91,17 +97,13 @@ def test_ground_and_solids_on_paper(twin):
     for (cx, cy), size, up in HOUSES:
         half = np.array(size) / 2
         at = np.array([cx, cy]) + CENTER[:2]
-        own = [
-            one for one in standing if box(*(at - half - 1), *(at + half + 1)).covers(one.polygon)
-        ]
-        area = shapely.unary_union([one.polygon for one in own])
+        own, area = within(standing, box(*(at - half - 1), *(at + half + 1)))
         assert area.symmetric_difference(box(*(at - half), *(at + half))).area < 6.0
         tops = [one.height + found.ground(one.middle[None])[0] for one in own]
         assert np.array(tops) == pytest.approx(height(cx, cy) + up, abs=0.3)
     crown = shapely.Point(*(np.array(CROWN[0]) + CENTER[:2])).buffer(CROWN[1])
-    own = [one for one in hung if crown.buffer(0.8).covers(one.polygon)]
-    area = shapely.unary_union([one.polygon for one in own]).area
-    assert area == pytest.approx(crown.area, rel=0.15)
+    own, area = within(hung, crown.buffer(0.8))
+    assert area.area == pytest.approx(crown.area, rel=0.15)
     assert min(one.base for one in own) == pytest.approx(CROWN[2] - CROWN[1], abs=0.4)
     assert max(one.height for one in own) == pytest.approx(CROWN[2] + CROWN[1], abs=0.4)
     road = place().regions
@@ -125,12 +127,10 @@ def test_a_house_is_solid_however_its_faces_are_made(tmp_path):
     found = with_mesh(place(), written(tmp_path / "house.ply", np.concatenate(faces)), RADIUS)
     for at in (a, b, c, d):
         middle = np.array(at) + CENTER[:2]
-        around = box(*(middle - 5.25), *(middle + 5.25))
-        own = [one for one in found.bodies if around.covers(one.polygon)]
+        own, area = within(found.bodies, box(*(middle - 5.25), *(middle + 5.25)))
         assert own
         assert all(one.base == 0 for one in own)
-        area = shapely.unary_union([one.polygon for one in own]).area
-        assert 64.0 <= area <= 8.5**2  # to the middles of cells, half a cell further
+        assert 64.0 <= area.area <= 8.5**2  # to the middles of cells, half a cell further
         level = found.ground(middle[None])[0]
         assert max(one.height for one in own) == pytest.approx(37.0 - level, abs=0.4)
 

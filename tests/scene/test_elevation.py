@@ -109,14 +109,27 @@ def test_a_grid_without_projection_is_in_that_of_the_place(tmp_path):
         assert found.center[2] == pytest.approx(520.0, abs=2e-3)
 
 
+@pytest.mark.filterwarnings("ignore:Dataset has no geotransform")
 def test_what_is_wrong_is_said(tmp_path, monkeypatch):
-    own, good = place(), model(tmp_path / "dem.tif")
+    def file(name, **options):
+        return model(tmp_path / f"{name}.tif", **options)
+
+    own, holes = place(), np.s_[28:32, 28:32]
+    local, nowhere = replace(own, georeference=None), dict(crs=None, transform=None)
+    with rasterio.open(file("feet"), "r+") as feet:
+        feet.units = ["ft"]
     (tmp_path / "text.tif").write_text("no picture")
+    photo = raster(tmp_path / "photo.tif", np.zeros((3, 9, 9), np.uint8), top=9.0)
+    plain = raster(tmp_path / "plain.tif", np.zeros((300, 300), np.float32), **nowhere)
     for at, path, words in (
-        (own, model(tmp_path / "far.tif", at=(9_000.0, 0.0, 0.0)), "of another region"),
-        (own, model(tmp_path / "small.tif", reach=12.0), r"for \d+% of the ground within 20 m"),
-        (own, model(tmp_path / "holes.tif", holes=np.s_[28:32, 28:32]), "has heights for 9"),
-        (replace(own, georeference=None), good, "does not say where on the"),
+        (own, file("far", at=(9_000.0, 0.0, 0.0)), "of another region"),
+        (own, file("small", reach=12.0), r"for \d+% of the ground within 20 m"),
+        (own, file("holes", holes=holes), "has heights for 9"),
+        (own, file("void", holes=holes, nodata=None), "if some stand for no data"),
+        (own, photo, "has 3 bands, as a"),
+        (own, tmp_path / "feet.tif", "heights in ft, not in metres"),
+        (local, file("dem"), "does not say where on the"),
+        (local, plain, "it has no geotransform"),
         (own, tmp_path / "text.tif", "not an elevation model"),
         (own, tmp_path / "missing.tif", r"missing\.tif"),
     ):
@@ -124,35 +137,7 @@ def test_what_is_wrong_is_said(tmp_path, monkeypatch):
             with_elevation(at, path, RADIUS)
     monkeypatch.setattr(elevation, "MOST", 50)
     with pytest.raises(InspeError, match="resample it"):
-        with_elevation(own, model(tmp_path / "fine.tif", cell=1.0), RADIUS)
-
-
-@pytest.mark.filterwarnings("ignore:Dataset has no geotransform")
-def test_what_is_no_elevation_model_is_refused(tmp_path):
-    own, nowhere = place(), dict(crs=None, transform=None)
-    model(tmp_path / "feet.tif")
-    with rasterio.open(tmp_path / "feet.tif", "r+") as file:
-        file.units = ["ft"]
-    for at, path, words in (
-        (
-            own,
-            raster(tmp_path / "photo.tif", np.zeros((3, 9, 9), np.uint8), top=9.0),
-            "has 3 bands, as a",
-        ),
-        (
-            own,
-            model(tmp_path / "void.tif", holes=np.s_[28:32, 28:32], nodata=None),
-            "if some stand for no data",
-        ),
-        (own, tmp_path / "feet.tif", "heights in ft, not in metres"),
-        (
-            replace(own, georeference=None),
-            raster(tmp_path / "plain.tif", np.zeros((300, 300), np.float32), **nowhere),
-            "it has no geotransform",
-        ),
-    ):
-        with pytest.raises(InspeError, match=words):
-            with_elevation(at, path, RADIUS)
+        with_elevation(own, file("fine", cell=1.0), RADIUS)
 
 
 def test_no_other_file_and_no_address_is_read(tmp_path):

@@ -13,8 +13,8 @@ from worlds import MAPS
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.scene.intersection import Intersection, mouth_crosswalks
-from inspe_jax.scene.maps.opendrive.reader import list_junctions, read_opendrive
 from inspe_jax.scene.maps.opendrive.road_network import load_map
+from inspe_jax.scene.maps.registry import list_junctions, read_map
 from inspe_jax.scene.regions import Region
 
 carla = pytest.importorskip("carla", reason="needs the CARLA client: extra [opendrive]")
@@ -112,7 +112,7 @@ def write(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def plain(write) -> Intersection:
-    return read_opendrive(write(street()), junction=7, radius=30)
+    return read_map(write(street()), junction=7, radius=30)
 
 
 def test_street_has_the_areas_worked_out_on_paper(plain):
@@ -137,7 +137,7 @@ def test_street_has_the_bodies_of_its_objects(write):
         '<object type="pole" s="45" t="1" height="7"/></objects>'
     )
     text = street().replace("</lanes></road>", f"</lanes>{objects}</road>", 1)
-    place = read_opendrive(write(text), junction=7, radius=30)
+    place = read_map(write(text), junction=7, radius=30)
     (house,) = place.bodies
     assert house.middle == pytest.approx([-20, 14], abs=1e-6)
     assert any(note.startswith("1 body of the map on lanes, crossings") for note in place.notes)
@@ -178,14 +178,14 @@ def test_street_pedestrians_cross_both_ways_from_sidewalk_to_sidewalk(plain):
 
 
 def test_a_bridge_overhead_is_left_out(write, plain):
-    bridged = read_opendrive(write(street(bridge=True), "bridged.xodr"), junction=7, radius=30)
+    bridged = read_map(write(street(bridge=True), "bridged.xodr"), junction=7, radius=30)
     assert bridged.ground_points[:, 2].max() < 3
     for region in Region:
         assert bridged.regions[region].equals(plain.regions[region])
 
 
 def test_moving_the_map_moves_the_intersection(write, plain):
-    moved = read_opendrive(write(street((250.0, -90.0), 0.7), "moved.xodr"), junction=7, radius=30)
+    moved = read_map(write(street((250.0, -90.0), 0.7), "moved.xodr"), junction=7, radius=30)
     for region in Region:
         expected = affinity.rotate(plain.regions[region], 0.7, origin=(0, 0), use_radians=True)
         expected = affinity.translate(expected, 250, -90)
@@ -195,7 +195,7 @@ def test_moving_the_map_moves_the_intersection(write, plain):
 
 def test_center_takes_the_junctions_near_it_for_one(write):
     path = write(street())
-    around = read_opendrive(path, center=(3.0, 1.0), radius=30)
+    around = read_map(path, center=(3.0, 1.0), radius=30)
     np.testing.assert_allclose(around.center[:2], [3, 1])
     assert len(around.arms) == 2
     assert around.regions[Region.JUNCTION].area == pytest.approx(140, rel=0.01)
@@ -229,7 +229,7 @@ ERRORS = {
 def test_each_bad_input_gets_its_message(write, case):
     text, options, message = ERRORS[case]
     with pytest.raises(InspeError, match=message):
-        read_opendrive(write(text), **{"junction": 7, **options})
+        read_map(write(text), **{"junction": 7, **options})
 
 
 def test_a_missing_file_or_client_is_named(write, tmp_path, monkeypatch):
@@ -237,11 +237,11 @@ def test_a_missing_file_or_client_is_named(write, tmp_path, monkeypatch):
         list_junctions(tmp_path / "nowhere.xodr")
     monkeypatch.setitem(sys.modules, "carla", None)
     with pytest.raises(InspeError, match=r"pip install .*\[opendrive\]'"):
-        read_opendrive(write(GOOD, "unread.xodr"), junction=7)
+        read_map(write(GOOD, "unread.xodr"), junction=7)
 
 
 def test_the_client_is_silent(write, capfd):
-    read_opendrive(write(street(), "silent.xodr"), junction=7, radius=30)  # has no georeference
+    read_map(write(street(), "silent.xodr"), junction=7, radius=30)  # has no georeference
     assert capfd.readouterr() == ("", "")
 
 
@@ -266,7 +266,7 @@ def place(request) -> Intersection:
     name, options, arms = PLACES[request.param]
     if not MAPS.is_dir():
         pytest.skip("CARLA's town maps are not at hand")
-    found = read_opendrive(town(name), **options)
+    found = read_map(town(name), **options)
     assert len(found.arms) == arms
     return found
 
@@ -318,7 +318,7 @@ def test_places_are_whole(place):
 @needs_maps
 @pytest.mark.parametrize(("name", "junction"), [("Town05", 53), ("Town10HD", 189), ("Town06", 72)])
 def test_carlas_own_waypoints_lie_in_their_region(name, junction):
-    place = read_opendrive(town(name), junction=junction)
+    place = read_map(town(name), junction=junction)
     world = carla.Map(name, town(name).read_text())
     width = 0.0
     for waypoint in world.generate_waypoints(1.0):
@@ -341,7 +341,7 @@ def test_carlas_own_waypoints_lie_in_their_region(name, junction):
 @pytest.mark.parametrize(("name", "junction"), [("Town05", 53), ("Town03", 222), ("Town07", 725)])
 def test_lanes_lie_where_the_raw_xml_puts_them(name, junction):
     """Lane middles from the file's own numbers, right-handed, without CARLA."""
-    place = read_opendrive(town(name), junction=junction)
+    place = read_map(town(name), junction=junction)
     regions = {"driving": Region.DRIVEWAY, "sidewalk": Region.SIDEWALK, "shoulder": Region.SHOULDER}
     checked = 0
     for element in ET.parse(town(name)).iter("road"):
@@ -384,7 +384,7 @@ def polynomial(rows, key: str, s: float) -> float:
 def test_levels_that_overlap_are_told_apart():
     """Town05's elevated road over 53, and Town04's interchange whose ramps join both levels."""
     for name, junction in (("Town05", 53), ("Town04", 1061)):
-        points = read_opendrive(town(name), junction=junction, radius=100).ground_points
+        points = read_map(town(name), junction=junction, radius=100).ground_points
         a, b = cKDTree(points[:, :2]).query_pairs(2.0, output_type="ndarray").T
         assert abs(points[a, 2] - points[b, 2]).max() < 2
 
@@ -392,7 +392,7 @@ def test_levels_that_overlap_are_told_apart():
 @needs_maps
 def test_the_corners_of_a_city_junction_have_no_gaps():
     """Between turning lanes and kerbs the map leaves pockets without any lane; they are paved."""
-    place = read_opendrive(town("Town10HD"), junction=189)
+    place = read_map(town("Town10HD"), junction=189)
     whole = shapely.union_all([place.regions[r] for r in Region]).buffer(0.1)
     holes = [shapely.Polygon(ring) for part in shapely.get_parts(whole) for ring in part.interiors]
     near = [h for h in holes if h.distance(shapely.Point(place.center[:2])) < 18]
@@ -402,7 +402,7 @@ def test_the_corners_of_a_city_junction_have_no_gaps():
 
 @needs_maps
 def test_crosswalks_are_the_maps_or_strips_with_a_note():
-    own = read_opendrive(town("Town10HD"), junction=189)
+    own = read_map(town("Town10HD"), junction=189)
     assert not any("crosswalk" in note for note in own.notes)
     loops = load_map(town("Town10HD")).crosswalks
     near = [
@@ -412,24 +412,24 @@ def test_crosswalks_are_the_maps_or_strips_with_a_note():
     for shape in near:
         assert own.regions[Region.CROSSWALK].intersection(shape).area > 0.98 * shape.area
 
-    bare = read_opendrive(town("Town05"), junction=53)
+    bare = read_map(town("Town05"), junction=53)
     assert any("the map has no crosswalks here" in note for note in bare.notes)
     strips = mouth_crosswalks(bare.arms)
     assert bare.regions[Region.CROSSWALK].symmetric_difference(strips).area < 0.1
 
-    motorway = read_opendrive(town("Town04"), junction=1176)
+    motorway = read_map(town("Town04"), junction=1176)
     assert motorway.regions[Region.CROSSWALK].is_empty
     assert any("no crosswalks" in note for note in motorway.notes)
 
 
 @needs_maps
 def test_poles_are_signals_on_the_ground_each_once():
-    signals = read_opendrive(town("Town04"), junction=916)
+    signals = read_map(town("Town04"), junction=916)
     assert len(signals.poles) == 6
     gaps = shapely.distance(*np.meshgrid(*[shapely.points(signals.poles[:, :2])] * 2))
     assert gaps[~np.eye(6, dtype=bool)].min() >= 0.5
     np.testing.assert_allclose(signals.poles[:, 2], signals.ground(signals.poles[:, :2]))
-    bare = read_opendrive(town("Town05"), junction=53)
+    bare = read_map(town("Town05"), junction=53)
     assert bare.poles.shape == (0, 3)
     assert any("no poles" in note for note in bare.notes)
 

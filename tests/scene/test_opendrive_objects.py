@@ -8,9 +8,7 @@ import shapely
 from shapely.geometry import Point, Polygon, box
 from worlds import MAPS
 
-import inspe_jax
-from inspe_jax.scene.maps.bodies import standing
-from inspe_jax.scene.maps.opendrive.objects import shapes_of
+from inspe_jax.scene.maps.opendrive.objects import PARKING, shapes_of
 from inspe_jax.scene.maps.opendrive.reference_line import ReferenceLine
 
 LINE = '<geometry s="0" x="10" y="20" hdg="0" length="100"><line/></geometry>'
@@ -24,64 +22,55 @@ def read(objects: str, plan: str = LINE):
     return shapes_of(root)
 
 
-def one(objects: str, plan: str = LINE):
-    ((shape,), notes) = read(objects, plan)
-    assert notes == ()
-    return shape
-
-
 def same(area, expected):
     return area.symmetric_difference(expected).area < 1e-6
 
 
 # ── Objects ─────────────────────────────────────────────────────────────────
 
+ROAD_CORNERS = "".join(
+    f'<cornerRoad s="{s}" t="{t}" dz="0" height="9"/>' for s, t in ((20, 5), (30, 5), (30, 12))
+)
+LOCAL_CORNERS = "".join(
+    f'<cornerLocal u="{u}" v="{v}" z="1" height="4"/>' for u, v in ((0, 0), (6, 0), (6, 2), (0, 2))
+)
+HOUSE = 'type="building" s="30" t="15" length="12" width="8" height="7"'
+TRIANGLE = Polygon([(30, 25), (40, 25), (40, 32)])
+ON_PAPER = {  # object: kind, base, height, and area, or what it measures about its middle
+    f'<object {HOUSE} hdg="0"/>': ("building", 0, 7, box(34, 31, 46, 39)),
+    f'<object {HOUSE} hdg="{np.pi / 2}"/>': ("building", 0, 7, box(36, 29, 44, 41)),
+    f'<object type="building" s="0" t="0"><outline>{ROAD_CORNERS}</outline></object>': (
+        *("building", 0, 9, TRIANGLE),
+    ),
+    f'<object type="building" s="20" t="-10" hdg="{np.pi / 2}" zOffset="3"><outlines><outline>'
+    f"{LOCAL_CORNERS}</outline></outlines></object>": ("building", 4, 8, box(28, 10, 30, 16)),
+    '<object type="tree" s="10" t="6" radius="2" height="9"/>': (
+        *("tree", 2.5, 9, (20, 26), 4 * np.pi),
+    ),
+    '<object type="pole" s="10" t="6" height="5"/>': ("pole", 0, 5, (20, 26), 0.01 * np.pi),
+    '<object type="barrier" subtype="wall" s="5" t="4" length="20" width="0.3" height="2"/>': (
+        *("wall", 0, 2, box(5, 23.85, 25, 24.15)),
+    ),
+    '<object type="vegetation" name="hedge" s="5" t="4" length="9" width="1" height="2"/>': (
+        *("hedge", 0, 2, box(10.5, 23.5, 19.5, 24.5)),
+    ),
+    '<object type="parkingSpace" s="20" t="6" length="5" width="2.4"/>': (
+        *(PARKING, 0, 0, box(27.5, 24.8, 32.5, 27.2)),
+    ),
+}
 
-def test_a_house_by_its_length_and_width():
-    house = one('<object type="building" s="30" t="15" hdg="0" length="12" width="8" height="7"/>')
-    assert (house.kind, house.base, house.height) == ("building", 0, 7)
-    assert same(house.area, box(34, 31, 46, 39))
-    turned = one(
-        f'<object type="building" s="30" t="15" hdg="{np.pi / 2}" length="12" width="8" '
-        'height="7"/>'
-    )
-    assert same(turned.area, box(36, 29, 44, 41))
 
-
-def test_outlines_of_either_kind_of_corner():
-    road = "".join(
-        f'<cornerRoad s="{s}" t="{t}" dz="0" height="9"/>' for s, t in ((20, 5), (30, 5), (30, 12))
-    )
-    by_road = one(f'<object type="building" s="0" t="0"><outline>{road}</outline></object>')
-    assert same(by_road.area, Polygon([(30, 25), (40, 25), (40, 32)]))
-    assert by_road.height == 9
-    local = "".join(
-        f'<cornerLocal u="{u}" v="{v}" z="1" height="4"/>'
-        for u, v in ((0, 0), (6, 0), (6, 2), (0, 2))
-    )
-    by_local = one(
-        f'<object type="building" s="20" t="-10" hdg="{np.pi / 2}" zOffset="3">'
-        f"<outlines><outline>{local}</outline></outlines></object>"
-    )
-    assert same(by_local.area, box(28, 10, 30, 16))
-    assert (by_local.base, by_local.height) == (4, 8)
-
-
-def test_trees_poles_and_barriers():
-    tree = one('<object type="tree" s="10" t="6" radius="2" height="9"/>')
-    assert (tree.kind, tree.height, tree.base) == ("tree", 9, 2.5)
-    assert tree.area.area == pytest.approx(4 * np.pi)
-    assert np.allclose(tree.area.centroid.coords[0], (20, 26))
-    pole = one('<object type="pole" s="10" t="6" height="5"/>')
-    assert (pole.kind, pole.height, pole.area.area) == ("pole", 5, pytest.approx(0.01 * np.pi))
-    wall = one(
-        '<object type="barrier" subtype="wall" s="5" t="4" length="20" width="0.3" height="2"/>'
-    )
-    assert (wall.kind, wall.area.area) == ("wall", pytest.approx(6))
-    hedge = one(
-        '<object type="vegetation" name="hedge" s="5" t="4" length="9" width="1" height="2"/>'
-    )
-    assert hedge.kind == "hedge"
+@pytest.mark.parametrize("given", ON_PAPER)
+def test_an_object_worked_out_on_paper(given):
+    ((shape,), notes) = read(given)
+    kind, base, height, area, *size = ON_PAPER[given]
+    assert notes == ()
+    assert (shape.kind, shape.base, shape.height) == (kind, base, height)
+    if size:
+        assert np.allclose(shape.area.centroid.coords[0], area)
+        assert shape.area.area == pytest.approx(*size)
+    else:
+        assert same(shape.area, area)
 
 
 def test_repeats_with_gaps_and_without():
@@ -141,26 +130,12 @@ def test_what_is_no_body_or_makes_no_sense():
     assert read('<object type="tree" s="0" t="0"/>', "<geometry/>")[0] == ()
 
 
-def test_they_stand_beside_the_lanes_of_a_place():
-    """Built-in: lanes along the axes. One house is cut at the sidewalk's middle, one is free."""
-    shapes, _ = read(
-        '<object type="building" s="0" t="0" length="16" width="16" height="7"/>'
-        '<object type="building" s="15" t="5" length="10" width="8" height="7"/>'
-        '<object type="pole" s="-10" t="-20" height="5"/>'
-    )
-    notes: list[str] = []
-    bodies = standing(shapes, inspe_jax.built_in("four_way"), 60.0, notes)
-    assert {b.kind for b in bodies} == {"building"}
-    assert any("cut off" in n for n in notes)
-    assert any("left out" in n for n in notes)
-
-
 # ── The reference line ──────────────────────────────────────────────────────
 
 
 def test_pieces_worked_out_on_paper():
     def line(shape: str):
-        return ReferenceLine.of(ET.fromstring(
+        return ReferenceLine(ET.fromstring(
             f'<road><planView><geometry s="0" x="1" y="2" hdg="{np.pi / 2}" length="10">{shape}'
             "</geometry></planView></road>"))  # fmt: skip
 
@@ -197,7 +172,7 @@ def test_the_line_is_carla_s(town):
     roads = {int(r.get("id")): r for r in ET.parse(path).getroot().iter("road")}
     for number in rng.permutation([*carla.roads])[:60].tolist():
         road = carla.roads[number]
-        line = ReferenceLine.of(roads[number])
+        line = ReferenceLine(roads[number])
         start, end, lanes = road.sections[0]
         if end - start < 2:
             continue

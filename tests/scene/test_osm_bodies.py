@@ -12,7 +12,7 @@ from shapely.geometry import LineString, Point, Polygon
 from inspe_jax.core.digest import digest
 from inspe_jax.core.errors import InspeError
 from inspe_jax.scene.maps.bodies import simple_pieces
-from inspe_jax.scene.maps.openstreetmap.extract import Box, read_extract
+from inspe_jax.scene.maps.openstreetmap.extract import read_extract
 from inspe_jax.scene.maps.openstreetmap.sizes import Sizes, length_of
 from inspe_jax.scene.maps.registry import list_junctions, read_map
 from inspe_jax.scene.regions import Region
@@ -203,8 +203,8 @@ def test_the_order_of_elements_and_compression_change_nothing(tmp_path, path, pl
     turned = "\n".join([head, *lines[::-1], tail])
     other = tmp_path / "town.osm.gz"
     other.write_bytes(gzip.compress(turned.encode()))
-    box_ = Box(11.57, 48.13, 11.58, 48.14)
-    one, two = read_extract(path, box_), read_extract(other, box_)
+    degrees_ = (11.57, 48.13, 11.58, 48.14)
+    one, two = read_extract(path, degrees_), read_extract(other, degrees_)
     assert one == two
     assert len(one.ways) > 20
 
@@ -218,7 +218,7 @@ def test_memory_grows_with_what_is_near_and_not_with_the_file(tmp_path):
             f.write(f'<node id="{k}" lat="50.{k:06d}" lon="8.0"><tag k="a" v="b"/></node>')
         f.write('<node id="n" lat="48.0" lon="11.0"><tag k="natural" v="tree"/></node></osm>')
     tracemalloc.start()
-    found = read_extract(file, Box(10.99, 47.99, 11.01, 48.01))
+    found = read_extract(file, (10.99, 47.99, 11.01, 48.01))
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert found.node_tags == {"n": {"natural": "tree"}}
@@ -234,11 +234,11 @@ def test_what_is_deleted_or_rubbish_is_not_there(tmp_path):
         '<way id="1"><nd ref="1"/><nd/></way><way id="2"><nd ref="6"/><nd ref="9"/></way>'
         '<relation id="1"><member type="node" ref="6"/></relation></osm>'
     )
-    found = read_extract(file, Box(-1, -1, 1, 1))
+    found = read_extract(file, (-1, -1, 1, 1))
     assert (list(found.nodes), list(found.ways), found.relations) == (["6"], ["2"], {})
     file.write_text("<osm><node")
     with pytest.raises(InspeError, match=r"rubbish\.osm: not well-formed XML"):
-        read_extract(file, Box(-1, -1, 1, 1))
+        read_extract(file, (-1, -1, 1, 1))
 
 
 def test_outlines_that_the_extract_cuts_are_closed_or_left_out(tmp_path):

@@ -1,16 +1,12 @@
-"""Bodies of one's own from GeoJSON, CSV and SUMO's polygons."""
+"""Bodies of one's own from GeoJSON and CSV."""
 
 import io
 import json
-import os
-import subprocess
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 import shapely
-from osm_town import full_town
 from rich.console import Console
 from shapely.geometry import mapping
 
@@ -21,7 +17,6 @@ from inspe_jax.report.scene_tables import scene_table
 from inspe_jax.scene.georeference import Georeference
 from inspe_jax.scene.maps.bodies import Ways
 from inspe_jax.scene.maps.own_bodies import with_own_bodies
-from inspe_jax.scene.maps.registry import read_map
 from inspe_jax.scene.scene import build_scene
 
 pyproj = pytest.importorskip("pyproj", reason="needs pyproj: extra [geo]")
@@ -209,68 +204,9 @@ def test_a_wrong_property_says_what_is_wrong(place, spots, tmp_path, properties,
         ("a.csv", "lat,lon\n1,2\n", "each of 'latitude' and 'longitude'; columns are lat, lon"),
         ("a.csv", "latitude,longitude\n48,\n", "row 1: needs a number"),
         ("a.csv", "", "it is empty"),
-        (
-            "a.poly.xml",
-            "<additional><poly type='building' shape='1,x'/></additional>",
-            "a coordinate is missing or no number",
-        ),
-        ("a.poly.xml", "<net/>", "the root element is <net>, not <additional>"),
     ],
 )
 def test_a_file_of_another_kind_says_so(place, tmp_path, name, text, words):
     (tmp_path / name).write_text(text)
     with pytest.raises(InspeError, match=words):
         with_own_bodies(place, tmp_path / name, REACH)
-
-
-# ── SUMO's polygons ─────────────────────────────────────────────────────────
-
-
-@pytest.fixture(scope="module")
-def polygons(tmp_path_factory):
-    """A town's bodies by our reader of its extract, and by polyconvert: in metres, in degrees."""
-    sumo = pytest.importorskip("sumo", reason="needs SUMO: extra [sumo]")
-    pytest.importorskip("sumolib", reason="needs SUMO: extra [sumo]")
-    from inspe_jax.scene.maps.sumo.network import load_net
-
-    folder = tmp_path_factory.mktemp("town")
-    full_town().write(folder / "city.osm")
-    place = read_map(folder / "city.osm", junction=1, radius=50)
-    net = load_net(folder / "city.osm").file
-    for name, more in (("metres", ()), ("degrees", ("--proj.plain-geo",))):
-        subprocess.run(
-            [Path(sumo.SUMO_HOME, "bin", "polyconvert"), "--net-file", net, "--osm-files",
-             folder / "city.osm", "--all-attributes", "--osm.keep-full-type", *more,
-             "-o", folder / f"{name}.poly.xml"],
-            check=True, capture_output=True, env={**os.environ, "SUMO_HOME": sumo.SUMO_HOME},
-        )  # fmt: skip
-    return folder, place
-
-
-@pytest.mark.parametrize("name", ["metres", "degrees"])
-def test_polyconvert_s_buildings_are_where_the_extract_has_them(polygons, name):
-    """It writes 1 cm, and 1e-6 degrees: 0.1 m."""
-    folder, place = polygons
-    bare = replace(place, bodies=(), poles=np.zeros((0, 3)))
-    found = with_own_bodies(bare, folder / f"{name}.poly.xml", 60.0)
-    ours = shapely.union_all([one.polygon for one in place.bodies if one.kind == "building"])
-    # Building parts, holes and relations are for the reader of the extract alone.
-    same = [one for one in found.bodies if one.kind == "building"
-            and one.polygon.intersection(ours).area > 0.9 * one.polygon.area]  # fmt: skip
-    assert len(same) >= 5
-    close = 0.02 if name == "metres" else 0.15
-    for one in same:
-        near = max(
-            (b for b in place.bodies if b.kind == "building"),
-            key=lambda b: b.polygon.intersection(one.polygon).area,
-        )
-        if near.polygon.area == pytest.approx(one.polygon.area, rel=0.05):
-            assert near.polygon.hausdorff_distance(one.polygon) < close
-            assert near.height == one.height
-    assert {"building", "tree"} <= {one.kind for one in found.bodies}
-
-
-def test_polygons_of_another_network_say_so(polygons, place):
-    folder, _ = polygons
-    with pytest.raises(InspeError, match="is in the coordinates of a SUMO network"):
-        with_own_bodies(place, folder / "metres.poly.xml", REACH)

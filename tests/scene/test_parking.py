@@ -94,19 +94,3 @@ def test_a_town_with_parking_lanes():
     size = dict(radius=50, voxel=1.0, frames=4)
     scene = inspe_jax.build_scene(place, statics="map", **size)
     assert 0.8 * len(place.bodies) <= len(scene.statics) <= len(place.bodies)
-
-
-def test_parking_spaces_of_a_map_are_no_bodies_by_themselves():
-    import xml.etree.ElementTree as ET
-
-    from inspe_jax.scene.maps.opendrive.objects import PARKING, shapes_of
-
-    road = (
-        '<OpenDRIVE><road><planView><geometry s="0" x="0" y="0" hdg="0" length="50"><line/>'
-        '</geometry></planView><objects><object type="parkingSpace" s="20" t="6" hdg="0" '
-        'length="5" width="2.4"/></objects></road></OpenDRIVE>'
-    )
-    ((space,), notes) = shapes_of(ET.fromstring(road))
-    assert notes == ()
-    assert space.kind == PARKING
-    assert space.area.bounds == (17.5, 4.8, 22.5, 7.2)

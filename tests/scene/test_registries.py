@@ -5,7 +5,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from processes import inspe_here
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.scene.maps import registry as maps
@@ -24,36 +23,29 @@ junctions:
 # ── What the module of a map format holds ───────────────────────────────────
 
 
-def _junctions(path):
-    return yaml.safe_load(Path(path).read_text())["junctions"]
+class ToyMap:
+    """Straight roads from the origin, at which all junctions are."""
 
+    georeference = None
 
-def list_junctions(path):
-    """Junctions of a toy map, all at the origin."""
-    found = _junctions(path)
-    return tuple(
-        JunctionInfo(name, (0.0, 0.0, 0.0), len(given["bearings_deg"]), 20.0, 0, 0)
-        for name, given in found.items()
-    )
+    def __init__(self, path):
+        self.name = Path(path).name
+        self.junctions = yaml.safe_load(Path(path).read_text())["junctions"]
 
+    def list_junctions(self):
+        return tuple(
+            JunctionInfo(name, (0.0, 0.0, 0.0), len(given["bearings_deg"]), 20.0, 0, 0)
+            for name, given in self.junctions.items()
+        )
 
-def georeference_of(path):
-    """It says nothing of the Earth."""
+    def road_lines(self):
+        bearings = [a for given in self.junctions.values() for a in given["bearings_deg"]]
+        ends = 50 * np.column_stack([np.sin(np.radians(bearings)), np.cos(np.radians(bearings))])
+        return [np.array([[0, 0], end]) for end in ends]
 
-
-def road_lines(path):
-    """Its roads are straight lines from the origin."""
-    bearings = [a for given in _junctions(path).values() for a in given["bearings_deg"]]
-    ends = 50 * np.column_stack([np.sin(np.radians(bearings)), np.cos(np.radians(bearings))])
-    return [np.array([[0, 0], end]) for end in ends]
-
-
-def read_toy(path, *, junction=None, center=None, radius=50.0):
-    """A junction by its name; its parameters are those of a built-in crossing."""
-    found = _junctions(path)
-    if junction not in found:
-        raise InspeError(f"{path}: no junction '{junction}': {', '.join(found)}")
-    return crossing(f"{Path(path).name} {junction}", **found[junction])
+    def read(self, junction, center, radius):
+        """A junction by its name; its parameters are those of a built-in crossing."""
+        return crossing(f"{self.name} {junction}", **self.junctions[junction])
 
 
 # ── What the module of a traffic model holds ────────────────────────────────
@@ -80,8 +72,7 @@ def parked_traffic(intersection, *, radius, count, frames, mix, step, seed, prog
 
 @pytest.fixture
 def toy_map(monkeypatch, tmp_path):
-    row = maps.MapFormat((".toy.yaml",), __name__, reader="read_toy")
-    monkeypatch.setattr(maps, "FORMATS", [*maps.FORMATS, row])
+    monkeypatch.setitem(maps.FORMATS, (".toy.yaml",), f"{__name__}:ToyMap")
     path = tmp_path / "town.toy.yaml"
     path.write_text(MAP)
     return path
@@ -103,18 +94,6 @@ def test_a_row_is_all_that_a_map_format_needs(toy_map, tmp_path):
     again = load_scene(tmp_path / "scene.npz")
     assert again.name == "town.toy.yaml north"
     np.testing.assert_array_equal(again.voxels.region, scene.voxels.region)
-
-
-def test_the_command_line_lists_and_builds_a_map_of_a_new_format(
-    toy_map, tmp_path, monkeypatch, capsys
-):
-    status, listed, _ = inspe_here(tmp_path, monkeypatch, capsys, "scene", toy_map.name, "--list")
-    assert status == 0
-    assert all(name in listed for name in ("north", "south"))
-    options = "--junction south --radius 20 --voxel 1 --frames 2 --density 5 --out south.npz"
-    status, *_ = inspe_here(tmp_path, monkeypatch, capsys, "scene", toy_map.name, *options.split())
-    assert status == 0
-    assert len(load_scene(tmp_path / "south.npz").intersection.arms) == 3
 
 
 def test_a_row_is_all_that_a_traffic_model_needs(monkeypatch):

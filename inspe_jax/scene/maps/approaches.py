@@ -1,5 +1,6 @@
 """Approaches: the ends of roads at a junction, and how they pair into arms."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,6 +29,20 @@ class Approach:
     outward: float  # heading away from the junction at the cut
     bearing: float  # the same over the first 15 m, which a flare does not turn
     lanes: tuple[tuple[int, str, float, float, bool], ...]  # id, type, from, to, inbound
+
+    @classmethod
+    def across(
+        cls, road: int, end: str, origin: np.ndarray, forward: np.ndarray, bearing: float,
+        lanes: Iterable[tuple[int, str, np.ndarray, float, bool]],
+    ) -> "Approach":  # fmt: skip
+        """A cut across a road at ``origin``, looking along the unit vector ``forward``, from its
+        ``lanes``: id, type, middle (2,) [m], width [m] and inbound."""
+        left = np.array([-forward[1], forward[0]])
+        cut = []
+        for lane, kind, middle, width, inbound in lanes:
+            offset = float((middle - origin) @ left)
+            cut.append((lane, kind, offset - width / 2, offset + width / 2, inbound))
+        return cls(road, end, origin, heading(forward), bearing, tuple(cut))
 
     def point(self, offset: float) -> np.ndarray:
         """The point of the cut at an offset to the left (2,)."""
@@ -59,6 +74,11 @@ class Approach:
             return None
         low, high = min(x[2] for x in beyond), max(x[3] for x in beyond)
         return (low, high) if side > 0 else (high, low)
+
+
+def heading(vector: np.ndarray) -> float:
+    """The heading of a vector (2,) [rad]."""
+    return float(np.arctan2(vector[1], vector[0]))
 
 
 def arms_of(approaches: list[Approach]) -> tuple[tuple[Arm, ...], dict[tuple[int, str], int]]:
@@ -95,7 +115,7 @@ def _gap(a: Approach, b: Approach) -> float:
 
 def _arm(group: list[Approach]) -> Arm:
     along = np.sum([[np.cos(g.bearing), np.sin(g.bearing)] for g in group], axis=0)
-    bearing = float(np.arctan2(along[1], along[0]))
+    bearing = heading(along)
     axes = np.array([[np.cos(bearing), np.sin(bearing)], [-np.sin(bearing), np.cos(bearing)]])
     kerbs = np.array([axes @ g.point(k) for g in group for k in g.kerbs])  # (2 or 4, 2)
     low, high = kerbs[:, 1].min(), kerbs[:, 1].max()

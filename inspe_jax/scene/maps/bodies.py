@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import shapely
 import shapely.affinity
+from scipy.spatial import cKDTree
 from shapely.geometry import LineString, Point, Polygon, box
 from shapely.geometry.base import BaseGeometry
 from shapely.ops import unary_union
@@ -31,8 +32,7 @@ CUT_TOLERANCE = 0.05
 class Shape(NamedTuple):
     """What a map says of one body: its kind, its area in plan (any polygons) and heights [m].
 
-    As :class:`~inspe_jax.scene.statics.StaticBody`. ``whole``: a tree or a pole, which stands whole
-    where its ``foot`` is, or not at all.
+    As :class:`~inspe_jax.scene.statics.StaticBody`. A tree or a pole stands whole or not at all.
     """
 
     kind: str
@@ -41,18 +41,6 @@ class Shape(NamedTuple):
     base: float = 0.0
     transmittance: float = 0.0
     trunk: float = 0.0
-
-    @property
-    def whole(self) -> bool:
-        """Whether it stands whole or not at all."""
-        return self.kind in ("tree", "pole")
-
-    @property
-    def foot(self) -> BaseGeometry:
-        """Where it stands, in plan."""
-        if self.trunk > 0:
-            return self.area.centroid.buffer(self.trunk)
-        return self.area
 
 
 class Ways(NamedTuple):
@@ -81,14 +69,15 @@ class Ways(NamedTuple):
         return self.lanes if base >= HEADROOM else self.paths
 
 
-def standing(
-    shapes: Iterable[Shape], place: Intersection, reach: float, notes: list[str]
-) -> tuple[StaticBody, ...]:
-    """The bodies of a place's map that come within ``reach`` [m] of its centre.
+def with_bodies(
+    place: Intersection, shapes: Iterable[Shape], reach: float, notes: list[str]
+) -> Intersection:
+    """A place with the bodies of its map that come within ``reach`` [m] of its centre.
 
     Outlines that cross themselves are mended. What is on lanes, crossings or the middle of
     footpaths is cut off; a tree or a pole there is left out, and a crown begins above lanes or is
-    narrower. Polygons with holes are cut into simple ones. ``notes`` get what was done.
+    narrower. Polygons with holes are cut into simple ones. Poles on the ground can carry sensors.
+    ``notes`` get what was done.
     """
     ways, disc = Ways.of(place), Point(place.center[:2]).buffer(reach)
     shapely.prepare([disc, *ways])
@@ -114,24 +103,12 @@ def standing(
         for key, words in said.items()
         if counts[key]
     ]
-    return tuple(found)
-
-
-def with_bodies(
-    place: Intersection, shapes: Iterable[Shape], reach: float, notes: list[str]
-) -> Intersection:
-    """A place with the bodies of its map (:func:`standing`), whose poles can carry sensors.
-
-    ``notes`` get what was done.
-    """
-    bodies = standing(shapes, place, reach, notes)
-    feet = np.array([one.middle for one in bodies if one.kind == "pole" and one.base == 0])
+    feet = np.array([one.middle for one in found if one.kind == "pole" and one.base == 0])
     own = place.on_ground(feet) if len(feet) else np.zeros((0, 3))
     poles = np.asarray(place.poles, float).reshape(-1, 3)
     if len(own) and len(poles):  # a signal's mark is where its pole is
-        apart = np.hypot(*(poles[:, None] - own)[..., :2].transpose(2, 0, 1)).min(1)
-        poles = poles[apart > SAME_POLE]
-    return replace(place, bodies=bodies, poles=np.vstack([poles, own]))
+        poles = poles[cKDTree(own[:, :2]).query(poles[:, :2])[0] > SAME_POLE]
+    return replace(place, bodies=tuple(found), poles=np.vstack([poles, own]))
 
 
 def _mended(area: BaseGeometry) -> BaseGeometry:
@@ -149,7 +126,7 @@ def _free(shape: Shape, ways: Ways, counts: "Counter[str]") -> Shape | None:
     taken = ways.under(shape.base)
     if not taken.intersects(shape.area):
         return shape
-    if shape.whole:
+    if shape.kind == "pole":
         return None
     left = shape.area.difference(taken)
     left = unary_union([p for p in shapely.get_parts(left) if p.area > SMALL[shape.kind]])
@@ -164,7 +141,8 @@ def _free(shape: Shape, ways: Ways, counts: "Counter[str]") -> Shape | None:
 
 def _free_tree(shape: Shape, ways: Ways, counts: "Counter[str]") -> Shape | None:
     """A tree whose crown is over no lane below :data:`OVER_LANES`."""
-    if ways.paths.intersects(shape.foot):
+    foot = shape.area.centroid.buffer(shape.trunk) if shape.trunk > 0 else shape.area
+    if ways.paths.intersects(foot):
         return None
     if not ways.under(shape.base).intersects(shape.area):
         return shape

@@ -1,9 +1,8 @@
-"""Bodies of one's own from files: GeoJSON, CSV, and SUMO's polygons."""
+"""Bodies of one's own from GeoJSON and CSV files."""
 
 import os
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Annotated
 
 import numpy as np
@@ -17,7 +16,6 @@ from inspe_jax.core.files import check_model
 from inspe_jax.scene.geojson import Feature, read_features
 from inspe_jax.scene.intersection import Intersection
 from inspe_jax.scene.maps.bodies import NO_POLES, SAME_POLE, Shape, with_bodies
-from inspe_jax.scene.maps.sumo.polygons import SUFFIX, polygons_of
 from inspe_jax.scene.maps.usual_sizes import BARRIERS, HEIGHTS, POLE, TREE, crown_base
 from inspe_jax.scene.statics import HIGHEST, LEAFY, octagon
 
@@ -48,17 +46,13 @@ def with_own_bodies(
 
     Polygons, lines and points; properties are ``kind``, one of
     :data:`~inspe_jax.scene.maps.usual_sizes.HEIGHTS`, ``height_m``, ``base_m``, ``width_m`` of a
-    line, ``diameter_m`` of a point, and ``transmittance``. What is missing is usual. SUMO's
-    polygons (.poly.xml) are read by :func:`~inspe_jax.scene.maps.sumo.polygons.polygons_of`. Poles
-    can carry sensors. What is in the way of traffic is cut off, as of a map's bodies.
+    line, ``diameter_m`` of a point, and ``transmittance``. What is missing is usual. Poles can
+    carry sensors. What is in the way of traffic is cut off, as of a map's bodies.
 
     Raises InspeError as :func:`~inspe_jax.scene.geojson.read_features`, if a property is wrong, and
     if nothing is so near.
     """
-    if str(path).lower().endswith(SUFFIX):
-        features = polygons_of(Path(path), place)
-    else:
-        features, _ = read_features(path, place)
+    features, _ = read_features(path, place)
     if not features:
         raise InspeError(f"{path}: has no features that are bodies")
     away = shapely.distance([one.geometry for one in features], shapely.Point(place.center[:2]))
@@ -115,7 +109,7 @@ def _once(shapes: Iterable[Shape]) -> Iterator[Shape]:
 def _shapes(one: Feature) -> Iterator[Shape]:
     """The bodies of one feature."""
     where, own = one.where, check_model(_Properties, one.properties, f"{one.where}.properties")
-    for part in _parts(one.geometry):
+    for part in shapely.get_parts(shapely.get_parts(one.geometry)):
         if part.geom_type not in USUAL or part.is_empty:
             raise InspeError(f"{where}: a {part.geom_type} is no body: {', '.join(USUAL)}")
         kind = own.kind or USUAL[part.geom_type]
@@ -137,12 +131,3 @@ def _shapes(one: Feature) -> Iterator[Shape]:
             radius = (own.diameter_m or usual) / 2
             area, trunk = Polygon(octagon(part.coords[0], radius)), min(trunk, radius / 2)
         yield Shape(kind, area, height, base, through or 0.0, trunk)
-
-
-def _parts(geometry: BaseGeometry) -> Iterator[BaseGeometry]:
-    """The parts of a geometry that has some, and of its parts."""
-    for part in shapely.get_parts(geometry):
-        if hasattr(part, "geoms"):
-            yield from _parts(part)
-        else:
-            yield part

@@ -1,9 +1,8 @@
 """What all map readers share: junctions, clean regions, crosswalks, mounting areas, footpaths."""
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from itertools import product
-from typing import TypeVar
 
 import numpy as np
 import shapely
@@ -12,24 +11,18 @@ from shapely.geometry import Point, Polygon
 from shapely.geometry.base import BaseGeometry
 from shapely.ops import unary_union
 
-from inspe_jax.core.errors import InspeError, nearest
 from inspe_jax.scene.intersection import Arm, Intersection, Route, corner_islands, mouth_crosswalks
 from inspe_jax.scene.lines import resampled
 from inspe_jax.scene.regions import Region
 
 STEP = 1.0
 """Spacing of the stations sampled along lanes and routes [m]."""
-RADIUS_READ = (0.0, 500.0)
-"""Allowed radius of what is read of a map [m]."""
 CLUSTER = 35.0
 """Junctions whose middle is this near to ``center`` count as one [m]."""
 MARGIN = 10.0
 """A map is read this much beyond the radius [m]."""
 MOST_LISTED = 20
 """At most this many junctions are listed in an error."""
-
-J = TypeVar("J", bound=int | str)
-"""A junction's id."""
 
 
 @dataclass(frozen=True)
@@ -46,43 +39,6 @@ class JunctionInfo:
     size: float
     crosswalks: int
     signals: int
-
-
-def junctions_at(
-    source: str,
-    ids: Iterable[J],
-    middle_of: Callable[[J], np.ndarray],
-    junction: str | int | None,
-    center: tuple[float, float] | None,
-) -> tuple[set[J], np.ndarray, str]:
-    """The junctions of a map that a user names, their middle (3,) [m], and a name for the place.
-
-    ``junction`` is the id of one. ``center`` (x, y) [m] means all junctions whose middle is within
-    :data:`CLUSTER` of it. Raises InspeError if both or neither are given, or if there is no such
-    junction.
-    """
-    if (junction is None) == (center is None):
-        raise InspeError("say which place to read: either a junction id or a center (x, y)")
-    if center is None:
-        named = {str(j): j for j in ids}
-        name = str(junction)
-        if name not in named:
-            known = ", ".join([*named][:MOST_LISTED]) + ", …" * (len(named) > MOST_LISTED)
-            raise InspeError(
-                f"{source}: no junction '{name}'; there are: {known or 'none'}"
-                f"{nearest(name, [*named])}"
-            )
-        return {named[name]}, middle_of(named[name]), f"junction {name}"
-    middle, where = np.array([*center, 0.0], float), f"({center[0]:g}, {center[1]:g})"
-    middles = {j: middle_of(j) for j in ids}
-    away = {j: float(distance_from(at[None], middle)[0]) for j, at in middles.items()}
-    members = {j for j, d in away.items() if d <= CLUSTER}
-    if not members:
-        closest = min(away, key=lambda j: away[j], default=None)
-        hint = "" if closest is None else f"; the nearest is {closest} at {away[closest]:.0f} m"
-        raise InspeError(f"{source}: no junction within {CLUSTER:g} m of {where}{hint}")
-    middle[2] = np.mean([middles[j][2] for j in members])
-    return members, middle, f"at {where}"
 
 
 def distance_from(points: np.ndarray, middle: np.ndarray) -> np.ndarray:

@@ -5,7 +5,6 @@ To add a format, write a module that reads it and add its row to :data:`FORMATS`
 
 import os
 from importlib import import_module
-from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -14,30 +13,17 @@ from inspe_jax.core.errors import InspeError
 from inspe_jax.scene.georeference import Georeference
 from inspe_jax.scene.intersection import Intersection
 from inspe_jax.scene.maps.parts import JunctionInfo
+from inspe_jax.scene.maps.road_map import RoadMap
 from inspe_jax.scene.maps.sumo.network import NET_SUFFIXES, OSM_SUFFIXES
 
-
-class MapFormat(NamedTuple):
-    """A format of map files.
-
-    ``suffixes`` are those of its files, in lower case. ``module`` has functions
-    ``list_junctions(path)``, ``georeference_of(path)`` and ``road_lines(path)``, and one with the
-    name ``reader``, which is called as :func:`read_map`. It is imported on first use, because it
-    may need a package of an extra.
-    """
-
-    suffixes: tuple[str, ...]
-    module: str
-    reader: str
-
-
-FORMATS = [
-    MapFormat((".xodr",), "inspe_jax.scene.maps.opendrive.reader", "read_opendrive"),
-    MapFormat(
-        (*NET_SUFFIXES, *OSM_SUFFIXES), "inspe_jax.scene.maps.sumo.reader", reader="read_sumo"
-    ),
-]
-"""The formats. The first that fits a file's name reads it."""
+FORMATS: dict[tuple[str, ...], str] = {
+    (".xodr",): "inspe_jax.scene.maps.opendrive.reader:OpenDriveMap",
+    (*NET_SUFFIXES, *OSM_SUFFIXES): "inspe_jax.scene.maps.sumo.reader:SumoMap",
+}
+"""For the suffixes of files, in lower case, a module and in it what opens such a file:
+a :class:`~inspe_jax.scene.maps.road_map.RoadMap`, or what has the same ``georeference``,
+``list_junctions``, ``road_lines`` and ``read``. The first that fits a file's name reads it. A
+module is imported on first use, because it may need a package of an extra."""
 
 
 FAR = 100.0
@@ -46,7 +32,7 @@ FAR = 100.0
 
 def map_suffixes() -> tuple[str, ...]:
     """The suffixes of map files."""
-    return tuple(suffix for row in FORMATS for suffix in row.suffixes)
+    return tuple(suffix for suffixes in FORMATS for suffix in suffixes)
 
 
 def is_map(path: str | os.PathLike[str]) -> bool:
@@ -54,33 +40,35 @@ def is_map(path: str | os.PathLike[str]) -> bool:
     return str(path).lower().endswith(map_suffixes())
 
 
-def _call(path: str | os.PathLike[str], function: str, **options: Any) -> Any:
-    """Call a function of the module for a file's name, or its reader."""
-    for row in FORMATS:
-        if str(path).lower().endswith(row.suffixes):
-            return getattr(import_module(row.module), function or row.reader)(path, **options)
+def open_map(path: str | os.PathLike[str]) -> RoadMap:
+    """The map of a file.
+
+    Raises InspeError if an extra or the file is missing, or if the file is not a map.
+    """
+    for suffixes, reader in FORMATS.items():
+        if str(path).lower().endswith(suffixes):
+            module, _, name = reader.partition(":")
+            found: RoadMap = getattr(import_module(module), name)(path)
+            return found
     raise InspeError(f"{path}: not a map: its name must end in {', '.join(map_suffixes())}")
 
 
 def list_junctions(path: str | os.PathLike[str]) -> tuple[JunctionInfo, ...]:
-    """The junctions of a map. Raises InspeError as :func:`read_map`."""
-    found: tuple[JunctionInfo, ...] = _call(path, "list_junctions")
-    return found
+    """The junctions of a map. Raises InspeError as :func:`open_map`."""
+    return open_map(path).list_junctions()
 
 
 def georeference_of(path: str | os.PathLike[str]) -> Georeference | None:
     """The projection of a map's coordinates, None if it has none that can be used.
 
-    Raises InspeError as :func:`read_map`.
+    Raises InspeError as :func:`open_map`.
     """
-    found: Georeference | None = _call(path, "georeference_of")
-    return found
+    return open_map(path).georeference
 
 
 def road_lines(path: str | os.PathLike[str]) -> list[Float[np.ndarray, "N 2"]]:
-    """The lines of a map's roads [m], for drawing. Raises InspeError as :func:`read_map`."""
-    found: list[np.ndarray] = _call(path, "road_lines")
-    return found
+    """The lines of a map's roads [m], for drawing. Raises InspeError as :func:`open_map`."""
+    return open_map(path).road_lines()
 
 
 def junction_at(path: str | os.PathLike[str], lat: float, lon: float) -> JunctionInfo:
@@ -136,5 +124,4 @@ def read_map(
         InspeError: An extra or the file is missing, the file is not a map, or it has no such
             junction or no road near.
     """
-    place: Intersection = _call(path, "", junction=junction, center=center, radius=radius)
-    return place
+    return open_map(path).read(junction, center, radius)

@@ -62,6 +62,10 @@ class Place(NamedTuple):
     radius: float
 
 
+Solid = tuple[BaseGeometry | None, float, float]
+"""An area, None where no size is known, and between which heights over the road [m]."""
+
+
 def shapes_of(root: ET.Element) -> tuple[tuple[Shape, ...], tuple[str, ...]]:
     """The bodies of all roads of a map, and notes on what was assumed and left out."""
     found: list[Shape] = []
@@ -71,7 +75,7 @@ def shapes_of(root: ET.Element) -> tuple[tuple[Shape, ...], tuple[str, ...]]:
         if not elements:
             continue
         try:
-            line = ReferenceLine.of(road)
+            line = ReferenceLine(road)
         except NOT_NUMBERS:
             counts["bad"] += len(elements)
             continue
@@ -113,58 +117,50 @@ def _number(element: ET.Element, key: str, default: float = 0.0) -> float:
 
 def _shapes(element: ET.Element, line: ReferenceLine, counts: "Counter[str]") -> Iterator[Shape]:
     """The bodies of one object: one, or those of its repeats."""
+    for area, low, high in _areas(element, line):
+        kind = _kind(element)
+        if area is None or kind is None:
+            counts["size"] += 1
+            continue
+        if kind == PARKING:
+            yield Shape(kind, area, 0.0)
+            continue
+        base = low if low >= LIFTED else 0.0
+        if not base < high <= HIGHEST or high - low <= 0:
+            counts["height"] += 1
+            high = base + HEIGHTS[kind]
+        if kind == "tree" and next(element.iter("outline"), None) is not None:
+            kind = "hedge"  # a patch of plants
+        if kind == "tree":
+            crown = base or crown_base(high)
+            trunk = min(TREE["circumference"] / (2 * np.pi), float(np.sqrt(area.area)) / 4)
+            yield Shape("tree", area, high, crown, LEAFY, trunk)
+        else:
+            yield Shape(kind, area, high, base)
+
+
+def _areas(element: ET.Element, line: ReferenceLine) -> Iterator[Solid]:
+    """What one object and its repeats cover."""
     own = Place(*(_number(element, key) for key in Place._fields))
     turn = _number(element, "hdg")
     outlines = [*element.iterfind("outline"), *element.iterfind("outlines/outline")]
-    repeats = element.findall("repeat")
-    rows = [_places(own, repeat) for repeat in repeats]
+    rows = [(repeat, _places(own, repeat)) for repeat in element.iterfind("repeat")]
     if outlines:
-        for place in [place for row in rows for place in row or ()] or [own]:
+        for place in [place for _, row in rows for place in row or ()] or [own]:
             for outline in outlines:
-                area, low, high = _outlined(outline, own, place, turn, line)
-                yield from _shape(element, area, place.zOffset + low, place.zOffset + high, counts)
+                yield _outlined(outline, own, place, turn, line)
         return
-    if not repeats:
-        yield from _shape(element, *_simple(element, own, turn, line), counts)
-    for repeat, row in zip(repeats, rows, strict=True):
-        for place in row or ():
-            yield from _shape(element, *_simple(element, place, turn, line), counts)
+    if not rows:
+        yield _simple(element, own, turn, line)
+    for repeat, row in rows:
         if row is None:
-            for place, area in _strip(own, repeat, line):
-                yield from _shape(
-                    element, area, place.zOffset, place.zOffset + place.height, counts
-                )
+            yield from _strip(own, repeat, line)
+        for place in row or ():
+            yield _simple(element, place, turn, line)
 
 
-def _shape(
-    element: ET.Element, area: BaseGeometry | None, low: float, high: float, counts: "Counter[str]"
-) -> Iterator[Shape]:
-    """A body on an area between two heights over the road."""
-    kind = _kind(element)
-    if area is None or kind is None:
-        counts["size"] += 1
-        return
-    if kind == PARKING:
-        yield Shape(kind, area, 0.0)
-        return
-    base = low if low >= LIFTED else 0.0
-    if not base < high <= HIGHEST or high - low <= 0:
-        counts["height"] += 1
-        high = base + HEIGHTS[kind]
-    if kind == "tree" and next(element.iter("outline"), None) is not None:
-        kind = "hedge"  # a patch of plants
-    if kind == "tree":
-        crown = base or crown_base(high)
-        trunk = min(TREE["circumference"] / (2 * np.pi), float(np.sqrt(area.area)) / 4)
-        yield Shape("tree", area, high, crown, LEAFY, trunk)
-    else:
-        yield Shape(kind, area, high, base)
-
-
-def _simple(
-    element: ET.Element, place: Place, turn: float, line: ReferenceLine
-) -> tuple[BaseGeometry | None, float, float]:
-    """The area and heights of an object without an outline; no area where it has no size."""
+def _simple(element: ET.Element, place: Place, turn: float, line: ReferenceLine) -> Solid:
+    """An object without an outline."""
     at, heading = line.at(place.s, place.t)
     heights = place.zOffset, place.zOffset + place.height
     if place.radius > 0:
@@ -179,9 +175,8 @@ def _simple(
 
 def _outlined(
     outline: ET.Element, own: Place, place: Place, turn: float, line: ReferenceLine
-) -> tuple[BaseGeometry | None, float, float]:
-    """The area of an outline, moved from the object's own place to another, and the lowest and
-    highest of its corners over its base."""
+) -> Solid:
+    """What is on an outline, moved from the object's own place to another."""
     at, heading = line.at(place.s, place.t)
     corners, low, high = [], [], []
     for corner in outline:
@@ -199,10 +194,10 @@ def _outlined(
         high.append(low[-1] + _number(corner, "height", own.height))
     if outline.get("closed") == "false" and len(corners) > 1:
         strip = LineString(corners).buffer(BARRIERS["wall"][1] / 2, cap_style="flat")
-        return strip, min(low), max(high)
+        return strip, place.zOffset + min(low), place.zOffset + max(high)
     if len(corners) < 3 or not np.isfinite(corners).all():
         return None, 0.0, 0.0
-    return Polygon(corners), min(low), max(high)
+    return Polygon(corners), place.zOffset + min(low), place.zOffset + max(high)
 
 
 def _place_at(own: Place, repeat: ET.Element, share: float) -> Place:
@@ -225,9 +220,7 @@ def _places(own: Place, repeat: ET.Element) -> list[Place] | None:
     return [_place_at(own, repeat, k * distance / max(reach, 1e-9)) for k in range(count + 1)]
 
 
-def _strip(
-    own: Place, repeat: ET.Element, line: ReferenceLine
-) -> Iterator[tuple[Place, BaseGeometry]]:
+def _strip(own: Place, repeat: ET.Element, line: ReferenceLine) -> Iterator[Solid]:
     """The stretches of an object that goes on along a ``<repeat>`` without gaps."""
     reach = _number(repeat, "length")
     shares = np.linspace(0.0, 1.0, int(np.clip(np.ceil(reach / STEP), 1, MOST_REPEATS)) + 1)
@@ -236,4 +229,5 @@ def _strip(
         half = [max(e.width, BARRIERS["fence"][1]) / 2 for e in ends]
         right = [line.at(e.s, e.t - h)[0] for e, h in zip(ends, half, strict=True)]
         left = [line.at(e.s, e.t + h)[0] for e, h in zip(ends, half, strict=True)]
-        yield ends[0], Polygon([*right, *left[::-1]])
+        low = ends[0].zOffset
+        yield Polygon([*right, *left[::-1]]), low, low + ends[0].height

@@ -9,8 +9,7 @@ from shapely.geometry import LineString, Polygon
 from shapely.geometry.base import BaseGeometry
 from shapely.ops import unary_union
 
-from inspe_jax.scene.maps.approaches import CARRIAGEWAY, SHOULDER, SIDEWALK, Approach
-from inspe_jax.scene.maps.assembly import side_by_side
+from inspe_jax.scene.maps.approaches import CARRIAGEWAY, SHOULDER, SIDEWALK, Approach, heading
 from inspe_jax.scene.maps.lane_strips import LaneStrip
 from inspe_jax.scene.maps.opendrive.road_network import (
     INSET,
@@ -75,7 +74,7 @@ def _approach(town: TownMap, road: OpenDriveRoad, end: str) -> Approach | None:
     if here is None or there is None:
         return None
     chord = there.point(sum(there.kerbs) / 2) - here.point(sum(here.kerbs) / 2)
-    return replace(here, end=end, bearing=float(np.arctan2(chord[1], chord[0])))
+    return replace(here, end=end, bearing=heading(chord))
 
 
 def _cut(town: TownMap, road: OpenDriveRoad, s: float, away: int) -> Approach | None:
@@ -94,15 +93,12 @@ def _cut(town: TownMap, road: OpenDriveRoad, s: float, away: int) -> Approach | 
     forward = heading_of(guide)
     if forward @ (ahead - origin) * away * step < 0:
         forward = -forward
-    left = np.array([-forward[1], forward[0]])
-    cut = []
-    for lane, kind, waypoint in found:
-        offset = float((position(waypoint.transform.location)[:2] - origin) @ left)
-        inbound = bool(forward @ heading_of(waypoint) < 0)
-        half = waypoint.lane_width / 2
-        cut.append((lane, kind, offset - half, offset + half, inbound))
-    heading = float(np.arctan2(forward[1], forward[0]))
-    return Approach(road.id, "", origin, heading, heading, tuple(cut))
+    cut = [
+        (lane, kind, position(w.transform.location)[:2], w.lane_width,
+         bool(forward @ heading_of(w) < 0))
+        for lane, kind, w in found
+    ]  # fmt: skip
+    return Approach.across(road.id, "", origin, forward, heading(forward), cut)
 
 
 def areas_of(
@@ -111,8 +107,8 @@ def areas_of(
     members: set[int],
     interior: set[int],
     notes: list[str],
-) -> dict[Region, BaseGeometry]:
-    """Driveway, junction, sidewalk and shoulder, which do not overlap."""
+) -> dict[Region, list[BaseGeometry]]:
+    """The parts of driveway, junction, sidewalk and shoulder."""
     parts: dict[Region, list[BaseGeometry]] = {region: [] for region in Region}
     drawn = False
     for number in sorted({s.junction for s in lane_strips} - {-1}):
@@ -142,7 +138,7 @@ def areas_of(
             "sidewalks and shoulders end at the junction in the map; its corners were drawn "
             "between those of neighbouring roads"
         )
-    return side_by_side(parts)
+    return parts
 
 
 def _paved(

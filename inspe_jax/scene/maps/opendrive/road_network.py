@@ -52,11 +52,9 @@ class OpenDriveRoad:
 class TownMap:
     """A map: CARLA's, and what its XML adds. Positions are world metres (ENU)."""
 
-    name: str
     source: str
     carla: Any
     roads: dict[int, OpenDriveRoad]
-    junctions: tuple[int, ...]
     crosswalks: tuple[np.ndarray, ...]  # outlines, each (K, 3)
     signals: Float[np.ndarray, "P 3"]
     shapes: tuple[Shape, ...] = ()
@@ -73,7 +71,7 @@ class TownMap:
         stations = np.linspace(start + inset, end - inset, max(2, count)).tolist()
         return [w for s in stations if (w := self.at(road, lane, s)) is not None]
 
-    def box(self, junction: int) -> tuple[np.ndarray, float]:
+    def box(self, junction: int | str) -> tuple[np.ndarray, float]:
         """Middle (3,) and larger side of a junction's bounding box [m]."""
         for road in self.roads.values():
             if road.junction == junction:
@@ -107,7 +105,6 @@ def load_map(path: Path) -> TownMap:
         roads = {r.id: r for r in map(_road, root.iter("road"))}
     except (AttributeError, KeyError, TypeError, ValueError) as error:
         raise InspeError(f"{path}: not OpenDRIVE: missing or wrong in a road: {error}") from error
-    junctions = sorted({r.junction for r in roads.values()} - {-1})
     if not roads:
         raise InspeError(f"{path}: the map has no roads")
     where = "Linux and Windows, Python up to 3.12"
@@ -123,10 +120,10 @@ def load_map(path: Path) -> TownMap:
     signals = _deduplicate([position(m.transform.location) for m in marks])
     shapes, notes = shapes_of(root)
     georeference, on_it = _georeference(root)
+    crosswalks = tuple(_loops(corners))
     return TownMap(
-        path.stem, path.name, parsed, roads, tuple(junctions), tuple(_loops(corners)), signals,
-        shapes, georeference, (*notes, *on_it),
-    )  # fmt: skip
+        path.name, parsed, roads, crosswalks, signals, shapes, georeference, (*notes, *on_it)
+    )
 
 
 def _georeference(root: ET.Element) -> tuple[Georeference | None, list[str]]:

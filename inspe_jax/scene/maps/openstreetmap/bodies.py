@@ -17,7 +17,7 @@ from shapely.ops import unary_union
 from inspe_jax.scene.georeference import Georeference
 from inspe_jax.scene.lines import distinct
 from inspe_jax.scene.maps.bodies import SMALL, Shape
-from inspe_jax.scene.maps.openstreetmap.extract import Box, Extract, Tags, Way, read_extract
+from inspe_jax.scene.maps.openstreetmap.extract import Tags, Way, read_extract
 from inspe_jax.scene.maps.openstreetmap.sizes import POLES, SOLID_FENCES, TREE_SPACING, Sizes
 from inspe_jax.scene.maps.usual_sizes import BARRIERS, TREE, crown_base
 from inspe_jax.scene.statics import LEAFY, octagon
@@ -31,61 +31,45 @@ HUNG = ("wall", "wall_mounted", "ceiling", "catenary", "suspension", "wire", "gr
 """The ``support`` of lamps that stand on no pole."""
 
 
-def extract_about(
-    path: Path, middle: Float[np.ndarray, "2"], reach: float, georeference: Georeference
-) -> Extract:
-    """What an extract has about a point in world metres, to :data:`BEYOND` its reach.
-
-    Raises InspeError as :func:`~inspe_jax.scene.maps.openstreetmap.extract.read_extract`.
-    """
-    far = reach + BEYOND
-    rim = np.linspace(-far, far, 9)
-    square = [(x, y) for x in rim for y in (-far, far)] + [(x, y) for y in rim for x in (-far, far)]
-    degrees = georeference.to_degrees(np.asarray(middle, float)[:2] + np.array(square))
-    return read_extract(path, Box(*degrees.min(0).tolist(), *degrees.max(0).tolist()))
-
-
-def spot_heights(extract: Extract, georeference: Georeference) -> Float[np.ndarray, "N 3"]:
-    """The nodes of an extract that have a height (``ele``), in world metres."""
-    found = [
-        (*extract.nodes[name], height)
-        for name, tags in extract.node_tags.items()
-        if (height := _elevation(tags.get("ele", ""))) is not None
-    ]
-    rows = np.array(found, float).reshape(-1, 3)
-    return np.column_stack([georeference.from_degrees(rows[:, :2]), rows[:, 2]])
-
-
-def _elevation(text: str) -> float | None:
-    """The metres of a tag ``ele``; None where they are no height on this Earth."""
-    try:
-        height = float(text.removesuffix("m"))
-    except ValueError:
-        return None
-    return height if LOWEST < height < HIGHEST else None
-
-
 class BodyReader:
-    """Makes shapes of an extract's elements that come within ``reach`` [m] of a point in world
-    metres. ``notes`` get what was assumed."""
+    """Reads what an extract has beside lanes within ``reach`` [m] of a point in world metres.
+
+    ``notes`` get what was assumed. Raises InspeError as
+    :func:`~inspe_jax.scene.maps.openstreetmap.extract.read_extract`.
+    """
 
     def __init__(
         self,
-        extract: Extract,
+        path: Path,
         middle: Float[np.ndarray, "2"],
         reach: float,
         georeference: Georeference,
         notes: list[str],
     ) -> None:
-        self.extract, self.notes, self.sizes = extract, notes, Sizes()
-        self.disc = Point(*np.asarray(middle)[:2]).buffer(reach)
-        names = list(extract.nodes)
-        degrees = np.array([extract.nodes[n] for n in names], float).reshape(-1, 2)
-        self.at = dict(zip(names, georeference.from_degrees(degrees), strict=True))
+        self.notes, self.sizes = notes, Sizes()
+        self.disc = Point(middle).buffer(reach)
+        far = reach + BEYOND
+        rim = np.linspace(-far, far, 9)
+        square = [(x, y) for x in rim for y in (-far, far)]
+        square += [(x, y) for y in rim for x in (-far, far)]
+        degrees = georeference.to_degrees(middle + np.array(square))
+        (west, south), (east, north) = degrees.min(0).tolist(), degrees.max(0).tolist()
+        self.extract = read_extract(path, (west, south, east, north))
+        at = np.array([*self.extract.nodes.values()], float).reshape(-1, 2)
+        self.at = dict(zip(self.extract.nodes, georeference.from_degrees(at), strict=True))
         self.open = 0  # outlines that could not be closed
 
+    def spot_heights(self) -> Float[np.ndarray, "N 3"]:
+        """The nodes that have a height (``ele``), in world metres."""
+        found = [
+            (*self.at[name], height)
+            for name, tags in self.extract.node_tags.items()
+            if (height := _elevation(tags.get("ele", ""))) is not None
+        ]
+        return np.array(found, float).reshape(-1, 3)
+
     def shapes(self) -> list[Shape]:
-        """All of them, in the order of the file."""
+        """Its bodies, those of each kind in the order of the file."""
         trees = list(self._trees())
         found = [*self._buildings(), *self._barriers(), *trees, *self._rows(trees), *self._poles()]
         if self.open:
@@ -264,3 +248,12 @@ def _is_building(tags: Tags) -> bool:
 def _is_area(tags: Tags) -> bool:
     """Whether tags are those of a body with an outline."""
     return _is_building(tags) or (tags.get("barrier") == "hedge" and tags.get("area") == "yes")
+
+
+def _elevation(text: str) -> float | None:
+    """The metres of a tag ``ele``; None where they are no height on this Earth."""
+    try:
+        height = float(text.removesuffix("m"))
+    except ValueError:
+        return None
+    return height if LOWEST < height < HIGHEST else None

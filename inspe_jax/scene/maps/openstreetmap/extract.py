@@ -14,29 +14,18 @@ ORDER = ("node", "way", "relation")
 """Elements in the order in which each consists of those before it."""
 
 
-class Box(NamedTuple):
-    """A box of degrees of longitude and latitude."""
-
-    west: float
-    south: float
-    east: float
-    north: float
-
-    def has(self, lon: float, lat: float) -> bool:
-        """Whether a point is in it. Longitude is as in the box: it knows no date line."""
-        return self.west <= lon <= self.east and self.south <= lat <= self.north
+Box = tuple[float, float, float, float]
+"""Degrees of its west, south, east and north; longitude knows no date line."""
 
 
-@dataclass(frozen=True)
-class Way:
+class Way(NamedTuple):
     """A way: the nodes that it goes through, and its tags."""
 
     nodes: tuple[str, ...]
     tags: Tags
 
 
-@dataclass(frozen=True)
-class Relation:
+class Relation(NamedTuple):
     """A relation: its ways with their roles, and its tags."""
 
     ways: tuple[tuple[str, str], ...]
@@ -73,6 +62,7 @@ def read_extract(path: Path, area: Box) -> Extract:
 
 def _read(path: Path, area: Box, found: Extract) -> bool:
     """Adds a file's elements to what was found. Returns whether each came after its parts."""
+    west, south, east, north = area
     behind, sorted_ = "", True
     for element in _elements(path):
         kind, name = element.tag, element.get("id", "")
@@ -81,9 +71,12 @@ def _read(path: Path, area: Box, found: Extract) -> bool:
         if not name or element.get("action") == "delete" or element.get("visible") == "false":
             continue
         if kind == "node":
-            at = _position(element)
-            if at is not None and area.has(*at):
-                found.nodes[name] = at
+            try:
+                lon, lat = float(element.attrib["lon"]), float(element.attrib["lat"])
+            except (KeyError, ValueError):
+                continue
+            if west <= lon <= east and south <= lat <= north:
+                found.nodes[name] = lon, lat
                 if len(element):
                     found.node_tags[name] = _tags(element)
         elif kind == "way":
@@ -111,11 +104,3 @@ def _elements(path: Path) -> Iterator[ET.Element]:
 
 def _tags(element: ET.Element) -> Tags:
     return {t.get("k", ""): t.get("v", "") for t in element.iterfind("tag")}
-
-
-def _position(element: ET.Element) -> tuple[float, float] | None:
-    """Longitude and latitude of a node; None where they are no numbers."""
-    try:
-        return float(element.attrib["lon"]), float(element.attrib["lat"])
-    except (KeyError, ValueError):
-        return None

@@ -2,6 +2,8 @@
 
 import re
 from collections import Counter
+from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field
 
 from inspe_jax.scene.maps.openstreetmap.extract import Tags
@@ -58,27 +60,22 @@ class Sizes:
         self, tags: Tags, key: str, least: float = 0.1, most: float = HIGHEST
     ) -> float | None:
         """The length under a key [m]; None where there is none between the limits."""
-        if key not in tags:
-            return None
-        value = length_of(tags[key])
-        return self._within(key, tags[key], value, least, most)
+        return self._value(tags, key, length_of, least, most)
 
     def number(self, tags: Tags, key: str) -> float | None:
         """The number under a key, from 0 to 200; None where there is none."""
+        return self._value(tags, key, float, 0.0, 200.0)
+
+    def _value(
+        self, tags: Tags, key: str, read: Callable[[str], float | None], least: float, most: float
+    ) -> float | None:
         if key not in tags:
             return None
-        try:
-            value: float | None = float(tags[key])
-        except ValueError:
-            value = None
-        return self._within(key, tags[key], value, 0.0, 200.0)
-
-    def _within(
-        self, key: str, text: str, value: float | None, least: float, most: float
-    ) -> float | None:
-        if value is not None and least <= value <= most:
-            return value
-        self.senseless.append(f"{key}={text}")
+        with suppress(ValueError):
+            value = read(tags[key])
+            if value is not None and least <= value <= most:
+                return value
+        self.senseless.append(f"{key}={tags[key]}")
         return None
 
     def heights(self, tags: Tags, kind: str) -> tuple[float, float]:

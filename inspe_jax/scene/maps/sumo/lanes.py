@@ -48,7 +48,7 @@ class Streets:
     crossings: tuple[np.ndarray, ...]  # outlines, each (K, 3)
     walks: tuple[tuple[str, Polygon], ...]  # node, walking area
 
-    def node(self, name: str) -> np.ndarray:
+    def node(self, name: int | str) -> np.ndarray:
         """The position of a node (3,) [m]."""
         return self.road.to_world([self.road.net.getNode(name).getCoord3D()])[0]
 

@@ -34,20 +34,17 @@ SUMO = "(SUMO)"
 GEOGRAPHIC = 20_000.0
 """A network moved by more than this [m] was projected from latitudes and longitudes."""
 
+_ALWAYS = (
+    *("--sidewalks.guess", "true", "--crossings.guess", "true"),
+    *("--no-turnarounds.except-deadend", "true"),
+)
 _HOW = {
-    ".xodr": (
-        "--opendrive-files",
-        *("--offset.disable-normalization", "true"),
-        *("--sidewalks.guess", "true", "--crossings.guess", "true"),
-        *("--no-turnarounds.except-deadend", "true"),
-    ),
+    ".xodr": ("--opendrive-files", *("--offset.disable-normalization", "true"), *_ALWAYS),
     ".osm": (
         "--osm-files",
         *("--geometry.remove", "true", "--junctions.join", "true", "--ramps.guess", "true"),
         *("--tls.guess-signals", "true", "--tls.discard-simple", "true", "--tls.join", "true"),
-        *("--osm.sidewalks", "true"),
-        *("--sidewalks.guess", "true", "--crossings.guess", "true"),
-        *("--no-turnarounds.except-deadend", "true"),
+        *("--osm.sidewalks", "true", *_ALWAYS),
     ),
 }
 """Options of netconvert for each kind of map. It guesses sidewalks where a map has none."""

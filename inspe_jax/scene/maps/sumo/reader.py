@@ -2,8 +2,6 @@
 
 import os
 from collections.abc import Iterable, Iterator
-from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,29 +11,18 @@ from shapely.geometry import MultiPoint, Point, Polygon
 from shapely.geometry.base import BaseGeometry
 from shapely.ops import unary_union
 
-from inspe_jax.core.errors import InspeError
-from inspe_jax.scene.georeference import Georeference
 from inspe_jax.scene.intersection import Intersection, Route
 from inspe_jax.scene.lines import distinct, resampled
-from inspe_jax.scene.maps.approaches import CARRIAGEWAY, Approach, arms_of
-from inspe_jax.scene.maps.assembly import assembled, side_by_side
-from inspe_jax.scene.maps.bodies import NO_POLES, with_bodies
-from inspe_jax.scene.maps.lane_strips import LaneStrip, same_level
-from inspe_jax.scene.maps.openstreetmap.bodies import BodyReader, extract_about, spot_heights
-from inspe_jax.scene.maps.parts import (
-    CLUSTER,
-    MARGIN,
-    RADIUS_READ,
-    JunctionInfo,
-    distance_from,
-    junctions_at,
-    valid,
-)
+from inspe_jax.scene.maps.approaches import CARRIAGEWAY, Approach, heading
+from inspe_jax.scene.maps.bodies import with_bodies
+from inspe_jax.scene.maps.lane_strips import LaneStrip
+from inspe_jax.scene.maps.openstreetmap.bodies import BodyReader
+from inspe_jax.scene.maps.parts import CLUSTER, MARGIN, distance_from, valid
+from inspe_jax.scene.maps.road_map import Id, MapJunction, Node, RoadMap
 from inspe_jax.scene.maps.sumo.lanes import Streets, kind_of, streets_of
 from inspe_jax.scene.maps.sumo.network import OSM_SUFFIXES, SUMO, load_net
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.terrain import laid_on
-from inspe_jax.scene.voxels import check_range
 
 NEAR_SPOTS = 20.0
 """Spot heights count as around a place if no road is so far out of their hull [m]."""
@@ -60,128 +47,56 @@ def _is_junction(node: Any) -> bool:
     return node.getType() not in NO_JUNCTION and _arm_count(node) > 2
 
 
-def list_junctions(path: str | os.PathLike[str]) -> tuple[JunctionInfo, ...]:
-    """The junctions of a SUMO network or OpenStreetMap extract: nodes where 3 or more roads meet.
+class SumoMap(RoadMap):
+    """A SUMO network, or an OpenStreetMap extract by the network that netconvert makes of it.
 
-    Raises InspeError as :func:`read_sumo`.
+    Raises InspeError as :func:`~inspe_jax.scene.maps.sumo.network.load_net`.
     """
-    streets = streets_of(load_net(Path(path)))
-    middles = np.array([loop.mean(0) for loop in streets.crossings]).reshape(-1, 3)
-    found = []
-    for node in streets.road.net.getNodes():
-        if not _is_junction(node):
-            continue
-        x, y, z = (float(v) for v in _middle(streets, node.getID()))
-        outline = streets.road.to_world(node.getShape())[:, :2].reshape(-1, 2)
+
+    format = SUMO
+
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        road = load_net(path)
+        self.path, self.streets, self.net = Path(path), streets_of(road), road.net
+        self.name, self.georeference = road.name, road.georeference
+        self.crossings = self.streets.crossings
+
+    def road_lines(self) -> list[Float[np.ndarray, "N 2"]]:
+        to_world = self.streets.road.to_world
+        return [to_world(edge.getShape())[:, :2] for edge in _roads(self.net.getEdges())]
+
+    def junctions(self) -> list[Id]:
+        return [node.getID() for node in self.net.getNodes() if _is_junction(node)]
+
+    def node(self, junction: Id) -> Node:
+        node = self.net.getNode(junction)
+        middle = self.streets.node(junction)
+        outline = self.streets.road.to_world(node.getShape())[:, :2]
+        if len(outline) > 2:
+            middle[:2] = (outline.min(0) + outline.max(0)) / 2
         size = float(np.ptp(outline, axis=0).max()) if len(outline) else 0.0
-        arms, _ = arms_of(_Junction(streets, {node.getID()}).approaches())
-        near = int((distance_from(middles, np.array([x, y])) < size / 2 + 8.0).sum())
         lit = node.getType().startswith("traffic_light")
-        lights = sum(not e.getFunction() for e in _roads(node.getIncoming())) if lit else 0
-        found.append(JunctionInfo(node.getID(), (x, y, z), len(arms), size, near, lights))
-    return tuple(found)
+        signals = sum(not e.getFunction() for e in _roads(node.getIncoming())) if lit else 0
+        return Node(middle, size, signals)
+
+    def around(
+        self, members: set[Id], middle: Float[np.ndarray, "3"], radius: float
+    ) -> "SumoJunction":
+        return SumoJunction(self, members, middle, radius)
 
 
-def georeference_of(path: str | os.PathLike[str]) -> Georeference | None:
-    """The projection of a network's coordinates; None if it names none.
-
-    Raises InspeError as :func:`read_sumo`.
-    """
-    return load_net(Path(path)).georeference
-
-
-def road_lines(path: str | os.PathLike[str]) -> list[Float[np.ndarray, "N 2"]]:
-    """The lines of a network's roads [m]. Raises InspeError as :func:`read_sumo`."""
-    road = load_net(Path(path))
-    return [road.to_world(edge.getShape())[:, :2] for edge in _roads(road.net.getEdges())]
-
-
-def read_sumo(
-    path: str | os.PathLike[str],
-    *,
-    junction: str | int | None = None,
-    center: tuple[float, float] | None = None,
-    radius: float = 50.0,
-) -> Intersection:
-    """One junction of a network or extract: :func:`~inspe_jax.scene.maps.registry.read_map`."""
-    streets = streets_of(load_net(Path(path)))
-    road = streets.road
-    nodes = [node.getID() for node in road.net.getNodes() if _is_junction(node)]
-    members, middle, place = junctions_at(
-        road.source, nodes, partial(_middle, streets), junction, center
-    )
-    check_range("radius", radius, RADIUS_READ)
-    reach = radius + MARGIN
-    near = [
-        s for s in streets.lane_strips.values() if distance_from(s.center, middle).min() <= reach
-    ]
-    here = _Junction(streets, members)
-    own = {s.road for s in near if distance_from(s.center, middle).min() <= CLUSTER}
-    lane_strips = same_level(near, [s.road in own or s.road in here.interior for s in near])
-    if not lane_strips:
-        raise InspeError(
-            f"{road.source}: no roads within {radius:g} m of ({middle[0]:.1f}, {middle[1]:.1f})"
-        )
-    approaches = here.approaches()
-    arms, arm_of = arms_of(approaches)
-    notes: list[str] = []
-    found = assembled(
-        name=f"{road.name} {place}",
-        source=f"{road.source} {SUMO}",
-        path=Path(path),
-        georeference=road.georeference,
-        middle=middle,
-        radius=radius,
-        lane_strips=lane_strips,
-        areas=here.areas(lane_strips, middle),
-        arms=arms,
-        drives=here.routes(approaches, arm_of, middle, radius),
-        loops=streets.crossings,
-        poles=np.zeros((0, 3)),
-        notes=notes,
-    )
-    if road.georeference is not None and str(path).lower().endswith(OSM_SUFFIXES):
-        where = middle[:2], reach, road.georeference
-        extract = extract_about(Path(path), *where)
-        found = _on_heights(found, spot_heights(extract, road.georeference), radius, notes)
-        found = with_bodies(found, BodyReader(extract, *where, notes).shapes(), reach, notes)
-    if not len(found.poles):
-        notes.append(NO_POLES)
-    return replace(found, notes=tuple(notes))
-
-
-def _on_heights(
-    place: Intersection, spots: Float[np.ndarray, "N 3"], radius: float, notes: list[str]
-) -> Intersection:
-    """A place on ground through spot heights, if they lie around its roads."""
-    if len(spots) < SPOTS:
-        return place
-    roads = unary_union(list(place.regions.values())).intersection(
-        Point(place.center[:2]).buffer(radius)
-    )
-    if not MultiPoint(spots[:, :2]).convex_hull.buffer(NEAR_SPOTS).covers(roads):
-        notes.append(f"the map's {len(spots)} points with a height do not lie around it: level")
-        return place
-    notes.append(f"heights of the ground between {len(spots)} points of the map with a height")
-    return laid_on(place, spots, radius)
-
-
-def _middle(streets: Streets, name: str) -> np.ndarray:
-    """The middle of a node's outline (3,); the node's own position if it has no outline."""
-    middle = streets.node(name)
-    outline = streets.road.to_world(streets.road.net.getNode(name).getShape())
-    if len(outline) > 2:
-        middle[:2] = (outline.min(0) + outline.max(0))[:2] / 2
-    return middle
-
-
-class _Junction:
+class SumoJunction(MapJunction):
     """Nodes of a network that are one junction, and the edges that begin or end there."""
 
-    def __init__(self, streets: Streets, members: set[str]) -> None:
-        nodes = [streets.road.net.getNode(name) for name in members]
+    poles = np.zeros((0, 3))
+
+    def __init__(
+        self, of: SumoMap, members: set[Any], middle: Float[np.ndarray, "3"], radius: float
+    ) -> None:
+        self.map, self.streets, self.members = of, of.streets, members
+        self.middle, self.radius = middle, radius
+        streets, nodes = of.streets, [of.net.getNode(name) for name in members]
         edges = {edge for node in nodes for edge in (*node.getIncoming(), *node.getOutgoing())}
-        self.streets, self.members = streets, members
         self.edges = dict(sorted((streets.numbers[edge.getID()], edge) for edge in edges))
         self.interior = {
             number
@@ -190,21 +105,25 @@ class _Junction:
             and (edge.getFunction() or edge.getLength() <= 2 * CLUSTER)
         }
         """Numbers of the edges inside the junction, or from one of its nodes to another."""
-
-    def approaches(self) -> list[Approach]:
-        """The near ends of the edges that lead to or from the junction."""
-        return [
-            _approach(self.streets, number, edge, end)
+        self.approaches = [  # the near ends of the edges that lead to or from it
+            _approach(streets, number, edge, end)
             for number, edge in self.edges.items()
             if number not in self.interior and not edge.getFunction() and _roads([edge])
             for end, node in (("end", edge.getToNode()), ("start", edge.getFromNode()))
-            if node.getID() in self.members
+            if node.getID() in members
         ]
 
+    def lanes(self) -> tuple[list[LaneStrip], list[bool]]:
+        strips = self.streets.lane_strips.values()
+        away = [(s, distance_from(s.center, self.middle).min()) for s in strips]
+        near = [(s, far) for s, far in away if far <= self.radius + MARGIN]
+        own = {s.road for s, far in near if far <= CLUSTER} | self.interior
+        return [s for s, _ in near], [s.road in own for s, _ in near]
+
     def areas(
-        self, lane_strips: list[LaneStrip], middle: Float[np.ndarray, "3"]
-    ) -> dict[Region, BaseGeometry]:
-        """Junction, driveway, shoulder and sidewalk, which do not overlap."""
+        self, lane_strips: list[LaneStrip], notes: list[str]
+    ) -> dict[Region, list[BaseGeometry]]:
+        middle = self.middle
         reach = max(float(distance_from(s.center, middle).max()) for s in lane_strips)
         ground = np.concatenate([s.center for s in lane_strips])
         corners = {n for n, _ in self.streets.walks}
@@ -214,7 +133,7 @@ class _Junction:
         parts: dict[Region, list[BaseGeometry]] = {region: [] for region in Region}
         parts[Region.SIDEWALK] += waiting
         walked = unary_union(waiting)
-        for node in self.streets.road.net.getNodes():
+        for node in self.map.net.getNodes():
             at = self.streets.node(node.getID())
             closest = ground[np.argmin(distance_from(ground, at))]
             outline = self.streets.road.to_world(node.getShape())
@@ -231,32 +150,36 @@ class _Junction:
             else:
                 region = Region.SHOULDER if strip.kind == "shoulder" else Region.SIDEWALK
             parts[region].append(strip.polygon)
-        return side_by_side(parts)
+        return parts
 
-    def routes(
-        self,
-        approaches: list[Approach],
-        arm_of: dict[tuple[int, str], int],
-        middle: np.ndarray,
-        radius: float,
-    ) -> Iterator[Route]:
-        """Every path from an inbound lane to another arm, from radius to radius; no U-turns."""
+    def with_bodies(
+        self, place: Intersection, lane_strips: list[LaneStrip], notes: list[str]
+    ) -> Intersection:
+        projection = place.georeference
+        if projection is None or not str(self.map.path).lower().endswith(OSM_SUFFIXES):
+            return place
+        reach = self.radius + MARGIN
+        reader = BodyReader(self.map.path, self.middle[:2], reach, projection, notes)
+        place = _on_heights(place, reader.spot_heights(), self.radius, notes)
+        return with_bodies(place, reader.shapes(), reach, notes)
+
+    def drives(self, arm_of: dict[tuple[int, str], int]) -> Iterator[Route]:
         strips = self.streets.lane_strips
-        for road in (approach.road for approach in approaches if approach.end == "end"):
+        for road in (approach.road for approach in self.approaches if approach.end == "end"):
             arm = arm_of[road, "end"]
             for lane in self.edges[road].getLanes():
                 name = lane.getID()
                 if name not in strips or strips[name].kind != "driving":
                     continue
-                before = _follow(self.streets, name, -1, middle, radius)
+                before = self._follow(name, -1)
                 for path in self._paths(name):
                     exit_arm = arm_of.get((strips[path[-1]].road, "start"), -1)
                     if exit_arm in (arm, -1):
                         continue
-                    names = [*before, *path, *_follow(self.streets, path[-1], 1, middle, radius)]
+                    names = [*before, *path, *self._follow(path[-1], 1)]
                     line = distinct(np.concatenate([strips[n].center for n in names]))
                     at = distance_from(line, strips[name].center[-1]).argmin()
-                    line = _about(line, at, middle, radius)
+                    line = self._about(line, at)
                     if len(line) > 1:
                         yield Route(resampled(line), lane.getWidth(), "vehicle", (arm, exit_arm))
 
@@ -274,6 +197,34 @@ class _Junction:
                 else:
                     yield [*path, lane]
 
+    def _follow(self, start: str, direction: int) -> list[str]:
+        """Lanes from ``start`` on (1) or back (−1) to the radius, in travel order; straight on."""
+        streets, here, found = self.streets, start, list[str]()
+        for _ in range(50):
+            end = streets.lane_strips[here].center[-1 if direction > 0 else 0]
+            options = (streets.follows if direction > 0 else streets.leads).get(here, [])
+            options = [o for o in options if streets.lane_strips[o].kind == "driving"]
+            options = [o for o in options if o not in found]
+            if not options or distance_from(end[None], self.middle)[0] > self.radius:
+                break
+
+            def turn(lane: str, here: str = here) -> float:
+                a, b = (streets.lane_strips[n].center[:, :2] for n in (here, lane))
+                ends = (-1, -2) if direction > 0 else (1, 0)
+                one, two = (line[ends[0]] - line[ends[1]] for line in (a, b))
+                return float(one @ two / np.hypot(*one) / np.hypot(*two))
+
+            here = max(options, key=turn)
+            found.append(here)
+        return found if direction > 0 else found[::-1]
+
+    def _about(self, line: np.ndarray, at: int | np.intp) -> np.ndarray:
+        """The points of a line around index ``at`` up to where it leaves the radius."""
+        outside = np.flatnonzero(distance_from(line, self.middle) > self.radius)
+        first = outside[outside < at].max(initial=-1) + 1
+        last = outside[outside > at].min(initial=len(line))
+        return line[first:last]
+
 
 def _approach(streets: Streets, number: int, edge: Any, end: str) -> Approach:
     """The approach of one edge, cut where it meets the junction."""
@@ -283,51 +234,25 @@ def _approach(streets: Streets, number: int, edge: Any, end: str) -> Approach:
     guide = next(s for _, s in lane_strips if s.kind == "driving").center[::step, :2]
     origin, outward = guide[0], guide[min(2, len(guide) - 1)] - guide[0]
     outward = outward / np.hypot(*outward)
-    left = np.array([-outward[1], outward[0]])
-    cut = []
-    for lane, strip in lane_strips:
-        offset = float((strip.center[::step][0, :2] - origin) @ left)
-        half = lane.getWidth() / 2
-        cut.append((lane.getIndex(), strip.kind, offset - half, offset + half, end == "end"))
     chord = guide[min(15, len(guide) - 1)] - guide[0]
-    return Approach(
-        number,
-        end,
-        origin,
-        float(np.arctan2(outward[1], outward[0])),
-        float(np.arctan2(chord[1], chord[0])),
-        tuple(cut),
+    cut = [
+        (lane.getIndex(), strip.kind, strip.center[::step][0, :2], lane.getWidth(), end == "end")
+        for lane, strip in lane_strips
+    ]
+    return Approach.across(number, end, origin, outward, heading(chord), cut)
+
+
+def _on_heights(
+    place: Intersection, spots: Float[np.ndarray, "N 3"], radius: float, notes: list[str]
+) -> Intersection:
+    """A place on ground through spot heights, if they lie around its roads."""
+    if len(spots) < SPOTS:
+        return place
+    roads = unary_union(list(place.regions.values())).intersection(
+        Point(place.center[:2]).buffer(radius)
     )
-
-
-def _follow(
-    streets: Streets, start: str, direction: int, middle: np.ndarray, radius: float
-) -> list[str]:
-    """Lanes from ``start`` on (1) or back (−1) to the radius, in travel order; straight on."""
-    found: list[str] = []
-    here = start
-    for _ in range(50):
-        end = streets.lane_strips[here].center[-1 if direction > 0 else 0]
-        options = (streets.follows if direction > 0 else streets.leads).get(here, [])
-        options = [o for o in options if streets.lane_strips[o].kind == "driving"]
-        options = [o for o in options if o not in found]
-        if not options or distance_from(end[None], middle)[0] > radius:
-            break
-
-        def turn(lane: str, here: str = here) -> float:
-            a, b = (streets.lane_strips[n].center[:, :2] for n in (here, lane))
-            ends = (-1, -2) if direction > 0 else (1, 0)
-            one, two = (line[ends[0]] - line[ends[1]] for line in (a, b))
-            return float(one @ two / np.hypot(*one) / np.hypot(*two))
-
-        here = max(options, key=turn)
-        found.append(here)
-    return found if direction > 0 else found[::-1]
-
-
-def _about(line: np.ndarray, at: int | np.intp, middle: np.ndarray, radius: float) -> np.ndarray:
-    """The points of a line around index ``at`` up to where it leaves the radius."""
-    outside = np.flatnonzero(distance_from(line, middle) > radius)
-    first = outside[outside < at].max(initial=-1) + 1
-    last = outside[outside > at].min(initial=len(line))
-    return line[first:last]
+    if not MultiPoint(spots[:, :2]).convex_hull.buffer(NEAR_SPOTS).covers(roads):
+        notes.append(f"the map's {len(spots)} points with a height do not lie around it: level")
+        return place
+    notes.append(f"heights of the ground between {len(spots)} points of the map with a height")
+    return laid_on(place, spots, radius)

@@ -13,7 +13,7 @@ from inspe_jax.mounting.mixes import starting_layout
 from inspe_jax.placement.objective import Objective
 from inspe_jax.placement.optimise import methods, optimise
 from inspe_jax.placement.problem import Problem
-from inspe_jax.placement.studies.cheapest import cheapest
+from inspe_jax.placement.studies.pareto import cheapest
 from inspe_jax.report.tables import before_after_table
 from inspe_jax.scene.procedural.built_ins import built_in
 from inspe_jax.scene.regions import Region

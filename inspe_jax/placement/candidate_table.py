@@ -9,7 +9,6 @@ from inspe_jax.placement.candidates import (
     FRAMES,
     coordinates,
     lattice,
-    limits,
     poses,
     set_heights,
 )
@@ -74,7 +73,7 @@ class Table:
         feet = lattice(space)
         stand = space.can_stand(feet)
         shift = np.array([0.5, 0.0, 0.5]) if first else rng.uniform(size=3)
-        bounds, pitches = limits(space, space.start(layout)[0])
+        bounds, pitches = space.limits
         groups: dict[object, list[int]] = {}
         for s, sensor in enumerate(layout.sensors):
             grids = tuple(case.conditions.spec(sensor.spec).grid for case in problem.cases)
@@ -112,7 +111,7 @@ class Table:
         x[:, index.height[u]] = kind.height[at]
         x[:, index.yaw[s]] = kind.yaw[at]
         x[:, index.pitch[s]] = kind.pitch[at]
-        kind.rows.append(self.sampled.views(self.problem, {s: poses(space, x)[:, s]})[s])
+        kind.rows.append(self.sampled.views({s: poses(space, x)[:, s]})[s])
         return len(np.unique(at))
 
     def kind_of(self, s: int) -> CandidateKind:

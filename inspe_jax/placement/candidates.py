@@ -28,7 +28,6 @@ FEET = 48
 
 _ROWS, _SOME = 64, 8  # layouts in one compiled call, where there are more than some, or not
 _FEW = 2  # so few layouts are faster without a compiled call
-_FAR = 1e3  # beyond any limit [m]
 
 
 def project(space: Space, x: Float[np.ndarray, "M N"]) -> Float[np.ndarray, "M N"]:
@@ -99,16 +98,3 @@ def above_ground(space: Space, x: Float[np.ndarray, " N"]) -> Float[np.ndarray, 
     c = space.split(x)
     unit = np.array([sensor.unit for sensor in space.given.sensors])
     return c.height[unit] + c.rise
-
-
-def limits(space: Space, x: Float[np.ndarray, " N"]) -> tuple[np.ndarray, np.ndarray]:
-    """Lowest and highest height above the ground [m] and pitch [rad] of each sensor: (S, 2) each.
-
-    They are found by projecting coordinates far beyond the limits.
-    """
-    index, ends = coordinates(space), np.tile(x, (2, 1))
-    for part in (index.height, index.rise, index.pitch):
-        ends[:, part] = [[-_FAR], [_FAR]]
-    low, high = project(space, ends)
-    heights = np.stack([above_ground(space, low), above_ground(space, high)], -1)
-    return heights, np.stack([low[index.pitch], high[index.pitch]], -1)

@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+INSIDE = 0.99
+"""The inverses of charts map the edge to here, where the slope is still 0.14."""
 _STEEP = 0.05  # an edge with a smaller share of its length along the axis ends the piece's chart
 _FURTHEST = 1e4  # chart coordinates are cut at this many radii, after many turns [–]
-_INSIDE = 0.99  # the inverses of the charts map the edge to here, where the slope is still 0.14
 
 
 # ── Bounded coordinates from unbounded ones ─────────────────────────────────
@@ -23,10 +24,10 @@ def to_bounded(v: Any, radius: Any, xp: Any) -> Any:
 
     At 98 % of the range its slope is 0.2, that of v/√(1 + v²) 0.0075. A radius of 0 gives 0.
     """
-    return radius * xp.sin(_turn(v, radius, xp))
+    return radius * xp.sin(turns(v, radius, xp))
 
 
-def _turn(v: Any, radius: Any, xp: Any) -> Any:
+def turns(v: Any, radius: Any, xp: Any) -> Any:
     """v/r, cut at a large number; v itself where r is 0."""
     safe = xp.where(radius > 0, radius, xp.ones_like(radius))
     return xp.clip(v / safe, -_FURTHEST, _FURTHEST)
@@ -35,32 +36,7 @@ def _turn(v: Any, radius: Any, xp: Any) -> Any:
 def from_bounded(x: Any, radius: Any, xp: Any) -> Any:
     """The inverse of :func:`to_bounded`; an end counts as slightly inside."""
     safe = xp.where(radius > 0, radius, xp.ones_like(radius))
-    return radius * xp.arcsin(xp.clip(x / safe, -_INSIDE, _INSIDE))
-
-
-def to_disc(v: Any, radius: Any, xp: Any) -> Any:
-    """Any v (…, 2) mapped to the disc of ``radius`` (…), along each ray as :func:`to_bounded`."""
-    w = _turn(v, radius[..., None], xp)
-    length = _length(w, xp)
-    return radius[..., None] * w * xp.sin(length) / length
-
-
-def from_disc(x: Any, radius: Any, xp: Any) -> Any:
-    """The inverse of :func:`to_disc`; the rim counts as slightly inside."""
-    safe = xp.where(radius > 0, radius, xp.ones_like(radius))[..., None]
-    w = x / safe
-    length = _length(w, xp)
-    return radius[..., None] * w * xp.arcsin(xp.minimum(length, _INSIDE)) / length
-
-
-def into_disc(x: Any, radius: Any, xp: Any) -> Any:
-    """The nearest point (…, 2) of the disc of ``radius`` (…) about 0."""
-    return x * xp.minimum(1.0, radius[..., None] / _length(x, xp))
-
-
-def _length(x: Any, xp: Any) -> Any:
-    # Never 0, where a norm has no gradient. The ratios formed with it are right at 0.
-    return xp.sqrt(xp.maximum((x * x).sum(-1, keepdims=True), 1e-12))
+    return radius * xp.arcsin(xp.clip(x / safe, -INSIDE, INSIDE))
 
 
 # ── Regions ─────────────────────────────────────────────────────────────────
@@ -120,7 +96,7 @@ class ConvexRegions:
         axis, middle, half, across = self._frame(which, v.dtype, xp)
         along = to_bounded(v[:, 0], half, xp)
         low, high = self._chord(along, which, v.dtype, xp)
-        aside = (low + high) / 2 + (high - low) / 2 * xp.sin(_turn(v[:, 1], across, xp))
+        aside = (low + high) / 2 + (high - low) / 2 * xp.sin(turns(v[:, 1], across, xp))
         normal = xp.stack([-axis[:, 1], axis[:, 0]], -1)
         return middle + along[:, None] * axis + aside[:, None] * normal
 
@@ -132,7 +108,7 @@ class ConvexRegions:
         low, high = self._chord(to_bounded(v, half, xp), which, p.dtype, xp)
         aside = ((p - middle) * normal).sum(-1) - (low + high) / 2
         share = aside / xp.maximum((high - low) / 2, 1e-6)
-        return xp.stack([v, across * xp.arcsin(xp.clip(share, -_INSIDE, _INSIDE))], -1)
+        return xp.stack([v, across * xp.arcsin(xp.clip(share, -INSIDE, INSIDE))], -1)
 
     def _frame(self, which: Any, dtype: Any, xp: Any) -> tuple[Any, ...]:
         tables = (self.axis, self.middle, self.half, self.across)

@@ -12,9 +12,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from inspe_jax.core.compiling import waiting, working_clock
+from inspe_jax.core.compiling import working_clock
 from inspe_jax.core.errors import InspeError, wrong_kind
-from inspe_jax.placement.compile_ahead import Ahead, CompileJob
 from inspe_jax.placement.problem import Drawn, Problem, Sample
 
 AT_ONCE = 32
@@ -35,9 +34,8 @@ class Method:
 
     ``states`` are the frozen dataclasses of its states. Their fields are NumPy arrays, numbers and
     strings, as a checkpoint holds them. ``begin`` gives the first state. ``step`` does about a
-    second of work and gives the next state, or None if nothing is left to do. ``ahead`` gives
-    jobs by name, in order, that compile what later steps need while the first steps run. ``knows``
-    are the metrics that it can maximise; None for all.
+    second of work and gives the next state, or None if nothing is left to do. ``knows`` are the
+    metrics that it can maximise; None for all.
     """
 
     name: str
@@ -45,7 +43,6 @@ class Method:
     states: tuple[type[Any], ...]
     begin: "Callable[[Run], Any]"
     step: "Callable[[Run, Any], Any]"
-    ahead: "Callable[[Run], Mapping[str, CompileJob]]" = lambda run: {}
     knows: tuple[str, ...] | None = None
 
     def unknown(self, weights: Mapping[str, float]) -> list[str]:
@@ -107,7 +104,6 @@ class Run:
         self._clock, self._progress, self._found = clock or working_clock(), progress, found
         self.target = target
         self._began = self._clock()
-        self._ahead = Ahead({})
         self._took: list[float] = []  # by exact scores of this process [s]
 
     @property
@@ -228,27 +224,6 @@ class Run:
     def exact_cost(self) -> Float[np.ndarray, "2"]:
         """Seconds and evaluations of an exact score. The first of a process may compile."""
         return np.array([min(self._took[1:], default=0.0), 1.0])
-
-    def compile_ahead(self, method: Method) -> None:
-        """Start to compile what the method will need, in another thread.
-
-        Not with a budget of evaluations alone: then a seed repeats, whatever compiling takes.
-        """
-        if self.limits[0] is not None:
-            self._ahead = Ahead(method.ahead(self))
-
-    def ready(self, name: str) -> bool:
-        """Whether a job of ``Method.ahead`` is done, or was never started. Raises its error."""
-        return self._ahead.ready(name)
-
-    def wait(self, name: str) -> None:
-        """Wait, off the clock, until a job of ``Method.ahead`` is done. Raises its error."""
-        with waiting():
-            self._ahead.wait(name)
-
-    def close(self) -> None:
-        """Start no further job."""
-        self._ahead.close()
 
     def report(self) -> None:
         """Call ``progress`` with the share of the budget and the best score."""

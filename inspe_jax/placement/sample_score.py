@@ -8,16 +8,21 @@ are monotone and submodular: the gain of a sensor only falls as others are added
 sensor adds to D is Σ w·∏(1 − p)·p', with the product over the others: no factor exceeds 1.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
-from inspe_jax.placement.candidate_views import FOUND, CandidateViews
+from inspe_jax.core.parallel import Job, run
+from inspe_jax.placement.candidate_views import FOUND, CandidateViews, joined, view_jobs
 from inspe_jax.placement.problem import Problem, Sample
+from inspe_jax.scoring import metrics
 from inspe_jax.scoring.detection import detection_curves
+from inspe_jax.sensing.sensors import RayGrid
 
 PAPER = ("coverage", "occlusion", "information_gain")
 KNOWN = (*PAPER, FOUND)
@@ -79,14 +84,12 @@ class SampleScore:
     """
 
     def __init__(self, problem: Problem, sample: Sample) -> None:
-        objective, each = problem.objective, problem.voxel_weights(sample)
-        weights = objective.weights_by_name
-        c, o, ig, d = (weights[name] for name in KNOWN)
-        self.sample = sample
-        self._weight = c * each.weight
-        self._free = o * each.free
-        self._entropy = ig * each.entropy
-        places = d * each.places if d else np.zeros(0)
+        objective = problem.objective
+        c, o, ig, d = (objective.weights_by_name[name] for name in KNOWN)
+        weight, free, entropy, places = _shares(problem, sample)
+        self.problem, self.sample = problem, sample
+        self._weight, self._free, self._entropy = c * weight, o * free, ig * entropy
+        places = d * places if d else np.zeros(0)
         classes = len((problem.asked.detection or detection_curves()).counted)
         self._places = np.tile(places / classes, classes)
         self._sighted = objective.visibility != "in_view"
@@ -94,28 +97,40 @@ class SampleScore:
         # other vehicle hides it. That is right for O; for IG such voxels are not in line of sight.
         inside = objective.occlusion_reference == "targets"
         inside &= objective.visibility == "line_of_sight"
-        self._in_sight = ~(each.free > 0) if inside else np.ones(each.free.shape, bool)
-        self._voxels = len(each.weight)
-        everyone = range(len(problem.layout))
+        self._in_sight = ~(free > 0) if inside else np.ones(free.shape, bool)
+        self._voxels = len(weight)
+        everyone = frozenset(range(len(problem.layout)))
         # The sensors that work, in each of the failures whose mean the score is.
-        self._there = [
-            frozenset(everyone) - frozenset(lost)
-            for lost in problem.sensor_sets[0].failures or [()]
-        ]
+        self._there = [everyone - {*lost} for lost in problem.sensor_sets[0].failures or [()]]
         counts = [part.centered.heights.size for part in sample.arrays]
         reliability = [sensors.reliability for sensors in problem.sensor_sets]
         self._reliability = np.repeat(reliability, counts, 0).T
 
-    def rows(self, of: CandidateViews) -> Rows:
-        """The rows of K poses, from the result of :meth:`Problem.views`."""
-        bits = np.concatenate([of.view, of.seen.reshape(len(of.seen), -1)], 1)
-        return Rows(bits, of.chance.reshape(len(bits), -1).astype(np.float32))
-
-    def views(
-        self, problem: Problem, poses: Mapping[int, Float[np.ndarray, "K 6"]]
-    ) -> dict[int, Rows]:
-        """The rows of some sensors, each at K poses about the scene's centre; on all cores."""
-        return {s: self.rows(of) for s, of in problem.views(poses, self.sample).items()}
+    def views(self, poses: Mapping[int, Float[np.ndarray, "K 6"]]) -> dict[int, Rows]:
+        """The rows of some sensors of the layout, each at K poses about the scene's centre."""
+        problem = self.problem
+        jobs, wanted = list[Job](), list[tuple[list[int], int]]()
+        for case, tiled, sensor_set in zip(
+            problem.cases, self.sample.scenes, problem.sensor_sets, strict=True
+        ):
+            alike: dict[tuple[RayGrid, float], list[int]] = {}
+            for grid, index in sensor_set.groups:
+                for s in index:
+                    if s in poses:
+                        alike.setdefault((grid, sensor_set.pixels[s]), []).append(s)
+            for (grid, pixels), sensors in alike.items():
+                at = np.concatenate([poses[s] for s in sensors])
+                half = case.scene.voxels.size / 2
+                new = view_jobs(grid, half, at, tiled, problem.asked, pixels)
+                wanted.append((sensors, len(new)))
+                jobs += new
+        done, found = iter(run(jobs)), dict[int, list[CandidateViews]]()
+        for sensors, count in wanted:
+            ends = np.cumsum([len(poses[s]) for s in sensors])
+            parts = (np.split(x, ends)[:-1] for x in joined(list(islice(done, count))))
+            for s, *own in zip(sensors, *parts, strict=True):
+                found.setdefault(s, []).append(CandidateViews(*own))
+        return {s: _rows(joined(views, -1)) for s, views in found.items()}
 
     def _left(
         self, rows: SampledRows, there: frozenset[int]
@@ -181,3 +196,30 @@ class SampleScore:
             weights = MarginalWeights(np.concatenate([weight, free]), unfound)
             gains += weights.dot(Rows(union, finds)) + (1 - missed) @ entropy
         return gains / len(self._there)
+
+
+def _rows(of: CandidateViews) -> Rows:
+    bits = np.concatenate([of.view, of.seen.reshape(len(of.seen), -1)], 1)
+    return Rows(bits, of.chance.reshape(len(bits), -1).astype(np.float32))
+
+
+def _shares(problem: Problem, sample: Sample) -> Iterator[np.ndarray]:
+    """What each voxel of a sample counts for in C (V,), O (T, V) and IG (V,), and each column for
+    every class of road users alike in D (L,). Each sums to 1. Several cases stand one after
+    another."""
+    parts = []
+    for part, tiled in zip(sample.arrays, sample.scenes, strict=True):
+        (chunk,) = tiled.chunks
+        solid = tiled.tiles.by_voxel(np.asarray(chunk.solid).swapaxes(0, 1))  # (T, V)
+        reference = problem.options["occlusion_reference"]
+        free = metrics.counted_by_occlusion(~solid, solid, reference).astype(float)
+        if part.centered.inside is not None:
+            free *= ~np.asarray(part.centered.inside).ravel()
+        weight, entropy = np.asarray(part.weight, float), np.asarray(part.occupancy, float)
+        entropy = np.asarray(metrics.entropy(jnp.asarray(entropy, float)), float)
+        frames = np.maximum((free.sum(1) > 0).sum(), 1)  # those in which any voxel counts
+        free = free / np.maximum(free.sum(1, keepdims=True), 1e-9) / frames
+        places = weight[:: tiled.tiles.level_count]
+        entropy = entropy / max(entropy.sum(), 1e-9)
+        parts.append((weight / weight.sum(), free, entropy, places / places.sum()))
+    return (np.concatenate(each, axis=-1) / len(parts) for each in zip(*parts, strict=True))

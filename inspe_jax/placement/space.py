@@ -347,6 +347,13 @@ class Space:
         on = self._pieces.nearest(np.asarray(feet, float), everywhere)[2] <= TOLERANCE**2  # (F, K)
         return np.any(on[None] & self._allowed[:, None], axis=-1)
 
+    @property
+    def limits(self) -> tuple[Float[np.ndarray, "S 2"], Float[np.ndarray, "S 2"]]:
+        """Lowest and highest height above the ground [m] and pitch [rad] of each sensor."""
+        height, rise, pitch = self._limits.height, self._limits.rise, self._limits.pitch
+        low, high = height.low[self._unit] + rise.low, height.high[self._unit] + rise.high
+        return np.stack([low, high], -1), np.stack([pitch.low, pitch.high], -1)
+
     def faults(self, layout: Layout) -> list[Fault]:
         """The rules of mounting that a layout of these sensors breaks; empty if it is feasible.
 

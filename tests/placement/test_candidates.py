@@ -6,7 +6,8 @@ from mounts import team
 from worlds import random_traffic, slow_but, world
 
 from inspe_jax.placement import candidate_table as tables
-from inspe_jax.placement import candidate_views, candidates, sampled_scores
+from inspe_jax.placement import candidate_views, candidates
+from inspe_jax.placement import problem as problems
 from inspe_jax.placement.constraints import Constraints
 from inspe_jax.placement.methods import greedy, grid
 from inspe_jax.placement.methods.finer_moves import finer, of_unit, sights
@@ -72,7 +73,7 @@ def test_few_layouts_are_projected_as_many_are(problem):
 def test_limits_are_those_of_the_constraints(scene):
     constraints = Constraints(heights=(4.0, 9.0))
     space = Space(scene, team(scene), constraints)
-    heights, pitches = candidates.limits(space, space.start(space.given)[0])
+    heights, pitches = space.limits
     assert np.allclose(heights, [[4.0, 9.0]] * 5, atol=1e-4)
     camera, lidar = (np.array(constraints.pitch[kind]) for kind in ("camera", "lidar"))
     assert np.allclose(pitches, [camera, lidar, camera, camera, camera], atol=1e-5)
@@ -131,7 +132,7 @@ def test_bits_add_up_to_the_score(scene, name):
     sample = problem.sample(np.random.default_rng(1), 96, 3)
     sampled, x = SampleScore(problem, sample), problem.space.random(np.random.default_rng(2), 3)
     stand = candidates.poses(problem.space, x)
-    bits = {s: sampled.views(problem, {s: stand[:, s]})[s] for s in range(5)}
+    bits = {s: sampled.views({s: stand[:, s]})[s] for s in range(5)}
     for m, score in enumerate(problem.rough(x, sample)):
         rows = {s: row[m] for s, row in bits.items()}
         assert sampled.value(rows) == pytest.approx(score, abs=2e-5)
@@ -155,16 +156,16 @@ def test_what_is_compiled_serves_any_number_of_layouts_and_poses(problem):
     sample = problem.sample(np.random.default_rng(3), 96, 3)
     x = problem.space.random(np.random.default_rng(4), 11)
     poses = candidates.poses(problem.space, x)[:, 0]
-    rough, (views, seen, _) = problem.rough(x, sample), problem.views({0: poses}, sample)[0]
-    compiled = sampled_scores.hard_scores._cache_size(), candidate_views._view._cache_size()
-    assert len(rough) == len(views) == len(seen) == len(x)
+    sampled = SampleScore(problem, sample)
+    rough, bits = problem.rough(x, sample), sampled.views({0: poses})[0].bits
+    compiled = problems.hard_scores._cache_size(), candidate_views._view._cache_size()
+    assert len(rough) == len(bits) == len(x)
     for count in (1, 3):
         np.testing.assert_array_equal(problem.rough(x[:count], sample), rough[:count])
-        few = problem.views({0: poses[-count:]}, sample)[0]
-        for part, whole in zip(few[:2], (views, seen), strict=True):
-            np.testing.assert_array_equal(part, whole[-count:])
+        few = sampled.views({0: poses[-count:]})[0].bits
+        np.testing.assert_array_equal(few, bits[-count:])
     assert (
-        sampled_scores.hard_scores._cache_size(),
+        problems.hard_scores._cache_size(),
         candidate_views._view._cache_size(),
     ) == compiled
 
@@ -319,10 +320,10 @@ def test_exchange_finds_the_best_replacement_there_is(table):
 def test_finer_moves_are_of_their_units_and_never_for_the_worse(table, problem, start, units):
     """Together they add what the sample says of the layout with all of them."""
     space, sampled = problem.space, table.sampled
-    rows = sights(problem, sampled, start, range(5))
+    rows = sights(sampled, start)
     x, before = start, sampled.value(rows)
     for k in range(4):
-        x, rows = finer(problem, sampled, x, rows, units, 0.5, np.random.default_rng(k), 16)
+        x, rows = finer(sampled, x, rows, units, 0.5, np.random.default_rng(k), 16)
         value = sampled.value(rows)
         assert value >= before - 1e-6
         assert value == pytest.approx(problem.rough(x[None], sampled.sample)[0], abs=2e-5)

@@ -13,17 +13,14 @@ Sighted = tuple[Float[np.ndarray, " N"], dict[int, Rows]]
 """A layout, and what its sensors see of a sample."""
 
 
-def sights(
-    problem: Problem, sampled: SampleScore, x: Float[np.ndarray, " N"], sensors: Sequence[int]
-) -> dict[int, Rows]:
-    """What some sensors of a layout see."""
-    stand = poses(problem.space, x[None])[0]
-    found = sampled.views(problem, {s: stand[s][None] for s in sensors})
+def sights(sampled: SampleScore, x: Float[np.ndarray, " N"]) -> dict[int, Rows]:
+    """What the sensors of a layout see."""
+    stand = poses(sampled.problem.space, x[None])[0]
+    found = sampled.views({s: pose[None] for s, pose in enumerate(stand)})
     return {s: rows[0] for s, rows in found.items()}
 
 
 def finer(
-    problem: Problem,
     sampled: SampleScore,
     x: Float[np.ndarray, " N"],
     rows: dict[int, Rows],
@@ -38,6 +35,7 @@ def finer(
     sensors see after all these moves is found at once; then each unit is judged in turn, beside the
     others as they are by then.
     """
+    problem = sampled.problem
     space, members = problem.space, problem.layout.members()
     tried = np.tile(x, (len(units), tries, 1))
     for u, part in zip(units, tried, strict=True):
@@ -50,7 +48,7 @@ def finer(
     tried = flat.reshape(tried.shape)
     stand = poses(space, flat).reshape(len(units), tries, -1, 6)
     new = sampled.views(
-        problem, {s: at[:, s] for u, at in zip(units, stand, strict=True) for s in members[u]}
+        {s: at[:, s] for u, at in zip(units, stand, strict=True) for s in members[u]}
     )
     for u, part in zip(units, tried, strict=True):
         others = {s: row for s, row in rows.items() if s not in members[u]}

@@ -109,10 +109,10 @@ def discrete(table: Candidates, seconds: float) -> tuple[list[dict[str, Any]], d
     problem, sampled = table.problem, table.sampled
     scene = problem.cases[0].scene
     kind, k, count = table.kinds[0], len(problem.layout), len(table.kinds[0].foot)
-    bits = np.concatenate([part.bits for part in kind.rows])[:count]
+    bits = np.concatenate([part.bits for part in kind.rows])[:count].reshape(count, -1)
     # Cameras of reliability 1 resolve all that they have in view, so that IG is of a union, too:
     # what a set sees is worth the sum over its bits of what one camera alone gains by each.
-    worth = sampled.marginal({}, 0).bits.astype(float)
+    worth = sampled.marginal({}, 0).bits.ravel().astype(float)
     began = time.perf_counter()
     chosen, value, bound = best_subset(bits, worth, k, seconds)
     solved = time.perf_counter()

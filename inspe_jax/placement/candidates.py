@@ -11,7 +11,6 @@ from jaxtyping import Float
 
 from inspe_jax.core.parallel import parts_of
 from inspe_jax.mounting.site import farthest_first
-from inspe_jax.placement.coordinates import Coordinates
 from inspe_jax.placement.space import Space
 
 COLUMNS, FRAMES = 768, 6
@@ -55,11 +54,6 @@ def _in_parts(function: Any, x: np.ndarray, rows: int = _ROWS) -> np.ndarray:
     return np.concatenate(done)[: len(x)]
 
 
-def coordinates(space: Space) -> Coordinates:
-    """The index of each coordinate in a flat array, by name."""
-    return space.split(np.arange(space.size))
-
-
 def lattice(space: Space, most: int = FEET) -> Float[np.ndarray, "F 2"]:
     """Candidate feet about the centre [m]: a lattice of :data:`SPACING`, and poles.
 
@@ -84,7 +78,7 @@ def set_heights(
 
     Heights are above the ground at the unit's foot.
     """
-    index, x = coordinates(space), np.array(x)
+    index, x = space.index, np.array(x)
     rise = index.rise[list(sensors)]
     x[:, rise] = 0.0
     x[:, index.height[u]] = (above.min(1) + above.max(1)) / 2

@@ -31,11 +31,11 @@ _STATE = "state: "  # before the names of a state's fields
 class Checkpoint:
     """A search after a step.
 
-    ``of`` has what the search depends on, by name, as digests or words; ``state`` is the method's,
-    as :func:`state_fields` gives it. ``path`` (K, N) has the coordinates of every layout that was
-    the best so far, ``held`` (0 or 1, N) those that the run holds. ``seconds`` and ``evaluations``
-    are spent, ``limits`` is the budget of both. ``status`` is "" while the search runs, then how it
-    ended.
+    ``of`` has what the search depends on, by name, as digests or words; ``state`` has the fields
+    of the method's state by name, and the name of its class. ``path`` (K, N) has the coordinates of
+    every layout that was the best so far, ``held`` (0 or 1, N) those that the run holds.
+    ``seconds`` and ``evaluations`` are spent, ``limits`` is the budget of both. ``status`` is ""
+    while the search runs, then how it ended.
     """
 
     of: dict[str, str]
@@ -53,7 +53,7 @@ class Checkpoint:
         """A copy of what a run has, and of the method's state."""
         return cls(
             of=of,
-            state=state_fields(state),
+            state={} if state is None else {"class": type(state).__name__, **vars(state)},
             path=np.array(run.path, float).reshape(-1, len(run.start)),
             held=np.array([] if run.held is None else run.held, float).reshape(-1, len(run.start)),
             history=tuple(run.history),
@@ -64,13 +64,8 @@ class Checkpoint:
         )
 
 
-def state_fields(state: Any) -> dict[str, Any]:
-    """The fields of a method's state by name, and the name of its class; none for None."""
-    return {} if state is None else {"class": type(state).__name__, **vars(state)}
-
-
 def state_of(states: Sequence[type[Any]], named: Mapping[str, Any]) -> Any:
-    """The state, of one of the classes ``states``, that :func:`state_fields` gave ``named`` for.
+    """The state of one of the classes ``states`` with the fields ``named``; None for no fields.
 
     Raises KeyError if a field is missing.
     """

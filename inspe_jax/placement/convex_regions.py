@@ -76,7 +76,9 @@ class ConvexRegions:
         start = xp.asarray(self.corners, p.dtype)  # (K, E, 2)
         edge = xp.roll(start, -1, axis=1) - start
         to = p[:, None, None] - start[None]  # (U, K, E, 2)
-        share = _share(to, edge[None], xp)
+        length = xp.maximum((edge * edge).sum(-1), 1e-12)[None]  # squared
+        # How far along each edge the nearest point is, from 0 to 1; 0 on one without length.
+        share = xp.clip((to * edge[None]).sum(-1) / length, 0.0, 1.0)
         off = to - share[..., None] * edge[None]
         squared = (off * off).sum(-1)  # (U, K, E)
         left = edge[None, ..., 0] * to[..., 1] - edge[None, ..., 1] * to[..., 0] >= 0
@@ -86,9 +88,7 @@ class ConvexRegions:
         which = far.argmin(-1)  # (U,)
         u = xp.arange(len(p))
         e = squared[u, which].argmin(-1)
-        # Again, only for the nearest edge: no other edge's gradient matters.
-        start, edge = start[which, e], edge[which, e]
-        foot = start + _share(p - start, edge, xp)[..., None] * edge
+        foot = start[which, e] + share[u, which, e][:, None] * edge[which, e]
         return xp.where(inside[u, which][:, None], p, foot), which, far
 
     def at(self, v: Float[Any, "U 2"], which: Int[Any, " U"], xp: Any) -> Float[Any, "U 2"]:
@@ -132,15 +132,6 @@ class ConvexRegions:
         s, t = rng.uniform(size=(2, count, 1))
         s, t = np.where(s + t > 1, 1 - s, s), np.where(s + t > 1, 1 - t, t)
         return self.corners[k, 0] + s * a[k, e] + t * b[k, e]
-
-
-def _share(to: Any, edge: Any, xp: Any) -> Any:
-    """How far along an edge its nearest point to a given point is, from 0 to 1.
-
-    ``to`` leads from the edge's start to the given point. 0 on an edge without length.
-    """
-    squared = xp.maximum((edge * edge).sum(-1), 1e-12)
-    return xp.clip((to * edge).sum(-1) / squared, 0.0, 1.0)
 
 
 def make_regions(outlines: list[Float[np.ndarray, "N 2"]]) -> ConvexRegions:

@@ -192,11 +192,6 @@ class Limits:
         pitch = rng.uniform(low, high, (count, len(low)))
         return [Coordinates(*row) for row in zip(*parts, yaw, pitch, strict=True)]
 
-    def may_change(self) -> dict[str, np.ndarray]:
-        """Whether each coordinate, except ``base``, can change, by unit or sensor."""
-        names = ("arm", "height", "offset", "rise", "yaw", "pitch")
-        return {name: getattr(self, name).half > 0 for name in names}
-
 
 def nearest_turn(angle: Any, about: Any, xp: Any) -> Any:
     """The angle of the same direction that is nearest to ``about`` [rad]."""

@@ -144,9 +144,9 @@ def compare(
     share of its budget spent and its best score. Ctrl-C ends the comparison with the searches so
     far, the last one as it stands. Raises InspeError as :func:`optimise`.
     """
-    methods = [row.name for row in _knowing(objective)] if methods is None else methods
     several = range(seeds) if isinstance(seeds, int) else seeds
-    rows = check_search(methods, objective, start, several)
+    names = [row.name for row in _knowing(objective)] if methods is None else methods
+    rows = check_search(names, objective, start, several)
     seconds = _seconds(seconds, evaluations)
     problem = Problem(cases_of(scene, conditions), layout, objective, constraints)
     results: list[Result] = []

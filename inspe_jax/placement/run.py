@@ -14,7 +14,8 @@ from jaxtyping import Float
 
 from inspe_jax.core.compiling import working_clock
 from inspe_jax.core.errors import InspeError, wrong_kind
-from inspe_jax.placement.problem import Drawn, Problem, Sample
+from inspe_jax.placement.candidates import COLUMNS, FRAMES
+from inspe_jax.placement.problem import Problem
 
 AT_ONCE = 32
 """Number of rough scores between two checks of the budget: mostly some tenths of a second."""
@@ -198,11 +199,15 @@ class Run:
             raise TargetReached
         return score
 
-    def rough(self, x: Float[np.ndarray, "M N"], sample: Sample) -> Float[np.ndarray, " M"]:
-        """Hard scores of layouts on a sample; the best is held. Charges M · ``sample.cost``.
+    def rough(
+        self, x: Float[np.ndarray, "M N"], *key: int, size: int = 1
+    ) -> Float[np.ndarray, " M"]:
+        """Hard scores of layouts on a sample; the best so far is held. Charges M times its cost.
 
-        Raises BudgetSpent, which it checks every :data:`AT_ONCE` layouts; the best so far is held.
+        ``key`` is the sample's, for :meth:`rng`. It has ``size`` times as many columns, and as many
+        frames, as usual. Raises BudgetSpent, which it checks every :data:`AT_ONCE` layouts.
         """
+        sample = self.problem.sample(self.rng(*key), size * COLUMNS, size * FRAMES)
         scores: list[np.ndarray] = []
         for first in range(0, len(x), AT_ONCE):
             part = np.asarray(x[first : first + AT_ONCE], float)
@@ -215,10 +220,6 @@ class Run:
         """Charge for work before it is done, in exact scores. Raises BudgetSpent."""
         self._check_left(0.0 if self.held is None else self.exact_cost)
         self.evaluations += float(evaluations)
-
-    def charge_gradient(self, drawn: Drawn, layouts: int = 1) -> None:
-        """Charge for gradients of layouts on a sample. Raises BudgetSpent."""
-        self.charge(layouts * self.problem.gradient_cost(drawn))
 
     @property
     def exact_cost(self) -> Float[np.ndarray, "2"]:

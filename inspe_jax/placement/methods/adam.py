@@ -5,7 +5,7 @@ end, so that the edges of views are precise.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, TypeVar
 
@@ -17,7 +17,6 @@ from jaxtyping import Float, Int
 
 from inspe_jax.core.arrays import on_host
 from inspe_jax.core.parallel import run as on_all_cores
-from inspe_jax.placement.candidates import COLUMNS, FRAMES
 from inspe_jax.placement.problem import Problem
 from inspe_jax.placement.run import Method, Run
 
@@ -35,6 +34,8 @@ CULLS = (0.15, 0.3, 0.5)
 """Shares of the budget at which copies of the better half replace the worse half of the layouts."""
 CHUNK = 4
 """Gradient steps between two checks of the budget."""
+LARGER = 4
+"""How many times as many columns, and as many frames, the layouts are then compared on."""
 SCREENED = 32
 """Number of random layouts, the best of which become starts."""
 _LAST = 0.95  # share of the budget at which the search ends, to leave time for the last scores
@@ -95,9 +96,8 @@ def begin_adam(run: Run) -> AdamState:
 
 def screened(run: Run) -> tuple[Float[np.ndarray, "M N"], Float[np.ndarray, " M"]]:
     """The start and :data:`SCREENED` random layouts, with their scores on a sample."""
-    sample = run.problem.sample(run.rng(0), COLUMNS, FRAMES)
     x = np.concatenate([run.start[None], run.problem.space.random(run.rng(1), SCREENED)])
-    return x, run.rough(x, sample)
+    return x, run.rough(x, 0)
 
 
 def charted(
@@ -144,11 +144,10 @@ def step_adam(run: Run, state: AdamState) -> AdamState | None:
         order = _ranked(run, x, state.count)
         run.offer(x[order[0]])
         # In new charts: a unit at the edge of a region can go on into the next.
-        anchor, place = _charts(problem, x)
-        held = dict(anchor=anchor, z=np.zeros_like(anchor), place=place)
-        rows = [field.name for field in fields(ChartedLayouts) if field.name != "count"]
-        sorted_rows = {name: held.get(name, getattr(state, name))[order] for name in rows}
-        state = replace(state, **sorted_rows, looked=run.spent)
+        anchor, place = _charts(problem, x[order])
+        adam = {name: getattr(state, name)[order] for name in ("steps", "mean", "square", "line")}
+        still = np.zeros_like(anchor)
+        state = replace(state, anchor=anchor, z=still, place=place, **adam, looked=run.spent)
 
     def now() -> tuple[float, float]:
         through = (run.done - began) / (_LAST - began)
@@ -169,7 +168,7 @@ def advance(run: Run, state: L, now: Callable[[], tuple[float, float]], count: i
         softness, rate = (jnp.asarray(x, float) for x in now())
         rng = run.rng(2, k)
         drawn = [problem.draw(rng, STEP_COLUMNS, STEP_FRAMES) for _ in line]
-        run.charge_gradient(drawn[0], len(line))
+        run.charge(len(line) * problem.gradient_cost(drawn[0]))
         # One by one, on all cores: faster than all lines in one array.
         rows = zip(z, state.anchor, state.place, drawn, strict=True)
         jobs = [("slope", partial(loss, *row, softness)) for row in rows]
@@ -194,10 +193,9 @@ def layouts(problem: Problem, state: ChartedLayouts) -> Float[np.ndarray, "M N"]
     return np.stack([problem.space.from_chart(v, place, np) for v, place in rows])
 
 
-def _ranked(run: Run, x: np.ndarray, key: int, size: int = 4) -> np.ndarray:
+def _ranked(run: Run, x: np.ndarray, key: int) -> np.ndarray:
     """Indices of layouts, best first, by hard scores on a larger sample."""
-    sample = run.problem.sample(run.rng(3, key), size * COLUMNS, size * FRAMES)
-    return np.argsort(-run.rough(x, sample), kind="stable")
+    return np.argsort(-run.rough(x, 3, key, size=LARGER), kind="stable")
 
 
 def _cull(run: Run, state: AdamState) -> AdamState:

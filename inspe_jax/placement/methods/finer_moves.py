@@ -5,9 +5,10 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float, Int
 
-from inspe_jax.placement.candidates import coordinates, poses, project
+from inspe_jax.placement.candidate_views import Rows
+from inspe_jax.placement.candidates import poses, project
 from inspe_jax.placement.problem import Problem
-from inspe_jax.placement.sample_score import LEAST, Rows, SampleScore
+from inspe_jax.placement.sample_score import LEAST, SampleScore
 
 Sighted = tuple[Float[np.ndarray, " N"], dict[int, Rows]]
 """A layout, and what its sensors see of a sample."""
@@ -63,7 +64,7 @@ def finer(
 
 def of_unit(problem: Problem, u: int) -> Int[np.ndarray, " n"]:
     """The coordinates of a unit and its sensors: their indices."""
-    index, members = coordinates(problem.space), list(problem.layout.members()[u])
+    index, members = problem.space.index, list(problem.layout.members()[u])
     own = [index.base[u], index.arm[u], index.height[[u]]]
     return np.concatenate([*own, *(part[members].ravel() for part in index[3:])])
 

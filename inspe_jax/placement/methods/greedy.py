@@ -13,11 +13,12 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from inspe_jax.placement.candidate_table import HEIGHTS, Picks, Table
+from inspe_jax.placement.candidate_views import Rows
 from inspe_jax.placement.candidates import COLUMNS, FRAMES
 from inspe_jax.placement.methods.finer_moves import finer, sights
 from inspe_jax.placement.problem import Problem
 from inspe_jax.placement.run import Method, Run
-from inspe_jax.placement.sample_score import KNOWN, LEAST, MarginalWeights, Rows, SampleScore
+from inspe_jax.placement.sample_score import KNOWN, LEAST, MarginalWeights, SampleScore
 
 WIDTH = 1.0
 """Length of the first finer moves, in typical steps."""
@@ -149,7 +150,8 @@ def _fill(table: Table, picks: Picks, sensors: Sequence[int], foot: int) -> Pick
             kind = table.kind_of(s)
             at = np.flatnonzero(kind.foot == foot)
             at = at[table.fits(picks, s, at)]
-            gains = table.sampled.marginal(rows, s).dot(Rows.joined([kind.row(k) for k in at]))
+            there = Rows.joined([kind.row(k)[None] for k in at])
+            gains = table.sampled.marginal(rows, s).dot(there)
             best = int(gains.argmax())
             found.append((float(gains[best]), s, int(at[best])))
         _, s, k = max(found, key=lambda row: row[0])

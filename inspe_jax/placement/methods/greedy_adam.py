@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from inspe_jax.placement.candidate_views import Rows
 from inspe_jax.placement.candidates import COLUMNS, FRAMES
 from inspe_jax.placement.methods import greedy
 from inspe_jax.placement.methods.adam import STEP_COLUMNS, STEP_FRAMES, advance, charted, layouts
@@ -23,7 +24,7 @@ from inspe_jax.placement.methods.cma_es import CMA_ES
 from inspe_jax.placement.methods.finer_moves import Sighted, finer, of_unit, sights, with_unit
 from inspe_jax.placement.methods.greedy import FINER, MOVE_COST, Placing, charge
 from inspe_jax.placement.run import Method, Run
-from inspe_jax.placement.sample_score import PAPER, Rows, SampleScore
+from inspe_jax.placement.sample_score import PAPER, SampleScore
 
 PLACING = 0.4
 """Share of the budget after which the first round looks at no more candidates, if bursts fit."""

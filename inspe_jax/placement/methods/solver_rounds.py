@@ -77,7 +77,7 @@ def charged(
 
     def evaluate(z: Array) -> tuple[Array, Array]:
         nonlocal best
-        run.charge_gradient(drawn)
+        run.charge(run.problem.gradient_cost(drawn))
         loss, slope = score(z)
         if best is not None and loss < best:
             run.hold(layout(z))

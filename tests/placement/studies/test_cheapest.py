@@ -54,24 +54,6 @@ def test_the_first_mix_that_reaches_the_target_ends_the_study(scene):
         cheapest(scene, COUNTS, 95)
 
 
-def test_a_checkpoint_that_reached_its_target_goes_on_to_a_higher_one(scene, tmp_path):
-    start = starting_layout(scene, {CAMERA: 2})
-    given = dict(method="random", evaluations=40.0, objective=FOUND, checkpoint=tmp_path / "c.npz")
-    first = optimise(scene, start, **given, target=0.1)
-    assert first.status == "target reached"
-    assert first.evaluations == 1
-    again = optimise(scene, start, **given, target=0.1)
-    assert (again.status, again.evaluations) == ("target reached", 1)
-    plain = optimise(scene, start, **given | dict(checkpoint=None))
-    higher = (again.objective + plain.objective) / 2
-    stopped = optimise(scene, start, **given | dict(checkpoint=None), target=higher)
-    assert stopped.status == "target reached"
-    assert higher <= stopped.objective <= plain.objective
-    assert stopped.evaluations < plain.evaluations
-    whole = optimise(scene, start, **given)
-    assert (whole.status, whole.objective) == ("budget spent", plain.objective)
-
-
 def test_only_the_regions_that_are_named_count(scene):
     start = starting_layout(scene, {CAMERA: 1, LIDAR: 1})
     on = Objective(weights={"coverage": 1.0}, regions=("crosswalk",))

@@ -16,6 +16,8 @@ from typing import Any
 import numpy as np
 from common import arguments, console, output, show, write_results
 from matplotlib.figure import Figure
+from scipy import sparse
+from scipy.optimize import Bounds, LinearConstraint, milp
 
 import inspe_jax
 from inspe_jax import Constraints, Layout, Scene, Sensor
@@ -25,7 +27,6 @@ from inspe_jax.placement.candidates import lattice
 from inspe_jax.placement.methods.greedy import lazy_greedy
 from inspe_jax.placement.problem import Problem
 from inspe_jax.placement.sample_score import SampleScore
-from inspe_jax.placement.studies.discrete import best_subset
 
 ALL = 10**9
 """More columns and frames than there are."""
@@ -73,27 +74,52 @@ def candidates(problem: Problem, quick: bool, seed: int) -> Candidates:
     return table
 
 
+def best_subset(
+    seen: np.ndarray, worth: np.ndarray, k: int, seconds: float
+) -> tuple[np.ndarray, float, float]:
+    """The k of K candidates that together see most: maximum coverage, as an integer program.
+
+    ``seen`` (K, E) says which elements each candidate sees, ``worth`` (E,) what each is worth.
+    Returns the chosen candidates (k,), what they see together, and an upper bound of that for any
+    choice, after at most so many ``seconds``. y says whether a candidate is chosen; z whether the
+    elements that one set of candidates sees are covered: z ≤ 1 and z ≤ Σ y over the set.
+    """
+    count, some = len(seen), seen.any(0) & (worth > 0)
+    packed = np.packbits(seen[:, some], axis=0).T
+    _, first, back = np.unique(packed, axis=0, return_index=True, return_inverse=True)
+    sets, together = seen[:, some][:, first], np.bincount(back.ravel(), worth[some])
+    gain = np.concatenate([np.zeros(count), together])
+    covered = sparse.hstack([-sparse.csr_array(sets.T.astype(float)), sparse.eye_array(len(first))])
+    number = (np.arange(len(gain)) < count).astype(float)
+    found = milp(
+        -gain,
+        integrality=number,
+        bounds=Bounds(0, 1),
+        constraints=[LinearConstraint(covered, -np.inf, 0), LinearConstraint(number, k, k)],
+        options=dict(time_limit=seconds, mip_rel_gap=1e-6),
+    )
+    if found.x is None:
+        raise SystemExit(f"no choice was found in {seconds:g} s: {found.message}")
+    chosen = np.sort(np.argsort(-found.x[:count], kind="stable")[:k])
+    return chosen, float(worth[seen[chosen].any(0)].sum()), float(-found.mip_dual_bound)
+
+
 def discrete(table: Candidates, seconds: float) -> tuple[list[dict[str, Any]], dict[str, Any]]:
     """The optimum and greedy's choice: a row each; and the instance's figures."""
     problem, sampled = table.problem, table.sampled
-    kind, k, shares = table.kinds[0], len(problem.layout), problem.voxel_weights(sampled.sample)
-    count, voxels = len(kind.foot), len(shares.weight)
-    bits = np.concatenate([part.bits for part in kind.rows])[:count]
+    scene = problem.cases[0].scene
+    kind, k, count = table.kinds[0], len(problem.layout), len(table.kinds[0].foot)
+    bits = np.concatenate([part.bits for part in kind.rows])[:count].reshape(count, -1)
+    # Cameras of reliability 1 resolve all that they have in view, so that IG is of a union, too:
+    # what a set sees is worth the sum over its bits of what one camera alone gains by each.
+    worth = sampled.marginal({}, 0).bits.ravel().astype(float)
     began = time.perf_counter()
-    found = best_subset(
-        bits[:, :voxels],
-        bits[:, voxels:].reshape(count, -1, voxels),
-        *(shares.weight, shares.entropy, shares.free),
-        reliability=1.0,
-        k=k,
-        weights=problem.objective.weights,
-        seconds=seconds,
-    )
+    chosen, value, bound = best_subset(bits, worth, k, seconds)
     solved = time.perf_counter()
     picks, again = lazy_greedy(table)
     done = time.perf_counter()
     start = problem.space.start(problem.layout)[0]
-    best = dict(enumerate(found.chosen.tolist()))
+    best = dict(enumerate(chosen.tolist()))
     rows = [
         dict(method=name, seed="", score=problem.exact(table.layout(start, chosen)), seconds=took)
         for name, chosen, took in (
@@ -104,10 +130,10 @@ def discrete(table: Candidates, seconds: float) -> tuple[list[dict[str, Any]], d
     figures = dict(
         candidates=count,
         cameras=k,
-        voxels=voxels,
-        frames=shares.free.shape[0],
-        bound=found.bound,
-        gap=found.bound - found.value,
+        voxels=scene.voxels.count,
+        frames=scene.traffic.frame_count,
+        bound=bound,
+        gap=bound - value,
         gains_worked_out=count + again,
         gains_of_plain_greedy=sum(count - n for n in range(k)),
     )

@@ -124,7 +124,6 @@ def search(
     """
     run = Run(problem, problem.space.start(problem.layout)[0], seed=seed, **budget)
     try:
-        run.compile_ahead(method)
         run.offer(run.start)
         if spent is not None:
             first = [replace(row, seconds=spent()) for row in run.history]
@@ -134,8 +133,6 @@ def search(
             state = method.step(run, state)
     except BudgetSpent:
         pass
-    finally:
-        run.close()
     run.settle()
     return run, run.history
 

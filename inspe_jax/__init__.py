@@ -27,8 +27,7 @@ from inspe_jax.placement.constraints import Constraints
 from inspe_jax.placement.objective import Objective
 from inspe_jax.placement.optimise import compare, methods, optimise
 from inspe_jax.placement.result import Result, load_result, save_result
-from inspe_jax.placement.studies.cheapest import cheapest
-from inspe_jax.placement.studies.pareto import pareto
+from inspe_jax.placement.studies.pareto import cheapest, pareto
 from inspe_jax.placement.studies.tolerance import tolerance
 from inspe_jax.scene.intersection import Intersection
 from inspe_jax.scene.procedural.built_ins import BUILT_INS, built_in

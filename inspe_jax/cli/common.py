@@ -24,7 +24,6 @@ from inspe_jax.core.errors import InspeError, missing_extra
 from inspe_jax.core.files import check_input, read_json, write_text
 from inspe_jax.core.version import __version__
 from inspe_jax.core.words import visible
-from inspe_jax.placement.compile_ahead import compiles
 from inspe_jax.scene.geojson import SUFFIX
 from inspe_jax.scene.scene import SCENE_SUFFIXES, Scene, check_scene_name, load_scene
 from inspe_jax.sensing.layout import Layout, load_layout
@@ -103,7 +102,7 @@ def main() -> None:
         with attended(note, leave_at_once):
             _run()
     except SystemExit as e:
-        if compiled().now or compiles():  # Python would wait for the threads that do
+        if compiled().now:  # Python would wait for the threads that do
             leave_at_once(e.code if isinstance(e.code, int) else int(e.code is not None))
         raise
 

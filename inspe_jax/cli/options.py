@@ -56,7 +56,7 @@ SHARED = """
         0,4,8; repeat it for other devices. velodyne-vlp-16:1-4 if not given.
     method: Search method, such as grid; greedy-adam if not given. `inspe compare` lists and
         compares all methods.
-    start: Start of a search: given (the layout), random, or the name of a strategy.
+    start: Start of a search: given (the layout) or random.
     scheduler (ADDRESS): Address of a running Dask scheduler, such as tcp://host:8786; if not given,
         this machine's cores are used.
     workers: Processes on this machine; one per core if not given.

@@ -22,8 +22,13 @@ from inspe_jax.mounting.mixes import starting_layout
 from inspe_jax.placement import optimise as search
 from inspe_jax.placement.result import FILES, STATUSES, Result, save_comparison, save_result
 from inspe_jax.placement.studies import pareto as studies
-from inspe_jax.placement.studies.cheapest import cheapest, check_target
-from inspe_jax.placement.studies.pareto import device_mixes, layout_file, save_pareto
+from inspe_jax.placement.studies.pareto import (
+    cheapest,
+    check_target,
+    device_mixes,
+    layout_file,
+    save_pareto,
+)
 from inspe_jax.scene.scene import Scene, load_scene
 from inspe_jax.scoring.metrics import METRICS
 from inspe_jax.sensing import catalogue

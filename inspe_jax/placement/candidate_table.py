@@ -5,16 +5,15 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from inspe_jax.placement.candidate_views import Rows
 from inspe_jax.placement.candidates import (
     FRAMES,
-    coordinates,
     lattice,
-    limits,
     poses,
     set_heights,
 )
 from inspe_jax.placement.problem import Problem
-from inspe_jax.placement.sample_score import Rows, SampleScore
+from inspe_jax.placement.sample_score import SampleScore
 from inspe_jax.sensing.layout import UNIT_HEIGHT
 
 HEIGHTS, YAWS = 3, 8
@@ -74,7 +73,7 @@ class Table:
         feet = lattice(space)
         stand = space.can_stand(feet)
         shift = np.array([0.5, 0.0, 0.5]) if first else rng.uniform(size=3)
-        bounds, pitches = limits(space, space.start(layout)[0])
+        bounds, pitches = space.limits
         groups: dict[object, list[int]] = {}
         for s, sensor in enumerate(layout.sensors):
             grids = tuple(case.conditions.spec(sensor.spec).grid for case in problem.cases)
@@ -106,13 +105,13 @@ class Table:
         at = np.minimum(at, len(kind.foot) - 1)  # of one shape: the last fills up
         s = kind.sensors[0]
         space, u = self.problem.space, self.problem.layout.sensors[s].unit
-        index = coordinates(space)
+        index = space.index
         x = np.zeros((CHUNK, space.size))
         x[:, index.base[u]] = self.feet[kind.foot[at]]
         x[:, index.height[u]] = kind.height[at]
         x[:, index.yaw[s]] = kind.yaw[at]
         x[:, index.pitch[s]] = kind.pitch[at]
-        kind.rows.append(self.sampled.views(self.problem, {s: poses(space, x)[:, s]})[s])
+        kind.rows.append(self.sampled.views({s: poses(space, x)[:, s]})[s])
         return len(np.unique(at))
 
     def kind_of(self, s: int) -> CandidateKind:
@@ -147,7 +146,7 @@ class Table:
 
     def layout(self, x: Float[np.ndarray, " N"], picks: Picks) -> Float[np.ndarray, " N"]:
         """Coordinates (N,) with sensors at the picks; the others stay as in ``x``."""
-        space, index = self.problem.space, coordinates(self.problem.space)
+        space, index = self.problem.space, self.problem.space.index
         x = np.array(x)[None]
         for u, members in enumerate(self.problem.layout.members()):
             placed = [s for s in members if s in picks]

@@ -4,8 +4,9 @@ Searches choose among candidate poses by it.
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import partial
-from typing import NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -35,23 +36,31 @@ TOGETHER = 8
 """Poses in one compiled call. With one shape for any number of poses, results are the same bits."""
 
 
-class CandidateViews(NamedTuple):
-    """What one sensor has from each of K poses.
+@dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
+class Rows:
+    """What one sensor has of a sample: a row, or a row for each of K poses.
 
-    ``view`` is f, ``seen`` is f and line of sight in each frame. ``chance`` is that to find a road
-    user of each of Q classes at each column; there is none where it is not asked for.
+    ``bits`` (K, 1 + T, V) are f of each voxel, then f and line of sight in each frame. ``chance``
+    (K, Q, L) is that to find a road user of each of Q classes at each column; Q is 0 where it is
+    not asked for.
     """
 
-    view: Bool[np.ndarray, "K V"]
-    seen: Bool[np.ndarray, "K T V"]
-    chance: Float[np.ndarray, "K Q L"]
+    bits: Bool[np.ndarray, "*k F V"]
+    chance: Float[np.ndarray, "*k Q L"]
 
+    @classmethod
+    def joined(cls, parts: Sequence["Rows"], axis: int = 0) -> "Rows":
+        """The rows of all parts: of further poses or, along axis −1, of further scenes."""
+        if len(parts) == 1:
+            return parts[0]
+        bits, chance = [part.bits for part in parts], [part.chance for part in parts]
+        return cls(np.concatenate(bits, axis), np.concatenate(chance, axis))
 
-def joined(parts: Sequence[CandidateViews], axis: int = 0) -> CandidateViews:
-    """The views of all parts: from further poses or, along axis −1, of further scenes."""
-    if len(parts) == 1:
-        return parts[0]
-    return CandidateViews(*(np.concatenate(part, axis) for part in zip(*parts, strict=True)))
+    def __getitem__(self, at: Any) -> "Rows":
+        return Rows(self.bits[at], self.chance[at])
+
+    def __len__(self) -> int:
+        return len(self.bits)
 
 
 def view_jobs(
@@ -64,7 +73,7 @@ def view_jobs(
 ) -> list[Job]:
     """Jobs for what one sensor has in view, and sees in each frame, from each of K poses.
 
-    Each gives the views of :data:`TOGETHER` poses; after the last pose, it is repeated.
+    Each gives the rows of :data:`TOGETHER` poses; after the last pose, it is repeated.
     ``poses`` are about the scene's centre, ``half`` is half a voxel's edge [m], and ``tiled`` is a
     scene in one chunk. ``pixels`` is the number of pixels that a ray stands for. The chances to
     find road users are of a sensor alone, as in detectability, if ``asked`` has that metric.
@@ -81,19 +90,20 @@ def view_jobs(
     fixed = dict(chunk=chunk, statics=tiled.statics, last=tiled.tiles.last, asked=asked)
     given = partial(_view, rays, half, pixels, **fixed)
 
-    def views(part: np.ndarray) -> CandidateViews:
+    def rows(part: np.ndarray) -> Rows:
         return _by_voxel(tiled.tiles, *given(part))
 
-    return [(key, partial(views, part)) for part in parts_of(on_host(poses, float), TOGETHER)]
+    return [(key, partial(rows, part)) for part in parts_of(on_host(poses, float), TOGETHER)]
 
 
-def _by_voxel(tiles: Tiles, view: Array, seen: Array, chance: Array) -> CandidateViews:
+def _by_voxel(tiles: Tiles, view: Array, seen: Array, chance: Array) -> Rows:
     """What :func:`_view` returns, in the scene's order of voxels and of columns."""
     count, number, classes, columns = chance.shape
     found = np.asarray(chance).reshape(count, tiles.slabs, number // tiles.slabs, classes, columns)
     found = found.sum(1).swapaxes(1, 2).reshape(count, classes, number // tiles.slabs * columns)
-    found = found[..., np.asarray(tiles.place)]
-    return CandidateViews(tiles.by_voxel(np.asarray(view)), tiles.by_voxel(np.asarray(seen)), found)
+    found = found[..., np.asarray(tiles.place)].astype(np.float32)
+    bits = [tiles.by_voxel(np.asarray(view))[:, None], tiles.by_voxel(np.asarray(seen))]
+    return Rows(np.concatenate(bits, 1), found)
 
 
 @partial(jax.jit, static_argnames="asked")

@@ -11,7 +11,6 @@ from jaxtyping import Float
 
 from inspe_jax.core.parallel import parts_of
 from inspe_jax.mounting.site import farthest_first
-from inspe_jax.placement.coordinates import Coordinates
 from inspe_jax.placement.space import Space
 
 COLUMNS, FRAMES = 768, 6
@@ -28,7 +27,6 @@ FEET = 48
 
 _ROWS, _SOME = 64, 8  # layouts in one compiled call, where there are more than some, or not
 _FEW = 2  # so few layouts are faster without a compiled call
-_FAR = 1e3  # beyond any limit [m]
 
 
 def project(space: Space, x: Float[np.ndarray, "M N"]) -> Float[np.ndarray, "M N"]:
@@ -56,11 +54,6 @@ def _in_parts(function: Any, x: np.ndarray, rows: int = _ROWS) -> np.ndarray:
     return np.concatenate(done)[: len(x)]
 
 
-def coordinates(space: Space) -> Coordinates:
-    """The index of each coordinate in a flat array, by name."""
-    return space.split(np.arange(space.size))
-
-
 def lattice(space: Space, most: int = FEET) -> Float[np.ndarray, "F 2"]:
     """Candidate feet about the centre [m]: a lattice of :data:`SPACING`, and poles.
 
@@ -85,7 +78,7 @@ def set_heights(
 
     Heights are above the ground at the unit's foot.
     """
-    index, x = coordinates(space), np.array(x)
+    index, x = space.index, np.array(x)
     rise = index.rise[list(sensors)]
     x[:, rise] = 0.0
     x[:, index.height[u]] = (above.min(1) + above.max(1)) / 2
@@ -99,16 +92,3 @@ def above_ground(space: Space, x: Float[np.ndarray, " N"]) -> Float[np.ndarray, 
     c = space.split(x)
     unit = np.array([sensor.unit for sensor in space.given.sensors])
     return c.height[unit] + c.rise
-
-
-def limits(space: Space, x: Float[np.ndarray, " N"]) -> tuple[np.ndarray, np.ndarray]:
-    """Lowest and highest height above the ground [m] and pitch [rad] of each sensor: (S, 2) each.
-
-    They are found by projecting coordinates far beyond the limits.
-    """
-    index, ends = coordinates(space), np.tile(x, (2, 1))
-    for part in (index.height, index.rise, index.pitch):
-        ends[:, part] = [[-_FAR], [_FAR]]
-    low, high = project(space, ends)
-    heights = np.stack([above_ground(space, low), above_ground(space, high)], -1)
-    return heights, np.stack([low[index.pitch], high[index.pitch]], -1)

@@ -31,11 +31,11 @@ _STATE = "state: "  # before the names of a state's fields
 class Checkpoint:
     """A search after a step.
 
-    ``of`` has what the search depends on, by name, as digests or words; ``state`` is the method's,
-    as :func:`state_fields` gives it. ``path`` (K, N) has the coordinates of every layout that was
-    the best so far, ``held`` (0 or 1, N) those that the run holds. ``seconds`` and ``evaluations``
-    are spent, ``limits`` is the budget of both. ``status`` is "" while the search runs, then how it
-    ended.
+    ``of`` has what the search depends on, by name, as digests or words; ``state`` has the fields
+    of the method's state by name, and the name of its class. ``path`` (K, N) has the coordinates of
+    every layout that was the best so far, ``held`` (0 or 1, N) those that the run holds.
+    ``seconds`` and ``evaluations`` are spent, ``limits`` is the budget of both. ``status`` is ""
+    while the search runs, then how it ended.
     """
 
     of: dict[str, str]
@@ -48,14 +48,24 @@ class Checkpoint:
     limits: tuple[float | None, float | None]
     status: str = ""
 
-
-def state_fields(state: Any) -> dict[str, Any]:
-    """The fields of a method's state by name, and the name of its class; none for None."""
-    return {} if state is None else {"class": type(state).__name__, **vars(state)}
+    @classmethod
+    def now(cls, run: Run, state: Any, of: dict[str, str], status: str = "") -> "Checkpoint":
+        """A copy of what a run has, and of the method's state."""
+        return cls(
+            of=of,
+            state={} if state is None else {"class": type(state).__name__, **vars(state)},
+            path=np.array(run.path, float).reshape(-1, len(run.start)),
+            held=np.array([] if run.held is None else run.held, float).reshape(-1, len(run.start)),
+            history=tuple(run.history),
+            seconds=run.seconds,
+            evaluations=run.evaluations,
+            limits=run.limits,
+            status=status,
+        )
 
 
 def state_of(states: Sequence[type[Any]], named: Mapping[str, Any]) -> Any:
-    """The state, of one of the classes ``states``, that :func:`state_fields` gave ``named`` for.
+    """The state of one of the classes ``states`` with the fields ``named``; None for no fields.
 
     Raises KeyError if a field is missing.
     """
@@ -118,7 +128,7 @@ class CheckpointWriter:
     def __init__(self, path: str | os.PathLike[str], of: dict[str, str], run: Run) -> None:
         self.path, self.of, self.ended, self._run = Path(path), of, "", run
         self._last = time.monotonic()
-        self._kept = self._now(None)
+        self._kept = Checkpoint.now(run, None, of)
 
     def take_up(self, states: Sequence[type[Any]]) -> Any:
         """Restore the run from the file and return the method's state, None at the start.
@@ -141,10 +151,8 @@ class CheckpointWriter:
             )
         run.take_up(kept.seconds, kept.evaluations, kept.history, kept.path, *kept.held)
         self._kept = kept
-        reached = run.best >= run.target
-        over = kept.status == "converged" or (kept.status and kept.limits == run.limits)
-        if kept.status == "target reached":
-            over = False  # of another target than this
+        reached, same = run.best >= run.target, kept.limits == run.limits
+        over = kept.status == "converged" or (kept.status == "budget spent" and same)
         if reached or over or run.left <= 0:
             self.ended = kept.status or ("target reached" if reached else "budget spent")
             run.notes.append(
@@ -157,29 +165,15 @@ class CheckpointWriter:
 
     def mark(self, state: Any) -> None:
         """Keep the state of the search before a step, and write it if it is time."""
-        self._kept = self._now(state)
+        self._kept = Checkpoint.now(self._run, state, self.of)
         if time.monotonic() - self._last >= EVERY:
             self._write()
 
     def end(self, state: Any, status: str) -> None:
         """Write how the search ended; if interrupted, the state before its last step is kept."""
         if status != "interrupted":
-            self._kept = self._now(state, status)
+            self._kept = Checkpoint.now(self._run, state, self.of, status)
         self._write()
-
-    def _now(self, state: Any, status: str = "") -> Checkpoint:
-        run = self._run
-        return Checkpoint(
-            of=self.of,
-            state=state_fields(state),
-            path=np.array(run.path, float).reshape(-1, len(run.start)),
-            held=np.array([] if run.held is None else run.held, float).reshape(-1, len(run.start)),
-            history=tuple(run.history),
-            seconds=run.seconds,
-            evaluations=run.evaluations,
-            limits=run.limits,
-            status=status,
-        )
 
     def _write(self) -> None:
         try:

@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+INSIDE = 0.99
+"""The inverses of charts map the edge to here, where the slope is still 0.14."""
 _STEEP = 0.05  # an edge with a smaller share of its length along the axis ends the piece's chart
 _FURTHEST = 1e4  # chart coordinates are cut at this many radii, after many turns [–]
-_INSIDE = 0.99  # the inverses of the charts map the edge to here, where the slope is still 0.14
 
 
 # ── Bounded coordinates from unbounded ones ─────────────────────────────────
@@ -23,10 +24,10 @@ def to_bounded(v: Any, radius: Any, xp: Any) -> Any:
 
     At 98 % of the range its slope is 0.2, that of v/√(1 + v²) 0.0075. A radius of 0 gives 0.
     """
-    return radius * xp.sin(_turn(v, radius, xp))
+    return radius * xp.sin(turns(v, radius, xp))
 
 
-def _turn(v: Any, radius: Any, xp: Any) -> Any:
+def turns(v: Any, radius: Any, xp: Any) -> Any:
     """v/r, cut at a large number; v itself where r is 0."""
     safe = xp.where(radius > 0, radius, xp.ones_like(radius))
     return xp.clip(v / safe, -_FURTHEST, _FURTHEST)
@@ -35,32 +36,7 @@ def _turn(v: Any, radius: Any, xp: Any) -> Any:
 def from_bounded(x: Any, radius: Any, xp: Any) -> Any:
     """The inverse of :func:`to_bounded`; an end counts as slightly inside."""
     safe = xp.where(radius > 0, radius, xp.ones_like(radius))
-    return radius * xp.arcsin(xp.clip(x / safe, -_INSIDE, _INSIDE))
-
-
-def to_disc(v: Any, radius: Any, xp: Any) -> Any:
-    """Any v (…, 2) mapped to the disc of ``radius`` (…), along each ray as :func:`to_bounded`."""
-    w = _turn(v, radius[..., None], xp)
-    length = _length(w, xp)
-    return radius[..., None] * w * xp.sin(length) / length
-
-
-def from_disc(x: Any, radius: Any, xp: Any) -> Any:
-    """The inverse of :func:`to_disc`; the rim counts as slightly inside."""
-    safe = xp.where(radius > 0, radius, xp.ones_like(radius))[..., None]
-    w = x / safe
-    length = _length(w, xp)
-    return radius[..., None] * w * xp.arcsin(xp.minimum(length, _INSIDE)) / length
-
-
-def into_disc(x: Any, radius: Any, xp: Any) -> Any:
-    """The nearest point (…, 2) of the disc of ``radius`` (…) about 0."""
-    return x * xp.minimum(1.0, radius[..., None] / _length(x, xp))
-
-
-def _length(x: Any, xp: Any) -> Any:
-    # Never 0, where a norm has no gradient. The ratios formed with it are right at 0.
-    return xp.sqrt(xp.maximum((x * x).sum(-1, keepdims=True), 1e-12))
+    return radius * xp.arcsin(xp.clip(x / safe, -INSIDE, INSIDE))
 
 
 # ── Regions ─────────────────────────────────────────────────────────────────
@@ -100,7 +76,9 @@ class ConvexRegions:
         start = xp.asarray(self.corners, p.dtype)  # (K, E, 2)
         edge = xp.roll(start, -1, axis=1) - start
         to = p[:, None, None] - start[None]  # (U, K, E, 2)
-        share = _share(to, edge[None], xp)
+        length = xp.maximum((edge * edge).sum(-1), 1e-12)[None]  # squared
+        # How far along each edge the nearest point is, from 0 to 1; 0 on one without length.
+        share = xp.clip((to * edge[None]).sum(-1) / length, 0.0, 1.0)
         off = to - share[..., None] * edge[None]
         squared = (off * off).sum(-1)  # (U, K, E)
         left = edge[None, ..., 0] * to[..., 1] - edge[None, ..., 1] * to[..., 0] >= 0
@@ -110,9 +88,7 @@ class ConvexRegions:
         which = far.argmin(-1)  # (U,)
         u = xp.arange(len(p))
         e = squared[u, which].argmin(-1)
-        # Again, only for the nearest edge: no other edge's gradient matters.
-        start, edge = start[which, e], edge[which, e]
-        foot = start + _share(p - start, edge, xp)[..., None] * edge
+        foot = start[which, e] + share[u, which, e][:, None] * edge[which, e]
         return xp.where(inside[u, which][:, None], p, foot), which, far
 
     def at(self, v: Float[Any, "U 2"], which: Int[Any, " U"], xp: Any) -> Float[Any, "U 2"]:
@@ -120,7 +96,7 @@ class ConvexRegions:
         axis, middle, half, across = self._frame(which, v.dtype, xp)
         along = to_bounded(v[:, 0], half, xp)
         low, high = self._chord(along, which, v.dtype, xp)
-        aside = (low + high) / 2 + (high - low) / 2 * xp.sin(_turn(v[:, 1], across, xp))
+        aside = (low + high) / 2 + (high - low) / 2 * xp.sin(turns(v[:, 1], across, xp))
         normal = xp.stack([-axis[:, 1], axis[:, 0]], -1)
         return middle + along[:, None] * axis + aside[:, None] * normal
 
@@ -132,7 +108,7 @@ class ConvexRegions:
         low, high = self._chord(to_bounded(v, half, xp), which, p.dtype, xp)
         aside = ((p - middle) * normal).sum(-1) - (low + high) / 2
         share = aside / xp.maximum((high - low) / 2, 1e-6)
-        return xp.stack([v, across * xp.arcsin(xp.clip(share, -_INSIDE, _INSIDE))], -1)
+        return xp.stack([v, across * xp.arcsin(xp.clip(share, -INSIDE, INSIDE))], -1)
 
     def _frame(self, which: Any, dtype: Any, xp: Any) -> tuple[Any, ...]:
         tables = (self.axis, self.middle, self.half, self.across)
@@ -156,15 +132,6 @@ class ConvexRegions:
         s, t = rng.uniform(size=(2, count, 1))
         s, t = np.where(s + t > 1, 1 - s, s), np.where(s + t > 1, 1 - t, t)
         return self.corners[k, 0] + s * a[k, e] + t * b[k, e]
-
-
-def _share(to: Any, edge: Any, xp: Any) -> Any:
-    """How far along an edge its nearest point to a given point is, from 0 to 1.
-
-    ``to`` leads from the edge's start to the given point. 0 on an edge without length.
-    """
-    squared = xp.maximum((edge * edge).sum(-1), 1e-12)
-    return xp.clip((to * edge).sum(-1) / squared, 0.0, 1.0)
 
 
 def make_regions(outlines: list[Float[np.ndarray, "N 2"]]) -> ConvexRegions:

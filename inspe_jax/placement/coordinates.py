@@ -10,13 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from inspe_jax.placement.convex_regions import (
-    from_bounded,
-    from_disc,
-    into_disc,
-    to_bounded,
-    to_disc,
-)
+from inspe_jax.placement.convex_regions import INSIDE, from_bounded, to_bounded, turns
 
 STEPS = dict(base=5.0, arm=0.5, height=2.0, offset=0.5, rise=1.0, yaw=np.pi / 4, pitch=np.pi / 18)
 """A typical step of each coordinate [m or rad]."""
@@ -89,21 +83,36 @@ class Range(NamedTuple):
 
 
 class Disc(NamedTuple):
-    """Discs about 0 with the radii ``half`` (n,), with the methods of :class:`Range`."""
+    """Discs about 0 with the radii ``half`` (n,), with the methods of :class:`Range`.
+
+    Points are mapped along each ray as numbers are by
+    :func:`inspe_jax.placement.convex_regions.to_bounded`.
+    """
 
     half: Float[np.ndarray, " n"]
 
     def clip(self, x: Any, xp: Any) -> Any:
         """The nearest points (n, 2) of the discs."""
-        return into_disc(x, xp.asarray(self.half, x.dtype), xp)
+        return x * xp.minimum(1.0, xp.asarray(self.half, x.dtype)[..., None] / _length(x, xp))
 
     def to_bounded(self, v: Any, xp: Any) -> Any:
         """Points of the discs, from any points (n, 2)."""
-        return to_disc(v, xp.asarray(self.half, v.dtype), xp)
+        radius = xp.asarray(self.half, v.dtype)[..., None]
+        w = turns(v, radius, xp)
+        length = _length(w, xp)
+        return radius * w * xp.sin(length) / length
 
     def from_bounded(self, x: Any, xp: Any) -> Any:
-        """The inverse of :meth:`to_bounded`."""
-        return from_disc(x, self.half, xp)
+        """The inverse of :meth:`to_bounded`; the rim counts as slightly inside."""
+        w = x / xp.where(self.half > 0, self.half, xp.ones_like(self.half))[..., None]
+        length = _length(w, xp)
+        inside = xp.arcsin(xp.minimum(length, INSIDE))
+        return xp.asarray(self.half)[..., None] * w * inside / length
+
+
+def _length(x: Any, xp: Any) -> Any:
+    # Never 0, where a norm has no gradient. The ratios formed with it are right at 0.
+    return xp.sqrt(xp.maximum((x * x).sum(-1, keepdims=True), 1e-12))
 
 
 @dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
@@ -182,11 +191,6 @@ class Limits:
         )
         pitch = rng.uniform(low, high, (count, len(low)))
         return [Coordinates(*row) for row in zip(*parts, yaw, pitch, strict=True)]
-
-    def may_change(self) -> dict[str, np.ndarray]:
-        """Whether each coordinate, except ``base``, can change, by unit or sensor."""
-        names = ("arm", "height", "offset", "rise", "yaw", "pitch")
-        return {name: getattr(self, name).half > 0 for name in names}
 
 
 def nearest_turn(angle: Any, about: Any, xp: Any) -> Any:

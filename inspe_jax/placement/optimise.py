@@ -11,10 +11,9 @@ import numpy as np
 from jaxtyping import Float
 
 from inspe_jax.core.digest import digest
-from inspe_jax.core.errors import InspeError, check_known, nearest, or_usual, wrong_kind
+from inspe_jax.core.errors import InspeError, check_known, or_usual, wrong_kind
 from inspe_jax.core.files import check_output, check_writable, json_value
 from inspe_jax.core.version import versions
-from inspe_jax.mounting.strategies import STRATEGIES, strategy
 from inspe_jax.placement.checkpoint import SUFFIXES, CheckpointWriter
 from inspe_jax.placement.constraints import Constraints
 from inspe_jax.placement.methods.registry import METHODS
@@ -38,7 +37,7 @@ DEFAULT_METHOD = "greedy-adam"
 DEFAULT_SECONDS = 60.0
 """Budget if none is given [s]."""
 STARTS = ("given", "random")
-"""Names of starts, in addition to the strategies' names."""
+"""Where a search can begin, besides at a layout of one's own."""
 LIBRARIES = ("jax", "numpy", "scipy", "optax", "jaxopt", "cmaes")
 """Libraries on which the outcome of a method depends; a result has their versions."""
 
@@ -82,16 +81,14 @@ def optimise(
     several conditions are a list of :class:`~inspe_jax.sensing.conditions.Case`. ``method`` is one
     of :func:`methods`.
 
-    ``start`` is "given" (the layout itself), "random", the name of a strategy with as many sensors
-    of each kind, or a layout of the same sensors. If mounting does not allow it, the search begins
-    at the nearest layout that it allows, and ``notes`` say so.
+    ``start`` is "given" (the layout itself), "random", or a layout of the same sensors. If mounting
+    does not allow it, the search begins at the nearest layout that it allows, and ``notes`` say so.
 
     The budget is in ``seconds`` (60 if no budget is given), in ``evaluations`` (exact scores, with
     all other work in their equivalents), or both. Seconds of wall time count from the first exact
-    score on; while the search waits for a program to be compiled they do not, but they do while
-    something is compiled beside it. Another ``clock`` can count them. With ``evaluations`` alone,
-    the same ``seed`` gives the same result on the same machine. The search also ends with a best
-    score of ``target`` or more.
+    score on; while a program is compiled they do not. Another ``clock`` can count them. With
+    ``evaluations`` alone, the same ``seed`` gives the same result on the same machine. The search
+    also ends with a best score of ``target`` or more.
 
     ``progress`` is called with the share of the budget that is spent and the best score so far.
     ``found`` is called with every layout that is the best so far, and its score.
@@ -143,14 +140,13 @@ def compare(
 
     ``methods`` are names of :func:`methods`; None means all that know the objective. ``seeds`` is a
     number of seeds, from 0 on, or the seeds. The other options are as in :func:`optimise`. All
-    searches use the same compiled scores, and none pays for compiling: nothing is compiled beside
-    them. ``progress`` is called with the method, the seed, the share of its budget spent and its
-    best score. Ctrl-C ends the comparison with the searches so far, the last one as it stands.
-    Raises InspeError as :func:`optimise`.
+    searches use the same compiled scores. ``progress`` is called with the method, the seed, the
+    share of its budget spent and its best score. Ctrl-C ends the comparison with the searches so
+    far, the last one as it stands. Raises InspeError as :func:`optimise`.
     """
-    methods = [row.name for row in _knowing(objective)] if methods is None else methods
     several = range(seeds) if isinstance(seeds, int) else seeds
-    rows = check_search(methods, objective, start, several)
+    names = [row.name for row in _knowing(objective)] if methods is None else methods
+    rows = check_search(names, objective, start, several)
     seconds = _seconds(seconds, evaluations)
     problem = Problem(cases_of(scene, conditions), layout, objective, constraints)
     results: list[Result] = []
@@ -163,7 +159,6 @@ def compare(
                     row,
                     seed,
                     start,
-                    beside=False,
                     seconds=seconds,
                     evaluations=evaluations,
                     progress=told,
@@ -186,11 +181,9 @@ def _search(
     seed: int,
     start: str | Layout,
     checkpoint: str | os.PathLike[str] | None = None,
-    beside: bool = True,
     **options: Any,
 ) -> Result:
-    """A search from a start; ``options`` are those of :class:`Run`. ``beside``: whether programs
-    are compiled beside it."""
+    """A search from a start; ``options`` are those of :class:`Run`."""
     x, notes = _start(problem, start, seed)
     run = Run(problem, x, seed=seed, **options)
     run.notes += notes
@@ -201,29 +194,25 @@ def _search(
             "layout": digest(problem.layout),
             "objective": digest(problem.objective),
             "constraints": digest(problem.space.constraints),
-            "start": start.lower() if isinstance(start, str) else digest(start),
+            "start": start if isinstance(start, str) else digest(start),
             "method": row.name,
             "seed": str(seed),
         }
         writer = CheckpointWriter(checkpoint, of, run)
-    status = _drive(run, row, writer, beside)
+    status = _drive(run, row, writer)
     try:
         return _result(run, row, status, start)
     except KeyboardInterrupt:  # the search is over; its result is kept
         return _result(run, row, "interrupted", start)
 
 
-def _drive(
-    run: Run, row: Method, writer: CheckpointWriter | None = None, beside: bool = True
-) -> str:
+def _drive(run: Run, row: Method, writer: CheckpointWriter | None = None) -> str:
     """Run a method step by step to its end and return the status."""
     state = writer.take_up(row.states) if writer else None
     if writer and writer.ended:
         return _settled(run, writer.ended)
     status = ""
     try:
-        if beside:
-            run.compile_ahead(row)
         if not run.history:
             run.offer(run.start)
         following = row.begin(run) if state is None else state
@@ -242,8 +231,6 @@ def _drive(
         if not run.history:  # nothing to hand back
             raise
         status = "interrupted"
-    finally:
-        run.close()
     status = _settled(run, status)
     if writer:
         writer.end(state, status)
@@ -381,14 +368,10 @@ def check_search(
         raise InspeError(f"seeds {len(seeds)}: give at least 1")
     for seed in seeds:
         check_seed(seed)
-    known = (*STARTS, *STRATEGIES)
-    if not isinstance(start, str | Layout):
-        raise wrong_kind("start", start, f"a Layout, or one of {', '.join(known)}")
-    if isinstance(start, str) and start.lower() not in (name.lower() for name in known):
-        raise InspeError(
-            f"start '{start}': give one of {', '.join(known)}, or a layout of the same sensors"
-            f"{nearest(start, known)}"
-        )
+    if isinstance(start, str):
+        check_known(start, STARTS, "start")
+    elif not isinstance(start, Layout):
+        raise wrong_kind("start", start, f"a Layout, or one of {', '.join(STARTS)}")
     return rows
 
 
@@ -396,28 +379,6 @@ def _start(
     problem: Problem, start: str | Layout, seed: int
 ) -> tuple[Float[np.ndarray, " N"], tuple[str, ...]]:
     """Feasible coordinates to begin at, and notes on what was moved to make them feasible."""
-    if isinstance(start, Layout):
-        return problem.space.start(start)
-    if start.lower() == "given":
-        return problem.space.start(problem.layout)
-    if start.lower() == "random":
+    if start == "random":
         return problem.space.random(np.random.default_rng([seed, 11]), 1)[0], ()
-    placed, given = strategy(problem.cases[0].scene, start), problem.layout
-    poses, taken = np.array(given.poses, float), np.zeros(len(given), int)
-    for kind in dict.fromkeys(x.spec.kind for of in (given, placed) for x in of.sensors):
-        theirs, ours = ([s for s, x in enumerate(of.sensors) if x.spec.kind == kind]
-                        for of in (placed, given))  # fmt: skip
-        if len(theirs) != len(ours):
-            raise InspeError(
-                f"start '{start}' has {len(theirs)} of kind {kind} and {given.name} has "
-                f"{len(ours)}; name a strategy with as many, or give a layout of the same sensors"
-            )
-        poses[ours], taken[ours] = np.asarray(placed.poses, float)[theirs], theirs
-    # The k-th camera goes to the k-th camera of the strategy, and each unit to its first sensor. If
-    # that separates a unit's sensors, the projection brings them together again.
-    posts = [placed.sensors[taken[members[0]]].unit for members in given.members()]
-    units = tuple(
-        replace(unit, base=placed.units[post].base)
-        for unit, post in zip(given.units, posts, strict=True)
-    )
-    return problem.space.start(Layout(poses, given.sensors, units, placed.name))
+    return problem.space.start(problem.layout if isinstance(start, str) else start)

@@ -5,9 +5,9 @@ results report it. *Rough*: also read hard, but on a sample of columns and frame
 gradients rank candidates by it. *Soft*: margins are read softly, on a sample; it has gradients.
 """
 
-from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial, wraps
+from functools import cached_property, partial
 from typing import Any, NamedTuple
 
 import jax
@@ -18,23 +18,23 @@ from jaxtyping import Array, Float, Int
 from inspe_jax.core.arrays import on_device, on_host
 from inspe_jax.core.digest import digest
 from inspe_jax.core.errors import InspeError, or_usual
+from inspe_jax.core.numerics import Softness
 from inspe_jax.core.parallel import Job, run
-from inspe_jax.placement.candidate_views import CandidateViews, joined, view_jobs
 from inspe_jax.placement.candidates import poses
 from inspe_jax.placement.constraints import Constraints
 from inspe_jax.placement.objective import COMBINATIONS, Objective
-from inspe_jax.placement.sampled_scores import ScoreTerms, hard_scores, scores, soft_slope
 from inspe_jax.placement.space import Space
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scoring import metrics
 from inspe_jax.scoring.evaluate import check_entropy, options_of
-from inspe_jax.scoring.exact import measure_exactly
+from inspe_jax.scoring.exact import count_exactly, measure_exactly
 from inspe_jax.scoring.options import ScoreOptions
-from inspe_jax.scoring.sensor_array import SensorSet, sensor_array
+from inspe_jax.scoring.sensor_array import SensorArray, SensorSet, sensor_array
+from inspe_jax.scoring.soft import read_softly
+from inspe_jax.scoring.summary import MetricValues
 from inspe_jax.scoring.tiled_scene import SceneArrays, TiledScene, tiled_sample, tiled_scene_of
 from inspe_jax.sensing.conditions import Case, Conditions, case_of, perceiving
 from inspe_jax.sensing.layout import Layout
-from inspe_jax.sensing.sensors import RayGrid
 from inspe_jax.visibility.centered_scene import CenteredScene, about_center, poses_about_center
 from inspe_jax.visibility.queries import check_layout
 
@@ -68,6 +68,11 @@ Drawn = tuple[tuple[Int[np.ndarray, " l"], Int[np.ndarray, " t"]], ...]
 """The numbers of the drawn columns and frames of every case."""
 
 
+Loss = Callable[..., tuple[Any, Any]]
+"""A loss and its slope in the first argument; the last two are the drawn columns and frames, and
+the softness [m]."""
+
+
 @dataclass(frozen=True, eq=False)
 class Sample:
     """Some columns and frames of every case.
@@ -84,18 +89,17 @@ class Sample:
         return tuple(tiled_sample(part) for part in self.arrays)
 
 
-class VoxelWeights(NamedTuple):
-    """What each voxel of a sample counts for in the paper's metrics.
+class ScoreTerms(NamedTuple):
+    """What a score depends on besides the poses and the sample.
 
-    ``weight`` (V,), ``free`` (T, V) and ``entropy`` (V,) are the parts of C, O and IG that each
-    voxel carries; each sums to 1. ``places`` (L,) is the part of D that each column carries, for
-    every class of road users alike. Several cases stand one after another.
+    ``sensors`` and ``voxel``, a voxel's edge [m], of every case; ``weights`` of every metric by
+    name; ``failures``, the number of units that are left out in turn, or 0.
     """
 
-    weight: Float[np.ndarray, " V"]
-    free: Float[np.ndarray, "T V"]
-    entropy: Float[np.ndarray, " V"]
-    places: Float[np.ndarray, " L"]
+    sensors: tuple[SensorArray, ...]
+    voxel: tuple[float, ...]
+    weights: dict[str, Float[np.ndarray | Array, ""]]
+    failures: Int[np.ndarray | Array, ""]
 
 
 class Problem:
@@ -144,7 +148,6 @@ class Problem:
             {name: np.array(weight) for name, weight in self.objective.weights_by_name.items()},
             np.array(len(failures), np.int32),
         )
-        self.compiled: dict[Callable[[Problem], Any], Any] = {}  # see per_problem
         self.known: set[Hashable] = set()  # what is compiled already, for methods to note
 
     @cached_property
@@ -285,54 +288,103 @@ class Problem:
         )
         return float(value), np.asarray(slope)[: len(poses)]
 
-    # ── Candidates one by one, for greedy and integer programs ──
+    @cached_property
+    def charted_loss(self) -> Loss:
+        """The loss in typical steps ``z`` (N,) from an ``anchor`` (N,) in charts ``place`` (U,)."""
+        space, scale = self.space, jnp.asarray(self.space.scale, float)
+        return self._loss_through(
+            lambda z, anchor, place: space.poses(space.from_chart(anchor + scale * z, place))
+        )
 
-    def voxel_weights(self, sample: Sample) -> VoxelWeights:
-        """What each voxel of a sample counts for in C, O and IG, and each column in D."""
-        parts = []
-        for part, tiled in zip(sample.arrays, sample.scenes, strict=True):
-            (chunk,) = tiled.chunks
-            solid = tiled.tiles.by_voxel(np.asarray(chunk.solid).swapaxes(0, 1))  # (T, V)
-            free = metrics.counted_by_occlusion(
-                ~solid, solid, self.options["occlusion_reference"]
-            ).astype(float)
-            if part.centered.inside is not None:
-                free *= ~np.asarray(part.centered.inside).ravel()
-            weight, entropy = np.asarray(part.weight, float), np.asarray(part.occupancy, float)
-            entropy = np.asarray(metrics.entropy(jnp.asarray(entropy, float)), float)
-            frames = np.maximum((free.sum(1) > 0).sum(), 1)  # those in which any voxel counts
-            free = free / np.maximum(free.sum(1, keepdims=True), 1e-9) / frames
-            places = weight[:: tiled.tiles.level_count]
-            entropy = entropy / max(entropy.sum(), 1e-9)
-            parts.append((weight / weight.sum(), free, entropy, places / places.sum()))
-        n = len(parts)
-        return VoxelWeights(*(np.concatenate(p, axis=-1) / n for p in zip(*parts, strict=True)))
+    @cached_property
+    def scaled_loss(self) -> Loss:
+        """The loss in coordinates (N,) divided by :attr:`nonzero_scale`."""
+        scale = jnp.asarray(self.nonzero_scale, float)
+        return self._loss_through(lambda z: self.space.poses(scale * z))
 
-    def views(
-        self, poses: Mapping[int, Float[np.ndarray, "K 6"]], sample: Sample
-    ) -> dict[int, CandidateViews]:
-        """What some sensors of the layout have in view, and see in each frame, each at K poses.
+    @property
+    def nonzero_scale(self) -> Float[np.ndarray, " N"]:
+        """A typical step of each coordinate, 1 for those that may not change."""
+        return np.where(self.space.scale > 0, self.space.scale, 1.0)
 
-        ``poses`` about the scene's centre are by the sensors' places in the layout.
-        """
-        jobs, wanted = list[Job](), list[tuple[list[int], int, int]]()
-        for case, tiled, sensor_set in zip(
-            self.cases, sample.scenes, self.sensor_sets, strict=True
-        ):
-            half = case.scene.voxels.size / 2
-            for grid, pixels, alike in _alike(sensor_set, poses):
-                at = np.concatenate([poses[s] for s in alike])
-                new = view_jobs(grid, half, at, tiled, self.asked, pixels)
-                wanted.append((alike, len(jobs), len(jobs) + len(new)))
-                jobs += new
-        done, found = run(jobs), dict[int, list[CandidateViews]]()
-        for alike, first, end in wanted:
-            views, begin = joined(done[first:end]), 0
-            for s in alike:
-                rows = slice(begin, begin + len(poses[s]))
-                found.setdefault(s, []).append(CandidateViews(*(part[rows] for part in views)))
-                begin = rows.stop
-        return {s: joined(parts, -1) for s, parts in found.items()}
+    def _loss_through(self, poses: Callable[..., Any]) -> Loss:
+        """The loss as a function of what ``poses`` takes. What follows the poses is compiled once
+        for all problems."""
+        forward = jax.jit(poses)
+
+        @jax.jit
+        def back(slope, z, *rest):  # type: ignore[no-untyped-def]
+            return jax.vjp(lambda z: poses(z, *rest), z)[1](slope)[0]
+
+        def loss(*at: Any) -> tuple[Any, Any]:
+            *given, drawn, softness = at
+            value, slope = self.slope(forward(*given), self.take(drawn), softness)
+            return on_host(-value, float), back(-slope, *given)
+
+        return loss
+
+
+# ── Programs that are compiled for one problem and serve others ─────────────
+
+
+@jax.jit
+def scores(
+    measures: list[MetricValues], weights: dict[str, Any], failures: Int[Any, ""]
+) -> Float[Array, " N"]:
+    """P_sm of N cases; with failures, the mean of P_sm without each unit in turn."""
+    found = []
+    for m in measures:
+        kind = m.column_coverage.dtype
+        named = {name: jnp.asarray(weight, kind) for name, weight in weights.items()}
+        p = metrics.surrogate(m.values, named)  # (1 + G,)
+        number = jnp.arange(len(p))
+        real = (number > 0) & (number <= failures)
+        without = jnp.where(real, p, 0.0).sum() / jnp.maximum(failures, 1).astype(p.dtype)
+        found.append(jnp.where(failures > 0, without, p[0]))
+    return jnp.stack(found)
+
+
+@partial(jax.jit, static_argnames="asked")
+def hard_scores(
+    poses: Float[Array, "S 6"],
+    scenes: tuple[TiledScene, ...],
+    terms: ScoreTerms,
+    *,
+    asked: ScoreOptions,
+) -> Float[Array, " N"]:
+    """P_sm of N cases, read hard; ``poses`` are about the scene's centre and padded."""
+    measures = [
+        count_exactly(tiled, poses, sensors, voxel, asked)
+        for tiled, sensors, voxel in zip(scenes, terms.sensors, terms.voxel, strict=True)
+    ]
+    return scores(measures, terms.weights, terms.failures)
+
+
+@partial(jax.jit, static_argnames=("asked", "over"))
+def soft_slope(
+    poses: Float[Array, "S 6"],
+    scenes: tuple[TiledScene, ...],
+    terms: ScoreTerms,
+    softness: Float[Array, ""],
+    *,
+    asked: ScoreOptions,
+    over: str,
+) -> tuple[Float[Array, ""], Float[Array, "S 6"]]:
+    """The combined score of all cases, read with ``softness`` [m], and its gradient in the poses.
+
+    ``scenes`` are samples or whole scenes, in tiles; ``over`` is one of :data:`COMBINATIONS`.
+    ``poses`` are about the scene's centre and padded.
+    """
+    width = Softness.of(softness)
+
+    def score(poses: Array) -> Array:
+        measures = [
+            read_softly(tiled, poses, sensors, voxel, width, options=asked)
+            for tiled, sensors, voxel in zip(scenes, terms.sensors, terms.voxel, strict=True)
+        ]
+        return COMBINATIONS[over][0](scores(measures, terms.weights, terms.failures))
+
+    return jax.value_and_grad(score)(poses)
 
 
 def check_one_place(first: Scene, other: Scene) -> None:
@@ -349,31 +401,6 @@ def check_one_place(first: Scene, other: Scene) -> None:
                 f"{other.name} and {first.name} have {what}: scenes searched together are of one "
                 "place and profile, with other traffic, light or weather"
             )
-
-
-def _alike(
-    sensor_set: SensorSet, some: Iterable[int]
-) -> Iterator[tuple[RayGrid, float, list[int]]]:
-    """Of some sensors, those whose rays are the same, with their grid and the pixels of a ray."""
-    for grid, index in sensor_set.groups:
-        groups: dict[float, list[int]] = {}
-        for s in some:
-            if s in index:
-                groups.setdefault(sensor_set.pixels[s], []).append(s)
-        for pixels, alike in groups.items():
-            yield grid, pixels, alike
-
-
-def per_problem(build: "Callable[[Problem], Any]") -> "Callable[[Problem], Any]":
-    """``build`` run once for each problem: its result is kept as long as the problem."""
-
-    @wraps(build)
-    def built_once(problem: Problem) -> Any:
-        if build not in problem.compiled:
-            problem.compiled[build] = build(problem)
-        return problem.compiled[build]
-
-    return built_once
 
 
 def _spread(rng: np.random.Generator, total: int, count: int) -> np.ndarray:

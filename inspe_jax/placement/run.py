@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from inspe_jax.core.compiling import waiting, working_clock
+from inspe_jax.core.compiling import working_clock
 from inspe_jax.core.errors import InspeError, wrong_kind
-from inspe_jax.placement.compile_ahead import Ahead, CompileJob
-from inspe_jax.placement.problem import Drawn, Problem, Sample
+from inspe_jax.placement.candidates import COLUMNS, FRAMES
+from inspe_jax.placement.problem import Problem
 
 AT_ONCE = 32
 """Number of rough scores between two checks of the budget: mostly some tenths of a second."""
@@ -35,9 +35,8 @@ class Method:
 
     ``states`` are the frozen dataclasses of its states. Their fields are NumPy arrays, numbers and
     strings, as a checkpoint holds them. ``begin`` gives the first state. ``step`` does about a
-    second of work and gives the next state, or None if nothing is left to do. ``ahead`` gives
-    jobs by name, in order, that compile what later steps need while the first steps run. ``knows``
-    are the metrics that it can maximise; None for all.
+    second of work and gives the next state, or None if nothing is left to do. ``knows`` are the
+    metrics that it can maximise; None for all.
     """
 
     name: str
@@ -45,7 +44,6 @@ class Method:
     states: tuple[type[Any], ...]
     begin: "Callable[[Run], Any]"
     step: "Callable[[Run, Any], Any]"
-    ahead: "Callable[[Run], Mapping[str, CompileJob]]" = lambda run: {}
     knows: tuple[str, ...] | None = None
 
     def unknown(self, weights: Mapping[str, float]) -> list[str]:
@@ -107,7 +105,6 @@ class Run:
         self._clock, self._progress, self._found = clock or working_clock(), progress, found
         self.target = target
         self._began = self._clock()
-        self._ahead = Ahead({})
         self._took: list[float] = []  # by exact scores of this process [s]
 
     @property
@@ -202,11 +199,15 @@ class Run:
             raise TargetReached
         return score
 
-    def rough(self, x: Float[np.ndarray, "M N"], sample: Sample) -> Float[np.ndarray, " M"]:
-        """Hard scores of layouts on a sample; the best is held. Charges M · ``sample.cost``.
+    def rough(
+        self, x: Float[np.ndarray, "M N"], *key: int, size: int = 1
+    ) -> Float[np.ndarray, " M"]:
+        """Hard scores of layouts on a sample; the best so far is held. Charges M times its cost.
 
-        Raises BudgetSpent, which it checks every :data:`AT_ONCE` layouts; the best so far is held.
+        ``key`` is the sample's, for :meth:`rng`. It has ``size`` times as many columns, and as many
+        frames, as usual. Raises BudgetSpent, which it checks every :data:`AT_ONCE` layouts.
         """
+        sample = self.problem.sample(self.rng(*key), size * COLUMNS, size * FRAMES)
         scores: list[np.ndarray] = []
         for first in range(0, len(x), AT_ONCE):
             part = np.asarray(x[first : first + AT_ONCE], float)
@@ -220,35 +221,10 @@ class Run:
         self._check_left(0.0 if self.held is None else self.exact_cost)
         self.evaluations += float(evaluations)
 
-    def charge_gradient(self, drawn: Drawn, layouts: int = 1) -> None:
-        """Charge for gradients of layouts on a sample. Raises BudgetSpent."""
-        self.charge(layouts * self.problem.gradient_cost(drawn))
-
     @property
     def exact_cost(self) -> Float[np.ndarray, "2"]:
         """Seconds and evaluations of an exact score. The first of a process may compile."""
         return np.array([min(self._took[1:], default=0.0), 1.0])
-
-    def compile_ahead(self, method: Method) -> None:
-        """Start to compile what the method will need, in another thread.
-
-        Not with a budget of evaluations alone: then a seed repeats, whatever compiling takes.
-        """
-        if self.limits[0] is not None:
-            self._ahead = Ahead(method.ahead(self))
-
-    def ready(self, name: str) -> bool:
-        """Whether a job of ``Method.ahead`` is done, or was never started. Raises its error."""
-        return self._ahead.ready(name)
-
-    def wait(self, name: str) -> None:
-        """Wait, off the clock, until a job of ``Method.ahead`` is done. Raises its error."""
-        with waiting():
-            self._ahead.wait(name)
-
-    def close(self) -> None:
-        """Start no further job."""
-        self._ahead.close()
 
     def report(self) -> None:
         """Call ``progress`` with the share of the budget and the best score."""

@@ -37,9 +37,9 @@ _GROUND_CELL = 1.0  # of the raster of the ground's height [m]
 class Space:
     """The feasible set of one layout's units and sensors on one intersection.
 
-    ``given`` is that layout. ``names`` (N,) are those of the coordinates. ``scale`` (N,) is a
-    typical step of each [m or rad], 0 for those that may not change. ``free`` has the indices of
-    those that may.
+    ``given`` is that layout. ``scale`` (N,) is a typical step of each coordinate [m or rad], 0 for
+    those that may not change; ``free`` has the indices of those that may. ``index`` is the place of
+    each coordinate in a flat array, by name.
     """
 
     def __init__(
@@ -61,13 +61,14 @@ class Space:
         self._set_limits()
         self._set_places()
         self._set_rasters()
-        self.names, self.scale = self._describe()
+        self.scale = self._scale()
         self.free = np.flatnonzero(self.scale > 0)
+        self.index = self.split(np.arange(self.size))
 
     @property
     def size(self) -> int:
         """Number of coordinates N."""
-        return len(self.names)
+        return len(self.scale)
 
     # ── What is allowed ──
 
@@ -153,20 +154,14 @@ class Space:
         at = np.stack(np.meshgrid(lines, lines, indexing="ij"), -1).reshape(-1, 2)
         self._ground = (self.place.ground(at + self.center[:2]) - self.center[2]).reshape(count, -1)
 
-    def _describe(self) -> tuple[tuple[str, ...], Float[np.ndarray, " N"]]:
-        units, sensors = ([i.name for i in part] for part in (self.given.units, self.given.sensors))
-        owners = dict.fromkeys(("base", "arm", "height"), units)
+    def _scale(self) -> Float[np.ndarray, " N"]:
         # A unit that may stand on only one point does not move.
         wide = (self._allowed & (self._pieces.area > 0)).any(1)
         spots = [len(np.unique(self._pieces.corners[row, 0], axis=0)) for row in self._allowed]
-        may = {"base": wide | (np.array(spots) > 1), **self._limits.may_change()}
-        names, scale = [], []
-        for part, step in STEPS.items():
-            axes = (" x", " y") if part in PLANE else ("",)
-            for owner, moves in zip(owners.get(part, sensors), may[part], strict=True):
-                names += [f"{owner}: {part}{axis}" for axis in axes]
-                scale += [step * bool(moves)] * len(axes)
-        return tuple(names), np.array(scale)
+        moves = {"base": wide | (np.array(spots) > 1)}
+        moves |= {name: getattr(self._limits, name).half > 0 for name in STEPS if name != "base"}
+        axes = {name: 2 if name in PLANE else 1 for name in STEPS}
+        return np.concatenate([np.repeat(STEPS[name] * moves[name], axes[name]) for name in STEPS])
 
     # ── From coordinates to poses ──
 
@@ -216,7 +211,7 @@ class Space:
         worst = int(np.abs(inside - x).argmax())
         if abs(inside[worst] - x[worst]) > TOLERANCE:
             raise InspeError(
-                f"not feasible: '{self.names[worst]}' is {x[worst]:.3f}; the nearest feasible "
+                f"not feasible: coordinate {worst} is {x[worst]:.3f}; the nearest feasible "
                 f"value is {inside[worst]:.3f}; project the coordinates first"
             )
         c = self.split(inside)
@@ -346,6 +341,13 @@ class Space:
         everywhere = np.ones((1, len(self._pieces)), bool)
         on = self._pieces.nearest(np.asarray(feet, float), everywhere)[2] <= TOLERANCE**2  # (F, K)
         return np.any(on[None] & self._allowed[:, None], axis=-1)
+
+    @property
+    def limits(self) -> tuple[Float[np.ndarray, "S 2"], Float[np.ndarray, "S 2"]]:
+        """Lowest and highest height above the ground [m] and pitch [rad] of each sensor."""
+        height, rise, pitch = self._limits.height, self._limits.rise, self._limits.pitch
+        low, high = height.low[self._unit] + rise.low, height.high[self._unit] + rise.high
+        return np.stack([low, high], -1), np.stack([pitch.low, pitch.high], -1)
 
     def faults(self, layout: Layout) -> list[Fault]:
         """The rules of mounting that a layout of these sensors breaks; empty if it is feasible.

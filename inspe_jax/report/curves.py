@@ -15,7 +15,7 @@ from inspe_jax.core.errors import InspeError
 from inspe_jax.core.sheet import KEYS, TITLE, WIDTH, fit, house_style, setting_words
 from inspe_jax.placement.result import Result
 from inspe_jax.placement.run import Progress
-from inspe_jax.placement.studies.pareto import DeviceMix, ParetoPoint
+from inspe_jax.placement.studies.pareto import ParetoPoint
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scoring.evaluate import Scores
 
@@ -80,27 +80,26 @@ def height_view(scene: Scene, scored: Sequence[tuple[str, Scores]]) -> Figure:
     return fig
 
 
-def pareto_view(mixes: Sequence[DeviceMix | ParetoPoint]) -> Figure:
+def pareto_view(mixes: Sequence[ParetoPoint]) -> Figure:
     """Score against cost of every mix of devices. The front is a staircase with named mixes.
 
     Raises InspeError if there is no mix.
     """
     if not mixes:
         raise InspeError("no mix to draw")
-    found = [mix.point if isinstance(mix, DeviceMix) else mix for mix in mixes]
-    front = sorted((mix for mix in found if mix.front), key=lambda mix: mix.cost)
-    beaten = [mix for mix in found if not mix.front]
+    front = sorted((mix for mix in mixes if mix.front), key=lambda mix: mix.cost)
+    beaten = [mix for mix in mixes if not mix.front]
     cost = np.array([mix.cost for mix in front])
     score = np.array([mix.objective for mix in front])
     # Named, in the order of the front: the first, and those that add most to the score.
     adds = np.diff(score, prepend=-np.inf)
     names = [front[k] for k in np.sort(np.argsort(-adds, kind="stable")[:NAMED])]
     height = 3.75 + 0.155 * len(names)
-    facts = f"{len(found)} mixes of devices, each searched by {found[0].method}"
+    facts = f"{len(mixes)} mixes of devices, each searched by {mixes[0].method}"
     with house_style():
-        fig = _headed(f"Cost against score at {found[0].scene}", facts, height)
+        fig = _headed(f"Cost against score at {mixes[0].scene}", facts, height)
         ax = fig.add_axes((_LEFT, 1 - 3.22 / height, 0.885, 2.7 / height))
-        end = max(mix.cost for mix in found)
+        end = max(mix.cost for mix in mixes)
         end += 0.04 * max(end - cost[0], 0.05 * end, 1.0)
         ax.step([*cost, end], [*score, score[-1]], where="post", color=FRONT, lw=1.2, zorder=2)
         ax.plot(cost, score, "o", ms=4.5, color=FRONT, zorder=3, label="no other mix is better")

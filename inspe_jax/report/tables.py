@@ -15,8 +15,7 @@ from inspe_jax.core.files import json_value
 from inspe_jax.core.tables import table_of
 from inspe_jax.core.version import __version__
 from inspe_jax.placement.result import Result
-from inspe_jax.placement.studies.cheapest import Cheapest
-from inspe_jax.placement.studies.pareto import DeviceMix
+from inspe_jax.placement.studies.pareto import Cheapest, DeviceMix
 from inspe_jax.placement.studies.tolerance import POSITION_STEP, Tolerance
 from inspe_jax.scene.regions import WEIGHTS, Region
 from inspe_jax.scene.scene import Scene

@@ -453,7 +453,7 @@ SLOW = [
     (("layout", "four_way", "--camera", "paper-camera-noon"), "did you mean paper-camera"),
     (("optimise", "four_way", "missing.yaml"), "missing.yaml: no such file"),
     (("optimise", "four_way", "--method", "adm"), "method 'adm': one of adam"),
-    (("optimise", "four_way", "--start", "Cam-d3"), "did you mean Cam-d2 or Cam-d1"),
+    (("optimise", "four_way", "--start", "givn"), "did you mean given"),
     (("optimise", "four_way", "--also", "missing.npz"), "missing.npz: no such file"),
     (("optimise", "four_way", "--out", "/proc/o"), "/proc: no file can be written there"),
     (("optimise", "four_way", "--target", 1, "--device", "a:1"), "device 'a'"),

@@ -155,10 +155,10 @@ def test_a_camera_s_bracket_turns_with_it(scene, layout):
         placed = jax.jit(space.poses)
         poses = np.asarray(placed(x))
         step = 1e-6
-        for k in space.free:
+        index = space.index
+        for k in np.intersect1d(space.free, [*index.yaw, *index.height, *index.pitch]):
             ahead = np.asarray(placed(x + step * np.eye(len(x))[k]))
-            if space.names[k].endswith(("yaw", "height", "pitch")):
-                assert np.allclose((ahead - poses) / step, slopes[..., k], atol=1e-4)
+            assert np.allclose((ahead - poses) / step, slopes[..., k], atol=1e-4)
     poles = np.asarray(scene.intersection.poles)[:, :2] - space.center[:2]
     for sensor, pose in zip(layout.sensors, poses, strict=True):
         foot = poles[np.hypot(*(poles - pose[:2]).T).argmin()]

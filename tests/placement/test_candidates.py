@@ -6,13 +6,12 @@ from mounts import team
 from worlds import random_traffic, slow_but, world
 
 from inspe_jax.placement import candidate_table as tables
-from inspe_jax.placement import candidate_views, candidates, sampled_scores
+from inspe_jax.placement import candidates
 from inspe_jax.placement.constraints import Constraints
-from inspe_jax.placement.methods import greedy, grid
+from inspe_jax.placement.methods import greedy
 from inspe_jax.placement.methods.finer_moves import finer, of_unit, sights
 from inspe_jax.placement.objective import Objective
 from inspe_jax.placement.problem import Case, Problem
-from inspe_jax.placement.run import Run
 from inspe_jax.placement.sample_score import SampleScore
 from inspe_jax.placement.space import Space
 from inspe_jax.scene.scene import Scene
@@ -72,7 +71,7 @@ def test_few_layouts_are_projected_as_many_are(problem):
 def test_limits_are_those_of_the_constraints(scene):
     constraints = Constraints(heights=(4.0, 9.0))
     space = Space(scene, team(scene), constraints)
-    heights, pitches = candidates.limits(space, space.start(space.given)[0])
+    heights, pitches = space.limits
     assert np.allclose(heights, [[4.0, 9.0]] * 5, atol=1e-4)
     camera, lidar = (np.array(constraints.pitch[kind]) for kind in ("camera", "lidar"))
     assert np.allclose(pitches, [camera, lidar, camera, camera, camera], atol=1e-5)
@@ -107,23 +106,18 @@ IN_SIGHT = dict(visibility="line_of_sight")
 OBJECTIVES = {
     "default": Objective(),
     "N−1, in sight, two scenes": Objective((0.2, 0.3, 0.5), failures=True, **IN_SIGHT),
-    "targets": Objective(occlusion_reference="targets"),
     "targets, in sight": Objective(occlusion_reference="targets", **IN_SIGHT),
-    "past others": Objective(visibility="past_others"),
     "targets, past others": Objective(occlusion_reference="targets", visibility="past_others"),
     "detectability, N−1": Objective(
         {"detectability": 0.7, "occlusion": 0.3},
         failures=True,
         detection=detection_curves().for_road_users(["pedestrian", "cyclist"]),
     ),
-    "detectability, two scenes": Objective(
-        {"detectability": 0.6, "coverage": 0.2, "information_gain": 0.2}
-    ),
+    "detectability, two scenes": Objective({"detectability": 0.6, "coverage": 0.4}),
 }
-QUICK = ("default", "N−1, in sight, two scenes", "targets, in sight", "detectability, N−1")
 
 
-@pytest.mark.parametrize("name", slow_but(OBJECTIVES, *QUICK))
+@pytest.mark.parametrize("name", slow_but(OBJECTIVES, *list(OBJECTIVES)[:3], "detectability, N−1"))
 def test_bits_add_up_to_the_score(scene, name):
     """The sum over what each sensor sees is the rough score; and gains are differences of it."""
     scenes = [scene, Case(other_traffic(scene))] if name.endswith("two scenes") else scene
@@ -131,7 +125,7 @@ def test_bits_add_up_to_the_score(scene, name):
     sample = problem.sample(np.random.default_rng(1), 96, 3)
     sampled, x = SampleScore(problem, sample), problem.space.random(np.random.default_rng(2), 3)
     stand = candidates.poses(problem.space, x)
-    bits = {s: sampled.views(problem, {s: stand[:, s]})[s] for s in range(5)}
+    bits = {s: sampled.views({s: stand[:, s]})[s] for s in range(5)}
     for m, score in enumerate(problem.rough(x, sample)):
         rows = {s: row[m] for s, row in bits.items()}
         assert sampled.value(rows) == pytest.approx(score, abs=2e-5)
@@ -150,37 +144,18 @@ def test_bits_add_up_to_the_score(scene, name):
         assert together[m] == pytest.approx(sampled.value(both) - sampled.value(rest), abs=1e-6)
 
 
-def test_what_is_compiled_serves_any_number_of_layouts_and_poses(problem):
-    """And what it gives of one does not depend on the others, to the last bit."""
+def test_what_is_found_of_one_does_not_depend_on_the_others(problem):
+    """Of layouts and of poses, to the last bit."""
     sample = problem.sample(np.random.default_rng(3), 96, 3)
     x = problem.space.random(np.random.default_rng(4), 11)
     poses = candidates.poses(problem.space, x)[:, 0]
-    rough, (views, seen, _) = problem.rough(x, sample), problem.views({0: poses}, sample)[0]
-    compiled = sampled_scores.hard_scores._cache_size(), candidate_views._view._cache_size()
-    assert len(rough) == len(views) == len(seen) == len(x)
+    sampled = SampleScore(problem, sample)
+    rough, bits = problem.rough(x, sample), sampled.views({0: poses})[0].bits
+    assert len(rough) == len(bits) == len(x)
     for count in (1, 3):
         np.testing.assert_array_equal(problem.rough(x[:count], sample), rough[:count])
-        few = problem.views({0: poses[-count:]}, sample)[0]
-        for part, whole in zip(few[:2], (views, seen), strict=True):
-            np.testing.assert_array_equal(part, whole[-count:])
-    assert (
-        sampled_scores.hard_scores._cache_size(),
-        candidate_views._view._cache_size(),
-    ) == compiled
-
-
-def test_grids_of_a_unit_leave_the_others_alone(problem, start):
-    space, members = problem.space, problem.layout.members()
-    index = candidates.coordinates(space)
-    for block in grid._blocks(members):
-        for level in (0, 2):
-            x = grid._grid(space, start, block, level)
-            assert np.array_equal(x[0], start)
-            assert len(np.unique(x, axis=0)) == len(x) > 10
-            others = [s for s in range(len(problem.layout)) if s not in block.sensors]
-            for part in (index.yaw[others], index.pitch[others], index.rise[others]):
-                assert np.allclose(x[:, part], start[part], atol=1e-6)
-            assert np.allclose(candidates.project(space, x), x, atol=1e-4)
+        few = sampled.views({0: poses[-count:]})[0].bits
+        np.testing.assert_array_equal(few, bits[-count:])
 
 
 # ── Greedy ──────────────────────────────────────────────────────────────────
@@ -279,13 +254,6 @@ def test_a_layout_of_picks_sees_what_their_candidates_see(table, problem, start)
     assert table.sampled.value(table.rows(picks)) == pytest.approx(score, abs=2e-3)
 
 
-def test_every_round_looks_at_candidates_of_its_own(problem, start):
-    run = Run(problem, start, evaluations=1.0)
-    first, second, again = (greedy._new_table(run, n).kinds[0] for n in (0, 1, 0))
-    assert set(first.yaw.round(6)).isdisjoint(second.yaw.round(6))
-    np.testing.assert_array_equal(first.yaw, again.yaw)
-
-
 def test_exchange_finds_the_best_replacement_there_is(table):
     """For a unit of one sensor: every candidate tried; for others: never worse, within the rule."""
     rng = np.random.default_rng(4)
@@ -319,10 +287,10 @@ def test_exchange_finds_the_best_replacement_there_is(table):
 def test_finer_moves_are_of_their_units_and_never_for_the_worse(table, problem, start, units):
     """Together they add what the sample says of the layout with all of them."""
     space, sampled = problem.space, table.sampled
-    rows = sights(problem, sampled, start, range(5))
+    rows = sights(sampled, start)
     x, before = start, sampled.value(rows)
     for k in range(4):
-        x, rows = finer(problem, sampled, x, rows, units, 0.5, np.random.default_rng(k), 16)
+        x, rows = finer(sampled, x, rows, units, 0.5, np.random.default_rng(k), 16)
         value = sampled.value(rows)
         assert value >= before - 1e-6
         assert value == pytest.approx(problem.rough(x[None], sampled.sample)[0], abs=2e-5)

@@ -302,18 +302,13 @@ def test_gradients_are_finite_everywhere():
     assert (slope[:, :8] == 0).all()  # a pole does not move
 
 
-def test_jit_vmap_and_double_precision():
+def test_all_forms_are_of_the_precision_that_is_set():
     space = space_of("five_way")
-    x = space.random(np.random.default_rng(8), 5)
-    single = np.array([jax.jit(space.poses)(jnp.asarray(row, float)) for row in x])
-    np.testing.assert_allclose(
-        jax.jit(jax.vmap(space.poses))(jnp.asarray(x, float)), single, atol=1e-5
-    )
+    x = space.random(np.random.default_rng(8), 1)[0]
     with double_precision():
-        row = jnp.asarray(x[0])
-        place = np.zeros(5, int)
+        row, place = jnp.asarray(x), np.zeros(5, int)
         for form in (space.poses, space.project, lambda row: space.from_chart(row, place)):
             assert jax.eval_shape(form, row).dtype == jnp.float64
-        about = space.layout(x[0]).poses - np.append(space.center, np.zeros(3))
+        about = space.layout(x).poses - np.append(space.center, np.zeros(3))
         made = np.asarray(jax.jit(space.poses)(row))
         np.testing.assert_allclose(made[:, :5], about[:, :5], atol=1e-9)  # the ground is level

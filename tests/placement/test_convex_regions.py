@@ -1,7 +1,5 @@
 """Convex pieces: against shapely's own geometry, and on shapes worked out by hand."""
 
-from functools import partial
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -10,14 +8,8 @@ import shapely
 from shapely.geometry import MultiPoint, Point, Polygon, box
 
 from inspe_jax.core.polygons import LEAST_AREA, merge
-from inspe_jax.placement.convex_regions import (
-    from_bounded,
-    from_disc,
-    into_disc,
-    make_regions,
-    to_bounded,
-    to_disc,
-)
+from inspe_jax.placement.convex_regions import from_bounded, make_regions, to_bounded
+from inspe_jax.placement.coordinates import Disc
 
 SQUARE = np.array([[0, 0], [2, 0], [2, 2], [0, 2]], float)
 TRAPEZE = np.array([[0, 4], [12, 4], [9, 7], [1, 7]], float)
@@ -148,16 +140,6 @@ def test_any_chart_coordinates_are_inside(size):
         assert max(polygon.distance(q) for q in shapely.points(p)) < 1e-5
 
 
-def test_charts_count_metres_in_the_middle():
-    for k in range(3):
-        matrix = np.asarray(slope_of_at(np.zeros((1, 2), np.float32), np.array([k])))[:, 0]
-        # A turn: a step of 1 m in the chart is a step of 1 m, along or across. The chord of the
-        # trapeze shrinks across the middle of its length, which its longest one scales.
-        sizes = np.linalg.norm(matrix, axis=0)
-        assert sizes[0] == pytest.approx(1, abs=0.02)
-        assert sizes[1] == pytest.approx(1, abs=0.02)
-
-
 def test_everything_has_a_gradient():
     corners = np.concatenate(SHAPES)
     edges = (SQUARE + np.roll(SQUARE, 1, 0)) / 2
@@ -175,35 +157,39 @@ def test_everything_has_a_gradient():
 
 def test_intervals_and_discs_swing_and_invert():
     radius = np.array([2.0, 0.5, 0.0])
+    discs = Disc(radius)
     x = radius * [0.9, -0.5, 0.0]
     np.testing.assert_allclose(to_bounded(from_bounded(x, radius, np), radius, np), x, atol=1e-12)
     way = np.array([[0.6, 0.8]]) * (radius * [0.9, 0.5, 0.0])[:, None]
-    np.testing.assert_allclose(to_disc(from_disc(way, radius, np), radius, np), way)
+    np.testing.assert_allclose(discs.to_bounded(discs.from_bounded(way, np), np), way)
     # In the middle both move as their argument does; the ends are reached and never passed.
-    two = jnp.asarray(2.0)
-    assert jax.jit(jax.grad(lambda v: to_bounded(v, two, jnp)))(0.0) == pytest.approx(1)
-    turn = jax.jit(jax.jacobian(lambda v: to_disc(v, two, jnp)))(np.zeros(2, np.float32))
-    np.testing.assert_allclose(turn, np.eye(2), atol=1e-6)
+    two, disc = np.float32(2.0), Disc(np.float32(2.0))
+    on_line = jax.jit(lambda v: to_bounded(v, jnp.asarray(two), jnp))
+    on_disc = jax.jit(lambda v: disc.to_bounded(v, jnp))
+    assert jax.jit(jax.grad(on_line))(0.0) == pytest.approx(1)
+    turn = jax.jit(jax.jacobian(on_disc))
+    np.testing.assert_allclose(turn(np.zeros(2, np.float32)), np.eye(2), atol=1e-6)
     # What lies on the rim still moves.
-    for there, back, x in ((to_bounded, from_bounded, 2.0), (to_disc, from_disc, [2.0, 0.0])):
-        v = back(np.float32(x), np.float32(2.0), np)
-        again = partial(there, radius=two, xp=jnp)
-        assert np.abs(jax.jit(jax.jacobian(again))(v)).ravel()[0] > 0.1  # outward, of the disc
-        assert np.linalg.norm(np.asarray(jax.jit(again)(v))) > 1.95
+    for there, v in (
+        (on_line, from_bounded(two, two, np)),
+        (on_disc, disc.from_bounded(np.float32([2.0, 0.0]), np).astype(np.float32)),
+    ):
+        assert np.abs(jax.jit(jax.jacobian(there))(v)).ravel()[0] > 0.1  # outward, of the disc
+        assert np.linalg.norm(np.asarray(there(v))) > 1.95
     v = np.linspace(-50, 50, 10001)
     assert np.abs(to_bounded(v, np.full(10001, 2.0), np)).max() == pytest.approx(2, abs=1e-4)
-    wide = to_disc(np.random.default_rng(4).normal(size=(5000, 2)) * 9, np.full(5000, 2.0), np)
-    assert np.hypot(*wide.T).max() == pytest.approx(2, abs=1e-3)
-    assert np.hypot(*wide.T).max() <= 2
+    wide = Disc(np.full(5000, 2.0))
+    far = np.hypot(*wide.to_bounded(np.random.default_rng(4).normal(size=(5000, 2)) * 9, np).T)
+    assert far.max() == pytest.approx(2, abs=1e-3)
+    assert far.max() <= 2
 
 
 def test_nearest_point_of_a_disc():
     x = np.array([[3.0, 4.0], [0.3, 0.4], [0.0, 0.0], [1.0, 1.0]])
-    radius = np.array([1.0, 1.0, 1.0, 0.0])
+    discs = Disc(np.array([1.0, 1.0, 1.0, 0.0]))
     expected = [[0.6, 0.8], [0.3, 0.4], [0, 0], [0, 0]]
-    np.testing.assert_allclose(into_disc(x, radius, np), expected, atol=1e-12)
-    slope = jax.jit(jax.jacobian(partial(into_disc, radius=jnp.asarray(radius), xp=jnp)))(x)
-    assert np.isfinite(slope).all()
+    np.testing.assert_allclose(discs.clip(x, np), expected, atol=1e-12)
+    assert np.isfinite(jax.jit(jax.jacobian(lambda x: discs.clip(x, jnp)))(x)).all()
 
 
 def test_draws_are_even_over_the_area():

@@ -21,7 +21,6 @@ from worlds import CAMERA, LIDAR, world
 from inspe_jax.core.errors import InspeError
 from inspe_jax.mounting.strategies import strategy
 from inspe_jax.placement.constraints import Constraints
-from inspe_jax.placement.coordinates import Coordinates
 from inspe_jax.placement.space import Space
 from inspe_jax.sensing.layout import Sensor, Unit, make_layout
 
@@ -159,15 +158,12 @@ def test_candidate_feet():
         assert can[away < 14.9].mean() > 0.9
 
 
-def test_names_and_scales_belong_together():
+def test_what_a_unit_of_one_sensor_cannot_change_has_no_scale():
     space = space_of(layout="L-d2")
-    assert space.size == len(space.names) == len(set(space.names)) == 5 * 2 + 5 * 2
-    assert space.names[:2] == ("roadside 1: base x", "roadside 1: base y")
-    frozen = {name.split(": ")[1] for name in np.array(space.names)[space.scale == 0]}
-    assert frozen == {"offset x", "offset y", "rise"}
-    c = Coordinates.split(np.arange(space.size), 2, 2)
-    assert space.names[int(c.yaw[1])] == "roadside 3 lidar 1: yaw"
-    np.testing.assert_array_equal(c.flat(), np.arange(space.size))
+    assert space.size == 5 * 2 + 5 * 2
+    frozen = [name for name, at in space.index._asdict().items() if not space.scale[at].any()]
+    assert frozen == ["offset", "rise"]
+    np.testing.assert_array_equal(space.index.flat(), np.arange(space.size))
 
 
 # ── Violations and messages ─────────────────────────────────────────────────
@@ -246,7 +242,7 @@ def test_no_mounting_area_says_what_to_do():
 def test_coordinates_that_are_not_feasible_are_refused():
     space = space_of()
     x, _ = space.start(space.given)
-    with pytest.raises(InspeError, match=r"'corner 1: base [xy]' is 0\.000; .*project the coord"):
+    with pytest.raises(InspeError, match=r"coordinate [01] is 0\.000; .*project the coord"):
         space.layout(x * (np.arange(space.size) >= 2))
     for bad in (x[:-1], x * np.nan):
         with pytest.raises(InspeError, match="expected 80 finite numbers"):

@@ -8,9 +8,7 @@ from mounts import team
 from worlds import world
 
 import inspe_jax
-from inspe_jax.core.errors import InspeError
 from inspe_jax.placement.candidates import project
-from inspe_jax.placement.checkpoint import load_checkpoint
 from inspe_jax.placement.methods import registry
 from inspe_jax.placement.optimise import compare, methods, optimise
 from inspe_jax.placement.run import Method
@@ -70,18 +68,3 @@ def test_a_row_is_all_that_a_method_needs(toy, scene, layout):
     assert found.evaluations == 25
     results = compare(scene, layout, ("toy",), evaluations=4, seeds=2)
     assert [(result.method, result.seed) for result in results] == [("toy", 0), ("toy", 1)]
-
-
-def test_without_its_row_the_method_is_not_known(scene, layout):
-    assert "toy" not in methods()
-    with pytest.raises(InspeError, match=r"^method 'toy': one of "):
-        optimise(scene, layout, method="toy", evaluations=2)
-
-
-def test_a_search_by_it_goes_on_from_its_checkpoint(toy, scene, layout, tmp_path):
-    path = tmp_path / "kept.npz"
-    optimise(scene, layout, method="toy", evaluations=6, checkpoint=path)
-    assert load_checkpoint(path).state.keys() == {"class", "x", "value", "count"}
-    later = optimise(scene, layout, method="toy", evaluations=12, checkpoint=path)
-    whole = optimise(scene, layout, method="toy", evaluations=12)
-    assert [row.score for row in later.history] == [row.score for row in whole.history]

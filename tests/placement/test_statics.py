@@ -85,5 +85,5 @@ def test_samples_of_searches_know_the_bodies(planted):
     assert problem.rough(x[None], sample)[0] == pytest.approx(exact, abs=1e-6)
     poses = poses_about_center(planted, problem.space.layout(x))
     score = SampleScore(problem, sample)
-    views = score.views(problem, {s: poses[s][None] for s in range(len(layout))})
+    views = score.views({s: poses[s][None] for s in range(len(layout))})
     assert score.value({s: rows[0] for s, rows in views.items()}) == pytest.approx(exact, abs=1e-6)

@@ -154,7 +154,7 @@ def test_a_sample_is_counted_as_a_scene_of_its_own():
 
     grid, s = layout.sensors[0].spec.grid, jnp.stack([poses[0], poses[3], poses[0]])
     (together,) = run(view_jobs(grid, voxel / 2, s, sample, ScoreOptions()))
-    views, seen = (part[:3] for part in together[:2])
+    views, seen = together.bits[:3, 0], together.bits[:3, 1:]
     assert views.shape == (3, 77 * levels)
     assert seen.shape == (3, 2, 77 * levels)
     np.testing.assert_array_equal(views[0], views[2])

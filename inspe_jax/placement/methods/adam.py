@@ -5,7 +5,7 @@ end, so that the edges of views are precise.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, TypeVar
 
@@ -17,8 +17,7 @@ from jaxtyping import Float, Int
 
 from inspe_jax.core.arrays import on_host
 from inspe_jax.core.parallel import run as on_all_cores
-from inspe_jax.placement.candidates import COLUMNS, FRAMES
-from inspe_jax.placement.problem import Problem, per_problem
+from inspe_jax.placement.problem import Problem
 from inspe_jax.placement.run import Method, Run
 
 SOFTNESS = (3.0, 0.3)
@@ -35,12 +34,11 @@ CULLS = (0.15, 0.3, 0.5)
 """Shares of the budget at which copies of the better half replace the worse half of the layouts."""
 CHUNK = 4
 """Gradient steps between two checks of the budget."""
+LARGER = 4
+"""How many times as many columns, and as many frames, the layouts are then compared on."""
 SCREENED = 32
 """Number of random layouts, the best of which become starts."""
 _LAST = 0.95  # share of the budget at which the search ends, to leave time for the last scores
-
-Score = Callable[..., tuple[Any, Any]]
-"""A value and its slope."""
 
 _adam = optax.chain(optax.clip_by_global_norm(10.0), optax.scale_by_adam(b1=0.9, b2=0.98))
 _at_rest = jax.jit(jax.vmap(_adam.init))
@@ -88,14 +86,18 @@ L = TypeVar("L", bound=ChartedLayouts)
 
 def begin_adam(run: Run) -> AdamState:
     """The given start and the best of some random layouts, in their charts."""
-    problem = run.problem
-    sample = problem.sample(run.rng(0), COLUMNS, FRAMES)
-    x = np.concatenate([run.start[None], problem.space.random(run.rng(1), SCREENED)])
-    ranked = np.argsort(-run.rough(x, sample), kind="stable")
+    x, scores = screened(run)
+    ranked = np.argsort(-scores, kind="stable")
     kept = [0, *ranked[ranked > 0][: STARTS - 1]]
     now = run.spent
-    first = charted(problem, x[ranked[np.isin(ranked, kept)]], np.arange(STARTS))
+    first = charted(run.problem, x[ranked[np.isin(ranked, kept)]], np.arange(STARTS))
     return AdamState(**vars(first), culled=0, began=now, looked=now)
+
+
+def screened(run: Run) -> tuple[Float[np.ndarray, "M N"], Float[np.ndarray, " M"]]:
+    """The start and :data:`SCREENED` random layouts, with their scores on a sample."""
+    x = np.concatenate([run.start[None], run.problem.space.random(run.rng(1), SCREENED)])
+    return x, run.rough(x, 0)
 
 
 def charted(
@@ -142,11 +144,10 @@ def step_adam(run: Run, state: AdamState) -> AdamState | None:
         order = _ranked(run, x, state.count)
         run.offer(x[order[0]])
         # In new charts: a unit at the edge of a region can go on into the next.
-        anchor, place = _charts(problem, x)
-        held = dict(anchor=anchor, z=np.zeros_like(anchor), place=place)
-        rows = [field.name for field in fields(ChartedLayouts) if field.name != "count"]
-        sorted_rows = {name: held.get(name, getattr(state, name))[order] for name in rows}
-        state = replace(state, **sorted_rows, looked=run.spent)
+        anchor, place = _charts(problem, x[order])
+        adam = {name: getattr(state, name)[order] for name in ("steps", "mean", "square", "line")}
+        still = np.zeros_like(anchor)
+        state = replace(state, anchor=anchor, z=still, place=place, **adam, looked=run.spent)
 
     def now() -> tuple[float, float]:
         through = (run.done - began) / (_LAST - began)
@@ -160,51 +161,22 @@ def step_adam(run: Run, state: AdamState) -> AdamState | None:
 def advance(run: Run, state: L, now: Callable[[], tuple[float, float]], count: int) -> L:
     """Do ``count`` gradient steps, each on new samples; ``now`` gives softness [m] and rate."""
     problem, line, z = run.problem, state.line, state.z
-    optimiser, score = _optimiser_state(state), charted_score(problem)
+    optimiser, loss = _optimiser_state(state), problem.charted_loss
     together = (line[:, None] == line[None]).astype(z.dtype)
     mean = together / together.sum(1, keepdims=True)
     for k in range(state.count, state.count + count):
         softness, rate = (jnp.asarray(x, float) for x in now())
         rng = run.rng(2, k)
         drawn = [problem.draw(rng, STEP_COLUMNS, STEP_FRAMES) for _ in line]
-        run.charge_gradient(drawn[0], len(line))
+        run.charge(len(line) * problem.gradient_cost(drawn[0]))
         # One by one, on all cores: faster than all lines in one array.
         rows = zip(z, state.anchor, state.place, drawn, strict=True)
-        jobs = [("slope", partial(score, *row, softness)) for row in rows]
+        jobs = [("slope", partial(loss, *row, softness)) for row in rows]
         slopes = [slope for _, slope in on_all_cores(jobs, problem.known)]
         moved, optimiser = _move(z, mean @ np.stack(slopes), optimiser, rate)
         z = np.asarray(moved)
     steps, running, square = _moments(optimiser)
     return replace(state, z=z, steps=steps, mean=running, square=square, count=state.count + count)
-
-
-@per_problem
-def charted_score(problem: Problem) -> Score:
-    """The loss and its slope, in typical steps from an anchor in charts."""
-    space, scale = problem.space, jnp.asarray(problem.space.scale, float)
-    return score_through(
-        problem, lambda z, anchor, place: space.poses(space.from_chart(anchor + scale * z, place))
-    )
-
-
-def score_through(problem: Problem, poses: Callable[..., Any]) -> Score:
-    """The loss and its slope in the first argument of ``poses``.
-
-    The function that is returned takes the arguments of ``poses``, then the drawn columns and
-    frames, then the softness [m]. The slope from poses on is compiled once for all problems.
-    """
-    forward = jax.jit(poses)
-
-    @jax.jit
-    def back(slope, z, *rest):  # type: ignore[no-untyped-def]
-        return jax.vjp(lambda z: poses(z, *rest), z)[1](slope)[0]
-
-    def score(*at: Any) -> tuple[Any, Any]:
-        *given, drawn, softness = at
-        value, slope = problem.slope(forward(*given), problem.take(drawn), softness)
-        return on_host(-value, float), back(-slope, *given)
-
-    return score
 
 
 @jax.jit
@@ -221,10 +193,9 @@ def layouts(problem: Problem, state: ChartedLayouts) -> Float[np.ndarray, "M N"]
     return np.stack([problem.space.from_chart(v, place, np) for v, place in rows])
 
 
-def _ranked(run: Run, x: np.ndarray, key: int, size: int = 4) -> np.ndarray:
+def _ranked(run: Run, x: np.ndarray, key: int) -> np.ndarray:
     """Indices of layouts, best first, by hard scores on a larger sample."""
-    sample = run.problem.sample(run.rng(3, key), size * COLUMNS, size * FRAMES)
-    return np.argsort(-run.rough(x, sample), kind="stable")
+    return np.argsort(-run.rough(x, 3, key, size=LARGER), kind="stable")
 
 
 def _cull(run: Run, state: AdamState) -> AdamState:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float
 
-from inspe_jax.placement.candidates import COLUMNS, FRAMES, project
+from inspe_jax.placement.candidates import project
 from inspe_jax.placement.run import Method, Run
 
 if TYPE_CHECKING:
@@ -49,11 +49,7 @@ def begin(run: Run) -> CmaState:
     """The start, before the first generation."""
     free = max(len(run.problem.space.free), 1)
     size = 4 + int(3 * np.log(free))  # Hansen's
-    return _restart(run.start, 0, size)
-
-
-def _restart(x: Float[np.ndarray, " N"], count: int, size: int) -> CmaState:
-    return CmaState(count, np.array(x), np.zeros((0, size)))
+    return CmaState(0, run.start, np.zeros((0, size)))
 
 
 def step(run: Run, state: CmaState) -> CmaState | None:
@@ -72,8 +68,7 @@ def step(run: Run, state: CmaState) -> CmaState | None:
     strategy = _strategy(run, state)
     asked = np.array([strategy.ask() for _ in range(losses.shape[1])])
     x, away = _layouts(run, state, asked)
-    sample = problem.sample(run.rng(0, *key), COLUMNS, FRAMES)
-    loss = PENALTY * away - run.rough(x, sample)
+    loss = PENALTY * away - run.rough(x, 0, *key)
     strategy.tell(list(zip(asked, loss.tolist(), strict=True)))
     state = replace(state, losses=np.concatenate([losses, loss[None]]))
     narrow = asked.std(0).max() < NARROW or strategy.should_stop()
@@ -83,17 +78,15 @@ def step(run: Run, state: CmaState) -> CmaState | None:
     if state.waited >= PATIENCE or narrow:
         count = state.restart + 1
         x = problem.space.random(run.rng(2, count), SCREENED)
-        sample = problem.sample(run.rng(3, count), COLUMNS, FRAMES)
-        size = 2 * state.losses.shape[1]
-        return _restart(x[np.argmax(run.rough(x, sample))], count, size)
+        best = x[np.argmax(run.rough(x, 3, count))]
+        return CmaState(count, best, np.zeros((0, 2 * losses.shape[1])))
     run.cache["strategy"] = (key[0], key[1] + 1), strategy
     return state
 
 
 def _look(run: Run, state: CmaState, x: Float[np.ndarray, "M N"]) -> CmaState:
     """Score exactly the layout that is best on a sample."""
-    sample = run.problem.sample(run.rng(1, state.restart, len(state.losses)), COLUMNS, FRAMES)
-    value = run.offer(x[np.argmax(run.rough(x, sample))])
+    value = run.offer(x[np.argmax(run.rough(x, 1, state.restart, len(state.losses)))])
     waited = 0 if value > state.best else state.waited + 1
     return replace(state, best=max(value, state.best), waited=waited)
 

@@ -5,25 +5,23 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float, Int
 
-from inspe_jax.placement.candidates import coordinates, poses, project
+from inspe_jax.placement.candidate_views import Rows
+from inspe_jax.placement.candidates import poses, project
 from inspe_jax.placement.problem import Problem
-from inspe_jax.placement.sample_score import LEAST, Rows, SampleScore
+from inspe_jax.placement.sample_score import LEAST, SampleScore
 
 Sighted = tuple[Float[np.ndarray, " N"], dict[int, Rows]]
 """A layout, and what its sensors see of a sample."""
 
 
-def sights(
-    problem: Problem, sampled: SampleScore, x: Float[np.ndarray, " N"], sensors: Sequence[int]
-) -> dict[int, Rows]:
-    """What some sensors of a layout see."""
-    stand = poses(problem.space, x[None])[0]
-    found = sampled.views(problem, {s: stand[s][None] for s in sensors})
+def sights(sampled: SampleScore, x: Float[np.ndarray, " N"]) -> dict[int, Rows]:
+    """What the sensors of a layout see."""
+    stand = poses(sampled.problem.space, x[None])[0]
+    found = sampled.views({s: pose[None] for s, pose in enumerate(stand)})
     return {s: rows[0] for s, rows in found.items()}
 
 
 def finer(
-    problem: Problem,
     sampled: SampleScore,
     x: Float[np.ndarray, " N"],
     rows: dict[int, Rows],
@@ -38,6 +36,7 @@ def finer(
     sensors see after all these moves is found at once; then each unit is judged in turn, beside the
     others as they are by then.
     """
+    problem = sampled.problem
     space, members = problem.space, problem.layout.members()
     tried = np.tile(x, (len(units), tries, 1))
     for u, part in zip(units, tried, strict=True):
@@ -50,7 +49,7 @@ def finer(
     tried = flat.reshape(tried.shape)
     stand = poses(space, flat).reshape(len(units), tries, -1, 6)
     new = sampled.views(
-        problem, {s: at[:, s] for u, at in zip(units, stand, strict=True) for s in members[u]}
+        {s: at[:, s] for u, at in zip(units, stand, strict=True) for s in members[u]}
     )
     for u, part in zip(units, tried, strict=True):
         others = {s: row for s, row in rows.items() if s not in members[u]}
@@ -65,7 +64,7 @@ def finer(
 
 def of_unit(problem: Problem, u: int) -> Int[np.ndarray, " n"]:
     """The coordinates of a unit and its sensors: their indices."""
-    index, members = coordinates(problem.space), list(problem.layout.members()[u])
+    index, members = problem.space.index, list(problem.layout.members()[u])
     own = [index.base[u], index.arm[u], index.height[[u]]]
     return np.concatenate([*own, *(part[members].ravel() for part in index[3:])])
 

@@ -7,25 +7,21 @@ that what it adds to any layout is a sum over bits (:mod:`inspe_jax.placement.sa
 import heapq
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from inspe_jax.placement.candidate_table import HEIGHTS, Picks, Table
+from inspe_jax.placement.candidate_views import Rows
 from inspe_jax.placement.candidates import COLUMNS, FRAMES
-from inspe_jax.placement.compile_ahead import CompileJob
 from inspe_jax.placement.methods.finer_moves import finer, sights
 from inspe_jax.placement.problem import Problem
 from inspe_jax.placement.run import Method, Run
-from inspe_jax.placement.sample_score import KNOWN, LEAST, MarginalWeights, Rows, SampleScore
+from inspe_jax.placement.sample_score import KNOWN, LEAST, MarginalWeights, SampleScore
 
-TRIES = 64
-"""Finer moves tried for a unit in one step."""
-WIDTH, NARROW = 1.0, 0.02
-"""Finer moves, in typical steps: the first ones, and those at which a round ends."""
-LEVEL_COLUMNS, LEVEL_HEIGHTS, LEVEL_TRIES, LEVEL_NARROW = 2, 2, 0.5, 5.0
-"""Where no sensor is aimed: factors on the columns of a sample, on the heights of candidates, on
-:data:`TRIES` and on :data:`NARROW`."""
+WIDTH = 1.0
+"""Length of the first finer moves, in typical steps."""
 FINER = 0.6
 """What the width shrinks by where less than half of the units moved, or it was for nothing."""
 PASSES = 3
@@ -37,13 +33,10 @@ MOVE_COST, PLACE_COST, EXCHANGE_COST = 2.2, 0.45, 0.125
 """In views: a finer move of one sensor; placing all sensors greedily, for each candidate; and
 exchanging a unit, for each candidate of each of its sensors."""
 
-VIEWS = "views"
-"""What is compiled ahead."""
 
-
-@dataclass(frozen=True)
-class Effort:
-    """Columns of a sample, heights of candidates, moves tried at once, width that ends a round."""
+class Effort(NamedTuple):
+    """Columns of a sample, heights of candidates, finer moves of a unit tried in one step, and
+    their length at which a round ends, in typical steps."""
 
     columns: int
     heights: int
@@ -51,17 +44,19 @@ class Effort:
     narrow: float
 
 
+AIMED = Effort(COLUMNS, HEIGHTS, tries=64, narrow=0.02)
+"""Where some sensor is aimed, as cameras are."""
+LEVEL = Effort(2 * COLUMNS, 2 * HEIGHTS, tries=32, narrow=0.1)
+"""Where none is."""
+
+
 def aimed(problem: Problem) -> bool:
-    """Whether some sensor is aimed, as cameras are."""
+    """Whether some sensor is aimed."""
     return any(sensor.spec.aimed for sensor in problem.layout.sensors)
 
 
-def effort(problem: Problem) -> Effort:
-    """What a problem's sensors need."""
-    if aimed(problem):
-        return Effort(COLUMNS, HEIGHTS, TRIES, NARROW)
-    columns, heights = LEVEL_COLUMNS * COLUMNS, LEVEL_HEIGHTS * HEIGHTS
-    return Effort(columns, heights, round(LEVEL_TRIES * TRIES), LEVEL_NARROW * NARROW)
+def _effort(problem: Problem) -> Effort:
+    return AIMED if aimed(problem) else LEVEL
 
 
 # ── Greedy, lazily ──────────────────────────────────────────────────────────
@@ -155,7 +150,8 @@ def _fill(table: Table, picks: Picks, sensors: Sequence[int], foot: int) -> Pick
             kind = table.kind_of(s)
             at = np.flatnonzero(kind.foot == foot)
             at = at[table.fits(picks, s, at)]
-            gains = table.sampled.marginal(rows, s).dot(Rows.joined([kind.row(k) for k in at]))
+            there = Rows.joined([kind.row(k)[None] for k in at])
+            gains = table.sampled.marginal(rows, s).dot(there)
             best = int(gains.argmax())
             found.append((float(gains[best]), s, int(at[best])))
         _, s, k = max(found, key=lambda row: row[0])
@@ -235,7 +231,6 @@ def step(run: Run, state: GreedyState) -> GreedyState:
     Placing, every pass of exchanges and some passes of moves end with an exact score; moves that
     made it worse are taken back. The next round has another sample and other candidates.
     """
-    run.wait(VIEWS)
     match state:
         case Placing():
             return place(run, state) if state.looked else look(run, state)
@@ -243,23 +238,6 @@ def step(run: Run, state: GreedyState) -> GreedyState:
             return _exchange(run, state)
         case Moving():
             return _move(run, state)
-
-
-def ahead(run: Run) -> dict[str, CompileJob]:
-    """What a sensor of each kind sees of a sample, compiled while the start is scored."""
-    problem = run.problem
-    if VIEWS in problem.known:
-        return {}
-    _ = problem.arrays  # here: two threads would each make them
-
-    def look() -> bool:
-        table = _new_table(run, 0)
-        for part in range(sum(kind.parts > 0 for kind in table.kinds)):
-            table.look(part)
-        problem.known.add(VIEWS)
-        return True
-
-    return {VIEWS: look}
 
 
 def charge(run: Run, sampled: SampleScore, views: float) -> None:
@@ -282,7 +260,7 @@ def _table(run: Run, number: int, looked: int | None = None) -> Table:
 
 
 def _new_table(run: Run, number: int) -> Table:
-    wanted, rng = effort(run.problem), run.rng(0, number)
+    wanted, rng = _effort(run.problem), run.rng(0, number)
     return Table.of(run.problem, rng, wanted.columns, wanted.heights, first=number == 0)
 
 
@@ -298,8 +276,6 @@ def look(run: Run, state: Placing) -> Placing:
     # A first layout soon: as soon as some candidates of every kind have been looked at.
     if state.round == 0 and part == len(table.kinds) < len(table.parts):
         _placed(run, table)
-    if part >= len(table.kinds):  # one chunk of each kind
-        run.problem.known.add(VIEWS)
     return replace(state, part=part, looked=part == len(table.parts))
 
 
@@ -352,15 +328,15 @@ def _exchange(run: Run, state: Exchanging) -> Exchanging | Moving:
 
 
 def _move(run: Run, state: Moving) -> Moving | Placing:
-    problem, u, wanted = run.problem, state.unit, effort(run.problem)
+    problem, u, wanted = run.problem, state.unit, _effort(run.problem)
     x, key = state.now, (state.round, state.passes, u)
     held, sampled, rows = run.cache.pop("pass", (None, None, None))
     if held != key:
         sampled = SampleScore(problem, problem.sample(run.rng(1, *key[:2]), wanted.columns, FRAMES))
-        rows = sights(problem, sampled, x, range(len(problem.layout)))
+        rows = sights(sampled, x)
     views = wanted.tries * len(problem.layout.members()[u])
     charge(run, sampled, (u == 0) * len(rows) + MOVE_COST * views)
-    new, rows = finer(problem, sampled, x, rows, (u,), state.width, run.rng(2, *key), wanted.tries)
+    new, rows = finer(sampled, x, rows, (u,), state.width, run.rng(2, *key), wanted.tries)
     run.cache["pass"] = (*key[:2], u + 1), sampled, rows
     if new is not x:
         run.hold(new)
@@ -388,6 +364,5 @@ GREEDY = Method(
     (Placing, Exchanging, Moving),
     begin,
     step,
-    ahead,
     knows=KNOWN,
 )

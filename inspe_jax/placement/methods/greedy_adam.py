@@ -1,37 +1,35 @@
 """Greedy placement, then bursts of Adam and finer moves: the default.
 
 1. Greedy placement finds the poles: gradients cannot jump to another pole, candidates can.
-2. Bursts of Adam move all sensors at once. While the gradient is compiled, and where the budget has
-   no room for a burst, units are exchanged instead.
+2. Bursts of Adam move all sensors at once. Where the budget has no room for a burst, units are
+   exchanged instead.
 3. Finer moves, judged hard, gain where the score has no slope.
 
 With LiDARs alone it is :data:`~inspe_jax.placement.methods.greedy.GREEDY`, whose exchanges gain
 more there; where metrics other than the paper's have weight, it is CMA-ES.
 """
 
-import time
 from dataclasses import dataclass, replace
 from functools import reduce
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
+from inspe_jax.placement.candidate_views import Rows
 from inspe_jax.placement.candidates import COLUMNS, FRAMES
-from inspe_jax.placement.compile_ahead import CompileJob
 from inspe_jax.placement.methods import greedy
 from inspe_jax.placement.methods.adam import STEP_COLUMNS, STEP_FRAMES, advance, charted, layouts
 from inspe_jax.placement.methods.cma_es import CMA_ES
 from inspe_jax.placement.methods.finer_moves import Sighted, finer, of_unit, sights, with_unit
 from inspe_jax.placement.methods.greedy import FINER, MOVE_COST, Placing, charge
 from inspe_jax.placement.run import Method, Run
-from inspe_jax.placement.sample_score import PAPER, Rows, SampleScore
+from inspe_jax.placement.sample_score import PAPER, SampleScore
 
 PLACING = 0.4
 """Share of the budget after which the first round looks at no more candidates, if bursts fit."""
 UNTIL = 0.85
 """Share of the budget at which bursts of Adam end."""
-COMPILES = 3.0
-"""How long the gradient compiles beside greedy placement, in what all that came before took."""
 BURST = 12
 """Gradient steps from one look at what they gain to the next."""
 SOFTNESS, RATE = 0.5, 0.3
@@ -42,9 +40,6 @@ NARROW = 0.1
 """Where moves get narrower, in typical steps, they and bursts begin again at the widest."""
 TRIES, GENERATIONS = 8, 8
 """Moves of each unit that are tried at once, and how often for each sensor."""
-
-GRADIENT = "gradient"
-"""What is compiled ahead, after what greedy placement needs."""
 
 ONE_LINE = np.zeros(1, int)
 """The line of a single layout."""
@@ -72,44 +67,33 @@ class Improving:
     careful: bool = False
 
 
-def ahead(run: Run) -> dict[str, CompileJob]:
-    """What greedy placement needs compiled; then the gradient, if it will be of use in time."""
-    jobs, problem, began = greedy.ahead(run), run.problem, time.monotonic()
-    if "slope" in problem.known:
-        return jobs
-    _ = problem.arrays
-
-    def gradient() -> bool:
-        takes = COMPILES * (time.monotonic() - began)
-        if run.share(run.spent + np.array([takes, 0.0])) >= UNTIL:
-            return False
-        trial = Run(problem, run.start, evaluations=np.finfo(float).max)
-        start = charted(problem, run.start[None], ONE_LINE)
-        advance(trial, start, lambda: (SOFTNESS, RATE), 1)
-        return True
-
-    return jobs | {GRADIENT: gradient}
+def _instead(run: Run) -> Method | None:
+    """The method for sensors or an objective for which this one is not made; else None."""
+    weights = run.problem.objective.weights_by_name
+    if any(weight for name, weight in weights.items() if name not in PAPER):
+        return CMA_ES
+    return None if greedy.aimed(run.problem) else greedy.GREEDY
 
 
-State = Placing | greedy.Exchanging | Improving
+def begin(run: Run) -> Any:
+    """Before greedy placement, or the first state of the method instead."""
+    return (_instead(run) or greedy.GREEDY).begin(run)
 
 
-def step(run: Run, state: State) -> State:
+def step(run: Run, state: Any) -> Any:
     """A piece of greedy placement, or a pass of bursts and moves; then the next round.
 
     Where bursts follow, units are not exchanged: bursts and moves gain more in the same time.
     """
+    if other := _instead(run):
+        return other.step(run, state)
     if isinstance(state, Improving):
         return _pass(run, state)
-    if not _bursts_fit(run):
+    if isinstance(state, greedy.Exchanging) or not _bursts_fit(run):
         found = greedy.step(run, state)
         if isinstance(found, greedy.Moving):
             return _improving(run, state, found.x, found.value)
-        assert isinstance(found, Placing | greedy.Exchanging)
         return found
-    if not isinstance(state, Placing):
-        return _improving(run, state, run.best_x, run.best)
-    run.wait(greedy.VIEWS)
     late = state.round == 0 and len(run.history) > 1 and run.done >= PLACING
     if not state.looked and not late:
         return greedy.look(run, state)
@@ -118,15 +102,13 @@ def step(run: Run, state: State) -> State:
 
 
 def _bursts_fit(run: Run) -> bool:
-    """Whether the gradient is compiled, and a burst ends before :data:`UNTIL`."""
-    if not run.ready(GRADIENT):
-        return False
+    """Whether a burst ends before :data:`UNTIL`."""
     drawn = run.problem.draw(run.rng(0), STEP_COLUMNS, STEP_FRAMES)
     burst = BURST * run.problem.gradient_cost(drawn) * run.exact_cost
     return run.share(run.spent + burst) < UNTIL
 
 
-def _improving(run: Run, state: State, x: Float[np.ndarray, " N"], value: float) -> Improving:
+def _improving(run: Run, state: Any, x: Float[np.ndarray, " N"], value: float) -> Improving:
     """Before the first pass of a round, from a layout and its exact score."""
     greedy.forget(run)
     count = state.count if isinstance(state, Placing) else 0
@@ -143,7 +125,7 @@ def _pass(run: Run, state: Improving) -> Placing | Improving:
     sampled = SampleScore(problem, problem.sample(run.rng(1, *key), COLUMNS, FRAMES))
     members = problem.layout.members()
     charge(run, sampled, len(problem.layout))
-    first = state.x, sights(problem, sampled, state.x, range(len(problem.layout)))
+    first = state.x, sights(sampled, state.x)
     at, value, moved, start = first, state.value, 0, state.value
     if _bursts_fit(run):
         new, state = _bursts(run, state, sampled, first[1])
@@ -152,7 +134,7 @@ def _pass(run: Run, state: Improving) -> Placing | Improving:
     for k in range(GENERATIONS * max(map(len, members))):
         units = [u for u, sensors in enumerate(members) if k < GENERATIONS * len(sensors)]
         charge(run, sampled, MOVE_COST * TRIES * sum(len(members[u]) for u in units))
-        before, new = new, finer(problem, sampled, *new, units, state.width, rng, TRIES)
+        before, new = new, finer(sampled, *new, units, state.width, rng, TRIES)
         if new[0] is not before[0]:
             run.hold(new[0])
     differs = new[0] != at[0]
@@ -199,7 +181,7 @@ def _bursts(
         after = advance(run, start, lambda: (softness, rate), BURST)
         count, new = after.count, layouts(problem, after)[0]
         charge(run, sampled, len(problem.layout))
-        seen = sights(problem, sampled, new, range(len(problem.layout)))
+        seen = sights(sampled, new)
         if sampled.value(seen) <= sampled.value(rows):
             break
         run.hold(new)
@@ -208,28 +190,11 @@ def _bursts(
     return (x, rows), calmer
 
 
-_AIMED = Method(
+GREEDY_ADAM = Method(
     "greedy-adam",
     "greedy placement, then Adam and finer moves; greedy with LiDARs only; CMA-ES for metrics "
     "other than the paper's",
     (*greedy.GREEDY.states, Improving, *CMA_ES.states),
-    greedy.begin,
+    begin,
     step,
-    ahead,
-)
-
-
-def _for(run: Run) -> Method:
-    """The method for a run's sensors and objective."""
-    weights = run.problem.objective.weights_by_name
-    if any(weight for name, weight in weights.items() if name not in PAPER):
-        return CMA_ES
-    return _AIMED if greedy.aimed(run.problem) else greedy.GREEDY
-
-
-GREEDY_ADAM = replace(
-    _AIMED,
-    begin=lambda run: _for(run).begin(run),
-    step=lambda run, state: _for(run).step(run, state),
-    ahead=lambda run: _for(run).ahead(run),
 )

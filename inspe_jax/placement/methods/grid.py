@@ -1,6 +1,5 @@
 """Grid search: one unit or sensor at a time, on ever finer grids."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -8,11 +7,8 @@ from jaxtyping import Float
 
 from inspe_jax.placement.candidates import (
     BATCH,
-    COLUMNS,
-    FRAMES,
     SPACING,
     above_ground,
-    coordinates,
     lattice,
     project,
     set_heights,
@@ -26,6 +22,8 @@ STANDS = 24
 """Most feet on the first grid."""
 FINEST = 5
 """How often the grid is made finer."""
+_Block = tuple[int, int | None]
+"""What one grid moves: a unit as a whole, or its sensor."""
 
 
 @dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
@@ -60,11 +58,11 @@ def step(run: Run, state: GridState) -> GridState | None:
     one finds nothing better. Then the grid is made finer, about the present layout.
     """
     problem = run.problem
-    blocks = _blocks(problem.layout.members())
+    members = problem.layout.members()
+    blocks = [(u, s) for u, sensors in enumerate(members) for s in (*sensors, None)]
     x = _grid(problem.space, state.x, blocks[state.block], state.level)
     done, key = len(state.scores), (state.sweep, state.block)
-    sample = problem.sample(run.rng(*key), COLUMNS, FRAMES)
-    scores = np.append(state.scores, run.rough(x[done : done + BATCH], sample))
+    scores = np.append(state.scores, run.rough(x[done : done + BATCH], *key))
     run.hold(x[np.argmax(scores)])
     if len(scores) < len(x):
         return replace(state, scores=scores)
@@ -80,47 +78,35 @@ def step(run: Run, state: GridState) -> GridState | None:
     return replace(state, level=level, sweep=state.sweep + 1, block=0, moved=False)
 
 
-@dataclass(frozen=True)
-class _Block:
-    """The coordinates of one grid: those of ``unit`` as a whole, or of its ``sensor``."""
-
-    unit: int
-    sensors: tuple[int, ...]
-    sensor: int | None = None
-
-
-def _blocks(members: Sequence[tuple[int, ...]]) -> list[_Block]:
-    return [_Block(u, sensors, s) for u, sensors in enumerate(members) for s in (*sensors, None)]
-
-
 def _grid(space: Space, x: Float[np.ndarray, " N"], block: _Block, level: int) -> np.ndarray:
     """The present layout, and then the other layouts of a block's grid; all are feasible."""
-    found = (_stand if block.sensor is None else _aim)(space, x, block, level)
+    unit, sensor = block
+    found = _stand(space, x, unit, level) if sensor is None else _aim(space, x, unit, sensor, level)
     found = np.concatenate([x[None], found])
     # Projection may make some of them equal.
     first = np.unique(found.round(4), axis=0, return_index=True)[1]
     return found[np.sort(first)]
 
 
-def _stand(space: Space, x: np.ndarray, block: _Block, level: int) -> np.ndarray:
+def _stand(space: Space, x: np.ndarray, u: int, level: int) -> np.ndarray:
     """Feet × turns of a whole unit. At level 0 feet are everywhere, then near the present foot."""
-    index = coordinates(space)
+    index, sensors = space.index, list(space.given.members()[u])
     if level:
         about = np.stack(np.meshgrid(*[np.arange(-2, 3)] * 2), -1).reshape(-1, 2)
-        feet = x[index.base[block.unit]] + about * SPACING / 2**level
+        feet = x[index.base[u]] + about * SPACING / 2**level
     else:
         feet = lattice(space, STANDS)
-        feet = feet[space.can_stand(feet)[block.unit]]
+        feet = feet[space.can_stand(feet)[u]]
     turns = STEPS["yaw"] / 2**level * (np.arange(-1, 2) if level else np.arange(8))
     found = np.tile(x, (len(feet), len(turns), 1))
-    found[..., index.base[block.unit]] = feet[:, None]
-    found[..., index.yaw[list(block.sensors)]] += turns[:, None]
+    found[..., index.base[u]] = feet[:, None]
+    found[..., index.yaw[sensors]] += turns[:, None]
     return project(space, found.reshape(-1, len(x)))
 
 
-def _aim(space: Space, x: np.ndarray, block: _Block, level: int) -> np.ndarray:
+def _aim(space: Space, x: np.ndarray, u: int, s: int, level: int) -> np.ndarray:
     """Yaws × pitches × heights of one sensor, near the present ones; at level 0 all yaws."""
-    index, s = coordinates(space), block.sensor
+    index, sensors = space.index, list(space.given.members()[u])
     ranges = (np.arange(-2, 3) if level else np.arange(8), *[np.arange(-1, 2)] * 2)
     yaw, pitch, height = (
         np.stack(np.meshgrid(*ranges, indexing="ij"), -1).reshape(-1, 3).T / 2.0**level
@@ -128,9 +114,9 @@ def _aim(space: Space, x: np.ndarray, block: _Block, level: int) -> np.ndarray:
     found = np.tile(x, (len(yaw), 1))
     found[:, index.yaw[s]] += yaw * STEPS["yaw"]
     found[:, index.pitch[s]] += pitch * STEPS["pitch"]
-    above = np.tile(above_ground(space, x)[list(block.sensors)], (len(yaw), 1))
-    above[:, block.sensors.index(s)] += height * STEPS["height"]
-    return set_heights(space, found, block.unit, block.sensors, above)
+    above = np.tile(above_ground(space, x)[sensors], (len(yaw), 1))
+    above[:, sensors.index(s)] += height * STEPS["height"]
+    return set_heights(space, found, u, sensors, above)
 
 
 GRID = Method(

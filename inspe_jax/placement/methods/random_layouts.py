@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from inspe_jax.placement.candidates import BATCH, COLUMNS, FRAMES
+from inspe_jax.placement.candidates import BATCH
 from inspe_jax.placement.run import Method, Run
 
 
@@ -25,11 +25,10 @@ def begin(run: Run) -> RandomState:
 
 def step(run: Run, state: RandomState) -> RandomState:
     """Compare a batch of random feasible layouts with the best so far."""
-    count, problem = state.count, run.problem
-    tried = problem.space.random(run.rng(0, count), BATCH - 1)
+    count = state.count
+    tried = run.problem.space.random(run.rng(0, count), BATCH - 1)
     x = np.concatenate([state.x[None], tried])
-    sample = problem.sample(run.rng(1, count), COLUMNS, FRAMES)
-    best, value = run.offer_better(x, run.rough(x, sample), state.value)
+    best, value = run.offer_better(x, run.rough(x, 1, count), state.value)
     return RandomState(count + 1, x[best], value)
 
 

@@ -15,16 +15,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from inspe_jax.core.arrays import on_host
-from inspe_jax.placement.candidates import COLUMNS, FRAMES
-from inspe_jax.placement.methods.adam import (
-    SCREENED,
-    SOFTNESS,
-    Score,
-    annealed,
-    charted_score,
-    score_through,
-)
-from inspe_jax.placement.problem import Drawn, Problem, per_problem
+from inspe_jax.placement.methods.adam import SOFTNESS, annealed, screened
+from inspe_jax.placement.problem import Drawn
 from inspe_jax.placement.run import Method, Run
 
 with warnings.catch_warnings():
@@ -54,10 +46,8 @@ class RoundState:
 
 def begin(run: Run) -> RoundState:
     """The better of the given start and the best of some random ones."""
-    problem = run.problem
-    sample = problem.sample(run.rng(0), COLUMNS, FRAMES)
-    x = np.concatenate([run.start[None], problem.space.random(run.rng(1), SCREENED)])
-    return RoundState(x[run.rough(x, sample).argmax()])
+    x, scores = screened(run)
+    return RoundState(x[scores.argmax()])
 
 
 def _step(solve: Solve, run: Run, state: RoundState) -> RoundState | None:
@@ -87,7 +77,7 @@ def charged(
 
     def evaluate(z: Array) -> tuple[Array, Array]:
         nonlocal best
-        run.charge_gradient(drawn)
+        run.charge(run.problem.gradient_cost(drawn))
         loss, slope = score(z)
         if best is not None and loss < best:
             run.hold(layout(z))
@@ -104,7 +94,6 @@ def _lbfgsb(run: Run, x: np.ndarray, data: tuple) -> np.ndarray:
     problem = run.problem
     v, place = problem.space.chart(x)
     anchor, scale = on_host(v, float), problem.space.scale
-    score = charted_score(problem)
 
     def layout(z: Any) -> np.ndarray:
         # The solver stays within its bounds, because it starts within them; but for rounding.
@@ -114,7 +103,10 @@ def _lbfgsb(run: Run, x: np.ndarray, data: tuple) -> np.ndarray:
     # SciPy's solver through jaxopt's interface: jaxopt's own compiles for half a minute.
     solver = jaxopt.ScipyBoundedMinimize(
         fun=charged(
-            run, data[0], lambda z: score(jnp.asarray(z, float), anchor, place, *data), layout
+            run,
+            data[0],
+            lambda z: problem.charted_loss(jnp.asarray(z, float), anchor, place, *data),
+            layout,
         ),
         method="L-BFGS-B",
         value_and_grad=True,
@@ -139,7 +131,7 @@ LBFGSB = Method(
 
 def _projected_gradient(run: Run, x: np.ndarray, data: tuple) -> np.ndarray:
     problem = run.problem
-    scale, score = _nonzero_scale(problem), scaled_score(problem)
+    scale = problem.nonzero_scale
 
     def project(z: Array) -> np.ndarray:
         return problem.space.project(scale * np.asarray(z, float), np)
@@ -147,7 +139,7 @@ def _projected_gradient(run: Run, x: np.ndarray, data: tuple) -> np.ndarray:
     # All coordinates of a block, as a foot's, have one scale. So the nearest point is the same in
     # coordinates divided by their scale.
     solver = jaxopt.ProjectedGradient(
-        charged(run, data[0], lambda z: score(z, *data), project),
+        charged(run, data[0], lambda z: problem.scaled_loss(z, *data), project),
         projection=lambda z, _: jnp.asarray(project(z) / scale, float),
         value_and_grad=True,
         maxiter=ITERATIONS,
@@ -156,17 +148,6 @@ def _projected_gradient(run: Run, x: np.ndarray, data: tuple) -> np.ndarray:
         jit=False,  # its loops are Python's, as for L-BFGS-B: nothing of them is compiled
     )
     return project(solver.run(jnp.asarray(x / scale, float), None).params)
-
-
-@per_problem
-def scaled_score(problem: Problem) -> Score:
-    """What is minimised, and its slope, in coordinates divided by their scale."""
-    scale = jnp.asarray(_nonzero_scale(problem), float)
-    return score_through(problem, lambda z: problem.space.poses(scale * z))
-
-
-def _nonzero_scale(problem: Problem) -> Float[np.ndarray, " N"]:
-    return np.where(problem.space.scale > 0, problem.space.scale, 1.0)
 
 
 PROJECTED_GRADIENT = Method(

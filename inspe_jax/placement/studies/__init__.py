@@ -1,1 +1,1 @@
-"""Studies of placements: cost, tolerance, the optimum of given candidates."""
+"""Studies of placements: cost and tolerance."""

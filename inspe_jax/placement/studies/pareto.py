@@ -1,4 +1,4 @@
-"""Cost against score for mixes of devices: how many of which device are worth their price."""
+"""Cost against score for mixes of devices: the front, and the cheapest that is good enough."""
 
 import os
 from collections.abc import Callable, Mapping, Sequence
@@ -13,52 +13,25 @@ from inspe_jax.core.files import csv_text, prepare_folder, read_csv, write_text
 from inspe_jax.mounting.mixes import mix_name, starting_layout
 from inspe_jax.placement.constraints import Constraints
 from inspe_jax.placement.objective import Objective, total_price
-from inspe_jax.placement.optimise import DEFAULT_METHOD, compare
+from inspe_jax.placement.optimise import DEFAULT_METHOD, optimise
 from inspe_jax.placement.problem import AnyScene, cases_of
 from inspe_jax.placement.result import Result
-from inspe_jax.scene.scene import Scene
 from inspe_jax.scoring.metrics import listed_in
 from inspe_jax.sensing.conditions import Conditions
-from inspe_jax.sensing.layout import Layout, save_layout
+from inspe_jax.sensing.layout import save_layout
 
 MOST = 200
 """Largest number of mixes that are searched."""
 _ADVICE = f"at most {MOST} are searched; allow fewer counts, such as 0, 4 and 8"
 
 
-@dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
-class DeviceMix:
-    """A mix of devices: the number of each, the cost [US dollars], and the search that placed them.
-
-    ``front``: whether the mix is on the Pareto front. Then no other mix has at least its objective
-    for less money, or a higher objective for no more money.
-    """
-
-    counts: Mapping[str, int]
-    cost: float
-    result: Result
-    front: bool = False
-
-    @property
-    def name(self) -> str:
-        """Such as "4 hesai-xt32 + 2 paper-camera"."""
-        return mix_name(self.counts)
-
-    @property
-    def point(self) -> "ParetoPoint":
-        """What a figure of the front shows of the mix."""
-        result = self.result
-        scene = " and ".join(dict.fromkeys(row["name"] for row in result.settings["scenes"]))
-        known = (self.cost, result.objective, self.front, scene, result.method)
-        return ParetoPoint(dict(self.counts), *known)
-
-
 @dataclass(frozen=True)
 class ParetoPoint:
-    """A mix as a point of a figure, without the layout that was found.
+    """A mix of devices: the number of each, the cost [US dollars], and what the search reached.
 
-    ``counts`` of each device, ``cost`` [US dollars], the ``objective`` that the search reached,
-    whether the mix is on the ``front``, and the ``scene`` and ``method`` of the search.
+    ``objective`` is the exact one, ``scene`` and ``method`` are those of the search. ``front``:
+    whether the mix is on the Pareto front. Then no other mix has at least its objective for less
+    money, or a higher objective for no more money.
     """
 
     counts: Mapping[str, int]
@@ -72,6 +45,44 @@ class ParetoPoint:
     def name(self) -> str:
         """Such as "4 hesai-xt32 + 2 paper-camera"."""
         return mix_name(self.counts)
+
+
+@dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
+class DeviceMix(ParetoPoint):
+    """A mix with the ``result`` of the search that placed its devices."""
+
+    result: Result
+
+    @classmethod
+    def of(
+        cls, counts: Mapping[str, int], cost: float, result: Result, front: bool = False
+    ) -> "DeviceMix":
+        """The mix of a search's result."""
+        scene = " and ".join(dict.fromkeys(row["name"] for row in result.settings["scenes"]))
+        return cls(counts, cost, result.objective, front, scene, result.method, result)
+
+
+@dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
+class Cheapest:
+    """Mixes of devices in the order of their cost, up to the first that reaches the ``target``.
+
+    ``total`` mixes could have been searched.
+    """
+
+    target: float
+    searched: tuple[DeviceMix, ...]
+    total: int
+
+    @property
+    def found(self) -> DeviceMix | None:
+        """The mix that reaches the target; None if none does."""
+        last = self.searched[-1]
+        return last if last.objective >= self.target else None
+
+    @property
+    def best(self) -> DeviceMix:
+        """The mix that reaches the target, or that which comes nearest to it."""
+        return self.found or max(self.searched, key=lambda mix: mix.objective)
 
 
 def layout_file(counts: Mapping[str, int]) -> str:
@@ -106,56 +117,99 @@ def pareto(
     InspeError, before the first search, if a device is unknown or has no price, a number is not
     valid, the place has too few posts, or no mix is left.
     """
-    objective = or_usual("objective", objective, Objective)
-    wanted = device_mixes(counts, objective)
-    cases = cases_of(scene, conditions)
-
-    def search(start: Layout, told: Callable[..., None]) -> Result:
-        (result,) = compare(
-            cases,
-            start,
-            (method,),
-            seconds=seconds,
-            evaluations=evaluations,
-            seeds=(seed,),
-            objective=objective,
-            constraints=constraints,
-            progress=told,
-        )
-        return result
-
-    found = searched(wanted, cases[0].scene, search, progress)
+    found = searched(
+        device_mixes(counts, objective),
+        scene,
+        conditions,
+        progress,
+        method=method,
+        seconds=seconds,
+        evaluations=evaluations,
+        seed=seed,
+        objective=objective,
+        constraints=constraints,
+    )
     return [replace(mix, front=_on_front(mix, found)) for mix in found]
+
+
+def cheapest(
+    scene: AnyScene | Sequence[AnyScene],
+    counts: Mapping[str, Sequence[int]],
+    target: float,
+    *,
+    method: str = DEFAULT_METHOD,
+    seconds: float | None = None,
+    evaluations: float | None = None,
+    seed: int = 0,
+    objective: Objective | None = None,
+    constraints: Constraints | None = None,
+    progress: Callable[[Mapping[str, int], float, float], None] | None = None,
+    conditions: Conditions | str | None = None,
+) -> Cheapest:
+    """Search for the cheapest mix of devices whose objective is at least ``target``.
+
+    Mixes are searched in the order of their cost. The first that reaches the target, such as D of
+    0.95 on crosswalks, ends the study, and its own search. ``objective`` is detectability if none
+    is given. The other options are as in :func:`pareto`.
+
+    Ctrl-C ends with the mixes so far. Raises InspeError as :func:`pareto` does, and where no score
+    could be so high.
+    """
+    check_target(target)
+    objective = objective or Objective(weights={"detectability": 1.0})
+    wanted = device_mixes(counts, objective)
+    found = searched(
+        wanted,
+        scene,
+        conditions,
+        progress,
+        target,
+        method=method,
+        seconds=seconds,
+        evaluations=evaluations,
+        seed=seed,
+        objective=objective,
+        constraints=constraints,
+    )
+    return Cheapest(target, tuple(found), len(wanted))
+
+
+def check_target(target: float) -> None:
+    """Raise InspeError where a target is not between 0 and 1."""
+    if not 0 < target <= 1:
+        raise InspeError(f"target {target:g}: scores are between 0 and 1, such as 0.95")
 
 
 def searched(
     wanted: Sequence[tuple[float, dict[str, int]]],
-    scene: Scene,
-    search: Callable[[Layout, Callable[..., None]], Result],
+    scene: AnyScene | Sequence[AnyScene],
+    conditions: Conditions | str | None,
     progress: Callable[[Mapping[str, int], float, float], None] | None,
-    enough: float = float("inf"),
+    target: float = float("inf"),
+    **options: Any,
 ) -> list[DeviceMix]:
-    """The mixes ``wanted``, searched one after another until one has an objective of ``enough``.
+    """The mixes ``wanted``, searched one after another until one has an objective of ``target``.
 
-    ``search`` gets a start, and what to call with the share of its budget and its best score as the
-    last two arguments. Ctrl-C ends with the mixes so far.
+    ``options`` are those of :func:`~inspe_jax.placement.optimise.optimise`. Ctrl-C ends with the
+    mixes so far.
     """
-    starts = [starting_layout(scene, row) for _, row in wanted]
+    cases = cases_of(scene, conditions)
+    starts = [starting_layout(cases[0].scene, row) for _, row in wanted]
     found: list[DeviceMix] = []
     for k, ((cost, row), start) in enumerate(zip(wanted, starts, strict=True)):
 
-        def report(*at: Any, row: Mapping[str, int] = row, k: int = k) -> None:
+        def told(done: float, best: float, row: Mapping[str, int] = row, k: int = k) -> None:
             if progress is not None:
-                progress(row, (k + at[-2]) / len(wanted), at[-1])
+                progress(row, (k + done) / len(wanted), best)
 
         try:
-            result = search(start, report)
+            result = optimise(cases, start, progress=told, target=target, **options)
         except KeyboardInterrupt:
             if not found:
                 raise
             break
-        found.append(DeviceMix(row, cost, result))
-        if result.objective >= enough or result.status == "interrupted":
+        found.append(DeviceMix.of(row, cost, result))
+        if result.objective >= target or result.status == "interrupted":
             break
     return found
 
@@ -173,10 +227,9 @@ def save_pareto(found: Sequence[DeviceMix], folder: str | os.PathLike[str]) -> N
         if mix.front:
             save_layout(mix.result.layout, place / file)
         scores = {m.name: mix.result.scores.value(m.name) for m in metrics}
-        point = mix.point
-        head = {**point.counts, "cost_usd": point.cost, "objective": point.objective}
+        head = {**mix.counts, "cost_usd": mix.cost, "objective": mix.objective}
         ends = {"front": int(mix.front), "layout": file if mix.front else ""}
-        how = {"scene": point.scene, "method": point.method}
+        how = {"scene": mix.scene, "method": mix.method}
         rows.append({**head, **scores, "seconds": mix.result.seconds, **how, **ends})
     write_text(place / "pareto.csv", csv_text(rows))
 
@@ -207,13 +260,14 @@ def load_pareto(folder: str | os.PathLike[str]) -> list[ParetoPoint]:
 
 
 def device_mixes(
-    counts: Mapping[str, Sequence[int]], objective: Objective
+    counts: Mapping[str, Sequence[int]], objective: Objective | None
 ) -> list[tuple[float, dict[str, int]]]:
     """Cost [US dollars] and counts of every mix within the budget, cheapest first.
 
     Raises InspeError as :func:`pareto` does.
     """
-    or_usual("objective", objective, Objective).check()
+    objective = or_usual("objective", objective, Objective)
+    objective.check()
     if not counts:
         raise InspeError("no devices to combine: name at least one, with the numbers of it to try")
     price = {name: objective.price_of(name) for name in counts}
@@ -252,7 +306,7 @@ def device_mixes(
 
 def _on_front(mix: DeviceMix, others: Sequence[DeviceMix]) -> bool:
     return not any(
-        (other.cost <= mix.cost and other.result.objective > mix.result.objective)
-        or (other.cost < mix.cost and other.result.objective >= mix.result.objective)
+        (other.cost <= mix.cost and other.objective > mix.objective)
+        or (other.cost < mix.cost and other.objective >= mix.objective)
         for other in others
     )

@@ -13,7 +13,7 @@ from inspe_jax.mounting.mixes import starting_layout
 from inspe_jax.placement.objective import Objective
 from inspe_jax.placement.optimise import methods, optimise
 from inspe_jax.placement.problem import Problem
-from inspe_jax.placement.studies.cheapest import cheapest
+from inspe_jax.placement.studies.pareto import cheapest
 from inspe_jax.report.tables import before_after_table
 from inspe_jax.scene.procedural.built_ins import built_in
 from inspe_jax.scene.regions import Region
@@ -52,24 +52,6 @@ def test_the_first_mix_that_reaches_the_target_ends_the_study(scene):
     assert short.best is found.searched[-1]  # what comes nearest
     with pytest.raises(InspeError, match="between 0 and 1"):
         cheapest(scene, COUNTS, 95)
-
-
-def test_a_checkpoint_that_reached_its_target_goes_on_to_a_higher_one(scene, tmp_path):
-    start = starting_layout(scene, {CAMERA: 2})
-    given = dict(method="random", evaluations=40.0, objective=FOUND, checkpoint=tmp_path / "c.npz")
-    first = optimise(scene, start, **given, target=0.1)
-    assert first.status == "target reached"
-    assert first.evaluations == 1
-    again = optimise(scene, start, **given, target=0.1)
-    assert (again.status, again.evaluations) == ("target reached", 1)
-    plain = optimise(scene, start, **given | dict(checkpoint=None))
-    higher = (again.objective + plain.objective) / 2
-    stopped = optimise(scene, start, **given | dict(checkpoint=None), target=higher)
-    assert stopped.status == "target reached"
-    assert higher <= stopped.objective <= plain.objective
-    assert stopped.evaluations < plain.evaluations
-    whole = optimise(scene, start, **given)
-    assert (whole.status, whole.objective) == ("budget spent", plain.objective)
 
 
 def test_only_the_regions_that_are_named_count(scene):

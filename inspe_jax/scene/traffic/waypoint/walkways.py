@@ -30,7 +30,12 @@ def with_walkways(intersection: Intersection, radius: float) -> Intersection:
     the regions stay those of the map. An intersection that has such routes, or that has no lanes
     that cross, as a motorway's ramp, is handed back as it is.
     """
-    near = [route for route in intersection.routes if _reaches(route, intersection.center, radius)]
+    center = intersection.center[:2]
+    near = [
+        route
+        for route in intersection.routes
+        if (np.hypot(*(route.waypoints[:, :2] - center).T) <= radius).any()
+    ]
     lanes = [route for route in near if route.user == "vehicle"]
     if len(lanes) < len(near) or not _cross(lanes):
         return intersection
@@ -38,11 +43,6 @@ def with_walkways(intersection: Intersection, radius: float) -> Intersection:
     lines = [*_beside(lanes), *crossing_lines(crosswalks)]
     walks = walking_routes(intersection, lines)
     return replace(intersection, routes=(*intersection.routes, *walks))
-
-
-def _reaches(route: Route, center: np.ndarray, radius: float) -> bool:
-    away = np.asarray(route.waypoints)[:, :2] - np.asarray(center)[:2]
-    return bool((np.hypot(*away.T) <= radius).any())
 
 
 def _cross(lanes: list[Route]) -> bool:

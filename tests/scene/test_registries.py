@@ -5,7 +5,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from processes import inspe_here
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.scene.maps import registry as maps
@@ -103,18 +102,6 @@ def test_a_row_is_all_that_a_map_format_needs(toy_map, tmp_path):
     again = load_scene(tmp_path / "scene.npz")
     assert again.name == "town.toy.yaml north"
     np.testing.assert_array_equal(again.voxels.region, scene.voxels.region)
-
-
-def test_the_command_line_lists_and_builds_a_map_of_a_new_format(
-    toy_map, tmp_path, monkeypatch, capsys
-):
-    status, listed, _ = inspe_here(tmp_path, monkeypatch, capsys, "scene", toy_map.name, "--list")
-    assert status == 0
-    assert all(name in listed for name in ("north", "south"))
-    options = "--junction south --radius 20 --voxel 1 --frames 2 --density 5 --out south.npz"
-    status, *_ = inspe_here(tmp_path, monkeypatch, capsys, "scene", toy_map.name, *options.split())
-    assert status == 0
-    assert len(load_scene(tmp_path / "south.npz").intersection.arms) == 3
 
 
 def test_a_row_is_all_that_a_traffic_model_needs(monkeypatch):

@@ -391,4 +391,5 @@ def spread(azimuths: Float[np.ndarray, " N"], count: int) -> list[int]:
         between = np.diff(np.append(around, around[0] + 2 * np.pi)).round(6)
         return -float(between.max()), float(between.min())
 
-    return list(max(combinations(range(len(azimuths)), count), key=evenness))
+    best = max(combinations(range(len(azimuths)), count), key=evenness)
+    return list(best)

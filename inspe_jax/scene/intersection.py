@@ -35,9 +35,8 @@ CROSSWALK_WIDTH = 3.0
 class Arm:
     """One road that meets the junction.
 
-    ``mouth`` is the middle of its carriageway where it enters the junction
-    (x, y) [m]; ``bearing`` points away from the junction along the road [rad];
-    ``width`` is the whole carriageway, both directions, kerb to kerb [m].
+    ``mouth`` is the middle of its carriageway where it enters the junction (x, y) [m]; ``bearing``
+    points away from the junction [rad]; ``width`` is that of both directions, kerb to kerb [m].
     """
 
     mouth: tuple[float, float]
@@ -61,10 +60,9 @@ class Arm:
 class Route:
     """A path that one kind of road user follows through the scene.
 
-    ``waypoints`` are (N, 3) world metres, about 1 m apart, in the direction of
-    travel; ``width`` is that of the lane [m]; ``user`` is ``'vehicle'`` or
-    ``'pedestrian'``. ``through`` names the (entry, exit) arms of a vehicle
-    route by index, −1 where it begins or ends elsewhere.
+    ``waypoints`` are about 1 m apart, in the direction of travel [m]; ``width`` is that of the lane
+    [m]; ``user`` is ``'vehicle'`` or ``'pedestrian'``. ``through`` are the indices of the (entry,
+    exit) arms of a vehicle's route, −1 where it begins or ends elsewhere.
     """
 
     waypoints: Float[np.ndarray, "N 3"]
@@ -87,17 +85,15 @@ class Route:
 class Intersection(Described):
     """A junction and what surrounds it, in world metres (ENU).
 
-    ``regions`` have one shapely geometry each. They may overlap: a column takes
-    its label by :data:`~inspe_jax.scene.regions.PRECEDENCE`. ``mounting`` is
-    where a pole may be put (sidewalk, shoulder, islands). ``poles`` (P, 3) are
-    the feet of existing poles, as of signals. ``ground_points`` (G, 3) give the
-    height of the ground. ``notes`` say what was assumed. ``map`` is the file that
-    it was read from, which SUMO's traffic needs; a saved scene does not keep it.
-    ``bodies`` are those that its map brings: buildings, trees, walls. A scene has them
+    ``regions`` may overlap: a column takes its label by
+    :data:`~inspe_jax.scene.regions.PRECEDENCE`. ``mounting`` is where a pole may be put (sidewalk,
+    shoulder, islands). ``poles`` are the feet of existing ones. ``ground_points`` give the height
+    of the ground. ``notes`` say what was assumed. ``map`` is the file that it was read from, which
+    SUMO's traffic needs. ``bodies`` are those of its map: buildings, trees, walls; a scene has them
     with ``statics="map"``. ``georeference`` is the projection of its coordinates, None if unknown.
-    ``mesh`` are the triangles that its bodies of kind ``solid`` stand for, None if there are none.
-    ``level_points`` are the ground points of the map, where the place stands on other ground
-    (:meth:`standing_on`); a saved scene does not keep them.
+    ``mesh`` are the triangles that its bodies of kind ``solid`` stand for. ``level_points`` are the
+    ground points of the map, where the place stands on other ground (:meth:`standing_on`). A saved
+    scene keeps neither the map nor these.
     """
 
     name: str

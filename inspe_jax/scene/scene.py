@@ -197,15 +197,21 @@ def build_scene(
     voxels = build_voxels(intersection, radius=radius, voxel=own["voxel"], spacing=own["spacing"])
     settings = dict(profile=profile, radius=f"{radius:g}", voxel=f"{voxels.size:g}")
     settings |= dict(spacing=f"{voxels.spacing:g}")
-    time: dict[str, Any] = dict(radius=radius, frames=frames, step=step)
     if str(traffic).endswith(LOG_SUFFIXES):
-        found = log_traffic(intersection, Path(traffic), **time)
+        found = log_traffic(intersection, Path(traffic), radius=radius, frames=frames, step=step)
         settings |= dict(density=AS_RECORDED, frames=str(found.frame_count), step=f"{step:g}")
         settings |= dict(mix=AS_RECORDED, traffic=Path(traffic).name, seed="")
     else:
-        model = traffic_model(str(traffic))
-        asked = dict(count=density_count(density), mix=mix, seed=seed)
-        found = model(intersection, **time, **asked, progress=progress)
+        found = traffic_model(str(traffic))(
+            intersection,
+            radius=radius,
+            count=density_count(density),
+            frames=frames,
+            mix=mix,
+            step=step,
+            seed=seed,
+            progress=progress,
+        )
         settings |= dict(density=str(density), frames=str(frames), step=f"{step:g}")
         settings |= dict(mix=mix, traffic=str(traffic), seed=str(seed))
     settings |= dict(statics=statics, terrain=terrain)

@@ -1,5 +1,7 @@
 """The built-in intersections, against areas on paper and the rules of the road."""
 
+from itertools import permutations
+
 import numpy as np
 import pytest
 import shapely
@@ -69,8 +71,7 @@ def test_areas_of_the_t_junction():
     place = PLACES["t_junction"]
     assert [np.hypot(*arm.mouth) for arm in place.arms] == pytest.approx([11.5, 11.5, 15])
     assert [arm.width for arm in place.arms] == [14, 14, 7]
-    fillets = 2 * (1 - np.pi / 4) * 64
-    area = 23 * 14 + 8 * 7 + fillets
+    area = 23 * 14 + 8 * 7 + 2 * (1 - np.pi / 4) * 64
     assert place.regions[Region.JUNCTION].area == pytest.approx(area, abs=0.2)
     assert place.regions[Region.DRIVEWAY].area == pytest.approx(2 * 108.5 * 14 + 105 * 7)
 
@@ -85,12 +86,9 @@ def test_areas_of_the_triangle():
     station = (3.5 + 15) / np.tan(np.radians(60))
     mouth = max(station, 15.0)
     assert [np.hypot(*arm.mouth) for arm in place.arms] == pytest.approx([mouth] * 3)
-    # Per corner: a kite of middle, two axes and the arc's centre, less the sector; per road, the
+    # Per corner a kite of middle, two axes and the arc's centre, less the sector; per road the
     # straight bit from there to the mouth.
-    kites = 3 * station * (3.5 + 15)
-    sectors = 3 * np.radians(60) / 2 * 15**2
-    straights = 3 * 7 * (mouth - station)
-    area = kites - sectors + straights
+    area = 3 * (station * (3.5 + 15) - np.radians(60) / 2 * 15**2 + 7 * (mouth - station))
     assert place.regions[Region.JUNCTION].area == pytest.approx(area, rel=1e-3)
 
 
@@ -302,25 +300,22 @@ def test_routes_run_from_rim_to_rim_on_the_arms_named(name):
 def test_every_movement_and_every_lane_is_served(name):
     place = PLACES[name]
     if name in ON_FOOT:
-        count = len(place.arms)
-        pairs = {(i, j) for i in range(count) for j in range(count) if i != j}
+        pairs = set(permutations(range(len(place.arms)), 2))
         assert {r.through for r in routes(place, "vehicle")} == pairs
     starts = {tuple(r.waypoints[0, :2].round(3)) for r in routes(place, "vehicle")}
-    lanes = {"four_way": 8, "five_way": 7, "t_junction": 5, "triangle": 3, "roundabout": 4}
-    lanes |= {"highway_ramp": 7, "one half empty": 3}
-    assert len(starts) == lanes[name]
+    lanes = dict(four_way=8, five_way=7, t_junction=5, triangle=3, roundabout=4, highway_ramp=7)
+    assert len(starts) == lanes.get(name, 3)
 
 
 def test_movements_of_the_four_way():
     """From each of 4 arms: two lanes straight on, one right, one left, each in its own lane."""
     found = routes(PLACES["four_way"], "vehicle")
     assert len(found) == 16
-    south = [r for r in found if r.through[0] == 3]
-    x = {(r.through[1], round(r.waypoints[0, 0], 2)) for r in south}
-    assert x == {(0, 5.25), (1, 5.25), (1, 1.75), (2, 1.75)}
-    right = next(r for r in south if r.through[1] == 0)
+    south = {(r.through[1], round(r.waypoints[0, 0], 2)): r for r in found if r.through[0] == 3}
+    assert set(south) == {(0, 5.25), (1, 5.25), (1, 1.75), (2, 1.75)}
     # Round the kerb's centre (15, −15), a lane's half beyond its 8 m.
-    near = right.waypoints[np.hypot(*right.waypoints[:, :2].T) < 14, :2]
+    right = south[0, 5.25].waypoints[:, :2]
+    near = right[np.hypot(*right.T) < 14]
     assert np.hypot(*(near - [15, -15]).T) == pytest.approx(9.75, abs=0.02)
 
 
@@ -357,8 +352,7 @@ def test_people_walk_on_sidewalks_and_crosswalks(name):
 def test_nobody_walks_on_the_motorway():
     place = PLACES["highway_ramp"]
     assert not routes(place, "pedestrian")
-    assert place.regions[Region.CROSSWALK].is_empty
-    assert place.regions[Region.SIDEWALK].is_empty
+    assert all(place.regions[r].is_empty for r in (Region.CROSSWALK, Region.SIDEWALK))
     assert place.notes == ("a motorway: no crosswalks and no sidewalks",)
 
 

@@ -177,19 +177,20 @@ def test_scenes_are_shown_in_one_line():
 
 def test_a_scene_whose_shapes_are_nested_deep_is_refused(tmp_path):
     """GEOS would end the process: it reads them by recursion."""
-    scene = build_scene("t_junction", radius=15, frames=2, density=2)
-    flat = (
-        shapely.MultiPolygon([shapely.box(0, 0, 1, 1)]),
-        shapely.force_3d(shapely.box(0, 0, 1, 1)),
-    )
-    parts = (shapely.Point(0, 0), shapely.LineString([(0, 0), (1, 1)]), *flat[1:])
-    for area in (*flat, shapely.Polygon(), shapely.GeometryCollection(parts)):
-        place = replace(scene.intersection, mounting=area)
-        save_scene(replace(scene, intersection=place), tmp_path / "a.npz")
-        assert load_scene(tmp_path / "a.npz").intersection.mounting.wkb == area.wkb
-    with np.load(tmp_path / "a.npz") as data:
+    scene, path = build_scene("t_junction", radius=15, frames=2, density=2), tmp_path / "a.npz"
+    high, flat = shapely.force_3d(shapely.box(0, 0, 1, 1)), shapely.box(0, 0, 1, 1)
+    parts = (shapely.Point(0, 0), shapely.LineString([(0, 0), (1, 1)]), high)
+    for area in (
+        shapely.MultiPolygon([flat]),
+        high,
+        shapely.Polygon(),
+        shapely.GeometryCollection(parts),
+    ):
+        save_scene(replace(scene, intersection=replace(scene.intersection, mounting=area)), path)
+        assert load_scene(path).intersection.mounting.wkb == area.wkb
+    with np.load(path) as data:
         arrays = dict(data)
     deep = b"\1\7\0\0\0\1\0\0\0" * 100_000
-    np.savez(tmp_path / "a.npz", **arrays | {"shape_0": np.frombuffer(deep, "u1")})
+    np.savez(path, **arrays | {"shape_0": np.frombuffer(deep, "u1")})
     with pytest.raises(InspeError, match="not a scene saved by this package"):
-        load_scene(tmp_path / "a.npz")
+        load_scene(path)

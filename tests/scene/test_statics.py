@@ -54,9 +54,7 @@ def test_convex_pieces_cover_the_outline_exactly(outline):
         (lambda: body("hous", ELL, 3), "body 'hous': one of building.*"),
         (lambda: body("building", BOW, 3), r"building at \(2.0, 2.0\): its outline crosses"),
         (lambda: body("building", [[0, 0], [1, 1], [0, 0]], 3), "three corners or more"),
-        (lambda: body("building", [[0, 0], [1, 1], [2, 2]], 3), "crosses or touches|has no area"),
         (lambda: body("building", [[0, 0], [np.nan, 1], [2, 0]], 3), "not finite"),
-        (lambda: body("building", ELL, np.inf), "not finite"),
         (lambda: body("building", ELL[:, :1], 3), r"shape \(6, 1\)"),
         (lambda: body("building", "house", 3), "must be numbers"),
         (lambda: body("building", ELL, 2, base=2), "from 2 to 2 m above the ground; its height"),
@@ -64,7 +62,6 @@ def test_convex_pieces_cover_the_outline_exactly(outline):
         (lambda: body("building", ELL, 5000), "at most 1000 m"),
         (lambda: tree((0, 0), radius=2, height=7, base=3, transmittance=1.5), "transmittance 1.5"),
         (lambda: tree((0, 0), radius=2, height=7, base=0), "a trunk of 0.15 m"),
-        (lambda: tree((0, 0), radius=0, height=7, base=3), "three corners or more"),
         (lambda: wall([[0, 0]], 2), "two points"),
     ],
 )

@@ -140,7 +140,8 @@ def _read_packets(reader: _PacketReader, log: RecorderLog) -> None:
     for actor, (name, facts) in actors.items():
         if actor in log.boxes:
             kind = kind_of(name, facts, 2 * log.boxes[actor][3])
-            log.kinds |= {} if kind is None else {actor: kind}
+            if kind is not None:
+                log.kinds[actor] = kind
 
 
 def kind_of(name: str, facts: dict[str, str], length: float) -> int | None:
@@ -165,10 +166,10 @@ def log_traffic(
 ) -> TrafficFrames:
     """The recorded traffic at an intersection of the log's own map, whatever its file is called.
 
-    There are up to ``frames`` frames ``step`` seconds apart from the log's beginning, or as many as
-    it holds, with all road users within ``radius`` [m] of the centre. Between recorded frames
-    positions are interpolated linearly. Boxes stand on the intersection's ground. Road users above
-    or beneath it, as just after spawning, are left out.
+    There are up to ``frames`` frames ``step`` seconds apart from the log's beginning, with all road
+    users within ``radius`` [m] of the centre. Between recorded frames positions are interpolated
+    linearly. Boxes stand on the intersection's ground. Road users above or beneath it, as just
+    after spawning, are left out.
 
     Raises InspeError if the log cannot be read, if nobody comes within the radius, or if most cars
     and trucks are beside the roads, so that the log is of another map.

@@ -236,8 +236,8 @@ class Site:
     def lattice(self, spacing: float) -> Float[np.ndarray, "F 2"]:
         """Feet on the core, about the centre [m]: one in each square of a lattice that meets it,
         the core's point nearest to the middle of the square."""
-        steps = np.arange(-np.ceil(self.radius / spacing), np.ceil(self.radius / spacing) + 1)
-        middles = np.stack(np.meshgrid(steps, steps, indexing="ij"), -1).reshape(-1, 2) * spacing
+        half = int(np.ceil(self.radius / spacing))
+        middles = (np.indices((2 * half + 1,) * 2).reshape(2, -1).T - half) * spacing
         if self.core.is_empty:
             return np.zeros((0, 2))
         shapely.prepare(self.core)
@@ -254,8 +254,7 @@ class Site:
         # A square touches no lane that is farther from its middle than half its diagonal.
         swept = self.place.lanes.buffer(0.75 * cell).simplify(0.02 * cell)
         shapely.prepare(swept)
-        count = int(np.ceil(2 * reach / cell))
-        x, y = np.meshgrid(*[(np.arange(count) + 0.5) * cell - reach] * 2, indexing="ij")
+        x, y = (np.indices((int(np.ceil(2 * reach / cell)),) * 2) + 0.5) * cell - reach
         return shapely.contains_xy(swept, x + self.center[0], y + self.center[1])
 
     @cached_property

@@ -119,8 +119,7 @@ def build_voxels(
     half = int(np.ceil(radius / spacing))
     check_memory(np.pi * (radius / spacing) ** 2 * level_count, 4)
 
-    lattice = (np.arange(-half, half) + 0.5) * spacing
-    offset = np.stack(np.meshgrid(lattice, lattice, indexing="ij"), -1).reshape(-1, 2)
+    offset = (np.indices((2 * half,) * 2).reshape(2, -1).T - half + 0.5) * spacing
     offset = offset[np.hypot(offset[:, 0], offset[:, 1]) <= radius]
     columns = offset + intersection.center[:2]
 

@@ -105,7 +105,6 @@ def all_ground() -> Intersection:
 
 
 PLACES = {
-    **{name: lambda name=name: built_in(name) for name in BUILT_INS},
     "four": lambda: hand_made(FOUR),
     "tee": lambda: hand_made(TEE),
     "wye": lambda: hand_made(WYE),
@@ -120,7 +119,8 @@ PLACES = {
 
 @cache
 def scene_named(name: str) -> Scene:
-    return scene_of(PLACES[name](), radius=18.0 if name == "narrow" else 50.0)
+    place = PLACES[name]() if name in PLACES else built_in(name)
+    return scene_of(place, radius=18.0 if name == "narrow" else 50.0)
 
 
 HAND_MADE = ("four", "tee", "wye", "five", "bend")

@@ -11,6 +11,7 @@ from shapely.geometry import MultiPolygon
 from worlds import MAPS
 
 from inspe_jax.scene.intersection import Intersection, Route
+from inspe_jax.scene.maps.registry import read_map
 from inspe_jax.scene.traffic.frames import TrafficFrames
 
 LANE = 3.5
@@ -94,6 +95,4 @@ def place_in(town: str, **where: Any) -> Intersection:
     pytest.importorskip("carla", reason="needs the CARLA client")
     if not (MAPS / f"{town}.xodr").is_file():
         pytest.skip("needs the maps beside the checkout")
-    from inspe_jax.scene.maps.registry import read_map
-
     return read_map(MAPS / f"{town}.xodr", **where)

@@ -73,9 +73,7 @@ class Brackets:
         d + max(0, length − r/2) + max(0, length − s/2) apart, and r + s ≥ d: at most d + length
         where one is far out, and d/2 + 2 length where neither is.
         """
-        if not self:
-            return plan
-        longest = float(self.length.max())
+        longest = float(self.length.max(initial=0.0))
         return min(plan - longest, 2 * plan - 4 * longest)
 
     def positions(

@@ -48,11 +48,8 @@ _AIM_HEIGHT = 1.0  # aim this high above the ground, at people and vehicle bodie
 
 @dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
 class View:
-    """One sensor of a strategy.
-
-    ``post`` names the place where it stands, and ``foot`` is that place (x, y) [m].
-    ``offset`` (x, y) leads from there to the sensor [m]. ``height`` is above the
-    ground at the foot [m]. ``yaw`` and ``pitch`` are in radians.
+    """One sensor of a strategy: the name and the ``foot`` (x, y) of its post, the ``offset`` (x, y)
+    from there, the ``height`` above the ground at the foot [m], and its angles [rad].
     """
 
     post: str
@@ -95,13 +92,14 @@ class Site:
         A mouth farther than :data:`CORE` from the centre, as on a motorway, is moved in.
         """
         # By place, not bearing: a ramp and its motorway have nearly the same bearing.
-        first, *others = self.place.arms
-        start = self.azimuth(first.mouth)
-        others.sort(key=lambda arm: (self.azimuth(arm.mouth) - start) % (2 * np.pi))
-        return tuple(self._moved_in(arm) for arm in (first, *others))
+        start = self.azimuth(self.place.arms[0].mouth)
+        arms = sorted(
+            self.place.arms, key=lambda arm: (self.azimuth(arm.mouth) - start) % (2 * np.pi)
+        )
+        return tuple(map(self._moved_in, arms))
 
     def _moved_in(self, arm: Arm) -> Arm:
-        along = np.array([np.cos(arm.bearing), np.sin(arm.bearing)])
+        along, _ = arm.axes
         out = np.asarray(arm.mouth) - self.center
         aside = out - (out @ along) * along
         furthest = np.sqrt(max(CORE**2 - aside @ aside, 0.0))
@@ -138,25 +136,12 @@ class Site:
         return 8 if len(self.arms) >= 4 and np.mean(away) >= SMALL else 6
 
     @cached_property
-    def lanes(self) -> BaseGeometry:
-        """The ground of all vehicle lanes."""
-        return unary_union(
-            [
-                # Mitred, because round joins would change a layout slightly if the world turns.
-                LineString(route.waypoints[:, :2]).buffer(
-                    route.width / 2, cap_style="flat", join_style="mitre"
-                )
-                for route in self.place.routes
-                if route.user == "vehicle" and len(route.waypoints) > 1
-            ]
-        )
-
-    @cached_property
     def free(self) -> BaseGeometry:
         """The mounting area within the radius, off lanes and crosswalks, with its rim."""
         crosswalks = self.place.regions.get(Region.CROSSWALK, Polygon())
         near = Point(self.center).buffer(self.radius, quad_segs=64)
-        open_ = self.place.mounting.intersection(near).difference(self.lanes).difference(crosswalks)
+        open_ = self.place.mounting.intersection(near).difference(self.place.lanes)
+        open_ = open_.difference(crosswalks)
         return open_.difference(unary_union(list(self.rooms))) if self.bodies else open_
 
     @cached_property
@@ -213,9 +198,8 @@ class Site:
     def convex(
         self, foot: Float[np.ndarray, "2"] | None = None, reach: float = np.inf
     ) -> list[Float[np.ndarray, "N 2"]]:
-        """Outlines of convex pieces that cover the core, about the centre, the largest first.
-
-        If ``foot`` (x, y), about the centre, is given, only the part within ``reach`` of it [m].
+        """Outlines of convex pieces that cover the core, about the centre, the largest first; of
+        the part within ``reach`` [m] of ``foot`` (x, y), about the centre, if that is given.
         """
         core = self.core
         if foot is not None:
@@ -239,7 +223,7 @@ class Site:
     ) -> bool:
         """Whether a unit may stand at ``foot`` (x, y) [m]: on free mounting area or on a pole.
 
-        The rim of an area counts as area. ``within`` is the tolerance [m].
+        ``within`` is the tolerance [m].
         """
         away = np.hypot(*(self.poles - foot).T)
         on_pole = poles and len(away) > 0 and away.min() <= within
@@ -247,13 +231,13 @@ class Site:
 
     def over_lane(self, point: Float[np.ndarray, "2"]) -> bool:
         """Whether a point (x, y) [m] is over a lane of vehicles."""
-        return bool(self.lanes.contains(Point(point)))
+        return bool(self.place.lanes.contains(Point(point)))
 
     def lattice(self, spacing: float) -> Float[np.ndarray, "F 2"]:
         """Feet on the core, about the centre [m]: one in each square of a lattice that meets it,
         the core's point nearest to the middle of the square."""
-        steps = np.arange(-np.ceil(self.radius / spacing), np.ceil(self.radius / spacing) + 1)
-        middles = np.stack(np.meshgrid(steps, steps, indexing="ij"), -1).reshape(-1, 2) * spacing
+        half = int(np.ceil(self.radius / spacing))
+        middles = (np.indices((2 * half + 1,) * 2).reshape(2, -1).T - half) * spacing
         if self.core.is_empty:
             return np.zeros((0, 2))
         shapely.prepare(self.core)
@@ -268,10 +252,9 @@ class Site:
         that is nearer to a lane than a tenth of its edge may count too.
         """
         # A square touches no lane that is farther from its middle than half its diagonal.
-        swept = self.lanes.buffer(0.75 * cell).simplify(0.02 * cell)
+        swept = self.place.lanes.buffer(0.75 * cell).simplify(0.02 * cell)
         shapely.prepare(swept)
-        count = int(np.ceil(2 * reach / cell))
-        x, y = np.meshgrid(*[(np.arange(count) + 0.5) * cell - reach] * 2, indexing="ij")
+        x, y = (np.indices((int(np.ceil(2 * reach / cell)),) * 2) + 0.5) * cell - reach
         return shapely.contains_xy(swept, x + self.center[0], y + self.center[1])
 
     @cached_property
@@ -284,7 +267,7 @@ class Site:
         """Why an existing pole at ``foot`` (x, y) carries no unit; empty if it can."""
         if (away := np.hypot(*(foot - self.center))) > self.radius:
             return f"{away:.0f} m from the centre, beyond the radius of {self.radius:g} m"
-        if self.lanes.intersects(Point(foot)):
+        if self.place.lanes.intersects(Point(foot)):
             return "on a driving lane"
         if (body := self.body_near(foot)) is None:
             return ""
@@ -301,22 +284,18 @@ class Site:
         Where the gap between two arms is narrow, one pole serves both, and the right one stands
         :data:`SETBACK` farther out.
         """
-        after = self.arms[1:] + self.arms[:1]
-        left = [
-            kerb(arm, +1) if gap > WIDE else (kerb(arm, +1) + kerb(following, -1)) / 2
-            for arm, following, gap in zip(self.arms, after, self.gaps, strict=True)
-        ]
-        before = np.roll(self.gaps, 1)
-        right = [
-            kerb(arm, -1, 0.0 if gap > WIDE else SETBACK)
-            for arm, gap in zip(self.arms, before, strict=True)
-        ]
-        return self._stand([*left, *right], "corner")
+        wanted: list[np.ndarray] = []
+        right: list[np.ndarray] = []
+        for i, (arm, gap) in enumerate(zip(self.arms, self.gaps, strict=True)):
+            following = self.arms[(i + 1) % len(self.arms)]
+            wanted.append(arm.kerb(+1) if gap > WIDE else (arm.kerb(+1) + following.kerb(-1)) / 2)
+            right.append(arm.kerb(-1, 0.0 if self.gaps[i - 1] > WIDE else SETBACK))
+        return self._stand(wanted + right, "corner")
 
     @cached_property
     def roadsides(self) -> Float[np.ndarray, "2N 2"]:
         """Feet of the roadside poles [m]: at the right kerb of each arm, then at the left kerbs."""
-        wanted = [kerb(arm, side, SETBACK) for side in (-1, +1) for arm in self.arms]
+        wanted = [arm.kerb(side, SETBACK) for side in (-1, +1) for arm in self.arms]
         return self._stand(wanted, "roadside")
 
     def _stand(self, wanted: list[np.ndarray], post: str) -> Float[np.ndarray, "N 2"]:
@@ -353,10 +332,9 @@ class Site:
     ) -> View:
         """A camera that looks at ``target`` (x, y) [m], or along ``yaw`` [rad] as far as that.
 
-        The optical axis meets the target 1 m above the ground, but at 5 m or more in
-        plan and at most at 0.6 of the camera's depth. ``mast`` is the distance from
-        the pole to the camera, towards the junction [m]; it is 0 if the camera is too
-        low to hang over traffic. If the site has a ``camera_pitch``, that is the pitch.
+        The optical axis meets the target 1 m above the ground, at 5 m or more in plan and at most
+        at 0.6 of the camera's depth. ``mast`` is the length of an arm towards the junction [m],
+        none if the camera is too low to hang over traffic.
         """
         height = self.camera_height or height
         inward = self.center - foot
@@ -390,13 +368,6 @@ def _inset(part: BaseGeometry) -> BaseGeometry:
     return part.buffer(-_INSET / 3, join_style="mitre") if wide.is_empty else wide
 
 
-def kerb(arm: Arm, side: int, outward: float = 0.0) -> Float[np.ndarray, "2"]:
-    """An arm's kerb point ``outward`` [m] of its mouth; ``side`` +1 is left looking outward."""
-    along = np.array([np.cos(arm.bearing), np.sin(arm.bearing)])
-    across = np.array([-along[1], along[0]])
-    return np.asarray(arm.mouth) + outward * along + side * arm.width / 2 * across
-
-
 def farthest_first(points: Float[np.ndarray, "N 2"], most: int) -> list[int]:
     """Indices of up to ``most`` points: the first, then always the farthest from those before."""
     away = np.full(len(points), np.inf)
@@ -408,10 +379,8 @@ def farthest_first(points: Float[np.ndarray, "N 2"], most: int) -> list[int]:
 
 
 def spread(azimuths: Float[np.ndarray, " N"], count: int) -> list[int]:
-    """Indices of the ``count`` ≥ 1 directions [rad] that lie most evenly round the circle.
-
-    They have the smallest possible largest angle between neighbours; among equals, the
-    largest smallest angle; among equals again, they come first.
+    """Indices of the ``count`` ≥ 1 directions [rad] with the smallest largest angle between
+    neighbours; among equals, the largest smallest angle; among equals again, the first.
     """
     if count >= len(azimuths):
         return list(range(len(azimuths)))

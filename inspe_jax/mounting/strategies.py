@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from inspe_jax.core.errors import InspeError, nearest
+from inspe_jax.core.errors import InspeError, check_known
 from inspe_jax.mounting.site import (
     ASIDE,
     CENTRAL_HEIGHTS,
@@ -30,13 +30,11 @@ from inspe_jax.mounting.site import (
     WIDE,
     Site,
     View,
-    kerb,
     spread,
 )
 from inspe_jax.scene.intersection import Intersection
-from inspe_jax.scene.named import scene_of
 from inspe_jax.scene.profiles import DEFAULT_PROFILE, Profile, profile_of
-from inspe_jax.scene.scene import Scene
+from inspe_jax.scene.scene import Scene, scene_of
 from inspe_jax.sensing.catalogue import device
 from inspe_jax.sensing.layout import UNIT_HEIGHT, UNIT_PLAN, Layout, Sensor, Unit, make_layout
 from inspe_jax.sensing.named import LAYOUT_RULES
@@ -61,16 +59,16 @@ def central_cameras(site: Site) -> list[View]:
 def corner_cameras(site: Site) -> list[View]:
     """A camera on each arm's corner pole looks out along the arm; a second one looks back.
 
-    From a pole far beside its arm, as at a roundabout, the first camera looks at the arm instead.
-    With only two arms, cameras on the poles at their other kerbs look out as well.
+    From a pole far beside its arm, as at a roundabout, the first camera looks at the arm. With two
+    arms, cameras on the poles at their other kerbs look out as well.
     """
     arms = site.arms
     left, right = np.split(site.corners, 2)
 
     def out(i: int, foot: np.ndarray, post: str) -> View:
-        bearing, ahead = arms[i].bearing, kerb(arms[i], 0, 10.0)
-        aside = abs((foot - ahead) @ [-np.sin(bearing), np.cos(bearing)]) - arms[i].width / 2
-        yaw = bearing if aside <= ASIDE else None
+        ahead = arms[i].kerb(0, 10.0)
+        aside = abs((foot - ahead) @ arms[i].axes[1]) - arms[i].width / 2
+        yaw = arms[i].bearing if aside <= ASIDE else None
         return site.camera(post, foot, ahead, yaw=yaw, mast=MAST)
 
     def back(i: int) -> View:
@@ -98,7 +96,7 @@ def roadside_cameras(site: Site) -> list[View]:
         return site.camera(post, foot, mouth + (site.center - mouth) / 3)
 
     def outward(i: int) -> View:
-        return site.camera(f"roadside {i + 1}", right[i], kerb(arms[i], 0, SETBACK + 20.0))
+        return site.camera(f"roadside {i + 1}", right[i], arms[i].kerb(0, SETBACK + 20.0))
 
     return _fill(
         site,
@@ -187,12 +185,10 @@ def strategy(
     """The layout that a strategy of :data:`STRATEGIES` gives on a scene.
 
     ``name`` may be in lower or upper case. ``camera`` and ``lidar`` are names of devices in the
-    catalogue, or specs. ``camera_height`` and ``lidar_height`` are in metres above the ground,
-    ``camera_pitch_deg`` in degrees (negative is down). Options that are None are those of the
-    scene's profile. If the profile has None too, cameras are at 6 m and LiDARs at 5 m, at the
-    centre at 7 and 6.5 m, and each camera is aimed at its target. The paper's discussion of L-d2
-    uses the 32-beam LiDAR: ``lidar="paper-lidar-32"``. An option for a kind of sensor that the
-    strategy does not have is checked, but has no effect.
+    catalogue, or specs. Heights are in metres above the ground, ``camera_pitch_deg`` in degrees
+    (negative is down). Options that are None are those of the scene's profile. If the profile has
+    None too, cameras are at 6 m and LiDARs at 5 m, at the centre at 7 and 6.5 m, and each camera is
+    aimed at its target. The paper's discussion of L-d2 uses ``lidar="paper-lidar-32"``.
 
     Raises InspeError if a name or device is unknown, if a device is of another kind, if a height
     or pitch is out of range, or if the intersection has fewer than two arms or no place for a
@@ -211,13 +207,17 @@ def strategy(
             f"{place.name}: it has {len(place.arms)} arm{'s' * (not place.arms)}; strategies need "
             "at least 2"
         )
-    pitch = None if camera_pitch_deg is None else float(np.radians(camera_pitch_deg))
-    depth = chosen.camera.grid.reach
-    heights = camera_height, lidar_height, pitch
-    site = Site(place, scene.voxels.radius, depth, *heights, bodies=scene.statics)
-    views: list[tuple[View, Spec]] = []
-    for rule, spec in ((row.cameras, chosen.camera), (row.lidars, chosen.lidar)):
-        views += [(view, spec) for view in rule(site)] if rule else []
+    site = Site(
+        place,
+        scene.voxels.radius,
+        chosen.camera.grid.reach,
+        camera_height,
+        lidar_height,
+        None if camera_pitch_deg is None else float(np.radians(camera_pitch_deg)),
+        bodies=scene.statics,
+    )
+    rules = (row.cameras, chosen.camera), (row.lidars, chosen.lidar)
+    views = [(view, spec) for rule, spec in rules if rule for view in rule(site)]
     return replace(join(chosen.name, place, views), profile=own.name)
 
 
@@ -248,11 +248,8 @@ def choose(
     """
     own = profile or profile_of(DEFAULT_PROFILE)
     known = {key.lower(): key for key in STRATEGIES}
-    key = known.get(name.strip().lower())
-    if key is None:
-        raise InspeError(
-            f"no strategy '{name}': {', '.join(STRATEGIES)}{nearest(name, tuple(STRATEGIES))}"
-        )
+    key = known.get(name.strip().lower(), name)
+    check_known(key, STRATEGIES, "no strategy")
     row = STRATEGIES[key]
     low, high = row.heights
     for option, height in (("camera_height", camera_height), ("lidar_height", lidar_height)):
@@ -283,11 +280,10 @@ def join(name: str, place: Intersection, views: list[tuple[View, Spec]]) -> Layo
     poses: list[np.ndarray] = []
     for view, spec in views:
         for u, unit in enumerate(units):
+            near = [np.array(unit.base[:2]) - view.foot]
             pose = _pose(view, unit)
-            members = [p for p, sensor in zip(poses, sensors, strict=True) if sensor.unit == u]
-            if _within_unit(view.foot, np.array(unit.base[:2])) and all(
-                _within_unit(pose, other) for other in members
-            ):
+            near += [pose - p for p, own in zip(poses, sensors, strict=True) if own.unit == u]
+            if all(map(_within_unit, near)):
                 break
         else:
             u = len(units)
@@ -295,18 +291,16 @@ def join(name: str, place: Intersection, views: list[tuple[View, Spec]]) -> Layo
             x, y = view.foot.tolist()
             z = float(place.ground(view.foot)[0])
             units.append(Unit(f"{view.post}, {spec.kind}" if taken else view.post, (x, y, z)))
-            pose = _pose(view, units[u])
-        count = sum(sensor.unit == u and sensor.spec.kind == spec.kind for sensor in sensors)
+        count = sum(own.unit == u and own.spec.kind == spec.kind for own in sensors)
         sensors.append(Sensor(f"{units[u].name} {spec.kind} {count + 1}", spec, u))
-        poses.append(pose)
+        poses.append(_pose(view, units[u]))
     order = sorted(range(len(sensors)), key=lambda s: sensors[s].unit)
     return make_layout([sensors[s] for s in order], units, np.array(poses)[order], name)
 
 
-def _within_unit(a: np.ndarray, b: np.ndarray) -> bool:
-    """Whether two plan points or poses may belong to one unit."""
-    apart = np.abs(a - b)
-    return bool(np.hypot(*apart[:2]) <= UNIT_PLAN and (apart[2:3] <= UNIT_HEIGHT).all())
+def _within_unit(apart: np.ndarray) -> bool:
+    """Whether plan points or poses that are so far apart may belong to one unit."""
+    return bool(np.hypot(*apart[:2]) <= UNIT_PLAN and (np.abs(apart[2:3]) <= UNIT_HEIGHT).all())
 
 
 def _pose(view: View, unit: Unit) -> Float[np.ndarray, "6"]:

@@ -35,24 +35,34 @@ CROSSWALK_WIDTH = 3.0
 class Arm:
     """One road that meets the junction.
 
-    ``mouth`` is the middle of its carriageway where it enters the junction
-    (x, y) [m]; ``bearing`` points away from the junction along the road [rad];
-    ``width`` is the whole carriageway, both directions, kerb to kerb [m].
+    ``mouth`` is the middle of its carriageway where it enters the junction (x, y) [m]; ``bearing``
+    points away from the junction [rad]; ``width`` is that of both directions, kerb to kerb [m].
     """
 
     mouth: tuple[float, float]
     bearing: float
     width: float
 
+    @property
+    def axes(self) -> Float[np.ndarray, "2 2"]:
+        """Unit vectors out along the road, and to its left looking outward."""
+        x, y = np.cos(self.bearing), np.sin(self.bearing)
+        return np.array([[x, y], [-y, x]])
+
+    def kerb(self, side: int, outward: float = 0.0) -> Float[np.ndarray, "2"]:
+        """The kerb's point ``outward`` [m] of the mouth: left (+1) or right (−1) looking outward;
+        0 is the middle of the road."""
+        along, across = self.axes
+        return np.asarray(self.mouth) + outward * along + side * self.width / 2 * across
+
 
 @dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
 class Route:
     """A path that one kind of road user follows through the scene.
 
-    ``waypoints`` are (N, 3) world metres, about 1 m apart, in the direction of
-    travel; ``width`` is that of the lane [m]; ``user`` is ``'vehicle'`` or
-    ``'pedestrian'``. ``through`` names the (entry, exit) arms of a vehicle
-    route by index, −1 where it begins or ends elsewhere.
+    ``waypoints`` are about 1 m apart, in the direction of travel [m]; ``width`` is that of the lane
+    [m]; ``user`` is ``'vehicle'`` or ``'pedestrian'``. ``through`` are the indices of the (entry,
+    exit) arms of a vehicle's route, −1 where it begins or ends elsewhere.
     """
 
     waypoints: Float[np.ndarray, "N 3"]
@@ -75,17 +85,15 @@ class Route:
 class Intersection(Described):
     """A junction and what surrounds it, in world metres (ENU).
 
-    ``regions`` have one shapely geometry each. They may overlap: a column takes
-    its label by :data:`~inspe_jax.scene.regions.PRECEDENCE`. ``mounting`` is
-    where a pole may be put (sidewalk, shoulder, islands). ``poles`` (P, 3) are
-    the feet of existing poles, as of signals. ``ground_points`` (G, 3) give the
-    height of the ground. ``notes`` say what was assumed. ``map`` is the file that
-    it was read from, which SUMO's traffic needs; a saved scene does not keep it.
-    ``bodies`` are those that its map brings: buildings, trees, walls. A scene has them
+    ``regions`` may overlap: a column takes its label by
+    :data:`~inspe_jax.scene.regions.PRECEDENCE`. ``mounting`` is where a pole may be put (sidewalk,
+    shoulder, islands). ``poles`` are the feet of existing ones. ``ground_points`` give the height
+    of the ground. ``notes`` say what was assumed. ``map`` is the file that it was read from, which
+    SUMO's traffic needs. ``bodies`` are those of its map: buildings, trees, walls; a scene has them
     with ``statics="map"``. ``georeference`` is the projection of its coordinates, None if unknown.
-    ``mesh`` are the triangles that its bodies of kind ``solid`` stand for, None if there are none.
-    ``level_points`` are the ground points of the map, where the place stands on other ground
-    (:meth:`standing_on`); a saved scene does not keep them.
+    ``mesh`` are the triangles that its bodies of kind ``solid`` stand for. ``level_points`` are the
+    ground points of the map, where the place stands on other ground (:meth:`standing_on`). A saved
+    scene keeps neither the map nor these.
     """
 
     name: str
@@ -113,6 +121,20 @@ class Intersection(Described):
             raise InspeError(f"{prefix}ground_points: at least one is needed")
         for shape in (*self.regions.values(), self.mounting):
             check_values(shapely.get_coordinates(shape), f"{prefix}regions or mounting")
+
+    @cached_property
+    def lanes(self) -> BaseGeometry:
+        """The ground of all lanes of vehicles."""
+        # Mitred, because round joins would change a little where the world is turned.
+        return unary_union(
+            [
+                LineString(route.waypoints[:, :2]).buffer(
+                    route.width / 2, cap_style="flat", join_style="mitre"
+                )
+                for route in self.routes
+                if route.user == "vehicle" and len(route.waypoints) > 1
+            ]
+        )
 
     @cached_property
     def _ground_index(self) -> cKDTree:
@@ -162,42 +184,29 @@ class Intersection(Described):
         )
 
 
-def mouth_crosswalks(arms: tuple[Arm, ...], width: float = CROSSWALK_WIDTH) -> BaseGeometry:
-    """One strip of ``width`` metres across each arm, just outside the junction's mouth."""
-    strips = []
-    for arm in arms:
-        along = np.array([np.cos(arm.bearing), np.sin(arm.bearing)])
-        across = np.array([-along[1], along[0]]) * arm.width / 2
-        middle = np.asarray(arm.mouth) + along * width / 2
-        strips.append(
-            LineString([middle - across, middle + across]).buffer(width / 2, cap_style="flat")
-        )
-    return unary_union(strips) if strips else MultiPolygon()
+def mouth_crosswalks(arms: tuple[Arm, ...]) -> BaseGeometry:
+    """One strip of :data:`CROSSWALK_WIDTH` across each arm, just outside the junction's mouth."""
+    half = CROSSWALK_WIDTH / 2
+    ends = [[arm.kerb(side, half) for side in (-1, 1)] for arm in arms]
+    return unary_union([LineString(line).buffer(half, cap_style="flat") for line in ends])
 
 
-def corner_islands(arms: tuple[Arm, ...], size: float = 2.0, setback: float = 1.5) -> BaseGeometry:
-    """Square islands of ``size`` metres at the corners between neighbouring arms.
+def corner_islands(arms: tuple[Arm, ...]) -> BaseGeometry:
+    """Square islands of 2 m at the corners between neighbouring arms; none of fewer than two arms.
 
-    A corner is midway between the facing kerb points of two neighbouring mouths, moved
-    ``setback`` metres outward from the middle of all mouths. Where the kerb runs straight, the
-    corner is on it; where the kerb rounds a corner, it is behind it.
+    A corner is midway between the facing kerb points of two neighbouring mouths, moved 1.5 m
+    outward from the middle of all mouths. Where the kerb runs straight, the corner is on it; where
+    the kerb rounds a corner, it is behind it.
     """
     if len(arms) < 2:
         return MultiPolygon()
     ordered = sorted(arms, key=lambda a: a.bearing % (2 * np.pi))
     islands: list[Polygon] = []
     for arm, following in zip(ordered, ordered[1:] + ordered[:1], strict=True):
-        kerb, kerb_next = _kerb(arm, +1), _kerb(following, -1)
-        corner = (kerb + kerb_next) / 2
+        corner = (arm.kerb(+1) + following.kerb(-1)) / 2
         outward = corner - np.mean([a.mouth for a in arms], axis=0)
         norm = np.linalg.norm(outward)
         if norm > 0:
-            corner = corner + outward / norm * setback
-        islands.append(Point(corner).buffer(size / 2, cap_style="square"))
+            corner = corner + outward / norm * 1.5
+        islands.append(Point(corner).buffer(1.0, cap_style="square"))
     return unary_union(islands)
-
-
-def _kerb(arm: Arm, side: int) -> np.ndarray:
-    """The kerb point of an arm's mouth, on its left (+1) or right (−1) looking outward."""
-    across = np.array([-np.sin(arm.bearing), np.cos(arm.bearing)])
-    return np.asarray(arm.mouth) + side * across * arm.width / 2

@@ -12,7 +12,7 @@ from importlib.resources import files
 from types import MappingProxyType
 from typing import Any
 
-from inspe_jax.core.errors import InspeError, nearest
+from inspe_jax.core.errors import check_known
 
 DEFAULT_PROFILE = "paper"
 BEFORE_PROFILES = "ideal"
@@ -83,7 +83,5 @@ def profiles() -> Mapping[str, Profile]:
 
 def profile_of(name: str) -> Profile:
     """A profile by name. Raises InspeError with the known names."""
-    known = profiles()
-    if name not in known:
-        raise InspeError(f"no profile '{name}': {', '.join(known)}{nearest(name, tuple(known))}")
-    return known[name]
+    check_known(name, profiles(), "no profile")
+    return profiles()[name]

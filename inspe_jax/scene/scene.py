@@ -6,7 +6,7 @@ import os
 import struct
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float
 from shapely.geometry.base import BaseGeometry
 
 from inspe_jax.core.errors import InspeError, nearest, wrong_kind
-from inspe_jax.core.files import check_output, open_arrays, whole_file
+from inspe_jax.core.files import cached_by_file, check_output, open_arrays, whole_file
 from inspe_jax.core.pytree import pytree
 from inspe_jax.core.records import Described, check_record
 from inspe_jax.scene.geojson import SUFFIX as GEOJSON
@@ -182,8 +182,9 @@ def build_scene(
 
     Raises InspeError if a value is out of range, and as the model of the traffic does.
     """
-    given = dict(radius=radius, voxel=voxel, spacing=spacing, density=density, mix=mix)
-    own = profile_of(profile).of_scene(**given)
+    own = profile_of(profile).of_scene(
+        radius=radius, voxel=voxel, spacing=spacing, density=density, mix=mix
+    )
     check_statics(statics)
     check_terrain(terrain)
     if isinstance(intersection, str) and not is_map(intersection):
@@ -193,10 +194,9 @@ def build_scene(
         raise wrong_kind("intersection", intersection, wanted)
     check_record(intersection, intersection.name)
     radius, density, mix = own["radius"], own["density"], own["mix"]
-    lengths = {key: own[key] for key in ("radius", "voxel", "spacing")}
-    voxels = build_voxels(intersection, **lengths)
-    lengths["spacing"] = voxels.spacing
-    settings = {"profile": profile} | {key: f"{value:g}" for key, value in lengths.items()}
+    voxels = build_voxels(intersection, radius=radius, voxel=own["voxel"], spacing=own["spacing"])
+    settings = dict(profile=profile, radius=f"{radius:g}", voxel=f"{voxels.size:g}")
+    settings |= dict(spacing=f"{voxels.spacing:g}")
     if str(traffic).endswith(LOG_SUFFIXES):
         found = log_traffic(intersection, Path(traffic), radius=radius, frames=frames, step=step)
         settings |= dict(density=AS_RECORDED, frames=str(found.frame_count), step=f"{step:g}")
@@ -246,15 +246,36 @@ def load_scene(source: str | os.PathLike[str], profile: str | None = None) -> Sc
             raise InspeError(f"{path}: {e}") from None
 
 
+def scene_of(given: Any) -> Scene:
+    """A scene that is given as such, or by the name of a built-in or of a saved file; checked.
+
+    Raises InspeError as :func:`load_scene` and :meth:`Scene.check` do, and for anything else.
+    """
+    if isinstance(given, Scene):
+        return given.check()
+    if not isinstance(given, str | os.PathLike):
+        names = f"the name of a built-in ({', '.join(BUILT_INS)}) or of a saved .npz file"
+        raise wrong_kind("scene", given, f"a Scene, or {names}")
+    if given in BUILT_INS:
+        return _built_in_scene(given)
+    return _saved_scene(given) if os.path.isfile(given) else load_scene(given)  # says what is wrong
+
+
+# Or each score in a loop would build or read it again.
+_built_in_scene = lru_cache(maxsize=2)(load_scene)
+_saved_scene = cached_by_file(2)(load_scene)
+
+
 def check_scene_name(source: str | os.PathLike[str]) -> None:
     """Raise InspeError unless a name is that of a built-in, or can be that of a saved scene."""
     if str(source) in BUILT_INS or Path(source).suffix in SCENE_SUFFIXES:
         return
     if other := what_is(source):
         raise InspeError(f"{source}: {other}")
-    known = tuple(BUILT_INS)
-    what = f"a built-in ({', '.join(known)}), a saved .npz, or a map (.xodr, .net.xml, .osm)"
-    raise InspeError(f"no scene '{source}': give {what}{nearest(str(source), known)}")
+    raise InspeError(
+        f"no scene '{source}': give a built-in ({', '.join(BUILT_INS)}), a saved .npz, or a map "
+        f"(.xodr, .net.xml, .osm){nearest(str(source), tuple(BUILT_INS))}"
+    )
 
 
 def what_is(path: str | os.PathLike[str]) -> str:

@@ -7,8 +7,7 @@ for sensors. Where there is no room for a thing, it is left out.
 """
 
 import zlib
-from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
 from itertools import islice
 from typing import NamedTuple
 
@@ -67,8 +66,8 @@ def statics_of(
     """The static bodies of a name of :data:`STATICS`, without those that traffic touches.
 
     Buildings of a map and solids of a mesh stay, whoever touches them. They do not depend on the
-    seed of the traffic: a place stays what it is. Raises InspeError where the name is another, or
-    the place's map brings no bodies.
+    seed of the traffic. Raises InspeError where the name is another, or the place's map brings no
+    bodies.
     """
     check_statics(name)
     if name == "none":
@@ -107,11 +106,10 @@ def street_bodies(place: Intersection, radius: float) -> tuple[StaticBody, ...]:
     same, whatever its traffic.
     """
     rng = np.random.default_rng([0, zlib.crc32(place.name.encode())])
-    room = _Room.of(place, radius)
+    room = _Room(place, radius)
     town = (_signals, _shelters, _parked, _lamps, _trees, _boxes, _walls)
     for fill in (_lamps,) if room.walked.is_empty else town:
-        for one in fill(room, rng):
-            room.bodies.append(one)
+        fill(room, rng)
     return tuple(room.bodies)
 
 
@@ -145,43 +143,35 @@ class Spot(NamedTuple):
         """The direction of the line [rad]."""
         return float(np.arctan2(self.along[1], self.along[0]))
 
-    def moved(self, out: float, along: float = 0.0) -> Float[np.ndarray, "2"]:
-        """The point so far away from the lanes and along the line [m]."""
-        return self.at + out * self.out + along * self.along
+    def moved(self, out: float) -> Float[np.ndarray, "2"]:
+        """The point so far away from the lanes [m]."""
+        return self.at + out * self.out
 
 
-@dataclass(eq=False)
 class _Room:
     """Where there is room for bodies, and those that stand already."""
 
-    place: Intersection
-    area: BaseGeometry
-    lanes: BaseGeometry
-    walked: BaseGeometry
-    crossings: BaseGeometry
-    ground: BaseGeometry
-    poles: BaseGeometry
-    bodies: list[StaticBody]
+    def __init__(self, place: Intersection, radius: float) -> None:
+        self.place = place
+        self.bodies: list[StaticBody] = []
+        self.area = Point(place.center[:2]).buffer(radius + BEYOND)
+        near = self.area.buffer(5.0)
+        paths = [
+            LineString(route.waypoints[:, :2])
+            for route in with_walkways(place, radius).routes
+            if route.user != "vehicle" and len(route.waypoints) > 1
+        ]
+        some = [r for r in (Region.CROSSWALK, Region.JUNCTION) if r in place.regions]
+        self.lanes = place.lanes.intersection(near)
+        self.walked = unary_union([path.buffer(WALKED) for path in paths]).intersection(near)
+        self.crossings = unary_union([place.regions[r] for r in some]).intersection(near)
+        self.poles = unary_union([Point(foot[:2]).buffer(FROM_POLES) for foot in place.poles])
+        ground = unary_union(list(place.regions.values())).intersection(near)
+        # Where something else than a lane begins; and the back of sidewalks.
+        self.kerb = self.lanes.boundary.intersection(self.area)
+        self.back = ground.boundary.intersection(self.area)
 
-    @classmethod
-    def of(cls, place: Intersection, radius: float) -> "_Room":
-        area = Point(place.center[:2]).buffer(radius + BEYOND)
-        routes = with_walkways(place, radius).routes
-        lines = [(r.user, r.width, LineString(r.waypoints[:, :2])) for r in routes
-                 if len(r.waypoints) > 1]  # fmt: skip
-        lanes = unary_union([line.buffer(width / 2, cap_style="flat", join_style="mitre")
-                             for user, width, line in lines if user == "vehicle"])  # fmt: skip
-        walked = unary_union([line.buffer(WALKED) for user, _, line in lines if user != "vehicle"])
-        some = (Region.CROSSWALK, Region.JUNCTION)
-        crossings = unary_union([place.regions[r] for r in some if r in place.regions])
-        poles = unary_union([Point(foot[:2]).buffer(FROM_POLES) for foot in place.poles])
-        near, ground = area.buffer(5.0), unary_union(list(place.regions.values()))
-        lanes, walked, crossings, ground = (
-            shape.intersection(near) for shape in (lanes, walked, crossings, ground)
-        )
-        return cls(place, area, lanes, walked, crossings, ground, poles, [])
-
-    def takes(self, one: StaticBody, from_crossings: float = 0.3) -> bool:
+    def takes(self, one: StaticBody, from_crossings: float) -> bool:
         """Whether a body may stand where it is."""
         foot, hangs = _footprint(one), one.polygon
         return (
@@ -199,6 +189,11 @@ class _Room:
             )
         )
 
+    def add(self, *tries: StaticBody, from_crossings: float = 0.3) -> None:
+        """Let the first body stand that may stand where it is, if any."""
+        fits = (one for one in tries if self.takes(one, from_crossings))
+        self.bodies += islice(fits, 1)
+
     def along(self, line: BaseGeometry, step: Callable[[], float]) -> Iterator[Spot]:
         """Spots along the parts of a line, ``step()`` metres apart, within the area."""
         for part in shapely.get_parts(shapely.line_merge(line)):
@@ -214,61 +209,47 @@ class _Room:
                     continue
                 along = along / size
                 out = np.array([-along[1], along[0]])
-                probe = [Point(at + side * 0.3 * out) for side in (1, -1)]
-                yield Spot(at, along, out if probe[0].distance(self.lanes) > probe[1].distance(
-                    self.lanes) else -out)  # fmt: skip
-
-    def first(self, tries: Iterable[StaticBody], from_crossings: float = 0.3) -> list[StaticBody]:
-        """The first body that may stand where it is, if any."""
-        return [*islice((one for one in tries if self.takes(one, from_crossings)), 1)]
-
-    @property
-    def kerb(self) -> BaseGeometry:
-        """The edge of the lanes where something else than a lane begins."""
-        return self.lanes.boundary.intersection(self.area)
-
-    @property
-    def back(self) -> BaseGeometry:
-        """The outer edge of the regions: the back of sidewalks."""
-        return self.ground.boundary.intersection(self.area)
+                left, right = (
+                    Point(at + side * 0.3 * out).distance(self.lanes) for side in (1, -1)
+                )
+                yield Spot(at, along, out if left > right else -out)
 
 
 def room_along(place: Intersection, radius: float, step: float) -> list[Spot]:
     """Spots along the backs of a place's sidewalks, ``step`` metres apart."""
-    room = _Room.of(place, radius)
+    room = _Room(place, radius)
     return list(room.along(room.back, lambda: step))
 
 
-def _signals(room: _Room, rng: np.random.Generator) -> Iterator[StaticBody]:
+def _signals(room: _Room, rng: np.random.Generator) -> None:
     """A signal post at either kerb of each arm, where drivers stop, unless a pole is there."""
     for arm in room.place.arms:
-        ahead = np.array([np.cos(arm.bearing), np.sin(arm.bearing)])
-        across = np.array([-ahead[1], ahead[0]])
+        ahead, across = arm.axes
         for side in (-1, 1):
             foot = np.array(arm.mouth) + 4.2 * ahead + side * (arm.width / 2 + 0.4) * across
-            yield from room.first([pole(foot, radius=0.07, height=3.4)])
+            room.add(pole(foot, radius=0.07, height=3.4))
 
 
-def _lamps(room: _Room, rng: np.random.Generator) -> Iterator[StaticBody]:
+def _lamps(room: _Room, rng: np.random.Generator) -> None:
     """Lamp posts at the kerb, some 25 m apart."""
     for spot in room.along(room.kerb, lambda: float(rng.uniform(22, 28))):
-        yield from room.first([pole(spot.moved(0.5), radius=0.09, height=8.0)])
+        room.add(pole(spot.moved(0.5), radius=0.09, height=8.0))
 
 
-def _shelters(room: _Room, rng: np.random.Generator) -> Iterator[StaticBody]:
-    """A bus shelter on up to two sides, at the back of the sidewalk, open in no direction."""
-    found: list[StaticBody] = []
+def _shelters(room: _Room, rng: np.random.Generator) -> None:
+    """Up to two bus shelters at the back of the sidewalk, at least 40 m apart."""
     spots = list(room.along(room.back, lambda: float(rng.uniform(3, 6))))
+    found: list[StaticBody] = []
     for k in rng.permutation(len(spots)):
         spot = spots[k]
         tries = (
             upright_box("furniture", spot.moved(out), (4.0, 1.3, 2.4), spot.yaw)
             for out in (-0.7, 0.0, 0.3)
         )
-        for one in room.first(tries, 3 * FROM_CROSSING):
-            if all(one.polygon.distance(o.polygon) > 40 for o in found):
-                found.append(one)
-                yield one
+        fits = next((one for one in tries if room.takes(one, 3 * FROM_CROSSING)), None)
+        if fits and all(fits.polygon.distance(other.polygon) > 40 for other in found):
+            found.append(fits)
+            room.bodies.append(fits)
         if len(found) == 2:
             return
 
@@ -279,7 +260,7 @@ def parked_size(rng: np.random.Generator) -> tuple[float, float, float]:
     return PARKED[int(rng.choice(len(PARKED), p=shares / shares.sum()))][1]
 
 
-def _parked(room: _Room, rng: np.random.Generator) -> Iterator[StaticBody]:
+def _parked(room: _Room, rng: np.random.Generator) -> None:
     """Vehicles along the kerb, in rows with gaps: some 60 % of the places are taken."""
     for spot in room.along(room.kerb, lambda: float(rng.uniform(5.4, 6.4))):
         if rng.uniform() > 0.6:
@@ -288,41 +269,38 @@ def _parked(room: _Room, rng: np.random.Generator) -> Iterator[StaticBody]:
         sizes = [first, *(size for _, size in reversed(PARKED) if size[1] < first[1])]
         turn = spot.yaw + np.pi * bool(rng.uniform() < 0.2)
         across = LineString([spot.moved(0.3), spot.moved(MEDIAN)])
-        if across.intersects(room.lanes):
-            continue
-        tries = (
-            upright_box("parked vehicle", spot.moved(LANE_GAP + size[1] / 2), size, turn)
-            for size in sizes
-        )
-        yield from room.first(tries, FROM_CROSSING)
+        if not across.intersects(room.lanes):
+            tries = [
+                upright_box("parked vehicle", spot.moved(LANE_GAP + size[1] / 2), size, turn)
+                for size in sizes
+            ]
+            room.add(*tries, from_crossings=FROM_CROSSING)
 
 
-def _trees(room: _Room, rng: np.random.Generator) -> Iterator[StaticBody]:
+def _trees(room: _Room, rng: np.random.Generator) -> None:
     """Rows of trees at the back of sidewalks, 9 to 12 m apart, each row of one size."""
     for part in shapely.get_parts(shapely.line_merge(room.back)):
         radius, height, base = rng.uniform([1.5, 5.5, 2.5], [2.2, 8.0, 3.0])
         for spot in room.along(part, lambda: float(rng.uniform(9, 12))):
             wide = radius * rng.uniform(0.9, 1.1)
-            tries = (
+            tries = [
                 tree(spot.moved(out), radius=wide, height=height, base=base, trunk=0.14)
                 for out in (-0.3, 0.3)
-            )
-            yield from room.first(tries, FROM_CROSSING)
+            ]
+            room.add(*tries, from_crossings=FROM_CROSSING)
 
 
-def _boxes(room: _Room, rng: np.random.Generator) -> Iterator[StaticBody]:
+def _boxes(room: _Room, rng: np.random.Generator) -> None:
     """Switch boxes at the back of sidewalks, some 35 m apart."""
     for spot in room.along(room.back, lambda: float(rng.uniform(28, 42))):
-        yield from room.first(
-            [upright_box("furniture", spot.moved(-0.25), (1.1, 0.4, 1.3), spot.yaw)]
-        )
+        room.add(upright_box("furniture", spot.moved(-0.25), (1.1, 0.4, 1.3), spot.yaw))
 
 
-def _walls(room: _Room, rng: np.random.Generator) -> Iterator[StaticBody]:
+def _walls(room: _Room, rng: np.random.Generator) -> None:
     """Walls and hedges behind sidewalks, in stretches with gaps."""
     for spot in room.along(room.back, lambda: float(rng.uniform(9, 16))):
         kind, width, height = ("hedge", 0.7, 1.5) if rng.uniform() < 0.5 else ("wall", 0.25, 1.8)
         long, height = float(rng.uniform(5, 8)), height * float(rng.uniform(0.8, 1.15))
         out = spot.moved(0.2 + width / 2)
         one = upright_box(kind, out, (long, width, height), spot.yaw)
-        yield from room.first([one], FROM_CROSSING)
+        room.add(one, from_crossings=FROM_CROSSING)

@@ -63,9 +63,8 @@ class Terrain:
     @property
     def points(self) -> Float[np.ndarray, "XY 3"]:
         """The points of the lattice [m]."""
-        x, y = (self.corner[k] + self.step * np.arange(self.heights.shape[k]) for k in (0, 1))
-        at = np.stack(np.meshgrid(x, y, indexing="ij"), -1).reshape(-1, 2)
-        return np.column_stack([at, self.heights.ravel()])
+        at = np.indices(self.heights.shape).reshape(2, -1).T
+        return np.column_stack([self.corner + self.step * at, self.heights.ravel()])
 
     @property
     def faces(self) -> Int[np.ndarray, "F 3"]:
@@ -98,8 +97,7 @@ def lattice(
     """A lattice of :data:`STEP` to :data:`MARGIN` beyond a radius: its first point, and all."""
     half = int(np.ceil((radius + MARGIN) / STEP))
     corner = np.asarray(center, float)[:2] - half * STEP
-    side = STEP * np.arange(2 * half + 1)
-    return corner, corner + np.stack(np.meshgrid(side, side, indexing="ij"), -1).reshape(-1, 2)
+    return corner, corner + STEP * np.indices((2 * half + 1,) * 2).reshape(2, -1).T
 
 
 def terrain_of(place: Intersection, radius: float) -> Terrain | None:
@@ -142,14 +140,11 @@ def between(given: Float[np.ndarray, "G 3"], at: Float[np.ndarray, "N 2"]) -> np
         heights = surface(at)
     out = np.flatnonzero(np.isnan(heights))
     if len(out):
-        hull = shapely.MultiPoint(plan).convex_hull
-        rim = hull.exterior.simplify(0.0)
-        ends = shapely.line_interpolate_point(
-            rim, shapely.line_locate_point(rim, shapely.points(at[out]))
-        )
-        ends = shapely.get_coordinates(ends)
-        middle = plan.mean(0)
-        heights[out] = surface(ends + 1e-6 * (middle - ends))  # a little inward, where it is known
+        rim = shapely.MultiPoint(plan).convex_hull.exterior.simplify(0.0)
+        along = shapely.line_locate_point(rim, shapely.points(at[out]))
+        ends = shapely.get_coordinates(shapely.line_interpolate_point(rim, along))
+        # A little inward, where it is known.
+        heights[out] = surface(ends + 1e-6 * (plan.mean(0) - ends))
     missing = np.isnan(heights)
     heights[missing] = NearestNDInterpolator(plan, known)(at[missing])
     return np.asarray(heights)

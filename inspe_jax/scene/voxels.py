@@ -32,12 +32,12 @@ BYTES_PER_VOXEL = 50
 class VoxelGrid(ByContent, Described):
     """Voxels as columns × levels, in world metres.
 
-    ``columns`` (L, 2) are plan centres on a lattice of ``spacing`` [m] that has a corner
-    at ``center``. ``ground`` (L,) is the height of the ground under each, ``region`` (L,)
-    its label. Level k has its centre at ground + (k + ½)·spacing. Every voxel is a cube
-    of edge ``size`` [m] in the middle of its lattice cell. If the spacing is wider than
-    that, the voxels are a sample. Voxel number v is column v // Z, level v % Z. ``counted`` are the
-    labels of the regions that have weight; all if there are none.
+    ``columns`` are plan centres on a lattice of ``spacing`` [m] that has a corner at ``center``.
+    ``ground`` is the height of the ground under each, ``region`` its label. Level k has its centre
+    at ground + (k + ½)·spacing. Every voxel is a cube of edge ``size`` [m] in the middle of its
+    lattice cell. If the spacing is wider than that, the voxels are a sample. Voxel number v is
+    column v // Z, level v % Z. ``counted`` are the labels of the regions that have weight; all if
+    there are none.
     """
 
     columns: Float[np.ndarray, "L 2"]
@@ -104,13 +104,12 @@ def build_voxels(
 ) -> VoxelGrid:
     """Voxelise an intersection: every column within ``radius`` [m] that lies in some region.
 
-    ``voxel`` is the edge of a voxel [m]. A column has the label of its centre. The levels
-    together are as near to 4 m high as whole lattice cells allow. If ``spacing`` [m] is
-    wider than a voxel, there is one voxel in each cell of that edge. This is a sample of
-    all voxels, with (voxel / spacing)³ of the work.
+    ``voxel`` is the edge of a voxel [m]. A column has the label of its centre. The levels together
+    are as near to 4 m high as whole lattice cells allow. If ``spacing`` [m] is wider than a voxel,
+    there is one voxel in each cell of that edge: a sample, with (voxel / spacing)³ of the work.
 
-    Raises InspeError if a value is out of range, if the grid would not fit in memory, or
-    if no region lies within the radius.
+    Raises InspeError if a value is out of range, if the grid would not fit in memory, or if no
+    region lies within the radius.
     """
     check_range("radius", radius, RADIUS_LIMITS)
     check_range("voxel", voxel, VOXEL_LIMITS)
@@ -120,8 +119,7 @@ def build_voxels(
     half = int(np.ceil(radius / spacing))
     check_memory(np.pi * (radius / spacing) ** 2 * level_count, 4)
 
-    lattice = (np.arange(-half, half) + 0.5) * spacing
-    offset = np.stack(np.meshgrid(lattice, lattice, indexing="ij"), -1).reshape(-1, 2)
+    offset = (np.indices((2 * half,) * 2).reshape(2, -1).T - half + 0.5) * spacing
     offset = offset[np.hypot(offset[:, 0], offset[:, 1]) <= radius]
     columns = offset + intersection.center[:2]
 

@@ -25,8 +25,7 @@ import numpy as np
 from scipy.special import lambertw
 
 from inspe_jax.core.errors import InspeError, check_known, wrong_kind
-from inspe_jax.scene.named import scene_of
-from inspe_jax.scene.scene import Scene
+from inspe_jax.scene.scene import Scene, scene_of
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.sensing.sensors import Spec
 
@@ -186,7 +185,7 @@ def case_of(scene: Any, conditions: Any = None) -> Case:
     """A scene in conditions: a Case; or a scene, also by name, and Conditions, or their text such
     as "night" or "night, rain:10". None is midday in clear air.
 
-    Raises InspeError as :func:`~inspe_jax.scene.named.scene_of` does, and if conditions are none,
+    Raises InspeError as :func:`~inspe_jax.scene.scene.scene_of` does, and if conditions are none,
     or are given besides those of a Case.
     """
     if isinstance(scene, Case):

@@ -10,7 +10,6 @@ from inspe_jax.mounting.brackets import STANDOFF
 from inspe_jax.mounting.site import Site
 from inspe_jax.mounting.strategies import strategy
 from inspe_jax.placement.constraints import Constraints
-from inspe_jax.placement.optimise import optimise
 from inspe_jax.placement.space import Space
 from inspe_jax.scene.placed_bodies import body_at
 from inspe_jax.scene.procedural.built_ins import built_in
@@ -35,21 +34,21 @@ def layout(scene):
     return strategy(scene, "Cam-d1/L-d1")
 
 
-def from_axes(scene, layout):
-    """Distance of each sensor from the nearest axis of a pole [m]."""
+def nearest_pole(scene, points):
+    """The axis of the pole nearest to each point (x, y), and how far away it is [m]."""
     poles = np.asarray(scene.intersection.poles)[:, :2]
-    return np.hypot(*(np.asarray(layout.poses)[:, None, :2] - poles).transpose(2, 0, 1)).min(1)
+    away = np.hypot(*(np.asarray(points)[:, None, :2] - poles).transpose(2, 0, 1))
+    return poles[away.argmin(1)], away.min(1)
 
 
 def test_strategies_hang_sensors_beside_poles(scene, layout):
-    poles = np.asarray(scene.intersection.poles)[:, :2]
     feet = np.array([unit.base[:2] for unit in layout.units])
-    assert np.hypot(*(feet[:, None] - poles).transpose(2, 0, 1)).min(1).max() < 1e-9
+    assert nearest_pole(scene, feet)[1].max() < 1e-9
     bare = strategy(scene.with_statics([]), "Cam-d1/L-d1")
     assert np.allclose(feet, [unit.base[:2] for unit in bare.units])  # the same poles
     lidars = np.array([sensor.spec.kind == "lidar" for sensor in layout.sensors])
-    away = from_axes(scene, layout)
-    assert np.allclose(from_axes(scene, bare)[lidars], 0, atol=1e-9)
+    away = nearest_pole(scene, layout.poses)[1]
+    assert np.allclose(nearest_pole(scene, bare.poses)[1][lidars], 0, atol=1e-9)
     assert away[lidars] == pytest.approx(RADIUS + STANDOFF, abs=0.01)  # of an octagon
     assert away.min() > RADIUS + STANDOFF - 1e-9
     for name in ("Cam-d1", "Cam-d2", "L-d1", "Cam-d1/L-d1", "Cam-d2/L-d2"):
@@ -62,32 +61,25 @@ def test_strategies_hang_sensors_beside_poles(scene, layout):
 def test_a_pole_hides_its_own_wedge(scene, layout):
     """Directions from 0.4 m away that meet a pole of 0.2 m: 29°, as for a disc."""
     s = next(k for k, sensor in enumerate(layout.sensors) if sensor.spec.kind == "lidar")
-    pose = np.asarray(layout.poses)[s]
-    columns = scene.voxels.columns
-    far = np.hypot(*(columns - pose[:2]).T) > 5
+    at, columns = np.asarray(layout.poses)[s, :2], scene.voxels.columns
     bare, seen = (
         np.asarray(line_of_sight(world, layout, 0))[s].reshape(len(columns), -1)
         for world in (scene.with_statics([]), scene)
     )
+    far = np.hypot(*(columns - at).T) > 5
     hidden = (bare & ~seen).any(-1) & far
-    poles = np.asarray(scene.intersection.poles)[:, :2]
-    own = poles[np.hypot(*(poles - pose[:2]).T).argmin()]
-    to = columns - pose[:2]
-    toward = np.arctan2(*(own - pose[:2])[::-1])
-    off = (np.arctan2(*to.T[::-1]) - toward + np.pi) % (2 * np.pi) - np.pi
-    away = np.hypot(*(own - pose[:2]))
+    (own,), (away,) = nearest_pole(scene, at[None])
+    toward, ways = (np.arctan2(*(to - at).T[::-1]) for to in (own, columns))
+    off = (ways - toward + np.pi) % (2 * np.pi) - np.pi
     half = np.arcsin(RADIUS / away)
     assert np.degrees(2 * half) == pytest.approx(29, abs=1.5)
     # The octagon's corners are 3 % farther out than the disc's rim, the middles of its sides 5 %
     # nearer.
-    within = np.abs(off) < 0.93 * half
-    assert hidden[within & far & bare.any(-1)].all()
-    other = np.abs(off) > 1.05 * half
-    others = np.delete(poles, np.hypot(*(poles - pose[:2]).T).argmin(), 0)
-    lines = [shapely.LineString([pose[:2], c]) for c in columns[hidden & other]]
-    assert all(
-        min(line.distance(shapely.Point(p)) for p in others) < 1.05 * RADIUS for line in lines
-    )
+    assert hidden[(np.abs(off) < 0.93 * half) & far & bare.any(-1)].all()
+    others = [p for p in np.asarray(scene.intersection.poles)[:, :2] if (p != own).any()]
+    for column in columns[hidden & (np.abs(off) > 1.05 * half)]:
+        line = shapely.LineString([at, column])
+        assert min(line.distance(shapely.Point(p)) for p in others) < 1.05 * RADIUS
 
 
 def test_what_a_search_may_do_on_poles_can_be_mounted(scene, layout):
@@ -97,7 +89,7 @@ def test_what_a_search_may_do_on_poles_can_be_mounted(scene, layout):
         placed = space.layout(x)
         assert not space.faults(placed)
         assert_mountable(scene, placed, lanes)
-        assert from_axes(scene, placed).min() > RADIUS + STANDOFF - 1e-6
+        assert nearest_pole(scene, placed.poses)[1].min() > RADIUS + STANDOFF - 1e-6
         for pose in np.asarray(placed.poses):
             assert body_at(scene.statics, scene.intersection, pose[:3]) is None
         again = space.layout(space.start(placed)[0])
@@ -135,7 +127,9 @@ def test_a_given_sensor_stays_where_it_may(scene, layout, out):
         units = np.array([sensor.unit for sensor in layout.sensors])
         toward = np.array([np.cos(way), np.sin(way)])
         poses[:, :2] = feet[units] + out / 0.4 * length * toward
-        placed = space.layout(space.start(layout.with_poses(poses))[0])
+        x, notes = space.start(layout.with_poses(poses))
+        assert out >= 0.39 or any("to hang beside its pole" in note for note in notes)
+        placed = space.layout(x)
         assert not space.faults(placed)
         moved = np.asarray(placed.poses)[:, :2] - feet[units]
         if out > 0:
@@ -159,12 +153,11 @@ def test_a_camera_s_bracket_turns_with_it(scene, layout):
         for k in np.intersect1d(space.free, [*index.yaw, *index.height, *index.pitch]):
             ahead = np.asarray(placed(x + step * np.eye(len(x))[k]))
             assert np.allclose((ahead - poses) / step, slopes[..., k], atol=1e-4)
-    poles = np.asarray(scene.intersection.poles)[:, :2] - space.center[:2]
-    for sensor, pose in zip(layout.sensors, poses, strict=True):
-        foot = poles[np.hypot(*(poles - pose[:2]).T).argmin()]
-        if sensor.spec.kind == "camera":
-            out = (pose[:2] - foot) / np.hypot(*(pose[:2] - foot))
-            assert out @ [np.cos(pose[5]), np.sin(pose[5])] == pytest.approx(1, abs=1e-9)
+    cameras = np.array([sensor.spec.kind == "camera" for sensor in layout.sensors])
+    feet, away = nearest_pole(scene, poses[:, :2] + space.center[:2])
+    out = (poses[:, :2] + space.center[:2] - feet) / away[:, None]
+    looks = np.column_stack([np.cos(poses[:, 5]), np.sin(poses[:, 5])])
+    assert (out * looks).sum(1)[cameras] == pytest.approx(1, abs=1e-9)
 
 
 def test_low_poles_carry_nothing_and_other_bodies_still_keep_units_away(scene):
@@ -181,21 +174,3 @@ def test_low_poles_carry_nothing_and_other_bodies_still_keep_units_away(scene):
     post = pole(beside + [0.8, 0.0], radius=RADIUS, height=9.0)  # where nothing can be mounted
     site = Site(place, 40.0, 30.0, bodies=(*scene.statics, post))
     assert not (np.hypot(*(site.poles - beside).T) < 1e-9).any()
-
-
-@pytest.mark.slow
-def test_a_search_keeps_units_on_poles(scene):
-    place = scene.intersection
-    busy = build_scene(place, radius=30.0, voxel=2.0, density=10, frames=4)
-    scene = busy.with_statics(scene.statics)
-    given = strategy(scene, "L-d2")  # on new poles at the roadside
-    # With LiDARs alone, 30 scores are spent before a first layout is placed.
-    found = optimise(
-        scene, given, "greedy", evaluations=60, seed=1, constraints=Constraints(places="poles")
-    )
-    feet = np.array([unit.base[:2] for unit in found.layout.units])
-    poles = np.asarray(scene.intersection.poles)[:, :2]
-    assert np.hypot(*(feet[:, None] - poles).transpose(2, 0, 1)).min(1).max() < 1e-3
-    assert not Space(scene, found.layout).faults(found.layout)
-    assert found.objective > found.scores_before.surrogate
-    assert any("to hang beside its pole" in note for note in found.notes)

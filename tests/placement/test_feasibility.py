@@ -31,7 +31,7 @@ def test_low_sensors_over_a_lane_are_raised_within_the_unit_rule():
     scene = scene_named("four_way")
     place, lanes = scene.intersection, lanes_of(scene.intersection)
     site = space_of(scene).site
-    foot = shapely.get_coordinates(shapely.shortest_line(site.free, site.lanes))[0]
+    foot = shapely.get_coordinates(shapely.shortest_line(site.free, site.place.lanes))[0]
     turn = np.linspace(0, 2 * np.pi, 16)
     ring = 1.9 * np.stack([np.cos(turn), np.sin(turn)], 1)
     out = ring[shapely.contains_xy(lanes, foot + ring).argmax()]

@@ -85,19 +85,18 @@ def test_who_is_where_worked_out_on_paper(place, path):
     traffic = log_traffic(place, path, radius=60, frames=3, step=0.75)
     assert traffic.time.tolist() == [0.0, 0.75, 1.5]
     assert traffic.valid.all()
-    assert traffic.track[0].tolist() == [1, 2, 3, 4, 6]
-    assert traffic.kind[0].tolist() == [CAR, CYCLIST, TRUCK, PEDESTRIAN, TRUCK]
-    at = dict(zip(traffic.track[1].tolist(), traffic.center[1].tolist(), strict=True))
-    assert at[1] == pytest.approx([6.1, -10, 0.8], abs=1e-5)
-    assert at[2] == pytest.approx([5, 8 - 3 - 0.1, 0.9], abs=1e-5)  # south, down the page
-    assert at[3] == pytest.approx([-6.6, -3, 1.3], abs=1e-5)
-    assert at[4] == pytest.approx([3, -3 + 0.75 + 0.1, 0.9], abs=1e-5)
-    yaw = dict(zip(traffic.track[0].tolist(), np.degrees(traffic.yaw[0]), strict=True))
-    assert [yaw[k] % 360 for k in (1, 2, 3, 4)] == pytest.approx([0, 270, 180, 90])
-    velocity = dict(zip(traffic.track[0].tolist(), traffic.velocity[0].tolist(), strict=True))
-    assert velocity[2] == pytest.approx([0, -4, 0])
-    assert velocity[4] == pytest.approx([0, 1, 0])
-    assert traffic.size[0, 0] == pytest.approx([4.8, 2.0, 1.6])
+    first, second = traffic.at(0), traffic.at(1)
+    assert first.track.tolist() == [1, 2, 3, 4, 6]
+    assert first.kind.tolist() == [CAR, CYCLIST, TRUCK, PEDESTRIAN, TRUCK]
+    for center, expected in zip(
+        second.center[:4],
+        ([6.1, -10, 0.8], [5, 8 - 3 - 0.1, 0.9], [-6.6, -3, 1.3], [3, -3 + 0.75 + 0.1, 0.9]),
+        strict=True,
+    ):
+        assert center == pytest.approx(expected, abs=1e-5)
+    assert np.degrees(first.yaw[:4]) % 360 == pytest.approx([0, 270, 180, 90])
+    assert first.velocity[[1, 3]].tolist() == [[0, -4, 0], [0, 1, 0]]  # 2 goes south
+    assert first.size[0] == pytest.approx([4.8, 2.0, 1.6])
 
 
 def test_frames_end_with_the_log(place, path):

@@ -8,7 +8,6 @@ import pytest
 from inspe_jax import evaluate, evaluate_many, strategy
 from inspe_jax.core.errors import InspeError
 from inspe_jax.placement.problem import Problem
-from inspe_jax.scene.procedural.built_ins import built_in
 from inspe_jax.scene.profiles import BEFORE_PROFILES, DEFAULT_PROFILE, Profile, profile_of, profiles
 from inspe_jax.scene.scene import build_scene, load_scene, save_scene
 from inspe_jax.scoring.evaluate import check_options
@@ -20,12 +19,12 @@ SIZE = dict(radius=15.0, voxel=1.0, frames=4, density=10)
 
 @pytest.fixture(scope="module")
 def scene():
-    return build_scene(built_in("four_way"), **SIZE)
+    return build_scene("four_way", **SIZE)
 
 
 @pytest.fixture(scope="module")
 def ideal():
-    return build_scene(built_in("four_way"), profile="ideal", **SIZE)
+    return build_scene("four_way", profile="ideal", **SIZE)
 
 
 @pytest.mark.parametrize("name", profiles())
@@ -48,7 +47,7 @@ def test_a_scene_is_built_as_its_profile_says():
     assert own.of_scene(voxel=own.voxel)["spacing"] == own.spacing
     assert own.of_scene(voxel=2 * own.voxel)["spacing"] is None
     assert own.of_scene(voxel=1.0, spacing=2.0)["spacing"] == 2.0
-    built = build_scene(built_in("t_junction"), radius=10.0, density="none", frames=1)
+    built = build_scene("t_junction", radius=10.0, density="none", frames=1)
     said = dict(built.settings)
     assert said["profile"] == "paper"
     assert (built.voxels.size, built.voxels.spacing) == (own.voxel, own.spacing)
@@ -74,19 +73,18 @@ def test_sensors_are_placed_as_the_profile_says(scene, ideal):
 def test_what_is_scored_is_what_the_profile_says(scene, ideal):
     """As on the same voxels and traffic of the ideal profile, with everything said by hand."""
     layout = strategy(scene, "Cam-c/L-c")
-    own = scene.profile
-    specs = [
-        replace(s.spec, reliability=s.spec.reliability * own.reliability[s.spec.kind])
-        for s in layout.sensors
-    ]
-    sensors = tuple(replace(s, spec=spec) for s, spec in zip(layout.sensors, specs, strict=True))
+    own, scores = scene.profile, evaluate(scene, layout)
+
+    def less_reliable(sensor):
+        share = sensor.spec.reliability * own.reliability[sensor.spec.kind]
+        return replace(sensor, spec=replace(sensor.spec, reliability=share))
+
     by_hand = evaluate(
         ideal,
-        replace(layout, sensors=sensors),
+        replace(layout, sensors=tuple(map(less_reliable, layout.sensors))),
         visibility=own.visibility,
         occlusion_reference=own.occlusion_reference,
     )
-    scores = evaluate(scene, layout)
     assert scores.settings["profile"] == "paper"
     for name in ("coverage", "occlusion", "information_gain", "surrogate"):
         assert getattr(scores, name) == getattr(by_hand, name)
@@ -114,7 +112,7 @@ def test_files_say_their_profile(tmp_path, scene, ideal):
     save_scene(before, tmp_path / "before.npz")
     assert load_scene(tmp_path / "before.npz").profile.name == BEFORE_PROFILES
     save_scene(replace(scene, settings=(("profile", "parer"),)), tmp_path / "other.npz")
-    with pytest.raises(InspeError, match=r"other.npz: no profile 'parer': paper"):
+    with pytest.raises(InspeError, match=r"other.npz: no profile 'parer': one of paper"):
         load_scene(tmp_path / "other.npz")
     text = (tmp_path / "layout.yaml").read_text().replace("profile: ideal", "profile: idael")
     (tmp_path / "layout.yaml").write_text(text)
@@ -126,6 +124,6 @@ def test_profiles_are_not_mixed(scene, ideal):
     with pytest.raises(InspeError, match=r"profiles ideal and paper: scenes searched together"):
         Problem([scene, ideal], strategy(scene, "L-c"))
     with pytest.raises(InspeError, match=r"no profile 'papre'.*paper"):
-        build_scene(built_in("four_way"), profile="papre")
+        build_scene("four_way", profile="papre")
     with pytest.raises(InspeError, match=r"no profile 'papre'.*paper"):
         load_scene("four_way", "papre")

@@ -10,7 +10,6 @@ from worlds import LIDAR, crossing, place_sensors, world
 from inspe_jax.core.digest import digest
 from inspe_jax.core.errors import InspeError
 from inspe_jax.placement.problem import Problem
-from inspe_jax.scene.procedural.built_ins import built_in
 from inspe_jax.scene.regions import PRECEDENCE, WEIGHTS, Region
 from inspe_jax.scene.scene import build_scene, load_scene, save_scene
 from inspe_jax.scene.voxels import build_voxels
@@ -33,11 +32,9 @@ def test_columns_are_labelled_by_precedence_and_stand_on_the_ground():
 
 
 def test_columns_on_a_border_are_not_lost():
-    """14 m roads and 4 m sidewalks end on lattice points of 2 m voxels.at ±7 and ±11."""
+    """14 m roads and 4 m sidewalks end on lattice points of 2 m voxels, at ±7 and ±11."""
     grid = build_voxels(crossing(), radius=30, voxel=2.0)
-    assert sorted(set(grid.columns[grid.columns[:, 0] == 21, 1])) == [
-        -11, -9, -7, -5, -3, -1, 1, 3, 5, 7, 9, 11
-    ]  # fmt: skip
+    assert sorted(set(grid.columns[grid.columns[:, 0] == 21, 1])) == [*range(-11, 12, 2)]
 
 
 def test_voxels_run_from_the_ground_to_four_metres():
@@ -45,10 +42,8 @@ def test_voxels_run_from_the_ground_to_four_metres():
     assert grid.level_count == 8
     assert grid.centers.shape == (grid.count, 3)
     assert sorted(set(grid.centers[:, 2])) == pytest.approx(np.arange(0.25, 4, 0.5))
-    assert grid.weight.shape == (grid.count,)
     # Voxel v is column v // Z, level v % Z.
-    np.testing.assert_array_equal(grid.centers[8 * 5 + 3, :2], grid.columns[5])
-    assert grid.centers[8 * 5 + 3, 2] == pytest.approx(1.75)
+    assert grid.centers[8 * 5 + 3].tolist() == [*grid.columns[5], 1.75]
     assert grid.weight[8 * 5] == WEIGHTS[Region(grid.region[5])]
     assert set(PRECEDENCE) == set(Region) == set(WEIGHTS)
 
@@ -63,18 +58,11 @@ def test_the_area_of_the_columns_is_that_of_the_regions():
 
 
 def test_a_saved_scene_loads_the_same(tmp_path):
-    scene = build_scene(built_in("t_junction"), radius=20, spacing=1.25, frames=3, density=5)
+    scene = build_scene("t_junction", radius=20, spacing=1.25, frames=3, density=5)
     assert dict(scene.settings)["spacing"] == "1.25"
     save_scene(scene, tmp_path / "t.npz")
     again = load_scene(tmp_path / "t.npz")
-    assert digest((scene.voxels, scene.traffic)) == digest((again.voxels, again.traffic))
-    a, b = scene.intersection, again.intersection
-    assert (a.name, a.notes, a.arms) == (b.name, b.notes, b.arms)
-    assert all(b.regions[r].equals(g) for r, g in a.regions.items())
-    assert b.mounting.equals(a.mounting)
-    assert digest((a.poles, a.routes, a.ground_points)) == digest(
-        (b.poles, b.routes, b.ground_points)
-    )
+    assert digest(again) == digest(scene)
     assert again.settings == scene.settings
 
 
@@ -91,13 +79,11 @@ def test_a_saved_scene_loads_the_same(tmp_path):
         ),
         (dict(density="heavy"), "density 'heavy': none, low, medium, high"),
         (dict(density=-3), "density '-3'"),
-        (dict(frames=0), "frames 0 is out of range"),
-        (dict(mix="tanks"), "mix 'tanks'"),
     ],
 )
 def test_values_out_of_range(options, message):
     with pytest.raises(InspeError, match=message):
-        build_scene(built_in("four_way"), **{"frames": 2, **options})
+        build_scene("four_way", **{"frames": 2, **options})
 
 
 @pytest.mark.parametrize(
@@ -130,26 +116,17 @@ CORRUPT = {
 }
 
 
-@pytest.fixture(scope="module")
-def saved(tmp_path_factory):
-    """The arrays of a saved scene that has everything."""
-    place = built_in("four_way")
-    scene = build_scene(place, radius=15, voxel=1.0, frames=2, density=4, statics="street")
-    path = tmp_path_factory.mktemp("scene") / "t.npz"
-    save_scene(scene, path)
+def test_no_array_of_a_saved_scene_may_have_a_value_that_is_not_finite(tmp_path):
+    path, size = tmp_path / "bad.npz", dict(radius=15, voxel=1.0, frames=2, density=4)
+    save_scene(build_scene("four_way", statics="street", **size), path)
     with np.load(path) as data:
-        return dict(data)
-
-
-@pytest.mark.parametrize("name", CORRUPT)
-def test_no_array_of_a_saved_scene_may_have_a_value_that_is_not_finite(tmp_path, saved, name):
-    path, bad = tmp_path / "bad.npz", saved[name].copy()
-    bad.flat[0] = np.nan
-    np.savez(path, **saved | {name: bad})
-    with pytest.raises(
-        InspeError, match=rf"bad.npz: four_way: .*({CORRUPT[name]}).*: nan is not finite"
-    ):
-        load_scene(path)
+        saved = dict(data)
+    for name, words in CORRUPT.items():
+        bad = saved[name].copy()
+        bad.flat[0] = np.nan
+        np.savez(path, **saved | {name: bad})
+        with pytest.raises(InspeError, match=rf"bad.npz: four_way: .*{words}.*: nan is not finite"):
+            load_scene(path)
 
 
 @pytest.mark.parametrize(
@@ -167,22 +144,23 @@ def test_no_array_of_a_saved_scene_may_have_a_value_that_is_not_finite(tmp_path,
         ),
     ],
 )
-def test_traffic_of_ones_own_is_checked_by_the_first_function_that_takes_it(
-    tmp_path, name, change, message
-):
+def test_traffic_of_ones_own_is_checked(name, change, message):
     scene = world(radius=10.0, voxel=2.0, frames=2, count=6)
-    layout = place_sensors((LIDAR, [0.0, 0.0, 5.0, 0, 0, 0]))
     wrong = change(getattr(scene.traffic, name))
     bad = replace(scene, traffic=replace(scene.traffic, **{name: wrong}))
-    for function in (
-        lambda: evaluate(bad, layout),
-        lambda: in_view(bad, layout),
-        lambda: target_view(bad, layout),
-        lambda: Problem(bad, layout),
-        lambda: save_scene(bad, tmp_path / "bad.npz"),
-    ):
-        with pytest.raises(InspeError, match=message):
-            function()
+    with pytest.raises(InspeError, match=message):
+        bad.check()
+
+
+def test_the_first_function_that_takes_a_scene_checks_it(tmp_path):
+    scene = world(radius=10.0, voxel=2.0, frames=2, count=6)
+    layout = place_sensors((LIDAR, [0.0, 0.0, 5.0, 0, 0, 0]))
+    bad = replace(scene, traffic=replace(scene.traffic, yaw=scene.traffic.yaw[:, :-1]))
+    for function in (evaluate, in_view, target_view, Problem):
+        with pytest.raises(InspeError, match=r"traffic\.yaw: shape"):
+            function(bad, layout)
+    with pytest.raises(InspeError, match=r"traffic\.yaw: shape"):
+        save_scene(bad, tmp_path / "bad.npz")
     padding = replace(scene.traffic, kind=np.where(scene.traffic.valid, scene.traffic.kind, -1))
     assert replace(scene, traffic=padding).check().traffic is padding
 
@@ -199,19 +177,20 @@ def test_scenes_are_shown_in_one_line():
 
 def test_a_scene_whose_shapes_are_nested_deep_is_refused(tmp_path):
     """GEOS would end the process: it reads them by recursion."""
-    scene = build_scene(built_in("t_junction"), radius=15, frames=2, density=2)
-    flat = (
-        shapely.MultiPolygon([shapely.box(0, 0, 1, 1)]),
-        shapely.force_3d(shapely.box(0, 0, 1, 1)),
-    )
-    parts = (shapely.Point(0, 0), shapely.LineString([(0, 0), (1, 1)]), *flat[1:])
-    for area in (*flat, shapely.Polygon(), shapely.GeometryCollection(parts)):
-        place = replace(scene.intersection, mounting=area)
-        save_scene(replace(scene, intersection=place), tmp_path / "a.npz")
-        assert load_scene(tmp_path / "a.npz").intersection.mounting.wkb == area.wkb
-    with np.load(tmp_path / "a.npz") as data:
+    scene, path = build_scene("t_junction", radius=15, frames=2, density=2), tmp_path / "a.npz"
+    high, flat = shapely.force_3d(shapely.box(0, 0, 1, 1)), shapely.box(0, 0, 1, 1)
+    parts = (shapely.Point(0, 0), shapely.LineString([(0, 0), (1, 1)]), high)
+    for area in (
+        shapely.MultiPolygon([flat]),
+        high,
+        shapely.Polygon(),
+        shapely.GeometryCollection(parts),
+    ):
+        save_scene(replace(scene, intersection=replace(scene.intersection, mounting=area)), path)
+        assert load_scene(path).intersection.mounting.wkb == area.wkb
+    with np.load(path) as data:
         arrays = dict(data)
     deep = b"\1\7\0\0\0\1\0\0\0" * 100_000
-    np.savez(tmp_path / "a.npz", **arrays | {"shape_0": np.frombuffer(deep, "u1")})
+    np.savez(path, **arrays | {"shape_0": np.frombuffer(deep, "u1")})
     with pytest.raises(InspeError, match="not a scene saved by this package"):
-        load_scene(tmp_path / "a.npz")
+        load_scene(path)

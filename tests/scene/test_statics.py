@@ -54,9 +54,7 @@ def test_convex_pieces_cover_the_outline_exactly(outline):
         (lambda: body("hous", ELL, 3), "body 'hous': one of building.*"),
         (lambda: body("building", BOW, 3), r"building at \(2.0, 2.0\): its outline crosses"),
         (lambda: body("building", [[0, 0], [1, 1], [0, 0]], 3), "three corners or more"),
-        (lambda: body("building", [[0, 0], [1, 1], [2, 2]], 3), "crosses or touches|has no area"),
         (lambda: body("building", [[0, 0], [np.nan, 1], [2, 0]], 3), "not finite"),
-        (lambda: body("building", ELL, np.inf), "not finite"),
         (lambda: body("building", ELL[:, :1], 3), r"shape \(6, 1\)"),
         (lambda: body("building", "house", 3), "must be numbers"),
         (lambda: body("building", ELL, 2, base=2), "from 2 to 2 m above the ground; its height"),
@@ -64,7 +62,6 @@ def test_convex_pieces_cover_the_outline_exactly(outline):
         (lambda: body("building", ELL, 5000), "at most 1000 m"),
         (lambda: tree((0, 0), radius=2, height=7, base=3, transmittance=1.5), "transmittance 1.5"),
         (lambda: tree((0, 0), radius=2, height=7, base=0), "a trunk of 0.15 m"),
-        (lambda: tree((0, 0), radius=0, height=7, base=3), "three corners or more"),
         (lambda: wall([[0, 0]], 2), "two points"),
     ],
 )
@@ -130,23 +127,22 @@ def test_which_body_a_point_is_in():
 
 def test_saved_with_the_scene_and_part_of_what_it_is(tmp_path):
     scene = replace(world(frames=2, voxel=2.0), intersection=inspe_jax.built_in("four_way"))
-    bodies = [
-        body("building", ELL + [20.0, 20.0], 9.0, base=3.0),
-        tree((-15.0, 15.0), radius=2, height=7, base=3),
-        *wall([[-20, -12], [-15, -12], [-12, -15]], 1.5, kind="hedge"),
-    ]
-    full = scene.with_statics(bodies)
+    full = scene.with_statics(
+        [
+            body("building", ELL + [20.0, 20.0], 9.0, base=3.0),
+            tree((-15.0, 15.0), radius=2, height=7, base=3),
+            *wall([[-20, -12], [-15, -12], [-12, -15]], 1.5, kind="hedge"),
+        ]
+    )
     for name, one in (("open", scene), ("full", full)):
         save_scene(one, tmp_path / f"{name}.npz")
     with np.load(tmp_path / "open.npz") as data:
         assert not any("statics" in key for key in data.files)
     assert load_scene(tmp_path / "open.npz").statics == ()
     again = load_scene(tmp_path / "full.npz").statics
-    assert digest(again) == digest(tuple(bodies))
-    bare = (scene.voxels, scene.traffic, scene.settings)
-    kept = [digest((*bare, of.statics)) for of in (scene, full, replace(full, statics=again))]
-    assert kept[1] == kept[2] != kept[0]
-    assert digest(scene.with_statics([])) == digest(scene) != digest(full)
+    assert digest(again) == digest(full.statics)
+    assert digest(replace(full, statics=again)) == digest(full) != digest(scene)
+    assert digest(full.with_statics([])) == digest(scene)
 
 
 def test_parts_stand_on_the_ground_or_begin_above_it():

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import shapely
+from mounts import lanes_of
 from shapely.geometry import LineString, Point
 from shapely.ops import unary_union
 from worlds import slow_but
@@ -13,6 +14,7 @@ from worlds import slow_but
 import inspe_jax
 from inspe_jax.core.digest import digest
 from inspe_jax.core.errors import InspeError
+from inspe_jax.scene.maps.registry import read_map
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.scene import load_scene, save_scene
 from inspe_jax.scene.street import (
@@ -30,21 +32,9 @@ TOWN = {"parked vehicle": 15, "tree": 12, "pole": 8, "furniture": 5}
 """At least so many of each kind stand at every built-in where people walk."""
 
 
-def town10(maps):
-    from inspe_jax.scene.maps.registry import read_map
-
-    return read_map(maps / "Town10HD.xodr", junction=189, radius=RADIUS)
-
-
 def check(place, bodies):
     """Nothing is on a lane, a footpath, a crosswalk or near a pole, nor in another body."""
-    lanes = unary_union(
-        [
-            LineString(r.waypoints[:, :2]).buffer(r.width / 2, cap_style="flat")
-            for r in place.routes
-            if r.user == "vehicle" and len(r.waypoints) > 1
-        ]
-    )
+    lanes = lanes_of(place)
     lines = [r for r in with_walkways(place, RADIUS).routes if r.user == "pedestrian"]
     walked = unary_union([LineString(r.waypoints[:, :2]) for r in lines])
     feet = [one.polygon if one.base == 0 else Point(one.middle).buffer(0.14) for one in bodies]
@@ -76,7 +66,7 @@ def test_nothing_is_in_the_way_of_traffic(name):
 
 
 def test_on_a_town_map(maps):
-    place = town10(maps)
+    place = read_map(maps / "Town10HD.xodr", junction=189, radius=RADIUS)
     bodies = street_bodies(place, RADIUS)
     check(place, bodies)
     assert len(bodies) > 50

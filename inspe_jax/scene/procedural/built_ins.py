@@ -7,22 +7,24 @@ shoulder, sidewalk and footpath are offsets of it, so there are no gaps between 
 """
 
 from collections.abc import Callable, Sequence
+from itertools import permutations
 
 import numpy as np
 from jaxtyping import Float
 from shapely.geometry import MultiPolygon, Polygon, box
 
-from inspe_jax.core.errors import InspeError, nearest
+from inspe_jax.core.errors import check_known
 from inspe_jax.scene.intersection import CROSSWALK_WIDTH, Arm, Intersection
 from inspe_jax.scene.lines import resampled, turned
 from inspe_jax.scene.procedural.curves import arc, at_distance, bend, joined, offset, onto_ring
 from inspe_jax.scene.procedural.roads import (
     LENGTH,
+    LEVEL,
     ROUTE_LENGTH,
     Road,
     corners,
     gap,
-    on_level_ground,
+    neighbours,
     route,
     station,
     strip,
@@ -53,8 +55,8 @@ def crossing(
         corner_radius: Radius of the kerbs [m].
     """
     roads = [Road(float(np.radians(b)), n, LANE) for b, n in zip(bearings_deg, lanes, strict=True)]
-    mouths, kerbs = corners(roads, corner_radius)
-    return town(name, roads, mouths, kerbs, list(turns(roads, mouths, corner_radius)))
+    roads, kerbs = corners(roads, corner_radius)
+    return town(name, roads, kerbs, list(turns(roads, corner_radius)))
 
 
 def roundabout() -> Intersection:
@@ -65,8 +67,9 @@ def roundabout() -> Intersection:
     region, but can carry a pole.
     """
     island, ring, splitter, corner_radius = 12.0, 6.0, 2.0, 12.0  # [m]; widths but of the radii
-    roads = [Road(float(np.radians(b)), 1, LANE, splitter) for b in (0, 90, 180, 270)]
-    outer = island + ring
+    outer, half = island + ring, splitter / 2 + LANE
+    mouth = float(onto_ring(half, outer, corner_radius)[0, 0])
+    roads = [Road(float(np.radians(b)), 1, LANE, splitter, mouth) for b in (0, 90, 180, 270)]
 
     def from_to(a: Road, b: Road, left: float, radius: float, bend: float) -> np.ndarray:
         """In along one road, ``left`` of its axis, round the ring, and out along another."""
@@ -77,28 +80,20 @@ def roundabout() -> Intersection:
         off = turned(on * [1, -1], sweep)[::-1]
         return turned(joined(on, round_it, off), a.bearing)
 
-    mouth = float(onto_ring(roads[0].half, outer, corner_radius)[0, 0])
-    kerbs = [
-        from_to(a, b, a.half, outer, corner_radius)
-        for a, b in zip(roads, roads[1:] + roads[:1], strict=True)
-    ]
+    kerbs = [from_to(a, b, half, outer, corner_radius) for a, b in neighbours(roads)]
     # A lane keeps its distance from the kerb on the arm, and follows the middle of the ring.
     lane = roads[0].lane(0)
     inner, bent = island + ring / 2, corner_radius + LANE / 2
     routes = []
-    for i, a in enumerate(roads):
-        for j, b in enumerate(roads):
-            if i != j:
-                ends = a.at(station(lane), lane), b.at(station(lane), -lane)
-                path = joined(ends[0], from_to(a, b, lane, inner, bent), ends[1])
-                routes.append(route(path, LANE, (i, j)))
+    for (i, a), (j, b) in permutations(enumerate(roads), 2):
+        ends = a.at(station(lane), lane), b.at(station(lane), -lane)
+        path = joined(ends[0], from_to(a, b, lane, inner, bent), ends[1])
+        routes.append(route(path, LANE, (i, j)))
     drop = _teardrop(splitter / 2, outer, mouth)
     islands = [Polygon(turned(drop, road.bearing)) for road in roads]
     islands.append(Polygon(arc(np.zeros(2), island, 0, 2 * np.pi)[:-1]))
     note = "the central island and the splitter islands belong to no region"
-    return town(
-        "roundabout", roads, [mouth] * len(roads), kerbs, routes, MultiPolygon(islands), (note,)
-    )
+    return town("roundabout", roads, kerbs, routes, MultiPolygon(islands), (note,))
 
 
 def ramp() -> Intersection:
@@ -178,9 +173,15 @@ def ramp() -> Intersection:
     merge = bend(np.array([0.0, beside]), _EAST, np.array([45.0, outer_lane]), _EAST)
     first, last = at_distance(turn, -up, ROUTE_LENGTH), np.array([ROUTE_LENGTH, outer_lane])
     routes.append(route(joined(first, along[:-1], merge, last), lane_width, (2, 0)))
-    note = "a motorway: no crosswalks and no sidewalks"
-    return on_level_ground(
-        "highway_ramp", regions, arms, routes, MultiPolygon(mounting), lamps, (note,)
+    return Intersection(
+        name="highway_ramp",
+        regions=regions,
+        arms=arms,
+        routes=tuple(routes),
+        mounting=MultiPolygon(mounting),
+        poles=lamps,
+        notes=("a motorway: no crosswalks and no sidewalks",),
+        **LEVEL,
     )
 
 
@@ -210,9 +211,5 @@ BUILT_INS: dict[str, Callable[[], Intersection]] = {
 
 def built_in(name: str) -> Intersection:
     """A built-in intersection by name. Raises InspeError with the known names."""
-    if name not in BUILT_INS:
-        raise InspeError(
-            f"no built-in intersection '{name}': one of {', '.join(BUILT_INS)}"
-            + nearest(name, tuple(BUILT_INS))
-        )
+    check_known(name, BUILT_INS, "no built-in intersection")
     return BUILT_INS[name]()

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -28,6 +29,14 @@ ROUTE_LENGTH = 110.0
 SHOULDER, SIDEWALK = 1.0, 3.0
 """Width of shoulders and of sidewalks [m]."""
 
+_SIDE = (-LENGTH, 0.0, LENGTH)
+LEVEL: dict[str, Any] = dict(
+    source=BUILT_IN,
+    center=np.zeros(3),
+    ground_points=np.array([(x, y, 0.0) for x in _SIDE for y in _SIDE]),
+)
+"""What all built-ins have in common: the middle is the origin, and the ground is level."""
+
 _CORNER = np.radians(150.0)  # arms nearer than this have a corner; between others the kerb runs on
 _STRAIGHT = np.radians(30.0)  # a movement that turns less goes straight on
 _STOP = CROSSWALK_WIDTH + 1.0  # from the mouth to where drivers stop [m]
@@ -35,12 +44,16 @@ _STOP = CROSSWALK_WIDTH + 1.0  # from the mouth to where drivers stop [m]
 
 @dataclass(frozen=True)
 class Road:
-    """A straight arm: as many lanes in as out, on either side of an axis through the origin."""
+    """A straight arm: as many lanes in as out, on either side of an axis through the origin.
+
+    ``mouth`` is how far from the middle the junction ends on it [m].
+    """
 
     bearing: float
     lanes: int
     lane_width: float
     median: float = 0.0
+    mouth: float = 0.0
 
     @property
     def along(self) -> np.ndarray:
@@ -62,21 +75,27 @@ class Road:
         u = self.along
         return station * u + left * np.array([-u[1], u[0]])
 
-    def arm(self, mouth: float) -> Arm:
-        """This road as an arm that enters the junction ``mouth`` [m] from the middle."""
-        x, y = self.at(mouth, 0.0)
+    @property
+    def arm(self) -> Arm:
+        """This road as an arm of the junction."""
+        x, y = self.at(self.mouth, 0.0)
         return Arm((float(x), float(y)), self.bearing, 2 * self.half)
 
-    def carriageway(self, start: float, end: float) -> Polygon:
-        """The carriageway from kerb to kerb between two stations [m]."""
-        across = ((start, -self.half), (end, -self.half), (end, self.half), (start, self.half))
-        return Polygon([self.at(*corner) for corner in across])
+    @property
+    def carriageway(self) -> Polygon:
+        """The carriageway from kerb to kerb, outside the junction."""
+        around = [(self.mouth, -1), (LENGTH, -1), (LENGTH, 1), (self.mouth, 1)]
+        return Polygon([self.at(x, side * self.half) for x, side in around])
+
+
+def neighbours(roads: list[Road]) -> list[tuple[Road, Road]]:
+    """Each road and the next one, counter-clockwise."""
+    return [*zip(roads, roads[1:] + roads[:1], strict=True)]
 
 
 def town(
     name: str,
     roads: list[Road],
-    mouths: list[float],
     kerbs: list[np.ndarray],
     routes: Sequence[Route],
     islands: BaseGeometry | None = None,
@@ -84,16 +103,16 @@ def town(
 ) -> Intersection:
     """An intersection of roads with shoulders, sidewalks, crosswalks, footpaths and signal poles.
 
-    ``mouths`` are the distances from the middle at which the junction ends on each road [m].
-    ``kerbs`` go round it: kerb i runs from the mouth of road i, on its left looking outward, to
-    the mouth of the next road, on its right. ``islands`` are cut out of the carriageway.
+    ``kerbs`` go round the junction: kerb i runs from the mouth of road i, on its left looking
+    outward, to the mouth of the next road, on its right. ``islands`` are cut out of the
+    carriageway.
     """
     long = [
         joined(a.at(LENGTH, a.half), kerb, b.at(LENGTH, -b.half))
-        for a, b, kerb in zip(roads, roads[1:] + roads[:1], kerbs, strict=True)
+        for (a, b), kerb in zip(neighbours(roads), kerbs, strict=True)
     ]
-    arms = tuple(road.arm(mouth) for road, mouth in zip(roads, mouths, strict=True))
-    driveway = MultiPolygon([r.carriageway(m, LENGTH) for r, m in zip(roads, mouths, strict=True)])
+    arms = tuple(road.arm for road in roads)
+    driveway = MultiPolygon([road.carriageway for road in roads])
     junction = Polygon(joined(*kerbs))
     mounting = MultiPolygon([strip(line, 0.0, SHOULDER + SIDEWALK) for line in long])
     if islands is not None:
@@ -112,97 +131,68 @@ def town(
     }
     people = [
         route(line, 2.0, user="pedestrian")
-        for walk in _footpaths(roads, mouths, kerbs, SHOULDER + SIDEWALK / 2)
+        for walk in _footpaths(roads, kerbs, SHOULDER + SIDEWALK / 2)
         for line in (walk, walk[::-1])
     ]
-    poles = _poles(roads, mouths, kerbs, SHOULDER + 0.5)
-    mounting = mounting.difference(crosswalks)
-    return on_level_ground(name, regions, arms, [*routes, *people], mounting, poles, notes)
+    return Intersection(
+        name=name,
+        regions=regions,
+        arms=arms,
+        routes=(*routes, *people),
+        mounting=mounting.difference(crosswalks),
+        poles=_poles(roads, kerbs, SHOULDER + 0.5),
+        notes=notes,
+        **LEVEL,
+    )
 
 
 def _footpaths(
-    roads: list[Road], mouths: list[float], kerbs: list[np.ndarray], back: float
+    roads: list[Road], kerbs: list[np.ndarray], back: float
 ) -> Iterator[Float[np.ndarray, "N 2"]]:
     """Footpaths over every crosswalk and along every sidewalk, ``back`` [m] from the kerb."""
-    for road, mouth in zip(roads, mouths, strict=True):
-        middle = mouth + CROSSWALK_WIDTH / 2
+    for road in roads:
+        middle = road.mouth + CROSSWALK_WIDTH / 2
         yield np.array([road.at(middle, -road.half - back), road.at(middle, road.half + back)])
-    for a, b, kerb in zip(roads, roads[1:] + roads[:1], kerbs, strict=True):
+    for (a, b), kerb in zip(neighbours(roads), kerbs, strict=True):
         start = a.at(station(a.half + back), a.half)
         end = b.at(station(b.half + back), -b.half)
         yield offset(joined(start, kerb, end), -back)
 
 
-def _poles(
-    roads: list[Road], mouths: list[float], kerbs: list[np.ndarray], back: float
-) -> Float[np.ndarray, "P 3"]:
+def _poles(roads: list[Road], kerbs: list[np.ndarray], back: float) -> Float[np.ndarray, "P 3"]:
     """Signal poles ``back`` [m] from the kerb: at every corner, or where drivers stop if none."""
     feet: list[np.ndarray] = []
-    for i, kerb in enumerate(kerbs):
-        j = (i + 1) % len(roads)
-        a, b = roads[i], roads[j]
+    for (a, b), kerb in zip(neighbours(roads), kerbs, strict=True):
         if gap(a, b) < _CORNER:
             line = offset(kerb, -back)
             feet.append(resampled(line, arc_of(line)[-1] / 2)[1])
         else:
-            feet.append(a.at(mouths[i] + _STOP, a.half + back))
-            feet.append(b.at(mouths[j] + _STOP, -b.half - back))
+            feet.append(a.at(a.mouth + _STOP, a.half + back))
+            feet.append(b.at(b.mouth + _STOP, -b.half - back))
     return np.column_stack([np.array(feet), np.zeros(len(feet))])
 
 
-def corners(roads: list[Road], radius: float) -> tuple[list[float], list[np.ndarray]]:
-    """The mouth of every road [m] and the kerbs round the junction, as :func:`town` takes them.
+def corners(roads: list[Road], radius: float) -> tuple[list[Road], list[np.ndarray]]:
+    """The roads with their mouths, and the kerbs round the junction, as :func:`town` takes them.
 
     The junction ends on each road where the arcs of both its corners, of ``radius`` [m], have
     ended. Between roads that face each other the kerb runs on without a corner.
     """
-    after = roads[1:] + roads[:1]
-    arcs = [_corner(a, b, radius) for a, b in zip(roads, after, strict=True)]
-    mouths = [radius] * len(roads)
-    for i, arc in enumerate(arcs):
-        j = (i + 1) % len(roads)
-        if len(arc):
-            mouths[i] = max(mouths[i], float(arc[0] @ roads[i].along))
-            mouths[j] = max(mouths[j], float(arc[-1] @ roads[j].along))
+    arcs = [
+        fillet(a.at(LENGTH, a.half), -a.along, b.at(LENGTH, -b.half), b.along, radius)
+        if gap(a, b) < _CORNER
+        else np.zeros((0, 2))
+        for a, b in neighbours(roads)
+    ]
+    ended = []
+    for road, before, after in zip(roads, arcs[-1:] + arcs[:-1], arcs, strict=True):
+        ends = [float(end @ road.along) for end in (*before[-1:], *after[:1])]
+        ended.append(replace(road, mouth=max([radius, *ends])))
     kerbs = []
-    for i, (a, b) in enumerate(zip(roads, after, strict=True)):
-        start, end = a.at(mouths[i], a.half), b.at(mouths[(i + 1) % len(roads)], -b.half)
-        round_it = arcs[i] if len(arcs[i]) else bend(start, -a.along, end, b.along)
-        kerbs.append(joined(start, round_it, end))
-    return mouths, kerbs
-
-
-def _corner(a: Road, b: Road, radius: float) -> Float[np.ndarray, "N 2"]:
-    """The arc of the kerb between two neighbouring roads; no points if there is no corner."""
-    if gap(a, b) >= _CORNER:
-        return np.zeros((0, 2))
-    start, end = a.at(LENGTH, a.half), b.at(LENGTH, -b.half)
-    return fillet(start, -a.along, end, b.along, radius)
-
-
-def on_level_ground(
-    name: str,
-    regions: dict[Region, BaseGeometry],
-    arms: tuple[Arm, ...],
-    routes: Sequence[Route],
-    mounting: BaseGeometry,
-    poles: Float[np.ndarray, "P 3"],
-    notes: tuple[str, ...],
-) -> Intersection:
-    """An intersection at z = 0 with its middle at the origin."""
-    at = (-LENGTH, 0.0, LENGTH)
-    return Intersection(
-        name=name,
-        source=BUILT_IN,
-        center=np.zeros(3),
-        regions=regions,
-        arms=arms,
-        routes=tuple(routes),
-        mounting=mounting,
-        poles=poles,
-        ground_points=np.array([(x, y, 0.0) for x in at for y in at]),
-        notes=notes,
-    )
+    for (a, b), arc in zip(neighbours(ended), arcs, strict=True):
+        start, end = a.at(a.mouth, a.half), b.at(b.mouth, -b.half)
+        kerbs.append(joined(start, arc if len(arc) else bend(start, -a.along, end, b.along), end))
+    return ended, kerbs
 
 
 def strip(line: Float[np.ndarray, "N 2"], near: float, far: float) -> Polygon:
@@ -213,7 +203,7 @@ def strip(line: Float[np.ndarray, "N 2"], near: float, far: float) -> Polygon:
 # ── Routes ──────────────────────────────────────────────────────────────────
 
 
-def turns(roads: list[Road], mouths: list[float], corner_radius: float) -> Iterator[Route]:
+def turns(roads: list[Road], corner_radius: float) -> Iterator[Route]:
     """Every movement from every road to every other, on the lanes for it.
 
     Turns are arcs as wide as the mouths allow. Round a corner they are only so wide that the lane
@@ -222,7 +212,7 @@ def turns(roads: list[Road], mouths: list[float], corner_radius: float) -> Itera
     for i, a in enumerate(roads):
         for j, k, n in _movements(roads, i):
             b = roads[j]
-            start, end = a.at(mouths[i], a.lane(k)), b.at(mouths[j], -b.lane(n))
+            start, end = a.at(a.mouth, a.lane(k)), b.at(b.mouth, -b.lane(n))
             room = np.inf
             if j == (i + 1) % len(roads) and gap(a, b) < _CORNER:  # on the driver's right
                 room = min(a.half - a.lane(k), b.half - b.lane(n))

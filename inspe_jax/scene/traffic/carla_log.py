@@ -8,7 +8,7 @@ import struct
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import shapely
@@ -64,26 +64,32 @@ class _PacketReader:
         for _ in range(count):
             yield self.take(form)
 
+    def by_actor(self) -> dict[int, np.ndarray]:
+        """Six numbers for each actor."""
+        return {actor: np.array(six) for actor, *six in self.rows("I6f")}
+
 
 @dataclass
 class _Moment:
-    """One recorded frame: its time [s], and by actor the pose and the velocity."""
+    """One recorded frame: its time [s], and by actor the pose and the velocity, six numbers each,
+    in the log's units."""
 
     time: float
-    where: dict[int, tuple[float, ...]] = field(default_factory=dict)
-    velocity: dict[int, tuple[float, ...]] = field(default_factory=dict)
+    where: dict[int, np.ndarray] = field(default_factory=dict)
+    velocity: dict[int, np.ndarray] = field(default_factory=dict)
 
 
-class RecorderLog(NamedTuple):
+@dataclass
+class RecorderLog:
     """A log: the name of its map, its moments in order, and by actor the class and the box.
 
     A box is its offset from the actor and its half sizes [m].
     """
 
     map: str
-    moments: list[_Moment]
-    kinds: dict[int, int]
-    boxes: dict[int, np.ndarray]
+    moments: list[_Moment] = field(default_factory=list)
+    kinds: dict[int, int] = field(default_factory=dict)
+    boxes: dict[int, np.ndarray] = field(default_factory=dict)
 
 
 @cached_by_file(4)
@@ -94,53 +100,48 @@ def load_log(path: Path) -> RecorderLog:
     """
     check_input(path, ARRAYS)
     reader = _PacketReader(path.read_bytes())
+    fault = "not a log of CARLA's recorder"
     try:
         reader.take("H")
         if reader.text() != _MAGIC:
             raise ValueError
         reader.take("q")
-        town = reader.text()
-    except (struct.error, ValueError) as error:
-        raise InspeError(f"{path}: not a log of CARLA's recorder") from error
-    try:
-        moments, kinds, boxes = _packets(reader)
+        log = RecorderLog(reader.text().rpartition("/")[2])
+        fault = "the log is cut short or broken"
+        _read_packets(reader, log)
     except (struct.error, ValueError, IndexError) as error:
-        raise InspeError(f"{path}: the log is cut short or broken") from error
-    if not moments:
+        raise InspeError(f"{path}: {fault}") from error
+    if not log.moments:
         raise InspeError(f"{path}: the log has no frames")
-    return RecorderLog(town.rpartition("/")[2], moments, kinds, boxes)
+    return log
 
 
-def _packets(reader: _PacketReader) -> tuple[list[_Moment], dict[int, int], dict[int, np.ndarray]]:
-    """The moments of a log's packets, and by actor the class and the box."""
-    moments: list[_Moment] = []
+def _read_packets(reader: _PacketReader, log: RecorderLog) -> None:
+    """Fill a log with what its packets hold."""
     actors: dict[int, tuple[str, dict[str, str]]] = {}
-    boxes: dict[int, np.ndarray] = {}
     while reader.at < len(reader.data):
         packet, size = reader.take("BI")
         end = reader.at + size
         if end > len(reader.data):
             raise ValueError
         if packet == _FRAME:
-            moments.append(_Moment(reader.take("Qdd")[2]))
+            log.moments.append(_Moment(reader.take("Qdd")[2]))
         elif packet == _APPEARS:
             for actor, *_ in reader.rows("IB6fI"):
                 name = reader.text()
-                facts = [(reader.text(), reader.text()) for _ in reader.rows("B")]
-                actors[actor] = name, dict(facts)
+                actors[actor] = name, {reader.text(): reader.text() for _ in reader.rows("B")}
         elif packet == _POSITIONS:
-            moments[-1].where = {actor: at for actor, *at in reader.rows("I6f")}  # type: ignore[misc]
+            log.moments[-1].where = reader.by_actor()
         elif packet == _KINEMATICS:
-            moments[-1].velocity = {a: v[:3] for a, *v in reader.rows("I6f")}  # type: ignore[misc]
+            log.moments[-1].velocity = reader.by_actor()
         elif packet == _BOXES:
-            boxes |= {actor: np.array(box) / 100 for actor, *box in reader.rows("I6f")}
+            log.boxes |= {actor: box / 100 for actor, box in reader.by_actor().items()}
         reader.at = end
-    kinds = {
-        actor: kind
-        for actor, (name, facts) in actors.items()
-        if actor in boxes and (kind := kind_of(name, facts, 2 * boxes[actor][3])) is not None
-    }
-    return moments, kinds, boxes
+    for actor, (name, facts) in actors.items():
+        if actor in log.boxes:
+            kind = kind_of(name, facts, 2 * log.boxes[actor][3])
+            if kind is not None:
+                log.kinds[actor] = kind
 
 
 def kind_of(name: str, facts: dict[str, str], length: float) -> int | None:
@@ -165,10 +166,10 @@ def log_traffic(
 ) -> TrafficFrames:
     """The recorded traffic at an intersection of the log's own map, whatever its file is called.
 
-    There are up to ``frames`` frames ``step`` seconds apart from the log's beginning, or as many as
-    it holds, with all road users within ``radius`` [m] of the centre. Between recorded frames
-    positions are interpolated linearly. Boxes stand on the intersection's ground. Road users above
-    or beneath it, as just after spawning, are left out.
+    There are up to ``frames`` frames ``step`` seconds apart from the log's beginning, with all road
+    users within ``radius`` [m] of the centre. Between recorded frames positions are interpolated
+    linearly. Boxes stand on the intersection's ground. Road users above or beneath it, as just
+    after spawning, are left out.
 
     Raises InspeError if the log cannot be read, if nobody comes within the radius, or if most cars
     and trucks are beside the roads, so that the log is of another map.
@@ -202,20 +203,19 @@ def _on_roads(seen: list[Snapshot], intersection: Intersection) -> float:
 
 def _at(log: RecorderLog, times: np.ndarray, time: float) -> _Moment:
     """All actors at a time between two moments; as in the nearer one who was teleported."""
-    after = int(np.clip(np.searchsorted(times, time), 1, len(times) - 1)) if len(times) > 1 else 0
+    after = min(max(int(np.searchsorted(times, time)), 1), len(times) - 1)
     one, two = log.moments[max(after - 1, 0)], log.moments[after]
     share = (time - one.time) / max(two.time - one.time, 1e-9)
     near = one if share < 0.5 else two
     where, velocity = dict(near.where), dict(near.velocity)
     for actor in one.where.keys() & two.where.keys():
-        a = np.array(one.where[actor])
-        change = np.array(two.where[actor]) - a
+        change = two.where[actor] - one.where[actor]
         change[3:] = (change[3:] + 180.0) % 360.0 - 180.0
         if np.abs(change[:3]).max() < JUMP * 100:
-            where[actor] = tuple(a + share * change)
+            where[actor] = one.where[actor] + share * change
     for actor in one.velocity.keys() & two.velocity.keys():
-        a, b = np.array(one.velocity[actor]), np.array(two.velocity[actor])
-        velocity[actor] = tuple(a + share * (b - a))
+        change = two.velocity[actor] - one.velocity[actor]
+        velocity[actor] = one.velocity[actor] + share * change
     return _Moment(time, where, velocity)
 
 
@@ -224,19 +224,17 @@ def _snapshot(
 ) -> Snapshot:
     """The road users of one moment, in world metres (ENU)."""
     who = [actor for actor in moment.where if actor in log.kinds]
-    where = np.array([moment.where[actor] for actor in who], float).reshape(-1, 6)
-    box = np.array([log.boxes[actor] for actor in who]).reshape(-1, 6)
-    still = (0.0, 0.0, 0.0)
-    velocity = np.array([moment.velocity.get(actor, still) for actor in who], float)
-    x, y, z, roll, pitch, yaw = where.T  # of the log, which is in centimetres
+    still = np.zeros(6)
+    x, y, z, roll, pitch, yaw = np.reshape([moment.where[actor] for actor in who], (-1, 6)).T
     poses = from_carla(np.column_stack([x / 100, y / 100, z / 100, roll, yaw, pitch]))
     at, yaw = poses[:, :3], poses[:, 5]
-    offset, speed = flip(box[:, :3]), flip(velocity.reshape(-1, 3))
+    box = np.reshape([log.boxes[actor] for actor in who], (-1, 6))
+    velocity = np.reshape([moment.velocity.get(actor, still) for actor in who], (-1, 6))
+    offset, speed, size = flip(box[:, :3]), flip(velocity[:, :3]), 2 * box[:, 3:]
     cos, sin = np.cos(yaw), np.sin(yaw)
     middle = at[:, :2] + np.column_stack(
         [cos * offset[:, 0] - sin * offset[:, 1], sin * offset[:, 0] + cos * offset[:, 1]]
     )
-    size = 2 * box[:, 3:]
     kind = np.array([log.kinds[actor] for actor in who], np.int8)
     everybody = Snapshot(middle, yaw, size, kind, np.array(who, np.int32), speed)
     foot = at[:, 2] + offset[:, 2] - size[:, 2] / 2

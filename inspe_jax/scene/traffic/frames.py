@@ -18,12 +18,9 @@ DENSITIES: dict[str, int] = {"none": 0, "low": 20, "medium": 40, "high": 60}
 MOST_FRAMES = 10_000
 """More frames than this are taken for a mistake."""
 
-NOTICEABLE = 0.1
-"""Share of a class's quota that :func:`shortfall` names; half of it of all road users, as
-:data:`~inspe_jax.scene.traffic.sumo.generate.NEAR_ENOUGH`."""
-
-LEAST_NOTICED = 0.5
-"""And less than this many users is never named: a class of two is often one for some seconds."""
+NOTICEABLE, LEAST_NOTICED = 0.1, 0.5
+"""Share of a class's quota, and number of users, from which on :func:`shortfall` names a class: one
+of two is often one for some seconds. Of all road users half that share, as SUMO's traffic ends."""
 
 SMALLEST = 0.01
 """Least length, width and height of a road user [m]."""
@@ -140,11 +137,10 @@ MIXES: dict[str, Mix] = {
 class TrafficFrames(ByContent, Described):
     """T frames of up to B vehicles or people, each an oriented vertical prism, in world metres.
 
-    ``center`` is at mid-height; ``yaw`` in radians; ``size`` is length, width,
-    height; ``kind`` indexes :data:`CLASSES`. Entries with ``valid`` false are
-    padding. Entry b of one frame need not be entry b of the next: a road user
-    keeps its number in ``track``, which is −1 in padding. ``velocity`` in m/s;
-    ``time`` of each frame in seconds, from the first.
+    ``center`` is at mid-height; ``yaw`` in radians; ``size`` is length, width, height; ``kind``
+    indexes :data:`CLASSES`. Entries with ``valid`` false are padding. A road user keeps its number
+    in ``track``, which is −1 in padding, but not its entry. ``velocity`` in m/s; ``time`` of each
+    frame in seconds, from the first.
     """
 
     center: Float[np.ndarray, "T B 3"]
@@ -178,8 +174,8 @@ class TrafficFrames(ByContent, Described):
     @property
     def mean_by_class(self) -> Float[np.ndarray, " K"]:
         """Mean number of each of :data:`CLASSES` a frame."""
-        counts = [(self.valid & (self.kind == k)).sum() for k in range(len(CLASSES))]
-        return np.array(counts) / max(self.frame_count, 1)
+        counts = np.bincount(self.kind[self.valid], minlength=len(CLASSES))
+        return counts / max(self.frame_count, 1)
 
     @property
     def mean_count(self) -> float:
@@ -242,9 +238,8 @@ def shortfall(traffic: TrafficFrames, count: int, mix: str) -> str:
     """What frames have less of than was asked for, in words; empty if they have it all.
 
     Asked for are ``count`` road users a frame, and of them the quota of each class of the ``mix``,
-    a key of :data:`MIXES`, whether or not the place has paths for it. Means over the frames are
-    compared. A class is named where it is short by at least half a user and a tenth of its quota,
-    and so is one that has as many too many. For example::
+    a key of :data:`MIXES`. Means over the frames are compared. A class is named where it is short
+    by at least half a user and a tenth of its quota, or has as many too many. For example::
 
         asked 60, got 58.9: cars 35.0 of 41, trucks 3.9 of 6; pedestrians 13.2 instead of 7
 

@@ -6,7 +6,7 @@ trial: it is raised or lowered until as many road users are in the region of int
 
 import tempfile
 import xml.etree.ElementTree as ET
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -89,13 +89,12 @@ def sumo_traffic(
 ) -> TrafficFrames:
     """Traffic that SUMO simulates on the map an intersection was read from.
 
-    There are about ``count`` objects at a time within ``radius`` [m] of the centre, or as many as
-    the roads let in, in ``frames`` frames ``step`` seconds apart. ``mix`` is a key of
-    :data:`~inspe_jax.scene.traffic.frames.MIXES`. People walk where the network has sidewalks, and
-    cross where it has crossings. Cyclists ride in the middle of the lane. Bodies overlap where SUMO
-    allows it, as where long vehicles turn: at most one pair in most frames. Boxes stand on the
-    intersection's ground. Road users on another level are left out. SUMO runs until the number is
-    about right; ``progress`` is called with (runs done, most runs).
+    Options are those of
+    :func:`~inspe_jax.scene.traffic.waypoint.generate.waypoint_traffic`. People walk where the
+    network has sidewalks, and cross where it has crossings. Bodies overlap where SUMO allows it, as
+    where long vehicles turn: at most one pair in most frames. Boxes stand on the intersection's
+    ground. Road users on another level are left out. SUMO runs until the number is about right;
+    ``progress`` is called with (runs done, most runs).
 
     The same seed gives the same traffic with the same version of SUMO. Raises InspeError if a value
     is out of range, the mix is unknown, the intersection was not read from a map, SUMO is missing,
@@ -223,37 +222,33 @@ class _SumoRuns:
         }
         arguments = [text for k, v in options.items() for text in (f"--{k}", str(v))]
         run("sumo", arguments, self.streets.road.source)
-        seen = [self._snapshot(moment, sizes) for moment in _moments(found)]
-        empty = self._snapshot([], sizes)
-        return (seen + [empty] * frames)[:frames]
+        seen = []
+        for _, element in ET.iterparse(found):
+            if element.tag == "timestep":
+                seen.append(self._snapshot([*element], sizes))
+                element.clear()
+        return (seen + [self._snapshot([], sizes)] * frames)[:frames]
 
     def _snapshot(
-        self, moment: list[dict[str, str]], sizes: dict[str, tuple[int, int, np.ndarray]]
+        self, moment: list[ET.Element], sizes: dict[str, tuple[int, int, np.ndarray]]
     ) -> Snapshot:
         """Road users at a moment of SUMO's output: middles of fronts, headings from north."""
-        who = [sizes[one["id"]] for one in moment]
+        who = [sizes[one.attrib["id"]] for one in moment]
         size = np.array([s for _, _, s in who], float).reshape(-1, 3)
         kind = np.array([k for k, _, _ in who], np.int8)
         track = np.array([t for _, t, _ in who], np.int32)
-        at = self.streets.road.to_world(
-            [(float(one["x"]), float(one["y"]), float(one.get("z", "nan"))) for one in moment]
+        x, y, z, angle, speed = (
+            np.array([float(one.get(key, "nan")) for one in moment])
+            for key in ("x", "y", "z", "angle", "speed")
         )
-        yaw = np.pi / 2 - np.radians([float(one["angle"]) for one in moment])
+        at = self.streets.road.to_world(np.column_stack([x, y, z]))
+        yaw = np.pi / 2 - np.radians(angle)
         yaw = np.arctan2(np.sin(yaw), np.cos(yaw))
         heading = np.column_stack([np.cos(yaw), np.sin(yaw)])
-        speed = np.array([float(one["speed"]) for one in moment])
         middle = at[:, :2] - heading * size[:, :1] / 2
         velocity = np.column_stack([heading * speed[:, None], np.zeros(len(speed))])
         everybody = Snapshot(middle, yaw, size, kind, track, velocity)
         return standing_on(self.intersection, self.radius, everybody, at[:, 2])
-
-
-def _moments(file: Path) -> Iterator[list[dict[str, str]]]:
-    """The moments of SUMO's output: attributes of every road user."""
-    for _, element in ET.iterparse(file):
-        if element.tag == "timestep":
-            yield [dict(one.attrib) for one in element]
-            element.clear()
 
 
 def _write_routes(
@@ -264,29 +259,27 @@ def _write_routes(
     people: list[tuple[float, ET.Element]] = []
     sizes: dict[str, tuple[int, int, np.ndarray]] = {}
     for stream, rate in zip(streams, rates, strict=True):
-        name = CLASSES[stream.kind]
+        name, user = CLASSES[stream.kind], ROAD_USERS[stream.kind]
+        looks = {"vClass": V_CLASS[name], "minGap": f"{user.gap:g}"}
+        if user.path != "vehicle":
+            looks["maxSpeed"] = f"{user.top_speed:g}"
         for k, path in enumerate(stream.paths):
             ET.SubElement(root, "route", id=f"{name}.{k}", edges=" ".join(path.edges))
         for n in range(stream.until(end * rate)):
-            who, size, path = f"{name}.{n}", stream.size[n], stream.paths[stream.path_index[n]]
+            who, size, when = f"{name}.{n}", stream.size[n], stream.when[n] / rate
+            path = stream.paths[stream.path_index[n]]
             sizes[who] = (stream.kind, len(CLASSES) * n + stream.kind, size)
-            length, width, height = (f"{x:.3f}" for x in size)
-            kind = {"id": who, "vClass": V_CLASS[name], "length": length, "width": width}
-            kind |= {"height": height, "minGap": f"{ROAD_USERS[stream.kind].gap:g}"}
-            if name in ("cyclist", "pedestrian"):
-                kind["maxSpeed"] = f"{ROAD_USERS[stream.kind].top_speed:g}"
-            ET.SubElement(root, "vType", kind)
-            when = stream.when[n] / rate
-            common = {"id": who, "type": who, "depart": f"{when:.2f}"}
+            body = dict(zip(("length", "width", "height"), (f"{x:.3f}" for x in size), strict=True))
+            ET.SubElement(root, "vType", {"id": who} | looks | body)
+            start = {"id": who, "type": who, "depart": f"{when:.2f}"}
+            start["departPos"], arrival = f"{path.begin:.2f}", f"{path.end:.2f}"
             if name == "pedestrian":
-                one = ET.Element("person", common | {"departPos": f"{path.begin:.2f}"})
-                to = {"from": path.edges[0], "to": path.edges[-1], "arrivalPos": f"{path.end:.2f}"}
+                one = ET.Element("person", start)
+                to = {"from": path.edges[0], "to": path.edges[-1], "arrivalPos": arrival}
                 ET.SubElement(one, "walk", to)
             else:
-                place = {"departLane": "best", "departPos": f"{path.begin:.2f}"}
-                place |= {"departSpeed": "desired", "arrivalPos": f"{path.end:.2f}"}
-                route = f"{name}.{stream.path_index[n]}"
-                one = ET.Element("vehicle", common | {"route": route} | place)
+                start |= {"departLane": "best", "departSpeed": "desired", "arrivalPos": arrival}
+                one = ET.Element("vehicle", start | {"route": f"{name}.{stream.path_index[n]}"})
             people.append((when, one))
     root.extend(one for _, one in sorted(people, key=lambda pair: pair[0]))
     ET.ElementTree(root).write(file)

@@ -68,18 +68,14 @@ def _edges(streets: Streets, v_class: str, center: np.ndarray, reach: float) -> 
         lanes = [lane for lane in edge.getLanes() if lane.allows(v_class)]
         if v_class == "pedestrian":  # beside the road, not on it
             lanes = [lane for lane in lanes if not lane.allows("passenger")]
-        lane_strips = [
-            streets.lane_strips[n.getID()] for n in lanes if n.getID() in streets.lane_strips
-        ]
-        if not lane_strips:
+        names = [lane.getID() for lane in lanes if lane.getID() in streets.lane_strips]
+        if not names:
             continue
-        line = lane_strips[0].center[:, :2]
-        away = distance_from(line, center)
-        if away.min() > reach:
-            continue
-        arc = arc_of(line)
-        arc = arc * edge.getLength() / arc[-1]
-        found.append(_Edge(edge.getID(), line, arc, away, len(lanes), edge))
+        line = streets.lane_strips[names[0]].center[:, :2]
+        away, arc = distance_from(line, center), arc_of(line)
+        if away.min() <= reach:
+            arc = arc * edge.getLength() / arc[-1]
+            found.append(_Edge(edge.getID(), line, arc, away, len(lanes), edge))
     return found
 
 
@@ -93,14 +89,10 @@ def _drives(streets: Streets, v_class: str, center: np.ndarray, radius: float) -
         for after in e.edge.getAllowedOutgoing(v_class)
         if after.getID() in index
     ]
-    near = [e.away.min() <= radius + TOUCH for e in edges]
-    entries = [
-        k for k, e in enumerate(edges) if near[k] and e.away[0] > radius and e.away[-1] < e.away[0]
-    ]
-    exits = [
-        k for k, e in enumerate(edges) if near[k] and e.away[-1] > radius and e.away[-1] > e.away[0]
-    ]
-    inner = [(a, b) for a, b in links if near[a] and near[b] and b not in entries]
+    near = {k: e.away for k, e in enumerate(edges) if e.away.min() <= radius + TOUCH}
+    entries = [k for k, away in near.items() if away[0] > max(radius, away[-1])]
+    exits = [k for k, away in near.items() if away[-1] > max(radius, away[0])]
+    inner = [(a, b) for a, b in links if a in near and b in near and b not in entries]
     inner = [(a, b) for a, b in inner if a not in exits]  # once out, nobody comes in again
     one, two = np.array(inner, int).reshape(-1, 2).T
     length = np.array([e.edge.getLength() for e in edges]) + 1e-3
@@ -112,10 +104,7 @@ def _drives(streets: Streets, v_class: str, center: np.ndarray, radius: float) -
         paths = [p for p in paths if min(edges[k].away.min() for k in p) <= radius]
         # Back to the road it came from only if there is no other; straight on is likelier.
         onward = [p for p in paths if not _returns(edges[entry], edges[p[-1]])] or paths
-        if not onward:
-            continue
-        # Queues have room.
-        first = _upstream(edges, links, entry)
+        first = _upstream(edges, links, entry)  # queues have room
         begin = _arc_at(edges[first[0]], radius + LEAD_IN, first=True)
         straight = [1 + 2 * max(_alike(edges[entry], edges[p[-1]]), 0.0) for p in onward]
         for path, weight in zip(onward, straight, strict=True):
@@ -142,10 +131,8 @@ def _upstream(edges: list[_Edge], links: list[tuple[int, int]], entry: int) -> l
 
 def _arc_at(edge: _Edge, reach: float, *, first: bool) -> float:
     """The first or last arc length of an edge within reach [m]; that of its end if none is."""
-    inside = np.flatnonzero(edge.away <= reach)
-    if not len(inside):
-        return float(edge.arc[-1 if first else 0])
-    return float(edge.arc[inside[0 if first else -1]])
+    inside = edge.arc[edge.away <= reach] if (edge.away <= reach).any() else edge.arc[::-1]
+    return float(inside[0 if first else -1])
 
 
 def _returns(one: _Edge, two: _Edge) -> bool:

@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Float, Int
 
-from inspe_jax.scene.traffic.frames import Mix, RoadUser
+from inspe_jax.scene.traffic.frames import CLASSES, Mix
 from inspe_jax.scene.traffic.waypoint.model import ARRIVALS, BRAKING, REACTION, WaypointModel
 from inspe_jax.scene.traffic.waypoint.paths import PATH_USERS, Paths
 
@@ -25,6 +25,8 @@ MEMORY = 10.0
 """Time [s] over which the number of missing road users is averaged: so many people on foot come in
 their place, who stay longer than a gap in the traffic does."""
 
+WALKER = CLASSES.index("pedestrian")
+
 
 class CongestedModel(WaypointModel):
     """As :class:`WaypointModel`, but each class has its share of what the roads hold.
@@ -35,23 +37,18 @@ class CongestedModel(WaypointModel):
     Here the class with the largest part missing comes in first. Vehicles leave at intervals, so
     that queues stand behind the junction, as where the next junction is congested: at long ones
     while vehicles are missing, and at shorter and shorter ones while none are. If some are missing
-    even at the longest, up to ``spare`` more people come on foot, so that the place has as many
-    road users as asked for.
+    even at the longest, more people come on foot, so that the place has as many road users as asked
+    for.
     """
 
     def __init__(
-        self,
-        paths: Paths,
-        users: tuple[RoadUser, ...],
-        kind: Int[np.ndarray, " M"],
-        mix: Mix,
-        rng: np.random.Generator,
-        spare: Int[np.ndarray, " S"],
+        self, paths: Paths, kind: Int[np.ndarray, " M"], mix: Mix, rng: np.random.Generator
     ) -> None:
-        super().__init__(paths, users, np.concatenate([kind, spare]), mix, rng)
+        spare = np.full(len(kind) if WALKER in kind else 0, WALKER, kind.dtype)
+        super().__init__(paths, np.concatenate([kind, spare]), mix, rng)
         self.asked_for = len(kind)
         self.is_spare = np.arange(len(self.kind)) >= len(kind)
-        self.quota = np.bincount(kind, minlength=len(users))
+        self.quota = np.bincount(kind, minlength=len(CLASSES))
         self.walks = self.route == PATH_USERS.index("pedestrian")
         self.missing = 0.0
         self.came = np.zeros(2)  # when somebody last came in by road, on foot [s]

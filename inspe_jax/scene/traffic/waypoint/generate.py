@@ -55,25 +55,19 @@ def waypoint_traffic(
 ) -> TrafficFrames:
     """Traffic on the waypoints of an intersection's routes (paper, section 4).
 
-    There are about ``count`` objects at a time within ``radius`` [m] of the
-    centre, in ``frames`` frames ``step`` seconds apart. ``mix`` is a key of
-    :data:`MIXES`. They are on the waypoints of the whole region; the paper takes the waypoints in
-    view of the sensors, so that its traffic depends on the placement. Also unlike in the paper,
-    road users keep their distance, slow down for bends and give way where paths cross,
-    first come first served. They never overlap. Cyclists keep to the right of
-    the lane, and pedestrians have routes of their own. A road user that leaves
-    is replaced at an entry as soon as there is room. Where that leaves road
+    There are about ``count`` objects at a time within ``radius`` [m] of the centre, in ``frames``
+    frames ``step`` seconds apart. ``mix`` is a key of :data:`MIXES`. They are on the waypoints of
+    the whole region; the paper takes those in view of the sensors. Unlike in the paper, road users
+    never overlap: they keep their distance, slow down for bends and give way where paths cross. A
+    road user that leaves is replaced at an entry as soon as there is room. Where that leaves road
     users missing, traffic is that of
-    :class:`~inspe_jax.scene.traffic.waypoint.congestion.CongestedModel`; what
-    it still lacks, :func:`~inspe_jax.scene.traffic.frames.shortfall` says.
-    Where the map has no sidewalks, people walk as
-    :func:`~inspe_jax.scene.traffic.waypoint.walkways.with_walkways` says. Yaw is the direction of
-    travel; boxes stand at the route's own height. ``progress`` is called with
-    (frames done, frames).
+    :class:`~inspe_jax.scene.traffic.waypoint.congestion.CongestedModel`. Where the map has no
+    sidewalks, people walk as
+    :func:`~inspe_jax.scene.traffic.waypoint.walkways.with_walkways` says. Boxes stand at the
+    route's own height. ``progress`` is called with (frames done, frames).
 
-    The same seed gives the same traffic; turning the intersection turns it.
-    Raises InspeError if a value is out of range, the mix is unknown, or no
-    route lies within the radius.
+    The same seed gives the same traffic; turning the intersection turns it. Raises InspeError if a
+    value is out of range, the mix is unknown, or no route lies within the radius.
     """
     check_traffic(radius=radius, count=count, frames=frames, mix=mix, step=step, seed=seed)
     walked = MIXES[mix].shares[CLASSES.index("pedestrian")] > 0
@@ -106,28 +100,22 @@ def _kinds(paths: Paths, mix: Mix, count: int) -> Int[np.ndarray, " M"]:
 def _warmed_up(paths: Paths, kind: np.ndarray, mix: str, seed: int) -> WaypointModel:
     """A model after its warm-up: of free roads, or of congested ones if those do not hold all."""
     rng = np.random.default_rng(seed)
-    model = WaypointModel(paths, ROAD_USERS, rng.permutation(kind), MIXES[mix], rng)
+    model = WaypointModel(paths, rng.permutation(kind), MIXES[mix], rng)
     model.fill()
     _advance(model, WARM_UP - WATCHED)
-    there = _advance(model, WATCHED)
-    if _holds(there, np.bincount(kind, minlength=len(CLASSES))):
+    wanted = np.bincount(kind, minlength=len(CLASSES))
+    missing = wanted - _advance(model, WATCHED)
+    each, whole = (
+        np.maximum(share * number, least)
+        for (share, least), number in ((CLASS_MISSING, wanted), (MISSING, wanted.sum()))
+    )
+    if (missing < each).all() and missing.sum() < whole:
         return model
-    walkers = CLASSES.index("pedestrian")
-    spare = np.full(len(kind) if walkers in kind else 0, walkers, kind.dtype)
     rng = np.random.default_rng(seed)
-    full = CongestedModel(paths, ROAD_USERS, rng.permutation(kind), MIXES[mix], rng, spare)
+    full = CongestedModel(paths, rng.permutation(kind), MIXES[mix], rng)
     full.fill()
     _advance(full, CONGESTED_WARM_UP)
     return full
-
-
-def _holds(there: Float[np.ndarray, " K"], wanted: Int[np.ndarray, " K"]) -> bool:
-    """Whether mean numbers by class are near enough to those wanted, in all and each."""
-    missing = wanted - there
-    share, least = CLASS_MISSING
-    each = missing < np.maximum(share * wanted, least)
-    share, least = MISSING
-    return bool(each.all() and missing.sum() < max(share * wanted.sum(), least))
 
 
 def _advance(model: WaypointModel, time: float) -> Float[np.ndarray, " K"]:

@@ -3,8 +3,8 @@
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from inspe_jax.scene.traffic.frames import Mix, RoadUser
-from inspe_jax.scene.traffic.waypoint.paths import PATH_USERS, Paths
+from inspe_jax.scene.traffic.frames import ROAD_USERS, Mix
+from inspe_jax.scene.traffic.waypoint.paths import PATH_USERS, Paths, cross, dot
 
 BRAKING = 3.0  # that drivers expect of themselves and of the road user ahead [m/s²]
 REACTION = 0.7  # [s]
@@ -31,20 +31,15 @@ class WaypointModel:
     """
 
     def __init__(
-        self,
-        paths: Paths,
-        users: tuple[RoadUser, ...],
-        kind: Int[np.ndarray, " M"],
-        mix: Mix,
-        rng: np.random.Generator,
+        self, paths: Paths, kind: Int[np.ndarray, " M"], mix: Mix, rng: np.random.Generator
     ) -> None:
         many = len(kind)
         self.paths, self.rng, self.mix, self.kind = paths, rng, mix, kind
-        self.mean_size = np.array([u.size for u in users])[kind]  # (M, 3)
-        self.top_speed = np.array([u.top_speed for u in users])[kind]
-        self.acceleration = np.array([u.acceleration for u in users])[kind]
-        self.gap = np.array([u.gap for u in users])[kind]
-        self.route = np.array([PATH_USERS.index(u.path) for u in users])[kind]
+        self.mean_size = np.array([u.size for u in ROAD_USERS])[kind]  # (M, 3)
+        self.top_speed = np.array([u.top_speed for u in ROAD_USERS])[kind]
+        self.acceleration = np.array([u.acceleration for u in ROAD_USERS])[kind]
+        self.gap = np.array([u.gap for u in ROAD_USERS])[kind]
+        self.route = np.array([PATH_USERS.index(u.path) for u in ROAD_USERS])[kind]
         self.choices = [np.flatnonzero(paths.user == r) for r in range(len(PATH_USERS))]
         self.time = 0.0
         self.turn = 0.0  # when the longest waiting last had its turn [s]
@@ -119,12 +114,9 @@ class WaypointModel:
         others = np.flatnonzero(self.active)
         if not len(others):
             return True
-        half = self.size[others, :2] / 2
         own = self.size[who, :2] / 2 + [min(ENTRY_ROOM, 3 * self.gap[who]), 2 * MARGIN]
-        return not _overlap(
-            self.point[who, :2], self.heading[who], own,
-            self.point[others, :2], self.heading[others], half,
-        ).any()  # fmt: skip
+        theirs = self.point[others, :2], self.heading[others], self.size[others, :2] / 2
+        return not _overlap(self.point[who, :2], self.heading[who], own, *theirs).any()
 
     def _in_block(self, on: np.ndarray) -> Bool[np.ndarray, " M"]:
         """Whether any part of each user is in a block."""
@@ -164,7 +156,7 @@ class WaypointModel:
         first = self.paths.block[self.path[who], :1]
         away = self.point[on, :2] - self.point[who, :2]
         room = self.paths.leave[first] + self.size[who, 0] + 2.0
-        near = away[:, 0] ** 2 + away[:, 1] ** 2 < room**2
+        near = dot(away, away) < room**2
         standing = near & (self.speed[on] < 1.0)
         return not (standing.any() or self._held_against(first, on).any())
 
@@ -204,8 +196,7 @@ class WaypointModel:
         """Grant blocks: first to users that are further on, then first come, first served."""
         column, block = self._next_block(on)
         line = self._line_distance(on)
-        # Index -1 means nobody ahead and reads the last entry: no stop line.
-        line_of = np.append(line, np.inf)
+        line_of = np.append(line, np.inf)  # index −1, nobody ahead, reads the last entry
         # Users ask in time to brake, if nobody before the stop line still waits for a grant.
         near = line < self.speed[on] ** 2 / (2 * BRAKING) + 1.5 * self.speed[on] + 2.0
         clear = (free >= line) | (line_of[leader] > line)
@@ -269,10 +260,10 @@ class WaypointModel:
 
         i, d = np.nonzero(ahead < needed[:, None])  # the (L,) looks
         at = self.paths.at(self.path[on[i]], self.arc[on[i]] + ahead[i, d])  # (L, 3)
-        x, y = (at[:, k, None] - self.point[on, k] for k in (0, 1))  # (L, M)
+        away = at[:, None, :2] - self.point[on, :2]  # (L, M, 2)
         # Circles round both bodies; the 1 m is because in a bend the centre is off its path.
         reach = np.hypot(*probe.T)[:, None] + np.hypot(*half.T) + 1.0
-        close = x**2 + y**2 < (reach**2)[i]
+        close = dot(away, away) < (reach**2)[i]
         close[np.arange(len(i)), i] = False
         k, j = np.nonzero(close)
         i, d = i[k], d[k]
@@ -289,8 +280,7 @@ class WaypointModel:
             met = meets(seen, leader[seen], middle)
             low, high = np.where(met, low, middle), np.where(met, middle, high)
         free[seen] = np.maximum(low - self.gap[on[seen]], 0.0)
-        h = self.heading[on]
-        along = h[:, 0] * h[leader, 0] + h[:, 1] * h[leader, 1]
+        along = dot(self.heading[on], self.heading[on[leader]])
         return free, leader, np.where((leader >= 0) & (along > 0.7), along, 0.0)
 
     def _move(self, on: np.ndarray, speed: np.ndarray, dt: float) -> None:
@@ -303,14 +293,15 @@ class WaypointModel:
         moves = speed > 0
         apart = self.point[on, None, :2] - self.point[None, on, :2]
         within = reach[:, None] + reach + 2 * dt * self.top_speed.max()  # also if held back
-        i, j = np.nonzero(np.triu(apart[..., 0] ** 2 + apart[..., 1] ** 2 < within**2, 1))
+        i, j = np.nonzero(np.triu(dot(apart, apart) < within**2, 1))
         while True:  # nobody overlapped before, so holding back one of each pair ends
             point, heading = self.point[on, :2], self.heading[on]
             met = _overlap(point[i], heading[i], half[i], point[j], heading[j], half[j])
             if not met.any():
                 break
             a, b = i[met], j[met]
-            a_behind, b_behind = _is_ahead(point, heading, a, b), _is_ahead(point, heading, b, a)
+            to = point[b] - point[a]
+            a_behind, b_behind = dot(to, heading[a]) > 0, dot(-to, heading[b]) > 0
             # Where that does not decide who is first, the two try in turn. If both were held back,
             # they would stand for ever.
             a_later = self.track[on[a]] > self.track[on[b]]
@@ -348,26 +339,16 @@ def _reach(
     return ahead
 
 
-def _is_ahead(
-    point: np.ndarray, heading: np.ndarray, a: np.ndarray, b: np.ndarray
-) -> Bool[np.ndarray, " Q"]:
-    """Whether b is ahead of a in the direction of a's heading."""
-    to = point[b] - point[a]
-    return to[:, 0] * heading[a, 0] + to[:, 1] * heading[a, 1] > 0
-
-
 def _overlap(
     point_a: np.ndarray, heading_a: np.ndarray, half_a: np.ndarray,
     point_b: np.ndarray, heading_b: np.ndarray, half_b: np.ndarray,
 ) -> Bool[np.ndarray, " Q"]:  # fmt: skip
     """Whether two rectangles overlap, by separating axes."""
     to = point_b - point_a
-    cos = np.abs(heading_a[..., 0] * heading_b[..., 0] + heading_a[..., 1] * heading_b[..., 1])
-    sin = np.abs(heading_a[..., 0] * heading_b[..., 1] - heading_a[..., 1] * heading_b[..., 0])
+    cos, sin = np.abs(dot(heading_a, heading_b)), np.abs(cross(heading_a, heading_b))
     meet = np.ones(np.broadcast_shapes(to.shape, half_a.shape)[:-1], bool)
     for heading, half, other in ((heading_a, half_a, half_b), (heading_b, half_b, half_a)):
-        along = np.abs(to[..., 0] * heading[..., 0] + to[..., 1] * heading[..., 1])
-        across = np.abs(to[..., 0] * heading[..., 1] - to[..., 1] * heading[..., 0])
+        along, across = np.abs(dot(to, heading)), np.abs(cross(to, heading))
         meet &= along <= half[..., 0] + other[..., 0] * cos + other[..., 1] * sin
         meet &= across <= half[..., 1] + other[..., 0] * sin + other[..., 1] * cos
     return meet

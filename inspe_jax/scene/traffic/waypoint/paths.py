@@ -90,7 +90,7 @@ class Paths:
         rear = self.at(path, arc - AXLE * length)
         front = self.at(path, arc + AXLE * length)
         along = front[..., :2] - rear[..., :2]
-        return (rear + front) / 2, along / np.sqrt(_dot(along, along))[..., None]
+        return (rear + front) / 2, along / np.sqrt(dot(along, along))[..., None]
 
     def speed_limit(
         self, path: Int[np.ndarray, "*S"], arc: Float[np.ndarray, "*S"]
@@ -111,11 +111,9 @@ def lay_paths(intersection: Intersection, radius: float) -> Paths:
     count = np.array([len(p) for p, _, _ in stretches], int)
     start = np.cumsum(count) - count
     user = np.array([u for _, u, _ in stretches], int)
-    headings = [_heading(p) for p, _, _ in stretches]
+    each = [_headings(p) for p, _, _ in stretches]
     point = np.concatenate([np.zeros((0, 3)), *(p for p, _, _ in stretches)])
-    heading = np.concatenate([np.zeros((0, 2)), *headings])
-    limit = np.concatenate([np.zeros(0), *(_limit(h) for h in headings)])
-    block, stop, leave, clear = _blocks(start, count, user, point[:, :2], heading)
+    heading = np.concatenate([np.zeros((0, 2)), *each])
     return Paths(
         start=start,
         count=count,
@@ -123,11 +121,8 @@ def lay_paths(intersection: Intersection, radius: float) -> Paths:
         width=np.array([w for _, _, w in stretches], float),
         weight=_weights(point[start], user, heading[start], heading[start + count - 1]),
         point=point,
-        limit=limit,
-        block=block,
-        stop=stop,
-        leave=leave,
-        clear=clear,
+        limit=np.concatenate([np.zeros(0), *map(_limit, each)]),
+        **_blocks(start, count, user, point[:, :2], heading),
     )
 
 
@@ -137,19 +132,19 @@ def _line(route: Route, kind: int) -> np.ndarray:
     offset = (0.0, max(route.width / 2 - 0.6, 0.0), min(route.width / 4, 0.5))[kind]
     if not offset or len(points) < 2:
         return points
-    heading = _heading(points)
+    heading = _headings(points)
     moved = points.copy()
     moved[:, 0] += offset * heading[:, 1]
     moved[:, 1] -= offset * heading[:, 0]
     # In a bend tighter than the offset the line would run backwards: those points are left out.
-    forward = _dot(np.diff(moved[:, :2], axis=0), heading[1:]) > 0
+    forward = dot(np.diff(moved[:, :2], axis=0), heading[1:]) > 0
     return resample(moved[np.concatenate([[True], forward])])
 
 
 def resample(points: np.ndarray) -> np.ndarray:
     """The polyline at every :data:`SPACING` metres of its length in plan, from its start."""
     step = np.diff(points[:, :2], axis=0)
-    arc = np.concatenate([[0.0], np.cumsum(np.sqrt(_dot(step, step)))])
+    arc = np.concatenate([[0.0], np.cumsum(np.sqrt(dot(step, step)))])
     even = np.arange(0.0, arc[-1] + 1e-9, SPACING)
     return np.stack([np.interp(even, arc, axis) for axis in points.T], -1)
 
@@ -157,19 +152,19 @@ def resample(points: np.ndarray) -> np.ndarray:
 def _within(points: np.ndarray, center: np.ndarray, radius: float) -> np.ndarray:
     """The points from the first to the last inside the circle."""
     away = points[:, :2] - np.asarray(center)[:2]
-    inside = np.flatnonzero(_dot(away, away) <= radius**2)
+    inside = np.flatnonzero(dot(away, away) <= radius**2)
     return points[inside[0] : inside[-1] + 1] if len(inside) else points[:0]
 
 
-def _heading(points: np.ndarray) -> np.ndarray:
-    """Unit direction of travel at each point, from its neighbours."""
+def _headings(points: np.ndarray) -> np.ndarray:
+    """Unit direction of travel (N, 2) at each point, from its neighbours."""
     along = np.gradient(points[:, :2], axis=0)
-    return along / np.sqrt(_dot(along, along))[:, None]
+    return along / np.sqrt(dot(along, along))[:, None]
 
 
 def _limit(heading: np.ndarray) -> np.ndarray:
     """Speed [m/s] with comfortable lateral acceleration, and comfortable braking before bends."""
-    turn = np.abs(_cross(heading[:-1], heading[1:]))
+    turn = np.abs(cross(heading[:-1], heading[1:]))
     # The mean over 2 m, because waypoints turn in steps.
     turn = np.convolve(np.concatenate([turn[:1], turn]), np.full(4, 0.25), mode="same")
     squared = LATERAL * SPACING / np.maximum(turn, 1e-6)
@@ -181,15 +176,15 @@ def _weights(
     first: np.ndarray, user: np.ndarray, enter: np.ndarray, leave: np.ndarray
 ) -> np.ndarray:
     """Shares of arrivals: equal for entry lanes; in one, straight on up to three times a turn."""
-    straight = 1 + 2 * np.maximum(_dot(enter, leave), 0.0)
+    straight = 1 + 2 * np.maximum(dot(enter, leave), 0.0)
     apart = first[:, None, :2] - first[None, :, :2]
-    together = (_dot(apart, apart) < 1.0) & (user[:, None] == user)
+    together = (dot(apart, apart) < 1.0) & (user[:, None] == user)
     return straight / np.where(together, straight, 0.0).sum(1)
 
 
 def _blocks(
     start: np.ndarray, count: np.ndarray, user: np.ndarray, point: np.ndarray, heading: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+) -> dict[str, np.ndarray]:
     """``block``, ``stop``, ``leave`` and ``clear`` of :class:`Paths`."""
     path = np.repeat(np.arange(len(start)), count)
     arc = (np.arange(len(point)) - np.repeat(start, count)) * SPACING
@@ -213,7 +208,8 @@ def _blocks(
     block = np.full((len(start), 1 + max((len(b) for b in listed), default=0)), -1)
     for row, numbers in zip(block, listed, strict=True):
         row[: len(numbers)] = numbers
-    return block, np.array([*stop, np.inf]), np.array([*leave, np.inf]), clear
+    ends = dict(stop=np.array([*stop, np.inf]), leave=np.array([*leave, np.inf]))
+    return ends | dict(block=block, clear=clear)
 
 
 def _conflicts(
@@ -230,9 +226,9 @@ def _conflicts(
     # Pedestrians walk round each other, so there is no right of way among them.
     apart &= (user[path[one]] != 2) | (user[path[two]] != 2)
     one, two = one[apart], two[apart]
-    distance = np.sqrt(_dot(point[one] - point[two], point[one] - point[two]))
+    distance = np.sqrt(dot(point[one] - point[two], point[one] - point[two]))
     room = (WIDEST[user[path[one]]] + WIDEST[user[path[two]]]) / 2
-    alike = _dot(heading[one], heading[two])
+    alike = dot(heading[one], heading[two])
     same_stream = (alike > ALIKE) & (distance < FLOW)
     near = np.where(np.abs(alike) > ALIKE, distance < room, distance < room + SIDE_ROOM)
     since = _since_stream(path, one[same_stream], two[same_stream])
@@ -258,9 +254,11 @@ def _since_stream(
     return since
 
 
-def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+def dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Scalar products of plan vectors (…, 2)."""
     return a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1]
 
 
-def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Positive where b points to the left of a."""
     return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]

@@ -30,7 +30,12 @@ def with_walkways(intersection: Intersection, radius: float) -> Intersection:
     the regions stay those of the map. An intersection that has such routes, or that has no lanes
     that cross, as a motorway's ramp, is handed back as it is.
     """
-    near = [route for route in intersection.routes if _reaches(route, intersection.center, radius)]
+    center = intersection.center[:2]
+    near = [
+        route
+        for route in intersection.routes
+        if (np.hypot(*(route.waypoints[:, :2] - center).T) <= radius).any()
+    ]
     lanes = [route for route in near if route.user == "vehicle"]
     if len(lanes) < len(near) or not _cross(lanes):
         return intersection
@@ -38,11 +43,6 @@ def with_walkways(intersection: Intersection, radius: float) -> Intersection:
     lines = [*_beside(lanes), *crossing_lines(crosswalks)]
     walks = walking_routes(intersection, lines)
     return replace(intersection, routes=(*intersection.routes, *walks))
-
-
-def _reaches(route: Route, center: np.ndarray, radius: float) -> bool:
-    away = np.asarray(route.waypoints)[:, :2] - np.asarray(center)[:2]
-    return bool((np.hypot(*away.T) <= radius).any())
 
 
 def _cross(lanes: list[Route]) -> bool:
@@ -57,15 +57,15 @@ def _cross(lanes: list[Route]) -> bool:
 
 def _beside(lanes: list[Route]) -> Iterator[np.ndarray]:
     """Lines (N, 2) to the right of lanes where no other lane is; the longest first."""
-    by_width: dict[float, list[np.ndarray]] = {}
-    for lane in lanes:
-        by_width.setdefault(lane.width, []).append(resample(lane.waypoints)[:, :2])
-    trees = {width: cKDTree(np.concatenate(lines)) for width, lines in by_width.items()}
+    fine = [(lane.width, resample(lane.waypoints)[:, :2]) for lane in lanes]
+    trees = {
+        width: cKDTree(np.concatenate([line for own, line in fine if own == width]))
+        for width, _ in fine
+    }
     runs: list[np.ndarray] = []
-    for lane in lanes:
-        line = resample(lane.waypoints)[:, :2]
+    for lane_width, line in fine:
         ahead = _heading(line)
-        beside = line + (lane.width / 2 + BESIDE) * np.stack([ahead[:, 1], -ahead[:, 0]], -1)
+        beside = line + (lane_width / 2 + BESIDE) * np.stack([ahead[:, 1], -ahead[:, 0]], -1)
         away = [tree.query(beside)[0] - width / 2 for width, tree in trees.items()]
         runs += _runs(beside, np.min(away, axis=0) >= BESIDE - SLACK)
     kept: list[np.ndarray] = []

@@ -58,7 +58,6 @@ KINDS = {
     "sensor.lidar.ray_cast": 11,
     "sensor.camera.rgb": 13,
     "sensor.camera.semantic_segmentation": 14,
-    "sensor.camera.instance_segmentation": 15,
     "snapshot": 17,
 }
 """The type of a payload: the sensor's index in CARLA's registry."""

@@ -18,7 +18,6 @@ from carla_rays import (
     Box,
     cast,
     colour_of,
-    instance_of,
     matrix,
     overlap,
 )
@@ -81,8 +80,7 @@ class World:
         self.maps = {path.stem: path.read_text() for path in maps}
         self.map, self.token, self.scenery = maps[0].stem, token, scenery
         self.solids = [
-            Box(matrix(s["pose"]), tuple(s["extent"]), s["tag"], 60000 + k, (120, 110, 100))
-            for k, s in enumerate(scenery)
+            Box(matrix(s["pose"]), tuple(s["extent"]), s["tag"], (120, 110, 100)) for s in scenery
         ]
         self.release, self.hidden = VERSION, set()
         self.numbers, self.streams = iter(range(24, 10**9)), iter(range(SNAPSHOTS + 1, 10**9))
@@ -159,7 +157,7 @@ class World:
             if tag in (box.tag, 255):
                 place, turn = solid["pose"][:3], solid["pose"][3:]
                 around = [place, solid["extent"], turn]
-                found.append([[place, turn], around, box.instance, f"scenery_{number}", box.tag])
+                found.append([[place, turn], around, number, f"scenery_{number}", box.tag])
         return found
 
     def enable_environment_objects(self, objects: list[int], enabled: bool) -> None:
@@ -198,12 +196,12 @@ class World:
         return self.actors[actor]
 
     def box(self, actor: Actor) -> Box:
-        kind, number = actor.blueprint, actor.number
+        kind = actor.blueprint
         middle = matrix(actor.pose) @ matrix((*kind.centre, 0.0, 0.0, 0.0))
-        return Box(middle, kind.extent, kind.tag, instance_of(number), colour_of(number))
+        return Box(middle, kind.extent, kind.tag, colour_of(actor.number))
 
     def boxes(self) -> list[Box]:
-        solids = [box for box in self.solids if box.instance not in self.hidden]
+        solids = [box for k, box in enumerate(self.solids) if k not in self.hidden]
         return [*solids, *(self.box(a) for a in self.actors.values() if a.solid)]
 
     def told(self, actor: Actor) -> list:

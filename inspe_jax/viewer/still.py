@@ -16,7 +16,7 @@ from inspe_jax.scene.scene import Scene
 from inspe_jax.sensing.conditions import FAIR
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.sensing.sensors import CameraSpec
-from inspe_jax.simulation.embedded.sensors import simulated_sensor
+from inspe_jax.simulation.embedded.recorder import simulated_sensor
 from inspe_jax.simulation.embedded.surroundings import surroundings_of
 from inspe_jax.simulation.frame import Image
 

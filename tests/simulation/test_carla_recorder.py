@@ -3,11 +3,9 @@
 import json
 import re
 import shutil
-import signal
 import socket
 import subprocess
 import sys
-import time
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import replace
@@ -21,7 +19,6 @@ from opv2v_validator import check_set, to_world
 
 pytest.importorskip("msgpack", reason="what the CARLA client talks: extra [test]")
 
-import carla_look
 import carla_recording as client
 import carla_wire
 from carla_blueprints import BLUEPRINTS
@@ -34,9 +31,9 @@ from inspe_jax.scene.traffic.frames import CLASSES
 from inspe_jax.sensing.catalogue import device
 from inspe_jax.sensing.conditions import Conditions
 from inspe_jax.simulation.backends import recorder_of
-from inspe_jax.simulation.carla.instances import instances_of
-from inspe_jax.simulation.carla.sensor_kinds import notes_of
-from inspe_jax.simulation.carla.sensors import intrinsic_of, lidar_attributes, weather_of
+from inspe_jax.simulation.carla.recorder import CarlaRecorder
+from inspe_jax.simulation.carla.sensors import CarlaCamera, CarlaLidar, instances_of
+from inspe_jax.simulation.carla.server import weather_of
 from inspe_jax.simulation.carla.traffic import body_of
 from inspe_jax.simulation.frame import RoadUserBox
 from inspe_jax.simulation.recorder import Recording, Server
@@ -48,22 +45,12 @@ NEAR = 2e-3
 TAGS = {"car": {14}, "truck": {15, 16}, "cyclist": {18, 19}, "pedestrian": {12}}
 
 
-def run_client(task: str, port: int, *arguments: object) -> None:
-    run(command(task, port, *arguments))
-
-
-def run(words: list[str]) -> None:
+def run_client(task: str, port: int, file, *arguments: object) -> dict:
+    """What a client writes to a JSON file; nothing where it is another file."""
+    words = [sys.executable, client.__file__, task, str(port), str(file), *map(str, arguments)]
     ran = subprocess.run(words, capture_output=True, text=True)
     assert ran.returncode == 0, ran.stdout + ran.stderr
-
-
-def command(task: str, port: int, *arguments: object) -> list[str]:
-    return [sys.executable, client.__file__, task, str(port), *map(str, arguments)]
-
-
-def look(port: int, folder) -> dict:
-    run([sys.executable, carla_look.__file__, str(port), str(folder / "look.json")])
-    return json.loads((folder / "look.json").read_text())
+    return json.loads(file.read_text()) if file.suffix == ".json" else {}
 
 
 @pytest.fixture(scope="module")
@@ -78,7 +65,7 @@ def recorded(maps, tmp_path_factory):
     towns = maps / "Town07.xodr", maps / f"{client.TOWN}.xodr"
     with carla_wire.serving(*towns, "--scenery", scenery) as port:
         run_client("record", port, folder / "told.npz")
-        after = look(port, folder)
+        after = run_client("look", port, folder / "look.json")
     scenery.unlink()
     with np.load(folder / "told.npz") as saved:
         told = dict(saved)
@@ -138,7 +125,7 @@ def test_the_server_is_synchronous_meanwhile_and_restored_afterwards(recorded):
     assert meanwhile["weather"] == pytest.approx([63.2, 7.0], abs=0.1)
     assert meanwhile["below"] != "Car"
     sensors = [name for name in meanwhile["actors"] if name.startswith("sensor.")]
-    kinds = ("depth", "instance_segmentation", "rgb", "semantic_segmentation")
+    kinds = ("depth", "rgb", "semantic_segmentation")
     cameras = [f"sensor.camera.{kind}" for kind in kinds for _ in range(2)]
     assert sensors == [*cameras, "sensor.lidar.ray_cast"]
     assert after == {
@@ -263,6 +250,7 @@ def test_servers_that_cannot_be_used(maps, tmp_path):
         "mute": (town, "--mute", "sensor.lidar.ray_cast"),
         "failing": (town, "--mute", "sensor.camera.depth", "--after", "29"),
         "taken": (town,),
+        "stopped": (town,),
     }
     with ExitStack() as stack:
         with ThreadPoolExecutor() as pool:
@@ -271,15 +259,14 @@ def test_servers_that_cannot_be_used(maps, tmp_path):
             )
             ports = dict(zip(servers, begun, strict=True))
         given = [f"{name}:{port}" for name, port in {"nobody": nobody, **ports}.items()]
-        run_client("errors", 0, tmp_path / "told.json", *given)
-    told = json.loads((tmp_path / "told.json").read_text())
+        told = run_client("errors", 0, tmp_path / "told.json", *given)
     assert f"no CARLA server at 127.0.0.1:{nobody}" in told["nobody"]
     assert "has no map 'Town10HD'; it has Town07" in told["elsewhere"]
     assert "is 0.9.15 and the client here 0.9.16: pip install carla==0.9.15" in told["older"]
     assert "sensor.lidar.ray_cast of 'top', unit 'mast', did not measure anything" in told["mute"]
     assert "sensor.camera.depth of 'east', unit 'mast', did not measure frame" in told["failing"]
     assert "1 vehicles or walkers are there already (vehicle.tesla.model3)" in told["taken"]
-    for name in ("mute", "failing"):
+    for name in ("mute", "failing", "stopped"):
         left = told[f"{name}, left"]
         assert (left["settings"], left["actors"]) == ([False, None], ["spectator"])
         assert left["weather"] == [0.0, 45.0]
@@ -351,20 +338,6 @@ def test_the_rest_of_a_data_set_can_be_recorded_by_another_server(generated, tmp
     assert str(told.value).endswith("or give its address: --server HOST:PORT")
 
 
-def test_everything_is_restored_on_ctrl_c(maps, tmp_path):
-    with carla_wire.serving(maps / f"{client.TOWN}.xodr") as port:
-        begun = tmp_path / "begun"
-        with subprocess.Popen(command("wait", port, begun), stderr=subprocess.PIPE) as process:
-            until = time.monotonic() + 30
-            while not begun.exists() and process.poll() is None and time.monotonic() < until:
-                time.sleep(0.05)
-            process.send_signal(signal.SIGINT)
-            assert b"KeyboardInterrupt" in process.communicate(timeout=20)[1]
-        left = look(port, tmp_path)
-    assert begun.exists()
-    assert (left["settings"], left["actors"]) == ([False, None], ["spectator"])
-
-
 # ── Without a server ────────────────────────────────────────────────────────────────────────────
 
 
@@ -388,14 +361,14 @@ def test_uneven_channels_and_shifted_axes_are_noted():
     shifted = replace(client.CAMERA, name="shifted", principal=(300.0, 240.0))
     uneven, even = (device(f"velodyne-{name}").spec for name in ("vlp-32c", "vlp-16"))
     layout = place_sensors(*((spec, [0, 0, 6, 0, 0, 0]) for spec in (uneven, even, shifted)))
-    notes = notes_of(layout)
+    notes = CarlaRecorder(world(), layout, recording=Recording(turn=0.0)).notes
     assert len(notes) == 2
     assert notes[0].startswith("velodyne-vlp-32c: CARLA's channels are evenly spaced: 32 from -25°")
     assert notes[1].startswith("shifted: CARLA's principal point")
 
 
 def test_a_lidar_turns_once_a_frame_with_all_its_rays():
-    given = lidar_attributes(client.LIDAR, Recording(rate=20.0))
+    given = CarlaLidar(client.LIDAR, Recording(rate=20.0)).attributes
     assert int(given["points_per_second"]) == 32 * 360 * 20
     assert float(given["rotation_frequency"]) == 20
     assert [float(given[f"{end}_fov"]) for end in ("lower", "upper")] == pytest.approx([-30, 2])
@@ -430,8 +403,9 @@ def test_weather_and_light_are_in_the_order_of_their_strength():
     assert 0 <= weather_in("dusk", "clear")["sun_azimuth_angle"] < 360
 
 
-def test_two_numbers_of_one_road_user_are_merged_and_others_ignored():
-    """A rider has its own number; a statue with the label of a road user stands next to it."""
+def test_pixels_of_road_users_are_matched_by_place():
+    """A rider and a bicycle in one box, ahead and turned; a statue with the label of a road user
+    stands behind, and the road in the box is no road user."""
     box = RoadUserBox(
         track=4,
         kind="cyclist",
@@ -441,12 +415,11 @@ def test_two_numbers_of_one_road_user_are_merged_and_others_ignored():
         size=np.array([2.0, 0.6, 2.0]),
         velocity=np.zeros(3),
     )
-    tags = np.array([[13, 19, 12], [1, 19, 11]])
-    numbers = np.array([[700, 8, 9], [8, 8, 0]])
+    tags = np.array([[13, 19, 12], [1, 19, 11]], np.uint8)
     depth = np.array([[9.8, 9.7, 30.0], [10.0, 9.7, np.inf]])
     small = replace(client.CAMERA, width=3, height=2, focal=30.0)
-    intrinsic = intrinsic_of(small, Recording())
-    found = instances_of(tags, numbers, depth, np.zeros(6), intrinsic, (box,))
+    intrinsic = CarlaCamera(small, Recording()).intrinsic
+    found = instances_of(tags, depth, np.zeros(6), intrinsic, (box,))
     np.testing.assert_array_equal(found, [[5, 5, 0], [0, 5, 0]])
 
 

@@ -98,11 +98,6 @@ SOAKED = 1.0
 """Rain that leaves 1/e of a road dry [mm/h]: in drizzle it dries in places, in more it is wet."""
 
 
-def light_of(conditions: Conditions) -> Light:
-    """The light of the conditions' time of day."""
-    return LIGHTS[conditions.light]
-
-
 def haze(conditions: Conditions) -> float:
     """Extinction of the air [1/m]; 0 if it is clear."""
     if conditions.intensity is None:

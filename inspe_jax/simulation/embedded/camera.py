@@ -13,8 +13,8 @@ from PIL import ImageDraw
 
 from inspe_jax.core.geometry import rotation
 from inspe_jax.sensing.sensors import CameraSpec
-from inspe_jax.simulation.embedded.embree import Caster
-from inspe_jax.simulation.embedded.headlights import COLOUR, beams_of, on_road_users
+from inspe_jax.simulation.embedded.embree import Caster, RayHits
+from inspe_jax.simulation.embedded.headlights import COLOUR, on_road_users
 from inspe_jax.simulation.embedded.light import metered_gain, parts, tone_map
 from inspe_jax.simulation.embedded.lit_ground import LitGround
 from inspe_jax.simulation.embedded.road_users import FrameActors, RoadUserTriangles, paints
@@ -107,15 +107,10 @@ class Camera:
 
     def _background(self) -> Background:
         hits = self.static_caster.cast(self.origin, self.directions, FAR)
-        many = len(self.directions)
-        point, ambient, colour = (np.empty((many, 3), np.float32) for _ in range(3))
-        in_sun, semantic = np.empty(many, bool), np.empty(many, np.uint8)
-        wholes: tuple[np.ndarray, ...] = (point, in_sun, ambient, colour, semantic)
-        for part in parts(many):
-            found = self._background_part(part, *(x[part] for x in hits))
-            for whole, own in zip(wholes, found, strict=True):
-                whole[part] = own
-        return Background(hits.distance, point, in_sun, ambient, colour, semantic)
+        slices = parts(len(self.directions))
+        found = [self._background_part(part, *(x[part] for x in hits)) for part in slices]
+        whole = (np.concatenate(field) for field in zip(*found, strict=True))
+        return Background(hits.distance, *whole)
 
     def _background_part(
         self, pixels: slice, distance: np.ndarray, face: np.ndarray, normal: np.ndarray
@@ -138,7 +133,7 @@ class Camera:
         shaded = shaded[self._in_shadow(self.static_caster, point[shaded], normal[shaded])]
         direct[shaded], in_sun[shaded] = 0, False
         colour = shading.through_air(direct + ambient, distance)
-        return point, in_sun, ambient, colour, np.where(hit, semantic, SKY)
+        return point, in_sun, ambient, colour, np.where(hit, semantic, SKY).astype(np.uint8)
 
     def _points(self, pixels: Any, distance: np.ndarray) -> Float[np.ndarray, "P 3"]:
         """The points at given distances along the rays of pixels, relative to the centre [m]."""
@@ -155,32 +150,28 @@ class Camera:
     def record(self, actors: FrameActors, rng: np.random.Generator) -> Image:
         """The picture of one frame; the middle of the exposure is the frame's time."""
         moments = self.light.moments
-        painted = paints(actors.boxes, self.appearance_seed)
-        middle = None
-        total = self.background.colour.copy()
+        still = self.background.colour  # without road users, but with what their lamps light
         if self.lit_ground is not None:
             at, added = self.lit_ground.added(actors, self.origin)
-            total[at] += added
-        still = total.copy() if self.lit_ground is not None else self.background.colour
+            still = still.copy()
+            still[at] += added
+        total, middle = still.copy(), self._changes_at(actors, 0.0)
         for k in range(moments):
             after = ((k + 0.5) / moments - 0.5) * self.light.exposure
-            seen = self._changes_at(actors, painted, after)
-            colour, own = seen.colour, still[seen.pixels]
-            if self.lit_ground is not None and self.light.has_sun:
-                shadow = np.flatnonzero(seen.box < 0)  # headlights reach into it
-                colour[shadow] += own[shadow] - self.background.colour[seen.pixels[shadow]]
+            seen = middle if after == 0 else self._changes_at(actors, after)
+            colour, own = seen.colour.copy(), still[seen.pixels]
+            shadow = np.flatnonzero(seen.box < 0)  # headlights reach into it
+            colour[shadow] += own[shadow] - self.background.colour[seen.pixels[shadow]]
             total[seen.pixels] += (colour - own) / moments
-            middle = seen if after == 0 else middle
         shape = (self.height, self.width)
         rgb = tone_map(total.reshape(*shape, 3), self.gain, rng)
-        middle = middle or self._changes_at(actors, painted, 0.0)
-        extra = {}
+        layers = {}
         if self.recording.layers:
             whole = self._layers(middle, actors.boxes)
-            extra = {name: whole[name].reshape(shape) for name in self.recording.layers}
+            layers = {name: whole[name].reshape(shape) for name in self.recording.layers}
         pixels = np.bincount(middle.box[middle.box >= 0], minlength=len(actors.boxes))
         share = self._visible_share(pixels, actors)
-        return Image(self.pose, self.intrinsic, rgb, **extra, pixels=pixels, share=share)
+        return Image(self.pose, self.intrinsic, rgb, **layers, pixels=pixels, share=share)
 
     def _visible_share(
         self, pixels: Int[np.ndarray, " B"], actors: FrameActors
@@ -209,46 +200,38 @@ class Camera:
             "semantic": semantic,
         }
 
-    def _changes_at(self, actors: FrameActors, painted: np.ndarray, after: float) -> ChangedPixels:
+    def _changes_at(self, actors: FrameActors, after: float) -> ChangedPixels:
         """The pixels that road users change, ``after`` seconds from the frame's time."""
         road_users, caster = actors.at(after)
-        box_corners = corners(actors.boxes) + after * actors.velocity[:, None]
-        pixels = self._pixels_near(box_corners)
+        pixels = self._pixels_near(corners(actors.boxes) + after * actors.velocity[:, None])
         reach = np.minimum(self.background.distance[pixels], FAR)
         hits = caster.cast(self.origin, self.directions[pixels], reach)
-        hit = hits.face >= 0
-        at, distance, face = pixels[hit], hits.distance[hit], hits.face[hit]
-        look = self._road_user_colours(
-            caster, actors, road_users, painted, at, distance, face, hits.normal[hit]
-        )
-        covered = np.zeros(len(self.directions), bool)
-        covered[at] = True
+        at, hits = pixels[hits.face >= 0], RayHits(*(x[hits.face >= 0] for x in hits))
         shadow = self._shadows(caster, actors.boxes, after)
-        shadow = shadow[~covered[shadow]]
-        distance = np.concatenate([distance, self.background.distance[shadow]])
+        shadow = np.setdiff1d(shadow, at, assume_unique=True)
+        distance = np.concatenate([hits.distance, self.background.distance[shadow]])
+        look = self._road_user_colours(actors, road_users, caster, at, hits)
         colour = np.concatenate([look, self.background.ambient[shadow]])
         return ChangedPixels(
             np.concatenate([at, shadow]),
             self.shading.through_air(colour, distance),
             distance,
-            np.concatenate([road_users.box[face], np.full(len(shadow), -1)]),
+            np.concatenate([road_users.box[hits.face], np.full(len(shadow), -1)]),
         )
 
     def _road_user_colours(
         self,
-        caster: Caster,
         actors: FrameActors,
         road_users: RoadUserTriangles,
-        painted: np.ndarray,
-        at: np.ndarray,
-        distance: np.ndarray,
-        face: np.ndarray,
-        normal: np.ndarray,
+        caster: Caster,
+        at: Int[np.ndarray, " P"],
+        hits: RayHits,
     ) -> Float[np.ndarray, "P 3"]:
-        """Linear colours of road users at the pixels ``at`` that show them."""
-        shading, part = self.shading, road_users.part[face]
-        point = self._points(at, distance)
-        albedo = painted[road_users.box[face], part]
+        """Linear colours of road users at the pixels ``at``, whose rays hit them."""
+        shading, normal = self.shading, hits.normal
+        box, part = road_users.box[hits.face], road_users.part[hits.face]
+        point = self._points(at, hits.distance)
+        albedo = paints(actors.boxes, self.appearance_seed)[box, part]
         colour = shading.ambient_light(point, normal, albedo)
         if self.light.has_sun:
             direct = shading.sunlight(normal, albedo)
@@ -258,12 +241,12 @@ class Camera:
             colour[lit] += direct[lit]
         colour += shading.mirrored(_GLOSS[part], self.directions[at], normal)
         if self.light.lamps > 0:
-            beams, box = actors.once(beams_of), road_users.box[face]
-            lit = on_road_users(actors, beams, point, normal, box, self.light)
+            lamps = np.float32(self.light.lamps)
+            lit = on_road_users(actors, point, normal, box, self.light)
             own = np.flatnonzero(lit)
-            colour[own] += albedo[own] * (lit[own, None] * (np.float32(self.light.lamps) * COLOUR))
-            lamps = np.float32(self.light.lamps) * ~np.array([b.parked for b in actors.boxes], bool)
-            colour += _GLOW[part] * lamps[box, None]
+            colour[own] += albedo[own] * (lit[own, None] * (lamps * COLOUR))
+            on = lamps * ~np.array([b.parked for b in actors.boxes], bool)
+            colour += _GLOW[part] * on[box, None]
         return colour
 
     def _shadows(

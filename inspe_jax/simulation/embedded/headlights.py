@@ -6,7 +6,6 @@ the square of the distance. The ground's light is a map of the plan, made once a
 cameras.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -145,7 +144,7 @@ class GroundMap:
             turn = np.sqrt(0.5) * np.array([[1.0, -1.0], [1.0, 1.0]])
             tips = [beams.ahead[k], turn @ beams.ahead[k], turn.T @ beams.ahead[k], np.zeros(2)]
             ends = front[:2] + self.follow * np.array(tips)
-            low, high = (ends.min(0), ends.max(0))
+            low, high = ends.min(0), ends.max(0)
             x0, y0 = np.clip(((low + self.reach) / STEP).astype(int), 0, self.size)
             x1, y1 = np.clip(((high + self.reach) / STEP).astype(int) + 1, 0, self.size)
             at = number[y0:y1, x0:x1].ravel()
@@ -159,14 +158,13 @@ class GroundMap:
             start = self.points[at[some]] + np.array([0, 0, 0.05], np.float32)
             way = front - start
             far = np.linalg.norm(way, axis=1)
-            free = some[~caster.meets(start, way / far[:, None], far)] if len(some) else some
+            free = some[~caster.meets(start, way / far[:, None], far)]
             light[at[free]] += found[free]
         return light
 
 
 def on_road_users(
     actors: FrameActors,
-    beams: Beams,
     point: Float[np.ndarray, "P 3"],
     normal: Float[np.ndarray, "P 3"],
     box: Int[np.ndarray, " P"],
@@ -177,11 +175,19 @@ def on_road_users(
     ``box`` is the index of the road user that each of P points is on; points are relative to the
     centre [m].
     """
-    total = np.zeros(len(point), np.float32)
-    clear = CLEAR * light.sky_over_lamps
-    middle = np.array([b.center for b in actors.boxes]).reshape(-1, 3) - actors.center
-    for k, bright in _brightest(beams, middle.astype(np.float32)):
-        own = np.flatnonzero((bright > clear)[box])
+    beams, total = actors.once(beams_of), np.zeros(len(point), np.float32)
+    many, count = len(actors.boxes), len(beams.front)
+    if not (many and count):
+        return total
+    middle = (np.array([b.center for b in actors.boxes]) - actors.center).astype(np.float32)
+    to = (middle[:, None] - beams.front).reshape(-1, 3)
+    to[:, 2] = -0.1  # lower than the cut-off: some of a road user always is
+    ahead = np.broadcast_to(beams.ahead, (many, count, 2)).reshape(-1, 2)
+    there = PEAK * dipped(to, np.einsum("rk,rk->r", to, to), ahead).reshape(many, count)
+    for k in np.argsort(-there, axis=1)[:, :MOST].T:  # the brightest beam at each, then the next
+        bright = there[np.arange(many), k]
+        lit = (bright > WORTH * there.max(1)) & (bright > CLEAR * light.sky_over_lamps)
+        own = np.flatnonzero(lit[box])
         way = point[own] - beams.front[k[box[own]]]
         facing = -np.einsum("rk,rk->r", way, normal[own])
         some = np.flatnonzero(facing > 0)
@@ -191,21 +197,3 @@ def on_road_users(
         found = dipped(way, squared, beams.ahead[k[box[own]]])
         total[own] += np.float32(PEAK) * found * facing
     return total
-
-
-def _brightest(
-    beams: Beams, middle: Float[np.ndarray, "B 3"]
-) -> Iterator[tuple[Int[np.ndarray, " B"], Float[np.ndarray, " B"]]]:
-    """The brightest beam at each of B places, how bright it is there, then the next, and so on."""
-    count = len(beams.front)
-    if not (count and len(middle)):
-        return
-    to = (middle[:, None] - beams.front).reshape(-1, 3)
-    to[:, 2] = -0.1  # lower than the cut-off: some of a road user always is
-    ahead = np.broadcast_to(beams.ahead, (len(middle), count, 2)).reshape(-1, 2)
-    there = PEAK * dipped(to, np.einsum("rk,rk->r", to, to), ahead).reshape(-1, count)
-    order = np.argsort(-there, axis=1)[:, :MOST]
-    most = there.max(1)
-    for k in order.T:
-        bright = there[np.arange(len(middle)), k]
-        yield k, np.where(bright > WORTH * most, bright, 0)

@@ -87,7 +87,7 @@ def paints(boxes: tuple[RoadUserBox, ...], seed: int) -> Float[np.ndarray, "K P 
 
 @cache
 def _paint(kind: str, track: int, seed: int) -> Float[np.ndarray, "P 3"]:
-    return np.array(list(paint(kind, np.random.default_rng([seed, track, 2])).values()))
+    return paint(kind, np.random.default_rng([seed, track, 2]))
 
 
 class FrameActors:

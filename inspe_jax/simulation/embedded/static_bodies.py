@@ -18,7 +18,7 @@ from inspe_jax.core.geometry import rotation
 from inspe_jax.scene.intersection import Intersection
 from inspe_jax.scene.statics import StaticBody, octagon
 from inspe_jax.simulation.embedded import materials
-from inspe_jax.simulation.embedded.shapes import PARTS, fitting, paint, shape_of
+from inspe_jax.simulation.embedded.shapes import fitting, paint, shape_of
 from inspe_jax.simulation.parked import box_of, is_box, kind_of
 
 FOUNDATION = 0.5
@@ -154,9 +154,8 @@ def _parked(
     turn = rotation(np.array([0.0, 0.0, yaw]), np)
     at = np.array([*one.middle, level + one.height / 2])
     corners = (shape.vertices * size) @ turn.T + at
-    table = np.array([colours[part] for part in PARTS])
     material = materials.PARKED_TRUCK if kind == "truck" else materials.PARKED_CAR
-    yield Part(corners[shape.faces], material, table[shape.part])
+    yield Part(corners[shape.faces], material, colours[shape.part])
 
 
 _LOOKS: dict[str, Callable[..., Iterator[Part]]] = {

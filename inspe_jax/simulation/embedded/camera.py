@@ -14,9 +14,8 @@ from PIL import ImageDraw
 from inspe_jax.core.geometry import rotation
 from inspe_jax.sensing.sensors import CameraSpec
 from inspe_jax.simulation.embedded.embree import Caster, RayHits
-from inspe_jax.simulation.embedded.headlights import COLOUR, on_road_users
+from inspe_jax.simulation.embedded.headlights import COLOUR, LitGround, on_road_users
 from inspe_jax.simulation.embedded.light import metered_gain, parts, tone_map
-from inspe_jax.simulation.embedded.lit_ground import LitGround
 from inspe_jax.simulation.embedded.road_users import FrameActors, RoadUserTriangles, paints
 from inspe_jax.simulation.embedded.shading import FAR
 from inspe_jax.simulation.embedded.shapes import PARTS
@@ -152,7 +151,7 @@ class Camera:
         moments = self.light.moments
         still = self.background.colour  # without road users, but with what their lamps light
         if self.lit_ground is not None:
-            at, added = self.lit_ground.added(actors, self.origin)
+            at, added = self.lit_ground.added(actors)
             still = still.copy()
             still[at] += added
         total, middle = still.copy(), self._changes_at(actors, 0.0)

@@ -6,22 +6,24 @@ the square of the distance. The ground's light is a map of the plan, made once a
 cameras.
 """
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, UInt8
 
 from inspe_jax.scene.intersection import Intersection
 from inspe_jax.simulation.embedded.light import CANDELA, Light
 from inspe_jax.simulation.embedded.road_users import FrameActors
+from inspe_jax.simulation.embedded.shading import Shading
+from inspe_jax.simulation.embedded.static_look import OF_LABEL
+from inspe_jax.simulation.embedded.static_world import StaticWorld
+from inspe_jax.simulation.embedded.wet_road import wetness_on
 
 PEAK = 15_000 * CANDELA
 """Brightness of both dipped beams at 1 m: 7,500 cd each, as lamps in use have it.
 
 UN Regulation 112 asks for 5,100 to 44,100 cd a lamp at 25 m on its own side of the road."""
 COLOUR = np.array([1.0, 0.95, 0.86], np.float32)
-REAR = 24 * CANDELA * np.array([1.0, 0.04, 0.04], np.float32)
-"""Both tail lamps at 1 m: 4 to 17 cd each by UN Regulation 7."""
 CUT_OFF, GLARE = 0.01, 0.01
 """Slope of the cut-off (UN Regulation 48: 1 to 1.5 %) and the share of light that is above it."""
 BLUR = 0.008
@@ -49,13 +51,11 @@ WORTH = 0.2
 """A further beam counts if it is at least so bright as a share of the brightest."""
 
 
-@dataclass(frozen=True, eq=False)
-class Beams:
-    """The lamps of K vehicles, relative to the centre [m]: the middle ``front``, the middle
-    ``rear``, and the unit vector ``ahead`` in plan."""
+class Beams(NamedTuple):
+    """The headlights of K vehicles: their middle ``front``, relative to the centre [m], and the
+    unit vector ``ahead`` in plan."""
 
     front: Float[np.ndarray, "K 3"]
-    rear: Float[np.ndarray, "K 3"]
     ahead: Float[np.ndarray, "K 2"]
 
 
@@ -92,10 +92,8 @@ def beams_of(actors: FrameActors) -> Beams:
     ahead = np.column_stack([np.cos(yaw), np.sin(yaw)])
     share, least, most = HEIGHT
     up = np.clip(share * size[:, 2], least, most) - size[:, 2] / 2
-    half = np.column_stack([(size[:, :1] / 2 + 0.05) * ahead, np.zeros(len(own))])
-    lift = np.array([0.0, 0.0, 1.0]) * up[:, None]
-    front, rear = (at + sign * half + lift for sign in (1, -1))
-    return Beams(*(part.astype(np.float32) for part in (front, rear, ahead)))
+    out = np.column_stack([(size[:, :1] / 2 + 0.05) * ahead, up])
+    return Beams((at + out).astype(np.float32), ahead.astype(np.float32))
 
 
 class GroundMap:
@@ -161,6 +159,39 @@ class GroundMap:
             free = some[~caster.meets(start, way / far[:, None], far)]
             light[at[free]] += found[free]
         return light
+
+
+class LitGround:
+    """Those of R pixels that show ground on the map of headlights, and how it looks.
+
+    ``point`` is what each pixel shows, relative to the centre, and ``distance`` how far it is [m];
+    ``semantic`` is CARLA's label of it.
+    """
+
+    def __init__(
+        self,
+        ground: GroundMap,
+        static_world: StaticWorld,
+        shading: Shading,
+        point: Float[np.ndarray, "R 3"],
+        distance: Float[np.ndarray, " R"],
+        semantic: UInt8[np.ndarray, " R"],
+    ) -> None:
+        level, cell = np.isin(semantic, [*OF_LABEL.values()]), ground.cells(point)
+        self.ground, self.pixels = ground, np.flatnonzero(level & (cell >= 0))
+        self.cell, point = cell[self.pixels], point[self.pixels]
+        wet = wetness_on(static_world, point, shading.wet)
+        world = point[:, :2] + static_world.center[:2]
+        albedo = static_world.surface.albedo(world) * (1 - wet.darker)[:, None]
+        clear = np.exp(-np.float32(shading.haze) * distance[self.pixels])
+        lamps = np.float32(shading.light.lamps)
+        self.look = (albedo * (lamps * COLOUR * clear[:, None])).astype(np.float32)
+
+    def added(self, actors: FrameActors) -> tuple[Int[np.ndarray, " P"], Float[np.ndarray, "P 3"]]:
+        """The pixels that headlights make brighter, each once, and by how much."""
+        light = actors.once(self.ground.fine).take(self.cell)
+        own = np.flatnonzero(light)
+        return self.pixels[own], light[own, None] * self.look.take(own, axis=0)
 
 
 def on_road_users(

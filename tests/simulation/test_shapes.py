@@ -18,14 +18,14 @@ from inspe_jax.simulation.embedded.shapes import (
 
 pytest.importorskip("embreex", reason="no wheels of Embree for this platform")
 
-EVERY = [(kind, i) for kind in VARIANTS for i in range(len(VARIANTS[kind]))]
+EVERY = [(kind, name) for kind in VARIANTS for name in VARIANTS[kind]]
 ADULT = ROAD_USERS[CLASSES.index("pedestrian")].size
 ALIKE = ("car", "truck")
 """Classes of vehicles, which are solid; limbs of the others intersect."""
 
 
-def moves(kind: str, variant: int) -> bool:
-    return shape_of(kind, variant) is not shape_of(kind, variant, 0.5)
+def moves(name: str) -> bool:
+    return shape_of(name) is not shape_of(name, 0.5)
 
 
 def normals(triangles: np.ndarray) -> np.ndarray:
@@ -51,30 +51,30 @@ def view(azimuth: float, height: float, distance: float, pixels: int, radius: fl
 
 
 def test_shapes_fill_the_unit_box_and_fit_a_box_of_their_size():
-    for kind, variant in EVERY:
-        assert variant in fitting(kind, natural_size(kind, variant))
-        for step in range(0, PHASES, 3) if moves(kind, variant) else (0,):
-            shape = shape_of(kind, variant, step / PHASES)
-            assert (shape.vertices.min(0) == -0.5).all(), shape.name
-            assert (shape.vertices.max(0) == 0.5).all(), shape.name
+    for kind, name in EVERY:
+        assert name in fitting(kind, natural_size(name))
+        for step in range(0, PHASES, 3) if moves(name) else (0,):
+            shape = shape_of(name, step / PHASES)
+            assert (shape.vertices.min(0) == -0.5).all(), name
+            assert (shape.vertices.max(0) == 0.5).all(), name
             types = shape.vertices.dtype, shape.faces.dtype, shape.part.dtype
             assert types == (np.float32, np.int32, np.int8)
             assert not shape.vertices.flags.writeable
 
 
 @pytest.mark.parametrize(
-    ("kind", "variant", "phase"),
-    [(k, i, p) for k, i in EVERY for p in (0.0, 0.3) if p == 0 or moves(k, i)],
+    ("kind", "name", "phase"),
+    [(k, n, p) for k, n in EVERY for p in (0.0, 0.3) if p == 0 or moves(n)],
 )
-def test_only_outsides_are_visible(kind, variant, phase):
+def test_only_outsides_are_visible(kind, name, phase):
     """From every side, level and from above: no gap shows the inside of a face.
 
     Limbs that intersect may show a few; they are thin. Of a vehicle one ray may slip through, where
     a strip that is split meets one that is not: in single precision the seam has no width of its
     own, but is not always straight.
     """
-    size = natural_size(kind, variant)
-    shape = shape_of(kind, variant, phase)
+    size = natural_size(name)
+    shape = shape_of(name, phase)
     triangles = (shape.vertices * size)[shape.faces]
     outward, radius = normals(triangles), np.linalg.norm(size) / 2
     caster = Caster(triangles)
@@ -89,23 +89,23 @@ def test_only_outsides_are_visible(kind, variant, phase):
 
 @pytest.mark.parametrize("kind", ALIKE)
 def test_vehicles_stand_on_wheels_at_all_corners(kind):
-    for variant in range(len(VARIANTS[kind])):
-        shape = shape_of(kind, variant)
+    for name in VARIANTS[kind]:
+        shape = shape_of(name)
         low = np.unique(shape.faces[shape.part == PARTS.index("tyre")])
         low = shape.vertices[low][shape.vertices[low, 2] < -0.4999]
         assert {(x > 0, y > 0) for x, y, _ in low} == {(f, s) for f in (0, 1) for s in (0, 1)}
 
 
 def test_a_phase_goes_round_and_vehicles_have_none():
-    assert shape_of("cyclist", 0, 1.25) is shape_of("cyclist", 0, 0.25)
-    assert shape_of("cyclist", 0, 0.25) is not shape_of("cyclist", 0, 0.5)
-    for kind, variant in (("car", 0), ("truck", 1), ("pedestrian", 0)):
-        assert shape_of(kind, variant, 0.4) is shape_of(kind, variant)
+    turn = "bicycle.upright"
+    assert shape_of(turn, 1.25) is shape_of(turn, 0.25)
+    assert shape_of(turn, 0.25) is not shape_of(turn, 0.5)
+    assert [moves(name) for name in ("car.micro", "truck.light_box", "walker.standing")] == [0] * 3
 
 
 def test_every_class_has_shapes_and_every_part_is_used_and_painted():
     assert tuple(VARIANTS) == CLASSES
-    used = {PARTS[p] for kind, variant in EVERY for p in shape_of(kind, variant).part}
+    used = {PARTS[p] for _, name in EVERY for p in shape_of(name).part}
     assert used == set(PARTS)
     for kind in VARIANTS:
         for seed in range(50):
@@ -142,7 +142,7 @@ def test_cars_have_the_colours_of_the_road():
 )  # fmt: skip
 def test_the_size_of_a_box_decides(kind, size, fit):
     """Among others: the length, for what is long; the height, for children."""
-    found = {VARIANTS[kind][i] for i in fitting(kind, size)}
+    found = {*fitting(kind, size)}
     assert found
     assert found <= fit
 
@@ -150,8 +150,8 @@ def test_the_size_of_a_box_decides(kind, size, fit):
 @pytest.mark.parametrize(
     ("call", "words"),
     [
-        (lambda: shape_of("tram", 0), "class 'tram': one of car, truck, cyclist, pedestrian"),
-        (lambda: shape_of("car", 99), r"car variant 99 is out of range: 0 to \d+"),
+        (lambda: fitting("tram", (9, 2, 3)), "class 'tram': one of car, truck, cyclist"),
+        (lambda: shape_of("car.jeep"), "shape 'car.jeep': one of car.micro"),
         (lambda: paint("tram", np.random.default_rng(0)), "class 'tram'"),
     ],
 )

@@ -172,8 +172,7 @@ def test_the_lights_of_parked_vehicles_are_off():
     (dark,) = recorder.frame(0).stations[0].images
     assert len(beams_of(FrameActors(recorder.surroundings.parked, place.voxels.center)).front) == 0
     around = recorder.surroundings
-    shining = tuple(replace(box, parked=False) for box in around.parked)
-    recorder.surroundings = replace(around, parked=shining)
+    around.parked = tuple(replace(box, parked=False) for box in around.parked)
     (lit,) = recorder.frame(0).stations[0].images
     shown = dark.pixels[0]
     assert shown > 50

@@ -16,13 +16,14 @@ from inspe_jax.sensing.sensors import CameraSpec
 from inspe_jax.simulation.embedded.embree import Caster, RayHits
 from inspe_jax.simulation.embedded.headlights import COLOUR, LitGround, on_road_users
 from inspe_jax.simulation.embedded.light import metered_gain, parts, tone_map
+from inspe_jax.simulation.embedded.materials import GROUND
 from inspe_jax.simulation.embedded.road_users import FrameActors, RoadUserTriangles, paints
 from inspe_jax.simulation.embedded.shading import FAR
 from inspe_jax.simulation.embedded.shapes import PARTS
 from inspe_jax.simulation.embedded.static_look import static_look
 from inspe_jax.simulation.embedded.sunlit import LONGEST, SunlitPoints
 from inspe_jax.simulation.embedded.surroundings import Surroundings
-from inspe_jax.simulation.embedded.wet_road import reflected, wetness_at
+from inspe_jax.simulation.embedded.wet_road import DARKER, paved, reflected
 from inspe_jax.simulation.frame import Image, RoadUserBox
 from inspe_jax.simulation.projection import corners, outlines
 
@@ -118,13 +119,14 @@ class Camera:
         shading, hit = self.shading, face >= 0
         point = self._points(pixels, np.where(hit, distance, 0))
         albedo, semantic = static_look(self.static_world, face, point, normal)
-        wet = wetness_at(self.static_world, face, point, shading.wet)
-        albedo *= (1 - wet.darker)[:, None]
-        ambient = shading.ambient_light(point, normal, albedo)
+        wet = np.zeros(0, int)
         if shading.wet > 0:
-            at = np.flatnonzero(wet.film)
-            given = wet.at(at), point[at], normal[at], self.directions[pixels][at]
-            ambient[at] += reflected(self.static_world, self.static_caster, shading, *given)
+            wet = np.flatnonzero(hit & (self.static_world.material[face] == GROUND))
+            wet = wet[paved(self.static_world, point[wet])]
+        albedo[wet] *= 1 - np.float32(DARKER * shading.wet)
+        ambient = shading.ambient_light(point, normal, albedo)
+        given = point[wet], normal[wet], self.directions[pixels][wet]
+        ambient[wet] += reflected(self.static_world, self.static_caster, shading, *given)
         ambient[~hit] = shading.sky(self.directions[pixels][~hit])
         direct = shading.sunlight(normal, albedo)
         in_sun = direct[:, 0] > 0

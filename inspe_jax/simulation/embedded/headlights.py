@@ -17,7 +17,7 @@ from inspe_jax.simulation.embedded.road_users import FrameActors
 from inspe_jax.simulation.embedded.shading import Shading
 from inspe_jax.simulation.embedded.static_look import OF_LABEL
 from inspe_jax.simulation.embedded.static_world import StaticWorld
-from inspe_jax.simulation.embedded.wet_road import wetness_on
+from inspe_jax.simulation.embedded.wet_road import DARKER, paved
 
 PEAK = 15_000 * CANDELA
 """Brightness of both dipped beams at 1 m: 7,500 cd each, as lamps in use have it.
@@ -180,9 +180,9 @@ class LitGround:
         level, cell = np.isin(semantic, [*OF_LABEL.values()]), ground.cells(point)
         self.ground, self.pixels = ground, np.flatnonzero(level & (cell >= 0))
         self.cell, point = cell[self.pixels], point[self.pixels]
-        wet = wetness_on(static_world, point, shading.wet)
+        darker = np.float32(DARKER * shading.wet) * paved(static_world, point)
         world = point[:, :2] + static_world.center[:2]
-        albedo = static_world.surface.albedo(world) * (1 - wet.darker)[:, None]
+        albedo = static_world.surface.albedo(world) * (1 - darker)[:, None]
         clear = np.exp(-np.float32(shading.haze) * distance[self.pixels])
         lamps = np.float32(shading.light.lamps)
         self.look = (albedo * (lamps * COLOUR * clear[:, None])).astype(np.float32)

@@ -13,7 +13,7 @@ from inspe_jax.sensing.layout import Layout
 from inspe_jax.simulation.embedded.camera import Camera
 from inspe_jax.simulation.embedded.lidar import Lidar
 from inspe_jax.simulation.embedded.road_users import FrameActors
-from inspe_jax.simulation.embedded.surroundings import Surroundings, surroundings_of
+from inspe_jax.simulation.embedded.surroundings import Surroundings
 from inspe_jax.simulation.frame import Frame, Image, RoadUserBox, Scan
 from inspe_jax.simulation.recorder import Recording, row_of, stations_of
 
@@ -63,7 +63,7 @@ class EmbeddedRecorder:
         appearance_seed: int = 0,
     ) -> None:
         self.scene, self.seed = scene, seed
-        self.surroundings = surroundings_of(scene, layout, conditions, recording, appearance_seed)
+        self.surroundings = Surroundings(scene, layout, conditions, recording, appearance_seed)
         self.layout = conditions.layout(layout)
         self.sensors = [
             simulated_sensor(sensor.spec, pose, self.surroundings)
@@ -104,7 +104,7 @@ class LiveSensor:
         self.spec, self._own = conditions.spec(sensor.spec), np.array(layout.poses[s], float)
         self._unit, self._s, self._seed = sensor.unit, s, seed
         self._given = scene, layout, conditions, recording
-        self._at_its_place = surroundings_of(*self._given)
+        self._at_its_place = Surroundings(*self._given)
         self._frame: tuple[int, FrameActors] | None = None
         self._placed: tuple[Float[np.ndarray, 6], SimulatedSensor] | None = None
 
@@ -126,7 +126,7 @@ class LiveSensor:
 
     @cached_property
     def _without_its_mast(self) -> Surroundings:
-        return surroundings_of(*self._given, mastless=self._unit)
+        return Surroundings(*self._given, mastless=self._unit)
 
 
 def noise_source(seed: int, t: int, s: int) -> np.random.Generator:

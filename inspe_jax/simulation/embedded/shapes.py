@@ -19,7 +19,7 @@ from importlib.resources import files
 import numpy as np
 from jaxtyping import Float, Int
 
-from inspe_jax.core.errors import InspeError
+from inspe_jax.core.errors import check_known
 
 _HERE = files("inspe_jax.simulation.embedded")
 PHASES = 24
@@ -44,7 +44,6 @@ class Shape:
     vertices: Float[np.ndarray, "N 3"]
     faces: Int[np.ndarray, "F 3"]
     part: Int[np.ndarray, " F"]
-    name: str
 
 
 _Row = tuple[str, Float[np.ndarray, "3"], tuple[Shape, ...]]
@@ -62,7 +61,7 @@ def _read() -> tuple[tuple[str, ...], dict[str, _Row]]:
         steps, n, m = (int(data[of][i]) for of in ("steps", "vertex_count", "face_count"))
         points = data["vertices"][vertex : vertex + steps * n].reshape(steps, n, 3)
         faces, part = data["faces"][face : face + m], data["part"][face : face + m]
-        shapes = tuple(Shape(p, faces, part, name) for p in points)
+        shapes = tuple(Shape(p, faces, part) for p in points)
         rows[name] = str(data["kind"][i]), data["size"][i], shapes
         vertex, face = vertex + steps * n, face + m
     return tuple(data["parts"].tolist()), rows
@@ -79,43 +78,36 @@ VARIANTS: dict[str, tuple[str, ...]] = {
 """Names of the shapes of each class of road user."""
 
 
-def shape_of(kind: str, variant: int, phase: float = 0.0) -> Shape:
-    """The shape of a road user of class ``kind``; ``variant`` is an index into its ``VARIANTS``.
+def shape_of(name: str, phase: float = 0.0) -> Shape:
+    """The shape of a name.
 
     ``phase`` is how far a stride (pedestrian) or a turn of the crank (cyclist) has come, in cycles.
     It is rounded to a step of :data:`PHASES`, and ignored for people who stand and for vehicles.
-    Raises InspeError for an unknown class or variant.
+    Raises InspeError for an unknown name.
     """
-    names = _names(kind)
-    if not 0 <= variant < len(names):
-        raise InspeError(f"{kind} variant {variant} is out of range: 0 to {len(names) - 1}")
-    steps = _BY_NAME[names[variant]][2]
+    check_known(name, _BY_NAME, "shape")
+    steps = _BY_NAME[name][2]
     return steps[round(phase * PHASES) % len(steps)]
 
 
-def natural_size(kind: str, variant: int) -> Float[np.ndarray, "3"]:
+def natural_size(name: str) -> Float[np.ndarray, "3"]:
     """Length, width and height at which a shape has natural proportions [m]."""
-    return _BY_NAME[VARIANTS[kind][variant]][1]
+    return _BY_NAME[name][1]
 
 
-def fitting(kind: str, size: Sequence[float] | Float[np.ndarray, "3"]) -> Int[np.ndarray, " M"]:
-    """The variants of a class that fit a box of ``size`` (length, width, height) [m], M ≥ 1.
+def fitting(kind: str, size: Sequence[float] | Float[np.ndarray, "3"]) -> tuple[str, ...]:
+    """The names of a class's shapes that fit a box of ``size`` (length, width, height) [m].
 
     Those that need to be stretched by at most :data:`STRETCH`, or if there are none, the one that
     needs it least. Of pedestrians only the height counts: what they take up in plan is their
     stride. Raises InspeError for an unknown class.
     """
-    own = np.array([_BY_NAME[name][1] for name in _names(kind)])
+    check_known(kind, VARIANTS, "class")
+    own = np.array([natural_size(name) for name in VARIANTS[kind]])
     stretch = np.abs(np.log(np.asarray(size, float) / own))
     most = stretch[:, 2] if kind == "pedestrian" else stretch.max(1)
     found = np.flatnonzero(most <= np.log1p(STRETCH))
-    return found if len(found) else np.array([most.argmin()])
-
-
-def _names(kind: str) -> tuple[str, ...]:
-    if kind not in VARIANTS:
-        raise InspeError(f"class '{kind}': one of {', '.join(VARIANTS)}")
-    return VARIANTS[kind]
+    return tuple(VARIANTS[kind][i] for i in (found if len(found) else [most.argmin()]))
 
 
 def paint(kind: str, rng: np.random.Generator) -> Float[np.ndarray, "P 3"]:
@@ -124,7 +116,7 @@ def paint(kind: str, rng: np.random.Generator) -> Float[np.ndarray, "P 3"]:
     A colour is drawn for each part, made a few per cent brighter or darker, and converted from sRGB
     to linear light (IEC 61966-2-1). Raises InspeError for an unknown class.
     """
-    _names(kind)
+    check_known(kind, VARIANTS, "class")
     palettes = _PAINT["all"] | _PAINT.get(kind, {})
     srgb = np.zeros((len(PARTS), 3))
     for into, part in zip(srgb, PARTS, strict=True):

@@ -150,7 +150,7 @@ def _parked(
         return
     size, yaw = box_of(one)
     kind = kind_of(size)
-    shape, colours = shape_of(kind, int(rng.choice(fitting(kind, size)))), paint(kind, rng)
+    shape, colours = shape_of(str(rng.choice(fitting(kind, size)))), paint(kind, rng)
     turn = rotation(np.array([0.0, 0.0, yaw]), np)
     at = np.array([*one.middle, level + one.height / 2])
     corners = (shape.vertices * size) @ turn.T + at

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 import shapely
 import yaml
-from opv2v_validator import check_set, to_world
+from opv2v_validator import check_set
 
 pytest.importorskip("msgpack", reason="what the CARLA client talks: extra [test]")
 
@@ -27,6 +27,8 @@ from worlds import crossing, place_sensors, world
 
 from inspe_jax import dataset
 from inspe_jax.core.errors import InspeError
+from inspe_jax.core.geometry import rotation
+from inspe_jax.core.pinhole import pixels
 from inspe_jax.scene.traffic.frames import CLASSES
 from inspe_jax.sensing.catalogue import device
 from inspe_jax.sensing.conditions import Conditions
@@ -36,6 +38,7 @@ from inspe_jax.simulation.carla.sensors import CarlaCamera, CarlaLidar, instance
 from inspe_jax.simulation.carla.server import weather_of
 from inspe_jax.simulation.carla.traffic import body_of
 from inspe_jax.simulation.frame import RoadUserBox
+from inspe_jax.simulation.projection import corners
 from inspe_jax.simulation.recorder import Recording, Server
 
 PARKED = {"tag": 14, "pose": [-47.76, 20.43, 0.8, 0.0, 30.0, 0.0], "extent": [2.2, 0.9, 0.8]}
@@ -79,35 +82,22 @@ def frames(recorded):
     return [scenario.frame(t) for t in scenario.frames]
 
 
-def box_of(box: RoadUserBox) -> np.ndarray:
-    """The matrix from a road user's box to the world, (4, 4)."""
-    cos, sin, turn = np.cos(box.yaw), np.sin(box.yaw), np.eye(4)
-    turn[:2, :2], turn[:3, 3] = [[cos, -sin], [sin, cos]], box.center
-    return turn
-
-
-def body(pose: np.ndarray) -> np.ndarray:
-    """The matrix from a sensor's frame to the world, both right-handed (4, 4), by the validator's
-    functions, which are left-handed."""
-    x, y, z, roll, pitch, yaw = pose
-    mirror = np.diag([1.0, -1.0, 1.0, 1.0])
-    angles = np.degrees([roll, -yaw, pitch])
-    return mirror @ to_world([x, -y, z, *angles]) @ mirror
+def turn_of(box: RoadUserBox) -> np.ndarray:
+    return rotation(np.array([0.0, 0.0, box.yaw]), np)
 
 
 def gaps(points: np.ndarray, boxes) -> np.ndarray:
     """Signed distance of points (P, 3) to boxes and the ground, (T + 1, P) [m]."""
     rows = []
     for box in boxes:
-        local = np.column_stack([points, np.ones(len(points))]) @ np.linalg.inv(box_of(box)).T
-        over = np.abs(local[:, :3]) - box.size / 2
+        over = np.abs((points - box.center) @ turn_of(box)) - box.size / 2
         rows.append(np.linalg.norm(np.maximum(over, 0), axis=1) + np.minimum(over.max(1), 0))
     return np.array([*rows, points[:, 2]])
 
 
 def carried(pose: np.ndarray, points: np.ndarray) -> np.ndarray:
-    turn = body(pose)
-    return points @ turn[:3, :3].T + turn[:3, 3]
+    """Points of a sensor's frame in the world."""
+    return points @ rotation(pose[3:], np).T + pose[:3]
 
 
 def test_readers_accept_the_set(recorded):
@@ -187,19 +177,6 @@ def test_depth_is_of_surfaces(frames):
             np.testing.assert_allclose(gap.min(0), 0, atol=0.005 * np.linalg.norm(rays[0, 0]))
 
 
-def outline(image, box: RoadUserBox) -> shapely.Geometry | None:
-    """The box in the picture, by its corners above ground; None if one is behind the camera."""
-    corners = np.array([[x, y, z, 1] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float)
-    corners[:, :3] *= box.size / 2
-    ahead, left, up, _ = np.linalg.inv(body(image.pose)) @ box_of(box) @ corners.T
-    if ahead.min() < 0.1:
-        return None
-    (f, _, cx), (_, g, cy), _ = image.intrinsic
-    return shapely.MultiPoint(
-        np.stack([cx - f * left / ahead, cy - g * up / ahead], -1)
-    ).convex_hull
-
-
 def test_boxes_by_the_written_calibration_cover_their_instances(frames):
     """Pixels of an instance have one colour, and lie in the outline of its box; all pixels with the
     colour of an actor belong to an instance."""
@@ -215,12 +192,12 @@ def test_boxes_by_the_written_calibration_cover_their_instances(frames):
                     continue
                 colours.append(np.unique(image.rgb[own], axis=0))
                 assert set(image.semantic[own].tolist()) <= TAGS[kinds[box.track]]
-                rows, columns = np.nonzero(own)
-                if (around := outline(image, box)) is None:
-                    continue
-                inside = shapely.contains_xy(around.buffer(0.1), columns + 0.5, rows + 0.5)
-                assert inside.all()
-                seen += len(rows)
+                column, row, depth = pixels(image, corners([box])[0]).T
+                if depth.min() > 0.1:
+                    hull = shapely.MultiPoint(np.column_stack([column, row])).convex_hull
+                    v, u = np.nonzero(own)
+                    assert shapely.contains_xy(hull.buffer(0.1), u + 0.5, v + 0.5).all()
+                    seen += len(v)
             assert all(len(colour) == 1 for colour in colours)
             assert len(np.unique(np.concatenate(colours), axis=0)) == len(colours)
             assert set(image.instance.flat) <= {0, *(track + 1 for track in kinds)}
@@ -293,23 +270,16 @@ units:
 """
 
 
-@pytest.fixture(scope="module")
-def generated(maps, tmp_path_factory):
-    """A study, the folder of its data set, and the output of `inspe generate`."""
-    folder = tmp_path_factory.mktemp("generated")
-    (folder / "one.yaml").write_text(ONE)
-    shutil.copy(maps / f"{client.TOWN}.xodr", folder)
-    (folder / "towns.yaml").write_text(yaml.safe_dump(STUDY))
-    with carla_wire.serving(folder / f"{client.TOWN}.xodr") as port:
-        where = ("--out", "set", "--backend", "carla", "--server", f"localhost:{port}")
-        process = inspe_process("generate", "towns.yaml", *where, cwd=folder)
+def test_notes_are_in_the_data_set_and_the_address_of_the_server_is_not(maps, tmp_path):
+    (tmp_path / "one.yaml").write_text(ONE)
+    shutil.copy(maps / f"{client.TOWN}.xodr", tmp_path)
+    (tmp_path / "towns.yaml").write_text(yaml.safe_dump(STUDY))
+    folder = tmp_path / "set"
+    with carla_wire.serving(tmp_path / f"{client.TOWN}.xodr") as port:
+        where = ("--out", folder, "--backend", "carla", "--server", f"localhost:{port}")
+        process = inspe_process("generate", "towns.yaml", *where, cwd=tmp_path)
         words, err = process.communicate(timeout=120)
     assert process.returncode == 0, err
-    return folder / "towns.yaml", folder / "set", port, words + err
-
-
-def test_notes_are_in_the_data_set_and_the_address_of_the_server_is_not(generated):
-    study, folder, port, words = generated
     assert "1 scenario, 2 frames" in words
     ((name, report),) = check_set(folder).items()
     assert (report.agents, report.frames) == (1, 2)
@@ -319,23 +289,9 @@ def test_notes_are_in_the_data_set_and_the_address_of_the_server_is_not(generate
     kept, turns = scenario.protocol["notes"]
     assert turns.endswith("of a LiDAR's turn at once: lidar_turn_s is 0")
     assert kept.startswith("velodyne-vlp-32c: CARLA's channels are evenly spaced")
-    assert f"Note: {kept} (1 scenario)" in words
-    again = dataset.load_generation(scenario.path / "data_protocol.yaml", study.parent)
+    assert f"Note: {kept} (1 scenario)" in words + err
+    again = dataset.load_generation(scenario.path / "data_protocol.yaml", tmp_path)
     assert (again.backend, again.notes) == ("carla", ())
-
-
-def test_the_rest_of_a_data_set_can_be_recorded_by_another_server(generated, tmp_path):
-    """The address is no part of the data set: the only error is that no server answers now."""
-    study, made, port, _ = generated
-    generation, out = dataset.load_generation(study), tmp_path / "set"
-    shutil.copytree(made, out)
-    given = dict(backend="carla", server=dataset.Server("127.0.0.1", port))
-    assert dataset.generate(generation, out, **given).recorded == 0
-    next(out.glob("*/*/-1/000001.yaml")).unlink()
-    with pytest.raises(InspeError) as told:
-        dataset.generate(generation, out, **given)
-    assert str(told.value).startswith(f"no CARLA server at 127.0.0.1:{port} (Connection refused)")
-    assert str(told.value).endswith("or give its address: --server HOST:PORT")
 
 
 # ── Without a server ────────────────────────────────────────────────────────────────────────────

@@ -93,27 +93,12 @@ class CarlaFan:
     def __init__(self, spec, recording):
         self.attributes = {"range": repr(spec.reach)}
 
-    def record(self, pose, data, boxes, rng):
-        return Scan(pose, data["sensor.other.radar"])
-
 
 def test_carla_needs_a_row_as_well(monkeypatch):
-    """Without a server: the notes, and the scan of a measurement."""
     monkeypatch.setitem(SENSOR_KINDS, "fan", CarlaFan)
     layout = place_sensors((FAN, [1, 2, 3, 0, 0, 0]), (FAN, [0, 0, 3, 0, 0, 0]))
     recorder = CarlaRecorder(world(count=0, radius=20.0, voxel=2.0), layout)
     assert recorder.notes == CarlaFan.notes
-
-    points = np.ones((5, 4), np.float32)
-
-    class Queue:
-        def take(self, number, until):
-            return points if number == 7 else None
-
-    recorder.queues = [{"sensor.other.radar": Queue()}] * 2
-    scan = recorder._record(0, t=0, number=7, boxes=())
-    assert scan.points is points
-    assert scan.pose.tolist() == [1, 2, 3, 0, 0, 0]
 
 
 def test_cameras_need_no_more_than_their_layers():

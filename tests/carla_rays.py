@@ -122,14 +122,10 @@ def sight(
 
 
 def picture(
-    kind: str,
-    spec: Mapping[str, str],
-    seen: tuple[np.ndarray, np.ndarray],
-    boxes: Sequence[Box],
-    frame: int,
+    kind: str, spec: Mapping[str, str], where: np.ndarray, boxes: Sequence[Box], frame: int
 ) -> np.ndarray:
     """(H, W, 4) BGRA bytes of a picture; the blue of the ground encodes the frame."""
-    depth, which = seen
+    depth, which = sight(spec, where, boxes)
     if kind == "depth":
         code = np.round(np.minimum(depth / FAR, 1) * (256**3 - 1)).astype(int)
         rgb = np.stack([code & 255, code >> 8 & 255, code >> 16], -1)

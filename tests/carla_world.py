@@ -32,17 +32,6 @@ STEP = 0.05
 LOADING = 0.3
 """Seconds without frames while a map is loaded."""
 
-CALLS = (
-    *("version", "get_episode_info", "get_sensor_token", "get_episode_settings"),
-    *("set_episode_settings", "get_weather_parameters", "set_weather_parameters"),
-    *("query_lights_state", "get_available_maps", "get_map_info", "get_map_data"),
-    *("get_required_files", "load_new_episode", "get_environment_objects"),
-    *("enable_environment_objects", "project_point", "get_actor_definitions", "spawn_actor"),
-    *("destroy_actor", "get_actors_by_id", "get_actor_bounding_box", "set_actor_transform"),
-    "tick_cue",
-)
-"""The calls of a client; methods of the world answer them."""
-
 COMMANDS = {0: "spawn_actor", 1: "destroy_actor", 6: "set_actor_transform"}
 """The calls of the commands in a batch, by number."""
 
@@ -72,17 +61,24 @@ class Actor:
 
 
 class World:
-    """State of the episode; `token` gives the address of a stream."""
+    """State of the episode; `token` gives the address of a stream.
+
+    Its methods answer the calls of a client of their names.
+    """
 
     def __init__(
-        self, maps: Sequence[Path], token: Callable[[int], bytes], scenery: Sequence[dict] = ()
+        self,
+        maps: Sequence[Path],
+        token: Callable[[int], bytes],
+        scenery: Sequence[dict],
+        release: str,
     ):
         self.maps = {path.stem: path.read_text() for path in maps}
         self.map, self.token, self.scenery = maps[0].stem, token, scenery
         self.solids = [
             Box(matrix(s["pose"]), tuple(s["extent"]), s["tag"], (120, 110, 100)) for s in scenery
         ]
-        self.release, self.hidden = VERSION, set()
+        self.release, self.hidden = release, set()
         self.numbers, self.streams = iter(range(24, 10**9)), iter(range(SNAPSHOTS + 1, 10**9))
         self.awaited: Counter[int] = Counter()  # streams asked for, and not connected to yet
         self.episode, self.frame, self.time = 7, 100, 5.0

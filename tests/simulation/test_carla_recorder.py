@@ -63,13 +63,10 @@ def recorded(maps, tmp_path_factory):
     The server starts with another map.
     """
     folder = tmp_path_factory.mktemp("carla")
-    scenery = folder / "scenery.json"
-    scenery.write_text(json.dumps([PARKED]))
     towns = maps / "Town07.xodr", maps / f"{client.TOWN}.xodr"
-    with carla_wire.serving(*towns, "--scenery", scenery) as port:
+    with carla_wire.serving(*towns, scenery=[PARKED]) as port:
         run_client("record", port, folder / "told.npz")
         after = run_client("look", port, folder / "look.json")
-    scenery.unlink()
     with np.load(folder / "told.npz") as saved:
         told = dict(saved)
     return folder, told, after
@@ -222,19 +219,16 @@ def test_servers_that_cannot_be_used(maps, tmp_path):
         nobody = free.getsockname()[1]
     town = maps / f"{client.TOWN}.xodr"
     servers = {
-        "elsewhere": (maps / "Town07.xodr",),
-        "older": (town, "--version", "0.9.15"),
-        "mute": (town, "--mute", "sensor.lidar.ray_cast"),
-        "failing": (town, "--mute", "sensor.camera.depth", "--after", "29"),
-        "taken": (town,),
-        "stopped": (town,),
+        "elsewhere": carla_wire.serving(maps / "Town07.xodr"),
+        "older": carla_wire.serving(town, version="0.9.15"),
+        "mute": carla_wire.serving(town, mute="sensor.lidar.ray_cast"),
+        "failing": carla_wire.serving(town, mute="sensor.camera.depth", after=29),
+        "taken": carla_wire.serving(town),
+        "stopped": carla_wire.serving(town),
     }
     with ExitStack() as stack:
         with ThreadPoolExecutor() as pool:
-            begun = pool.map(
-                lambda given: stack.enter_context(carla_wire.serving(*given)), servers.values()
-            )
-            ports = dict(zip(servers, begun, strict=True))
+            ports = dict(zip(servers, pool.map(stack.enter_context, servers.values()), strict=True))
         given = [f"{name}:{port}" for name, port in {"nobody": nobody, **ports}.items()]
         told = run_client("errors", 0, tmp_path / "told.json", *given)
     assert f"no CARLA server at 127.0.0.1:{nobody}" in told["nobody"]

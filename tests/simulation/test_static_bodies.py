@@ -108,25 +108,17 @@ def test_other_things_stay_where_they_were_and_keep_clear(street):
     assert away.min() > 3.0
 
 
-def test_bodies_are_in_pictures_and_scans(street):
-    layout = place_sensors(
-        (LIDAR, [40.0, -20.0, 9.0, 0.0, 0.0, 0.0]),
-        (CAMERA, [38.0, -21.0, 9.0, 0.0, -0.2, np.arctan2(-11.0, 7.5)]),
-    )
+def test_bodies_are_in_pictures(street):
+    layout = place_sensors((CAMERA, [38.0, -21.0, 9.0, 0.0, -0.2, np.arctan2(-11.0, 7.5)]))
     recording = Recording(layers=("semantic",), image_scale=0.25)
-    with_, without = (
-        EmbeddedRecorder(scene, layout, recording=recording).frame(0).stations
+    image, empty = (
+        EmbeddedRecorder(scene, layout, recording=recording).frame(0).stations[0].images[0]
         for scene in (street, street.with_statics([]))
     )
-    (image,), (empty,) = with_[1].images, without[1].images
     assert (empty.semantic != 14).all()
     assert (image.semantic == 14).sum() > 50  # the parked car
     assert (image.semantic == 9).sum() > 1.5 * (empty.semantic == 9).sum()  # crowns and hedges
-    changed = (image.rgb != empty.rgb).any(-1)
-    assert changed[image.semantic == 14].all()
-    (scan,), (bare,) = with_[0].scans, without[0].scans
-    high = [(points.points[:, 2] > -5.0).sum() for points in (scan, bare)]
-    assert high[0] > 1.2 * high[1]
+    assert (image.rgb != empty.rgb).any(-1)[image.semantic == 14].all()
 
 
 def test_a_parked_vehicle_in_the_region_is_a_road_user_that_stands_still():

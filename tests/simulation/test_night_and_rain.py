@@ -109,9 +109,9 @@ def test_the_map_is_the_formula(driver):
     expected = beam * (0.6 / np.linalg.norm(to)) / (to @ to) - ground.faint
     assert at(ground, lit, 8, 2) == pytest.approx(expected, rel=0.01)
     # As far above the lamp there is only glare.
-    up = to * [1, 1, -1]
-    glare = headlights.PEAK * headlights.dipped(up[None], np.array([to @ to]), np.array([1.0, 0.0]))
-    assert 0 < glare[0] < 0.02 * beam / (to @ to)
+    up, glare = to * [1, 1, -1], headlights.GLARE * np.exp(-(side**2)) / (to @ to)
+    found = headlights.dipped(up[None], np.array([to @ to]), np.array([1.0, 0.0]))
+    assert found == pytest.approx(glare)
 
 
 def test_the_fine_map_lies_between_the_points_of_the_grid(driver):

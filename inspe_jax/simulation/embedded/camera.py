@@ -75,19 +75,13 @@ class Camera:
         self, spec: CameraSpec, pose: Float[np.ndarray, "6"], surroundings: Surroundings
     ) -> None:
         self.pose, self.static_world = np.asarray(pose, float), surroundings.static_world
-        self.static_caster = surroundings.static_caster
+        self.static_caster, self.recording = surroundings.static_caster, surroundings.recording
         self.appearance_seed = surroundings.appearance_seed
-        self.recording, shading = surroundings.recording, surroundings.shading
-        self.shading, self.light = shading, shading.light
+        self.shading, self.light = surroundings.shading, surroundings.shading.light
         self.width, self.height = self.recording.picture_size(spec.width, spec.height)
-        across, down = self.width / spec.width, self.height / spec.height
-        self.intrinsic = np.array(
-            [
-                [spec.focal * across, 0.0, spec.principal[0] * across],
-                [0.0, spec.focal * down, spec.principal[1] * down],
-                [0.0, 0.0, 1.0],
-            ]
-        )
+        (cx, cy), f = spec.principal, spec.focal
+        scale = np.diag([self.width / spec.width, self.height / spec.height, 1.0])
+        self.intrinsic = scale @ np.array([[f, 0.0, cx], [0.0, f, cy], [0.0, 0.0, 1.0]])
         u, v = np.meshgrid(np.arange(self.width) + 0.5, np.arange(self.height) + 0.5)
         (fx, _, cx), (_, fy, cy), _ = self.intrinsic
         body = np.stack([np.ones_like(u), (cx - u) / fx, (cy - v) / fy], -1).reshape(-1, 3)
@@ -100,7 +94,8 @@ class Camera:
         self.lit_ground = None
         if surroundings.ground is not None:
             shown = self.background.point, self.background.distance, self.background.semantic
-            self.lit_ground = LitGround(surroundings.ground, self.static_world, shading, *shown)
+            place = surroundings.ground, self.static_world, self.shading
+            self.lit_ground = LitGround(*place, *shown)
         self.sunlit = SunlitPoints(self.background.point, self.background.in_sun, SHADOWED)
 
     # ── The static world ────────────────────────────────────────────────────
@@ -166,10 +161,8 @@ class Camera:
             total[seen.pixels] += (colour - own) / moments
         shape = (self.height, self.width)
         rgb = tone_map(total.reshape(*shape, 3), self.gain, rng)
-        layers = {}
-        if self.recording.layers:
-            whole = self._layers(middle, actors.boxes)
-            layers = {name: whole[name].reshape(shape) for name in self.recording.layers}
+        whole = self._layers(middle, actors.boxes) if self.recording.layers else {}
+        layers = {name: whole[name].reshape(shape) for name in self.recording.layers}
         pixels = np.bincount(middle.box[middle.box >= 0], minlength=len(actors.boxes))
         share = self._visible_share(pixels, actors)
         return Image(self.pose, self.intrinsic, rgb, **layers, pixels=pixels, share=share)

@@ -15,7 +15,7 @@ from inspe_jax.scene.intersection import Intersection
 from inspe_jax.simulation.embedded.light import CANDELA, Light
 from inspe_jax.simulation.embedded.road_users import FrameActors
 from inspe_jax.simulation.embedded.shading import Shading
-from inspe_jax.simulation.embedded.static_look import OF_LABEL
+from inspe_jax.simulation.embedded.static_look import GROUND_LABELS
 from inspe_jax.simulation.embedded.static_world import StaticWorld
 from inspe_jax.simulation.embedded.wet_road import DARKER, paved
 
@@ -177,7 +177,7 @@ class LitGround:
         distance: Float[np.ndarray, " R"],
         semantic: UInt8[np.ndarray, " R"],
     ) -> None:
-        level, cell = np.isin(semantic, [*OF_LABEL.values()]), ground.cells(point)
+        level, cell = np.isin(semantic, GROUND_LABELS), ground.cells(point)
         self.ground, self.pixels = ground, np.flatnonzero(level & (cell >= 0))
         self.cell, point = cell[self.pixels], point[self.pixels]
         darker = np.float32(DARKER * shading.wet) * paved(static_world, point)

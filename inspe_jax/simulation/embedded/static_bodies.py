@@ -13,6 +13,7 @@ import numpy as np
 import shapely
 from jaxtyping import Float
 from shapely.geometry import Polygon
+from shapely.geometry.base import BaseGeometry
 
 from inspe_jax.core.geometry import rotation
 from inspe_jax.scene.intersection import Intersection
@@ -46,17 +47,18 @@ def body_parts(one: StaticBody, place: Intersection) -> Iterator[Part]:
     yield from _LOOKS[one.kind](one, place, level, rng)
 
 
-def quads(*corners: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "F 3 3"]:
-    """Two triangles for each quadrilateral, by its four ``corners`` in turn."""
-    a, b, c, d = corners
-    return np.concatenate([np.stack([a, b, c], -2), np.stack([a, c, d], -2)]).reshape(-1, 3, 3)
-
-
 def walls(
     low: Float[np.ndarray, "*n N 3"], high: Float[np.ndarray, "*n N 3"]
 ) -> Float[np.ndarray, "F 3 3"]:
-    """The walls between two rings of points."""
-    return quads(low, np.roll(low, -1, -2), np.roll(high, -1, -2), high)
+    """The walls between two rings of points: two triangles for each side."""
+    a, b, c, d = low, np.roll(low, -1, -2), np.roll(high, -1, -2), high
+    return np.concatenate([np.stack([a, b, c], -2), np.stack([a, c, d], -2)]).reshape(-1, 3, 3)
+
+
+def flat_triangles(shape: BaseGeometry) -> Float[np.ndarray, "F 3 2"]:
+    """Triangles that cover a shape, with its corners."""
+    cut = shapely.get_parts(shapely.constrained_delaunay_triangles(shape))
+    return np.array([np.asarray(t.exterior.coords)[:3, :2] for t in cut]).reshape(-1, 3, 2)
 
 
 def _prism(
@@ -65,8 +67,7 @@ def _prism(
     """The sides, the top and the bottom of a prism."""
     low = np.column_stack([outline, np.full(len(outline), bottom)])
     high = low + [0.0, 0.0, top - bottom]
-    cut = shapely.constrained_delaunay_triangles(Polygon(outline)).geoms
-    flat = np.array([t.exterior.coords[:3] for t in cut])
+    flat = flat_triangles(Polygon(outline))
 
     def lid(z: float) -> np.ndarray:
         return np.concatenate([flat, np.full((*flat.shape[:2], 1), z)], 2)

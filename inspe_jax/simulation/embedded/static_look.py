@@ -2,24 +2,15 @@
 
 import numpy as np
 
-from inspe_jax.scene.regions import Region
 from inspe_jax.simulation.embedded import materials
 from inspe_jax.simulation.embedded.static_world import StaticWorld
-from inspe_jax.simulation.embedded.surface import GRASS, PAINT, noise
+from inspe_jax.simulation.embedded.surface import noise
 
 _LABELS = np.array([0, 2, 3, 3, 9, 9, 6, 4, 20, 14, 15, 20])
 """CARLA's semantic labels of :data:`~inspe_jax.simulation.embedded.materials.MATERIALS`; the ground
 has those of its own labels."""
-OF_LABEL = {
-    Region.DRIVEWAY: 1,
-    Region.JUNCTION: 1,
-    Region.CROSSWALK: 1,
-    Region.SIDEWALK: 2,
-    Region.SHOULDER: 25,
-    GRASS: 10,
-    PAINT: 24,
-}
-"""CARLA's semantic labels of the labels of the ground."""
+GROUND_LABELS = np.array([1, 1, 1, 2, 25, 10, 24])
+"""CARLA's semantic labels of the regions of the ground, and of grass and paint."""
 
 
 def static_look(
@@ -32,8 +23,7 @@ def static_look(
     ground = material == materials.GROUND
     world = point[:, :2] + static_world.center[:2]
     albedo[ground] = static_world.surface.albedo(world[ground])
-    labels = np.array([OF_LABEL[k] for k in (*Region, GRASS, PAINT)])
-    semantic[ground] = labels[static_world.surface.label(world[ground])]
+    semantic[ground] = GROUND_LABELS[static_world.surface.label(world[ground])]
     for kind, colour in _PLAIN.items():
         albedo[material == kind] = colour
     rough = material == materials.WALL

@@ -28,7 +28,7 @@ from inspe_jax.scene.statics import StaticBody
 from inspe_jax.scene.street import HEADROOM, OVER_LANES
 from inspe_jax.scene.terrain import MARGIN, lattice_faces
 from inspe_jax.simulation.embedded import materials
-from inspe_jax.simulation.embedded.static_bodies import Part, body_parts, quads, walls
+from inspe_jax.simulation.embedded.static_bodies import Part, body_parts, flat_triangles, walls
 from inspe_jax.simulation.embedded.surface import Surface, lay_surface
 
 SRGB = 2.2
@@ -218,35 +218,21 @@ def _kerbs(intersection: Intersection) -> Iterator[Float[np.ndarray, "F 3 3"]]:
     ribbon = edge.segmentize(3.0).buffer(width / 2, cap_style="flat", join_style="mitre")
     for part in shapely.get_parts(ribbon.difference(carriageway)):
         for ring in [part.exterior, *part.interiors] if part.geom_type == "Polygon" else []:
-            yield _wall(np.asarray(ring.coords)[:, :2], intersection, height)
-        yield _lid(part, intersection, height)
-
-
-def _wall(line: np.ndarray, place: Intersection, height: float) -> Float[np.ndarray, "F 3 3"]:
-    """A vertical ribbon along a line (N, 2), as high as ``height`` above the ground."""
-    low = np.column_stack([line, place.ground(line) - 0.05])
-    high = low + [0.0, 0.0, height + 0.05]
-    return quads(low[:-1], low[1:], high[1:], high[:-1])
-
-
-def _lid(shape: BaseGeometry, place: Intersection, height: float) -> Float[np.ndarray, "F 3 3"]:
-    """The area of a shape, at ``height`` above the ground."""
-    cut = shapely.get_parts(shapely.constrained_delaunay_triangles(shape))
-    if not len(cut):
-        return np.zeros((0, 3, 3))
-    xy = np.array([np.asarray(t.exterior.coords)[:3, :2] for t in cut])
-    z = place.ground(xy.reshape(-1, 2)).reshape(-1, 3) + height
-    return np.concatenate([xy, z[..., None]], -1)
+            line = np.asarray(ring.coords)[:-1, :2]
+            low = np.column_stack([line, intersection.ground(line) - 0.05])
+            yield walls(low, low + [0.0, 0.0, height + 0.05])
+        top = flat_triangles(part)
+        z = intersection.ground(top.reshape(-1, 2)).reshape(-1, 3) + height
+        yield np.concatenate([top, z[..., None]], -1)
 
 
 def _tube(foot: np.ndarray, radius: float, height: float) -> Float[np.ndarray, "F 3 3"]:
     """A vertical prism with eight sides, closed at the top."""
-    turn = np.linspace(0, 2 * np.pi, 9)
-    ring = foot + radius * np.column_stack([np.cos(turn), np.sin(turn), np.zeros(9)])
+    turn = np.linspace(0, 2 * np.pi, 8, endpoint=False)
+    ring = foot + radius * np.column_stack([np.cos(turn), np.sin(turn), np.zeros(8)])
     top = ring + [0.0, 0.0, height]
     cap = np.broadcast_to(foot + [0.0, 0.0, height], (8, 3))
-    sides = quads(ring[:-1], ring[1:], top[1:], top[:-1])
-    return np.concatenate([sides, np.stack([top[:-1], top[1:], cap], 1)])
+    return np.concatenate([walls(ring, top), np.stack([top, np.roll(top, -1, 0), cap], 1)])
 
 
 def _plots(

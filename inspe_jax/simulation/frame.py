@@ -46,10 +46,6 @@ class Deferred:
             return value
 
 
-def _nothing() -> None:
-    """A default of None that is not an attribute of the class: a deferred field would find that."""
-
-
 @dataclass(frozen=True, eq=False)
 class RoadUserBox:
     """The box of a road user, which stands upright.
@@ -86,9 +82,10 @@ class Image(Deferred):
     pose: Float[np.ndarray, "6"]
     intrinsic: Float[np.ndarray, "3 3"]
     rgb: UInt8[np.ndarray, "H W 3"] = field(repr=False)
-    depth: Float[np.ndarray, "H W"] | None = field(default_factory=_nothing, repr=False)
-    instance: Int[np.ndarray, "H W"] | None = field(default_factory=_nothing, repr=False)
-    semantic: UInt8[np.ndarray, "H W"] | None = field(default_factory=_nothing, repr=False)
+    # None by a factory is no attribute of the class, which a deferred field would find.
+    depth: Float[np.ndarray, "H W"] | None = field(default_factory=lambda: None, repr=False)
+    instance: Int[np.ndarray, "H W"] | None = field(default_factory=lambda: None, repr=False)
+    semantic: UInt8[np.ndarray, "H W"] | None = field(default_factory=lambda: None, repr=False)
     pixels: Int[np.ndarray, " B"] | None = field(default=None, repr=False)
     share: Float[np.ndarray, " B"] | None = field(default=None, repr=False)
 

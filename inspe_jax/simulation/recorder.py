@@ -10,9 +10,10 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from inspe_jax.core.errors import InspeError, check_known
+from inspe_jax.scene.scene import Scene
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.sensing.lidar_returns import ATTENUATION, LidarNoise
-from inspe_jax.simulation.frame import Frame, Image, Scan, Station
+from inspe_jax.simulation.frame import Frame, Image, RoadUserBox, Scan, Station
 
 LAYERS = ("depth", "instance", "semantic")
 """What a camera can record in addition to its pictures."""
@@ -128,12 +129,18 @@ class Recorder(Protocol):
         ...
 
 
-def stations_of(layout: Layout, recorded: Sequence[Image | Scan]) -> tuple[Station, ...]:
-    """One :class:`Station` for each unit of a layout, with what its sensors recorded.
+def frame_of(
+    scene: Scene,
+    layout: Layout,
+    t: int,
+    boxes: tuple[RoadUserBox, ...],
+    recorded: Sequence[Image | Scan],
+) -> Frame:
+    """Frame t of a scene's traffic, with one station for each unit of the layout.
 
     ``recorded`` has one image or scan for each sensor of the layout, in the layout's order.
     """
-    return tuple(
+    stations = tuple(
         Station(
             number=u + 1,
             name=unit.name,
@@ -143,6 +150,12 @@ def stations_of(layout: Layout, recorded: Sequence[Image | Scan]) -> tuple[Stati
         )
         for u, (unit, members) in enumerate(zip(layout.units, layout.members(), strict=True))
     )
+    return Frame(t, float(scene.traffic.time[t]), boxes, stations)
+
+
+def noise_source(seed: int, t: int, s: int) -> np.random.Generator:
+    """The random numbers for the noise of sensor s in frame t."""
+    return np.random.default_rng([seed, t, s, 3])
 
 
 def row_of(kinds: Mapping[str, Row], spec: Any, backend: str) -> Row:

@@ -11,8 +11,7 @@ server that speaks its protocol; pictures, returns and timing of a real server a
 
 import time
 from contextlib import ExitStack
-from types import TracebackType
-from typing import NoReturn, Self
+from typing import Any, NoReturn, Self
 
 import numpy as np
 
@@ -25,7 +24,7 @@ from inspe_jax.simulation.carla.sensors import SENSOR_KINDS, SensorQueue
 from inspe_jax.simulation.carla.server import ROLE_NAME, CarlaSession, plain_errors, session_on
 from inspe_jax.simulation.carla.traffic import Actors
 from inspe_jax.simulation.frame import Frame, Image, RoadUserBox, Scan
-from inspe_jax.simulation.recorder import Recording, Server, row_of, stations_of
+from inspe_jax.simulation.recorder import Recording, Server, frame_of, noise_source, row_of
 
 SETTLE = 1.0
 """Simulated time before the first frame [s], in which cameras adjust their exposure."""
@@ -81,14 +80,9 @@ class CarlaRecorder:
             self._stack = stack.pop_all()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: Any) -> None:
         with plain_errors(self.server):
-            self._stack.__exit__(kind, error, trace)
+            self._stack.__exit__(*error)
 
     def frame(self, t: int) -> Frame:
         """Frame t, as every station recorded it.
@@ -106,8 +100,7 @@ class CarlaRecorder:
                 )
             boxes = self.actors.boxes(t, snapshot)
             recorded = [self._record(s, t, number, boxes) for s in range(len(self.sensors))]
-        stations = stations_of(self.layout, recorded)
-        return Frame(t, float(self.scene.traffic.time[t]), boxes, stations)
+        return frame_of(self.scene, self.layout, t, boxes, recorded)
 
     # ── Sensors ─────────────────────────────────────────────────────────────
 
@@ -150,5 +143,5 @@ class CarlaRecorder:
             data[name] = queue.take(number, until)
             if data[name] is None:
                 self._fail(queue, f"frame {number}")
-        rng = np.random.default_rng([self.seed, t, s, 3])
-        return self.sensors[s].record(self.poses[s], data, boxes, rng)
+        noise = noise_source(self.seed, t, s)
+        return self.sensors[s].record(self.poses[s], data, boxes, noise)

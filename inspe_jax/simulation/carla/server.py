@@ -72,10 +72,8 @@ class CarlaSession:
     def transform(self, cords: Iterable[float]) -> Any:
         """CARLA's transform of ``cords`` (6,), see :mod:`~inspe_jax.core.carla_frame`."""
         x, y, z, roll, yaw, pitch = map(float, cords)
-        carla = self.carla
-        return carla.Transform(
-            carla.Location(x, y, z), carla.Rotation(pitch=pitch, yaw=yaw, roll=roll)
-        )
+        turn = self.carla.Rotation(pitch=pitch, yaw=yaw, roll=roll)
+        return self.carla.Transform(self.carla.Location(x, y, z), turn)
 
     def spawn(self, blueprint: Any, cords: Iterable[float]) -> Any:
         """Spawn an actor; it is destroyed at the end of the session."""

@@ -15,7 +15,7 @@ from inspe_jax.simulation.embedded.lidar import Lidar
 from inspe_jax.simulation.embedded.road_users import FrameActors
 from inspe_jax.simulation.embedded.surroundings import Surroundings
 from inspe_jax.simulation.frame import Frame, Image, RoadUserBox, Scan
-from inspe_jax.simulation.recorder import Recording, row_of, stations_of
+from inspe_jax.simulation.recorder import Recording, frame_of, noise_source, row_of
 
 
 class SimulatedSensor(Protocol):
@@ -64,12 +64,10 @@ class EmbeddedRecorder:
     ) -> None:
         self.scene, self.seed = scene, seed
         self.surroundings = Surroundings(scene, layout, conditions, recording, appearance_seed)
-        self.layout = conditions.layout(layout)
+        self.layout, poses = conditions.layout(layout), np.asarray(layout.poses, float)
         self.sensors = [
-            simulated_sensor(sensor.spec, pose, self.surroundings)
-            for sensor, pose in zip(
-                self.layout.sensors, np.asarray(layout.poses, float), strict=True
-            )
+            simulated_sensor(sensor.spec, poses[s], self.surroundings)
+            for s, sensor in enumerate(self.layout.sensors)
         ]
 
     def frame(self, t: int) -> Frame:
@@ -79,8 +77,7 @@ class EmbeddedRecorder:
             sensor.record(actors, noise_source(self.seed, t, s))
             for s, sensor in enumerate(self.sensors)
         ]
-        stations = stations_of(self.layout, recorded)
-        return Frame(t, float(self.scene.traffic.time[t]), actors.boxes, stations)
+        return frame_of(self.scene, self.layout, t, actors.boxes, recorded)
 
 
 class LiveSensor:
@@ -127,8 +124,3 @@ class LiveSensor:
     @cached_property
     def _without_its_mast(self) -> Surroundings:
         return Surroundings(*self._given, mastless=self._unit)
-
-
-def noise_source(seed: int, t: int, s: int) -> np.random.Generator:
-    """The random numbers for the noise of sensor s in frame t."""
-    return np.random.default_rng([seed, t, s, 3])

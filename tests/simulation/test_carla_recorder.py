@@ -34,7 +34,7 @@ from inspe_jax.sensing.catalogue import device
 from inspe_jax.sensing.conditions import Conditions
 from inspe_jax.simulation.backends import recorder_of
 from inspe_jax.simulation.carla.recorder import CarlaRecorder
-from inspe_jax.simulation.carla.sensors import CarlaCamera, CarlaLidar, instances_of
+from inspe_jax.simulation.carla.sensors import CarlaCamera, instances_of
 from inspe_jax.simulation.carla.server import weather_of
 from inspe_jax.simulation.carla.traffic import body_of
 from inspe_jax.simulation.frame import RoadUserBox
@@ -315,14 +315,6 @@ def test_uneven_channels_and_shifted_axes_are_noted():
     assert len(notes) == 2
     assert notes[0].startswith("velodyne-vlp-32c: CARLA's channels are evenly spaced: 32 from -25°")
     assert notes[1].startswith("shifted: CARLA's principal point")
-
-
-def test_a_lidar_turns_once_a_frame_with_all_its_rays():
-    given = CarlaLidar(client.LIDAR, Recording(rate=20.0)).attributes
-    assert int(given["points_per_second"]) == 32 * 360 * 20
-    assert float(given["rotation_frequency"]) == 20
-    assert [float(given[f"{end}_fov"]) for end in ("lower", "upper")] == pytest.approx([-30, 2])
-    assert float(given["horizontal_fov"]) == 360
 
 
 def test_boxes_without_a_size_have_the_usual_one():

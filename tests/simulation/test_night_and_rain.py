@@ -110,7 +110,7 @@ def test_the_map_is_the_formula(driver):
     assert at(ground, lit, 8, 2) == pytest.approx(expected, rel=0.01)
     # As far above the lamp there is only glare.
     up, glare = to * [1, 1, -1], headlights.GLARE * np.exp(-(side**2)) / (to @ to)
-    found = headlights.dipped(up[None], np.array([to @ to]), np.array([1.0, 0.0]))
+    found = headlights.dipped(up[None], np.array([1.0, 0.0]))
     assert found == pytest.approx(glare)
 
 

@@ -60,14 +60,11 @@ class Beams(NamedTuple):
 
 
 def dipped(
-    to: Float[np.ndarray, "R 3"],
-    squared: Float[np.ndarray, " R"],
-    ahead: Float[np.ndarray, "*R 2"],
+    to: Float[np.ndarray, "R 3"], ahead: Float[np.ndarray, "*R 2"]
 ) -> Float[np.ndarray, " R"]:
     """Light of dipped beams, over :data:`PEAK`, at the ends of vectors ``to`` from their fronts.
 
-    ``squared`` are the squared lengths of the vectors [m²]; ``ahead`` is the beam's direction in
-    plan, one for all or one for each.
+    ``ahead`` is the beam's direction in plan, one for all or one for each.
     """
     x, y = ahead[..., 0], ahead[..., 1]
     along, across = to[:, 0] * x + to[:, 1] * y, to[:, 1] * x - to[:, 0] * y
@@ -78,7 +75,7 @@ def dipped(
     beam = np.exp(-np.minimum(side * side + lower, np.float32(80)))
     edge = np.clip(0.5 + slope * np.float32(0.5 / BLUR), GLARE, 1)
     beam *= edge * (along > 0)
-    light: np.ndarray = beam / np.maximum(squared, 1)
+    light: np.ndarray = beam / np.maximum(np.einsum("rk,rk->r", to, to), 1)
     return light
 
 
@@ -147,10 +144,9 @@ class GroundMap:
             x1, y1 = np.clip(((high + self.reach) / STEP).astype(int) + 1, 0, self.size)
             at = number[y0:y1, x0:x1].ravel()
             to = self.points[at] - front
-            squared = np.einsum("rk,rk->r", to, to)
             # The ground is taken as level here: cos θ is the height of the lamp over the distance.
-            facing = np.maximum(-to[:, 2], 0) / np.sqrt(squared)
-            found = np.float32(PEAK) * dipped(to, squared, beams.ahead[k]) * facing
+            facing = np.maximum(-to[:, 2], 0) / np.sqrt(np.einsum("rk,rk->r", to, to))
+            found = np.float32(PEAK) * dipped(to, beams.ahead[k]) * facing
             found -= np.float32(self.faint)
             some = np.flatnonzero(found > 0)
             start = self.points[at[some]] + np.array([0, 0, 0.05], np.float32)
@@ -214,7 +210,7 @@ def on_road_users(
     to = (middle[:, None] - beams.front).reshape(-1, 3)
     to[:, 2] = -0.1  # lower than the cut-off: some of a road user always is
     ahead = np.broadcast_to(beams.ahead, (many, count, 2)).reshape(-1, 2)
-    there = PEAK * dipped(to, np.einsum("rk,rk->r", to, to), ahead).reshape(many, count)
+    there = PEAK * dipped(to, ahead).reshape(many, count)
     for k in np.argsort(-there, axis=1)[:, :MOST].T:  # the brightest beam at each, then the next
         bright = there[np.arange(many), k]
         lit = (bright > WORTH * there.max(1)) & (bright > CLEAR * light.sky_over_lamps)
@@ -223,8 +219,6 @@ def on_road_users(
         facing = -np.einsum("rk,rk->r", way, normal[own])
         some = np.flatnonzero(facing > 0)
         own, way, facing = own[some], way[some], facing[some]
-        squared = np.einsum("rk,rk->r", way, way)
-        facing /= np.sqrt(np.maximum(squared, 1e-4))
-        found = dipped(way, squared, beams.ahead[k[box[own]]])
-        total[own] += np.float32(PEAK) * found * facing
+        facing /= np.sqrt(np.maximum(np.einsum("rk,rk->r", way, way), 1e-4))
+        total[own] += np.float32(PEAK) * dipped(way, beams.ahead[k[box[own]]]) * facing
     return total

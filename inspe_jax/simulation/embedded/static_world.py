@@ -86,11 +86,8 @@ def build_static_world(
     fixed = _all_but_masts(intersection, radius, tuple(bodies))
     poles = [p for p in fixed.poles if all(np.hypot(*(p[:2] - m[:2])) > 0.5 for m in masts)]
     posts = np.array([*masts, *poles], float).reshape(-1, 4)
-    parts = [
-        *fixed.low,
-        *(Part(_tube(p[:3], POLE_RADIUS, p[3]), materials.POLE) for p in posts),
-        *fixed.high,
-    ]
+    tubes = [Part(_tube(p[:3], POLE_RADIUS, p[3]), materials.POLE) for p in posts]
+    parts = [*tubes, *fixed.parts]
     sizes = [len(part.triangles) for part in parts]
     return StaticWorld(
         center=center,
@@ -106,11 +103,10 @@ def build_static_world(
 
 
 class _Fixed(NamedTuple):
-    """What stands whatever the masts: what lies on the ground, what rises from it, the foot (x, y,
-    z) and the height of each pole [m], and the ground's surface."""
+    """What stands whatever the masts: all but poles, the foot (x, y, z) and the height of each pole
+    [m], and the ground's surface."""
 
-    low: tuple[Part, ...]
-    high: tuple[Part, ...]
+    parts: tuple[Part, ...]
     poles: Float[np.ndarray, "P 4"]
     surface: Surface
 
@@ -123,34 +119,29 @@ def _all_but_masts(
     rng = np.random.default_rng(zlib.crc32(intersection.name.encode()))
     own = unary_union([one.polygon for one in bodies])
     mesh = intersection.mesh if any(one.kind == "solid" for one in bodies) else None
-    low = [Part(_ground(intersection, radius), materials.GROUND)]
-    high = list[Part]()
+    parts = [Part(_ground(intersection, radius), materials.GROUND)]
     if mesh is None:
-        low += [Part(ring, materials.KERB) for ring in _kerbs(intersection)]
+        parts += [Part(ring, materials.KERB) for ring in _kerbs(intersection)]
         taken = unary_union(list(intersection.regions.values())).buffer(CLEAR)
         if bodies:
             taken = unary_union([taken, own.buffer(CLEAR)])
         built = list[Polygon]()
         for k, corners in enumerate(_plots(intersection, taken, radius, rng)):
             sides, roof = _house(corners, intersection, float(rng.uniform(6, 18)))
-            high += [Part(sides, materials.BUILDING, body=k), Part(roof, materials.ROOF, body=k)]
+            parts += [Part(sides, materials.BUILDING, body=k), Part(roof, materials.ROOF, body=k)]
             built.append(Polygon(corners).buffer(1.0))
         taken = unary_union([taken, *built])
         for k, (foot, height) in enumerate(_trees(intersection, taken, radius, rng)):
-            high.append(Part(_tube(foot, 0.18, 0.45 * height), materials.TRUNK, body=k))
-            high.append(Part(_crown(foot, height, rng), materials.CROWN, body=k))
+            parts.append(Part(_tube(foot, 0.18, 0.45 * height), materials.TRUNK, body=k))
+            parts.append(Part(_crown(foot, height, rng), materials.CROWN, body=k))
     else:
         faces, colour = _surveyed(mesh, intersection)
-        high.append(Part(faces, materials.SURVEYED, colour))
+        parts.append(Part(faces, materials.SURVEYED, colour))
     for k, one in enumerate(bodies):
         if mesh is None or one.kind != "solid":
-            high += [part._replace(body=k) for part in body_parts(one, intersection)]
-    return _Fixed(
-        tuple(low),
-        tuple(high),
-        _poles(intersection, radius, own),
-        lay_surface(intersection, radius + MAPPED),
-    )
+            parts += [part._replace(body=k) for part in body_parts(one, intersection)]
+    poles, surface = _poles(intersection, radius, own), lay_surface(intersection, radius + MAPPED)
+    return _Fixed(tuple(parts), poles, surface)
 
 
 def _poles(

@@ -123,7 +123,7 @@ class CarlaLidar:
     a frame should be the same however often it is recorded.
     """
 
-    blueprints = ("sensor.lidar.ray_cast",)
+    blueprints: tuple[str, ...] = ("sensor.lidar.ray_cast",)
 
     def __init__(self, spec: LidarSpec, recording: Recording) -> None:
         self.noise = recording.noise

@@ -13,14 +13,7 @@ from pathlib import Path
 
 import numpy as np
 from carla_blueprints import BLUEPRINTS, SPECTATOR, Blueprint, definitions
-from carla_rays import (
-    GROUND,
-    Box,
-    cast,
-    colour_of,
-    matrix,
-    overlap,
-)
+from carla_rays import GROUND, Box, cast, colour_of, matrix, overlap
 
 VERSION = "0.9.16"
 SNAPSHOTS = 1

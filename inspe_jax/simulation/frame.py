@@ -25,13 +25,11 @@ MOST_FRAME = 999_999
 
 
 class Deferred:
-    """A record that reads some of its fields from files: each when it is first used, and only
-    once."""
+    """A record that reads some of its fields from files, each when it is first used."""
 
     @classmethod
     def deferred(cls, later: Mapping[str, Callable[[], Any]], **now: Any) -> Self:
-        """A record with the fields ``now``; the others are read later by calling
-        ``later[name]``."""
+        """A record with the fields ``now``; ``later[name]()`` reads each of the others."""
         record = object.__new__(cls)
         record.__dict__.update(now, _later=dict(later))
         return record

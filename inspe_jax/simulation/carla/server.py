@@ -171,12 +171,9 @@ def weather_of(carla: Any, conditions: Conditions) -> Any:
     weather = dict(cloudiness=10.0, wind_intensity=10.0)
     if conditions.weather == "rain":
         share = 100.0 * (1.0 - np.exp(-strength / 10.0))
-        weather = dict(
+        wet = ("precipitation", "precipitation_deposits", "wetness", "wind_intensity")
+        weather = dict.fromkeys(wet, share) | dict(
             cloudiness=60.0 + 0.4 * share,
-            precipitation=share,
-            precipitation_deposits=share,
-            wetness=share,
-            wind_intensity=share,
             fog_density=0.05 * share,
             fog_distance=0.75,
             fog_falloff=0.1,

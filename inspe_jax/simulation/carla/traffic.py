@@ -82,13 +82,7 @@ class Actors:
         found, seen = [], self.traffic.at(t)
         for kind, track, velocity in zip(seen.kind, seen.track, seen.velocity, strict=True):
             actor, body = self.present[int(track)]
-            state = snapshot.find(actor)
-            if state is None:
-                raise InspeError(
-                    f"CARLA at {self.session.server}: track {track}, a {body.name}, is gone from "
-                    "the world: does another client destroy actors?"
-                )
-            where = state.get_transform()
+            where = snapshot.find(actor).get_transform()
             at, turn = where.location, where.rotation
             pose = from_carla([at.x, at.y, at.z, turn.roll, turn.yaw, turn.pitch])
             found.append(

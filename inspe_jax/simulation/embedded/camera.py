@@ -4,7 +4,7 @@ The static world is rendered once for each camera. In each frame only those pixe
 again on which a road user or its shadow may fall.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
@@ -17,7 +17,7 @@ from inspe_jax.simulation.embedded.embree import Caster, RayHits
 from inspe_jax.simulation.embedded.headlights import COLOUR, LitGround, on_road_users
 from inspe_jax.simulation.embedded.light import metered_gain, parts, tone_map
 from inspe_jax.simulation.embedded.materials import GROUND
-from inspe_jax.simulation.embedded.road_users import FrameActors, RoadUserTriangles, paints
+from inspe_jax.simulation.embedded.road_users import FrameActors, paints
 from inspe_jax.simulation.embedded.shading import FAR
 from inspe_jax.simulation.embedded.shapes import PARTS
 from inspe_jax.simulation.embedded.static_look import static_look
@@ -112,7 +112,7 @@ class Camera:
     ) -> tuple[np.ndarray, ...]:
         """The fields of :class:`Background` but ``distance``, for some of the pixels."""
         shading, hit = self.shading, face >= 0
-        point = self._points(pixels, np.where(hit, distance, 0))
+        point = self.origin + self.directions[pixels] * np.where(hit, distance, 0)[:, None]
         albedo, semantic = static_look(self.static_world, face, point, normal)
         wet = np.zeros(0, int)
         if shading.wet > 0:
@@ -130,10 +130,6 @@ class Camera:
         direct[shaded], in_sun[shaded] = 0, False
         colour = shading.through_air(direct + ambient, distance)
         return point, in_sun, ambient, colour, np.where(hit, semantic, SKY).astype(np.uint8)
-
-    def _points(self, pixels: Any, distance: np.ndarray) -> Float[np.ndarray, "P 3"]:
-        """The points at given distances along the rays of pixels, relative to the centre [m]."""
-        return self.origin + self.directions[pixels] * distance[:, None]
 
     def _in_shadow(
         self, caster: Caster, point: np.ndarray, normal: np.ndarray
@@ -204,7 +200,7 @@ class Camera:
         shadow = self._shadows(caster, actors.boxes, after)
         shadow = np.setdiff1d(shadow, at, assume_unique=True)
         distance = np.concatenate([hits.distance, self.background.distance[shadow]])
-        look = self._road_user_colours(actors, road_users, caster, at, hits)
+        look = self._road_user_colours(actors, after, at, hits)
         colour = np.concatenate([look, self.background.ambient[shadow]])
         return ChangedPixels(
             np.concatenate([at, shadow]),
@@ -214,17 +210,12 @@ class Camera:
         )
 
     def _road_user_colours(
-        self,
-        actors: FrameActors,
-        road_users: RoadUserTriangles,
-        caster: Caster,
-        at: Int[np.ndarray, " P"],
-        hits: RayHits,
+        self, actors: FrameActors, after: float, at: Int[np.ndarray, " P"], hits: RayHits
     ) -> Float[np.ndarray, "P 3"]:
         """Linear colours of road users at the pixels ``at``, whose rays hit them."""
-        shading, normal = self.shading, hits.normal
+        (road_users, caster), shading, normal = actors.at(after), self.shading, hits.normal
         box, part = road_users.box[hits.face], road_users.part[hits.face]
-        point = self._points(at, hits.distance)
+        point = self.origin + self.directions[at] * hits.distance[:, None]
         albedo = paints(actors.boxes, self.appearance_seed)[box, part]
         colour = shading.ambient_light(point, normal, albedo)
         if self.light.has_sun:

@@ -69,9 +69,8 @@ class Caster:
         return self._scene.run(start, to, dists=reach, query="OCCLUDED") >= 0
 
 
-def _rays(origins: Any, directions: Any, reach: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _rays(origins: Any, directions: Any, reach: Any) -> tuple[np.ndarray, ...]:
     """Origins, directions and reaches, one for each ray, in the form that Embree needs."""
     start, to = np.broadcast_arrays(origins, directions)
     given = start, to, np.broadcast_to(reach, start.shape[:1])
-    start, to, far = (np.array(x, np.float32, order="C") for x in given)
-    return start, to, far
+    return tuple(np.array(x, np.float32, order="C") for x in given)

@@ -204,10 +204,8 @@ def on_road_users(
     """
     beams, total = actors.once(beams_of), np.zeros(len(point), np.float32)
     many, count = len(actors.boxes), len(beams.front)
-    if not (many and count):
-        return total
-    middle = (np.array([b.center for b in actors.boxes]) - actors.center).astype(np.float32)
-    to = (middle[:, None] - beams.front).reshape(-1, 3)
+    middle = np.array([b.center for b in actors.boxes]).reshape(-1, 3) - actors.center
+    to = (middle.astype(np.float32)[:, None] - beams.front).reshape(-1, 3)
     to[:, 2] = -0.1  # lower than the cut-off: some of a road user always is
     ahead = np.broadcast_to(beams.ahead, (many, count, 2)).reshape(-1, 2)
     there = PEAK * dipped(to, ahead).reshape(many, count)

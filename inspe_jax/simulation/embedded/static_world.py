@@ -11,7 +11,6 @@ import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import NamedTuple
 
 import numpy as np
 import shapely
@@ -83,18 +82,18 @@ def build_static_world(
     center = np.asarray(intersection.center, float)
     road = [s for r, s in intersection.regions.items() if r in CARRIAGEWAY]
     masts = masts[~shapely.intersects_xy(unary_union(road), *masts[:, :2].T)]
-    fixed = _all_but_masts(intersection, radius, tuple(bodies))
-    poles = [p for p in fixed.poles if all(np.hypot(*(p[:2] - m[:2])) > 0.5 for m in masts)]
-    posts = np.array([*masts, *poles], float).reshape(-1, 4)
+    fixed, poles, surface = _all_but_masts(intersection, radius, tuple(bodies))
+    apart = [p for p in poles if all(np.hypot(*(p[:2] - m[:2])) > 0.5 for m in masts)]
+    posts = np.array([*masts, *apart], float).reshape(-1, 4)
     tubes = [Part(_tube(p[:3], POLE_RADIUS, p[3]), materials.POLE) for p in posts]
-    parts = [*tubes, *fixed.parts]
+    parts = [*tubes, *fixed]
     sizes = [len(part.triangles) for part in parts]
     return StaticWorld(
         center=center,
         triangles=(np.concatenate([part.triangles for part in parts]) - center).astype(np.float32),
         material=np.repeat([part.material for part in parts], sizes),
         body=np.repeat([part.body for part in parts], sizes),
-        surface=fixed.surface,
+        surface=surface,
         poles=posts[:, :3] + np.array([0.0, 0.0, 1.0]) * posts[:, 3:],
         colour=np.concatenate(
             [np.broadcast_to(part.colour, (len(part.triangles), 3)) for part in parts]
@@ -102,20 +101,13 @@ def build_static_world(
     )
 
 
-class _Fixed(NamedTuple):
-    """What stands whatever the masts: all but poles, the foot (x, y, z) and the height of each pole
-    [m], and the ground's surface."""
-
-    parts: tuple[Part, ...]
-    poles: Float[np.ndarray, "P 4"]
-    surface: Surface
-
-
 @lru_cache(maxsize=4)
 def _all_but_masts(
     intersection: Intersection, radius: float, bodies: tuple[StaticBody, ...]
-) -> _Fixed:
-    """It takes nearly all the time, so it is kept for the next layout."""
+) -> tuple[tuple[Part, ...], Float[np.ndarray, "P 4"], Surface]:
+    """What stands whatever the masts: all but poles, the foot (x, y, z) and the height of each pole
+    [m], and the ground's surface. It takes nearly all the time, so it is kept for the next layout.
+    """
     rng = np.random.default_rng(zlib.crc32(intersection.name.encode()))
     own = unary_union([one.polygon for one in bodies])
     mesh = intersection.mesh if any(one.kind == "solid" for one in bodies) else None
@@ -140,8 +132,8 @@ def _all_but_masts(
     for k, one in enumerate(bodies):
         if mesh is None or one.kind != "solid":
             parts += [part._replace(body=k) for part in body_parts(one, intersection)]
-    poles, surface = _poles(intersection, radius, own), lay_surface(intersection, radius + MAPPED)
-    return _Fixed(tuple(parts), poles, surface)
+    surface = lay_surface(intersection, radius + MAPPED)
+    return tuple(parts), _poles(intersection, radius, own), surface
 
 
 def _poles(

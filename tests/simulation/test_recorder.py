@@ -17,8 +17,6 @@ from inspe_jax.dataset import open as open_dataset
 from inspe_jax.dataset import write_frame, write_protocol
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.scene import build_scene
-from inspe_jax.scoring.targets import target_view
-from inspe_jax.sensing.catalogue import device
 from inspe_jax.sensing.conditions import FAIR, Conditions
 from inspe_jax.sensing.layout import Unit
 from inspe_jax.sensing.lidar_returns import LidarNoise
@@ -202,9 +200,8 @@ def test_rays_reach_as_many_voxels_as_coverage_says(crowded, name):
     seen = np.zeros(crowded.voxels.count, bool)
     for s in range(len(layout)):
         origin, directions, reach = layout.rays(s)
-        met = recorder.surroundings.static_caster.cast(
-            origin - recorder.surroundings.static_world.center, directions, reach
-        ).distance
+        around, start = recorder.surroundings, origin - recorder.surroundings.static_world.center
+        met = around.static_caster.cast(start, directions, reach).distance
         raycast.exact(crowded.voxels, origin, directions, np.minimum(met, reach), seen)
     share = seen @ crowded.voxels.weight / crowded.voxels.weight.sum()
     coverage = inspe_jax.evaluate(crowded, layout).coverage
@@ -217,14 +214,13 @@ def test_lines_of_sight_reach_as_many_voxels_as_occlusion_says(crowded, name):
     """Lines of sight to voxels' centres, with meshes where the scores have boxes: boxes hide a
     little more."""
     layout = place_sensors(*PARTIAL[name])
-    recorder = EmbeddedRecorder(crowded, layout)
+    static = EmbeddedRecorder(crowded, layout).surroundings.static_world
     in_view = inspe_jax.in_view(crowded, layout)
     centers, shares = crowded.voxels.centers, []
     for t in range(crowded.traffic.frame_count):
         boxes = boxes_of(crowded.traffic.at(t), 0)
-        road_users = pose_road_users(boxes, recorder.surroundings.static_world.center)
-        still = recorder.surroundings.static_world.triangles
-        caster = Caster(np.concatenate([still, road_users.triangles]))
+        road_users = pose_road_users(boxes, static.center)
+        caster = Caster(np.concatenate([static.triangles, road_users.triangles]))
         solid = np.zeros(len(centers), bool)
         for box in boxes:
             turn = rotation(np.array([0.0, 0.0, box.yaw]), np)
@@ -233,8 +229,8 @@ def test_lines_of_sight_reach_as_many_voxels_as_occlusion_says(crowded, name):
         for s, pose in enumerate(layout.poses):
             to = centers - pose[:3]
             far = np.linalg.norm(to, axis=1)
-            origin = pose[:3] - recorder.surroundings.static_world.center
-            seen |= in_view[s] & ~caster.meets(origin, to / far[:, None], far - 0.01)
+            start = pose[:3] - static.center
+            seen |= in_view[s] & ~caster.meets(start, to / far[:, None], far - 0.01)
         shares.append(seen[~solid].mean())
     scores = inspe_jax.evaluate(crowded, layout)
     assert scores.occlusion < scores.coverage - 0.02
@@ -277,29 +273,11 @@ def camera_scene():
 LOOKING = [0.0, 0.0, 5.0, 0.0, np.radians(-18), 0.0]
 
 
-def picture(scene, pose=LOOKING, conditions=FAIR, spec=SMALL):
+def picture(scene, pose=LOOKING, conditions=FAIR):
     """A recorder with one camera, and its first image with all layers."""
-    layout, recording = place_sensors((spec, [*pose])), Recording(layers=LAYERS)
+    layout, recording = place_sensors((SMALL, [*pose])), Recording(layers=LAYERS)
     recorder = EmbeddedRecorder(scene, layout, conditions, recording)
     return recorder, recorder.frame(0).stations[0].images[0]
-
-
-@pytest.mark.parametrize(("away", "turn"), [(10, 0.6), (20, 0.3), (60, 0.0)])
-def test_pixels_per_metre_are_those_of_the_picture(away, turn):
-    """A car that stands square on to the line of sight, ``turn`` off the axis: how wide its pixels
-    are, over its length, is the pixel density on its near side, to 3 % and a pixel on each end."""
-    spec = device("paper-camera").spec.with_performance(1.0, 90.0)
-    empty = world(count=0, radius=70.0, voxel=2.0)
-    near, length = away - 1.85 / 2, 4.6
-    scene = with_boxes(empty, (away, 0, np.pi / 2, length, 1.85, 1.5))
-    recorder, image = picture(scene, [0.0, 0.0, 0.75, 0.0, 0.0, -turn], spec=spec)
-    u = np.nonzero(image.instance > 0)[1]
-    wide = u.max() + 1 - u.min()
-    grid = replace(
-        empty.voxels, columns=np.array([[near, 0.0]]), ground=np.zeros(1), region=np.zeros(1, int)
-    )
-    view = target_view(replace(empty, voxels=grid), recorder.layout, "car")
-    assert view.pixel_density[0] == pytest.approx(wide / length, rel=0.03, abs=2 / length)
 
 
 def test_boxes_cover_cars_through_the_written_calibration(tmp_path):

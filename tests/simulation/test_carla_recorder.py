@@ -49,27 +49,25 @@ TAGS = {"car": {14}, "truck": {15, 16}, "cyclist": {18, 19}, "pedestrian": {12}}
 
 
 def run_client(task: str, port: int, file, *arguments: object) -> dict:
-    """What a client writes to a JSON file; nothing where it is another file."""
+    """What a client writes to a file."""
     words = [sys.executable, client.__file__, task, str(port), str(file), *map(str, arguments)]
     ran = subprocess.run(words, capture_output=True, text=True)
     assert ran.returncode == 0, ran.stdout + ran.stderr
-    return json.loads(file.read_text()) if file.suffix == ".json" else {}
+    return json.loads(file.read_text())
 
 
 @pytest.fixture(scope="module")
 def recorded(maps, tmp_path_factory):
-    """A folder with a data set, its traffic, and the state of the server during and after.
+    """A folder with a data set, and the state of the server during and after.
 
     The server starts with another map.
     """
     folder = tmp_path_factory.mktemp("carla")
     towns = maps / "Town07.xodr", maps / f"{client.TOWN}.xodr"
     with carla_wire.serving(*towns, scenery=[PARKED]) as port:
-        run_client("record", port, folder / "told.npz")
+        meanwhile = run_client("record", port, folder / "told.json")
         after = run_client("look", port, folder / "look.json")
-    with np.load(folder / "told.npz") as saved:
-        told = dict(saved)
-    return folder, told, after
+    return folder, meanwhile, after
 
 
 @pytest.fixture(scope="module")
@@ -106,8 +104,7 @@ def test_readers_accept_the_set(recorded):
 
 
 def test_the_server_is_synchronous_meanwhile_and_restored_afterwards(recorded):
-    _, told, after = recorded
-    meanwhile = json.loads(str(told["meanwhile"]))
+    _, meanwhile, after = recorded
     assert meanwhile["settings"] == [True, 1 / client.RATE]
     assert meanwhile["weather"] == pytest.approx([63.2, 7.0], abs=0.1)
     assert meanwhile["below"] != "Car"
@@ -124,26 +121,25 @@ def test_the_server_is_synchronous_meanwhile_and_restored_afterwards(recorded):
     }
 
 
-def test_road_users_stand_where_the_traffic_has_them_with_boxes_of_the_server(recorded, frames):
-    _, told, _ = recorded
-    names = {}
+def test_road_users_stand_where_the_traffic_has_them_with_boxes_of_the_server(frames):
+    traffic, names = client.scene().traffic, {}
     for t, frame in enumerate(frames):
-        entry = {int(told["track"][t, b]): b for b in np.flatnonzero(told["valid"][t])}
+        entry = {int(traffic.track[t, b]): b for b in np.flatnonzero(traffic.valid[t])}
         assert {box.track for box in frame.boxes} == entry.keys()
         for box in frame.boxes:
             b = entry[box.track]
-            center, size = told["center"][t, b], told["size"][t, b]
+            center, size = traffic.center[t, b], traffic.size[t, b]
             np.testing.assert_allclose(box.center[:2], center[:2], atol=NEAR)
             foot = box.center[2] - box.size[2] / 2
             assert foot == pytest.approx(center[2] - size[2] / 2, abs=NEAR)
-            assert np.cos(box.yaw - told["yaw"][t, b]) == pytest.approx(1)
-            assert box.kind == CLASSES[told["kind"][t, b]]
+            assert np.cos(box.yaw - traffic.yaw[t, b]) == pytest.approx(1)
+            assert box.kind == CLASSES[traffic.kind[t, b]]
             kind = BLUEPRINTS[box.name]
             assert kind.tag in TAGS[box.kind]
             np.testing.assert_allclose(box.size, 2 * np.array(kind.extent), atol=1e-5)
             assert np.abs(np.log(box.size / size)).max() < 0.9
             assert names.setdefault(box.track, box.name) == box.name
-    assert set(told["kind"][told["valid"]].tolist()) == {0, 1, 2, 3}
+    assert set(traffic.kind[traffic.valid].tolist()) == {0, 1, 2, 3}
     assert len(set(names.values())) > 5
 
 

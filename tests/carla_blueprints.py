@@ -82,7 +82,7 @@ BLUEPRINTS = {
         walker(2, (0.188, 0.188, 0.93)),
         walker(9, (0.25, 0.25, 0.55)),
         LIDAR,
-        *map(camera, ("rgb", "depth", "instance_segmentation", "semantic_segmentation")),
+        *map(camera, ("rgb", "depth", "semantic_segmentation")),
     )
 }
 

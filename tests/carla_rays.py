@@ -25,7 +25,6 @@ class Box:
     matrix: np.ndarray  # (4, 4)
     extent: tuple[float, float, float]
     tag: int
-    instance: int
     colour: tuple[int, int, int]
 
 
@@ -41,14 +40,6 @@ def matrix(pose: Sequence[float]) -> np.ndarray:
             [0, 0, 0, 1],
         ]
     )
-
-
-def instance_of(actor: int) -> int:
-    """The 16 bits of an actor in instance segmentation.
-
-    CARLA writes Unreal's number of the object there, not the actor's id; nor is it the id here.
-    """
-    return (40503 * actor + 977) % 65536
 
 
 def colour_of(actor: int) -> tuple[int, int, int]:
@@ -131,14 +122,10 @@ def sight(
 
 
 def picture(
-    kind: str,
-    spec: Mapping[str, str],
-    seen: tuple[np.ndarray, np.ndarray],
-    boxes: Sequence[Box],
-    frame: int,
+    kind: str, spec: Mapping[str, str], where: np.ndarray, boxes: Sequence[Box], frame: int
 ) -> np.ndarray:
     """(H, W, 4) BGRA bytes of a picture; the blue of the ground encodes the frame."""
-    depth, which = seen
+    depth, which = sight(spec, where, boxes)
     if kind == "depth":
         code = np.round(np.minimum(depth / FAR, 1) * (256**3 - 1)).astype(int)
         rgb = np.stack([code & 255, code >> 8 & 255, code >> 16], -1)
@@ -147,9 +134,7 @@ def picture(
         if kind == "rgb":
             rows = [*(box.colour for box in boxes), (150, 190, 230), (96, 96, 64 + frame % 128)]
         else:
-            number = [box.instance if kind.startswith("instance") else 0 for box in boxes]
-            rows = [(box.tag, n & 255, n >> 8) for box, n in zip(boxes, number, strict=True)]
-            rows += [(SKY, 0, 0), (GROUND, 0, 0)]
+            rows = [(tag, 0, 0) for tag in (*(box.tag for box in boxes), SKY, GROUND)]
         rgb = np.array(rows)[which]
     bgra = np.full((len(depth), 4), 255, np.uint8)
     bgra[:, :3] = rgb[:, ::-1]

@@ -1,17 +1,16 @@
 """Clients that record with the wire-level CARLA server, and write what they received to a file.
 
 They are processes, because a message that the client cannot read ends the interpreter:
-`python carla_recording.py record|wait|errors PORT FILE`.
+`python carla_recording.py record|look|errors PORT FILE`.
 """
 
 import json
-import signal
 import sys
+import time
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from carla_look import MIDDLE, look_at
 from worlds import MAPS
 
 from inspe_jax.core.errors import InspeError
@@ -26,6 +25,8 @@ from inspe_jax.simulation.backends import recorder_of
 from inspe_jax.simulation.recorder import Recording, Server
 
 TOWN, JUNCTION = "Town10HD", 189
+MIDDLE = (-47.76, -20.43)
+"""The middle of the recorded junction [m]."""
 FRAMES, RATE, SEED = 8, 10.0, 3
 AGAIN = 5
 """The frame that is recorded twice."""
@@ -63,7 +64,7 @@ def at(port: int, seen: Scene, server: Server | None = None, conditions: Conditi
 
 
 def record(port: int, file: Path) -> None:
-    """Records a scenario of all frames, some of them twice, and writes its traffic to the file."""
+    """Records a scenario of all frames, one of them twice; writes the server's state meanwhile."""
     seen, folder = scene(), file.parent / "train" / TOWN
     with at(port, seen, conditions=RAIN) as recorder:
         frames = [recorder.frame(t) for t in range(FRAMES)]
@@ -83,25 +84,40 @@ def record(port: int, file: Path) -> None:
     for image, same in zip(one.images, other.images, strict=True):
         for layer in RECORDING.layers:
             np.testing.assert_array_equal(getattr(image, layer), getattr(same, layer))
-    traffic = {
-        key: getattr(seen.traffic, key) for key in ("center", "size", "yaw", "track", "kind")
+    file.write_text(json.dumps(told))
+
+
+def look_at(port: int) -> dict:
+    """The state of a server."""
+    import carla
+
+    client = carla.Client("127.0.0.1", port)
+    client.set_timeout(10)
+    world = client.get_world()
+    settings, weather = world.get_settings(), world.get_weather()
+    here = carla.Location(MIDDLE[0], -MIDDLE[1], 30)
+    below = world.project_point(here, carla.Vector3D(0, 0, -1), 50)
+    until = time.monotonic() + 5
+    while not len(world.get_actors()) and time.monotonic() < until:
+        time.sleep(0.02)  # without ticks the first snapshot may not have arrived yet
+    return {
+        "map": world.get_map().name.rpartition("/")[2],
+        "settings": [settings.synchronous_mode, settings.fixed_delta_seconds],
+        "weather": [weather.precipitation, weather.sun_altitude_angle],
+        "actors": sorted(actor.type_id for actor in world.get_actors()),
+        "below": str(below.label),
     }
-    np.savez(file, meanwhile=json.dumps(told), valid=seen.traffic.valid, **traffic)
 
 
-def wait(port: int, file: Path) -> None:
-    """Records until it is stopped; `file` appears after the first frame."""
-    seen = scene()
-    with at(port, seen) as recorder:
-        while True:
-            recorder.frame(0)
-            file.touch()
+def look(port: int, file: Path) -> None:
+    """Writes the state of a server."""
+    file.write_text(json.dumps(look_at(port)))
 
 
 def errors(_: int, file: Path, *ports: str) -> None:
     """The errors for servers that cannot be used, NAME:PORT each, and their state afterwards.
 
-    There is a car already on the one named "taken".
+    There is a car already on the one named "taken", and Ctrl-C is pressed on "stopped".
     """
     told, seen, quick = {}, scene(), Server(timeout=1.5)
     for name, port in (given.split(":") for given in ports):
@@ -111,10 +127,12 @@ def errors(_: int, file: Path, *ports: str) -> None:
             with at(int(port), seen, quick) as recorder:
                 for t in range(FRAMES):
                     recorder.frame(t)
+                if name == "stopped":
+                    raise KeyboardInterrupt
             told[name] = "nothing"
-        except InspeError as error:
+        except (InspeError, KeyboardInterrupt) as error:
             told[name] = str(error)
-        if name in ("mute", "failing", "taken"):
+        if name in ("mute", "failing", "taken", "stopped"):
             told[f"{name}, left"] = look_at(int(port))
     file.write_text(json.dumps(told))
 
@@ -133,7 +151,5 @@ def park(port: int) -> None:
 
 
 if __name__ == "__main__":
-    # In the background, shells ignore Ctrl-C, and processes inherit that.
-    signal.signal(signal.SIGINT, signal.default_int_handler)
-    tasks = {"record": record, "wait": wait, "errors": errors}
+    tasks = {"record": record, "look": look, "errors": errors}
     tasks[sys.argv[1]](int(sys.argv[2]), Path(sys.argv[3]), *sys.argv[4:])

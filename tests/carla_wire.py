@@ -1,9 +1,9 @@
 """A CARLA 0.9.16 server without a simulator, for the unmodified client: the wire.
 
-`python tests/carla_wire.py MAP.xodr [MAP.xodr ...]` (see --help) prints the port it listens on, on
-the loopback only. It ends on SIGTERM and with its parent. What it tells is in `carla_world`, what
-its sensors see in `carla_rays`, what can be spawned in `carla_blueprints`. A layout that the client
-does not expect ends the client's process: clients of tests run in processes of their own.
+`serving` starts one in a process of its own, on the loopback only. What it tells is in
+`carla_world`, what its sensors see in `carla_rays`, what can be spawned in `carla_blueprints`. A
+layout that the client does not expect ends the client's process: clients of tests run in processes
+of their own.
 
 **Calls** are msgpack over TCP. A request is [0, id, name, [[no reply wanted], *arguments]], a
 reply [1, id, nil, response]. A response is [[1, value]], or [[False]] where nothing is returned.
@@ -31,7 +31,6 @@ where 1 is a change of map; then 119 bytes an actor: id u32, state u8 (1 is acti
 turning [deg/s] and acceleration in 15 f32, and 54 bytes that are of vehicles and traffic lights.
 """
 
-import argparse
 import json
 import os
 import signal
@@ -50,22 +49,25 @@ from socketserver import StreamRequestHandler, ThreadingTCPServer
 from typing import Any
 
 import msgpack
-from carla_rays import matrix, picture, scan, sight
-from carla_world import CALLS, SNAPSHOTS, STEP, VERSION, Actor, Refused, World
+from carla_rays import matrix, picture, scan
+from carla_world import SNAPSHOTS, STEP, VERSION, Actor, Refused, World
 
 KINDS = {
     "sensor.camera.depth": 1,
     "sensor.lidar.ray_cast": 11,
     "sensor.camera.rgb": 13,
     "sensor.camera.semantic_segmentation": 14,
-    "sensor.camera.instance_segmentation": 15,
     "snapshot": 17,
 }
 """The type of a payload: the sensor's index in CARLA's registry."""
 
 
 class Wire:
-    """A world and the clients that listen to it; code that uses either holds `changed`."""
+    """A world and the clients that listen to it; code that uses either holds `changed`.
+
+    `scenery` are solids of the map, with tag, pose and extent each. Sensors of the blueprint `mute`
+    go silent when `after` measurements are sent. `version` is what the server says that it is.
+    """
 
     def __init__(
         self,
@@ -73,12 +75,12 @@ class Wire:
         scenery: Sequence[dict] = (),
         mute: str = "",
         after: int = 0,
+        version: str = VERSION,
     ):
         self.servers = [Server(self, Calls), Server(self, Streams)]
         self.port, self.stream_port = (server.server_address[1] for server in self.servers)
-        self.world = World(maps, self.token, scenery)
+        self.world = World(maps, self.token, scenery, version)
         self.mute, self.left = mute, after
-        self.sights: dict[tuple, tuple] = {}  # of this frame's cameras, by pose and attributes
         self.changed = threading.Condition()
         self.listeners: dict[int, list[socket.socket]] = defaultdict(list)
 
@@ -109,10 +111,8 @@ class Wire:
                 reply = [attempt(self.world.command, *command) for [command] in arguments[0]]
                 if arguments[1]:
                     self.world.tick_cue()
-            elif name in CALLS:
-                reply = attempt(getattr(self.world, name), *arguments)
             else:
-                reply = [[0, [f"this server has no {name}"]]]
+                reply = attempt(lambda: getattr(self.world, name)(*arguments))
             connection.sendall(msgpack.packb([1, number, None, reply]))
             if self.world.ticked:
                 self.publish()
@@ -127,7 +127,6 @@ class Wire:
     def publish(self) -> None:
         self.send(self.snapshot(), self.listeners[SNAPSHOTS])
         self.world.ticked = self.world.fresh = False
-        self.sights.clear()
         for actor in list(self.world.actors.values()):
             if (listeners := self.listeners.get(actor.stream)) and not self.silent(actor):
                 self.send(self.measurement(actor), listeners)
@@ -149,11 +148,7 @@ class Wire:
             counts, points = scan(spec, where, boxes, self.world.step)
             head += struct.pack("<fI", 0.0, len(counts))
             return head + struct.pack(f"<{len(counts)}I", *counts) + points.tobytes()
-        same = (where.tobytes(), *(spec[key] for key in ("image_size_x", "image_size_y", "fov")))
-        if same not in self.sights:
-            self.sights[same] = sight(spec, where, boxes)
-        kind = name.rpartition(".")[2]
-        image = picture(kind, spec, self.sights[same], boxes, self.world.frame)
+        image = picture(name.rpartition(".")[2], spec, where, boxes, self.world.frame)
         height, width, _ = image.shape
         return head + struct.pack("<IIf", width, height, float(spec["fov"])) + image.tobytes()
 
@@ -239,9 +234,13 @@ class Streams(StreamRequestHandler):
 
 
 @contextmanager
-def serving(*arguments: str | Path) -> Iterator[int]:
-    """The port of a server in a new process, which ends with the block."""
-    command = [sys.executable, __file__, *map(str, arguments)]
+def serving(*maps: Path, **options: Any) -> Iterator[int]:
+    """The port of a server in a new process, which ends with the block.
+
+    The first of the maps is loaded. Options are those of :class:`Wire`.
+    """
+    given = json.dumps({"maps": [*map(str, maps)], **options})
+    command = [sys.executable, __file__, given]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         try:
             yield int(process.stdout.readline())
@@ -250,18 +249,10 @@ def serving(*arguments: str | Path) -> Iterator[int]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description="A CARLA server without a simulator.")
-    parser.add_argument("maps", type=Path, nargs="+", help="OpenDRIVE files; the first is loaded")
-    parser.add_argument("--scenery", type=Path, help="JSON: a list of {tag, pose, extent}")
-    parser.add_argument("--mute", default="", help="sensors of this blueprint go silent")
-    parser.add_argument("--after", type=int, default=0, help="when so many measurements are sent")
-    parser.add_argument("--version", default=VERSION, help="what the server says that it is")
-    given = parser.parse_args()
+    given = json.loads(sys.argv[1])
     parent = os.getppid()
     signal.signal(signal.SIGTERM, lambda *_: sys.exit())
-    scenery = json.loads(given.scenery.read_text()) if given.scenery else ()
-    wire = Wire(given.maps, scenery, given.mute, given.after)
-    wire.world.release = given.version
+    wire = Wire([*map(Path, given.pop("maps"))], **given)
     wire.run()
     print(wire.port, flush=True)
     while os.getppid() == parent:

@@ -13,15 +13,7 @@ from pathlib import Path
 
 import numpy as np
 from carla_blueprints import BLUEPRINTS, SPECTATOR, Blueprint, definitions
-from carla_rays import (
-    GROUND,
-    Box,
-    cast,
-    colour_of,
-    instance_of,
-    matrix,
-    overlap,
-)
+from carla_rays import GROUND, Box, cast, colour_of, matrix, overlap
 
 VERSION = "0.9.16"
 SNAPSHOTS = 1
@@ -32,17 +24,6 @@ STEP = 0.05
 """Seconds per frame, if no fixed time is set."""
 LOADING = 0.3
 """Seconds without frames while a map is loaded."""
-
-CALLS = (
-    *("version", "get_episode_info", "get_sensor_token", "get_episode_settings"),
-    *("set_episode_settings", "get_weather_parameters", "set_weather_parameters"),
-    *("query_lights_state", "get_available_maps", "get_map_info", "get_map_data"),
-    *("get_required_files", "load_new_episode", "get_environment_objects"),
-    *("enable_environment_objects", "project_point", "get_actor_definitions", "spawn_actor"),
-    *("destroy_actor", "get_actors_by_id", "get_actor_bounding_box", "set_actor_transform"),
-    "tick_cue",
-)
-"""The calls of a client; methods of the world answer them."""
 
 COMMANDS = {0: "spawn_actor", 1: "destroy_actor", 6: "set_actor_transform"}
 """The calls of the commands in a batch, by number."""
@@ -73,18 +54,24 @@ class Actor:
 
 
 class World:
-    """State of the episode; `token` gives the address of a stream."""
+    """State of the episode; `token` gives the address of a stream.
+
+    Its methods answer the calls of a client of their names.
+    """
 
     def __init__(
-        self, maps: Sequence[Path], token: Callable[[int], bytes], scenery: Sequence[dict] = ()
+        self,
+        maps: Sequence[Path],
+        token: Callable[[int], bytes],
+        scenery: Sequence[dict],
+        release: str,
     ):
         self.maps = {path.stem: path.read_text() for path in maps}
         self.map, self.token, self.scenery = maps[0].stem, token, scenery
         self.solids = [
-            Box(matrix(s["pose"]), tuple(s["extent"]), s["tag"], 60000 + k, (120, 110, 100))
-            for k, s in enumerate(scenery)
+            Box(matrix(s["pose"]), tuple(s["extent"]), s["tag"], (120, 110, 100)) for s in scenery
         ]
-        self.release, self.hidden = VERSION, set()
+        self.release, self.hidden = release, set()
         self.numbers, self.streams = iter(range(24, 10**9)), iter(range(SNAPSHOTS + 1, 10**9))
         self.awaited: Counter[int] = Counter()  # streams asked for, and not connected to yet
         self.episode, self.frame, self.time = 7, 100, 5.0
@@ -159,7 +146,7 @@ class World:
             if tag in (box.tag, 255):
                 place, turn = solid["pose"][:3], solid["pose"][3:]
                 around = [place, solid["extent"], turn]
-                found.append([[place, turn], around, box.instance, f"scenery_{number}", box.tag])
+                found.append([[place, turn], around, number, f"scenery_{number}", box.tag])
         return found
 
     def enable_environment_objects(self, objects: list[int], enabled: bool) -> None:
@@ -198,12 +185,12 @@ class World:
         return self.actors[actor]
 
     def box(self, actor: Actor) -> Box:
-        kind, number = actor.blueprint, actor.number
+        kind = actor.blueprint
         middle = matrix(actor.pose) @ matrix((*kind.centre, 0.0, 0.0, 0.0))
-        return Box(middle, kind.extent, kind.tag, instance_of(number), colour_of(number))
+        return Box(middle, kind.extent, kind.tag, colour_of(actor.number))
 
     def boxes(self) -> list[Box]:
-        solids = [box for box in self.solids if box.instance not in self.hidden]
+        solids = [box for k, box in enumerate(self.solids) if k not in self.hidden]
         return [*solids, *(self.box(a) for a in self.actors.values() if a.solid)]
 
     def told(self, actor: Actor) -> list:

@@ -21,11 +21,10 @@ if TYPE_CHECKING:
 class Backend:
     """A way to record.
 
-    ``open`` takes the keywords of :func:`recorder_of` but ``backend``, and gives a recorder for a
-    ``with`` block. ``packages`` are the libraries that
-    the recorded bytes depend on. A ``remote`` backend records with a server. ``most_workers``
-    processes can record at the same time; None if there is no limit. ``statics``: it records the
-    scene's static bodies.
+    ``open`` takes the keywords of :func:`recorder_of` but ``backend``. ``packages`` are the
+    libraries that the recorded bytes depend on. A ``remote`` backend records with a server. At most
+    ``most_workers`` processes record at the same time. ``statics``: it records the scene's static
+    bodies.
     """
 
     open: Callable[..., AbstractContextManager["Recorder"]]
@@ -66,16 +65,16 @@ def server_of(backend: str, server: "Server | None") -> "Server | None":
     None for a backend that needs no server. Raises InspeError where a server is given to such a
     backend, or a value of it is out of range.
     """
-    if BACKENDS[backend].remote:
-        from inspe_jax.simulation.recorder import Server
+    if not BACKENDS[backend].remote:
+        if server is not None:
+            remote = " or ".join(name for name, row in BACKENDS.items() if row.remote)
+            raise InspeError(f"server {server}: goes with backend {remote}, and this is {backend}")
+        return None
+    from inspe_jax.simulation.recorder import Server
 
-        server = server or Server()
-        server.check()
-        return server
-    if server is not None:
-        remote = " or ".join(name for name, row in BACKENDS.items() if row.remote)
-        raise InspeError(f"server {server}: goes with backend {remote}, and this is {backend}")
-    return None
+    server = server or Server()
+    server.check()
+    return server
 
 
 def recorder_of(
@@ -88,12 +87,11 @@ def recorder_of(
     server: "Server | None" = None,
     appearance_seed: int = 0,
 ) -> "AbstractContextManager[Recorder]":
-    """A recorder of a scene's traffic, for a ``with`` block, by the name of its backend.
+    """A recorder of a scene's traffic, for a ``with`` block.
 
     ``conditions`` are fair ones and ``recording`` is the default one if not given; ``seed`` is
-    that of the noise, and ``appearance_seed`` that of the road users' shapes and colours;
-    ``server`` is for backends that record with one. Raises InspeError for a backend that is not in
-    :data:`BACKENDS`, or as the recorder does.
+    that of the noise, ``appearance_seed`` that of the road users' shapes and colours. Raises
+    InspeError for a backend that is not in :data:`BACKENDS`, or as the recorder does.
     """
     from inspe_jax.sensing.conditions import FAIR
 
@@ -101,7 +99,7 @@ def recorder_of(
     return BACKENDS[backend].open(
         scene=scene,
         layout=layout,
-        conditions=FAIR if conditions is None else conditions,
+        conditions=conditions or FAIR,
         recording=recording,
         seed=seed,
         server=server,

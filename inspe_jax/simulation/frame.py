@@ -25,13 +25,11 @@ MOST_FRAME = 999_999
 
 
 class Deferred:
-    """A record that reads some of its fields from files: each when it is first used, and only
-    once."""
+    """A record that reads some of its fields from files, each when it is first used."""
 
     @classmethod
     def deferred(cls, later: Mapping[str, Callable[[], Any]], **now: Any) -> Self:
-        """A record with the fields ``now``; the others are read later by calling
-        ``later[name]``."""
+        """A record with the fields ``now``; ``later[name]()`` reads each of the others."""
         record = object.__new__(cls)
         record.__dict__.update(now, _later=dict(later))
         return record
@@ -44,10 +42,6 @@ class Deferred:
                 raise AttributeError(f"{type(self).__name__} has no '{name}'")
             value = self.__dict__[name] = later[name]()
             return value
-
-
-def _nothing() -> None:
-    """A default of None that is not an attribute of the class: a deferred field would find that."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,9 +80,10 @@ class Image(Deferred):
     pose: Float[np.ndarray, "6"]
     intrinsic: Float[np.ndarray, "3 3"]
     rgb: UInt8[np.ndarray, "H W 3"] = field(repr=False)
-    depth: Float[np.ndarray, "H W"] | None = field(default_factory=_nothing, repr=False)
-    instance: Int[np.ndarray, "H W"] | None = field(default_factory=_nothing, repr=False)
-    semantic: UInt8[np.ndarray, "H W"] | None = field(default_factory=_nothing, repr=False)
+    # None by a factory is no attribute of the class, which a deferred field would find.
+    depth: Float[np.ndarray, "H W"] | None = field(default_factory=lambda: None, repr=False)
+    instance: Int[np.ndarray, "H W"] | None = field(default_factory=lambda: None, repr=False)
+    semantic: UInt8[np.ndarray, "H W"] | None = field(default_factory=lambda: None, repr=False)
     pixels: Int[np.ndarray, " B"] | None = field(default=None, repr=False)
     share: Float[np.ndarray, " B"] | None = field(default=None, repr=False)
 
@@ -151,19 +146,9 @@ def check_frame(frame: Frame) -> None:
         here = f"{where}: station {station.number}"
         _numbers(station.pose, (6,), f"{here}: pose")
         for i, image in enumerate(station.images):
-            _check_image(image, f"{here}: image {i}")
-            counts = dict(pixels=image.pixels, share=image.share)
-            _check_counts(counts, len(tracks), f"{here}: image {i}")
+            _check_image(image, len(tracks), f"{here}: image {i}")
         for i, scan in enumerate(station.scans):
-            _numbers(scan.pose, (6,), f"{here}: scan {i}: pose")
-            _check_points(scan.points, f"{here}: scan {i}: points")
-            _check_counts(dict(returns=scan.returns), len(tracks), f"{here}: scan {i}")
-
-
-def _check_counts(counts: Mapping[str, Any], road_users: int, where: str) -> None:
-    for name, each in counts.items():
-        if each is not None:
-            _numbers(each, (road_users,), f"{where}: {name}")
+            _check_scan(scan, len(tracks), f"{here}: scan {i}")
 
 
 def _check_box(box: RoadUserBox, where: str) -> None:
@@ -175,38 +160,41 @@ def _check_box(box: RoadUserBox, where: str) -> None:
         raise InspeError(f"{where}: size {np.asarray(box.size).tolist()} is not above 0")
 
 
-def _check_image(image: Image, where: str) -> None:
+_LAYERS: tuple[tuple[str, str, str, float, float], ...] = (
+    ("depth", "f", "floats", 0.0, np.inf),
+    ("instance", "iu", "integers", 0, MOST_TRACK + 1),
+    ("semantic", "u", "unsigned integers", 0, 255),
+)
+"""Each layer's kinds of numbers, in NumPy's letters and in words, and the least and the most."""
+
+
+def _check_image(image: Image, road_users: int, where: str) -> None:
     _numbers(image.pose, (6,), f"{where}: pose")
     _numbers(image.intrinsic, (3, 3), f"{where}: intrinsic")
     rgb = np.asarray(image.rgb)
     if rgb.ndim != 3 or rgb.shape[2] != 3 or rgb.dtype != np.uint8 or not rgb.size:
         given = f"{rgb.dtype} {rgb.shape}"
         raise InspeError(f"{where}: rgb must be uint8 (height, width, 3), got {given}")
-    for key, kinds in (("depth", "f"), ("instance", "iu"), ("semantic", "u")):
-        layer = getattr(image, key)
-        if layer is None:
+    for key, letters, words, least, most in _LAYERS:
+        if getattr(image, key) is None:
             continue
-        layer = np.asarray(layer)
-        if layer.shape != rgb.shape[:2] or layer.dtype.kind not in kinds:
-            allowed = f"{rgb.shape[:2]} as rgb, of {_KIND_WORDS[kinds]}"
+        layer = np.asarray(getattr(image, key))
+        if layer.shape != rgb.shape[:2] or layer.dtype.kind not in letters:
+            allowed = f"{rgb.shape[:2]} as rgb, of {words}"
             raise InspeError(f"{where}: {key} must be {allowed}, got {layer.dtype} {layer.shape}")
-        least, most = _LAYER_LIMITS[key]
-        if not (layer.min() >= least and layer.max() <= most):  # also false for NaN
-            given = f"{layer.min()} to {layer.max()}"
-            raise InspeError(f"{where}: {key} runs from {given}: allowed {least} to {most}")
+        _within(layer, least, most, f"{where}: {key}")
+    for key in ("pixels", "share"):
+        if getattr(image, key) is not None:
+            _numbers(getattr(image, key), (road_users,), f"{where}: {key}")
 
 
-_KIND_WORDS = {"f": "floats", "iu": "integers", "u": "unsigned integers"}
-_LAYER_LIMITS = {"depth": (0.0, np.inf), "instance": (0, MOST_TRACK + 1), "semantic": (0, 255)}
-
-
-def _check_points(points: Any, where: str) -> None:
-    points = np.asarray(points)
-    _numbers(points, (len(points) if points.ndim else 0, 4), where)
-    intensity = points[:, 3]
-    if len(points) and not (intensity.min() >= 0 and intensity.max() <= 1):
-        given = f"{intensity.min():g} to {intensity.max():g}"
-        raise InspeError(f"{where}: intensity runs from {given}: allowed 0 to 1")
+def _check_scan(scan: Scan, road_users: int, where: str) -> None:
+    _numbers(scan.pose, (6,), f"{where}: pose")
+    points = np.asarray(scan.points)
+    _numbers(points, (len(points) if points.ndim else 0, 4), f"{where}: points")
+    _within(points[:, 3], 0, 1, f"{where}: points: intensity")
+    if scan.returns is not None:
+        _numbers(scan.returns, (road_users,), f"{where}: returns")
 
 
 def _numbers(value: Any, shape: tuple[int, ...], where: str) -> None:
@@ -214,6 +202,12 @@ def _numbers(value: Any, shape: tuple[int, ...], where: str) -> None:
     if array.shape != shape or array.dtype.kind not in "fiu" or not np.isfinite(array).all():
         given = array.tolist() if array.size <= 9 else f"{array.dtype} {array.shape}"
         raise InspeError(f"{where} must be finite numbers of shape {shape}, got {given}")
+
+
+def _within(array: np.ndarray, least: float, most: float, where: str) -> None:
+    if array.size and not (array.min() >= least and array.max() <= most):  # also false for NaN
+        given = f"{array.min()} to {array.max()}"
+        raise InspeError(f"{where} runs from {given}: allowed {least} to {most}")
 
 
 def _whole_number(value: Any, least: int, most: int | None, where: str) -> None:

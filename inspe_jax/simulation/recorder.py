@@ -1,17 +1,19 @@
-"""What all backends share: the settings of a recording, the protocol of a recorder, the server."""
+"""What all backends share: settings, the protocol of a recorder, the server, a LiDAR's noise."""
 
 import re
 import socket
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
+from jaxtyping import Bool, Float
 
 from inspe_jax.core.errors import InspeError, check_known
+from inspe_jax.scene.scene import Scene
 from inspe_jax.sensing.layout import Layout
-from inspe_jax.sensing.lidar_returns import LidarNoise
-from inspe_jax.simulation.frame import Frame, Image, Scan, Station
+from inspe_jax.sensing.lidar_returns import ATTENUATION, LidarNoise
+from inspe_jax.simulation.frame import Frame, Image, RoadUserBox, Scan, Station
 
 LAYERS = ("depth", "instance", "semantic")
 """What a camera can record in addition to its pictures."""
@@ -21,6 +23,8 @@ MOST_PIXELS = 8192
 """The largest width and height of a picture."""
 CONNECTING = 3.0
 """How long to wait for a connection to a server [s]."""
+
+Row = TypeVar("Row")
 
 
 @dataclass(frozen=True)
@@ -125,12 +129,18 @@ class Recorder(Protocol):
         ...
 
 
-def stations_of(layout: Layout, recorded: Sequence[Image | Scan]) -> tuple[Station, ...]:
-    """One :class:`Station` for each unit of a layout, with what its sensors recorded.
+def frame_of(
+    scene: Scene,
+    layout: Layout,
+    t: int,
+    boxes: tuple[RoadUserBox, ...],
+    recorded: Sequence[Image | Scan],
+) -> Frame:
+    """Frame t of a scene's traffic, with one station for each unit of the layout.
 
     ``recorded`` has one image or scan for each sensor of the layout, in the layout's order.
     """
-    return tuple(
+    stations = tuple(
         Station(
             number=u + 1,
             name=unit.name,
@@ -140,3 +150,40 @@ def stations_of(layout: Layout, recorded: Sequence[Image | Scan]) -> tuple[Stati
         )
         for u, (unit, members) in enumerate(zip(layout.units, layout.members(), strict=True))
     )
+    return Frame(t, float(scene.traffic.time[t]), boxes, stations)
+
+
+def noise_source(seed: int, t: int, s: int) -> np.random.Generator:
+    """The random numbers for the noise of sensor s in frame t."""
+    return np.random.default_rng([seed, t, s, 3])
+
+
+def row_of(kinds: Mapping[str, Row], spec: Any, backend: str) -> Row:
+    """The row of a backend's table of sensor kinds for a spec. Raises InspeError if it has none."""
+    if spec.kind not in kinds:
+        raise InspeError(
+            f"{spec.name}: backend {backend} cannot simulate a sensor of kind '{spec.kind}', only "
+            f"{' and '.join(kinds)}"
+        )
+    return kinds[spec.kind]
+
+
+def apply_noise(
+    direction: Float[np.ndarray, "R 3"],
+    distance: Float[np.ndarray, " R"],
+    noise: LidarNoise,
+    rng: np.random.Generator,
+) -> tuple[Float[np.ndarray, "N 4"], Bool[np.ndarray, " R"]]:
+    """Points of those of R rays that come back, and which these are.
+
+    A point is x, y, z [m] and intensity 0…1, float32. ``direction`` holds unit vectors in the body
+    frame; ``distance`` [m] is infinite where nothing was hit. Returns are dropped at random as
+    CARLA drops them.
+    """
+    lost = rng.random((2, len(direction)))
+    error = rng.standard_normal(len(direction)) * noise.range
+    back = np.isfinite(distance) & (lost[0] >= noise.lost)
+    back &= lost[1] >= noise.weak_lost(distance)
+    far = np.clip(distance[back] + error[back], 0.0, None)
+    points = np.column_stack([direction[back] * far[:, None], np.exp(-ATTENUATION * far)])
+    return points.astype(np.float32), back

@@ -22,8 +22,8 @@ from inspe_jax.scoring.viewshed import Visibility, sight_in
 from inspe_jax.sensing.conditions import FAIR, Conditions
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.sensing.sensors import CameraSpec
-from inspe_jax.simulation.embedded.sensors import simulated_sensor
-from inspe_jax.simulation.embedded.surroundings import surroundings_of
+from inspe_jax.simulation.embedded.recorder import simulated_sensor
+from inspe_jax.simulation.embedded.surroundings import Surroundings
 from inspe_jax.simulation.frame import Image
 from inspe_jax.viewer.scene3d import Scene3D, look_from
 from inspe_jax.viewer.server import quiet, serve
@@ -59,7 +59,7 @@ def still_view(scene: Scene, layout: Layout, frame: int = 0) -> Figure | None:
     (focal, _, middle), (_, _, row), _ = eye.intrinsic
     spec = CameraSpec("still", WIDTH, HEIGHT, focal, (middle, row), 1.0, 1000.0)
     try:
-        around = surroundings_of(scene, layout, FAIR)
+        around = Surroundings(scene, layout, FAIR)
     except InspeError:
         return None
     camera = simulated_sensor(spec, eye.pose, around)

@@ -3,11 +3,9 @@
 import json
 import re
 import shutil
-import signal
 import socket
 import subprocess
 import sys
-import time
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import replace
@@ -17,11 +15,10 @@ import numpy as np
 import pytest
 import shapely
 import yaml
-from opv2v_validator import check_set, to_world
+from opv2v_validator import check_set
 
 pytest.importorskip("msgpack", reason="what the CARLA client talks: extra [test]")
 
-import carla_look
 import carla_recording as client
 import carla_wire
 from carla_blueprints import BLUEPRINTS
@@ -30,15 +27,18 @@ from worlds import crossing, place_sensors, world
 
 from inspe_jax import dataset
 from inspe_jax.core.errors import InspeError
+from inspe_jax.core.geometry import rotation
+from inspe_jax.core.pinhole import pixels
 from inspe_jax.scene.traffic.frames import CLASSES
 from inspe_jax.sensing.catalogue import device
 from inspe_jax.sensing.conditions import Conditions
 from inspe_jax.simulation.backends import recorder_of
-from inspe_jax.simulation.carla.instances import instances_of
-from inspe_jax.simulation.carla.sensor_kinds import notes_of
-from inspe_jax.simulation.carla.sensors import intrinsic_of, lidar_attributes, weather_of
+from inspe_jax.simulation.carla.recorder import CarlaRecorder
+from inspe_jax.simulation.carla.sensors import CarlaCamera, instances_of
+from inspe_jax.simulation.carla.server import weather_of
 from inspe_jax.simulation.carla.traffic import body_of
 from inspe_jax.simulation.frame import RoadUserBox
+from inspe_jax.simulation.projection import corners
 from inspe_jax.simulation.recorder import Recording, Server
 
 PARKED = {"tag": 14, "pose": [-47.76, 20.43, 0.8, 0.0, 30.0, 0.0], "extent": [2.2, 0.9, 0.8]}
@@ -48,41 +48,26 @@ NEAR = 2e-3
 TAGS = {"car": {14}, "truck": {15, 16}, "cyclist": {18, 19}, "pedestrian": {12}}
 
 
-def run_client(task: str, port: int, *arguments: object) -> None:
-    run(command(task, port, *arguments))
-
-
-def run(words: list[str]) -> None:
+def run_client(task: str, port: int, file, *arguments: object) -> dict:
+    """What a client writes to a file."""
+    words = [sys.executable, client.__file__, task, str(port), str(file), *map(str, arguments)]
     ran = subprocess.run(words, capture_output=True, text=True)
     assert ran.returncode == 0, ran.stdout + ran.stderr
-
-
-def command(task: str, port: int, *arguments: object) -> list[str]:
-    return [sys.executable, client.__file__, task, str(port), *map(str, arguments)]
-
-
-def look(port: int, folder) -> dict:
-    run([sys.executable, carla_look.__file__, str(port), str(folder / "look.json")])
-    return json.loads((folder / "look.json").read_text())
+    return json.loads(file.read_text())
 
 
 @pytest.fixture(scope="module")
 def recorded(maps, tmp_path_factory):
-    """A folder with a data set, its traffic, and the state of the server during and after.
+    """A folder with a data set, and the state of the server during and after.
 
     The server starts with another map.
     """
     folder = tmp_path_factory.mktemp("carla")
-    scenery = folder / "scenery.json"
-    scenery.write_text(json.dumps([PARKED]))
     towns = maps / "Town07.xodr", maps / f"{client.TOWN}.xodr"
-    with carla_wire.serving(*towns, "--scenery", scenery) as port:
-        run_client("record", port, folder / "told.npz")
-        after = look(port, folder)
-    scenery.unlink()
-    with np.load(folder / "told.npz") as saved:
-        told = dict(saved)
-    return folder, told, after
+    with carla_wire.serving(*towns, scenery=[PARKED]) as port:
+        meanwhile = run_client("record", port, folder / "told.json")
+        after = run_client("look", port, folder / "look.json")
+    return folder, meanwhile, after
 
 
 @pytest.fixture(scope="module")
@@ -92,35 +77,22 @@ def frames(recorded):
     return [scenario.frame(t) for t in scenario.frames]
 
 
-def box_of(box: RoadUserBox) -> np.ndarray:
-    """The matrix from a road user's box to the world, (4, 4)."""
-    cos, sin, turn = np.cos(box.yaw), np.sin(box.yaw), np.eye(4)
-    turn[:2, :2], turn[:3, 3] = [[cos, -sin], [sin, cos]], box.center
-    return turn
-
-
-def body(pose: np.ndarray) -> np.ndarray:
-    """The matrix from a sensor's frame to the world, both right-handed (4, 4), by the validator's
-    functions, which are left-handed."""
-    x, y, z, roll, pitch, yaw = pose
-    mirror = np.diag([1.0, -1.0, 1.0, 1.0])
-    angles = np.degrees([roll, -yaw, pitch])
-    return mirror @ to_world([x, -y, z, *angles]) @ mirror
+def turn_of(box: RoadUserBox) -> np.ndarray:
+    return rotation(np.array([0.0, 0.0, box.yaw]), np)
 
 
 def gaps(points: np.ndarray, boxes) -> np.ndarray:
     """Signed distance of points (P, 3) to boxes and the ground, (T + 1, P) [m]."""
     rows = []
     for box in boxes:
-        local = np.column_stack([points, np.ones(len(points))]) @ np.linalg.inv(box_of(box)).T
-        over = np.abs(local[:, :3]) - box.size / 2
+        over = np.abs((points - box.center) @ turn_of(box)) - box.size / 2
         rows.append(np.linalg.norm(np.maximum(over, 0), axis=1) + np.minimum(over.max(1), 0))
     return np.array([*rows, points[:, 2]])
 
 
 def carried(pose: np.ndarray, points: np.ndarray) -> np.ndarray:
-    turn = body(pose)
-    return points @ turn[:3, :3].T + turn[:3, 3]
+    """Points of a sensor's frame in the world."""
+    return points @ rotation(pose[3:], np).T + pose[:3]
 
 
 def test_readers_accept_the_set(recorded):
@@ -132,13 +104,12 @@ def test_readers_accept_the_set(recorded):
 
 
 def test_the_server_is_synchronous_meanwhile_and_restored_afterwards(recorded):
-    _, told, after = recorded
-    meanwhile = json.loads(str(told["meanwhile"]))
+    _, meanwhile, after = recorded
     assert meanwhile["settings"] == [True, 1 / client.RATE]
     assert meanwhile["weather"] == pytest.approx([63.2, 7.0], abs=0.1)
     assert meanwhile["below"] != "Car"
     sensors = [name for name in meanwhile["actors"] if name.startswith("sensor.")]
-    kinds = ("depth", "instance_segmentation", "rgb", "semantic_segmentation")
+    kinds = ("depth", "rgb", "semantic_segmentation")
     cameras = [f"sensor.camera.{kind}" for kind in kinds for _ in range(2)]
     assert sensors == [*cameras, "sensor.lidar.ray_cast"]
     assert after == {
@@ -150,26 +121,25 @@ def test_the_server_is_synchronous_meanwhile_and_restored_afterwards(recorded):
     }
 
 
-def test_road_users_stand_where_the_traffic_has_them_with_boxes_of_the_server(recorded, frames):
-    _, told, _ = recorded
-    names = {}
+def test_road_users_stand_where_the_traffic_has_them_with_boxes_of_the_server(frames):
+    traffic, names = client.scene().traffic, {}
     for t, frame in enumerate(frames):
-        entry = {int(told["track"][t, b]): b for b in np.flatnonzero(told["valid"][t])}
+        entry = {int(traffic.track[t, b]): b for b in np.flatnonzero(traffic.valid[t])}
         assert {box.track for box in frame.boxes} == entry.keys()
         for box in frame.boxes:
             b = entry[box.track]
-            center, size = told["center"][t, b], told["size"][t, b]
+            center, size = traffic.center[t, b], traffic.size[t, b]
             np.testing.assert_allclose(box.center[:2], center[:2], atol=NEAR)
             foot = box.center[2] - box.size[2] / 2
             assert foot == pytest.approx(center[2] - size[2] / 2, abs=NEAR)
-            assert np.cos(box.yaw - told["yaw"][t, b]) == pytest.approx(1)
-            assert box.kind == CLASSES[told["kind"][t, b]]
+            assert np.cos(box.yaw - traffic.yaw[t, b]) == pytest.approx(1)
+            assert box.kind == CLASSES[traffic.kind[t, b]]
             kind = BLUEPRINTS[box.name]
             assert kind.tag in TAGS[box.kind]
             np.testing.assert_allclose(box.size, 2 * np.array(kind.extent), atol=1e-5)
             assert np.abs(np.log(box.size / size)).max() < 0.9
             assert names.setdefault(box.track, box.name) == box.name
-    assert set(told["kind"][told["valid"]].tolist()) == {0, 1, 2, 3}
+    assert set(traffic.kind[traffic.valid].tolist()) == {0, 1, 2, 3}
     assert len(set(names.values())) > 5
 
 
@@ -200,19 +170,6 @@ def test_depth_is_of_surfaces(frames):
             np.testing.assert_allclose(gap.min(0), 0, atol=0.005 * np.linalg.norm(rays[0, 0]))
 
 
-def outline(image, box: RoadUserBox) -> shapely.Geometry | None:
-    """The box in the picture, by its corners above ground; None if one is behind the camera."""
-    corners = np.array([[x, y, z, 1] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float)
-    corners[:, :3] *= box.size / 2
-    ahead, left, up, _ = np.linalg.inv(body(image.pose)) @ box_of(box) @ corners.T
-    if ahead.min() < 0.1:
-        return None
-    (f, _, cx), (_, g, cy), _ = image.intrinsic
-    return shapely.MultiPoint(
-        np.stack([cx - f * left / ahead, cy - g * up / ahead], -1)
-    ).convex_hull
-
-
 def test_boxes_by_the_written_calibration_cover_their_instances(frames):
     """Pixels of an instance have one colour, and lie in the outline of its box; all pixels with the
     colour of an actor belong to an instance."""
@@ -228,12 +185,12 @@ def test_boxes_by_the_written_calibration_cover_their_instances(frames):
                     continue
                 colours.append(np.unique(image.rgb[own], axis=0))
                 assert set(image.semantic[own].tolist()) <= TAGS[kinds[box.track]]
-                rows, columns = np.nonzero(own)
-                if (around := outline(image, box)) is None:
-                    continue
-                inside = shapely.contains_xy(around.buffer(0.1), columns + 0.5, rows + 0.5)
-                assert inside.all()
-                seen += len(rows)
+                column, row, depth = pixels(image, corners([box])[0]).T
+                if depth.min() > 0.1:
+                    hull = shapely.MultiPoint(np.column_stack([column, row])).convex_hull
+                    v, u = np.nonzero(own)
+                    assert shapely.contains_xy(hull.buffer(0.1), u + 0.5, v + 0.5).all()
+                    seen += len(v)
             assert all(len(colour) == 1 for colour in colours)
             assert len(np.unique(np.concatenate(colours), axis=0)) == len(colours)
             assert set(image.instance.flat) <= {0, *(track + 1 for track in kinds)}
@@ -258,28 +215,25 @@ def test_servers_that_cannot_be_used(maps, tmp_path):
         nobody = free.getsockname()[1]
     town = maps / f"{client.TOWN}.xodr"
     servers = {
-        "elsewhere": (maps / "Town07.xodr",),
-        "older": (town, "--version", "0.9.15"),
-        "mute": (town, "--mute", "sensor.lidar.ray_cast"),
-        "failing": (town, "--mute", "sensor.camera.depth", "--after", "29"),
-        "taken": (town,),
+        "elsewhere": carla_wire.serving(maps / "Town07.xodr"),
+        "older": carla_wire.serving(town, version="0.9.15"),
+        "mute": carla_wire.serving(town, mute="sensor.lidar.ray_cast"),
+        "failing": carla_wire.serving(town, mute="sensor.camera.depth", after=29),
+        "taken": carla_wire.serving(town),
+        "stopped": carla_wire.serving(town),
     }
     with ExitStack() as stack:
         with ThreadPoolExecutor() as pool:
-            begun = pool.map(
-                lambda given: stack.enter_context(carla_wire.serving(*given)), servers.values()
-            )
-            ports = dict(zip(servers, begun, strict=True))
+            ports = dict(zip(servers, pool.map(stack.enter_context, servers.values()), strict=True))
         given = [f"{name}:{port}" for name, port in {"nobody": nobody, **ports}.items()]
-        run_client("errors", 0, tmp_path / "told.json", *given)
-    told = json.loads((tmp_path / "told.json").read_text())
+        told = run_client("errors", 0, tmp_path / "told.json", *given)
     assert f"no CARLA server at 127.0.0.1:{nobody}" in told["nobody"]
     assert "has no map 'Town10HD'; it has Town07" in told["elsewhere"]
     assert "is 0.9.15 and the client here 0.9.16: pip install carla==0.9.15" in told["older"]
     assert "sensor.lidar.ray_cast of 'top', unit 'mast', did not measure anything" in told["mute"]
     assert "sensor.camera.depth of 'east', unit 'mast', did not measure frame" in told["failing"]
     assert "1 vehicles or walkers are there already (vehicle.tesla.model3)" in told["taken"]
-    for name in ("mute", "failing"):
+    for name in ("mute", "failing", "stopped"):
         left = told[f"{name}, left"]
         assert (left["settings"], left["actors"]) == ([False, None], ["spectator"])
         assert left["weather"] == [0.0, 45.0]
@@ -306,23 +260,16 @@ units:
 """
 
 
-@pytest.fixture(scope="module")
-def generated(maps, tmp_path_factory):
-    """A study, the folder of its data set, and the output of `inspe generate`."""
-    folder = tmp_path_factory.mktemp("generated")
-    (folder / "one.yaml").write_text(ONE)
-    shutil.copy(maps / f"{client.TOWN}.xodr", folder)
-    (folder / "towns.yaml").write_text(yaml.safe_dump(STUDY))
-    with carla_wire.serving(folder / f"{client.TOWN}.xodr") as port:
-        where = ("--out", "set", "--backend", "carla", "--server", f"localhost:{port}")
-        process = inspe_process("generate", "towns.yaml", *where, cwd=folder)
+def test_notes_are_in_the_data_set_and_the_address_of_the_server_is_not(maps, tmp_path):
+    (tmp_path / "one.yaml").write_text(ONE)
+    shutil.copy(maps / f"{client.TOWN}.xodr", tmp_path)
+    (tmp_path / "towns.yaml").write_text(yaml.safe_dump(STUDY))
+    folder = tmp_path / "set"
+    with carla_wire.serving(tmp_path / f"{client.TOWN}.xodr") as port:
+        where = ("--out", folder, "--backend", "carla", "--server", f"localhost:{port}")
+        process = inspe_process("generate", "towns.yaml", *where, cwd=tmp_path)
         words, err = process.communicate(timeout=120)
     assert process.returncode == 0, err
-    return folder / "towns.yaml", folder / "set", port, words + err
-
-
-def test_notes_are_in_the_data_set_and_the_address_of_the_server_is_not(generated):
-    study, folder, port, words = generated
     assert "1 scenario, 2 frames" in words
     ((name, report),) = check_set(folder).items()
     assert (report.agents, report.frames) == (1, 2)
@@ -332,37 +279,9 @@ def test_notes_are_in_the_data_set_and_the_address_of_the_server_is_not(generate
     kept, turns = scenario.protocol["notes"]
     assert turns.endswith("of a LiDAR's turn at once: lidar_turn_s is 0")
     assert kept.startswith("velodyne-vlp-32c: CARLA's channels are evenly spaced")
-    assert f"Note: {kept} (1 scenario)" in words
-    again = dataset.load_generation(scenario.path / "data_protocol.yaml", study.parent)
+    assert f"Note: {kept} (1 scenario)" in words + err
+    again = dataset.load_generation(scenario.path / "data_protocol.yaml", tmp_path)
     assert (again.backend, again.notes) == ("carla", ())
-
-
-def test_the_rest_of_a_data_set_can_be_recorded_by_another_server(generated, tmp_path):
-    """The address is no part of the data set: the only error is that no server answers now."""
-    study, made, port, _ = generated
-    generation, out = dataset.load_generation(study), tmp_path / "set"
-    shutil.copytree(made, out)
-    given = dict(backend="carla", server=dataset.Server("127.0.0.1", port))
-    assert dataset.generate(generation, out, **given).recorded == 0
-    next(out.glob("*/*/-1/000001.yaml")).unlink()
-    with pytest.raises(InspeError) as told:
-        dataset.generate(generation, out, **given)
-    assert str(told.value).startswith(f"no CARLA server at 127.0.0.1:{port} (Connection refused)")
-    assert str(told.value).endswith("or give its address: --server HOST:PORT")
-
-
-def test_everything_is_restored_on_ctrl_c(maps, tmp_path):
-    with carla_wire.serving(maps / f"{client.TOWN}.xodr") as port:
-        begun = tmp_path / "begun"
-        with subprocess.Popen(command("wait", port, begun), stderr=subprocess.PIPE) as process:
-            until = time.monotonic() + 30
-            while not begun.exists() and process.poll() is None and time.monotonic() < until:
-                time.sleep(0.05)
-            process.send_signal(signal.SIGINT)
-            assert b"KeyboardInterrupt" in process.communicate(timeout=20)[1]
-        left = look(port, tmp_path)
-    assert begun.exists()
-    assert (left["settings"], left["actors"]) == ([False, None], ["spectator"])
 
 
 # ── Without a server ────────────────────────────────────────────────────────────────────────────
@@ -388,18 +307,10 @@ def test_uneven_channels_and_shifted_axes_are_noted():
     shifted = replace(client.CAMERA, name="shifted", principal=(300.0, 240.0))
     uneven, even = (device(f"velodyne-{name}").spec for name in ("vlp-32c", "vlp-16"))
     layout = place_sensors(*((spec, [0, 0, 6, 0, 0, 0]) for spec in (uneven, even, shifted)))
-    notes = notes_of(layout)
+    notes = CarlaRecorder(world(), layout, recording=Recording(turn=0.0)).notes
     assert len(notes) == 2
     assert notes[0].startswith("velodyne-vlp-32c: CARLA's channels are evenly spaced: 32 from -25°")
     assert notes[1].startswith("shifted: CARLA's principal point")
-
-
-def test_a_lidar_turns_once_a_frame_with_all_its_rays():
-    given = lidar_attributes(client.LIDAR, Recording(rate=20.0))
-    assert int(given["points_per_second"]) == 32 * 360 * 20
-    assert float(given["rotation_frequency"]) == 20
-    assert [float(given[f"{end}_fov"]) for end in ("lower", "upper")] == pytest.approx([-30, 2])
-    assert float(given["horizontal_fov"]) == 360
 
 
 def test_boxes_without_a_size_have_the_usual_one():
@@ -430,8 +341,9 @@ def test_weather_and_light_are_in_the_order_of_their_strength():
     assert 0 <= weather_in("dusk", "clear")["sun_azimuth_angle"] < 360
 
 
-def test_two_numbers_of_one_road_user_are_merged_and_others_ignored():
-    """A rider has its own number; a statue with the label of a road user stands next to it."""
+def test_pixels_of_road_users_are_matched_by_place():
+    """A rider and a bicycle in one box, ahead and turned; a statue with the label of a road user
+    stands behind, and the road in the box is no road user."""
     box = RoadUserBox(
         track=4,
         kind="cyclist",
@@ -441,12 +353,11 @@ def test_two_numbers_of_one_road_user_are_merged_and_others_ignored():
         size=np.array([2.0, 0.6, 2.0]),
         velocity=np.zeros(3),
     )
-    tags = np.array([[13, 19, 12], [1, 19, 11]])
-    numbers = np.array([[700, 8, 9], [8, 8, 0]])
+    tags = np.array([[13, 19, 12], [1, 19, 11]], np.uint8)
     depth = np.array([[9.8, 9.7, 30.0], [10.0, 9.7, np.inf]])
     small = replace(client.CAMERA, width=3, height=2, focal=30.0)
-    intrinsic = intrinsic_of(small, Recording())
-    found = instances_of(tags, numbers, depth, np.zeros(6), intrinsic, (box,))
+    intrinsic = CarlaCamera(small, Recording()).intrinsic
+    found = instances_of(tags, depth, np.zeros(6), intrinsic, (box,))
     np.testing.assert_array_equal(found, [[5, 5, 0], [0, 5, 0]])
 
 

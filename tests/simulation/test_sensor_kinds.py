@@ -1,6 +1,6 @@
 """Adding a kind of sensor: a spec, and one row in the table of a backend."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
@@ -10,10 +10,10 @@ from inspe_jax.core.errors import InspeError
 from inspe_jax.core.geometry import rotation
 from inspe_jax.sensing.sensors import Spec
 from inspe_jax.simulation.backends import recorder_of
-from inspe_jax.simulation.carla import sensor_kinds
 from inspe_jax.simulation.carla.recorder import CarlaRecorder
+from inspe_jax.simulation.carla.sensors import SENSOR_KINDS
 from inspe_jax.simulation.embedded.embree import Caster
-from inspe_jax.simulation.embedded.sensors import SENSORS
+from inspe_jax.simulation.embedded.recorder import SENSORS
 from inspe_jax.simulation.frame import Scan
 from inspe_jax.simulation.recorder import Recording
 
@@ -84,34 +84,29 @@ def test_a_kind_without_a_row_is_an_error():
             recorder_of(backend, scene, layout)
 
 
+class CarlaFan:
+    """How CARLA would record it: with its radar."""
+
+    blueprints = ("sensor.other.radar",)
+    notes = ("a fan: CARLA's radar has no fixed rays",)
+
+    def __init__(self, spec, recording):
+        self.attributes = {"range": repr(spec.reach)}
+
+
 def test_carla_needs_a_row_as_well(monkeypatch):
-    """Without a server: the notes, and the scan of a measurement."""
-    row = sensor_kinds.CarlaSensorKind(
-        blueprints=lambda recording: {"returns": "sensor.other.radar"},
-        attributes=lambda spec, recording: {"range": repr(spec.reach)},
-        note=lambda spec: f"{spec.name}: CARLA's radar has no fixed rays",
-        result=lambda measured: Scan(measured.pose, measured.data["returns"]),
-    )
-    monkeypatch.setitem(sensor_kinds.SENSOR_KINDS, "fan", row)
+    monkeypatch.setitem(SENSOR_KINDS, "fan", CarlaFan)
     layout = place_sensors((FAN, [1, 2, 3, 0, 0, 0]), (FAN, [0, 0, 3, 0, 0, 0]))
     recorder = CarlaRecorder(world(count=0, radius=20.0, voxel=2.0), layout)
-    assert recorder.notes == ("a fan: CARLA's radar has no fixed rays",)
-
-    points = np.ones((5, 4), np.float32)
-
-    class Queue:
-        def take(self, number, until):
-            return points if number == 7 else None
-
-    recorder.queues = [{"returns": Queue()}] * 2
-    scan = recorder._record(0, t=0, number=7, boxes=())
-    assert scan.points is points
-    assert scan.pose.tolist() == [1, 2, 3, 0, 0, 0]
+    assert recorder.notes == CarlaFan.notes
 
 
 def test_cameras_need_no_more_than_their_layers():
-    row = sensor_kinds.SENSOR_KINDS["camera"]
-    layers = {"instance": ["rgb", "instance", "depth"], "semantic": ["rgb", "semantic"]}
-    assert [*row.blueprints(Recording())] == ["rgb"]
-    for layer, pictures in layers.items():
-        assert [*row.blueprints(replace(Recording(), layers=(layer,)))] == pictures
+    needed = {
+        (): ("rgb",),
+        ("instance",): ("rgb", "semantic_segmentation", "depth"),
+        ("semantic",): ("rgb", "semantic_segmentation"),
+    }
+    for layers, pictures in needed.items():
+        names = SENSOR_KINDS["camera"](CAMERA, Recording(layers=layers)).blueprints
+        assert names == tuple(f"sensor.camera.{picture}" for picture in pictures)

@@ -10,10 +10,8 @@ from inspe_jax.scene.statics import tree, upright_box
 from inspe_jax.scene.traffic.frames import CLASSES
 from inspe_jax.sensing.conditions import Conditions
 from inspe_jax.simulation.embedded.embree import Caster
-from inspe_jax.simulation.embedded.headlights import beams_of
 from inspe_jax.simulation.embedded.materials import CROWN, GROUND, KERB, MATERIALS
 from inspe_jax.simulation.embedded.recorder import EmbeddedRecorder
-from inspe_jax.simulation.embedded.road_users import FrameActors
 from inspe_jax.simulation.embedded.static_bodies import body_parts
 from inspe_jax.simulation.embedded.static_world import build_static_world
 from inspe_jax.simulation.parked import parked_vehicles
@@ -110,25 +108,17 @@ def test_other_things_stay_where_they_were_and_keep_clear(street):
     assert away.min() > 3.0
 
 
-def test_bodies_are_in_pictures_and_scans(street):
-    layout = place_sensors(
-        (LIDAR, [40.0, -20.0, 9.0, 0.0, 0.0, 0.0]),
-        (CAMERA, [38.0, -21.0, 9.0, 0.0, -0.2, np.arctan2(-11.0, 7.5)]),
-    )
+def test_bodies_are_in_pictures(street):
+    layout = place_sensors((CAMERA, [38.0, -21.0, 9.0, 0.0, -0.2, np.arctan2(-11.0, 7.5)]))
     recording = Recording(layers=("semantic",), image_scale=0.25)
-    with_, without = (
-        EmbeddedRecorder(scene, layout, recording=recording).frame(0).stations
+    image, empty = (
+        EmbeddedRecorder(scene, layout, recording=recording).frame(0).stations[0].images[0]
         for scene in (street, street.with_statics([]))
     )
-    (image,), (empty,) = with_[1].images, without[1].images
     assert (empty.semantic != 14).all()
     assert (image.semantic == 14).sum() > 50  # the parked car
     assert (image.semantic == 9).sum() > 1.5 * (empty.semantic == 9).sum()  # crowns and hedges
-    changed = (image.rgb != empty.rgb).any(-1)
-    assert changed[image.semantic == 14].all()
-    (scan,), (bare,) = with_[0].scans, without[0].scans
-    high = [(points.points[:, 2] > -5.0).sum() for points in (scan, bare)]
-    assert high[0] > 1.2 * high[1]
+    assert (image.rgb != empty.rgb).any(-1)[image.semantic == 14].all()
 
 
 def test_a_parked_vehicle_in_the_region_is_a_road_user_that_stands_still():
@@ -170,29 +160,19 @@ def test_the_lights_of_parked_vehicles_are_off():
     night = Conditions("night")
     recorder = EmbeddedRecorder(place.with_statics([car]), layout, night)
     (dark,) = recorder.frame(0).stations[0].images
-    assert len(beams_of(FrameActors(recorder.surroundings.parked, place.voxels.center)).front) == 0
-    around = recorder.surroundings
-    shining = tuple(replace(box, parked=False) for box in around.parked)
-    recorder.surroundings = replace(around, parked=shining)
+    recorder.surroundings.parked = (replace(recorder.surroundings.parked[0], parked=False),)
     (lit,) = recorder.frame(0).stations[0].images
-    shown = dark.pixels[0]
-    assert shown > 50
-    brighter = (lit.rgb.astype(int) - dark.rgb).max(-1) > 30
-    assert brighter.sum() > 10
+    assert dark.pixels[0] > 50
+    assert ((lit.rgb.astype(int) - dark.rgb).max(-1) > 30).sum() > 10
 
 
 def test_a_parked_vehicle_looks_the_same_in_any_traffic():
-    place = world(count=0)
-    car = upright_box("parked vehicle", place.voxels.center[:2] + [6.0, 0.0], (4.6, 1.8, 1.5), 0.4)
-    other = upright_box("parked vehicle", place.voxels.center[:2] - [6.0, 0.0], (4.6, 1.8, 1.5))
-    found = []
-    for scene, bodies in ((place, [car]), (world(count=9, seed=4), [other, car])):
-        (box,) = (
-            box
-            for box in EmbeddedRecorder(
-                scene.with_statics(bodies), place_sensors((LIDAR, [-12.0, 3.0, 4.0, 0.0, 0.0, 0.0]))
-            ).surroundings.parked
-            if np.allclose(box.center[:2], car.middle)
-        )
-        found.append((box.track, box.name))
-    assert found[0] == found[1]
+    """Its track decides, which hangs on its own place."""
+    empty, busy = world(count=0), world(count=9, seed=4)
+    car, other = (
+        upright_box("parked vehicle", empty.voxels.center[:2] + [x, 0.0], (4.6, 1.8, 1.5))
+        for x in (6.0, -6.0)
+    )
+    alone, _ = parked_vehicles(empty.with_statics([car]))
+    among, _ = parked_vehicles(busy.with_statics([other, car]))
+    assert alone.track[0] == among.track[1]

@@ -90,5 +90,5 @@ def test_without_embree_there_is_none(layout, monkeypatch):
     def none(*_):
         raise InspeError("recording needs Embree")
 
-    monkeypatch.setattr(page_views, "surroundings_of", none)
+    monkeypatch.setattr(page_views, "Surroundings", none)
     assert still_view(world(radius=RADIUS, voxel=1.0, frames=1, count=0), layout) is None

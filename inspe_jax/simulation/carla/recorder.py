@@ -11,7 +11,6 @@ server that speaks its protocol; pictures, returns and timing of a real server a
 
 import time
 from contextlib import ExitStack
-from types import TracebackType
 from typing import Any, NoReturn, Self
 
 import numpy as np
@@ -21,12 +20,11 @@ from inspe_jax.core.errors import InspeError
 from inspe_jax.scene.scene import Scene
 from inspe_jax.sensing.conditions import FAIR, Conditions
 from inspe_jax.sensing.layout import Layout
-from inspe_jax.simulation.carla.sensor_kinds import Measured, notes_of, sensor_kind
-from inspe_jax.simulation.carla.sensors import SensorQueue, weather_of
+from inspe_jax.simulation.carla.sensors import SENSOR_KINDS, SensorQueue
 from inspe_jax.simulation.carla.server import ROLE_NAME, CarlaSession, plain_errors, session_on
 from inspe_jax.simulation.carla.traffic import Actors
 from inspe_jax.simulation.frame import Frame, Image, RoadUserBox, Scan
-from inspe_jax.simulation.recorder import Recording, Server, stations_of
+from inspe_jax.simulation.recorder import Recording, Server, frame_of, noise_source, row_of
 
 SETTLE = 1.0
 """Simulated time before the first frame [s], in which cameras adjust their exposure."""
@@ -61,35 +59,30 @@ class CarlaRecorder:
         self.appearance_seed = appearance_seed
         self.layout = conditions.layout(layout)
         self.poses = np.asarray(self.layout.poses, float)
-        self.notes = notes_of(self.layout, self.recording)
+        self.sensors = [
+            row_of(SENSOR_KINDS, sensor.spec, "carla")(sensor.spec, self.recording)
+            for sensor in self.layout.sensors
+        ]
+        self.notes = tuple(dict.fromkeys(note for one in self.sensors for note in one.notes))
         if scene.statics:
             self.notes += ("CARLA's town has bodies of its own: the scene's do not stand in it",)
 
     def __enter__(self) -> Self:
         with plain_errors(self.server), ExitStack() as stack:
+            place, rate = self.scene.intersection, self.recording.rate
             self.session: CarlaSession = stack.enter_context(
-                session_on(
-                    self.server,
-                    self.scene.intersection,
-                    self.recording.rate,
-                    lambda carla: weather_of(carla, self.conditions),
-                )
+                session_on(self.server, place, rate, self.conditions)
             )
             lights = self.conditions != FAIR
             self.actors = Actors(self.session, self.scene.traffic, lights, self.appearance_seed)
-            self.queues = [self._sensor_queues(s) for s in range(len(self.layout))]
+            self.queues = [self._listen(s) for s in range(len(self.sensors))]
             self._warm_up()
             self._stack = stack.pop_all()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: Any) -> None:
         with plain_errors(self.server):
-            self._stack.__exit__(kind, error, trace)
+            self._stack.__exit__(*error)
 
     def frame(self, t: int) -> Frame:
         """Frame t, as every station recorded it.
@@ -99,44 +92,34 @@ class CarlaRecorder:
         with plain_errors(self.server):
             self.actors.move(t)
             number = self.session.world.tick(self.server.timeout)
-            snapshot = self.session.world.get_snapshot()
-            if snapshot.frame != number:
-                raise InspeError(
-                    f"CARLA at {self.server}: the world is at frame {snapshot.frame}, and not at "
-                    f"{number}, as it was told: does another client tick?"
-                )
-            boxes = self.actors.boxes(t, snapshot)
-            recorded = [self._record(s, t, number, boxes) for s in range(len(self.layout))]
-        stations = stations_of(self.layout, recorded)
-        return Frame(t, float(self.scene.traffic.time[t]), boxes, stations)
+            boxes = self.actors.boxes(t, self.session.world.get_snapshot())
+            recorded = [self._record(s, t, number, boxes) for s in range(len(self.sensors))]
+        return frame_of(self.scene, self.layout, t, boxes, recorded)
 
     # ── Sensors ─────────────────────────────────────────────────────────────
 
-    def _sensor_queues(self, s: int) -> dict[str, SensorQueue]:
-        """Spawn CARLA's sensors for sensor s of the layout: their queues, by what they measure."""
+    def _listen(self, s: int) -> dict[str, SensorQueue]:
+        """Spawn CARLA's sensors for sensor s of the layout: their queues, by blueprint."""
         sensor, cords = self.layout.sensors[s], to_carla(self.poses[s])
-        row = sensor_kind(sensor.spec)
-        attributes = row.attributes(sensor.spec, self.recording)
         queues, unit = {}, self.layout.units[sensor.unit].name
-        for key, name in row.blueprints(self.recording).items():
+        for name in self.sensors[s].blueprints:
             blueprint = self.actors.library.find(name)
-            for attribute, value in {**attributes, "role_name": ROLE_NAME}.items():
-                blueprint.set_attribute(attribute, value)
+            for key, value in {**self.sensors[s].attributes, "role_name": ROLE_NAME}.items():
+                blueprint.set_attribute(key, value)
             actor = self.session.spawn(blueprint, cords)
             self.session.listening.append(actor)
-            queues[key] = SensorQueue(actor, f"{name} of '{sensor.name}', unit '{unit}',")
+            queues[name] = SensorQueue(actor, f"{name} of '{sensor.name}', unit '{unit}',")
         return queues
 
     def _warm_up(self) -> None:
         """Tick until every sensor has measured something, and cameras have settled."""
         begin, ticks = time.monotonic(), 0
-        everything = [queue for queues in self.queues for queue in queues.values()]
-        silent = everything
+        silent = [queue for queues in self.queues for queue in queues.values()]
         while silent or ticks < SETTLE * self.recording.rate:
-            self.session.world.tick(self.server.timeout)
+            number = self.session.world.tick(self.server.timeout)
             ticks += 1
             until = time.monotonic() + PATIENCE
-            silent = [queue for queue in everything if not queue.wait(until)]
+            silent = [queue for queue in silent if queue.take(number, until) is None]
             if silent and time.monotonic() > begin + self.server.timeout:
                 self._fail(silent[0], "anything")
 
@@ -149,11 +132,10 @@ class CarlaRecorder:
     def _record(self, s: int, t: int, number: int, boxes: tuple[RoadUserBox, ...]) -> Image | Scan:
         """What sensor s measured in the server's frame ``number``, which is frame t."""
         until = time.monotonic() + self.server.timeout
-        data: dict[str, Any] = {}
-        for key, queue in self.queues[s].items():
-            data[key] = queue.take(number, until)
-            if data[key] is None:
+        data = {}
+        for name, queue in self.queues[s].items():
+            data[name] = queue.take(number, until)
+            if data[name] is None:
                 self._fail(queue, f"frame {number}")
-        spec, rng = self.layout.sensors[s].spec, np.random.default_rng([self.seed, t, s, 3])
-        measured = Measured(spec, self.poses[s], self.recording, data, boxes, rng)
-        return sensor_kind(spec).result(measured)
+        noise = noise_source(self.seed, t, s)
+        return self.sensors[s].record(self.poses[s], data, boxes, noise)

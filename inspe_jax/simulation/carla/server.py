@@ -9,8 +9,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from inspe_jax.core.errors import InspeError, nearest, needs
 from inspe_jax.scene.intersection import Intersection
+from inspe_jax.sensing.conditions import Conditions
+from inspe_jax.simulation.embedded.light import LIGHTS
 from inspe_jax.simulation.recorder import Server
 
 LOADING = 180.0
@@ -22,14 +26,6 @@ ROLE_NAME = "inspe"
 
 _OPENDRIVE = " (OpenDRIVE)"
 _PARKED = ("Car", "Truck", "Bus", "Motorcycle", "Bicycle")
-
-
-def client_library() -> Any:
-    """The module ``carla``. Raises InspeError if it is not installed."""
-    what = "recording with CARLA needs its client, in the server's version"
-    with needs(what, "opendrive", "Linux and Windows, Python up to 3.12"):
-        import carla
-    return carla
 
 
 def town_of(place: Intersection) -> str:
@@ -69,48 +65,32 @@ class CarlaSession:
     server: Server
     settings: Any
     weather: Any
-    actors: dict[int, None] = field(default_factory=dict)
+    actors: set[int] = field(default_factory=set)
     listening: list[Any] = field(default_factory=list)
     hidden: list[int] = field(default_factory=list)
 
     def transform(self, cords: Iterable[float]) -> Any:
         """CARLA's transform of ``cords`` (6,), see :mod:`~inspe_jax.core.carla_frame`."""
         x, y, z, roll, yaw, pitch = map(float, cords)
-        carla = self.carla
-        return carla.Transform(
-            carla.Location(x, y, z), carla.Rotation(pitch=pitch, yaw=yaw, roll=roll)
-        )
+        turn = self.carla.Rotation(pitch=pitch, yaw=yaw, roll=roll)
+        return self.carla.Transform(self.carla.Location(x, y, z), turn)
 
     def spawn(self, blueprint: Any, cords: Iterable[float]) -> Any:
         """Spawn an actor; it is destroyed at the end of the session."""
         actor = self.world.spawn_actor(blueprint, self.transform(cords))
-        self.actors[actor.id] = None
-        return actor
-
-    def try_spawn(self, blueprint: Any, cords: Iterable[float]) -> Any:
-        """As :meth:`spawn`, but None where there is no room for the actor."""
-        actor = self.world.try_spawn_actor(blueprint, self.transform(cords))
-        if actor is not None:
-            self.actors[actor.id] = None
+        self.actors.add(actor.id)
         return actor
 
     def command(self, commands: list[Any]) -> list[int]:
-        """Run commands as a batch; gives the ids of their actors.
+        """Run commands as a batch; gives the ids of their actors, which may be new.
 
         Raises InspeError, after the whole batch, if a command failed.
         """
         if not commands:
             return []
         replies = self.client.apply_batch_sync(commands, False)
-        found = []
-        for command, reply in zip(commands, replies, strict=True):
-            if reply.has_error():
-                continue
-            found.append(reply.actor_id)
-            if isinstance(command, self.carla.command.SpawnActor):
-                self.actors[reply.actor_id] = None
-            elif isinstance(command, self.carla.command.DestroyActor):
-                self.actors.pop(reply.actor_id, None)
+        found = [reply.actor_id for reply in replies if not reply.has_error()]
+        self.actors.update(found)
         wrong = next((reply.error for reply in replies if reply.has_error()), None)
         if wrong is not None:
             raise InspeError(f"CARLA at {self.server}: {wrong}")
@@ -122,15 +102,14 @@ class CarlaSession:
         if actors:
             destroy = self.carla.command.DestroyActor
             self.client.apply_batch_sync([destroy(actor) for actor in actors], False)
-        for actor in actors:
-            self.actors.pop(actor, None)
+        self.actors.difference_update(actors)
 
     def restore(self) -> None:
         """Restore everything but the map. Raises RuntimeError if the server is gone."""
         self.client.set_timeout(min(self.server.timeout, ENDING))
         for sensor in self.listening:
             sensor.stop()
-        self.destroy(list(self.actors))
+        self.destroy(self.actors)
         if self.hidden:
             self.world.enable_environment_objects(self.hidden, True)
         self.world.set_weather(self.weather)
@@ -139,17 +118,19 @@ class CarlaSession:
 
 @contextmanager
 def session_on(
-    server: Server, place: Intersection, rate: float, weather: Any
+    server: Server, place: Intersection, rate: float, conditions: Conditions
 ) -> Iterator[CarlaSession]:
     """A session on the map of an intersection, where every tick is 1 / ``rate`` seconds long.
 
     The server is in synchronous mode: it waits for each tick. Vehicles that are parked there as
-    part of the map are hidden, because frames have no boxes for them. ``weather`` is called with
-    the module ``carla`` and gives the weather's parameters. Actors, settings and weather are
-    restored when the block ends, in whichever way. Raises InspeError where no server answers, its
-    version is not the client's, it does not have the map, or other traffic is there.
+    part of the map are hidden, because frames have no boxes for them. Actors, settings and weather
+    are restored when the block ends, in whichever way. Raises InspeError where no server answers,
+    its version is not the client's, it does not have the map, or other traffic is there.
     """
-    town, carla = town_of(place), client_library()
+    town = town_of(place)
+    what = "recording with CARLA needs its client, in the server's version"
+    with needs(what, "opendrive", "Linux and Windows, Python up to 3.12"):
+        import carla
     client = _connected(carla, server)
     world = client.get_world()
     settings = world.get_settings()
@@ -162,7 +143,7 @@ def session_on(
         world.apply_settings(synchronous)
         world.tick(server.timeout)  # without a tick the client may not know all actors yet
         _check_empty(world, server)
-        world.set_weather(weather(carla))
+        world.set_weather(weather_of(carla, conditions))
         session.hidden = [
             item.id
             for label in _PARKED
@@ -176,6 +157,37 @@ def session_on(
             session.restore()
         raise
     session.restore()
+
+
+def weather_of(carla: Any, conditions: Conditions) -> Any:
+    """CARLA's weather parameters; the sun stands where it does for the embedded recorder.
+
+    ``carla`` is the client's module. CARLA's percentages of rain and fog have no unit. Rain of
+    10 mm/h becomes 63 %, between CARLA's presets of medium (60 %) and hard rain (100 %). Fog with
+    a visual range of 200 m becomes 26 %, and with 50 m 70 %, equally dense at all heights that
+    matter.
+    """
+    light, strength = LIGHTS[conditions.light], conditions.intensity or 0.0
+    weather = dict(cloudiness=10.0, wind_intensity=10.0)
+    if conditions.weather == "rain":
+        share = 100.0 * (1.0 - np.exp(-strength / 10.0))
+        wet = ("precipitation", "precipitation_deposits", "wetness", "wind_intensity")
+        weather = dict.fromkeys(wet, share) | dict(
+            cloudiness=60.0 + 0.4 * share,
+            fog_density=0.05 * share,
+            fog_distance=0.75,
+            fog_falloff=0.1,
+        )
+    elif conditions.weather == "fog":
+        share = 100.0 * (1.0 - np.exp(-60.0 / strength))
+        weather = dict(cloudiness=80.0, fog_density=share, fog_falloff=0.01)
+    return carla.WeatherParameters(
+        sun_altitude_angle=float(np.degrees(light.elevation)),
+        sun_azimuth_angle=float(-np.degrees(light.azimuth) % 360.0),
+        scattering_intensity=1.0,
+        mie_scattering_scale=0.03,
+        **{key: float(value) for key, value in weather.items()},
+    )
 
 
 def _connected(carla: Any, server: Server) -> Any:

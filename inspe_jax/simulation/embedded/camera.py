@@ -4,7 +4,7 @@ The static world is rendered once for each camera. In each frame only those pixe
 again on which a road user or its shadow may fall.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
@@ -13,17 +13,17 @@ from PIL import ImageDraw
 
 from inspe_jax.core.geometry import rotation
 from inspe_jax.sensing.sensors import CameraSpec
-from inspe_jax.simulation.embedded.embree import Caster
-from inspe_jax.simulation.embedded.headlights import COLOUR, beams_of, on_road_users
+from inspe_jax.simulation.embedded.embree import Caster, RayHits
+from inspe_jax.simulation.embedded.headlights import COLOUR, LitGround, on_road_users
 from inspe_jax.simulation.embedded.light import metered_gain, parts, tone_map
-from inspe_jax.simulation.embedded.lit_ground import LitGround
-from inspe_jax.simulation.embedded.road_users import FrameActors, RoadUserTriangles, paints
+from inspe_jax.simulation.embedded.materials import GROUND
+from inspe_jax.simulation.embedded.road_users import FrameActors, paints
 from inspe_jax.simulation.embedded.shading import FAR
 from inspe_jax.simulation.embedded.shapes import PARTS
 from inspe_jax.simulation.embedded.static_look import static_look
 from inspe_jax.simulation.embedded.sunlit import LONGEST, SunlitPoints
 from inspe_jax.simulation.embedded.surroundings import Surroundings
-from inspe_jax.simulation.embedded.wet_road import reflected, wetness_at
+from inspe_jax.simulation.embedded.wet_road import DARKER, paved, reflected
 from inspe_jax.simulation.frame import Image, RoadUserBox
 from inspe_jax.simulation.projection import corners, outlines
 
@@ -75,19 +75,13 @@ class Camera:
         self, spec: CameraSpec, pose: Float[np.ndarray, "6"], surroundings: Surroundings
     ) -> None:
         self.pose, self.static_world = np.asarray(pose, float), surroundings.static_world
-        self.static_caster = surroundings.static_caster
+        self.static_caster, self.recording = surroundings.static_caster, surroundings.recording
         self.appearance_seed = surroundings.appearance_seed
-        self.recording, shading = surroundings.recording, surroundings.shading
-        self.shading, self.light = shading, shading.light
+        self.shading, self.light = surroundings.shading, surroundings.shading.light
         self.width, self.height = self.recording.picture_size(spec.width, spec.height)
-        across, down = self.width / spec.width, self.height / spec.height
-        self.intrinsic = np.array(
-            [
-                [spec.focal * across, 0.0, spec.principal[0] * across],
-                [0.0, spec.focal * down, spec.principal[1] * down],
-                [0.0, 0.0, 1.0],
-            ]
-        )
+        (cx, cy), f = spec.principal, spec.focal
+        scale = np.diag([self.width / spec.width, self.height / spec.height, 1.0])
+        self.intrinsic = scale @ np.array([[f, 0.0, cx], [0.0, f, cy], [0.0, 0.0, 1.0]])
         u, v = np.meshgrid(np.arange(self.width) + 0.5, np.arange(self.height) + 0.5)
         (fx, _, cx), (_, fy, cy), _ = self.intrinsic
         body = np.stack([np.ones_like(u), (cx - u) / fx, (cy - v) / fy], -1).reshape(-1, 3)
@@ -100,37 +94,34 @@ class Camera:
         self.lit_ground = None
         if surroundings.ground is not None:
             shown = self.background.point, self.background.distance, self.background.semantic
-            self.lit_ground = LitGround(surroundings.ground, self.static_world, shading, *shown)
+            place = surroundings.ground, self.static_world, self.shading
+            self.lit_ground = LitGround(*place, *shown)
         self.sunlit = SunlitPoints(self.background.point, self.background.in_sun, SHADOWED)
 
     # ── The static world ────────────────────────────────────────────────────
 
     def _background(self) -> Background:
         hits = self.static_caster.cast(self.origin, self.directions, FAR)
-        many = len(self.directions)
-        point, ambient, colour = (np.empty((many, 3), np.float32) for _ in range(3))
-        in_sun, semantic = np.empty(many, bool), np.empty(many, np.uint8)
-        wholes: tuple[np.ndarray, ...] = (point, in_sun, ambient, colour, semantic)
-        for part in parts(many):
-            found = self._background_part(part, *(x[part] for x in hits))
-            for whole, own in zip(wholes, found, strict=True):
-                whole[part] = own
-        return Background(hits.distance, point, in_sun, ambient, colour, semantic)
+        slices = parts(len(self.directions))
+        found = [self._background_part(part, *(x[part] for x in hits)) for part in slices]
+        whole = (np.concatenate(field) for field in zip(*found, strict=True))
+        return Background(hits.distance, *whole)
 
     def _background_part(
         self, pixels: slice, distance: np.ndarray, face: np.ndarray, normal: np.ndarray
     ) -> tuple[np.ndarray, ...]:
         """The fields of :class:`Background` but ``distance``, for some of the pixels."""
         shading, hit = self.shading, face >= 0
-        point = self._points(pixels, np.where(hit, distance, 0))
+        point = self.origin + self.directions[pixels] * np.where(hit, distance, 0)[:, None]
         albedo, semantic = static_look(self.static_world, face, point, normal)
-        wet = wetness_at(self.static_world, face, point, shading.wet)
-        albedo *= (1 - wet.darker)[:, None]
-        ambient = shading.ambient_light(point, normal, albedo)
+        wet = np.zeros(0, int)
         if shading.wet > 0:
-            at = np.flatnonzero(wet.film)
-            given = wet.at(at), point[at], normal[at], self.directions[pixels][at]
-            ambient[at] += reflected(self.static_world, self.static_caster, shading, *given)
+            wet = np.flatnonzero(hit & (self.static_world.material[face] == GROUND))
+            wet = wet[paved(self.static_world, point[wet])]
+        albedo[wet] *= 1 - np.float32(DARKER * shading.wet)
+        ambient = shading.ambient_light(point, normal, albedo)
+        given = point[wet], normal[wet], self.directions[pixels][wet]
+        ambient[wet] += reflected(self.static_world, self.static_caster, shading, *given)
         ambient[~hit] = shading.sky(self.directions[pixels][~hit])
         direct = shading.sunlight(normal, albedo)
         in_sun = direct[:, 0] > 0
@@ -138,11 +129,7 @@ class Camera:
         shaded = shaded[self._in_shadow(self.static_caster, point[shaded], normal[shaded])]
         direct[shaded], in_sun[shaded] = 0, False
         colour = shading.through_air(direct + ambient, distance)
-        return point, in_sun, ambient, colour, np.where(hit, semantic, SKY)
-
-    def _points(self, pixels: Any, distance: np.ndarray) -> Float[np.ndarray, "P 3"]:
-        """The points at given distances along the rays of pixels, relative to the centre [m]."""
-        return self.origin + self.directions[pixels] * distance[:, None]
+        return point, in_sun, ambient, colour, np.where(hit, semantic, SKY).astype(np.uint8)
 
     def _in_shadow(
         self, caster: Caster, point: np.ndarray, normal: np.ndarray
@@ -155,32 +142,26 @@ class Camera:
     def record(self, actors: FrameActors, rng: np.random.Generator) -> Image:
         """The picture of one frame; the middle of the exposure is the frame's time."""
         moments = self.light.moments
-        painted = paints(actors.boxes, self.appearance_seed)
-        middle = None
-        total = self.background.colour.copy()
+        still = self.background.colour  # without road users, but with what their lamps light
         if self.lit_ground is not None:
-            at, added = self.lit_ground.added(actors, self.origin)
-            total[at] += added
-        still = total.copy() if self.lit_ground is not None else self.background.colour
+            at, added = self.lit_ground.added(actors)
+            still = still.copy()
+            still[at] += added
+        total, middle = still.copy(), self._changes_at(actors, 0.0)
         for k in range(moments):
             after = ((k + 0.5) / moments - 0.5) * self.light.exposure
-            seen = self._changes_at(actors, painted, after)
-            colour, own = seen.colour, still[seen.pixels]
-            if self.lit_ground is not None and self.light.has_sun:
-                shadow = np.flatnonzero(seen.box < 0)  # headlights reach into it
-                colour[shadow] += own[shadow] - self.background.colour[seen.pixels[shadow]]
+            seen = middle if after == 0 else self._changes_at(actors, after)
+            colour, own = seen.colour.copy(), still[seen.pixels]
+            shadow = np.flatnonzero(seen.box < 0)  # headlights reach into it
+            colour[shadow] += own[shadow] - self.background.colour[seen.pixels[shadow]]
             total[seen.pixels] += (colour - own) / moments
-            middle = seen if after == 0 else middle
         shape = (self.height, self.width)
         rgb = tone_map(total.reshape(*shape, 3), self.gain, rng)
-        middle = middle or self._changes_at(actors, painted, 0.0)
-        extra = {}
-        if self.recording.layers:
-            whole = self._layers(middle, actors.boxes)
-            extra = {name: whole[name].reshape(shape) for name in self.recording.layers}
+        whole = self._layers(middle, actors.boxes) if self.recording.layers else {}
+        layers = {name: whole[name].reshape(shape) for name in self.recording.layers}
         pixels = np.bincount(middle.box[middle.box >= 0], minlength=len(actors.boxes))
         share = self._visible_share(pixels, actors)
-        return Image(self.pose, self.intrinsic, rgb, **extra, pixels=pixels, share=share)
+        return Image(self.pose, self.intrinsic, rgb, **layers, pixels=pixels, share=share)
 
     def _visible_share(
         self, pixels: Int[np.ndarray, " B"], actors: FrameActors
@@ -209,46 +190,33 @@ class Camera:
             "semantic": semantic,
         }
 
-    def _changes_at(self, actors: FrameActors, painted: np.ndarray, after: float) -> ChangedPixels:
+    def _changes_at(self, actors: FrameActors, after: float) -> ChangedPixels:
         """The pixels that road users change, ``after`` seconds from the frame's time."""
         road_users, caster = actors.at(after)
-        box_corners = corners(actors.boxes) + after * actors.velocity[:, None]
-        pixels = self._pixels_near(box_corners)
+        pixels = self._pixels_near(corners(actors.boxes) + after * actors.velocity[:, None])
         reach = np.minimum(self.background.distance[pixels], FAR)
         hits = caster.cast(self.origin, self.directions[pixels], reach)
-        hit = hits.face >= 0
-        at, distance, face = pixels[hit], hits.distance[hit], hits.face[hit]
-        look = self._road_user_colours(
-            caster, actors, road_users, painted, at, distance, face, hits.normal[hit]
-        )
-        covered = np.zeros(len(self.directions), bool)
-        covered[at] = True
+        at, hits = pixels[hits.face >= 0], RayHits(*(x[hits.face >= 0] for x in hits))
         shadow = self._shadows(caster, actors.boxes, after)
-        shadow = shadow[~covered[shadow]]
-        distance = np.concatenate([distance, self.background.distance[shadow]])
+        shadow = np.setdiff1d(shadow, at, assume_unique=True)
+        distance = np.concatenate([hits.distance, self.background.distance[shadow]])
+        look = self._road_user_colours(actors, after, at, hits)
         colour = np.concatenate([look, self.background.ambient[shadow]])
         return ChangedPixels(
             np.concatenate([at, shadow]),
             self.shading.through_air(colour, distance),
             distance,
-            np.concatenate([road_users.box[face], np.full(len(shadow), -1)]),
+            np.concatenate([road_users.box[hits.face], np.full(len(shadow), -1)]),
         )
 
     def _road_user_colours(
-        self,
-        caster: Caster,
-        actors: FrameActors,
-        road_users: RoadUserTriangles,
-        painted: np.ndarray,
-        at: np.ndarray,
-        distance: np.ndarray,
-        face: np.ndarray,
-        normal: np.ndarray,
+        self, actors: FrameActors, after: float, at: Int[np.ndarray, " P"], hits: RayHits
     ) -> Float[np.ndarray, "P 3"]:
-        """Linear colours of road users at the pixels ``at`` that show them."""
-        shading, part = self.shading, road_users.part[face]
-        point = self._points(at, distance)
-        albedo = painted[road_users.box[face], part]
+        """Linear colours of road users at the pixels ``at``, whose rays hit them."""
+        (road_users, caster), shading, normal = actors.at(after), self.shading, hits.normal
+        box, part = road_users.box[hits.face], road_users.part[hits.face]
+        point = self.origin + self.directions[at] * hits.distance[:, None]
+        albedo = paints(actors.boxes, self.appearance_seed)[box, part]
         colour = shading.ambient_light(point, normal, albedo)
         if self.light.has_sun:
             direct = shading.sunlight(normal, albedo)
@@ -258,12 +226,12 @@ class Camera:
             colour[lit] += direct[lit]
         colour += shading.mirrored(_GLOSS[part], self.directions[at], normal)
         if self.light.lamps > 0:
-            beams, box = actors.once(beams_of), road_users.box[face]
-            lit = on_road_users(actors, beams, point, normal, box, self.light)
+            lamps = np.float32(self.light.lamps)
+            lit = on_road_users(actors, point, normal, box, self.light)
             own = np.flatnonzero(lit)
-            colour[own] += albedo[own] * (lit[own, None] * (np.float32(self.light.lamps) * COLOUR))
-            lamps = np.float32(self.light.lamps) * ~np.array([b.parked for b in actors.boxes], bool)
-            colour += _GLOW[part] * lamps[box, None]
+            colour[own] += albedo[own] * (lit[own, None] * (lamps * COLOUR))
+            on = lamps * ~np.array([b.parked for b in actors.boxes], bool)
+            colour += _GLOW[part] * on[box, None]
         return colour
 
     def _shadows(

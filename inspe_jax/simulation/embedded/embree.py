@@ -18,14 +18,19 @@ class RayHits(NamedTuple):
 
 
 class Caster:
-    """Triangles, ready for rays. There may be none; rays then hit nothing."""
+    """Triangles, ready for rays. There may be none; rays then hit nothing.
+
+    Raises InspeError where Embree is missing.
+    """
 
     def __init__(self, triangles: Float[np.ndarray, "F 3 3"]) -> None:
+        with needs("recording needs Embree", "dataset", "no wheels for Linux on ARM"):
+            from embreex.mesh_construction import TriangleMesh
+            from embreex.rtcore_scene import EmbreeScene
         self.count = len(triangles)
         if self.count:
-            core, mesh = _library()
-            self._scene = core.EmbreeScene(robust=True)  # else rays slip through between faces
-            mesh.TriangleMesh(self._scene, np.ascontiguousarray(triangles, np.float32))
+            self._scene = EmbreeScene(robust=True)  # else rays slip through between faces
+            TriangleMesh(self._scene, np.ascontiguousarray(triangles, np.float32))
 
     def cast(
         self,
@@ -64,20 +69,8 @@ class Caster:
         return self._scene.run(start, to, dists=reach, query="OCCLUDED") >= 0
 
 
-def check_embree() -> None:
-    """Raise InspeError where Embree is missing."""
-    _library()
-
-
-def _rays(origins: Any, directions: Any, reach: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _rays(origins: Any, directions: Any, reach: Any) -> tuple[np.ndarray, ...]:
     """Origins, directions and reaches, one for each ray, in the form that Embree needs."""
     start, to = np.broadcast_arrays(origins, directions)
     given = start, to, np.broadcast_to(reach, start.shape[:1])
-    start, to, far = (np.array(x, np.float32, order="C") for x in given)
-    return start, to, far
-
-
-def _library() -> tuple[Any, Any]:
-    with needs("recording needs Embree", "dataset", "no wheels for Linux on ARM"):
-        from embreex import mesh_construction, rtcore_scene
-    return rtcore_scene, mesh_construction
+    return tuple(np.array(x, np.float32, order="C") for x in given)

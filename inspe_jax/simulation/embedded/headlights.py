@@ -6,23 +6,24 @@ the square of the distance. The ground's light is a map of the plan, made once a
 cameras.
 """
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, UInt8
 
 from inspe_jax.scene.intersection import Intersection
 from inspe_jax.simulation.embedded.light import CANDELA, Light
 from inspe_jax.simulation.embedded.road_users import FrameActors
+from inspe_jax.simulation.embedded.shading import Shading
+from inspe_jax.simulation.embedded.static_look import GROUND_LABELS
+from inspe_jax.simulation.embedded.static_world import StaticWorld
+from inspe_jax.simulation.embedded.wet_road import DARKER, paved
 
 PEAK = 15_000 * CANDELA
 """Brightness of both dipped beams at 1 m: 7,500 cd each, as lamps in use have it.
 
 UN Regulation 112 asks for 5,100 to 44,100 cd a lamp at 25 m on its own side of the road."""
 COLOUR = np.array([1.0, 0.95, 0.86], np.float32)
-REAR = 24 * CANDELA * np.array([1.0, 0.04, 0.04], np.float32)
-"""Both tail lamps at 1 m: 4 to 17 cd each by UN Regulation 7."""
 CUT_OFF, GLARE = 0.01, 0.01
 """Slope of the cut-off (UN Regulation 48: 1 to 1.5 %) and the share of light that is above it."""
 BLUR = 0.008
@@ -50,25 +51,20 @@ WORTH = 0.2
 """A further beam counts if it is at least so bright as a share of the brightest."""
 
 
-@dataclass(frozen=True, eq=False)
-class Beams:
-    """The lamps of K vehicles, relative to the centre [m]: the middle ``front``, the middle
-    ``rear``, and the unit vector ``ahead`` in plan."""
+class Beams(NamedTuple):
+    """The headlights of K vehicles: their middle ``front``, relative to the centre [m], and the
+    unit vector ``ahead`` in plan."""
 
     front: Float[np.ndarray, "K 3"]
-    rear: Float[np.ndarray, "K 3"]
     ahead: Float[np.ndarray, "K 2"]
 
 
 def dipped(
-    to: Float[np.ndarray, "R 3"],
-    squared: Float[np.ndarray, " R"],
-    ahead: Float[np.ndarray, "*R 2"],
+    to: Float[np.ndarray, "R 3"], ahead: Float[np.ndarray, "*R 2"]
 ) -> Float[np.ndarray, " R"]:
     """Light of dipped beams, over :data:`PEAK`, at the ends of vectors ``to`` from their fronts.
 
-    ``squared`` are the squared lengths of the vectors [m²]; ``ahead`` is the beam's direction in
-    plan, one for all or one for each.
+    ``ahead`` is the beam's direction in plan, one for all or one for each.
     """
     x, y = ahead[..., 0], ahead[..., 1]
     along, across = to[:, 0] * x + to[:, 1] * y, to[:, 1] * x - to[:, 0] * y
@@ -79,7 +75,7 @@ def dipped(
     beam = np.exp(-np.minimum(side * side + lower, np.float32(80)))
     edge = np.clip(0.5 + slope * np.float32(0.5 / BLUR), GLARE, 1)
     beam *= edge * (along > 0)
-    light: np.ndarray = beam / np.maximum(squared, 1)
+    light: np.ndarray = beam / np.maximum(np.einsum("rk,rk->r", to, to), 1)
     return light
 
 
@@ -93,10 +89,8 @@ def beams_of(actors: FrameActors) -> Beams:
     ahead = np.column_stack([np.cos(yaw), np.sin(yaw)])
     share, least, most = HEIGHT
     up = np.clip(share * size[:, 2], least, most) - size[:, 2] / 2
-    half = np.column_stack([(size[:, :1] / 2 + 0.05) * ahead, np.zeros(len(own))])
-    lift = np.array([0.0, 0.0, 1.0]) * up[:, None]
-    front, rear = (at + sign * half + lift for sign in (1, -1))
-    return Beams(*(part.astype(np.float32) for part in (front, rear, ahead)))
+    out = np.column_stack([(size[:, :1] / 2 + 0.05) * ahead, up])
+    return Beams((at + out).astype(np.float32), ahead.astype(np.float32))
 
 
 class GroundMap:
@@ -145,28 +139,59 @@ class GroundMap:
             turn = np.sqrt(0.5) * np.array([[1.0, -1.0], [1.0, 1.0]])
             tips = [beams.ahead[k], turn @ beams.ahead[k], turn.T @ beams.ahead[k], np.zeros(2)]
             ends = front[:2] + self.follow * np.array(tips)
-            low, high = (ends.min(0), ends.max(0))
+            low, high = ends.min(0), ends.max(0)
             x0, y0 = np.clip(((low + self.reach) / STEP).astype(int), 0, self.size)
             x1, y1 = np.clip(((high + self.reach) / STEP).astype(int) + 1, 0, self.size)
             at = number[y0:y1, x0:x1].ravel()
             to = self.points[at] - front
-            squared = np.einsum("rk,rk->r", to, to)
             # The ground is taken as level here: cos θ is the height of the lamp over the distance.
-            facing = np.maximum(-to[:, 2], 0) / np.sqrt(squared)
-            found = np.float32(PEAK) * dipped(to, squared, beams.ahead[k]) * facing
+            facing = np.maximum(-to[:, 2], 0) / np.sqrt(np.einsum("rk,rk->r", to, to))
+            found = np.float32(PEAK) * dipped(to, beams.ahead[k]) * facing
             found -= np.float32(self.faint)
             some = np.flatnonzero(found > 0)
             start = self.points[at[some]] + np.array([0, 0, 0.05], np.float32)
             way = front - start
             far = np.linalg.norm(way, axis=1)
-            free = some[~caster.meets(start, way / far[:, None], far)] if len(some) else some
+            free = some[~caster.meets(start, way / far[:, None], far)]
             light[at[free]] += found[free]
         return light
 
 
+class LitGround:
+    """Those of R pixels that show ground on the map of headlights, and how it looks.
+
+    ``point`` is what each pixel shows, relative to the centre, and ``distance`` how far it is [m];
+    ``semantic`` is CARLA's label of it.
+    """
+
+    def __init__(
+        self,
+        ground: GroundMap,
+        static_world: StaticWorld,
+        shading: Shading,
+        point: Float[np.ndarray, "R 3"],
+        distance: Float[np.ndarray, " R"],
+        semantic: UInt8[np.ndarray, " R"],
+    ) -> None:
+        level, cell = np.isin(semantic, GROUND_LABELS), ground.cells(point)
+        self.ground, self.pixels = ground, np.flatnonzero(level & (cell >= 0))
+        self.cell, point = cell[self.pixels], point[self.pixels]
+        darker = np.float32(DARKER * shading.wet) * paved(static_world, point)
+        world = point[:, :2] + static_world.center[:2]
+        albedo = static_world.surface.albedo(world) * (1 - darker)[:, None]
+        clear = np.exp(-np.float32(shading.haze) * distance[self.pixels])
+        lamps = np.float32(shading.light.lamps)
+        self.look = (albedo * (lamps * COLOUR * clear[:, None])).astype(np.float32)
+
+    def added(self, actors: FrameActors) -> tuple[Int[np.ndarray, " P"], Float[np.ndarray, "P 3"]]:
+        """The pixels that headlights make brighter, each once, and by how much."""
+        light = actors.once(self.ground.fine).take(self.cell)
+        own = np.flatnonzero(light)
+        return self.pixels[own], light[own, None] * self.look.take(own, axis=0)
+
+
 def on_road_users(
     actors: FrameActors,
-    beams: Beams,
     point: Float[np.ndarray, "P 3"],
     normal: Float[np.ndarray, "P 3"],
     box: Int[np.ndarray, " P"],
@@ -177,35 +202,21 @@ def on_road_users(
     ``box`` is the index of the road user that each of P points is on; points are relative to the
     centre [m].
     """
-    total = np.zeros(len(point), np.float32)
-    clear = CLEAR * light.sky_over_lamps
+    beams, total = actors.once(beams_of), np.zeros(len(point), np.float32)
+    many, count = len(actors.boxes), len(beams.front)
     middle = np.array([b.center for b in actors.boxes]).reshape(-1, 3) - actors.center
-    for k, bright in _brightest(beams, middle.astype(np.float32)):
-        own = np.flatnonzero((bright > clear)[box])
+    to = (middle.astype(np.float32)[:, None] - beams.front).reshape(-1, 3)
+    to[:, 2] = -0.1  # lower than the cut-off: some of a road user always is
+    ahead = np.broadcast_to(beams.ahead, (many, count, 2)).reshape(-1, 2)
+    there = PEAK * dipped(to, ahead).reshape(many, count)
+    for k in np.argsort(-there, axis=1)[:, :MOST].T:  # the brightest beam at each, then the next
+        bright = there[np.arange(many), k]
+        lit = (bright > WORTH * there.max(1)) & (bright > CLEAR * light.sky_over_lamps)
+        own = np.flatnonzero(lit[box])
         way = point[own] - beams.front[k[box[own]]]
         facing = -np.einsum("rk,rk->r", way, normal[own])
         some = np.flatnonzero(facing > 0)
         own, way, facing = own[some], way[some], facing[some]
-        squared = np.einsum("rk,rk->r", way, way)
-        facing /= np.sqrt(np.maximum(squared, 1e-4))
-        found = dipped(way, squared, beams.ahead[k[box[own]]])
-        total[own] += np.float32(PEAK) * found * facing
+        facing /= np.sqrt(np.maximum(np.einsum("rk,rk->r", way, way), 1e-4))
+        total[own] += np.float32(PEAK) * dipped(way, beams.ahead[k[box[own]]]) * facing
     return total
-
-
-def _brightest(
-    beams: Beams, middle: Float[np.ndarray, "B 3"]
-) -> Iterator[tuple[Int[np.ndarray, " B"], Float[np.ndarray, " B"]]]:
-    """The brightest beam at each of B places, how bright it is there, then the next, and so on."""
-    count = len(beams.front)
-    if not (count and len(middle)):
-        return
-    to = (middle[:, None] - beams.front).reshape(-1, 3)
-    to[:, 2] = -0.1  # lower than the cut-off: some of a road user always is
-    ahead = np.broadcast_to(beams.ahead, (len(middle), count, 2)).reshape(-1, 2)
-    there = PEAK * dipped(to, np.einsum("rk,rk->r", to, to), ahead).reshape(-1, count)
-    order = np.argsort(-there, axis=1)[:, :MOST]
-    most = there.max(1)
-    for k in order.T:
-        bright = there[np.arange(len(middle)), k]
-        yield k, np.where(bright > WORTH * most, bright, 0)

@@ -4,7 +4,7 @@ The turn is centred on the frame's time, and the road users move meanwhile. Noth
 beyond the LiDAR's reach.
 """
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -15,25 +15,18 @@ from inspe_jax.sensing.sensors import LidarSpec
 from inspe_jax.simulation.embedded.road_users import FrameActors
 from inspe_jax.simulation.embedded.surroundings import Surroundings
 from inspe_jax.simulation.frame import Scan
-from inspe_jax.simulation.lidar_noise import apply_noise
+from inspe_jax.simulation.recorder import apply_noise
 
 SECTORS = 12
 """Number of parts of a turn. Road users stand still within a part, and move from part to part."""
 
 
-@dataclass(frozen=True, eq=False)
-class Returns:
-    """What R rays hit before noise is added, channel by channel.
+class Returns(NamedTuple):
+    """What R rays hit before noise is added, channel by channel: the distance [m], infinite where
+    nothing was hit, and the index of the road user, −1 for the static world or nothing."""
 
-    ``direction`` in the body frame; ``distance`` [m], infinite where nothing was hit; ``box`` the
-    index of the road user that was hit, −1 for the static world or nothing; ``after`` the time of
-    firing, relative to the frame's time [s].
-    """
-
-    direction: Float[np.ndarray, "R 3"]
     distance: Float[np.ndarray, " R"]
     box: Int[np.ndarray, " R"]
-    after: Float[np.ndarray, " R"]
 
 
 class Lidar:
@@ -50,7 +43,7 @@ class Lidar:
         hits = surroundings.static_caster.cast(self.origin, self.directions, spec.reach)
         self.static_distance = hits.distance
         column = np.tile(np.arange(spec.azimuth_count), len(spec.elevations))
-        self.phase = (column + 0.5) / spec.azimuth_count - 0.5  # −½ … ½ of a turn
+        self.phase = (column + 0.5) / spec.azimuth_count  # of a turn, 0 … 1
 
     def record(self, actors: FrameActors, rng: np.random.Generator) -> Scan:
         """The points of one turn."""
@@ -64,8 +57,7 @@ class Lidar:
         """
         distance, box = self.static_distance.copy(), np.full(len(self.body), -1)
         sectors = SECTORS if turn > 0 else 1
-        sector = np.clip(((self.phase + 0.5) * sectors).astype(int), 0, sectors - 1)
-        after = ((sector + 0.5) / sectors - 0.5) * turn
+        sector = (self.phase * sectors).astype(int)
         for k in range(sectors):
             road_users, caster = actors.at(((k + 0.5) / sectors - 0.5) * turn)
             own = np.flatnonzero(sector == k)
@@ -74,12 +66,12 @@ class Lidar:
             hit = hits.face >= 0
             distance[own[hit]] = hits.distance[hit]
             box[own[hit]] = road_users.box[hits.face[hit]]
-        return Returns(self.body, distance, box, after)
+        return Returns(distance, box)
 
     def scan(
         self, returns: Returns, boxes: int, noise: LidarNoise, rng: np.random.Generator
     ) -> Scan:
         """The points of the returns that are not lost; ``boxes`` is the number of road users."""
-        points, back = apply_noise(returns.direction, returns.distance, noise, rng)
+        points, back = apply_noise(self.body, returns.distance, noise, rng)
         own = returns.box[back]
         return Scan(self.pose, points, np.bincount(own[own >= 0], minlength=boxes))

@@ -41,8 +41,8 @@ class Light:
 
     @property
     def sky_over_lamps(self) -> float:
-        """How bright the diffuse light is where lamps are 1; infinite if they are off."""
-        return float(np.mean(self.ambient)) / self.lamps if self.lamps > 0 else np.inf
+        """How bright the diffuse light is where lamps are 1, if they are on."""
+        return float(np.mean(self.ambient)) / self.lamps
 
     @property
     def has_sun(self) -> bool:
@@ -98,25 +98,16 @@ SOAKED = 1.0
 """Rain that leaves 1/e of a road dry [mm/h]: in drizzle it dries in places, in more it is wet."""
 
 
-def light_of(conditions: Conditions) -> Light:
-    """The light of the conditions' time of day."""
-    return LIGHTS[conditions.light]
-
-
 def haze(conditions: Conditions) -> float:
     """Extinction of the air [1/m]; 0 if it is clear."""
-    if conditions.intensity is None:
-        return 0.0
-    if conditions.weather == "fog":
-        return KOSCHMIEDER / conditions.intensity
-    return RAIN * conditions.intensity
+    strength = conditions.intensity or 0.0
+    return KOSCHMIEDER / strength if conditions.weather == "fog" else RAIN * strength
 
 
 def wetness(conditions: Conditions) -> float:
     """How wet the roads are, of 1; 0 if it does not rain."""
-    if conditions.weather != "rain" or conditions.intensity is None:
-        return 0.0
-    return float(1 - np.exp(-conditions.intensity / SOAKED))
+    rain = (conditions.intensity or 0.0) if conditions.weather == "rain" else 0.0
+    return float(1 - np.exp(-rain / SOAKED))
 
 
 def metered_gain(linear: Float[np.ndarray, "R 3"], light: Light) -> float:
@@ -132,10 +123,8 @@ def metered_gain(linear: Float[np.ndarray, "R 3"], light: Light) -> float:
 
 def grain(linear: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
     """Standard deviation of the noise at a brightness, before the gain: shot and read noise."""
-    variance = np.maximum(linear, 0) * np.float32(1 / ELECTRONS) + np.float32(
-        (READ / ELECTRONS) ** 2
-    )
-    return np.float32(REDUCED) * np.sqrt(variance)
+    shot, read = np.float32(1 / ELECTRONS), np.float32((READ / ELECTRONS) ** 2)
+    return np.float32(REDUCED) * np.sqrt(np.maximum(linear, 0) * shot + read)
 
 
 def tone_map(
@@ -146,7 +135,9 @@ def tone_map(
     picture = np.empty(given.shape, np.uint8)
     for part in parts(len(given)):
         value = np.maximum(given[part], 0)
-        value = (value + grain(value) * _normal(len(value), rng)) * (gain * _FINE / WHITE)
+        # Normal numbers by 65,536 equally likely quantiles: fast for large pictures.
+        normal = np.take(_QUANTILES, rng.integers(0, 2**16, len(value), np.uint16))
+        value = (value + grain(value) * normal) * (gain * _FINE / WHITE)
         step = np.clip(value, 0, _FINE).astype(np.int16)
         picture[part] = np.take(_CURVE, step, mode="clip")  # clipped already: the faster way
     return picture.reshape(np.shape(linear))
@@ -155,11 +146,6 @@ def tone_map(
 def parts(many: int) -> Iterator[slice]:
     """Slices of ``many`` items, each small enough for a core's cache."""
     return (slice(k, k + AT_ONCE) for k in range(0, many, AT_ONCE))
-
-
-def _normal(many: int, rng: np.random.Generator) -> Float[np.ndarray, " N"]:
-    """Standard normal numbers, drawn from 65,536 equally likely quantiles: fast for large N."""
-    return np.take(_QUANTILES, rng.integers(0, 2**16, many, np.uint16))
 
 
 def _curve() -> UInt8[np.ndarray, " N"]:

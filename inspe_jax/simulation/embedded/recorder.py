@@ -1,16 +1,44 @@
 """The embedded recorder: simulates the sensors of a layout in a world of triangles."""
 
+from collections.abc import Callable
+from functools import cached_property
+from typing import Any, Protocol
+
 import numpy as np
 from jaxtyping import Float
 
 from inspe_jax.scene.scene import Scene
 from inspe_jax.sensing.conditions import FAIR, Conditions
 from inspe_jax.sensing.layout import Layout
+from inspe_jax.simulation.embedded.camera import Camera
+from inspe_jax.simulation.embedded.lidar import Lidar
 from inspe_jax.simulation.embedded.road_users import FrameActors
-from inspe_jax.simulation.embedded.sensors import SimulatedSensor, simulated_sensor
-from inspe_jax.simulation.embedded.surroundings import Surroundings, surroundings_of
+from inspe_jax.simulation.embedded.surroundings import Surroundings
 from inspe_jax.simulation.frame import Frame, Image, RoadUserBox, Scan
-from inspe_jax.simulation.recorder import Recording, stations_of
+from inspe_jax.simulation.recorder import Recording, frame_of, noise_source, row_of
+
+
+class SimulatedSensor(Protocol):
+    """One sensor at its place."""
+
+    def record(self, actors: FrameActors, rng: np.random.Generator) -> Image | Scan:
+        """What the sensor records of one frame; ``rng`` is for its noise."""
+        ...
+
+
+SENSORS: dict[str, Callable[[Any, Float[np.ndarray, "6"], Surroundings], SimulatedSensor]] = {
+    "camera": Camera,
+    "lidar": Lidar,
+}
+"""What simulates each ``kind`` of a spec: called with the spec, the pose in the world and the
+surroundings. To add a kind, add a row."""
+
+
+def simulated_sensor(
+    spec: Any, pose: Float[np.ndarray, "6"], surroundings: Surroundings
+) -> SimulatedSensor:
+    """The simulation of a sensor. Raises InspeError for a kind that is not in :data:`SENSORS`."""
+    return row_of(SENSORS, spec, "embedded")(spec, pose, surroundings)
 
 
 class EmbeddedRecorder:
@@ -35,13 +63,11 @@ class EmbeddedRecorder:
         appearance_seed: int = 0,
     ) -> None:
         self.scene, self.seed = scene, seed
-        self.surroundings = surroundings_of(scene, layout, conditions, recording, appearance_seed)
-        self.layout = conditions.layout(layout)
+        self.surroundings = Surroundings(scene, layout, conditions, recording, appearance_seed)
+        self.layout, poses = conditions.layout(layout), np.asarray(layout.poses, float)
         self.sensors = [
-            simulated_sensor(sensor.spec, pose, self.surroundings)
-            for sensor, pose in zip(
-                self.layout.sensors, np.asarray(layout.poses, float), strict=True
-            )
+            simulated_sensor(sensor.spec, poses[s], self.surroundings)
+            for s, sensor in enumerate(self.layout.sensors)
         ]
 
     def frame(self, t: int) -> Frame:
@@ -51,8 +77,7 @@ class EmbeddedRecorder:
             sensor.record(actors, noise_source(self.seed, t, s))
             for s, sensor in enumerate(self.sensors)
         ]
-        stations = stations_of(self.layout, recorded)
-        return Frame(t, float(self.scene.traffic.time[t]), actors.boxes, stations)
+        return frame_of(self.scene, self.layout, t, actors.boxes, recorded)
 
 
 class LiveSensor:
@@ -76,8 +101,7 @@ class LiveSensor:
         self.spec, self._own = conditions.spec(sensor.spec), np.array(layout.poses[s], float)
         self._unit, self._s, self._seed = sensor.unit, s, seed
         self._given = scene, layout, conditions, recording
-        self._still = surroundings_of(*self._given)
-        self._held: Surroundings | None = None
+        self._at_its_place = Surroundings(*self._given)
         self._frame: tuple[int, FrameActors] | None = None
         self._placed: tuple[Float[np.ndarray, 6], SimulatedSensor] | None = None
 
@@ -88,20 +112,15 @@ class LiveSensor:
         where the layout has it."""
         at = self._own if pose is None else np.array(pose, float)
         if self._placed is None or not np.array_equal(self._placed[0], at):
-            around = self._still if np.array_equal(at, self._own) else self._without_its_mast()
+            moved = not np.array_equal(at, self._own)
+            around = self._without_its_mast if moved else self._at_its_place
             self._placed = at, simulated_sensor(self.spec, at, around)
         if self._frame is None or self._frame[0] != t:
-            self._frame = t, self._still.actors(t)
+            self._frame = t, self._at_its_place.actors(t)
         actors = self._frame[1]
         noise = noise_source(self._seed, t, self._s)
         return actors.boxes, self._placed[1].record(actors, noise)
 
+    @cached_property
     def _without_its_mast(self) -> Surroundings:
-        if self._held is None:
-            self._held = surroundings_of(*self._given, mastless=self._unit)
-        return self._held
-
-
-def noise_source(seed: int, t: int, s: int) -> np.random.Generator:
-    """The random numbers for the noise of sensor s in frame t."""
-    return np.random.default_rng([seed, t, s, 3])
+        return Surroundings(*self._given, mastless=self._unit)

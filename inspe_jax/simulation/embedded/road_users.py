@@ -11,7 +11,7 @@ from jaxtyping import Float, Int
 from inspe_jax.core.geometry import rotation
 from inspe_jax.scene.traffic.frames import CLASSES, Snapshot
 from inspe_jax.simulation.embedded.embree import Caster
-from inspe_jax.simulation.embedded.shapes import PARTS, VARIANTS, fitting, paint, shape_of
+from inspe_jax.simulation.embedded.shapes import PARTS, fitting, paint, shape_of
 from inspe_jax.simulation.frame import RoadUserBox
 
 STRIDE = {"pedestrian": 1.4, "cyclist": 4.5}
@@ -37,8 +37,8 @@ def boxes_of(seen: Snapshot, seed: int) -> tuple[RoadUserBox, ...]:
     return tuple(
         RoadUserBox(
             track=int(track),
-            kind=(name := CLASSES[kind]),
-            name=VARIANTS[name][_variant(name, int(track), seed, size)],
+            kind=CLASSES[kind],
+            name=str(np.random.default_rng([seed, track, 1]).choice(fitting(CLASSES[kind], size))),
             center=np.asarray(center, float),
             yaw=float(yaw),
             size=np.asarray(size, float),
@@ -48,18 +48,13 @@ def boxes_of(seen: Snapshot, seed: int) -> tuple[RoadUserBox, ...]:
     )
 
 
-def _variant(kind: str, track: int, seed: int, size: Float[np.ndarray, "3"]) -> int:
-    """One of the shapes that fit a box of this size [m]."""
-    return int(np.random.default_rng([seed, track, 1]).choice(fitting(kind, size)))
-
-
 def pose_road_users(
     boxes: tuple[RoadUserBox, ...], center: Float[np.ndarray, "3"]
 ) -> RoadUserTriangles:
     """The shapes of road users, each in its box; positions are relative to ``center`` [m]."""
     triangles, box_index, part = [np.zeros((0, 3, 3))], [], []
     for k, box in enumerate(boxes):
-        shape = shape_of(box.kind, VARIANTS[box.kind].index(box.name), _phase(box))
+        shape = shape_of(box.name, _phase(box))
         turn = rotation(np.array([0.0, 0.0, box.yaw]), np)
         at = box.center - center
         triangles.append(((shape.vertices * box.size) @ turn.T + at)[shape.faces])
@@ -87,7 +82,7 @@ def paints(boxes: tuple[RoadUserBox, ...], seed: int) -> Float[np.ndarray, "K P 
 
 @cache
 def _paint(kind: str, track: int, seed: int) -> Float[np.ndarray, "P 3"]:
-    return np.array(list(paint(kind, np.random.default_rng([seed, track, 2])).values()))
+    return paint(kind, np.random.default_rng([seed, track, 2]))
 
 
 class FrameActors:

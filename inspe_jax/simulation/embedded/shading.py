@@ -4,7 +4,7 @@ import numpy as np
 from jaxtyping import Float
 
 from inspe_jax.sensing.conditions import Conditions
-from inspe_jax.simulation.embedded.light import LAMP, haze, light_of, parts, wetness
+from inspe_jax.simulation.embedded.light import LAMP, LIGHTS, haze, parts, wetness
 
 LAMP_ABOVE = 1.5
 """Height of street lamps above the tops of the poles [m]."""
@@ -19,7 +19,7 @@ class Shading:
     """
 
     def __init__(self, conditions: Conditions, poles: Float[np.ndarray, "P 3"]) -> None:
-        self.light, self.haze = light_of(conditions), haze(conditions)
+        self.light, self.haze = LIGHTS[conditions.light], haze(conditions)
         self.wet = wetness(conditions)
         self.to_sun = self.light.to_sun.astype(np.float32)
         self.sun, self.ambient, self.sky_colour = (

@@ -1,27 +1,27 @@
-"""Low-polygon shapes of the road users, read from ``shapes.npz``: cameras and LiDARs record these.
+"""Low-polygon shapes of the road users, read from ``shapes.npz``, and their colours, from
+``paint.toml``: cameras and LiDARs record these.
 
 A shape fills a unit box. Scaled by (length, width, height) it fills the box of a road user exactly,
 so that the boxes in a data set are the true extents.
 
-The file is NumPy's; its entry ``made`` says how the shapes were made, and how to make them again.
-For each shape it has the class ``kind``, the ``name``, the natural ``size`` [m], the ``steps`` of
-its cycle, and how many vertices and faces it has. The arrays ``vertices`` (step by step), ``faces``
-and ``part`` (an index into ``parts`` for each face) hold all shapes, one after another. To add a
-shape, append to these arrays.
+``shapes.npz`` is NumPy's; its entry ``made`` says how the shapes were made, and how to make them
+again. For each shape it has the class ``kind``, the ``name``, the natural ``size`` [m], the
+``steps`` of its cycle, and how many vertices and faces it has. The arrays ``vertices`` (step by
+step), ``faces`` and ``part`` (an index into ``parts`` for each face) hold all shapes, one after
+another. To add a shape, append to these arrays.
 """
 
-from collections.abc import Iterator, Sequence
+import tomllib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.resources import files
 
 import numpy as np
 from jaxtyping import Float, Int
 
-from inspe_jax.core.errors import InspeError
-from inspe_jax.simulation.embedded.shapes_paint import PARTS, paint
+from inspe_jax.core.errors import check_known
 
-__all__ = ["PARTS", "PHASES", "VARIANTS", "Shape", "fitting", "natural_size", "paint", "shape_of"]
-
+_HERE = files("inspe_jax.simulation.embedded")
 PHASES = 24
 """Number of steps of a cycle. Phases are rounded to a step."""
 
@@ -44,26 +44,32 @@ class Shape:
     vertices: Float[np.ndarray, "N 3"]
     faces: Int[np.ndarray, "F 3"]
     part: Int[np.ndarray, " F"]
-    name: str
 
 
-def _read() -> Iterator[tuple[str, Float[np.ndarray, "3"], tuple[Shape, ...]]]:
-    """The class, the natural size [m] and the steps of each shape."""
-    with files("inspe_jax.simulation.embedded").joinpath("shapes.npz").open("rb") as f:
+_Row = tuple[str, Float[np.ndarray, "3"], tuple[Shape, ...]]
+
+
+def _read() -> tuple[tuple[str, ...], dict[str, _Row]]:
+    """The parts; and by the shape's name its class, its natural size [m] and its steps."""
+    with _HERE.joinpath("shapes.npz").open("rb") as f:
         data = dict(np.load(f))
     data["faces"] = data["faces"].astype(np.int32)
     for array in data.values():
         array.setflags(write=False)
-    vertex = face = 0
+    rows, vertex, face = dict[str, _Row](), 0, 0
     for i, name in enumerate(data["name"].tolist()):
         steps, n, m = (int(data[of][i]) for of in ("steps", "vertex_count", "face_count"))
         points = data["vertices"][vertex : vertex + steps * n].reshape(steps, n, 3)
         faces, part = data["faces"][face : face + m], data["part"][face : face + m]
-        yield data["kind"][i], data["size"][i], tuple(Shape(p, faces, part, name) for p in points)
+        shapes = tuple(Shape(p, faces, part) for p in points)
+        rows[name] = str(data["kind"][i]), data["size"][i], shapes
         vertex, face = vertex + steps * n, face + m
+    return tuple(data["parts"].tolist()), rows
 
 
-_BY_NAME = {shapes[0].name: (str(kind), size, shapes) for kind, size, shapes in _read()}
+PARTS, _BY_NAME = _read()
+"""The parts of road users, each of which has colours of its own; and the shapes."""
+_PAINT = tomllib.loads(_HERE.joinpath("paint.toml").read_text(encoding="utf-8"))
 
 VARIANTS: dict[str, tuple[str, ...]] = {
     kind: tuple(name for name, row in _BY_NAME.items() if row[0] == kind)
@@ -72,40 +78,50 @@ VARIANTS: dict[str, tuple[str, ...]] = {
 """Names of the shapes of each class of road user."""
 
 
-def shape_of(kind: str, variant: int, phase: float = 0.0) -> Shape:
-    """The shape of a road user of class ``kind``; ``variant`` is an index into its ``VARIANTS``.
+def shape_of(name: str, phase: float = 0.0) -> Shape:
+    """The shape of a name.
 
     ``phase`` is how far a stride (pedestrian) or a turn of the crank (cyclist) has come, in cycles.
     It is rounded to a step of :data:`PHASES`, and ignored for people who stand and for vehicles.
-    Raises InspeError for an unknown class or variant.
+    Raises InspeError for an unknown name.
     """
-    names = _names(kind)
-    if not 0 <= variant < len(names):
-        raise InspeError(f"{kind} variant {variant} is out of range: 0 to {len(names) - 1}")
-    steps = _BY_NAME[names[variant]][2]
+    check_known(name, _BY_NAME, "shape")
+    steps = _BY_NAME[name][2]
     return steps[round(phase * PHASES) % len(steps)]
 
 
-def natural_size(kind: str, variant: int) -> Float[np.ndarray, "3"]:
+def natural_size(name: str) -> Float[np.ndarray, "3"]:
     """Length, width and height at which a shape has natural proportions [m]."""
-    return _BY_NAME[VARIANTS[kind][variant]][1]
+    return _BY_NAME[name][1]
 
 
-def fitting(kind: str, size: Sequence[float] | Float[np.ndarray, "3"]) -> Int[np.ndarray, " M"]:
-    """The variants of a class that fit a box of ``size`` (length, width, height) [m], M ≥ 1.
+def fitting(kind: str, size: Sequence[float] | Float[np.ndarray, "3"]) -> tuple[str, ...]:
+    """The names of a class's shapes that fit a box of ``size`` (length, width, height) [m].
 
     Those that need to be stretched by at most :data:`STRETCH`, or if there are none, the one that
     needs it least. Of pedestrians only the height counts: what they take up in plan is their
     stride. Raises InspeError for an unknown class.
     """
-    own = np.array([_BY_NAME[name][1] for name in _names(kind)])
+    check_known(kind, VARIANTS, "class")
+    own = np.array([natural_size(name) for name in VARIANTS[kind]])
     stretch = np.abs(np.log(np.asarray(size, float) / own))
     most = stretch[:, 2] if kind == "pedestrian" else stretch.max(1)
     found = np.flatnonzero(most <= np.log1p(STRETCH))
-    return found if len(found) else np.array([most.argmin()])
+    return tuple(VARIANTS[kind][i] for i in (found if len(found) else [most.argmin()]))
 
 
-def _names(kind: str) -> tuple[str, ...]:
-    if kind not in VARIANTS:
-        raise InspeError(f"class '{kind}': one of {', '.join(VARIANTS)}")
-    return VARIANTS[kind]
+def paint(kind: str, rng: np.random.Generator) -> Float[np.ndarray, "P 3"]:
+    """Linear RGB albedo of each of the P :data:`PARTS`, for one road user of a class.
+
+    A colour is drawn for each part, made a few per cent brighter or darker, and converted from sRGB
+    to linear light (IEC 61966-2-1). Raises InspeError for an unknown class.
+    """
+    check_known(kind, VARIANTS, "class")
+    palettes = _PAINT["all"] | _PAINT.get(kind, {})
+    srgb = np.zeros((len(PARTS), 3))
+    for into, part in zip(srgb, PARTS, strict=True):
+        shares = np.array([share for _, share in palettes[part]])
+        drawn, _ = palettes[part][rng.choice(len(shares), p=shares / shares.sum())]
+        rgb = np.array([*bytes.fromhex(drawn[1:])]) / 255
+        into[:] = np.clip(rgb * rng.normal(1.0, 0.05), 0, 1)
+    return np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)

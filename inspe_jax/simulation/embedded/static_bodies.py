@@ -13,12 +13,13 @@ import numpy as np
 import shapely
 from jaxtyping import Float
 from shapely.geometry import Polygon
+from shapely.geometry.base import BaseGeometry
 
 from inspe_jax.core.geometry import rotation
 from inspe_jax.scene.intersection import Intersection
 from inspe_jax.scene.statics import StaticBody, octagon
 from inspe_jax.simulation.embedded import materials
-from inspe_jax.simulation.embedded.shapes import PARTS, fitting, paint, shape_of
+from inspe_jax.simulation.embedded.shapes import fitting, paint, shape_of
 from inspe_jax.simulation.parked import box_of, is_box, kind_of
 
 FOUNDATION = 0.5
@@ -46,17 +47,18 @@ def body_parts(one: StaticBody, place: Intersection) -> Iterator[Part]:
     yield from _LOOKS[one.kind](one, place, level, rng)
 
 
-def quads(*corners: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "F 3 3"]:
-    """Two triangles for each quadrilateral, by its four ``corners`` in turn."""
-    a, b, c, d = corners
-    return np.concatenate([np.stack([a, b, c], -2), np.stack([a, c, d], -2)]).reshape(-1, 3, 3)
-
-
 def walls(
     low: Float[np.ndarray, "*n N 3"], high: Float[np.ndarray, "*n N 3"]
 ) -> Float[np.ndarray, "F 3 3"]:
-    """The walls between two rings of points."""
-    return quads(low, np.roll(low, -1, -2), np.roll(high, -1, -2), high)
+    """The walls between two rings of points: two triangles for each side."""
+    a, b, c, d = low, np.roll(low, -1, -2), np.roll(high, -1, -2), high
+    return np.concatenate([np.stack([a, b, c], -2), np.stack([a, c, d], -2)]).reshape(-1, 3, 3)
+
+
+def flat_triangles(shape: BaseGeometry) -> Float[np.ndarray, "F 3 2"]:
+    """Triangles that cover a shape, with its corners."""
+    cut = shapely.get_parts(shapely.constrained_delaunay_triangles(shape))
+    return np.array([np.asarray(t.exterior.coords)[:3, :2] for t in cut]).reshape(-1, 3, 2)
 
 
 def _prism(
@@ -65,8 +67,7 @@ def _prism(
     """The sides, the top and the bottom of a prism."""
     low = np.column_stack([outline, np.full(len(outline), bottom)])
     high = low + [0.0, 0.0, top - bottom]
-    cut = shapely.constrained_delaunay_triangles(Polygon(outline)).geoms
-    flat = np.array([t.exterior.coords[:3] for t in cut])
+    flat = flat_triangles(Polygon(outline))
 
     def lid(z: float) -> np.ndarray:
         return np.concatenate([flat, np.full((*flat.shape[:2], 1), z)], 2)
@@ -150,13 +151,12 @@ def _parked(
         return
     size, yaw = box_of(one)
     kind = kind_of(size)
-    shape, colours = shape_of(kind, int(rng.choice(fitting(kind, size)))), paint(kind, rng)
+    shape, colours = shape_of(str(rng.choice(fitting(kind, size)))), paint(kind, rng)
     turn = rotation(np.array([0.0, 0.0, yaw]), np)
     at = np.array([*one.middle, level + one.height / 2])
     corners = (shape.vertices * size) @ turn.T + at
-    table = np.array([colours[part] for part in PARTS])
     material = materials.PARKED_TRUCK if kind == "truck" else materials.PARKED_CAR
-    yield Part(corners[shape.faces], material, table[shape.part])
+    yield Part(corners[shape.faces], material, colours[shape.part])
 
 
 _LOOKS: dict[str, Callable[..., Iterator[Part]]] = {

@@ -2,31 +2,15 @@
 
 import numpy as np
 
-from inspe_jax.scene.regions import Region
 from inspe_jax.simulation.embedded import materials
 from inspe_jax.simulation.embedded.static_world import StaticWorld
-from inspe_jax.simulation.embedded.surface import GRASS, PAINT, noise
+from inspe_jax.simulation.embedded.surface import noise
 
-_LABELS = {
-    (materials.KERB,): 2,
-    (materials.BUILDING, materials.ROOF): 3,
-    (materials.WALL,): 4,
-    (materials.POLE,): 6,
-    (materials.TRUNK, materials.CROWN): 9,
-    (materials.PARKED_CAR,): 14,
-    (materials.PARKED_TRUCK,): 15,
-    (materials.FURNITURE, materials.SURVEYED): 20,
-}
-OF_LABEL = {
-    Region.DRIVEWAY: 1,
-    Region.JUNCTION: 1,
-    Region.CROSSWALK: 1,
-    Region.SIDEWALK: 2,
-    Region.SHOULDER: 25,
-    GRASS: 10,
-    PAINT: 24,
-}
-"""CARLA's semantic labels of materials, and of the labels of the ground."""
+_LABELS = np.array([0, 2, 3, 3, 9, 9, 6, 4, 20, 14, 15, 20])
+"""CARLA's semantic labels of :data:`~inspe_jax.simulation.embedded.materials.MATERIALS`; the ground
+has those of its own labels."""
+GROUND_LABELS = np.array([1, 1, 1, 2, 25, 10, 24])
+"""CARLA's semantic labels of the regions of the ground, and of grass and paint."""
 
 
 def static_look(
@@ -35,14 +19,11 @@ def static_look(
     """(linear albedo, CARLA's label) of the static world at points where rays hit its faces."""
     material = np.where(face >= 0, static_world.material[face], -1)
     body = np.where(face >= 0, static_world.body[face], 0)
-    albedo, semantic = np.zeros((len(face), 3), np.float32), np.zeros(len(face), int)
-    for kinds, label in _LABELS.items():
-        semantic[np.isin(material, kinds)] = label
+    albedo, semantic = np.zeros((len(face), 3), np.float32), _LABELS[material]
     ground = material == materials.GROUND
     world = point[:, :2] + static_world.center[:2]
     albedo[ground] = static_world.surface.albedo(world[ground])
-    labels = np.array([OF_LABEL[k] for k in (*Region, GRASS, PAINT)])
-    semantic[ground] = labels[static_world.surface.label(world[ground])]
+    semantic[ground] = GROUND_LABELS[static_world.surface.label(world[ground])]
     for kind, colour in _PLAIN.items():
         albedo[material == kind] = colour
     rough = material == materials.WALL

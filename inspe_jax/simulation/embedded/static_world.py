@@ -11,7 +11,6 @@ import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import NamedTuple
 
 import numpy as np
 import shapely
@@ -28,7 +27,7 @@ from inspe_jax.scene.statics import StaticBody
 from inspe_jax.scene.street import HEADROOM, OVER_LANES
 from inspe_jax.scene.terrain import MARGIN, lattice_faces
 from inspe_jax.simulation.embedded import materials
-from inspe_jax.simulation.embedded.static_bodies import Part, body_parts, quads, walls
+from inspe_jax.simulation.embedded.static_bodies import Part, body_parts, flat_triangles, walls
 from inspe_jax.simulation.embedded.surface import Surface, lay_surface
 
 SRGB = 2.2
@@ -83,21 +82,18 @@ def build_static_world(
     center = np.asarray(intersection.center, float)
     road = [s for r, s in intersection.regions.items() if r in CARRIAGEWAY]
     masts = masts[~shapely.intersects_xy(unary_union(road), *masts[:, :2].T)]
-    fixed = _all_but_masts(intersection, radius, tuple(bodies))
-    poles = [p for p in fixed.poles if all(np.hypot(*(p[:2] - m[:2])) > 0.5 for m in masts)]
-    posts = np.array([*masts, *poles], float).reshape(-1, 4)
-    parts = [
-        *fixed.low,
-        *(Part(_tube(p[:3], POLE_RADIUS, p[3]), materials.POLE) for p in posts),
-        *fixed.high,
-    ]
+    fixed, poles, surface = _all_but_masts(intersection, radius, tuple(bodies))
+    apart = [p for p in poles if all(np.hypot(*(p[:2] - m[:2])) > 0.5 for m in masts)]
+    posts = np.array([*masts, *apart], float).reshape(-1, 4)
+    tubes = [Part(_tube(p[:3], POLE_RADIUS, p[3]), materials.POLE) for p in posts]
+    parts = [*tubes, *fixed]
     sizes = [len(part.triangles) for part in parts]
     return StaticWorld(
         center=center,
         triangles=(np.concatenate([part.triangles for part in parts]) - center).astype(np.float32),
         material=np.repeat([part.material for part in parts], sizes),
         body=np.repeat([part.body for part in parts], sizes),
-        surface=fixed.surface,
+        surface=surface,
         poles=posts[:, :3] + np.array([0.0, 0.0, 1.0]) * posts[:, 3:],
         colour=np.concatenate(
             [np.broadcast_to(part.colour, (len(part.triangles), 3)) for part in parts]
@@ -105,52 +101,39 @@ def build_static_world(
     )
 
 
-class _Fixed(NamedTuple):
-    """What stands whatever the masts: what lies on the ground, what rises from it, the foot (x, y,
-    z) and the height of each pole [m], and the ground's surface."""
-
-    low: tuple[Part, ...]
-    high: tuple[Part, ...]
-    poles: Float[np.ndarray, "P 4"]
-    surface: Surface
-
-
 @lru_cache(maxsize=4)
 def _all_but_masts(
     intersection: Intersection, radius: float, bodies: tuple[StaticBody, ...]
-) -> _Fixed:
-    """It takes nearly all the time, so it is kept for the next layout."""
+) -> tuple[tuple[Part, ...], Float[np.ndarray, "P 4"], Surface]:
+    """What stands whatever the masts: all but poles, the foot (x, y, z) and the height of each pole
+    [m], and the ground's surface. It takes nearly all the time, so it is kept for the next layout.
+    """
     rng = np.random.default_rng(zlib.crc32(intersection.name.encode()))
     own = unary_union([one.polygon for one in bodies])
     mesh = intersection.mesh if any(one.kind == "solid" for one in bodies) else None
-    low = [Part(_ground(intersection, radius), materials.GROUND)]
-    high = list[Part]()
+    parts = [Part(_ground(intersection, radius), materials.GROUND)]
     if mesh is None:
-        low += [Part(ring, materials.KERB) for ring in _kerbs(intersection)]
+        parts += [Part(ring, materials.KERB) for ring in _kerbs(intersection)]
         taken = unary_union(list(intersection.regions.values())).buffer(CLEAR)
         if bodies:
             taken = unary_union([taken, own.buffer(CLEAR)])
         built = list[Polygon]()
         for k, corners in enumerate(_plots(intersection, taken, radius, rng)):
             sides, roof = _house(corners, intersection, float(rng.uniform(6, 18)))
-            high += [Part(sides, materials.BUILDING, body=k), Part(roof, materials.ROOF, body=k)]
+            parts += [Part(sides, materials.BUILDING, body=k), Part(roof, materials.ROOF, body=k)]
             built.append(Polygon(corners).buffer(1.0))
         taken = unary_union([taken, *built])
         for k, (foot, height) in enumerate(_trees(intersection, taken, radius, rng)):
-            high.append(Part(_tube(foot, 0.18, 0.45 * height), materials.TRUNK, body=k))
-            high.append(Part(_crown(foot, height, rng), materials.CROWN, body=k))
+            parts.append(Part(_tube(foot, 0.18, 0.45 * height), materials.TRUNK, body=k))
+            parts.append(Part(_crown(foot, height, rng), materials.CROWN, body=k))
     else:
         faces, colour = _surveyed(mesh, intersection)
-        high.append(Part(faces, materials.SURVEYED, colour))
+        parts.append(Part(faces, materials.SURVEYED, colour))
     for k, one in enumerate(bodies):
         if mesh is None or one.kind != "solid":
-            high += [part._replace(body=k) for part in body_parts(one, intersection)]
-    return _Fixed(
-        tuple(low),
-        tuple(high),
-        _poles(intersection, radius, own),
-        lay_surface(intersection, radius + MAPPED),
-    )
+            parts += [part._replace(body=k) for part in body_parts(one, intersection)]
+    surface = lay_surface(intersection, radius + MAPPED)
+    return tuple(parts), _poles(intersection, radius, own), surface
 
 
 def _poles(
@@ -218,35 +201,21 @@ def _kerbs(intersection: Intersection) -> Iterator[Float[np.ndarray, "F 3 3"]]:
     ribbon = edge.segmentize(3.0).buffer(width / 2, cap_style="flat", join_style="mitre")
     for part in shapely.get_parts(ribbon.difference(carriageway)):
         for ring in [part.exterior, *part.interiors] if part.geom_type == "Polygon" else []:
-            yield _wall(np.asarray(ring.coords)[:, :2], intersection, height)
-        yield _lid(part, intersection, height)
-
-
-def _wall(line: np.ndarray, place: Intersection, height: float) -> Float[np.ndarray, "F 3 3"]:
-    """A vertical ribbon along a line (N, 2), as high as ``height`` above the ground."""
-    low = np.column_stack([line, place.ground(line) - 0.05])
-    high = low + [0.0, 0.0, height + 0.05]
-    return quads(low[:-1], low[1:], high[1:], high[:-1])
-
-
-def _lid(shape: BaseGeometry, place: Intersection, height: float) -> Float[np.ndarray, "F 3 3"]:
-    """The area of a shape, at ``height`` above the ground."""
-    cut = shapely.get_parts(shapely.constrained_delaunay_triangles(shape))
-    if not len(cut):
-        return np.zeros((0, 3, 3))
-    xy = np.array([np.asarray(t.exterior.coords)[:3, :2] for t in cut])
-    z = place.ground(xy.reshape(-1, 2)).reshape(-1, 3) + height
-    return np.concatenate([xy, z[..., None]], -1)
+            line = np.asarray(ring.coords)[:-1, :2]
+            low = np.column_stack([line, intersection.ground(line) - 0.05])
+            yield walls(low, low + [0.0, 0.0, height + 0.05])
+        top = flat_triangles(part)
+        z = intersection.ground(top.reshape(-1, 2)).reshape(-1, 3) + height
+        yield np.concatenate([top, z[..., None]], -1)
 
 
 def _tube(foot: np.ndarray, radius: float, height: float) -> Float[np.ndarray, "F 3 3"]:
     """A vertical prism with eight sides, closed at the top."""
-    turn = np.linspace(0, 2 * np.pi, 9)
-    ring = foot + radius * np.column_stack([np.cos(turn), np.sin(turn), np.zeros(9)])
+    turn = np.linspace(0, 2 * np.pi, 8, endpoint=False)
+    ring = foot + radius * np.column_stack([np.cos(turn), np.sin(turn), np.zeros(8)])
     top = ring + [0.0, 0.0, height]
     cap = np.broadcast_to(foot + [0.0, 0.0, height], (8, 3))
-    sides = quads(ring[:-1], ring[1:], top[1:], top[:-1])
-    return np.concatenate([sides, np.stack([top[:-1], top[1:], cap], 1)])
+    return np.concatenate([walls(ring, top), np.stack([top, np.roll(top, -1, 0), cap], 1)])
 
 
 def _plots(

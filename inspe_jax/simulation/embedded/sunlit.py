@@ -10,23 +10,28 @@ ASIDE = 10.0
 """No road user reaches further from its centre in plan [m]: road trains are 18.75 m long."""
 
 
-class PlanPoints:
-    """Some of R points, sorted by the square metre of the plan they lie in.
+class SunlitPoints:
+    """Those of R points that are in the sun (``lit``), sorted by the square metre of the plan they
+    lie in.
 
-    ``wanted`` says which; ``reach`` is the distance from the centre, along x and y, up to which
-    points count [m].
+    ``reach`` is the distance from the centre, along x and y, up to which points count [m].
     """
 
-    def __init__(self, point: np.ndarray, wanted: np.ndarray, reach: float) -> None:
+    def __init__(self, point: np.ndarray, lit: np.ndarray, reach: float) -> None:
         self.reach, self.size = reach, int(2 * reach)
         x, y = np.abs(point[:, :2].T)
-        pixels = np.flatnonzero(wanted & (x < reach) & (y < reach))
+        pixels = np.flatnonzero(lit & (x < reach) & (y < reach))
         cell = np.floor(point[pixels, :2] + reach).astype(int)
         cell = np.minimum(cell, self.size - 1)  # float32 sums may round up to the rim
         number = cell[:, 1] * self.size + cell[:, 0]
         order = np.argsort(number, kind="stable")
         self.pixels = pixels[order]
         self.start = np.searchsorted(number[order], np.arange(self.size**2 + 1))
+        lowest = np.full(self.size**2, np.inf, np.float32)
+        np.minimum.at(lowest, number, point[pixels, 2])
+        square = lowest.reshape(self.size, self.size)
+        around = 2 * (int(ASIDE) + 1) + 1  # one metre more, which is the step in ``ends``
+        self._lowest = minimum_filter(square, around, mode="constant", cval=np.inf)
 
     def within(self, low: np.ndarray, high: np.ndarray) -> Int[np.ndarray, " P"]:
         """Pixels of the points in the squares that the rectangle ``low`` to ``high`` touches."""
@@ -35,19 +40,6 @@ class PlanPoints:
         rows = np.arange(y0, y1 + 1) * self.size
         runs = zip(self.start[rows + x0], self.start[rows + x1 + 1], strict=True)
         return np.concatenate([self.pixels[a:b] for a, b in runs])
-
-
-class SunlitPoints(PlanPoints):
-    """Those of R points that are in the sun."""
-
-    def __init__(self, point: np.ndarray, lit: np.ndarray, reach: float) -> None:
-        super().__init__(point, lit, reach)
-        lowest = np.full(self.size**2, np.inf, np.float32)
-        for_square = np.repeat(np.arange(self.size**2), np.diff(self.start))
-        np.minimum.at(lowest, for_square, point[self.pixels, 2])
-        square = lowest.reshape(self.size, self.size)
-        around = 2 * (int(ASIDE) + 1) + 1  # one metre more, which is the step in ``ends``
-        self._lowest = minimum_filter(square, around, mode="constant", cval=np.inf)
 
     def ends(
         self, top: Float[np.ndarray, "B 3"], along: Float[np.ndarray, "3"]

@@ -1,18 +1,15 @@
-"""Wet roads: darker, and with a film of water that mirrors sky, surroundings and lamps.
+"""Wet roads: darker, and with a film of water that mirrors the sky and the surroundings.
 
 Water that fills the pores lets less light out again (Lekner and Dorf, "Why some things are darker
-when wet", Applied Optics 27, 1988). The film over it reflects as water does (Fresnel, in Schlick's
-form). On most of the road the grains of the asphalt roughen it; in puddles it is smooth.
+when wet", Applied Optics 27, 1988). The film over it reflects as water does (Fresnel, in the form
+of Schlick 1994). On most of the road the grains of the asphalt roughen it; in puddles it is smooth.
+The lamps themselves are not mirrored.
 """
 
-from typing import NamedTuple, Self
-
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float
 
-from inspe_jax.simulation.embedded import materials
 from inspe_jax.simulation.embedded.embree import Caster
-from inspe_jax.simulation.embedded.light import parts
 from inspe_jax.simulation.embedded.shading import FAR, Shading
 from inspe_jax.simulation.embedded.static_look import static_look
 from inspe_jax.simulation.embedded.static_world import StaticWorld
@@ -30,63 +27,31 @@ LEVEL = (0.6, 0.76)
 """Where the noise of a road's unevenness begins to hold water, and where it holds a puddle."""
 
 
-class Wetness(NamedTuple):
-    """Of R points: the share of the albedo that is lost, how much of the film shines (0 … 1), and
-    the slope of the film. All are 0 where the ground is not paved."""
-
-    darker: Float[np.ndarray, " R"]
-    film: Float[np.ndarray, " R"]
-    slope: Float[np.ndarray, " R"]
-
-    def at(self, index: Int[np.ndarray, " P"]) -> Self:
-        """Those of some points."""
-        return type(self)(*(part[index] for part in self))
-
-
-def wetness_at(
-    static_world: StaticWorld,
-    face: Int[np.ndarray, " R"],
-    point: Float[np.ndarray, "R 3"],
-    wet: float,
-) -> Wetness:
-    """How wet the static world is at points on its faces (−1: none) when roads are ``wet``, of 1.
-
-    Paved ground is wet; all else stays as it is.
-    """
-    whole = Wetness(*(np.zeros(len(face), np.float32) for _ in Wetness._fields))
-    if wet > 0:
-        ground = np.flatnonzero((face >= 0) & (static_world.material[face] == materials.GROUND))
-        for into, own in zip(whole, wetness_on(static_world, point[ground], wet), strict=True):
-            into[ground] = own
-    return whole
-
-
-def wetness_on(static_world: StaticWorld, point: Float[np.ndarray, "R 3"], wet: float) -> Wetness:
-    """How wet the ground is at points of it, relative to the centre [m]."""
-    world = point[:, :2] + static_world.center[:2]
-    paved = (static_world.surface.label(world) != GRASS).astype(np.float32)
-    level = 0.7 * noise(world / 1.8) + 0.3 * noise(world / 0.5)
-    low, high = LEVEL
-    part = np.clip((level - low) / (high - low), 0, 1)
-    puddle = part * part * (3 - 2 * part)
-    film = COVER + (1 - COVER) * puddle
-    slope = ROUGH + (SMOOTH - ROUGH) * puddle
-    return Wetness(DARKER * wet * paved, wet * paved * film, paved * slope)
+def paved(static_world: StaticWorld, point: Float[np.ndarray, "R 3"]) -> Bool[np.ndarray, " R"]:
+    """Whether the ground at points of it is paved, and so wet in rain."""
+    label: np.ndarray = static_world.surface.label(point[:, :2] + static_world.center[:2])
+    return label != GRASS
 
 
 def reflected(
     static_world: StaticWorld,
     caster: Caster,
     shading: Shading,
-    wet: Wetness,
     point: Float[np.ndarray, "R 3"],
     normal: Float[np.ndarray, "R 3"],
     to: Float[np.ndarray, "R 3"],
 ) -> Float[np.ndarray, "R 3"]:
-    """What the film reflects of sky, surroundings and street lamps along rays ``to`` the points."""
+    """What the film on paved ground reflects of sky and surroundings along rays ``to`` points."""
+    world = point[:, :2] + static_world.center[:2]
+    level = 0.7 * noise(world / 1.8) + 0.3 * noise(world / 0.5)
+    low, high = LEVEL
+    part = np.clip((level - low) / (high - low), 0, 1)
+    puddle = part * part * (3 - 2 * part)
+    film = np.float32(shading.wet) * (COVER + (1 - COVER) * puddle)
+    slope = ROUGH + (SMOOTH - ROUGH) * puddle
     along = -np.einsum("rk,rk->r", to, normal)
     # Seen at a grazing angle, those facets of a rough film are seen that lean towards the eye.
-    steep = np.sqrt(along**2 + wet.slope**2)
+    steep = np.sqrt(along**2 + slope**2)
     onward = to + (along + steep)[:, None] * normal
     onward /= np.linalg.norm(onward, axis=1, keepdims=True)
     hits = caster.cast(point + np.float32(0.02) * normal, onward, FAR)
@@ -96,47 +61,5 @@ def reflected(
     light += 0.5 * shading.sunlight(hits.normal, albedo)  # half of what there is: no shadows here
     clear = hits.face < 0
     light[clear] = shading.sky(onward[clear])
-    colour = (wet.film * fresnel(steep))[:, None] * light
-    if shading.light.lamps > 0:
-        for lamp in shading.lamps:
-            colour += glints(wet, point, normal, to, lamp)[:, None] * shading.lamp_colour
-    return colour
-
-
-def fresnel(cosine: Float[np.ndarray, " R"]) -> Float[np.ndarray, " R"]:
-    """Reflectance of water at the cosine of the angle of incidence (Schlick 1994)."""
-    return HEAD_ON + (1 - HEAD_ON) * (1 - np.clip(cosine, 0, 1)) ** 5
-
-
-def glints(
-    wet: Wetness,
-    point: Float[np.ndarray, "R 3"],
-    normal: Float[np.ndarray, "R 3"],
-    to: Float[np.ndarray, "R 3"],
-    lamp: Float[np.ndarray, "3"],
-) -> Float[np.ndarray, " R"]:
-    """What the film at points reflects of a lamp whose brightness is 1 at 1 m in all directions.
-
-    The model of Cook and Torrance (1982) with Beckmann's distribution of slopes. A Lambertian
-    surface is as bright as its albedo times the light here, hence the factor of π.
-    """
-    found = np.zeros(len(point), np.float32)
-    for at in parts(len(point)):
-        way = lamp - point[at]
-        squared = np.einsum("rk,rk->r", way, way)
-        way /= np.sqrt(squared)[:, None]
-        half = way - to[at]
-        half /= np.linalg.norm(half, axis=1, keepdims=True)
-        n = normal[at]
-        incident = np.einsum("rk,rk->r", way, n)
-        leaving = np.maximum(-np.einsum("rk,rk->r", to[at], n), 0.02)
-        upright = np.maximum(np.einsum("rk,rk->r", half, n), 0.1)
-        across = np.maximum(np.einsum("rk,rk->r", half, way), 0.02)
-        tangent = (1 / upright**2 - 1) / np.maximum(wet.slope[at], 1e-3) ** 2
-        spread = np.exp(-np.minimum(tangent, 60)) / (
-            np.pi * np.maximum(wet.slope[at], 1e-3) ** 2 * upright**4
-        )
-        hidden = np.minimum(1, 2 * upright * np.minimum(incident, leaving) / across)
-        bright = np.pi * fresnel(across) * spread * hidden / (4 * leaving)
-        found[at] = np.where(incident > 0, wet.film[at] * bright / np.maximum(squared, 1), 0)
-    return found
+    reflectance = HEAD_ON + (1 - HEAD_ON) * (1 - np.clip(steep, 0, 1)) ** 5
+    return (film * reflectance)[:, None] * light

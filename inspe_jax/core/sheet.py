@@ -162,11 +162,18 @@ def frame_map(ax: Axes, middle: Float[np.ndarray, "..."], radius: float, reach: 
     ax.set(xlim=(x - limit, x + limit), ylim=(y - limit, y + limit), aspect="equal")
     ax.set(xlabel="x, east [m]", ylabel="y, north [m]")
     ax.add_patch(Circle((x, y), radius, fill=False, **CIRCLE, zorder=5))
-    bar = max((m for m in (1, 2, 5, 10, 20, 50, 100) if m <= 0.4 * limit), default=1)
+    draw_scale(ax, limit)
+
+
+def draw_scale(ax: Axes, limit: float) -> None:
+    """Draw a scale bar and a north arrow on a map that reaches ``limit`` [m] from its middle."""
+    bars = (k * 10**n for n in range(6) for k in (1, 2, 5))
+    bar = max((m for m in bars if m <= 0.4 * limit), default=1)
+    words = f"{bar} m" if bar < 1000 else f"{bar / 1000:g} km"
     at: dict[str, Any] = dict(transform=ax.transAxes, zorder=9, path_effects=HALO)
     start, end = 0.98 - bar / (2 * limit), 0.98
     ax.plot([start, end], [0.02, 0.02], "k-", lw=2.2, solid_capstyle="butt", **at)
-    ax.text((start + end) / 2, 0.03, f"{bar} m", ha="center", va="bottom", **at)
+    ax.text((start + end) / 2, 0.03, words, ha="center", va="bottom", **at)
     ax.plot([0.965, 0.965], [0.90, 0.965], "k-", lw=1.0, **at)
     ax.plot(0.965, 0.965, "k^", ms=4, **at)
     ax.text(0.965, 0.89, "N", ha="center", va="top", weight="bold", **at)

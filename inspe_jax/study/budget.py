@@ -59,15 +59,12 @@ def share_out(
     weights: Sequence[float],
     *,
     worst: bool = False,
-    gap: float = 0.0,
-    seconds: float = SECONDS,
 ) -> Share:
     """Choose one option for each place within a budget: the greatest weighted sum of scores.
 
     ``costs`` and ``scores`` have a row for each place with a number for each of its options [US
     dollars, to the cent], ``weights`` a number for each place. With ``worst``, the least score is
-    maximised, and then the sum among the choices that reach it. ``gap`` is by how much of the sum
-    the choice may fall short, and ``seconds`` is how long it may take.
+    maximised, and then the sum among the choices that reach it.
 
     The cost is exact, in cents, and never exceeds the budget. Raises InspeError if the budget or a
     cost is not valid, the cheapest options exceed the budget, or HiGHS finds no choice in time.
@@ -91,8 +88,6 @@ def share_out(
         [row[kept] for row, kept in zip(cents, allowed, strict=True)],
         [w * row[kept] for w, row, kept in zip(weights, values, allowed, strict=True)],
         limit,
-        gap,
-        seconds,
     )
     options = [int(kept[k]) for kept, k in zip(allowed, chosen, strict=True)]
     found = [float(row[k]) for row, k in zip(values, options, strict=True)]
@@ -133,8 +128,6 @@ def _greatest_sum(
     cents: Sequence[Int[np.ndarray, " K"]],
     worth: Sequence[Float[np.ndarray, " K"]],
     limit: int,
-    gap: float,
-    seconds: float,
 ) -> tuple[list[int], float]:
     """(The option of each place with the greatest sum within the limit, what no sum can exceed).
 
@@ -158,7 +151,7 @@ def _greatest_sum(
             integrality=np.ones(len(place)),
             bounds=Bounds(0, 1),
             constraints=rules,
-            options=dict(mip_rel_gap=gap, time_limit=seconds),
+            options=dict(mip_rel_gap=0.0, time_limit=SECONDS),
         )
         if found.x is None:
             raise InspeError(f"the budget was not shared out: HiGHS says: {found.message}")

@@ -29,10 +29,6 @@ from inspe_jax.study.work import Row
 
 SIGNALS, ALL = "signals", "all"
 """Words for junctions with signals, and for all."""
-CURVE = 24
-"""Number of budgets for which a plan's curve is solved."""
-CURVE_GAP, CURVE_SECONDS = 1e-4, 5.0
-"""How exact the curve's points are, as a share of the score, and how long each may take [s]."""
 
 
 @dataclass(frozen=True)
@@ -85,9 +81,7 @@ class CityPlan:
 
     ``fronts`` are of the junctions that can get devices; ``share`` has the option of each.
     ``weights`` are the importance of each, and ``worst`` says whether the least score is maximised.
-    ``left_out`` are junctions where every mix failed, with the first error. ``even`` is the plan if
-    all junctions get the same part of the budget. ``curve`` has the plans of other budgets, as
-    (budget, plan).
+    ``left_out`` are junctions where every mix failed, with the first error.
     """
 
     budget: float
@@ -95,19 +89,13 @@ class CityPlan:
     weights: tuple[float, ...]
     worst: bool
     share: Share
-    even: Share
     left_out: Mapping[str, str]
-    curve: tuple[tuple[float, Share], ...]
 
     @cached_property
     def chosen(self) -> tuple[Option, ...]:
         """The option of each junction."""
         pairs = zip(self.fronts, self.share.options, strict=True)
         return tuple(front.options[k] for front, k in pairs)
-
-    def value(self, share: Share) -> float:
-        """What is maximised: the least score, or the weighted mean of the scores."""
-        return share.worst if self.worst else share.total / sum(self.weights)
 
     def text(self, georeference: Georeference | None) -> str:
         """The plan as CSV, one row for each junction that can get devices.
@@ -266,39 +254,8 @@ def plan_city(
     costs = [[option.cost for option in front.options] for front in able]
     scores = [[option.score for option in front.options] for front in able]
 
-    def shared(amount: float, **how: Any) -> Share:
-        return share_out(costs, scores, amount, weights, worst=worst, **how)
-
-    share = shared(budget)
-    end = max(min(sum(row[-1] for row in costs), 3 * budget), budget, 1.0)
-    quick = dict(gap=CURVE_GAP, seconds=CURVE_SECONDS)
-    amounts = np.linspace(0, end, CURVE).round(2).tolist()
-    curve = [*((amount, shared(amount, **quick)) for amount in amounts), (budget, share)]
-    return CityPlan(
-        budget,
-        able,
-        weights,
-        worst,
-        share,
-        _even(costs, scores, weights, budget),
-        left_out,
-        tuple(sorted(curve, key=lambda point: point[0])),
-    )
-
-
-def _even(
-    costs: Sequence[Sequence[float]],
-    scores: Sequence[Sequence[float]],
-    weights: Sequence[float],
-    budget: float,
-) -> Share:
-    """What the budget brings if every junction gets the same part, and takes the best for it."""
-    part = budget / len(costs) + 1e-6
-    options = tuple(int(np.searchsorted(row, part, side="right")) - 1 for row in costs)
-    found = [row[k] for row, k in zip(scores, options, strict=True)]
-    total = sum(w * score for w, score in zip(weights, found, strict=True))
-    cost = sum(row[k] for row, k in zip(costs, options, strict=True))
-    return Share(options, round(cost, 2), total, min(found), total)
+    share = share_out(costs, scores, budget, weights, worst=worst)
+    return CityPlan(budget, able, weights, worst, share, left_out)
 
 
 def close_pairs(junctions: Sequence[JunctionInfo], reach: float) -> int:

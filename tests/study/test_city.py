@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from drawn import misplaced
 from processes import in_this_process, inspe_here
 
 from inspe_jax.core.errors import InspeError
@@ -25,7 +26,7 @@ from inspe_jax.study.city import (
     fronts_of,
     plan_city,
 )
-from inspe_jax.study.city_report import city_view, plan_words
+from inspe_jax.study.city_report import city_view
 from inspe_jax.study.results import read_results
 
 LIES = "+proj=utm +zone=32 +ellps=WGS84 +datum=WGS84 +units=m +no_defs"
@@ -234,10 +235,6 @@ def test_fronts_have_no_mix_that_another_beats(files):
     assert plan.left_out == {"B0": "1 paper-camera: no pole"}
     assert [one.mix for one in plan.chosen] == ["3 paper-camera", "1 paper-camera"]
     assert plan.text(None).splitlines()[0] == "junction,x,y,importance,mix,cost_usd,score,layout"
-    assert plan.even.options == (1, 1)  # 15 for each
-    assert [amount for amount, _ in plan.curve] == sorted(amount for amount, _ in plan.curve)
-    values = [plan.value(share) for _, share in plan.curve]
-    assert values == sorted(values)
     with pytest.raises(InspeError, match="every search failed; at B0: 1 paper-camera: no pole"):
         plan_city([third], 30)
     free = fronts_of(study, rows, places, costs | {"1 paper-camera": 0.0})
@@ -279,23 +276,16 @@ def synthetic(count: int, name: str = "{}") -> list[JunctionFront]:
 
 
 @pytest.mark.parametrize(
-    ("count", "name", "labels", "worst"),
-    [
-        (3, "J{}", ["J0", "J1", "J2"], True),
-        (2, "cluster_{}00000", ["1", "2"], False),
-        (61, "{}", [], False),
-    ],
+    ("count", "name", "labels"),
+    [(3, "J{}", ["J0", "J1", "J2"]), (2, "cluster_{}00000", ["1", "2"]), (61, "{}", [])],
 )
-def test_the_figure_names_junctions_where_there_is_room(count, name, labels, worst):
-    plan = plan_city(synthetic(count, name), 4000.0 * count, worst=worst)
-    map_, curve = city_view(plan, "town", [np.array([[0, 0], [3000, 3000]])]).axes[:2]
-    texts = [text.get_text() for text in map_.texts]
+def test_the_figure_names_junctions_where_there_is_room(count, name, labels):
+    plan = plan_city(synthetic(count, name), 4000.0 * count)
+    figure = city_view(plan, "town", [np.array([[0, 0], [3000, 3000]])])
+    texts = [text.get_text() for text in figure.axes[0].texts]
     assert [text for text in texts if text not in ("N", "1 km", "500 m", "200 m")] == labels
-    assert curve.get_ylabel() == ("least score" if worst else "mean of the scores")
-    assert plan.value(plan.even) <= plan.value(plan.share)
-    empty = plan_city(synthetic(4), 0.0, worst=True)
-    assert city_view(empty, "town").axes
-    assert plan_words(empty)[2].endswith("; devices for all cost 16,000 or more")
+    assert misplaced(figure) == []
+    assert city_view(plan_city(synthetic(4), 0.0, worst=True), "town").axes
 
 
 def test_choosing_junctions(files, monkeypatch):

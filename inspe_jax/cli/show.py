@@ -5,7 +5,7 @@ import time
 from dataclasses import replace
 from pathlib import Path
 from socket import gethostname
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -24,10 +24,9 @@ from inspe_jax.cli.common import (
 )
 from inspe_jax.cli.options import ScoreOptions, WeightOptions, command, prices
 from inspe_jax.core.errors import InspeError
-from inspe_jax.core.files import check_output, whole_file, write_text
+from inspe_jax.core.files import check_output, write_text
 from inspe_jax.placement.problem import Case
 from inspe_jax.placement.result import Result, load_result
-from inspe_jax.placement.studies.pareto import load_pareto
 from inspe_jax.placement.studies.tolerance import tolerance as installed
 from inspe_jax.scene.scene import Scene, load_scene
 from inspe_jax.sensing.layout import Layout, layout_text
@@ -40,9 +39,7 @@ def report(
     sensors: list[str] | None = None,
     *,
     path: Path = Path("report.html"),
-    pdf: Path | None = None,
     tolerance: bool = False,
-    front: Path | None = None,
     frame: int = 0,
     price: list[str] | None = None,
     force: bool = False,
@@ -59,31 +56,27 @@ def report(
     - `inspe report`  (the built-in four-way with cameras at its corners)
     - `inspe report j189.npz start.yaml better --tolerance --out j189.html`  (`better` is a
       folder of `inspe optimise`)
-    - `inspe report roundabout Cam-d1 L-d1 Cam-d1/L-d1 --light night --pdf roundabout.pdf`
+    - `inspe report roundabout Cam-d1 L-d1 Cam-d1/L-d1 --light night`
 
     Args:
         sensors (LAYOUT): Layouts to show side by side: .yaml files, names of strategies, or
             folders of `inspe optimise`, for which the page also shows the search.
         path (--out FILE.html): File of the page.
-        pdf (FILE.pdf): Also write the figures as a PDF.
         tolerance: Show how carefully each layout must be installed; takes half a minute to
             compile.
-        front (--pareto DIR): Also draw cost against score, from a folder of `inspe pareto`.
         frame: Number of the frame of traffic that is drawn.
     """
-    from inspe_jax.report.page import check_names, report_entry, report_page, report_sheets
+    from inspe_jax.report.page import check_names, report_entry, report_page
     from inspe_jax.report.tables import goal_words
     from inspe_jax.viewer.page_views import VIEWS
 
     claims.file(path, (".html", ".htm"), force=force)
-    claims.file(pdf, (".pdf",), force=force)
     conditions, objective = options.conditions, options.objective()
     priced = prices(price)
     wanted = sensors or [DEFAULT_LAYOUT]
     for given in wanted:
         if not Path(given).is_dir():
             check_layout(given)
-    mixes = load_pareto(front) if front else []
     with busy(f"reading {source}"):
         world = objective.within(load_scene(source, options.profile))
         check_frame(world, frame)
@@ -102,18 +95,13 @@ def report(
             entry = replace(entry, tolerance=slopes)
         entries.append(entry)
     with progress("drawing") as callback:
-        shown: dict[str, Any] = dict(front=mixes, frame=frame, views=VIEWS)
-        page = report_page(world, entries, prices=priced, progress=callback, **shown)
+        page = report_page(
+            world, entries, prices=priced, frame=frame, views=VIEWS, progress=callback
+        )
     path = claims.keep(lambda at: write_text(at, page), path)
     for entry in entries:
         out.print(goal_words(entry.layout, entry.scores, entry.sought))
     out.print(f"wrote {path}, {path.stat().st_size / 1e6:.1f} MB")
-    if pdf:
-        with busy("drawing"):
-            sheets = report_sheets(world, entries, **shown)
-        with whole_file(pdf) as f:
-            f.write(sheets)
-        out.print(f"drew {pdf}")
 
 
 def _found_or_placed(world: Scene, given: str) -> tuple[Layout, Result | None]:

@@ -1,7 +1,6 @@
-"""Figures of curves: score against time and work, score against cost, coverage against height."""
+"""Figures of curves: score against time and work, and score against cost."""
 
 from collections.abc import Callable, Sequence
-from textwrap import fill
 from typing import Any
 
 import numpy as np
@@ -16,8 +15,6 @@ from inspe_jax.core.sheet import KEYS, TITLE, WIDTH, fit, house_style, setting_w
 from inspe_jax.placement.result import Result
 from inspe_jax.placement.run import Progress
 from inspe_jax.placement.studies.pareto import ParetoPoint
-from inspe_jax.scene.scene import Scene
-from inspe_jax.scoring.evaluate import Scores
 
 COLORS = (
     "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000", "#808080",
@@ -50,34 +47,6 @@ def _with_grid(ax: Axes, **labels: Any) -> None:
     ax.set(**labels)
     ax.grid(**GRID)
     ax.set_axisbelow(True)
-
-
-def height_view(scene: Scene, scored: Sequence[tuple[str, Scores]]) -> Figure:
-    """Share of each level's voxels that is in view, against height above the ground.
-
-    ``scored`` has the name and the scores of each layout.
-    """
-    grid = scene.voxels
-    facts = (
-        f"radius {grid.radius:g} m, {grid.words}; traffic does not matter here; "
-        f"{setting_words(scored[0][1].settings)}"
-    )
-    with house_style():
-        fig = _headed(f"Coverage against height at {scene.name}", facts, 2.9)
-        ax = fig.add_axes((_LEFT, 0.14, 0.56, 0.64))
-        for k, (name, scores) in enumerate(scored):
-            look = dict(_look(k), marker="o", ms=3)
-            ax.plot(scores.level_coverage, grid.levels, **look, label=fill(name, 30))
-        low = min(min(scores.level_coverage) for _, scores in scored)
-        _with_grid(
-            ax,
-            xlim=(min(0.9, np.floor(10 * low) / 10), 1.005),
-            ylim=(0, grid.spacing * grid.level_count),
-            xlabel="share of the level's voxels in view",
-            ylabel="height above the ground [m]",
-        )
-        fig.legend(loc="upper left", bbox_to_anchor=(0.66, 0.80), frameon=False)
-    return fig
 
 
 def pareto_view(mixes: Sequence[ParetoPoint]) -> Figure:

@@ -5,7 +5,6 @@ exact ones too, in the same record as `inspe score --json` writes.
 """
 
 import base64
-import io
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -15,17 +14,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined, Template
-from matplotlib.backends.backend_pdf import PdfPages
 from matplotlib.figure import Figure
 
 from inspe_jax.core.errors import InspeError
-from inspe_jax.core.sheet import house_style, jpeg_text, png_text
+from inspe_jax.core.sheet import jpeg_text, png_text
 from inspe_jax.core.words import counted, isolated
 from inspe_jax.placement.problem import Case
 from inspe_jax.placement.result import STATUSES, Result
-from inspe_jax.placement.studies.pareto import ParetoPoint
 from inspe_jax.placement.studies.tolerance import Tolerance
-from inspe_jax.report.curves import height_view, history_view, pareto_view
+from inspe_jax.report.curves import history_view
 from inspe_jax.report.figures import SENSOR_COLORS, plan_view, scene_view
 from inspe_jax.report.layers import BLIND, SIGHT_COLORS, USER_COLOR, MapLayer, layers
 from inspe_jax.report.mounting import model_words, mounting_words, origin_words
@@ -150,7 +147,6 @@ def report_page(
     scene: Scene,
     entries: Sequence[ReportEntry],
     *,
-    front: Sequence[ParetoPoint] = (),
     frame: int = 0,
     prices: Mapping[str, float] | None = None,
     views: PageViews | None = None,
@@ -158,7 +154,6 @@ def report_page(
 ) -> str:
     """The page of one or several layouts on a scene, as HTML.
 
-    ``front``: mixes of devices, whose score is drawn against their cost.
     ``frame``: number of the frame of traffic that is drawn.
     ``prices``: of devices [US dollars], in place of the catalogue's.
     ``views``: without them the page has no photograph and no scene in three dimensions.
@@ -168,11 +163,8 @@ def report_page(
     """
     check_names([entry.layout.name for entry in entries])
     maps = [layers(scene, entry.shed) for entry in entries]
-    figures = [
-        _scene_figures(scene, entries, frame) | _front_figure(front),
-        *(_figures(scene, *pair, frame) for pair in zip(entries, maps, strict=True)),
-    ]
-    steps, done = sum(map(len, figures)) + len(entries), 0
+    figures = [_figures(scene, *pair, frame) for pair in zip(entries, maps, strict=True)]
+    steps, done = sum(map(len, figures)) + len(entries) + 1, 0
 
     def step() -> None:
         nonlocal done
@@ -180,20 +172,19 @@ def report_page(
         if progress:
             progress(done, steps)
 
-    def drawn(of: Mapping[str, Callable[[], Figure]]) -> dict[str, str]:
-        images = {}
-        for words, draw in of.items():
-            images[words] = png_text(draw(), DPI)
-            step()
-        return images
+    def drawn(draw: Callable[[], Figure]) -> str:
+        image = png_text(draw(), DPI)
+        step()
+        return image
 
     parts: list[dict[str, Any]] = []
-    for entry, of_columns, own in zip(entries, maps, figures[1:], strict=True):
+    for entry, of_columns, own in zip(entries, maps, figures, strict=True):
         layout, scores = entry.layout, entry.scores
         units = installation_schedule(layout, scene.intersection, prices or {})
         rows = materials(layout, prices or {})
         record = scores_record(scores, scene, layout, entry.sought)
-        photograph = _photograph(scene, entry, frame, views)
+        shown = scores.conditions.layout(layout)
+        photograph = views and views.photograph(scene, shown, frame)
         parts.append(
             dict(
                 entry=entry,
@@ -206,7 +197,7 @@ def report_page(
                 models=model_words(layout, rows),
                 summary=_summary(scene, entry, record["blind_spots"], *total_price(rows)),
                 blind=_shares(of_columns["blind"]),
-                images=drawn(own),
+                images={words: drawn(draw) for words, draw in own.items()},
                 photograph=photograph and jpeg_text(photograph, DPI),
                 scene3d=views and _text(views.scene3d(scene, layout, scores.conditions, frame)),
                 tolerance=entry.tolerance and tolerance_record(entry.tolerance, scene, layout),
@@ -239,50 +230,14 @@ def report_page(
         weights=entries[0].scores.settings["weights"],
         core=CORE,
         regions={r.key: WEIGHTS[r] for r in Region if r.key in records[0]["region_coverage"]},
-        images=drawn(figures[0]),
+        image=drawn(partial(scene_view, scene, frame=frame)),
         record=_text(json.dumps(records, indent=2)),
         made=date.today().isoformat(),
     )
 
 
-def report_sheets(
-    scene: Scene,
-    entries: Sequence[ReportEntry],
-    *,
-    front: Sequence[ParetoPoint] = (),
-    frame: int = 0,
-    views: PageViews | None = None,
-) -> bytes:
-    """The figures of the page as a PDF, one on each sheet."""
-    check_names([entry.layout.name for entry in entries])
-    figures = [draw() for draw in _scene_figures(scene, entries, frame).values()]
-    for entry in entries:
-        figures += [photo] if (photo := _photograph(scene, entry, frame, views)) else []
-        own = _figures(scene, entry, layers(scene, entry.shed), frame)
-        figures += [draw() for draw in own.values()]
-    figures += [draw() for draw in _front_figure(front).values()]
-    made = io.BytesIO()
-    with house_style(), PdfPages(made, metadata={"CreationDate": None}) as pdf:
-        for figure in figures:
-            pdf.savefig(figure)
-    return made.getvalue()
-
-
 Figures = dict[str, Callable[[], Figure]]
 """What draws each figure, by what it shows in words."""
-
-
-def _scene_figures(scene: Scene, entries: Sequence[ReportEntry], frame: int) -> Figures:
-    return {
-        "The scene": partial(scene_view, scene, frame=frame),
-        "Coverage against height": partial(
-            height_view, scene, [(entry.layout.name, entry.scores) for entry in entries]
-        ),
-    }
-
-
-def _front_figure(front: Sequence[ParetoPoint]) -> Figures:
-    return {"Cost against score": partial(pareto_view, front)} if front else {}
 
 
 def _figures(
@@ -388,12 +343,6 @@ def _shares(blind: MapLayer) -> list[tuple[str, str, float]]:
     share = np.bincount(kinds, minlength=len(BLIND)) / max(len(kinds), 1)
     rows = zip(BLIND, share.tolist(), strict=True)
     return [(name.replace("\n", " "), color, part) for (name, color), part in rows]
-
-
-def _photograph(
-    scene: Scene, entry: ReportEntry, frame: int, views: PageViews | None
-) -> Figure | None:
-    return views and views.photograph(scene, entry.scores.conditions.layout(entry.layout), frame)
 
 
 def _in_words(value: Any) -> str:

@@ -1,6 +1,6 @@
 """What a road user gets at each place: tables, records and maps of returns, px/m and chances."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -178,18 +178,8 @@ def targets_view(
     ``view`` and ``layout`` are those in ``conditions``, which are named on the sheet.
     Raises InspeError if there is no such ``frame``.
     """
-    check_frame(scene, frame)
-    with house_style():
-        title = f"What a {view.road_user} gets: {layout.name} at {scene.name}"
-        facts = _facts(scene, frame, conditions)
-        panels = _panels(scene, layout, view)
-        fig, axes = sheet_of_two(title, facts, len(panels), _HEAD, _BELOW)
-        for k, (ax, panel) in enumerate(zip(axes, panels, strict=True)):
-            _draw(ax, scene, layout, panel, reach_of(scene, layout), frame)
-            if k:
-                ax.set(ylabel="")
-            _draw_keys(fig, ax, panel, _BELOW - 0.45)
-    return fig
+    title = f"What a {view.road_user} gets: {layout.name} at {scene.name}"
+    return _sheet(scene, title, [("", layout, view)], frame, conditions)
 
 
 def targets_change(
@@ -204,27 +194,36 @@ def targets_change(
 
     Raises InspeError if there is no such ``frame``.
     """
+    title = f"What a {before[1].road_user} gets: before and after, at {scene.name}"
+    rows = [("before: ", *before), ("after: ", *after)]
+    return _sheet(scene, title, rows, frame, conditions)
+
+
+def _sheet(
+    scene: Scene,
+    title: str,
+    rows: Sequence[tuple[str, Layout, TargetView]],
+    frame: int,
+    conditions: Conditions,
+) -> Figure:
+    """The maps of layouts, one below the other, each with what its titles begin with."""
     check_frame(scene, frame)
-    reach = reach_of(scene, before[0], after[0])
-    with house_style():
-        title = f"What a {before[1].road_user} gets: before and after, at {scene.name}"
-        facts = _facts(scene, frame, conditions)
-        fig, axes = sheet_of_two(title, facts, 2, _HEAD, _BELOW, rows=2)
-        for row, (when, (layout, view)) in enumerate((("before", before), ("after", after))):
-            for k, panel in enumerate(_panels(scene, layout, view)):
-                ax = axes[2 * row + k]
-                first = panel[0].splitlines()[0].rstrip(",")
-                _draw(ax, scene, layout, (f"{when}: {first}", *panel[1:]), reach, frame)
-                ax.set(**({"ylabel": ""} if k else {}), **({"xlabel": ""} if not row else {}))
-                if row:
-                    _draw_keys(fig, ax, panel, _BELOW - 0.45)
-    return fig
-
-
-def _facts(scene: Scene, frame: int, conditions: Conditions) -> str:
-    settings = conditions.record | dict(profile=scene.profile.name)
+    reach = reach_of(scene, *(layout for _, layout, _ in rows))
+    settings = setting_words(conditions.record | dict(profile=scene.profile.name))
     where = f"at each place of the region, radius {scene.voxels.radius:g} m"
-    return f"{where}; frame {frame}; {setting_words(settings)}"
+    with house_style():
+        facts = f"{where}; frame {frame}; {settings}"
+        fig, axes = sheet_of_two(title, facts, 2, _HEAD, _BELOW, rows=len(rows))
+        for row, (when, layout, view) in enumerate(rows):
+            last = row + 1 == len(rows)
+            for k, (words, layer, pictures) in enumerate(_panels(scene, layout, view)):
+                ax = axes[2 * row + k]
+                words = when + words.splitlines()[0].rstrip(",") if when else words
+                _draw(ax, scene, layout, (words, layer, pictures), reach, frame)
+                ax.set(**({"ylabel": ""} if k else {}), **({} if last else {"xlabel": ""}))
+                if last:
+                    _draw_keys(fig, ax, layer, _BELOW - 0.45)
+    return fig
 
 
 def _draw(ax: Axes, scene: Scene, layout: Layout, panel: Panel, reach: float, frame: int) -> None:
@@ -241,9 +240,9 @@ def _draw(ax: Axes, scene: Scene, layout: Layout, panel: Panel, reach: float, fr
     ax.set_title(words, size=7.5, loc="left", pad=4)
 
 
-def _draw_keys(fig: Figure, ax: Axes, panel: Panel, up: float) -> None:
+def _draw_keys(fig: Figure, ax: Axes, layer: MapLayer, up: float) -> None:
     """Draw the keys of a map's kinds below it, ``up`` inches above the sheet's lower edge."""
     fig.legend(
-        handles=kind_keys(panel[1]), loc="upper left", ncols=2, columnspacing=1.6,
+        handles=kind_keys(layer), loc="upper left", ncols=2, columnspacing=1.6,
         bbox_to_anchor=(ax.get_position().x0, up / fig.get_figheight()), **KEYS,
     )  # fmt: skip

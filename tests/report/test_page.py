@@ -19,7 +19,6 @@ from inspe_jax.core.errors import InspeError
 from inspe_jax.placement.optimise import optimise
 from inspe_jax.placement.problem import Case
 from inspe_jax.placement.result import load_result, save_result
-from inspe_jax.placement.studies.pareto import ParetoPoint
 from inspe_jax.placement.studies.tolerance import Slopes, Tolerance
 from inspe_jax.report import page as pages
 from inspe_jax.report.layers import BLIND, HIDDEN, layers
@@ -120,7 +119,7 @@ def test_it_stands_alone(page):
 
 def test_every_figure_is_there_and_shows_something(entries, page):
     images = Reader(page).images
-    assert len(images) == 2 + len(entries) * (len(CAPTIONS) + RECORDED)
+    assert len(images) == 1 + len(entries) * (len(CAPTIONS) + RECORDED)
     for shown in images:
         assert shown["alt"]
         pixels = picture(base64.b64decode(shown["src"].partition(",")[2]))
@@ -129,33 +128,23 @@ def test_every_figure_is_there_and_shows_something(entries, page):
         assert len(np.unique(levels)) > 50
 
 
-def test_figures_as_sheets(scene, entries):
-    made = pages.report_sheets(scene, entries[:1], views=VIEWS)
-    assert made.startswith(b"%PDF")
-    count = len(re.findall(rb"/Type /Page\b", made))
-    assert count == 2 + len(CAPTIONS) + RECORDED
-
-
 def test_what_a_search_found_comes_with_before_and_after(scene, tmp_path):
-    """From files, as the command line has it; and cost against score of mixes of devices."""
+    """From files, as the command line has it."""
     case, begun = Case(scene), place_sensors((CAMERA, [9.0, 9.0, 6.0, 0, -0.3, 0.8]))
     save_result(optimise(scene, begun, "random", evaluations=8), tmp_path)
     result = load_result(tmp_path)
     entry = report_entry(case, result.layout, (0.3, 0.5, 0.2), result)
     assert entry.before.surrogate == evaluate(scene, begun).surrogate
-    front = [ParetoPoint({"a": k}, 100.0 * k, 0.1 * k, True, "here", "random") for k in (1, 2)]
     told = []
     page = pages.report_page(
-        scene, [entry], front=front, progress=lambda done, total: told.append((done, total))
+        scene, [entry], progress=lambda done, total: told.append((done, total))
     )
     assert told[-1][0] == told[-1][1]
     reader = Reader(page)
     shown = [shown["alt"] for shown in reader.images]
-    assert {"Before and after", "Score against time", "Cost against score"} <= set(shown)
-    assert len(shown) == 2 + len(CAPTIONS) + 3
+    assert {"Before and after", "Score against time"} <= set(shown)
+    assert len(shown) == 1 + len(CAPTIONS) + 2
     assert {str(result.objective_before), str(result.objective)} <= set(reader.titles)
-    sheets = pages.report_sheets(scene, [entry], front=front)
-    assert len(re.findall(rb"/Type /Page\b", sheets)) == len(shown)
 
 
 def test_a_layout_comes_with_the_one_before_and_its_target(scene):

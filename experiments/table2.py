@@ -109,7 +109,6 @@ def run(study: Study, folder: Path, given: argparse.Namespace) -> list[Row]:
             folder,
             scheduler=given.scheduler,
             workers=processes(given),
-            retry=True,
             progress=report,
         )
     for row in rows:

@@ -38,20 +38,19 @@ class RunOptions:
     """How a study is run.
 
     Attributes:
-        retry: Run again what failed in an earlier run.
         dry_run: Only check the input, and print how many jobs it has.
     """
 
     scheduler: str | None = None
     workers: int | None = None
-    retry: bool = False
     dry_run: bool = False
 
     def rows(self, study: Study, folder: Path, what: str) -> list[Row]:
         """The rows of a study, run with a bar that counts ``what``."""
-        how = dict[str, Any](scheduler=self.scheduler, workers=self.workers, retry=self.retry)
         with resumable(), progress(what) as report:
-            return run(study, folder, progress=report, **how)
+            return run(
+                study, folder, scheduler=self.scheduler, workers=self.workers, progress=report
+            )
 
 
 @command()
@@ -194,7 +193,7 @@ def _show(found: "CityPlan", georeference: Georeference | None) -> None:
     failed = [f"junction {one.name}: {words}" for one in found.fronts for words in one.errors]
     note_some(failed, SHOWN, "results.csv has their errors")
     if failed or found.left_out:
-        note("some searches failed; --retry runs them again")
+        note("some searches failed; the same command tries them again")
 
 
 def _projection(source: Path) -> Georeference | None:
@@ -285,5 +284,5 @@ def sweep(
     note_some(errors, SHOWN, "results.csv has their errors")
     out.print(f"wrote {folder / 'results.csv'}")
     if failures:
-        err.print("some jobs failed; --retry runs them again")
+        err.print("some jobs failed; the same command tries them again")
         raise typer.Exit(1)

@@ -84,7 +84,7 @@ def city_view(plan: CityPlan, name: str, roads: Sequence[Float[np.ndarray, "N 2"
     cost = np.array([option.cost for option in plan.chosen])
     score = np.array([option.score for option in plan.chosen])
     gets = np.array([bool(option.key) for option in plan.chosen])
-    low, high = middles.min(0), middles.max(0)
+    low, high, (x, y) = middles.min(0), middles.max(0), middles.T
     reach = 0.56 * max(float((high - low).max()), 100.0)
     (left, below), (right, above) = (low + high) / 2 - reach, (low + high) / 2 + reach
     wide = _diameter(cost, cost.max()) * min(1.0, np.sqrt(_MANY / len(cost)))
@@ -96,12 +96,12 @@ def city_view(plan: CityPlan, name: str, roads: Sequence[Float[np.ndarray, "N 2"
         # The scale says how far; plan.csv has coordinates.
         ax.set(xlim=(left, right), ylim=(below, above), aspect="equal", xticks=[], yticks=[])
         ax.add_collection(LineCollection(list(roads), **ROADS), autolim=False)
-        ax.scatter(*middles[~gets].T, s=wide[~gets] ** 2, **_NOTHING, linewidths=0.8, zorder=4)
+        ax.scatter(x[~gets], y[~gets], s=wide[~gets] ** 2, **_NOTHING, linewidths=0.8, zorder=4)
         _draw_names(ax, plan, middles, wide)
         draw_scale(ax, reach)
         if len(some):
             dots = ax.scatter(
-                *middles[some].T, s=wide[some] ** 2, c=score[some], cmap=SCORES,
+                x[some], y[some], s=wide[some] ** 2, c=score[some], cmap=SCORES,
                 norm=_norm(score[some]), ec="white", linewidths=0.5, zorder=4,
             )  # fmt: skip
             _draw_keys(fig, panel, dots, {float(cost[k]): float(wide[k]) for k in order})

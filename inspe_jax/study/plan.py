@@ -27,7 +27,7 @@ The form of the file. Paths are relative to it; every setting is one value or a 
       weather: [clear, "rain:10"]
       weights:                       # for scores: weights, occlusion_reference, visibility
         - {coverage: 0.3, occlusion: 0.5, information_gain: 0.2}
-        - {coverage: 0.3, occlusion: 0.7}  # or three numbers, for C, O and IG
+        - {coverage: 0.3, occlusion: 0.7}
       method: [none, greedy-adam]    # score the layout, or search first: method, seconds,
       seconds: 30                    #   evaluations, search_seed
     metrics: [detectability]         # columns besides C, O, IG and the metrics with weight
@@ -42,7 +42,7 @@ from itertools import product
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import BeforeValidator, Field
+from pydantic import Field
 
 from inspe_jax.core.digest import digest
 from inspe_jax.core.errors import InspeError
@@ -77,8 +77,6 @@ from inspe_jax.scoring import metrics
 from inspe_jax.scoring.detection import DetectionCurves, detection_curves, load_detection
 from inspe_jax.scoring.evaluate import check_options
 
-PAPER_METRICS = 3
-"""Number of the paper's metrics, with which the registry begins."""
 SCORE_ONLY = "none"
 """The method that scores a layout as it is, without a search."""
 BUILD_SETTINGS = (
@@ -141,36 +139,6 @@ class Study:
 # ── The file ────────────────────────────────────────────────────────────────
 
 
-def _several_weights(value: Any) -> Any:
-    """A list of weights, also where the file has only one; three numbers are one, and a list."""
-    several = isinstance(value, list) and value and isinstance(value[0], list | dict)
-    return value if several else [value]
-
-
-def _canonical_weights(given: Any) -> list[float] | dict[str, float]:
-    """Weights in one form, so that a job's key does not depend on how a study spells them.
-
-    Three numbers if only the paper's metrics have weight: earlier versions had no other form, and
-    their keys stay. Else the weights above 0, by name.
-    """
-    by_name = metrics.weights_of(given)
-    if any(list(by_name.values())[PAPER_METRICS:]):
-        return {name: weight for name, weight in by_name.items() if weight}
-    return list(by_name.values())[:PAPER_METRICS]
-
-
-def _check_weights(value: Any) -> None:
-    """Raise InspeError where a study's weights are not numbers by name, or three numbers."""
-    numbers = list(value.values()) if isinstance(value, dict) else value
-    if not isinstance(numbers, list) or not all(
-        isinstance(number, int | float) and not isinstance(number, bool) for number in numbers
-    ):
-        raise InspeError(
-            f"{value!r}: give a number for each metric, such as {{coverage: 0.3, occlusion: 0.7}}"
-        )
-    metrics.weights_of(value)
-
-
 class _Build(WorldSettings):
     profile: Several[str] = Field(default=[])
     spacing: Several[Length] = Field(default=[])
@@ -181,7 +149,7 @@ class _Build(WorldSettings):
 class _Settings(_Build):
     light: Several[str] = Field(default=[])
     weather: Several[str] = Field(default=[])
-    weights: Annotated[list[Any], BeforeValidator(_several_weights)] = Field(default=[])
+    weights: Several[dict[str, float]] = Field(default=[])
     occlusion_reference: Several[str] = Field(default=[])
     visibility: Several[str] = Field(default=[])
     method: Several[str] = Field(default=[])
@@ -202,7 +170,7 @@ class _StudyFile(Sources):
 
 
 _CHECKS = CHECKS | {
-    "weights": _check_weights,
+    "weights": metrics.weights_of,
     "occlusion_reference": lambda value: check_options(None, value, "in_view"),
     "visibility": lambda value: check_options(None, "roi", value),
     "method": lambda value: one_of((SCORE_ONLY, *METHODS))(value),
@@ -282,8 +250,9 @@ def _defaults(profile: str, sized: bool) -> dict[str, list[Any]]:
 
 
 def _completed(settings: dict[str, Any]) -> dict[str, Any]:
-    """Settings with weights in one form, and without a budget where nothing is searched."""
-    settings = settings | dict(weights=_canonical_weights(settings["weights"]))
+    """Settings with the weights above 0, and without a budget where nothing is searched."""
+    by_name = metrics.weights_of(settings["weights"])
+    settings = settings | dict(weights={name: value for name, value in by_name.items() if value})
     if settings["method"] == SCORE_ONLY:
         return settings | dict(seconds=None, evaluations=None, search_seed=None)
     if settings["seconds"] is None and settings["evaluations"] is None:

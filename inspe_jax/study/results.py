@@ -2,7 +2,7 @@
 
 Rows are appended as jobs finish, and put in the order of the study at the end. Each row is flushed
 to disk at once. A run that is killed leaves whole rows and at most one incomplete row, which is
-dropped when the run is resumed.
+dropped when the run is resumed. Jobs that failed are then run again.
 """
 
 import os
@@ -33,7 +33,7 @@ _ADVICE = "name another folder, or delete this one to start again"
 class Results:
     """The results of one study in a folder, which only one run at a time may have open.
 
-    ``rows`` are the rows so far, by the keys of their jobs.
+    ``rows`` are the rows so far, by the keys of their jobs; without those of earlier failures.
     """
 
     def __init__(self, study: Study, folder: str | os.PathLike[str]) -> None:
@@ -87,14 +87,6 @@ class Results:
         write_text(self.path, csv_text(rows))
         return rows
 
-    def forget_failures(self) -> None:
-        """Drop the rows of jobs that failed, so that they are tried again."""
-        self.rows = {key: row for key, row in self.rows.items() if row["status"] == "done"}
-        if self.rows:
-            write_text(self.path, csv_text(list(self.rows.values())))
-        else:
-            self.path.unlink(missing_ok=True)
-
     def _taken_up(self) -> dict[str, Row]:
         if not self.path.exists():
             return {}
@@ -109,7 +101,7 @@ class Results:
         self._check(rows)
         if len(whole) < len(content):
             write_text(self.path, whole.decode("utf-8"))
-        found = {row["key"]: row for row in rows}
+        found = {row["key"]: row for row in rows if row["status"] == "done"}
         for job in self.study.jobs:  # tags may have been changed since
             if job.key in found:
                 found[job.key] |= tag_columns(job)

@@ -27,10 +27,9 @@ BEFORE = "surrogate_before"
 def columns(study: Study) -> tuple[str, ...]:
     """The columns of a study's results."""
     first = ("key", "scene", "layout", *(f"tag_{name}" for name in study.tags))
-    used = {key for job in study.jobs for key in job.settings}
     return (
         *first,
-        *(key for key in SETTINGS if key in used),
+        *SETTINGS,
         *FACTS,
         *(m.name for m in listed(study.metrics)),
         LITERAL,

@@ -329,7 +329,7 @@ def test_scenes_layouts_and_metrics_are_taken_by_name(tmp_path):
         (lambda s, w: ij.pareto(w, {"velodyne-vlp-16": [1]}), "scene: got <Layout"),
         (lambda s, w: ij.cheapest(s, {}, 0.9, objective=3), "objective: got 3"),
         (lambda s, w: ij.tolerance(w, s), "scene: got <Layout"),
-        (lambda s, w: ij.sweep(s, "x"), "study: got <Scene.*; give a Study, or the name of its"),
+        (lambda s, w: ij.sweep(s, "x"), "study: got <Scene.*; give a Study, as load_study"),
         (lambda s, w: ij.save_scene("x.npz", s), "scene: got 'x.npz', of type str; give a Scene"),
         (lambda s, w: ij.save_layout("x.yaml", w), "layout: got 'x.yaml', of type str; give a"),
         (lambda s, w: ij.strategy("Cam-d1", s), "no scene 'Cam-d1'"),

@@ -126,18 +126,17 @@ def test_a_search_has_a_budget_and_a_score_has_none(read):
     assert default.jobs[0].settings["seconds"] == 60
 
 
-def test_weights_are_by_name_or_three_numbers(read):
+def test_weights_are_by_name(read):
     """However they are spelt, the same weights are the same job."""
-    numbers = read(STUDY, settings=dict(weights=[0.2, 0.3, 0.5]))
-    assert {tuple(job.settings["weights"]) for job in numbers.jobs} == {(0.2, 0.3, 0.5)}
-    by_name = dict(occlusion=0.3, coverage=0.2, information_gain=0.5)
-    for weights in (by_name, [by_name], [by_name, [0.2, 0.3, 0.5]]):
-        assert read(STUDY, settings=dict(weights=weights)).jobs == numbers.jobs
-    two = read(STUDY, settings=dict(weights=[by_name, {"coverage": 1}]))
-    assert len(two.jobs) == 2 * len(numbers.jobs)
-    assert {tuple(job.settings["weights"]) for job in two.jobs} == {(0.2, 0.3, 0.5), (1, 0, 0)}
-    usual = read(STUDY, settings=dict(weights=[0.3, 0.5, 0.2]))
-    assert read(STUDY, settings={}).jobs == usual.jobs
+    given = dict(occlusion=0.3, coverage=0.2, information_gain=0.5)
+    study = read(STUDY, settings=dict(weights=given))
+    assert study.jobs[0].settings["weights"] == given
+    zero = given | dict(detectability=0)
+    assert read(STUDY, settings=dict(weights=[zero])).jobs == study.jobs
+    two = read(STUDY, settings=dict(weights=[given, {"coverage": 1}]))
+    assert len(two.jobs) == 2 * len(study.jobs)
+    usual = dict(coverage=0.3, occlusion=0.5, information_gain=0.2)
+    assert read(STUDY, settings=dict(weights=usual)).jobs == read(STUDY, settings={}).jobs
 
 
 def test_devices_of_ones_own(read, tmp_path):
@@ -210,40 +209,28 @@ def test_saved_scenes_and_layout_files(read, tmp_path):
         (dict(scenes=[]), r"study.yaml: scenes: needs at least 1, has 0"),
         (dict(scenes=[{}]), r"scenes\[0\]: give exactly one of built_in, map and file"),
         (dict(scenes=[{"built_in": "five_ways"}]), r"scenes\[0\].built_in.*did you mean five_way"),
-        (dict(scenes=[{"built_in": "four_way", "map": "a.xodr"}]), r"give exactly one of built_in"),
         (dict(scenes=[{"built_in": "four_way", "center": [1, 2]}]), "junction and center are only"),
         (dict(scenes=[{"built_in": "four_way", "radios": 3}]), r"unknown key; did you mean radius"),
         (dict(scenes=[{"built_in": "four_way"}] * 2), r"scenes: two are named 'four_way'"),
         (dict(scenes=[{"map": "a.xodr", "junction": 3}]), r"a.xodr: no such file"),
         (dict(scenes=[{"map": "study.yaml"}]), "choose a place on the map: give either junction"),
-        (dict(scenes=[{"map": "study.yaml", "junction": 1, "center": [0, 0]}]), "choose a place"),
-        (dict(scenes=[{"file": "a.npz"}]), r"a.npz: no such file"),
-        (dict(scenes=[{"built_in": "four_way", "radius": -1}]), r"radius.*greater than 0"),
         (dict(layouts=["Cam-d9"]), r"layouts\[0\]: no strategy 'Cam-d9'.*did you mean Cam-d"),
-        (dict(layouts=["a.yaml"]), r"a.yaml: no such file"),
         (dict(layouts=["L-c", "l-c"]), r"layouts: two are named 'L-c'"),
         (dict(layouts=[{"name": "x"}]), r"layouts\[0\]: give either a strategy or a file"),
-        (dict(layouts=[{"strategy": "L-c", "mix": {"paper-camera": 1}}]), "or a mix of devices"),
         (dict(layouts=[{"mix": {"paper-camera": 1}, "lidar": "x"}]), "a mix has its own devices"),
         (dict(layouts=[{"mix": {"paper-camara": 1}}]), r"layouts\[0\].mix: no device 'paper-cam"),
         (dict(layouts=[{"mix": {"paper-camera": 0}}]), r"layouts\[0\].mix: needs at least one"),
-        (dict(layouts=[{"mix": {"paper-camera": -1}}]), r"mix.paper-camera: .*or equal"),
         (dict(layouts=[{"strategy": "L-c", "lidar": "no"}]), r"layouts\[0\]: no device 'no'"),
         (dict(layouts=[{"strategy": "L-c", "lidar": "paper-camera"}]), "paper-camera' is a camera"),
-        (dict(layouts=[{"strategy": "L-c", "lidar_height": 99.0}]), "lidar_height 99"),
         (dict(layouts=[{"strategy": "L-c", "name": "two\nlines"}]), r"layouts\[0\].name: string"),
-        (dict(scenes=[{"built_in": "four_way", "tags": {"a": "b\tc"}}]), r"scenes\[0\].tags.a"),
         (dict(settings=dict(density="many")), r"settings.density: density 'many': none, low"),
         (dict(settings=dict(light=["midday", "noon"])), r"settings.light: light 'noon': one of"),
-        (dict(settings=dict(weather="hail")), r"settings.weather: weather 'hail'"),
         (dict(settings=dict(mix="bikes")), r"settings.mix: 'bikes': one of mixed, fleet, largest"),
         (dict(settings=dict(method="adm")), r"settings.method: 'adm': one of none, .*mean adam"),
-        (dict(settings=dict(weights=[0.5, 0.5, 0.5])), r"settings.weights: .* sum to 1"),
-        (dict(settings=dict(weights=["0.5", 0.5, 0])), r"settings.weights: .* a number for each"),
-        (dict(settings=dict(weights={"coverag": 1})), r"settings.weights: .* mean coverage\?"),
+        (dict(settings=dict(weights={"coverage": 0.5})), r"settings.weights: .* sum to 1"),
+        (dict(settings=dict(weights={"coverage": "all"})), r"settings.weights\[0\].coverage: .*"),
         (dict(settings=dict(frames=0)), r"settings.frames\[0\]: .*greater than or equal to 1"),
         (dict(settings=dict(seconds=[])), r"settings.seconds: needs at least 1"),
-        (dict(settings=dict(light=None)), r"settings.light\[0\]: input should be a valid string"),
         (dict(settings=dict(occlusion_reference="all")), r"occlusion_reference 'all': one of"),
         (dict(settings=dict(lights="dusk")), r"settings.lights: unknown key; did you mean light"),
     ],

@@ -78,18 +78,16 @@ def test_only_one_run_at_a_time(study, tmp_path):
         pass
 
 
-def test_failures_are_forgotten_only_when_asked(study, tmp_path):
-    folder = tmp_path / "out"
+def test_what_failed_is_run_again(study, tmp_path):
     bad, good, _ = study.jobs
-    with Results(study, folder) as results:
+    with Results(study, tmp_path / "out") as results:
         results.add(row_head(bad) | versions() | failure_columns("two\nlines, and a comma"))
         results.add(row(good))
-    assert read_results(folder)[0]["error"] == "two lines, and a comma"
-    with Results(study, folder) as results:
-        assert set(results.rows) == {bad.key, good.key}
-        results.forget_failures()
+    assert read_results(tmp_path / "out")[0]["error"] == "two lines, and a comma"
+    with Results(study, tmp_path / "out") as results:
         assert set(results.rows) == {good.key}
-        assert [r["key"] for r in read_results(folder)] == [good.key]
+        results.add(row(bad))
+        assert [r["status"] for r in results.finish()] == ["done", "done"]
 
 
 def test_results_of_something_else_are_left_alone(study, tmp_path):

@@ -5,25 +5,20 @@ import platform
 import signal
 import subprocess
 from pathlib import Path
-from types import SimpleNamespace
 
 import deadly
-import distributed
 import psutil
 import pytest
 import yaml
-from distributed import CancelledError
 from processes import in_this_process, inspe_process, kill_with_workers, wait_for_rows
 
 from inspe_jax import Conditions, build_scene, built_in, evaluate, strategy
 from inspe_jax.core.errors import InspeError
 from inspe_jax.jobs import cluster
-from inspe_jax.jobs.engine import _by_scene, _run_jobs
 from inspe_jax.sensing.layout import load_layout
 from inspe_jax.study.plan import load_study
 from inspe_jax.study.results import Results, read_results
 from inspe_jax.study.sweep import sweep
-from inspe_jax.study.work import run_job, scene_of_job
 
 STUDY = dict(
     scenes=[{"built_in": "four_way"}, {"built_in": "t_junction", "tags": {"kind": "T"}}],
@@ -108,18 +103,6 @@ def test_workers_keep_the_memory_that_they_free(monkeypatch):
 
 
 @pytest.mark.process
-def test_a_running_scheduler_does_the_same(undisturbed, tmp_path):
-    """On all cores at once, so that sums may be rounded otherwise."""
-    path, _ = undisturbed
-    study = load_study(path)
-    with in_this_process() as running:
-        rows = sweep(study, tmp_path / "out", scheduler=running.scheduler_address)
-    for row, same in zip(rows, read_results(path.parent / "out"), strict=True):
-        assert row["key"] == same["key"]
-        assert float(row["surrogate"]) == pytest.approx(float(same["surrogate"]), abs=1e-6)
-
-
-@pytest.mark.process
 def test_a_killed_worker_changes_nothing(undisturbed, tmp_path):
     path, whole = undisturbed
     process = begin(path, tmp_path / "out", "--workers", "2")
@@ -198,11 +181,12 @@ def test_jobs_that_fail_say_why_and_the_others_go_on(tmp_path):
     moved = load_layout(tmp_path / "out" / "layouts" / f"{found['key']}.yaml")
     scene = build_scene(built_in("four_way"), radius=20, voxel=2, frames=2, density=5)
     assert evaluate(scene, moved).surrogate == pytest.approx(float(found["surrogate"]), abs=1e-6)
-    assert sweep(study, tmp_path / "out") == rows  # nothing is left to do, and no worker starts
     told.clear()
     with in_this_process() as running:
-        how = dict(scheduler=running.scheduler_address, retry=True)
-        again = sweep(study, tmp_path / "out", **how, progress=lambda *at: told.append(at))
+        again = sweep(
+            study, tmp_path / "out", scheduler=running.scheduler_address,
+            progress=lambda *at: told.append(at),
+        )  # fmt: skip
     assert again == rows
     assert told == [(n, 16) for n in range(2, 17)]  # those that were done are not done again
 
@@ -219,42 +203,6 @@ def test_a_job_that_kills_its_workers_takes_no_other_with_it(tmp_path, monkeypat
     rows = sweep(load_study(path), tmp_path / "out", workers=1)
     assert [row["status"] for row in rows] == ["done", "done", "failed", "done"]
     assert "KilledWorker" in rows[2]["error"]
-
-
-@pytest.mark.parametrize("error", [CancelledError("gone"), ValueError("what")])
-def test_what_is_lost_on_the_way(error, tmp_path, monkeypatch):
-    """A result that cannot be fetched: the scheduler is gone, or this one job has failed."""
-    study = load_study(write(tmp_path))
-
-    def result():
-        raise error
-
-    class Completed(list):
-        """Futures that are all done."""
-
-        def __init__(self, loop):
-            super().__init__()
-
-        add = list.append
-
-    client = SimpleNamespace(
-        loop=None,
-        nthreads=lambda: {"one": 1},
-        submit=lambda *given, key, **more: SimpleNamespace(key=key, result=result),
-    )
-    monkeypatch.setattr(distributed, "as_completed", Completed)
-    found = _run_jobs(client, study.jobs[:1], 1, scene_of_job, run_job)
-    if isinstance(error, ValueError):
-        assert [(job.key, str(e)) for job, e in found] == [(study.jobs[0].key, "what")]
-    else:
-        with pytest.raises(InspeError, match="give the same command again to resume"):
-            next(found)
-
-
-def test_scenes_of_one_place_go_one_after_the_other(tmp_path):
-    jobs = load_study(write(tmp_path)).jobs
-    groups = [(group[0].source.name, group[0].settings["density"]) for group in _by_scene(jobs)]
-    assert groups == [(name, density) for density in (5, 8) for name in ("four_way", "t_junction")]
 
 
 def test_bad_options(tmp_path, monkeypatch):

@@ -222,7 +222,8 @@ def slope(scene: Scene, layout: Layout) -> dict[str, float]:
     def hard() -> None:
         inspe_jax.evaluate(scene, layout)
 
-    cold, _ = seconds(soft, 1), hard()
+    cold = seconds(soft, 1)
+    hard()
     warm, exact = np.min([[seconds(soft, 1), seconds(hard, 3)] for _ in range(3)], 0).tolist()
     return dict(slope_cold=cold, slope=warm, slope_ratio=warm / exact)
 

@@ -12,6 +12,7 @@ from inspe_jax.core.errors import InspeError
 from inspe_jax.core.tables import table_of
 from inspe_jax.scene.georeference import Georeference
 from inspe_jax.scene.maps.parts import JunctionInfo
+from inspe_jax.scene.procedural.built_ins import BUILT_INS, built_in
 from inspe_jax.scene.profiles import Profile
 from inspe_jax.scene.regions import WEIGHTS, Region
 from inspe_jax.scene.scene import Scene
@@ -141,6 +142,23 @@ def junctions_table(
         at = [_position(info.center), *([place] if degrees else [])]
         numbers = (f"{info.arms}", f"{info.size:.1f}", f"{info.crosswalks}", f"{info.signals}")
         table.add_row(f"{info.id}", *at, *numbers)
+    return table
+
+
+def built_ins_table() -> RenderableType:
+    """The built-in intersections."""
+    table = table_of(
+        "Built-in intersections", "name", "arms", "poles", "routes", "regions", "notes"
+    )
+    for name in BUILT_INS:
+        place = built_in(name)
+        regions = ", ".join(
+            region.key
+            for region in Region
+            if region in place.regions and not place.regions[region].is_empty
+        )
+        counts = (str(len(each)) for each in (place.arms, place.poles, place.routes))
+        table.add_row(name, *counts, regions, Text("\n".join(place.notes)))
     return table
 
 

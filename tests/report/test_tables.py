@@ -15,6 +15,7 @@ from inspe_jax.cli.common import WholeConsole
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.tables import table_of
 from inspe_jax.report.scene_tables import (
+    built_ins_table,
     devices_table,
     junctions_table,
     layout_table,
@@ -231,6 +232,7 @@ SWEPT = dict(layout="Cam-d1/L-d1", status="done", coverage="0.81", occlusion="0.
         devices_table(devices()).renderables[0],
         *(profile_table(profile) for profile in profiles().values()),
         sweep_table([SWEPT]),
+        built_ins_table(),
     ],
     ids=lambda x: str(getattr(x, "title", x)).split(":")[0],
 )

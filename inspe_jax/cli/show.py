@@ -143,8 +143,8 @@ def view(
         port: Port; if it is taken, the next free one is used.
         host: Address to listen on; 127.0.0.1 is the only one.
     """
-    from inspe_jax.report.page_token import kept_token
     from inspe_jax.viewer.app import Viewer
+    from inspe_jax.viewer.page_token import kept_token
     from inspe_jax.viewer.server import HOST
 
     check_output(path, (".yaml", ".yml"))

@@ -130,21 +130,11 @@ def working_clock() -> Callable[[], float]:
     """A clock [s] that stands still while the thread that calls this waits for a program.
 
     It waits while it traces, and while it or a job that it runs on another thread
-    (:func:`inspe_jax.core.parallel.run`) compiles or reads a program from disk, and in blocks of
-    :func:`waiting`. What other threads compile meanwhile does not stop the clock.
+    (:func:`inspe_jax.core.parallel.run`) compiles or reads a program from disk. What other threads
+    compile meanwhile does not stop the clock.
     """
     waits = this_thread()
     return lambda: time.monotonic() - waits.seconds
-
-
-@contextlib.contextmanager
-def waiting() -> Iterator[None]:
-    """Let this thread's :func:`working_clock` stand still in the block."""
-    began = time.monotonic()
-    try:
-        yield
-    finally:
-        this_thread().add(began, time.monotonic())
 
 
 def this_thread() -> Stretches:

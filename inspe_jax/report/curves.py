@@ -14,7 +14,7 @@ from inspe_jax.core.errors import InspeError
 from inspe_jax.core.sheet import KEYS, TITLE, WIDTH, fit, house_style, setting_words
 from inspe_jax.placement.result import Result
 from inspe_jax.placement.run import Progress
-from inspe_jax.placement.studies.pareto import ParetoPoint
+from inspe_jax.placement.studies.pareto import DeviceMix
 
 COLORS = (
     "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000", "#808080",
@@ -49,7 +49,7 @@ def _with_grid(ax: Axes, **labels: Any) -> None:
     ax.set_axisbelow(True)
 
 
-def pareto_view(mixes: Sequence[ParetoPoint]) -> Figure:
+def pareto_view(mixes: Sequence[DeviceMix]) -> Figure:
     """Score against cost of every mix of devices. The front is a staircase with named mixes.
 
     Raises InspeError if there is no mix.

@@ -22,7 +22,6 @@ from jaxtyping import UInt
 from inspe_jax.core.errors import InspeError
 from inspe_jax.placement.problem import Case
 from inspe_jax.report.page import template
-from inspe_jax.report.page_token import new_token
 from inspe_jax.scoring.detection import DetectionCurves
 from inspe_jax.scoring.metrics import Weights
 from inspe_jax.sensing.conditions import Conditions
@@ -32,6 +31,7 @@ from inspe_jax.viewer.browser_view import BrowserView
 from inspe_jax.viewer.display import BACK, Display
 from inspe_jax.viewer.file_actions import FileActions
 from inspe_jax.viewer.job_queue import DelayedAction, JobQueue
+from inspe_jax.viewer.page_token import new_token
 from inspe_jax.viewer.panel import Panel
 from inspe_jax.viewer.scene3d import look_from
 from inspe_jax.viewer.scorer import ScoredLayout, Scorer

@@ -145,7 +145,7 @@ def map_heading(there):
 
 
 def pareto(there):
-    mixes = [DeviceMix.of({"paper-camera": 1}, 800.0, there.result, front=True)]
+    mixes = [DeviceMix({"paper-camera": 1}, 800.0, there.result, front=True)]
     save_pareto(mixes, there.folder)
     (row,) = csv.DictReader((there.folder / "pareto.csv").read_text().splitlines())
     return shown(tables.pareto_table(mixes)) + str(row)

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import pytest
 
 from inspe_jax.core import compiling
-from inspe_jax.core.compiling import compiled, waiting, working_clock
+from inspe_jax.core.compiling import compiled, working_clock
 from inspe_jax.core.parallel import run
 
 
@@ -65,7 +65,7 @@ def test_time_is_counted_once_whatever_is_within_what_and_however_many_threads_w
 
 @pytest.mark.parametrize(
     ("where", "stands"),
-    [("here", True), ("in jobs", True), ("in a block", True), ("beside", False)],
+    [("here", True), ("in jobs", True), ("beside", False)],
 )
 def test_a_clock_stands_still_while_its_thread_waits_for_a_program(monkeypatch, where, stands):
     watch = compiling._Watch()
@@ -83,9 +83,6 @@ def test_a_clock_stands_still_while_its_thread_waits_for_a_program(monkeypatch, 
         compiles()
     elif where == "in jobs":
         run([("a", compiles), ("b", compiles)], set())
-    elif where == "in a block":
-        with waiting():
-            time.sleep(0.3)
     else:
         thread = threading.Thread(target=compiles)
         thread.start()

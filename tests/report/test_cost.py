@@ -22,7 +22,7 @@ def mix_of(count, cost, objective, front):
     result = SimpleNamespace(
         objective=objective, scores=scores, method="random", settings={"scenes": [{"name": "here"}]}
     )
-    return DeviceMix.of({"device": count}, cost, result, front)
+    return DeviceMix({"device": count}, cost, result, front)
 
 
 @pytest.fixture

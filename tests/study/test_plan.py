@@ -97,7 +97,7 @@ def test_curves_of_detection_are_part_of_what_a_job_is(read, tmp_path):
     for name, half in (("a", 10), ("b", 10), ("c", 20)):
         (tmp_path / f"{name}.toml").write_text(car.format(half))
         study = read(STUDY, detection=f"{name}.toml")
-        assert study.jobs[0].detection.lidar[0].half == half
+        assert study.jobs[0].detection.of("lidar")[0].half == half
         keys[name] = {job.key for job in study.jobs}
     assert keys["a"] == keys["b"]
     assert not keys["a"] & keys["c"]

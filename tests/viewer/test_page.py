@@ -15,13 +15,13 @@ from worlds import world
 
 from inspe_jax.placement.problem import Case
 from inspe_jax.placement.space import Space
-from inspe_jax.report.page_token import new_token
 from inspe_jax.report.plan_picture import LETTERS
 from inspe_jax.scoring.evaluate import evaluate
 from inspe_jax.sensing.conditions import Conditions
 from inspe_jax.sensing.layout import load_layout, save_layout
 from inspe_jax.viewer.app import Viewer
 from inspe_jax.viewer.bindings import set_value
+from inspe_jax.viewer.page_token import new_token
 from inspe_jax.viewer.scene3d import turn_of
 from inspe_jax.viewer.selection3d import LENGTH
 

@@ -5,11 +5,10 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from math import prod
-from pathlib import Path
 from typing import Any
 
 from inspe_jax.core.errors import InspeError, nearest, or_usual
-from inspe_jax.core.files import csv_text, prepare_folder, read_csv, write_text
+from inspe_jax.core.files import csv_text, prepare_folder, write_text
 from inspe_jax.mounting.mixes import mix_name, starting_layout
 from inspe_jax.placement.constraints import Constraints
 from inspe_jax.placement.objective import Objective, total_price
@@ -25,41 +24,38 @@ MOST = 200
 _ADVICE = f"at most {MOST} are searched; allow fewer counts, such as 0, 4 and 8"
 
 
-@dataclass(frozen=True)
-class ParetoPoint:
-    """A mix of devices: the number of each, the cost [US dollars], and what the search reached.
+@dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
+class DeviceMix:
+    """A mix of devices: the number of each, the cost [US dollars], and the search that placed them.
 
-    ``objective`` is the exact one, ``scene`` and ``method`` are those of the search. ``front``:
-    whether the mix is on the Pareto front. Then no other mix has at least its objective for less
-    money, or a higher objective for no more money.
+    ``front``: whether the mix is on the Pareto front. Then no other mix has at least its objective
+    for less money, or a higher objective for no more money.
     """
 
     counts: Mapping[str, int]
     cost: float
-    objective: float
-    front: bool
-    scene: str
-    method: str
+    result: Result
+    front: bool = False
 
     @property
     def name(self) -> str:
         """Such as "4 hesai-xt32 + 2 paper-camera"."""
         return mix_name(self.counts)
 
+    @property
+    def objective(self) -> float:
+        """The exact one."""
+        return self.result.objective
 
-@dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
-class DeviceMix(ParetoPoint):
-    """A mix with the ``result`` of the search that placed its devices."""
+    @property
+    def method(self) -> str:
+        """The method of the search."""
+        return self.result.method
 
-    result: Result
-
-    @classmethod
-    def of(
-        cls, counts: Mapping[str, int], cost: float, result: Result, front: bool = False
-    ) -> "DeviceMix":
-        """The mix of a search's result."""
-        scene = " and ".join(dict.fromkeys(row["name"] for row in result.settings["scenes"]))
-        return cls(counts, cost, result.objective, front, scene, result.method, result)
+    @property
+    def scene(self) -> str:
+        """The scenes of the search."""
+        return " and ".join(dict.fromkeys(row["name"] for row in self.result.settings["scenes"]))
 
 
 @dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
@@ -208,7 +204,7 @@ def searched(
             if not found:
                 raise
             break
-        found.append(DeviceMix.of(row, cost, result))
+        found.append(DeviceMix(row, cost, result))
         if result.objective >= target or result.status == "interrupted":
             break
     return found
@@ -217,8 +213,8 @@ def searched(
 def save_pareto(found: Sequence[DeviceMix], folder: str | os.PathLike[str]) -> None:
     """Write ``pareto.csv``, and a layout file for each mix on the front.
 
-    The table has one row for each mix, cheapest first; :func:`load_pareto` reads it. Raises
-    InspeError as :func:`~inspe_jax.placement.result.save_result` does.
+    The table has one row for each mix, cheapest first. Raises InspeError as
+    :func:`~inspe_jax.placement.result.save_result` does.
     """
     place = prepare_folder(folder)
     rows, metrics = [], listed_in(*(mix.result.scores for mix in found))
@@ -232,31 +228,6 @@ def save_pareto(found: Sequence[DeviceMix], folder: str | os.PathLike[str]) -> N
         how = {"scene": mix.scene, "method": mix.method}
         rows.append({**head, **scores, "seconds": mix.result.seconds, **how, **ends})
     write_text(place / "pareto.csv", csv_text(rows))
-
-
-def load_pareto(folder: str | os.PathLike[str]) -> list[ParetoPoint]:
-    """Read the table that :func:`save_pareto` wrote.
-
-    Raises InspeError if it is missing or is not such a table.
-    """
-    path = Path(folder) / "pareto.csv"
-    rows = read_csv(path)
-    try:
-        names = list(rows[0]) if rows else ["cost_usd"]
-        devices = names[: names.index("cost_usd")]
-        return [
-            ParetoPoint(
-                {name: int(row[name]) for name in devices},
-                float(row["cost_usd"]),
-                float(row["objective"]),
-                row["front"] == "1",
-                row["scene"],
-                row["method"],
-            )
-            for row in rows
-        ]
-    except (KeyError, TypeError, ValueError) as e:
-        raise InspeError(f"{path}: not a table written by `inspe pareto`") from e
 
 
 def device_mixes(

@@ -13,7 +13,6 @@ from inspe_jax.placement.objective import Objective
 from inspe_jax.placement.studies import pareto as module
 from inspe_jax.placement.studies.pareto import (
     device_mixes,
-    load_pareto,
     pareto,
     save_pareto,
     searched,
@@ -86,19 +85,6 @@ def test_it_is_saved(found, scene, tmp_path):
         if mix.front:
             again = load_layout(tmp_path / "pareto" / row["layout"])
             assert len(again) == len(mix.result.layout)
-    points = load_pareto(tmp_path / "pareto")
-    for point, mix in zip(points, mixed, strict=True):
-        assert vars(point).items() <= vars(mix).items()
-        assert point.name == mix.name
-
-
-@pytest.mark.parametrize("content", ["", "a,b\n1,2\n", "x,cost_usd,objective\n1,2,3\n"])
-def test_what_is_no_table_of_mixes_is_refused(content, tmp_path):
-    with pytest.raises(InspeError, match=r"pareto\.csv: no such file"):
-        load_pareto(tmp_path)
-    (tmp_path / "pareto.csv").write_text(content)
-    with pytest.raises(InspeError, match=r"not a table written by `inspe|not CSV: it is empty"):
-        load_pareto(tmp_path)
 
 
 def test_a_budget_leaves_out_what_costs_more():

@@ -228,7 +228,8 @@ def test_it_carries_weight_in_a_study(there):
     by_hand = 0.25 * float(row["worst_frame"]) + 0.75 * float(row["occlusion"])
     assert float(row["surrogate"]) == pytest.approx(by_hand, abs=1e-6)
     assert row["weights"] == "occlusion=0.75 worst_frame=0.25"
-    content["settings"]["weights"] = [0.3, 0.5, 0.2]
+    usual = dict(coverage=0.3, occlusion=0.5, information_gain=0.2)
+    content["settings"]["weights"] = usual
     assert load_of(there.folder, content).key == paper.key
 
 

@@ -318,7 +318,7 @@ def whole_file(path: str | os.PathLike[str]) -> Iterator[IO[bytes]]:
     try:
         with named(path), file:
             yield file
-        part.replace(path)
+        os.replace(part, path)
     except BaseException:
         part.unlink(missing_ok=True)
         raise

@@ -10,7 +10,7 @@ from typing import Any, Union, get_args, get_origin
 import jax
 import numpy as np
 
-from inspe_jax.core.errors import InspeError, wrong_kind
+from inspe_jax.core.errors import InspeError, brief, wrong_kind
 
 NUMBERS = {
     "bool": ("b", "true or false"),
@@ -75,7 +75,7 @@ def _check_array(value: Any, kind: str, shape: str, where: str, axes: dict[str, 
         array = np.asarray(None)
     allowed, words = NUMBERS[kind]
     if array.size and array.dtype.kind not in allowed:
-        got = f"an array of {array.dtype.name}" if array.ndim else repr(value)
+        got = f"an array of {array.dtype.name}" if array.ndim else brief(array.item())
         raise InspeError(f"{where}: must be {words}, got {got}")
     letters = shape.split()
     pairs = zip(letters, array.shape, strict=False)

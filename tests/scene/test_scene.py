@@ -127,6 +127,10 @@ def test_no_array_of_a_saved_scene_may_have_a_value_that_is_not_finite(tmp_path)
         np.savez(path, **saved | {name: bad})
         with pytest.raises(InspeError, match=rf"bad.npz: four_way: .*{words}.*: nan is not finite"):
             load_scene(path)
+    np.savez(path, **saved | dict(poles=np.array("x" * 60_000)))
+    with pytest.raises(InspeError, match=r"poles: must be numbers, got 'x+\.\.\.x+'") as caught:
+        load_scene(path)
+    assert len(str(caught.value)) < 300
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,6 @@ process.
 
 import atexit
 import contextlib
-import copy
 import os
 import sys
 import threading
@@ -61,6 +60,15 @@ class Stretches:
         self._stretches.append((begin, end))
         self.seconds += end - begin
 
+    def before(self, time: float) -> float:
+        """The seconds before a time."""
+        seconds = self.seconds
+        for first, last in reversed(self._stretches):
+            if last <= time:
+                break
+            seconds -= last - max(first, time)
+        return seconds
+
 
 class _Local(threading.local):
     """What this thread has waited."""
@@ -103,10 +111,11 @@ class _Watch:
         alive = {thread.ident for thread in threading.enumerate()}
         with self._lock:
             self._since = {thread: at for thread, at in self._since.items() if thread in alive}
-            waits = copy.deepcopy(self._all)
+            seconds = self._all.seconds
             if self._since:
-                waits.add(min(self._since.values()), time.monotonic())
-            return Compiled(self._programs, waits.seconds, bool(self._since))
+                since = min(self._since.values())
+                seconds = self._all.before(since) + time.monotonic() - since
+            return Compiled(self._programs, seconds, bool(self._since))
 
 
 _watch = _Watch()

@@ -206,22 +206,23 @@ def load_detection(path: str | os.PathLike[str]) -> DetectionCurves:
     model = _table("_CurvesFile", SENSOR_KINDS, _table("_KindEntry", CLASSES, _CurveEntry))
     given: dict[str, Any] = check_model(model, _read(path), str(path)).model_dump()
     fitted: dict[tuple[str, str], DetectionCurve] = {}
-    where = f"{path}"
+    for kind, of in given.items():
+        for road_user, row in (of or {}).items():
+            if row is None:
+                continue
+            try:
+                fitted[kind, road_user] = DetectionCurve(**row)
+            except InspeError as e:
+                raise InspeError(f"{path}: {kind}.{road_user}: {e}") from None
+    if not fitted:
+        raise InspeError(
+            f"{path}: it has no curve; give at least one, such as a table [lidar.car] with most, "
+            "half and slope"
+        )
     try:
-        for kind, of in given.items():
-            for road_user, row in (of or {}).items():
-                where = f"{path}: {kind}.{road_user}"
-                if row is not None:
-                    fitted[kind, road_user] = DetectionCurve(**row)
-        where = f"{path}"
-        if not fitted:
-            raise InspeError(
-                "it has no curve; give at least one, such as a table [lidar.car] with most, half "
-                "and slope"
-            )
         return detection_curves().with_curves(fitted)
-    except InspeError as e:
-        raise InspeError(f"{where}: {e}") from None
+    except InspeError as e:  # a further kind lacks a class
+        raise InspeError(f"{path}: {e}") from None
 
 
 def _read(path: Path) -> Any:

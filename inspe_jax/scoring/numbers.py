@@ -12,6 +12,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+from jax.ad_checkpoint import checkpoint_name
 from jaxtyping import Array, Float
 
 from inspe_jax.core.convex import outlines
@@ -27,6 +28,9 @@ from inspe_jax.visibility.shadows import shadow_bounds
 from inspe_jax.visibility.soft_sight import Sights, cell_marks, clear_chance
 from inspe_jax.visibility.statics import past_statics_chance
 from inspe_jax.visibility.tiles import Tile
+
+UNION = "union"
+"""Name of an array that a gradient needs: what some sensor sees, in each frame."""
 
 
 @dataclass(frozen=True)
@@ -234,8 +238,9 @@ def _in_view(
 
 
 def _union_forward(see_from: SeeFrom, *given: Any) -> tuple[Any, tuple]:
-    found = _union(see_from, *given)
-    return found, (found[0], *given)
+    union, sights = _union(see_from, *given)
+    union = checkpoint_name(union, UNION)
+    return (union, sights), (union, *given)
 
 
 def _union_backward(see_from: SeeFrom, kept: tuple, wanted: tuple) -> tuple:

@@ -16,7 +16,7 @@ from inspe_jax.core.numerics import Softness
 from inspe_jax.scoring import metrics
 from inspe_jax.scoring.accumulate import count_tile, join_frames
 from inspe_jax.scoring.metric import TileEvidence
-from inspe_jax.scoring.numbers import Numbers
+from inspe_jax.scoring.numbers import UNION, Numbers
 from inspe_jax.scoring.options import ScoreOptions
 from inspe_jax.scoring.reading import Counts, Frames
 from inspe_jax.scoring.sensor_array import SensorArray
@@ -24,9 +24,9 @@ from inspe_jax.scoring.summary import MetricValues, summarise
 from inspe_jax.scoring.tiled_scene import TiledScene
 from inspe_jax.visibility.tiles import Tile, solid_in, unless_empty
 
-KEPT = 2**24
-"""Voxels × frames × rows up to which all that a gradient needs is kept. Of more it would be
-gigabytes, and is found again tile by tile."""
+KEPT, UNION_KEPT = 2**24, 2**27
+"""Voxels × frames × rows up to which all that a gradient needs is kept, and up to which the union
+of the sensors is. Of more it would be gigabytes, and is found again tile by tile."""
 SIGHTS = "sights"
 """Name of an array kept for the gradient: in how many frames each voxel is in line of sight."""
 
@@ -81,10 +81,11 @@ def read_softly(
 
     tiles = tiled.tiles
     rows = 1 if failures is None else 1 + len(failures.first)
-    if rows * tiles.tile.heights.size * tiled.frame_count > KEPT:
-        # Of what the gradient needs only the sights are kept: finding them again would take one
-        # more pass over all frames.
-        only = jax.checkpoint_policies.save_only_these_names(SIGHTS)
+    size = rows * tiles.tile.heights.size * tiled.frame_count
+    if size > KEPT:
+        # Finding these again would take one more pass over all frames.
+        names = (SIGHTS, UNION) if size <= UNION_KEPT else (SIGHTS,)
+        only = jax.checkpoint_policies.save_only_these_names(*names)
         read_tile = jax.checkpoint(read_tile, policy=only)
     columns, by_level, resolved, counts, terms = jax.lax.map(
         lambda given: unless_empty(read_tile)(*given), (tiles.tile, tiles.last)

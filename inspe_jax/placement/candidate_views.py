@@ -17,9 +17,8 @@ from inspe_jax.core.arrays import on_host
 from inspe_jax.core.parallel import Job, parts_of
 from inspe_jax.scoring.accumulate import seen_by_sensor
 from inspe_jax.scoring.detection import detection_curves
-from inspe_jax.scoring.exact import BITS
 from inspe_jax.scoring.options import ScoreOptions
-from inspe_jax.scoring.reading import Frames
+from inspe_jax.scoring.reading import BITS, Frames
 from inspe_jax.scoring.target_evidence import target_evidence_of_sensor
 from inspe_jax.scoring.tiled_scene import TiledScene, WorkChunk
 from inspe_jax.sensing.rays import Rays

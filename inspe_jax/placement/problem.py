@@ -26,11 +26,13 @@ from inspe_jax.placement.objective import COMBINATIONS, Objective
 from inspe_jax.placement.space import Space
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scoring import metrics
+from inspe_jax.scoring.driver import measure_tiles
 from inspe_jax.scoring.evaluate import check_entropy, options_of
-from inspe_jax.scoring.exact import count_exactly, measure_exactly
+from inspe_jax.scoring.exact import measure_exactly
+from inspe_jax.scoring.numbers import Numbers
 from inspe_jax.scoring.options import ScoreOptions
+from inspe_jax.scoring.reading import BITS
 from inspe_jax.scoring.sensor_array import SensorArray, SensorSet, sensor_array
-from inspe_jax.scoring.soft import read_softly
 from inspe_jax.scoring.summary import MetricValues
 from inspe_jax.scoring.tiled_scene import SceneArrays, TiledScene, tiled_sample, tiled_scene_of
 from inspe_jax.sensing.conditions import Case, Conditions, case_of, perceiving
@@ -354,7 +356,7 @@ def hard_scores(
 ) -> Float[Array, " N"]:
     """P_sm of N cases, read hard; ``poses`` are about the scene's centre and padded."""
     measures = [
-        count_exactly(tiled, poses, sensors, voxel, asked)
+        measure_tiles(BITS, tiled, poses, sensors, voxel, options=asked)
         for tiled, sensors, voxel in zip(scenes, terms.sensors, terms.voxel, strict=True)
     ]
     return scores(measures, terms.weights, terms.failures)
@@ -375,11 +377,11 @@ def soft_slope(
     ``scenes`` are samples or whole scenes, in tiles; ``over`` is one of :data:`COMBINATIONS`.
     ``poses`` are about the scene's centre and padded.
     """
-    width = Softness.of(softness)
+    reading = Numbers(Softness.of(softness))
 
     def score(poses: Array) -> Array:
         measures = [
-            read_softly(tiled, poses, sensors, voxel, width, options=asked)
+            measure_tiles(reading, tiled, poses, sensors, voxel, options=asked)
             for tiled, sensors, voxel in zip(scenes, terms.sensors, terms.voxel, strict=True)
         ]
         return COMBINATIONS[over][0](scores(measures, terms.weights, terms.failures))

@@ -16,6 +16,7 @@ from inspe_jax.scene.regions import Region
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scene.voxels import check_memory
 from inspe_jax.scoring.detection import DetectionCurves
+from inspe_jax.scoring.driver import measure_tiles
 from inspe_jax.scoring.exact import ONE_MORE, count_exactly, measure_many
 from inspe_jax.scoring.metrics import (
     OCCLUSION_REFERENCES,
@@ -25,9 +26,10 @@ from inspe_jax.scoring.metrics import (
     surrogate,
     weights_of,
 )
+from inspe_jax.scoring.numbers import Numbers
 from inspe_jax.scoring.options import ScoreOptions
+from inspe_jax.scoring.reading import BITS
 from inspe_jax.scoring.sensor_array import SensorSet, sensor_array
-from inspe_jax.scoring.soft import read_softly
 from inspe_jax.scoring.summary import MetricValues
 from inspe_jax.scoring.tiled_scene import (
     TiledScene,
@@ -233,17 +235,16 @@ def _measured(
     """The scene in tiles and its metrics, of columns of tiles; counted exactly or read softly."""
     sensor_set, voxel = SensorSet.of(layout, failures), scene.voxels.size
     traced = isinstance(layout.poses, jax.core.Tracer)
-    if softness.exact:
-        sensors = sensor_array(sensor_set, ONE_MORE)
-        # A step function of the poses has no gradient.
-        poses = jax.lax.stop_gradient(layout.poses) if traced else layout.poses
-        tiled = tiled_scene_of(scene, whole=traced)
-        padded = from_center(scene, sensors.padded(poses))
+    sensors = sensor_array(sensor_set, ONE_MORE if softness.exact else 0)
+    # An exact score is a step function of the poses, and has no gradient.
+    poses = jax.lax.stop_gradient(layout.poses) if traced and softness.exact else layout.poses
+    padded = from_center(scene, sensors.padded(poses))
+    if softness.exact and not traced:
+        tiled = tiled_scene_of(scene)
         return tiled, count_exactly(tiled, padded, sensors, voxel, options)
-    sensors = sensor_array(sensor_set)
-    tiled = tiled_scene_of(scene, whole=True, masks=False)
-    padded = from_center(scene, sensors.padded(layout.poses))
-    return tiled, read_softly(tiled.bucketed, padded, sensors, voxel, softness, options=options)
+    reading = BITS if softness.exact else Numbers(softness)
+    tiled = tiled_scene_of(scene, whole=True, masks=softness.exact)
+    return tiled, measure_tiles(reading, tiled.bucketed, padded, sensors, voxel, options=options)
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,38 +19,35 @@ from inspe_jax.core import sharding
 from inspe_jax.core.geometry import Prism
 from inspe_jax.core.numerics import Groups
 from inspe_jax.core.parallel import Job, cores, run
-from inspe_jax.scoring.accumulate import count_tile, join_frames
+from inspe_jax.scoring.accumulate import count_tile
 from inspe_jax.scoring.detection import DetectionCurves
+from inspe_jax.scoring.driver import measure_tiles
 from inspe_jax.scoring.metric import Metric, TileEvidence
 from inspe_jax.scoring.metrics import entropy, entropy_terms, resolved, tile_terms
 from inspe_jax.scoring.options import ScoreOptions
 from inspe_jax.scoring.past_statics import past_statics, sights_past_statics
-from inspe_jax.scoring.reading import Bits, Counts, Frames
+from inspe_jax.scoring.reading import BITS, Counts, Frames
 from inspe_jax.scoring.sensor_array import SensorArray, SensorSet, sensor_array
 from inspe_jax.scoring.summary import MetricValues, summarise
 from inspe_jax.scoring.tiled_scene import ENTROPIC, TiledScene, device_order
-from inspe_jax.sensing.rays import Kind, RayTable
 from inspe_jax.visibility import bitmask
 from inspe_jax.visibility.tiles import CHUNKS, Tile, unless_empty
 from inspe_jax.visibility.view_masks import view_masks
 
 ONE_MORE = 1
 """Spare places in an array of sensors. Here they cost next to nothing."""
-BITS = Bits()
-"""The exact reading: sets of voxels as bits."""
 
 
 def measure_exactly(
     tiled: TiledScene,
-    poses: Float[Array, "S 6"],
+    poses: Float[np.ndarray, "S 6"],
     sensor_set: SensorSet,
     voxel: float,
     options: ScoreOptions | None = None,
 ) -> MetricValues:
     """The metrics of poses (x, y, z [m], roll, pitch, yaw [rad]) about the scene's centre.
 
-    ``voxel`` is the edge of a voxel [m]. All cores work on it. With traced poses one core does, and
-    then every chunk of ``tiled`` must have all tiles.
+    ``voxel`` is the edge of a voxel [m]. All cores work on it.
     """
     sensors = sensor_array(sensor_set, ONE_MORE)
     measured = count_exactly(
@@ -99,9 +96,6 @@ def in_view_of(
 ) -> UInt[Array | np.ndarray, "S N C"]:
     """Masks of what each sensor has in view, past static bodies. ``half`` of a voxel's edge [m]."""
     tile = tiled.tiles.tile
-    if isinstance(poses, jax.core.Tracer):
-        seen = _traced_views(tile, poses, sensors, half)
-        return seen & past_statics(tiled, seen, poses[:, :3])
     jobs: list[Job] = []
     present = np.flatnonzero(sensors.kind < len(sensors.kinds))
     for s in present:
@@ -118,24 +112,6 @@ def in_view_of(
     for s, view in zip(present, run(jobs), strict=True):
         views[s, order] = view
     return views & past_statics(tiled, views, poses[:, :3])
-
-
-def _traced_views(
-    tile: Tile, poses: Float[Array, "S 6"], sensors: SensorArray, half: float | Array
-) -> UInt[Array, "S N C"]:
-    """:func:`in_view_of` with traced poses: one sensor after the other."""
-
-    def view(kind: Kind, table: RayTable, pose: Array) -> Array:
-        return view_masks(kind.rays(table), pose, tile, half)
-
-    def no_sensor(table: RayTable, pose: Array) -> Array:
-        return jnp.zeros_like(tile.there)
-
-    branches: list[Any] = [*(partial(view, kind) for kind in sensors.kinds), no_sensor]
-    return jax.lax.map(
-        lambda sensor: jax.lax.switch(sensor[0], branches, *sensor[1:]),
-        (jnp.asarray(sensors.kind), jax.tree.map(jnp.asarray, sensors.table), poses),
-    )
 
 
 @cache
@@ -156,11 +132,6 @@ def count_all(
 
     ``views`` are masks of what each has in view (:func:`in_view_of`).
     """
-    if isinstance(views, jax.core.Tracer):
-        given = sensors, failures
-        each = partial(_count, options=options)
-        parts = [each(c.tile, views, c.solid, c.prisms, *given) for c in tiled.chunks]
-        return join_frames(parts)
     jobs: list[Job] = []
     options = options.counted
     groups = 0 if failures is None else len(failures.first)
@@ -302,8 +273,6 @@ def _terms(
         part = jax.tree.map(lambda leaf: leaf[some], (tiles.tile, tiles.last))
         return *part, views[:, some], seen, float(tiled.frame_count), poses, sensors
 
-    if isinstance(views, jax.core.Tracer):
-        return work(*of(slice(None)))
     step = min(cores(), CHUNKS)
     jobs: list[Job] = []
     for first in range(step):
@@ -428,7 +397,7 @@ def _one_layout(
     options: ScoreOptions,
 ) -> Float[Array, " K"]:
     """Every metric of one layout."""
-    found = count_exactly(tiled, poses, sensors, voxel, options).values
+    found = measure_tiles(BITS, tiled, poses, sensors, voxel, options=options).values
     return jnp.stack([found[metric.name][0] for metric in options.metrics])
 
 

@@ -107,6 +107,14 @@ class Numbers:
         """The chance of each voxel to be in a set."""
         return found
 
+    def column_counts(self, found: Float[Array, "... Z C"]) -> Float[Array, "... C"]:
+        """How many voxels of a set each column has."""
+        return found.sum(-2)
+
+    def level_counts(self, found: Float[Array, "Z C"], levels: int) -> Float[Array, " Z"]:
+        """How many voxels of a set each level has."""
+        return found.sum(1)
+
     def column_sums(self, found: Float[Array, "Z F C"]) -> Float[Array, " C"]:
         """How many voxels of a set each column has, summed over the frames."""
         return found.sum(0).sum(0)
@@ -152,8 +160,11 @@ class Numbers:
         union, sights = _union(see_from, positions, views, failures, given)
         return NumberUnion(union), sights
 
-    def views(
-        self, tile: Tile, poses: Float[Array, "S 6"], sensors: Any, half: float | Array
+    def views(self, tiles: Tile, *_: Any) -> None:
+        """None: what is in view is found tile by tile, and again for the gradient."""
+
+    def view_of_tile(
+        self, views: None, tile: Tile, poses: Float[Array, "S 6"], sensors: Any, half: float | Array
     ) -> Float[Array, "S Z C"]:
         """The chance that each sensor has each voxel of a tile in view; ``half`` an edge [m]."""
 

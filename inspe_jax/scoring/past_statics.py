@@ -3,15 +3,13 @@
 from functools import partial
 from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Num, UInt
 
 from inspe_jax.core.parallel import Job, run
 from inspe_jax.scoring.tiled_scene import TiledScene
 from inspe_jax.visibility import bitmask
-from inspe_jax.visibility.statics import past_statics_masks, past_statics_of_sensor
+from inspe_jax.visibility.statics import past_statics_of_sensor
 
 
 def past_statics(
@@ -27,10 +25,6 @@ def past_statics(
     statics, tile = tiled.statics, tiled.tiles.tile
     if statics is None:
         return views
-    if isinstance(views, jax.core.Tracer):
-        return jax.lax.map(
-            lambda of: past_statics_masks(of[0], statics, tile, of[1]), (sensors, views)
-        )
     present = np.flatnonzero(np.asarray(views).any((1, 2)))
     key = past_statics_of_sensor, tile.heights.shape, statics.shapes
     jobs: list[Job] = [
@@ -55,6 +49,4 @@ def sights_past_statics(
     if tiled.statics is None:
         return sights
     masks, levels = past_statics(tiled, views, sensors), sights.shape[-1]
-    if isinstance(masks, jax.core.Tracer):
-        return sights * jnp.moveaxis(bitmask.chances(masks, levels), 0, -1).astype(sights.dtype)
     return sights * bitmask.unpack(np.asarray(masks)[..., None], levels)

@@ -16,6 +16,7 @@ sensors, row 1 + g of all but group g.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -23,17 +24,17 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, Num, UInt
 
 from inspe_jax.core.geometry import Prism
-from inspe_jax.core.numerics import (
-    Groups,
-)
+from inspe_jax.core.numerics import Groups
 from inspe_jax.core.pytree import pytree
 from inspe_jax.scoring.options import ScoreOptions
+from inspe_jax.scoring.sensor_array import SensorArray
+from inspe_jax.sensing.rays import Kind, RayTable
 from inspe_jax.visibility import bitmask
-from inspe_jax.visibility.shadows import (
-    clear_masks,
-    shadow_bounds,
-)
+from inspe_jax.visibility.centered_scene import Statics
+from inspe_jax.visibility.shadows import clear_masks, shadow_bounds
+from inspe_jax.visibility.statics import past_statics_masks
 from inspe_jax.visibility.tiles import Tile
+from inspe_jax.visibility.view_masks import view_masks
 
 
 class Frames(NamedTuple):
@@ -132,6 +133,14 @@ class Bits:
         """1 for each voxel of a set, 0 for the others."""
         return jnp.moveaxis(bitmask.chances(found, levels), 0, -2)
 
+    def column_counts(self, found: UInt[Array, "... C"]) -> Int[Array, "... C"]:
+        """How many voxels of a set each column has."""
+        return bitmask.count(found)
+
+    def level_counts(self, found: UInt[Array, " C"], levels: int) -> Int[Array, " Z"]:
+        """How many voxels of a set each level has."""
+        return bitmask.count_levels(found[:, None], levels)[0]
+
     def column_sums(self, found: UInt[Array, "F C"]) -> Int[Array, " C"]:
         """How many voxels of a set each column has, summed over the frames."""
         return bitmask.count(found).sum(0)
@@ -207,3 +216,47 @@ class Bits:
             return jax.lax.fori_loop(0, number, add_lost, (lost, none))[0] if groups else lost
 
         return BitUnion(once, alone), sights
+
+    def views(
+        self, tiles: Tile, poses: Float[Array, "S 6"], sensors: SensorArray, half: float | Array
+    ) -> UInt[Array, "N S C"]:
+        """The voxels of N tiles that each sensor has in view; ``half`` an edge [m].
+
+        Of all tiles at once: what the nearest ray leaves undecided is then few arrays.
+        """
+
+        def view(kind: Kind, table: RayTable, pose: Array) -> Array:
+            return view_masks(kind.rays(table), pose, tiles, half)
+
+        def no_sensor(table: RayTable, pose: Array) -> Array:
+            return jnp.zeros_like(tiles.there)
+
+        branches: list[Any] = [*(partial(view, kind) for kind in sensors.kinds), no_sensor]
+        each = jnp.asarray(sensors.kind), jax.tree.map(jnp.asarray, sensors.table), poses
+        found = jax.lax.map(lambda of: jax.lax.switch(of[0], branches, *of[1:]), each)
+        return found.swapaxes(0, 1)
+
+    def view_of_tile(self, views: UInt[Array, "S C"], *_: Any) -> UInt[Array, "S C"]:
+        """The voxels of a tile that each sensor has in view: its own of :meth:`views`."""
+        return views
+
+    def past_statics(
+        self,
+        tile: Tile,
+        sensors: Float[Array, "S 3"],
+        statics: Statics | None,
+        views: UInt[Array, "S C"],
+    ) -> UInt[Array, "S C"] | None:
+        """The voxels that bodies and the ground leave in sight of each sensor; None without any.
+
+        Of a sensor that has nothing of the tile in view there are none.
+        """
+        if statics is None:
+            return None
+        tiles = jax.tree.map(lambda leaf: leaf[None], tile)
+        past = lambda of: past_statics_masks(of[0], statics, tiles, of[1][None])[0]  # noqa: E731
+        return jax.lax.map(past, (sensors, views))
+
+
+BITS = Bits()
+"""The exact reading."""

@@ -17,9 +17,9 @@ from inspe_jax.scene.scene import Scene
 from inspe_jax.scoring import metrics
 from inspe_jax.scoring.accumulate import seen_in_tile
 from inspe_jax.scoring.evaluate import options_of
-from inspe_jax.scoring.exact import BITS, ONE_MORE, in_view_of, sight_shares
+from inspe_jax.scoring.exact import ONE_MORE, in_view_of, sight_shares
 from inspe_jax.scoring.options import ScoreOptions
-from inspe_jax.scoring.reading import Frames
+from inspe_jax.scoring.reading import BITS, Frames
 from inspe_jax.scoring.sensor_array import SensorSet, sensor_array
 from inspe_jax.scoring.tiled_scene import by_level, tiled_scene_of
 from inspe_jax.sensing.conditions import FAIR, Conditions, perceiving

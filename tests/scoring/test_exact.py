@@ -23,8 +23,10 @@ from inspe_jax.core.parallel import run
 from inspe_jax.placement.candidate_views import view_jobs
 from inspe_jax.scoring import exact
 from inspe_jax.scoring import tiled_scene as made
+from inspe_jax.scoring.driver import measure_tiles
 from inspe_jax.scoring.options import ScoreOptions
-from inspe_jax.scoring.sensor_array import SensorSet
+from inspe_jax.scoring.reading import BITS
+from inspe_jax.scoring.sensor_array import SensorSet, sensor_array
 from inspe_jax.scoring.tiled_scene import SceneArrays
 from inspe_jax.visibility import bitmask
 from inspe_jax.visibility.centered_scene import CenteredScene, about_center, poses_about_center
@@ -149,8 +151,11 @@ def test_a_sample_is_counted_as_a_scene_of_its_own():
     sensor_set = SensorSet.of(layout, UNITS)
     poses, voxel = poses_about_center(scene, layout), scene.voxels.size
     sample = made.tiled_sample(field)
-    traced = jax.jit(lambda poses, sample: exact.measure_exactly(sample, poses, sensor_set, voxel))
-    assert_same(measure(field, poses, sensor_set, voxel), traced(poses, sample))
+    sensors = sensor_array(sensor_set, exact.ONE_MORE)
+    padded, asked = sensors.padded(poses), ScoreOptions.of()
+    traced = measure_tiles(BITS, sample.bucketed, padded, sensors, voxel, options=asked)
+    found = traced.of_scene(sample.tiles.place, len(sensor_set.failures))
+    assert_same(measure(field, poses, sensor_set, voxel), found)
 
     grid, s = layout.sensors[0].spec.grid, jnp.stack([poses[0], poses[3], poses[0]])
     (together,) = run(view_jobs(grid, voxel / 2, s, sample, ScoreOptions()))

@@ -27,9 +27,10 @@ import inspe_jax
 from inspe_jax.core.numerics import Softness
 from inspe_jax.report.tables import scores_record
 from inspe_jax.scoring import metrics
+from inspe_jax.scoring.driver import measure_tiles
+from inspe_jax.scoring.numbers import Numbers
 from inspe_jax.scoring.options import ScoreOptions
 from inspe_jax.scoring.sensor_array import SensorSet, sensor_array
-from inspe_jax.scoring.soft import read_softly
 from inspe_jax.scoring.tiled_scene import SceneArrays, tiled_scene_of
 from inspe_jax.sensing.sensors import LidarSpec
 from inspe_jax.visibility.centered_scene import about_center, poses_about_center
@@ -103,10 +104,10 @@ READINGS = {
 
 
 def measure_softly(tiled, poses, sensor_set, voxel, softness, asked=None):
-    """:func:`read_softly` of arrays that are not padded."""
+    """:func:`measure_tiles` of arrays that are not padded."""
     sensors, asked = sensor_array(sensor_set), asked or ScoreOptions.of()
     padded = sensors.padded(poses)
-    found = read_softly(tiled.bucketed, padded, sensors, voxel, softness, options=asked)
+    found = measure_tiles(Numbers(softness), tiled.bucketed, padded, sensors, voxel, options=asked)
     return found.of_scene(tiled.tiles.place, len(sensor_set.failures))
 
 

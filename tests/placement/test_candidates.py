@@ -98,7 +98,7 @@ def test_units_that_must_stay_have_their_feet_among_the_candidates(scene):
 
 
 def other_traffic(scene):
-    traffic = random_traffic(scene.intersection, 5, 20, 20.0, seed=8)
+    traffic = random_traffic(scene.intersection, 5, 16, 20.0, seed=8)
     return Scene(scene.voxels, traffic, scene.intersection)
 
 

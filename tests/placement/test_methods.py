@@ -125,7 +125,7 @@ def offers(run):
 
 # ── One contract for all methods ────────────────────────────────────────────
 
-BUDGET = {"grid": 20.0, "random": 30.0, "greedy": 60.0, "cma-es": 25.0}
+BUDGET = {"grid": 30.0, "random": 30.0, "greedy": 60.0, "cma-es": 25.0}
 BUDGET |= {"adam": 60.0, "greedy-adam": 160.0, "lbfgsb": 30.0, "projected-gradient": 30.0}
 """Evaluations in which each method comes through all of its kinds of step, but for restarts."""
 PARTS = {

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from mounts import assert_mountable, lanes_of
-from worlds import CAMERA, crossing
+from worlds import CAMERA, SMALL, crossing
 
 from inspe_jax.core.digest import digest
 from inspe_jax.core.errors import InspeError
@@ -33,7 +33,7 @@ EVALUATIONS = 250
 
 @pytest.fixture(scope="module")
 def scene():
-    return build_scene(built_in("four_way"), radius=25, voxel=1.0, frames=4, density=20)
+    return build_scene(built_in("four_way"), **SMALL, frames=4, density=10)
 
 
 @pytest.fixture(scope="module")

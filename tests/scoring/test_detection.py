@@ -22,12 +22,12 @@ def test_a_curve_is_a_logistic_function_of_the_logarithm(slope):
     curve = DetectionCurve(0.9, 8.0, slope)
     number = jnp.asarray([0.0, 1.0, 8.0, 30.0, 1e6])
     expected = 0.9 / (1 + np.exp(-slope * np.log(np.array([1.0, 8.0, 30.0]) / 8.0)))
-    found = np.asarray(curve.chance(number))
+    found = np.asarray(jax.jit(curve.chance)(number))
     np.testing.assert_allclose(found[1:4], expected, rtol=1e-5)
     assert found[0] == 0
     assert found[2] == pytest.approx(0.45)
     assert found[4] == pytest.approx(0.9, abs=1e-3)
-    slopes = jax.vmap(jax.grad(curve.chance))(number)
+    slopes = np.asarray(jax.jit(jax.vmap(jax.grad(curve.chance)))(number))
     assert np.isfinite(slopes).all()
     assert (slopes[2:4] > 0).all()
 
@@ -45,7 +45,7 @@ def test_a_curve_is_found_again_from_boxes():
     rng = np.random.default_rng(1)
     truth = DetectionCurve(0.93, 12.0, 1.8)
     number = np.exp(rng.uniform(0, 6, 2000))
-    found = rng.uniform(size=2000) < np.asarray(truth.chance(jnp.asarray(number)))
+    found = rng.uniform(size=2000) < np.asarray(jax.jit(truth.chance)(number))
     rows = [
         dict(sensor="lidar", road_user="car", number=n, found=int(hit))
         for n, hit in zip(number, found, strict=True)

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from shapely import Polygon
-from worlds import slow_but
+from worlds import SMALL, slow_but
 
 import inspe_jax
 from inspe_jax.core.errors import InspeError
@@ -16,7 +16,7 @@ from inspe_jax.placement.studies.tolerance import tolerance
 
 @pytest.fixture(scope="module")
 def scene():
-    return inspe_jax.build_scene(inspe_jax.built_in("four_way"), radius=20, voxel=1.0, frames=2)
+    return inspe_jax.build_scene(inspe_jax.built_in("four_way"), **SMALL, frames=4)
 
 
 @pytest.fixture

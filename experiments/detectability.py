@@ -62,7 +62,9 @@ def main() -> None:
     place = inspe_jax.built_in("four_way")
     for profile in ("ideal", "paper"):
         scene = inspe_jax.build_scene(place, profile=profile, **size)
-        groups = {BY_HAND: [inspe_jax.strategy(scene, name) for name in NINE[:: 4 if given.quick else 1]]}
+        groups = {
+            BY_HAND: [inspe_jax.strategy(scene, name) for name in NINE[:: 4 if given.quick else 1]]
+        }
         for mix in MIXES[:2] if given.quick else MIXES:
             own = {f"{profile}-{name}": count for name, count in mix.items()}
             problem = Problem(scene, starting_layout(scene, own))

@@ -178,7 +178,9 @@ def main() -> None:
     for name in track(names, "differences", console=console, transient=True):
         spec = inspe_jax.device(name).spec
         rng = np.random.default_rng(options.seed)
-        few, layout = (feasible(scene, spec, n, rng) for scene, n in ((small, least), (whole, count)))
+        few, layout = (
+            feasible(scene, spec, n, rng) for scene, n in ((small, least), (whole, count))
+        )
         shifts = rng.uniform(-WIDE, WIDE, (near, count, 6)) * SCALE
         for rays in readings:
             soft = against_soft(small, few, rays, width)

@@ -340,7 +340,7 @@ def main() -> None:
     given = arguments(__doc__, "seed")
     scene = workload("quick" if given.quick else "W1", given.seed)
     layout = sensors(scene)
-    many = (2, 2, 2, 2, 1, 1) if given.quick else (30, 20, 20, 40, 10, 10)  # searches compile long
+    many = (1, 1, 1, 1, 1, 1) if given.quick else (30, 20, 20, 40, 10, 10)  # searches compile long
     counts = dict(zip(("drags", *ANSWERS, *STOPS), many, strict=True))
     rows: list[dict[str, Any]] = []
     looked = BROWSERS[:1] if CHROMIUM is None or given.quick else BROWSERS

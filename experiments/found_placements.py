@@ -25,6 +25,7 @@ from scipy.stats import ttest_1samp
 from table1 import (
     BY_SENSORS,
     HELD_OUT,
+    QUICK_HALF,
     SETS,
     STEPS,
     Job,
@@ -158,13 +159,13 @@ def run_all(
 
 
 def quick(given: argparse.Namespace, into: Path, found: Searched) -> Rows:
-    """A few steps on eight frames."""
+    """Two steps on eight frames."""
     [(name, layouts)] = found.items()
     data = recording_of(given, into, name, "train", layouts, f"from-{name}")
     job = Job(BY_HAND[name], found_from(name), 0)
-    settings = Settings(model=job.model, steps=8, validate_frames=0)
-    predictor = predictor_of(trained(data, into / job.folder, settings, BevGrid(half=25.6)))
-    return rows_of(job, "training", measured(predictor, job.model, data, "train"), 8, 0)
+    settings = Settings(model=job.model, steps=2, validate_frames=0)
+    predictor = predictor_of(trained(data, into / job.folder, settings, BevGrid(half=QUICK_HALF)))
+    return rows_of(job, "training", measured(predictor, job.model, data, "train"), 2, 0)
 
 
 # ── What it tells ───────────────────────────────────────────────────────────

@@ -90,7 +90,7 @@ def scenes(quick: bool, only: str) -> Iterator[tuple[str, Scene]]:
     """The junctions, one after another; towns where their maps are at hand."""
     size: dict[str, Any] = dict(radius=50, frames=40, seed=0)
     if quick:
-        size |= dict(radius=20, voxel=1.0, frames=3)
+        size |= dict(radius=15, voxel=1.0, frames=3, density=8)
     wanted = [name for name in only.split(",") if name]
     for name in BUILT_INS[:1] if quick else BUILT_INS:
         if not wanted or name in wanted:

@@ -38,7 +38,7 @@ from common import (
 )
 from matplotlib.figure import Figure
 from scipy.stats import pearsonr, spearmanr
-from table1 import interval, predictor_of, recorded, trained
+from table1 import QUICK_HALF, interval, predictor_of, recorded, trained
 from table2 import places
 
 import inspe_jax
@@ -92,7 +92,7 @@ class Size(NamedTuple):
     measured_on: int  # and at each that is held out
     train_seconds: int  # of each scenario, with a frame a second
     test_seconds: int
-    densities: tuple[str, ...]
+    densities: tuple[str | int, ...]
     by_hand: tuple[str, ...]
     search: float  # the work of a search, in exact scores
     steps: int
@@ -106,9 +106,9 @@ WHOLE = Size(
     *(dict(frames=100, radius=50.0), BevGrid()),
 )
 QUICK = Size(
-    *(4, 4, 1, 2, ("high",), ("L-c",), 4, 8, 50),
-    dict(frames=4, radius=25.0, voxel=1.0),
-    BevGrid(half=25.6),
+    *(4, 4, 1, 2, (8,), ("L-c",), 4, 2, 50),
+    dict(frames=3, radius=15.0, voxel=1.0, density=8),
+    BevGrid(half=QUICK_HALF),
 )
 
 

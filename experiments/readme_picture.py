@@ -26,7 +26,9 @@ SCROLLED = 330
 def main() -> None:
     """Score, draw and write."""
     options = arguments(__doc__, "seed")
-    size: dict[str, Any] = dict(radius=25.0, voxel=1.0, frames=5) if options.quick else {}
+    size: dict[str, Any] = (
+        dict(radius=15.0, voxel=1.0, frames=3, density=8) if options.quick else {}
+    )
     scene = inspe_jax.build_scene(inspe_jax.built_in("four_way"), **size, seed=options.seed)
     layout = inspe_jax.strategy(scene, "Cam-d1")
     scores = inspe_jax.evaluate(scene, layout)

@@ -110,7 +110,7 @@ def draw(results: list[Found]) -> Figure:
 def main() -> None:
     """Record, print, draw and write."""
     given = arguments(__doc__, "seed")
-    frames = 2 if given.quick else 20
+    frames = 1 if given.quick else 20
     settings = dict(radius=80, voxel=1, frames=frames, step=0.5, density="high", seed=given.seed)
     scene = build_scene(built_in("four_way"), **settings)
     results = list(recorded(scene))

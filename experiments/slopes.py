@@ -168,18 +168,19 @@ def main() -> None:
     )
     quick, width = options.quick, options.softness
     build = partial(inspe_jax.build_scene, inspe_jax.built_in("four_way"), seed=options.seed)
-    small = build(radius=20, frames=4, voxel=0.4, spacing=2.0)
-    size: dict[str, Any] = dict(radius=20, voxel=0.4, spacing=2.0) if quick else dict(radius=30)
-    whole = build(frames=4 if quick else 8, **size)
+    small = build(radius=12 if quick else 20, frames=4, voxel=0.4, spacing=2.0)
+    whole = small if quick else build(frames=8, radius=30)
     names = options.device or (["paper-lidar-32"] if quick else list(inspe_jax.devices()))
     readings = READINGS if options.exact_rays else READINGS[:1]
-    count, near = (2, 2) if quick else (4, options.poses)
+    least, count, near = (1, 2, 2) if quick else (2, 4, options.poses)
 
     rows: list[dict[str, Any]] = []
     for name in track(names, "differences", console=console, transient=True):
         spec = inspe_jax.device(name).spec
         rng = np.random.default_rng(options.seed)
-        few, layout = (feasible(scene, spec, n, rng) for scene, n in ((small, 2), (whole, count)))
+        few, layout = (
+            feasible(scene, spec, n, rng) for scene, n in ((small, least), (whole, count))
+        )
         shifts = rng.uniform(-WIDE, WIDE, (near, count, 6)) * SCALE
         for rays in readings:
             soft = against_soft(small, few, rays, width)

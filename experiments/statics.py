@@ -117,7 +117,7 @@ def main() -> None:
     """Score, time, print and write."""
     options = arguments(__doc__, "seed")
     quick = options.quick
-    size: dict[str, Any] = dict(radius=20, voxel=0.5, frames=5) if quick else {}
+    size: dict[str, Any] = dict(radius=15, voxel=1.0, frames=3) if quick else {}
     places = {"four_way": inspe_jax.built_in("four_way")}
     if not quick and (MAPS / TOWN).is_file():
         places[f"{TOWN} {JUNCTION}"] = read_map(MAPS / TOWN, junction=JUNCTION, radius=RADIUS)

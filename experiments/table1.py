@@ -109,6 +109,7 @@ KNOWN = 0.95
 """AP of cars that a detector must reach on the eight frames that it was trained on."""
 QUICK_MODELS = ("coalign", "lss-resnet")
 QUICK_STEPS = {("camera",): 240, ("lidar",): 120, ("lidar", "camera"): 240}
+QUICK_HALF = 12.8
 """What --quick trains if ``--models`` does not say, and for how many steps, by sensors."""
 
 Rows = list[dict[str, Any]]
@@ -338,7 +339,7 @@ def quick(given: argparse.Namespace, into: Path) -> Rows:
             model=model, steps=steps, every=steps, rate=4e-3, augment=False, validate_frames=0
         )
         began = time.monotonic()
-        run = trained(data, into / job.folder, settings, BevGrid(half=25.6))
+        run = trained(data, into / job.folder, settings, BevGrid(half=QUICK_HALF))
         seconds = time.monotonic() - began
         found = measured(predictor_of(run), model, data, "train")
         console.print(

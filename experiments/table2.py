@@ -56,7 +56,7 @@ QUICK = [
     {"built_in": "t_junction", "tags": {"kind": "T"}},
 ]
 """Intersections of a quick run: they need no map."""
-QUICK_SIZE: dict[str, Any] = dict(radius=20.0, voxel=1.0, frames=3)
+QUICK_SIZE: dict[str, Any] = dict(radius=15.0, voxel=1.0, frames=3, density=8)
 
 Row = Mapping[str, str]
 Stats = dict[tuple[str, str], tuple[float, float]]

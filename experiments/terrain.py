@@ -77,7 +77,7 @@ def main() -> None:
     given = arguments(__doc__, "seed")
     size: dict[str, Any] = dict(radius=RADIUS, seed=given.seed)
     if given.quick:
-        size |= dict(radius=20, voxel=0.5, frames=5)
+        size |= dict(radius=15, voxel=1.0, frames=3)
     names = ["Cam-d2", "L-d2"] if given.quick else list(inspe_jax.STRATEGIES)
     rows: list[dict[str, Any]] = []
     for place in intersections(given):

@@ -62,7 +62,7 @@ def study(given: argparse.Namespace, **changes: Any) -> dict[str, Any]:
         pictures="jpeg", image_size=PICTURE, splits=SPLITS,
     )  # fmt: skip
     if given.quick:
-        settings |= dict(density=["low"], light=given.lights[:1], seconds=2, radius=25, voxel=1)
+        settings |= dict(density=["low"], light=given.lights[:1], seconds=1, radius=15, voxel=1)
         scenes = [{"built_in": "four_way"}, {"built_in": "t_junction"}]
         content |= dict(scenes=scenes, layouts=["Cam-c/L-c", "L-d1"], splits=dict(train=1, test=1))
     else:

@@ -38,7 +38,7 @@ from common import (
     say,
     write_results,
 )
-from table1 import NAMES, PICTURES, recorded
+from table1 import NAMES, PICTURES, QUICK_HALF, recorded
 
 from inspe_jax.dataset import open_cache
 from inspe_jax.dataset.plan import make_generation
@@ -62,7 +62,7 @@ def frames(given: argparse.Namespace, into: Path) -> Path:
         mix="fleet", density="medium", light="midday", seconds=8, seed=given.seed
     )
     if given.quick:
-        settings |= dict(radius=25.0, voxel=1.0, seconds=4)
+        settings |= dict(radius=15.0, voxel=1.0, density=8, seconds=4)
     content = dict(
         name="frames", scenes=[dict(built_in="four_way")], layouts=["Cam-d1/L-d1"], rate_hz=1,
         settings=settings, splits=dict(train=1), pictures="jpeg", image_size=list(PICTURES),
@@ -198,7 +198,7 @@ def main() -> None:
     given = arguments(__doc__, "seed", "keep", steps=steps)
     given.workers = 1
     models = QUICK_MODELS if given.quick else [name for name in MODELS if name != TEACHER]
-    times, half = (2, 25.6) if given.quick else (given.steps, BevGrid().half)
+    times, half = (2, QUICK_HALF) if given.quick else (given.steps, BevGrid().half)
     rows = []
     with kept_folder(given.keep) as into, progress("detectors") as bar:
         path = frames(given, into)

@@ -28,6 +28,7 @@ SHORTER = {
     r"--seeds \d+": "--seeds 1",
     r":0-2|:1-3": ":0-1",
     r":0,2,4|:2,4": ":1",
+    r"--model v2x-vit": "--model early-fusion",
     r"(inspe train .*)": r"\1 --steps 2 --batch 1 --validate 1",
     # Scenes and recordings: how large they are.
     r" --frames \d+| --radius \d+": "",
@@ -37,14 +38,18 @@ SHORTER = {
     r'load_scene\("four_way"\)': 'build_scene("four_way", radius=20, voxel=1, frames=10)',
     r"radius: \d+": "radius: 20",
     r"- built_in: four_way": "- {built_in: four_way, radius: 20}",
-    r"seconds: \d+": "seconds: 0.5",
+    r"density: \[low, medium\]": "density: [low, 5]",
+    r"seconds: \d+": "seconds: 0.2",
+    r"dataset show set 4": "dataset show set 1",
+    r"range\(10\)": "range(1)",
     r"352x128": "176x64",
     r"\[352, 128\]": "[176, 64]",
     # Where they run.
     r"(inspe (?:generate|dataset cache) .*)": r"\1 --workers 1",
     r"(inspe (?:plan|sweep) .*)": r"\1 --scheduler HERE",
 }
-"""What takes long, and how much of it is enough here: only budgets, lengths, sizes and workers."""
+"""What takes long, and how much of it is enough here: budgets, lengths, sizes and workers; and a
+detector that is compiled sooner, since tests/perception/test_detectors.py has each."""
 
 
 def test_contributing_names_files_that_are_there():

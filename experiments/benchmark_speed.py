@@ -55,7 +55,7 @@ WORKLOADS: dict[str, dict[str, Any]] = {
     "W1": dict(radius=50.0, voxel=0.5, density=40, frames=100),
     "W2": dict(radius=50.0, voxel=0.2, density=40, frames=100),
     "W3": dict(radius=100.0, voxel=0.5, density=60, frames=300),
-    "quick": dict(radius=15.0, voxel=1.0, density=8, frames=6),
+    "quick": dict(radius=20.0, voxel=0.5, density=20, frames=10),
 }
 GRADIENT = {"W1": 31, "quick": 14}
 """Usual time of a gradient in all poses, in exact scores of the same layout."""

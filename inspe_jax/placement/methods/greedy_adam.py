@@ -1,8 +1,9 @@
 """Greedy placement, then bursts of Adam and finer moves: the default.
 
-1. Greedy placement finds the poles: gradients cannot jump to another pole, candidates can.
+1. Greedy placement and one pass of exchanges find the poles: gradients cannot jump to another pole,
+   candidates can.
 2. Bursts of Adam move all sensors at once. Where the budget has no room for a burst, units are
-   exchanged instead.
+   exchanged further instead.
 3. Finer moves, judged hard, gain where the score has no slope.
 
 With LiDARs alone it is :data:`~inspe_jax.placement.methods.greedy.GREEDY`, whose exchanges gain
@@ -26,8 +27,6 @@ from inspe_jax.placement.methods.greedy import FINER, MOVE_COST, Placing, charge
 from inspe_jax.placement.run import Method, Run
 from inspe_jax.placement.sample_score import PAPER, SampleScore
 
-PLACING = 0.4
-"""Share of the budget after which the first round looks at no more candidates, if bursts fit."""
 UNTIL = 0.85
 """Share of the budget at which bursts of Adam end."""
 BURST = 12
@@ -83,22 +82,20 @@ def begin(run: Run) -> Any:
 def step(run: Run, state: Any) -> Any:
     """A piece of greedy placement, or a pass of bursts and moves; then the next round.
 
-    Where bursts follow, units are not exchanged: bursts and moves gain more in the same time.
+    Where bursts fit, they follow the first pass of exchanges: that gains the most, and after it
+    they gain more in the same time.
     """
     if other := _instead(run):
         return other.step(run, state)
     if isinstance(state, Improving):
         return _pass(run, state)
-    if isinstance(state, greedy.Exchanging) or not _bursts_fit(run):
-        found = greedy.step(run, state)
-        if isinstance(found, greedy.Moving):
-            return _improving(run, state, found.x, found.value)
+    found = greedy.step(run, state)
+    if isinstance(found, Placing):
         return found
-    late = state.round == 0 and len(run.history) > 1 and run.done >= PLACING
-    if not state.looked and not late:
-        return greedy.look(run, state)
-    placed = greedy.place(run, state)
-    return _improving(run, state, placed.x, placed.value)
+    exchanged = isinstance(state, greedy.Exchanging) and found.unit == 0
+    if isinstance(found, greedy.Moving) or (exchanged and _bursts_fit(run)):
+        return _improving(run, state, found.x, found.value)
+    return found
 
 
 def _bursts_fit(run: Run) -> bool:

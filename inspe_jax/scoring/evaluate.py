@@ -97,7 +97,7 @@ class Scores(PaperMetrics, ByContent, Described):
 
     ``parts`` has the metrics and P_sm of the columns of the ``core``, within 30 m of the centre
     (paper, section 3), and of those ``outside``, by these names; it is empty where one of the two
-    has no columns, and where scores are soft.
+    has no columns, and where scores are soft or poses traced.
     """
 
     metrics: dict[str, float]

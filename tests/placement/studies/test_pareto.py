@@ -6,7 +6,6 @@ from types import SimpleNamespace
 
 import pytest
 from mounts import assert_mountable, lanes_of
-from worlds import SMALL
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.mounting.mixes import starting_layout
@@ -28,7 +27,7 @@ PRICED = Objective(prices={CAMERA: 1000.0})
 
 @pytest.fixture(scope="module")
 def scene():
-    return build_scene(built_in("four_way"), **SMALL, frames=4, density=10)
+    return build_scene(built_in("four_way"), radius=25, voxel=1.0, frames=3, density=20)
 
 
 @pytest.fixture(scope="module")

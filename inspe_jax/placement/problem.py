@@ -29,7 +29,7 @@ from inspe_jax.scoring import metrics
 from inspe_jax.scoring.driver import measure_tiles
 from inspe_jax.scoring.evaluate import check_entropy, options_of
 from inspe_jax.scoring.exact import measure_exactly
-from inspe_jax.scoring.numbers import Numbers
+from inspe_jax.scoring.numbers import Numbers, Reading
 from inspe_jax.scoring.options import ScoreOptions
 from inspe_jax.scoring.reading import BITS
 from inspe_jax.scoring.sensor_array import SensorArray, SensorSet, sensor_array
@@ -262,10 +262,11 @@ class Problem:
         scenes = tuple(tiled.bucketed for tiled in sample.scenes)
         shapes = tuple(leaf.shape for leaf in jax.tree.leaves((scenes, self.terms.sensors)))
         kinds = tuple(sensors.kinds for sensors in self.terms.sensors)
-        key = (hard_scores, self.asked, kinds, shapes)
+        key = (case_scores, self.asked, kinds, shapes)
         padded = [self.terms.sensors[0].padded(row) for row in on_host(poses(self.space, x), float)]
         jobs: list[Job] = [
-            (key, partial(hard_scores, row, scenes, self.terms, asked=self.asked)) for row in padded
+            (key, partial(case_scores, BITS, row, scenes, self.terms, asked=self.asked))
+            for row in padded
         ]
         return np.array([self._combined(row) for row in run(jobs)])
 
@@ -347,16 +348,20 @@ def scores(
 
 
 @partial(jax.jit, static_argnames="asked")
-def hard_scores(
+def case_scores(
+    reading: Reading,
     poses: Float[Array, "S 6"],
     scenes: tuple[TiledScene, ...],
     terms: ScoreTerms,
     *,
     asked: ScoreOptions,
 ) -> Float[Array, " N"]:
-    """P_sm of N cases, read hard; ``poses`` are about the scene's centre and padded."""
+    """P_sm of N cases; ``poses`` are about the scene's centre and padded.
+
+    ``scenes`` are samples or whole scenes, in tiles.
+    """
     measures = [
-        measure_tiles(BITS, tiled, poses, sensors, voxel, options=asked)
+        measure_tiles(reading, tiled, poses, sensors, voxel, options=asked)
         for tiled, sensors, voxel in zip(scenes, terms.sensors, terms.voxel, strict=True)
     ]
     return scores(measures, terms.weights, terms.failures)
@@ -374,17 +379,12 @@ def soft_slope(
 ) -> tuple[Float[Array, ""], Float[Array, "S 6"]]:
     """The combined score of all cases, read with ``softness`` [m], and its gradient in the poses.
 
-    ``scenes`` are samples or whole scenes, in tiles; ``over`` is one of :data:`COMBINATIONS`.
-    ``poses`` are about the scene's centre and padded.
+    The arguments are those of :func:`case_scores`; ``over`` is one of :data:`COMBINATIONS`.
     """
     reading = Numbers(Softness.of(softness))
 
     def score(poses: Array) -> Array:
-        measures = [
-            measure_tiles(reading, tiled, poses, sensors, voxel, options=asked)
-            for tiled, sensors, voxel in zip(scenes, terms.sensors, terms.voxel, strict=True)
-        ]
-        return COMBINATIONS[over][0](scores(measures, terms.weights, terms.failures))
+        return COMBINATIONS[over][0](case_scores(reading, poses, scenes, terms, asked=asked))
 
     return jax.value_and_grad(score)(poses)
 

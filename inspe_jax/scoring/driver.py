@@ -21,7 +21,7 @@ from inspe_jax.scoring.accumulate import count_tile, join_frames
 from inspe_jax.scoring.metric import TileEvidence
 from inspe_jax.scoring.numbers import UNION, Reading
 from inspe_jax.scoring.options import ScoreOptions
-from inspe_jax.scoring.reading import Counts, Frames
+from inspe_jax.scoring.reading import Frames
 from inspe_jax.scoring.sensor_array import SensorArray
 from inspe_jax.scoring.summary import MetricValues, summarise
 from inspe_jax.scoring.tiled_scene import TiledScene
@@ -106,14 +106,9 @@ def measure_tiles(
         tiles.column_shares(columns.sum(1).astype(float)),
         by_level.sum(1).reshape(-1),
         metrics.entropy_terms(resolved[tile, :, tiled.level, column].T, tiled.occupancy),
-        _of_all_tiles(counts),
+        counts._replace(seen=counts.seen.sum(0), original=counts.original.sum(0)),
         terms,
         failures,
         options.metrics,
         reading.width,
     )
-
-
-def _of_all_tiles(counts: Counts) -> Counts:
-    """The counts of each tile, those of frames summed."""
-    return counts._replace(seen=counts.seen.sum(0), original=counts.original.sum(0))

@@ -167,14 +167,12 @@ def _fill(table: Table, picks: Picks, sensors: Sequence[int], foot: int) -> Pick
 class Placing:
     """Before a sensor is placed in a round; ``part`` parts of its candidates were looked at.
 
-    ``looked``: whether that is all of them. ``count`` gradient steps were done in earlier rounds,
-    by :mod:`~inspe_jax.placement.methods.greedy_adam`.
+    ``looked``: whether that is all of them.
     """
 
     round: int = 0
     part: int = 0
     looked: bool = False
-    count: int = 0
 
 
 @dataclass(frozen=True, eq=False)  # arrays inside: identity is equality

@@ -31,6 +31,9 @@ UNTIL = 0.85
 """Share of the budget at which bursts of Adam end."""
 BURST = 12
 """Gradient steps from one look at what they gain to the next."""
+STEPS = 2**20
+"""More gradient steps than a round has: those of the next are numbered from here on, and so are
+the samples that they draw."""
 SOFTNESS, RATE = 0.5, 0.3
 """Softness [m] and length of a step, in typical steps, of the first burst of a round."""
 CALMER = 0.6
@@ -49,9 +52,9 @@ class Improving:
     """Before a pass of bursts and moves: ``x`` (N,) is the layout and ``value`` its exact score.
 
     Moves are at most ``width`` typical steps. The next burst has this ``softness`` [m] and
-    ``rate``, in typical steps; ``count`` gradient steps were done. ``careful``: what is found is
-    judged exactly piece by piece, since a pass gained nothing. ``widest`` is the exact score when
-    moves were last at their widest.
+    ``rate``, in typical steps, and its first gradient step the number ``count``. ``careful``: what
+    is found is judged exactly piece by piece, since a pass gained nothing. ``widest`` is the exact
+    score when moves were last at their widest.
     """
 
     round: int
@@ -108,8 +111,7 @@ def _bursts_fit(run: Run) -> bool:
 def _improving(run: Run, state: Any, x: Float[np.ndarray, " N"], value: float) -> Improving:
     """Before the first pass of a round, from a layout and its exact score."""
     greedy.forget(run)
-    count = state.count if isinstance(state, Placing) else 0
-    return Improving(state.round, x, value, count, widest=value)
+    return Improving(state.round, x, value, state.round * STEPS, widest=value)
 
 
 def _pass(run: Run, state: Improving) -> Placing | Improving:
@@ -152,7 +154,7 @@ def _pass(run: Run, state: Improving) -> Placing | Improving:
     if width >= NARROW:
         return replace(state, width=width)
     if value <= state.widest:  # since then, nothing was gained
-        return Placing(state.round + 1, count=state.count)
+        return Placing(state.round + 1)
     return replace(state, widest=value, width=greedy.WIDTH, softness=SOFTNESS, rate=RATE)
 
 

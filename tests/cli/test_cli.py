@@ -629,12 +629,19 @@ def test_a_command_without_its_extra_says_what_to_install(command, library, extr
 @pytest.mark.process
 def test_the_base_scores_and_draws_without_any_extra(tmp_path):
     brought = "dask distributed embreex equinox fastkml filelock jinja2 msgspec pyproj viser"
-    without = f"import sys; sys.modules |= dict.fromkeys({brought.split()!r})"
-    code = f"{without}; from inspe_jax.cli import main; main()"
-    plot = str(tmp_path / "plan.png")
-    done = [sys.executable, "-c", code, "score", "t_junction", "L-d1", "--plot", plot]
-    subprocess.run(done, check=True, capture_output=True)
-    assert Path(plot).exists()
+    small = "scene t_junction --radius 15 --voxel 1 --frames 3 --density 5 --out t.npz"
+    code = f"""import sys
+sys.modules |= dict.fromkeys({brought.split()!r})
+from inspe_jax.cli import main
+for command in ("{small}", "score t.npz L-d1 --plot plan.png"):
+    sys.argv[1:] = command.split()
+    try:
+        main()
+    except SystemExit as ended:
+        assert not ended.code
+"""
+    subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, cwd=tmp_path)
+    assert (tmp_path / "plan.png").exists()
 
 
 ON_ONE_CORE = """import os
@@ -667,7 +674,7 @@ def in_a_new_shell(files, cache, *arguments, code="from inspe_jax.cli import mai
 
 @pytest.mark.process
 def test_what_is_compiled_is_kept_for_the_next_run_unless_it_is_not_wanted(files, tmp_path):
-    command = ("score", "s.npz", "layout.yaml")
+    command = ("score", "s.npz", "away.yaml")
     assert in_a_new_shell(files, tmp_path, "--no-cache", *command)[1] == set()
     first, kept = in_a_new_shell(files, tmp_path, *command)
     assert kept

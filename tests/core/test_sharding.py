@@ -12,7 +12,7 @@ PLAIN, EVERY = {}, {"visibility": "line_of_sight", "occlusion_reference": "cover
 CASES = [(3, EVERY)]
 """Devices and options. 19 frames: 18 and 1 that is left over; 16 and 3. 3 does not divide the
 tiles, 8 does."""
-OTHERS = [(3, PLAIN), (8, EVERY), (8, PLAIN)]
+OTHERS = [(8, PLAIN)]
 
 SCRIPT = """
 import json, sys

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import raycast
 from matplotlib.text import Text
-from worlds import LIDAR, SMALL, emptied, world
+from worlds import LIDAR, emptied, world
 
 import inspe_jax
 from inspe_jax.core.errors import InspeError
@@ -112,7 +112,7 @@ units:
 
 @pytest.fixture(scope="module")
 def scene():
-    return world(**SMALL, seed=4)
+    return world(seed=4)
 
 
 @pytest.fixture
@@ -148,7 +148,7 @@ def test_a_detector_finds_road_users_by_its_own_curves_and_noise(scene, layout):
 
 
 def test_a_search_places_it(scene, layout):
-    found = inspe_jax.optimise(scene, layout, method="random", evaluations=30)
+    found = inspe_jax.optimise(scene, layout, method="random", evaluations=8)
     assert found.objective > found.objective_before
     assert [sensor.spec.kind for sensor in found.layout.sensors] == ["fan", "fan", "lidar"]
     low, high = np.radians(FanSpec.pitch_limits_deg)

@@ -138,8 +138,7 @@ def test_targets_are_the_vehicles_own_voxels_and_do_not_hide_themselves():
     # A truck in between hides it.
     hidden = with_boxes(scene, (5.0, 0.0, 0.0, 4.0, 1.8, 1.5), (2.0, 0.0, 0.0, 1.0, 8.0, 4.9))
     hidden = replace(hidden, traffic=_again(hidden.traffic, away=(5.0, 0.25)))
-    low = place_sensors((FEW, [0.0, 0.0, 5.0, 0.0, 0.0, 0.0]))
-    assert evaluate(hidden, low, occlusion_reference="targets").occlusion < scores.occlusion
+    assert evaluate(hidden, layout, occlusion_reference="targets").occlusion < scores.occlusion
 
 
 def _again(traffic, away):

@@ -83,13 +83,7 @@ def assert_near(soft, exact):
 
 @pytest.mark.parametrize(
     ("reference", "visibility"),
-    [
-        ("covered", "past_others"),
-        slow("roi", "past_others"),
-        slow("covered", "line_of_sight"),
-        slow("targets", "line_of_sight"),
-        slow("targets", "in_view"),
-    ],
+    [("covered", "past_others"), slow("targets", "line_of_sight"), slow("roi", "in_view")],
 )
 def test_softness_to_zero_under_every_option(reference, visibility):
     scene = world(**SMALL, count=14)
@@ -186,7 +180,8 @@ def test_soft_and_exact_scores_rank_layouts_alike(specs):
     layouts = [random_layout(scene, specs, seed, heights=(3.0, 8.0)) for seed in range(100)]
     poses = np.stack([layout.poses for layout in layouts])
     exact = inspe_jax.evaluate_many(scene, layouts[0], poses).surrogate
-    soft = [inspe_jax.evaluate(scene, one, softness=1.0).surrogate for one in layouts]
+    score = surrogate(scene, layouts[0])
+    soft = jax.lax.map(lambda row: score(row, 1.0), jnp.asarray(poses, float))
     assert np.ptp(exact) > 0.005
     assert spearmanr(exact, soft).statistic >= 0.95
 
@@ -359,7 +354,7 @@ def test_the_field_of_view_has_a_depth_in_metres():
 def test_a_record_of_soft_scores_says_how_they_were_read():
     """And there are none of parts: those are of counts."""
     scene = world(**SMALL)
-    layout = random_layout(scene, [CAMERA] * 3 + [LIDAR], 0, heights=(3.0, 8.0))
+    layout = random_layout(scene, [CAMERA, LIDAR], 0, heights=(3.0, 8.0))
     scores = inspe_jax.evaluate(scene, layout, softness=Softness(0.5, 0.25, "density"))
     record = json.loads(json.dumps(scores_record(scores, scene, layout)))
     assert record["settings"]["softness"] == dict(field=0.5, shadow=0.25, rays="density")

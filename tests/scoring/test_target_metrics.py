@@ -255,8 +255,7 @@ def test_an_error_of_place_by_hand():
 
 AWAY = LIDAR.with_performance(1.0, 3.0), [0.0, 0.0, 6.5, 0.0, 0.0, 0.0]
 """It sees nothing so far down; with it what serves the layout serves cameras alone."""
-EMPTY = dict(metrics=FURTHER, weights=(0.5, 0.5, 0.0))
-"""Options where nobody is about."""
+EMPTY = dict(metrics=FURTHER, weights=(0.5, 0.5, 0.0))  # where nobody is about
 
 
 def test_two_cameras_measure_where_one_does_not(scene):

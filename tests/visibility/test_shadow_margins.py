@@ -106,10 +106,14 @@ def test_a_top_is_read_by_how_far_the_sensor_has_to_rise():
         np.ones((1, 1), bool),
     )  # fmt: skip
     heights = np.array([[-2.0], [-1.2], [-1.0], [-0.8], [0.0]])
-    at = jnp.array([-10.0, 0.0, 5.0]), jax.tree.map(jnp.asarray, prism), None
-    marked = bitmask.marks(jnp.ones((1, 1, 1), bool))
-    of = Sights(outlines(at[1]), marked, jnp.array([[10.0], [0.0]]), jnp.asarray(heights), WIDTH)
-    found = np.asarray(jax.jit(clear_chance)(at[0], of))[:, 0, 0]
+
+    @jax.jit
+    def chances(sensor, prism, columns, heights):
+        marked = bitmask.marks(jnp.ones((1, 1, 1), bool))
+        return clear_chance(sensor, Sights(outlines(prism), marked, columns, heights, WIDTH))
+
+    at = np.array([-10.0, 0.0, 5.0]), prism, np.array([[10.0], [0.0]]), heights
+    found = np.asarray(chances(*at))[:, 0, 0]
     t = 0.5 + 0.05 / 20
     need = (2.0 - (5.0 + (heights[:, 0] - 5.0) * t)) / (1 - t)
     u = np.clip(0.5 + need / (2 * REACH * WIDTH), 0, 1)

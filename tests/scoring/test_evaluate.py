@@ -10,6 +10,7 @@ from shapely import affinity
 from worlds import (
     CAMERA,
     LIDAR,
+    SMALL,
     embree_line_of_sight,
     no_traffic,
     place_sensors,

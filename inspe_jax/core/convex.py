@@ -22,7 +22,7 @@ from inspe_jax.core.numerics import nonzero
 
 SEAM = 5e-5
 """Outlines count as wider by this [m], the rounding of single precision at 100 m: a line along the
-seam of two pieces of a body meets both."""
+seam of two pieces of a body meets both, and one that ends on a face meets what it bounds."""
 
 
 class ConvexPrism(NamedTuple):
@@ -198,7 +198,7 @@ def sight_cut(
         near, of_near = jnp.where(nearer, at, near), jnp.where(nearer, turn, of_near)
         far, of_far = jnp.where(farther, at, far), jnp.where(farther, turn, of_far)
         depth = jnp.where(inside < depth, inside, depth)
-        enters &= (along <= 0) | (inside > 0)
+        enters &= (along <= 0) | (inside > -SEAM)
     left, right = jnp.full_like(dx, -FAR), jnp.full_like(dx, -FAR)
     at_left, at_right = jnp.zeros_like(dx), jnp.zeros_like(dx)
     for k in range(len(prism.offset)):

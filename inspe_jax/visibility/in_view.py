@@ -361,13 +361,14 @@ def _by_motions_forward(
     to_world = transform.to_world
     view = partial(density_view, rays, half, centers=centers, softness=softness)
 
+    seen, along = jax.linearize(view, transform)
+
     def slope(motion: Float[Array, "6"]) -> Float[Array, " V"]:
         """Along a shift [m] and a turn [rad] about the body's axes."""
-        moves = RigidTransform(to_world @ motion[:3], to_world @ cross_matrix(motion[3:]))
-        return jax.jvp(view, (transform,), (moves,))[1]
+        return along(RigidTransform(to_world @ motion[:3], to_world @ cross_matrix(motion[3:])))
 
     slopes = jax.lax.map(slope, jnp.eye(6, dtype=to_world.dtype))
-    return view(transform), (slopes, to_world)
+    return seen, (slopes, to_world)
 
 
 def _by_motions_backward(kept: tuple[Array, Array], wanted: Float[Array, " V"]) -> tuple:

@@ -320,8 +320,9 @@ def _at_level(
         by_at = jnp.where(at > NO_LEVER, need, 0.0) + sz - z
         return need, -by_at * lever, -at * lever
 
-    low_is_near, high_is_near = prism.top > z, prism.bottom <= z
-    below, by_low, by_height = rises(prism.top, jnp.where(low_is_near, near, far))
+    top = prism.top if solid else prism.top + SEAM  # as its sides
+    low_is_near, high_is_near = top > z, prism.bottom < z
+    below, by_low, by_height = rises(top, jnp.where(low_is_near, near, far))
     hidden, by = step(below, width), slope_of_step(below, width)
     by_low, by_height = by * by_low, by * by_height
     by_near, by_far = jnp.where(low_is_near, by_low, 0.0), jnp.where(low_is_near, 0.0, by_low)

@@ -22,7 +22,7 @@ from worlds import (
 import inspe_jax
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.numerics import Softness
-from inspe_jax.scene.statics import body, pole, tree, upright_box
+from inspe_jax.scene.statics import body, pole, tree, upright_box, wall
 from inspe_jax.scoring.viewshed import viewshed
 from inspe_jax.visibility.centered_scene import about_center, poses_about_center
 from inspe_jax.visibility.queries import in_view, line_of_sight
@@ -152,8 +152,9 @@ def test_scores_are_counts_of_voxels_outside_bodies():
 
 
 def test_soft_reading_becomes_the_exact_one():
-    """With opaque bodies; what crowns let through is multiplied in the soft reading alone."""
-    scene = street()
+    """With opaque bodies, on whose tops and faces some voxels of 1 m have their middles; what
+    crowns let through is multiplied in the soft reading alone."""
+    scene = street(voxel=1.0, seed=1)
     solid = scene.with_statics([one for one in scene.statics if one.transmittance == 0])
     layout = layout_in(scene)
     exact = inspe_jax.evaluate(solid, layout)
@@ -167,7 +168,8 @@ def test_soft_reading_becomes_the_exact_one():
     assert gaps[0] > gaps[1] < 1e-5
     # Behind a crown of 0.4 lies 0.4 of a voxel, and behind two of them 0.16.
     crowns = [tree((x, 0), radius=2, height=8, base=1, transmittance=0.4) for x in (6.0, 12.0)]
-    at = about_center(world(count=0).with_statics(crowns))
+    scene = world(count=0).with_statics(crowns)
+    at = about_center(scene)
     tiles = tiles_of(at)
     each = [
         jax.tree.map(lambda leaf, k=k: np.asarray(leaf)[k], tiles.tile)
@@ -278,3 +280,25 @@ def test_a_real_block_agrees_with_embree(hilly):
     assert (ours != embree)[:, known].mean() <= 1e-4
     open_ = line_of_sight(scene.with_statics([]), layout, 0)
     assert (open_ & ~ours).mean() > 0.05
+
+
+def test_a_guard_rail_is_an_obstacle_without_code_of_its_own():
+    """It hides what lies behind it where the line is below its 1 m: by similar triangles, with the
+    soft reading as its limit, and with more to see for a higher sensor."""
+    scene = world(radius=15.0, voxel=1.0, count=0)
+    railed = scene.with_statics(wall(np.array([[0.0, -40.0], [0.0, 40.0]]), 1.0, width=0.02))
+    at, sensor = about_center(railed), np.array([-5.3, 0.2, 1.3], np.float32)
+    x, z = at.centers[:, 0], at.centers[:, 2]
+    over = z + (sensor[2] - z) * (x - 0.01) / (x - sensor[0]) > 1.0
+    expected = np.where(x > 0, over, True)
+    tiles = tiles_of(at)
+    exact = past_statics_of_sensor(sensor, at.statics, tiles.tile, tiles.tile.there)
+    assert (tiles.by_voxel(np.asarray(exact)) == expected).all()
+    assert (~expected).sum() > 200
+    soft, slope = [], 0.0
+    for k in range(len(tiles.last)):
+        tile = jax.tree.map(lambda leaf, k=k: np.asarray(leaf)[k], tiles.tile)
+        soft.append(np.asarray(chance(sensor, at.statics, tile, 1e-5)).T)
+        slope += slope_of_chance(sensor, at.statics, tile, 0.3)[2]
+    np.testing.assert_allclose(tiles.of_voxels(np.array(soft)), expected, atol=1e-6)
+    assert slope > 0

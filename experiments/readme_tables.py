@@ -61,6 +61,20 @@ def slopes() -> str:
     return markdown(["", "devices", "soft score: least", "exact score: least, median, most"], rows)
 
 
+def phases() -> str:
+    """Biases of soft scores against the mean of exact ones over phases: least, median, most."""
+    rows = []
+    for metric, symbol in METRICS.items():
+        own = rows_of("phases", metric=metric)
+        cells = [symbol]
+        for key in ("bias_0.001", "bias_0.5"):
+            bias = numbers(own, key)
+            most = own[int(np.argmax(bias))]["device"]
+            cells += [f"{bias.min():+.4f}, {np.median(bias):+.4f}, {bias.max():+.4f}", most]
+        rows.append(cells)
+    return markdown(["", "width 0.001 m", "most", "width 0.5 m", "most"], rows)
+
+
 def searches() -> str:
     """Exact P_sm after searches: of each cell the median over seeds, then the mean over cells."""
     methods = ("greedy-adam", "greedy", "grid", "random", "cma-es")
@@ -305,7 +319,7 @@ def road_users() -> str:
 
 
 TABLES: tuple[Callable[[], str], ...] = (
-    slopes, searches, detectability, table2,  table1, correlations, found_placements,
+    slopes, phases, searches, detectability, table2, table1, correlations, found_placements,
     random_correlations, random_gains, statics, terrain, recorded_returns, loading, training_step,
     road_users,
 )  # fmt: skip

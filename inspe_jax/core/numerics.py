@@ -79,7 +79,8 @@ class Softness:
 
     So there are three readings, each with its limit as the widths go to 0: exact; soft with exact
     rays, which becomes the exact score; and soft with a density, which becomes its mean over phases
-    of the ray grid. The last is what one width means, as ``softness=0.5``.
+    of the ray grid. The last is what one width means, as ``softness=0.5``; how far P_sm is from its
+    limit at 0.5 m is in ``experiments/phases.csv``, of most devices less than 0.005.
     """
 
     field: Width = None

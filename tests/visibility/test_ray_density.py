@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from phases import in_phase
 from worlds import CAMERA, LIDAR, double_precision, slow_but, world
 
 import inspe_jax
@@ -20,18 +21,6 @@ from inspe_jax.visibility.tiles import tiles_of
 from inspe_jax.visibility.view_masks import in_view_masks
 
 DEVICES = slow_but(inspe_jax.devices(), "paper-lidar-32", "paper-camera", "velodyne-vlp-32c")
-
-
-def in_phase(grid, row, column):
-    """A grid whose rows and columns begin so much of a spacing later, both from 0 to 1."""
-    ends, count = grid.outer_rows, len(grid.rows)
-    # Between two rows the count grows by 1, and by a half from the outer end to the first one.
-    counted = [0.0, *(np.arange(count) + 0.5), count]
-    rows = np.interp(np.arange(count) + row, counted, [ends[0], *grid.rows, ends[1]])
-    first = grid.first_column + (column - 0.5) * grid.column_step
-    return type(grid)(
-        tuple(rows), first, grid.column_step, grid.column_count, grid.wraps, grid.reach
-    )
 
 
 @pytest.fixture(scope="module")

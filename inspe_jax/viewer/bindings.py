@@ -3,8 +3,6 @@
 from collections.abc import Callable
 from typing import Any
 
-from inspe_jax.viewer.job_queue import asker
-
 
 def bind(
     control: Any, ask: Callable[[Any], object], settle: Callable[[], None] = lambda: None
@@ -19,7 +17,6 @@ def bind(
         options = getattr(control, "options", None)
         if event.client is None or (options is not None and control.value not in options):
             return
-        asker.set(event.client_id)
         settle()
         ask(event.client)
 

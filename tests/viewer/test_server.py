@@ -18,7 +18,6 @@ from websockets.http11 import Request
 
 from inspe_jax.placement.problem import Case
 from inspe_jax.viewer.app import Viewer
-from inspe_jax.viewer.job_queue import WAITING
 from inspe_jax.viewer.page_token import kept_token, new_token
 from inspe_jax.viewer.searcher import SearchEnding
 from inspe_jax.viewer.server import quiet, refusal, serve, with_head
@@ -309,21 +308,18 @@ def test_a_typed_number_is_read_before_the_controls_are_shown_anew(fresh, layout
     assert np.degrees(fresh.layout.poses[0, 4]) == pytest.approx(-7.0)
 
 
-def test_a_burst_of_requests_is_shown_once_and_holds_nobody_up(fresh, layout):
-    """Sixty times Undo undo sixty changes; of hundreds a bounded number is done, and another
-    browser's request is done soon after."""
+def test_a_burst_of_requests_is_shown_once(fresh, layout):
+    """Sixty times Undo undo sixty changes."""
     layouts = [replace(layout, name=f"{k}") for k in range(70)]
     for one in layouts:
         fresh.session.take(one)
     shown, real = [], fresh.display.draw
     fresh.display.draw = lambda *told: (shown.append(told[0]), real(*told))
     undo = dict(type="CommandTriggerMessage", uuid=fresh.panel.keys["Undo"]._impl.uuid)
-    with socket_of(fresh.url) as page, socket_of(fresh.url) as other:
+    with socket_of(fresh.url) as page:
         enter(page)
         own_of(fresh)
-        enter(other)
-        wait_until(lambda: len(fresh.views) == 2)
-        done, going = [], threading.Event()
+        going = threading.Event()
         fresh.queue.submit(going.wait)
         for _ in range(60):
             send(page, **undo)
@@ -332,11 +328,3 @@ def test_a_burst_of_requests_is_shown_once_and_holds_nobody_up(fresh, layout):
         wait_until(lambda: fresh.layout is layouts[9])
         wait_until(lambda: shown and shown[-1] is layouts[9])
         assert len(shown) < 5
-        for k in range(5 * WAITING):
-            set_value(page, fresh.panel.edit, ("Undo", "Redo", "Save")[k % 3])
-        set_value(other, fresh.panel.edit, "Save")
-        fresh.queue.submit(lambda: done.append(True))
-        wait_until(lambda: done and not fresh.queue._waiting, 20)
-        began = time.monotonic()
-        fresh.close()
-        assert time.monotonic() - began < 10

@@ -30,7 +30,7 @@ from inspe_jax.viewer.bindings import set_value
 from inspe_jax.viewer.browser_view import BrowserView
 from inspe_jax.viewer.display import BACK, Display
 from inspe_jax.viewer.file_actions import FileActions
-from inspe_jax.viewer.job_queue import DelayedAction, JobQueue
+from inspe_jax.viewer.job_queue import JobQueue
 from inspe_jax.viewer.page_token import new_token
 from inspe_jax.viewer.panel import Panel
 from inspe_jax.viewer.scene3d import look_from
@@ -40,8 +40,6 @@ from inspe_jax.viewer.server import HOST, quiet, serve
 from inspe_jax.viewer.session import LayoutSession
 from inspe_jax.viewer.store import LayoutStore
 
-PLAYED = 0.25
-"""Least time between two frames that are played [s]."""
 _FILE = '<div data-file style="padding:.2em 1em;font-size:.875em;overflow-wrap:anywhere">{}</div>'
 
 
@@ -79,7 +77,6 @@ class Viewer:
         self.searching = False
         self._course, self._began = "", 0.0  # how far the search is, and when it began
         self.queue = JobQueue(self._failed)
-        self._playing = DelayedAction()
         self.files = FileActions(self)
         token = token or new_token()
         self.server = serve(port, token, self._head())
@@ -120,7 +117,6 @@ class Viewer:
         and cannot be interrupted.
         """
         self.settle()
-        self._playing.cancel()
         self.searcher.close()
         self.scorer.close(wait=wait)
         self.queue.close()
@@ -259,17 +255,7 @@ class Viewer:
         self.queue.submit(lambda: self.display.show_scores(scored), key="scores")
 
     def _on_sight(self, layout: Layout, frame: int, sight: UInt[np.ndarray, " V"]) -> None:
-        def job() -> None:
-            self.display.show_sight(layout, frame, sight)
-            if self.panel.play.value:
-                self._playing.start(PLAYED, self._next)
-
-        self.queue.submit(job, key="sight")
-
-    def _next(self) -> None:
-        if self.panel.play.value:
-            set_value(self.panel.frame, (int(self.panel.frame.value) + 1) % self.frames)
-            self.select_frame()
+        self.queue.submit(lambda: self.display.show_sight(layout, frame, sight), key="sight")
 
     def _on_progress(self, done: float, best: float) -> None:
         def job() -> None:

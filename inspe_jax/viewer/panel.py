@@ -94,7 +94,6 @@ class Panel:
         self.blind_spots = gui.add_folder(BLIND_SPOTS, visible=False)
         with gui.add_folder("Traffic, light and weather"):
             self.frame = gui.add_slider("Frame", 0, max(frames - 1, 1), 1, 0, disabled=frames < 2)
-            self.play = gui.add_checkbox("Play", False, disabled=frames < 2)
             self.light = gui.add_dropdown("Light", lights(), initial_value=around.light)
             given = _weather(around)
             self.weather = gui.add_dropdown(
@@ -122,8 +121,7 @@ class Panel:
         self._changes(self.optimise, lambda _: viewer.optimise())
         bind(self.stop, lambda _: viewer.stop())
         bind(self.target, lambda _: viewer.show_target())
-        for control in (self.frame, self.play):
-            bind(control, lambda _: viewer.select_frame())
+        bind(self.frame, lambda _: viewer.select_frame())
         for choice in (self.light, self.weather):
             self._changes(choice, lambda _: viewer.change_conditions())
         for box in self.shown.values():

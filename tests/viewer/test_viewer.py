@@ -193,22 +193,6 @@ def test_nothing_is_changed_or_saved_while_a_search_runs(viewer, layout, monkeyp
     assert viewer.told[-1][:2] == ("Search", "ended: P_sm stays at 0.5000 in 0 s, with compiling")
 
 
-def test_frames_are_played_one_after_another_whatever_else_is_asked(viewer, monkeypatch):
-    """Sights that come of drags and of ticks begin no second turn."""
-    monkeypatch.setattr("inspe_jax.viewer.app.PLAYED", 0.05)
-    seen, real = [], viewer._next
-    viewer._next = lambda: (seen.append(time.monotonic()), real())
-    set_value(viewer.panel.play, True)
-    viewer.select_frame()
-    for _ in range(10):
-        viewer.show_voxels()
-        viewer.scorer.select_frame(0)
-        time.sleep(0.005)
-    done(viewer, lambda: len(seen) >= 4)
-    set_value(viewer.panel.play, False)
-    assert np.diff(seen).min() > 0.04
-
-
 def test_numbers_typed_one_after_another_all_count(viewer, layout):
     """Also the last, when the page is closed."""
     viewer.view.type_number("height", 1.0)  # on the way to 10

@@ -87,24 +87,6 @@ class BrowserView:
 
         self._select(found)
 
-    def click_number(self, u: int, *, several: bool = False) -> None:
-        """Of the sensors on a unit, select the one after the one in hand, round and round; with
-        ``several``, all of them, or none, together with others."""
-
-        def found() -> tuple[int, ...]:
-            units = [members for members in self._viewer.layout.members() if members]
-            if u >= len(units):  # removed since
-                return ()
-            members = tuple(units[u])
-            if several:
-                others = tuple(k for k in self.selection if k not in members)
-                return others if set(members) <= set(self.selection) else (*others, *members)
-            held = self.in_hand if self.in_hand in members else None
-            after = [] if held is None else [s for s in members if s > held]
-            return ((*after, *members)[0],)
-
-        self._select(found)
-
     def swap(self, name: str) -> None:
         """Exchange the device of the sensor in hand."""
         self._viewer.change(lambda: self._viewer.session.swap(self._held(), name))

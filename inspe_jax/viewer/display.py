@@ -6,7 +6,6 @@ thread.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
 from typing import Any, NamedTuple
 
 import viser
@@ -113,12 +112,8 @@ class Display:
         self.shown, self._faults, self._notes = layout, faults, notes
         broken = {s for fault in faults for s in fault.sensors}
         seen = self._case.conditions.layout(layout)
-        bodies, numbers = self.scene3d.draw_layout(seen, broken)
-        for s, body in bodies.items():
-            self._bind(body, partial(BrowserView.select, s=s), partial(BrowserView.toggle, s=s))
-        for u, ball in numbers.items():
-            one = partial(BrowserView.click_number, u=u)
-            self._bind(ball, one, partial(one, several=True))
+        for s, body in self.scene3d.draw_layout(seen, broken).items():
+            self._bind(body, s)
         for view in list(self._views.values()):
             view.show_outlines()
             self._look(view)
@@ -179,16 +174,15 @@ class Display:
         self._waiting.cancel()
         self.blind_spots.close()
 
-    def _bind(
-        self, body: Any, one: Callable[[BrowserView], None], several: Callable[[BrowserView], None]
-    ) -> None:
-        """Ask this of the view of a browser that clicks on a body, or clicks with Shift."""
-        for ask, modifier in ((one, None), (several, "shift"), (several, "cmd/ctrl")):
+    def _bind(self, body: Any, s: int) -> None:
+        """Have a click on a sensor's body select it, and one with Shift or Ctrl toggle it."""
+        for modifier in (None, "shift", "cmd/ctrl"):
+            ask = BrowserView.toggle if modifier else BrowserView.select
 
-            async def clicked(event: Any, ask: Callable[[BrowserView], None] = ask) -> None:
+            async def clicked(event: Any, ask: Callable[[BrowserView, int], None] = ask) -> None:
                 view = self._views.get(event.client_id)
                 if view is not None:
-                    ask(view)
+                    ask(view, s)
 
             body.on_click(modifier=modifier)(clicked)
 

@@ -469,9 +469,3 @@ def test_where_the_server_ends_the_page_says_so_and_gets_in_to_the_next(
     finally:
         tab.close()
         second.close()
-
-
-def test_a_number_is_clicked(tab, viewer):
-    """In the picture: that of the LiDAR."""
-    at = np.array(viewer.scene3d.drawn["numbers/2"].position) + viewer.scene3d.shift
-    click(tab, viewer, at + [0, 0, 0.3], lambda: view_of(viewer).in_hand == 1)

@@ -325,28 +325,13 @@ def test_a_report_is_sent_to_who_asks_with_the_layout_that_was_opened_and_the_ta
     assert len(sent) == 1
 
 
-def test_a_click_on_the_numbers_of_a_unit_goes_round_its_sensors(viewer):
-    """And with Shift, it selects all of them."""
-
-    def click(number, shift=False):
-        clicks = viewer.scene3d.drawn[f"numbers/{number + 1}/ball"]._impl.click_cb
-        clicked = next(entry for entry in clicks if ("shift" in str(entry.modifier)) == shift)
-        asyncio.run(clicked.callback(SimpleNamespace(client_id=-1)))
-        done(viewer)
-        return viewer.view.selection
-
-    viewer.view.duplicate()
-    done(viewer)
-    assert [sensor.unit for sensor in viewer.layout.sensors] == [0, 0, 1]
-    chosen = [click(number)[-1] for number in (0, 0, 0, 1, 1, 0, 1)]
-    assert chosen == [0, 1, 0, 2, 2, 0, 2]
-    assert [click(number, shift=True) for number in (0, 1, 0, 1)] == [
-        (2, 0, 1), (0, 1), (0, 1), (0, 1, 2),
-    ]  # fmt: skip
-    bare = (*viewer.layout.units, Unit("spare", (0.0, 0.0, 0.0)))  # has no sensor, and no number
-    viewer.scene3d.draw_layout(replace(viewer.layout, units=bare))
-    labels = [name for name in viewer.scene3d.drawn if re.fullmatch("numbers/[0-9]+", name)]
-    assert len(labels) == 2
+def test_a_unit_has_a_number_for_each_of_its_sensors_and_none_without(viewer, layout):
+    drawn = viewer.scene3d.drawn
+    double = viewer.session.duplicate(0)
+    bare = (*viewer.layout.units, Unit("spare", (0.0, 0.0, 0.0)))
+    viewer.scene3d.draw_layout(replace(viewer.layout, units=bare), [double])
+    numbers = [(name, drawn[name].text) for name in drawn if name.startswith("numbers/")]
+    assert numbers == [("numbers/1", "1  2 !"), ("numbers/2", "3")]
 
 
 def test_sensors_that_are_selected_together_move_turn_and_go_together(viewer, layout):

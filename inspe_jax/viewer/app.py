@@ -11,7 +11,6 @@ import traceback
 import warnings
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import replace
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -24,7 +23,6 @@ from inspe_jax.placement.problem import Case
 from inspe_jax.report.page import template
 from inspe_jax.scoring.detection import DetectionCurves
 from inspe_jax.scoring.metrics import Weights
-from inspe_jax.sensing.conditions import Conditions
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.viewer.bindings import set_value
 from inspe_jax.viewer.browser_view import BrowserView
@@ -82,7 +80,7 @@ class Viewer:
         self.server = serve(port, token, self._head())
         self.port = self.server.get_port()
         self.url = f"http://{HOST}:{self.port}/{token}/"
-        self.panel = Panel(self.server.gui, self, self.frames, case.conditions)
+        self.panel = Panel(self.server.gui, self, self.frames)
         self.display = Display(self.server, case, layout, self.panel, self.queue, self.views)
         self.scene3d = self.display.scene3d
         self.scorer = Scorer(case, weights, self._on_scores, self._on_sight, **self.further)
@@ -206,18 +204,6 @@ class Viewer:
         """Show the kinds of voxels that are ticked."""
         self.queue.submit(self.display.draw_voxels, key="ticks")
 
-    def change_conditions(self) -> None:
-        """Score, show and search in the light and the weather that are chosen."""
-
-        def job() -> None:
-            around = Conditions.of(self.panel.light.value, self.panel.weather.value)
-            self.case = replace(self.case, conditions=around)
-            self.scorer.case = self.searcher.case = self.case
-            self.display.set_case(self.case)
-            self._show_soon()
-
-        self.unless_searching(job)
-
     def look_at_all(self, client: Any) -> None:
         """Point a browser's camera at the whole scene again."""
         look_from(client.camera, self.case.scene, back=BACK)
@@ -329,9 +315,6 @@ class Viewer:
         """Have views follow the layout, and show it soon: once for many changes in a row."""
         for view in list(self.views.values()):
             view.follow()
-        self._show_soon()
-
-    def _show_soon(self) -> None:
         self.queue.submit(self.show, key="show")
 
     def show(self) -> None:
@@ -353,7 +336,6 @@ class Viewer:
         self.scorer.score(layout, whole=False)
 
     def _show_controls(self) -> None:
-        self.panel.show_conditions(self.case.conditions)
         for view in list(self.views.values()):
             view.show()
 

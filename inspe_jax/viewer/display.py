@@ -17,7 +17,6 @@ from inspe_jax.core.words import isolated
 from inspe_jax.placement.feasibility import Fault
 from inspe_jax.placement.problem import Case
 from inspe_jax.scoring.evaluate import Scores
-from inspe_jax.sensing.conditions import Conditions
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.viewer.blind_spot_panel import BlindSpotPanel
 from inspe_jax.viewer.browser_view import BrowserView
@@ -34,14 +33,11 @@ STALE = 0.5
 
 
 class Reference(NamedTuple):
-    """The layout that others are compared with, and which one that is in ``words``.
-
-    ``scores`` are by number of frames, in ``conditions``.
-    """
+    """The layout that others are compared with, which one that is in ``words``, and its
+    ``scores`` by number of frames."""
 
     layout: Layout
     words: str
-    conditions: Conditions
     scores: dict[int, Scores]
 
 
@@ -63,7 +59,7 @@ class Display:
     ) -> None:
         """Draw the scene. ``views`` are those of the browsers that look, by ids of clients."""
         self.shown = opened
-        self.reference = Reference(opened, "the layout as it was opened", case.conditions, {})
+        self.reference = Reference(opened, "the layout as it was opened", {})
         self.scored: ScoredLayout | None = None
         self._server, self._case = server, case
         self._panel, self._queue, self._views = panel, queue, views
@@ -80,12 +76,6 @@ class Display:
         self.scene3d.draw_mounting()
         look_from(server.initial_camera, case.scene, back=BACK)
 
-    def set_case(self, case: Case) -> None:
-        """Show layouts in other conditions from now on."""
-        self._case = case
-        for view in list(self._views.values()):
-            view.sensor_view.case = case
-
     def set_reference(self, layout: Layout) -> None:
         """Compare with this layout from now on, as it is scored.
 
@@ -94,12 +84,11 @@ class Display:
         scored = {
             frames: found.scores
             for frames, found in self._newest.items()
-            if found.layout is layout and found.scores is not None and self._is_here(found)
+            if found.layout is layout and found.scores is not None
         }
         if self._frames not in scored:
             raise InspeError("the reference can be set once all frames are scored")
-        words = "the layout that was made it"
-        self.reference = Reference(layout, words, self._case.conditions, scored)
+        self.reference = Reference(layout, "the layout that was made it", scored)
         self.update_panel()
 
     def draw(
@@ -150,9 +139,8 @@ class Display:
         if scored.scores is not None and scored.frames == self._frames:
             self.blind_spots.show(scored.layout, scored.scores)
         self._newest[scored.frames] = scored
-        scores, record = scored.scores, self.reference.conditions.record
-        if scored.layout is self.reference.layout and scores and scores.conditions.record == record:
-            self.reference.scores[scored.frames] = scores
+        if scored.layout is self.reference.layout and scored.scores is not None:
+            self.reference.scores[scored.frames] = scored.scores
         self.update_panel()
 
     def show_sight(self, layout: Layout, frame: int, sight: UInt[Any, " V"]) -> None:
@@ -188,15 +176,8 @@ class Display:
 
     @property
     def _current(self) -> bool:
-        """Whether the newest scores are of the shown layout, in the conditions that are shown."""
-        found = self.scored
-        return found is not None and found.layout is self.shown and self._is_here(found)
-
-    def _is_here(self, found: ScoredLayout) -> bool:
-        """Whether scores are those in the conditions that are shown. Records are compared, as they
-        have intensities to some digits."""
-        scores, record = found.scores, self._case.conditions.record
-        return scores is None or scores.conditions.record == record
+        """Whether the newest scores are of the shown layout."""
+        return self.scored is not None and self.scored.layout is self.shown
 
     def _look(self, view: BrowserView) -> None:
         """Look through a browser's selected sensor in the frame that is shown."""
@@ -227,7 +208,6 @@ class Display:
         page = score_panel(
             self.shown,
             scored,
-            outdated=not self._current,
             frames=self._frames,
             reference=None if scored is None else self.reference.scores.get(scored.frames),
             reference_words=self.reference.words,

@@ -10,8 +10,7 @@ import viser
 
 from inspe_jax.placement.optimise import DEFAULT_METHOD, METHODS
 from inspe_jax.scoring.viewshed import Visibility
-from inspe_jax.sensing.conditions import Conditions, lights, weathers
-from inspe_jax.viewer.bindings import bind, set_value
+from inspe_jax.viewer.bindings import bind
 from inspe_jax.viewer.score_panel import REFERENCE, VISIBILITY_NAMES
 
 SECONDS = 60.0
@@ -65,9 +64,8 @@ class Panel:
     A value that the program itself sets calls nothing.
     """
 
-    def __init__(self, gui: viser.GuiApi, viewer: Any, frames: int, around: Conditions) -> None:
-        """``viewer`` has the methods that are bound below; ``frames`` of traffic there are, and
-        the conditions at the start are those ``around``."""
+    def __init__(self, gui: viser.GuiApi, viewer: Any, frames: int) -> None:
+        """``viewer`` has the methods that are bound below; there are ``frames`` of traffic."""
         gui.configure_theme(show_logo=False, show_share_button=False, brand_color=(0, 114, 178))
         gui.main_panel.dock_right()
         self._gui, self._viewer, self._frames = gui, viewer, frames
@@ -92,13 +90,8 @@ class Panel:
             self.bar = gui.add_progress_bar(0.0, visible=False)
             self.course = gui.add_markdown(OF_SEARCH)
         self.blind_spots = gui.add_folder(BLIND_SPOTS, visible=False)
-        with gui.add_folder("Traffic, light and weather"):
+        with gui.add_folder("Traffic"):
             self.frame = gui.add_slider("Frame", 0, max(frames - 1, 1), 1, 0, disabled=frames < 2)
-            self.light = gui.add_dropdown("Light", lights(), initial_value=around.light)
-            given = _weather(around)
-            self.weather = gui.add_dropdown(
-                "Weather", list(dict.fromkeys((*weathers(), given))), initial_value=given
-            )
             self.shown = {
                 kind: gui.add_checkbox(name, kind is not Visibility.SEEN)
                 for kind, name in VISIBILITY_NAMES.items()
@@ -122,8 +115,6 @@ class Panel:
         bind(self.stop, lambda _: viewer.stop())
         bind(self.target, lambda _: viewer.show_target())
         bind(self.frame, lambda _: viewer.select_frame())
-        for choice in (self.light, self.weather):
-            self._changes(choice, lambda _: viewer.change_conditions())
         for box in self.shown.values():
             bind(box, lambda _: viewer.show_voxels())
         self._changes(self.save, lambda _: viewer.files.save())
@@ -190,23 +181,13 @@ class Panel:
         """The slider's frame. With a single frame the slider still has two places."""
         return min(max(int(self.frame.value), 0), self._frames - 1)
 
-    def show_conditions(self, around: Conditions) -> None:
-        """Choose the light and the weather that there are."""
-        set_value(self.light, around.light)
-        set_value(self.weather, _weather(around))
-
     def searching(self, on: bool) -> None:
         """Disable changes while a search runs, and show the button that stops it."""
         self.stop.visible = self.bar.visible = on
         self.optimise.visible = self.compare.visible = self.edit.visible = not on
-        choices = self.method, self.seconds, self.target, self.light, self.weather
+        choices = self.method, self.seconds, self.target
         for control in (*choices, self.save, self.report, *self.offers):
             control.disabled = on
-
-
-def _weather(around: Conditions) -> str:
-    """The weather's name, with its intensity if that is not the usual one."""
-    return around.weather_text if around.unusual else around.weather
 
 
 def _list_keys(client: Any) -> None:

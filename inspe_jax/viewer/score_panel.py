@@ -44,7 +44,6 @@ def score_panel(
     scored: ScoredLayout | None,
     *,
     frames: int,
-    outdated: bool = False,
     reference: Scores | None = None,
     reference_words: str = "",
     faults: Sequence[str] = (),
@@ -59,7 +58,6 @@ def score_panel(
         layout: The layout.
         scored: The newest scores, or None. Those of another layout are shown in grey.
         frames: Number of frames of the whole traffic.
-        outdated: Whether the scores are of other conditions, or of another layout.
         reference: Scores of the layout that this one is compared with, on the same frames.
         reference_words: Which layout that is.
         faults: The rules of mounting that the layout breaks, in words.
@@ -70,10 +68,7 @@ def score_panel(
     """
     scores = None if scored is None else scored.scores
     before = None if scores is None or reference is None else reference.surrogate
-    new = scored if scored is not None and scored.layout is layout and not outdated else None
-    reference_in = ""  # other conditions, those of its scores
-    if scores is not None and reference is not None and scores.conditions != reference.conditions:
-        reference_in = str(reference.conditions)
+    new = scored if scored is not None and scored.layout is layout else None
     against = f"The reference is {reference_words}"
     headline = _HEADLINE.render(
         scores=scores,
@@ -83,7 +78,6 @@ def score_panel(
         before=before,
         target=target,
         target_color=TARGET_COLOR,
-        reference_in=reference_in,
         meaning=f"P_sm: {SURROGATE.summary}",
         state=waiting if new is None else _state(new, frames),
         new=new is not None,

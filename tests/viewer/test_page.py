@@ -17,7 +17,6 @@ from inspe_jax.placement.problem import Case
 from inspe_jax.placement.space import Space
 from inspe_jax.report.plan_picture import LETTERS
 from inspe_jax.scoring.evaluate import evaluate
-from inspe_jax.sensing.conditions import Conditions
 from inspe_jax.sensing.layout import load_layout, save_layout
 from inspe_jax.viewer.app import Viewer
 from inspe_jax.viewer.bindings import set_value
@@ -169,12 +168,26 @@ def test_a_sensor_is_dragged_by_its_handle_and_the_scores_follow(tab, viewer, sc
     assert 1.0 < viewer.layout.poses[0, 2] - layout.poses[0, 2] < 5.0
     np.testing.assert_allclose(viewer.layout.poses[0, :2], layout.poses[0, :2], atol=1e-6)
     assert second == evaluate(scene, viewer.layout).surrogate
+    assert_headline_fits(tab)
 
     press(tab, "Undo")
     assert settled(tab, second) == first
     assert viewer.layout is layout
     press(tab, "Redo")
     assert settled(tab, first) == second
+
+
+def assert_headline_fits(tab):
+    """All that is said of the reference is above the buttons, and nothing is cut off."""
+    said = tab.get_by_text("against the reference"), tab.locator("[data-score]")
+    (right, bottom), end = (
+        (box["x"] + box["width"], box["y"] + box["height"])
+        for box in (found.bounding_box() for found in said)
+    )
+    assert right <= end[0]
+    assert bottom <= end[1] <= tab.get_by_role("button", name="Undo").bounding_box()["y"]
+    panel = tab.locator(".mantine-ScrollArea-viewport:has([data-score])")
+    assert panel.evaluate("e => e.scrollWidth <= e.clientWidth")
 
 
 def test_a_sensor_is_turned_by_a_ring(tab, viewer, layout):
@@ -337,24 +350,6 @@ def test_what_an_earlier_run_saved_is_offered_and_asked_about(chromium, scene, l
         finally:
             tab.close()
             viewer.close()
-
-
-def test_light_is_chosen_and_the_headline_fits(tab, viewer, scene, layout):
-    """Scores follow; all that is said of the reference is above the buttons."""
-    first = score_of(tab)
-    tab.get_by_label("Light", exact=True).click(force=True)
-    tab.get_by_role("option", name="night").click()
-    night = Conditions("night")
-    assert settled(tab, first) == evaluate(scene, layout, conditions=night).surrogate
-    against = tab.get_by_text("against the reference (midday, clear)")
-    assert against.is_visible()
-    boxes = [found.bounding_box() for found in (against, tab.locator("[data-score]"))]
-    ends = [[box["x"] + box["width"], box["y"] + box["height"]] for box in boxes]
-    assert (np.array(ends[0]) <= ends[1]).all()  # all of it
-    undo = tab.get_by_role("button", name="Undo").bounding_box()
-    assert ends[1][1] <= undo["y"]
-    panel = tab.locator(".mantine-ScrollArea-viewport:has([data-score])")
-    assert panel.evaluate("e => e.scrollWidth <= e.clientWidth")  # nothing is cut off
 
 
 def test_keys_undo_select_remove_and_are_listed(tab, viewer, layout):

@@ -173,22 +173,19 @@ def test_nothing_is_changed_or_saved_while_a_search_runs(viewer, layout, monkeyp
     better = replace(layout, poses=np.array(layout.poses) + [0, 0, 1.0, 0, 0, 0])
     viewer._on_better(better, 0.9)
     done(viewer, lambda: viewer.view.controls.add.disabled)
-    for control in (viewer.panel.save, viewer.panel.report, viewer.panel.light):
+    for control in (viewer.panel.save, viewer.panel.report, viewer.panel.target):
         assert control.disabled
     viewer.files.save()
     viewer.view.remove()
     viewer.undo_or_redo("Undo")
-    viewer.panel.light.value = "night"
-    viewer.change_conditions()
     pull(viewer, (0, 0, 1.0))
     assert viewer.layout is layout
-    assert viewer.case.conditions == FAIR
     assert not viewer.store.path.exists()
     kept = load_layout(viewer.store.unsaved)  # the search's best so far
     np.testing.assert_allclose(kept.poses, better.poses, atol=1e-8)
     same = replace(layout, name="layout, optimised")
     viewer._on_end(SearchEnding(same, 0.5, 0.5, "ended"))
-    done(viewer, lambda: viewer.panel.light.value == "midday" and not viewer.panel.save.disabled)
+    done(viewer, lambda: not viewer.panel.save.disabled)
     assert viewer.layout is layout
     assert viewer.told[-1][:2] == ("Search", "ended: P_sm stays at 0.5000 in 0 s, with compiling")
 
@@ -476,39 +473,36 @@ def test_changes_are_against_the_opened_layout_or_one_that_is_set(viewer, scene,
     assert f"{p_sm() - second:+.4f} against the reference" in headline()
 
 
-def test_scores_of_another_light_are_not_taken_for_those_asked_for(
-    viewer, scene, layout, monkeypatch
-):
-    """They arrive late, or stand there until the new ones come; and are none of the reference."""
+def test_until_its_scores_come_those_before_fade_and_it_is_no_reference(viewer, monkeypatch):
     monkeypatch.setattr("inspe_jax.viewer.display.STALE", 0.05)
     done(viewer, lambda: viewer.display.scored and viewer.display.scored.frames == 3)
-    old = viewer.display.scored
-    viewer.scorer.close()  # nothing is scored in the new light
-    viewer.panel.light.value = "night"
-    viewer.change_conditions()
-    viewer._on_scores(old)
+    viewer.scorer.close()  # nothing more is scored
+    pull(viewer, (0, 0, 1.0))
     viewer.set_reference()
     done(viewer, lambda: viewer.told)
     assert viewer.told[-1][1] == "the reference can be set once all frames are scored"
     assert 'data-state="scoring …"' in viewer.panel.headline.content
     done(viewer, lambda: "opacity:.3" in viewer.panel.scores.content)
     assert viewer.scene3d.drawn["voxels/hidden"].opacity < OPACITY / 2
-    night = evaluate(scene, layout, conditions=Conditions("night"))
-    viewer._on_scores(replace(old, scores=night))
-    viewer.set_reference()
-    done(viewer, lambda: viewer.told[-1][0] == "Reference set")
-    viewer._on_scores(old)
-    done(viewer, lambda: viewer.display.scored is old)
-    assert viewer.display.reference.scores == {3: night}
 
 
-def test_a_weather_of_many_digits_is_scored_and_shown(scene, layout, tmp_path):
-    """Records have twelve of them."""
-    fog = Conditions("midday", "fog", 400 / 3)
-    found = Viewer(Case(scene, fog), layout, tmp_path / "layout.yaml", port=0)
+def test_scores_and_pictures_are_of_the_light_and_weather_of_the_case(
+    scene, layout, tmp_path, plain_plan
+):
+    night = Conditions.of("night", "fog:50")
+    far = [box for box in scene.traffic.center[0] if np.hypot(*(box[:2] - [9.0, 9.0])) > 9.5]
+    assert night.spec(layout.sensors[0].spec).grid.reach < 9.5
+    assert len(far)
+    found = Viewer(Case(scene, night), layout, tmp_path / "layout.yaml", port=0)
     try:
-        done(found, lambda: found.display._current)
-        assert found.panel.weather.value == fog.weather_text
+        view = opened(found).sensor_view
+        done(found, lambda: found.display._current and found.display.scored.frames == 3)
+        scores = evaluate(scene, layout, conditions=night)
+        done(found, lambda: f'data-score="{scores.surrogate}"' in found.panel.headline.content)
+        if importlib.util.find_spec("embreex"):
+            wanted = recorded(scene, layout, 0, 0, night)
+            done(found, lambda: same(view.seen, wanted))
+            assert "beyond its reach" in view.picture.content
     finally:
         found.close()
 
@@ -525,22 +519,6 @@ def test_a_search_says_that_it_still_compiles_beside_its_best_score(viewer, monk
     viewer._on_progress(0.1, 0.6)
     done(viewer, lambda: viewer.panel.course.content == "best 0.6000, 9 s left")
     viewer._on_end(SearchEnding(None, 0.0, 0.0, "stopped"))
-
-
-def test_what_is_beyond_a_sensors_reach_in_the_dark_is_said(viewer, scene):
-    pytest.importorskip("embreex", reason="no wheels of Embree for this platform")
-    view = viewer.view.sensor_view
-    done(viewer, lambda: "px/m" in view.picture.content)
-    spec = viewer.layout.sensors[0].spec
-    far = [box for box in scene.traffic.center[0] if np.hypot(*(box[:2] - [9.0, 9.0])) > 9.5]
-    assert Conditions.of("night", "fog:50").spec(spec).grid.reach < 9.5
-    assert len(far)
-    assert "beyond its reach" not in view.picture.content
-    viewer.panel.light.value, viewer.panel.weather.value = "night", "fog"
-    viewer.case = replace(viewer.case, conditions=Conditions.of("night", "fog:50"))
-    viewer.queue.submit(lambda: viewer.display.set_case(viewer.case))
-    viewer.queue.submit(lambda: viewer.display.show_selection(viewer.view))
-    done(viewer, lambda: "beyond its reach" in view.picture.content)
 
 
 def test_blind_spots_are_listed_as_the_record_of_the_scores_has_them(
@@ -617,30 +595,6 @@ def test_what_a_sensor_sees_follows_the_drag_and_is_the_recorders_on_release(vie
     assert f"{len(scan.points):,} points" in view.picture.content
     viewer.view.select(0)
     done(viewer, lambda: viewer.view.selection3d.points is None)
-
-
-def test_light_and_weather_change_scores_and_pictures(viewer, scene, layout):
-    done(viewer, lambda: viewer.display.scored and viewer.display.scored.frames == 3)
-    night = Conditions.of("night", "rain")
-    viewer.panel.light.value, viewer.panel.weather.value = "night", "rain"
-    viewer.change_conditions()
-    scores = evaluate(scene, layout, conditions=night)
-
-    def settled():
-        found = viewer.display.scored
-        return found.scores.conditions == night and found.frames == 3
-
-    done(viewer, settled)
-    done(viewer)  # and drawn
-    assert viewer.display.scored.scores.surrogate == scores.surrogate
-    assert f'data-score="{scores.surrogate}"' in viewer.panel.headline.content
-    change = scores.surrogate - evaluate(scene, layout).surrogate
-    assert f"{change:+.4f} against the reference (midday, clear)" in viewer.panel.headline.content
-    assert "its score is that of midday, clear" in viewer.panel.headline.content
-    assert viewer.searcher.case.conditions == night
-    if importlib.util.find_spec("embreex"):
-        wanted = recorded(scene, layout, 0, 0, night)
-        done(viewer, lambda: same(viewer.view.sensor_view.seen, wanted))
 
 
 def test_the_view_can_be_switched_off_and_says_what_it_needs(viewer, monkeypatch):

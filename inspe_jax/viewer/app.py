@@ -183,15 +183,6 @@ class Viewer:
 
         self.change(job)
 
-    def set_reference(self) -> None:
-        """Compare with the present layout from now on."""
-
-        def job() -> None:
-            self.display.set_reference(self.layout)
-            self.display.notify("Reference set", "changes are shown against this layout now", None)
-
-        self.unless_searching(job)
-
     def show_target(self) -> None:
         """Show how far the layout is from the target."""
         self.queue.submit(self.display.update_panel, key="target")

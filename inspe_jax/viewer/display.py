@@ -6,13 +6,12 @@ thread.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import viser
 from jaxtyping import UInt
 
 from inspe_jax.core.compiling import compiled
-from inspe_jax.core.errors import InspeError
 from inspe_jax.core.words import isolated
 from inspe_jax.placement.feasibility import Fault
 from inspe_jax.placement.problem import Case
@@ -32,20 +31,11 @@ STALE = 0.5
 """Scores and voxels of the layout before fade after this time [s]."""
 
 
-class Reference(NamedTuple):
-    """The layout that others are compared with, which one that is in ``words``, and its
-    ``scores`` by number of frames."""
-
-    layout: Layout
-    words: str
-    scores: dict[int, Scores]
-
-
 class Display:
     """A layout as browsers see it.
 
-    ``shown`` is the layout, ``scored`` the newest scores: its own, or those of a layout before.
-    ``reference`` is what it is compared with.
+    ``shown`` is the layout, ``opened`` that at the start, ``scored`` the newest scores: its own, or
+    those of a layout before.
     """
 
     def __init__(
@@ -58,15 +48,14 @@ class Display:
         views: Mapping[int, BrowserView],
     ) -> None:
         """Draw the scene. ``views`` are those of the browsers that look, by ids of clients."""
-        self.shown = opened
-        self.reference = Reference(opened, "the layout as it was opened", {})
+        self.shown = self.opened = opened
         self.scored: ScoredLayout | None = None
         self._server, self._case = server, case
         self._panel, self._queue, self._views = panel, queue, views
         self._frames = case.scene.traffic.frame_count
         self._faults: Sequence[Fault] = ()
         self._notes: Sequence[str] = ()
-        self._newest: dict[int, ScoredLayout] = {}  # the newest scores, by number of frames
+        self._reference: dict[int, Scores] = {}  # scores of the opened layout, by number of frames
         self._sight: tuple[int, UInt[Any, " V"]] | None = None
         self._drawn_frame, self._faded, self._label = -1, False, ""
         self._compiled = compiled().seconds  # when the newest scores came
@@ -75,21 +64,6 @@ class Display:
         self.blind_spots = BlindSpotPanel(server.gui, panel.blind_spots, case.scene, queue.failed)
         self.scene3d.draw_mounting()
         look_from(server.initial_camera, case.scene, back=BACK)
-
-    def set_reference(self, layout: Layout) -> None:
-        """Compare with this layout from now on, as it is scored.
-
-        Raises InspeError as long as it has no scores of all frames.
-        """
-        scored = {
-            frames: found.scores
-            for frames, found in self._newest.items()
-            if found.layout is layout and found.scores is not None
-        }
-        if self._frames not in scored:
-            raise InspeError("the reference can be set once all frames are scored")
-        self.reference = Reference(layout, "the layout that was made it", scored)
-        self.update_panel()
 
     def draw(
         self,
@@ -136,11 +110,11 @@ class Display:
     def show_scores(self, scored: ScoredLayout) -> None:
         """Show new scores."""
         self.scored, self._compiled = scored, compiled().seconds
-        if scored.scores is not None and scored.frames == self._frames:
-            self.blind_spots.show(scored.layout, scored.scores)
-        self._newest[scored.frames] = scored
-        if scored.layout is self.reference.layout and scored.scores is not None:
-            self.reference.scores[scored.frames] = scored.scores
+        if scored.scores is not None:
+            if scored.frames == self._frames:
+                self.blind_spots.show(scored.layout, scored.scores)
+            if scored.layout is self.opened:
+                self._reference[scored.frames] = scored.scores
         self.update_panel()
 
     def show_sight(self, layout: Layout, frame: int, sight: UInt[Any, " V"]) -> None:
@@ -209,8 +183,7 @@ class Display:
             self.shown,
             scored,
             frames=self._frames,
-            reference=None if scored is None else self.reference.scores.get(scored.frames),
-            reference_words=self.reference.words,
+            reference=None if scored is None else self._reference.get(scored.frames),
             faults=[fault.words for fault in self._faults],
             notes=self._notes,
             waiting=waiting,

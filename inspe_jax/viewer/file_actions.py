@@ -64,7 +64,8 @@ class FileActions:
     def write_report(self, client: Any) -> None:
         """Write a report beside the layout's file, and send it to the browser that asks for it.
 
-        It has before and after where the layout is not the reference, and the target if one is set.
+        It has before and after where the layout is not as it was opened, and the target if one is
+        set.
         """
         viewer = self._viewer
 
@@ -72,8 +73,8 @@ class FileActions:
             viewer.panel.report.disabled = True
             viewer.display.notify("Report", "It is being drawn …", None)
             case, layout, frame = viewer.case, viewer.layout, viewer.panel.shown_frame
-            before = viewer.display.reference
-            start = None if before.layout is layout else Start(before.layout, before.words)
+            opened = viewer.display.opened
+            start = None if opened is layout else Start(opened, "the layout as it was opened")
             target = float(viewer.panel.target.value) or None
 
             def write() -> None:

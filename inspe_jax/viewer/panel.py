@@ -11,7 +11,7 @@ import viser
 from inspe_jax.placement.optimise import DEFAULT_METHOD, METHODS
 from inspe_jax.scoring.viewshed import Visibility
 from inspe_jax.viewer.bindings import bind
-from inspe_jax.viewer.score_panel import REFERENCE, VISIBILITY_NAMES
+from inspe_jax.viewer.score_panel import VISIBILITY_NAMES
 
 SECONDS = 60.0
 """Usual time of a search [s]."""
@@ -75,7 +75,6 @@ class Panel:
         self.headline = gui.add_html("")
         self.edit = gui.add_button_group("", ("Undo", "Redo", "Save"))
         self.scores = gui.add_html("")
-        self.compare = gui.add_button("Set as reference", color=SLATE, hint=REFERENCE)
         self.target = gui.add_number(
             "Target", 0.0, min=0.0, max=1.0, step=0.01,
             hint="The P_sm that the layout should reach, as an orange mark: a search ends there; "
@@ -110,7 +109,6 @@ class Panel:
         edit = {which: partial(viewer.undo_or_redo, which) for which in ("Undo", "Redo")}
         edit["Save"] = viewer.files.save
         self._changes(self.edit, lambda _: edit[self.edit.value]())
-        self._changes(self.compare, lambda _: viewer.set_reference())
         self._changes(self.optimise, lambda _: viewer.optimise())
         bind(self.stop, lambda _: viewer.stop())
         bind(self.target, lambda _: viewer.show_target())
@@ -184,7 +182,7 @@ class Panel:
     def searching(self, on: bool) -> None:
         """Disable changes while a search runs, and show the button that stops it."""
         self.stop.visible = self.bar.visible = on
-        self.optimise.visible = self.compare.visible = self.edit.visible = not on
+        self.optimise.visible = self.edit.visible = not on
         choices = self.method, self.seconds, self.target
         for control in (*choices, self.save, self.report, *self.offers):
             control.disabled = on

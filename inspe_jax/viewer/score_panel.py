@@ -28,8 +28,6 @@ LEGEND = (
     ("LiDAR", SENSOR_COLORS["lidar"]),
 )
 
-REFERENCE = "Compare with this layout from now on; at first with the layout as it was opened"
-"""What setting the reference does."""
 TARGET_COLOR = "#d55e00"
 """Of the mark of the target."""
 
@@ -45,7 +43,6 @@ def score_panel(
     *,
     frames: int,
     reference: Scores | None = None,
-    reference_words: str = "",
     faults: Sequence[str] = (),
     notes: Sequence[str] = (),
     waiting: str = "scoring …",
@@ -58,8 +55,7 @@ def score_panel(
         layout: The layout.
         scored: The newest scores, or None. Those of another layout are shown in grey.
         frames: Number of frames of the whole traffic.
-        reference: Scores of the layout that this one is compared with, on the same frames.
-        reference_words: Which layout that is.
+        reference: Scores of the layout as it was opened, on the same frames.
         faults: The rules of mounting that the layout breaks, in words.
         notes: How mounting has changed the last change, in words.
         waiting: What is being done while the layout has no scores.
@@ -69,12 +65,10 @@ def score_panel(
     scores = None if scored is None else scored.scores
     before = None if scores is None or reference is None else reference.surrogate
     new = scored if scored is not None and scored.layout is layout else None
-    against = f"The reference is {reference_words}"
     headline = _HEADLINE.render(
         scores=scores,
         around="" if scores is None else scores.conditions.words,
         change="" if scores is None else _change(scores.surrogate, before),
-        against=against,
         before=before,
         target=target,
         target_color=TARGET_COLOR,
@@ -84,7 +78,6 @@ def score_panel(
     )
     details = _DETAILS.render(
         scores=scores,
-        against=against,
         faded=faded and new is None,
         wrong="" if new is None else new.wrong,
         faults=faults,

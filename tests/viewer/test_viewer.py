@@ -452,35 +452,24 @@ def test_what_somebody_else_removes_is_no_longer_selected_and_its_neighbour_is_n
     assert len(view.controls.sensor.options) == 2
 
 
-def test_changes_are_against_the_opened_layout_or_one_that_is_set(viewer, scene, layout):
-    def p_sm():
-        done(viewer, lambda: viewer.display._current and viewer.display.scored.frames == 3)
-        return evaluate(scene, viewer.layout).surrogate
-
+def test_changes_are_against_the_opened_layout(viewer, scene, layout):
     def headline():
+        done(viewer, lambda: viewer.display._current and viewer.display.scored.frames == 3)
         done(viewer)
         return viewer.panel.headline.content
 
-    first = p_sm()
     assert "against the reference" not in headline()
     pull(viewer, (1.0, 0, -3.0))
-    second = p_sm()
+    first, second = (evaluate(scene, of).surrogate for of in (layout, viewer.layout))
     assert f"{second - first:+.4f} against the reference" in headline()
     assert "The reference is the layout as it was opened" in headline()
-    viewer.set_reference()
-    assert "against the reference" not in headline()
-    pull(viewer, (0, 0, 1.0))
-    assert f"{p_sm() - second:+.4f} against the reference" in headline()
 
 
-def test_until_its_scores_come_those_before_fade_and_it_is_no_reference(viewer, monkeypatch):
+def test_until_new_scores_come_those_before_fade(viewer, monkeypatch):
     monkeypatch.setattr("inspe_jax.viewer.display.STALE", 0.05)
     done(viewer, lambda: viewer.display.scored and viewer.display.scored.frames == 3)
     viewer.scorer.close()  # nothing more is scored
     pull(viewer, (0, 0, 1.0))
-    viewer.set_reference()
-    done(viewer, lambda: viewer.told)
-    assert viewer.told[-1][1] == "the reference can be set once all frames are scored"
     assert 'data-state="scoring …"' in viewer.panel.headline.content
     done(viewer, lambda: "opacity:.3" in viewer.panel.scores.content)
     assert viewer.scene3d.drawn["voxels/hidden"].opacity < OPACITY / 2

@@ -20,21 +20,19 @@ from jaxtyping import UInt
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.placement.problem import Case
-from inspe_jax.report.page import template
+from inspe_jax.report.page import Start, report_entry, report_page, template
 from inspe_jax.scoring.detection import DetectionCurves
 from inspe_jax.scoring.metrics import Weights
-from inspe_jax.sensing.layout import Layout
-from inspe_jax.viewer.bindings import set_value
+from inspe_jax.sensing.layout import Layout, layout_text
 from inspe_jax.viewer.browser_view import BrowserView
 from inspe_jax.viewer.display import BACK, Display
-from inspe_jax.viewer.file_actions import FileActions
 from inspe_jax.viewer.job_queue import JobQueue
-from inspe_jax.viewer.page_token import new_token
-from inspe_jax.viewer.panel import Panel
+from inspe_jax.viewer.page_views import VIEWS
+from inspe_jax.viewer.panel import Panel, set_value
 from inspe_jax.viewer.scene3d import look_from
 from inspe_jax.viewer.scorer import ScoredLayout, Scorer
 from inspe_jax.viewer.searcher import SearchEnding, Searcher
-from inspe_jax.viewer.server import HOST, quiet, serve
+from inspe_jax.viewer.server import HOST, new_token, quiet, serve
 from inspe_jax.viewer.session import LayoutSession
 from inspe_jax.viewer.store import LayoutStore
 
@@ -75,7 +73,7 @@ class Viewer:
         self.searching = False
         self._course, self._began = "", 0.0  # how far the search is, and when it began
         self.queue = JobQueue(self._failed)
-        self.files = FileActions(self)
+        self._reports = JobQueue(self._failed)  # a report takes seconds to draw
         token = token or new_token()
         self.server = serve(port, token, self._head())
         self.port = self.server.get_port()
@@ -120,7 +118,7 @@ class Viewer:
         self.queue.close()
         with suppress(InspeError, OSError):  # the store has why
             self.store.keep(self.layout)
-        self.files.close()
+        self._reports.close()
         self.display.close()
         for view in list(self.views.values()):
             view.sensor_view.close(wait=True)
@@ -225,6 +223,76 @@ class Viewer:
     def stop(self) -> None:
         """Stop the search with its best layout so far."""
         self.queue.submit(self.searcher.stop)
+
+    # ── Files ──
+
+    def save(self) -> None:
+        """Save the layout; ask first if that would replace a file of an earlier run."""
+
+        def job() -> None:
+            if self.store.would_replace(self.layout):
+                self.panel.ask_replace(self.store.path, self.store.beside)
+            else:
+                self._save(self.store.path)
+
+        self.unless_searching(job)
+
+    def save_in(self, path: Path) -> None:
+        """Save the layout in this file, which may be there, and in no other from now on."""
+        self.unless_searching(lambda: self._save(path))
+
+    def _save(self, path: Path) -> None:
+        self.store.save(self.layout, path)
+        self.show_file(self.layout)
+        self.display.notify("Saved", str(path), "green")
+
+    def open_earlier(self, number: int) -> None:
+        """Open a layout that an earlier run has left."""
+
+        def change() -> None:
+            earlier = self.store.earlier[number]
+            self.session.take(self.store.open(earlier))
+            self.panel.withdraw(number)
+            self.display.notify("Opened", earlier.name, None)
+
+        self.change(change)
+
+    def download(self, client: Any) -> None:
+        """Send a browser the layout, as it would be saved."""
+        self.queue.submit(lambda: _send(client, self.store.path.name, layout_text(self.layout)))
+
+    def write_report(self, client: Any) -> None:
+        """Write a report beside the layout's file, and send it to the browser that asks for it.
+
+        It has before and after where the layout is not as it was opened, and the target if one is
+        set.
+        """
+
+        def job() -> None:
+            self.panel.report.disabled = True
+            self.display.notify("Report", "It is being drawn …", None)
+            layout, opened, frame = self.layout, self.display.opened, self.panel.shown_frame
+            start = None if opened is layout else Start(opened, "the layout as it was opened")
+            target = float(self.panel.target.value) or None
+
+            def write() -> None:
+                try:
+                    entry = report_entry(
+                        self.case, layout, self.weights, start=start, target=target, **self.further
+                    )
+                    text = report_page(self.case.scene, [entry], frame=frame, views=VIEWS)
+                    page = self.store.write_page(text)
+                    self.display.notify("Report", f"It is in {page}", "green")
+                    _send(client, page.name, text)
+                finally:
+                    self.queue.submit(allow)
+
+            self._reports.submit(write, key="report")
+
+        def allow() -> None:
+            self.panel.report.disabled = self.searching
+
+        self.unless_searching(job)
 
     # ── Callbacks of the scorer and the search, from their threads ──
 
@@ -342,3 +410,8 @@ class Viewer:
         if not isinstance(wrong, InspeError | OSError):
             traceback.print_exception(wrong)
         self.display.notify("That failed", str(wrong) or repr(wrong), "red")
+
+
+def _send(client: Any, name: str, text: str) -> None:
+    """Have a browser save a file among its downloads."""
+    client.send_file_download(name, text.encode(), save_immediately=True)

@@ -10,8 +10,8 @@ from jaxtyping import Float
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.sensing.layout import Layout
-from inspe_jax.viewer.bindings import set_value
 from inspe_jax.viewer.job_queue import DelayedAction
+from inspe_jax.viewer.panel import set_value
 from inspe_jax.viewer.score_panel import sensor_table
 from inspe_jax.viewer.scorer import ScoredLayout
 from inspe_jax.viewer.selection3d import HandleDrag, Selection3D

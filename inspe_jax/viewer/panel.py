@@ -10,7 +10,6 @@ import viser
 
 from inspe_jax.placement.optimise import DEFAULT_METHOD, METHODS
 from inspe_jax.scoring.viewshed import Visibility
-from inspe_jax.viewer.bindings import bind
 from inspe_jax.viewer.score_panel import VISIBILITY_NAMES
 
 SECONDS = 60.0
@@ -24,6 +23,32 @@ SLATE = (86, 104, 122)
 """Colour of buttons that are not the main one of their folder."""
 BLIND_SPOTS = "Blind spots"
 """The title of their folder, while what is in it is of the layout in hand."""
+
+
+def bind(
+    control: Any, ask: Callable[[Any], object], settle: Callable[[], None] = lambda: None
+) -> None:
+    """Call ``ask`` with the browser that uses a control, on the event loop, so that order is kept.
+
+    ``control`` is a button, a command with a key, or has a value. Nothing is called for a value
+    that is not an option any more. ``settle`` is called before, to apply typed numbers.
+    """
+
+    async def called(event: Any) -> None:
+        options = getattr(control, "options", None)
+        if event.client is None or (options is not None and control.value not in options):
+            return
+        settle()
+        ask(event.client)
+
+    names = ("on_click", "on_trigger", "on_update")
+    register = next(getattr(control, name) for name in names if hasattr(control, name))
+    register(called)
+
+
+def set_value(control: Any, value: Any) -> None:
+    """Set a control's value in every browser that has it. viser's types declare it read-only."""
+    control.value = value
 
 
 class Key(NamedTuple):
@@ -47,7 +72,7 @@ def _of_view(ask: Callable[[Any], None]) -> Callable[[Any, Any], object]:
 KEYS = (
     Key("Undo", "Z", "cmd/ctrl", "Ctrl+Z", lambda v, _: v.undo_or_redo("Undo"), True),
     Key("Redo", "Z", "cmd/ctrl+shift", "Ctrl+Shift+Z", lambda v, _: v.undo_or_redo("Redo"), True),
-    Key("Save layout", "S", "cmd/ctrl", "Ctrl+S", lambda v, _: v.files.save(), True),
+    Key("Save layout", "S", "cmd/ctrl", "Ctrl+S", lambda v, _: v.save(), True),
     Key("Select the next sensor", "N", None, "N", _of_view(lambda view: view.step(1))),
     Key("Select the sensor before", "N", "shift", "Shift+N", _of_view(lambda view: view.step(-1))),
     Key("Remove what is selected", "delete", None, "Delete", _of_view(lambda v: v.remove()), True),
@@ -107,7 +132,7 @@ class Panel:
             (self._changes if key.changes else bind)(command, partial(key.ask, viewer))
             self.keys[key.words] = command
         edit = {which: partial(viewer.undo_or_redo, which) for which in ("Undo", "Redo")}
-        edit["Save"] = viewer.files.save
+        edit["Save"] = viewer.save
         self._changes(self.edit, lambda _: edit[self.edit.value]())
         self._changes(self.optimise, lambda _: viewer.optimise())
         bind(self.stop, lambda _: viewer.stop())
@@ -115,9 +140,9 @@ class Panel:
         bind(self.frame, lambda _: viewer.select_frame())
         for box in self.shown.values():
             bind(box, lambda _: viewer.show_voxels())
-        self._changes(self.save, lambda _: viewer.files.save())
-        self._changes(self.download, viewer.files.download)
-        self._changes(self.report, viewer.files.write_report)
+        self._changes(self.save, lambda _: viewer.save())
+        self._changes(self.download, viewer.download)
+        self._changes(self.report, viewer.write_report)
 
     @property
     def sensor_orders(self) -> tuple[float, float, float, float]:
@@ -147,7 +172,7 @@ class Panel:
             self._changes(leave, lambda _: setattr(self.earlier, "visible", False))
 
     def _open_earlier(self, number: int, _: Any) -> None:
-        self._viewer.files.open_earlier(number)
+        self._viewer.open_earlier(number)
 
     def withdraw(self, number: int) -> None:
         """Stop offering a layout, since it is open."""
@@ -162,7 +187,7 @@ class Panel:
             def answer(_: Any) -> None:
                 question.close()
                 if at is not None:
-                    self._viewer.files.save_in(at)
+                    self._viewer.save_in(at)
 
             self._changes(self._gui.add_button(words, color=color), answer)
 

@@ -10,7 +10,7 @@ import viser
 from inspe_jax.core.words import isolated
 from inspe_jax.sensing.catalogue import devices
 from inspe_jax.sensing.sensors import Spec
-from inspe_jax.viewer.bindings import bind, set_value
+from inspe_jax.viewer.panel import bind, set_value
 
 DIGITS = {"x": 2, "y": 2, "height": 2, "yaw": 1, "pitch": 1}
 """The numbers of a pose, with the decimals that are shown and typed."""

@@ -15,14 +15,14 @@ from worlds import world
 
 from inspe_jax.placement.problem import Case
 from inspe_jax.placement.space import Space
-from inspe_jax.report.plan_picture import LETTERS
 from inspe_jax.scoring.evaluate import evaluate
 from inspe_jax.sensing.layout import load_layout, save_layout
 from inspe_jax.viewer.app import Viewer
-from inspe_jax.viewer.bindings import set_value
-from inspe_jax.viewer.page_token import new_token
+from inspe_jax.viewer.blind_spot_panel import LETTERS
+from inspe_jax.viewer.panel import set_value
 from inspe_jax.viewer.scene3d import turn_of
 from inspe_jax.viewer.selection3d import LENGTH
+from inspe_jax.viewer.server import new_token
 
 pytestmark = pytest.mark.browser
 

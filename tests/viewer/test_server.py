@@ -18,9 +18,8 @@ from websockets.http11 import Request
 
 from inspe_jax.placement.problem import Case
 from inspe_jax.viewer.app import Viewer
-from inspe_jax.viewer.page_token import kept_token, new_token
 from inspe_jax.viewer.searcher import SearchEnding
-from inspe_jax.viewer.server import quiet, refusal, serve, with_head
+from inspe_jax.viewer.server import kept_token, new_token, quiet, refusal, serve, with_head
 
 EVIL = "http://evil.example"
 

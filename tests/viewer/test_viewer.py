@@ -20,7 +20,6 @@ from inspe_jax.core.errors import InspeError
 from inspe_jax.core.geometry import rotation
 from inspe_jax.dataset.points_in_boxes import world_points
 from inspe_jax.placement.problem import Case
-from inspe_jax.report.plan_picture import LETTERS, plan_picture
 from inspe_jax.report.tables import scores_record
 from inspe_jax.scoring.evaluate import evaluate
 from inspe_jax.sensing.catalogue import devices
@@ -31,7 +30,8 @@ from inspe_jax.simulation.frame import Image
 from inspe_jax.simulation.recorder import Recording
 from inspe_jax.viewer import sensor_view
 from inspe_jax.viewer.app import Viewer
-from inspe_jax.viewer.bindings import set_value
+from inspe_jax.viewer.blind_spot_panel import LETTERS, plan_picture
+from inspe_jax.viewer.panel import set_value
 from inspe_jax.viewer.scene3d import OPACITY, rgb
 from inspe_jax.viewer.score_panel import LEGEND
 from inspe_jax.viewer.searcher import SearchEnding
@@ -175,7 +175,7 @@ def test_nothing_is_changed_or_saved_while_a_search_runs(viewer, layout, monkeyp
     done(viewer, lambda: viewer.view.controls.add.disabled)
     for control in (viewer.panel.save, viewer.panel.report, viewer.panel.target):
         assert control.disabled
-    viewer.files.save()
+    viewer.save()
     viewer.view.remove()
     viewer.undo_or_redo("Undo")
     pull(viewer, (0, 0, 1.0))
@@ -219,8 +219,8 @@ def test_what_is_typed_counts_before_whatever_is_pressed(viewer, monkeypatch):
     begun, client = [], SimpleNamespace(camera=None, send_file_download=lambda *_, **__: None)
     monkeypatch.setattr(viewer.searcher, "start", lambda *told: begun.append(told))
     set_value(viewer.panel.target, 0.9)
-    monkeypatch.setattr("inspe_jax.viewer.file_actions.report_entry", lambda *_, **__: None)
-    monkeypatch.setattr("inspe_jax.viewer.file_actions.report_page", lambda *_, **__: "")
+    monkeypatch.setattr("inspe_jax.viewer.app.report_entry", lambda *_, **__: None)
+    monkeypatch.setattr("inspe_jax.viewer.app.report_page", lambda *_, **__: "")
     own, panel = viewer.view.controls, viewer.panel
     pressed = panel.save, panel.report, own.existing, own.add, own.device, panel.optimise
     for yaw, control in enumerate(pressed, 10):
@@ -258,12 +258,12 @@ def test_an_earlier_layout_is_opened_once_and_not_during_a_search(scene, layout,
     viewer = Viewer(Case(scene), layout, path, port=0)
     try:
         viewer.searching = True
-        viewer.files.open_earlier(0)
+        viewer.open_earlier(0)
         done(viewer)
         assert viewer.layout is layout
         assert viewer.panel.earlier.visible
         viewer.searching = False
-        viewer.files.open_earlier(0)
+        viewer.open_earlier(0)
         done(viewer)
         assert viewer.layout.poses[0, 2] == pytest.approx(layout.poses[0, 2] + 1.0)
         assert not viewer.panel.earlier.visible
@@ -302,7 +302,7 @@ def test_a_report_is_sent_to_who_asks_with_the_layout_that_was_opened_and_the_ta
     set_value(viewer.panel.target, 0.95)
     higher = replace(layout, poses=np.array(layout.poses) + [0, 0, 0.5, 0, 0, 0])
     viewer.change(lambda: viewer.session.take(higher))
-    viewer.files.write_report(browser)
+    viewer.write_report(browser)
     done(viewer, lambda: sent and not viewer.panel.report.disabled)
     page = viewer.store.page.read_text()
     assert sent == [("layout.html", page.encode())]
@@ -316,8 +316,8 @@ def test_a_report_is_sent_to_who_asks_with_the_layout_that_was_opened_and_the_ta
     def fails(*_, **__):
         raise InspeError("no room")
 
-    monkeypatch.setattr("inspe_jax.viewer.file_actions.report_entry", fails)
-    viewer.files.write_report(browser)
+    monkeypatch.setattr("inspe_jax.viewer.app.report_entry", fails)
+    viewer.write_report(browser)
     done(viewer, lambda: viewer.told[-1][1] == "no room" and not viewer.panel.report.disabled)
     assert len(sent) == 1
 

@@ -295,13 +295,13 @@ def draw_plan(
     layout: Layout,
     layer: MapLayer,
     reach: float,
-    frame: int = 0,
+    frame: int | None = 0,
     *,
     side: float = MAP,
     numbers: Sequence[int] | None = None,
 ) -> AxesImage:
-    """Draw a map of ``reach`` [m] and ``side`` [inch]: a layer, and over it one frame's road users,
-    what each sensor looks at, and its number.
+    """Draw a map of ``reach`` [m] and ``side`` [inch]: a layer, and over it a frame's road users if
+    one is given, what each sensor looks at, and its number.
 
     ``numbers`` are 1, 2, … unless given. Raises InspeError if the layer is of another scene.
     """
@@ -318,7 +318,7 @@ def draw_plan(
     )  # fmt: skip
     draw_regions(ax, scene, lambda _: OUTLINE)
     draw_bodies(ax, scene)
-    if layer.users:
+    if frame is not None:
         draw_users(ax, scene, frame, [USER] * len(CLASSES))
     for sensor, pose in zip(layout.sensors, poses, strict=True):
         for ring in clear_outlines(scene, sensor.spec, pose):

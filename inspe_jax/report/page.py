@@ -25,11 +25,13 @@ from inspe_jax.placement.studies.tolerance import Tolerance
 from inspe_jax.report.curves import history_view
 from inspe_jax.report.figures import SENSOR_COLORS, plan_view, scene_view
 from inspe_jax.report.layers import BLIND, SIGHT_COLORS, USER_COLOR, MapLayer, layers
-from inspe_jax.report.mounting import model_words, mounting_words, origin_words
 from inspe_jax.report.progress import before_after, same_sensors
 from inspe_jax.report.schedule import (
     installation_schedule,
     materials,
+    model_words,
+    mounting_words,
+    origin_words,
     sensors_in_words,
     total_price,
 )
@@ -53,8 +55,6 @@ CAPTIONS: dict[str, str] = {
     "seen": "How often each spot is seen: the share of frames and levels, behind traffic.",
     "blind": "Blind spots: what no sensor has in view, and what traffic hides most of the time.",
     "redundancy": "Redundancy: how many sensors have a spot in view, a mean over its levels.",
-    "entropy": "Entropy of the occupancy: where it is uncertain whether somebody is there.",
-    "unresolved": "What of that uncertainty the sensors leave.",
 }
 SPOTS = 10
 """Most blind spots in a list."""

@@ -52,14 +52,14 @@ CHANCES: Bands = (
 )
 """Kinds of columns by the chance that a detector finds a target."""
 
-_HEAD, _BELOW = 0.80, 1.35  # above and below the maps [inch]
+_HEAD, _BELOW = 0.80, 0.96  # above and below the maps [inch]
 
 
 def banded(name: str, values: Float[np.ndarray, " L"], bands: Bands) -> MapLayer:
     """A layer whose columns have the kind of the highest band that they reach."""
     number = np.searchsorted([least for least, _, _ in bands], values, side="right") - 1.0
     number[np.isnan(values)] = np.nan
-    return MapLayer(name, name, number, kinds=tuple((words, color) for _, words, color in bands))
+    return MapLayer(name, number, kinds=tuple((words, color) for _, words, color in bands))
 
 
 def _shares(

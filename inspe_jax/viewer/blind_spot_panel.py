@@ -5,7 +5,6 @@ dragged meanwhile.
 """
 
 from collections.abc import Callable
-from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -104,12 +103,12 @@ def plan_picture(
     scene: Scene, layout: Layout, scores: Scores, spots: tuple[BlindSpot, ...]
 ) -> Figure:
     """A plan view without a heading: how often each column is seen, sensors, and blind spots."""
-    layer = replace(seen_layer(scores.seen_share, scene), users=False)
+    layer = seen_layer(scores.seen_share, scene)
     layout = scores.conditions.layout(layout)
     with house_style():
         fig = Figure(figsize=(SIDE, SIDE), facecolor="white")
         ax = fig.add_axes((0.0, 0.0, 1.0, 1.0))
-        draw_plan(ax, scene, layout, layer, reach_of(scene, layout), side=SIDE)
+        draw_plan(ax, scene, layout, layer, reach_of(scene, layout), None, side=SIDE)
         ax.axis("off")
         at = np.array([spot.at for spot in spots]).reshape(-1, 2)
         apart = APART * np.ptp(ax.get_xlim())

@@ -98,9 +98,9 @@ def test_a_map_shows_the_mean_or_the_most_frequent_kind_of_a_square(scene):
     means = (near @ values) / near.sum(1)
     most = (near @ kinds) / near.sum(1)
     for layer, wanted in (
-        (MapLayer("a", "", values, averaged=True), means),
-        (MapLayer("a", "", values), values),
-        (MapLayer("a", "", kinds, kinds=(("x", ""), ("y", "")), averaged=True), most > 0.5),
+        (MapLayer("", values, averaged=True), means),
+        (MapLayer("", values), values),
+        (MapLayer("", kinds, kinds=(("x", ""), ("y", "")), averaged=True), most > 0.5),
     ):
         shown = layer_raster(scene.voxels, layer)[0]
         where = column_raster(scene.voxels, np.arange(len(columns)))[0]
@@ -116,7 +116,7 @@ def test_one_seen_column_is_painted_where_it_is(scene, pair):
     share = np.zeros(len(columns))
     share[one] = 1.0
     layout = place_sensors((replace(CAMERA, depth=1.0), [10.0, -2.0, 6, 0, -0.3, 2.0]))
-    layer = MapLayer("seen", "", share)
+    layer = MapLayer("", share)
     fig = plan_view(empty, layout, scores_of(scene, layout, share), layer)
     colors = colormaps["cividis"]
     assert color_at(fig, columns[one]) == pytest.approx(colors(1.0)[:3], abs=0.01)

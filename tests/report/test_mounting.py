@@ -7,8 +7,13 @@ import pytest
 from worlds import CAMERA, LIDAR, crossing, world
 
 from inspe_jax import built_in
-from inspe_jax.report.mounting import model_words, mounting_words, origin_words
-from inspe_jax.report.schedule import installation_schedule, materials
+from inspe_jax.report.schedule import (
+    installation_schedule,
+    materials,
+    model_words,
+    mounting_words,
+    origin_words,
+)
 from inspe_jax.scene.georeference import Georeference
 from inspe_jax.scene.statics import pole
 from inspe_jax.sensing.catalogue import device

@@ -71,7 +71,7 @@ class Viewer:
         self.session = LayoutSession(case.scene, layout)
         self.views: dict[int, BrowserView] = {}
         self.searching = False
-        self._course, self._began = "", 0.0  # how far the search is, and when it began
+        self._began = 0.0  # when the search began
         self.queue = JobQueue(self._failed)
         self._reports = JobQueue(self._failed)  # a report takes seconds to draw
         token = token or new_token()
@@ -88,7 +88,6 @@ class Viewer:
             self.session.constraints,
             progress=self._on_progress,
             found=self._on_better,
-            compiling=self._on_compiling,
             ended=self._on_end,
             detection=detection,
         )
@@ -208,7 +207,6 @@ class Viewer:
             self.searching = True
             self.panel.searching(True)
             set_value(self.panel.bar, 0.0)
-            self._course = ""
             self.panel.course.content = "starting; compiles first, for half a minute or so"
             self._began = time.monotonic()
             dropped = [view.drop_outdated() for view in list(self.views.values())]
@@ -308,19 +306,9 @@ class Viewer:
                 return
             left = (1 - done) * float(self.panel.seconds.value)
             set_value(self.panel.bar, 100.0 * done)
-            self._course = f"best {best:.4f}, {left:.0f} s left"
-            self.panel.course.content = self._course
+            self.panel.course.content = f"best {best:.4f}, {left:.0f} s left"
 
         self.queue.submit(job, key="progress")
-
-    def _on_compiling(self, seconds: float) -> None:
-        def job() -> None:
-            if self.searching:
-                course = f"{self._course}; " if self._course else ""
-                waiting = f"{course}compiling: {seconds:.0f} s, which does not count"
-                self.panel.course.content = waiting
-
-        self.queue.submit(job, key="compiling")
 
     def _on_better(self, layout: Layout, score: float) -> None:
         def job() -> None:

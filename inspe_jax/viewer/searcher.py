@@ -80,9 +80,9 @@ class Searcher:
     Searches run in a process beside this one. It is kept for the next search, which then finds
     the programs that are compiled already.
 
-    Four functions are called on a thread of its own: ``progress`` with the fraction of the budget
+    Three functions are called on a thread of its own: ``progress`` with the fraction of the budget
     that is spent and the best score, ``found`` with every layout that is the best so far and its
-    score, ``compiling`` with the time that compiling has taken so far [s], ``ended`` once.
+    score, ``ended`` once.
     """
 
     def __init__(
@@ -93,14 +93,13 @@ class Searcher:
         *,
         progress: Callable[[float, float], None],
         found: Callable[[Layout, float], None],
-        compiling: Callable[[float], None],
         ended: Callable[[SearchEnding], None],
         detection: DetectionCurves | None = None,
     ) -> None:
         self.case, self.constraints = case, constraints
         self.objective = Objective(weights=weights, detection=detection)
-        self._progress, self._found, self._compiling = progress, found, compiling
-        self._ended, self._lock = ended, threading.RLock()
+        self._progress, self._found, self._ended = progress, found, ended
+        self._lock = threading.RLock()
         self._process: subprocess.Popen[bytes] | None = None
         self._closed = self._ready = False
         self._best: tuple[Layout, float] | None = None
@@ -214,8 +213,6 @@ class Searcher:
     def _receive(self, kind: str, *content: Any) -> None:
         if kind == "progress":
             self._progress(*content)
-        elif kind == "compiling":
-            self._compiling(*content)
         elif kind == "found":
             if self._best is None:
                 self._first = content[1]

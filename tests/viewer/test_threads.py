@@ -180,8 +180,7 @@ def test_a_layout_that_cannot_be_scored_is_said(layout, listening, monkeypatch):
 
 @pytest.fixture
 def heard():
-    names = "progress", "found", "compiling", "ended"
-    return SimpleNamespace(**{name: Listener() for name in names})
+    return SimpleNamespace(progress=Listener(), found=Listener(), ended=Listener())
 
 
 @pytest.fixture
@@ -231,12 +230,11 @@ def test_a_search_comes_to_its_end_and_the_next_uses_what_it_compiled(
     assert first.reason == REASONS["budget spent"]
     assert not first.failed
     assert first.gain >= 0
-    process, compiled = searcher._process, len(heard.compiling.heard)
+    process = searcher._process
     target = evaluate(scene, layout).surrogate + 1e-4
     searcher.start(layout, "random", 600.0, target)
     _, (second,) = heard.ended.wait(lambda told: len(told) == 2)
     assert searcher._process is process
-    assert len(heard.compiling.heard) <= compiled + 4  # hardly any: a second's
     assert second.reason == REASONS["target reached"]
     assert evaluate(scene, second.layout).surrogate >= target
 
@@ -246,10 +244,10 @@ def test_a_search_comes_to_its_end_and_the_next_uses_what_it_compiled(
 def test_a_search_is_stopped_in_the_midst_of_whatever_it_does(layout, searcher, heard, at):
     """As its process starts, as it begins, while it compiles; while it searches: see above."""
     searcher.start(layout, "greedy-adam", 600.0)
-    if at == "compiling":
-        heard.compiling.wait(lambda told: told)
-    while at == "ready" and not searcher._ready:
+    while at != "starting" and not searcher._ready:
         time.sleep(0.01)
+    if at == "compiling":
+        time.sleep(2)  # its first programs take longer
     process, began = searcher._process, time.monotonic()
     searcher.stop()
     heard.ended.wait(lambda told: told)

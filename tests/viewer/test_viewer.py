@@ -496,20 +496,6 @@ def test_scores_and_pictures_are_of_the_light_and_weather_of_the_case(
         found.close()
 
 
-def test_a_search_says_that_it_still_compiles_beside_its_best_score(viewer, monkeypatch):
-    monkeypatch.setattr(viewer.searcher, "start", lambda *_: None)
-    viewer.optimise()
-    set_value(viewer.panel.seconds, 10.0)
-    viewer._on_compiling(12.0)
-    done(viewer, lambda: "compiling" in viewer.panel.course.content)
-    viewer._on_progress(0.0, 0.5)
-    viewer._on_compiling(13.0)
-    done(viewer, lambda: "best 0.5000, 10 s left; compiling" in viewer.panel.course.content)
-    viewer._on_progress(0.1, 0.6)
-    done(viewer, lambda: viewer.panel.course.content == "best 0.6000, 9 s left")
-    viewer._on_end(SearchEnding(None, 0.0, 0.0, "stopped"))
-
-
 def test_blind_spots_are_listed_as_the_record_of_the_scores_has_them(
     viewer, scene, layout, monkeypatch
 ):

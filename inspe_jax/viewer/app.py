@@ -1,8 +1,6 @@
-"""The page: the scene in three dimensions, a handle on its sensors, and scores that follow.
+"""The page: the session changes the layout, the scorer scores it, the display shows it.
 
-The session changes the layout, the scorer scores it, the display shows it. All browsers see the
-same layout, and each selects sensors of its own. What they ask for runs in turn on one thread, that
-of the job queue.
+What browsers ask for runs in turn on one thread, that of the job queue.
 """
 
 import math
@@ -107,8 +105,7 @@ class Viewer:
     def close(self, *, wait: bool = True) -> None:
         """Apply what is typed, stop the search, finish a report that is being written, and stop.
 
-        What browsers have asked for is done as far as that is quick; the rest is dropped. Without
-        ``wait``, scores that are being computed are dropped: compiling may take a minute,
+        Without ``wait``, scores that are being computed are dropped: compiling may take a minute,
         and cannot be interrupted.
         """
         self.settle()
@@ -139,7 +136,7 @@ class Viewer:
         self._close_view(client)
 
     def _close_view(self, client: Any) -> None:
-        """Keep what a browser has typed and dragged, and let go of its view."""
+        """Keep what a browser has typed and dragged."""
         view = self.views.get(client.client_id)
         if view is not None:
             view.settle()
@@ -168,17 +165,17 @@ class Viewer:
             view.settle()
 
     def restore(self) -> None:
-        """Show the controls as they were: a browser has set one to an impossible value."""
+        """Show the controls as they were: a browser has asked in vain."""
         self.queue.submit(self._show_controls, key="controls")
 
     def undo_or_redo(self, which: str) -> None:
         """Undo the last change, or redo it; ``which`` is "Undo" or "Redo"."""
 
-        def job() -> None:
-            if not {"Undo": self.session.undo, "Redo": self.session.redo}[which]():
+        def change() -> None:
+            if not (self.session.undo() if which == "Undo" else self.session.redo()):
                 self.display.notify(which, f"there is nothing more to {which.lower()}", None)
 
-        self.change(job)
+        self.change(change)
 
     def show_target(self) -> None:
         """Show how far the layout is from the target."""
@@ -241,7 +238,7 @@ class Viewer:
 
     def _save(self, path: Path) -> None:
         self.store.save(self.layout, path)
-        self.show_file(self.layout)
+        self._keep(self.layout)
         self.display.notify("Saved", str(path), "green")
 
     def open_earlier(self, number: int) -> None:
@@ -315,10 +312,7 @@ class Viewer:
             if not self.searching:
                 return
             self.show_held(layout)
-            try:
-                self.store.keep(layout)  # in case the page is lost
-            finally:
-                self.show_file(layout)
+            self._keep(layout)
 
         self.queue.submit(job, key="better")
 
@@ -367,14 +361,12 @@ class Viewer:
     def show(self) -> None:
         """Keep the layout as it is now, show it, and have it scored."""
         try:
-            self.store.keep(self.layout)
+            self._keep(self.layout)
         finally:
             for view in list(self.views.values()):
                 view.follow()
-            faults = self.session.faults()
-            self.display.draw(self.layout, faults, self.session.notes)
+            self.display.draw(self.layout, self.session.faults(), self.session.notes)
             self._show_controls()
-            self.show_file(self.layout)
             self.scorer.score(self.layout, whole=True)
 
     def show_held(self, layout: Layout) -> None:
@@ -386,9 +378,12 @@ class Viewer:
         for view in list(self.views.values()):
             view.show()
 
-    def show_file(self, layout: Layout) -> None:
-        """Say which file has a layout."""
-        self.panel.file.content = _FILE.format(escape(self.store.words(layout)))
+    def _keep(self, layout: Layout) -> None:
+        """Keep a layout that is not saved, and say which file has it."""
+        try:
+            self.store.keep(layout)
+        finally:
+            self.panel.file.content = _FILE.format(escape(self.store.words(layout)))
 
     def _head(self) -> str:
         title = f"{self.layout.name} at {self.case.scene.name} – inspe_jax"

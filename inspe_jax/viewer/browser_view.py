@@ -11,11 +11,10 @@ from jaxtyping import Float
 from inspe_jax.core.errors import InspeError
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.viewer.job_queue import DelayedAction
-from inspe_jax.viewer.panel import set_value
 from inspe_jax.viewer.score_panel import sensor_table
 from inspe_jax.viewer.scorer import ScoredLayout
 from inspe_jax.viewer.selection3d import HandleDrag, Selection3D
-from inspe_jax.viewer.sensor_controls import DIGITS, POSE, SensorControls
+from inspe_jax.viewer.sensor_controls import POSE, SensorControls
 from inspe_jax.viewer.sensor_view import SensorShot, SensorView
 
 TYPED = 0.7
@@ -105,7 +104,6 @@ class BrowserView:
 
     def rename(self, name: str) -> None:
         """Give the sensor in hand another name, once nothing more is typed."""
-
         viewer = self._viewer
         rename = partial(viewer.change, lambda: viewer.session.rename(self._held(), name))
         self._typing["name"].start(NAMED, rename)
@@ -116,9 +114,9 @@ class BrowserView:
 
     def add(self, name: str) -> None:
         """Add a sensor, mounted as near as possible to the point that the browser looks at."""
-        session, shift = self._viewer.session, self._viewer.scene3d.shift
-        at = np.array(self.client.camera.look_at, float)[:2] + shift[:2]
-        self._add(lambda: session.add(name, at))
+        viewer = self._viewer
+        at = np.array(self.client.camera.look_at, float)[:2] + viewer.scene3d.shift[:2]
+        self._add(lambda: viewer.session.add(name, at))
 
     def remove(self) -> None:
         """Remove what is selected, and select the sensor after it."""
@@ -200,16 +198,7 @@ class BrowserView:
         self.follow()
         s, layout, searching = self.in_hand, self._layout, self._viewer.searching
         count = len(self.selection)
-
-        def set_controls() -> None:
-            controls = self.controls
-            controls.list_sensors([sensor.name for sensor in layout.sensors], s)
-            controls.say_selected(count, "" if s is None else layout.sensors[s].name)
-            controls.enable(change=not searching, selected=s is not None)
-            if s is not None:
-                controls.offer_device(layout.sensors[s].spec)
-
-        self._on_loop(set_controls)
+        self._on_loop(lambda: self.controls.show(layout.sensors, s, count, change=not searching))
         if s is None:
             self.selection3d.gizmo.visible = False
         elif self.dragging is None:
@@ -268,12 +257,7 @@ class BrowserView:
     def _show_numbers(self, layout: Layout) -> None:
         """Show the numbers of the pose of the sensor in hand."""
         numbers = self._viewer.session.numbers(layout, self._held())
-
-        def set_controls() -> None:
-            for key, value in numbers.items():
-                set_value(self.controls.pose[key], round(value, DIGITS[key]))
-
-        self._on_loop(set_controls)
+        self._on_loop(lambda: self.controls.show_pose(numbers))
 
     def _held(self) -> int:
         if self.in_hand is None:
@@ -286,6 +270,5 @@ class BrowserView:
         self._viewer.server.get_event_loop().call_soon_threadsafe(show)
 
     def _show_points(self, points: Float[np.ndarray, "N 3"] | None) -> None:
-        self._viewer.queue.submit(
-            lambda: self.selection3d.draw_points(points), key=("points", id(self))
-        )
+        draw = partial(self.selection3d.draw_points, points)
+        self._viewer.queue.submit(draw, key=("points", id(self)))

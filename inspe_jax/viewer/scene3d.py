@@ -6,7 +6,7 @@ graphics cards work in single precision.
 
 from collections.abc import Iterable
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import shapely
@@ -60,13 +60,6 @@ _FACES = np.array(
     [[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1]]
     + [[2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3]]
 )
-
-
-class Outline(NamedTuple):
-    """Line segments (N, 2, 3) about the scene's centre [m], and their colour."""
-
-    points: Float[np.ndarray, "N 2 3"]
-    color: str
 
 
 class Scene3D:
@@ -185,9 +178,10 @@ class Scene3D:
         self._number(layout, poses, wrong)
         return new
 
-    def outline(self, k: int) -> Outline:
-        """The outline of what the sensor at place ``k`` looks at, as it is drawn."""
-        return Outline(self.drawn[f"sensors/{k + 1}/view"].points, self._looks[k][1])
+    def outline(self, k: int) -> tuple[Float[np.ndarray, "N 2 3"], str]:
+        """The outline of what the sensor at place ``k`` looks at, as line segments about the
+        scene's centre [m], and its colour."""
+        return self.drawn[f"sensors/{k + 1}/view"].points, self._looks[k][1]
 
     def _draw_sensor(self, k: int, spec: Spec, color: str) -> Any:
         name = f"sensors/{k + 1}"

@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from inspe_jax.core.geometry import rotation
 from inspe_jax.report.figures import SENSOR_COLORS
-from inspe_jax.viewer.scene3d import Outline, quaternion, rgb, turn_of
+from inspe_jax.viewer.scene3d import quaternion, rgb, turn_of
 
 LENGTH = 90.0
 """Length of the handle's arrows [pixel]."""
@@ -77,16 +77,15 @@ class Selection3D:
         self.gizmo.position = pose[:3] - self._shift
         self.gizmo.visible = visible
 
-    def draw_outlines(self, outlines: Sequence[Outline]) -> None:
-        """Draw these outlines in place of those before."""
-        for k, found in enumerate(outlines):
-            color = rgb(found.color)
+    def draw_outlines(self, outlines: Sequence[tuple[Float[np.ndarray, "N 2 3"], str]]) -> None:
+        """Draw these line segments [m] in their colours, in place of those before."""
+        for k, (points, color) in enumerate(outlines):
             if k == len(self.outlines):
                 name = f"selected/{k + 1}"
-                line = self._api.add_line_segments(name, found.points, color, thickness=WIDE)
+                line = self._api.add_line_segments(name, points, rgb(color), thickness=WIDE)
                 self.outlines.append(line)
             line = self.outlines[k]
-            line.points, line.colors = found.points, np.array(color, np.uint8)
+            line.points, line.colors = points, np.array(rgb(color), np.uint8)
             line.visible = True
         for line in self.outlines[len(outlines) :]:
             line.visible = False

@@ -18,8 +18,6 @@ from inspe_jax.scene.scene import Scene
 from inspe_jax.sensing.catalogue import device
 from inspe_jax.sensing.layout import Layout, Sensor, Unit
 
-REMEMBERED = 200
-"""Number of changes that can be undone."""
 HEIGHT = 6.0
 """Height of a new sensor above the ground [m]."""
 TOLD = 0.01
@@ -67,11 +65,10 @@ class LayoutSession:
     ) -> MountedLayout:
         """The layout with sensor ``s`` let go at a world pose; the session does not change.
 
-        A pose outside of the region of interest is moved to its rim.
-        The sensor's unit moves with it in plan, since it stands on one foot. The unit's other
-        sensors keep their heights above the ground. Height and direction change for sensor ``s``
-        alone, and by as much for the sensors ``along``, whose units move as far in plan. The
-        result is the nearest layout that can be mounted.
+        A pose outside of the region of interest is moved to its rim. The sensor's unit moves with
+        it in plan, and its other sensors keep their heights above the ground. Height and direction
+        change for sensor ``s`` alone, and by as much for the sensors ``along``, whose units move as
+        far in plan. The result is the nearest layout that can be mounted.
         """
         old, pose, notes = self.layout, np.array(pose, float), list[str]()
         pose[:2] = self._inside(pose[:2], old.units[old.sensors[s].unit].name, notes)
@@ -212,8 +209,8 @@ class LayoutSession:
 
     def take(self, layout: Layout, notes: tuple[str, ...] = ()) -> None:
         """Continue with another layout; :meth:`undo` brings back the one before."""
-        self._past = [*self._past[1 - REMEMBERED :], self.layout]
-        self._future = []
+        self._past.append(self.layout)
+        self._future.clear()
         self.layout, self.notes = layout, notes
 
     # ── Undo and redo ──
@@ -240,10 +237,9 @@ class LayoutSession:
     ) -> MountedLayout:
         """The nearest layout that can be mounted; the wanted one if there is none.
 
-        ``before`` are notes on what was done before, ``added`` the names of its new units. It is
-        not what a search has found.
+        ``before`` are notes on what was done before, ``added`` the names of its new units.
         """
-        wanted = replace(wanted, goal=None)
+        wanted = replace(wanted, goal=None)  # it is not what a search has found
         try:
             space = self._space_for(wanted)
             x, notes = space.start(wanted, added)
@@ -253,11 +249,8 @@ class LayoutSession:
         return found, (*before, *notes)
 
     def _space_for(self, wanted: Layout) -> Space:
-        """Where the sensors of a layout may be.
-
-        Kept for the next change if only poses differ. A unit that has come to hang over the
-        middle of the junction, or has left it, needs a new space: it is mounted otherwise there.
-        """
+        """Where the sensors of a layout may be: kept for the next change if only poses differ, and
+        no unit has come to hang over the middle of the junction, or has left it."""
         kept = self._space
         if (
             kept is None

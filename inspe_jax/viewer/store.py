@@ -31,12 +31,11 @@ class LayoutStore:
         """``opened`` is the layout at the start. ``scene`` gives ground heights that files leave
         out."""
         self.path, self._scene = Path(path).resolve(), scene
-        self._kept = opened
+        self._saved = opened
         self._known: dict[Path, bytes] = {}  # this run's own files, as it has written them
         self._unsaved: Path | None = None
         self._written: Layout | None = None  # what is in that file
         self._wrong = ""  # why the newest layout is not
-        self._taken_up: tuple[Path, Layout] | None = None
         if self._is(self.path, opened):  # it was opened from there
             self._know(self.path)
         self.earlier = [at for at in self._others() if not self._is(at, opened)][:OFFERED]
@@ -59,7 +58,7 @@ class LayoutStore:
 
     def holds(self, layout: Layout) -> bool:
         """Whether a layout has no unsaved changes."""
-        return layout is self._kept
+        return layout is self._saved
 
     def would_replace(self, layout: Layout) -> bool:
         """Whether saving would replace another layout that this run has not written."""
@@ -69,9 +68,7 @@ class LayoutStore:
         """Read a layout of an earlier run. Raises InspeError if the file is not a layout."""
         layout = load_layout(earlier, self._scene, unit_rule=False)
         if earlier == self.path:
-            self._kept = layout
-        elif UNSAVED in earlier.name:
-            self._taken_up = earlier, layout
+            self._saved = layout
         return layout
 
     def kept(self, layout: Layout) -> Path | None:
@@ -86,11 +83,8 @@ class LayoutStore:
         save_layout(layout, path or self.path)
         self.path = path or self.path
         self._know(self.path)
-        self._kept = layout
+        self._saved = layout
         self.keep(layout)
-        if self._taken_up is not None and self._taken_up[1] is layout:  # it is saved now
-            self._taken_up[0].unlink(missing_ok=True)
-            self._taken_up = None
 
     def keep(self, layout: Layout) -> None:
         """Keep the unsaved changes of a layout; remove their file if there are none.
@@ -161,11 +155,10 @@ class LayoutStore:
         return sorted(found, key=lambda at: at.stat().st_mtime, reverse=True)
 
     def _unsaved_names(self) -> Iterator[Path]:
-        """Names for the file of unsaved changes."""
         return _numbered(self.path.with_name(f"{self.path.stem}.{UNSAVED}{self.path.suffix}"))
 
     def _new_unsaved(self) -> Path:
-        """A new file of that kind; another run may be choosing a name at the same time."""
+        """A new file for unsaved changes; another run may be choosing a name at the same time."""
         for at in self._unsaved_names():
             with suppress(FileExistsError):
                 at.touch(exist_ok=False)

@@ -10,7 +10,7 @@ from worlds import CAMERA, LIDAR, world
 from inspe_jax.core.errors import InspeError
 from inspe_jax.placement.space import Space
 from inspe_jax.sensing.layout import Sensor, Unit, layout_text, make_layout, parse_layout
-from inspe_jax.viewer.session import HEIGHT, REMEMBERED, LayoutSession
+from inspe_jax.viewer.session import HEIGHT, LayoutSession
 
 NORTH, SOUTH = (9.0, 9.0, 0.0), (-9.0, -9.0, 0.0)
 
@@ -288,15 +288,6 @@ def test_every_change_can_be_taken_back_and_done_again(session):
     session.undo()
     session.move(0, pose_of(session, 0))
     assert not session.redo()  # another way was taken
-
-
-def test_no_more_than_so_many_changes_are_remembered(session):
-    layouts = [replace(session.layout, name=str(k)) for k in range(REMEMBERED + 5)]
-    for layout in layouts:
-        session.take(layout)
-    while session.undo():
-        pass
-    assert session.layout is layouts[-1 - REMEMBERED]
 
 
 def test_a_layout_that_breaks_a_rule_opens_and_says_which(scene):

@@ -84,7 +84,6 @@ def targets_table(scene: Scene, layout: Layout, view: TargetView) -> RenderableT
     has = _measured(layout)
 
     def add(title: str, values: np.ndarray, columns: Mapping[str, Callable[..., str]]) -> None:
-        """A table with a row for each region: what each column says of its values."""
         table = table_of(f"{title}: share of places", "region", *columns)
         for region, own in _shares(scene, values):
             table.add_row(region, *(say(own) for say in columns.values()))

@@ -315,41 +315,32 @@ def test_a_layout_that_breaks_a_rule_opens_in_red_and_says_why(chromium, scene, 
 
 
 def test_what_an_earlier_run_saved_is_offered_and_asked_about(chromium, scene, layout, tmp_path):
-    """Start, save, end, start again, as in a day's work; then save to a name of its own."""
     path, better = tmp_path / "moved.yaml", np.array(layout.poses) + [0, 0, 1.0, 0, 0, 0]
     save_layout(replace(layout, poses=better), path)
-    for answer in ("Open moved.yaml", "Save as moved-2.yaml", "Cancel", "Replace moved.yaml"):
-        viewer = Viewer(Case(scene), layout, path, port=0)
-        tab = chromium.new_page(viewport={"width": 1440, "height": 900})
-        try:
-            wrong = errors_of(tab)
-            tab.goto(viewer.url)
-            tab.get_by_text("An earlier run has left").wait_for()
-            if answer.startswith("Open"):
-                press(tab, answer)
-                wait_until(tab, lambda v=viewer: np.allclose(v.layout.poses, better, atol=1e-8))
-                tab.get_by_text("An earlier run has left").wait_for(state="hidden")
-                press(tab, "Save layout")
-                tab.get_by_text("Saved", exact=True).wait_for()
-                continue
-            press(tab, "Leave them")
-            tab.get_by_text("An earlier run has left").wait_for(state="hidden")
-            settled(tab)  # until then the page may show its controls anew, also what is typed
-            tab.get_by_label("height [m]").fill("9")
+    viewer = Viewer(Case(scene), layout, path, port=0)
+    tab = chromium.new_page(viewport={"width": 1440, "height": 900})
+    try:
+        wrong = errors_of(tab)
+        tab.goto(viewer.url)
+        tab.get_by_text("An earlier run has left").wait_for()
+        settled(tab)  # until then the page may show its controls anew, also what is typed
+        tab.get_by_label("height [m]").fill("9")
+        for answer in ("Cancel", "Save as moved-2.yaml"):
             press(tab, "Save layout")
             tab.get_by_text("was not written by this run").wait_for()
-            np.testing.assert_allclose(load_layout(path).poses, better, atol=1e-8)
             press(tab, answer)
             tab.get_by_text("was not written by this run").wait_for(state="hidden")
-            if answer != "Cancel":
-                tab.get_by_text("Saved", exact=True).wait_for()
-            saved = {"Cancel": None, "Replace moved.yaml": "moved.yaml"}.get(answer, "moved-2.yaml")
-            if saved:
-                assert load_layout(tmp_path / saved).poses[0, 2] == pytest.approx(9.0, abs=1e-6)
-            assert wrong == []
-        finally:
-            tab.close()
-            viewer.close()
+        tab.get_by_text("Saved", exact=True).wait_for()
+        np.testing.assert_allclose(load_layout(path).poses, better, atol=1e-8)
+        saved = load_layout(tmp_path / "moved-2.yaml")
+        assert saved.poses[0, 2] == pytest.approx(9.0, abs=1e-6)
+        press(tab, "Open moved.yaml")
+        wait_until(tab, lambda: np.allclose(viewer.layout.poses, better, atol=1e-8))
+        tab.get_by_text("An earlier run has left").wait_for(state="hidden")
+        assert wrong == []
+    finally:
+        tab.close()
+        viewer.close()
 
 
 def test_keys_undo_select_remove_and_are_listed(tab, viewer, layout):

@@ -56,7 +56,6 @@ def body_keys(scene: Scene) -> list[Any]:
 
 
 def _by_kind(scene: Scene) -> Iterator[tuple[str, list[StaticBody]]]:
-    """The kinds of bodies that a scene has, each with its bodies."""
     for kind in KINDS:
         if bodies := [one for one in scene.statics if one.kind == kind]:
             yield kind, bodies

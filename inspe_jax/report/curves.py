@@ -30,7 +30,6 @@ _LEFT = 0.085  # left edge of headings and axes, as a share of the width
 
 
 def _headed(title: str, facts: str, height: float) -> Figure:
-    """An empty figure of a ``height`` [inch] with its heading."""
     fig = Figure(figsize=(WIDTH, height), facecolor="white")
     heading: dict[str, Any] = dict(va="top", parse_math=False)
     fig.text(_LEFT, 1 - 0.10 / height, **fit(title, TITLE, 10), weight="bold", **heading)
@@ -39,7 +38,6 @@ def _headed(title: str, facts: str, height: float) -> Figure:
 
 
 def _look(k: int) -> dict[str, Any]:
-    """Colour and style of the k-th line."""
     return dict(color=COLORS[k % len(COLORS)], ls=LINES[k % len(LINES)], lw=1.3)
 
 

@@ -219,7 +219,6 @@ def spread_badges(
 
 
 def _scene_keys(scene: Scene) -> list[Any]:
-    """Legend entries of a scene view, for things that the scene has."""
     place = scene.intersection
     here, users = set(scene.voxels.region.tolist()), {route.user for route in place.routes}
     kinds = set(scene.traffic.kind[scene.traffic.valid].tolist())
@@ -257,8 +256,6 @@ def plan_keys(scene: Scene, layout: Layout) -> list[Any]:
 
 
 def _users(scene: Scene, frame: int) -> str:
-    """The number of road users in a frame, in words. Raises InspeError if there is no such
-    frame."""
     traffic = scene.traffic
     check_frame(scene, frame)
     count, mean = int(traffic.valid[frame].sum()), traffic.mean_count
@@ -266,7 +263,6 @@ def _users(scene: Scene, frame: int) -> str:
 
 
 def _disc(scene: Scene) -> BaseGeometry:
-    """The region of interest in plan."""
     return shapely.Point(scene.voxels.center[:2]).buffer(scene.voxels.radius, quad_segs=64)
 
 

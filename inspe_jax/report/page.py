@@ -1,7 +1,7 @@
 """The report page: scores side by side, figures, the scene in three dimensions, the settings.
 
-It is a single HTML file that needs no network. Numbers are shown rounded. The page contains the
-exact ones too, in the same record as `inspe score --json` writes.
+It is a single HTML file that needs no network. It shows rounded numbers, and contains the exact
+ones in the same record as `inspe score --json` writes.
 """
 
 import base64
@@ -114,11 +114,10 @@ def report_entry(
 ) -> ReportEntry:
     """Score a layout for a page, without its tolerance.
 
-    ``metrics`` are computed besides the usual ones and those with weight, ``detection`` has the
-    curves of detectability, the usual ones if None. ``result`` is that of
-    the search that found the layout, if any. ``start`` is the layout to compare with, that of the
-    search if None. ``target`` is the P_sm that the layout should reach. Raises InspeError as
-    :func:`inspe_jax.evaluate` does.
+    ``weights``, ``metrics`` and ``detection`` as in :func:`inspe_jax.evaluate`, which also says
+    what is raised. ``result`` is that of the search that found the layout, if any. ``start`` is
+    the layout to compare with, that of the search if None. ``target`` is the P_sm that the layout
+    should reach.
     """
     scene, around = case.scene, case.conditions
     options: dict[str, Any] = dict(weights=weights, metrics=metrics, detection=detection)
@@ -243,7 +242,6 @@ Figures = dict[str, Callable[[], Figure]]
 def _figures(
     scene: Scene, entry: ReportEntry, of_columns: Mapping[str, MapLayer], frame: int
 ) -> Figures:
-    """The figures of a layout, its maps first."""
     layout, scores, result = entry.layout, entry.scores, entry.result
     found: Figures = {
         words: partial(plan_view, scene, layout, scores, of_columns[name], frame=frame)
@@ -330,7 +328,6 @@ def _summary(
 
 
 def _searched_on(result: Result) -> str:
-    """The scenes of a search, with their light and weather."""
     return " and ".join(
         f"{row['name']}{Conditions.of(row['light'], row['weather']).words}"
         for row in result.settings["scenes"]

@@ -61,7 +61,6 @@ def _on_earth(georeference: Georeference | None, point: Float[np.ndarray, "3"]) 
 
 
 def _terrain(terrain: Terrain | None) -> str:
-    """Heights and slopes of the ground that hides something; empty if it hides nothing."""
     if terrain is None:
         return ""
     low, high = terrain.heights.min(), terrain.heights.max()
@@ -69,7 +68,6 @@ def _terrain(terrain: Terrain | None) -> str:
 
 
 def _bodies(scene: Scene) -> str:
-    """How many static bodies of each kind there are; empty if there are none."""
     counts = Counter(one.kind for one in scene.statics)
     inside = scene.inside_statics
     share = "" if inside is None else f"; {inside.mean():.1%} of the voxels are inside"

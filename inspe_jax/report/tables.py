@@ -287,7 +287,6 @@ def blind_spots_table(scene: Scene, scores: Scores) -> RenderableType:
 
 
 def _origin(scene: Scene, layout: Layout) -> dict[str, Any]:
-    """The scene and the layout of a record, and the versions that made it."""
     source, settings = scene.intersection.source, dict(scene.settings)
     versions = {"inspe_jax": __version__, "jax": jax.__version__, "numpy": np.__version__}
     about = {"name": scene.name, "source": source, "settings": settings}

@@ -226,7 +226,6 @@ def _sheet(
 
 
 def _draw(ax: Axes, scene: Scene, layout: Layout, panel: Panel, reach: float, frame: int) -> None:
-    """Draw a map, and the sensors that it is of, with their numbers in the layout."""
     words, layer, pictures = panel
     own = [
         s

@@ -396,5 +396,4 @@ class Viewer:
 
 
 def _send(client: Any, name: str, text: str) -> None:
-    """Have a browser save a file among its downloads."""
     client.send_file_download(name, text.encode(), save_immediately=True)

@@ -1,7 +1,6 @@
 """The plan view on the page, and the worst blind spots beside it: a click on one looks at it.
 
-Both are means over all frames. They are drawn on a thread of their own, so that a sensor can be
-dragged meanwhile.
+Both are means over all frames, and are drawn on a thread of their own.
 """
 
 from collections.abc import Callable
@@ -46,11 +45,7 @@ class BlindSpotPanel:
     """
 
     def __init__(
-        self,
-        gui: viser.GuiApi,
-        folder: Any,
-        scene: Scene,
-        failed: Callable[[Exception], None],
+        self, gui: viser.GuiApi, folder: Any, scene: Scene, failed: Callable[[Exception], None]
     ) -> None:
         """``folder`` is empty and invisible until there are scores. ``failed`` gets errors."""
         self.spots: tuple[BlindSpot, ...] = ()

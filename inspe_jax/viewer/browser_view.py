@@ -227,8 +227,6 @@ class BrowserView:
         self.controls.table.content = sensor_table(layout, scored, self.selection)
 
     def _select(self, found: Callable[[], tuple[int, ...]]) -> None:
-        """Select the sensors at the places that ``found`` gives, as far as they are there; not in
-        the midst of a drag."""
         self.settle()
 
         def job() -> None:
@@ -245,8 +243,6 @@ class BrowserView:
         self._viewer.queue.submit(job)
 
     def _add(self, add: Callable[[], int]) -> None:
-        """Do what adds a sensor and returns its place, and select it."""
-
         def job() -> None:
             s = add()
             self.follow()
@@ -255,7 +251,6 @@ class BrowserView:
         self._viewer.change(job)
 
     def _show_numbers(self, layout: Layout) -> None:
-        """Show the numbers of the pose of the sensor in hand."""
         numbers = self._viewer.session.numbers(layout, self._held())
         self._on_loop(lambda: self.controls.show_pose(numbers))
 

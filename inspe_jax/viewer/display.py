@@ -1,8 +1,7 @@
 """What browsers see: a layout in three dimensions, its voxels, and its scores beside them.
 
-Scores and voxels of a new layout take a while. Until they are there, those of the layout before
-are shown faded, and the page says what is being done. Every public method runs on the queue's
-thread.
+Until those of a new layout are there, those of the layout before are faded. Every public method
+runs on the queue's thread.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -65,12 +64,7 @@ class Display:
         self.scene3d.draw_mounting()
         look_from(server.initial_camera, case.scene, back=BACK)
 
-    def draw(
-        self,
-        layout: Layout,
-        faults: Sequence[Fault] = (),
-        notes: Sequence[str] = (),
-    ) -> None:
+    def draw(self, layout: Layout, faults: Sequence[Fault] = (), notes: Sequence[str] = ()) -> None:
         """Show a layout, the rules of mounting that it breaks, and notes on the last change."""
         self.shown, self._faults, self._notes = layout, faults, notes
         broken = {s for fault in faults for s in fault.sensors}
@@ -150,11 +144,9 @@ class Display:
 
     @property
     def _current(self) -> bool:
-        """Whether the newest scores are of the shown layout."""
         return self.scored is not None and self.scored.layout is self.shown
 
     def _look(self, view: BrowserView) -> None:
-        """Look through a browser's selected sensor in the frame that is shown."""
         view.look(self.shown, max(self._drawn_frame, 0))
 
     def _wait(self) -> None:

@@ -65,7 +65,6 @@ class Key(NamedTuple):
 
 
 def _of_view(ask: Callable[[Any], None]) -> Callable[[Any, Any], object]:
-    """Ask something of the view of the browser in which the key is pressed."""
     return lambda viewer, client: viewer.ask(client, ask)
 
 
@@ -214,7 +213,6 @@ class Panel:
 
 
 def _list_keys(client: Any) -> None:
-    """Tell a browser what keys do."""
     words = "; ".join(f"{key.text}: {key.words[0].lower()}{key.words[1:]}" for key in KEYS)
     more = "Arrows, W, A, S, D, Q and E move your view."
     client.add_notification("Keys", f"{words}. {more}", auto_close_seconds=20.0)

@@ -131,7 +131,6 @@ class Scene3D:
             self._draw_tint(kind, kinds, fading)
 
     def _draw_hidden(self, hidden: Bool[np.ndarray, "L Z"], opacity: float) -> None:
-        """Draw voxels as boxes."""
         grid = self.scene.voxels
         column, low, high = runs(hidden)
         foot = grid.ground[column] + grid.spacing * low
@@ -143,7 +142,6 @@ class Scene3D:
         self._boxes("voxels/hidden", center, size, color, opacity=opacity)
 
     def _draw_tint(self, kind: Visibility, kinds: Int[np.ndarray, "L Z"], fading: float) -> None:
-        """Tint the columns that are mostly of a kind."""
         counts = np.stack([(kinds == other).sum(1) for other in Visibility])
         mostly = (counts.argmax(0) == kind) & (counts[kind] > 0)
         for region, ground in GROUND_COLORS.items():
@@ -252,7 +250,6 @@ class Scene3D:
         return points, which.reshape(-1, 4)
 
     def _draw_ground(self) -> None:
-        """Draw a mesh for each region, with its corners on the ground."""
         grid = self.scene.voxels
         for region, color in GROUND_COLORS.items():
             self._squares(f"ground/{region.key}", grid.region == region, color, 0.0)
@@ -292,7 +289,6 @@ class Scene3D:
         )
 
     def _draw_bodies(self) -> None:
-        """Draw houses, trees and other bodies as their prisms; one sees through crowns."""
         for kind, points, faces in body_meshes(self.scene):
             self.api.add_mesh_simple(
                 f"ground/{kind}", (points - self.shift).astype(np.float32),

@@ -1,8 +1,7 @@
-"""A search in a process of its own, which can be ended at once, whatever it is doing.
+"""A search in a process of its own, which can be killed while XLA compiles.
 
-XLA compiles for many seconds and cannot be interrupted, but a process can be killed.
-:class:`~inspe_jax.viewer.searcher.Searcher` runs it as
-``python -m inspe_jax.viewer.search_process``. It reads searches from its input, the arguments of
+:class:`~inspe_jax.viewer.searcher.Searcher` runs it. It reads searches from its
+input, the arguments of
 :func:`~inspe_jax.placement.optimise.optimise` by name, pickled. For each it writes messages to its
 output, pickled tuples of a kind and its content:
 

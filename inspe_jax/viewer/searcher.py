@@ -47,11 +47,8 @@ REASONS = {
 
 @dataclass(frozen=True)
 class SearchEnding:
-    """How a search ended.
-
-    ``layout`` is the best one found, or None; ``before`` and ``after`` are the scores of the start
-    and of that layout; ``reason`` says why it ended; ``notes`` are those of its result.
-    """
+    """How a search ended: the best ``layout`` found, or None, the scores of the start and of that
+    layout, the ``reason``, and the ``notes`` of its result."""
 
     layout: Layout | None
     before: float
@@ -112,8 +109,8 @@ class Searcher:
         return 0.0 if self._best is None else self._best[1] - self._first
 
     def start(self, layout: Layout, method: str, seconds: float, target: float = math.inf) -> None:
-        """Start a search from a layout, which also ends with a score of ``target`` or more. Does
-        nothing while another one runs."""
+        """Start a search from a layout, which also ends with a score of ``target`` or more, unless
+        another one runs."""
         search = dict(
             scene=self.case, layout=layout, method=method, seconds=seconds, target=target,
             objective=self.objective, constraints=self.constraints,

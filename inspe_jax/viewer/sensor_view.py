@@ -1,8 +1,5 @@
 """Through the selected sensor: a camera's picture or a LiDAR's points, and what it has of road
-users.
-
-The embedded recorder makes both. It works on a thread of its own, so that a sensor can be dragged
-meanwhile: pictures of a place that is already out of date are not begun.
+users, by the embedded recorder. A thread of its own records; what is out of date is not begun.
 """
 
 import base64
@@ -82,10 +79,7 @@ class SensorView:
                 self.look(newest)
 
     def look(self, at: SensorShot) -> None:
-        """Show this, unless something newer is to be shown before it is begun.
-
-        Does nothing if it is shown already.
-        """
+        """Show this, unless it is shown already or something newer comes before it is begun."""
         newest = self._newest
         if newest is not None and newest.layout is at.layout and newest[1:] == at[1:]:
             return
@@ -129,7 +123,6 @@ class SensorView:
 
 
 def _page(spec: Spec, boxes: Sequence[RoadUserBox], seen: Image | Scan) -> str:
-    """What a sensor has recorded, as HTML."""
     pose = np.asarray(seen.pose, float)
     at = np.array([box.center for box in boxes]).reshape(-1, 3)
     away = np.linalg.norm(at - pose[:3], axis=1)

@@ -55,8 +55,8 @@ _serving = threading.Lock()
 def serve(port: int, token: str, head: str = "") -> viser.ViserServer:
     """Start a server for browsers that have the token.
 
-    viser has no options for this. It opens its port with ``websockets.asyncio.server.serve``, which
-    is replaced here by one that checks requests while the port is opened.
+    viser opens its port with ``websockets.asyncio.server.serve``, which is replaced here by one
+    that checks requests while the port is opened.
 
     Args:
         port: Port; if it is taken, the next free one is used. 0 is any free one.

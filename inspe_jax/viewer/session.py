@@ -282,7 +282,6 @@ class LayoutSession:
 
 
 def _names(layout: Layout) -> tuple[object, ...]:
-    """All of a layout except its poses."""
     return layout.name, layout.sensors, tuple(unit.name for unit in layout.units)
 
 

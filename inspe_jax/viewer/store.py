@@ -139,7 +139,6 @@ class LayoutStore:
             return False
 
     def _is(self, path: Path, layout: Layout) -> bool:
-        """Whether a file holds exactly this layout."""
         try:
             found = load_layout(path, self._scene, unit_rule=False)
             return layout_text(found) == layout_text(layout)
@@ -168,7 +167,6 @@ class LayoutStore:
 
 
 def _numbered(path: Path) -> Iterator[Path]:
-    """A path, and then those beside it, with numbers from 2."""
     yield path
     for k in count(2):
         yield path.with_name(f"{path.stem}-{k}{path.suffix}")

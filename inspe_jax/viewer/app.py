@@ -177,17 +177,9 @@ class Viewer:
 
         self.change(change)
 
-    def show_target(self) -> None:
-        """Show how far the layout is from the target."""
-        self.queue.submit(self.display.update_panel, key="target")
-
     def select_frame(self) -> None:
         """Show the slider's frame."""
         self.scorer.select_frame(self.panel.shown_frame)
-
-    def show_voxels(self) -> None:
-        """Show the kinds of voxels that are ticked."""
-        self.queue.submit(self.display.draw_voxels, key="ticks")
 
     def look_at_all(self, client: Any) -> None:
         """Point a browser's camera at the whole scene again."""

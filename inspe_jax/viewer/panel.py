@@ -135,10 +135,10 @@ class Panel:
         self._changes(self.edit, lambda _: edit[self.edit.value]())
         self._changes(self.optimise, lambda _: viewer.optimise())
         bind(self.stop, lambda _: viewer.stop())
-        bind(self.target, lambda _: viewer.show_target())
+        bind(self.target, lambda _: viewer.queue.submit(viewer.display.update_panel, key="target"))
         bind(self.frame, lambda _: viewer.select_frame())
         for box in self.shown.values():
-            bind(box, lambda _: viewer.show_voxels())
+            bind(box, lambda _: viewer.queue.submit(viewer.display.draw_voxels, key="ticks"))
         self._changes(self.save, lambda _: viewer.save())
         self._changes(self.download, viewer.download)
         self._changes(self.report, viewer.write_report)

@@ -9,7 +9,7 @@ import sys
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeAlias
 
 import jax
 
@@ -43,6 +43,9 @@ REASONS = {
     "target reached": "target reached",
 }
 """How a search has ended, by its status."""
+
+
+Process: TypeAlias = "subprocess.Popen[bytes]"
 
 
 @dataclass(frozen=True)
@@ -97,7 +100,7 @@ class Searcher:
         self.objective = Objective(weights=weights, detection=detection)
         self._progress, self._found, self._ended = progress, found, ended
         self._lock = threading.RLock()
-        self._process: subprocess.Popen[bytes] | None = None
+        self._process: Process | None = None
         self._closed = self._ready = False
         self._best: tuple[Layout, float] | None = None
         self._first = 0.0  # score of the start
@@ -144,7 +147,7 @@ class Searcher:
             if self.running:
                 self._end(REASONS["interrupted"])
 
-    def _warm(self) -> "subprocess.Popen[bytes]":
+    def _warm(self) -> Process:
         """The process, which is started if there is none: a search need not wait for it."""
         if self._process is None:
             set_here = {name.upper(): getattr(jax.config, name) for name in SETTINGS}
@@ -166,11 +169,11 @@ class Searcher:
         if process is None:
             return
         if self._ready:  # it ends when its input does, but not in the midst of writing a file
-            _close_input(process)
+            _write(process, b"")
             with contextlib.suppress(subprocess.TimeoutExpired):
                 process.wait(PATIENCE)
         process.kill()
-        _close_input(process)
+        _write(process, b"")
         process.wait()
 
     def _end(self, reason: str, *, failed: bool = False) -> None:
@@ -183,7 +186,7 @@ class Searcher:
             layout, score = self._best
             self._ended(SearchEnding(named_optimised(layout), self._first, score, reason, failed))
 
-    def _listen(self, process: "subprocess.Popen[bytes]") -> None:
+    def _listen(self, process: Process) -> None:
         assert process.stdout is not None
         with process.stdout as source:
             while True:
@@ -225,15 +228,13 @@ class Searcher:
             )
 
 
-def _write(process: "subprocess.Popen[bytes]", search: bytes) -> None:
-    """Send a search to its process. That the process has ended is found by who listens to it."""
+def _write(process: Process, search: bytes) -> None:
+    """Send a search to its process, or without one end its input. That the process has ended is
+    found by who listens to it."""
     assert process.stdin is not None
     with contextlib.suppress(OSError, ValueError):
-        process.stdin.write(search)
-        process.stdin.flush()
-
-
-def _close_input(process: "subprocess.Popen[bytes]") -> None:
-    assert process.stdin is not None
-    with contextlib.suppress(OSError, ValueError):  # what it has not read is lost
-        process.stdin.close()
+        if search:
+            process.stdin.write(search)
+            process.stdin.flush()
+        else:
+            process.stdin.close()  # what it has not read is lost

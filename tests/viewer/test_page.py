@@ -378,7 +378,7 @@ def test_the_score_stays_in_sight_and_the_page_is_its_own(tab, viewer):
     assert tab.title() == "layout at test crossing – inspe_jax"
     assert not tab.get_by_text("Software WebGL rendering detected").is_visible()
     set_value(viewer.panel.target, 0.3)
-    viewer.show_target()
+    viewer.queue.submit(viewer.display.update_panel)
     mark = tab.locator("[data-target]")
     mark.wait_for()
     box = mark.bounding_box()

@@ -1,16 +1,13 @@
 """The page in a real browser: sensors are dragged by their handles, and everything follows."""
 
-import io
 import re
 from dataclasses import replace
 from pathlib import Path
 
-import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from browser import browser, errors_of
 from common import UNDRAWN
-from scipy.ndimage import binary_erosion
 from worlds import world
 
 from inspe_jax.placement.problem import Case
@@ -26,9 +23,6 @@ from inspe_jax.viewer.server import new_token
 
 pytestmark = pytest.mark.browser
 
-EDGES = 0.03
-"""Share of dark pixels at edges, which are smoothed with the colour beside them: 1.5 % were seen to
-change with that colour."""
 WAIT = 120_000
 """For what compiles first [ms]."""
 
@@ -54,18 +48,8 @@ def viewer(scene, layout, tmp_path):
 @pytest.fixture
 def tab(chromium, viewer):
     """A page on the viewer, with the scores of all frames; it must not complain."""
-    yield from page_on(viewer, chromium, UNDRAWN)
-
-
-@pytest.fixture
-def drawn_tab(chromium, viewer):
-    """The same, with its scene in three dimensions."""
-    yield from page_on(viewer, chromium, "")
-
-
-def page_on(viewer, chromium, script):
     found = chromium.new_page(viewport={"width": 1440, "height": 900})
-    found.add_init_script(script)
+    found.add_init_script(UNDRAWN)
     wrong = errors_of(found)
     found.goto(viewer.url)
     settled(found)
@@ -251,37 +235,6 @@ def test_what_is_saved_comes_back_with_the_same_score(tab, viewer, scene):
     assert Path(sent.value.path()).read_text() == viewer.store.path.read_text()
 
 
-def test_what_is_seen_hides_no_blind_spot(drawn_tab, viewer):
-    """As many dark pixels with its tint as without, and with no tint of blind spots nearly none."""
-
-    def dark():
-        """Pixels that are dark, and so are all near them: not those of a smoothed edge."""
-        drawn_tab.wait_for_timeout(1500)
-        stage = {"x": 0, "y": 0, "width": 1000, "height": 900}  # without the panel
-        picture = plt.imread(io.BytesIO(drawn_tab.screenshot(clip=stage)))[..., :3]
-        return int(binary_erosion(picture.max(-1) < 0.35, iterations=2).sum())
-
-    def tick(label, on):
-        drawn_tab.get_by_label(label, exact=True).set_checked(on)
-        meshes = viewer.scene3d.drawn.items()
-        kind = {"seen": "voxels/seen/", "never in view": "voxels/out of view/"}[label]
-        wait_until(drawn_tab, lambda: on == any(m.visible for n, m in meshes if n.startswith(kind)))
-
-    first = score_of(drawn_tab)
-    view_of(viewer).select(1)  # the LiDAR, which has all in view
-    view_of(viewer).remove()
-    settled(drawn_tab, first)
-    without = dark()
-    assert without > 10_000
-    tick("seen", True)
-    assert dark() == pytest.approx(without, rel=EDGES)
-    tick("never in view", False)
-    assert dark() < without / 4
-    tick("never in view", True)
-    tick("seen", False)
-    assert dark() == pytest.approx(without, rel=EDGES)
-
-
 def test_a_blind_spot_is_clicked_and_looked_at(tab, viewer):
     (client,) = viewer.server.get_clients().values()
     panel = viewer.display.blind_spots
@@ -291,27 +244,6 @@ def test_a_blind_spot_is_clicked_and_looked_at(tab, viewer):
         there = np.array(spot.at) - viewer.scene3d.shift[:2]
         wait_until(tab, lambda at=there: np.allclose(client.camera.look_at[:2], at, atol=0.05))
     assert tab.get_by_alt_text("Plan view").count() == 1
-
-
-def test_a_layout_that_breaks_a_rule_opens_in_red_and_says_why(chromium, scene, layout, tmp_path):
-    poses = np.array(layout.poses)
-    poses[0, 2] = 20.0
-    viewer = Viewer(Case(scene), replace(layout, poses=poses), tmp_path / "x.yaml", port=0)
-    try:
-        tab = chromium.new_page(viewport={"width": 1440, "height": 900})
-        tab.goto(viewer.url)
-        settled(tab)
-        assert tab.get_by_text("This layout cannot be mounted").is_visible()
-        assert tab.get_by_text(re.compile("is 20.00 m above the ground, not 3 to 12")).is_visible()
-        assert viewer.scene3d.drawn["numbers/1"].text == "1 !"
-        assert tuple(viewer.scene3d.drawn["sensors/1/device"].color) == (255, 23, 68)
-        tab.get_by_label("yaw [°]").fill("0")  # what is touched is mended
-        tab.keyboard.press("Enter")
-        tab.get_by_text("This layout cannot be mounted").wait_for(state="detached")
-        assert viewer.layout.poses[0, 2] == pytest.approx(12.0, abs=1e-2)
-        tab.close()
-    finally:
-        viewer.close()
 
 
 def test_what_an_earlier_run_saved_is_offered_and_asked_about(chromium, scene, layout, tmp_path):

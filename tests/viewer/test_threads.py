@@ -315,49 +315,42 @@ def test_a_search_that_cannot_begin_says_why(layout, searcher, heard, monkeypatc
 # ── The score panel ──
 
 
-def panel(*given, **further):
-    return "".join(score_panel(*given, **further))
-
-
 def test_the_panel_says_scores_faults_and_cost(scene, layout):
+    def panel(scored, of=layout, **further):
+        return "".join(score_panel(of, scored, frames=50, **further))
+
     assert cost_of(layout) == "no list price for test-camera, test-lidar"
     scored = scorers.ScoredLayout(layout, evaluate(scene, layout), 50, 0.25)
-    scores = scored.scores
+    scores, moved = scored.scores, replace(layout, name="moved")
     less = {name: value - 0.01 for name, value in scores.metrics.items()}
     opened = replace(scores, surrogate=0.1, metrics=less | {"coverage": scores.metrics["coverage"]})
-    text = panel(
-        layout, scored, frames=50, reference=opened, faults=["unit <x> floats"], notes=["so"]
-    )
+    text = panel(scored, reference=opened, faults=["unit <x> floats"], notes=["so"])
     assert text.count("+0.010") == 2  # and none where nothing has changed
     marks = [round(100 * (value - 0.01), 1) for value in scores.metrics.values()]
     assert sum(f"left:calc({mark:.1f}%" in text for mark in marks) == 2  # the reference's
-    assert METRICS["occlusion"].summary in text
-    nearly = replace(scored, scores=replace(scores, metrics=less | {"coverage": 0.99971}))
-    assert ">0.9997<" in panel(layout, nearly, frames=50)
-    full = replace(scored, scores=replace(scores, metrics=less | {"coverage": 1.0}))
-    assert ">1.000<" in panel(layout, full, frames=50)
-    assert f"{scored.scores.surrogate:.4f}" in text
-    assert f"{scored.scores.surrogate - 0.1:+.4f} against the reference" in text
-    assert "all frames" in text
-    assert "unit &lt;x&gt; floats" in text
-    assert f"{scored.scores.region_coverage['driveway']:.3f}" in text
-    few = panel(layout, replace(scored, frames=17), frames=50)
+    for words in (
+        METRICS["occlusion"].summary, f"{scores.surrogate:.4f}", "all frames",
+        f"{scores.surrogate - 0.1:+.4f} against the reference", "unit &lt;x&gt; floats",
+        f"{scores.region_coverage['driveway']:.3f}",
+    ):  # fmt: skip
+        assert words in text
+    for value, words in ((0.99971, ">0.9997<"), (1.0, ">1.000<")):
+        assert words in panel(replace(scored, scores=replace(scores, metrics={"coverage": value})))
+    few = panel(replace(scored, frames=17))
     assert "17 of 50 frames" in few
     assert "against" not in few
     assert "cannot be mounted" not in few
-    assert "scoring" in panel(layout, None, frames=50)
-    later = panel(replace(layout, name="moved"), scored, frames=50, faults=["floats"])
+    assert "scoring" in panel(None)
+    later = panel(scored, moved, faults=["floats"])
     assert "scoring" in later  # what is known is of another layout
     assert "all frames" not in later
     assert "floats" in later
-    waits = panel(replace(layout, name="moved"), scored, frames=50, waiting="compiling: 3 s")
-    assert "compiling: 3 s" in waits
-    assert "opacity" not in waits
-    assert "opacity:.3" in panel(replace(layout, name="moved"), scored, frames=50, faded=True)
-    assert "opacity" not in panel(layout, scored, frames=50, faded=True)  # it is this one's
-    above, far = (panel(layout, scored, frames=50, target=target) for target in (0.01, 1.0))
+    assert "compiling: 3 s" in panel(scored, moved, waiting="compiling: 3 s")
+    fades = [panel(scored, of, faded=faded) for of, faded in ((moved, True), (moved, False))]
+    assert ["opacity:.3" in page for page in (*fades, panel(scored, faded=True))] == [
+        True, False, False,
+    ]  # fmt: skip
     assert "target" not in text
-    assert "target reached" in above
-    assert f"{1.0 - scores.surrogate:.4f} to the target" in far
-    failed = replace(scored, scores=None, wrong="no <traffic>")
-    assert "no &lt;traffic&gt;" in panel(layout, failed, frames=50)
+    assert "target reached" in panel(scored, target=0.01)
+    assert f"{1.0 - scores.surrogate:.4f} to the target" in panel(scored, target=1.0)
+    assert "no &lt;traffic&gt;" in panel(replace(scored, scores=None, wrong="no <traffic>"))

@@ -22,6 +22,7 @@ from inspe_jax.dataset.points_in_boxes import world_points
 from inspe_jax.placement.problem import Case
 from inspe_jax.report.tables import scores_record
 from inspe_jax.scoring.evaluate import evaluate
+from inspe_jax.scoring.viewshed import Visibility
 from inspe_jax.sensing.catalogue import devices
 from inspe_jax.sensing.conditions import FAIR, Conditions
 from inspe_jax.sensing.layout import Unit, load_layout, save_layout
@@ -32,7 +33,7 @@ from inspe_jax.viewer import sensor_view
 from inspe_jax.viewer.app import Viewer
 from inspe_jax.viewer.blind_spot_panel import LETTERS, plan_picture
 from inspe_jax.viewer.panel import set_value
-from inspe_jax.viewer.scene3d import OPACITY, rgb
+from inspe_jax.viewer.scene3d import BROKEN_COLOR, OPACITY, rgb
 from inspe_jax.viewer.score_panel import LEGEND
 from inspe_jax.viewer.searcher import SearchEnding
 from inspe_jax.viewer.selection3d import HandleDrag
@@ -305,6 +306,43 @@ def test_a_report_is_sent_to_who_asks_with_the_layout_that_was_opened_and_the_ta
     viewer.write_report(browser)
     done(viewer, lambda: viewer.told[-1][1] == "no room" and not viewer.panel.report.disabled)
     assert len(sent) == 1
+
+
+def test_a_layout_that_breaks_a_rule_opens_in_red_and_says_why(scene, layout, tmp_path, plain_plan):
+    """What is touched is mended."""
+    poses = np.array(layout.poses)
+    poses[0, 2] = 20.0
+    found = Viewer(Case(scene), replace(layout, poses=poses), tmp_path / "x.yaml", port=0)
+    try:
+        view = opened(found)
+        assert "This layout cannot be mounted" in found.panel.scores.content
+        assert "is 20.00 m above the ground, not 3 to 12" in found.panel.scores.content
+        assert found.scene3d.drawn["numbers/1"].text == "1 !"
+        assert tuple(found.scene3d.drawn["sensors/1/device"].color) == rgb(BROKEN_COLOR)
+        view.type_number("yaw", 0.0)
+        found.settle()
+        done(found, lambda: "cannot be mounted" not in found.panel.scores.content)
+        assert found.layout.poses[0, 2] == pytest.approx(12.0, abs=1e-2)
+    finally:
+        found.close()
+
+
+def test_a_column_has_the_tint_that_most_of_its_voxels_are_of_and_hidden_ones_are_boxes(viewer):
+    """So no tint lies on another one, and none hides a box."""
+    scene3d, grid = viewer.scene3d, viewer.case.scene.voxels
+    kinds = np.full((len(grid.columns), grid.level_count), Visibility.OUT_OF_VIEW)
+    kinds[:, 0], kinds[:5] = Visibility.HIDDEN, Visibility.SEEN
+    scene3d.draw_voxels(kinds.ravel(), Visibility)
+
+    def columns(kind):
+        meshes = [
+            mesh for name, mesh in scene3d.drawn.items() if name.startswith(f"voxels/{kind}/")
+        ]
+        return sum(len(mesh.faces) for mesh in meshes) // 2
+
+    assert (columns("seen"), columns("out of view")) == (5, len(kinds) - 5)
+    boxes = scene3d.drawn["voxels/hidden"].batched_scales
+    np.testing.assert_allclose(boxes[:, 2], np.full(len(kinds) - 5, grid.spacing))
 
 
 def test_a_unit_has_a_number_for_each_of_its_sensors_and_none_without(viewer, layout):

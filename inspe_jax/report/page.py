@@ -9,7 +9,6 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import date
-from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -156,29 +155,17 @@ def report_page(
     ``frame``: number of the frame of traffic that is drawn.
     ``prices``: of devices [US dollars], in place of the catalogue's.
     ``views``: without them the page has no photograph and no scene in three dimensions.
-    ``progress``: called with (steps done, steps).
+    ``progress``: called with (layouts done, layouts).
 
     Raises InspeError if there is no layout, two have the same name, or there is no such frame.
     """
     check_names([entry.layout.name for entry in entries])
-    maps = [layers(scene, entry.shed) for entry in entries]
-    figures = [_figures(scene, *pair, frame) for pair in zip(entries, maps, strict=True)]
-    steps, done = sum(map(len, figures)) + len(entries) + 1, 0
-
-    def step() -> None:
-        nonlocal done
-        done += 1
-        if progress:
-            progress(done, steps)
-
-    def drawn(draw: Callable[[], Figure]) -> str:
-        image = png_text(draw(), DPI)
-        step()
-        return image
-
     parts: list[dict[str, Any]] = []
-    for entry, of_columns, own in zip(entries, maps, figures, strict=True):
+    for entry in entries:
+        if progress:
+            progress(len(parts), len(entries))
         layout, scores = entry.layout, entry.scores
+        of_columns = layers(scene, entry.shed)
         units = installation_schedule(layout, scene.intersection, prices or {})
         rows = materials(layout, prices or {})
         record = scores_record(scores, scene, layout, entry.sought)
@@ -196,13 +183,14 @@ def report_page(
                 models=model_words(layout, rows),
                 summary=_summary(scene, entry, record["blind_spots"], *total_price(rows)),
                 blind=_shares(of_columns["blind"]),
-                images={words: drawn(draw) for words, draw in own.items()},
+                images=_images(scene, entry, of_columns, frame),
                 photograph=photograph and jpeg_text(photograph, DPI),
                 scene3d=views and _text(views.scene3d(scene, layout, scores.conditions, frame)),
                 tolerance=entry.tolerance and tolerance_record(entry.tolerance, scene, layout),
             )
         )
-        step()
+    if progress:
+        progress(len(entries), len(entries))
     records = [part["record"] for part in parts]
     metrics = listed_in(*(entry.scores for entry in entries))
     return template("report", "page.html.j2").render(
@@ -229,39 +217,34 @@ def report_page(
         weights=entries[0].scores.settings["weights"],
         core=CORE,
         regions={r.key: WEIGHTS[r] for r in Region if r.key in records[0]["region_coverage"]},
-        image=drawn(partial(scene_view, scene, frame=frame)),
+        image=png_text(scene_view(scene, frame=frame), DPI),
         record=_text(json.dumps(records, indent=2)),
         made=date.today().isoformat(),
     )
 
 
-Figures = dict[str, Callable[[], Figure]]
-"""What draws each figure, by what it shows in words."""
-
-
-def _figures(
+def _images(
     scene: Scene, entry: ReportEntry, of_columns: Mapping[str, MapLayer], frame: int
-) -> Figures:
+) -> dict[str, str]:
+    """The figures of a layout by what they show in words, its maps first."""
     layout, scores, result = entry.layout, entry.scores, entry.result
-    found: Figures = {
-        words: partial(plan_view, scene, layout, scores, of_columns[name], frame=frame)
+    found = {
+        words: plan_view(scene, layout, scores, of_columns[name], frame=frame)
         for name, words in CAPTIONS.items()
     }
     if entry.targets is not None:
         around = scores.conditions
-        found[ON_TARGET] = partial(
-            targets_view, scene, around.layout(layout), entry.targets, frame=frame,
-            conditions=around,
-        )  # fmt: skip
+        shown = around.layout(layout)
+        found[ON_TARGET] = targets_view(scene, shown, entry.targets, frame=frame, conditions=around)
     if entry.start is not None and same_sensors(entry.start.layout, layout):
         assert entry.before is not None
-        found["Before and after"] = partial(
-            before_after, scene, entry.start.layout, layout, entry.before, scores,
+        found["Before and after"] = before_after(
+            scene, entry.start.layout, layout, entry.before, scores,
             path=None if result is None else result.path, frame=frame,
         )  # fmt: skip
     if result is not None:
-        found["Score against time"] = partial(history_view, [result])
-    return found
+        found["Score against time"] = history_view([result])
+    return {words: png_text(figure, DPI) for words, figure in found.items()}
 
 
 def template(room: str, name: str) -> Template:

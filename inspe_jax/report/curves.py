@@ -142,10 +142,8 @@ Curve = Float[np.ndarray, " P"]
 def _course(
     histories: Sequence[Sequence[Progress]], along: Callable[[Any], float], end: float
 ) -> tuple[Curve, Curve, Curve, Curve]:
-    """(x, lowest, median, highest best score so far) at every x where one of them changes.
-
-    From the first x at which all searches have a score, to ``end``.
-    """
+    """(x, lowest, median, highest best score so far) at every x where one of them changes. From the
+    first x at which all searches have a score, to ``end``."""
     steps = [np.array([[along(row), row.best] for row in history]) for history in histories]
     first = max(row[0, 0] for row in steps)
     x = np.unique(np.concatenate([row[:, 0] for row in steps] + [[first, end]]))

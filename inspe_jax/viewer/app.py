@@ -1,7 +1,5 @@
-"""The page: the session changes the layout, the scorer scores it, the display shows it.
-
-What browsers ask for runs in turn on one thread, that of the job queue.
-"""
+"""The page: the session changes the layout, the scorer scores it, the display shows it. What
+browsers ask for runs in turn on one thread, that of the job queue."""
 
 import math
 import time
@@ -38,11 +36,8 @@ _FILE = '<div data-file style="padding:.2em 1em;font-size:.875em;overflow-wrap:a
 
 
 class Viewer:
-    """A layout on a scene, served to browsers on this machine.
-
-    ``url`` is the page's address, on ``port``. ``views`` are what each browser has of its own, by
-    the ids of its clients.
-    """
+    """A layout on a scene, served to browsers on this machine. ``url`` is the page's address, on
+    ``port``. ``views`` are what each browser has of its own, by the ids of its clients."""
 
     def __init__(
         self,

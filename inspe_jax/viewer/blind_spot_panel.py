@@ -1,7 +1,5 @@
-"""The plan view on the page, and the worst blind spots beside it: a click on one looks at it.
-
-Both are means over all frames, and are drawn on a thread of their own.
-"""
+"""The plan view on the page, and the worst blind spots beside it: a click on one looks at it. Both
+are means over all frames, and are drawn on a thread of their own."""
 
 from collections.abc import Callable
 from functools import partial
@@ -39,10 +37,8 @@ AWAY = np.array([0.0, -22.0, 20.0])
 
 
 class BlindSpotPanel:
-    """A folder of the page with the plan view of the newest scores and their blind spots.
-
-    ``spots`` are those that are listed, the worst first.
-    """
+    """A folder of the page with the plan view of the newest scores and their blind spots. ``spots``
+    are those that are listed, the worst first."""
 
     def __init__(
         self, gui: viser.GuiApi, folder: Any, scene: Scene, failed: Callable[[Exception], None]

@@ -139,10 +139,8 @@ class BrowserView:
         self._viewer.queue.submit(lambda: self.drag(drag), key=key)
 
     def drag(self, drag: HandleDrag) -> None:
-        """Let the sensors follow that were selected when the handle was gripped.
-
-        During the drag their new place is drawn and scored; at the end the layout changes.
-        """
+        """Let the sensors follow that were selected when the handle was gripped. During the drag
+        their new place is drawn and scored; at the end the layout changes."""
         viewer = self._viewer
         if drag.phase == "start":
             if not viewer.searching and self.selection:
@@ -211,10 +209,8 @@ class BrowserView:
         self.selection3d.draw_outlines([scene3d.outline(k) for k in self.selection])
 
     def look(self, layout: Layout, frame: int) -> None:
-        """Look through the sensor in hand of a layout, in a frame.
-
-        While another browser drags its own sensors, this one looks at the layout as it was before.
-        """
+        """Look through the sensor in hand of a layout, in a frame. While another browser drags its
+        own sensors, this one looks at the layout as it was before."""
         held = self.dragging is not None
         others = (view for view in list(self._viewer.views.values()) if view is not self)
         if not held and any(view.dragging for view in others):

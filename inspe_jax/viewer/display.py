@@ -31,11 +31,8 @@ STALE = 0.5
 
 
 class Display:
-    """A layout as browsers see it.
-
-    ``shown`` is the layout, ``opened`` that at the start, ``scored`` the newest scores: its own, or
-    those of a layout before.
-    """
+    """A layout as browsers see it. ``shown`` is the layout, ``opened`` that at the start,
+    ``scored`` the newest scores: its own, or those of a layout before."""
 
     def __init__(
         self,

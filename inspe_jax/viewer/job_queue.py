@@ -1,7 +1,5 @@
 """One thread that runs actions in turn: everything that draws on the page or changes the layout.
-
-Browsers, the scorer and the search submit actions from threads of their own.
-"""
+Browsers, the scorer and the search submit actions from threads of their own."""
 
 import threading
 from collections.abc import Callable, Hashable
@@ -24,10 +22,8 @@ class JobQueue:
         self._thread.start()
 
     def submit(self, action: Action, key: Hashable = None) -> None:
-        """Add an action. It replaces one of the same ``key`` that still waits.
-
-        Does nothing once the queue is closed.
-        """
+        """Add an action. It replaces one of the same ``key`` that still waits. Does nothing once
+        the queue is closed."""
         with self._changed:
             if not self._closed:
                 self._waiting[object() if key is None else key] = action
@@ -35,9 +31,7 @@ class JobQueue:
 
     def close(self, patience: float = PATIENCE) -> None:
         """Run the actions that wait, for so long at most [s], drop the others, and end the thread.
-
-        Without ``patience``, drop all of them, and come back at once.
-        """
+        Without ``patience``, drop all of them, and come back at once."""
         with self._changed:
             self._closed = True
             self._changed.notify()
@@ -62,10 +56,8 @@ class JobQueue:
 
 
 class DelayedAction:
-    """Runs one action after a delay; a newer action replaces the one that waits.
-
-    The lock is held while the action runs: a caller of :meth:`run_now` continues when it is done.
-    """
+    """Runs one action after a delay; a newer action replaces the one that waits. The lock is held
+    while the action runs: a caller of :meth:`run_now` continues when it is done."""
 
     def __init__(self) -> None:
         self._lock = threading.RLock()

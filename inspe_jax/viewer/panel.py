@@ -83,10 +83,8 @@ viser's."""
 
 
 class Panel:
-    """Every control by name. When a person uses one, a method of ``viewer`` is called.
-
-    A value that the program itself sets calls nothing.
-    """
+    """Every control by name. When a person uses one, a method of ``viewer`` is called. A value that
+    the program itself sets calls nothing."""
 
     def __init__(self, gui: viser.GuiApi, viewer: Any, frames: int) -> None:
         """``viewer`` has the methods that are bound below; there are ``frames`` of traffic."""

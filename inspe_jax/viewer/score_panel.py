@@ -122,10 +122,8 @@ def sensor_table(layout: Layout, scored: ScoredLayout | None, selection: Sequenc
 
 
 def _bar(words: str, meaning: str, value: float, before: float | None) -> dict[str, Any]:
-    """A score from 0 to 1 with its meaning, and what it was before, if that is known.
-
-    It has three digits; more where they would say 1 and it is less.
-    """
+    """A score from 0 to 1 with its meaning, and what it was before, if that is known. It has three
+    digits; more where they would say 1 and it is less."""
     enough = (n for n in (3, 4) if value == 1.0 or round(value, n) < 1.0)
     return dict(
         words=words,

@@ -31,9 +31,7 @@ _JOBS = ("end", "few", "sight", "whole")  # the first of them is done first
 @dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
 class ScoredLayout:
     """The exact scores of a layout on a number of ``frames``, ``seconds`` after it was given.
-
-    ``scores`` is None if the layout cannot be scored; ``wrong`` then says why.
-    """
+    ``scores`` is None if the layout cannot be scored; ``wrong`` then says why."""
 
     layout: Layout
     scores: Scores | None

@@ -1,7 +1,5 @@
-"""What one browser has in three dimensions: the handle on a sensor, outlines, a LiDAR's points.
-
-The handle's arrows and planes move the sensor in hand, its rings turn it.
-"""
+"""What one browser has in three dimensions: the handle on a sensor, outlines, a LiDAR's points. The
+handle's arrows and planes move the sensor in hand, its rings turn it."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -26,9 +24,7 @@ POINT_SIZE = 0.14
 @dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
 class HandleDrag:
     """One event of a drag: the handle is gripped ("start"), moved ("update") or let go ("end").
-
-    ``at`` (3,) is the handle's position in the world [m], ``turn`` its rotation matrix.
-    """
+    ``at`` (3,) is the handle's position in the world [m], ``turn`` its rotation matrix."""
 
     phase: str
     at: Float[np.ndarray, "3"]

@@ -27,10 +27,8 @@ def label_of(spec: Spec) -> str:
 
 
 class SensorControls:
-    """Every control by name. When a person uses one, a method of ``view`` is called.
-
-    A value that the program itself sets calls nothing.
-    """
+    """Every control by name. When a person uses one, a method of ``view`` is called. A value that
+    the program itself sets calls nothing."""
 
     def __init__(
         self, gui: viser.GuiApi, viewer: Any, view: Any, orders: tuple[float, float, float, float]

@@ -1,7 +1,5 @@
-"""Changes to a layout: sensors moved, turned, added, exchanged, and all of it undone.
-
-Every change gives the nearest layout that can be mounted. Nothing here knows of browsers.
-"""
+"""Changes to a layout: sensors moved, turned, added, exchanged, and all of it undone. Every change
+gives the nearest layout that can be mounted. Nothing here knows of browsers."""
 
 import math
 from collections.abc import Sequence
@@ -33,10 +31,8 @@ MountedLayout = tuple[Layout, tuple[str, ...]]
 
 
 class LayoutSession:
-    """A layout on a scene, with its history.
-
-    ``layout`` is the layout as it is now; ``notes`` say how mounting has altered the last change.
-    """
+    """A layout on a scene, with its history. ``layout`` is the layout as it is now; ``notes`` say
+    how mounting has altered the last change."""
 
     def __init__(
         self, scene: Scene, layout: Layout, constraints: Constraints | None = None
@@ -118,10 +114,8 @@ class LayoutSession:
             self.notes = (asked, *self.notes)
 
     def rename(self, s: int, name: str) -> None:
-        """Give sensor ``s`` another name; an empty one changes nothing.
-
-        Raises InspeError if another sensor has it.
-        """
+        """Give sensor ``s`` another name; an empty one changes nothing. Raises InspeError if
+        another sensor has it."""
         name, sensors = name.strip(), list(self.layout.sensors)
         if name in ("", sensors[s].name):
             return
@@ -180,10 +174,8 @@ class LayoutSession:
         return after
 
     def remove(self, *which: int) -> None:
-        """Remove sensors, and units that carry no other; notes name those units.
-
-        Raises InspeError if no sensor would be left.
-        """
+        """Remove sensors, and units that carry no other; notes name those units. Raises InspeError
+        if no sensor would be left."""
         old = self.layout
         keep = [k for k in range(len(old)) if k not in which]
         if not keep:
@@ -199,9 +191,7 @@ class LayoutSession:
 
     def swap(self, s: int, name: str) -> None:
         """Exchange the device of sensor ``s`` for one of the opened layout or of the catalogue.
-
-        Raises InspeError if there is no such device.
-        """
+        Raises InspeError if there is no such device."""
         sensors = list(self.layout.sensors)
         spec = self._own[name] if name in self._own else device(name).spec
         sensors[s] = replace(sensors[s], spec=spec)
@@ -235,10 +225,8 @@ class LayoutSession:
     def _mounted(
         self, wanted: Layout, before: Sequence[str] = (), added: Sequence[str] = ()
     ) -> MountedLayout:
-        """The nearest layout that can be mounted; the wanted one if there is none.
-
-        ``before`` are notes on what was done before, ``added`` the names of its new units.
-        """
+        """The nearest layout that can be mounted; the wanted one if there is none. ``before`` are
+        notes on what was done before, ``added`` the names of its new units."""
         wanted = replace(wanted, goal=None)  # it is not what a search has found
         try:
             space = self._space_for(wanted)
@@ -263,10 +251,8 @@ class LayoutSession:
     def _inside(
         self, at: Float[np.ndarray, "2"], unit: str, notes: list[str]
     ) -> Float[np.ndarray, "2"]:
-        """The nearest point [m] within the region of interest; it is noted if it is another.
-
-        Raises InspeError if it is not finite.
-        """
+        """The nearest point [m] within the region of interest; it is noted if it is another. Raises
+        InspeError if it is not finite."""
         center, radius = self.scene.voxels.center[:2], self.scene.voxels.radius
         away = float(np.hypot(*(at - center)))
         if not np.isfinite(away):  # of a camera in a window without a size

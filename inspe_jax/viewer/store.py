@@ -22,10 +22,8 @@ OFFERED = 4
 
 
 class LayoutStore:
-    """The files of one layout: ``path``, where it is saved, and ``unsaved`` beside it.
-
-    ``earlier`` are files that earlier runs have left, the newest first.
-    """
+    """The files of one layout: ``path``, where it is saved, and ``unsaved`` beside it. ``earlier``
+    are files that earlier runs have left, the newest first."""
 
     def __init__(self, path: Path, opened: Layout, scene: Scene | None = None) -> None:
         """``opened`` is the layout at the start. ``scene`` gives ground heights that files leave
@@ -76,10 +74,8 @@ class LayoutStore:
         return self._unsaved if self._written is layout and self._owns(self._unsaved) else None
 
     def save(self, layout: Layout, path: Path | None = None) -> None:
-        """Save the layout to ``path``, or to the present file. A file there is replaced.
-
-        ``path`` is the layout's file from now on. Ask :meth:`would_replace` before.
-        """
+        """Save the layout to ``path``, or to the present file. A file there is replaced. ``path``
+        is the layout's file from now on. Ask :meth:`would_replace` before."""
         save_layout(layout, path or self.path)
         self.path = path or self.path
         self._know(self.path)
@@ -87,10 +83,8 @@ class LayoutStore:
         self.keep(layout)
 
     def keep(self, layout: Layout) -> None:
-        """Keep the unsaved changes of a layout; remove their file if there are none.
-
-        Raises InspeError or OSError if they cannot be kept: :meth:`words` then say so.
-        """
+        """Keep the unsaved changes of a layout; remove their file if there are none. Raises
+        InspeError or OSError if they cannot be kept: :meth:`words` then say so."""
         if not self._owns(self._unsaved):
             self._unsaved = self._written = None
         at, new = self._unsaved, self._unsaved is None

@@ -1,9 +1,8 @@
 """A search in a process of its own, which can be killed while XLA compiles.
 
-:class:`~inspe_jax.viewer.searcher.Searcher` runs it. It reads searches from its
-input, the arguments of
-:func:`~inspe_jax.placement.optimise.optimise` by name, pickled. For each it writes messages to its
-output, pickled tuples of a kind and its content:
+:class:`~inspe_jax.viewer.searcher.Searcher` runs it. It reads searches from its input, the
+arguments of :func:`~inspe_jax.placement.optimise.optimise` by name, pickled. For each it writes
+messages to its output, pickled tuples of a kind and its content:
 
 - ``("ready",)`` once
 - ``("progress", fraction of the budget that is spent, best score)``

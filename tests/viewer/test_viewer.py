@@ -5,6 +5,7 @@ import importlib.util
 import re
 import time
 from base64 import b64decode
+from contextlib import closing
 from dataclasses import asdict, replace
 from io import BytesIO
 from types import SimpleNamespace
@@ -256,8 +257,7 @@ def test_what_is_typed_counts_before_a_drag_and_a_click(viewer, layout):
 def test_an_earlier_layout_is_opened_once_and_not_during_a_search(scene, layout, tmp_path):
     path = tmp_path / "layout.yaml"
     save_layout(replace(layout, poses=np.array(layout.poses) + [0, 0, 1.0, 0, 0, 0]), path)
-    viewer = Viewer(Case(scene), layout, path, port=0)
-    try:
+    with closing(Viewer(Case(scene), layout, path, port=0)) as viewer:
         viewer.searching = True
         viewer.open_earlier(0)
         done(viewer)
@@ -269,8 +269,6 @@ def test_an_earlier_layout_is_opened_once_and_not_during_a_search(scene, layout,
         assert viewer.layout.poses[0, 2] == pytest.approx(layout.poses[0, 2] + 1.0)
         assert not viewer.panel.earlier.visible
         assert not viewer.store.unsaved.exists()  # it is saved
-    finally:
-        viewer.close()
 
 
 def test_a_new_sensor_stands_where_one_looks(viewer):
@@ -312,8 +310,9 @@ def test_a_layout_that_breaks_a_rule_opens_in_red_and_says_why(scene, layout, tm
     """What is touched is mended."""
     poses = np.array(layout.poses)
     poses[0, 2] = 20.0
-    found = Viewer(Case(scene), replace(layout, poses=poses), tmp_path / "x.yaml", port=0)
-    try:
+    with closing(
+        Viewer(Case(scene), replace(layout, poses=poses), tmp_path / "x.yaml", port=0)
+    ) as found:
         view = opened(found)
         assert "This layout cannot be mounted" in found.panel.scores.content
         assert "is 20.00 m above the ground, not 3 to 12" in found.panel.scores.content
@@ -323,8 +322,6 @@ def test_a_layout_that_breaks_a_rule_opens_in_red_and_says_why(scene, layout, tm
         found.settle()
         done(found, lambda: "cannot be mounted" not in found.panel.scores.content)
         assert found.layout.poses[0, 2] == pytest.approx(12.0, abs=1e-2)
-    finally:
-        found.close()
 
 
 def test_a_column_has_the_tint_that_most_of_its_voxels_are_of_and_hidden_ones_are_boxes(viewer):
@@ -368,12 +365,7 @@ def test_sensors_that_are_selected_together_move_turn_and_go_together(viewer, la
         drawn = viewer.scene3d.drawn[f"sensors/{k}/view"]
         np.testing.assert_array_equal(outline.points, drawn.points)
         assert outline.visible
-    at = before[1, :3]
-    for phase in ("start", "update", "end"):
-        shift = [0.0, 0.0, 0.0] if phase == "start" else [0.3, 0.4, 1.0]
-        event = HandleDrag(phase, at + shift, np.eye(3))
-        viewer.queue.submit(lambda event=event: view.drag(event))
-    done(viewer)
+    pull(viewer, (0.3, 0.4, 1.0), np.eye(3))
     went = np.array(viewer.layout.poses) - before
     np.testing.assert_allclose(went[:, :3], [[0.3, 0.4, 1.0]] * 2, atol=1e-6)
     view.type_number("height", 5.0)  # of the one in hand, from 6 m: down, both
@@ -505,8 +497,7 @@ def test_scores_and_pictures_are_of_the_light_and_weather_of_the_case(
     far = [box for box in scene.traffic.center[0] if np.hypot(*(box[:2] - [9.0, 9.0])) > 9.5]
     assert night.spec(layout.sensors[0].spec).grid.reach < 9.5
     assert len(far)
-    found = Viewer(Case(scene, night), layout, tmp_path / "layout.yaml", port=0)
-    try:
+    with closing(Viewer(Case(scene, night), layout, tmp_path / "layout.yaml", port=0)) as found:
         view = opened(found).sensor_view
         done(found, lambda: found.display._current and found.display.scored.frames == 3)
         scores = evaluate(scene, layout, conditions=night)
@@ -515,8 +506,6 @@ def test_scores_and_pictures_are_of_the_light_and_weather_of_the_case(
             wanted = recorded(scene, layout, 0, 0, night)
             done(found, lambda: same(view.seen, wanted))
             assert "beyond its reach" in view.picture.content
-    finally:
-        found.close()
 
 
 def test_blind_spots_are_listed_as_the_record_of_the_scores_has_them(

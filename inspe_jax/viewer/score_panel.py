@@ -100,21 +100,11 @@ def sensor_table(layout: Layout, scored: ScoredLayout | None, selection: Sequenc
     scores = None if scored is None else scored.scores
     lost = [row.surrogate for row in scores.contributions] if scores else [None] * len(layout)
     prices = {row.device: row.price for row in materials(layout, {})}
-    rows = [
-        dict(
-            number=k + 1,
-            name=sensor.name,
-            price="" if prices[sensor.spec.name] is None else f"{prices[sensor.spec.name]:,.0f}",
-            lost="" if loss is None else f"{loss:.4f}",
-            ticked=k in selection,
-            bold=k in selection[-1:],
-        )
-        for k, (sensor, loss) in enumerate(zip(layout.sensors, lost, strict=True))
-    ]
+    names = [(sensor.name, prices[sensor.spec.name]) for sensor in layout.sensors]
     return _TABLE.render(
-        rows=rows,
-        priced=any(row["price"] for row in rows),
-        together=len(selection),
+        rows=[(*of, loss) for of, loss in zip(names, lost, strict=True)],
+        priced=any(price is not None for price in prices.values()),
+        selection=selection,
         sensors=counted(len(layout), "sensor"),
         units=counted(len(layout.units), "unit"),
         cost=cost_of(layout),

@@ -68,7 +68,9 @@ class Viewer:
         self.queue = JobQueue(self._failed)
         self._reports = JobQueue(self._failed)  # a report takes seconds to draw
         token = token or new_token()
-        self.server = serve(port, token, self._head())
+        title = f"{layout.name} at {case.scene.name} – inspe_jax"
+        head = template("viewer", "head.html.j2").render(title=title)
+        self.server = serve(port, token, head)
         self.port = self.server.get_port()
         self.url = f"http://{HOST}:{self.port}/{token}/"
         self.panel = Panel(self.server.gui, self, self.frames)
@@ -371,10 +373,6 @@ class Viewer:
             self.store.keep(layout)
         finally:
             self.panel.file.content = _FILE.format(escape(self.store.words(layout)))
-
-    def _head(self) -> str:
-        title = f"{self.layout.name} at {self.case.scene.name} – inspe_jax"
-        return template("viewer", "head.html.j2").render(title=title)
 
     def _failed(self, wrong: Exception) -> None:
         if not isinstance(wrong, InspeError | OSError):

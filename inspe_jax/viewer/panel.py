@@ -164,12 +164,9 @@ class Panel:
             )
             for number, at in enumerate(earlier):
                 self.offers.append(self._gui.add_button(f"Open {at.name}"))
-                self._changes(self.offers[-1], partial(self._open_earlier, number))
+                self._changes(self.offers[-1], lambda _, k=number: self._viewer.open_earlier(k))
             leave = self._gui.add_button("Leave them", color="gray")
             self._changes(leave, lambda _: setattr(self.earlier, "visible", False))
-
-    def _open_earlier(self, number: int, _: Any) -> None:
-        self._viewer.open_earlier(number)
 
     def withdraw(self, number: int) -> None:
         """Stop offering a layout, since it is open."""

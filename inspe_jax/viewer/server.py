@@ -154,10 +154,10 @@ def kept_token(name: str, cache: Path | None = None) -> str:
         folder = (cache or user_cache_path("inspe_jax", appauthor=False)) / FOLDER
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         at = folder / hashlib.sha256(name.encode()).hexdigest()
-        with suppress(FileExistsError), open(at, "x", opener=_private) as f:
+        with suppress(FileExistsError), open(at, "x", opener=_own) as f:
             f.write(token)
             return token
-        with open(at, opener=_itself) as f:
+        with open(at, opener=_own) as f:
             status, kept = os.fstat(f.fileno()), f.read(2 * len(token))
         alone = os.name == "nt" or (status.st_uid == os.getuid() and not status.st_mode & 0o077)
         if alone and _TOKEN.fullmatch(kept):
@@ -165,10 +165,6 @@ def kept_token(name: str, cache: Path | None = None) -> str:
     return token
 
 
-def _private(path: str, flags: int) -> int:
-    return os.open(path, flags, 0o600)
-
-
-def _itself(path: str, flags: int) -> int:
-    """Open a file, and none that a link of its name points to."""
-    return os.open(path, flags | getattr(os, "O_NOFOLLOW", 0))
+def _own(path: str, flags: int) -> int:
+    """Open a file that nobody else can read, and none that a link of its name points to."""
+    return os.open(path, flags | getattr(os, "O_NOFOLLOW", 0), 0o600)

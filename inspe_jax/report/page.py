@@ -26,16 +26,17 @@ from inspe_jax.report.figures import SENSOR_COLORS, plan_view, scene_view
 from inspe_jax.report.layers import BLIND, SIGHT_COLORS, USER_COLOR, MapLayer, layers
 from inspe_jax.report.progress import before_after, same_sensors
 from inspe_jax.report.schedule import (
+    EXISTING_POLE,
     installation_schedule,
     materials,
     model_words,
-    mounting_words,
-    origin_words,
     sensors_in_words,
     total_price,
 )
 from inspe_jax.report.tables import goal_words, scores_record, tolerance_record
 from inspe_jax.report.targets import targets_view
+from inspe_jax.scene.intersection import BUILT_IN
+from inspe_jax.scene.maps.sumo.network import GEOGRAPHIC, SUMO
 from inspe_jax.scene.regions import WEIGHTS, Region
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scoring.detection import DetectionCurves
@@ -55,6 +56,8 @@ CAPTIONS: dict[str, str] = {
     "blind": "Blind spots: what no sensor has in view, and what traffic hides most of the time.",
     "redundancy": "Redundancy: how many sensors have a spot in view, a mean over its levels.",
 }
+FACTS = dict(built_in=BUILT_IN, sumo=SUMO, geographic=GEOGRAPHIC, existing_pole=EXISTING_POLE)
+"""What templates compare sources of places and poles of units with."""
 SPOTS = 10
 """Most blind spots in a list."""
 ON_TARGET = "What a pedestrian gets at each spot, behind traffic."
@@ -166,7 +169,6 @@ def report_page(
             progress(len(parts), len(entries))
         layout, scores = entry.layout, entry.scores
         of_columns = layers(scene, entry.shed)
-        units = installation_schedule(layout, scene.intersection, prices or {})
         rows = materials(layout, prices or {})
         record = scores_record(scores, scene, layout, entry.sought)
         shown = scores.conditions.layout(layout)
@@ -176,8 +178,7 @@ def report_page(
                 entry=entry,
                 name=layout.name,
                 record=record,
-                units=units,
-                mounting=mounting_words(scene, units),
+                units=installation_schedule(layout, scene.intersection, prices or {}),
                 materials=rows,
                 total=total_price(rows),
                 models=model_words(layout, rows),
@@ -196,7 +197,8 @@ def report_page(
     return template("report", "page.html.j2").render(
         scene=scene,
         north="true north" if scene.intersection.georeference else "north, the y axis of the map",
-        origin=origin_words(scene.intersection),
+        place=scene.intersection,
+        **FACTS,
         in_words=_in_words,
         searched_on=_searched_on,
         statuses=STATUSES,

@@ -182,7 +182,8 @@ def report_page(
                 materials=rows,
                 total=total_price(rows),
                 models=model_words(layout, rows),
-                summary=_summary(scene, entry, record["blind_spots"], *total_price(rows)),
+                counts=f"{counted(len(layout.units), 'unit')} with {sensors_in_words(layout)}",
+                goal=None if entry.sought is None else goal_words(layout, scores, entry.sought),
                 blind=_shares(of_columns["blind"]),
                 images=_images(scene, entry, of_columns, frame),
                 photograph=photograph and jpeg_text(photograph, DPI),
@@ -271,45 +272,6 @@ def check_names(names: Sequence[str]) -> None:
             raise InspeError(
                 f"two layouts are named '{name}': give each layout file another `name:`"
             )
-
-
-def _summary(
-    scene: Scene,
-    entry: ReportEntry,
-    spots: Sequence[Mapping[str, Any]],
-    cost: float | None,
-    unknown: Sequence[str],
-) -> list[str]:
-    """A layout in three sentences: what there is, what it sees, and what it does not.
-
-    ``spots`` are its blind spots as records; ``cost`` and ``unknown`` its
-    :func:`~inspe_jax.report.schedule.total_price`.
-    """
-    layout, scores = entry.layout, entry.scores
-    price = f", for {cost:,.0f} US dollars" if cost is not None else ""
-    if unknown and price:
-        price += f" without {' and '.join(unknown)}, of unknown price"
-    units, sensors = counted(len(layout.units), "unit"), sensors_in_words(layout)
-    where = f"{scene.voxels.radius:g} m around the middle of {scene.name}{scores.conditions.words}"
-    found = [] if entry.sought is None else [f"{goal_words(layout, scores, entry.sought)}."]
-    found += [
-        f"{units} with {sensors} watch {where}{price}.",
-        f"They have {scores.coverage:.0%} of the region of interest in view, by weight, and see "
-        f"{scores.occlusion:.0%} of it on average with traffic in the way.",
-    ]
-    worst = [
-        f"the {spot['name']} ({spot['unseen']:.0%} of time and height unseen)" for spot in spots[:2]
-    ]
-    if worst:
-        found.append(f"Most is missed on {' and '.join(worst)}.")
-    if entry.before is not None:
-        before, gain = entry.before.surrogate, scores.surrogate - entry.before.surrogate
-        found.append(f"P_sm is {scores.surrogate:.4f}; before, it was {before:.4f} ({gain:+.4f}).")
-    if entry.target is not None:
-        short = entry.target - scores.surrogate
-        end = f"missed by {short:.4f}" if short > 0 else "reached"
-        found.append(f"The target for P_sm, {entry.target:g}, is {end}.")
-    return found
 
 
 def _searched_on(result: Result) -> str:

@@ -9,6 +9,7 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import date
+from math import degrees
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -25,11 +26,11 @@ from inspe_jax.report.curves import history_view
 from inspe_jax.report.figures import SENSOR_COLORS, plan_view, scene_view
 from inspe_jax.report.layers import BLIND, SIGHT_COLORS, USER_COLOR, MapLayer, layers
 from inspe_jax.report.progress import before_after, same_sensors
+from inspe_jax.report.scene_tables import resolution_of
 from inspe_jax.report.schedule import (
     EXISTING_POLE,
     installation_schedule,
     materials,
-    model_words,
     sensors_in_words,
     total_price,
 )
@@ -56,8 +57,11 @@ CAPTIONS: dict[str, str] = {
     "blind": "Blind spots: what no sensor has in view, and what traffic hides most of the time.",
     "redundancy": "Redundancy: how many sensors have a spot in view, a mean over its levels.",
 }
-FACTS = dict(built_in=BUILT_IN, sumo=SUMO, geographic=GEOGRAPHIC, existing_pole=EXISTING_POLE)
-"""What templates compare sources of places and poles of units with."""
+FACTS = dict[str, Any](
+    built_in=BUILT_IN, sumo=SUMO, geographic=GEOGRAPHIC, existing_pole=EXISTING_POLE,
+    resolution_of=resolution_of, degrees=degrees, conditions=Conditions.of,
+)  # fmt: skip
+"""What templates compare sources of places and poles of units with, and call."""
 SPOTS = 10
 """Most blind spots in a list."""
 ON_TARGET = "What a pedestrian gets at each spot, behind traffic."
@@ -181,7 +185,7 @@ def report_page(
                 units=installation_schedule(layout, scene.intersection, prices or {}),
                 materials=rows,
                 total=total_price(rows),
-                models=model_words(layout, rows),
+                specs={sensor.spec.name: sensor.spec for sensor in layout.sensors},
                 counts=f"{counted(len(layout.units), 'unit')} with {sensors_in_words(layout)}",
                 goal=None if entry.sought is None else goal_words(layout, scores, entry.sought),
                 blind=_shares(of_columns["blind"]),
@@ -201,7 +205,6 @@ def report_page(
         place=scene.intersection,
         **FACTS,
         in_words=_in_words,
-        searched_on=_searched_on,
         statuses=STATUSES,
         spots=SPOTS,
         around=entries[0].scores.conditions.words,
@@ -272,13 +275,6 @@ def check_names(names: Sequence[str]) -> None:
             raise InspeError(
                 f"two layouts are named '{name}': give each layout file another `name:`"
             )
-
-
-def _searched_on(result: Result) -> str:
-    return " and ".join(
-        f"{row['name']}{Conditions.of(row['light'], row['weather']).words}"
-        for row in result.settings["scenes"]
-    )
 
 
 def _shares(blind: MapLayer) -> list[tuple[str, str, float]]:

@@ -1,7 +1,7 @@
 """The installation schedule of a layout: what is to be mounted where, and what it costs."""
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import combinations, groupby
 from math import dist
@@ -9,11 +9,9 @@ from math import dist
 import numpy as np
 
 from inspe_jax.core.words import counted
-from inspe_jax.report.scene_tables import resolution_of
 from inspe_jax.scene.intersection import Intersection
 from inspe_jax.sensing.catalogue import Device, devices
 from inspe_jax.sensing.layout import Layout
-from inspe_jax.sensing.sensors import LidarSpec
 
 SAME_POLE = 1.0
 """A unit this near to an existing pole is mounted on it [m]."""
@@ -177,25 +175,6 @@ def sensors_in_words(layout: Layout) -> str:
     count = Counter(sensor.spec.kind for sensor in layout.sensors)
     words = {"lidar": "LiDAR"}
     return " and ".join(counted(number, words.get(kind, kind)) for kind, number in count.items())
-
-
-def model_words(layout: Layout, rows: Sequence[MaterialRow]) -> list[str]:
-    """For each device that nobody sells, what a device that is bought in its place must have."""
-    specs = {sensor.spec.name: sensor.spec for sensor in layout.sensors}
-    found = []
-    for row in rows:
-        if not row.product:
-            spec = specs[row.device]
-            resolution, view = resolution_of(spec)
-            what = f"{resolution} pixels"
-            if isinstance(spec, LidarSpec):
-                low, high = np.degrees([spec.elevations[0], spec.elevations[-1]])
-                what = f"{resolution} channels at elevations from {low:.1f}° to {high:.1f}°"
-            found.append(
-                f"{row.device} is a model and cannot be bought. The scores hold for a device with "
-                f"{what}, a field of view of {view} and a reach of {spec.grid.reach:g} m."
-            )
-    return found
 
 
 def price_of(

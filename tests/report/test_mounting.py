@@ -8,7 +8,7 @@ from worlds import CAMERA, LIDAR, crossing, world
 
 from inspe_jax import built_in
 from inspe_jax.report.page import FACTS, template
-from inspe_jax.report.schedule import installation_schedule, materials, model_words
+from inspe_jax.report.schedule import installation_schedule, materials
 from inspe_jax.scene.georeference import Georeference
 from inspe_jax.scene.statics import pole
 from inspe_jax.sensing.catalogue import device
@@ -106,8 +106,9 @@ def test_a_model_cannot_be_bought():
     layout = make_layout(members, [Unit("corner", (0.0, 0.0, 0.0))], poses)
     rows = materials(layout, {})
     assert [row.product for row in rows] == [False, False, True, True]
-    words, of_lidar = model_words(layout, rows)
-    assert words.startswith("paper-camera is a model and cannot be bought.")
+    about = {spec.name: spec for spec in specs}
+    _, words, of_lidar = rendered("models.html.j2", materials=rows, specs=about).split("<p")
+    assert "paper-camera is a model and cannot be bought." in words
     assert "800 × 600 pixels, a field of view of 100° × 84° and a reach of 38 m." in words
     low, high = np.degrees(specs[1].elevations)[[0, -1]]
     assert f"32 channels at elevations from {low:.1f}° to {high:.1f}°" in of_lidar

@@ -1,7 +1,6 @@
 """The panel of a layout's scores, with the rules of mounting that it breaks, and its sensors."""
 
 from collections.abc import Sequence
-from typing import Any
 
 from inspe_jax.core.words import counted
 from inspe_jax.report.figures import SENSOR_COLORS
@@ -82,8 +81,10 @@ def score_panel(
         wrong="" if new is None else new.wrong,
         faults=faults,
         broken=BROKEN_COLOR,
-        metrics=[] if scores is None else _metric_bars(scores, reference),
-        regions=[] if scores is None else _region_bars(scores, reference),
+        reference=reference,
+        metrics=METRICS.values(),
+        digits=_digits,
+        change=_change,
         keys=LEGEND,
         mounting=MOUNTING_COLOR,
     )
@@ -111,37 +112,10 @@ def sensor_table(layout: Layout, scored: ScoredLayout | None, selection: Sequenc
     )
 
 
-def _bar(words: str, meaning: str, value: float, before: float | None) -> dict[str, Any]:
-    """A score from 0 to 1 with its meaning, and what it was before, if that is known. It has three
-    digits; more where they would say 1 and it is less."""
+def _digits(value: float) -> str:
+    """A score with three digits; with more where they would say 1 and it is less."""
     enough = (n for n in (3, 4) if value == 1.0 or round(value, n) < 1.0)
-    return dict(
-        words=words,
-        meaning=meaning,
-        value=value,
-        before=before,
-        digits=f"{value:.{next(enough, 5)}f}",
-        change=_change(value, before, 3),
-        worse=before is not None and value < before,
-    )
-
-
-def _metric_bars(scores: Scores, reference: Scores | None) -> list[dict[str, Any]]:
-    known = {} if reference is None else reference.metrics
-    return [
-        _bar(f"{m.words} {m.symbol}", m.summary, scores.metrics[m.name], known.get(m.name))
-        for m in METRICS.values()
-        if m.name in scores.metrics
-    ]
-
-
-def _region_bars(scores: Scores, reference: Scores | None) -> list[dict[str, Any]]:
-    known = {} if reference is None else reference.region_coverage
-    meaning = "share of the {}'s voxels that some sensor ray passes through"
-    return [
-        _bar(region, meaning.format(region), value, known.get(region))
-        for region, value in scores.region_coverage.items()
-    ]
+    return f"{value:.{next(enough, 5)}f}"
 
 
 def _change(value: float, before: float | None, digits: int = 4) -> str:

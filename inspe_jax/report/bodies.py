@@ -64,10 +64,8 @@ def _by_kind(scene: Scene) -> Iterator[tuple[str, list[StaticBody]]]:
 def body_meshes(
     scene: Scene,
 ) -> Iterator[tuple[str, Float[np.ndarray, "N 3"], Int[np.ndarray, "F 3"]]]:
-    """Each kind of body with the corners [m] and faces of its prisms, as scores have them.
-
-    What stands on the ground begins at the lowest ground at its corners.
-    """
+    """Each kind of body with the corners [m] and faces of its prisms, as scores have them. What
+    stands on the ground begins at the lowest ground at its corners."""
     place = scene.intersection
     for kind, bodies in _by_kind(scene):
         points, faces, count = list[np.ndarray](), list[np.ndarray](), 0

@@ -48,10 +48,8 @@ def _with_grid(ax: Axes, **labels: Any) -> None:
 
 
 def pareto_view(mixes: Sequence[DeviceMix]) -> Figure:
-    """Score against cost of every mix of devices. The front is a staircase with named mixes.
-
-    Raises InspeError if there is no mix.
-    """
+    """Score against cost of every mix of devices. The front is a staircase with named mixes. Raises
+    InspeError if there is no mix."""
     if not mixes:
         raise InspeError("no mix to draw")
     front = sorted((mix for mix in mixes if mix.front), key=lambda mix: mix.cost)

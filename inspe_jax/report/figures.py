@@ -76,9 +76,7 @@ _BADGE = 8.5  # diameter of a sensor's number on the map [pt]
 
 def scene_view(scene: Scene, *, frame: int = 0) -> Figure:
     """Plan view of a scene: its regions, lanes, mounting areas, poles, and one frame's road users.
-
-    World metres, north up. Raises InspeError if there is no such ``frame``.
-    """
+    World metres, north up. Raises InspeError if there is no such ``frame``."""
     place, grid = scene.intersection, scene.voxels
     notes = [f"• {note}" for note in (f"source: {place.source}", *place.notes)]
     facts = (
@@ -171,9 +169,7 @@ def layer_raster(
     voxels: VoxelGrid, layer: MapLayer
 ) -> tuple[Float[np.ndarray, "N N"], tuple[float, float, float, float]]:
     """:func:`column_raster` of a layer as maps show it: of squares about each column where it asks.
-
-    They are the columns that there are in :func:`~inspe_jax.report.layers.cell_rows` rows.
-    """
+    They are the columns that there are in :func:`~inspe_jax.report.layers.cell_rows` rows."""
     raster, extent = column_raster(voxels, layer.values)
     rows = cell_rows(voxels.spacing)
     if not layer.averaged or rows < 2:

@@ -121,10 +121,8 @@ def plan_kml(layout: Layout, place: Intersection) -> str:
 
 
 def bill_of_materials(layout: Layout, prices: Mapping[str, float]) -> str:
-    """The devices of a layout as CSV: how many, where, and what they cost [US dollars].
-
-    ``prices`` replace the catalogue's. A device without a price has none here.
-    """
+    """The devices of a layout as CSV: how many, where, and what they cost [US dollars]. ``prices``
+    replace the catalogue's. A device without a price has none here."""
     return csv_text(
         [
             dict(

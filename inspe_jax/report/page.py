@@ -77,9 +77,7 @@ class Start(NamedTuple):
 
 class PageViews(NamedTuple):
     """Views of a layout in its scene that a page has room for, each of a frame of traffic.
-
-    ``photograph``: a picture, or None where it cannot be made. ``scene3d``: an HTML page.
-    """
+    ``photograph``: a picture, or None where it cannot be made. ``scene3d``: an HTML page."""
 
     photograph: Callable[[Scene, Layout, int], Figure | None]
     scene3d: Callable[[Scene, Layout, Conditions, int], str]

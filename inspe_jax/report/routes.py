@@ -28,10 +28,8 @@ def draw_routes(ax: Axes, scene: Scene) -> None:
 
 
 def arrow_heads(scene: Scene) -> list[tuple[np.ndarray, np.ndarray]]:
-    """(x, y) [m] and direction of the arrow heads on lanes.
-
-    Several routes can run on one lane; one arrow head stands for all of them.
-    """
+    """(x, y) [m] and direction of the arrow heads on lanes. Several routes can run on one lane; one
+    arrow head stands for all of them."""
     radius, heads = scene.voxels.radius, list[tuple[np.ndarray, np.ndarray]]()
     for route in scene.intersection.routes:
         if route.user != "vehicle":

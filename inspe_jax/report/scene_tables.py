@@ -75,10 +75,8 @@ def _bodies(scene: Scene) -> str:
 
 
 def layout_table(layout: Layout) -> RenderableType:
-    """A layout: each sensor with its device and pose [m, degrees].
-
-    Height is above the unit's base. Roll has a column only if a sensor has one.
-    """
+    """A layout: each sensor with its device and pose [m, degrees]. Height is above the unit's base.
+    Roll has a column only if a sensor has one."""
     poses = np.asarray(layout.poses, float)
     height = poses[:, 2] - [layout.units[sensor.unit].base[2] for sensor in layout.sensors]
     roll, pitch, yaw = np.degrees(poses[:, 3:]).T
@@ -125,10 +123,8 @@ def profile_table(profile: Profile) -> RenderableType:
 def junctions_table(
     infos: Iterable[JunctionInfo], map_name: str, georeference: Georeference | None = None
 ) -> RenderableType:
-    """The junctions of a map: id, centre (x, y, z) [m], arms, size, crosswalks and signals.
-
-    With a projection, also latitude and longitude.
-    """
+    """The junctions of a map: id, centre (x, y, z) [m], arms, size, crosswalks and signals. With a
+    projection, also latitude and longitude."""
     infos = list(infos)
     places = [_on_earth(georeference, np.array(info.center)) for info in infos]
     degrees = ["latitude, longitude"] if any(places) else []

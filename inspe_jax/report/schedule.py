@@ -109,11 +109,8 @@ class MaterialRow:
 def installation_schedule(
     layout: Layout, place: Intersection, prices: Mapping[str, float]
 ) -> tuple[UnitRow, ...]:
-    """The units of a layout, each with its sensors.
-
-    Azimuths are from true north where the place has coordinates, and else from the y axis of the
-    map. ``prices`` replace the catalogue's.
-    """
+    """The units of a layout, each with its sensors. Azimuths are from true north where the place
+    has coordinates, and else from the y axis of the map. ``prices`` replace the catalogue's."""
     poses = np.asarray(layout.poses, float)
     bare = np.array([unit.base[:2] for unit in layout.units], float)
     feet, words = zip(*(_stand(place, foot) for foot in bare), strict=True)

@@ -101,10 +101,8 @@ def metrics_table() -> RenderableType:
 
 
 def before_after_table(result: Result) -> RenderableType:
-    """The scores before and after a search, and its objective if that differs from P_sm.
-
-    Metrics that one of the two records does not have are left out.
-    """
+    """The scores before and after a search, and its objective if that differs from P_sm. Metrics
+    that one of the two records does not have are left out."""
     title = f"{result.start.name}{result.scores.conditions.words}, before and after"
     title += _only(result.scores)
     table = table_of(title, "metric", "symbol", "before", "after", "change")
@@ -123,10 +121,8 @@ def before_after_table(result: Result) -> RenderableType:
 
 
 def moves_table(before: Layout, after: Layout) -> RenderableType:
-    """How far each sensor was moved [m] and turned [degrees] from one layout to another.
-
-    Distance is in plan. Turns are positive counter-clockwise and nose-up.
-    """
+    """How far each sensor was moved [m] and turned [degrees] from one layout to another. Distance
+    is in plan. Turns are positive counter-clockwise and nose-up."""
     heads = ("moved\n[m]", "height\n[m]", "raised\n[m]", "yaw\n[°]", "pitch\n[°]")
     table = table_of("What moved", "#", "sensor", *heads)
     old, new = (np.asarray(of.poses, float) for of in (before, after))

@@ -40,7 +40,7 @@ from inspe_jax.core.sheet import (
 from inspe_jax.report.bodies import body_keys, draw_bodies
 from inspe_jax.report.layers import MapLayer, cell_rows, seen_layer
 from inspe_jax.report.outlines import clear_outlines
-from inspe_jax.report.routes import LANE, WALK, center_distance, draw_routes
+from inspe_jax.report.routes import LANE, WALK, draw_routes
 from inspe_jax.scene.regions import PRECEDENCE, Region
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scene.traffic.frames import CLASSES
@@ -277,8 +277,8 @@ def _patch(shape: BaseGeometry, **look: Any) -> PathPatch:
 
 def reach_of(scene: Scene, *layouts: Layout) -> float:
     """How far from the centre a map of layouts must reach to show all sensors [m]."""
-    away = [center_distance(scene, np.asarray(one.poses, float)).max() for one in layouts]
-    return max(scene.voxels.radius, *away)
+    at = np.concatenate([np.asarray(one.poses, float)[:, :2] for one in layouts])
+    return max(scene.voxels.radius, np.hypot(*(at - scene.voxels.center[:2]).T).max())
 
 
 def draw_plan(

@@ -6,7 +6,7 @@ import re
 import time
 from base64 import b64decode
 from contextlib import closing
-from dataclasses import asdict, replace
+from dataclasses import replace
 from io import BytesIO
 from types import SimpleNamespace
 
@@ -21,7 +21,7 @@ from inspe_jax.core.errors import InspeError
 from inspe_jax.core.geometry import rotation
 from inspe_jax.dataset.points_in_boxes import world_points
 from inspe_jax.placement.problem import Case
-from inspe_jax.report.tables import scores_record
+from inspe_jax.scoring.blind_spots import blind_spots
 from inspe_jax.scoring.evaluate import evaluate
 from inspe_jax.scoring.viewshed import Visibility
 from inspe_jax.sensing.catalogue import devices
@@ -508,18 +508,14 @@ def test_scores_and_pictures_are_of_the_light_and_weather_of_the_case(
             assert "beyond its reach" in view.picture.content
 
 
-def test_blind_spots_are_listed_as_the_record_of_the_scores_has_them(
+def test_blind_spots_are_listed_in_their_order_and_again_after_a_change(
     viewer, scene, layout, monkeypatch
 ):
-    """Ranked, in words, and again after a change."""
     monkeypatch.setattr("inspe_jax.viewer.blind_spot_panel.plan_picture", plan_picture)
     panel = viewer.display.blind_spots
 
     def listed_for(of):
-        wanted = scores_record(evaluate(scene, of), scene, of)["blind_spots"][: len(LETTERS)]
-        return [asdict(spot) for spot in panel.spots] == [
-            spot | {"at": tuple(spot["at"])} for spot in wanted
-        ]
+        return panel.spots == blind_spots(scene, evaluate(scene, of).seen_share)[: len(LETTERS)]
 
     done(viewer, lambda: panel.picture.content and viewer.panel.blind_spots.visible)
     assert listed_for(layout)
@@ -531,7 +527,6 @@ def test_blind_spots_are_listed_as_the_record_of_the_scores_has_them(
     done(viewer, lambda: viewer.layout is not layout and listed_for(viewer.layout))
     done(viewer, lambda: panel.picture.content != before)
     done(viewer, lambda: viewer.panel.blind_spots.label == "Blind spots")
-    assert "given anew after every change" in panel.picture.content
 
 
 def recorded(scene, layout, s, frame, around=FAIR):

@@ -30,14 +30,6 @@ def _at_once(monkeypatch, plain_plan):
     monkeypatch.setattr("inspe_jax.viewer.browser_view.TYPED", 0.01)
 
 
-@pytest.fixture
-def fresh(scene, layout, tmp_path):
-    """A page that nobody has changed."""
-    found = Viewer(Case(scene), layout, tmp_path / "layout.yaml", port=0)
-    yield found
-    found.close()
-
-
 @pytest.fixture(scope="module")
 def served(scene, layout, tmp_path_factory):
     path = tmp_path_factory.mktemp("served") / "layout.yaml"
@@ -271,23 +263,23 @@ def test_a_search_ends_a_drag_and_shows_what_it_begins_from(viewer, monkeypatch)
     assert viewer.layout is before
 
 
-def test_a_burst_of_requests_is_shown_once(fresh, layout):
+def test_a_burst_of_requests_is_shown_once(viewer, layout, monkeypatch):
     """Sixty times Undo undo sixty changes."""
     layouts = [replace(layout, name=f"{k}") for k in range(70)]
     for one in layouts:
-        fresh.session.take(one)
-    shown, real = [], fresh.display.draw
-    fresh.display.draw = lambda *told: (shown.append(told[0]), real(*told))
-    undo = dict(type="CommandTriggerMessage", uuid=fresh.panel.keys["Undo"]._impl.uuid)
-    with socket_of(fresh.url) as page:
+        viewer.session.take(one)
+    shown, real = [], viewer.display.draw
+    monkeypatch.setattr(viewer.display, "draw", lambda *told: (shown.append(told[0]), real(*told)))
+    undo = dict(type="CommandTriggerMessage", uuid=viewer.panel.keys["Undo"]._impl.uuid)
+    with socket_of(viewer.url) as page:
         enter(page)
-        own_of(fresh)
+        own_of(viewer)
         going = threading.Event()
-        fresh.queue.submit(going.wait)
+        viewer.queue.submit(going.wait)
         for _ in range(60):
             send(page, **undo)
-        wait_until(lambda: len(fresh.queue._waiting) >= 60)
+        wait_until(lambda: len(viewer.queue._waiting) >= 60)
         going.set()
-        wait_until(lambda: fresh.layout is layouts[9])
+        wait_until(lambda: viewer.layout is layouts[9])
         wait_until(lambda: shown and shown[-1] is layouts[9])
         assert len(shown) < 5

@@ -49,9 +49,8 @@ from inspe_jax.core.geometry import rotation
 from inspe_jax.placement.optimise import DEFAULT_METHOD
 from inspe_jax.placement.problem import Case
 from inspe_jax.viewer.app import Viewer
-from inspe_jax.viewer.bindings import set_value
 from inspe_jax.viewer.browser_view import BrowserView
-from inspe_jax.viewer.panel import BLIND_SPOTS
+from inspe_jax.viewer.panel import BLIND_SPOTS, set_value
 from inspe_jax.viewer.selection3d import HandleDrag
 from inspe_jax.viewer.sensor_controls import POSE
 

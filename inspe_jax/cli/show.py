@@ -144,8 +144,7 @@ def view(
         host: Address to listen on; 127.0.0.1 is the only one.
     """
     from inspe_jax.viewer.app import Viewer
-    from inspe_jax.viewer.page_token import kept_token
-    from inspe_jax.viewer.server import HOST
+    from inspe_jax.viewer.server import HOST, kept_token
 
     check_output(path, (".yaml", ".yml"))
     conditions, weights = options.conditions, options.weights()

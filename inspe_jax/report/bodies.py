@@ -15,14 +15,12 @@ from inspe_jax.scene.placed_bodies import convex_parts
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scene.statics import KINDS, StaticBody
 
-SOLID, LEAVES, PARKED = "#9b938a", "#3f7d4b", "#c9c9c9"
-"""Greys of stone and of sheet metal, and the green of leaves."""
-BODY_COLORS: dict[str, str] = dict.fromkeys(KINDS, SOLID) | {
-    "hedge": LEAVES,
-    "tree": LEAVES,
-    "parked vehicle": PARKED,
+BODY_COLORS: dict[str, str] = dict.fromkeys(KINDS, "#9b938a") | {
+    "hedge": "#3f7d4b",
+    "tree": "#3f7d4b",
+    "parked vehicle": "#c9c9c9",
 }
-"""Colours of bodies, by kind."""
+"""Colours of bodies, by kind: greys of stone and of sheet metal, and the green of leaves."""
 _EDGE = 0.4  # width of outlines [pt]
 
 
@@ -58,7 +56,6 @@ def body_keys(scene: Scene) -> list[Any]:
 
 
 def _by_kind(scene: Scene) -> Iterator[tuple[str, list[StaticBody]]]:
-    """The kinds of bodies that a scene has, each with its bodies."""
     for kind in KINDS:
         if bodies := [one for one in scene.statics if one.kind == kind]:
             yield kind, bodies
@@ -67,28 +64,22 @@ def _by_kind(scene: Scene) -> Iterator[tuple[str, list[StaticBody]]]:
 def body_meshes(
     scene: Scene,
 ) -> Iterator[tuple[str, Float[np.ndarray, "N 3"], Int[np.ndarray, "F 3"]]]:
-    """Each kind of body with the corners [m] and faces of its prisms, as scores have them.
-
-    What stands on the ground begins at the lowest ground at its corners.
-    """
+    """Each kind of body with the corners [m] and faces of its prisms, as scores have them. What
+    stands on the ground begins at the lowest ground at its corners."""
     place = scene.intersection
     for kind, bodies in _by_kind(scene):
-        points: list[np.ndarray] = []
-        faces: list[np.ndarray] = []
-        count = 0
+        points, faces, count = list[np.ndarray](), list[np.ndarray](), 0
         parts = convex_parts(bodies, place)
         for corners, bottom, top in zip(parts.corners, parts.bottom, parts.top, strict=True):
             outline = corners[: len(np.unique(corners, axis=0))]  # the last corner is repeated
             if np.isinf(bottom):
                 bottom = min(float(place.ground(outline).min()), top)
             n = len(outline)
-            for height in (bottom, top):
-                points.append(np.column_stack([outline, np.full(n, height)]))
+            points += [np.column_stack([outline, np.full(n, z)]) for z in (bottom, top)]
             k = np.arange(n)
-            next_ = np.roll(k, -1)
-            sides = [[k, next_, next_ + n], [k, next_ + n, k + n]]
+            after = np.roll(k, -1)
+            sides = np.stack([[k, k], [after, after + n], [after + n, k + n]], -1).reshape(-1, 3)
             fan = np.column_stack([np.zeros(n - 2, int), k[1:-1], k[2:]])
-            both = [np.stack(side, -1) for side in sides]
-            faces.append(count + np.concatenate([*both, fan + n, fan[:, ::-1]]))
+            faces.append(count + np.concatenate([sides, fan + n, fan[:, ::-1]]))
             count += 2 * n
         yield kind, np.concatenate(points), np.concatenate(faces)

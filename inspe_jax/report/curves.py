@@ -30,7 +30,6 @@ _LEFT = 0.085  # left edge of headings and axes, as a share of the width
 
 
 def _headed(title: str, facts: str, height: float) -> Figure:
-    """An empty figure of a ``height`` [inch] with its heading."""
     fig = Figure(figsize=(WIDTH, height), facecolor="white")
     heading: dict[str, Any] = dict(va="top", parse_math=False)
     fig.text(_LEFT, 1 - 0.10 / height, **fit(title, TITLE, 10), weight="bold", **heading)
@@ -39,7 +38,6 @@ def _headed(title: str, facts: str, height: float) -> Figure:
 
 
 def _look(k: int) -> dict[str, Any]:
-    """Colour and style of the k-th line."""
     return dict(color=COLORS[k % len(COLORS)], ls=LINES[k % len(LINES)], lw=1.3)
 
 
@@ -50,10 +48,8 @@ def _with_grid(ax: Axes, **labels: Any) -> None:
 
 
 def pareto_view(mixes: Sequence[DeviceMix]) -> Figure:
-    """Score against cost of every mix of devices. The front is a staircase with named mixes.
-
-    Raises InspeError if there is no mix.
-    """
+    """Score against cost of every mix of devices. The front is a staircase with named mixes. Raises
+    InspeError if there is no mix."""
     if not mixes:
         raise InspeError("no mix to draw")
     front = sorted((mix for mix in mixes if mix.front), key=lambda mix: mix.cost)
@@ -144,10 +140,8 @@ Curve = Float[np.ndarray, " P"]
 def _course(
     histories: Sequence[Sequence[Progress]], along: Callable[[Any], float], end: float
 ) -> tuple[Curve, Curve, Curve, Curve]:
-    """(x, lowest, median, highest best score so far) at every x where one of them changes.
-
-    From the first x at which all searches have a score, to ``end``.
-    """
+    """(x, lowest, median, highest best score so far) at every x where one of them changes. From the
+    first x at which all searches have a score, to ``end``."""
     steps = [np.array([[along(row), row.best] for row in history]) for history in histories]
     first = max(row[0, 0] for row in steps)
     x = np.unique(np.concatenate([row[:, 0] for row in steps] + [[first, end]]))

@@ -40,7 +40,7 @@ from inspe_jax.core.sheet import (
 from inspe_jax.report.bodies import body_keys, draw_bodies
 from inspe_jax.report.layers import MapLayer, cell_rows, seen_layer
 from inspe_jax.report.outlines import clear_outlines
-from inspe_jax.report.routes import LANE, WALK, center_distance, draw_routes
+from inspe_jax.report.routes import LANE, WALK, draw_routes
 from inspe_jax.scene.regions import PRECEDENCE, Region
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scene.traffic.frames import CLASSES
@@ -76,9 +76,7 @@ _BADGE = 8.5  # diameter of a sensor's number on the map [pt]
 
 def scene_view(scene: Scene, *, frame: int = 0) -> Figure:
     """Plan view of a scene: its regions, lanes, mounting areas, poles, and one frame's road users.
-
-    World metres, north up. Raises InspeError if there is no such ``frame``.
-    """
+    World metres, north up. Raises InspeError if there is no such ``frame``."""
     place, grid = scene.intersection, scene.voxels
     notes = [f"• {note}" for note in (f"source: {place.source}", *place.notes)]
     facts = (
@@ -171,9 +169,7 @@ def layer_raster(
     voxels: VoxelGrid, layer: MapLayer
 ) -> tuple[Float[np.ndarray, "N N"], tuple[float, float, float, float]]:
     """:func:`column_raster` of a layer as maps show it: of squares about each column where it asks.
-
-    They are the columns that there are in :func:`~inspe_jax.report.layers.cell_rows` rows.
-    """
+    They are the columns that there are in :func:`~inspe_jax.report.layers.cell_rows` rows."""
     raster, extent = column_raster(voxels, layer.values)
     rows = cell_rows(voxels.spacing)
     if not layer.averaged or rows < 2:
@@ -219,7 +215,6 @@ def spread_badges(
 
 
 def _scene_keys(scene: Scene) -> list[Any]:
-    """Legend entries of a scene view, for things that the scene has."""
     place = scene.intersection
     here, users = set(scene.voxels.region.tolist()), {route.user for route in place.routes}
     kinds = set(scene.traffic.kind[scene.traffic.valid].tolist())
@@ -257,8 +252,6 @@ def plan_keys(scene: Scene, layout: Layout) -> list[Any]:
 
 
 def _users(scene: Scene, frame: int) -> str:
-    """The number of road users in a frame, in words. Raises InspeError if there is no such
-    frame."""
     traffic = scene.traffic
     check_frame(scene, frame)
     count, mean = int(traffic.valid[frame].sum()), traffic.mean_count
@@ -266,7 +259,6 @@ def _users(scene: Scene, frame: int) -> str:
 
 
 def _disc(scene: Scene) -> BaseGeometry:
-    """The region of interest in plan."""
     return shapely.Point(scene.voxels.center[:2]).buffer(scene.voxels.radius, quad_segs=64)
 
 
@@ -285,8 +277,8 @@ def _patch(shape: BaseGeometry, **look: Any) -> PathPatch:
 
 def reach_of(scene: Scene, *layouts: Layout) -> float:
     """How far from the centre a map of layouts must reach to show all sensors [m]."""
-    away = [center_distance(scene, np.asarray(one.poses, float)).max() for one in layouts]
-    return max(scene.voxels.radius, *away)
+    at = np.concatenate([np.asarray(one.poses, float)[:, :2] for one in layouts])
+    return max(scene.voxels.radius, np.hypot(*(at - scene.voxels.center[:2]).T).max())
 
 
 def draw_plan(
@@ -295,13 +287,13 @@ def draw_plan(
     layout: Layout,
     layer: MapLayer,
     reach: float,
-    frame: int = 0,
+    frame: int | None = 0,
     *,
     side: float = MAP,
     numbers: Sequence[int] | None = None,
 ) -> AxesImage:
-    """Draw a map of ``reach`` [m] and ``side`` [inch]: a layer, and over it one frame's road users,
-    what each sensor looks at, and its number.
+    """Draw a map of ``reach`` [m] and ``side`` [inch]: a layer, and over it a frame's road users if
+    one is given, what each sensor looks at, and its number.
 
     ``numbers`` are 1, 2, … unless given. Raises InspeError if the layer is of another scene.
     """
@@ -318,7 +310,7 @@ def draw_plan(
     )  # fmt: skip
     draw_regions(ax, scene, lambda _: OUTLINE)
     draw_bodies(ax, scene)
-    if layer.users:
+    if frame is not None:
         draw_users(ax, scene, frame, [USER] * len(CLASSES))
     for sensor, pose in zip(layout.sensors, poses, strict=True):
         for ring in clear_outlines(scene, sensor.spec, pose):

@@ -28,11 +28,10 @@ FILL = "30"
 def plan_features(layout: Layout, place: Intersection) -> list[dict[str, Any]]:
     """A plan as GeoJSON features in degrees: units, sensors, and what each sensor looks at.
 
-    A ``view`` is a polygon on level ground at the height of the sensor's foot
-    (:func:`~inspe_jax.report.outlines.view_outline`), without regard to what stands in the way. A
-    unit says what it ``stands_on``, as the installation schedule does; it is where the layout has
-    it, and ``pole`` is where an existing pole beside it stands (longitude, latitude).
-    Raises InspeError if the place has no coordinates.
+    A ``view`` is a polygon on level ground at the height of the sensor's foot, without regard to
+    what stands in the way. A unit says what it ``stands_on``, as the installation schedule does; it
+    is where the layout has it, and ``pole`` is where an existing pole beside it stands (longitude,
+    latitude). Raises InspeError if the place has no coordinates.
     """
     found, poses = layout_features(layout, place), np.asarray(layout.poses, float)
     units = (one["properties"] for one in found if one["properties"]["feature"] == "unit")
@@ -62,9 +61,9 @@ def city_geojson(
 ) -> str:
     """The plan of a city as GeoJSON: ``junctions`` as points, and the plan of each that has one.
 
-    ``layouts`` are by the ids of their junctions. The features of
-    :func:`plan_features` have the id as their property ``junction``. Those of ``junctions`` have
-    theirs, with ``longitude`` and ``latitude`` for coordinates. Raises as :func:`plan_features`.
+    ``layouts`` are by the ids of their junctions, which their features have as their property
+    ``junction``. Those of ``junctions`` have theirs, with ``longitude`` and ``latitude`` for
+    coordinates. Raises as :func:`plan_features`.
     """
     found, own_devices = list[dict[str, Any]](), dict[str, Any]()
     for one in junctions:
@@ -116,26 +115,18 @@ def plan_kml(layout: Layout, place: Intersection) -> str:
         )
         for kind, colour in LINE.items()
     ]
-    document = Document(
-        name=isolated(f"{layout.name} at {place.name}"), styles=styles, features=folders
-    )
-    return '<?xml version="1.0" encoding="UTF-8"?>\n' + KML(features=[document]).to_string(
-        prettyprint=True
-    )
+    title = isolated(f"{layout.name} at {place.name}")
+    document = KML(features=[Document(name=title, styles=styles, features=folders)])
+    return '<?xml version="1.0" encoding="UTF-8"?>\n' + document.to_string(prettyprint=True)
 
 
 def bill_of_materials(layout: Layout, prices: Mapping[str, float]) -> str:
-    """The devices of a layout as CSV: how many, where, and what they cost [US dollars].
-
-    ``prices`` replace the catalogue's. A device without a price has none here.
-    """
+    """The devices of a layout as CSV: how many, where, and what they cost [US dollars]. ``prices``
+    replace the catalogue's. A device without a price has none here."""
     return csv_text(
         [
             dict(
-                device=row.device,
-                title=row.title,
-                maker=row.maker,
-                count=row.count,
+                **{key: getattr(row, key) for key in ("device", "title", "maker", "count")},
                 price_usd="" if row.price is None else f"{row.price:.2f}",
                 total_usd="" if row.total is None else f"{row.total:.2f}",
                 units="; ".join(row.units),

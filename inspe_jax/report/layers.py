@@ -37,20 +37,17 @@ class MapLayer:
 
     ``values`` (L,) may be NaN, for no value; ``label`` says what they are, with their unit. They
     are shown in the colour map ``colors``, from 0 to ``most``. If there are ``kinds``, pairs of a
-    name and a colour, each value is the number of a kind instead.
+    name and a colour, each value is the number of a kind instead. If ``averaged``, maps show the
+    mean or the most frequent kind of squares as wide as :data:`CELL`: of single columns, rays that
+    miss some voxels and hit their neighbours make rings.
     """
 
-    name: str
     label: str
     values: Float[np.ndarray, " L"]
     most: float = 1.0
     colors: str = "cividis"
     kinds: tuple[tuple[str, str], ...] = ()
-    users: bool = True
-    """Whether the road users of one frame are drawn over it."""
     averaged: bool = False
-    """Whether maps show, of squares as wide as :data:`CELL`, the mean or the most frequent kind: of
-    single columns, rays that miss some voxels and hit their neighbours make rings."""
 
 
 def layers(scene: Scene, shed: Viewshed) -> dict[str, MapLayer]:
@@ -60,48 +57,21 @@ def layers(scene: Scene, shed: Viewshed) -> dict[str, MapLayer]:
     number = exists.sum(1).astype(float)
     number[number == 0] = np.nan
 
-    def of_columns(values: np.ndarray) -> np.ndarray:
-        """(L, Z); 0 in static bodies."""
-        return np.asarray(values, float).reshape(-1, levels) * exists
-
     def mean(values: np.ndarray) -> np.ndarray:
         """The mean over the levels of each column that are in no body; NaN if there is none."""
-        return values.sum(1) / number
+        return (np.asarray(values, float).reshape(-1, levels) * exists).sum(1) / number
 
-    frames = shed.frame_count
-    sensors, seen = of_columns(shed.sensors), of_columns(shed.seen)
-    entropy, left = of_columns(shed.entropy), of_columns(shed.entropy * (1.0 - shed.resolved))
-    most = max(float(entropy.sum(1).max(initial=0.0)), 1e-9)
-    found = (
-        seen_layer(mean(seen) / frames, scene),
-        MapLayer("blind", f"most of {cell} is", blind(scene, shed), kinds=BLIND, averaged=True),
-        MapLayer(
-            "redundancy",
+    return {
+        "seen": seen_layer(mean(shed.seen) / shed.frame_count, scene),
+        "blind": MapLayer(f"most of {cell} is", blind(scene, shed), kinds=BLIND, averaged=True),
+        "redundancy": MapLayer(
             f"sensors that have it in view,\nmean over its levels,\nmean over {cell}",
-            mean(sensors),
+            mean(shed.sensors),
             averaged=True,
-            most=max(float(sensors.max(initial=0)), 1.0),
+            most=max(float((shed.sensors * exists.ravel()).max(initial=0)), 1.0),
             colors="viridis",
         ),
-        MapLayer(
-            "entropy",
-            "entropy of a column's occupancy,\nsum over its levels [bit]",
-            entropy.sum(1),
-            most=most,
-            colors="magma",
-            users=False,
-        ),
-        MapLayer(
-            "unresolved",
-            f"entropy that sensors leave,\nsum over its levels [bit],\nmean over {cell}",
-            left.sum(1),
-            averaged=True,
-            most=most,
-            colors="magma",
-            users=False,
-        ),
-    )
-    return {layer.name: layer for layer in found}
+    }
 
 
 def cell_rows(spacing: float) -> int:
@@ -121,7 +91,7 @@ def seen_layer(seen_share: Float[np.ndarray, " L"], scene: Scene) -> MapLayer:
     if values.shape == free.shape:  # else they are of another scene, which the map will say
         values = np.where(free, values, np.nan)
     label = f"share of frames and levels\nin which it is seen,\nmean over {cell_words(scene)}"
-    return MapLayer("seen", label, values, averaged=True)
+    return MapLayer(label, values, averaged=True)
 
 
 def blind(scene: Scene, shed: Viewshed) -> Float[np.ndarray, " L"]:

@@ -1,7 +1,7 @@
 """The report page: scores side by side, figures, the scene in three dimensions, the settings.
 
-It is a single HTML file that needs no network. Numbers are shown rounded. The page contains the
-exact ones too, in the same record as `inspe score --json` writes.
+It is a single HTML file that needs no network. It shows rounded numbers, and contains the exact
+ones in the same record as `inspe score --json` writes.
 """
 
 import base64
@@ -9,7 +9,7 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import date
-from functools import partial
+from math import degrees
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -25,9 +25,10 @@ from inspe_jax.placement.studies.tolerance import Tolerance
 from inspe_jax.report.curves import history_view
 from inspe_jax.report.figures import SENSOR_COLORS, plan_view, scene_view
 from inspe_jax.report.layers import BLIND, SIGHT_COLORS, USER_COLOR, MapLayer, layers
-from inspe_jax.report.mounting import model_words, mounting_words, origin_words
 from inspe_jax.report.progress import before_after, same_sensors
+from inspe_jax.report.scene_tables import resolution_of
 from inspe_jax.report.schedule import (
+    EXISTING_POLE,
     installation_schedule,
     materials,
     sensors_in_words,
@@ -35,6 +36,8 @@ from inspe_jax.report.schedule import (
 )
 from inspe_jax.report.tables import goal_words, scores_record, tolerance_record
 from inspe_jax.report.targets import targets_view
+from inspe_jax.scene.intersection import BUILT_IN
+from inspe_jax.scene.maps.sumo.network import GEOGRAPHIC, SUMO
 from inspe_jax.scene.regions import WEIGHTS, Region
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scoring.detection import DetectionCurves
@@ -53,9 +56,12 @@ CAPTIONS: dict[str, str] = {
     "seen": "How often each spot is seen: the share of frames and levels, behind traffic.",
     "blind": "Blind spots: what no sensor has in view, and what traffic hides most of the time.",
     "redundancy": "Redundancy: how many sensors have a spot in view, a mean over its levels.",
-    "entropy": "Entropy of the occupancy: where it is uncertain whether somebody is there.",
-    "unresolved": "What of that uncertainty the sensors leave.",
 }
+FACTS = dict[str, Any](
+    built_in=BUILT_IN, sumo=SUMO, geographic=GEOGRAPHIC, existing_pole=EXISTING_POLE,
+    resolution_of=resolution_of, degrees=degrees, conditions=Conditions.of,
+)  # fmt: skip
+"""What templates compare sources of places and poles of units with, and call."""
 SPOTS = 10
 """Most blind spots in a list."""
 ON_TARGET = "What a pedestrian gets at each spot, behind traffic."
@@ -71,9 +77,7 @@ class Start(NamedTuple):
 
 class PageViews(NamedTuple):
     """Views of a layout in its scene that a page has room for, each of a frame of traffic.
-
-    ``photograph``: a picture, or None where it cannot be made. ``scene3d``: an HTML page.
-    """
+    ``photograph``: a picture, or None where it cannot be made. ``scene3d``: an HTML page."""
 
     photograph: Callable[[Scene, Layout, int], Figure | None]
     scene3d: Callable[[Scene, Layout, Conditions, int], str]
@@ -114,11 +118,10 @@ def report_entry(
 ) -> ReportEntry:
     """Score a layout for a page, without its tolerance.
 
-    ``metrics`` are computed besides the usual ones and those with weight, ``detection`` has the
-    curves of detectability, the usual ones if None. ``result`` is that of
-    the search that found the layout, if any. ``start`` is the layout to compare with, that of the
-    search if None. ``target`` is the P_sm that the layout should reach. Raises InspeError as
-    :func:`inspe_jax.evaluate` does.
+    ``weights``, ``metrics`` and ``detection`` as in :func:`inspe_jax.evaluate`, which also says
+    what is raised. ``result`` is that of the search that found the layout, if any. ``start`` is
+    the layout to compare with, that of the search if None. ``target`` is the P_sm that the layout
+    should reach.
     """
     scene, around = case.scene, case.conditions
     options: dict[str, Any] = dict(weights=weights, metrics=metrics, detection=detection)
@@ -157,30 +160,17 @@ def report_page(
     ``frame``: number of the frame of traffic that is drawn.
     ``prices``: of devices [US dollars], in place of the catalogue's.
     ``views``: without them the page has no photograph and no scene in three dimensions.
-    ``progress``: called with (steps done, steps).
+    ``progress``: called with (layouts done, layouts).
 
     Raises InspeError if there is no layout, two have the same name, or there is no such frame.
     """
     check_names([entry.layout.name for entry in entries])
-    maps = [layers(scene, entry.shed) for entry in entries]
-    figures = [_figures(scene, *pair, frame) for pair in zip(entries, maps, strict=True)]
-    steps, done = sum(map(len, figures)) + len(entries) + 1, 0
-
-    def step() -> None:
-        nonlocal done
-        done += 1
-        if progress:
-            progress(done, steps)
-
-    def drawn(draw: Callable[[], Figure]) -> str:
-        image = png_text(draw(), DPI)
-        step()
-        return image
-
     parts: list[dict[str, Any]] = []
-    for entry, of_columns, own in zip(entries, maps, figures, strict=True):
+    for entry in entries:
+        if progress:
+            progress(len(parts), len(entries))
         layout, scores = entry.layout, entry.scores
-        units = installation_schedule(layout, scene.intersection, prices or {})
+        of_columns = layers(scene, entry.shed)
         rows = materials(layout, prices or {})
         record = scores_record(scores, scene, layout, entry.sought)
         shown = scores.conditions.layout(layout)
@@ -190,28 +180,29 @@ def report_page(
                 entry=entry,
                 name=layout.name,
                 record=record,
-                units=units,
-                mounting=mounting_words(scene, units),
+                units=installation_schedule(layout, scene.intersection, prices or {}),
                 materials=rows,
                 total=total_price(rows),
-                models=model_words(layout, rows),
-                summary=_summary(scene, entry, record["blind_spots"], *total_price(rows)),
+                specs={sensor.spec.name: sensor.spec for sensor in layout.sensors},
+                counts=f"{counted(len(layout.units), 'unit')} with {sensors_in_words(layout)}",
+                goal=None if entry.sought is None else goal_words(layout, scores, entry.sought),
                 blind=_shares(of_columns["blind"]),
-                images={words: drawn(draw) for words, draw in own.items()},
+                images=_images(scene, entry, of_columns, frame),
                 photograph=photograph and jpeg_text(photograph, DPI),
                 scene3d=views and _text(views.scene3d(scene, layout, scores.conditions, frame)),
                 tolerance=entry.tolerance and tolerance_record(entry.tolerance, scene, layout),
             )
         )
-        step()
+    if progress:
+        progress(len(entries), len(entries))
     records = [part["record"] for part in parts]
     metrics = listed_in(*(entry.scores for entry in entries))
     return template("report", "page.html.j2").render(
         scene=scene,
         north="true north" if scene.intersection.georeference else "north, the y axis of the map",
-        origin=origin_words(scene.intersection),
+        place=scene.intersection,
+        **FACTS,
         in_words=_in_words,
-        searched_on=_searched_on,
         statuses=STATUSES,
         spots=SPOTS,
         around=entries[0].scores.conditions.words,
@@ -230,40 +221,34 @@ def report_page(
         weights=entries[0].scores.settings["weights"],
         core=CORE,
         regions={r.key: WEIGHTS[r] for r in Region if r.key in records[0]["region_coverage"]},
-        image=drawn(partial(scene_view, scene, frame=frame)),
+        image=png_text(scene_view(scene, frame=frame), DPI),
         record=_text(json.dumps(records, indent=2)),
         made=date.today().isoformat(),
     )
 
 
-Figures = dict[str, Callable[[], Figure]]
-"""What draws each figure, by what it shows in words."""
-
-
-def _figures(
+def _images(
     scene: Scene, entry: ReportEntry, of_columns: Mapping[str, MapLayer], frame: int
-) -> Figures:
-    """The figures of a layout, its maps first."""
+) -> dict[str, str]:
+    """The figures of a layout by what they show in words, its maps first."""
     layout, scores, result = entry.layout, entry.scores, entry.result
-    found: Figures = {
-        words: partial(plan_view, scene, layout, scores, of_columns[name], frame=frame)
+    found = {
+        words: plan_view(scene, layout, scores, of_columns[name], frame=frame)
         for name, words in CAPTIONS.items()
     }
     if entry.targets is not None:
         around = scores.conditions
-        found[ON_TARGET] = partial(
-            targets_view, scene, around.layout(layout), entry.targets, frame=frame,
-            conditions=around,
-        )  # fmt: skip
+        shown = around.layout(layout)
+        found[ON_TARGET] = targets_view(scene, shown, entry.targets, frame=frame, conditions=around)
     if entry.start is not None and same_sensors(entry.start.layout, layout):
         assert entry.before is not None
-        found["Before and after"] = partial(
-            before_after, scene, entry.start.layout, layout, entry.before, scores,
+        found["Before and after"] = before_after(
+            scene, entry.start.layout, layout, entry.before, scores,
             path=None if result is None else result.path, frame=frame,
         )  # fmt: skip
     if result is not None:
-        found["Score against time"] = partial(history_view, [result])
-    return found
+        found["Score against time"] = history_view([result])
+    return {words: png_text(figure, DPI) for words, figure in found.items()}
 
 
 def template(room: str, name: str) -> Template:
@@ -288,53 +273,6 @@ def check_names(names: Sequence[str]) -> None:
             raise InspeError(
                 f"two layouts are named '{name}': give each layout file another `name:`"
             )
-
-
-def _summary(
-    scene: Scene,
-    entry: ReportEntry,
-    spots: Sequence[Mapping[str, Any]],
-    cost: float | None,
-    unknown: Sequence[str],
-) -> list[str]:
-    """A layout in three sentences: what there is, what it sees, and what it does not.
-
-    ``spots`` are its blind spots as records; ``cost`` and ``unknown`` its
-    :func:`~inspe_jax.report.schedule.total_price`.
-    """
-    layout, scores = entry.layout, entry.scores
-    price = f", for {cost:,.0f} US dollars" if cost is not None else ""
-    if unknown and price:
-        price += f" without {' and '.join(unknown)}, of unknown price"
-    units, sensors = counted(len(layout.units), "unit"), sensors_in_words(layout)
-    where = f"{scene.voxels.radius:g} m around the middle of {scene.name}{scores.conditions.words}"
-    found = [] if entry.sought is None else [f"{goal_words(layout, scores, entry.sought)}."]
-    found += [
-        f"{units} with {sensors} watch {where}{price}.",
-        f"They have {scores.coverage:.0%} of the region of interest in view, by weight, and see "
-        f"{scores.occlusion:.0%} of it on average with traffic in the way.",
-    ]
-    worst = [
-        f"the {spot['name']} ({spot['unseen']:.0%} of time and height unseen)" for spot in spots[:2]
-    ]
-    if worst:
-        found.append(f"Most is missed on {' and '.join(worst)}.")
-    if entry.before is not None:
-        before, gain = entry.before.surrogate, scores.surrogate - entry.before.surrogate
-        found.append(f"P_sm is {scores.surrogate:.4f}; before, it was {before:.4f} ({gain:+.4f}).")
-    if entry.target is not None:
-        short = entry.target - scores.surrogate
-        end = f"missed by {short:.4f}" if short > 0 else "reached"
-        found.append(f"The target for P_sm, {entry.target:g}, is {end}.")
-    return found
-
-
-def _searched_on(result: Result) -> str:
-    """The scenes of a search, with their light and weather."""
-    return " and ".join(
-        f"{row['name']}{Conditions.of(row['light'], row['weather']).words}"
-        for row in result.settings["scenes"]
-    )
 
 
 def _shares(blind: MapLayer) -> list[tuple[str, str, float]]:

@@ -127,10 +127,8 @@ def _draw_moves(ax: Axes, layout: Layout, path: Float[np.ndarray, "K S 6"]) -> b
 
 
 def _thinned(track: Float[np.ndarray, "K 2"]) -> Float[np.ndarray, "J 2"]:
-    """The points of a track that are further than :data:`MOVED` from the one kept before.
-
-    The end of the track replaces the last of them. If no point is so far, only the first is kept.
-    """
+    """The points of a track that are further than :data:`MOVED` from the one kept before. The end
+    of the track replaces the last of them. If no point is so far, only the first is kept."""
     kept = [track[0]]
     for at in track[1:]:
         if np.hypot(*(at - kept[-1])) > MOVED:

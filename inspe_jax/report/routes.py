@@ -28,11 +28,10 @@ def draw_routes(ax: Axes, scene: Scene) -> None:
 
 
 def arrow_heads(scene: Scene) -> list[tuple[np.ndarray, np.ndarray]]:
-    """(x, y) [m] and direction of the arrow heads on lanes.
-
-    Several routes can run on one lane; one arrow head stands for all of them.
-    """
-    radius, heads = scene.voxels.radius, list[tuple[np.ndarray, np.ndarray]]()
+    """(x, y) [m] and direction of the arrow heads on lanes. Several routes can run on one lane; one
+    arrow head stands for all of them."""
+    radius, middle = scene.voxels.radius, scene.voxels.center[:2]
+    heads = list[tuple[np.ndarray, np.ndarray]]()
     for route in scene.intersection.routes:
         if route.user != "vehicle":
             continue
@@ -43,11 +42,6 @@ def arrow_heads(scene: Scene) -> list[tuple[np.ndarray, np.ndarray]]:
             apart = (at - np.array([head for head, _ in heads]).reshape(-1, 2)) / radius  # (H, 2)
             along, aside = np.abs(apart @ ahead), np.abs(apart @ [-ahead[1], ahead[0]])
             crowded = (along < 0.12) & (aside < 0.02) | (np.hypot(along, aside) < 0.035)
-            if not crowded.any() and center_distance(scene, at[None])[0] < 0.97 * radius:
+            if not crowded.any() and np.hypot(*(at - middle)) < 0.97 * radius:
                 heads.append((at, ahead))
     return heads
-
-
-def center_distance(scene: Scene, points: np.ndarray) -> np.ndarray:
-    """Plan distance of points (N, 2+) from the centre [m]."""
-    return np.hypot(*(points[:, :2] - scene.voxels.center[:2]).T)

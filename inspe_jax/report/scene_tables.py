@@ -61,7 +61,6 @@ def _on_earth(georeference: Georeference | None, point: Float[np.ndarray, "3"]) 
 
 
 def _terrain(terrain: Terrain | None) -> str:
-    """Heights and slopes of the ground that hides something; empty if it hides nothing."""
     if terrain is None:
         return ""
     low, high = terrain.heights.min(), terrain.heights.max()
@@ -69,7 +68,6 @@ def _terrain(terrain: Terrain | None) -> str:
 
 
 def _bodies(scene: Scene) -> str:
-    """How many static bodies of each kind there are; empty if there are none."""
     counts = Counter(one.kind for one in scene.statics)
     inside = scene.inside_statics
     share = "" if inside is None else f"; {inside.mean():.1%} of the voxels are inside"
@@ -77,10 +75,8 @@ def _bodies(scene: Scene) -> str:
 
 
 def layout_table(layout: Layout) -> RenderableType:
-    """A layout: each sensor with its device and pose [m, degrees].
-
-    Height is above the unit's base. Roll has a column only if a sensor has one.
-    """
+    """A layout: each sensor with its device and pose [m, degrees]. Height is above the unit's base.
+    Roll has a column only if a sensor has one."""
     poses = np.asarray(layout.poses, float)
     height = poses[:, 2] - [layout.units[sensor.unit].base[2] for sensor in layout.sensors]
     roll, pitch, yaw = np.degrees(poses[:, 3:]).T
@@ -93,20 +89,18 @@ def layout_table(layout: Layout) -> RenderableType:
         **({"roll\n[°]": roll} if np.any(np.abs(roll) >= 0.05) else {}),
     }
     table = table_of(f"Layout {layout.name}", "#", "sensor", "device", *numbers)
-    for k, (sensor, row) in enumerate(
-        zip(layout.sensors, zip(*numbers.values(), strict=True), strict=True)
-    ):
+    for k, sensor in enumerate(layout.sensors):
         names = [Text(name) for name in (sensor.name, sensor.spec.name)]
-        table.add_row(str(k + 1), *names, *(f"{value:z.1f}" for value in row))
+        table.add_row(str(k + 1), *names, *(f"{values[k]:z.1f}" for values in numbers.values()))
     return table
 
 
-def devices_table(devices: Mapping[str, Device] | Iterable[Device]) -> RenderableType:
+def devices_table(devices: Mapping[str, Device]) -> RenderableType:
     """The catalogue: resolution, reach and price of each device, and the sources of the data."""
     heads = ("pixels,\nchannels", "field\nof view", "reach\n[m]", "rays", "price\n[US$]")
     table = table_of("Devices", "device", "kind", *heads)
     sources = [Text("Where their figures are from", style="bold")]
-    for device in devices.values() if isinstance(devices, Mapping) else devices:
+    for device in devices.values():
         resolution, view = resolution_of(device.spec)
         grid = device.spec.grid
         price = "–" if device.price_usd is None else f"{device.price_usd:,.0f}"
@@ -129,10 +123,8 @@ def profile_table(profile: Profile) -> RenderableType:
 def junctions_table(
     infos: Iterable[JunctionInfo], map_name: str, georeference: Georeference | None = None
 ) -> RenderableType:
-    """The junctions of a map: id, centre (x, y, z) [m], arms, size, crosswalks and signals.
-
-    With a projection, also latitude and longitude.
-    """
+    """The junctions of a map: id, centre (x, y, z) [m], arms, size, crosswalks and signals. With a
+    projection, also latitude and longitude."""
     infos = list(infos)
     places = [_on_earth(georeference, np.array(info.center)) for info in infos]
     degrees = ["latitude, longitude"] if any(places) else []
@@ -147,18 +139,14 @@ def junctions_table(
 
 def built_ins_table() -> RenderableType:
     """The built-in intersections."""
-    table = table_of(
-        "Built-in intersections", "name", "arms", "poles", "routes", "regions", "notes"
-    )
+    heads = ("name", "arms", "poles", "routes", "regions", "notes")
+    table = table_of("Built-in intersections", *heads)
     for name in BUILT_INS:
         place = built_in(name)
-        regions = ", ".join(
-            region.key
-            for region in Region
-            if region in place.regions and not place.regions[region].is_empty
-        )
+        there = [one for one in Region if one in place.regions and not place.regions[one].is_empty]
         counts = (str(len(each)) for each in (place.arms, place.poles, place.routes))
-        table.add_row(name, *counts, regions, Text("\n".join(place.notes)))
+        regions, notes = ", ".join(one.key for one in there), Text("\n".join(place.notes))
+        table.add_row(name, *counts, regions, notes)
     return table
 
 

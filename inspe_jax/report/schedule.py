@@ -3,7 +3,8 @@
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
-from itertools import groupby
+from itertools import combinations, groupby
+from math import dist
 
 import numpy as np
 
@@ -18,6 +19,8 @@ EXISTING_POLE = "existing pole"
 """What such a unit stands on, in words."""
 ON_AXIS = 0.005
 """A sensor that is nearer to the axis of its pole is on it [m]."""
+ONE_POINT = 0.05
+"""Sensors that are nearer to each other are at one point, and as high as each other [m]."""
 
 
 @dataclass(frozen=True)
@@ -64,6 +67,22 @@ class UnitRow:
     pole: str
     sensors: tuple[SensorRow, ...]
 
+    @property
+    def overtopped(self) -> tuple[int, ...]:
+        """Its sensors on the axis that look all round, while another is as high or higher."""
+        return tuple(
+            row.number
+            for row in self.sensors
+            if row.on_axis and row.all_round
+            if any(o is not row and o.height >= row.height - ONE_POINT for o in self.sensors)
+        )
+
+    @property
+    def at_one_point(self) -> bool:
+        """Whether two of its sensors are at one point."""
+        at = [(*row.position, row.height) for row in self.sensors]
+        return any(dist(a, b) < ONE_POINT for a, b in combinations(at, 2))
+
 
 @dataclass(frozen=True)
 class MaterialRow:
@@ -90,11 +109,8 @@ class MaterialRow:
 def installation_schedule(
     layout: Layout, place: Intersection, prices: Mapping[str, float]
 ) -> tuple[UnitRow, ...]:
-    """The units of a layout, each with its sensors.
-
-    Azimuths are from true north where the place has coordinates, and else from the y axis of the
-    map. ``prices`` replace the catalogue's.
-    """
+    """The units of a layout, each with its sensors. Azimuths are from true north where the place
+    has coordinates, and else from the y axis of the map. ``prices`` replace the catalogue's."""
     poses = np.asarray(layout.poses, float)
     bare = np.array([unit.base[:2] for unit in layout.units], float)
     feet, words = zip(*(_stand(place, foot) for foot in bare), strict=True)

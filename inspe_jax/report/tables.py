@@ -29,10 +29,6 @@ from inspe_jax.visibility.tiles import CORE
 SPOTS = 5
 """Most blind spots in a table."""
 _SAME = 1e-5  # objectives and scores are summed in different orders, in single precision
-_CHANGE = ("before", "after", "change")
-_MOVES = ("moved\n[m]", "height\n[m]", "raised\n[m]", "yaw\n[°]", "pitch\n[°]")
-_TURNS = ("yaw", "pitch")
-_ENDS = ("seeds", "median", "worst", "best", "work", "time\n[s]")
 
 
 def goal_words(layout: Layout, scores: Scores, sought: float | None) -> str:
@@ -105,13 +101,11 @@ def metrics_table() -> RenderableType:
 
 
 def before_after_table(result: Result) -> RenderableType:
-    """The scores before and after a search, and its objective if that differs from P_sm.
-
-    Metrics that one of the two records does not have are left out.
-    """
+    """The scores before and after a search, and its objective if that differs from P_sm. Metrics
+    that one of the two records does not have are left out."""
     title = f"{result.start.name}{result.scores.conditions.words}, before and after"
     title += _only(result.scores)
-    table = table_of(title, "metric", "symbol", *_CHANGE)
+    table = table_of(title, "metric", "symbol", "before", "after", "change")
     before, after = result.scores_before, result.scores
     rows = [
         (m.words, m.symbol, before.value(m.name), after.value(m.name))
@@ -127,26 +121,21 @@ def before_after_table(result: Result) -> RenderableType:
 
 
 def moves_table(before: Layout, after: Layout) -> RenderableType:
-    """How far each sensor was moved [m] and turned [degrees] from one layout to another.
-
-    Distance is in plan. Turns are positive counter-clockwise and nose-up.
-    """
-    table = table_of("What moved", "#", "sensor", *_MOVES)
+    """How far each sensor was moved [m] and turned [degrees] from one layout to another. Distance
+    is in plan. Turns are positive counter-clockwise and nose-up."""
+    heads = ("moved\n[m]", "height\n[m]", "raised\n[m]", "yaw\n[°]", "pitch\n[°]")
+    table = table_of("What moved", "#", "sensor", *heads)
     old, new = (np.asarray(of.poses, float) for of in (before, after))
     low, high = (
         poses[:, 2] - [of.units[sensor.unit].base[2] for sensor in of.sensors]
         for of, poses in ((before, old), (after, new))
     )
+    went, raised = np.hypot(*(new - old)[:, :2].T), high - low
+    pitch, yaw = np.degrees(new - old)[:, 4:].T
     for k, sensor in enumerate(after.sensors):
-        yaw, pitch = np.degrees(new[k, [5, 4]] - old[k, [5, 4]])
-        values = (
-            f"{np.hypot(*(new[k, :2] - old[k, :2])):.1f}",
-            f"{high[k]:.1f}",
-            f"{high[k] - low[k]:+z.1f}",
-            f"{180 - (180 - yaw) % 360:+z.0f}",
-            f"{pitch:+z.0f}",
-        )
-        table.add_row(str(k + 1), Text(sensor.name), *values)
+        numbers = (f"{went[k]:.1f}", f"{high[k]:.1f}", f"{raised[k]:+z.1f}")
+        turns = (f"{180 - (180 - yaw[k]) % 360:+z.0f}", f"{pitch[k]:+z.0f}")
+        table.add_row(str(k + 1), Text(sensor.name), *numbers, *turns)
     return table
 
 
@@ -173,7 +162,8 @@ def comparison_table(results: Sequence[Result]) -> RenderableType:
     for result in results:
         by.setdefault(result.method, []).append(result)
     name = f"{results[0].start.name}: {results[0].objective_before:.4f} at the start"
-    table = table_of(name, "method", *_ENDS)
+    heads = ("seeds", "median", "worst", "best", "work", "time\n[s]")
+    table = table_of(name, "method", *heads)
     for method, of in sorted(by.items(), key=lambda row: -np.median([r.objective for r in row[1]])):
         scores = [result.objective for result in of]
         work = [np.median([getattr(r, key) for r in of]) for key in ("evaluations", "seconds")]
@@ -211,7 +201,7 @@ def cheapest_table(found: Cheapest) -> RenderableType:
 def tolerance_table(found: Tolerance, layout: Layout) -> RenderableType:
     """The slopes of each sensor, and P_sm before and after random installation errors."""
     step = f"per {100 * POSITION_STEP:g} cm"
-    heads = [f"{name}\n{step}" for name in "xyz"] + [f"{name}\nper 1°" for name in _TURNS]
+    heads = [f"{name}\n{step}" for name in "xyz"] + ["yaw\nper 1°", "pitch\nper 1°"]
     around = Conditions.of(found.settings["light"], found.settings["weather"])
     slopes = table_of(f"What P_sm of {layout.name}{around.words} gains", "#", "sensor", *heads)
     for k, row in enumerate(found.slopes):
@@ -240,7 +230,7 @@ def tolerance_record(found: Tolerance, scene: Scene, layout: Layout) -> dict[str
             {
                 "sensor": row.sensor,
                 **{f"{axis}_per_10_cm": getattr(row, axis) for axis in "xyz"},
-                **{f"{turn}_per_deg": getattr(row, turn) for turn in _TURNS},
+                **{f"{turn}_per_deg": getattr(row, turn) for turn in ("yaw", "pitch")},
             }
             for row in found.slopes
         ],
@@ -258,6 +248,7 @@ def scores_record(
     It also has the scene, the layout, the settings and the versions, so that the scores can be
     repeated. Raises InspeError if the scores are of another layout.
     """
+    goal = {} if sought is None or layout.goal is None else layout.goal.record | {"score": sought}
     return {
         **{m.name: float(scores.value(m.name)) for m in listed_in(scores)},
         "information_gain_literal": float(scores.information_gain_literal),
@@ -275,43 +266,27 @@ def scores_record(
         ],
         "blind_spots": [json_value(asdict(spot)) for spot in blind_spots(scene, scores.seen_share)],
         "settings": json_value(scores.settings),
-        **(
-            {}
-            if sought is None or layout.goal is None
-            else {"searched_for": {**layout.goal.record, "score": sought}}
-        ),
+        **({"searched_for": goal} if goal else {}),
         **_origin(scene, layout),
     }
 
 
 def blind_spots_table(scene: Scene, scores: Scores) -> RenderableType:
     """Where most is unseen: the first of :func:`~inspe_jax.scoring.blind_spots.blind_spots`."""
-    title = "Blind spots"
-    table = table_of(title, "region", "unseen", "area\n[m²]", "of all unseen", "x, y [m]")
+    heads = ("unseen", "area\n[m²]", "of all unseen", "x, y [m]")
+    table = table_of("Blind spots", "region", *heads)
     for spot in blind_spots(scene, scores.seen_share)[:SPOTS]:
         x, y = spot.at
-        table.add_row(
-            spot.name, f"{spot.unseen:.0%}", f"{spot.area:.0f}", f"{spot.loss:.0%}",
-            f"{x:.0f}, {y:.0f}",
-        )  # fmt: skip
+        numbers = (f"{spot.unseen:.0%}", f"{spot.area:.0f}", f"{spot.loss:.0%}")
+        table.add_row(spot.name, *numbers, f"{x:.0f}, {y:.0f}")
     return table
 
 
 def _origin(scene: Scene, layout: Layout) -> dict[str, Any]:
-    """The scene and the layout of a record, and the versions that made it."""
-    return {
-        "scene": {
-            "name": scene.name,
-            "source": scene.intersection.source,
-            "settings": dict(scene.settings),
-        },
-        "layout": layout.name,
-        "versions": {
-            "inspe_jax": __version__,
-            "jax": jax.__version__,
-            "numpy": np.__version__,
-        },
-    }
+    source, settings = scene.intersection.source, dict(scene.settings)
+    versions = {"inspe_jax": __version__, "jax": jax.__version__, "numpy": np.__version__}
+    about = {"name": scene.name, "source": source, "settings": settings}
+    return {"scene": about, "layout": layout.name, "versions": versions}
 
 
 def _members(scores: Scores, layout: Layout) -> list[tuple[Any, str, str]]:

@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from rich.console import Group, RenderableType
 
@@ -52,14 +51,14 @@ CHANCES: Bands = (
 )
 """Kinds of columns by the chance that a detector finds a target."""
 
-_HEAD, _BELOW = 0.80, 1.35  # above and below the maps [inch]
+_HEAD, _BELOW = 0.80, 0.96  # above and below the maps [inch]
 
 
 def banded(name: str, values: Float[np.ndarray, " L"], bands: Bands) -> MapLayer:
     """A layer whose columns have the kind of the highest band that they reach."""
     number = np.searchsorted([least for least, _, _ in bands], values, side="right") - 1.0
     number[np.isnan(values)] = np.nan
-    return MapLayer(name, name, number, kinds=tuple((words, color) for _, words, color in bands))
+    return MapLayer(name, number, kinds=tuple((words, color) for _, words, color in bands))
 
 
 def _shares(
@@ -84,7 +83,6 @@ def targets_table(scene: Scene, layout: Layout, view: TargetView) -> RenderableT
     has = _measured(layout)
 
     def add(title: str, values: np.ndarray, columns: Mapping[str, Callable[..., str]]) -> None:
-        """A table with a row for each region: what each column says of its values."""
         table = table_of(f"{title}: share of places", "region", *columns)
         for region, own in _shares(scene, values):
             table.add_row(region, *(say(own) for say in columns.values()))
@@ -140,28 +138,27 @@ def targets_record(scene: Scene, layout: Layout, view: TargetView) -> dict[str, 
     return record
 
 
-Panel = tuple[str, MapLayer, bool | None]
-"""A map: its words, its layer, and whether it is of the layout's cameras (True), of its LiDARs
-(False) or of both (None)."""
+Panel = tuple[str, MapLayer, list[int]]
+"""A map: its words, its layer, and the places in the layout of the sensors that it is of."""
 
 
 def _panels(scene: Scene, layout: Layout, view: TargetView) -> list[Panel]:
     """The maps of what a layout has, two at most: what its sensors have on a road user, and the
     chance that it is found where one kind of sensor leaves room for it."""
-    has, taken = _measured(layout), ~free_of_bodies(scene).any(1)
-    panels: list[Panel] = []
+    taken, panels = ~free_of_bodies(scene).any(1), list[Panel]()
 
-    def map_of(name: str, values: np.ndarray, bands: Bands) -> MapLayer:
-        return banded(name, np.where(taken, np.nan, values), bands)
+    def add(words: str, values: np.ndarray, bands: Bands, own: list[int]) -> None:
+        if own:
+            panels.append((words, banded("", np.where(taken, np.nan, values), bands), own))
 
-    if has["returns"]:
-        words = f"LiDAR returns on a {view.road_user},\nmean over frames of traffic"
-        panels.append((words, map_of("returns", view.points_on_target, RETURNS), False))
-    if has["pixels"]:
-        words = f"pixels per metre across a {view.road_user},\nbest camera, without traffic"
-        panels.append((words, map_of("pixels", view.pixel_density, PIXELS), True))
+    sees = [sensor.spec.focal_pixels is not None for sensor in layout.sensors]
+    words = f"LiDAR returns on a {view.road_user},\nmean over frames of traffic"
+    add(words, view.points_on_target, RETURNS, [s for s, camera in enumerate(sees) if not camera])
+    words = f"pixels per metre across a {view.road_user},\nbest camera, without traffic"
+    add(words, view.pixel_density, PIXELS, [s for s, camera in enumerate(sees) if camera])
     words = f"chance that a detector finds a {view.road_user},\nmean over frames of traffic"
-    return [*panels, (words, map_of("chance", view.detectability, CHANCES), None)][:2]
+    add(words, view.detectability, CHANCES, list(range(len(layout))))
+    return panels[:2]
 
 
 def targets_view(
@@ -191,9 +188,7 @@ def targets_change(
     conditions: Conditions = FAIR,
 ) -> Figure:
     """The maps of :func:`targets_view` of two layouts of the same sensors, one above the other.
-
-    Raises InspeError if there is no such ``frame``.
-    """
+    Raises InspeError if there is no such ``frame``."""
     title = f"What a {before[1].road_user} gets: before and after, at {scene.name}"
     rows = [("before: ", *before), ("after: ", *after)]
     return _sheet(scene, title, rows, frame, conditions)
@@ -216,33 +211,22 @@ def _sheet(
         fig, axes = sheet_of_two(title, facts, 2, _HEAD, _BELOW, rows=len(rows))
         for row, (when, layout, view) in enumerate(rows):
             last = row + 1 == len(rows)
-            for k, (words, layer, pictures) in enumerate(_panels(scene, layout, view)):
+            for k, (words, layer, own) in enumerate(_panels(scene, layout, view)):
                 ax = axes[2 * row + k]
                 words = when + words.splitlines()[0].rstrip(",") if when else words
-                _draw(ax, scene, layout, (words, layer, pictures), reach, frame)
+                few = replace(
+                    layout,
+                    poses=np.asarray(layout.poses, float)[own],
+                    sensors=tuple(layout.sensors[s] for s in own),
+                )
+                numbers = [s + 1 for s in own]
+                draw_plan(ax, scene, few, layer, reach, frame, side=SIDE, numbers=numbers)
+                ax.set_title(words, size=7.5, loc="left", pad=4)
                 ax.set(**({"ylabel": ""} if k else {}), **({} if last else {"xlabel": ""}))
                 if last:
-                    _draw_keys(fig, ax, layer, _BELOW - 0.45)
+                    corner = ax.get_position().x0, (_BELOW - 0.45) / fig.get_figheight()
+                    fig.legend(
+                        handles=kind_keys(layer), loc="upper left", ncols=2, columnspacing=1.6,
+                        bbox_to_anchor=corner, **KEYS,
+                    )  # fmt: skip
     return fig
-
-
-def _draw(ax: Axes, scene: Scene, layout: Layout, panel: Panel, reach: float, frame: int) -> None:
-    """Draw a map, and the sensors that it is of, with their numbers in the layout."""
-    words, layer, pictures = panel
-    own = [
-        s
-        for s, each in enumerate(layout.sensors)
-        if pictures is None or (each.spec.focal_pixels is not None) == pictures
-    ]
-    poses = np.asarray(layout.poses, float)[own]
-    few = replace(layout, poses=poses, sensors=tuple(layout.sensors[s] for s in own))
-    draw_plan(ax, scene, few, layer, reach, frame, side=SIDE, numbers=[s + 1 for s in own])
-    ax.set_title(words, size=7.5, loc="left", pad=4)
-
-
-def _draw_keys(fig: Figure, ax: Axes, layer: MapLayer, up: float) -> None:
-    """Draw the keys of a map's kinds below it, ``up`` inches above the sheet's lower edge."""
-    fig.legend(
-        handles=kind_keys(layer), loc="upper left", ncols=2, columnspacing=1.6,
-        bbox_to_anchor=(ax.get_position().x0, up / fig.get_figheight()), **KEYS,
-    )  # fmt: skip

@@ -1,9 +1,5 @@
-"""The page: the scene in three dimensions, a handle on its sensors, and scores that follow.
-
-The session changes the layout, the scorer scores it, the display shows it. All browsers see the
-same layout, and each selects sensors of its own. What they ask for runs in turn on one thread, that
-of the job queue.
-"""
+"""The page: the session changes the layout, the scorer scores it, the display shows it. What
+browsers ask for runs in turn on one thread, that of the job queue."""
 
 import math
 import time
@@ -11,7 +7,6 @@ import traceback
 import warnings
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import replace
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -21,36 +16,28 @@ from jaxtyping import UInt
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.placement.problem import Case
-from inspe_jax.report.page import template
+from inspe_jax.report.page import Start, report_entry, report_page, template
 from inspe_jax.scoring.detection import DetectionCurves
 from inspe_jax.scoring.metrics import Weights
-from inspe_jax.sensing.conditions import Conditions
-from inspe_jax.sensing.layout import Layout
-from inspe_jax.viewer.bindings import set_value
+from inspe_jax.sensing.layout import Layout, layout_text
 from inspe_jax.viewer.browser_view import BrowserView
 from inspe_jax.viewer.display import BACK, Display
-from inspe_jax.viewer.file_actions import FileActions
-from inspe_jax.viewer.job_queue import DelayedAction, JobQueue
-from inspe_jax.viewer.page_token import new_token
-from inspe_jax.viewer.panel import Panel
+from inspe_jax.viewer.job_queue import JobQueue
+from inspe_jax.viewer.page_views import VIEWS
+from inspe_jax.viewer.panel import Panel, set_value
 from inspe_jax.viewer.scene3d import look_from
 from inspe_jax.viewer.scorer import ScoredLayout, Scorer
 from inspe_jax.viewer.searcher import SearchEnding, Searcher
-from inspe_jax.viewer.server import HOST, quiet, serve
+from inspe_jax.viewer.server import HOST, new_token, quiet, serve
 from inspe_jax.viewer.session import LayoutSession
 from inspe_jax.viewer.store import LayoutStore
 
-PLAYED = 0.25
-"""Least time between two frames that are played [s]."""
 _FILE = '<div data-file style="padding:.2em 1em;font-size:.875em;overflow-wrap:anywhere">{}</div>'
 
 
 class Viewer:
-    """A layout on a scene, served to browsers on this machine.
-
-    ``url`` is the page's address, on ``port``. ``views`` are what each browser has of its own, by
-    the ids of its clients.
-    """
+    """A layout on a scene, served to browsers on this machine. ``url`` is the page's address, on
+    ``port``. ``views`` are what each browser has of its own, by the ids of its clients."""
 
     def __init__(
         self,
@@ -77,15 +64,16 @@ class Viewer:
         self.session = LayoutSession(case.scene, layout)
         self.views: dict[int, BrowserView] = {}
         self.searching = False
-        self._course, self._began = "", 0.0  # how far the search is, and when it began
+        self._began = 0.0  # when the search began
         self.queue = JobQueue(self._failed)
-        self._playing = DelayedAction()
-        self.files = FileActions(self)
+        self._reports = JobQueue(self._failed)  # a report takes seconds to draw
         token = token or new_token()
-        self.server = serve(port, token, self._head())
+        title = f"{layout.name} at {case.scene.name} – inspe_jax"
+        head = template("viewer", "head.html.j2").render(title=title)
+        self.server = serve(port, token, head)
         self.port = self.server.get_port()
         self.url = f"http://{HOST}:{self.port}/{token}/"
-        self.panel = Panel(self.server.gui, self, self.frames, case.conditions)
+        self.panel = Panel(self.server.gui, self, self.frames)
         self.display = Display(self.server, case, layout, self.panel, self.queue, self.views)
         self.scene3d = self.display.scene3d
         self.scorer = Scorer(case, weights, self._on_scores, self._on_sight, **self.further)
@@ -95,7 +83,6 @@ class Viewer:
             self.session.constraints,
             progress=self._on_progress,
             found=self._on_better,
-            compiling=self._on_compiling,
             ended=self._on_end,
             detection=detection,
         )
@@ -115,18 +102,16 @@ class Viewer:
     def close(self, *, wait: bool = True) -> None:
         """Apply what is typed, stop the search, finish a report that is being written, and stop.
 
-        What browsers have asked for is done as far as that is quick; the rest is dropped. Without
-        ``wait``, scores that are being computed are dropped: compiling may take a minute,
+        Without ``wait``, scores that are being computed are dropped: compiling may take a minute,
         and cannot be interrupted.
         """
         self.settle()
-        self._playing.cancel()
         self.searcher.close()
         self.scorer.close(wait=wait)
         self.queue.close()
         with suppress(InspeError, OSError):  # the store has why
             self.store.keep(self.layout)
-        self.files.close()
+        self._reports.close()
         self.display.close()
         for view in list(self.views.values()):
             view.sensor_view.close(wait=True)
@@ -148,7 +133,7 @@ class Viewer:
         self._close_view(client)
 
     def _close_view(self, client: Any) -> None:
-        """Keep what a browser has typed and dragged, and let go of its view."""
+        """Keep what a browser has typed and dragged."""
         view = self.views.get(client.client_id)
         if view is not None:
             view.settle()
@@ -177,50 +162,21 @@ class Viewer:
             view.settle()
 
     def restore(self) -> None:
-        """Show the controls as they were: a browser has set one to an impossible value."""
+        """Show the controls as they were: a browser has asked in vain."""
         self.queue.submit(self._show_controls, key="controls")
 
     def undo_or_redo(self, which: str) -> None:
         """Undo the last change, or redo it; ``which`` is "Undo" or "Redo"."""
 
-        def job() -> None:
-            if not {"Undo": self.session.undo, "Redo": self.session.redo}[which]():
+        def change() -> None:
+            if not (self.session.undo() if which == "Undo" else self.session.redo()):
                 self.display.notify(which, f"there is nothing more to {which.lower()}", None)
 
-        self.change(job)
-
-    def set_reference(self) -> None:
-        """Compare with the present layout from now on."""
-
-        def job() -> None:
-            self.display.set_reference(self.layout)
-            self.display.notify("Reference set", "changes are shown against this layout now", None)
-
-        self.unless_searching(job)
-
-    def show_target(self) -> None:
-        """Show how far the layout is from the target."""
-        self.queue.submit(self.display.update_panel, key="target")
+        self.change(change)
 
     def select_frame(self) -> None:
         """Show the slider's frame."""
         self.scorer.select_frame(self.panel.shown_frame)
-
-    def show_voxels(self) -> None:
-        """Show the kinds of voxels that are ticked."""
-        self.queue.submit(self.display.draw_voxels, key="ticks")
-
-    def change_conditions(self) -> None:
-        """Score, show and search in the light and the weather that are chosen."""
-
-        def job() -> None:
-            around = Conditions.of(self.panel.light.value, self.panel.weather.value)
-            self.case = replace(self.case, conditions=around)
-            self.scorer.case = self.searcher.case = self.case
-            self.display.set_case(self.case)
-            self._show_soon()
-
-        self.unless_searching(job)
 
     def look_at_all(self, client: Any) -> None:
         """Point a browser's camera at the whole scene again."""
@@ -237,7 +193,6 @@ class Viewer:
             self.searching = True
             self.panel.searching(True)
             set_value(self.panel.bar, 0.0)
-            self._course = ""
             self.panel.course.content = "starting; compiles first, for half a minute or so"
             self._began = time.monotonic()
             dropped = [view.drop_outdated() for view in list(self.views.values())]
@@ -253,23 +208,83 @@ class Viewer:
         """Stop the search with its best layout so far."""
         self.queue.submit(self.searcher.stop)
 
+    # ── Files ──
+
+    def save(self) -> None:
+        """Save the layout; ask first if that would replace a file of an earlier run."""
+
+        def job() -> None:
+            if self.store.would_replace(self.layout):
+                self.panel.ask_replace(self.store.path, self.store.beside)
+            else:
+                self._save(self.store.path)
+
+        self.unless_searching(job)
+
+    def save_in(self, path: Path) -> None:
+        """Save the layout in this file, which may be there, and in no other from now on."""
+        self.unless_searching(lambda: self._save(path))
+
+    def _save(self, path: Path) -> None:
+        self.store.save(self.layout, path)
+        self._keep(self.layout)
+        self.display.notify("Saved", str(path), "green")
+
+    def open_earlier(self, number: int) -> None:
+        """Open a layout that an earlier run has left."""
+
+        def change() -> None:
+            earlier = self.store.earlier[number]
+            self.session.take(self.store.open(earlier))
+            self.panel.withdraw(number)
+            self.display.notify("Opened", earlier.name, None)
+
+        self.change(change)
+
+    def download(self, client: Any) -> None:
+        """Send a browser the layout, as it would be saved."""
+        self.queue.submit(lambda: _send(client, self.store.path.name, layout_text(self.layout)))
+
+    def write_report(self, client: Any) -> None:
+        """Write a report beside the layout's file, and send it to the browser that asks for it.
+
+        It has before and after where the layout is not as it was opened, and the target if one is
+        set.
+        """
+
+        def job() -> None:
+            self.panel.report.disabled = True
+            self.display.notify("Report", "It is being drawn …", None)
+            layout, opened, frame = self.layout, self.display.opened, self.panel.shown_frame
+            start = None if opened is layout else Start(opened, "the layout as it was opened")
+            target = float(self.panel.target.value) or None
+
+            def write() -> None:
+                try:
+                    entry = report_entry(
+                        self.case, layout, self.weights, start=start, target=target, **self.further
+                    )
+                    text = report_page(self.case.scene, [entry], frame=frame, views=VIEWS)
+                    page = self.store.write_page(text)
+                    self.display.notify("Report", f"It is in {page}", "green")
+                    _send(client, page.name, text)
+                finally:
+                    self.queue.submit(allow)
+
+            self._reports.submit(write, key="report")
+
+        def allow() -> None:
+            self.panel.report.disabled = self.searching
+
+        self.unless_searching(job)
+
     # ── Callbacks of the scorer and the search, from their threads ──
 
     def _on_scores(self, scored: ScoredLayout) -> None:
         self.queue.submit(lambda: self.display.show_scores(scored), key="scores")
 
     def _on_sight(self, layout: Layout, frame: int, sight: UInt[np.ndarray, " V"]) -> None:
-        def job() -> None:
-            self.display.show_sight(layout, frame, sight)
-            if self.panel.play.value:
-                self._playing.start(PLAYED, self._next)
-
-        self.queue.submit(job, key="sight")
-
-    def _next(self) -> None:
-        if self.panel.play.value:
-            set_value(self.panel.frame, (int(self.panel.frame.value) + 1) % self.frames)
-            self.select_frame()
+        self.queue.submit(lambda: self.display.show_sight(layout, frame, sight), key="sight")
 
     def _on_progress(self, done: float, best: float) -> None:
         def job() -> None:
@@ -277,29 +292,16 @@ class Viewer:
                 return
             left = (1 - done) * float(self.panel.seconds.value)
             set_value(self.panel.bar, 100.0 * done)
-            self._course = f"best {best:.4f}, {left:.0f} s left"
-            self.panel.course.content = self._course
+            self.panel.course.content = f"best {best:.4f}, {left:.0f} s left"
 
         self.queue.submit(job, key="progress")
-
-    def _on_compiling(self, seconds: float) -> None:
-        def job() -> None:
-            if self.searching:
-                course = f"{self._course}; " if self._course else ""
-                waiting = f"{course}compiling: {seconds:.0f} s, which does not count"
-                self.panel.course.content = waiting
-
-        self.queue.submit(job, key="compiling")
 
     def _on_better(self, layout: Layout, score: float) -> None:
         def job() -> None:
             if not self.searching:
                 return
             self.show_held(layout)
-            try:
-                self.store.keep(layout)  # in case the page is lost
-            finally:
-                self.show_file(layout)
+            self._keep(layout)
 
         self.queue.submit(job, key="better")
 
@@ -343,22 +345,17 @@ class Viewer:
         """Have views follow the layout, and show it soon: once for many changes in a row."""
         for view in list(self.views.values()):
             view.follow()
-        self._show_soon()
-
-    def _show_soon(self) -> None:
         self.queue.submit(self.show, key="show")
 
     def show(self) -> None:
         """Keep the layout as it is now, show it, and have it scored."""
         try:
-            self.store.keep(self.layout)
+            self._keep(self.layout)
         finally:
             for view in list(self.views.values()):
                 view.follow()
-            faults = self.session.faults()
-            self.display.draw(self.layout, faults, self.session.notes)
+            self.display.draw(self.layout, self.session.faults(), self.session.notes)
             self._show_controls()
-            self.show_file(self.layout)
             self.scorer.score(self.layout, whole=True)
 
     def show_held(self, layout: Layout) -> None:
@@ -367,19 +364,21 @@ class Viewer:
         self.scorer.score(layout, whole=False)
 
     def _show_controls(self) -> None:
-        self.panel.show_conditions(self.case.conditions)
         for view in list(self.views.values()):
             view.show()
 
-    def show_file(self, layout: Layout) -> None:
-        """Say which file has a layout."""
-        self.panel.file.content = _FILE.format(escape(self.store.words(layout)))
-
-    def _head(self) -> str:
-        title = f"{self.layout.name} at {self.case.scene.name} – inspe_jax"
-        return template("viewer", "head.html.j2").render(title=title)
+    def _keep(self, layout: Layout) -> None:
+        """Keep a layout that is not saved, and say which file has it."""
+        try:
+            self.store.keep(layout)
+        finally:
+            self.panel.file.content = _FILE.format(escape(self.store.words(layout)))
 
     def _failed(self, wrong: Exception) -> None:
         if not isinstance(wrong, InspeError | OSError):
             traceback.print_exception(wrong)
         self.display.notify("That failed", str(wrong) or repr(wrong), "red")
+
+
+def _send(client: Any, name: str, text: str) -> None:
+    client.send_file_download(name, text.encode(), save_immediately=True)

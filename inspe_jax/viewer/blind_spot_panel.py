@@ -1,8 +1,5 @@
-"""The plan view on the page, and the worst blind spots beside it: a click on one looks at it.
-
-Both are means over all frames. They are drawn on a thread of their own, so that a sensor can be
-dragged meanwhile.
-"""
+"""The plan view on the page, and the worst blind spots beside it: a click on one looks at it. Both
+are means over all frames, and are drawn on a thread of their own."""
 
 from collections.abc import Callable
 from functools import partial
@@ -10,17 +7,25 @@ from typing import Any
 
 import numpy as np
 import viser
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
 
-from inspe_jax.core.sheet import png_text
-from inspe_jax.report.plan_picture import DOTS, LETTERS, plan_picture
+from inspe_jax.core.sheet import house_style, png_text
+from inspe_jax.report.figures import draw_plan, reach_of, spread_badges
+from inspe_jax.report.layers import seen_layer
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scoring.blind_spots import BlindSpot, blind_spots
 from inspe_jax.scoring.evaluate import Scores
 from inspe_jax.sensing.layout import Layout
-from inspe_jax.viewer.bindings import bind
 from inspe_jax.viewer.job_queue import JobQueue
-from inspe_jax.viewer.panel import BLIND_SPOTS, SLATE
+from inspe_jax.viewer.panel import BLIND_SPOTS, SLATE, bind
 
+LETTERS = "ABCDE"
+"""Of the worst blind spots, on the plan view and in the list."""
+SIDE, DOTS = 3.4, 160
+"""Side of the plan view [inch], and pixels per inch."""
+APART = 0.07
+"""Least distance between two letters, as a share of the side."""
 _IMAGE = (
     '<img style="width:100%" alt="Plan view: how often each place is seen, mean over all frames" '
     'src="data:image/png;base64,{}"><div style="padding:.2em 1em;font-size:.875em;color:#5c5c61">'
@@ -32,17 +37,11 @@ AWAY = np.array([0.0, -22.0, 20.0])
 
 
 class BlindSpotPanel:
-    """A folder of the page with the plan view of the newest scores and their blind spots.
-
-    ``spots`` are those that are listed, the worst first.
-    """
+    """A folder of the page with the plan view of the newest scores and their blind spots. ``spots``
+    are those that are listed, the worst first."""
 
     def __init__(
-        self,
-        gui: viser.GuiApi,
-        folder: Any,
-        scene: Scene,
-        failed: Callable[[Exception], None],
+        self, gui: viser.GuiApi, folder: Any, scene: Scene, failed: Callable[[Exception], None]
     ) -> None:
         """``folder`` is empty and invisible until there are scores. ``failed`` gets errors."""
         self.spots: tuple[BlindSpot, ...] = ()
@@ -89,3 +88,33 @@ class BlindSpotPanel:
             ground = self._scene.intersection.ground(at[None])
             look_at = np.append(at, ground) - self._scene.voxels.center
             client.camera.position, client.camera.look_at = look_at + AWAY, look_at
+
+
+def plan_picture(
+    scene: Scene, layout: Layout, scores: Scores, spots: tuple[BlindSpot, ...]
+) -> Figure:
+    """A plan view without a heading: how often each column is seen, sensors, and blind spots."""
+    layer = seen_layer(scores.seen_share, scene)
+    layout = scores.conditions.layout(layout)
+    with house_style():
+        fig = Figure(figsize=(SIDE, SIDE), facecolor="white")
+        ax = fig.add_axes((0.0, 0.0, 1.0, 1.0))
+        draw_plan(ax, scene, layout, layer, reach_of(scene, layout), None, side=SIDE)
+        ax.axis("off")
+        at = np.array([spot.at for spot in spots]).reshape(-1, 2)
+        apart = APART * np.ptp(ax.get_xlim())
+        for letter, (x, y) in zip(LETTERS, spread_badges(at, 0.0 * at, apart), strict=False):
+            ax.text(
+                x, y, letter, size=9, weight="bold", ha="center", va="center_baseline",
+                zorder=10, bbox=dict(boxstyle="circle", fc="white", ec="black", lw=0.8),
+            )  # fmt: skip
+        behind = Rectangle((0.015, 0.015), 0.29, 0.085, transform=ax.transAxes)
+        ax.add_patch(behind).set(facecolor="white", edgecolor="none", zorder=9)
+        key = ax.inset_axes((0.03, 0.03, 0.26, 0.022), zorder=10)
+        key.imshow(np.linspace(0, 1, 64)[None], cmap=layer.colors, aspect="auto")
+        key.axis("off")
+        for x, words, side in ((0.03, "never", "left"), (0.29, "always seen", "right")):
+            ax.text(
+                x, 0.06, words, size=6.5, ha=side, va="bottom", transform=ax.transAxes, zorder=10
+            )
+    return fig

@@ -10,12 +10,11 @@ from jaxtyping import Float
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.sensing.layout import Layout
-from inspe_jax.viewer.bindings import set_value
 from inspe_jax.viewer.job_queue import DelayedAction
 from inspe_jax.viewer.score_panel import sensor_table
 from inspe_jax.viewer.scorer import ScoredLayout
 from inspe_jax.viewer.selection3d import HandleDrag, Selection3D
-from inspe_jax.viewer.sensor_controls import DIGITS, POSE, SensorControls
+from inspe_jax.viewer.sensor_controls import POSE, SensorControls
 from inspe_jax.viewer.sensor_view import SensorShot, SensorView
 
 TYPED = 0.7
@@ -87,24 +86,6 @@ class BrowserView:
 
         self._select(found)
 
-    def click_number(self, u: int, *, several: bool = False) -> None:
-        """Of the sensors on a unit, select the one after the one in hand, round and round; with
-        ``several``, all of them, or none, together with others."""
-
-        def found() -> tuple[int, ...]:
-            units = [members for members in self._viewer.layout.members() if members]
-            if u >= len(units):  # removed since
-                return ()
-            members = tuple(units[u])
-            if several:
-                others = tuple(k for k in self.selection if k not in members)
-                return others if set(members) <= set(self.selection) else (*others, *members)
-            held = self.in_hand if self.in_hand in members else None
-            after = [] if held is None else [s for s in members if s > held]
-            return ((*after, *members)[0],)
-
-        self._select(found)
-
     def swap(self, name: str) -> None:
         """Exchange the device of the sensor in hand."""
         self._viewer.change(lambda: self._viewer.session.swap(self._held(), name))
@@ -123,7 +104,6 @@ class BrowserView:
 
     def rename(self, name: str) -> None:
         """Give the sensor in hand another name, once nothing more is typed."""
-
         viewer = self._viewer
         rename = partial(viewer.change, lambda: viewer.session.rename(self._held(), name))
         self._typing["name"].start(NAMED, rename)
@@ -134,9 +114,9 @@ class BrowserView:
 
     def add(self, name: str) -> None:
         """Add a sensor, mounted as near as possible to the point that the browser looks at."""
-        session, shift = self._viewer.session, self._viewer.scene3d.shift
-        at = np.array(self.client.camera.look_at, float)[:2] + shift[:2]
-        self._add(lambda: session.add(name, at))
+        viewer = self._viewer
+        at = np.array(self.client.camera.look_at, float)[:2] + viewer.scene3d.shift[:2]
+        self._add(lambda: viewer.session.add(name, at))
 
     def remove(self) -> None:
         """Remove what is selected, and select the sensor after it."""
@@ -159,10 +139,8 @@ class BrowserView:
         self._viewer.queue.submit(lambda: self.drag(drag), key=key)
 
     def drag(self, drag: HandleDrag) -> None:
-        """Let the sensors follow that were selected when the handle was gripped.
-
-        During the drag their new place is drawn and scored; at the end the layout changes.
-        """
+        """Let the sensors follow that were selected when the handle was gripped. During the drag
+        their new place is drawn and scored; at the end the layout changes."""
         viewer = self._viewer
         if drag.phase == "start":
             if not viewer.searching and self.selection:
@@ -218,16 +196,7 @@ class BrowserView:
         self.follow()
         s, layout, searching = self.in_hand, self._layout, self._viewer.searching
         count = len(self.selection)
-
-        def set_controls() -> None:
-            controls = self.controls
-            controls.list_sensors([sensor.name for sensor in layout.sensors], s)
-            controls.say_selected(count, "" if s is None else layout.sensors[s].name)
-            controls.enable(change=not searching, selected=s is not None)
-            if s is not None:
-                controls.offer_device(layout.sensors[s].spec)
-
-        self._on_loop(set_controls)
+        self._on_loop(lambda: self.controls.show(layout.sensors, s, count, change=not searching))
         if s is None:
             self.selection3d.gizmo.visible = False
         elif self.dragging is None:
@@ -240,10 +209,8 @@ class BrowserView:
         self.selection3d.draw_outlines([scene3d.outline(k) for k in self.selection])
 
     def look(self, layout: Layout, frame: int) -> None:
-        """Look through the sensor in hand of a layout, in a frame.
-
-        While another browser drags its own sensors, this one looks at the layout as it was before.
-        """
+        """Look through the sensor in hand of a layout, in a frame. While another browser drags its
+        own sensors, this one looks at the layout as it was before."""
         held = self.dragging is not None
         others = (view for view in list(self._viewer.views.values()) if view is not self)
         if not held and any(view.dragging for view in others):
@@ -256,8 +223,6 @@ class BrowserView:
         self.controls.table.content = sensor_table(layout, scored, self.selection)
 
     def _select(self, found: Callable[[], tuple[int, ...]]) -> None:
-        """Select the sensors at the places that ``found`` gives, as far as they are there; not in
-        the midst of a drag."""
         self.settle()
 
         def job() -> None:
@@ -274,8 +239,6 @@ class BrowserView:
         self._viewer.queue.submit(job)
 
     def _add(self, add: Callable[[], int]) -> None:
-        """Do what adds a sensor and returns its place, and select it."""
-
         def job() -> None:
             s = add()
             self.follow()
@@ -284,14 +247,8 @@ class BrowserView:
         self._viewer.change(job)
 
     def _show_numbers(self, layout: Layout) -> None:
-        """Show the numbers of the pose of the sensor in hand."""
         numbers = self._viewer.session.numbers(layout, self._held())
-
-        def set_controls() -> None:
-            for key, value in numbers.items():
-                set_value(self.controls.pose[key], round(value, DIGITS[key]))
-
-        self._on_loop(set_controls)
+        self._on_loop(lambda: self.controls.show_pose(numbers))
 
     def _held(self) -> int:
         if self.in_hand is None:
@@ -304,6 +261,5 @@ class BrowserView:
         self._viewer.server.get_event_loop().call_soon_threadsafe(show)
 
     def _show_points(self, points: Float[np.ndarray, "N 3"] | None) -> None:
-        self._viewer.queue.submit(
-            lambda: self.selection3d.draw_points(points), key=("points", id(self))
-        )
+        draw = partial(self.selection3d.draw_points, points)
+        self._viewer.queue.submit(draw, key=("points", id(self)))

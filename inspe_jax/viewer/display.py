@@ -1,28 +1,24 @@
 """What browsers see: a layout in three dimensions, its voxels, and its scores beside them.
 
-Scores and voxels of a new layout take a while. Until they are there, those of the layout before
-are shown faded, and the page says what is being done. Every public method runs on the queue's
-thread.
+Until those of a new layout are there, those of the layout before are faded. Every public method
+runs on the queue's thread.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import viser
 from jaxtyping import UInt
 
 from inspe_jax.core.compiling import compiled
-from inspe_jax.core.errors import InspeError
 from inspe_jax.core.words import isolated
 from inspe_jax.placement.feasibility import Fault
 from inspe_jax.placement.problem import Case
 from inspe_jax.scoring.evaluate import Scores
-from inspe_jax.sensing.conditions import Conditions
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.viewer.blind_spot_panel import BlindSpotPanel
 from inspe_jax.viewer.browser_view import BrowserView
-from inspe_jax.viewer.job_queue import DelayedAction, JobQueue, asker
+from inspe_jax.viewer.job_queue import DelayedAction, JobQueue
 from inspe_jax.viewer.panel import Panel
 from inspe_jax.viewer.scene3d import Scene3D, look_from
 from inspe_jax.viewer.score_panel import score_panel
@@ -34,24 +30,9 @@ STALE = 0.5
 """Scores and voxels of the layout before fade after this time [s]."""
 
 
-class Reference(NamedTuple):
-    """The layout that others are compared with, and which one that is in ``words``.
-
-    ``scores`` are by number of frames, in ``conditions``.
-    """
-
-    layout: Layout
-    words: str
-    conditions: Conditions
-    scores: dict[int, Scores]
-
-
 class Display:
-    """A layout as browsers see it.
-
-    ``shown`` is the layout, ``scored`` the newest scores: its own, or those of a layout before.
-    ``reference`` is what it is compared with.
-    """
+    """A layout as browsers see it. ``shown`` is the layout, ``opened`` that at the start,
+    ``scored`` the newest scores: its own, or those of a layout before."""
 
     def __init__(
         self,
@@ -63,15 +44,14 @@ class Display:
         views: Mapping[int, BrowserView],
     ) -> None:
         """Draw the scene. ``views`` are those of the browsers that look, by ids of clients."""
-        self.shown = opened
-        self.reference = Reference(opened, "the layout as it was opened", case.conditions, {})
+        self.shown = self.opened = opened
         self.scored: ScoredLayout | None = None
         self._server, self._case = server, case
         self._panel, self._queue, self._views = panel, queue, views
         self._frames = case.scene.traffic.frame_count
         self._faults: Sequence[Fault] = ()
         self._notes: Sequence[str] = ()
-        self._newest: dict[int, ScoredLayout] = {}  # the newest scores, by number of frames
+        self._reference: dict[int, Scores] = {}  # scores of the opened layout, by number of frames
         self._sight: tuple[int, UInt[Any, " V"]] | None = None
         self._drawn_frame, self._faded, self._label = -1, False, ""
         self._compiled = compiled().seconds  # when the newest scores came
@@ -81,44 +61,13 @@ class Display:
         self.scene3d.draw_mounting()
         look_from(server.initial_camera, case.scene, back=BACK)
 
-    def set_case(self, case: Case) -> None:
-        """Show layouts in other conditions from now on."""
-        self._case = case
-        for view in list(self._views.values()):
-            view.sensor_view.case = case
-
-    def set_reference(self, layout: Layout) -> None:
-        """Compare with this layout from now on, as it is scored.
-
-        Raises InspeError as long as it has no scores of all frames.
-        """
-        scored = {
-            frames: found.scores
-            for frames, found in self._newest.items()
-            if found.layout is layout and found.scores is not None and self._is_here(found)
-        }
-        if self._frames not in scored:
-            raise InspeError("the reference can be set once all frames are scored")
-        words = "the layout that was made it"
-        self.reference = Reference(layout, words, self._case.conditions, scored)
-        self.update_panel()
-
-    def draw(
-        self,
-        layout: Layout,
-        faults: Sequence[Fault] = (),
-        notes: Sequence[str] = (),
-    ) -> None:
+    def draw(self, layout: Layout, faults: Sequence[Fault] = (), notes: Sequence[str] = ()) -> None:
         """Show a layout, the rules of mounting that it breaks, and notes on the last change."""
         self.shown, self._faults, self._notes = layout, faults, notes
         broken = {s for fault in faults for s in fault.sensors}
         seen = self._case.conditions.layout(layout)
-        bodies, numbers = self.scene3d.draw_layout(seen, broken)
-        for s, body in bodies.items():
-            self._bind(body, partial(BrowserView.select, s=s), partial(BrowserView.toggle, s=s))
-        for u, ball in numbers.items():
-            one = partial(BrowserView.click_number, u=u)
-            self._bind(ball, one, partial(one, several=True))
+        for s, body in self.scene3d.draw_layout(seen, broken).items():
+            self._bind(body, s)
         for view in list(self._views.values()):
             view.show_outlines()
             self._look(view)
@@ -152,12 +101,11 @@ class Display:
     def show_scores(self, scored: ScoredLayout) -> None:
         """Show new scores."""
         self.scored, self._compiled = scored, compiled().seconds
-        if scored.scores is not None and scored.frames == self._frames:
-            self.blind_spots.show(scored.layout, scored.scores)
-        self._newest[scored.frames] = scored
-        scores, record = scored.scores, self.reference.conditions.record
-        if scored.layout is self.reference.layout and scores and scores.conditions.record == record:
-            self.reference.scores[scored.frames] = scores
+        if scored.scores is not None:
+            if scored.frames == self._frames:
+                self.blind_spots.show(scored.layout, scored.scores)
+            if scored.layout is self.opened:
+                self._reference[scored.frames] = scored.scores
         self.update_panel()
 
     def show_sight(self, layout: Layout, frame: int, sight: UInt[Any, " V"]) -> None:
@@ -179,34 +127,23 @@ class Display:
         self._waiting.cancel()
         self.blind_spots.close()
 
-    def _bind(
-        self, body: Any, one: Callable[[BrowserView], None], several: Callable[[BrowserView], None]
-    ) -> None:
-        """Ask this of the view of a browser that clicks on a body, or clicks with Shift."""
-        for ask, modifier in ((one, None), (several, "shift"), (several, "cmd/ctrl")):
+    def _bind(self, body: Any, s: int) -> None:
+        """Have a click on a sensor's body select it, and one with Shift or Ctrl toggle it."""
+        for modifier in (None, "shift", "cmd/ctrl"):
+            ask = BrowserView.toggle if modifier else BrowserView.select
 
-            async def clicked(event: Any, ask: Callable[[BrowserView], None] = ask) -> None:
+            async def clicked(event: Any, ask: Callable[[BrowserView, int], None] = ask) -> None:
                 view = self._views.get(event.client_id)
-                asker.set(event.client_id)
                 if view is not None:
-                    ask(view)
+                    ask(view, s)
 
             body.on_click(modifier=modifier)(clicked)
 
     @property
     def _current(self) -> bool:
-        """Whether the newest scores are of the shown layout, in the conditions that are shown."""
-        found = self.scored
-        return found is not None and found.layout is self.shown and self._is_here(found)
-
-    def _is_here(self, found: ScoredLayout) -> bool:
-        """Whether scores are those in the conditions that are shown. Records are compared, as they
-        have intensities to some digits."""
-        scores, record = found.scores, self._case.conditions.record
-        return scores is None or scores.conditions.record == record
+        return self.scored is not None and self.scored.layout is self.shown
 
     def _look(self, view: BrowserView) -> None:
-        """Look through a browser's selected sensor in the frame that is shown."""
         view.look(self.shown, max(self._drawn_frame, 0))
 
     def _wait(self) -> None:
@@ -234,10 +171,8 @@ class Display:
         page = score_panel(
             self.shown,
             scored,
-            outdated=not self._current,
             frames=self._frames,
-            reference=None if scored is None else self.reference.scores.get(scored.frames),
-            reference_words=self.reference.words,
+            reference=None if scored is None else self._reference.get(scored.frames),
             faults=[fault.words for fault in self._faults],
             notes=self._notes,
             waiting=waiting,

@@ -1,7 +1,5 @@
-"""What a report page shows that needs more than figures: a photograph, and the scene to turn.
-
-The photograph is the recorder's, from above, with the sensors marked on it.
-"""
+"""What a report page shows that needs more than figures: a photograph, and the scene to turn. The
+photograph is the recorder's, from above, with the sensors marked on it."""
 
 import secrets
 from typing import NamedTuple

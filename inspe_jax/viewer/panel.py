@@ -10,9 +10,7 @@ import viser
 
 from inspe_jax.placement.optimise import DEFAULT_METHOD, METHODS
 from inspe_jax.scoring.viewshed import Visibility
-from inspe_jax.sensing.conditions import Conditions, lights, weathers
-from inspe_jax.viewer.bindings import bind, set_value
-from inspe_jax.viewer.score_panel import REFERENCE, VISIBILITY_NAMES
+from inspe_jax.viewer.score_panel import VISIBILITY_NAMES
 
 SECONDS = 60.0
 """Usual time of a search [s]."""
@@ -25,6 +23,32 @@ SLATE = (86, 104, 122)
 """Colour of buttons that are not the main one of their folder."""
 BLIND_SPOTS = "Blind spots"
 """The title of their folder, while what is in it is of the layout in hand."""
+
+
+def bind(
+    control: Any, ask: Callable[[Any], object], settle: Callable[[], None] = lambda: None
+) -> None:
+    """Call ``ask`` with the browser that uses a control, on the event loop, so that order is kept.
+
+    ``control`` is a button, a command with a key, or has a value. Nothing is called for a value
+    that is not an option any more. ``settle`` is called before, to apply typed numbers.
+    """
+
+    async def called(event: Any) -> None:
+        options = getattr(control, "options", None)
+        if event.client is None or (options is not None and control.value not in options):
+            return
+        settle()
+        ask(event.client)
+
+    names = ("on_click", "on_trigger", "on_update")
+    register = next(getattr(control, name) for name in names if hasattr(control, name))
+    register(called)
+
+
+def set_value(control: Any, value: Any) -> None:
+    """Set a control's value in every browser that has it. viser's types declare it read-only."""
+    control.value = value
 
 
 class Key(NamedTuple):
@@ -41,14 +65,13 @@ class Key(NamedTuple):
 
 
 def _of_view(ask: Callable[[Any], None]) -> Callable[[Any, Any], object]:
-    """Ask something of the view of the browser in which the key is pressed."""
     return lambda viewer, client: viewer.ask(client, ask)
 
 
 KEYS = (
     Key("Undo", "Z", "cmd/ctrl", "Ctrl+Z", lambda v, _: v.undo_or_redo("Undo"), True),
     Key("Redo", "Z", "cmd/ctrl+shift", "Ctrl+Shift+Z", lambda v, _: v.undo_or_redo("Redo"), True),
-    Key("Save layout", "S", "cmd/ctrl", "Ctrl+S", lambda v, _: v.files.save(), True),
+    Key("Save layout", "S", "cmd/ctrl", "Ctrl+S", lambda v, _: v.save(), True),
     Key("Select the next sensor", "N", None, "N", _of_view(lambda view: view.step(1))),
     Key("Select the sensor before", "N", "shift", "Shift+N", _of_view(lambda view: view.step(-1))),
     Key("Remove what is selected", "delete", None, "Delete", _of_view(lambda v: v.remove()), True),
@@ -60,14 +83,11 @@ viser's."""
 
 
 class Panel:
-    """Every control by name. When a person uses one, a method of ``viewer`` is called.
+    """Every control by name. When a person uses one, a method of ``viewer`` is called. A value that
+    the program itself sets calls nothing."""
 
-    A value that the program itself sets calls nothing.
-    """
-
-    def __init__(self, gui: viser.GuiApi, viewer: Any, frames: int, around: Conditions) -> None:
-        """``viewer`` has the methods that are bound below; ``frames`` of traffic there are, and
-        the conditions at the start are those ``around``."""
+    def __init__(self, gui: viser.GuiApi, viewer: Any, frames: int) -> None:
+        """``viewer`` has the methods that are bound below; there are ``frames`` of traffic."""
         gui.configure_theme(show_logo=False, show_share_button=False, brand_color=(0, 114, 178))
         gui.main_panel.dock_right()
         self._gui, self._viewer, self._frames = gui, viewer, frames
@@ -77,7 +97,6 @@ class Panel:
         self.headline = gui.add_html("")
         self.edit = gui.add_button_group("", ("Undo", "Redo", "Save"))
         self.scores = gui.add_html("")
-        self.compare = gui.add_button("Set as reference", color=SLATE, hint=REFERENCE)
         self.target = gui.add_number(
             "Target", 0.0, min=0.0, max=1.0, step=0.01,
             hint="The P_sm that the layout should reach, as an orange mark: a search ends there; "
@@ -92,14 +111,8 @@ class Panel:
             self.bar = gui.add_progress_bar(0.0, visible=False)
             self.course = gui.add_markdown(OF_SEARCH)
         self.blind_spots = gui.add_folder(BLIND_SPOTS, visible=False)
-        with gui.add_folder("Traffic, light and weather"):
+        with gui.add_folder("Traffic"):
             self.frame = gui.add_slider("Frame", 0, max(frames - 1, 1), 1, 0, disabled=frames < 2)
-            self.play = gui.add_checkbox("Play", False, disabled=frames < 2)
-            self.light = gui.add_dropdown("Light", lights(), initial_value=around.light)
-            given = _weather(around)
-            self.weather = gui.add_dropdown(
-                "Weather", list(dict.fromkeys((*weathers(), given))), initial_value=given
-            )
             self.shown = {
                 kind: gui.add_checkbox(name, kind is not Visibility.SEEN)
                 for kind, name in VISIBILITY_NAMES.items()
@@ -116,21 +129,17 @@ class Panel:
             (self._changes if key.changes else bind)(command, partial(key.ask, viewer))
             self.keys[key.words] = command
         edit = {which: partial(viewer.undo_or_redo, which) for which in ("Undo", "Redo")}
-        edit["Save"] = viewer.files.save
+        edit["Save"] = viewer.save
         self._changes(self.edit, lambda _: edit[self.edit.value]())
-        self._changes(self.compare, lambda _: viewer.set_reference())
         self._changes(self.optimise, lambda _: viewer.optimise())
         bind(self.stop, lambda _: viewer.stop())
-        bind(self.target, lambda _: viewer.show_target())
-        for control in (self.frame, self.play):
-            bind(control, lambda _: viewer.select_frame())
-        for choice in (self.light, self.weather):
-            self._changes(choice, lambda _: viewer.change_conditions())
+        bind(self.target, lambda _: viewer.queue.submit(viewer.display.update_panel, key="target"))
+        bind(self.frame, lambda _: viewer.select_frame())
         for box in self.shown.values():
-            bind(box, lambda _: viewer.show_voxels())
-        self._changes(self.save, lambda _: viewer.files.save())
-        self._changes(self.download, viewer.files.download)
-        self._changes(self.report, viewer.files.write_report)
+            bind(box, lambda _: viewer.queue.submit(viewer.display.draw_voxels, key="ticks"))
+        self._changes(self.save, lambda _: viewer.save())
+        self._changes(self.download, viewer.download)
+        self._changes(self.report, viewer.write_report)
 
     @property
     def sensor_orders(self) -> tuple[float, float, float, float]:
@@ -155,12 +164,13 @@ class Panel:
             )
             for number, at in enumerate(earlier):
                 self.offers.append(self._gui.add_button(f"Open {at.name}"))
-                self._changes(self.offers[-1], partial(self._open_earlier, number))
+
+                def ask(_: Any, number: int = number) -> None:
+                    self._viewer.open_earlier(number)
+
+                self._changes(self.offers[-1], ask)
             leave = self._gui.add_button("Leave them", color="gray")
             self._changes(leave, lambda _: setattr(self.earlier, "visible", False))
-
-    def _open_earlier(self, number: int, _: Any) -> None:
-        self._viewer.files.open_earlier(number)
 
     def withdraw(self, number: int) -> None:
         """Stop offering a layout, since it is open."""
@@ -175,7 +185,7 @@ class Panel:
             def answer(_: Any) -> None:
                 question.close()
                 if at is not None:
-                    self._viewer.files.save_in(at)
+                    self._viewer.save_in(at)
 
             self._changes(self._gui.add_button(words, color=color), answer)
 
@@ -192,27 +202,16 @@ class Panel:
         """The slider's frame. With a single frame the slider still has two places."""
         return min(max(int(self.frame.value), 0), self._frames - 1)
 
-    def show_conditions(self, around: Conditions) -> None:
-        """Choose the light and the weather that there are."""
-        set_value(self.light, around.light)
-        set_value(self.weather, _weather(around))
-
     def searching(self, on: bool) -> None:
         """Disable changes while a search runs, and show the button that stops it."""
         self.stop.visible = self.bar.visible = on
-        self.optimise.visible = self.compare.visible = self.edit.visible = not on
-        choices = self.method, self.seconds, self.target, self.light, self.weather
+        self.optimise.visible = self.edit.visible = not on
+        choices = self.method, self.seconds, self.target
         for control in (*choices, self.save, self.report, *self.offers):
             control.disabled = on
 
 
-def _weather(around: Conditions) -> str:
-    """The weather's name, with its intensity if that is not the usual one."""
-    return around.weather_text if around.unusual else around.weather
-
-
 def _list_keys(client: Any) -> None:
-    """Tell a browser what keys do."""
     words = "; ".join(f"{key.text}: {key.words[0].lower()}{key.words[1:]}" for key in KEYS)
     more = "Arrows, W, A, S, D, Q and E move your view."
     client.add_notification("Keys", f"{words}. {more}", auto_close_seconds=20.0)

@@ -6,7 +6,7 @@ graphics cards work in single precision.
 
 from collections.abc import Iterable
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import shapely
@@ -48,9 +48,6 @@ POLE = 4.0
 """Height at which standing poles are drawn [m]."""
 ABOVE = 0.8
 """Height of numbers above a unit's highest sensor [m]."""
-BALL = 0.6
-"""Radius of the ball about a number that can be clicked, and how far it is above its foot [m]: it
-is clear of the sensors."""
 CROWN = 0.5
 """Opacity of the crowns of trees."""
 THIN = 0.12
@@ -63,13 +60,6 @@ _FACES = np.array(
     [[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1]]
     + [[2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3]]
 )
-
-
-class Outline(NamedTuple):
-    """Line segments (N, 2, 3) about the scene's centre [m], and their colour."""
-
-    points: Float[np.ndarray, "N 2 3"]
-    color: str
 
 
 class Scene3D:
@@ -141,7 +131,6 @@ class Scene3D:
             self._draw_tint(kind, kinds, fading)
 
     def _draw_hidden(self, hidden: Bool[np.ndarray, "L Z"], opacity: float) -> None:
-        """Draw voxels as boxes."""
         grid = self.scene.voxels
         column, low, high = runs(hidden)
         foot = grid.ground[column] + grid.spacing * low
@@ -153,7 +142,6 @@ class Scene3D:
         self._boxes("voxels/hidden", center, size, color, opacity=opacity)
 
     def _draw_tint(self, kind: Visibility, kinds: Int[np.ndarray, "L Z"], fading: float) -> None:
-        """Tint the columns that are mostly of a kind."""
         counts = np.stack([(kinds == other).sum(1) for other in Visibility])
         mostly = (counts.argmax(0) == kind) & (counts[kind] > 0)
         for region, ground in GROUND_COLORS.items():
@@ -161,15 +149,12 @@ class Scene3D:
             color = mixed(ground, SIGHT_COLORS[kind], fading * TINTS[kind])
             self._squares(name, mostly & (self.scene.voxels.region == region), color, LIFT / 2)
 
-    def draw_layout(
-        self, layout: Layout, broken: Iterable[int] = ()
-    ) -> tuple[dict[int, Any], dict[int, Any]]:
+    def draw_layout(self, layout: Layout, broken: Iterable[int] = ()) -> dict[int, Any]:
         """Draw every sensor on its pole, the outline of what it looks at, and its number.
 
         The ``broken`` sensors, which break a rule of mounting, are red. If only poses differ from
-        the layout before, what is drawn is moved. Returns what can be clicked and is new: the
-        bodies of sensors, by their place in the layout, and about the numbers of units, by the
-        place among those that carry sensors.
+        the layout before, what is drawn is moved. Returns the bodies of sensors that are new, by
+        their place in the layout.
         """
         wrong, new = set(broken), {}
         looks = [
@@ -188,11 +173,13 @@ class Scene3D:
             if k not in self._at or (self._at[k] != poses[k]).any():
                 self._move_sensor(k, spec, poses[k])
                 self._at[k] = poses[k].copy()
-        return new, self._number(layout, poses, wrong)
+        self._number(layout, poses, wrong)
+        return new
 
-    def outline(self, k: int) -> Outline:
-        """The outline of what the sensor at place ``k`` looks at, as it is drawn."""
-        return Outline(self.drawn[f"sensors/{k + 1}/view"].points, self._looks[k][1])
+    def outline(self, k: int) -> tuple[Float[np.ndarray, "N 2 3"], str]:
+        """The outline of what the sensor at place ``k`` looks at, as line segments about the
+        scene's centre [m], and its colour."""
+        return self.drawn[f"sensors/{k + 1}/view"].points, self._looks[k][1]
 
     def _draw_sensor(self, k: int, spec: Spec, color: str) -> Any:
         name = f"sensors/{k + 1}"
@@ -227,12 +214,9 @@ class Scene3D:
         self.drawn[f"{name}/pole"].points = pole.astype(np.float32)
         self.drawn[f"{name}/view"].points = segments(view).astype(np.float32)
 
-    def _number(
-        self, layout: Layout, poses: Float[np.ndarray, "S 6"], wrong: set[int]
-    ) -> dict[int, Any]:
+    def _number(self, layout: Layout, poses: Float[np.ndarray, "S 6"], wrong: set[int]) -> None:
         """Draw the numbers of a unit's sensors as one label above it; several labels would
-        overlap. Each is in a ball that is transparent, since only bodies can be clicked."""
-        new = {}
+        overlap."""
         units = [members for members in layout.members() if members]
         for u, members in enumerate(units):
             word = "  ".join(f"{k + 1} !" if k in wrong else str(k + 1) for k in members)
@@ -242,16 +226,10 @@ class Scene3D:
             if label is None:
                 label = self.api.add_label(f"numbers/{u + 1}", word, anchor="bottom-center")
                 self.drawn[f"numbers/{u + 1}"] = label
-                new[u] = self.drawn[f"numbers/{u + 1}/ball"] = self.api.add_icosphere(
-                    f"numbers/{u + 1}/ball", BALL, opacity=0.0, cast_shadow=False,
-                    position=(0.0, 0.0, BALL),
-                )  # fmt: skip
             label.text, label.position = word, at
         for u in range(len(units), self._units):
-            self._forget(f"numbers/{u + 1}/ball")
             self._forget(f"numbers/{u + 1}")
         self._units = len(units)
-        return new
 
     def _forget(self, name: str) -> None:
         if name in self.drawn:
@@ -272,7 +250,6 @@ class Scene3D:
         return points, which.reshape(-1, 4)
 
     def _draw_ground(self) -> None:
-        """Draw a mesh for each region, with its corners on the ground."""
         grid = self.scene.voxels
         for region, color in GROUND_COLORS.items():
             self._squares(f"ground/{region.key}", grid.region == region, color, 0.0)
@@ -312,7 +289,6 @@ class Scene3D:
         )
 
     def _draw_bodies(self) -> None:
-        """Draw houses, trees and other bodies as their prisms; one sees through crowns."""
         for kind, points, faces in body_meshes(self.scene):
             self.api.add_mesh_simple(
                 f"ground/{kind}", (points - self.shift).astype(np.float32),

@@ -1,7 +1,6 @@
 """The panel of a layout's scores, with the rules of mounting that it breaks, and its sensors."""
 
 from collections.abc import Sequence
-from typing import Any
 
 from inspe_jax.core.words import counted
 from inspe_jax.report.figures import SENSOR_COLORS
@@ -28,8 +27,6 @@ LEGEND = (
     ("LiDAR", SENSOR_COLORS["lidar"]),
 )
 
-REFERENCE = "Compare with this layout from now on; at first with the layout as it was opened"
-"""What setting the reference does."""
 TARGET_COLOR = "#d55e00"
 """Of the mark of the target."""
 
@@ -44,9 +41,7 @@ def score_panel(
     scored: ScoredLayout | None,
     *,
     frames: int,
-    outdated: bool = False,
     reference: Scores | None = None,
-    reference_words: str = "",
     faults: Sequence[str] = (),
     notes: Sequence[str] = (),
     waiting: str = "scoring …",
@@ -59,9 +54,7 @@ def score_panel(
         layout: The layout.
         scored: The newest scores, or None. Those of another layout are shown in grey.
         frames: Number of frames of the whole traffic.
-        outdated: Whether the scores are of other conditions, or of another layout.
-        reference: Scores of the layout that this one is compared with, on the same frames.
-        reference_words: Which layout that is.
+        reference: Scores of the layout as it was opened, on the same frames.
         faults: The rules of mounting that the layout breaks, in words.
         notes: How mounting has changed the last change, in words.
         waiting: What is being done while the layout has no scores.
@@ -70,33 +63,28 @@ def score_panel(
     """
     scores = None if scored is None else scored.scores
     before = None if scores is None or reference is None else reference.surrogate
-    new = scored if scored is not None and scored.layout is layout and not outdated else None
-    reference_in = ""  # other conditions, those of its scores
-    if scores is not None and reference is not None and scores.conditions != reference.conditions:
-        reference_in = str(reference.conditions)
-    against = f"The reference is {reference_words}"
+    new = scored if scored is not None and scored.layout is layout else None
     headline = _HEADLINE.render(
         scores=scores,
         around="" if scores is None else scores.conditions.words,
         change="" if scores is None else _change(scores.surrogate, before),
-        against=against,
         before=before,
         target=target,
         target_color=TARGET_COLOR,
-        reference_in=reference_in,
         meaning=f"P_sm: {SURROGATE.summary}",
         state=waiting if new is None else _state(new, frames),
         new=new is not None,
     )
     details = _DETAILS.render(
         scores=scores,
-        against=against,
         faded=faded and new is None,
         wrong="" if new is None else new.wrong,
         faults=faults,
         broken=BROKEN_COLOR,
-        metrics=[] if scores is None else _metric_bars(scores, reference),
-        regions=[] if scores is None else _region_bars(scores, reference),
+        reference=reference,
+        metrics=METRICS.values(),
+        digits=_digits,
+        change=_change,
         keys=LEGEND,
         mounting=MOUNTING_COLOR,
     )
@@ -113,60 +101,21 @@ def sensor_table(layout: Layout, scored: ScoredLayout | None, selection: Sequenc
     scores = None if scored is None else scored.scores
     lost = [row.surrogate for row in scores.contributions] if scores else [None] * len(layout)
     prices = {row.device: row.price for row in materials(layout, {})}
-    rows = [
-        dict(
-            number=k + 1,
-            name=sensor.name,
-            price="" if prices[sensor.spec.name] is None else f"{prices[sensor.spec.name]:,.0f}",
-            lost="" if loss is None else f"{loss:.4f}",
-            ticked=k in selection,
-            bold=k in selection[-1:],
-        )
-        for k, (sensor, loss) in enumerate(zip(layout.sensors, lost, strict=True))
-    ]
+    names = [(sensor.name, prices[sensor.spec.name]) for sensor in layout.sensors]
     return _TABLE.render(
-        rows=rows,
-        priced=any(row["price"] for row in rows),
-        together=len(selection),
+        rows=[(*of, loss) for of, loss in zip(names, lost, strict=True)],
+        priced=any(price is not None for price in prices.values()),
+        selection=selection,
         sensors=counted(len(layout), "sensor"),
         units=counted(len(layout.units), "unit"),
         cost=cost_of(layout),
     )
 
 
-def _bar(words: str, meaning: str, value: float, before: float | None) -> dict[str, Any]:
-    """A score from 0 to 1 with its meaning, and what it was before, if that is known.
-
-    It has three digits; more where they would say 1 and it is less.
-    """
+def _digits(value: float) -> str:
+    """A score with three digits; with more where they would say 1 and it is less."""
     enough = (n for n in (3, 4) if value == 1.0 or round(value, n) < 1.0)
-    return dict(
-        words=words,
-        meaning=meaning,
-        value=value,
-        before=before,
-        digits=f"{value:.{next(enough, 5)}f}",
-        change=_change(value, before, 3),
-        worse=before is not None and value < before,
-    )
-
-
-def _metric_bars(scores: Scores, reference: Scores | None) -> list[dict[str, Any]]:
-    known = {} if reference is None else reference.metrics
-    return [
-        _bar(f"{m.words} {m.symbol}", m.summary, scores.metrics[m.name], known.get(m.name))
-        for m in METRICS.values()
-        if m.name in scores.metrics
-    ]
-
-
-def _region_bars(scores: Scores, reference: Scores | None) -> list[dict[str, Any]]:
-    known = {} if reference is None else reference.region_coverage
-    meaning = "share of the {}'s voxels that some sensor ray passes through"
-    return [
-        _bar(region, meaning.format(region), value, known.get(region))
-        for region, value in scores.region_coverage.items()
-    ]
+    return f"{value:.{next(enough, 5)}f}"
 
 
 def _change(value: float, before: float | None, digits: int = 4) -> str:

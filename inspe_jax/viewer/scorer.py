@@ -1,7 +1,5 @@
-"""Scores the newest layout while it is dragged: on a few frames first, and then on all.
-
-It works on a thread of its own, so that the page stays responsive. Scores of a layout that is
-already out of date are not begun.
+"""Scores the newest layout while it is dragged, on a thread of its own: on a few frames first, and
+then on all. Scores of a layout that is already out of date are not begun.
 """
 
 import threading
@@ -32,11 +30,8 @@ _JOBS = ("end", "few", "sight", "whole")  # the first of them is done first
 
 @dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
 class ScoredLayout:
-    """The exact scores of a layout on a number of ``frames``.
-
-    ``scores`` is None if the layout cannot be scored; ``wrong`` then says why. ``seconds`` passed
-    since the layout was given.
-    """
+    """The exact scores of a layout on a number of ``frames``, ``seconds`` after it was given.
+    ``scores`` is None if the layout cannot be scored; ``wrong`` then says why."""
 
     layout: Layout
     scores: Scores | None

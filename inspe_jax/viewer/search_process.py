@@ -1,15 +1,12 @@
-"""A search in a process of its own, which can be ended at once, whatever it is doing.
+"""A search in a process of its own, which can be killed while XLA compiles.
 
-XLA compiles for many seconds and cannot be interrupted, but a process can be killed.
-:class:`~inspe_jax.viewer.searcher.Searcher` runs it as
-``python -m inspe_jax.viewer.search_process``. It reads searches from its input, the arguments of
-:func:`~inspe_jax.placement.optimise.optimise` by name, pickled. For each it writes messages to its
-output, pickled tuples of a kind and its content:
+:class:`~inspe_jax.viewer.searcher.Searcher` runs it. It reads searches from its input, the
+arguments of :func:`~inspe_jax.placement.optimise.optimise` by name, pickled. For each it writes
+messages to its output, pickled tuples of a kind and its content:
 
 - ``("ready",)`` once
 - ``("progress", fraction of the budget that is spent, best score)``
 - ``("found", layout, score)`` with every layout that is the best so far
-- ``("compiling", seconds so far)`` while it compiles
 - ``("ended", result)`` or ``("failed", why)`` at the end
 
 The process ends when its input does. It has the metrics that ``import inspe_jax`` registers; an
@@ -27,12 +24,10 @@ from functools import partial
 from queue import SimpleQueue
 from typing import IO, Any
 
-from inspe_jax.core.compiling import compiled, leave
+from inspe_jax.core.compiling import leave
 from inspe_jax.core.errors import InspeError
 from inspe_jax.placement.optimise import optimise
 
-EVERY = 0.25
-"""Time between two messages that it compiles [s]."""
 NICE = 5
 """How much the search's priority is lowered, so that the page gets the cores first."""
 
@@ -70,14 +65,6 @@ def _read(source: IO[bytes], searches: SimpleQueue[dict[str, Any]]) -> None:
 
 
 def _search(arguments: dict[str, Any], send: Callable[..., None]) -> None:
-    before, ended = compiled().seconds, threading.Event()
-
-    def report_compiling() -> None:
-        while not ended.wait(EVERY):
-            if (state := compiled()).now:
-                send("compiling", state.seconds - before)
-
-    threading.Thread(target=report_compiling, daemon=True).start()
     try:
         result = optimise(
             **arguments, progress=partial(send, "progress"), found=partial(send, "found")
@@ -89,8 +76,6 @@ def _search(arguments: dict[str, Any], send: Callable[..., None]) -> None:
         send("failed", f"the search failed: {e!r}")
     else:
         send("ended", result)
-    finally:
-        ended.set()
 
 
 if __name__ == "__main__":

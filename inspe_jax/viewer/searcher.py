@@ -9,7 +9,7 @@ import sys
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeAlias
 
 import jax
 
@@ -45,13 +45,13 @@ REASONS = {
 """How a search has ended, by its status."""
 
 
+Process: TypeAlias = "subprocess.Popen[bytes]"
+
+
 @dataclass(frozen=True)
 class SearchEnding:
-    """How a search ended.
-
-    ``layout`` is the best one found, or None; ``before`` and ``after`` are the scores of the start
-    and of that layout; ``reason`` says why it ended; ``notes`` are those of its result.
-    """
+    """How a search ended: the best ``layout`` found, or None, the scores of the start and of that
+    layout, the ``reason``, and the ``notes`` of its result."""
 
     layout: Layout | None
     before: float
@@ -80,9 +80,9 @@ class Searcher:
     Searches run in a process beside this one. It is kept for the next search, which then finds
     the programs that are compiled already.
 
-    Four functions are called on a thread of its own: ``progress`` with the fraction of the budget
+    Three functions are called on a thread of its own: ``progress`` with the fraction of the budget
     that is spent and the best score, ``found`` with every layout that is the best so far and its
-    score, ``compiling`` with the time that compiling has taken so far [s], ``ended`` once.
+    score, ``ended`` once.
     """
 
     def __init__(
@@ -93,15 +93,14 @@ class Searcher:
         *,
         progress: Callable[[float, float], None],
         found: Callable[[Layout, float], None],
-        compiling: Callable[[float], None],
         ended: Callable[[SearchEnding], None],
         detection: DetectionCurves | None = None,
     ) -> None:
         self.case, self.constraints = case, constraints
         self.objective = Objective(weights=weights, detection=detection)
-        self._progress, self._found, self._compiling = progress, found, compiling
-        self._ended, self._lock = ended, threading.RLock()
-        self._process: subprocess.Popen[bytes] | None = None
+        self._progress, self._found, self._ended = progress, found, ended
+        self._lock = threading.RLock()
+        self._process: Process | None = None
         self._closed = self._ready = False
         self._best: tuple[Layout, float] | None = None
         self._first = 0.0  # score of the start
@@ -113,8 +112,8 @@ class Searcher:
         return 0.0 if self._best is None else self._best[1] - self._first
 
     def start(self, layout: Layout, method: str, seconds: float, target: float = math.inf) -> None:
-        """Start a search from a layout, which also ends with a score of ``target`` or more. Does
-        nothing while another one runs."""
+        """Start a search from a layout, which also ends with a score of ``target`` or more, unless
+        another one runs."""
         search = dict(
             scene=self.case, layout=layout, method=method, seconds=seconds, target=target,
             objective=self.objective, constraints=self.constraints,
@@ -148,7 +147,7 @@ class Searcher:
             if self.running:
                 self._end(REASONS["interrupted"])
 
-    def _warm(self) -> "subprocess.Popen[bytes]":
+    def _warm(self) -> Process:
         """The process, which is started if there is none: a search need not wait for it."""
         if self._process is None:
             set_here = {name.upper(): getattr(jax.config, name) for name in SETTINGS}
@@ -170,11 +169,11 @@ class Searcher:
         if process is None:
             return
         if self._ready:  # it ends when its input does, but not in the midst of writing a file
-            _close_input(process)
+            _write(process, b"")
             with contextlib.suppress(subprocess.TimeoutExpired):
                 process.wait(PATIENCE)
         process.kill()
-        _close_input(process)
+        _write(process, b"")
         process.wait()
 
     def _end(self, reason: str, *, failed: bool = False) -> None:
@@ -187,7 +186,7 @@ class Searcher:
             layout, score = self._best
             self._ended(SearchEnding(named_optimised(layout), self._first, score, reason, failed))
 
-    def _listen(self, process: "subprocess.Popen[bytes]") -> None:
+    def _listen(self, process: Process) -> None:
         assert process.stdout is not None
         with process.stdout as source:
             while True:
@@ -214,8 +213,6 @@ class Searcher:
     def _receive(self, kind: str, *content: Any) -> None:
         if kind == "progress":
             self._progress(*content)
-        elif kind == "compiling":
-            self._compiling(*content)
         elif kind == "found":
             if self._best is None:
                 self._first = content[1]
@@ -231,15 +228,13 @@ class Searcher:
             )
 
 
-def _write(process: "subprocess.Popen[bytes]", search: bytes) -> None:
-    """Send a search to its process. That the process has ended is found by who listens to it."""
+def _write(process: Process, search: bytes) -> None:
+    """Send a search to its process, or without one end its input. That the process has ended is
+    found by who listens to it."""
     assert process.stdin is not None
     with contextlib.suppress(OSError, ValueError):
-        process.stdin.write(search)
-        process.stdin.flush()
-
-
-def _close_input(process: "subprocess.Popen[bytes]") -> None:
-    assert process.stdin is not None
-    with contextlib.suppress(OSError, ValueError):  # what it has not read is lost
-        process.stdin.close()
+        if search:
+            process.stdin.write(search)
+            process.stdin.flush()
+        else:
+            process.stdin.close()  # what it has not read is lost

@@ -1,7 +1,5 @@
-"""What one browser has in three dimensions: the handle on a sensor, outlines, a LiDAR's points.
-
-The handle's arrows and planes move the sensor in hand, its rings turn it.
-"""
+"""What one browser has in three dimensions: the handle on a sensor, outlines, a LiDAR's points. The
+handle's arrows and planes move the sensor in hand, its rings turn it."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -13,8 +11,7 @@ from jaxtyping import Float
 
 from inspe_jax.core.geometry import rotation
 from inspe_jax.report.figures import SENSOR_COLORS
-from inspe_jax.viewer.job_queue import asker
-from inspe_jax.viewer.scene3d import Outline, quaternion, rgb, turn_of
+from inspe_jax.viewer.scene3d import quaternion, rgb, turn_of
 
 LENGTH = 90.0
 """Length of the handle's arrows [pixel]."""
@@ -27,9 +24,7 @@ POINT_SIZE = 0.14
 @dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
 class HandleDrag:
     """One event of a drag: the handle is gripped ("start"), moved ("update") or let go ("end").
-
-    ``at`` (3,) is the handle's position in the world [m], ``turn`` its rotation matrix.
-    """
+    ``at`` (3,) is the handle's position in the world [m], ``turn`` its rotation matrix."""
 
     phase: str
     at: Float[np.ndarray, "3"]
@@ -69,7 +64,6 @@ class Selection3D:
         @gizmo.on_update
         async def _(event: viser.TransformControlsEvent) -> None:
             if event.client is not None:
-                asker.set(event.client_id)
                 at = np.array(gizmo.position) + shift
                 dragged(HandleDrag(event.phase, at, turn_of(gizmo.wxyz)))
 
@@ -79,16 +73,15 @@ class Selection3D:
         self.gizmo.position = pose[:3] - self._shift
         self.gizmo.visible = visible
 
-    def draw_outlines(self, outlines: Sequence[Outline]) -> None:
-        """Draw these outlines in place of those before."""
-        for k, found in enumerate(outlines):
-            color = rgb(found.color)
+    def draw_outlines(self, outlines: Sequence[tuple[Float[np.ndarray, "N 2 3"], str]]) -> None:
+        """Draw these line segments [m] in their colours, in place of those before."""
+        for k, (points, color) in enumerate(outlines):
             if k == len(self.outlines):
                 name = f"selected/{k + 1}"
-                line = self._api.add_line_segments(name, found.points, color, thickness=WIDE)
+                line = self._api.add_line_segments(name, points, rgb(color), thickness=WIDE)
                 self.outlines.append(line)
             line = self.outlines[k]
-            line.points, line.colors = found.points, np.array(color, np.uint8)
+            line.points, line.colors = points, np.array(rgb(color), np.uint8)
             line.visible = True
         for line in self.outlines[len(outlines) :]:
             line.visible = False

@@ -1,6 +1,6 @@
 """The controls of one browser: for a new sensor, for the selected one, and the list of all."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from html import escape
 from typing import Any
@@ -9,8 +9,9 @@ import viser
 
 from inspe_jax.core.words import isolated
 from inspe_jax.sensing.catalogue import devices
+from inspe_jax.sensing.layout import Sensor
 from inspe_jax.sensing.sensors import Spec
-from inspe_jax.viewer.bindings import bind, set_value
+from inspe_jax.viewer.panel import bind, set_value
 
 DIGITS = {"x": 2, "y": 2, "height": 2, "yaw": 1, "pitch": 1}
 """The numbers of a pose, with the decimals that are shown and typed."""
@@ -26,10 +27,8 @@ def label_of(spec: Spec) -> str:
 
 
 class SensorControls:
-    """Every control by name. When a person uses one, a method of ``view`` is called.
-
-    A value that the program itself sets calls nothing.
-    """
+    """Every control by name. When a person uses one, a method of ``view`` is called. A value that
+    the program itself sets calls nothing."""
 
     def __init__(
         self, gui: viser.GuiApi, viewer: Any, view: Any, orders: tuple[float, float, float, float]
@@ -81,37 +80,39 @@ class SensorControls:
         changes(self.existing, lambda _: existing[self.existing.value]())
         changes(self.add, lambda _: view.add(self._devices[self.new.value]))
 
-    def list_sensors(self, names: Sequence[str], in_hand: int | None) -> None:
-        """List these sensors, numbered from 1, and choose the one at place ``in_hand``, or none."""
-        options = tuple(f"{k + 1}  {isolated(name)}" for k, name in enumerate(names))
-        options += (NONE,) if in_hand is None else ()
+    def show(
+        self, sensors: Sequence[Sensor], in_hand: int | None, count: int, *, change: bool
+    ) -> None:
+        """List the sensors, numbered from 1; show that at place ``in_hand``, if one is, of as many
+        as are selected; enable only what selects unless the layout may ``change``."""
+        held = None if in_hand is None else sensors[in_hand]
+        options = tuple(f"{k + 1}  {isolated(one.name)}" for k, one in enumerate(sensors))
+        options += (NONE,) if held is None else ()
         if options != tuple(self.sensor.options):
             self.sensor.options = options
-            numbers = tuple(str(k + 1) for k in range(len(names)))
+            numbers = tuple(str(k + 1) for k in range(len(sensors)))
             self.row_buttons.options = self.toggle_buttons.options = numbers
         set_value(self.sensor, NONE if in_hand is None else options[in_hand])
-
-    def say_selected(self, count: int, name: str) -> None:
-        """Show the name of the sensor in hand, and whose the numbers are where not one sensor is
-        selected, but ``count``."""
-        set_value(self.name, name)
+        words = f"{NONE}: click on one."
+        if held is not None:
+            name = escape(isolated(held.name))
+            words = (
+                f"{count} sensors selected: numbers are of <b>{name}</b>, the others move along."
+            )
+            label = label_of(held.spec)
+            if label not in self.device.options:  # the catalogue does not have it
+                self._devices[label] = held.spec.name
+                self.device.options = (*self.device.options, label)
+            set_value(self.device, label)
+        set_value(self.name, "" if held is None else held.name)
         self.several.visible = count != 1
-        whose = f"numbers are of <b>{escape(isolated(name))}</b>, the others move along"
-        words = f"{count} sensors selected: {whose}." if count else f"{NONE}: click on one."
         self.several.content = f'<div style="{_WORDS}">{words}</div>' if count != 1 else ""
-
-    def offer_device(self, spec: Spec) -> None:
-        """Choose a device in the list; add it if the catalogue does not have it."""
-        label = label_of(spec)
-        if label not in self.device.options:
-            self._devices[label] = spec.name
-            self.device.options = (*self.device.options, label)
-        set_value(self.device, label)
-
-    def enable(self, *, change: bool, selected: bool) -> None:
-        """Leave only what selects unless the layout may change; and of what changes a selected
-        sensor nothing if none is."""
-        self.existing.visible = change and selected
         self.new.disabled = self.add.disabled = not change
+        self.existing.visible = can = change and held is not None
         for control in (self.device, self.name, *self.pose.values()):
-            control.disabled = not (change and selected)
+            control.disabled = not can
+
+    def show_pose(self, numbers: Mapping[str, float]) -> None:
+        """Show the numbers of a pose."""
+        for key, value in numbers.items():
+            set_value(self.pose[key], round(value, DIGITS[key]))

@@ -1,8 +1,5 @@
 """Through the selected sensor: a camera's picture or a LiDAR's points, and what it has of road
-users.
-
-The embedded recorder makes both. It works on a thread of its own, so that a sensor can be dragged
-meanwhile: pictures of a place that is already out of date are not begun.
+users, by the embedded recorder. A thread of its own records; what is out of date is not begun.
 """
 
 import base64
@@ -69,8 +66,8 @@ class SensorView:
         self.seen: Image | Scan | None = None
         self._folder, self._show_points = folder, show_points
         self._recording = JobQueue(failed)
-        self._live: tuple[Case, Layout, int, LiveSensor] | None = None
-        self._newest: tuple[Case, SensorShot] | None = None
+        self._live: tuple[Layout, int, LiveSensor] | None = None
+        self._newest: SensorShot | None = None
         with folder:
             self.on = gui.add_checkbox("Live", True, hint="Record what the selected sensor gets")
             self.picture = gui.add_html("")
@@ -79,18 +76,14 @@ class SensorView:
         async def _(event: Any) -> None:
             newest, self._newest = self._newest, None
             if newest is not None and event.client is not None:
-                self.look(newest[1])
+                self.look(newest)
 
     def look(self, at: SensorShot) -> None:
-        """Show this, unless something newer is to be shown before it is begun.
-
-        Does nothing if it is shown already.
-        """
-        if self._newest is not None:
-            case, newest = self._newest
-            if case is self.case and newest.layout is at.layout and newest[1:] == at[1:]:
-                return
-        self._newest = self.case, at
+        """Show this, unless it is shown already or something newer comes before it is begun."""
+        newest = self._newest
+        if newest is not None and newest.layout is at.layout and newest[1:] == at[1:]:
+            return
+        self._newest = at
         self._recording.submit(lambda: self._look(at), key="look")
 
     def close(self, *, wait: bool) -> None:
@@ -119,18 +112,17 @@ class SensorView:
     def _live_sensor(self, at: SensorShot, s: int) -> LiveSensor:
         """The selected sensor: while it is held, in the surroundings that it was taken up in."""
         if self._live is not None:
-            case, layout, of, sensor = self._live
+            layout, of, sensor = self._live
             there = layout is at.layout or (at.held and layout.sensors == at.layout.sensors)
-            if there and case is self.case and of == s:
+            if there and of == s:
                 return sensor
         case, small = self.case, Recording(image_scale=image_scale(at.layout.sensors[s].spec))
         sensor = LiveSensor(case.scene, at.layout, s, case.conditions, small)
-        self._live = case, at.layout, s, sensor
+        self._live = at.layout, s, sensor
         return sensor
 
 
 def _page(spec: Spec, boxes: Sequence[RoadUserBox], seen: Image | Scan) -> str:
-    """What a sensor has recorded, as HTML."""
     pose = np.asarray(seen.pose, float)
     at = np.array([box.center for box in boxes]).reshape(-1, 3)
     away = np.linalg.norm(at - pose[:3], axis=1)

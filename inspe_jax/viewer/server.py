@@ -8,17 +8,21 @@ reach through a tunnel such as ``ssh -L``, and each request is checked before vi
 - Its ``Origin``, which browsers send with what a page asks for, must be the page's own.
 """
 
+import hashlib
 import io
 import logging
+import os
 import re
 import secrets
 import threading
 from collections.abc import Callable
-from contextlib import AbstractContextManager, redirect_stdout
+from contextlib import AbstractContextManager, redirect_stdout, suppress
+from pathlib import Path
 from typing import Any
 
 import viser
 import websockets.asyncio.server
+from platformdirs import user_cache_path
 from websockets.asyncio.server import ServerConnection
 from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
@@ -35,6 +39,11 @@ HEADERS = {
 Files = Callable[[ServerConnection, Request], Response | None]
 """Answers a request: with a file, or with None to continue with the handshake of a socket."""
 
+BYTES = 16
+"""Length of a token [byte]."""
+FOLDER = "page_tokens"
+"""Folder in the user's cache of tokens that are kept."""
+_TOKEN = re.compile(r"[A-Za-z0-9_-]{22}")
 _HERE = re.compile(r"(localhost|127\.0\.0\.1|\[::1\])(:[0-9]{1,5})?", re.IGNORECASE)
 _OWN_HEAD = re.compile(
     r'<title>.*?</title>|<link\s+rel="icon".*?/>|<meta\s+name="description".*?/>', re.DOTALL
@@ -46,8 +55,8 @@ _serving = threading.Lock()
 def serve(port: int, token: str, head: str = "") -> viser.ViserServer:
     """Start a server for browsers that have the token.
 
-    viser has no options for this. It opens its port with ``websockets.asyncio.server.serve``, which
-    is replaced here by one that checks requests while the port is opened.
+    viser opens its port with ``websockets.asyncio.server.serve``, which is replaced here by one
+    that checks requests while the port is opened.
 
     Args:
         port: Port; if it is taken, the next free one is used. 0 is any free one.
@@ -126,3 +135,36 @@ def with_head(page: str, head: str) -> str:
     """viser's page with ``head`` in its head, in place of its own title, icon and description."""
     first, script, rest = page.partition("<script")  # what is behind it is compressed
     return _OWN_HEAD.sub("", first).replace("<head>", f"<head>{head}", 1) + script + rest
+
+
+def new_token() -> str:
+    """A random token."""
+    return secrets.token_urlsafe(BYTES)
+
+
+def kept_token(name: str, cache: Path | None = None) -> str:
+    """The token that this user's page of this ``name`` had last, so that one that is still open
+    gets in again; a new one if there is none.
+
+    It is in a file of the user's ``cache`` that nobody else can read; if others can, it is not
+    used. It must never be sent over a network, where others may read it.
+    """
+    token = new_token()
+    with suppress(OSError, RuntimeError, UnicodeError):  # such as no folder of the user's own
+        folder = (cache or user_cache_path("inspe_jax", appauthor=False)) / FOLDER
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        at = folder / hashlib.sha256(name.encode()).hexdigest()
+        with suppress(FileExistsError), open(at, "x", opener=_own) as f:
+            f.write(token)
+            return token
+        with open(at, opener=_own) as f:
+            status, kept = os.fstat(f.fileno()), f.read(2 * len(token))
+        alone = os.name == "nt" or (status.st_uid == os.getuid() and not status.st_mode & 0o077)
+        if alone and _TOKEN.fullmatch(kept):
+            return kept
+    return token
+
+
+def _own(path: str, flags: int) -> int:
+    """Open a file that nobody else can read, and none that a link of its name points to."""
+    return os.open(path, flags | getattr(os, "O_NOFOLLOW", 0), 0o600)

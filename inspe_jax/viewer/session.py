@@ -1,7 +1,5 @@
-"""Changes to a layout: sensors moved, turned, added, exchanged, and all of it undone.
-
-Every change gives the nearest layout that can be mounted. Nothing here knows of browsers.
-"""
+"""Changes to a layout: sensors moved, turned, added, exchanged, and all of it undone. Every change
+gives the nearest layout that can be mounted. Nothing here knows of browsers."""
 
 import math
 from collections.abc import Sequence
@@ -18,8 +16,6 @@ from inspe_jax.scene.scene import Scene
 from inspe_jax.sensing.catalogue import device
 from inspe_jax.sensing.layout import Layout, Sensor, Unit
 
-REMEMBERED = 200
-"""Number of changes that can be undone."""
 HEIGHT = 6.0
 """Height of a new sensor above the ground [m]."""
 TOLD = 0.01
@@ -35,10 +31,8 @@ MountedLayout = tuple[Layout, tuple[str, ...]]
 
 
 class LayoutSession:
-    """A layout on a scene, with its history.
-
-    ``layout`` is the layout as it is now; ``notes`` say how mounting has altered the last change.
-    """
+    """A layout on a scene, with its history. ``layout`` is the layout as it is now; ``notes`` say
+    how mounting has altered the last change."""
 
     def __init__(
         self, scene: Scene, layout: Layout, constraints: Constraints | None = None
@@ -67,11 +61,10 @@ class LayoutSession:
     ) -> MountedLayout:
         """The layout with sensor ``s`` let go at a world pose; the session does not change.
 
-        A pose outside of the region of interest is moved to its rim.
-        The sensor's unit moves with it in plan, since it stands on one foot. The unit's other
-        sensors keep their heights above the ground. Height and direction change for sensor ``s``
-        alone, and by as much for the sensors ``along``, whose units move as far in plan. The
-        result is the nearest layout that can be mounted.
+        A pose outside of the region of interest is moved to its rim. The sensor's unit moves with
+        it in plan, and its other sensors keep their heights above the ground. Height and direction
+        change for sensor ``s`` alone, and by as much for the sensors ``along``, whose units move as
+        far in plan. The result is the nearest layout that can be mounted.
         """
         old, pose, notes = self.layout, np.array(pose, float), list[str]()
         pose[:2] = self._inside(pose[:2], old.units[old.sensors[s].unit].name, notes)
@@ -121,10 +114,8 @@ class LayoutSession:
             self.notes = (asked, *self.notes)
 
     def rename(self, s: int, name: str) -> None:
-        """Give sensor ``s`` another name; an empty one changes nothing.
-
-        Raises InspeError if another sensor has it.
-        """
+        """Give sensor ``s`` another name; an empty one changes nothing. Raises InspeError if
+        another sensor has it."""
         name, sensors = name.strip(), list(self.layout.sensors)
         if name in ("", sensors[s].name):
             return
@@ -183,10 +174,8 @@ class LayoutSession:
         return after
 
     def remove(self, *which: int) -> None:
-        """Remove sensors, and units that carry no other; notes name those units.
-
-        Raises InspeError if no sensor would be left.
-        """
+        """Remove sensors, and units that carry no other; notes name those units. Raises InspeError
+        if no sensor would be left."""
         old = self.layout
         keep = [k for k in range(len(old)) if k not in which]
         if not keep:
@@ -202,9 +191,7 @@ class LayoutSession:
 
     def swap(self, s: int, name: str) -> None:
         """Exchange the device of sensor ``s`` for one of the opened layout or of the catalogue.
-
-        Raises InspeError if there is no such device.
-        """
+        Raises InspeError if there is no such device."""
         sensors = list(self.layout.sensors)
         spec = self._own[name] if name in self._own else device(name).spec
         sensors[s] = replace(sensors[s], spec=spec)
@@ -212,8 +199,8 @@ class LayoutSession:
 
     def take(self, layout: Layout, notes: tuple[str, ...] = ()) -> None:
         """Continue with another layout; :meth:`undo` brings back the one before."""
-        self._past = [*self._past[1 - REMEMBERED :], self.layout]
-        self._future = []
+        self._past.append(self.layout)
+        self._future.clear()
         self.layout, self.notes = layout, notes
 
     # ── Undo and redo ──
@@ -238,12 +225,9 @@ class LayoutSession:
     def _mounted(
         self, wanted: Layout, before: Sequence[str] = (), added: Sequence[str] = ()
     ) -> MountedLayout:
-        """The nearest layout that can be mounted; the wanted one if there is none.
-
-        ``before`` are notes on what was done before, ``added`` the names of its new units. It is
-        not what a search has found.
-        """
-        wanted = replace(wanted, goal=None)
+        """The nearest layout that can be mounted; the wanted one if there is none. ``before`` are
+        notes on what was done before, ``added`` the names of its new units."""
+        wanted = replace(wanted, goal=None)  # it is not what a search has found
         try:
             space = self._space_for(wanted)
             x, notes = space.start(wanted, added)
@@ -253,11 +237,8 @@ class LayoutSession:
         return found, (*before, *notes)
 
     def _space_for(self, wanted: Layout) -> Space:
-        """Where the sensors of a layout may be.
-
-        Kept for the next change if only poses differ. A unit that has come to hang over the
-        middle of the junction, or has left it, needs a new space: it is mounted otherwise there.
-        """
+        """Where the sensors of a layout may be: kept for the next change if only poses differ, and
+        no unit has come to hang over the middle of the junction, or has left it."""
         kept = self._space
         if (
             kept is None
@@ -270,10 +251,8 @@ class LayoutSession:
     def _inside(
         self, at: Float[np.ndarray, "2"], unit: str, notes: list[str]
     ) -> Float[np.ndarray, "2"]:
-        """The nearest point [m] within the region of interest; it is noted if it is another.
-
-        Raises InspeError if it is not finite.
-        """
+        """The nearest point [m] within the region of interest; it is noted if it is another. Raises
+        InspeError if it is not finite."""
         center, radius = self.scene.voxels.center[:2], self.scene.voxels.radius
         away = float(np.hypot(*(at - center)))
         if not np.isfinite(away):  # of a camera in a window without a size
@@ -289,7 +268,6 @@ class LayoutSession:
 
 
 def _names(layout: Layout) -> tuple[object, ...]:
-    """All of a layout except its poses."""
     return layout.name, layout.sensors, tuple(unit.name for unit in layout.units)
 
 

@@ -22,21 +22,18 @@ OFFERED = 4
 
 
 class LayoutStore:
-    """The files of one layout: ``path``, where it is saved, and ``unsaved`` beside it.
-
-    ``earlier`` are files that earlier runs have left, the newest first.
-    """
+    """The files of one layout: ``path``, where it is saved, and ``unsaved`` beside it. ``earlier``
+    are files that earlier runs have left, the newest first."""
 
     def __init__(self, path: Path, opened: Layout, scene: Scene | None = None) -> None:
         """``opened`` is the layout at the start. ``scene`` gives ground heights that files leave
         out."""
         self.path, self._scene = Path(path).resolve(), scene
-        self._kept = opened
+        self._saved = opened
         self._known: dict[Path, bytes] = {}  # this run's own files, as it has written them
         self._unsaved: Path | None = None
         self._written: Layout | None = None  # what is in that file
         self._wrong = ""  # why the newest layout is not
-        self._taken_up: tuple[Path, Layout] | None = None
         if self._is(self.path, opened):  # it was opened from there
             self._know(self.path)
         self.earlier = [at for at in self._others() if not self._is(at, opened)][:OFFERED]
@@ -59,7 +56,7 @@ class LayoutStore:
 
     def holds(self, layout: Layout) -> bool:
         """Whether a layout has no unsaved changes."""
-        return layout is self._kept
+        return layout is self._saved
 
     def would_replace(self, layout: Layout) -> bool:
         """Whether saving would replace another layout that this run has not written."""
@@ -69,9 +66,7 @@ class LayoutStore:
         """Read a layout of an earlier run. Raises InspeError if the file is not a layout."""
         layout = load_layout(earlier, self._scene, unit_rule=False)
         if earlier == self.path:
-            self._kept = layout
-        elif UNSAVED in earlier.name:
-            self._taken_up = earlier, layout
+            self._saved = layout
         return layout
 
     def kept(self, layout: Layout) -> Path | None:
@@ -79,24 +74,17 @@ class LayoutStore:
         return self._unsaved if self._written is layout and self._owns(self._unsaved) else None
 
     def save(self, layout: Layout, path: Path | None = None) -> None:
-        """Save the layout to ``path``, or to the present file. A file there is replaced.
-
-        ``path`` is the layout's file from now on. Ask :meth:`would_replace` before.
-        """
+        """Save the layout to ``path``, or to the present file. A file there is replaced. ``path``
+        is the layout's file from now on. Ask :meth:`would_replace` before."""
         save_layout(layout, path or self.path)
         self.path = path or self.path
         self._know(self.path)
-        self._kept = layout
+        self._saved = layout
         self.keep(layout)
-        if self._taken_up is not None and self._taken_up[1] is layout:  # it is saved now
-            self._taken_up[0].unlink(missing_ok=True)
-            self._taken_up = None
 
     def keep(self, layout: Layout) -> None:
-        """Keep the unsaved changes of a layout; remove their file if there are none.
-
-        Raises InspeError or OSError if they cannot be kept: :meth:`words` then say so.
-        """
+        """Keep the unsaved changes of a layout; remove their file if there are none. Raises
+        InspeError or OSError if they cannot be kept: :meth:`words` then say so."""
         if not self._owns(self._unsaved):
             self._unsaved = self._written = None
         at, new = self._unsaved, self._unsaved is None
@@ -145,7 +133,6 @@ class LayoutStore:
             return False
 
     def _is(self, path: Path, layout: Layout) -> bool:
-        """Whether a file holds exactly this layout."""
         try:
             found = load_layout(path, self._scene, unit_rule=False)
             return layout_text(found) == layout_text(layout)
@@ -161,11 +148,10 @@ class LayoutStore:
         return sorted(found, key=lambda at: at.stat().st_mtime, reverse=True)
 
     def _unsaved_names(self) -> Iterator[Path]:
-        """Names for the file of unsaved changes."""
         return _numbered(self.path.with_name(f"{self.path.stem}.{UNSAVED}{self.path.suffix}"))
 
     def _new_unsaved(self) -> Path:
-        """A new file of that kind; another run may be choosing a name at the same time."""
+        """A new file for unsaved changes; another run may be choosing a name at the same time."""
         for at in self._unsaved_names():
             with suppress(FileExistsError):
                 at.touch(exist_ok=False)
@@ -175,7 +161,6 @@ class LayoutStore:
 
 
 def _numbered(path: Path) -> Iterator[Path]:
-    """A path, and then those beside it, with numbers from 2."""
     yield path
     for k in count(2):
         yield path.with_name(f"{path.stem}-{k}{path.suffix}")

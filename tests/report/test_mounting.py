@@ -7,7 +7,7 @@ import pytest
 from worlds import CAMERA, LIDAR, crossing, world
 
 from inspe_jax import built_in
-from inspe_jax.report.mounting import model_words, mounting_words, origin_words
+from inspe_jax.report.page import FACTS, template
 from inspe_jax.report.schedule import installation_schedule, materials
 from inspe_jax.scene.georeference import Georeference
 from inspe_jax.scene.statics import pole
@@ -22,12 +22,21 @@ def scene():
     return world(radius=12.0, voxel=2.0, count=2, frames=2, seed=1)
 
 
+def rendered(name, **about):
+    return " ".join(template("report", name).render(**FACTS, **about).split())
+
+
+def origin_words(place):
+    return rendered("origin.html.j2", place=place)
+
+
 def words_of(scene, *sensors):
     """What is said of one pole at (9, 8) with sensors: (spec, offset along x, height) each."""
     poses = np.array([[9.0 + x, 8.0, z, 0.0, 0.0, 0.0] for _, x, z in sensors])
     members = [Sensor(f"s{k}", spec, 0) for k, (spec, *_) in enumerate(sensors)]
     layout = make_layout(members, [Unit("corner", (9.0, 8.0, 0.0))], poses)
-    return mounting_words(scene, installation_schedule(layout, scene.intersection, {}))
+    units = installation_schedule(layout, scene.intersection, {})
+    return rendered("mounting.html.j2", scene=scene, units=units)
 
 
 ARM, AXIS = (CAMERA, 1.5, 6.5), (CAMERA, 0.0, 6.0)
@@ -97,8 +106,9 @@ def test_a_model_cannot_be_bought():
     layout = make_layout(members, [Unit("corner", (0.0, 0.0, 0.0))], poses)
     rows = materials(layout, {})
     assert [row.product for row in rows] == [False, False, True, True]
-    words, of_lidar = model_words(layout, rows)
-    assert words.startswith("paper-camera is a model and cannot be bought.")
+    about = {spec.name: spec for spec in specs}
+    _, words, of_lidar = rendered("models.html.j2", materials=rows, specs=about).split("<p")
+    assert "paper-camera is a model and cannot be bought." in words
     assert "800 × 600 pixels, a field of view of 100° × 84° and a reach of 38 m." in words
     low, high = np.degrees(specs[1].elevations)[[0, -1]]
     assert f"32 channels at elevations from {low:.1f}° to {high:.1f}°" in of_lidar

@@ -1,35 +1,28 @@
 """The page in a real browser: sensors are dragged by their handles, and everything follows."""
 
-import io
 import re
 from dataclasses import replace
 from pathlib import Path
 
-import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from browser import browser, errors_of
 from common import UNDRAWN
-from scipy.ndimage import binary_erosion
 from worlds import world
 
 from inspe_jax.placement.problem import Case
 from inspe_jax.placement.space import Space
-from inspe_jax.report.plan_picture import LETTERS
 from inspe_jax.scoring.evaluate import evaluate
-from inspe_jax.sensing.conditions import Conditions
 from inspe_jax.sensing.layout import load_layout, save_layout
 from inspe_jax.viewer.app import Viewer
-from inspe_jax.viewer.bindings import set_value
-from inspe_jax.viewer.page_token import new_token
+from inspe_jax.viewer.blind_spot_panel import LETTERS
+from inspe_jax.viewer.panel import set_value
 from inspe_jax.viewer.scene3d import turn_of
 from inspe_jax.viewer.selection3d import LENGTH
+from inspe_jax.viewer.server import new_token
 
 pytestmark = pytest.mark.browser
 
-EDGES = 0.03
-"""Share of dark pixels at edges, which are smoothed with the colour beside them: 1.5 % were seen to
-change with that colour."""
 WAIT = 120_000
 """For what compiles first [ms]."""
 
@@ -55,18 +48,8 @@ def viewer(scene, layout, tmp_path):
 @pytest.fixture
 def tab(chromium, viewer):
     """A page on the viewer, with the scores of all frames; it must not complain."""
-    yield from page_on(viewer, chromium, UNDRAWN)
-
-
-@pytest.fixture
-def drawn_tab(chromium, viewer):
-    """The same, with its scene in three dimensions."""
-    yield from page_on(viewer, chromium, "")
-
-
-def page_on(viewer, chromium, script):
     found = chromium.new_page(viewport={"width": 1440, "height": 900})
-    found.add_init_script(script)
+    found.add_init_script(UNDRAWN)
     wrong = errors_of(found)
     found.goto(viewer.url)
     settled(found)
@@ -169,12 +152,26 @@ def test_a_sensor_is_dragged_by_its_handle_and_the_scores_follow(tab, viewer, sc
     assert 1.0 < viewer.layout.poses[0, 2] - layout.poses[0, 2] < 5.0
     np.testing.assert_allclose(viewer.layout.poses[0, :2], layout.poses[0, :2], atol=1e-6)
     assert second == evaluate(scene, viewer.layout).surrogate
+    assert_headline_fits(tab)
 
     press(tab, "Undo")
     assert settled(tab, second) == first
     assert viewer.layout is layout
     press(tab, "Redo")
     assert settled(tab, first) == second
+
+
+def assert_headline_fits(tab):
+    """All that is said of the reference is above the buttons, and nothing is cut off."""
+    said = tab.get_by_text("against the reference"), tab.locator("[data-score]")
+    (right, bottom), end = (
+        (box["x"] + box["width"], box["y"] + box["height"])
+        for box in (found.bounding_box() for found in said)
+    )
+    assert right <= end[0]
+    assert bottom <= end[1] <= tab.get_by_role("button", name="Undo").bounding_box()["y"]
+    panel = tab.locator(".mantine-ScrollArea-viewport:has([data-score])")
+    assert panel.evaluate("e => e.scrollWidth <= e.clientWidth")
 
 
 def test_a_sensor_is_turned_by_a_ring(tab, viewer, layout):
@@ -238,37 +235,6 @@ def test_what_is_saved_comes_back_with_the_same_score(tab, viewer, scene):
     assert Path(sent.value.path()).read_text() == viewer.store.path.read_text()
 
 
-def test_what_is_seen_hides_no_blind_spot(drawn_tab, viewer):
-    """As many dark pixels with its tint as without, and with no tint of blind spots nearly none."""
-
-    def dark():
-        """Pixels that are dark, and so are all near them: not those of a smoothed edge."""
-        drawn_tab.wait_for_timeout(1500)
-        stage = {"x": 0, "y": 0, "width": 1000, "height": 900}  # without the panel
-        picture = plt.imread(io.BytesIO(drawn_tab.screenshot(clip=stage)))[..., :3]
-        return int(binary_erosion(picture.max(-1) < 0.35, iterations=2).sum())
-
-    def tick(label, on):
-        drawn_tab.get_by_label(label, exact=True).set_checked(on)
-        meshes = viewer.scene3d.drawn.items()
-        kind = {"seen": "voxels/seen/", "never in view": "voxels/out of view/"}[label]
-        wait_until(drawn_tab, lambda: on == any(m.visible for n, m in meshes if n.startswith(kind)))
-
-    first = score_of(drawn_tab)
-    view_of(viewer).select(1)  # the LiDAR, which has all in view
-    view_of(viewer).remove()
-    settled(drawn_tab, first)
-    without = dark()
-    assert without > 10_000
-    tick("seen", True)
-    assert dark() == pytest.approx(without, rel=EDGES)
-    tick("never in view", False)
-    assert dark() < without / 4
-    tick("never in view", True)
-    tick("seen", False)
-    assert dark() == pytest.approx(without, rel=EDGES)
-
-
 def test_a_blind_spot_is_clicked_and_looked_at(tab, viewer):
     (client,) = viewer.server.get_clients().values()
     panel = viewer.display.blind_spots
@@ -280,81 +246,33 @@ def test_a_blind_spot_is_clicked_and_looked_at(tab, viewer):
     assert tab.get_by_alt_text("Plan view").count() == 1
 
 
-def test_a_layout_that_breaks_a_rule_opens_in_red_and_says_why(chromium, scene, layout, tmp_path):
-    poses = np.array(layout.poses)
-    poses[0, 2] = 20.0
-    viewer = Viewer(Case(scene), replace(layout, poses=poses), tmp_path / "x.yaml", port=0)
-    try:
-        tab = chromium.new_page(viewport={"width": 1440, "height": 900})
-        tab.goto(viewer.url)
-        settled(tab)
-        assert tab.get_by_text("This layout cannot be mounted").is_visible()
-        assert tab.get_by_text(re.compile("is 20.00 m above the ground, not 3 to 12")).is_visible()
-        assert viewer.scene3d.drawn["numbers/1"].text == "1 !"
-        assert tuple(viewer.scene3d.drawn["sensors/1/device"].color) == (255, 23, 68)
-        tab.get_by_label("yaw [°]").fill("0")  # what is touched is mended
-        tab.keyboard.press("Enter")
-        tab.get_by_text("This layout cannot be mounted").wait_for(state="detached")
-        assert viewer.layout.poses[0, 2] == pytest.approx(12.0, abs=1e-2)
-        tab.close()
-    finally:
-        viewer.close()
-
-
 def test_what_an_earlier_run_saved_is_offered_and_asked_about(chromium, scene, layout, tmp_path):
-    """Start, save, end, start again, as in a day's work; then save to a name of its own."""
     path, better = tmp_path / "moved.yaml", np.array(layout.poses) + [0, 0, 1.0, 0, 0, 0]
     save_layout(replace(layout, poses=better), path)
-    for answer in ("Open moved.yaml", "Save as moved-2.yaml", "Cancel", "Replace moved.yaml"):
-        viewer = Viewer(Case(scene), layout, path, port=0)
-        tab = chromium.new_page(viewport={"width": 1440, "height": 900})
-        try:
-            wrong = errors_of(tab)
-            tab.goto(viewer.url)
-            tab.get_by_text("An earlier run has left").wait_for()
-            if answer.startswith("Open"):
-                press(tab, answer)
-                wait_until(tab, lambda v=viewer: np.allclose(v.layout.poses, better, atol=1e-8))
-                tab.get_by_text("An earlier run has left").wait_for(state="hidden")
-                press(tab, "Save layout")
-                tab.get_by_text("Saved", exact=True).wait_for()
-                continue
-            press(tab, "Leave them")
-            tab.get_by_text("An earlier run has left").wait_for(state="hidden")
-            settled(tab)  # until then the page may show its controls anew, also what is typed
-            tab.get_by_label("height [m]").fill("9")
+    viewer = Viewer(Case(scene), layout, path, port=0)
+    tab = chromium.new_page(viewport={"width": 1440, "height": 900})
+    try:
+        wrong = errors_of(tab)
+        tab.goto(viewer.url)
+        tab.get_by_text("An earlier run has left").wait_for()
+        settled(tab)  # until then the page may show its controls anew, also what is typed
+        tab.get_by_label("height [m]").fill("9")
+        for answer in ("Cancel", "Save as moved-2.yaml"):
             press(tab, "Save layout")
             tab.get_by_text("was not written by this run").wait_for()
-            np.testing.assert_allclose(load_layout(path).poses, better, atol=1e-8)
             press(tab, answer)
             tab.get_by_text("was not written by this run").wait_for(state="hidden")
-            if answer != "Cancel":
-                tab.get_by_text("Saved", exact=True).wait_for()
-            saved = {"Cancel": None, "Replace moved.yaml": "moved.yaml"}.get(answer, "moved-2.yaml")
-            if saved:
-                assert load_layout(tmp_path / saved).poses[0, 2] == pytest.approx(9.0, abs=1e-6)
-            assert wrong == []
-        finally:
-            tab.close()
-            viewer.close()
-
-
-def test_light_is_chosen_and_the_headline_fits(tab, viewer, scene, layout):
-    """Scores follow; all that is said of the reference is above the buttons."""
-    first = score_of(tab)
-    tab.get_by_label("Light", exact=True).click(force=True)
-    tab.get_by_role("option", name="night").click()
-    night = Conditions("night")
-    assert settled(tab, first) == evaluate(scene, layout, conditions=night).surrogate
-    against = tab.get_by_text("against the reference (midday, clear)")
-    assert against.is_visible()
-    boxes = [found.bounding_box() for found in (against, tab.locator("[data-score]"))]
-    ends = [[box["x"] + box["width"], box["y"] + box["height"]] for box in boxes]
-    assert (np.array(ends[0]) <= ends[1]).all()  # all of it
-    undo = tab.get_by_role("button", name="Undo").bounding_box()
-    assert ends[1][1] <= undo["y"]
-    panel = tab.locator(".mantine-ScrollArea-viewport:has([data-score])")
-    assert panel.evaluate("e => e.scrollWidth <= e.clientWidth")  # nothing is cut off
+        tab.get_by_text("Saved", exact=True).wait_for()
+        np.testing.assert_allclose(load_layout(path).poses, better, atol=1e-8)
+        saved = load_layout(tmp_path / "moved-2.yaml")
+        assert saved.poses[0, 2] == pytest.approx(9.0, abs=1e-6)
+        press(tab, "Open moved.yaml")
+        wait_until(tab, lambda: np.allclose(viewer.layout.poses, better, atol=1e-8))
+        tab.get_by_text("An earlier run has left").wait_for(state="hidden")
+        assert wrong == []
+    finally:
+        tab.close()
+        viewer.close()
 
 
 def test_keys_undo_select_remove_and_are_listed(tab, viewer, layout):
@@ -392,7 +310,7 @@ def test_the_score_stays_in_sight_and_the_page_is_its_own(tab, viewer):
     assert tab.title() == "layout at test crossing – inspe_jax"
     assert not tab.get_by_text("Software WebGL rendering detected").is_visible()
     set_value(viewer.panel.target, 0.3)
-    viewer.show_target()
+    viewer.queue.submit(viewer.display.update_panel)
     mark = tab.locator("[data-target]")
     mark.wait_for()
     box = mark.bounding_box()
@@ -469,9 +387,3 @@ def test_where_the_server_ends_the_page_says_so_and_gets_in_to_the_next(
     finally:
         tab.close()
         second.close()
-
-
-def test_a_number_is_clicked(tab, viewer):
-    """In the picture: that of the LiDAR."""
-    at = np.array(viewer.scene3d.drawn["numbers/2"].position) + viewer.scene3d.shift
-    click(tab, viewer, at + [0, 0, 0.3], lambda: view_of(viewer).in_hand == 1)

@@ -59,7 +59,7 @@ def test_a_pole_is_upright_and_arms_are_level(scene):
         assert any(np.allclose(line, found, atol=1e-3) for found in drawn)
 
 
-@pytest.mark.parametrize("azimuth", [10, 90, 190, 250, 270, 290, 330])
+@pytest.mark.parametrize("azimuth", [10, 190, 270, 330])
 def test_every_sensor_is_in_the_picture(scene, azimuth):
     x, y = RADIUS * np.array([np.cos(np.radians(azimuth)), np.sin(np.radians(azimuth))])
     (ax,) = still_view(scene, place_sensors((LIDAR, [x, y, 9.0, 0, 0, 0]))).axes

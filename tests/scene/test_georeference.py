@@ -65,9 +65,6 @@ def test_pyproj_is_named_where_it_is_missing(monkeypatch):
         Georeference("EPSG:25832").to_degrees(SOME)
 
 
-# ── OpenDRIVE ───────────────────────────────────────────────────────────────
-
-
 def test_an_open_drive_projection_is_read():
     text = "+proj=tmerc +lat_0=48 +lon_0=11 +datum=WGS84 +geoidgrids=no_such.gtx +vunits=m +no_defs"
     georeference = of_open_drive(text, (5.0, -3.0))
@@ -91,9 +88,6 @@ def test_carla_s_own_maps_lie_where_its_client_says(lat, lon):
         there = town.transform_to_geolocation(carla.Location(x=float(x), y=float(y), z=0.0))
         at = georeference.from_degrees(np.array([[there.longitude, there.latitude]]))[0]
         assert np.hypot(*(at - [x, y])) <= 0.007 * np.hypot(x, y) + 1e-6
-
-
-# ── In a scene ──────────────────────────────────────────────────────────────
 
 
 @pytest.fixture(scope="module")

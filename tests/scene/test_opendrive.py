@@ -13,7 +13,7 @@ from worlds import MAPS
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.scene.intersection import Intersection, mouth_crosswalks
-from inspe_jax.scene.maps.opendrive.road_network import load_map
+from inspe_jax.scene.maps.opendrive.reader import load_map
 from inspe_jax.scene.maps.registry import list_junctions, read_map
 from inspe_jax.scene.regions import Region
 
@@ -201,8 +201,6 @@ def test_center_takes_the_junctions_near_it_for_one(write):
     assert around.regions[Region.JUNCTION].area == pytest.approx(140, rel=0.01)
 
 
-# ---- errors -----------------------------------------------------------------------------------
-
 GOOD = street()
 ERRORS = {
     "malformed": (GOOD.replace("</planView>", "", 1), {}, r"not well-formed XML.*line 1, column"),
@@ -244,8 +242,6 @@ def test_the_client_is_silent(write, capfd):
     read_map(write(street(), "silent.xodr"), junction=7, radius=30)  # has no georeference
     assert capfd.readouterr() == ("", "")
 
-
-# ---- the towns --------------------------------------------------------------------------------
 
 PLACES = {  # place: (town, options, arms that one sees on the map)
     "four-way": ("Town05", {"junction": 53}, 4),
@@ -404,7 +400,7 @@ def test_the_corners_of_a_city_junction_have_no_gaps():
 def test_crosswalks_are_the_maps_or_strips_with_a_note():
     own = read_map(town("Town10HD"), junction=189)
     assert not any("crosswalk" in note for note in own.notes)
-    loops = load_map(town("Town10HD")).crosswalks
+    loops = load_map(town("Town10HD")).crossings
     near = [
         shapely.Polygon(c[:, :2]) for c in loops if np.hypot(*(c.mean(0) - own.center)[:2]) < 45
     ]

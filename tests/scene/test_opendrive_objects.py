@@ -8,8 +8,7 @@ import shapely
 from shapely.geometry import Point, Polygon, box
 from worlds import MAPS
 
-from inspe_jax.scene.maps.opendrive.objects import PARKING, shapes_of
-from inspe_jax.scene.maps.opendrive.reference_line import ReferenceLine
+from inspe_jax.scene.maps.opendrive.objects import PARKING, ReferenceLine, shapes_of
 
 LINE = '<geometry s="0" x="10" y="20" hdg="0" length="100"><line/></geometry>'
 ARC = '<geometry s="0" x="0" y="0" hdg="0" length="100"><arc curvature="0.02"/></geometry>'
@@ -25,8 +24,6 @@ def read(objects: str, plan: str = LINE):
 def same(area, expected):
     return area.symmetric_difference(expected).area < 1e-6
 
-
-# ── Objects ─────────────────────────────────────────────────────────────────
 
 ROAD_CORNERS = "".join(
     f'<cornerRoad s="{s}" t="{t}" dz="0" height="9"/>' for s, t in ((20, 5), (30, 5), (30, 12))
@@ -130,9 +127,6 @@ def test_what_is_no_body_or_makes_no_sense():
     assert read('<object type="tree" s="0" t="0"/>', "<geometry/>")[0] == ()
 
 
-# ── The reference line ──────────────────────────────────────────────────────
-
-
 def test_pieces_worked_out_on_paper():
     def line(shape: str):
         return ReferenceLine(ET.fromstring(
@@ -164,7 +158,8 @@ def test_the_line_is_carla_s(town):
     """CARLA's lanes lie straight across from the same point of the line, and run along it: to
     0.1 mm in single precision."""
     pytest.importorskip("carla", reason="needs the CARLA client: extra [opendrive]")
-    from inspe_jax.scene.maps.opendrive.road_network import heading_of, load_map, position
+    from inspe_jax.scene.maps.opendrive.reader import load_map
+    from inspe_jax.scene.maps.opendrive.road_network import heading_of, position
 
     path = MAPS / f"{town}.xodr"
     carla, rng = load_map(path), np.random.default_rng(0)

@@ -9,7 +9,7 @@ from shapely.geometry import box
 from worlds import MAPS, crossing
 
 import inspe_jax
-from inspe_jax.scene.maps.lane_strips import LaneStrip
+from inspe_jax.scene.maps.lanes import LaneStrip
 from inspe_jax.scene.maps.parking import OCCUPIED, parked_vehicles, with_parked
 from inspe_jax.scene.regions import Region
 
@@ -20,10 +20,9 @@ def lane(y, width, length=48.0, bend=0.0):
     turn = s * bend
     x = np.sin(turn) / bend if bend else s
     lift = (1 - np.cos(turn)) / bend if bend else 0 * s
-    line = np.column_stack([x - length / 2, y + lift])
-    out = np.column_stack([-np.sin(turn), np.cos(turn)]) * width / 2
-    center = np.column_stack([line, 0 * s])
-    return LaneStrip(1, 1, -1, "parking", center, line + out, line - out)
+    center = np.column_stack([x - length / 2, y + lift, 0 * s])
+    ahead = np.column_stack([np.cos(turn), np.sin(turn)])
+    return LaneStrip.along(1, 1, -1, "parking", center, ahead, width)
 
 
 @pytest.mark.parametrize(("width", "across", "places"), [(2.2, False, 8), (5.2, True, 19)])
@@ -38,22 +37,17 @@ def test_vehicles_stand_in_their_lane(width, across, places):
             assert strip.polygon.covers(one.polygon)
             length = one.outline[1] - one.outline[0]
             assert abs(length[int(not across)]) < 1e-9
-        pairs = shapely.STRtree([one.polygon for one in found]).query(
-            [one.polygon for one in found], "intersects"
-        )
+        bodies = [one.polygon for one in found]
+        pairs = shapely.STRtree(bodies).query(bodies, "intersects")
         assert pairs.shape[1] == len(found)  # each meets itself alone
         again = parked_vehicles(place, [strip], [], 50.0)
         assert [one.number for one in again] == [one.number for one in found]
     assert np.mean(counts) / places == pytest.approx(OCCUPIED, abs=0.12)
     assert max(counts) <= places
-
-
-def test_in_a_bend_along_the_lane():
     strip = lane(9.0, 2.4, bend=1 / 30)
     found = parked_vehicles(crossing(), [strip], [], 60.0)
     assert len(found) >= 4
-    for one in found:
-        assert one.polygon.difference(strip.polygon).area < 0.1
+    assert all(one.polygon.difference(strip.polygon).area < 0.1 for one in found)
 
 
 def test_on_marked_spaces_along_the_longer_side():

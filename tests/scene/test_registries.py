@@ -8,10 +8,10 @@ import yaml
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.scene.maps import registry as maps
-from inspe_jax.scene.maps.parts import JunctionInfo
+from inspe_jax.scene.maps.road_map import JunctionInfo
 from inspe_jax.scene.procedural.built_ins import crossing
 from inspe_jax.scene.scene import build_scene, load_scene, save_scene
-from inspe_jax.scene.traffic import registry as models
+from inspe_jax.scene.traffic import frames as models
 from inspe_jax.scene.traffic.frames import TrafficFrames
 
 MAP = """\
@@ -19,8 +19,6 @@ junctions:
   north: {bearings_deg: [0, 90, 180, 270], lanes: [1, 1, 1, 1]}
   south: {bearings_deg: [10, 130, 250], lanes: [2, 2, 2]}
 """
-
-# ── What the module of a map format holds ───────────────────────────────────
 
 
 class ToyMap:
@@ -48,9 +46,6 @@ class ToyMap:
         return crossing(f"{self.name} {junction}", **self.junctions[junction])
 
 
-# ── What the module of a traffic model holds ────────────────────────────────
-
-
 def parked_traffic(intersection, *, radius, count, frames, mix, step, seed, progress):
     """``count`` cars that stand in a row on the first route, in every frame."""
     route = intersection.routes[0].waypoints[: 8 * count : 8]
@@ -65,9 +60,6 @@ def parked_traffic(intersection, *, radius, count, frames, mix, step, seed, prog
         velocity=np.zeros((*shape, 3)),
         time=np.arange(frames) * step,
     )
-
-
-# ── Their rows, and what follows from them ──────────────────────────────────
 
 
 @pytest.fixture

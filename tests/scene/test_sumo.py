@@ -45,9 +45,6 @@ def raw():
     return root, lambda of: np.array([p.split(",")[:2] for p in of.split()], float) - moved
 
 
-# ---- the place ------------------------------------------------------------------------------
-
-
 def test_the_junction_is_what_its_file_says(place, raw):
     (info,) = list_junctions(rilsa())
     assert (info.id, info.arms, info.crosswalks, info.signals) == ("0", 4, 4, 4)
@@ -144,9 +141,6 @@ def test_a_town_is_the_same_place_by_its_net_and_by_opendrive():
     assert {a.bearing > 0 for a in net.arms} == {True, False}
 
 
-# ---- OpenStreetMap --------------------------------------------------------------------------
-
-
 def test_an_extract_of_openstreetmap_is_an_intersection(tmp_path):
     path = Town().write(tmp_path / "crossroads.osm")
     (info,) = list_junctions(path)
@@ -158,9 +152,6 @@ def test_an_extract_of_openstreetmap_is_an_intersection(tmp_path):
     scene = build_scene(place, radius=40, voxel=1.0, density=10, frames=5, traffic="sumo")
     assert {*np.unique(scene.voxels.region)} >= {Region.DRIVEWAY, Region.JUNCTION, Region.SIDEWALK}
     assert scene.traffic.mean_count > 3
-
-
-# ---- traffic --------------------------------------------------------------------------------
 
 
 def test_as_many_as_asked_for_of_every_class(traffic):
@@ -242,8 +233,6 @@ def test_the_largest_vehicle_alone_and_progress_to_its_end(place):
     assert set(traffic.kind[traffic.valid].tolist()) == {CLASSES.index("truck")}
     assert np.allclose(traffic.size[traffic.valid], ROAD_USERS[TRUCK].size)
 
-
-# ---- bad input ------------------------------------------------------------------------------
 
 NET = '<net version="1.20"><location netOffset="0.00,0.00" convBoundary="0,0,1,1" '
 NET += 'origBoundary="0,0,1,1" projParameter="!"/>{}</net>'

@@ -1,7 +1,6 @@
 """Heights of the ground from an elevation model: GeoTIFF, ASCII grid, or a tile of SRTM or DTED.
 
-Only the part of the model around the place is read, so models of whole states serve. Formats that
-refer to other files or addresses are not read.
+Only the part around the place is read, and no format that refers to other files or addresses.
 """
 
 import os
@@ -30,8 +29,7 @@ DRIVERS = {
     **dict.fromkeys((".dt0", ".dt1", ".dt2"), "DTED"),
 }
 """GDAL's driver for each suffix of the files that are read."""
-METRES = ("", "m", "metre", "metres", "meter", "meters")
-"""Units of heights that are metres; most files name none."""
+METRES = ("", "m", "metre", "metres", "meter", "meters")  # most files name no unit
 
 
 def with_elevation(
@@ -40,10 +38,9 @@ def with_elevation(
     """A place on the ground of an elevation model, to :data:`~inspe_jax.scene.terrain.MARGIN`
     beyond ``radius`` [m] of its centre.
 
-    Heights [m] between the model's cells are bilinear. Its projection is that of the file; of a
-    file that names none, that of the place, and world coordinates where the place has none either.
-    Routes, poles and the centre stand on the new ground. A deck that crosses above another road is
-    not known to a model: the place lies on one level.
+    Heights [m] between the model's cells are bilinear. A file that names no projection has that of
+    the place, or world coordinates where the place has none either. A deck that crosses above
+    another road is not known to a model: the place lies on one level.
 
     Raises InspeError if rasterio or pyproj is missing, if the file can't be read, if only one of
     the two says where on the Earth it is, if the file is no elevation model in metres, and if it

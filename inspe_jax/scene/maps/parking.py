@@ -1,8 +1,4 @@
-"""Vehicles that stand in the parking lanes and spaces of a map.
-
-A map says where vehicles may park, not which do. So most places are taken, at random but always the
-same for a place, by vehicles of usual sizes.
-"""
+"""Vehicles that stand in the parking lanes and spaces of a map: at random, the same for a place."""
 
 import zlib
 from collections.abc import Iterable, Iterator
@@ -17,7 +13,7 @@ from shapely.ops import unary_union
 from inspe_jax.core.words import counted
 from inspe_jax.scene.intersection import Intersection
 from inspe_jax.scene.lines import arc_of
-from inspe_jax.scene.maps.lane_strips import LaneStrip
+from inspe_jax.scene.maps.lanes import LaneStrip
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.statics import StaticBody, upright_box
 from inspe_jax.scene.street import PARKED, parked_size
@@ -25,23 +21,17 @@ from inspe_jax.scene.street import PARKED, parked_size
 OCCUPIED = 0.85
 """Share of places that are taken: what cities manage parking for, since at more than this drivers
 circle for one (Shoup, The High Cost of Free Parking, 2005)."""
-PARALLEL, ABREAST = 6.0, 2.5
-"""Length of a place along the lane [m]: vehicles behind each other, and side by side."""
-DEEP = 4.4
-"""Where a lane is wider than this, vehicles stand across it [m]."""
-OUT = 0.1
-"""A vehicle may stand out of its place by so much [m²], as in a bend."""
-MARGIN = 0.1
-"""Vehicles keep this far from the edges of a place [m]."""
+PARALLEL, ABREAST = 6.0, 2.5  # length of a place along the lane [m]: vehicles in a row, abreast
+DEEP = 4.4  # where a lane is wider than this, vehicles stand across it [m]
+OUT = 0.1  # a vehicle may stand out of its place by so much [m²], as in a bend
+MARGIN = 0.1  # vehicles keep this far from the edges of a place [m]
 
 
 def parked_vehicles(
     place: Intersection, lanes: Iterable[LaneStrip], spaces: Iterable[BaseGeometry], reach: float
 ) -> tuple[StaticBody, ...]:
-    """The vehicles in parking lanes and on marked spaces within ``reach`` [m] of a place's centre.
-
-    None stands on a crosswalk, nor where it would stand out of its lane.
-    """
+    """The vehicles in parking lanes and on marked spaces within ``reach`` [m] of a place's centre,
+    none on a crosswalk or out of its lane."""
     rng = np.random.default_rng(zlib.crc32(place.name.encode()))
     crossings = place.regions.get(Region.CROSSWALK, shapely.Polygon())
     disc = shapely.Point(place.center[:2]).buffer(reach)
@@ -80,8 +70,8 @@ def with_parked(
 
 
 Spot = tuple[Float[np.ndarray, "2"], float, Float[np.ndarray, "2"], BaseGeometry]
-"""The middle of a place [m], the direction of its vehicle [rad], the most that the vehicle may
-measure in length and width [m], and the ground that it must stay on."""
+"""The middle of a place [m], the direction of its vehicle [rad], the most that it may measure in
+length and width [m], and the ground that it must stay on."""
 
 
 def _along(lanes: Iterable[LaneStrip]) -> Iterator[Spot]:
@@ -96,11 +86,10 @@ def _along(lanes: Iterable[LaneStrip]) -> Iterator[Spot]:
             before, middle, after = (
                 np.array([np.interp(at + d, arc, x) for x in line.T]) for d in (-0.5, 0.0, 0.5)
             )
-            yaw = float(np.arctan2(*(after - before)[::-1]))
+            yaw = float(np.arctan2(*(after - before)[::-1])) + np.pi / 2 * across
             width = float(np.interp(at, arc, wide))
-            size = (width, pitch) if across else (pitch, width)
-            turn = np.pi / 2 * across
-            yield middle, yaw + turn, np.array(size) - 2 * MARGIN, lane.polygon
+            size = np.array((width, pitch) if across else (pitch, width))
+            yield middle, yaw, size - 2 * MARGIN, lane.polygon
 
 
 def _on(spaces: Iterable[BaseGeometry]) -> Iterator[Spot]:

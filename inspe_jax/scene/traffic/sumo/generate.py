@@ -1,7 +1,7 @@
 """Traffic from SUMO: signals, turning, queues, and people on crossings.
 
-SUMO moves the road users. The arrivals of each class are a Poisson process. Its rate is found by
-trial: it is raised or lowered until as many road users are in the region of interest as wanted.
+The arrivals of each class are a Poisson process, whose rate is changed until as many road users are
+in the region of interest as wanted.
 """
 
 import tempfile
@@ -15,8 +15,8 @@ from jaxtyping import Int
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.scene.intersection import Intersection
-from inspe_jax.scene.maps.sumo.lanes import Streets, streets_of
-from inspe_jax.scene.maps.sumo.network import load_net, run
+from inspe_jax.scene.maps.sumo.network import run
+from inspe_jax.scene.maps.sumo.reader import SumoMap, load_net
 from inspe_jax.scene.traffic.frames import (
     CLASSES,
     MIXES,
@@ -31,28 +31,20 @@ from inspe_jax.scene.traffic.frames import (
 )
 from inspe_jax.scene.traffic.sumo.routes import V_CLASS, TravelPath, paths_through
 
-WARM_UP = 120.0
-"""Time [s] that SUMO runs before the first frame."""
-OBSERVED = 120.0
-"""Road users are counted over at least this time [s]."""
-TRIES = 8
-"""Most runs in which the rates of arrival are adjusted."""
-NEAR_ENOUGH = 0.05
-"""The mean number may differ from the wanted one by this share."""
-SWIFTEST = 0.5
-"""Most arrivals a second on each lane that leads in."""
-STEP = 0.2
-"""Longest step of SUMO [s]."""
-LANE_CHANGE = 2.5
-"""Duration of a lane change [s]."""
+WARM_UP = 120.0  # time [s] that SUMO runs before the first frame
+OBSERVED = 120.0  # road users are counted over at least this time [s]
+TRIES = 8  # most runs in which the rates of arrival are adjusted
+NEAR_ENOUGH = 0.05  # the mean number may differ from the wanted one by this share
+SWIFTEST = 0.5  # most arrivals a second on each lane that leads in
+STEP = 0.2  # longest step of SUMO [s]
+LANE_CHANGE = 2.5  # duration of a lane change [s]
 
 
 @dataclass
 class ArrivalStream:
     """Arrivals of one class: times ``when`` at a rate of one a second, paths and sizes.
 
-    A longer list begins with the shorter one. So another rate brings the same road users, earlier
-    or later.
+    Another rate brings the same road users, earlier or later.
     """
 
     kind: int
@@ -89,11 +81,9 @@ def sumo_traffic(
 ) -> TrafficFrames:
     """Traffic that SUMO simulates on the map an intersection was read from.
 
-    Options are those of
-    :func:`~inspe_jax.scene.traffic.waypoint.generate.waypoint_traffic`. People walk where the
-    network has sidewalks, and cross where it has crossings. Bodies overlap where SUMO allows it, as
-    where long vehicles turn: at most one pair in most frames. Boxes stand on the intersection's
-    ground. Road users on another level are left out. SUMO runs until the number is about right;
+    Options are those of :func:`~inspe_jax.scene.traffic.waypoint.generate.waypoint_traffic`. People
+    walk where the network has sidewalks, and cross where it has crossings. Bodies overlap where
+    SUMO allows it, as where long vehicles turn. Road users on another level are left out.
     ``progress`` is called with (runs done, most runs).
 
     The same seed gives the same traffic with the same version of SUMO. Raises InspeError if a value
@@ -107,7 +97,7 @@ def sumo_traffic(
             f"{intersection.name}: SUMO runs on a map (.net.xml, .osm or .xodr); "
             "a built-in or a saved scene has none"
         )
-    streets = streets_of(load_net(intersection.map))
+    streets = load_net(intersection.map)
     paths = paths_through(streets, intersection.center, radius)
     wanted = quota(MIXES[mix], [bool(paths[kind]) for kind in CLASSES], count)
     if count and not wanted.any():
@@ -179,15 +169,12 @@ def _rates(
     return best.tolist()
 
 
-# ── SUMO itself ─────────────────────────────────────────────────────────────
-
-
 @dataclass(frozen=True)
 class _SumoRuns:
     """Runs of SUMO on one network: what they have in common."""
 
     folder: Path
-    streets: Streets
+    streets: SumoMap
     intersection: Intersection
     radius: float
     seed: int
@@ -202,7 +189,7 @@ class _SumoRuns:
         routes, found = self.folder / "routes.xml", self.folder / "found.xml"
         sizes = _write_routes(routes, streams, rates, end)
         options = {
-            "net-file": self.streets.road.file,
+            "net-file": self.streets.file,
             "route-files": routes,
             "fcd-output": found,
             "fcd-output.attributes": "x,y,z,angle,speed",
@@ -221,7 +208,7 @@ class _SumoRuns:
             "no-warnings": "true",
         }
         arguments = [text for k, v in options.items() for text in (f"--{k}", str(v))]
-        run("sumo", arguments, self.streets.road.source)
+        run("sumo", arguments, self.streets.source)
         seen = []
         for _, element in ET.iterparse(found):
             if element.tag == "timestep":
@@ -241,7 +228,7 @@ class _SumoRuns:
             np.array([float(one.get(key, "nan")) for one in moment])
             for key in ("x", "y", "z", "angle", "speed")
         )
-        at = self.streets.road.to_world(np.column_stack([x, y, z]))
+        at = self.streets.to_world(np.column_stack([x, y, z]))
         yaw = np.pi / 2 - np.radians(angle)
         yaw = np.arctan2(np.sin(yaw), np.cos(yaw))
         heading = np.column_stack([np.cos(yaw), np.sin(yaw)])

@@ -8,22 +8,19 @@ from inspe_jax.scene.traffic.waypoint.model import ARRIVALS, BRAKING, REACTION, 
 from inspe_jax.scene.traffic.waypoint.paths import PATH_USERS, Paths
 
 SHORTEST_HEADWAY = 2.0
-"""Least time between two vehicles that leave by one lane [s]: that of a queue that discharges at a
-signal, 1800 vehicles an hour."""
+"""Least time between two vehicles that leave by one lane [s]: of a queue that discharges at a
+signal."""
 LONGEST_HEADWAY = 20.0
-"""The longest such time [s], with which traffic begins: a tenth of that flow, as into a road that
-is itself full. With 40 s the roads hold no more, but four of five vehicles stand."""
-CHANGE = 0.1
-"""Share by which that time grows in a second while vehicles are missing, or else shrinks: from one
-end to the other in about 25 s."""
-NEAR_ENOUGH = 0.97
-"""Share of the vehicles and cyclists that are there with which none count as missing."""
+"""The longest such time [s], with which traffic begins. With 40 s the roads hold no more, but four
+of five vehicles stand."""
+CHANGE = 0.1  # share by which that time grows in a second while vehicles are missing, or shrinks
+NEAR_ENOUGH = 0.97  # share of vehicles and cyclists with which none count as missing
 HOLD_BACK = 3.0
 """Time [s] without an arrival after which the class with the next largest part missing may come in
 too: a truck waits for its gap so long."""
 MEMORY = 10.0
-"""Time [s] over which the number of missing road users is averaged: so many people on foot come in
-their place, who stay longer than a gap in the traffic does."""
+"""Time [s] over which the number of missing road users is averaged: people on foot come in their
+place, who stay longer than a gap in the traffic does."""
 
 WALKER = CLASSES.index("pedestrian")
 
@@ -31,14 +28,10 @@ WALKER = CLASSES.index("pedestrian")
 class CongestedModel(WaypointModel):
     """As :class:`WaypointModel`, but each class has its share of what the roads hold.
 
-    In the other model the shortest find a gap first, so cars take the places of trucks. And
-    traffic leaves a junction faster than it comes in, so the lanes behind it are nearly empty.
-
-    Here the class with the largest part missing comes in first. Vehicles leave at intervals, so
-    that queues stand behind the junction, as where the next junction is congested: at long ones
-    while vehicles are missing, and at shorter and shorter ones while none are. If some are missing
-    even at the longest, more people come on foot, so that the place has as many road users as asked
-    for.
+    In the other model the shortest find a gap first, so cars take the places of trucks, and lanes
+    behind the junction are nearly empty. Here the class with the largest part missing comes in
+    first. Vehicles leave at intervals, which grow while vehicles are missing, so that queues stand
+    behind the junction. If some are missing at the longest, more people come on foot.
     """
 
     def __init__(
@@ -74,8 +67,6 @@ class CongestedModel(WaypointModel):
         self._let_out()
         super().step(dt)
 
-    # ── Entering and leaving ──
-
     def _admit(self, who: int | np.intp) -> None:
         super()._admit(who)
         self.may_leave[who] = False
@@ -85,8 +76,7 @@ class CongestedModel(WaypointModel):
         spare = (self.active & self.is_spare).sum() < self.missing - 1.0
         spare &= self.headway >= LONGEST_HEADWAY
         there = np.bincount(self.kind[self.active], minlength=len(self.quota))
-        # The part of its quota that each class would have with half a user more. To take the
-        # least shares out what comes in as Sainte-Laguë's rule does seats.
+        # Sainte-Laguë's rule: the part of its quota that each class has with half a user more.
         part = (there + 0.5) / np.maximum(self.quota, 1)
         for on_foot in (0, 1):
             waiting = ~self.active & (self.walks == on_foot) & (~self.is_spare | spare)

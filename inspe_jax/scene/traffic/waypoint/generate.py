@@ -23,23 +23,16 @@ from inspe_jax.scene.traffic.waypoint.model import WaypointModel
 from inspe_jax.scene.traffic.waypoint.paths import PATH_USERS, Paths, lay_paths
 from inspe_jax.scene.traffic.waypoint.walkways import with_walkways
 
-WARM_UP = 40.0
-"""Time [s] that the model runs before the first frame."""
+WARM_UP = 40.0  # time [s] that the model runs before the first frame
 
-CONGESTED_WARM_UP = 60.0
-"""The same where the roads fill [s]: long enough for queues to form behind the junction."""
+CONGESTED_WARM_UP = 60.0  # the same where the roads fill: queues form behind the junction
 
-WATCHED = 20.0
-"""Last part of the warm-up [s], over which road users are counted."""
+WATCHED = 20.0  # last part of the warm-up [s], over which road users are counted
 
 MISSING, CLASS_MISSING = (0.05, 2.0), (0.3, 1.5)
-"""Roads do not hold all if this share is missing, and this many; and the same of any class.
+"""Roads do not hold all if this share is missing, and this many; and the same of any class."""
 
-A place that is small or has few road users waits a while for each, and is not full for that.
-"""
-
-STEP = 0.2
-"""Longest step of the model [s]."""
+STEP = 0.2  # longest step of the model [s]
 
 
 def waypoint_traffic(
@@ -58,13 +51,11 @@ def waypoint_traffic(
     There are about ``count`` objects at a time within ``radius`` [m] of the centre, in ``frames``
     frames ``step`` seconds apart. ``mix`` is a key of :data:`MIXES`. They are on the waypoints of
     the whole region; the paper takes those in view of the sensors. Unlike in the paper, road users
-    never overlap: they keep their distance, slow down for bends and give way where paths cross. A
-    road user that leaves is replaced at an entry as soon as there is room. Where that leaves road
-    users missing, traffic is that of
-    :class:`~inspe_jax.scene.traffic.waypoint.congestion.CongestedModel`. Where the map has no
-    sidewalks, people walk as
-    :func:`~inspe_jax.scene.traffic.waypoint.walkways.with_walkways` says. Boxes stand at the
-    route's own height. ``progress`` is called with (frames done, frames).
+    never overlap: they keep their distance, slow down for bends and give way where paths cross.
+    Where roads do not hold all, traffic is that of
+    :class:`~inspe_jax.scene.traffic.waypoint.congestion.CongestedModel`; where nobody walks on the
+    map, people walk as :func:`~inspe_jax.scene.traffic.waypoint.walkways.with_walkways` says.
+    ``progress`` is called with (frames done, frames).
 
     The same seed gives the same traffic; turning the intersection turns it. Raises InspeError if a
     value is out of range, the mix is unknown, or no route lies within the radius.
@@ -105,11 +96,8 @@ def _warmed_up(paths: Paths, kind: np.ndarray, mix: str, seed: int) -> WaypointM
     _advance(model, WARM_UP - WATCHED)
     wanted = np.bincount(kind, minlength=len(CLASSES))
     missing = wanted - _advance(model, WATCHED)
-    each, whole = (
-        np.maximum(share * number, least)
-        for (share, least), number in ((CLASS_MISSING, wanted), (MISSING, wanted.sum()))
-    )
-    if (missing < each).all() and missing.sum() < whole:
+    each = np.maximum(CLASS_MISSING[0] * wanted, CLASS_MISSING[1])
+    if (missing < each).all() and missing.sum() < max(MISSING[0] * wanted.sum(), MISSING[1]):
         return model
     rng = np.random.default_rng(seed)
     full = CongestedModel(paths, rng.permutation(kind), MIXES[mix], rng)

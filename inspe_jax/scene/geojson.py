@@ -14,12 +14,10 @@ from shapely.geometry.base import BaseGeometry
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import check_model, read_csv, read_json
-from inspe_jax.scene.georeference import WGS84, Georeference, to_wgs84
+from inspe_jax.scene.georeference import WGS84, Georeference, wgs84
 from inspe_jax.scene.intersection import Intersection
 
 SUFFIX = ".geojson"
-
-
 _AT = ("longitude", "latitude")  # columns of a CSV file
 
 
@@ -82,7 +80,7 @@ def read_features(
     system = WGS84 if found.crs is None else found.crs.properties.name
 
     def to_world(points: Float[np.ndarray, "N 2"]) -> Float[np.ndarray, "N 2"]:
-        return georeference.from_degrees(to_wgs84(system, points))
+        return georeference.from_degrees(wgs84(system, points))
 
     features = []
     for k, entry in enumerate(found.features):

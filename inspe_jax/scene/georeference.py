@@ -10,9 +10,7 @@ from jaxtyping import Float
 from inspe_jax.core.errors import InspeError, needs
 
 LOCAL = 0.5  # directions are those of a line of twice this length [m]
-MADE_UP = 1.0
-"""Nearer to 0° N 0° E than this [degrees] is sea: a projection begins there for want of a true
-origin."""
+MADE_UP = 1.0  # nearer to 0° N 0° E is sea [degrees]: origin of projections without a true one
 WGS84 = "EPSG:4326"  # longitude and latitude as GNSS receivers, GeoJSON and KML have them
 
 
@@ -87,27 +85,21 @@ class Georeference:
         return np.arctan2(*(end - start).T[::-1])
 
 
-def to_wgs84(system: str, points: Float[np.ndarray, "N 2"]) -> Float[np.ndarray, "N 2"]:
-    """Longitudes and latitudes [degrees] of points of a coordinate system, x or longitude first.
-    Raises InspeError where PROJ does not know it."""
+def wgs84(
+    system: str, points: Float[np.ndarray, "N 2"], *, back: bool = False
+) -> Float[np.ndarray, "N 2"]:
+    """Longitudes and latitudes [degrees] of points of a coordinate system, x or longitude first; or
+    ``back``. Raises InspeError where PROJ does not know it."""
     if system.endswith(("CRS84", ":4326")):
         return np.asarray(points, float)
-    return np.column_stack(_to_wgs84(system).transform(*np.asarray(points, float).T))
-
-
-def from_wgs84(system: str, degrees: Float[np.ndarray, "N 2"]) -> Float[np.ndarray, "N 2"]:
-    """Points of a coordinate system at longitudes and latitudes; as :func:`to_wgs84`, back."""
-    there = _to_wgs84(system)
-    return np.column_stack(there.transform(*np.asarray(degrees, float).T, direction="INVERSE"))
-
-
-def _to_wgs84(system: str) -> Any:
     pyproj = _pyproj()
     try:
         known = pyproj.CRS.from_user_input(system).to_2d()
-        return pyproj.Transformer.from_crs(known, WGS84, always_xy=True)
+        there = pyproj.Transformer.from_crs(known, WGS84, always_xy=True)
     except pyproj.exceptions.ProjError as error:
         raise InspeError(f"'{system}' is no coordinate system that PROJ knows: {error}") from error
+    way = "INVERSE" if back else "FORWARD"
+    return np.column_stack(there.transform(*np.asarray(points, float).T, direction=way))
 
 
 def of_open_drive(text: str, shift: tuple[float, float] = (0.0, 0.0)) -> Georeference | None:

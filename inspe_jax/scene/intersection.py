@@ -23,8 +23,7 @@ from inspe_jax.scene.regions import Region
 from inspe_jax.scene.statics import StaticBody
 
 BUILT_IN = "built-in"  # source of a place that is made up
-CLEARANCE = 2.5
-"""Something that is higher or lower than the road by more than this is on another level [m]."""
+CLEARANCE = 2.5  # what is higher or lower than the road by more is on another level [m]
 LOW = 0.4  # what of a mesh rises less over the ground is part of it, as kerbs are [m]
 CROSSWALK_WIDTH = 3.0  # width of a crosswalk that is added where a map has none [m]
 

@@ -13,8 +13,7 @@ from inspe_jax.scene.intersection import Intersection
 from inspe_jax.scene.statics import CORNERS, StaticBody, octagon
 from inspe_jax.scene.voxels import VoxelGrid
 
-AT_SURFACE = 1e-3
-"""A sensor so near a side of a body is in it [m]: single precision has it on either side."""
+AT_SURFACE = 1e-3  # a sensor so near a side of a body is in it [m], for single precision
 SWALLOWED = 0.5  # a body on more than this share of the region of interest is taken for an error
 
 

@@ -11,8 +11,7 @@ from typing import Any
 from inspe_jax.core.errors import check_known
 
 DEFAULT_PROFILE = "paper"
-BEFORE_PROFILES = "ideal"
-"""The profile of scenes that name none: made by hand, or saved before there were profiles."""
+BEFORE_PROFILES = "ideal"  # of scenes that name none: made by hand, or before there were profiles
 
 
 @dataclass(frozen=True)

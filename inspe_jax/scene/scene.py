@@ -22,6 +22,7 @@ from inspe_jax.core.records import Described, check_record
 from inspe_jax.scene.geojson import SUFFIX as GEOJSON
 from inspe_jax.scene.georeference import Georeference
 from inspe_jax.scene.intersection import Arm, Intersection, Mesh, Route
+from inspe_jax.scene.lines import distance_from
 from inspe_jax.scene.maps.registry import is_map
 from inspe_jax.scene.placed_bodies import inside_bodies
 from inspe_jax.scene.procedural.built_ins import BUILT_INS, built_in
@@ -35,8 +36,7 @@ from inspe_jax.scene.traffic.frames import DENSITIES, TrafficFrames, shortfall, 
 from inspe_jax.scene.voxels import VoxelGrid, build_voxels
 
 FORMAT = "inspe_jax scene 5"
-OF_MAP = "map_bodies"
-"""How the names of arrays begin that hold the bodies which a place's map brings."""
+OF_MAP = "map_bodies"  # how the names of arrays begin that hold the bodies of a place's map
 SCENE_SUFFIXES = (".npz",)
 AS_RECORDED = "as recorded"
 
@@ -116,8 +116,8 @@ class Scene(Described):
     @property
     def poles(self) -> Float[np.ndarray, "P 3"]:
         """Feet of the existing poles within the radius of the region of interest [m]."""
-        poles, center = self.intersection.poles, self.voxels.center[:2]
-        return poles[np.hypot(*(poles[:, :2] - center).T) <= self.voxels.radius]
+        poles = self.intersection.poles
+        return poles[distance_from(poles, self.voxels.center) <= self.voxels.radius]
 
     @property
     def name(self) -> str:

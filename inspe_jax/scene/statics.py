@@ -19,8 +19,7 @@ from inspe_jax.core.polygons import merge
 KINDS = ("building", "wall", "hedge", "tree", "pole", "furniture", "parked vehicle", "solid")
 """What a body can be. Furniture are bus shelters, kiosks, switch boxes. A solid is part of a mesh,
 which does not say what it is."""
-CORNERS = 8
-"""Most corners of a convex part; parts with more are cut in two. Round bodies have eight sides."""
+CORNERS = 8  # most corners of a convex part; round bodies have as many
 STRAIGHT = 1e-4
 """A corner so near the line between its neighbours is none [m]: by so much sight lines are wider
 (:data:`~inspe_jax.core.convex.SEAM`), on either side."""

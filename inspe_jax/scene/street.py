@@ -24,16 +24,10 @@ STATICS = ("none", "map", "street")
 
 BEYOND = 10.0  # bodies stand up to this far outside the region of interest [m]
 LANE_GAP = 0.05  # least distance of a body from the edge of a lane, where kerbs are [m]
-WALKED = 0.8
-"""Nothing stands this near to the middle of a footpath [m]: people keep 0.5 m to its right, and are
-0.3 m wide on either side."""
-HEADROOM = 2.4
-"""Nothing hangs lower over footpaths [m]; 2.5 m is the usual clearance (RASt 06), less a twig."""
-OVER_LANES = 4.5
-"""Nothing hangs lower over lanes [m]: trucks are up to 4 m high, the clearance is 4.5 m."""
-FROM_CROSSING = 5.0
-"""No vehicle, tree, wall or hedge stands this near to a crosswalk or a junction [m] (German StVO
-§ 12)."""
+WALKED = 0.8  # nothing stands so near to a footpath's middle [m]: people walk 0.5 m beside it
+HEADROOM = 2.4  # nothing hangs lower over footpaths [m]; 2.5 m is the usual clearance (RASt 06)
+OVER_LANES = 4.5  # nothing hangs lower over lanes, whose clearance this is [m]
+FROM_CROSSING = 5.0  # no vehicle, tree, wall or hedge is so near a crossing (German StVO § 12) [m]
 FROM_POLES = 2.5  # nothing stands this near to an existing pole [m]: sensors on it reach 2 m far
 MEDIAN = 8.0  # nobody parks between two carriageways that are less than this apart [m]
 APART = 0.3  # bodies are at least so far apart on the ground [m]

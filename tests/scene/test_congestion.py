@@ -21,12 +21,12 @@ from inspe_jax.scene.traffic.frames import (
     quota,
     shortfall,
 )
-from inspe_jax.scene.traffic.waypoint.congestion import (
+from inspe_jax.scene.traffic.waypoint.generate import (
     LONGEST_HEADWAY,
     SHORTEST_HEADWAY,
     CongestedModel,
+    waypoint_traffic,
 )
-from inspe_jax.scene.traffic.waypoint.generate import waypoint_traffic
 from inspe_jax.scene.traffic.waypoint.paths import lay_paths
 from inspe_jax.scene.traffic.waypoint.walkways import BESIDE, SLACK, with_walkways
 

@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import rasters
-from scipy import interpolate
 from worlds import crossing
 
 import inspe_jax
@@ -168,27 +167,6 @@ def test_there_is_no_step_at_the_rim_of_what_is_known():
     steps = [np.abs(np.diff(heights, axis=axis)).max() for axis in (0, 1)]
     assert max(steps) < 0.15
     assert between(known[:2], at).min() == pytest.approx(known[:2, 2].min())
-
-
-def test_triangles_are_found_on_one_core(monkeypatch):
-    """On more, they wait for whatever else runs there."""
-    from threadpoolctl import threadpool_info, threadpool_limits
-
-    def cores():
-        return {one["num_threads"] for one in threadpool_info() if one["user_api"] == "blas"}
-
-    class Surface(interpolate.LinearNDInterpolator):
-        def __call__(self, at):
-            found.append(cores())
-            return super().__call__(at)
-
-    found = []
-    monkeypatch.setattr(interpolate, "LinearNDInterpolator", Surface)
-    known = np.array([[0.0, 0.0, 1.0], [4.0, 0.0, 2.0], [0.0, 4.0, 3.0]])
-    with threadpool_limits(2, user_api="blas"):
-        assert between(known, np.array([[1.0, 1.0]])) == pytest.approx(1.75)
-        assert cores() == {2}
-    assert found == [{1}]
 
 
 def test_traffic_of_a_map_stays_on_other_ground():

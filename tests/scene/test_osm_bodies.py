@@ -271,29 +271,25 @@ def test_shapes_without_sense_are_mended_or_left_out(tmp_path, seed):
     assert any("mended" in note for note in place.notes)
 
 
-SIZE = dict(radius=30, voxel=1.0, spacing=2.0, frames=2, density=5)
-
-
-@pytest.fixture(scope="module")
-def scene(place):
-    return build_scene(place, **SIZE, statics="map")
-
-
-def test_a_scene_has_the_map_s_bodies_and_keeps_them(place, scene, tmp_path):
+def test_a_scene_has_the_map_s_bodies_and_keeps_them(place, tmp_path):
+    size = dict(radius=30, voxel=1.0, spacing=2.0, frames=2, density=5)
+    scene = build_scene(place, **size, statics="map")
     assert dict(scene.settings)["statics"] == "map"
     near = map_bodies(place, 30)
     assert {b.kind for b in scene.statics} == {"building", "wall", "hedge", "tree", "pole"}
-    assert [b for b in near if b.kind == "building"] == [
-        b for b in scene.statics if b.kind == "building"
-    ]
+    houses, kept = ([b for b in of if b.kind == "building"] for of in (near, scene.statics))
+    assert houses == kept
     assert len(near) < len(place.bodies)
     save_scene(scene, tmp_path / "s.npz")
     again = load_scene(tmp_path / "s.npz")
     assert digest(again.statics) == digest(scene.statics)
     assert digest(again.intersection.bodies) == digest(place.bodies)
+    assert again.intersection.georeference == place.georeference
+    words = again.intersection.georeference.words(place.center).split(", ")
+    assert np.array(words, float) == pytest.approx([LAT, LON], abs=1e-5)
     with pytest.raises(InspeError, match=r"brings no bodies here; an OpenStreetMap extract \(\.o"):
-        build_scene("four_way", **SIZE, statics="map")
-    rebuilt = build_scene(again.intersection, **SIZE, statics="map")
+        build_scene("four_way", **size, statics="map")
+    rebuilt = build_scene(again.intersection, **size, statics="map")
     assert digest(rebuilt.statics) == digest(scene.statics)
 
 

@@ -32,7 +32,7 @@ STREET = Route(line((-FAR, 0), (FAR, 0)), LANE)
 
 @cache
 def usual(mix: str = "mixed", count: int = 40) -> TrafficFrames:
-    return waypoint_traffic(crossing(), radius=50, count=count, frames=60, mix=mix)
+    return waypoint_traffic(crossing(), radius=50, count=count, frames=30, mix=mix)
 
 
 def model_of(place: Intersection, count: int) -> WaypointModel:
@@ -238,7 +238,7 @@ def test_seed_repeats_and_another_differs() -> None:
 def test_turning_the_world_turns_the_traffic() -> None:
     angle, shift = np.radians(37), (120.0, -45.0, 3.0)
     place = intersection([turned(r, angle, shift) for r in crossing().routes], shift)
-    here, there = usual(), waypoint_traffic(place, radius=50, count=40, frames=60)
+    here, there = usual(), waypoint_traffic(place, radius=50, count=40, frames=30)
     v = here.valid
     assert np.array_equal(v, there.valid)
     assert np.array_equal(here.kind, there.kind)

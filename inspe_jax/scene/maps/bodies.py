@@ -49,8 +49,7 @@ SMALL = {"building": 0.5, "furniture": 0.1, "wall": 0.02, "hedge": 0.05, "tree":
 """Parts of less than this are left out [m²]."""
 SAME_POLE = 0.5  # A signal this near to a pole of the map hangs on it [m]
 NO_POLES = "no poles: the map does not say where any stand"
-CUT_TOLERANCE = 0.05
-"""Edges of what was cut off keep within this of where they were [m]: arcs have few corners so."""
+CUT_TOLERANCE = 0.05  # edges of cuts keep within this of where they were: arcs get few corners [m]
 
 
 class Shape(NamedTuple):

@@ -16,12 +16,11 @@ from scipy.ndimage import map_coordinates
 
 from inspe_jax.core.errors import InspeError, needs
 from inspe_jax.core.files import check_input
-from inspe_jax.scene.georeference import from_wgs84
+from inspe_jax.scene.georeference import wgs84
 from inspe_jax.scene.intersection import Intersection
 from inspe_jax.scene.terrain import HIGHEST, LOWEST, laid_on, lattice
 
-MOST = 4096
-"""Most cells a side that are read of a model around one place, or that one block of it has."""
+MOST = 4096  # most cells a side that are read around a place, or that one block has
 DRIVERS = {
     **dict.fromkeys((".tif", ".tiff"), "GTiff"),
     ".asc": "AAIGrid",
@@ -75,7 +74,10 @@ def _heights(
         with _own_proj(), rasterio.open(path, driver=DRIVERS[path.suffix.lower()]) as model:
             _check(model, path)
             points = _in_projection(place, path, model, at)
-            row, column = _cells(model, points)
+            a, b, c, d, e, f = tuple(~model.transform)[:6]
+            x, y = points.T
+            # Whole numbers are in the middle of cells.
+            row, column = d * x + e * y + f - 0.5, a * x + b * y + c - 0.5
             window = rasterio.windows.Window(*_window(model, row, column, path))
             values = model.read(1, window=window, masked=True)
             scale, offset = model.scales[0], model.offsets[0]
@@ -122,14 +124,7 @@ def _in_projection(place: Intersection, path: Path, model: Any, at: np.ndarray) 
             "Earth it is; take a map with a projection, or a model in the map's own coordinates "
             "without one"
         )
-    return from_wgs84(model.crs.to_wkt(), place.georeference.to_degrees(at))
-
-
-def _cells(model: Any, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Rows and columns of points, whole numbers in the middle of cells."""
-    a, b, c, d, e, f = tuple(~model.transform)[:6]
-    x, y = points.T
-    return d * x + e * y + f - 0.5, a * x + b * y + c - 0.5
+    return wgs84(model.crs.to_wkt(), place.georeference.to_degrees(at), back=True)
 
 
 def _window(

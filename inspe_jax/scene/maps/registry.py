@@ -23,8 +23,7 @@ FORMATS: dict[tuple[str, ...], str] = {
 a :class:`~inspe_jax.scene.maps.road_map.RoadMap`, or as what has the same ``georeference``,
 ``list_junctions``, ``road_lines`` and ``read``. Modules are imported on first use: they may need an
 extra."""
-FAR = 100.0
-"""A junction farther than this from a point that a user names is not the one that is meant [m]."""
+FAR = 100.0  # a junction farther than this from a point is not the one that is meant [m]
 
 
 def is_map(path: str | os.PathLike[str]) -> bool:

@@ -1,7 +1,7 @@
 """A map of roads: what each format reads of it, and the place that is made of that."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
@@ -212,7 +212,7 @@ class RoadMap(ABC):
     around: ClassVar[type[MapJunction]]
     path: Path
     name: str
-    crossings: tuple[np.ndarray, ...]
+    crossings: Sequence[np.ndarray]
     georeference: Georeference | None
 
     @abstractmethod

@@ -24,7 +24,6 @@ from inspe_jax.scene.regions import Region
 LENGTH = 120.0  # length of roads from the middle [m]
 ROUTE_LENGTH = 110.0  # length of routes from the middle [m]
 SHOULDER, SIDEWALK = 1.0, 3.0  # width of shoulders and of sidewalks [m]
-
 _SIDE = (-LENGTH, 0.0, LENGTH)
 LEVEL: dict[str, Any] = dict(
     source=BUILT_IN,

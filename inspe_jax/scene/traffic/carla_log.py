@@ -28,9 +28,7 @@ from inspe_jax.scene.traffic.frames import (
 LOG_SUFFIXES = (".log",)
 LONG = 6.0  # a vehicle longer than this [m] is a truck, whatever its name
 JUMP = 5.0  # an actor that moves farther than this between two recorded frames [m] was teleported
-
 ON_ROADS = 0.5  # least share of the cars and trucks that are on the roads of the log's own map
-
 _MAGIC = "CARLA_RECORDER"
 _FRAME, _APPEARS, _POSITIONS, _KINEMATICS, _BOXES = 0, 2, 6, 12, 13
 _VEHICLE, _WALKER = "vehicle.", "walker."

@@ -17,13 +17,11 @@ DENSITIES: dict[str, int] = {"none": 0, "low": 20, "medium": 40, "high": 60}
 """Mean number of objects in the region of interest at each density (paper, section 4)."""
 
 MOST_FRAMES = 10_000  # more frames than this are taken for a mistake
-
 NOTICEABLE, LEAST_NOTICED = 0.1, 0.5
 """Share of a class's quota, and number of users, from which on :func:`shortfall` names a class. Of
 all road users half that share."""
 
 SMALLEST = 0.01  # least length, width and height of a road user [m]
-
 CLASSES: tuple[str, ...] = ("car", "truck", "cyclist", "pedestrian")
 """Road-user classes; ``TrafficFrames.kind`` holds the index."""
 

@@ -26,7 +26,7 @@ from inspe_jax.scene.maps.lanes import (
     LaneStrip,
     heading,
 )
-from inspe_jax.scene.maps.opendrive.objects import PARKING, shapes_of
+from inspe_jax.scene.maps.opendrive.objects import PARKING, shapes_of, with_parked
 from inspe_jax.scene.maps.opendrive.road_network import (
     INSET,
     OpenDriveRoad,
@@ -38,7 +38,6 @@ from inspe_jax.scene.maps.opendrive.road_network import (
     quiet,
     read_roads,
 )
-from inspe_jax.scene.maps.parking import with_parked
 from inspe_jax.scene.maps.road_map import (
     CLUSTER,
     MARGIN,
@@ -54,8 +53,7 @@ from inspe_jax.scene.regions import Region
 TRAFFIC_LIGHT = "1000001"  # CARLA's type of landmark
 ISLAND = 3.0  # a gap between a junction's lanes is paved unless such a circle fits in it [m]
 COARSE = 5.0  # spacing of the points of a map's road lines [m]
-APRON = 25.0
-"""Lanes are read this much farther than they are kept, so that no lane ends inside the rim [m]."""
+APRON = 25.0  # lanes are read so much farther than kept [m]: none ends inside the rim
 
 
 class OpenDriveJunction(MapJunction):
@@ -193,7 +191,7 @@ class OpenDriveMap(RoadMap):
         except (RuntimeError, IndexError) as error:
             raise InspeError(f"{path}: the CARLA client cannot read this map ({error})") from error
         self.signals = distinct_points([position(m.transform.location) for m in marks])
-        self.crossings = tuple(loops_of(corners))
+        self.crossings = list(loops_of(corners))
         self.shapes, notes = shapes_of(root)
         self.georeference, on_it = projection_of(root)
         self.notes = (*notes, *on_it)
@@ -233,7 +231,10 @@ class OpenDriveMap(RoadMap):
         raise InspeError(f"{self.source}: junction {junction} has no lanes")
 
 
-load_map = cached_by_file(8)(OpenDriveMap)
+@cached_by_file(8)
+def load_map(path: Path) -> OpenDriveMap:
+    """The map of a file, cached while it does not change. Raises as :class:`OpenDriveMap`."""
+    return OpenDriveMap(path)
 
 
 def _lane_paths(mouth: Any, inside: set[int]) -> Iterator[list[Any]]:

@@ -20,8 +20,7 @@ from inspe_jax.core.files import TEXT, check_input, check_xml
 from inspe_jax.scene.georeference import Georeference, of_open_drive
 from inspe_jax.scene.lines import distance_from
 
-INSET = 1e-3
-"""At the very end of a lane CARLA gives the next lane, so queries stay this much inside [m]."""
+INSET = 1e-3  # at the very end of a lane CARLA gives the next lane: queries stay inside [m]
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,8 +14,7 @@ LEVEL = 3.0  # height of a level of a building [m]
 LOW_BUILDING = 3.0  # the same, of those of LOW [m]: one level
 LOW = ("garage", "garages", "carport", "shed", "hut", "kiosk", "bungalow", "static_caravan",
        "toilets", "greenhouse", "service", "boathouse", "container", "guardhouse")  # fmt: skip
-ROOF = 5.0, 0.5
-"""Height and thickness of a roof without walls (``building=roof``), as of a filling station [m]."""
+ROOF = 5.0, 0.5  # height and thickness of a roof without walls, as of a filling station [m]
 SOLID_FENCES = ("brick", "concrete", "corrugated_metal", "metal_sheet", "panel", "wood")
 """The ``fence_type`` of fences that one does not see through."""
 TREE_SPACING = 8.0  # distance of the trees of a row [m]
@@ -27,7 +26,6 @@ POLES = {
 }
 """Height and radius of poles [m], by their tag."""
 FOOT, INCH = 0.3048, 0.0254
-
 _METRES = re.compile(r"(\d+(?:[.,]\d+)?|\.\d+)\s*(m|metres?|meters?|cm|ft|feet)?", re.IGNORECASE)
 _FEET = re.compile(r"(\d+(?:\.\d+)?)\s*'\s*(?:(\d+(?:\.\d+)?)\s*(?:\"|''))?")
 _UNITS = {"cm": 0.01, "ft": FOOT, "feet": FOOT}

@@ -19,7 +19,6 @@ NET_SUFFIXES = (".net.xml", ".net.xml.gz")
 OSM_SUFFIXES = (".osm", ".osm.xml", ".osm.gz", ".osm.xml.gz")
 SUMO = "(SUMO)"  # how the source of a place ends that was read from a SUMO network
 GEOGRAPHIC = 20_000.0  # a network moved by more [m] was projected from latitudes and longitudes
-
 _ALWAYS = (
     *("--sidewalks.guess", "true", "--crossings.guess", "true"),
     *("--no-turnarounds.except-deadend", "true"),

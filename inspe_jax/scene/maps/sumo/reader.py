@@ -27,8 +27,6 @@ from inspe_jax.scene.terrain import laid_on
 NEAR_SPOTS = 20.0  # spot heights count as around a place if no road is so far out of their hull [m]
 SPOTS = 3  # fewer points with a height make no surface
 NO_JUNCTION = ("dead_end", "internal", "unregulated", "rail_signal", "rail_crossing")
-
-
 MOTORS = {"passenger", "private", "taxi", "bus", "truck", "delivery", "hov", "evehicle"}
 
 
@@ -49,15 +47,11 @@ def _roads(edges: Iterable[Any]) -> list[Any]:
     return [e for e in edges if any(kind_of(lane) == "driving" for lane in e.getLanes())]
 
 
-def _arm_count(node: Any) -> int:
-    """Number of other nodes that a node's roads lead to or come from."""
+def _is_junction(node: Any) -> bool:
+    """Whether a node's roads lead to or come from more than two others."""
     beyond = {e.getToNode().getID() for e in _roads(node.getOutgoing())}
     beyond |= {e.getFromNode().getID() for e in _roads(node.getIncoming())}
-    return len(beyond - {node.getID()})
-
-
-def _is_junction(node: Any) -> bool:
-    return node.getType() not in NO_JUNCTION and _arm_count(node) > 2
+    return node.getType() not in NO_JUNCTION and len(beyond - {node.getID()}) > 2
 
 
 class SumoJunction(MapJunction):
@@ -69,10 +63,9 @@ class SumoJunction(MapJunction):
         self, of: "SumoMap", members: set[Any], middle: Float[np.ndarray, "3"], radius: float
     ) -> None:
         super().__init__(of, members, middle, radius)
-        streets = of
         nodes = [of.net.getNode(name) for name in members]
         edges = {edge for node in nodes for edge in (*node.getIncoming(), *node.getOutgoing())}
-        self.edges = dict(sorted((streets.numbers[edge.getID()], edge) for edge in edges))
+        self.edges = dict(sorted((of.numbers[edge.getID()], edge) for edge in edges))
         self.interior = {
             number
             for number, edge in self.edges.items()
@@ -80,7 +73,7 @@ class SumoJunction(MapJunction):
             and (edge.getFunction() or edge.getLength() <= 2 * CLUSTER)
         }
         self.approaches = [  # the near ends of the edges that lead to or from it
-            _approach(streets, number, edge, end)
+            _approach(of, number, edge, end)
             for number, edge in self.edges.items()
             if number not in self.interior and not edge.getFunction() and _roads([edge])
             for end, node in (("end", edge.getToNode()), ("start", edge.getFromNode()))
@@ -224,20 +217,19 @@ class SumoMap(RoadMap):
         self.follows: dict[str, list[str]] = {}
         self.leads: dict[str, list[str]] = {}
         self.walks: list[tuple[str, BaseGeometry]] = []
-        crossings: list[np.ndarray] = []
+        self.crossings: list[np.ndarray] = []
         edges = net.getEdges(withInternal=True)
         self.numbers = {edge.getID(): number for number, edge in enumerate(edges)}
         for edge in edges:
             for lane in edge.getLanes():
-                self._add(edge, lane, crossings)
-        self.crossings = tuple(crossings)
+                self._add(edge, lane)
         for lane, after in self.follows.items():
             self.follows[lane] = [other for other in after if other in self.lane_strips]
             for other in self.follows[lane]:
                 self.leads.setdefault(other, []).append(lane)
 
-    def _add(self, edge: Any, lane: Any, crossings: list[np.ndarray]) -> None:
-        """Take up a lane."""
+    def _add(self, edge: Any, lane: Any) -> None:
+        """Take up a lane of an edge: a crossing, a walking area or a strip."""
         line, use = distinct(self.to_world(lane.getShape3D())), edge.getFunction()
         if use == "walkingarea" and len(line) > 2:
             self.walks.append((edge.getFromNode().getID(), valid(Polygon(line[:, :2]))))
@@ -247,13 +239,12 @@ class SumoMap(RoadMap):
         ahead = np.gradient(center[:, :2], axis=0)
         ahead /= np.hypot(*ahead.T)[:, None]
         number, inside, kind = self.numbers[edge.getID()], 1 if use else -1, kind_of(lane)
-        strip = LaneStrip.along(
-            number, lane.getIndex(), inside, kind, center, ahead, lane.getWidth()
-        )
+        width, index = lane.getWidth(), lane.getIndex()
+        strip = LaneStrip.along(number, index, inside, kind, center, ahead, width)
         if use == "crossing":
             outline = np.concatenate([strip.left, strip.right[::-1]])
             heights = np.concatenate([strip.center, strip.center[::-1]])[:, 2]
-            crossings.append(np.column_stack([outline, heights]))
+            self.crossings.append(np.column_stack([outline, heights]))
         elif kind:
             self.lane_strips[lane.getID()] = strip
             after = (link.getViaLaneID() or link.getToLane().getID() for link in lane.getOutgoing())

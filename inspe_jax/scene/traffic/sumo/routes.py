@@ -13,8 +13,7 @@ from inspe_jax.scene.maps.sumo.reader import SumoMap
 from inspe_jax.scene.traffic.frames import CLASSES
 
 LEAD_IN = 60.0  # vehicles enter this much beyond the radius [m], or where their road begins
-TOUCH = 15.0
-"""A road that comes this near to the region leads into it, because junctions are that wide [m]."""
+TOUCH = 15.0  # a road that comes so near to the region leads into it: junctions are as wide [m]
 FOOT_LEAD_IN = 15.0  # people on foot enter this much beyond the radius [m]
 V_CLASS = {"car": "passenger", "truck": "truck", "cyclist": "bicycle", "pedestrian": "pedestrian"}
 """SUMO's vehicle class of each road-user class."""

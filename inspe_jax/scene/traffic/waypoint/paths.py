@@ -11,7 +11,6 @@ from scipy.spatial import cKDTree
 from inspe_jax.scene.intersection import Intersection, Route
 
 SPACING = 0.5  # distance between poses of a path [m]
-
 PATH_USERS: tuple[str, ...] = ("vehicle", "cyclist", "pedestrian")
 """Kinds of path. A cyclist's path is a vehicle's, moved to the right of its lane."""
 

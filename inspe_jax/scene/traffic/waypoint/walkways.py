@@ -13,6 +13,7 @@ from inspe_jax.scene.intersection import (
     mouth_crosswalks,
     walking_routes,
 )
+from inspe_jax.scene.lines import distance_from
 from inspe_jax.scene.traffic.waypoint.paths import SPACING, resample
 
 BESIDE = 1.5  # distance of a footpath's middle from the lane's edge [m]: room for two that meet
@@ -29,12 +30,8 @@ def with_walkways(intersection: Intersection, radius: float) -> Intersection:
     The regions stay those of the map. An intersection where somebody walks, or no lanes cross, as
     on a motorway, stays as it is.
     """
-    center = intersection.center[:2]
-    near = [
-        route
-        for route in intersection.routes
-        if (np.hypot(*(route.waypoints[:, :2] - center).T) <= radius).any()
-    ]
+    away = [distance_from(route.waypoints, intersection.center) for route in intersection.routes]
+    near = [r for r, far in zip(intersection.routes, away, strict=True) if (far <= radius).any()]
     lanes = [route for route in near if route.user == "vehicle"]
     if len(lanes) < len(near) or not _cross(lanes):
         return intersection

@@ -4,7 +4,7 @@ To add a format, write a module that reads it and add its row to :data:`FORMATS`
 """
 
 import os
-from importlib import import_module
+from pkgutil import resolve_name
 
 import numpy as np
 from jaxtyping import Float
@@ -38,9 +38,7 @@ def open_map(path: str | os.PathLike[str]) -> RoadMap:
     """
     for suffixes, reader in FORMATS.items():
         if str(path).lower().endswith(suffixes):
-            module, _, name = reader.partition(":")
-            found: RoadMap = getattr(import_module(module), name)(path)
-            return found
+            return resolve_name(reader)(path)
     known = ", ".join(suffix for suffixes in FORMATS for suffix in suffixes)
     raise InspeError(f"{path}: not a map: its name must end in {known}")
 

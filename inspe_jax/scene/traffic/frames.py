@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from importlib import import_module
+from pkgutil import resolve_name
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -294,6 +294,4 @@ def traffic_model(name: str) -> Callable[..., TrafficFrames]:
             f"traffic '{name}': {', '.join(TRAFFIC_MODELS)}, or a log of CARLA's recorder (.log)"
             + nearest(name, tuple(TRAFFIC_MODELS))
         )
-    module, _, function = TRAFFIC_MODELS[name].partition(":")
-    model: Callable[..., TrafficFrames] = getattr(import_module(module), function)
-    return model
+    return resolve_name(TRAFFIC_MODELS[name])

@@ -15,7 +15,6 @@ from inspe_jax.scene.maps.opendrive.objects import (
     OCCUPIED,
     PARKING,
     ReferenceLine,
-    parked_vehicles,
     shapes_of,
     with_parked,
 )
@@ -205,13 +204,18 @@ def lane(y, width, length=48.0, bend=0.0):
     return LaneStrip.along(1, 1, -1, "parking", center, ahead, width)
 
 
+def parked(place, lanes, spaces, reach):
+    """The parked vehicles of a place without bodies."""
+    return with_parked(place, lanes, spaces, reach, []).bodies
+
+
 @pytest.mark.parametrize(("width", "across", "places"), [(2.2, False, 8), (5.2, True, 19)])
 def test_vehicles_stand_in_their_lane(width, across, places):
     """Behind each other in a narrow lane and side by side in a wide one; most places are taken."""
     counts = []
     for name in "abcdefgh":
         place, strip = replace(crossing(), name=name), lane(9.0, width)
-        found = parked_vehicles(place, [strip], [], 50.0)
+        found = parked(place, [strip], [], 50.0)
         counts.append(len(found))
         for one in found:
             assert strip.polygon.covers(one.polygon)
@@ -220,12 +224,12 @@ def test_vehicles_stand_in_their_lane(width, across, places):
         bodies = [one.polygon for one in found]
         pairs = shapely.STRtree(bodies).query(bodies, "intersects")
         assert pairs.shape[1] == len(found)  # each meets itself alone
-        again = parked_vehicles(place, [strip], [], 50.0)
+        again = parked(place, [strip], [], 50.0)
         assert [one.number for one in again] == [one.number for one in found]
     assert np.mean(counts) / places == pytest.approx(OCCUPIED, abs=0.12)
     assert max(counts) <= places
     strip = lane(9.0, 2.4, bend=1 / 30)
-    found = parked_vehicles(crossing(), [strip], [], 60.0)
+    found = parked(crossing(), [strip], [], 60.0)
     assert len(found) >= 4
     assert all(one.polygon.difference(strip.polygon).area < 0.1 for one in found)
 
@@ -236,7 +240,7 @@ def test_on_marked_spaces_along_the_longer_side():
     found = [
         one
         for name in "abcdefgh"
-        for one in parked_vehicles(replace(crossing(), name=name), [], spaces, 60.0)
+        for one in parked(replace(crossing(), name=name), [], spaces, 60.0)
     ]
     assert 8 <= len(found) <= 16
     for one in found:
@@ -252,7 +256,7 @@ def test_not_on_crosswalks_nor_in_other_bodies():
     assert not any(one.polygon.intersects(box(-6, 5, -2, 13)) for one in found.bodies)
     assert f"{len(found.bodies)} vehicles parked" in notes[0]
     assert with_parked(found, [lane(9.0, 2.2)], [], 50.0, notes).bodies == found.bodies
-    near = parked_vehicles(place, [lane(9.0, 2.2)], [], 14.0)
+    near = parked(place, [lane(9.0, 2.2)], [], 14.0)
     assert 0 < len(near) < len(found.bodies)
 
 

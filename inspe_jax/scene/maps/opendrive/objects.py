@@ -318,29 +318,6 @@ OUT = 0.1  # a vehicle may stand out of its place by so much [m²], as in a bend
 FROM_EDGES = 0.1  # vehicles keep this far from the edges of a place [m]
 
 
-def parked_vehicles(
-    place: Intersection, lanes: Iterable[LaneStrip], spaces: Iterable[BaseGeometry], reach: float
-) -> tuple[StaticBody, ...]:
-    """The vehicles in parking lanes and on marked spaces within ``reach`` [m] of a place's centre,
-    none on a crosswalk or out of its lane."""
-    rng = np.random.default_rng(zlib.crc32(place.name.encode()))
-    crossings = place.regions.get(Region.CROSSWALK, shapely.Polygon())
-    disc = shapely.Point(place.center[:2]).buffer(reach)
-    found: list[StaticBody] = []
-    for at, yaw, size, allowed in (*_along(lanes), *_on(spaces)):
-        taken, turned, first = rng.uniform(), rng.uniform() < 0.5, parked_size(rng)
-        if taken > OCCUPIED:
-            continue
-        fits = [s for s in (first, *(s for _, s in PARKED)) if (np.array(s[:2]) <= size).all()]
-        if not fits:
-            continue
-        one = upright_box("parked vehicle", at, fits[0], yaw + np.pi * turned)
-        out = one.polygon.difference(allowed).area
-        if disc.contains(one.polygon) and out < OUT and not crossings.intersects(one.polygon):
-            found.append(one)
-    return tuple(found)
-
-
 def with_parked(
     place: Intersection,
     lanes: Iterable[LaneStrip],
@@ -348,10 +325,22 @@ def with_parked(
     reach: float,
     notes: list[str],
 ) -> Intersection:
-    """A place with :func:`parked_vehicles` besides its other bodies; ``notes`` get how many."""
-    found = parked_vehicles(place, lanes, spaces, reach)
+    """A place with vehicles in parking lanes and on marked spaces within ``reach`` [m] of its
+    centre, none on a crosswalk, in another body or out of its lane; ``notes`` get how many."""
+    rng = np.random.default_rng(zlib.crc32(place.name.encode()))
+    crossings = place.regions.get(Region.CROSSWALK, shapely.Polygon())
     others = unary_union([one.polygon for one in place.bodies])
-    found = tuple(one for one in found if not others.intersects(one.polygon))
+    disc = shapely.Point(place.center[:2]).buffer(reach)
+    found: list[StaticBody] = []
+    for at, yaw, size, allowed in (*_along(lanes), *_on(spaces)):
+        taken, back, first = rng.uniform(), rng.uniform() < 0.5, parked_size(rng)
+        fits = [s for s in (first, *(s for _, s in PARKED)) if (np.array(s[:2]) <= size).all()]
+        if taken > OCCUPIED or not fits:
+            continue
+        one = upright_box("parked vehicle", at, fits[0], yaw + np.pi * back)
+        inside = disc.contains(one.polygon) and one.polygon.difference(allowed).area < OUT
+        if inside and not (crossings.intersects(one.polygon) or others.intersects(one.polygon)):
+            found.append(one)
     if found:
         notes.append(
             f"{counted(len(found), 'vehicle')} parked where the map has parking lanes or spaces: "

@@ -19,18 +19,11 @@ NET_SUFFIXES = (".net.xml", ".net.xml.gz")
 OSM_SUFFIXES = (".osm", ".osm.xml", ".osm.gz", ".osm.xml.gz")
 SUMO = "(SUMO)"  # how the source of a place ends that was read from a SUMO network
 GEOGRAPHIC = 20_000.0  # a network moved by more [m] was projected from latitudes and longitudes
-_ALWAYS = (
-    *("--sidewalks.guess", "true", "--crossings.guess", "true"),
-    *("--no-turnarounds.except-deadend", "true"),
-)
-_HOW = {
-    ".xodr": ("--opendrive-files", *("--offset.disable-normalization", "true"), *_ALWAYS),
-    ".osm": (
-        "--osm-files",
-        *("--geometry.remove", "true", "--junctions.join", "true", "--ramps.guess", "true"),
-        *("--tls.guess-signals", "true", "--tls.discard-simple", "true", "--tls.join", "true"),
-        *("--osm.sidewalks", "true", *_ALWAYS),
-    ),
+_GUESSED = "--sidewalks.guess true --crossings.guess true --no-turnarounds.except-deadend true"
+_OPTIONS = {
+    "opendrive": f"--offset.disable-normalization true {_GUESSED}",
+    "osm": "--geometry.remove true --junctions.join true --ramps.guess true --osm.sidewalks true "
+    f"--tls.guess-signals true --tls.discard-simple true --tls.join true {_GUESSED}",
 }
 """Options of netconvert for each kind of map. It guesses sidewalks where a map has none."""
 
@@ -55,35 +48,31 @@ def network_file(path: Path) -> Path:
     if path.name.lower().endswith(NET_SUFFIXES):
         _check(path, "net")
         return path.resolve()
-    kind = ".xodr" if path.suffix.lower() == ".xodr" else ".osm"
-    if kind == ".osm":
+    kind = "opendrive" if path.suffix.lower() == ".xodr" else "osm"
+    if kind == "osm":
         _check(path, "osm")
-    source, *options = _HOW[kind]
     made = _folder() / f"{digest_of(path)[:16]}.net.xml"
     if not made.exists():
         part = made.with_suffix(".part.xml")
-        run("netconvert", [source, str(path), "-o", str(part), *options], f"{path}")
+        given = [f"--{kind}-files", str(path), "-o", str(part), *_OPTIONS[kind].split()]
+        run("netconvert", given, f"{path}")
         part.rename(made)
     return made
 
 
-def program(name: str) -> str:
-    """The path of a SUMO program: in the installed package, beside Python, or on PATH."""
+def run(name: str, arguments: Sequence[str], where: str) -> None:
+    """Run a SUMO program of the installed package, beside Python, or on PATH. Raises InspeError if
+    there is none, and with the first error that it prints."""
     folders = [str(Path(sys.executable).parent), os.environ.get("PATH", os.defpath)]
     with suppress(ImportError):
         import sumo
 
         folders.insert(0, os.path.join(sumo.SUMO_HOME, "bin"))
-    found = shutil.which(name, path=os.pathsep.join(folders))
-    if found is None:
+    program = shutil.which(name, path=os.pathsep.join(folders))
+    if program is None:
         raise missing_extra(f"{name} is missing", "sumo")
-    return found
-
-
-def run(name: str, arguments: Sequence[str], where: str) -> None:
-    """Run a SUMO program. Raises InspeError with the first error that it prints."""
     done = subprocess.run(
-        [program(name), *arguments], capture_output=True, text=True, stdin=subprocess.DEVNULL
+        [program, *arguments], capture_output=True, text=True, stdin=subprocess.DEVNULL
     )
     if done.returncode:
         said = [line for line in done.stderr.splitlines() if line.startswith("Error")]

@@ -37,7 +37,11 @@ TRIES = 8  # most runs in which the rates of arrival are adjusted
 NEAR_ENOUGH = 0.05  # the mean number may differ from the wanted one by this share
 SWIFTEST = 0.5  # most arrivals a second on each lane that leads in
 STEP = 0.2  # longest step of SUMO [s]
-LANE_CHANGE = 2.5  # duration of a lane change [s]
+OPTIONS = (
+    "--lanechange.duration 2.5 --fcd-output.attributes x,y,z,angle,speed --precision 4 "
+    "--time-to-teleport 60 --collision.action remove --max-depart-delay 10 "
+    "--ignore-route-errors true --no-step-log true --no-warnings true"
+)
 
 
 Arrival = tuple[int, int, np.ndarray]  # class, track and size [m] of a road user
@@ -190,23 +194,14 @@ class _SumoRuns:
             "net-file": self.streets.file,
             "route-files": routes,
             "fcd-output": found,
-            "fcd-output.attributes": "x,y,z,angle,speed",
             "device.fcd.begin": f"{begin:.3f}",
             "device.fcd.period": f"{every:.3f}",
             "end": f"{end + self.small:.3f}",
             "step-length": f"{self.small:.3f}",
-            "lanechange.duration": f"{LANE_CHANGE:g}",
-            "precision": 4,
             "seed": self.seed,
-            "time-to-teleport": 60,
-            "collision.action": "remove",
-            "max-depart-delay": 10,
-            "ignore-route-errors": "true",
-            "no-step-log": "true",
-            "no-warnings": "true",
         }
         arguments = [text for k, v in options.items() for text in (f"--{k}", str(v))]
-        run("sumo", arguments, self.streets.source)
+        run("sumo", [*arguments, *OPTIONS.split()], self.streets.source)
         seen = []
         for _, element in ET.iterparse(found):
             if element.tag == "timestep":

@@ -19,7 +19,7 @@ import inspe_jax
 from inspe_jax import STRATEGIES, Intersection, Scene
 from inspe_jax.report.figures import column_raster
 from inspe_jax.scene.maps.registry import read_map
-from inspe_jax.scene.traffic.registry import TRAFFIC_MODELS
+from inspe_jax.scene.traffic.frames import TRAFFIC_MODELS
 from inspe_jax.scoring.viewshed import viewshed
 
 LEVEL = 1.0

@@ -25,7 +25,6 @@ from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import check_input, whole_file
 from inspe_jax.mounting import strategies
 from inspe_jax.mounting.site import Site
-from inspe_jax.scene.maps.parts import MARGIN
 from inspe_jax.scene.maps.registry import (
     georeference_of,
     is_map,
@@ -33,6 +32,7 @@ from inspe_jax.scene.maps.registry import (
     list_junctions,
     read_map,
 )
+from inspe_jax.scene.maps.road_map import MARGIN
 from inspe_jax.scene.procedural.built_ins import built_in
 from inspe_jax.scene.profiles import DEFAULT_PROFILE, profile_of
 from inspe_jax.scene.scene import (
@@ -43,7 +43,7 @@ from inspe_jax.scene.scene import (
     save_scene,
 )
 from inspe_jax.scene.traffic.carla_log import LOG_SUFFIXES, load_log
-from inspe_jax.scene.traffic.registry import traffic_model
+from inspe_jax.scene.traffic.frames import traffic_model
 from inspe_jax.sensing.catalogue import device
 from inspe_jax.sensing.layout import save_layout
 

@@ -13,8 +13,7 @@ from inspe_jax.scene.profiles import DEFAULT_PROFILE, profile_of, profiles
 from inspe_jax.scene.scene import build_scene, density_count
 from inspe_jax.scene.street import check_statics
 from inspe_jax.scene.terrain import check_terrain
-from inspe_jax.scene.traffic.frames import MIXES
-from inspe_jax.scene.traffic.registry import TRAFFIC_MODELS
+from inspe_jax.scene.traffic.frames import MIXES, TRAFFIC_MODELS
 from inspe_jax.sensing.conditions import FAIR, Conditions
 
 T = TypeVar("T")

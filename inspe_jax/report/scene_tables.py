@@ -11,7 +11,7 @@ from rich.text import Text
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.tables import table_of
 from inspe_jax.scene.georeference import Georeference
-from inspe_jax.scene.maps.parts import JunctionInfo
+from inspe_jax.scene.maps.road_map import JunctionInfo
 from inspe_jax.scene.procedural.built_ins import BUILT_INS, built_in
 from inspe_jax.scene.profiles import Profile
 from inspe_jax.scene.regions import WEIGHTS, Region

@@ -14,18 +14,15 @@ from shapely.geometry.base import BaseGeometry
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import check_model, read_csv, read_json
-from inspe_jax.scene.georeference import WGS84, Georeference, to_wgs84
+from inspe_jax.scene.georeference import WGS84, Georeference, wgs84
 from inspe_jax.scene.intersection import Intersection
 
 SUFFIX = ".geojson"
-
-
 _AT = ("longitude", "latitude")  # columns of a CSV file
 
 
 class Feature(NamedTuple):
-    """A feature of a file: its geometry in plan, in world metres, and its properties; ``where`` it
-    is in the file is for messages."""
+    """A feature: its geometry in plan [m], its properties, and where it is in the file."""
 
     geometry: BaseGeometry
     properties: dict[str, Any]
@@ -73,9 +70,9 @@ def read_features(
 
     Coordinates are longitudes and latitudes, or those of the system that an older GeoJSON file
     names in ``crs``. A CSV file has a row for each point, with columns ``latitude``, ``longitude``
-    and those of its properties. Properties that are null are as if they were not there.
-    ``wanted`` says by its properties whether a feature is read. Raises InspeError if the place has
-    no coordinates, the file is no such file, or a wanted feature has no coordinates.
+    and those of its properties. Properties that are null are left out. ``wanted`` says by its
+    properties whether a feature is read. Raises InspeError if the place has no coordinates, the
+    file is no such file, or a wanted feature has no coordinates.
     """
     georeference = known_georeference(place)
     content = _points(Path(path)) if str(path).lower().endswith(".csv") else read_json(Path(path))
@@ -83,7 +80,7 @@ def read_features(
     system = WGS84 if found.crs is None else found.crs.properties.name
 
     def to_world(points: Float[np.ndarray, "N 2"]) -> Float[np.ndarray, "N 2"]:
-        return georeference.from_degrees(to_wgs84(system, points))
+        return georeference.from_degrees(wgs84(system, points))
 
     features = []
     for k, entry in enumerate(found.features):

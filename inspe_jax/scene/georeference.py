@@ -9,21 +9,17 @@ from jaxtyping import Float
 
 from inspe_jax.core.errors import InspeError, needs
 
-LOCAL = 0.5
-"""Directions are those of a line of twice this length [m]."""
-MADE_UP = 1.0
-"""A place whose latitude and longitude are both nearer to 0 than this is in the sea [degrees]: its
-map's projection has its origin at 0° N 0° E for want of a true one."""
-WGS84 = "EPSG:4326"
-"""Longitude and latitude as GNSS receivers, GeoJSON and KML have them."""
+LOCAL = 0.5  # directions are those of a line of twice this length [m]
+MADE_UP = 1.0  # nearer to 0° N 0° E is sea [degrees]: origin of projections without a true one
+WGS84 = "EPSG:4326"  # longitude and latitude as GNSS receivers, GeoJSON and KML have them
 
 
 @dataclass(frozen=True)
 class Georeference:
     """The projection of a map's coordinates.
 
-    ``crs`` is all that PROJ reads: a code such as ``EPSG:25832`` or a PROJ string. ``shift`` (x, y)
-    [m] is what world coordinates are larger by than those of the projection.
+    ``crs`` is a code such as ``EPSG:25832`` or a PROJ string. ``shift`` (x, y) [m] is what world
+    coordinates are larger by than those of the projection.
     """
 
     crs: str
@@ -51,10 +47,8 @@ class Georeference:
         return np.column_stack(self._to_world.transform(*at.T, direction="INVERSE"))
 
     def from_degrees(self, degrees: Float[np.ndarray, "N 2"]) -> Float[np.ndarray, "N 2"]:
-        """World coordinates [m] of longitudes and latitudes [degrees]. Raises as :meth:`check`.
-
-        They are infinite where the projection has no place.
-        """
+        """World coordinates [m] of longitudes and latitudes [degrees], infinite where the
+        projection has no place. Raises as :meth:`check`."""
         return np.column_stack(self._to_world.transform(*np.asarray(degrees, float).T)) + self.shift
 
     def words(self, point: Float[np.ndarray, "2"] | tuple[float, ...]) -> str:
@@ -78,48 +72,41 @@ class Georeference:
         """Directions [degrees clockwise from true north, 0 … 360] of yaws [rad] at points [m]."""
         along = LOCAL * np.column_stack([np.cos(yaw), np.sin(yaw)])
         start, end = (self.to_degrees(points + sign * along) for sign in (-1, 1))
-        return np.asarray(_ellipsoid().inv(*start.T, *end.T)[0]) % 360
+        return np.asarray(_pyproj().Geod(ellps="WGS84").inv(*start.T, *end.T)[0]) % 360
 
     def yaw(
         self, points: Float[np.ndarray, "N 2"], azimuth: Float[np.ndarray, " N"]
     ) -> Float[np.ndarray, " N"]:
         """Yaws [rad] at points [m] of directions [degrees clockwise from true north]."""
         at, apart = self.to_degrees(points), np.full(len(points), LOCAL)
-        ends = [_ellipsoid().fwd(*at.T, azimuth + turn, apart)[:2] for turn in (180.0, 0.0)]
+        forward = _pyproj().Geod(ellps="WGS84").fwd
+        ends = [forward(*at.T, azimuth + turn, apart)[:2] for turn in (180.0, 0.0)]
         start, end = (self.from_degrees(np.column_stack(one)) for one in ends)
         return np.arctan2(*(end - start).T[::-1])
 
 
-def to_wgs84(system: str, points: Float[np.ndarray, "N 2"]) -> Float[np.ndarray, "N 2"]:
-    """Longitudes and latitudes [degrees] of points of a coordinate system, x or longitude first.
-
-    ``system`` is all that PROJ reads. Raises InspeError where it is not known.
-    """
+def wgs84(
+    system: str, points: Float[np.ndarray, "N 2"], *, back: bool = False
+) -> Float[np.ndarray, "N 2"]:
+    """Longitudes and latitudes [degrees] of points of a coordinate system, x or longitude first; or
+    ``back``. Raises InspeError where PROJ does not know it."""
     if system.endswith(("CRS84", ":4326")):
         return np.asarray(points, float)
-    return np.column_stack(_to_wgs84(system).transform(*np.asarray(points, float).T))
-
-
-def from_wgs84(system: str, degrees: Float[np.ndarray, "N 2"]) -> Float[np.ndarray, "N 2"]:
-    """Points of a coordinate system at longitudes and latitudes; as :func:`to_wgs84`, back."""
-    there = _to_wgs84(system)
-    return np.column_stack(there.transform(*np.asarray(degrees, float).T, direction="INVERSE"))
-
-
-def _to_wgs84(system: str) -> Any:
     pyproj = _pyproj()
     try:
         known = pyproj.CRS.from_user_input(system).to_2d()
-        return pyproj.Transformer.from_crs(known, WGS84, always_xy=True)
+        there = pyproj.Transformer.from_crs(known, WGS84, always_xy=True)
     except pyproj.exceptions.ProjError as error:
         raise InspeError(f"'{system}' is no coordinate system that PROJ knows: {error}") from error
+    way = "INVERSE" if back else "FORWARD"
+    return np.column_stack(there.transform(*np.asarray(points, float).T, direction=way))
 
 
 def of_open_drive(text: str, shift: tuple[float, float] = (0.0, 0.0)) -> Georeference | None:
     """The projection that an OpenDRIVE ``<geoReference>`` names; None for an empty one.
 
-    ``shift`` is that of :class:`Georeference`. Where the text has no projection, as in CARLA's own
-    maps, it is the transverse Mercator of true scale about its ``+lat_0`` and ``+lon_0``.
+    Where the text names none, as in CARLA's own maps, it is the transverse Mercator of true scale
+    about its ``+lat_0`` and ``+lon_0``.
     """
     words = dict(part.lstrip("+").partition("=")[::2] for part in text.split())
     words.pop("geoidgrids", None)  # for heights, and often a file that is not there
@@ -130,10 +117,6 @@ def of_open_drive(text: str, shift: tuple[float, float] = (0.0, 0.0)) -> Georefe
     words = {"proj": "tmerc"} | words
     crs = " ".join(f"+{key}={value}" if value else f"+{key}" for key, value in words.items())
     return Georeference(crs, shift)
-
-
-def _ellipsoid() -> Any:
-    return _pyproj().Geod(ellps="WGS84")
 
 
 def _pyproj() -> Any:

@@ -1,6 +1,6 @@
 """An intersection: regions of the ground, arms, routes, places to mount poles, and heights."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import shapely
-from jaxtyping import Float
+from jaxtyping import Float, UInt8
 from scipy.spatial import cKDTree
 from shapely.geometry import LineString, MultiPolygon, Point, Polygon
 from shapely.geometry.base import BaseGeometry
@@ -18,25 +18,22 @@ from inspe_jax.core.digest import ORIGIN
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.records import Described, check_values
 from inspe_jax.scene.georeference import Georeference
-from inspe_jax.scene.lines import arc_of
-from inspe_jax.scene.mesh import Mesh
+from inspe_jax.scene.lines import arc_of, resampled
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.statics import StaticBody
 
-BUILT_IN = "built-in"
-"""Source of a place that is made up."""
-CLEARANCE = 2.5
-"""Something that is higher or lower than the road by more than this is on another level [m]."""
-CROSSWALK_WIDTH = 3.0
-"""Width of a crosswalk that is added where a map has none [m]."""
+BUILT_IN = "built-in"  # source of a place that is made up
+CLEARANCE = 2.5  # what is higher or lower than the road by more is on another level [m]
+LOW = 0.4  # what of a mesh rises less over the ground is part of it, as kerbs are [m]
+CROSSWALK_WIDTH = 3.0  # width of a crosswalk that is added where a map has none [m]
 
 
 @dataclass(frozen=True)
 class Arm:
     """One road that meets the junction.
 
-    ``mouth`` is the middle of its carriageway where it enters the junction (x, y) [m]; ``bearing``
-    points away from the junction [rad]; ``width`` is that of both directions, kerb to kerb [m].
+    ``mouth`` is the middle of its carriageway where it enters the junction [m]; ``bearing`` points
+    away from the junction [rad]; ``width`` is that of both directions, kerb to kerb [m].
     """
 
     mouth: tuple[float, float]
@@ -81,19 +78,35 @@ class Route:
         return float(self.arc[-1])
 
 
+@dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
+class Mesh:
+    """Triangles (F, 3, 3) relative to ``origin`` (3,) in the world [m], in single precision.
+
+    ``colour`` (F, 3) is that of each face in sRGB, 0 to 255.
+    """
+
+    origin: Float[np.ndarray, "3"]
+    triangles: Float[np.ndarray, "F 3 3"]
+    colour: UInt8[np.ndarray, "F 3"]
+
+    @property
+    def world(self) -> Float[np.ndarray, "F 3 3"]:
+        """The triangles in the world [m], in double precision."""
+        return self.triangles.astype(float) + self.origin
+
+
 @dataclass(frozen=True, eq=False, repr=False)  # arrays inside: identity is equality
 class Intersection(Described):
     """A junction and what surrounds it, in world metres (ENU).
 
     ``regions`` may overlap: a column takes its label by
-    :data:`~inspe_jax.scene.regions.PRECEDENCE`. ``mounting`` is where a pole may be put (sidewalk,
-    shoulder, islands). ``poles`` are the feet of existing ones. ``ground_points`` give the height
-    of the ground. ``notes`` say what was assumed. ``map`` is the file that it was read from, which
-    SUMO's traffic needs. ``bodies`` are those of its map: buildings, trees, walls; a scene has them
-    with ``statics="map"``. ``georeference`` is the projection of its coordinates, None if unknown.
-    ``mesh`` are the triangles that its bodies of kind ``solid`` stand for. ``level_points`` are the
-    ground points of the map, where the place stands on other ground (:meth:`standing_on`). A saved
-    scene keeps neither the map nor these.
+    :data:`~inspe_jax.scene.regions.PRECEDENCE`. ``mounting`` is where a pole may be put, ``poles``
+    are the feet of existing ones. ``ground_points`` give the height of the ground. ``notes`` say
+    what was assumed. ``map`` is the file that it was read from. ``bodies`` are those of its map,
+    which a scene has with ``statics="map"``; ``mesh`` are the triangles that bodies of kind
+    ``solid`` stand for. ``georeference`` is the projection of its coordinates, None if unknown.
+    ``level_points`` are the ground points of the map, where the place stands on other ground
+    (:meth:`standing_on`). A saved scene keeps neither the map nor these.
     """
 
     name: str
@@ -154,13 +167,12 @@ class Intersection(Described):
         return (weight * height).sum(1) / weight.sum(1)
 
     def level(self, xy: Float[np.ndarray, "N 2"]) -> Float[np.ndarray, " N"]:
-        """Height [m] of the roads in the map's own coordinates: the ground's, unless the place
-        stands on other ground. By it one tells who is on another level."""
+        """Height [m] of the roads in the map's own coordinates, by which one tells other levels:
+        the ground's, unless the place stands on other ground."""
         return self._on_own_ground.ground(xy)
 
     @cached_property
     def _on_own_ground(self) -> "Intersection":
-        """The place on the ground points of its map."""
         if self.level_points is None:
             return self
         return replace(self, ground_points=self.level_points, level_points=None)
@@ -173,15 +185,9 @@ class Intersection(Described):
         """This place on ground through other points [m]: its centre, poles and routes too."""
         own = self.ground_points if self.level_points is None else self.level_points
         place = replace(self, ground_points=points, level_points=own)
-        routes = (
-            replace(route, waypoints=place.on_ground(route.waypoints)) for route in self.routes
-        )
-        return replace(
-            place,
-            center=place.on_ground(self.center[None])[0],
-            poles=place.on_ground(self.poles),
-            routes=tuple(routes),
-        )
+        center, poles = place.on_ground(self.center[None])[0], place.on_ground(self.poles)
+        routes = tuple(replace(r, waypoints=place.on_ground(r.waypoints)) for r in self.routes)
+        return replace(place, center=center, poles=poles, routes=routes)
 
 
 def mouth_crosswalks(arms: tuple[Arm, ...]) -> BaseGeometry:
@@ -191,12 +197,29 @@ def mouth_crosswalks(arms: tuple[Arm, ...]) -> BaseGeometry:
     return unary_union([LineString(line).buffer(half, cap_style="flat") for line in ends])
 
 
+def crossing_lines(walks: list[BaseGeometry]) -> Iterator[np.ndarray]:
+    """The middle line (N, 2) of each crosswalk, along its longer side and 3 m beyond both ends."""
+    for walk in walks:
+        corners = np.array(walk.minimum_rotated_rectangle.exterior.coords)[:4]
+        sides = np.diff(corners[:3], axis=0)
+        along = sides[np.argmax(np.hypot(*sides.T))]
+        reach = along / 2 + 3.0 * along / np.linalg.norm(along)
+        middle = corners.mean(0)
+        yield resampled(np.array([middle - reach, middle + reach]))
+
+
+def walking_routes(place: Intersection, lines: Iterable[np.ndarray]) -> Iterator[Route]:
+    """Footpaths (N, 2) as routes on the ground of a place, in both directions."""
+    for line in lines:
+        for path in (line, line[::-1]):
+            yield Route(place.on_ground(path), 2.0, "pedestrian")
+
+
 def corner_islands(arms: tuple[Arm, ...]) -> BaseGeometry:
     """Square islands of 2 m at the corners between neighbouring arms; none of fewer than two arms.
 
     A corner is midway between the facing kerb points of two neighbouring mouths, moved 1.5 m
-    outward from the middle of all mouths. Where the kerb runs straight, the corner is on it; where
-    the kerb rounds a corner, it is behind it.
+    outward from the middle of all mouths.
     """
     if len(arms) < 2:
         return MultiPolygon()

@@ -13,18 +13,15 @@ from inspe_jax.scene.intersection import Intersection
 from inspe_jax.scene.statics import CORNERS, StaticBody, octagon
 from inspe_jax.scene.voxels import VoxelGrid
 
-AT_SURFACE = 1e-3
-"""A sensor so near a side of a body is in it [m]. In single precision it could be on either side of
-it, and see all or nothing."""
-SWALLOWED = 0.5
-"""A body that stands on more than this share of the region of interest is taken for an error."""
+AT_SURFACE = 1e-3  # a sensor so near a side of a body is in it [m], for single precision
+SWALLOWED = 0.5  # a body on more than this share of the region of interest is taken for an error
 
 
 class ConvexParts(NamedTuple):
     """P convex prisms that bodies consist of, in world metres.
 
     ``corners`` are counter-clockwise, the last one repeated up to :data:`CORNERS`. ``bottom`` is
-    −∞ for what stands on the ground. ``body`` is the number of the body.
+    −∞ for what stands on the ground. ``body`` is the body's index.
     """
 
     corners: Float[np.ndarray, "P K 2"]
@@ -68,10 +65,8 @@ def _solids(one: StaticBody, ground: float) -> Iterator[tuple[Polygon, float, fl
 def inside_bodies(
     bodies: Sequence[StaticBody], place: Intersection, grid: VoxelGrid
 ) -> Bool[np.ndarray, "L Z"]:
-    """Whether the centre of each voxel is inside a body: it is no part of the region then.
-
-    Raises InspeError where a body swallows the region of interest.
-    """
+    """Whether the centre of each voxel is inside a body. Raises InspeError where one swallows the
+    region of interest."""
     found = np.zeros((len(grid.columns), grid.level_count), bool)
     heights = grid.ground[:, None] + grid.levels  # (L, Z)
     x, y = grid.columns.T
@@ -94,10 +89,7 @@ def inside_bodies(
 def body_at(
     bodies: Sequence[StaticBody], place: Intersection, point: Float[np.ndarray, "3"]
 ) -> StaticBody | None:
-    """The body that a point [m] is inside of, or less than :data:`AT_SURFACE` beside, if any.
-
-    Above its top is not inside.
-    """
+    """The body that a point [m] is inside of, or less than :data:`AT_SURFACE` beside, if any."""
     here = Point(point[0], point[1])
     outlines = np.array([one.polygon for one in bodies], object)
     found = np.flatnonzero(shapely.dwithin(outlines, here, AT_SURFACE))

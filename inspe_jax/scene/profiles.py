@@ -1,8 +1,4 @@
-"""Profiles: named choices for what the paper leaves open, from ``profiles.toml``.
-
-A scene is built under a profile, and its settings name it. The profile decides which devices a
-strategy places on that scene and how, what is scored, and how reliably sensors perceive.
-"""
+"""Profiles: named choices for what the paper leaves open, from ``profiles.toml``."""
 
 import tomllib
 from collections.abc import Mapping
@@ -15,22 +11,18 @@ from typing import Any
 from inspe_jax.core.errors import check_known
 
 DEFAULT_PROFILE = "paper"
-BEFORE_PROFILES = "ideal"
-"""The profile of scenes that name none: made by hand, or saved before there were profiles."""
+BEFORE_PROFILES = "ideal"  # of scenes that name none: made by hand, or before there were profiles
 
 
 @dataclass(frozen=True)
 class Profile:
-    """One table of ``profiles.toml``.
+    """One table of ``profiles.toml``, with a reason for every value.
 
     ``radius``, ``voxel`` and ``spacing`` [m], ``density`` and ``mix`` are those of
-    :func:`~inspe_jax.scene.scene.build_scene`. ``occlusion_reference`` and ``visibility`` are
-    those of :func:`~inspe_jax.scoring.evaluate.evaluate`. ``camera_reliability`` and
-    ``lidar_reliability`` multiply the device's own: the chance that a sensor perceives what is in
-    its view. ``camera``, ``lidar_32`` and ``lidar_64`` are the devices of
-    :func:`~inspe_jax.mounting.strategies.strategy`; ``camera_height``, ``lidar_height`` [m] and
-    ``camera_pitch_deg`` are its options, None for its own defaults. ``reasons`` has a reason for
-    every value.
+    :func:`~inspe_jax.scene.scene.build_scene`; ``occlusion_reference`` and ``visibility`` those of
+    :func:`~inspe_jax.scoring.evaluate.evaluate`. The reliabilities multiply the device's own: the
+    chance that a sensor perceives what is in its view. The devices, heights [m] and pitch are those
+    of :func:`~inspe_jax.mounting.strategies.strategy`, None for its own defaults.
     """
 
     name: str
@@ -60,8 +52,7 @@ class Profile:
     def of_scene(self, **given: Any) -> dict[str, Any]:
         """The options to build a scene with: the given ones, or the profile's where they are None.
 
-        The profile's spacing is only for voxels of the profile's size. With another ``voxel`` and
-        no ``spacing``, all voxels are used.
+        With another ``voxel`` than the profile's and no ``spacing``, all voxels are used.
         """
         own = {key: getattr(self, key) for key in ("radius", "voxel", "spacing", "density", "mix")}
         if given.get("voxel") not in (None, self.voxel):

@@ -21,9 +21,9 @@ from inspe_jax.core.pytree import pytree
 from inspe_jax.core.records import Described, check_record
 from inspe_jax.scene.geojson import SUFFIX as GEOJSON
 from inspe_jax.scene.georeference import Georeference
-from inspe_jax.scene.intersection import Arm, Intersection, Route
+from inspe_jax.scene.intersection import Arm, Intersection, Mesh, Route
+from inspe_jax.scene.lines import distance_from
 from inspe_jax.scene.maps.registry import is_map
-from inspe_jax.scene.mesh import Mesh
 from inspe_jax.scene.placed_bodies import inside_bodies
 from inspe_jax.scene.procedural.built_ins import BUILT_INS, built_in
 from inspe_jax.scene.profiles import BEFORE_PROFILES, DEFAULT_PROFILE, Profile, profile_of
@@ -32,13 +32,11 @@ from inspe_jax.scene.statics import StaticBody, pack_bodies, unpack_bodies
 from inspe_jax.scene.street import check_statics, statics_of
 from inspe_jax.scene.terrain import Terrain, check_terrain, terrain_of
 from inspe_jax.scene.traffic.carla_log import LOG_SUFFIXES, log_traffic
-from inspe_jax.scene.traffic.frames import DENSITIES, TrafficFrames, shortfall
-from inspe_jax.scene.traffic.registry import traffic_model
+from inspe_jax.scene.traffic.frames import DENSITIES, TrafficFrames, shortfall, traffic_model
 from inspe_jax.scene.voxels import VoxelGrid, build_voxels
 
 FORMAT = "inspe_jax scene 5"
-OF_MAP = "map_bodies"
-"""How the names of arrays begin that hold the bodies which a place's map brings."""
+OF_MAP = "map_bodies"  # how the names of arrays begin that hold the bodies of a place's map
 SCENE_SUFFIXES = (".npz",)
 AS_RECORDED = "as recorded"
 
@@ -48,10 +46,9 @@ AS_RECORDED = "as recorded"
 class Scene(Described):
     """What the sensors look at, in world metres and radians. A scene is equal only to itself.
 
-    ``settings`` say how it was made: profile, radius, voxel, spacing, density, frames, step, mix,
-    traffic, seed, and statics and terrain if it was built with some. ``statics`` are the bodies
-    that stand in every frame (:meth:`with_statics`). ``terrain`` is the surface of the ground where
-    it hides what is behind it (:meth:`with_terrain`); None if it hides nothing.
+    ``settings`` are those of :func:`build_scene`. ``statics`` are the bodies that stand in every
+    frame (:meth:`with_statics`). ``terrain`` is the surface of the ground where it hides what is
+    behind it (:meth:`with_terrain`); None if it hides nothing.
     """
 
     voxels: VoxelGrid
@@ -67,8 +64,10 @@ class Scene(Described):
         return own | self.voxels._facts() | self.traffic._facts() | bodies
 
     def check(self) -> "Scene":
-        """This scene, which is checked once: shapes, kinds, and that all values are finite and in
-        range. Raises InspeError that names the part and the index of the first wrong value."""
+        """This scene, checked once: shapes, kinds, and that values are finite and in range.
+
+        Raises InspeError that names the part and the index of the first wrong value.
+        """
         if "_checked" not in self.__dict__:
             check_record(self, getattr(self.intersection, "name", "scene"))
             self.__dict__["_checked"] = True
@@ -77,15 +76,13 @@ class Scene(Described):
     def with_terrain(self) -> "Scene":
         """This scene with the ground of its map in the way: it hides what is behind its brows.
 
-        Voxels, road users, poles and bodies stand on its surface. Level ground hides nothing, and
-        leaves the scene as it is.
+        All stands on its surface. Level ground leaves the scene as it is.
         """
         terrain = terrain_of(self.intersection, self.voxels.radius)
         if terrain is None:
             return self
         place = self.intersection.standing_on(terrain.points)
         grid = replace(self.voxels, ground=terrain.height(self.voxels.columns))
-        # Road users stand on the same ground.
         center, there = np.array(self.traffic.center), self.traffic.valid
         at = center[there, :2]
         center[there, 2] += terrain.height(at) - self.intersection.ground(at)
@@ -95,9 +92,8 @@ class Scene(Described):
     def with_statics(self, bodies: Sequence[StaticBody]) -> "Scene":
         """This scene with these bodies in place of its own; with none, an open scene.
 
-        They hide what is behind them in every frame, and voxels inside them are no part of the
-        region of interest. Raises InspeError where they leave nothing of it, or one alone swallows
-        it.
+        Voxels inside them are no part of the region of interest. Raises InspeError where they leave
+        nothing of it, or one alone swallows it.
         """
         scene = replace(self, statics=tuple(bodies))
         scene.inside_statics  # noqa: B018  # which checks them
@@ -120,8 +116,8 @@ class Scene(Described):
     @property
     def poles(self) -> Float[np.ndarray, "P 3"]:
         """Feet of the existing poles within the radius of the region of interest [m]."""
-        poles, center = self.intersection.poles, self.voxels.center[:2]
-        return poles[np.hypot(*(poles[:, :2] - center).T) <= self.voxels.radius]
+        poles = self.intersection.poles
+        return poles[distance_from(poles, self.voxels.center) <= self.voxels.radius]
 
     @property
     def name(self) -> str:
@@ -135,10 +131,7 @@ class Scene(Described):
 
     @property
     def shortfall(self) -> str:
-        """What its traffic has less of than was asked for, in words; empty if it has it all.
-
-        See :func:`~inspe_jax.scene.traffic.frames.shortfall`.
-        """
+        """What its traffic falls short of: :func:`~inspe_jax.scene.traffic.frames.shortfall`."""
         asked = dict(self.settings)
         density, mix = asked.get("density", AS_RECORDED), asked.get("mix", AS_RECORDED)
         if AS_RECORDED in (density, mix):
@@ -165,22 +158,26 @@ def build_scene(
 ) -> Scene:
     """Voxelise an intersection, or the built-in one of a name, and fill it with traffic.
 
-    ``profile`` is one of :func:`~inspe_jax.scene.profiles.profiles`; it gives the values that are
-    None. ``radius``, ``voxel`` and ``spacing`` [m] are those of
-    :func:`~inspe_jax.scene.voxels.build_voxels`. ``density`` is ``none``, ``low``, ``medium``,
-    ``high`` or a mean number of objects. ``mix`` is as in
-    :func:`~inspe_jax.scene.traffic.waypoint.generate.waypoint_traffic`. There are ``frames`` frames
-    ``step`` seconds apart.
+    Args:
+        intersection: A place, or the name of a built-in.
+        profile: One of :func:`~inspe_jax.scene.profiles.profiles`; gives the values that are None.
+        radius: Of the region of interest [m].
+        voxel: Edge of a voxel [m].
+        spacing: Of voxels [m]: :func:`~inspe_jax.scene.voxels.build_voxels`.
+        density: ``none``, ``low``, ``medium``, ``high`` or a mean number of objects.
+        frames: Number of frames.
+        step: Time between frames [s].
+        mix: A key of :data:`~inspe_jax.scene.traffic.frames.MIXES`.
+        traffic: A key of :data:`~inspe_jax.scene.traffic.frames.TRAFFIC_MODELS`: ``waypoints``, the
+            paper's model; ``sumo``, for a place that was read from a map. Or a log of CARLA's
+            recorder (.log), which has its own density and mix.
+        seed: Of the traffic.
+        statics: One of :data:`~inspe_jax.scene.street.STATICS`.
+        terrain: ``none``, or ``ground`` for :meth:`Scene.with_terrain`.
+        progress: Called with (steps done, steps).
 
-    ``traffic`` is ``waypoints``, the paper's model; ``sumo``, for an intersection that was read
-    from a map; another name of :data:`~inspe_jax.scene.traffic.registry.TRAFFIC_MODELS`; or a log
-    of CARLA's recorder (.log), which has its own density and mix. ``statics`` is ``none``;
-    ``map`` for the buildings, trees and walls that the map brings; or ``street`` for made-up street
-    furniture (:mod:`inspe_jax.scene.street`). Bodies of one's own are for
-    :meth:`Scene.with_statics`. ``terrain`` is ``none``, or ``ground`` where the ground itself hides
-    what is behind it (:meth:`Scene.with_terrain`). ``progress`` is called with (steps done, steps).
-
-    Raises InspeError if a value is out of range, and as the model of the traffic does.
+    Raises:
+        InspeError: A value is out of range; and as the model of the traffic does.
     """
     own = profile_of(profile).of_scene(
         radius=radius, voxel=voxel, spacing=spacing, density=density, mix=mix
@@ -195,26 +192,18 @@ def build_scene(
     check_record(intersection, intersection.name)
     radius, density, mix = own["radius"], own["density"], own["mix"]
     voxels = build_voxels(intersection, radius=radius, voxel=own["voxel"], spacing=own["spacing"])
-    settings = dict(profile=profile, radius=f"{radius:g}", voxel=f"{voxels.size:g}")
-    settings |= dict(spacing=f"{voxels.spacing:g}")
-    if str(traffic).endswith(LOG_SUFFIXES):
-        found = log_traffic(intersection, Path(traffic), radius=radius, frames=frames, step=step)
-        settings |= dict(density=AS_RECORDED, frames=str(found.frame_count), step=f"{step:g}")
-        settings |= dict(mix=AS_RECORDED, traffic=Path(traffic).name, seed="")
+    size: dict[str, Any] = dict(radius=radius, frames=frames, step=step)
+    source, drawn = str(traffic), str(seed)
+    if source.endswith(LOG_SUFFIXES):
+        found = log_traffic(intersection, Path(traffic), **size)
+        density, mix, source, drawn = AS_RECORDED, AS_RECORDED, Path(traffic).name, ""
     else:
-        found = traffic_model(str(traffic))(
-            intersection,
-            radius=radius,
-            count=density_count(density),
-            frames=frames,
-            mix=mix,
-            step=step,
-            seed=seed,
-            progress=progress,
-        )
-        settings |= dict(density=str(density), frames=str(frames), step=f"{step:g}")
-        settings |= dict(mix=mix, traffic=str(traffic), seed=str(seed))
-    settings |= dict(statics=statics, terrain=terrain)
+        size |= dict(count=density_count(density), mix=mix, seed=seed, progress=progress)
+        found = traffic_model(source)(intersection, **size)
+    settings = dict(profile=profile, radius=f"{radius:g}", voxel=f"{voxels.size:g}")
+    settings |= dict(spacing=f"{voxels.spacing:g}", density=str(density))
+    settings |= dict(frames=str(found.frame_count), step=f"{step:g}", mix=mix, traffic=source)
+    settings |= dict(seed=drawn, statics=statics, terrain=terrain)
     scene = Scene(voxels, found, intersection, tuple(settings.items()))
     scene = scene if terrain == "none" else scene.with_terrain()
     return scene.with_statics(statics_of(statics, intersection, radius, found)).check()
@@ -223,8 +212,8 @@ def build_scene(
 def load_scene(source: str | os.PathLike[str], profile: str | None = None) -> Scene:
     """A saved ``.npz`` scene, or a built-in intersection by name, built under a profile.
 
-    It needs no map reader. Raises InspeError if there is no such built-in, profile or file, if the
-    file is not a scene, or if the scene was built under another ``profile`` than the given one.
+    Raises InspeError if there is no such built-in, profile or file, if the file is not a scene, or
+    if the scene was built under another ``profile`` than the given one.
     """
     if profile is not None:
         profile_of(profile)
@@ -247,10 +236,7 @@ def load_scene(source: str | os.PathLike[str], profile: str | None = None) -> Sc
 
 
 def scene_of(given: Any) -> Scene:
-    """A scene that is given as such, or by the name of a built-in or of a saved file; checked.
-
-    Raises InspeError as :func:`load_scene` and :meth:`Scene.check` do, and for anything else.
-    """
+    """A scene, or that of a built-in or a saved file; checked. Raises InspeError as these do."""
     if isinstance(given, Scene):
         return given.check()
     if not isinstance(given, str | os.PathLike):
@@ -279,30 +265,24 @@ def check_scene_name(source: str | os.PathLike[str]) -> None:
 
 
 def what_is(path: str | os.PathLike[str]) -> str:
-    """What a path is by its name, where that is a folder, a map, a scene or a layout, and what
-    takes it; otherwise "".
-    """
+    """What takes a folder, a map, a scene or a layout; otherwise ""."""
     path = Path(path)
     if path.is_dir():
         own = path / "layout.yaml"
         return f"is a folder; its layout is {own}" if own.is_file() else "is a folder; name a file"
     if is_map(path):
-        return (
-            f"a map is not a scene yet; build one: inspe scene {path} --junction ID "
-            "--out scene.npz (--list shows the junctions)"
-        )
+        build = f"inspe scene {path} --junction ID --out scene.npz (--list shows the junctions)"
+        return f"a map is not a scene yet; build one: {build}"
     if path.suffix.lower() in SCENE_SUFFIXES:
         return f"is a scene, which comes before the layout: inspe score {path} LAYOUT"
     if path.suffix.lower() in (".yaml", ".yml", GEOJSON):
-        return (
-            f"is a layout or a study, not a scene: inspe score SCENE {path}, or inspe sweep {path}"
-        )
+        takes = f"inspe score SCENE {path}, or inspe sweep {path}"
+        return f"is a layout or a study, not a scene: {takes}"
     return ""
 
 
 def save_scene(scene: Scene, path: str | os.PathLike[str]) -> None:
-    """Write a scene to a compressed ``.npz`` file, whole or not at all. Raises InspeError as
-    :meth:`Scene.check` does."""
+    """Write a scene to an ``.npz`` file, whole or not at all. Raises as :meth:`Scene.check`."""
     if not isinstance(scene, Scene):
         raise wrong_kind("scene", scene, "a Scene")
     check_output(path, SCENE_SUFFIXES)
@@ -311,10 +291,7 @@ def save_scene(scene: Scene, path: str | os.PathLike[str]) -> None:
 
 
 def density_count(density: str | int) -> int:
-    """The mean number of objects of a density, which is a name or a number.
-
-    Raises InspeError for anything else.
-    """
+    """The mean number of objects of a density's name or number. Raises InspeError for others."""
     if isinstance(density, str) and density in DENSITIES:
         return DENSITIES[density]
     try:
@@ -330,8 +307,6 @@ def density_count(density: str | int) -> int:
 
 _POLYGON, _COLLECTION, _HAS_Z = 3, 7, 0x80000000  # kinds of WKB, and a flag of theirs
 _GRID = ("columns", "ground", "region", "center")
-_MESH = tuple(f.name for f in fields(Mesh))
-_TRAFFIC = tuple(f.name for f in fields(TrafficFrames))
 
 
 def _pack(scene: Scene) -> dict[str, np.ndarray]:
@@ -360,12 +335,13 @@ def _pack(scene: Scene) -> dict[str, np.ndarray]:
     }
     arrays |= {f"shape_{i}": np.frombuffer(shapely.to_wkb(s), "u1") for i, s in enumerate(shapes)}
     arrays |= {f"grid_{k}": np.asarray(getattr(grid, k)) for k in _GRID}
-    if (mesh := place.mesh) is not None:
-        arrays |= {f"mesh_{k}": getattr(mesh, k) for k in _MESH}
-    if (terrain := scene.terrain) is not None:
-        arrays |= dict(terrain_corner=terrain.corner, terrain_step=np.array(terrain.step))
-        arrays |= dict(terrain_heights=terrain.heights)
-    arrays |= {f"traffic_{k}": np.asarray(getattr(scene.traffic, k)) for k in _TRAFFIC}
+    for name, part in (
+        ("mesh", place.mesh),
+        ("terrain", scene.terrain),
+        ("traffic", scene.traffic),
+    ):
+        if part is not None:
+            arrays |= {f"{name}_{f.name}": np.asarray(getattr(part, f.name)) for f in fields(part)}
     return arrays | pack_bodies(place.bodies, OF_MAP) | pack_bodies(scene.statics)
 
 
@@ -389,6 +365,10 @@ def _shape(wkb: bytes) -> BaseGeometry:
 
 
 def _unpack(data: Mapping[str, np.ndarray]) -> Scene:
+    def saved(name: str, kind: Any) -> Any:
+        own = [f"{name}_{f.name}" for f in fields(kind)]
+        return kind(*(data[key] for key in own)) if own[-1] in data else None
+
     record = json.loads(str(data["record"]))
     if record["format"] != FORMAT:
         if not str(record["format"]).startswith(FORMAT.rstrip("0123456789")):
@@ -413,14 +393,12 @@ def _unpack(data: Mapping[str, np.ndarray]) -> Scene:
         notes=tuple(record["notes"]),
         bodies=unpack_bodies(data, OF_MAP),
         georeference=given and Georeference(given[0], (given[1], given[2])),
-        mesh=Mesh(*(data[f"mesh_{k}"] for k in _MESH)) if "mesh_triangles" in data else None,
+        mesh=saved("mesh", Mesh),
     )
     columns, ground, region, center = (data[f"grid_{k}"] for k in _GRID)
     grid = VoxelGrid(columns, ground, region, center, *record["grid"])
-    traffic = TrafficFrames(**{k: data[f"traffic_{k}"] for k in _TRAFFIC})
     settings = tuple((k, v) for k, v in record["settings"])
-    terrain = None
-    if "terrain_heights" in data:
-        corner, step, heights = (data[f"terrain_{k}"] for k in ("corner", "step", "heights"))
-        terrain = Terrain(corner, float(step), heights)
+    terrain = saved("terrain", Terrain)
+    terrain = terrain and replace(terrain, step=float(terrain.step))
+    traffic = saved("traffic", TrafficFrames)
     return Scene(grid, traffic, place, settings, unpack_bodies(data), terrain)

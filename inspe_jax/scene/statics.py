@@ -1,8 +1,4 @@
-"""Bodies that stand in every frame: buildings, walls, trees, poles, furniture, parked vehicles.
-
-A body is an upright prism on any simple outline. A tree has a crown, which begins above the ground
-and lets some light through, on a trunk. Scores, recordings and pictures take the same bodies.
-"""
+"""Bodies that stand in every frame: upright prisms on simple outlines, and crowns on trunks."""
 
 import json
 import zlib
@@ -21,19 +17,17 @@ from inspe_jax.core.errors import InspeError, check_known
 from inspe_jax.core.polygons import merge
 
 KINDS = ("building", "wall", "hedge", "tree", "pole", "furniture", "parked vehicle", "solid")
-"""What a body can be. Furniture is what stands about in streets: bus shelters, kiosks, switch
-boxes. A solid is part of a mesh, which does not say what it is."""
-CORNERS = 8
-"""Most corners of a convex part; parts with more are cut in two. Round bodies have eight sides."""
+"""What a body can be. Furniture are bus shelters, kiosks, switch boxes. A solid is part of a mesh,
+which does not say what it is."""
+CORNERS = 8  # most corners of a convex part; round bodies have as many
 STRAIGHT = 1e-4
-"""A corner so near the line between its neighbours is none [m]: what sight lines are wider by
-(:data:`~inspe_jax.core.convex.SEAM`), on both sides."""
+"""A corner so near the line between its neighbours is none [m]: by so much sight lines are wider
+(:data:`~inspe_jax.core.convex.SEAM`), on either side."""
 LEAFY = 0.05
 """Share of light that a crown in leaf lets through: Konarska et al., Transmissivity of solar
 radiation through crowns of single urban trees, Theor. Appl. Climatol. 117, 2014, measured 0.01 to
 0.05 in leaf and 0.40 to 0.52 without."""
-HIGHEST = 1000.0
-"""No body is higher than this [m]."""
+HIGHEST = 1000.0  # no body is higher than this [m]
 
 
 @dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
@@ -102,11 +96,10 @@ def body(
     transmittance: float = 0.0,
     trunk: float = 0.0,
 ) -> StaticBody:
-    """A body on any simple outline (N, 2) [m], in either sense; see :class:`StaticBody`.
+    """A body on any simple outline (N, 2) [m], in either sense, closed or not: :class:`StaticBody`.
 
-    The outline may end in its first corner. Raises InspeError where the kind is unknown, the
-    outline has fewer than three corners, crosses itself or has no area, a number is not finite, the
-    height is not above the base, or the transmittance is not 0 … 1.
+    Raises InspeError where the kind is unknown, the outline has fewer than three corners, crosses
+    itself or has no area, or a number is not finite or out of range.
     """
     check_known(kind, KINDS, "body")
     try:
@@ -169,9 +162,7 @@ def upright_box(
     yaw: float = 0.0,
 ) -> StaticBody:
     """A box on the ground: middle (x, y), length, width and height [m], heading ``yaw`` [rad].
-
-    Raises InspeError as :func:`body`.
-    """
+    Raises InspeError as :func:`body`."""
     length, width, height = (float(x) for x in size)
     along = np.array([np.cos(yaw), np.sin(yaw)]) * length / 2
     across = np.array([-np.sin(yaw), np.cos(yaw)]) * width / 2
@@ -182,11 +173,8 @@ def upright_box(
 def wall(
     line: Any, height: float, *, width: float = 0.3, kind: str = "wall"
 ) -> tuple[StaticBody, ...]:
-    """A wall or a hedge along a line (N, 2) [m], one body for each straight stretch.
-
-    So its top follows the ground. Raises InspeError as :func:`body`, and where the line has fewer
-    than two points.
-    """
+    """A wall or a hedge along a line (N, 2) [m], a body for each straight stretch. Raises
+    InspeError as :func:`body`, and where the line has fewer than two points."""
     points = np.array(line, float)
     if points.ndim != 2 or points.shape[1] != 2 or len(points) < 2:
         raise InspeError(f"{kind}: a line of shape {points.shape}; two points (x, y) or more")
@@ -205,8 +193,8 @@ def tree(
 ) -> StaticBody:
     """A tree at (x, y) [m]: a crown from ``base`` to ``height`` [m] on a trunk.
 
-    The crown is a prism on an octagon of the area of a disc of ``radius`` [m]; the trunk, too, of
-    the radius ``trunk``. Raises InspeError as :func:`body`.
+    Both are prisms on an :func:`octagon`, of the radii ``radius`` and ``trunk`` [m]. Raises
+    InspeError as :func:`body`.
     """
     crown = octagon(at, radius)
     return body("tree", crown, height, base=base, transmittance=transmittance, trunk=trunk)
@@ -226,12 +214,8 @@ def octagon(at: Any, radius: float) -> Float[np.ndarray, "8 2"]:
     return np.asarray(at, float) + out * np.column_stack([np.cos(turn), np.sin(turn)])
 
 
-# ── In a file ───────────────────────────────────────────────────────────────
-
-
 def pack_bodies(bodies: Sequence[StaticBody], name: str = "statics") -> dict[str, np.ndarray]:
-    """Bodies as plain arrays and one JSON text, whose names begin with ``name``; nothing if there
-    are none."""
+    """Bodies as plain arrays and one JSON text, whose names begin with ``name``; none of none."""
     if not bodies:
         return {}
     return {

@@ -1,10 +1,4 @@
-"""Street furniture made up for any place: what stands along the streets of a town.
-
-Vehicles park along kerbs, trees stand in rows at the back of sidewalks, walls and hedges behind
-them; lamp posts and signal posts stand at the kerb, bus shelters and switch boxes at the back.
-Nothing stands where traffic drives or people walk, on crosswalks, or near existing poles, which are
-for sensors. Where there is no room for a thing, it is left out.
-"""
+"""Street furniture made up for any place, where nobody drives or walks and no pole stands near."""
 
 import zlib
 from collections.abc import Callable, Iterator
@@ -28,27 +22,15 @@ from inspe_jax.scene.traffic.waypoint.walkways import with_walkways
 STATICS = ("none", "map", "street")
 """The static bodies that a scene may be built with: none, those of its map, or made-up ones."""
 
-BEYOND = 10.0
-"""Bodies stand up to this far outside the region of interest [m]."""
-LANE_GAP = 0.05
-"""Least distance of a body from the edge of a lane [m]: kerbs are there, and lanes are wider than
-vehicles."""
-WALKED = 0.8
-"""Nothing stands this near to the middle of a footpath [m]: people keep 0.5 m to its right, and are
-0.3 m wide on either side."""
-HEADROOM = 2.4
-"""Nothing hangs lower over footpaths [m]; 2.5 m is the usual clearance (RASt 06), less a twig."""
-OVER_LANES = 4.5
-"""Nothing hangs lower over lanes [m]: trucks are up to 4 m high, the clearance is 4.5 m."""
-FROM_CROSSING = 5.0
-"""Nobody parks this near to a crosswalk or a junction [m] (German StVO § 12), and no tree, shelter
-or hedge stands there."""
-FROM_POLES = 2.5
-"""Nothing stands this near to an existing pole [m]: sensors on it reach 2 m far."""
-MEDIAN = 8.0
-"""Nobody parks between two carriageways that are less than this apart [m]."""
-APART = 0.3
-"""Bodies are at least so far apart on the ground [m]."""
+BEYOND = 10.0  # bodies stand up to this far outside the region of interest [m]
+LANE_GAP = 0.05  # least distance of a body from the edge of a lane, where kerbs are [m]
+WALKED = 0.8  # nothing stands so near to a footpath's middle [m]: people walk 0.5 m beside it
+HEADROOM = 2.4  # nothing hangs lower over footpaths [m]; 2.5 m is the usual clearance (RASt 06)
+OVER_LANES = 4.5  # nothing hangs lower over lanes, whose clearance this is [m]
+FROM_CROSSING = 5.0  # no vehicle, tree, wall or hedge is so near a crossing (German StVO § 12) [m]
+FROM_POLES = 2.5  # nothing stands this near to an existing pole [m]: sensors on it reach 2 m far
+MEDIAN = 8.0  # nobody parks between two carriageways that are less than this apart [m]
+APART = 0.3  # bodies are at least so far apart on the ground [m]
 PARKED: tuple[tuple[float, tuple[float, float, float]], ...] = (
     (0.20, (3.6, 1.64, 1.50)),
     (0.35, (4.1, 1.76, 1.48)),
@@ -56,8 +38,8 @@ PARKED: tuple[tuple[float, tuple[float, float, float]], ...] = (
     (0.12, (4.7, 1.89, 1.70)),
     (0.08, (5.3, 1.99, 2.10)),
 )
-"""Shares and sizes of parked vehicles [m]: city car, small car, saloon or estate, SUV and van, of
-the proportions of common models. Where the first choice does not fit, a narrower one may."""
+"""Shares and sizes of parked vehicles [m]: city car, small car, saloon or estate, SUV and van.
+Where the first choice does not fit, a narrower one may."""
 
 
 def statics_of(
@@ -65,9 +47,8 @@ def statics_of(
 ) -> tuple[StaticBody, ...]:
     """The static bodies of a name of :data:`STATICS`, without those that traffic touches.
 
-    Buildings of a map and solids of a mesh stay, whoever touches them. They do not depend on the
-    seed of the traffic. Raises InspeError where the name is another, or the place's map brings no
-    bodies.
+    Buildings of a map and solids of a mesh stay, whoever touches them. Raises InspeError where the
+    name is another, or the place's map brings no bodies.
     """
     check_statics(name)
     if name == "none":
@@ -80,10 +61,8 @@ def statics_of(
 
 
 def map_bodies(place: Intersection, radius: float) -> tuple[StaticBody, ...]:
-    """The bodies that a place's map brings, out to :data:`BEYOND` its region of interest.
-
-    Raises InspeError where it brings none.
-    """
+    """The bodies that a place's map brings, out to :data:`BEYOND` its region of interest. Raises
+    InspeError where it brings none."""
     if not place.bodies:
         raise InspeError(
             f"{place.name}: {place.source} brings no bodies here; an OpenStreetMap extract (.osm) "
@@ -100,11 +79,8 @@ def check_statics(name: str) -> None:
 
 
 def street_bodies(place: Intersection, radius: float) -> tuple[StaticBody, ...]:
-    """Street furniture of an intersection out to :data:`BEYOND` its region of interest.
-
-    Where nobody walks, as at a motorway's ramp, there are lamp posts only. A place always has the
-    same, whatever its traffic.
-    """
+    """Street furniture of an intersection out to :data:`BEYOND` its region of interest, the same
+    for any traffic. Where nobody walks, as at a motorway's ramp, there are lamp posts only."""
     rng = np.random.default_rng([0, zlib.crc32(place.name.encode())])
     room = _Room(place, radius)
     town = (_signals, _shelters, _parked, _lamps, _trees, _boxes, _walls)
@@ -167,7 +143,6 @@ class _Room:
         self.crossings = unary_union([place.regions[r] for r in some]).intersection(near)
         self.poles = unary_union([Point(foot[:2]).buffer(FROM_POLES) for foot in place.poles])
         ground = unary_union(list(place.regions.values())).intersection(near)
-        # Where something else than a lane begins; and the back of sidewalks.
         self.kerb = self.lanes.boundary.intersection(self.area)
         self.back = ground.boundary.intersection(self.area)
 
@@ -240,8 +215,7 @@ def _shelters(room: _Room, rng: np.random.Generator) -> None:
     """Up to two bus shelters at the back of the sidewalk, at least 40 m apart."""
     spots = list(room.along(room.back, lambda: float(rng.uniform(3, 6))))
     found: list[StaticBody] = []
-    for k in rng.permutation(len(spots)):
-        spot = spots[k]
+    for spot in (spots[k] for k in rng.permutation(len(spots))):
         tries = (
             upright_box("furniture", spot.moved(out), (4.0, 1.3, 2.4), spot.yaw)
             for out in (-0.7, 0.0, 0.3)
@@ -270,10 +244,8 @@ def _parked(room: _Room, rng: np.random.Generator) -> None:
         turn = spot.yaw + np.pi * bool(rng.uniform() < 0.2)
         across = LineString([spot.moved(0.3), spot.moved(MEDIAN)])
         if not across.intersects(room.lanes):
-            tries = [
-                upright_box("parked vehicle", spot.moved(LANE_GAP + size[1] / 2), size, turn)
-                for size in sizes
-            ]
+            feet = [(spot.moved(LANE_GAP + size[1] / 2), size) for size in sizes]
+            tries = [upright_box("parked vehicle", *foot, turn) for foot in feet]
             room.add(*tries, from_crossings=FROM_CROSSING)
 
 

@@ -1,8 +1,4 @@
-"""The ground as a surface that hides what is behind its brows.
-
-A map gives the height of the ground at points: along its lanes, or on the grid of an elevation
-model. Between them the surface is that of triangles, as fine as what scores and recordings need.
-"""
+"""The ground as a surface of triangles that hides what is behind its brows."""
 
 import math
 from collections.abc import Sequence
@@ -18,23 +14,18 @@ from scipy.spatial import QhullError
 from inspe_jax.core.errors import InspeError, nearest
 from inspe_jax.scene.intersection import Intersection
 
-TERRAINS = ("none", "ground")
-"""What of the ground a scene has: nothing, so that it hides nothing; or the ground of its map."""
-LOWEST, HIGHEST = -450.0, 8900.0
-"""Heights above the sea that land can have [m]."""
-STEP = 1.0
-"""Edge of the cells that are cut into two triangles each [m]."""
-MARGIN = 15.0
-"""The surface reaches so far beyond the radius of the region of interest [m]: units stand there."""
+TERRAINS = ("none", "ground")  # what of the ground hides in a scene: nothing, or its map's
+LOWEST, HIGHEST = -450.0, 8900.0  # heights above the sea that land can have [m]
+STEP = 1.0  # edge of the cells that are cut into two triangles each [m]
+MARGIN = 15.0  # the surface reaches so far beyond the region of interest [m]: units stand there
 
 
 @dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
 class Terrain:
     """A surface of triangles over a square lattice.
 
-    ``corner`` (2,) is the lattice's first point [m], ``step`` the edge of its cells [m] and
-    ``heights`` (X, Y) are those of its points [m]. Each cell is cut from its first point to the
-    opposite one.
+    ``corner`` is the lattice's first point [m], ``step`` the edge of its cells [m] and ``heights``
+    are those of its points [m]. Each cell is cut from its first point to the opposite one.
     """
 
     corner: Float[np.ndarray, "2"]
@@ -73,13 +64,11 @@ class Terrain:
 
 
 def lattice_faces(wide: int, deep: int) -> Int[np.ndarray, "F 3"]:
-    """The triangles of a lattice of ``wide`` × ``deep`` points, by their numbers, counter-clockwise
-    from above: each cell is cut from its first point to the opposite one."""
+    """The triangles of a lattice's points by number, cut as in :class:`Terrain`, counter-clockwise
+    from above."""
     index = np.arange(wide * deep).reshape(wide, deep)
     a, b, c, d = index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]
-    return np.concatenate(
-        [np.stack([a, b, c], -1).reshape(-1, 3), np.stack([a, c, d], -1).reshape(-1, 3)]
-    )
+    return np.concatenate([np.stack(of, -1).reshape(-1, 3) for of in ((a, b, c), (a, c, d))])
 
 
 def check_terrain(name: str) -> None:
@@ -101,10 +90,7 @@ def lattice(
 
 
 def terrain_of(place: Intersection, radius: float) -> Terrain | None:
-    """The ground of a place to :data:`MARGIN` beyond ``radius`` [m]; None where it is level.
-
-    It is :func:`between` the points at which the map has heights.
-    """
+    """The ground of a place to :data:`MARGIN` beyond ``radius`` [m]; None where it is level."""
     given = place.ground_points
     if not len(given) or np.ptp(given[:, 2]) < 1e-6:
         return None
@@ -125,7 +111,7 @@ def between(given: Float[np.ndarray, "G 3"], at: Float[np.ndarray, "N 2"]) -> np
     Beyond their hull it is that of the nearest place on its rim, so that there is no step. Points
     at one place have their mean height.
     """
-    # Only here: their import takes a tenth of a second, of which no other command has a use.
+    # Here, because their import takes a tenth of a second.
     from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
 
     plan, same = np.unique(np.round(given[:, :2], 3), axis=0, return_inverse=True)
@@ -134,8 +120,8 @@ def between(given: Float[np.ndarray, "G 3"], at: Float[np.ndarray, "N 2"]) -> np
         surface = LinearNDInterpolator(plan, known)
     except (QhullError, ValueError):  # fewer than three, or all on one line
         return np.asarray(NearestNDInterpolator(plan, known)(at))
-    # Where it is first asked, it solves a system of two equations for each triangle. OpenBLAS's
-    # threads wait for each other at every one, and for as long as another process has their cores.
+    # It solves two equations for each triangle, at each of which OpenBLAS's threads wait for each
+    # other, also while another process has their cores.
     with _one_thread():
         heights = surface(at)
     out = np.flatnonzero(np.isnan(heights))

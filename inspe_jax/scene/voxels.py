@@ -15,16 +15,11 @@ from inspe_jax.core.records import ByContent, Described, check_values
 from inspe_jax.scene.intersection import Intersection
 from inspe_jax.scene.regions import PRECEDENCE, WEIGHTS, Region
 
-ROI_HEIGHT = 4.0
-"""Height of the region of interest above the ground [m]."""
-RADIUS_LIMITS = (10.0, 200.0)
-"""Allowed radius of the region of interest, D_inf [m]."""
-VOXEL_LIMITS = (0.05, 2.0)
-"""Allowed edge of a voxel [m]."""
-SPACING_LIMIT = 4.0
-"""Largest spacing of voxels [m]; the smallest is the voxel's edge."""
-BYTES_PER_VOXEL = 50
-"""Peak memory of scoring, for each voxel and sensor, and once more for all sensors [bytes]."""
+ROI_HEIGHT = 4.0  # height of the region of interest above the ground [m]
+RADIUS_LIMITS = (10.0, 200.0)  # allowed radius of the region of interest, D_inf [m]
+VOXEL_LIMITS = (0.05, 2.0)  # allowed edge of a voxel [m]
+SPACING_LIMIT = 4.0  # largest spacing of voxels [m]; the smallest is the voxel's edge
+BYTES_PER_VOXEL = 50  # peak memory of scoring, for each voxel and sensor, and once more for all
 
 
 @pytree
@@ -35,9 +30,8 @@ class VoxelGrid(ByContent, Described):
     ``columns`` are plan centres on a lattice of ``spacing`` [m] that has a corner at ``center``.
     ``ground`` is the height of the ground under each, ``region`` its label. Level k has its centre
     at ground + (k + ½)·spacing. Every voxel is a cube of edge ``size`` [m] in the middle of its
-    lattice cell. If the spacing is wider than that, the voxels are a sample. Voxel number v is
-    column v // Z, level v % Z. ``counted`` are the labels of the regions that have weight; all if
-    there are none.
+    lattice cell: a sample, if the spacing is wider. Voxel v is column v // Z, level v % Z.
+    ``counted`` are the labels of the regions that have weight; all if there are none.
     """
 
     columns: Float[np.ndarray, "L 2"]
@@ -106,10 +100,8 @@ def build_voxels(
 
     ``voxel`` is the edge of a voxel [m]. A column has the label of its centre. The levels together
     are as near to 4 m high as whole lattice cells allow. If ``spacing`` [m] is wider than a voxel,
-    there is one voxel in each cell of that edge: a sample, with (voxel / spacing)³ of the work.
-
-    Raises InspeError if a value is out of range, if the grid would not fit in memory, or if no
-    region lies within the radius.
+    there is one voxel in each cell of that edge. Raises InspeError if a value is out of range, if
+    the grid would not fit in memory, or if no region lies within the radius.
     """
     check_range("radius", radius, RADIUS_LIMITS)
     check_range("voxel", voxel, VOXEL_LIMITS)

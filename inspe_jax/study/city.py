@@ -20,8 +20,8 @@ from inspe_jax.core.errors import InspeError, nearest
 from inspe_jax.core.files import csv_text
 from inspe_jax.mounting.mixes import mix_name
 from inspe_jax.scene.georeference import Georeference
-from inspe_jax.scene.maps.parts import MOST_LISTED, JunctionInfo
 from inspe_jax.scene.maps.registry import list_junctions
+from inspe_jax.scene.maps.road_map import MOST_LISTED, JunctionInfo
 from inspe_jax.study.budget import Share, share_out
 from inspe_jax.study.plan import Study, make_study
 from inspe_jax.study.results import LAYOUTS

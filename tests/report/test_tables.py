@@ -23,7 +23,7 @@ from inspe_jax.report.scene_tables import (
     scene_table,
 )
 from inspe_jax.report.tables import scores_record, scores_table, sweep_table
-from inspe_jax.scene.maps.parts import JunctionInfo
+from inspe_jax.scene.maps.road_map import JunctionInfo
 from inspe_jax.scene.profiles import profiles
 from inspe_jax.scoring.evaluate import Contribution, Scores
 from inspe_jax.sensing.catalogue import Device, devices

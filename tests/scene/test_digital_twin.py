@@ -14,6 +14,7 @@ from inspe_jax.core.errors import InspeError
 from inspe_jax.scene.maps.digital_twin import Y_UP, read_mesh, with_mesh
 from inspe_jax.scene.statics import tree
 from inspe_jax.scene.street import map_bodies, statics_of
+from inspe_jax.scene.terrain import lattice_faces
 from inspe_jax.scene.traffic.frames import Snapshot, pack_frames
 from inspe_jax.visibility.queries import line_of_sight
 
@@ -41,8 +42,7 @@ def ground_faces(step=2.0, reach=60.0):
     side = np.arange(-reach, reach + 0.1, step)
     x, y = np.meshgrid(side, side, indexing="ij")
     at = np.stack([x + CENTER[0], y + CENTER[1], height(x, y)], -1)
-    a, b, c, d = at[:-1, :-1], at[1:, :-1], at[1:, 1:], at[:-1, 1:]
-    return np.concatenate([np.stack(f, 2).reshape(-1, 3, 3) for f in ((a, b, c), (a, c, d))])
+    return at.reshape(-1, 3)[lattice_faces(len(side), len(side))]
 
 
 def faces():
@@ -62,16 +62,22 @@ def faces():
     return np.concatenate(found)
 
 
-def written(path, triangles, colour=None):
+def written(path, triangles, colour=None, look=None):
     """A mesh file in the axes of its format."""
     if path.suffix in Y_UP:
         triangles = np.stack([triangles[..., 0], triangles[..., 2], -triangles[..., 1]], -1)
     index = np.arange(3 * len(triangles)).reshape(-1, 3)
-    mesh = trimesh.Trimesh(triangles.reshape(-1, 3), index, process=False)
+    mesh = trimesh.Trimesh(triangles.reshape(-1, 3), index, visual=look, process=False)
     if colour is not None:
         mesh.visual.face_colors = colour
     mesh.export(path)
     return path
+
+
+def built(place):
+    """A scene of the twin without traffic."""
+    size = dict(radius=RADIUS, voxel=1.0, frames=1, density="none")
+    return inspe_jax.build_scene(place, statics="map", terrain="ground", **size)
 
 
 def within(bodies, area):
@@ -149,8 +155,10 @@ def test_thin_things_stand_and_hang(tmp_path):
     south = [one for one in found.bodies if one.middle[1] < CENTER[1]]
     assert north
     assert all(one.base == 0 for one in north)
-    hung = shapely.unary_union([one.polygon for one in south if one.base > 0]).area
-    stood = shapely.unary_union([one.polygon for one in south if one.base == 0]).area
+    stood, hung = (
+        shapely.unary_union([one.polygon for one in south if (one.base > 0) == above]).area
+        for above in (False, True)
+    )
     assert 0 < stood <= 2.0
     assert hung == pytest.approx(np.pi * 2.5**2 - stood, rel=0.15)
 
@@ -159,19 +167,14 @@ def test_colours_of_materials_and_textures(tmp_path):
     """A colour of a material, and the places of vertices in a picture."""
     from PIL import Image
 
-    index = np.arange(3 * len(faces())).reshape(-1, 3)
-    corners = faces()
-    up = np.stack([corners[..., 0], corners[..., 2], -corners[..., 1]], -1).reshape(-1, 3)
     red = trimesh.visual.material.PBRMaterial(baseColorFactor=[200, 40, 30, 255])
     picture = Image.fromarray(np.full((4, 4, 3), (20, 180, 60), np.uint8))
     green = trimesh.visual.material.PBRMaterial(baseColorTexture=picture)
     for name, material, colour in (("red", red, (200, 40, 30)), ("green", green, (20, 180, 60))):
-        uv = np.full((len(up), 2), 0.5)
+        uv = np.full((3 * len(faces()), 2), 0.5)
         look = trimesh.visual.TextureVisuals(uv=uv, material=material)
-        mesh = trimesh.Trimesh(up, index, visual=look, process=False)
-        mesh.export(tmp_path / f"{name}.glb")
-        found = read_mesh(tmp_path / f"{name}.glb")
-        assert len(found.triangles) == len(corners)
+        found = read_mesh(written(tmp_path / f"{name}.glb", faces(), look=look))
+        assert len(found.triangles) == len(faces())
         assert np.abs(found.colour.astype(int) - colour).max() <= 3
 
 
@@ -195,15 +198,13 @@ def test_lines_of_sight_are_those_of_the_mesh(twin):
     core = pytest.importorskip("embreex.rtcore_scene")
     mesh = pytest.importorskip("embreex.mesh_construction")
     found = with_mesh(place(), twin, RADIUS)
-    size = dict(radius=RADIUS, voxel=1.0, frames=1, density="none")
-    scene = inspe_jax.build_scene(found, statics="map", terrain="ground", **size)
+    scene = built(found)
     at = [(19.5, 17.0), (-20.5, 15.5), (-18.5, -17.5), (3.0, 21.0)]
     xy = np.array(at) + CENTER[:2]
     z = found.ground(xy) + [4.0, 3.0, 6.0, 7.0]
     layout = place_sensors(*[(LIDAR, [*p, h, 0, 0, 0]) for p, h in zip(xy, z, strict=True)])
     ours = line_of_sight(scene, layout, 0)
-    van = shapely.box(-5, -17, -1, -11)
-    kept = faces()
+    kept, van = faces(), shapely.box(-5, -17, -1, -11)
     middle = kept.mean(1)[:, :2] - CENTER[:2]
     kept = kept[~shapely.contains_xy(van, *middle.T) | (np.ptp(kept[..., 2], 1) < 0.2)]
     engine = core.EmbreeScene()
@@ -238,22 +239,18 @@ def test_recordings_show_the_mesh_itself(twin, tmp_path):
     from inspe_jax.simulation.embedded.static_world import build_static_world
 
     found = with_mesh(place(), twin, RADIUS)
-    size = dict(radius=RADIUS, voxel=1.0, frames=1, density="none")
-    scene = inspe_jax.build_scene(found, statics="map", terrain="ground", **size)
+    scene = built(found)
     inspe_jax.save_scene(scene, tmp_path / "twin.npz")
     again = inspe_jax.load_scene(tmp_path / "twin.npz")
+    crown = faces()[len(ground_faces()) + 24 :][:1280]
     for one in (scene, again):
         world = build_static_world(one.intersection, RADIUS, np.zeros((0, 4)), one.statics)
         shown = world.triangles[world.material == SURVEYED] + one.intersection.center
-        crown = faces()[len(ground_faces()) + 24 :][:1280]
-        assert {tuple(c) for c in crown.mean(1).round(2)} <= {
-            tuple(c) for c in shown.mean(1).round(2)
-        }
+        middles = ({tuple(c) for c in of.mean(1).round(2)} for of in (crown, shown))
+        assert next(middles) <= next(middles)
         assert not (world.material == BUILDING).any()
         colour = world.colour[world.material == SURVEYED]
-        assert colour == pytest.approx(
-            np.tile((np.array([180, 90, 60]) / 255) ** 2.2, (len(colour), 1)), abs=0.02
-        )
+        assert np.abs(colour - (np.array([180, 90, 60]) / 255) ** 2.2).max() < 0.02
     bare = build_static_world(found, RADIUS, np.zeros((0, 4)))
     assert not (bare.material == SURVEYED).any()
 

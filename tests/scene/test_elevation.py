@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import rasters
-from scipy import interpolate
-from worlds import crossing, rilsa
+from worlds import crossing
 
 import inspe_jax
 from inspe_jax.core.errors import InspeError
@@ -15,6 +14,7 @@ from inspe_jax.scene.intersection import Route
 from inspe_jax.scene.maps import elevation
 from inspe_jax.scene.maps.elevation import with_elevation
 from inspe_jax.scene.terrain import between, terrain_of
+from inspe_jax.scene.traffic.frames import Snapshot, standing_on
 
 rasterio = rasters.rasterio()
 
@@ -32,13 +32,10 @@ UTM, RADIUS = "EPSG:32632", 20.0
 
 def place():
     """The test crossing near Munich, with a pole and a route."""
-    line = np.column_stack([np.linspace(-30, 30, 13) + CENTER[0], np.full(13, CENTER[1]), [0] * 13])
-    found = replace(
-        crossing(center=CENTER),
-        poles=np.array([[CENTER[0] + 9.0, CENTER[1] + 9.0, 0.0]]),
-        routes=(Route(line, 3.0),),
-    )
-    return replace(found, georeference=Georeference(UTM, SHIFT))
+    line = np.column_stack([np.linspace(-30, 30, 13), *np.zeros((2, 13))]) + CENTER
+    poles, routes = np.array([[9.0, 9.0, 0.0]]) + CENTER, (Route(line, 3.0),)
+    own = dict(poles=poles, routes=routes, georeference=Georeference(UTM, SHIFT))
+    return replace(crossing(center=CENTER), **own)
 
 
 def plane(x, y):
@@ -101,12 +98,10 @@ def test_a_model_in_degrees_agrees(tmp_path):
 def test_a_grid_without_projection_is_in_that_of_the_place(tmp_path):
     path = model(tmp_path / "dem.asc", crs=None, driver="AAIGrid")
     (tmp_path / "dem.prj").unlink(missing_ok=True)
-    for own in (place(), replace(place(), georeference=None)):
-        shift = np.zeros(2) if own.georeference is not None else np.array(SHIFT)
-        if own.georeference is None:  # world coordinates are then those of the file
-            own = replace(own, center=own.center - [*shift, 0], routes=(), poles=np.zeros((0, 3)))
-        found = with_elevation(own, path, RADIUS)
-        assert found.center[2] == pytest.approx(520.0, abs=2e-3)
+    # World coordinates of a place without a projection are those of the file.
+    local = dict(georeference=None, center=place().center - [*SHIFT, 0], routes=())
+    for own in (place(), replace(place(), **local, poles=np.zeros((0, 3)))):
+        assert with_elevation(own, path, RADIUS).center[2] == pytest.approx(520.0, abs=2e-3)
 
 
 @pytest.mark.filterwarnings("ignore:Dataset has no geotransform")
@@ -174,27 +169,6 @@ def test_there_is_no_step_at_the_rim_of_what_is_known():
     assert between(known[:2], at).min() == pytest.approx(known[:2, 2].min())
 
 
-def test_triangles_are_found_on_one_core(monkeypatch):
-    """On more, they wait for whatever else runs there."""
-    from threadpoolctl import threadpool_info, threadpool_limits
-
-    def cores():
-        return {one["num_threads"] for one in threadpool_info() if one["user_api"] == "blas"}
-
-    class Surface(interpolate.LinearNDInterpolator):
-        def __call__(self, at):
-            found.append(cores())
-            return super().__call__(at)
-
-    found = []
-    monkeypatch.setattr(interpolate, "LinearNDInterpolator", Surface)
-    known = np.array([[0.0, 0.0, 1.0], [4.0, 0.0, 2.0], [0.0, 4.0, 3.0]])
-    with threadpool_limits(2, user_api="blas"):
-        assert between(known, np.array([[1.0, 1.0]])) == pytest.approx(1.75)
-        assert cores() == {2}
-    assert found == [{1}]
-
-
 def test_traffic_of_a_map_stays_on_other_ground():
     """Who is on which level is a matter of the map's own heights."""
     line = np.array([[CENTER[0], CENTER[1]]])
@@ -203,19 +177,7 @@ def test_traffic_of_a_map_stays_on_other_ground():
     assert raised.level(line) == pytest.approx([0.0])
     again = raised.standing_on(raised.ground_points + [0.0, 0.0, 5.0])
     assert again.level(line) == pytest.approx([0.0])
-
-
-def test_sumo_drives_on_the_ground_of_a_model():
-    """As many road users as on the map's own level, on the new ground."""
-    pytest.importorskip("sumolib", reason="needs SUMO: extra [sumo]")
-    from inspe_jax.scene.maps.registry import list_junctions, read_map
-
-    net = rilsa()
-    junction = max(list_junctions(net), key=lambda one: one.arms).id
-    flat = read_map(net, junction=junction, radius=30.0)
-    raised = flat.standing_on(flat.ground_points + [0.0, 0.0, 520.0])
-    size = dict(radius=30, voxel=1.0, frames=2, density=12, traffic="sumo")
-    one, other = (inspe_jax.build_scene(found, **size) for found in (flat, raised))
-    assert other.traffic.mean_count == one.traffic.mean_count > 3
-    users = other.traffic.center[other.traffic.valid]
-    assert (users[:, 2] > 519).all()
+    at = np.tile([*CENTER[:2], 0.0], (3, 1))
+    users = Snapshot(at, np.zeros(3), np.ones((3, 3)), *np.zeros((2, 3), int), np.zeros((3, 3)))
+    found = standing_on(again, 10.0, users, np.array([0.2, 6.0, np.nan]))
+    assert found.center[:, 2] == pytest.approx([525.5, 525.5])  # the second is on a deck

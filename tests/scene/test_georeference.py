@@ -10,7 +10,6 @@ from worlds import MAPS
 from inspe_jax.core.errors import InspeError
 from inspe_jax.scene.georeference import Georeference, of_open_drive
 from inspe_jax.scene.maps.registry import georeference_of, junction_at, read_map
-from inspe_jax.scene.scene import build_scene, load_scene, save_scene
 
 pyproj = pytest.importorskip("pyproj", reason="needs pyproj: extra [geo]")
 
@@ -65,9 +64,6 @@ def test_pyproj_is_named_where_it_is_missing(monkeypatch):
         Georeference("EPSG:25832").to_degrees(SOME)
 
 
-# ── OpenDRIVE ───────────────────────────────────────────────────────────────
-
-
 def test_an_open_drive_projection_is_read():
     text = "+proj=tmerc +lat_0=48 +lon_0=11 +datum=WGS84 +geoidgrids=no_such.gtx +vunits=m +no_defs"
     georeference = of_open_drive(text, (5.0, -3.0))
@@ -93,9 +89,6 @@ def test_carla_s_own_maps_lie_where_its_client_says(lat, lon):
         assert np.hypot(*(at - [x, y])) <= 0.007 * np.hypot(x, y) + 1e-6
 
 
-# ── In a scene ──────────────────────────────────────────────────────────────
-
-
 @pytest.fixture(scope="module")
 def town(tmp_path_factory):
     pytest.importorskip("sumolib", reason="needs SUMO: extra [sumo]")
@@ -114,13 +107,3 @@ def test_a_junction_is_found_by_its_coordinates(town):
         junction_at(town, 48.0, 11.0)
     with pytest.raises(InspeError, match="a latitude of -90 to 90"):
         junction_at(town, lon + 100, lat)
-
-
-def test_a_saved_scene_keeps_its_coordinates(town, tmp_path):
-    place = read_map(town, junction=junction_at(town, LAT, LON).id, radius=20)
-    scene = build_scene(place, radius=20, voxel=2.0, frames=1, density=2)
-    save_scene(scene, tmp_path / "city.npz")
-    again = load_scene(tmp_path / "city.npz").intersection
-    assert again.georeference == place.georeference
-    words = again.georeference.words(place.center).split(", ")
-    assert np.array(words, float) == pytest.approx([LAT, LON], abs=1e-5)

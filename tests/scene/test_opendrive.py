@@ -13,7 +13,7 @@ from worlds import MAPS
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.scene.intersection import Intersection, mouth_crosswalks
-from inspe_jax.scene.maps.opendrive.road_network import load_map
+from inspe_jax.scene.maps.opendrive.reader import load_map
 from inspe_jax.scene.maps.registry import list_junctions, read_map
 from inspe_jax.scene.regions import Region
 
@@ -26,36 +26,33 @@ def town(name: str) -> Path:
     return MAPS / f"{name}.xodr"
 
 
-# ---- a map small enough to work out on paper ------------------------------------------------
-#
-# One straight street along x: road 1 from −60 to −10, a junction from −10 to 10, road 2 from 10
-# to 60. Lanes 3.5 m, shoulders 1 m and sidewalks 2 m on both sides of roads 1 and 2; the
-# junction's two connecting roads carry one driving lane each. It climbs 0.02 per metre from 0.
+# A map small enough to work out on paper: one straight street along x. Road 1 from −60 to −10, a
+# junction from −10 to 10, road 2 from 10 to 60. Lanes 3.5 m, shoulders 1 m and sidewalks 2 m on
+# both sides of roads 1 and 2; the two connecting roads carry one driving lane each. It climbs 0.02
+# per metre from 0.
 
 WIDTHS = {"driving": 3.5, "shoulder": 1.0, "sidewalk": 2.0}
 
 
-def lanes(side: str, sign: int, kinds: list[str], link: str) -> str:
-    joined = link if len(kinds) == 1 else ""
+def lanes(side: str, sign: int, kinds: list[str], link: str = "") -> str:
     rows = "".join(
-        f'<lane id="{sign * (i + 1)}" type="{kind}">{joined}'
+        f'<lane id="{sign * (i + 1)}" type="{kind}">{link}'
         f'<width sOffset="0" a="{WIDTHS[kind]}" b="0" c="0" d="0"/></lane>'
         for i, kind in enumerate(kinds)
     )
     return f"<{side}>{rows}</{side}>"
 
 
-def road(number, junction, start, heading, length, both, links, height, grade) -> str:
-    kinds = ["driving", "shoulder", "sidewalk"] if both else ["driving"]
-    # Eastbound the connecting lane leads from lane −1 to lane −1, westbound from 1 to 1.
-    lane = -1 if number == 10 else 1
-    left = lanes("left", 1, kinds, "") if both else ""
-    right = lanes(
-        *("right", -1, kinds), f'<link><predecessor id="{lane}"/><successor id="{lane}"/></link>'
-    )
+def road(number, start, heading, length, links, height, grade, through=0) -> str:
+    """A road with lanes on both sides; or of one lane ``through`` the junction, from a lane of that
+    number to another."""
+    left, right = lanes("left", 1, [*WIDTHS]), lanes("right", -1, [*WIDTHS])
+    if through:
+        ends = f'<link><predecessor id="{through}"/><successor id="{through}"/></link>'
+        left, right = "", lanes("right", -1, ["driving"], ends)
     return (
-        f'<road id="{number}" junction="{junction}" length="{length}"><link>{links}</link>'
-        f'<planView><geometry s="0" x="{start[0]}" y="{start[1]}" hdg="{heading}" '
+        f'<road id="{number}" junction="{7 if through else -1}" length="{length}"><link>{links}'
+        f'</link><planView><geometry s="0" x="{start[0]}" y="{start[1]}" hdg="{heading}" '
         f'length="{length}"><line/></geometry></planView><elevationProfile>'
         f'<elevation s="0" a="{height}" b="{grade}" c="0" d="0"/></elevationProfile>'
         f'<lanes><laneSection s="0">{left}<center><lane id="0" type="none"/></center>{right}'
@@ -66,29 +63,25 @@ def road(number, junction, start, heading, length, both, links, height, grade) -
 def street(shift=(0.0, 0.0), turn=0.0, bridge=False) -> str:
     """The map's text, turned about the origin and shifted; ``bridge`` crosses at x = −30, z = 9."""
 
-    def place(x, y=0.0):
+    def at(x, y=0.0):
         c, s = np.cos(turn), np.sin(turn)
         return c * x - s * y + shift[0], s * x + c * y + shift[1]
 
-    def link(before, after):
-        return f"<predecessor {before}/><successor {after}/>" if before else f"<successor {after}/>"
-
-    to_junction = 'elementType="junction" elementId="7"'
-
-    def at(number, end):
-        return f'elementType="road" elementId="{number}" contactPoint="{end}"'
-
+    junction = 'elementType="junction" elementId="7"'
+    one, two = (
+        f'elementType="road" elementId="{number}" contactPoint="{end}"'
+        for number, end in ((1, "end"), (2, "start"))
+    )
+    east = f"<predecessor {one}/><successor {two}/>"
+    west = f"<predecessor {two}/><successor {one}/>"
     roads = [
-        road(1, -1, place(-60), turn, 50, True, link("", to_junction), 0.0, 0.02),
-        road(2, -1, place(10), turn, 50, True, f"<predecessor {to_junction}/>", 1.4, 0.02),
-        road(10, 7, place(-10), turn, 20, False, link(at(1, "end"), at(2, "start")), 1.0, 0.02),
-        road(
-            *(11, 7, place(10), turn + np.pi, 20, False),
-            *(link(at(2, "start"), at(1, "end")), 1.4, -0.02),
-        ),
+        road(1, at(-60), turn, 50, f"<successor {junction}/>", 0.0, 0.02),
+        road(2, at(10), turn, 50, f"<predecessor {junction}/>", 1.4, 0.02),
+        road(10, at(-10), turn, 20, east, 1.0, 0.02, through=-1),
+        road(11, at(10), turn + np.pi, 20, west, 1.4, -0.02, through=1),
     ]
     if bridge:
-        roads.append(road(3, -1, place(-30, -60), turn + np.pi / 2, 120, True, "", 9.0, 0.0))
+        roads.append(road(3, at(-30, -60), turn + np.pi / 2, 120, "", 9.0, 0.0))
     connections = "".join(
         f'<connection id="{i}" incomingRoad="{a}" connectingRoad="{b}" contactPoint="start">'
         f'<laneLink from="{lane}" to="-1"/></connection>'
@@ -160,15 +153,13 @@ def test_street_has_two_arms_and_drives_on_the_right(plain):
         assert plain.arms[route.through[1]].mouth[0] * eastward > 0
         assert abs(route.waypoints[[0, -1], 0]).min() > 29
         assert route.width == pytest.approx(3.5)
-        np.testing.assert_allclose(
-            route.waypoints[:, 2], 0.02 * (route.waypoints[:, 0] + 60), atol=0.01
-        )
+        x, _, z = route.waypoints.T
+        np.testing.assert_allclose(z, 0.02 * (x + 60), atol=0.01)
 
 
 def test_street_pedestrians_cross_both_ways_from_sidewalk_to_sidewalk(plain):
-    crossing = [
-        r for r in plain.routes if r.user == "pedestrian" and np.ptp(r.waypoints[:, 0]) < 0.1
-    ]
+    people = [r for r in plain.routes if r.user == "pedestrian"]
+    crossing = [r for r in people if np.ptp(r.waypoints[:, 0]) < 0.1]
     # Two crosswalks of 7 m, 3 m beyond each kerb, both ways.
     assert [r.length for r in crossing] == pytest.approx([13.0] * 4, abs=0.05)
     assert sum(np.sign(r.waypoints[-1, 1]) for r in crossing) == 0
@@ -200,8 +191,6 @@ def test_center_takes_the_junctions_near_it_for_one(write):
     assert len(around.arms) == 2
     assert around.regions[Region.JUNCTION].area == pytest.approx(140, rel=0.01)
 
-
-# ---- errors -----------------------------------------------------------------------------------
 
 GOOD = street()
 ERRORS = {
@@ -245,8 +234,6 @@ def test_the_client_is_silent(write, capfd):
     assert capfd.readouterr() == ("", "")
 
 
-# ---- the towns --------------------------------------------------------------------------------
-
 PLACES = {  # place: (town, options, arms that one sees on the map)
     "four-way": ("Town05", {"junction": 53}, 4),
     "tee": ("Town05", {"junction": 905}, 3),
@@ -280,10 +267,8 @@ def test_places_are_whole(place):
         assert set(shapely.get_type_id(parts)) <= {shapely.GeometryType.POLYGON}
         if shape is not place.mounting:  # a crosswalk may cut a shoulder into crumbs
             assert shapely.area(parts).min(initial=1.0) > 0.01
-    assert (
-        place.mounting.intersection(shapely.union_all(drivable)).area < 0.05 * place.mounting.area
-    )
-    assert place.mounting.area > 50
+    on_road = place.mounting.intersection(shapely.union_all(drivable))
+    assert on_road.area < 0.05 * place.mounting.area > 2.5
     np.testing.assert_allclose(place.ground(place.center[None, :2]), place.center[2], atol=1e-6)
 
     for part in shapely.get_parts(place.regions[Region.JUNCTION]):
@@ -293,16 +278,13 @@ def test_places_are_whole(place):
     vehicles = [r for r in place.routes if r.user == "vehicle"]
     used, lateral = set(), {}
     for route in vehicles:
-        steps = np.hypot(*np.diff(route.waypoints[:, :2], axis=0).T)
-        assert steps.min() > 0.9
-        assert steps.max() < 1.1
+        steps = np.diff(route.arc)
+        assert 0.9 < steps.min() <= steps.max() < 1.1
         assert shapely.contains_xy(surface, route.waypoints[:, :2]).mean() > 0.99
         entry, leaving = route.through
         assert entry != leaving
         for arm, inbound in ((place.arms[entry], True), (place.arms[leaving], False)):
-            along = np.array([np.cos(arm.bearing), np.sin(arm.bearing)])
-            axes = np.array([along, [-along[1], along[0]]])
-            out, across = axes @ (route.waypoints[:, :2] - arm.mouth).T
+            out, across = arm.axes @ (route.waypoints[:, :2] - arm.mouth).T
             on_arm = (out > 1) & (out < 9) & (abs(across) < arm.width / 2)
             assert on_arm.sum() >= 5
             assert ((np.diff(out[on_arm]) < 0) == inbound).all()
@@ -359,17 +341,15 @@ def test_lanes_lie_where_the_raw_xml_puts_them(name, junction):
                 continue
             shift = polynomial(element.findall("lanes/laneOffset"), "s", s)
             for side, sign in (("left", 1), ("right", -1)):
-                rows = sections[0].findall(f"{side}/lane")
-                inner = 0.0
+                rows, inner = sections[0].findall(f"{side}/lane"), 0.0
                 for row in sorted(rows, key=lambda r: abs(int(r.get("id")))):
                     width = polynomial(row.findall("width"), "sOffset", s)
                     t = shift + sign * (inner + width / 2)
                     inner += width
-                    middle = point + t * np.array([-along[1], along[0]])
+                    middle = shapely.Point(point + t * np.array([-along[1], along[0]]))
                     if row.get("type") in regions and width > 0.3:
-                        shape = place.regions[regions[row.get("type")]]
-                        crossing = place.regions[Region.CROSSWALK]
-                        assert shape.union(crossing).distance(shapely.Point(middle)) < 0.02
+                        own = (regions[row.get("type")], Region.CROSSWALK)
+                        assert min(place.regions[r].distance(middle) for r in own) < 0.02
                         checked += 1
     assert checked >= 15
 
@@ -404,12 +384,10 @@ def test_the_corners_of_a_city_junction_have_no_gaps():
 def test_crosswalks_are_the_maps_or_strips_with_a_note():
     own = read_map(town("Town10HD"), junction=189)
     assert not any("crosswalk" in note for note in own.notes)
-    loops = load_map(town("Town10HD")).crosswalks
-    near = [
-        shapely.Polygon(c[:, :2]) for c in loops if np.hypot(*(c.mean(0) - own.center)[:2]) < 45
-    ]
+    loops = load_map(town("Town10HD")).crossings
+    near = [c for c in loops if np.hypot(*(c.mean(0) - own.center)[:2]) < 45]
     assert len(near) == 2
-    for shape in near:
+    for shape in (shapely.Polygon(c[:, :2]) for c in near):
         assert own.regions[Region.CROSSWALK].intersection(shape).area > 0.98 * shape.area
 
     bare = read_map(town("Town05"), junction=53)

@@ -1,15 +1,24 @@
-"""Bodies of OpenDRIVE maps: worked out on paper, and the reference line against CARLA's."""
+"""Bodies of OpenDRIVE maps on paper, parking, and the reference line against CARLA's."""
 
 import xml.etree.ElementTree as ET
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import shapely
 from shapely.geometry import Point, Polygon, box
-from worlds import MAPS
+from worlds import MAPS, crossing
 
-from inspe_jax.scene.maps.opendrive.objects import PARKING, shapes_of
-from inspe_jax.scene.maps.opendrive.reference_line import ReferenceLine
+import inspe_jax
+from inspe_jax.scene.maps.lanes import LaneStrip
+from inspe_jax.scene.maps.opendrive.objects import (
+    OCCUPIED,
+    PARKING,
+    ReferenceLine,
+    shapes_of,
+    with_parked,
+)
+from inspe_jax.scene.regions import Region
 
 LINE = '<geometry s="0" x="10" y="20" hdg="0" length="100"><line/></geometry>'
 ARC = '<geometry s="0" x="0" y="0" hdg="0" length="100"><arc curvature="0.02"/></geometry>'
@@ -25,8 +34,6 @@ def read(objects: str, plan: str = LINE):
 def same(area, expected):
     return area.symmetric_difference(expected).area < 1e-6
 
-
-# ── Objects ─────────────────────────────────────────────────────────────────
 
 ROAD_CORNERS = "".join(
     f'<cornerRoad s="{s}" t="{t}" dz="0" height="9"/>' for s, t in ((20, 5), (30, 5), (30, 12))
@@ -130,9 +137,6 @@ def test_what_is_no_body_or_makes_no_sense():
     assert read('<object type="tree" s="0" t="0"/>', "<geometry/>")[0] == ()
 
 
-# ── The reference line ──────────────────────────────────────────────────────
-
-
 def test_pieces_worked_out_on_paper():
     def line(shape: str):
         return ReferenceLine(ET.fromstring(
@@ -164,7 +168,8 @@ def test_the_line_is_carla_s(town):
     """CARLA's lanes lie straight across from the same point of the line, and run along it: to
     0.1 mm in single precision."""
     pytest.importorskip("carla", reason="needs the CARLA client: extra [opendrive]")
-    from inspe_jax.scene.maps.opendrive.road_network import heading_of, load_map, position
+    from inspe_jax.scene.maps.opendrive.reader import load_map
+    from inspe_jax.scene.maps.opendrive.road_network import heading_of, position
 
     path = MAPS / f"{town}.xodr"
     carla, rng = load_map(path), np.random.default_rng(0)
@@ -186,3 +191,84 @@ def test_the_line_is_carla_s(town):
     off = np.array(off)
     assert seen > 100
     assert (off.max(0) < [1e-4, 1e-9]).all()
+
+
+def lane(y, width, length=48.0, bend=0.0):
+    """A parking lane along x, whose middle is at y; or on an arc of a curvature [1/m]."""
+    s = np.arange(0.0, length + 0.5)
+    turn = s * bend
+    x = np.sin(turn) / bend if bend else s
+    lift = (1 - np.cos(turn)) / bend if bend else 0 * s
+    center = np.column_stack([x - length / 2, y + lift, 0 * s])
+    ahead = np.column_stack([np.cos(turn), np.sin(turn)])
+    return LaneStrip.along(1, 1, -1, "parking", center, ahead, width)
+
+
+def parked(place, lanes, spaces, reach):
+    """The parked vehicles of a place without bodies."""
+    return with_parked(place, lanes, spaces, reach, []).bodies
+
+
+@pytest.mark.parametrize(("width", "across", "places"), [(2.2, False, 8), (5.2, True, 19)])
+def test_vehicles_stand_in_their_lane(width, across, places):
+    """Behind each other in a narrow lane and side by side in a wide one; most places are taken."""
+    counts = []
+    for name in "abcdefgh":
+        place, strip = replace(crossing(), name=name), lane(9.0, width)
+        found = parked(place, [strip], [], 50.0)
+        counts.append(len(found))
+        for one in found:
+            assert strip.polygon.covers(one.polygon)
+            length = one.outline[1] - one.outline[0]
+            assert abs(length[int(not across)]) < 1e-9
+        bodies = [one.polygon for one in found]
+        pairs = shapely.STRtree(bodies).query(bodies, "intersects")
+        assert pairs.shape[1] == len(found)  # each meets itself alone
+        again = parked(place, [strip], [], 50.0)
+        assert [one.number for one in again] == [one.number for one in found]
+    assert np.mean(counts) / places == pytest.approx(OCCUPIED, abs=0.12)
+    assert max(counts) <= places
+    strip = lane(9.0, 2.4, bend=1 / 30)
+    found = parked(crossing(), [strip], [], 60.0)
+    assert len(found) >= 4
+    assert all(one.polygon.difference(strip.polygon).area < 0.1 for one in found)
+
+
+def test_on_marked_spaces_along_the_longer_side():
+    turned = shapely.affinity.rotate(box(10, 10, 15, 12.4), 30)
+    spaces = [turned, box(20, 10, 22.5, 15), box(30, 10, 31, 12)]  # the last is for a bicycle
+    found = [
+        one
+        for name in "abcdefgh"
+        for one in parked(replace(crossing(), name=name), [], spaces, 60.0)
+    ]
+    assert 8 <= len(found) <= 16
+    for one in found:
+        assert any(space.buffer(1e-6).covers(one.polygon) for space in spaces[:2])
+
+
+def test_not_on_crosswalks_nor_in_other_bodies():
+    place = crossing()
+    place = replace(place, regions={**place.regions, Region.CROSSWALK: box(-6, 5, -2, 13)})
+    notes = []
+    found = with_parked(place, [lane(9.0, 2.2)], [], 50.0, notes)
+    assert found.bodies
+    assert not any(one.polygon.intersects(box(-6, 5, -2, 13)) for one in found.bodies)
+    assert f"{len(found.bodies)} vehicles parked" in notes[0]
+    assert with_parked(found, [lane(9.0, 2.2)], [], 50.0, notes).bodies == found.bodies
+    near = parked(place, [lane(9.0, 2.2)], [], 14.0)
+    assert 0 < len(near) < len(found.bodies)
+
+
+def test_a_town_with_parking_lanes():
+    """In Town05 parked vehicles stand in nobody's way."""
+    if not (path := MAPS / "Town05.xodr").is_file():
+        pytest.skip("the town maps are not beside the checkout")
+    pytest.importorskip("carla", reason="needs the CARLA client: extra [opendrive]")
+    from inspe_jax.scene.maps.registry import read_map
+
+    place = read_map(path, junction="53", radius=50.0)
+    assert {one.kind for one in place.bodies} == {"parked vehicle"}
+    size = dict(radius=50, voxel=1.0, frames=4)
+    scene = inspe_jax.build_scene(place, statics="map", **size)
+    assert 0.8 * len(place.bodies) <= len(scene.statics) <= len(place.bodies)

@@ -22,7 +22,7 @@ from inspe_jax.scene.street import map_bodies
 pytest.importorskip("sumolib", reason="needs SUMO: extra [sumo]")
 pytest.importorskip("pyproj", reason="needs pyproj: extra [sumo]")
 
-from inspe_jax.scene.maps.sumo.network import load_net
+from inspe_jax.scene.maps.sumo.reader import load_net
 
 
 @pytest.fixture(scope="module")
@@ -51,9 +51,6 @@ def at(path, bodies, point, kind=None):
     return [b for b in bodies if b.polygon.contains(here) and kind in (None, b.kind)]
 
 
-# ── Coordinates ─────────────────────────────────────────────────────────────
-
-
 def test_the_middle_of_each_road_is_where_its_nodes_are(path, place):
     """netconvert's lanes against the nodes' degrees: 25 m out on every arm, to 2 cm."""
     road = shapely.union_all([place.regions[r] for r in Region if r is not Region.SIDEWALK])
@@ -72,9 +69,6 @@ def test_a_house_is_as_large_as_in_the_file(path, bodies):
     corners = world(path, box(10, 10, 22, 20))
     assert house.polygon.symmetric_difference(Polygon(corners)).area < 44 * 1e-4
     assert house.polygon.area == pytest.approx(120, rel=1e-3)  # UTM's scale here: 1.0001
-
-
-# ── Heights ─────────────────────────────────────────────────────────────────
 
 
 def test_heights_and_where_no_body_is(path, bodies):
@@ -123,9 +117,6 @@ def test_notes_say_what_was_assumed(place):
     assert "1 body of the map whose outline crosses itself: mended" in said
     assert "1 body of the map on lanes, crossings or footpaths: cut off there" in said
     assert "of the map on lanes, crossings or footpaths, or without an area: left out" in said
-
-
-# ── Shapes ──────────────────────────────────────────────────────────────────
 
 
 def test_a_courtyard_is_left_free_by_simple_pieces(path, bodies):
@@ -193,9 +184,6 @@ def test_walls_hedges_fences_and_poles_beside_the_road(bodies):
     (hedge,) = (b for b in bodies if b.kind == "hedge")
     assert (hedge.height, hedge.polygon.area) == (1.5, pytest.approx(7.0, rel=1e-3))
     assert sorted(b.height for b in bodies if b.kind == "pole") == [3.4, 7.0, 9.0, 20.0]
-
-
-# ── Files ───────────────────────────────────────────────────────────────────
 
 
 def test_the_order_of_elements_and_compression_change_nothing(tmp_path, path, place):
@@ -283,31 +271,25 @@ def test_shapes_without_sense_are_mended_or_left_out(tmp_path, seed):
     assert any("mended" in note for note in place.notes)
 
 
-# ── In a scene ──────────────────────────────────────────────────────────────
-
-SIZE = dict(radius=30, voxel=1.0, spacing=2.0, frames=2, density=5)
-
-
-@pytest.fixture(scope="module")
-def scene(place):
-    return build_scene(place, **SIZE, statics="map")
-
-
-def test_a_scene_has_the_map_s_bodies_and_keeps_them(place, scene, tmp_path):
+def test_a_scene_has_the_map_s_bodies_and_keeps_them(place, tmp_path):
+    size = dict(radius=30, voxel=1.0, spacing=2.0, frames=2, density=5)
+    scene = build_scene(place, **size, statics="map")
     assert dict(scene.settings)["statics"] == "map"
     near = map_bodies(place, 30)
     assert {b.kind for b in scene.statics} == {"building", "wall", "hedge", "tree", "pole"}
-    assert [b for b in near if b.kind == "building"] == [
-        b for b in scene.statics if b.kind == "building"
-    ]
+    houses, kept = ([b for b in of if b.kind == "building"] for of in (near, scene.statics))
+    assert houses == kept
     assert len(near) < len(place.bodies)
     save_scene(scene, tmp_path / "s.npz")
     again = load_scene(tmp_path / "s.npz")
     assert digest(again.statics) == digest(scene.statics)
     assert digest(again.intersection.bodies) == digest(place.bodies)
+    assert again.intersection.georeference == place.georeference
+    words = again.intersection.georeference.words(place.center).split(", ")
+    assert np.array(words, float) == pytest.approx([LAT, LON], abs=1e-5)
     with pytest.raises(InspeError, match=r"brings no bodies here; an OpenStreetMap extract \(\.o"):
-        build_scene("four_way", **SIZE, statics="map")
-    rebuilt = build_scene(again.intersection, **SIZE, statics="map")
+        build_scene("four_way", **size, statics="map")
+    rebuilt = build_scene(again.intersection, **size, statics="map")
     assert digest(rebuilt.statics) == digest(scene.statics)
 
 

@@ -10,8 +10,8 @@ from shapely.geometry import LineString, Point, box
 from shapely.ops import unary_union
 
 from inspe_jax.core.errors import InspeError
+from inspe_jax.scene.lines import bend, offset, onto_ring
 from inspe_jax.scene.procedural.built_ins import BUILT_INS, built_in, crossing
-from inspe_jax.scene.procedural.curves import bend, offset, onto_ring
 from inspe_jax.scene.regions import Region
 
 PLACES = {name: built_in(name) for name in BUILT_INS}
@@ -20,7 +20,6 @@ ARMS = dict(four_way=4, five_way=5, t_junction=3, triangle=3, roundabout=4, high
 ON_FOOT = [n for n in PLACES if "ramp" not in n]
 
 every_place = pytest.mark.parametrize("name", PLACES)
-every_town = pytest.mark.parametrize("name", ON_FOOT)
 
 
 def carriageway(place):
@@ -38,21 +37,15 @@ def headings(route):
     return step / np.hypot(*step.T)[:, None]
 
 
-# ── Areas on paper ──────────────────────────────────────────────────────────
-
-
 def test_areas_of_the_four_way():
     """Roads of 14 m to 120 m, kerbs of 8 m radius, gutters of 1 m and sidewalks of 3 m.
 
     An arc drawn in 3° chords encloses 0.05 % less than the circle, so 1e-3 of a corner's area.
     """
     regions = PLACES["four_way"].regions
-    quarter = np.pi / 4
-    fillet = (1 - quarter) * 8**2
-    mouth = 7 + 8
-    assert regions[Region.JUNCTION].area == pytest.approx(
-        30 * 30 - 4 * 8**2 + 4 * fillet, abs=4e-3 * 64
-    )
+    quarter, mouth = np.pi / 4, 7 + 8
+    junction = 30 * 30 - 4 * quarter * 8**2
+    assert regions[Region.JUNCTION].area == pytest.approx(junction, abs=4e-3 * 64)
     assert regions[Region.DRIVEWAY].area == pytest.approx(4 * (120 - mouth) * 14, rel=1e-9)
     # Spanning the gutters on both sides.
     assert regions[Region.CROSSWALK].area == pytest.approx(4 * 3 * 16, rel=1e-9)
@@ -119,11 +112,7 @@ def test_areas_of_the_motorway():
     ahead = place.regions[Region.JUNCTION].intersection(box(-30, -50, 120, 0)).area
     assert ahead == pytest.approx(100 * 10.8 + 60 * 3.6 + 40 * 3.6 / 2, rel=1e-6)
     assert -60 < nose < -30
-
-
-def test_shoulders_of_the_motorway():
-    """1 m at the median and 3 m outside, without a gap beside the lanes; one gore to the nose."""
-    place = PLACES["highway_ramp"]
+    # Shoulders are 1 m at the median and 3 m outside, without a gap; one gore to the nose.
     shoulder = place.regions[Region.SHOULDER]
     paved = unary_union([carriageway(place), shoulder.buffer(1e-6, join_style="mitre")])
     assert shoulder.intersection(box(-120, 0, 120, 50)).area == pytest.approx(240 * 4)
@@ -131,13 +120,9 @@ def test_shoulders_of_the_motorway():
         across = LineString([(x, 0), (x, -50)]).intersection(paved)
         assert across.bounds == pytest.approx((x, -outer, x, -1.5), abs=1e-5)
         assert across.length == pytest.approx(outer - 1.5, abs=1e-5)
-    nose = place.arms[1].mouth[0]
     for back, parts in ((1, 1), (10, 1), (50, 2)):  # between 10 m and 50 m the verge begins
         across = LineString([(nose - back, -2), (nose - back, -50)]).intersection(paved)
         assert len(shapely.get_parts(across)) == parts
-
-
-# ── The same from every side ────────────────────────────────────────────────
 
 
 def turned(degrees):
@@ -176,12 +161,10 @@ def test_places_are_symmetric(name, moved, backwards):
         assert points_of(feet) == points_of(place.poles[:, None, :2])
 
 
-# ── Ground ──────────────────────────────────────────────────────────────────
-
-
 @every_place
 def test_regions_lie_side_by_side(name):
-    """Only crosswalks overlap what they cross; no slivers, spikes or stray specks anywhere."""
+    """Only crosswalks overlap what they cross; no slivers, spikes or stray specks anywhere, and no
+    gap to the nearest sidewalk's far side, but for a motorway's median."""
     place = PLACES[name]
     flat = [r for r in Region if r != Region.CROSSWALK]
     for i, a in enumerate(flat):
@@ -199,12 +182,6 @@ def test_regions_lie_side_by_side(name):
             assert part.buffer(-0.29).area > 0.3 * part.area
             rounded = part.buffer(-0.1).buffer(0.101, join_style="mitre")
             assert part.difference(rounded).area < 0.1
-
-
-@every_place
-def test_there_is_no_gap_near_the_middle(name):
-    """Regions cover the ground to the nearest sidewalk's far side, but for a motorway's median."""
-    place = PLACES[name]
     ground = unary_union([s.buffer(1e-6) for s in (*place.regions.values(), place.mounting)])
     assert ground.contains(Point(0, 0).buffer(2.0))
     assert not ground.interiors
@@ -242,45 +219,27 @@ def test_arms_are_the_road_at_the_mouth(name):
             inside, outside = (arm.kerb(side, 0.05) + side * d * across for d in (-0.03, 0.03))
             assert carriageway(place).contains(Point(inside))
             assert not carriageway(place).contains(Point(outside))
-        assert (
-            place.regions[Region.JUNCTION].distance(LineString([arm.kerb(-1), arm.kerb(1)])) < 1e-6
-        )
+        mouth = LineString([arm.kerb(-1), arm.kerb(1)])
+        assert place.regions[Region.JUNCTION].distance(mouth) < 1e-6
         assert along @ arm.mouth > 0
 
 
-# ── Routes ──────────────────────────────────────────────────────────────────
-
-
 @every_place
-def test_vehicles_keep_to_the_carriageway(name):
-    """A body of 2 m in a lane of 3.5 m: 1 m either side of every route is road."""
+def test_vehicles_drive_on_the_right_from_rim_to_rim_on_the_arms_named(name):
+    """1 m either side of every route is road; no turn is tighter than 1/R a metre: R is the least
+    corner's 6 m and half a lane; 10 % for chords. The road's axis is on the left of who comes and
+    of who goes."""
     place = PLACES[name]
     road = carriageway(place)
     for route in routes(place, "vehicle"):
         swept = LineString(route.waypoints[:, :2]).buffer(1.0, cap_style="flat")
         assert swept.difference(road).area < 1e-3, route.through
-
-
-@every_place
-def test_vehicles_turn_smoothly(name):
-    """No more than 1/R a metre: R is the least corner's 6 m and half a lane; 10 % for chords."""
-    for route in routes(PLACES[name], "vehicle"):
         way = headings(route)
-        turn = np.arctan2(
-            way[:-1, 0] * way[1:, 1] - way[:-1, 1] * way[1:, 0], (way[:-1] * way[1:]).sum(1)
-        )
-        assert np.abs(turn).max() < 1.1 / 7.75
-        step = np.hypot(*np.diff(route.waypoints[:, :2], axis=0).T)
-        assert (step > 0.9).all()
-        assert (step < 1.01).all()
-
-
-@every_place
-def test_routes_run_from_rim_to_rim_on_the_arms_named(name):
-    """And who drives keeps right: the road's axis is on the left of who comes and of who goes."""
-    place = PLACES[name]
-    for route in routes(place, "vehicle"):
-        ends, way = route.waypoints[[0, -1], :2], headings(route)[[0, -1]]
+        across, along = np.linalg.det(np.stack([way[:-1], way[1:]], 1)), (way[:-1] * way[1:]).sum(1)
+        assert np.abs(np.arctan2(across, along)).max() < 1.1 / 7.75
+        step = np.diff(route.arc)
+        assert 0.9 < step.min() <= step.max() < 1.01
+        ends, way = route.waypoints[[0, -1], :2], way[[0, -1]]
         assert np.hypot(*ends.T) == pytest.approx(110, abs=0.8)
         assert (route.waypoints[:, 2] == 0).all()
         bearings = np.array([place.arms[a].bearing for a in route.through])
@@ -337,7 +296,7 @@ def test_the_ramp_merges_into_the_outer_lane():
     assert np.degrees(np.arctan2(start[1], start[0])) == pytest.approx(18)
 
 
-@every_town
+@pytest.mark.parametrize("name", ON_FOOT)
 def test_people_walk_on_sidewalks_and_crosswalks(name):
     place = PLACES[name]
     paths = unary_union([place.regions[r] for r in (Region.SIDEWALK, Region.CROSSWALK)])
@@ -347,16 +306,9 @@ def test_people_walk_on_sidewalks_and_crosswalks(name):
     assert all(line.difference(paths.buffer(1e-6)).length < 1e-6 for line in lines)
     assert sum(line.intersects(carriageway(place)) for line in lines) == 2 * len(place.arms)
     assert points_of(r.waypoints for r in people) == points_of(r.waypoints[::-1] for r in people)
-
-
-def test_nobody_walks_on_the_motorway():
-    place = PLACES["highway_ramp"]
-    assert not routes(place, "pedestrian")
-    assert all(place.regions[r].is_empty for r in (Region.CROSSWALK, Region.SIDEWALK))
-    assert place.notes == ("a motorway: no crosswalks and no sidewalks",)
-
-
-# ── Curves ──────────────────────────────────────────────────────────────────
+    ramp = PLACES["highway_ramp"]
+    assert not routes(ramp, "pedestrian")
+    assert all(ramp.regions[r].is_empty for r in (Region.CROSSWALK, Region.SIDEWALK))
 
 
 def test_offsets_and_bends_are_where_they_say():
@@ -376,7 +328,5 @@ def test_offsets_and_bends_are_where_they_say():
 
 
 def test_a_built_in_that_is_not_known_is_an_error():
-    with pytest.raises(
-        InspeError, match=r"no built-in intersection 'round': one of four_way, .*did you"
-    ):
+    with pytest.raises(InspeError, match=r"no built-in intersection 'round': one of .*did you"):
         built_in("round")

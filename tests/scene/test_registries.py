@@ -1,4 +1,4 @@
-"""Adding a map format or a model of traffic: a module and a row. Here this file is the module."""
+"""Adding a map format: a module and a row. Here this file is the module."""
 
 from pathlib import Path
 
@@ -8,19 +8,15 @@ import yaml
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.scene.maps import registry as maps
-from inspe_jax.scene.maps.parts import JunctionInfo
+from inspe_jax.scene.maps.road_map import JunctionInfo
 from inspe_jax.scene.procedural.built_ins import crossing
 from inspe_jax.scene.scene import build_scene, load_scene, save_scene
-from inspe_jax.scene.traffic import registry as models
-from inspe_jax.scene.traffic.frames import TrafficFrames
 
 MAP = """\
 junctions:
   north: {bearings_deg: [0, 90, 180, 270], lanes: [1, 1, 1, 1]}
   south: {bearings_deg: [10, 130, 250], lanes: [2, 2, 2]}
 """
-
-# ── What the module of a map format holds ───────────────────────────────────
 
 
 class ToyMap:
@@ -48,28 +44,6 @@ class ToyMap:
         return crossing(f"{self.name} {junction}", **self.junctions[junction])
 
 
-# ── What the module of a traffic model holds ────────────────────────────────
-
-
-def parked_traffic(intersection, *, radius, count, frames, mix, step, seed, progress):
-    """``count`` cars that stand in a row on the first route, in every frame."""
-    route = intersection.routes[0].waypoints[: 8 * count : 8]
-    shape, size = (frames, len(route)), np.array([4.5, 1.8, 1.5])
-    return TrafficFrames(
-        center=np.broadcast_to(route + [0, 0, size[2] / 2], (*shape, 3)),
-        yaw=np.zeros(shape),
-        size=np.broadcast_to(size, (*shape, 3)),
-        valid=np.ones(shape, bool),
-        kind=np.zeros(shape, np.int8),
-        track=np.broadcast_to(np.arange(len(route)), shape),
-        velocity=np.zeros((*shape, 3)),
-        time=np.arange(frames) * step,
-    )
-
-
-# ── Their rows, and what follows from them ──────────────────────────────────
-
-
 @pytest.fixture
 def toy_map(monkeypatch, tmp_path):
     monkeypatch.setitem(maps.FORMATS, (".toy.yaml",), f"{__name__}:ToyMap")
@@ -94,14 +68,3 @@ def test_a_row_is_all_that_a_map_format_needs(toy_map, tmp_path):
     again = load_scene(tmp_path / "scene.npz")
     assert again.name == "town.toy.yaml north"
     np.testing.assert_array_equal(again.voxels.region, scene.voxels.region)
-
-
-def test_a_row_is_all_that_a_traffic_model_needs(monkeypatch):
-    size = dict(radius=20, voxel=1.0, frames=3, density=2)
-    with pytest.raises(InspeError, match=r"traffic 'parked': waypoints, sumo, or a log of"):
-        build_scene("four_way", traffic="parked", **size)
-    monkeypatch.setitem(models.TRAFFIC_MODELS, "parked", f"{__name__}:parked_traffic")
-    scene = build_scene("four_way", traffic="parked", **size)
-    assert scene.traffic.valid.shape == (3, 2)
-    assert dict(scene.settings)["traffic"] == "parked"
-    np.testing.assert_array_equal(scene.traffic.center[0], scene.traffic.center[2])

@@ -90,11 +90,8 @@ def test_no_road_user_touches_a_body_and_what_one_touches_is_left_out():
 def test_a_scene_says_that_it_has_them(tmp_path):
     size = dict(radius=30, voxel=1.0, spacing=2.0, frames=2, density=5)
     place = inspe_jax.built_in("four_way")
-    bare, street = (
-        inspe_jax.build_scene(place, **size, **own) for own in ({}, {"statics": "street"})
-    )
-    assert [dict(of.settings)["statics"] for of in (bare, street)] == ["none", "street"]
-    assert bare.statics == ()
+    street = inspe_jax.build_scene(place, **size, statics="street")
+    assert dict(street.settings)["statics"] == "street"
     other = inspe_jax.build_scene(place, **(size | dict(density=9)), statics="street", seed=3)
     assert digest(other.statics) == digest(street.statics)  # a place stays what it is
     save_scene(street, tmp_path / "s.npz")

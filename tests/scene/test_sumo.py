@@ -3,7 +3,7 @@
 import sys
 import xml.etree.ElementTree as ET
 from collections import Counter
-from itertools import pairwise
+from itertools import pairwise, permutations
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +26,14 @@ pytest.importorskip("sumolib", reason="needs SUMO: extra [sumo]")
 CAR, TRUCK, CYCLIST, PEDESTRIAN = range(4)
 
 
+OWN = {
+    "crossing": [Region.CROSSWALK],
+    "pedestrian": [Region.SIDEWALK, Region.JUNCTION, Region.CROSSWALK],
+    "driven": [Region.DRIVEWAY, Region.JUNCTION],
+}
+"""The regions in which lanes of each kind lie."""
+
+
 @pytest.fixture(scope="module")
 def place():
     """RiLSA's signalled four-way: lanes of 3.2 m, crossings of 4 m, arms to all four winds."""
@@ -45,9 +53,6 @@ def raw():
     return root, lambda of: np.array([p.split(",")[:2] for p in of.split()], float) - moved
 
 
-# ---- the place ------------------------------------------------------------------------------
-
-
 def test_the_junction_is_what_its_file_says(place, raw):
     (info,) = list_junctions(rilsa())
     assert (info.id, info.arms, info.crosswalks, info.signals) == ("0", 4, 4, 4)
@@ -62,9 +67,7 @@ def test_the_junction_is_what_its_file_says(place, raw):
     # Two lanes in, one out, all of 3.2 m.
     assert np.allclose([arm.width for arm in place.arms], 3 * 3.2, atol=0.3)
     drives = [r for r in place.routes if r.user == "vehicle"]
-    assert Counter(r.through for r in drives) == {
-        (a, b): 1 for a in range(4) for b in range(4) if a != b
-    }
+    assert Counter(r.through for r in drives) == dict.fromkeys(permutations(range(4), 2), 1)
     assert "no poles" in " ".join(place.notes)
 
 
@@ -82,13 +85,10 @@ def test_every_lane_of_the_raw_file_lies_in_its_region(place, raw):
             if ribbon.area < 1.0:
                 continue
             kind = edge.get("function") if edge.get("function") == "crossing" else lane.get("allow")
-            regions = {
-                "crossing": [Region.CROSSWALK],
-                "pedestrian": [Region.SIDEWALK, Region.JUNCTION, Region.CROSSWALK],
-            }.get(kind, [Region.DRIVEWAY, Region.JUNCTION])
-            whole = shapely.union_all([place.regions[r] for r in regions])
+            kind = kind if kind in OWN else "driven"
+            whole = shapely.union_all([place.regions[r] for r in OWN[kind]])
             assert ribbon.difference(whole).area < 0.02 * ribbon.area, lane.attrib["id"]
-            seen[kind if len(regions) != 2 else "driven"] += 1
+            seen[kind] += 1
     assert seen["crossing"] == 4
     assert seen["pedestrian"] == 8
     assert seen["driven"] > 16
@@ -113,13 +113,11 @@ def test_nothing_is_paved_where_the_file_has_nothing(place, raw):
 
 
 def test_routes_run_from_rim_to_rim_without_a_jump(place):
-    for route in place.routes:
-        if route.user == "vehicle":
-            steps = np.hypot(*np.diff(route.waypoints[:, :2], axis=0).T)
-            assert steps.max() < 1.6
-            away = np.hypot(*route.waypoints[:, :2].T)
-            assert away[[0, -1]] == pytest.approx(50, abs=1.5)
-            assert away.min() < 15
+    for route in (r for r in place.routes if r.user == "vehicle"):
+        assert np.diff(route.arc).max() < 1.6
+        away = np.hypot(*route.waypoints[:, :2].T)
+        assert away[[0, -1]] == pytest.approx(50, abs=1.5)
+        assert away.min() < 15
 
 
 @pytest.mark.skipif(not MAPS.is_dir(), reason="CARLA's town maps are not at hand")
@@ -128,23 +126,17 @@ def test_a_town_is_the_same_place_by_its_net_and_by_opendrive():
     net = read_map(MAPS / "Town05.net.xml", junction=53)
     own = read_map(MAPS / "Town05.xodr", junction=53)
     assert np.hypot(*(net.center - own.center)[:2]) < 1.0
-    drive = [
-        shapely.union_all([p.regions[r] for r in (Region.DRIVEWAY, Region.JUNCTION)])
-        for p in (net, own)
-    ]
+    drive = [p.regions[Region.DRIVEWAY].union(p.regions[Region.JUNCTION]) for p in (net, own)]
     # CARLA's crosswalks and shoulders are carriageway to SUMO.
     assert drive[0].intersection(drive[1]).area > 0.93 * min(d.area for d in drive)
-    ends = [
-        {tuple(np.round(end, -1)) for r in p.routes if r.user == "vehicle"
-         for end in (r.waypoints[len(r.waypoints) // 2, :2],)}
+    middles = [
+        {tuple(np.round(r.waypoints[len(r.waypoints) // 2, :2], -1)) for r in p.routes
+         if r.user == "vehicle"}
         for p in (net, own)
     ]  # fmt: skip
-    assert len(ends[0] & ends[1]) >= 0.7 * len(ends[0])
+    assert len(middles[0] & middles[1]) >= 0.7 * len(middles[0])
     assert net.mounting.area > 0  # islands at the corners: the net has no sidewalks
     assert {a.bearing > 0 for a in net.arms} == {True, False}
-
-
-# ---- OpenStreetMap --------------------------------------------------------------------------
 
 
 def test_an_extract_of_openstreetmap_is_an_intersection(tmp_path):
@@ -158,9 +150,6 @@ def test_an_extract_of_openstreetmap_is_an_intersection(tmp_path):
     scene = build_scene(place, radius=40, voxel=1.0, density=10, frames=5, traffic="sumo")
     assert {*np.unique(scene.voxels.region)} >= {Region.DRIVEWAY, Region.JUNCTION, Region.SIDEWALK}
     assert scene.traffic.mean_count > 3
-
-
-# ---- traffic --------------------------------------------------------------------------------
 
 
 def test_as_many_as_asked_for_of_every_class(traffic):
@@ -202,12 +191,12 @@ def test_everybody_moves_as_its_velocity_says(place):
 def test_vehicles_keep_to_the_road_and_people_to_sidewalks_and_crossings(place, traffic):
     at = traffic.center[traffic.valid][:, :2]
     kind = traffic.kind[traffic.valid]
-    road = [place.regions[r] for r in (Region.DRIVEWAY, Region.JUNCTION, Region.CROSSWALK)]
-    foot = [place.regions[r] for r in (Region.SIDEWALK, Region.JUNCTION, Region.CROSSWALK)]
-    drives = shapely.contains_xy(shapely.union_all(road), *at[kind != PEDESTRIAN].T)
-    walks = shapely.contains_xy(shapely.union_all(foot), *at[kind == PEDESTRIAN].T)
-    assert drives.mean() > 0.999
-    assert walks.mean() > 0.98
+    road, foot = (
+        shapely.union_all([place.regions[r] for r in regions])
+        for regions in ([*OWN["driven"], Region.CROSSWALK], OWN["pedestrian"])
+    )
+    assert shapely.contains_xy(road, *at[kind != PEDESTRIAN].T).mean() > 0.999
+    assert shapely.contains_xy(foot, *at[kind == PEDESTRIAN].T).mean() > 0.98
 
 
 def test_cars_wait_for_signals_and_people_cross(place, traffic):
@@ -242,8 +231,6 @@ def test_the_largest_vehicle_alone_and_progress_to_its_end(place):
     assert set(traffic.kind[traffic.valid].tolist()) == {CLASSES.index("truck")}
     assert np.allclose(traffic.size[traffic.valid], ROAD_USERS[TRUCK].size)
 
-
-# ---- bad input ------------------------------------------------------------------------------
 
 NET = '<net version="1.20"><location netOffset="0.00,0.00" convBoundary="0,0,1,1" '
 NET += 'origBoundary="0,0,1,1" projParameter="!"/>{}</net>'

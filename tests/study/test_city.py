@@ -13,8 +13,8 @@ from drawn import misplaced
 from processes import in_this_process, inspe_here
 
 from inspe_jax.core.errors import InspeError
-from inspe_jax.scene.maps.parts import JunctionInfo
 from inspe_jax.scene.maps.registry import read_map, road_lines
+from inspe_jax.scene.maps.road_map import JunctionInfo
 from inspe_jax.scene.maps.sumo.network import run
 from inspe_jax.sensing.layout import load_layout
 from inspe_jax.study.city import (

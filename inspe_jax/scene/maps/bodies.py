@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -19,21 +20,41 @@ from inspe_jax.scene.regions import Region
 from inspe_jax.scene.statics import StaticBody, body
 from inspe_jax.scene.street import HEADROOM, OVER_LANES, WALKED
 
+"""Sizes of bodies of which a map says none [m]."""
+
+BUILDING = 6.0  # height of a building: two levels
+BARRIERS = {"wall": (2.0, 0.25), "city_wall": (6.0, 1.0), "hedge": (1.5, 0.7), "fence": (1.8, 0.1)}
+"""Height and width of barriers."""
+TREE = {"height": 8.0, "diameter_crown": 5.0, "circumference": 0.94}  # A tree
+POLE = 6.0, 0.1  # height and radius of a pole
+HEIGHTS = {
+    "building": BUILDING,
+    "wall": BARRIERS["wall"][0],
+    "hedge": BARRIERS["hedge"][0],
+    "tree": TREE["height"],
+    "pole": POLE[0],
+    "furniture": 1.0,
+    "parked vehicle": 1.5,
+}
+"""Height of each kind of body of which a map says none."""
+
+
+def crown_base(height: float) -> float:
+    """Height at which the crown of a tree begins, of which a map says none."""
+    return min(2.5, 0.4 * height)
+
+
 SMALL = {"building": 0.5, "furniture": 0.1, "wall": 0.02, "hedge": 0.05, "tree": 0.2, "pole": 0.0,
          "parked vehicle": 0.5, "solid": 0.05}  # fmt: skip
 """Parts of less than this are left out [m²]."""
-SAME_POLE = 0.5
-"""A signal this near to a pole of the map hangs on it [m]."""
+SAME_POLE = 0.5  # A signal this near to a pole of the map hangs on it [m]
 NO_POLES = "no poles: the map does not say where any stand"
-CUT_TOLERANCE = 0.05
-"""Edges of what was cut off keep within this of where they were [m]: arcs have few corners so."""
+CUT_TOLERANCE = 0.05  # edges of cuts keep within this of where they were: arcs get few corners [m]
 
 
 class Shape(NamedTuple):
-    """What a map says of one body: its kind, its area in plan (any polygons) and heights [m].
-
-    As :class:`~inspe_jax.scene.statics.StaticBody`. A tree or a pole stands whole or not at all.
-    """
+    """What a map says of one body, as of a :class:`~inspe_jax.scene.statics.StaticBody`, on any
+    polygons. A tree or a pole stands whole or not at all."""
 
     kind: str
     area: BaseGeometry
@@ -76,8 +97,7 @@ def with_bodies(
 
     Outlines that cross themselves are mended. What is on lanes, crossings or the middle of
     footpaths is cut off; a tree or a pole there is left out, and a crown begins above lanes or is
-    narrower. Polygons with holes are cut into simple ones. Poles on the ground can carry sensors.
-    ``notes`` get what was done.
+    narrower. Poles on the ground can carry sensors. ``notes`` get what was done.
     """
     ways, disc = Ways.of(place), Point(place.center[:2]).buffer(reach)
     shapely.prepare([disc, *ways])
@@ -92,17 +112,14 @@ def with_bodies(
         made = [] if free is None else list(_bodies(free))
         counts["left out"] += not made
         found += made
-    said = {
-        "mended": "whose outline crosses itself: mended",
-        "cut": "on lanes, crossings or footpaths: cut off there",
-        "over lanes": "with a crown over lanes: it begins at 4.5 m there, or is narrower",
-        "left out": "on lanes, crossings or footpaths, or without an area: left out",
-    }
-    notes += [
-        f"{counts[key]} {'body' if counts[key] == 1 else 'bodies'} of the map {words}"
-        for key, words in said.items()
-        if counts[key]
-    ]
+    for key, words in (
+        ("mended", "whose outline crosses itself: mended"),
+        ("cut", "on lanes, crossings or footpaths: cut off there"),
+        ("over lanes", "with a crown over lanes: it begins at 4.5 m there, or is narrower"),
+        ("left out", "on lanes, crossings or footpaths, or without an area: left out"),
+    ):
+        if count := counts[key]:
+            notes.append(f"{count} {'body' if count == 1 else 'bodies'} of the map {words}")
     feet = np.array([one.middle for one in found if one.kind == "pole" and one.base == 0])
     own = place.on_ground(feet) if len(feet) else np.zeros((0, 3))
     poles = np.asarray(place.poles, float).reshape(-1, 3)
@@ -158,25 +175,15 @@ def _free_tree(shape: Shape, ways: Ways, counts: "Counter[str]") -> Shape | None
 
 def _bodies(shape: Shape) -> Iterator[StaticBody]:
     """The bodies on the simple polygons of a shape."""
-    for part in shapely.get_parts(shape.area):
-        for simple in simple_pieces(part):
-            if simple.area <= SMALL[shape.kind]:
-                continue
-            try:
-                yield body(
-                    shape.kind,
-                    simple.exterior.coords,
-                    shape.height,
-                    base=shape.base,
-                    transmittance=shape.transmittance,
-                    trunk=shape.trunk,
-                )
-            except InspeError:  # less than a millimetre wide
-                continue
+    rest = dict(base=shape.base, transmittance=shape.transmittance, trunk=shape.trunk)
+    for simple in simple_pieces(shape.area):
+        if simple.area > SMALL[shape.kind]:
+            with suppress(InspeError):  # less than a millimetre wide
+                yield body(shape.kind, simple.exterior.coords, shape.height, **rest)
 
 
 def simple_pieces(area: BaseGeometry) -> Iterator[Polygon]:
-    """A polygon in pieces without holes that together cover it: cut in two through each hole."""
+    """Polygons in pieces without holes that together cover them: cut in two through each hole."""
     for part in shapely.get_parts(area):
         if part.geom_type != "Polygon":
             continue

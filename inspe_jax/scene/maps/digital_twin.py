@@ -1,11 +1,11 @@
 """A mesh of a place, as from a survey or a digital twin: its ground, and what stands on it.
 
-Scores need solids: the mesh is looked at from above, on a grid of :data:`CELL`. In the regions the
-surface at the level around is the ground. Where upright faces come down to it, the mesh stands
-there, and so does all that they enclose: it is solid from its highest surface to the ground. What
-else is higher hangs, as a crown, a bridge or a sign: it is solid from its highest surface to its
-lowest. Which way faces point does not matter, as few meshes are careful of it. Cells of like
-heights are one prism. Recordings show the mesh itself.
+1. The mesh is looked at from above, on a grid of :data:`CELL`, whichever way its faces point.
+2. In the regions the surface at the level around is the ground.
+3. Where upright faces come down to it, the mesh stands there, and so does all that they enclose: it
+   is solid from its highest surface to the ground.
+4. What else is higher hangs, as a crown or a bridge: it is solid between its outer surfaces.
+5. Cells of like heights are one prism. Recordings show the mesh itself.
 """
 
 import os
@@ -23,49 +23,35 @@ from shapely.ops import unary_union
 
 from inspe_jax.core.errors import InspeError, needs
 from inspe_jax.core.files import check_input
-from inspe_jax.scene.intersection import Intersection
+from inspe_jax.scene.intersection import LOW, Intersection, Mesh
 from inspe_jax.scene.maps.bodies import Shape, with_bodies
-from inspe_jax.scene.mesh import LOW, Mesh
 from inspe_jax.scene.terrain import MARGIN, laid_on
 
 SUFFIXES = (".glb", ".gltf", ".ply", ".obj")
-Y_UP = (".glb", ".gltf")
-"""Formats whose second axis points up; that of the others is the third."""
-CELL = 0.5
-"""Edge of the cells that the mesh is looked at in [m]."""
+Y_UP = (".glb", ".gltf")  # formats whose second axis points up; that of the others is the third
+CELL = 0.5  # edge of the cells that the mesh is looked at in [m]
 LEVELS = np.array([*np.arange(0.0, 4.0, 0.5), *np.arange(4.0, 8.0), *np.arange(8.0, 1e3, 4.0)])
-"""Cells are alike whose highest and lowest surfaces lie between the same of these heights [m]:
-finer in the region of interest, coarser where few sensors are."""
-MOST_FACES = 4_000_000
-"""More triangles near a place are refused."""
-COVERED = 0.2
-"""A mesh must have the ground of so much of the regions."""
-AROUND = 9.0
-"""The level of the ground around a point is that in a square of this edge [m]."""
-AT_ONCE = 4_000_000
-"""So many pairs of a triangle and a cell are looked at together."""
-STEEP = 0.5
-"""Triangles are steep whose normals point less upward than this; walls are 0, roofs of 60° 0.5."""
-STANDS = 1.0
-"""What comes down to this height over the ground stands on it [m]."""
-MOST_SOLIDS = 5000
-"""More solids near a place are refused."""
-SMALL = 3
-"""What covers fewer cells that touch is left out."""
+"""Cells are alike whose outer surfaces lie between the same of these heights [m]."""
+MOST_FACES = 4_000_000  # more triangles near a place are refused
+COVERED = 0.2  # a mesh must have the ground of so much of the regions
+AROUND = 9.0  # the level of the ground around a point is that in a square of this edge [m]
+AT_ONCE = 4_000_000  # so many pairs of a triangle and a cell are looked at together
+STEEP = 0.5  # triangles are steep whose normals point less upward; walls are 0, roofs of 60° 0.5
+STANDS = 1.0  # what comes down to this height over the ground stands on it [m]
+MOST_SOLIDS = 5000  # more solids near a place are refused
+SMALL = 3  # what covers fewer cells that touch is left out
 GREY = (128, 128, 128)
 
 
 def with_mesh(place: Intersection, path: str | os.PathLike[str], radius: float) -> Intersection:
     """A place on the ground of a mesh, with what stands on it as bodies of kind ``solid``.
 
-    The mesh is in world metres, the coordinates of the map; x east and z up, or y up and z south in
-    glTF, as that format has it. What stands on lanes, crossings or footpaths is cut off there, as
-    of a map's bodies: a survey has road users in it that have long gone. The mesh takes the place
-    of the bodies that the map brings.
+    The mesh is in the map's coordinates [m], x east and z up, or y up and z south in glTF. What
+    stands on lanes, crossings or footpaths is cut off there: a survey has road users in it. The
+    mesh takes the place of the bodies that the map brings.
 
     Raises InspeError if trimesh is missing, if the file can't be read or has no triangles, if the
-    mesh has no ground in the regions of the place, which most often is of another origin, and if it
-    has too many triangles or solids.
+    mesh has no ground in the regions of the place, and if it has too many triangles or solids.
     """
     mesh = _near(read_mesh(path), place, radius + MARGIN, path)
     grid = _Grid(place, radius + MARGIN)

@@ -1,7 +1,6 @@
 """Heights of the ground from an elevation model: GeoTIFF, ASCII grid, or a tile of SRTM or DTED.
 
-Only the part of the model around the place is read, so models of whole states serve. Formats that
-refer to other files or addresses are not read.
+Only the part around the place is read, and no format that refers to other files or addresses.
 """
 
 import os
@@ -17,12 +16,11 @@ from scipy.ndimage import map_coordinates
 
 from inspe_jax.core.errors import InspeError, needs
 from inspe_jax.core.files import check_input
-from inspe_jax.scene.georeference import from_wgs84
+from inspe_jax.scene.georeference import wgs84
 from inspe_jax.scene.intersection import Intersection
 from inspe_jax.scene.terrain import HIGHEST, LOWEST, laid_on, lattice
 
-MOST = 4096
-"""Most cells a side that are read of a model around one place, or that one block of it has."""
+MOST = 4096  # most cells a side that are read around a place, or that one block has
 DRIVERS = {
     **dict.fromkeys((".tif", ".tiff"), "GTiff"),
     ".asc": "AAIGrid",
@@ -30,8 +28,7 @@ DRIVERS = {
     **dict.fromkeys((".dt0", ".dt1", ".dt2"), "DTED"),
 }
 """GDAL's driver for each suffix of the files that are read."""
-METRES = ("", "m", "metre", "metres", "meter", "meters")
-"""Units of heights that are metres; most files name none."""
+METRES = ("", "m", "metre", "metres", "meter", "meters")  # most files name no unit
 
 
 def with_elevation(
@@ -40,10 +37,9 @@ def with_elevation(
     """A place on the ground of an elevation model, to :data:`~inspe_jax.scene.terrain.MARGIN`
     beyond ``radius`` [m] of its centre.
 
-    Heights [m] between the model's cells are bilinear. Its projection is that of the file; of a
-    file that names none, that of the place, and world coordinates where the place has none either.
-    Routes, poles and the centre stand on the new ground. A deck that crosses above another road is
-    not known to a model: the place lies on one level.
+    Heights [m] between the model's cells are bilinear. A file that names no projection has that of
+    the place, or world coordinates where the place has none either. A deck that crosses above
+    another road is not known to a model: the place lies on one level.
 
     Raises InspeError if rasterio or pyproj is missing, if the file can't be read, if only one of
     the two says where on the Earth it is, if the file is no elevation model in metres, and if it
@@ -78,7 +74,10 @@ def _heights(
         with _own_proj(), rasterio.open(path, driver=DRIVERS[path.suffix.lower()]) as model:
             _check(model, path)
             points = _in_projection(place, path, model, at)
-            row, column = _cells(model, points)
+            a, b, c, d, e, f = tuple(~model.transform)[:6]
+            x, y = points.T
+            # Whole numbers are in the middle of cells.
+            row, column = d * x + e * y + f - 0.5, a * x + b * y + c - 0.5
             window = rasterio.windows.Window(*_window(model, row, column, path))
             values = model.read(1, window=window, masked=True)
             scale, offset = model.scales[0], model.offsets[0]
@@ -125,14 +124,7 @@ def _in_projection(place: Intersection, path: Path, model: Any, at: np.ndarray) 
             "Earth it is; take a map with a projection, or a model in the map's own coordinates "
             "without one"
         )
-    return from_wgs84(model.crs.to_wkt(), place.georeference.to_degrees(at))
-
-
-def _cells(model: Any, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Rows and columns of points, whole numbers in the middle of cells."""
-    a, b, c, d, e, f = tuple(~model.transform)[:6]
-    x, y = points.T
-    return d * x + e * y + f - 0.5, a * x + b * y + c - 0.5
+    return wgs84(model.crs.to_wkt(), place.georeference.to_degrees(at), back=True)
 
 
 def _window(

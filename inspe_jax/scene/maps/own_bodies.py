@@ -15,14 +15,21 @@ from inspe_jax.core.errors import InspeError, check_known
 from inspe_jax.core.files import check_model
 from inspe_jax.scene.geojson import Feature, read_features
 from inspe_jax.scene.intersection import Intersection
-from inspe_jax.scene.maps.bodies import NO_POLES, SAME_POLE, Shape, with_bodies
-from inspe_jax.scene.maps.usual_sizes import BARRIERS, HEIGHTS, POLE, TREE, crown_base
+from inspe_jax.scene.maps.bodies import (
+    BARRIERS,
+    HEIGHTS,
+    NO_POLES,
+    POLE,
+    SAME_POLE,
+    TREE,
+    Shape,
+    crown_base,
+    with_bodies,
+)
 from inspe_jax.scene.statics import HIGHEST, LEAFY, octagon
 
-LARGE = 10.0
-"""What lies this much beyond the reach may still come into it, as a crown about a point [m]."""
-NAMED = 20
-"""Most poles that are named because they are left out."""
+LARGE = 10.0  # what lies this much beyond the reach may still come into it, as a crown [m]
+NAMED = 20  # most poles that are named because they are left out
 USUAL = {"Polygon": "building", "LineString": "wall", "Point": "pole"}
 """The kind of body of a geometry of which the file says none."""
 
@@ -45,12 +52,11 @@ def with_own_bodies(
     """A place with the bodies of a file besides its own, within ``reach`` [m] of its centre.
 
     Polygons, lines and points; properties are ``kind``, one of
-    :data:`~inspe_jax.scene.maps.usual_sizes.HEIGHTS`, ``height_m``, ``base_m``, ``width_m`` of a
-    line, ``diameter_m`` of a point, and ``transmittance``. What is missing is usual. Poles can
-    carry sensors. What is in the way of traffic is cut off, as of a map's bodies.
-
-    Raises InspeError as :func:`~inspe_jax.scene.geojson.read_features`, if a property is wrong, and
-    if nothing is so near.
+    :data:`~inspe_jax.scene.maps.bodies.HEIGHTS`, ``height_m``, ``base_m``, ``width_m`` of a line,
+    ``diameter_m`` of a point, and ``transmittance``; what is missing is usual. They are treated as
+    a map's bodies: :func:`~inspe_jax.scene.maps.bodies.with_bodies`. Raises InspeError as
+    :func:`~inspe_jax.scene.geojson.read_features`, if a property is wrong, and if nothing is so
+    near.
     """
     features, _ = read_features(path, place)
     if not features:

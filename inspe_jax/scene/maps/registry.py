@@ -4,7 +4,7 @@ To add a format, write a module that reads it and add its row to :data:`FORMATS`
 """
 
 import os
-from importlib import import_module
+from pkgutil import resolve_name
 
 import numpy as np
 from jaxtyping import Float
@@ -12,32 +12,23 @@ from jaxtyping import Float
 from inspe_jax.core.errors import InspeError
 from inspe_jax.scene.georeference import Georeference
 from inspe_jax.scene.intersection import Intersection
-from inspe_jax.scene.maps.parts import JunctionInfo
-from inspe_jax.scene.maps.road_map import RoadMap
+from inspe_jax.scene.maps.road_map import JunctionInfo, RoadMap
 from inspe_jax.scene.maps.sumo.network import NET_SUFFIXES, OSM_SUFFIXES
 
 FORMATS: dict[tuple[str, ...], str] = {
-    (".xodr",): "inspe_jax.scene.maps.opendrive.reader:OpenDriveMap",
-    (*NET_SUFFIXES, *OSM_SUFFIXES): "inspe_jax.scene.maps.sumo.reader:SumoMap",
+    (".xodr",): "inspe_jax.scene.maps.opendrive.reader:load_map",
+    (*NET_SUFFIXES, *OSM_SUFFIXES): "inspe_jax.scene.maps.sumo.reader:load_net",
 }
-"""For the suffixes of files, in lower case, a module and in it what opens such a file:
-a :class:`~inspe_jax.scene.maps.road_map.RoadMap`, or what has the same ``georeference``,
-``list_junctions``, ``road_lines`` and ``read``. The first that fits a file's name reads it. A
-module is imported on first use, because it may need a package of an extra."""
-
-
-FAR = 100.0
-"""A junction farther than this from a point that a user names is not the one that is meant [m]."""
-
-
-def map_suffixes() -> tuple[str, ...]:
-    """The suffixes of map files."""
-    return tuple(suffix for suffixes in FORMATS for suffix in suffixes)
+"""For the suffixes of files, in lower case, a module and in it what opens such a file as
+a :class:`~inspe_jax.scene.maps.road_map.RoadMap`, or as what has the same ``georeference``,
+``list_junctions``, ``road_lines`` and ``read``. Modules are imported on first use: they may need an
+extra."""
+FAR = 100.0  # a junction farther than this from a point is not the one that is meant [m]
 
 
 def is_map(path: str | os.PathLike[str]) -> bool:
     """Whether a file's name has the suffix of a map."""
-    return str(path).lower().endswith(map_suffixes())
+    return any(str(path).lower().endswith(suffixes) for suffixes in FORMATS)
 
 
 def open_map(path: str | os.PathLike[str]) -> RoadMap:
@@ -47,10 +38,9 @@ def open_map(path: str | os.PathLike[str]) -> RoadMap:
     """
     for suffixes, reader in FORMATS.items():
         if str(path).lower().endswith(suffixes):
-            module, _, name = reader.partition(":")
-            found: RoadMap = getattr(import_module(module), name)(path)
-            return found
-    raise InspeError(f"{path}: not a map: its name must end in {', '.join(map_suffixes())}")
+            return resolve_name(reader)(path)
+    known = ", ".join(suffix for suffixes in FORMATS for suffix in suffixes)
+    raise InspeError(f"{path}: not a map: its name must end in {known}")
 
 
 def list_junctions(path: str | os.PathLike[str]) -> tuple[JunctionInfo, ...]:
@@ -59,10 +49,7 @@ def list_junctions(path: str | os.PathLike[str]) -> tuple[JunctionInfo, ...]:
 
 
 def georeference_of(path: str | os.PathLike[str]) -> Georeference | None:
-    """The projection of a map's coordinates, None if it has none that can be used.
-
-    Raises InspeError as :func:`open_map`.
-    """
+    """The projection of a map, None without a usable one. Raises InspeError as :func:`open_map`."""
     return open_map(path).georeference
 
 
@@ -72,10 +59,10 @@ def road_lines(path: str | os.PathLike[str]) -> list[Float[np.ndarray, "N 2"]]:
 
 
 def junction_at(path: str | os.PathLike[str], lat: float, lon: float) -> JunctionInfo:
-    """The junction of a map whose middle is nearest to a latitude and longitude [degrees].
+    """The junction of a map that is nearest to a latitude and longitude [degrees].
 
-    Raises InspeError if the map has no projection, if that point is farther than
-    :data:`FAR` from every junction, or as :func:`read_map`.
+    Raises InspeError if the map has no projection, if every junction is farther than :data:`FAR`,
+    or as :func:`read_map`.
     """
     georeference = georeference_of(path)
     if georeference is None:
@@ -108,16 +95,14 @@ def read_map(
 ) -> Intersection:
     """One junction of a map and its surroundings, in world metres (ENU).
 
-    Coordinates are those of the map; of a network, those of the map that it was made from
-    (:mod:`inspe_jax.scene.maps.sumo.network`). Lanes are read to ``radius`` + 10 m. Roads on
-    another level are left out. OpenStreetMap extracts and OpenDRIVE bring the bodies that they
-    have, and extracts the ground between points that have a height (``ele``).
+    Coordinates are those of the map; of a network, those of the map that it was made from. Lanes
+    are read to ``radius`` + 10 m, but none on another level. OpenStreetMap extracts and OpenDRIVE
+    bring their bodies, and extracts the ground between points that have a height (``ele``).
 
     Args:
         path: File of one of the :data:`FORMATS`.
         junction: Id of a junction of OpenDRIVE, or of a node of a network.
-        center: (x, y) [m] in place of an id. All junctions within 35 m of it count as one, as those
-            of a roundabout.
+        center: (x, y) [m] in place of an id. All junctions within 35 m count as one.
         radius: Routes begin and end there [m].
 
     Raises:

@@ -1,49 +1,151 @@
 """A map of roads: what each format reads of it, and the place that is made of that."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable
-from dataclasses import replace
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import product
 from pathlib import Path
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
+import shapely
 from jaxtyping import Float
-from shapely.geometry import MultiPolygon, Point
+from scipy.spatial import cKDTree
+from shapely.geometry import MultiPolygon, Point, Polygon
 from shapely.geometry.base import BaseGeometry
 from shapely.ops import unary_union
 
 from inspe_jax.core.errors import InspeError, nearest
 from inspe_jax.scene.georeference import Georeference
-from inspe_jax.scene.intersection import Intersection, Route
-from inspe_jax.scene.maps.approaches import SIDEWALK, Approach, arms_of
-from inspe_jax.scene.maps.bodies import NO_POLES
-from inspe_jax.scene.maps.lane_strips import LaneStrip, same_level
-from inspe_jax.scene.maps.parts import (
-    CLUSTER,
-    MARGIN,
-    MOST_LISTED,
-    JunctionInfo,
-    clean,
+from inspe_jax.scene.intersection import (
+    Arm,
+    Intersection,
+    Route,
+    corner_islands,
     crossing_lines,
-    crosswalks_of,
-    distance_from,
-    joined_lines,
-    mounting_of,
+    mouth_crosswalks,
     walking_routes,
+)
+from inspe_jax.scene.lines import distance_from, resampled
+from inspe_jax.scene.maps.bodies import NO_POLES
+from inspe_jax.scene.maps.lanes import (
+    CARRIAGEWAY,
+    SHOULDER,
+    SIDEWALK,
+    Approach,
+    LaneStrip,
+    arms_of,
+    same_level,
 )
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.voxels import check_range
 
-RADIUS_READ = (0.0, 500.0)
-"""Allowed radius of what is read of a map [m]."""
+STEP = 1.0  # spacing of the stations sampled along lanes and routes [m]
+CLUSTER = 35.0  # junctions whose middle is this near to ``center`` count as one [m]
+MARGIN = 10.0  # a map is read this much beyond the radius [m]
+MOST_LISTED = 20  # at most this many junctions are listed in an error
 
-Id = int | str
-"""A junction's id."""
+
+@dataclass(frozen=True)
+class JunctionInfo:
+    """A junction of a map: its id, middle [m], number of arms, the larger side of its bounding box
+    [m], and the numbers of crosswalks and signals that the map has near it."""
+
+    id: int | str
+    center: tuple[float, float, float]
+    arms: int
+    size: float
+    crosswalks: int
+    signals: int
+
+
+def valid(shape: BaseGeometry) -> BaseGeometry:
+    """The shape, repaired if its outline crosses itself."""
+    return shape if shape.is_valid else shape.buffer(0)
+
+
+def clean(shape: BaseGeometry) -> BaseGeometry:
+    """A shape without seams and slivers of a few centimetres and without parts below 0.5 m²."""
+    for step in (0.05, -0.12, 0.07):
+        shape = shape.buffer(step, join_style="mitre")
+    return unary_union([part for part in shapely.get_parts(shape) if part.area > 0.5])
+
+
+def crosswalks_of(
+    loops: Iterable[np.ndarray],
+    areas: dict[Region, BaseGeometry],
+    arms: tuple[Arm, ...],
+    ground: np.ndarray,
+    disc: Polygon,
+    notes: list[str],
+) -> list[BaseGeometry]:
+    """The crosswalks of a map, from outlines (K, 3), inside the disc and near ground points (N, 3).
+
+    If there is none at the junction, strips across the arms' mouths are added, with a note.
+    """
+    index = cKDTree(ground[:, :2])
+    walks = []
+    for loop in loops:
+        middle = loop.mean(0)
+        level = ground[index.query(middle[:2])[1], 2]
+        if disc.contains(Point(middle)) and abs(middle[2] - level) < 2.0:
+            walks.append(valid(Polygon(loop[:, :2])))
+    if any(walk.distance(areas[Region.JUNCTION]) < 8.0 for walk in walks):
+        return walks
+    if areas[Region.SIDEWALK].intersection(disc).is_empty:
+        notes.append("no crosswalks: the map has none here, and no sidewalks they could join")
+        return walks
+    notes.append("the map has no crosswalks here; strips across the junction's mouths stand in")
+    return walks + [mouth_crosswalks((arm,)) for arm in arms]
+
+
+def joined_lines(lines: list[np.ndarray]) -> Iterator[np.ndarray]:
+    """Footpaths (N, 2), joined where the end of one is within 1.5 m of another; 5 m or longer."""
+    lines = list(lines)
+
+    def joint(line: np.ndarray) -> tuple[int, np.ndarray] | None:
+        for i, other in enumerate(lines):
+            for a, b in product((line, line[::-1]), (other, other[::-1])):
+                if np.hypot(*(a[-1] - b[0])) < 1.5:
+                    return i, np.concatenate([a, b])
+        return None
+
+    while lines:
+        line = lines.pop()
+        while found := joint(line):
+            del lines[found[0]]
+            line = found[1]
+        if np.hypot(*np.diff(line, axis=0).T).sum() >= 5.0:
+            yield resampled(line)
+
+
+def mounting_of(
+    regions: dict[Region, BaseGeometry],
+    medians: list[BaseGeometry],
+    arms: tuple[Arm, ...],
+    disc: Polygon,
+) -> BaseGeometry:
+    """Where a pole may stand: sidewalks, shoulders and medians, but not carriageway or crosswalks.
+
+    Islands at the corners are added only if none of these is beside the junction: on a deck they
+    would hang in the air.
+    """
+    standing = [regions[Region.SIDEWALK], regions[Region.SHOULDER], *medians]
+    beside = unary_union(standing).distance(regions[Region.JUNCTION])
+    if not beside <= 5.0:  # also if there is nothing: the distance is then not a number
+        standing.append(corner_islands(arms))
+    traffic = [regions[r] for r in (Region.DRIVEWAY, Region.JUNCTION, Region.CROSSWALK)]
+    free = unary_union(standing).intersection(disc).difference(unary_union(traffic))
+    return clean(free)
+
+
+RADIUS_READ = (0.0, 500.0)  # allowed radius of what is read of a map [m]
+
+Id = int | str  # a junction's id
 
 
 class Node(NamedTuple):
-    """A junction of a map: its middle [m], the larger side of its bounding box [m], and the number
-    of its signals."""
+    """A junction's middle [m], larger side of its bounding box [m], and number of signals."""
 
     middle: Float[np.ndarray, "3"]
     size: float
@@ -51,11 +153,29 @@ class Node(NamedTuple):
 
 
 class MapJunction(ABC):
-    """One junction of a map, or several that count as one, and what its format reads around it."""
+    """One junction of a map, or several members that count as one, and what its format reads to a
+    radius [m] about their middle.
+
+    ``poles`` of the map are at any height [m]; ``interior`` are the numbers of the roads inside the
+    junction, or from one member to another.
+    """
 
     approaches: list[Approach]
     poles: Float[np.ndarray, "P 3"]
-    """Poles of the map near the junction, at any height [m]."""
+    interior: set[int]
+
+    def __init__(
+        self, of: Any, members: set[Any], middle: Float[np.ndarray, "3"], radius: float
+    ) -> None:
+        self.map, self.members, self.middle, self.radius = of, members, middle, radius
+
+    def region_of(self, strip: LaneStrip) -> Region | None:
+        """The region of a lane; None of one that is in no region."""
+        if strip.kind in CARRIAGEWAY:
+            return Region.JUNCTION if strip.road in self.interior else Region.DRIVEWAY
+        if strip.kind in SHOULDER:
+            return Region.SHOULDER
+        return Region.SIDEWALK if strip.kind in SIDEWALK else None
 
     @abstractmethod
     def lanes(self) -> tuple[list[LaneStrip], list[bool]]:
@@ -65,17 +185,13 @@ class MapJunction(ABC):
     def areas(
         self, lane_strips: list[LaneStrip], notes: list[str]
     ) -> dict[Region, list[BaseGeometry]]:
-        """The parts of each region but for crosswalks, which may overlap.
-
-        ``notes`` get what was assumed.
-        """
+        """The parts of each region but for crosswalks, which may overlap; ``notes`` get what was
+        assumed."""
 
     @abstractmethod
     def drives(self, arm_of: dict[tuple[int, str], int]) -> Iterable[Route]:
-        """Every path from an inbound lane to another arm, from radius to radius; no U-turns.
-
-        ``arm_of`` has the arm of each (road, end).
-        """
+        """Every path from an inbound lane to another arm of ``arm_of`` (road, end), from radius to
+        radius; no U-turns."""
 
     @abstractmethod
     def with_bodies(
@@ -87,17 +203,16 @@ class MapJunction(ABC):
 class RoadMap(ABC):
     """A map file as its format reads it, in world metres.
 
-    ``name`` is that of its file without suffixes. ``crossings`` are the outlines of all crosswalks,
-    each (K, 3). ``georeference`` is the projection of its coordinates, None where there is none
-    that can be used.
+    ``format`` is how the source of its places ends, ``around`` how a junction is read. ``name`` is
+    that of its file without suffixes. ``crossings`` are the outlines of all crosswalks, each
+    (K, 3). ``georeference`` is the projection of its coordinates, None without a usable one.
     """
 
     format: ClassVar[str]
-    """How the source of a place ends that was read from it."""
-
+    around: ClassVar[type[MapJunction]]
     path: Path
     name: str
-    crossings: tuple[np.ndarray, ...]
+    crossings: Sequence[np.ndarray]
     georeference: Georeference | None
 
     @abstractmethod
@@ -112,12 +227,6 @@ class RoadMap(ABC):
     def node(self, junction: Id) -> Node:
         """One of its junctions."""
 
-    @abstractmethod
-    def around(
-        self, members: set[Id], middle: Float[np.ndarray, "3"], radius: float
-    ) -> MapJunction:
-        """Some junctions as one, about their middle, to a radius [m]."""
-
     @property
     def source(self) -> str:
         """The name of its file."""
@@ -129,7 +238,7 @@ class RoadMap(ABC):
         found = []
         for name in self.junctions():
             middle, size, signals = self.node(name)
-            arms, _ = arms_of(self.around({name}, middle, 0.0).approaches)
+            arms, _ = arms_of(self.around(self, {name}, middle, 0.0).approaches)
             near = int((distance_from(walks, middle) < size / 2 + 8.0).sum())
             x, y, z = middle.tolist()
             found.append(JunctionInfo(name, (x, y, z), len(arms), size, near, signals))
@@ -144,7 +253,7 @@ class RoadMap(ABC):
         """One junction and its surroundings: :func:`~inspe_jax.scene.maps.registry.read_map`."""
         members, middle, where = self._chosen(junction, center)
         check_range("radius", radius, RADIUS_READ)
-        here = self.around(members, middle, radius)
+        here = self.around(self, members, middle, radius)
         lane_strips = same_level(*here.lanes())
         if not lane_strips:
             raise InspeError(
@@ -195,10 +304,7 @@ class RoadMap(ABC):
     def _chosen(
         self, junction: Id | None, center: tuple[float, float] | None
     ) -> tuple[set[Id], Float[np.ndarray, "3"], str]:
-        """The junctions that a user names, their middle [m], and words for the place.
-
-        Raises InspeError if both or neither are given, or if there is no such junction.
-        """
+        """The junctions that a user names, their middle [m], and words for the place."""
         if (junction is None) == (center is None):
             raise InspeError("say which place to read: either a junction id or a center (x, y)")
         ids = self.junctions()
@@ -217,10 +323,8 @@ class RoadMap(ABC):
         away = distance_from(middles, at)
         near = away <= CLUSTER
         if not near.any():
-            hint = ""
-            if ids:
-                closest = int(np.argmin(away))
-                hint = f"; the nearest is {ids[closest]} at {away[closest]:.0f} m"
+            closest = int(np.argmin(away)) if ids else 0
+            hint = f"; the nearest is {ids[closest]} at {away[closest]:.0f} m" if ids else ""
             raise InspeError(f"{self.source}: no junction within {CLUSTER:g} m of {where}{hint}")
         at[2] = np.mean(middles[near, 2])
         return {j for j, one in zip(ids, near, strict=True) if one}, at, f"at {where}"

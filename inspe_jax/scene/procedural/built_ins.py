@@ -1,9 +1,8 @@
 """The built-in intersections: crossings, a roundabout and a motorway ramp, without a file.
 
-The ground is flat at z = 0, traffic drives on the right, and the middle of the junction is
-at (0, 0, 0). Roads are 120 m long, which fills a region of interest of up to 100 m. All
-shapes follow from the kerbs. Each kerb is one line from road to road round a corner. The
-shoulder, sidewalk and footpath are offsets of it, so there are no gaps between them.
+The ground is flat at z = 0, traffic drives on the right, and the middle of the junction is the
+origin. All shapes follow from the kerbs, each of which is one line from road to road round a
+corner: shoulder, sidewalk and footpath are offsets of it, without gaps between them.
 """
 
 from collections.abc import Callable, Sequence
@@ -15,8 +14,16 @@ from shapely.geometry import MultiPolygon, Polygon, box
 
 from inspe_jax.core.errors import check_known
 from inspe_jax.scene.intersection import CROSSWALK_WIDTH, Arm, Intersection
-from inspe_jax.scene.lines import resampled, turned
-from inspe_jax.scene.procedural.curves import arc, at_distance, bend, joined, offset, onto_ring
+from inspe_jax.scene.lines import (
+    arc,
+    at_distance,
+    bend,
+    joined,
+    offset,
+    onto_ring,
+    resampled,
+    turned,
+)
 from inspe_jax.scene.procedural.roads import (
     LENGTH,
     LEVEL,
@@ -33,8 +40,7 @@ from inspe_jax.scene.procedural.roads import (
 )
 from inspe_jax.scene.regions import Region
 
-LANE = 3.5
-"""Width of a lane in towns [m]."""
+LANE = 3.5  # width of a lane in towns [m]
 _EAST = np.array([1.0, 0.0])
 
 
@@ -43,9 +49,7 @@ def crossing(
 ) -> Intersection:
     """Straight roads that meet at the origin, with crosswalks, shoulders and sidewalks.
 
-    The junction ends where the kerbs begin to run straight; crosswalks lie just outside it. There
-    is a signal pole at each corner. Where the kerb runs on without a corner, there is one on either
-    side.
+    The junction ends where the kerbs begin to run straight; crosswalks lie just outside it.
 
     Args:
         name: Name of the place.
@@ -62,9 +66,8 @@ def crossing(
 def roundabout() -> Intersection:
     """A roundabout of one lane, counter-clockwise round an island.
 
-    Each of four arms has one lane each way, on either side of a splitter island, which continues as
-    a painted median. Its crosswalk is about a car's length from the ring. The islands belong to no
-    region, but can carry a pole.
+    Each of four arms has one lane each way, on either side of a splitter island. Its crosswalk is
+    about a car's length from the ring. The islands belong to no region, but can carry a pole.
     """
     island, ring, splitter, corner_radius = 12.0, 6.0, 2.0, 12.0  # [m]; widths but of the radii
     outer, half = island + ring, splitter / 2 + LANE
@@ -99,11 +102,10 @@ def roundabout() -> Intersection:
 def ramp() -> Intersection:
     """A motorway along x, and an on-ramp that merges into its eastbound carriageway.
 
-    There are three lanes each way, on either side of a median. The ramp has one lane. It comes
-    from the south-west, bends, runs beside the outer lane to x = 30 m, and tapers off until 70 m.
-    The junction is the eastbound carriageway from the nose of the gore to the end of the taper.
-    There are shoulders, but no sidewalks, crosswalks or pedestrians. Lamps stand on the verge
-    beyond the shoulder.
+    There are three lanes each way, on either side of a median. The ramp's lane comes from the
+    south-west, runs beside the outer lane to x = 30 m, and tapers off until 70 m. The junction is
+    the eastbound carriageway from the nose of the gore to the end of the taper. There are
+    shoulders, but no sidewalks, crosswalks or pedestrians. Lamps stand on the verge.
     """
     lanes, lane_width, median, shoulder, inner_shoulder = 3, 3.6, 3.0, 3.0, 1.0  # widths [m]
     verge, nose_width = 2.0, 0.6  # [m]; at the nose the gore between motorway and ramp begins

@@ -18,17 +18,12 @@ from inspe_jax.scene.intersection import (
     Route,
     mouth_crosswalks,
 )
-from inspe_jax.scene.lines import arc_of, resampled
-from inspe_jax.scene.procedural.curves import bend, fillet, joined, offset
+from inspe_jax.scene.lines import arc_of, bend, fillet, joined, offset, resampled
 from inspe_jax.scene.regions import Region
 
-LENGTH = 120.0
-"""Length of roads from the middle [m]."""
-ROUTE_LENGTH = 110.0
-"""Length of routes from the middle [m]."""
-SHOULDER, SIDEWALK = 1.0, 3.0
-"""Width of shoulders and of sidewalks [m]."""
-
+LENGTH = 120.0  # length of roads from the middle [m]
+ROUTE_LENGTH = 110.0  # length of routes from the middle [m]
+SHOULDER, SIDEWALK = 1.0, 3.0  # width of shoulders and of sidewalks [m]
 _SIDE = (-LENGTH, 0.0, LENGTH)
 LEVEL: dict[str, Any] = dict(
     source=BUILT_IN,
@@ -103,9 +98,8 @@ def town(
 ) -> Intersection:
     """An intersection of roads with shoulders, sidewalks, crosswalks, footpaths and signal poles.
 
-    ``kerbs`` go round the junction: kerb i runs from the mouth of road i, on its left looking
-    outward, to the mouth of the next road, on its right. ``islands`` are cut out of the
-    carriageway.
+    Kerb i runs from the mouth of road i, on its left looking outward, to the mouth of the next
+    road, on its right. ``islands`` are cut out of the carriageway.
     """
     long = [
         joined(a.at(LENGTH, a.half), kerb, b.at(LENGTH, -b.half))
@@ -173,11 +167,8 @@ def _poles(roads: list[Road], kerbs: list[np.ndarray], back: float) -> Float[np.
 
 
 def corners(roads: list[Road], radius: float) -> tuple[list[Road], list[np.ndarray]]:
-    """The roads with their mouths, and the kerbs round the junction, as :func:`town` takes them.
-
-    The junction ends on each road where the arcs of both its corners, of ``radius`` [m], have
-    ended. Between roads that face each other the kerb runs on without a corner.
-    """
+    """The roads with their mouths, where the arcs of both corners, of ``radius`` [m], have ended;
+    and the kerbs as :func:`town` takes them."""
     arcs = [
         fillet(a.at(LENGTH, a.half), -a.along, b.at(LENGTH, -b.half), b.along, radius)
         if gap(a, b) < _CORNER
@@ -200,14 +191,11 @@ def strip(line: Float[np.ndarray, "N 2"], near: float, far: float) -> Polygon:
     return Polygon(joined(offset(line, -near), offset(line, -far)[::-1]))
 
 
-# ── Routes ──────────────────────────────────────────────────────────────────
-
-
 def turns(roads: list[Road], corner_radius: float) -> Iterator[Route]:
     """Every movement from every road to every other, on the lanes for it.
 
-    Turns are arcs as wide as the mouths allow. Round a corner they are only so wide that the lane
-    keeps its distance from the kerb.
+    Turns are arcs as wide as the mouths allow; round a corner the lane keeps its distance from the
+    kerb.
     """
     for i, a in enumerate(roads):
         for j, k, n in _movements(roads, i):

@@ -1,7 +1,6 @@
 """Traffic from logs of CARLA's recorder, which are read without a server.
 
-A log is a sequence of packets, each with an id and a length. Packets that are not needed here are
-skipped. Logs are in centimetres and left-handed; both are converted here.
+A log is a sequence of packets, each with an id and a length, in centimetres and left-handed.
 """
 
 import struct
@@ -27,14 +26,9 @@ from inspe_jax.scene.traffic.frames import (
 )
 
 LOG_SUFFIXES = (".log",)
-LONG = 6.0
-"""A vehicle longer than this [m] is a truck, whatever its name."""
-JUMP = 5.0
-"""An actor that moves farther than this between two recorded frames [m] was teleported."""
-
-ON_ROADS = 0.5
-"""Least share of the cars and trucks that are on the roads of the log's own map."""
-
+LONG = 6.0  # a vehicle longer than this [m] is a truck, whatever its name
+JUMP = 5.0  # an actor that moves farther than this between two recorded frames [m] was teleported
+ON_ROADS = 0.5  # least share of the cars and trucks that are on the roads of the log's own map
 _MAGIC = "CARLA_RECORDER"
 _FRAME, _APPEARS, _POSITIONS, _KINEMATICS, _BOXES = 0, 2, 6, 12, 13
 _VEHICLE, _WALKER = "vehicle.", "walker."
@@ -145,11 +139,11 @@ def _read_packets(reader: _PacketReader, log: RecorderLog) -> None:
 
 
 def kind_of(name: str, facts: dict[str, str], length: float) -> int | None:
-    """The class of an actor, an index into :data:`~inspe_jax.scene.traffic.frames.CLASSES`.
+    """The class of an actor, an index into :data:`~inspe_jax.scene.traffic.frames.CLASSES`; None if
+    it is no road user.
 
-    None if it is not a road user. A vehicle with two wheels is a cyclist, also a motorcycle. From
-    CARLA 0.9.14 on, the blueprint says whether a vehicle is a truck or a bus; before, its length
-    [m] does.
+    A vehicle with two wheels is a cyclist, also a motorcycle. From CARLA 0.9.14 on, the blueprint
+    says whether a vehicle is a truck or a bus; before, its length [m] does.
     """
     if name.startswith(_WALKER):
         return CLASSES.index("pedestrian")
@@ -166,13 +160,10 @@ def log_traffic(
 ) -> TrafficFrames:
     """The recorded traffic at an intersection of the log's own map, whatever its file is called.
 
-    There are up to ``frames`` frames ``step`` seconds apart from the log's beginning, with all road
-    users within ``radius`` [m] of the centre. Between recorded frames positions are interpolated
-    linearly. Boxes stand on the intersection's ground. Road users above or beneath it, as just
-    after spawning, are left out.
-
-    Raises InspeError if the log cannot be read, if nobody comes within the radius, or if most cars
-    and trucks are beside the roads, so that the log is of another map.
+    There are up to ``frames`` frames ``step`` seconds apart from the log's beginning, interpolated
+    linearly, with all road users within ``radius`` [m] of the centre. Those above or beneath the
+    ground, as just after spawning, are left out. Raises InspeError if the log cannot be read, if
+    nobody comes within the radius, or if most cars and trucks are beside the roads.
     """
     log = load_log(path)
     times = np.array([moment.time for moment in log.moments])

@@ -1,13 +1,14 @@
 """Traffic as frames of oriented prisms, with road-user classes, mixes and densities."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from pkgutil import resolve_name
 from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from inspe_jax.core.errors import InspeError, check_known
+from inspe_jax.core.errors import InspeError, check_known, nearest
 from inspe_jax.core.pytree import pytree
 from inspe_jax.core.records import ByContent, Described, check_values
 from inspe_jax.scene.intersection import CLEARANCE, Intersection
@@ -15,16 +16,12 @@ from inspe_jax.scene.intersection import CLEARANCE, Intersection
 DENSITIES: dict[str, int] = {"none": 0, "low": 20, "medium": 40, "high": 60}
 """Mean number of objects in the region of interest at each density (paper, section 4)."""
 
-MOST_FRAMES = 10_000
-"""More frames than this are taken for a mistake."""
-
+MOST_FRAMES = 10_000  # more frames than this are taken for a mistake
 NOTICEABLE, LEAST_NOTICED = 0.1, 0.5
-"""Share of a class's quota, and number of users, from which on :func:`shortfall` names a class: one
-of two is often one for some seconds. Of all road users half that share, as SUMO's traffic ends."""
+"""Share of a class's quota, and number of users, from which on :func:`shortfall` names a class. Of
+all road users half that share."""
 
-SMALLEST = 0.01
-"""Least length, width and height of a road user [m]."""
-
+SMALLEST = 0.01  # least length, width and height of a road user [m]
 CLASSES: tuple[str, ...] = ("car", "truck", "cyclist", "pedestrian")
 """Road-user classes; ``TrafficFrames.kind`` holds the index."""
 
@@ -55,8 +52,7 @@ ROAD_USERS: tuple[RoadUser, ...] = (
 
 
 class BodySize(NamedTuple):
-    """One sort of vehicle or person of a class: its share of the class, and its mean length, width
-    and height [m]."""
+    """A sort of a class: its share of it, and its mean length, width and height [m]."""
 
     share: float
     size: tuple[float, float, float]
@@ -66,9 +62,8 @@ class BodySize(NamedTuple):
 class Mix:
     """Who is on the road: the share of each of :data:`CLASSES`, and how much sizes vary.
 
-    Length, width and height are each normal about a mean, with standard deviation ``spread``·mean,
-    within two standard deviations. The mean is that of the class, or that of one of its ``bodies``,
-    drawn by their shares, where the class has any.
+    Length, width and height are normal about a mean, with standard deviation ``spread``·mean, cut
+    at two. The mean is that of the class, or of one of its ``bodies``, drawn by their shares.
     """
 
     shares: tuple[float, ...]
@@ -117,10 +112,9 @@ FLEET: Mapping[str, tuple[BodySize, ...]] = {
 }
 """Vehicles as they are registered, and people of all ages.
 
-Sizes are those of makers' data sheets, of one model for each segment. Shares of cars are those of
-Germany's stock on 1 January 2022 (Kraftfahrt-Bundesamt), rounded, without sports cars and camping
-vans, and with vans of trade. Heights of children are the medians of WHO's growth reference 2007.
-Shares of trucks, bicycles and children are assumptions: they differ from street to street.
+Sizes are of makers' data sheets. Shares of cars are those of Germany's stock on 1 January 2022
+(Kraftfahrt-Bundesamt), rounded, without sports cars and camping vans, and with vans of trade.
+Heights of children are medians of WHO's growth reference 2007. Other shares are assumptions.
 """
 
 MIXES: dict[str, Mix] = {
@@ -128,8 +122,8 @@ MIXES: dict[str, Mix] = {
     "fleet": Mix(shares=(0.68, 0.10, 0.10, 0.12), spread=0.03, bodies=FLEET),
     "largest": Mix(shares=(0.0, 1.0, 0.0, 0.0), spread=0.0),
 }
-"""Traffic mixes by name. ``fleet`` has vehicles and people as varied as real ones, for data sets;
-``largest`` is the paper's: every box is the largest vehicle."""
+"""Traffic mixes by name. ``fleet`` is as varied as real traffic, for data sets; ``largest`` is the
+paper's: every box is the largest vehicle."""
 
 
 @pytree
@@ -220,10 +214,8 @@ def pack_frames(seen: Sequence[Snapshot], step: float) -> TrafficFrames:
 
 
 def quota(mix: Mix, may: Sequence[bool], count: int) -> Int[np.ndarray, " K"]:
-    """How many of ``count`` road users are of each class, by the largest remainder.
-
-    Only classes that ``may`` be there get any; all are 0 if no class of the mix may.
-    """
+    """How many of ``count`` road users are of each class that ``may`` be there, by the largest
+    remainder; all 0 if no class of the mix may."""
     share = np.where(may, mix.shares, 0.0)
     if not share.any():
         return np.zeros(len(CLASSES), int)
@@ -235,11 +227,9 @@ def quota(mix: Mix, may: Sequence[bool], count: int) -> Int[np.ndarray, " K"]:
 
 
 def shortfall(traffic: TrafficFrames, count: int, mix: str) -> str:
-    """What frames have less of than was asked for, in words; empty if they have it all.
+    """What frames have less of than ``count`` road users of a mix, in words; empty if they have it.
 
-    Asked for are ``count`` road users a frame, and of them the quota of each class of the ``mix``,
-    a key of :data:`MIXES`. Means over the frames are compared. A class is named where it is short
-    by at least half a user and a tenth of its quota, or has as many too many. For example::
+    The mean of each class over the frames is compared with its quota. For example::
 
         asked 60, got 58.9: cars 35.0 of 41, trucks 3.9 of 6; pedestrians 13.2 instead of 7
 
@@ -261,10 +251,10 @@ def shortfall(traffic: TrafficFrames, count: int, mix: str) -> str:
 def standing_on(
     place: Intersection, radius: float, snapshot: Snapshot, foot: Float[np.ndarray, " n"]
 ) -> Snapshot:
-    """Road users set on the ground of a place, but for those beyond ``radius`` [m] of its centre.
+    """The road users on the ground of a place and within ``radius`` [m] of its centre.
 
-    ``foot`` [m] are their heights in the map's own coordinates: those who are on another level are
-    left out. A height that is not a number is on the ground.
+    ``foot`` [m] are their heights in the map's own coordinates, which say who is on another level;
+    one that is not a number is on the ground.
     """
     middle, up = snapshot.center[:, :2], snapshot.size[:, 2] / 2
     here = ~(np.abs(foot - place.level(middle)) > CLEARANCE)
@@ -286,3 +276,22 @@ def check_traffic(
     for name, size in (("radius", radius), ("step", step)):
         if not (np.isfinite(size) and size > 0):
             raise InspeError(f"traffic {name} {size} is out of range: above 0")
+
+
+TRAFFIC_MODELS: dict[str, str] = {
+    "waypoints": "inspe_jax.scene.traffic.waypoint.generate:waypoint_traffic",
+    "sumo": "inspe_jax.scene.traffic.sumo.generate:sumo_traffic",
+}
+"""Module and function of each model that moves road users, called as
+:func:`~inspe_jax.scene.traffic.waypoint.generate.waypoint_traffic`. Modules are imported on first
+use: they may need an extra."""
+
+
+def traffic_model(name: str) -> Callable[..., TrafficFrames]:
+    """A model by name. Raises InspeError that names those there are."""
+    if name not in TRAFFIC_MODELS:
+        raise InspeError(
+            f"traffic '{name}': {', '.join(TRAFFIC_MODELS)}, or a log of CARLA's recorder (.log)"
+            + nearest(name, tuple(TRAFFIC_MODELS))
+        )
+    return resolve_name(TRAFFIC_MODELS[name])

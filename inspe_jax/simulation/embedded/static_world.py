@@ -19,9 +19,8 @@ from shapely.geometry import Point, Polygon
 from shapely.geometry.base import BaseGeometry
 from shapely.ops import unary_union
 
-from inspe_jax.scene.intersection import Intersection
+from inspe_jax.scene.intersection import LOW, Intersection, Mesh
 from inspe_jax.scene.maps.bodies import Ways
-from inspe_jax.scene.mesh import LOW, Mesh
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.statics import StaticBody
 from inspe_jax.scene.street import HEADROOM, OVER_LANES

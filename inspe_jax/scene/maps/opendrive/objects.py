@@ -1,27 +1,35 @@
-"""The bodies of an OpenDRIVE map: its ``<object>`` elements of types that hide what is behind them.
+"""The bodies of an OpenDRIVE map: its ``<object>`` elements of types that hide what is behind them,
+and vehicles that stand in its parking lanes and spaces, at random but the same for a place.
 
-Not read: guard rails, railings and fences, which one sees through; crosswalks, islands, marks and
-signs. On parking spaces vehicles stand (:mod:`inspe_jax.scene.maps.parking`).
+Objects are at (s, t) of a road's reference line. Not read: guard rails, railings and fences, which
+one sees through; crosswalks, islands, marks and signs.
 """
 
 import xml.etree.ElementTree as ET
+import zlib
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
 from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
+import shapely
+from jaxtyping import Float
 from shapely.geometry import LineString, Polygon
 from shapely.geometry.base import BaseGeometry
+from shapely.ops import unary_union
 
-from inspe_jax.scene.lines import turned
-from inspe_jax.scene.maps.bodies import Shape
-from inspe_jax.scene.maps.opendrive.reference_line import ReferenceLine
-from inspe_jax.scene.maps.usual_sizes import BARRIERS, HEIGHTS, POLE, TREE, crown_base
-from inspe_jax.scene.statics import HIGHEST, LEAFY, octagon
+from inspe_jax.core.words import counted
+from inspe_jax.scene.intersection import Intersection
+from inspe_jax.scene.lines import arc_of, turned
+from inspe_jax.scene.maps.bodies import BARRIERS, HEIGHTS, POLE, TREE, Shape, crown_base
+from inspe_jax.scene.maps.lanes import LaneStrip
+from inspe_jax.scene.regions import Region
+from inspe_jax.scene.statics import HIGHEST, LEAFY, StaticBody, octagon, upright_box
+from inspe_jax.scene.street import PARKED, parked_size
 
-PARKING = "parking space"
-"""The kind of a shape that is no body."""
+PARKING = "parking space"  # the kind of a shape that is no body
 KINDS = {
     "building": "building",
     "tree": "tree",
@@ -35,23 +43,92 @@ KINDS = {
     "parkingSpace": PARKING,
 }
 """The kind of body for each type of object."""
-SEEN_THROUGH = ("guardRail", "railing", "fence")
-"""Subtypes of barriers that hide little."""
-LIFTED = 0.5
-"""What begins lower above the road stands on the ground [m]."""
-MOST_REPEATS = 1000
-"""Objects that a ``<repeat>`` places more often than this are taken as a strip without gaps."""
-STEP = 2.0
-"""Strips along a road have a corner this often [m]."""
-NOT_NUMBERS = (KeyError, ValueError, StopIteration)
-"""What reading an element raises that lacks a number or has another word."""
+SEEN_THROUGH = ("guardRail", "railing", "fence")  # subtypes of barriers that hide little
+LIFTED = 0.5  # what begins lower above the road stands on the ground [m]
+MOST_REPEATS = 1000  # objects that a ``<repeat>`` places more often are a strip without gaps
+STEP = 2.0  # strips along a road have a corner this often [m]
+NOT_NUMBERS = (KeyError, ValueError, StopIteration)  # raised where an element lacks a number
+NODES, WEIGHTS = np.polynomial.legendre.leggauss(8)  # gauss's quadrature on −1 … 1
+STRETCH = 5.0  # spirals are integrated in stretches of at most this [m]: errors are below 1 µm
+
+Course = Callable[[float], tuple[Float[np.ndarray, "2"], float]]
+"""The point [m] and the heading [rad] so far along a piece [m], which begins in (0, 0) along x."""
+
+
+class ReferenceLine:
+    """The pieces of a road's ``<planView>``, by s. Raises :data:`NOT_NUMBERS` where one lacks
+    something, or there is none."""
+
+    def __init__(self, road: ET.Element) -> None:
+        self.pieces = []
+        for element in road.iterfind("planView/geometry"):
+            keys = ("s", "x", "y", "hdg", "length")
+            s, x, y, heading, length = (float(element.attrib[k]) for k in keys)
+            course = _course(next(iter(element)), length)
+            self.pieces.append((s, np.array([x, y]), heading, course))
+        self.pieces.sort(key=lambda piece: piece[0])
+        if not self.pieces:
+            raise ValueError("a road without a <planView>")
+
+    def at(self, s: float, t: float = 0.0) -> tuple[Float[np.ndarray, "2"], float]:
+        """The point at s and t [m] (t to the left), and the heading of the road there [rad]."""
+        before = (piece for piece in reversed(self.pieces) if piece[0] <= s)
+        begin, start, heading, course = next(before, self.pieces[0])
+        point, bent = course(s - begin)
+        point, heading = start + turned(point, heading), heading + bent
+        return point + t * np.array([-np.sin(heading), np.cos(heading)]), heading
+
+
+def _course(shape: ET.Element, length: float) -> Course:
+    """The course of a line, an arc, a spiral or a cubic."""
+    values = {k: float(v) for k, v in shape.attrib.items() if k != "pRange"}
+    length = max(length, 1e-9)
+    if shape.tag == "line":
+        return _bent(0.0, 0.0)
+    if shape.tag == "arc":
+        return _bent(values["curvature"], 0.0)
+    if shape.tag == "spiral":
+        first = values["curvStart"]
+        return _bent(first, (values["curvEnd"] - first) / length)
+    if shape.tag == "poly3":
+        rows = np.array([[0, 1, 0, 0], [values[k] for k in "abcd"]], float)
+        return _cubic(rows, length, length)
+    if shape.tag == "paramPoly3":
+        rows = np.array([[values[k + of] for k in "abcd"] for of in "UV"])
+        return _cubic(rows, length, length if shape.get("pRange") == "arcLength" else 1.0)
+    raise ValueError(f"a <geometry> of <{shape.tag}>")
+
+
+def _bent(curvature: float, change: float) -> Course:
+    """A curve of a curvature at its start [1/m], which changes evenly [1/m²]."""
+
+    def course(along: float) -> tuple[Float[np.ndarray, "2"], float]:
+        edges = np.linspace(0.0, along, int(np.ceil(abs(along) / STRETCH)) + 1)
+        half = np.diff(edges)[:, None] / 2
+        where = edges[:-1, None] + half * (1 + NODES)  # (K, 8)
+        turns = curvature * where + change * where**2 / 2
+        weights = half * WEIGHTS
+        point = np.array([(weights * np.cos(turns)).sum(), (weights * np.sin(turns)).sum()])
+        return point, curvature * along + change * along**2 / 2
+
+    return course
+
+
+def _cubic(coefficients: Float[np.ndarray, "2 4"], length: float, last: float) -> Course:
+    """Two cubics over a parameter that runs from 0 to ``last`` over the length [m]."""
+
+    def course(along: float) -> tuple[Float[np.ndarray, "2"], float]:
+        p = along * last / length
+        powers, slopes = p ** np.arange(4), np.arange(4) * p ** np.array([0, 0, 1, 2])
+        dx, dy = coefficients @ slopes
+        return coefficients @ powers, float(np.arctan2(dy, dx))
+
+    return course
 
 
 class Place(NamedTuple):
-    """Where one object stands on its road, and how large it is [m]; sizes are 0 where unknown.
-
-    Fields have the names of attributes of ``<object>``.
-    """
+    """Where an object stands on its road and how large it is [m], by the names of its attributes;
+    sizes are 0 where unknown."""
 
     s: float
     t: float
@@ -84,14 +161,13 @@ def shapes_of(root: ET.Element) -> tuple[tuple[Shape, ...], tuple[str, ...]]:
                 found += _shapes(element, line, counts)
             except NOT_NUMBERS:
                 counts["bad"] += 1
-    said = {
-        "height": ("without a height", "taken as of a usual one"),
-        "size": ("without a size", "left out"),
-        "bad": ("with a number missing or wrong", "left out"),
-    }
     notes = tuple(
         f"objects of the map {words}: {counts[key]}, {done}"
-        for key, (words, done) in said.items()
+        for key, words, done in (
+            ("height", "without a height", "taken as of a usual one"),
+            ("size", "without a size", "left out"),
+            ("bad", "with a number missing or wrong", "left out"),
+        )
         if counts[key]
     )
     return tuple(found), notes
@@ -129,14 +205,14 @@ def _shapes(element: ET.Element, line: ReferenceLine, counts: "Counter[str]") ->
         if not base < high <= HIGHEST or high - low <= 0:
             counts["height"] += 1
             high = base + HEIGHTS[kind]
-        if kind == "tree" and next(element.iter("outline"), None) is not None:
-            kind = "hedge"  # a patch of plants
-        if kind == "tree":
+        if kind != "tree":
+            yield Shape(kind, area, high, base)
+        elif next(element.iter("outline"), None) is not None:  # a patch of plants
+            yield Shape("hedge", area, high, base)
+        else:
             crown = base or crown_base(high)
             trunk = min(TREE["circumference"] / (2 * np.pi), float(np.sqrt(area.area)) / 4)
             yield Shape("tree", area, high, crown, LEAFY, trunk)
-        else:
-            yield Shape(kind, area, high, base)
 
 
 def _areas(element: ET.Element, line: ReferenceLine) -> Iterator[Solid]:
@@ -231,3 +307,79 @@ def _strip(own: Place, repeat: ET.Element, line: ReferenceLine) -> Iterator[Soli
         left = [line.at(e.s, e.t + h)[0] for e, h in zip(ends, half, strict=True)]
         low = ends[0].zOffset
         yield Polygon([*right, *left[::-1]]), low, low + ends[0].height
+
+
+OCCUPIED = 0.85
+"""Share of places that are taken: what cities manage parking for, since at more than this drivers
+circle for one (Shoup, The High Cost of Free Parking, 2005)."""
+PARALLEL, ABREAST = 6.0, 2.5  # length of a place along the lane [m]: vehicles in a row, abreast
+DEEP = 4.4  # where a lane is wider than this, vehicles stand across it [m]
+OUT = 0.1  # a vehicle may stand out of its place by so much [m²], as in a bend
+FROM_EDGES = 0.1  # vehicles keep this far from the edges of a place [m]
+
+
+def with_parked(
+    place: Intersection,
+    lanes: Iterable[LaneStrip],
+    spaces: Iterable[BaseGeometry],
+    reach: float,
+    notes: list[str],
+) -> Intersection:
+    """A place with vehicles in parking lanes and on marked spaces within ``reach`` [m] of its
+    centre, none on a crosswalk, in another body or out of its lane; ``notes`` get how many."""
+    rng = np.random.default_rng(zlib.crc32(place.name.encode()))
+    crossings = place.regions.get(Region.CROSSWALK, shapely.Polygon())
+    others = unary_union([one.polygon for one in place.bodies])
+    disc = shapely.Point(place.center[:2]).buffer(reach)
+    found: list[StaticBody] = []
+    for at, yaw, size, allowed in (*_along(lanes), *_on(spaces)):
+        taken, back, first = rng.uniform(), rng.uniform() < 0.5, parked_size(rng)
+        fits = [s for s in (first, *(s for _, s in PARKED)) if (np.array(s[:2]) <= size).all()]
+        if taken > OCCUPIED or not fits:
+            continue
+        one = upright_box("parked vehicle", at, fits[0], yaw + np.pi * back)
+        inside = disc.contains(one.polygon) and one.polygon.difference(allowed).area < OUT
+        if inside and not (crossings.intersects(one.polygon) or others.intersects(one.polygon)):
+            found.append(one)
+    if found:
+        notes.append(
+            f"{counted(len(found), 'vehicle')} parked where the map has parking lanes or spaces: "
+            f"{OCCUPIED:.0%} of the places are taken"
+        )
+    return replace(place, bodies=(*place.bodies, *found))
+
+
+Space = tuple[Float[np.ndarray, "2"], float, Float[np.ndarray, "2"], BaseGeometry]
+"""The middle of a place [m], the direction of its vehicle [rad], the most that it may measure in
+length and width [m], and the ground that it must stay on."""
+
+
+def _along(lanes: Iterable[LaneStrip]) -> Iterator[Space]:
+    """The places of parking lanes."""
+    for lane in lanes:
+        line = lane.center[:, :2]
+        arc = arc_of(line)
+        wide = np.hypot(*(lane.left - lane.right).T)
+        across = float(np.median(wide)) > DEEP
+        pitch = ABREAST if across else PARALLEL
+        for at in np.arange(pitch / 2, arc[-1] - pitch / 2 + 1e-9, pitch):
+            before, middle, after = (
+                np.array([np.interp(at + d, arc, x) for x in line.T]) for d in (-0.5, 0.0, 0.5)
+            )
+            yaw = float(np.arctan2(*(after - before)[::-1])) + np.pi / 2 * across
+            width = float(np.interp(at, arc, wide))
+            size = np.array((width, pitch) if across else (pitch, width))
+            yield middle, yaw, size - 2 * FROM_EDGES, lane.polygon
+
+
+def _on(spaces: Iterable[BaseGeometry]) -> Iterator[Space]:
+    """The places of marked spaces: the vehicle stands along the longer side."""
+    for space in spaces:
+        around = shapely.minimum_rotated_rectangle(space)
+        if around.geom_type != "Polygon":
+            continue
+        sides = np.diff(np.array(around.exterior.coords), axis=0)[:2]
+        length = np.hypot(*sides.T)
+        along = sides[int(np.argmax(length))]
+        size = np.sort(length)[::-1] - 2 * FROM_EDGES
+        yield np.array(around.centroid.coords[0]), float(np.arctan2(*along[::-1])), size, space

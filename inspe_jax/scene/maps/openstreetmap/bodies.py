@@ -16,15 +16,13 @@ from shapely.ops import unary_union
 
 from inspe_jax.scene.georeference import Georeference
 from inspe_jax.scene.lines import distinct
-from inspe_jax.scene.maps.bodies import SMALL, Shape
+from inspe_jax.scene.maps.bodies import BARRIERS, SMALL, TREE, Shape, crown_base
 from inspe_jax.scene.maps.openstreetmap.extract import Tags, Way, read_extract
 from inspe_jax.scene.maps.openstreetmap.sizes import POLES, SOLID_FENCES, TREE_SPACING, Sizes
-from inspe_jax.scene.maps.usual_sizes import BARRIERS, TREE, crown_base
 from inspe_jax.scene.statics import LEAFY, octagon
 from inspe_jax.scene.terrain import HIGHEST, LOWEST
 
-BEYOND = 200.0
-"""Nodes are read this far beyond the reach [m]: outlines that go farther are cut there."""
+BEYOND = 200.0  # nodes are read this far beyond the reach [m]: outlines are cut there
 NOT_THERE = ("no", "demolished", "razed", "ruins", "proposed", "planned", "none", "")
 """Values of ``building`` of what hides nothing."""
 HUNG = ("wall", "wall_mounted", "ceiling", "catenary", "suspension", "wire", "ground")
@@ -32,7 +30,7 @@ HUNG = ("wall", "wall_mounted", "ceiling", "catenary", "suspension", "wire", "gr
 
 
 class BodyReader:
-    """Reads what an extract has beside lanes within ``reach`` [m] of a point in world metres.
+    """Reads what an extract has beside lanes within ``reach`` [m] of a point [m].
 
     ``notes`` get what was assumed. Raises InspeError as
     :func:`~inspe_jax.scene.maps.openstreetmap.extract.read_extract`.
@@ -48,11 +46,8 @@ class BodyReader:
     ) -> None:
         self.notes, self.sizes = notes, Sizes()
         self.disc = Point(middle).buffer(reach)
-        far = reach + BEYOND
-        rim = np.linspace(-far, far, 9)
-        square = [(x, y) for x in rim for y in (-far, far)]
-        square += [(x, y) for y in rim for x in (-far, far)]
-        degrees = georeference.to_degrees(middle + np.array(square))
+        square = shapely.segmentize(Point(middle).buffer(reach + BEYOND, cap_style="square"), 50.0)
+        degrees = georeference.to_degrees(shapely.get_coordinates(square))
         (west, south), (east, north) = degrees.min(0).tolist(), degrees.max(0).tolist()
         self.extract = read_extract(path, (west, south, east, north))
         at = np.array([*self.extract.nodes.values()], float).reshape(-1, 2)
@@ -100,8 +95,6 @@ class BodyReader:
             return None
         self.open += any(n not in self.at for n in way.nodes)
         return Polygon(line)
-
-    # ── Buildings ───────────────────────────────────────────────────────────
 
     def _areas(self) -> Iterator[tuple[Tags, BaseGeometry]]:
         """Closed ways and multipolygons, with their tags."""
@@ -167,8 +160,6 @@ class BodyReader:
                     area = left
             yield one._replace(area=area)
 
-    # ── Walls, trees and poles ──────────────────────────────────────────────
-
     def _barriers(self) -> Iterator[Shape]:
         for way in self.extract.ways.values():
             kind = way.tags.get("barrier", "")
@@ -208,9 +199,8 @@ class BodyReader:
                     count += 1
                     yield self._tree(way.tags, np.array(at.coords[0]))
         if count:
-            self.notes.append(
-                f"{count} trees stand {TREE_SPACING:g} m apart in the map's tree rows"
-            )
+            rows = f"{count} trees stand {TREE_SPACING:g} m apart in the map's tree rows"
+            self.notes.append(rows)
 
     def _tree(self, tags: Tags, at: Float[np.ndarray, "2"]) -> Shape:
         height = self.sizes.size_or(tags, "height", "tree", TREE["height"], least=1.0, most=120.0)
@@ -223,19 +213,15 @@ class BodyReader:
 
     def _poles(self) -> Iterator[Shape]:
         """Poles beside ways: a node of a road that has signals says only where drivers stop."""
-        on_roads = {n for way in self.extract.ways.values() if "highway" in way.tags
-                    for n in way.nodes}  # fmt: skip
+        roads = [way for way in self.extract.ways.values() if "highway" in way.tags]
+        on_roads = {node for way in roads for node in way.nodes}
         for name, tags in self.extract.node_tags.items():
             known = next((size for (k, v), size in POLES.items() if tags.get(k) == v), None)
-            if (
-                known is None
-                or name in on_roads
-                or tags.get("support") in HUNG
-                or not self._near(self.at[name])
-            ):
+            if known is None or name in on_roads or tags.get("support") in HUNG:
                 continue
-            height = self.sizes.size_or(tags, "height", "pole", known[0], least=1.0)
-            yield Shape("pole", Polygon(octagon(self.at[name], known[1])), height)
+            if self._near(self.at[name]):
+                height = self.sizes.size_or(tags, "height", "pole", known[0], least=1.0)
+                yield Shape("pole", Polygon(octagon(self.at[name], known[1])), height)
 
 
 def _is_building(tags: Tags) -> bool:

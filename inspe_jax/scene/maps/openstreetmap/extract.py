@@ -10,12 +10,8 @@ from typing import NamedTuple
 from inspe_jax.core.errors import InspeError
 
 Tags = dict[str, str]
-ORDER = ("node", "way", "relation")
-"""Elements in the order in which each consists of those before it."""
-
-
-Box = tuple[float, float, float, float]
-"""Degrees of its west, south, east and north; longitude knows no date line."""
+ORDER = ("node", "way", "relation")  # each consists of those before it
+Box = tuple[float, float, float, float]  # west, south, east and north in degrees; no date line
 
 
 class Way(NamedTuple):
@@ -44,11 +40,10 @@ class Extract:
 
 
 def read_extract(path: Path, area: Box) -> Extract:
-    """What an extract has in a box.
+    """What an extract has in a box. Memory grows with that, and not with the file.
 
-    Memory grows with what lies in the box, and not with the file. Most files have all nodes, then
-    all ways, then all relations. Another is read again, until the parts of each are known. Raises
-    InspeError where it is not well-formed XML.
+    A file in another order than :data:`ORDER` is read again, until the parts of each are known.
+    Raises InspeError where it is not well-formed XML.
     """
     found = Extract()
     try:
@@ -63,10 +58,10 @@ def read_extract(path: Path, area: Box) -> Extract:
 def _read(path: Path, area: Box, found: Extract) -> bool:
     """Adds a file's elements to what was found. Returns whether each came after its parts."""
     west, south, east, north = area
-    behind, sorted_ = "", True
+    behind, sorted_ = ORDER[0], True
     for element in _elements(path):
         kind, name = element.tag, element.get("id", "")
-        sorted_ &= behind == "" or ORDER.index(kind) >= ORDER.index(behind)
+        sorted_ &= ORDER.index(kind) >= ORDER.index(behind)
         behind = kind
         if not name or element.get("action") == "delete" or element.get("visible") == "false":
             continue

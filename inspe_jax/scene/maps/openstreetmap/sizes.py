@@ -6,22 +6,18 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
 
+from inspe_jax.scene.maps.bodies import BUILDING, TREE
 from inspe_jax.scene.maps.openstreetmap.extract import Tags
-from inspe_jax.scene.maps.usual_sizes import BUILDING, TREE
 from inspe_jax.scene.statics import HIGHEST
 
-LEVEL = 3.0
-"""Height of a level of a building [m]."""
-LOW_BUILDING = 3.0
-"""The same, of those of :data:`LOW` [m]: one level."""
+LEVEL = 3.0  # height of a level of a building [m]
+LOW_BUILDING = 3.0  # the same, of those of LOW [m]: one level
 LOW = ("garage", "garages", "carport", "shed", "hut", "kiosk", "bungalow", "static_caravan",
        "toilets", "greenhouse", "service", "boathouse", "container", "guardhouse")  # fmt: skip
-ROOF = 5.0, 0.5
-"""Height and thickness of a roof without walls (``building=roof``), as of a filling station [m]."""
+ROOF = 5.0, 0.5  # height and thickness of a roof without walls, as of a filling station [m]
 SOLID_FENCES = ("brick", "concrete", "corrugated_metal", "metal_sheet", "panel", "wood")
 """The ``fence_type`` of fences that one does not see through."""
-TREE_SPACING = 8.0
-"""Distance of the trees of a row [m]."""
+TREE_SPACING = 8.0  # distance of the trees of a row [m]
 POLES = {
     ("highway", "street_lamp"): (8.0, 0.09),
     ("highway", "traffic_signals"): (3.4, 0.07),
@@ -30,17 +26,13 @@ POLES = {
 }
 """Height and radius of poles [m], by their tag."""
 FOOT, INCH = 0.3048, 0.0254
-
 _METRES = re.compile(r"(\d+(?:[.,]\d+)?|\.\d+)\s*(m|metres?|meters?|cm|ft|feet)?", re.IGNORECASE)
 _FEET = re.compile(r"(\d+(?:\.\d+)?)\s*'\s*(?:(\d+(?:\.\d+)?)\s*(?:\"|''))?")
 _UNITS = {"cm": 0.01, "ft": FOOT, "feet": FOOT}
 
 
 def length_of(text: str) -> float | None:
-    """The length in a tag [m], as of ``12``, ``12.5 m``, ``40 ft`` and ``3'6"``.
-
-    None for everything else, as several values (``3;4``).
-    """
+    """The metres of a tag, as of ``12``, ``12.5 m``, ``40 ft`` and ``3'6"``; None for others."""
     text = text.strip()
     if match := _METRES.fullmatch(text):
         return float(match[1].replace(",", ".")) * _UNITS.get((match[2] or "m").lower(), 1.0)

@@ -1,9 +1,9 @@
 """Reads SUMO networks and OpenStreetMap extracts: lanes, crossings, sidewalks and bodies."""
 
-import os
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
+from xml.sax import SAXException
 
 import numpy as np
 from jaxtyping import Float
@@ -11,24 +11,35 @@ from shapely.geometry import MultiPoint, Point, Polygon
 from shapely.geometry.base import BaseGeometry
 from shapely.ops import unary_union
 
+from inspe_jax.core.errors import InspeError, needs
+from inspe_jax.core.files import cached_by_file
+from inspe_jax.scene.georeference import Georeference
 from inspe_jax.scene.intersection import Intersection, Route
-from inspe_jax.scene.lines import distinct, resampled
-from inspe_jax.scene.maps.approaches import CARRIAGEWAY, Approach, heading
+from inspe_jax.scene.lines import distance_from, distinct, resampled
 from inspe_jax.scene.maps.bodies import with_bodies
-from inspe_jax.scene.maps.lane_strips import LaneStrip
+from inspe_jax.scene.maps.lanes import Approach, LaneStrip, heading
 from inspe_jax.scene.maps.openstreetmap.bodies import BodyReader
-from inspe_jax.scene.maps.parts import CLUSTER, MARGIN, distance_from, valid
-from inspe_jax.scene.maps.road_map import Id, MapJunction, Node, RoadMap
-from inspe_jax.scene.maps.sumo.lanes import Streets, kind_of, streets_of
-from inspe_jax.scene.maps.sumo.network import OSM_SUFFIXES, SUMO, load_net
+from inspe_jax.scene.maps.road_map import CLUSTER, MARGIN, Id, MapJunction, Node, RoadMap, valid
+from inspe_jax.scene.maps.sumo.network import GEOGRAPHIC, OSM_SUFFIXES, SUMO, network_file
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.terrain import laid_on
 
-NEAR_SPOTS = 20.0
-"""Spot heights count as around a place if no road is so far out of their hull [m]."""
-SPOTS = 3
-"""Fewer points with a height make no surface."""
+NEAR_SPOTS = 20.0  # spot heights count as around a place if no road is so far out of their hull [m]
+SPOTS = 3  # fewer points with a height make no surface
 NO_JUNCTION = ("dead_end", "internal", "unregulated", "rail_signal", "rail_crossing")
+MOTORS = {"passenger", "private", "taxi", "bus", "truck", "delivery", "hov", "evehicle"}
+
+
+def kind_of(lane: Any) -> str:
+    """What a lane is for, as a word of :mod:`inspe_jax.scene.maps.lanes`; '' for rails."""
+    who = set(lane.getPermissions())
+    if who & MOTORS:
+        return "driving"
+    if "pedestrian" in who:
+        return "sidewalk"
+    if "bicycle" in who:
+        return "biking"
+    return "" if who else "shoulder"
 
 
 def _roads(edges: Iterable[Any]) -> list[Any]:
@@ -36,53 +47,11 @@ def _roads(edges: Iterable[Any]) -> list[Any]:
     return [e for e in edges if any(kind_of(lane) == "driving" for lane in e.getLanes())]
 
 
-def _arm_count(node: Any) -> int:
-    """Number of other nodes that a node's roads lead to or come from."""
+def _is_junction(node: Any) -> bool:
+    """Whether a node's roads lead to or come from more than two others."""
     beyond = {e.getToNode().getID() for e in _roads(node.getOutgoing())}
     beyond |= {e.getFromNode().getID() for e in _roads(node.getIncoming())}
-    return len(beyond - {node.getID()})
-
-
-def _is_junction(node: Any) -> bool:
-    return node.getType() not in NO_JUNCTION and _arm_count(node) > 2
-
-
-class SumoMap(RoadMap):
-    """A SUMO network, or an OpenStreetMap extract by the network that netconvert makes of it.
-
-    Raises InspeError as :func:`~inspe_jax.scene.maps.sumo.network.load_net`.
-    """
-
-    format = SUMO
-
-    def __init__(self, path: str | os.PathLike[str]) -> None:
-        road = load_net(path)
-        self.path, self.streets, self.net = Path(path), streets_of(road), road.net
-        self.name, self.georeference = road.name, road.georeference
-        self.crossings = self.streets.crossings
-
-    def road_lines(self) -> list[Float[np.ndarray, "N 2"]]:
-        to_world = self.streets.road.to_world
-        return [to_world(edge.getShape())[:, :2] for edge in _roads(self.net.getEdges())]
-
-    def junctions(self) -> list[Id]:
-        return [node.getID() for node in self.net.getNodes() if _is_junction(node)]
-
-    def node(self, junction: Id) -> Node:
-        node = self.net.getNode(junction)
-        middle = self.streets.node(junction)
-        outline = self.streets.road.to_world(node.getShape())[:, :2]
-        if len(outline) > 2:
-            middle[:2] = (outline.min(0) + outline.max(0)) / 2
-        size = float(np.ptp(outline, axis=0).max()) if len(outline) else 0.0
-        lit = node.getType().startswith("traffic_light")
-        signals = sum(not e.getFunction() for e in _roads(node.getIncoming())) if lit else 0
-        return Node(middle, size, signals)
-
-    def around(
-        self, members: set[Id], middle: Float[np.ndarray, "3"], radius: float
-    ) -> "SumoJunction":
-        return SumoJunction(self, members, middle, radius)
+    return node.getType() not in NO_JUNCTION and len(beyond - {node.getID()}) > 2
 
 
 class SumoJunction(MapJunction):
@@ -91,22 +60,20 @@ class SumoJunction(MapJunction):
     poles = np.zeros((0, 3))
 
     def __init__(
-        self, of: SumoMap, members: set[Any], middle: Float[np.ndarray, "3"], radius: float
+        self, of: "SumoMap", members: set[Any], middle: Float[np.ndarray, "3"], radius: float
     ) -> None:
-        self.map, self.streets, self.members = of, of.streets, members
-        self.middle, self.radius = middle, radius
-        streets, nodes = of.streets, [of.net.getNode(name) for name in members]
+        super().__init__(of, members, middle, radius)
+        nodes = [of.net.getNode(name) for name in members]
         edges = {edge for node in nodes for edge in (*node.getIncoming(), *node.getOutgoing())}
-        self.edges = dict(sorted((streets.numbers[edge.getID()], edge) for edge in edges))
+        self.edges = dict(sorted((of.numbers[edge.getID()], edge) for edge in edges))
         self.interior = {
             number
             for number, edge in self.edges.items()
             if {edge.getFromNode().getID(), edge.getToNode().getID()} <= members
             and (edge.getFunction() or edge.getLength() <= 2 * CLUSTER)
         }
-        """Numbers of the edges inside the junction, or from one of its nodes to another."""
         self.approaches = [  # the near ends of the edges that lead to or from it
-            _approach(streets, number, edge, end)
+            _approach(of, number, edge, end)
             for number, edge in self.edges.items()
             if number not in self.interior and not edge.getFunction() and _roads([edge])
             for end, node in (("end", edge.getToNode()), ("start", edge.getFromNode()))
@@ -114,7 +81,7 @@ class SumoJunction(MapJunction):
         ]
 
     def lanes(self) -> tuple[list[LaneStrip], list[bool]]:
-        strips = self.streets.lane_strips.values()
+        strips = self.map.lane_strips.values()
         away = [(s, distance_from(s.center, self.middle).min()) for s in strips]
         near = [(s, far) for s, far in away if far <= self.radius + MARGIN]
         own = {s.road for s, far in near if far <= CLUSTER} | self.interior
@@ -126,17 +93,17 @@ class SumoJunction(MapJunction):
         middle = self.middle
         reach = max(float(distance_from(s.center, middle).max()) for s in lane_strips)
         ground = np.concatenate([s.center for s in lane_strips])
-        corners = {n for n, _ in self.streets.walks}
+        corners = {n for n, _ in self.map.walks}
         waiting = [
-            shape for _, shape in self.streets.walks if shape.distance(Point(middle[:2])) <= reach
+            shape for _, shape in self.map.walks if shape.distance(Point(middle[:2])) <= reach
         ]
         parts: dict[Region, list[BaseGeometry]] = {region: [] for region in Region}
         parts[Region.SIDEWALK] += waiting
         walked = unary_union(waiting)
         for node in self.map.net.getNodes():
-            at = self.streets.node(node.getID())
+            at = self.map.position(node.getID())
             closest = ground[np.argmin(distance_from(ground, at))]
-            outline = self.streets.road.to_world(node.getShape())
+            outline = self.map.to_world(node.getShape())
             near = distance_from(at[None], middle)[0] <= reach + CLUSTER
             if len(outline) > 2 and near and abs(at[2] - closest[2]) <= 2.0:
                 shape = valid(Polygon(outline[:, :2]))
@@ -145,11 +112,8 @@ class SumoJunction(MapJunction):
                 own = node.getID() in self.members
                 parts[Region.JUNCTION if own else Region.DRIVEWAY].append(shape)
         for strip in lane_strips:
-            if strip.kind in CARRIAGEWAY:
-                region = Region.JUNCTION if strip.road in self.interior else Region.DRIVEWAY
-            else:
-                region = Region.SHOULDER if strip.kind == "shoulder" else Region.SIDEWALK
-            parts[region].append(strip.polygon)
+            if (region := self.region_of(strip)) is not None:
+                parts[region].append(strip.polygon)
         return parts
 
     def with_bodies(
@@ -164,7 +128,7 @@ class SumoJunction(MapJunction):
         return with_bodies(place, reader.shapes(), reach, notes)
 
     def drives(self, arm_of: dict[tuple[int, str], int]) -> Iterator[Route]:
-        strips = self.streets.lane_strips
+        strips = self.map.lane_strips
         for road in (approach.road for approach in self.approaches if approach.end == "end"):
             arm = arm_of[road, "end"]
             for lane in self.edges[road].getLanes():
@@ -188,8 +152,8 @@ class SumoJunction(MapJunction):
         stack = [[start]]
         while stack:
             path = stack.pop()
-            for lane in self.streets.follows[path[-1]]:
-                strip = self.streets.lane_strips[lane]
+            for lane in self.map.follows[path[-1]]:
+                strip = self.map.lane_strips[lane]
                 if strip.kind != "driving" or lane in path:  # at most once round a roundabout
                     continue
                 if strip.road in self.interior:
@@ -199,7 +163,7 @@ class SumoJunction(MapJunction):
 
     def _follow(self, start: str, direction: int) -> list[str]:
         """Lanes from ``start`` on (1) or back (−1) to the radius, in travel order; straight on."""
-        streets, here, found = self.streets, start, list[str]()
+        streets, here, found = self.map, start, list[str]()
         for _ in range(50):
             end = streets.lane_strips[here].center[-1 if direction > 0 else 0]
             options = (streets.follows if direction > 0 else streets.leads).get(here, [])
@@ -226,7 +190,116 @@ class SumoJunction(MapJunction):
         return line[first:last]
 
 
-def _approach(streets: Streets, number: int, edge: Any, end: str) -> Approach:
+class SumoMap(RoadMap):
+    """A SUMO network, or an OpenStreetMap extract by the network that netconvert makes of it.
+
+    ``file`` is what SUMO can run on, ``net`` sumolib's. World coordinates are those of the map that
+    the network was made from: they are the network's less ``shift`` [m], but for geographic
+    projections, whose coordinates are millions of metres.
+
+    Every lane is a strip by the network's name. ``road`` of a strip is the number of its edge,
+    ``junction`` is 1 inside any junction, else −1. ``follows`` and ``leads`` have the lanes after
+    and before each, with those inside junctions. ``walks`` are nodes with their walking areas.
+    """
+
+    format, around = SUMO, SumoJunction
+
+    def __init__(self, path: Path, file: Path, net: Any) -> None:
+        self.path, self.file, self.net = path, file, net
+        self.name = path.name.split(".")[0]
+        moved = np.array(net.getLocationOffset(), float)
+        self.shift = moved if np.abs(moved).max() <= GEOGRAPHIC else np.zeros(2)
+        self.georeference = None
+        if net.hasGeoProj():
+            x, y = moved - self.shift
+            self.georeference = Georeference(net._location["projParameter"], (float(x), float(y)))
+        self.lane_strips: dict[str, LaneStrip] = {}
+        self.follows: dict[str, list[str]] = {}
+        self.leads: dict[str, list[str]] = {}
+        self.walks: list[tuple[str, BaseGeometry]] = []
+        self.crossings: list[np.ndarray] = []
+        edges = net.getEdges(withInternal=True)
+        self.numbers = {edge.getID(): number for number, edge in enumerate(edges)}
+        for edge in edges:
+            for lane in edge.getLanes():
+                self._add(edge, lane)
+        for lane, after in self.follows.items():
+            self.follows[lane] = [other for other in after if other in self.lane_strips]
+            for other in self.follows[lane]:
+                self.leads.setdefault(other, []).append(lane)
+
+    def _add(self, edge: Any, lane: Any) -> None:
+        """Take up a lane of an edge: a crossing, a walking area or a strip."""
+        line, use = distinct(self.to_world(lane.getShape3D())), edge.getFunction()
+        if use == "walkingarea" and len(line) > 2:
+            self.walks.append((edge.getFromNode().getID(), valid(Polygon(line[:, :2]))))
+        if use == "walkingarea" or len(line) < 2:
+            return
+        center = resampled(line)
+        ahead = np.gradient(center[:, :2], axis=0)
+        ahead /= np.hypot(*ahead.T)[:, None]
+        number, inside, kind = self.numbers[edge.getID()], 1 if use else -1, kind_of(lane)
+        width, index = lane.getWidth(), lane.getIndex()
+        strip = LaneStrip.along(number, index, inside, kind, center, ahead, width)
+        if use == "crossing":
+            outline = np.concatenate([strip.left, strip.right[::-1]])
+            heights = np.concatenate([strip.center, strip.center[::-1]])[:, 2]
+            self.crossings.append(np.column_stack([outline, heights]))
+        elif kind:
+            self.lane_strips[lane.getID()] = strip
+            after = (link.getViaLaneID() or link.getToLane().getID() for link in lane.getOutgoing())
+            self.follows[lane.getID()] = [*after]
+
+    def to_world(self, points: Any) -> np.ndarray:
+        """Points (N, 2 or 3) of the network in world coordinates (N, 3); height 0 if not given."""
+        at = np.array([(*p, 0.0)[:3] for p in points], float).reshape(-1, 3)
+        return at - [*self.shift, 0.0]
+
+    def position(self, name: Id) -> Float[np.ndarray, "3"]:
+        """The position of a node [m]."""
+        return self.to_world([self.net.getNode(name).getCoord3D()])[0]
+
+    def road_lines(self) -> list[Float[np.ndarray, "N 2"]]:
+        to_world = self.to_world
+        return [to_world(edge.getShape())[:, :2] for edge in _roads(self.net.getEdges())]
+
+    def junctions(self) -> list[Id]:
+        return [node.getID() for node in self.net.getNodes() if _is_junction(node)]
+
+    def node(self, junction: Id) -> Node:
+        node = self.net.getNode(junction)
+        middle = self.position(junction)
+        outline = self.to_world(node.getShape())[:, :2]
+        if len(outline) > 2:
+            middle[:2] = (outline.min(0) + outline.max(0)) / 2
+        size = float(np.ptp(outline, axis=0).max()) if len(outline) else 0.0
+        lit = node.getType().startswith("traffic_light")
+        signals = sum(not e.getFunction() for e in _roads(node.getIncoming())) if lit else 0
+        return Node(middle, size, signals)
+
+
+@cached_by_file(8)
+def load_net(path: Path) -> SumoMap:
+    """The network of a .net.xml, .osm or .xodr file, cached while the file does not change.
+
+    Raises InspeError if SUMO or the file is missing, if it is another kind of file, or if it has no
+    roads.
+    """
+    with needs("SUMO networks and OpenStreetMap need sumolib", "sumo"):
+        import sumolib
+    file = network_file(path)
+    try:
+        net = sumolib.net.readNet(
+            str(file), withInternal=True, withPedestrianConnections=True, lxml=False
+        )
+    except (SAXException, KeyError, ValueError, AttributeError, TypeError) as error:
+        raise InspeError(f"{path}: not a SUMO network: missing or wrong: {error}") from error
+    if not any(edge.getFunction() == "" for edge in net.getEdges()):
+        raise InspeError(f"{path}: the network has no roads")
+    return SumoMap(path, file, net)
+
+
+def _approach(streets: SumoMap, number: int, edge: Any, end: str) -> Approach:
     """The approach of one edge, cut where it meets the junction."""
     step = 1 if end == "start" else -1  # along the lane's stations, away from the junction
     lanes = [(lane, streets.lane_strips.get(lane.getID())) for lane in edge.getLanes()]

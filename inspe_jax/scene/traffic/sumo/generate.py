@@ -1,7 +1,7 @@
 """Traffic from SUMO: signals, turning, queues, and people on crossings.
 
-SUMO moves the road users. The arrivals of each class are a Poisson process. Its rate is found by
-trial: it is raised or lowered until as many road users are in the region of interest as wanted.
+The arrivals of each class are a Poisson process, whose rate is changed until as many road users are
+in the region of interest as wanted.
 """
 
 import tempfile
@@ -15,8 +15,8 @@ from jaxtyping import Int
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.scene.intersection import Intersection
-from inspe_jax.scene.maps.sumo.lanes import Streets, streets_of
-from inspe_jax.scene.maps.sumo.network import load_net, run
+from inspe_jax.scene.maps.sumo.network import run
+from inspe_jax.scene.maps.sumo.reader import SumoMap, load_net
 from inspe_jax.scene.traffic.frames import (
     CLASSES,
     MIXES,
@@ -31,28 +31,28 @@ from inspe_jax.scene.traffic.frames import (
 )
 from inspe_jax.scene.traffic.sumo.routes import V_CLASS, TravelPath, paths_through
 
-WARM_UP = 120.0
-"""Time [s] that SUMO runs before the first frame."""
-OBSERVED = 120.0
-"""Road users are counted over at least this time [s]."""
-TRIES = 8
-"""Most runs in which the rates of arrival are adjusted."""
-NEAR_ENOUGH = 0.05
-"""The mean number may differ from the wanted one by this share."""
-SWIFTEST = 0.5
-"""Most arrivals a second on each lane that leads in."""
-STEP = 0.2
-"""Longest step of SUMO [s]."""
-LANE_CHANGE = 2.5
-"""Duration of a lane change [s]."""
+WARM_UP = 120.0  # time [s] that SUMO runs before the first frame
+OBSERVED = 120.0  # road users are counted over at least this time [s]
+TRIES = 8  # most runs in which the rates of arrival are adjusted
+NEAR_ENOUGH = 0.05  # the mean number may differ from the wanted one by this share
+SWIFTEST = 0.5  # most arrivals a second on each lane that leads in
+STEP = 0.2  # longest step of SUMO [s]
+OPTIONS = (
+    "--lanechange.duration 2.5 --fcd-output.attributes x,y,z,angle,speed --precision 4 "
+    "--time-to-teleport 60 --collision.action remove --max-depart-delay 10 "
+    "--ignore-route-errors true --no-step-log true --no-warnings true"
+)
+
+
+Arrival = tuple[int, int, np.ndarray]  # class, track and size [m] of a road user
+Progress = Callable[[int, int], None]
 
 
 @dataclass
 class ArrivalStream:
     """Arrivals of one class: times ``when`` at a rate of one a second, paths and sizes.
 
-    A longer list begins with the shorter one. So another rate brings the same road users, earlier
-    or later.
+    Another rate brings the same road users, earlier or later.
     """
 
     kind: int
@@ -85,15 +85,13 @@ def sumo_traffic(
     mix: str = "mixed",
     step: float = 1.0,
     seed: int = 0,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> TrafficFrames:
     """Traffic that SUMO simulates on the map an intersection was read from.
 
-    Options are those of
-    :func:`~inspe_jax.scene.traffic.waypoint.generate.waypoint_traffic`. People walk where the
-    network has sidewalks, and cross where it has crossings. Bodies overlap where SUMO allows it, as
-    where long vehicles turn: at most one pair in most frames. Boxes stand on the intersection's
-    ground. Road users on another level are left out. SUMO runs until the number is about right;
+    Options are those of :func:`~inspe_jax.scene.traffic.waypoint.generate.waypoint_traffic`. People
+    walk where the network has sidewalks, and cross where it has crossings. Bodies overlap where
+    SUMO allows it, as where long vehicles turn. Road users on another level are left out.
     ``progress`` is called with (runs done, most runs).
 
     The same seed gives the same traffic with the same version of SUMO. Raises InspeError if a value
@@ -107,25 +105,24 @@ def sumo_traffic(
             f"{intersection.name}: SUMO runs on a map (.net.xml, .osm or .xodr); "
             "a built-in or a saved scene has none"
         )
-    streets = streets_of(load_net(intersection.map))
+    streets = load_net(intersection.map)
     paths = paths_through(streets, intersection.center, radius)
     wanted = quota(MIXES[mix], [bool(paths[kind]) for kind in CLASSES], count)
     if count and not wanted.any():
         raise InspeError(
             f"{intersection.name}: no road leads through {radius:g} m of the centre for mix '{mix}'"
         )
-    # Each class has random numbers of its own.
+    own = np.random.default_rng(seed).spawn(
+        len(CLASSES)
+    )  # each class has random numbers of its own
     streams = [
-        ArrivalStream(kind, paths[name], MIXES[mix], rng)
-        for kind, (name, rng) in enumerate(
-            zip(CLASSES, np.random.default_rng(seed).spawn(len(CLASSES)), strict=True)
-        )
+        ArrivalStream(kind, paths[name], MIXES[mix], own[kind])
+        for kind, name in enumerate(CLASSES)
         if wanted[kind]
     ]
     with tempfile.TemporaryDirectory() as folder:
-        sumo = _SumoRuns(Path(folder), streets, intersection, radius, seed, small)
-        rates = _rates(sumo, streams, wanted, frames * step, progress)
-        seen = sumo.simulate(streams, rates, frames, step)
+        sumo = _SumoRuns(Path(folder), streets, intersection, radius, seed, small, streams)
+        seen = sumo.simulate(sumo.rates(wanted, frames * step, progress), frames, step)
     if progress is not None:
         progress(TRIES + 1, TRIES + 1)
     return pack_frames(seen, step)
@@ -143,85 +140,68 @@ def _small_step(step: float) -> float:
     return time / parts[0] / 1000
 
 
-def _rates(
-    sumo: "_SumoRuns",
-    streams: list[ArrivalStream],
-    wanted: Int[np.ndarray, " K"],
-    time: float,
-    progress: Callable[[int, int], None] | None,
-) -> list[float]:
-    """Arrivals a second of each class with which about as many as wanted are there in ``time``."""
-    target = np.array([wanted[a.kind] for a in streams], float)
-    most = np.array([SWIFTEST * sum(w.weight for w in a.paths) for a in streams])
-    stay = np.array([2 * sumo.radius / min(ROAD_USERS[a.kind].top_speed, 6.0) for a in streams])
-    rates = np.minimum(target / stay, most)
-    if not len(rates):
-        return []
-    best, off = rates, np.inf
-    every = sumo.small * np.ceil(1.0 / sumo.small)
-    many = int(np.ceil(max(time, OBSERVED) / every))
-    for turn in range(TRIES):
-        seen = sumo.simulate(streams, rates.tolist(), many, every)
-        here = np.array([[(s.kind == a.kind).sum() for a in streams] for s in seen]).mean(0)
-        error = abs(here.sum() - target.sum())
-        if error < off:
-            best, off = rates, error
-        if progress is not None:
-            progress(turn + 1, TRIES + 1)
-        near = np.abs(here - target) <= np.maximum(1.5, 0.25 * target)
-        if error <= max(1.0, NEAR_ENOUGH * target.sum()) and near.all():
-            break
-        change = np.clip(target / np.maximum(here, 0.25), 0.5, 2.0)
-        mended = np.minimum(rates * change**0.8, most)
-        if np.allclose(mended, rates, rtol=1e-3):  # the roads do not let in more
-            break
-        rates = mended
-    return best.tolist()
-
-
-# ── SUMO itself ─────────────────────────────────────────────────────────────
-
-
 @dataclass(frozen=True)
 class _SumoRuns:
     """Runs of SUMO on one network: what they have in common."""
 
     folder: Path
-    streets: Streets
+    streets: SumoMap
     intersection: Intersection
     radius: float
     seed: int
     small: float
+    streams: list[ArrivalStream]
 
-    def simulate(
-        self, streams: list[ArrivalStream], rates: list[float], frames: int, every: float
-    ) -> list[Snapshot]:
+    def rates(
+        self, wanted: Int[np.ndarray, " K"], time: float, progress: Progress | None
+    ) -> list[float]:
+        """Arrivals a second of each stream with which about as many as wanted are there."""
+        streams = self.streams
+        target = np.array([wanted[a.kind] for a in streams], float)
+        most = np.array([SWIFTEST * sum(w.weight for w in a.paths) for a in streams])
+        stay = np.array([2 * self.radius / min(ROAD_USERS[a.kind].top_speed, 6.0) for a in streams])
+        rates = np.minimum(target / stay, most)
+        if not len(rates):
+            return []
+        best, off = rates, np.inf
+        every = self.small * np.ceil(1.0 / self.small)
+        many = int(np.ceil(max(time, OBSERVED) / every))
+        for turn in range(TRIES):
+            seen = self.simulate(rates.tolist(), many, every)
+            here = np.array([[(s.kind == a.kind).sum() for a in streams] for s in seen]).mean(0)
+            error = abs(here.sum() - target.sum())
+            if error < off:
+                best, off = rates, error
+            if progress is not None:
+                progress(turn + 1, TRIES + 1)
+            near = np.abs(here - target) <= np.maximum(1.5, 0.25 * target)
+            if error <= max(1.0, NEAR_ENOUGH * target.sum()) and near.all():
+                break
+            change = np.clip(target / np.maximum(here, 0.25), 0.5, 2.0)
+            mended = np.minimum(rates * change**0.8, most)
+            if np.allclose(mended, rates, rtol=1e-3):  # the roads do not let in more
+                break
+            rates = mended
+        return best.tolist()
+
+    def simulate(self, rates: list[float], frames: int, every: float) -> list[Snapshot]:
         """Road users in the region, in frames ``every`` so many seconds after the warm-up."""
         begin = self.small * np.ceil(WARM_UP / self.small)
         end = begin + (frames - 1) * every
         routes, found = self.folder / "routes.xml", self.folder / "found.xml"
-        sizes = _write_routes(routes, streams, rates, end)
+        sizes = self._write_routes(routes, rates, end)
         options = {
-            "net-file": self.streets.road.file,
+            "net-file": self.streets.file,
             "route-files": routes,
             "fcd-output": found,
-            "fcd-output.attributes": "x,y,z,angle,speed",
             "device.fcd.begin": f"{begin:.3f}",
             "device.fcd.period": f"{every:.3f}",
             "end": f"{end + self.small:.3f}",
             "step-length": f"{self.small:.3f}",
-            "lanechange.duration": f"{LANE_CHANGE:g}",
-            "precision": 4,
             "seed": self.seed,
-            "time-to-teleport": 60,
-            "collision.action": "remove",
-            "max-depart-delay": 10,
-            "ignore-route-errors": "true",
-            "no-step-log": "true",
-            "no-warnings": "true",
         }
         arguments = [text for k, v in options.items() for text in (f"--{k}", str(v))]
-        run("sumo", arguments, self.streets.road.source)
+        run("sumo", [*arguments, *OPTIONS.split()], self.streets.source)
         seen = []
         for _, element in ET.iterparse(found):
             if element.tag == "timestep":
@@ -229,9 +209,7 @@ class _SumoRuns:
                 element.clear()
         return (seen + [self._snapshot([], sizes)] * frames)[:frames]
 
-    def _snapshot(
-        self, moment: list[ET.Element], sizes: dict[str, tuple[int, int, np.ndarray]]
-    ) -> Snapshot:
+    def _snapshot(self, moment: list[ET.Element], sizes: dict[str, Arrival]) -> Snapshot:
         """Road users at a moment of SUMO's output: middles of fronts, headings from north."""
         who = [sizes[one.attrib["id"]] for one in moment]
         size = np.array([s for _, _, s in who], float).reshape(-1, 3)
@@ -241,7 +219,7 @@ class _SumoRuns:
             np.array([float(one.get(key, "nan")) for one in moment])
             for key in ("x", "y", "z", "angle", "speed")
         )
-        at = self.streets.road.to_world(np.column_stack([x, y, z]))
+        at = self.streets.to_world(np.column_stack([x, y, z]))
         yaw = np.pi / 2 - np.radians(angle)
         yaw = np.arctan2(np.sin(yaw), np.cos(yaw))
         heading = np.column_stack([np.cos(yaw), np.sin(yaw)])
@@ -250,37 +228,36 @@ class _SumoRuns:
         everybody = Snapshot(middle, yaw, size, kind, track, velocity)
         return standing_on(self.intersection, self.radius, everybody, at[:, 2])
 
-
-def _write_routes(
-    file: Path, streams: list[ArrivalStream], rates: list[float], end: float
-) -> dict[str, tuple[int, int, np.ndarray]]:
-    """Write type, route and departure of every road user; its (class, track, size) by name."""
-    root = ET.Element("routes")
-    people: list[tuple[float, ET.Element]] = []
-    sizes: dict[str, tuple[int, int, np.ndarray]] = {}
-    for stream, rate in zip(streams, rates, strict=True):
-        name, user = CLASSES[stream.kind], ROAD_USERS[stream.kind]
-        looks = {"vClass": V_CLASS[name], "minGap": f"{user.gap:g}"}
-        if user.path != "vehicle":
-            looks["maxSpeed"] = f"{user.top_speed:g}"
-        for k, path in enumerate(stream.paths):
-            ET.SubElement(root, "route", id=f"{name}.{k}", edges=" ".join(path.edges))
-        for n in range(stream.until(end * rate)):
-            who, size, when = f"{name}.{n}", stream.size[n], stream.when[n] / rate
-            path = stream.paths[stream.path_index[n]]
-            sizes[who] = (stream.kind, len(CLASSES) * n + stream.kind, size)
-            body = dict(zip(("length", "width", "height"), (f"{x:.3f}" for x in size), strict=True))
-            ET.SubElement(root, "vType", {"id": who} | looks | body)
-            start = {"id": who, "type": who, "depart": f"{when:.2f}"}
-            start["departPos"], arrival = f"{path.begin:.2f}", f"{path.end:.2f}"
-            if name == "pedestrian":
-                one = ET.Element("person", start)
-                to = {"from": path.edges[0], "to": path.edges[-1], "arrivalPos": arrival}
-                ET.SubElement(one, "walk", to)
-            else:
-                start |= {"departLane": "best", "departSpeed": "desired", "arrivalPos": arrival}
-                one = ET.Element("vehicle", start | {"route": f"{name}.{stream.path_index[n]}"})
-            people.append((when, one))
-    root.extend(one for _, one in sorted(people, key=lambda pair: pair[0]))
-    ET.ElementTree(root).write(file)
-    return sizes
+    def _write_routes(self, file: Path, rates: list[float], end: float) -> dict[str, Arrival]:
+        """Write type, route and departure of every road user, by its name."""
+        root = ET.Element("routes")
+        people: list[tuple[float, ET.Element]] = []
+        sizes: dict[str, Arrival] = {}
+        for stream, rate in zip(self.streams, rates, strict=True):
+            name, user = CLASSES[stream.kind], ROAD_USERS[stream.kind]
+            looks = {"vClass": V_CLASS[name], "minGap": f"{user.gap:g}"}
+            if user.path != "vehicle":
+                looks["maxSpeed"] = f"{user.top_speed:g}"
+            for k, path in enumerate(stream.paths):
+                ET.SubElement(root, "route", id=f"{name}.{k}", edges=" ".join(path.edges))
+            for n in range(stream.until(end * rate)):
+                who, size, when = f"{name}.{n}", stream.size[n], stream.when[n] / rate
+                path = stream.paths[stream.path_index[n]]
+                sizes[who] = (stream.kind, len(CLASSES) * n + stream.kind, size)
+                body = dict(
+                    zip(("length", "width", "height"), (f"{x:.3f}" for x in size), strict=True)
+                )
+                ET.SubElement(root, "vType", {"id": who} | looks | body)
+                start = {"id": who, "type": who, "depart": f"{when:.2f}"}
+                start["departPos"], arrival = f"{path.begin:.2f}", f"{path.end:.2f}"
+                if name == "pedestrian":
+                    one = ET.Element("person", start)
+                    to = {"from": path.edges[0], "to": path.edges[-1], "arrivalPos": arrival}
+                    ET.SubElement(one, "walk", to)
+                else:
+                    start |= {"departLane": "best", "departSpeed": "desired", "arrivalPos": arrival}
+                    one = ET.Element("vehicle", start | {"route": f"{name}.{stream.path_index[n]}"})
+                people.append((when, one))
+        root.extend(one for _, one in sorted(people, key=lambda pair: pair[0]))
+        ET.ElementTree(root).write(file)
+        return sizes

@@ -8,17 +8,13 @@ from jaxtyping import Float
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
-from inspe_jax.scene.lines import arc_of
-from inspe_jax.scene.maps.parts import distance_from
-from inspe_jax.scene.maps.sumo.lanes import Streets
+from inspe_jax.scene.lines import arc_of, distance_from
+from inspe_jax.scene.maps.sumo.reader import SumoMap
 from inspe_jax.scene.traffic.frames import CLASSES
 
-LEAD_IN = 60.0
-"""Vehicles enter this much beyond the radius [m], or where their road begins."""
-TOUCH = 15.0
-"""A road that comes this near to the region leads into it, because junctions are that wide [m]."""
-FOOT_LEAD_IN = 15.0
-"""People on foot enter this much beyond the radius [m]."""
+LEAD_IN = 60.0  # vehicles enter this much beyond the radius [m], or where their road begins
+TOUCH = 15.0  # a road that comes so near to the region leads into it: junctions are as wide [m]
+FOOT_LEAD_IN = 15.0  # people on foot enter this much beyond the radius [m]
 V_CLASS = {"car": "passenger", "truck": "truck", "cyclist": "bicycle", "pedestrian": "pedestrian"}
 """SUMO's vehicle class of each road-user class."""
 
@@ -38,7 +34,7 @@ class TravelPath:
 
 
 def paths_through(
-    streets: Streets, center: np.ndarray, radius: float
+    streets: SumoMap, center: np.ndarray, radius: float
 ) -> dict[str, list[TravelPath]]:
     """The travel paths of each road-user class through the region of interest."""
     return {
@@ -61,10 +57,10 @@ class _Edge:
     edge: Any
 
 
-def _edges(streets: Streets, v_class: str, center: np.ndarray, reach: float) -> list[_Edge]:
+def _edges(streets: SumoMap, v_class: str, center: np.ndarray, reach: float) -> list[_Edge]:
     """The edges within reach that a class may use, in the network's order."""
     found = []
-    for edge in streets.road.net.getEdges(withInternal=False):
+    for edge in streets.net.getEdges(withInternal=False):
         lanes = [lane for lane in edge.getLanes() if lane.allows(v_class)]
         if v_class == "pedestrian":  # beside the road, not on it
             lanes = [lane for lane in lanes if not lane.allows("passenger")]
@@ -79,7 +75,7 @@ def _edges(streets: Streets, v_class: str, center: np.ndarray, reach: float) -> 
     return found
 
 
-def _drives(streets: Streets, v_class: str, center: np.ndarray, radius: float) -> list[TravelPath]:
+def _drives(streets: SumoMap, v_class: str, center: np.ndarray, radius: float) -> list[TravelPath]:
     """The shortest path from every road that leads into the region to every road that leads out."""
     edges = _edges(streets, v_class, center, radius + LEAD_IN)
     index = {e.name: k for k, e in enumerate(edges)}
@@ -156,7 +152,7 @@ def _path(before: np.ndarray, sink: int) -> list[int]:
     return path[::-1]
 
 
-def _walks(streets: Streets, center: np.ndarray, radius: float) -> list[TravelPath]:
+def _walks(streets: SumoMap, center: np.ndarray, radius: float) -> list[TravelPath]:
     """Paths on foot from the rim of the region to the rim elsewhere; SUMO routes them."""
     edges = _edges(streets, "pedestrian", center, radius + FOOT_LEAD_IN)
     ends = []  # (edge, arc, point) where a sidewalk leaves the region

@@ -24,10 +24,9 @@ ARRIVALS = 4  # most that are tried in one step
 class WaypointModel:
     """Up to ``len(kind)`` users on ``paths``; ``step`` moves them all, never into each other.
 
-    Each entry of the arrays below is one user, and its class never changes. When a user leaves,
-    another of the same class enters as soon as there is room, with another size and path. Where
-    ``active`` is false, the user waits outside. ``arc`` [m] places its centre on ``path``;
-    ``track`` numbers users in order of arrival.
+    Each entry of the arrays below is one user. When it leaves, another of the same class enters as
+    soon as there is room, with another size and path. Where ``active`` is false, the user waits
+    outside. ``arc`` [m] places its centre on ``path``; ``track`` numbers users by arrival.
     """
 
     def __init__(
@@ -83,8 +82,6 @@ class WaypointModel:
             ]
         )
         self._move(on, np.where(speed < 0.05, 0.0, speed), dt)
-
-    # ── Entering and leaving ──
 
     def _place_at_random(self, who: int | np.intp) -> None:
         """Place a user where there is room and no block, if such a place is found."""
@@ -160,8 +157,6 @@ class WaypointModel:
         standing = near & (self.speed[on] < 1.0)
         return not (standing.any() or self._held_against(first, on).any())
 
-    # ── Right of way ──
-
     def _next_block(self, on: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Column and number of each user's first block that is not granted; −1 if none is left."""
         blocks = self.paths.block[self.path[on]]
@@ -226,8 +221,6 @@ class WaypointModel:
                 denied |= met[:, k]
             elif due[k] or inside[k]:  # users already inside go before users that come in
                 denied |= met[:, k] & yields
-
-    # ── Looking ahead and moving ──
 
     def _ends(self, on: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Arc lengths of front and rear [m]."""

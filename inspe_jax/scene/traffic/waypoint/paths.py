@@ -10,14 +10,11 @@ from scipy.spatial import cKDTree
 
 from inspe_jax.scene.intersection import Intersection, Route
 
-SPACING = 0.5
-"""Distance between poses of a path [m]."""
-
+SPACING = 0.5  # distance between poses of a path [m]
 PATH_USERS: tuple[str, ...] = ("vehicle", "cyclist", "pedestrian")
 """Kinds of path. A cyclist's path is a vehicle's, moved to the right of its lane."""
 
-WIDEST = np.array([2.6, 0.8, 0.6])
-"""Width [m] that a path of each kind must keep free."""
+WIDEST = np.array([2.6, 0.8, 0.6])  # width [m] that a path of each kind must keep free
 
 # Odd figures on purpose: no lane width is a multiple of them, so rounding never decides.
 SIDE_ROOM = 0.37  # kept between crossing streams [m]
@@ -36,16 +33,16 @@ SHORTEST = (8.0, 8.0, 2.0)  # shorter paths are left out, by kind of path [m]
 class Paths:
     """P paths inside the region of interest, their N poses end to end, and their K conflicts.
 
-    ``start`` is the index of each path's first pose, ``count`` its number of
-    poses, ``user`` indexes :data:`PATH_USERS`, ``width`` is the lane's [m] and
-    ``weight`` the share of new arrivals. Pose m of a path is :data:`SPACING`·m
-    metres from its start: ``point`` [m] and ``limit`` on speed [m/s].
+    ``start`` is the index of each path's first pose, ``count`` its number of poses, ``user``
+    indexes :data:`PATH_USERS`, ``width`` is the lane's [m] and ``weight`` the share of new
+    arrivals. Pose m of a path is :data:`SPACING`·m metres from its start: ``point`` [m] and
+    ``limit`` on speed [m/s].
 
-    A block is a stretch of a path that other streams cross or join; ``block``
-    (P, C) numbers each path's blocks in order, then −1; ``stop`` and ``leave``
-    are the arcs [m] where each begins (its stop line) and ends. ``clear[a, b]``
-    is the arc on b's path up to which block b is in conflict with block a: −inf
-    where they never meet. Block −1 is the last entry: infinitely far, met by none.
+    A block is a stretch of a path that other streams cross or join; ``block`` (P, C) numbers each
+    path's blocks in order, then −1; ``stop`` and ``leave`` are the arcs [m] where each begins (its
+    stop line) and ends. ``clear[a, b]`` is the arc on b's path up to which block b is in conflict
+    with block a: −inf where they never meet. Block −1 is the last entry: infinitely far, met by
+    none.
     """
 
     start: Int[np.ndarray, " P"]
@@ -83,9 +80,8 @@ class Paths:
     ) -> tuple[Float[np.ndarray, "*S 3"], Float[np.ndarray, "*S 2"]]:
         """Centre [m] and unit heading of a body of some length [m] whose axles are on the path.
 
-        On a straight path these are the path's own. In a bend a long body cuts
-        the corner, as on the road. If it were tangent to the path, its rear would
-        swing into the next lane.
+        In a bend a long body cuts the corner. Tangent to the path, its rear would swing into the
+        next lane.
         """
         rear = self.at(path, arc - AXLE * length)
         front = self.at(path, arc + AXLE * length)

@@ -6,36 +6,32 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from inspe_jax.scene.intersection import Intersection, Route, mouth_crosswalks
-from inspe_jax.scene.maps.parts import crossing_lines, walking_routes
+from inspe_jax.scene.intersection import (
+    Intersection,
+    Route,
+    crossing_lines,
+    mouth_crosswalks,
+    walking_routes,
+)
+from inspe_jax.scene.lines import distance_from
 from inspe_jax.scene.traffic.waypoint.paths import SPACING, resample
 
-BESIDE = 1.5
-"""Distance of a footpath's middle from the lane's edge [m]: room for two that meet."""
-SLACK = 0.3
-"""Footpaths come nearer to another lane's edge than :data:`BESIDE` by at most this [m]."""
-APART = 2.0
-"""Two footpaths nearer than this are one [m]."""
-SHORTEST = 10.0
-"""A footpath shorter than this beside a lane is left out [m]."""
-CROSSING = np.cos(np.radians(45.0))
-"""Lanes that meet at a larger angle than this cosine's cross; motorways have no such place."""
+BESIDE = 1.5  # distance of a footpath's middle from the lane's edge [m]: room for two that meet
+SLACK = 0.3  # footpaths come nearer to another lane's edge than BESIDE by at most this [m]
+APART = 2.0  # two footpaths nearer than this are one [m]
+SHORTEST = 10.0  # a footpath shorter than this beside a lane is left out [m]
+CROSSING = np.cos(np.radians(45.0))  # lanes that meet at a larger angle cross; none on motorways
 
 
 def with_walkways(intersection: Intersection, radius: float) -> Intersection:
     """The intersection with footpaths for traffic, if nobody walks within ``radius`` [m].
 
-    A map without sidewalks is no place without people: they walk beside the lanes, on the right of
-    the outermost, and cross each arm at its mouth. The footpaths are routes of pedestrians only;
-    the regions stay those of the map. An intersection that has such routes, or that has no lanes
-    that cross, as a motorway's ramp, is handed back as it is.
+    People walk beside the lanes, on the right of the outermost, and cross each arm at its mouth.
+    The regions stay those of the map. An intersection where somebody walks, or no lanes cross, as
+    on a motorway, stays as it is.
     """
-    center = intersection.center[:2]
-    near = [
-        route
-        for route in intersection.routes
-        if (np.hypot(*(route.waypoints[:, :2] - center).T) <= radius).any()
-    ]
+    away = [distance_from(route.waypoints, intersection.center) for route in intersection.routes]
+    near = [r for r, far in zip(intersection.routes, away, strict=True) if (far <= radius).any()]
     lanes = [route for route in near if route.user == "vehicle"]
     if len(lanes) < len(near) or not _cross(lanes):
         return intersection

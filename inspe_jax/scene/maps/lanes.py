@@ -1,12 +1,20 @@
-"""Approaches: the ends of roads at a junction, and how they pair into arms."""
+"""Lanes of maps: the ends of roads at a junction, and strips of ground on one level."""
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+import functools
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
+import shapely
 from jaxtyping import Float
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import dijkstra
+from scipy.spatial import cKDTree
+from shapely.geometry import Polygon
+from shapely.geometry.base import BaseGeometry
+from shapely.ops import unary_union
 
-from inspe_jax.scene.intersection import Arm
+from inspe_jax.scene.intersection import CLEARANCE, Arm
 
 # Kinds of lane, in OpenDRIVE's words.
 TRAVEL = {"driving", "entry", "exit", "onRamp", "offRamp", "connectingRamp", "bus", "taxi", "HOV"}
@@ -84,8 +92,7 @@ def heading(vector: np.ndarray) -> float:
 def arms_of(approaches: list[Approach]) -> tuple[tuple[Arm, ...], dict[tuple[int, str], int]]:
     """The arms of a junction, counter-clockwise by bearing, and the arm of each (road, end).
 
-    Each approach is an arm; but where a divided road leads in on one approach and out on another,
-    the two are one arm.
+    Each approach is an arm; two by which a divided road leads in and out are one arm.
     """
     groups = [[approach] for approach in approaches]
     for i, approach in enumerate(approaches):
@@ -121,3 +128,87 @@ def _arm(group: list[Approach]) -> Arm:
     low, high = kerbs[:, 1].min(), kerbs[:, 1].max()
     x, y = np.array([kerbs[:, 0].mean(), (low + high) / 2]) @ axes
     return Arm((float(x), float(y)), bearing, float(high - low))
+
+
+GRADE = 0.3  # a lane that climbs more steeply is on another level; Town03 has streets of 0.2
+
+
+@dataclass(frozen=True, eq=False)
+class LaneStrip:
+    """A stretch of one lane: its middle line and both edges, at stations about 1 m apart [m].
+
+    ``junction`` is −1 outside junctions; ``kind`` is one of the words above.
+    """
+
+    road: int
+    lane: int
+    junction: int
+    kind: str
+    center: Float[np.ndarray, "N 3"]
+    left: Float[np.ndarray, "N 2"]
+    right: Float[np.ndarray, "N 2"]
+
+    @classmethod
+    def along(
+        cls, road: int, lane: int, junction: int, kind: str, center: Float[np.ndarray, "N 3"],
+        ahead: Float[np.ndarray, "N 2"], width: Float[np.ndarray, " N"] | float,
+    ) -> "LaneStrip":  # fmt: skip
+        """A strip of a width [m] along a middle line with unit headings ``ahead``."""
+        half = np.broadcast_to(width, len(center))[:, None] / 2
+        across = np.column_stack([-ahead[:, 1], ahead[:, 0]]) * half
+        left, right = center[:, :2] + across, center[:, :2] - across
+        return cls(road, lane, junction, kind, center, left, right)
+
+    @functools.cached_property
+    def polygon(self) -> BaseGeometry:
+        """The lane's surface. Where a tight bend folds an edge over, it is joined from quads."""
+        whole = Polygon(np.concatenate([self.left, self.right[::-1]]))
+        if whole.is_valid:
+            return whole
+        quads = np.stack([self.left[:-1], self.left[1:], self.right[1:], self.right[:-1]], 1)
+        return unary_union(shapely.convex_hull(shapely.polygons(quads)))
+
+    def runs(self, keep: np.ndarray) -> "Iterator[LaneStrip]":
+        """The unbroken runs of two or more stations where ``keep`` (N,) is true."""
+        edges = np.flatnonzero(np.diff(np.concatenate([[0], keep, [0]])))
+        for a, b in edges.reshape(-1, 2):
+            if b - a > 1:
+                center, left, right = (x[a:b] for x in (self.center, self.left, self.right))
+                yield replace(self, center=center, left=left, right=right)
+
+
+def same_level(lane_strips: list[LaneStrip], core: list[bool]) -> list[LaneStrip]:
+    """The parts of lanes that lie on the same level as the core lanes, station by station.
+
+    Two stations are connected if they are within 5 m, where height counts three times. One that is
+    connected to the core is left out if it is higher or lower than the steepest grade allows. Where
+    two levels overlap, the one farther from the core along the roads is left out. One that is not
+    connected, as on a street behind a verge, stays if it is level with the nearest that stays.
+    """
+    if not any(core):
+        return []
+    points = np.concatenate([s.center for s in lane_strips])  # (N, 3)
+    sizes = [len(s.center) for s in lane_strips]
+    is_core = np.repeat(core, sizes)
+    pairs = cKDTree(points * [1, 1, 3]).query_pairs(5.0, output_type="ndarray")
+    graph = csr_array((np.ones(len(pairs)), pairs.T), shape=(len(points),) * 2)
+    seeds = np.flatnonzero(is_core)
+    hops = dijkstra(graph, directed=False, unweighted=True, indices=seeds, min_only=True)
+
+    def rise_from(some: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        away, index = cKDTree(points[some, :2]).query(points[:, :2])
+        return np.abs(points[:, 2] - points[some][index, 2]), away
+
+    rise, away = rise_from(is_core)
+    joined = np.isfinite(hops)
+    keep = joined & (rise <= 1.5 + GRADE * away)
+    if np.ptp(points[:, 2]) > CLEARANCE:
+        near = cKDTree(points[:, :2]).query_pairs(6.0, output_type="ndarray")
+        near = near[np.abs(points[near[:, 0], 2] - points[near[:, 1], 2]) > CLEARANCE]
+        near = near[joined[near].all(1)]
+        farther = np.where(hops[near[:, 0]] > hops[near[:, 1]], near[:, 0], near[:, 1])
+        keep[farther] = False
+    rise, _ = rise_from(keep)
+    keep |= ~joined & (rise <= 2.0)
+    cut = np.split(keep, np.cumsum(sizes)[:-1])
+    return [run for strip, mask in zip(lane_strips, cut, strict=True) for run in strip.runs(mask)]

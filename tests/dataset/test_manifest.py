@@ -1,6 +1,7 @@
 """Manifests: damage of every sort is found, and `generate` repairs it to the same bytes."""
 
 import json
+import os
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -15,8 +16,7 @@ from typer.testing import CliRunner
 import inspe_jax.cli  # noqa: F401, which adds the commands
 from inspe_jax.cli.common import app
 from inspe_jax.dataset import chunk, load_generation, read_frame
-from inspe_jax.dataset.check import check
-from inspe_jax.dataset.manifest import MANIFEST, RECORDS, manifest_of
+from inspe_jax.dataset.manifest import MANIFEST, RECORDS, check, manifest_of
 from inspe_jax.dataset.points_in_boxes import with_counts
 from inspe_jax.dataset.writer import DatasetWriter
 
@@ -205,6 +205,33 @@ def test_a_broken_record_of_a_frame_counts_as_none(made, copy, text):
         assert writer.there[one.name] == {0, 3}  # by sizes
     with DatasetWriter(plan, out, "embedded") as writer:
         assert writer.there[one.name] == {0}
+    record(plan, out)
+    assert content(out) == content(made[1])
+
+
+@pytest.mark.parametrize("ended", ["rmtree", "replace"])
+def test_a_kill_while_a_scenario_is_finished_leaves_no_records_in_it(
+    made, copy, monkeypatch, ended
+):
+    """Before the records are gone, and before the scenario moves."""
+    plan, out = copy
+    (one, _) = plan.scenarios
+    shutil.rmtree(out / one.split / one.name)
+
+    real = getattr(os if ended == "replace" else shutil, ended)
+
+    def killed(path, *given):
+        if Path(path).is_dir():  # not where a file gets its name
+            raise KeyboardInterrupt
+        real(path, *given)
+
+    with monkeypatch.context() as patch, DatasetWriter(plan, out, "embedded") as writer:
+        work_on(writer, one)
+        patch.setattr(os if ended == "replace" else shutil, ended, killed)
+        with pytest.raises(KeyboardInterrupt):
+            writer.finish(one)
+        assert not writer.place(one).exists()
+    assert (writer.unfinished(one) / RECORDS).exists() == (ended == "rmtree")
     record(plan, out)
     assert content(out) == content(made[1])
 

@@ -1,8 +1,8 @@
 """Results on disk: ``results.csv`` has one row for each job.
 
-Rows are appended as jobs finish, and put in the order of the study at the end. Each row is flushed
-to disk at once. A run that is killed leaves whole rows and at most one incomplete row, which is
-dropped when the run is resumed. Jobs that failed are then run again.
+Each row is flushed to disk as its job ends; at the end they are put in the study's order. A run
+that is killed leaves whole rows and at most one incomplete row, which is dropped when the run is
+resumed. Jobs that failed are then run again.
 """
 
 import os
@@ -20,14 +20,12 @@ from inspe_jax.core.files import (
     read_csv,
     write_text,
 )
-from inspe_jax.jobs.locks import lock_folder
+from inspe_jax.jobs.locks import ADVICE, check_versions, lock_folder
 from inspe_jax.jobs.scenes import versions
 from inspe_jax.study.plan import Study
 from inspe_jax.study.work import Row, columns, tag_columns
 
 TABLE, LAYOUTS = "results.csv", "layouts"
-
-_ADVICE = "name another folder, or delete this one to start again"
 
 
 class Results:
@@ -95,7 +93,7 @@ class Results:
             self.path.unlink()
             return {}
         if not content.startswith(head):
-            raise InspeError(f"{self.path}: its columns are not those of this study; {_ADVICE}")
+            raise InspeError(f"{self.path}: its columns are not those of this study; {ADVICE}")
         whole = content[: content.rfind(b"\n") + 1]
         rows = parse_csv(whole, str(self.path))
         self._check(rows)
@@ -113,15 +111,10 @@ class Results:
         if strange:
             raise InspeError(
                 f"{self.path}: {len(strange)} of its {len(rows)} rows are not jobs of this study, "
-                f"such as {strange[0]['layout']} on {strange[0]['scene']}; {_ADVICE}"
+                f"such as {strange[0]['layout']} on {strange[0]['scene']}; {ADVICE}"
             )
         for row in rows:
-            for name, version in versions().items():
-                if row[name] != version:
-                    raise InspeError(
-                        f"{self.path}: was begun with {name} {row[name]}, but this is {version}; "
-                        f"{_ADVICE}"
-                    )
+            check_versions(row, versions(), self.path)
 
 
 def read_results(folder: str | os.PathLike[str]) -> list[Row]:

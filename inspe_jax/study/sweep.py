@@ -32,10 +32,9 @@ def sweep(
     ``workers``: without a scheduler, number of processes on this machine; one per core by default.
     ``progress``: called with (jobs done, jobs).
 
-    A job that fails has a row with its error; so has a job whose worker dies each time, even when
-    it runs alone. Workers are processes of their own, so a script that calls this needs
-    ``if __name__ == "__main__":``. Metrics that the script registers must be registered above that
-    line, so that workers have them too.
+    A job that fails has a row with its error; so has a job whose worker dies each time. Workers are
+    processes of their own, so a script that calls this needs ``if __name__ == "__main__":``, and
+    must register its metrics above that line.
 
     Raises InspeError if Dask is missing, if no scheduler answers or its workers have other
     versions, or as :class:`~inspe_jax.study.results.Results` does.

@@ -29,12 +29,10 @@ from inspe_jax.dataset.manifest import (
 )
 from inspe_jax.dataset.plan import Generation, ScenarioPlan
 from inspe_jax.dataset.protocol import versions
-from inspe_jax.jobs.locks import lock_folder
+from inspe_jax.jobs.locks import ADVICE, check_versions, lock_folder
 
 UNFINISHED = ".unfinished"
 FORMAT = "inspe_jax data set 2"
-
-_ADVICE = "name another folder, or delete this one to start again"
 
 
 class DatasetWriter:
@@ -120,7 +118,7 @@ class DatasetWriter:
 
     @property
     def size(self) -> int:
-        """Size of all scenarios, finished or not [bytes]; a file with two names counts once."""
+        """Size of all scenarios, finished or not [bytes]."""
         return sum(disk_size(self.folder / top) for top in (*SPLITS, UNFINISHED))
 
     def _check(self, record: dict[str, Any]) -> None:
@@ -139,20 +137,15 @@ class DatasetWriter:
             return
         kept = read_yaml(path)
         if not isinstance(kept, dict) or kept.get("format") != FORMAT:
-            raise InspeError(f"{path}: not written by this version of the package; {_ADVICE}")
+            raise InspeError(f"{path}: not written by this version of the package; {ADVICE}")
         for key in ("backend", "data_format", "digest"):
             if kept.get(key) != record.get(key):
                 what = f"'{kept.get('name')}'" if key == "digest" else f"{key} {kept.get(key)}"
                 raise InspeError(
                     f"{self.folder}: holds another data set, {what}, with other scenarios or "
-                    f"recorded in another way; {_ADVICE}"
+                    f"recorded in another way; {ADVICE}"
                 )
-        for name, version in record["versions"].items():
-            was = (kept.get("versions") or {}).get(name)
-            if was != version:
-                raise InspeError(
-                    f"{self.folder}: was begun with {name} {was}, but this is {version}; {_ADVICE}"
-                )
+        check_versions(kept.get("versions") or {}, record["versions"], self.folder)
 
     def _resume(self, plan: ScenarioPlan, deep: bool) -> set[int]:
         """Numbers of the complete frames of a scenario.

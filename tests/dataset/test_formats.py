@@ -90,14 +90,10 @@ def test_a_data_set_is_generated_in_a_new_format(tmp_path, monkeypatch):
     generation = load_generation(study(tmp_path, format="pickle"))
     plan = generation.scenarios[0]
     with DatasetWriter(generation, tmp_path / "out", "embedded") as writer:
-        folder = writer.unfinished(plan)
-        for frames in plan.chunks:
-            given = folder, writer.lock(plan, frames.start), frames, len(frames)
-            todo = chunk.Chunk(plan, "embedded", *given, format=generation.format)
-            scene = chunk.build(todo)
-            assert writer.finish(plan) is False
-            assert chunk.work(scene, todo).notes == ("camera: made up", "lidar: made up")
-            assert chunk.work(scene, todo) == chunk.Outcome()  # nothing is left to do
+        assert writer.finish(plan) is False
+        told = chunk.Outcome(notes=("camera: made up", "lidar: made up"))
+        assert made_up.record(writer, plan) == [told] * 2
+        assert made_up.record(writer, plan) == [chunk.Outcome()] * 2  # nothing is left to do
         assert writer.finish(plan) is True
     (scenario,) = dataset.open(tmp_path / "out").scenarios
     assert (scenario.format, scenario.frames) == (TOY, tuple(range(14)))

@@ -35,21 +35,13 @@ def generation(folder: Path):
     return load_generation(path)
 
 
-def work_on(writer: DatasetWriter, plan) -> Path:
-    """Record what is missing of a scenario, as a worker does; gives its unfinished folder."""
-    folder = writer.unfinished(plan)
-    todo = chunk.Chunk(plan, "embedded", folder, writer.lock(plan, 0), range(FRAMES), FRAMES)
-    assert not chunk.work(chunk.build(todo), todo).error
-    return folder
-
-
 def record(plan_of, out: Path, deep: bool = True) -> dict[str, list]:
     """What `generate` does, without processes; gives what was repaired."""
     with DatasetWriter(plan_of, out, "embedded", deep) as writer:
         for plan in plan_of.scenarios:
             if writer.place(plan).exists():
                 continue
-            work_on(writer, plan)
+            made_up.record(writer, plan)
             assert writer.finish(plan)
         writer.clear()
         return writer.damage
@@ -197,7 +189,8 @@ def test_a_broken_record_of_a_frame_counts_as_none(made, copy, text):
     one = plan.scenarios[0]
     with DatasetWriter(plan, out, "embedded") as writer:
         shutil.rmtree(writer.place(one))
-        folder = work_on(writer, one)
+        made_up.record(writer, one)
+        folder = writer.unfinished(one)
         (folder / RECORDS / "000001.json").write_text(text)
         (folder / "-1" / "000002.pcd").write_bytes(b"")
         flip_bit(folder / "-1" / "000003.pcd", -30)
@@ -226,7 +219,7 @@ def test_a_kill_while_a_scenario_is_finished_leaves_no_records_in_it(
         real(path, *given)
 
     with monkeypatch.context() as patch, DatasetWriter(plan, out, "embedded") as writer:
-        work_on(writer, one)
+        made_up.record(writer, one)
         patch.setattr(os if ended == "replace" else shutil, ended, killed)
         with pytest.raises(KeyboardInterrupt):
             writer.finish(one)

@@ -1,6 +1,5 @@
 """A plan for the junctions of a map: its study, its fronts, its choice, and the command line."""
 
-import csv
 import json
 import re
 from functools import partial
@@ -13,8 +12,8 @@ from drawn import misplaced
 from processes import in_this_process, inspe_here
 
 from inspe_jax.core.errors import InspeError
+from inspe_jax.core.files import read_csv
 from inspe_jax.scene.maps.parts import JunctionInfo
-from inspe_jax.scene.maps.registry import read_map, road_lines
 from inspe_jax.scene.maps.sumo.network import run
 from inspe_jax.sensing.layout import load_layout
 from inspe_jax.study.city import (
@@ -62,8 +61,7 @@ def inspe(files, monkeypatch, capsys):
 
 
 def table(folder: Path) -> list[dict[str, str]]:
-    with (folder / "plan.csv").open(newline="") as f:
-        return list(csv.DictReader(f))
+    return read_csv(folder / "plan.csv")
 
 
 def test_a_plan_from_a_map_to_files_and_another_budget(inspe, files):
@@ -301,12 +299,3 @@ def test_choosing_junctions(files, monkeypatch):
     monkeypatch.setattr("inspe_jax.study.city.list_junctions", lambda path: ())
     with pytest.raises(InspeError, match="the map has no junction"):
         choose_junctions(path, "all")
-
-
-def test_roads_are_where_the_junctions_are(files):
-    path = files / "grid.net.xml"
-    points = np.concatenate(road_lines(path))
-    for one in choose_junctions(path, "all"):
-        away = np.hypot(*(points - np.array(one.center[:2])).T)
-        assert away.min() < 15
-    assert read_map(path, junction="A0", radius=20).georeference is not None

@@ -1,10 +1,9 @@
 """Rows on disk: appended whole, taken up again, and put in order at the end."""
 
-import csv
-
 import pytest
 
 from inspe_jax.core.errors import InspeError
+from inspe_jax.core.files import csv_text
 from inspe_jax.jobs.scenes import versions
 from inspe_jax.study.plan import make_study
 from inspe_jax.study.results import Results, read_results
@@ -69,10 +68,8 @@ def test_tags_are_those_that_the_study_has_now(tmp_path):
 
 
 def test_only_one_run_at_a_time(study, tmp_path):
-    with (
-        Results(study, tmp_path / "out"),
-        pytest.raises(InspeError, match="is in use by another run"),
-    ):
+    used = pytest.raises(InspeError, match="is in use by another run")
+    with Results(study, tmp_path / "out"), used:
         Results(study, tmp_path / "out")
     with Results(study, tmp_path / "out"):
         pass
@@ -94,18 +91,13 @@ def test_results_of_something_else_are_left_alone(study, tmp_path):
     folder = tmp_path / "out"
     with Results(study, folder) as results:
         results.add(row(study.jobs[0]))
-    other = make_study(
-        dict(scenes=[{"built_in": "four_way"}], layouts=["L-c"], settings=dict(seed=9)), tmp_path
-    )
-    with pytest.raises(
-        InspeError, match=r"1 of its 1 rows are not jobs of this study, such as L-c on"
-    ):
-        Results(other, folder)
-    tagged = make_study(
-        dict(scenes=[{"built_in": "four_way", "tags": {"a": "b"}}], layouts=["L-c"]), tmp_path
-    )
+    scene, layouts = {"built_in": "four_way"}, ["L-c"]
+    content = dict(scenes=[scene], layouts=layouts, settings=dict(seed=9))
+    with pytest.raises(InspeError, match="1 of its 1 rows are not jobs of this study, such as L-c"):
+        Results(make_study(content, tmp_path), folder)
+    tagged = dict(scenes=[scene | {"tags": {"a": "b"}}], layouts=layouts)
     with pytest.raises(InspeError, match="its columns are not those of this study"):
-        Results(tagged, folder)
+        Results(make_study(tagged, tmp_path), folder)
     path = folder / "results.csv"
     for text in (b"my own notes", b"\xff\xfe\n", b"a,b\n1,2\n"):
         (tmp_path / "other").mkdir(exist_ok=True)
@@ -115,10 +107,7 @@ def test_results_of_something_else_are_left_alone(study, tmp_path):
         assert (tmp_path / "other" / "results.csv").read_bytes() == text
     rows = read_results(folder)
     rows[0]["jax"] = "0.0.1"
-    with path.open("w", newline="") as f:
-        table = csv.DictWriter(f, list(rows[0]), lineterminator="\n")
-        table.writeheader()
-        table.writerows(rows)
+    path.write_text(csv_text(rows))
     with pytest.raises(InspeError, match=r"was begun with jax 0.0.1, but this is"):
         Results(study, folder)
     with pytest.raises(InspeError, match="no such file; run `inspe sweep` first"):

@@ -43,17 +43,6 @@ def count_inside(scans: Sequence[Scan], boxes: Sequence[RoadUserBox]) -> Int[np.
     return counts
 
 
-def returns_of(scans: Sequence[Scan], boxes: Sequence[RoadUserBox]) -> Int[np.ndarray, "S B"]:
-    """How many returns each of S scans has of each road user, as recorded.
-
-    The points inside its box, if the recording of one of the scans does not say.
-    """
-    known = [scan.returns for scan in scans if scan.returns is not None]
-    if len(known) == len(scans):
-        return np.array(known, np.int64).reshape(len(scans), len(boxes))
-    return count_inside(scans, boxes)
-
-
 def with_counts(frame: Frame) -> Frame:
     """The frame with the returns and the pixels of each road user.
 

@@ -239,7 +239,6 @@ def test_bad_studies(read, changes, message):
 def test_a_file_that_is_no_study(tmp_path):
     path = tmp_path / "study.yaml"
     for text, message in (
-        ("", "the study is empty"),
         ("[1, 2]", "the study is empty"),
         ("scenes: [", "not YAML"),
         ("scenes: 1\nscenes: 2", "given twice"),

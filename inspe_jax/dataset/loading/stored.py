@@ -23,7 +23,7 @@ from inspe_jax.core.files import check_model, json_value, open_arrays, read_json
 from inspe_jax.core.geometry import rotation
 from inspe_jax.dataset.folders import Scenario
 from inspe_jax.dataset.loading.geometry import pose_matrix
-from inspe_jax.dataset.points_in_boxes import returns_of
+from inspe_jax.dataset.points_in_boxes import count_inside
 from inspe_jax.jobs.settings import Strict
 from inspe_jax.simulation.frame import KINDS, Image, RoadUserBox, Scan
 
@@ -198,6 +198,9 @@ def _write(scenario: Scenario, part: Path, source: str, size: tuple[int, int] | 
                 points.write(cloud.tobytes())
             for image in images:
                 pictures.write(resized(image.rgb, shape).tobytes())
+            returns = np.array([scan.returns for scan in scans if scan.returns is not None])
+            if len(returns) != len(scans):  # one does not say
+                returns = count_inside(scans, frame.boxes)
             starts = end + np.cumsum([0, *(len(cloud) for cloud, _ in clouds)])
             end = starts[-1]
             row = {
@@ -207,7 +210,7 @@ def _write(scenario: Scenario, part: Path, source: str, size: tuple[int, int] | 
                 "camera_pose": _poses(images),
                 **_calibration(images, shape, len(frame.boxes)),
                 **_boxes(frame.boxes),
-                "returns": returns_of(scans, frame.boxes).T.astype(np.int32),  # (B, S)
+                "returns": returns.reshape(len(scans), len(frame.boxes)).T.astype(np.int32),
             }
             for key, value in row.items():
                 each[key].append(value)

@@ -43,12 +43,11 @@ COUNTS = tuple(f.name for f in fields(Split) if f.name != "name")
 
 @dataclass(frozen=True, eq=False)
 class Users:
-    """The K road users of all scenarios: the index of each in KINDS, the size (length, width,
-    height) of its first box [m], and the number of frames that it is in."""
+    """The K road users of all scenarios: the index of each in KINDS, and the size (length, width,
+    height) of its first box [m]."""
 
     kind: Int[np.ndarray, " K"]
     size: Float[np.ndarray, "K 3"]
-    frames: Int[np.ndarray, " K"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,13 +83,15 @@ class Band:
 class Statistics:
     """The statistics of a data set.
 
-    ``crowd`` is the number of road users in each of F frames; ``cameras`` and ``lidars`` are the
-    smallest and the largest number in a frame. ``agents`` are those of each scenario; ``towns`` are
-    the different maps, None where a protocol does not say it.
+    ``boxes`` of each class count once per frame. ``crowd`` is the number of road users in each of F
+    frames; ``cameras`` and ``lidars`` are the smallest and the largest number in a frame.
+    ``agents`` are those of each scenario; ``towns`` are the different maps, None where a protocol
+    does not say it.
     """
 
     path: Path
     splits: tuple[Split, ...]
+    boxes: Mapping[str, int]
     users: Users
     crowd: Int[np.ndarray, " F"]
     points: PointCounts = field(repr=False)
@@ -114,12 +115,6 @@ class Statistics:
         """Mean number of points in a point cloud; None if there is no point cloud."""
         total = self.total
         return total.points / total.clouds if total.clouds else None
-
-    @property
-    def boxes(self) -> dict[str, int]:
-        """Number of boxes of each class; a road user counts once per frame."""
-        count = np.bincount(self.users.kind, self.users.frames, len(KINDS)).astype(int)
-        return dict(zip(KINDS, count.tolist(), strict=True))
 
     @property
     def tracks(self) -> dict[str, int]:
@@ -148,7 +143,7 @@ def statistics(
         )
     splits, crowd, inside, sensors = [], [], [], []
     users: dict[tuple[Path, int], tuple[int, list[float]]] = {}
-    times = Counter[tuple[Path, int]]()
+    boxes = dict.fromkeys(KINDS, 0)
     for name, scenarios in data.splits.items():
         counts = Counter[str](scenarios=len(scenarios))
         for scenario in scenarios:
@@ -161,9 +156,9 @@ def statistics(
                 counts.update(frames=1, images=images, clouds=len(scans), points=points)
                 counts.update(boxes=len(frame.boxes))
                 for box in frame.boxes:
-                    user, size = (scenario.path, box.track), np.asarray(box.size).tolist()
-                    users.setdefault(user, (KINDS.index(box.kind), size))
-                    times[user] += 1
+                    first = KINDS.index(box.kind), np.asarray(box.size).tolist()
+                    users.setdefault((scenario.path, box.track), first)
+                    boxes[box.kind] += 1
                 if scans and frame.boxes:
                     inside.append(_points_in_boxes(scans, frame.boxes))
                 sensors.append((images, len(scans)))
@@ -176,10 +171,10 @@ def statistics(
     return Statistics(
         path=data.path,
         splits=tuple(splits),
+        boxes=boxes,
         users=Users(
             np.array([kind for kind, _ in users.values()], np.int64),
             np.array([size for _, size in users.values()], float).reshape(-1, 3),
-            np.array([times[user] for user in users], int),
         ),
         crowd=np.array(crowd),
         points=PointCounts(kind.astype(np.int8), away, points.astype(np.int32)),

@@ -99,7 +99,7 @@ MALLOC_SETTINGS = {
 """How much freed memory workers keep for the next arrays [byte], and that it comes in huge pages;
 see mallopt(3) and glibc's manual, Memory Allocation Tunables. With Dask's own settings workers
 return all of it, and spend a third of their time on getting it again. Arrays above 32 MiB always
-return: in pages of 2 MiB in place of 4 KiB, they cost a twentieth of the time."""
+return: in pages of 2 MiB, not 4 KiB, they cost a twentieth of the time, not a third."""
 
 TIMEOUT = 10
 """Time that a scheduler gets to answer [s]."""

@@ -24,8 +24,7 @@ from inspe_jax.scene.maps.parts import MOST_LISTED, JunctionInfo
 from inspe_jax.scene.maps.registry import list_junctions
 from inspe_jax.study.budget import Share, share_out
 from inspe_jax.study.plan import Study, make_study
-from inspe_jax.study.results import LAYOUTS
-from inspe_jax.study.work import Row
+from inspe_jax.study.work import LAYOUTS, Row
 
 SIGNALS, ALL = "signals", "all"
 """Words for junctions with signals, and for all."""

@@ -35,6 +35,8 @@ FACTS = ("sensors", "voxels", "objects")
 """Columns: number of sensors, of voxels, and mean number of objects in a frame."""
 BEFORE = "surrogate_before"
 """Column of P_sm before a search; empty where nothing was searched."""
+LAYOUTS = "layouts"
+"""Folder of the layouts that searches found, by the keys of their jobs."""
 
 
 def columns(study: Study) -> tuple[str, ...]:

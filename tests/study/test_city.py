@@ -26,7 +26,6 @@ from inspe_jax.study.city import (
     plan_city,
 )
 from inspe_jax.study.city_report import city_view
-from inspe_jax.study.results import read_results
 
 LIES = "+proj=utm +zone=32 +ellps=WGS84 +datum=WGS84 +units=m +no_defs"
 SMALL = ("--radius", 20, "--voxel", 2, "--frames", 2, "--density", 5, "--evaluations", 3)
@@ -77,7 +76,7 @@ def test_a_plan_from_a_map_to_files_and_another_budget(inspe, files):
     assert "proved: of the mixes searched, no plan for this money has a greater sum" in text
     assert "wrote plan.csv, plan.png, plan.geojson into out" in text
     rows = table(there)
-    searched = read_results(there)
+    searched = read_csv(there / "results.csv")
     assert len(searched) == 4 * 4
     assert {row["status"] for row in searched} == {"done"}
     prices = {"velodyne-vlp-16": 4000, "paper-camera": 850.5}

@@ -3,10 +3,10 @@
 import pytest
 
 from inspe_jax.core.errors import InspeError
-from inspe_jax.core.files import csv_text
+from inspe_jax.core.files import csv_text, read_csv
 from inspe_jax.jobs.scenes import versions
 from inspe_jax.study.plan import make_study
-from inspe_jax.study.results import Results, read_results
+from inspe_jax.study.sweep import Results
 from inspe_jax.study.work import columns, failure_columns, row_head
 
 
@@ -27,10 +27,10 @@ def test_rows_are_on_disk_as_they_come_and_in_order_at_the_end(study, tmp_path):
     with Results(study, folder) as results:
         for count, job in enumerate(reversed(study.jobs), 1):
             results.add(row(job), "a layout\n")
-            assert len(read_results(folder)) == count
+            assert len(read_csv(folder / "results.csv")) == count
         rows = results.finish()
     assert [r["key"] for r in rows] == [job.key for job in study.jobs]
-    assert read_results(folder) == rows
+    assert read_csv(folder / "results.csv") == rows
     assert list(rows[0]) == list(columns(study))
     assert rows[1]["seed"] == "1"
     assert (folder / "layouts" / f"{study.jobs[0].key}.yaml").read_text() == "a layout\n"
@@ -80,7 +80,7 @@ def test_what_failed_is_run_again(study, tmp_path):
     with Results(study, tmp_path / "out") as results:
         results.add(row_head(bad) | versions() | failure_columns("two\nlines, and a comma"))
         results.add(row(good))
-    assert read_results(tmp_path / "out")[0]["error"] == "two lines, and a comma"
+    assert read_csv(tmp_path / "out" / "results.csv")[0]["error"] == "two lines, and a comma"
     with Results(study, tmp_path / "out") as results:
         assert set(results.rows) == {good.key}
         results.add(row(bad))
@@ -105,10 +105,8 @@ def test_results_of_something_else_are_left_alone(study, tmp_path):
         with pytest.raises(InspeError, match="its columns are not"):
             Results(study, tmp_path / "other")
         assert (tmp_path / "other" / "results.csv").read_bytes() == text
-    rows = read_results(folder)
+    rows = read_csv(folder / "results.csv")
     rows[0]["jax"] = "0.0.1"
     path.write_text(csv_text(rows))
     with pytest.raises(InspeError, match=r"was begun with jax 0.0.1, but this is"):
         Results(study, folder)
-    with pytest.raises(InspeError, match="no such file; run `inspe sweep` first"):
-        read_results(tmp_path)

@@ -13,7 +13,7 @@ import made_up
 import pytest
 import yaml
 from opv2v_validator import check_scenario, check_set
-from processes import in_this_process
+from processes import in_this_process, inspe_process
 
 import inspe_jax.dataset as dataset
 from inspe_jax.core.errors import InspeError
@@ -41,15 +41,6 @@ STUDY = dict(
     split_by="scenario",
 )  # fmt: skip
 FRAMES = 14
-
-COMMAND = """
-import signal
-signal.signal(signal.SIGINT, signal.default_int_handler)
-import made_up
-made_up.use()
-from inspe_jax.cli import main
-main()
-"""
 
 
 @pytest.fixture(autouse=True)
@@ -102,11 +93,9 @@ def begin(path: Path, out: Path, *options: str, **more) -> subprocess.Popen:
     """Start `inspe generate` with the random recorder, in a new process and process group."""
     here = str(Path(__file__).parents[1])
     paths = os.pathsep.join([here, *filter(None, [os.environ.get("PYTHONPATH")])])
-    return subprocess.Popen(
-        [sys.executable, "-c", COMMAND, "generate", str(path), "--out", str(out), *options],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
+    return inspe_process(
+        *("generate", str(path), "--out", str(out), *options),
+        before="import made_up; made_up.use()",
         start_new_session=True,
         env={**os.environ, "PYTHONPATH": paths, made_up.SLOW: "0.02", **more},
     )

@@ -9,14 +9,14 @@ from pathlib import Path
 import made_up
 import numpy as np
 import pytest
-import yaml
 from frames import car, frame, scan, station
 from typer.testing import CliRunner
 
 import inspe_jax.cli  # noqa: F401, which adds the commands
 from inspe_jax.cli.common import app
-from inspe_jax.dataset import chunk, load_generation, read_frame
+from inspe_jax.dataset import chunk, read_frame
 from inspe_jax.dataset.manifest import MANIFEST, RECORDS, check, manifest_of
+from inspe_jax.dataset.plan import make_generation
 from inspe_jax.dataset.points_in_boxes import with_counts
 from inspe_jax.dataset.writer import DatasetWriter
 
@@ -27,12 +27,6 @@ STUDY = dict(
     settings=dict(radius=15, voxel=2, density=5, seconds=FRAMES / 10, light=["midday", "night"]),
     layers=["depth"],
 )
-
-
-def generation(folder: Path):
-    path = folder / "study.yaml"
-    path.write_text(yaml.safe_dump(STUDY))
-    return load_generation(path)
 
 
 def record(plan_of, out: Path, deep: bool = True) -> dict[str, list]:
@@ -54,7 +48,7 @@ def made(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(chunk, "recorder_of", made_up.recorder_of)
         patch.setattr(chunk, "_worker", chunk.WorkerState())
-        plan = generation(folder)
+        plan = make_generation(STUDY, folder)
         assert record(plan, folder / "out") == {}
     return plan, folder / "out"
 

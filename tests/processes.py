@@ -22,10 +22,10 @@ main()
 """
 
 
-def inspe_process(*arguments: str, **options: Any) -> subprocess.Popen:
-    """`inspe` with arguments, its output in pipes."""
+def inspe_process(*arguments: str, before: str = "", **options: Any) -> subprocess.Popen:
+    """`inspe` with arguments, its output in pipes; Python that runs ``before`` it."""
     return subprocess.Popen(
-        [sys.executable, "-c", COMMAND, *arguments],
+        [sys.executable, "-c", f"{before}\n{COMMAND}", *arguments],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,

@@ -58,9 +58,9 @@ def stats(
         row (--csv FILE.csv): Write the data set's row of a table that compares data sets.
     """
     from inspe_jax.core.sheet import FORMATS
-    from inspe_jax.dataset.check import differing
     from inspe_jax.dataset.figure import statistics_view
     from inspe_jax.dataset.folders import open_dataset
+    from inspe_jax.dataset.manifest import differing
     from inspe_jax.dataset.statistics import statistics, table_row
     from inspe_jax.dataset.tables import statistics_record, statistics_table
 
@@ -109,7 +109,7 @@ def check_files(
     Args:
         deep: Read every file, and compare its SHA-256 as well.
     """
-    from inspe_jax.dataset.check import check
+    from inspe_jax.dataset.manifest import check
 
     claims.file(record, force=force)
     began = time.monotonic()

@@ -1,7 +1,6 @@
 """Data sets of recorded frames: generate, write and read them, in OPV2V's format or another, and
 load them for training."""
 
-from inspe_jax.dataset.check import Check, check
 from inspe_jax.dataset.folders import Dataset, Scenario
 from inspe_jax.dataset.folders import open_dataset as open
 from inspe_jax.dataset.formats.options import FileOptions
@@ -16,6 +15,7 @@ from inspe_jax.dataset.loading import (
     cache,
     open_cache,
 )
+from inspe_jax.dataset.manifest import Check, check
 from inspe_jax.dataset.plan import Generation, ScenarioPlan
 from inspe_jax.dataset.protocol import load_generation
 from inspe_jax.dataset.statistics import Statistics, statistics

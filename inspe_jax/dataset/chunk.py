@@ -3,7 +3,7 @@
 import multiprocessing
 import threading
 from collections.abc import Iterator
-from contextlib import ExitStack
+from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,7 @@ from inspe_jax.dataset.manifest import record_frame, recorded_frames
 from inspe_jax.dataset.plan import ScenarioPlan
 from inspe_jax.dataset.points_in_boxes import with_counts
 from inspe_jax.dataset.protocol import protocol_of
-from inspe_jax.jobs.scenes import message_of, place_layout, release_compiled, scene_of
+from inspe_jax.jobs.scenes import message_of, place_layout, release_compiled, scene_or_message
 from inspe_jax.jobs.sources import SceneSource
 from inspe_jax.scene.scene import Scene
 from inspe_jax.sensing.layout import Layout, layout_text, parse_layout
@@ -31,8 +31,7 @@ class Chunk:
     """Some ``frames`` of a scenario that is written to ``folder``.
 
     ``missing`` of them were not written yet when the chunk was sent. A process that writes a chunk
-    holds the file ``lock``, so that only one does. ``server`` is the one that the backend records
-    with, if it needs one; ``format`` is that of the data set.
+    holds the file ``lock``. ``server`` is the one that the backend records with, if it needs one.
     """
 
     plan: ScenarioPlan
@@ -56,16 +55,15 @@ class Chunk:
 
     @property
     def source(self) -> SceneSource:
-        """The source of its scene."""
+        """Where its scene comes from."""
         return self.plan.source
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """The result of a chunk.
+    """Why a chunk could not be recorded (``error``) or written (``fault``), if it could not.
 
-    ``error`` says why it could not be recorded, ``fault`` why it could not be written; both are
-    empty on success. ``notes`` say what the recorder cannot record as the layout has it.
+    ``notes`` say what the recorder cannot record as the layout has it.
     """
 
     error: str = ""
@@ -77,8 +75,7 @@ class Outcome:
 class WorkerState:
     """The recorder that a worker process has open, of the scenario with this ``key``, if any.
 
-    ``protocol`` is that of the scenario, with what the recorder cannot record in ``notes``.
-    ``closing`` is true once no further frame may be recorded.
+    Once ``closing`` is true, no further frame is recorded.
     """
 
     key: str = ""
@@ -96,8 +93,7 @@ class WorkerState:
         self.close()
         release_compiled(chunk.scene)
         layout, content = layout_of(plan, scene)
-        given = (scene, layout, plan.conditions, plan.recording, plan.seed, chunk.server)
-        opened = recorder_of(chunk.backend, *given, plan.appearance_seed)
+        opened = open_recorder(chunk.backend, plan, scene, layout, chunk.server)
         recorder = self.stack.enter_context(opened)
         short = scene.shortfall
         self.notes = (*recorder.notes, *([f"road users: {short}"] if short else []))
@@ -125,24 +121,28 @@ def layout_of(plan: ScenarioPlan, scene: Scene) -> tuple[Layout, dict[str, Any]]
     return parse_layout(content, source.name, source.name, scene), content
 
 
+def open_recorder(
+    backend: str, plan: ScenarioPlan, scene: Scene, layout: Layout, server: Server | None = None
+) -> AbstractContextManager[Recorder]:
+    """A recorder of a scenario with this layout on its scene."""
+    given = (scene, layout, plan.conditions, plan.recording, plan.seed, server)
+    return recorder_of(backend, *given, plan.appearance_seed)
+
+
 def build(chunk: Chunk) -> Scene | str:
     """The scene of a chunk; or the message of the error, if it cannot be built."""
-    try:
-        return scene_of(chunk.source, chunk.plan.build)
-    except Exception as e:
-        return message_of(e)
+    return scene_or_message(chunk.source, chunk.plan.build)
 
 
 def work(scene: Scene | str, chunk: Chunk) -> Outcome:
     """Record and write the missing frames of a chunk.
 
-    The bytes of a frame do not depend on when, or by which worker, it is recorded. ``scene`` may be
-    a message of :func:`build`, which then is the error of the chunk.
+    The bytes of a frame do not depend on when, or by which worker, it is recorded. A message of
+    :func:`build` in place of the scene is the error of the chunk.
     """
     if isinstance(scene, str):
         return Outcome(error=scene)
-    notes: tuple[str, ...] = ()
-    options = chunk.plan.files
+    notes, options = tuple[str, ...](), chunk.plan.files
     try:
         with FileLock(chunk.lock):
             for t in _missing(chunk):
@@ -179,9 +179,7 @@ def close() -> None:
 def _missing(chunk: Chunk) -> Iterator[int]:
     """Frames of a chunk that are not written yet; stops when the sending process is gone."""
     sender = multiprocessing.parent_process()
-    # No other process writes frames of this chunk now: this one holds the lock.
-    there = recorded_frames(chunk.folder)
-    for t in sorted({*chunk.frames} - set(there)):
+    for t in sorted({*chunk.frames} - set(recorded_frames(chunk.folder))):
         if sender is not None and not sender.is_alive():
             return
         yield t

@@ -1,12 +1,11 @@
 """What a data set would hold, how large it would be and how long it would take: before it is made.
 
-Every scene is built, so that road users are counted. Of every layout two frames are recorded in
-each light and weather, on the first scene that has it and on this machine; sizes and times of the
-set are sums of these.
+Every scene is built, and its road users are counted. Of every layout two frames are recorded in
+each light and weather, on the first scene that has it; sizes and times of the set are their sums.
 """
 
 import time
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from inspe_jax.dataset.chunk import layout_of
+from inspe_jax.dataset.chunk import layout_of, open_recorder
 from inspe_jax.dataset.formats.registry import FORMATS
 from inspe_jax.dataset.manifest import record_frame
 from inspe_jax.dataset.plan import Generation, ScenarioPlan
@@ -23,7 +22,7 @@ from inspe_jax.dataset.points_in_boxes import with_counts
 from inspe_jax.jobs.scenes import scene_of
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scene.traffic.frames import CLASSES
-from inspe_jax.simulation.backends import BACKENDS, recorder_of
+from inspe_jax.simulation.backends import BACKENDS
 from inspe_jax.simulation.parked import parked_vehicles
 
 
@@ -65,14 +64,12 @@ def estimate(
     scenarios done and of all. Raises InspeError as generating does.
     """
     backend = backend or generation.backend
-    tried = None if BACKENDS[backend].remote else dict[tuple[Any, ...], Sample]()
+    tried = None if BACKENDS[backend].remote else dict[Any, Sample]()
     boxes = {split: Counter[str]() for split in generation.splits}
-    by_scene: dict[str, list[ScenarioPlan]] = {}
+    by_scene = defaultdict[str, list[ScenarioPlan]](list)
     for plan in generation.scenarios:
-        by_scene.setdefault(plan.scene, []).append(plan)
-    shortfalls: Counter[str] = Counter()
-    size = seconds = 0.0
-    done = 0
+        by_scene[plan.scene].append(plan)
+    shortfalls, size, seconds, done = Counter[str](), 0.0, 0.0, 0
     for plans in by_scene.values():
         began = time.perf_counter()
         scene = scene_of(plans[0].source, plans[0].build)
@@ -107,11 +104,7 @@ def _boxes(scene: Scene, backend: str) -> Counter[str]:
 
 
 def _sample(
-    format: str,
-    backend: str,
-    plan: ScenarioPlan,
-    scene: Scene,
-    tried: dict[tuple[Any, ...], Sample],
+    format: str, backend: str, plan: ScenarioPlan, scene: Scene, tried: dict[Any, Sample]
 ) -> Sample:
     """What a scenario's layout takes, tried where its like was not before."""
     layout, _ = layout_of(plan, scene)
@@ -121,8 +114,7 @@ def _sample(
     if key in tried:
         return tried[key]
     began = time.perf_counter()
-    given = scene, layout, plan.conditions, plan.recording, plan.seed, None, plan.appearance_seed
-    with recorder_of(backend, *given) as recorder, TemporaryDirectory() as folder:
+    with open_recorder(backend, plan, scene, layout) as recorder, TemporaryDirectory() as folder:
         opened = time.perf_counter()
         for t in (0, plan.frames // 2):  # what is done once, is done with the first
             first = time.perf_counter()

@@ -19,7 +19,6 @@ from inspe_jax.simulation.frame import KINDS
 
 FEWEST = 5
 """Range bands with fewer boxes than this are left out of the curves."""
-
 MOST_DOTS = 2000
 """Largest number of boxes of a class that are drawn as dots; of more, every n-th is drawn."""
 
@@ -31,8 +30,7 @@ _MEDIAN: dict[str, Any] = dict(lw=1.4, marker="o", ms=2.2)
 def statistics_view(found: Statistics) -> Figure:
     """A figure of a data set: objects per class and per frame, their sizes, and points by range.
 
-    Sizes count each road user once per scenario. Points are those of all scans of a frame; this
-    part is left out if no road user was scanned.
+    The last part is left out if no road user was scanned.
     """
     scanned = len(found.points.kind) > 0
     notes = textwrap.wrap(_notes(found), 130)
@@ -59,16 +57,15 @@ def statistics_view(found: Statistics) -> Figure:
 
 def _heading(fig: Figure, found: Statistics) -> None:
     total = found.total
-    what = [
-        counted(len(found.splits), "split"),
-        counted(total.scenarios, "scenario"),
-        counted(total.frames, "frame"),
-        f"{total.boxes:,} boxes of {counted(sum(found.tracks.values()), 'road user')}",
-    ]
     seen = f"{counted(total.images, 'image')}, {counted(total.clouds, 'point cloud')}"
     if total.clouds:
         seen += f" of {found.mean_points:,.0f} points on average"
-    heading(fig, f"Data set {found.name}", f"{', '.join(what)}\n{seen}")
+    facts = (
+        f"{counted(len(found.splits), 'split')}, {counted(total.scenarios, 'scenario')}, "
+        f"{counted(total.frames, 'frame')}, {total.boxes:,} boxes of "
+        f"{counted(sum(found.tracks.values()), 'road user')}\n{seen}"
+    )
+    heading(fig, f"Data set {found.name}", facts)
 
 
 def _notes(found: Statistics) -> str:

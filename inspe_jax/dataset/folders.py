@@ -10,18 +10,11 @@ from typing import Any
 
 from inspe_jax.core.errors import InspeError, nearest
 from inspe_jax.dataset.formats.protocol_file import read_protocol
-from inspe_jax.dataset.formats.registry import (
-    DEFAULT_FORMAT,
-    FORMATS,
-    DatasetFormat,
-    format_of,
-)
+from inspe_jax.dataset.formats.registry import DEFAULT_FORMAT, FORMATS, DatasetFormat, format_of
 from inspe_jax.simulation.frame import Frame
 
 SPLITS = ("train", "validate", "test")
 """The usual splits, in their order; a data set may have others, such as ``test_culvercity``."""
-
-
 MOST_LISTED = 20
 """Largest number of scenarios that an error lists."""
 
@@ -89,11 +82,10 @@ class Dataset:
         listed = ", ".join(names[:MOST_LISTED])
         if len(names) > MOST_LISTED:
             listed += f" and {len(names) - MOST_LISTED} more"
-        if name is None:
-            what = f"{len(named)} scenarios: name one of {listed}"
-        elif found:
+        what = f"{len(named)} scenarios: name one of {listed}"
+        if name is not None and found:
             what = f"scenario '{name}' is in {len(found)} splits: {listed}"
-        else:
+        elif name is not None:
             known = (*named, *(scenario.name for scenario in self.scenarios))
             what = f"no scenario '{name}': one of {listed}{nearest(name, known)}"
         raise InspeError(f"{self.path}: {what}")
@@ -134,14 +126,13 @@ def split_order(split: Path) -> int:
 
 
 def disk_size(folder: Path) -> int:
-    """Size of all files in a folder and below it [bytes]; a file with two names counts once."""
-    sizes = {}
+    """Size of all files in a folder and below it [bytes]."""
+    size = 0
     for place, _, names in os.walk(folder):
         for name in names:
             with suppress(FileNotFoundError):  # a worker's, which it renamed just now
-                status = os.lstat(os.path.join(place, name))
-                sizes[status.st_dev, status.st_ino] = status.st_size
-    return sum(sizes.values())
+                size += os.lstat(os.path.join(place, name)).st_size
+    return size
 
 
 def _scenarios(split: Path) -> tuple[Scenario, ...]:

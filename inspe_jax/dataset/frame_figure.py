@@ -34,10 +34,8 @@ from inspe_jax.simulation.projection import corners, edge_lines
 
 MARGIN = 6.0
 """Margin of the plan around road users and stations [m]."""
-
 BADGE_COLOR = "#00543d"
 """Colour of stations: a green that no class has."""
-
 _HEIGHTS = LinearSegmentedColormap.from_list(
     "heights", ["#d4d4d4", "#9db8c8", "#4c7f94", "#0d3b4a"]
 )
@@ -224,9 +222,8 @@ def _keys(frame: Frame, images: bool) -> list[Any]:
         keys.append(Line2D([], [], color=BADGE_COLOR, lw=0.9, label="direction of a camera"))
     layers = [image.instance for station in frame.stations for image in station.images]
     if any(layer is not None for layer in layers):
-        keys.append(
-            Line2D([], [], color="#606060", lw=0.9, ls=_DOTS, label="no pixel of it is visible")
-        )
+        look: dict[str, Any] = dict(color="#606060", lw=0.9, ls=_DOTS)
+        keys.append(Line2D([], [], **look, label="no pixel of it is visible"))
     return keys
 
 

@@ -27,10 +27,9 @@ class GenerationResult:
 
     ``scenarios`` and ``frames`` are the numbers of those that are complete now; ``size`` is that of
     all files [bytes]. ``recorded`` is the number of frames of this run, and ``seconds`` the time
-    that it took. ``failures`` says, by the name of the scenario, why it could not be generated.
-    ``notes`` says what of a scenario could not be recorded as its layout has it; it covers the
-    scenarios that were recorded in this run. ``repaired`` says what was wrong with the files of
-    scenarios that were complete before.
+    that it took. By the name of the scenario, ``failures`` says why it could not be generated,
+    ``notes`` what was not recorded in this run as its layout has it, and ``repaired`` what was
+    wrong with its files, if it was complete before.
     """
 
     folder: Path
@@ -160,18 +159,17 @@ def _record(
         finally:
             with suppress(Exception):
                 client.run(close, on_error="ignore")
-    succeeded = [plan.name for plan in generation.scenarios if plan.name not in failures]
-    return failures, {name: notes[name] for name in succeeded if name in notes}
+    names = [plan.name for plan in generation.scenarios if plan.name not in failures]
+    return failures, {name: notes[name] for name in names if name in notes}
 
 
 def _chunks(
     writer: DatasetWriter, plan: ScenarioPlan, backend: str, server: Server | None
 ) -> list[Chunk]:
     """The chunks of a scenario that have missing frames."""
-    found = []
-    for frames in plan.chunks:
-        missing = len({*frames} - writer.there[plan.name])
-        if missing:
-            files = writer.unfinished(plan), writer.lock(plan, frames.start)
-            found.append(Chunk(plan, backend, *files, frames, missing, server, writer.format_name))
-    return found
+    folder, format = writer.unfinished(plan), writer.format_name
+    return [
+        Chunk(plan, backend, folder, writer.lock(plan, part.start), part, missing, server, format)
+        for part in plan.chunks
+        if (missing := len({*part} - writer.there[plan.name]))
+    ]

@@ -7,26 +7,28 @@ While a scenario is generated, each frame that is written gets a record of its f
      "files": {"data_protocol.yaml": [2041, "9f86d0…"]},
      "frames": {"0": {"-1/000000.pcd": [812345, "60303a…"], …}, …}}
 
-Paths are relative to the scenario's folder; digests are SHA-256. A file is compared by its size, or
-read and compared by its digest as well, which takes as long as reading the disk does.
+Paths are relative to the scenario's folder; digests are SHA-256.
 """
 
 import json
 import os
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from inspe_jax.core.errors import InspeError
-from inspe_jax.core.files import digest_of, read_json, write_text
+from inspe_jax.core.files import digest_of, read_json, read_yaml, write_text
+from inspe_jax.dataset.folders import Dataset, Scenario, open_dataset
 from inspe_jax.dataset.formats.protocol_file import PROTOCOL
 
 MANIFEST, RECORDS = "manifest.json", ".frames"
 FORMAT = "inspe_jax manifest 1"
-Files = Mapping[str, tuple[int, str]]
+GENERATION = "generation.yaml"
+"""The record of a generated data set: among other things, which scenarios it has."""
+Files = dict[str, tuple[int, str]]
 """Size [bytes] and SHA-256 of files, by their path relative to the scenario's folder."""
 
 
@@ -36,11 +38,6 @@ class Manifest:
 
     files: Files
     frames: frozenset[int]
-
-    @property
-    def size(self) -> int:
-        """Size of all files [bytes]."""
-        return sum(size for size, _ in self.files.values())
 
 
 @dataclass(frozen=True)
@@ -61,7 +58,7 @@ def record_frame(folder: Path, number: int, files: Iterable[Path]) -> None:
     """Record the files of a frame that has been written. Its record is its last file."""
     record = folder / RECORDS / f"{number:06d}.json"
     record.parent.mkdir(exist_ok=True)
-    write_text(record, _text(_measured(folder, files)))
+    _write(record, _measured(folder, files))
 
 
 def recorded_frames(folder: Path, deep: bool = False) -> dict[int, Files]:
@@ -75,11 +72,7 @@ def recorded_frames(folder: Path, deep: bool = False) -> dict[int, Files]:
             files = _files(read_json(path), path)
         except InspeError:
             files = {}
-        faulty = (
-            _fault_of(folder / file, size, digest if deep else None)
-            for file, (size, digest) in files.items()
-        )
-        if files and not any(faulty):
+        if files and not any(_fault_of(folder / name, *files[name], deep) for name in files):
             found[int(path.stem)] = files
         else:
             path.unlink(missing_ok=True)
@@ -88,23 +81,20 @@ def recorded_frames(folder: Path, deep: bool = False) -> dict[int, Files]:
 
 def write_manifest(folder: Path, files: Iterable[Path]) -> None:
     """Put the frames' records together, with ``files`` that belong to no frame."""
-    content = {
-        "format": FORMAT,
-        "files": _measured(folder, files),
-        "frames": {str(number): own for number, own in recorded_frames(folder).items()},
-    }
-    write_text(folder / MANIFEST, _text(content))
+    frames = {str(number): own for number, own in recorded_frames(folder).items()}
+    content = {"format": FORMAT, "files": _measured(folder, files), "frames": frames}
+    _write(folder / MANIFEST, content)
 
 
-def _measured(folder: Path, files: Iterable[Path]) -> dict[str, tuple[int, str]]:
+def _measured(folder: Path, files: Iterable[Path]) -> Files:
     return {
         path.relative_to(folder).as_posix(): (path.stat().st_size, digest_of(path))
         for path in sorted(files)
     }
 
 
-def _text(content: Mapping[str, Any]) -> str:
-    return json.dumps(content, indent=1) + "\n"
+def _write(path: Path, content: Mapping[str, Any]) -> None:
+    write_text(path, json.dumps(content, indent=1) + "\n")
 
 
 # ── Reading and comparing ───────────────────────────────────────────────────
@@ -137,8 +127,8 @@ def compare(
     """The manifest of a scenario, None where there is none, and what is not as it says.
 
     With ``count``, a manifest has a fault that lacks the protocol, or files of a frame 0 … count −
-    1. ``deep`` also reads files and compares them; with ``others``, files that the manifest does
-    not know are faults too, but for hidden ones.
+    1. ``deep`` also compares digests, for which every file is read; with ``others``, files that the
+    manifest does not know are faults too, but for hidden ones.
     """
     manifest, found = manifest_of(folder)
     if manifest is None:
@@ -146,26 +136,30 @@ def compare(
     listed = manifest.frames == set(range(count or 0)) and PROTOCOL in manifest.files
     if count is not None and not listed:
         found.append(Fault(folder / MANIFEST, f"does not list all files of {count} frames"))
-    rows = [
-        (folder / path, size, digest if deep else None)
-        for path, (size, digest) in manifest.files.items()
-    ]
+    paths = {folder / name: facts for name, facts in manifest.files.items()}
     # A digest is computed without Python's lock, so that threads use every core.
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        each = pool.map(lambda row: _fault_of(*row), rows)
-    found += [Fault(row[0], what) for row, what in zip(rows, each, strict=True) if what]
-    known = {row[0] for row in rows} | {folder / MANIFEST}
-    strange = sorted(set(_visible_files(folder)) - known) if others else ()
-    return manifest, found + [Fault(path, "not in the manifest") for path in strange]
+        each = pool.map(lambda path: _fault_of(path, *paths[path], deep), paths)
+    found += [Fault(path, what) for path, what in zip(paths, each, strict=True) if what]
+    strange = _visible_files(folder) - {*paths, folder / MANIFEST} if others else ()
+    return manifest, found + [Fault(path, "not in the manifest") for path in sorted(strange)]
 
 
-def _fault_of(path: Path, size: int, digest: str | None) -> str:
+def differing(scenario: Scenario) -> list[Fault]:
+    """The files of a scenario that have not the size that its manifest says, if it has one.
+
+    Files that the manifest does not know are left out.
+    """
+    return compare(scenario.path)[1]
+
+
+def _fault_of(path: Path, size: int, digest: str, deep: bool) -> str:
     """What is wrong with a file; empty if nothing is."""
     try:
         now = path.stat().st_size
         if now != size:
             return f"is {now} bytes long, and was {size}"
-        if digest is not None and digest_of(path) != digest:
+        if deep and digest_of(path) != digest:
             return "its content has changed"
     except FileNotFoundError:
         return "is missing"
@@ -174,16 +168,18 @@ def _fault_of(path: Path, size: int, digest: str | None) -> str:
     return ""
 
 
-def _visible_files(folder: Path) -> Iterator[Path]:
+def _visible_files(folder: Path) -> set[Path]:
+    found = set[Path]()
     for top, folders, names in os.walk(folder):
         folders[:] = [name for name in folders if not name.startswith(".")]
-        yield from (Path(top) / name for name in names if not name.startswith("."))
+        found |= {Path(top) / name for name in names if not name.startswith(".")}
+    return found
 
 
-def _files(content: Any, where: Path) -> dict[str, tuple[int, str]]:
+def _files(content: Any, where: Path) -> Files:
     """Files of a manifest. Raises InspeError where they are none, or lie outside the folder."""
     entries: Iterable[tuple[Any, Any]] = content.items() if isinstance(content, dict) else [("", 0)]
-    found = dict[str, tuple[int, str]]()
+    found = Files()
     for path, entry in entries:
         match entry:
             case [int(size), str(digest)] if (
@@ -193,3 +189,80 @@ def _files(content: Any, where: Path) -> dict[str, tuple[int, str]]:
             case _:
                 raise InspeError(f"{where}: {path}: must be the size and the digest of a file")
     return found
+
+
+# ── A whole set ─────────────────────────────────────────────────────────────
+
+
+@dataclass(frozen=True)
+class Check:
+    """The result of a check.
+
+    ``scenarios``, ``files`` and ``size`` [bytes] are those with a manifest. ``faults`` are what is
+    wrong with them; ``unknown`` are scenarios without a manifest, of which nothing can be said.
+    """
+
+    scenarios: int
+    files: int
+    size: int
+    faults: tuple[Fault, ...]
+    unknown: tuple[Path, ...]
+
+    @property
+    def record(self) -> dict[str, Any]:
+        """For JSON."""
+        return {
+            "scenarios": self.scenarios,
+            "files": self.files,
+            "bytes": self.size,
+            "faults": [{"file": str(fault.path), "what": fault.what} for fault in self.faults],
+            "without_manifest": [str(path) for path in self.unknown],
+        }
+
+
+def check(
+    given: Dataset | str | os.PathLike[str],
+    deep: bool = False,
+    progress: Callable[[int, int], None] | None = None,
+) -> Check:
+    """Compare every file of a data set with its manifest: by size, and if ``deep`` by digest.
+
+    Scenarios that a generated data set should have and has not are faults, too. ``progress`` is
+    called with the number of scenarios done and of all. Raises InspeError if there is no such data
+    set.
+    """
+    data = given if isinstance(given, Dataset) else open_dataset(given)
+    faults, known, unknown = _missing_scenarios(data), list[Manifest](), list[Path]()
+    for number, scenario in enumerate(data.scenarios, 1):
+        manifest, own = compare(scenario.path, _frame_count(scenario), deep, others=True)
+        faults += own
+        if manifest is not None:
+            known.append(manifest)
+        elif not own:
+            unknown.append(scenario.path)
+        if progress:
+            progress(number, len(data.scenarios))
+    sizes = [size for manifest in known for size, _ in manifest.files.values()]
+    return Check(len(known), len(sizes), sum(sizes), tuple(faults), tuple(unknown))
+
+
+def _frame_count(scenario: Scenario) -> int | None:
+    """How many frames the protocol says there are; a damaged one is a fault of its own."""
+    try:
+        told = scenario.protocol
+        return round(told["settings"]["seconds"] * told["recording"]["rate_hz"])
+    except (InspeError, KeyError, TypeError):
+        return None
+
+
+def _missing_scenarios(data: Dataset) -> list[Fault]:
+    path = data.path / GENERATION
+    record = read_yaml(path) if path.is_file() else None
+    scenarios = record.get("scenarios") if isinstance(record, dict) else None
+    there = {scenario.path for scenario in data.scenarios}
+    return [
+        Fault(place, "is missing: the same `inspe generate` records it again")
+        for split, names in (scenarios.items() if isinstance(scenarios, dict) else ())
+        for name in names or ()
+        if (place := data.path / str(split) / str(name)) not in there
+    ]

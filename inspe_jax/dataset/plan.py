@@ -1,28 +1,14 @@
 """The plan of a data set: every layout on every scene in every setting. Read from YAML.
 
-The file is like that of a study (:mod:`inspe_jax.study.plan`), with other settings::
+The file is like that of a study (:mod:`inspe_jax.study.plan`), with ``seconds``, the length of a
+scenario, among its settings, and with the keys of :class:`RecordingEntry`, ``splits`` and
+``split_by``::
 
-    scenes:
-      - built_in: four_way
-      - {map: Town05.xodr, junction: 53, radius: 60}
-    layouts: [Cam-d1, Cam-d1/L-d1, layout.yaml]
     settings:                        # one value or a list; every combination is a scenario
       density: [low, medium, high]   # of scenes: radius, voxel, density, mix, traffic, seed,
-                                     #   statics (none, or street for made-up street furniture),
-                                     #   terrain (none or ground)
+                                     #   statics (none or street), terrain (none or ground)
       light: [midday, night]         # of the sensors: light, weather
-      seed: [0, 1, 2]
-      seconds: 20                    # length of a scenario
-    rate_hz: 10                      # frames per second
-    layers: [depth, instance]        # in addition to the pictures; or semantic
-    image_scale: 0.5                 # of the cameras' own resolution, up to 4
-    image_size: [352, 128]           # or width and height of all pictures
-    lidar_turn_s: 0.1                # how long a LiDAR's turn takes; 0: all rays at once
-    format: opv2v                    # how files are written
-    pictures: png                    # or jpeg: smaller, and faster to read
-    cameras_per_agent: 4             # for readers that want as many of each; not given: as they are
-    infra_set_names: false           # a second name for the first point cloud of each agent
-    visibility_maps: false           # a picture of the road users that each agent's cameras see
+      seconds: 20
     splits: {train: 7, validate: 1, test: 2}
     split_by: scene                  # or intersection, or scenario: see below
 
@@ -45,6 +31,7 @@ from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cache, cached_property
+from itertools import product
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -98,8 +85,7 @@ CHUNK = 10
 class ScenarioPlan:
     """A scenario to be generated; ``settings`` has every key of :data:`SETTINGS`.
 
-    ``seed`` is that of the sensors' noise. It differs in every scenario, also where scenarios of
-    one scene have the same traffic. ``files`` says how they are written.
+    ``seed`` is that of the sensors' noise: another one in every scenario, also of the same traffic.
     """
 
     name: str
@@ -146,12 +132,15 @@ class ScenarioPlan:
 
     @cached_property
     def traffic_key(self) -> str:
-        """A short text that identifies the road users, whatever sees them, and in whichever
-        light."""
+        """A short text that identifies the road users, in whichever light and whatever sees
+        them."""
         of = {key: self.settings[key] for key in ("mix", "traffic", "seed")}
-        density = self.settings["density"]
-        count = DENSITIES.get(density, density)  # a name, or the number itself
-        return digest([place_of(self.source), self.source.content, of, count])[:16]
+        return digest([place_of(self.source), self.source.content, of, self.density])[:16]
+
+    @property
+    def density(self) -> Any:
+        """The number of road users that was asked for, also where it has a name."""
+        return DENSITIES.get(self.settings["density"], self.settings["density"])
 
     @property
     def kind(self) -> str:
@@ -166,11 +155,7 @@ class ScenarioPlan:
 
 @dataclass(frozen=True)
 class Generation:
-    """A data set to be generated: its scenarios, in order.
-
-    ``notes`` are messages for the user; ``format`` is one of
-    :data:`~inspe_jax.dataset.formats.registry.FORMATS`.
-    """
+    """A data set to be generated: its scenarios, in order, and ``notes`` for the user."""
 
     name: str
     scenarios: tuple[ScenarioPlan, ...]
@@ -185,8 +170,7 @@ class Generation:
 
     @property
     def splits(self) -> dict[str, tuple[ScenarioPlan, ...]]:
-        """The scenarios of each split of :data:`~inspe_jax.dataset.folders.SPLITS`, perhaps
-        none."""
+        """The scenarios of each of the usual splits, perhaps none."""
         return {
             split: tuple(plan for plan in self.scenarios if plan.split == split) for split in SPLITS
         }
@@ -225,19 +209,15 @@ class RecordingEntry(Strict):
     visibility_maps: bool = DEFAULT_OPTIONS.visibility_maps
 
     def recording(self, where: str) -> Recording:
-        """The settings of the recording.
-
-        Raises InspeError where a layer is given twice, or the format of the data set is unknown.
-        """
+        """The settings of the recording. Raises InspeError where a value is not allowed."""
         check_known(self.format, FORMATS, f"{where}: format:")
         check_names([str(layer) for layer in self.layers], f"{where}: layers")
-        size = self.image_size
         found = Recording(
             rate=self.rate_hz,
             layers=tuple(self.layers),
             image_scale=self.image_scale,
             turn=self.lidar_turn_s,
-            image_size=(size[0], size[1]) if size else None,
+            image_size=(self.image_size[0], self.image_size[1]) if self.image_size else None,
         )
         try:
             found.check()
@@ -280,28 +260,29 @@ def make_generation(
     layouts = layout_sources(entry, folder, where)
     defaults = defaults_of((*WORLD, *CONDITIONS)) | {"seconds": [SECONDS]}
     plans: dict[str, ScenarioPlan] = {}
-    for at, item, source, given in each_scene(entry.scenes, WORLD, whole, folder, where):
+    for at, item, source, own in each_scene(entry.scenes, WORLD, whole, folder, where):
         if source.file is not None:
-            given["seconds"] = saved_seconds(source, given["seconds"], recording.rate, at)
-        for build in combinations(given, (*WORLD, "seconds"), defaults):
-            for layout in layouts:
-                for around in combinations(given, CONDITIONS, defaults):
-                    settings = build | conditioned(around)
-                    plan = ScenarioPlan("", "", source, layout, settings, recording, 0)
-                    plans.setdefault(plan.key, replace(plan, tags=dict(item.tags), files=files))
+            own["seconds"] = saved_seconds(source, own["seconds"], recording.rate, at)
+        builds = combinations(own, (*WORLD, "seconds"), defaults)
+        for build, layout, around in product(
+            builds, layouts, combinations(own, CONDITIONS, defaults)
+        ):
+            settings = build | conditioned(around)
+            plan = ScenarioPlan("", "", source, layout, settings, recording, 0)
+            plans.setdefault(plan.key, replace(plan, tags=dict(item.tags), files=files))
     done = _named([replace(plan, seed=_seed(key)) for key, plan in plans.items()])
     groups = [_group(plan, entry.split_by) for plan in done]
     splits = _split(dict(groups), proportions)
     scenarios = tuple(
         replace(plan, split=splits[group]) for (group, _), plan in zip(groups, done, strict=True)
     )
-    wanted = sum(share > 0 for share in proportions)
+    given = [split for split, share in zip(SPLITS, proportions, strict=True) if share]
     advice = "scenes" if entry.split_by == "intersection" else "values of seed"
     notes = tuple(
-        f"{split} is empty: {counted(len(splits), entry.split_by)} for {wanted} splits; give "
+        f"{split} is empty: {counted(len(splits), entry.split_by)} for {len(given)} splits; give "
         f"more {advice}, or another split_by"
-        for split, share in zip(SPLITS, proportions, strict=True)
-        if share and split not in splits.values()
+        for split in given
+        if split not in splits.values()
     )
     return Generation(entry.name or name, scenarios, notes=notes, format=entry.format)
 
@@ -399,7 +380,7 @@ def place_of(source: SceneSource) -> str:
 
 def _group(plan: ScenarioPlan, split_by: str) -> tuple[str, tuple[str, ...]]:
     """What a scenario is kept together with in a split, and the kind of that."""
-    density = str(DENSITIES.get(plan.settings["density"], plan.settings["density"]))
+    density = str(plan.density)
     return {
         "intersection": (place_of(plan.source), (plan.kind,)),
         "scene": (plan.traffic_key, (density, plan.kind)),
@@ -411,9 +392,8 @@ def _split(kinds: Mapping[str, tuple[str, ...]], proportions: Sequence[float]) -
     """The split of each key of ``kinds``, which maps keys to their kinds, coarse to fine.
 
     The sizes of the splits follow the proportions as closely as whole numbers allow. Keys are
-    sorted by the hashes of their kinds, then by their own, and dealt out so that every stretch of
-    this order is split in proportion. So each kind is in all splits, if there are enough keys of
-    it, and which keys go where depends on hashes only.
+    sorted by the hashes of their kinds, then by their own, and every stretch of this order is
+    divided in proportion. So each kind is in all splits, if there are enough keys of it.
     """
     total, count = sum(proportions), len(kinds)
     exact = [proportion * count / total for proportion in proportions]
@@ -422,13 +402,11 @@ def _split(kinds: Mapping[str, tuple[str, ...]], proportions: Sequence[float]) -
     for s in rest[: count - sum(quota)]:
         quota[s] += 1
     found, dealt = {}, [0] * len(quota)
-
-    def place(key: str) -> tuple[str, ...]:
-        kind = kinds[key]
-        return (*(_hash(*kind[: k + 1]) for k in range(len(kind))), _hash(key))
-
-    order = sorted(kinds, key=place)
-    for n, key in enumerate(order, 1):
+    place = {
+        key: [*(_hash(*kind[: k + 1]) for k in range(len(kind))), _hash(key)]
+        for key, kind in kinds.items()
+    }
+    for n, key in enumerate(sorted(kinds, key=place.__getitem__), 1):
         left = [s for s in range(len(quota)) if dealt[s] < quota[s]]
         s = max(left, key=lambda s: quota[s] * n / count - dealt[s])
         dealt[s] += 1

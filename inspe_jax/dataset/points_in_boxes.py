@@ -17,8 +17,7 @@ in spite of rounding, and points of the road below are not."""
 def count_inside(scans: Sequence[Scan], boxes: Sequence[RoadUserBox]) -> Int[np.ndarray, "S B"]:
     """How many points of each of S scans lie in each of B boxes.
 
-    The points of all scans are sorted by x once, so that each box is compared only with the points
-    in its own range of x.
+    The points are sorted by x once: each box is compared with those in its own range of x.
     """
     counts = np.zeros((len(scans), len(boxes)), np.int64)
     if not counts.size:
@@ -44,22 +43,11 @@ def count_inside(scans: Sequence[Scan], boxes: Sequence[RoadUserBox]) -> Int[np.
     return counts
 
 
-def returns_of(scans: Sequence[Scan], boxes: Sequence[RoadUserBox]) -> Int[np.ndarray, "S B"]:
-    """How many returns each of S scans has of each road user, as recorded.
-
-    The points inside its box, if the recording of one of the scans does not say.
-    """
-    known = [scan.returns for scan in scans if scan.returns is not None]
-    if len(known) == len(scans):
-        return np.array(known, np.int64).reshape(len(scans), len(boxes))
-    return count_inside(scans, boxes)
-
-
 def with_counts(frame: Frame) -> Frame:
-    """The frame with the returns and the pixels of each road user, where its recorder told none.
+    """The frame with the returns and the pixels of each road user.
 
-    Then returns are the points inside its box, and pixels are counted in the instance picture, if
-    there is one.
+    Where its recorder told none, returns are the points inside its box, and pixels are counted in
+    the instance picture, if there is one.
     """
 
     def of_scan(scan: Scan) -> Scan:
@@ -74,14 +62,10 @@ def with_counts(frame: Frame) -> Frame:
         tracks = np.array([box.track for box in frame.boxes], int)
         return replace(image, pixels=instance[tracks + 1])
 
-    stations = (
-        replace(
-            station,
-            images=tuple(map(of_image, station.images)),
-            scans=tuple(map(of_scan, station.scans)),
-        )
-        for station in frame.stations
-    )
+    stations = []
+    for station in frame.stations:
+        images, scans = tuple(map(of_image, station.images)), tuple(map(of_scan, station.scans))
+        stations.append(replace(station, images=images, scans=scans))
     return replace(frame, stations=tuple(stations))
 
 

@@ -1,7 +1,6 @@
 """The protocol of a scenario, ``data_protocol.yaml``: everything needed to generate it again.
 
-It contains the whole layout. Of a map or a saved scene it has the name and the digest of the
-content.
+It has the whole layout, and of a map or a saved scene the name and the digest of the content.
 """
 
 import os
@@ -99,9 +98,8 @@ def protocol_of(
 ) -> dict[str, Any]:
     """The content of a scenario's protocol.
 
-    ``layout`` is the content of a layout file; ``notes`` say what could not be recorded as the
-    layout has it; ``format`` is that of the data set; ``middle`` is that of the region of interest
-    [m].
+    ``layout`` is the content of a layout file; ``notes`` say what could not be recorded as it has
+    it; ``middle`` is that of the region of interest [m].
     """
     source = plan.source.anywhere
     scene = asdict(source) | {"content": source.content or None}
@@ -117,9 +115,8 @@ def protocol_of(
         "lidar_turn_s": plan.recording.turn,
         "seed": plan.seed,
         "format": None if format == DEFAULT_FORMAT else format,
+        **{k: v for k, v in asdict(plan.files).items() if v != getattr(DEFAULT_OPTIONS, k)},
     }
-    for key, value in asdict(plan.files).items():
-        recording[key] = None if value == getattr(DEFAULT_OPTIONS, key) else value
     content = {
         "format": FORMAT,
         "name": plan.name,

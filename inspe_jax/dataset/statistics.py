@@ -23,8 +23,8 @@ RANGE_EDGES: Float[np.ndarray, " R"] = 5 * 2 ** (np.arange(-4, 14) / 2)
 class Split:
     """The counts of a split. An agent counts once per scenario, a box once per frame.
 
-    ``clouds`` is the number of point clouds, ``points`` that of all points in them; ``size`` is
-    that of all files in the scenarios' folders [bytes].
+    ``clouds`` are point clouds, ``points`` all points in them; ``size`` is that of all files in the
+    scenarios' folders [bytes].
     """
 
     name: str
@@ -43,12 +43,11 @@ COUNTS = tuple(f.name for f in fields(Split) if f.name != "name")
 
 @dataclass(frozen=True, eq=False)
 class Users:
-    """The K road users of all scenarios: the index of each in KINDS, the size (length, width,
-    height) of its first box [m], and the number of frames that it is in."""
+    """The K road users of all scenarios: the index of each in KINDS, and the size (length, width,
+    height) of its first box [m]."""
 
     kind: Int[np.ndarray, " K"]
     size: Float[np.ndarray, "K 3"]
-    frames: Int[np.ndarray, " K"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,14 +83,15 @@ class Band:
 class Statistics:
     """The statistics of a data set.
 
-    ``points`` has each box of each frame with a scan. ``crowd`` is the number of road users in each
-    of F frames; ``cameras`` and ``lidars`` are the smallest and the largest number in a frame.
+    ``boxes`` of each class count once per frame. ``crowd`` is the number of road users in each of F
+    frames; ``cameras`` and ``lidars`` are the smallest and the largest number in a frame.
     ``agents`` are those of each scenario; ``towns`` are the different maps, None where a protocol
     does not say it.
     """
 
     path: Path
     splits: tuple[Split, ...]
+    boxes: Mapping[str, int]
     users: Users
     crowd: Int[np.ndarray, " F"]
     points: PointCounts = field(repr=False)
@@ -117,16 +117,10 @@ class Statistics:
         return total.points / total.clouds if total.clouds else None
 
     @property
-    def boxes(self) -> dict[str, int]:
-        """Number of boxes of each class; a road user counts once per frame."""
-        return {
-            kind: int(self.users.frames[self.users.kind == k].sum()) for k, kind in enumerate(KINDS)
-        }
-
-    @property
     def tracks(self) -> dict[str, int]:
         """Number of road users of each class; each counts once per scenario."""
-        return {kind: int((self.users.kind == k).sum()) for k, kind in enumerate(KINDS)}
+        count = np.bincount(self.users.kind, minlength=len(KINDS))
+        return dict(zip(KINDS, count.tolist(), strict=True))
 
 
 def statistics(
@@ -148,11 +142,11 @@ def statistics(
             f"for every agent"
         )
     splits, crowd, inside, sensors = [], [], [], []
-    tracks: list[tuple[int, list[float], int]] = []
+    users: dict[tuple[Path, int], tuple[int, list[float]]] = {}
+    boxes = dict.fromkeys(KINDS, 0)
     for name, scenarios in data.splits.items():
         counts = Counter[str](scenarios=len(scenarios))
         for scenario in scenarios:
-            users: dict[int, tuple[int, list[float], int]] = {}
             counts.update(agents=len(scenario.agents), size=disk_size(scenario.path))
             for number in scenario.frames:
                 frame = scenario.frame(number)
@@ -162,27 +156,25 @@ def statistics(
                 counts.update(frames=1, images=images, clouds=len(scans), points=points)
                 counts.update(boxes=len(frame.boxes))
                 for box in frame.boxes:
-                    first = KINDS.index(box.kind), np.asarray(box.size).tolist(), 0
-                    kind, size, before = users.get(box.track, first)
-                    users[box.track] = kind, size, before + 1
+                    first = KINDS.index(box.kind), np.asarray(box.size).tolist()
+                    users.setdefault((scenario.path, box.track), first)
+                    boxes[box.kind] += 1
                 if scans and frame.boxes:
                     inside.append(_points_in_boxes(scans, frame.boxes))
                 sensors.append((images, len(scans)))
                 crowd.append(len(frame.boxes))
                 if progress:
                     progress(len(crowd), total_frames)
-            tracks += users.values()
         splits.append(Split(name, **{key: counts[key] for key in COUNTS}))
-    kinds, sizes, frames = zip(*tracks, strict=True) if tracks else ((), (), ())
     kind, away, points = np.concatenate(inside or [np.zeros((3, 0), np.float32)], 1)
     least, most = np.min(sensors, 0).tolist(), np.max(sensors, 0).tolist()
     return Statistics(
         path=data.path,
         splits=tuple(splits),
+        boxes=boxes,
         users=Users(
-            np.array(kinds, np.int64),
-            np.array(sizes, float).reshape(-1, 3),
-            np.array(frames, int),
+            np.array([kind for kind, _ in users.values()], np.int64),
+            np.array([size for _, size in users.values()], float).reshape(-1, 3),
         ),
         crowd=np.array(crowd),
         points=PointCounts(kind.astype(np.int8), away, points.astype(np.int32)),
@@ -216,8 +208,7 @@ def table_row(found: Statistics) -> dict[str, str | int | None]:
     """The row of a data set in a table that compares data sets; unknown values are None.
 
     ``V2X`` is V2V, I2I or V2X for vehicles, infrastructure or both (V or I if no scenario has two
-    agents); ``cameras`` and ``LiDARs`` are per frame; ``maps`` are the different ``world.town`` of
-    the protocols.
+    agents); ``cameras`` and ``LiDARs`` are per frame.
     """
     total = found.total
     return {

@@ -43,16 +43,8 @@ def content_table(generation: Generation, found: Estimate) -> RenderableType:
 
 def statistics_table(found: Statistics) -> RenderableType:
     """Tables of a data set: its splits and its classes."""
-    counts = (
-        "scenarios",
-        "frames",
-        "agents",
-        "images",
-        "point\nclouds",
-        "points\na cloud",
-        "boxes",
-    )
-    splits = table_of(f"Data set {found.name}", "split", *counts, "MB")
+    heads = ("scenarios", "frames", "agents", "images", "point\nclouds", "points\na cloud", "boxes")
+    splits = table_of(f"Data set {found.name}", "split", *heads, "MB")
     rows = [*found.splits, *([found.total] if len(found.splits) > 1 else [])]
     for split in rows:
         whole = (split.scenarios, split.frames, split.agents, split.images, split.clouds)
@@ -61,28 +53,20 @@ def statistics_table(found: Statistics) -> RenderableType:
         splits.add_row(Text(split.name), *numbers, f"{split.size / 1e6:,.1f}")
 
     sides = (f"{axis}\n[m]" for axis in _AXES)
-    heads = ("boxes", "road\nusers", *sides, "points\na box", "boxes with\na point")
-    classes = table_of("Classes, medians", "class", *heads)
+    columns = ("boxes", "road\nusers", *sides, "points\na box", "boxes with\na point")
+    classes = table_of("Classes, medians", "class", *columns)
     for k, kind in enumerate(KINDS):
         sizes = found.users.size[found.users.kind == k]
         points = found.points.points[found.points.kind == k]
+        counts = (f"{count[kind]:,}" for count in (found.boxes, found.tracks))
         middle = [f"{value:.2f}" for value in np.median(sizes, 0)] if len(sizes) else [_NONE] * 3
-        seen = (f"{np.median(points):,.0f}", f"{(points > 0).mean():.1%}") if len(points) else ()
-        classes.add_row(
-            kind,
-            f"{found.boxes[kind]:,}",
-            f"{found.tracks[kind]:,}",
-            *middle,
-            *(seen or (_NONE, _NONE)),
-        )
+        seen = [f"{np.median(points):,.0f}", f"{(points > 0).mean():.1%}"] if len(points) else []
+        classes.add_row(kind, *counts, *middle, *(seen or [_NONE] * 2))
     return Group(splits, "", classes)
 
 
 def statistics_record(found: Statistics) -> dict[str, Any]:
-    """The statistics of a data set as a JSON-serialisable record.
-
-    ``points`` has the range bands of each class. Sizes [m] are given as quartiles.
-    """
+    """The statistics of a data set for JSON. Sizes [m] are given as quartiles."""
     return {
         "name": found.name,
         "splits": [asdict(split) for split in found.splits],
@@ -97,9 +81,7 @@ def statistics_record(found: Statistics) -> dict[str, Any]:
             "least": int(found.crowd.min()),
             "most": int(found.crowd.max()),
         },
-        "points": {
-            kind: [asdict(band) for band in bands(found.points, k)] for k, kind in enumerate(KINDS)
-        },
+        "points": {kind: list(map(asdict, bands(found.points, k))) for k, kind in enumerate(KINDS)},
         "row": table_row(found),
         "versions": {"inspe_jax": __version__, "numpy": np.__version__},
     }

@@ -1,9 +1,7 @@
 """A data set on disk while it is generated.
 
 A scenario is written under ``.unfinished``, where readers do not look, and moves into its split
-when it is complete. So the splits hold complete scenarios only, even if a run is killed. The next
-run records the missing frames only; a complete scenario of which a file is damaged is recorded
-again.
+when it is complete: also after a kill the splits hold complete scenarios only.
 """
 
 import os
@@ -17,11 +15,11 @@ import yaml
 from inspe_jax.core.digest import digest
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import prepare_folder, read_yaml, write_text
-from inspe_jax.dataset.check import GENERATION
 from inspe_jax.dataset.folders import SPLITS, disk_size
 from inspe_jax.dataset.formats.protocol_file import PROTOCOL
 from inspe_jax.dataset.formats.registry import DEFAULT_FORMAT
 from inspe_jax.dataset.manifest import (
+    GENERATION,
     MANIFEST,
     RECORDS,
     Fault,
@@ -31,12 +29,10 @@ from inspe_jax.dataset.manifest import (
 )
 from inspe_jax.dataset.plan import Generation, ScenarioPlan
 from inspe_jax.dataset.protocol import versions
-from inspe_jax.jobs.locks import lock_folder
+from inspe_jax.jobs.locks import ADVICE, check_versions, lock_folder
 
 UNFINISHED = ".unfinished"
 FORMAT = "inspe_jax data set 2"
-
-_ADVICE = "name another folder, or delete this one to start again"
 
 
 class DatasetWriter:
@@ -105,9 +101,10 @@ class DatasetWriter:
         for part in folder.rglob(".*.part"):  # half-written files of a worker that was killed
             part.unlink()
         write_manifest(folder, [folder / PROTOCOL])
+        # Before the move: after a kill in between, the frames are recorded again.
+        shutil.rmtree(folder / RECORDS)
         place.parent.mkdir(exist_ok=True)
         os.replace(folder, place)
-        shutil.rmtree(place / RECORDS)
         return True
 
     def clear(self) -> None:
@@ -121,7 +118,7 @@ class DatasetWriter:
 
     @property
     def size(self) -> int:
-        """Size of all scenarios, finished or not [bytes]; a file with two names counts once."""
+        """Size of all scenarios, finished or not [bytes]."""
         return sum(disk_size(self.folder / top) for top in (*SPLITS, UNFINISHED))
 
     def _check(self, record: dict[str, Any]) -> None:
@@ -129,9 +126,8 @@ class DatasetWriter:
         path = self.folder / GENERATION
         text = yaml.safe_dump(record, sort_keys=False, default_flow_style=None)
         if not path.exists():
-            strange = [
-                p.name for p in self.folder.iterdir() if not p.name.startswith(f".{GENERATION}.")
-            ]
+            names = (path.name for path in self.folder.iterdir())
+            strange = [name for name in names if not name.startswith(f".{GENERATION}.")]
             if strange:
                 raise InspeError(
                     f"{self.folder}: has no {GENERATION}, so it is no data set, but is not empty: "
@@ -141,20 +137,15 @@ class DatasetWriter:
             return
         kept = read_yaml(path)
         if not isinstance(kept, dict) or kept.get("format") != FORMAT:
-            raise InspeError(f"{path}: not written by this version of the package; {_ADVICE}")
+            raise InspeError(f"{path}: not written by this version of the package; {ADVICE}")
         for key in ("backend", "data_format", "digest"):
             if kept.get(key) != record.get(key):
                 what = f"'{kept.get('name')}'" if key == "digest" else f"{key} {kept.get(key)}"
                 raise InspeError(
                     f"{self.folder}: holds another data set, {what}, with other scenarios or "
-                    f"recorded in another way; {_ADVICE}"
+                    f"recorded in another way; {ADVICE}"
                 )
-        for name, version in record["versions"].items():
-            was = (kept.get("versions") or {}).get(name)
-            if was != version:
-                raise InspeError(
-                    f"{self.folder}: was begun with {name} {was}, but this is {version}; {_ADVICE}"
-                )
+        check_versions(kept.get("versions") or {}, record["versions"], self.folder)
 
     def _resume(self, plan: ScenarioPlan, deep: bool) -> set[int]:
         """Numbers of the complete frames of a scenario.
@@ -163,8 +154,10 @@ class DatasetWriter:
         """
         place, folder = self.place(plan), self.unfinished(plan)
         if place.exists():
-            shutil.rmtree(place / RECORDS, ignore_errors=True)  # of a run that was killed
-            found = self._faults(plan, deep)
+            # Files that the manifest does not know are left alone: they may be the user's.
+            manifest, found = compare(place, plan.frames, deep)
+            if manifest is None and not found:
+                found = [Fault(place / MANIFEST, "is missing")]
             if not found:
                 return set(range(plan.frames))
             self.damage[plan.name] = found
@@ -175,30 +168,18 @@ class DatasetWriter:
             os.replace(place, folder)
         return set(recorded_frames(folder, deep))
 
-    def _faults(self, plan: ScenarioPlan, deep: bool) -> list[Fault]:
-        """What is wrong with the files of a finished scenario.
-
-        Files that the manifest does not know are left alone: they may be the user's.
-        """
-        place = self.place(plan)
-        manifest, found = compare(place, plan.frames, deep)
-        if manifest is None and not found:
-            return [Fault(place / MANIFEST, "is missing")]
-        return found
-
 
 def record_of(generation: Generation, backend: str) -> dict[str, Any]:
     """The content of a data set's ``generation.yaml``."""
     plans = [[p.name, p.split, p.seed, p.tags, p.key, p.files] for p in generation.scenarios]
-    return {
+    record: dict[str, Any] = {
         "format": FORMAT,
         "name": generation.name,
         "digest": digest(plans),
         "backend": backend,
         "frames": generation.frames,
-        "scenarios": {
-            split: [plan.name for plan in plans] for split, plans in generation.splits.items()
-        },
+        "scenarios": {name: [p.name for p in plans] for name, plans in generation.splits.items()},
         "versions": versions(backend),
-        **({} if generation.format == DEFAULT_FORMAT else {"data_format": generation.format}),
     }
+    other = generation.format != DEFAULT_FORMAT
+    return record | ({"data_format": generation.format} if other else {})

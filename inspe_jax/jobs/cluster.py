@@ -23,8 +23,7 @@ def client(scheduler: str | None, workers: int | None) -> Iterator[Client]:
     """A client of the scheduler at an address, or of a new cluster on this machine.
 
     The new cluster has ``workers`` processes, one per core if not given, and ends with the client.
-    Raises InspeError if no scheduler answers, or if it has no workers or workers with other
-    versions of Python, JAX, NumPy or this package.
+    Raises InspeError if no scheduler answers, or its workers are none or have other versions.
     """
     if scheduler is not None:
         try:
@@ -74,19 +73,17 @@ def _in_time(count: int, start: Callable[..., Started], *given: Any, **options: 
     try:
         return start(*given, **options)
     except TimeoutError as e:
-        raise InspeError(
-            f"{count} worker processes did not start in time; is the machine busy? Try fewer"
-        ) from e
+        words = f"{count} worker processes did not start in time; is the machine busy? Try fewer"
+        raise InspeError(words) from e
 
 
 @contextmanager
 def _kept_memory() -> Iterator[None]:
     """Set :data:`MALLOC_SETTINGS` for workers started meanwhile, and for no other process."""
     had = {name: os.environ.get(name) for name in MALLOC_SETTINGS}
+    own = {f"distributed.nanny.pre-spawn-environ.{k}": v for k, v in MALLOC_SETTINGS.items()}
     try:
-        with dask.config.set(
-            {f"distributed.nanny.pre-spawn-environ.{k}": v for k, v in MALLOC_SETTINGS.items()}
-        ):
+        with dask.config.set(own):
             yield
     finally:  # Dask leaves the settings in the environment
         for name, value in had.items():
@@ -100,12 +97,9 @@ MALLOC_SETTINGS = {
     "GLIBC_TUNABLES": "glibc.malloc.hugetlb=1",
 }
 """How much freed memory workers keep for the next arrays [byte], and that it comes in huge pages;
-see mallopt(3) and glibc's manual, Memory Allocation Tunables.
-
-With Dask's own settings they return all of it at once, and spend a third of their time on getting
-it again. Arrays above 32 MiB, as training has, always return: in pages of 2 MiB in place of 4 KiB,
-they cost a twentieth of the time instead of a third.
-"""
+see mallopt(3) and glibc's manual, Memory Allocation Tunables. With Dask's own settings workers
+return all of it, and spend a third of their time on getting it again. Arrays above 32 MiB always
+return: in pages of 2 MiB, not 4 KiB, they cost a twentieth of the time, not a third."""
 
 TIMEOUT = 10
 """Time that a scheduler gets to answer [s]."""
@@ -137,9 +131,8 @@ CACHE_SETTINGS = (
 class WorkerSetup(WorkerPlugin):
     """Sets up each of ``count`` workers that this process starts.
 
-    The worker uses this process's cache of compiled programs. It keeps to its own cores where the
-    system allows that; otherwise all workers would compete for all cores. It ignores Ctrl-C,
-    which is for the process that started it.
+    The worker uses this process's cache of compiled programs, keeps to its own cores where the
+    system allows that, and ignores Ctrl-C, which is for the process that started it.
     """
 
     name = "inspe-jax"

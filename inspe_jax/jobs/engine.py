@@ -4,10 +4,10 @@ Each job is a future of its own: a run that is killed loses only the jobs that w
 jobs of one large scene occupy all workers, and a job that kills its worker takes no other with it.
 """
 
-from collections import Counter, deque
+from collections import deque
 from collections.abc import Callable, Hashable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import groupby
+from itertools import groupby, zip_longest
 from typing import Any, Protocol, TypeVar
 from uuid import uuid4
 
@@ -81,11 +81,9 @@ def run_jobs(
 
     A result is that of ``work(scene, job, *given)``, where ``scene`` is the result of ``build`` for
     the first job of a scene. ``ahead`` is the number of jobs that wait at each thread of a worker;
-    with 1, workers wait a moment for each job, but get jobs in order and of one scene.
-
-    When a worker dies, Dask suspects every job that the worker held, not only the running one.
-    All of them are run once more at the end, one at a time. Raises InspeError if the scheduler is
-    lost.
+    with 1, workers get jobs in order and of one scene. When a worker dies, Dask suspects every job
+    that it held: all of them are run once more at the end, one at a time. Raises InspeError if the
+    scheduler is lost.
     """
     from distributed import KilledWorker
 
@@ -103,13 +101,12 @@ def _by_scene(jobs: Sequence[J]) -> list[list[J]]:
     """The jobs of each scene: first one scene of every place, then a second one of each, …"""
     # Side by side, every worker would compile the programs of a place; one after the other, the
     # first compiles them and the rest read them from the cache.
-    groups = [list(group) for _, group in groupby(jobs, key=lambda job: job.scene)]
-    met: Counter[Hashable] = Counter()
-    turns = []
-    for group in groups:
-        turns.append(met[group[0].source])
-        met[group[0].source] += 1
-    return [groups[k] for k in sorted(range(len(groups)), key=turns.__getitem__)]
+    turns: dict[Hashable, list[list[J]]] = {}
+    for _, group in groupby(jobs, key=lambda job: job.scene):
+        own = list(group)
+        turns.setdefault(own[0].source, []).append(own)
+    each = zip_longest(*turns.values())
+    return [group for turn in each for group in turn if group is not None]
 
 
 @dataclass(eq=False)
@@ -129,9 +126,11 @@ def _run_jobs(
     work: Callable[..., Any],
     given: Sequence[Any] = (),
 ) -> Iterator[tuple[J, Any]]:
-    """Run jobs, ``ahead`` of them at workers at a time; yields as :func:`run_jobs` does."""
-    # As many scenes are open as there are workers. Dask sends jobs to the worker that holds their
-    # scene. When a job is done, one of the same scene follows.
+    """Run jobs, ``ahead`` of them at workers at a time; yields as :func:`run_jobs` does.
+
+    As many scenes are open as there are workers. Dask sends jobs to the worker that holds their
+    scene. When a job is done, one of the same scene follows.
+    """
     from distributed import CancelledError, as_completed
 
     run = uuid4().hex[:8]  # others may use the same scheduler, so keys must differ
@@ -174,9 +173,8 @@ def _run_jobs(
         try:
             found = future.result()  # waits if its worker has died since
         except CancelledError:
-            raise InspeError(
-                "the scheduler was lost; give the same command again to resume"
-            ) from None
+            lost = "the scheduler was lost; give the same command again to resume"
+            raise InspeError(lost) from None
         except Exception as e:
             found = e
         send(place)

@@ -1,12 +1,15 @@
-"""One run at a time in a folder."""
+"""One run at a time in a folder, and one that began it with the same versions."""
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from inspe_jax.core.errors import InspeError, needs
 
 if TYPE_CHECKING:
     from filelock import FileLock
+
+ADVICE = "name another folder, or delete this one to start again"
 
 
 def lock_folder(folder: Path, name: str) -> "FileLock":
@@ -23,3 +26,12 @@ def lock_folder(folder: Path, name: str) -> "FileLock":
     except Timeout:
         raise InspeError(f"{folder}: is in use by another run; wait until it is done") from None
     return lock
+
+
+def check_versions(had: Mapping[str, Any], now: Mapping[str, str], where: object) -> None:
+    """Raise InspeError where what is there was begun with other versions."""
+    for name, version in now.items():
+        if had.get(name) != version:
+            raise InspeError(
+                f"{where}: was begun with {name} {had.get(name)}, but this is {version}; {ADVICE}"
+            )

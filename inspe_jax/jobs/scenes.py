@@ -20,7 +20,6 @@ from inspe_jax.sensing.layout import Layout, parse_layout
 COMPILED_SCENES = 6
 """Most scenes whose compiled programs a worker keeps; programs depend on a scene's shapes."""
 
-
 _compiled_for: set[str] = set()
 
 
@@ -48,6 +47,14 @@ def scene_of(source: SceneSource, settings: dict[str, Any]) -> Scene:
 
     at: dict[str, Any] = dict(junction=source.junction, center=source.center)
     return build_scene(read_map(path, **at, radius=settings["radius"]), **settings)
+
+
+def scene_or_message(source: SceneSource, settings: dict[str, Any]) -> Scene | str:
+    """The scene of a source; or the message of the error, if it cannot be built."""
+    try:
+        return scene_of(source, settings)
+    except Exception as e:
+        return message_of(e)
 
 
 def place_layout(source: LayoutSource, scene: Scene) -> Layout:

@@ -47,9 +47,9 @@ class SceneSource:
 class LayoutSource:
     """Where a layout comes from: a strategy with its ``options``, the ``text`` of a file, or a mix.
 
-    In the options of a strategy, the study's own devices are specs, and devices of the catalogue
-    are names. A ``mix`` has the number of each device; its options are the specs of those that are
-    the study's own. The name of this class is part of the keys of jobs in saved results.
+    The study's own devices are specs in the options of a strategy, and devices of the catalogue
+    names. A ``mix`` has the number of each device; its options are the specs of the study's own.
+    The name of this class is part of the keys of jobs in saved results.
     """
 
     name: str
@@ -86,7 +86,7 @@ class SceneEntry(Strict):
 class LayoutEntry(Strict):
     """A layout of a study file; a name alone is that of a file or of a strategy.
 
-    The order of options is part of the keys of jobs.
+    The order of these keys is part of the keys of jobs.
     """
 
     name: Line | None = None
@@ -125,7 +125,7 @@ def each_scene(
     """(place in the file, entry, source, settings) of every scene of a study.
 
     A scene's own settings, named by ``keys``, replace those of the ``whole`` study. Raises
-    InspeError if a setting or a source is not valid, and at the end if two scenes have one name.
+    InspeError if a setting or a source is not valid, or two scenes have one name.
     """
     keys, names = tuple(keys), []
     for k, entry in enumerate(entries):
@@ -155,28 +155,22 @@ def scene_source(entry: SceneEntry, folder: Path, where: str) -> SceneSource:
         return SceneSource(entry.name or path.stem, file=str(path), content=content)
     if (entry.junction is None) == (entry.center is None):
         raise InspeError(f"{where}: choose a place on the map: give either junction or center")
-    at = str(entry.junction) if entry.center is None else "{:g}, {:g}".format(*entry.center)
-    return SceneSource(
-        entry.name or f"{path.stem} {at}",
-        map=str(path),
-        junction=entry.junction,
-        center=None if entry.center is None else (entry.center[0], entry.center[1]),
-        content=content,
-    )
+    center = None if entry.center is None else (entry.center[0], entry.center[1])
+    at = str(entry.junction) if center is None else "{:g}, {:g}".format(*center)
+    name = entry.name or f"{path.stem} {at}"
+    return SceneSource(name, None, str(path), entry.junction, center, content=content)
 
 
 def scene_settings(
     source: SceneSource, own: Mapping[str, Any], whole: Mapping[str, Any], where: str
 ) -> dict[str, Any]:
-    """The values of a scene's settings, as lists: its ``own``, and else those of the ``whole``
-    study.
+    """The values of a scene's settings, as lists: its ``own``, else those of the ``whole`` study.
 
     A saved scene keeps the settings it was built with. Raises InspeError if it is given others.
     """
     if source.file is None:
         return {**whole} | {key: value for key, value in own.items() if value}
-    if any(own.values()):
-        given = ", ".join(key for key, value in own.items() if value)
+    if given := ", ".join(key for key, value in own.items() if value):
         raise InspeError(
             f"{where}: a saved scene keeps the settings it was built with; leave out {given}"
         )

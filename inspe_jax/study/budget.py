@@ -1,9 +1,8 @@
 """One budget for many places: one option of each, so that all together are worth most.
 
 This is the multiple-choice knapsack problem, a mixed-integer program, which HiGHS solves
-(:func:`scipy.optimize.milp`). For the worst place no program is needed: whether every place can
-reach a score is a question for the cheapest options that do, and the answer only changes from yes
-to no as the score rises.
+(:func:`scipy.optimize.milp`). The worst place needs no program: whether every place can reach a
+score is known from the cheapest options that do.
 """
 
 from collections.abc import Sequence
@@ -29,11 +28,11 @@ _TRIES = 20
 
 @dataclass(frozen=True)
 class Share:
-    """The ``option`` chosen for each place, by number, and what they cost together [US dollars].
+    """The option chosen for each place, by number, and what they cost together [US dollars].
 
     ``total`` is the weighted sum of their scores, and ``worst`` the least of them. ``bound`` is
     what no choice within the budget can exceed in ``total``: of all choices, or of those with this
-    ``worst`` where it is maximised, which then is exactly the greatest.
+    ``worst`` where it is maximised.
     """
 
     options: tuple[int, ...]
@@ -44,8 +43,7 @@ class Share:
 
     @property
     def gap(self) -> float:
-        """How much more than ``total``, as a share of it, a better choice could have; 0 where the
-        choice is proved to be the best."""
+        """How much more than ``total``, as a share of it, a better choice could have."""
         over = self.bound - self.total
         if over <= 1e-9 * max(abs(self.total), 1.0):
             return 0.0
@@ -91,13 +89,9 @@ def share_out(
     )
     options = [int(kept[k]) for kept, k in zip(allowed, chosen, strict=True)]
     found = [float(row[k]) for row, k in zip(values, options, strict=True)]
-    return Share(
-        tuple(options),
-        sum(int(row[k]) for row, k in zip(cents, options, strict=True)) / 100,
-        sum(w * score for w, score in zip(weights, found, strict=True)),
-        min(found),
-        bound,
-    )
+    cost = sum(int(row[k]) for row, k in zip(cents, options, strict=True)) / 100
+    total = sum(w * score for w, score in zip(weights, found, strict=True))
+    return Share(tuple(options), cost, total, min(found), bound)
 
 
 def check_budget(budget: float) -> None:
@@ -111,8 +105,7 @@ def _greatest_worst(
 ) -> float:
     """The greatest score that every place can reach within the limit, exactly.
 
-    That is one of the scores. The cheapest way to reach a score costs no less for a higher score,
-    so the greatest affordable one is found by halving.
+    That is one of the scores. A higher one costs no less to reach, so it is found by halving.
     """
     steps = np.unique(np.concatenate(values))
     low, high = 0, len(steps) - 1  # the lowest score is reached by all options
@@ -132,7 +125,7 @@ def _greatest_sum(
     """(The option of each place with the greatest sum within the limit, what no sum can exceed).
 
     HiGHS works in floating point. Its choice is added up in whole cents; one that exceeds the limit
-    after all is forbidden, and the program is solved again, which takes no other choice away.
+    after all is forbidden, and the program is solved again.
     """
     sizes = np.array([len(row) for row in cents])
     place = np.repeat(np.arange(len(sizes)), sizes)

@@ -1,13 +1,13 @@
 """A plan of many junctions: a front of device mixes for each, and one budget shared among them.
 
-A city asks where its money does most. The study of a map searches a layout for every mix of devices
-at every junction (:func:`city_study`, run by :func:`~inspe_jax.study.sweep.sweep`). From its rows
-come the fronts of cost against score (:func:`fronts_of`), and from the fronts the plan
-(:func:`plan_city`). Neither prices nor the budget are part of the study, so another budget only
-chooses again.
+The study of a map searches a layout for every mix of devices at every junction (:func:`city_study`,
+run by :func:`~inspe_jax.study.sweep.sweep`). From its rows come the fronts of cost against score
+(:func:`fronts_of`), and from the fronts the plan (:func:`plan_city`). Neither prices nor the budget
+are part of the study, so another budget only chooses again.
 """
 
 import os
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -24,8 +24,7 @@ from inspe_jax.scene.maps.registry import list_junctions
 from inspe_jax.scene.maps.road_map import MOST_LISTED, JunctionInfo
 from inspe_jax.study.budget import Share, share_out
 from inspe_jax.study.plan import Study, make_study
-from inspe_jax.study.results import LAYOUTS
-from inspe_jax.study.work import Row
+from inspe_jax.study.work import LAYOUTS, Row
 
 SIGNALS, ALL = "signals", "all"
 """Words for junctions with signals, and for all."""
@@ -57,7 +56,7 @@ NOTHING = Option("", 0.0, 0.0)
 class JunctionFront:
     """A junction, the options on its front, cheapest first, and the errors of mixes that failed.
 
-    The scores on a front rise with the costs. It begins with :data:`NOTHING`, unless a mix is free.
+    A front begins with :data:`NOTHING`, unless a mix is free.
     """
 
     junction: JunctionInfo
@@ -102,33 +101,23 @@ class CityPlan:
 
         It has latitudes and longitudes where the map's projection is given.
         """
-        middles = np.array([front.junction.center[:2] for front in self.fronts])
-        degrees = None if georeference is None else georeference.to_degrees(middles)
         rows: list[dict[str, Any]] = []
-        for k, (front, option) in enumerate(zip(self.fronts, self.chosen, strict=True)):
+        for front, option, weight in zip(self.fronts, self.chosen, self.weights, strict=True):
+            middle = np.array(front.junction.center[:2])
             row: dict[str, Any] = {"junction": front.name}
-            if degrees is not None:  # to a centimetre
-                row |= dict(latitude=f"{degrees[k, 1]:.7f}", longitude=f"{degrees[k, 0]:.7f}")
-            rows.append(
-                row
-                | dict(
-                    x=f"{middles[k, 0]:.2f}",
-                    y=f"{middles[k, 1]:.2f}",
-                    importance=f"{self.weights[k]:g}",
-                    mix=option.mix,
-                    cost_usd=f"{option.cost:.2f}",
-                    score=f"{option.score:.7f}",
-                    layout=option.layout,
-                )
-            )
+            if georeference is not None:  # to a centimetre
+                longitude, latitude = georeference.to_degrees(middle[None])[0]
+                row |= dict(latitude=f"{latitude:.7f}", longitude=f"{longitude:.7f}")
+            row |= dict(x=f"{middle[0]:.2f}", y=f"{middle[1]:.2f}", importance=f"{weight:g}")
+            row |= dict(mix=option.mix, cost_usd=f"{option.cost:.2f}", score=f"{option.score:.7f}")
+            rows.append(row | dict(layout=option.layout))
         return csv_text(rows)
 
 
 def choose_junctions(path: str | os.PathLike[str], wanted: str) -> tuple[JunctionInfo, ...]:
     """Junctions of a map: those with ``signals``, ``all``, or those of ids with commas between.
 
-    Raises InspeError if there is none or an id is unknown, and as
-    :func:`~inspe_jax.scene.maps.registry.list_junctions`.
+    Raises InspeError if there is none, an id is unknown, or the map cannot be read.
     """
     known = list_junctions(path)
     if not known:
@@ -182,15 +171,10 @@ def city_study(
     need a method of search. Raises InspeError as :func:`~inspe_jax.study.plan.make_study`.
     """
     place = Path(path)
-    content = dict(
-        scenes=[
-            {"name": str(one.id), "map": str(place.resolve()), "junction": one.id}
-            for one in junctions
-        ],
-        layouts=[{"mix": {name: n for name, n in mix.items() if n}} for mix in mixes],
-        settings=dict(settings),
-        **more,
-    )
+    at = str(place.resolve())
+    scenes = [{"name": str(one.id), "map": at, "junction": one.id} for one in junctions]
+    layouts = [{"mix": {name: n for name, n in mix.items() if n}} for mix in mixes]
+    content = dict(scenes=scenes, layouts=layouts, settings=dict(settings), **more)
     return make_study(content, place.parent, str(place), place.stem)
 
 
@@ -205,8 +189,8 @@ def fronts_of(
     Mixes that failed are not on it, nor is one that is beaten by a mix that costs no more.
     """
     by_key = {row["key"]: row for row in rows}
-    options = {str(one.id): [NOTHING] for one in junctions}
-    errors: dict[str, list[str]] = {name: [] for name in options}
+    options = defaultdict[str, list[Option]](lambda: [NOTHING])
+    errors = defaultdict[str, list[str]](list)
     for job in study.jobs:
         row, name = by_key[job.key], job.source.name
         if row["status"] == "done":
@@ -214,19 +198,14 @@ def fronts_of(
             options[name].append(Option(mix, costs[mix], float(row["surrogate"]), job.key))
         else:
             errors[name].append(f"{job.layout.name}: {row['error']}")
-    return tuple(
-        JunctionFront(one, _front(options[str(one.id)]), tuple(errors[str(one.id)]))
-        for one in junctions
-    )
-
-
-def _front(options: Sequence[Option]) -> tuple[Option, ...]:
-    """The options that no other beats, cheapest first."""
-    found: list[Option] = []
-    for option in sorted(options, key=lambda one: (one.cost, -one.score)):
-        if not found or option.score > found[-1].score:
-            found.append(option)
-    return tuple(found)
+    fronts = []
+    for junction in junctions:
+        name, front = str(junction.id), list[Option]()
+        for option in sorted(options[name], key=lambda one: (one.cost, -one.score)):
+            if not front or option.score > front[-1].score:
+                front.append(option)
+        fronts.append(JunctionFront(junction, tuple(front), tuple(errors[name])))
+    return tuple(fronts)
 
 
 def plan_city(
@@ -253,7 +232,6 @@ def plan_city(
     weights = tuple(given.get(front.name, 1.0) for front in able)
     costs = [[option.cost for option in front.options] for front in able]
     scores = [[option.score for option in front.options] for front in able]
-
     share = share_out(costs, scores, budget, weights, worst=worst)
     return CityPlan(budget, able, weights, worst, share, left_out)
 

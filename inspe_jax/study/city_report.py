@@ -32,7 +32,7 @@ _SMALL, _LARGE, _MANY = 4.0, 13.0, 60  # diameters of dots [points], of up to so
 def plan_table(plan: CityPlan, georeference: Georeference | None = None) -> RenderableType:
     """What each junction gets: its place, its mix of devices, the cost and the score.
 
-    Places are latitudes and longitudes where the map's projection is given, else metres.
+    Places are latitudes and longitudes where the map's projection is given, else in metres.
     """
     where = "x, y [m]" if georeference is None else "latitude, longitude"
     some = _some_count_more(plan)
@@ -143,11 +143,9 @@ def _draw_keys(fig: Figure, panel: Axes, dots: Any, diameters: Mapping[float, fl
     costs = sorted(diameters)
     keys = []
     for cost in dict.fromkeys((costs[0], costs[len(costs) // 2], costs[-1])):
-        look: dict[str, Any] = dict(mfc=OTHER, mec="white", mew=0.5)
-        if not cost:
-            look = dict(mfc="white", mec=OTHER, mew=0.8)
-        look |= dict(marker="o", ls="", ms=diameters[cost], label=_money(cost))
-        keys.append(Line2D([], [], **look))
+        face, edge, wide = (OTHER, "white", 0.5) if cost else ("white", OTHER, 0.8)
+        look: dict[str, Any] = dict(mfc=face, mec=edge, mew=wide, ms=diameters[cost])
+        keys.append(Line2D([], [], marker="o", ls="", label=_money(cost), **look))
     panel.legend(
         handles=keys, title="US dollars spent", loc="upper left", bbox_to_anchor=(0.0, 0.85),
         alignment="left", labelspacing=1.0, title_fontsize=6.5, **KEYS,

@@ -13,20 +13,15 @@ The form of the file. Paths are relative to it; every setting is one value or a 
       - Cam-d1                       # a strategy
       - layout.yaml
       - {strategy: L-d2, lidar: paper-lidar-32, name: L-d2 with 32 beams}
-      - {strategy: Cam-d1, camera: far, name: Cam-d1 that sees far}
-      - mix: {hesai-xt32: 2, paper-camera: 4}  # as many of each, at corners and roadsides: the
-                                     #   start of a search
+      - mix: {hesai-xt32: 2, far: 4} # as many of each, at corners and roadsides
     devices:                         # your own devices, with the keys of the catalogue
       far: {like: paper-camera, depth_m: 60}
     settings:
       density: [low, medium, high]   # for scenes: profile, radius, voxel, spacing, density, frames,
                                      #   step, mix, traffic (waypoints or sumo), seed,
-                                     #   statics (none, map or street),
-                                     #   terrain (none, or ground, which hides what is behind it)
+                                     #   statics (none, map or street), terrain (none or ground)
       light: [midday, night]         # for sensors: light, weather
-      weather: [clear, "rain:10"]
       weights:                       # for scores: weights, occlusion_reference, visibility
-        - {coverage: 0.3, occlusion: 0.5, information_gain: 0.2}
         - {coverage: 0.3, occlusion: 0.7}
       method: [none, greedy-adam]    # score the layout, or search first: method, seconds,
       seconds: 30                    #   evaluations, search_seed
@@ -94,8 +89,7 @@ class StudyJob:
     """One layout on one scene in one setting; ``settings`` has every key of :data:`SETTINGS`.
 
     ``metrics`` are computed: the usual ones, those the study asks for, and those with weight in
-    some job. They change no other number. ``detection`` has the curves of detectability, None for
-    the usual ones; a job has the curves, not their file, and its key depends on them.
+    some job. ``detection`` has the curves of detectability, None for the usual ones.
     """
 
     source: SceneSource
@@ -236,17 +230,11 @@ def _defaults(profile: str, sized: bool) -> dict[str, list[Any]]:
     Where the study gives a voxel size (``sized``), the spacing is found when a scene is built.
     """
     own = profile_of(profile)
-    lattice: dict[str, list[Any]] = dict(spacing=[None]) if sized else {}
-    rest: dict[str, list[Any]] = dict(
-        weights=[None],
-        occlusion_reference=[own.occlusion_reference],
-        visibility=[own.visibility],
-        method=[SCORE_ONLY],
-        seconds=[None],
-        evaluations=[None],
-        search_seed=[0],
-    )
-    return defaults_of((*BUILD_SETTINGS, *CONDITIONS), profile) | lattice | rest
+    rest: dict[str, Any] = dict.fromkeys((*SCORE_SETTINGS, *SEARCH_SETTINGS))
+    rest |= dict(occlusion_reference=own.occlusion_reference, visibility=own.visibility)
+    rest |= dict(method=SCORE_ONLY, search_seed=0) | (dict(spacing=None) if sized else {})
+    usual = defaults_of((*BUILD_SETTINGS, *CONDITIONS), profile)
+    return usual | {key: [value] for key, value in rest.items()}
 
 
 def _completed(settings: dict[str, Any]) -> dict[str, Any]:

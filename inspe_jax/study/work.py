@@ -3,7 +3,13 @@
 from collections.abc import Mapping
 from typing import Any
 
-from inspe_jax.jobs.scenes import message_of, place_layout, release_compiled, scene_of, versions
+from inspe_jax.jobs.scenes import (
+    message_of,
+    place_layout,
+    release_compiled,
+    scene_or_message,
+    versions,
+)
 from inspe_jax.placement import optimise
 from inspe_jax.placement.objective import Objective
 from inspe_jax.placement.problem import Case
@@ -12,7 +18,14 @@ from inspe_jax.scoring.evaluate import Scores, evaluate
 from inspe_jax.scoring.metrics import listed
 from inspe_jax.sensing.conditions import Conditions
 from inspe_jax.sensing.layout import Layout, layout_text
-from inspe_jax.study.plan import BUILD_SETTINGS, SCORE_ONLY, SETTINGS, Study, StudyJob
+from inspe_jax.study.plan import (
+    BUILD_SETTINGS,
+    SCORE_ONLY,
+    SCORE_SETTINGS,
+    SETTINGS,
+    Study,
+    StudyJob,
+)
 
 Row = dict[str, str]
 
@@ -22,37 +35,27 @@ FACTS = ("sensors", "voxels", "objects")
 """Columns: number of sensors, of voxels, and mean number of objects in a frame."""
 BEFORE = "surrogate_before"
 """Column of P_sm before a search; empty where nothing was searched."""
+LAYOUTS = "layouts"
+"""Folder of the layouts that searches found, by the keys of their jobs."""
 
 
 def columns(study: Study) -> tuple[str, ...]:
     """The columns of a study's results."""
     first = ("key", "scene", "layout", *(f"tag_{name}" for name in study.tags))
-    return (
-        *first,
-        *SETTINGS,
-        *FACTS,
-        *(m.name for m in listed(study.metrics)),
-        LITERAL,
-        BEFORE,
-        "status",
-        "error",
-        *versions(),
-    )
+    names = (m.name for m in listed(study.metrics))
+    last = (LITERAL, BEFORE, "status", "error", *versions())
+    return (*first, *SETTINGS, *FACTS, *names, *last)
 
 
 def scene_of_job(job: StudyJob) -> Scene | str:
     """The scene of a job; or an error message, which every job on the scene then reports."""
-    try:
-        return scene_of(job.source, {key: job.settings[key] for key in BUILD_SETTINGS})
-    except Exception as e:
-        return message_of(e)
+    return scene_or_message(job.source, {key: job.settings[key] for key in BUILD_SETTINGS})
 
 
 def run_job(scene: Scene | str, job: StudyJob, wanted: Row) -> tuple[Row, str | None]:
     """Run a job: (its row of the results, the layout that a search found as YAML text or None).
 
-    An error goes into the row, so that other jobs go on. A worker without the ``wanted`` versions
-    is such an error.
+    An error goes into the row; a worker without the ``wanted`` versions is one.
     """
     row = row_head(job) | wanted
     if versions() != wanted:
@@ -95,13 +98,8 @@ def _scored(
     """(scores, P_sm before a search, the layout that the search found)."""
     given = job.settings
     around = Conditions.of(given["light"], given["weather"])
-    options: dict[str, Any] = dict(
-        weights=given["weights"],
-        occlusion_reference=given["occlusion_reference"],
-        visibility=given["visibility"],
-        metrics=job.metrics,
-        detection=job.detection,
-    )
+    options: dict[str, Any] = {key: given[key] for key in SCORE_SETTINGS}
+    options |= dict(metrics=job.metrics, detection=job.detection)
     if given["method"] == SCORE_ONLY:
         return evaluate(scene, layout, conditions=around, **options), None, None
     result = optimise.optimise(

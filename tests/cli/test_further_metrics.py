@@ -17,12 +17,13 @@ from inspe_jax import (
     save_scene,
 )
 from inspe_jax.core.errors import InspeError
+from inspe_jax.core.files import read_csv
 from inspe_jax.jobs.scenes import versions
 from inspe_jax.placement.problem import Case
 from inspe_jax.report.page import report_entry, report_page
 from inspe_jax.scene.traffic.frames import CLASSES
 from inspe_jax.study.plan import make_study
-from inspe_jax.study.results import Results, read_results
+from inspe_jax.study.sweep import Results
 from inspe_jax.study.work import run_job
 
 
@@ -111,7 +112,7 @@ def test_studies_have_a_column_for_each(scene, tmp_path):
     assert [job.key for job in study.jobs] == [job.key for job in plain.jobs]
     with Results(study, tmp_path / "out") as results:
         results.add(*run_job(scene, study.jobs[0], versions()))
-    (row,) = read_results(tmp_path / "out")
+    (row,) = read_csv(tmp_path / "out" / "results.csv")
     assert row["status"] == "done"
     assert 0 < float(row["detectability"]) < 1
     weights = {"localisation": 1.0}

@@ -13,6 +13,7 @@ from rich.console import Console
 from worlds import place_sensors
 
 from inspe_jax import build_scene, built_in, device, evaluate, save_layout, save_scene, strategy
+from inspe_jax.core.files import read_csv
 from inspe_jax.jobs.scenes import versions
 from inspe_jax.placement.result import Result, load_result, save_result
 from inspe_jax.placement.run import Progress
@@ -22,7 +23,7 @@ from inspe_jax.report.figures import plan_view
 from inspe_jax.report.progress import before_after
 from inspe_jax.scoring.metrics import METRICS, Metric
 from inspe_jax.study.plan import load_study
-from inspe_jax.study.results import Results, read_results
+from inspe_jax.study.sweep import Results
 from inspe_jax.study.work import run_job
 from inspe_jax.viewer.score_panel import score_panel
 from inspe_jax.viewer.scorer import ScoredLayout
@@ -157,7 +158,7 @@ def sweep(there):
     row, found = run_job(there.scene, study.jobs[0], versions())
     with Results(study, there.folder / "out") as results:
         results.add(row, found)
-    return shown(tables.sweep_table([row])) + str(read_results(there.folder / "out"))
+    return shown(tables.sweep_table([row])) + str(read_csv(there.folder / "out" / "results.csv"))
 
 
 PLACES = {

@@ -160,10 +160,7 @@ def test_frames_of_a_scenario(tmp_path):
 
 
 def test_pictures_and_points_are_read_when_used(tmp_path):
-    """Only once: what was read stays when the files are deleted.
-
-    Records can be copied, pickled, changed and printed before.
-    """
+    """Only once: what was read stays when the files are deleted. Records can be copied before."""
     write_frame(tmp_path, frame())
     read = read_frame(tmp_path, 68)
     first, second = read.stations
@@ -198,10 +195,8 @@ def of_mode(mode: str):
     ("name", "field", "damage", "message"),
     [
         ("_camera0.png", "rgb", short(0), "not a readable picture"),
-        ("_depth0.png", "depth", short(10), "not a readable picture"),
         ("_instance0.png", "instance", short(60), "not a readable picture"),
         ("_depth0.png", "depth", of_mode("RGB"), "its pixels are RGB: must be 16-bit"),
-        ("_instance0.png", "instance", of_mode("L"), "its pixels are L: must be 16-bit"),
         ("_semantic0.png", "semantic", of_mode("RGB"), "its pixels are RGB: must be 8-bit"),
         (".pcd", "points", short(-1), "cut short"),
         (".pcd", "", short(0), "not a PCD file"),
@@ -224,8 +219,6 @@ def test_broken_pictures_and_points(tmp_path, name, field, damage, message):
     ("old", "new", "message"),
     [
         (OTHERS, "", "must hold keys with values, got None"),
-        (OTHERS, "[1, 2]", "must hold keys with values, got"),
-        ("ego_speed", "ego_speed: [", "not YAML: .*line"),
         ("  215:", "  215: [", "not YAML: .*line 1[0-9]"),
         ("lidar_pose: [100.0,", "lidar_pose: [", "lidar_pose: must be 6 numbers, got"),
         ("lidar_pose: [100.0,", "lidar_pose: [.nan,", "lidar_pose: must be 6 numbers, got"),
@@ -262,7 +255,6 @@ def test_folders_that_are_not_data_sets(tmp_path):
     with pytest.raises(InspeError, match="not a scenario: it has no folder of an agent"):
         read_frame(tmp_path, 0)
     (tmp_path / "train" / "a" / "-1").mkdir(parents=True)
-    with pytest.raises(
-        InspeError, match=f"{tmp_path}: not a data set: expected one of SPLIT/SCENARIO"
-    ):
+    words = f"{tmp_path}: not a data set: expected one of SPLIT/SCENARIO"
+    with pytest.raises(InspeError, match=words):
         dataset.open(tmp_path)

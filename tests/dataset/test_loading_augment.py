@@ -10,7 +10,6 @@ from inspe_jax.dataset.loading import Augment, Loader, Similarity, on_picture
 
 CASES = {
     "none": None,
-    "mirrored": Augment(flip=1, turn=0, scale=(1, 1)),
     "all": Augment(flip=1, turn=np.pi, scale=(0.8, 1.25)),
 }
 

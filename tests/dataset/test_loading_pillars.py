@@ -10,7 +10,7 @@ from loading_sets import frame_of, write_scenario
 from inspe_jax import dataset
 from inspe_jax.core.errors import InspeError
 from inspe_jax.dataset.loading import Loader, PillarGrid, pillar_features
-from inspe_jax.dataset.loading.points import woven
+from inspe_jax.dataset.loading.stored import woven
 
 GRID = PillarGrid(half=8.0, cell=2.0, low=-1, high=3, most_points=40, most_pillars=64)
 

@@ -1,6 +1,7 @@
 """Manifests: damage of every sort is found, and `generate` repairs it to the same bytes."""
 
 import json
+import os
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -8,15 +9,14 @@ from pathlib import Path
 import made_up
 import numpy as np
 import pytest
-import yaml
 from frames import car, frame, scan, station
 from typer.testing import CliRunner
 
 import inspe_jax.cli  # noqa: F401, which adds the commands
 from inspe_jax.cli.common import app
-from inspe_jax.dataset import chunk, load_generation, read_frame
-from inspe_jax.dataset.check import check
-from inspe_jax.dataset.manifest import MANIFEST, RECORDS, manifest_of
+from inspe_jax.dataset import chunk, read_frame
+from inspe_jax.dataset.manifest import MANIFEST, RECORDS, check, manifest_of
+from inspe_jax.dataset.plan import make_generation
 from inspe_jax.dataset.points_in_boxes import with_counts
 from inspe_jax.dataset.writer import DatasetWriter
 
@@ -29,27 +29,13 @@ STUDY = dict(
 )
 
 
-def generation(folder: Path):
-    path = folder / "study.yaml"
-    path.write_text(yaml.safe_dump(STUDY))
-    return load_generation(path)
-
-
-def work_on(writer: DatasetWriter, plan) -> Path:
-    """Record what is missing of a scenario, as a worker does; gives its unfinished folder."""
-    folder = writer.unfinished(plan)
-    todo = chunk.Chunk(plan, "embedded", folder, writer.lock(plan, 0), range(FRAMES), FRAMES)
-    assert not chunk.work(chunk.build(todo), todo).error
-    return folder
-
-
 def record(plan_of, out: Path, deep: bool = True) -> dict[str, list]:
     """What `generate` does, without processes; gives what was repaired."""
     with DatasetWriter(plan_of, out, "embedded", deep) as writer:
         for plan in plan_of.scenarios:
             if writer.place(plan).exists():
                 continue
-            work_on(writer, plan)
+            made_up.record(writer, plan)
             assert writer.finish(plan)
         writer.clear()
         return writer.damage
@@ -62,7 +48,7 @@ def made(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(chunk, "recorder_of", made_up.recorder_of)
         patch.setattr(chunk, "_worker", chunk.WorkerState())
-        plan = generation(folder)
+        plan = make_generation(STUDY, folder)
         assert record(plan, folder / "out") == {}
     return plan, folder / "out"
 
@@ -197,7 +183,8 @@ def test_a_broken_record_of_a_frame_counts_as_none(made, copy, text):
     one = plan.scenarios[0]
     with DatasetWriter(plan, out, "embedded") as writer:
         shutil.rmtree(writer.place(one))
-        folder = work_on(writer, one)
+        made_up.record(writer, one)
+        folder = writer.unfinished(one)
         (folder / RECORDS / "000001.json").write_text(text)
         (folder / "-1" / "000002.pcd").write_bytes(b"")
         flip_bit(folder / "-1" / "000003.pcd", -30)
@@ -205,6 +192,33 @@ def test_a_broken_record_of_a_frame_counts_as_none(made, copy, text):
         assert writer.there[one.name] == {0, 3}  # by sizes
     with DatasetWriter(plan, out, "embedded") as writer:
         assert writer.there[one.name] == {0}
+    record(plan, out)
+    assert content(out) == content(made[1])
+
+
+@pytest.mark.parametrize("ended", ["rmtree", "replace"])
+def test_a_kill_while_a_scenario_is_finished_leaves_no_records_in_it(
+    made, copy, monkeypatch, ended
+):
+    """Before the records are gone, and before the scenario moves."""
+    plan, out = copy
+    (one, _) = plan.scenarios
+    shutil.rmtree(out / one.split / one.name)
+
+    real = getattr(os if ended == "replace" else shutil, ended)
+
+    def killed(path, *given):
+        if Path(path).is_dir():  # not where a file gets its name
+            raise KeyboardInterrupt
+        real(path, *given)
+
+    with monkeypatch.context() as patch, DatasetWriter(plan, out, "embedded") as writer:
+        made_up.record(writer, one)
+        patch.setattr(os if ended == "replace" else shutil, ended, killed)
+        with pytest.raises(KeyboardInterrupt):
+            writer.finish(one)
+        assert not writer.place(one).exists()
+    assert (writer.unfinished(one) / RECORDS).exists() == (ended == "rmtree")
     record(plan, out)
     assert content(out) == content(made[1])
 

@@ -65,20 +65,6 @@ def test_readers_accept_a_set(tmp_path):
     assert (train.boxes, train.boxes_in_range) == (8, 8)
 
 
-def test_intensities_are_judged(tmp_path):
-    """A LiDAR at the origin, 6 m up, and one point 8 m to its left."""
-    pose = np.array([0, 0, 6.0, 0, 0, 0])
-    point = np.array([[0.5, 8.0, -4.6, 0]])
-    point[0, 3] = np.exp(-0.004 * np.linalg.norm(point[0, :3]))
-    for name, share in (("a", 1), ("b", 0.9)):
-        lit = replace(scan(), pose=pose, points=point * [1, 1, 1, share])
-        here = replace(station(1, cameras=0, lidars=0), pose=pose, scans=(lit,))
-        written(tmp_path / name, frame(boxes=[car()], stations=[here]))
-    check_scenario(tmp_path / "a", attenuation=0.004)
-    with pytest.raises(AssertionError, match="intensity is off"):
-        check_scenario(tmp_path / "b", attenuation=0.004)
-
-
 def damage_yaml(change):
     def apply(agent: Path) -> None:
         path = agent / "000068.yaml"
@@ -89,31 +75,18 @@ def damage_yaml(change):
     return apply
 
 
-def shift_camera(holds: dict) -> None:
-    holds["camera0"]["cords"][0] += 1e-6
-
-
 def lift_center(holds: dict) -> None:
     for section in ("vehicles", "cars"):
         holds[section][3]["center"] = [0, 0, 0]
 
 
-def blue_intensity(agent: Path) -> None:
-    path = agent / "000068.pcd"
-    whole = path.read_bytes()
-    path.write_bytes(whole[:-4] + b"\1" + whole[-3:])
-
-
 @pytest.mark.parametrize(
     ("damage", "message"),
     [
-        (lambda a: (a / "000068_lidar0.pcd").touch(), "not the points of the first"),
         (lambda a: (a / "000068_camera1.png").unlink(), "2 cameras, 1 pictures"),
         (lambda a: (a.parent / "-1" / "000068.yaml").unlink(), "frames are not those"),
-        (blue_intensity, "more than the red byte"),
         (damage_yaml(lambda d: d["vehicles"].pop(7)), "cyclists.7 is not vehicles.7"),
         (damage_yaml(lift_center), "not straight up"),
-        (damage_yaml(shift_camera), "off by"),
     ],
 )
 def test_readers_reject_what_is_damaged(tmp_path, damage, message):
@@ -143,23 +116,16 @@ def test_yaml_of_a_known_frame(tmp_path):
     }
     read = content(scenario / "-1" / "000068.yaml")
     extrinsic = np.array(read["camera0"].pop("extrinsic"))
-    assert read == {
-        "RSU": True,
-        "ego_speed": 0,
-        "true_ego_pos": [12, -8, 6, 0, 150, 0],
-        "predicted_ego_pos": [12, -8, 6, 0, 150, 0],
-        "lidar_pose": [12, -8, 6.5, 0, 150, 0],
-        "lidar_pose0": [12, -8, 6.5, 0, 150, 0],
-        "camera0": {
-            "cords": [12, -8, 5, 0, 150, -30],
-            "intrinsic": [[5, 0, 4], [0, 5, 3], [0, 0, 1]],
-        },
-        "vehicles": {3: entry},
-        "cars": {3: entry},
-        "cyclists": {},
-        "pedestrians": {},
-        "trucks": {},
+    camera = {
+        "cords": [12, -8, 5, 0, 150, -30],
+        "intrinsic": [[5, 0, 4], [0, 5, 3], [0, 0, 1]],
     }
+    unit, lidar = [12, -8, 6, 0, 150, 0], [12, -8, 6.5, 0, 150, 0]
+    assert read == dict(
+        RSU=True, ego_speed=0, true_ego_pos=unit, predicted_ego_pos=unit, lidar_pose=lidar,
+        lidar_pose0=lidar, camera0=camera, vehicles={3: entry}, cars={3: entry}, cyclists={},
+        pedestrians={}, trucks={},
+    )  # fmt: skip
     # The LiDAR is 1.5 m above the camera, which looks 30° down: partly behind, partly above.
     above = [-1.5 * np.sin(np.radians(30)), 0, 1.5 * np.cos(np.radians(30))]
     np.testing.assert_allclose(extrinsic[:3, 3], above, atol=1e-9)
@@ -211,23 +177,17 @@ def test_a_frame_written_again_leaves_nothing_behind(tmp_path, monkeypatch):
     scenario = written(tmp_path / "a", frame(stations=[station(1, cameras=3)]))
     (scenario / "-1" / ".000068.pcd.killed.part").touch()
     bare = frame(stations=[station(1, cameras=1, layers=False)])
-    gone, order, unlink, write_text = [], [], Path.unlink, writer.write_text
+    gone, unlink = [], Path.unlink
 
     def watch(path, **how):
         gone.append(path.name)
         unlink(path, **how)
 
-    def last(path, text):
-        order.extend(sorted(p.suffix for p in scenario.glob("*/*")))
-        write_text(path, text)
-
     with monkeypatch.context() as patch:
         patch.setattr(Path, "unlink", watch)
-        patch.setattr(writer, "write_text", last)
         write_frame(scenario, bare)
     assert (gone[0], gone[-1]) == ("000068.yaml", "000068.pcd")
     assert len(gone) == len(set(gone)) == 1 + 3 * 4 + 1 + 1
-    assert order == [".pcd", ".png"]
     check_scenario(scenario)
     assert_same(read_frame(scenario, 68), bare)
 
@@ -351,7 +311,6 @@ def heard(points) -> dict:
         ({"number": 10**6}, "frame 1000000 is out of range: a whole number, 0 to 999999"),
         ({"boxes": (car(), car())}, "track 3 is given twice"),
         ({"boxes": (car(65535),)}, "0 to 65534"),
-        ({"boxes": (car(1.5),)}, "track 1.5 is out of range"),
         ({"boxes": (car(kind="bus"),)}, "kind 'bus': one of car, truck"),
         ({"boxes": (car(center=np.array([0, np.nan, 0])),)}, "track 3: center must be finite"),
         ({"boxes": (car(size=np.array([1, 1, 0])),)}, "size .* is not above 0"),
@@ -360,12 +319,9 @@ def heard(points) -> dict:
         ({"stations": (replace(station(), pose=np.zeros(5)),)}, "station 1: pose must be"),
         (seen(rgb=np.zeros((6, 8), np.uint8)), r"image 0: rgb must be uint8 \(height, width, 3\)"),
         (seen(depth=np.zeros((6, 9))), "depth must be .6, 8. as rgb, of floats"),
-        (seen(depth=np.full((6, 8), np.nan)), "depth runs from nan"),
         (seen(instance=np.full((6, 8), 2**16)), "instance runs from 65536"),
-        (seen(instance=np.zeros((6, 8))), "instance must be .* of integers"),
         (seen(intrinsic=np.eye(4)), "frame 68: station 1: .*intrinsic must be"),
         (heard(np.zeros((5, 3))), "scan 0: points must be .*float64 .5, 3."),
-        (heard(np.full((1, 4), np.nan)), "points must be finite"),
         (heard(np.array([[0, 0, 0, 1.01]])), "intensity runs from 1.01 to 1.01: allowed 0 to 1"),
     ],
 )

@@ -21,18 +21,8 @@ POINTS = st.lists(
 
 def header(data: str = "ascii", **changes: str) -> str:
     """A header of two points; a key changed to "" is left out."""
-    keys = {
-        "VERSION": "0.7",
-        "FIELDS": "x y z rgb",
-        "SIZE": "4 4 4 4",
-        "TYPE": "F F F F",
-        "COUNT": "1 1 1 1",
-        "WIDTH": "2",
-        "HEIGHT": "1",
-        "VIEWPOINT": "0 0 0 1 0 0 0",
-        "POINTS": "2",
-        "DATA": data,
-    }
+    keys = dict(VERSION="0.7", FIELDS="x y z rgb", SIZE="4 4 4 4", TYPE="F F F F", COUNT="1 1 1 1")
+    keys |= dict(WIDTH="2", HEIGHT="1", VIEWPOINT="0 0 0 1 0 0 0", POINTS="2", DATA=data)
     return "".join(f"{key} {value}\n" for key, value in {**keys, **changes}.items() if value)
 
 
@@ -98,20 +88,15 @@ def test_fields_in_any_order_and_more_of_them(tmp_path):
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
-        (
-            header(FIELDS="x y z intensity") + "1 2 3 0.25\n4 5 6 1\n",
-            [[1, 2, 3, 0.25], [4, 5, 6, 1]],
-        ),
-        (
-            header(FIELDS="x y z", SIZE="4 4 4", TYPE="F F F", COUNT="") + "1 2 3\n4 5 6\n",
-            [[1, 2, 3, 0], [4, 5, 6, 0]],
-        ),
-        (header() + "nan nan nan 0\n4 5 6 0\n", [[4, 5, 6, 0]]),
+        (header(FIELDS="x y z intensity") + "1 2 3 0.25\n4 5 6 1\n", [0.25, 1]),
+        (header(FIELDS="x y z", SIZE="4 4 4", TYPE="F F F", COUNT="") + "1 2 3\n4 5 6\n", [0, 0]),
+        (header(WIDTH="3", POINTS="3") + "1 2 3 0\nnan nan nan 0\n4 5 6 0\n", [0, 0]),
     ],
     ids=["an intensity in place of a colour", "neither", "empty places are left out"],
 )
 def test_intensities_and_empty_places(tmp_path, text, expected):
-    np.testing.assert_array_equal(read_pcd(put(tmp_path, text)), expected)
+    points = np.column_stack([[[1, 2, 3], [4, 5, 6]], expected])
+    np.testing.assert_array_equal(read_pcd(put(tmp_path, text)), points)
 
 
 @pytest.mark.parametrize(
@@ -120,7 +105,6 @@ def test_intensities_and_empty_places(tmp_path, text, expected):
         (b"", "ends before DATA"),
         (b"\x89PNG\r\n\x1a\n\x00\x00", "not a PCD file: its header holds"),
         (header("binary_compressed"), "DATA binary_compressed cannot be read"),
-        (header("zip"), "DATA zip cannot be read"),
         (header(VERSION="0.5"), "VERSION 0.5: must be 0.7"),
         (header(FIELDS=""), "FIELDS is missing"),
         (header(POINTS="two"), "POINTS two: must be whole numbers"),
@@ -128,7 +112,6 @@ def test_intensities_and_empty_places(tmp_path, text, expected):
         (header(POINTS="3"), "3 POINTS are not WIDTH 2 x HEIGHT 1"),
         (header(POINTS="-2", WIDTH="-2"), "POINTS is missing or not a number"),
         (header(SIZE="4 4 4"), "do not have the same length"),
-        (header(SIZE="4 4 4 3"), "field rgb: TYPE F SIZE 3 COUNT 1 is not allowed"),
         (header(COUNT="1 1 1 99999999999"), "field rgb: TYPE F SIZE 4 COUNT 99999999999"),
         (header(TYPE="F F F X"), "field rgb: TYPE X"),
         (header(FIELDS="x y w rgb") + "1 2 3 0\n4 5 6 0\n", "no field z; the fields are x, y, w"),

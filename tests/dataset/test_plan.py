@@ -63,14 +63,14 @@ def test_every_combination_is_a_scenario(read):
     assert names[0] == "four_way__Cam-d1__low__midday__0"
     assert len({plan.seed for plan in generation.scenarios}) == 64
     assert len({plan.scene for plan in generation.scenarios}) == 8
+    # Road users look the same in every layout, light and weather; the noise differs.
+    looks = {(plan.scene, plan.appearance_seed) for plan in generation.scenarios}
+    assert len(looks) == len({seed for _, seed in looks}) == 8
     for plan in generation.scenarios:
         assert set(plan.settings) == set(SETTINGS)
         assert plan.settings["radius"] == (30 if plan.source.name == "the circle" else 50)
         assert (plan.frames, plan.build["frames"], plan.build["step"]) == (20, 20, 0.1)
         assert plan.tags == ({"kind": "roundabout"} if plan.source.name == "the circle" else {})
-
-
-def test_defaults(read):
     (plan, *_) = read(settings={}).scenarios
     assert (plan.frames, plan.settings["seconds"], plan.recording) == (100, 10, Recording())
     (plan, *_) = read(rate_hz=4, layers=["depth"], image_scale=0.25).scenarios
@@ -106,6 +106,7 @@ def test_seed_and_split_depend_on_the_content_of_a_scenario(read, tmp_path):
     shutil.copy(tmp_path / "study.yaml", tmp_path / "elsewhere")
     other = load_generation(tmp_path / "elsewhere" / "study.yaml")
     assert [p.split for p in other.scenarios] == [p.split for p in whole.scenarios]
+    assert facts(read(pictures="jpeg")) == facts(whole)
     assert {plan.split for plan in read(splits=dict(test=1)).scenarios} == {"test"}
 
 
@@ -194,21 +195,6 @@ def test_saved_scenes_of_one_place_are_one_intersection(read, tmp_path):
     assert len({plan.split for plan in together}) == 1
 
 
-def test_placements_are_paired(read):
-    """Road users look the same in every layout, light and weather; the noise differs."""
-    scenarios = read().scenarios
-    looks = {}
-    for plan in scenarios:
-        of = plan.source.name, plan.settings["density"], plan.settings["seed"]
-        looks.setdefault(of, set()).add(plan.appearance_seed)
-    assert len(looks) == 8
-    assert all(len(seeds) == 1 for seeds in looks.values())
-    assert len(set.union(*looks.values())) == 8
-    assert len({plan.seed for plan in scenarios}) == len(scenarios)
-    jpeg = read(pictures="jpeg").scenarios
-    assert [plan.seed for plan in jpeg] == [plan.seed for plan in scenarios]
-
-
 @given(
     st.lists(st.tuples(st.sampled_from("ab"), st.sampled_from("xyz")), min_size=1, max_size=80),
     st.lists(st.floats(0, 10), min_size=3, max_size=3).filter(
@@ -233,27 +219,20 @@ def test_splits_of_any_number(kinds, proportions, random):
     ("changes", "message"),
     [
         (dict(scenes=[{"built_in": "four_way", "frames": 3}]), r"scenes\[0\].frames: unknown key"),
-        (dict(scenes=[{"map": "a.xodr", "junction": 3}]), r"a.xodr: no such file"),
-        (dict(scenes=[{"built_in": "four_way"}] * 2), r"scenes: two are named 'four_way'"),
         (dict(layouts=["Cam-d9"]), r"layouts\[0\]: no strategy 'Cam-d9'.*did you mean Cam-d"),
-        (dict(settings=dict(density="many")), r"settings.density: density 'many': none, low"),
-        (dict(settings=dict(light=["midday", "noon"])), r"settings.light: light 'noon': one of"),
         (dict(settings=dict(weather="hail")), r"settings.weather: weather 'hail'"),
-        (dict(settings=dict(mix="bikes")), r"settings.mix: 'bikes': one of mixed, fleet, largest"),
         (dict(settings=dict(traffic="walk")), r"settings.traffic: 'walk': one of waypoints, sumo"),
+        (dict(settings=dict(statics="trees")), r"settings.statics: statics 'trees': one of none"),
         (dict(settings=dict(frames=5)), r"settings.frames: unknown key.*allowed: density, light"),
         (dict(settings=dict(seconds=0)), r"settings.seconds\[0\]: .*greater than 0"),
         (
             dict(settings=dict(seconds=0.25)),
-            r"settings.seconds: 0.25 s are 2.5 frames at 10 Hz: must",
+            r"settings.seconds: 0.25 s are 2.5 frames at 10 Hz: m",
         ),
         (dict(settings=dict(seconds=1e4)), r"settings.seconds: 10000 s are 100000 frames .* 10000"),
         (dict(rate=10), r"rate: unknown key; did you mean rate_hz"),
         (dict(layers=["depth", "depth"]), r"layers: two are named 'depth'"),
-        (
-            dict(image_size=[352, 0]),
-            r"image_size \[352, 0\] is out of range: width and",
-        ),
+        (dict(image_size=[352, 0]), r"image_size \[352, 0\] is out of range: width and"),
         (dict(image_size=[352, 128], image_scale=0.5), r"image_size and image_scale: give one"),
         (dict(pictures="jpg"), r"pictures: 'jpg': one of png, jpeg; did you mean jpeg"),
         (dict(cameras_per_agent=99), r"cameras_per_agent: 99 is out of range: 1 to 16, or 0"),
@@ -286,13 +265,11 @@ def test_saved_scenes(read, tmp_path):
     plans = read(scenes=scenes, settings=settings).scenarios
     assert {plan.frames for plan in plans} == {10}
     settings["seconds"] = [1, 1.3]
+    given = [{"file": "saved.npz", "radius": 20}]
     for changes, message in (
         (dict(settings=settings), "saved.npz has 12 frames, but 1.3 s at 10 Hz are 13"),
         (dict(settings={}, rate_hz=5), "saved.npz has frames 0.1 s apart, but rate_hz 5 needs"),
-        (
-            dict(scenes=[{"file": "saved.npz", "radius": 20}]),
-            r"scenes\[0\]: a saved scene keeps the settings it was built with; leave",
-        ),
+        (dict(scenes=given), r"scenes\[0\]: a saved scene keeps the settings it was built with;"),
     ):
         with pytest.raises(InspeError, match=message):
             read(**dict(scenes=scenes) | changes)
@@ -344,9 +321,8 @@ def test_protocols_find_their_maps(read, tmp_path, kind, monkeypatch):
     folder = tmp_path / "set" / "train" / plan.name
     path = protocol(plan, folder)
     assert str(tmp_path) not in path.read_text()
-    with pytest.raises(
-        InspeError, match=rf"{name} was not found; searched in {folder}, .*/set, .*--f"
-    ):
+    missing = rf"{name} was not found; searched in {folder}, .*/set, .*--f"
+    with pytest.raises(InspeError, match=missing):
         load_generation(path)
 
     def found(files=None) -> Path:
@@ -361,9 +337,7 @@ def test_protocols_find_their_maps(read, tmp_path, kind, monkeypatch):
     with (folder / name).open("ab") as f:
         f.write(b" ")
     assert found() == tmp_path / "set" / name
-    with pytest.raises(
-        InspeError, match=rf"{name} has changed since the protocol was written; searched"
-    ):
+    with pytest.raises(InspeError, match=rf"{name} has changed since the protocol was written; se"):
         load_generation(path, folder)
     assert found(tmp_path) == tmp_path / name
     (tmp_path / "set" / name).unlink()
@@ -412,10 +386,6 @@ def test_street_furniture_is_part_of_what_a_scenario_is(read, tmp_path):
     assert street.scene != bare.scene
     assert (street.traffic_key, street.split) == (bare.traffic_key, bare.split)
     assert street.name == bare.name.replace("statics-none", "statics-street")
-    assert street.build["statics"] == "street"
-    for number, own in enumerate((bare, street)):
-        path = protocol(own, tmp_path / str(number))
-        (again,) = load_generation(path).scenarios
-        assert again.settings == own.settings
-    with pytest.raises(InspeError, match=r"settings.statics: statics 'trees': one of none, map"):
-        read(study, settings=dict(statics="trees"))
+    (again,) = load_generation(protocol(street, tmp_path / "street")).scenarios
+    assert again.build["statics"] == "street"
+    assert again.settings == street.settings

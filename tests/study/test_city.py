@@ -1,6 +1,5 @@
 """A plan for the junctions of a map: its study, its fronts, its choice, and the command line."""
 
-import csv
 import json
 import re
 from functools import partial
@@ -13,7 +12,7 @@ from drawn import misplaced
 from processes import in_this_process, inspe_here
 
 from inspe_jax.core.errors import InspeError
-from inspe_jax.scene.maps.registry import read_map, road_lines
+from inspe_jax.core.files import read_csv
 from inspe_jax.scene.maps.road_map import JunctionInfo
 from inspe_jax.scene.maps.sumo.network import run
 from inspe_jax.sensing.layout import load_layout
@@ -27,7 +26,6 @@ from inspe_jax.study.city import (
     plan_city,
 )
 from inspe_jax.study.city_report import city_view
-from inspe_jax.study.results import read_results
 
 LIES = "+proj=utm +zone=32 +ellps=WGS84 +datum=WGS84 +units=m +no_defs"
 SMALL = ("--radius", 20, "--voxel", 2, "--frames", 2, "--density", 5, "--evaluations", 3)
@@ -62,8 +60,7 @@ def inspe(files, monkeypatch, capsys):
 
 
 def table(folder: Path) -> list[dict[str, str]]:
-    with (folder / "plan.csv").open(newline="") as f:
-        return list(csv.DictReader(f))
+    return read_csv(folder / "plan.csv")
 
 
 def test_a_plan_from_a_map_to_files_and_another_budget(inspe, files):
@@ -79,7 +76,7 @@ def test_a_plan_from_a_map_to_files_and_another_budget(inspe, files):
     assert "proved: of the mixes searched, no plan for this money has a greater sum" in text
     assert "wrote plan.csv, plan.png, plan.geojson into out" in text
     rows = table(there)
-    searched = read_results(there)
+    searched = read_csv(there / "results.csv")
     assert len(searched) == 4 * 4
     assert {row["status"] for row in searched} == {"done"}
     prices = {"velodyne-vlp-16": 4000, "paper-camera": 850.5}
@@ -301,12 +298,3 @@ def test_choosing_junctions(files, monkeypatch):
     monkeypatch.setattr("inspe_jax.study.city.list_junctions", lambda path: ())
     with pytest.raises(InspeError, match="the map has no junction"):
         choose_junctions(path, "all")
-
-
-def test_roads_are_where_the_junctions_are(files):
-    path = files / "grid.net.xml"
-    points = np.concatenate(road_lines(path))
-    for one in choose_junctions(path, "all"):
-        away = np.hypot(*(points - np.array(one.center[:2])).T)
-        assert away.min() < 15
-    assert read_map(path, junction="A0", radius=20).georeference is not None

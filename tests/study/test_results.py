@@ -1,13 +1,12 @@
 """Rows on disk: appended whole, taken up again, and put in order at the end."""
 
-import csv
-
 import pytest
 
 from inspe_jax.core.errors import InspeError
+from inspe_jax.core.files import csv_text, read_csv
 from inspe_jax.jobs.scenes import versions
 from inspe_jax.study.plan import make_study
-from inspe_jax.study.results import Results, read_results
+from inspe_jax.study.sweep import Results
 from inspe_jax.study.work import columns, failure_columns, row_head
 
 
@@ -28,10 +27,10 @@ def test_rows_are_on_disk_as_they_come_and_in_order_at_the_end(study, tmp_path):
     with Results(study, folder) as results:
         for count, job in enumerate(reversed(study.jobs), 1):
             results.add(row(job), "a layout\n")
-            assert len(read_results(folder)) == count
+            assert len(read_csv(folder / "results.csv")) == count
         rows = results.finish()
     assert [r["key"] for r in rows] == [job.key for job in study.jobs]
-    assert read_results(folder) == rows
+    assert read_csv(folder / "results.csv") == rows
     assert list(rows[0]) == list(columns(study))
     assert rows[1]["seed"] == "1"
     assert (folder / "layouts" / f"{study.jobs[0].key}.yaml").read_text() == "a layout\n"
@@ -69,10 +68,8 @@ def test_tags_are_those_that_the_study_has_now(tmp_path):
 
 
 def test_only_one_run_at_a_time(study, tmp_path):
-    with (
-        Results(study, tmp_path / "out"),
-        pytest.raises(InspeError, match="is in use by another run"),
-    ):
+    used = pytest.raises(InspeError, match="is in use by another run")
+    with Results(study, tmp_path / "out"), used:
         Results(study, tmp_path / "out")
     with Results(study, tmp_path / "out"):
         pass
@@ -83,7 +80,7 @@ def test_what_failed_is_run_again(study, tmp_path):
     with Results(study, tmp_path / "out") as results:
         results.add(row_head(bad) | versions() | failure_columns("two\nlines, and a comma"))
         results.add(row(good))
-    assert read_results(tmp_path / "out")[0]["error"] == "two lines, and a comma"
+    assert read_csv(tmp_path / "out" / "results.csv")[0]["error"] == "two lines, and a comma"
     with Results(study, tmp_path / "out") as results:
         assert set(results.rows) == {good.key}
         results.add(row(bad))
@@ -94,18 +91,13 @@ def test_results_of_something_else_are_left_alone(study, tmp_path):
     folder = tmp_path / "out"
     with Results(study, folder) as results:
         results.add(row(study.jobs[0]))
-    other = make_study(
-        dict(scenes=[{"built_in": "four_way"}], layouts=["L-c"], settings=dict(seed=9)), tmp_path
-    )
-    with pytest.raises(
-        InspeError, match=r"1 of its 1 rows are not jobs of this study, such as L-c on"
-    ):
-        Results(other, folder)
-    tagged = make_study(
-        dict(scenes=[{"built_in": "four_way", "tags": {"a": "b"}}], layouts=["L-c"]), tmp_path
-    )
+    scene, layouts = {"built_in": "four_way"}, ["L-c"]
+    content = dict(scenes=[scene], layouts=layouts, settings=dict(seed=9))
+    with pytest.raises(InspeError, match="1 of its 1 rows are not jobs of this study, such as L-c"):
+        Results(make_study(content, tmp_path), folder)
+    tagged = dict(scenes=[scene | {"tags": {"a": "b"}}], layouts=layouts)
     with pytest.raises(InspeError, match="its columns are not those of this study"):
-        Results(tagged, folder)
+        Results(make_study(tagged, tmp_path), folder)
     path = folder / "results.csv"
     for text in (b"my own notes", b"\xff\xfe\n", b"a,b\n1,2\n"):
         (tmp_path / "other").mkdir(exist_ok=True)
@@ -113,13 +105,8 @@ def test_results_of_something_else_are_left_alone(study, tmp_path):
         with pytest.raises(InspeError, match="its columns are not"):
             Results(study, tmp_path / "other")
         assert (tmp_path / "other" / "results.csv").read_bytes() == text
-    rows = read_results(folder)
+    rows = read_csv(folder / "results.csv")
     rows[0]["jax"] = "0.0.1"
-    with path.open("w", newline="") as f:
-        table = csv.DictWriter(f, list(rows[0]), lineterminator="\n")
-        table.writeheader()
-        table.writerows(rows)
+    path.write_text(csv_text(rows))
     with pytest.raises(InspeError, match=r"was begun with jax 0.0.1, but this is"):
         Results(study, folder)
-    with pytest.raises(InspeError, match="no such file; run `inspe sweep` first"):
-        read_results(tmp_path)

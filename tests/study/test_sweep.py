@@ -14,11 +14,11 @@ from processes import in_this_process, inspe_process, kill_with_workers, wait_fo
 
 from inspe_jax import Conditions, build_scene, built_in, evaluate, strategy
 from inspe_jax.core.errors import InspeError
+from inspe_jax.core.files import read_csv
 from inspe_jax.jobs import cluster
 from inspe_jax.sensing.layout import load_layout
 from inspe_jax.study.plan import load_study
-from inspe_jax.study.results import Results, read_results
-from inspe_jax.study.sweep import sweep
+from inspe_jax.study.sweep import Results, sweep
 
 STUDY = dict(
     scenes=[{"built_in": "four_way"}, {"built_in": "t_junction", "tags": {"kind": "T"}}],
@@ -64,7 +64,7 @@ def undisturbed(tmp_path_factory) -> tuple[Path, bytes]:
 @pytest.mark.process
 def test_rows_are_what_a_score_says(undisturbed):
     path, _ = undisturbed
-    rows = read_results(path.parent / "out")
+    rows = read_csv(path.parent / "out" / "results.csv")
     assert [row["key"] for row in rows] == [job.key for job in load_study(path).jobs]
     assert {row["status"] for row in rows} == {"done"}
     assert [row["tag_kind"] for row in rows] == [""] * 8 + ["T"] * 8
@@ -149,7 +149,7 @@ def test_ctrl_c_says_how_to_go_on(undisturbed, tmp_path):
     assert process.returncode == 130
     assert "give the same command again to resume" in err
     assert "Traceback" not in err
-    assert read_results(tmp_path / "out")
+    assert read_csv(tmp_path / "out" / "results.csv")
 
 
 def test_jobs_that_fail_say_why_and_the_others_go_on(tmp_path):

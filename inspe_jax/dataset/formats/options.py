@@ -12,14 +12,11 @@ MOST_CAMERAS = 16
 class FileOptions:
     """How the files of a frame are written.
 
-    ``pictures`` is one of :data:`PICTURES`: JPEG files are a quarter of the size and are read four
-    times as fast, but lose what the eye hardly sees, and few other readers look for them.
-    ``cameras_per_agent`` is the number of cameras that each agent shall have, for readers that
-    want the same number of all; 0 leaves them as they are.
-    ``infra_set_names`` gives the first point cloud of each agent a second name, ``_lidar0.pcd``,
-    as the Infra-Set variant of OPV2V has it.
-    ``visibility_maps`` adds a picture of the road users that the cameras of each agent see,
-    ``_bev_visibility.png``, by which HEAL's and CoAlign's camera readers choose boxes.
+    ``pictures``: JPEG files are a quarter of the size of PNG and are read four times as fast, but
+    few other readers look for them. ``cameras_per_agent``, for readers that want the same number
+    of all; 0 leaves them as they are. ``infra_set_names`` gives the first point cloud of each agent
+    a second name, ``_lidar0.pcd``, as the Infra-Set variant of OPV2V has it. ``visibility_maps``
+    adds a picture of the road users that the cameras of each agent see, ``_bev_visibility.png``.
     """
 
     pictures: str = "png"

@@ -1,22 +1,19 @@
-"""What other people's readers of OPV2V data sets need: agents with the same number of cameras each,
-the range of points and boxes to keep, and maps of what cameras see.
+"""What other people's readers of OPV2V data sets need.
 
-Readers of camera data sets put the pictures of an agent into one array, four of each in OPV2V. A
-station with more cameras becomes several agents; one with fewer is filled up with black pictures
-of cameras that look straight up, where nothing is that a detector looks for.
-
-The range that is set in readers, 3 m below the LiDAR to 1 m above it, is for one on the roof of a
-car: of a LiDAR on a pole they keep no road user.
-
-HEAL's and CoAlign's camera readers keep the boxes whose middle lies on a pixel of an agent's map,
-OPV2V's ``_bev_visibility.png``, that is not black.
+- Agents with the same number of cameras each, four in OPV2V: their pictures are one array. A
+  station with more cameras becomes several agents; one with fewer is filled up with black pictures
+  of cameras that look straight up.
+- The range of points and boxes to keep. The one that is set in readers is for a LiDAR on the roof
+  of a car: of one on a pole they keep no road user.
+- Maps of what cameras see, ``_bev_visibility.png``. HEAL's and CoAlign's camera readers keep the
+  boxes whose middle lies on a pixel that is not black.
 """
 
 from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, UInt8
+from jaxtyping import Float, UInt8
 from PIL import Image as Pillow
 from PIL import ImageDraw
 
@@ -41,7 +38,7 @@ their grid four times."""
 PIXELS = 256
 """Width and height of a map, as in OPV2V and these readers."""
 PIXEL = 0.39
-"""Size of a pixel [m], as in OPV2V and these readers: they see 50 m ahead, back and aside."""
+"""Size of a pixel [m]: they see 50 m ahead, back and aside."""
 MIDDLE = 127
 """Row and column of the agent."""
 CORNERS = np.array([[1, 1, 0], [1, -1, 0], [-1, -1, 0], [-1, 1, 0]]) / 2
@@ -86,32 +83,23 @@ def _filled(images: list[Image], count: int, station: Station, like: Image) -> t
     if len(images) == count:
         return tuple(images)
     size = (images or [like])[0]
+    layers = {name: getattr(size, name) for name in ("instance", "semantic", "pixels", "share")}
     black = Image(
         pose=np.array([*station.pose[:3], *UP]),
         intrinsic=size.intrinsic,
         rgb=np.zeros_like(size.rgb),
-        **{
-            name: _nothing(getattr(size, name))
-            for name in ("depth", "instance", "semantic", "pixels", "share")
-        },
+        depth=None if size.depth is None else np.full_like(size.depth, np.inf),
+        **{k: None if layer is None else np.zeros_like(layer) for k, layer in layers.items()},
     )
     return (*images, *[black] * (count - len(images)))
-
-
-def _nothing(layer: np.ndarray | None) -> np.ndarray | None:
-    """A layer of a picture that shows nothing: 0, or infinitely far."""
-    if layer is None:
-        return None
-    return np.full_like(layer, np.inf if layer.dtype.kind == "f" and layer.ndim == 2 else 0)
 
 
 def lidar_range(agents: Sequence[Station], voxels: VoxelGrid) -> list[float]:
     """The range that holds every road user of the region as a whole, seen from any agent.
 
-    It is [x, y, z, x, y, z] [m], lower and upper limits in the frame of an agent's first LiDAR, or
-    of its unit where it has none, the same on all four sides: what readers call
-    ``cav_lidar_range``. They drop a box unless all of its corners lie inside, and may take any
-    agent as the one in whose frame the boxes are.
+    It is [x, y, z, x, y, z] [m], lower and upper limits in the frame of any agent, the same on all
+    four sides: what readers call ``cav_lidar_range``. They drop a box unless all of its corners lie
+    inside.
     """
     ground = np.column_stack([voxels.columns, voxels.ground])
     around = np.concatenate([ground - [0.0, 0.0, BELOW], ground + [0.0, 0.0, HIGHEST]])
@@ -128,37 +116,24 @@ def lidar_range(agents: Sequence[Station], voxels: VoxelGrid) -> list[float]:
 
 
 def visibility_map(agent: Station, boxes: Sequence[RoadUserBox]) -> UInt8[np.ndarray, "256 256"]:
-    """The map of an agent: white on black, ahead is up.
+    """The map of an agent in its own frame: white on black, ahead is up.
 
-    It is in the frame of the agent's first LiDAR, or of its unit where it has none. A road user is
-    white where at least one pixel of a camera shows it, or where it was not counted what pixels
-    show.
+    A road user is white where at least one pixel of a camera shows it, or where it was not counted
+    what pixels show.
     """
     pose = frame_of(agent)
     turn = rotation(pose[3:], np)
     picture = Pillow.new("L", (PIXELS, PIXELS))
     draw = ImageDraw.Draw(picture)
-    for box, seen in zip(boxes, _seen(agent, len(boxes)), strict=True):
-        if seen:
+    uncounted = any(image.pixels is None for image in agent.images)
+    for k, box in enumerate(boxes):
+        if uncounted or any(np.asarray(image.pixels)[k] > 0 for image in agent.images):
             middle = np.asarray(box.center, float)
             facing = rotation(np.array([0.0, 0.0, box.yaw]), np)
             corners = middle + (CORNERS * box.size) @ facing.T
-            at = _pixels((np.vstack([corners, middle]) - pose[:3]) @ turn)
+            at = (np.vstack([corners, middle]) - pose[:3]) @ turn
+            # Column and row; the readers round towards the agent, too.
+            at = MIDDLE - np.trunc(at[:, 1::-1] / PIXEL).astype(int)
             draw.polygon([tuple(p) for p in at[:4].tolist()], fill=255)
             draw.point(tuple(at[4].tolist()), fill=255)
     return np.asarray(picture)
-
-
-def _seen(agent: Station, count: int) -> Bool[np.ndarray, " B"]:
-    if any(image.pixels is None for image in agent.images):
-        return np.ones(count, bool)
-    shown = np.zeros(count, bool)
-    for image in agent.images:
-        shown |= np.asarray(image.pixels) > 0
-    return shown
-
-
-def _pixels(points: Float[np.ndarray, "N 3"]) -> Int[np.ndarray, "N 2"]:
-    """Column and row of points of the agent's frame; the readers round towards the agent, too."""
-    ahead, left = (np.trunc(points[:, i] / PIXEL).astype(int) for i in (0, 1))
-    return np.column_stack([MIDDLE - left, MIDDLE - ahead])

@@ -1,10 +1,8 @@
 """Reads and writes PCD files, version 0.7: points with an intensity.
 
 Points are written as ``x y z rgb``, float32 and binary, with the intensity in the red byte of
-``rgb``, as OPV2V has it.
-
-A reader of its own, because pypcd4 (1.5) rejects files without COUNT, which the format allows, and
-raises errors of many kinds, without the file's name, on damaged ones.
+``rgb``, as OPV2V has it. A reader of its own: pypcd4 (1.5) rejects files without COUNT, which the
+format allows, and raises errors of many kinds on damaged ones.
 """
 
 import os
@@ -88,11 +86,8 @@ def read_notes(path: str | os.PathLike[str]) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class _Header:
-    """The content of the header.
-
-    ``row`` is the layout of a point; its fields are named by their index, because ``names`` may
-    repeat. ``notes`` are the comments.
-    """
+    """``row`` is the layout of a point; its fields are named by their index, because ``names`` may
+    repeat. ``notes`` are the comments."""
 
     names: tuple[str, ...]
     row: np.dtype
@@ -105,10 +100,10 @@ def _read_header(f: IO[bytes], path: Path) -> _Header:
     entries: dict[str, list[str]] = {}
     notes = []
     while "DATA" not in entries:
-        line = f.readline(_LONGEST_LINE)
-        key, *values = line.decode("ascii", "replace").split() or [""]
+        line = f.readline(_LONGEST_LINE).decode("ascii", "replace")
+        key, *values = line.split() or [""]
         if key.startswith("#"):
-            notes.append(line.decode("ascii", "replace").lstrip("#").strip())
+            notes.append(line.lstrip("#").strip())
         elif key in _KEYS:
             entries[key] = values
         elif not line:
@@ -173,15 +168,16 @@ def _read_columns(body: bytes, header: _Header, path: Path) -> dict[str, np.ndar
         rows = np.frombuffer(body[:needed], row)
         columns = [rows[str(i)][:, 0] for i in range(len(counts))]
     else:
+        first = np.cumsum([0, *counts])
         try:
             values = np.array(body.split(), "S").astype(np.float64)
         except ValueError as e:
             raise InspeError(f"{path}: its points are not numbers: {e}") from None
-        if len(values) != points * sum(counts):
+        if len(values) != points * first[-1]:
             raise InspeError(
-                f"{path}: {points} POINTS need {sum(counts)} numbers each, there are {len(values)}"
+                f"{path}: {points} POINTS need {first[-1]} numbers each, there are {len(values)}"
             )
-        table, first = values.reshape(points, sum(counts)), np.cumsum([0, *counts])
+        table = values.reshape(points, first[-1])
         with np.errstate(over="ignore", invalid="ignore"):
             columns = [table[:, first[i]].astype(row[i].base) for i in range(len(counts))]
     return dict(reversed([*zip(header.names, columns, strict=True)]))

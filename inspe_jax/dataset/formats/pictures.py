@@ -14,27 +14,20 @@ from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import check_input, whole_file
 
 COMPRESSION = {"compress_level": 1, "compress_type": zlib.Z_RLE}
-"""Runs of one value are what repeats in these pictures; noise does not repeat. Searching for longer
-repetitions takes half as long again, and saves nothing."""
-
+"""Runs of one value are what repeats in these pictures. Searching for longer repetitions takes half
+as long again, and saves nothing."""
 QUALITY = {"quality": 95, "subsampling": 0}
 """Of JPEG files: colours at full resolution, and errors of about two steps of 255."""
-
 SUFFIXES = {"png": ".png", "jpeg": ".jpg"}
 """By the names of :data:`~inspe_jax.dataset.formats.options.PICTURES`."""
-
-LAYERS = ("depth", "instance", "semantic")
-"""What a picture may have besides its colours."""
-
 DEPTH_UNIT = 0.01
 """The resolution of a depth picture [m]."""
-
 DEPTH_CAP = 2**16 - 1
 """The largest value of a depth picture; it stands for this distance and all beyond."""
 
 
 def write_picture(path: Path, layer: str, pixels: Any) -> None:
-    """Write ``rgb`` (H, W, 3), as the suffix says, or one of :data:`LAYERS` (H, W).
+    """Write ``rgb`` (H, W, 3), as the suffix says, or a layer (H, W).
 
     Depths [m] are written in 16 bits, in centimetres, capped beyond 655.35 m; instances, which are
     track + 1 or 0, in 16 bits; labels in 8.
@@ -50,7 +43,7 @@ def write_picture(path: Path, layer: str, pixels: Any) -> None:
 
 
 def read_picture(path: Path, layer: str) -> np.ndarray:
-    """The pixels of ``rgb`` (H, W, 3), uint8, or of one of :data:`LAYERS` (H, W).
+    """The pixels of ``rgb`` (H, W, 3), uint8, or of a layer (H, W).
 
     Grey pictures and those with transparency are converted to colours. Depths are in metres,
     float32, infinite where the file has its largest value; instances are int32. Raises InspeError

@@ -34,9 +34,8 @@ def write_protocol(
     """Write what made a scenario into its folder, as :data:`PROTOCOL`, its keys in the order given.
 
     ``protocol`` must have ``world`` with fixed_delta_seconds (the time step [s]), client_port,
-    seed, weather and town, because some readers need them. The names of ``stations`` are added
-    under ``stations``. The folder is made if it is missing. Raises InspeError where a key is
-    missing, or YAML cannot hold a value.
+    seed, weather and town, which some readers need. The names of ``stations`` are added under
+    ``stations``. Raises InspeError where a key is missing, or YAML cannot hold a value.
     """
     path = make_folder(Path(scenario)) / PROTOCOL
     world = protocol.get("world")

@@ -1,8 +1,7 @@
 """The registry of data-set formats.
 
 To add a format, write a module with the four functions of a :class:`DatasetFormat`, and add a row
-to :data:`FORMATS`. ``inspe generate``, :func:`inspe_jax.dataset.open`, the statistics and the
-figures then work with it.
+to :data:`FORMATS`.
 """
 
 import os
@@ -24,11 +23,10 @@ class DatasetFormat:
     """How the frames of a scenario are stored in its folder.
 
     ``agents(folder)`` gives the ids of the agents: infrastructure −1, −2, … first, then vehicles.
-    ``frames(folder, agents)`` gives the numbers of the frames that are complete.
-    ``read(folder, number, agents, protocol)`` gives a frame, and raises InspeError where there is
-    none or a file is broken.
-    ``write(folder, frame, options)`` writes a frame over an earlier one, and gives its files. The
-    folder may be missing. A frame that is only half written must not count as complete.
+    ``frames(folder, agents)`` gives the numbers of the frames that are complete. ``read(folder,
+    number, agents, protocol)`` gives a frame; raises InspeError where there is none or a file is
+    broken. ``write(folder, frame, options)`` writes a frame over an earlier one, and gives its
+    files; the folder may be missing, and a frame that is half written must not count as complete.
     ``example`` is the path of a file of frame 0, for error messages.
     """
 
@@ -64,8 +62,7 @@ def format_of(folder: Path) -> DatasetFormat | None:
 def read_frame(scenario: str | os.PathLike[str], number: int) -> Frame:
     """A frame of a scenario, in whichever format it is stored.
 
-    Raises InspeError where there is no such folder or frame, or a file is broken. For OPV2V see
-    :func:`~inspe_jax.dataset.formats.opv2v.reader.frame_of`.
+    Raises InspeError where there is no such folder or frame, or a file is broken.
     """
     folder = Path(scenario)
     if not folder.is_dir():
@@ -84,8 +81,7 @@ def write_frame(
 
     A frame of this number that is there is replaced. Every frame of a scenario should have the
     same stations. Raises InspeError, before anything is written, where the format is unknown, an
-    option is out of range, or the frame is not valid. For OPV2V see
-    :func:`~inspe_jax.dataset.formats.opv2v.writer.write_frame`.
+    option is out of range, or the frame is not valid.
     """
     check_known(format, FORMATS, "format:")
     options.check("options")

@@ -11,6 +11,7 @@ import os
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 
 from inspe_jax.core.errors import InspeError, nearest
@@ -55,10 +56,13 @@ class Cache:
     @property
     def splits(self) -> dict[str, tuple[StoredScenario, ...]]:
         """The scenarios of each split."""
-        found: dict[str, tuple[StoredScenario, ...]] = {}
-        for scenario in self.scenarios:
-            found[scenario.split] = (*found.get(scenario.split, ()), scenario)
-        return found
+        names = dict.fromkeys(scenario.split for scenario in self.scenarios)
+        return {name: tuple(s for s in self.scenarios if s.split == name) for name in names}
+
+    @property
+    def size(self) -> int:
+        """Bytes of all arrays."""
+        return sum(sum(scenario.record.files.values()) for scenario in self.scenarios)
 
     def split(self, name: str) -> tuple[StoredScenario, ...]:
         """The scenarios of a split. Raises InspeError, which lists the splits, for another name."""
@@ -67,11 +71,6 @@ class Cache:
             hint = nearest(name, tuple(splits))
             raise InspeError(f"{self.path}: no split '{name}': there is {', '.join(splits)}{hint}")
         return splits[name]
-
-    @property
-    def size(self) -> int:
-        """Bytes of all arrays."""
-        return sum(scenario.size for scenario in self.scenarios)
 
 
 def cache(
@@ -101,22 +100,18 @@ def cache(
         raise InspeError(f"pictures {pictures}: (height, width), whole numbers of 1 or more")
     if workers is not None and workers < 1:
         raise InspeError(f"workers {workers}: 1 or more")
-    listed = [
-        (split, scenario)
-        for split, scenarios in data.splits.items()
-        for scenario in scenarios
-        if scenario.frames
-    ]
-    total = sum(len(scenario.frames) for _, scenario in listed)
+    total = sum(len(scenario.frames) for scenario in data.scenarios)
     if not total:
         raise InspeError(f"{data.path}: no scenario has a frame")
     path = prepare_folder(folder).resolve()
     with lock_folder(path, LOCK):
         _claim(path, pictures)
         there = {(each.split, each.name): each for each in _stored(path)}
-        todo: list[Job] = []
-        done = 0
-        for split, scenario in listed:
+        todo, done = list[Job](), 0
+        each = ((split, one) for split, scenarios in data.splits.items() for one in scenarios)
+        for split, scenario in each:
+            if not scenario.frames:
+                continue
             source = digest_of_scenario(scenario)
             stored = there.get((split, scenario.name))
             if stored is None:
@@ -128,9 +123,7 @@ def cache(
                 )
             else:
                 done += stored.record.frames
-        if progress:
-            progress(done, total)
-        for frames in _decode_all(todo, cores() if workers is None else workers):
+        for frames in chain([0], _decode_all(todo, cores() if workers is None else workers)):
             done += frames
             if progress:
                 progress(done, total)

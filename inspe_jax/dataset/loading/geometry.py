@@ -39,8 +39,7 @@ class Similarity:
     """Mirrors the plane y = 0 if ``mirrored``, then turns about the z axis by ``turn`` [rad], then
     scales by ``scale``, all about the middle of the intersection.
 
-    The same similarity moves points, poses, boxes and pictures, so that what was consistent before
-    is consistent afterwards.
+    It moves points, poses, boxes and pictures: what was consistent stays consistent.
     """
 
     mirrored: bool = False
@@ -78,8 +77,7 @@ class Similarity:
     ) -> Float[np.ndarray, "*n 3 3"]:
         """Calibrations of pictures, which :meth:`copy_picture` mirrors if the world is mirrored.
 
-        Column u becomes ``width`` − u. Turns and scales leave a picture as it is, because the
-        camera moves with the world.
+        Column u becomes ``width`` − u. Turns and scales leave a picture as it is.
         """
         moved = np.array(intrinsics)
         if self.mirrored:
@@ -115,13 +113,10 @@ class Similarity:
 class Augment:
     """How frames are changed at random, each by itself.
 
-    ``flip`` is the chance that the intersection is mirrored. ``turn`` [rad] limits its turn about
-    the vertical to ± ``turn``, and ``scale`` its scale; both are uniform. A mirrored intersection
-    has its traffic on the other side of the road: use ``flip=0`` where a model is to learn the
-    side.
-
-    The defaults are those of SECOND (Yan, Mao and Li 2018) and PointPillars (Lang et al. 2019): a
-    mirror every other time, ±π/4, and 0.95 to 1.05.
+    ``flip`` is the chance that the intersection is mirrored, which puts its traffic on the other
+    side of the road. Its turn about the vertical is uniform within ± ``turn`` [rad], its scale
+    within ``scale``. The defaults are those of SECOND (Yan, Mao and Li 2018) and PointPillars (Lang
+    et al. 2019).
     """
 
     flip: float = 0.5

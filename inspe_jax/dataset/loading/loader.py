@@ -13,15 +13,14 @@ from itertools import count
 from typing import Literal, get_args
 
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Float, Int
 
 from inspe_jax.core.errors import InspeError, check_known, nearest
-from inspe_jax.dataset.loading.assemble import Assembly
-from inspe_jax.dataset.loading.batch import Batch
+from inspe_jax.dataset.loading.batch import Batch, Cameras, Lidars, Pillars, Targets
 from inspe_jax.dataset.loading.caching import Cache
-from inspe_jax.dataset.loading.geometry import Augment
+from inspe_jax.dataset.loading.geometry import Augment, Similarity
 from inspe_jax.dataset.loading.pillars import PillarGrid
-from inspe_jax.dataset.loading.stored import StoredScenario
+from inspe_jax.dataset.loading.stored import StoredScenario, to_metres, woven
 
 Sensor = Literal["camera", "lidar"]
 SENSORS: tuple[Sensor, ...] = get_args(Sensor)
@@ -45,7 +44,9 @@ class Loader:
 
     ``sensors`` are "camera", "lidar" or both; what the cache does not have is None in the batches.
     Clouds are given as they are, or their ``points`` as pillars of a grid. They are in random
-    order, so the first points of a cloud are a fair sample of it.
+    order, so the first points of a cloud are a fair sample of it. Where there is no place for all
+    pillars, those that are kept are drawn at random with ``shuffle`` or ``augment``; otherwise they
+    are always the same.
 
     Road users are left out whose middle is farther than ``half`` [m] from the middle of the
     intersection, along x or y: the half of a pillar grid if not given, otherwise none is.
@@ -79,6 +80,7 @@ class Loader:
         for each in (points, augment):
             if each is not None:
                 each.check()
+        self.sensors, self.grid, self.augment = tuple(sensors), points, augment
         self.half = points.half if half is None and points is not None else half
         counts = [scenario.record.frames for scenario in self.scenarios]
         places = [(s, t) for s, count in enumerate(counts) for t in range(count)]
@@ -89,15 +91,6 @@ class Loader:
                 f"{cache.path}: split '{split}' has {len(places)} frames, less than a batch of "
                 f"{batch}: use a smaller batch, or shuffle=False"
             )
-        self.assembly = Assembly(
-            cache=cache,
-            scenarios=self.scenarios,
-            sensors=tuple(sensors),
-            grid=points,
-            half=self.half,
-            augment=augment,
-            training=shuffle or augment is not None,
-        )
 
     def __len__(self) -> int:
         """Number of batches of an epoch."""
@@ -109,12 +102,23 @@ class Loader:
         if step < 0:
             raise IndexError(f"step {step} is below 0")
         epoch, number = divmod(int(step), len(self))
-        chosen = self.order(epoch)[number * self.batch : (number + 1) * self.batch]
-        draws = [
-            np.random.default_rng([self.seed, epoch, number * self.batch + b, 1])
-            for b in range(len(chosen))
-        ]
-        return self.assembly.batch(self.frames[chosen], draws, self.batch)
+        first = number * self.batch
+        chosen = self.order(epoch)[first : first + self.batch]
+        found = self._empty()
+        for b, (s, t) in enumerate(self.frames[chosen].tolist()):
+            draw = np.random.default_rng([self.seed, epoch, first + b, 1])
+            moved = Similarity() if self.augment is None else self.augment.similarity(draw)
+            stored = self.scenarios[s]
+            found.scenario[b], found.number[b] = s, stored.index["number"][t]
+            found.transform[b], found.valid[b] = moved.matrix, True
+            if found.lidars is not None:
+                self._fill_lidars(found.lidars, b, stored, t, moved, draw)
+            if found.cameras is not None:
+                _fill_cameras(found.cameras, b, stored, t, moved)
+            self._fill_targets(found.targets, b, stored, t, moved)
+        if found.cameras is not None:
+            found.cameras.pixels[~found.cameras.present] = 0
+        return found
 
     def __iter__(self) -> Iterator[Batch]:
         """The batches of the first epoch."""
@@ -172,6 +176,125 @@ class Loader:
             return np.arange(len(self.frames))
         return np.random.default_rng([self.seed, epoch, 0, 0]).permutation(len(self.frames))
 
+    def _empty(self) -> Batch:
+        """A batch that is all padding; shapes are those of the whole cache."""
+        size, records = self.batch, [each.record for each in self.cache.scenarios]
+        lidars = max(each.lidars for each in records)
+        cameras = max(each.cameras for each in records)
+        pixels, found_lidars, found_cameras = self.cache.pictures, None, None
+        if "lidar" in self.sensors and lidars:
+            grid, shape = self.grid, (size, lidars, max(1, *(r.most_points for r in records)))
+            units = max(each.lidar_units for each in records)
+            found_lidars = Lidars(
+                points=np.zeros((*shape, 4), np.float32) if grid is None else None,
+                mask=np.zeros(shape, bool) if grid is None else None,
+                pillars=None if grid is None else grid.empty(size, units),
+                pose=_identities(size, lidars),
+                present=np.zeros((size, lidars), bool),
+                unit=np.zeros((size, lidars), np.int32),
+            )
+        if "camera" in self.sensors and cameras and pixels:
+            found_cameras = Cameras(
+                pixels=np.empty((size, cameras, *pixels, 3), np.uint8),
+                intrinsic=_identities(size, cameras, side=3),
+                pose=_identities(size, cameras),
+                present=np.zeros((size, cameras), bool),
+                unit=np.zeros((size, cameras), np.int32),
+            )
+        places = size, max(1, *(each.most_boxes for each in records))
+        return Batch(
+            lidars=found_lidars,
+            cameras=found_cameras,
+            targets=Targets(
+                boxes=np.zeros((*places, 9), np.float32),
+                kind=np.zeros(places, np.int32),
+                track=np.zeros(places, np.int32),
+                returns=np.zeros((*places, lidars), np.int32),
+                pixels=np.zeros((*places, cameras), np.float32),
+                mask=np.zeros(places, bool),
+            ),
+            scenario=np.zeros(size, np.int32),
+            number=np.zeros(size, np.int32),
+            transform=_identities(size),
+            valid=np.zeros(size, bool),
+        )
+
+    def _fill_lidars(
+        self,
+        found: Lidars,
+        b: int,
+        stored: StoredScenario,
+        t: int,
+        moved: Similarity,
+        draw: np.random.Generator,
+    ) -> None:
+        index, clouds = stored.index, list[np.ndarray]()
+        poses = _fill_poses(found, b, stored, t, moved)
+        for s, pose in enumerate(poses):
+            steps = stored.cloud(t, s)
+            if found.points is not None and found.mask is not None:
+                found.mask[b, s, : len(steps)] = True
+                out = found.points[b, s, : len(steps)]
+            else:
+                out = np.empty((len(steps), 4), np.float32)
+                clouds.append(out)
+            to_metres(steps, index["steps"][t, s], moved.linear, pose[:3, 3], out)
+        if found.pillars is not None and self.grid is not None:
+            order = draw if self.shuffle or self.augment is not None else None
+            for g, unit in enumerate(np.unique(index["lidar_unit"])):
+                own = [clouds[s] for s in np.flatnonzero(index["lidar_unit"] == unit)]
+                group = Pillars(*(part[b, g] for part in found.pillars))
+                self.grid.fill(woven(own), group, order)
+
+    def _fill_targets(
+        self, found: Targets, b: int, stored: StoredScenario, t: int, moved: Similarity
+    ) -> None:
+        own = {
+            name: stored.index[name][stored.boxes(t)]
+            for name in ("boxes", "kind", "track", "returns", "pixels")
+        }
+        boxes = np.array(own["boxes"])
+        boxes[:, :3] -= stored.middle
+        own["boxes"] = moved.of_boxes(boxes)
+        near = np.ones(len(boxes), bool)
+        if self.half is not None:
+            near = np.abs(own["boxes"][:, :2]).max(1, initial=0) <= self.half
+        count = int(near.sum())
+        found.mask[b, :count] = True
+        for name in ("boxes", "kind", "track"):
+            getattr(found, name)[b, :count] = own[name][near]
+        for name in ("returns", "pixels"):  # of as many sensors as the scenario has
+            sensors = own[name].shape[1]
+            getattr(found, name)[b, :count, :sensors] = own[name][near]
+
+
+def _fill_cameras(
+    found: Cameras, b: int, stored: StoredScenario, t: int, moved: Similarity
+) -> None:
+    count = len(_fill_poses(found, b, stored, t, moved))
+    width = found.pixels.shape[3]
+    found.intrinsic[b, :count] = moved.of_intrinsics(stored.index["intrinsic"][t], width)
+    for c in range(count):
+        moved.copy_picture(stored.pictures[t, c], found.pixels[b, c])
+
+
+def _fill_poses(
+    found: Lidars | Cameras, b: int, stored: StoredScenario, t: int, moved: Similarity
+) -> Float[np.ndarray, "S 4 4"]:
+    """Write the units and the poses of a frame's sensors; gives the poses."""
+    kind = "lidar" if isinstance(found, Lidars) else "camera"
+    poses = np.array(stored.index[f"{kind}_pose"][t])
+    poses[:, :3, 3] -= stored.middle
+    poses, count = moved.of_poses(poses), len(poses)
+    found.unit[b, :count] = stored.index[f"{kind}_unit"]
+    found.present[b, :count] = True
+    found.pose[b, :count] = poses
+    return poses
+
+
+def _identities(*leading: int, side: int = 4) -> Float[np.ndarray, "... n n"]:
+    return np.array(np.broadcast_to(np.eye(side, dtype=np.float32), (*leading, side, side)))
+
 
 def _check_sensors(sensors: Sequence[str], cache: Cache) -> None:
     """Raise InspeError if sensors are unknown, or the cache has none of those that are wanted."""
@@ -179,10 +302,6 @@ def _check_sensors(sensors: Sequence[str], cache: Cache) -> None:
         raise InspeError(f"sensors {sensors!r}: a list with at least one of {', '.join(SENSORS)}")
     for name in sensors:
         check_known(name, SENSORS, "sensors:")
-    there = {
-        "camera": max(each.record.cameras for each in cache.scenarios),
-        "lidar": max(each.record.lidars for each in cache.scenarios),
-    }
-    if not any(there[name] for name in sensors):
+    if not any(getattr(each.record, f"{name}s") for each in cache.scenarios for name in sensors):
         how = ": it was made with pictures=None" * ("camera" in sensors and not cache.pictures)
         raise InspeError(f"{cache.path}: has no {' or '.join(sensors)}{how}")

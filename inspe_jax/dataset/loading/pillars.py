@@ -21,11 +21,10 @@ class PillarGrid:
     points, ``most_points`` are kept, and of the pillars that have a point ``most_pillars``, both at
     random.
 
-    The defaults: 256 × 256 pillars of 0.4 m reach 51.2 m, beyond the region of 50 m, and can be
-    halved eight times; 0.4 m is the usual width for cooperative perception on OPV2V. From 1 m
-    below to 5 m above the ground there is all of a lorry, also on a slope. A cloud of the paper's
-    LiDARs has points in 6,400 of these pillars, one of a Velodyne HDL-64E in 14,000; 16 points a
-    pillar are 94 % of the latter's. ``experiments/loading.py`` counts both for any grid.
+    The defaults: 256 × 256 pillars of 0.4 m, the usual width for OPV2V, reach beyond the region of
+    50 m and can be halved eight times; a lorry fits, also on a slope. A cloud of the paper's LiDARs
+    has points in 6,400 of these pillars, one of a Velodyne HDL-64E in 14,000; 16 points a pillar
+    are 94 % of the latter's (``experiments/loading.py``).
     """
 
     half: float = 51.2
@@ -114,8 +113,7 @@ def pillar_features(pillars: Pillars, grid: PillarGrid, xp: Any = np) -> Any:
     """What PointPillars tells of each point, as (…, P, K, 9), 0 in padding.
 
     x, y, z and intensity; x, y, z from the mean of the pillar's points; x and y from its middle.
-    ``xp`` is numpy or jax.numpy: on an accelerator this costs nothing, and the nine columns need
-    not be sent to it.
+    ``xp`` is numpy or jax.numpy.
     """
     mask = taken(pillars, grid, xp)
     count = xp.maximum(pillars.counts, 1).astype(xp.float32)[..., None, None]

@@ -1,8 +1,7 @@
 """A scenario in the cache: decoded from the set once, then mapped into memory when it is used.
 
-Its folder holds ``points.raw`` (all clouds one after the other, 16-bit), ``pictures.raw`` (bytes of
-T × C pictures), ``index.npz`` (poses, calibration, boxes, and where each cloud begins) and
-``scenario.json``.
+Its folder holds ``points.raw`` (all clouds one after the other, 16-bit), ``pictures.raw``,
+``index.npz`` (poses, calibration, boxes, and where each cloud begins) and ``scenario.json``.
 """
 
 import hashlib
@@ -21,15 +20,23 @@ from PIL import Image as Pillow
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import check_model, json_value, open_arrays, read_json
+from inspe_jax.core.geometry import rotation
 from inspe_jax.dataset.folders import Scenario
 from inspe_jax.dataset.loading.geometry import pose_matrix
-from inspe_jax.dataset.loading.points import to_steps
-from inspe_jax.dataset.points_in_boxes import returns_of
+from inspe_jax.dataset.points_in_boxes import count_inside
 from inspe_jax.jobs.settings import Strict
 from inspe_jax.simulation.frame import KINDS, Image, RoadUserBox, Scan
 
 RECORD, INDEX, POINTS, PICTURES = "scenario.json", "index.npz", "points.raw", "pictures.raw"
 PART = ".part"
+
+STEPS = 32_640
+"""Steps from 0 to the farthest coordinate of a cloud, or to intensity 1. 16 bits hold 32,767 with a
+sign; 32,640 is 128 × 255, so that intensities of 8 bits are exact. Over a reach of 120 m a step is
+3.7 mm, and the error of at most 1.8 mm is below a tenth of the 20 mm that LiDARs scatter."""
+
+AT_ONCE = 8192
+"""Points that are converted at once: their 128 kB stay in a core's cache from step to step."""
 
 
 class ScenarioRecord(Strict):
@@ -77,18 +84,13 @@ class StoredScenario:
         return self.path.name
 
     @property
-    def size(self) -> int:
-        """Bytes of all arrays."""
-        return sum(self.record.files.values())
-
-    @property
     def middle(self) -> Float[np.ndarray, "3"]:
         """The middle of the intersection on the ground, in the world [m]."""
         return np.array(self.record.middle)
 
     @cached_property
     def points(self) -> Int16[np.ndarray, "N 4"]:
-        """All clouds, as :func:`~inspe_jax.dataset.loading.points.to_steps` has them."""
+        """All clouds, as :func:`to_steps` has them."""
         return self._mapped(POINTS, np.int16).reshape(-1, 4)
 
     @cached_property
@@ -137,8 +139,7 @@ class StoredScenario:
 def digest_of_scenario(scenario: Scenario) -> str:
     """Identifies what a scenario holds, by its protocol and the names and sizes of its files.
 
-    It is the same for a copy. Files are not read, so it does not notice one that was altered but
-    kept its size.
+    It is the same for a copy. A file that was altered but kept its size is not noticed.
     """
     found = hashlib.sha256()
     found.update(json.dumps(json_value(scenario.protocol), sort_keys=True, default=str).encode())
@@ -155,8 +156,8 @@ def decode(scenario: Scenario, place: Path, source: str, pictures: tuple[int, in
     """Decode a scenario into the folder ``place``, which appears when it is complete.
 
     ``source`` is its digest; ``pictures`` are resized to (height, width), or left out if None.
-    Gives the number of its frames. Raises InspeError if a file is broken, frames do not have the
-    same sensors, or the disk is full.
+    Gives the number of its frames. Raises InspeError if a file is broken or cannot be written, or
+    frames do not have the same sensors.
     """
     part = place.with_name(f".{place.name}{PART}")
     shutil.rmtree(part, ignore_errors=True)
@@ -165,9 +166,8 @@ def decode(scenario: Scenario, place: Path, source: str, pictures: tuple[int, in
         _write(scenario, part, source, pictures)
         os.replace(part, place)
     except OSError as e:
-        raise InspeError(
-            f"{place}: {e.strerror or e}; give the same command again to resume"
-        ) from e
+        words = f"{place}: {e.strerror or e}; give the same command again to resume"
+        raise InspeError(words) from e
     finally:
         shutil.rmtree(part, ignore_errors=True)
     return len(scenario.frames)
@@ -176,16 +176,14 @@ def decode(scenario: Scenario, place: Path, source: str, pictures: tuple[int, in
 def _write(scenario: Scenario, part: Path, source: str, size: tuple[int, int] | None) -> None:
     each: dict[str, list[Any]] = defaultdict(list)  # by frame
     units: tuple[list[int], list[int]] | None = None
-    end = 0
+    end, shape = 0, size or (1, 1)
     with (part / POINTS).open("wb") as points, (part / PICTURES).open("wb") as pictures:
         for number in scenario.frames:
             frame = scenario.frame(number)
-            scans = [scan for station in frame.stations for scan in station.scans]
-            images = [image for station in frame.stations for image in station.images if size]
-            now = (
-                [station.number for station in frame.stations for _ in station.scans],
-                [station.number for station in frame.stations for _ in station.images if size],
-            )
+            lidars = [(unit.number, scan) for unit in frame.stations for scan in unit.scans]
+            cameras = [(unit.number, x) for unit in frame.stations for x in unit.images if size]
+            scans, images = [scan for _, scan in lidars], [image for _, image in cameras]
+            now = [number for number, _ in lidars], [number for number, _ in cameras]
             units = units or now
             if now != units:
                 raise InspeError(
@@ -199,7 +197,10 @@ def _write(scenario: Scenario, part: Path, source: str, size: tuple[int, int] | 
             for cloud, _ in clouds:
                 points.write(cloud.tobytes())
             for image in images:
-                pictures.write(resized(image.rgb, size or (1, 1)).tobytes())
+                pictures.write(resized(image.rgb, shape).tobytes())
+            returns = np.array([scan.returns for scan in scans if scan.returns is not None])
+            if len(returns) != len(scans):  # one does not say
+                returns = count_inside(scans, frame.boxes)
             starts = end + np.cumsum([0, *(len(cloud) for cloud, _ in clouds)])
             end = starts[-1]
             row = {
@@ -207,24 +208,23 @@ def _write(scenario: Scenario, part: Path, source: str, size: tuple[int, int] | 
                 "steps": np.array([step for _, step in clouds]).reshape(-1, 4),
                 "lidar_pose": _poses(scans),
                 "camera_pose": _poses(images),
-                **_calibration(images, size or (1, 1), len(frame.boxes)),
+                **_calibration(images, shape, len(frame.boxes)),
                 **_boxes(frame.boxes),
-                "returns": returns_of(scans, frame.boxes).T.astype(np.int32),  # (B, S)
+                "returns": returns.reshape(len(scans), len(frame.boxes)).T.astype(np.int32),
             }
             for key, value in row.items():
                 each[key].append(value)
     counts = [len(boxes) for boxes in each["boxes"]]
+    of_boxes = ("boxes", "kind", "track", "returns", "pixels")
     index = {
-        key: np.concatenate(each.pop(key))
-        for key in ("boxes", "kind", "track", "returns", "pixels")
+        key: (np.concatenate if key in of_boxes else np.stack)(rows) for key, rows in each.items()
     }
-    index |= {key: np.stack(values) for key, values in each.items()}
-    lidars, cameras = units or ([], [])
+    lidar_unit, camera_unit = units or ([], [])
     index |= {
         "number": np.array(scenario.frames, np.int32),
         "box_starts": np.cumsum([0, *counts]),
-        "lidar_unit": np.array(lidars, np.int32),
-        "camera_unit": np.array(cameras, np.int32),
+        "lidar_unit": np.array(lidar_unit, np.int32),
+        "camera_unit": np.array(camera_unit, np.int32),
     }
     np.savez(part / INDEX, **index)  # type: ignore[arg-type]
     record = {
@@ -232,9 +232,9 @@ def _write(scenario: Scenario, part: Path, source: str, size: tuple[int, int] | 
         "middle": _middle(scenario, index),
         "pictures": size,
         "frames": len(scenario.frames),
-        "lidars": len(lidars),
-        "lidar_units": len(set(lidars)),
-        "cameras": len(cameras),
+        "lidars": len(lidar_unit),
+        "lidar_units": len(set(lidar_unit)),
+        "cameras": len(camera_unit),
         "most_points": int(np.diff(index["starts"]).max(initial=0)),
         "most_boxes": max(counts),
         "files": {path.name: path.stat().st_size for path in sorted(part.iterdir())},
@@ -281,12 +281,11 @@ def _boxes(boxes: Sequence[RoadUserBox]) -> dict[str, np.ndarray]:
 
 
 def _middle(scenario: Scenario, index: dict[str, np.ndarray]) -> list[float]:
-    """The middle of the intersection on the ground [m].
+    """The middle of the intersection on the ground [m], as the protocol says.
 
-    It is what the protocol says. Of a set whose protocols do not say it, it is the middle of where
-    road users are in all frames, which is the same for every placement of sensors in the same
-    traffic, or of the sensors where there are no road users. The ground is then the median of the
-    bottoms of all boxes.
+    If it does not, the middle of where road users are in all frames, which is the same for every
+    placement in the same traffic, on the median of the bottoms of their boxes; or of the sensors
+    where there are no road users.
     """
     told = scenario.protocol.get("middle")
     if isinstance(told, list) and len(told) == 3:
@@ -300,3 +299,53 @@ def _middle(scenario: Scenario, index: dict[str, np.ndarray]) -> list[float]:
     elif len(poses):
         middle[:2] = (poses[:, :2, 3].min(0) + poses[:, :2, 3].max(0)) / 2
     return middle.tolist()
+
+
+# ── Points ──────────────────────────────────────────────────────────────────
+
+
+def to_steps(
+    points: Any, pose: Any, rng: np.random.Generator
+) -> tuple[Int16[np.ndarray, "N 4"], Float[np.ndarray, "4"]]:
+    """A cloud as stored: steps of x, y, z and intensity, and the size of one step of each.
+
+    ``points`` (N, 4) are in the frame of a LiDAR with this ``pose`` (6,). Stored positions are
+    relative to the LiDAR, along the axes of the world. They are in random order: any stretch of
+    them is a fair sample of the cloud.
+    """
+    values = np.array(points, np.float64).reshape(-1, 4)
+    values[:, :3] = values[:, :3] @ rotation(np.asarray(pose, float)[3:], np).T
+    reach = np.abs(values).max(0, initial=1.0)
+    step = reach / STEPS
+    order = rng.permutation(len(values))
+    return np.rint(values[order] / step).astype(np.int16), step
+
+
+def to_metres(
+    steps: Int16[np.ndarray, "N 4"],
+    step: Float[np.ndarray, "4"],
+    linear: Float[np.ndarray, "3 3"],
+    origin: Float[np.ndarray, "3"],
+    out: Float[np.ndarray, "N 4"],
+) -> None:
+    """Write ``linear`` · position + ``origin``, and the intensity, of stored points to ``out``."""
+    matrix = np.zeros((4, 4), np.float32)
+    matrix[:3, :3] = (linear * step[:3]).T
+    matrix[3, 3] = step[3]
+    # In full, because NumPy broadcasts along rows of four a row at a time.
+    shift = np.zeros((min(AT_ONCE, len(steps)), 4), np.float32)
+    shift[:, :3] = origin
+    for first in range(0, len(steps), AT_ONCE):
+        part = slice(first, first + AT_ONCE)
+        np.matmul(steps[part].astype(np.float32), matrix, out=out[part])
+        out[part] += shift[: len(out[part])]
+
+
+def woven(clouds: Sequence[Float[np.ndarray, "_ 4"]]) -> Float[np.ndarray, "N 4"]:
+    """Clouds in random order as one in random order: each is spread over all of it evenly."""
+    if len(clouds) == 1:
+        return clouds[0]
+    # 16 bits are sorted in one pass over their bytes.
+    places = [(np.arange(len(cloud)) * 2**16 // len(cloud)).astype(np.uint16) for cloud in clouds]
+    order = np.argsort(np.concatenate(places), kind="stable")
+    return np.take(np.concatenate(clouds), order, axis=0)

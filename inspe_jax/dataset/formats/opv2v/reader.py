@@ -19,9 +19,10 @@ from inspe_jax.core.errors import InspeError, brief
 from inspe_jax.core.files import YAML, check_input, parse_yaml
 from inspe_jax.dataset.formats.opv2v.writer import KMH, NO_LIDAR, OBSERVED, SECTIONS
 from inspe_jax.dataset.formats.pcd import read_notes, read_pcd
-from inspe_jax.dataset.formats.pictures import LAYERS, SUFFIXES, read_picture
+from inspe_jax.dataset.formats.pictures import SUFFIXES, read_picture
 from inspe_jax.dataset.formats.protocol_file import as_mapping
 from inspe_jax.simulation.frame import Frame, Image, RoadUserBox, Scan, Station
+from inspe_jax.simulation.recorder import LAYERS
 
 TICK = 0.05
 """Time from one frame number to the next [s], if no protocol says it."""
@@ -78,12 +79,13 @@ def frame_of(
     files = [_frame_file(scenario / str(agent), number) for agent in agents]
     known: dict[bytes, dict[str, Any]] = {}
     contents = [_content(path, known) for path in files]
-    names = protocol.get("stations")
-    names = names if isinstance(names, Mapping) else {}
-    boxes, suffixes = _boxes(contents, files), _suffixes(protocol)
+    boxes, names = _boxes(contents, files), _section(protocol, "stations")
+    tick = _section(protocol, "world").get("fixed_delta_seconds")
+    told = SUFFIXES.get(_section(protocol, "recording").get("pictures", "png"))
+    suffixes = sorted(SUFFIXES.values(), key=lambda suffix: suffix != told)
     return Frame(
         number=number,
-        time=number * _tick(protocol),
+        time=number * (float(tick) if isinstance(tick, int | float) and tick > 0 else TICK),
         boxes=boxes,
         stations=tuple(
             _station(agent, str(names.get(agent, agent)), content, path, boxes, suffixes)
@@ -92,17 +94,10 @@ def frame_of(
     )
 
 
-def _tick(protocol: Mapping[str, Any]) -> float:
-    world = protocol.get("world")
-    tick = world.get("fixed_delta_seconds") if isinstance(world, Mapping) else None
-    return float(tick) if isinstance(tick, int | float) and tick > 0 else TICK
-
-
-def _suffixes(protocol: Mapping[str, Any]) -> tuple[str, ...]:
-    """Suffixes that pictures may have: that of the protocol, if it says one, first."""
-    recording = protocol.get("recording")
-    told = recording.get("pictures", "png") if isinstance(recording, Mapping) else "png"
-    return tuple(sorted(SUFFIXES.values(), key=lambda suffix: suffix != SUFFIXES.get(told)))
+def _section(protocol: Mapping[str, Any], key: str) -> Mapping[Any, Any]:
+    """A section of a protocol; empty where there is none."""
+    found = protocol.get(key)
+    return found if isinstance(found, Mapping) else {}
 
 
 def _frame_file(agent: Path, number: int) -> Path:
@@ -119,9 +114,9 @@ def _frame_file(agent: Path, number: int) -> Path:
 def _content(path: Path, known: dict[bytes, dict[str, Any]]) -> dict[str, Any]:
     """What a frame's YAML file holds.
 
-    In this package's own data sets most of it is road users, which are the same for every agent.
-    This text is parsed only once; ``known`` keeps what it holds. A file that cannot be divided so,
-    because it is broken or an anchor in one half is used in the other, is parsed as a whole.
+    Most of it is road users, the same for every agent: this text is parsed only once, and ``known``
+    keeps what it holds. A file that cannot be divided so, because it is broken or an anchor in one
+    half is used in the other, is parsed as a whole.
     """
     check_input(path, YAML)
     text = path.read_bytes()
@@ -185,7 +180,7 @@ def _box(track: int, kind: str, entry: Mapping[str, Any], where: str) -> RoadUse
     ahead = np.array([np.cos(pose[5]), np.sin(pose[5]), 0.0])
     velocity = ahead * (speed / KMH)
     told = np.array(entry.get("velocity"), dtype=object)
-    # Sets of other people may mean something else: ours is a vector in m/s, as long as the speed.
+    # Others may mean something else: ours is a vector in m/s, as long as the speed.
     if told.shape == (3,) and all(isinstance(x, int | float) for x in told):
         vector = told.astype(float)
         if abs(np.linalg.norm(vector) * KMH - speed) < 1e-5 * (1 + speed):

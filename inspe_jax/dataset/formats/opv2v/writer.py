@@ -2,9 +2,9 @@
 
 SCENARIO/AGENT/ holds ``000068.yaml``, ``.pcd``, ``_lidar1.pcd`` …, ``_camera0.png`` …, and, if they
 were recorded or asked for, ``_depth0.png``, ``_instance0.png``, ``_semantic0.png`` and
-``_bev_visibility.png``. The YAML file has the
-keys of both, and under ``observed`` what each sensor recorded of each road user. The time of a
-frame is in no file: it is its number times the time step in ``data_protocol.yaml``.
+``_bev_visibility.png``. The YAML file has the keys of both, and under ``observed`` what each sensor
+recorded of each road user. The time of a frame is its number times the time step in
+``data_protocol.yaml``.
 """
 
 import os
@@ -19,9 +19,10 @@ from inspe_jax.core.files import whole_file, write_text
 from inspe_jax.dataset.formats.options import DEFAULT_OPTIONS, FileOptions
 from inspe_jax.dataset.formats.other_readers import is_blank, visibility_map, with_cameras
 from inspe_jax.dataset.formats.pcd import write_pcd
-from inspe_jax.dataset.formats.pictures import LAYERS, SUFFIXES, write_picture
+from inspe_jax.dataset.formats.pictures import SUFFIXES, write_picture
 from inspe_jax.dataset.formats.protocol_file import dump_yaml, make_folder
 from inspe_jax.simulation.frame import Frame, Image, RoadUserBox, Scan, Station, check_frame
+from inspe_jax.simulation.recorder import LAYERS
 
 SECTIONS: dict[str, str] = {
     "car": "cars",
@@ -30,24 +31,19 @@ SECTIONS: dict[str, str] = {
     "truck": "trucks",
 }
 """The Infra-Set variant's section for each kind, in addition to ``vehicles`` with all kinds."""
-
 NO_LIDAR = "no LiDAR"
 """The comment in the empty PCD file of a station without one."""
-
 KMH = 3.6
 """1 m/s in km/h."""
-
 DECIMALS = 7
 """Decimals of lengths [m], angles [°] and speeds [km/h]: values are right to 1e-6, and so is the
 sum of ``location`` and ``center``."""
-
 OBSERVED = (
     ("lidar_points", "scans", "returns", 0),
     ("camera_pixels", "images", "pixels", 0),
     ("visible_share", "images", "share", 3),
 )
 """Keys of ``observed``: of which records of a station they are, the field, and the decimals."""
-
 MATRIX_DECIMALS = 12
 """Decimals of the entries of matrices, which are multiplied by distances of up to kilometres."""
 
@@ -85,7 +81,7 @@ def write_frame(
 def _clear(agent: Path, stem: str) -> None:
     """Delete the files of a frame: first the YAML file, and last the file that is written first.
 
-    So a folder with many files is listed only if a frame of this number was begun before.
+    A folder with many files is listed only if a frame of this number was begun before.
     """
     last, first = agent / f"{stem}.yaml", agent / f"{stem}.pcd"
     if not (last.exists() or first.exists()):
@@ -128,8 +124,8 @@ def _write_image(agent: Path, stem: str, i: int, image: Image, options: FileOpti
 
 def _sensors(station: Station) -> dict[str, Any]:
     """The part of the YAML file about a station and its sensors."""
-    unit = _cords(station.pose)
-    lidars = [_cords(scan.pose) for scan in station.scans] or [unit]
+    unit = _rounded(to_carla(station.pose))
+    lidars = [_rounded(to_carla(scan.pose)) for scan in station.scans] or [unit]
     return {
         "RSU": True,
         "ego_speed": 0.0,
@@ -142,9 +138,8 @@ def _sensors(station: Station) -> dict[str, Any]:
 
 
 def _camera(image: Image, lidar: list[float]) -> dict[str, Any]:
-    """A camera's entry. ``extrinsic`` is inv(camera to world) · (LiDAR to world), from the rounded
-    poses."""
-    cords = _cords(image.pose)
+    """``extrinsic`` is inv(camera to world) · (LiDAR to world), from the rounded poses."""
+    cords = _rounded(to_carla(image.pose))
     return {
         "cords": cords,
         "extrinsic": _rounded(between(lidar, cords), MATRIX_DECIMALS),
@@ -156,8 +151,7 @@ def _camera(image: Image, lidar: list[float]) -> dict[str, Any]:
 def _sections(
     boxes: Sequence[RoadUserBox], stations: Sequence[Station]
 ) -> dict[str, dict[int, Any]]:
-    """The part of the YAML file about road users: all in ``vehicles``, and again by kind; then what
-    was observed of each."""
+    """The part of the YAML file about road users, and what was observed of each."""
     order = sorted(range(len(boxes)), key=lambda k: boxes[k].track)
     ordered = [boxes[k] for k in order]
     entries = {int(box.track): _entry(box) for box in ordered}
@@ -210,10 +204,6 @@ def _entry(box: RoadUserBox) -> dict[str, Any]:
         "speed": _rounded(np.linalg.norm(velocity) * KMH),
         "velocity": velocity,
     }
-
-
-def _cords(pose: Any) -> list[float]:
-    return _rounded(to_carla(pose))
 
 
 def _rounded(values: Any, decimals: int = DECIMALS) -> Any:

@@ -9,7 +9,7 @@ from worlds import CAMERA, place_sensors, with_boxes, world
 
 from inspe_jax.scene.regions import Region
 from inspe_jax.sensing.conditions import Conditions
-from inspe_jax.simulation.embedded import headlights, light, wet_road
+from inspe_jax.simulation.embedded import headlights, light
 from inspe_jax.simulation.embedded.headlights import GroundMap, on_road_users
 from inspe_jax.simulation.embedded.recorder import EmbeddedRecorder
 from inspe_jax.simulation.embedded.road_users import FrameActors, boxes_of
@@ -199,7 +199,7 @@ def test_only_paved_ground_is_wet_and_only_in_rain():
     static = recorder.surroundings.static_world
     road = np.array([[0.0, 0.0, 0.0], [60.0, 60.0, 0.0]], np.float32)
     assert static.surface.label(road[:, :2])[0] == Region.JUNCTION
-    assert wet_road.paved(static, road).tolist() == [True, False]
+    assert static.paved(road).tolist() == [True, False]
     for weather, least, most in (("clear", 0, 0), ("fog:50", 0, 0), ("rain:1", 0.5, 0.7),
                                  ("rain:20", 0.99, 1)):  # fmt: skip
         assert least <= light.wetness(Conditions.of("midday", weather)) <= most

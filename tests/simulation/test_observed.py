@@ -77,20 +77,6 @@ def test_road_users_beyond_the_reach_have_no_return(empty, kind, weather):
         assert (scan_of(scene, layout).returns > 3).all()
 
 
-# ---- The turn ---------------------------------------------------------------------------------
-
-
-def test_a_turn_does_not_depend_on_the_rate_of_frames(empty):
-    """A car at 14 m/s: in a turn of 1 s it was smeared over 14 m, and half its points were out."""
-    scene, slow = standing(empty, "car", (12.0, 0.0), velocity=(0.0, 14.0, 0.0)), 1.0
-    still = scan_of(scene, lidar(), recording=replace(EXACT, rate=slow))
-    turned = scan_of(scene, lidar(), recording=replace(EXACT, rate=slow, turn=0.1))
-    assert still.returns[0] == pytest.approx(turned.returns[0], rel=0.05)
-    boxes = boxes_of(scene.traffic.at(0), 0)
-    assert count_inside([still], boxes)[0, 0] == still.returns[0]
-    assert count_inside([turned], boxes)[0, 0] > 0.9 * turned.returns[0]
-
-
 # ---- Placements are paired --------------------------------------------------------------------
 
 

@@ -19,8 +19,7 @@ from inspe_jax.simulation.carla.server import ROLE_NAME, CarlaSession
 from inspe_jax.simulation.frame import RoadUserBox
 
 SPAWN_HEIGHT = 300.0
-"""Actors are spawned this high above the junction [m], where the air is free, and then moved
-down."""
+"""Actors are spawned this high above the junction [m], in free air, and then moved down."""
 SPAWN_GAP = 8.0
 """Vertical distance between actors that are spawned together [m]."""
 SIZE_TOLERANCE = 0.1
@@ -98,8 +97,6 @@ class Actors:
             )
         return tuple(found)
 
-    # ── Blueprints ──────────────────────────────────────────────────────────
-
     def _bodies(self) -> dict[int, list[ActorBody]]:
         """The blueprints of each class. Each is spawned once, because only an actor has a box.
 
@@ -126,8 +123,6 @@ class Actors:
         off = np.array([np.abs(np.log(body.size / size)).max() for body in bodies])
         near = np.flatnonzero(off <= off.min() + SIZE_TOLERANCE)
         return bodies[np.random.default_rng([self.seed, track, 1]).choice(near)]
-
-    # ── Spawning ────────────────────────────────────────────────────────────
 
     def _in_the_air(self, k: int) -> Float[np.ndarray, "6"]:
         """The cords of the k-th actor that is spawned, above the others."""

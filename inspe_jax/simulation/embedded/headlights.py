@@ -14,10 +14,8 @@ from jaxtyping import Float, Int, UInt8
 from inspe_jax.scene.intersection import Intersection
 from inspe_jax.simulation.embedded.light import CANDELA, Light
 from inspe_jax.simulation.embedded.road_users import FrameActors
-from inspe_jax.simulation.embedded.shading import Shading
-from inspe_jax.simulation.embedded.static_look import GROUND_LABELS
-from inspe_jax.simulation.embedded.static_world import StaticWorld
-from inspe_jax.simulation.embedded.wet_road import DARKER, paved
+from inspe_jax.simulation.embedded.shading import DARKER, Shading
+from inspe_jax.simulation.embedded.static_world import GROUND_LABELS
 
 PEAK = 15_000 * CANDELA
 """Brightness of both dipped beams at 1 m: 7,500 cd each, as lamps in use have it.
@@ -167,7 +165,6 @@ class LitGround:
     def __init__(
         self,
         ground: GroundMap,
-        static_world: StaticWorld,
         shading: Shading,
         point: Float[np.ndarray, "R 3"],
         distance: Float[np.ndarray, " R"],
@@ -176,7 +173,8 @@ class LitGround:
         level, cell = np.isin(semantic, GROUND_LABELS), ground.cells(point)
         self.ground, self.pixels = ground, np.flatnonzero(level & (cell >= 0))
         self.cell, point = cell[self.pixels], point[self.pixels]
-        darker = np.float32(DARKER * shading.wet) * paved(static_world, point)
+        static_world = shading.static_world
+        darker = np.float32(DARKER * shading.wet) * static_world.paved(point)
         world = point[:, :2] + static_world.center[:2]
         albedo = static_world.surface.albedo(world) * (1 - darker)[:, None]
         clear = np.exp(-np.float32(shading.haze) * distance[self.pixels])

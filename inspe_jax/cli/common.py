@@ -251,7 +251,7 @@ def _bar(what: str, *, counted: bool = True, facts: str = "") -> Iterator[Any]:
         def report(done: float, total: float, what: str = what, facts: str = "") -> None:
             # Steps of an earlier run say nothing of speed.
             if bar.tasks[0].total is None or what != bar.tasks[0].description:
-                bar.reset(task, total=total, completed=done, description=what)
+                bar.reset(task, total=total, description=what)
             bar.update(task, completed=done, facts=facts)
 
         yield report

@@ -1,6 +1,5 @@
 """Data sets: `inspe generate`, and `inspe dataset stats`, `check`, `cache` and `show`."""
 
-import time
 from collections import Counter
 from functools import partial
 from pathlib import Path
@@ -241,14 +240,11 @@ def check_files(
     from inspe_jax.dataset.check import check
 
     claims.file(record, force=force)
-    began = time.monotonic()
     with common.progress("scenarios") as tell:
         found = check(data, deep, tell)
-    seconds = time.monotonic() - began
-    speed = f", {found.size / 1e6 / seconds:,.0f} MB/s" if deep and seconds else ""
     words = (
         f"{counted(found.scenarios, 'scenario')}, {counted(found.files, 'file')}, "
-        f"{found.size / 1e6:,.1f} MB compared by {'digest' if deep else 'size'}{speed}: "
+        f"{found.size / 1e6:,.1f} MB compared by {'digest' if deep else 'size'}: "
         f"{counted(len(found.faults), 'fault') if found.faults else 'no fault'}"
     )
     common.show(Text(words, no_wrap=True, overflow="ignore"), found.record, record)

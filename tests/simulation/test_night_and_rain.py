@@ -34,9 +34,6 @@ def recorded(scene, pose, conditions, **options):
     return recorder, recorder.frame(0).stations[0].images[0]
 
 
-# ---- the camera ------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("brightness", [0.0, 0.01, 0.3])
 def test_noise_is_that_of_electrons_that_are_counted(brightness):
     """Poisson's and the reading's, drawn as such: their deviations agree to 2 %."""
@@ -71,9 +68,6 @@ def test_an_unlit_car_stands_out_from_the_road_at_night():
         assert grain > 2  # there is grain
         clear.append(abs(brightness[car].mean() - brightness[road].mean()) / grain)
     assert (np.array(clear) > 1).sum() >= 9
-
-
-# ---- headlights ------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
@@ -154,9 +148,6 @@ def test_pictures_show_the_road_ahead_of_a_car_brighter():
         ahead = brightness[v.min() - 50 : v.min() - 15, u.min() : u.max()].mean()
         behind = brightness[v.max() + 15 : v.max() + 50, u.min() : u.max()].mean()
         assert (ahead > 1.3 * behind) == (name == "night"), (name, ahead, behind)
-
-
-# ---- wet roads -------------------------------------------------------------------------------
 
 
 def test_wetness_changes_only_the_road(monkeypatch):

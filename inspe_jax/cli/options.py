@@ -198,8 +198,27 @@ class SceneOptions(MapOptions):
 
 
 @dataclass(frozen=True)
-class WeightOptions:
-    """How layouts are scored: weights in P_sm, further metrics, curves, light and weather.
+class DetectionOptions:
+    """In which light and weather road users are detected, and by which curves."""
+
+    light: str = "midday"
+    weather: str = "clear"
+    profile: str | None = None
+    detection: Path | None = None
+
+    @property
+    def conditions(self) -> Conditions:
+        """The light and the weather."""
+        return Conditions.of(self.light, self.weather)
+
+    def curves(self) -> DetectionCurves | None:
+        """The curves of ``--detection``. Raises InspeError if the file holds no such curves."""
+        return None if self.detection is None else load_detection(self.detection)
+
+
+@dataclass(frozen=True)
+class WeightOptions(DetectionOptions):
+    """How layouts are scored: weights in P_sm, and further metrics.
 
     Attributes:
         weight (NAME=VALUE): Weight of a metric in P_sm, such as coverage=0.3; repeat it for other
@@ -211,24 +230,11 @@ class WeightOptions:
 
     weight: list[str] | None = None
     metrics: str = ""
-    detection: Path | None = None
-    light: str = "midday"
-    weather: str = "clear"
-    profile: str | None = None
-
-    @property
-    def conditions(self) -> Conditions:
-        """The light and the weather."""
-        return Conditions.of(self.light, self.weather)
 
     def weights(self) -> dict[str, float]:
         """The weight of every metric. Raises InspeError if the weights are not valid."""
         form = "NAME=VALUE, such as coverage=0.3"
         return weights_of(numbers("--weight", self.weight, form) if self.weight else None)
-
-    def curves(self) -> DetectionCurves | None:
-        """The curves of ``--detection``. Raises InspeError if the file holds no such curves."""
-        return None if self.detection is None else load_detection(self.detection)
 
     def further(self) -> tuple[str, ...]:
         """The names of the further metrics. Raises InspeError if one is of no metric."""

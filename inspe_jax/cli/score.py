@@ -8,18 +8,16 @@ from rich.console import Group
 
 from inspe_jax.cli import common
 from inspe_jax.cli.claims import claims
-from inspe_jax.cli.options import ScoreOptions, command
+from inspe_jax.cli.options import DetectionOptions, ScoreOptions, command
 from inspe_jax.core.errors import check_known
 from inspe_jax.placement.problem import Case
 from inspe_jax.placement.studies.tolerance import check_errors
 from inspe_jax.placement.studies.tolerance import tolerance as installed
 from inspe_jax.scene.profiles import profiles as known_profiles
 from inspe_jax.scene.traffic.frames import CLASSES
-from inspe_jax.scoring.detection import load_detection
 from inspe_jax.scoring.evaluate import evaluate
 from inspe_jax.scoring.targets import target_view
 from inspe_jax.sensing import catalogue
-from inspe_jax.sensing.conditions import Conditions
 
 
 @command()
@@ -81,11 +79,8 @@ def targets(
     road_user: str = "pedestrian",
     record: str | None = None,
     plot: Path | None = None,
-    light: str = "midday",
-    weather: str = "clear",
-    profile: str | None = None,
-    detection: Path | None = None,
     force: bool = False,
+    options: DetectionOptions,
 ) -> None:
     """Show what a road user gets at each place: LiDAR returns, and pixels per metre of the cameras.
 
@@ -106,11 +101,10 @@ def targets(
 
     claims.file(plot, FORMATS, force=force)
     claims.file(record, force=force)
-    conditions = Conditions.of(light, weather)
-    curves = None if detection is None else load_detection(detection)
+    conditions, curves = options.conditions, options.curves()
     check_known(road_user, CLASSES, "road user")
     with common.busy(f"reading {source}"):
-        world, placed = common.scene_and_layout(source, sensors, profile)
+        world, placed = common.scene_and_layout(source, sensors, options.profile)
     with common.busy("counting rays"):
         view = target_view(world, placed, road_user, conditions=conditions, detection=curves)
     common.show(targets_table(world, placed, view), targets_record(world, placed, view), record)

@@ -264,8 +264,7 @@ class ScoreOptions(WeightOptions):
         return (curves or detection_curves()).for_road_users(self.road_user)
 
     def sought(self, case: Case, layout: Layout) -> float | None:
-        """The score of what a layout was searched for; None where that is P_sm, or these options
-        say what counts."""
+        """The score of a layout's goal; None if it is P_sm, or these options say what counts."""
         if layout.goal is None or self.weight or self.region or self.road_user:
             return None
         return Problem(case, layout, Objective.of_goal(layout.goal, self.curves())).exact_of(layout)

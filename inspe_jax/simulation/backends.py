@@ -21,8 +21,7 @@ class Backend:
 
     ``open`` takes the keywords of :func:`recorder_of` but ``backend``. ``packages`` are the
     libraries that the recorded bytes depend on. A ``remote`` backend records with a server. At most
-    ``most_workers`` processes record at the same time. ``statics``: it records the scene's static
-    bodies.
+    ``most_workers`` processes record at once. ``statics``: it records the scene's static bodies.
     """
 
     open: Callable[..., AbstractContextManager[Recorder]]

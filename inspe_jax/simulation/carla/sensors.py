@@ -34,8 +34,8 @@ NEEDS: dict[str, tuple[str, ...]] = {
 """CARLA's pictures that each layer is made of. CARLA numbers instances, but does not say which
 number an actor has, so pixels are matched to road users by place."""
 ROAD_USER_LABELS = (12, 13, 14, 15, 16, 18, 19)
-"""CARLA's semantic labels (0.9.14 and later) of pedestrians, riders, cars, trucks, buses,
-motorcycles and bicycles."""
+"""CARLA's labels (0.9.14 and later) of people, riders, cars, trucks, buses, motorcycles, bicycles.
+"""
 MARGIN = 0.3
 """Mirrors and limbs may reach this far out of a box [m]."""
 
@@ -192,8 +192,7 @@ def _colours(image: Any) -> UInt8[np.ndarray, "H W 3"]:
 
 
 def _depth(colours: UInt8[np.ndarray, "H W 3"]) -> Float[np.ndarray, "H W"]:
-    """Depth along the camera's axis [m], infinite from :data:`FAR` on, from the 24 bits of the
-    colours."""
+    """Depth along the axis [m], infinite from :data:`FAR` on, from the 24 bits of the colours."""
     red, green, blue = np.moveaxis(colours.astype(np.int64), -1, 0)
     code = red + 256 * green + 65536 * blue
     return np.where(code >= 2**24 - 1, np.inf, code * (FAR / (2**24 - 1))).astype(np.float32)

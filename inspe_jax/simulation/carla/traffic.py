@@ -31,8 +31,7 @@ THINNEST = 0.05
 
 @dataclass(frozen=True, eq=False)
 class ActorBody:
-    """A blueprint's box: its middle relative to the actor's origin, in the body frame (x forward, y
-    left, z up), and its size [m]."""
+    """A blueprint's box: its middle from the actor's origin in the body frame, its size [m]."""
 
     name: str
     middle: Float[np.ndarray, "3"]
@@ -156,8 +155,7 @@ class Actors:
 def _origin(
     body: ActorBody, center: Float[np.ndarray, "3"], yaw: float, size: Float[np.ndarray, "3"]
 ) -> Float[np.ndarray, "6"]:
-    """The pose of an actor whose box stands on the same ground as a road user's, with the same
-    middle in plan."""
+    """The pose of an actor whose box stands on a road user's ground, with its middle in plan."""
     middle = np.array([*center[:2], center[2] - size[2] / 2 + body.size[2] / 2])
     angles = np.array([0.0, 0.0, yaw])
     return np.array([*(middle - rotation(angles, np) @ body.middle), *angles])

@@ -2,8 +2,7 @@
 
 A vehicle has one beam, in the middle of its front, since at the distances that matter its two lamps
 are one. The beam is a dipped one: it is wide, has its maximum just below a cut-off and falls with
-the square of the distance. The ground's light is a map of the plan, made once a frame for all
-cameras.
+the square of the distance. The ground's light is a map of the plan, made once a frame.
 """
 
 from typing import NamedTuple
@@ -50,8 +49,7 @@ WORTH = 0.2
 
 
 class Beams(NamedTuple):
-    """The headlights of K vehicles: their middle ``front``, relative to the centre [m], and the
-    unit vector ``ahead`` in plan."""
+    """Headlights of K vehicles: their middle, from the centre [m], and a unit vector in plan."""
 
     front: Float[np.ndarray, "K 3"]
     ahead: Float[np.ndarray, "K 2"]
@@ -115,8 +113,7 @@ class GroundMap:
         return np.where(inside, cell[:, 1] * many + cell[:, 0], -1)
 
     def fine(self, actors: FrameActors) -> Float[np.ndarray, " F"]:
-        """The light of beams on the ground in the cells of the fine map: between the points of the
-        grid it is linear."""
+        """The light of beams on the ground in the cells of the fine map: linear between points."""
         light = self.lit(actors).reshape(self.size, self.size)
         part = ((np.arange(FINE, dtype=np.float32) + 0.5) / FINE)[None, :, None]
         for _ in range(2):  # along y, then along x
@@ -197,8 +194,7 @@ def on_road_users(
 ) -> Float[np.ndarray, " P"]:
     """The light that beams throw on road users, as if nothing stood between them.
 
-    ``box`` is the index of the road user that each of P points is on; points are relative to the
-    centre [m].
+    ``box`` is the index of the road user that each of P points is on; the centre is the origin.
     """
     beams, total = actors.once(beams_of), np.zeros(len(point), np.float32)
     many, count = len(actors.boxes), len(beams.front)

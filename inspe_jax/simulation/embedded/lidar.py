@@ -1,7 +1,6 @@
 """A LiDAR in a world of triangles: a ray of every channel at every azimuth, one turn per frame.
 
-The turn is centred on the frame's time, and the road users move meanwhile. Nothing returns from
-beyond the LiDAR's reach.
+The turn is centred on the frame's time; road users move meanwhile. No return is beyond the reach.
 """
 
 from typing import NamedTuple

@@ -108,8 +108,7 @@ class LiveSensor:
     def record(
         self, t: int, pose: Float[np.ndarray, "6"] | None = None
     ) -> tuple[tuple[RoadUserBox, ...], Image | Scan]:
-        """The road users of frame t, and what the sensor records of them: from a world pose, or
-        where the layout has it."""
+        """Road users of frame t, and what the sensor records of them at a pose, or at its own."""
         at = self._own if pose is None else np.array(pose, float)
         if self._placed is None or not np.array_equal(self._placed[0], at):
             moved = not np.array_equal(at, self._own)

@@ -92,8 +92,7 @@ class Shading:
         return found
 
     def sky(self, directions: Float[np.ndarray, "R 3"]) -> Float[np.ndarray, "R 3"]:
-        """Colour of the sky in given directions: paler towards the horizon, with a glow around the
-        sun."""
+        """Colour of the sky: paler towards the horizon, with a glow around the sun."""
         up = np.sqrt(np.clip(directions[:, 2:], 0, 1))
         colour = self.sky_colour * (1.25 - 0.55 * up)
         if self.light.has_sun:
@@ -109,8 +108,7 @@ class Shading:
     ) -> Float[np.ndarray, "R 3"]:
         """Light of the sky that lacquer and glass mirror, more at grazing angles (Schlick 1994).
 
-        ``head_on`` is the reflectance for rays along the normal; ``to`` are the directions of the
-        rays, from the camera.
+        ``head_on`` is the reflectance for rays along the normal; rays go ``to`` the surface.
         """
         along = np.einsum("rk,rk->r", to, normal)
         grazing = head_on * (1 + (1 / 0.04 - 1) * (1 + np.minimum(along, 0)) ** 5)

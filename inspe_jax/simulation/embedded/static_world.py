@@ -228,8 +228,7 @@ def _surveyed(
 ) -> tuple[Float[np.ndarray, "F 3 3"], Float[np.ndarray, "F 3"]]:
     """The faces of a mesh that are not of the ground, and their linear albedos.
 
-    Without those beyond the ground that is known, and without what stands where traffic goes, which
-    scores have not either.
+    Without those beyond the ground that is known, and what stands in the way of traffic, as scores.
     """
     triangles = mesh.world
     corners = triangles.reshape(-1, 3)

@@ -208,19 +208,14 @@ def stats(
     if damaged:
         files = counted(len(damaged), "file")
         common.note(
-            f"{damaged[0]}",
-            f"{files} not as the manifests say: see inspe dataset check {data}",
+            f"{damaged[0]}", f"{files} not as the manifests say: see inspe dataset check {data}"
         )
         raise typer.Exit(1)
 
 
 @command(dataset_app, name="check")
 def check_files(
-    data: Path,
-    *,
-    deep: bool = False,
-    record: str | None = None,
-    force: bool = False,
+    data: Path, *, deep: bool = False, record: str | None = None, force: bool = False
 ) -> None:
     """Check whether files of a data set are missing, cut short or changed.
 
@@ -260,11 +255,7 @@ def check_files(
 
 @command(dataset_app, name="cache")
 def decode(
-    data: Path,
-    *,
-    into: Path,
-    size: str = common.PICTURES,
-    workers: int | None = None,
+    data: Path, *, into: Path, size: str = common.PICTURES, workers: int | None = None
 ) -> None:
     """Decode a data set into arrays that training reads at once, many times as fast as the files.
 

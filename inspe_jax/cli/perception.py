@@ -271,10 +271,7 @@ def _unfinished(run: "Run", step: int) -> str:
 
 
 def _cache(
-    source: Path,
-    folder: Path | None,
-    pictures: tuple[int, int] | None,
-    any_size: bool = False,
+    source: Path, folder: Path | None, pictures: tuple[int, int] | None, any_size: bool = False
 ) -> "Cache":
     """The cache of a set, which is decoded as far as it is not."""
     from inspe_jax.perception.training.source import cache_of

@@ -226,12 +226,7 @@ def _geojson(
 
 
 @command()
-def sweep(
-    source: Path,
-    *,
-    running: RunOptions,
-    folder: Path = Path("sweep"),
-) -> None:
+def sweep(source: Path, *, running: RunOptions, folder: Path = Path("sweep")) -> None:
     """Score every layout on every scene in every setting, or run a search from each.
 
     A study says what to combine. Every setting is one value or a list of values:

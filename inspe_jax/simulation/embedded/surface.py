@@ -83,11 +83,7 @@ def lay_surface(intersection: Intersection, reach: float) -> Surface:
 
 
 def _fill(
-    pen: ImageDraw.ImageDraw,
-    shape: BaseGeometry,
-    corner: np.ndarray,
-    label: int,
-    hole: int | None,
+    pen: ImageDraw.ImageDraw, shape: BaseGeometry, corner: np.ndarray, label: int, hole: int | None
 ) -> None:
     """Draw a shape with a label, and its holes with another (``hole``; None leaves them as they
     are). What lies in the holes is drawn later."""

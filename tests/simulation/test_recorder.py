@@ -193,7 +193,7 @@ def test_rays_reach_as_many_voxels_as_coverage_says(partial):
     for s in range(len(layout)):
         origin, directions, reach = layout.rays(s)
         start = origin - around.static_world.center
-        met = around.static_world.caster.cast(start, directions, reach).distance
+        met = around.caster.cast(start, directions, reach).distance
         raycast.exact(crowded.voxels, origin, directions, np.minimum(met, reach), seen)
     share = seen @ crowded.voxels.weight / crowded.voxels.weight.sum()
     coverage = inspe_jax.evaluate(crowded, layout).coverage

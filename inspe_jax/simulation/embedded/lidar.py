@@ -38,9 +38,8 @@ class Lidar:
         self.pose = np.asarray(pose, float)
         self.body = spec.grid.directions()  # (R, 3), channel by channel
         self.directions = self.body @ rotation(self.pose[3:], np).T
-        static_world = surroundings.static_world
-        self.origin = self.pose[:3] - static_world.center
-        hits = static_world.caster.cast(self.origin, self.directions, spec.reach)
+        self.origin = self.pose[:3] - surroundings.static_world.center
+        hits = surroundings.caster.cast(self.origin, self.directions, spec.reach)
         self.static_distance = hits.distance
         column = np.tile(np.arange(spec.azimuth_count), len(spec.elevations))
         self.phase = (column + 0.5) / spec.azimuth_count  # of a turn, 0 … 1

@@ -44,6 +44,7 @@ class Surroundings:
         self.parked = tuple(replace(box, parked=True) for box in boxes)
         place = scene.intersection, scene.voxels.radius
         self.static_world = build_static_world(*place, _masts(layout, mastless), statics)
+        self.caster = self.static_world.caster  # which needs Embree, and says so now
         self.shading = Shading(conditions, self.static_world)
         light = self.shading.light
         self.ground = GroundMap(*place, light) if light.lamps > 0 else None

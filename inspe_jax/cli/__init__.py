@@ -6,7 +6,7 @@ such as matplotlib, Dask or Equinox, is imported inside the commands.
 """
 
 from inspe_jax.cli import scene, score, search, show  # noqa: F401  # isort: skip
-from inspe_jax.cli import study, generate, dataset, perception  # noqa: F401  # isort: skip
+from inspe_jax.cli import study, dataset, perception  # noqa: F401  # isort: skip
 from inspe_jax.cli.common import main
 
 __all__ = ["main"]

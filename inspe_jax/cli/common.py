@@ -4,7 +4,6 @@ import json
 import os
 import re
 import sys
-import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
@@ -229,25 +228,30 @@ def progress(what: str) -> Iterator[Any]:
     The callback may be told ``what`` is counted now, and begins anew where that has changed; and
     ``facts`` to show beside it.
     """
+    with step(what, writes=True), _bar(what) as report:
+        yield report
+
+
+@contextmanager
+def _bar(what: str, *, counted: bool = True, facts: str = "") -> Iterator[Any]:
+    """The bar of :func:`progress`; it shows how many are ``counted`` of how many."""
     if not err.is_terminal:
-        with step(what, writes=True):
-            yield None
+        yield None
         return
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
     from rich.progress import TimeRemainingColumn as TimeLeft
 
-    facts = TextColumn("{task.fields[facts]}")
-    words = TextColumn("{task.description}")
-    columns = (words, BarColumn(), MofNCompleteColumn(), TimeLeft(), facts)
+    shown = (MofNCompleteColumn(), TimeLeft()) if counted else (TimeLeft(),)
+    words, beside = TextColumn("{task.description}"), TextColumn("{task.fields[facts]}")
+    columns = words, BarColumn(), *shown, beside
     # The time left is estimated from all steps so far, since some take minutes.
-    shown = Progress(*columns, console=err, transient=True, speed_estimate_period=1e9)
-    with step(what, writes=True), shown as bar:
-        task = bar.add_task(what, total=None, facts="")
+    with Progress(*columns, console=err, transient=True, speed_estimate_period=1e9) as bar:
+        task = bar.add_task(what, total=None, facts=facts)
 
-        def report(done: int, total: int, what: str = what, facts: str = "") -> None:
+        def report(done: float, total: float, what: str = what, facts: str = "") -> None:
             # Steps of an earlier run say nothing of speed.
             if bar.tasks[0].total is None or what != bar.tasks[0].description:
-                bar.reset(task, total=total, completed=done, description=what)
+                bar.reset(task, total=total, description=what)
             bar.update(task, completed=done, facts=facts)
 
         yield report
@@ -269,26 +273,15 @@ def search_bar(what: str) -> Iterator[Callable[[float, float, str], None]]:
 
     Yields a callback (fraction done, best score, what is being done).
     """
-    from rich.progress import BarColumn, Progress, TextColumn
+    bar = _bar(what, counted=False, facts="compiling …")
+    with step(what, search=True) as search, bar as report:
 
-    first: list[tuple[float, float]] = []  # time of the first call, and the fraction then
-    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[facts]}"))
-    shown = Progress(*columns, console=err, transient=True, disable=not err.is_terminal)
-    with step(what, search=True) as search, shown as bar:
-        task = bar.add_task(what, total=1.0, facts="compiling …")
-
-        def report(done: float, best: float, now: str) -> None:
+        def callback(done: float, best: float, now: str) -> None:
             search.writes = True
-            if not first:
-                first.append((time.monotonic(), done))
-            began, before = first[0]
-            spent = time.monotonic() - began
-            gone = done - before  # a search that is resumed does not begin at 0
-            left = f", {spent * (1 - done) / gone:.0f} s left" if gone > 0.02 else ""
-            name = f"{what}: {now}" if now else what
-            bar.update(task, completed=done, description=name, facts=f"best {best:.4f}{left}")
+            if report:
+                report(done, 1.0, f"{what}: {now}" if now else what, f"best {best:.4f}")
 
-        yield report
+        yield callback
 
 
 def show(table: Any, record: dict[str, Any], path: str | None) -> None:

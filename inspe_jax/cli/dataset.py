@@ -1,38 +1,166 @@
-"""The commands `inspe dataset stats`, `check`, `cache` and `show`."""
+"""Data sets: `inspe generate`, and `inspe dataset stats`, `check`, `cache` and `show`."""
 
-import time
+from collections import Counter
+from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import typer
 from rich.text import Text
 
+from inspe_jax.cli import common
 from inspe_jax.cli.claims import claims
-from inspe_jax.cli.common import (
-    PICTURES,
-    app,
-    busy,
-    draw,
-    note,
-    note_some,
-    out,
-    picture_size,
-    progress,
-    said,
-    show,
-)
 from inspe_jax.cli.options import command
-from inspe_jax.core.files import csv_text, write_text
+from inspe_jax.core.files import check_folder, csv_text, write_text
+from inspe_jax.core.parallel import cores
 from inspe_jax.core.words import counted
+from inspe_jax.simulation.backends import check_backend, server_of
+
+if TYPE_CHECKING:
+    from inspe_jax.dataset import Generation
 
 dataset_app = typer.Typer(
     help="Look at data sets: statistics, single frames, and whether files are damaged.",
     no_args_is_help=True,
     rich_markup_mode="markdown",
 )
-app.add_typer(dataset_app, name="dataset")
+common.app.add_typer(dataset_app, name="dataset")
 
-SHOWN = 20
-"""Number of faults that are printed."""
+FAILURES, FAULTS, NOTES = 3, 20, 12
+"""Number of failed scenarios, of damaged files and of different notes that are printed."""
+
+
+@command()
+def generate(
+    source: Path,
+    *,
+    folder: Path,
+    backend: str | None = None,
+    workers: int | None = None,
+    address: str | None = None,
+    files: Path | None = None,
+    deep: bool = True,
+    dry_run: bool = False,
+) -> None:
+    """Generate a data set in OPV2V's format: what the sensors of layouts record in scenes.
+
+    A study file says which scenes, layouts and settings to combine. A setting is one value or a
+    list:
+
+        scenes:
+          - built_in: four_way
+          - {map: Town05.xodr, junction: 53, radius: 60}
+        layouts: [Cam-d1, Cam-d1/L-d1, layout.yaml]
+        settings:
+          density: [low, medium, high]
+          light: [midday, night]
+          seed: [0, 1, 2]
+          seconds: 20
+        rate_hz: 10
+        layers: [depth, instance]
+        splits: {train: 7, validate: 1, test: 2}
+
+    Every combination is a scenario. It gets a folder in train, validate or test in --out, which
+    appears when the scenario is complete. If a run was stopped or killed, the same command goes on,
+    and gives the same bytes; files that were damaged since are recorded again. If a scenario cannot
+    be generated, the others are, and the exit status is 1. What the backend cannot record as the
+    layout has it is printed at the end, and noted in the scenario's data_protocol.yaml. This file
+    in place of the study generates the scenario again.
+
+    Examples:
+
+    - `inspe generate study.yaml --out set --dry-run`
+    - `inspe generate study.yaml --out set --workers 8`
+    - `inspe generate towns.yaml --out towns --backend carla --server 192.168.0.7:2000`
+    - `inspe generate set/train/SCENARIO/data_protocol.yaml --out again`
+
+    Args:
+        source (STUDY.yaml): What to record (see above), or a data_protocol.yaml.
+        folder (--out DIR): Folder for the data set.
+        backend: What records: embedded or carla. If not given, embedded, or as the
+            data_protocol.yaml says.
+        workers: Number of processes. If not given, one per core, or as the backend allows.
+        address (--server HOST:PORT): Address of the CARLA server, with --backend carla;
+            127.0.0.1:2000 if not given.
+        files (DIR): Folder of the map or saved scene that a data_protocol.yaml names.
+        deep (--deep/--sizes): Compare what is there by the digests of files, or by their sizes
+            alone, which is faster.
+        dry_run: Say what the set would hold, its size and the time it takes: builds every
+            scene, and tries every layout on two frames.
+    """
+    from inspe_jax.dataset import generate as run
+    from inspe_jax.dataset import load_generation
+    from inspe_jax.simulation.recorder import Server
+
+    check_folder(folder)
+    if backend is not None:
+        check_backend(backend)
+    server = None if address is None else Server.of(address)
+    with common.busy(f"reading {source}"):
+        generation = load_generation(source, files)
+    server_of(backend or generation.backend, server)
+    common.note(*generation.notes)
+    if dry_run:
+        _tell_what_it_would_hold(generation, backend or generation.backend, workers)
+        return
+    with common.resumable(), common.progress("frames") as report:
+        result = run(
+            generation,
+            folder,
+            backend,
+            workers=workers,
+            server=server,
+            deep=deep,
+            progress=report,
+            checking=report and partial(report, what="scenarios compared"),
+        )
+    speed = f", {result.seconds / result.recorded:.2g} s a frame" if result.recorded else ""
+    common.out.print(
+        f"{counted(result.scenarios, 'scenario')}, {counted(result.frames, 'frame')}, "
+        f"{result.size / 1e6:.1f} MB{speed}"
+    )
+    common.out.print(f"wrote {result.folder}")
+    damaged = [fault for faults in result.repaired.values() for fault in faults]
+    common.note_some(
+        [f"{fault}: recorded again" for fault in damaged], FAILURES, "recorded again, too"
+    )
+    _note_often(Counter(words for notes in result.notes.values() for words in notes))
+    common.note(*[f"{name}: {error}" for name, error in result.failures.items()][:FAILURES])
+    if result.failures:
+        failed = counted(len(result.failures), "scenario")
+        common.err.print(f"{failed} could not be generated; the same command tries again")
+        raise typer.Exit(1)
+
+
+def _note_often(counts: Counter[str]) -> None:
+    """Print notes on scenarios, each with their number; of many only the first."""
+    notes = [f"{words} ({counted(count, 'scenario')})" for words, count in counts.items()]
+    common.note_some(notes, NOTES, "see notes in each data_protocol.yaml")
+
+
+def _tell_what_it_would_hold(generation: "Generation", backend: str, workers: int | None) -> None:
+    """Print a table of the splits, and the size and the time that the set would take."""
+    from inspe_jax.dataset.estimate import estimate
+    from inspe_jax.dataset.tables import content_table
+
+    workers = workers or cores()
+    with common.progress("scenarios") as report:
+        found = estimate(generation, backend, workers, report)
+    each = ", ".join(f"{len(plans)} {split}" for split, plans in generation.splits.items())
+    common.out.print(
+        f"{generation.name}: {counted(len(generation.scenarios), 'scenario')} ({each}), "
+        f"{counted(generation.frames, 'frame')}"
+    )
+    common.out.print(content_table(generation, found))
+    _note_often(found.shortfalls)
+    if found.size is None or found.seconds is None:
+        common.note(f"backend {backend}: size and time are not known without its server")
+        return
+    hours = found.seconds / 3600
+    took = f"{hours:.1f} h" if hours >= 1 else f"{max(60 * hours, 0.1):.1f} min"
+    common.out.print(
+        f"about {found.size / 1e9:.3g} GB, and {took} with {counted(workers, 'worker')} like this"
+    )
 
 
 @command(dataset_app, name="stats")
@@ -69,30 +197,25 @@ def stats(
     claims.file(record, force=force)
     recorded = open_dataset(data)
     damaged = [fault for scenario in recorded.scenarios for fault in differing(scenario)]
-    with progress("frames") as tell:
+    with common.progress("frames") as tell:
         found = statistics(recorded, tell)
-    show(statistics_table(found), statistics_record(found), record)
+    common.show(statistics_table(found), statistics_record(found), record)
     if row:
         values = {key: "" if value is None else value for key, value in table_row(found).items()}
         write_text(row, csv_text([values]))
-        said(f"wrote {row}", record)
-    draw(lambda: statistics_view(found), plot, record)
+        common.said(f"wrote {row}", record)
+    common.draw(lambda: statistics_view(found), plot, record)
     if damaged:
         files = counted(len(damaged), "file")
-        note(
-            f"{damaged[0]}",
-            f"{files} not as the manifests say: see inspe dataset check {data}",
+        common.note(
+            f"{damaged[0]}", f"{files} not as the manifests say: see inspe dataset check {data}"
         )
         raise typer.Exit(1)
 
 
 @command(dataset_app, name="check")
 def check_files(
-    data: Path,
-    *,
-    deep: bool = False,
-    record: str | None = None,
-    force: bool = False,
+    data: Path, *, deep: bool = False, record: str | None = None, force: bool = False
 ) -> None:
     """Check whether files of a data set are missing, cut short or changed.
 
@@ -112,20 +235,17 @@ def check_files(
     from inspe_jax.dataset.manifest import check
 
     claims.file(record, force=force)
-    began = time.monotonic()
-    with progress("scenarios") as tell:
+    with common.progress("scenarios") as tell:
         found = check(data, deep, tell)
-    seconds = time.monotonic() - began
-    speed = f", {found.size / 1e6 / seconds:,.0f} MB/s" if deep and seconds else ""
     words = (
         f"{counted(found.scenarios, 'scenario')}, {counted(found.files, 'file')}, "
-        f"{found.size / 1e6:,.1f} MB compared by {'digest' if deep else 'size'}{speed}: "
+        f"{found.size / 1e6:,.1f} MB compared by {'digest' if deep else 'size'}: "
         f"{counted(len(found.faults), 'fault') if found.faults else 'no fault'}"
     )
-    show(Text(words, no_wrap=True, overflow="ignore"), found.record, record)
-    note_some([str(fault) for fault in found.faults], SHOWN, "--json FILE lists all")
+    common.show(Text(words, no_wrap=True, overflow="ignore"), found.record, record)
+    common.note_some([str(fault) for fault in found.faults], FAULTS, "--json FILE lists all")
     if found.unknown:
-        note(
+        common.note(
             f"{found.unknown[0]}: no manifest.json, so nothing is known of its files "
             f"({counted(len(found.unknown), 'scenario')} like this)"
         )
@@ -135,11 +255,7 @@ def check_files(
 
 @command(dataset_app, name="cache")
 def decode(
-    data: Path,
-    *,
-    into: Path,
-    size: str = PICTURES,
-    workers: int | None = None,
+    data: Path, *, into: Path, size: str = common.PICTURES, workers: int | None = None
 ) -> None:
     """Decode a data set into arrays that training reads at once, many times as fast as the files.
 
@@ -158,10 +274,10 @@ def decode(
     """
     from inspe_jax.dataset import cache
 
-    with progress("frames") as tell:
-        made = cache(data, into, pictures=picture_size(size), workers=workers, progress=tell)
+    with common.progress("frames") as tell:
+        made = cache(data, into, pictures=common.picture_size(size), workers=workers, progress=tell)
     frames = sum(scenario.record.frames for scenario in made.scenarios)
-    out.print(
+    common.out.print(
         f"{counted(len(made.scenarios), 'scenario')}, {counted(frames, 'frame')}\nwrote {into}"
     )
 
@@ -195,7 +311,7 @@ def show_frame(
 
     claims.file(plot, FORMATS, force=force)
     chosen = open_dataset(data).scenario(scenario)
-    with busy(f"reading frame {frame}"):
+    with common.busy(f"reading frame {frame}"):
         table = frame_table(chosen, frame)
-    out.print(table)
-    draw(lambda: frame_view(chosen, frame), plot)
+    common.out.print(table)
+    common.draw(lambda: frame_view(chosen, frame), plot)

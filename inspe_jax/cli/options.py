@@ -29,7 +29,7 @@ from inspe_jax.core.errors import InspeError
 from inspe_jax.mounting.mixes import mix_name
 from inspe_jax.placement.constraints import Constraints
 from inspe_jax.placement.objective import Objective
-from inspe_jax.placement.optimise import DEFAULT_METHOD
+from inspe_jax.placement.optimise import DEFAULT_METHOD, check_search
 from inspe_jax.placement.problem import Case, Problem
 from inspe_jax.placement.run import check_budget
 from inspe_jax.scene.scene import Scene, load_scene
@@ -54,8 +54,7 @@ SHARED = """
     price (DEVICE=USD): Price of a device, in place of the catalogue's; repeat it for other devices.
     device (DEVICE:COUNTS): A device of the catalogue, and the numbers of it to try, such as 0-4 or
         0,4,8; repeat it for other devices. velodyne-vlp-16:1-4 if not given.
-    method: Search method, such as grid; greedy-adam if not given. `inspe compare` lists and
-        compares all methods.
+    method: Search method, such as grid. `inspe compare` lists and compares all methods.
     start: Start of a search: given (the layout) or random.
     scheduler (ADDRESS): Address of a running Dask scheduler, such as tcp://host:8786; if not given,
         this machine's cores are used.
@@ -95,6 +94,7 @@ def command(group: typer.Typer = app, name: str | None = None) -> Callable[[_Com
             helps = _helps(SHARED)
             for base in reversed(record.__mro__):
                 helps |= _helps(inspect.cleandoc(base.__doc__ or "").partition("Attributes:")[2])
+            helps |= _helps(own)
             for field in fields(record):
                 option = one.replace(name=field.name, default=field.default)
                 parameters.append(_parameter(option, types[field.name], helps))
@@ -198,8 +198,27 @@ class SceneOptions(MapOptions):
 
 
 @dataclass(frozen=True)
-class WeightOptions:
-    """How layouts are scored: weights in P_sm, further metrics, curves, light and weather.
+class DetectionOptions:
+    """In which light and weather road users are detected, and by which curves."""
+
+    light: str = "midday"
+    weather: str = "clear"
+    profile: str | None = None
+    detection: Path | None = None
+
+    @property
+    def conditions(self) -> Conditions:
+        """The light and the weather."""
+        return Conditions.of(self.light, self.weather)
+
+    def curves(self) -> DetectionCurves | None:
+        """The curves of ``--detection``. Raises InspeError if the file holds no such curves."""
+        return None if self.detection is None else load_detection(self.detection)
+
+
+@dataclass(frozen=True)
+class WeightOptions(DetectionOptions):
+    """How layouts are scored: weights in P_sm, and further metrics.
 
     Attributes:
         weight (NAME=VALUE): Weight of a metric in P_sm, such as coverage=0.3; repeat it for other
@@ -211,24 +230,11 @@ class WeightOptions:
 
     weight: list[str] | None = None
     metrics: str = ""
-    detection: Path | None = None
-    light: str = "midday"
-    weather: str = "clear"
-    profile: str | None = None
-
-    @property
-    def conditions(self) -> Conditions:
-        """The light and the weather."""
-        return Conditions.of(self.light, self.weather)
 
     def weights(self) -> dict[str, float]:
         """The weight of every metric. Raises InspeError if the weights are not valid."""
         form = "NAME=VALUE, such as coverage=0.3"
         return weights_of(numbers("--weight", self.weight, form) if self.weight else None)
-
-    def curves(self) -> DetectionCurves | None:
-        """The curves of ``--detection``. Raises InspeError if the file holds no such curves."""
-        return None if self.detection is None else load_detection(self.detection)
 
     def further(self) -> tuple[str, ...]:
         """The names of the further metrics. Raises InspeError if one is of no metric."""
@@ -257,13 +263,11 @@ class ScoreOptions(WeightOptions):
             return curves
         return (curves or detection_curves()).for_road_users(self.road_user)
 
-    def sought(self, case: Case, layout: Layout, **readings: str | None) -> float | None:
-        """The score of what a layout was searched for; None where that is P_sm, or these options
-        say what counts."""
+    def sought(self, case: Case, layout: Layout) -> float | None:
+        """The score of a layout's goal; None if it is P_sm, or these options say what counts."""
         if layout.goal is None or self.weight or self.region or self.road_user:
             return None
-        objective = Objective.of_goal(layout.goal, self.curves(), **readings)
-        return Problem(case, layout, objective).exact_of(layout)
+        return Problem(case, layout, Objective.of_goal(layout.goal, self.curves())).exact_of(layout)
 
     def objective(self, **others: Any) -> Objective:
         """The objective that these options are of, checked."""
@@ -309,18 +313,6 @@ class SearchOptions(ScoreOptions):
         """Seconds for each search, in a command that runs several."""
         return 20.0 if self.seconds is None and self.evaluations is None else self.seconds
 
-    def of_mixes(
-        self, method: str | None, seed: int, callback: Callable[[float, float, str], None]
-    ) -> dict[str, Any]:
-        """Method, budget, seed and progress of a command that searches many mixes of devices."""
-        return dict(
-            method=method or DEFAULT_METHOD,
-            seconds=self.seconds_each(),
-            evaluations=self.evaluations,
-            seed=seed,
-            progress=lambda row, done, best: callback(done, best, mix_name(row)),
-        )
-
     def each_light(self) -> list[Conditions]:
         """The conditions: every light that is given, with the weather."""
         return [Conditions.of(light, self.weather) for light in self.light.split(",")]
@@ -344,6 +336,36 @@ class SearchOptions(ScoreOptions):
         constraints.check()
         for other in self.also or ():
             check_scene(other)
+        return wanted, constraints
+
+
+@dataclass(frozen=True)
+class DeviceOptions(SearchOptions):
+    """The options of commands that search with one method, also among mixes of devices.
+
+    Attributes:
+        seed: Seed of the search.
+    """
+
+    method: str = DEFAULT_METHOD
+    seed: int = 0
+    device: list[str] | None = None
+    price: list[str] | None = None
+
+    def of_mixes(self, callback: Callable[[float, float, str], None]) -> dict[str, Any]:
+        """Method, budget, seed and progress of a search of many mixes of devices."""
+        return dict(
+            method=self.method,
+            seconds=self.seconds_each(),
+            evaluations=self.evaluations,
+            seed=self.seed,
+            progress=lambda row, done, best: callback(done, best, mix_name(row)),
+        )
+
+    def checked(self, start: str = "given", **objective: Any) -> tuple[Objective, Constraints]:
+        """The objective with prices, and the constraints; the method is checked too."""
+        wanted, constraints = super().checked(prices=prices(self.price), **objective)
+        check_search((self.method,), wanted, start, (self.seed,))
         return wanted, constraints
 
 

@@ -6,19 +6,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from inspe_jax.cli import common
 from inspe_jax.cli.claims import claims
-from inspe_jax.cli.common import (
-    PICTURES,
-    busy,
-    draw,
-    err,
-    out,
-    picture_size,
-    progress,
-    resumable,
-    said,
-    show,
-)
 from inspe_jax.cli.options import Positive, Whole, command
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import (
@@ -95,7 +84,7 @@ def train_detector(
     given = dict(steps=steps, batch=batch, rate=rate, every=every)
     given |= dict(validate_frames=validate, augment=augment)
     wanted = []
-    size = picture_size(pictures or PICTURES)
+    size = common.picture_size(pictures or common.PICTURES)
     for name, number in dict.fromkeys(product(model or ["coalign"], seed or [0])):
         # Before frames are decoded, which may take hours.
         if "camera" in model_of(name).sensors and size is None:
@@ -110,7 +99,7 @@ def train_detector(
             f"{recorded}: is a cache and has {pictures_in_words(data)}, not {pictures}: leave "
             f"--pictures out, or give the set itself"
         )
-    with resumable():
+    with common.resumable():
         if many:
             _train_many(data, folder, wanted, workers, scheduler)
         else:
@@ -119,7 +108,7 @@ def train_detector(
 
 def _train_one(data: "Cache", folder: Path, settings: "Settings") -> None:
     """A training in this process, with a bar."""
-    with progress("compiling") as tell:
+    with common.progress("compiling") as tell:
 
         def report(now: Any) -> None:
             facts = f"loss {now.loss:.2f}"
@@ -128,12 +117,12 @@ def _train_one(data: "Cache", folder: Path, settings: "Settings") -> None:
             if tell:
                 tell(now.step, now.steps, now.model, facts)
             elif now.step % settings.every == 0:
-                err.print(f"{now.model}: step {now.step:,} of {now.steps:,}, {facts}")
+                common.err.print(f"{now.model}: step {now.step:,} of {now.steps:,}, {facts}")
 
         from inspe_jax.perception import training
 
         run = training.train(data, folder, settings, progress=report)
-    out.print(f"{settings.model}: {_summary(run)}\nwrote {folder}")
+    common.out.print(f"{settings.model}: {_summary(run)}\nwrote {folder}")
 
 
 def _train_many(
@@ -156,18 +145,18 @@ def _train_many(
         for into, own in zip(folders, wanted, strict=True)
     ]
     failed = 0
-    with progress("steps") as tell:
+    with common.progress("steps") as tell:
         for job, found in training.train_all(
             jobs, workers=workers, scheduler=scheduler, progress=tell
         ):
             if isinstance(found, Exception):
                 failed += 1
-                err.print(f"{job.folder.name}: {found}")
+                common.err.print(f"{job.folder.name}: {found}")
             else:
-                out.print(f"{job.folder.name}: {_summary(found)}")
+                common.out.print(f"{job.folder.name}: {_summary(found)}")
     if failed:
         raise InspeError(f"{failed} of {len(jobs)} trainings failed, see above")
-    out.print(f"wrote {folder}")
+    common.out.print(f"wrote {folder}")
 
 
 def _summary(run: "Run") -> str:
@@ -207,14 +196,14 @@ def evaluate_detector(
     claims.file(table, (".csv",), force=force)
     claims.file(record, force=force)
     training, step, loader, predictor = _ready(run, recorded, cache, split)
-    with progress("frames") as tell:
+    with common.progress("frames") as tell:
         found = predictor.evaluate(loader, progress=tell)
     rows = [dict(row) for row in found.rows()]
     content = {"run": str(training.path), "split": split, "step": step, "classes": rows}
-    show(evaluation_table(found, _unfinished(training, step)), json_value(content), record)
+    common.show(evaluation_table(found, _unfinished(training, step)), json_value(content), record)
     if table:
         write_text(table, csv_text(rows))
-        said(f"wrote {table}", record)
+        common.said(f"wrote {table}", record)
 
 
 @command(name="detect")
@@ -254,7 +243,7 @@ def detect(
     training, step, loader, predictor = _ready(run, recorded, cache, split)
     name, number, index = loader.find(scenario, frame)
     batch = loader[index]
-    with busy("detecting"):
+    with common.busy("detecting"):
         (found,) = predictor(batch)
     boxes = [
         {"class": KINDS[kind], "score": score, **dict(zip(BOX, box, strict=True))}
@@ -263,14 +252,16 @@ def detect(
     ]
     where = {"run": str(training.path), "step": step, "scenario": name, "frame": number}
     until = _unfinished(training, step)
-    show(detections_table(found, least, until), json_value({**where, "detections": boxes}), record)
+    common.show(
+        detections_table(found, least, until), json_value({**where, "detections": boxes}), record
+    )
 
     def drawn() -> Any:
         title = f"{training.content.settings.model}: {name}, frame {number}{until}"
         whole = Loader(loader.cache, split, batch=1, shuffle=False, half=loader.half)[index]
         return figure.draw(whole, 0, found, title, least_score=least)
 
-    draw(drawn, plot, record)
+    common.draw(drawn, plot, record)
 
 
 def _unfinished(run: "Run", step: int) -> str:
@@ -280,15 +271,12 @@ def _unfinished(run: "Run", step: int) -> str:
 
 
 def _cache(
-    source: Path,
-    folder: Path | None,
-    pictures: tuple[int, int] | None,
-    any_size: bool = False,
+    source: Path, folder: Path | None, pictures: tuple[int, int] | None, any_size: bool = False
 ) -> "Cache":
     """The cache of a set, which is decoded as far as it is not."""
     from inspe_jax.perception.training.source import cache_of
 
-    with progress("decoding frames") as tell:
+    with common.progress("decoding frames") as tell:
         return cache_of(source, pictures=pictures, any_size=any_size, folder=folder, progress=tell)
 
 

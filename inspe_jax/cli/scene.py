@@ -9,17 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from inspe_jax.cli import common
 from inspe_jax.cli.claims import claims
-from inspe_jax.cli.common import (
-    DEFAULT_LAYOUT,
-    DEFAULT_SCENE,
-    busy,
-    check_layout,
-    draw,
-    note,
-    out,
-    progress,
-)
 from inspe_jax.cli.options import SceneOptions, command
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import check_input, whole_file
@@ -50,7 +41,7 @@ from inspe_jax.sensing.layout import save_layout
 
 @command()
 def scene(
-    source: str = DEFAULT_SCENE,
+    source: str = common.DEFAULT_SCENE,
     *,
     list_: bool = False,
     junction: str | None = None,
@@ -136,7 +127,7 @@ def scene(
                 check_input(file)
             profile = profile_of(options.profile or DEFAULT_PROFILE)
             size = profile.of_scene(radius=options.radius)["radius"]
-            with busy(f"reading {path.name}"):
+            with common.busy(f"reading {path.name}"):
                 if at is not None:
                     junction = str(junction_at(path, *_degrees(at)).id)
                 place = read_map(path, junction=junction, center=center, radius=size)
@@ -150,26 +141,26 @@ def scene(
             check_scene_name(source)
             place = built_in(source)
             _refuse(source, "a built-in intersection is no map", given)
-        with progress("traffic") as report:
+        with common.progress("traffic") as report:
             built = build_scene(place, **settings, progress=report)
-    out.print(scene_table(built))
+    common.out.print(scene_table(built))
     if short := built.shortfall:
-        note(f"road users: {short}; a larger radius holds more")
+        common.note(f"road users: {short}; a larger radius holds more")
     site = Site(built.intersection, built.voxels.radius, depth=30.0, bodies=built.statics)
     for x, y in own:
         if why := site.why_none(np.array([x, y])):
-            note(f"the pole at ({x:.1f}, {y:.1f}) carries no sensor: {why}")
+            common.note(f"the pole at ({x:.1f}, {y:.1f}) carries no sensor: {why}")
     if save:
         save = claims.keep(partial(save_scene, built), save)
-        out.print(f"saved {save}")
-    draw(lambda: scene_view(built), plot)
+        common.out.print(f"saved {save}")
+    common.draw(lambda: scene_view(built), plot)
 
 
 @command()
 def layout(
-    source: str = DEFAULT_SCENE,
+    source: str = common.DEFAULT_SCENE,
     *,
-    strategy: str = DEFAULT_LAYOUT,
+    strategy: str = common.DEFAULT_LAYOUT,
     camera: str | None = None,
     lidar: str | None = None,
     profile: str | None = None,
@@ -195,14 +186,14 @@ def layout(
         k: v for k, v in dict(camera=camera, lidar=lidar).items() if v is not None
     }
     claims.file(save, (".yaml", ".yml"), force=force)
-    check_layout(strategy)
+    common.check_layout(strategy)
     for name in devices.values():
         device(name)
     placed = strategies.strategy(load_scene(source, profile), strategy, **devices)
-    out.print(layout_table(placed))
+    common.out.print(layout_table(placed))
     if save:
         save_layout(placed, save)
-        out.print(f"saved {save}")
+        common.out.print(f"saved {save}")
 
 
 def _refuse(what: str, why: str, options: Sequence[str]) -> None:
@@ -213,9 +204,7 @@ def _refuse(what: str, why: str, options: Sequence[str]) -> None:
 
 
 @command()
-def examples(
-    folder: Path = Path(),
-) -> None:
+def examples(folder: Path = Path()) -> None:
     """Write the example files of the README: two maps, poles, and a log of traffic.
 
     Their places are made up. A file that is there already stays as it is.
@@ -230,11 +219,11 @@ def examples(
     for item in sorted(files("inspe_jax.scene").joinpath("examples").iterdir(), key=str):
         path, content = folder / item.name.removesuffix(".gz"), item.read_bytes()
         if path.exists():
-            out.print(f"kept {path}: it is there already")
+            common.out.print(f"kept {path}: it is there already")
             continue
         with whole_file(path) as file:
             file.write(gzip.decompress(content) if item.name.endswith(".gz") else content)
-        out.print(f"wrote {path}")
+        common.out.print(f"wrote {path}")
 
 
 def _degrees(text: str) -> tuple[float, float]:
@@ -250,9 +239,9 @@ def _list_places(source: str) -> None:
     from inspe_jax.report.scene_tables import built_ins_table, junctions_table
 
     if is_map(source):
-        with busy(f"reading {source}"):
+        with common.busy(f"reading {source}"):
             found, georeference = list_junctions(source), georeference_of(source)
-        out.print(junctions_table(found, Path(source).name, georeference))
+        common.out.print(junctions_table(found, Path(source).name, georeference))
         return
     check_scene_name(source)
-    out.print(built_ins_table())
+    common.out.print(built_ins_table())

@@ -6,40 +6,27 @@ from typing import Any
 import numpy as np
 from rich.console import Group
 
+from inspe_jax.cli import common
 from inspe_jax.cli.claims import claims
-from inspe_jax.cli.common import (
-    DEFAULT_LAYOUT,
-    DEFAULT_SCENE,
-    busy,
-    draw,
-    out,
-    progress,
-    scene_and_layout,
-    show,
-)
-from inspe_jax.cli.options import ScoreOptions, command
+from inspe_jax.cli.options import DetectionOptions, ScoreOptions, command
 from inspe_jax.core.errors import check_known
 from inspe_jax.placement.problem import Case
 from inspe_jax.placement.studies.tolerance import check_errors
 from inspe_jax.placement.studies.tolerance import tolerance as installed
 from inspe_jax.scene.profiles import profiles as known_profiles
 from inspe_jax.scene.traffic.frames import CLASSES
-from inspe_jax.scoring.detection import load_detection
 from inspe_jax.scoring.evaluate import evaluate
 from inspe_jax.scoring.targets import target_view
 from inspe_jax.sensing import catalogue
-from inspe_jax.sensing.conditions import Conditions
 
 
 @command()
 def score(
-    source: str = DEFAULT_SCENE,
-    sensors: str = DEFAULT_LAYOUT,
+    source: str = common.DEFAULT_SCENE,
+    sensors: str = common.DEFAULT_LAYOUT,
     *,
     record: str | None = None,
     plot: Path | None = None,
-    occlusion_reference: str | None = None,
-    visibility: str | None = None,
     force: bool = False,
     options: ScoreOptions,
 ) -> None:
@@ -58,12 +45,6 @@ def score(
     - `inspe score four_way L-d1 --weight detectability=1 --region crosswalk --road-user pedestrian`
 
     A layout that a search found says what it was searched for; that is scored too.
-
-    Args:
-        occlusion_reference: The voxels that occlusion is measured on: roi, covered or targets;
-            the profile's if not given.
-        visibility: What information gain takes as visible: in_view, line_of_sight or
-            past_others; the profile's if not given.
     """
     from inspe_jax.core.sheet import FORMATS
     from inspe_jax.report.figures import plan_view
@@ -71,40 +52,35 @@ def score(
 
     claims.file(plot, FORMATS, force=force)
     claims.file(record, force=force)
-    readings = dict(occlusion_reference=occlusion_reference, visibility=visibility)
-    conditions, objective = options.conditions, options.objective(**readings)
-    with busy(f"reading {source}"):
-        world, placed = scene_and_layout(source, sensors, options.profile)
+    conditions, objective = options.conditions, options.objective()
+    with common.busy(f"reading {source}"):
+        world, placed = common.scene_and_layout(source, sensors, options.profile)
         world = objective.within(world)
-    with busy("scoring"):
+    with common.busy("scoring"):
         scores = evaluate(
             world,
             placed,
-            **readings,
             weights=objective.weights,
             conditions=conditions,
             metrics=objective.metrics,
             detection=objective.detection,
         )
-        sought = options.sought(Case(world, conditions), placed, **readings)
+        sought = options.sought(Case(world, conditions), placed)
     tables = Group(scores_table(scores, placed, sought), "", blind_spots_table(world, scores))
-    show(tables, scores_record(scores, world, placed, sought), record)
-    draw(lambda: plan_view(world, placed, scores), plot, record)
+    common.show(tables, scores_record(scores, world, placed, sought), record)
+    common.draw(lambda: plan_view(world, placed, scores), plot, record)
 
 
 @command()
 def targets(
-    source: str = DEFAULT_SCENE,
-    sensors: str = DEFAULT_LAYOUT,
+    source: str = common.DEFAULT_SCENE,
+    sensors: str = common.DEFAULT_LAYOUT,
     *,
     road_user: str = "pedestrian",
     record: str | None = None,
     plot: Path | None = None,
-    light: str = "midday",
-    weather: str = "clear",
-    profile: str | None = None,
-    detection: Path | None = None,
     force: bool = False,
+    options: DetectionOptions,
 ) -> None:
     """Show what a road user gets at each place: LiDAR returns, and pixels per metre of the cameras.
 
@@ -125,22 +101,21 @@ def targets(
 
     claims.file(plot, FORMATS, force=force)
     claims.file(record, force=force)
-    conditions = Conditions.of(light, weather)
-    curves = None if detection is None else load_detection(detection)
+    conditions, curves = options.conditions, options.curves()
     check_known(road_user, CLASSES, "road user")
-    with busy(f"reading {source}"):
-        world, placed = scene_and_layout(source, sensors, profile)
-    with busy("counting rays"):
+    with common.busy(f"reading {source}"):
+        world, placed = common.scene_and_layout(source, sensors, options.profile)
+    with common.busy("counting rays"):
         view = target_view(world, placed, road_user, conditions=conditions, detection=curves)
-    show(targets_table(world, placed, view), targets_record(world, placed, view), record)
+    common.show(targets_table(world, placed, view), targets_record(world, placed, view), record)
     placed = conditions.layout(placed)
-    draw(lambda: targets_view(world, placed, view, conditions=conditions), plot, record)
+    common.draw(lambda: targets_view(world, placed, view, conditions=conditions), plot, record)
 
 
 @command()
 def tolerance(
-    source: str = DEFAULT_SCENE,
-    sensors: str = DEFAULT_LAYOUT,
+    source: str = common.DEFAULT_SCENE,
+    sensors: str = common.DEFAULT_LAYOUT,
     *,
     position: float = 0.1,
     angle: float = 1.0,
@@ -176,12 +151,12 @@ def tolerance(
     )
     check_errors(**errors)
     conditions = options.conditions
-    with busy(f"reading {source}"):
-        world, placed = scene_and_layout(source, sensors, options.profile)
-    with progress("installations") as report:
+    with common.busy(f"reading {source}"):
+        world, placed = common.scene_and_layout(source, sensors, options.profile)
+    with common.progress("installations") as report:
         case = Case(world, conditions)
         found = installed(case, placed, **errors, objective=objective, progress=report)
-    show(tolerance_table(found, placed), tolerance_record(found, world, placed), record)
+    common.show(tolerance_table(found, placed), tolerance_record(found, world, placed), record)
 
 
 @command()
@@ -194,7 +169,7 @@ def metrics() -> None:
     """
     from inspe_jax.report.tables import metrics_table
 
-    out.print(metrics_table())
+    common.out.print(metrics_table())
 
 
 @command()
@@ -205,7 +180,7 @@ def devices() -> None:
     """
     from inspe_jax.report.scene_tables import devices_table
 
-    out.print(devices_table(catalogue.devices()))
+    common.out.print(devices_table(catalogue.devices()))
 
 
 @command()
@@ -217,4 +192,4 @@ def profiles() -> None:
     from inspe_jax.report.scene_tables import profile_table
 
     for profile in known_profiles().values():
-        out.print(profile_table(profile))
+        common.out.print(profile_table(profile))

@@ -4,18 +4,9 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
+from inspe_jax.cli import common
 from inspe_jax.cli.claims import claims
-from inspe_jax.cli.common import (
-    DEFAULT_LAYOUT,
-    DEFAULT_SCENE,
-    busy,
-    draw,
-    note,
-    out,
-    scene_and_layout,
-    search_bar,
-)
-from inspe_jax.cli.options import SearchOptions, command, device_counts, prices
+from inspe_jax.cli.options import DeviceOptions, SearchOptions, command, device_counts
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import check_output
 from inspe_jax.mounting.mixes import starting_layout
@@ -39,19 +30,15 @@ PICTURE = "before_after.png"
 
 @command()
 def optimise(
-    source: str = DEFAULT_SCENE,
+    source: str = common.DEFAULT_SCENE,
     sensors: str | None = None,
     *,
-    method: str | None = None,
-    seed: int = 0,
+    options: DeviceOptions,
     start: str = "given",
     target: float | None = None,
-    device: list[str] | None = None,
-    price: list[str] | None = None,
     checkpoint: Path | None = None,
     folder: Path = Path("optimised"),
     force: bool = False,
-    options: SearchOptions,
 ) -> None:
     """Search for a better layout of the same sensors, one that can be mounted.
 
@@ -72,7 +59,6 @@ def optimise(
 
     Args:
         sensors (LAYOUT): A layout file, or the name of a strategy; Cam-d1 if not given.
-        seed: Seed of the search.
         target: Search for the cheapest mix of devices that reaches this score, in place of a
             better layout. The score is detectability if no --weight is given.
         device (DEVICE:COUNTS): In place of a layout: a device of the catalogue, and the number
@@ -87,29 +73,29 @@ def optimise(
     if target is not None:
         if checkpoint is not None or start != "given":
             raise InspeError("--target searches many mixes: leave out --checkpoint and --start")
-        sensors = sensors or DEFAULT_LAYOUT
-        _find_cheapest(source, sensors, target, device, price, method, seed, folder, options)
+        _find_cheapest(source, sensors or common.DEFAULT_LAYOUT, target, folder, options)
         return
-    if price:
+    if options.price:
         raise InspeError("--price is for --target: other searches do not count what devices cost")
-    objective, constraints = options.checked()
-    search.check_search((method or search.DEFAULT_METHOD,), objective, start, (seed,))
-    mix = _mix(device, sensors)
-    with busy(f"reading {source}"):
+    objective, constraints = options.checked(start)
+    mix = _mix(options.device, sensors)
+    with common.busy(f"reading {source}"):
         if mix:
             world = load_scene(source, options.profile)
             placed = starting_layout(world, mix)
         else:
-            world, placed = scene_and_layout(source, sensors or DEFAULT_LAYOUT, options.profile)
+            world, placed = common.scene_and_layout(
+                source, sensors or common.DEFAULT_LAYOUT, options.profile
+            )
         cases = options.cases(world)
-    with search_bar("searching") as callback:
+    with common.search_bar("searching") as callback:
         result = search.optimise(
             cases,
             placed,
-            method or search.DEFAULT_METHOD,
+            options.method,
             options.seconds,
             options.evaluations,
-            seed,
+            options.seed,
             objective,
             constraints,
             start,
@@ -125,13 +111,13 @@ def optimise(
     )
     if further := [name for name in result.scores.metrics if not METRICS[name].usual]:
         around += f" --metrics {','.join(further)}"
-    out.print(f"next: inspe score {source} {folder / 'layout.yaml'}{around} --plot plan.png")
+    common.out.print(f"next: inspe score {source} {folder / 'layout.yaml'}{around} --plot plan.png")
 
 
 @command()
 def compare(
-    source: str = DEFAULT_SCENE,
-    sensors: str = DEFAULT_LAYOUT,
+    source: str = common.DEFAULT_SCENE,
+    sensors: str = common.DEFAULT_LAYOUT,
     *,
     methods: str = "",
     seeds: int = 3,
@@ -164,15 +150,15 @@ def compare(
     names = [name.strip() for name in methods.split(",") if name.strip()]
     names = names or list(search.methods(objective))
     search.check_search(names, objective, start, range(seeds))
-    with busy(f"reading {source}"):
-        world, placed = scene_and_layout(source, sensors, options.profile)
+    with common.busy(f"reading {source}"):
+        world, placed = common.scene_and_layout(source, sensors, options.profile)
         cases = options.cases(world)
     runs = [(name, seed) for name in names for seed in range(seeds)]
 
     def fraction(name: str, seed: int, done: float) -> float:
         return (runs.index((name, seed)) + done) / len(runs)
 
-    with search_bar("comparing") as callback:
+    with common.search_bar("comparing") as callback:
         results = search.compare(
             cases,
             placed,
@@ -187,27 +173,23 @@ def compare(
                 fraction(name, seed, done), best, f"{name}, seed {seed}"
             ),
         )
-    out.print(comparison_table(results))
+    common.out.print(comparison_table(results))
     folder = claims.keep(partial(save_comparison, results), folder)
-    note(*dict.fromkeys(words for result in results for words in result.notes))
+    common.note(*dict.fromkeys(words for result in results for words in result.notes))
     if len(results) < len(runs):
-        note(f"stopped after {len(results)} of {len(runs)} searches")
-    out.print(f"wrote compare.csv, history.csv and layout.yaml into {folder}")
-    draw(lambda: history_view(results), folder / "compare.png")
+        common.note(f"stopped after {len(results)} of {len(runs)} searches")
+    common.out.print(f"wrote compare.csv, history.csv and layout.yaml into {folder}")
+    common.draw(lambda: history_view(results), folder / "compare.png")
 
 
 @command()
 def pareto(
-    source: str = DEFAULT_SCENE,
+    source: str = common.DEFAULT_SCENE,
     *,
-    device: list[str] | None = None,
-    price: list[str] | None = None,
+    options: DeviceOptions,
     budget: float | None = None,
-    method: str | None = None,
-    seed: int = 0,
     folder: Path = Path("pareto"),
     force: bool = False,
-    options: SearchOptions,
 ) -> None:
     """Compare mixes of devices by cost and score, and show which are worth their money.
 
@@ -224,34 +206,32 @@ def pareto(
 
     Args:
         budget (USD): Leave out mixes of devices that cost more.
-        seed: Seed of the searches.
     """
     from inspe_jax.report.curves import pareto_view
     from inspe_jax.report.tables import pareto_table
 
-    objective, constraints = options.checked(prices=prices(price), budget=budget)
-    search.check_search((method or search.DEFAULT_METHOD,), objective, seeds=(seed,))
-    wanted = device_counts(device)
+    objective, constraints = options.checked(budget=budget)
+    wanted = device_counts(options.device)
     mixes = [row for _, row in device_mixes(wanted, objective)]
     names = ("pareto.csv", "pareto.png", *map(layout_file, mixes))
     claims.folder(folder, names, force=force)
-    with busy(f"reading {source}"):
+    with common.busy(f"reading {source}"):
         cases = options.cases(load_scene(source, options.profile))
-    with search_bar("searching") as callback:
+    with common.search_bar("searching") as callback:
         found = studies.pareto(
             cases,
             wanted,
             objective=objective,
             constraints=constraints,
-            **options.of_mixes(method, seed, callback),
+            **options.of_mixes(callback),
         )
-    out.print(pareto_table(found))
+    common.out.print(pareto_table(found))
     folder = claims.keep(partial(save_pareto, found), folder)
-    note(*(f"{mix.name}: {words}" for mix in found for words in mix.result.notes))
+    common.note(*(f"{mix.name}: {words}" for mix in found for words in mix.result.notes))
     if len(found) < len(mixes):
-        note(f"stopped after {len(found)} of {len(mixes)} mixes")
-    out.print(f"wrote pareto.csv and the layouts of the front into {folder}")
-    draw(lambda: pareto_view(found), folder / "pareto.png")
+        common.note(f"stopped after {len(found)} of {len(mixes)} mixes")
+    common.out.print(f"wrote pareto.csv and the layouts of the front into {folder}")
+    common.draw(lambda: pareto_view(found), folder / "pareto.png")
 
 
 def _mix(device: list[str] | None, sensors: str | None) -> dict[str, int]:
@@ -268,15 +248,7 @@ def _mix(device: list[str] | None, sensors: str | None) -> dict[str, int]:
 
 
 def _find_cheapest(
-    source: str,
-    sensors: str,
-    target: float,
-    device: list[str] | None,
-    price: list[str] | None,
-    method: str | None,
-    seed: int,
-    folder: Path,
-    options: SearchOptions,
+    source: str, sensors: str, target: float, folder: Path, options: DeviceOptions
 ) -> None:
     """`inspe optimise --target`: the cheapest mix of devices that reaches a score."""
     from inspe_jax.report.tables import cheapest_table
@@ -284,25 +256,25 @@ def _find_cheapest(
     check_target(target)
     if not options.weight:
         options = replace(options, weight=["detectability=1"])
-    objective, constraints = options.checked(prices=prices(price))
-    search.check_search((method or search.DEFAULT_METHOD,), objective, seeds=(seed,))
-    if device:
-        device_mixes(device_counts(device), objective)
-    with busy(f"reading {source}"):
-        world, placed = scene_and_layout(source, sensors, options.profile)
+    objective, constraints = options.checked()
+    given = device_counts(options.device) if options.device else None
+    if given:
+        device_mixes(given, objective)
+    with common.busy(f"reading {source}"):
+        world, placed = common.scene_and_layout(source, sensors, options.profile)
         cases = options.cases(world)
     names = [sensor.spec.name for sensor in placed.sensors]
     of_layout = {name: range(names.count(name) + 1) for name in sorted({*names})}
-    with search_bar("searching") as callback:
+    with common.search_bar("searching") as callback:
         found = cheapest(
             cases,
-            device_counts(device) if device else of_layout,
+            given or of_layout,
             target,
             objective=objective,
             constraints=constraints,
-            **options.of_mixes(method, seed, callback),
+            **options.of_mixes(callback),
         )
-    out.print(cheapest_table(found))
+    common.out.print(cheapest_table(found))
     best = found.best
     if found.found is None:
         words = f"none of {len(found.searched)} mixes reaches {target:g}; the best is {best.name}"
@@ -312,7 +284,7 @@ def _find_cheapest(
         words += ", none reaches it" if others else ""
     if found.found is None and (left := found.total - len(found.searched)):
         words += f"; {left} were not searched"
-    out.print(words)
+    common.out.print(words)
     _save(world, best.result, folder)
 
 
@@ -320,14 +292,14 @@ def _show(result: Result) -> None:
     """Print the scores before and after a search, what moved, and its notes."""
     from inspe_jax.report.tables import before_after_table, moves_table
 
-    out.print(before_after_table(result))
-    out.print(moves_table(result.start, result.layout))
-    out.print(
+    common.out.print(before_after_table(result))
+    common.out.print(moves_table(result.start, result.layout))
+    common.out.print(
         f"{result.method}, seed {result.seed}: {result.status} "
         f"({STATUSES[result.status]}) after {result.seconds:.0f} s, "
         f"{result.evaluations:.0f} exact scores' work"
     )
-    note(*result.notes)
+    common.note(*result.notes)
 
 
 def _save(world: Scene, result: Result, folder: Path) -> Path:
@@ -335,7 +307,9 @@ def _save(world: Scene, result: Result, folder: Path) -> Path:
     from inspe_jax.report.progress import before_after
 
     folder = claims.keep(partial(save_result, result), folder)
-    out.print(f"wrote layout.yaml, start.yaml, result.json, history.csv and path.csv into {folder}")
+    common.out.print(
+        f"wrote layout.yaml, start.yaml, result.json, history.csv and path.csv into {folder}"
+    )
     parts = (result.start, result.layout, result.scores_before, result.scores)
-    draw(lambda: before_after(world, *parts, path=result.path), folder / PICTURE)
+    common.draw(lambda: before_after(world, *parts, path=result.path), folder / PICTURE)
     return folder

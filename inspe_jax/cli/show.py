@@ -9,21 +9,9 @@ from typing import Annotated
 
 import typer
 
+from inspe_jax.cli import common
 from inspe_jax.cli.claims import claims
-from inspe_jax.cli.common import (
-    DEFAULT_LAYOUT,
-    DEFAULT_SCENE,
-    busy,
-    check_layout,
-    layout_on,
-    leave_at_once,
-    note,
-    out,
-    progress,
-    scene_and_layout,
-)
 from inspe_jax.cli.options import ScoreOptions, WeightOptions, command, prices
-from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import check_output, write_text
 from inspe_jax.placement.problem import Case
 from inspe_jax.placement.result import Result, load_result
@@ -35,7 +23,7 @@ from inspe_jax.visibility.queries import check_frame
 
 @command()
 def report(
-    source: str = DEFAULT_SCENE,
+    source: str = common.DEFAULT_SCENE,
     sensors: list[str] | None = None,
     *,
     path: Path = Path("report.html"),
@@ -73,11 +61,11 @@ def report(
     claims.file(path, (".html", ".htm"), force=force)
     conditions, objective = options.conditions, options.objective()
     priced = prices(price)
-    wanted = sensors or [DEFAULT_LAYOUT]
+    wanted = sensors or [common.DEFAULT_LAYOUT]
     for given in wanted:
         if not Path(given).is_dir():
-            check_layout(given)
-    with busy(f"reading {source}"):
+            common.check_layout(given)
+    with common.busy(f"reading {source}"):
         world = objective.within(load_scene(source, options.profile))
         check_frame(world, frame)
         placed = [_found_or_placed(world, given) for given in wanted]
@@ -85,23 +73,23 @@ def report(
     check_names([layout.name for layout, _ in placed])
     entries = []
     for layout, result in placed:
-        with busy(f"scoring {layout.name}"):
+        with common.busy(f"scoring {layout.name}"):
             further, curves = objective.metrics, objective.detection
             entry = report_entry(case, layout, objective.weights, result, further, curves)
             entry = replace(entry, sought=options.sought(case, layout))
         if tolerance:
-            with progress(f"installations of {layout.name}") as callback:
+            with common.progress(f"installations of {layout.name}") as callback:
                 slopes = installed(case, layout, objective=objective, progress=callback)
             entry = replace(entry, tolerance=slopes)
         entries.append(entry)
-    with progress("drawing") as callback:
+    with common.progress("drawing") as callback:
         page = report_page(
             world, entries, prices=priced, frame=frame, views=VIEWS, progress=callback
         )
     path = claims.keep(lambda at: write_text(at, page), path)
     for entry in entries:
-        out.print(goal_words(entry.layout, entry.scores, entry.sought))
-    out.print(f"wrote {path}, {path.stat().st_size / 1e6:.1f} MB")
+        common.out.print(goal_words(entry.layout, entry.scores, entry.sought))
+    common.out.print(f"wrote {path}, {path.stat().st_size / 1e6:.1f} MB")
 
 
 def _found_or_placed(world: Scene, given: str) -> tuple[Layout, Result | None]:
@@ -109,17 +97,16 @@ def _found_or_placed(world: Scene, given: str) -> tuple[Layout, Result | None]:
     if Path(given).is_dir():
         result = load_result(given)
         return result.layout, result
-    return layout_on(world, given), None
+    return common.layout_on(world, given), None
 
 
 @command()
 def view(
-    source: str = DEFAULT_SCENE,
-    sensors: str = DEFAULT_LAYOUT,
+    source: str = common.DEFAULT_SCENE,
+    sensors: str = common.DEFAULT_LAYOUT,
     *,
     path: Path = Path("viewed.yaml"),
     port: Annotated[int, typer.Option(min=0, max=65000)] = 8080,
-    host: str = "127.0.0.1",
     options: WeightOptions,
 ) -> None:
     """Serve a page on which you drag sensors and see the scores follow.
@@ -141,23 +128,17 @@ def view(
     Args:
         path (--out FILE.yaml): File in which the layout is saved.
         port: Port; if it is taken, the next free one is used.
-        host: Address to listen on; 127.0.0.1 is the only one.
     """
     from inspe_jax.viewer.app import Viewer
-    from inspe_jax.viewer.server import HOST, kept_token
+    from inspe_jax.viewer.server import kept_token
 
     check_output(path, (".yaml", ".yml"))
     conditions, weights = options.conditions, options.weights()
     further, curves = options.further(), options.curves()
-    if host not in (HOST, "localhost"):
-        raise InspeError(
-            f"--host {host}: only this machine can open the page. Leave --host out; on another "
-            f"machine run `{_tunnel(port)}`, and open the printed address there"
-        )
-    check_layout(sensors, unit_rule=False)
-    with busy(f"reading {source}"):
+    common.check_layout(sensors, unit_rule=False)
+    with common.busy(f"reading {source}"):
         world = load_scene(source, options.profile)
-        layout = layout_on(world, sensors, unit_rule=False)
+        layout = common.layout_on(world, sensors, unit_rule=False)
     viewer = Viewer(
         Case(world, conditions),
         layout,
@@ -170,35 +151,31 @@ def view(
     )
     try:
         if port not in (0, viewer.port):
-            note(f"port {port} is not available: using {viewer.port}")
-        out.print(f"open {viewer.url}")
-        out.print(f"only this machine can open it; on another one, first {_tunnel(viewer.port)}")
+            common.note(f"port {port} is not available: using {viewer.port}")
+        common.out.print(f"open {viewer.url}")
+        tunnel = f"ssh -L {viewer.port}:localhost:{viewer.port} {gethostname()}"
+        common.out.print(f"only this machine can open it; on another one, first {tunnel}")
         for earlier in viewer.store.earlier:
             words = "is of an earlier run: the page offers to open it, and does not replace it"
-            note(f"{earlier} {words}")
+            common.note(f"{earlier} {words}")
         signal.signal(signal.SIGTERM, signal.default_int_handler)
-        out.print("Ctrl-C ends")
+        common.out.print("Ctrl-C ends")
         while True:
             time.sleep(1)  # a signal that another thread gets is noticed only after it
     except KeyboardInterrupt:
         for again in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(again, lambda *_: leave_at_once(1))
-        with busy("ending"):
+            signal.signal(again, lambda *_: common.leave_at_once(1))
+        with common.busy("ending"):
             viewer.close(wait=False)
     except BaseException:
         viewer.close()
         raise
     if not viewer.store.holds(viewer.layout):
-        out.print(viewer.store.words(viewer.layout))
+        common.out.print(viewer.store.words(viewer.layout))
         if viewer.store.kept(viewer.layout) is None:
-            out.print("so it is printed here:", layout_text(viewer.layout), sep="\n")
-            leave_at_once(1)
-    leave_at_once(0)
-
-
-def _tunnel(port: int) -> str:
-    """The command that lets another machine open a page of this one."""
-    return f"ssh -L {port}:localhost:{port} {gethostname()}"
+            common.out.print("so it is printed here:", layout_text(viewer.layout), sep="\n")
+            common.leave_at_once(1)
+    common.leave_at_once(0)
 
 
 @command()
@@ -233,12 +210,12 @@ def export(
     paths = files or [Path("plan.geojson")]
     for path in paths:
         claims.file(path, PLAN_FORMATS, force=force)
-    with busy(f"reading {source}"):
-        world, placed = scene_and_layout(source, sensors, None)
+    with common.busy(f"reading {source}"):
+        world, placed = common.scene_and_layout(source, sensors, None)
     texts = [PLAN_FORMATS[p.suffix.lower()](placed, world.intersection, given) for p in paths]
     place = world.intersection
     if place.georeference and (doubt := place.georeference.doubt(place.center)):
-        note(doubt)
+        common.note(doubt)
     for path, text in zip(paths, texts, strict=True):
         write_text(path, text)
-        out.print(f"wrote {path}")
+        common.out.print(f"wrote {path}")

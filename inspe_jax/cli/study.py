@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import typer
 
+from inspe_jax.cli import common
 from inspe_jax.cli.claims import claims
-from inspe_jax.cli.common import busy, err, note, note_some, out, progress, resumable
 from inspe_jax.cli.options import MapOptions, WeightOptions, command, device_counts, numbers, prices
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import check_folder, write_text
@@ -47,7 +47,7 @@ class RunOptions:
 
     def rows(self, study: Study, folder: Path, what: str) -> list[Row]:
         """The rows of a study, run with a bar that counts ``what``."""
-        with resumable(), progress(what) as report:
+        with common.resumable(), common.progress(what) as report:
             return run(
                 study, folder, scheduler=self.scheduler, workers=self.workers, progress=report
             )
@@ -143,7 +143,7 @@ def plan(
     more: dict[str, Any] = dict(metrics=list(options.further()))
     if options.detection is not None:
         more["detection"] = str(options.detection.resolve())
-    with busy(f"reading {source}"):
+    with common.busy(f"reading {source}"):
         places = choose_junctions(source, junctions)
         check_importance(given, places)
         study = city_study(
@@ -155,45 +155,45 @@ def plan(
         )
     size = float(study.jobs[0].settings["radius"])
     if pairs := close_pairs(places, 2 * size):
-        note(
+        common.note(
             f"{counted(pairs, 'pair')} of junctions are nearer to each other than twice the "
             "radius: their regions overlap, and each counts its own sensors alone"
         )
     if running.dry_run:
-        out.print(
+        common.out.print(
             f"{source.name}: {counted(len(places), 'junction')}, mixes of devices: {len(mixes)}, "
             f"searches: {len(study.jobs):,}"
         )
         return
     rows = running.rows(study, folder, "searches")
     costs = {mix_name(row): cost for cost, row in mixes}
-    with busy("sharing out the budget"):
+    with common.busy("sharing out the budget"):
         fronts = fronts_of(study, rows, places, costs)
         found = plan_city(fronts, budget, worst=worst, importance=given)
     georeference = _projection(source)
     if georeference and (doubt := georeference.doubt(places[0].center)):
-        note(doubt)
+        common.note(doubt)
     _show(found, georeference)
-    with busy("drawing"):
+    with common.busy("drawing"):
         write_text(folder / "plan.csv", found.text(georeference))
         save_figure(city_view(found, source.name, road_lines(source)), folder / "plan.png")
         if georeference:
             text = _geojson(found, source, folder, size, georeference)
             write_text(folder / "plan.geojson", text)
-    out.print(f"wrote {', '.join(FILES if georeference else FILES[:2])} into {folder}")
+    common.out.print(f"wrote {', '.join(FILES if georeference else FILES[:2])} into {folder}")
 
 
 def _show(found: "CityPlan", georeference: Georeference | None) -> None:
     """Print the plan, and which searches failed."""
     from inspe_jax.study.city_report import plan_table, plan_words
 
-    out.print(plan_table(found, georeference))
-    out.print("\n".join(plan_words(found)))
-    note(*(f"junction {name} is left out: {why}" for name, why in found.left_out.items()))
+    common.out.print(plan_table(found, georeference))
+    common.out.print("\n".join(plan_words(found)))
+    common.note(*(f"junction {name} is left out: {why}" for name, why in found.left_out.items()))
     failed = [f"junction {one.name}: {words}" for one in found.fronts for words in one.errors]
-    note_some(failed, SHOWN, "results.csv has their errors")
+    common.note_some(failed, SHOWN, "results.csv has their errors")
     if failed or found.left_out:
-        note("some searches failed; the same command tries them again")
+        common.note("some searches failed; the same command tries them again")
 
 
 def _projection(source: Path) -> Georeference | None:
@@ -203,7 +203,7 @@ def _projection(source: Path) -> Georeference | None:
         try:
             georeference.check()
         except InspeError as e:
-            note(f"no coordinates: {e}")
+            common.note(f"no coordinates: {e}")
             return None
     return georeference
 
@@ -226,12 +226,7 @@ def _geojson(
 
 
 @command()
-def sweep(
-    source: Path,
-    *,
-    running: RunOptions,
-    folder: Path = Path("sweep"),
-) -> None:
+def sweep(source: Path, *, running: RunOptions, folder: Path = Path("sweep")) -> None:
     """Score every layout on every scene in every setting, or run a search from each.
 
     A study says what to combine. Every setting is one value or a list of values:
@@ -267,22 +262,22 @@ def sweep(
     from inspe_jax.report.tables import sweep_table
 
     check_folder(folder)
-    with busy(f"reading {source}"):
+    with common.busy(f"reading {source}"):
         study = load_study(source)
     if running.dry_run:
         scenes = {job.scene for job in study.jobs}
         layouts = {job.layout for job in study.jobs}
-        out.print(
+        common.out.print(
             f"{study.name}: {counted(len(study.jobs), 'job')}, "
             f"{counted(len(layouts), 'layout')} on {counted(len(scenes), 'scene')}"
         )
         return
     rows = running.rows(study, folder, "jobs")
-    out.print(sweep_table(rows))
+    common.out.print(sweep_table(rows))
     failures = [row for row in rows if row["status"] != "done"]
     errors = [f"{row['layout']} on {row['scene']}: {row['error']}" for row in failures]
-    note_some(errors, SHOWN, "results.csv has their errors")
-    out.print(f"wrote {folder / 'results.csv'}")
+    common.note_some(errors, SHOWN, "results.csv has their errors")
+    common.out.print(f"wrote {folder / 'results.csv'}")
     if failures:
-        err.print("some jobs failed; the same command tries them again")
+        common.err.print("some jobs failed; the same command tries them again")
         raise typer.Exit(1)

@@ -23,7 +23,7 @@ from inspe_jax.jobs.scenes import scene_of
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scene.traffic.frames import CLASSES
 from inspe_jax.simulation.backends import BACKENDS
-from inspe_jax.simulation.parked import parked_vehicles
+from inspe_jax.simulation.embedded.road_users import parked_vehicles
 
 
 @dataclass(frozen=True)

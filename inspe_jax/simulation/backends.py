@@ -1,20 +1,18 @@
 """The registry of backends: what records a scene. To add one, add a row to :data:`BACKENDS`.
 
-A recorder is imported when it is opened, so that the command line can list the backends at once.
+A recorder is imported when it is opened, since it needs libraries of its own.
 """
 
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from inspe_jax.core.errors import InspeError, check_known
-
-if TYPE_CHECKING:
-    from inspe_jax.scene.scene import Scene
-    from inspe_jax.sensing.conditions import Conditions
-    from inspe_jax.sensing.layout import Layout
-    from inspe_jax.simulation.recorder import Recorder, Recording, Server
+from inspe_jax.scene.scene import Scene
+from inspe_jax.sensing.conditions import FAIR, Conditions
+from inspe_jax.sensing.layout import Layout
+from inspe_jax.simulation.recorder import Recorder, Recording, Server
 
 
 @dataclass(frozen=True)
@@ -23,24 +21,23 @@ class Backend:
 
     ``open`` takes the keywords of :func:`recorder_of` but ``backend``. ``packages`` are the
     libraries that the recorded bytes depend on. A ``remote`` backend records with a server. At most
-    ``most_workers`` processes record at the same time. ``statics``: it records the scene's static
-    bodies.
+    ``most_workers`` processes record at once. ``statics``: it records the scene's static bodies.
     """
 
-    open: Callable[..., AbstractContextManager["Recorder"]]
+    open: Callable[..., AbstractContextManager[Recorder]]
     packages: tuple[str, ...]
     remote: bool = False
     most_workers: int | None = None
     statics: bool = False
 
 
-def _embedded(server: None, **options: Any) -> "AbstractContextManager[Recorder]":
+def _embedded(server: None, **options: Any) -> AbstractContextManager[Recorder]:
     from inspe_jax.simulation.embedded.recorder import EmbeddedRecorder
 
     return nullcontext(EmbeddedRecorder(**options))
 
 
-def _carla(**options: Any) -> "AbstractContextManager[Recorder]":
+def _carla(**options: Any) -> AbstractContextManager[Recorder]:
     from inspe_jax.simulation.carla.recorder import CarlaRecorder
 
     return CarlaRecorder(**options)
@@ -59,7 +56,7 @@ def check_backend(backend: str) -> None:
     check_known(backend, BACKENDS, "backend")
 
 
-def server_of(backend: str, server: "Server | None") -> "Server | None":
+def server_of(backend: str, server: Server | None) -> Server | None:
     """The server that a backend records with: the usual address if none is given.
 
     None for a backend that needs no server. Raises InspeError where a server is given to such a
@@ -70,8 +67,6 @@ def server_of(backend: str, server: "Server | None") -> "Server | None":
             remote = " or ".join(name for name, row in BACKENDS.items() if row.remote)
             raise InspeError(f"server {server}: goes with backend {remote}, and this is {backend}")
         return None
-    from inspe_jax.simulation.recorder import Server
-
     server = server or Server()
     server.check()
     return server
@@ -79,27 +74,24 @@ def server_of(backend: str, server: "Server | None") -> "Server | None":
 
 def recorder_of(
     backend: str,
-    scene: "Scene",
-    layout: "Layout",
-    conditions: "Conditions | None" = None,
-    recording: "Recording | None" = None,
+    scene: Scene,
+    layout: Layout,
+    conditions: Conditions = FAIR,
+    recording: Recording | None = None,
     seed: int = 0,
-    server: "Server | None" = None,
+    server: Server | None = None,
     appearance_seed: int = 0,
-) -> "AbstractContextManager[Recorder]":
+) -> AbstractContextManager[Recorder]:
     """A recorder of a scene's traffic, for a ``with`` block.
 
-    ``conditions`` are fair ones and ``recording`` is the default one if not given; ``seed`` is
-    that of the noise, ``appearance_seed`` that of the road users' shapes and colours. Raises
-    InspeError for a backend that is not in :data:`BACKENDS`, or as the recorder does.
+    ``seed`` is that of the noise, ``appearance_seed`` that of the road users' shapes and colours.
+    Raises InspeError for a backend that is not in :data:`BACKENDS`, or as the recorder does.
     """
-    from inspe_jax.sensing.conditions import FAIR
-
     check_backend(backend)
     return BACKENDS[backend].open(
         scene=scene,
         layout=layout,
-        conditions=conditions or FAIR,
+        conditions=conditions,
         recording=recording,
         seed=seed,
         server=server,

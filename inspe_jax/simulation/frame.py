@@ -1,7 +1,6 @@
 """A frame of a data set: the road users as boxes, and stations with images and LiDAR scans.
 
-Everything is in the world frame (ENU), in metres and radians. A pose is (x, y, z, roll, pitch,
-yaw).
+All is in the world frame (ENU), in metres and radians. A pose is (x, y, z, roll, pitch, yaw).
 """
 
 from collections.abc import Callable, Mapping
@@ -73,8 +72,7 @@ class Image(Deferred):
     user; ``semantic`` is a label. Each of these three may be None.
 
     ``pixels`` is the number of pixels that show each of the frame's B road users, ``share`` their
-    share (0…1) of those that would show it if nothing stood before it; None if they were not
-    counted.
+    share (0…1) of those that would show it if nothing stood before it; None: not counted.
     """
 
     pose: Float[np.ndarray, "6"]
@@ -93,8 +91,7 @@ class Scan(Deferred):
     """The points of a LiDAR: x, y, z in its body frame (x forward, y left, z up) [m], intensity
     0…1.
 
-    ``returns`` is the number of them that came back from each of the frame's B road users; None if
-    they were not counted.
+    ``returns`` is the number of them from each of the frame's B road users; None: not counted.
     """
 
     pose: Float[np.ndarray, "6"]

@@ -1,7 +1,5 @@
 """The command line as a stranger meets it: what it prints, what it writes, how it fails."""
 
-import base64
-import csv
 import json
 import os
 import re
@@ -20,20 +18,19 @@ from urllib.request import urlopen
 import jax
 import pytest
 import typer
-from processes import inspe_here, inspe_process, refused
+from processes import inspe_process, refused
 from rich.text import Text
-from worlds import rilsa
 
 from inspe_jax.cli import stopping
 from inspe_jax.cli.claims import Claims
 from inspe_jax.cli.common import app, err, out
 from inspe_jax.core.compiling import keep_programs, prune
-from inspe_jax.core.files import write_text
+from inspe_jax.core.errors import missing_extra
+from inspe_jax.core.files import read_csv, write_text
 from inspe_jax.core.tables import table_of
 from inspe_jax.core.words import visible
 from inspe_jax.placement.result import FILES
-from inspe_jax.scene.procedural.built_ins import built_in
-from inspe_jax.scene.scene import build_scene, load_scene, save_scene
+from inspe_jax.scene.scene import load_scene, save_scene
 
 LAYOUT = """
 units:
@@ -55,45 +52,19 @@ units:
 
 
 @pytest.fixture(scope="module")
-def files(tmp_path_factory):
+def files(tmp_path_factory, scene):
     """A small scene, layouts, and files that are none."""
     folder = tmp_path_factory.mktemp("files")
-    small = build_scene(built_in("four_way"), radius=20, voxel=1.0, frames=5, density=8)
-    save_scene(small, folder / "s.npz")
+    save_scene(scene, folder / "s.npz")
     (folder / "layout.yaml").write_text(LAYOUT)
     (folder / "away.yaml").write_text(AWAY)
     (folder / "none.yaml").write_text("")
     (folder / "zero.npz").write_bytes(b"")
-    (folder / "nan.yaml").write_text(LAYOUT.replace("height: 6.0", "height: .nan"))
     (folder / "device.yaml").write_text(LAYOUT.replace("paper-lidar-32", "paper-lidar-23"))
     (folder / "rule.yaml").write_text(LAYOUT.replace("yaw_deg: 0", "yaw_deg: 0, offset: [3, 0]"))
     (folder / "page.xodr").write_text("<html></html>")
     (folder / "cut.xodr").write_text("<OpenDRIVE><road id='1'>")
     return folder
-
-
-@pytest.fixture
-def inspe(files, monkeypatch, capsys):
-    """Run the command line in the folder of files: (status, stdout, stderr)."""
-    return partial(inspe_here, files, monkeypatch, capsys)
-
-
-@pytest.fixture
-def done(inspe):
-    """Run a command that does what it is told; its stdout."""
-
-    def run(*arguments):
-        status, text, error = inspe(*arguments)
-        assert status == 0, error
-        return text
-
-    return run
-
-
-@pytest.fixture
-def scored(done):
-    """The record of a score."""
-    return lambda *arguments: json.loads(done("score", *arguments, "--json", "-"))
 
 
 def test_score_prints_a_table_and_the_same_numbers_as_json(done, scored, files):
@@ -114,14 +85,6 @@ def test_targets_prints_tables_and_the_same_numbers_as_json(done, files):
     record = json.loads((files / "targets.json").read_text())
     assert record["road_user"] == "cyclist"
     assert f"{record['lidar_returns']['all']['median']:.1f}" in table
-
-
-def test_report_has_the_numbers_of_score(done, scored, files):
-    words = done("report", "s.npz", "layout.yaml")
-    assert "wrote report.html" in words
-    page = (files / "report.html").read_text(encoding="utf-8")
-    found = re.search(r"data:application/json;base64,([^\"]+)", page)
-    assert json.loads(base64.b64decode(found[1])) == [scored("s.npz", "layout.yaml")]
 
 
 @pytest.mark.process
@@ -166,12 +129,14 @@ def test_a_strategy_is_written_and_scores_as_by_name(done, scored):
     assert by_file["surrogate"] == pytest.approx(by_name["surrogate"], abs=1e-3)
 
 
-def test_scene_from_a_built_in_is_saved_and_listed(inspe, done, files):
-    arguments = ("--radius", 15, "--voxel", 1, "--density", "low", "--frames", 3)
-    text = done("scene", "triangle", *arguments, "--out", "t.npz")
+def test_a_scene_is_saved_and_says_what_its_roads_could_not_hold(inspe, files):
+    arguments = ("--radius", 15, "--voxel", 1, "--density", 60, "--frames", 2, "--out", "t.npz")
+    status, text, told = inspe("scene", "triangle", *arguments)
+    assert status == 0
     assert "voxels" in text
     assert (files / "t.npz").is_file()
-    assert "roundabout" in inspe("scene", "--list")[1]
+    shortfall = r"Note: road users: asked 60, got \d.*: cars \d.* of 41, trucks \d.* of 6"
+    assert re.search(shortfall, " ".join(told.split()))
 
 
 def test_a_scene_with_street_furniture_is_saved_and_scored(inspe, done, files):
@@ -183,25 +148,6 @@ def test_a_scene_with_street_furniture_is_saved_and_scored(inspe, done, files):
     assert len(load_scene(files / "f.npz").statics) > 20
 
 
-def test_a_scene_without_traffic_is_built(done, scored, files):
-    arguments = ("--radius", 12, "--density", "none", "--out", "quiet.npz")
-    done("scene", "four_way", *arguments)
-    assert (files / "quiet.npz").is_file()
-    weights = ("--weight", "coverage=0.5", "--weight", "occlusion=0.5")
-    record = scored("quiet.npz", "layout.yaml", *weights)
-    assert record["information_gain"] == 0
-    assert record["settings"]["weights"] == HALVES
-    assert record["surrogate"] == pytest.approx((record["coverage"] + record["occlusion"]) / 2)
-
-
-def test_roads_that_cannot_hold_the_traffic_say_so(inspe):
-    arguments = ("--radius", 15, "--density", 60, "--frames", 2)
-    told = " ".join(inspe("scene", "triangle", *arguments)[2].split())
-    assert re.search(
-        r"Note: road users: asked 60, got \d.*: cars \d.* of 41, trucks \d.* of 6", told
-    )
-
-
 def test_what_is_known_is_listed(inspe):
     text = inspe("metrics")[1]
     for name, symbol, weight in (("coverage", "C", 0.3), ("information_gain", "IG", 0.2)):
@@ -209,11 +155,8 @@ def test_what_is_known_is_listed(inspe):
     assert re.search(r"surrogate +P_sm +the weighted sum", text)
     assert "paper-lidar-64" in inspe("devices")[1]
     assert "ideal" in inspe("profiles")[1]
+    assert "roundabout" in inspe("scene", "--list")[1]
     assert inspe("--version")[1].startswith("inspe_jax 0.")
-
-
-def search_files(folder):
-    return sorted(path.name for path in folder.iterdir())
 
 
 def test_optimise_writes_a_better_layout_and_shows_it(inspe, scored, files):
@@ -221,7 +164,7 @@ def test_optimise_writes_a_better_layout_and_shows_it(inspe, scored, files):
     arguments = ("s.npz", "away.yaml", "--method", "random", "--evaluations", 120, "--out", "o")
     status, text, error = inspe("optimise", *arguments)
     assert (status, error) == (0, "")
-    assert search_files(files / "o") == sorted((*FILES, "before_after.png"))
+    assert {path.name for path in (files / "o").iterdir()} == {*FILES, "before_after.png"}
     record = json.loads((files / "o" / "result.json").read_text())
     assert record["objective"] > record["objective_before"] + 0.01
     for layout, key in (("layout.yaml", "scores"), ("start.yaml", "scores_before")):
@@ -254,49 +197,28 @@ def test_optimise_goes_on_from_its_checkpoint_and_takes_every_option(inspe, done
     assert "c.npz: a checkpoint of another search, with another scene, another" in error
 
 
-def test_optimise_says_where_a_start_had_to_be_moved(inspe, files):
-    """The unit of this layout stands in the middle of the junction."""
-    (files / "road.yaml").write_text(AWAY.replace("base: [9.6, 9.6]", "base: [3.0, 0.0]"))
-    status, _, error = inspe(
-        "optimise", "s.npz", "road.yaml", "--method", "random", "--evaluations", 1, "--out", "q"
-    )
-    assert status == 0
-    assert "Note: unit 'unit 1' moved" in error
-    (files / "road.yaml").unlink()
-
-
-def test_compare_ranks_methods(done, scored, files):
+def test_compare_ranks_methods(done, files):
     arguments = ("--methods", "random, grid", "--evaluations", 40, "--seeds", 2, "--out", "v")
     text = done("compare", "s.npz", "away.yaml", *arguments)
-    assert search_files(files / "v") == ["compare.csv", "compare.png", "history.csv", "layout.yaml"]
-    with (files / "v" / "compare.csv").open() as f:
-        rows = list(csv.DictReader(f))
+    assert {path.suffix for path in (files / "v").iterdir()} == {".csv", ".png", ".yaml"}
+    rows = read_csv(files / "v" / "compare.csv")
     runs = [(row["method"], row["seed"]) for row in rows]
     assert runs == [("random", "0"), ("random", "1"), ("grid", "0"), ("grid", "1")]
-    best = max(float(row["objective"]) for row in rows)
-    assert f"{best:.4f}" in text
-    again = scored("s.npz", "v/layout.yaml")
-    assert again["surrogate"] == pytest.approx(best, abs=1e-4)
-    with (files / "v" / "history.csv").open() as f:
-        assert {row["method"] for row in csv.DictReader(f)} == {"random", "grid"}
+    assert f"{max(float(row['objective']) for row in rows):.4f}" in text
+    assert {row["method"] for row in read_csv(files / "v" / "history.csv")} == {"random", "grid"}
 
 
-def test_pareto_finds_what_is_worth_its_money(done, scored, files):
+def test_pareto_finds_what_is_worth_its_money(done, files):
     devices = ("--device", "velodyne-vlp-16:0,1", "--device", "paper-camera:0-1")
     prices = ("--price", "paper-camera=1,000")
     arguments = ("--method", "random", "--evaluations", 3, "--out", "w")
     text = done("pareto", "s.npz", *devices, *prices, *arguments)
-    with (files / "w" / "pareto.csv").open() as f:
-        rows = list(csv.DictReader(f))
+    rows = read_csv(files / "w" / "pareto.csv")
     assert [float(row["cost_usd"]) for row in rows] == [1000, 4000, 5000]
     front = [row for row in rows if row["layout"]]
-    assert search_files(files / "w") == sorted(
-        ["pareto.csv", "pareto.png", *(row["layout"] for row in front)]
-    )
-    for row in front:
-        again = scored("s.npz", f"w/{row['layout']}")
-        assert again["surrogate"] == pytest.approx(float(row["surrogate"]), abs=1e-4)
-        assert f"{float(row['objective']):.4f}" in text
+    there = {"pareto.csv", "pareto.png", *(row["layout"] for row in front)}
+    assert {path.name for path in (files / "w").iterdir()} == there
+    assert all(f"{float(row['objective']):.4f}" in text for row in front)
 
 
 def test_tolerance_prints_and_writes_the_same(done, scored, files):
@@ -312,19 +234,19 @@ def test_tolerance_prints_and_writes_the_same(done, scored, files):
     assert f"{record['slopes'][0]['yaw_per_deg']:+.5f}" in text
 
 
-def test_light_and_weather(inspe, done, scored, files):
-    """In a score; and in a search, where every light is a scene of its own."""
-    fair, foul = (
-        scored("s.npz", "layout.yaml", *more)
-        for more in ((), ("--light", "night", "--weather", "fog:50"))
-    )
-    assert foul["surrogate"] < fair["surrogate"]
+def test_light_and_weather(inspe, scored, files):
+    """In a score; and in a search, where every light is a scene of its own. Its start stands in
+    the middle of the junction, and is moved."""
+    foul = scored("s.npz", "layout.yaml", "--light", "night", "--weather", "fog:50")
     assert (foul["settings"]["light"], foul["settings"]["weather"]) == ("night", "fog:50")
     title = inspe("score", "s.npz", "layout.yaml", "--light", "dusk")[1]
     assert "dusk, clear" in title
+    (files / "road.yaml").write_text(AWAY.replace("base: [9.6, 9.6]", "base: [3.0, 0.0]"))
     both = ("--light", "midday,night", "--weather", "fog:50", "--worst")
     arguments = ("--method", "random", "--evaluations", 2, "--out", "foggy")
-    done("optimise", "s.npz", "layout.yaml", *both, *arguments)
+    status, _, error = inspe("optimise", "s.npz", "road.yaml", *both, *arguments)
+    assert status == 0
+    assert "Note: unit 'unit 1' moved" in error
     record = json.loads((files / "foggy" / "result.json").read_text())
     lights = [row["light"] for row in record["settings"]["scenes"]]
     assert lights == ["midday", "night"]
@@ -348,9 +270,9 @@ def test_a_study_is_checked_and_counted_before_it_is_run(inspe, done, files):
 def test_a_data_set_is_checked_and_counted_before_it_is_made(inspe, files):
     text = (
         "scenes: [{built_in: four_way, radius: 15, voxel: 2}]\nlayouts: [layout.yaml, L-c]\n"
-        "settings: {light: [%s], seconds: 1}\nimage_scale: 0.1\n"
+        "settings: {light: [midday, night], seconds: 1}\nimage_scale: 0.1\n"
     )
-    (files / "set.yaml").write_text(text % "midday, night")
+    (files / "set.yaml").write_text(text)
     status, words, notes = inspe("generate", "set.yaml", "--out", "set", "--dry-run")
     assert status == 0
     assert "set: 4 scenarios (4 train, 0 validate, 0 test), 40 frames" in words
@@ -360,10 +282,6 @@ def test_a_data_set_is_checked_and_counted_before_it_is_made(inspe, files):
     assert status == 2
     assert "server sim:2000: goes with backend carla, and this is embedded" in words
     assert not (files / "set").exists()
-    (files / "dark.yaml").write_text(text % "dark")
-    status, _, words = inspe("generate", "dark.yaml", "--out", "set")
-    assert status == 2
-    assert "dark.yaml: settings.light: light 'dark': one of midday, dusk, night" in words
 
 
 def test_every_command_has_examples_and_says_what_its_options_are():
@@ -382,11 +300,8 @@ BAD = [
     (("score", "s.npz", "Cam-x"), "no layout 'Cam-x': give a .yaml or .geojson file, or a strat"),
     (("score", "s.npz", "zero.npz"), "no layout: is a scene, which comes before the layout"),
     (("score", "s.npz", "town.xodr"), "no layout: a map is not a scene yet; build one: inspe sc"),
-    (("scene", "layout.yaml"), "is a layout or a study, not a scene"),
-    (("score", "s.npz", "nan.yaml"), "height: input should be a finite number"),
     (("score", "s.npz", "device.yaml"), "did you mean paper-lidar-"),
     (("score", "s.npz", "layout.yaml", "--plot", "plan.xyz"), "plan.xyz"),
-    (("score", "s.npz", "layout.yaml", "--weight", "coverage=0.3"), "sum to 1"),
     (("score", "s.npz", "layout.yaml", "--weight", "coverage"), "coverage=0.3"),
     (("score", "s.npz", "layout.yaml", "--weight", "coverag=1"), "did you mean coverage"),
     (("score", "s.npz", *("--weight", "coverage=1") * 2), "coverage is given twice"),
@@ -401,10 +316,8 @@ BAD = [
     (("scene", "page.xodr"), "choose a place on the map with --junction ID, --at LAT,LON or"),
     (("scene", "four_way", "--frames", 10**9), "at most 10000"),
     (("scene", "four_way", "--traffic", "a.log", "--seed", 1), "a log has traffic of its own"),
-    (("scene", "four_way", "--step", 0), "traffic step 0.0 is out of range: above 0"),
     (("scene", "none.net.xml", "--list"), "none.net.xml: no such file"),
     (("scene", "cut.xodr", "--list"), "cut.xodr"),
-    (("score", "s.npz", "--light", "noon"), "light 'noon': one of midday, dusk, night"),
     (("sweep", "missing.yaml"), "missing.yaml: no such file"),
     (("generate", "missing.yaml", "--out", "no/such"), "no/such: no such folder: no"),
     (("generate", "none.yaml", "--out", "set", "--server", "sim:two"), "server 'sim:two': HOST"),
@@ -414,24 +327,17 @@ BAD = [
     (("optimise", "nosuch", "--checkpoint", "c.txt"), "c.txt: the name must end in .npz"),
     (("optimise", "nosuch", "--heights", 9, 3), "heights 9 to 3 m"),
     (("optimise", "s.npz", "layout.yaml", "--failures"), "at least two units, it has one"),
-    (("compare", "nosuch", "--out", "no/such"), "no/such: no such folder: no"),
-    (("pareto", "nosuch", "--out", "no/such"), "no/such: no such folder: no"),
     (("pareto", "s.npz", "--device", "hesai-xt32"), "--device hesai-xt32: write DEVICE:COUNTS"),
     (("pareto", "s.npz", "--device", "hesai-xt32:2-0"), "DEVICE:COUNTS"),
     (("pareto", "s.npz", "--device", "hesai-xt32:0-2"), "--price hesai-xt32=USD"),
     (("pareto", "s.npz", "--device", "a:1", "--device", "a:2"), "a is given twice"),
     (("pareto", "s.npz", "--price", "hesai-xt32"), "DEVICE=USD, such as"),
-    (("pareto", "s.npz", "--price", "hesai-xt32=-5"), "price of hesai-xt32 -5.0: 0 or more"),
-    (("pareto", "s.npz", "--budget", 100), "the cheapest costs 4,000"),
     (("pareto", "nosuch"), "no scene 'nosuch'"),
-    (("tolerance", "s.npz", "--samples", 0), "samples 0 is out of range: between 1 and 10000"),
-    (("tolerance", "nosuch"), "no scene 'nosuch'"),
     (("report", "nosuch", "--out", "report.pdf"), "report.pdf: the name must end in .html"),
     (("report", "nosuch", "--out", "no/such.html"), "no/such.html: no such folder: no"),
     (("report", "s.npz", "--frame", 99), "frame 99 is out of range"),
     (("report", "s.npz", "."), "result.json: no such file"),
     (("view", "nosuch", "--out", "moved.json"), "moved.json: the name must end in .yaml"),
-    (("tolerance", "s.npz", "--json", "no/such.json"), "no such folder"),
 ]
 
 
@@ -445,7 +351,6 @@ def test_bad_input_is_one_message_and_status_2(inspe, files, arguments, message)
 SLOW = [
     (("score", "four_way", "missing.yaml"), "missing.yaml: no such file"),
     (("score", "four_way", "Cam-d3"), "no layout 'Cam-d3'"),
-    (("score", "four_way", "--visibility", "all"), "visibility 'all': one of"),
     (("targets", "four_way", "missing.geojson"), "missing.geojson: no such file"),
     (("targets", "four_way", "--road-user", "dog"), "one of car, truck, cyclist, pedestrian"),
     (("layout", "four_way", "--strategy", "L-x"), "no layout 'L-x'"),
@@ -464,7 +369,6 @@ SLOW = [
     (("report", "four_way", "--out", "mine/r.html"), "r.html: is there already, and `inspe"),
     (("export", "four_way", "missing.yaml"), "missing.yaml: no such file"),
     (("view", "four_way", "missing.yaml"), "missing.yaml: no such file"),
-    (("view", "four_way", "--host", "0.0.0.0"), "machine run `ssh -L 8080:localhost:8080"),
     (("scene", "page.xodr", "--junction", 1, "--traffic", "no.log"), "no.log: no such file"),
     (("scene", "page.xodr", "--junction", 1, "--traffic", "page.log"), "not a log of CARLA"),
     (("scene", "page.xodr", "--junction", 1, "--mesh", "no.glb"), "no.glb: no such file"),
@@ -495,9 +399,7 @@ def test_what_needs_no_scene_is_refused_before_one_is_read(
 
 WRITES = [
     ("layout", "s.npz", "--out", "own.yaml"),
-    ("scene", "s.npz", "--out", "own.npz"),
     ("score", "s.npz", "layout.yaml", "--json", "own.json"),
-    ("targets", "s.npz", "layout.yaml", "--plot", "own.svg"),
     ("optimise", "s.npz", "away.yaml", "--method", "random", "--evaluations", 1, "--out", "own"),
 ]
 
@@ -562,26 +464,6 @@ def test_what_cannot_be_written_after_the_work_is_kept_elsewhere(tmp_path, capsy
     assert ended.value.exit_code == 1
 
 
-def test_unknown_junction_lists_those_there_are(inspe, maps):
-    status, _, error = inspe("scene", maps / "Town10HD.xodr", "--junction", 7)
-    assert status == 2
-    assert "189" in error
-
-
-def test_a_network_and_its_traffic(inspe, done, files):
-    net = rilsa()
-    table = done("scene", net, "--list")
-    assert "rilsa1.net.xml" in table
-    where = ("--junction", 0, "--radius", 25, "--voxel", 1, "--density", 8, "--frames", 5)
-    done("scene", net, *where, "--traffic", "sumo", "--step", 0.5, "--out", "sumo.npz")
-    assert dict(load_scene(files / "sumo.npz").settings)["traffic"] == "sumo"
-    done("score", "sumo.npz", "L-d1")
-    status, _, error = inspe("scene", net, "--junction", 9)
-    assert status == 2
-    assert "no junction '9'; there are: 0" in error
-    (files / "sumo.npz").unlink()
-
-
 HERE = "file:///home/a%20b/inspe"
 ORIGINS = [
     (None, "pip install 'inspe_jax[opendrive]' (Linux"),
@@ -595,53 +477,40 @@ ORIGINS = [
 
 
 @pytest.mark.parametrize(("origin", "command"), ORIGINS)
-def test_missing_extra_says_what_to_install(inspe, files, monkeypatch, origin, command):
+def test_missing_extra_says_what_to_install(monkeypatch, origin, command):
     """As this package was installed: from a registry, a folder or an address."""
     text = SimpleNamespace(read_text=lambda _: origin and json.dumps(origin))
     monkeypatch.setattr("inspe_jax.core.errors.metadata.distribution", lambda _: text)
-    monkeypatch.setitem(sys.modules, "carla", None)
-    (files / "ok.xodr").write_text("<OpenDRIVE><road id='1' length='9'/></OpenDRIVE>")
-    status, _, error = inspe("scene", "ok.xodr", "--list")
-    assert status == 2
-    assert command in " ".join(error.split())
+    assert command in str(missing_extra("maps need carla", "opendrive", "Linux and Windows"))
+
+
+EXTRAS = {
+    "view": "view",
+    "report": "report",
+    "generate set.yaml --out set": "dataset",
+    "train set --model v2x-vit --out run": "perception",
+}
 
 
 @pytest.mark.process
-@pytest.mark.parametrize(
-    ("command", "library", "extra"),
-    [
-        ("view", "viser", "view"),
-        ("report", "jinja2", "report"),
-        ("generate set.yaml --out set", "PIL", "dataset"),
-        ("train set --model v2x-vit --out run", "equinox", "perception"),
-    ],
-)
-def test_a_command_without_its_extra_says_what_to_install(command, library, extra):
-    without = f"import sys; sys.modules[{library!r}] = None; from inspe_jax.cli import main; main()"
-    ran = subprocess.run(
-        [sys.executable, "-c", without, *command.split()], capture_output=True, text=True
-    )
-    assert ran.returncode == 2
-    assert f"`inspe {command.split()[0]}` needs {library}" in ran.stderr
-    assert f"[{extra}]'" in ran.stderr
-
-
-@pytest.mark.process
-def test_the_base_scores_and_draws_without_any_extra(tmp_path):
+def test_without_extras_the_base_scores_and_draws_and_the_rest_says_what_to_install(tmp_path):
     brought = "dask distributed embreex equinox fastkml filelock jinja2 msgspec pyproj viser"
     small = "scene t_junction --radius 15 --voxel 1 --frames 3 --density 5 --out t.npz"
     code = f"""import sys
 sys.modules |= dict.fromkeys({brought.split()!r})
 from inspe_jax.cli import main
-for command in ("{small}", "score t.npz L-d1 --plot plan.png"):
+for command in {[small, "score t.npz L-d1 --plot plan.png", *EXTRAS]!r}:
     sys.argv[1:] = command.split()
     try:
         main()
     except SystemExit as ended:
-        assert not ended.code
+        assert (ended.code or 0) == 2 * (command in {[*EXTRAS]!r})
 """
-    subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, cwd=tmp_path)
+    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path)
+    assert ran.returncode == 0, ran.stderr
     assert (tmp_path / "plan.png").exists()
+    for command, extra in EXTRAS.items():
+        assert re.search(rf"`inspe {command.split()[0]}` needs \w+.*\[{extra}\]'", ran.stderr)
 
 
 ON_ONE_CORE = """import os

@@ -6,7 +6,7 @@ from functools import partial
 
 import pytest
 from frames import WORLD, frame
-from processes import inspe_here, refused
+from processes import refused
 
 from inspe_jax.dataset import write_frame, write_protocol
 
@@ -25,9 +25,9 @@ def files(tmp_path_factory):
 
 
 @pytest.fixture
-def inspe(files, monkeypatch, capsys):
-    """Run the command line in the folder of files: (status, stdout, stderr)."""
-    return partial(inspe_here, files, monkeypatch, capsys, "dataset")
+def inspe(inspe):
+    """`inspe dataset` in the folder of files."""
+    return partial(inspe, "dataset")
 
 
 def test_stats_prints_draws_and_writes_the_same(inspe, files):

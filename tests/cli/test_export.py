@@ -2,13 +2,12 @@
 
 import json
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import pytest
 import rasters
 from osm_town import LAT, LON, full_town
-from processes import inspe_here, refused
+from processes import refused
 
 from inspe_jax import build_scene, built_in, save_scene
 from inspe_jax.scene.georeference import Georeference
@@ -30,11 +29,6 @@ def files(tmp_path_factory):
         json.dumps({"type": "FeatureCollection", "features": [lamp]})
     )
     return folder
-
-
-@pytest.fixture
-def inspe(files, monkeypatch, capsys):
-    return partial(inspe_here, files, monkeypatch, capsys)
 
 
 def test_a_scene_by_coordinates_and_a_plan_to_hand_on(inspe, files):

@@ -4,18 +4,8 @@ import csv
 import json
 
 import pytest
-from processes import inspe_here
-from worlds import place_sensors
 
-from inspe_jax import (
-    build_scene,
-    built_in,
-    device,
-    evaluate,
-    load_layout,
-    save_layout,
-    save_scene,
-)
+from inspe_jax import evaluate, load_layout
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import read_csv
 from inspe_jax.jobs.scenes import versions
@@ -25,29 +15,6 @@ from inspe_jax.scene.traffic.frames import CLASSES
 from inspe_jax.study.plan import make_study
 from inspe_jax.study.sweep import Results
 from inspe_jax.study.work import run_job
-
-
-@pytest.fixture(scope="module")
-def scene():
-    return build_scene(built_in("four_way"), radius=20, voxel=1.0, frames=5, density=8)
-
-
-@pytest.fixture(scope="module")
-def layout():
-    return place_sensors((device("paper-camera").spec, [8, 8, 6, 0, -0.4, -2.3]))
-
-
-@pytest.fixture
-def run(scene, layout, tmp_path, monkeypatch, capsys):
-    save_scene(scene, tmp_path / "s.npz")
-    save_layout(layout, tmp_path / "layout.yaml")
-
-    def inspe(*arguments, fails=False):
-        status, text, err = inspe_here(tmp_path, monkeypatch, capsys, *arguments)
-        assert (status != 0) == fails, err
-        return " ".join((err if fails else text).split())
-
-    return inspe
 
 
 def test_scores_have_those_that_are_named(run, scene, layout):

@@ -7,12 +7,9 @@ import shutil
 
 import numpy as np
 import pytest
-import yaml
-from processes import inspe_here
 from rich.console import Console
-from worlds import place_sensors
 
-from inspe_jax import build_scene, built_in, device, evaluate, save_layout, save_scene, strategy
+from inspe_jax import evaluate, strategy
 from inspe_jax.core.files import read_csv
 from inspe_jax.jobs.scenes import versions
 from inspe_jax.placement.result import Result, load_result, save_result
@@ -42,26 +39,13 @@ settings: {radius: 20, voxel: 1, frames: 5, density: 8}
 """
 
 
-@pytest.fixture(scope="module")
-def scene():
-    return build_scene(built_in("four_way"), radius=20, voxel=1.0, frames=5, density=8)
-
-
-@pytest.fixture(scope="module")
-def layouts():
-    """A camera on a corner, and the same one turned."""
-    camera, turned = [8, 8, 6, 0, -0.4, -2.3], [8, 8, 6, 0, -0.4, -2.0]
-    return [place_sensors((device("paper-camera").spec, pose)) for pose in (turned, camera)]
-
-
 class There:
     """What the places below look at; scores are of the metrics that are registered when asked."""
 
-    def __init__(self, scene, layouts, folder, monkeypatch, capsys):
-        self.scene, (self.start, self.layout) = scene, layouts
-        self.folder, self.monkeypatch, self.capsys = folder, monkeypatch, capsys
-        save_scene(scene, folder / "s.npz")
-        save_layout(self.layout, folder / "layout.yaml")
+    def __init__(self, scene, layout, folder, run, monkeypatch):
+        self.scene, self.layout, self.folder, self.run = scene, layout, folder, run
+        self.start = layout.with_poses(np.array(layout.poses) + [0, 0, 0, 0, 0, 0.3])
+        self.monkeypatch = monkeypatch
         (folder / "study.yaml").write_text(STUDY)
 
     @property
@@ -90,8 +74,8 @@ class There:
 
 
 @pytest.fixture
-def there(scene, layouts, tmp_path, monkeypatch, capsys):
-    return There(scene, layouts, tmp_path, monkeypatch, capsys)
+def there(scene, layout, files, run, monkeypatch):
+    return There(scene, layout, files, run, monkeypatch)
 
 
 def shown(table):
@@ -100,26 +84,20 @@ def shown(table):
     return out.getvalue()
 
 
-def inspe(there, *arguments):
-    status, text, _ = inspe_here(there.folder, there.monkeypatch, there.capsys, *arguments)
-    assert status == 0
-    return text
-
-
-# ── Where it shows: text that a person or a program reads ───────────────────
+# Where it shows: text that a person or a program reads.
 
 
 def score(there):
-    return inspe(there, "score", "s.npz", "layout.yaml")
+    return there.run("score", "s.npz", "layout.yaml")
 
 
 def score_as_json(there):
-    found = json.loads(inspe(there, "score", "s.npz", "layout.yaml", "--json", "-"))
+    found = json.loads(there.run("score", "s.npz", "layout.yaml", "--json", "-"))
     return str([found, *found["contributions"]])
 
 
 def metrics_command(there):
-    return " ".join(inspe(there, "metrics").split())  # whatever the width of the terminal
+    return there.run("metrics")
 
 
 def report_page(there):
@@ -193,69 +171,15 @@ def test_it_shows_once_it_is_in_the_registry_and_not_before(place, there):
     assert [word for word in PLACES[place] if word.format(**numbers) not in text] == []
 
 
-# ── What it can do: carry weight ────────────────────────────────────────────
-
-
-@pytest.fixture
-def registered(monkeypatch):
-    monkeypatch.setitem(METRICS, TOY.name, TOY)
-
-
-@pytest.mark.usefixtures("registered")
-def test_it_carries_weight_on_the_command_line(there):
-    weights = ("--weight", "worst_frame=0.25", "--weight", "occlusion=0.75")
-    found = json.loads(inspe(there, "score", "s.npz", "layout.yaml", *weights, "--json", "-"))
-    assert {k: v for k, v in found["settings"]["weights"].items() if v} == {
-        "worst_frame": 0.25,
-        "occlusion": 0.75,
-    }
-    by_hand = 0.25 * found["worst_frame"] + 0.75 * found["occlusion"]
-    assert found["surrogate"] == pytest.approx(by_hand, abs=1e-6)
-    assert "worst frame W_f 0.25" in " ".join(
-        inspe(there, "score", "s.npz", "layout.yaml", *weights).split()
-    )
-
-
-@pytest.mark.usefixtures("registered")
-def test_it_carries_weight_in_a_study(there):
-    weights = {"worst_frame": 0.25, "occlusion": 0.75}
-    content = yaml.safe_load(STUDY)
-    paper = load_of(there.folder, content)
-    content["settings"]["weights"] = weights
-    toy = load_of(there.folder, content)
-    assert toy.settings["weights"] == weights
-    assert toy.key != paper.key
-    row, _ = run_job(there.scene, toy, versions())
-    by_hand = 0.25 * float(row["worst_frame"]) + 0.75 * float(row["occlusion"])
-    assert float(row["surrogate"]) == pytest.approx(by_hand, abs=1e-6)
-    assert row["weights"] == "occlusion=0.75 worst_frame=0.25"
-    usual = dict(coverage=0.3, occlusion=0.5, information_gain=0.2)
-    content["settings"]["weights"] = usual
-    assert load_of(there.folder, content).key == paper.key
-
-
-def load_of(folder, content):
-    (folder / "s.yaml").write_text(yaml.safe_dump(content))
-    (job,) = load_study(folder / "s.yaml").jobs
-    return job
-
-
-def test_a_result_keeps_it_also_where_nobody_registers_it(there, tmp_path):
+def test_results_of_before_and_of_another_registry_are_read_and_shown(there, tmp_path):
+    before = there.result
     with there.monkeypatch.context() as registered:
         registered.setitem(METRICS, TOY.name, TOY)
-        result = there.result
-    save_result(result, tmp_path)
+        save_result(there.result, tmp_path)
+        own = shown(tables.before_after_table(before))
     back = load_result(tmp_path)
-    assert back.scores.value(TOY.name) == result.scores.value(TOY.name) > 0
+    assert back.scores.value(TOY.name) > 0
     assert back.scores.contributions[0].value(TOY.name) > 0
-    text = shown(tables.before_after_table(back))
-    assert "coverage" in text
-    assert TOY.words not in text
-
-
-def test_a_result_of_before_it_was_registered_is_shown_without_it(there):
-    result = there.result
-    there.monkeypatch.setitem(METRICS, TOY.name, TOY)
-    text = shown(tables.before_after_table(result))
-    assert "coverage" in text
-    assert TOY.words not in text
+    for text in (own, shown(tables.before_after_table(back))):
+        assert "coverage" in text
+        assert TOY.words not in text

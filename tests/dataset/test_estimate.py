@@ -13,7 +13,7 @@ from inspe_jax.dataset.plan import make_generation
 from inspe_jax.dataset.writer import DatasetWriter
 from inspe_jax.jobs.scenes import scene_of
 from inspe_jax.sensing.lidar_returns import ATTENUATION
-from inspe_jax.simulation.parked import parked_vehicles
+from inspe_jax.simulation.embedded.road_users import parked_vehicles
 
 pytest.importorskip("embreex", reason="no wheels of Embree for this platform")
 

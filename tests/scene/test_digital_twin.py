@@ -235,7 +235,7 @@ def test_formats_agree(tmp_path, twin):
 def test_recordings_show_the_mesh_itself(twin, tmp_path):
     """Its faces above the ground in their colour, in place of the solids; also when reloaded."""
     pytest.importorskip("embreex", reason="recordings need Embree: extra [dataset]")
-    from inspe_jax.simulation.embedded.materials import BUILDING, SURVEYED
+    from inspe_jax.simulation.embedded.static_bodies import Material
     from inspe_jax.simulation.embedded.static_world import build_static_world
 
     found = with_mesh(place(), twin, RADIUS)
@@ -245,14 +245,14 @@ def test_recordings_show_the_mesh_itself(twin, tmp_path):
     crown = faces()[len(ground_faces()) + 24 :][:1280]
     for one in (scene, again):
         world = build_static_world(one.intersection, RADIUS, np.zeros((0, 4)), one.statics)
-        shown = world.triangles[world.material == SURVEYED] + one.intersection.center
+        shown = world.triangles[world.material == Material.SURVEYED] + one.intersection.center
         middles = ({tuple(c) for c in of.mean(1).round(2)} for of in (crown, shown))
         assert next(middles) <= next(middles)
-        assert not (world.material == BUILDING).any()
-        colour = world.colour[world.material == SURVEYED]
+        assert not (world.material == Material.BUILDING).any()
+        colour = world.colour[world.material == Material.SURVEYED]
         assert np.abs(colour - (np.array([180, 90, 60]) / 255) ** 2.2).max() < 0.02
     bare = build_static_world(found, RADIUS, np.zeros((0, 4)))
-    assert not (bare.material == SURVEYED).any()
+    assert not (bare.material == Material.SURVEYED).any()
 
 
 def test_what_is_wrong_is_said(tmp_path, monkeypatch, capsys):

@@ -9,7 +9,7 @@ from worlds import CAMERA, place_sensors, with_boxes, world
 
 from inspe_jax.scene.regions import Region
 from inspe_jax.sensing.conditions import Conditions
-from inspe_jax.simulation.embedded import headlights, light, wet_road
+from inspe_jax.simulation.embedded import headlights, light
 from inspe_jax.simulation.embedded.headlights import GroundMap, on_road_users
 from inspe_jax.simulation.embedded.recorder import EmbeddedRecorder
 from inspe_jax.simulation.embedded.road_users import FrameActors, boxes_of
@@ -32,9 +32,6 @@ def recorded(scene, pose, conditions, **options):
     given = scene, place_sensors((SMALL, pose)), conditions, Recording(layers=layers)
     recorder = EmbeddedRecorder(*given, **options)
     return recorder, recorder.frame(0).stations[0].images[0]
-
-
-# ---- the camera ------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("brightness", [0.0, 0.01, 0.3])
@@ -71,9 +68,6 @@ def test_an_unlit_car_stands_out_from_the_road_at_night():
         assert grain > 2  # there is grain
         clear.append(abs(brightness[car].mean() - brightness[road].mean()) / grain)
     assert (np.array(clear) > 1).sum() >= 9
-
-
-# ---- headlights ------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
@@ -156,9 +150,6 @@ def test_pictures_show_the_road_ahead_of_a_car_brighter():
         assert (ahead > 1.3 * behind) == (name == "night"), (name, ahead, behind)
 
 
-# ---- wet roads -------------------------------------------------------------------------------
-
-
 def test_wetness_changes_only_the_road(monkeypatch):
     """Between dry and wet roads in the same air: paved ground darkens where it mirrors little, and
     nothing else changes."""
@@ -199,7 +190,7 @@ def test_only_paved_ground_is_wet_and_only_in_rain():
     static = recorder.surroundings.static_world
     road = np.array([[0.0, 0.0, 0.0], [60.0, 60.0, 0.0]], np.float32)
     assert static.surface.label(road[:, :2])[0] == Region.JUNCTION
-    assert wet_road.paved(static, road).tolist() == [True, False]
+    assert static.paved(road).tolist() == [True, False]
     for weather, least, most in (("clear", 0, 0), ("fog:50", 0, 0), ("rain:1", 0.5, 0.7),
                                  ("rain:20", 0.99, 1)):  # fmt: skip
         assert least <= light.wetness(Conditions.of("midday", weather)) <= most

@@ -23,14 +23,13 @@ from inspe_jax.sensing.layout import Unit
 from inspe_jax.sensing.lidar_returns import LidarNoise
 from inspe_jax.sensing.sensors import LidarSpec
 from inspe_jax.simulation.backends import recorder_of
-from inspe_jax.simulation.embedded.camera import SHADOWED
+from inspe_jax.simulation.embedded.camera import SHADOWED, SunlitPoints
 from inspe_jax.simulation.embedded.embree import Caster
 from inspe_jax.simulation.embedded.light import LIGHTS
-from inspe_jax.simulation.embedded.materials import BUILDING, CROWN, POLE, ROOF, TRUNK
 from inspe_jax.simulation.embedded.recorder import EmbeddedRecorder, LiveSensor
 from inspe_jax.simulation.embedded.road_users import FrameActors, boxes_of, pose_road_users
 from inspe_jax.simulation.embedded.shapes import VARIANTS
-from inspe_jax.simulation.embedded.sunlit import SunlitPoints
+from inspe_jax.simulation.embedded.static_bodies import Material
 from inspe_jax.simulation.projection import corners as box_corners
 from inspe_jax.simulation.recorder import LAYERS, Recording
 
@@ -176,32 +175,25 @@ def test_the_turn_takes_time():
 
 
 SHORT = replace(COARSE, reach=25.0)
-PARTIAL = {
-    # Sensors so low that much is hidden, with so short a reach that much is out of view.
-    "a LiDAR and a camera": (
-        (SHORT, [9, 9, 3.0, 0, 0, 0]),
-        (SMALL, [-9, -9, 5.0, 0, -0.25, -2.3]),
-    ),
-    "two LiDARs": ((SHORT, [9, 9, 2.6, 0, 0, 0]), (SHORT, [-9, -9, 4.0, 0, 0, 0])),
-}
 
 
 @pytest.fixture(scope="module")
-def crowded():
-    """With 20 road users: what meshes hide less than boxes, grows with their number."""
-    return four_way(density="low")
+def partial():
+    """20 road users (what meshes hide less than boxes, grows with their number); a LiDAR and a
+    camera so low that much is hidden, with so short a reach that much is out of view."""
+    layout = place_sensors((SHORT, [9, 9, 3.0, 0, 0, 0]), (SMALL, [-9, -9, 5.0, 0, -0.25, -2.3]))
+    scene = four_way(density="low")
+    return scene, layout, EmbeddedRecorder(scene, layout).surroundings
 
 
-@pytest.mark.parametrize("name", PARTIAL)
-def test_rays_reach_as_many_voxels_as_coverage_says(crowded, name):
+def test_rays_reach_as_many_voxels_as_coverage_says(partial):
     """Rays end on the ground, on kerbs and on poles, which the scores do not know."""
-    layout = place_sensors(*PARTIAL[name])
-    recorder = EmbeddedRecorder(crowded, layout)
+    crowded, layout, around = partial
     seen = np.zeros(crowded.voxels.count, bool)
     for s in range(len(layout)):
         origin, directions, reach = layout.rays(s)
-        around, start = recorder.surroundings, origin - recorder.surroundings.static_world.center
-        met = around.static_caster.cast(start, directions, reach).distance
+        start = origin - around.static_world.center
+        met = around.caster.cast(start, directions, reach).distance
         raycast.exact(crowded.voxels, origin, directions, np.minimum(met, reach), seen)
     share = seen @ crowded.voxels.weight / crowded.voxels.weight.sum()
     coverage = inspe_jax.evaluate(crowded, layout).coverage
@@ -209,13 +201,11 @@ def test_rays_reach_as_many_voxels_as_coverage_says(crowded, name):
     assert share == pytest.approx(coverage, abs=0.001)  # 0.02 is required
 
 
-@pytest.mark.parametrize("name", PARTIAL)
-def test_lines_of_sight_reach_as_many_voxels_as_occlusion_says(crowded, name):
+def test_lines_of_sight_reach_as_many_voxels_as_occlusion_says(partial):
     """Lines of sight to voxels' centres, with meshes where the scores have boxes: boxes hide a
     little more."""
-    layout = place_sensors(*PARTIAL[name])
-    static = EmbeddedRecorder(crowded, layout).surroundings.static_world
-    in_view = inspe_jax.in_view(crowded, layout)
+    crowded, layout, around = partial
+    static, in_view = around.static_world, inspe_jax.in_view(crowded, layout)
     centers, shares = crowded.voxels.centers, []
     for t in range(crowded.traffic.frame_count):
         boxes = boxes_of(crowded.traffic.at(t), 0)
@@ -238,13 +228,16 @@ def test_lines_of_sight_reach_as_many_voxels_as_occlusion_says(crowded, name):
     assert np.mean(shares) > scores.occlusion
 
 
+TALL = ("BUILDING", "ROOF", "TRUNK", "CROWN")
+
+
 def test_only_kerbs_and_poles_stand_within_the_radius():
     for name in ("four_way", "roundabout", "t_junction"):
         place = inspe_jax.built_in(name)
         scene = build_scene(place, radius=40, voxel=2.0, density="none", frames=1)
         static_world = EmbeddedRecorder(scene, lidars((9, 9, 6))).surroundings.static_world
         open_ = shapely.union_all(list(place.regions.values()))
-        tall = np.isin(static_world.material, [BUILDING, ROOF, TRUNK, CROWN])
+        tall = np.isin(static_world.material, [Material[name] for name in TALL])
         at = (static_world.triangles[tall] + static_world.center).reshape(-1, 3)
         assert len(at) > 300
         assert shapely.distance(open_, shapely.points(at[:, :2])).min() > 0.1
@@ -258,7 +251,7 @@ def test_units_over_the_road_or_without_sensors_have_no_mast(scene, corners):
     given = corners, spare, lidars((0, 0, 6)), lidars((14, 14, 6))
     worlds = [EmbeddedRecorder(scene, of).surroundings.static_world for of in given]
     np.testing.assert_array_equal(worlds[0].triangles, worlds[1].triangles)
-    over, beside = ((static.material == POLE).sum() for static in worlds[2:])
+    over, beside = ((static.material == Material.POLE).sum() for static in worlds[2:])
     assert beside == over + 24  # a tube of eight sides with three triangles each
 
 

@@ -10,8 +10,6 @@ from inspe_jax.core.errors import InspeError
 from inspe_jax.core.geometry import rotation
 from inspe_jax.sensing.sensors import Spec
 from inspe_jax.simulation.backends import recorder_of
-from inspe_jax.simulation.carla.recorder import CarlaRecorder
-from inspe_jax.simulation.carla.sensors import SENSOR_KINDS
 from inspe_jax.simulation.embedded.embree import Caster
 from inspe_jax.simulation.embedded.recorder import SENSORS
 from inspe_jax.simulation.frame import Scan
@@ -82,31 +80,3 @@ def test_a_kind_without_a_row_is_an_error():
     for backend in ("embedded", "carla"):
         with pytest.raises(InspeError, match=words.format(backend)):
             recorder_of(backend, scene, layout)
-
-
-class CarlaFan:
-    """How CARLA would record it: with its radar."""
-
-    blueprints = ("sensor.other.radar",)
-    notes = ("a fan: CARLA's radar has no fixed rays",)
-
-    def __init__(self, spec, recording):
-        self.attributes = {"range": repr(spec.reach)}
-
-
-def test_carla_needs_a_row_as_well(monkeypatch):
-    monkeypatch.setitem(SENSOR_KINDS, "fan", CarlaFan)
-    layout = place_sensors((FAN, [1, 2, 3, 0, 0, 0]), (FAN, [0, 0, 3, 0, 0, 0]))
-    recorder = CarlaRecorder(world(count=0, radius=20.0, voxel=2.0), layout)
-    assert recorder.notes == CarlaFan.notes
-
-
-def test_cameras_need_no_more_than_their_layers():
-    needed = {
-        (): ("rgb",),
-        ("instance",): ("rgb", "semantic_segmentation", "depth"),
-        ("semantic",): ("rgb", "semantic_segmentation"),
-    }
-    for layers, pictures in needed.items():
-        names = SENSOR_KINDS["camera"](CAMERA, Recording(layers=layers)).blueprints
-        assert names == tuple(f"sensor.camera.{picture}" for picture in pictures)

@@ -10,11 +10,10 @@ from inspe_jax.scene.statics import tree, upright_box
 from inspe_jax.scene.traffic.frames import CLASSES
 from inspe_jax.sensing.conditions import Conditions
 from inspe_jax.simulation.embedded.embree import Caster
-from inspe_jax.simulation.embedded.materials import CROWN, GROUND, KERB, MATERIALS
 from inspe_jax.simulation.embedded.recorder import EmbeddedRecorder
-from inspe_jax.simulation.embedded.static_bodies import body_parts
+from inspe_jax.simulation.embedded.road_users import parked_vehicles
+from inspe_jax.simulation.embedded.static_bodies import Material, body_parts
 from inspe_jax.simulation.embedded.static_world import build_static_world
-from inspe_jax.simulation.parked import parked_vehicles
 from inspe_jax.simulation.recorder import Recording
 
 pytest.importorskip("embreex.rtcore_scene")
@@ -34,8 +33,8 @@ def static(scene):
 
 def raised(found, *materials):
     """The triangles of a static world that are of some materials; all but ground and kerbs."""
-    wanted = materials or set(MATERIALS) - {"ground", "kerb"}
-    return found.triangles[np.isin(found.material, [MATERIALS.index(name) for name in wanted])]
+    wanted = materials or {*Material} - {Material.GROUND, Material.KERB}
+    return found.triangles[np.isin(found.material, [*wanted])]
 
 
 def within(triangles, reach):
@@ -85,7 +84,7 @@ def test_so_much_light_passes_between_leaves_as_the_crown_lets_through():
         passed = []
         for k in range(40):
             crown = tree((9.0 + 0.1 * k, 9), radius=2, height=7, base=2.5, transmittance=share)
-            parts = [part for part in body_parts(crown, place) if part.material == CROWN]
+            parts = [part for part in body_parts(crown, place) if part.material == Material.CROWN]
             caster = Caster(np.concatenate([part.triangles for part in parts]))
             turn = np.linspace(0, 2 * np.pi, 60, endpoint=False)
             out = np.column_stack([np.cos(turn), np.sin(turn), np.full(60, 0.1)])
@@ -100,10 +99,11 @@ def test_other_things_stay_where_they_were_and_keep_clear(street):
     far = upright_box("building", np.array([300.0, 300.0]) + place.center[:2], (5, 5, 5))
     beside = build_static_world(place, 20.0, NO_MASTS, [far])
     assert (beside.triangles[: len(bare.triangles)] == bare.triangles).all()
-    at = raised(bare, "building")[0].mean(0)[:2]
+    at = raised(bare, Material.BUILDING)[0].mean(0)[:2]
     wall = upright_box("wall", at + place.center[:2], (3, 3, 2))
     taken = build_static_world(place, 20.0, NO_MASTS, [wall])
-    others = np.isin(taken.material, [GROUND, KERB, MATERIALS.index("wall")], invert=True)
+    ours = Material.GROUND, Material.KERB, Material.WALL
+    others = np.isin(taken.material, ours, invert=True)
     away = np.hypot(*np.moveaxis(taken.triangles[others][..., :2] - at, -1, 0))
     assert away.min() > 3.0
 

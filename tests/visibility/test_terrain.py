@@ -235,13 +235,13 @@ def test_scenes_with_terrain_reload(tmp_path):
 def test_recordings_have_the_same_ground():
     """The triangles of a scene's terrain are those of the recorded world there."""
     pytest.importorskip("embreex", reason="recordings need Embree: extra [dataset]")
-    from inspe_jax.simulation.embedded.materials import GROUND
+    from inspe_jax.simulation.embedded.static_bodies import Material
     from inspe_jax.simulation.embedded.static_world import build_static_world
 
     scene = hills(center=(1873.2, -951.7, 41.0))
     place, radius = scene.intersection, scene.voxels.radius
     world = build_static_world(place, radius, np.zeros((0, 4)))
-    recorded = world.triangles[world.material == GROUND] + place.center
+    recorded = world.triangles[world.material == Material.GROUND] + place.center
     own = scene.terrain.points[scene.terrain.faces]
     middle, corner = recorded.mean(1)[:, :2], scene.terrain.corner
     span = scene.terrain.step * (np.array(scene.terrain.heights.shape) - 1)

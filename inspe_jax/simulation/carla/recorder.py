@@ -1,12 +1,11 @@
 """The CARLA recorder: the sensors of a layout and the traffic of a scene, in a CARLA server.
 
-The server has the town; the recorder places the scene's road users in it frame by frame. The same
-frame is the same every time as far as the simulator allows: exposure, weather and wind change from
-tick to tick. There are two differences to the embedded recorder: all rays of a LiDAR's turn are
+The server has the town; the scene's road users are placed in it frame by frame. Exposure, weather
+and wind change from tick to tick. Unlike in the embedded recorder, all rays of a LiDAR's turn are
 fired at one moment, and sensors have no masts.
 
-Limit: no CARLA server has run it yet. Its tests run CARLA's own client against a stand-in for the
-server that speaks its protocol; pictures, returns and timing of a real server are untested.
+Limit: tests run CARLA's own client against a stand-in for the server. Pictures, returns and timing
+of a real server are untested.
 """
 
 import time
@@ -95,8 +94,6 @@ class CarlaRecorder:
             boxes = self.actors.boxes(t, self.session.world.get_snapshot())
             recorded = [self._record(s, t, number, boxes) for s in range(len(self.sensors))]
         return frame_of(self.scene, self.layout, t, boxes, recorded)
-
-    # ── Sensors ─────────────────────────────────────────────────────────────
 
     def _listen(self, s: int) -> dict[str, SensorQueue]:
         """Spawn CARLA's sensors for sensor s of the layout: their queues, by blueprint."""

@@ -8,10 +8,11 @@ To add a kind, add a row to :data:`SENSOR_KINDS`.
 import queue
 import time
 from collections.abc import Callable, Mapping
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeAlias
 
 import numpy as np
 from jaxtyping import Float, Int, UInt8
+from numpy.random import Generator
 
 from inspe_jax.core.carla_frame import flip
 from inspe_jax.core.errors import InspeError
@@ -33,10 +34,14 @@ NEEDS: dict[str, tuple[str, ...]] = {
 """CARLA's pictures that each layer is made of. CARLA numbers instances, but does not say which
 number an actor has, so pixels are matched to road users by place."""
 ROAD_USER_LABELS = (12, 13, 14, 15, 16, 18, 19)
-"""CARLA's semantic labels (0.9.14 and later) of pedestrians, riders, cars, trucks, buses,
-motorcycles and bicycles."""
+"""CARLA's labels (0.9.14 and later) of people, riders, cars, trucks, buses, motorcycles, bicycles.
+"""
 MARGIN = 0.3
 """Mirrors and limbs may reach this far out of a box [m]."""
+
+Measured: TypeAlias = Mapping[str, Any]
+"""What sensors of CARLA have measured, by the name of their blueprint."""
+Boxes: TypeAlias = tuple[RoadUserBox, ...]
 
 
 class CarlaSensor(Protocol):
@@ -51,16 +56,9 @@ class CarlaSensor(Protocol):
     notes: tuple[str, ...]
 
     def record(
-        self,
-        pose: Float[np.ndarray, "6"],
-        data: Mapping[str, Any],
-        boxes: tuple[RoadUserBox, ...],
-        rng: np.random.Generator,
+        self, pose: Float[np.ndarray, "6"], data: Measured, boxes: Boxes, rng: Generator
     ) -> Image | Scan:
-        """The image or the scan of a frame with these ``boxes``.
-
-        ``data`` holds what each of the ``blueprints`` measured; ``rng`` is for the noise.
-        """
+        """The image or the scan of a frame with these ``boxes``; ``rng`` is for the noise."""
         ...
 
 
@@ -81,11 +79,8 @@ class CarlaCamera:
         needed = ["rgb", *(picture for layer in self.layers for picture in NEEDS[layer])]
         self.blueprints = tuple(f"sensor.camera.{picture}" for picture in dict.fromkeys(needed))
         across = 2 * np.degrees(np.arctan(spec.width / 2 / spec.focal))
-        self.attributes = {
-            "image_size_x": str(width),
-            "image_size_y": str(height),
-            "fov": repr(float(across)),
-        }
+        size = {"image_size_x": str(width), "image_size_y": str(height)}
+        self.attributes = {**size, "fov": repr(float(across))}
         focal = spec.focal * width / spec.width
         self.intrinsic = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1.0]])
         self.notes: tuple[str, ...] = ()
@@ -96,11 +91,7 @@ class CarlaCamera:
             )
 
     def record(
-        self,
-        pose: Float[np.ndarray, "6"],
-        data: Mapping[str, Any],
-        boxes: tuple[RoadUserBox, ...],
-        rng: np.random.Generator,
+        self, pose: Float[np.ndarray, "6"], data: Measured, boxes: Boxes, rng: Generator
     ) -> Image:
         """The picture and its layers."""
         pictures = {name.rpartition(".")[2]: _colours(image) for name, image in data.items()}
@@ -153,11 +144,7 @@ class CarlaLidar:
             self.notes += ("CARLA fires all rays of a LiDAR's turn at once: lidar_turn_s is 0",)
 
     def record(
-        self,
-        pose: Float[np.ndarray, "6"],
-        data: Mapping[str, Any],
-        boxes: tuple[RoadUserBox, ...],
-        rng: np.random.Generator,
+        self, pose: Float[np.ndarray, "6"], data: Measured, boxes: Boxes, rng: Generator
     ) -> Scan:
         """The points that are not lost."""
         (scan,) = data.values()
@@ -205,8 +192,7 @@ def _colours(image: Any) -> UInt8[np.ndarray, "H W 3"]:
 
 
 def _depth(colours: UInt8[np.ndarray, "H W 3"]) -> Float[np.ndarray, "H W"]:
-    """Depth along the camera's axis [m], infinite from :data:`FAR` on, from the 24 bits of the
-    colours."""
+    """Depth along the axis [m], infinite from :data:`FAR` on, from the 24 bits of the colours."""
     red, green, blue = np.moveaxis(colours.astype(np.int64), -1, 0)
     code = red + 256 * green + 65536 * blue
     return np.where(code >= 2**24 - 1, np.inf, code * (FAR / (2**24 - 1))).astype(np.float32)
@@ -217,7 +203,7 @@ def instances_of(
     depth: Float[np.ndarray, "H W"],
     pose: Float[np.ndarray, "6"],
     intrinsic: Float[np.ndarray, "3 3"],
-    boxes: tuple[RoadUserBox, ...],
+    boxes: Boxes,
 ) -> Int[np.ndarray, "H W"]:
     """Track + 1 of each pixel, 0 where there is no road user.
 

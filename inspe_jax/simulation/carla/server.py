@@ -1,6 +1,4 @@
-"""A session on a CARLA server: the right map, synchronous ticks, and everything restored at the
-end.
-"""
+"""A session on a CARLA server: the right map, synchronous ticks, all restored at the end."""
 
 import re
 from collections.abc import Iterable, Iterator
@@ -40,8 +38,7 @@ def town_of(place: Intersection) -> str:
 
 @contextmanager
 def plain_errors(server: Server) -> Iterator[None]:
-    """Turn the client's errors, which are all RuntimeErrors, into InspeErrors with the server's
-    name."""
+    """Turn the client's errors, all RuntimeErrors, into InspeErrors with the server's name."""
     try:
         yield
     except RuntimeError as error:
@@ -164,8 +161,7 @@ def weather_of(carla: Any, conditions: Conditions) -> Any:
 
     ``carla`` is the client's module. CARLA's percentages of rain and fog have no unit. Rain of
     10 mm/h becomes 63 %, between CARLA's presets of medium (60 %) and hard rain (100 %). Fog with
-    a visual range of 200 m becomes 26 %, and with 50 m 70 %, equally dense at all heights that
-    matter.
+    a visual range of 200 m becomes 26 %, and with 50 m 70 %, equally dense at all heights.
     """
     light, strength = LIGHTS[conditions.light], conditions.intensity or 0.0
     weather = dict(cloudiness=10.0, wind_intensity=10.0)

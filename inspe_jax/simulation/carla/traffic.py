@@ -19,8 +19,7 @@ from inspe_jax.simulation.carla.server import ROLE_NAME, CarlaSession
 from inspe_jax.simulation.frame import RoadUserBox
 
 SPAWN_HEIGHT = 300.0
-"""Actors are spawned this high above the junction [m], where the air is free, and then moved
-down."""
+"""Actors are spawned this high above the junction [m], in free air, and then moved down."""
 SPAWN_GAP = 8.0
 """Vertical distance between actors that are spawned together [m]."""
 SIZE_TOLERANCE = 0.1
@@ -32,8 +31,7 @@ THINNEST = 0.05
 
 @dataclass(frozen=True, eq=False)
 class ActorBody:
-    """A blueprint's box: its middle relative to the actor's origin, in the body frame (x forward, y
-    left, z up), and its size [m]."""
+    """A blueprint's box: its middle from the actor's origin in the body frame, its size [m]."""
 
     name: str
     middle: Float[np.ndarray, "3"]
@@ -98,8 +96,6 @@ class Actors:
             )
         return tuple(found)
 
-    # ── Blueprints ──────────────────────────────────────────────────────────
-
     def _bodies(self) -> dict[int, list[ActorBody]]:
         """The blueprints of each class. Each is spawned once, because only an actor has a box.
 
@@ -126,8 +122,6 @@ class Actors:
         off = np.array([np.abs(np.log(body.size / size)).max() for body in bodies])
         near = np.flatnonzero(off <= off.min() + SIZE_TOLERANCE)
         return bodies[np.random.default_rng([self.seed, track, 1]).choice(near)]
-
-    # ── Spawning ────────────────────────────────────────────────────────────
 
     def _in_the_air(self, k: int) -> Float[np.ndarray, "6"]:
         """The cords of the k-th actor that is spawned, above the others."""
@@ -161,8 +155,7 @@ class Actors:
 def _origin(
     body: ActorBody, center: Float[np.ndarray, "3"], yaw: float, size: Float[np.ndarray, "3"]
 ) -> Float[np.ndarray, "6"]:
-    """The pose of an actor whose box stands on the same ground as a road user's, with the same
-    middle in plan."""
+    """The pose of an actor whose box stands on a road user's ground, with its middle in plan."""
     middle = np.array([*center[:2], center[2] - size[2] / 2 + body.size[2] / 2])
     angles = np.array([0.0, 0.0, yaw])
     return np.array([*(middle - rotation(angles, np) @ body.middle), *angles])

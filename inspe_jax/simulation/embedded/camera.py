@@ -10,25 +10,27 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 from PIL import Image as Pillow
 from PIL import ImageDraw
+from scipy.ndimage import minimum_filter
 
 from inspe_jax.core.geometry import rotation
 from inspe_jax.sensing.sensors import CameraSpec
 from inspe_jax.simulation.embedded.embree import Caster, RayHits
 from inspe_jax.simulation.embedded.headlights import COLOUR, LitGround, on_road_users
 from inspe_jax.simulation.embedded.light import metered_gain, parts, tone_map
-from inspe_jax.simulation.embedded.materials import GROUND
 from inspe_jax.simulation.embedded.road_users import FrameActors, paints
-from inspe_jax.simulation.embedded.shading import FAR
+from inspe_jax.simulation.embedded.shading import DARKER, FAR
 from inspe_jax.simulation.embedded.shapes import PARTS
-from inspe_jax.simulation.embedded.static_look import static_look
-from inspe_jax.simulation.embedded.sunlit import LONGEST, SunlitPoints
+from inspe_jax.simulation.embedded.static_bodies import Material
 from inspe_jax.simulation.embedded.surroundings import Surroundings
-from inspe_jax.simulation.embedded.wet_road import DARKER, paved, reflected
 from inspe_jax.simulation.frame import Image, RoadUserBox
 from inspe_jax.simulation.projection import corners, outlines
 
 SHADOWED = 150.0
 """Shadows of road users are rendered up to this distance from the centre, along x and y [m]."""
+LONGEST = 200.0
+"""Longest shadow of anything [m]."""
+ASIDE = 10.0
+"""No road user reaches further from its centre in plan [m]: road trains are 18.75 m long."""
 SKY = 11
 SEMANTIC = {"car": 14, "truck": 15, "cyclist": 19, "pedestrian": 12}
 """CARLA's semantic labels (0.9.14 and later) of the classes, as all other labels here."""
@@ -68,6 +70,55 @@ class ChangedPixels(NamedTuple):
     box: Int[np.ndarray, " P"]
 
 
+class SunlitPoints:
+    """Those of R points that are in the sun (``lit``), sorted by the square metre of the plan they
+    lie in.
+
+    ``reach`` is the distance from the centre, along x and y, up to which points count [m].
+    """
+
+    def __init__(self, point: np.ndarray, lit: np.ndarray, reach: float) -> None:
+        self.reach, self.size = reach, int(2 * reach)
+        x, y = np.abs(point[:, :2].T)
+        pixels = np.flatnonzero(lit & (x < reach) & (y < reach))
+        cell = np.floor(point[pixels, :2] + reach).astype(int)
+        cell = np.minimum(cell, self.size - 1)  # float32 sums may round up to the rim
+        number = cell[:, 1] * self.size + cell[:, 0]
+        order = np.argsort(number, kind="stable")
+        self.pixels = pixels[order]
+        self.start = np.searchsorted(number[order], np.arange(self.size**2 + 1))
+        lowest = np.full(self.size**2, np.inf, np.float32)
+        np.minimum.at(lowest, number, point[pixels, 2])
+        square = lowest.reshape(self.size, self.size)
+        around = 2 * (int(ASIDE) + 1) + 1  # one metre more, which is the step in ``ends``
+        self._lowest = minimum_filter(square, around, mode="constant", cval=np.inf)
+
+    def within(self, low: np.ndarray, high: np.ndarray) -> Int[np.ndarray, " P"]:
+        """Pixels of the points in the squares that the rectangle ``low`` to ``high`` touches."""
+        x0, y0 = np.clip(np.floor(low + self.reach), 0, self.size - 1).astype(int)
+        x1, y1 = np.clip(np.floor(high + self.reach), 0, self.size - 1).astype(int)
+        rows = np.arange(y0, y1 + 1) * self.size
+        runs = zip(self.start[rows + x0], self.start[rows + x1 + 1], strict=True)
+        return np.concatenate([self.pixels[a:b] for a, b in runs])
+
+    def ends(
+        self, top: Float[np.ndarray, "B 3"], along: Float[np.ndarray, "3"]
+    ) -> Float[np.ndarray, " B"]:
+        """How far in plan shadows of points ``top`` reach along a direction that points down [m].
+
+        A shadow ends where no sunlit point is below its upper edge any more. On ground that falls
+        in this direction it is longer than on level ground.
+        """
+        far = np.arange(0, LONGEST)
+        unit = along / np.hypot(*along[:2])
+        at = top[:, None] + far[:, None] * unit
+        x, y = np.moveaxis(np.floor(at[..., :2] + self.reach).astype(int), -1, 0)
+        here = (np.minimum(x, y) >= -ASIDE) & (np.maximum(x, y) < self.size + ASIDE)
+        x, y = np.clip((x, y), 0, self.size - 1)
+        beneath = here & (self._lowest[y, x] < at[..., 2])
+        return np.where(beneath, far + 1, 0).max(-1)
+
+
 class Camera:
     """One camera at its place, in one light."""
 
@@ -75,8 +126,7 @@ class Camera:
         self, spec: CameraSpec, pose: Float[np.ndarray, "6"], surroundings: Surroundings
     ) -> None:
         self.pose, self.static_world = np.asarray(pose, float), surroundings.static_world
-        self.static_caster, self.recording = surroundings.static_caster, surroundings.recording
-        self.appearance_seed = surroundings.appearance_seed
+        self.recording, self.appearance_seed = surroundings.recording, surroundings.appearance_seed
         self.shading, self.light = surroundings.shading, surroundings.shading.light
         self.width, self.height = self.recording.picture_size(spec.width, spec.height)
         (cx, cy), f = spec.principal, spec.focal
@@ -94,14 +144,11 @@ class Camera:
         self.lit_ground = None
         if surroundings.ground is not None:
             shown = self.background.point, self.background.distance, self.background.semantic
-            place = surroundings.ground, self.static_world, self.shading
-            self.lit_ground = LitGround(*place, *shown)
+            self.lit_ground = LitGround(surroundings.ground, self.shading, *shown)
         self.sunlit = SunlitPoints(self.background.point, self.background.in_sun, SHADOWED)
 
-    # ── The static world ────────────────────────────────────────────────────
-
     def _background(self) -> Background:
-        hits = self.static_caster.cast(self.origin, self.directions, FAR)
+        hits = self.static_world.caster.cast(self.origin, self.directions, FAR)
         slices = parts(len(self.directions))
         found = [self._background_part(part, *(x[part] for x in hits)) for part in slices]
         whole = (np.concatenate(field) for field in zip(*found, strict=True))
@@ -113,20 +160,20 @@ class Camera:
         """The fields of :class:`Background` but ``distance``, for some of the pixels."""
         shading, hit = self.shading, face >= 0
         point = self.origin + self.directions[pixels] * np.where(hit, distance, 0)[:, None]
-        albedo, semantic = static_look(self.static_world, face, point, normal)
+        albedo, semantic = self.static_world.look(face, point, normal)
         wet = np.zeros(0, int)
         if shading.wet > 0:
-            wet = np.flatnonzero(hit & (self.static_world.material[face] == GROUND))
-            wet = wet[paved(self.static_world, point[wet])]
+            wet = np.flatnonzero(hit & (self.static_world.material[face] == Material.GROUND))
+            wet = wet[self.static_world.paved(point[wet])]
         albedo[wet] *= 1 - np.float32(DARKER * shading.wet)
         ambient = shading.ambient_light(point, normal, albedo)
         given = point[wet], normal[wet], self.directions[pixels][wet]
-        ambient[wet] += reflected(self.static_world, self.static_caster, shading, *given)
+        ambient[wet] += shading.reflected(*given)
         ambient[~hit] = shading.sky(self.directions[pixels][~hit])
         direct = shading.sunlight(normal, albedo)
         in_sun = direct[:, 0] > 0
         shaded = np.flatnonzero(in_sun)
-        shaded = shaded[self._in_shadow(self.static_caster, point[shaded], normal[shaded])]
+        shaded = shaded[self._in_shadow(self.static_world.caster, point[shaded], normal[shaded])]
         direct[shaded], in_sun[shaded] = 0, False
         colour = shading.through_air(direct + ambient, distance)
         return point, in_sun, ambient, colour, np.where(hit, semantic, SKY).astype(np.uint8)
@@ -136,8 +183,6 @@ class Camera:
     ) -> Bool[np.ndarray, " R"]:
         """Whether the caster's triangles stand between points and the sun."""
         return caster.meets(point + np.float32(0.02) * normal, self.shading.to_sun, LONGEST)
-
-    # ── A frame ─────────────────────────────────────────────────────────────
 
     def record(self, actors: FrameActors, rng: np.random.Generator) -> Image:
         """The picture of one frame; the middle of the exposure is the frame's time."""
@@ -221,7 +266,7 @@ class Camera:
         if self.light.has_sun:
             direct = shading.sunlight(normal, albedo)
             lit = np.flatnonzero(direct[:, 0] > 0)
-            for one in (caster, self.static_caster):
+            for one in (caster, self.static_world.caster):
                 lit = lit[~self._in_shadow(one, point[lit], normal[lit])]
             colour[lit] += direct[lit]
         colour += shading.mirrored(_GLOSS[part], self.directions[at], normal)

@@ -9,8 +9,7 @@ from inspe_jax.core.errors import needs
 
 
 class RayHits(NamedTuple):
-    """What R rays hit first: the distance [m], the index of the face (−1: nothing) and its unit
-    normal."""
+    """What R rays hit first: distance [m], index of the face (−1: nothing) and its unit normal."""
 
     distance: Float[np.ndarray, " R"]
     face: Int[np.ndarray, " R"]

@@ -2,8 +2,7 @@
 
 A vehicle has one beam, in the middle of its front, since at the distances that matter its two lamps
 are one. The beam is a dipped one: it is wide, has its maximum just below a cut-off and falls with
-the square of the distance. The ground's light is a map of the plan, made once a frame for all
-cameras.
+the square of the distance. The ground's light is a map of the plan, made once a frame.
 """
 
 from typing import NamedTuple
@@ -14,10 +13,8 @@ from jaxtyping import Float, Int, UInt8
 from inspe_jax.scene.intersection import Intersection
 from inspe_jax.simulation.embedded.light import CANDELA, Light
 from inspe_jax.simulation.embedded.road_users import FrameActors
-from inspe_jax.simulation.embedded.shading import Shading
-from inspe_jax.simulation.embedded.static_look import GROUND_LABELS
-from inspe_jax.simulation.embedded.static_world import StaticWorld
-from inspe_jax.simulation.embedded.wet_road import DARKER, paved
+from inspe_jax.simulation.embedded.shading import DARKER, Shading
+from inspe_jax.simulation.embedded.static_world import GROUND_LABELS
 
 PEAK = 15_000 * CANDELA
 """Brightness of both dipped beams at 1 m: 7,500 cd each, as lamps in use have it.
@@ -52,8 +49,7 @@ WORTH = 0.2
 
 
 class Beams(NamedTuple):
-    """The headlights of K vehicles: their middle ``front``, relative to the centre [m], and the
-    unit vector ``ahead`` in plan."""
+    """Headlights of K vehicles: their middle, from the centre [m], and a unit vector in plan."""
 
     front: Float[np.ndarray, "K 3"]
     ahead: Float[np.ndarray, "K 2"]
@@ -117,8 +113,7 @@ class GroundMap:
         return np.where(inside, cell[:, 1] * many + cell[:, 0], -1)
 
     def fine(self, actors: FrameActors) -> Float[np.ndarray, " F"]:
-        """The light of beams on the ground in the cells of the fine map: between the points of the
-        grid it is linear."""
+        """The light of beams on the ground in the cells of the fine map: linear between points."""
         light = self.lit(actors).reshape(self.size, self.size)
         part = ((np.arange(FINE, dtype=np.float32) + 0.5) / FINE)[None, :, None]
         for _ in range(2):  # along y, then along x
@@ -167,7 +162,6 @@ class LitGround:
     def __init__(
         self,
         ground: GroundMap,
-        static_world: StaticWorld,
         shading: Shading,
         point: Float[np.ndarray, "R 3"],
         distance: Float[np.ndarray, " R"],
@@ -176,7 +170,8 @@ class LitGround:
         level, cell = np.isin(semantic, GROUND_LABELS), ground.cells(point)
         self.ground, self.pixels = ground, np.flatnonzero(level & (cell >= 0))
         self.cell, point = cell[self.pixels], point[self.pixels]
-        darker = np.float32(DARKER * shading.wet) * paved(static_world, point)
+        static_world = shading.static_world
+        darker = np.float32(DARKER * shading.wet) * static_world.paved(point)
         world = point[:, :2] + static_world.center[:2]
         albedo = static_world.surface.albedo(world) * (1 - darker)[:, None]
         clear = np.exp(-np.float32(shading.haze) * distance[self.pixels])
@@ -199,8 +194,7 @@ def on_road_users(
 ) -> Float[np.ndarray, " P"]:
     """The light that beams throw on road users, as if nothing stood between them.
 
-    ``box`` is the index of the road user that each of P points is on; points are relative to the
-    centre [m].
+    ``box`` is the index of the road user that each of P points is on; the centre is the origin.
     """
     beams, total = actors.once(beams_of), np.zeros(len(point), np.float32)
     many, count = len(actors.boxes), len(beams.front)

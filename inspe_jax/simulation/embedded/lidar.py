@@ -1,7 +1,6 @@
 """A LiDAR in a world of triangles: a ray of every channel at every azimuth, one turn per frame.
 
-The turn is centred on the frame's time, and the road users move meanwhile. Nothing returns from
-beyond the LiDAR's reach.
+The turn is centred on the frame's time; road users move meanwhile. No return is beyond the reach.
 """
 
 from typing import NamedTuple
@@ -40,7 +39,7 @@ class Lidar:
         self.body = spec.grid.directions()  # (R, 3), channel by channel
         self.directions = self.body @ rotation(self.pose[3:], np).T
         self.origin = self.pose[:3] - surroundings.static_world.center
-        hits = surroundings.static_caster.cast(self.origin, self.directions, spec.reach)
+        hits = surroundings.caster.cast(self.origin, self.directions, spec.reach)
         self.static_distance = hits.distance
         column = np.tile(np.arange(spec.azimuth_count), len(spec.elevations))
         self.phase = (column + 0.5) / spec.azimuth_count  # of a turn, 0 … 1

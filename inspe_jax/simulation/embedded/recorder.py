@@ -1,7 +1,7 @@
 """The embedded recorder: simulates the sensors of a layout in a world of triangles."""
 
 from collections.abc import Callable
-from functools import cached_property
+from functools import cache, lru_cache
 from typing import Any, Protocol
 
 import numpy as np
@@ -97,30 +97,23 @@ class LiveSensor:
         recording: Recording | None = None,
         seed: int = 0,
     ) -> None:
-        sensor = layout.sensors[s]
-        self.spec, self._own = conditions.spec(sensor.spec), np.array(layout.poses[s], float)
-        self._unit, self._s, self._seed = sensor.unit, s, seed
-        self._given = scene, layout, conditions, recording
-        self._at_its_place = Surroundings(*self._given)
-        self._frame: tuple[int, FrameActors] | None = None
-        self._placed: tuple[Float[np.ndarray, 6], SimulatedSensor] | None = None
+        sensor, given = layout.sensors[s], (scene, layout, conditions, recording)
+        self.spec, self._own = conditions.spec(sensor.spec), tuple(map(float, layout.poses[s]))
+        self._s, self._seed, own = s, seed, Surroundings(*given)
+        moved = cache(lambda: Surroundings(*given, mastless=sensor.unit))
+
+        @lru_cache(maxsize=1)
+        def placed(*pose: float) -> SimulatedSensor:
+            return simulated_sensor(
+                self.spec, np.array(pose), own if pose == self._own else moved()
+            )
+
+        self._placed, self._actors = placed, lru_cache(maxsize=1)(own.actors)
 
     def record(
         self, t: int, pose: Float[np.ndarray, "6"] | None = None
     ) -> tuple[tuple[RoadUserBox, ...], Image | Scan]:
-        """The road users of frame t, and what the sensor records of them: from a world pose, or
-        where the layout has it."""
-        at = self._own if pose is None else np.array(pose, float)
-        if self._placed is None or not np.array_equal(self._placed[0], at):
-            moved = not np.array_equal(at, self._own)
-            around = self._without_its_mast if moved else self._at_its_place
-            self._placed = at, simulated_sensor(self.spec, at, around)
-        if self._frame is None or self._frame[0] != t:
-            self._frame = t, self._at_its_place.actors(t)
-        actors = self._frame[1]
-        noise = noise_source(self._seed, t, self._s)
-        return actors.boxes, self._placed[1].record(actors, noise)
-
-    @cached_property
-    def _without_its_mast(self) -> Surroundings:
-        return Surroundings(*self._given, mastless=self._unit)
+        """Road users of frame t, and what the sensor records of them at a pose, or at its own."""
+        at = self._own if pose is None else map(float, pose)
+        actors, noise = self._actors(t), noise_source(self._seed, t, self._s)
+        return actors.boxes, self._placed(*at).record(actors, noise)

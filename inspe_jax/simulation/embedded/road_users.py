@@ -1,4 +1,7 @@
-"""The road users of a frame: as boxes with names, and as triangles that rays can hit."""
+"""The road users of a frame: as boxes with names, and as triangles that rays can hit.
+
+Parked vehicles are road users that stand still: a detector has to find them like any other.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -9,13 +12,18 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from inspe_jax.core.geometry import rotation
+from inspe_jax.scene.placed_bodies import grounds
+from inspe_jax.scene.scene import Scene
+from inspe_jax.scene.statics import StaticBody
 from inspe_jax.scene.traffic.frames import CLASSES, Snapshot
 from inspe_jax.simulation.embedded.embree import Caster
 from inspe_jax.simulation.embedded.shapes import PARTS, fitting, paint, shape_of
-from inspe_jax.simulation.frame import RoadUserBox
+from inspe_jax.simulation.frame import MOST_TRACK, RoadUserBox
 
 STRIDE = {"pedestrian": 1.4, "cyclist": 4.5}
 """Distance of a whole stride, or of a turn of the crank [m]."""
+LARGEST_CAR = 6.5
+"""A parked vehicle that is longer than this is a truck [m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,3 +123,53 @@ class FrameActors:
         if make not in self._made:
             self._made[make] = make(self)
         return self._made[make]
+
+
+def kind_of(size: np.ndarray) -> str:
+    """The class of a parked vehicle of this length, width and height [m]."""
+    return "truck" if size[0] > LARGEST_CAR else "car"
+
+
+def box_of(one: StaticBody) -> tuple[np.ndarray, float]:
+    """Length, width and height [m] and yaw [rad] of a body whose outline is a rectangle."""
+    (ahead, across), up = np.diff(one.outline[:3], axis=0), one.height
+    return np.array([np.hypot(*ahead), np.hypot(*across), up]), float(np.arctan2(*ahead[::-1]))
+
+
+def is_box(one: StaticBody) -> bool:
+    """Whether a body is a parked vehicle with the outline of one: four corners, on the ground."""
+    return one.kind == "parked vehicle" and len(one.outline) == 4 and one.base == 0
+
+
+def parked_vehicles(scene: Scene) -> tuple[Snapshot, tuple[StaticBody, ...]]:
+    """The parked vehicles of a scene's region as road users, and the bodies that are left.
+
+    A vehicle is a road user where a moving one would be: with its centre in the region. Its track,
+    and so its shape and colour, hang on its own place alone, unless that number is taken.
+    """
+    place, radius = scene.intersection, scene.voxels.radius
+    found: list[StaticBody] = []
+    left: list[StaticBody] = []
+    for one in scene.statics:
+        inside = np.hypot(*(one.middle - np.asarray(place.center)[:2])) <= radius
+        (found if is_box(one) and inside else left).append(one)
+    boxes = [box_of(one) for one in found]
+    size = np.array([size for size, _ in boxes], float).reshape(-1, 3)
+    at = np.array([one.middle for one in found]).reshape(-1, 2)
+    taken = set(scene.traffic.track.ravel().tolist())
+    tracks = list[int]()
+    for one in found:
+        track = one.number % MOST_TRACK
+        while track in taken:
+            track = (track + 1) % MOST_TRACK
+        taken.add(track)
+        tracks.append(track)
+    road_users = Snapshot(
+        center=np.column_stack([at, grounds(found, place) + size[:, 2] / 2]),
+        yaw=np.array([yaw for _, yaw in boxes]),
+        size=size,
+        kind=np.array([CLASSES.index(kind_of(one)) for one in size], int),
+        track=np.array(tracks, int),
+        velocity=np.zeros((len(found), 3)),
+    )
+    return road_users, tuple(left)

@@ -1,24 +1,42 @@
-"""The colours of surfaces, lit by sun, sky and street lamps, and seen through the air."""
+"""The colours of surfaces, lit by sun, sky and street lamps, and seen through the air.
+
+Wet roads are darker, as water that fills the pores lets less light out again (Lekner and Dorf, "Why
+some things are darker when wet", Applied Optics 27, 1988). The film over it reflects as water does
+(Fresnel, in the form of Schlick 1994). On most of the road the grains of the asphalt roughen it; in
+puddles it is smooth. The lamps themselves are not mirrored.
+"""
 
 import numpy as np
 from jaxtyping import Float
 
 from inspe_jax.sensing.conditions import Conditions
 from inspe_jax.simulation.embedded.light import LAMP, LIGHTS, haze, parts, wetness
+from inspe_jax.simulation.embedded.static_world import StaticWorld
+from inspe_jax.simulation.embedded.surface import noise
 
 LAMP_ABOVE = 1.5
 """Height of street lamps above the tops of the poles [m]."""
 FAR = 1000.0
 """Range of cameras in clear air [m]. How far they can detect road users matters to scores only."""
 
+DARKER = 0.45
+"""Share of the albedo that a soaked road loses: rough asphalt, by Lekner and Dorf's model."""
+HEAD_ON = 0.02
+"""Reflectance of water along the normal (refractive index 1.33)."""
+ROUGH, SMOOTH = 0.12, 0.04
+"""Root-mean-square slope of the film, on the grains of asphalt and in puddles."""
+COVER = 0.12
+"""Share of the film that shines between the grains; in puddles all of it does."""
+LEVEL = (0.6, 0.76)
+"""Where the noise of a road's unevenness begins to hold water, and where it holds a puddle."""
+
 
 class Shading:
-    """The light at one place. Colours are linear; everything is in single precision.
+    """The light in a static world. Colours are linear; everything is in single precision. Points
+    are relative to the centre of the world [m]."""
 
-    ``poles`` are the tops of the poles [m], relative to the centre, as all points are.
-    """
-
-    def __init__(self, conditions: Conditions, poles: Float[np.ndarray, "P 3"]) -> None:
+    def __init__(self, conditions: Conditions, static_world: StaticWorld) -> None:
+        self.static_world = static_world
         self.light, self.haze = LIGHTS[conditions.light], haze(conditions)
         self.wet = wetness(conditions)
         self.to_sun = self.light.to_sun.astype(np.float32)
@@ -26,6 +44,7 @@ class Shading:
             np.array(colour, np.float32)
             for colour in (self.light.sun, self.light.ambient, self.light.sky)
         )
+        poles = static_world.poles - static_world.center
         self.lamps = (poles + [0.0, 0.0, LAMP_ABOVE]).astype(np.float32)
         self.lamp_colour = np.float32(self.light.lamps) * np.array(LAMP, np.float32)
 
@@ -73,8 +92,7 @@ class Shading:
         return found
 
     def sky(self, directions: Float[np.ndarray, "R 3"]) -> Float[np.ndarray, "R 3"]:
-        """Colour of the sky in given directions: paler towards the horizon, with a glow around the
-        sun."""
+        """Colour of the sky: paler towards the horizon, with a glow around the sun."""
         up = np.sqrt(np.clip(directions[:, 2:], 0, 1))
         colour = self.sky_colour * (1.25 - 0.55 * up)
         if self.light.has_sun:
@@ -90,13 +108,41 @@ class Shading:
     ) -> Float[np.ndarray, "R 3"]:
         """Light of the sky that lacquer and glass mirror, more at grazing angles (Schlick 1994).
 
-        ``head_on`` is the reflectance for rays along the normal; ``to`` are the directions of the
-        rays, from the camera.
+        ``head_on`` is the reflectance for rays along the normal; rays go ``to`` the surface.
         """
         along = np.einsum("rk,rk->r", to, normal)
         grazing = head_on * (1 + (1 / 0.04 - 1) * (1 + np.minimum(along, 0)) ** 5)
         up = to[:, 2] - 2 * along * normal[:, 2]
         return (grazing * np.clip(0.25 + 1.5 * up, 0.1, 1))[:, None] * self.sky_colour
+
+    def reflected(
+        self,
+        point: Float[np.ndarray, "R 3"],
+        normal: Float[np.ndarray, "R 3"],
+        to: Float[np.ndarray, "R 3"],
+    ) -> Float[np.ndarray, "R 3"]:
+        """What the film on paved ground reflects of sky and surroundings at the ends of ``to``."""
+        world = point[:, :2] + self.static_world.center[:2]
+        level = 0.7 * noise(world / 1.8) + 0.3 * noise(world / 0.5)
+        low, high = LEVEL
+        part = np.clip((level - low) / (high - low), 0, 1)
+        puddle = part * part * (3 - 2 * part)
+        film = np.float32(self.wet) * (COVER + (1 - COVER) * puddle)
+        slope = ROUGH + (SMOOTH - ROUGH) * puddle
+        along = -np.einsum("rk,rk->r", to, normal)
+        # Seen at a grazing angle, those facets of a rough film are seen that lean towards the eye.
+        steep = np.sqrt(along**2 + slope**2)
+        onward = to + (along + steep)[:, None] * normal
+        onward /= np.linalg.norm(onward, axis=1, keepdims=True)
+        hits = self.static_world.caster.cast(point + np.float32(0.02) * normal, onward, FAR)
+        there = point + onward * np.where(hits.face >= 0, hits.distance, 0)[:, None]
+        albedo, _ = self.static_world.look(hits.face, there, hits.normal)
+        light = self.ambient_light(there, hits.normal, albedo)
+        light += 0.5 * self.sunlight(hits.normal, albedo)  # half of what there is: no shadows here
+        clear = hits.face < 0
+        light[clear] = self.sky(onward[clear])
+        reflectance = HEAD_ON + (1 - HEAD_ON) * (1 - np.clip(steep, 0, 1)) ** 5
+        return (film * reflectance)[:, None] * light
 
     def through_air(
         self, colour: Float[np.ndarray, "R 3"], distance: Float[np.ndarray, " R"]

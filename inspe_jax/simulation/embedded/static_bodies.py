@@ -3,24 +3,26 @@
 Buildings, walls, poles and furniture fill their prisms. Hedges are prisms of leaves. The crown of a
 tree is rounded, and fills some nine tenths of its prism; as much light passes between its leaves as
 the body says. A parked vehicle has the shape of a road user of its size, within its box; in the
-region it is a road user (:mod:`inspe_jax.simulation.parked`) and not one of these.
+region it is a road user and not one of these.
 """
 
 from collections.abc import Callable, Iterator
+from enum import IntEnum
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 import shapely
 from jaxtyping import Float
+from numpy.random import Generator
 from shapely.geometry import Polygon
 from shapely.geometry.base import BaseGeometry
 
 from inspe_jax.core.geometry import rotation
 from inspe_jax.scene.intersection import Intersection
 from inspe_jax.scene.statics import StaticBody, octagon
-from inspe_jax.simulation.embedded import materials
+from inspe_jax.simulation.embedded.road_users import box_of, is_box, kind_of
 from inspe_jax.simulation.embedded.shapes import fitting, paint, shape_of
-from inspe_jax.simulation.parked import box_of, is_box, kind_of
 
 FOUNDATION = 0.5
 """What stands on the ground begins this far below the lowest ground at its corners [m]."""
@@ -28,13 +30,21 @@ RINGS = ((0.0, 0.80), (0.15, 0.97), (0.4, 1.0), (0.65, 0.97), (0.85, 0.85), (1.0
 """The rings of a crown: height as a share of the crown's, and size as a share of its outline's."""
 _BETWEEN = 3  # points of a ring to each side of the crown's outline
 
+Material = IntEnum(
+    "Material",
+    "GROUND KERB BUILDING ROOF TRUNK CROWN POLE WALL FURNITURE PARKED_CAR PARKED_TRUCK SURVEYED",
+    start=0,
+)
+"""What faces of the static world are made of. Those of parked vehicles and of a mesh (SURVEYED)
+have colours of their own."""
+
 
 class Part(NamedTuple):
     """Triangles of one material in world metres, their colours where they have own ones, and the
     number of the body that they are of."""
 
     triangles: Float[np.ndarray, "F 3 3"]
-    material: int
+    material: Material
     colour: float | Float[np.ndarray, "F 3"] = 0.0
     body: int = 0
 
@@ -85,32 +95,32 @@ def _foot(outline: Float[np.ndarray, "N 2"], place: Intersection) -> float:
     return float(place.ground(outline).min()) - FOUNDATION
 
 
-def _solid(side: int, top: int) -> Callable[..., Iterator[Part]]:
-    """The look of a prism with sides and a top of two materials."""
-
-    def look(
-        one: StaticBody, place: Intersection, level: float, rng: np.random.Generator
-    ) -> Iterator[Part]:
-        ends = _bottom(one, place, level), level + one.height
-        sides, lid, floor = _prism(one.outline, *ends)
-        yield Part(_thinned(sides, one, rng), side)
-        yield Part(_thinned(lid, one, rng), top)
-        if one.base > 0:
-            yield Part(_thinned(floor, one, rng), side)
-        yield from _trunk(one, place, level)
-
-    return look
+def _solid(
+    side: Material,
+    top: Material,
+    one: StaticBody,
+    place: Intersection,
+    level: float,
+    rng: Generator,
+) -> Iterator[Part]:
+    """A prism with sides and a top of two materials."""
+    sides, lid, floor = _prism(one.outline, _bottom(one, place, level), level + one.height)
+    yield Part(_thinned(sides, one, rng), side)
+    yield Part(_thinned(lid, one, rng), top)
+    if one.base > 0:
+        yield Part(_thinned(floor, one, rng), side)
+    yield from _trunk(one, place, level)
 
 
 def _trunk(one: StaticBody, place: Intersection, level: float) -> Iterator[Part]:
     if one.trunk > 0:
         outline = octagon(one.middle, one.trunk)
         sides, lid, _ = _prism(outline, _foot(outline, place), level + one.base)
-        yield Part(np.concatenate([sides, lid]), materials.TRUNK)
+        yield Part(np.concatenate([sides, lid]), Material.TRUNK)
 
 
 def _thinned(
-    faces: Float[np.ndarray, "F 3 3"], one: StaticBody, rng: np.random.Generator
+    faces: Float[np.ndarray, "F 3 3"], one: StaticBody, rng: Generator
 ) -> Float[np.ndarray, "f 3 3"]:
     """Faces without those that light passes: a ray meets two, so a share of √transmittance."""
     if one.transmittance == 0:
@@ -118,9 +128,7 @@ def _thinned(
     return faces[rng.uniform(size=len(faces)) >= np.sqrt(one.transmittance)]
 
 
-def _tree(
-    one: StaticBody, place: Intersection, level: float, rng: np.random.Generator
-) -> Iterator[Part]:
+def _tree(one: StaticBody, place: Intersection, level: float, rng: Generator) -> Iterator[Part]:
     """A crown of rings like the outline, smaller at both ends, with leaves left out."""
     bottom = _bottom(one, place, level)
     tall = level + one.height - bottom
@@ -138,16 +146,14 @@ def _tree(
     for ring, middle in ((ball[0], bottom), (ball[-1], bottom + tall)):
         tip = np.broadcast_to([*one.middle, middle], ring.shape)
         faces.append(np.stack([ring, np.roll(ring, -1, 0), tip], 1))
-    yield Part(_thinned(np.concatenate(faces), one, rng), materials.CROWN)
+    yield Part(_thinned(np.concatenate(faces), one, rng), Material.CROWN)
     yield from _trunk(one, place, level)
 
 
-def _parked(
-    one: StaticBody, place: Intersection, level: float, rng: np.random.Generator
-) -> Iterator[Part]:
+def _parked(one: StaticBody, place: Intersection, level: float, rng: Generator) -> Iterator[Part]:
     """The shape of a vehicle that fits, in a colour of its own; a plain box on other outlines."""
     if not is_box(one):
-        yield from _solid(materials.FURNITURE, materials.FURNITURE)(one, place, level, rng)
+        yield from _FURNITURE(one, place, level, rng)
         return
     size, yaw = box_of(one)
     kind = kind_of(size)
@@ -155,18 +161,19 @@ def _parked(
     turn = rotation(np.array([0.0, 0.0, yaw]), np)
     at = np.array([*one.middle, level + one.height / 2])
     corners = (shape.vertices * size) @ turn.T + at
-    material = materials.PARKED_TRUCK if kind == "truck" else materials.PARKED_CAR
+    material = Material.PARKED_TRUCK if kind == "truck" else Material.PARKED_CAR
     yield Part(corners[shape.faces], material, colours[shape.part])
 
 
+_FURNITURE = partial(_solid, Material.FURNITURE, Material.FURNITURE)
 _LOOKS: dict[str, Callable[..., Iterator[Part]]] = {
-    "building": _solid(materials.BUILDING, materials.ROOF),
-    "wall": _solid(materials.WALL, materials.WALL),
-    "hedge": _solid(materials.CROWN, materials.CROWN),
+    "building": partial(_solid, Material.BUILDING, Material.ROOF),
+    "wall": partial(_solid, Material.WALL, Material.WALL),
+    "hedge": partial(_solid, Material.CROWN, Material.CROWN),
     "tree": _tree,
-    "pole": _solid(materials.POLE, materials.POLE),
-    "furniture": _solid(materials.FURNITURE, materials.FURNITURE),
+    "pole": partial(_solid, Material.POLE, Material.POLE),
+    "furniture": _FURNITURE,
     "parked vehicle": _parked,
-    "solid": _solid(materials.BUILDING, materials.ROOF),
+    "solid": partial(_solid, Material.BUILDING, Material.ROOF),
 }
 """How each of :data:`~inspe_jax.scene.statics.KINDS` looks."""

@@ -10,11 +10,11 @@ its faces stand in their place, and nothing else is made up.
 import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 import shapely
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from shapely.geometry import Point, Polygon
 from shapely.geometry.base import BaseGeometry
 from shapely.ops import unary_union
@@ -25,9 +25,15 @@ from inspe_jax.scene.regions import Region
 from inspe_jax.scene.statics import StaticBody
 from inspe_jax.scene.street import HEADROOM, OVER_LANES
 from inspe_jax.scene.terrain import MARGIN, lattice_faces
-from inspe_jax.simulation.embedded import materials
-from inspe_jax.simulation.embedded.static_bodies import Part, body_parts, flat_triangles, walls
-from inspe_jax.simulation.embedded.surface import Surface, lay_surface
+from inspe_jax.simulation.embedded.embree import Caster
+from inspe_jax.simulation.embedded.static_bodies import (
+    Material,
+    Part,
+    body_parts,
+    flat_triangles,
+    walls,
+)
+from inspe_jax.simulation.embedded.surface import GRASS, Surface, lay_surface, noise
 
 SRGB = 2.2
 """Exponent of sRGB's curve, nearly."""
@@ -46,13 +52,28 @@ CARRIAGEWAY = (Region.DRIVEWAY, Region.JUNCTION, Region.CROSSWALK)
 BUILDINGS, TREES = 44, 60
 """How many the generator tries to place."""
 
+_LABELS = np.array([0, 2, 3, 3, 9, 9, 6, 4, 20, 14, 15, 20])
+"""CARLA's semantic labels of each :data:`Material`; the ground has those of its own labels."""
+GROUND_LABELS = np.array([1, 1, 1, 2, 25, 10, 24])
+"""CARLA's semantic labels of the regions of the ground, and of grass and paint."""
+_PLAIN = {
+    Material.KERB: (0.34, 0.34, 0.34),
+    Material.ROOF: (0.16, 0.12, 0.11),
+    Material.TRUNK: (0.11, 0.075, 0.05),
+    Material.POLE: (0.28, 0.29, 0.30),
+}
+_FURNITURE = np.array([[0.18, 0.20, 0.20], [0.12, 0.17, 0.13], [0.30, 0.30, 0.29]])
+_WALLS = np.array(
+    [[0.42, 0.36, 0.30], [0.34, 0.17, 0.12], [0.50, 0.48, 0.44], [0.30, 0.31, 0.33]]
+    + [[0.46, 0.38, 0.24]]
+)
+
 
 @dataclass(frozen=True, eq=False)
 class StaticWorld:
-    """Triangles relative to ``center`` [m], and for each its material, an index into
-    :data:`~inspe_jax.simulation.embedded.materials.MATERIALS`. ``body`` numbers the buildings and
-    the trees. ``poles`` are the tops of the poles in the world [m]. ``colour`` is the linear albedo
-    of the faces of parked vehicles and of meshes, 0 for others.
+    """Triangles relative to ``center`` [m], and for each its :data:`Material`. ``body`` numbers the
+    buildings and the trees. ``poles`` are the tops of the poles in the world [m]. ``colour`` is the
+    linear albedo of the faces of parked vehicles and of meshes, 0 for others.
     """
 
     center: Float[np.ndarray, "3"]
@@ -62,6 +83,61 @@ class StaticWorld:
     surface: Surface
     poles: Float[np.ndarray, "P 3"]
     colour: Float[np.ndarray, "F 3"]
+
+    @cached_property
+    def caster(self) -> Caster:
+        """Its triangles, ready for rays."""
+        return Caster(self.triangles)
+
+    def paved(self, point: Float[np.ndarray, "R 3"]) -> Bool[np.ndarray, " R"]:
+        """Whether the ground at points of it is paved, and so wet in rain."""
+        label: np.ndarray = self.surface.label(point[:, :2] + self.center[:2])
+        return label != GRASS
+
+    def look(
+        self,
+        face: Int[np.ndarray, " R"],
+        point: Float[np.ndarray, "R 3"],
+        normal: Float[np.ndarray, "R 3"],
+    ) -> tuple[Float[np.ndarray, "R 3"], Int[np.ndarray, " R"]]:
+        """Linear albedo and CARLA's label at points where rays hit its faces (−1: nothing)."""
+        material = np.where(face >= 0, self.material[face], -1)
+        body = np.where(face >= 0, self.body[face], 0)
+        albedo, semantic = np.zeros((len(face), 3), np.float32), _LABELS[material]
+        ground = material == Material.GROUND
+        world = point[:, :2] + self.center[:2]
+        albedo[ground] = self.surface.albedo(world[ground])
+        semantic[ground] = GROUND_LABELS[self.surface.label(world[ground])]
+        for kind, colour in _PLAIN.items():
+            albedo[material == kind] = colour
+        rough = material == Material.WALL
+        stone = 0.7 + 0.6 * noise(point[rough][:, :2] * 3.1 + point[rough][:, 2:] * 4.3)
+        albedo[rough] = np.array([0.34, 0.31, 0.27]) * stone[:, None]
+        box = material == Material.FURNITURE
+        albedo[box] = _FURNITURE[body[box] % len(_FURNITURE)]
+        own = material >= Material.PARKED_CAR  # as those of meshes
+        albedo[own] = self.colour[face[own]]
+        crown = material == Material.CROWN
+        leaf = 0.6 + 0.8 * noise(point[crown][:, :2] * 2.5 + point[crown][:, 2:] * 1.7)
+        tint = 0.8 + 0.4 * (body[crown] * 0.618 % 1.0)
+        albedo[crown] = np.array([0.065, 0.11, 0.035]) * (leaf * tint)[:, None]
+        wall = material == Material.BUILDING
+        albedo[wall] = _facade_colours(point[wall], normal[wall], body[wall])
+        return albedo, semantic
+
+
+def _facade_colours(
+    point: Float[np.ndarray, "R 3"], normal: Float[np.ndarray, "R 3"], body: Int[np.ndarray, " R"]
+) -> Float[np.ndarray, "R 3"]:
+    """Linear albedo of walls: plaster or brick with rows of windows, one every 2.8 m and 3 m."""
+    along = point[:, 1] * normal[:, 0] - point[:, 0] * normal[:, 1]
+    across, up = along % 2.8, (point[:, 2] + 0.4) % 3.0
+    pane = (across > 0.8) & (across < 2.1) & (up > 1.0) & (up < 2.4)
+    frame = (across > 0.7) & (across < 2.2) & (up > 0.9) & (up < 2.5)
+    plaster = 0.9 + 0.2 * noise(np.column_stack([along, point[:, 2]]) * 1.3)
+    colour = _WALLS[body % len(_WALLS)] * plaster[:, None]
+    colour = np.where(frame[:, None], 0.55, colour)
+    return np.where(pane[:, None], [0.05, 0.06, 0.075], colour)
 
 
 def build_static_world(
@@ -84,7 +160,7 @@ def build_static_world(
     fixed, poles, surface = _all_but_masts(intersection, radius, tuple(bodies))
     apart = [p for p in poles if all(np.hypot(*(p[:2] - m[:2])) > 0.5 for m in masts)]
     posts = np.array([*masts, *apart], float).reshape(-1, 4)
-    tubes = [Part(_tube(p[:3], POLE_RADIUS, p[3]), materials.POLE) for p in posts]
+    tubes = [Part(_tube(p[:3], POLE_RADIUS, p[3]), Material.POLE) for p in posts]
     parts = [*tubes, *fixed]
     sizes = [len(part.triangles) for part in parts]
     return StaticWorld(
@@ -110,24 +186,24 @@ def _all_but_masts(
     rng = np.random.default_rng(zlib.crc32(intersection.name.encode()))
     own = unary_union([one.polygon for one in bodies])
     mesh = intersection.mesh if any(one.kind == "solid" for one in bodies) else None
-    parts = [Part(_ground(intersection, radius), materials.GROUND)]
+    parts = [Part(_ground(intersection, radius), Material.GROUND)]
     if mesh is None:
-        parts += [Part(ring, materials.KERB) for ring in _kerbs(intersection)]
+        parts += [Part(ring, Material.KERB) for ring in _kerbs(intersection)]
         taken = unary_union(list(intersection.regions.values())).buffer(CLEAR)
         if bodies:
             taken = unary_union([taken, own.buffer(CLEAR)])
         built = list[Polygon]()
         for k, corners in enumerate(_plots(intersection, taken, radius, rng)):
             sides, roof = _house(corners, intersection, float(rng.uniform(6, 18)))
-            parts += [Part(sides, materials.BUILDING, body=k), Part(roof, materials.ROOF, body=k)]
+            parts += [Part(sides, Material.BUILDING, body=k), Part(roof, Material.ROOF, body=k)]
             built.append(Polygon(corners).buffer(1.0))
         taken = unary_union([taken, *built])
         for k, (foot, height) in enumerate(_trees(intersection, taken, radius, rng)):
-            parts.append(Part(_tube(foot, 0.18, 0.45 * height), materials.TRUNK, body=k))
-            parts.append(Part(_crown(foot, height, rng), materials.CROWN, body=k))
+            parts.append(Part(_tube(foot, 0.18, 0.45 * height), Material.TRUNK, body=k))
+            parts.append(Part(_crown(foot, height, rng), Material.CROWN, body=k))
     else:
         faces, colour = _surveyed(mesh, intersection)
-        parts.append(Part(faces, materials.SURVEYED, colour))
+        parts.append(Part(faces, Material.SURVEYED, colour))
     for k, one in enumerate(bodies):
         if mesh is None or one.kind != "solid":
             parts += [part._replace(body=k) for part in body_parts(one, intersection)]
@@ -151,8 +227,7 @@ def _surveyed(
 ) -> tuple[Float[np.ndarray, "F 3 3"], Float[np.ndarray, "F 3"]]:
     """The faces of a mesh that are not of the ground, and their linear albedos.
 
-    Without those beyond the ground that is known, and without what stands where traffic goes, which
-    scores have not either.
+    Without those beyond the ground that is known, and what stands in the way of traffic, as scores.
     """
     triangles = mesh.world
     corners = triangles.reshape(-1, 3)

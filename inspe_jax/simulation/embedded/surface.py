@@ -46,15 +46,13 @@ ROUGH = np.array([0.25, 0.25, 0.25, 0.12, 0.25, 0.6, 0.12])
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """Labels of square cells, :data:`CELL` metres wide. The first cell is at ``corner`` (x, y) [m];
-    rows run northward."""
+    """Labels of cells of :data:`CELL` metres: the first at ``corner`` [m], rows northward."""
 
     labels: Int[np.ndarray, "N N"]
     corner: Float[np.ndarray, "2"]
 
     def label(self, xy: Float[np.ndarray, "R 2"]) -> Int[np.ndarray, " R"]:
-        """The label at points: a region, :data:`PAINT` or :data:`GRASS`; the latter, too, outside
-        the raster."""
+        """The label at points: a region, :data:`PAINT` or :data:`GRASS`, as outside the raster."""
         x, y = np.floor((xy - self.corner).T / CELL).astype(int)
         size = len(self.labels)
         inside = (x >= 0) & (x < size) & (y >= 0) & (y < size)
@@ -85,11 +83,7 @@ def lay_surface(intersection: Intersection, reach: float) -> Surface:
 
 
 def _fill(
-    pen: ImageDraw.ImageDraw,
-    shape: BaseGeometry,
-    corner: np.ndarray,
-    label: int,
-    hole: int | None,
+    pen: ImageDraw.ImageDraw, shape: BaseGeometry, corner: np.ndarray, label: int, hole: int | None
 ) -> None:
     """Draw a shape with a label, and its holes with another (``hole``; None leaves them as they
     are). What lies in the holes is drawn later."""
@@ -149,8 +143,7 @@ def noise(at: Float[np.ndarray, "R 2"]) -> Float[np.ndarray, " R"]:
 
 
 def _hashed(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """A number of 0 … 1 for each pair of integers: a hash by multiply and shift, which overflows
-    on purpose."""
+    """A number of 0 … 1 for each pair of integers: a hash, which overflows on purpose."""
     mixed = x.astype(np.uint64) * np.uint64(0x9E3779B97F4A7C15)
     mixed ^= y.astype(np.uint64) * np.uint64(0xC2B2AE3D27D4EB4F)
     mixed = (mixed ^ (mixed >> np.uint64(29))) * np.uint64(0xBF58476D1CE4E5B9)

@@ -7,12 +7,10 @@ import numpy as np
 from inspe_jax.scene.scene import Scene
 from inspe_jax.sensing.conditions import Conditions
 from inspe_jax.sensing.layout import Layout
-from inspe_jax.simulation.embedded.embree import Caster
 from inspe_jax.simulation.embedded.headlights import GroundMap
-from inspe_jax.simulation.embedded.road_users import FrameActors, boxes_of
+from inspe_jax.simulation.embedded.road_users import FrameActors, boxes_of, parked_vehicles
 from inspe_jax.simulation.embedded.shading import Shading
 from inspe_jax.simulation.embedded.static_world import build_static_world
-from inspe_jax.simulation.parked import parked_vehicles
 from inspe_jax.simulation.recorder import Recording
 
 BELOW = 2.5
@@ -46,8 +44,8 @@ class Surroundings:
         self.parked = tuple(replace(box, parked=True) for box in boxes)
         place = scene.intersection, scene.voxels.radius
         self.static_world = build_static_world(*place, _masts(layout, mastless), statics)
-        self.static_caster = Caster(self.static_world.triangles)
-        self.shading = Shading(conditions, self.static_world.poles - self.static_world.center)
+        self.caster = self.static_world.caster  # which needs Embree, and says so now
+        self.shading = Shading(conditions, self.static_world)
         light = self.shading.light
         self.ground = GroundMap(*place, light) if light.lamps > 0 else None
 

@@ -47,7 +47,7 @@ from table2 import HERE, QUICK_SIZE, Row, places, run
 from inspe_jax.dataset import Cache
 from inspe_jax.jobs.sources import LayoutSource
 from inspe_jax.perception.inputs import BevGrid
-from inspe_jax.perception.training import Settings
+from inspe_jax.perception.training import TrainingSettings
 from inspe_jax.simulation.frame import KINDS
 from inspe_jax.study.plan import Study, make_study
 
@@ -163,7 +163,7 @@ def quick(given: argparse.Namespace, into: Path, found: Searched) -> Rows:
     [(name, layouts)] = found.items()
     data = recording_of(given, into, name, "train", layouts, f"from-{name}")
     job = Job(BY_HAND[name], found_from(name), 0)
-    settings = Settings(model=job.model, steps=2, validate_frames=0)
+    settings = TrainingSettings(model=job.model, steps=2, validate_frames=0)
     predictor = predictor_of(trained(data, into / job.folder, settings, BevGrid(half=QUICK_HALF)))
     return rows_of(job, "training", measured(predictor, job.model, data, "train"), 2, 0)
 

@@ -50,10 +50,15 @@ from inspe_jax.dataset.plan import make_generation
 from inspe_jax.jobs.scenes import scene_of
 from inspe_jax.jobs.sources import SceneSource
 from inspe_jax.mounting.mixes import starting_layout
-from inspe_jax.perception.detections import Detections, truth_of
-from inspe_jax.perception.evaluation import Evaluation, evaluate, matched
+from inspe_jax.perception.evaluation import (
+    Detections,
+    Evaluation,
+    evaluate,
+    matched,
+    truth_of,
+)
 from inspe_jax.perception.inputs import BevGrid
-from inspe_jax.perception.training import Run, Settings
+from inspe_jax.perception.training import TrainingRun, TrainingSettings
 from inspe_jax.perception.training.predict import loader_of
 from inspe_jax.placement.problem import Problem
 from inspe_jax.report.figures import OUTLINE, column_raster, draw_regions
@@ -213,7 +218,7 @@ def planned(given: argparse.Namespace, size: Size, test: bool, into: Path) -> Ge
 ByPlacement = dict[tuple[str, str], tuple[list[Detections], list[Detections]]]
 
 
-def detected(run: Run, data: Cache, which: dict[str, tuple[str, str]]) -> ByPlacement:
+def detected(run: TrainingRun, data: Cache, which: dict[str, tuple[str, str]]) -> ByPlacement:
     """Detections and truth of each place and placement; ``which`` these are, by scenario."""
     predictor = predictor_of(run)
     loader: Loader = loader_of(MODEL, data, "test", predictor.grid, batch=1, shuffle=False)
@@ -411,7 +416,7 @@ def main() -> None:
         plan = planned(given, size, True, into)
         training = recorded(given, planned(given, size, False, into), into / "training")
         testing = recorded(given, plan, into / "testing")
-        settings = Settings(
+        settings = TrainingSettings(
             model=MODEL, steps=given.steps or size.steps, seed=given.seed, validate_frames=0
         )
         run = trained(training, into / "run", settings, size.grid)

@@ -62,9 +62,9 @@ from inspe_jax.perception.inputs import BevGrid
 from inspe_jax.perception.training import (
     Predictor,
     Report,
-    Run,
-    Settings,
     Training,
+    TrainingRun,
+    TrainingSettings,
     open_run,
     train,
     train_all,
@@ -212,7 +212,7 @@ def of_job(row: dict[str, str]) -> Job:
     return Job(row["model"], row["placement"], int(row["seed"]))
 
 
-def trained(data: Cache, folder: Path, settings: Settings, grid: BevGrid) -> Run:
+def trained(data: Cache, folder: Path, settings: TrainingSettings, grid: BevGrid) -> TrainingRun:
     """The training in a folder, with a bar."""
     with progress(folder.name) as bar:
 
@@ -223,7 +223,7 @@ def trained(data: Cache, folder: Path, settings: Settings, grid: BevGrid) -> Run
         return train(data, folder, settings, grid=grid, progress=report)
 
 
-def predictor_of(run: Run) -> Predictor:
+def predictor_of(run: TrainingRun) -> Predictor:
     """The detector of a training."""
     return Predictor(run.last()[1], run.content.agents, run.content.grid)
 
@@ -291,7 +291,7 @@ def train_some(
         Training(
             data.path,
             folder,
-            Settings(model=job.model, steps=given.steps, seed=job.seed),
+            TrainingSettings(model=job.model, steps=given.steps, seed=job.seed),
             BevGrid(),
         )
         for folder, job in jobs.items()
@@ -335,7 +335,7 @@ def quick(given: argparse.Namespace, into: Path) -> Rows:
         sensors = model_of(model).sensors
         job, steps = Job(model, BY_SENSORS[sensors][1], 0), QUICK_STEPS[sensors]
         data = recording_of(given, into, job.placement, "train")
-        settings = Settings(
+        settings = TrainingSettings(
             model=model, steps=steps, every=steps, rate=4e-3, augment=False, validate_frames=0
         )
         began = time.monotonic()

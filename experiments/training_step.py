@@ -45,7 +45,7 @@ from inspe_jax.dataset.plan import make_generation
 from inspe_jax.perception.detector import MODELS, TEACHER, Detector, model_of, parameters
 from inspe_jax.perception.inputs import BevGrid, inputs_of
 from inspe_jax.perception.training.predict import loader_of
-from inspe_jax.perception.training.settings import AUGMENT, Settings, agents_of, optimiser
+from inspe_jax.perception.training.settings import AUGMENT, TrainingSettings, agents_of, optimiser
 from inspe_jax.perception.training.train import training_step
 
 QUICK_MODELS = ("coalign",)
@@ -133,7 +133,7 @@ def profiler_options() -> jax.profiler.ProfileOptions:
 
 def measured(name: str, path: Path, times: int, half: float) -> dict[str, Any]:
     """The row of a detector."""
-    data, grid, settings = open_cache(path), BevGrid(half=half), Settings(model=name)
+    data, grid, settings = open_cache(path), BevGrid(half=half), TrainingSettings(model=name)
     agents, model = agents_of(data), model_of(name)
     how = dict(batch=settings.batch, augment=AUGMENT, workers=0)
     loader = loader_of(name, data, "train", grid, **how)

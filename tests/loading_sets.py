@@ -5,8 +5,7 @@ from pathlib import Path
 import numpy as np
 from frames import WORLD
 
-from inspe_jax.core.geometry import rotation
-from inspe_jax.core.pinhole import pixels
+from inspe_jax.core.geometry import pixels, rotation
 from inspe_jax.dataset import (
     Frame,
     Image,

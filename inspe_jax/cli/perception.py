@@ -22,7 +22,7 @@ from inspe_jax.jobs.engine import check_workers
 
 if TYPE_CHECKING:
     from inspe_jax.dataset import Cache, Loader
-    from inspe_jax.perception.training import Run, Settings
+    from inspe_jax.perception.training import TrainingRun, TrainingSettings
 
 BOX = ("x", "y", "z", "length", "width", "height", "yaw", "velocity_x", "velocity_y")
 """Names of a box's numbers in records [m, rad, m/s], about the middle of the intersection."""
@@ -78,7 +78,7 @@ def train_detector(
     """
     from inspe_jax.perception import training
     from inspe_jax.perception.detector import model_of
-    from inspe_jax.perception.training.source import pictures_in_words
+    from inspe_jax.perception.training.run import pictures_in_words
 
     check_folder(folder)
     given = dict(steps=steps, batch=batch, rate=rate, every=every)
@@ -90,7 +90,7 @@ def train_detector(
         if "camera" in model_of(name).sensors and size is None:
             raise InspeError(f"{name} needs pictures: leave --pictures none out")
         own = dict(model=name, seed=number, **given)
-        wanted.append(check_model(training.Settings, own, "training"))
+        wanted.append(check_model(training.TrainingSettings, own, "training"))
     check_workers(scheduler, workers)
     many = len(wanted) > 1 or workers is not None or scheduler is not None
     data = _cache(recorded, cache, size)
@@ -106,7 +106,7 @@ def train_detector(
             _train_one(data, folder, wanted[0])
 
 
-def _train_one(data: "Cache", folder: Path, settings: "Settings") -> None:
+def _train_one(data: "Cache", folder: Path, settings: "TrainingSettings") -> None:
     """A training in this process, with a bar."""
     with common.progress("compiling") as tell:
 
@@ -128,7 +128,7 @@ def _train_one(data: "Cache", folder: Path, settings: "Settings") -> None:
 def _train_many(
     data: "Cache",
     folder: Path,
-    wanted: "list[Settings]",
+    wanted: "list[TrainingSettings]",
     workers: int | None,
     scheduler: str | None,
 ) -> None:
@@ -159,7 +159,7 @@ def _train_many(
     common.out.print(f"wrote {folder}")
 
 
-def _summary(run: "Run") -> str:
+def _summary(run: "TrainingRun") -> str:
     """What a training came to."""
     rows = run.rows("validation.csv")
     found = f", mAP {rows[-1]['mean_ap']:.1%} on the split validate" if rows else ""
@@ -191,7 +191,7 @@ def evaluate_detector(
     Args:
         table (--csv FILE.csv): Write the table's rows as CSV.
     """
-    from inspe_jax.perception.tables import evaluation_table
+    from inspe_jax.perception.evaluation import evaluation_table
 
     claims.file(table, (".csv",), force=force)
     claims.file(record, force=force)
@@ -235,7 +235,7 @@ def detect(
     from inspe_jax.core.sheet import FORMATS
     from inspe_jax.dataset import Loader
     from inspe_jax.perception import figure
-    from inspe_jax.perception.tables import detections_table
+    from inspe_jax.perception.evaluation import detections_table
     from inspe_jax.simulation.frame import KINDS
 
     claims.file(plot, FORMATS, force=force)
@@ -264,7 +264,7 @@ def detect(
     common.draw(drawn, plot, record)
 
 
-def _unfinished(run: "Run", step: int) -> str:
+def _unfinished(run: "TrainingRun", step: int) -> str:
     """What titles add for a detector of a training that was not done."""
     steps = run.content.settings.steps
     return "" if step >= steps else f", after {step:,} of {steps:,} steps"
@@ -274,7 +274,7 @@ def _cache(
     source: Path, folder: Path | None, pictures: tuple[int, int] | None, any_size: bool = False
 ) -> "Cache":
     """The cache of a set, which is decoded as far as it is not."""
-    from inspe_jax.perception.training.source import cache_of
+    from inspe_jax.perception.training.run import cache_of
 
     with common.progress("decoding frames") as tell:
         return cache_of(source, pictures=pictures, any_size=any_size, folder=folder, progress=tell)
@@ -282,13 +282,13 @@ def _cache(
 
 def _ready(
     folder: Path, source: Path, cache: Path | None, split: str
-) -> "tuple[Run, int, Loader, Any]":
+) -> "tuple[TrainingRun, int, Loader, Any]":
     """A run, the step of its last state, the frames of a set in order, and what detects in them."""
     from inspe_jax.perception import training
     from inspe_jax.perception.detector import model_of
     from inspe_jax.perception.training.predict import loader_of
+    from inspe_jax.perception.training.run import check_pictures
     from inspe_jax.perception.training.settings import check_sensors
-    from inspe_jax.perception.training.source import check_pictures
 
     run = training.open_run(folder)
     content = run.content

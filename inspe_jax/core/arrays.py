@@ -1,7 +1,6 @@
 """NumPy arrays for compiled code: padded to a few lengths, and put on the device.
 
-A program is compiled for the lengths of its arrays. If there are only a few lengths, scenes and
-layouts of similar size share one program.
+Programs are compiled for lengths: with a few, scenes and layouts of similar size share one.
 """
 
 from typing import Any

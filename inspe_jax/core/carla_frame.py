@@ -1,11 +1,7 @@
 """Converts poses and points between our world frame and CARLA's.
 
-Ours is ENU, right-handed, in radians; a pose is x, y, z, roll, pitch, yaw. CARLA's is left-handed
-and in degrees, as Unreal's: y and yaw change sign, roll and pitch do not. Its body frame is x
-forward, y right, z up. Its files hold *cords*: x, y, z, roll, yaw, pitch.
-
-Only :mod:`inspe_jax.scene.maps.opendrive.road_network` converts points by itself, because it reads
-tens of thousands of them.
+CARLA's is left-handed and in degrees, as Unreal's: y and yaw change sign, roll and pitch do not.
+Its body frame is x forward, y right, z up. Its files hold *cords*: x, y, z, roll, yaw, pitch.
 """
 
 from typing import Any

@@ -1,8 +1,7 @@
 """What XLA compiles in this process: how many programs, for how long, and who waits for it.
 
-Progress displays use it, and the clock of a search stands still while the search waits for a
-program. It is measured from the events that JAX records. The programs are kept on disk for the next
-process.
+Measured from the events that JAX records, for progress displays and for the clock of a search,
+which stands still meanwhile. The programs are kept on disk for the next process.
 """
 
 import atexit
@@ -25,19 +24,16 @@ from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import check_writable
 
 TRACED = "/jax/core/compile/jaxpr_trace_duration"
-"""Event that JAX records when a function has been traced."""
 LOWERED = "/jax/core/compile/jaxpr_to_mlir_module_duration"
-"""Event when its program goes to XLA."""
 COMPILED = "/jax/core/compile/backend_compile_duration"
-"""Event when the program is compiled, or read from the cache on disk."""
+"""Events that JAX records when a function has been traced, when its program goes to XLA, and when
+that is compiled, or read from the cache on disk."""
 
 
 @dataclass(frozen=True)
 class Compiled:
-    """Number of ``programs`` compiled so far, in ``seconds`` of wall time with tracing.
-
-    ``now`` tells whether one is being compiled at this moment.
-    """
+    """Number of ``programs`` compiled so far, in ``seconds`` of wall time with tracing, and whether
+    one is being compiled ``now``."""
 
     programs: int
     seconds: float
@@ -71,8 +67,6 @@ class Stretches:
 
 
 class _Local(threading.local):
-    """What this thread has waited."""
-
     def __init__(self) -> None:
         self.waits = Stretches()
 
@@ -103,7 +97,6 @@ class _Watch:
                 stretches.add(now - duration_secs, now)
 
     def holds(self, thread: int) -> bool:
-        """Whether XLA compiles in a thread now."""
         with self._lock:
             return thread in self._since
 
@@ -166,8 +159,7 @@ def on_behalf_of(waits: Stretches) -> Iterator[None]:
 KEPT = 512 * 2**20
 """Size of the folder of compiled programs [bytes]. What was used least recently is removed first,
 as a process ends."""
-NOTHING = ("0", "false", "f", "no", "n", "off")
-"""Values of INSPE_CACHE that keep nothing."""
+NOTHING = ("0", "false", "f", "no", "n", "off")  # values of INSPE_CACHE that keep nothing
 
 
 def keep_programs() -> None:
@@ -200,11 +192,8 @@ def kept_in() -> Path | None:
 
 
 def prune(folder: Path, most: int = KEPT) -> None:
-    """Remove programs of a folder, the least recently used first, down to so many bytes.
-
-    JAX's own limit would hold for another folder too that is set later, and locks all processes
-    out of the folder for every program.
-    """
+    """Remove programs of a folder, the least recently used first, down to so many bytes. JAX's own
+    limit locks all processes out of the folder for every program."""
     found: list[tuple[float, int, Path]] = []
     for path in folder.glob("*-cache"):
         with contextlib.suppress(OSError):  # another process removes some too
@@ -220,17 +209,13 @@ def prune(folder: Path, most: int = KEPT) -> None:
 
 # ── Ending the process while something is compiled ──────────────────────────
 
-CACHE = "lru_cache.py"
-"""The file of JAX's code that writes its cache."""
-WRITING = 0.3
-"""Longest time to wait for a write to the cache at the end [s]."""
+CACHE = "lru_cache.py"  # the file of JAX's code that writes its cache
+WRITING = 0.3  # longest time to wait for a write to the cache at the end [s]
 
 
 def leave(status: int) -> NoReturn:
-    """End the process now, but wait briefly while JAX writes to its cache on disk.
-
-    JAX writes a cache file in place, and never again: an incomplete file would stay unusable.
-    """
+    """End the process now, but wait briefly while JAX writes a file of its cache: it writes in
+    place and never again, so an incomplete file would stay unusable."""
     deadline = time.monotonic() + WRITING
     while time.monotonic() < deadline and any(map(_is_writing, sys._current_frames().values())):
         time.sleep(0.005)

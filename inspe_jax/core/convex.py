@@ -1,13 +1,10 @@
-"""Sight line against upright prisms on convex outlines: vehicles, and bodies, which may begin above
-the ground.
+"""Sight line against upright prisms on convex outlines: vehicles and static bodies; and such
+outlines from triangles.
 
-- :func:`sight_cut` is the cut of a line and a prism, in the margins [m] that soft scores read. A
-  rectangle is a convex outline of four sides (:func:`outlines`).
+- :func:`sight_cut` is the cut of a line and a prism, in the margins [m] that soft scores read.
 - :func:`convex_shadow`, for exact scores, follows from it: the heights between which a prism hides
   a column, in u = 1/t, without a division for each sight line. Of rectangles,
   :func:`inspe_jax.core.geometry.shadow_ceiling` is the same and faster.
-
-``tests/core/test_convex.py`` holds both to the cut.
 """
 
 from typing import NamedTuple
@@ -246,3 +243,62 @@ def sight_cut(
     of_ahead, along_ahead = (jnp.where(inside, 0.0, by) for by in (of_ahead, along_ahead))
     sides = of_left, of_right, along_left, along_right, of_ahead, along_ahead
     return SightCut(left, right, ahead, near, far, depth, *sides, of_near, of_far)
+
+
+# ── Outlines in plan, in NumPy ──────────────────────────────────────────────
+
+LEAST_AREA = 0.05  # pieces of ground smaller than this are left out [m²]
+
+Corner = tuple[float, float]
+
+
+def merge(
+    triangles: Float[np.ndarray, "N 3 2"], least: float = LEAST_AREA
+) -> list[Float[np.ndarray, "M 2"]]:
+    """Convex outlines, counter-clockwise, that together cover the triangles exactly.
+
+    Neighbours are joined over their longest sides first, as long as the union is convex. The number
+    of pieces is at most four times the smallest possible (Hertel and Mehlhorn, 1983). Pieces of
+    less than ``least`` [m²] are left out.
+    """
+    pieces: dict[int, list[Corner]] = {}
+    owner: dict[tuple[Corner, Corner], int] = {}
+    for k, triangle in enumerate(np.asarray(triangles, float)):
+        a, b, c = (tuple(corner) for corner in triangle.tolist())
+        outline = [a, b, c] if _cross(a, b, c) > 0 else [a, c, b]
+        pieces[k] = outline
+        owner.update(dict.fromkeys(_sides(outline), k))
+    shared = [side for side in owner if side < side[::-1] and side[::-1] in owner]
+    for a, b in sorted(shared, key=lambda s: -np.hypot(s[0][0] - s[1][0], s[0][1] - s[1][1])):
+        here, there = owner[a, b], owner[b, a]
+        ours, theirs = _from(pieces[here], b), _from(pieces[there], a)
+        # ours runs b … a, theirs a … b.
+        joined = [*ours, *theirs[1:-1]]
+        bends = _cross(ours[-2], a, theirs[1]), _cross(theirs[-2], b, ours[1])
+        once = sum(owner.get(side[::-1]) == there for side in _sides(pieces[here])) == 1
+        if here == there or not once or min(bends) < 0:
+            continue
+        pieces[here] = joined
+        owner.update(dict.fromkeys(_sides(pieces.pop(there)), here))
+        del owner[a, b], owner[b, a]
+    found = [np.array(outline) for outline in pieces.values()]
+    return [outline for outline in found if _area(outline) >= least]
+
+
+def _sides(outline: list[Corner]) -> list[tuple[Corner, Corner]]:
+    return list(zip(outline, outline[1:] + outline[:1], strict=True))
+
+
+def _from(outline: list[Corner], first: Corner) -> list[Corner]:
+    k = outline.index(first)
+    return outline[k:] + outline[:k]
+
+
+def _cross(a: Corner, b: Corner, c: Corner) -> float:
+    """Twice the area of a triangle, positive if it turns left at b."""
+    return (b[0] - a[0]) * (c[1] - b[1]) - (b[1] - a[1]) * (c[0] - b[0])
+
+
+def _area(outline: np.ndarray) -> float:
+    x, y = (outline - outline[0]).T
+    return float((x * np.roll(y, -1) - y * np.roll(x, -1)).sum()) / 2

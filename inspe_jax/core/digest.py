@@ -1,7 +1,6 @@
 """Digests of content: the same text for the same arrays, shapes and records of them.
 
-Libraries that hash objects hash their pickles, which change with versions and with caches inside
-objects. This module hashes fields alone, so a checkpoint fits the same search in a later version.
+Fields alone are hashed, not pickles, so a checkpoint fits the same search in a later version.
 """
 
 import hashlib

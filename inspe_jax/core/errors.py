@@ -13,16 +13,15 @@ from inspe_jax.core.words import visible
 
 Kind = TypeVar("Kind")
 
-LONGEST = 2000
-"""Most characters of an error's message. A longer one loses its middle."""
+LONGEST = 2000  # most characters of an error's message. A longer one loses its middle
 
 
 class InspeError(ValueError):
     """Bad input: a file, a key, a value or a name that cannot be used.
 
-    The message names what was given, where, and what is allowed. It is raised
-    before any tracing; the command line prints it and exits with status 2. It shows control
-    characters of names as their escapes, and has at most :data:`LONGEST` characters.
+    The message names what was given, where, and what is allowed; the command line prints it and
+    exits with status 2. It shows control characters of names as their escapes, and has at most
+    :data:`LONGEST` characters.
     """
 
     def __init__(self, message: str) -> None:
@@ -48,10 +47,7 @@ def brief(value: Any) -> str:
 
 
 def check_known(name: str, known: Iterable[str], what: str) -> None:
-    """Raise InspeError, which lists the known names, where ``name`` is none of them.
-
-    ``what`` says in the message what it is the name of.
-    """
+    """Raise InspeError, which lists the known names of ``what``, if ``name`` is none of them."""
     known = tuple(known)
     if name not in known:
         hint = nearest(str(name), known)

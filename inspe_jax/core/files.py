@@ -39,8 +39,7 @@ Content = TypeVar("Content")
 
 YAML, TEXT, ARRAYS = 2**22, 2**28, 2**30
 """Largest file of YAML and of other text, and largest arrays of a file together [bytes]."""
-UNPACKED = 100
-"""A packed map is at most this many times as large when it is unpacked, or 64 MiB."""
+UNPACKED = 100  # a packed map is at most this many times as large when it is unpacked, or 64 MiB
 _FORMULA = re.compile("'*[=+\\-@\t\r\n＝＋－＠].", re.DOTALL)
 
 STRICT = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
@@ -162,10 +161,8 @@ def read_csv(path: Path) -> list[dict[str, str]]:
 
 
 def parse_csv(text: bytes, where: str) -> list[dict[str, str]]:
-    """The rows of a CSV text, as :func:`csv_text` had them.
-
-    Cells beyond the head's are left out. Raises InspeError, which names ``where``, for other text.
-    """
+    """The rows of a CSV text, as :func:`csv_text` had them, without cells beyond the head's. Raises
+    InspeError, which names ``where``, for other text."""
     try:
         rows = [*csv.reader(io.StringIO(text.decode("utf-8-sig"), newline=""))]
     except (ValueError, csv.Error) as e:
@@ -201,11 +198,8 @@ def open_arrays(path: Path, otherwise: str) -> Iterator[Mapping[str, np.ndarray]
 
 
 def check_xml(file: io.BufferedIOBase, where: str, root: str) -> None:
-    """Raise InspeError unless a file is well-formed XML, at most :data:`DEPTH` deep, with a
-    ``root``.
-
-    It is read once, as a stream. A gzipped file may be :data:`UNPACKED` times its size.
-    """
+    """Raise InspeError unless a file, read as a stream, is well-formed XML, at most :data:`DEPTH`
+    deep, with a ``root``. A gzipped file may be :data:`UNPACKED` times its size."""
     parser, level = expat.ParserCreate(namespace_separator=" "), 0
 
     def start(tag: str, _: Any) -> None:
@@ -267,10 +261,8 @@ def check_size(where: object, size: float, most: float, what: str) -> None:
 def cached_by_file(
     size: int,
 ) -> Callable[[Callable[[Path], Content]], Callable[[str | os.PathLike[str]], Content]]:
-    """A decorator for readers of files: it caches the content of ``size`` files.
-
-    A file is read again when it changes. The reader then raises InspeError if there is no file.
-    """
+    """A decorator for readers of files: it caches the content of ``size`` files, until they change.
+    The reader then raises InspeError if there is no file."""
 
     def decorated(read: Callable[[Path], Content]) -> Callable[[str | os.PathLike[str]], Content]:
         cached = functools.lru_cache(maxsize=size)(lambda path, *facts: read(path))
@@ -305,9 +297,7 @@ def check_output(path: str | os.PathLike[str] | None, suffixes: Collection[str] 
 @contextmanager
 def whole_file(path: str | os.PathLike[str]) -> Iterator[IO[bytes]]:
     """A binary file to write. It gets its name when it is complete, and is deleted on any error.
-
-    Raises InspeError if it cannot be written.
-    """
+    Raises InspeError if it cannot be written."""
     check_output(path)
     path = Path(path)
     part = path.with_name(f".{path.name}.{secrets.token_hex(4)}.part")
@@ -326,10 +316,7 @@ def whole_file(path: str | os.PathLike[str]) -> Iterator[IO[bytes]]:
 
 @contextmanager
 def named(path: str | os.PathLike[str]) -> Iterator[None]:
-    """Give errors of writing the name of the file, as of a full disk: the system gives none.
-
-    They are raised as InspeError.
-    """
+    """Raise errors of writing, as of a full disk, as InspeError with the name of the file."""
     try:
         yield
     except OSError as e:

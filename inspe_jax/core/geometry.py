@@ -1,6 +1,5 @@
-"""Rotations, and the two geometric tests of visibility: ray against cube, sight line against prism.
-
-Ray against cube: :func:`ray_cube_margin`, the separation on the separating axes, in metres.
+"""Rotations, pictures, and the two geometric tests of visibility: ray against cube, and sight line
+against prism.
 
 Sight line against prism: in plan the line from sensor s to column c is s + t·(c − s), 0 ≤ t ≤ 1. It
 cuts the prism's rectangle from t₀ to t₁, or misses it. The prism hides the column below the height
@@ -9,22 +8,19 @@ t = t₁ for a sensor above the top and t = t₀ for one below.
 
 :func:`shadow_ceiling`, for exact scores, works in u = 1/t (:func:`_plan_crossings`). Each u is
 linear in the column, so a sight line costs no division, and t₀ and t₁ are compared but never
-computed. It gives z* itself, :data:`NEVER` where the line misses. It follows from the one cut of
-all prisms, :func:`inspe_jax.core.convex.sight_cut`, and ``tests/core/test_convex.py`` holds it to
-that.
+computed. It follows from the one cut of all prisms, :func:`inspe_jax.core.convex.sight_cut`.
 """
 
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from inspe_jax.core.numerics import nonzero
 
-NEVER = -1e9
-"""Ceiling [m] of a prism that hides nothing: below every voxel, but finite."""
-FAR = 1e9
-"""Stands for infinity: large, but finite, so that 0 × FAR is 0."""
+NEVER = -1e9  # ceiling [m] of a prism that hides nothing: below every voxel, but finite
+FAR = 1e9  # stands for infinity: large, but finite, so that 0 × FAR is 0
 
 Point = tuple[Float[Array, "*n"], Float[Array, "*n"], Float[Array, "*n"]]
 """x, y and z of many points or directions, as three arrays."""
@@ -61,6 +57,31 @@ def rotation(angles: Any, xp: Any = jnp) -> Any:
     )
 
 
+class Pinhole(Protocol):
+    """A camera, such as an :class:`~inspe_jax.simulation.frame.Image` is of."""
+
+    @property
+    def pose(self) -> Float[np.ndarray, "6"]:
+        """Its pose in the world."""
+
+    @property
+    def intrinsic(self) -> Float[np.ndarray, "3 3"]:
+        """Its calibration matrix, in pixels."""
+
+
+def pixels(image: Pinhole, points: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
+    """Points of the world in a picture: column and row in pixels, and depth in metres.
+
+    (0, 0) is the outer corner of the first pixel. A point behind the camera has a negative depth,
+    and its column and row mean nothing.
+    """
+    pose = np.asarray(image.pose, float)
+    body = (points - pose[:3]) @ rotation(pose[3:], np)
+    seen = np.stack([-body[..., 1], -body[..., 2], body[..., 0]], -1) @ image.intrinsic.T
+    placed: np.ndarray = np.concatenate([seen[..., :2] / seen[..., 2:], seen[..., 2:]], -1)
+    return placed
+
+
 def dot3(a: Point, b: Point) -> Float[Array, "*n"]:
     """Scalar product of vectors given by their components."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
@@ -73,10 +94,7 @@ def cross_matrix(w: Float[Array, "3"]) -> Float[Array, "3 3"]:
 
 
 def ray_cube_margin(
-    direction: Point,
-    reach: float | Float[Array, ""],
-    offset: Point,
-    half: float | Float[Array, ""],
+    direction: Point, reach: float | Float[Array, ""], offset: Point, half: float | Float[Array, ""]
 ) -> Float[Array, "*n"]:
     """How deep a ray passes through a cube [m]; negative by how far it misses.
 

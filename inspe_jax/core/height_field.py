@@ -9,8 +9,7 @@ height h at a crossing,
 - the sensor sees the voxel at height z only from above z + (h − z)/(1 − t)
   (:func:`ground_margin`, soft scores: how far the sensor is below the highest such height).
 
-Both are the same comparison of h with the line's height at t, and
-``tests/visibility/test_terrain.py`` holds them to it.
+Both are the same comparison of h with the line's height at t.
 """
 
 from collections.abc import Callable
@@ -22,8 +21,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from inspe_jax.core.geometry import FAR, NEVER
 
-FAMILIES = ((1, 0), (0, 1), (1, -1))
-"""k = a·(x, y) on the lines of each family."""
+FAMILIES = ((1, 0), (0, 1), (1, -1))  # k = a·(x, y) on the lines of each family
 BESIDE = 1e-5
 """Crossings so near an end of the line, as a share of it, are the sensor's or the column's own."""
 
@@ -146,10 +144,8 @@ def ground_ceiling(
     columns: Float[Array, "2 C"],
     lowest: Float[Array, ""],
 ) -> Float[Array, " C"]:
-    """The height [m] below which the ground hides each column from a sensor.
-
-    ``lowest`` is at most the height of the voxels that matter. :data:`NEVER` where nothing hides.
-    """
+    """The height [m] below which the ground hides each column from a sensor, :data:`NEVER` where
+    nothing does. ``lowest`` is at most the height of the voxels that matter."""
 
     def lift(ceiling: Array, _: Array, t: Array, height: Array, there: Array) -> Array:
         above = sensor[2] + (height - sensor[2]) / jnp.where(there, t, 1.0)

@@ -1,8 +1,7 @@
 """Reading signed margins, hard or soft; and numerics that need care.
 
 Geometry returns margins in metres, positive where the statement holds. :func:`step` reads one
-margin as a chance. Chances are combined after reading. The product of three margins well
-inside, 0.7 m each, is 0.34, and its reading would be far from certain.
+margin as a chance. Chances are combined after reading.
 """
 
 import dataclasses
@@ -18,8 +17,7 @@ from jaxtyping import Array, Float, Int, Shaped
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.pytree import pytree
 
-REACH = 3.0
-"""Widths from the threshold at which a soft reading is certain."""
+REACH = 3.0  # widths from the threshold at which a soft reading is certain
 
 Width = float | Float[Array, ""] | None
 """Width of a soft reading [m]; None or a Python 0 means the exact reading."""
@@ -61,8 +59,7 @@ def certain_beyond(width: Width) -> float | Float[Array, ""]:
     return 0.0 if exact(width) else REACH * width  # type: ignore[operator]  # it is no None
 
 
-RAYS = ("exact", "density")
-"""The two readings of rays; see :class:`Softness`."""
+RAYS = ("exact", "density")  # the two readings of rays; see :class:`Softness`
 
 
 @pytree
@@ -121,17 +118,14 @@ class Softness:
 
 
 def any_of(p: Float[Array, "S ..."]) -> Float[Array, "..."]:
-    """Chance that some reading holds, 1 − ∏(1 − p): exactly 0 or 1 if every p is 0 or 1.
-
-    Unlike a clipped sum, it keeps a gradient where the sum exceeds 1.
-    """
+    """Chance that some reading holds, 1 − ∏(1 − p): exactly 0 or 1 if every p is 0 or 1."""
     return 1.0 - jnp.prod(1.0 - p, axis=0)
 
 
 class Groups(NamedTuple):
     """Groups of rows that are left out in turn, as arrays: one program serves any groups.
 
-    Each row is in one group at most. ``order`` (S,) lists the rows group by group. ``of`` (S,) is
+    A row is in one group at most. ``order`` (S,) lists the rows group by group. ``of`` (S,) is
     the number of each row's group. In ``order``, group g begins at ``first`` (G,) and stops before
     ``end`` (G,). A spare group is empty: nothing is left out.
     """
@@ -145,10 +139,8 @@ class Groups(NamedTuple):
     def of_rows(
         cls, groups: Sequence[Sequence[int]], rows: int, room: int | None = None
     ) -> "Groups | None":
-        """``groups`` of row numbers, of ``rows`` rows, with spare groups up to ``room``.
-
-        None if there are no groups.
-        """
+        """``groups`` of row numbers, of ``rows`` rows, with spare groups up to ``room``; None if
+        there are no groups."""
         if not groups:
             return None
         listed = [row for group in groups for row in group]
@@ -190,10 +182,7 @@ def without_each(
 
 
 def leave_one_out(p: Float[Array, "S ..."], groups: Groups | None) -> Float[Array, "1+G ..."]:
-    """Chance that some reading holds: of all rows in row 0, of all but group g in row 1 + g.
-
-    It does not divide by 1 − p, which is 0 for a certain reading.
-    """
+    """Chance that some reading holds: of all rows in row 0, of all but group g in row 1 + g."""
     if groups is None:
         return any_of(p)[None]
     return 1.0 - without_each(1.0 - p, groups, jnp.multiply, jnp.ones_like(p[0]))

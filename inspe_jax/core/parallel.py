@@ -1,7 +1,7 @@
 """Runs work on all cores of this machine.
 
-XLA runs the body of a loop on one core. It also runs the programs that one thread sends to a CPU
-one after the other. Programs from several threads run at the same time.
+XLA runs the body of a loop on one core, and the programs that one thread sends to a CPU one after
+the other. Programs from several threads run at the same time.
 """
 
 import os
@@ -81,10 +81,8 @@ def at_precision(double: bool) -> AbstractContextManager[None]:
 
 
 def untraced(work: Callable[[], Result]) -> Result:
-    """The result of ``work``, computed now even while a function is being traced.
-
-    It runs in a thread of its own, where nothing is traced, at this thread's precision.
-    """
+    """The result of ``work``, computed now even while a function is being traced: in a thread of
+    its own, at this thread's precision."""
     double = jax.config.jax_enable_x64  # type: ignore[attr-defined]
 
     def there() -> Result:

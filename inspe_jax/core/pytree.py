@@ -12,10 +12,9 @@ Class = TypeVar("Class", bound=type)
 def pytree(cls: Class) -> Class:
     """Register a dataclass with JAX; fields with ``metadata={"static": True}`` are no arrays.
 
-    Unlike :func:`jax.tree_util.register_dataclass`, the class is part of the structure. JAX 0.10
-    holds the structures of two dataclasses to be equal where they have as many fields and equal
-    static ones, though their hashes differ. Once in a while, when its tables of compiled functions
-    happen to compare the two, it then runs what was traced for one class on the other.
+    Unlike :func:`jax.tree_util.register_dataclass`, the class is part of the structure: JAX 0.10
+    holds the structures of two dataclasses of as many fields to be equal, and now and then runs
+    what was traced for one class on the other.
     """
     arrays = tuple(f.name for f in fields(cls) if not f.metadata.get("static"))
     static = tuple(f.name for f in fields(cls) if f.metadata.get("static"))

@@ -1,7 +1,6 @@
 """Splits work among several devices, if JAX has more than one.
 
-Arrays are split along one axis. Each device works on its part alone and sends nothing to the
-others. The results are added up afterwards.
+Arrays are split along one axis. Each device works on its part alone; results are added up after.
 """
 
 from collections.abc import Callable

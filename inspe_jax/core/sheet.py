@@ -44,8 +44,7 @@ SIDE, SIDE_LEFT, SIDE_GAP = 3.10, 0.48, 0.30  # of two maps, before the first, b
 ROW_GAP = 0.45  # between two rows of maps [inch]
 TITLE, LINE = 68, 126
 """Characters that fit on a line: of a figure's title, and of the facts below it."""
-READABLE = 0.6
-"""Least share of the usual size of letters on one line."""
+READABLE = 0.6  # least share of the usual size of letters on one line
 CIRCLE: dict[str, Any] = dict(color="#404040", lw=0.8, ls=(0, (6, 3)))
 HALO = [patheffects.withStroke(linewidth=2.0, foreground="white", alpha=0.7)]
 
@@ -58,11 +57,8 @@ _DRAWING = threading.RLock()
 
 
 def save_figure(fig: Figure, path: str | os.PathLike[str]) -> None:
-    """Write a figure as ``.png``, ``.svg`` or ``.pdf``. The same figure gives the same bytes.
-
-    The file is never left incomplete. Raises InspeError for another suffix, or if the folder is
-    missing.
-    """
+    """Write a figure as ``.png``, ``.svg`` or ``.pdf``, whole or not at all. The same figure gives
+    the same bytes. Raises InspeError for another suffix, or if the folder is missing."""
     check_output(path, FORMATS)
     suffix = Path(path).suffix.lower()
     with house_style(), whole_file(path) as f:
@@ -88,10 +84,8 @@ def _text(fig: Figure, dpi: float, **how: Any) -> str:
 
 @contextmanager
 def house_style() -> Iterator[None]:
-    """Matplotlib's defaults with :data:`STYLE`, whatever the user's own settings are.
-
-    One thread draws at a time, since settings are those of the whole process.
-    """
+    """Matplotlib's defaults with :data:`STYLE`; settings are those of the whole process, so one
+    thread draws at a time."""
     with _DRAWING, style.context(["default", STYLE]):
         yield
 
@@ -99,10 +93,8 @@ def house_style() -> Iterator[None]:
 def sheet(
     title: str, facts: str, notes: Sequence[str], panel_height: float, math: bool = False
 ) -> tuple[Figure, Axes, Axes]:
-    """An empty sheet (figure, map, panel), as high as the notes and the panel need.
-
-    ``panel_height`` is in inches; with ``math``, dollar signs in ``facts`` begin formulas.
-    """
+    """An empty sheet (figure, map, panel), as high as the notes and the panel, of ``panel_height``
+    [inch], need; with ``math``, dollar signs in ``facts`` begin formulas."""
     lines = [line for note in notes for line in textwrap.wrap(note, LINE, subsequent_indent="  ")]
     below = FOOT + (len(lines) * NOTE_LINE + 0.12 if lines else 0.0)
     body = max(MAP, panel_height)
@@ -155,8 +147,8 @@ def sheet_of_two(
 
 
 def frame_map(ax: Axes, middle: Float[np.ndarray, "..."], radius: float, reach: float) -> None:
-    """Set a map's limits, ``reach`` [m] about the ``middle``; draw a circle of
-    ``radius`` [m] there, scale bar and north arrow."""
+    """Set a map's limits, ``reach`` [m] about the ``middle``; draw a circle of ``radius`` [m]
+    there, scale bar and north arrow."""
     x, y = map(float, middle[:2])
     limit = 1.06 * reach
     ax.set(xlim=(x - limit, x + limit), ylim=(y - limit, y + limit), aspect="equal")

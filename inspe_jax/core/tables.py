@@ -21,17 +21,13 @@ NAMES = {
     "centre [m]", "pixels,\nchannels", "split", "class", "column", "setting", "value", "id",
 }  # fmt: skip
 
-_WORD = 24
-"""Longer words of prose may break [characters]."""
+_WORD = 24  # longer words of prose may break [characters]
 _UNBOUNDED = 10_000
 
 
 class WholeTable(Table):
-    """A table that cuts no number and no name, whatever its width.
-
-    Columns of prose break between words. Where that is not enough, every row becomes a block of
-    lines, one for each column.
-    """
+    """A table that cuts no number and no name, whatever its width: columns of prose break between
+    words, and where that is not enough, every row becomes a block of lines, one a column."""
 
     def add_row(self, *cells: RenderableType | None, **how: Any) -> None:
         """Add a row; control characters of its texts show as escapes."""

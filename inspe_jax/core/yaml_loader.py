@@ -14,10 +14,8 @@ _Base: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # libyaml's is fast,
 
 
 class _Loader(_Base):
-    """A YAML loader for which a key given twice is an error; YAML itself would keep the last.
-
-    Nodes are made by recursion, in C: it ends at :data:`DEPTH`, before the stack does.
-    """
+    """A YAML loader for which a key given twice is an error. Nodes are made by recursion, in C: it
+    ends at :data:`DEPTH`, before the stack does."""
 
     level = 0
 

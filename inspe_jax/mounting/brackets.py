@@ -13,12 +13,9 @@ from jaxtyping import Float
 
 from inspe_jax.scene.statics import StaticBody
 
-STANDOFF = 0.3
-"""From the surface of a pole to a sensor on it, at least [m]: a bracket and half a housing."""
-THICKEST = 0.5
-"""Largest radius of a pole that carries sensors [m]."""
-AT_AXIS = 0.02
-"""A unit whose foot is this near to the axis of a pole is on it [m]."""
+STANDOFF = 0.3  # from a pole's surface to a sensor, at least: a bracket and half a housing [m]
+THICKEST = 0.5  # largest radius of a pole that carries sensors [m]
+AT_AXIS = 0.02  # a unit whose foot is this near to the axis of a pole is on it [m]
 _LEAST = 5e-4  # a point this near to an axis in coordinates has no direction from there [m]
 
 
@@ -66,8 +63,8 @@ class Brackets:
         return len(self.axis) > 0
 
     def largest_offset(self, plan: float) -> float:
-        """How far points of a unit may be from each other and their foot, so that their positions
-        are within ``plan`` of each other [m].
+        """How far points of a unit may be from each other and their foot, for their positions to be
+        within ``plan`` of each other [m].
 
         Two points d apart, r and s from an axis, become positions that are at most
         d + max(0, length − r/2) + max(0, length − s/2) apart, and r + s ≥ d: at most d + length

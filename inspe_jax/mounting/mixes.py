@@ -22,13 +22,12 @@ def mix_name(counts: Mapping[str, int]) -> str:
 def starting_layout(
     scene: Scene, counts: Mapping[str, int], own: Mapping[str, Spec] | None = None
 ) -> Layout:
-    """The layout from which the search of a mix starts.
+    """The layout from which the search of a mix starts, of so many of each device (``counts``).
 
     Posts are at the junction's corners and roadsides. Each sensor is a unit of its own and looks
     at the centre. LiDARs are placed first; each sensor takes the post that is furthest from those
-    already taken. ``counts`` has the number of each device; ``own`` has the specs of those that are
-    not in the catalogue. Raises InspeError if there are more sensors than posts, no sensor, or
-    nowhere to put a pole.
+    already taken. ``own`` has the specs of devices that are not in the catalogue. Raises InspeError
+    if there are more sensors than posts, no sensor, or nowhere to put a pole.
     """
     specs = {name: (own or {}).get(name) or device(name).spec for name in counts}
     wanted = [(name, specs[name]) for name, n in counts.items() for _ in range(n)]

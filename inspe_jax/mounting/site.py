@@ -11,30 +11,22 @@ from shapely.geometry import LineString, MultiPoint, Point, Polygon
 from shapely.geometry.base import BaseGeometry
 from shapely.ops import nearest_points, unary_union
 
+from inspe_jax.core.convex import merge
 from inspe_jax.core.errors import InspeError
-from inspe_jax.core.polygons import merge
 from inspe_jax.mounting.brackets import AT_AXIS, bracket_length, separate
 from inspe_jax.scene.intersection import Arm, Intersection
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.statics import StaticBody
 from inspe_jax.sensing.layout import UNIT_PLAN
 
-POLE_HEIGHTS = (3.0, 12.0)
-"""Lowest and highest height of a sensor on a pole [m above the ground]."""
-CENTRAL_HEIGHTS = (5.0, 12.0)
-"""Lowest and highest height over the middle of the junction, where trucks pass beneath [m]."""
-SMALL = 11.0
-"""A junction is small if the mean distance of its mouths from the centre is below this [m]."""
-SETBACK = 8.0
-"""A roadside pole stands this far outside the mouth of its arm [m]."""
-CORE = 25.0
-"""Mouths farther than this from the centre are moved in along their arm [m]."""
-MAST = 1.5
-"""Length of a mast arm, from the pole towards the junction [m]."""
-WIDE = float(np.radians(135.0))
-"""Between two arms farther apart than this, each kerb has a corner of its own [rad]."""
-ASIDE = 7.0
-"""A pole farther than this from an arm's kerb line is far beside the arm [m]."""
+POLE_HEIGHTS = (3.0, 12.0)  # lowest and highest height of a sensor on a pole [m above the ground]
+CENTRAL_HEIGHTS = (5.0, 12.0)  # the same over the middle of the junction: trucks pass beneath [m]
+SMALL = 11.0  # a junction is small if the mean distance of its mouths is below this [m]
+SETBACK = 8.0  # a roadside pole stands this far outside the mouth of its arm [m]
+CORE = 25.0  # mouths farther than this from the centre are moved in along their arm [m]
+MAST = 1.5  # length of a mast arm, from the pole towards the junction [m]
+WIDE = float(np.radians(135.0))  # between arms farther apart, each kerb has its own corner [rad]
+ASIDE = 7.0  # a pole farther than this from an arm's kerb line is far beside the arm [m]
 
 _CLEARANCE = CENTRAL_HEIGHTS[0]  # a mast arm may reach over a lane only above this [m]
 _POLE_REACH = {"corner": 8.0, "roadside": 3.0}  # an existing pole this near is used [m]
@@ -49,8 +41,7 @@ _AIM_HEIGHT = 1.0  # aim this high above the ground, at people and vehicle bodie
 @dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
 class View:
     """One sensor of a strategy: the name and the ``foot`` (x, y) of its post, the ``offset`` (x, y)
-    from there, the ``height`` above the ground at the foot [m], and its angles [rad].
-    """
+    from there, the ``height`` above the ground at the foot [m], and its angles [rad]."""
 
     post: str
     foot: Float[np.ndarray, "2"]
@@ -64,11 +55,10 @@ class View:
 class Site:
     """An intersection as a placement rule sees it: its arms in order, and places for poles.
 
-    ``radius`` bounds the region of interest [m]. ``depth`` is the cameras' effective
-    depth [m]. ``camera_height`` and ``lidar_height`` [m] and ``camera_pitch`` [rad]
-    are None if the rule chooses them. ``bodies`` stand in every frame: no unit stands in one, nor
-    within :data:`~inspe_jax.sensing.layout.UNIT_PLAN` of one that reaches to ``lowest``, the lowest
-    height of a sensor [m above the ground].
+    ``radius`` bounds the region of interest [m]. ``depth`` is the cameras' effective depth [m].
+    Heights [m] and ``camera_pitch`` [rad] are None if the rule chooses them. ``bodies`` stand in
+    every frame: no unit stands in one, nor within :data:`~inspe_jax.sensing.layout.UNIT_PLAN` of
+    one that reaches to ``lowest``, the lowest height of a sensor [m above the ground].
     """
 
     place: Intersection
@@ -88,9 +78,7 @@ class Site:
     @cached_property
     def arms(self) -> tuple[Arm, ...]:
         """The arms, counter-clockwise by the place of their mouths, from the intersection's first.
-
-        A mouth farther than :data:`CORE` from the centre, as on a motorway, is moved in.
-        """
+        A mouth farther than :data:`CORE` from the centre, as on a motorway, is moved in."""
         # By place, not bearing: a ramp and its motorway have nearly the same bearing.
         start = self.azimuth(self.place.arms[0].mouth)
         arms = sorted(
@@ -164,8 +152,7 @@ class Site:
 
     def carrier_at(self, foot: Float[np.ndarray, "2"]) -> StaticBody | None:
         """The pole among the bodies that carries a unit at ``foot`` (x, y), if one does."""
-        near = (one for one in self.carriers if np.hypot(*(foot - one.middle)) <= AT_AXIS)
-        return next(near, None)
+        return next((p for p in self.carriers if np.hypot(*(foot - p.middle)) <= AT_AXIS), None)
 
     def _bracket(self, foot: Float[np.ndarray, "2"], yaw: float) -> Float[np.ndarray, "2"]:
         """From a foot to a sensor that hangs on its side of ``yaw`` [rad]; 0 for a new pole."""
@@ -199,8 +186,7 @@ class Site:
         self, foot: Float[np.ndarray, "2"] | None = None, reach: float = np.inf
     ) -> list[Float[np.ndarray, "N 2"]]:
         """Outlines of convex pieces that cover the core, about the centre, the largest first; of
-        the part within ``reach`` [m] of ``foot`` (x, y), about the centre, if that is given.
-        """
+        the part within ``reach`` [m] of ``foot`` (x, y), about the centre, if that is given."""
         core = self.core
         if foot is not None:
             core = core.intersection(Point(self.center + foot).buffer(reach))
@@ -221,10 +207,8 @@ class Site:
         poles: bool = True,
         within: float = 0.0,
     ) -> bool:
-        """Whether a unit may stand at ``foot`` (x, y) [m]: on free mounting area or on a pole.
-
-        ``within`` is the tolerance [m].
-        """
+        """Whether a unit may stand at ``foot`` (x, y) [m], on free mounting area or on a pole, or
+        ``within`` a tolerance [m] of them."""
         away = np.hypot(*(self.poles - foot).T)
         on_pole = poles and len(away) > 0 and away.min() <= within
         return bool(on_pole or (areas and self.free.distance(Point(foot)) <= within))
@@ -246,11 +230,8 @@ class Site:
         return feet[np.abs(feet - middles).max(1) <= spacing / 2]
 
     def lane_cells(self, reach: float, cell: float) -> Bool[np.ndarray, "G G"]:
-        """Whether each square of a raster touches a lane.
-
-        The raster is about the centre [m]; cell (0, 0) has its corner at (−reach, −reach). A square
-        that is nearer to a lane than a tenth of its edge may count too.
-        """
+        """Whether each square of a raster about the centre [m] touches a lane, or nearly so, by a
+        tenth of its edge. Cell (0, 0) has its corner at (−reach, −reach)."""
         # A square touches no lane that is farther from its middle than half its diagonal.
         swept = self.place.lanes.buffer(0.75 * cell).simplify(0.02 * cell)
         shapely.prepare(swept)
@@ -299,10 +280,8 @@ class Site:
         return self._stand(wanted, "roadside")
 
     def _stand(self, wanted: list[np.ndarray], post: str) -> Float[np.ndarray, "N 2"]:
-        """The place nearest to each wanted one that can carry a pole; all are different.
-
-        Raises InspeError if there is no such place.
-        """
+        """The place nearest to each wanted one that can carry a pole; all are different. Raises
+        InspeError if there is no such place."""
         feet: list[np.ndarray] = []
         for spot in wanted:
             poles = [p for p in self.poles if all(np.hypot(*(p - f)) > _APART for f in feet)]
@@ -380,8 +359,7 @@ def farthest_first(points: Float[np.ndarray, "N 2"], most: int) -> list[int]:
 
 def spread(azimuths: Float[np.ndarray, " N"], count: int) -> list[int]:
     """Indices of the ``count`` ≥ 1 directions [rad] with the smallest largest angle between
-    neighbours; among equals, the largest smallest angle; among equals again, the first.
-    """
+    neighbours; among equals, the largest smallest angle; among equals again, the first."""
     if count >= len(azimuths):
         return list(range(len(azimuths)))
 

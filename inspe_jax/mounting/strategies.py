@@ -1,8 +1,7 @@
 """The paper's placements by name, generated for any intersection.
 
-A strategy is a row of :data:`STRATEGIES`: a rule that aims cameras, a rule that places LiDARs, or
-both. InSPE (arXiv 2504.08240), section 4, names the placements and counts their devices; where they
-stand is decided here:
+A strategy is a row of :data:`STRATEGIES`. InSPE (arXiv 2504.08240), section 4, names the placements
+and counts their devices; where they stand is decided here:
 
 - *corner*: where the left kerb of an arm (looking outward) meets the right kerb of the next, on a
   signal pole that stands near, or on the nearest mounting area. Where the gap between two arms is
@@ -44,10 +43,8 @@ from inspe_jax.sensing.sensors import CameraSpec, LidarSpec, Spec
 
 
 def central_cameras(site: Site) -> list[View]:
-    """Cameras over the centre in all directions, each aimed at where its line leaves the junction.
-
-    The first camera looks along the widest arm.
-    """
+    """Cameras over the centre in all directions, the first along the widest arm, each aimed at
+    where its line leaves the junction."""
     main = max(site.arms, key=lambda arm: arm.width).bearing
     views = []
     for yaw in main + 2 * np.pi * np.arange(site.camera_count) / site.camera_count:
@@ -84,10 +81,8 @@ def corner_cameras(site: Site) -> list[View]:
 
 
 def roadside_cameras(site: Site) -> list[View]:
-    """A camera on each arm's roadside pole looks at the crosswalk and junction, a second outward.
-
-    With only two arms, cameras on the poles at their other kerbs look at the crosswalks as well.
-    """
+    """A camera on each arm's roadside pole looks at the crosswalk and junction, a second outward;
+    with only two arms, cameras on the poles at their other kerbs look at the crosswalks as well."""
     arms = site.arms
     right, left = np.split(site.roadsides, 2)
 
@@ -123,10 +118,8 @@ def central_lidar(site: Site) -> list[View]:
 
 
 def corner_lidars(site: Site) -> list[View]:
-    """A LiDAR at each of the four corners that lie most evenly round the junction.
-
-    A wide gap has two corners. With fewer than four arms, the widest gaps have two.
-    """
+    """A LiDAR at each of the four corners that lie most evenly round the junction. A wide gap has
+    two corners; with fewer than four arms, the widest gaps have two."""
     left, right = np.split(site.corners, 2)
     feet = {f"corner {i + 1}": foot for i, foot in enumerate(left)}
     before = np.roll(site.gaps, 1).round(6)  # so that equal gaps stay equal in a turned world
@@ -241,11 +234,8 @@ def choose(
     camera_pitch_deg: float | None = None,
     profile: Profile | None = None,
 ) -> Chosen:
-    """The strategy and devices that the options of :func:`strategy` mean under a profile.
-
-    A ``profile`` of None is the default one. Raises InspeError as :func:`strategy` does for its
-    options.
-    """
+    """The strategy and devices that the options of :func:`strategy` mean under a profile, None for
+    the default one. Raises InspeError as :func:`strategy` does for its options."""
     own = profile or profile_of(DEFAULT_PROFILE)
     known = {key.lower(): key for key in STRATEGIES}
     key = known.get(name.strip().lower(), name)

@@ -1,11 +1,9 @@
 """A detector: encoders of its modalities, a fusion of agents, and the head.
 
-The eight of the paper's Table 1 are rows of :data:`MODELS`. What makes each of them that detector
-is its encoder and its fusion, which are as in its paper but smaller; pyramid, head and training are
-the same for all, so that what differs is what is compared. Pictures are lifted by height in place
-of depth: see :mod:`~inspe_jax.perception.encoders.lift_splat`. In profiles of JAX, operations have
-the names of their parts: pillars, pictures, pyramids, fusion, head, and in a training teacher and
-optimiser.
+The eight of the paper's Table 1 are rows of :data:`MODELS`. They differ in encoder and fusion,
+which are as in their papers but smaller; pyramid, head and training are the same for all. In
+profiles of JAX, operations have the names of their parts: pillars, pictures, pyramids, fusion,
+head, and in a training teacher and optimiser.
 """
 
 from collections.abc import Callable
@@ -15,13 +13,32 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from inspe_jax.core.errors import InspeError, nearest
 from inspe_jax.dataset.loading.loader import Sensor
-from inspe_jax.perception.encoders import LiftSplat, Neck, PillarEncoder, Pyramid
-from inspe_jax.perception.encoders.pyramid import WIDTHS, Maps
-from inspe_jax.perception.fusion import AttFuse, DiscoNet, HMViT, Mean, V2VNet, V2XViT
+from inspe_jax.perception.encoders import (
+    WIDTHS,
+    Bottleneck,
+    InvertedResidual,
+    LiftSplat,
+    Maps,
+    Neck,
+    PillarEncoder,
+    Pyramid,
+    Residual,
+)
+from inspe_jax.perception.fusion import (
+    AgentMaps,
+    AttFuse,
+    DiscoNet,
+    FusedMap,
+    HMViT,
+    Mean,
+    Present,
+    V2VNet,
+    V2XViT,
+)
 from inspe_jax.perception.head import CenterHead, HeadOutput
 from inspe_jax.perception.inputs import Agents, BevGrid, Inputs
 
@@ -29,24 +46,24 @@ ENCODED, CHANNELS = 32, 48
 """Channels of what encoders give, and of the maps that are fused. Half of PointPillars' 64, and an
 eighth of its 384: what two cores train in hours instead of days."""
 
-Fusion = Callable[[Float[Array, "B A H W C"], Bool[Array, "B A"]], Float[Array, "B H W C"]]
+Fusion = Callable[[AgentMaps, Present], FusedMap]
 
 
 @dataclass(frozen=True)
 class Model:
     """A row of the registry.
 
-    ``images`` is the encoder of pictures. ``fuse`` makes a fusion of maps with so many channels and
-    of agents with these modalities (0 LiDAR, 1 camera). With ``every_scale`` the maps of all three
-    scales are fused, otherwise the one made of them. With ``joined``, all agents of a modality are
-    one from the start, early fusion: cells have the maximum over the pillars of all units, and the
-    mean over all cameras. ``taught`` models learn from the maps of a teacher.
+    ``images`` are the blocks of the encoder of pictures. ``fuse`` makes a fusion of maps with so
+    many channels and of agents with these modalities (0 LiDAR, 1 camera). With ``every_scale`` the
+    maps of all three scales are fused, otherwise the one made of them. With ``joined``, all agents
+    of a modality are one from the start, early fusion: cells have the maximum over the pillars of
+    all units, and the mean over all cameras. ``taught`` models learn from the maps of a teacher.
     """
 
     sensors: tuple[Sensor, ...]
     fuse: Callable[[int, tuple[int, ...], Array], Fusion]
     source: str
-    images: str = "efficientnet"
+    images: Residual = InvertedResidual
     every_scale: bool = False
     joined: bool = False
     taught: bool = False
@@ -61,7 +78,7 @@ TEACHER = "early-fusion"
 MODELS: dict[str, Model] = {
     "lss-eff": Model(CAMERA, Mean, "Philion and Fidler 2020; Tan and Le 2019", joined=True),
     "lss-resnet": Model(
-        CAMERA, Mean, "Philion and Fidler 2020; He et al. 2016", images="resnet", joined=True
+        CAMERA, Mean, "Philion and Fidler 2020; He et al. 2016", images=Bottleneck, joined=True
     ),
     "v2vnet": Model(LIDAR, V2VNet, "Wang et al. 2020"),
     "v2x-vit": Model(LIDAR, V2XViT, "Xu et al. 2022"),
@@ -133,9 +150,7 @@ class Detector(eqx.Module):
         return Predictions(self.head(fused), fused, on_pictures)
 
     @jax.named_scope("fusion")
-    def fused(
-        self, encoded: list[Float[Array, "B A H W C"]], present: Bool[Array, "B A"]
-    ) -> Float[Array, "B h w C"]:
+    def fused(self, encoded: list[AgentMaps], present: Present) -> FusedMap:
         """The map of all agents together."""
         maps = [pyramid(x) for pyramid, x in zip(self.pyramids, encoded, strict=True)]
         if self.model.every_scale:
@@ -149,7 +164,7 @@ class Detector(eqx.Module):
 
     def encoded(
         self, inputs: Inputs
-    ) -> tuple[list[Float[Array, "B A H W C"]], Bool[Array, "B A"], Float[Array, "n h w K"] | None]:
+    ) -> tuple[list[AgentMaps], Present, Float[Array, "n h w K"] | None]:
         """The maps of each modality's agents, which agents are present, and heat on pictures."""
         maps, present, on_pictures = [], jnp.asarray(inputs.present), None
         joined = self.model.joined

@@ -1,4 +1,4 @@
-"""nuScenes' mean average precision (mAP) of detections against ground truth.
+"""Detections, and nuScenes' mean average precision (mAP) of them against ground truth.
 
 Equations and constants are those of nuScenes' detection challenge (Caesar et al., "nuScenes: A
 Multimodal Dataset for Autonomous Driving", CVPR 2020, section 3.1), and, where the paper leaves
@@ -7,27 +7,87 @@ something open, those of its ``nuscenes-devkit`` 1.2 with ``detection_cvpr_2019.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Float32, Int, Int32
+from rich.table import Table
 
 from inspe_jax.core.errors import InspeError
+from inspe_jax.core.tables import table_of
 from inspe_jax.core.words import counted
-from inspe_jax.perception.detections import Detections, check
+from inspe_jax.dataset.loading.batch import Targets
 from inspe_jax.simulation.frame import KINDS
 
 DISTANCES = (0.5, 1.0, 2.0, 4.0)
 """Detections are true if they are nearer in plan than one of these [m]; AP is the mean over all."""
 
-USUAL_DISTANCE = 2.0
-"""The one of these that figures show [m]."""
+USUAL_DISTANCE = 2.0  # the one of these that figures show [m]
 
-RECALLS = 101
-"""Precision is interpolated at this many recalls from 0 to 1."""
+RECALLS = 101  # precision is interpolated at this many recalls from 0 to 1
 
 LEAST_RECALL = LEAST_PRECISION = 0.1
 """Recalls up to this, and precision below it, do not count: noise has a part in them."""
+
+
+class Detections(NamedTuple):
+    """The N boxes of one frame, without padding.
+
+    ``boxes`` are as in :class:`~inspe_jax.dataset.loading.batch.Targets`: x, y, z of the middle,
+    length, width, height [m], yaw [rad], and velocity in x and y [m/s], in the frame of the
+    intersection. A detector that does not estimate velocity gives 0 for it. ``kind`` is the index
+    in :data:`~inspe_jax.simulation.frame.KINDS`, and ``score`` is from 0 to 1: how sure the
+    detector is.
+    """
+
+    boxes: Float32[np.ndarray, "N 9"]
+    kind: Int32[np.ndarray, " N"]
+    score: Float32[np.ndarray, " N"]
+
+
+def check(detections: Detections, where: str) -> None:
+    """Raise InspeError, which begins with ``where``, if a box is not finite, a size is not above 0,
+    a score is not from 0 to 1, a kind is not known, or numbers of boxes differ."""
+    boxes, kind, score = (np.asarray(part) for part in detections)
+    if boxes.shape != (len(kind), 9) or kind.shape != score.shape or kind.ndim != 1:
+        raise InspeError(
+            f"{where}: boxes, kind and score have the shapes {boxes.shape}, {kind.shape} and "
+            f"{score.shape}: (N, 9), (N,) and (N,) are needed"
+        )
+    fine = np.isfinite(boxes).all(1) & (boxes[:, 3:6] > 0).all(1)
+    fine &= (score >= 0) & (score <= 1) & np.isin(kind, range(len(KINDS)))
+    if not fine.all():
+        n = int(np.argmin(fine))
+        raise InspeError(
+            f"{where}: box {n}: {boxes[n].tolist()} of kind {kind[n]} and score {score[n]:g}: "
+            f"numbers must be finite, sizes above 0, scores from 0 to 1, and kinds from 0 to "
+            f"{len(KINDS) - 1}"
+        )
+
+
+def truth_of(targets: Targets, b: int) -> Detections:
+    """The road users of frame b of a batch as detections with score 1.
+
+    All of them, also those that no sensor saw, so that placements are compared on the same truth.
+    nuScenes leaves out those without a return.
+    """
+    kept = np.array(targets.mask[b], bool)
+    boxes = np.asarray(targets.boxes[b], np.float32)[kept]
+    kind = np.asarray(targets.kind[b], np.int32)[kept]
+    return Detections(boxes, kind, np.ones(len(boxes), np.float32))
+
+
+def within(detections: Detections, half: float) -> Detections:
+    """The boxes whose middle is at most ``half`` [m] from the origin along x and along y.
+
+    This is the region that :class:`~inspe_jax.dataset.loading.Loader` keeps boxes in. Detections
+    are cut to it too: what is found outside would count as false.
+    """
+    kept = (np.abs(detections.boxes[:, :2]) <= half).all(1)
+    return Detections(*(part[kept] for part in detections))
+
+
+# ── The measures ────────────────────────────────────────────────────────────
 
 
 class NoTruth(InspeError):
@@ -157,3 +217,37 @@ def matched(
 def _by_score(score: Float[np.ndarray, " N"]) -> Int[np.ndarray, " N"]:
     """Indices by falling score. Of equal scores, the last comes first, as in nuScenes' code."""
     return np.argsort(score, kind="stable")[::-1]
+
+
+# ── Tables ──────────────────────────────────────────────────────────────────
+
+
+def evaluation_table(found: Evaluation, note: str = "") -> Table:
+    """AP by class and distance; ``note`` ends the title."""
+    table = table_of(
+        f"mAP {found.mean_ap:.1%} of {found.frames:,} frames{note}",
+        "class",
+        "users",
+        *(f"{distance:g} m" for distance in DISTANCES),
+        "AP",
+    )
+    for row in found.rows():
+        precisions = (row[f"ap_{distance:g}m"] for distance in DISTANCES)
+        table.add_row(
+            str(row["class"]),
+            f"{row['road_users']:,}",
+            *("–" if value == "" else f"{value:.1%}" for value in (*precisions, row["ap"])),
+        )
+    return table
+
+
+def detections_table(found: Detections, least_score: float, note: str = "") -> Table:
+    """The detections of a frame with at least a score, highest first; ``note`` ends the title."""
+    columns = "class", "score", "x, y [m]", "length × width × height [m]"
+    table = table_of(f"Detections{note}", *columns)
+    for n in (-found.score).argsort(kind="stable"):
+        if found.score[n] >= least_score:
+            x, y, _, *size = found.boxes[n][:6]
+            sides = " × ".join(f"{side:.1f}" for side in size)
+            table.add_row(KINDS[found.kind[n]], f"{found.score[n]:.2f}", f"{x:.1f}, {y:.1f}", sides)
+    return table

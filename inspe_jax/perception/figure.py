@@ -1,6 +1,5 @@
 """A figure of detections beside ground truth: in plan over the points, and on the pictures."""
 
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -26,9 +25,8 @@ from inspe_jax.dataset.frame_figure import (
     heading,
     sheet_of_pictures,
 )
-from inspe_jax.dataset.loading.batch import Batch, Cameras, Lidars
-from inspe_jax.perception.detections import Detections, check, truth_of
-from inspe_jax.perception.evaluation import USUAL_DISTANCE, matched
+from inspe_jax.dataset.loading.batch import Batch, Cameras
+from inspe_jax.perception.evaluation import USUAL_DISTANCE, Detections, check, matched, truth_of
 from inspe_jax.simulation.frame import KINDS, RoadUserBox
 from inspe_jax.simulation.projection import corners, edge_lines
 
@@ -44,8 +42,7 @@ _CROSS: dict[str, Any] = dict(marker="x", ms=4.5, mec="black", mew=0.9)
 _SCORE_HALO = [patheffects.withStroke(linewidth=1.2, foreground="white")]
 
 
-@dataclass(frozen=True, eq=False)
-class _Compared:
+class _Compared(NamedTuple):
     """Truth and detections, and which of them have no counterpart."""
 
     truth: Detections
@@ -55,10 +52,8 @@ class _Compared:
 
 
 class _Group(NamedTuple):
-    """Boxes that are drawn alike, their colours in plan, and their looks there and on pictures.
-
-    ``line`` is their colour on pictures, None for the same as in plan.
-    """
+    """Boxes that are drawn alike, their colours in plan, and their looks there and on pictures;
+    ``line`` is their colour on pictures, None for the same as in plan."""
 
     boxes: list[RoadUserBox]
     colors: list[str]
@@ -67,8 +62,7 @@ class _Group(NamedTuple):
     line: str | None = None
 
 
-@dataclass(frozen=True, eq=False)
-class _Camera:
+class _Camera(NamedTuple):
     """A camera at the origin: boxes are given in its body's frame."""
 
     intrinsic: Float[np.ndarray, "3 3"]
@@ -84,7 +78,7 @@ def draw(
     to their front. A road user that no detection of its class takes at 2 m is missed, and drawn in
     yellow; a detection that takes none is false, and dashed
     (:func:`~inspe_jax.perception.evaluation.matched`). Detections with a score below
-    ``least_score`` are left out, and count as not made. Everything is in the frame of the
+    ``least_score`` count as not made. Points in pillars are not drawn. All is in the frame of the
     intersection, as in the batch. Raises InspeError if b is padding, or a detection is not valid.
     """
     if not batch.valid[b]:
@@ -162,8 +156,9 @@ def _draw_plan(ax: Axes, batch: Batch, b: int, compared: _Compared, groups: list
     middle, reach = (low + high) / 2, float((high - low).max()) / 2 + MARGIN
     (x0, y0), (x1, y1) = middle - reach, middle + reach
     ax.set(xlim=(x0, x1), ylim=(y0, y1), xlabel="x [m]", ylabel="y [m]")
-    if batch.lidars is not None:
-        x, y = _points(batch.lidars, b).T
+    lidars = batch.lidars
+    if lidars is not None and lidars.points is not None and lidars.mask is not None:
+        x, y = lidars.points[b, lidars.mask[b], :2].T
         near = (x > x0) & (x < x1) & (y > y0) & (y < y1)
         ax.scatter(x[near], y[near], c=_POINT, s=0.3, lw=0, rasterized=True, zorder=1)
     ax.plot(*compared.truth.boxes[compared.missed, :2].T, **_DISC, zorder=2)
@@ -183,17 +178,6 @@ def _draw_plan(ax: Axes, batch: Batch, b: int, compared: _Compared, groups: list
     units = np.concatenate([each.unit[b, each.present[b]] for each in sensors])
     for unit in np.unique(units):
         badge(ax, np.concatenate(places)[units == unit].mean(0), str(unit))
-
-
-def _points(lidars: Lidars, b: int) -> Float[np.ndarray, "N 2"]:
-    """x and y of all points of a frame, padded or in pillars."""
-    points, inside = lidars.points, lidars.mask
-    if lidars.pillars is not None:
-        points, counts = lidars.pillars.points, lidars.pillars.counts
-        inside = np.arange(points.shape[3]) < counts[..., None]  # (B, G, P, K)
-    if points is None or inside is None:
-        return np.zeros((0, 2))
-    return points[b][inside[b]][:, :2]
 
 
 def _draw_panel(panel: Axes, compared: _Compared, cameras: bool, points: bool) -> None:

@@ -1,8 +1,9 @@
-"""The head of every detector, its targets, loss and decoding: CenterPoint's (Yin et al. 2021).
+"""What detectors tell, what they are to tell, and the losses: as CenterPoint's (Yin et al. 2021).
 
-At the cell of a road user's middle, the heat of its class has a peak. What else is told there, the
-values, are: the middle's place within the cell (x, y) [cells], z [m], the logarithms of length,
-width and height [m], and sine and cosine of yaw.
+*Heat* has a peak at each road user of a class, at the cell of its middle (Law and Deng 2018; Zhou
+et al. 2019). What else is told there, the *values*, are: the middle's place within the cell (x, y)
+[cells], z [m], the logarithms of length, width and height [m], and sine and cosine of yaw. In
+training, detectors of cameras also tell heat on the pictures, at the road users that they show.
 """
 
 from typing import NamedTuple
@@ -10,14 +11,70 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
 from inspe_jax.dataset.loading import Targets
-from inspe_jax.perception.heat import HeatHead, bumps, class_heat, focal_loss, per_road_user
-from inspe_jax.perception.inputs import BevGrid
+from inspe_jax.dataset.loading.geometry import on_picture
+from inspe_jax.perception.inputs import BevGrid, Inputs
 from inspe_jax.perception.layers import Block, Conv, enlarged
 from inspe_jax.simulation.frame import KINDS
+
+RARE = -2.19
+"""First bias of the heat: a chance of 0.1, so that the loss does not begin with every cell being
+wrong (Lin et al. 2017, focal loss)."""
+HARD, FAR = 2.0, 4.0
+"""Exponents of the focal loss: cells that are right already, and cells near a peak, count less."""
+
+
+class HeatHead(Conv):
+    """Heat of each class before the sigmoid, from each cell's features."""
+
+    def __init__(self, inputs: int, key: Array) -> None:
+        super().__init__(inputs, len(KINDS), key, width=1)
+        self.bias = jnp.full(len(KINDS), RARE, jnp.float32)
+
+
+def bumps(
+    at: Float[Array, "*n M"], deviation: Float[Array, "*n M"], count: int, mask: Bool[Array, "*n M"]
+) -> Float[Array, "*n M c"]:
+    """Gaussians on ``count`` cells, of height 1 at the cells ``at``; 0 outside ``mask``."""
+    cells = jnp.arange(count).astype(float).reshape((1,) * at.ndim + (count,))
+    off = (cells - at[..., None]) / deviation[..., None]
+    return jnp.where(mask[..., None], jnp.exp(-0.5 * off**2), 0.0)
+
+
+def class_heat(
+    down: Float[Array, "n M h"], across: Float[Array, "n M w"], kind: Int[Array, "n M"]
+) -> Float[Array, "n h w K"]:
+    """The heat of road users whose bumps along rows and columns are given: the highest of each
+    class at each cell."""
+
+    def one(rows: Array, columns: Array, own: Array) -> Array:
+        both = rows[:, :, None] * columns[:, None]  # (M, h, w)
+        return jnp.stack([(both * k[:, None, None]).max(0) for k in own.T], -1)
+
+    own = jax.nn.one_hot(kind, len(KINDS))
+    return lax.map(lambda x: one(*x), (down, across, own))
+
+
+def per_road_user(total: Float[Array, ""], mask: Bool[Array, "*n"]) -> Float[Array, ""]:
+    """A sum of losses, for each road user in ``mask`` on average."""
+    return total / jnp.maximum(mask.sum(), 1).astype(float)
+
+
+def focal_loss(
+    heat: Float[Array, "*n K"], aim: Float[Array, "*n K"], mask: Bool[Array, "*m"]
+) -> Float[Array, ""]:
+    """The loss of heat before the sigmoid, for each road user in ``mask`` on average."""
+    chance, none = jax.nn.log_sigmoid(heat), jax.nn.log_sigmoid(-heat)
+    right = -((1 - jnp.exp(chance)) ** HARD) * chance
+    wrong = -((1 - aim) ** FAR) * jnp.exp(chance) ** HARD * none
+    return per_road_user(jnp.where(aim == 1, right, wrong).sum(), mask)
+
+
+# ── The head ────────────────────────────────────────────────────────────────
 
 HIDDEN = 32
 VALUES = 8
@@ -27,14 +84,11 @@ OVERLAP = 0.1
 LEAST_RADIUS = 2.0
 """Least radius of a Gaussian [cells], as in CenterPoint: a pedestrian would have none."""
 
-VALUE_WEIGHT = 0.5
-"""Weight of the values' loss, which sums over eight; that of heat is 1."""
+VALUE_WEIGHT = 0.5  # weight of the values' loss, which sums over eight; that of heat is 1
 
 MOST = 100
 """Detections of a frame and class that are kept, so that many of one class crowd out no other:
 nuScenes allows 500 of ten classes, and the densest traffic has 60 road users."""
-
-
 LARGEST_LOG = 5.0
 """Largest logarithm of a side of a box, either way: 7 mm and 148 m. A training that diverges tells
 larger ones, whose side is no number."""
@@ -153,7 +207,91 @@ def peaks(found: HeadOutput, grid: BevGrid) -> Peaks:
     yaw = jnp.arctan2(values[..., 6], values[..., 7])[..., None]
     size = jnp.exp(jnp.clip(values[..., 3:6], -LARGEST_LOG, LARGEST_LOG))
     boxes = jnp.concatenate(
-        [place, values[..., 2:3], size, yaw, jnp.zeros((*yaw.shape[:-1], 2))],
-        -1,
+        [place, values[..., 2:3], size, yaw, jnp.zeros((*yaw.shape[:-1], 2))], -1
     )
     return Peaks(boxes, kind, score)
+
+
+# ── Heat on pictures ────────────────────────────────────────────────────────
+
+LEAST_PIXELS = 4
+"""Pixels that show a road user who is to be found on a picture: a quarter of a cell's. Others are
+as if they were not there."""
+NEAREST = 0.5
+"""Least depth of a box whose place on a picture is told [m]; nearer ones are cut by its edge."""
+SPREAD, LEAST_SPREAD = 0.25, 0.5
+"""Standard deviation of a bump, as a share of the box's extent, and at least [cells]."""
+
+
+def perspective_loss(
+    heat: Float[Array, "n h w K"], inputs: Inputs, targets: Targets
+) -> Float[Array, ""]:
+    """The focal loss of what is told on pictures, for each road user on each that shows one:
+    perspective supervision (BEVFormer v2, Yang et al. 2023).
+
+    The originals of the encoders of pictures are pre-trained on a million of them. From a loss in
+    bird's-eye view alone, which reaches them through lift and splat, new ones learn slowly.
+    """
+    aim, shown = perspective_aims(inputs, targets, (heat.shape[1], heat.shape[2]))
+    return focal_loss(heat, aim, shown)
+
+
+def perspective_aims(
+    inputs: Inputs, targets: Targets, cells: tuple[int, int]
+) -> tuple[Float[Array, "n h w K"], Bool[Array, "n M"]]:
+    """The heat to be told on the ``cells`` (h, w) of each picture, and whom each picture shows.
+
+    Bumps are at the middles of the boxes' extents on the picture.
+    """
+    assert inputs.pixels is not None
+    assert inputs.unit is not None
+    scale = np.array(cells) / inputs.pixels.shape[2:4]
+    boxes = jnp.asarray(targets.boxes)
+    seen = _on_pictures(_corners(boxes), jnp.asarray(inputs.pose), jnp.asarray(inputs.intrinsic))
+    pixels = jnp.moveaxis(jnp.asarray(targets.pixels), -1, 1)  # (B, C, M)
+    visible = (pixels >= LEAST_PIXELS) | (pixels == -1)  # -1: the set does not say
+    shown = (
+        visible & jnp.asarray(targets.mask)[:, None] & (jnp.asarray(inputs.unit) >= 0)[..., None]
+    )
+    shown &= seen[..., 2].min(-1) > NEAREST
+
+    def along(axis: int) -> tuple[Array, Array, Array]:
+        size = cells[1 - axis]
+        at = seen[..., axis] * scale[1 - axis]
+        low, high = jnp.clip(at.min(-1), 0, size), jnp.clip(at.max(-1), 0, size)
+        middle = jnp.clip(jnp.floor((low + high) / 2), 0, size - 1)
+        return middle, jnp.maximum(SPREAD * (high - low), LEAST_SPREAD), high > low
+
+    (column, wide, some_wide), (row, high, some_high) = along(0), along(1)
+    shown &= some_wide & some_high
+    of_frames = (
+        bumps(row, high, cells[0], shown),
+        bumps(column, wide, cells[1], shown),
+        jnp.broadcast_to(jnp.asarray(targets.kind)[:, None], shown.shape),
+        shown,
+    )
+    down, across, kind, shown = (x.reshape(-1, *x.shape[2:]) for x in of_frames)
+    return class_heat(down, across, kind), shown
+
+
+def _corners(boxes: Float[Array, "B M 9"]) -> Float[Array, "B M 8 3"]:
+    """The corners of boxes."""
+    signs = np.stack(np.meshgrid(*[[-0.5, 0.5]] * 3), -1).reshape(8, 3).astype(np.float32)
+    off = signs[None, None] * boxes[:, :, None, 3:6]
+    cos, sin = jnp.cos(boxes[..., 6, None]), jnp.sin(boxes[..., 6, None])
+    turned = off[..., 0] * cos - off[..., 1] * sin, off[..., 0] * sin + off[..., 1] * cos
+    return boxes[:, :, None, :3] + jnp.stack([*turned, off[..., 2]], -1)
+
+
+def _on_pictures(
+    corners: Float[Array, "B M 8 3"],
+    pose: Float[Array, "B C 4 4"],
+    intrinsic: Float[Array, "B C 3 3"],
+) -> Float[Array, "B C M 8 3"]:
+    """Column and row [pixels] and depth [m] of corners on each picture of their frame."""
+
+    def one(points: Array, pose: Array, intrinsic: Array) -> Array:
+        found: Array = on_picture(points.reshape(-1, 3), pose, intrinsic, jnp)
+        return found.reshape(points.shape)
+
+    return jax.vmap(jax.vmap(one, in_axes=(None, 0, 0)))(corners, pose, intrinsic)

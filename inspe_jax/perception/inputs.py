@@ -1,8 +1,7 @@
 """What a detector takes of a batch: the data of the agents, in arrays of fixed shape.
 
 An agent is what one infrastructure unit has of one modality: its LiDARs, or its cameras. Agents of
-LiDARs come first. Everything is in the frame of the intersection, so that no map has to be warped
-from one agent to another.
+LiDARs come first. Everything is in the frame of the intersection.
 """
 
 from dataclasses import asdict, dataclass
@@ -27,9 +26,8 @@ class BevGrid:
     ``cell`` wide [m]. Features are fused on cells of twice that width, and road users are found on
     the cells themselves.
 
-    The defaults: 128 × 128 cells reach beyond the region of 50 m and can be halved four times. On
-    two cores, cells of 0.4 m would take four times as long; a pedestrian still has one of 0.8 m
-    about alone.
+    The defaults: 128 × 128 cells reach beyond the region of 50 m and can be halved four times; a
+    pedestrian has one of 0.8 m about alone.
     """
 
     half: float = 51.2
@@ -95,14 +93,9 @@ def inputs_of(batch: Batch, agents: Agents) -> Inputs:
     there = np.concatenate(present, -1)
     # A frame without an agent has the first: attention to nothing has no value.
     there[~there.any(-1), 0] = True
-    return Inputs(
-        pillars=pillars,
-        pixels=None if cameras is None else cameras.pixels,
-        intrinsic=None if cameras is None else cameras.intrinsic,
-        pose=None if cameras is None else cameras.pose,
-        unit=unit,
-        present=there,
-    )
+    if cameras is None:
+        return Inputs(pillars, None, None, None, None, there)
+    return Inputs(pillars, cameras.pixels, cameras.intrinsic, cameras.pose, unit, there)
 
 
 def _filled_up(pillars: Pillars, count: int) -> Pillars:

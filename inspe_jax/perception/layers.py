@@ -1,10 +1,8 @@
 """The layers that the detectors are made of.
 
-Maps are (…, H, W, C), channels last: XLA's convolutions on a CPU take no longer than with channels
-first, and a linear map of every cell is a product with a matrix. Norms are over what one map holds
-(group normalisation, Wu and He 2018) and not over a batch: a batch of cooperative perception is a
-few frames, and its agents are much alike, so that statistics over it would be poor and would differ
-between training and use.
+Maps are (…, H, W, C), channels last, so that a linear map of every cell is a product with a matrix.
+Norms are over what one map holds (group normalisation, Wu and He 2018) and not over a batch, which
+in cooperative perception is a few frames of agents that are much alike.
 """
 
 from collections.abc import Callable
@@ -18,10 +16,8 @@ from jaxtyping import Array, Float
 
 Activation = Callable[[Any], Any]
 
-NEAR_ZERO = 1e-5
-"""Added to variances, as is usual."""
-GROUPS = 8
-"""Groups of channels of a norm; every number of channels is a multiple of it."""
+NEAR_ZERO = 1e-5  # added to variances, as is usual
+GROUPS = 8  # groups of channels of a norm; every number of channels is a multiple of it
 
 
 def _he(key: Array, shape: tuple[int, ...], inputs: int) -> Float[Array, "..."]:
@@ -71,11 +67,8 @@ class Conv(eqx.Module):
 
 
 class Depthwise(eqx.Module):
-    """A convolution of each channel by itself.
-
-    It is written as a sum of shifted maps. XLA's grouped convolution on a CPU is not vectorised
-    over channels, and takes many times as long.
-    """
+    """A convolution of each channel by itself, as a sum of shifted maps: XLA's grouped convolution
+    on a CPU is not vectorised over channels, and takes many times as long."""
 
     weight: Float[Array, "k k c"]
     stride: int = eqx.field(static=True)

@@ -13,8 +13,8 @@ import shapely
 from jaxtyping import Float
 from shapely.geometry import LineString, Polygon
 
+from inspe_jax.core.convex import merge
 from inspe_jax.core.errors import InspeError, check_known
-from inspe_jax.core.polygons import merge
 
 KINDS = ("building", "wall", "hedge", "tree", "pole", "furniture", "parked vehicle", "solid")
 """What a body can be. Furniture are bus shelters, kiosks, switch boxes. A solid is part of a mesh,

@@ -1,8 +1,6 @@
-"""Named devices: ``catalogue.toml``, and specs from its keys.
+"""Named devices: ``catalogue.toml``, whose head describes its keys, and specs from them.
 
-The file is in degrees, metres and US dollars, with the unit in each key; specs are in radians.
-A device is a spec with the source of its figures. The head of ``catalogue.toml`` describes
-the keys.
+The file is in degrees, metres and US dollars; specs are in radians.
 """
 
 import tomllib

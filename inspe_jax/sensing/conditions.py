@@ -1,6 +1,6 @@
 """Light and weather: how they change a sensor's effective depth and its reliability.
 
-A catalogue's depth z₀ holds for midday and clear air. Light scales the depth of a camera. Weather
+A catalogue's depth z₀ holds for midday and clear air. Light scales the depth of a camera; weather
 weakens the signal. With extinction k [1/m], the signal is as weak at the effective depth z as it
 is in clear air at z₀, so
 
@@ -29,17 +29,15 @@ from inspe_jax.scene.scene import Scene, scene_of
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.sensing.sensors import Spec
 
-CLEAR = "clear"
-"""The weather without any loss."""
+CLEAR = "clear"  # the weather without any loss
 
 
 @dataclass(frozen=True)
 class Conditions:
     """Light (midday, dusk or night) and weather (clear, rain or fog).
 
-    ``intensity`` is the rate of rain [mm/h] or the meteorological optical range in fog [m]. None
-    means the usual intensity; clear weather has none. Raises InspeError if a name is unknown or the
-    intensity is out of range.
+    ``intensity`` is the rate of rain [mm/h] or the meteorological optical range in fog [m], None
+    for the usual one. Raises InspeError if a name is unknown or the intensity is out of range.
     """
 
     light: str = "midday"
@@ -67,10 +65,8 @@ class Conditions:
 
     @classmethod
     def of(cls, light: str = "midday", weather: str = CLEAR) -> "Conditions":
-        """Conditions by name; weather may have its intensity, as "rain:10" or "fog:200".
-
-        Raises InspeError as the constructor does.
-        """
+        """Conditions by name; weather may have its intensity, as "rain:10" or "fog:200". Raises
+        InspeError as the constructor does."""
         name, colon, number = weather.strip().lower().partition(":")
         try:
             intensity = float(number) if colon else None
@@ -102,10 +98,8 @@ class Conditions:
         return dict(light=self.light, weather=self.weather_text)
 
     def spec(self, spec: Spec) -> Spec:
-        """A sensor with the reach [m] and the reliability that it has in these conditions.
-
-        Light or weather without figures for its kind changes nothing.
-        """
+        """A sensor with the reach [m] and the reliability that it has in these conditions. Light or
+        weather without figures for its kind changes nothing."""
         light = _figures()["light"][self.light]
         depth = spec.grid.reach * light.get(f"{spec.kind}_depth", 1.0)
         share = light.get(f"{spec.kind}_reliability", 1.0)
@@ -169,8 +163,7 @@ def _figures() -> dict[str, Any]:
     return tomllib.loads(resource.read_text(encoding="utf-8"))
 
 
-FAIR = Conditions()
-"""Midday and clear air, the conditions of a catalogue's figures."""
+FAIR = Conditions()  # midday and clear air, the conditions of a catalogue's figures
 
 
 @dataclass(frozen=True)

@@ -1,9 +1,9 @@
 """Kinds of sensor: the keys with which a catalogue describes their devices.
 
 A new kind is a row of :data:`SENSOR_KINDS`; scores, searches and layout files work with it then. A
-detector finds road users with it as with the kind whose class of rays it has, or with a class of
-its own by the curves and the noise that its ``signal`` names. Light and weather take nothing from
-it until ``conditions.toml`` has figures for it, and a profile does not change its reliability.
+detector finds road users with it by the curves and the noise that the ``signal`` of its class of
+rays names. Light and weather take nothing from it until ``conditions.toml`` has figures for it, and
+a profile does not change its reliability.
 """
 
 from itertools import pairwise
@@ -29,8 +29,7 @@ class DeviceKeys(BaseModel):
     kind: str
     reliability: Annotated[float, Field(ge=0, le=1)] = 1.0
 
-    spec_type: ClassVar[type[Spec]]
-    """The spec that they make."""
+    spec_type: ClassVar[type[Spec]]  # what they make
     replaces: ClassVar[dict[str, tuple[str, ...]]] = {}
     """What a key of a device that is like another takes the place of, besides its namesake."""
 

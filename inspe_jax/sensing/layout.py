@@ -40,12 +40,9 @@ from inspe_jax.scene.traffic.frames import CLASSES
 from inspe_jax.sensing.catalogue import check_spec, device, devices, spec_of, table_of
 from inspe_jax.sensing.sensors import Pose, RayGrid, Spec
 
-UNIT_PLAN = 2.0
-"""Largest distance between sensors of one unit in plan [m]."""
-UNIT_HEIGHT = 4.0
-"""Largest difference in height between sensors of one unit [m]."""
-ROUNDING = 1e-6
-"""Rounding of decimals in a file may add this to a distance [m]."""
+UNIT_PLAN = 2.0  # largest distance between sensors of one unit in plan [m]
+UNIT_HEIGHT = 4.0  # largest difference in height between sensors of one unit [m]
+ROUNDING = 1e-6  # rounding of decimals in a file may add this to a distance [m]
 
 
 @dataclass(frozen=True)
@@ -99,10 +96,9 @@ class Goal:
 class Layout(ByContent, Described):
     """Sensors with their poses. Two layouts are equal where all of them is, by value.
 
-    ``poses`` (S, 6) are x, y, z, roll, pitch, yaw in world metres and radians. They
-    are the only part that is differentiated; sensors and units are static.
-    ``profile`` names the profile that the layout was made under, None if unknown; ``goal`` is what
-    the search that found it has maximised, None if that is the usual P_sm.
+    ``poses`` (S, 6) are x, y, z, roll, pitch, yaw in world metres and radians, which alone are
+    differentiated. ``profile`` names the profile that the layout was made under, None if unknown;
+    ``goal`` is what the search that found it has maximised, None if that is the usual P_sm.
     """
 
     poses: Float[Array | np.ndarray, "S 6"]
@@ -131,9 +127,7 @@ class Layout(ByContent, Described):
 
     def with_poses(self, poses: Float[Any, "S 6"]) -> "Layout":
         """The same sensors at other world poses, traced or not: an array, or rows of numbers.
-
-        Raises InspeError on a wrong shape.
-        """
+        Raises InspeError on a wrong shape."""
         found = poses if hasattr(poses, "shape") else _numbers(poses)
         if tuple(found.shape) != (len(self), 6):
             raise InspeError(f"poses have shape {tuple(found.shape)}, expected ({len(self)}, 6)")
@@ -267,12 +261,9 @@ class _LayoutFile(BaseModel, **STRICT):
 def load_layout(
     path: str | os.PathLike[str], scene: Scene | None = None, *, unit_rule: bool = True
 ) -> Layout:
-    """Read a layout file.
-
-    A base of two numbers stands on the ground of ``scene``, or at height 0 without
-    one. ``unit_rule`` as in :func:`make_layout`: without it, sensors of one unit may be far apart.
-    Raises InspeError that names the file, the key and what is allowed.
-    """
+    """Read a layout file; a base of two numbers stands on the ground of ``scene``, or at height 0
+    without one. ``unit_rule`` as in :func:`make_layout`. Raises InspeError that names the file, the
+    key and what is allowed."""
     path = Path(path)
     return parse_layout(read_yaml(path), str(path), path.stem, scene, unit_rule=unit_rule)
 
@@ -344,11 +335,8 @@ def save_layout(layout: Layout, path: str | os.PathLike[str]) -> None:
 
 
 def layout_text(layout: Layout) -> str:
-    """The text that :func:`save_layout` writes.
-
-    It contains the devices that are not in the catalogue, or differ from it. Raises InspeError if
-    it could not be read back, as with two devices of one name or a pitch beyond the vertical.
-    """
+    """The text that :func:`save_layout` writes. Raises InspeError if it could not be read back, as
+    with two devices of one name or a pitch beyond the vertical."""
     if not isinstance(layout, Layout):
         raise wrong_kind("layout", layout, "a Layout to save")
     poses = np.asarray(layout.poses, float)
@@ -378,10 +366,8 @@ def layout_text(layout: Layout) -> str:
 
 def made_with(layout: Layout) -> dict[str, Any]:
     """A layout's profile, its goal, the devices that its file must describe, and the order of its
-    sensors; without those it lacks, or that are the file's own.
-
-    Raises InspeError where two devices have one name.
-    """
+    sensors; without those it lacks, or that are the file's own. Raises InspeError where two devices
+    have one name."""
     in_file = [s for members in layout.members() for s in members]
     made = {
         "profile": layout.profile,

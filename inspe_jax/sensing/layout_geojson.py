@@ -19,8 +19,7 @@ from inspe_jax.scene.geojson import Feature, known_georeference, read_features
 from inspe_jax.scene.intersection import Intersection
 from inspe_jax.sensing.layout import Layout, made_with, parse_layout
 
-DIGITS = 9
-"""Decimals of degrees: a tenth of a millimetre."""
+DIGITS = 9  # decimals of degrees: a tenth of a millimetre
 
 _Finite = Annotated[float, Field(allow_inf_nan=False)]
 

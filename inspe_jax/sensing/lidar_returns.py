@@ -1,26 +1,21 @@
-"""Which of a LiDAR's rays come back: the share that is lost, at random and over range.
-
-The same model for every recorder and for expected numbers of returns. It is CARLA's.
-"""
+"""Which of a LiDAR's rays come back: the share that is lost, at random and over range, as in
+CARLA's model. It is the same for every recorder and for expected numbers of returns."""
 
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-ATTENUATION = 0.004
-"""Intensity is exp(−this · range), as in CARLA and in public data sets [1/m]."""
+ATTENUATION = 0.004  # intensity is exp(−this · range), as in CARLA and in public data sets [1/m]
 
 
 @dataclass(frozen=True)
 class LidarNoise:
-    """The noise of a LiDAR.
+    """The noise of a LiDAR; the defaults are settings of a public roadside data set.
 
     ``range`` is the standard deviation of the range [m]. ``lost`` is the share of all returns that
     is lost. Of returns with an intensity below ``weak`` more are lost: the share grows linearly
     from 0 at this intensity to ``weakest_lost`` at intensity 0.
-
-    The defaults are settings of a public roadside data set.
     """
 
     range: float = 0.02

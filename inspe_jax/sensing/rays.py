@@ -1,9 +1,8 @@
 """Grids of rays inside compiled programs: their numbers are arrays, only their kind is fixed.
 
-A camera's grid is regular in tangents of angles, a LiDAR's in angles. Both kinds have one
-interface, :class:`Rays`, which is all that visibility knows of a sensor: where a point lies among
-the rows and columns, and which way the ray of a row and a column points. Points and directions are
-in the body frame: x forward, y left, z up.
+A camera's grid is regular in tangents of angles, a LiDAR's in angles. :class:`Rays` is all that
+visibility knows of a sensor: where a point lies among the rows and columns, and which way the ray
+of a row and a column points. Points and directions are in the body frame.
 """
 
 from collections.abc import Callable
@@ -100,11 +99,8 @@ class Rays:
     wraps: bool = field(metadata={"static": True})
 
     def nearest_row(self, row: Float[Array, "*n"]) -> Int[Array, "*n"]:
-        """Index of the row nearest to a row coordinate; an end row beyond the ends.
-
-        It is from a table with steps of an eighth of the least row spacing, so a point about midway
-        between two rows may get either.
-        """
+        """Index of the row nearest to a row coordinate, an end row beyond the ends; from a table
+        with steps of an eighth of the least row spacing, so that midway it may be either."""
         index = jnp.round((row - self.table.edges.row[0]) * self.table.steps)
         last = self.table.nearest.shape[0] - 1
         found = jnp.asarray(self.table.nearest)[jnp.clip(index, 0, last).astype(jnp.int32)]
@@ -173,8 +169,7 @@ class Rays:
 
     # Each kind defines the following in its own coordinates.
 
-    signal: ClassVar[Signal]
-    """What they bring a detector."""
+    signal: ClassVar[Signal]  # what they bring a detector
     slants: ClassVar[bool] = False
     """Whether coordinates are tangents; then :meth:`beyond_row` measures along an axis."""
 

@@ -1,8 +1,7 @@
 """What you buy (CameraSpec, LidarSpec), apart from where you put it (a pose).
 
-Every sensor is a grid of rays, rows × columns: a camera's downsampled pixels in the
-plane of tangents, a LiDAR's channels × azimuths on the sphere. All in the body frame:
-x forward, y left, z up.
+Every sensor is a grid of rays, rows × columns, in the body frame: a camera's downsampled pixels in
+the plane of tangents, a LiDAR's channels × azimuths on the sphere.
 """
 
 from dataclasses import dataclass, replace
@@ -18,16 +17,12 @@ from inspe_jax.sensing.rays import Edges, Kind, PinholeRays, Rays, RayTable, Sph
 
 ROWS, STEPS = 128, 1024
 """Smallest lengths of a grid's tables of rows. Longer tables have 4, 16, … times that."""
-COUNTS = 1024
-"""Length of the table that counts rows."""
+COUNTS = 1024  # length of the table that counts rows
 
 
 class Pose(NamedTuple):
-    """Where a sensor is and how it is turned, in world metres and radians.
-
-    Yaw is counter-clockwise from +x, pitch positive nose-up, roll about the
-    forward axis: a row of ``Layout.poses``.
-    """
+    """Where a sensor is and how it is turned, in world metres and radians: a row of
+    ``Layout.poses``."""
 
     x: float
     y: float
@@ -41,8 +36,9 @@ class Pose(NamedTuple):
 class RayGrid:
     """Rows at given coordinates and evenly spaced columns, with a ray at each crossing.
 
-    ``rows`` ascend. Column j lies at ``first_column + j · column_step``. If ``wraps``,
-    the first column follows the last. ``reach`` is in metres.
+    ``rows`` ascend. Column j lies at ``first_column + j · column_step``. If ``wraps``, the first
+    column follows the last. ``reach`` is in metres. Coordinates are those of the class ``of`` rays:
+    angles [rad] on the sphere, or tangents on a plane.
     """
 
     rows: tuple[float, ...]
@@ -51,6 +47,7 @@ class RayGrid:
     column_count: int
     wraps: bool
     reach: float
+    of: type[Rays]
 
     @property
     def column_limits(self) -> tuple[float, float]:
@@ -67,14 +64,12 @@ class RayGrid:
     @property
     def kind(self) -> Kind:
         """The kind that code is compiled for; grids of one kind differ only in numbers."""
-        return Kind(self._rays, self.wraps)
+        return Kind(self.of, self.wraps)
 
     @property
     def rays(self) -> Rays:
         """The grid in the form that scores use, in JAX's precision at the moment."""
         return self.kind.rays(jax.tree.map(on_host, self.table))
-
-    _rays: ClassVar[type[Rays]]
 
     @cached_property
     def table(self) -> RayTable:
@@ -89,8 +84,8 @@ class RayGrid:
         )
         half = self.column_step / 2
         return RayTable(
-            _filled(rows, ROWS),
-            _filled(nearest, STEPS),
+            repeat_last(rows, wide_bucket(len(rows), ROWS)),
+            repeat_last(nearest, wide_bucket(len(nearest), STEPS)),
             np.array(steps),
             np.array(len(rows), np.int32),
             np.array(self.column_step),
@@ -106,22 +101,19 @@ class RayGrid:
 
     @property
     def outer_rows(self) -> Float[np.ndarray, "2"]:
-        """Coordinates half a spacing beyond the first and the last row.
-
-        A single row has no spacing; that of the columns is taken for it.
-        """
+        """Coordinates half a spacing beyond the first and the last row. A single row has no
+        spacing; that of the columns is taken for it."""
         rows = np.asarray(self.rows, float)
         if len(rows) == 1:
             return rows[[0, 0]] + np.array([-0.5, 0.5]) * self.column_step
         return np.array([rows[0] - (rows[1] - rows[0]) / 2, rows[-1] + (rows[-1] - rows[-2]) / 2])
 
     def _edges(self, row: Float[np.ndarray, "2"], column: Float[np.ndarray, "2"]) -> Edges:
-        """Edges at two rows and two columns."""
         return Edges(row, column, self._turn(row), self._turn(column))
 
     def _turn(self, coordinate: Float[np.ndarray, " n"]) -> Float[np.ndarray, "2 n"]:
         """Cosines and sines of the angles at coordinates."""
-        angle = np.arctan(coordinate) if self._rays.slants else coordinate
+        angle = np.arctan(coordinate) if self.of.slants else coordinate
         return np.array([np.cos(angle), np.sin(angle)])
 
     @property
@@ -138,53 +130,30 @@ class RayGrid:
         return nearest.astype(np.uint8 if len(rows) <= 2**8 else np.uint16), steps / span
 
 
-def _filled(x: np.ndarray, least: int) -> np.ndarray:
-    """A table padded to one of a few lengths: ``least`` × (1, 4, 16, …)."""
-    return repeat_last(x, wide_bucket(len(x), least))
-
-
 def repeat_last(x: Any, length: int) -> np.ndarray:
     """A table with its last entry repeated up to a length."""
     return np.concatenate([x, np.repeat(x[-1:], length - len(x))])
 
 
-@dataclass(frozen=True)
-class SphericalGrid(RayGrid):
-    """A grid on the sphere, as a LiDAR's: rows are elevations, columns azimuths [rad]."""
-
-    _rays = SphericalRays
-
-
-@dataclass(frozen=True)
-class PinholeGrid(RayGrid):
-    """A grid on the plane of tangents, as a camera's."""
-
-    _rays = PinholeRays
-
-
 class Spec:
-    """The base of every kind of sensor: what you buy.
+    """The base of every kind of sensor: a frozen dataclass with whatever its grid of rays needs,
+    and a row in :data:`~inspe_jax.sensing.kinds.SENSOR_KINDS`.
 
-    A kind is a frozen dataclass with whatever its grid of rays needs, and has a row in
-    :data:`~inspe_jax.sensing.kinds.SENSOR_KINDS`. ``reliability`` is the chance that what is in
-    view is perceived. Defaults are those of a sensor that looks level or all round.
+    ``reliability`` is the chance that what is in view is perceived. Defaults are those of a sensor
+    that looks level or all round.
     """
 
     name: str
     reliability: float
 
-    kind: ClassVar[str]
-    """Name of the kind in files and reports."""
-    title: ClassVar[str]
-    """Name of the kind for people."""
-    reach_field: ClassVar[str] = "reach"
-    """The field that holds how far it perceives [m]."""
+    kind: ClassVar[str]  # its name in files and reports
+    title: ClassVar[str]  # its name for people
+    reach_field: ClassVar[str] = "reach"  # the field that holds how far it perceives [m]
     aimed: ClassVar[bool] = False
     """Whether it is usually aimed down at a place, as a camera, or mounted level, as a LiDAR."""
     pitch_limits_deg: ClassVar[tuple[float, float]] = (-30.0, 30.0)
     """Pitches that a mount allows where a user sets no others [degrees, positive nose-up]."""
-    candidate_pitches_deg: ClassVar[tuple[float, ...]] = (0.0,)
-    """Pitches that searches try first [degrees]."""
+    candidate_pitches_deg: ClassVar[tuple[float, ...]] = (0.0,)  # what searches try first
 
     @property
     def grid(self) -> RayGrid:
@@ -259,9 +228,9 @@ class CameraSpec(Spec):
         rows = max(1, int(self.height * self.downsample + 1e-9))
         pitch = self.width / columns / self.focal
         pixel = (np.arange(rows) + 0.5) * self.height / rows
-        tangents = (self.principal[1] - pixel[::-1]) / self.focal  # pixel rows run downward
+        tangents = tuple((self.principal[1] - pixel[::-1]) / self.focal)  # pixel rows run downward
         leftmost = (self.principal[0] - self.width) / self.focal + pitch / 2
-        return PinholeGrid(tuple(tangents), leftmost, pitch, columns, False, self.depth)
+        return RayGrid(tangents, leftmost, pitch, columns, False, self.depth, PinholeRays)
 
     @property
     def azimuth_limits(self) -> tuple[float, float]:
@@ -311,13 +280,14 @@ class LidarSpec(Spec):
     @cached_property
     def grid(self) -> RayGrid:
         """Rays (cos ψ_i cos θ_j, cos ψ_i sin θ_j, sin ψ_i)."""
-        return SphericalGrid(
+        return RayGrid(
             self.elevations,
             -self.azimuth_fov / 2,
             self.azimuth_fov / self.azimuth_count,
             self.azimuth_count,
             bool(np.isclose(self.azimuth_fov, 2 * np.pi)),
             self.reach,
+            SphericalRays,
         )
 
     @property

@@ -6,8 +6,7 @@ import numpy as np
 import shapely
 from jaxtyping import Float, Int
 
-from inspe_jax.core.geometry import rotation
-from inspe_jax.core.pinhole import Pinhole, pixels
+from inspe_jax.core.geometry import Pinhole, pixels, rotation
 from inspe_jax.simulation.frame import RoadUserBox
 
 NEAR = 0.1

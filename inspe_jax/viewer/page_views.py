@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from inspe_jax.core.errors import InspeError
-from inspe_jax.core.pinhole import pixels
+from inspe_jax.core.geometry import pixels
 from inspe_jax.core.sheet import house_style
 from inspe_jax.report.figures import SENSOR_COLORS
 from inspe_jax.report.outlines import clear_outlines

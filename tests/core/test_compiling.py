@@ -64,8 +64,7 @@ def test_time_is_counted_once_whatever_is_within_what_and_however_many_threads_w
 
 
 @pytest.mark.parametrize(
-    ("where", "stands"),
-    [("here", True), ("in jobs", True), ("beside", False)],
+    ("where", "stands"), [("here", True), ("in jobs", True), ("beside", False)]
 )
 def test_a_clock_stands_still_while_its_thread_waits_for_a_program(monkeypatch, where, stands):
     watch = compiling._Watch()

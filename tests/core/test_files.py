@@ -172,10 +172,7 @@ def test_arrays_are_bounded_before_they_are_unpacked(tmp_path, members, words, m
 def test_xml_is_bounded_before_its_tree_is_made(text, words, tmp_path):
     (tmp_path / "a").write_bytes(text)
     read = gzip.open if text[:2] == b"\x1f\x8b" else open
-    with (
-        read(tmp_path / "a", "rb") as file,
-        pytest.raises(InspeError, match=words) as caught,
-    ):
+    with read(tmp_path / "a", "rb") as file, pytest.raises(InspeError, match=words) as caught:
         check_xml(file, "a.osm", "osm")
     assert len(str(caught.value)) < 200
 

@@ -18,14 +18,9 @@ singles = partial(np.array, dtype=np.float32)
 compiled_margin, compiled_rotation = jax.jit(ray_cube_margin), jax.jit(rotation)
 
 
-def prism(x=10.0, y=0.0, yaw=0.0, length=4.0, width=2.0, top=1.5, valid=True):
-    return Prism(
-        singles([x, y]),
-        singles(yaw),
-        singles([length / 2, width / 2]),
-        singles(top),
-        np.array(valid),
-    )
+def prism(x=10.0, top=1.5, valid=True):
+    """4 m long and 2 m wide."""
+    return Prism(singles([x, 0.0]), singles(0.0), singles([2, 1]), singles(top), np.array(valid))
 
 
 @partial(jax.jit, static_argnums=3)
@@ -74,17 +69,12 @@ def test_ray_cube_margin_by_hand(direction, offset, reach, margin):
     assert float(compiled_margin(d, float(reach), o, 0.5)[0]) == pytest.approx(margin, abs=1e-5)
 
 
-def test_shadow_of_a_car_seen_from_above():
-    """Sensor 5 m up at 0, car 8..12 m away and 1.5 m high: the line over its far top edge.
-
-    At x = 24 that line is at 5 − 3.5·24/12 = −2 m; at 15 m, 5 − 3.5·15/12 = 0.625 m.
-    """
+def test_shadows_of_a_car_seen_from_above_and_of_a_truck_seen_from_below():
+    """Sensor 5 m up at 0, car 8..12 m away and 1.5 m high: the line over its far top edge is at
+    5 − 3.5·24/12 = −2 m at x = 24, and at 5 − 3.5·15/12 = 0.625 m at 15 m. Sensor at 1 m, truck
+    3 m high: the line over its near top edge."""
     assert ceiling((0.0, 0.0, 5.0), (24.0, 0.0)) == pytest.approx(-2.0, abs=1e-4)
     assert ceiling((0.0, 0.0, 5.0), (15.0, 0.0)) == pytest.approx(0.625, abs=1e-4)
-
-
-def test_shadow_of_a_truck_seen_from_below():
-    """Sensor at 1 m, truck 8..12 m away and 3 m high: the line over its near top edge."""
     assert ceiling((0.0, 0.0, 1.0), (16.0, 0.0), top=3.0) == pytest.approx(5.0, abs=1e-4)
 
 
@@ -105,18 +95,8 @@ def test_a_column_inside_a_prism_is_hidden_up_to_the_top_unless_it_is_its_own():
 
 def test_a_sensor_over_a_prism_and_a_sensor_inside_one():
     """From a mast over the car: t₀ = 0 and the exit at x = 2. From inside it sees nothing."""
-    car = dict(x=0.0, y=0.0)
-    assert ceiling((0.0, 0.0, 5.0), (4.0, 0.0), **car) == pytest.approx(5 - 3.5 * 2, abs=1e-4)
-    assert ceiling((0.0, 0.0, 1.0), (4.0, 0.0), **car) > 1e6
-
-
-def test_a_turned_prism_by_turning_the_world():
-    """The same shadow when sensor, prism and column are turned by 40° about the origin."""
-    a = np.radians(40)
-    turn = np.array([[np.cos(a), -np.sin(a)], [np.sin(a), np.cos(a)]])
-    column, center = turn @ [15.0, 0.4], turn @ [10.0, 0.0]
-    turned = ceiling((0.0, 0.0, 5.0), column, x=center[0], y=center[1], yaw=a)
-    assert turned == pytest.approx(ceiling((0.0, 0.0, 5.0), (15.0, 0.4)), abs=1e-4)
+    assert ceiling((0.0, 0.0, 5.0), (4.0, 0.0), x=0.0) == pytest.approx(5 - 3.5 * 2, abs=1e-4)
+    assert ceiling((0.0, 0.0, 1.0), (4.0, 0.0), x=0.0) > 1e6
 
 
 @pytest.mark.parametrize("x", [-2.0, 2.0])

@@ -7,7 +7,7 @@ Tests read the file alone. To write it again, in a virtual environment of its ow
     devkit/bin/pip install nuscenes-devkit==1.2.0
     devkit/bin/python tests/perception/make_nuscenes_reference.py
 
-Each case has frames of random boxes as :class:`inspe_jax.perception.detections.Detections` has
+Each case has frames of random boxes as :class:`inspe_jax.perception.evaluation.Detections` has
 them, and what the devkit's ``DetectionEval.evaluate`` makes of them with the configuration of the
 detection challenge, for our four classes. Nothing of ``inspe_jax`` is used.
 """

@@ -87,26 +87,21 @@ def test_a_detector_heeds_no_order_and_learns_everywhere(cached, name):
 
 
 def test_agents_are_filled_up_and_never_left_out(cached):
-    batch = loader_of("attfuse", cached, "train", GRID, batch=2, shuffle=False)[0]
+    batch = loader_of("attfuse", cached, "train", GRID, batch=3, shuffle=False)[0]
+    assert batch.valid.tolist() == [True, True, False]
     more = inputs_of(batch, Agents(3, 4))
     assert more.pillars.counts.shape[1] == 3
     assert not more.pillars.counts[:, 2].any()
-    np.testing.assert_array_equal(more.present, [[1, 1, 0, 1, 1, 0, 0]] * 2)
-    np.testing.assert_array_equal(more.unit, [[0, 1]] * 2)
+    # Padding, a frame without agents, has one that is empty.
+    there = [[1, 1, 0, 1, 1, 0, 0]] * 2 + [[1, 0, 0, 0, 0, 0, 0]]
+    np.testing.assert_array_equal(more.present, there)
+    np.testing.assert_array_equal(more.unit, [[0, 1], [0, 1], [-1, -1]])
     for few, what in ((Agents(1, 2), "LiDARs"), (Agents(2, 1), "cameras")):
         with pytest.raises(InspeError, match=f"a frame has 2 units with {what}.* made for 1"):
             inputs_of(batch, few)
     batch.lidars.pillars.counts[:, 0] = 0  # whichever unit it is
     with pytest.raises(InspeError, match="a frame has 2 units with LiDARs"):
         inputs_of(batch, Agents(1, 2))
-
-
-def test_a_frame_without_agents_has_one_that_is_empty(cached):
-    loader = loader_of("attfuse", cached, "train", GRID, batch=3, shuffle=False)
-    batch = loader[0]  # two frames, and padding
-    assert batch.valid.tolist() == [True, True, False]
-    present = inputs_of(batch, agents_of(cached)).present
-    np.testing.assert_array_equal(present, [[1, 1, 1, 1], [1, 1, 1, 1], [1, 0, 0, 0]])
 
 
 def test_an_unknown_model_is_told_which_there_are():

@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import csv_text
-from inspe_jax.perception.detections import Detections, within
-from inspe_jax.perception.evaluation import DISTANCES, evaluate, matched
+from inspe_jax.perception.evaluation import DISTANCES, Detections, evaluate, matched, within
 from inspe_jax.simulation.frame import KINDS
 
 REFERENCE = Path(__file__).parent / "data" / "nuscenes_reference.npz"
@@ -150,20 +149,6 @@ def test_detections_take_what_a_loop_takes(found, truth):
         assert matched(found, truth, distance).tolist() == loop(found, truth, distance)
 
 
-def test_matches_of_one_frame():
-    """The surer detection takes the nearest car; the other one takes the next, or none."""
-    truth = boxes_at((0, 0), (1.5, 0), (9, 9), kind=[0, 0, 3])
-    found = Detections(
-        boxes_at((0.2, 0), (0.1, 0), (9, 9), (9, 9.5)).boxes,
-        np.array([0, 0, 0, 3], np.int32),
-        np.array([0.4, 0.8, 0.9, 0.1], np.float32),
-    )
-    assert matched(found, truth).tolist() == [1, 0, -1, 2]
-    assert matched(found, truth, 1.0).tolist() == [-1, 0, -1, 2]
-    assert matched(NOTHING, truth).tolist() == []
-    assert matched(found, NOTHING).tolist() == [-1] * 4
-
-
 def test_a_region_keeps_its_edge():
     users = boxes_at((5, 0), (-20, 20.5), (30, 1))
     for half, kept in ((30, 3), (20.5, 2), (20.4, 1)):
@@ -197,12 +182,10 @@ def spoilt(name: str, value, at=1) -> Detections:
     [
         ([CAR], [CAR, CAR], "of 1 frame, but ground truth of 2: give one of each for every frame"),
         ([CAR, spoilt("boxes", np.nan)], [CAR, CAR], "detections: frame 1: box 1: .*nan.* finite"),
-        ([CAR], [spoilt("boxes", np.inf, (1, 0))], "truth: frame 0: box 1: .*inf"),
         ([spoilt("boxes", 0, (1, 4))], [CAR], r"4.0, 0.0, 1.5, .* sizes above 0"),
         ([spoilt("score", np.nan)], [CAR], "detections: frame 0: box 1: .* score nan: .* 0 to 1"),
         ([spoilt("score", 1.5)], [CAR], "score 1.5: .*from 0 to 1"),
-        ([spoilt("kind", 4)], [CAR], "of kind 4 .* kinds from 0 to 3"),
-        ([spoilt("kind", -1)], [CAR], "of kind -1"),
+        ([spoilt("kind", -1)], [CAR], "of kind -1 .* kinds from 0 to 3"),
         ([CAR._replace(boxes=CAR.boxes[:, :7])], [CAR], r"frame 0: boxes, .*\(2, 7\)"),
         ([CAR._replace(score=CAR.score[:1])], [CAR], r"shapes \(2, 9\), \(2,\) and \(1,\)"),
         ([CAR], [NOTHING], "truth: no car or truck or cyclist or pedestrian in 1 frame: there is"),

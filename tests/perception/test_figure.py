@@ -7,9 +7,9 @@ from matplotlib.figure import Figure
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.sheet import CLASS_COLORS, save_figure
-from inspe_jax.dataset.loading import Batch, Cameras, Lidars, Pillars, Targets
+from inspe_jax.dataset.loading import Batch, Cameras, Lidars, Targets
 from inspe_jax.dataset.loading.geometry import on_picture, pose_matrix
-from inspe_jax.perception.detections import Detections, truth_of
+from inspe_jax.perception.evaluation import Detections, truth_of
 from inspe_jax.perception.figure import MISSED_COLOR, TRUTH_COLOR, draw
 
 POINTS = np.array([[3.0, 4, 0, 1], [-5, 1, 0, 1], [900, 0, 0, 1]], np.float32)
@@ -29,26 +29,14 @@ USERS = np.array(
 LEVEL = np.array([0.0, 0, 1, 0, 0, 0])
 
 
-def batch(cameras: bool = True, points: str | None = "padded", pose=LEVEL) -> Batch:
+def batch(cameras: bool = True, points: bool = True, pose=LEVEL) -> Batch:
     """Two frames, of which the second is padding. Unit 2 has a camera, usually a level one at the
     origin, 1 m above the ground, which looks along x; unit 1 has a LiDAR there."""
     poses = np.broadcast_to(pose_matrix(pose).astype(np.float32), (2, 2, 4, 4))
     present = np.array([[True, False]] * 2)
     padded, mask = np.zeros((2, 2, 5, 4), np.float32), np.zeros((2, 2, 5), bool)
     padded[0, 0, :3], mask[0, 0, :3] = POINTS, True
-    pillars = Pillars(
-        padded.reshape(2, 2, 1, 5, 4),
-        mask.sum(-1, keepdims=True).astype(np.int32),
-        np.zeros((2, 2, 1, 2), np.int32),
-    )
-    lidars = Lidars(
-        padded if points == "padded" else None,
-        mask if points == "padded" else None,
-        pillars if points == "pillars" else None,
-        poses,
-        present,
-        np.array([[1, 0]] * 2, np.int32),
-    )
+    lidars = Lidars(padded, mask, None, poses, present, np.array([[1, 0]] * 2, np.int32))
     intrinsic = np.array([[100, 0, 400], [0, 100, 300], [0, 0, 1]], np.float32)
     views = Cameras(
         np.full((2, 2, 600, 800, 3), 90, np.uint8),
@@ -105,12 +93,9 @@ def polygons(ax) -> list[tuple[tuple[str, str], np.ndarray]]:
 def panel_rows(fig: Figure) -> dict[str, list[str]]:
     """The table of the panel: the row of each class."""
     panel = next(ax for ax in fig.axes if ax.get_legend())
-    texts = [
-        (-text.get_position()[1], text.get_position()[0], text.get_text()) for text in panel.texts
-    ]
     rows: dict[float, list[str]] = {}
-    for y, _, word in sorted(texts):
-        rows.setdefault(y, []).append(word)
+    for text in sorted(panel.texts, key=lambda text: text.get_position()[0]):
+        rows.setdefault(text.get_position()[1], []).append(text.get_text())
     return {row[0]: row[1:] for row in rows.values()}
 
 
@@ -134,7 +119,8 @@ def test_the_heading_and_the_panel_count(fig):
 
 
 def test_boxes_are_in_plan_where_they_are(fig):
-    """Truth is filled, in yellow where it is missed; detections have the colour of their class."""
+    """Truth is filled, in yellow where it is missed; detections have the colour of their class,
+    and their score."""
     shown = polygons(plan_of(fig))
     truth = [(fill, corners) for (fill, edge), corners in shown if edge == TRUTH_COLOR]
     assert [fill == MISSED_COLOR for fill, _ in truth] == [False, True, True]
@@ -143,28 +129,13 @@ def test_boxes_are_in_plan_where_they_are(fig):
     found = [(edge, corners) for (_, edge), corners in shown if edge != TRUTH_COLOR]
     assert [color for color, _ in found] == list(CLASS_COLORS[:3])
     np.testing.assert_allclose(found[0][1].min(0), [8.5, -1])
-
-
-def test_false_detections_are_dashed_and_crossed_and_missed_users_have_a_disc(fig):
     ax = plan_of(fig)
     by = {line.get_marker(): line.get_xydata() for line in ax.lines if len(line.get_xydata())}
-    np.testing.assert_allclose(by["o"], USERS[1:, :2])
-    np.testing.assert_allclose(by["x"], [[0, 20], [15, -20]])
-
-
-def test_scores_headings_and_units_are_in_plan(fig):
-    ax = plan_of(fig)
+    np.testing.assert_allclose(by["o"], USERS[1:, :2])  # missed
+    np.testing.assert_allclose(by["x"], [[0, 20], [15, -20]])  # false
     words = {text.get_text(): text for text in ax.texts}
-    assert list(words) == [".90", ".60", ".30", "1", "2"]
-    assert words[".90"].get_color() == CLASS_COLORS[0]
+    assert list(words) == [".90", ".60", ".30", "1", "2"]  # scores, and the units
     np.testing.assert_allclose(words[".90"].xy, [12.5, 0])
-    ahead = [line for drawn in ax.collections for line in getattr(drawn, "get_segments", list)()]
-    for ends in ([[10, 0], [12, 0]], [[0, 20], [0, 22]], [[10.5, 0], [12.5, 0]]):
-        assert any(np.allclose(line, ends, atol=1e-5) for line in ahead)
-    (camera,) = (line for line in ax.lines if line.get_marker() == "None")
-    (x0, y0), (x1, y1) = camera.get_xydata()
-    assert (x0, y0, y1) == (0, 0, 0)
-    assert x1 > 1
 
 
 def test_boxes_are_on_the_picture_where_the_calibration_puts_them(fig):
@@ -179,11 +150,8 @@ def test_boxes_are_on_the_picture_where_the_calibration_puts_them(fig):
     assert ends.max(0).tolist() == [412.5, 312.5]
     np.testing.assert_allclose(np.concatenate(found).min(0), 400 - 100 / 8.5 - np.array([0, 100]))
     assert np.concatenate(false)[:, 0].min() > 412.5  # the cyclist, right of it
-    assert to_hex(ax.collections[0].get_color()) == "#ffffff"
-    assert to_hex(ax.collections[1].get_color()) == MISSED_COLOR
     assert to_hex(ax.collections[2].get_color()[0]) == CLASS_COLORS[0]
-    assert ax.get_xlim() == (0, 800)
-    assert ax.get_ylim() == (600, 0)
+    assert (ax.get_xlim(), ax.get_ylim()) == ((0, 800), (600, 0))
 
 
 def test_a_camera_may_look_anywhere():
@@ -201,16 +169,13 @@ def test_a_camera_may_look_anywhere():
         assert (np.abs(ends - corner).max(1) < 1e-3).sum() == 3
 
 
-@pytest.mark.parametrize(
-    ("cameras", "points"), [(False, "padded"), (True, "pillars"), (True, None)]
-)
-def test_sensors_may_be_missing_and_no_padding_is_drawn(tmp_path, cameras, points):
+@pytest.mark.parametrize(("cameras", "points"), [(False, True), (True, False)])
+def test_sensors_may_be_missing_and_no_padding_is_drawn(cameras, points):
     fig = draw(batch(cameras, points), 0, detections(), "few sensors")
-    save_figure(fig, tmp_path / "few.png")
     assert [bool(ax.images) for ax in fig.axes].count(True) == cameras
     assert "3 road users; 4 detections\n" in fig.texts[1].get_text()
     keys = [text.get_text() for ax in fig.axes if ax.get_legend() for text in ax.get_legend().texts]
-    assert ("LiDAR point" in keys) == (points is not None)
+    assert ("LiDAR point" in keys) == points
     assert ("direction of a camera" in keys) == cameras
     if points:
         cloud = plan_of(fig).collections[0].get_offsets()

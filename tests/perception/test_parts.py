@@ -13,16 +13,22 @@ from shapely.geometry import box
 
 from inspe_jax.dataset.loading import PillarGrid, Pillars, Targets, on_picture
 from inspe_jax.dataset.loading.geometry import pose_matrix
-from inspe_jax.perception.encoders import LiftSplat, PillarEncoder
-from inspe_jax.perception.encoders.images import ImageEncoder
-from inspe_jax.perception.encoders.lift_splat import EMPTY_WEIGHT, HEIGHTS
-from inspe_jax.perception.fusion import AttFuse, DiscoNet, HMViT, Mean, V2VNet, V2XViT, v2x_vit
-from inspe_jax.perception.fusion.heterogeneous import HeterogeneousAttention
-from inspe_jax.perception.fusion.windows import (
-    from_grids,
+from inspe_jax.perception import fusion as fusions
+from inspe_jax.perception.encoders import (
+    EMPTY_WEIGHT,
+    HEIGHTS,
+    Bottleneck,
+    ImageEncoder,
+    LiftSplat,
+    PillarEncoder,
+)
+from inspe_jax.perception.fusion import (
+    DiscoNet,
+    HeterogeneousAttention,
+    V2VNet,
+    WindowAttention,
     from_windows,
     offsets,
-    to_grids,
     to_windows,
 )
 from inspe_jax.perception.head import (
@@ -33,11 +39,12 @@ from inspe_jax.perception.head import (
     aims,
     loss,
     peaks,
+    perspective_aims,
+    perspective_loss,
     radius,
 )
 from inspe_jax.perception.inputs import BevGrid, Inputs
 from inspe_jax.perception.layers import Depthwise, Norm, attend
-from inspe_jax.perception.perspective import perspective_aims, perspective_loss
 from inspe_jax.simulation.frame import KINDS, RoadUserBox
 from inspe_jax.simulation.projection import corners
 
@@ -100,8 +107,8 @@ def test_depthwise_norm_and_attention():
 
 
 def apart_and_back(x):
-    near, far = to_windows(x, 4), to_grids(x, 4)
-    return near, far, from_windows(near, 8, 12), from_grids(far, 8, 12)
+    near, far = to_windows(x, 4), to_windows(x, 4, sparse=True)
+    return near, far, from_windows(near, 8, 12), from_windows(far, 8, 12, sparse=True)
 
 
 def test_windows_and_grids_are_cells_of_the_map():
@@ -145,7 +152,7 @@ def test_a_pillar_is_the_maximum_over_its_points_and_padding_changes_nothing():
 
 
 def test_every_weight_of_a_resnet_learns():
-    encoder = made(lambda key: ImageEncoder("resnet", 16, key))
+    encoder = made(lambda key: ImageEncoder(Bottleneck, 16, key))
     pixels = np.random.default_rng(0).integers(0, 256, (1, 48, 64, 3)).astype(np.uint8)
     weights = noise(1, 12, 16, 16)
     slopes = eqx.filter_jit(eqx.filter_grad(lambda encoder: (encoder(pixels) * weights).sum()))
@@ -155,7 +162,7 @@ def test_every_weight_of_a_resnet_learns():
 def test_lifted_features_fall_into_the_cell_that_their_pixel_and_height_show():
     """The other way round: the point in a cell of the map, projected, is the pixel it came from."""
     grid, high, wide = BevGrid(half=51.2), 48, 64
-    splat = eqx.filter_eval_shape(LiftSplat, "resnet", grid, 2, 8, jax.random.key(0))
+    splat = eqx.filter_eval_shape(LiftSplat, Bottleneck, grid, 2, 8, jax.random.key(0))
     inputs = three_cameras(high, wide)
     cells = np.asarray(jax.jit(lambda i: splat._cells(i, (high, wide), (6, 8)))(inputs))[0]
     nowhere, side = 2 * grid.side**2, grid.side
@@ -191,7 +198,7 @@ def test_lifted_features_fall_into_the_cell_that_their_pixel_and_height_show():
 
 def test_a_cell_of_the_map_has_the_mean_of_what_falls_into_it():
     grid = BevGrid(half=12.8)
-    splat = made(lambda key: LiftSplat("resnet", grid, 1, 8, key))
+    splat = made(lambda key: LiftSplat(Bottleneck, grid, 1, 8, key))
     chance, features = np.abs(noise(2, 3, 4, 5)), noise(2, 3, 4, 8, seed=1)
     cell = np.random.default_rng(2).integers(0, grid.side**2 + 40, (2, 3, 4, 5))
     cell = np.where(cell < grid.side**2, cell % 7, grid.side**2)  # some are outside
@@ -207,22 +214,14 @@ def test_a_cell_of_the_map_has_the_mean_of_what_falls_into_it():
 # ── Fusion ──────────────────────────────────────────────────────────────────
 
 TYPES = (0, 0, 1)
-FUSIONS = {
-    "mean": Mean,
-    "attfuse": AttFuse,
-    "disconet": DiscoNet,
-    "v2vnet": V2VNet,
-    "v2x-vit": V2XViT,
-    "hm-vit": HMViT,
-}
 
 
-@pytest.mark.parametrize("name", FUSIONS)
+@pytest.mark.parametrize("name", ["Mean", "AttFuse", "DiscoNet", "V2VNet", "V2XViT", "HMViT"])
 def test_fusion_heeds_who_is_present_and_not_the_order(name, monkeypatch):
     """What an absent agent has changes nothing; two of one modality can be exchanged; and one
     agent alone keeps its map where nothing but weights of agents is learnt. Every weight learns."""
-    monkeypatch.setattr(v2x_vit, "LAYERS", 1)  # the others are the same
-    fusion = made(lambda key: FUSIONS[name](16, TYPES, key))
+    monkeypatch.setattr(fusions, "V2X_LAYERS", 1)  # the others are the same
+    fusion = made(lambda key: getattr(fusions, name)(16, TYPES, key))
     x, other = noise(2, 3, 16, 16, 16), noise(2, 3, 16, 16, 16, seed=1)
     present = np.array([[True, True, True], [True, False, False]])
     mixed = np.where(present[..., None, None, None], x, other)
@@ -242,7 +241,7 @@ def test_fusion_heeds_who_is_present_and_not_the_order(name, monkeypatch):
     np.testing.assert_allclose(fuse(mixed, present), found, atol=1e-5)
     np.testing.assert_allclose(fuse(x[:, [1, 0, 2]], present[:, [1, 0, 2]]), found, atol=1e-4)
     assert not np.allclose(fuse(other, present), found, atol=0.01)
-    if name in ("mean", "attfuse", "disconet"):
+    if name in ("Mean", "AttFuse", "DiscoNet"):
         np.testing.assert_allclose(found[1], x[1, 0], atol=1e-6)
     else:
         assert not np.allclose(found[1], x[1, 0], atol=0.01)
@@ -276,7 +275,7 @@ def test_agents_attend_by_the_modalities_of_both():
 
 
 def test_a_window_attends_with_a_bias_by_the_offset_of_its_cells():
-    windows = made(lambda key: v2x_vit.WindowAttention(8, 2, 2, key))
+    windows = made(lambda key: WindowAttention(8, 2, 2, key))
     bias, x = noise(2, 9, seed=1), noise(1, 4, 4, 8)
     windows = eqx.tree_at(lambda it: it.bias, windows, jnp.asarray(bias))
     found = np.asarray(eqx.filter_jit(windows)(x))

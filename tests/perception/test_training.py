@@ -15,13 +15,21 @@ from inspe_jax import dataset
 from inspe_jax.core.errors import InspeError
 from inspe_jax.perception.detector import MODELS
 from inspe_jax.perception.inputs import BevGrid
-from inspe_jax.perception.training import Settings, Training, open_run, train, train_all
-from inspe_jax.perception.training.run import LOSSES, VALIDATION, Run, begun
-from inspe_jax.perception.training.source import cache_of, check_pictures
+from inspe_jax.perception.training import Training, TrainingSettings, open_run, train, train_all
+from inspe_jax.perception.training.run import (
+    LOSSES,
+    VALIDATION,
+    TrainingRun,
+    begun,
+    cache_of,
+    check_pictures,
+)
 from inspe_jax.perception.training.train import content_of, distillation
 
 GRID = BevGrid(half=12.8)
-SETTINGS = Settings(model="coalign", steps=4, batch=2, every=2, validate_frames=2, rate=1e-3)
+SETTINGS = TrainingSettings(
+    model="coalign", steps=4, batch=2, every=2, validate_frames=2, rate=1e-3
+)
 
 
 @pytest.fixture(scope="module")
@@ -149,7 +157,7 @@ def test_what_cannot_be_trained_leaves_no_folder(cached, tmp_path):
 def test_a_model_that_is_taught_has_its_teacher_first(cached, tmp_path, monkeypatch):
     """As DiscoNet, but of LiDARs alone, which is compiled sooner."""
     monkeypatch.setitem(MODELS, "pupil", replace(MODELS["disconet"], sensors=("lidar",)))
-    settings = Settings(model="pupil", steps=2, batch=2, every=1, validate_frames=0)
+    settings = TrainingSettings(model="pupil", steps=2, batch=2, every=1, validate_frames=0)
     with pytest.raises(Stop):
         train(cached, tmp_path / "run", settings, grid=GRID, progress=stop_at(2, "pupil"))
     run = train(cached, tmp_path / "run", settings, grid=GRID)
@@ -244,7 +252,7 @@ def test_a_model_needs_its_sensors(cached, tmp_path):
         ("coalign", "needs LiDARs, and no scenario has one"),
     ):
         with pytest.raises(InspeError, match=why):
-            train(blind, tmp_path / "run", Settings(model=name), grid=GRID)
+            train(blind, tmp_path / "run", TrainingSettings(model=name), grid=GRID)
     assert not (tmp_path / "run").exists()
 
 
@@ -254,7 +262,7 @@ def test_pictures_of_another_size_are_refused(stopped_and_not, tmp_path):
     run = stopped_and_not[0]
     check_pictures(run, other)  # coalign takes none
     settings = run.content.settings.model_copy(update={"model": "lss-eff"})
-    run = Run(run.path, run.content.model_copy(update={"settings": settings}))
+    run = TrainingRun(run.path, run.content.model_copy(update={"settings": settings}))
     with pytest.raises(InspeError, match=r"pictures of 32x24, but .* --pictures 64x48"):
         check_pictures(run, other)
     assert cache_of(other.path, pictures=None).pictures == (24, 32)

@@ -7,7 +7,7 @@ import pytest
 import shapely
 from shapely.geometry import MultiPoint, Point, Polygon, box
 
-from inspe_jax.core.polygons import LEAST_AREA, merge
+from inspe_jax.core.convex import LEAST_AREA, merge
 from inspe_jax.placement.convex_regions import from_bounded, make_regions, to_bounded
 from inspe_jax.placement.coordinates import Disc
 

@@ -159,9 +159,3 @@ def test_conditions_that_are_none_are_refused(scene, layout):
             evaluate(scene, layout, conditions=wrong)
     with pytest.raises(InspeError, match="conditions: given twice, as midday, clear and as dusk"):
         evaluate(Case(scene), layout, conditions="dusk")
-
-
-def test_a_layout_is_checked_as_it_was_bought(scene):
-    """Fog does not turn a layout into one for another scene."""
-    layout = strategy(scene, "Cam-d1/L-d1", camera_height=12.0, lidar_height=12.0)
-    evaluate(scene, layout, conditions=Conditions.of("night", "fog:10"))

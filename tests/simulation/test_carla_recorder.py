@@ -27,8 +27,7 @@ from worlds import crossing, place_sensors, world
 
 from inspe_jax import dataset
 from inspe_jax.core.errors import InspeError
-from inspe_jax.core.geometry import rotation
-from inspe_jax.core.pinhole import pixels
+from inspe_jax.core.geometry import pixels, rotation
 from inspe_jax.scene.traffic.frames import CLASSES
 from inspe_jax.sensing.catalogue import device
 from inspe_jax.sensing.conditions import Conditions

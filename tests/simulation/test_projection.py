@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from frames import car
 
-from inspe_jax.core.pinhole import pixels
+from inspe_jax.core.geometry import pixels
 from inspe_jax.dataset import Image
 from inspe_jax.simulation.projection import NEAR, corners, edge_lines
 

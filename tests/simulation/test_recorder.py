@@ -12,8 +12,7 @@ from worlds import CAMERA, crossing, place_sensors, slow_but, with_boxes, world
 
 import inspe_jax
 from inspe_jax.core.errors import InspeError
-from inspe_jax.core.geometry import rotation
-from inspe_jax.core.pinhole import pixels
+from inspe_jax.core.geometry import pixels, rotation
 from inspe_jax.dataset import open as open_dataset
 from inspe_jax.dataset import write_frame, write_protocol
 from inspe_jax.scene.regions import Region

@@ -1,15 +1,14 @@
 """What a detector finds in frames, and how much of it is right."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
 import numpy as np
 
 from inspe_jax.dataset.loading import Batch, Cache, Loader
-from inspe_jax.perception.detections import Detections, truth_of, within
 from inspe_jax.perception.detector import Detector, model_of
-from inspe_jax.perception.evaluation import Evaluation, evaluate
+from inspe_jax.perception.evaluation import Detections, Evaluation, evaluate, truth_of, within
 from inspe_jax.perception.head import Peaks, peaks
 from inspe_jax.perception.inputs import Agents, BevGrid, Inputs, inputs_of
 
@@ -21,12 +20,7 @@ word. nuScenes' AP counts nothing below a precision of 0.1."""
 def loader_of(name: str, cache: Cache, split: str, grid: BevGrid, **how: Any) -> Loader:
     """A loader of what a model takes; ``how`` are further arguments of the loader."""
     return Loader(
-        cache,
-        split,
-        sensors=model_of(name).sensors,
-        points=grid.pillars(),
-        half=grid.half,
-        **how,
+        cache, split, sensors=model_of(name).sensors, points=grid.pillars(), half=grid.half, **how
     )
 
 
@@ -44,10 +38,13 @@ class Predictor:
 
     def __call__(self, batch: Batch) -> list[Detections]:
         """The detections in each frame of a batch that is ``valid``."""
-        inputs: Inputs = inputs_of(batch, self.agents)
-        found: Peaks = _peaks(self.detector, inputs, self.grid)
-        found = Peaks(*[np.asarray(part) for part in found])  # type: ignore[arg-type]
-        return [_kept(found, b) for b in np.flatnonzero(batch.valid).tolist()]
+        found: Peaks = _peaks(self.detector, inputs_of(batch, self.agents), self.grid)
+        boxes, kind, score = map(np.asarray, found)
+        kind, enough = kind.astype(np.int32), score >= LEAST_SCORE
+        return [
+            Detections(*(part[b][enough[b]] for part in (boxes, kind, score)))
+            for b in np.flatnonzero(batch.valid).tolist()
+        ]
 
     def evaluate(
         self,
@@ -65,7 +62,8 @@ class Predictor:
         truth: list[Detections] = []
         half = loader.half
         chosen = _spread(len(loader), None if most is None else -(-most // loader.batch))
-        for done, batch in enumerate(_batches(loader, chosen), 1):
+        some = (loader[k] for k in chosen)
+        for done, batch in enumerate(some if len(chosen) < len(loader) else loader, 1):
             found += [frame if half is None else within(frame, half) for frame in self(batch)]
             truth += [truth_of(batch.targets, b) for b in np.flatnonzero(batch.valid).tolist()]
             if progress:
@@ -73,22 +71,8 @@ class Predictor:
         return evaluate(found, truth)
 
 
-def _kept(found: Any, b: int) -> Detections:
-    """The detections of a frame that are worth keeping."""
-    enough = found.score[b] >= LEAST_SCORE
-    return Detections(
-        boxes=found.boxes[b][enough],
-        kind=found.kind[b][enough].astype(np.int32),
-        score=found.score[b][enough],
-    )
-
-
 def _spread(count: int, most: int | None) -> list[int]:
     """At most ``most`` of the numbers below ``count``, evenly over them."""
     if most is None or most >= count:
         return list(range(count))
     return np.linspace(0, count - 1, most).round().astype(int).tolist()
-
-
-def _batches(loader: Loader, chosen: list[int]) -> Iterator[Batch]:
-    return (loader[k] for k in chosen) if len(chosen) < len(loader) else iter(loader)

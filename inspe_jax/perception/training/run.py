@@ -1,4 +1,5 @@
-"""The folder of a training: its record, what each step told, and its last two states.
+"""The folder of a training: its record, what each step told, and its last two states; and the cache
+of the data set that a command names.
 
 ``run.json`` says what is trained on what. ``losses.csv`` has a row for each step, and
 ``validation.csv`` one for each time that mAP was measured. ``step_00000250.eqx`` is the state after
@@ -7,7 +8,7 @@
 
 import json
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,6 +30,8 @@ from inspe_jax.core.files import (
     whole_file,
     write_text,
 )
+from inspe_jax.dataset.loading import Cache, cache, open_cache
+from inspe_jax.dataset.loading.caching import CACHE, pictures_of
 from inspe_jax.jobs.locks import lock_folder
 from inspe_jax.perception.detector import Detector, model_of
 from inspe_jax.perception.training.settings import Content, optimiser
@@ -36,11 +39,9 @@ from inspe_jax.perception.training.settings import Content, optimiser
 RECORD, LOSSES, VALIDATION, LOCK = "run.json", "losses.csv", "validation.csv", ".run.lock"
 TEACHER_RUN = "teacher"
 """The folder in a run of a model that is taught: that of its teacher's training."""
-KEPT = 2
-"""States that are kept: the last, and the one before it in case the last is damaged."""
+KEPT = 2  # states that are kept: the last, and the one before it in case the last is damaged
 
-State = tuple[Detector, Any]
-"""The detector, and the moments of the optimiser."""
+State = tuple[Detector, Any]  # the detector, and the moments of the optimiser
 
 
 class _Record(BaseModel):
@@ -51,7 +52,7 @@ class _Record(BaseModel):
 
 
 @dataclass(frozen=True)
-class Run:
+class TrainingRun:
     """A training, begun or done."""
 
     path: Path
@@ -142,7 +143,7 @@ class Run:
 
 
 @contextmanager
-def begun(folder: str | os.PathLike[str], content: Content) -> Iterator[Run]:
+def begun(folder: str | os.PathLike[str], content: Content) -> Iterator[TrainingRun]:
     """A run in ``folder``, new or begun before with the same content, while it is trained.
 
     Meanwhile nobody else begins or trains it. What a kill left unfinished goes. Raises InspeError
@@ -161,7 +162,7 @@ def begun(folder: str | os.PathLike[str], content: Content) -> Iterator[Run]:
         lock.release()
 
 
-def _recorded(path: Path, content: Content) -> Run:
+def _recorded(path: Path, content: Content) -> TrainingRun:
     """The run of a folder, whose record is written if it has none."""
     if (path / RECORD).is_file():
         run = open_run(path)
@@ -176,7 +177,7 @@ def _recorded(path: Path, content: Content) -> Run:
             f"another folder, or give the same again to go on"
         )
     write_text(path / RECORD, json.dumps(_Record(content=content).model_dump(), indent=2) + "\n")
-    return Run(path, content)
+    return TrainingRun(path, content)
 
 
 def _check_no_others(path: Path) -> None:
@@ -190,16 +191,69 @@ def _check_no_others(path: Path) -> None:
         raise InspeError(f"{path}: has other files, such as {others[0]}: name an empty folder")
 
 
-def open_run(folder: str | os.PathLike[str]) -> Run:
+def open_run(folder: str | os.PathLike[str]) -> TrainingRun:
     """The run in a folder. Raises InspeError if there is none, or its record is damaged or of
     another version."""
     path = Path(folder).resolve()
     if not (path / RECORD).is_file():
         raise InspeError(f"{folder}: not a training run: make one with inspe train")
-    return Run(path, check_model(_Record, read_json(path / RECORD), str(path / RECORD)).content)
+    return TrainingRun(
+        path, check_model(_Record, read_json(path / RECORD), str(path / RECORD)).content
+    )
 
 
 def _step(line: str) -> float:
     """The step of a row; beyond all of them if a kill cut the row short."""
     first, more, _ = line.partition(",")
     return int(first) if more and first.isdigit() else float("inf")
+
+
+# ── The data set ────────────────────────────────────────────────────────────
+
+
+def cache_of(
+    source: str | os.PathLike[str],
+    *,
+    pictures: tuple[int, int] | None,
+    any_size: bool = False,
+    folder: str | os.PathLike[str] | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Cache:
+    """A data set as a cache; ``source`` may be one.
+
+    What of the set is not decoded yet is decoded into ``folder``, or else into a folder beside the
+    set, which has its name and ``_cache``. ``pictures`` are resized to (height, width). A cache
+    that is given has the size that it has; so has one that is there already, if ``any_size`` will
+    do. Raises InspeError if a cache is given with a ``folder``.
+    """
+    source = Path(source)
+    if (source / CACHE).is_file():
+        if folder is not None:
+            raise InspeError(
+                f"{source}: is a cache already: leave --cache {folder} out, or give the set itself"
+            )
+        return open_cache(source)
+    beside = source.resolve()
+    into = beside.with_name(f"{beside.name}_cache") if folder is None else Path(folder)
+    if any_size and (into / CACHE).is_file():
+        pictures = pictures_of(into)
+    return cache(source, into, pictures=pictures, progress=progress)
+
+
+def pictures_in_words(found: Cache) -> str:
+    """What pictures a cache has."""
+    if found.pictures is None:
+        return "no pictures"
+    height, width = found.pictures
+    return f"pictures of {width}x{height}"
+
+
+def check_pictures(run: TrainingRun, found: Cache) -> None:
+    """Raise InspeError if a run's detector takes pictures, and a cache has others or none."""
+    size = None if found.pictures is None else list(found.pictures)
+    if "camera" in model_of(run.content.settings.model).sensors and size != run.content.pictures:
+        height, width = run.content.pictures or (0, 0)
+        raise InspeError(
+            f"{found.path}: has {pictures_in_words(found)}, but {run.path} was trained on "
+            f"{width}x{height}: cache the set into another folder with --pictures {width}x{height}"
+        )

@@ -18,17 +18,15 @@ AUGMENT = Augment(flip=0.5, turn=np.pi, scale=(0.95, 1.05))
 
 Optimiser: TypeAlias = optax.GradientTransformation
 
-RISE = 0.3
-"""Share of the steps in which the learning rate rises; as in OneCycle's usual setting."""
+RISE = 0.3  # share of the steps in which the learning rate rises; as in OneCycle's usual setting
 FEWEST = 4
 """Steps of the shortest schedule: of fewer, three tenths are none, and a rise has no length."""
-DECAY = 0.01
-"""AdamW's weight decay (Loshchilov and Hutter 2019)."""
+DECAY = 0.01  # AdamW's weight decay (Loshchilov and Hutter 2019)
 MOST_GRADIENT = 10.0
 """Norm to which gradients are cut. A first step has 30 to 100; later ones are below it."""
 
 
-class Settings(BaseModel):
+class TrainingSettings(BaseModel):
     """How a detector is trained.
 
     ``model`` is a name of :data:`~inspe_jax.perception.detector.MODELS`. ``steps`` of ``batch``
@@ -57,7 +55,7 @@ class Content(BaseModel):
 
     model_config = STRICT
 
-    settings: Settings
+    settings: TrainingSettings
     frames: dict[str, int]
     scenarios: str
     pictures: list[int] | None

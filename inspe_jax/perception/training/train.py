@@ -1,8 +1,9 @@
-"""The loop: batches, steps, and what is kept of them."""
+"""The loop: batches, steps, and what is kept of them; and many trainings at once."""
 
 import os
-from collections.abc import Callable
-from dataclasses import asdict
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -14,19 +15,20 @@ from jaxtyping import Array, Float
 
 from inspe_jax.core.digest import digest
 from inspe_jax.core.errors import InspeError
-from inspe_jax.dataset.loading import Cache, Loader, Targets
+from inspe_jax.core.parallel import cores
+from inspe_jax.dataset.loading import Cache, Loader, Targets, open_cache
+from inspe_jax.jobs.engine import Messages, check_workers, load_cluster, run_jobs
 from inspe_jax.perception.detector import TEACHER, Detector, model_of
 from inspe_jax.perception.evaluation import NoTruth
-from inspe_jax.perception.head import aims, loss
+from inspe_jax.perception.head import aims, loss, perspective_loss
 from inspe_jax.perception.inputs import BevGrid, Inputs, inputs_of
-from inspe_jax.perception.perspective import perspective_loss
 from inspe_jax.perception.training.predict import Predictor, loader_of
-from inspe_jax.perception.training.run import LOSSES, TEACHER_RUN, VALIDATION, Run, begun
+from inspe_jax.perception.training.run import LOSSES, TEACHER_RUN, VALIDATION, TrainingRun, begun
 from inspe_jax.perception.training.settings import (
     AUGMENT,
     Content,
     Optimiser,
-    Settings,
+    TrainingSettings,
     agents_of,
     check_sensors,
     optimiser,
@@ -45,6 +47,9 @@ class Report(NamedTuple):
     mean_ap: float | None
 
 
+Progress = Callable[[Report], None]  # what is called after each step of a training
+
+
 class _Losses(NamedTuple):
     heat: Float[Array, ""]
     values: Float[Array, ""]
@@ -52,7 +57,7 @@ class _Losses(NamedTuple):
     on_pictures: Float[Array, ""]
 
 
-def content_of(cache: Cache, settings: Settings, grid: BevGrid) -> Content:
+def content_of(cache: Cache, settings: TrainingSettings, grid: BevGrid) -> Content:
     """What a run of these settings on a cache depends on."""
     sources = sorted((each.split, each.name, each.record.source) for each in cache.scenarios)
     return Content(
@@ -70,11 +75,11 @@ def content_of(cache: Cache, settings: Settings, grid: BevGrid) -> Content:
 def train(
     cache: Cache,
     folder: str | os.PathLike[str],
-    settings: Settings,
+    settings: TrainingSettings,
     *,
     grid: BevGrid | None = None,
-    progress: Callable[[Report], None] | None = None,
-) -> Run:
+    progress: Progress | None = None,
+) -> TrainingRun:
     """Train a detector on the split ``train`` of a cache; the run is in ``folder``.
 
     After a kill, call this again: it goes on from the last state. On a CPU, its losses are then the
@@ -111,10 +116,7 @@ def train(
 
 
 def _train(
-    loader: Loader,
-    run: Run,
-    teacher: Detector | None,
-    progress: Callable[[Report], None] | None,
+    loader: Loader, run: TrainingRun, teacher: Detector | None, progress: Progress | None
 ) -> None:
     settings, grid, agents = run.content.settings, run.content.grid, run.content.agents
     first, (detector, moments) = run.restore()
@@ -155,11 +157,7 @@ def _finite(detector: Detector) -> bool:
 
 
 def objective(
-    detector: Detector,
-    teacher: Detector | None,
-    inputs: Inputs,
-    targets: Targets,
-    grid: BevGrid,
+    detector: Detector, teacher: Detector | None, inputs: Inputs, targets: Targets, grid: BevGrid
 ) -> tuple[Float[Array, ""], _Losses]:
     """What is made small, and its parts."""
     predicted = detector(inputs)
@@ -204,7 +202,7 @@ def training_step(
     return eqx.apply_updates(detector, updates), moments, losses
 
 
-def _validate(cache: Cache, run: Run, predictor: Predictor, step: int) -> float | None:
+def _validate(cache: Cache, run: TrainingRun, predictor: Predictor, step: int) -> float | None:
     """The mAP on the split ``validate``, if there is one, as a row of the run."""
     content = run.content
     if not content.settings.validate_frames or "validate" not in cache.splits:
@@ -219,3 +217,104 @@ def _validate(cache: Cache, run: Run, predictor: Predictor, step: int) -> float 
     classes = dict(zip(KINDS, found.class_ap.tolist(), strict=True))
     run.write(VALIDATION, {"step": step, "mean_ap": found.mean_ap, **classes})
     return found.mean_ap
+
+
+# ── Many at once, on Dask workers ───────────────────────────────────────────
+
+
+@dataclass(frozen=True)
+class Training:
+    """A detector to be trained on the cache in the folder ``data``; its run is in ``folder``."""
+
+    data: Path
+    folder: Path
+    settings: TrainingSettings
+    grid: BevGrid
+
+    def train(self, progress: Progress | None = None) -> TrainingRun:
+        """Do it, in this process."""
+        data = open_cache(self.data)
+        return train(data, self.folder, self.settings, grid=self.grid, progress=progress)
+
+    @property
+    def key(self) -> str:
+        """The folder: no two trainings have the same."""
+        return str(self.folder)
+
+    @property
+    def scene(self) -> str:
+        """The cache, of which a worker does all trainings before it goes to another."""
+        return str(self.data)
+
+    @property
+    def steps(self) -> int:
+        """Steps of the training, and of its teacher's where the model is taught."""
+        return self.settings.steps * (2 if model_of(self.settings.model).taught else 1)
+
+    @property
+    def source(self) -> tuple[str, str]:
+        """The model and the cache, which decide what is compiled."""
+        return self.settings.model, str(self.data)
+
+
+def train_all(
+    trainings: Sequence[Training],
+    *,
+    work: Callable[[Training, Progress], Any] = Training.train,
+    scheduler: str | None = None,
+    workers: int | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Iterator[tuple[Training, Any]]:
+    """Train every detector; yields each training as it is done, with its run or its exception.
+
+    Each goes on from its last state. ``progress`` is called with (steps done, steps) of all
+    trainings together. With ``work``, a worker does ``work(training, progress)``, which may measure
+    what was trained, and what that gives takes the place of the run.
+
+    ``scheduler``: address of a running Dask scheduler, whose workers reach caches and runs at the
+    same paths. ``workers``: without a scheduler, number of processes on this machine, which share
+    its cores; by default one per core, but no more than trainings. Raises InspeError if two
+    trainings have the same folder, if both of these are given, if Dask is missing, or if no
+    scheduler answers.
+    """
+    folders = [training.folder for training in trainings]
+    if twice := [folder for folder in folders if folders.count(folder) > 1]:
+        raise InspeError(f"{twice[0]}: is the folder of two trainings: give each its own")
+    check_workers(scheduler, workers)
+    if not trainings:
+        return
+    done = dict.fromkeys((training.key for training in trainings), 0)
+    steps = sum(training.steps for training in trainings)
+
+    def heard(message: tuple[str, int]) -> None:
+        key, number = message
+        done[key] = max(done[key], number)
+        if progress:
+            progress(sum(done.values()), steps)
+
+    count = workers or min(cores(), len(trainings))
+    with load_cluster().client(scheduler, count) as client:
+        messages = Messages(client, heard)
+        jobs = sorted(trainings, key=lambda training: training.scene)
+        for training, found in run_jobs(
+            client, jobs, _shared, _work, messages.topic, work, ahead=1
+        ):
+            heard((training.key, training.steps))
+            yield training, found
+
+
+def _shared(training: Training) -> None:
+    """What the trainings of a cache share: nothing that a worker holds in memory."""
+
+
+def _work(
+    shared: None, training: Training, topic: str, work: Callable[[Training, Progress], Any]
+) -> Any:
+    """What a worker does."""
+    settings = training.settings
+
+    def report(now: Report) -> None:
+        before = training.steps - settings.steps if now.model == settings.model else 0
+        Messages.send(topic, (training.key, before + now.step))
+
+    return work(training, report)

@@ -1,0 +1,372 @@
+"""How the maps of several agents become one.
+
+A fusion takes maps (B, A, H, W, C) and which agents are present (B, A), and gives a map
+(B, H, W, C). The papers take what their ego vehicle has after fusion. At an intersection nobody is
+the ego: every agent is, in turn, and the mean of what all have is taken. So the order of agents
+does not matter. Nor are maps warped from one agent's frame to another's: all are in that of the
+intersection.
+"""
+
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from inspe_jax.perception.layers import CellNorm, Conv, Linear, Perceptron, attend
+
+AgentMaps = Float[Array, "B A H W C"]
+Present = Bool[Array, "B A"]
+FusedMap = Float[Array, "B H W C"]
+
+
+def mean_of(x: AgentMaps, present: Present) -> FusedMap:
+    """The mean over agents that are ``present``."""
+    there = present.astype(x.dtype)
+    return jnp.einsum("bahwc,ba->bhwc", x, there / there.sum(1, keepdims=True))
+
+
+class Mean(eqx.Module):
+    """No fusion but the mean: for detectors with one agent."""
+
+    def __init__(self, channels: int, modalities: Sequence[int], key: Array) -> None:
+        """It has no parameters."""
+
+    def __call__(self, x: AgentMaps, present: Present) -> FusedMap:
+        return mean_of(x, present)
+
+
+class AttFuse(Mean):
+    """AttFuse (Xu et al. 2022, OPV2V): scaled dot-product attention of the features themselves, by
+    which the agents at each cell attend to one another."""
+
+    def __call__(self, x: AgentMaps, present: Present) -> FusedMap:
+        cells = jnp.moveaxis(x, 1, 3)[..., None, :]  # (B, H, W, A, 1, C)
+        found = attend(cells, cells, cells, present[:, None, None])
+        return mean_of(jnp.moveaxis(found[..., 0, :], 3, 1), present)
+
+
+# ── DiscoNet ────────────────────────────────────────────────────────────────
+
+EDGES = (32, 8)  # channels of the edges' network. DiscoNet has 128, 32 and 8
+
+
+class DiscoNet(eqx.Module):
+    """DiscoNet (Li et al. 2021): a graph of agents whose edges have a weight for each cell.
+
+    Edge weights are 1 × 1 convolutions of a pair of agents, and sum to one over senders. Its
+    teacher joins the pillars of all units from the start; the distillation loss is in
+    :mod:`inspe_jax.perception.training.train`.
+    """
+
+    receiver: Linear
+    sender: Linear
+    edge: Perceptron
+
+    def __init__(self, channels: int, modalities: Sequence[int], key: Array) -> None:
+        a, b, c = jax.random.split(key, 3)
+        # A linear map of a pair is the sum of one of each; together, their input has variance 2.
+        self.receiver = Linear(channels, EDGES[0], a)
+        self.sender = Linear(channels, EDGES[0], b, bias=False)
+        self.edge = Perceptron(EDGES[0], EDGES[1], 1, c)
+
+    def __call__(self, x: AgentMaps, present: Present) -> FusedMap:
+        pairs = self.receiver(x)[:, :, None] + self.sender(x)[:, None]  # (B, A, A, H, W, c)
+        scores = self.edge(jax.nn.relu(pairs))[..., 0]
+        scores = jnp.where(present[:, None, :, None, None], scores, -jnp.inf)
+        weights = jax.nn.softmax(scores, 2)
+        return mean_of(jnp.einsum("bijhw,bjhwc->bihwc", weights, x), present)
+
+
+# ── V2VNet ──────────────────────────────────────────────────────────────────
+
+ROUNDS = 2
+
+
+class ConvGRU(eqx.Module):
+    """A gated recurrent unit (Cho et al. 2014) whose maps are convolutions."""
+
+    gates: Conv
+    candidate: Conv
+
+    def __init__(self, channels: int, key: Array) -> None:
+        first, second = jax.random.split(key)
+        self.gates = Conv(2 * channels, 2 * channels, first)
+        self.candidate = Conv(2 * channels, channels, second)
+
+    def __call__(
+        self, message: Float[Array, "*n h w c"], state: Float[Array, "*n h w c"]
+    ) -> Float[Array, "*n h w c"]:
+        both = jnp.concatenate([message, state], -1)
+        update, reset = jnp.split(jax.nn.sigmoid(self.gates(both)), 2, -1)
+        candidate = jnp.tanh(self.candidate(jnp.concatenate([message, reset * state], -1)))
+        return (1 - update) * candidate + update * state
+
+
+class V2VNet(eqx.Module):
+    """V2VNet (Wang et al. 2020): rounds of messages between agents, taken in by a gated unit.
+
+    Messages are a convolution of sender and receiver; the mean over senders is taken in.
+    """
+
+    receiver: Conv
+    sender: Conv
+    unit: ConvGRU
+
+    def __init__(self, channels: int, modalities: Sequence[int], key: Array) -> None:
+        a, b, c = jax.random.split(key, 3)
+        # A convolution of a pair is the sum of one of each.
+        self.receiver = Conv(channels, channels, a)
+        self.sender = Conv(channels, channels, b)
+        self.unit = ConvGRU(channels, c)
+
+    def __call__(self, x: AgentMaps, present: Present) -> FusedMap:
+        agents = x.shape[1]
+        others = present[:, None] & ~jnp.eye(agents, dtype=bool)[None]  # (B, receiver, sender)
+        count = jnp.maximum(others.sum(-1, keepdims=True), 1)
+        weight = others.astype(x.dtype) / count.astype(x.dtype)
+        state = x
+        for _ in range(ROUNDS):
+            pairs = self.receiver(state)[:, :, None] + self.sender(state)[:, None]
+            messages = jax.nn.relu(pairs)  # (B, A, A, H, W, C)
+            heard = jnp.einsum("bijhwc,bij->bihwc", messages, weight)
+            state = self.unit(heard, state)
+        return mean_of(state, present)
+
+
+# ── Attention by modality, and within windows ───────────────────────────────
+
+
+def to_windows(
+    x: Float[Array, "*n h w c"], side: int, *, sparse: bool = False
+) -> Float[Array, "*n m t c"]:
+    """m windows of t = side² cells: neighbours or, if ``sparse``, cells evenly over the map (Tu et
+    al. 2022)."""
+    *leading, high, wide, channels = x.shape
+    shape = (high // side, side, wide // side, side)
+    order = (0, 2, 1, 3, 4)
+    if sparse:
+        shape, order = (side, high // side, side, wide // side), (1, 3, 0, 2, 4)
+    parts = x.reshape(*leading, *shape, channels).transpose(_last_axes(x.ndim - 3, order))
+    return parts.reshape(*leading, -1, side * side, channels)
+
+
+def from_windows(
+    x: Float[Array, "*n m t c"], high: int, wide: int, *, sparse: bool = False
+) -> Float[Array, "*n h w c"]:
+    """The inverse of :func:`to_windows`."""
+    *leading, _, tokens, channels = x.shape
+    side = round(tokens**0.5)
+    parts = x.reshape(*leading, high // side, wide // side, side, side, channels)
+    order = (2, 0, 3, 1, 4) if sparse else (0, 2, 1, 3, 4)
+    return parts.transpose(_last_axes(x.ndim - 3, order)).reshape(*leading, high, wide, channels)
+
+
+def _last_axes(leading: int, order: Sequence[int]) -> list[int]:
+    """An order of axes that leaves ``leading`` ones where they are."""
+    return [*range(leading), *(leading + k for k in order)]
+
+
+def offsets(side: int) -> Int[np.ndarray, "t t"]:
+    """For each two cells of a window, the number of the offset between them, of (2 side − 1)²."""
+    at = np.stack(np.meshgrid(*[np.arange(side)] * 2, indexing="ij"), -1).reshape(-1, 2)
+    apart = at[:, None] - at[None] + side - 1
+    return apart[..., 0] * (2 * side - 1) + apart[..., 1]
+
+
+def _by_modality(shape: tuple[int, ...], key: Array) -> Float[Array, "*k c d"]:
+    """A matrix for each modality, or for each pair of them, that keeps variance."""
+    return jax.random.normal(key, shape, jnp.float32) * shape[-2] ** -0.5
+
+
+class HeterogeneousAttention(eqx.Module):
+    """In each window, the cells of all agents attend to one another, by modality: as in V2X-ViT (Xu
+    et al. 2022) and, over more than one cell, in HM-ViT (Xiang et al. 2023).
+
+    Queries, keys, values and outputs have matrices by the modality of the agent. How well a sender
+    matches a receiver, and what the receiver takes of it, have matrices by both modalities.
+    """
+
+    queries: Float[Array, "k c c"]
+    keys: Float[Array, "k c c"]
+    values: Float[Array, "k c c"]
+    relations: Float[Array, "k k h d d"]
+    messages: Float[Array, "k k h d d"]
+    outputs: Float[Array, "k c c"]
+    modalities: tuple[int, ...] = eqx.field(static=True)
+    heads: int = eqx.field(static=True)
+
+    def __init__(self, channels: int, modalities: Sequence[int], heads: int, key: Array) -> None:
+        kinds, each = max(modalities) + 1, channels // heads
+        *of_one, relations, messages = jax.random.split(key, 6)
+        self.queries, self.keys, self.values, self.outputs = (
+            _by_modality((kinds, channels, channels), own) for own in of_one
+        )
+        self.relations, self.messages = (
+            _by_modality((kinds, kinds, heads, each, each), own) for own in (relations, messages)
+        )
+        self.modalities, self.heads = tuple(modalities), heads
+
+    def __call__(
+        self, x: Float[Array, "B A M T C"], present: Bool[Array, "B A"]
+    ) -> Float[Array, "B A M T C"]:
+        """``x`` has M windows of T cells for each agent; absent agents are attended to by none."""
+        kinds = np.array(self.modalities)
+        query, key, value = (
+            jnp.einsum("bamtc,acd->bamtd", x, part[kinds]).reshape(*x.shape[:4], self.heads, -1)
+            for part in (self.queries, self.keys, self.values)
+        )
+        relation, message = (  # (receiver, sender, heads, c, c)
+            part[kinds[:, None], kinds[None, :]] for part in (self.relations, self.messages)
+        )
+        asked = jnp.einsum("bimtuc,ijucd->bimtjud", query, relation)
+        told = jnp.einsum("bjmsuc,ijucd->bijmsud", value, message)
+        scores = jnp.einsum("bimtjud,bjmsud->bmuitjs", asked, key) * query.shape[-1] ** -0.5
+        scores = jnp.where(present[:, None, None, None, None, :, None], scores, -jnp.inf)
+        weights = jax.nn.softmax(scores, (-2, -1))
+        found = jnp.einsum("bmuitjs,bijmsud->bimtud", weights, told).reshape(x.shape)
+        return jnp.einsum("bamtc,acd->bamtd", found, self.outputs[kinds])
+
+
+# ── HM-ViT ──────────────────────────────────────────────────────────────────
+
+HM_BLOCKS = 1
+"""Pairs of attention within windows and within sparse grids. HM-ViT has three; one takes as long as
+all that comes before it."""
+HM_HEADS = 2
+HM_SIDE = 4  # cells along the side of a window and of a sparse grid
+
+
+class GraphAttention(eqx.Module):
+    """Cells of all agents attend to one another within windows, or within sparse grids."""
+
+    norm: CellNorm
+    attention: HeterogeneousAttention
+    last_norm: CellNorm
+    perceptron: Perceptron
+    sparse: bool = eqx.field(static=True)
+
+    def __init__(self, channels: int, modalities: Sequence[int], sparse: bool, key: Array) -> None:
+        first, second = jax.random.split(key)
+        self.norm, self.last_norm = CellNorm(channels), CellNorm(channels)
+        self.attention = HeterogeneousAttention(channels, modalities, HM_HEADS, first)
+        self.perceptron = Perceptron(channels, 2 * channels, channels, second)
+        self.sparse = sparse
+
+    def __call__(self, x: AgentMaps, present: Present) -> AgentMaps:
+        windows = self.attention(to_windows(self.norm(x), HM_SIDE, sparse=self.sparse), present)
+        x = x + from_windows(windows, *x.shape[2:4], sparse=self.sparse)
+        return x + self.perceptron(self.last_norm(x))
+
+
+class HMViT(eqx.Module):
+    """HM-ViT (Xiang et al. 2023): attention over agents and cells at once, by modality.
+
+    All agents' features at the cells of a window, then at those of a sparse grid over the whole
+    map, attend to one another. Then the mean over agents is taken.
+    """
+
+    blocks: list[tuple[GraphAttention, GraphAttention]]
+
+    def __init__(self, channels: int, modalities: Sequence[int], key: Array) -> None:
+        self.blocks = [
+            (
+                GraphAttention(channels, modalities, False, local),
+                GraphAttention(channels, modalities, True, sparse),
+            )
+            for local, sparse in jax.random.split(key, (HM_BLOCKS, 2))
+        ]
+
+    def __call__(self, x: AgentMaps, present: Present) -> FusedMap:
+        for local, sparse in self.blocks:
+            x = sparse(local(x, present), present)
+        return mean_of(x, present)
+
+
+# ── V2X-ViT ─────────────────────────────────────────────────────────────────
+
+V2X_LAYERS = 3
+V2X_HEADS = 4
+V2X_WINDOWS = {4: 4, 8: 2, 16: 1}
+"""Sides of windows [cells], and heads of each: larger windows have fewer, as in the paper."""
+
+
+class WindowAttention(eqx.Module):
+    """Attention within windows of one size, with a bias by offset (Liu et al. 2021)."""
+
+    project: Linear
+    output: Linear
+    bias: Float[Array, "heads offsets"]
+    side: int = eqx.field(static=True)
+    heads: int = eqx.field(static=True)
+
+    def __init__(self, channels: int, side: int, heads: int, key: Array) -> None:
+        first, second = jax.random.split(key)
+        self.project = Linear(channels, 3 * channels, first, bias=False)
+        self.output = Linear(channels, channels, second)
+        self.bias = jnp.zeros((heads, (2 * side - 1) ** 2))
+        self.side, self.heads = side, heads
+
+    def __call__(self, x: Float[Array, "*n h w c"]) -> Float[Array, "*n h w c"]:
+        high, wide, channels = x.shape[-3:]
+        tokens = to_windows(self.project(x), self.side)
+        split = tokens.reshape(*tokens.shape[:-1], 3, self.heads, channels // self.heads)
+        query, key, value = (split[..., k, :, :] for k in range(3))
+        bias = self.bias[:, offsets(self.side)]
+        bias = bias.reshape((1,) * (query.ndim - 3) + bias.shape)
+        found = attend(query, key, value, bias=bias)
+        return from_windows(self.output(found.reshape(*tokens.shape[:-1], channels)), high, wide)
+
+
+class Layer(eqx.Module):
+    """Attention between agents, attention within windows, and a perceptron, each added on."""
+
+    norms: tuple[CellNorm, CellNorm, CellNorm]
+    agents: HeterogeneousAttention
+    windows: tuple[WindowAttention, ...]
+    weigh: Perceptron
+    perceptron: Perceptron
+
+    def __init__(self, channels: int, types: Sequence[int], key: Array) -> None:
+        a, b, c, *keys = jax.random.split(key, 3 + len(V2X_WINDOWS))
+        self.norms = (CellNorm(channels), CellNorm(channels), CellNorm(channels))
+        self.agents = HeterogeneousAttention(channels, types, V2X_HEADS, a)
+        self.windows = tuple(
+            WindowAttention(channels, side, heads, own)
+            for (side, heads), own in zip(V2X_WINDOWS.items(), keys, strict=True)
+        )
+        self.weigh = Perceptron(channels, channels // 2, len(V2X_WINDOWS) * channels, b)
+        self.perceptron = Perceptron(channels, 2 * channels, channels, c)
+
+    def __call__(self, x: AgentMaps, present: Present) -> AgentMaps:
+        cells = self.norms[0](x).reshape(*x.shape[:2], -1, 1, x.shape[-1])
+        x = x + self.agents(cells, present).reshape(x.shape)  # each cell is a window by itself
+        x = x + self._windows(self.norms[1](x))
+        return x + self.perceptron(self.norms[2](x))
+
+    def _windows(self, x: AgentMaps) -> AgentMaps:
+        branches = jnp.stack([window(x) for window in self.windows])  # (S, B, A, H, W, C)
+        scores = self.weigh(branches.sum(0).mean((2, 3)))
+        scores = scores.reshape(*scores.shape[:2], len(self.windows), -1)
+        return jnp.einsum("sbahwc,basc->bahwc", branches, jax.nn.softmax(scores, 2))
+
+
+class V2XViT(eqx.Module):
+    """V2X-ViT (Xu et al. 2022): attention between agents by their type, and within windows of each.
+
+    Three layers, each of heterogeneous attention over the agents at a cell, of attention within
+    windows at three scales whose results are weighed (split attention, Zhang et al. 2020), and of a
+    perceptron. Then the mean over agents is taken. ``types`` are the agents' modalities.
+    """
+
+    layers: list[Layer]
+
+    def __init__(self, channels: int, types: Sequence[int], key: Array) -> None:
+        self.layers = [Layer(channels, types, own) for own in jax.random.split(key, V2X_LAYERS)]
+
+    def __call__(self, x: AgentMaps, present: Present) -> FusedMap:
+        for layer in self.layers:
+            x = layer(x, present)
+        return mean_of(x, present)

@@ -5,10 +5,9 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float, Int
 
-from inspe_jax.placement.candidate_views import Rows
 from inspe_jax.placement.candidates import poses, project
 from inspe_jax.placement.problem import Problem
-from inspe_jax.placement.sample_score import LEAST, SampleScore
+from inspe_jax.placement.sample_score import LEAST, Rows, SampleScore
 
 Sighted = tuple[Float[np.ndarray, " N"], dict[int, Rows]]
 """A layout, and what its sensors see of a sample."""

@@ -13,12 +13,11 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from inspe_jax.placement.candidate_table import HEIGHTS, Picks, Table
-from inspe_jax.placement.candidate_views import Rows
 from inspe_jax.placement.candidates import COLUMNS, FRAMES
 from inspe_jax.placement.methods.finer_moves import finer, sights
 from inspe_jax.placement.problem import Problem
 from inspe_jax.placement.run import Method, Run
-from inspe_jax.placement.sample_score import KNOWN, LEAST, MarginalWeights, SampleScore
+from inspe_jax.placement.sample_score import KNOWN, LEAST, MarginalWeights, Rows, SampleScore
 
 WIDTH = 1.0
 """Length of the first finer moves, in typical steps."""
@@ -212,11 +211,6 @@ class Moving:
 GreedyState = Placing | Exchanging | Moving
 
 
-def begin(run: Run) -> Placing:
-    """Before the first round."""
-    return Placing()
-
-
 def step(run: Run, state: GreedyState) -> GreedyState:
     """A piece of a round.
 
@@ -250,21 +244,12 @@ def _table(run: Run, number: int, looked: int | None = None) -> Table:
         looked = len(table.parts) if looked is None else looked
         if sum(len(kind.rows) for kind in table.kinds) == looked:
             return table
-    table = _new_table(run, number)
+    wanted, rng = _effort(run.problem), run.rng(0, number)
+    table = Table.of(run.problem, rng, wanted.columns, wanted.heights, first=number == 0)
     for part in range(len(table.parts) if looked is None else looked):
         table.look(part)
     run.cache["table"] = number, table
     return table
-
-
-def _new_table(run: Run, number: int) -> Table:
-    wanted, rng = _effort(run.problem), run.rng(0, number)
-    return Table.of(run.problem, rng, wanted.columns, wanted.heights, first=number == 0)
-
-
-def forget(run: Run) -> None:
-    """Let go of a round's candidates, some 100 MB, when they are not looked at any more."""
-    run.cache.pop("table", None)
 
 
 def look(run: Run, state: Placing) -> Placing:
@@ -317,7 +302,7 @@ def _exchange(run: Run, state: Exchanging) -> Exchanging | Moving:
     if state.unit < len(run.problem.layout.units):
         return state
     if not state.moved:
-        forget(run)
+        run.cache.pop("table")  # some 100 MB
         return Moving(state.round, state.x, state.value, state.x)
     x, value = table.layout(state.x, picks), state.value
     if (score := run.offer(x)) > value:
@@ -360,7 +345,7 @@ GREEDY = Method(
     "greedy",
     "sensor by sensor the best candidate pose, then exchanges and finer moves",
     (Placing, Exchanging, Moving),
-    begin,
+    lambda run: Placing(),
     step,
     knows=KNOWN,
 )

@@ -21,8 +21,7 @@ from inspe_jax.placement.candidates import COLUMNS, FRAMES
 from inspe_jax.placement.methods import greedy
 from inspe_jax.placement.methods.adam import STEP_COLUMNS, STEP_FRAMES, advance, charted, layouts
 from inspe_jax.placement.methods.cma_es import CMA_ES
-from inspe_jax.placement.methods.finer_moves import Sighted, finer, of_unit, sights, with_unit
-from inspe_jax.placement.methods.greedy import FINER, MOVE_COST, Placing, charge
+from inspe_jax.placement.methods.greedy import FINER, MOVE_COST, Placing, Sighted, charge
 from inspe_jax.placement.run import Method, Run
 from inspe_jax.placement.sample_score import PAPER, Rows, SampleScore
 
@@ -119,7 +118,7 @@ def _pass(run: Run, state: LocalSearch) -> Placing | LocalSearch:
     sampled = SampleScore(problem, problem.sample(run.rng(1, *key), COLUMNS, FRAMES))
     members = problem.layout.members()
     charge(run, sampled, len(problem.layout))
-    first = state.x, sights(sampled, state.x)
+    first = state.x, greedy.sights(sampled, state.x)
     at, value, moved, start = first, state.value, 0, state.value
     if _bursts_fit(run):
         new, state = _bursts(run, state, sampled, first[1])
@@ -128,16 +127,18 @@ def _pass(run: Run, state: LocalSearch) -> Placing | LocalSearch:
     for k in range(GENERATIONS * max(map(len, members))):
         units = [u for u, sensors in enumerate(members) if k < GENERATIONS * len(sensors)]
         charge(run, sampled, MOVE_COST * TRIES * sum(len(members[u]) for u in units))
-        before, new = new, finer(sampled, *new, units, state.width, rng, TRIES)
+        before, new = new, greedy.finer(sampled, *new, units, state.width, rng, TRIES)
         if new[0] is not before[0]:
             run.hold(new[0])
     differs = new[0] != at[0]
-    changed = [u for u in range(len(members)) if differs[of_unit(problem, u)].any()]
+    changed = [u for u in range(len(members)) if differs[greedy.of_unit(problem, u)].any()]
     if careful:
         for k, u in enumerate(changed):
             before = at
-            run.hold(reduce(lambda on, v: with_unit(problem, on, new, v), changed[k:], at)[0])
-            at, value = _better(run, at, value, with_unit(problem, at, new, u))
+            run.hold(
+                reduce(lambda on, v: greedy.with_unit(problem, on, new, v), changed[k:], at)[0]
+            )
+            at, value = _better(run, at, value, greedy.with_unit(problem, at, new, u))
             moved += at is not before
     else:
         at, value = _better(run, first, value, new)
@@ -175,7 +176,7 @@ def _bursts(
         after = advance(run, start, lambda: (softness, rate), BURST)
         count, new = after.count, layouts(problem, after)[0]
         charge(run, sampled, len(problem.layout))
-        seen = sights(sampled, new)
+        seen = greedy.sights(sampled, new)
         if sampled.value(seen) <= sampled.value(rows):
             break
         run.hold(new)

@@ -131,9 +131,9 @@ def pytest_terminal_summary(terminalreporter) -> None:
 
 
 LONG = (
-    "test_docs", "test_notebooks", "test_soft", "test_methods", "test_page", "test_cli",
+    "test_docs", "test_notebooks", "test_methods", "test_soft", "test_page", "test_cli",
     "test_sweep", "test_target_metrics", "test_evaluate", "test_exact", "test_generate",
-    "test_city",
+    "test_city", "test_statics", "test_traffic", "test_candidates", "test_compiles", "test_targets",
 )  # fmt: skip
 
 

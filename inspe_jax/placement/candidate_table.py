@@ -5,7 +5,6 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from inspe_jax.placement.candidate_views import Rows
 from inspe_jax.placement.candidates import (
     FRAMES,
     lattice,
@@ -13,7 +12,7 @@ from inspe_jax.placement.candidates import (
     set_heights,
 )
 from inspe_jax.placement.problem import Problem
-from inspe_jax.placement.sample_score import SampleScore
+from inspe_jax.placement.sample_score import Rows, SampleScore
 from inspe_jax.sensing.layout import UNIT_HEIGHT
 
 HEIGHTS, YAWS = 3, 8

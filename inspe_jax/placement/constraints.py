@@ -1,4 +1,4 @@
-"""What mounting allows: heights, clearance over lanes, angles, places and distances to move."""
+"""What mounting allows: heights, clearance over lanes, angles and places."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -43,8 +43,7 @@ class Constraints:
     ``places`` is one of :data:`PLACES`, for all units or by name of unit; a unit that is not named
     has "any". With "poles" a unit stands on one of the poles, with "areas" anywhere in the mounting
     areas, with "keep" where it is. ``area``, a shapely polygon in world metres, replaces the map's
-    mounting area. ``move`` is the largest distance of a unit's foot from where the given layout has
-    it.
+    mounting area.
     """
 
     heights: tuple[float, float] = POLE_HEIGHTS
@@ -54,7 +53,6 @@ class Constraints:
     yaw: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     places: str | Mapping[str, str] = "any"
     area: BaseGeometry | None = None
-    move: float | None = None
 
     def check(self) -> None:
         """Raise InspeError if a value is unknown, out of range or contradicts another."""
@@ -88,8 +86,6 @@ class Constraints:
                     f"yaw of '{name}' {np.degrees(low):g}° to {np.degrees(high):g}°: give a start "
                     "within −360° to 360° and an end up to one turn counter-clockwise of it"
                 )
-        if self.move is not None and not 0 <= self.move < np.inf:
-            raise InspeError(f"move {self.move:g} m: give 0 or more")
         if self.area is not None and (not self.area.is_valid or self.area.area <= 0):
             raise InspeError("area: not a valid polygon with an area")
 

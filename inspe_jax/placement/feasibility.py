@@ -81,8 +81,6 @@ def _foot(
         if moved > TOLERANCE:
             yield f"is {moved:.2f} m from where it must stay"
         return
-    if constraints.move is not None and moved > constraints.move + TOLERANCE:
-        yield f"is {moved:.2f} m from where it was, at most {constraints.move:g} m"
     if away > site.radius + TOLERANCE:
         yield f"is {away:.2f} m from the centre, at most {site.radius:g} m"
     near = site.body_near(foot, within=TOLERANCE)

@@ -69,7 +69,6 @@ def optimise(
     progress: Callable[[float, float], None] | None = None,
     checkpoint: str | os.PathLike[str] | None = None,
     found: Callable[[Layout, float], None] | None = None,
-    clock: Callable[[], float] | None = None,
     target: float = np.inf,
     conditions: Conditions | str | None = None,
 ) -> Result:
@@ -86,9 +85,9 @@ def optimise(
 
     The budget is in ``seconds`` (60 if no budget is given), in ``evaluations`` (exact scores, with
     all other work in their equivalents), or both. Seconds of wall time count from the first exact
-    score on; while a program is compiled they do not. Another ``clock`` can count them. With
-    ``evaluations`` alone, the same ``seed`` gives the same result on the same machine. The search
-    also ends with a best score of ``target`` or more.
+    score on; while a program is compiled they do not. With ``evaluations`` alone, the same ``seed``
+    gives the same result on the same machine. The search also ends with a best score of ``target``
+    or more.
 
     ``progress`` is called with the share of the budget that is spent and the best score so far.
     ``found`` is called with every layout that is the best so far, and its score.
@@ -116,7 +115,6 @@ def optimise(
         checkpoint,
         seconds=seconds,
         evaluations=evaluations,
-        clock=clock,
         progress=progress,
         found=None if found is None else lambda x, best: found(problem.space.layout(x), best),
         target=target,
@@ -153,7 +151,6 @@ def compare(
     try:
         for row in rows:
             for seed in several:
-                told = None if progress is None else partial(progress, row.name, seed)
                 result = _search(
                     problem,
                     row,
@@ -161,7 +158,7 @@ def compare(
                     start,
                     seconds=seconds,
                     evaluations=evaluations,
-                    progress=told,
+                    progress=None if progress is None else partial(progress, row.name, seed),
                 )
                 results.append(result)
                 if result.status == "interrupted":
@@ -327,7 +324,6 @@ def _settings(problem: Problem) -> dict[str, Any]:
             "yaw_deg": {k: np.degrees(v).round(6).tolist() for k, v in limits.yaw.items()},
             "places": limits.places if isinstance(limits.places, str) else dict(limits.places),
             "area": None if limits.area is None else limits.area.wkt,
-            "move": limits.move,
         },
     }
 

@@ -122,15 +122,15 @@ class Problem:
             replace(case, scene=wanted.within(case.scene)) for case in cases_of(scenes)
         )
         first = self.cases[0].scene
-        self.options = options_of(first, wanted.occlusion_reference, wanted.visibility)
+        self.readings = options_of(first, wanted.occlusion_reference, wanted.visibility)
         by_name = wanted.weights_by_name
         names = metrics.chosen(weights=by_name)
-        self.asked = ScoreOptions.of(**self.options, names=names, detection=wanted.detection)
+        self.options = ScoreOptions.of(**self.readings, names=names, detection=wanted.detection)
         self.objective = replace(
             wanted,
             weights={name: by_name[name] for name in names},
-            occlusion_reference=self.options["occlusion_reference"],
-            visibility=self.options["visibility"],
+            occlusion_reference=self.readings["occlusion_reference"],
+            visibility=self.readings["visibility"],
         )
         for case in self.cases[1:]:
             check_one_place(first, case.scene)
@@ -189,7 +189,7 @@ class Problem:
                 poses,
                 sensor_set,
                 case.scene.voxels.size,
-                self.asked,
+                self.options,
             )
             if self.objective.weights_by_name["information_gain"] > 0:
                 check_entropy(case.scene, found.entropy)
@@ -262,10 +262,10 @@ class Problem:
         scenes = tuple(tiled.bucketed for tiled in sample.scenes)
         shapes = tuple(leaf.shape for leaf in jax.tree.leaves((scenes, self.terms.sensors)))
         kinds = tuple(sensors.kinds for sensors in self.terms.sensors)
-        key = (case_scores, self.asked, kinds, shapes)
+        key = (case_scores, self.options, kinds, shapes)
         padded = [self.terms.sensors[0].padded(row) for row in on_host(poses(self.space, x), float)]
         jobs: list[Job] = [
-            (key, partial(case_scores, BITS, row, scenes, self.terms, asked=self.asked))
+            (key, partial(case_scores, BITS, row, scenes, self.terms, options=self.options))
             for row in padded
         ]
         return np.array([self._combined(row) for row in run(jobs)])
@@ -286,7 +286,7 @@ class Problem:
             tuple(scene.bucketed for scene in tiled),
             self.terms,
             softness,
-            asked=self.asked,
+            options=self.options,
             over=self.objective.over,
         )
         return float(value), np.asarray(slope)[: len(poses)]
@@ -347,34 +347,34 @@ def scores(
     return jnp.stack(found)
 
 
-@partial(jax.jit, static_argnames="asked")
+@partial(jax.jit, static_argnames="options")
 def case_scores(
     reading: Reading,
     poses: Float[Array, "S 6"],
     scenes: tuple[TiledScene, ...],
     terms: ScoreTerms,
     *,
-    asked: ScoreOptions,
+    options: ScoreOptions,
 ) -> Float[Array, " N"]:
     """P_sm of N cases; ``poses`` are about the scene's centre and padded.
 
     ``scenes`` are samples or whole scenes, in tiles.
     """
     measures = [
-        measure_tiles(reading, tiled, poses, sensors, voxel, options=asked)
+        measure_tiles(reading, tiled, poses, sensors, voxel, options=options)
         for tiled, sensors, voxel in zip(scenes, terms.sensors, terms.voxel, strict=True)
     ]
     return scores(measures, terms.weights, terms.failures)
 
 
-@partial(jax.jit, static_argnames=("asked", "over"))
+@partial(jax.jit, static_argnames=("options", "over"))
 def soft_slope(
     poses: Float[Array, "S 6"],
     scenes: tuple[TiledScene, ...],
     terms: ScoreTerms,
     softness: Float[Array, ""],
     *,
-    asked: ScoreOptions,
+    options: ScoreOptions,
     over: str,
 ) -> tuple[Float[Array, ""], Float[Array, "S 6"]]:
     """The combined score of all cases, read with ``softness`` [m], and its gradient in the poses.
@@ -384,7 +384,7 @@ def soft_slope(
     reading = Numbers(Softness.of(softness))
 
     def score(poses: Array) -> Array:
-        return COMBINATIONS[over][0](case_scores(reading, poses, scenes, terms, asked=asked))
+        return COMBINATIONS[over][0](case_scores(reading, poses, scenes, terms, options=options))
 
     return jax.value_and_grad(score)(poses)
 

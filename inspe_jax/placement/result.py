@@ -94,7 +94,12 @@ def save_result(result: Result, folder: str | os.PathLike[str]) -> None:
     place = prepare_folder(folder)
     save_layout(result.layout, place / "layout.yaml")
     save_layout(result.start, place / "start.yaml")
-    write_text(place / "result.json", json.dumps(_record(result), indent=2) + "\n")
+    record = {"format": FORMAT, **vars(result)}
+    for name in ("layout", "start", "history", "path"):  # have files of their own
+        del record[name]
+    for name in _SCORES:
+        record[name] = replace(record[name], seen_share=np.zeros(0))
+    write_text(place / "result.json", json.dumps(json_value(record), indent=2) + "\n")
     write_text(place / "history.csv", csv_text([asdict(row) for row in result.history]))
     write_text(place / "path.csv", csv_text(_path_rows(result)))
 
@@ -119,7 +124,7 @@ def load_result(folder: str | os.PathLike[str]) -> Result:
         check_input(place / name)
     layout, start = (load_layout(place / name) for name in FILES[:2])
     try:
-        for key in ("scores_before", "scores"):
+        for key in _SCORES:
             record[key] = _scores(record[key])
         record["notes"] = tuple(record["notes"])
         history = tuple(
@@ -150,6 +155,7 @@ def save_comparison(results: Sequence[Result], folder: str | os.PathLike[str]) -
     write_text(place / "history.csv", csv_text(steps))
 
 
+_SCORES = ("scores_before", "scores")
 _POSE = ("x", "y", "z", "roll_deg", "pitch_deg", "yaw_deg")
 
 
@@ -169,23 +175,6 @@ def _path_rows(result: Result) -> list[dict[str, Any]]:
 
 def _of(result: Result) -> dict[str, Any]:
     return {"method": result.method, "seed": result.seed}
-
-
-def _record(result: Result) -> dict[str, Any]:
-    """The record for JSON: all but the layouts, the history and the path."""
-    plain = ("method", "status", "objective_before", "objective", "evaluations", "seconds", "seed")
-    scores = {
-        name: json_value(asdict(replace(getattr(result, name), seen_share=np.zeros(0))))
-        for name in ("scores_before", "scores")
-    }
-    return {
-        "format": FORMAT,
-        **{name: getattr(result, name) for name in plain},
-        "notes": list(result.notes),
-        **scores,
-        "settings": json_value(result.settings),
-        "versions": result.versions,
-    }
 
 
 def _scores(record: dict[str, Any]) -> Scores:

@@ -7,27 +7,167 @@ are added. What one more sensor adds to D is Σ w·∏(1 − p)·p', with the pr
 factor exceeds 1.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import islice
+from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Array, Bool, Float, UInt
 
-from inspe_jax.core.parallel import Job, run
-from inspe_jax.placement.candidate_views import FOUND, Rows, view_jobs
+from inspe_jax.core.arrays import on_host
+from inspe_jax.core.parallel import Job, parts_of, run
 from inspe_jax.placement.problem import Problem, Sample
 from inspe_jax.scoring import metrics
+from inspe_jax.scoring.accumulate import seen_by_sensor
 from inspe_jax.scoring.detection import detection_curves
+from inspe_jax.scoring.options import ScoreOptions
+from inspe_jax.scoring.reading import BITS, Frames
+from inspe_jax.scoring.target_evidence import target_evidence_of_sensor
+from inspe_jax.scoring.tiled_scene import TiledScene, WorkChunk
+from inspe_jax.sensing.rays import Rays
 from inspe_jax.sensing.sensors import RayGrid
+from inspe_jax.visibility import bitmask
+from inspe_jax.visibility.centered_scene import Statics
+from inspe_jax.visibility.statics import past_statics_masks
+from inspe_jax.visibility.tiles import Tile, Tiles
+from inspe_jax.visibility.view_masks import view_masks
 
+FOUND = "detectability"
+"""The metric whose chances are found with the views."""
 PAPER = ("coverage", "occlusion", "information_gain")
 KNOWN = (*PAPER, FOUND)
 """The metrics that are sums over a row. Others count nothing here."""
 LEAST = 1e-6
 """A gain that is smaller is rounding."""
+TOGETHER = 8
+"""Poses in one compiled call. With one shape for any number of poses, results are the same bits."""
 _PART = 256  # rows that are converted from bits to numbers at once
+
+
+@dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
+class Rows:
+    """What one sensor has of a sample: a row, or a row for each of K poses.
+
+    ``bits`` (K, 1 + T, V) are f of each voxel, then f and line of sight in each frame. ``chance``
+    (K, Q, L) is that to find a road user of each of Q classes at each column; Q is 0 where it is
+    not asked for.
+    """
+
+    bits: Bool[np.ndarray, "*k F V"]
+    chance: Float[np.ndarray, "*k Q L"]
+
+    @classmethod
+    def joined(cls, parts: Sequence["Rows"], axis: int = 0) -> "Rows":
+        """The rows of all parts: of further poses or, along axis −1, of further scenes."""
+        if len(parts) == 1:
+            return parts[0]
+        bits, chance = [part.bits for part in parts], [part.chance for part in parts]
+        return cls(np.concatenate(bits, axis), np.concatenate(chance, axis))
+
+    def __getitem__(self, at: Any) -> "Rows":
+        return Rows(self.bits[at], self.chance[at])
+
+    def __len__(self) -> int:
+        return len(self.bits)
+
+
+def view_jobs(
+    grid: RayGrid,
+    half: float,
+    poses: Float[Array | np.ndarray, "K 6"],
+    tiled: TiledScene,
+    options: ScoreOptions,
+    pixels: float = 1.0,
+) -> list[Job]:
+    """Jobs for what one sensor has in view, and sees in each frame, from each of K poses.
+
+    Each gives the rows of :data:`TOGETHER` poses; after the last pose, it is repeated.
+    ``poses`` are about the scene's centre, ``half`` is half a voxel's edge [m], and ``tiled`` is a
+    scene in one chunk. ``pixels`` is the number of pixels that a ray stands for. The chances to
+    find road users are of a sensor alone, as in detectability, if ``options`` has that metric.
+    """
+    (chunk,) = tiled.chunks
+    assert chunk.solid is not None  # the scene has masks
+    rays = grid.rays
+    lengths = rays.table.rows.shape + rays.table.nearest.shape
+    found = tuple(metric for metric in options.metrics if metric.name == FOUND)
+    # Other metrics do not change what is seen: without them fewer programs are compiled.
+    options = options._replace(metrics=found, detection=options.detection if found else None)
+    shapes = chunk.solid.shape, chunk.prisms.top.shape, tiled.statics and tiled.statics.shapes
+    key = (_view, grid.kind, lengths, *shapes, options)
+    fixed = dict(chunk=chunk, statics=tiled.statics, last=tiled.tiles.last, options=options)
+
+    def rows(part: np.ndarray) -> Rows:
+        return _by_voxel(tiled.tiles, *_view(rays, half, pixels, part, **fixed))
+
+    return [(key, partial(rows, part)) for part in parts_of(on_host(poses, float), TOGETHER)]
+
+
+def _by_voxel(tiles: Tiles, view: Array, seen: Array, chance: Array) -> Rows:
+    """What :func:`_view` returns, in the scene's order of voxels and of columns."""
+    count, number, classes, columns = chance.shape
+    found = np.asarray(chance).reshape(count, tiles.slabs, number // tiles.slabs, classes, columns)
+    found = found.sum(1).swapaxes(1, 2).reshape(count, classes, number // tiles.slabs * columns)
+    found = found[..., np.asarray(tiles.place)].astype(np.float32)
+    bits = [tiles.by_voxel(np.asarray(view))[:, None], tiles.by_voxel(np.asarray(seen))]
+    return Rows(np.concatenate(bits, 1), found)
+
+
+@partial(jax.jit, static_argnames="options")
+def _view(
+    rays: Rays,
+    half: Float[Array, ""],
+    pixels: Float[Array, ""],
+    poses: Float[Array, "K 6"],
+    *,
+    chunk: WorkChunk,
+    statics: Statics | None,
+    last: Bool[Array, " N"],
+    options: ScoreOptions,
+) -> tuple[UInt[Array, "K N C"], UInt[Array, "K T N C"], Float[Array, "K N Q C"]]:
+    """Views, what is seen in frames, and chances of Q classes; Q is 0 unless they are asked for."""
+    curves = options.detection or detection_curves()
+
+    def view_from(pose: Array) -> tuple[Array, Array, Array]:
+        views = view_masks(rays, pose, chunk.tile, half)
+        past = ~jnp.zeros_like(views)
+        if statics is not None:
+            past = past_statics_masks(pose[:3], statics, chunk.tile, views)
+            views &= past
+        shadows = jax.tree.map(lambda leaf: leaf[0], BITS.shadows(pose[None, :3], chunk.prisms))
+
+        def see_tile(part: tuple[Tile, Array, Array, Array, Array]) -> tuple[Array, Array]:
+            tile, view, past, solid, last = part
+            row, frames = (pose[:3], shadows, view), Frames(chunk.prisms, solid)
+            seen, in_sight = seen_by_sensor(BITS, row, tile, frames, options)
+            if not options.metrics:
+                return seen, jnp.zeros((0, len(view)), tile.heights.dtype)
+            number = BITS.level_sums(in_sight, len(tile.heights)).T
+            sight = number.astype(tile.heights.dtype) / len(chunk.prisms.top)
+            if statics is not None:
+                sight *= bitmask.chances(past, len(tile.heights)).astype(sight.dtype)
+            at = rays, pixels, pose, tile, sight, last, None, curves
+            return seen, target_evidence_of_sensor(*at).chance
+
+        def see_nothing(part: tuple[Tile, Array, Array, Array, Array]) -> tuple[Array, Array]:
+            return jax.tree.map(
+                lambda x: jnp.zeros(x.shape, x.dtype), jax.eval_shape(see_tile, part)
+            )
+
+        seen, chance = jax.lax.map(
+            lambda part: jax.lax.cond((part[1] != 0).any(), see_tile, see_nothing, part),
+            (chunk.tile, views, past, chunk.solid, last),
+        )
+        return views, seen.swapaxes(0, 1), chance
+
+    return jax.lax.map(view_from, poses)
+
+
+# ── Scores from rows ──────────────────────────────────────────────────────────
 
 
 @dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
@@ -65,7 +205,7 @@ class SampleScore:
         self.problem, self.sample = problem, sample
         self._weights = np.concatenate([c * weight[None], o * free])
         self._entropy = ig * entropy
-        classes = len((problem.asked.detection or detection_curves()).counted)
+        classes = len((problem.options.detection or detection_curves()).counted)
         self._places = np.tile(d * places / classes, (classes if d else 0, 1))
         self._sighted = objective.visibility != "in_view"
         # Under "targets" and "line_of_sight", the rows count what is inside a vehicle as seen if no
@@ -95,7 +235,7 @@ class SampleScore:
             for (grid, pixels), sensors in alike.items():
                 at = np.concatenate([poses[s] for s in sensors])
                 half = case.scene.voxels.size / 2
-                new = view_jobs(grid, half, at, tiled, problem.asked, pixels)
+                new = view_jobs(grid, half, at, tiled, problem.options, pixels)
                 wanted.append((sensors, len(new)))
                 jobs += new
         done, found = iter(run(jobs)), dict[int, list[Rows]]()
@@ -174,7 +314,7 @@ def _shares(problem: Problem, sample: Sample) -> Iterator[np.ndarray]:
     for part, tiled in zip(sample.arrays, sample.scenes, strict=True):
         (chunk,) = tiled.chunks
         solid = tiled.tiles.by_voxel(np.asarray(chunk.solid).swapaxes(0, 1))  # (T, V)
-        reference = problem.options["occlusion_reference"]
+        reference = problem.readings["occlusion_reference"]
         free = metrics.counted_by_occlusion(~solid, solid, reference).astype(float)
         if part.centered.inside is not None:
             free *= ~np.asarray(part.centered.inside).ravel()

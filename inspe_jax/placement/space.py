@@ -105,13 +105,12 @@ class Space:
         )
 
     def _set_places(self) -> None:
-        move, kinds = self.constraints.move, [PLACES[name] for name in self._places]
-        shared = self.site.convex() if move is None and any(a for a, _ in kinds) else []
-        feet = self.site.poles - self.center[:2]
-        pool = [*shared, *feet[:, None]]
+        kinds = [PLACES[name] for name in self._places]
+        ground = self.site.convex() if any(areas for areas, _ in kinds) else []
+        pool = [*ground, *(self.site.poles - self.center[:2])[:, None]]
+        self._pole = np.arange(len(pool)) >= len(ground)
         rows = []
         for u, foot in enumerate(self._feet):
-            row: list[int] = []
             areas, poles = kinds[u]
             unit, away = self.given.units[u].name, float(np.hypot(*foot))
             if self._kept[u] and away > self.site.radius + TOLERANCE:
@@ -119,14 +118,7 @@ class Space:
                     f"unit '{unit}' stands {away:.1f} m from the centre, beyond the radius of "
                     f"{self.site.radius:g} m: it cannot stay there"
                 )
-            if not self._kept[u]:
-                near = np.hypot(*(feet - foot).T) <= (np.inf if move is None else move)
-                row = [*range(len(shared))] if areas else []
-                row += [*(len(shared) + np.flatnonzero(near))] if poles else []
-                if areas and move is not None:
-                    own = self.site.convex(foot, move)
-                    row += range(len(pool), len(pool) + len(own))
-                    pool += own
+            row = [] if self._kept[u] else [*np.flatnonzero(np.where(self._pole, poles, areas))]
             # A given foot that may stay is a place for its unit, also in the rim of an area.
             at = foot + self.center[:2]
             if self._kept[u] or self.site.carries(at, areas=areas, poles=poles, within=TOLERANCE):
@@ -134,17 +126,16 @@ class Space:
                 pool.append(foot[None])
             if not row:
                 what = {"any": "no mounting area and no pole", "areas": "no mounting area"}
-                near = "the centre" if move is None else "its foot"
                 raise InspeError(
                     f"{self.place.name}: unit '{unit}' has nowhere to stand: "
                     f"{what.get(self._places[u], 'no pole')} off the driving lanes within "
-                    f"{self.site.radius if move is None else move:g} m of {near}; use places "
-                    "'keep', a larger move, an area of your own or a map with sidewalks"
+                    f"{self.site.radius:g} m of the centre; use places 'keep', an area of your own "
+                    "or a map with sidewalks"
                 )
             rows.append(row)
         self._pieces = make_regions(pool)
         self._allowed = np.array([np.isin(np.arange(len(pool)), row) for row in rows])
-        self._pole = np.isin(np.arange(len(pool)), len(shared) + np.arange(len(feet)))
+        self._pole = np.pad(self._pole, (0, len(pool) - len(self._pole)))
 
     def _set_rasters(self) -> None:
         self._reach = self.site.radius + UNIT_PLAN + 4 * _CELL

@@ -27,8 +27,8 @@ from inspe_jax.scoring.evaluate import evaluate
 from inspe_jax.sensing.conditions import Conditions
 from inspe_jax.sensing.layout import Layout
 
-EVALUATIONS = 250
-"""Enough for greedy placement, exchanges and some moves on so small a scene."""
+EVALUATIONS = 60
+"""Enough for a random search on so small a scene."""
 
 
 @pytest.fixture(scope="module")
@@ -172,7 +172,7 @@ def test_a_budget_of_nothing_is_refused(budget, message):
 
 @pytest.fixture(scope="module")
 def found(scene, layout):
-    return optimise(scene, layout, "greedy", evaluations=EVALUATIONS)
+    return optimise(scene, layout, "random", evaluations=EVALUATIONS)
 
 
 def test_a_search_finds_better_places_that_can_be_mounted(scene, layout, found):
@@ -203,7 +203,7 @@ def test_its_record_says_what_it_did_and_how_to_make_it_again(found):
     # The last may be of what it held when the budget was spent.
     assert found.evaluations >= EVALUATIONS > history[-2].evaluations - 1
     assert found.seconds >= history[-1].seconds
-    assert (found.status, found.method, found.seed) == ("budget spent", "greedy", 0)
+    assert (found.status, found.method, found.seed) == ("budget spent", "random", 0)
     settings = json.loads(json.dumps(found.settings))
     assert settings["budget"] == {"seconds": None, "evaluations": EVALUATIONS}
     assert settings["scenes"][0]["name"] == "four_way"

@@ -17,7 +17,7 @@ from inspe_jax.scoring.options import ScoreOptions
 from inspe_jax.sensing.kinds import SENSOR_KINDS
 
 
-@pytest.mark.parametrize("slope", [1.0, 1.5, 2.2, 10.0])
+@pytest.mark.parametrize("slope", [1.5, 10.0])
 def test_a_curve_is_a_logistic_function_of_the_logarithm(slope):
     curve = DetectionCurve(0.9, 8.0, slope)
     number = jnp.asarray([0.0, 1.0, 8.0, 30.0, 1e6])

@@ -22,11 +22,16 @@ from inspe_jax.visibility.in_view import in_view_margins
 from inspe_jax.visibility.queries import in_view, line_of_sight
 
 DEVICES = devices()
+GRIDS = (
+    "paper-camera", "basler-aca1600-60gc", "paper-lidar-64", "velodyne-vlp-16", "velodyne-vlp-32c",
+    "hesai-pandar128", "robosense-ruby-128", "livox-horizon", "livox-mid-360",
+)  # fmt: skip
+"""Devices with rows that are even, uneven, many and few, all round and in a sector."""
 
 
-@pytest.mark.parametrize("name", slow_but(DEVICES, "paper-camera", "velodyne-vlp-16"))
+@pytest.mark.parametrize("name", slow_but(GRIDS, "paper-camera", "velodyne-vlp-16"))
 def test_in_view_agrees_with_every_ray_walked(name):
-    """At least 99.9 % of voxels for every device, and C within 0.001.
+    """At least 99.9 % of voxels, and C within 0.001.
 
     The disagreements are cubes that a ray clips within centimetres of a corner or
     at the edge of the reach; those seen without a ray it passes within 0.02 mm.
@@ -122,18 +127,6 @@ def test_one_ray_lights_the_voxels_it_passes_through():
     assert sorted(seen[:, 0]) == pytest.approx(np.arange(-3.25, 7.0, 0.5))
     assert set(seen[:, 1]) == {0.25}
     assert set(seen[:, 2]) == {1.25}
-
-
-def test_field_of_view_and_reach_of_a_camera():
-    """A camera at 3 m sees nothing behind it, beside its field of view or beyond its depth."""
-    scene = world(radius=40.0, count=0)
-    layout = place_sensors((CAMERA, [0.1, 0.1, 3.0, 0.0, -0.2, 0.0]))
-    seen = scene.voxels.centers[in_view(scene, layout)[0]]
-    assert seen[:, 0].min() > 0
-    away = seen[:, 0] > 5  # nearer, a voxel's edge subtends more than the tolerance
-    assert np.abs(np.arctan2(seen[away, 1], seen[away, 0])).max() < np.radians(50) + 0.1
-    distance = np.linalg.norm(seen - [0.1, 0.1, 3.0], axis=1)
-    assert 29.0 < distance.max() < 30.0 + 0.5 * 3**0.5
 
 
 def test_a_sensor_straight_above_a_voxel_and_level_rays_give_no_nan():

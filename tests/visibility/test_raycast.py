@@ -40,15 +40,6 @@ def test_bresenham_by_hand():
     ]  # fmt: skip
 
 
-def test_bresenham_marks_fewer_voxels_than_the_exact_walk():
-    """It skips those that a ray only clips, and marks no others but for its rounding."""
-    scene = world(radius=20.0, count=0)
-    layout = random_layout(scene, [LIDAR, CAMERA], seed=2)
-    exact, paper = (raycast.in_view(scene, layout, walk) for walk in ("exact", "bresenham"))
-    assert paper.sum() < exact.sum()
-    assert (paper == exact).mean() > 0.9
-
-
 def test_unknown_walk():
     layout = place_sensors((LIDAR, [0.0, 0.0, 5.0, 0.0, 0.0, 0.0]))
     with pytest.raises(InspeError, match="walk 'dda': one of bresenham, exact"):

@@ -39,11 +39,11 @@ def test_a_prism_that_hides_anything_of_a_cell_is_marked(kind, width, spread, ab
     size = np.array(SIZES[kind])
     center = rng.uniform(-14, 14, (FRAMES, 1, 2))
     prisms = Prism(
-        center=jnp.asarray(center, jnp.float32),
-        yaw=jnp.asarray(rng.uniform(-np.pi, np.pi, (FRAMES, 1)), jnp.float32),
-        half=jnp.full((FRAMES, 1, 2), size[:2] / 2, jnp.float32),
-        top=jnp.full((FRAMES, 1), size[2], jnp.float32),
-        valid=jnp.ones((FRAMES, 1), bool),
+        center=center,
+        yaw=rng.uniform(-np.pi, np.pi, (FRAMES, 1)),
+        half=np.full((FRAMES, 1, 2), size[:2] / 2),
+        top=np.full((FRAMES, 1), size[2]),
+        valid=np.ones((FRAMES, 1), bool),
     )
     middle = rng.uniform(-23, 23, (2, CELLS))
     columns = middle[:, :, None] + rng.uniform(-spread, spread, (2, CELLS, EACH))
@@ -54,9 +54,10 @@ def test_a_prism_that_hides_anything_of_a_cell_is_marked(kind, width, spread, ab
         columns.reshape(2, -1), heights, flat, flat.astype(np.uint8), np.zeros(2), 36.0, low,
         low + 2.4, np.stack([*middle, radius]),
     )  # fmt: skip
-    tile = jax.tree.map(lambda x: jnp.asarray(x, np.asarray(x).dtype.char.replace("d", "f")), tile)
-    sensor = jnp.asarray([0.0, 0.0, size[2] + above], jnp.float32)
-    clear, near, marked = map(np.asarray, read(sensor, prisms, tile, jnp.float32(width)))
+    sensor = np.array([0.0, 0.0, size[2] + above])
+    given = jax.tree.map(np.asarray, (sensor, prisms, tile, width))
+    singles = jax.tree.map(lambda x: x.astype(x.dtype.char.replace("d", "f")), given)
+    clear, near, marked = map(np.asarray, read(*singles))
     hides = (clear < 1).any(0).reshape(FRAMES, CELLS, EACH).any(2)
     assert hides.sum() > (1000 if low < 1 else 0)
     assert not (hides & ~near[:, None]).any()

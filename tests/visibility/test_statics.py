@@ -24,9 +24,9 @@ from inspe_jax.core.errors import InspeError
 from inspe_jax.core.numerics import Softness
 from inspe_jax.scene.statics import body, pole, tree, upright_box, wall
 from inspe_jax.scoring.viewshed import viewshed
-from inspe_jax.visibility.centered_scene import about_center, poses_about_center
+from inspe_jax.visibility.centered_scene import about_center
 from inspe_jax.visibility.queries import in_view, line_of_sight
-from inspe_jax.visibility.statics import past_statics_chance, past_statics_of_sensor
+from inspe_jax.visibility.statics import past_statics_chance
 from inspe_jax.visibility.tiles import tiles_of
 
 SIZE = dict(radius=20.0, voxel=0.5, frames=4, count=12)
@@ -241,17 +241,6 @@ def test_a_sensor_in_a_body_is_refused_and_one_on_it_is_not():
     with pytest.raises(InspeError, match=r"the tree at \(9\.1, -9\.6\)"):
         in_view(scene, place_sensors((LIDAR, [9.5, -9.6, 3.0, 0.0, 0.0, 0.0])))
     in_view(scene, place_sensors((LIDAR, [9.5, -9.6, 2.0, 0.0, 0.0, 0.0])))  # beneath its crown
-
-
-def test_masks_leave_out_tiles_of_which_nothing_is_in_view():
-    scene = street()
-    at, pose = about_center(scene), poses_about_center(scene, layout_in(scene))[0]
-    tiles = tiles_of(at)
-    views = np.asarray(tiles.tile.there).copy()
-    views[1:] = 0
-    found = np.asarray(past_statics_of_sensor(pose[:3], at.statics, tiles.tile, views))
-    assert found[0].any()
-    assert not found[1:].any()
 
 
 @pytest.mark.parametrize("hilly", slow_but([False, True], True))

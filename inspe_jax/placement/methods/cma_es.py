@@ -1,16 +1,13 @@
 """CMA-ES: an evolution strategy on samples of the score, with restarts (IPOP)."""
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
 from inspe_jax.placement.candidates import project
 from inspe_jax.placement.run import Method, Run
-
-if TYPE_CHECKING:
-    from cmaes import CMA
 
 SPREAD = (0.5, 1.0)
 """Standard deviation of the first generation, in typical steps: from the start, after restarts."""
@@ -103,8 +100,8 @@ def _layouts(
     return inside, (((inside - x)[:, free] / step) ** 2).sum(1)
 
 
-def _strategy(run: Run, state: CmaState) -> "CMA":
-    """The strategy at this state, from the run's cache or made again from the losses.
+def _strategy(run: Run, state: CmaState) -> Any:
+    """The strategy at this state, a ``cmaes.CMA``: from the run's cache or made from the losses.
 
     It is taken out of the cache: one that has asked for a generation that was then cut short must
     not be used again.

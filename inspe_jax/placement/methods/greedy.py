@@ -13,12 +13,10 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from inspe_jax.placement.candidate_table import HEIGHTS, Picks, Table
-from inspe_jax.placement.candidate_views import Rows
-from inspe_jax.placement.candidates import COLUMNS, FRAMES
-from inspe_jax.placement.methods.finer_moves import finer, sights
+from inspe_jax.placement.candidates import COLUMNS, FRAMES, poses, project
 from inspe_jax.placement.problem import Problem
 from inspe_jax.placement.run import Method, Run
-from inspe_jax.placement.sample_score import KNOWN, LEAST, MarginalWeights, SampleScore
+from inspe_jax.placement.sample_score import KNOWN, LEAST, MarginalWeights, Rows, SampleScore
 
 WIDTH = 1.0
 """Length of the first finer moves, in typical steps."""
@@ -32,6 +30,9 @@ three are measured on 8 cameras, 4 LiDARs and both, 150,000 voxels."""
 MOVE_COST, PLACE_COST, EXCHANGE_COST = 2.2, 0.45, 0.125
 """In views: a finer move of one sensor; placing all sensors greedily, for each candidate; and
 exchanging a unit, for each candidate of each of its sensors."""
+
+Sighted = tuple[Float[np.ndarray, " N"], dict[int, Rows]]
+"""A layout, and what its sensors see of a sample."""
 
 
 class Effort(NamedTuple):
@@ -160,6 +161,71 @@ def _fill(table: Table, picks: Picks, sensors: Sequence[int], foot: int) -> Pick
     return picks
 
 
+# ── Finer moves: random ones of single units, each judged on a sample ───────
+
+
+def sights(sampled: SampleScore, x: Float[np.ndarray, " N"]) -> dict[int, Rows]:
+    """What the sensors of a layout see."""
+    stand = poses(sampled.problem.space, x[None])[0]
+    found = sampled.views({s: pose[None] for s, pose in enumerate(stand)})
+    return {s: rows[0] for s, rows in found.items()}
+
+
+def finer(
+    sampled: SampleScore,
+    x: Float[np.ndarray, " N"],
+    rows: dict[int, Rows],
+    units: Sequence[int],
+    width: float,
+    rng: np.random.Generator,
+    tries: int,
+) -> tuple[Float[np.ndarray, " N"], dict[int, Rows]]:
+    """For each of some units, the best of so many random moves of it and its sensors, if better.
+
+    Each changes half of the unit's coordinates, by 0.1 to 1 times ``width`` typical steps. What the
+    sensors see after all these moves is found at once; then each unit is judged in turn, beside the
+    others as they are by then.
+    """
+    problem = sampled.problem
+    space, members = problem.space, problem.layout.members()
+    tried = np.tile(x, (len(units), tries, 1))
+    for u, part in zip(units, tried, strict=True):
+        at = of_unit(problem, u)
+        at = at[space.scale[at] > 0]
+        length = width * 10 ** rng.uniform(-1, 0, (tries, 1))
+        moves = rng.normal(size=(tries, len(at))) * (rng.uniform(size=(tries, len(at))) < 0.5)
+        part[:, at] += length * moves * space.scale[at]
+    flat = project(space, tried.reshape(-1, space.size))
+    tried = flat.reshape(tried.shape)
+    stand = poses(space, flat).reshape(len(units), tries, -1, 6)
+    new = sampled.views(
+        {s: at[:, s] for u, at in zip(units, stand, strict=True) for s in members[u]}
+    )
+    for u, part in zip(units, tried, strict=True):
+        others = {s: row for s, row in rows.items() if s not in members[u]}
+        choice = {s: Rows.joined([rows[s][None], new[s]]) for s in members[u]}
+        now, *gains = sampled.gains(others, choice)
+        best = int(np.argmax(gains))
+        if gains[best] > now + LEAST:
+            moved = part[best], {s: new[s][best] for s in members[u]}
+            x, rows = with_unit(problem, (x, rows), moved, u)
+    return x, rows
+
+
+def of_unit(problem: Problem, u: int) -> Int[np.ndarray, " n"]:
+    """The coordinates of a unit and its sensors: their indices."""
+    index, members = problem.space.index, list(problem.layout.members()[u])
+    own = [index.base[u], index.arm[u], index.height[[u]]]
+    return np.concatenate([*own, *(part[members].ravel() for part in index[3:])])
+
+
+def with_unit(problem: Problem, at: Sighted, other: Sighted, u: int) -> Sighted:
+    """A layout with unit ``u`` as another layout has it."""
+    x, own = np.array(at[0]), of_unit(problem, u)
+    x[own] = other[0][own]
+    return x, at[1] | {s: other[1][s] for s in problem.layout.members()[u]}
+
+
 # ── The method ──────────────────────────────────────────────────────────────
 
 
@@ -212,11 +278,6 @@ class Moving:
 GreedyState = Placing | Exchanging | Moving
 
 
-def begin(run: Run) -> Placing:
-    """Before the first round."""
-    return Placing()
-
-
 def step(run: Run, state: GreedyState) -> GreedyState:
     """A piece of a round.
 
@@ -250,21 +311,12 @@ def _table(run: Run, number: int, looked: int | None = None) -> Table:
         looked = len(table.parts) if looked is None else looked
         if sum(len(kind.rows) for kind in table.kinds) == looked:
             return table
-    table = _new_table(run, number)
+    wanted, rng = _effort(run.problem), run.rng(0, number)
+    table = Table.of(run.problem, rng, wanted.columns, wanted.heights, first=number == 0)
     for part in range(len(table.parts) if looked is None else looked):
         table.look(part)
     run.cache["table"] = number, table
     return table
-
-
-def _new_table(run: Run, number: int) -> Table:
-    wanted, rng = _effort(run.problem), run.rng(0, number)
-    return Table.of(run.problem, rng, wanted.columns, wanted.heights, first=number == 0)
-
-
-def forget(run: Run) -> None:
-    """Let go of a round's candidates, some 100 MB, when they are not looked at any more."""
-    run.cache.pop("table", None)
 
 
 def look(run: Run, state: Placing) -> Placing:
@@ -317,7 +369,7 @@ def _exchange(run: Run, state: Exchanging) -> Exchanging | Moving:
     if state.unit < len(run.problem.layout.units):
         return state
     if not state.moved:
-        forget(run)
+        run.cache.pop("table")  # some 100 MB
         return Moving(state.round, state.x, state.value, state.x)
     x, value = table.layout(state.x, picks), state.value
     if (score := run.offer(x)) > value:
@@ -360,7 +412,7 @@ GREEDY = Method(
     "greedy",
     "sensor by sensor the best candidate pose, then exchanges and finer moves",
     (Placing, Exchanging, Moving),
-    begin,
+    lambda run: Placing(),
     step,
     knows=KNOWN,
 )

@@ -17,15 +17,13 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from inspe_jax.placement.candidate_views import Rows
 from inspe_jax.placement.candidates import COLUMNS, FRAMES
 from inspe_jax.placement.methods import greedy
 from inspe_jax.placement.methods.adam import STEP_COLUMNS, STEP_FRAMES, advance, charted, layouts
 from inspe_jax.placement.methods.cma_es import CMA_ES
-from inspe_jax.placement.methods.finer_moves import Sighted, finer, of_unit, sights, with_unit
-from inspe_jax.placement.methods.greedy import FINER, MOVE_COST, Placing, charge
+from inspe_jax.placement.methods.greedy import FINER, MOVE_COST, Placing, Sighted, charge
 from inspe_jax.placement.run import Method, Run
-from inspe_jax.placement.sample_score import PAPER, SampleScore
+from inspe_jax.placement.sample_score import PAPER, Rows, SampleScore
 
 UNTIL = 0.85
 """Share of the budget at which bursts of Adam end."""
@@ -48,7 +46,7 @@ ONE_LINE = np.zeros(1, int)
 
 
 @dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
-class Improving:
+class LocalSearch:
     """Before a pass of bursts and moves: ``x`` (N,) is the layout and ``value`` its exact score.
 
     Moves are at most ``width`` typical steps. The next burst has this ``softness`` [m] and
@@ -90,14 +88,16 @@ def step(run: Run, state: Any) -> Any:
     """
     if other := _instead(run):
         return other.step(run, state)
-    if isinstance(state, Improving):
+    if isinstance(state, LocalSearch):
         return _pass(run, state)
     found = greedy.step(run, state)
     if isinstance(found, Placing):
         return found
     exchanged = isinstance(state, greedy.Exchanging) and found.unit == 0
     if isinstance(found, greedy.Moving) or (exchanged and _bursts_fit(run)):
-        return _improving(run, state, found.x, found.value)
+        run.cache.pop("table", None)  # of candidates, some 100 MB
+        first = state.round * STEPS
+        return LocalSearch(state.round, found.x, found.value, first, widest=found.value)
     return found
 
 
@@ -108,13 +108,7 @@ def _bursts_fit(run: Run) -> bool:
     return run.share(run.spent + burst) < UNTIL
 
 
-def _improving(run: Run, state: Any, x: Float[np.ndarray, " N"], value: float) -> Improving:
-    """Before the first pass of a round, from a layout and its exact score."""
-    greedy.forget(run)
-    return Improving(state.round, x, value, state.round * STEPS, widest=value)
-
-
-def _pass(run: Run, state: Improving) -> Placing | Improving:
+def _pass(run: Run, state: LocalSearch) -> Placing | LocalSearch:
     """Bursts while they gain, then moves of every unit, on a sample of its own; judged exactly.
 
     At first all together; once that gained nothing, the bursts and each unit's moves on their own.
@@ -124,7 +118,7 @@ def _pass(run: Run, state: Improving) -> Placing | Improving:
     sampled = SampleScore(problem, problem.sample(run.rng(1, *key), COLUMNS, FRAMES))
     members = problem.layout.members()
     charge(run, sampled, len(problem.layout))
-    first = state.x, sights(sampled, state.x)
+    first = state.x, greedy.sights(sampled, state.x)
     at, value, moved, start = first, state.value, 0, state.value
     if _bursts_fit(run):
         new, state = _bursts(run, state, sampled, first[1])
@@ -133,16 +127,18 @@ def _pass(run: Run, state: Improving) -> Placing | Improving:
     for k in range(GENERATIONS * max(map(len, members))):
         units = [u for u, sensors in enumerate(members) if k < GENERATIONS * len(sensors)]
         charge(run, sampled, MOVE_COST * TRIES * sum(len(members[u]) for u in units))
-        before, new = new, finer(sampled, *new, units, state.width, rng, TRIES)
+        before, new = new, greedy.finer(sampled, *new, units, state.width, rng, TRIES)
         if new[0] is not before[0]:
             run.hold(new[0])
     differs = new[0] != at[0]
-    changed = [u for u in range(len(members)) if differs[of_unit(problem, u)].any()]
+    changed = [u for u in range(len(members)) if differs[greedy.of_unit(problem, u)].any()]
     if careful:
         for k, u in enumerate(changed):
             before = at
-            run.hold(reduce(lambda on, v: with_unit(problem, on, new, v), changed[k:], at)[0])
-            at, value = _better(run, at, value, with_unit(problem, at, new, u))
+            run.hold(
+                reduce(lambda on, v: greedy.with_unit(problem, on, new, v), changed[k:], at)[0]
+            )
+            at, value = _better(run, at, value, greedy.with_unit(problem, at, new, u))
             moved += at is not before
     else:
         at, value = _better(run, first, value, new)
@@ -166,8 +162,8 @@ def _better(run: Run, at: Sighted, value: float, new: Sighted) -> tuple[Sighted,
 
 
 def _bursts(
-    run: Run, state: Improving, sampled: SampleScore, rows: dict[int, Rows]
-) -> tuple[Sighted, Improving]:
+    run: Run, state: LocalSearch, sampled: SampleScore, rows: dict[int, Rows]
+) -> tuple[Sighted, LocalSearch]:
     """Bursts of Adam, each at rest at first, until one gains nothing on the sample or does not fit.
 
     Returns the layout, and the state with what the next burst begins with; ``rows`` are what the
@@ -180,7 +176,7 @@ def _bursts(
         after = advance(run, start, lambda: (softness, rate), BURST)
         count, new = after.count, layouts(problem, after)[0]
         charge(run, sampled, len(problem.layout))
-        seen = sights(sampled, new)
+        seen = greedy.sights(sampled, new)
         if sampled.value(seen) <= sampled.value(rows):
             break
         run.hold(new)
@@ -193,7 +189,7 @@ GREEDY_ADAM = Method(
     "greedy-adam",
     "greedy placement, then Adam and finer moves; greedy with LiDARs only; CMA-ES for metrics "
     "other than the paper's",
-    (*greedy.GREEDY.states, Improving, *CMA_ES.states),
+    (*greedy.GREEDY.states, LocalSearch, *CMA_ES.states),
     begin,
     step,
 )

@@ -22,8 +22,6 @@ STANDS = 24
 """Most feet on the first grid."""
 FINEST = 5
 """How often the grid is made finer."""
-_Block = tuple[int, int | None]
-"""What one grid moves: a unit as a whole, or its sensor."""
 
 
 @dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
@@ -60,7 +58,7 @@ def step(run: Run, state: GridState) -> GridState | None:
     problem = run.problem
     members = problem.layout.members()
     blocks = [(u, s) for u, sensors in enumerate(members) for s in (*sensors, None)]
-    x = _grid(problem.space, state.x, blocks[state.block], state.level)
+    x = _grid(problem.space, state.x, *blocks[state.block], state.level)
     done, key = len(state.scores), (state.sweep, state.block)
     scores = np.append(state.scores, run.rough(x[done : done + BATCH], *key))
     run.hold(x[np.argmax(scores)])
@@ -78,9 +76,10 @@ def step(run: Run, state: GridState) -> GridState | None:
     return replace(state, level=level, sweep=state.sweep + 1, block=0, moved=False)
 
 
-def _grid(space: Space, x: Float[np.ndarray, " N"], block: _Block, level: int) -> np.ndarray:
-    """The present layout, and then the other layouts of a block's grid; all are feasible."""
-    unit, sensor = block
+def _grid(
+    space: Space, x: Float[np.ndarray, " N"], unit: int, sensor: int | None, level: int
+) -> Float[np.ndarray, "G N"]:
+    """The present layout, and then the others of the grid of a unit or of its sensor; feasible."""
     found = _stand(space, x, unit, level) if sensor is None else _aim(space, x, unit, sensor, level)
     found = np.concatenate([x[None], found])
     # Projection may make some of them equal.

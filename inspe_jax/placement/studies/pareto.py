@@ -194,12 +194,12 @@ def searched(
     found: list[DeviceMix] = []
     for k, ((cost, row), start) in enumerate(zip(wanted, starts, strict=True)):
 
-        def told(done: float, best: float, row: Mapping[str, int] = row, k: int = k) -> None:
+        def notify(done: float, best: float, row: Mapping[str, int] = row, k: int = k) -> None:
             if progress is not None:
                 progress(row, (k + done) / len(wanted), best)
 
         try:
-            result = optimise(cases, start, progress=told, target=target, **options)
+            result = optimise(cases, start, progress=notify, target=target, **options)
         except KeyboardInterrupt:
             if not found:
                 raise

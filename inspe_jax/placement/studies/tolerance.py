@@ -87,7 +87,6 @@ def tolerance(
     samples: int = 50,
     seed: int = 0,
     objective: Objective | None = None,
-    softness: float = SOFTNESS,
     progress: Callable[[int, int], None] | None = None,
     conditions: Conditions | str | None = None,
 ) -> Tolerance:
@@ -97,17 +96,12 @@ def tolerance(
     ``position`` [m], ``angle`` [rad]: standard deviations of independent normal errors. Every
     sensor is shifted along x, y and z, and turned in yaw and pitch.
     ``samples``: number of random installations; ``seed``: of their errors. Scores are exact.
-    ``softness`` [m]: of the soft score, whose derivatives are the slopes. The exact score is a
-    step function, and has no slope.
+    Slopes are those of the soft score: the exact score is a step function, and has none.
     ``progress``: called with (installations done, installations).
 
     Raises InspeError if an option is out of range, or as :func:`inspe_jax.evaluate` does.
     """
     check_errors(position, angle, samples, seed)
-    if not softness > 0:
-        raise InspeError(
-            f"softness {softness:g} m: must be more than 0, since the exact score has no slope"
-        )
     problem = Problem(cases_of(scene, conditions), layout, objective)
     layout = problem.layout
     planned = problem.exact_of(layout)
@@ -115,7 +109,7 @@ def tolerance(
     worlds = tuple(
         tiled_scene_of(case.scene, whole=True, masks=False).bucketed for case in problem.cases
     )
-    slope = np.asarray(problem.slope(poses, worlds, jnp.asarray(softness, float))[1], float)
+    slope = np.asarray(problem.slope(poses, worlds, jnp.asarray(SOFTNESS, float))[1], float)
     per = np.array([POSITION_STEP] * 3 + [np.radians(1.0)] * 3)
     rows = tuple(
         Slopes(sensor.name, *(row * per)[[0, 1, 2, 5, 4]].tolist())
@@ -138,7 +132,7 @@ def tolerance(
             angle_deg=float(np.degrees(angle)),
             samples=samples,
             seed=seed,
-            softness=softness,
+            softness=SOFTNESS,
             **problem.cases[0].conditions.record,
             objective=asdict(problem.objective),
         ),

@@ -26,7 +26,7 @@ from inspe_jax.scene.statics import body, pole, tree, upright_box, wall
 from inspe_jax.scoring.viewshed import viewshed
 from inspe_jax.visibility.centered_scene import about_center
 from inspe_jax.visibility.queries import in_view, line_of_sight
-from inspe_jax.visibility.statics import past_statics_chance
+from inspe_jax.visibility.statics import past_statics_chance, past_statics_of_sensor
 from inspe_jax.visibility.tiles import tiles_of
 
 SIZE = dict(radius=20.0, voxel=0.5, frames=4, count=12)

@@ -8,7 +8,7 @@ their grid begins are what the mean is over.
 """
 
 from dataclasses import dataclass, fields, replace
-from functools import cache, cached_property
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -19,7 +19,7 @@ from slopes import feasible
 
 import inspe_jax
 from inspe_jax import Layout
-from inspe_jax.sensing.sensors import RayGrid, Spec
+from inspe_jax.sensing.sensors import RayGrid
 
 WIDTHS = (1e-3, 0.5)
 """Of soft scores [m]: next to nothing, and what searches use."""
@@ -37,17 +37,16 @@ def in_phase(grid: RayGrid, row: float, column: float) -> RayGrid:
     )
 
 
-@cache
-def phased(kind: type[Spec]) -> type[Spec]:
+def phased(kind: Any) -> Any:
     """A kind of sensor whose grid of rays begins in a ``phase`` (row, column)."""
 
     @dataclass(frozen=True)
-    class Phased(kind):  # type: ignore[valid-type, misc]
+    class Phased(kind):
         phase: tuple[float, float] = (0.0, 0.0)
 
         @cached_property
         def grid(self) -> RayGrid:
-            return in_phase(kind.grid.func(self), *self.phase)  # type: ignore[attr-defined]
+            return in_phase(kind.grid.func(self), *self.phase)
 
     return Phased
 
@@ -56,8 +55,9 @@ def drawn(layout: Layout, phases: Float[np.ndarray, "S 2"]) -> Layout:
     """The layout with each sensor's grid in a phase of its own."""
     sensors = []
     for sensor, phase in zip(layout.sensors, phases.tolist(), strict=True):
-        own = {one.name: getattr(sensor.spec, one.name) for one in fields(sensor.spec)}
-        spec = phased(type(sensor.spec))(**own, phase=tuple(phase))
+        spec: Any = sensor.spec
+        own = {one.name: getattr(spec, one.name) for one in fields(spec)}
+        spec = phased(type(spec))(**own, phase=tuple(phase))
         sensors.append(replace(sensor, spec=spec))
     return replace(layout, sensors=tuple(sensors))
 
@@ -83,10 +83,10 @@ def main() -> None:
         soft = [inspe_jax.evaluate(scene, layout, softness=width) for width in WIDTHS]
         for metric in METRICS:
             values = np.array([getattr(scores, metric) for scores in exact])
-            found = dict(device=name, metric=metric, mean=float(values.mean()))
-            found["deviation"] = float(values.std(ddof=1))
+            mean, deviation = float(values.mean()), float(values.std(ddof=1))
+            found: dict[str, Any] = dict(device=name, metric=metric, mean=mean, deviation=deviation)
             for width, scores in zip(WIDTHS, soft, strict=True):
-                found[f"bias_{width:g}"] = float(getattr(scores, metric)) - found["mean"]
+                found[f"bias_{width:g}"] = float(getattr(scores, metric)) - mean
             rows.append(found)
     heads = (
         "device",

@@ -3,31 +3,50 @@ Browsers, the scorer and the search submit actions from threads of their own."""
 
 import threading
 from collections.abc import Callable, Hashable
+from contextvars import ContextVar, copy_context
+from functools import partial
+
+from inspe_jax.core.errors import InspeError
 
 Action = Callable[[], object]
+WAITING = 100
+"""Most actions of one browser that wait; a further one takes the place of the oldest."""
 PATIENCE = 2.0
 """Time that waiting actions get at the end, before the rest is dropped [s]."""
+asker: ContextVar[Hashable] = ContextVar("asker", default=None)
+"""The browser whose event is being handled, if one is."""
 
 
 class JobQueue:
-    """Runs actions one after another, in the order in which they were submitted."""
+    """Runs actions one after another, in the order in which they were submitted.
+
+    Of what a browser asks for, at most :data:`WAITING` actions wait, the newest.
+    """
 
     def __init__(self, failed: Callable[[Exception], None]) -> None:
         """``failed`` is called on the queue's thread with every exception that an action raises."""
         self.failed = failed
-        self._waiting: dict[Hashable, Action] = {}  # by key
+        self._waiting: dict[Hashable, tuple[Hashable, Action]] = {}  # by key: who asked, for what
         self._changed = threading.Condition()
         self._closed = False
         self._thread = threading.Thread(target=self._work, name="queue", daemon=True)
         self._thread.start()
 
     def submit(self, action: Action, key: Hashable = None) -> None:
-        """Add an action. It replaces one of the same ``key`` that still waits. Does nothing once
-        the queue is closed."""
+        """Add an action. It replaces one of the same ``key`` that still waits.
+
+        Without a key it counts as of the :data:`asker`. Does nothing once the queue is closed.
+        """
+        who, key = (asker.get(), object()) if key is None else (None, key)
         with self._changed:
-            if not self._closed:
-                self._waiting[object() if key is None else key] = action
-                self._changed.notify()
+            if self._closed:
+                return
+            self._waiting[key] = who, action
+            own = [] if who is None else [k for k, (by, _) in self._waiting.items() if by == who]
+            if len(own) > WAITING:
+                del self._waiting[own[0]]
+                self._waiting["too many"] = None, _too_many
+            self._changed.notify()
 
     def close(self, patience: float = PATIENCE) -> None:
         """Run the actions that wait, for so long at most [s], drop the others, and end the thread.
@@ -48,16 +67,23 @@ class JobQueue:
                 self._changed.wait_for(lambda: self._waiting or self._closed)
                 if not self._waiting:
                     return
-                action = self._waiting.pop(next(iter(self._waiting)))
+                _, action = self._waiting.pop(next(iter(self._waiting)))
             try:
                 action()
             except Exception as e:
                 self.failed(e)
 
 
+def _too_many() -> None:
+    raise InspeError(f"more was asked than can be done: only the newest {WAITING} requests are")
+
+
 class DelayedAction:
-    """Runs one action after a delay; a newer action replaces the one that waits. The lock is held
-    while the action runs: a caller of :meth:`run_now` continues when it is done."""
+    """Runs one action after a delay; a newer action replaces the one that waits.
+
+    The lock is held while the action runs: a caller of :meth:`run_now` continues when it is done.
+    Whoever runs it, it counts as of the browser that started it.
+    """
 
     def __init__(self) -> None:
         self._lock = threading.RLock()
@@ -70,7 +96,7 @@ class DelayedAction:
             self.cancel()
             timer = threading.Timer(seconds, lambda: self._run(timer))
             timer.daemon = True
-            self._action, self._timer = action, timer
+            self._action, self._timer = partial(copy_context().run, action), timer
             timer.start()
 
     def run_now(self) -> None:

@@ -11,6 +11,7 @@ from jaxtyping import Float
 
 from inspe_jax.core.geometry import rotation
 from inspe_jax.report.figures import SENSOR_COLORS
+from inspe_jax.viewer.job_queue import asker
 from inspe_jax.viewer.scene3d import quaternion, rgb, turn_of
 
 LENGTH = 90.0
@@ -64,6 +65,7 @@ class Selection3D:
         @gizmo.on_update
         async def _(event: viser.TransformControlsEvent) -> None:
             if event.client is not None:
+                asker.set(event.client_id)
                 at = np.array(gizmo.position) + shift
                 dragged(HandleDrag(event.phase, at, turn_of(gizmo.wxyz)))
 

@@ -264,7 +264,7 @@ def test_a_search_ends_a_drag_and_shows_what_it_begins_from(viewer, monkeypatch)
 
 
 def test_a_burst_of_requests_is_shown_once(viewer, layout, monkeypatch):
-    """Sixty times Undo undo sixty changes."""
+    """Sixty times Undo undo sixty changes; they count as this browser's."""
     layouts = [replace(layout, name=f"{k}") for k in range(70)]
     for one in layouts:
         viewer.session.take(one)
@@ -279,6 +279,7 @@ def test_a_burst_of_requests_is_shown_once(viewer, layout, monkeypatch):
         for _ in range(60):
             send(page, **undo)
         wait_until(lambda: len(viewer.queue._waiting) >= 60)
+        assert sum(who is not None for who, _ in [*viewer.queue._waiting.values()]) >= 60
         going.set()
         wait_until(lambda: viewer.layout is layouts[9])
         wait_until(lambda: shown and shown[-1] is layouts[9])

@@ -32,9 +32,7 @@ def in_phase(grid: RayGrid, row: float, column: float) -> RayGrid:
     counted = [0.0, *(np.arange(count) + 0.5), count]
     rows = np.interp(np.arange(count) + row, counted, [ends[0], *grid.rows, ends[1]])
     first = grid.first_column + (column - 0.5) * grid.column_step
-    return type(grid)(
-        tuple(rows), first, grid.column_step, grid.column_count, grid.wraps, grid.reach
-    )
+    return replace(grid, rows=tuple(rows), first_column=first)
 
 
 def phased(kind: Any) -> Any:

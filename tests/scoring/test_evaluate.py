@@ -154,7 +154,7 @@ def _again(traffic, away):
     ("visibility", "references"),
     [("line_of_sight", ("covered",)), ("past_others", ("roi", "targets"))],
 )
-def test_information_gain_in_sight_is_that_of_embree_whatever_the_reference(visibility, references):
+def test_information_gain_in_sight_is_that_of_embree(visibility, references):
     """Past the others: each voxel inside a vehicle once more, with that vehicle taken away."""
     scene, frames = world(count=10, seed=5), range(4)
     layout = random_layout(scene, SPECS, seed=2, heights=(1.0, 5.0))

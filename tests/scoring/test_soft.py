@@ -84,7 +84,7 @@ def assert_near(soft, exact):
 
 @pytest.mark.parametrize(
     ("reference", "visibility"),
-    [("covered", "past_others"), slow("targets", "line_of_sight")],
+    [("covered", "past_others"), slow("targets", "line_of_sight"), slow("roi", "in_view")],
 )
 def test_softness_to_zero_under_every_option(reference, visibility):
     """And a record of soft scores says how they were read; none are of parts, which are counts."""

@@ -20,10 +20,7 @@ from inspe_jax.visibility.ray_density import footprint
 from inspe_jax.visibility.tiles import tiles_of
 from inspe_jax.visibility.view_masks import in_view_masks
 
-QUICK = "paper-lidar-32", "paper-camera", "velodyne-vlp-32c"
-DEVICES = slow_but(
-    (*QUICK, "basler-aca1600-60gc", "hesai-pandar128", "livox-horizon", "livox-mid-360"), *QUICK
-)
+DEVICES = slow_but(inspe_jax.devices(), "paper-lidar-32", "paper-camera", "velodyne-vlp-32c")
 
 
 @pytest.fixture(scope="module")

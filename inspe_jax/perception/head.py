@@ -247,7 +247,9 @@ def perspective_aims(
     assert inputs.unit is not None
     scale = np.array(cells) / inputs.pixels.shape[2:4]
     boxes = jnp.asarray(targets.boxes)
-    seen = _on_pictures(_corners(boxes), jnp.asarray(inputs.pose), jnp.asarray(inputs.intrinsic))
+    seen = jax.vmap(jax.vmap(_on_picture, in_axes=(None, 0, 0)))(
+        _corners(boxes), jnp.asarray(inputs.pose), jnp.asarray(inputs.intrinsic)
+    )  # (B, C, M, 8, 3)
     pixels = jnp.moveaxis(jnp.asarray(targets.pixels), -1, 1)  # (B, C, M)
     visible = (pixels >= LEAST_PIXELS) | (pixels == -1)  # -1: the set does not say
     shown = (
@@ -283,15 +285,8 @@ def _corners(boxes: Float[Array, "B M 9"]) -> Float[Array, "B M 8 3"]:
     return boxes[:, :, None, :3] + jnp.stack([*turned, off[..., 2]], -1)
 
 
-def _on_pictures(
-    corners: Float[Array, "B M 8 3"],
-    pose: Float[Array, "B C 4 4"],
-    intrinsic: Float[Array, "B C 3 3"],
-) -> Float[Array, "B C M 8 3"]:
-    """Column and row [pixels] and depth [m] of corners on each picture of their frame."""
-
-    def one(points: Array, pose: Array, intrinsic: Array) -> Array:
-        found: Array = on_picture(points.reshape(-1, 3), pose, intrinsic, jnp)
-        return found.reshape(points.shape)
-
-    return jax.vmap(jax.vmap(one, in_axes=(None, 0, 0)))(corners, pose, intrinsic)
+def _on_picture(
+    points: Float[Array, "M 8 3"], pose: Float[Array, "4 4"], intrinsic: Float[Array, "3 3"]
+) -> Float[Array, "M 8 3"]:
+    """Column and row [pixels] and depth [m] of points on a picture."""
+    return on_picture(points.reshape(-1, 3), pose, intrinsic, jnp).reshape(points.shape)

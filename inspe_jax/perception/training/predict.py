@@ -52,7 +52,7 @@ class Predictor:
         most: int | None = None,
         progress: Callable[[int, int], None] | None = None,
     ) -> Evaluation:
-        """The measures over the batches of a loader, or over about ``most`` frames of them.
+        """The measures over the batches of a loader, or over about ``most`` frames, evenly.
 
         Detections count where road users do: within the loader's ``half``.
         ``progress`` is called with (batches done, all batches). Raises
@@ -61,18 +61,13 @@ class Predictor:
         found: list[Detections] = []
         truth: list[Detections] = []
         half = loader.half
-        chosen = _spread(len(loader), None if most is None else -(-most // loader.batch))
-        some = (loader[k] for k in chosen)
-        for done, batch in enumerate(some if len(chosen) < len(loader) else loader, 1):
+        count = len(loader)
+        some = count if most is None else min(count, -(-most // loader.batch))
+        spread = np.linspace(0, count - 1, some).round().astype(int).tolist()
+        batches = loader if some == count else (loader[k] for k in spread)
+        for done, batch in enumerate(batches, 1):
             found += [frame if half is None else within(frame, half) for frame in self(batch)]
             truth += [truth_of(batch.targets, b) for b in np.flatnonzero(batch.valid).tolist()]
             if progress:
-                progress(done, len(chosen))
+                progress(done, some)
         return evaluate(found, truth)
-
-
-def _spread(count: int, most: int | None) -> list[int]:
-    """At most ``most`` of the numbers below ``count``, evenly over them."""
-    if most is None or most >= count:
-        return list(range(count))
-    return np.linspace(0, count - 1, most).round().astype(int).tolist()

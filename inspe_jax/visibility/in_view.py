@@ -12,7 +12,6 @@ from jaxtyping import Array, Bool, Float, Int
 from inspe_jax.core.geometry import Point, cross_matrix, ray_cube_margin, rotation
 from inspe_jax.core.numerics import Softness, Width, certain_beyond, step
 from inspe_jax.sensing.rays import Kind, Rays, RayTable
-from inspe_jax.sensing.sensors import RayGrid
 from inspe_jax.visibility.ray_density import in_view_chance
 from inspe_jax.visibility.tiles import Tile
 
@@ -26,10 +25,6 @@ SLACK = 2e-4
 """A quick test that decides without the six rays does so by at least this margin [m]: ten times the
 rounding of single precision at 100 m."""
 
-TOGETHER = 2**20
-"""Sensors × voxels whose margins are found at once: XLA's arrays are faster than its loops, but all
-together would not fit in memory."""
-
 INSIDE = 1e-3
 """A voxel that a ray meets is in the field of view by at least this margin [m]."""
 
@@ -37,41 +32,6 @@ DEEP = 0.7
 """Ray margins are cut off at this fraction of half a voxel's edge. Where rays are dense, every
 voxel has a ray at least as deep; which of its rays is the deepest changes with every move and means
 nothing."""
-
-
-def in_view_margins(
-    grid: RayGrid, poses: Float[Array, "S 6"], centers: Float[Array, "V 3"], half: float
-) -> tuple[Float[Array, "S V"], Float[Array, "S V"]]:
-    """Two margins [m] of each voxel: in each sensor's field of view, and against its best ray.
-
-    A voxel is in view, f(V_i) = 1, where both margins are positive. The paper walks every ray; here
-    six rays are found for each voxel (:func:`_candidates`), and the best margin is taken. If any
-    ray passes through the voxel, one of the six does, except for a few voxels in very wide cameras
-    and on rows with a steep elevation.
-
-    The first margin is the depth in the field of view, from its edges and the end of its reach. The
-    second is that of the best ray; a voxel outside the field is first moved to the edge. Read
-    softly, the first has a slope also for voxels far outside the field. The second is no larger
-    than a voxel and tells apart voxels on rows from voxels between them.
-
-    ``half`` is half a voxel's edge [m]. Voxels are closed: a ray along a face of two voxels passes
-    through both. :data:`TOUCH` ensures this in single precision.
-    """
-    return _in_view_margins(grid.rays, poses, centers, half)
-
-
-@jax.jit
-def _in_view_margins(
-    rays: Rays, poses: Float[Array, "S 6"], centers: Float[Array, "V 3"], half: float
-) -> tuple[Float[Array, "S V"], Float[Array, "S V"]]:
-    margins = jax.vmap(partial(_margins, rays, half), in_axes=(0, None))
-    transforms = jax.vmap(transform_of)(poses)
-    parts = -(-len(poses) * len(centers) // TOGETHER)
-    size = -(-len(centers) // parts)
-    padded = jnp.pad(centers, ((0, parts * size - len(centers)), (0, 0))).reshape(parts, size, 3)
-    found = jax.lax.map(lambda part: margins(transforms, part), padded)  # (parts, S, size) each
-    field, ray = (x.swapaxes(0, 1).reshape(len(poses), -1)[:, : len(centers)] for x in found)
-    return field, ray
 
 
 class RigidTransform(NamedTuple):
@@ -101,13 +61,24 @@ def _field_margin(
     return rays.field_margin(q, rays.table.edges) + half
 
 
-def _margins(
+def in_view_margins(
     rays: Rays, half: Scalar, transform: RigidTransform, centers: Float[Array, "V 3"]
 ) -> tuple[Float[Array, " V"], Float[Array, " V"]]:
-    """:func:`in_view_margins` of one sensor.
+    """Two margins [m] of each voxel: in a sensor's field of view, and against its best ray.
 
-    Where a ray just meets a voxel, by a corner or by rounding, the field's margin is made positive
-    too.
+    A voxel is in view, f(V_i) = 1, where both margins are positive. The paper walks every ray; here
+    six rays are found for each voxel (:func:`_candidates`), and the best margin is taken. If any
+    ray passes through the voxel, one of the six does, except for a few voxels in very wide cameras
+    and on rows with a steep elevation.
+
+    The first margin is the depth in the field of view, from its edges and the end of its reach;
+    where a ray just meets a voxel, by a corner or by rounding, it is made positive. The second is
+    that of the best ray; a voxel outside the field is first moved to the edge. Read softly, the
+    first has a slope also for voxels far outside the field. The second is no larger than a voxel
+    and tells apart voxels on rows from voxels between them.
+
+    ``half`` is half a voxel's edge [m]. Voxels are closed: a ray along a face of two voxels passes
+    through both. :data:`TOUCH` ensures this in single precision.
     """
     ray = jnp.minimum(_best_margin(rays, half, transform, centers), DEEP * half)
     field = _field_margin(rays, half, transform, centers)
@@ -309,7 +280,7 @@ def soft_view(
         if dense:
             f = density_view_by_motions(rays, half, transform, centers, softness.field)
         else:
-            field, ray = _margins(rays, half, transform, centers)
+            field, ray = in_view_margins(rays, half, transform, centers)
             f = step(field, softness.field) * step(ray)
         z = jnp.arange(levels, dtype=tile.there.dtype)[:, None]
         return f.reshape(levels, columns) * ((tile.there[None] >> z) & 1).astype(f.dtype)

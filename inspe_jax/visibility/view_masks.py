@@ -8,7 +8,6 @@ from jaxtyping import Array, Bool, Float, UInt
 
 from inspe_jax.core.geometry import Point
 from inspe_jax.sensing.rays import Rays
-from inspe_jax.sensing.sensors import RayGrid
 from inspe_jax.visibility import bitmask
 from inspe_jax.visibility.in_view import (
     SLACK,
@@ -23,13 +22,6 @@ from inspe_jax.visibility.tiles import Tile
 
 CHUNK = 256
 """Columns of which one undecided voxel each is tested at once."""
-
-
-def in_view_masks(
-    grid: RayGrid, pose: Float[Array, "6"], tiles: Tile, half: float
-) -> UInt[Array, "N C"]:
-    """:func:`view_masks` of a grid of rays."""
-    return view_masks(grid.rays, pose, tiles, half)
 
 
 @jax.jit

@@ -35,8 +35,7 @@ nothing."""
 
 
 class RigidTransform(NamedTuple):
-    """A sensor's pose as its ``position`` (3,) and the rotation ``to_world`` (3, 3) from body axes
-    to world axes."""
+    """A sensor's ``position``, and the rotation ``to_world`` from body axes to world axes."""
 
     position: Float[Array, "3"]
     to_world: Float[Array, "3 3"]
@@ -132,8 +131,7 @@ def best_ray(
     # A loop, because unrolled the three rows would be compiled three times.
     nothing = jnp.full(len(centers), -jnp.inf, centers.dtype)
     zero = jnp.zeros_like(nothing)
-    best, row, column = jax.lax.fori_loop(0, 3, try_row, (nothing, zero, zero))
-    return best, row, column
+    return jax.lax.fori_loop(0, 3, try_row, (nothing, zero, zero))
 
 
 def _ray_margin(
@@ -161,11 +159,10 @@ def _candidates(
     Returns a function of the row: −1, 0 and 1 are the row below the nearest one, the nearest, and
     the one above. It gives the row's coordinate and those of two columns.
 
-    The rays nearest to the voxel's centre are not enough. Where rows lie further apart than
-    columns, a row may clip one corner of the cube, many columns away from the centre. So take the
-    chord from the centre to the point of the cube that lies furthest towards the row. The point p
-    where the chord meets the row is in the cube. A row crosses a cube in one interval. So if that
-    interval holds any ray, it holds the one just before or just after p.
+    Where rows lie further apart than columns, a row may clip one corner of the cube, many columns
+    away from the centre. So take the chord from the centre to the point of the cube that lies
+    furthest towards the row. The point p where the chord meets the row is in the cube. A row
+    crosses a cube in one interval. If that holds any ray, it holds the one just before or after p.
 
     Three rows are enough. If a cube reaches further rows, it is large compared with their spacing,
     and the nearest row crosses its middle. Where the cube is partly beyond the reach or the edge
@@ -180,19 +177,14 @@ def _candidates(
         for k in range(3):
             side = sum(to_world[k, m] * normal[m] for m in range(3)) * outward
             side = jnp.where(side < 0, -half, half)
-            x, y, z = (
-                x + side * to_world[k, 0],
-                y + side * to_world[k, 1],
-                z + side * to_world[k, 2],
-            )
+            x, y, z = (at + side * to_world[k, m] for m, at in enumerate((x, y, z)))
         return x, y, z
 
     def extreme(normal: Point, outward: float) -> Point:
         """The point of the cube whose row is highest (outward = 1) or lowest (−1).
 
-        The best of three: the corner furthest along the row's normal at the aim; the corner
-        furthest along the normal at that first corner; and the middle between them. Near the sensor
-        the two corners differ, and the best point may lie between them.
+        The best of three: the corner furthest along the row's normal at the aim, that along the
+        normal at the first corner, and the middle between them. Near the sensor the corners differ.
         """
         sign = jnp.full_like(q[0], outward)
         one = corner(q, normal, sign)
@@ -236,11 +228,8 @@ def _candidates(
 
 
 def _within_reach(rays: Rays, q: Point, corner) -> Point:  # type: ignore[no-untyped-def]
-    """The point to aim at: the centre ``q`` of a voxel.
-
-    If the centre is beyond the reach, it is the middle of that part of the line from the nearest
-    corner to the centre which is within reach.
-    """
+    """The point to aim at: a voxel's centre ``q``, or, if that is beyond the reach, the middle of
+    that part of the line from the nearest corner to it which is within reach."""
     near = corner(q, q, -jnp.ones_like(q[0]))
     far_range, near_range = (
         jnp.sqrt(jnp.maximum(x * x + y * y + z * z, 1e-12)) for x, y, z in (q, near)
@@ -314,9 +303,8 @@ def density_view(
         (2 * half * to_world[k, 0], 2 * half * to_world[k, 1], 2 * half * to_world[k, 2])
         for k in range(3)
     )
-    return in_view_chance(
-        rays, to_body(to_world, _to_voxels(transform, centers)), (x, y, z), softness
-    )
+    q = to_body(to_world, _to_voxels(transform, centers))
+    return in_view_chance(rays, q, (x, y, z), softness)
 
 
 density_view_by_motions = jax.custom_vjp(density_view)

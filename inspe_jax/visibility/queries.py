@@ -1,9 +1,4 @@
-"""Which voxels each sensor has in view, and which voxels vehicles leave in line of sight.
-
-These are two separate questions. Does a ray of the sensor pass through the voxel? Traffic does not
-matter (:mod:`~inspe_jax.visibility.in_view`). Does a vehicle cut the line from the sensor to the
-voxel's centre? The rays do not matter (:mod:`~inspe_jax.visibility.shadows`).
-"""
+"""Which voxels each sensor has in view, and which voxels vehicles leave in line of sight."""
 
 import operator
 
@@ -18,11 +13,7 @@ from inspe_jax.scene.voxels import ROI_HEIGHT
 from inspe_jax.sensing.conditions import Case, Conditions, case_of
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.sensing.named import layout_of
-from inspe_jax.visibility.centered_scene import (
-    CenteredScene,
-    about_center,
-    poses_about_center,
-)
+from inspe_jax.visibility.centered_scene import CenteredScene, about_center, poses_about_center
 from inspe_jax.visibility.shadows import sight_masks
 from inspe_jax.visibility.statics import past_statics_of_sensor
 from inspe_jax.visibility.tiles import Tiles, tiles_of

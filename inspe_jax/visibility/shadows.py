@@ -18,8 +18,8 @@ from inspe_jax.visibility.tiles import CLOSE, Tile, pack_levels
 class ShadowBounds(NamedTuple):
     """Bounds of one sensor's shadows in T frames, which tell the tiles that a shadow misses.
 
-    ``terms`` (T, B) are for the sight lines. The others (B, T) are of the circle around each prism
-    in plan: the unit vector ``x``, ``y`` from the sensor to its centre; ``cos`` and ``sin`` of half
+    ``terms`` (T, B) are for the sight lines. The others are of the circle around each prism in
+    plan: the unit vector ``x``, ``y`` from the sensor to its centre; ``cos`` and ``sin`` of half
     the angle that it takes up; whether the sensor is inside it (``around``); how far away it begins
     (``near`` [m]); its radius (``span`` [m]); and ``fall``, how far from the sensor the shadow
     reaches for each metre of the sensor's height above the ground.
@@ -80,9 +80,9 @@ def may_stand_on(
 ) -> Bool[Array, "B T"]:
     """Whether a prism may stand on a column of a tile, whether or not a voxel there is ``solid``.
 
-    It is told by the circles around both. Where it is false, the prism is at least
-    :data:`~inspe_jax.visibility.tiles.CLOSE` away from all columns. In a frame in which no voxel of
-    the tile is solid, only a prism that is lower than the lowest voxel of some column may.
+    Where it is false, the prism is at least :data:`~inspe_jax.visibility.tiles.CLOSE` away from all
+    columns. In a frame in which no voxel of the tile is solid, only a prism that is lower than the
+    lowest voxel of some column may.
     """
     away = bounds.near + bounds.span
     x = sensor[0] + away * bounds.x - tile.center[0]

@@ -46,9 +46,8 @@ def view_masks(
 
         def test_level(z: Array, found: tuple[Array, Array]) -> tuple[Array, Array]:
             seen, undecided = found
-            hit, miss = _by_nearest_ray(
-                rays, half, transform.to_world, (dx, dy, tile.heights[z] - up)
-            )
+            offset = dx, dy, tile.heights[z] - up
+            hit, miss = _by_nearest_ray(rays, half, transform.to_world, offset)
             bit = jnp.ones((), seen.dtype) << z.astype(seen.dtype)
             none = jnp.zeros((), seen.dtype)
             return seen | jnp.where(hit, bit, none), undecided | jnp.where(hit | miss, none, bit)
@@ -94,10 +93,8 @@ def _by_nearest_ray(
         turned = (sum(to_world[k, m] * direction[m] for m in range(3)) for k in range(3))
         return (half + SLACK) * sum(map(jnp.abs, turned), jnp.zeros_like(q[0]))
 
-    miss = (rays.field_margin(q, rays.table.edges) < -corner) | rays.between(
-        q, half + SLACK, extent
-    )
-    return hit, miss
+    outside = rays.field_margin(q, rays.table.edges) < -corner
+    return hit, outside | rays.between(q, half + SLACK, extent)
 
 
 def _settle(

@@ -345,11 +345,12 @@ def test_the_field_of_view_has_a_depth_in_metres():
     grid = CAMERA.grid
     left = grid.column_limits[1]
     points = jnp.array([[20.0, 0.0, 0.0], [10.0, 10.0 * left, 0.0], [10.0, 10.0 * left + 3.0, 0.0]])
-    transform = transform_of(jnp.zeros(6))
-    field, ray = jax.jit(in_view_margins)(grid.rays, 0.5, transform, points)
+    pose = jnp.zeros((1, 6))
+    margins = jax.vmap(lambda at: in_view_margins(grid.rays, 0.5, transform_of(at), points))
+    field, ray = jax.jit(margins)(pose)
     outside = 0.5 - 3.0 / np.hypot(1, left)  # square on to the edge
-    np.testing.assert_allclose(field, [10.5, 0.5, outside], atol=1e-3)
-    assert ray[0] > 0
+    np.testing.assert_allclose(field[0], [10.5, 0.5, outside], atol=1e-3)
+    assert ray[0, 0] > 0
 
 
 def test_a_record_of_soft_scores_says_how_they_were_read():

@@ -164,7 +164,7 @@ def count_all(
     failures: Groups | None,
     options: ScoreOptions,
 ) -> Counts:
-    """What sensors at ``sensors``, with ``views`` of :func:`in_view_of`, see in all frames."""
+    """Counts of what sensors at ``sensors`` with ``views`` of :func:`in_view_of` see."""
     jobs: list[Job] = []
     options = options.counted
     groups = 0 if failures is None else len(failures.first)

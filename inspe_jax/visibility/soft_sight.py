@@ -261,7 +261,8 @@ def _most_first(count: Int[Array, " N"]) -> Int[Array, " N"]:
 
 
 class InPlan(NamedTuple):
-    """The chance that a line meets a prism in plan; by margins of the cut, derivatives if not 0."""
+    """The chance that a line meets a prism in plan, and its derivatives by the cut's margins where
+    it is not 0."""
 
     met: Float[Array, "*n"]
     by_left: Float[Array, "*n"]

@@ -13,17 +13,23 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from inspe_jax.core.convex import outlines
-from inspe_jax.core.geometry import NEVER, Prism, top_over
+from inspe_jax.core.geometry import (
+    NEVER,
+    Prism,
+    ShadowTerms,
+    shadow_ceiling,
+    shadow_terms,
+    top_over,
+)
 from inspe_jax.core.numerics import Groups, Softness, Width, exact, leave_one_out, step
 from inspe_jax.scoring import metrics
+from inspe_jax.scoring.driver import MetricValues
 from inspe_jax.scoring.sensor_array import SensorSet
-from inspe_jax.scoring.summary import MetricValues
 from inspe_jax.scoring.tiled_scene import SceneArrays
 from inspe_jax.sensing.sensors import RayGrid
 from inspe_jax.visibility import bitmask
 from inspe_jax.visibility.centered_scene import CenteredScene
 from inspe_jax.visibility.in_view import density_view, in_view_margins, transform_of
-from inspe_jax.visibility.shadows import shadow_ceilings
 from inspe_jax.visibility.soft_sight import Sights, clear_chance
 
 
@@ -32,6 +38,27 @@ def occlusion_terms(visible, covered, free, solid, reference):
     counted = solid if reference == "targets" else free
     whole = covered if reference == "covered" else jnp.ones_like(covered)
     return visible @ counted, whole @ counted
+
+
+def shadow_ceilings(
+    sensors: Float[Array, "S 3"],
+    prisms: Prism,
+    columns: Float[Array, "L 2"],
+    *,
+    ignore_self_occlusion: bool = False,
+) -> Float[Array, "S L"]:
+    """Height [m] below which the prisms (B,) of one frame hide each column from each sensor."""
+
+    def of_prism(sensor: Float[Array, "3"], terms: ShadowTerms) -> Float[Array, " L"]:
+        dx, dy = columns[:, 0] - sensor[0], columns[:, 1] - sensor[1]
+        own = ignore_self_occlusion
+        return shadow_ceiling(terms, dx, dy, sensor[2], ignore_self_occlusion=own)
+
+    def of_sensor(sensor: Float[Array, "3"]) -> Float[Array, " L"]:
+        each = jax.vmap(of_prism, (None, 0))(sensor, shadow_terms(sensor, prisms))
+        return each.max(0, initial=NEVER)
+
+    return jax.vmap(of_sensor)(sensors)
 
 
 def sight(
@@ -78,7 +105,12 @@ def view_margins(
     half: float,
 ) -> tuple[Float[Array, "S V"], Float[Array, "S V"]]:
     """:func:`in_view_margins` of all sensors."""
-    return of_grids(lambda grid, at: in_view_margins(grid, at, centers, half), poses, groups)
+
+    def margins(grid: RayGrid, at: Float[Array, "s 6"]) -> tuple[Array, Array]:
+        of_sensor = partial(in_view_margins, grid.rays, half, centers=centers)
+        return jax.vmap(lambda pose: of_sensor(transform_of(pose)))(at)
+
+    return of_grids(margins, poses, groups)
 
 
 @partial(jax.jit, static_argnames=("groups", "half"))

@@ -26,14 +26,13 @@ from inspe_jax.placement.objective import COMBINATIONS, Objective
 from inspe_jax.placement.space import Space
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scoring import metrics
-from inspe_jax.scoring.driver import measure_tiles
+from inspe_jax.scoring.driver import MetricValues, measure_tiles
 from inspe_jax.scoring.evaluate import check_entropy, options_of
 from inspe_jax.scoring.exact import measure_exactly
 from inspe_jax.scoring.numbers import Numbers, Reading
 from inspe_jax.scoring.options import ScoreOptions
 from inspe_jax.scoring.reading import BITS
 from inspe_jax.scoring.sensor_array import SensorArray, SensorSet, sensor_array
-from inspe_jax.scoring.summary import MetricValues
 from inspe_jax.scoring.tiled_scene import SceneArrays, TiledScene, tiled_sample, tiled_scene_of
 from inspe_jax.sensing.conditions import Case, Conditions, case_of, perceiving
 from inspe_jax.sensing.layout import Layout

@@ -50,7 +50,7 @@ def seen_in_tile(
 
     def see_from(row: SensorRow, reading: Reading, tile: Tile, frames: Frames) -> tuple[Any, Any]:
         visible, in_sight = seen_by_sensor(reading, row, tile, frames, options)
-        if not options.counts_sight:
+        if not options.sight:
             return visible, None
         return visible, reading.level_sums(in_sight, len(tile.heights))
 
@@ -70,29 +70,21 @@ def count_tile(
 ) -> Counts:
     """Count what sensors at positions ``sensors`` [m] see of one tile in F frames.
 
-    ``views`` are the sets of voxels that each sensor has in view; ``shadows`` is the result of
-    ``reading.shadows``. ``core`` is the set of voxels in the core, None to count nothing there.
+    ``views`` are the sets that each has in view, ``shadows`` what ``reading.shadows`` gives, and
+    ``core`` the set of voxels in the core, None to count nothing there.
     """
     covered = reading.any_of(views, failures)
     solid = reading.solid(frames, len(tile.heights))
     free = reading.outside(reading.in_frames(reading.voxels(tile)), solid)
-    rows = sensors, shadows, views
+    rows, reference = (sensors, shadows, views), options.occlusion_reference
     union, sights = seen_in_tile(reading, rows, tile, frames, failures, options)
-    seen, original = metrics.occlusion_terms(
-        reading, union, covered, free, solid, options.occlusion_reference
-    )
+    seen, original = metrics.occlusion_terms(reading, union, covered, free, solid, reference)
     columns = reading.column_sums(reading.both(union.all, free))
     near = None
     if core is not None:  # few tiles are cut by its edge
         whole = jnp.stack([seen[0], original[0]])
-        given = (
-            union.all,
-            reading.in_frames(covered[0]),
-            free,
-            solid,
-            options.occlusion_reference,
-        )
-        cut = partial(metrics.occlusion_terms_within, reading, reading.in_frames(core), *given)
+        of = union.all, reading.in_frames(covered[0]), free, solid, reference
+        cut = partial(metrics.occlusion_terms_within, reading, reading.in_frames(core), *of)
         number = tile.core.any().astype(int) + tile.core.all().astype(int)
         near = jax.lax.switch(number, (lambda: jnp.zeros_like(whole), cut, lambda: whole))
     return Counts(seen, original, columns, sights, near)

@@ -5,8 +5,7 @@ The chance is a logistic function of the logarithm of the number:
     g(n) = most / (1 + (half / n)^slope).
 
 ``detection.toml`` has the usual curves, one for each kind of sensor and class of road user, and
-their sources. :func:`fit_detection` finds curves from matched boxes of a detector;
-:func:`load_detection` reads curves of one's own from a file, and :func:`save_detection` writes one.
+their sources.
 """
 
 import json
@@ -28,14 +27,7 @@ from scipy.optimize import minimize
 from scipy.special import expit, logit
 
 from inspe_jax.core.errors import InspeError, check_known
-from inspe_jax.core.files import (
-    STRICT,
-    check_model,
-    check_output,
-    read_json,
-    read_toml,
-    write_text,
-)
+from inspe_jax.core.files import STRICT, check_model, check_output, read_json, read_toml, write_text
 from inspe_jax.scene.traffic.frames import CLASSES
 from inspe_jax.sensing.kinds import SENSOR_KINDS
 
@@ -159,12 +151,9 @@ class DetectionCurves:
 def detection_curves() -> DetectionCurves:
     """The usual curves, from ``detection.toml``."""
     text = files("inspe_jax.scoring").joinpath("detection.toml").read_text("utf-8")
-    content = tomllib.loads(text)
-    return DetectionCurves(
-        tuple(
-            (kind, tuple(DetectionCurve(**of[name]) for name in CLASSES))
-            for kind, of in content.items()
-        )
+    kinds = tomllib.loads(text).items()
+    return DetectionCurves(()).with_curves(
+        {(kind, name): DetectionCurve(**row) for kind, of in kinds for name, row in of.items()}
     )
 
 
@@ -204,12 +193,11 @@ def load_detection(path: str | os.PathLike[str]) -> DetectionCurves:
             f"{path}: curves of detection are in a file ending {' or '.join(SUFFIXES)}"
         )
     model = _table("_CurvesFile", SENSOR_KINDS, _table("_KindEntry", CLASSES, _CurveEntry))
-    given: dict[str, Any] = check_model(model, _read(path), str(path)).model_dump()
+    content = read_json(path) if path.suffix.lower() == ".json" else read_toml(path)
+    given = check_model(model, content, str(path)).model_dump(exclude_none=True)
     fitted: dict[tuple[str, str], DetectionCurve] = {}
     for kind, of in given.items():
-        for road_user, row in (of or {}).items():
-            if row is None:
-                continue
+        for road_user, row in of.items():
             try:
                 fitted[kind, road_user] = DetectionCurve(**row)
             except InspeError as e:
@@ -225,10 +213,6 @@ def load_detection(path: str | os.PathLike[str]) -> DetectionCurves:
         raise InspeError(f"{path}: {e}") from None
 
 
-def _read(path: Path) -> Any:
-    return read_json(path) if path.suffix.lower() == ".json" else read_toml(path)
-
-
 def save_detection(curves: DetectionCurves | Fitted, path: str | os.PathLike[str]) -> None:
     """Write curves to a JSON file that :func:`load_detection` reads.
 
@@ -241,9 +225,7 @@ def save_detection(curves: DetectionCurves | Fitted, path: str | os.PathLike[str
     write_text(path, json.dumps(curves.record, indent=2) + "\n")
 
 
-def fit_detection(
-    boxes: Iterable[Mapping[str, Any]],
-) -> dict[tuple[str, str], DetectionCurve]:
+def fit_detection(boxes: Iterable[Mapping[str, Any]]) -> dict[tuple[str, str], DetectionCurve]:
     """Curves by kind of sensor and class, from a table of boxes that were matched to detections.
 
     Each row has ``sensor``, such as "lidar" or "camera"; ``road_user``, a class; ``number``, the

@@ -16,7 +16,7 @@ from inspe_jax.scene.regions import Region
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scene.voxels import check_memory
 from inspe_jax.scoring.detection import DetectionCurves
-from inspe_jax.scoring.driver import measure_tiles
+from inspe_jax.scoring.driver import MetricValues, measure_tiles
 from inspe_jax.scoring.exact import ONE_MORE, count_exactly, measure_many
 from inspe_jax.scoring.metrics import (
     OCCLUSION_REFERENCES,
@@ -30,14 +30,10 @@ from inspe_jax.scoring.numbers import Numbers
 from inspe_jax.scoring.options import ScoreOptions
 from inspe_jax.scoring.reading import BITS
 from inspe_jax.scoring.sensor_array import SensorSet, sensor_array
-from inspe_jax.scoring.summary import MetricValues
-from inspe_jax.scoring.tiled_scene import (
-    TiledScene,
-    tiled_scene_of,
-)
+from inspe_jax.scoring.tiled_scene import TiledScene, tiled_scene_of
 from inspe_jax.sensing.conditions import FAIR, Case, Conditions, perceiving
 from inspe_jax.sensing.layout import Layout
-from inspe_jax.visibility.centered_scene import from_center, poses_about_center
+from inspe_jax.visibility.centered_scene import from_center
 from inspe_jax.visibility.queries import check_layout, check_places
 from inspe_jax.visibility.tiles import CORE
 
@@ -48,7 +44,7 @@ does not hide the voxels inside it."""
 
 
 class PaperMetrics:
-    """Gives a record of all ``metrics`` by name the paper's three metrics as attributes."""
+    """The paper's three metrics as attributes of a record of all ``metrics`` by name."""
 
     metrics: dict[str, Any]
     surrogate: Any
@@ -121,9 +117,7 @@ class Scores(PaperMetrics, ByContent, Described):
     @property
     def conditions(self) -> Conditions:
         """The light and weather that the scores are for."""
-        return Conditions.of(
-            **{key: self.settings.get(key, FAIR.record[key]) for key in FAIR.record}
-        )
+        return Conditions.of(**{k: self.settings.get(k, usual) for k, usual in FAIR.record.items()})
 
 
 def evaluate(
@@ -269,10 +263,10 @@ def evaluate_many(
 ) -> ManyScores:
     """Exact scores of one layout's sensors at M sets of S poses: the metrics and P_sm only.
 
-    Layouts are scored in parallel, on all cores or devices. The scores are those of
-    :func:`evaluate`, from the same counts; only the last digits of sums may differ. ``poses`` are
-    x, y, z [m], roll, pitch, yaw [rad]; the options are those of :func:`evaluate`. Raises
-    InspeError as that does, and where ``poses`` has another shape or is traced.
+    Layouts are scored in parallel, on all cores or devices. The options and, but for the last
+    digits of sums, the scores are those of :func:`evaluate`. ``poses`` are x, y, z [m], roll,
+    pitch, yaw [rad]. Raises InspeError as that does, and where ``poses`` has another shape or is
+    traced.
     """
     scene, layout, conditions = check_layout(scene, layout, conditions)
     readings = options_of(scene, occlusion_reference, visibility)
@@ -291,11 +285,8 @@ def evaluate_many(
         )
     check_values(poses, "poses")
     check_memory(scene.voxels.count, len(layout))
-    layouts = [
-        replace(layout.with_poses(row), name=f"poses[{number}]") for number, row in enumerate(poses)
-    ]
-    for one in layouts:
-        check_places(scene, one)
+    for number, row in enumerate(poses):
+        check_places(scene, replace(layout.with_poses(row), name=f"poses[{number}]"))
     layout = perceiving(scene, layout, conditions)
     tiled = tiled_scene_of(scene, whole=True)
     by_name = weights_of(weights)
@@ -303,7 +294,7 @@ def evaluate_many(
         check_entropy(scene, entropy(tiled.occupancy).sum())
     found = measure_many(
         tiled,
-        np.stack([poses_about_center(scene, one) for one in layouts]),
+        from_center(scene, poses),
         SensorSet.of(layout),
         scene.voxels.size,
         ScoreOptions.of(**readings, names=chosen(metrics, by_name), detection=detection),

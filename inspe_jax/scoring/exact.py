@@ -1,8 +1,7 @@
 """Exact scores: voxels are counted as bits, and the cores divide the tiles and frames.
 
-:mod:`inspe_jax.scoring.accumulate` says what is counted, and :mod:`inspe_jax.scoring.summary` how
-counts become metrics; this module gives each core or device its part. Counts are exact in any
-order, so the scores are the same to the last bit on any number of cores and devices.
+Counts are exact in any order, so the scores are the same to the last bit on any number of cores and
+devices.
 """
 
 from collections.abc import Callable
@@ -21,16 +20,15 @@ from inspe_jax.core.numerics import Groups
 from inspe_jax.core.parallel import Job, cores, run
 from inspe_jax.scoring.accumulate import count_tile
 from inspe_jax.scoring.detection import DetectionCurves
-from inspe_jax.scoring.driver import measure_tiles
+from inspe_jax.scoring.driver import MetricValues, measure_tiles, summarise
 from inspe_jax.scoring.metric import Metric, TileEvidence
 from inspe_jax.scoring.metrics import entropy, entropy_terms, resolved, tile_terms
 from inspe_jax.scoring.options import ScoreOptions
-from inspe_jax.scoring.past_statics import past_statics, sights_past_statics
 from inspe_jax.scoring.reading import BITS, Counts, Frames
 from inspe_jax.scoring.sensor_array import SensorArray, SensorSet, sensor_array
-from inspe_jax.scoring.summary import MetricValues, summarise
 from inspe_jax.scoring.tiled_scene import ENTROPIC, TiledScene, device_order
 from inspe_jax.visibility import bitmask
+from inspe_jax.visibility.statics import past_statics_of_sensor
 from inspe_jax.visibility.tiles import CHUNKS, Tile, unless_empty
 from inspe_jax.visibility.view_masks import view_masks
 
@@ -63,10 +61,7 @@ def count_exactly(
     voxel: float | Array,
     options: ScoreOptions,
 ) -> MetricValues:
-    """:func:`measure_exactly` of padded arrays.
-
-    The result has the tiles' columns, and a row for each group of failures that there is room for.
-    """
+    """:func:`measure_exactly` of padded arrays: in the tiles' columns, and of spare groups."""
     views, counts, terms = evidence_of_tiles(tiled, poses, sensors, voxel, options)
     if options.visibility == "in_view":
         counts = counts._replace(sights=None)
@@ -96,22 +91,63 @@ def in_view_of(
 ) -> UInt[Array | np.ndarray, "S N C"]:
     """Masks of what each sensor has in view, past static bodies. ``half`` of a voxel's edge [m]."""
     tile = tiled.tiles.tile
+    views = np.zeros((len(poses), *tile.there.shape), tile.there.dtype)
+    given: Any = view_masks, tile, slice(None)
+    if tiled.device_tiles is not None:
+        given = _split_view(), tiled.device_tiles, device_order(views.shape[1])
+    look, tiles, order = given
     jobs: list[Job] = []
     present = np.flatnonzero(sensors.kind < len(sensors.kinds))
     for s in present:
         kind = sensors.kinds[sensors.kind[s]]
         rays = kind.rays(jax.tree.map(lambda numbers: numbers[s], sensors.table))  # noqa: B023
-        lengths = rays.table.rows.shape + rays.table.nearest.shape
-        if tiled.device_tiles is None:
-            work = partial(view_masks, rays, poses[s], tile, half)
-        else:
-            work = partial(_split_view(), rays, poses[s], tiled.device_tiles, half)
-        jobs.append(((view_masks, kind, lengths, tile.heights.shape), work))
-    views = np.zeros((len(poses), *tile.there.shape), tile.there.dtype)
-    order = slice(None) if tiled.device_tiles is None else device_order(views.shape[1])
+        key = view_masks, kind, _shapes(rays.table.rows, rays.table.nearest, tile.heights)
+        jobs.append((key, partial(look, rays, poses[s], tiles, half)))
     for s, view in zip(present, run(jobs), strict=True):
         views[s, order] = view
-    return views & past_statics(tiled, views, poses[:, :3])
+    return views & _past_statics(tiled, views, poses[:, :3])
+
+
+def _past_statics(
+    tiled: TiledScene,
+    views: UInt[Array | np.ndarray, "S N C"],
+    sensors: Float[Array | np.ndarray, "S 3"],
+) -> Any:
+    """Masks (S, N, C) of the voxels that neither bodies nor the ground hide from ``sensors``.
+
+    Tiles of which a sensor has nothing in view are left out, and so are all of a scene without
+    bodies.
+    """
+    statics, tile = tiled.statics, tiled.tiles.tile
+    if statics is None:
+        return views
+    present = np.flatnonzero(np.asarray(views).any((1, 2)))
+    key = past_statics_of_sensor, tile.heights.shape, statics.shapes
+    jobs: list[Job] = [
+        (key, partial(past_statics_of_sensor, sensors[s], statics, tile, views[s])) for s in present
+    ]
+    found = np.zeros_like(views)
+    for s, mask in zip(present, run(jobs), strict=True):
+        found[s] = mask
+    return found
+
+
+def _sights_past_statics(
+    tiled: TiledScene,
+    sights: Num[Array | np.ndarray, "S N C Z"],
+    views: UInt[Array | np.ndarray, "S N C"],
+    sensors: Float[Array | np.ndarray, "S 3"],
+) -> Any:
+    """In how many frames each sensor has each voxel in line of sight, past what stands in all."""
+    if tiled.statics is None:
+        return sights
+    masks, levels = _past_statics(tiled, views, sensors), sights.shape[-1]
+    return sights * bitmask.unpack(np.asarray(masks)[..., None], levels)
+
+
+def _shapes(*arrays: Any) -> tuple[tuple[int, ...], ...]:
+    """The shapes of all arrays, for which programs are compiled."""
+    return tuple(leaf.shape for leaf in jax.tree.leaves(arrays))
 
 
 @cache
@@ -128,10 +164,7 @@ def count_all(
     failures: Groups | None,
     options: ScoreOptions,
 ) -> Counts:
-    """Count what sensors at positions ``sensors`` see of all tiles in all frames.
-
-    ``views`` are masks of what each has in view (:func:`in_view_of`).
-    """
+    """Counts of what sensors at ``sensors`` with ``views`` of :func:`in_view_of` see."""
     jobs: list[Job] = []
     options = options.counted
     groups = 0 if failures is None else len(failures.first)
@@ -139,22 +172,22 @@ def count_all(
         few = views[:, chunk.tiles]
         count = _split_count(options) if chunk.split else partial(_count, options=options)
         work = partial(count, chunk.tile, few, chunk.solid, chunk.prisms, sensors, failures)
-        shapes = few.shape, chunk.prisms.top.shape, groups, chunk.split
-        jobs.append(((_count, options, *shapes), work))
+        key = _count, options, _shapes(few, chunk.prisms.top), groups, chunk.split
+        jobs.append((key, work))
     seen = np.zeros((2, 1 + groups, tiled.frame_count), np.int32)
     core = np.zeros((2, tiled.frame_count), np.int32)
     columns = np.zeros(views.shape[1:], np.int32)
-    levels = tiled.tiles.tile.heights.shape[1] if options.counts_sight else 0
+    levels = tiled.tiles.tile.heights.shape[1] if options.sight else 0
     kind = np.uint16 if tiled.frame_count < 2**16 else np.int32
     sights = np.zeros((*views.shape, levels), kind)
     for chunk, part in zip(tiled.chunks, run(jobs), strict=True):
         seen[:, :, chunk.frames] += np.stack([part.seen, part.original])
         core[:, chunk.frames] += np.asarray(part.core)
         _add_counts(columns[chunk.tiles], part.columns)
-        if options.counts_sight:
+        if options.sight:
             _add_counts(sights[:, chunk.tiles], part.sights)
-    found: Any = seen[0], seen[1], columns, sights if options.counts_sight else None, core
-    return Counts(*found)
+    counts: Any = *seen, columns, sights if options.sight else None, core
+    return Counts(*counts)
 
 
 def sight_shares(
@@ -171,8 +204,8 @@ def sight_shares(
     must count sights.
     """
     sights = count_all(tiled, views, sensors, None, options).sights
-    assert sights is not None  # options.counts_sight
-    sights = sights_past_statics(tiled, sights, views, sensors)
+    assert sights is not None  # options.sight
+    sights = _sights_past_statics(tiled, sights, views, sensors)
     shares = [tiled.tiles.of_voxels(np.asarray(of)) for of in sights[:count]]
     return np.stack(shares) / tiled.frame_count
 
@@ -186,7 +219,7 @@ def _add_counts(total: np.ndarray, counts: Any) -> None:
 def _split_count(options: ScoreOptions) -> Callable[..., Counts]:
     """:func:`_count`, every device for its frames."""
     whole, first, second = (sharding.along(axis) for axis in (None, 0, 1))
-    sights = first if options.counts_sight else None
+    sights = first if options.sight else None
     gives: Any = Counts(second, second, first, sights, second)  # type: ignore[arg-type]
     given = whole, whole, second, first, whole, whole
     return sharding.split(partial(_count, options=options), given, gives)
@@ -215,7 +248,7 @@ def _count(
     seen, original, columns, sights, core = jax.lax.map(
         lambda part: count(*part), (tile, views.swapaxes(0, 1), solid)
     )
-    sights = sights.swapaxes(0, 1) if options.counts_sight else None
+    sights = sights.swapaxes(0, 1) if options.sight else None
     return Counts(seen.sum(0), original.sum(0), columns, sights, core.sum(0))
 
 
@@ -266,7 +299,7 @@ def _terms(
     if not any(metric.sight for metric in options.metrics):
         sights = None
     if sights is not None:
-        sights = sights_past_statics(tiled, sights, views, poses[:, :3])
+        sights = _sights_past_statics(tiled, sights, views, poses[:, :3])
 
     def of(some: slice) -> tuple:
         seen = None if sights is None else sights[:, some]
@@ -277,8 +310,8 @@ def _terms(
     jobs: list[Job] = []
     for first in range(step):
         given = jax.tree.map(np.asarray, of(slice(first, None, step)))
-        shapes = tuple(leaf.shape for leaf in jax.tree.leaves(given))
-        jobs.append(((_tile_terms, options, sensors.kinds, shapes), partial(work, *given)))
+        key = _tile_terms, options, sensors.kinds, _shapes(given)
+        jobs.append((key, partial(work, *given)))
     parts = run(jobs)
 
     def joined(*part: Array) -> np.ndarray:
@@ -310,8 +343,7 @@ def _tile_terms(
     def terms(tile: Tile, *given: Any) -> dict[str, Any]:
         last, views, sights = given
         of_sensors = views, sights, frames, poses, sensors
-        at = TileEvidence(BITS, tile, *of_sensors, last, whole, detection)
-        return tile_terms(metrics, at)
+        return tile_terms(metrics, TileEvidence(BITS, tile, *of_sensors, last, whole, detection))
 
     by_tile = (tiles, last, *(x if x is None else x.swapaxes(0, 1) for x in (views, sights)))
     return jax.lax.map(lambda given: terms(*given), by_tile)
@@ -324,10 +356,9 @@ def _entropy_terms(
     reliability: Float[Array, " S"],
     failures: Groups | None,
 ) -> tuple[Float[Array, " 1+G"], Float[Array, ""], Float[Array, "2 2"]]:
-    """:func:`~inspe_jax.scoring.metrics.entropy_terms` of all voxels: H(Ω|P) and H(Ω).
+    """H(Ω|P) and H(Ω) of all voxels; and the two of all sensors, columns for core and outside.
 
-    The third result is the two of all sensors, a column each for the core and outside. They are
-    summed in parts; parts of nothing but padding are left out.
+    They are summed in parts; parts of nothing but padding are left out.
     """
     sensors, number = len(views), len(tiled.occupancy)
     together = ENTROPIC if number and number % ENTROPIC == 0 else number
@@ -370,19 +401,13 @@ def measure_many(
     """
     sensors = sensor_array(sensor_set, ONE_MORE)
     data = tiled.bucketed, sensors, voxel
-    shapes = tuple(leaf.shape for leaf in jax.tree.leaves(data[:2]))
     each = sharding.devices()
     work = partial(_one_layout, options=options) if each == 1 else _layout_each(options)
     # A layout for a core, or one for every device: devices that would be idle repeat the first.
     whole = np.stack([sensors.padded(row) for row in poses])
     rows = np.resize(whole, (-(-len(whole) // each), each, *whole.shape[1:]))
-    jobs: list[Job] = [
-        (
-            (measure_many, options, sensors.kinds, shapes),
-            partial(work, row[0] if each == 1 else row, *data),
-        )
-        for row in rows
-    ]
+    key = measure_many, options, sensors.kinds, _shapes(*data[:2])
+    jobs: list[Job] = [(key, partial(work, row[0] if each == 1 else row, *data)) for row in rows]
     found = np.stack(run(jobs)).reshape(-1, len(options.metrics))[: len(poses)]
     return {metric.name: column for metric, column in zip(options.metrics, found.T, strict=True)}
 

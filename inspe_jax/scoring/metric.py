@@ -16,10 +16,7 @@ from inspe_jax.visibility.tiles import Tile
 
 
 class Sets(Protocol):
-    """The operations on sets of a tile's voxels that metrics use.
-
-    :mod:`inspe_jax.scoring.reading` has the exact one, :mod:`inspe_jax.scoring.numbers` the soft.
-    """
+    """The operations on sets of a tile's voxels that metrics use, read exactly or softly."""
 
     def voxels(self, tile: Tile) -> Any:
         """The voxels that there are."""
@@ -55,8 +52,7 @@ class TileEvidence:
     ``sights`` (S, C, Z) is the number of ``frames`` in which each has each voxel in line of sight;
     None unless some metric needs it. ``poses`` (S, 6) are about the scene's centre. ``last``: no
     slab of levels is above the tile; ``whole``: there are no slabs, the tile has whole columns.
-    ``detection`` has the curves of detection, None for the usual ones. Not an array itself: it
-    lives while a program is traced.
+    ``detection`` has the curves of detection, None for the usual ones.
     """
 
     reading: Sets

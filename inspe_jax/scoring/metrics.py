@@ -2,12 +2,7 @@
 
 Every score uses these functions: exact or soft, of a scene or of a sample of it. Symbols are the
 paper's. V_i is a voxel of the region of interest Ω, w_i the weight of its region, and f(V_i) = 1 if
-some sensor ray passes through it, else 0:
-
-- coverage C = Σ w_i f(V_i) / Σ w_i: :func:`coverage`;
-- occlusion O = mean over frames of 1 − |V_occ| / |V_orig|: :func:`occlusion`;
-- information gain IG = 1 − H(Ω|P) / H(Ω), of a placement P: :func:`information_gain`;
-- the surrogate P_sm = 0.3 C + 0.5 O + 0.2 IG: :func:`surrogate`.
+some sensor ray passes through it, else 0. P is a placement.
 
 The sensors are fused before a metric is computed: once all of them, and once without each of G
 groups of failures. So arrays have a leading axis of 1 + G rows, and functions keep it.
@@ -66,20 +61,14 @@ def occlusion_terms(
 def occlusion_terms_within(
     reading: Sets, part: Any, seen: Any, covered: Any, free: Any, solid: Any, reference: str
 ) -> Num[Array, "2 F"]:
-    """:func:`occlusion_terms` of all sensors together, in the columns of ``part`` alone.
-
-    ``seen`` is what some sensor has in view and in line of sight in each frame.
-    """
+    """:func:`occlusion_terms` of all sensors together, in the columns of ``part`` alone."""
     counted = reading.both(counted_by_occlusion(free, solid, reference), part)
     whole = reading.both(counted, covered) if reference == "covered" else counted
     return jnp.stack([reading.count(reading.both(seen, counted)), reading.count(whole)])
 
 
 def counted_by_occlusion(free: Any, solid: Any, reference: str) -> Any:
-    """The voxels that occlusion counts: those inside vehicles under ``targets``, else the others.
-
-    ``free`` and ``solid`` are sets of any form, of the voxels outside and inside vehicles.
-    """
+    """The voxels that occlusion counts: inside vehicles under ``targets``, else outside."""
     return solid if reference == "targets" else free
 
 
@@ -143,9 +132,6 @@ def information_gain(
     """
     some = total > 0  # without entropy nothing is resolved: 0, not NaN
     return jnp.where(some, 1.0 - remaining / jnp.where(some, total, 1.0), 0.0)
-
-
-# ── The registry ────────────────────────────────────────────────────────────
 
 
 METRICS: dict[str, Metric] = {
@@ -236,10 +222,7 @@ SURROGATE = Metric(
 
 
 def listed(names: Container[str] | None = None) -> tuple[Metric, ...]:
-    """The rows of a table of scores: the metrics of these names, then P_sm.
-
-    None stands for the usual metrics.
-    """
+    """The rows of a table of scores: the metrics of these names, or the usual ones; then P_sm."""
     some = [m for m in METRICS.values() if (m.usual if names is None else m.name in names)]
     return (*some, SURROGATE)
 

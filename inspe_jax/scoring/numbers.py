@@ -35,10 +35,7 @@ UNION = "union"
 
 @dataclass(frozen=True)
 class NumberUnion:
-    """The chance that some sensor sees a voxel in a frame.
-
-    Row 0 is of all sensors, row 1 + g of all but group g.
-    """
+    """The chance that some sensor sees a voxel in a frame: of all, and of all but each group."""
 
     rows: Float[Array, "1+G Z F C"]
 
@@ -55,10 +52,7 @@ class NumberUnion:
 @pytree
 @dataclass(frozen=True)
 class Numbers:
-    """Margins read with a softness; a set is a chance for each voxel.
-
-    ``softness`` itself has no gradient.
-    """
+    """Margins read with a softness, which has no gradient; a set is a chance for each voxel."""
 
     softness: Softness
 
@@ -147,7 +141,8 @@ class Numbers:
         at = prisms, marked, tile.columns, tile.heights, width
         own = self.solid(frames, len(tile.heights)) > 0 if options.ignores_self_occlusion else None
         clear = clear_chance(sensor, Sights(*at, own))
-        return clear, clear_chance(sensor, Sights(*at)) if options.sight_apart else clear
+        apart = options.ignores_self_occlusion and options.sight == "line_of_sight"
+        return clear, clear_chance(sensor, Sights(*at)) if apart else clear
 
     def over_sensors(
         self, see_from: SeeFrom, rows: SensorRow, given: tuple, failures: Groups | None
@@ -188,16 +183,12 @@ class Numbers:
         """
         if statics is None:
             return None
+        width = self.softness.shadow
 
         def look(row: tuple[Array, Array]) -> Array:
             sensor, view = row
-            past = partial(past_statics_chance, statics=statics, tile=tile)
-            return jax.lax.cond(
-                (view > 0).any(),
-                lambda sensor: past(sensor, width=self.softness.shadow),
-                lambda _: jnp.zeros_like(view),
-                sensor,
-            )
+            past = partial(past_statics_chance, statics=statics, tile=tile, width=width)
+            return jax.lax.cond((view > 0).any(), past, lambda _: jnp.zeros_like(view), sensor)
 
         return jax.lax.map(look, (sensors, views))
 
@@ -238,8 +229,8 @@ def _union(
 def _in_view(
     see_from: SeeFrom, positions: Array, views: Array, given: tuple
 ) -> tuple[Callable, Array, Array]:
-    """What one sensor sees as a function of its position and view, the sensors that have some of
-    the tile in view, before the others, and their number."""
+    """What one sensor sees, of its position and view; the sensors, those that have some of the tile
+    in view first; and the number of these."""
     has = (views > 0).any((1, 2))
 
     def of_sensor(position: Array, view: Array) -> tuple[Array, Any]:

@@ -38,7 +38,7 @@ class ScoreOptions(NamedTuple):
 
     @property
     def sight(self) -> str | None:
-        """What line of sight means, as ``visibility`` says it; None where only views count.
+        """What line of sight means, as ``visibility`` says it; None where no metric needs it.
 
         Metrics that need it where information gain does not are looked at past others.
         """
@@ -48,21 +48,10 @@ class ScoreOptions(NamedTuple):
 
     @property
     def counted(self) -> "ScoreOptions":
-        """These options without what does not change the counts, so that fewer programs are
-        compiled."""
+        """These options without what does not change the counts: fewer programs are compiled."""
         return ScoreOptions(self.occlusion_reference, self.sight or "in_view")
-
-    @property
-    def counts_sight(self) -> bool:
-        """Whether the number of frames in which each voxel is in line of sight is needed."""
-        return self.sight is not None
 
     @property
     def ignores_self_occlusion(self) -> bool:
         """Whether a voxel inside a vehicle is hidden by other vehicles only."""
         return self.occlusion_reference == "targets" or self.sight == "past_others"
-
-    @property
-    def sight_apart(self) -> bool:
-        """Whether occlusion ignores self-occlusion, but line of sight does not."""
-        return self.ignores_self_occlusion and self.sight == "line_of_sight"

@@ -1,17 +1,15 @@
 """What sensors see of a tile, read exactly, as sets of bits; and what both readings share.
 
-Scores are counts of sets of voxels. :mod:`inspe_jax.scoring.accumulate` and
-:mod:`inspe_jax.scoring.metrics` say which sets, once for both readings. Only the two readings know
-how a set is stored. With F frames, C columns and Z levels in a tile:
+Scores are counts of sets of voxels, and only the two readings know how a set is stored. With F
+frames, C columns and Z levels in a tile:
 
 - :class:`Bits`: a mask for each column with a bit for each level, (C,), and (F, C) in F frames.
   Exact in any order, 32 voxels in one operation.
 - :class:`~inspe_jax.scoring.numbers.Numbers`: the chance of each voxel, (Z, C), and (Z, F, C) in F
   frames. Differentiable.
 
-Both have the methods that :mod:`inspe_jax.scoring.accumulate` and the metrics call. ``rows`` are
-one set for each sensor, (S, …). A result for G groups of failures has 1 + G rows: row 0 is of all
-sensors, row 1 + g of all but group g.
+``rows`` are one set for each sensor, (S, …). A result for G groups of failures has 1 + G rows: row
+0 is of all sensors, row 1 + g of all but group g.
 """
 
 from collections.abc import Callable
@@ -73,10 +71,7 @@ of frames in which each voxel is in line of sight, or None."""
 
 @dataclass(frozen=True)
 class BitUnion:
-    """What some sensor sees in each frame.
-
-    ``alone`` counts, for each group, the voxels of a set that no other sensor sees.
-    """
+    """What some sensor sees in each frame; ``alone`` counts what of a set only one group sees."""
 
     all: UInt[Array, "F C"]
     alone: Callable[[UInt[Array, "F C"]], Int[Array, "G F"]]

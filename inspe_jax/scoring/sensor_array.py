@@ -56,10 +56,9 @@ SENSORS = 4
 class SensorArray:
     """A :class:`SensorSet` as arrays: a compiled program serves other sensors of these kinds.
 
-    There are S places for sensors, and the first ones are taken. ``kind`` (S,) is the number of
-    each sensor's kind among ``kinds``, or their count where the place is empty. ``table`` holds the
-    numbers of each sensor's ray grid. ``reliability``, ``unit`` and ``pixels`` as in
-    :class:`SensorSet`; an empty place has a unit of its own.
+    Of S places for sensors the first are taken. ``kind`` is the number of each sensor's kind among
+    ``kinds``, or their count where the place is empty, and ``table`` has the numbers of its ray
+    grid. The others are as in :class:`SensorSet`; an empty place has a unit of its own.
     """
 
     table: RayTable
@@ -79,8 +78,7 @@ class SensorArray:
 def pad_rows(rows: Float[Array | np.ndarray, "s n"], count: int) -> Any:
     """``count`` rows: those given, then the first one repeated.
 
-    It works in NumPy unless ``rows`` is traced, and so does its gradient: JAX would compile a
-    program for every number of rows.
+    In NumPy unless traced, the gradient too: JAX would compile a program for every number of rows.
     """
     if isinstance(rows, jax.core.Tracer):
         return jnp.concatenate([rows, jnp.repeat(rows[:1], count - len(rows), 0)])

@@ -16,18 +16,14 @@ from jaxtyping import Array, Bool, Float
 
 from inspe_jax.core.numerics import Width, step
 from inspe_jax.scene.traffic.frames import CLASSES, ROAD_USERS
-from inspe_jax.scoring.detection import (
-    BANDS,
-    DetectionCurves,
-    detection_curves,
-)
+from inspe_jax.scoring.detection import BANDS, DetectionCurves, detection_curves
 from inspe_jax.scoring.sensor_array import SensorArray
 from inspe_jax.sensing.lidar_returns import LidarNoise
 from inspe_jax.sensing.rays import Kind, Rays, RayTable
 from inspe_jax.visibility import bitmask
 from inspe_jax.visibility.in_view import transform_of
 from inspe_jax.visibility.target_rays import NEAR, rays_on_face, scale_at, share_between_sides
-from inspe_jax.visibility.tiles import Tile
+from inspe_jax.visibility.tiles import Tile, zeros_of
 
 DETECT = BANDS["detect"]
 """Pixels per metre that are asked for."""
@@ -74,8 +70,7 @@ def target_evidence(
 
     ``sight`` is the share of frames in which each voxel is in line of sight, ``last`` whether no
     slab of levels is above the tile, ``width`` [m] that with which the ends of reach and pictures
-    are read, ``detection`` the curves of detection, the usual ones if None. A sensor with nothing
-    in sight is skipped.
+    are read. A sensor with nothing in sight is skipped.
     """
     curves = detection or detection_curves()
 
@@ -84,11 +79,8 @@ def target_evidence(
         rays = kind.rays(table)
         return target_evidence_of_sensor(rays, pixels, pose, tile, seen, last, width, curves)
 
-    def nothing(row: Any) -> TargetEvidence:
-        shapes = jax.eval_shape(partial(look, sensors.kinds[0]), row)
-        return jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes)
-
-    branches: list[Any] = [*(partial(look, kind) for kind in sensors.kinds), nothing]
+    looks = [partial(look, kind) for kind in sensors.kinds]
+    branches: list[Any] = [*looks, partial(zeros_of, looks[0])]
 
     def of_row(row: tuple[Array, tuple[RayTable, Array, Array, Array]]) -> TargetEvidence:
         kind, given = row
@@ -110,11 +102,7 @@ def target_evidence_of_sensor(
     width: Width,
     detection: DetectionCurves,
 ) -> TargetEvidence:
-    """What one sensor has on the road users at the columns of one tile.
-
-    ``pixels`` is the number of pixels that a ray stands for. Other arguments as in
-    :func:`target_evidence`, and ``sight`` (Z, C) is of this sensor.
-    """
+    """:func:`target_evidence` of one sensor; ``pixels`` is the number that a ray stands for."""
     kind, transform, noise = tile.heights.dtype, transform_of(pose), rays.signal.noise
     to = tile.columns[0] - pose[0], tile.columns[1] - pose[1]
     away = jnp.sqrt(jnp.maximum(to[0] ** 2 + to[1] ** 2, CHORD.max() ** 2))
@@ -157,8 +145,7 @@ def target_evidence_of_sensor(
 
     def add_level(state: tuple[Array, Array, Array, Array], level: tuple[Array, Array]) -> Any:
         """One level further down. Traffic hides a road user from below, so that the chance and the
-        number rise by what a level adds, in the frames in which it is in sight. What stands for all
-        frames hides some levels altogether."""
+        number rise by what a level adds, in the frames in which it is in sight."""
         number, before, chance, amount = state
         on, sight = level
         number += on
@@ -226,9 +213,7 @@ def _precision(
     low: Float[Array, " C"],
     noise: LidarNoise | None,
 ) -> Float[Array, "3 C"]:
-    """Fisher's information of one sensor on the place of a road user in plan [1/m²].
-
-    The mean over classes.
+    """Fisher's information of one sensor on a road user's place in plan [1/m²], mean over classes.
 
     Across the line of sight, n returns or pixels lie evenly over a width w, so that their mean has
     the variance w²/(12 n). Along it, each return has the noise of range. A camera ranges by

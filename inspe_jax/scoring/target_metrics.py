@@ -1,13 +1,7 @@
 """Metrics of what a detector gets: beyond the paper's, each from 0 to 1, higher is better.
 
-- detectability D, the chance that a road user is found: :func:`detectability`;
-- points on target P, the share of places with enough LiDAR returns: :func:`points_on_target`;
-- pixel density X, the share of places with enough pixels per metre: :func:`pixel_density`;
-- localisation L, how much of the error of its place is removed: :func:`localisation`;
-- redundancy R, the share of voxels that two units see: :func:`redundancy`.
-
-A road user of each class stands at each column, with traffic around it. The functions of the first
-four give the value of each column; a metric is the mean, weighted by region as coverage is:
+A road user of each class stands at each column, with traffic around it. All functions but that of
+redundancy give the value of each column; a metric is the mean, weighted by region as coverage is:
 Σ w_l x_l / Σ w_l. What is seen is a share of frames; of several sensors it is taken as independent,
 as information gain does.
 """
@@ -128,9 +122,6 @@ def seen_twice(at: TileEvidence) -> Float[Array, "1+G C"]:
 
 NoneOne = tuple[Array, Array]
 """The chances that none, and that exactly one, of some units sees each voxel."""
-
-# ── Rows of the registry ────────────────────────────────────────────────────
-
 Fuse = Callable[[Float[Array, "S ..."], Groups | None], Float[Array, "1+G ..."]]
 """Fuses all sensors, and all but each group's."""
 

@@ -1,8 +1,7 @@
 """What a road user gets where it stands: LiDAR returns, pixels per metre, chance of detection.
 
-Practitioners ask how many LiDAR points fall on a pedestrian there, and how many pixels per metre a
-camera has there. Both are found for a target that stands at each column of the region of interest:
-the columns whose means are the metrics of :mod:`inspe_jax.scoring.target_metrics`.
+The target stands at each column of the region of interest. The means over columns are the metrics
+of :mod:`inspe_jax.scoring.target_metrics`.
 """
 
 from dataclasses import dataclass
@@ -35,11 +34,10 @@ _AT_ONCE = 64  # points of pixel_density_at are compiled for multiples of this
 class TargetView:
     """What a layout's sensors have on one road user that stands at each of L columns.
 
-    ``returns`` (S, L) are expected LiDAR returns of each sensor, the mean over the frames of
-    traffic; 0 for cameras. ``pixels_per_metre`` (S, L) are those across the middle of the target,
-    without traffic; 0 for LiDARs, and where the target's middle is out of the picture or of reach.
-    ``found`` (S, L) is the chance that a detector finds the target by that sensor alone, mean over
-    frames.
+    ``returns`` are expected LiDAR returns of each sensor, the mean over frames; 0 for cameras.
+    ``pixels_per_metre`` are those across the middle of the target, without traffic; 0 for LiDARs,
+    and where the middle is out of the picture or of reach. ``found`` is the chance that a detector
+    finds the target by that sensor alone, mean over frames.
     """
 
     road_user: str

@@ -52,10 +52,9 @@ class SceneArrays(NamedTuple):
 class WorkChunk:
     """Some of the tiles in some of the frames: the work of one core.
 
-    ``prisms`` (F, B) are the road users of the frames. ``solid`` (n, F, C) are masks of the voxels
-    inside a vehicle, or None in a scene without masks. The tiles are every ``step``-th one from
-    ``first`` on; the frames start at ``begin``. If ``split``, the frames are divided among the
-    devices.
+    ``prisms`` (F, B) are the road users of the frames, ``solid`` masks of the voxels inside a
+    vehicle, None in a scene without masks. The tiles are every ``step``-th one from ``first`` on;
+    the frames start at ``begin``. If ``split``, the frames are divided among the devices.
     """
 
     tile: Tile
@@ -82,13 +81,12 @@ class WorkChunk:
 class TiledScene:
     """What scores need of a scene or of a sample of one. It is the same for every layout.
 
-    ``weight`` (M·C,) is the region weight of the columns of the M tiles of a slab, 0 for padding.
-    ``occupancy`` (U,) is p̂ of the voxels that may have entropy, padded with 0 at the end.
-    ``column`` and ``level`` (U,) say which voxels these are: the column's number among the tiles'
-    columns, and the level in its slab. ``device_tiles`` are the tiles in :func:`device_order`,
-    divided among the devices; None where there is one device. ``statics`` are bodies that
-    stand in every frame, and the ground where it hides something; None if there are none. A column
-    of which some voxels are inside a body has the share of its weight that the others are of it.
+    ``weight`` is the region weight of the columns of the M tiles of a slab, 0 for padding; of a
+    column with voxels inside a body it is the share that the others are of it. ``occupancy`` is p̂
+    of the voxels that may have entropy, padded with 0 at the end. ``column`` and ``level`` say
+    which these are: the column's number among the tiles' columns, and the level in its slab.
+    ``device_tiles`` are the tiles in :func:`device_order`, divided among the devices; None where
+    there is one. ``statics`` are the bodies and the ground; None where there are none.
     """
 
     tiles: Tiles
@@ -116,8 +114,7 @@ class TiledScene:
     def bucketed(self) -> "TiledScene":
         """This without the arrays that have another length in every scene.
 
-        The other arrays have one of a few lengths, so a program compiled for one scene serves
-        other scenes of similar size.
+        So a program compiled for one scene serves other scenes of similar size.
         """
         return replace(self, tiles=replace(self.tiles, place=None), device_tiles=None)
 
@@ -130,10 +127,7 @@ def tiled_scene_of(scene: Scene, *, whole: bool = False, masks: bool = True) -> 
 
     ``whole``: all tiles are in every chunk, for one core or one device. ``masks``: a whole one has
     the masks of solid voxels. Soft scores do without: a compiled gradient would hold several copies
-    of them as constants.
-
-    It is made at the first call and kept as long as the scene, one for each floating-point
-    precision that JAX is set to.
+    of them as constants. It is kept as long as the scene, one for each precision of JAX.
     """
     kept = _kept_scenes.setdefault(scene, {})
     key = whole, masks, jnp.zeros((), float).dtype
@@ -181,6 +175,9 @@ def _tile_scene(scene: Scene) -> TiledScene:
     spare = wide_bucket(len(column), ENTROPIC, MANY_ENTROPIC) - len(column)
     occupancy = np.pad(counts[column, level] / total, (0, spare))
     column, level = np.pad(column, (0, spare)), np.pad(level, (0, spare))
+    of_devices, number = None, len(tiles.tile.there)
+    if sharding.divides(number):
+        of_devices = sharding.put(_rows(tiles.tile, device_order(number)), 0)
     weight, inside = scene.voxels.column_weight, scene.inside_statics
     if inside is not None:
         weight = weight * (1.0 - inside.mean(1))
@@ -192,21 +189,15 @@ def _tile_scene(scene: Scene) -> TiledScene:
         on_device(column),
         on_device(level),
         total,
-        _on_devices(tiles.tile) if sharding.divides(len(tiles.tile.there)) else None,
+        of_devices,
         centered.statics,
     )
 
 
-def _on_devices(tile: Tile) -> Tile:
-    """The tiles in :func:`device_order`, each device holding its own."""
-    return sharding.put(_rows(tile, device_order(len(tile.there))), 0)
-
-
 def device_order(tiles: int) -> Int[np.ndarray, " N"]:
-    """Numbers of the tiles, those of one device after those of another.
+    """Numbers of the tiles device by device: device d of D has d, d + D, …
 
-    Of D devices, device d has every D-th tile from d on: so each has some of the padding at the
-    end.
+    So each has some of the padding at the end.
     """
     return np.arange(tiles).reshape(-1, sharding.devices()).T.ravel()
 
@@ -236,6 +227,10 @@ def tiled_sample(sample: SceneArrays, masks: bool = True) -> TiledScene:
     assert sample.occupancy is not None  # p̂ over all frames, not over the sample's
     tiles = tiles_of(sample.centered, CELL if masks else 1)
     prisms, levels = sample.centered.prisms, tiles.level_count
+    if sample.centered.inside is None:
+        weight = sample.weight[::levels]
+    else:  # voxels inside a body have no weight
+        weight = sample.weight.reshape(-1, levels).mean(1)
     height = tiles.tile.heights.shape[1]
     columns = len(tiles.tile.there) // tiles.slabs * tiles.tile.there.shape[1]
     level = np.arange(levels)
@@ -243,20 +238,13 @@ def tiled_sample(sample: SceneArrays, masks: bool = True) -> TiledScene:
     return TiledScene(
         tiles,
         (WorkChunk(tiles.tile, prisms, solid(tiles.tile, prisms) if masks else None),),
-        _column_weight(tiles, np.asarray(_mean_weight(sample, levels))),
+        _column_weight(tiles, np.asarray(weight)),
         sample.occupancy,
         on_device(column.reshape(-1)),
         on_device(np.tile(level % height, len(column))),
         len(prisms.top),
         statics=sample.centered.statics,
     )
-
-
-def _mean_weight(sample: SceneArrays, levels: int) -> Float[Any, " L"]:
-    """The mean weight of each column's voxels; those inside a static body have none."""
-    if sample.centered.inside is None:
-        return sample.weight[::levels]
-    return sample.weight.reshape(-1, levels).mean(1)
 
 
 def _column_weight(tiles: Tiles, weight: Float[np.ndarray, " L"]) -> Float[Array, " MC"]:

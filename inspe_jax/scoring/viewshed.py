@@ -1,7 +1,7 @@
 """Viewsheds: for each voxel, how many sensors have it in view and in which frames it is seen.
 
 They are the cumulative viewsheds of geographic information systems, from the masks that exact
-scores count. They are for pictures: scores need only their sums.
+scores count.
 """
 
 from dataclasses import dataclass
@@ -42,10 +42,9 @@ class Visibility(IntEnum):
 class Viewshed:
     """How well a layout sees each voxel of a scene.
 
-    ``sensors`` (V,) is how many sensors have the voxel in view. Of ``frame_count`` frames, some
-    sensor sees it in ``seen`` (V,), and it is inside a road user in ``occupied`` (V,). ``resolved``
-    (V,) is q_i of information gain, the chance that its occupancy is resolved, with the visibility
-    of the scene's profile.
+    ``sensors`` is how many sensors have the voxel in view. Of ``frame_count`` frames, some sensor
+    sees it in ``seen``, and it is inside a road user in ``occupied``. ``resolved`` is q_i of
+    information gain, with the visibility of the scene's profile.
     """
 
     sensors: Int[np.ndarray, " V"]
@@ -78,7 +77,7 @@ def viewshed(scene: Scene, layout: Layout, *, conditions: Conditions = FAIR) -> 
         occupied += np.asarray(by_level(chunk.solid, levels))
     flags = tiles.by_voxel(views[: len(layout)])  # (S, V)
     visible, options = flags.astype(float), ScoreOptions.of(**options_of(scene))
-    if options.counts_sight:  # by the programs that a score compiles
+    if options.sight:  # by the programs that a score compiles
         tiled = tiled_scene_of(scene)
         visible *= sight_shares(tiled, views, sensors, options, len(layout))
     return Viewshed(

@@ -109,8 +109,7 @@ def lowest_bit(masks: UInt[Array, "*n"]) -> Int[Array, "*n"]:
 
 
 def first_mark(marked: UInt[Array, "W ..."]) -> tuple[Int[Array, "..."], UInt[Array, "W ..."]]:
-    """The number of the first mark of :func:`marks`, −1 where there is none; and the other
-    marks."""
+    """The number of the first mark of :func:`marks`, −1 if there is none; and the other marks."""
     found = jnp.full(marked.shape[1:], -1)
     rest = []
     for w in range(len(marked)):
@@ -131,7 +130,6 @@ def fold_marked(
     ``index`` is the number of each row's mark; ``some`` is false for the rows that have no marks
     left. There are as many steps as the row with the most marks has marks.
     """
-
     if not len(marked):  # no flags
         return start
 

@@ -58,13 +58,14 @@ class CenteredScene(NamedTuple):
 
 
 def about_center(scene: Scene) -> CenteredScene:
-    """The scene's columns, heights and prisms, relative to its centre.
+    """The scene's arrays relative to its centre.
 
     Each frame ends in some prisms that are not valid, so that scenes of similar traffic have arrays
     of one shape.
     """
     grid, traffic = scene.voxels, scene.traffic
     x, y, z = grid.center
+    bodies, ground = _bodies_about_center(scene), _ground_about_center(scene)
     spare = bucket(traffic.valid.shape[1], PRISMS) - traffic.valid.shape[1]
 
     def padded(values: np.ndarray) -> np.ndarray:
@@ -82,13 +83,8 @@ def about_center(scene: Scene) -> CenteredScene:
             valid=on_device(padded(traffic.valid)),
         ),
         inside=None if scene.inside_statics is None else on_device(scene.inside_statics),
-        statics=_statics_about_center(scene),
+        statics=None if bodies is None and ground is None else Statics(bodies, ground),
     )
-
-
-def _statics_about_center(scene: Scene) -> Statics | None:
-    bodies, ground = _bodies_about_center(scene), _ground_about_center(scene)
-    return None if bodies is None and ground is None else Statics(bodies, ground)
 
 
 def _ground_about_center(scene: Scene) -> HeightField | None:
@@ -115,24 +111,20 @@ def _bodies_about_center(scene: Scene) -> ConvexPrism | None:
         return None
     parts, (x, y, z) = convex_parts(scene.statics, scene.intersection), scene.voxels.center
     corners = parts.corners - [x, y]
-    count = len(corners)
     normal, offset = sides(corners)
+    spare = bucket(len(corners), PARTS) - len(corners)
 
-    def padded(values: np.ndarray) -> Array:
-        spare = bucket(count, PARTS) - count
-        return on_device(np.pad(values, [(0, spare)] + [(0, 0)] * (values.ndim - 1)))
-
-    def numbers(values: np.ndarray) -> Array:
-        return padded(values.astype(float))
+    def padded(values: np.ndarray, kind: type = float) -> Array:
+        return on_device(np.pad(values, [(0, spare)] + [(0, 0)] * (values.ndim - 1)), kind)
 
     return ConvexPrism(
-        corners=numbers(corners),
-        normal=numbers(normal),
-        offset=numbers(offset),
-        bottom=numbers(np.maximum(parts.bottom - z, -FAR)),
-        top=numbers(parts.top - z),
-        clear=numbers(parts.transmittance),
-        valid=padded(np.ones(count, bool)),
+        corners=padded(corners),
+        normal=padded(normal),
+        offset=padded(offset),
+        bottom=padded(np.maximum(parts.bottom - z, -FAR)),
+        top=padded(parts.top - z),
+        clear=padded(parts.transmittance),
+        valid=padded(np.ones(len(corners)), bool),
     )
 
 

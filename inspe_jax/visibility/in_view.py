@@ -12,7 +12,6 @@ from jaxtyping import Array, Bool, Float, Int
 from inspe_jax.core.geometry import Point, cross_matrix, ray_cube_margin, rotation
 from inspe_jax.core.numerics import Softness, Width, certain_beyond, step
 from inspe_jax.sensing.rays import Kind, Rays, RayTable
-from inspe_jax.sensing.sensors import RayGrid
 from inspe_jax.visibility.ray_density import in_view_chance
 from inspe_jax.visibility.tiles import Tile
 
@@ -26,10 +25,6 @@ SLACK = 2e-4
 """A quick test that decides without the six rays does so by at least this margin [m]: ten times the
 rounding of single precision at 100 m."""
 
-TOGETHER = 2**20
-"""Sensors × voxels whose margins are found at once: XLA's arrays are faster than its loops, but all
-together would not fit in memory."""
-
 INSIDE = 1e-3
 """A voxel that a ray meets is in the field of view by at least this margin [m]."""
 
@@ -39,44 +34,8 @@ voxel has a ray at least as deep; which of its rays is the deepest changes with 
 nothing."""
 
 
-def in_view_margins(
-    grid: RayGrid, poses: Float[Array, "S 6"], centers: Float[Array, "V 3"], half: float
-) -> tuple[Float[Array, "S V"], Float[Array, "S V"]]:
-    """Two margins [m] of each voxel: in each sensor's field of view, and against its best ray.
-
-    A voxel is in view, f(V_i) = 1, where both margins are positive. The paper walks every ray; here
-    six rays are found for each voxel (:func:`_candidates`), and the best margin is taken. If any
-    ray passes through the voxel, one of the six does, except for a few voxels in very wide cameras
-    and on rows with a steep elevation.
-
-    The first margin is the depth in the field of view, from its edges and the end of its reach. The
-    second is that of the best ray; a voxel outside the field is first moved to the edge. Read
-    softly, the first has a slope also for voxels far outside the field. The second is no larger
-    than a voxel and tells apart voxels on rows from voxels between them.
-
-    ``half`` is half a voxel's edge [m]. Voxels are closed: a ray along a face of two voxels passes
-    through both. :data:`TOUCH` ensures this in single precision.
-    """
-    return _in_view_margins(grid.rays, poses, centers, half)
-
-
-@jax.jit
-def _in_view_margins(
-    rays: Rays, poses: Float[Array, "S 6"], centers: Float[Array, "V 3"], half: float
-) -> tuple[Float[Array, "S V"], Float[Array, "S V"]]:
-    margins = jax.vmap(partial(_margins, rays, half), in_axes=(0, None))
-    transforms = jax.vmap(transform_of)(poses)
-    parts = -(-len(poses) * len(centers) // TOGETHER)
-    size = -(-len(centers) // parts)
-    padded = jnp.pad(centers, ((0, parts * size - len(centers)), (0, 0))).reshape(parts, size, 3)
-    found = jax.lax.map(lambda part: margins(transforms, part), padded)  # (parts, S, size) each
-    field, ray = (x.swapaxes(0, 1).reshape(len(poses), -1)[:, : len(centers)] for x in found)
-    return field, ray
-
-
 class RigidTransform(NamedTuple):
-    """A sensor's pose as its ``position`` (3,) and the rotation ``to_world`` (3, 3) from body axes
-    to world axes."""
+    """A sensor's ``position``, and the rotation ``to_world`` from body axes to world axes."""
 
     position: Float[Array, "3"]
     to_world: Float[Array, "3 3"]
@@ -101,13 +60,24 @@ def _field_margin(
     return rays.field_margin(q, rays.table.edges) + half
 
 
-def _margins(
+def in_view_margins(
     rays: Rays, half: Scalar, transform: RigidTransform, centers: Float[Array, "V 3"]
 ) -> tuple[Float[Array, " V"], Float[Array, " V"]]:
-    """:func:`in_view_margins` of one sensor.
+    """Two margins [m] of each voxel: in a sensor's field of view, and against its best ray.
 
-    Where a ray just meets a voxel, by a corner or by rounding, the field's margin is made positive
-    too.
+    A voxel is in view, f(V_i) = 1, where both margins are positive. The paper walks every ray; here
+    six rays are found for each voxel (:func:`_candidates`), and the best margin is taken. If any
+    ray passes through the voxel, one of the six does, except for a few voxels in very wide cameras
+    and on rows with a steep elevation.
+
+    The first margin is the depth in the field of view, from its edges and the end of its reach;
+    where a ray just meets a voxel, by a corner or by rounding, it is made positive. The second is
+    that of the best ray; a voxel outside the field is first moved to the edge. Read softly, the
+    first has a slope also for voxels far outside the field. The second is no larger than a voxel
+    and tells apart voxels on rows from voxels between them.
+
+    ``half`` is half a voxel's edge [m]. Voxels are closed: a ray along a face of two voxels passes
+    through both. :data:`TOUCH` ensures this in single precision.
     """
     ray = jnp.minimum(_best_margin(rays, half, transform, centers), DEEP * half)
     field = _field_margin(rays, half, transform, centers)
@@ -161,8 +131,7 @@ def best_ray(
     # A loop, because unrolled the three rows would be compiled three times.
     nothing = jnp.full(len(centers), -jnp.inf, centers.dtype)
     zero = jnp.zeros_like(nothing)
-    best, row, column = jax.lax.fori_loop(0, 3, try_row, (nothing, zero, zero))
-    return best, row, column
+    return jax.lax.fori_loop(0, 3, try_row, (nothing, zero, zero))
 
 
 def _ray_margin(
@@ -190,11 +159,10 @@ def _candidates(
     Returns a function of the row: −1, 0 and 1 are the row below the nearest one, the nearest, and
     the one above. It gives the row's coordinate and those of two columns.
 
-    The rays nearest to the voxel's centre are not enough. Where rows lie further apart than
-    columns, a row may clip one corner of the cube, many columns away from the centre. So take the
-    chord from the centre to the point of the cube that lies furthest towards the row. The point p
-    where the chord meets the row is in the cube. A row crosses a cube in one interval. So if that
-    interval holds any ray, it holds the one just before or just after p.
+    Where rows lie further apart than columns, a row may clip one corner of the cube, many columns
+    away from the centre. So take the chord from the centre to the point of the cube that lies
+    furthest towards the row. The point p where the chord meets the row is in the cube. A row
+    crosses a cube in one interval. If that holds any ray, it holds the one just before or after p.
 
     Three rows are enough. If a cube reaches further rows, it is large compared with their spacing,
     and the nearest row crosses its middle. Where the cube is partly beyond the reach or the edge
@@ -209,19 +177,14 @@ def _candidates(
         for k in range(3):
             side = sum(to_world[k, m] * normal[m] for m in range(3)) * outward
             side = jnp.where(side < 0, -half, half)
-            x, y, z = (
-                x + side * to_world[k, 0],
-                y + side * to_world[k, 1],
-                z + side * to_world[k, 2],
-            )
+            x, y, z = (at + side * to_world[k, m] for m, at in enumerate((x, y, z)))
         return x, y, z
 
     def extreme(normal: Point, outward: float) -> Point:
         """The point of the cube whose row is highest (outward = 1) or lowest (−1).
 
-        The best of three: the corner furthest along the row's normal at the aim; the corner
-        furthest along the normal at that first corner; and the middle between them. Near the sensor
-        the two corners differ, and the best point may lie between them.
+        The best of three: the corner furthest along the row's normal at the aim, that along the
+        normal at the first corner, and the middle between them. Near the sensor the corners differ.
         """
         sign = jnp.full_like(q[0], outward)
         one = corner(q, normal, sign)
@@ -265,11 +228,8 @@ def _candidates(
 
 
 def _within_reach(rays: Rays, q: Point, corner) -> Point:  # type: ignore[no-untyped-def]
-    """The point to aim at: the centre ``q`` of a voxel.
-
-    If the centre is beyond the reach, it is the middle of that part of the line from the nearest
-    corner to the centre which is within reach.
-    """
+    """The point to aim at: a voxel's centre ``q``, or, if that is beyond the reach, the middle of
+    that part of the line from the nearest corner to it which is within reach."""
     near = corner(q, q, -jnp.ones_like(q[0]))
     far_range, near_range = (
         jnp.sqrt(jnp.maximum(x * x + y * y + z * z, 1e-12)) for x, y, z in (q, near)
@@ -309,7 +269,7 @@ def soft_view(
         if dense:
             f = density_view_by_motions(rays, half, transform, centers, softness.field)
         else:
-            field, ray = _margins(rays, half, transform, centers)
+            field, ray = in_view_margins(rays, half, transform, centers)
             f = step(field, softness.field) * step(ray)
         z = jnp.arange(levels, dtype=tile.there.dtype)[:, None]
         return f.reshape(levels, columns) * ((tile.there[None] >> z) & 1).astype(f.dtype)
@@ -343,9 +303,8 @@ def density_view(
         (2 * half * to_world[k, 0], 2 * half * to_world[k, 1], 2 * half * to_world[k, 2])
         for k in range(3)
     )
-    return in_view_chance(
-        rays, to_body(to_world, _to_voxels(transform, centers)), (x, y, z), softness
-    )
+    q = to_body(to_world, _to_voxels(transform, centers))
+    return in_view_chance(rays, q, (x, y, z), softness)
 
 
 density_view_by_motions = jax.custom_vjp(density_view)

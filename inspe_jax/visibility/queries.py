@@ -1,9 +1,4 @@
-"""Which voxels each sensor has in view, and which voxels vehicles leave in line of sight.
-
-These are two separate questions. Does a ray of the sensor pass through the voxel? Traffic does not
-matter (:mod:`~inspe_jax.visibility.in_view`). Does a vehicle cut the line from the sensor to the
-voxel's centre? The rays do not matter (:mod:`~inspe_jax.visibility.shadows`).
-"""
+"""Which voxels each sensor has in view, and which voxels vehicles leave in line of sight."""
 
 import operator
 
@@ -18,15 +13,11 @@ from inspe_jax.scene.voxels import ROI_HEIGHT
 from inspe_jax.sensing.conditions import Case, Conditions, case_of
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.sensing.named import layout_of
-from inspe_jax.visibility.centered_scene import (
-    CenteredScene,
-    about_center,
-    poses_about_center,
-)
+from inspe_jax.visibility.centered_scene import CenteredScene, about_center, poses_about_center
 from inspe_jax.visibility.shadows import sight_masks
 from inspe_jax.visibility.statics import past_statics_of_sensor
 from inspe_jax.visibility.tiles import Tiles, tiles_of
-from inspe_jax.visibility.view_masks import in_view_masks
+from inspe_jax.visibility.view_masks import view_masks
 
 
 def in_view(scene: Scene | Case | str, layout: Layout | str) -> Bool[np.ndarray, "S V"]:
@@ -42,7 +33,7 @@ def in_view(scene: Scene | Case | str, layout: Layout | str) -> Bool[np.ndarray,
     half, found = scene.voxels.size / 2, np.zeros((len(layout), scene.voxels.count), bool)
     for grid, index in layout.groups():
         for s in index:
-            view = in_view_masks(grid, poses[s], tiles.tile, half)
+            view = view_masks(grid.rays, poses[s], tiles.tile, half)
             found[s] = tiles.by_voxel(_past_statics(centered, tiles, poses[s, :3], view))
     return found
 

@@ -64,16 +64,13 @@ def footprint(rays: Rays, q: Point, edges: Edges) -> Footprint:
     beside = [faces[k - 1] + faces[k - 2] for k in range(3)]
     # An edge that is seen end-on is no side: its quotient, 0 / 0, becomes the largest possible.
     least = _LEAST * sum(beside)
-    along = [
-        functools.reduce(
-            jnp.minimum,
-            [
-                (beside[k] + least) / (jnp.abs(parts[k]) + (_LEAST * whole + _LEAST**2))
-                for k in range(3)
-            ],
-        )
-        for parts, whole in ((rise, span), (run, spread))
-    ]
+    along = []
+    for parts, whole in ((rise, span), (run, spread)):
+        quotients = [
+            (beside[k] + least) / (jnp.abs(parts[k]) + (_LEAST * whole + _LEAST**2))
+            for k in range(3)
+        ]
+        along.append(functools.reduce(jnp.minimum, quotients))
     return Footprint(
         spread * columns,
         tall,

@@ -10,55 +10,16 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, UInt
 
-from inspe_jax.core.geometry import (
-    FAR,
-    NEVER,
-    Prism,
-    ShadowTerms,
-    shadow_ceiling,
-    shadow_terms,
-)
+from inspe_jax.core.geometry import FAR, NEVER, Prism, ShadowTerms, shadow_ceiling, shadow_terms
 from inspe_jax.visibility import bitmask
 from inspe_jax.visibility.tiles import CLOSE, Tile, pack_levels
-
-
-def shadow_ceilings(
-    sensors: Float[Array, "S 3"],
-    prisms: Prism,
-    columns: Float[Array, "L 2"],
-    *,
-    ignore_self_occlusion: bool = False,
-) -> Float[Array, "S L"]:
-    """Height [m] below which the prisms (B,) of one frame hide each column from each sensor.
-
-    A voxel whose centre is higher is in line of sight. The cost is columns × prisms, not voxels ×
-    prisms. With ``ignore_self_occlusion`` a prism does not hide the columns it stands on. The scan
-    over prisms keeps one number a column; unrolled by 8 it runs from registers.
-    """
-
-    def of_sensor(sensor: Float[Array, "3"]) -> Float[Array, " L"]:
-        dx, dy = columns[:, 0] - sensor[0], columns[:, 1] - sensor[1]
-
-        def lift(ceiling, terms):  # type: ignore[no-untyped-def]
-            new = shadow_ceiling(
-                terms, dx, dy, sensor[2], ignore_self_occlusion=ignore_self_occlusion
-            )
-            return jnp.maximum(ceiling, new), None
-
-        start = jnp.full(len(columns), NEVER, columns.dtype)
-        return jax.lax.scan(lift, start, shadow_terms(sensor, prisms), unroll=8)[0]
-
-    return jax.vmap(of_sensor)(sensors)
-
-
-# ── Tile by tile ───────────────────────────────────────────────────
 
 
 class ShadowBounds(NamedTuple):
     """Bounds of one sensor's shadows in T frames, which tell the tiles that a shadow misses.
 
-    ``terms`` (T, B) are for the sight lines. The others (B, T) are of the circle around each prism
-    in plan: the unit vector ``x``, ``y`` from the sensor to its centre; ``cos`` and ``sin`` of half
+    ``terms`` (T, B) are for the sight lines. The others are of the circle around each prism in
+    plan: the unit vector ``x``, ``y`` from the sensor to its centre; ``cos`` and ``sin`` of half
     the angle that it takes up; whether the sensor is inside it (``around``); how far away it begins
     (``near`` [m]); its radius (``span`` [m]); and ``fall``, how far from the sensor the shadow
     reaches for each metre of the sensor's height above the ground.
@@ -119,9 +80,9 @@ def may_stand_on(
 ) -> Bool[Array, "B T"]:
     """Whether a prism may stand on a column of a tile, whether or not a voxel there is ``solid``.
 
-    It is told by the circles around both. Where it is false, the prism is at least
-    :data:`~inspe_jax.visibility.tiles.CLOSE` away from all columns. In a frame in which no voxel of
-    the tile is solid, only a prism that is lower than the lowest voxel of some column may.
+    Where it is false, the prism is at least :data:`~inspe_jax.visibility.tiles.CLOSE` away from all
+    columns. In a frame in which no voxel of the tile is solid, only a prism that is lower than the
+    lowest voxel of some column may.
     """
     away = bounds.near + bounds.span
     x = sensor[0] + away * bounds.x - tile.center[0]
@@ -143,8 +104,9 @@ def clear_masks(
 ) -> UInt[Array, "T C"]:
     """Masks of the voxels of one tile that are in line of sight of one sensor, in each frame.
 
-    These are the voxels above :func:`shadow_ceilings`. Only the prisms that :func:`may_shade` the
-    tile are taken, some two of forty: first the first one of every frame, then the second.
+    These are the voxels above every prism's :func:`~inspe_jax.core.geometry.shadow_ceiling`. Only
+    the prisms that :func:`may_shade` the tile are taken, some two of forty: first the first one of
+    every frame, then the second.
 
     ``spared`` are masks of voxels inside vehicles that only other vehicles may hide. Then there are
     two passes. In the first, a prism that :func:`may_stand_on` the tile does not hide its own

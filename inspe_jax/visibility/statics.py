@@ -8,7 +8,7 @@ passes through it. Read softly, what all prisms and the ground let through is mu
 
 import operator
 from collections.abc import Callable
-from functools import reduce
+from functools import partial, reduce
 from typing import Any
 
 import jax
@@ -30,10 +30,7 @@ TOGETHER = 16
 
 
 def _bounds(sensor: Float[Array, "3"], bodies: ConvexPrism, wider: Any = 0.0) -> ShadowBounds:
-    """The bounds of one sensor's shadows of the circles around prisms, the same for all tiles.
-
-    Shadows are taken ``wider`` by so much [m].
-    """
+    """The bounds of one sensor's shadows of the circles around prisms, ``wider`` by so much [m]."""
     low, high = bodies.corners.min(1), bodies.corners.max(1)
     middle = (low + high) / 2
     away = bodies.corners - middle[:, None]
@@ -49,10 +46,7 @@ def _bounds(sensor: Float[Array, "3"], bodies: ConvexPrism, wider: Any = 0.0) ->
 
 
 def past_statics_masks(
-    sensor: Float[Array, "3"],
-    statics: Statics,
-    tiles: Tile,
-    views: UInt[Array, "N C"],
+    sensor: Float[Array, "3"], statics: Statics, tiles: Tile, views: UInt[Array, "N C"]
 ) -> UInt[Array, "N C"]:
     """Masks of the voxels of N tiles that neither bodies nor the ground hide from a sensor.
 
@@ -121,12 +115,10 @@ def _behind_ground(
     """What gives masks of the voxels of a tile that the ground does not hide."""
 
     def clear(tile: Tile) -> UInt[Array, " C"]:
-        def ceiling() -> Array:
-            return ground_ceiling(ground, sensor, tile.columns, tile.low)
-
+        rises = partial(ground_ceiling, ground, sensor, tile.columns, tile.low)
         nothing = jnp.full_like(tile.ground, NEVER)
-        some = jax.lax.cond(_may_rise(sensor, ground, tile), ceiling, lambda: nothing)
-        return pack_levels(tile.heights > some[None], tile.there.dtype)
+        ceiling = jax.lax.cond(_may_rise(sensor, ground, tile), rises, lambda: nothing)
+        return pack_levels(tile.heights > ceiling[None], tile.there.dtype)
 
     return clear
 

@@ -32,8 +32,6 @@ WIDE = 512
 masks."""
 CLOSE = 1e-2
 """Tests of whole tiles are wider by this [m], which is more than the error of single precision."""
-
-
 CORE = 30.0
 """Radius of the core of the region of interest [m] (paper, section 3)."""
 
@@ -41,12 +39,11 @@ CORE = 30.0
 class Tile(NamedTuple):
     """C neighbouring columns of up to Z voxels. In :class:`Tiles`, N tiles have a leading axis.
 
-    ``columns`` (2, C) are x and y of the columns [m]. ``heights`` (Z, C) are z of the voxels'
-    centres [m], and ``ground`` (C,) is that of the ground. ``there`` (C,) is one mask for each
-    column: a bit is 1 where the voxel exists, and 0 where it is padding. All columns are within
-    ``radius`` of ``center`` (2,), and all centres of voxels are between the heights ``low`` and
-    ``high`` [m]. A cell is C/K columns one after another; ``cells`` (3, K) has the x and y of the
-    middle of each, and the radius within which its columns are [m].
+    ``columns`` are x and y of the columns, ``heights`` z of the voxels' centres and ``ground`` that
+    of the ground [m]. ``there`` is one mask for each column: a bit is 1 where the voxel exists. All
+    columns are within ``radius`` of ``center``, and all centres of voxels are between the heights
+    ``low`` and ``high`` [m]. A cell is C/K columns one after another; ``cells`` has the x and y of
+    the middle of each, and the radius within which its columns are [m].
     """
 
     columns: Float[Array, "*N 2 C"]
@@ -68,13 +65,12 @@ class Tile(NamedTuple):
 @pytree
 @dataclass(frozen=True)
 class Tiles:
-    """All voxels in N tiles of up to C columns and :data:`~inspe_jax.visibility.bitmask.WORD`
-    levels.
+    """All voxels in N tiles of up to C columns and as many levels as a word has bits.
 
-    Where there are more levels than bits in a word, the columns are cut into slabs of levels. The
-    tiles of the lowest slab come first. ``place`` (L,) is the number of each of the scene's columns
-    among the columns of a slab's tiles; None where it is not needed. ``gaps``: some voxels are
-    inside a static body, and so are not there.
+    Where there are more levels, the columns are cut into slabs of levels. The tiles of the lowest
+    slab come first. ``place`` is the number of each of the scene's columns among the columns of a
+    slab's tiles; None where it is not needed. ``gaps``: some voxels are inside a static body, and
+    so are not there.
     """
 
     tile: Tile
@@ -95,8 +91,7 @@ class Tiles:
 
     @property
     def column_levels(self) -> int | Num[Array, " MC"]:
-        """How many levels the columns of a slab's tiles have; of each, 1 at least, where bodies
-        stand in some."""
+        """How many levels columns have; of each, 1 at least, where bodies stand in some."""
         if not self.gaps:
             return self.level_count
         there = bitmask.count(self.tile.there).reshape(self.slabs, -1).sum(0)
@@ -110,9 +105,8 @@ class Tiles:
 
     def by_voxel(self, words: UInt[np.ndarray, "... N C"]) -> Bool[np.ndarray, "... V"]:
         """Masks of the tiles' columns as flags in the scene's order of voxels."""
-        return self.of_voxels(
-            bitmask.unpack(np.asarray(words)[..., None], self.tile.heights.shape[-2])
-        )
+        height = self.tile.heights.shape[-2]
+        return self.of_voxels(bitmask.unpack(np.asarray(words)[..., None], height))
 
     def of_voxels(self, values: Shaped[np.ndarray, "... N C Z"]) -> Shaped[np.ndarray, "... V"]:
         """Values for each level of the tiles' columns, in the scene's order of voxels."""
@@ -126,8 +120,8 @@ class Tiles:
 def tiles_of(scene: CenteredScene, cell: int = CELL) -> Tiles:
     """The columns in tiles of nearly equal size, by halving along the longer side.
 
-    Tiles end in padding, which repeats a column. There are also some tiles of padding only, so that
-    scenes of similar size have arrays of one shape.
+    Tiles end in padding, which repeats a column. Some tiles are padding only: scenes of similar
+    size have arrays of one shape.
     """
     columns, heights = np.asarray(scene.columns), np.asarray(scene.heights)
     few = -(-len(columns) // CHUNKS)
@@ -182,10 +176,7 @@ def _halved(
         return [index]
     few = number // 2
     index, middle = _along_the_longer_side(columns, index), len(index) * few // number
-    return [
-        *_halved(columns, index[:middle], few),
-        *_halved(columns, index[middle:], number - few),
-    ]
+    return _halved(columns, index[:middle], few) + _halved(columns, index[middle:], number - few)
 
 
 def _by_cell(

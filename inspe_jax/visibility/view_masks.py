@@ -8,7 +8,6 @@ from jaxtyping import Array, Bool, Float, UInt
 
 from inspe_jax.core.geometry import Point
 from inspe_jax.sensing.rays import Rays
-from inspe_jax.sensing.sensors import RayGrid
 from inspe_jax.visibility import bitmask
 from inspe_jax.visibility.in_view import (
     SLACK,
@@ -23,13 +22,6 @@ from inspe_jax.visibility.tiles import Tile
 
 CHUNK = 256
 """Columns of which one undecided voxel each is tested at once."""
-
-
-def in_view_masks(
-    grid: RayGrid, pose: Float[Array, "6"], tiles: Tile, half: float
-) -> UInt[Array, "N C"]:
-    """:func:`view_masks` of a grid of rays."""
-    return view_masks(grid.rays, pose, tiles, half)
 
 
 @jax.jit
@@ -54,9 +46,8 @@ def view_masks(
 
         def test_level(z: Array, found: tuple[Array, Array]) -> tuple[Array, Array]:
             seen, undecided = found
-            hit, miss = _by_nearest_ray(
-                rays, half, transform.to_world, (dx, dy, tile.heights[z] - up)
-            )
+            offset = dx, dy, tile.heights[z] - up
+            hit, miss = _by_nearest_ray(rays, half, transform.to_world, offset)
             bit = jnp.ones((), seen.dtype) << z.astype(seen.dtype)
             none = jnp.zeros((), seen.dtype)
             return seen | jnp.where(hit, bit, none), undecided | jnp.where(hit | miss, none, bit)
@@ -102,10 +93,8 @@ def _by_nearest_ray(
         turned = (sum(to_world[k, m] * direction[m] for m in range(3)) for k in range(3))
         return (half + SLACK) * sum(map(jnp.abs, turned), jnp.zeros_like(q[0]))
 
-    miss = (rays.field_margin(q, rays.table.edges) < -corner) | rays.between(
-        q, half + SLACK, extent
-    )
-    return hit, miss
+    outside = rays.field_margin(q, rays.table.edges) < -corner
+    return hit, outside | rays.between(q, half + SLACK, extent)
 
 
 def _settle(

@@ -33,7 +33,7 @@ from inspe_jax.scoring.sensor_array import SensorSet, sensor_array
 from inspe_jax.scoring.tiled_scene import SceneArrays, tiled_scene_of
 from inspe_jax.sensing.sensors import LidarSpec
 from inspe_jax.visibility.centered_scene import about_center, poses_about_center
-from inspe_jax.visibility.in_view import in_view_margins
+from inspe_jax.visibility.in_view import in_view_margins, transform_of
 
 NEAR = LidarSpec("near", tuple(np.radians([-60.0, -40.0, -25.0, -10.0])), 360, 2 * np.pi, 18.0)
 DENSE = LidarSpec("dense", tuple(np.radians(np.arange(-89.0, 30.0))), 720, 2 * np.pi, 99.0)
@@ -331,7 +331,8 @@ def test_the_field_of_view_has_a_depth_in_metres():
     left = grid.column_limits[1]
     points = jnp.array([[20.0, 0.0, 0.0], [10.0, 10.0 * left, 0.0], [10.0, 10.0 * left + 3.0, 0.0]])
     pose = jnp.zeros((1, 6))
-    field, ray = in_view_margins(grid, pose, points, 0.5)
+    margins = jax.vmap(lambda at: in_view_margins(grid.rays, 0.5, transform_of(at), points))
+    field, ray = jax.jit(margins)(pose)
     outside = 0.5 - 3.0 / np.hypot(1, left)  # square on to the edge
     np.testing.assert_allclose(field[0], [10.5, 0.5, outside], atol=1e-3)
     assert ray[0, 0] > 0

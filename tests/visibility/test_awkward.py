@@ -4,13 +4,12 @@ import jax
 import numpy as np
 import pytest
 import raycast
-from dense_reference import view_margins
+from dense_reference import shadow_ceilings, view_margins
 from worlds import CAMERA, LIDAR, TALL, place_sensors, slow_but, with_boxes, world
 
 from inspe_jax.sensing.sensors import CameraSpec, LidarSpec
 from inspe_jax.visibility.centered_scene import about_center, poses_about_center
 from inspe_jax.visibility.queries import in_view, line_of_sight
-from inspe_jax.visibility.shadows import shadow_ceilings
 
 
 def camera(width, height, degrees, depth=30.0, principal=0.5):

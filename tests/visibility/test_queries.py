@@ -1,5 +1,6 @@
 """In view against walked rays, line of sight against Embree; and the walks against boxes."""
 
+import jax
 import numpy as np
 import pytest
 import raycast
@@ -18,7 +19,7 @@ from worlds import (
 from inspe_jax.core.errors import InspeError
 from inspe_jax.sensing.catalogue import devices
 from inspe_jax.sensing.sensors import CameraSpec, LidarSpec
-from inspe_jax.visibility.in_view import in_view_margins
+from inspe_jax.visibility.in_view import in_view_margins, transform_of
 from inspe_jax.visibility.queries import in_view, line_of_sight
 
 DEVICES = devices()
@@ -134,9 +135,8 @@ def test_a_sensor_straight_above_a_voxel_and_level_rays_give_no_nan():
     assert in_view(scene, layout)[1].any()
     for sensor, pose in zip(layout.sensors, layout.poses, strict=True):
         centers = scene.voxels.centers.astype(np.float32)
-        margins = in_view_margins(
-            sensor.spec.grid, pose[None].astype(np.float32), centers, scene.voxels.size / 2
-        )
+        rays, half = sensor.spec.grid.rays, scene.voxels.size / 2
+        margins = jax.jit(in_view_margins)(rays, half, transform_of(np.float32(pose)), centers)
         assert np.isfinite(np.asarray(margins)).all()
 
 

@@ -18,7 +18,7 @@ from inspe_jax.visibility.in_view import (
 )
 from inspe_jax.visibility.ray_density import footprint
 from inspe_jax.visibility.tiles import tiles_of
-from inspe_jax.visibility.view_masks import in_view_masks
+from inspe_jax.visibility.view_masks import view_masks
 
 DEVICES = slow_but(inspe_jax.devices(), "paper-lidar-32", "paper-camera", "velodyne-vlp-32c")
 
@@ -56,8 +56,8 @@ def test_coverage_is_that_of_the_mean_over_phases(scene, name):
     pose, rng = np.array(pose_of(spec, 1), np.float32), np.random.default_rng(2)
     mean = np.zeros(len(weight))
     for k in range(64):
-        grid = in_phase(spec.grid, (k + rng.uniform()) / 64, rng.uniform())
-        mean += tiles.by_voxel(np.asarray(in_view_masks(grid, pose, tiles.tile, half))) / 64
+        rays = in_phase(spec.grid, (k + rng.uniform()) / 64, rng.uniform()).rays
+        mean += tiles.by_voxel(np.asarray(view_masks(rays, pose, tiles.tile, half))) / 64
     centers, transform = np.asarray(centered.centers), compiled_transform(pose)
     chance = np.asarray(compiled_view(spec.grid.rays, half, transform, centers, 0.0))
     assert 0.05 < mean @ weight < 0.98

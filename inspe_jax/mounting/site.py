@@ -182,15 +182,11 @@ class Site:
         core = self.ground.simplify(_CHORD)
         return core if self.free.covers(core) else core.intersection(self.free)
 
-    def convex(
-        self, foot: Float[np.ndarray, "2"] | None = None, reach: float = np.inf
-    ) -> list[Float[np.ndarray, "N 2"]]:
-        """Outlines of convex pieces that cover the core, about the centre, the largest first; of
-        the part within ``reach`` [m] of ``foot`` (x, y), about the centre, if that is given."""
-        core = self.core
-        if foot is not None:
-            core = core.intersection(Point(self.center + foot).buffer(reach))
-        parts = [p for p in shapely.get_parts(core) if isinstance(p, Polygon) and not p.is_empty]
+    def convex(self) -> list[Float[np.ndarray, "N 2"]]:
+        """Outlines of convex pieces that cover the core, about the centre, the largest first."""
+        parts = [
+            p for p in shapely.get_parts(self.core) if isinstance(p, Polygon) and not p.is_empty
+        ]
         triangles = [
             np.array(t.exterior.coords)[:3]
             for part in parts

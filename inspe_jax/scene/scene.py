@@ -367,7 +367,7 @@ def _shape(wkb: bytes) -> BaseGeometry:
 def _unpack(data: Mapping[str, np.ndarray]) -> Scene:
     def saved(name: str, kind: Any) -> Any:
         own = [f"{name}_{f.name}" for f in fields(kind)]
-        return kind(*(data[key] for key in own)) if own[-1] in data else None
+        return kind(*(data[key] for key in own)) if any(key in data for key in own) else None
 
     record = json.loads(str(data["record"]))
     if record["format"] != FORMAT:
@@ -400,5 +400,5 @@ def _unpack(data: Mapping[str, np.ndarray]) -> Scene:
     settings = tuple((k, v) for k, v in record["settings"])
     terrain = saved("terrain", Terrain)
     terrain = terrain and replace(terrain, step=float(terrain.step))
-    traffic = saved("traffic", TrafficFrames)
+    traffic = TrafficFrames(*(data[f"traffic_{f.name}"] for f in fields(TrafficFrames)))
     return Scene(grid, traffic, place, settings, unpack_bodies(data), terrain)

@@ -64,8 +64,8 @@ class Terrain:
 
 
 def lattice_faces(wide: int, deep: int) -> Int[np.ndarray, "F 3"]:
-    """The triangles of a lattice's points by number, cut as in :class:`Terrain`, counter-clockwise
-    from above."""
+    """The triangles of a lattice of ``wide`` × ``deep`` points by number, cut as in
+    :class:`Terrain`, counter-clockwise from above."""
     index = np.arange(wide * deep).reshape(wide, deep)
     a, b, c, d = index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]
     return np.concatenate([np.stack(of, -1).reshape(-1, 3) for of in ((a, b, c), (a, c, d))])

@@ -22,7 +22,7 @@ COUNTS = 1024  # length of the table that counts rows
 
 class Pose(NamedTuple):
     """Where a sensor is and how it is turned, in world metres and radians: a row of
-    ``Layout.poses``."""
+    ``Layout.poses``. Yaw is counter-clockwise from +x, pitch positive nose-up."""
 
     x: float
     y: float

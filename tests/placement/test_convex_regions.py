@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import shapely
-from shapely.geometry import Point, Polygon, box
+from shapely.geometry import MultiPoint, Point, Polygon, box
 
 from inspe_jax.core.convex import LEAST_AREA, merge
 from inspe_jax.placement.convex_regions import from_bounded, make_regions, to_bounded
@@ -127,6 +127,15 @@ def test_charts_reach_across_to_the_edges_and_stop_short_of_a_steep_end():
     along = PIECES.at(ends, np.full(2, 3), np)[:, 0]
     np.testing.assert_allclose(np.sort(along), [20.0, 26.0], atol=0.1)
     assert along.max() < 26.02  # and not 26.06, where the edge across leans by 1 in 33
+
+
+@pytest.mark.parametrize("size", [30.0, 1e30])
+def test_any_chart_coordinates_are_inside(size):
+    v = size * np.random.default_rng(3).uniform(-1, 1, (100, 2))
+    for k, shape in enumerate(SHAPES):
+        polygon = MultiPoint(shape).convex_hull
+        for q in shapely.points(PIECES.at(v, np.full(100, k), np)):
+            assert polygon.distance(q) < 1e-5
 
 
 def test_everything_has_a_gradient():

@@ -46,6 +46,7 @@ def test_voxels_run_from_the_ground_to_four_metres():
     assert grid.centers[8 * 5 + 3].tolist() == [*grid.columns[5], 1.75]
     assert grid.weight[8 * 5] == WEIGHTS[Region(grid.region[5])]
     assert set(PRECEDENCE) == set(Region) == set(WEIGHTS)
+    assert sum(WEIGHTS.values()) == pytest.approx(1)  # as the paper has them
 
 
 def test_the_area_of_the_columns_is_that_of_the_regions():

@@ -131,6 +131,9 @@ def test_scores_are_those_of_the_sensors_as_they_are_then(scene, layout):
     assert (scores.settings["light"], scores.settings["weather"]) == ("night", "fog:100")
     many = evaluate_many(scene, layout, [layout.poses], conditions=around)
     assert many.surrogate[0] == pytest.approx(scores.surrogate, abs=1e-6)
+    # It is checked as it was bought: fog makes it none for another scene.
+    high = strategy(scene, "Cam-d1/L-d1", camera_height=12.0, lidar_height=12.0)
+    assert evaluate(scene, high, conditions="night, fog:10").surrogate < scores.surrogate
     clear = evaluate(scene, layout)
     assert scores.coverage <= clear.coverage == pytest.approx(1)  # all are in view of some
     for name in ("information_gain", "surrogate"):

@@ -408,11 +408,16 @@ def _move(run: Run, state: Moving) -> Moving | Placing:
     return replace(state, now=state.x, moved=0, width=width)
 
 
+def begin(run: Run) -> Placing:
+    """The state that a search begins in."""
+    return Placing()
+
+
 GREEDY = Method(
     "greedy",
     "sensor by sensor the best candidate pose, then exchanges and finer moves",
     (Placing, Exchanging, Moving),
-    lambda run: Placing(),
+    begin,
     step,
     knows=KNOWN,
 )

@@ -20,12 +20,12 @@ from inspe_jax.scene.regions import Region
 from inspe_jax.scene.statics import StaticBody, body
 from inspe_jax.scene.street import HEADROOM, OVER_LANES, WALKED
 
-"""Sizes of bodies of which a map says none [m]."""
+# ── Sizes of bodies of which a map says none [m] ────────────────────────────
 
 BUILDING = 6.0  # height of a building: two levels
 BARRIERS = {"wall": (2.0, 0.25), "city_wall": (6.0, 1.0), "hedge": (1.5, 0.7), "fence": (1.8, 0.1)}
 """Height and width of barriers."""
-TREE = {"height": 8.0, "diameter_crown": 5.0, "circumference": 0.94}  # A tree
+TREE = {"height": 8.0, "diameter_crown": 5.0, "circumference": 0.94}
 POLE = 6.0, 0.1  # height and radius of a pole
 HEIGHTS = {
     "building": BUILDING,

@@ -21,8 +21,8 @@ FORMATS: dict[tuple[str, ...], str] = {
 }
 """For the suffixes of files, in lower case, a module and in it what opens such a file as
 a :class:`~inspe_jax.scene.maps.road_map.RoadMap`, or as what has the same ``georeference``,
-``list_junctions``, ``road_lines`` and ``read``. Modules are imported on first use: they may need an
-extra."""
+``list_junctions``, ``road_lines`` and ``read``. The first row that fits a name opens it. Modules
+are imported on first use: they may need an extra."""
 FAR = 100.0  # a junction farther than this from a point is not the one that is meant [m]
 
 

@@ -229,7 +229,8 @@ def quota(mix: Mix, may: Sequence[bool], count: int) -> Int[np.ndarray, " K"]:
 def shortfall(traffic: TrafficFrames, count: int, mix: str) -> str:
     """What frames have less of than ``count`` road users of a mix, in words; empty if they have it.
 
-    The mean of each class over the frames is compared with its quota. For example::
+    The mean of each class over the frames is compared with its quota: a class is named where it is
+    short by half a user and a tenth of it, or has as many too many. For example::
 
         asked 60, got 58.9: cars 35.0 of 41, trucks 3.9 of 6; pedestrians 13.2 instead of 7
 

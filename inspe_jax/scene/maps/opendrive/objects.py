@@ -48,7 +48,7 @@ LIFTED = 0.5  # what begins lower above the road stands on the ground [m]
 MOST_REPEATS = 1000  # objects that a ``<repeat>`` places more often are a strip without gaps
 STEP = 2.0  # strips along a road have a corner this often [m]
 NOT_NUMBERS = (KeyError, ValueError, StopIteration)  # raised where an element lacks a number
-NODES, WEIGHTS = np.polynomial.legendre.leggauss(8)  # gauss's quadrature on −1 … 1
+NODES, WEIGHTS = np.polynomial.legendre.leggauss(8)  # Gauss's quadrature on −1 … 1
 STRETCH = 5.0  # spirals are integrated in stretches of at most this [m]: errors are below 1 µm
 
 Course = Callable[[float], tuple[Float[np.ndarray, "2"], float]]
@@ -349,12 +349,12 @@ def with_parked(
     return replace(place, bodies=(*place.bodies, *found))
 
 
-Space = tuple[Float[np.ndarray, "2"], float, Float[np.ndarray, "2"], BaseGeometry]
+Spot = tuple[Float[np.ndarray, "2"], float, Float[np.ndarray, "2"], BaseGeometry]
 """The middle of a place [m], the direction of its vehicle [rad], the most that it may measure in
 length and width [m], and the ground that it must stay on."""
 
 
-def _along(lanes: Iterable[LaneStrip]) -> Iterator[Space]:
+def _along(lanes: Iterable[LaneStrip]) -> Iterator[Spot]:
     """The places of parking lanes."""
     for lane in lanes:
         line = lane.center[:, :2]
@@ -372,7 +372,7 @@ def _along(lanes: Iterable[LaneStrip]) -> Iterator[Space]:
             yield middle, yaw, size - 2 * FROM_EDGES, lane.polygon
 
 
-def _on(spaces: Iterable[BaseGeometry]) -> Iterator[Space]:
+def _on(spaces: Iterable[BaseGeometry]) -> Iterator[Spot]:
     """The places of marked spaces: the vehicle stands along the longer side."""
     for space in spaces:
         around = shapely.minimum_rotated_rectangle(space)

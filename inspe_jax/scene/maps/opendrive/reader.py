@@ -191,7 +191,7 @@ class OpenDriveMap(RoadMap):
         except (RuntimeError, IndexError) as error:
             raise InspeError(f"{path}: the CARLA client cannot read this map ({error})") from error
         self.signals = distinct_points([position(m.transform.location) for m in marks])
-        self.crossings = list(loops_of(corners))
+        self.crossings = tuple(loops_of(corners))
         self.shapes, notes = shapes_of(root)
         self.georeference, on_it = projection_of(root)
         self.notes = (*notes, *on_it)

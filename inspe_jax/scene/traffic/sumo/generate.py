@@ -112,9 +112,7 @@ def sumo_traffic(
         raise InspeError(
             f"{intersection.name}: no road leads through {radius:g} m of the centre for mix '{mix}'"
         )
-    own = np.random.default_rng(seed).spawn(
-        len(CLASSES)
-    )  # each class has random numbers of its own
+    own = np.random.default_rng(seed).spawn(len(CLASSES))  # random numbers for each class
     streams = [
         ArrivalStream(kind, paths[name], MIXES[mix], own[kind])
         for kind, name in enumerate(CLASSES)

@@ -101,10 +101,9 @@ class DatasetWriter:
         for part in folder.rglob(".*.part"):  # half-written files of a worker that was killed
             part.unlink()
         write_manifest(folder, [folder / PROTOCOL])
-        # Before the move: after a kill in between, the frames are recorded again.
-        shutil.rmtree(folder / RECORDS)
         place.parent.mkdir(exist_ok=True)
         os.replace(folder, place)
+        shutil.rmtree(place / RECORDS)
         return True
 
     def clear(self) -> None:
@@ -154,6 +153,7 @@ class DatasetWriter:
         """
         place, folder = self.place(plan), self.unfinished(plan)
         if place.exists():
+            shutil.rmtree(place / RECORDS, ignore_errors=True)  # of a run that was killed
             # Files that the manifest does not know are left alone: they may be the user's.
             manifest, found = compare(place, plan.frames, deep)
             if manifest is None and not found:

@@ -97,7 +97,8 @@ def draw(
         fig, ax, panel, places = sheet_of_pictures(shapes)
         heading(fig, title, _facts(compared, len(detections.kind), least_score))
         _draw_plan(ax, batch, b, compared, groups)
-        _draw_panel(panel, compared, bool(there), batch.lidars is not None)
+        points = batch.lidars is not None and batch.lidars.points is not None
+        _draw_panel(panel, compared, bool(there), points)
         if cameras is not None:
             for place, c in zip(places, there, strict=True):
                 _draw_image(place, cameras, b, c, groups)

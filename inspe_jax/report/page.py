@@ -9,6 +9,7 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import date
+from itertools import count
 from math import degrees
 from typing import Any, NamedTuple
 
@@ -160,21 +161,26 @@ def report_page(
     ``frame``: number of the frame of traffic that is drawn.
     ``prices``: of devices [US dollars], in place of the catalogue's.
     ``views``: without them the page has no photograph and no scene in three dimensions.
-    ``progress``: called with (layouts done, layouts).
+    ``progress``: called with (steps done, steps).
 
     Raises InspeError if there is no layout, two have the same name, or there is no such frame.
     """
     check_names([entry.layout.name for entry in entries])
     parts: list[dict[str, Any]] = []
-    for entry in entries:
+    steps = count(1)
+
+    def done(made: Any) -> Any:
         if progress:
-            progress(len(parts), len(entries))
+            progress(next(steps), 3 * len(entries))
+        return made
+
+    for entry in entries:
         layout, scores = entry.layout, entry.scores
         of_columns = layers(scene, entry.shed)
         rows = materials(layout, prices or {})
         record = scores_record(scores, scene, layout, entry.sought)
         shown = scores.conditions.layout(layout)
-        photograph = views and views.photograph(scene, shown, frame)
+        photograph = done(views and views.photograph(scene, shown, frame))
         parts.append(
             dict(
                 entry=entry,
@@ -187,14 +193,14 @@ def report_page(
                 counts=f"{counted(len(layout.units), 'unit')} with {sensors_in_words(layout)}",
                 goal=None if entry.sought is None else goal_words(layout, scores, entry.sought),
                 blind=_shares(of_columns["blind"]),
-                images=_images(scene, entry, of_columns, frame),
+                images=done(_images(scene, entry, of_columns, frame)),
                 photograph=photograph and jpeg_text(photograph, DPI),
-                scene3d=views and _text(views.scene3d(scene, layout, scores.conditions, frame)),
+                scene3d=done(
+                    views and _text(views.scene3d(scene, layout, scores.conditions, frame))
+                ),
                 tolerance=entry.tolerance and tolerance_record(entry.tolerance, scene, layout),
             )
         )
-    if progress:
-        progress(len(entries), len(entries))
     records = [part["record"] for part in parts]
     metrics = listed_in(*(entry.scores for entry in entries))
     return template("report", "page.html.j2").render(

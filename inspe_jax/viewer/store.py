@@ -34,6 +34,7 @@ class LayoutStore:
         self._unsaved: Path | None = None
         self._written: Layout | None = None  # what is in that file
         self._wrong = ""  # why the newest layout is not
+        self._taken_up: tuple[Path, Layout] | None = None
         if self._is(self.path, opened):  # it was opened from there
             self._know(self.path)
         self.earlier = [at for at in self._others() if not self._is(at, opened)][:OFFERED]
@@ -67,6 +68,8 @@ class LayoutStore:
         layout = load_layout(earlier, self._scene, unit_rule=False)
         if earlier == self.path:
             self._saved = layout
+        elif UNSAVED in earlier.name:
+            self._taken_up = earlier, layout
         return layout
 
     def kept(self, layout: Layout) -> Path | None:
@@ -81,6 +84,9 @@ class LayoutStore:
         self._know(self.path)
         self._saved = layout
         self.keep(layout)
+        if self._taken_up is not None and self._taken_up[1] is layout:  # it is saved now
+            self._taken_up[0].unlink(missing_ok=True)
+            self._taken_up = None
 
     def keep(self, layout: Layout) -> None:
         """Keep the unsaved changes of a layout; remove their file if there are none. Raises

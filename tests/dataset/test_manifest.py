@@ -200,7 +200,7 @@ def test_a_broken_record_of_a_frame_counts_as_none(made, copy, text):
 def test_a_kill_while_a_scenario_is_finished_leaves_no_records_in_it(
     made, copy, monkeypatch, ended
 ):
-    """Before the records are gone, and before the scenario moves."""
+    """Before the scenario moves, and before its records are gone: no frame is recorded again."""
     plan, out = copy
     (one, _) = plan.scenarios
     shutil.rmtree(out / one.split / one.name)
@@ -217,8 +217,8 @@ def test_a_kill_while_a_scenario_is_finished_leaves_no_records_in_it(
         patch.setattr(os if ended == "replace" else shutil, ended, killed)
         with pytest.raises(KeyboardInterrupt):
             writer.finish(one)
-        assert not writer.place(one).exists()
-    assert (writer.unfinished(one) / RECORDS).exists() == (ended == "rmtree")
+        assert (writer.place(one) / RECORDS).exists() == (ended == "rmtree")
+        assert (writer.unfinished(one) / RECORDS).exists() == (ended == "replace")
     record(plan, out)
     assert content(out) == content(made[1])
 

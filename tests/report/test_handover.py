@@ -184,10 +184,15 @@ def test_a_bill_adds_up(layout):
 
 
 def test_views_are_on_the_ground_of_their_pole(scene, layout):
-    """In the ground, a sensor sees nothing."""
+    """On a hill of its own, a sensor sees as far as on level ground; in the ground, nothing."""
+    place = scene.intersection
+    heads = [shape(f["geometry"]).area for f in json.loads(plan_geojson(layout, place))["features"]]
+    raised = replace(place, center=place.center + np.array([0.0, 0.0, 50.0]))
+    again = json.loads(plan_geojson(layout, raised))["features"]
+    assert [shape(f["geometry"]).area for f in again] == heads
     poses = np.array(layout.poses)
     poses[0, 2] = -1.0
-    sunk = json.loads(plan_geojson(layout.with_poses(poses), scene.intersection))["features"]
+    sunk = json.loads(plan_geojson(layout.with_poses(poses), place))["features"]
     kinds = [f["properties"]["feature"] for f in sunk]
     assert kinds.count("view") == len(layout) - 1
 

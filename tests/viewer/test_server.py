@@ -263,6 +263,42 @@ def test_a_search_ends_a_drag_and_shows_what_it_begins_from(viewer, monkeypatch)
     assert viewer.layout is before
 
 
+def test_what_another_browser_does_in_vain_leaves_a_drag_as_it_is(viewer):
+    before = viewer.layout
+    with dragging(viewer) as (page, owner, view, at):
+        viewer.restore()
+        view.select(1)
+        done = []
+        viewer.queue.submit(lambda: done.append(True))
+        wait_until(lambda: done)
+        up = at + [0, 0, 0.5]
+        np.testing.assert_allclose(view.selection3d.gizmo.position, up, atol=1e-5)
+        assert view.selection == (0,)
+        pull(page, owner, None, "End")
+        wait_until(lambda: viewer.layout is not before)
+    assert viewer.layout.poses[0, 2] - before.poses[0, 2] == pytest.approx(0.5, abs=1e-3)
+
+
+def test_a_typed_number_is_read_before_the_controls_are_shown_anew(viewer, monkeypatch):
+    """Even if that is asked for when the number has come, and nobody has read it yet."""
+    asked, before = [], viewer.layout
+
+    def meanwhile(*_):
+        asked.append(threading.Thread(target=viewer._show_controls))
+        asked[-1].start()
+        asked[-1].join()
+
+    with socket_of(viewer.url) as page:
+        enter(page)
+        pitch = own_of(viewer)[1].controls.pose["pitch"]
+        # viser calls this once a value is there, before what is bound to its control.
+        monkeypatch.setattr(pitch._impl, "sync_cb", meanwhile)
+        set_value(page, pitch, -7.0)
+        wait_until(lambda: viewer.layout is not before)
+    assert asked
+    assert np.degrees(viewer.layout.poses[0, 4]) == pytest.approx(-7.0)
+
+
 def test_a_burst_of_requests_is_shown_once(viewer, layout, monkeypatch):
     """Sixty times Undo undo sixty changes; they count as this browser's."""
     layouts = [replace(layout, name=f"{k}") for k in range(70)]

@@ -80,7 +80,7 @@ def test_a_file_that_somebody_changed_meanwhile_is_not_replaced_unasked(path, la
     assert store.would_replace(raised(layout, 2.0))
 
 
-def test_what_an_earlier_run_did_not_save_is_kept(path, layout):
+def test_what_an_earlier_run_did_not_save_is_kept_until_what_became_of_it_is(path, layout):
     first, second = raised(layout, 1.0), raised(layout, 2.0)
     before = LayoutStore(path, layout)
     before.keep(first)
@@ -93,9 +93,12 @@ def test_what_an_earlier_run_did_not_save_is_kept(path, layout):
     opened = store.open(store.earlier[0])
     np.testing.assert_allclose(opened.poses, first.poses, atol=1e-8)
     assert not store.holds(opened)
-    store.save(opened)
+    store.keep(layout)  # taken back
+    store.save(layout)
     assert kept.is_file()
-    assert LayoutStore(path, load_layout(path)).earlier == []  # it is the same
+    store.save(opened)
+    assert not kept.exists()  # it is in the layout's file now
+    assert heights(path)[0] == pytest.approx(first.poses[0, 2])
 
 
 def test_the_newest_of_what_earlier_runs_left_is_offered(path, layout):

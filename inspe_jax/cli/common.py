@@ -249,10 +249,11 @@ def _bar(what: str, *, counted: bool = True, facts: str = "") -> Iterator[Any]:
         task = bar.add_task(what, total=None, facts=facts)
 
         def report(done: float, total: float, what: str = what, facts: str = "") -> None:
-            # Steps of an earlier run say nothing of speed.
-            if bar.tasks[0].total is None or what != bar.tasks[0].description:
-                bar.reset(task, total=total, description=what)
-            bar.update(task, completed=done, facts=facts)
+            # Steps of an earlier run, or of something else, say nothing of speed.
+            anew = counted and what != bar.tasks[0].description
+            if bar.tasks[0].total is None or anew:
+                bar.reset(task, total=total)
+            bar.update(task, completed=done, description=what, facts=facts)
 
         yield report
 

@@ -198,14 +198,20 @@ class RecordingEntry(Strict):
     """The keys of the file that concern the recording."""
 
     rate_hz: Annotated[float, Field(gt=0, le=1000)] = 10.0
+    # Beside pictures.
     layers: list[Literal["depth", "instance", "semantic"]] = Field(default=[])
+    # Of the cameras' own resolution; or width and height of all pictures.
     image_scale: Annotated[float, Field(gt=0, le=4)] = 1.0
     image_size: Annotated[list[int], Field(min_length=2, max_length=2)] | None = None
+    # How long a LiDAR's turn takes; 0: all rays at once.
     lidar_turn_s: Annotated[float, Field(ge=0, le=1)] = TURN
     format: str = DEFAULT_FORMAT
     pictures: str = DEFAULT_OPTIONS.pictures
+    # For readers that want as many of each; 0: as they are.
     cameras_per_agent: int = DEFAULT_OPTIONS.cameras_per_agent
+    # A second name for the first point cloud of each agent.
     infra_set_names: bool = DEFAULT_OPTIONS.infra_set_names
+    # A picture of the road users that each agent's cameras see.
     visibility_maps: bool = DEFAULT_OPTIONS.visibility_maps
 
     def recording(self, where: str) -> Recording:

@@ -231,7 +231,7 @@ def test_tolerance_prints_and_writes_the_same(done, scored, files):
     again = scored("s.npz", "away.yaml")
     assert record["score"] == pytest.approx(again["surrogate"], abs=1e-5)
     assert f"{record['score']:.4f}" in text
-    assert f"{record['slopes'][0]['yaw_per_deg']:+.5f}" in text
+    assert f"{record['slopes'][0]['pitch_per_deg']:+.5f}" in text
 
 
 def test_light_and_weather(inspe, scored, files):

@@ -33,7 +33,7 @@ from inspe_jax.sensing.sensors import RayGrid
 from inspe_jax.visibility import bitmask
 from inspe_jax.visibility.centered_scene import Statics
 from inspe_jax.visibility.statics import past_statics_masks
-from inspe_jax.visibility.tiles import Tile, Tiles
+from inspe_jax.visibility.tiles import Tile, Tiles, zeros_of
 from inspe_jax.visibility.view_masks import view_masks
 
 FOUND = "detectability"
@@ -153,13 +153,10 @@ def _view(
             at = rays, pixels, pose, tile, sight, last, None, curves
             return seen, target_evidence_of_sensor(*at).chance
 
-        def see_nothing(part: tuple[Tile, Array, Array, Array, Array]) -> tuple[Array, Array]:
-            return jax.tree.map(
-                lambda x: jnp.zeros(x.shape, x.dtype), jax.eval_shape(see_tile, part)
-            )
-
         seen, chance = jax.lax.map(
-            lambda part: jax.lax.cond((part[1] != 0).any(), see_tile, see_nothing, part),
+            lambda part: jax.lax.cond(
+                (part[1] != 0).any(), see_tile, partial(zeros_of, see_tile), part
+            ),
             (chunk.tile, views, past, chunk.solid, last),
         )
         return views, seen.swapaxes(0, 1), chance

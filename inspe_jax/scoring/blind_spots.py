@@ -66,8 +66,9 @@ def blind_spots(scene: Scene, seen_share: Float[np.ndarray, " L"]) -> tuple[Blin
             middle = np.average(grid.columns[own], axis=0, weights=lost[own] + 1e-12)
             nearest = np.hypot(*(grid.columns[own] - middle).T).argmin()  # and not in the road
             x, y = grid.columns[own][nearest].tolist()
-            middling = direction == "middle"
-            name = f"{region.key}, in the middle" if middling else f"{direction} {region.key}"
+            name = f"{direction} {region.key}"
+            if direction == "middle":
+                name = f"{region.key}, in the middle"
             loss = float(lost[own].sum()) / total
             found.append(BlindSpot(name, region.key, direction, (x, y), area, share, loss))
     return tuple(sorted(found, key=lambda spot: -spot.loss))

@@ -99,6 +99,18 @@ def test_softness_to_zero_under_every_option(reference, visibility):
     assert soft.parts == {}
 
 
+def test_what_lies_level_with_a_vehicle_is_hidden_softly_too():
+    """Voxels of 1 m have their middles at 1.5 m, where round vehicles end."""
+    boxes = (5.0, 0.3, 0.1, 4.3, 1.8, 1.5), (-4.0, 3.0, 1.2, 4.1, 1.7, 1.5)
+    scene = with_boxes(world(**SMALL), *boxes)
+    layout = random_layout(scene, [CAMERA, LIDAR], 3, heights=(3.0, 8.0))
+    options = dict(weights=(0.3, 0.7, 0.0))
+    exact = inspe_jax.evaluate(scene, layout, **options)
+    soft = inspe_jax.evaluate(scene, layout, softness=Softness(1e-4, 1e-4, "exact"), **options)
+    assert exact.occlusion < exact.coverage  # something is hidden
+    assert soft.occlusion == pytest.approx(exact.occlusion, abs=1e-6)
+
+
 READINGS = {
     "all but shadows": Softness(0.5, 0.0, "density"),
     "rays exact": Softness(0.5, 0.5, "exact"),

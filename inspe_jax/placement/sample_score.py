@@ -143,7 +143,7 @@ def _view(
         def see_tile(part: tuple[Tile, Array, Array, Array, Array]) -> tuple[Array, Array]:
             tile, view, past, solid, last = part
             row, frames = (pose[:3], shadows, view), Frames(chunk.prisms, solid)
-            seen, in_sight = seen_by_sensor(BITS, row, tile, frames, options)
+            seen, in_sight, _ = seen_by_sensor(BITS, row, tile, frames, options)
             if not options.metrics:
                 return seen, jnp.zeros((0, len(view)), tile.heights.dtype)
             number = BITS.level_sums(in_sight, len(tile.heights)).T

@@ -21,15 +21,16 @@ from inspe_jax.visibility.tiles import Tile
 
 def seen_by_sensor(
     reading: Reading, row: SensorRow, tile: Tile, frames: Frames, options: ScoreOptions
-) -> tuple[Any, Any]:
+) -> tuple[Any, Any, Any]:
     """The voxels that one sensor sees in each frame: those in view (f = 1) and in line of sight.
 
     The second set is of the voxels in line of sight, in view or not, as information gain counts
-    them: it differs from occlusion in which voxels inside vehicles count.
+    them: it differs from occlusion in which voxels inside vehicles count. The third result is what
+    the reading needs for a gradient.
     """
     sensor, shadows, view = row
-    clear, in_sight = reading.line_of_sight(sensor, shadows, view, tile, frames, options)
-    return reading.both(reading.in_frames(view), clear), in_sight
+    clear, in_sight, read = reading.line_of_sight(sensor, shadows, view, tile, frames, options)
+    return reading.both(reading.in_frames(view), clear), in_sight, read
 
 
 def seen_in_tile(
@@ -48,11 +49,10 @@ def seen_in_tile(
     ``rows`` are of all sensors: positions (S, 3), shadows, and one set in view each.
     """
 
-    def see_from(row: SensorRow, reading: Reading, tile: Tile, frames: Frames) -> tuple[Any, Any]:
-        visible, in_sight = seen_by_sensor(reading, row, tile, frames, options)
-        if not options.sight:
-            return visible, None
-        return visible, reading.level_sums(in_sight, len(tile.heights))
+    def see_from(row: SensorRow, reading: Reading, tile: Tile, frames: Frames) -> tuple:
+        visible, in_sight, read = seen_by_sensor(reading, row, tile, frames, options)
+        sight = reading.level_sums(in_sight, len(tile.heights)) if options.sight else None
+        return visible, sight, read
 
     return reading.over_sensors(see_from, rows, (reading, tile, frames), failures)
 

@@ -2,10 +2,9 @@
 
 As :class:`~inspe_jax.scoring.reading.Bits`, but a set of F frames, C columns and Z levels is an
 array (Z, F, C) of chances. The gradient is found sensor by sensor, of those that have some of the
-tile in view, and nothing of a sensor's sight lines is kept for it.
+tile in view, from how clear its sight lines are and which prisms that depends on.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -13,7 +12,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 from jax.ad_checkpoint import checkpoint_name
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int, UInt
 
 from inspe_jax.core.convex import outlines
 from inspe_jax.core.geometry import Prism
@@ -25,12 +24,18 @@ from inspe_jax.visibility import bitmask
 from inspe_jax.visibility.centered_scene import Statics
 from inspe_jax.visibility.in_view import soft_view
 from inspe_jax.visibility.shadows import shadow_bounds
-from inspe_jax.visibility.soft_sight import Sights, cell_marks, clear_chance
+from inspe_jax.visibility.soft_sight import (
+    Sights,
+    SightsRead,
+    cell_marks,
+    clear_chance,
+    read_sights,
+)
 from inspe_jax.visibility.statics import past_statics_chance
 from inspe_jax.visibility.tiles import Tile
 
-UNION = "union"
-"""Name of an array that a gradient needs: what some sensor sees, in each frame."""
+SIGHTS_READ = "sights read"
+"""Name of the arrays that a gradient needs of sight lines, of each sensor and in each frame."""
 
 
 @dataclass(frozen=True)
@@ -118,7 +123,7 @@ class Numbers:
         return found.sum(1).T
 
     def shadows(self, sensors: Float[Array, "S 3"], prisms: Prism) -> Any:
-        """None: what shadows need is found tile by tile, and again for the gradient."""
+        """None: what sight lines are read as is found tile by tile."""
 
     def line_of_sight(
         self,
@@ -128,21 +133,34 @@ class Numbers:
         tile: Tile,
         frames: Frames,
         options: ScoreOptions,
-    ) -> tuple[Float[Array, "Z F C"], Float[Array, "Z F C"]]:
+    ) -> tuple[Float[Array, "Z F C"], Float[Array, "Z F C"], list[SightsRead]]:
         """The chance that each voxel is in line of sight: once as occlusion counts it, and once as
-        information gain does."""
+        information gain does; and what was read for it, which is in ``shadows`` the next time."""
         width, fixed = self.softness.shadow, jax.lax.stop_gradient(sensor)
-        prisms, reach = outlines(frames.prisms), certain_beyond(width)
-        bounds = shadow_bounds(fixed, frames.prisms, reach)
-        marked = cell_marks(fixed, prisms, bounds, tile, reach)
-        if not any(metric.sight for metric in options.metrics):  # else, in view or not
-            cells = (view > 0).any(0).reshape(marked.shape[-1], -1).any(1)
-            marked = jnp.where(cells, marked, jnp.uint32(0))
-        at = prisms, marked, tile.columns, tile.heights, width
         own = self.solid(frames, len(tile.heights)) > 0 if options.ignores_self_occlusion else None
-        clear = clear_chance(sensor, Sights(*at, own))
         apart = options.ignores_self_occlusion and options.sight == "line_of_sight"
-        return clear, clear_chance(sensor, Sights(*at)) if apart else clear
+        marked = self._marked(fixed, view, tile, frames, options) if shadows is None else None
+        found = []
+        for k, spared in enumerate((own, None)[: 1 + apart]):
+            marks = shadows[k].sloped if marked is None else marked
+            at = outlines(frames.prisms), marks, tile.columns, tile.heights, width
+            sights = Sights(*at, spared)
+            read = shadows[k] if marked is None else read_sights(fixed, sights)
+            read = read._replace(clear=read.clear.astype(tile.heights.dtype))
+            found.append((clear_chance(sensor, sights, read), read))
+        return found[0][0], found[-1][0], [read for _, read in found]
+
+    def _marked(
+        self, sensor: Array, view: Any, tile: Tile, frames: Frames, options: ScoreOptions
+    ) -> UInt[Array, "W F K"]:
+        """The prisms that may hide something of each cell that counts."""
+        reach = certain_beyond(self.softness.shadow)
+        bounds = shadow_bounds(sensor, frames.prisms, reach)
+        marked = cell_marks(sensor, outlines(frames.prisms), bounds, tile, reach)
+        if any(metric.sight for metric in options.metrics):  # in view or not
+            return marked
+        cells = (view > 0).any(0).reshape(marked.shape[-1], -1).any(1)
+        return jnp.where(cells, marked, jnp.uint32(0))
 
     def over_sensors(
         self, see_from: SeeFrom, rows: SensorRow, given: tuple, failures: Groups | None
@@ -193,67 +211,69 @@ class Numbers:
         return jax.lax.map(look, (sensors, views))
 
 
-@partial(jax.custom_vjp, nondiff_argnums=(0,))
-def _union(
+def _read_union(
     see_from: SeeFrom,
     positions: Float[Array, "S 3"],
     views: Float[Array, "S Z C"],
     failures: Groups | None,
     given: tuple,
-) -> tuple[Float[Array, "1+G Z F C"], Any]:
-    """The chance that some sensor sees each voxel, of all and without each group, and the sights.
-
-    Only the sensors' ``positions`` and ``views`` have gradients.
-    """
-    of_sensor, listed, number = _in_view(see_from, positions, views, given)
-    visible, sights = jax.eval_shape(of_sensor, positions[0], views[0])
+) -> tuple[Float[Array, "1+G Z F C"], Any, Any]:
+    """The chance that some sensor sees each voxel, of all and without each group; the sights; and
+    what was read of each sensor's."""
+    listed, number = _in_view(views)
+    of_sensor = lambda s: see_from((positions[s], None, views[s]), *given)  # noqa: E731
+    visible, *others = jax.eval_shape(of_sensor, 0)
 
     def add(i: Array, state: tuple) -> tuple:
         s = listed[i]
-        left, each, sights = state
-        visible, sight = of_sensor(positions[s], views[s])
+        left, each, others = state
+        visible, *other = of_sensor(s)
         if failures is None:
             left = left * (1.0 - visible)
         else:
             each = each.at[s].set(visible)
-        return left, each, jax.tree.map(lambda all_, one: all_.at[s].set(one), sights, sight)
+        return left, each, jax.tree.map(lambda all_, one: all_.at[s].set(one), others, other)
 
     rows = 0 if failures is None else len(views)
     each = jnp.zeros((rows, *visible.shape), visible.dtype)
-    sights = jax.tree.map(lambda one: jnp.zeros((len(views), *one.shape), one.dtype), sights)
-    state = jnp.ones(visible.shape, visible.dtype), each, sights
-    left, each, sights = jax.lax.fori_loop(0, number, add, state)
-    return (1.0 - left)[None] if failures is None else leave_one_out(each, failures), sights
+    others = jax.tree.map(lambda one: jnp.zeros((len(views), *one.shape), one.dtype), others)
+    state = jnp.ones(visible.shape, visible.dtype), each, others
+    left, each, others = jax.lax.fori_loop(0, number, add, state)
+    return (1.0 - left)[None] if failures is None else leave_one_out(each, failures), *others
 
 
-def _in_view(
-    see_from: SeeFrom, positions: Array, views: Array, given: tuple
-) -> tuple[Callable, Array, Array]:
-    """What one sensor sees, of its position and view; the sensors, those that have some of the tile
-    in view first; and the number of these."""
+@partial(jax.custom_vjp, nondiff_argnums=(0,))
+def _union(see_from: SeeFrom, *given: Any) -> tuple[Float[Array, "1+G Z F C"], Any]:
+    """The first two of :func:`_read_union`. Only ``positions`` and ``views`` have gradients."""
+    return _read_union(see_from, *given)[:2]
+
+
+def _in_view(views: Float[Array, "S Z C"]) -> tuple[Int[Array, " S"], Int[Array, ""]]:
+    """The sensors, those that have some of the tile in view first, and the number of these."""
     has = (views > 0).any((1, 2))
-
-    def of_sensor(position: Array, view: Array) -> tuple[Array, Any]:
-        return see_from((position, None, view), *given)
-
-    return of_sensor, jnp.argsort(~has, stable=True), has.sum()
+    return jnp.argsort(~has, stable=True), has.sum()
 
 
 def _union_forward(see_from: SeeFrom, *given: Any) -> tuple[Any, tuple]:
-    union, sights = _union(see_from, *given)
-    union = checkpoint_name(union, UNION)
-    return (union, sights), (union, *given)
+    union, sights, read = _read_union(see_from, *given)
+    # At half precision, as they are many; 0 and 1 stay what they are.
+    half = jnp.float16 if union.dtype == jnp.float32 else jnp.float32
+    read = jax.tree.map(lambda leaf: leaf.astype(half) if leaf.dtype == union.dtype else leaf, read)
+    union, read = checkpoint_name((union, read), SIGHTS_READ)
+    return (union, sights), (union, read, *given)
 
 
 def _union_backward(see_from: SeeFrom, kept: tuple, wanted: tuple) -> tuple:
     """Sensor by sensor again. ∂(1 − ∏(1 − pₛ))/∂pₛ = ∏/(1 − pₛ); where pₛ = 1 it is certain and has
     no slope of its own."""
-    union, positions, views, failures, given = kept
-    of_sensor, listed, number = _in_view(see_from, positions, views, given)
+    union, read, positions, views, failures, given = kept
+    listed, number = _in_view(views)
     of_union, of_sights = wanted
 
     def add(i: Array, slopes: tuple[Array, Array]) -> tuple[Array, Array]:
         s = listed[i]
+        known = jax.tree.map(lambda all_: all_[s], read)
+        of_sensor = lambda position, view: see_from((position, known, view), *given)[:2]  # noqa: E731
         (visible, _), back = jax.vjp(of_sensor, positions[s], views[s])
         each = (1.0 - union) * of_union
         if failures is not None:

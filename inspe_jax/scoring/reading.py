@@ -64,9 +64,9 @@ class Counts(NamedTuple):
 
 SensorRow = tuple[Float[Array, "3"], Any, Any]
 """One sensor: its position, what its shadows need, and the set that it has in view."""
-SeeFrom = Callable[..., tuple[Any, Any]]
-"""Gives, for one sensor and what else is given, the set that it sees in each frame, and the number
-of frames in which each voxel is in line of sight, or None."""
+SeeFrom = Callable[..., tuple[Any, Any, Any]]
+"""Gives, for one sensor and what else is given, the set that it sees in each frame, the number of
+frames in which each voxel is in line of sight, or None, and what a gradient needs, or None."""
 
 
 @dataclass(frozen=True)
@@ -156,12 +156,12 @@ class Bits:
         tile: Tile,
         frames: Frames,
         options: ScoreOptions,
-    ) -> tuple[UInt[Array, "F C"], UInt[Array, "F C"]]:
+    ) -> tuple[UInt[Array, "F C"], UInt[Array, "F C"], None]:
         """The voxels in line of sight of a sensor: once as occlusion counts them, and once as
-        information gain does."""
+        information gain does; and nothing for a gradient."""
         spared = frames.solid if options.ignores_self_occlusion else None
         clear = clear_masks(sensor, shadows, tile, spared)
-        return clear, clear if options.sight == "past_others" else clear & ~frames.solid
+        return clear, clear if options.sight == "past_others" else clear & ~frames.solid, None
 
     def over_sensors(
         self, see_from: SeeFrom, rows: SensorRow, given: tuple, failures: Groups | None
@@ -186,14 +186,14 @@ class Bits:
 
         def add_sensor(i: Array, state: tuple) -> tuple:
             once, twice, before, each, sights = state
-            visible, sight = see_from(jax.tree.map(lambda leaf: leaf[listed[i]], rows), *given)
+            visible, sight, _ = see_from(jax.tree.map(lambda leaf: leaf[listed[i]], rows), *given)
             before = jnp.where(opens(i), once, before)  # what the groups before this one see
             if groups:
                 each = each.at[i].set(visible)
             sights = jax.tree.map(lambda all_, one: all_.at[listed[i]].set(one), sights, sight)
             return once | visible, twice | (before & visible), before, each, sights
 
-        visible, sight = jax.eval_shape(see_from, jax.tree.map(lambda leaf: leaf[0], rows), *given)
+        visible, sight, _ = jax.eval_shape(see_from, jax.tree.map(lambda x: x[0], rows), *given)
         none = jnp.zeros(visible.shape, visible.dtype)
         each = jnp.zeros((len(views) if groups else 0, *none.shape), none.dtype)
         sights = jax.tree.map(lambda one: jnp.zeros((len(views), *one.shape), one.dtype), sight)

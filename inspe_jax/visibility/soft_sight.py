@@ -52,34 +52,51 @@ class Sights(NamedTuple):
     spared: Bool[Array, "Z F C"] | None = None
 
 
-@partial(jax.custom_vjp, nondiff_argnums=(2,))
-def clear_chance(
-    sensor: Float[Array, "3"], of: Sights, solid: bool = True
-) -> Float[Array, "Z F C"]:
+class SightsRead(NamedTuple):
+    """How ``clear`` lines are, and marks of the prisms on which that depends (``sloped``): those
+    that hide some line neither not at all nor for certain."""
+
+    clear: Float[Array, "Z F C"]
+    sloped: UInt[Array, "W F K"]
+
+
+def read_sights(sensor: Float[Array, "3"], of: Sights, solid: bool = True) -> SightsRead:
     """The chance that prisms leave the line from a sensor to each voxel clear, in each frame.
 
-    ``solid``: all prisms stand on the ground and let no light through. Only the sensor has a
-    gradient.
+    ``solid``: all prisms stand on the ground and let no light through.
     """
-    frames, cells = of.marked.shape[1:]
+    words, frames, cells = of.marked.shape
     clear = jnp.ones((len(of.heights), frames * cells, of.columns.shape[1] // cells))
     blocks, block = _blocks(of, solid)
 
-    def read(number: Array, clear: Array) -> Array:
+    def read(number: Array, found: SightsRead) -> SightsRead:
         rows = block(number)
-        return clear.at[:, rows.number].set(rows.clear(sensor), mode="drop", unique_indices=True)
+        put = lambda all_, new: all_.at[:, rows.number].set(new, mode="drop", unique_indices=True)  # noqa: E731
+        return SightsRead(*map(put, found, rows.read(sensor)))
 
-    clear = jax.lax.fori_loop(0, blocks, read, clear)
-    return clear.reshape(len(of.heights), frames, -1)
+    sloped = jnp.zeros((words, frames * cells), of.marked.dtype)
+    clear, sloped = jax.lax.fori_loop(0, blocks, read, SightsRead(clear, sloped))
+    shape = len(of.heights), frames, of.columns.shape[1]
+    return SightsRead(clear.reshape(shape), sloped.reshape(of.marked.shape))
 
 
-def _forward(sensor: Array, of: Sights, solid: bool) -> tuple[Array, tuple]:
-    clear = clear_chance(sensor, of, solid)
-    return clear, (sensor, of, clear)
+@partial(jax.custom_vjp, nondiff_argnums=(3,))
+def clear_chance(
+    sensor: Float[Array, "3"], of: Sights, known: SightsRead | None = None, solid: bool = True
+) -> Float[Array, "Z F C"]:
+    """The same chance, with a gradient in the sensor's place; ``known`` if it is read already."""
+    return (read_sights(sensor, of, solid) if known is None else known).clear
+
+
+def _forward(
+    sensor: Array, of: Sights, known: SightsRead | None, solid: bool
+) -> tuple[Array, tuple]:
+    known = read_sights(sensor, of, solid) if known is None else known
+    return known.clear, (sensor, of._replace(marked=known.sloped), known.clear)
 
 
 def _backward(solid: bool, kept: tuple, wanted: Float[Array, "Z F C"]) -> tuple:
-    """Cell by cell again: nothing of a prism is kept."""
+    """Cell by cell again, of the prisms that have a slope: nothing else of a prism is kept."""
     sensor, of, clear = kept
     frames, cells = of.marked.shape[1:]
     # A line has a slope where it is neither clear nor hidden for certain, and somebody asks.
@@ -93,19 +110,19 @@ def _backward(solid: bool, kept: tuple, wanted: Float[Array, "Z F C"]) -> tuple:
         rows = block(number)
         return slope + rows.slope(sensor, wanted.at[:, rows.number].get(mode="fill", fill_value=0))
 
-    return jax.lax.fori_loop(0, blocks, add, jnp.zeros_like(sensor)), None
+    return jax.lax.fori_loop(0, blocks, add, jnp.zeros_like(sensor)), None, None
 
 
 clear_chance.defvjp(_forward, _backward)
 
 
 class _Rows(NamedTuple):
-    """A block of R cells of G columns: the ``number`` of each among frames × cells, how clear their
-    lines are from a sensor, and the ``slope`` of a sum of that in the sensor's place, with weights
-    that are multiplied by it."""
+    """A block of R cells of G columns: the ``number`` of each among frames × cells, what a sensor's
+    lines are read as, and the ``slope`` of a sum of how clear they are in the sensor's place, with
+    weights that are multiplied by it."""
 
     number: Int[Array, " R"]
-    clear: Callable[[Float[Array, "3"]], Float[Array, "Z R G"]]
+    read: Callable[[Float[Array, "3"]], tuple[Float[Array, "Z R G"], UInt[Array, "W R"]]]
     slope: Callable[[Float[Array, "3"], Float[Array, "Z R G"]], Float[Array, "3"]]
 
 
@@ -151,14 +168,21 @@ def _blocks(of: Sights, solid: bool) -> tuple[Array, Callable[[Array], _Rows]]:
                 found = jnp.where(spared & (cut.depth > 0), 0.0, found)
             return found, at
 
-        def clear(sensor: Float[Array, "3"]) -> Float[Array, "Z R G"]:
-            def hide(clear: Array, index: Array, some: Array) -> Array:
-                found = *meeting(sensor, index, some), sensor[2]
-                # Level by level, or XLA would find the cut again for each.
-                left = lambda level: level[0] * (1.0 - hides(*found, level[1:])[0])  # noqa: E731
-                return jax.lax.map(left, (clear, z, spared))
+        def read(sensor: Float[Array, "3"]) -> tuple[Float[Array, "Z R G"], UInt[Array, "W R"]]:
+            def hide(found: tuple, index: Array, some: Array) -> tuple:
+                clear, sloped = found
+                prism = *meeting(sensor, index, some), sensor[2]
 
-            return bitmask.fold_marked(marks, hide, jnp.ones_like(z))
+                def level(between: Array, of: tuple) -> tuple[Array, Array]:
+                    hidden, _ = hides(*prism, of[1:])
+                    return between | ((hidden > 0) & (hidden < 1.0)), of[0] * (1.0 - hidden)
+
+                # Level by level, or XLA would find the cut again for each.
+                between, clear = jax.lax.scan(level, jnp.zeros(x.shape, bool), (clear, z, spared))
+                mark = between.any(1)[:, None]
+                return clear, bitmask.with_mark(sloped[..., None], index, mark)[..., 0]
+
+            return bitmask.fold_marked(marks, hide, (jnp.ones_like(z), jnp.zeros_like(marks)))
 
         def slope(sensor: Float[Array, "3"], wanted: Float[Array, "Z R G"]) -> Float[Array, "3"]:
             """∂∏(1 − pᵢ) = −Σ ∂pᵢ · ∏/(1 − pᵢ). Where a prism hides for certain, pᵢ = 1, its own
@@ -196,7 +220,7 @@ def _blocks(of: Sights, solid: bool) -> tuple[Array, Callable[[Array], _Rows]]:
 
             return bitmask.fold_marked(marks, add, jnp.zeros_like(sensor))
 
-        return _Rows(number, clear, slope)
+        return _Rows(number, read, slope)
 
     return -(-(count > 0).sum() // together), block
 

@@ -175,7 +175,7 @@ def past_statics_chance(
         frame = jax.tree.map(lambda leaf: leaf[None], bodies)
         marked = cell_marks(fixed, frame, _bounds(fixed, bodies, beyond), tile, beyond)
         sights = Sights(frame, marked, tile.columns, tile.heights, width)
-        clear *= clear_chance(sensor, sights, False)[:, 0]
+        clear *= clear_chance(sensor, sights, None, False)[:, 0]
     if (ground := statics.ground) is not None:
 
         def over(at: Array) -> Array:

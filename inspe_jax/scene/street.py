@@ -17,7 +17,7 @@ from inspe_jax.scene.intersection import Intersection
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.statics import StaticBody, pole, tree, upright_box
 from inspe_jax.scene.traffic.frames import TrafficFrames
-from inspe_jax.scene.traffic.waypoint.walkways import with_walkways
+from inspe_jax.scene.traffic.waypoint.paths import with_walkways
 
 STATICS = ("none", "map", "street")
 """The static bodies that a scene may be built with: none, those of its map, or made-up ones."""

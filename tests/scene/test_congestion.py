@@ -27,8 +27,7 @@ from inspe_jax.scene.traffic.waypoint.generate import (
     CongestedModel,
     waypoint_traffic,
 )
-from inspe_jax.scene.traffic.waypoint.paths import lay_paths
-from inspe_jax.scene.traffic.waypoint.walkways import BESIDE, SLACK, with_walkways
+from inspe_jax.scene.traffic.waypoint.paths import BESIDE, SLACK, lay_paths, with_walkways
 
 CAR, TRUCK, CYCLIST, PEDESTRIAN = range(4)
 RADIUS, COUNT = 40.0, 60

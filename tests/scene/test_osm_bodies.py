@@ -12,8 +12,8 @@ from shapely.geometry import LineString, Point, Polygon
 from inspe_jax.core.digest import digest
 from inspe_jax.core.errors import InspeError
 from inspe_jax.scene.maps.bodies import simple_pieces
+from inspe_jax.scene.maps.openstreetmap.bodies import Sizes, length_of
 from inspe_jax.scene.maps.openstreetmap.extract import read_extract
-from inspe_jax.scene.maps.openstreetmap.sizes import Sizes, length_of
 from inspe_jax.scene.maps.registry import list_junctions, read_map
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.scene import build_scene, load_scene, save_scene

@@ -25,7 +25,7 @@ from inspe_jax.scene.street import (
     street_bodies,
     untouched,
 )
-from inspe_jax.scene.traffic.waypoint.walkways import with_walkways
+from inspe_jax.scene.traffic.waypoint.paths import with_walkways
 
 RADIUS = 50.0
 TOWN = {"parked vehicle": 15, "tree": 12, "pole": 8, "furniture": 5}

@@ -19,8 +19,7 @@ from inspe_jax.scene.traffic.frames import (
     quota,
 )
 from inspe_jax.scene.traffic.waypoint.model import ARRIVALS, BRAKING, REACTION, WaypointModel
-from inspe_jax.scene.traffic.waypoint.paths import PATH_USERS, Paths, lay_paths
-from inspe_jax.scene.traffic.waypoint.walkways import with_walkways
+from inspe_jax.scene.traffic.waypoint.paths import PATH_USERS, Paths, lay_paths, with_walkways
 
 WARM_UP = 40.0  # time [s] that the model runs before the first frame
 CONGESTED_WARM_UP = 60.0  # the same where the roads fill: queues form behind the junction
@@ -56,7 +55,7 @@ def waypoint_traffic(
     never overlap: they keep their distance, slow down for bends and give way where paths cross.
     Where roads do not hold all, traffic is that of
     :class:`~inspe_jax.scene.traffic.waypoint.generate.CongestedModel`; where nobody walks on the
-    map, people walk as :func:`~inspe_jax.scene.traffic.waypoint.walkways.with_walkways` says.
+    map, people walk as :func:`~inspe_jax.scene.traffic.waypoint.paths.with_walkways` says.
     ``progress`` is called with (frames done, frames).
 
     The same seed gives the same traffic; turning the intersection turns it. Raises InspeError if a

@@ -1,15 +1,9 @@
 """The paper's placements by name, generated for any intersection.
 
-A strategy is a row of :data:`STRATEGIES`. InSPE (arXiv 2504.08240), section 4, names the placements
-and counts their devices; where they stand is decided here:
-
-- *corner*: where the left kerb of an arm (looking outward) meets the right kerb of the next, on a
-  signal pole that stands near, or on the nearest mounting area. Where the gap between two arms is
-  wide, as on the far side of a T, each kerb has a corner of its own.
-- *roadside*: a pole at the right kerb of an arm, :data:`SETBACK` outside the mouth.
-- *centre*: a span wire over the middle of the junction; at a roundabout, the central island.
-
-Everything is relative to the intersection's first arm, so a layout turns with its intersection.
+InSPE (arXiv 2504.08240), section 4, names the placements and counts their devices. A *corner* is
+where the left kerb of an arm (looking outward) meets the right kerb of the next; a *roadside* pole
+is at the right kerb of an arm, :data:`SETBACK` outside the mouth; the *centre* is a span wire, or
+the island of a roundabout. All is relative to the first arm: a layout turns with its intersection.
 """
 
 from collections.abc import Callable
@@ -38,8 +32,6 @@ from inspe_jax.sensing.catalogue import device
 from inspe_jax.sensing.layout import UNIT_HEIGHT, UNIT_PLAN, Layout, Sensor, Unit, make_layout
 from inspe_jax.sensing.named import LAYOUT_RULES
 from inspe_jax.sensing.sensors import CameraSpec, LidarSpec, Spec
-
-# ── The rules ───────────────────────────────────────────────────────────────
 
 
 def central_cameras(site: Site) -> list[View]:
@@ -189,10 +181,6 @@ def strategy(
     """
     scene = scene_of(scene)
     own, place = scene.profile, scene.intersection
-    camera_height = own.camera_height if camera_height is None else camera_height
-    lidar_height = own.lidar_height if lidar_height is None else lidar_height
-    if camera_pitch_deg is None:
-        camera_pitch_deg = own.camera_pitch_deg
     chosen = choose(name, camera, lidar, camera_height, lidar_height, camera_pitch_deg, own)
     row = STRATEGIES[chosen.name]
     if len(place.arms) < 2:
@@ -200,15 +188,8 @@ def strategy(
             f"{place.name}: it has {len(place.arms)} arm{'s' * (not place.arms)}; strategies need "
             "at least 2"
         )
-    site = Site(
-        place,
-        scene.voxels.radius,
-        chosen.camera.grid.reach,
-        camera_height,
-        lidar_height,
-        None if camera_pitch_deg is None else float(np.radians(camera_pitch_deg)),
-        bodies=scene.statics,
-    )
+    depth = chosen.camera.grid.reach
+    site = Site(place, scene.voxels.radius, depth, *chosen.mounted, bodies=scene.statics)
     rules = (row.cameras, chosen.camera), (row.lidars, chosen.lidar)
     views = [(view, spec) for rule, spec in rules if rule for view in rule(site)]
     return replace(join(chosen.name, place, views), profile=own.name)
@@ -218,11 +199,13 @@ LAYOUT_RULES.update(dict.fromkeys(STRATEGIES, strategy))
 
 
 class Chosen(NamedTuple):
-    """A strategy's name and its devices."""
+    """A strategy's name, its devices, and how they are mounted: the heights of cameras and LiDARs
+    [m] and the cameras' pitch [rad], each None where the rule chooses it."""
 
     name: str
     camera: Spec
     lidar: Spec
+    mounted: tuple[float | None, float | None, float | None]
 
 
 def choose(
@@ -237,6 +220,9 @@ def choose(
     """The strategy and devices that the options of :func:`strategy` mean under a profile, None for
     the default one. Raises InspeError as :func:`strategy` does for its options."""
     own = profile or profile_of(DEFAULT_PROFILE)
+    camera_height = own.camera_height if camera_height is None else camera_height
+    lidar_height = own.lidar_height if lidar_height is None else lidar_height
+    pitch_deg = own.camera_pitch_deg if camera_pitch_deg is None else camera_pitch_deg
     known = {key.lower(): key for key in STRATEGIES}
     key = known.get(name.strip().lower(), name)
     check_known(key, STRATEGIES, "no strategy")
@@ -247,13 +233,13 @@ def choose(
             raise InspeError(
                 f"{option} {height:g} m is out of range for {key}: between {low:g} and {high:g} m"
             )
-    if camera_pitch_deg is not None and not -90 <= camera_pitch_deg <= 0:
-        raise InspeError(
-            f"camera_pitch_deg {camera_pitch_deg:g}: between -90, straight down, and 0"
-        )
+    if pitch_deg is not None and not -90 <= pitch_deg <= 0:
+        raise InspeError(f"camera_pitch_deg {pitch_deg:g}: between -90, straight down, and 0")
     seeing = _device("camera", camera or own.camera, CameraSpec)
     usual = {32: own.lidar_32, 64: own.lidar_64}[row.beams]
-    return Chosen(key, seeing, _device("lidar", lidar or usual, LidarSpec))
+    pitch = None if pitch_deg is None else float(np.radians(pitch_deg))
+    mounted = camera_height, lidar_height, pitch
+    return Chosen(key, seeing, _device("lidar", lidar or usual, LidarSpec), mounted)
 
 
 def _device(option: str, of: str | Spec, kind: type[Spec]) -> Spec:

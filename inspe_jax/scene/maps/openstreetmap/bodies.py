@@ -70,9 +70,13 @@ class Sizes:
     senseless: list[str] = field(default_factory=list)
 
     def value(
-        self, tags: Tags, key: str, least: float = 0.1, most: float = HIGHEST,
+        self,
+        tags: Tags,
+        key: str,
+        least: float = 0.1,
+        most: float = HIGHEST,
         read: Callable[[str], float | None] = length_of,
-    ) -> float | None:  # fmt: skip
+    ) -> float | None:
         """What ``read`` makes of a key, a length [m]; None where it is not between the limits."""
         if key not in tags:
             return None
@@ -191,7 +195,6 @@ class BodyReader:
         )
 
     def _line(self, way: Way) -> Float[np.ndarray, "N 2"]:
-        """The known nodes of a way, in world metres."""
         return np.array([self.at[n] for n in way.nodes if n in self.at], float).reshape(-1, 2)
 
     def _outline(self, way: Way) -> BaseGeometry | None:
@@ -206,7 +209,6 @@ class BodyReader:
         return Polygon(line)
 
     def _areas(self) -> Iterator[tuple[Tags, BaseGeometry]]:
-        """Closed ways and multipolygons, with their tags."""
         drawn = set()
         for relation in self.extract.relations.values():
             if relation.tags.get("type") != "multipolygon":
@@ -235,7 +237,6 @@ class BodyReader:
                     yield way.tags, outline
 
     def _rings(self, names: Iterable[str]) -> BaseGeometry:
-        """The area within rings that ways make up together."""
         lines = [self._line(self.extract.ways[name]) for name in names]
         edges = [LineString(line) for line in lines if len(line) > 1]
         if not edges:
@@ -341,7 +342,6 @@ def _is_building(tags: Tags) -> bool:
 
 
 def _is_area(tags: Tags) -> bool:
-    """Whether tags are those of a body with an outline."""
     return _is_building(tags) or (tags.get("barrier") == "hedge" and tags.get("area") == "yes")
 
 

@@ -29,7 +29,6 @@ _OPTIONS = {
 
 
 def _check(path: Path, root: str) -> None:
-    """Raise InspeError if a file is not XML with this root element."""
     with gzip.open(path) if path.name.lower().endswith(".gz") else path.open("rb") as f:
         check_xml(f, str(path), root)
 

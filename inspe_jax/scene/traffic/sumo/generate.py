@@ -227,7 +227,6 @@ class _SumoRuns:
         return standing_on(self.intersection, self.radius, everybody, at[:, 2])
 
     def _write_routes(self, file: Path, rates: list[float], end: float) -> dict[str, Arrival]:
-        """Write type, route and departure of every road user, by its name."""
         root = ET.Element("routes")
         people: list[tuple[float, ET.Element]] = []
         sizes: dict[str, Arrival] = {}

@@ -47,8 +47,6 @@ def paths_through(
 
 @dataclass(frozen=True)
 class _Edge:
-    """An edge near the region."""
-
     name: str
     line: Float[np.ndarray, "N 2"]  # its middle [m]
     arc: Float[np.ndarray, " N"]  # length to each point [m]
@@ -139,13 +137,11 @@ def _returns(one: _Edge, two: _Edge) -> bool:
 
 
 def _alike(one: _Edge, two: _Edge) -> float:
-    """Cosine of the angle between the heading at the start of ``one`` and at the end of ``two``."""
     a, b = one.line[1] - one.line[0], two.line[-1] - two.line[-2]
     return float(a @ b / np.hypot(*a) / np.hypot(*b))
 
 
 def _path(before: np.ndarray, sink: int) -> list[int]:
-    """The edges to a sink, by the edge before each."""
     path = [sink]
     while before[path[-1]] >= 0:
         path.append(int(before[path[-1]]))

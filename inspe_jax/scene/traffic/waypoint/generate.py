@@ -82,7 +82,6 @@ def waypoint_traffic(
 
 
 def _kinds(paths: Paths, mix: Mix, count: int) -> Int[np.ndarray, " M"]:
-    """Classes of ``count`` road users, among those that have a path."""
     has_path = [bool((paths.user == PATH_USERS.index(u.path)).any()) for u in ROAD_USERS]
     # Cyclists ride only where there are pedestrians too, so not on motorways.
     has_path[CLASSES.index("cyclist")] &= has_path[CLASSES.index("pedestrian")]
@@ -118,7 +117,6 @@ def _advance(model: WaypointModel, time: float) -> Float[np.ndarray, " K"]:
 
 
 def _snapshot(model: WaypointModel) -> Snapshot:
-    """Every road user that is on a path."""
     on = np.flatnonzero(model.active)
     middle = model.point[on].copy()
     middle[:, 2] += model.size[on, 2] / 2
@@ -209,7 +207,6 @@ class CongestedModel(WaypointModel):
         self.opens[lane] = self.time + self.headway
 
     def _way_out(self) -> Float[np.ndarray, " M"]:
-        """Distance from each front to its path's end [m]."""
         return self.paths.length[self.path] - self.arc - self.size[:, 0] / 2
 
     def _line_distance(self, on: np.ndarray) -> np.ndarray:

@@ -154,14 +154,12 @@ def resample(points: np.ndarray) -> np.ndarray:
 
 
 def _within(points: np.ndarray, center: np.ndarray, radius: float) -> np.ndarray:
-    """The points from the first to the last inside the circle."""
     away = points[:, :2] - np.asarray(center)[:2]
     inside = np.flatnonzero(dot(away, away) <= radius**2)
     return points[inside[0] : inside[-1] + 1] if len(inside) else points[:0]
 
 
 def _headings(points: np.ndarray) -> np.ndarray:
-    """Unit direction of travel (N, 2) at each point, from its neighbours."""
     along = np.gradient(points[:, :2], axis=0)
     return along / np.sqrt(dot(along, along))[:, None]
 
@@ -189,7 +187,6 @@ def _weights(
 def _blocks(
     start: np.ndarray, count: np.ndarray, user: np.ndarray, point: np.ndarray, heading: np.ndarray
 ) -> dict[str, np.ndarray]:
-    """``block``, ``stop``, ``leave`` and ``clear`` of :class:`Paths`."""
     path = np.repeat(np.arange(len(start)), count)
     arc = (np.arange(len(point)) - np.repeat(start, count)) * SPACING
     one, two = _conflicts(path, arc, user, point, heading)
@@ -326,13 +323,11 @@ def _beside(lanes: list[Route]) -> Iterator[np.ndarray]:
 
 
 def _runs(line: np.ndarray, free: np.ndarray) -> list[np.ndarray]:
-    """The stretches of a line (N, 2) that are free and at least :data:`SHORTEST_WALK` long."""
     parts = np.split(np.arange(len(line)), np.flatnonzero(np.diff(free.astype(int))) + 1)
     least = SHORTEST_WALK / SPACING
     return [line[part] for part in parts if len(part) > least and free[part[0]]]
 
 
 def _heading(line: np.ndarray) -> np.ndarray:
-    """Unit direction (N, 2) at each point of a line."""
     along = np.gradient(line[:, :2], axis=0)
     return along / np.maximum(np.hypot(*along.T), 1e-9)[:, None]

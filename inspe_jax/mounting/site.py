@@ -257,13 +257,12 @@ class Site:
         Where the gap between two arms is narrow, one pole serves both, and the right one stands
         :data:`SETBACK` farther out.
         """
-        wanted: list[np.ndarray] = []
-        right: list[np.ndarray] = []
-        for i, (arm, gap) in enumerate(zip(self.arms, self.gaps, strict=True)):
-            following = self.arms[(i + 1) % len(self.arms)]
-            wanted.append(arm.kerb(+1) if gap > WIDE else (arm.kerb(+1) + following.kerb(-1)) / 2)
-            right.append(arm.kerb(-1, 0.0 if self.gaps[i - 1] > WIDE else SETBACK))
-        return self._stand(wanted + right, "corner")
+        arms, wide = self.arms, self.gaps > WIDE
+        facing = zip(arms, arms[1:] + arms[:1], wide, strict=True)
+        left = [a.kerb(+1) if alone else (a.kerb(+1) + b.kerb(-1)) / 2 for a, b, alone in facing]
+        before = zip(arms, np.roll(wide, 1), strict=True)
+        right = [arm.kerb(-1, 0.0 if alone else SETBACK) for arm, alone in before]
+        return self._stand(left + right, "corner")
 
     @cached_property
     def roadsides(self) -> Float[np.ndarray, "2N 2"]:
@@ -358,4 +357,5 @@ def spread(azimuths: Float[np.ndarray, " N"], count: int) -> list[int]:
         between = np.diff(np.append(around, around[0] + 2 * np.pi)).round(6)
         return -float(between.max()), float(between.min())
 
-    return list(max(combinations(range(len(azimuths)), count), key=evenness))
+    best = max(combinations(range(len(azimuths)), count), key=evenness)
+    return list(best)

@@ -51,46 +51,36 @@ def corner_cameras(site: Site) -> list[View]:
     From a pole far beside its arm, as at a roundabout, the first camera looks at the arm. With two
     arms, cameras on the poles at their other kerbs look out as well.
     """
-    arms = site.arms
-    left, right = np.split(site.corners, 2)
+    arms, corners = site.arms, site.corners
 
-    def out(i: int, foot: np.ndarray, post: str) -> View:
-        ahead = arms[i].kerb(0, 10.0)
+    def out(i: int, right: bool = False) -> View:
+        foot, ahead = corners[i + right * len(arms)], arms[i].kerb(0, 10.0)
         aside = abs((foot - ahead) @ arms[i].axes[1]) - arms[i].width / 2
         yaw = arms[i].bearing if aside <= ASIDE else None
+        post = f"right corner {i + 1}" if right else f"corner {i + 1}"
         return site.camera(post, foot, ahead, yaw=yaw, mast=MAST)
 
     def back(i: int) -> View:
         yaw = arms[i].bearing + np.pi
-        return site.camera(f"corner {i + 1}", left[i], site.center, yaw=yaw, mast=MAST)
+        return site.camera(f"corner {i + 1}", corners[i], site.center, yaw=yaw, mast=MAST)
 
-    return _fill(
-        site,
-        lambda i: out(i, left[i], f"corner {i + 1}"),
-        back,
-        lambda i: out(i, right[i], f"right corner {i + 1}"),
-    )
+    return _fill(site, out, back, lambda i: out(i, right=True))
 
 
 def roadside_cameras(site: Site) -> list[View]:
     """A camera on each arm's roadside pole looks at the crosswalk and junction, a second outward;
     with only two arms, cameras on the poles at their other kerbs look at the crosswalks as well."""
-    arms = site.arms
-    right, left = np.split(site.roadsides, 2)
+    arms, feet = site.arms, site.roadsides
 
-    def inward(i: int, foot: np.ndarray, post: str) -> View:
-        mouth = np.asarray(arms[i].mouth)
-        return site.camera(post, foot, mouth + (site.center - mouth) / 3)
+    def inward(i: int, left: bool = False) -> View:
+        mouth, post = np.asarray(arms[i].mouth), "left roadside" if left else "roadside"
+        target = mouth + (site.center - mouth) / 3
+        return site.camera(f"{post} {i + 1}", feet[i + left * len(arms)], target)
 
     def outward(i: int) -> View:
-        return site.camera(f"roadside {i + 1}", right[i], arms[i].kerb(0, SETBACK + 20.0))
+        return site.camera(f"roadside {i + 1}", feet[i], arms[i].kerb(0, SETBACK + 20.0))
 
-    return _fill(
-        site,
-        lambda i: inward(i, right[i], f"roadside {i + 1}"),
-        outward,
-        lambda i: inward(i, left[i], f"left roadside {i + 1}"),
-    )
+    return _fill(site, inward, outward, lambda i: inward(i, left=True))
 
 
 def _fill(site: Site, *tiers: Callable[[int], View]) -> list[View]:

@@ -75,6 +75,7 @@ class Sizes:
         key: str,
         least: float = 0.1,
         most: float = HIGHEST,
+        *,
         read: Callable[[str], float | None] = length_of,
     ) -> float | None:
         """What ``read`` makes of a key, a length [m]; None where it is not between the limits."""
@@ -91,7 +92,7 @@ class Sizes:
         """The base and the height of a building or a part of one; ``kind`` is its tag's value."""
 
         def number(key: str) -> float | None:
-            return self.value(tags, key, 0.0, 200.0, float)
+            return self.value(tags, key, 0.0, 200.0, read=float)
 
         height = self.value(tags, "height")
         levels, base = number("building:levels"), self.value(tags, "min_height", 0.0)
@@ -116,9 +117,10 @@ class Sizes:
             base = None
         return base or 0.0, height
 
-    def size_or(self, tags: Tags, key: str, kind: str, default: float, **limits: float) -> float:
-        """The length under a key [m], or a default that is counted for its kind of body."""
-        value = self.value(tags, key, **limits)
+    def size_or(self, tags: Tags, key: str, kind: str, default: float, *limits: float) -> float:
+        """The length under a key [m], or a default that is counted for its kind of body; limits
+        are the least and the most that it can be."""
+        value = self.value(tags, key, *limits)
         if value is None and key == "height":
             self.assumed[kind] += 1
         return default if value is None else value
@@ -282,7 +284,7 @@ class BodyReader:
                 continue
             height, width = BARRIERS[kind]
             height = self.sizes.size_or(way.tags, "height", "wall", height)
-            width = self.sizes.size_or(way.tags, "width", "wall", width, least=0.02, most=10.0)
+            width = self.sizes.size_or(way.tags, "width", "wall", width, 0.02, 10.0)
             line = distinct(line) if len(line) > 1 else line
             for ends in pairwise(line):
                 stretch = LineString(ends).buffer(width / 2, cap_style="flat")
@@ -313,10 +315,10 @@ class BodyReader:
             self.notes.append(rows)
 
     def _tree(self, tags: Tags, at: Float[np.ndarray, "2"]) -> Shape:
-        height = self.sizes.size_or(tags, "height", "tree", TREE["height"], least=1.0, most=120.0)
+        height = self.sizes.size_or(tags, "height", "tree", TREE["height"], 1.0, 120.0)
         across, around = (
-            self.sizes.size_or(tags, key, "tree", TREE[key], least=least, most=most)
-            for key, least, most in (("diameter_crown", 0.3, 60.0), ("circumference", 0.05, 15.0))
+            self.sizes.size_or(tags, key, "tree", TREE[key], *limits)
+            for key, *limits in (("diameter_crown", 0.3, 60.0), ("circumference", 0.05, 15.0))
         )
         crown, trunk = Polygon(octagon(at, across / 2)), min(around / (2 * np.pi), across / 4)
         return Shape("tree", crown, height, crown_base(height), LEAFY, trunk)
@@ -330,7 +332,7 @@ class BodyReader:
             if known is None or name in on_roads or tags.get("support") in HUNG:
                 continue
             if self._near(self.at[name]):
-                height = self.sizes.size_or(tags, "height", "pole", known[0], least=1.0)
+                height = self.sizes.size_or(tags, "height", "pole", known[0], 1.0)
                 yield Shape("pole", Polygon(octagon(self.at[name], known[1])), height)
 
 

@@ -134,8 +134,7 @@ def _read_packets(reader: _PacketReader, log: RecorderLog) -> None:
 
 
 def kind_of(name: str, facts: dict[str, str], length: float) -> int | None:
-    """The class of an actor, an index into :data:`~inspe_jax.scene.traffic.frames.CLASSES`; None if
-    it is no road user.
+    """The class of an actor, an index into :data:`CLASSES`; None if it is no road user.
 
     A vehicle with two wheels is a cyclist, also a motorcycle. From CARLA 0.9.14 on, the blueprint
     says whether a vehicle is a truck or a bus; before, its length [m] does.

@@ -94,9 +94,9 @@ def sumo_traffic(
     SUMO allows it, as where long vehicles turn. Road users on another level are left out.
     ``progress`` is called with (runs done, most runs).
 
-    The same seed gives the same traffic with the same version of SUMO. Raises InspeError if a value
-    is out of range, the mix is unknown, the intersection was not read from a map, SUMO is missing,
-    or no road leads through the radius.
+    The same seed gives the same traffic with the same version of SUMO. Raises InspeError as that
+    does, and if the intersection was not read from a map, SUMO is missing, or no road leads
+    through the radius.
     """
     check_traffic(radius=radius, count=count, frames=frames, mix=mix, step=step, seed=seed)
     small = _small_step(step)

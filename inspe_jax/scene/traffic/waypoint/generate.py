@@ -50,13 +50,11 @@ def waypoint_traffic(
     """Traffic on the waypoints of an intersection's routes (paper, section 4).
 
     There are about ``count`` objects at a time within ``radius`` [m] of the centre, in ``frames``
-    frames ``step`` seconds apart. ``mix`` is a key of :data:`MIXES`. They are on the waypoints of
-    the whole region; the paper takes those in view of the sensors. Unlike in the paper, road users
-    never overlap: they keep their distance, slow down for bends and give way where paths cross.
-    Where roads do not hold all, traffic is that of
-    :class:`~inspe_jax.scene.traffic.waypoint.generate.CongestedModel`; where nobody walks on the
-    map, people walk as :func:`~inspe_jax.scene.traffic.waypoint.paths.with_walkways` says.
-    ``progress`` is called with (frames done, frames).
+    frames ``step`` seconds apart. ``mix`` is a key of :data:`MIXES`. Unlike in the paper, road
+    users never overlap: they keep their distance, slow down for bends and give way where paths
+    cross. Where roads do not hold all, traffic is that of :class:`CongestedModel`; where nobody
+    walks on the map, people walk as :func:`~inspe_jax.scene.traffic.waypoint.paths.with_walkways`
+    says. ``progress`` is called with (frames done, frames).
 
     The same seed gives the same traffic; turning the intersection turns it. Raises InspeError if a
     value is out of range, the mix is unknown, or no route lies within the radius.
@@ -129,10 +127,9 @@ def _snapshot(model: WaypointModel) -> Snapshot:
 class CongestedModel(WaypointModel):
     """As :class:`WaypointModel`, but each class has its share of what the roads hold.
 
-    In the other model the shortest find a gap first, so cars take the places of trucks, and lanes
-    behind the junction are nearly empty. Here the class with the largest part missing comes in
-    first. Vehicles leave at intervals, which grow while vehicles are missing, so that queues stand
-    behind the junction. If some are missing at the longest, more people come on foot.
+    The class with the largest part missing comes in first. Vehicles leave at intervals, which grow
+    while vehicles are missing, so that queues stand behind the junction. If some are missing at the
+    longest, more people come on foot.
     """
 
     def __init__(

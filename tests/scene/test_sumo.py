@@ -219,7 +219,6 @@ NET += 'origBoundary="0,0,1,1" projParameter="!"/>{}</net>'
 
 BROKEN = {
     "empty": ("a.net.xml", NET.format(""), "the network has no roads"),
-    "cut": ("a.net.xml", "<net version='1.20'><edge id='a'", "well-formed XML, perhaps cut short"),
     "other": ("a.net.xml", "<html/>", "the root element is <html>, not <net>"),
     "nothing": ("a.net.xml", "", "not well-formed XML"),
     "other extract": ("a.osm", "<html/>", "the root element is <html>, not <osm>"),

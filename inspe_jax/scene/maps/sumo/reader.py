@@ -101,11 +101,11 @@ class SumoJunction(MapJunction):
         parts[Region.SIDEWALK] += waiting
         walked = unary_union(waiting)
         for node in self.map.net.getNodes():
-            at = self.map.position(node.getID())
+            at, outline = self.map.position(node.getID()), self.map.to_world(node.getShape())
+            if len(outline) < 3 or distance_from(at[None], middle)[0] > reach + CLUSTER:
+                continue
             closest = ground[np.argmin(distance_from(ground, at))]
-            outline = self.map.to_world(node.getShape())
-            near = distance_from(at[None], middle)[0] <= reach + CLUSTER
-            if len(outline) > 2 and near and abs(at[2] - closest[2]) <= 2.0:
+            if abs(at[2] - closest[2]) <= 2.0:
                 shape = valid(Polygon(outline[:, :2]))
                 if node.getID() in corners:  # its outline encloses where people wait, too
                     shape = shape.difference(walked)

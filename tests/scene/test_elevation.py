@@ -149,6 +149,12 @@ def test_no_other_file_and_no_address_is_read(tmp_path):
             with_elevation(place(), tmp_path / name, RADIUS)
 
 
+def test_beyond_the_radius_the_nearest_height_goes_on(tmp_path):
+    found = with_elevation(place(), model(tmp_path / "dem.tif", reach=24.0), RADIUS)
+    edge = terrain_of(found, RADIUS).height(np.array([[CENTER[0] + 34.0, CENTER[1]]]))
+    assert edge == pytest.approx(plane(CENTER[0] + 23.0, CENTER[1]), abs=0.11)
+
+
 def test_there_is_no_step_at_the_rim_of_what_is_known():
     """Points on one side of a place: beyond them the surface goes on as their rim is."""
     corners = np.array([[-40.0, -40.0], [60.0, -30.0], [-30.0, 50.0], [5.0, -2.0]])

@@ -375,6 +375,8 @@ def test_crosswalks_are_the_maps_or_strips_with_a_note():
     for shape in (shapely.Polygon(c[:, :2]) for c in near):
         assert own.regions[Region.CROSSWALK].intersection(shape).area > 0.98 * shape.area
 
+    assert own.regions[Region.JUNCTION].contains(shapely.Point(-62.0, -20.5))  # a median's gap
+
     bare = read_map(town("Town05"), junction=53)
     assert any("the map has no crosswalks here" in note for note in bare.notes)
     strips = mouth_crosswalks(bare.arms)

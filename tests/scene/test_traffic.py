@@ -356,8 +356,9 @@ def counted(counts: list[int], frames: int = 2) -> TrafficFrames:
 
 
 def test_a_full_place_has_as_many_as_asked_for_and_every_class() -> None:
-    """Arms of 26 m with two lanes each way: 47 vehicles and cyclists do not fit."""
-    traffic = waypoint_traffic(crossing(), radius=40, count=60, frames=40)
+    """Arms of 26 m with two lanes each way: 47 vehicles and cyclists do not fit; it repeats."""
+    traffic, again = (waypoint_traffic(crossing(), radius=40, count=60, frames=n) for n in (40, 5))
+    assert np.array_equal(again.center, traffic.center[:5, : again.valid.shape[1]])
     assert overlapping(traffic) == []
     assert traffic.mean_count == pytest.approx(60, rel=0.07)
     by_road = slice(0, PEDESTRIAN)

@@ -349,8 +349,7 @@ def _is_area(tags: Tags) -> bool:
 
 def _elevation(text: str) -> float | None:
     """The metres of a tag ``ele``; None where they are no height on this Earth."""
-    try:
-        height = float(text.removesuffix("m"))
-    except ValueError:
-        return None
-    return height if LOWEST < height < HIGHEST_LAND else None
+    with suppress(ValueError):
+        if LOWEST < (height := float(text.removesuffix("m"))) < HIGHEST_LAND:
+            return height
+    return None

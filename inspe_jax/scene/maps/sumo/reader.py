@@ -318,9 +318,8 @@ def _on_heights(
     """A place on ground through spot heights, if they lie around its roads."""
     if len(spots) < SPOTS:
         return place
-    roads = unary_union(list(place.regions.values())).intersection(
-        Point(place.center[:2]).buffer(radius)
-    )
+    near = Point(place.center[:2]).buffer(radius)
+    roads = unary_union(list(place.regions.values())).intersection(near)
     if not MultiPoint(spots[:, :2]).convex_hull.buffer(NEAR_SPOTS).covers(roads):
         notes.append(f"the map's {len(spots)} points with a height do not lie around it: level")
         return place

@@ -37,12 +37,9 @@ def paths_through(
     streets: SumoMap, center: np.ndarray, radius: float
 ) -> dict[str, list[TravelPath]]:
     """The travel paths of each road-user class through the region of interest."""
-    return {
-        kind: _walks(streets, center, radius)
-        if kind == "pedestrian"
-        else _drives(streets, V_CLASS[kind], center, radius)
-        for kind in CLASSES
-    }
+    drives = [kind for kind in CLASSES if kind != "pedestrian"]
+    found = {kind: _drives(streets, V_CLASS[kind], center, radius) for kind in drives}
+    return found | {"pedestrian": _walks(streets, center, radius)}
 
 
 @dataclass(frozen=True)

@@ -30,14 +30,14 @@ def starting_layout(
     if there are more sensors than posts, no sensor, or nowhere to put a pole.
     """
     specs = {name: (own or {}).get(name) or device(name).spec for name in counts}
-    wanted = [(name, specs[name]) for name, n in counts.items() for _ in range(n)]
+    wanted = [specs[name] for name, n in counts.items() for _ in range(n)]
     if not wanted:
         raise InspeError("a mix needs at least one sensor")
-    wanted.sort(key=lambda row: row[1].aimed)
+    wanted.sort(key=lambda spec: spec.aimed)
     site = Site(scene.intersection, scene.voxels.radius, depth=30.0, bodies=scene.statics)
-    feet = np.concatenate([site.corners, site.roadsides])
-    posts = [f"corner {i + 1}" for i in range(len(site.corners))]
-    posts += [f"roadside {i + 1}" for i in range(len(site.roadsides))]
+    sorts = {"corner": site.corners, "roadside": site.roadsides}
+    feet = np.concatenate([*sorts.values()])
+    posts = [f"{sort} {i + 1}" for sort, those in sorts.items() for i in range(len(those))]
     order = farthest_first(feet, len(feet))
     if len(wanted) > len(order):
         raise InspeError(
@@ -45,7 +45,7 @@ def starting_layout(
             "roadsides; allow fewer sensors"
         )
     views = []
-    for (_, spec), at in zip(wanted, order, strict=False):
+    for spec, at in zip(wanted, order, strict=False):
         post, foot = posts[at], feet[at]
         view = site.camera(post, foot, site.center) if spec.aimed else site.lidar(post, foot)
         views.append((view, spec))

@@ -87,8 +87,7 @@ class Site:
         return tuple(map(self._moved_in, arms))
 
     def _moved_in(self, arm: Arm) -> Arm:
-        along, _ = arm.axes
-        out = np.asarray(arm.mouth) - self.center
+        along, out = arm.axes[0], np.asarray(arm.mouth) - self.center
         aside = out - (out @ along) * along
         furthest = np.sqrt(max(CORE**2 - aside @ aside, 0.0))
         x, y = np.asarray(arm.mouth) - max(out @ along - furthest, 0.0) * along
@@ -162,8 +161,7 @@ class Site:
 
     def body_near(self, foot: Float[np.ndarray, "2"], within: float = 0.0) -> StaticBody | None:
         """The first body that lets no unit stand at ``foot`` (x, y), deeper than ``within`` [m]."""
-        carried = self.carrier_at(foot) is not None
-        at = Point(foot)
+        carried, at = self.carrier_at(foot) is not None, Point(foot)
         for one, room in zip(self.bodies, self.rooms, strict=True):
             if carried and one in self.carriers:
                 continue
@@ -184,12 +182,10 @@ class Site:
 
     def convex(self) -> list[Float[np.ndarray, "N 2"]]:
         """Outlines of convex pieces that cover the core, about the centre, the largest first."""
-        parts = [
-            p for p in shapely.get_parts(self.core) if isinstance(p, Polygon) and not p.is_empty
-        ]
         triangles = [
             np.array(t.exterior.coords)[:3]
-            for part in parts
+            for part in shapely.get_parts(self.core)
+            if isinstance(part, Polygon) and not part.is_empty
             for t in shapely.constrained_delaunay_triangles(part).geoms
         ]
         found = merge(np.array(triangles).reshape(-1, 3, 2) - self.center)
@@ -261,13 +257,12 @@ class Site:
         Where the gap between two arms is narrow, one pole serves both, and the right one stands
         :data:`SETBACK` farther out.
         """
-        wanted: list[np.ndarray] = []
-        right: list[np.ndarray] = []
-        for i, (arm, gap) in enumerate(zip(self.arms, self.gaps, strict=True)):
-            following = self.arms[(i + 1) % len(self.arms)]
-            wanted.append(arm.kerb(+1) if gap > WIDE else (arm.kerb(+1) + following.kerb(-1)) / 2)
-            right.append(arm.kerb(-1, 0.0 if self.gaps[i - 1] > WIDE else SETBACK))
-        return self._stand(wanted + right, "corner")
+        arms, wide = self.arms, self.gaps > WIDE
+        facing = zip(arms, arms[1:] + arms[:1], wide, strict=True)
+        left = [a.kerb(+1) if alone else (a.kerb(+1) + b.kerb(-1)) / 2 for a, b, alone in facing]
+        before = zip(arms, np.roll(wide, 1), strict=True)
+        right = [arm.kerb(-1, 0.0 if alone else SETBACK) for arm, alone in before]
+        return self._stand(left + right, "corner")
 
     @cached_property
     def roadsides(self) -> Float[np.ndarray, "2N 2"]:
@@ -311,14 +306,12 @@ class Site:
         at 0.6 of the camera's depth. ``mast`` is the length of an arm towards the junction [m],
         none if the camera is too low to hang over traffic.
         """
-        height = self.camera_height or height
-        inward = self.center - foot
+        height, inward, aim = self.camera_height or height, self.center - foot, target - foot
         reach = min(mast, float(np.hypot(*inward))) if height >= _CLEARANCE else 0.0
         offset = reach * inward / max(float(np.hypot(*inward)), 1e-9)
         if not offset.any():
-            aim = target - foot
             offset = self._bracket(foot, np.arctan2(aim[1], aim[0]) if yaw is None else yaw)
-        to = target - foot - offset
+        to = aim - offset
         if yaw is None:
             yaw = float(np.arctan2(to[1], to[0]))
         along = float(to @ [np.cos(yaw), np.sin(yaw)])

@@ -1,15 +1,9 @@
 """The paper's placements by name, generated for any intersection.
 
-A strategy is a row of :data:`STRATEGIES`. InSPE (arXiv 2504.08240), section 4, names the placements
-and counts their devices; where they stand is decided here:
-
-- *corner*: where the left kerb of an arm (looking outward) meets the right kerb of the next, on a
-  signal pole that stands near, or on the nearest mounting area. Where the gap between two arms is
-  wide, as on the far side of a T, each kerb has a corner of its own.
-- *roadside*: a pole at the right kerb of an arm, :data:`SETBACK` outside the mouth.
-- *centre*: a span wire over the middle of the junction; at a roundabout, the central island.
-
-Everything is relative to the intersection's first arm, so a layout turns with its intersection.
+InSPE (arXiv 2504.08240), section 4, names the placements and counts their devices. A *corner* is
+where the left kerb of an arm (looking outward) meets the right kerb of the next; a *roadside* pole
+is at the right kerb of an arm, :data:`SETBACK` outside the mouth; the *centre* is a span wire, or
+the island of a roundabout. All is relative to the first arm: a layout turns with its intersection.
 """
 
 from collections.abc import Callable
@@ -39,8 +33,6 @@ from inspe_jax.sensing.layout import UNIT_HEIGHT, UNIT_PLAN, Layout, Sensor, Uni
 from inspe_jax.sensing.named import LAYOUT_RULES
 from inspe_jax.sensing.sensors import CameraSpec, LidarSpec, Spec
 
-# ── The rules ───────────────────────────────────────────────────────────────
-
 
 def central_cameras(site: Site) -> list[View]:
     """Cameras over the centre in all directions, the first along the widest arm, each aimed at
@@ -59,46 +51,36 @@ def corner_cameras(site: Site) -> list[View]:
     From a pole far beside its arm, as at a roundabout, the first camera looks at the arm. With two
     arms, cameras on the poles at their other kerbs look out as well.
     """
-    arms = site.arms
-    left, right = np.split(site.corners, 2)
+    arms, corners = site.arms, site.corners
 
-    def out(i: int, foot: np.ndarray, post: str) -> View:
-        ahead = arms[i].kerb(0, 10.0)
+    def out(i: int, right: bool = False) -> View:
+        foot, ahead = corners[i + right * len(arms)], arms[i].kerb(0, 10.0)
         aside = abs((foot - ahead) @ arms[i].axes[1]) - arms[i].width / 2
         yaw = arms[i].bearing if aside <= ASIDE else None
+        post = f"right corner {i + 1}" if right else f"corner {i + 1}"
         return site.camera(post, foot, ahead, yaw=yaw, mast=MAST)
 
     def back(i: int) -> View:
         yaw = arms[i].bearing + np.pi
-        return site.camera(f"corner {i + 1}", left[i], site.center, yaw=yaw, mast=MAST)
+        return site.camera(f"corner {i + 1}", corners[i], site.center, yaw=yaw, mast=MAST)
 
-    return _fill(
-        site,
-        lambda i: out(i, left[i], f"corner {i + 1}"),
-        back,
-        lambda i: out(i, right[i], f"right corner {i + 1}"),
-    )
+    return _fill(site, out, back, lambda i: out(i, right=True))
 
 
 def roadside_cameras(site: Site) -> list[View]:
     """A camera on each arm's roadside pole looks at the crosswalk and junction, a second outward;
     with only two arms, cameras on the poles at their other kerbs look at the crosswalks as well."""
-    arms = site.arms
-    right, left = np.split(site.roadsides, 2)
+    arms, feet = site.arms, site.roadsides
 
-    def inward(i: int, foot: np.ndarray, post: str) -> View:
-        mouth = np.asarray(arms[i].mouth)
-        return site.camera(post, foot, mouth + (site.center - mouth) / 3)
+    def inward(i: int, left: bool = False) -> View:
+        mouth, post = np.asarray(arms[i].mouth), "left roadside" if left else "roadside"
+        target = mouth + (site.center - mouth) / 3
+        return site.camera(f"{post} {i + 1}", feet[i + left * len(arms)], target)
 
     def outward(i: int) -> View:
-        return site.camera(f"roadside {i + 1}", right[i], arms[i].kerb(0, SETBACK + 20.0))
+        return site.camera(f"roadside {i + 1}", feet[i], arms[i].kerb(0, SETBACK + 20.0))
 
-    return _fill(
-        site,
-        lambda i: inward(i, right[i], f"roadside {i + 1}"),
-        outward,
-        lambda i: inward(i, left[i], f"left roadside {i + 1}"),
-    )
+    return _fill(site, inward, outward, lambda i: inward(i, left=True))
 
 
 def _fill(site: Site, *tiers: Callable[[int], View]) -> list[View]:
@@ -189,10 +171,6 @@ def strategy(
     """
     scene = scene_of(scene)
     own, place = scene.profile, scene.intersection
-    camera_height = own.camera_height if camera_height is None else camera_height
-    lidar_height = own.lidar_height if lidar_height is None else lidar_height
-    if camera_pitch_deg is None:
-        camera_pitch_deg = own.camera_pitch_deg
     chosen = choose(name, camera, lidar, camera_height, lidar_height, camera_pitch_deg, own)
     row = STRATEGIES[chosen.name]
     if len(place.arms) < 2:
@@ -200,15 +178,8 @@ def strategy(
             f"{place.name}: it has {len(place.arms)} arm{'s' * (not place.arms)}; strategies need "
             "at least 2"
         )
-    site = Site(
-        place,
-        scene.voxels.radius,
-        chosen.camera.grid.reach,
-        camera_height,
-        lidar_height,
-        None if camera_pitch_deg is None else float(np.radians(camera_pitch_deg)),
-        bodies=scene.statics,
-    )
+    depth = chosen.camera.grid.reach
+    site = Site(place, scene.voxels.radius, depth, *chosen.mounted, bodies=scene.statics)
     rules = (row.cameras, chosen.camera), (row.lidars, chosen.lidar)
     views = [(view, spec) for rule, spec in rules if rule for view in rule(site)]
     return replace(join(chosen.name, place, views), profile=own.name)
@@ -218,11 +189,13 @@ LAYOUT_RULES.update(dict.fromkeys(STRATEGIES, strategy))
 
 
 class Chosen(NamedTuple):
-    """A strategy's name and its devices."""
+    """A strategy's name, its devices, and how they are mounted: the heights of cameras and LiDARs
+    [m] and the cameras' pitch [rad], each None where the rule chooses it."""
 
     name: str
     camera: Spec
     lidar: Spec
+    mounted: tuple[float | None, float | None, float | None]
 
 
 def choose(
@@ -237,6 +210,9 @@ def choose(
     """The strategy and devices that the options of :func:`strategy` mean under a profile, None for
     the default one. Raises InspeError as :func:`strategy` does for its options."""
     own = profile or profile_of(DEFAULT_PROFILE)
+    camera_height = own.camera_height if camera_height is None else camera_height
+    lidar_height = own.lidar_height if lidar_height is None else lidar_height
+    pitch_deg = own.camera_pitch_deg if camera_pitch_deg is None else camera_pitch_deg
     known = {key.lower(): key for key in STRATEGIES}
     key = known.get(name.strip().lower(), name)
     check_known(key, STRATEGIES, "no strategy")
@@ -247,13 +223,13 @@ def choose(
             raise InspeError(
                 f"{option} {height:g} m is out of range for {key}: between {low:g} and {high:g} m"
             )
-    if camera_pitch_deg is not None and not -90 <= camera_pitch_deg <= 0:
-        raise InspeError(
-            f"camera_pitch_deg {camera_pitch_deg:g}: between -90, straight down, and 0"
-        )
+    if pitch_deg is not None and not -90 <= pitch_deg <= 0:
+        raise InspeError(f"camera_pitch_deg {pitch_deg:g}: between -90, straight down, and 0")
     seeing = _device("camera", camera or own.camera, CameraSpec)
     usual = {32: own.lidar_32, 64: own.lidar_64}[row.beams]
-    return Chosen(key, seeing, _device("lidar", lidar or usual, LidarSpec))
+    pitch = None if pitch_deg is None else float(np.radians(pitch_deg))
+    mounted = camera_height, lidar_height, pitch
+    return Chosen(key, seeing, _device("lidar", lidar or usual, LidarSpec), mounted)
 
 
 def _device(option: str, of: str | Spec, kind: type[Spec]) -> Spec:

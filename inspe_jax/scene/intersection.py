@@ -139,15 +139,10 @@ class Intersection(Described):
     def lanes(self) -> BaseGeometry:
         """The ground of all lanes of vehicles."""
         # Mitred, because round joins would change a little where the world is turned.
-        return unary_union(
-            [
-                LineString(route.waypoints[:, :2]).buffer(
-                    route.width / 2, cap_style="flat", join_style="mitre"
-                )
-                for route in self.routes
-                if route.user == "vehicle" and len(route.waypoints) > 1
-            ]
-        )
+        drives = [r for r in self.routes if r.user == "vehicle" and len(r.waypoints) > 1]
+        lines = [LineString(route.waypoints[:, :2]) for route in drives]
+        half = [route.width / 2 for route in drives]
+        return unary_union(shapely.buffer(lines, half, cap_style="flat", join_style="mitre"))
 
     @cached_property
     def _ground_index(self) -> cKDTree:

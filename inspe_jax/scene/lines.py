@@ -124,8 +124,7 @@ def offset(line: Float[np.ndarray, "N 2"], left: float) -> Float[np.ndarray, "N 
 def at_distance(
     start: Float[np.ndarray, "2"], direction: Float[np.ndarray, "2"], distance: float
 ) -> Float[np.ndarray, "2"]:
-    """The point at which a ray from ``start``, which is nearer, is ``distance`` [m] from the
-    origin."""
+    """Where a ray from ``start``, which is nearer, is ``distance`` [m] from the origin."""
     along = float(start @ direction)
     return start + (np.sqrt(along**2 + distance**2 - start @ start) - along) * direction
 

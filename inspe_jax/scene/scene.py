@@ -335,11 +335,8 @@ def _pack(scene: Scene) -> dict[str, np.ndarray]:
     }
     arrays |= {f"shape_{i}": np.frombuffer(shapely.to_wkb(s), "u1") for i, s in enumerate(shapes)}
     arrays |= {f"grid_{k}": np.asarray(getattr(grid, k)) for k in _GRID}
-    for name, part in (
-        ("mesh", place.mesh),
-        ("terrain", scene.terrain),
-        ("traffic", scene.traffic),
-    ):
+    parts = {"mesh": place.mesh, "terrain": scene.terrain, "traffic": scene.traffic}
+    for name, part in parts.items():
         if part is not None:
             arrays |= {f"{name}_{f.name}": np.asarray(getattr(part, f.name)) for f in fields(part)}
     return arrays | pack_bodies(place.bodies, OF_MAP) | pack_bodies(scene.statics)

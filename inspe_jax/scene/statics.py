@@ -72,8 +72,7 @@ class StaticBody:
 
     @cached_property
     def pieces(self) -> tuple[Float[np.ndarray, "M 2"], ...]:
-        """Convex outlines of at most :data:`CORNERS` corners, counter-clockwise, that together
-        cover the outline exactly."""
+        """Convex outlines of at most :data:`CORNERS` corners that cover the outline exactly."""
         cut = shapely.constrained_delaunay_triangles(self.polygon).geoms
         triangles = np.array([t.exterior.coords[:3] for t in cut], float)
         return tuple(part for piece in merge(triangles, 0.0) for part in _cut(piece))

@@ -16,8 +16,8 @@ from inspe_jax.core.errors import InspeError, check_known
 from inspe_jax.scene.intersection import Intersection
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.statics import StaticBody, pole, tree, upright_box
-from inspe_jax.scene.traffic.frames import TrafficFrames
-from inspe_jax.scene.traffic.waypoint.walkways import with_walkways
+from inspe_jax.scene.traffic.frames import BodySize, TrafficFrames, drawn_size
+from inspe_jax.scene.traffic.waypoint.paths import with_walkways
 
 STATICS = ("none", "map", "street")
 """The static bodies that a scene may be built with: none, those of its map, or made-up ones."""
@@ -31,12 +31,12 @@ FROM_CROSSING = 5.0  # no vehicle, tree, wall or hedge is so near a crossing (Ge
 FROM_POLES = 2.5  # nothing stands this near to an existing pole [m]: sensors on it reach 2 m far
 MEDIAN = 8.0  # nobody parks between two carriageways that are less than this apart [m]
 APART = 0.3  # bodies are at least so far apart on the ground [m]
-PARKED: tuple[tuple[float, tuple[float, float, float]], ...] = (
-    (0.20, (3.6, 1.64, 1.50)),
-    (0.35, (4.1, 1.76, 1.48)),
-    (0.25, (4.6, 1.83, 1.46)),
-    (0.12, (4.7, 1.89, 1.70)),
-    (0.08, (5.3, 1.99, 2.10)),
+PARKED = (
+    BodySize(0.20, (3.6, 1.64, 1.50)),
+    BodySize(0.35, (4.1, 1.76, 1.48)),
+    BodySize(0.25, (4.6, 1.83, 1.46)),
+    BodySize(0.12, (4.7, 1.89, 1.70)),
+    BodySize(0.08, (5.3, 1.99, 2.10)),
 )
 """Shares and sizes of parked vehicles [m]: city car, small car, saloon or estate, SUV and van.
 Where the first choice does not fit, a narrower one may."""
@@ -147,7 +147,6 @@ class _Room:
         self.back = ground.boundary.intersection(self.area)
 
     def takes(self, one: StaticBody, from_crossings: float) -> bool:
-        """Whether a body may stand where it is."""
         foot, hangs = _footprint(one), one.polygon
         return (
             self.area.contains(hangs)
@@ -228,18 +227,12 @@ def _shelters(room: _Room, rng: np.random.Generator) -> None:
             return
 
 
-def parked_size(rng: np.random.Generator) -> tuple[float, float, float]:
-    """The size of a parked vehicle [m], by the shares of :data:`PARKED`."""
-    shares = np.array([share for share, _ in PARKED])
-    return PARKED[int(rng.choice(len(PARKED), p=shares / shares.sum()))][1]
-
-
 def _parked(room: _Room, rng: np.random.Generator) -> None:
     """Vehicles along the kerb, in rows with gaps: some 60 % of the places are taken."""
     for spot in room.along(room.kerb, lambda: float(rng.uniform(5.4, 6.4))):
         if rng.uniform() > 0.6:
             continue
-        first = parked_size(rng)
+        first = drawn_size(PARKED, rng)
         sizes = [first, *(size for _, size in reversed(PARKED) if size[1] < first[1])]
         turn = spot.yaw + np.pi * bool(rng.uniform() < 0.2)
         across = LineString([spot.moved(0.3), spot.moved(MEDIAN)])

@@ -4,12 +4,10 @@ import sys
 
 import numpy as np
 import pytest
-from osm_town import LAT, LON, degrees, full_town
 from worlds import MAPS
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.scene.georeference import Georeference, of_open_drive
-from inspe_jax.scene.maps.registry import georeference_of, junction_at, read_map
 
 pyproj = pytest.importorskip("pyproj", reason="needs pyproj: extra [geo]")
 
@@ -18,11 +16,10 @@ SOME = np.array([[0.0, 0.0], [30.0, -20.0], [-400.0, 900.0]])
 
 @pytest.mark.parametrize(
     ("code", "middle"),
-    [("EPSG:25832", (691608, 5334763)), ("EPSG:32633", (389000, 5820000)),
-     ("EPSG:3067", (385000, 6672000))],
-)  # fmt: skip
+    [("EPSG:25832", (691608, 5334763)), ("EPSG:3067", (385000, 6672000))],
+)
 def test_degrees_are_those_of_the_projection(code, middle):
-    """Against pyproj's other interface, which has no datum; these three are on WGS 84 or ETRS89."""
+    """Against pyproj's other interface, which has no datum; both are on WGS 84 or ETRS89."""
     georeference = Georeference(code, tuple(-np.array(middle, float)))
     found = georeference.to_degrees(SOME)
     plain = np.column_stack(pyproj.Proj(code)(*(SOME + middle).T, inverse=True))
@@ -87,23 +84,3 @@ def test_carla_s_own_maps_lie_where_its_client_says(lat, lon):
         there = town.transform_to_geolocation(carla.Location(x=float(x), y=float(y), z=0.0))
         at = georeference.from_degrees(np.array([[there.longitude, there.latitude]]))[0]
         assert np.hypot(*(at - [x, y])) <= 0.007 * np.hypot(x, y) + 1e-6
-
-
-@pytest.fixture(scope="module")
-def town(tmp_path_factory):
-    pytest.importorskip("sumolib", reason="needs SUMO: extra [sumo]")
-    path = tmp_path_factory.mktemp("town") / "city.osm"
-    full_town().write(path)
-    return path
-
-
-def test_a_junction_is_found_by_its_coordinates(town):
-    (lon, lat), *_ = degrees([(12, -9)])
-    found = junction_at(town, lat, lon)
-    place = read_map(town, junction=found.id, radius=20)
-    middle = georeference_of(town).to_degrees(np.array([place.center[:2]]))[0]
-    assert np.abs(middle - [LON, LAT]).max() < 1e-5
-    with pytest.raises(InspeError, match=r"no junction within 100 m of 48,11; the middle of"):
-        junction_at(town, 48.0, 11.0)
-    with pytest.raises(InspeError, match="a latitude of -90 to 90"):
-        junction_at(town, lon + 100, lat)

@@ -201,7 +201,7 @@ def lane(y, width, length=48.0, bend=0.0):
     lift = (1 - np.cos(turn)) / bend if bend else 0 * s
     center = np.column_stack([x - length / 2, y + lift, 0 * s])
     ahead = np.column_stack([np.cos(turn), np.sin(turn)])
-    return LaneStrip.along(1, 1, -1, "parking", center, ahead, width)
+    return LaneStrip.along(1, -1, "parking", center, ahead, width)
 
 
 def parked(place, lanes, spaces, reach):

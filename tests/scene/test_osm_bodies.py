@@ -12,9 +12,14 @@ from shapely.geometry import LineString, Point, Polygon
 from inspe_jax.core.digest import digest
 from inspe_jax.core.errors import InspeError
 from inspe_jax.scene.maps.bodies import simple_pieces
+from inspe_jax.scene.maps.openstreetmap.bodies import Sizes, length_of
 from inspe_jax.scene.maps.openstreetmap.extract import read_extract
-from inspe_jax.scene.maps.openstreetmap.sizes import Sizes, length_of
-from inspe_jax.scene.maps.registry import list_junctions, read_map
+from inspe_jax.scene.maps.registry import (
+    georeference_of,
+    junction_at,
+    list_junctions,
+    read_map,
+)
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.scene import build_scene, load_scene, save_scene
 from inspe_jax.scene.street import map_bodies
@@ -63,12 +68,15 @@ def test_the_middle_of_each_road_is_where_its_nodes_are(path, place):
         assert np.hypot(*(np.array(across.centroid.coords[0]) - middle)) < 0.02
 
 
-def test_a_house_is_as_large_as_in_the_file(path, bodies):
-    """Degrees are written to 0.1 mm."""
-    (house,) = at(path, bodies, (16, 15))
-    corners = world(path, box(10, 10, 22, 20))
-    assert house.polygon.symmetric_difference(Polygon(corners)).area < 44 * 1e-4
-    assert house.polygon.area == pytest.approx(120, rel=1e-3)  # UTM's scale here: 1.0001
+def test_a_junction_is_found_by_its_coordinates(path):
+    (lon, lat), *_ = degrees([(12, -9)])
+    found = junction_at(path, lat, lon)
+    middle = georeference_of(path).to_degrees(np.array([found.center[:2]]))[0]
+    assert np.abs(middle - [LON, LAT]).max() < 1e-5
+    with pytest.raises(InspeError, match=r"no junction within 100 m of 48,11; the middle of"):
+        junction_at(path, 48.0, 11.0)
+    with pytest.raises(InspeError, match="a latitude of -90 to 90"):
+        junction_at(path, lon + 100, lat)
 
 
 def test_heights_and_where_no_body_is(path, bodies):
@@ -239,6 +247,7 @@ def test_outlines_that_the_extract_cuts_are_closed_or_left_out(tmp_path):
                   height="7")  # fmt: skip
     path = town.write(tmp_path / "cut.osm")
     (info,) = list_junctions(path)
+    assert info.arms == 4
     place = read_map(path, junction=info.id, radius=40)
     assert sorted(b.height for b in place.bodies) == [4, 7]
     assert any("are not closed: 4, left out" in note for note in place.notes)

@@ -139,16 +139,6 @@ def test_every_kind_has_its_size(place, spots, tmp_path):
     assert "building" in {one.kind for one in scene.statics}
 
 
-def test_what_stands_on_lanes_is_cut_and_said(place, tmp_path):
-    x, y = place.center[:2]
-    path = write(tmp_path / "own.geojson", place, [shapely.box(x - 25, y - 25, x + 25, y + 25)])
-    found = with_own_bodies(place, path, REACH)
-    lanes = Ways.of(place).lanes
-    assert found.bodies
-    assert max(one.polygon.intersection(lanes).area for one in found.bodies) < 0.01
-    assert any("own.geojson: 1 body on lanes" in note for note in found.notes)
-
-
 def test_a_table_of_poles(place, spots, tmp_path):
     (lon, lat), (east, north) = place.georeference.to_degrees(spots[:2]).tolist()
     path = tmp_path / "poles.csv"

@@ -10,7 +10,6 @@ from shapely.geometry import LineString, Point, box
 from shapely.ops import unary_union
 
 from inspe_jax.core.errors import InspeError
-from inspe_jax.scene.lines import bend, offset, onto_ring
 from inspe_jax.scene.procedural.built_ins import BUILT_INS, built_in, crossing
 from inspe_jax.scene.regions import Region
 
@@ -67,22 +66,6 @@ def test_areas_of_the_t_junction():
     area = 23 * 14 + 8 * 7 + 2 * (1 - np.pi / 4) * 64
     assert place.regions[Region.JUNCTION].area == pytest.approx(area, abs=0.2)
     assert place.regions[Region.DRIVEWAY].area == pytest.approx(2 * 108.5 * 14 + 105 * 7)
-
-
-def test_areas_of_the_triangle():
-    """Kerbs of 15 m radius turn 60° between roads of 7 m at 120°.
-
-    The arcs' centres are 3.5 + 15 m from both axes, so arcs begin (3.5 + 15) / tan 60° out; but
-    mouths are never nearer than the corner's radius.
-    """
-    place = PLACES["triangle"]
-    station = (3.5 + 15) / np.tan(np.radians(60))
-    mouth = max(station, 15.0)
-    assert [np.hypot(*arm.mouth) for arm in place.arms] == pytest.approx([mouth] * 3)
-    # Per corner a kite of middle, two axes and the arc's centre, less the sector; per road the
-    # straight bit from there to the mouth.
-    area = 3 * (station * (3.5 + 15) - np.radians(60) / 2 * 15**2 + 7 * (mouth - station))
-    assert place.regions[Region.JUNCTION].area == pytest.approx(area, rel=1e-3)
 
 
 def test_areas_of_the_roundabout():
@@ -309,22 +292,6 @@ def test_people_walk_on_sidewalks_and_crosswalks(name):
     ramp = PLACES["highway_ramp"]
     assert not routes(ramp, "pedestrian")
     assert all(ramp.regions[r].is_empty for r in (Region.CROSSWALK, Region.SIDEWALK))
-
-
-def test_offsets_and_bends_are_where_they_say():
-    """A mitred corner; an arc between its tangents; the way onto a ring, which touches both."""
-    square = offset(np.array([[0.0, 0.0], [4.0, 0.0], [4.0, 4.0]]), 1.0)
-    np.testing.assert_allclose(square, [[0, 1], [3, 1], [3, 4]], atol=1e-12)
-    east, north = np.eye(2)
-    line = bend(np.array([-10.0, 0.0]), east, np.array([0.0, 20.0]), north, 6.0)
-    ends = line[[0, 1, -2, -1]]
-    np.testing.assert_allclose(ends, [[-10, 0], [-6, 0], [0, 6], [0, 20]], atol=1e-9)
-    np.testing.assert_allclose(np.hypot(*(line[1:-1] - [-6, 6]).T), 6)
-    shift = bend(np.zeros(2), east, np.array([30.0, 3.5]), east)  # to another lane, nowhere back
-    assert (np.diff(shift, axis=0) >= 0).all()
-    line = onto_ring(4.5, 18.0, 12.0)
-    assert line[0] == pytest.approx([np.sqrt(30**2 - 16.5**2), 4.5])
-    assert np.hypot(*line[-1]) == np.hypot(*line.T).min() == pytest.approx(18)
 
 
 def test_a_built_in_that_is_not_known_is_an_error():

@@ -174,7 +174,6 @@ def _free_tree(shape: Shape, ways: Ways, counts: "Counter[str]") -> Shape | None
 
 
 def _bodies(shape: Shape) -> Iterator[StaticBody]:
-    """The bodies on the simple polygons of a shape."""
     rest = dict(base=shape.base, transmittance=shape.transmittance, trunk=shape.trunk)
     for simple in simple_pieces(shape.area):
         if simple.area > SMALL[shape.kind]:

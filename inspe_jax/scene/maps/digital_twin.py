@@ -154,7 +154,6 @@ class _Grid:
         return self.corner + (np.column_stack(np.divmod(cell, self.side)) + 0.5) * CELL
 
     def inside(self, area: BaseGeometry) -> BaseGeometry:
-        """The part of an area that lies in the grid."""
         return area.intersection(shapely.box(*self.corner, *(self.corner + self.side * CELL)))
 
     def surfaces(
@@ -166,12 +165,26 @@ class _Grid:
         first = np.clip(np.ceil(at.min(1)), 0, self.side).astype(int)
         count = np.clip(np.floor(at.max(1)), -1, self.side - 1).astype(int) + 1 - first
         number = np.where((count > 0).all(1), count.prod(1), 0)
+
+        def within(part: slice) -> tuple[np.ndarray, np.ndarray]:
+            """The cells whose middle a triangle covers, and its height there."""
+            which, nth = _repeated(number[part])
+            i = first[part][which, 0] + nth // np.maximum(count[part][which, 1], 1)
+            j = first[part][which, 1] + nth % np.maximum(count[part][which, 1], 1)
+            (ax, ay), (bx, by), (cx, cy) = (at[part][which, k].T for k in range(3))
+            area = (bx - ax) * (cy - ay) - (cx - ax) * (by - ay)
+            flat = np.abs(area) < 1e-12  # upright triangles
+            area = np.where(flat, 1.0, area)
+            v = ((i - ax) * (cy - ay) - (cx - ax) * (j - ay)) / area
+            w = ((bx - ax) * (j - ay) - (i - ax) * (by - ay)) / area
+            inside = ~flat & (v >= 0) & (w >= 0) & (v + w <= 1)  # on an edge, in both triangles
+            za, zb, zc = (triangles[part][which, k, 2] for k in range(3))
+            height = za + v * (zb - za) + w * (zc - za)
+            return (i * self.side + j)[inside], height[inside]
+
         parts = np.searchsorted(number.cumsum(), np.arange(0, number.sum() + AT_ONCE, AT_ONCE))
-        found = [
-            self._within(at[a:b], triangles[a:b, :, 2], first[a:b], count[a:b], number[a:b])
-            for a, b in zip(parts, [*parts[1:], len(number)], strict=True)
-            if b > a
-        ]
+        pairs = zip(parts, [*parts[1:], len(number)], strict=True)
+        found = [within(slice(a, b)) for a, b in pairs if b > a]
         cell, z = (np.concatenate(part) for part in zip(*found, strict=True))
         order = np.lexsort([z, cell])
         return cell[order], z[order]
@@ -197,29 +210,6 @@ class _Grid:
         at = np.floor((points[:, :2] - self.corner) / CELL).astype(int)
         inside = ((at >= 0) & (at < self.side)).all(1)
         return (at[:, 0] * self.side + at[:, 1])[inside], points[inside, 2]
-
-    def _within(
-        self,
-        at: np.ndarray,
-        z: np.ndarray,
-        first: np.ndarray,
-        count: np.ndarray,
-        number: np.ndarray,
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """The cells whose middle a triangle covers, and its height there."""
-        which, nth = _repeated(number)
-        i = first[which, 0] + nth // np.maximum(count[which, 1], 1)
-        j = first[which, 1] + nth % np.maximum(count[which, 1], 1)
-        (ax, ay), (bx, by), (cx, cy) = (at[which, k].T for k in range(3))
-        area = (bx - ax) * (cy - ay) - (cx - ax) * (by - ay)
-        flat = np.abs(area) < 1e-12  # upright triangles
-        area = np.where(flat, 1.0, area)
-        v = ((i - ax) * (cy - ay) - (cx - ax) * (j - ay)) / area
-        w = ((bx - ax) * (j - ay) - (i - ax) * (by - ay)) / area
-        inside = ~flat & (v >= 0) & (w >= 0) & (v + w <= 1)  # on an edge, in both triangles
-        za, zb, zc = (z[which, k] for k in range(3))
-        height = za + v * (zb - za) + w * (zc - za)
-        return (i * self.side + j)[inside], height[inside]
 
 
 def _repeated(number: Int[np.ndarray, " F"]) -> tuple[Int[np.ndarray, " N"], Int[np.ndarray, " N"]]:
@@ -263,7 +253,6 @@ def _shapes(
     cell: Int[np.ndarray, " N"],
     z: Float[np.ndarray, " N"],
 ) -> Iterator[Shape]:
-    """Solids of cells of like heights over the ground."""
     upright, edges = grid.upright(world)
     edges = edges - place.ground(grid.middle(upright))
     over = z - place.ground(grid.middle(cell))

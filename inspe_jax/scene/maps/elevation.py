@@ -115,7 +115,6 @@ def _check(model: Any, path: Path) -> None:
 
 
 def _in_projection(place: Intersection, path: Path, model: Any, at: np.ndarray) -> np.ndarray:
-    """World points as coordinates of a model."""
     if model.crs is None:
         return at if place.georeference is None else at - place.georeference.shift
     if place.georeference is None:

@@ -123,7 +123,7 @@ def _gap(a: Approach, b: Approach) -> float:
 def _arm(group: list[Approach]) -> Arm:
     along = np.sum([[np.cos(g.bearing), np.sin(g.bearing)] for g in group], axis=0)
     bearing = heading(along)
-    axes = np.array([[np.cos(bearing), np.sin(bearing)], [-np.sin(bearing), np.cos(bearing)]])
+    axes = Arm((0.0, 0.0), bearing, 0.0).axes
     kerbs = np.array([axes @ g.point(k) for g in group for k in g.kerbs])  # (2 or 4, 2)
     low, high = kerbs[:, 1].min(), kerbs[:, 1].max()
     x, y = np.array([kerbs[:, 0].mean(), (low + high) / 2]) @ axes
@@ -141,7 +141,6 @@ class LaneStrip:
     """
 
     road: int
-    lane: int
     junction: int
     kind: str
     center: Float[np.ndarray, "N 3"]
@@ -150,14 +149,14 @@ class LaneStrip:
 
     @classmethod
     def along(
-        cls, road: int, lane: int, junction: int, kind: str, center: Float[np.ndarray, "N 3"],
+        cls, road: int, junction: int, kind: str, center: Float[np.ndarray, "N 3"],
         ahead: Float[np.ndarray, "N 2"], width: Float[np.ndarray, " N"] | float,
     ) -> "LaneStrip":  # fmt: skip
         """A strip of a width [m] along a middle line with unit headings ``ahead``."""
         half = np.broadcast_to(width, len(center))[:, None] / 2
         across = np.column_stack([-ahead[:, 1], ahead[:, 0]]) * half
         left, right = center[:, :2] + across, center[:, :2] - across
-        return cls(road, lane, junction, kind, center, left, right)
+        return cls(road, junction, kind, center, left, right)
 
     @functools.cached_property
     def polygon(self) -> BaseGeometry:

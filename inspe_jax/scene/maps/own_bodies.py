@@ -104,7 +104,6 @@ def _poles_left_out(
 
 
 def _once(shapes: Iterable[Shape]) -> Iterator[Shape]:
-    """The shapes, without poles that stand where an earlier one does."""
     feet: list[BaseGeometry] = []
     for one in shapes:
         if one.kind != "pole" or not shapely.dwithin(feet, one.area, SAME_POLE).any():
@@ -113,7 +112,6 @@ def _once(shapes: Iterable[Shape]) -> Iterator[Shape]:
 
 
 def _shapes(one: Feature) -> Iterator[Shape]:
-    """The bodies of one feature."""
     where, own = one.where, check_model(_Properties, one.properties, f"{one.where}.properties")
     for part in shapely.get_parts(shapely.get_parts(one.geometry)):
         if part.geom_type not in USUAL or part.is_empty:

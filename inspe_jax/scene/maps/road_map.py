@@ -185,8 +185,7 @@ class MapJunction(ABC):
     def areas(
         self, lane_strips: list[LaneStrip], notes: list[str]
     ) -> dict[Region, list[BaseGeometry]]:
-        """The parts of each region but for crosswalks, which may overlap; ``notes`` get what was
-        assumed."""
+        """Parts, which may overlap, of all regions but crosswalks; ``notes`` get assumptions."""
 
     @abstractmethod
     def drives(self, arm_of: dict[tuple[int, str], int]) -> Iterable[Route]:

@@ -41,25 +41,21 @@ class _PacketReader:
         self.data, self.at = data, 0
 
     def take(self, form: str) -> tuple[Any, ...]:
-        """Numbers in struct's notation."""
         values = struct.unpack_from("<" + form, self.data, self.at)
         self.at += struct.calcsize("<" + form)
         return values
 
     def text(self) -> str:
-        """A string, which has its length before it."""
         (length,) = self.take("H")
         self.at += length
         return self.data[self.at - length : self.at].decode()
 
     def rows(self, form: str) -> Iterator[tuple[Any, ...]]:
-        """Rows of numbers, which have their count before them."""
         (count,) = self.take("H")
         for _ in range(count):
             yield self.take(form)
 
     def by_actor(self) -> dict[int, np.ndarray]:
-        """Six numbers for each actor."""
         return {actor: np.array(six) for actor, *six in self.rows("I6f")}
 
 
@@ -111,7 +107,6 @@ def load_log(path: Path) -> RecorderLog:
 
 
 def _read_packets(reader: _PacketReader, log: RecorderLog) -> None:
-    """Fill a log with what its packets hold."""
     actors: dict[int, tuple[str, dict[str, str]]] = {}
     while reader.at < len(reader.data):
         packet, size = reader.take("BI")
@@ -139,8 +134,7 @@ def _read_packets(reader: _PacketReader, log: RecorderLog) -> None:
 
 
 def kind_of(name: str, facts: dict[str, str], length: float) -> int | None:
-    """The class of an actor, an index into :data:`~inspe_jax.scene.traffic.frames.CLASSES`; None if
-    it is no road user.
+    """The class of an actor, an index into :data:`CLASSES`; None if it is no road user.
 
     A vehicle with two wheels is a cyclist, also a motorcycle. From CARLA 0.9.14 on, the blueprint
     says whether a vehicle is a truck or a bus; before, its length [m] does.
@@ -213,7 +207,6 @@ def _at(log: RecorderLog, times: np.ndarray, time: float) -> _Moment:
 def _snapshot(
     log: RecorderLog, moment: _Moment, intersection: Intersection, radius: float
 ) -> Snapshot:
-    """The road users of one moment, in world metres (ENU)."""
     who = [actor for actor in moment.where if actor in log.kinds]
     still = np.zeros(6)
     x, y, z, roll, pitch, yaw = np.reshape([moment.where[actor] for actor in who], (-1, 6)).T

@@ -52,10 +52,16 @@ ROAD_USERS: tuple[RoadUser, ...] = (
 
 
 class BodySize(NamedTuple):
-    """A sort of a class: its share of it, and its mean length, width and height [m]."""
+    """A sort of body: its share among others, and its mean length, width and height [m]."""
 
     share: float
     size: tuple[float, float, float]
+
+
+def drawn_size(bodies: Sequence[BodySize], rng: np.random.Generator) -> tuple[float, float, float]:
+    """The mean size [m] of one of these bodies, drawn by their shares."""
+    share = np.array([body.share for body in bodies])
+    return bodies[int(rng.choice(len(bodies), p=share / share.sum()))].size
 
 
 @dataclass(frozen=True)
@@ -73,10 +79,7 @@ class Mix:
     def mean_size(self, kind: int, rng: np.random.Generator) -> Float[np.ndarray, "3"]:
         """The mean size [m] of a road user of the class CLASSES[kind]."""
         bodies = self.bodies.get(CLASSES[kind])
-        if not bodies:
-            return np.array(ROAD_USERS[kind].size)
-        share = np.array([body.share for body in bodies])
-        return np.array(bodies[rng.choice(len(bodies), p=share / share.sum())].size)
+        return np.array(drawn_size(bodies, rng) if bodies else ROAD_USERS[kind].size)
 
 
 FLEET: Mapping[str, tuple[BodySize, ...]] = {
@@ -196,21 +199,16 @@ class Snapshot(NamedTuple):
 
 def pack_frames(seen: Sequence[Snapshot], step: float) -> TrafficFrames:
     """Snapshots ``step`` seconds apart as frames, each padded to the one with most road users."""
-    shape = (len(seen), max(len(frame.kind) for frame in seen))
-    padding: dict[str, np.ndarray] = {
-        "center": np.zeros((*shape, 3)),
-        "yaw": np.zeros(shape),
-        "size": np.ones((*shape, 3)),
-        "kind": np.zeros(shape, np.int8),
-        "track": np.full(shape, -1, np.int32),
-        "velocity": np.zeros((*shape, 3)),
-    }
-    valid = np.zeros(shape, bool)
-    for t, frame in enumerate(seen):
-        valid[t, : len(frame.kind)] = True
-        for name, part in zip(Snapshot._fields, frame, strict=True):
-            padding[name][t, : len(part)] = part
-    return TrafficFrames(**padding, valid=valid, time=np.arange(len(seen)) * step)
+    count = np.array([len(frame.kind) for frame in seen])
+    valid = np.arange(count.max()) < count[:, None]
+    kinds, padding = {"kind": np.int8, "track": np.int32}, {"size": 1, "track": -1}
+    filled: dict[str, np.ndarray] = {}
+    for name, parts in zip(Snapshot._fields, zip(*seen, strict=True), strict=True):
+        there = np.concatenate(parts)
+        shape = (*valid.shape, *there.shape[1:])
+        filled[name] = np.full(shape, padding.get(name, 0), kinds.get(name, float))
+        filled[name][valid] = there
+    return TrafficFrames(**filled, valid=valid, time=np.arange(len(seen)) * step)
 
 
 def quota(mix: Mix, may: Sequence[bool], count: int) -> Int[np.ndarray, " K"]:

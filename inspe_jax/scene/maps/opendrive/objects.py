@@ -27,7 +27,8 @@ from inspe_jax.scene.maps.bodies import BARRIERS, HEIGHTS, POLE, TREE, Shape, cr
 from inspe_jax.scene.maps.lanes import LaneStrip
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.statics import HIGHEST, LEAFY, StaticBody, octagon, upright_box
-from inspe_jax.scene.street import PARKED, parked_size
+from inspe_jax.scene.street import PARKED
+from inspe_jax.scene.traffic.frames import drawn_size
 
 PARKING = "parking space"  # the kind of a shape that is no body
 KINDS = {
@@ -80,7 +81,6 @@ class ReferenceLine:
 
 
 def _course(shape: ET.Element, length: float) -> Course:
-    """The course of a line, an arc, a spiral or a cubic."""
     values = {k: float(v) for k, v in shape.attrib.items() if k != "pRange"}
     length = max(length, 1e-9)
     if shape.tag == "line":
@@ -174,7 +174,6 @@ def shapes_of(root: ET.Element) -> tuple[tuple[Shape, ...], tuple[str, ...]]:
 
 
 def _kind(element: ET.Element) -> str | None:
-    """The kind of body of an object; None if it is none."""
     subtype = element.get("subtype", "")
     if subtype in SEEN_THROUGH:
         return None
@@ -192,7 +191,6 @@ def _number(element: ET.Element, key: str, default: float = 0.0) -> float:
 
 
 def _shapes(element: ET.Element, line: ReferenceLine, counts: "Counter[str]") -> Iterator[Shape]:
-    """The bodies of one object: one, or those of its repeats."""
     for area, low, high in _areas(element, line):
         kind = _kind(element)
         if area is None or kind is None:
@@ -216,7 +214,6 @@ def _shapes(element: ET.Element, line: ReferenceLine, counts: "Counter[str]") ->
 
 
 def _areas(element: ET.Element, line: ReferenceLine) -> Iterator[Solid]:
-    """What one object and its repeats cover."""
     own = Place(*(_number(element, key) for key in Place._fields))
     turn = _number(element, "hdg")
     outlines = [*element.iterfind("outline"), *element.iterfind("outlines/outline")]
@@ -236,7 +233,6 @@ def _areas(element: ET.Element, line: ReferenceLine) -> Iterator[Solid]:
 
 
 def _simple(element: ET.Element, place: Place, turn: float, line: ReferenceLine) -> Solid:
-    """An object without an outline."""
     at, heading = line.at(place.s, place.t)
     heights = place.zOffset, place.zOffset + place.height
     if place.radius > 0:
@@ -333,7 +329,7 @@ def with_parked(
     disc = shapely.Point(place.center[:2]).buffer(reach)
     found: list[StaticBody] = []
     for at, yaw, size, allowed in (*_along(lanes), *_on(spaces)):
-        taken, back, first = rng.uniform(), rng.uniform() < 0.5, parked_size(rng)
+        taken, back, first = rng.uniform(), rng.uniform() < 0.5, drawn_size(PARKED, rng)
         fits = [s for s in (first, *(s for _, s in PARKED)) if (np.array(s[:2]) <= size).all()]
         if taken > OCCUPIED or not fits:
             continue
@@ -355,7 +351,6 @@ length and width [m], and the ground that it must stay on."""
 
 
 def _along(lanes: Iterable[LaneStrip]) -> Iterator[Spot]:
-    """The places of parking lanes."""
     for lane in lanes:
         line = lane.center[:, :2]
         arc = arc_of(line)

@@ -75,14 +75,12 @@ class OpenDriveJunction(MapJunction):
             for start, end, lanes in road.sections if road.near(self.middle, reach) else ():
                 for lane, kind in lanes.items():
                     line = self.town.along(road.id, lane, start, end, STEP)
-                    if len(line) < 2 or max(w.lane_width for w in line) < 0.05:
+                    width = np.array([w.lane_width for w in line])
+                    if len(line) < 2 or width.max() < 0.05:
                         continue
                     center = np.array([position(w.transform.location) for w in line])
                     ahead = np.array([heading_of(w) for w in line])
-                    width = np.array([w.lane_width for w in line])
-                    strip = LaneStrip.along(
-                        road.id, lane, road.junction, kind, center, ahead, width
-                    )
+                    strip = LaneStrip.along(road.id, road.junction, kind, center, ahead, width)
                     # One lane's width farther: the disc cuts the lane, and not its stations.
                     away = distance_from(center, self.middle)
                     found += strip.runs(away <= reach + width.max() + STEP)
@@ -155,8 +153,7 @@ class OpenDriveJunction(MapJunction):
 
     def _follow(self, start: Any, direction: str) -> list[Any]:
         """Waypoints from a lane on ('next') or back ('previous') to the radius, straight on."""
-        line: list[Any] = []
-        here = start
+        line, here = list[Any](), start
         for _ in range(int(4 * self.radius / STEP)):  # four radii on a winding road
             options = getattr(here, direction)(STEP)
             at = position(here.transform.location)[None]

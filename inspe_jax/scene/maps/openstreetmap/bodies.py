@@ -3,7 +3,11 @@
 Not read: woods, bushes and other areas of plants, power towers, and fences that one sees through.
 """
 
-from collections.abc import Iterable, Iterator
+import re
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
+from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
 
@@ -16,17 +20,128 @@ from shapely.ops import unary_union
 
 from inspe_jax.scene.georeference import Georeference
 from inspe_jax.scene.lines import distinct
-from inspe_jax.scene.maps.bodies import BARRIERS, SMALL, TREE, Shape, crown_base
+from inspe_jax.scene.maps.bodies import BARRIERS, BUILDING, SMALL, TREE, Shape, crown_base
 from inspe_jax.scene.maps.openstreetmap.extract import Tags, Way, read_extract
-from inspe_jax.scene.maps.openstreetmap.sizes import POLES, SOLID_FENCES, TREE_SPACING, Sizes
-from inspe_jax.scene.statics import LEAFY, octagon
-from inspe_jax.scene.terrain import HIGHEST, LOWEST
+from inspe_jax.scene.statics import HIGHEST, LEAFY, octagon
+from inspe_jax.scene.terrain import HIGHEST as HIGHEST_LAND
+from inspe_jax.scene.terrain import LOWEST
 
 BEYOND = 200.0  # nodes are read this far beyond the reach [m]: outlines are cut there
 NOT_THERE = ("no", "demolished", "razed", "ruins", "proposed", "planned", "none", "")
 """Values of ``building`` of what hides nothing."""
 HUNG = ("wall", "wall_mounted", "ceiling", "catenary", "suspension", "wire", "ground")
 """The ``support`` of lamps that stand on no pole."""
+LEVEL = 3.0  # height of a level of a building [m]
+LOW_BUILDING = 3.0  # the same, of those of LOW [m]: one level
+LOW = ("garage", "garages", "carport", "shed", "hut", "kiosk", "bungalow", "static_caravan",
+       "toilets", "greenhouse", "service", "boathouse", "container", "guardhouse")  # fmt: skip
+ROOF = 5.0, 0.5  # height and thickness of a roof without walls, as of a filling station [m]
+SOLID_FENCES = ("brick", "concrete", "corrugated_metal", "metal_sheet", "panel", "wood")
+"""The ``fence_type`` of fences that one does not see through."""
+TREE_SPACING = 8.0  # distance of the trees of a row [m]
+POLES = {
+    ("highway", "street_lamp"): (8.0, 0.09),
+    ("highway", "traffic_signals"): (3.4, 0.07),
+    ("power", "pole"): (9.0, 0.14),
+    ("man_made", "mast"): (15.0, 0.3),
+}
+"""Height and radius of poles [m], by their tag."""
+FOOT, INCH = 0.3048, 0.0254
+_METRES = re.compile(r"(\d+(?:[.,]\d+)?|\.\d+)\s*(m|metres?|meters?|cm|ft|feet)?", re.IGNORECASE)
+_FEET = re.compile(r"(\d+(?:\.\d+)?)\s*'\s*(?:(\d+(?:\.\d+)?)\s*(?:\"|''))?")
+_UNITS = {"cm": 0.01, "ft": FOOT, "feet": FOOT}
+
+
+def length_of(text: str) -> float | None:
+    """The metres of a tag, as of ``12``, ``12.5 m``, ``40 ft`` and ``3'6"``; None for others."""
+    text = text.strip()
+    if match := _METRES.fullmatch(text):
+        return float(match[1].replace(",", ".")) * _UNITS.get((match[2] or "m").lower(), 1.0)
+    if match := _FEET.fullmatch(text):
+        return float(match[1]) * FOOT + float(match[2] or 0) * INCH
+    return None
+
+
+@dataclass
+class Sizes:
+    """Reads sizes from tags, and keeps count of those that are assumed or make no sense."""
+
+    assumed: "Counter[str]" = field(default_factory=Counter)
+    senseless: list[str] = field(default_factory=list)
+
+    def value(
+        self,
+        tags: Tags,
+        key: str,
+        least: float = 0.1,
+        most: float = HIGHEST,
+        *,
+        read: Callable[[str], float | None] = length_of,
+    ) -> float | None:
+        """What ``read`` makes of a key, a length [m]; None where it is not between the limits."""
+        if key not in tags:
+            return None
+        with suppress(ValueError):
+            value = read(tags[key])
+            if value is not None and least <= value <= most:
+                return value
+        self.senseless.append(f"{key}={tags[key]}")
+        return None
+
+    def heights(self, tags: Tags, kind: str) -> tuple[float, float]:
+        """The base and the height of a building or a part of one; ``kind`` is its tag's value."""
+
+        def number(key: str) -> float | None:
+            return self.value(tags, key, 0.0, 200.0, read=float)
+
+        height = self.value(tags, "height")
+        levels, base = number("building:levels"), self.value(tags, "min_height", 0.0)
+        if height is None and levels is not None:
+            over = self.value(tags, "roof:height", 0.0)
+            if over is None:
+                over = (number("roof:levels") or 0.0) * LEVEL
+            height = levels * LEVEL + over
+            if not 0 < height <= HIGHEST:
+                height = None
+        if base is None and (start := number("building:min_level")) is not None:
+            base = start * LEVEL
+        if kind == "roof":
+            top, thick = ROOF
+            top = height or top
+            return (top - thick if base is None and top > thick else base or 0.0), top
+        if height is None:
+            self.assumed["building"] += 1
+            height = (LOW_BUILDING if kind in LOW else BUILDING) + (base or 0.0)
+        if base is not None and base >= height:
+            self.senseless.append(f"min_height={base:g} of height={height:g}")
+            base = None
+        return base or 0.0, height
+
+    def size_or(self, tags: Tags, key: str, kind: str, default: float, *limits: float) -> float:
+        """The length under a key [m], or a default that is counted for its kind of body; limits
+        are the least and the most that it can be."""
+        value = self.value(tags, key, *limits)
+        if value is None and key == "height":
+            self.assumed[kind] += 1
+        return default if value is None else value
+
+    def notes(self) -> list[str]:
+        """What was assumed, in words."""
+        ways = {
+            "building": f"{BUILDING:g} m high ({LOW_BUILDING:g} m for garages, sheds and the like)",
+            "tree": f"{TREE['height']:g} m high",
+            "wall": "of a usual height",
+            "pole": "of a usual height",
+        }
+        found = [
+            f"no height is given for {self.assumed[kind]} of the map's {kind}s: taken as {words}"
+            for kind, words in ways.items()
+            if self.assumed[kind]
+        ]
+        if self.senseless:
+            some = ", ".join(dict.fromkeys(self.senseless[:3]))
+            found.append(f"{len(self.senseless)} sizes of the map's bodies make no sense ({some})")
+        return found
 
 
 class BodyReader:
@@ -82,7 +197,6 @@ class BodyReader:
         )
 
     def _line(self, way: Way) -> Float[np.ndarray, "N 2"]:
-        """The known nodes of a way, in world metres."""
         return np.array([self.at[n] for n in way.nodes if n in self.at], float).reshape(-1, 2)
 
     def _outline(self, way: Way) -> BaseGeometry | None:
@@ -97,7 +211,6 @@ class BodyReader:
         return Polygon(line)
 
     def _areas(self) -> Iterator[tuple[Tags, BaseGeometry]]:
-        """Closed ways and multipolygons, with their tags."""
         drawn = set()
         for relation in self.extract.relations.values():
             if relation.tags.get("type") != "multipolygon":
@@ -126,7 +239,6 @@ class BodyReader:
                     yield way.tags, outline
 
     def _rings(self, names: Iterable[str]) -> BaseGeometry:
-        """The area within rings that ways make up together."""
         lines = [self._line(self.extract.ways[name]) for name in names]
         edges = [LineString(line) for line in lines if len(line) > 1]
         if not edges:
@@ -172,7 +284,7 @@ class BodyReader:
                 continue
             height, width = BARRIERS[kind]
             height = self.sizes.size_or(way.tags, "height", "wall", height)
-            width = self.sizes.size_or(way.tags, "width", "wall", width, least=0.02, most=10.0)
+            width = self.sizes.size_or(way.tags, "width", "wall", width, 0.02, 10.0)
             line = distinct(line) if len(line) > 1 else line
             for ends in pairwise(line):
                 stretch = LineString(ends).buffer(width / 2, cap_style="flat")
@@ -203,10 +315,10 @@ class BodyReader:
             self.notes.append(rows)
 
     def _tree(self, tags: Tags, at: Float[np.ndarray, "2"]) -> Shape:
-        height = self.sizes.size_or(tags, "height", "tree", TREE["height"], least=1.0, most=120.0)
+        height = self.sizes.size_or(tags, "height", "tree", TREE["height"], 1.0, 120.0)
         across, around = (
-            self.sizes.size_or(tags, key, "tree", TREE[key], least=least, most=most)
-            for key, least, most in (("diameter_crown", 0.3, 60.0), ("circumference", 0.05, 15.0))
+            self.sizes.size_or(tags, key, "tree", TREE[key], *limits)
+            for key, *limits in (("diameter_crown", 0.3, 60.0), ("circumference", 0.05, 15.0))
         )
         crown, trunk = Polygon(octagon(at, across / 2)), min(around / (2 * np.pi), across / 4)
         return Shape("tree", crown, height, crown_base(height), LEAFY, trunk)
@@ -220,7 +332,7 @@ class BodyReader:
             if known is None or name in on_roads or tags.get("support") in HUNG:
                 continue
             if self._near(self.at[name]):
-                height = self.sizes.size_or(tags, "height", "pole", known[0], least=1.0)
+                height = self.sizes.size_or(tags, "height", "pole", known[0], 1.0)
                 yield Shape("pole", Polygon(octagon(self.at[name], known[1])), height)
 
 
@@ -232,14 +344,12 @@ def _is_building(tags: Tags) -> bool:
 
 
 def _is_area(tags: Tags) -> bool:
-    """Whether tags are those of a body with an outline."""
     return _is_building(tags) or (tags.get("barrier") == "hedge" and tags.get("area") == "yes")
 
 
 def _elevation(text: str) -> float | None:
     """The metres of a tag ``ele``; None where they are no height on this Earth."""
-    try:
-        height = float(text.removesuffix("m"))
-    except ValueError:
-        return None
-    return height if LOWEST < height < HIGHEST else None
+    with suppress(ValueError):
+        if LOWEST < (height := float(text.removesuffix("m"))) < HIGHEST_LAND:
+            return height
+    return None

@@ -28,12 +28,6 @@ _OPTIONS = {
 """Options of netconvert for each kind of map. It guesses sidewalks where a map has none."""
 
 
-def _check(path: Path, root: str) -> None:
-    """Raise InspeError if a file is not XML with this root element."""
-    with gzip.open(path) if path.name.lower().endswith(".gz") else path.open("rb") as f:
-        check_xml(f, str(path), root)
-
-
 @functools.cache
 def _folder() -> Path:
     """A folder for converted networks, which is removed when this process ends."""
@@ -45,12 +39,14 @@ def _folder() -> Path:
 def network_file(path: Path) -> Path:
     """The file of a network, or of what netconvert makes of another map. Raises InspeError if it is
     another kind of file."""
-    if path.name.lower().endswith(NET_SUFFIXES):
-        _check(path, "net")
+    name, kind = path.name.lower(), "osm"
+    if name.endswith((".xodr", *NET_SUFFIXES)):
+        kind = "opendrive" if name.endswith(".xodr") else "net"
+    if kind != "opendrive":
+        with gzip.open(path) if name.endswith(".gz") else path.open("rb") as f:
+            check_xml(f, str(path), kind)
+    if kind == "net":
         return path.resolve()
-    kind = "opendrive" if path.suffix.lower() == ".xodr" else "osm"
-    if kind == "osm":
-        _check(path, "osm")
     made = _folder() / f"{digest_of(path)[:16]}.net.xml"
     if not made.exists():
         part = made.with_suffix(".part.xml")

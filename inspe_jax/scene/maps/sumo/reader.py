@@ -101,11 +101,11 @@ class SumoJunction(MapJunction):
         parts[Region.SIDEWALK] += waiting
         walked = unary_union(waiting)
         for node in self.map.net.getNodes():
-            at = self.map.position(node.getID())
+            at, outline = self.map.position(node.getID()), self.map.to_world(node.getShape())
+            if len(outline) < 3 or distance_from(at[None], middle)[0] > reach + CLUSTER:
+                continue
             closest = ground[np.argmin(distance_from(ground, at))]
-            outline = self.map.to_world(node.getShape())
-            near = distance_from(at[None], middle)[0] <= reach + CLUSTER
-            if len(outline) > 2 and near and abs(at[2] - closest[2]) <= 2.0:
+            if abs(at[2] - closest[2]) <= 2.0:
                 shape = valid(Polygon(outline[:, :2]))
                 if node.getID() in corners:  # its outline encloses where people wait, too
                     shape = shape.difference(walked)
@@ -229,7 +229,6 @@ class SumoMap(RoadMap):
                 self.leads.setdefault(other, []).append(lane)
 
     def _add(self, edge: Any, lane: Any) -> None:
-        """Take up a lane of an edge: a crossing, a walking area or a strip."""
         line, use = distinct(self.to_world(lane.getShape3D())), edge.getFunction()
         if use == "walkingarea" and len(line) > 2:
             self.walks.append((edge.getFromNode().getID(), valid(Polygon(line[:, :2]))))
@@ -239,8 +238,7 @@ class SumoMap(RoadMap):
         ahead = np.gradient(center[:, :2], axis=0)
         ahead /= np.hypot(*ahead.T)[:, None]
         number, inside, kind = self.numbers[edge.getID()], 1 if use else -1, kind_of(lane)
-        width, index = lane.getWidth(), lane.getIndex()
-        strip = LaneStrip.along(number, index, inside, kind, center, ahead, width)
+        strip = LaneStrip.along(number, inside, kind, center, ahead, lane.getWidth())
         if use == "crossing":
             outline = np.concatenate([strip.left, strip.right[::-1]])
             heights = np.concatenate([strip.center, strip.center[::-1]])[:, 2]
@@ -300,7 +298,6 @@ def load_net(path: Path) -> SumoMap:
 
 
 def _approach(streets: SumoMap, number: int, edge: Any, end: str) -> Approach:
-    """The approach of one edge, cut where it meets the junction."""
     step = 1 if end == "start" else -1  # along the lane's stations, away from the junction
     lanes = [(lane, streets.lane_strips.get(lane.getID())) for lane in edge.getLanes()]
     lane_strips = [(lane, strip) for lane, strip in lanes if strip is not None]
@@ -321,9 +318,8 @@ def _on_heights(
     """A place on ground through spot heights, if they lie around its roads."""
     if len(spots) < SPOTS:
         return place
-    roads = unary_union(list(place.regions.values())).intersection(
-        Point(place.center[:2]).buffer(radius)
-    )
+    near = Point(place.center[:2]).buffer(radius)
+    roads = unary_union(list(place.regions.values())).intersection(near)
     if not MultiPoint(spots[:, :2]).convex_hull.buffer(NEAR_SPOTS).covers(roads):
         notes.append(f"the map's {len(spots)} points with a height do not lie around it: level")
         return place

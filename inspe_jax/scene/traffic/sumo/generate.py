@@ -94,9 +94,9 @@ def sumo_traffic(
     SUMO allows it, as where long vehicles turn. Road users on another level are left out.
     ``progress`` is called with (runs done, most runs).
 
-    The same seed gives the same traffic with the same version of SUMO. Raises InspeError if a value
-    is out of range, the mix is unknown, the intersection was not read from a map, SUMO is missing,
-    or no road leads through the radius.
+    The same seed gives the same traffic with the same version of SUMO. Raises InspeError as that
+    does, and if the intersection was not read from a map, SUMO is missing, or no road leads
+    through the radius.
     """
     check_traffic(radius=radius, count=count, frames=frames, mix=mix, step=step, seed=seed)
     small = _small_step(step)
@@ -227,7 +227,6 @@ class _SumoRuns:
         return standing_on(self.intersection, self.radius, everybody, at[:, 2])
 
     def _write_routes(self, file: Path, rates: list[float], end: float) -> dict[str, Arrival]:
-        """Write type, route and departure of every road user, by its name."""
         root = ET.Element("routes")
         people: list[tuple[float, ET.Element]] = []
         sizes: dict[str, Arrival] = {}

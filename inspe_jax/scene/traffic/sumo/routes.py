@@ -37,18 +37,13 @@ def paths_through(
     streets: SumoMap, center: np.ndarray, radius: float
 ) -> dict[str, list[TravelPath]]:
     """The travel paths of each road-user class through the region of interest."""
-    return {
-        kind: _walks(streets, center, radius)
-        if kind == "pedestrian"
-        else _drives(streets, V_CLASS[kind], center, radius)
-        for kind in CLASSES
-    }
+    drives = [kind for kind in CLASSES if kind != "pedestrian"]
+    found = {kind: _drives(streets, V_CLASS[kind], center, radius) for kind in drives}
+    return found | {"pedestrian": _walks(streets, center, radius)}
 
 
 @dataclass(frozen=True)
 class _Edge:
-    """An edge near the region."""
-
     name: str
     line: Float[np.ndarray, "N 2"]  # its middle [m]
     arc: Float[np.ndarray, " N"]  # length to each point [m]
@@ -139,13 +134,11 @@ def _returns(one: _Edge, two: _Edge) -> bool:
 
 
 def _alike(one: _Edge, two: _Edge) -> float:
-    """Cosine of the angle between the heading at the start of ``one`` and at the end of ``two``."""
     a, b = one.line[1] - one.line[0], two.line[-1] - two.line[-2]
     return float(a @ b / np.hypot(*a) / np.hypot(*b))
 
 
 def _path(before: np.ndarray, sink: int) -> list[int]:
-    """The edges to a sink, by the edge before each."""
     path = [sink]
     while before[path[-1]] >= 0:
         path.append(int(before[path[-1]]))

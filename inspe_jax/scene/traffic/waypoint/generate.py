@@ -19,8 +19,7 @@ from inspe_jax.scene.traffic.frames import (
     quota,
 )
 from inspe_jax.scene.traffic.waypoint.model import ARRIVALS, BRAKING, REACTION, WaypointModel
-from inspe_jax.scene.traffic.waypoint.paths import PATH_USERS, Paths, lay_paths
-from inspe_jax.scene.traffic.waypoint.walkways import with_walkways
+from inspe_jax.scene.traffic.waypoint.paths import PATH_USERS, Paths, lay_paths, with_walkways
 
 WARM_UP = 40.0  # time [s] that the model runs before the first frame
 CONGESTED_WARM_UP = 60.0  # the same where the roads fill: queues form behind the junction
@@ -51,13 +50,11 @@ def waypoint_traffic(
     """Traffic on the waypoints of an intersection's routes (paper, section 4).
 
     There are about ``count`` objects at a time within ``radius`` [m] of the centre, in ``frames``
-    frames ``step`` seconds apart. ``mix`` is a key of :data:`MIXES`. They are on the waypoints of
-    the whole region; the paper takes those in view of the sensors. Unlike in the paper, road users
-    never overlap: they keep their distance, slow down for bends and give way where paths cross.
-    Where roads do not hold all, traffic is that of
-    :class:`~inspe_jax.scene.traffic.waypoint.generate.CongestedModel`; where nobody walks on the
-    map, people walk as :func:`~inspe_jax.scene.traffic.waypoint.walkways.with_walkways` says.
-    ``progress`` is called with (frames done, frames).
+    frames ``step`` seconds apart. ``mix`` is a key of :data:`MIXES`. Unlike in the paper, road
+    users never overlap: they keep their distance, slow down for bends and give way where paths
+    cross. Where roads do not hold all, traffic is that of :class:`CongestedModel`; where nobody
+    walks on the map, people walk as :func:`~inspe_jax.scene.traffic.waypoint.paths.with_walkways`
+    says. ``progress`` is called with (frames done, frames).
 
     The same seed gives the same traffic; turning the intersection turns it. Raises InspeError if a
     value is out of range, the mix is unknown, or no route lies within the radius.
@@ -83,7 +80,6 @@ def waypoint_traffic(
 
 
 def _kinds(paths: Paths, mix: Mix, count: int) -> Int[np.ndarray, " M"]:
-    """Classes of ``count`` road users, among those that have a path."""
     has_path = [bool((paths.user == PATH_USERS.index(u.path)).any()) for u in ROAD_USERS]
     # Cyclists ride only where there are pedestrians too, so not on motorways.
     has_path[CLASSES.index("cyclist")] &= has_path[CLASSES.index("pedestrian")]
@@ -119,7 +115,6 @@ def _advance(model: WaypointModel, time: float) -> Float[np.ndarray, " K"]:
 
 
 def _snapshot(model: WaypointModel) -> Snapshot:
-    """Every road user that is on a path."""
     on = np.flatnonzero(model.active)
     middle = model.point[on].copy()
     middle[:, 2] += model.size[on, 2] / 2
@@ -132,10 +127,9 @@ def _snapshot(model: WaypointModel) -> Snapshot:
 class CongestedModel(WaypointModel):
     """As :class:`WaypointModel`, but each class has its share of what the roads hold.
 
-    In the other model the shortest find a gap first, so cars take the places of trucks, and lanes
-    behind the junction are nearly empty. Here the class with the largest part missing comes in
-    first. Vehicles leave at intervals, which grow while vehicles are missing, so that queues stand
-    behind the junction. If some are missing at the longest, more people come on foot.
+    The class with the largest part missing comes in first. Vehicles leave at intervals, which grow
+    while vehicles are missing, so that queues stand behind the junction. If some are missing at the
+    longest, more people come on foot.
     """
 
     def __init__(
@@ -210,7 +204,6 @@ class CongestedModel(WaypointModel):
         self.opens[lane] = self.time + self.headway
 
     def _way_out(self) -> Float[np.ndarray, " M"]:
-        """Distance from each front to its path's end [m]."""
         return self.paths.length[self.path] - self.arc - self.size[:, 0] / 2
 
     def _line_distance(self, on: np.ndarray) -> np.ndarray:

@@ -106,7 +106,6 @@ class WaypointModel:
         self.arc[who], self.speed[who] = 0.0, 0.0
 
     def _has_room(self, who: int | np.intp) -> bool:
-        """Whether the user's place and :data:`ENTRY_ROOM` along its path are free."""
         self._place(np.array([who]))
         others = np.flatnonzero(self.active)
         if not len(others):
@@ -116,7 +115,6 @@ class WaypointModel:
         return not _overlap(self.point[who, :2], self.heading[who], own, *theirs).any()
 
     def _in_block(self, on: np.ndarray) -> Bool[np.ndarray, " M"]:
-        """Whether any part of each user is in a block."""
         blocks = self.paths.block[self.path[on]]
         front, rear = (end[:, None] for end in self._ends(on))
         return ((self.paths.stop[blocks] < front) & (self.paths.leave[blocks] > rear)).any(1)
@@ -223,7 +221,6 @@ class WaypointModel:
                 denied |= met[:, k] & yields
 
     def _ends(self, on: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Arc lengths of front and rear [m]."""
         half = self.size[on, 0] / 2
         return self.arc[on] + half, self.arc[on] - half
 

@@ -1,14 +1,22 @@
-"""Paths that road users follow: evenly spaced poses, speed limits, and conflicts between paths."""
+"""Paths that road users follow: evenly spaced poses, speed limits, and conflicts between paths; and
+footpaths beside the lanes and over the arms, for an intersection whose map has none."""
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 
-from inspe_jax.scene.intersection import Intersection, Route
+from inspe_jax.scene.intersection import (
+    Intersection,
+    Route,
+    crossing_lines,
+    mouth_crosswalks,
+    walking_routes,
+)
+from inspe_jax.scene.lines import distance_from
 
 SPACING = 0.5  # distance between poses of a path [m]
 PATH_USERS: tuple[str, ...] = ("vehicle", "cyclist", "pedestrian")
@@ -146,14 +154,12 @@ def resample(points: np.ndarray) -> np.ndarray:
 
 
 def _within(points: np.ndarray, center: np.ndarray, radius: float) -> np.ndarray:
-    """The points from the first to the last inside the circle."""
     away = points[:, :2] - np.asarray(center)[:2]
     inside = np.flatnonzero(dot(away, away) <= radius**2)
     return points[inside[0] : inside[-1] + 1] if len(inside) else points[:0]
 
 
 def _headings(points: np.ndarray) -> np.ndarray:
-    """Unit direction of travel (N, 2) at each point, from its neighbours."""
     along = np.gradient(points[:, :2], axis=0)
     return along / np.sqrt(dot(along, along))[:, None]
 
@@ -181,7 +187,6 @@ def _weights(
 def _blocks(
     start: np.ndarray, count: np.ndarray, user: np.ndarray, point: np.ndarray, heading: np.ndarray
 ) -> dict[str, np.ndarray]:
-    """``block``, ``stop``, ``leave`` and ``clear`` of :class:`Paths`."""
     path = np.repeat(np.arange(len(start)), count)
     arc = (np.arange(len(point)) - np.repeat(start, count)) * SPACING
     one, two = _conflicts(path, arc, user, point, heading)
@@ -258,3 +263,71 @@ def dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Positive where b points to the left of a."""
     return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
+
+
+BESIDE = 1.5  # distance of a footpath's middle from the lane's edge [m]: room for two that meet
+SLACK = 0.3  # footpaths come nearer to another lane's edge than BESIDE by at most this [m]
+WALKS_APART = 2.0  # two footpaths nearer than this are one [m]
+SHORTEST_WALK = 10.0  # a footpath shorter than this beside a lane is left out [m]
+CROSSING = np.cos(np.radians(45.0))  # lanes that meet at a larger angle cross; none on motorways
+
+
+def with_walkways(intersection: Intersection, radius: float) -> Intersection:
+    """The intersection with footpaths for traffic, if nobody walks within ``radius`` [m].
+
+    People walk beside the lanes, on the right of the outermost, and cross each arm at its mouth.
+    The regions stay those of the map. An intersection where somebody walks, or no lanes cross, as
+    on a motorway, stays as it is.
+    """
+    away = [distance_from(route.waypoints, intersection.center) for route in intersection.routes]
+    near = [r for r, far in zip(intersection.routes, away, strict=True) if (far <= radius).any()]
+    lanes = [route for route in near if route.user == "vehicle"]
+    if len(lanes) < len(near) or not _cross(lanes):
+        return intersection
+    crosswalks = [mouth_crosswalks((arm,)) for arm in intersection.arms]
+    lines = [*_beside(lanes), *crossing_lines(crosswalks)]
+    walks = walking_routes(intersection, lines)
+    return replace(intersection, routes=(*intersection.routes, *walks))
+
+
+def _cross(lanes: list[Route]) -> bool:
+    """Whether two lanes meet, at one height, at more than 45°."""
+    if not lanes:
+        return False
+    fine = [resample(lane.waypoints) for lane in lanes]
+    point, heading = np.concatenate(fine), np.concatenate([_heading(line) for line in fine])
+    one, two = cKDTree(point).query_pairs(1.0, output_type="ndarray").reshape(-1, 2).T
+    return bool(((heading[one] * heading[two]).sum(1) < CROSSING).any())
+
+
+def _beside(lanes: list[Route]) -> Iterator[np.ndarray]:
+    """Lines (N, 2) to the right of lanes where no other lane is; the longest first."""
+    fine = [(lane.width, resample(lane.waypoints)[:, :2]) for lane in lanes]
+    trees = {
+        width: cKDTree(np.concatenate([line for own, line in fine if own == width]))
+        for width, _ in fine
+    }
+    runs: list[np.ndarray] = []
+    for lane_width, line in fine:
+        ahead = _heading(line)
+        beside = line + (lane_width / 2 + BESIDE) * np.stack([ahead[:, 1], -ahead[:, 0]], -1)
+        away = [tree.query(beside)[0] - width / 2 for width, tree in trees.items()]
+        runs += _runs(beside, np.min(away, axis=0) >= BESIDE - SLACK)
+    kept: list[np.ndarray] = []
+    for run in sorted(runs, key=len, reverse=True):
+        free = np.ones(len(run), bool)
+        if kept:
+            free = cKDTree(np.concatenate(kept)).query(run)[0] >= WALKS_APART
+        kept += _runs(run, free)
+    yield from kept
+
+
+def _runs(line: np.ndarray, free: np.ndarray) -> list[np.ndarray]:
+    parts = np.split(np.arange(len(line)), np.flatnonzero(np.diff(free.astype(int))) + 1)
+    least = SHORTEST_WALK / SPACING
+    return [line[part] for part in parts if len(part) > least and free[part[0]]]
+
+
+def _heading(line: np.ndarray) -> np.ndarray:
+    along = np.gradient(line[:, :2], axis=0)
+    return along / np.maximum(np.hypot(*along.T), 1e-9)[:, None]

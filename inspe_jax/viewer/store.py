@@ -15,10 +15,8 @@ from inspe_jax.core.files import write_text
 from inspe_jax.scene.scene import Scene
 from inspe_jax.sensing.layout import Layout, layout_text, load_layout, save_layout
 
-UNSAVED = "unsaved"
-"""Part of the name of the file that keeps unsaved changes."""
-OFFERED = 4
-"""Most files of earlier runs that are offered."""
+UNSAVED = "unsaved"  # part of the name of the file that keeps unsaved changes
+OFFERED = 4  # most files of earlier runs that are offered
 
 
 class LayoutStore:

@@ -285,7 +285,7 @@ class Scene3D:
         for kind, triangles in by_kind.items():
             points = np.concatenate(triangles).reshape(-1, 3) - self.shift
             faces = np.arange(len(points), dtype=np.uint32).reshape(-1, 3)
-            self.api.add_mesh_simple(
+            self.drawn[f"ground/{kind}"] = self.api.add_mesh_simple(
                 f"ground/{kind}", points.astype(np.float32), faces, color=rgb(BODY_COLORS[kind]),
                 flat_shading=True, side="double", opacity=CROWN if kind == "tree" else None,
             )  # fmt: skip

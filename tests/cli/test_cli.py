@@ -304,7 +304,6 @@ def test_every_command_has_examples_and_says_what_its_options_are():
 
 BAD = [
     (("score", "none.npz"), "none.npz: no such file"),
-    (("score", "s.npz", "Cam-x"), "no layout 'Cam-x': give a .yaml or .geojson file, or a strat"),
     (("score", "s.npz", "zero.npz"), "no layout: is a scene, which comes before the layout"),
     (("score", "s.npz", "town.xodr"), "no layout: a map is not a scene yet; build one: inspe sc"),
     (("score", "s.npz", "device.yaml"), "did you mean paper-lidar-"),
@@ -314,7 +313,6 @@ BAD = [
     (("score", "s.npz", *("--weight", "coverage=1") * 2), "coverage is given twice"),
     (("score", "s.npz", "layout.yaml", "--json", "no/such/folder.json"), "no such folder"),
     (("scene", "four_way", "--out", "s2.npz", "--plot", "b.xyz"), "must end in .png"),
-    (("scene", "four_way", "--out", "s2.txt"), "must end in .npz"),
     (("layout", "four_way", "--out", "l.txt"), "must end in .yaml"),
     (("scene", "nosuch", "--list"), "no scene 'nosuch': give a built-in (four_way"),
     (("scene", "four_way", "--junction", 3), "a built-in intersection is no map; leave out --ju"),
@@ -335,11 +333,9 @@ BAD = [
     (("optimise", "nosuch", "--heights", 9, 3), "heights 9 to 3 m"),
     (("optimise", "s.npz", "layout.yaml", "--failures"), "at least two units, it has one"),
     (("pareto", "s.npz", "--device", "hesai-xt32"), "--device hesai-xt32: write DEVICE:COUNTS"),
-    (("pareto", "s.npz", "--device", "hesai-xt32:2-0"), "DEVICE:COUNTS"),
     (("pareto", "s.npz", "--device", "hesai-xt32:0-2"), "--price hesai-xt32=USD"),
     (("pareto", "s.npz", "--device", "a:1", "--device", "a:2"), "a is given twice"),
     (("pareto", "s.npz", "--price", "hesai-xt32"), "DEVICE=USD, such as"),
-    (("pareto", "nosuch"), "no scene 'nosuch'"),
     (("report", "nosuch", "--out", "report.pdf"), "report.pdf: the name must end in .html"),
     (("report", "nosuch", "--out", "no/such.html"), "no/such.html: no such folder: no"),
     (("report", "s.npz", "--frame", 99), "frame 99 is out of range"),
@@ -357,7 +353,7 @@ def test_bad_input_is_one_message_and_status_2(inspe, files, arguments, message)
 
 SLOW = [
     (("score", "four_way", "missing.yaml"), "missing.yaml: no such file"),
-    (("score", "four_way", "Cam-d3"), "no layout 'Cam-d3'"),
+    (("score", "four_way", "Cam-d3"), "no layout 'Cam-d3': give a .yaml or .geojson file, or"),
     (("targets", "four_way", "missing.geojson"), "missing.geojson: no such file"),
     (("targets", "four_way", "--road-user", "dog"), "one of car, truck, cyclist, pedestrian"),
     (("layout", "four_way", "--strategy", "L-x"), "no layout 'L-x'"),

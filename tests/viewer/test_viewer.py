@@ -21,6 +21,7 @@ from inspe_jax.core.errors import InspeError
 from inspe_jax.core.geometry import rotation
 from inspe_jax.dataset.points_in_boxes import world_points
 from inspe_jax.placement.problem import Case
+from inspe_jax.scene.statics import upright_box
 from inspe_jax.scoring.blind_spots import blind_spots
 from inspe_jax.scoring.evaluate import evaluate
 from inspe_jax.scoring.viewshed import Visibility
@@ -34,7 +35,7 @@ from inspe_jax.viewer import sensor_view
 from inspe_jax.viewer.app import Viewer
 from inspe_jax.viewer.blind_spot_panel import LETTERS, plan_picture
 from inspe_jax.viewer.panel import set_value
-from inspe_jax.viewer.scene3d import BROKEN_COLOR, rgb
+from inspe_jax.viewer.scene3d import BROKEN_COLOR, Scene3D, rgb
 from inspe_jax.viewer.score_panel import LEGEND
 from inspe_jax.viewer.searcher import SearchEnding
 from inspe_jax.viewer.selection3d import HandleDrag
@@ -320,6 +321,16 @@ def test_a_column_has_the_tint_that_most_of_its_voxels_are_of_and_hidden_ones_ar
     assert (columns("seen"), columns("out of view")) == (5, len(kinds) - 5)
     boxes = scene3d.drawn["voxels/hidden"].batched_scales
     np.testing.assert_allclose(boxes[:, 2], np.full(len(kinds) - 5, grid.spacing))
+
+
+def test_bodies_stand_on_the_ground_where_they_are(viewer):
+    scene = viewer.case.scene
+    house = upright_box("building", scene.voxels.center[:2] + [8.0, 3.0], (4.0, 2.0, 5.0))
+    drawn = Scene3D(viewer.server.scene, scene.with_statics([house])).drawn["ground/building"]
+    low, high = drawn.vertices.min(0), drawn.vertices.max(0)
+    level = scene.intersection.ground(house.middle[None])[0] - scene.voxels.center[2]
+    np.testing.assert_allclose([*low[:2], *high], [6.0, 2.0, 10.0, 4.0, level + 5.0], atol=1e-3)
+    assert low[2] < level
 
 
 def test_a_unit_has_a_number_for_each_of_its_sensors_and_none_without(viewer, layout):

@@ -43,12 +43,6 @@ class LayoutStore:
         return self._unsaved or _free(self._unsaved_names())
 
     @property
-    def page(self) -> Path:
-        """The report's file. A report of another run is not replaced: the name gets a number."""
-        pages = _numbered(self.path.with_suffix(".html"))
-        return next(page for page in pages if page in self._known or not page.exists())
-
-    @property
     def beside(self) -> Path:
         """The next free name beside :attr:`path`."""
         return _free(_numbered(self.path))
@@ -118,8 +112,10 @@ class LayoutStore:
         return f"{self.path}, not saved yet, {where}"
 
     def write_page(self, text: str) -> Path:
-        """Write a report as :attr:`page`, which is returned."""
-        page = self.page
+        """Write a report beside :attr:`path`; returns its file. A report of another run is not
+        replaced: the name gets a number."""
+        pages = _numbered(self.path.with_suffix(".html"))
+        page = next(page for page in pages if page in self._known or not page.exists())
         write_text(page, text)
         self._know(page)
         return page

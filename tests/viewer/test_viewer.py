@@ -269,7 +269,7 @@ def test_a_report_is_sent_to_who_asks_with_the_layout_that_was_opened_and_the_ta
     viewer.change(lambda: viewer.session.take(higher))
     viewer.write_report(browser)
     done(viewer, lambda: sent and not viewer.panel.report.disabled)
-    page = viewer.store.page.read_text()
+    page = viewer.store.path.with_suffix(".html").read_text()
     assert sent == [("layout.html", page.encode())]
     assert "Before is the layout as it was opened." in page
     before, after = (evaluate(scene, of).surrogate for of in (layout, viewer.layout))

@@ -197,7 +197,7 @@ def answers(
 def scoring(viewer: Viewer) -> Iterator[Ready]:
     """The layout is scored over and over; gives what waits until that of all frames has begun."""
     scorer, begun, on = viewer.scorer, threading.Event(), True
-    sighted, scored = scorer._sighted, scorer._scored
+    sighted, scored, waiting = scorer._sighted, scorer._scored, scorer._queue._waiting
 
     def hear_sight(*found: Any) -> None:
         sighted(*found)
@@ -205,7 +205,7 @@ def scoring(viewer: Viewer) -> Iterator[Ready]:
 
     def hear_scores(found: Any) -> None:
         scored(found)
-        if found.frames == viewer.frames and "whole" not in scorer._todo:  # few may be all
+        if found.frames == viewer.frames and "whole" not in waiting:  # few may be all
             begun.clear()
             if on:
                 scorer.score(viewer.layout, whole=True)
@@ -216,7 +216,7 @@ def scoring(viewer: Viewer) -> Iterator[Ready]:
         yield begun.wait
     finally:
         on = False
-        wait_until(lambda: not begun.is_set() and not scorer._todo)
+        wait_until(lambda: not begun.is_set() and not waiting)
         scorer._sighted, scorer._scored = sighted, scored
 
 

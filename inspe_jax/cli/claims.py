@@ -18,8 +18,7 @@ from platformdirs import user_state_path
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import check_folder, check_output, check_writable, digest_of, write_text
 
-MOST = 5000
-"""Lines that stay of a list of twice as many; the oldest go."""
+MOST = 5000  # lines that stay of a list of twice as many; the oldest go
 
 
 class Claims:

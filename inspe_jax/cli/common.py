@@ -83,8 +83,7 @@ EXTRAS = {
 DEFAULT_SCENE = "four_way"
 DEFAULT_LAYOUT = "Cam-d1"
 
-PICTURES = "400x300"
-"""Width and height that pictures are decoded to if no option says [pixels]."""
+PICTURES = "400x300"  # width and height that pictures are decoded to if no option says [pixels]
 
 
 def picture_size(text: str) -> tuple[int, int] | None:
@@ -129,26 +128,10 @@ def _run() -> None:
         if extra is None or (e.name or "").startswith("inspe_jax"):
             raise
         words = str(missing_extra(f"`inspe {claims.command}` needs {e.name}", extra))
-    except (AssertionError, RuntimeError) as e:
-        platforms = os.environ.get("JAX_PLATFORMS")
-        if not platforms or _has_devices():
-            raise
-        known = f" ({str(e).split(' (set')[0]})" if str(e) else ""
-        words = (
-            f"JAX_PLATFORMS={platforms}: JAX finds no such device here{known}; install its driver "
-            "and JAX's plugin for it, or set JAX_PLATFORMS=cpu"
-        )
     else:
         return
     err.print(Text.assemble(("Error: ", "bold red"), words))
     sys.exit(2)
-
-
-def _has_devices() -> bool:
-    try:
-        return bool(jax.devices())
-    except (AssertionError, RuntimeError):
-        return False
 
 
 def _version(wanted: bool) -> None:

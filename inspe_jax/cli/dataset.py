@@ -44,18 +44,12 @@ def generate(
 ) -> None:
     """Generate a data set in OPV2V's format: what the sensors of layouts record in scenes.
 
-    A study file says which scenes, layouts and settings to combine. A setting is one value or a
-    list:
+    A study file says which scenes, layouts and settings to combine, as for `inspe sweep`, and how
+    they are recorded:
 
-        scenes:
-          - built_in: four_way
-          - {map: Town05.xodr, junction: 53, radius: 60}
+        scenes: [{built_in: four_way}, {map: Town05.xodr, junction: 53, radius: 60}]
         layouts: [Cam-d1, Cam-d1/L-d1, layout.yaml]
-        settings:
-          density: [low, medium, high]
-          light: [midday, night]
-          seed: [0, 1, 2]
-          seconds: 20
+        settings: {density: [low, high], light: [midday, night], seed: [0, 1, 2], seconds: 20}
         rate_hz: 10
         layers: [depth, instance]
         splits: {train: 7, validate: 1, test: 2}
@@ -178,7 +172,6 @@ def stats(
 
     Examples:
 
-    - `inspe dataset stats infra`
     - `inspe dataset stats infra --plot infra.png --json infra.json --csv row.csv`
     - `inspe dataset stats infra/test --json -`
 
@@ -226,7 +219,6 @@ def check_files(
 
     Examples:
 
-    - `inspe dataset check infra`
     - `inspe dataset check infra/test --deep --json faults.json`
 
     Args:
@@ -263,14 +255,12 @@ def decode(
 
     Examples:
 
-    - `inspe dataset cache infra --out infra_cache`
     - `inspe dataset cache infra --out infra_cache --pictures 352x128`
     - `inspe dataset cache infra --out infra_cache --pictures none`
 
     Args:
         into (--out DIR): Folder for the cache.
         size (--pictures WxH): Width and height of pictures, or none.
-        workers: Number of processes; one per core if not given.
     """
     from inspe_jax.dataset import cache
 

@@ -34,7 +34,7 @@ from inspe_jax.placement.problem import Case, Problem
 from inspe_jax.placement.run import check_budget
 from inspe_jax.scene.scene import Scene, load_scene
 from inspe_jax.scoring.detection import DetectionCurves, detection_curves, load_detection
-from inspe_jax.scoring.metrics import chosen, names_of, weights_of
+from inspe_jax.scoring.metrics import names_of, weights_of
 from inspe_jax.sensing.conditions import Conditions
 from inspe_jax.sensing.layout import Layout
 
@@ -231,15 +231,17 @@ class WeightOptions(DetectionOptions):
     weight: list[str] | None = None
     metrics: str = ""
 
-    def weights(self) -> dict[str, float]:
-        """The weight of every metric. Raises InspeError if the weights are not valid."""
+    def objective(self, **others: Any) -> Objective:
+        """The objective that these options are of, checked."""
         form = "NAME=VALUE, such as coverage=0.3"
-        return weights_of(numbers("--weight", self.weight, form) if self.weight else None)
-
-    def further(self) -> tuple[str, ...]:
-        """The names of the further metrics. Raises InspeError if one is of no metric."""
-        chosen(self.metrics)
-        return names_of(self.metrics)
+        wanted = Objective(
+            weights=weights_of(numbers("--weight", self.weight, form) if self.weight else None),
+            metrics=names_of(self.metrics),
+            detection=self.curves(),
+            **others,
+        )
+        wanted.check()
+        return wanted
 
 
 @dataclass(frozen=True)
@@ -271,15 +273,7 @@ class ScoreOptions(WeightOptions):
 
     def objective(self, **others: Any) -> Objective:
         """The objective that these options are of, checked."""
-        wanted = Objective(
-            weights=self.weights(),
-            metrics=self.further(),
-            detection=self.curves(),
-            regions=tuple(self.region or ()),
-            **others,
-        )
-        wanted.check()
-        return wanted
+        return super().objective(regions=tuple(self.region or ()), **others)
 
 
 @dataclass(frozen=True)

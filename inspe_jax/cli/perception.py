@@ -10,14 +10,7 @@ from inspe_jax.cli import common
 from inspe_jax.cli.claims import claims
 from inspe_jax.cli.options import Positive, Whole, command
 from inspe_jax.core.errors import InspeError
-from inspe_jax.core.files import (
-    check_folder,
-    check_model,
-    csv_text,
-    json_value,
-    prepare_folder,
-    write_text,
-)
+from inspe_jax.core.files import check_folder, check_model, json_value, prepare_folder
 from inspe_jax.jobs.engine import check_workers
 
 if TYPE_CHECKING:
@@ -60,7 +53,6 @@ def train_detector(
 
     Examples:
 
-    - `inspe train infra --model v2x-vit --out v2x-vit`
     - `inspe train infra_cache --model lss-eff --steps 3000 --out lss-eff`
     - `inspe train infra --model v2x-vit --model coalign --seed 0 --seed 1 --out runs`
 
@@ -172,7 +164,6 @@ def evaluate_detector(
     recorded: Path,
     *,
     split: str = "test",
-    table: Path | None = None,
     record: str | None = None,
     cache: Path | None = None,
     force: bool = False,
@@ -185,25 +176,16 @@ def evaluate_detector(
 
     Examples:
 
-    - `inspe evaluate v2x-vit infra`
-    - `inspe evaluate v2x-vit infra --split validate --csv table.csv`
-
-    Args:
-        table (--csv FILE.csv): Write the table's rows as CSV.
+    - `inspe evaluate v2x-vit infra --split validate --json found.json`
     """
     from inspe_jax.perception.evaluation import evaluation_table
 
-    claims.file(table, (".csv",), force=force)
     claims.file(record, force=force)
     training, step, loader, predictor = _ready(run, recorded, cache, split)
     with common.progress("frames") as tell:
         found = predictor.evaluate(loader, progress=tell)
-    rows = [dict(row) for row in found.rows()]
-    content = {"run": str(training.path), "split": split, "step": step, "classes": rows}
+    content = {"run": str(training.path), "split": split, "step": step, "classes": found.rows()}
     common.show(evaluation_table(found, _unfinished(training, step)), json_value(content), record)
-    if table:
-        write_text(table, csv_text(rows))
-        common.said(f"wrote {table}", record)
 
 
 @command(name="detect")

@@ -60,13 +60,11 @@ def scene(
     Examples:
 
     - `inspe scene roundabout --plot roundabout.png`
-    - `inspe scene crossroads.xodr --list`
     - `inspe scene crossroads.xodr --junction 100 --radius 50 --density medium --out j100.npz`
     - `inspe scene town.net.xml --junction 189 --traffic sumo --out j189.npz`
     - `inspe scene city.osm --at 48.137,11.575 --statics map --out city.npz`
     - `inspe scene city.osm --at 48.137,11.575 --elevation dem.tif --terrain ground`
     - `inspe scene crossroads.xodr --junction 100 --traffic run.log --step 0.1 --frames 200`
-    - `inspe scene j189.npz --plot j189.png`
 
     Args:
         source (SCENE): A built-in intersection, a map (.xodr, .net.xml, .osm), or a scene saved

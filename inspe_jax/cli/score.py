@@ -15,7 +15,6 @@ from inspe_jax.placement.studies.tolerance import check_errors
 from inspe_jax.placement.studies.tolerance import tolerance as installed
 from inspe_jax.scene.profiles import profiles as known_profiles
 from inspe_jax.scene.traffic.frames import CLASSES
-from inspe_jax.scoring.evaluate import evaluate
 from inspe_jax.scoring.targets import target_view
 from inspe_jax.sensing import catalogue
 
@@ -36,39 +35,29 @@ def score(
 
     - `inspe score`  (the built-in four-way with cameras at its corners)
     - `inspe score roundabout Cam-c/L-c --plot roundabout.png`
-    - `inspe score j189.npz layout.yaml --json -`
-    - `inspe score j189.npz layout.yaml --light night --weather rain:10`
-    - `inspe score four_way L-d1 --profile ideal`
+    - `inspe score j189.npz layout.yaml --light night --weather rain:10 --json -`
     - `inspe score four_way --weight coverage=0.3 --weight occlusion=0.7`
     - `inspe score four_way L-d1 --metrics detectability,localisation`
-    - `inspe score four_way L-d1 --metrics detectability --detection mine.toml`
     - `inspe score four_way L-d1 --weight detectability=1 --region crosswalk --road-user pedestrian`
 
     A layout that a search found says what it was searched for; that is scored too.
     """
     from inspe_jax.core.sheet import FORMATS
     from inspe_jax.report.figures import plan_view
-    from inspe_jax.report.tables import blind_spots_table, scores_record, scores_table
+    from inspe_jax.report.tables import blind_spots_table, scores_of, scores_record, scores_table
 
     claims.file(plot, FORMATS, force=force)
     claims.file(record, force=force)
     conditions, objective = options.conditions, options.objective()
     with common.busy(f"reading {source}"):
         world, placed = common.scene_and_layout(source, sensors, options.profile)
-        world = objective.within(world)
+        case = Case(objective.within(world), conditions)
     with common.busy("scoring"):
-        scores = evaluate(
-            world,
-            placed,
-            weights=objective.weights,
-            conditions=conditions,
-            metrics=objective.metrics,
-            detection=objective.detection,
-        )
-        sought = options.sought(Case(world, conditions), placed)
-    tables = Group(scores_table(scores, placed, sought), "", blind_spots_table(world, scores))
-    common.show(tables, scores_record(scores, world, placed, sought), record)
-    common.draw(lambda: plan_view(world, placed, scores), plot, record)
+        scores = scores_of(case, placed, objective)
+        sought = options.sought(case, placed)
+    tables = Group(scores_table(scores, placed, sought), "", blind_spots_table(case.scene, scores))
+    common.show(tables, scores_record(scores, case.scene, placed, sought), record)
+    common.draw(lambda: plan_view(case.scene, placed, scores), plot, record)
 
 
 @command()
@@ -89,7 +78,6 @@ def targets(
 
     Examples:
 
-    - `inspe targets four_way L-d1`
     - `inspe targets four_way Cam-d1/L-d1 --plot targets.png`
     - `inspe targets j189.npz layout.yaml --road-user cyclist --weather fog:100 --json -`
 
@@ -107,7 +95,8 @@ def targets(
         world, placed = common.scene_and_layout(source, sensors, options.profile)
     with common.busy("counting rays"):
         view = target_view(world, placed, road_user, conditions=conditions, detection=curves)
-    common.show(targets_table(world, placed, view), targets_record(world, placed, view), record)
+    found = targets_record(world, placed, view)
+    common.show(targets_table(found), found, record)
     placed = conditions.layout(placed)
     common.draw(lambda: targets_view(world, placed, view, conditions=conditions), plot, record)
 
@@ -134,7 +123,6 @@ def tolerance(
 
     - `inspe tolerance`  (the built-in four-way with cameras at its corners)
     - `inspe tolerance j189.npz better/layout.yaml --position 0.2 --angle 2`
-    - `inspe tolerance j189.npz layout.yaml --json tolerance.json`
 
     Args:
         position: Standard deviation of each of x, y and z [m].

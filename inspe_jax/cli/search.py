@@ -21,9 +21,7 @@ from inspe_jax.placement.studies.pareto import (
     save_pareto,
 )
 from inspe_jax.scene.scene import Scene, load_scene
-from inspe_jax.scoring.metrics import METRICS
 from inspe_jax.sensing import catalogue
-from inspe_jax.sensing.conditions import FAIR
 
 PICTURE = "before_after.png"
 
@@ -50,8 +48,6 @@ def optimise(
     - `inspe optimise`  (the built-in four-way, from cameras at its corners, in a minute)
     - `inspe optimise roundabout Cam-d1/L-d1 --method grid --seconds 120 --out grid`
     - `inspe optimise j189.npz layout.yaml --also j189_night.npz --worst --places poles`
-    - `inspe optimise j189.npz layout.yaml --light midday,night --weather rain:10`
-    - `inspe optimise --weight coverage=0.3 --weight occlusion=0.7`
     - `inspe optimise j189.npz layout.yaml --seconds 3600 --checkpoint search.npz`
     - `inspe optimise roundabout L-d1 --weight detectability=1 --region crosswalk`
     - `inspe optimise four_way --device velodyne-vlp-16:2 --device paper-camera:4`
@@ -103,15 +99,7 @@ def optimise(
             checkpoint=checkpoint,
         )
     _show(result)
-    folder = _save(world, result, folder)
-    around = "".join(
-        f" --{key} {value}"
-        for key, value in result.scores.conditions.record.items()
-        if value != FAIR.record[key]
-    )
-    if further := [name for name in result.scores.metrics if not METRICS[name].usual]:
-        around += f" --metrics {','.join(further)}"
-    common.out.print(f"next: inspe score {source} {folder / 'layout.yaml'}{around} --plot plan.png")
+    _save(world, result, folder)
 
 
 @command()
@@ -154,10 +142,6 @@ def compare(
         world, placed = common.scene_and_layout(source, sensors, options.profile)
         cases = options.cases(world)
     runs = [(name, seed) for name in names for seed in range(seeds)]
-
-    def fraction(name: str, seed: int, done: float) -> float:
-        return (runs.index((name, seed)) + done) / len(runs)
-
     with common.search_bar("comparing") as callback:
         results = search.compare(
             cases,
@@ -170,7 +154,7 @@ def compare(
             constraints,
             start,
             progress=lambda name, seed, done, best: callback(
-                fraction(name, seed, done), best, f"{name}, seed {seed}"
+                (runs.index((name, seed)) + done) / len(runs), best, f"{name}, seed {seed}"
             ),
         )
     common.out.print(comparison_table(results))
@@ -276,15 +260,10 @@ def _find_cheapest(
         )
     common.out.print(cheapest_table(found))
     best = found.best
+    words = f"{best.name} reaches {target:g}"
     if found.found is None:
-        words = f"none of {len(found.searched)} mixes reaches {target:g}; the best is {best.name}"
-    else:
-        others = len(found.searched) - 1
-        words = f"{best.name} reaches {target:g}; of mixes that cost no more, {others} searched"
-        words += ", none reaches it" if others else ""
-    if found.found is None and (left := found.total - len(found.searched)):
-        words += f"; {left} were not searched"
-    common.out.print(words)
+        words = f"none reaches {target:g}; the best is {best.name}"
+    common.out.print(f"{words}; {len(found.searched)} of {found.total} mixes were searched")
     _save(world, best.result, folder)
 
 
@@ -302,8 +281,8 @@ def _show(result: Result) -> None:
     common.note(*result.notes)
 
 
-def _save(world: Scene, result: Result, folder: Path) -> Path:
-    """Write and draw a search; returns the folder that has it."""
+def _save(world: Scene, result: Result, folder: Path) -> None:
+    """Write and draw a search."""
     from inspe_jax.report.progress import before_after
 
     folder = claims.keep(partial(save_result, result), folder)
@@ -312,4 +291,3 @@ def _save(world: Scene, result: Result, folder: Path) -> Path:
     )
     parts = (result.start, result.layout, result.scores_before, result.scores)
     common.draw(lambda: before_after(world, *parts, path=result.path), folder / PICTURE)
-    return folder

@@ -74,8 +74,7 @@ def report(
     entries = []
     for layout, result in placed:
         with common.busy(f"scoring {layout.name}"):
-            further, curves = objective.metrics, objective.detection
-            entry = report_entry(case, layout, objective.weights, result, further, curves)
+            entry = report_entry(case, layout, objective, result)
             entry = replace(entry, sought=options.sought(case, layout))
         if tolerance:
             with common.progress(f"installations of {layout.name}") as callback:
@@ -111,13 +110,11 @@ def view(
 ) -> None:
     """Serve a page on which you drag sensors and see the scores follow.
 
-    A sensor snaps to the nearest place where it can be mounted. You can add, copy, remove and
-    exchange sensors, start a search, undo, save, and write a report. Unsaved changes are kept in
-    a file beside the layout. A file of an earlier run is not replaced without asking. A layout
-    that breaks a rule of mounting opens too; its sensors are red and the page gives the reason.
-    Only this machine can open the page; another one can through the tunnel that is printed. The
-    address contains a secret: everyone on this machine who has it can do all of this. It stays
-    the same for the same --out. Ctrl-C ends the server.
+    A sensor snaps to the nearest place where it can be mounted. Unsaved changes are kept in a file
+    beside the layout. A file of an earlier run is not replaced without asking. Only this machine
+    can open the page; another one can through the tunnel that is printed. The address contains a
+    secret: everyone on this machine who has it can change and save the layout. It stays the same
+    for the same --out. Ctrl-C ends the server.
 
     Examples:
 
@@ -133,8 +130,7 @@ def view(
     from inspe_jax.viewer.server import kept_token
 
     check_output(path, (".yaml", ".yml"))
-    conditions, weights = options.conditions, options.weights()
-    further, curves = options.further(), options.curves()
+    conditions, objective = options.conditions, options.objective()
     common.check_layout(sensors, unit_rule=False)
     with common.busy(f"reading {source}"):
         world = load_scene(source, options.profile)
@@ -143,9 +139,7 @@ def view(
         Case(world, conditions),
         layout,
         path,
-        weights=weights,
-        metrics=further,
-        detection=curves,
+        objective=objective,
         token=kept_token(str(path.resolve())),  # a page that is open gets in to the next server
         port=port,
     )

@@ -16,14 +16,10 @@ from typing import Any
 
 from inspe_jax.core.compiling import compiled, holds_main_thread, kept_in
 
-PATIENCE = 0.5
-"""Time in which the main thread hears Ctrl-C if it is in Python [s]."""
-TOGETHER = 0.2
-"""Time between its two threads' hearing of one Ctrl-C, at most [s]."""
-LONG = 3.0
-"""Compiling that takes longer is told of [s]."""
-CTRL_C = 130
-"""Exit status of a command that Ctrl-C has ended."""
+PATIENCE = 0.5  # time in which the main thread hears Ctrl-C if it is in Python [s]
+TOGETHER = 0.2  # time between its two threads' hearing of one Ctrl-C, at most [s]
+LONG = 3.0  # compiling that takes longer is told of [s]
+CTRL_C = 130  # exit status of a command that Ctrl-C has ended
 
 
 @dataclass

@@ -29,8 +29,7 @@ if TYPE_CHECKING:
 METHOD, EVALUATIONS = "greedy", 100.0
 """Method of the searches of a plan, and the budget of each in exact scores."""
 FILES = ("plan.csv", "plan.png", "plan.geojson")
-SHOWN = 5
-"""Number of failures whose error is printed."""
+SHOWN = 5  # number of failures whose error is printed
 
 
 @dataclass(frozen=True)
@@ -125,7 +124,7 @@ def plan(
     if method == SCORE_ONLY:
         raise InspeError(f"--method {method}: a plan needs a search")
     given = numbers("--importance", importance, "ID=WEIGHT, such as 189=2")
-    options.curves()
+    scored = options.objective()
     mixes = device_mixes(device_counts(device), Objective(prices=prices(price)))
     if evaluations is None and seconds is None:
         evaluations = EVALUATIONS
@@ -134,13 +133,13 @@ def plan(
         seed=seed,
         light=options.light,
         weather=options.weather,
-        weights=options.weights(),
+        weights=scored.weights,
         method=method,
         evaluations=evaluations,
         seconds=seconds,
         search_seed=seed,
     )
-    more: dict[str, Any] = dict(metrics=list(options.further()))
+    more: dict[str, Any] = dict(metrics=list(scored.metrics))
     if options.detection is not None:
         more["detection"] = str(options.detection.resolve())
     with common.busy(f"reading {source}"):

@@ -1,17 +1,15 @@
-"""Static bodies on maps and in three dimensions: houses, walls, trees, parked vehicles."""
+"""What stands and leads through a place, on maps: static bodies, lanes and walking routes."""
 
 from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 import shapely
-from jaxtyping import Float, Int
 from matplotlib.axes import Axes
-from matplotlib.collections import PolyCollection
+from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.patches import Circle, Patch
 from shapely.geometry import Point
 
-from inspe_jax.scene.placed_bodies import convex_parts
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scene.statics import KINDS, StaticBody
 
@@ -22,6 +20,8 @@ BODY_COLORS: dict[str, str] = dict.fromkeys(KINDS, "#9b938a") | {
 }
 """Colours of bodies, by kind: greys of stone and of sheet metal, and the green of leaves."""
 _EDGE = 0.4  # width of outlines [pt]
+LANE: dict[str, Any] = dict(color="#303030", lw=0.4)
+WALK: dict[str, Any] = dict(color="#00543d", lw=0.7)
 
 
 def look_of(kind: str) -> dict[str, Any]:
@@ -35,7 +35,7 @@ def look_of(kind: str) -> dict[str, Any]:
 def draw_bodies(ax: Axes, scene: Scene) -> None:
     """Draw the outlines of a scene's bodies within the circle, filled where they stand on the
     ground: beneath others one sees it."""
-    inside = Circle(tuple(scene.voxels.center[:2]), scene.voxels.radius, transform=ax.transData)
+    inside = _circle(ax, scene)
     for kind, bodies in _by_kind(scene):
         look = look_of(kind)
         color = look.pop("fc")
@@ -61,25 +61,38 @@ def _by_kind(scene: Scene) -> Iterator[tuple[str, list[StaticBody]]]:
             yield kind, bodies
 
 
-def body_meshes(
-    scene: Scene,
-) -> Iterator[tuple[str, Float[np.ndarray, "N 3"], Int[np.ndarray, "F 3"]]]:
-    """Each kind of body with the corners [m] and faces of its prisms, as scores have them. What
-    stands on the ground begins at the lowest ground at its corners."""
-    place = scene.intersection
-    for kind, bodies in _by_kind(scene):
-        points, faces, count = list[np.ndarray](), list[np.ndarray](), 0
-        parts = convex_parts(bodies, place)
-        for corners, bottom, top in zip(parts.corners, parts.bottom, parts.top, strict=True):
-            outline = corners[: len(np.unique(corners, axis=0))]  # the last corner is repeated
-            if np.isinf(bottom):
-                bottom = min(float(place.ground(outline).min()), top)
-            n = len(outline)
-            points += [np.column_stack([outline, np.full(n, z)]) for z in (bottom, top)]
-            k = np.arange(n)
-            after = np.roll(k, -1)
-            sides = np.stack([[k, k], [after, after + n], [after + n, k + n]], -1).reshape(-1, 3)
-            fan = np.column_stack([np.zeros(n - 2, int), k[1:-1], k[2:]])
-            faces.append(count + np.concatenate([sides, fan + n, fan[:, ::-1]]))
-            count += 2 * n
-        yield kind, np.concatenate(points), np.concatenate(faces)
+def _circle(ax: Axes, scene: Scene) -> Circle:
+    return Circle(tuple(scene.voxels.center[:2]), scene.voxels.radius, transform=ax.transData)
+
+
+def draw_routes(ax: Axes, scene: Scene) -> None:
+    """Draw centre lines of lanes with arrow heads, and walking routes, within the circle."""
+    radius, inside = scene.voxels.radius, _circle(ax, scene)
+    for user, look in (("vehicle", LANE), ("pedestrian", WALK)):
+        lines = [r.waypoints[:, :2] for r in scene.intersection.routes if r.user == user]
+        drawn = LineCollection(lines, **look, zorder=3)
+        ax.add_collection(drawn, autolim=False)
+        drawn.set_clip_path(inside)
+    shape = radius * np.array([[0.012, 0.0], [-0.012, 0.008], [-0.012, -0.008]])
+    heads = [at + shape @ np.array([d, [-d[1], d[0]]]) for at, d in arrow_heads(scene)]
+    ax.add_collection(PolyCollection(heads, fc="#303030", ec="none", zorder=3), autolim=False)
+
+
+def arrow_heads(scene: Scene) -> list[tuple[np.ndarray, np.ndarray]]:
+    """(x, y) [m] and direction of the arrow heads on lanes. Several routes can run on one lane; one
+    arrow head stands for all of them."""
+    radius, middle = scene.voxels.radius, scene.voxels.center[:2]
+    heads = list[tuple[np.ndarray, np.ndarray]]()
+    for route in scene.intersection.routes:
+        if route.user != "vehicle":
+            continue
+        steps = np.diff(route.waypoints[:, :2], axis=0)
+        for s in np.arange(radius / 8, route.length, radius / 4):
+            k = int(np.searchsorted(route.arc, s)) - 1
+            at, ahead = route.waypoints[k, :2], steps[k] / np.hypot(*steps[k])
+            apart = (at - np.array([head for head, _ in heads]).reshape(-1, 2)) / radius  # (H, 2)
+            along, aside = np.abs(apart @ ahead), np.abs(apart @ [-ahead[1], ahead[0]])
+            crowded = (along < 0.12) & (aside < 0.02) | (np.hypot(along, aside) < 0.035)
+            if not crowded.any() and np.hypot(*(at - middle)) < 0.97 * radius:
+                heads.append((at, ahead))
+    return heads

@@ -15,6 +15,7 @@ from inspe_jax.core.sheet import KEYS, TITLE, WIDTH, fit, house_style, setting_w
 from inspe_jax.placement.result import Result
 from inspe_jax.placement.run import Progress
 from inspe_jax.placement.studies.pareto import DeviceMix
+from inspe_jax.report.tables import by_method
 
 COLORS = (
     "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000", "#808080",
@@ -23,8 +24,7 @@ COLORS = (
 LINES = ("-", (0, (5, 1.5)), (0, (1.2, 1.2)), (0, (6, 1.5, 1.2, 1.5)))
 """Line styles, so that methods differ not only in colour."""
 FRONT, BEATEN = "#0072b2", "#808080"
-NAMED = 12
-"""Most mixes on the front that are named; those that add most to the score are chosen."""
+NAMED = 12  # most mixes on the front that are named; those that add most to the score are chosen
 GRID: dict[str, Any] = dict(color="#e0e0e0", lw=0.4)
 _LEFT = 0.085  # left edge of headings and axes, as a share of the width
 
@@ -98,9 +98,7 @@ def history_view(results: Sequence[Result]) -> Figure:
     """
     if not results:
         raise InspeError("no result to draw")
-    by: dict[str, list[Result]] = {}
-    for result in results:
-        by.setdefault(result.method, []).append(result)
+    by = by_method(results)
     panels: tuple[tuple[str, Callable[[Any], float]], ...] = (
         ("wall time [s]", lambda row: row.seconds),
         ("work [exact scores]", lambda row: row.evaluations),

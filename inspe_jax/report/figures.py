@@ -37,10 +37,9 @@ from inspe_jax.core.sheet import (
     setting_words,
     sheet,
 )
-from inspe_jax.report.bodies import body_keys, draw_bodies
+from inspe_jax.report.bodies import LANE, WALK, body_keys, draw_bodies, draw_routes
 from inspe_jax.report.layers import MapLayer, cell_rows, seen_layer
 from inspe_jax.report.outlines import clear_outlines
-from inspe_jax.report.routes import LANE, WALK, draw_routes
 from inspe_jax.scene.regions import PRECEDENCE, Region
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scene.traffic.frames import CLASSES

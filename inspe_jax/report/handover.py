@@ -21,8 +21,7 @@ from inspe_jax.sensing.layout_geojson import DIGITS, collection, layout_features
 
 LINE = {"camera": "ffb27200", "lidar": "ff00559e"}
 """Colours of outlines in KML, by kind of sensor: alpha, blue, green, red."""
-FILL = "30"
-"""Alpha of what is within them."""
+FILL = "30"  # alpha of what is within them
 
 
 def plan_features(layout: Layout, place: Intersection) -> list[dict[str, Any]]:

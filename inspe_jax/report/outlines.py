@@ -13,8 +13,7 @@ FAN = 97, 33
 """Rows and columns of the rays that outline a camera's view."""
 HIDING = ("building", "wall", "solid")
 """Kinds of bodies that a drawn view ends at. The others are small, or let light through."""
-FARTHEST = 100.0
-"""A shadow on the ground ends at most this many times as far away as what casts it."""
+FARTHEST = 100.0  # a shadow on the ground ends at most this many times as far away as what casts it
 
 
 def view_outline(

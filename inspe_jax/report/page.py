@@ -20,6 +20,7 @@ from matplotlib.figure import Figure
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.sheet import jpeg_text, png_text
 from inspe_jax.core.words import counted, isolated
+from inspe_jax.placement.objective import Objective
 from inspe_jax.placement.problem import Case
 from inspe_jax.placement.result import STATUSES, Result
 from inspe_jax.placement.studies.tolerance import Tolerance
@@ -35,15 +36,14 @@ from inspe_jax.report.schedule import (
     sensors_in_words,
     total_price,
 )
-from inspe_jax.report.tables import goal_words, scores_record, tolerance_record
+from inspe_jax.report.tables import goal_words, scores_of, scores_record, tolerance_record
 from inspe_jax.report.targets import targets_view
 from inspe_jax.scene.intersection import BUILT_IN
 from inspe_jax.scene.maps.sumo.network import GEOGRAPHIC, SUMO
 from inspe_jax.scene.regions import WEIGHTS, Region
 from inspe_jax.scene.scene import Scene
-from inspe_jax.scoring.detection import DetectionCurves
-from inspe_jax.scoring.evaluate import Scores, evaluate
-from inspe_jax.scoring.metrics import Weights, listed_in
+from inspe_jax.scoring.evaluate import Scores
+from inspe_jax.scoring.metrics import listed_in
 from inspe_jax.scoring.target_metrics import ROWS
 from inspe_jax.scoring.targets import TargetView, target_view
 from inspe_jax.scoring.viewshed import Viewshed, Visibility, viewshed
@@ -51,8 +51,7 @@ from inspe_jax.sensing.conditions import Conditions
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.visibility.tiles import CORE
 
-DPI = 170
-"""Resolution of the figures in a page [dots per inch]."""
+DPI = 170  # resolution of the figures in a page [dots per inch]
 CAPTIONS: dict[str, str] = {
     "seen": "How often each spot is seen: the share of frames and levels, behind traffic.",
     "blind": "Blind spots: what no sensor has in view, and what traffic hides most of the time.",
@@ -63,17 +62,9 @@ FACTS = dict[str, Any](
     resolution_of=resolution_of, degrees=degrees, conditions=Conditions.of,
 )  # fmt: skip
 """What templates compare sources of places and poles of units with, and call."""
-SPOTS = 10
-"""Most blind spots in a list."""
+SPOTS = 10  # most blind spots in a list
 ON_TARGET = "What a pedestrian gets at each spot, behind traffic."
 """Caption of the maps of a page whose scores have metrics of what a detector gets."""
-
-
-class Start(NamedTuple):
-    """The layout that another one is compared with, and what it is, in words."""
-
-    layout: Layout
-    words: str
 
 
 class PageViews(NamedTuple):
@@ -88,11 +79,10 @@ class PageViews(NamedTuple):
 class ReportEntry:
     """A layout with all that a page shows of it.
 
-    ``result``: if a search found the layout, its result. ``start`` and ``before``: if given, the
-    layout before, as the start of the search, and its scores. ``target``: if given, the P_sm that
-    the layout should reach. ``tolerance``: if given, how carefully the layout must be installed.
-    ``targets``: if given, what a pedestrian gets at each place. ``sought``: the score that the
-    layout was searched for, if that is not P_sm.
+    ``result``: that of the search that found it. ``start`` and ``before``: the layout before, and
+    its scores. ``target``: the P_sm that it should reach. ``tolerance``: how carefully it must be
+    installed. ``targets``: what a pedestrian gets at each place. ``sought``: the score that it was
+    searched for, if that is not P_sm.
     """
 
     layout: Layout
@@ -100,7 +90,7 @@ class ReportEntry:
     shed: Viewshed
     tolerance: Tolerance | None = None
     result: Result | None = None
-    start: Start | None = None
+    start: Layout | None = None
     before: Scores | None = None
     target: float | None = None
     targets: TargetView | None = None
@@ -110,38 +100,28 @@ class ReportEntry:
 def report_entry(
     case: Case,
     layout: Layout,
-    weights: Weights,
+    objective: Objective,
     result: Result | None = None,
-    metrics: Sequence[str] = (),
-    detection: DetectionCurves | None = None,
-    start: Start | None = None,
+    start: Layout | None = None,
     target: float | None = None,
 ) -> ReportEntry:
-    """Score a layout for a page, without its tolerance.
+    """Score a layout for a page, without its tolerance. Raises InspeError as :func:`scores_of`.
 
-    ``weights``, ``metrics`` and ``detection`` as in :func:`inspe_jax.evaluate`, which also says
-    what is raised. ``result`` is that of the search that found the layout, if any. ``start`` is
-    the layout to compare with, that of the search if None. ``target`` is the P_sm that the layout
-    should reach.
+    ``result`` is that of the search that found the layout, if any. ``start`` is the layout to
+    compare with, that of the search if None. ``target`` is the P_sm that the layout should reach.
     """
     scene, around = case.scene, case.conditions
-    options: dict[str, Any] = dict(weights=weights, metrics=metrics, detection=detection)
-
-    def scores(of: Layout) -> Scores:
-        return evaluate(scene, of, conditions=around, **options)
-
-    if start is None and result is not None:
-        start = Start(result.start, "where the search began")
-    found, targets = scores(layout), None
+    start = result.start if start is None and result is not None else start
+    found, targets = scores_of(case, layout, objective), None
     if any(row.name in found.metrics for row in ROWS):
-        targets = target_view(scene, layout, conditions=around, detection=detection)
+        targets = target_view(scene, layout, conditions=around, detection=objective.detection)
     return ReportEntry(
         layout,
         found,
         viewshed(scene, layout, conditions=around),
         result=result,
         start=start,
-        before=None if start is None else scores(start.layout),
+        before=None if start is None else scores_of(case, start, objective),
         target=target,
         targets=targets,
     )
@@ -246,10 +226,10 @@ def _images(
         around = scores.conditions
         shown = around.layout(layout)
         found[ON_TARGET] = targets_view(scene, shown, entry.targets, frame=frame, conditions=around)
-    if entry.start is not None and same_sensors(entry.start.layout, layout):
+    if entry.start is not None and same_sensors(entry.start, layout):
         assert entry.before is not None
         found["Before and after"] = before_after(
-            scene, entry.start.layout, layout, entry.before, scores,
+            scene, entry.start, layout, entry.before, scores,
             path=None if result is None else result.path, frame=frame,
         )  # fmt: skip
     if result is not None:

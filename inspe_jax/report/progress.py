@@ -27,8 +27,7 @@ from inspe_jax.scoring.evaluate import Scores
 from inspe_jax.scoring.metrics import listed_in
 from inspe_jax.sensing.layout import Layout
 
-MOVED = 0.5
-"""Units that moved further than this get an arrow [m]."""
+MOVED = 0.5  # units that moved further than this get an arrow [m]
 WENT = "where a unit went, step by step"
 _HEAD, _BELOW, _ROW = 0.66, 0.64, 0.17  # above and below the maps, and for a row of keys [inch]
 _CAPTION = 60  # characters that fit on a line above a map

@@ -3,24 +3,18 @@
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
-from itertools import combinations, groupby
-from math import dist
+from itertools import groupby
 
 import numpy as np
 
 from inspe_jax.core.words import counted
 from inspe_jax.scene.intersection import Intersection
-from inspe_jax.sensing.catalogue import Device, devices
+from inspe_jax.sensing.catalogue import devices
 from inspe_jax.sensing.layout import Layout
 
-SAME_POLE = 1.0
-"""A unit this near to an existing pole is mounted on it [m]."""
-EXISTING_POLE = "existing pole"
-"""What such a unit stands on, in words."""
-ON_AXIS = 0.005
-"""A sensor that is nearer to the axis of its pole is on it [m]."""
-ONE_POINT = 0.05
-"""Sensors that are nearer to each other are at one point, and as high as each other [m]."""
+SAME_POLE = 1.0  # a unit this near to an existing pole is mounted on it [m]
+EXISTING_POLE = "existing pole"  # what such a unit stands on, in words
+ON_AXIS = 0.005  # a sensor that is nearer to the axis of its pole is on it [m]
 
 
 @dataclass(frozen=True)
@@ -30,7 +24,7 @@ class SensorRow:
     how far it hangs from the base in plan [m], towards ``offset_azimuth``. ``azimuth`` is the
     direction that it faces; both are in degrees clockwise from north. ``tilt`` is how far it looks
     down, and ``roll`` how far its left side is up [degrees]. ``price`` [US dollars] is None if
-    unknown. ``all_round``: whether it looks in every direction."""
+    unknown."""
 
     number: int
     name: str
@@ -44,7 +38,6 @@ class SensorRow:
     offset: float
     offset_azimuth: float
     price: float | None
-    all_round: bool
 
     @property
     def on_axis(self) -> bool:
@@ -66,22 +59,6 @@ class UnitRow:
     degrees: tuple[float, float] | None
     pole: str
     sensors: tuple[SensorRow, ...]
-
-    @property
-    def overtopped(self) -> tuple[int, ...]:
-        """Its sensors on the axis that look all round, while another is as high or higher."""
-        return tuple(
-            row.number
-            for row in self.sensors
-            if row.on_axis and row.all_round
-            if any(o is not row and o.height >= row.height - ONE_POINT for o in self.sensors)
-        )
-
-    @property
-    def at_one_point(self) -> bool:
-        """Whether two of its sensors are at one point."""
-        at = [(*row.position, row.height) for row in self.sensors]
-        return any(dist(a, b) < ONE_POINT for a, b in combinations(at, 2))
 
 
 @dataclass(frozen=True)
@@ -120,15 +97,14 @@ def installation_schedule(
     away = poses[:, :2] - bases
     arms = _azimuths(place, bases, np.arctan2(away[:, 1], away[:, 0]))
     degrees = None if place.georeference is None else place.georeference.to_degrees(feet)
-    known = devices()
-    rows = []
+    bought, rows = {row.device: row for row in materials(layout, prices)}, []
     for u, members in enumerate(layout.members()):
         sensors = tuple(
             SensorRow(
                 number=s + 1,
                 name=layout.sensors[s].name,
                 device=(name := layout.sensors[s].spec.name),
-                title=known[name].title if name in known else "",
+                title=bought[name].title,
                 position=(float(poses[s, 0]), float(poses[s, 1])),
                 height=float(poses[s, 2] - ground[u]),
                 azimuth=float(azimuths[s]) % 360,
@@ -136,8 +112,7 @@ def installation_schedule(
                 roll=float(np.degrees(poses[s, 3])) + 0.0,
                 offset=float(np.hypot(*away[s])),
                 offset_azimuth=float(arms[s]) % 360,
-                price=price_of(known, name, prices),
-                all_round=layout.sensors[s].spec.grid.wraps,
+                price=bought[name].price,
             )
             for s in members
         )
@@ -152,10 +127,10 @@ def materials(layout: Layout, prices: Mapping[str, float]) -> tuple[MaterialRow,
     known, rows = devices(), []
     for name, count in Counter(sensor.spec.name for sensor in layout.sensors).items():
         at = [layout.units[s.unit].name for s in layout.sensors if s.spec.name == name]
-        one, price = known.get(name), price_of(known, name, prices)
-        title, maker = ("", "") if one is None else (one.title, one.maker)
         units = tuple(unit for unit, _ in groupby(at))
-        product = one is None or one.product
+        one = known.get(name)
+        title, maker = (one.title, one.maker) if one else ("", "")
+        price, product = prices.get(name, one.price_usd if one else None), not one or one.product
         rows.append(MaterialRow(name, title, maker, count, price, units, product))
     return tuple(rows)
 
@@ -172,13 +147,6 @@ def sensors_in_words(layout: Layout) -> str:
     count = Counter(sensor.spec.kind for sensor in layout.sensors)
     words = {"lidar": "LiDAR"}
     return " and ".join(counted(number, words.get(kind, kind)) for kind, number in count.items())
-
-
-def price_of(
-    known: Mapping[str, Device], name: str, prices: Mapping[str, float] | None = None
-) -> float | None:
-    """What a device costs [US dollars]: by ``prices``, or the catalogue's; None if unknown."""
-    return (prices or {}).get(name, known[name].price_usd if name in known else None)
 
 
 def _azimuths(place: Intersection, points: np.ndarray, yaw: np.ndarray) -> np.ndarray:

@@ -14,21 +14,34 @@ from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import json_value
 from inspe_jax.core.tables import table_of
 from inspe_jax.core.version import __version__
+from inspe_jax.placement.objective import Objective
+from inspe_jax.placement.problem import Case
 from inspe_jax.placement.result import Result
 from inspe_jax.placement.studies.pareto import Cheapest, DeviceMix
 from inspe_jax.placement.studies.tolerance import POSITION_STEP, Tolerance
 from inspe_jax.scene.regions import WEIGHTS, Region
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scoring.blind_spots import blind_spots
-from inspe_jax.scoring.evaluate import Scores
+from inspe_jax.scoring.evaluate import Scores, evaluate
 from inspe_jax.scoring.metrics import METRICS, listed, listed_in
 from inspe_jax.sensing.conditions import Conditions
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.visibility.tiles import CORE
 
-SPOTS = 5
-"""Most blind spots in a table."""
+SPOTS = 5  # most blind spots in a table
 _SAME = 1e-5  # objectives and scores are summed in different orders, in single precision
+
+
+def scores_of(case: Case, layout: Layout, objective: Objective) -> Scores:
+    """Exact scores, with the weights, the further metrics and the curves of an objective. Raises
+    InspeError as :func:`inspe_jax.evaluate`."""
+    return evaluate(
+        case,
+        layout,
+        weights=objective.weights,
+        metrics=objective.metrics,
+        detection=objective.detection,
+    )
 
 
 def goal_words(layout: Layout, scores: Scores, sought: float | None) -> str:
@@ -51,7 +64,7 @@ def _only(scores: Scores) -> str:
 
 
 def scores_table(scores: Scores, layout: Layout, sought: float | None = None) -> RenderableType:
-    """Scores: every metric and P_sm, coverage by region and level, and what each sensor adds.
+    """Scores: every metric and P_sm, coverage by region, and what each sensor adds.
 
     What a sensor adds is what the layout loses without it. ``sought`` is the score that the layout
     was searched for, if that is not P_sm. Raises InspeError if the scores are of another layout.
@@ -73,10 +86,6 @@ def scores_table(scores: Scores, layout: Layout, sought: float | None = None) ->
     for key, share in scores.region_coverage.items():
         regions.add_row(key, f"{WEIGHTS[Region[key.upper()]]:g}", f"{share:.3f}")
 
-    levels = table_of("Unweighted, by level", "level, from below", "share")
-    for k, share in enumerate(scores.level_coverage):
-        levels.add_row(str(k + 1), f"{share:.3f}")
-
     each = table_of("What each sensor adds", "#", "sensor", "device", *(m.symbol for m in rows))
     for k, (part, _, device) in enumerate(members):
         digits = 4 if len(rows) <= 5 else 3  # as many as a narrow terminal shows
@@ -84,7 +93,7 @@ def scores_table(scores: Scores, layout: Layout, sought: float | None = None) ->
         each.add_row(str(k + 1), Text(part.sensor), Text(device), *drops)
 
     # Side by side as far as the terminal has room.
-    beside = Columns([total, regions, levels], padding=(0, 4))
+    beside = Columns([total, regions], padding=(0, 4))
     tables = Group(beside, "", each)
     if sought is None:
         return tables
@@ -145,10 +154,8 @@ def sweep_table(rows: Sequence[Mapping[str, str]]) -> RenderableType:
     table = table_of(
         "Mean ± standard deviation", "layout", "jobs", "failed", *(m.symbol for m in metrics)
     )
-    by: dict[str, list[Mapping[str, str]]] = {}
-    for row in rows:
-        by.setdefault(row["layout"], []).append(row)
-    for name, own in by.items():
+    for name in dict.fromkeys(row["layout"] for row in rows):
+        own = [row for row in rows if row["layout"] == name]
         done = [row for row in own if row["status"] == "done"]
         scores = (np.array([float(row[key]) for row in done]) for key in (m.name for m in metrics))
         words = (f"{x.mean():.3f} ± {x.std():.2f}" if len(x) else "" for x in scores)
@@ -156,11 +163,15 @@ def sweep_table(rows: Sequence[Mapping[str, str]]) -> RenderableType:
     return table
 
 
+def by_method(results: Sequence[Result]) -> dict[str, list[Result]]:
+    """The results of searches by their method, in the order in which methods come."""
+    names = dict.fromkeys(result.method for result in results)
+    return {name: [result for result in results if result.method == name] for name in names}
+
+
 def comparison_table(results: Sequence[Result]) -> RenderableType:
     """The results of several searches: one row for each method, the best median first."""
-    by: dict[str, list[Result]] = {}
-    for result in results:
-        by.setdefault(result.method, []).append(result)
+    by = by_method(results)
     name = f"{results[0].start.name}: {results[0].objective_before:.4f} at the start"
     heads = ("seeds", "median", "worst", "best", "work", "time\n[s]")
     table = table_of(name, "method", *heads)

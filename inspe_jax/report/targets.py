@@ -1,6 +1,6 @@
 """What a road user gets at each place: tables, records and maps of returns, px/m and chances."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -71,50 +71,9 @@ def _shares(
     return [*((region.key, values[label == region]) for region in there), ("all", values)]
 
 
-def _measured(layout: Layout) -> dict[str, bool]:
-    """Which of the two a layout's sensors have: returns, and pixels."""
-    pictures = [sensor.spec.focal_pixels is not None for sensor in layout.sensors]
-    return dict(returns=not all(pictures), pixels=any(pictures))
-
-
-def targets_table(scene: Scene, layout: Layout, view: TargetView) -> RenderableType:
-    """By region: how many LiDAR returns and how many pixels per metre a road user gets."""
-    tables: list[RenderableType] = []
-    has = _measured(layout)
-
-    def add(title: str, values: np.ndarray, columns: Mapping[str, Callable[..., str]]) -> None:
-        table = table_of(f"{title}: share of places", "region", *columns)
-        for region, own in _shares(scene, values):
-            table.add_row(region, *(say(own) for say in columns.values()))
-        tables.extend([table, ""])
-
-    def between(bands: Bands) -> dict[str, Callable[..., str]]:
-        ends = [*(least for least, _, _ in bands[1:]), np.inf]
-        return {
-            words: lambda x, low=low, high=high: f"{((x >= low) & (x < high)).mean():.0%}"
-            for (low, words, _), high in zip(bands, ends, strict=True)
-        }
-
-    median = {"median": lambda x: f"{np.median(x):.1f}"}
-    if has["returns"]:
-        low = {"10 %": lambda x: f"{np.percentile(x, 10):.1f}"}
-        title = f"LiDAR returns on a {view.road_user}, mean over frames"
-        add(title, view.points_on_target, median | low | between(RETURNS))
-    if has["pixels"]:
-        title = "Pixels per metre of the best camera, no traffic"
-        reach = {
-            f"{name}\n≥ {least:g}": lambda x, least=least: f"{(x >= least).mean():.0%}"
-            for name, least in BANDS.items()
-        }
-        add(title, view.pixel_density, median | reach)
-    mean = {"mean": lambda x: f"{x.mean():.3f}"}
-    title = f"Chance that a detector finds a {view.road_user}"
-    add(title, view.detectability, mean | between(CHANCES))
-    return Group(*tables[:-1])
-
-
 def targets_record(scene: Scene, layout: Layout, view: TargetView) -> dict[str, Any]:
-    """The same as a record for JSON: medians and shares by region."""
+    """By region, as a record for JSON: how many LiDAR returns and how many pixels per metre a road
+    user gets, as medians and shares of places, and the mean chance that it is found."""
 
     def of(values: np.ndarray, least: dict[str, float]) -> dict[str, Any]:
         return {
@@ -125,17 +84,38 @@ def targets_record(scene: Scene, layout: Layout, view: TargetView) -> dict[str, 
             for region, part in _shares(scene, values)
         }
 
-    has = _measured(layout)
+    pictures = [sensor.spec.focal_pixels is not None for sensor in layout.sensors]
     record: dict[str, Any] = dict(scene=scene.name, layout=layout.name, road_user=view.road_user)
-    if has["returns"]:
+    if not all(pictures):
         returns = {f"at least {least:g}": least for least, _, _ in RETURNS[1:]}
         record["lidar_returns"] = of(view.points_on_target, returns)
-    if has["pixels"]:
+    if any(pictures):
         record["pixels_per_metre"] = of(view.pixel_density, BANDS)
     record["detectability"] = {
         region: float(values.mean()) for region, values in _shares(scene, view.detectability)
     }
     return record
+
+
+def targets_table(record: Mapping[str, Any]) -> RenderableType:
+    """The numbers of :func:`targets_record` as tables."""
+    user, tables = record["road_user"], list[RenderableType]()
+    for key, title in (
+        ("lidar_returns", f"LiDAR returns on a {user}, mean over frames: share of places"),
+        ("pixels_per_metre", "Pixels per metre of the best camera, no traffic: share of places"),
+    ):
+        if key in record:
+            names = record[key]["all"]["shares"]
+            heads = [f"{name}\n≥ {BANDS[name]:g}" if name in BANDS else name for name in names]
+            table = table_of(title, "region", "median", *heads)
+            for region, of in record[key].items():
+                shares = (f"{share:.0%}" for share in of["shares"].values())
+                table.add_row(region, f"{of['median']:.1f}", *shares)
+            tables += [table, ""]
+    chances = table_of(f"Chance that a detector finds a {user}", "region", "mean")
+    for region, chance in record["detectability"].items():
+        chances.add_row(region, f"{chance:.3f}")
+    return Group(*tables, chances)
 
 
 Panel = tuple[str, MapLayer, list[int]]

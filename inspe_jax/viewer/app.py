@@ -5,7 +5,7 @@ import math
 import time
 import traceback
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import suppress
 from html import escape
 from pathlib import Path
@@ -15,10 +15,9 @@ import numpy as np
 from jaxtyping import UInt
 
 from inspe_jax.core.errors import InspeError
+from inspe_jax.placement.objective import Objective
 from inspe_jax.placement.problem import Case
-from inspe_jax.report.page import Start, report_entry, report_page, template
-from inspe_jax.scoring.detection import DetectionCurves
-from inspe_jax.scoring.metrics import Weights
+from inspe_jax.report.page import report_entry, report_page, template
 from inspe_jax.sensing.layout import Layout, layout_text
 from inspe_jax.viewer.browser_view import BrowserView
 from inspe_jax.viewer.display import BACK, Display
@@ -45,20 +44,17 @@ class Viewer:
         layout: Layout,
         path: Path,
         *,
-        weights: Weights = None,
-        metrics: Sequence[str] = (),
-        detection: DetectionCurves | None = None,
+        objective: Objective | None = None,
         token: str | None = None,
         port: int = 8080,
     ) -> None:
         """Serve the page at once.
 
-        ``path`` is the layout's file. ``weights``, ``metrics`` and ``detection`` as in
-        :func:`inspe_jax.evaluate`. ``token`` is the secret that ``url`` contains, a new one if not
-        given: only who has it can open the page. If ``port`` is taken, the next free one is used.
+        ``path`` is the layout's file. Of the ``objective``, weights, metrics and curves count.
+        ``token`` is the secret that ``url`` contains, a new one if not given: only who has it can
+        open the page. If ``port`` is taken, the next free one is used.
         """
-        self.case, self.weights = case, weights
-        self.further = dict[str, Any](metrics=metrics, detection=detection)
+        self.case, self.objective = case, objective or Objective()
         self.store = LayoutStore(path, layout, case.scene)
         self.frames = case.scene.traffic.frame_count
         self.session = LayoutSession(case.scene, layout)
@@ -74,17 +70,16 @@ class Viewer:
         self.port = self.server.get_port()
         self.url = f"http://{HOST}:{self.port}/{token}/"
         self.panel = Panel(self.server.gui, self, self.frames)
-        self.display = Display(self.server, case, layout, self.panel, self.queue, self.views)
+        self.display = Display(self)
         self.scene3d = self.display.scene3d
-        self.scorer = Scorer(case, weights, self._on_scores, self._on_sight, **self.further)
+        self.scorer = Scorer(case, self.objective, self._on_scores, self._on_sight)
         self.searcher = Searcher(
             case,
-            weights,
+            self.objective,
             self.session.constraints,
             progress=self._on_progress,
             found=self._on_better,
             ended=self._on_end,
-            detection=detection,
         )
         self.panel.offer_earlier(self.store.earlier)
         self.queue.submit(lambda: self.display.draw_users(0))
@@ -148,11 +143,11 @@ class Viewer:
         self.views[client.client_id] = view
         return view
 
-    def ask(self, client: Any, what: Callable[[BrowserView], None]) -> None:
-        """Ask something of a browser's view; nothing if it is not there yet, or any more."""
+    def remove(self, client: Any) -> None:
+        """Remove what a browser has selected."""
         view = self.views.get(client.client_id)
         if view is not None:
-            what(view)
+            view.remove()
 
     # ── What any browser asks for ──
 
@@ -256,13 +251,13 @@ class Viewer:
             self.panel.report.disabled = True
             self.display.notify("Report", "It is being drawn …", None)
             layout, opened, frame = self.layout, self.display.opened, self.panel.shown_frame
-            start = None if opened is layout else Start(opened, "the layout as it was opened")
+            start = None if opened is layout else opened
             target = float(self.panel.target.value) or None
 
             def write() -> None:
                 try:
                     entry = report_entry(
-                        self.case, layout, self.weights, start=start, target=target, **self.further
+                        self.case, layout, self.objective, start=start, target=target
                     )
                     text = report_page(self.case.scene, [entry], frame=frame, views=VIEWS)
                     page = self.store.write_page(text)
@@ -284,7 +279,7 @@ class Viewer:
         self.queue.submit(lambda: self.display.show_scores(scored), key="scores")
 
     def _on_sight(self, layout: Layout, frame: int, sight: UInt[np.ndarray, " V"]) -> None:
-        self.queue.submit(lambda: self.display.show_sight(layout, frame, sight), key="sight")
+        self.queue.submit(lambda: self.display.show_sight(frame, sight), key="sight")
 
     def _on_progress(self, done: float, best: float) -> None:
         def job() -> None:

@@ -13,25 +13,19 @@ from matplotlib.patches import Rectangle
 from inspe_jax.core.sheet import house_style, png_text
 from inspe_jax.report.figures import draw_plan, reach_of, spread_badges
 from inspe_jax.report.layers import seen_layer
+from inspe_jax.report.page import template
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scoring.blind_spots import BlindSpot, blind_spots
 from inspe_jax.scoring.evaluate import Scores
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.viewer.job_queue import JobQueue
-from inspe_jax.viewer.panel import BLIND_SPOTS, SLATE, bind
+from inspe_jax.viewer.panel import SLATE, bind
 
-LETTERS = "ABCDE"
-"""Of the worst blind spots, on the plan view and in the list."""
+LETTERS = "ABCDE"  # of the worst blind spots, on the plan view and in the list
 SIDE, DOTS = 3.4, 160
 """Side of the plan view [inch], and pixels per inch."""
-APART = 0.07
-"""Least distance between two letters, as a share of the side."""
-_IMAGE = (
-    '<img style="width:100%" alt="Plan view: how often each place is seen, mean over all frames" '
-    'src="data:image/png;base64,{}"><div style="padding:.2em 1em;font-size:.875em;color:#5c5c61">'
-    "Most is missed at A, by area, weight, and share of time and height unseen. The letters are "
-    "given anew after every change:</div>"
-)
+APART = 0.07  # least distance between two letters, as a share of the side
+_IMAGE = template("viewer", "blind_spots.html.j2")
 AWAY = np.array([0.0, -22.0, 20.0])
 """From a blind spot to the camera that looks at it [m]."""
 
@@ -59,10 +53,6 @@ class BlindSpotPanel:
         """Show the scores of all frames of a layout, as soon as they are drawn."""
         self._drawing.submit(lambda: self._show(layout, scores), key="show")
 
-    def outdated(self) -> None:
-        """Say that what is shown is of a layout before."""
-        self._drawing.submit(lambda: self._title(", before the last change"), key="title")
-
     def close(self) -> None:
         """Finish what is being drawn."""
         self._drawing.close()
@@ -70,17 +60,13 @@ class BlindSpotPanel:
     def _show(self, layout: Layout, scores: Scores) -> None:
         self.spots = blind_spots(self._scene, scores.seen_share)[: len(LETTERS)]
         figure = plan_picture(self._scene, layout, scores, self.spots)
-        self.picture.content = _IMAGE.format(png_text(figure, DOTS))
+        self.picture.content = _IMAGE.render(png=png_text(figure, DOTS))
         for k, button in enumerate(self.buttons):
             button.visible = k < len(self.spots)
             if button.visible:
                 spot = self.spots[k]
                 button.label = f"{LETTERS[k]}  {spot.name}: {spot.unseen:.0%} unseen"
-        self._title("")
         self._folder.visible = True
-
-    def _title(self, when: str) -> None:
-        self._folder.label = BLIND_SPOTS + when
 
     def _look_at(self, k: int, client: Any) -> None:
         if k < len(self.spots):

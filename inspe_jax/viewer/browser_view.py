@@ -16,11 +16,11 @@ from inspe_jax.viewer.scorer import ScoredLayout
 from inspe_jax.viewer.selection3d import HandleDrag, Selection3D
 from inspe_jax.viewer.sensor_controls import POSE, SensorControls
 from inspe_jax.viewer.sensor_view import SensorShot, SensorView
+from inspe_jax.viewer.session import LayoutSession
 
 TYPED = 0.7
 """A typed number is applied after this time without another key [s], or before another action."""
-NAMED = 2.0
-"""The same for a name [s]: one pauses between words."""
+NAMED = 2.0  # the same for a name [s]: one pauses between words
 
 
 class Gripped(NamedTuple):
@@ -76,58 +76,42 @@ class BrowserView:
 
         self._select(found)
 
-    def step(self, by: int) -> None:
-        """Select the sensor so many places after the one in hand, round and round."""
-        first = min(by, 0)  # where nothing is selected, of the list's beginning or end
-
-        def found() -> tuple[int, ...]:
-            s = self.in_hand
-            return ((first if s is None else s + by) % len(self._viewer.layout),)
-
-        self._select(found)
-
     def swap(self, name: str) -> None:
         """Exchange the device of the sensor in hand."""
-        self._viewer.change(lambda: self._viewer.session.swap(self._held(), name))
+        self._change(lambda session, s: session.swap(s, name))
 
     def type_number(self, key: str, value: float) -> None:
         """Set a number of the pose of the sensor in hand, once nothing more is typed; that of the
         others changes by as much."""
 
-        def change() -> None:
-            session, s = self._viewer.session, self._held()
+        def change(session: LayoutSession, s: int) -> None:
             session.set_number(s, key, value, self.selection[:-1])
-            if session.notes:  # the sensor cannot be mounted there
-                self._viewer.display.notify("Mounted nearby", "; ".join(session.notes), "orange")
 
-        self._typing[key].start(TYPED, lambda: self._viewer.change(change))
+        self._typing[key].start(TYPED, partial(self._change, change))
 
     def rename(self, name: str) -> None:
         """Give the sensor in hand another name, once nothing more is typed."""
-        viewer = self._viewer
-        rename = partial(viewer.change, lambda: viewer.session.rename(self._held(), name))
+        rename = partial(self._change, lambda session, s: session.rename(s, name))
         self._typing["name"].start(NAMED, rename)
 
     def duplicate(self) -> None:
         """Add a copy of the sensor in hand to its unit, and select it."""
-        self._add(lambda: self._viewer.session.duplicate(self._held()))
+        self._change(lambda session, s: self._hold(session.duplicate(s)))
 
     def add(self, name: str) -> None:
         """Add a sensor, mounted as near as possible to the point that the browser looks at."""
         viewer = self._viewer
         at = np.array(self.client.camera.look_at, float)[:2] + viewer.scene3d.shift[:2]
-        self._add(lambda: viewer.session.add(name, at))
+        viewer.change(lambda: self._hold(viewer.session.add(name, at)))
 
     def remove(self) -> None:
         """Remove what is selected, and select the sensor after it."""
 
-        def job() -> None:
-            s = self._held()
-            self._viewer.session.remove(*self.selection)
-            self.follow()
-            self.selection = self.selection or (min(s, len(self._viewer.layout) - 1),)
+        def change(session: LayoutSession, s: int) -> None:
+            session.remove(*self.selection)
+            self._hold(min(s, len(session.layout) - 1))
 
-        self._viewer.change(job)
+        self._change(change)
 
     # ── The handle ──
 
@@ -195,8 +179,7 @@ class BrowserView:
         """Show what is selected of the layout as it is now, except for what is being dragged."""
         self.follow()
         s, layout, searching = self.in_hand, self._layout, self._viewer.searching
-        count = len(self.selection)
-        self._on_loop(lambda: self.controls.show(layout.sensors, s, count, change=not searching))
+        self._on_loop(lambda: self.controls.show(layout.sensors, s, change=not searching))
         if s is None:
             self.selection3d.gizmo.visible = False
         elif self.dragging is None:
@@ -238,13 +221,14 @@ class BrowserView:
 
         self._viewer.queue.submit(job)
 
-    def _add(self, add: Callable[[], int]) -> None:
-        def job() -> None:
-            s = add()
-            self.follow()
-            self.selection = (s,)
+    def _change(self, change: Callable[[LayoutSession, int], None]) -> None:
+        """Have the layout changed, of which a sensor is in hand."""
+        self._viewer.change(lambda: change(self._viewer.session, self._held()))
 
-        self._viewer.change(job)
+    def _hold(self, s: int) -> None:
+        """Select a sensor alone, of the layout as it has just become."""
+        self.follow()
+        self.selection = (s,)
 
     def _show_numbers(self, layout: Layout) -> None:
         numbers = self._viewer.session.numbers(layout, self._held())

@@ -1,19 +1,14 @@
-"""What browsers see: a layout in three dimensions, its voxels, and its scores beside them.
-
-Until those of a new layout are there, those of the layout before are faded. Every public method
-runs on the queue's thread.
-"""
+"""What browsers see: a layout in three dimensions, its voxels, and its scores beside them. Every
+public method runs on the queue's thread."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-import viser
 from jaxtyping import UInt
 
 from inspe_jax.core.compiling import compiled
 from inspe_jax.core.words import isolated
 from inspe_jax.placement.feasibility import Fault
-from inspe_jax.placement.problem import Case
 from inspe_jax.scoring.evaluate import Scores
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.viewer.blind_spot_panel import BlindSpotPanel
@@ -24,40 +19,35 @@ from inspe_jax.viewer.scene3d import Scene3D, look_from
 from inspe_jax.viewer.score_panel import score_panel
 from inspe_jax.viewer.scorer import ScoredLayout
 
-BACK = 1.25
-"""How far the camera is at first, in the usual distance."""
-STALE = 0.5
-"""Scores and voxels of the layout before fade after this time [s]."""
+BACK = 1.25  # how far the camera is at first, in the usual distance
+STALE = 0.5  # what is being done is said anew after this time [s]
 
 
 class Display:
     """A layout as browsers see it. ``shown`` is the layout, ``opened`` that at the start,
     ``scored`` the newest scores: its own, or those of a layout before."""
 
-    def __init__(
-        self,
-        server: viser.ViserServer,
-        case: Case,
-        opened: Layout,
-        panel: Panel,
-        queue: JobQueue,
-        views: Mapping[int, BrowserView],
-    ) -> None:
-        """Draw the scene. ``views`` are those of the browsers that look, by ids of clients."""
-        self.shown = self.opened = opened
+    def __init__(self, viewer: Any) -> None:
+        """Draw the scene. ``viewer`` has the server, the panel, and the views of browsers."""
+        self.shown = self.opened = opened = viewer.layout
         self.scored: ScoredLayout | None = None
-        self._server, self._case = server, case
-        self._panel, self._queue, self._views = panel, queue, views
+        self._server, self._case = server, case = viewer.server, viewer.case
+        self._queue: JobQueue = viewer.queue
+        self._panel: Panel = viewer.panel
+        self._views: Mapping[int, BrowserView] = viewer.views
         self._frames = case.scene.traffic.frame_count
         self._faults: Sequence[Fault] = ()
         self._notes: Sequence[str] = ()
         self._reference: dict[int, Scores] = {}  # scores of the opened layout, by number of frames
         self._sight: tuple[int, UInt[Any, " V"]] | None = None
-        self._drawn_frame, self._faded, self._label = -1, False, ""
+        self._drawn_frame = -1
         self._compiled = compiled().seconds  # when the newest scores came
         self._waiting = DelayedAction()
+        server.gui.set_panel_label(f"{isolated(opened.name)} at {isolated(case.scene.name)}")
         self.scene3d = Scene3D(server.scene, case.scene)
-        self.blind_spots = BlindSpotPanel(server.gui, panel.blind_spots, case.scene, queue.failed)
+        self.blind_spots = BlindSpotPanel(
+            server.gui, self._panel.blind_spots, case.scene, self._queue.failed
+        )
         self.scene3d.draw_mounting()
         look_from(server.initial_camera, case.scene, back=BACK)
 
@@ -96,7 +86,7 @@ class Display:
         with self._server.atomic():
             self.draw_users(frame)
             ticked = [kind for kind, box in self._panel.shown.items() if box.value]
-            self.scene3d.draw_voxels(sight, ticked, faint=self._faded)
+            self.scene3d.draw_voxels(sight, ticked)
 
     def show_scores(self, scored: ScoredLayout) -> None:
         """Show new scores."""
@@ -108,9 +98,9 @@ class Display:
                 self._reference[scored.frames] = scored.scores
         self.update_panel()
 
-    def show_sight(self, layout: Layout, frame: int, sight: UInt[Any, " V"]) -> None:
+    def show_sight(self, frame: int, sight: UInt[Any, " V"]) -> None:
         """Show which voxels a layout sees in a frame; ``sight`` is a Visibility for each."""
-        self._sight, self._faded = (frame, sight), self._faded and layout is not self.shown
+        self._sight = frame, sight
         self.draw_voxels()
 
     def notify(self, title: str, words: str, color: Any) -> None:
@@ -148,14 +138,10 @@ class Display:
         view.look(self.shown, max(self._drawn_frame, 0))
 
     def _wait(self) -> None:
-        """Until the shown layout has scores, fade the old ones and say what is being done."""
+        """Until the shown layout has scores, say what is being done."""
 
         def job() -> None:
             if not self._current:
-                if not self._faded:
-                    self._faded = True
-                    self.blind_spots.outdated()
-                    self.draw_voxels()
                 self.update_panel()
                 self._wait()
 
@@ -177,14 +163,7 @@ class Display:
             faults=[fault.words for fault in self._faults],
             notes=self._notes,
             waiting=waiting,
-            faded=self._faded,
             target=float(self._panel.target.value),
         )
         self._panel.headline.content, self._panel.scores.content, self._panel.notes.content = page
         self._panel.notes.visible = bool(page[2])
-        words = f"{isolated(self.shown.name)} at {isolated(self._case.scene.name)}"
-        if self._current and scored is not None and scored.scores is not None:
-            words = f"{scored.scores.surrogate:.4f}  {words}"  # also where the panel is collapsed
-        if words != self._label:
-            self._label = words
-            self._server.gui.set_panel_label(words)

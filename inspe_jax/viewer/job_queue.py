@@ -9,10 +9,8 @@ from functools import partial
 from inspe_jax.core.errors import InspeError
 
 Action = Callable[[], object]
-WAITING = 100
-"""Most actions of one browser that wait; a further one takes the place of the oldest."""
-PATIENCE = 2.0
-"""Time that waiting actions get at the end, before the rest is dropped [s]."""
+WAITING = 100  # most actions of one browser that wait; a further one takes the place of the oldest
+PATIENCE = 2.0  # time that waiting actions get at the end, before the rest is dropped [s]
 asker: ContextVar[Hashable] = ContextVar("asker", default=None)
 """The browser whose event is being handled, if one is."""
 
@@ -48,18 +46,23 @@ class JobQueue:
                 self._waiting["too many"] = None, _too_many
             self._changed.notify()
 
-    def close(self, patience: float = PATIENCE) -> None:
-        """Run the actions that wait, for so long at most [s], drop the others, and end the thread.
-        Without ``patience``, drop all of them, and come back at once."""
+    def drop(self, *keys: Hashable) -> None:
+        """Drop the actions of these keys that still wait."""
+        with self._changed:
+            for key in keys:
+                self._waiting.pop(key, None)
+
+    def close(self, patience: float = PATIENCE, *, wait: bool = True) -> None:
+        """Run the actions that wait, for so long at most [s], drop the others, and end the thread;
+        with ``wait``, come back when the action that runs has ended."""
         with self._changed:
             self._closed = True
             self._changed.notify()
-        if patience:
-            self._thread.join(patience)
+        self._thread.join(patience)
         with self._changed:
             self._waiting.clear()
-        if patience:
-            self._thread.join()  # for the action that runs
+        if wait:
+            self._thread.join()
 
     def _work(self) -> None:
         while True:

@@ -28,15 +28,12 @@ from inspe_jax.viewer.server import quiet, serve
 
 WIDTH, HEIGHT, DOTS = 1200, 660, 170
 """Of the picture [pixels], and how many of them an inch has."""
-FOCAL = 0.72
-"""Focal length of the camera, in widths of the picture."""
+FOCAL = 0.72  # focal length of the camera, in widths of the picture
 BACK, UP, BEYOND = 1.25, 0.95, 0.12
 """Where the camera is, south of the middle and above it, and where it looks, south of the middle:
 in radii of the region of interest, or more where a sensor would be outside of the picture."""
-RIM = 20
-"""Every sensor is so far inside the picture, and twice as far from its top [pixels]."""
-NEAR = 1.0
-"""Lines are cut where they come closer to the plane of the camera than this [m]."""
+RIM = 20  # every sensor is so far inside the picture, and twice as far from its top [pixels]
+NEAR = 1.0  # lines are cut where they come closer to the plane of the camera than this [m]
 
 
 class _Eye(NamedTuple):

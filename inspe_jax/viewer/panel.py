@@ -13,8 +13,7 @@ from inspe_jax.scoring.viewshed import Visibility
 from inspe_jax.viewer.job_queue import asker
 from inspe_jax.viewer.score_panel import VISIBILITY_NAMES
 
-SECONDS = 60.0
-"""Usual time of a search [s]."""
+SECONDS = 60.0  # usual time of a search [s]
 OF_SEARCH = (
     "It may move every unit to wherever units can stand, also to new poles. It compiles first; "
     "that does not count as its time."
@@ -55,28 +54,20 @@ def set_value(control: Any, value: Any) -> None:
 
 class Key(NamedTuple):
     """A key of the page: what it does in ``words``, the ``key``, the ``modifier`` held with it,
-    both in ``text``, what it asks of the viewer on behalf of a browser, and whether it ``changes``
-    the layout or saves it."""
+    both in ``text``, and what it asks of the viewer on behalf of a browser."""
 
     words: str
     key: Any
     modifier: Any
     text: str
     ask: Callable[[Any, Any], object]
-    changes: bool = False
-
-
-def _of_view(ask: Callable[[Any], None]) -> Callable[[Any, Any], object]:
-    return lambda viewer, client: viewer.ask(client, ask)
 
 
 KEYS = (
-    Key("Undo", "Z", "cmd/ctrl", "Ctrl+Z", lambda v, _: v.undo_or_redo("Undo"), True),
-    Key("Redo", "Z", "cmd/ctrl+shift", "Ctrl+Shift+Z", lambda v, _: v.undo_or_redo("Redo"), True),
-    Key("Save layout", "S", "cmd/ctrl", "Ctrl+S", lambda v, _: v.save(), True),
-    Key("Select the next sensor", "N", None, "N", _of_view(lambda view: view.step(1))),
-    Key("Select the sensor before", "N", "shift", "Shift+N", _of_view(lambda view: view.step(-1))),
-    Key("Remove what is selected", "delete", None, "Delete", _of_view(lambda v: v.remove()), True),
+    Key("Undo", "Z", "cmd/ctrl", "Ctrl+Z", lambda v, _: v.undo_or_redo("Undo")),
+    Key("Redo", "Z", "cmd/ctrl+shift", "Ctrl+Shift+Z", lambda v, _: v.undo_or_redo("Redo")),
+    Key("Save layout", "S", "cmd/ctrl", "Ctrl+S", lambda v, _: v.save()),
+    Key("Remove what is selected", "delete", None, "Delete", lambda v, c: v.remove(c)),
     Key("Look at the whole intersection", "home", None, "Home", lambda v, c: v.look_at_all(c)),
     Key("List the keys", "H", None, "H or ?", lambda _, client: _list_keys(client)),
 )
@@ -128,7 +119,7 @@ class Panel:
         self.keys: dict[str, Any] = {}
         for key in KEYS:
             command = gui.add_command(key.words, hotkey=key.key, modifier=key.modifier)
-            (self._changes if key.changes else bind)(command, partial(key.ask, viewer))
+            self._changes(command, partial(key.ask, viewer))
             self.keys[key.words] = command
         edit = {which: partial(viewer.undo_or_redo, which) for which in ("Undo", "Redo")}
         edit["Save"] = viewer.save

@@ -13,10 +13,10 @@ import shapely
 import viser
 from jaxtyping import Bool, Float, Int
 from matplotlib.colors import to_hex, to_rgb
-from scipy.spatial.transform import Rotation
+from viser.transforms import SO3
 
 from inspe_jax.core.geometry import rotation
-from inspe_jax.report.bodies import BODY_COLORS, body_meshes
+from inspe_jax.report.bodies import BODY_COLORS
 from inspe_jax.report.figures import SENSOR_COLORS
 from inspe_jax.report.layers import SIGHT_COLORS, USER_COLOR, free_of_bodies
 from inspe_jax.report.outlines import view_outline
@@ -26,6 +26,7 @@ from inspe_jax.scene.traffic.frames import CLASSES
 from inspe_jax.scoring.viewshed import Visibility
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.sensing.sensors import CameraSpec, Spec
+from inspe_jax.simulation.embedded.static_bodies import body_parts
 
 GROUND_COLORS: dict[Region, str] = dict(
     zip(Region, ("#8c8f94", "#7c7f85", "#e6e6e6", "#c3c0b8", "#a3a59f"), strict=True)
@@ -33,27 +34,18 @@ GROUND_COLORS: dict[Region, str] = dict(
 """Greys, such as those of asphalt and paving; colours are kept for voxels and sensors."""
 BROKEN_COLOR = "#ff1744"
 """Colour of sensors that break a rule of mounting; their number has a ! beside it, too."""
-OPACITY = 0.6
-"""Opacity of hidden voxels."""
+OPACITY = 0.6  # opacity of hidden voxels
 TINTS = {Visibility.OUT_OF_VIEW: 0.75, Visibility.SEEN: 0.45}
 """Share of a kind's own colour in the ground below columns of voxels that are mostly of it."""
-FAINT = 0.3
-"""Factor on the opacity, and on that share, for voxels that are out of date."""
 OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 """Rotation from a camera's optical frame to the sensor body frame: its right, down and forward
 axes are −y, −z and x."""
-MOUNTING_COLOR = "#303030"
-"""Colour of the outlines of mounting areas, and of standing poles."""
-POLE = 4.0
-"""Height at which standing poles are drawn [m]."""
-ABOVE = 0.8
-"""Height of numbers above a unit's highest sensor [m]."""
-CROWN = 0.5
-"""Opacity of the crowns of trees."""
-THIN = 0.12
-"""Width of the outlines of what sensors look at [m]."""
-LIFT = 0.05
-"""Height of lines above the ground [m]."""
+MOUNTING_COLOR = "#303030"  # colour of the outlines of mounting areas, and of standing poles
+POLE = 4.0  # height at which standing poles are drawn [m]
+ABOVE = 0.8  # height of numbers above a unit's highest sensor [m]
+CROWN = 0.5  # opacity of the crowns of trees
+THIN = 0.12  # width of the outlines of what sensors look at [m]
+LIFT = 0.05  # height of lines above the ground [m]
 
 _BOX = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
 _FACES = np.array(
@@ -107,30 +99,26 @@ class Scene3D:
         traffic = self.scene.traffic
         for kind, name in enumerate(CLASSES):
             who = traffic.valid[frame] & (traffic.kind[frame] == kind)
-            half = traffic.yaw[frame, who] / 2
-            turn = np.column_stack([np.cos(half), 0 * half, 0 * half, np.sin(half)])
-            center = traffic.center[frame, who] - self.shift
-            self._boxes(f"road users/{name}", center, traffic.size[frame, who], USER_COLOR, turn)
+            center, yaw = traffic.center[frame, who] - self.shift, traffic.yaw[frame, who]
+            self._boxes(f"road users/{name}", center, traffic.size[frame, who], yaw, USER_COLOR)
 
-    def draw_voxels(
-        self, sight: Int[np.ndarray, " V"], shown: Iterable[Visibility], *, faint: bool = False
-    ) -> None:
+    def draw_voxels(self, sight: Int[np.ndarray, " V"], shown: Iterable[Visibility]) -> None:
         """Draw the voxels of the kinds ``shown``: hidden ones as boxes, others as tints of the
         ground.
 
         ``sight`` is the :class:`Visibility` of each voxel in a frame. A column has the tint of the
         kind that most of its voxels are of, so that no tint lies on another one, and none hides a
-        box. With ``faint`` all are nearly transparent, for a layout that has changed since.
+        box.
         """
-        free, wanted, fading = free_of_bodies(self.scene), set(shown), FAINT if faint else 1.0
+        free, wanted = free_of_bodies(self.scene), set(shown)
         kinds = np.where(free, np.asarray(sight).reshape(free.shape), -1)
         self._forget_all("voxels/")
         if Visibility.HIDDEN in wanted and (kinds == Visibility.HIDDEN).any():
-            self._draw_hidden(kinds == Visibility.HIDDEN, fading * OPACITY)
+            self._draw_hidden(kinds == Visibility.HIDDEN)
         for kind in wanted.intersection(TINTS):
-            self._draw_tint(kind, kinds, fading)
+            self._draw_tint(kind, kinds)
 
-    def _draw_hidden(self, hidden: Bool[np.ndarray, "L Z"], opacity: float) -> None:
+    def _draw_hidden(self, hidden: Bool[np.ndarray, "L Z"]) -> None:
         grid = self.scene.voxels
         column, low, high = runs(hidden)
         foot = grid.ground[column] + grid.spacing * low
@@ -139,14 +127,14 @@ class Scene3D:
         wide = np.full(len(column), 0.94 * grid.spacing)
         size = np.column_stack([wide, wide, tall])
         color = SIGHT_COLORS[Visibility.HIDDEN]
-        self._boxes("voxels/hidden", center, size, color, opacity=opacity)
+        self._boxes("voxels/hidden", center, size, np.zeros(len(column)), color, OPACITY)
 
-    def _draw_tint(self, kind: Visibility, kinds: Int[np.ndarray, "L Z"], fading: float) -> None:
+    def _draw_tint(self, kind: Visibility, kinds: Int[np.ndarray, "L Z"]) -> None:
         counts = np.stack([(kinds == other).sum(1) for other in Visibility])
         mostly = (counts.argmax(0) == kind) & (counts[kind] > 0)
         for region, ground in GROUND_COLORS.items():
             name = f"voxels/{kind.name.lower().replace('_', ' ')}/{region.key}"
-            color = mixed(ground, SIGHT_COLORS[kind], fading * TINTS[kind])
+            color = mixed(ground, SIGHT_COLORS[kind], TINTS[kind])
             self._squares(name, mostly & (self.scene.voxels.region == region), color, LIFT / 2)
 
     def draw_layout(self, layout: Layout, broken: Iterable[int] = ()) -> dict[int, Any]:
@@ -205,10 +193,10 @@ class Scene3D:
     def _move_sensor(self, k: int, spec: Spec, pose: Float[np.ndarray, "6"]) -> None:
         name, at, turn = f"sensors/{k + 1}", pose[:3] - self.shift, rotation(pose[3:], np)
         body = self.drawn[f"{name}/device"]
-        body.position, body.wxyz = at, quaternion(turn)
+        body.position, body.wxyz = at, SO3.from_matrix(turn).wxyz
         if isinstance(spec, CameraSpec):
             frustum = self.drawn[f"{name}/frustum"]
-            frustum.position, frustum.wxyz = at, quaternion(turn @ OPTICAL)
+            frustum.position, frustum.wxyz = at, SO3.from_matrix(turn @ OPTICAL).wxyz
         pole = np.array([[*self._on_ground(pose[None, :2], lift=0.0), at]])
         view = self._on_ground(view_outline(spec, pose, self._ground(pose[None, :2])[0]))
         self.drawn[f"{name}/pole"].points = pole.astype(np.float32)
@@ -289,11 +277,17 @@ class Scene3D:
         )
 
     def _draw_bodies(self) -> None:
-        for kind, points, faces in body_meshes(self.scene):
-            self.api.add_mesh_simple(
-                f"ground/{kind}", (points - self.shift).astype(np.float32),
-                faces.astype(np.uint32), color=rgb(BODY_COLORS[kind]), flat_shading=True,
-                side="double", opacity=CROWN if kind == "tree" else None,
+        """Draw the static bodies as they are recorded."""
+        by_kind: dict[str, list[np.ndarray]] = {}
+        for body in self.scene.statics:
+            parts = body_parts(body, self.scene.intersection)
+            by_kind.setdefault(body.kind, []).extend(part.triangles for part in parts)
+        for kind, triangles in by_kind.items():
+            points = np.concatenate(triangles).reshape(-1, 3) - self.shift
+            faces = np.arange(len(points), dtype=np.uint32).reshape(-1, 3)
+            self.drawn[f"ground/{kind}"] = self.api.add_mesh_simple(
+                f"ground/{kind}", points.astype(np.float32), faces, color=rgb(BODY_COLORS[kind]),
+                flat_shading=True, side="double", opacity=CROWN if kind == "tree" else None,
             )  # fmt: skip
 
     def _boxes(
@@ -301,14 +295,13 @@ class Scene3D:
         name: str,
         center: np.ndarray,
         size: np.ndarray,
+        yaw: np.ndarray,
         color: str,
-        turn: np.ndarray | None = None,
         opacity: float | None = None,
     ) -> None:
-        """Draw boxes at ``center`` (N, 3) with ``size`` (N, 3) [m] and quaternions ``turn`` (N,
-        4)."""
-        if turn is None:
-            turn = np.tile([1.0, 0.0, 0.0, 0.0], (len(center), 1))
+        """Draw boxes at ``center`` (N, 3) with ``size`` (N, 3) [m] and ``yaw`` (N,) [rad]."""
+        zero = np.zeros(len(yaw))
+        turn = np.column_stack([np.cos(yaw / 2), zero, zero, np.sin(yaw / 2)])
         self.drawn[name] = self.api.add_batched_meshes_simple(
             name, _BOX.astype(np.float32), _FACES.astype(np.uint32), turn.astype(np.float32),
             center.astype(np.float32), batched_scales=size.astype(np.float32),
@@ -347,13 +340,3 @@ def rgb(color: str) -> tuple[int, int, int]:
     """Red, green and blue of a colour, from 0 to 255."""
     red, green, blue = (round(255 * part) for part in to_rgb(color))
     return red, green, blue
-
-
-def quaternion(turn: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "4"]:
-    """A rotation matrix as w, x, y, z."""
-    return np.asarray(Rotation.from_matrix(turn).as_quat(scalar_first=True))
-
-
-def turn_of(wxyz: Float[np.ndarray, "4"]) -> Float[np.ndarray, "3 3"]:
-    """The rotation matrix of w, x, y, z."""
-    return Rotation.from_quat(np.asarray(wxyz, float), scalar_first=True).as_matrix()

@@ -27,8 +27,7 @@ LEGEND = (
     ("LiDAR", SENSOR_COLORS["lidar"]),
 )
 
-TARGET_COLOR = "#d55e00"
-"""Of the mark of the target."""
+TARGET_COLOR = "#d55e00"  # of the mark of the target
 
 _HEADLINE = template("viewer", "headline.html.j2")
 _DETAILS = template("viewer", "score_panel.html.j2")
@@ -45,7 +44,6 @@ def score_panel(
     faults: Sequence[str] = (),
     notes: Sequence[str] = (),
     waiting: str = "scoring …",
-    faded: bool = False,
     target: float = 0.0,
 ) -> tuple[str, str, str]:
     """A layout's scores as HTML: P_sm and how far scoring is; all else; notes on the last change.
@@ -58,7 +56,6 @@ def score_panel(
         faults: The rules of mounting that the layout breaks, in words.
         notes: How mounting has changed the last change, in words.
         waiting: What is being done while the layout has no scores.
-        faded: Whether scores of another layout are faded.
         target: The P_sm that the layout should reach; 0 for none.
     """
     scores = None if scored is None else scored.scores
@@ -77,7 +74,6 @@ def score_panel(
     )
     details = _DETAILS.render(
         scores=scores,
-        faded=faded and new is None,
         wrong="" if new is None else new.wrong,
         faults=faults,
         broken=BROKEN_COLOR,

@@ -1,31 +1,26 @@
-"""Scores the newest layout while it is dragged, on a thread of its own: on a few frames first, and
-then on all. Scores of a layout that is already out of date are not begun.
-"""
+"""Scores the newest layout while it is dragged: on a few frames first, and then on all."""
 
 import threading
 import time
-from collections.abc import Callable, Sequence
-from contextlib import suppress
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
 
 import jax
 import numpy as np
 from jaxtyping import UInt
 
 from inspe_jax.core.errors import InspeError
+from inspe_jax.placement.objective import Objective
 from inspe_jax.placement.problem import Case
-from inspe_jax.scoring.detection import DetectionCurves
-from inspe_jax.scoring.evaluate import Scores, evaluate
-from inspe_jax.scoring.metrics import Weights
+from inspe_jax.report.tables import scores_of
+from inspe_jax.scoring.evaluate import Scores
 from inspe_jax.scoring.viewshed import sight_in
 from inspe_jax.sensing.layout import Layout
+from inspe_jax.viewer.job_queue import JobQueue
 
-SHOWN = 20
-"""Number of frames that are scored first, evenly spread over all."""
+SHOWN = 20  # number of frames that are scored first, evenly spread over all
 LONGEST_REST = 0.3
 """From one scoring to the next while a sensor is dragged, at most [s]: the first one compiles."""
-_JOBS = ("end", "few", "sight", "whole")  # the first of them is done first
 
 
 @dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
@@ -41,94 +36,72 @@ class ScoredLayout:
 
 
 class Scorer:
-    """Scores the newest layout, and finds which voxels it sees in the selected frame."""
+    """Scores the newest layout, and finds which voxels it sees in the selected frame, on a thread
+    of its own. Scores of a layout that is already out of date are not begun."""
 
     def __init__(
         self,
         case: Case,
-        weights: Weights,
+        objective: Objective,
         scored: Callable[[ScoredLayout], None],
         sighted: Callable[[Layout, int, UInt[np.ndarray, " V"]], None],
-        metrics: Sequence[str] = (),
-        detection: DetectionCurves | None = None,
     ) -> None:
         """The callbacks run on the scorer's thread.
 
         ``scored`` gets scores; ``sighted`` gets a layout, a frame and the Visibility of each voxel.
-        ``weights``, ``metrics`` and ``detection`` as in :func:`inspe_jax.evaluate`.
         """
-        self.case = case
-        self._options: dict[str, Any] = dict(weights=weights, metrics=metrics, detection=detection)
+        self.case, self._objective = case, objective
         self._scored, self._sighted = scored, sighted
         traffic = case.scene.traffic
         step = max(1, -(-traffic.frame_count // SHOWN))
-        self.few = replace(case.scene, traffic=jax.tree.map(lambda leaf: leaf[::step], traffic))
+        some = jax.tree.map(lambda leaf: leaf[::step], traffic)
+        self.few = replace(case, scene=replace(case.scene, traffic=some))
         self._layout: Layout | None = None
-        self._frame, self._since = 0, 0.0
-        self._todo: set[str] = set()
-        self._changed = threading.Condition()
-        self._thread = threading.Thread(target=self._work, name="scorer", daemon=True)
-        self._thread.start()
+        self._frame = 0
+        self._hurry = threading.Event()
+        self._queue = JobQueue(lambda _: None)  # where voxels cannot be found, scores say why
 
     def score(self, layout: Layout, *, whole: bool) -> None:
         """Score a layout on a few frames, and with ``whole`` on all; find which voxels it sees."""
-        with self._changed:
-            self._layout, self._since = layout, time.monotonic()
-            self._todo |= {"few", "sight", "whole"}
-            if not whole:
-                self._todo.remove("whole")
-            self._changed.notify()
+        self._layout, since = layout, time.monotonic()
+        self._hurry.clear()
+        self._queue.drop("few", "sight", "whole")
+        self._queue.submit(lambda: self._score_few(layout, since), key="few")
+        self._queue.submit(self._find_sight, key="sight")
+        if whole:
+            self._queue.submit(lambda: self._score(self.case, layout, since), key="whole")
+            self._hurry.set()
 
     def select_frame(self, frame: int) -> None:
         """Select the frame whose voxels are found from now on."""
         self._frame = frame
-        self._do("sight")
+        self._queue.submit(self._find_sight, key="sight")
 
     def close(self, *, wait: bool = True) -> None:
         """End the thread, once it has done what it is at; with ``wait``, come back then."""
-        self._do("end")
-        if wait:
-            self._thread.join()
+        self._hurry.set()
+        self._queue.close(0, wait=wait)
 
-    def _do(self, job: str) -> None:
-        with self._changed:
-            self._todo.add(job)
-            self._changed.notify()
+    def _score_few(self, layout: Layout, since: float) -> None:
+        """While a sensor is dragged, half of the time is left to what else follows it."""
+        begun = time.monotonic()
+        self._score(self.few, layout, since)
+        self._hurry.wait(min(time.monotonic() - begun, LONGEST_REST))
 
-    def _work(self) -> None:
-        resumed = 0.0
-        while True:
-            with self._changed:
-                self._changed.wait_for(lambda: self._todo)
-                # While a sensor is dragged, half of the time is left to what else follows it.
-                rest = resumed - time.monotonic()
-                if rest > 0 and not self._todo & {"whole", "end"}:
-                    self._changed.wait(rest)
-                    continue
-                job = next(j for j in _JOBS if j in self._todo)
-                self._todo.remove(job)
-                layout, frame, since = self._layout, self._frame, self._since
-            if job == "end":
-                return
-            if layout is None:
-                continue
-            if job in ("few", "whole"):
-                begun = time.monotonic()
-                self._score(layout, job == "whole", since)
-                ended = time.monotonic()
-                resumed = ended + (min(ended - begun, LONGEST_REST) if job == "few" else 0.0)
-                continue
-            with suppress(Exception):  # the scores report it
-                sight = sight_in(self.case.scene, layout, frame, conditions=self.case.conditions)
-                self._sighted(layout, frame, sight)
-
-    def _score(self, layout: Layout, whole: bool, since: float) -> None:
-        scene, scores, wrong = self.case.scene if whole else self.few, None, ""
+    def _score(self, case: Case, layout: Layout, since: float) -> None:
+        scores, wrong = None, ""
         try:
-            scores = evaluate(scene, layout, conditions=self.case.conditions, **self._options)
+            scores = scores_of(case, layout, self._objective)
         except InspeError as e:
             wrong = str(e)
         except Exception as e:  # such as out of memory: the next layout may succeed
             wrong = f"it could not be scored: {e!r}"
-        frames = scene.traffic.frame_count
+        frames = case.scene.traffic.frame_count
         self._scored(ScoredLayout(layout, scores, frames, time.monotonic() - since, wrong))
+
+    def _find_sight(self) -> None:
+        layout, frame = self._layout, self._frame
+        if layout is not None:
+            case = self.case
+            sight = sight_in(case.scene, layout, frame, conditions=case.conditions)
+            self._sighted(layout, frame, sight)

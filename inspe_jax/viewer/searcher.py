@@ -1,30 +1,46 @@
-"""Runs a search in a process beside the page. It stops at once, with its best layout so far."""
+"""Runs a search in a process beside the page. It stops at once, with its best layout so far.
+
+The process can be killed while XLA compiles. It runs :func:`main`, which reads searches from its
+input, pickled arguments of :func:`~inspe_jax.placement.optimise.optimise` by name. For each it
+writes messages to its output, pickled tuples of a kind and its content:
+
+- ``("ready",)`` once
+- ``("progress", fraction of the budget that is spent, best score)``
+- ``("found", layout, score)`` with every layout that is the best so far
+- ``("ended", result)`` or ``("failed", why)`` at the end
+
+It ends when its input does, and has the metrics that ``import inspe_jax`` registers; an objective
+with weight on another one fails in it.
+"""
 
 import contextlib
 import math
 import os
 import pickle
+import signal
 import subprocess
 import sys
 import threading
+import traceback
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any, TypeAlias
+from dataclasses import dataclass, replace
+from functools import partial
+from queue import SimpleQueue
+from typing import IO, Any, TypeAlias
 
 import jax
 
+from inspe_jax.core.compiling import leave
+from inspe_jax.core.errors import InspeError
 from inspe_jax.placement.constraints import Constraints
 from inspe_jax.placement.objective import Objective
-from inspe_jax.placement.optimise import named_optimised
+from inspe_jax.placement.optimise import named_optimised, optimise
 from inspe_jax.placement.problem import Case
-from inspe_jax.scoring.detection import DetectionCurves
-from inspe_jax.scoring.metrics import Weights
 from inspe_jax.sensing.layout import Layout
 
-PATIENCE = 0.4
-"""Time that a process gets to end by itself before it is killed [s]."""
-KILLED = -9
-"""Exit status of a process that the system killed; does not occur on Windows."""
+NICE = 5  # how much the search's priority is lowered, so that the page gets the cores first
+PATIENCE = 0.4  # time that a process gets to end by itself before it is killed [s]
+KILLED = -9  # exit status of a process that the system killed; does not occur on Windows
 PROCESS_ENVIRONMENT = {"XLA_PYTHON_CLIENT_PREALLOCATE": "false"}
 """Of the search's process: the page's process already has most of a graphics card's memory."""
 SETTINGS = (
@@ -36,22 +52,13 @@ SETTINGS = (
 )
 """Settings of JAX that it takes over from this one, through its environment."""
 
-REASONS = {
-    "converged": "ended, as it finds nothing better",
-    "budget spent": "ended, as its time is over",
-    "interrupted": "stopped",
-    "target reached": "target reached",
-}
-"""How a search has ended, by its status."""
-
-
 Process: TypeAlias = "subprocess.Popen[bytes]"
 
 
 @dataclass(frozen=True)
 class SearchEnding:
     """How a search ended: the best ``layout`` found, or None, the scores of the start and of that
-    layout, the ``reason``, and the ``notes`` of its result."""
+    layout, the ``reason``, such as a status, and the ``notes`` of its result."""
 
     layout: Layout | None
     before: float
@@ -77,8 +84,8 @@ class SearchEnding:
 class Searcher:
     """Runs one search at a time; ``running`` is true until ``ended`` is called.
 
-    Searches run in a process beside this one. It is kept for the next search, which then finds
-    the programs that are compiled already.
+    Its process is kept for the next search, which then finds the programs that are compiled
+    already.
 
     Three functions are called on a thread of its own: ``progress`` with the fraction of the budget
     that is spent and the best score, ``found`` with every layout that is the best so far and its
@@ -88,16 +95,15 @@ class Searcher:
     def __init__(
         self,
         case: Case,
-        weights: Weights,
+        objective: Objective,
         constraints: Constraints,
         *,
         progress: Callable[[float, float], None],
         found: Callable[[Layout, float], None],
         ended: Callable[[SearchEnding], None],
-        detection: DetectionCurves | None = None,
     ) -> None:
         self.case, self.constraints = case, constraints
-        self.objective = Objective(weights=weights, detection=detection)
+        self.objective = replace(objective, metrics=())  # which only results have
         self._progress, self._found, self._ended = progress, found, ended
         self._lock = threading.RLock()
         self._process: Process | None = None
@@ -136,7 +142,7 @@ class Searcher:
         with self._lock:
             if self.running:
                 self._end_process()
-                self._end(REASONS["interrupted"])
+                self._end("interrupted")
                 self._warm()  # for the next
 
     def close(self) -> None:
@@ -145,7 +151,7 @@ class Searcher:
             self._closed = True
             self._end_process()
             if self.running:
-                self._end(REASONS["interrupted"])
+                self._end("interrupted")
 
     def _warm(self) -> Process:
         """The process, which is started if there is none: a search need not wait for it."""
@@ -154,7 +160,7 @@ class Searcher:
             settings = {name: str(value) for name, value in set_here.items() if value is not None}
             # -P: modules are not looked for in the folder that the user works in.
             self._process = subprocess.Popen(
-                [sys.executable, "-P", "-m", "inspe_jax.viewer.search_process"],
+                [sys.executable, "-P", "-m", "inspe_jax.viewer.searcher"],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 env=os.environ | PROCESS_ENVIRONMENT | settings,
@@ -223,9 +229,7 @@ class Searcher:
         elif kind == "ended":
             result, self.running = content[0], False
             scores = result.objective_before, result.objective
-            self._ended(
-                SearchEnding(result.layout, *scores, REASONS[result.status], notes=result.notes)
-            )
+            self._ended(SearchEnding(result.layout, *scores, result.status, notes=result.notes))
 
 
 def _write(process: Process, search: bytes) -> None:
@@ -238,3 +242,56 @@ def _write(process: Process, search: bytes) -> None:
             process.stdin.flush()
         else:
             process.stdin.close()  # what it has not read is lost
+
+
+# ── In the process ──
+
+
+def main() -> None:
+    """Run the searches that come in, until the input ends."""
+    sink, lock = os.fdopen(os.dup(1), "wb"), threading.Lock()
+    os.dup2(2, 1)  # what libraries print must not look like a message
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C ends the page's process
+    if hasattr(os, "nice"):  # not on Windows
+        os.nice(NICE)
+
+    def send(*message: object) -> None:
+        with lock:
+            pickle.dump(message, sink)
+            sink.flush()
+
+    searches = SimpleQueue[dict[str, Any]]()
+    threading.Thread(target=_read, args=(sys.stdin.buffer, searches), daemon=True).start()
+    send("ready")
+    while True:
+        _search(searches.get(), send)
+
+
+def _read(source: IO[bytes], searches: SimpleQueue[dict[str, Any]]) -> None:
+    """Read the input on a thread of its own: at its end the process ends at once."""
+    while True:
+        try:
+            searches.put(pickle.load(source))
+        except EOFError:
+            leave(0)
+        except Exception as e:
+            traceback.print_exception(e)
+            leave(1)
+
+
+def _search(arguments: dict[str, Any], send: Callable[..., None]) -> None:
+    try:
+        result = optimise(
+            **arguments, progress=partial(send, "progress"), found=partial(send, "found")
+        )
+    except InspeError as e:
+        send("failed", str(e))
+    except Exception as e:
+        traceback.print_exception(e)
+        send("failed", f"the search failed: {e!r}")
+    else:
+        send("ended", result)
+
+
+if __name__ == "__main__":
+    main()

@@ -8,18 +8,15 @@ from typing import Any
 import numpy as np
 import viser
 from jaxtyping import Float
+from viser.transforms import SO3
 
-from inspe_jax.core.geometry import rotation
 from inspe_jax.report.figures import SENSOR_COLORS
 from inspe_jax.viewer.job_queue import asker
-from inspe_jax.viewer.scene3d import quaternion, rgb, turn_of
+from inspe_jax.viewer.scene3d import rgb
 
-LENGTH = 90.0
-"""Length of the handle's arrows [pixel]."""
-WIDE = 0.4
-"""Width of the outline of what a selected sensor looks at [m]."""
-POINT_SIZE = 0.14
-"""Of a LiDAR's points, which have the colour of LiDARs [m]."""
+LENGTH = 90.0  # length of the handle's arrows [pixel]
+WIDE = 0.4  # width of the outline of what a selected sensor looks at [m]
+POINT_SIZE = 0.14  # of a LiDAR's points, which have the colour of LiDARs [m]
 
 
 @dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
@@ -66,12 +63,12 @@ class Selection3D:
         async def _(event: viser.TransformControlsEvent) -> None:
             if event.client is not None:
                 asker.set(event.client_id)
-                at = np.array(gizmo.position) + shift
-                dragged(HandleDrag(event.phase, at, turn_of(gizmo.wxyz)))
+                at, turn = np.array(gizmo.position) + shift, SO3(np.array(gizmo.wxyz)).as_matrix()
+                dragged(HandleDrag(event.phase, at, turn))
 
     def put_handle(self, pose: Float[np.ndarray, "6"], *, visible: bool) -> None:
         """Put the handle on a world pose, upright."""
-        self.gizmo.wxyz = quaternion(rotation(np.array([0.0, 0.0, pose[5]]), np))
+        self.gizmo.wxyz = SO3.from_z_radians(pose[5]).wxyz
         self.gizmo.position = pose[:3] - self._shift
         self.gizmo.visible = visible
 

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from functools import partial
-from html import escape
 from typing import Any
 
 import viser
@@ -18,7 +17,6 @@ DIGITS = {"x": 2, "y": 2, "height": 2, "yaw": 1, "pitch": 1}
 POSE = {key: f"{key} [°]" if key in ("yaw", "pitch") else f"{key} [m]" for key in DIGITS}
 """Their labels."""
 NONE = "No sensor is selected"
-_WORDS = "padding:.1em 1em;font-size:.875em;line-height:1.4;color:#1d1d1f"
 
 
 def label_of(spec: Spec) -> str:
@@ -48,7 +46,6 @@ class SensorControls:
             self.sensor = gui.add_dropdown("Sensor", ("1",))
             self.name = gui.add_text("Name", "")
             self.device = gui.add_dropdown("Device", list(self._devices))
-            self.several = gui.add_html("", visible=False)
             self.pose = {
                 key: gui.add_number(label, 0.0, step=round(0.1 ** DIGITS[key], DIGITS[key]))
                 for key, label in POSE.items()
@@ -80,11 +77,9 @@ class SensorControls:
         changes(self.existing, lambda _: existing[self.existing.value]())
         changes(self.add, lambda _: view.add(self._devices[self.new.value]))
 
-    def show(
-        self, sensors: Sequence[Sensor], in_hand: int | None, count: int, *, change: bool
-    ) -> None:
-        """List the sensors, numbered from 1; show that at place ``in_hand``, if one is, of as many
-        as are selected; enable only what selects unless the layout may ``change``."""
+    def show(self, sensors: Sequence[Sensor], in_hand: int | None, *, change: bool) -> None:
+        """List the sensors, numbered from 1; show that at place ``in_hand``, if one is; enable only
+        what selects unless the layout may ``change``."""
         held = None if in_hand is None else sensors[in_hand]
         options = tuple(f"{k + 1}  {isolated(one.name)}" for k, one in enumerate(sensors))
         options += (NONE,) if held is None else ()
@@ -93,20 +88,13 @@ class SensorControls:
             numbers = tuple(str(k + 1) for k in range(len(sensors)))
             self.row_buttons.options = self.toggle_buttons.options = numbers
         set_value(self.sensor, NONE if in_hand is None else options[in_hand])
-        words = f"{NONE}: click on one."
         if held is not None:
-            name = escape(isolated(held.name))
-            words = (
-                f"{count} sensors selected: numbers are of <b>{name}</b>, the others move along."
-            )
             label = label_of(held.spec)
             if label not in self.device.options:  # the catalogue does not have it
                 self._devices[label] = held.spec.name
                 self.device.options = (*self.device.options, label)
             set_value(self.device, label)
         set_value(self.name, "" if held is None else held.name)
-        self.several.visible = count != 1
-        self.several.content = f'<div style="{_WORDS}">{words}</div>' if count != 1 else ""
         self.new.disabled = self.add.disabled = not change
         self.existing.visible = can = change and held is not None
         for control in (self.device, self.name, *self.pose.values()):

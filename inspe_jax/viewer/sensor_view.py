@@ -26,12 +26,9 @@ from inspe_jax.simulation.frame import Image, RoadUserBox, Scan
 from inspe_jax.simulation.recorder import Recording
 from inspe_jax.viewer.job_queue import PATIENCE, JobQueue
 
-PIXELS = 320 * 240
-"""Number of pixels of a picture, unless the camera itself has fewer."""
-LISTED = 6
-"""Number of road users that are listed, the nearest ones."""
-QUALITY = 88
-"""Of a picture, of 100."""
+PIXELS = 320 * 240  # number of pixels of a picture, unless the camera itself has fewer
+LISTED = 6  # number of road users that are listed, the nearest ones
+QUALITY = 88  # of a picture, of 100
 _TEMPLATE = template("viewer", "sensor_view.html.j2")
 
 
@@ -88,7 +85,7 @@ class SensorView:
 
     def close(self, *, wait: bool) -> None:
         """Record nothing more; with ``wait``, come back when the last recording has ended."""
-        self._recording.close(PATIENCE if wait else 0)
+        self._recording.close(PATIENCE if wait else 0, wait=wait)
 
     def _look(self, at: SensorShot) -> None:
         seen, page = None, ""

@@ -27,8 +27,7 @@ from websockets.asyncio.server import ServerConnection
 from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
-HOST = "127.0.0.1"
-"""The address that the server listens on."""
+HOST = "127.0.0.1"  # the address that the server listens on
 HEADERS = {
     "Cache-Control": "no-store",
     "Content-Security-Policy": "frame-ancestors 'none'",
@@ -39,10 +38,8 @@ HEADERS = {
 Files = Callable[[ServerConnection, Request], Response | None]
 """Answers a request: with a file, or with None to continue with the handshake of a socket."""
 
-BYTES = 16
-"""Length of a token [byte]."""
-FOLDER = "page_tokens"
-"""Folder in the user's cache of tokens that are kept."""
+BYTES = 16  # length of a token [byte]
+FOLDER = "page_tokens"  # folder in the user's cache of tokens that are kept
 _TOKEN = re.compile(r"[A-Za-z0-9_-]{22}")
 _HERE = re.compile(r"(localhost|127\.0\.0\.1|\[::1\])(:[0-9]{1,5})?", re.IGNORECASE)
 _OWN_HEAD = re.compile(

@@ -16,10 +16,8 @@ from inspe_jax.scene.scene import Scene
 from inspe_jax.sensing.catalogue import device
 from inspe_jax.sensing.layout import Layout, Sensor, Unit
 
-HEIGHT = 6.0
-"""Height of a new sensor above the ground [m]."""
-TOLD = 0.01
-"""A number that comes out farther from what was typed is said [m, degrees]."""
+HEIGHT = 6.0  # height of a new sensor above the ground [m]
+TOLD = 0.01  # a number that comes out farther from what was typed is said [m, degrees]
 BESIDE = 0.8
 """A copy is turned by this fraction of the field of view, so that both views overlap a little."""
 
@@ -34,13 +32,11 @@ class LayoutSession:
     """A layout on a scene, with its history. ``layout`` is the layout as it is now; ``notes`` say
     how mounting has altered the last change."""
 
-    def __init__(
-        self, scene: Scene, layout: Layout, constraints: Constraints | None = None
-    ) -> None:
+    def __init__(self, scene: Scene, layout: Layout) -> None:
         """The layout is taken as it is, even if it breaks a rule of mounting: see
         :meth:`faults`."""
         self.scene, self.layout = scene, layout
-        self.constraints = constraints or Constraints()
+        self.constraints = Constraints()
         self.notes: tuple[str, ...] = ()
         self._past: list[Layout] = []
         self._future: list[Layout] = []
@@ -66,15 +62,15 @@ class LayoutSession:
         change for sensor ``s`` alone, and by as much for the sensors ``along``, whose units move as
         far in plan. The result is the nearest layout that can be mounted.
         """
-        old, pose, notes = self.layout, np.array(pose, float), list[str]()
-        pose[:2] = self._inside(pose[:2], old.units[old.sensors[s].unit].name, notes)
+        old, pose = self.layout, np.array(pose, float)
+        pose[:2] = self._inside(pose[:2])
         poses, units = np.array(old.poses, float), list(old.units)
         was = poses[s].copy()
         for unit in {old.sensors[k].unit for k in (s, *along)}:
             members, foot = list(old.members()[unit]), np.array(units[unit].base[:2])
             shift = pose[:2] - was[:2]
             if unit != old.sensors[s].unit:
-                shift = self._inside(foot + shift, units[unit].name, notes) - foot
+                shift = self._inside(foot + shift) - foot
             ground = self._ground(foot + shift)
             poses[members, :2] += shift
             poses[members, 2] += ground - self._ground(foot)
@@ -83,7 +79,7 @@ class LayoutSession:
         poses[together, 2] += pose[2] - was[2]
         poses[together, 3:] += (pose[3:] - was[3:] + np.pi) % (2 * np.pi) - np.pi
         poses[s, 3:] = pose[3:]
-        return self._mounted(replace(old, poses=poses, units=tuple(units)), notes)
+        return self._mounted(replace(old, poses=poses, units=tuple(units)))
 
     def move(self, s: int, pose: Float[np.ndarray, "6"], along: Sequence[int] = ()) -> None:
         """Move sensor ``s`` to a world pose, and others along: see :meth:`moved`."""
@@ -138,14 +134,13 @@ class LayoutSession:
         It looks at the scene's centre. A point outside of the region of interest is moved to its
         rim. Raises InspeError if the catalogue has no such device.
         """
-        spec, old, notes = device(name).spec, self.layout, list[str]()
-        unit_name = _free("unit", [u.name for u in old.units])
-        foot = self._inside(np.asarray(at, float), unit_name, notes)
+        spec, old = device(name).spec, self.layout
+        foot = self._inside(np.asarray(at, float))
         ground = self._ground(foot)
         to = self.scene.voxels.center[:2] - foot
         pitch = -np.arctan2(HEIGHT, max(np.hypot(*to), 1.0)) if spec.aimed else 0.0
         pose = [*foot, ground + HEIGHT, 0.0, pitch, np.arctan2(to[1], to[0])]
-        unit = Unit(unit_name, (*foot.tolist(), ground))
+        unit = Unit(_free("unit", [u.name for u in old.units]), (*foot.tolist(), ground))
         sensor = Sensor(_free(spec.name, [s.name for s in old.sensors]), spec, len(old.units))
         wanted = replace(
             old,
@@ -153,7 +148,7 @@ class LayoutSession:
             sensors=(*old.sensors, sensor),
             units=(*old.units, unit),
         )
-        self.take(*self._mounted(wanted, notes, added=(unit.name,)))
+        self.take(*self._mounted(wanted, added=(unit.name,)))
         return len(self.layout) - 1
 
     def duplicate(self, s: int) -> int:
@@ -222,19 +217,16 @@ class LayoutSession:
 
     # ── Mounting ──
 
-    def _mounted(
-        self, wanted: Layout, before: Sequence[str] = (), added: Sequence[str] = ()
-    ) -> MountedLayout:
-        """The nearest layout that can be mounted; the wanted one if there is none. ``before`` are
-        notes on what was done before, ``added`` the names of its new units."""
+    def _mounted(self, wanted: Layout, added: Sequence[str] = ()) -> MountedLayout:
+        """The nearest layout that can be mounted; the wanted one if there is none. ``added`` are
+        the names of its new units."""
         wanted = replace(wanted, goal=None)  # it is not what a search has found
         try:
             space = self._space_for(wanted)
             x, notes = space.start(wanted, added)
-            found = space.layout(x)
+            return space.layout(x), tuple(notes)
         except InspeError as wrong:
-            return wanted, (*before, str(wrong))
-        return found, (*before, *notes)
+            return wanted, (str(wrong),)
 
     def _space_for(self, wanted: Layout) -> Space:
         """Where the sensors of a layout may be: kept for the next change if only poses differ, and
@@ -248,20 +240,14 @@ class LayoutSession:
             self._space = kept = Space(self.scene, wanted, self.constraints)
         return kept
 
-    def _inside(
-        self, at: Float[np.ndarray, "2"], unit: str, notes: list[str]
-    ) -> Float[np.ndarray, "2"]:
-        """The nearest point [m] within the region of interest; it is noted if it is another. Raises
-        InspeError if it is not finite."""
+    def _inside(self, at: Float[np.ndarray, "2"]) -> Float[np.ndarray, "2"]:
+        """The nearest point [m] within the region of interest. Raises InspeError if it is not
+        finite."""
         center, radius = self.scene.voxels.center[:2], self.scene.voxels.radius
         away = float(np.hypot(*(at - center)))
         if not np.isfinite(away):  # of a camera in a window without a size
             raise InspeError("there is no such place")
-        if away <= radius:
-            return at
-        back = f"{away - radius:.2f} m back to the rim of the region of interest"
-        notes.append(f"unit '{unit}' brought {back}, whose radius is {radius:g} m")
-        return center + (at - center) * radius / away
+        return at if away <= radius else center + (at - center) * radius / away
 
     def _ground(self, foot: Float[np.ndarray, "2"]) -> float:
         return float(self.scene.intersection.ground(foot[None])[0])

@@ -15,10 +15,8 @@ from inspe_jax.core.files import write_text
 from inspe_jax.scene.scene import Scene
 from inspe_jax.sensing.layout import Layout, layout_text, load_layout, save_layout
 
-UNSAVED = "unsaved"
-"""Part of the name of the file that keeps unsaved changes."""
-OFFERED = 4
-"""Most files of earlier runs that are offered."""
+UNSAVED = "unsaved"  # part of the name of the file that keeps unsaved changes
+OFFERED = 4  # most files of earlier runs that are offered
 
 
 class LayoutStore:
@@ -43,12 +41,6 @@ class LayoutStore:
     def unsaved(self) -> Path:
         """The file that keeps unsaved changes; never a file of an earlier run."""
         return self._unsaved or _free(self._unsaved_names())
-
-    @property
-    def page(self) -> Path:
-        """The report's file. A report of another run is not replaced: the name gets a number."""
-        pages = _numbered(self.path.with_suffix(".html"))
-        return next(page for page in pages if page in self._known or not page.exists())
 
     @property
     def beside(self) -> Path:
@@ -120,8 +112,10 @@ class LayoutStore:
         return f"{self.path}, not saved yet, {where}"
 
     def write_page(self, text: str) -> Path:
-        """Write a report as :attr:`page`, which is returned."""
-        page = self.page
+        """Write a report beside :attr:`path`; returns its file. A report of another run is not
+        replaced: the name gets a number."""
+        pages = _numbered(self.path.with_suffix(".html"))
+        page = next(page for page in pages if page in self._known or not page.exists())
         write_text(page, text)
         self._know(page)
         return page

@@ -1,15 +1,14 @@
-"""Static bodies on maps and in three dimensions: their outlines, volumes, and what is in them."""
+"""Static bodies on maps: their outlines, and that nothing is scored in them."""
 
 import numpy as np
 import pytest
-import shapely
 from matplotlib.collections import PolyCollection
 from worlds import street_bodies, world
 
-from inspe_jax.report.bodies import BODY_COLORS, body_keys, body_meshes, look_of
+from inspe_jax.report.bodies import BODY_COLORS, body_keys, look_of
 from inspe_jax.report.figures import scene_view
 from inspe_jax.report.layers import layers
-from inspe_jax.scene.statics import KINDS, body, octagon, upright_box
+from inspe_jax.scene.statics import KINDS, upright_box
 from inspe_jax.scoring.viewshed import Viewshed
 
 
@@ -45,30 +44,6 @@ def test_the_legend_has_the_kinds_in_the_circle_each_once(street):
     rim = upright_box("building", street.voxels.center[:2] + [25.0, 0.0], (30, 10, 6))
     (key,) = body_keys(street.with_statics([rim]))  # its middle is outside the circle
     assert key.get_label() == "building"
-
-
-def test_meshes_are_closed_and_have_the_volume_of_the_prisms(street):
-    """By the divergence theorem, which holds for closed surfaces that face outward."""
-    bent = np.array([[0, 0], [6, 0], [6, 2], [2, 2], [2, 5], [0, 5]], float)
-    house = body("building", bent + street.voxels.center[:2] + 5.0, 7.0, base=2.0)
-    scene = street.with_statics([*street.statics, house])
-    seen = set()
-    for kind, points, faces in body_meshes(scene):
-        corners = points[faces] - points.mean(0)
-        volume = np.linalg.det(corners).sum() / 6
-        own = [one for one in scene.statics if one.kind == kind]
-        expected = sum(one.polygon.area * (one.height - one.base) for one in own)
-        for one in own:  # each part from the lowest ground at its corners, a tree with its trunk
-            level = scene.intersection.ground(one.middle[None])[0]
-            trunk = [octagon(one.middle, one.trunk)] if one.trunk else []
-            for part in [*trunk, *(one.pieces if one.base == 0 else ())]:
-                deep = level - scene.intersection.ground(part).min()
-                expected += shapely.Polygon(part).area * (deep + one.base)
-        assert volume == pytest.approx(expected, rel=1e-6)
-        edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
-        assert {tuple(edge) for edge in edges} == {tuple(edge[::-1]) for edge in edges}
-        seen.add(kind)
-    assert seen == {one.kind for one in scene.statics}
 
 
 def test_layers_have_no_value_within_a_body(street):

@@ -6,16 +6,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import shapely
+import shapely.affinity
 from drawn import misplaced, pixels, texts
 from matplotlib import colormaps, rc_context
 from matplotlib.collections import PolyCollection
 from matplotlib.colors import to_rgb
-from worlds import CAMERA, LIDAR, no_traffic, place_sensors, random_layout, with_boxes, world
+from worlds import CAMERA, LIDAR, no_traffic, place_sensors, random_layout, world
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.geometry import rotation
 from inspe_jax.core.sheet import CLASS_COLORS, fit, save_figure
-from inspe_jax.report import routes
+from inspe_jax.report.bodies import arrow_heads
 from inspe_jax.report.figures import (
     REGION_COLORS,
     column_raster,
@@ -124,12 +125,6 @@ def test_one_seen_column_is_painted_where_it_is(scene, pair):
         assert color_at(fig, columns[one] + beside) == pytest.approx(colors(0.0)[:3], abs=0.01)
 
 
-def test_scores_of_another_scene_are_refused(scene, pair):
-    bad = scores_of(scene, pair, np.zeros(7))
-    with pytest.raises(InspeError, match=r"another scene: .* have shape \(7,\), expected \(448,\)"):
-        plan_view(scene, pair, bad)
-
-
 # ── What sensors look at ────────────────────────────────────────────────────
 
 
@@ -142,21 +137,7 @@ def bearings(outline, pose):
     return (angle + np.pi) % (2 * np.pi) - np.pi, np.hypot(*way.T)
 
 
-def test_a_camera_looks_50_degrees_to_either_side_as_deep_as_it_sees():
-    pose = np.array([3.0, -4.0, 6.0, 0.0, 0.0, 2.5])
-    outline = view_outline(CAMERA, pose, 0.0)
-    angle, far = bearings(outline, pose)
-    assert far.max() == pytest.approx(30.0)
-    assert np.degrees([angle.min(), angle.max()]) == pytest.approx([-50, 50])
-    assert (np.hypot(*(outline - pose[:2]).T) < 1e-9).any()
-    # Area of the sector, a little less for the chords.
-    sector = math.radians(100) / 2 * 30**2
-    assert 0.999 * sector < shapely.Polygon(outline).area < sector
-
-
-@pytest.mark.parametrize(
-    ("pitch", "height"), [(-20, 6.0), (-50, 8.0), (-75, 5.0), (10, 4.0), (-30, 20.0)]
-)
+@pytest.mark.parametrize(("pitch", "height"), [(-20, 6.0), (-75, 5.0), (10, 4.0), (-30, 20.0)])
 def test_a_cameras_outline_holds_what_its_picture_shows_near_the_ground(pitch, height):
     """Points at random are projected into the picture: another reading of the same camera."""
     pose, level = np.array([3.0, -4.0, 2.0 + height, 0.0, np.radians(pitch), 2.5]), 2.0
@@ -279,30 +260,21 @@ def test_the_list_names_unit_device_and_height_above_its_base(scene):
 # ── Road users and regions ──────────────────────────────────────────────────
 
 
-def test_a_road_user_is_its_oriented_rectangle(scene):
-    one = with_boxes(scene, (12.0, -6.0, math.radians(30), 4.0, 2.0, 1.5))
-    ((corners, color),) = drawn_boxes(scene_view(one))
-    cos, sin = math.sqrt(3) / 2, 0.5
-    front_left = (12.0 + 2 * cos - 1 * sin, -6.0 + 2 * sin + 1 * cos)
-    rear_right = (12.0 - 2 * cos + 1 * sin, -6.0 - 2 * sin - 1 * cos)
-    rectangle = shapely.Polygon(corners)
-    assert rectangle.area == pytest.approx(8.0)
-    for corner in (front_left, rear_right):
-        assert np.hypot(*(corners - corner).T).min() < 1e-9
-    assert color == to_rgb(CLASS_COLORS[0])
-
-
-def test_those_of_the_frame_are_drawn_in_the_colour_of_their_class(scene):
-    kind = np.arange(scene.traffic.kind.size).reshape(scene.traffic.kind.shape) % 4
-    mixed = replace(scene, traffic=replace(scene.traffic, kind=kind.astype(np.int8)))
-    for frame in range(2):
-        valid = scene.traffic.valid[frame]
-        wanted = sorted(to_rgb(CLASS_COLORS[k]) for k in kind[frame][valid])
-        found = drawn_boxes(scene_view(mixed, frame=frame))
-        assert sorted(color for _, color in found) == wanted
-        middles = np.array([corners.mean(0) for corners, _ in found])
-        for center in scene.traffic.center[frame, valid, :2]:
-            assert np.hypot(*(middles - center).T).min() < 1e-9
+@pytest.mark.parametrize("frame", [0, 1])
+def test_road_users_of_a_frame_are_oriented_rectangles_in_the_colour_of_their_class(scene, frame):
+    traffic = scene.traffic
+    kind = np.arange(traffic.kind.size).reshape(traffic.kind.shape) % 4
+    turned = replace(traffic, kind=kind.astype(np.int8), yaw=traffic.yaw + 0.5)
+    found = drawn_boxes(scene_view(replace(scene, traffic=turned), frame=frame))
+    users = np.flatnonzero(traffic.valid[frame])
+    assert len(found) == len(users)
+    for k in users:
+        (x, y), half = turned.center[frame, k, :2], turned.size[frame, k, :2] / 2
+        level = shapely.box(x - half[0], y - half[1], x + half[0], y + half[1])
+        lying = shapely.affinity.rotate(level, turned.yaw[frame, k], use_radians=True)
+        away = [shapely.hausdorff_distance(shapely.Polygon(corners), lying) for corners, _ in found]
+        assert min(away) < 1e-5
+        assert found[np.argmin(away)][1] == to_rgb(CLASS_COLORS[kind[frame, k]])
 
 
 @pytest.mark.parametrize("frame", [-1, 2])
@@ -385,7 +357,7 @@ def test_no_traffic_no_routes_and_no_poles_can_be_drawn(scene, pair):
 
 def test_arrow_heads_point_along_the_lanes():
     full = build_scene(built_in("roundabout"), radius=40, voxel=2.0, density="none")
-    heads = routes.arrow_heads(full)
+    heads = arrow_heads(full)
     assert len(heads) > 8
     along = [r.waypoints[:, :2] for r in full.intersection.routes if r.user == "vehicle"]
     for at, ahead in heads:

@@ -1,7 +1,8 @@
-"""What the figures of a search show, read back from them; and its tables."""
+"""What the figures of searches and of a Pareto front show, read back; and their tables."""
 
 import io
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,12 +16,18 @@ from inspe_jax.core.errors import InspeError
 from inspe_jax.placement.optimise import METHODS
 from inspe_jax.placement.result import Result
 from inspe_jax.placement.run import Progress
-from inspe_jax.report.curves import history_view
+from inspe_jax.placement.studies.pareto import DeviceMix
+from inspe_jax.report.curves import NAMED, history_view, pareto_view
 from inspe_jax.report.figures import layer_raster
 from inspe_jax.report.layers import seen_layer
 from inspe_jax.report.progress import MOVED, WENT, before_after
-from inspe_jax.report.tables import before_after_table, comparison_table, moves_table
-from inspe_jax.scoring.evaluate import evaluate
+from inspe_jax.report.tables import (
+    before_after_table,
+    comparison_table,
+    moves_table,
+    pareto_table,
+)
+from inspe_jax.scoring.evaluate import ManyScores, evaluate
 
 
 @pytest.fixture(scope="module")
@@ -38,23 +45,12 @@ def result(scene):
     poses[0] = [9.0, -8.0, 8.5, 0, -0.3 + np.radians(4), np.radians(175)]
     units = (replace(start.units[0], base=(9.0, -8.0, 0.5)), start.units[1])
     after = replace(start, poses=poses, units=units, name="after")
+    history = (Progress(1.0, 1.0, 0.2, 0.2), Progress(3.0, 10.0, 0.4, 0.4))
     return Result(
-        layout=after,
-        start=start,
-        scores_before=evaluate(scene, start),
-        scores=evaluate(scene, after),
-        objective_before=0.2,
-        objective=0.4,
-        history=(Progress(1.0, 1.0, 0.2, 0.2), Progress(3.0, 10.0, 0.4, 0.4)),
-        path=np.stack([start.poses, poses]),
-        evaluations=12.0,
-        seconds=4.0,
-        status="converged",
-        method="first",
-        seed=0,
-        settings={"scenes": [{"name": "test crossing"}]},
-        versions={},
-    )
+        after, start, evaluate(scene, start), evaluate(scene, after), 0.2, 0.4, history,
+        np.stack([start.poses, poses]), 12.0, 4.0, "converged", "first", 0,
+        {"scenes": [{"name": "test crossing"}]}, {},
+    )  # fmt: skip
 
 
 def compare_of(result, scene):
@@ -191,11 +187,8 @@ def row_of(text, start):
 def test_table_of_scores_before_and_after(result):
     text = printed(before_after_table(result))
     before, after = result.scores_before.coverage, result.scores.coverage
-    assert row_of(text, "coverage")[2:] == [
-        f"{before:.3f}",
-        f"{after:.3f}",
-        f"{after - before:+.3f}",
-    ]
+    change = f"{after - before:+.3f}"
+    assert row_of(text, "coverage")[2:] == [f"{before:.3f}", f"{after:.3f}", change]
     assert row_of(text, "objective")[1:] == ["0.200", "0.400", "+0.200"]
     same = replace(result, objective=result.scores.surrogate)
     assert "objective" not in printed(before_after_table(same))
@@ -210,10 +203,59 @@ def test_table_of_moves(result):
 
 def test_table_of_methods_has_the_best_first(result):
     rows = [("slow", 0.1), ("slow", 0.4), ("slow", 0.2), ("quick", 0.3)]
-    text = printed(
-        comparison_table(
-            [replace(result, method=m, objective=s, seed=k) for k, (m, s) in enumerate(rows)]
-        )
-    )
+    text = printed(comparison_table([replace(result, method=m, objective=s) for m, s in rows]))
     assert row_of(text, "slow")[1:] == ["3", "0.2000", "0.1000", "0.4000", "12", "4"]
     assert text.index("quick") < text.index("slow")
+
+
+# ── Cost against score ──
+
+
+def mix_of(count, cost, objective, front):
+    values = np.array([0.5, 0.4, 0.3])
+    metrics = dict(zip(("coverage", "occlusion", "information_gain"), values, strict=True))
+    scores = ManyScores(metrics, objective)
+    result = SimpleNamespace(
+        objective=objective, scores=scores, method="random", settings={"scenes": [{"name": "here"}]}
+    )
+    return DeviceMix({"device": count}, cost, result, front)
+
+
+@pytest.fixture
+def found():
+    return [mix_of(1, 100, 0.2, True), mix_of(2, 150, 0.1, False), mix_of(3, 300, 0.6, True)]
+
+
+def test_the_front_is_a_staircase_with_its_mixes_named(found):
+    fig = pareto_view(found)
+    (ax,) = fig.axes
+    stairs, front, beaten = ax.lines
+    assert stairs.get_drawstyle() == "steps-post"
+    assert list(zip(*front.get_data(), strict=True)) == [(100, 0.2), (300, 0.6)]
+    assert list(zip(*beaten.get_data(), strict=True)) == [(150, 0.1)]
+    words = [text.get_text() for text in fig.texts]
+    named = [text for text in words if " device: " in text]
+    assert named == ["1 device: 100 US dollars, 0.2000", "3 device: 300 US dollars, 0.6000"]
+    assert [text.get_text() for text in ax.texts] == ["1", "2"]
+    assert "Cost against score at here" in words
+
+
+def test_no_more_are_named_than_there_is_room_for(found):
+    many = [mix_of(k, 100 * k, 1 - 0.5**k, True) for k in range(1, NAMED + 9)]
+    fig = pareto_view(many)
+    assert len(fig.axes[0].texts) == NAMED
+    assert "1 device: 100 US dollars, 0.5000" in [text.get_text() for text in fig.texts]
+    assert f"{NAMED + 8} device" not in " ".join([text.get_text() for text in fig.texts])
+
+
+def test_one_mix_is_a_figure_too(found):
+    (ax,) = pareto_view([replace(found[0], cost=0.0)]).axes
+    assert ax.lines[1].get_data()[0].tolist() == [0.0]
+    with pytest.raises(InspeError, match="no mix"):
+        pareto_view([])
+
+
+def test_the_table_has_a_row_a_mix(found):
+    rows = [line for line in printed(pareto_table(found)).splitlines() if "device" in line]
+    assert [("front" in row) for row in rows] == [True, False, True]
+    assert "0.6000" in rows[2]

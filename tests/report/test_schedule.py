@@ -10,6 +10,7 @@ import pytest
 from browser import browser
 from worlds import CAMERA, LIDAR, crossing, world
 
+from inspe_jax.placement.objective import Objective
 from inspe_jax.placement.problem import Case
 from inspe_jax.report.page import report_entry, report_page
 from inspe_jax.report.schedule import (
@@ -93,7 +94,7 @@ def test_materials_and_their_price(layout):
 @pytest.fixture(scope="module")
 def page(layout):
     scene = world(radius=12.0, voxel=1.0, count=6, frames=4, seed=1)
-    entry = report_entry(Case(scene), layout, (0.3, 0.5, 0.2))
+    entry = report_entry(Case(scene), layout, Objective())
     return report_page(scene, [entry], prices={"test-camera": 900.0}), scene, entry
 
 
@@ -119,12 +120,23 @@ def test_a_page_says_what_to_mount_where(page):
 
 @pytest.mark.slow
 @pytest.mark.browser
-def test_it_prints_on_eight_sheets_at_most(tmp_path, page):
-    """One layout on A4, with everything on it: each sensor of the schedule, and no 3-D stage."""
-    sheets = _printed(tmp_path, page[0])
+def test_pages_are_printed_on_a4(tmp_path, page):
+    """One layout is on eight sheets at most, with each sensor of the schedule, and no 3-D stage. A
+    schedule of several sheets has what its columns mean on each of them."""
+    if shutil.which("pdftotext") is None:
+        pytest.skip("needs pdftotext")
+    units = [Unit(f"unit {k}", (k - 9.0, 8.0, 0.0)) for k in range(19)]
+    sensors = [Sensor(f"{u} {k}", (CAMERA, LIDAR)[k], u) for u in range(19) for k in range(2)]
+    poses = np.array([[s.unit - 9.0, 8.0, 5.0, 0.0, 0.0, 0.0] for s in sensors])
+    html, scene, _ = page
+    entry = report_entry(Case(scene), make_layout(sensors, units, poses), Objective())
+    many = report_page(scene, [entry])
+    with browser() as chromium:
+        tab = chromium.new_page()
+        sheets, of_many = (_printed(tab, tmp_path, one) for one in (html, many))
     assert 2 <= len(sheets) <= 8
     assert "scores.json" not in "".join(sheets)  # which is to be clicked on
-    assert "scores.json" in page[0]
+    assert "scores.json" in html
     for heading, last in {
         "Installation schedule": "inspe report --tolerance",
         "Bill of materials": "--price test-lidar=USD",
@@ -132,43 +144,23 @@ def test_it_prints_on_eight_sheets_at_most(tmp_path, page):
     }.items():  # a table is on the sheet of its heading
         (sheet,) = (sheet for sheet in sheets if heading in sheet.split("\n"))
         assert last in sheet
-
-
-@pytest.mark.slow
-@pytest.mark.browser
-def test_a_sheet_explains_its_columns_and_ends_in_no_heading(tmp_path):
-    """A schedule of several sheets has what its columns mean on each of them."""
-    scene = world(radius=12.0, voxel=1.0, count=6, frames=4, seed=1)
-    units = [Unit(f"unit {k}", (k - 9.0, 8.0, 0.0)) for k in range(19)]
-    sensors = [Sensor(f"{u} {k}", (CAMERA, LIDAR)[k], u) for u in range(19) for k in range(2)]
-    poses = np.array([[s.unit - 9.0, 8.0, 5.0, 0.0, 0.0, 0.0] for s in sensors])
-    entry = report_entry(Case(scene), make_layout(sensors, units, poses), (0.3, 0.5, 0.2))
-    html = report_page(scene, [entry])
-    headings = {" ".join(found.split()) for found in re.findall(r"<h[23][^>]*>(.*?)</h", html)}
-    sheets = _printed(tmp_path, html)
-    of_schedule = [sheet for sheet in sheets if "azimuth" in sheet]
+    of_schedule = [sheet.replace("\n", " ") for sheet in of_many if "azimuth" in sheet]
     assert len(of_schedule) > 1
-    for sheet in of_schedule:
-        words = sheet.replace("\n", " ")
+    for words in of_schedule:
         assert "Azimuth: clockwise from north, the y axis of the map" in words
         assert "Height: from the ground at the foot of the pole" in words
-    for sheet in sheets:
+    headings = {" ".join(found.split()) for found in re.findall(r"<h[23][^>]*>(.*?)</h", many)}
+    for sheet in of_many:
         assert sheet.split("\n")[-1] not in headings
 
 
-def _printed(folder, html):
+def _printed(tab, folder, html):
     """The text of each sheet that a browser prints a page on."""
-    if shutil.which("pdftotext") is None:
-        pytest.skip("needs pdftotext")
     path, pdf = folder / "report.html", folder / "report.pdf"
     path.write_text(html, encoding="utf-8")
-    with browser() as chromium:
-        tab = chromium.new_page()
-        tab.goto(path.as_uri())
-        tab.pdf(path=pdf, prefer_css_page_size=True)
-    told = subprocess.run(
-        ["pdftotext", "-layout", pdf, "-"], capture_output=True, check=True, text=True
-    )
-    sheets = told.stdout.split("\f")[:-1]
+    tab.goto(path.as_uri())
+    tab.pdf(path=pdf, prefer_css_page_size=True)
+    told = subprocess.run(["pdftotext", "-layout", pdf, "-"], capture_output=True, check=True)
+    sheets = told.stdout.decode().split("\f")[:-1]
     lines = [[" ".join(line.split()) for line in sheet.split("\n")] for sheet in sheets]
     return ["\n".join(line for line in of if line) for of in lines]

@@ -31,7 +31,7 @@ from inspe_jax.sensing.layout import Sensor, Unit, make_layout
 
 METRICS = ("coverage", "occlusion", "information_gain", "surrogate")
 WIDTHS = (80, 160)
-NARROW = (40, 60, 80)
+NARROW = (40, 80)
 
 
 def named(*values):
@@ -131,8 +131,6 @@ def test_scores_for_people_are_whole(layout, width):
     words = " ".join(text.split())
     assert "driveway 0.22 0.901" in words
     assert "crosswalk 0.23 0.456" in words
-    for share in ("0.111", "0.222", "0.333"):
-        assert share in text
     assert row(text, "1", "cam", "a")[-4:] == ["+0.0123", "+0.0456", "+0.0789", "+0.0099"]
     assert "-0.0001  +0.2222  +0.0000  +0.1111" in text
     assert "[red]top" in text  # names are not markup
@@ -156,9 +154,8 @@ def test_a_scene_for_people(scene):
     assert "crosswalk" not in text
 
 
-@pytest.mark.parametrize("width", WIDTHS)
-def test_a_layout_for_people(layout, width):
-    text = shown(layout_table(layout), width)
+def test_a_layout_for_people(layout):
+    text = shown(layout_table(layout))
     # Height is above the unit's base, and yaw lies in (−180°, 180°].
     assert row(text, "1", "cam", "a")[-6:] == [
         "test-camera",
@@ -172,7 +169,7 @@ def test_a_layout_for_people(layout, width):
     assert "roll" not in text
     poses = np.array(layout.poses)
     poses[0, 3] = math.radians(-3)
-    tilted = shown(layout_table(layout.with_poses(poses)), width)
+    tilted = shown(layout_table(layout.with_poses(poses)))
     assert "roll" in tilted
     assert row(tilted, "1", "cam", "a")[-2:] == ["-15.5", "-3.0"]
 
@@ -188,18 +185,6 @@ def test_devices_for_people():
     assert f"cam camera 800 × 600 100° × {high:.0f}° 30 4,800 1,234" in lines
     assert "lid lidar 32 360° × 27° 50 57,600 –" in lines
     assert "lid: page 4." in lines
-
-
-@pytest.mark.parametrize("width", WIDTHS)
-def test_junctions_for_people(width):
-    infos = [
-        JunctionInfo(189, (-47.81, -20.4, 0.0), 4, 44.26, 2, 4),
-        JunctionInfo(7, (1234.5, 0.0, 10.0), 3, 9.0, 0, 0),
-    ]
-    text = shown(junctions_table(infos, "Town.xodr"), width)
-    assert "Junctions of Town.xodr" in text
-    assert row(text, "189")[1:] == ["-47.8,", "-20.4,", "0.0", "4", "44.3", "2", "4"]
-    assert row(text, "7")[1:] == ["1234.5,", "0.0,", "10.0", "3", "9.0", "0", "0"]
 
 
 # ── Narrow terminals ────────────────────────────────────────────────────────

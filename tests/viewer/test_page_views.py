@@ -18,13 +18,6 @@ def scene():
     return world(radius=RADIUS, voxel=1.0, frames=1, count=0)
 
 
-@pytest.fixture(scope="module")
-def layout():
-    return place_sensors(
-        (CAMERA, [9.0, 9.0, 6.0, 0, -0.3, -1.8]), (LIDAR, [-9.0, -9.0, 5.0, 0, 0, 0])
-    )
-
-
 def seen_at(scene, point, size=RADIUS):
     """Column and row by hand: the camera looks north and down."""
     eye = scene.voxels.center + size * np.array([0.0, -BACK, UP])
@@ -59,7 +52,7 @@ def test_a_pole_is_upright_and_arms_are_level(scene):
         assert any(np.allclose(line, found, atol=1e-3) for found in drawn)
 
 
-@pytest.mark.parametrize("azimuth", [10, 190, 270, 330])
+@pytest.mark.parametrize("azimuth", [190, 270])
 def test_every_sensor_is_in_the_picture(scene, azimuth):
     x, y = RADIUS * np.array([np.cos(np.radians(azimuth)), np.sin(np.radians(azimuth))])
     (ax,) = still_view(scene, place_sensors((LIDAR, [x, y, 9.0, 0, 0, 0]))).axes

@@ -55,11 +55,7 @@ def wait_until(true, seconds=60):
 
 def own_of(viewer):
     """The id and the view of the only page, once it is let in."""
-
-    def there():
-        return len(viewer.views) == 1 and set(viewer.views) == set(viewer.server.get_clients())
-
-    wait_until(there)
+    wait_until(lambda: viewer.views and set(viewer.views) == set(viewer.server.get_clients()))
     ((client, view),) = viewer.views.items()
     return client, view
 

@@ -97,6 +97,18 @@ def work(scene, todo):
     return _work(scene, todo)
 
 
+def content(folder):
+    """The content of every file of a data set, by its path, without lock files."""
+    files = (path for path in folder.rglob("*") if path.is_file() and path.suffix != ".lock")
+    return {str(path.relative_to(folder)): path.read_bytes() for path in files}
+
+
+def here(patch):
+    """Let a worker's functions in this process record with this recorder; ``patch`` undoes it."""
+    patch.setattr(chunk, "recorder_of", recorder_of)
+    patch.setattr(chunk, "_worker", chunk.WorkerState())
+
+
 def record(writer, plan):
     """Record what is missing of a scenario, as a worker does; gives what it told of each chunk."""
     told = []

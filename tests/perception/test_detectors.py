@@ -10,11 +10,12 @@ from loading_sets import HEIGHT, WIDTH, frame_of, write_scenario
 
 from inspe_jax import dataset
 from inspe_jax.core.errors import InspeError
-from inspe_jax.perception.detector import MODELS, Detector, model_of
+from inspe_jax.perception import detector as detectors
+from inspe_jax.perception import encoders
+from inspe_jax.perception.detector import MODELS, Detector, loader_of, model_of
 from inspe_jax.perception.head import aims, loss
 from inspe_jax.perception.inputs import Agents, BevGrid, Inputs, inputs_of
-from inspe_jax.perception.training.predict import loader_of
-from inspe_jax.perception.training.settings import agents_of
+from inspe_jax.perception.training.run import agents_of
 
 GRID = BevGrid(half=12.8)
 
@@ -62,9 +63,11 @@ def test_every_detector_takes_what_the_loader_gives(cached, name):
 
 
 @pytest.mark.parametrize("name", ["coalign", "attfuse"])
-def test_a_detector_heeds_no_order_and_learns_everywhere(cached, name):
+def test_a_detector_heeds_no_order_and_learns_everywhere(cached, name, monkeypatch):
     """One map and all scales, of LiDARs and of both; other parts by themselves are in
-    ``test_parts``."""
+    ``test_parts``. Two scales are compiled sooner than three."""
+    monkeypatch.setattr(encoders, "WIDTHS", (16, 16))
+    monkeypatch.setattr(detectors, "CHANNELS", 16)
     given, targets = inputs(cached, name)
     detector = eqx.filter_jit(Detector)(model_of(name), agents_of(cached), GRID, jax.random.key(0))
 

@@ -186,7 +186,7 @@ def test_another_size_of_pictures_needs_another_folder(made, cached):
 def test_damage_is_noticed(cached, tmp_path):
     """A file cut short when the cache is opened; a broken index when it is used."""
     shutil.copytree(cached.path, tmp_path / "cache")
-    for name in ("points.raw", "pictures.raw", "index.npz"):
+    for name in ("points.raw", "index.npz"):
         file = tmp_path / "cache" / "test" / "c" / name
         content = file.read_bytes()
         file.write_bytes(content[:-1])

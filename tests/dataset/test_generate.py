@@ -219,9 +219,8 @@ def test_a_full_disk(undisturbed, at_home, tmp_path, monkeypatch):
     assert made_up.content(out) == files
 
 
-@pytest.mark.process
-def test_scenarios_that_cannot_be_generated(tmp_path, monkeypatch):
-    """The errors say why, also if a worker was killed, and the other scenarios are generated."""
+def test_scenarios_that_cannot_be_generated(at_home, tmp_path, monkeypatch):
+    """The errors say why, also that of a worker, and the other scenarios are generated."""
     for name in ("broken", "unheard of"):
         (tmp_path / f"{name}.yaml").write_text(LAYOUT.replace("two masts", name))
     (tmp_path / "broken.xodr").write_text("<OpenDRIVE/>")
@@ -232,14 +231,20 @@ def test_scenarios_that_cannot_be_generated(tmp_path, monkeypatch):
         settings=STUDY["settings"] | dict(seed=0, light="midday"),
     )
     generation = load_generation(path)
-    deadly = generation.scenarios[3]
-    monkeypatch.setenv(made_up.DEADLY, str(deadly.seed))
+    deadly = generation.scenarios[3].seed
+
+    def dies(scene, todo):
+        if todo.plan.seed == deadly:
+            raise RuntimeError("what the scheduler says of a worker that was killed")
+        return made_up.work(scene, todo)
+
+    monkeypatch.setattr(sys.modules[generate.__module__], "work", dies)
     made = generate(generation, tmp_path / "out", workers=1)
     assert (made.scenarios, len(made.failures)) == (1, 7)
     for name, words in {
         "four_way__broken": "frame 13: the sun is too low",
         "four_way__unheard_of": "recording needs embreex, which is not installed",
-        "four_way__L-c": "KilledWorker",
+        "four_way__L-c": "a worker that was killed",
         "broken_1__two_masts": "broken.xodr",
         "broken_1__L-c": "broken.xodr",
     }.items():

@@ -62,9 +62,7 @@ def recorded(maps, tmp_path_factory):
     folder = tmp_path_factory.mktemp("carla")
     towns = maps / "Town07.xodr", maps / f"{client.TOWN}.xodr"
     with carla_wire.serving(*towns, scenery=[PARKED]) as port:
-        meanwhile = run_client("record", port, folder / "told.json")
-        after = run_client("look", port, folder / "look.json")
-    return folder, meanwhile, after
+        return folder, *run_client("record", port, folder / "told.json").values()
 
 
 @pytest.fixture(scope="module")

@@ -37,14 +37,11 @@ def exchanged(given: Inputs) -> Inputs:
     pillars = given.pillars
     if pillars is not None:
         pillars = type(pillars)(*(part[:, ::-1] for part in pillars))
-    unit = None if given.unit is None else np.where(given.unit >= 0, 1 - given.unit, -1)
-    count = given.present.shape[1]
-    order = [1, 0, 3, 2][:count]
-    return given._replace(
-        pillars=pillars,
-        unit=None if unit is None else unit.astype(np.int32),
-        present=given.present[:, order],
-    )
+    unit = given.unit
+    if unit is not None:
+        unit = np.where(unit >= 0, 1 - unit, -1).astype(np.int32)
+    order = [1, 0, 3, 2][: given.present.shape[1]]
+    return given._replace(pillars=pillars, unit=unit, present=given.present[:, order])
 
 
 @pytest.mark.parametrize("name", MODELS)
@@ -80,11 +77,8 @@ def test_a_detector_heeds_no_order_and_learns_everywhere(cached, name, monkeypat
     slopes, fused = slopes_of(detector, given)
     _, turned = slopes_of(detector, exchanged(given))
     np.testing.assert_allclose(turned, fused, atol=1e-3)
-    still = [
-        jax.tree_util.keystr(path)
-        for path, leaf in jax.tree_util.tree_leaves_with_path(slopes)
-        if not np.asarray(leaf).any()
-    ]
+    leaves = jax.tree_util.tree_leaves_with_path(slopes)
+    still = [jax.tree_util.keystr(path) for path, x in leaves if not np.asarray(x).any()]
     only_on_pictures = [".pictures.heat.weight", ".pictures.heat.bias"]
     assert still == (only_on_pictures if detector.pictures else [])
 

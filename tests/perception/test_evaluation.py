@@ -132,13 +132,12 @@ places = st.tuples(st.integers(0, 8), st.integers(0, 3), st.integers(0, 1), st.i
 @given(st.lists(places, max_size=14), st.lists(places, max_size=10))
 def test_detections_take_what_a_loop_takes(found, truth):
     """On a grid of half metres, so that many distances and scores are equal."""
+    rows = (np.reshape(of, (-1, 4)) for of in (found, truth))
     found, truth = (
-        Detections(
-            boxes_at(*[(x / 2, y / 2) for x, y, _, _ in of]).boxes,
-            np.array([kind for _, _, kind, _ in of], np.int32),
-            np.array([score / 3 for *_, score in of], np.float32),
+        boxes_at(*of[:, :2] / 2)._replace(
+            kind=of[:, 2].astype(np.int32), score=of[:, 3].astype(np.float32) / np.float32(3)
         )
-        for of in (found, truth)
+        for of in rows
     )
     for distance in DISTANCES:
         assert matched(found, truth, distance).tolist() == loop(found, truth, distance)

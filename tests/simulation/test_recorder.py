@@ -456,11 +456,9 @@ POLE_LABEL = 6  # CARLA's
 @pytest.fixture(scope="module")
 def both():
     """Two cameras and a LiDAR on two units."""
-    return place_sensors(
-        (SMALL, [12.0, 9.5, 5.0, 0.0, -0.3, -2.4]),
-        (COARSE, [-9.0, -9.0, 6.0, 0.0, 0.0, 0.0]),
-        (SMALL, [-9.0, 9.0, 5.0, 0.0, -0.3, -0.8]),
-    )
+    cameras = [12.0, 9.5, 5.0, 0.0, -0.3, -2.4], [-9.0, 9.0, 5.0, 0.0, -0.3, -0.8]
+    lidar = COARSE, [-9.0, -9.0, 6.0, 0.0, 0.0, 0.0]
+    return place_sensors((SMALL, cameras[0]), lidar, (SMALL, cameras[1]))
 
 
 @pytest.mark.parametrize(("light", "s"), [("dusk", 1), ("night", 0)])

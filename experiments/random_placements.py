@@ -50,6 +50,7 @@ from inspe_jax.dataset.plan import make_generation
 from inspe_jax.jobs.scenes import scene_of
 from inspe_jax.jobs.sources import SceneSource
 from inspe_jax.mounting.mixes import starting_layout
+from inspe_jax.perception.detector import loader_of
 from inspe_jax.perception.evaluation import (
     Detections,
     Evaluation,
@@ -59,7 +60,6 @@ from inspe_jax.perception.evaluation import (
 )
 from inspe_jax.perception.inputs import BevGrid
 from inspe_jax.perception.training import TrainingRun, TrainingSettings
-from inspe_jax.perception.training.predict import loader_of
 from inspe_jax.placement.problem import Problem
 from inspe_jax.report.figures import OUTLINE, column_raster, draw_regions
 from inspe_jax.sensing.layout import save_layout

@@ -56,7 +56,7 @@ from table2 import Stats, places, run, statistics
 from inspe_jax.dataset import Cache, Generation, cache, generate, open_cache
 from inspe_jax.dataset.plan import make_generation
 from inspe_jax.mounting.strategies import STRATEGIES
-from inspe_jax.perception.detector import MODELS, TEACHER, model_of
+from inspe_jax.perception.detector import MODELS, TEACHER, loader_of, model_of
 from inspe_jax.perception.evaluation import Evaluation
 from inspe_jax.perception.inputs import BevGrid
 from inspe_jax.perception.training import (
@@ -69,7 +69,6 @@ from inspe_jax.perception.training import (
     train,
     train_all,
 )
-from inspe_jax.perception.training.predict import loader_of
 from inspe_jax.perception.training.run import VALIDATION
 from inspe_jax.simulation.frame import KINDS
 from inspe_jax.study.plan import make_study

@@ -42,10 +42,16 @@ from table1 import NAMES, PICTURES, QUICK_HALF, recorded
 
 from inspe_jax.dataset import open_cache
 from inspe_jax.dataset.plan import make_generation
-from inspe_jax.perception.detector import MODELS, TEACHER, Detector, model_of, parameters
+from inspe_jax.perception.detector import (
+    MODELS,
+    TEACHER,
+    Detector,
+    loader_of,
+    model_of,
+    parameters,
+)
 from inspe_jax.perception.inputs import BevGrid, inputs_of
-from inspe_jax.perception.training.predict import loader_of
-from inspe_jax.perception.training.settings import AUGMENT, TrainingSettings, agents_of, optimiser
+from inspe_jax.perception.training.run import AUGMENT, TrainingSettings, agents_of, optimiser
 from inspe_jax.perception.training.train import training_step
 
 QUICK_MODELS = ("coalign",)

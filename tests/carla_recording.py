@@ -1,7 +1,7 @@
 """Clients that record with the wire-level CARLA server, and write what they received to a file.
 
 They are processes, because a message that the client cannot read ends the interpreter:
-`python carla_recording.py record|look|errors PORT FILE`.
+`python carla_recording.py record|errors PORT FILE`.
 """
 
 import json
@@ -64,12 +64,14 @@ def at(port: int, seen: Scene, server: Server | None = None, conditions: Conditi
 
 
 def record(port: int, file: Path) -> None:
-    """Records a scenario of all frames, one of them twice; writes the server's state meanwhile."""
+    """Records a scenario of all frames, one of them twice; writes the server's state meanwhile and
+    afterwards."""
     seen, folder = scene(), file.parent / "train" / TOWN
     with at(port, seen, conditions=RAIN) as recorder:
         frames = [recorder.frame(t) for t in range(FRAMES)]
         again = recorder.frame(AGAIN)
-        told = look_at(port)
+        meanwhile = look_at(port)
+    told = {"meanwhile": meanwhile, "after": look_at(port)}
     world = dict(
         fixed_delta_seconds=1 / RATE, client_port=port, seed=SEED, weather=RAIN.record, town=TOWN
     )
@@ -109,11 +111,6 @@ def look_at(port: int) -> dict:
     }
 
 
-def look(port: int, file: Path) -> None:
-    """Writes the state of a server."""
-    file.write_text(json.dumps(look_at(port)))
-
-
 def errors(_: int, file: Path, *ports: str) -> None:
     """The errors for servers that cannot be used, NAME:PORT each, and their state afterwards.
 
@@ -151,5 +148,5 @@ def park(port: int) -> None:
 
 
 if __name__ == "__main__":
-    tasks = {"record": record, "look": look, "errors": errors}
+    tasks = {"record": record, "errors": errors}
     tasks[sys.argv[1]](int(sys.argv[2]), Path(sys.argv[3]), *sys.argv[4:])

@@ -1,4 +1,4 @@
-"""A recorder of random frames. Environment variables make it slow, kill workers, or fill the disk.
+"""A recorder of random frames. Environment variables make it slow, or fill the disk.
 
 It is a module because workers import the functions that they are sent.
 """
@@ -18,10 +18,9 @@ from inspe_jax.core.errors import InspeError
 from inspe_jax.dataset import Frame, Image, RoadUserBox, Scan, Station, chunk
 from inspe_jax.scene.traffic.frames import CLASSES
 
-SLOW, DEADLY, ROOM, PIDS = "MADE_UP_SLOW", "MADE_UP_DEADLY", "MADE_UP_ROOM", "MADE_UP_PIDS"
-"""Names of variables: the seconds per frame; the seed of a scenario whose frame 3 kills the worker;
-the number of files that the disk has room for; and a folder in which each worker leaves a file
-named by its process id."""
+SLOW, ROOM, PIDS = "MADE_UP_SLOW", "MADE_UP_ROOM", "MADE_UP_PIDS"
+"""Names of variables: the seconds per frame; the number of files that the disk has room for; and a
+folder in which each worker leaves a file named by its process id."""
 
 _work = chunk.work
 
@@ -36,8 +35,6 @@ class Recorder:
     def frame(self, t):
         if self.layout.name == "broken" and t == 13:
             raise InspeError("the sun is too low")
-        if os.environ.get(DEADLY) == str(self.seed) and t == 3:
-            os._exit(1)
         time.sleep(float(os.environ.get(SLOW, "0")))
         rng, traffic = np.random.default_rng([self.seed, t]), self.scene.traffic
         boxes = []
@@ -95,6 +92,18 @@ def work(scene, todo):
     if ROOM in os.environ:
         files.os = SimpleNamespace(**{**vars(os), "replace": short_of_room(todo)})
     return _work(scene, todo)
+
+
+def content(folder):
+    """The content of every file of a data set, by its path, without lock files."""
+    files = (path for path in folder.rglob("*") if path.is_file() and path.suffix != ".lock")
+    return {str(path.relative_to(folder)): path.read_bytes() for path in files}
+
+
+def here(patch):
+    """Let a worker's functions in this process record with this recorder; ``patch`` undoes it."""
+    patch.setattr(chunk, "recorder_of", recorder_of)
+    patch.setattr(chunk, "_worker", chunk.WorkerState())
 
 
 def record(writer, plan):

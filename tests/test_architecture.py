@@ -44,7 +44,7 @@ ROOMS = {
     "sumolib": ("scene/maps/sumo/", "scene/traffic/sumo/"),
     "sumo": ("scene/maps/sumo/", "scene/traffic/sumo/"),
     "jaxopt": ("placement/methods/solver_rounds.py",),
-    "optax": ("placement/methods/adam.py", "perception/training/settings.py"),
+    "optax": ("placement/methods/adam.py", "perception/training/run.py"),
     "equinox": ("perception/",),
     "PIL": (
         "dataset/formats/", "dataset/loading/stored.py", "simulation/", "viewer/sensor_view.py",

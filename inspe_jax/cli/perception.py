@@ -267,10 +267,8 @@ def _ready(
 ) -> "tuple[TrainingRun, int, Loader, Any]":
     """A run, the step of its last state, the frames of a set in order, and what detects in them."""
     from inspe_jax.perception import training
-    from inspe_jax.perception.detector import model_of
-    from inspe_jax.perception.training.predict import loader_of
-    from inspe_jax.perception.training.run import check_pictures
-    from inspe_jax.perception.training.settings import check_sensors
+    from inspe_jax.perception.detector import loader_of, model_of
+    from inspe_jax.perception.training.run import check_pictures, check_sensors
 
     run = training.open_run(folder)
     content = run.content

@@ -3,18 +3,11 @@ load them for training."""
 
 from inspe_jax.dataset.folders import Dataset, Scenario
 from inspe_jax.dataset.folders import open_dataset as open
-from inspe_jax.dataset.formats.options import FileOptions
+from inspe_jax.dataset.formats.other_readers import FileOptions
 from inspe_jax.dataset.formats.protocol_file import write_protocol
-from inspe_jax.dataset.formats.registry import read_frame, write_frame
+from inspe_jax.dataset.formats.registry import write_frame
 from inspe_jax.dataset.generate import GenerationResult, generate
-from inspe_jax.dataset.loading import (
-    Augment,
-    Cache,
-    Loader,
-    PillarGrid,
-    cache,
-    open_cache,
-)
+from inspe_jax.dataset.loading import Augment, Cache, Loader, PillarGrid, cache, open_cache
 from inspe_jax.dataset.manifest import Check, check
 from inspe_jax.dataset.plan import Generation, ScenarioPlan
 from inspe_jax.dataset.protocol import load_generation
@@ -23,32 +16,8 @@ from inspe_jax.simulation.frame import Frame, Image, RoadUserBox, Scan, Station
 from inspe_jax.simulation.recorder import Server
 
 __all__ = [
-    "Augment",
-    "Cache",
-    "Check",
-    "Dataset",
-    "FileOptions",
-    "Frame",
-    "Generation",
-    "GenerationResult",
-    "Image",
-    "Loader",
-    "PillarGrid",
-    "RoadUserBox",
-    "Scan",
-    "Scenario",
-    "ScenarioPlan",
-    "Server",
-    "Station",
-    "Statistics",
-    "cache",
-    "check",
-    "generate",
-    "load_generation",
-    "open",
-    "open_cache",
-    "read_frame",
-    "statistics",
-    "write_frame",
-    "write_protocol",
-]
+    "Augment", "Cache", "Check", "Dataset", "FileOptions", "Frame", "Generation",
+    "GenerationResult", "Image", "Loader", "PillarGrid", "RoadUserBox", "Scan", "Scenario",
+    "ScenarioPlan", "Server", "Station", "Statistics", "cache", "check", "generate",
+    "load_generation", "open", "open_cache", "statistics", "write_frame", "write_protocol",
+]  # fmt: skip

@@ -28,11 +28,9 @@ from inspe_jax.simulation.recorder import Recorder, Server
 
 @dataclass(frozen=True)
 class Chunk:
-    """Some ``frames`` of a scenario that is written to ``folder``.
-
-    ``missing`` of them were not written yet when the chunk was sent. A process that writes a chunk
-    holds the file ``lock``. ``server`` is the one that the backend records with, if it needs one.
-    """
+    """Some ``frames`` of a scenario that is written to ``folder``; ``missing`` of them were not yet
+    when the chunk was sent. A process that writes a chunk holds the file ``lock``. ``server`` is
+    the one that the backend records with, if it needs one."""
 
     plan: ScenarioPlan
     backend: str
@@ -61,10 +59,8 @@ class Chunk:
 
 @dataclass(frozen=True)
 class Outcome:
-    """Why a chunk could not be recorded (``error``) or written (``fault``), if it could not.
-
-    ``notes`` say what the recorder cannot record as the layout has it.
-    """
+    """Why a chunk could not be recorded (``error``) or written (``fault``), if it could not; and
+    what the recorder cannot record as the layout has it."""
 
     error: str = ""
     fault: str = ""
@@ -73,10 +69,8 @@ class Outcome:
 
 @dataclass
 class WorkerState:
-    """The recorder that a worker process has open, of the scenario with this ``key``, if any.
-
-    Once ``closing`` is true, no further frame is recorded.
-    """
+    """The recorder that a worker process has open, of the scenario with this ``key``, if any. Once
+    ``closing`` is true, no further frame is recorded."""
 
     key: str = ""
     recorder: Recorder | None = None
@@ -135,11 +129,8 @@ def build(chunk: Chunk) -> Scene | str:
 
 
 def work(scene: Scene | str, chunk: Chunk) -> Outcome:
-    """Record and write the missing frames of a chunk.
-
-    The bytes of a frame do not depend on when, or by which worker, it is recorded. A message of
-    :func:`build` in place of the scene is the error of the chunk.
-    """
+    """Record and write the missing frames of a chunk, to the same bytes whenever and whoever does
+    it. A message of :func:`build` in place of the scene is the error of the chunk."""
     if isinstance(scene, str):
         return Outcome(error=scene)
     notes, options = tuple[str, ...](), chunk.plan.files

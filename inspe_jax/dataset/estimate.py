@@ -1,7 +1,5 @@
-"""What a data set would hold, how large it would be and how long it would take: before it is made.
-
-Every scene is built, and its road users are counted. Of every layout two frames are recorded in
-each light and weather, on the first scene that has it; sizes and times of the set are their sums.
+"""What a data set would hold, its size and how long it would take: every scene is built, and two
+frames of every layout are recorded in each light and weather, on the first scene that has it.
 """
 
 import time
@@ -41,8 +39,7 @@ class Estimate:
 
     ``boxes`` is the number of road users of each class in each split, each counted once a frame;
     ``size`` [bytes] and ``seconds`` are None where the backend cannot be tried without its server.
-    ``shortfalls`` say what scenes have less of than was asked for, each with the number of
-    scenarios.
+    ``shortfalls`` say in how many scenarios there is less of what than was asked for.
     """
 
     boxes: Mapping[str, Counter[str]]
@@ -59,9 +56,9 @@ def estimate(
 ) -> Estimate:
     """Build the scenes of a data set and try its layouts; nothing is left on disk.
 
-    The seconds are those of ``workers`` processes, which share the frames of a scenario: each of
-    them builds its scene and opens its recorder. ``progress`` is called with the number of
-    scenarios done and of all. Raises InspeError as generating does.
+    The seconds are those of ``workers`` processes, which share the frames of a scenario, and each
+    build its scene and open its recorder. ``progress`` is called with (scenarios done, all). Raises
+    InspeError as generating does.
     """
     backend = backend or generation.backend
     tried = None if BACKENDS[backend].remote else dict[Any, Sample]()

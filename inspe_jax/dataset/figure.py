@@ -28,10 +28,8 @@ _MEDIAN: dict[str, Any] = dict(lw=1.4, marker="o", ms=2.2)
 
 
 def statistics_view(found: Statistics) -> Figure:
-    """A figure of a data set: objects per class and per frame, their sizes, and points by range.
-
-    The last part is left out if no road user was scanned.
-    """
+    """A figure of a data set: objects per class and per frame, their sizes, and points by range, if
+    a road user was scanned."""
     scanned = len(found.points.kind) > 0
     notes = textwrap.wrap(_notes(found), 130)
     rows, foot = [1.5, 1.8, *[2.8] * scanned], 0.1 + NOTE_LINE * len(notes)
@@ -160,8 +158,6 @@ def _draw_sizes(ax: Axes, found: Statistics, axis: int) -> None:
 
 
 def _draw_points(part: SubFigure, found: Statistics) -> None:
-    """For each class the points in its boxes by range, and below the share of boxes with a
-    point."""
     part.suptitle("Points per object by range", x=LEFT / WIDTH, ha="left", size=7, weight="bold")
     handles = [
         Line2D([], [], color="#606060", **_MEDIAN, label="median"),

@@ -21,8 +21,7 @@ MOST_LISTED = 20
 
 @dataclass(frozen=True)
 class Scenario:
-    """A scenario on disk. What has been read once is kept: later changes to the files do not
-    show."""
+    """A scenario on disk. What has been read once is kept: later changes do not show."""
 
     path: Path
     format: DatasetFormat = FORMATS[DEFAULT_FORMAT]
@@ -48,7 +47,7 @@ class Scenario:
         return self.format.frames(self.path, self.agents)
 
     def frame(self, number: int) -> Frame:
-        """A frame, as :func:`~inspe_jax.dataset.read_frame` reads it."""
+        """A frame. Raises InspeError where there is none of this number, or a file is broken."""
         return self.format.read(self.path, number, self.agents, self.protocol)
 
 
@@ -65,11 +64,8 @@ class Dataset:
         return tuple(scenario for split in self.splits.values() for scenario in split)
 
     def scenario(self, name: str | None = None) -> Scenario:
-        """A scenario by its name, or the only scenario if no name is given.
-
-        If two splits have a scenario of the same name, give ``SPLIT/NAME``. Raises InspeError,
-        which lists the scenarios, if none or several have the name.
-        """
+        """A scenario by its name or ``SPLIT/NAME``, or the only one if no name is given. Raises
+        InspeError, which lists the scenarios, if none or several have the name."""
         named = {
             f"{split}/{scenario.name}": scenario
             for split, scenarios in self.splits.items()

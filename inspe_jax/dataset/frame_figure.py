@@ -13,19 +13,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from inspe_jax.core.sheet import (
-    ASIDE,
-    CLASS_COLORS,
-    HALO,
-    KEYS,
-    LEFT,
-    MAP,
-    PANEL,
-    TITLE,
-    WIDTH,
-    fit,
-    house_style,
-)
+from inspe_jax.core import sheet
+from inspe_jax.core.sheet import ASIDE, CLASS_COLORS, LEFT, MAP, WIDTH
 from inspe_jax.core.words import counted
 from inspe_jax.dataset.folders import Scenario
 from inspe_jax.dataset.points_in_boxes import world_points
@@ -58,7 +47,7 @@ def frame_view(scenario: Scenario, number: int) -> Figure:
         for station in frame.stations
         for i, image in enumerate(station.images)
     ]
-    with house_style():
+    with sheet.house_style():
         fig, ax, panel, pictures = sheet_of_pictures([image.rgb.shape[:2] for _, image in images])
         _heading(fig, scenario, frame, [image for _, image in images])
         cloud = _draw_plan(ax, frame)
@@ -80,7 +69,9 @@ def sheet_of_pictures(
     height = _HEAD + MAP + _FOOT + (rows * step + _GAP if shapes else 0.0)
     fig = Figure(figsize=(WIDTH, height), facecolor="white")
     ax = fig.add_axes((LEFT / WIDTH, 1 - (_HEAD + MAP) / height, MAP / WIDTH, MAP / height))
-    panel = fig.add_axes((PANEL / WIDTH, 1 - (_HEAD + MAP) / height, ASIDE / WIDTH, MAP / height))
+    panel = fig.add_axes(
+        (sheet.PANEL / WIDTH, 1 - (_HEAD + MAP) / height, ASIDE / WIDTH, MAP / height)
+    )
     panel.set(xlim=(0, ASIDE * 72), ylim=(-MAP * 72, 0))  # in points
     panel.axis("off")
     pictures = []
@@ -114,7 +105,7 @@ def heading(fig: Figure, title: str, facts: str) -> None:
     """Write a title, and two lines of ``facts`` below it."""
     height = fig.get_figheight()
     at: dict[str, Any] = dict(x=LEFT / WIDTH, va="top", parse_math=False)
-    fig.text(y=1 - 0.10 / height, **fit(title, TITLE, 10), weight="bold", **at)
+    fig.text(y=1 - 0.10 / height, **sheet.fit(title, sheet.TITLE, 10), weight="bold", **at)
     fig.text(y=1 - 0.29 / height, s=facts, linespacing=1.35, **at)
 
 
@@ -122,7 +113,11 @@ def _draw_plan(ax: Axes, frame: Frame) -> Any:
     """Draw points, boxes and stations in plan, north up; gives the drawn points, or None."""
     scans = [scan for station in frame.stations for scan in station.scans]
     cloud = np.concatenate([np.zeros((3, 0)), *map(world_points, scans)], 1)
-    (x0, x1), (y0, y1) = _limits(frame, cloud)
+    places = [box.center[:2] for box in frame.boxes]
+    places += [station.pose[:2] for station in frame.stations]
+    if len(places) < 2:
+        places += list(cloud[:2].T) or [np.zeros(2)]
+    (x0, y0), (x1, y1) = square(np.reshape(places, (-1, 2)))
     ax.set(xlim=(x0, x1), ylim=(y0, y1), xlabel="x, east [m]", ylabel="y, north [m]")
     cloud = cloud[:, (cloud[0] > x0) & (cloud[0] < x1) & (cloud[1] > y0) & (cloud[1] < y1)]
     drawn = None
@@ -159,22 +154,20 @@ def draw_direction(ax: Axes, at: Float[np.ndarray, "2"], yaw: float) -> None:
     """Draw a line from a camera to where it looks, a twentieth of the plan long."""
     reach = 0.05 * np.diff(ax.get_xlim())
     ends = np.stack([at, at + reach * np.array([np.cos(yaw), np.sin(yaw)])])
-    ax.plot(*ends.T, color=BADGE_COLOR, lw=0.9, zorder=5, path_effects=HALO)
+    ax.plot(*ends.T, color=BADGE_COLOR, lw=0.9, zorder=5, path_effects=sheet.HALO)
 
 
-def _limits(
-    frame: Frame, cloud: Float[np.ndarray, "3 N"]
-) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Limits of x and y: a square around boxes and stations; around the points if there is at most
-    one of these."""
-    places = [box.center[:2] for box in frame.boxes]
-    places += [station.pose[:2] for station in frame.stations]
-    if len(places) < 2:
-        places += list(cloud[:2].T) or [np.zeros(2)]
-    spots = np.array(places)
+def square(spots: Float[np.ndarray, "N 2"]) -> tuple[Any, Any]:
+    """The lower left and the upper right corner of a plan around spots (x, y) [m]."""
+    spots = spots if len(spots) else np.zeros((1, 2))
     low, high = spots.min(0), spots.max(0)
-    (x, y), reach = (low + high) / 2, float((high - low).max()) / 2 + MARGIN
-    return (x - reach, x + reach), (y - reach, y + reach)
+    middle, reach = (low + high) / 2, float((high - low).max()) / 2 + MARGIN
+    return middle - reach, middle + reach
+
+
+def camera_key() -> Line2D:
+    """What a legend says of :func:`draw_direction`."""
+    return Line2D([], [], color=BADGE_COLOR, lw=0.9, label="direction of a camera")
 
 
 def _color(box: RoadUserBox) -> str:
@@ -191,7 +184,6 @@ def badge(ax: Axes, at: Any, name: str) -> None:
 
 
 def _draw_panel(fig: Figure, panel: Axes, frame: Frame, cloud: Any, images: bool) -> None:
-    """The colour bar of heights, the names of the stations, and the legend."""
     y = 0.0
     if cloud is not None:
         axes = panel.inset_axes((0.02, 1 - 21 / (MAP * 72), 0.94, 7 / (MAP * 72)))
@@ -205,10 +197,12 @@ def _draw_panel(fig: Figure, panel: Axes, frame: Frame, cloud: Any, images: bool
     for station in frame.stations[:most]:
         y -= _ROW
         badge(panel, (6, y), name_of(station))
-        panel.text(13 + 3.2 * (len(name_of(station)) - 1), y, **look | fit(station.name, 26, 6.5))
+        panel.text(
+            13 + 3.2 * (len(name_of(station)) - 1), y, **look | sheet.fit(station.name, 26, 6.5)
+        )
     more = len(frame.stations[most:])
     panel.text(0, y - _ROW, f"and {counted(more, 'more station')}" if more else "", **look)
-    panel.legend(handles=_keys(frame, images), loc="lower left", **KEYS)
+    panel.legend(handles=_keys(frame, images), loc="lower left", **sheet.KEYS)
 
 
 def _keys(frame: Frame, images: bool) -> list[Any]:
@@ -219,7 +213,7 @@ def _keys(frame: Frame, images: bool) -> list[Any]:
         if counts[kind]
     ]
     if images:
-        keys.append(Line2D([], [], color=BADGE_COLOR, lw=0.9, label="direction of a camera"))
+        keys.append(camera_key())
     layers = [image.instance for station in frame.stations for image in station.images]
     if any(layer is not None for layer in layers):
         look: dict[str, Any] = dict(color="#606060", lw=0.9, ls=_DOTS)
@@ -228,7 +222,6 @@ def _keys(frame: Frame, images: bool) -> list[Any]:
 
 
 def _draw_image(ax: Axes, image: Image, boxes: Sequence[RoadUserBox], words: str) -> None:
-    """An image, and the boxes that fall into it."""
     height, width = image.rgb.shape[:2]
     lines, owner = edge_lines(image, corners(boxes), width, height)
     seen = set(range(len(boxes)))

@@ -1,13 +1,8 @@
 """The manifest of a scenario: size and digest of every file, so that damage is found.
 
 While a scenario is generated, each frame that is written gets a record of its files, in the folder
-:data:`RECORDS`. When the scenario is complete, these become its ``manifest.json``::
-
-    {"format": "inspe_jax manifest 1",
-     "files": {"data_protocol.yaml": [2041, "9f86d0…"]},
-     "frames": {"0": {"-1/000000.pcd": [812345, "60303a…"], …}, …}}
-
-Paths are relative to the scenario's folder; digests are SHA-256.
+:data:`RECORDS`. When the scenario is complete, these become its ``manifest.json``: ``{"format": …,
+"files": {"data_protocol.yaml": [2041, "9f8…"]}, "frames": {"0": {"-1/000000.pcd": […], …}, …}}``.
 """
 
 import json
@@ -62,10 +57,8 @@ def record_frame(folder: Path, number: int, files: Iterable[Path]) -> None:
 
 
 def recorded_frames(folder: Path, deep: bool = False) -> dict[int, Files]:
-    """The records of the frames of an unfinished scenario, of which all files have their size.
-
-    ``deep`` compares digests, too. Other records are deleted, so that their frames are missing.
-    """
+    """The records of the frames of an unfinished scenario, of which all files have their size;
+    ``deep`` compares digests, too. Other records are deleted: their frames are then missing."""
     found = dict[int, Files]()
     for path in sorted((folder / RECORDS).glob("[0-9]*.json")):
         try:
@@ -146,10 +139,7 @@ def compare(
 
 
 def differing(scenario: Scenario) -> list[Fault]:
-    """The files of a scenario that have not the size that its manifest says, if it has one.
-
-    Files that the manifest does not know are left out.
-    """
+    """The files of a scenario that have not the size that its manifest says, if it has one."""
     return compare(scenario.path)[1]
 
 
@@ -226,11 +216,8 @@ def check(
     progress: Callable[[int, int], None] | None = None,
 ) -> Check:
     """Compare every file of a data set with its manifest: by size, and if ``deep`` by digest.
-
     Scenarios that a generated data set should have and has not are faults, too. ``progress`` is
-    called with the number of scenarios done and of all. Raises InspeError if there is no such data
-    set.
-    """
+    called with (scenarios done, all). Raises InspeError if there is no such data set."""
     data = given if isinstance(given, Dataset) else open_dataset(given)
     faults, known, unknown = _missing_scenarios(data), list[Manifest](), list[Path]()
     for number, scenario in enumerate(data.scenarios, 1):

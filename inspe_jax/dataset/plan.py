@@ -2,26 +2,15 @@
 
 The file is like that of a study (:mod:`inspe_jax.study.plan`), with ``seconds``, the length of a
 scenario, among its settings, and with the keys of :class:`RecordingEntry`, ``splits`` and
-``split_by``::
+``split_by``. The frames of a saved scene must be 1 / ``rate_hz`` apart, and there must be enough of
+them; without ``seconds`` all of them are used.
 
-    settings:                        # one value or a list; every combination is a scenario
-      density: [low, medium, high]   # of scenes: radius, voxel, density, mix, traffic, seed,
-                                     #   statics (none or street), terrain (none or ground)
-      light: [midday, night]         # of the sensors: light, weather
-      seconds: 20
-    splits: {train: 7, validate: 1, test: 2}
-    split_by: scene                  # or intersection, or scenario: see below
-
-The frames of a saved scene must be 1 / ``rate_hz`` apart, and there must be enough of them. Without
-``seconds`` all of them are used.
-
-Scenarios that differ only in layout, light or weather are of the same scene: the same road users
-drive and walk in them, and look the same. A scene is in one split, so that no detector is tested on
-traffic that it was trained on. To test on places that it was not trained on either, use
-``split_by: intersection``. With ``statics: street`` use it in any case: parked vehicles have boxes,
-and a place has the same ones in all its scenes. ``split_by: scenario`` divides what is of one
-scene. Densities and kinds of intersections (the tag ``kind``, else the name) are spread over the
-splits as evenly as whole numbers allow.
+Scenarios that differ only in layout, light or weather are of the same scene: the same road users,
+which look the same. A scene is in one split, so that no detector is tested on traffic that it was
+trained on. To test on other places, use ``split_by: intersection``; with ``statics: street`` in any
+case, as a place has the same parked vehicles, which have boxes, in all its scenes. ``split_by:
+scenario`` divides what is of one scene. Densities and kinds of intersections (the tag ``kind``,
+else the name) are spread over the splits as evenly as whole numbers allow.
 """
 
 import hashlib
@@ -43,7 +32,7 @@ from inspe_jax.core.errors import InspeError, check_known
 from inspe_jax.core.files import check_model
 from inspe_jax.core.words import counted
 from inspe_jax.dataset.folders import SPLITS
-from inspe_jax.dataset.formats.options import DEFAULT_OPTIONS, FileOptions
+from inspe_jax.dataset.formats.other_readers import DEFAULT_OPTIONS, FileOptions
 from inspe_jax.dataset.formats.registry import DEFAULT_FORMAT, FORMATS
 from inspe_jax.jobs.settings import (
     CONDITIONS,
@@ -83,10 +72,8 @@ CHUNK = 10
 
 @dataclass(frozen=True)
 class ScenarioPlan:
-    """A scenario to be generated; ``settings`` has every key of :data:`SETTINGS`.
-
-    ``seed`` is that of the sensors' noise: another one in every scenario, also of the same traffic.
-    """
+    """A scenario to be generated; ``settings`` has every key of :data:`SETTINGS`. ``seed`` is that
+    of the sensors' noise: another one in every scenario, also of the same traffic."""
 
     name: str
     split: str
@@ -132,8 +119,7 @@ class ScenarioPlan:
 
     @cached_property
     def traffic_key(self) -> str:
-        """A short text that identifies the road users, in whichever light and whatever sees
-        them."""
+        """A short text that identifies the road users, whatever sees them in whichever light."""
         of = {key: self.settings[key] for key in ("mix", "traffic", "seed")}
         return digest([place_of(self.source), self.source.content, of, self.density])[:16]
 
@@ -171,9 +157,8 @@ class Generation:
     @property
     def splits(self) -> dict[str, tuple[ScenarioPlan, ...]]:
         """The scenarios of each of the usual splits, perhaps none."""
-        return {
-            split: tuple(plan for plan in self.scenarios if plan.split == split) for split in SPLITS
-        }
+        plans = self.scenarios
+        return {split: tuple(plan for plan in plans if plan.split == split) for split in SPLITS}
 
 
 # ── The file ────────────────────────────────────────────────────────────────
@@ -218,13 +203,9 @@ class RecordingEntry(Strict):
         """The settings of the recording. Raises InspeError where a value is not allowed."""
         check_known(self.format, FORMATS, f"{where}: format:")
         check_names([str(layer) for layer in self.layers], f"{where}: layers")
-        found = Recording(
-            rate=self.rate_hz,
-            layers=tuple(self.layers),
-            image_scale=self.image_scale,
-            turn=self.lidar_turn_s,
-            image_size=(self.image_size[0], self.image_size[1]) if self.image_size else None,
-        )
+        size = (self.image_size[0], self.image_size[1]) if self.image_size else None
+        turn, layers = self.lidar_turn_s, tuple(self.layers)
+        found = Recording(self.rate_hz, layers, self.image_scale, turn=turn, image_size=size)
         try:
             found.check()
         except InspeError as e:
@@ -249,10 +230,8 @@ def make_generation(
     content: Mapping[str, Any], folder: Path, where: str = "study", name: str = "study"
 ) -> Generation:
     """The plan of a data set, from the content of a file; paths in it are relative to ``folder``.
-
     ``where`` is the name of the file for errors, ``name`` that of the data set if the file gives
-    none. Raises InspeError that names the file, the key and what is allowed.
-    """
+    none. Raises InspeError that names the file, the key and what is allowed."""
     entry = check_model(_File, content, where)
     recording, files = entry.recording(where), entry.files(where)
     whole = {key: getattr(entry.settings, key) for key in SETTINGS}
@@ -308,9 +287,7 @@ def saved_seconds(
     source: SceneSource, wanted: Sequence[float], rate: float, where: str
 ) -> list[float]:
     """Lengths of the scenarios of a saved scene [s]: those wanted, or the length of the scene.
-
-    Raises InspeError if the scene is shorter, or its frames are not 1 / ``rate`` apart.
-    """
+    Raises InspeError if the scene is shorter, or its frames are not 1 / ``rate`` apart."""
     from inspe_jax.scene.scene import load_scene
 
     traffic = load_scene(str(source.file)).traffic
@@ -370,11 +347,9 @@ def _fit(part: Any) -> str:
 
 @cache
 def place_of(source: SceneSource) -> str:
-    """A short text that identifies the intersection, whatever it is called.
-
-    Saved scenes are of one place if their regions are the same. A junction of a map that is given
-    by its number once, and by its ``center`` another time, counts as two.
-    """
+    """A short text that identifies the intersection, whatever it is called. Saved scenes are of one
+    place if their regions are the same. A junction of a map that is given by its number once, and
+    by its ``center`` another time, counts as two."""
     if source.file is not None:
         from inspe_jax.scene.scene import load_scene
 
@@ -397,9 +372,8 @@ def _group(plan: ScenarioPlan, split_by: str) -> tuple[str, tuple[str, ...]]:
 def _split(kinds: Mapping[str, tuple[str, ...]], proportions: Sequence[float]) -> dict[str, str]:
     """The split of each key of ``kinds``, which maps keys to their kinds, coarse to fine.
 
-    The sizes of the splits follow the proportions as closely as whole numbers allow. Keys are
-    sorted by the hashes of their kinds, then by their own, and every stretch of this order is
-    divided in proportion. So each kind is in all splits, if there are enough keys of it.
+    Keys are sorted by the hashes of their kinds, then by their own, and every stretch of this order
+    is divided in proportion. So each kind is in all splits, if there are enough keys of it.
     """
     total, count = sum(proportions), len(kinds)
     exact = [proportion * count / total for proportion in proportions]

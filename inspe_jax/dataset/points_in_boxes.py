@@ -15,10 +15,8 @@ in spite of rounding, and points of the road below are not."""
 
 
 def count_inside(scans: Sequence[Scan], boxes: Sequence[RoadUserBox]) -> Int[np.ndarray, "S B"]:
-    """How many points of each of S scans lie in each of B boxes.
-
-    The points are sorted by x once: each box is compared with those in its own range of x.
-    """
+    """How many points of each of S scans lie in each of B boxes. The points are sorted by x once:
+    each box is compared with those in its own range of x."""
     counts = np.zeros((len(scans), len(boxes)), np.int64)
     if not counts.size:
         return counts
@@ -44,11 +42,8 @@ def count_inside(scans: Sequence[Scan], boxes: Sequence[RoadUserBox]) -> Int[np.
 
 
 def with_counts(frame: Frame) -> Frame:
-    """The frame with the returns and the pixels of each road user.
-
-    Where its recorder told none, returns are the points inside its box, and pixels are counted in
-    the instance picture, if there is one.
-    """
+    """The frame with the returns and the pixels of each road user: where its recorder told none,
+    the points inside its box, and its pixels in the instance picture, if there is one."""
 
     def of_scan(scan: Scan) -> Scan:
         if scan.returns is not None:

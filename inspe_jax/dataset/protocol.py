@@ -1,7 +1,5 @@
-"""The protocol of a scenario, ``data_protocol.yaml``: everything needed to generate it again.
-
-It has the whole layout, and of a map or a saved scene the name and the digest of the content.
-"""
+"""The protocol of a scenario, ``data_protocol.yaml``: all that is needed to generate it again. It
+has the whole layout, and of a map or a saved scene the name and the digest of the content."""
 
 import os
 from collections.abc import Iterable, Mapping, Sequence
@@ -17,7 +15,7 @@ from inspe_jax.core import version
 from inspe_jax.core.errors import InspeError, brief, check_known
 from inspe_jax.core.files import check_model, digest_of
 from inspe_jax.dataset.folders import SPLITS
-from inspe_jax.dataset.formats.options import DEFAULT_OPTIONS
+from inspe_jax.dataset.formats.other_readers import DEFAULT_OPTIONS
 from inspe_jax.dataset.formats.registry import DEFAULT_FORMAT
 from inspe_jax.dataset.plan import (
     SETTINGS,
@@ -96,10 +94,8 @@ def protocol_of(
     format: str = DEFAULT_FORMAT,
     middle: Sequence[float] | None = None,
 ) -> dict[str, Any]:
-    """The content of a scenario's protocol.
-
-    ``layout`` is the content of a layout file; ``notes`` say what could not be recorded as it has
-    it; ``middle`` is that of the region of interest [m].
+    """The content of a scenario's protocol. ``layout`` is the content of a layout file; ``notes``
+    say what could not be recorded as it has it; ``middle`` is that of the region of interest [m].
     """
     source = plan.source.anywhere
     scene = asdict(source) | {"content": source.content or None}

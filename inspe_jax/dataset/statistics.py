@@ -21,11 +21,8 @@ RANGE_EDGES: Float[np.ndarray, " R"] = 5 * 2 ** (np.arange(-4, 14) / 2)
 
 @dataclass(frozen=True)
 class Split:
-    """The counts of a split. An agent counts once per scenario, a box once per frame.
-
-    ``clouds`` are point clouds, ``points`` all points in them; ``size`` is that of all files in the
-    scenarios' folders [bytes].
-    """
+    """The counts of a split. An agent counts once per scenario, a box once per frame. ``points``
+    are those of all ``clouds``; ``size`` is that of all files in the scenarios' folders [bytes]."""
 
     name: str
     scenarios: int
@@ -62,10 +59,8 @@ class PointCounts:
 
 @dataclass(frozen=True)
 class Band:
-    """The boxes between two ranges ``low`` and ``high`` [m].
-
-    ``share`` of them (0…1) have a point inside; ``quartiles`` are of the points of these boxes.
-    """
+    """The boxes between two ranges ``low`` and ``high`` [m]. ``share`` of them (0…1) have a point
+    inside; ``quartiles`` are of the points of these boxes."""
 
     low: float
     high: float
@@ -186,10 +181,8 @@ def statistics(
 
 
 def bands(counts: PointCounts, kind: int) -> tuple[Band, ...]:
-    """The boxes of the class KINDS[kind] by range; bands without a box are left out.
-
-    Boxes closer or further than all of :data:`RANGE_EDGES` are in the first or the last band.
-    """
+    """The boxes of the class KINDS[kind] by range, without empty bands. Boxes closer or further
+    than all of :data:`RANGE_EDGES` are in the first or the last band."""
     own = counts.kind == kind
     points = counts.points[own]
     last = len(RANGE_EDGES) - 2
@@ -205,11 +198,9 @@ def bands(counts: PointCounts, kind: int) -> tuple[Band, ...]:
 
 
 def table_row(found: Statistics) -> dict[str, str | int | None]:
-    """The row of a data set in a table that compares data sets; unknown values are None.
-
-    ``V2X`` is V2V, I2I or V2X for vehicles, infrastructure or both (V or I if no scenario has two
-    agents); ``cameras`` and ``LiDARs`` are per frame.
-    """
+    """The row of a data set in a table that compares data sets; unknown values are None. ``V2X`` is
+    V2V, I2I or V2X for vehicles, infrastructure or both (V or I if no scenario has two agents);
+    ``cameras`` and ``LiDARs`` are per frame."""
     total = found.total
     return {
         "name": found.name,

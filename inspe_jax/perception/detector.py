@@ -1,9 +1,9 @@
-"""A detector: encoders of its modalities, a fusion of agents, and the head.
+"""A detector: encoders of its modalities, a fusion of agents, and the head; and what it finds in
+frames.
 
 The eight of the paper's Table 1 are rows of :data:`MODELS`. They differ in encoder and fusion,
-which are as in their papers but smaller; pyramid, head and training are the same for all. In
-profiles of JAX, operations have the names of their parts: pillars, pictures, pyramids, fusion,
-head, and in a training teacher and optimiser.
+which are as in their papers but smaller. In profiles of JAX, operations have the names of their
+parts: pillars, pictures, pyramids, fusion, head, and in a training teacher and optimiser.
 """
 
 from collections.abc import Callable
@@ -13,34 +13,17 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from inspe_jax.core.errors import InspeError, nearest
+from inspe_jax.dataset.loading import Batch, Cache, Loader
 from inspe_jax.dataset.loading.loader import Sensor
-from inspe_jax.perception.encoders import (
-    WIDTHS,
-    Bottleneck,
-    InvertedResidual,
-    LiftSplat,
-    Maps,
-    Neck,
-    PillarEncoder,
-    Pyramid,
-    Residual,
-)
-from inspe_jax.perception.fusion import (
-    AgentMaps,
-    AttFuse,
-    DiscoNet,
-    FusedMap,
-    HMViT,
-    Mean,
-    Present,
-    V2VNet,
-    V2XViT,
-)
-from inspe_jax.perception.head import CenterHead, HeadOutput
-from inspe_jax.perception.inputs import Agents, BevGrid, Inputs
+from inspe_jax.perception import encoders, fusion
+from inspe_jax.perception.evaluation import Detections, Evaluation, evaluate, truth_of, within
+from inspe_jax.perception.fusion import AgentMaps, FusedMap, Mean, Present
+from inspe_jax.perception.head import CenterHead, HeadOutput, Peaks, peaks
+from inspe_jax.perception.inputs import Agents, BevGrid, Inputs, inputs_of
 
 ENCODED, CHANNELS = 32, 48
 """Channels of what encoders give, and of the maps that are fused. Half of PointPillars' 64, and an
@@ -63,7 +46,7 @@ class Model:
     sensors: tuple[Sensor, ...]
     fuse: Callable[[int, tuple[int, ...], Array], Fusion]
     source: str
-    images: Residual = InvertedResidual
+    images: encoders.Residual = encoders.InvertedResidual
     every_scale: bool = False
     joined: bool = False
     taught: bool = False
@@ -78,14 +61,14 @@ TEACHER = "early-fusion"
 MODELS: dict[str, Model] = {
     "lss-eff": Model(CAMERA, Mean, "Philion and Fidler 2020; Tan and Le 2019", joined=True),
     "lss-resnet": Model(
-        CAMERA, Mean, "Philion and Fidler 2020; He et al. 2016", images=Bottleneck, joined=True
+        CAMERA, Mean, "Philion and Fidler 2020; He et al. 2016", encoders.Bottleneck, joined=True
     ),
-    "v2vnet": Model(LIDAR, V2VNet, "Wang et al. 2020"),
-    "v2x-vit": Model(LIDAR, V2XViT, "Xu et al. 2022"),
-    "coalign": Model(LIDAR, AttFuse, "Lu et al. 2023", every_scale=True),
-    "attfuse": Model(BOTH, AttFuse, "Xu et al. 2022"),
-    "disconet": Model(BOTH, DiscoNet, "Li et al. 2021", taught=True),
-    "hm-vit": Model(BOTH, HMViT, "Xiang et al. 2023"),
+    "v2vnet": Model(LIDAR, fusion.V2VNet, "Wang et al. 2020"),
+    "v2x-vit": Model(LIDAR, fusion.V2XViT, "Xu et al. 2022"),
+    "coalign": Model(LIDAR, fusion.AttFuse, "Lu et al. 2023", every_scale=True),
+    "attfuse": Model(BOTH, fusion.AttFuse, "Xu et al. 2022"),
+    "disconet": Model(BOTH, fusion.DiscoNet, "Li et al. 2021", taught=True),
+    "hm-vit": Model(BOTH, fusion.HMViT, "Xiang et al. 2023"),
     TEACHER: Model(
         LIDAR, Mean, "DiscoNet's teacher: the pillars of all units together", joined=True
     ),
@@ -112,10 +95,10 @@ class Predictions(NamedTuple):
 class Detector(eqx.Module):
     """What a row of :data:`MODELS` says, with parameters drawn by ``key``."""
 
-    pillars: PillarEncoder | None
-    pictures: LiftSplat | None
-    pyramids: list[Pyramid]
-    necks: list[Neck]
+    pillars: encoders.PillarEncoder | None
+    pictures: encoders.LiftSplat | None
+    pyramids: list[encoders.Pyramid]
+    necks: list[encoders.Neck]
     fusions: list[Any]
     head: CenterHead
     model: Model = eqx.field(static=True)
@@ -127,16 +110,17 @@ class Detector(eqx.Module):
         if model.joined:
             lidars, cameras = min(lidars, 1), min(cameras, 1)
         self.model = model
-        self.pillars = PillarEncoder(grid.pillars(), ENCODED, a) if lidars else None
-        self.pictures = LiftSplat(model.images, grid, cameras, ENCODED, b) if cameras else None
+        self.pillars = encoders.PillarEncoder(grid.pillars(), ENCODED, a) if lidars else None
+        self.pictures = None
+        if cameras:
+            self.pictures = encoders.LiftSplat(model.images, grid, cameras, ENCODED, b)
         modalities = (0,) * lidars + (1,) * cameras
         pyramids = len(set(modalities))
-        self.pyramids = [Pyramid(ENCODED, own) for own in jax.random.split(c, pyramids)]
+        self.pyramids = [encoders.Pyramid(ENCODED, own) for own in jax.random.split(c, pyramids)]
         # Where every scale is fused, one neck comes after the fusion; else, one a modality before.
-        self.necks = [
-            Neck(CHANNELS, own) for own in jax.random.split(d, 1 if model.every_scale else pyramids)
-        ]
-        fused = WIDTHS if model.every_scale else (CHANNELS,)
+        necks = jax.random.split(d, 1 if model.every_scale else pyramids)
+        self.necks = [encoders.Neck(CHANNELS, own) for own in necks]
+        fused = encoders.WIDTHS if model.every_scale else (CHANNELS,)
         self.fusions = [
             model.fuse(channels, modalities, own)
             for channels, own in zip(fused, jax.random.split(e, len(fused)), strict=True)
@@ -144,7 +128,6 @@ class Detector(eqx.Module):
         self.head = CenterHead(CHANNELS, f)
 
     def __call__(self, inputs: Inputs) -> Predictions:
-        """The predictions for a batch."""
         encoded, present, on_pictures = self.encoded(inputs)
         fused = self.fused(encoded, present)
         return Predictions(self.head(fused), fused, on_pictures)
@@ -154,8 +137,7 @@ class Detector(eqx.Module):
         """The map of all agents together."""
         maps = [pyramid(x) for pyramid, x in zip(self.pyramids, encoded, strict=True)]
         if self.model.every_scale:
-            each: list[Maps] = maps
-            scales = [jnp.concatenate(scale, 1) for scale in zip(*each, strict=True)]
+            scales = [jnp.concatenate(scale, 1) for scale in zip(*maps, strict=True)]
             pairs = zip(self.fusions, scales, strict=True)
             return self.necks[0](tuple(fusion(x, present) for fusion, x in pairs))
         necked = [neck(x) for neck, x in zip(self.necks, maps, strict=True)]
@@ -181,3 +163,63 @@ class Detector(eqx.Module):
 def parameters(detector: Detector) -> int:
     """Number of parameters."""
     return sum(leaf.size for leaf in jax.tree.leaves(eqx.filter(detector, eqx.is_inexact_array)))
+
+
+# ── In frames ───────────────────────────────────────────────────────────────
+
+LEAST_SCORE = 0.01
+"""Detections with a lower score are dropped: of a hundred such, one is right by the detector's own
+word. nuScenes' AP counts nothing below a precision of 0.1."""
+
+
+def loader_of(name: str, cache: Cache, split: str, grid: BevGrid, **how: Any) -> Loader:
+    """A loader of what a model takes; ``how`` are further arguments of the loader."""
+    return Loader(
+        cache, split, sensors=model_of(name).sensors, points=grid.pillars(), half=grid.half, **how
+    )
+
+
+@eqx.filter_jit
+def _peaks(detector: Detector, inputs: Inputs, grid: BevGrid) -> Peaks:
+    """Compiled once for a model and frames of one shape, whatever the weights."""
+    return peaks(detector(inputs).found, grid)
+
+
+class Predictor:
+    """A detector, for frames."""
+
+    def __init__(self, detector: Detector, agents: Agents, grid: BevGrid) -> None:
+        self.detector, self.agents, self.grid = detector, agents, grid
+
+    def __call__(self, batch: Batch) -> list[Detections]:
+        """The detections in each frame of a batch that is ``valid``."""
+        found: Peaks = _peaks(self.detector, inputs_of(batch, self.agents), self.grid)
+        boxes, kind, score = map(np.asarray, found)
+        kind, enough = kind.astype(np.int32), score >= LEAST_SCORE
+        return [
+            Detections(*(part[b][enough[b]] for part in (boxes, kind, score)))
+            for b in np.flatnonzero(batch.valid).tolist()
+        ]
+
+    def evaluate(
+        self,
+        loader: Loader,
+        most: int | None = None,
+        progress: Callable[[int, int], None] | None = None,
+    ) -> Evaluation:
+        """The measures over the batches of a loader, or over about ``most`` frames, evenly.
+
+        Detections count where road users do: within the loader's ``half``. ``progress`` is called
+        with (batches done, all batches). Raises :class:`~inspe_jax.perception.evaluation.NoTruth`.
+        """
+        found, truth = list[Detections](), list[Detections]()
+        half, count = loader.half, len(loader)
+        some = count if most is None else min(count, -(-most // loader.batch))
+        spread = np.linspace(0, count - 1, some).round().astype(int).tolist()
+        batches = loader if some == count else (loader[k] for k in spread)
+        for done, batch in enumerate(batches, 1):
+            found += [frame if half is None else within(frame, half) for frame in self(batch)]
+            truth += [truth_of(batch.targets, b) for b in np.flatnonzero(batch.valid).tolist()]
+            if progress:
+                progress(done, some)
+        return evaluate(found, truth)

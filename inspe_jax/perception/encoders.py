@@ -15,10 +15,8 @@ from inspe_jax.perception.layers import Block, Conv, Depthwise, Norm, Perceptron
 
 
 class PillarEncoder(eqx.Module):
-    """PointPillars (Lang et al. 2019): each agent's pillars as a map of features.
-
-    They are of a small network of each point, and the maximum of each pillar.
-    """
+    """PointPillars (Lang et al. 2019): each agent's pillars as a map of features, by a small
+    network of each point, and the maximum of each pillar."""
 
     network: Perceptron
     grid: PillarGrid = eqx.field(static=True)
@@ -32,12 +30,7 @@ class PillarEncoder(eqx.Module):
         features = pillar_features(pillars, self.grid, jnp) * _scales(self.grid)
         there = taken(pillars, self.grid, jnp)
         points = jnp.where(there[..., None], jax.nn.relu(self.network(features)), 0.0)
-        return self._spread(points.max(-2), pillars)
-
-    def _spread(
-        self, values: Float[Array, "B G P C"], pillars: Pillars
-    ) -> Float[Array, "B G H W C"]:
-        """Each pillar's value at its cell, and 0 elsewhere."""
+        values = points.max(-2)  # (B, G, P, C)
         side, (frames, agents, _, channels) = self.grid.side, values.shape
         cell = jnp.asarray(pillars.cells[..., 0] * side + pillars.cells[..., 1])
         first = jnp.arange(frames * agents).reshape(frames, agents, 1) * side**2
@@ -94,17 +87,14 @@ class Neck(eqx.Module):
 
     def __init__(self, channels: int, key: Array) -> None:
         *keys, last = jax.random.split(key, len(WIDTHS) + 1)
-        self.level = [
-            Block(width, channels, own, width=1) for width, own in zip(WIDTHS, keys, strict=True)
-        ]
+        pairs = zip(WIDTHS, keys, strict=True)
+        self.level = [Block(width, channels, own, width=1) for width, own in pairs]
         self.smooth = Block(channels, channels, last)
 
     @jax.named_scope("pyramids")
     def __call__(self, maps: Maps) -> Float[Array, "*n h w c"]:
-        parts = [
-            enlarged(level(x), 2**k)
-            for k, (level, x) in enumerate(zip(self.level, maps, strict=True))
-        ]
+        pairs = zip(self.level, maps, strict=True)
+        parts = [enlarged(level(x), 2**k) for k, (level, x) in enumerate(pairs)]
         return self.smooth(sum(parts[1:], parts[0]))
 
 
@@ -179,10 +169,9 @@ class ImageEncoder(eqx.Module):
     does; and their maps joined.
 
     Blocks are as in EfficientNet (Tan and Le 2019) or ResNet (He et al. 2016), but fewer, and not
-    pre-trained. The map has a quarter of the picture's sides. Coarser maps, enlarged, are joined to
-    finer ones twice: those at a sixteenth to those at an eighth, as in Lift, Splat, Shoot, and what
-    comes of it to the stem's. On a picture of 400 x 300 from 7 m above the road, a cell of an
-    eighth is 6 m of the road 30 m away.
+    pre-trained. Coarser maps, enlarged, are joined to finer ones twice: those at a sixteenth to
+    those at an eighth, as in Lift, Splat, Shoot, and what comes of it to the stem's. On a picture
+    of 400 x 300 from 7 m above the road, a cell of an eighth is 6 m of the road 30 m away.
     """
 
     stem: tuple[Block, Block]
@@ -239,10 +228,8 @@ class LiftSplat(eqx.Module):
     *Splat*: each cell of the map has the mean of what falls into it.
 
     The depths of a ray are those at which it is at certain heights, as in BEVHeight (Yang et al.
-    2023): sensors at the roadside look down on a road that they know, and a few heights tell a
-    place as well as many depths do, of which most lie below the road. Heights are those of the
-    intersection's frame: a road user on a ramp that leads further down than the least of them is
-    placed nearer than it is.
+    2023): sensors at the roadside look down on a road that they know. Heights are those of the
+    intersection's frame: a road user below the least of them is placed nearer than it is.
     """
 
     images: ImageEncoder
@@ -293,10 +280,8 @@ class LiftSplat(eqx.Module):
     def _cells(
         self, inputs: Inputs, picture: tuple[int, int], cells: tuple[int, ...]
     ) -> Int[Array, "B C h w D"]:
-        """The cell of the map that each height on each ray is in; outside of it, one past the last.
-
-        A cell of the features stands for the middle of its part of the picture.
-        """
+        """The cell of the map that each height on each ray, from the middle of a cell of the
+        features, is in; outside of it, one past the last."""
         assert inputs.intrinsic is not None
         assert inputs.unit is not None
         # With one agent of cameras, it has all of them.
@@ -305,9 +290,8 @@ class LiftSplat(eqx.Module):
             (np.arange(count, dtype=np.float32) + 0.5) * (pixels / count)
             for count, pixels in zip(cells, picture, strict=True)
         )
-        at = np.stack(
-            [*np.meshgrid(columns, rows), np.ones(cells)], -1, dtype=np.float32
-        )  # (h, w, 3)
+        each = *np.meshgrid(columns, rows), np.ones(cells)
+        at = np.stack(each, -1, dtype=np.float32)  # (h, w, 3)
         seen = jnp.einsum("bcij,hwj->bchwi", jnp.linalg.inv(jnp.asarray(inputs.intrinsic)), at)
         # From right, down, forward to the body's forward, left, up.
         body = jnp.stack([seen[..., 2], -seen[..., 0], -seen[..., 1]], -1)

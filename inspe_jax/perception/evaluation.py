@@ -21,11 +21,8 @@ from inspe_jax.simulation.frame import KINDS
 
 DISTANCES = (0.5, 1.0, 2.0, 4.0)
 """Detections are true if they are nearer in plan than one of these [m]; AP is the mean over all."""
-
 USUAL_DISTANCE = 2.0  # the one of these that figures show [m]
-
 RECALLS = 101  # precision is interpolated at this many recalls from 0 to 1
-
 LEAST_RECALL = LEAST_PRECISION = 0.1
 """Recalls up to this, and precision below it, do not count: noise has a part in them."""
 
@@ -66,11 +63,8 @@ def check(detections: Detections, where: str) -> None:
 
 
 def truth_of(targets: Targets, b: int) -> Detections:
-    """The road users of frame b of a batch as detections with score 1.
-
-    All of them, also those that no sensor saw, so that placements are compared on the same truth.
-    nuScenes leaves out those without a return.
-    """
+    """The road users of frame b of a batch as detections with score 1, also those that no sensor
+    saw, so that placements are compared on the same truth; nuScenes leaves these out."""
     kept = np.array(targets.mask[b], bool)
     boxes = np.asarray(targets.boxes[b], np.float32)[kept]
     kind = np.asarray(targets.kind[b], np.int32)[kept]
@@ -78,11 +72,8 @@ def truth_of(targets: Targets, b: int) -> Detections:
 
 
 def within(detections: Detections, half: float) -> Detections:
-    """The boxes whose middle is at most ``half`` [m] from the origin along x and along y.
-
-    This is the region that :class:`~inspe_jax.dataset.loading.Loader` keeps boxes in. Detections
-    are cut to it too: what is found outside would count as false.
-    """
+    """The boxes whose middle is at most ``half`` [m] from the origin along x and along y: in the
+    region that :class:`~inspe_jax.dataset.loading.Loader` keeps boxes in."""
     kept = (np.abs(detections.boxes[:, :2]) <= half).all(1)
     return Detections(*(part[kept] for part in detections))
 
@@ -174,18 +165,15 @@ def evaluate(detections: Sequence[Detections], truth: Sequence[Detections]) -> E
 
 
 def average_precision(true: Bool[np.ndarray, " N"], users: int) -> float:
-    """AP of N detections by falling score, of which some are ``true``, of ``users`` road users.
-
-    Mean of max(0, precision − 0.1) / 0.9 over the recalls above 0.1, with precision interpolated
-    between the recalls that are reached, and 0 beyond them.
-    """
+    """AP of N detections by falling score, of which some are ``true``, of ``users`` road users: the
+    mean of max(0, precision − 0.1) / 0.9 over the recalls above 0.1, with precision interpolated
+    between the recalls that are reached, and 0 beyond them."""
     if not true.any():
         return 0.0
     hits = np.cumsum(true).astype(float)
     recall = np.linspace(0, 1, RECALLS)
     precision = np.interp(recall, hits / users, hits / np.arange(1, len(true) + 1), right=0)
-    counted_ones = precision[round(100 * LEAST_RECALL) + 1 :]
-    above = np.maximum(counted_ones - LEAST_PRECISION, 0)
+    above = np.maximum(precision[round(100 * LEAST_RECALL) + 1 :] - LEAST_PRECISION, 0)
     return float(np.mean(above)) / (1 - LEAST_PRECISION)
 
 
@@ -193,10 +181,8 @@ def matched(
     detections: Detections, truth: Detections, distance: float = USUAL_DISTANCE
 ) -> Int[np.ndarray, " N"]:
     """The index of the road user in ``truth`` that each detection of one frame takes; −1 if none.
-
-    Detections of a class choose by falling score: each takes the nearest road user of its class
-    that is not taken yet, if it is nearer in plan than the ``distance`` [m].
-    """
+    By falling score, each takes the nearest road user of its class that is not taken yet, if it is
+    nearer in plan than the ``distance`` [m]."""
     found = np.full(len(detections.kind), -1)
     for kind in np.unique(detections.kind):
         own, users = (np.flatnonzero(of.kind == kind) for of in (detections, truth))
@@ -224,27 +210,19 @@ def _by_score(score: Float[np.ndarray, " N"]) -> Int[np.ndarray, " N"]:
 
 def evaluation_table(found: Evaluation, note: str = "") -> Table:
     """AP by class and distance; ``note`` ends the title."""
-    table = table_of(
-        f"mAP {found.mean_ap:.1%} of {found.frames:,} frames{note}",
-        "class",
-        "users",
-        *(f"{distance:g} m" for distance in DISTANCES),
-        "AP",
-    )
+    title = f"mAP {found.mean_ap:.1%} of {found.frames:,} frames{note}"
+    table = table_of(title, "class", "users", *(f"{each:g} m" for each in DISTANCES), "AP")
     for row in found.rows():
-        precisions = (row[f"ap_{distance:g}m"] for distance in DISTANCES)
-        table.add_row(
-            str(row["class"]),
-            f"{row['road_users']:,}",
-            *("–" if value == "" else f"{value:.1%}" for value in (*precisions, row["ap"])),
-        )
+        kind, users, *precisions = row.values()
+        shares = ("–" if value == "" else f"{value:.1%}" for value in precisions)
+        table.add_row(kind, f"{users:,}", *shares)
     return table
 
 
 def detections_table(found: Detections, least_score: float, note: str = "") -> Table:
     """The detections of a frame with at least a score, highest first; ``note`` ends the title."""
-    columns = "class", "score", "x, y [m]", "length × width × height [m]"
-    table = table_of(f"Detections{note}", *columns)
+    heads = "class", "score", "x, y [m]", "length × width × height [m]"
+    table = table_of(f"Detections{note}", *heads)
     for n in (-found.score).argsort(kind="stable"):
         if found.score[n] >= least_score:
             x, y, _, *size = found.boxes[n][:6]

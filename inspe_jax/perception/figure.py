@@ -14,17 +14,7 @@ from matplotlib.patches import Patch
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.sheet import CLASS_COLORS, KEYS, house_style
 from inspe_jax.core.words import counted
-from inspe_jax.dataset.frame_figure import (
-    BADGE_COLOR,
-    MARGIN,
-    RIM,
-    badge,
-    draw_direction,
-    draw_footprints,
-    draw_picture,
-    heading,
-    sheet_of_pictures,
-)
+from inspe_jax.dataset import frame_figure
 from inspe_jax.dataset.loading.batch import Batch, Cameras
 from inspe_jax.perception.evaluation import USUAL_DISTANCE, Detections, check, matched, truth_of
 from inspe_jax.simulation.frame import KINDS, RoadUserBox
@@ -94,8 +84,8 @@ def draw(
     there = [] if cameras is None else np.flatnonzero(cameras.present[b]).tolist()
     shapes = [] if cameras is None else [cameras.pixels.shape[2:4]] * len(there)
     with house_style():
-        fig, ax, panel, places = sheet_of_pictures(shapes)
-        heading(fig, title, _facts(compared, len(detections.kind), least_score))
+        fig, ax, panel, places = frame_figure.sheet_of_pictures(shapes)
+        frame_figure.heading(fig, title, _facts(compared, len(detections.kind), least_score))
         _draw_plan(ax, batch, b, compared, groups)
         points = batch.lidars is not None and batch.lidars.points is not None
         _draw_panel(panel, compared, bool(there), points)
@@ -115,28 +105,19 @@ def _groups(compared: _Compared) -> list[_Group]:
     for false, style in ((False, "-"), (True, _DASHES)):
         own = [boxes[n] for n in np.flatnonzero(compared.false == false)]
         colors = [CLASS_COLORS[KINDS.index(box.kind)] for box in own]
-        look = dict(ls=style, zorder=4)
-        groups.append(_Group(own, colors, look, dict(lw=0.7, ls=style, path_effects=RIM)))
+        look = dict(lw=0.7, ls=style, path_effects=frame_figure.RIM)
+        groups.append(_Group(own, colors, dict(ls=style, zorder=4), look))
     return groups
 
 
 def _boxes(of: Detections) -> list[RoadUserBox]:
     return [
-        RoadUserBox(
-            track=k,
-            kind=KINDS[kind],
-            name="",
-            center=x[:3],
-            yaw=float(x[6]),
-            size=x[3:6],
-            velocity=np.array([*x[7:], 0.0]),
-        )
+        RoadUserBox(k, KINDS[kind], "", x[:3], float(x[6]), x[3:6], np.array([*x[7:], 0.0]))
         for k, (x, kind) in enumerate(zip(of.boxes.astype(float), of.kind, strict=True))
     ]
 
 
 def _facts(compared: _Compared, given: int, least_score: float) -> str:
-    """Two lines: how many of both there are, and how many of them match."""
     users, boxes = len(compared.missed), len(compared.false)
     words = f"{counted(users, 'road user')}; {counted(boxes, 'detection')}"
     if least_score > 0:
@@ -149,13 +130,10 @@ def _facts(compared: _Compared, given: int, least_score: float) -> str:
 
 
 def _draw_plan(ax: Axes, batch: Batch, b: int, compared: _Compared, groups: list[_Group]) -> None:
-    """Draw points, truth, detections with their scores, and units with their cameras in plan."""
     sensors = [each for each in (batch.lidars, batch.cameras) if each is not None]
     places = [each.pose[b, each.present[b], :2, 3] for each in sensors]
     spots = np.concatenate([compared.truth.boxes[:, :2], compared.found.boxes[:, :2], *places])
-    low, high = (spots.min(0), spots.max(0)) if len(spots) else (np.zeros(2), np.zeros(2))
-    middle, reach = (low + high) / 2, float((high - low).max()) / 2 + MARGIN
-    (x0, y0), (x1, y1) = middle - reach, middle + reach
+    (x0, y0), (x1, y1) = frame_figure.square(spots)
     ax.set(xlim=(x0, x1), ylim=(y0, y1), xlabel="x [m]", ylabel="y [m]")
     lidars = batch.lidars
     if lidars is not None and lidars.points is not None and lidars.mask is not None:
@@ -164,7 +142,7 @@ def _draw_plan(ax: Axes, batch: Batch, b: int, compared: _Compared, groups: list
         ax.scatter(x[near], y[near], c=_POINT, s=0.3, lw=0, rasterized=True, zorder=1)
     ax.plot(*compared.truth.boxes[compared.missed, :2].T, **_DISC, zorder=2)
     for group in groups:
-        draw_footprints(ax, group.boxes, group.colors, **group.in_plan)
+        frame_figure.draw_footprints(ax, group.boxes, group.colors, **group.in_plan)
     ax.plot(*compared.found.boxes[compared.false, :2].T, ls="", **_CROSS, zorder=5)
     for box, score in zip(_boxes(compared.found), compared.found.score, strict=True):
         ax.annotate(
@@ -175,14 +153,13 @@ def _draw_plan(ax: Axes, batch: Batch, b: int, compared: _Compared, groups: list
         )  # fmt: skip
     if batch.cameras is not None:
         for pose in batch.cameras.pose[b, batch.cameras.present[b]]:
-            draw_direction(ax, pose[:2, 3], float(np.arctan2(pose[1, 0], pose[0, 0])))
+            frame_figure.draw_direction(ax, pose[:2, 3], float(np.arctan2(pose[1, 0], pose[0, 0])))
     units = np.concatenate([each.unit[b, each.present[b]] for each in sensors])
     for unit in np.unique(units):
-        badge(ax, np.concatenate(places)[units == unit].mean(0), str(unit))
+        frame_figure.badge(ax, np.concatenate(places)[units == unit].mean(0), str(unit))
 
 
 def _draw_panel(panel: Axes, compared: _Compared, cameras: bool, points: bool) -> None:
-    """A table of counts by class, and the legend."""
     look: dict[str, Any] = dict(size=6.5, va="center", parse_math=False)
     for x, word in zip(_COLUMNS, ("found", "missed", "false"), strict=True):
         panel.text(x, -_ROW / 2, word, ha="right", **look)
@@ -204,12 +181,13 @@ def _draw_panel(panel: Axes, compared: _Compared, cameras: bool, points: bool) -
     if points:
         keys.append(Line2D([], [], ls="", marker=".", ms=3, c=_POINT, label="LiDAR point"))
     if cameras:
-        keys.append(Line2D([], [], color=BADGE_COLOR, lw=0.9, label="direction of a camera"))
+        keys.append(
+            Line2D([], [], color=frame_figure.BADGE_COLOR, lw=0.9, label="direction of a camera")
+        )
     panel.legend(handles=keys, loc="lower left", **KEYS)
 
 
 def _draw_image(ax: Axes, cameras: Cameras, b: int, c: int, groups: list[_Group]) -> None:
-    """A picture with truth and detections on it."""
     pixels = cameras.pixels[b, c]
     height, width = pixels.shape[:2]
     pose = cameras.pose[b, c].astype(float)
@@ -225,4 +203,4 @@ def _draw_image(ax: Axes, cameras: Cameras, b: int, c: int, groups: list[_Group]
         shown += 0 if group.line else len(np.unique(owner))
     number = int((cameras.unit[b, :c] == cameras.unit[b, c]).sum())
     words = f"unit {cameras.unit[b, c]}, camera {number}"
-    draw_picture(ax, pixels, f"{words}: {counted(shown, 'detection')}")
+    frame_figure.draw_picture(ax, pixels, f"{words}: {counted(shown, 'detection')}")

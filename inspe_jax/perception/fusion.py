@@ -1,10 +1,8 @@
 """How the maps of several agents become one.
 
-A fusion takes maps (B, A, H, W, C) and which agents are present (B, A), and gives a map
-(B, H, W, C). The papers take what their ego vehicle has after fusion. At an intersection nobody is
-the ego: every agent is, in turn, and the mean of what all have is taken. So the order of agents
-does not matter. Nor are maps warped from one agent's frame to another's: all are in that of the
-intersection.
+The papers take what their ego vehicle has after fusion. At an intersection every agent is the ego,
+in turn, and the mean of what all have is taken. Maps are not warped from one agent's frame to
+another's: all are in that of the intersection.
 """
 
 from collections.abc import Sequence
@@ -54,12 +52,9 @@ EDGES = (32, 8)  # channels of the edges' network. DiscoNet has 128, 32 and 8
 
 
 class DiscoNet(eqx.Module):
-    """DiscoNet (Li et al. 2021): a graph of agents whose edges have a weight for each cell.
-
-    Edge weights are 1 × 1 convolutions of a pair of agents, and sum to one over senders. Its
-    teacher joins the pillars of all units from the start; the distillation loss is in
-    :mod:`inspe_jax.perception.training.train`.
-    """
+    """DiscoNet (Li et al. 2021): a graph of agents whose edges have a weight for each cell: 1 × 1
+    convolutions of a pair of agents, which sum to one over senders. The distillation loss is in
+    :mod:`inspe_jax.perception.training.train`."""
 
     receiver: Linear
     sender: Linear
@@ -106,10 +101,8 @@ class ConvGRU(eqx.Module):
 
 
 class V2VNet(eqx.Module):
-    """V2VNet (Wang et al. 2020): rounds of messages between agents, taken in by a gated unit.
-
-    Messages are a convolution of sender and receiver; the mean over senders is taken in.
-    """
+    """V2VNet (Wang et al. 2020): rounds of messages between agents, convolutions of sender and
+    receiver; a gated unit takes in their mean over senders."""
 
     receiver: Conv
     sender: Conv
@@ -232,9 +225,6 @@ class HeterogeneousAttention(eqx.Module):
 
 # ── HM-ViT ──────────────────────────────────────────────────────────────────
 
-HM_BLOCKS = 1
-"""Pairs of attention within windows and within sparse grids. HM-ViT has three; one takes as long as
-all that comes before it."""
 HM_HEADS = 2
 HM_SIDE = 4  # cells along the side of a window and of a sparse grid
 
@@ -265,23 +255,21 @@ class HMViT(eqx.Module):
     """HM-ViT (Xiang et al. 2023): attention over agents and cells at once, by modality.
 
     All agents' features at the cells of a window, then at those of a sparse grid over the whole
-    map, attend to one another. Then the mean over agents is taken.
+    map, attend to one another. Then the mean over agents is taken. HM-ViT has three such pairs; one
+    takes as long as all that comes before it.
     """
 
-    blocks: list[tuple[GraphAttention, GraphAttention]]
+    blocks: list[GraphAttention]
 
     def __init__(self, channels: int, modalities: Sequence[int], key: Array) -> None:
         self.blocks = [
-            (
-                GraphAttention(channels, modalities, False, local),
-                GraphAttention(channels, modalities, True, sparse),
-            )
-            for local, sparse in jax.random.split(key, (HM_BLOCKS, 2))
+            GraphAttention(channels, modalities, sparse, own)
+            for sparse, own in zip((False, True), jax.random.split(key), strict=True)
         ]
 
     def __call__(self, x: AgentMaps, present: Present) -> FusedMap:
-        for local, sparse in self.blocks:
-            x = sparse(local(x, present), present)
+        for block in self.blocks:
+            x = block(x, present)
         return mean_of(x, present)
 
 
@@ -329,10 +317,10 @@ class Layer(eqx.Module):
     weigh: Perceptron
     perceptron: Perceptron
 
-    def __init__(self, channels: int, types: Sequence[int], key: Array) -> None:
+    def __init__(self, channels: int, modalities: Sequence[int], key: Array) -> None:
         a, b, c, *keys = jax.random.split(key, 3 + len(V2X_WINDOWS))
         self.norms = (CellNorm(channels), CellNorm(channels), CellNorm(channels))
-        self.agents = HeterogeneousAttention(channels, types, V2X_HEADS, a)
+        self.agents = HeterogeneousAttention(channels, modalities, V2X_HEADS, a)
         self.windows = tuple(
             WindowAttention(channels, side, heads, own)
             for (side, heads), own in zip(V2X_WINDOWS.items(), keys, strict=True)
@@ -354,17 +342,15 @@ class Layer(eqx.Module):
 
 
 class V2XViT(eqx.Module):
-    """V2X-ViT (Xu et al. 2022): attention between agents by their type, and within windows of each.
-
-    Three layers, each of heterogeneous attention over the agents at a cell, of attention within
-    windows at three scales whose results are weighed (split attention, Zhang et al. 2020), and of a
-    perceptron. Then the mean over agents is taken. ``types`` are the agents' modalities.
-    """
+    """V2X-ViT (Xu et al. 2022): layers of heterogeneous attention over the agents at a cell, of
+    attention within windows at three scales whose results are weighed (split attention, Zhang et
+    al. 2020), and of a perceptron. Then the mean over agents is taken."""
 
     layers: list[Layer]
 
-    def __init__(self, channels: int, types: Sequence[int], key: Array) -> None:
-        self.layers = [Layer(channels, types, own) for own in jax.random.split(key, V2X_LAYERS)]
+    def __init__(self, channels: int, modalities: Sequence[int], key: Array) -> None:
+        keys = jax.random.split(key, V2X_LAYERS)
+        self.layers = [Layer(channels, modalities, own) for own in keys]
 
     def __call__(self, x: AgentMaps, present: Present) -> FusedMap:
         for layer in self.layers:

@@ -143,31 +143,19 @@ def aims(targets: Targets, grid: BevGrid) -> Aims:
     inside = ((cell >= 0) & (cell < grid.side)).all(-1)
     mask = jnp.asarray(targets.mask) & inside
     size = jnp.maximum(boxes[..., 3:6], 0.01)  # padding has none
-    values = jnp.concatenate(
-        [
-            place - cell,
-            boxes[..., 2:3],
-            jnp.log(size),
-            jnp.sin(boxes[..., 6:7]),
-            jnp.cos(boxes[..., 6:7]),
-        ],
-        -1,
-    )
+    z, yaw = boxes[..., 2:3], boxes[..., 6:7]
+    values = jnp.concatenate([place - cell, z, jnp.log(size), jnp.sin(yaw), jnp.cos(yaw)], -1)
     row, column = (jnp.clip(cell[..., k], 0, grid.side - 1).astype(int) for k in range(2))
     # As is usual, a radius is three standard deviations of a Gaussian on 2 r + 1 cells.
     deviation = (2 * radius(size[..., 0] / grid.cell, size[..., 1] / grid.cell) + 1) / 6
-    along, across = (
-        bumps(at.astype(float), deviation, grid.side, mask) for at in (row, column)
-    )  # (B, M, side)
+    along, across = (bumps(at.astype(float), deviation, grid.side, mask) for at in (row, column))
     heat = class_heat(along, across, jnp.asarray(targets.kind))
     return Aims(heat, row, column, values, mask)
 
 
 def radius(length: Float[Array, "*n"], width: Float[Array, "*n"]) -> Float[Array, "*n"]:
-    """How far a box can be off along both sides and still overlap :data:`OVERLAP` of the union.
-
-    With l w the area and o the overlap, (l − r)(w − r) = 2 o / (1 + o) l w. Lengths and the result
-    are in cells; it is at least :data:`LEAST_RADIUS`.
+    """How far a box can be off along both sides and still overlap :data:`OVERLAP` of the union
+    [cells]: (l − r)(w − r) = 2 o / (1 + o) l w with the overlap o; at least :data:`LEAST_RADIUS`.
     """
     both = length + width
     apart = jnp.sqrt(both**2 - 4 * length * width * (1 - OVERLAP) / (1 + OVERLAP))
@@ -191,10 +179,7 @@ class Peaks(NamedTuple):
 
 
 def peaks(found: HeadOutput, grid: BevGrid) -> Peaks:
-    """Cells whose heat is the largest of 3 × 3, and the boxes that are told there.
-
-    Velocities are 0: one frame does not tell them.
-    """
+    """Cells whose heat is the largest of 3 × 3, and the boxes there, with velocity 0."""
     heat = jax.nn.sigmoid(found.heat)
     around = lax.reduce_window(heat, -jnp.inf, lax.max, (1, 3, 3, 1), (1, 1, 1, 1), "SAME")
     flat = jnp.where(heat == around, heat, 0.0).reshape(len(heat), -1, len(KINDS))
@@ -206,10 +191,8 @@ def peaks(found: HeadOutput, grid: BevGrid) -> Peaks:
     place = (jnp.stack([row, column], -1).astype(float) + values[..., :2]) * grid.cell - grid.half
     yaw = jnp.arctan2(values[..., 6], values[..., 7])[..., None]
     size = jnp.exp(jnp.clip(values[..., 3:6], -LARGEST_LOG, LARGEST_LOG))
-    boxes = jnp.concatenate(
-        [place, values[..., 2:3], size, yaw, jnp.zeros((*yaw.shape[:-1], 2))], -1
-    )
-    return Peaks(boxes, kind, score)
+    still = jnp.zeros((*yaw.shape[:-1], 2))
+    return Peaks(jnp.concatenate([place, values[..., 2:3], size, yaw, still], -1), kind, score)
 
 
 # ── Heat on pictures ────────────────────────────────────────────────────────
@@ -227,10 +210,8 @@ def perspective_loss(
     heat: Float[Array, "n h w K"], inputs: Inputs, targets: Targets
 ) -> Float[Array, ""]:
     """The focal loss of what is told on pictures, for each road user on each that shows one:
-    perspective supervision (BEVFormer v2, Yang et al. 2023).
-
-    The originals of the encoders of pictures are pre-trained on a million of them. From a loss in
-    bird's-eye view alone, which reaches them through lift and splat, new ones learn slowly.
+    perspective supervision (BEVFormer v2, Yang et al. 2023). From a loss in bird's-eye view alone,
+    encoders of pictures that are not pre-trained learn slowly.
     """
     aim, shown = perspective_aims(inputs, targets, (heat.shape[1], heat.shape[2]))
     return focal_loss(heat, aim, shown)
@@ -239,10 +220,8 @@ def perspective_loss(
 def perspective_aims(
     inputs: Inputs, targets: Targets, cells: tuple[int, int]
 ) -> tuple[Float[Array, "n h w K"], Bool[Array, "n M"]]:
-    """The heat to be told on the ``cells`` (h, w) of each picture, and whom each picture shows.
-
-    Bumps are at the middles of the boxes' extents on the picture.
-    """
+    """The heat to be told on the ``cells`` (h, w) of each picture, with bumps at the middles of the
+    boxes' extents on it, and whom each picture shows."""
     assert inputs.pixels is not None
     assert inputs.unit is not None
     scale = np.array(cells) / inputs.pixels.shape[2:4]
@@ -252,10 +231,8 @@ def perspective_aims(
     )  # (B, C, M, 8, 3)
     pixels = jnp.moveaxis(jnp.asarray(targets.pixels), -1, 1)  # (B, C, M)
     visible = (pixels >= LEAST_PIXELS) | (pixels == -1)  # -1: the set does not say
-    shown = (
-        visible & jnp.asarray(targets.mask)[:, None] & (jnp.asarray(inputs.unit) >= 0)[..., None]
-    )
-    shown &= seen[..., 2].min(-1) > NEAREST
+    shown = visible & jnp.asarray(targets.mask)[:, None] & (seen[..., 2].min(-1) > NEAREST)
+    shown &= (jnp.asarray(inputs.unit) >= 0)[..., None]
 
     def along(axis: int) -> tuple[Array, Array, Array]:
         size = cells[1 - axis]
@@ -277,7 +254,6 @@ def perspective_aims(
 
 
 def _corners(boxes: Float[Array, "B M 9"]) -> Float[Array, "B M 8 3"]:
-    """The corners of boxes."""
     signs = np.stack(np.meshgrid(*[[-0.5, 0.5]] * 3), -1).reshape(8, 3).astype(np.float32)
     off = signs[None, None] * boxes[:, :, None, 3:6]
     cos, sin = jnp.cos(boxes[..., 6, None]), jnp.sin(boxes[..., 6, None])

@@ -1,8 +1,6 @@
-"""What a detector takes of a batch: the data of the agents, in arrays of fixed shape.
-
-An agent is what one infrastructure unit has of one modality: its LiDARs, or its cameras. Agents of
-LiDARs come first. Everything is in the frame of the intersection.
-"""
+"""What a detector takes of a batch: the data of the agents, in arrays of fixed shape. An agent is
+what one infrastructure unit has of one modality: its LiDARs, or its cameras. Agents of LiDARs come
+first."""
 
 from dataclasses import asdict, dataclass
 from typing import NamedTuple
@@ -26,8 +24,7 @@ class BevGrid:
     ``cell`` wide [m]. Features are fused on cells of twice that width, and road users are found on
     the cells themselves.
 
-    The defaults: 128 × 128 cells reach beyond the region of 50 m and can be halved four times; a
-    pedestrian has one of 0.8 m about alone.
+    By default, a pedestrian has a cell of 0.8 m about alone.
     """
 
     half: float = 51.2
@@ -78,9 +75,7 @@ class Agents(NamedTuple):
 
 def inputs_of(batch: Batch, agents: Agents) -> Inputs:
     """The inputs of a batch whose pillars are by unit, filled up to the number of ``agents``.
-
-    Raises InspeError if a frame has more agents.
-    """
+    Raises InspeError if a frame has more."""
     lidars, cameras = batch.lidars, batch.cameras
     pillars, unit, present = None, None, []
     if lidars is not None and lidars.pillars is not None:

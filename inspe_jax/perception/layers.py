@@ -1,9 +1,6 @@
-"""The layers that the detectors are made of.
-
-Maps are (…, H, W, C), channels last, so that a linear map of every cell is a product with a matrix.
-Norms are over what one map holds (group normalisation, Wu and He 2018) and not over a batch, which
-in cooperative perception is a few frames of agents that are much alike.
-"""
+"""The layers that the detectors are made of. Maps are (…, H, W, C), channels last, so that a linear
+map of every cell is a product with a matrix. Norms are over what one map holds and not over a
+batch, which here is a few frames of agents that are much alike."""
 
 from collections.abc import Callable
 from typing import Any
@@ -11,6 +8,7 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jaxtyping import Array, Float
 
@@ -56,13 +54,8 @@ class Conv(eqx.Module):
 
     def __call__(self, x: Float[Array, "*n h w c"]) -> Float[Array, "*n hs ws d"]:
         maps = x.reshape(-1, *x.shape[-3:])
-        found = lax.conv_general_dilated(
-            maps,
-            self.weight,
-            (self.stride, self.stride),
-            "SAME",
-            dimension_numbers=("NHWC", "HWIO", "NHWC"),
-        )
+        strides, axes = (self.stride, self.stride), ("NHWC", "HWIO", "NHWC")
+        found = lax.conv_general_dilated(maps, self.weight, strides, "SAME", dimension_numbers=axes)
         return (found + _under(self.bias, found)).reshape(*x.shape[:-3], *found.shape[1:])
 
 
@@ -82,20 +75,17 @@ class Depthwise(eqx.Module):
         width, step = len(self.weight), self.stride
         side = width // 2
         padded = jnp.pad(x, ((0, 0), (side, side), (side, side), (0, 0)))
+        weight = self.weight[None, None, None]
         parts = [
-            padded[:, i : i + high : step, j : j + wide : step]
-            * self.weight[None, None, None, i, j]
-            for i in range(width)
-            for j in range(width)
+            padded[:, i : i + high : step, j : j + wide : step] * weight[:, :, :, i, j]
+            for i, j in np.ndindex(width, width)
         ]
         return sum(parts[1:], parts[0])
 
 
 class Norm(eqx.Module):
-    """Normalisation of maps over all cells and a group of channels (Wu and He 2018).
-
-    Sums over cells are taken first, channel by channel, and variances as the mean square less the
-    square of the mean: a CPU then reads the map once, and takes a fifth of the time.
+    """Normalisation of maps over all cells and a group of channels (Wu and He 2018). A variance is
+    the mean square less the square of the mean: a CPU reads the map once, in a fifth of the time.
     """
 
     scale: Float[Array, " c"]
@@ -194,10 +184,8 @@ def attend(
     mask: Any = None,
     bias: Any = None,
 ) -> Float[Array, "*n q h d"]:
-    """Scaled dot-product attention with heads h (Vaswani et al. 2017).
-
-    ``mask`` (…, k) is true for keys that are there, of which there must be one; ``bias`` is added
-    to the scores (…, h, q, k).
+    """Scaled dot-product attention with heads h (Vaswani et al. 2017). ``mask`` (…, k) is true for
+    keys that are there, of which there must be one; ``bias`` is added to the scores (…, h, q, k).
     """
     scores = jnp.einsum("...qhc,...khc->...hqk", query, key) * query.shape[-1] ** -0.5
     if bias is not None:

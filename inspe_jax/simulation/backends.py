@@ -1,7 +1,5 @@
-"""The registry of backends: what records a scene. To add one, add a row to :data:`BACKENDS`.
-
-A recorder is imported when it is opened, since it needs libraries of its own.
-"""
+"""The registry of backends: what records a scene. To add one, add a row to :data:`BACKENDS`. A
+recorder is imported when it is opened, since it needs libraries of its own."""
 
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
@@ -88,12 +86,6 @@ def recorder_of(
     Raises InspeError for a backend that is not in :data:`BACKENDS`, or as the recorder does.
     """
     check_backend(backend)
-    return BACKENDS[backend].open(
-        scene=scene,
-        layout=layout,
-        conditions=conditions,
-        recording=recording,
-        seed=seed,
-        server=server,
-        appearance_seed=appearance_seed,
-    )
+    seeds = dict(seed=seed, appearance_seed=appearance_seed)
+    given = dict(conditions=conditions, recording=recording, server=server)
+    return BACKENDS[backend].open(scene=scene, layout=layout, **given, **seeds)

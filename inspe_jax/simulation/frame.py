@@ -1,7 +1,5 @@
-"""A frame of a data set: the road users as boxes, and stations with images and LiDAR scans.
-
-All is in the world frame (ENU), in metres and radians. A pose is (x, y, z, roll, pitch, yaw).
-"""
+"""A frame of a data set: the road users as boxes, and stations with images and LiDAR scans, in the
+world frame (ENU), in metres and radians. A pose is (x, y, z, roll, pitch, yaw)."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -89,10 +87,7 @@ class Image(Deferred):
 @dataclass(frozen=True, eq=False)
 class Scan(Deferred):
     """The points of a LiDAR: x, y, z in its body frame (x forward, y left, z up) [m], intensity
-    0…1.
-
-    ``returns`` is the number of them from each of the frame's B road users; None: not counted.
-    """
+    0…1. ``returns`` is how many are of each of the frame's B road users; None: not counted."""
 
     pose: Float[np.ndarray, "6"]
     points: Float[np.ndarray, "N 4"] = field(repr=False)
@@ -101,10 +96,8 @@ class Scan(Deferred):
 
 @dataclass(frozen=True, eq=False)
 class Station:
-    """An infrastructure unit and what its sensors recorded. ``number`` n ≥ 1 is the agent −n.
-
-    In other people's data sets, agents may be vehicles: the vehicle n has the number −n.
-    """
+    """An infrastructure unit and what its sensors recorded. ``number`` n ≥ 1 is the agent −n; an
+    agent of other people's data sets that is the vehicle n has the number −n."""
 
     number: int
     name: str
@@ -116,9 +109,7 @@ class Station:
 @dataclass(frozen=True, eq=False)
 class Frame:
     """One moment of a scenario: the box of every road user, and what every station recorded.
-
-    ``number`` counts the frames of the scenario; ``time`` is in seconds.
-    """
+    ``number`` counts the frames of the scenario; ``time`` is in seconds."""
 
     number: int
     time: float
@@ -138,7 +129,12 @@ def check_frame(frame: Frame) -> None:
             if own.count(number) > 1:
                 raise InspeError(f"{where}: {what} {number} is given twice")
     for box in frame.boxes:
-        _check_box(box, f"{where}: track {box.track}")
+        here = f"{where}: track {box.track}"
+        check_known(box.kind, KINDS, f"{here}: kind")
+        for key, shape in (("center", (3,)), ("size", (3,)), ("velocity", (3,)), ("yaw", ())):
+            _numbers(getattr(box, key), shape, f"{here}: {key}")
+        if not np.all(np.asarray(box.size) > 0):
+            raise InspeError(f"{here}: size {np.asarray(box.size).tolist()} is not above 0")
     for station in frame.stations:
         here = f"{where}: station {station.number}"
         _numbers(station.pose, (6,), f"{here}: pose")
@@ -146,15 +142,6 @@ def check_frame(frame: Frame) -> None:
             _check_image(image, len(tracks), f"{here}: image {i}")
         for i, scan in enumerate(station.scans):
             _check_scan(scan, len(tracks), f"{here}: scan {i}")
-
-
-def _check_box(box: RoadUserBox, where: str) -> None:
-    check_known(box.kind, KINDS, f"{where}: kind")
-    for key in ("center", "size", "velocity"):
-        _numbers(getattr(box, key), (3,), f"{where}: {key}")
-    _numbers(box.yaw, (), f"{where}: yaw")
-    if not np.all(np.asarray(box.size) > 0):
-        raise InspeError(f"{where}: size {np.asarray(box.size).tolist()} is not above 0")
 
 
 _LAYERS: tuple[tuple[str, str, str, float, float], ...] = (

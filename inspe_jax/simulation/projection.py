@@ -33,11 +33,9 @@ def corners(boxes: Sequence[RoadUserBox]) -> Float[np.ndarray, "B 8 3"]:
 def edge_lines(
     image: Pinhole, box_corners: Float[np.ndarray, "B 8 3"], width: int, height: int
 ) -> tuple[Float[np.ndarray, "M 2 2"], Int[np.ndarray, " M"]]:
-    """The parts of boxes' edges that lie in a picture: (column, row) of their ends, and the index
-    of the box of each.
-
-    ``box_corners`` are those of :func:`corners`; ``width`` and ``height`` are the picture's, in
-    pixels. A box behind the camera, or outside the picture, has no edges.
+    """The parts of boxes' edges that lie in a picture of ``width`` and ``height`` pixels: (column,
+    row) of their ends, and the index of the box of each. ``box_corners`` are those of
+    :func:`corners`. A box behind the camera, or outside the picture, has no edges.
     """
     lines, owner = _in_front(image, box_corners, NEAR)
     for axis, most in ((0, width), (1, height)):
@@ -53,20 +51,14 @@ def outlines(
     height: int,
     margin: float = 0.0,
 ) -> list[Float[np.ndarray, "N 2"]]:
-    """The areas of a picture that boxes cover, as polygons of (column, row).
-
-    ``box_corners`` are those of :func:`corners`. Each polygon is ``margin`` pixels wider than its
-    box. A box behind the camera, or outside the picture, has no polygon.
-    """
+    """The areas of a picture that boxes with these :func:`corners` cover, as polygons of (column,
+    row), each ``margin`` pixels wider than its box. A box that is not in it has no polygon."""
     lines, owner = _in_front(image, box_corners, TOUCHING)
     _, own = np.unique(np.repeat(owner, 2), return_inverse=True)
     hulls = shapely.convex_hull(shapely.multipoints(lines.reshape(-1, 2), indices=own))
     cut = shapely.clip_by_rect(shapely.buffer(hulls, margin, quad_segs=1), 0, 0, width, height)
-    return [
-        np.asarray(shape.exterior.coords)
-        for shape in cut
-        if shape.geom_type == "Polygon" and not shape.is_empty
-    ]
+    shapes = [shape for shape in cut if shape.geom_type == "Polygon" and not shape.is_empty]
+    return [np.asarray(shape.exterior.coords) for shape in shapes]
 
 
 def _in_front(

@@ -75,10 +75,7 @@ class Recording:
 
 @dataclass(frozen=True)
 class Server:
-    """The address of a CARLA server, and how long it may take to answer [s].
-
-    It is not part of :class:`Recording`, because it makes no difference to what is recorded.
-    """
+    """The address of a CARLA server, and how long it may take to answer [s]."""
 
     host: str = "127.0.0.1"
     port: int = 2000
@@ -118,9 +115,7 @@ class Server:
 
 class Recorder(Protocol):
     """A recorder of a scene's traffic. It records the same frame every time it is asked for it.
-
-    ``notes`` say what it cannot record as the layout has it.
-    """
+    ``notes`` say what it cannot record as the layout has it."""
 
     notes: tuple[str, ...]
 
@@ -136,10 +131,8 @@ def frame_of(
     boxes: tuple[RoadUserBox, ...],
     recorded: Sequence[Image | Scan],
 ) -> Frame:
-    """Frame t of a scene's traffic, with one station for each unit of the layout.
-
-    ``recorded`` has one image or scan for each sensor of the layout, in the layout's order.
-    """
+    """Frame t of a scene's traffic, with one station for each unit of the layout. ``recorded`` has
+    one image or scan for each sensor of the layout, in the layout's order."""
     stations = tuple(
         Station(
             number=u + 1,
@@ -174,11 +167,10 @@ def apply_noise(
     noise: LidarNoise,
     rng: np.random.Generator,
 ) -> tuple[Float[np.ndarray, "N 4"], Bool[np.ndarray, " R"]]:
-    """Points of those of R rays that come back, and which these are.
+    """Points of those of R rays that come back, and which these are; others are lost as in CARLA.
 
     A point is x, y, z [m] and intensity 0…1, float32. ``direction`` holds unit vectors in the body
-    frame; ``distance`` [m] is infinite where nothing was hit. Returns are dropped at random as
-    CARLA drops them.
+    frame; ``distance`` [m] is infinite where nothing was hit.
     """
     lost = rng.random((2, len(direction)))
     error = rng.standard_normal(len(direction)) * noise.range

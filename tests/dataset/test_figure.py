@@ -3,21 +3,20 @@
 import io
 import json
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from frames import WORLD, car, image, scan, station
+from frames import WORLD, car, scan, station
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 from rich.console import Console
 
 import inspe_jax.dataset as dataset
-from inspe_jax.core.sheet import CLASS_COLORS, save_figure
+from inspe_jax.core.sheet import CLASS_COLORS
 from inspe_jax.dataset import Frame, Image, Station, write_frame, write_protocol
-from inspe_jax.dataset.figure import FEWEST, statistics_view
+from inspe_jax.dataset.figure import statistics_view
 from inspe_jax.dataset.frame_figure import frame_view
-from inspe_jax.dataset.statistics import PointCounts, bands, statistics
+from inspe_jax.dataset.statistics import bands, statistics
 from inspe_jax.dataset.tables import frame_table, statistics_record, statistics_table
 from inspe_jax.simulation.frame import KINDS
 
@@ -81,25 +80,6 @@ def test_counts_of_a_set_are_drawn(found):
     assert "18 images, 12 point clouds of 125 points on average" in words(fig)
 
 
-def test_points_against_range_are_those_counted(found):
-    """1 to 5 points at 8 m, and too few boxes at 30 m."""
-    kind = np.zeros(FEWEST + 2, int)
-    points = PointCounts(kind, np.array([8.0] * 5 + [30, 30]), np.array([1, 2, 3, 4, 5, 9, 9]))
-    fig = statistics_view(replace(found, points=points))
-    above, *_ = panels(fig)["car"]
-    dots, median = above.lines
-    assert sorted(dots.get_ydata()) == [1, 2, 3, 4, 5, 9, 9]
-    np.testing.assert_allclose(median.get_xydata(), [[(50**0.5 * 10) ** 0.5, 3]])
-    (band,) = above.collections
-    assert band.get_paths()[0].get_extents().ymin == 2
-    assert band.get_paths()[0].get_extents().ymax == 4
-    assert above.get_xscale() == above.get_yscale() == "log"
-    below = next(ax for ax in fig.axes if ax.get_ylabel() == "share\nwith any")
-    assert [line.get_ydata().tolist() for line in below.lines] == [[1]]
-    (none, *_) = panels(fig)["pedestrian"]
-    assert [text.get_text() for text in none.texts] == ["none"]
-
-
 def test_sets_without_point_clouds_or_road_users(tmp_path):
     write_frame(tmp_path / "a", Frame(1, 0.05, (), (station(),)))
     write_frame(tmp_path / "b", Frame(1, 0.05, (AHEAD,), (station(),)))  # no point is on it
@@ -111,7 +91,7 @@ def test_sets_without_point_clouds_or_road_users(tmp_path):
     assert bands(blind.points, 0) == ()
     empty, missed, blind = map(statistics_view, (empty, missed, blind))
     for fig in (empty, missed, blind):
-        save_figure(fig, tmp_path / "drawn.png")
+        fig.draw_without_rendering()
     assert not len(panels(empty)["Length"][0].patches)
     assert "pedestrian" in panels(missed)
     assert "car" not in panels(blind)
@@ -119,8 +99,7 @@ def test_sets_without_point_clouds_or_road_users(tmp_path):
 
 
 def test_boxes_are_where_the_calibration_puts_them(scenario):
-    """The near corners of the box ahead are 12.5 pixels beside and 50 below the middle; see
-    test_projection. The box behind the camera is not on the picture."""
+    """As in test_projection. The box behind the camera is not on the picture."""
     fig = frame_view(scenario, 3)
     (ax,) = panels(fig)["station 1, camera 0: 1 box"]
     lines = [line for drawn in ax.collections for line in drawn.get_segments()]
@@ -163,21 +142,6 @@ def test_the_plan_has_points_boxes_and_stations(scenario):
     assert low < -21.25
     assert high > 12
     assert "0.15 s; 2 objects; 2 stations" in words(fig)
-
-
-def test_many_cameras_have_room():
-    """And a station of a vehicle is named as such."""
-    images = tuple(image(12, 9 - k % 3) for k in range(13))
-    masts = (Station(1, "mast", LEVEL, images, ()), Station(-641, "641", LEVEL, (), ()))
-    fig = frame_view(SimpleNamespace(name="a", frame=lambda n: Frame(n, 0, (AHEAD,), masts)), 1)
-    assert [text.get_text() for text in fig.axes[0].texts] == ["1", "v641"]
-    places = [ax.get_position() for ax in fig.axes if ax.images]
-    assert len(places) == 13
-    for k, one in enumerate(places):
-        assert 0 < one.x0 < one.x1 < 1
-        assert one.y0 > 0
-        for other in places[:k]:
-            assert one.x0 >= other.x1 or one.x1 <= other.x0 or one.y1 <= other.y0
 
 
 def test_tables_and_the_record_have_the_counts(found, scenario):

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -27,9 +28,8 @@ def made(loading_set, cached):
 def test_a_cache_has_the_splits_and_frames_of_its_set(made, cached):
     data, folder = made
     assert (cached.path, cached.pictures) == (folder.resolve(), SIZE)
-    assert {name: [each.name for each in found] for name, found in cached.splits.items()} == {
-        "train": ["a", "b"], "test": ["c"],
-    }  # fmt: skip
+    names = {name: [each.name for each in found] for name, found in cached.splits.items()}
+    assert names == {"train": ["a", "b"], "test": ["c"]}
     for split, scenarios in data.splits.items():
         for scenario, stored in zip(scenarios, cached.split(split), strict=True):
             assert stored.index["number"].tolist() == list(scenario.frames)
@@ -68,17 +68,13 @@ def test_points_are_converted_in_parts_as_at_once():
     np.testing.assert_allclose(steps[0] * step, [1, 2, 3, 200], atol=200 / STEPS)
 
 
-def test_pictures_of_their_own_size_are_exact(made, cached):
-    frame = made[0].splits["test"][0].frame(8)
-    stored = cached.split("test")[0]
-    for c, station in enumerate(frame.stations):
-        np.testing.assert_array_equal(stored.pictures[1, c], station.images[0].rgb)
-        given = station.images[0].intrinsic
-        np.testing.assert_allclose(stored.index["intrinsic"][1, c], given, atol=1e-9)
-
-
-def test_pictures_of_half_the_size_are_means_of_four_pixels(made, tmp_path):
+def test_pictures_are_exact_or_of_half_the_size_means_of_four_pixels(made, cached, tmp_path):
     """To one level of 255: Pillow rounds once along rows and once along columns."""
+    frame, stored = made[0].splits["test"][0].frame(8), cached.split("test")[0]
+    for c, station in enumerate(frame.stations):
+        (image,) = station.images
+        np.testing.assert_array_equal(stored.pictures[1, c], image.rgb)
+        np.testing.assert_allclose(stored.index["intrinsic"][1, c], image.intrinsic, atol=1e-9)
     half = dataset.cache(made[0].path / "test", tmp_path / "half", pictures=(24, 32), workers=1)
     stored = half.split("test")[0]
     image = made[0].splits["test"][0].frame(7).stations[0].images[0]
@@ -102,10 +98,9 @@ def test_boxes_and_their_returns(made, cached):
 def test_poses_that_change_and_a_middle_that_no_protocol_says(tmp_path):
     """The middle is that of the road users in plan and on the ground."""
     first, second = frame_of(0), frame_of(1)
-    station = second.stations[0]
-    scan = dataset.Scan(station.scans[0].pose + 0.1, station.scans[0].points)
-    moved = dataset.Station(1, "a", station.pose, station.images, (scan,))
-    frames = first, dataset.Frame(1, 0.05, second.boxes, (moved, second.stations[1]))
+    (one, other), scan = second.stations, second.stations[0].scans[0]
+    moved = replace(one, scans=(replace(scan, pose=scan.pose + 0.1),))
+    frames = first, replace(second, stations=(moved, other))
     write_scenario(tmp_path / "set" / "train" / "a", frames, middle=None)
     found = dataset.cache(tmp_path / "set", tmp_path / "cache", pictures=SIZE, workers=1)
     (stored,) = found.scenarios
@@ -191,7 +186,7 @@ def test_another_size_of_pictures_needs_another_folder(made, cached):
 def test_damage_is_noticed(cached, tmp_path):
     """A file cut short when the cache is opened; a broken index when it is used."""
     shutil.copytree(cached.path, tmp_path / "cache")
-    for name in ("points.raw", "pictures.raw", "index.npz"):
+    for name in ("points.raw", "index.npz"):
         file = tmp_path / "cache" / "test" / "c" / name
         content = file.read_bytes()
         file.write_bytes(content[:-1])
@@ -225,10 +220,8 @@ def test_frames_of_different_sensors_are_refused(tmp_path, frame):
 
 def test_clouds_without_any_point(tmp_path):
     empty = np.zeros((0, 4), np.float32)
-    stations = [
-        dataset.Station(unit.number, "", unit.pose, (), (dataset.Scan(unit.pose, empty),))
-        for unit in frame_of(0).stations
-    ]
+    units = frame_of(0).stations
+    stations = [replace(of, images=(), scans=(dataset.Scan(of.pose, empty),)) for of in units]
     frame = dataset.Frame(0, 0.0, (), tuple(stations))
     write_scenario(tmp_path / "set" / "train" / "a", [frame], middle=None)
     found = dataset.cache(tmp_path / "set", tmp_path / "cache", workers=1)

@@ -80,19 +80,16 @@ def test_shapes_and_types_are_the_same_in_all_batches_of_all_splits(cached):
     assert found.cameras.pixels.shape == (2, 2, HEIGHT, WIDTH, 3)
     assert found.targets.boxes.shape == (2, 4, 9)
     assert found.targets.returns.shape == (2, 4, 2)
-    assert {leaf.dtype.name for leaf in jax.tree.leaves(found)} == {
-        "float32", "int32", "uint8", "bool",
-    }  # fmt: skip
+    types = {leaf.dtype.name for leaf in jax.tree.leaves(found)}
+    assert types == {"float32", "int32", "uint8", "bool"}
 
 
 def test_points_poses_and_boxes_are_in_the_frame_of_the_intersection(cached):
     found = Loader(cached, "test", batch=1, shuffle=False, workers=0)[0]
     frame = frame_of(7)
     for s, station in enumerate(frame.stations):
-        scan = station.scans[0]
-        np.testing.assert_allclose(
-            found.lidars.pose[0, s, :3, 3], scan.pose[:3] - MIDDLE, atol=1e-4
-        )
+        scan, pose = station.scans[0], found.lidars.pose[0, s]
+        np.testing.assert_allclose(pose[:3, 3], scan.pose[:3] - MIDDLE, atol=1e-4)
         assert found.lidars.unit[0, s] == found.cameras.unit[0, s] == station.number
         cloud = found.lidars.points[0, s][found.lidars.mask[0, s]]
         assert len(cloud) == len(scan.points)
@@ -103,9 +100,9 @@ def test_points_poses_and_boxes_are_in_the_frame_of_the_intersection(cached):
 
 
 def test_scenarios_of_fewer_sensors_are_padded(tmp_path):
-    write_scenario(tmp_path / "set" / "train" / "a", [frame_of(0)])
-    write_scenario(tmp_path / "set" / "train" / "b", [frame_of(1, cameras=False)])
-    write_scenario(tmp_path / "set" / "train" / "c", [frame_of(2, lidars=False)])
+    frames = frame_of(0), frame_of(1, cameras=False), frame_of(2, lidars=False)
+    for name, frame in zip("abc", frames, strict=True):
+        write_scenario(tmp_path / "set" / "train" / name, [frame])
     found = dataset.cache(tmp_path / "set", tmp_path / "cache", pictures=(6, 8), workers=1)
     batch = Loader(found, batch=3, shuffle=False, workers=0)[0]
     assert batch.cameras.present.tolist() == [[True, True], [False, False], [True, True]]
@@ -185,18 +182,15 @@ def test_bad_arguments(cached, bad, message):
 
 def test_targets_say_how_many_pixels_show_a_road_user(tmp_path):
     """As recorded, in pixels of the batch's pictures."""
-    frames = [frame_of(n) for n in (0, 1)]
-    counted = []
-    for station in frames[0].stations:
-        (image,) = station.images
-        pixels = np.arange(4) * 100 + station.number
-        seen = replace(image, pixels=pixels, share=np.ones(4))
-        counted.append((pixels, replace(station, images=(seen,))))
-    frames[0] = replace(frames[0], stations=tuple(station for _, station in counted))
+    frame, stations = frame_of(0), []
+    pixels = np.arange(4)[:, None] * 100 + [1, 2]
+    for k, station in enumerate(frame.stations):
+        seen = replace(station.images[0], pixels=pixels[:, k], share=np.ones(4))
+        stations.append(replace(station, images=(seen,)))
+    frames = replace(frame, stations=tuple(stations)), frame_of(1)
     write_scenario(tmp_path / "set" / "train" / "a", frames)
     half = (HEIGHT // 2, WIDTH // 2)
     found = dataset.cache(tmp_path / "set", tmp_path / "cache", pictures=half, workers=1)
-    batch = Loader(found, batch=2, shuffle=False)[0]
-    expected = np.stack([pixels for pixels, _ in counted], -1) / 4
+    batch, expected = Loader(found, batch=2, shuffle=False)[0], pixels / 4
     np.testing.assert_array_equal(batch.targets.pixels[0, :4], expected)
     assert (batch.targets.pixels[1, :4] == -1).all()  # the set does not say

@@ -26,9 +26,8 @@ def by_hand(points, grid) -> dict[tuple[int, int], list[tuple[float, ...]]]:
     for point in points:
         x, y, z = point[:3]
         if abs(x) < grid.half and abs(y) < grid.half and grid.low <= z < grid.high:
-            found[int((x + grid.half) // grid.cell), int((y + grid.half) // grid.cell)].append(
-                tuple(point)
-            )
+            cell = (int((axis + grid.half) // grid.cell) for axis in (x, y))
+            found[tuple(cell)].append(tuple(point))
     return found
 
 
@@ -40,8 +39,7 @@ def filled(points, grid, rng=None):
 
 @pytest.mark.parametrize("most", [40, 3])
 def test_every_point_in_reach_is_in_its_pillar(most):
-    """A full pillar keeps its first points: clouds are in random order, so they are a fair
-    sample."""
+    """A full pillar keeps its first points: clouds are in random order."""
     grid = replace(GRID, most_points=most)
     found, expected = filled(cloud(), grid), by_hand(cloud(), grid)
     assert 40 < len(expected) <= 64

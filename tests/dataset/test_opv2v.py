@@ -13,10 +13,10 @@ from hypothesis import given, settings
 from opv2v_validator import check_scenario, check_set
 
 from inspe_jax.core.errors import InspeError
-from inspe_jax.dataset import Frame, read_frame, write_frame, write_protocol
+from inspe_jax.dataset import Frame, Scenario, write_frame, write_protocol
 from inspe_jax.dataset.formats import protocol_file
-from inspe_jax.dataset.formats.options import FileOptions
 from inspe_jax.dataset.formats.opv2v import writer
+from inspe_jax.dataset.formats.other_readers import FileOptions
 from inspe_jax.dataset.formats.pictures import read_picture, write_picture
 
 
@@ -41,7 +41,7 @@ def files(folder: Path) -> dict[str, bytes]:
 def test_written_frames_read_back(given):
     with tempfile.TemporaryDirectory() as folder:
         scenario = written(Path(folder) / "a", given)
-        read = read_frame(scenario, given.number)
+        read = Scenario(scenario).frame(given.number)
         assert_same(read, given)
         names = {s.number: s.name for s in given.stations}
         assert {s.number: s.name for s in read.stations} == names
@@ -65,61 +65,33 @@ def test_readers_accept_a_set(tmp_path):
     assert (train.boxes, train.boxes_in_range) == (8, 8)
 
 
-def damage_yaml(change):
-    def apply(agent: Path) -> None:
-        path = agent / "000068.yaml"
-        holds = content(path)
-        change(holds)
-        path.write_text(yaml.safe_dump(holds))
-
-    return apply
-
-
-def lift_center(holds: dict) -> None:
-    for section in ("vehicles", "cars"):
-        holds[section][3]["center"] = [0, 0, 0]
-
-
-@pytest.mark.parametrize(
-    ("damage", "message"),
-    [
-        (lambda a: (a / "000068_camera1.png").unlink(), "2 cameras, 1 pictures"),
-        (lambda a: (a.parent / "-1" / "000068.yaml").unlink(), "frames are not those"),
-        (damage_yaml(lambda d: d["vehicles"].pop(7)), "cyclists.7 is not vehicles.7"),
-        (damage_yaml(lift_center), "not straight up"),
-    ],
-)
-def test_readers_reject_what_is_damaged(tmp_path, damage, message):
+def test_readers_reject_what_is_damaged(tmp_path):
     scenario = written(tmp_path / "a")
     check_scenario(scenario)
-    damage(scenario / "-2")
-    with pytest.raises((AssertionError, FileNotFoundError), match=message):
+    path = scenario / "-2" / "000068.yaml"
+    whole = path.read_text()
+    path.write_text(whole.replace("0.0, 0.0, 0.75", "0.0, 0.1, 0.75"))
+    with pytest.raises(AssertionError, match="not straight up"):
+        check_scenario(scenario)
+    path.write_text(whole)
+    path.with_name("000068_camera1.png").unlink()
+    with pytest.raises((AssertionError, FileNotFoundError), match="2 cameras, 1 pictures"):
         check_scenario(scenario)
 
 
 def test_yaml_of_a_known_frame(tmp_path):
     """A car at (10, 20) facing north and a station 6 m up, worked out by hand."""
     seen = image(pose=[12, 8, 5, 0, np.radians(-30), np.radians(-150)], layers=False)
-    here = replace(
-        station(1, 0, 1), images=(seen,), scans=(scan(pose=UNIT + [0, 0, 0.5, 0, 0, 0]),)
-    )
+    on_top = scan(pose=UNIT + [0, 0, 0.5, 0, 0, 0])
+    here = replace(station(1, 0, 1), images=(seen,), scans=(on_top,))
     scenario = written(tmp_path / "a", frame(boxes=[car()], stations=[here]))
-    entry = {
-        "angle": [0, -90, 0],
-        "center": [0, 0, 0.75],
-        "extent": [2.1, 0.9, 0.75],
-        "location": [10, -20, 0],
-        "name": "vehicle.audi.tt",
-        "obj_type": "Car",
-        "speed": 36,
-        "velocity": [0, -10, 0],
-    }
+    entry = dict(
+        angle=[0, -90, 0], center=[0, 0, 0.75], extent=[2.1, 0.9, 0.75], location=[10, -20, 0],
+        name="vehicle.audi.tt", obj_type="Car", speed=36, velocity=[0, -10, 0],
+    )  # fmt: skip
     read = content(scenario / "-1" / "000068.yaml")
     extrinsic = np.array(read["camera0"].pop("extrinsic"))
-    camera = {
-        "cords": [12, -8, 5, 0, 150, -30],
-        "intrinsic": [[5, 0, 4], [0, 5, 3], [0, 0, 1]],
-    }
+    camera = {"cords": [12, -8, 5, 0, 150, -30], "intrinsic": [[5, 0, 4], [0, 5, 3], [0, 0, 1]]}
     unit, lidar = [12, -8, 6, 0, 150, 0], [12, -8, 6.5, 0, 150, 0]
     assert read == dict(
         RSU=True, ego_speed=0, true_ego_pos=unit, predicted_ego_pos=unit, lidar_pose=lidar,
@@ -170,10 +142,7 @@ def test_a_frame_that_fails_halfway_does_not_count(tmp_path, monkeypatch):
 
 
 def test_a_frame_written_again_leaves_nothing_behind(tmp_path, monkeypatch):
-    """The second frame has fewer cameras and no layers: old pictures must not be read with it.
-
-    Without its YAML file it does not count; while its first file is there, it counts as begun.
-    """
+    """Without its YAML file it does not count; while its first file is there, it is begun."""
     scenario = written(tmp_path / "a", frame(stations=[station(1, cameras=3)]))
     (scenario / "-1" / ".000068.pcd.killed.part").touch()
     bare = frame(stations=[station(1, cameras=1, layers=False)])
@@ -189,7 +158,7 @@ def test_a_frame_written_again_leaves_nothing_behind(tmp_path, monkeypatch):
     assert (gone[0], gone[-1]) == ("000068.yaml", "000068.pcd")
     assert len(gone) == len(set(gone)) == 1 + 3 * 4 + 1 + 1
     check_scenario(scenario)
-    assert_same(read_frame(scenario, 68), bare)
+    assert_same(Scenario(scenario).frame(68), bare)
 
 
 def test_the_infra_set_variant_has_a_second_name_for_the_points(tmp_path):
@@ -201,22 +170,21 @@ def test_the_infra_set_variant_has_a_second_name_for_the_points(tmp_path):
     assert {name: more[name] for name in plain} == plain
     assert more.keys() - plain.keys() == {f"-{n}/000068_lidar0.pcd" for n in (1, 2)}
     assert all(path.stat().st_nlink == 1 for path in paths)
-    assert {str(path.relative_to(tmp_path / "b")) for path in paths} == more.keys() - {
-        "data_protocol.yaml"
-    }
+    named = {str(path.relative_to(tmp_path / "b")) for path in paths}
+    assert named == more.keys() - {"data_protocol.yaml"}
     check_scenario(tmp_path / "b")
-    assert_same(read_frame(tmp_path / "b", 68), frame())
+    assert_same(Scenario(tmp_path / "b").frame(68), frame())
 
 
 def test_jpeg_pictures(tmp_path):
     given, smooth = frame(), np.linspace(0, 255, 48 * 64 * 3).reshape(48, 64, 3).astype(np.uint8)
     here = given.stations[0]
-    here = replace(here, images=(replace(here.images[0], rgb=smooth, depth=None, instance=None,
-                                         semantic=None),))  # fmt: skip
+    bare = replace(here.images[0], rgb=smooth, depth=None, instance=None, semantic=None)
+    here = replace(here, images=(bare,))
     options = FileOptions(pictures="jpeg")
     paths = write_frame(tmp_path, replace(given, stations=(here,)), options=options)
     assert sorted(path.suffix for path in paths) == [".jpg", ".pcd", ".yaml"]
-    read = read_frame(tmp_path, 68).stations[0].images[0].rgb
+    read = Scenario(tmp_path).frame(68).stations[0].images[0].rgb
     assert np.abs(read.astype(int) - smooth).max() < 12
     with pytest.raises(InspeError, match="pictures: 'jpg': one of png, jpeg; did you mean jpeg"):
         write_frame(tmp_path, given, options=FileOptions(pictures="jpg"))
@@ -231,7 +199,7 @@ def test_agents_with_as_many_cameras_each(tmp_path):
         holds = content(tmp_path / str(agent) / "000068.yaml")
         assert [f"camera{i}" in holds for i in range(5)] == [True] * 4 + [False]
     check_scenario(tmp_path, lidar_range=(-200, -200, -8, 200, 200, 0))
-    read = read_frame(tmp_path, 68)
+    read = Scenario(tmp_path).frame(68)
     assert [len(s.images) for s in read.stations] == [1, 0, 4, 1]  # those that fill up are left out
     assert [len(s.scans) for s in read.stations] == [1, 1, 0, 0]
     last = read.stations[3].images[0]
@@ -250,7 +218,7 @@ def test_what_others_call_observed_is_left_out(tmp_path, observed):
             for section in ("vehicles", "cars"):
                 holds[section][3]["velocity"] = velocity
             path.write_text(yaml.safe_dump(holds))
-            read = read_frame(scenario, 68)
+            read = Scenario(scenario).frame(68)
             np.testing.assert_allclose(read.boxes[0].velocity, [0, 10, 0], atol=1e-6)
             assert read.stations[0].scans[0].returns is None
 
@@ -259,21 +227,14 @@ def test_what_was_observed_of_each_road_user(tmp_path):
     """Counts of every sensor are read back, also where tracks are not in order."""
     given = frame()
     order = len(given.boxes)
-    stations = [
-        replace(
-            s,
-            scans=tuple(replace(x, returns=np.arange(order) + 10 * s.number) for x in s.scans),
-            images=tuple(
-                replace(x, pixels=np.arange(order) * 3, share=np.linspace(0, 1, order))
-                for x in s.images
-            ),
-        )
-        for s in given.stations
-    ]
+    seen, stations = dict(pixels=np.arange(order) * 3, share=np.linspace(0, 1, order)), []
+    for s in given.stations:
+        scans = tuple(replace(x, returns=np.arange(order) + 10 * s.number) for x in s.scans)
+        stations.append(replace(s, scans=scans, images=tuple(replace(x, **seen) for x in s.images)))
     write_protocol(tmp_path, {"world": WORLD})
     write_frame(tmp_path, replace(given, boxes=given.boxes[::-1], stations=tuple(stations)))
     check_scenario(tmp_path)
-    read = read_frame(tmp_path, 68)
+    read = Scenario(tmp_path).frame(68)
     back = [[box.track for box in given.boxes[::-1]].index(box.track) for box in read.boxes]
     for a, b in zip(read.stations, stations, strict=True):
         for x, y in zip(a.scans, b.scans, strict=True):

@@ -52,32 +52,24 @@ def test_bytes_are_as_the_format_says(tmp_path):
     assert b"FIELDS x y z rgb\nSIZE 4 4 4 4\nTYPE F F F F\n" in head
     assert b"WIDTH 2\nHEIGHT 1\n" in head
     assert b"POINTS 2\n" in head
-    assert body == struct.pack("<3fI", 1, -2, 3.5, 0x00800000) + struct.pack(
-        "<3fI", 0, 0, 0, 0xFF0000
-    )
+    assert body == struct.pack("<3fI3fI", 1, -2, 3.5, 0x00800000, 0, 0, 0, 0xFF0000)
 
 
 def test_ascii_of_other_programs(tmp_path):
     """``rgb`` as the float with the bits of 0x00800000, to ten digits; also with DOS line ends."""
     text = header() + "1 -2 3.5 1.175494351e-38\n4 5 6 0\n"
     expected = [[1, -2, 3.5, 128 / 255], [4, 5, 6, 0]]
-    np.testing.assert_allclose(read_pcd(put(tmp_path, text)), expected, rtol=1e-6)
-    np.testing.assert_allclose(
-        read_pcd(put(tmp_path, text.replace("\n", "\r\n"))), expected, rtol=1e-6
-    )
+    for end in ("\n", "\r\n"):
+        found = read_pcd(put(tmp_path, text.replace("\n", end)))
+        np.testing.assert_allclose(found, expected, rtol=1e-6)
 
 
 def test_fields_in_any_order_and_more_of_them(tmp_path):
     """A field of three values, padding under a repeated name, doubles and an integer colour."""
     row = np.dtype("<u4, <f8, <f4, <i2, <f8, <f8, u1, u1", align=False)
     rows = np.array([(0x12FF3456, 3, 9, 7, 2, 1, 0, 0), (0, 6, 9, 7, 5, 4, 0, 0)], row)
-    text = header(
-        "binary",
-        FIELDS="rgb z n ring y x _ _",
-        SIZE="4 8 4 2 8 8 1 1",
-        TYPE="U F F I F F U U",
-        COUNT="1 1 1 1 1 1 1 1",
-    )
+    keys = dict(SIZE="4 8 4 2 8 8 1 1", TYPE="U F F I F F U U", COUNT="1 1 1 1 1 1 1 1")
+    text = header("binary", FIELDS="rgb z n ring y x _ _", **keys)
     expected = [[1, 2, 3, 1], [4, 5, 6, 0]]
     np.testing.assert_array_equal(read_pcd(put(tmp_path, text.encode() + rows.tobytes())), expected)
     text = header(FIELDS="z n y x rgb", SIZE="4 4 4 4 4", TYPE="F F F F U", COUNT="1 3 1 1 1")

@@ -69,11 +69,8 @@ def readers_pixel(thing: dict, lidar_pose) -> tuple[int, int]:
 
 
 def test_visibility_maps(tmp_path):
-    """A box is kept where one camera of the agent shows it, and only there.
-
-    Boxes stand 4 m apart all round two agents; the first agent's cameras show every third of them,
-    the other's did not count pixels.
-    """
+    """A box is kept where one camera of the agent shows it, and only there. The first agent's
+    cameras show every third box, the other's did not count pixels."""
     places = [(x, y) for x in range(-30, 60, 11) for y in range(-30, 50, 9)]
     boxes = [
         car(k, center=np.array([*place, 0.75]), yaw=0.3 * k, size=np.array([3.6, 1.65, 1.5]))
@@ -83,10 +80,9 @@ def test_visibility_maps(tmp_path):
     first = station(1, cameras=0, layers=False)
     counted = [np.where(shown & (np.arange(len(boxes)) % 2 == i), 5, 0) for i in (0, 1)]
     looks = tuple(image(layers=False, pixels=pixels, share=pixels / 5) for pixels in counted)
-    given = frame(boxes=boxes, stations=[
-        Station(1, "counted", first.pose, looks, first.scans),
-        Station(2, "not counted", first.pose, (image(layers=False),), ()),
-    ])  # fmt: skip
+    other = Station(2, "not counted", first.pose, (image(layers=False),), ())
+    stations = [Station(1, "counted", first.pose, looks, first.scans), other]
+    given = frame(boxes=boxes, stations=stations)
     write_protocol(tmp_path, {"world": WORLD})
     paths = write_frame(tmp_path, given, options=FileOptions(visibility_maps=True))
     maps = [path for path in paths if path.name == "000068_bev_visibility.png"]

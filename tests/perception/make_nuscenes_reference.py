@@ -1,11 +1,5 @@
-"""Asks nuScenes' own code again what it says about the boxes of ``data/nuscenes_reference.npz``.
-
-Tests read the file alone. To write it again, in a virtual environment of its own, because
-``nuscenes-devkit`` needs numpy below 2::
-
-    python -m venv devkit
-    devkit/bin/pip install nuscenes-devkit==1.2.0
-    devkit/bin/python tests/perception/make_nuscenes_reference.py
+"""Asks nuScenes' own code again what it says about the boxes of ``data/nuscenes_reference.npz``,
+which tests read. It needs an environment of its own, with nuscenes-devkit==1.2.0 and numpy below 2.
 
 Each case has frames of random boxes as :class:`inspe_jax.perception.evaluation.Detections` has
 them, and what the devkit's ``DetectionEval.evaluate`` makes of them with the configuration of the

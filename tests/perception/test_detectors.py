@@ -10,11 +10,12 @@ from loading_sets import HEIGHT, WIDTH, frame_of, write_scenario
 
 from inspe_jax import dataset
 from inspe_jax.core.errors import InspeError
-from inspe_jax.perception.detector import MODELS, Detector, model_of
+from inspe_jax.perception import detector as detectors
+from inspe_jax.perception import encoders
+from inspe_jax.perception.detector import MODELS, Detector, loader_of, model_of
 from inspe_jax.perception.head import aims, loss
 from inspe_jax.perception.inputs import Agents, BevGrid, Inputs, inputs_of
-from inspe_jax.perception.training.predict import loader_of
-from inspe_jax.perception.training.settings import agents_of
+from inspe_jax.perception.training.run import agents_of
 
 GRID = BevGrid(half=12.8)
 
@@ -36,14 +37,11 @@ def exchanged(given: Inputs) -> Inputs:
     pillars = given.pillars
     if pillars is not None:
         pillars = type(pillars)(*(part[:, ::-1] for part in pillars))
-    unit = None if given.unit is None else np.where(given.unit >= 0, 1 - given.unit, -1)
-    count = given.present.shape[1]
-    order = [1, 0, 3, 2][:count]
-    return given._replace(
-        pillars=pillars,
-        unit=None if unit is None else unit.astype(np.int32),
-        present=given.present[:, order],
-    )
+    unit = given.unit
+    if unit is not None:
+        unit = np.where(unit >= 0, 1 - unit, -1).astype(np.int32)
+    order = [1, 0, 3, 2][: given.present.shape[1]]
+    return given._replace(pillars=pillars, unit=unit, present=given.present[:, order])
 
 
 @pytest.mark.parametrize("name", MODELS)
@@ -62,9 +60,11 @@ def test_every_detector_takes_what_the_loader_gives(cached, name):
 
 
 @pytest.mark.parametrize("name", ["coalign", "attfuse"])
-def test_a_detector_heeds_no_order_and_learns_everywhere(cached, name):
+def test_a_detector_heeds_no_order_and_learns_everywhere(cached, name, monkeypatch):
     """One map and all scales, of LiDARs and of both; other parts by themselves are in
-    ``test_parts``."""
+    ``test_parts``. Two scales are compiled sooner than three."""
+    monkeypatch.setattr(encoders, "WIDTHS", (16, 16))
+    monkeypatch.setattr(detectors, "CHANNELS", 16)
     given, targets = inputs(cached, name)
     detector = eqx.filter_jit(Detector)(model_of(name), agents_of(cached), GRID, jax.random.key(0))
 
@@ -77,11 +77,8 @@ def test_a_detector_heeds_no_order_and_learns_everywhere(cached, name):
     slopes, fused = slopes_of(detector, given)
     _, turned = slopes_of(detector, exchanged(given))
     np.testing.assert_allclose(turned, fused, atol=1e-3)
-    still = [
-        jax.tree_util.keystr(path)
-        for path, leaf in jax.tree_util.tree_leaves_with_path(slopes)
-        if not np.asarray(leaf).any()
-    ]
+    leaves = jax.tree_util.tree_leaves_with_path(slopes)
+    still = [jax.tree_util.keystr(path) for path, x in leaves if not np.asarray(x).any()]
     only_on_pictures = [".pictures.heat.weight", ".pictures.heat.bias"]
     assert still == (only_on_pictures if detector.pictures else [])
 

@@ -75,17 +75,12 @@ def test_ap_by_hand():
     """Two road users in the first frame and two in the second. By falling score: true, false, true:
     precision 1, 1/2, 2/3 at recalls 1/4, 1/4, 1/2; 0 beyond 1/2, and linear between."""
     truth = [boxes_at((0, 0), (10, 0)), boxes_at((0, 0), (10, 0))]
-    found = [
-        Detections(
-            boxes_at((0.1, 0), (20, 0)).boxes, np.zeros(2, np.int32), np.array([0.9, 0.8], "f4")
-        ),
-        boxes_at((10, 0.1), score=0.7),
-    ]
+    first = boxes_at((0.1, 0), (20, 0))._replace(score=np.array([0.9, 0.8], "f4"))
+    found = [first, boxes_at((10, 0.1), score=0.7)]
     ours = evaluate(found, truth)
     recall = np.arange(11, 101) / 100
-    precision = np.where(
-        recall < 0.25, 1, np.where(recall <= 0.5, 1 / 2 + (recall - 0.25) / 0.25 / 6, 0)
-    )
+    between = np.where(recall <= 0.5, 1 / 2 + (recall - 0.25) / 0.25 / 6, 0)
+    precision = np.where(recall < 0.25, 1, between)
     by_hand = np.maximum(precision - 0.1, 0).mean() / 0.9
     np.testing.assert_allclose(ours.ap[0], by_hand, rtol=1e-12)
     assert ours.mean_ap == pytest.approx(by_hand)
@@ -137,13 +132,12 @@ places = st.tuples(st.integers(0, 8), st.integers(0, 3), st.integers(0, 1), st.i
 @given(st.lists(places, max_size=14), st.lists(places, max_size=10))
 def test_detections_take_what_a_loop_takes(found, truth):
     """On a grid of half metres, so that many distances and scores are equal."""
+    rows = (np.reshape(of, (-1, 4)) for of in (found, truth))
     found, truth = (
-        Detections(
-            boxes_at(*[(x / 2, y / 2) for x, y, _, _ in of]).boxes,
-            np.array([kind for _, _, kind, _ in of], np.int32),
-            np.array([score / 3 for *_, score in of], np.float32),
+        boxes_at(*of[:, :2] / 2)._replace(
+            kind=of[:, 2].astype(np.int32), score=of[:, 3].astype(np.float32) / np.float32(3)
         )
-        for of in (found, truth)
+        for of in rows
     )
     for distance in DISTANCES:
         assert matched(found, truth, distance).tolist() == loop(found, truth, distance)
@@ -184,9 +178,7 @@ def spoilt(name: str, value, at=1) -> Detections:
         ([CAR, spoilt("boxes", np.nan)], [CAR, CAR], "detections: frame 1: box 1: .*nan.* finite"),
         ([spoilt("boxes", 0, (1, 4))], [CAR], r"4.0, 0.0, 1.5, .* sizes above 0"),
         ([spoilt("score", np.nan)], [CAR], "detections: frame 0: box 1: .* score nan: .* 0 to 1"),
-        ([spoilt("score", 1.5)], [CAR], "score 1.5: .*from 0 to 1"),
         ([spoilt("kind", -1)], [CAR], "of kind -1 .* kinds from 0 to 3"),
-        ([CAR._replace(boxes=CAR.boxes[:, :7])], [CAR], r"frame 0: boxes, .*\(2, 7\)"),
         ([CAR._replace(score=CAR.score[:1])], [CAR], r"shapes \(2, 9\), \(2,\) and \(1,\)"),
         ([CAR], [NOTHING], "truth: no car or truck or cyclist or pedestrian in 1 frame: there is"),
         ([], [], "in 0 frames: there is nothing to find"),

@@ -13,38 +13,9 @@ from shapely.geometry import box
 
 from inspe_jax.dataset.loading import PillarGrid, Pillars, Targets, on_picture
 from inspe_jax.dataset.loading.geometry import pose_matrix
+from inspe_jax.perception import encoders, head, layers
 from inspe_jax.perception import fusion as fusions
-from inspe_jax.perception.encoders import (
-    EMPTY_WEIGHT,
-    HEIGHTS,
-    Bottleneck,
-    ImageEncoder,
-    LiftSplat,
-    PillarEncoder,
-)
-from inspe_jax.perception.fusion import (
-    DiscoNet,
-    HeterogeneousAttention,
-    V2VNet,
-    WindowAttention,
-    from_windows,
-    offsets,
-    to_windows,
-)
-from inspe_jax.perception.head import (
-    LARGEST_LOG,
-    LEAST_RADIUS,
-    OVERLAP,
-    HeadOutput,
-    aims,
-    loss,
-    peaks,
-    perspective_aims,
-    perspective_loss,
-    radius,
-)
 from inspe_jax.perception.inputs import BevGrid, Inputs
-from inspe_jax.perception.layers import Depthwise, Norm, attend
 from inspe_jax.simulation.frame import KINDS, RoadUserBox
 from inspe_jax.simulation.projection import corners
 
@@ -81,7 +52,7 @@ def made(part):
 
 def test_depthwise_norm_and_attention():
     x = noise(2, 9, 8, 16)
-    depthwise, norm = made(lambda key: (Depthwise(16, key, stride=2), Norm(16)))
+    depthwise, norm = made(lambda key: (layers.Depthwise(16, key, stride=2), layers.Norm(16)))
     query, keys = noise(3, 2, 4, seed=1), noise(5, 2, 4, seed=2)
     mask = np.array([True, False, True, True, False])
 
@@ -94,7 +65,7 @@ def test_depthwise_norm_and_attention():
             padded, weight, (2, 2), "VALID",
             dimension_numbers=("NHWC", "HWIO", "NHWC"), feature_group_count=16,
         )  # fmt: skip
-        return depthwise(x), theirs[:, :5, :4], norm(x), attend(query, keys, keys, mask)
+        return depthwise(x), theirs[:, :5, :4], norm(x), layers.attend(query, keys, keys, mask)
 
     ours, theirs, normal, told = map(np.asarray, both(x, query, keys, mask))
     np.testing.assert_allclose(ours, theirs, atol=1e-5)
@@ -107,8 +78,9 @@ def test_depthwise_norm_and_attention():
 
 
 def apart_and_back(x):
-    near, far = to_windows(x, 4), to_windows(x, 4, sparse=True)
-    return near, far, from_windows(near, 8, 12), from_windows(far, 8, 12, sparse=True)
+    near, far = fusions.to_windows(x, 4), fusions.to_windows(x, 4, sparse=True)
+    back = fusions.from_windows(near, 8, 12), fusions.from_windows(far, 8, 12, sparse=True)
+    return near, far, *back
 
 
 def test_windows_and_grids_are_cells_of_the_map():
@@ -118,7 +90,7 @@ def test_windows_and_grids_are_cells_of_the_map():
     np.testing.assert_array_equal(far[1, 4, :, 0], x[1, 1::2, 1::3, 0].ravel())
     for again in back:
         np.testing.assert_array_equal(again, x)
-    number = offsets(3)
+    number = fusions.offsets(3)
     assert number[0, 4] == number[4, 8] != number[8, 4]
     assert len(np.unique(number)) == 25
 
@@ -132,7 +104,7 @@ def test_a_pillar_is_the_maximum_over_its_points_and_padding_changes_nothing():
     cells = np.array([[[[0, 5], [7, 2], [0, 0], [0, 0]], [[0, 5], [0, 0], [0, 0], [0, 0]]]])
     there = np.arange(3) < counts[..., None]
     points = np.where(there[..., None], points, 0)
-    encoder = made(lambda key: PillarEncoder(grid, 8, key))
+    encoder = made(lambda key: encoders.PillarEncoder(grid, 8, key))
     found = np.asarray(eqx.filter_jit(encoder)(Pillars(points, counts, cells.astype(np.int32))))
     assert found.shape == (1, 2, 8, 8, 8)
     taken = np.zeros((2, 8, 8), bool)
@@ -152,7 +124,7 @@ def test_a_pillar_is_the_maximum_over_its_points_and_padding_changes_nothing():
 
 
 def test_every_weight_of_a_resnet_learns():
-    encoder = made(lambda key: ImageEncoder(Bottleneck, 16, key))
+    encoder = made(lambda key: encoders.ImageEncoder(encoders.Bottleneck, 16, key))
     pixels = np.random.default_rng(0).integers(0, 256, (1, 48, 64, 3)).astype(np.uint8)
     weights = noise(1, 12, 16, 16)
     slopes = eqx.filter_jit(eqx.filter_grad(lambda encoder: (encoder(pixels) * weights).sum()))
@@ -162,7 +134,8 @@ def test_every_weight_of_a_resnet_learns():
 def test_lifted_features_fall_into_the_cell_that_their_pixel_and_height_show():
     """The other way round: the point in a cell of the map, projected, is the pixel it came from."""
     grid, high, wide = BevGrid(half=51.2), 48, 64
-    splat = eqx.filter_eval_shape(LiftSplat, Bottleneck, grid, 2, 8, jax.random.key(0))
+    given = encoders.Bottleneck, grid, 2, 8, jax.random.key(0)
+    splat = eqx.filter_eval_shape(encoders.LiftSplat, *given)
     inputs = three_cameras(high, wide)
     cells = np.asarray(jax.jit(lambda i: splat._cells(i, (high, wide), (6, 8)))(inputs))[0]
     nowhere, side = 2 * grid.side**2, grid.side
@@ -171,11 +144,11 @@ def test_lifted_features_fall_into_the_cell_that_their_pixel_and_height_show():
     np.testing.assert_array_equal(cells[1][some], cells[0][some] + side**2)
     row, column, h = np.nonzero(some)
     assert len(row) > 80
-    assert set(h) == set(range(len(HEIGHTS)))
+    assert set(h) == set(range(len(encoders.HEIGHTS)))
     at = np.column_stack([(column + 0.5) * 8, (row + 0.5) * 8])
     body = np.column_stack([np.ones(len(at)), -(at[:, 0] - 30) / 40, -(at[:, 1] - 22) / 42])
     ray = body @ POSE[:3, :3].T
-    depth = (HEIGHTS[h] - POSE[2, 3]) / ray[:, 2]
+    depth = (encoders.HEIGHTS[h] - POSE[2, 3]) / ray[:, 2]
     assert (depth > 0).all()
     world = ray * depth[:, None] + POSE[:3, 3]
     np.testing.assert_allclose(on_picture(world, POSE, INTRINSIC)[:, :2], at, atol=1e-2)
@@ -184,10 +157,8 @@ def test_lifted_features_fall_into_the_cell_that_their_pixel_and_height_show():
     edge = (np.abs((world[:, :2] + grid.half) / grid.cell % 1 - 0.5) > 0.499).any(1)
     assert not (wrong & ~edge).any()
     # All that fall into the map are there: the rest is at the sky, behind, or beyond.
-    rows, columns = np.mgrid[:6, :8]
-    body = np.stack(
-        [np.ones((6, 8)), -((columns + 0.5) * 8 - 30) / 40, -((rows + 0.5) * 8 - 22) / 42], -1
-    )
+    rows, columns = np.mgrid[:6, :8] * 8 + 4
+    body = np.stack([np.ones((6, 8)), -(columns - 30) / 40, -(rows - 22) / 42], -1)
     ray = body @ POSE[:3, :3].T
     ahead = ray[..., 2] < 0
     point = ray / np.where(ahead, -ray[..., 2], 1)[..., None] * (POSE[2, 3] - 1.0) + POSE[:3, 3]
@@ -198,7 +169,7 @@ def test_lifted_features_fall_into_the_cell_that_their_pixel_and_height_show():
 
 def test_a_cell_of_the_map_has_the_mean_of_what_falls_into_it():
     grid = BevGrid(half=12.8)
-    splat = made(lambda key: LiftSplat(Bottleneck, grid, 1, 8, key))
+    splat = made(lambda key: encoders.LiftSplat(encoders.Bottleneck, grid, 1, 8, key))
     chance, features = np.abs(noise(2, 3, 4, 5)), noise(2, 3, 4, 8, seed=1)
     cell = np.random.default_rng(2).integers(0, grid.side**2 + 40, (2, 3, 4, 5))
     cell = np.where(cell < grid.side**2, cell % 7, grid.side**2)  # some are outside
@@ -206,7 +177,7 @@ def test_a_cell_of_the_map_has_the_mean_of_what_falls_into_it():
     assert maps.shape == (grid.side**2, 8)
     for k in range(7):
         there = np.where(cell == k, chance, 0).sum(-1)
-        mean = (there[..., None] * features).sum((0, 1, 2)) / (there.sum() + EMPTY_WEIGHT)
+        mean = (there[..., None] * features).sum((0, 1, 2)) / (there.sum() + encoders.EMPTY_WEIGHT)
         np.testing.assert_allclose(maps[k], mean, rtol=1e-4, atol=1e-5)
     assert not maps[7:].any()
 
@@ -254,7 +225,7 @@ def softmax(scores: np.ndarray) -> np.ndarray:
 
 def test_agents_attend_by_the_modalities_of_both():
     """One receiver's cell after another; relations and messages are of receiver and sender."""
-    attention = made(lambda key: HeterogeneousAttention(8, TYPES, 2, key))
+    attention = made(lambda key: fusions.HeterogeneousAttention(8, TYPES, 2, key))
     x, present = noise(1, 3, 2, 4, 8), np.array([[True, True, False]])
     found = np.asarray(eqx.filter_jit(lambda x: attention(x, present))(x))
     w = jax.tree.map(np.asarray, attention)
@@ -275,21 +246,19 @@ def test_agents_attend_by_the_modalities_of_both():
 
 
 def test_a_window_attends_with_a_bias_by_the_offset_of_its_cells():
-    windows = made(lambda key: WindowAttention(8, 2, 2, key))
+    windows = made(lambda key: fusions.WindowAttention(8, 2, 2, key))
     bias, x = noise(2, 9, seed=1), noise(1, 4, 4, 8)
     windows = eqx.tree_at(lambda it: it.bias, windows, jnp.asarray(bias))
     found = np.asarray(eqx.filter_jit(windows)(x))
     w = jax.tree.map(np.asarray, windows)
     cells = [(2, 0), (2, 1), (3, 0), (3, 1)]  # one window
+    rows = {p: np.split(x[0][p] @ w.project.weight, 3) for p in cells}
     for p in cells:
         told = []
         for h in range(2):
             part = slice(4 * h, 4 * h + 4)
-            query = (x[0][p] @ w.project.weight[:, :8])[part]
-            keys, values = (
-                np.array([(x[0][q] @ w.project.weight[:, n : n + 8])[part] for q in cells])
-                for n in (8, 16)
-            )
+            query = rows[p][0][part]
+            keys, values = (np.array([rows[q][n][part] for q in cells]) for n in (1, 2))
             apart = [bias[h, 3 * (p[0] - q[0] + 1) + p[1] - q[1] + 1] for q in cells]
             told.append(softmax(keys @ query / 2 + np.array(apart)) @ values)
         expected = np.concatenate(told) @ w.output.weight + w.output.bias
@@ -298,7 +267,7 @@ def test_a_window_attends_with_a_bias_by_the_offset_of_its_cells():
 
 def test_v2vnet_takes_in_the_mean_message_of_the_others():
     """On maps of one cell only the middle of a convolution counts."""
-    fusion = made(lambda key: V2VNet(4, TYPES, key))
+    fusion = made(lambda key: fusions.V2VNet(4, TYPES, key))
     x, present = noise(1, 3, 1, 1, 4), np.array([[True, True, False]])
     found = np.asarray(eqx.filter_jit(lambda x: fusion(x, present))(x))[0, 0, 0]
     w = jax.tree.map(np.asarray, fusion)
@@ -323,21 +292,16 @@ def test_v2vnet_takes_in_the_mean_message_of_the_others():
 
 
 def test_disconet_weighs_senders_for_each_cell():
-    fusion = made(lambda key: DiscoNet(8, TYPES, key))
+    fusion = made(lambda key: fusions.DiscoNet(8, TYPES, key))
     x, present = noise(1, 3, 1, 2, 8), np.array([[True, False, True]])
     found = np.asarray(eqx.filter_jit(lambda x: fusion(x, present))(x))[0, 0]
     w, there = jax.tree.map(np.asarray, fusion), (0, 2)
     for c in range(2):
         own = []
         for i in there:
-            pairs = [
-                x[0, i, 0, c] @ w.receiver.weight + w.receiver.bias
-                + x[0, j, 0, c] @ w.sender.weight
-                for j in there
-            ]  # fmt: skip
-            hidden = np.maximum(
-                np.maximum(np.array(pairs), 0) @ w.edge.inner.weight + w.edge.inner.bias, 0
-            )
+            receiver = x[0, i, 0, c] @ w.receiver.weight + w.receiver.bias
+            pairs = np.maximum(receiver + x[0, there, 0, c] @ w.sender.weight, 0)
+            hidden = np.maximum(pairs @ w.edge.inner.weight + w.edge.inner.bias, 0)
             scores = (hidden @ w.edge.outer.weight + w.edge.outer.bias)[:, 0]
             own.append(softmax(scores) @ x[0, there, 0, c])
         np.testing.assert_allclose(found[c], np.mean(own, 0), rtol=1e-3, atol=1e-4)
@@ -363,10 +327,10 @@ def road_users() -> Targets:
 def test_sizes_are_numbers_whatever_the_head_tells():
     values = np.full((1, GRID.side, GRID.side, 8), 1e4, np.float32)
     values[..., 3] = -1e4
-    found = HeadOutput(np.zeros((1, GRID.side, GRID.side, len(KINDS)), np.float32), values)
-    sizes = np.asarray(jax.jit(lambda found: peaks(found, GRID))(found).boxes[..., 3:6])
-    np.testing.assert_allclose(sizes[..., 0], np.exp(-LARGEST_LOG), rtol=1e-5)
-    np.testing.assert_allclose(sizes[..., 1:], np.exp(LARGEST_LOG), rtol=1e-5)
+    found = head.HeadOutput(np.zeros((1, GRID.side, GRID.side, len(KINDS)), np.float32), values)
+    sizes = np.asarray(jax.jit(lambda found: head.peaks(found, GRID))(found).boxes[..., 3:6])
+    np.testing.assert_allclose(sizes[..., 0], np.exp(-head.LARGEST_LOG), rtol=1e-5)
+    np.testing.assert_allclose(sizes[..., 1:], np.exp(head.LARGEST_LOG), rtol=1e-5)
 
 
 def test_what_the_head_is_to_tell_is_read_back_as_the_boxes():
@@ -374,16 +338,13 @@ def test_what_the_head_is_to_tell_is_read_back_as_the_boxes():
 
     @jax.jit
     def around(targets):
-        aim = aims(targets, GRID)
-        frame = jnp.arange(2)[:, None]
-        values = jnp.zeros((2, GRID.side, GRID.side, 8))
-        values = values.at[frame, aim.row, aim.column].add(
-            jnp.where(aim.mask[..., None], aim.values, 0.0)
-        )
+        aim, values = head.aims(targets, GRID), jnp.zeros((2, GRID.side, GRID.side, 8))
+        own = jnp.where(aim.mask[..., None], aim.values, 0.0)
+        values = values.at[jnp.arange(2)[:, None], aim.row, aim.column].add(own)
         heat = jnp.clip(aim.heat, 1e-6, 1 - 1e-6)
-        found = HeadOutput(jnp.log(heat / (1 - heat)), values)
-        off = HeadOutput(-found.heat, values + 1)
-        return aim, peaks(found, GRID), loss(found, aim), loss(off, aim)
+        found = head.HeadOutput(jnp.log(heat / (1 - heat)), values)
+        off = head.HeadOutput(-found.heat, values + 1)
+        return aim, head.peaks(found, GRID), head.loss(found, aim), head.loss(off, aim)
 
     aim, found, right, wrong = jax.tree.map(np.asarray, around(targets))
     inside = targets.mask & (np.abs(targets.boxes[..., :2]) < GRID.half).all(-1)
@@ -407,13 +368,13 @@ def test_what_the_head_is_to_tell_is_read_back_as_the_boxes():
 
 def test_the_radius_of_a_gaussian_keeps_boxes_overlapping():
     length, width = np.array([30.0, 12.0, 25.0]), np.array([8.0, 10.0, 20.0])
-    found = np.asarray(jax.jit(radius)(np.array([*length, 0.8]), np.array([*width, 0.8])))
-    assert found[-1] == LEAST_RADIUS
+    found = np.asarray(jax.jit(head.radius)(np.array([*length, 0.8]), np.array([*width, 0.8])))
+    assert found[-1] == head.LEAST_RADIUS
     for r, a, b in zip(found[:-1], length, width, strict=True):
         here = box(0, 0, a, b)
         there = translate(here, r, r)
         overlap = here.intersection(there).area / here.union(there).area
-        assert overlap == pytest.approx(OVERLAP, rel=1e-4)
+        assert overlap == pytest.approx(head.OVERLAP, rel=1e-4)
 
 
 # ── Heat on pictures ────────────────────────────────────────────────────────
@@ -431,17 +392,11 @@ def test_heat_on_pictures_is_where_they_show_road_users():
     ]
     pixels = np.full((1, 4, 3), 100, np.float32)
     pixels[0, 1, 1] = 3  # hidden from the second camera
-    targets = Targets(
-        boxes=boxes,
-        kind=np.array([[0, 3, 0, 0]], np.int32),
-        track=np.arange(4, dtype=np.int32)[None],
-        returns=np.zeros((1, 4, 0), np.int32),
-        pixels=pixels,
-        mask=np.array([[True, True, False, True]]),
-    )
+    kinds, mask = np.array([[0, 3, 0, 0]], np.int32), np.array([[True, True, False, True]])
+    targets = Targets(boxes, kinds, kinds, np.zeros((1, 4, 0), np.int32), pixels, mask)
     inputs = three_cameras(high, wide)
-    aims_of = jax.jit(lambda targets: perspective_aims(inputs, targets, cells))
-    loss_of = jax.jit(lambda heat: perspective_loss(heat, inputs, targets))
+    aims_of = jax.jit(lambda targets: head.perspective_aims(inputs, targets, cells))
+    loss_of = jax.jit(lambda heat: head.perspective_loss(heat, inputs, targets))
     aim, shown = (np.asarray(x) for x in aims_of(targets))
     assert shown.tolist() == [[True, True, False, False], [True, False, False, False], [False] * 4]
     assert not aim[2].any()
@@ -449,15 +404,11 @@ def test_heat_on_pictures_is_where_they_show_road_users():
     assert not aim[..., 1:3].any()
     for b, kind in ((0, 0), (1, 3)):
         x = boxes[0, b]
-        own = RoadUserBox(
-            track=0, kind=KINDS[kind], name="", center=x[:3], yaw=float(x[6]), size=x[3:6],
-            velocity=np.zeros(3),
-        )  # fmt: skip
+        own = RoadUserBox(0, KINDS[kind], "", x[:3], float(x[6]), x[3:6], np.zeros(3))
         at = on_picture(corners([own])[0], POSE, INTRINSIC)[:, :2] / 4
         middle = (at.min(0) + at.max(0)) / 2
-        assert np.unravel_index(aim[0, ..., kind].argmax(), cells) == tuple(
-            np.floor(middle[::-1]).astype(int)
-        )
+        peak = np.unravel_index(aim[0, ..., kind].argmax(), cells)
+        assert peak == tuple(np.floor(middle[::-1]).astype(int))
         assert aim[0, ..., kind].max() == 1
         spread = np.maximum((at.max(0) - at.min(0)) / 4, 0.5)
         row = aim[0, int(middle[1]), :, kind]

@@ -13,23 +13,28 @@ from processes import in_this_process
 
 from inspe_jax import dataset
 from inspe_jax.core.errors import InspeError
+from inspe_jax.perception import detector as detectors
+from inspe_jax.perception import encoders
 from inspe_jax.perception.detector import MODELS
 from inspe_jax.perception.inputs import BevGrid
 from inspe_jax.perception.training import Training, TrainingSettings, open_run, train, train_all
-from inspe_jax.perception.training.run import (
-    LOSSES,
-    VALIDATION,
-    TrainingRun,
-    begun,
-    cache_of,
-    check_pictures,
-)
+from inspe_jax.perception.training import run as runs
+from inspe_jax.perception.training.run import LOSSES, VALIDATION, TrainingRun, begun, cache_of
 from inspe_jax.perception.training.train import content_of, distillation
 
 GRID = BevGrid(half=12.8)
 SETTINGS = TrainingSettings(
     model="coalign", steps=4, batch=2, every=2, validate_frames=2, rate=1e-3
 )
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _small():
+    """A network of two scales, which is compiled sooner."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(encoders, "WIDTHS", (16, 16))
+        patch.setattr(detectors, "CHANNELS", 16)
+        yield
 
 
 @pytest.fixture(scope="module")
@@ -40,16 +45,12 @@ def cached(tmp_path_factory):
     return dataset.cache(root / "set", root / "cache", pictures=(HEIGHT, WIDTH), workers=1)
 
 
-class Stop(Exception):
-    pass
-
-
-def stop_at(step: int, model: str | None = None):
-    """A stop by the user after a step, of a model if given."""
+def stop_at(step: int, model: str = "coalign"):
+    """A stop by the user after a step of a model."""
 
     def stop(report):
-        if report.step == step and model in (None, report.model):
-            raise Stop
+        if (report.step, report.model) == (step, model):
+            raise KeyboardInterrupt
 
     return stop
 
@@ -60,7 +61,7 @@ def stopped_and_not(cached, tmp_path_factory):
     root = tmp_path_factory.mktemp("runs")
     whole = train(cached, root / "whole", SETTINGS, grid=GRID)
 
-    with pytest.raises(Stop):
+    with pytest.raises(KeyboardInterrupt):
         train(cached, root / "parts", SETTINGS, grid=GRID, progress=stop_at(3))
     run = open_run(root / "parts")
     assert run.steps == 2
@@ -76,11 +77,11 @@ def test_a_stopped_training_goes_on_to_the_same_losses(stopped_and_not):
     for name, count in ((LOSSES, 4), (VALIDATION, 2)):
         assert len(whole.rows(name)) == count
         assert whole.rows(name) == parts.rows(name)
-    (_, ours), (_, theirs) = whole.states[-1], parts.states[-1]
-    assert ours.read_bytes() == theirs.read_bytes()
-    losses = [row["heat"] + row["values"] for row in whole.rows(LOSSES)]
-    assert all(np.isfinite(losses))
-    assert len(set(losses)) == 4
+    ours, theirs = (run.states[-1][1].read_bytes() for run in (whole, parts))
+    assert ours == theirs
+    losses = {row["heat"] + row["values"] for row in whole.rows(LOSSES)}
+    assert np.isfinite([*losses]).all()
+    assert len(losses) == 4
 
 
 def test_trainings_by_workers_are_the_same_and_one_that_fails_stops_no_other(
@@ -132,7 +133,7 @@ def test_whatever_a_kill_leaves_is_mended(stopped_and_not, cached, tmp_path):
         path.unlink()
     (folder / LOSSES).write_text("")
     (folder / ".run.json.abc.part").write_text("{")
-    with pytest.raises(Stop):
+    with pytest.raises(KeyboardInterrupt):
         train(cached, folder, SETTINGS, grid=GRID, progress=stop_at(1))
     assert [row["step"] for row in again.rows(LOSSES)] == [1]
     assert again.rows(LOSSES) == whole.rows(LOSSES)[:1]
@@ -158,7 +159,7 @@ def test_a_model_that_is_taught_has_its_teacher_first(cached, tmp_path, monkeypa
     """As DiscoNet, but of LiDARs alone, which is compiled sooner."""
     monkeypatch.setitem(MODELS, "pupil", replace(MODELS["disconet"], sensors=("lidar",)))
     settings = TrainingSettings(model="pupil", steps=2, batch=2, every=1, validate_frames=0)
-    with pytest.raises(Stop):
+    with pytest.raises(KeyboardInterrupt):
         train(cached, tmp_path / "run", settings, grid=GRID, progress=stop_at(2, "pupil"))
     run = train(cached, tmp_path / "run", settings, grid=GRID)
     assert run.steps == open_run(tmp_path / "run" / "teacher").steps == settings.steps
@@ -247,10 +248,8 @@ def test_a_model_needs_its_sensors(cached, tmp_path):
     write_scenario(tmp_path / "set" / "train" / "a", [frame_of(0, lidars=False)])
     blind = cache_of(tmp_path / "set", pictures=None)
     assert blind.path == tmp_path / "set_cache"
-    for name, why in (
-        ("lss-eff", "needs pictures, and the cache was made without pictures"),
-        ("coalign", "needs LiDARs, and no scenario has one"),
-    ):
+    blind_to = "needs pictures, and the cache was made without pictures"
+    for name, why in (("lss-eff", blind_to), ("coalign", "needs LiDARs, and no scenario has one")):
         with pytest.raises(InspeError, match=why):
             train(blind, tmp_path / "run", TrainingSettings(model=name), grid=GRID)
     assert not (tmp_path / "run").exists()
@@ -260,11 +259,11 @@ def test_pictures_of_another_size_are_refused(stopped_and_not, tmp_path):
     write_scenario(tmp_path / "set" / "train" / "a", [frame_of(0)])
     other = cache_of(tmp_path / "set", pictures=(24, 32), folder=tmp_path / "other")
     run = stopped_and_not[0]
-    check_pictures(run, other)  # coalign takes none
+    runs.check_pictures(run, other)  # coalign takes none
     settings = run.content.settings.model_copy(update={"model": "lss-eff"})
     run = TrainingRun(run.path, run.content.model_copy(update={"settings": settings}))
     with pytest.raises(InspeError, match=r"pictures of 32x24, but .* --pictures 64x48"):
-        check_pictures(run, other)
+        runs.check_pictures(run, other)
     assert cache_of(other.path, pictures=None).pictures == (24, 32)
     with pytest.raises(InspeError, match=r"other: is a cache already: leave --cache .*more out"):
         cache_of(other.path, pictures=None, folder=tmp_path / "more")

@@ -22,8 +22,9 @@ pytest.importorskip("msgpack", reason="what the CARLA client talks: extra [test]
 import carla_recording as client
 import carla_wire
 from carla_blueprints import BLUEPRINTS
+from frames import car
 from processes import inspe_process
-from worlds import crossing, place_sensors, world
+from worlds import place_sensors, world
 
 from inspe_jax import dataset
 from inspe_jax.core.errors import InspeError
@@ -36,7 +37,6 @@ from inspe_jax.simulation.carla.recorder import CarlaRecorder
 from inspe_jax.simulation.carla.sensors import CarlaCamera, instances_of
 from inspe_jax.simulation.carla.server import weather_of
 from inspe_jax.simulation.carla.traffic import body_of
-from inspe_jax.simulation.frame import RoadUserBox
 from inspe_jax.simulation.projection import corners
 from inspe_jax.simulation.recorder import Recording, Server
 
@@ -57,16 +57,12 @@ def run_client(task: str, port: int, file, *arguments: object) -> dict:
 
 @pytest.fixture(scope="module")
 def recorded(maps, tmp_path_factory):
-    """A folder with a data set, and the state of the server during and after.
-
-    The server starts with another map.
-    """
+    """A folder with a data set, and the state of the server, which starts with another map, during
+    and after."""
     folder = tmp_path_factory.mktemp("carla")
     towns = maps / "Town07.xodr", maps / f"{client.TOWN}.xodr"
     with carla_wire.serving(*towns, scenery=[PARKED]) as port:
-        meanwhile = run_client("record", port, folder / "told.json")
-        after = run_client("look", port, folder / "look.json")
-    return folder, meanwhile, after
+        return folder, *run_client("record", port, folder / "told.json").values()
 
 
 @pytest.fixture(scope="module")
@@ -76,15 +72,12 @@ def frames(recorded):
     return [scenario.frame(t) for t in scenario.frames]
 
 
-def turn_of(box: RoadUserBox) -> np.ndarray:
-    return rotation(np.array([0.0, 0.0, box.yaw]), np)
-
-
 def gaps(points: np.ndarray, boxes) -> np.ndarray:
     """Signed distance of points (P, 3) to boxes and the ground, (T + 1, P) [m]."""
     rows = []
     for box in boxes:
-        over = np.abs((points - box.center) @ turn_of(box)) - box.size / 2
+        turn = rotation(np.array([0.0, 0.0, box.yaw]), np)
+        over = np.abs((points - box.center) @ turn) - box.size / 2
         rows.append(np.linalg.norm(np.maximum(over, 0), axis=1) + np.minimum(over.max(1), 0))
     return np.array([*rows, points[:, 2]])
 
@@ -111,13 +104,8 @@ def test_the_server_is_synchronous_meanwhile_and_restored_afterwards(recorded):
     kinds = ("depth", "rgb", "semantic_segmentation")
     cameras = [f"sensor.camera.{kind}" for kind in kinds for _ in range(2)]
     assert sensors == [*cameras, "sensor.lidar.ray_cast"]
-    assert after == {
-        "map": client.TOWN,
-        "settings": [False, None],
-        "weather": [0.0, 45.0],
-        "actors": ["spectator"],
-        "below": "Car",
-    }
+    found = dict(settings=[False, None], weather=[0.0, 45.0], actors=["spectator"], below="Car")
+    assert after == {"map": client.TOWN, **found}
 
 
 def test_road_users_stand_where_the_traffic_has_them_with_boxes_of_the_server(frames):
@@ -199,11 +187,9 @@ def test_boxes_by_the_written_calibration_cover_their_instances(frames):
 
 def test_every_measurement_is_of_its_own_tick(frames):
     """The blue of the ground encodes the tick."""
-    blue = [
-        [image.rgb[(image.semantic == 1)][:, 2] for image in frame.stations[0].images]
-        for frame in frames
-    ]
-    ticks = np.array([[np.unique(each).item() for each in row] for row in blue])  # (T, 2)
+    pairs = [frame.stations[0].images for frame in frames]
+    blue = [[np.unique(x.rgb[x.semantic == 1][:, 2]).item() for x in images] for images in pairs]
+    ticks = np.array(blue)  # (T, 2)
     np.testing.assert_array_equal(np.diff(ticks, axis=0) % 128, 1)
     np.testing.assert_array_equal(ticks[:, 0], ticks[:, 1])
 
@@ -237,10 +223,8 @@ def test_servers_that_cannot_be_used(maps, tmp_path):
         assert (left["settings"], left["actors"]) == ([False, None], ["spectator"])
         assert left["weather"] == [0.0, 45.0]
     left = told["taken, left"]
-    assert (left["settings"], left["actors"]) == (
-        [True, None],
-        ["spectator", "vehicle.tesla.model3"],
-    )
+    assert left["settings"] == [True, None]
+    assert left["actors"] == ["spectator", "vehicle.tesla.model3"]
 
 
 STUDY = {
@@ -286,20 +270,16 @@ def test_notes_are_in_the_data_set_and_the_address_of_the_server_is_not(maps, tm
 # ── Without a server ────────────────────────────────────────────────────────────────────────────
 
 
-@pytest.mark.parametrize(
-    ("source", "words"),
-    [
+def test_scenes_that_no_server_has_and_a_missing_client(monkeypatch):
+    monkeypatch.setitem(sys.modules, "carla", None)
+    scene, layout = world(count=0), place_sensors((client.CAMERA, [0, 0, 6, 0, 0, 0]))
+    for source, words in (
         ("tests", r"test crossing: its source is tests.*\.xodr"),
         ("Town03.xodr (OpenDRIVE)", r"pip install .*\[opendrive\]'"),
-    ],
-)
-def test_scenes_that_no_server_has_and_a_missing_client(monkeypatch, source, words):
-    monkeypatch.setitem(sys.modules, "carla", None)
-    place = replace(crossing(), source=source)
-    scene = replace(world(radius=12.0, voxel=1.0), intersection=place)
-    layout = place_sensors((client.CAMERA, [0, 0, 6, 0, 0, 0]))
-    with pytest.raises(InspeError, match=words), recorder_of("carla", scene, layout):
-        pass
+    ):
+        there = replace(scene, intersection=replace(scene.intersection, source=source))
+        with pytest.raises(InspeError, match=words), recorder_of("carla", there, layout):
+            pass
 
 
 def test_uneven_channels_and_shifted_axes_are_noted():
@@ -314,10 +294,8 @@ def test_uneven_channels_and_shifted_axes_are_noted():
 
 def test_boxes_without_a_size_have_the_usual_one():
     """CARLA is left-handed: its right has a negative y here."""
-    box = SimpleNamespace(
-        location=SimpleNamespace(x=0.1, y=0.2, z=np.inf),
-        extent=SimpleNamespace(x=0.8, y=0.0, z=np.inf),
-    )
+    at, half = (SimpleNamespace(x=x, y=y, z=np.inf) for x, y in ((0.1, 0.2), (0.8, 0.0)))
+    box = SimpleNamespace(location=at, extent=half)
     body = body_of("bicycle", box, np.array([1.8, 0.6, 1.7]))
     np.testing.assert_allclose(body.middle, [0.1, -0.2, 0.85])
     np.testing.assert_allclose(body.size, [1.6, 0.6, 1.7])
@@ -329,10 +307,9 @@ def weather_in(light: str, weather: str) -> dict[str, float]:
 
 def test_weather_and_light_are_in_the_order_of_their_strength():
     """Within CARLA's limits, 0 to 100 % and -90 to 90 degrees."""
-    for key, falling in (("precipitation", "rain:{}"), ("fog_density", "fog:{}")):
-        strength = [weather_in("midday", falling.format(n))[key] for n in (10, 20, 50, 200)]
-        steps = np.diff(strength) * (1 if "rain" in falling else -1)
-        assert (steps > 0).all()
+    for key, falling, sign in (("precipitation", "rain", 1), ("fog_density", "fog", -1)):
+        strength = [weather_in("midday", f"{falling}:{n}")[key] for n in (10, 20, 50, 200)]
+        assert (np.diff(strength) * sign > 0).all()
         assert 0 < min(strength) < max(strength) < 100
     assert not weather_in("midday", "clear").keys() & {"precipitation", "fog_density"}
     suns = [weather_in(light, "clear")["sun_altitude_angle"] for light in ("midday", "dusk")]
@@ -343,15 +320,7 @@ def test_weather_and_light_are_in_the_order_of_their_strength():
 def test_pixels_of_road_users_are_matched_by_place():
     """A rider and a bicycle in one box, ahead and turned; a statue with the label of a road user
     stands behind, and the road in the box is no road user."""
-    box = RoadUserBox(
-        track=4,
-        kind="cyclist",
-        name="bicycle",
-        center=np.array([10.0, 0.0, 0.0]),
-        yaw=np.pi / 2,
-        size=np.array([2.0, 0.6, 2.0]),
-        velocity=np.zeros(3),
-    )
+    box = car(4, kind="cyclist", center=np.array([10.0, 0.0, 0.0]), size=np.array([2.0, 0.6, 2.0]))
     tags = np.array([[13, 19, 12], [1, 19, 11]], np.uint8)
     depth = np.array([[9.8, 9.7, 30.0], [10.0, 9.7, np.inf]])
     small = replace(client.CAMERA, width=3, height=2, focal=30.0)

@@ -95,11 +95,11 @@ def test_the_seed_of_the_noise_leaves_shapes_and_colours(empty):
 def test_returns_are_counted_where_the_rays_end(empty):
     """A pedestrian close before a truck: points are its own, not those of the truck behind it."""
     scene = standing(empty, "truck", (20.0, 0.0), (17.0, 0.0))
-    size, kind, center = (x.copy() for x in (
-        scene.traffic.size, scene.traffic.kind, scene.traffic.center))  # fmt: skip
+    users = scene.traffic
+    size, kind, center = (x.copy() for x in (users.size, users.kind, users.center))
     size[0, 1], kind[0, 1] = SIZES["pedestrian"], CLASSES.index("pedestrian")
     center[0, 1, 2] = size[0, 1, 2] / 2
-    scene = replace(scene, traffic=replace(scene.traffic, size=size, kind=kind, center=center))
+    scene = replace(scene, traffic=replace(users, size=size, kind=kind, center=center))
     scan = scan_of(scene, lidar())
     assert scan.returns.min() > 10
     boxes = boxes_of(scene.traffic.at(0), 0)
@@ -109,17 +109,13 @@ def test_returns_are_counted_where_the_rays_end(empty):
     assert left.sum() == pytest.approx(scan.returns.sum() / 2, rel=0.1)
 
 
-@pytest.mark.parametrize(
-    ("size", "conditions"),
-    [((640, 240), Conditions()), ((37, 211), Conditions.of("night", "rain"))],
-)
-def test_pictures_of_any_size_show_the_same(empty, size, conditions):
+def test_pictures_of_any_size_show_the_same(empty):
     """As wide and as high a view, with other pixels: a road user covers the same share of it, and
     the calibration says where the middle of its box is."""
     scene = standing(empty, "truck", (18.0, 3.0))
     layout = place_sensors((SMALL, [0.0, 0.0, 5.0, 0.0, -0.2, 0.1]))
-    shares, middles = [], []
-    for given in ((320, 240), size):
+    shares, middles, conditions = [], [], Conditions.of("night", "rain")
+    for given in ((320, 240), (37, 211)):
         recording = Recording(layers=("instance",), image_size=given)
         frame = EmbeddedRecorder(scene, layout, conditions, recording).frame(0)
         image, (box,) = frame.stations[0].images[0], frame.boxes

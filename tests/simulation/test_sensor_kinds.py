@@ -10,10 +10,11 @@ from inspe_jax.core.errors import InspeError
 from inspe_jax.core.geometry import rotation
 from inspe_jax.sensing.sensors import Spec
 from inspe_jax.simulation.backends import recorder_of
-from inspe_jax.simulation.embedded.embree import Caster
 from inspe_jax.simulation.embedded.recorder import SENSORS
 from inspe_jax.simulation.frame import Scan
 from inspe_jax.simulation.recorder import Recording
+
+pytest.importorskip("embreex", reason="no wheels of Embree for this platform")
 
 
 @dataclass(frozen=True)
@@ -39,10 +40,9 @@ class Fan:
         self.pose, self.reach, self.surroundings = pose, spec.reach, surroundings
 
     def record(self, actors, rng):
-        static = self.surroundings.static_world
-        _, caster = actors.at(0.0)
+        static, (_, caster) = self.surroundings.static_world, actors.at(0.0)
         origin, to = self.pose[:3] - static.center, self.body @ rotation(self.pose[3:], np).T
-        casters = Caster(static.triangles), caster
+        casters = static.caster, caster
         far = np.min([one.cast(origin, to, self.reach).distance for one in casters], 0)
         met = np.isfinite(far)
         points = np.column_stack([self.body[met] * far[met, None], np.ones(met.sum())])
@@ -55,7 +55,6 @@ FAN = FanSpec("a fan", 41, np.radians(40), 60.0)
 
 def test_a_fan_of_rays_is_recorded_next_to_a_camera(monkeypatch):
     """A car 10 m ahead, seen from the side, which is 4.6 m long, at y = 10 − 0.925."""
-    pytest.importorskip("embreex", reason="no wheels of Embree for this platform")
     monkeypatch.setitem(SENSORS, "fan", Fan)
     scene = with_boxes(world(count=0, radius=40.0, voxel=2.0), (0, 10, 0, 4.6, 1.85, 1.5))
     layout = place_sensors(
@@ -74,7 +73,6 @@ def test_a_fan_of_rays_is_recorded_next_to_a_camera(monkeypatch):
 
 
 def test_a_kind_without_a_row_is_an_error():
-    pytest.importorskip("embreex", reason="no wheels of Embree for this platform")
     scene, layout = world(count=0, radius=20.0, voxel=2.0), place_sensors((FAN, [0, 0, 3, 0, 0, 0]))
     words = "a fan: backend {} cannot simulate a sensor of kind 'fan', only camera and lidar"
     for backend in ("embedded", "carla"):

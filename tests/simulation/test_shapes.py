@@ -5,16 +5,9 @@ import pytest
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.scene.traffic.frames import CLASSES, ROAD_USERS
+from inspe_jax.simulation.embedded import shapes
 from inspe_jax.simulation.embedded.embree import Caster
-from inspe_jax.simulation.embedded.shapes import (
-    PARTS,
-    PHASES,
-    VARIANTS,
-    fitting,
-    natural_size,
-    paint,
-    shape_of,
-)
+from inspe_jax.simulation.embedded.shapes import PARTS, VARIANTS, fitting, paint, shape_of
 
 pytest.importorskip("embreex", reason="no wheels of Embree for this platform")
 
@@ -35,9 +28,9 @@ def normals(triangles: np.ndarray) -> np.ndarray:
 
 def test_shapes_fill_the_unit_box_and_fit_a_box_of_their_size():
     for kind, name in EVERY:
-        assert name in fitting(kind, natural_size(name))
-        for step in range(0, PHASES, 3) if moves(name) else (0,):
-            shape = shape_of(name, step / PHASES)
+        assert name in fitting(kind, shapes.natural_size(name))
+        for step in range(0, shapes.PHASES, 3) if moves(name) else (0,):
+            shape = shape_of(name, step / shapes.PHASES)
             assert (shape.vertices.min(0) == -0.5).all(), name
             assert (shape.vertices.max(0) == 0.5).all(), name
             types = shape.vertices.dtype, shape.faces.dtype, shape.part.dtype
@@ -45,20 +38,14 @@ def test_shapes_fill_the_unit_box_and_fit_a_box_of_their_size():
             assert not shape.vertices.flags.writeable
 
 
-@pytest.mark.parametrize(
-    ("kind", "name", "phase"),
-    [(k, n, p) for k, n in EVERY for p in (0.0, 0.3) if p == 0 or moves(n)],
-)
-def test_only_outsides_are_visible(kind, name, phase):
-    """From all around and above, towards all of the box: no gap shows the inside of a face.
-
-    Limbs that intersect may show a few; they are thin. Of a vehicle a ray may slip through, where
-    a strip that is split meets one that is not: in single precision the seam has no width of its
-    own, but is not always straight.
-    """
-    size, shape, rng = natural_size(name), shape_of(name, phase), np.random.default_rng(0)
+@pytest.mark.parametrize(("kind", "name"), EVERY)
+def test_only_outsides_are_visible(kind, name):
+    """From all around and above, towards all of the box: no gap shows the inside of a face. Limbs
+    that intersect may show a few; of a vehicle a ray may slip through at a seam, which in single
+    precision is not always straight."""
+    size, shape, rng = shapes.natural_size(name), shape_of(name, 0.3), np.random.default_rng(0)
     triangles = (shape.vertices * size)[shape.faces]
-    eyes = rng.normal(size=(50_000, 3))
+    eyes = rng.normal(size=(20_000, 3))
     eyes[:, 2] = np.abs(eyes[:, 2])
     eyes *= 3 * np.linalg.norm(size) / np.linalg.norm(eyes, axis=1, keepdims=True)
     rays = rng.uniform(-0.5, 0.5, eyes.shape) * size - eyes
@@ -67,15 +54,6 @@ def test_only_outsides_are_visible(kind, name, phase):
     inside = (normals(triangles)[hit[met]] * rays[met]).sum(1) > 0
     assert met.mean() > 0.1
     assert inside.sum() <= (3 if kind in ALIKE else 0.002 * met.sum())
-
-
-@pytest.mark.parametrize("kind", ALIKE)
-def test_vehicles_stand_on_wheels_at_all_corners(kind):
-    for name in VARIANTS[kind]:
-        shape = shape_of(name)
-        low = np.unique(shape.faces[shape.part == PARTS.index("tyre")])
-        low = shape.vertices[low][shape.vertices[low, 2] < -0.4999]
-        assert {(x > 0, y > 0) for x, y, _ in low} == {(f, s) for f in (0, 1) for s in (0, 1)}
 
 
 def test_a_phase_goes_round_and_vehicles_have_none():
@@ -96,29 +74,15 @@ def test_every_class_has_shapes_and_every_part_is_used_and_painted():
             assert 0 <= colours.min() <= colours.max() <= 1
 
 
-def test_cars_have_the_colours_of_the_road():
-    """Of 1 000 cars 35 % are white, 18 % neither white, grey nor black; 3 standard errors."""
-    rng = np.random.default_rng(0)
-    bodies = np.array([paint("car", rng)[PARTS.index("body")] for _ in range(1000)])
-    white = (bodies.min(1) > 0.6).mean()
-    coloured = (bodies.max(1) > 1.6 * bodies.min(1) + 0.01).mean()
-    assert white == pytest.approx(0.35, abs=0.046)
-    assert coloured == pytest.approx(0.18, abs=0.037)
-
-
 @pytest.mark.parametrize(
     ("kind", "size", "fit"),
     [
         ("truck", (16.5, 2.55, 4.0), {"truck.articulated", "truck.container",
                                       "truck.articulated_tank", "truck.road_train"}),
-        ("truck", (18.3, 2.55, 3.1), {"bus.articulated"}),
         ("truck", (30.0, 2.55, 4.0), {"truck.road_train"}),  # none: the nearest
-        ("car", (2.6, 1.6, 1.5), {"car.micro"}),
         ("car", (3.7, 1.66, 1.48), {name for name in VARIANTS["car"] if "van" not in name}),
         ("pedestrian", ADULT, {name for name in VARIANTS["pedestrian"] if "child" not in name}),
-        ("car", (5.9, 2.0, 2.7), {"car.high_van"}),
         ("cyclist", (2.5, 0.7, 1.75), {"bicycle.cargo", "motorcycle.tourer"}),
-        ("pedestrian", (0.5, 0.5, 1.05), {"walker.child_3", "walker.child_5"}),
         ("pedestrian", (0.3, 0.3, 0.8), {"walker.child_3"}),
     ],
 )  # fmt: skip
@@ -129,14 +93,10 @@ def test_the_size_of_a_box_decides(kind, size, fit):
     assert found <= fit
 
 
-@pytest.mark.parametrize(
-    ("call", "words"),
-    [
-        (lambda: fitting("tram", (9, 2, 3)), "class 'tram': one of car, truck, cyclist"),
-        (lambda: shape_of("car.jeep"), "shape 'car.jeep': one of car.micro"),
-        (lambda: paint("tram", np.random.default_rng(0)), "class 'tram'"),
-    ],
-)
-def test_unknown_shapes(call, words):
-    with pytest.raises(InspeError, match=words):
-        call()
+def test_unknown_shapes():
+    with pytest.raises(InspeError, match="class 'tram': one of car, truck, cyclist"):
+        fitting("tram", (9, 2, 3))
+    with pytest.raises(InspeError, match=r"shape 'car\.jeep': one of car\.micro"):
+        shape_of("car.jeep")
+    with pytest.raises(InspeError, match="class 'tram'"):
+        paint("tram", np.random.default_rng(0))

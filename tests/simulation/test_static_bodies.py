@@ -126,17 +126,15 @@ def test_a_parked_vehicle_in_the_region_is_a_road_user_that_stands_still():
     traffic = world(count=3, seed=2)
     away = np.array([[5.0, 0.0], [0.0, 9.0], [50.0, 0.0]]) + traffic.intersection.center[:2]
     sizes = (4.6, 1.8, 1.5), (9.0, 2.5, 3.2), (4.6, 1.8, 1.5)
-    bodies = [
-        upright_box("parked vehicle", at, size, 0.4) for at, size in zip(away, sizes, strict=True)
-    ]
+    pairs = zip(away, sizes, strict=True)
+    bodies = [upright_box("parked vehicle", at, size, 0.4) for at, size in pairs]
     scene = traffic.with_statics([*bodies, upright_box("wall", away[0] + 8, (3, 0.3, 2))])
     road_users, left = parked_vehicles(scene)
     assert [one.kind for one in left] == ["parked vehicle", "wall"]
     assert [CLASSES[kind] for kind in road_users.kind] == ["car", "truck"]
 
-    layout = place_sensors(
-        (LIDAR, [-12.0, 3.0, 4.0, 0.0, 0.0, 0.0]), (CAMERA, [-8.0, 0.0, 7.0, 0.0, -0.3, 0.0])
-    )
+    poses = [-12.0, 3.0, 4.0, 0.0, 0.0, 0.0], [-8.0, 0.0, 7.0, 0.0, -0.3, 0.0]
+    layout = place_sensors(*zip((LIDAR, CAMERA), poses, strict=True))
     frames = [EmbeddedRecorder(scene, layout).frame(t) for t in (0, 1)]
     (car, truck), (car_then, _) = (frame.boxes[-2:] for frame in frames)
     tracks = [box.track for box in frames[0].boxes]
@@ -157,8 +155,8 @@ def test_the_lights_of_parked_vehicles_are_off():
     place = world(count=0)
     car = upright_box("parked vehicle", place.voxels.center[:2] + [6.0, 0.0], (4.6, 1.8, 1.5), 0.4)
     layout = place_sensors((CAMERA, [-4.0, 0.0, 5.0, 0.0, -0.3, 0.0]))
-    night = Conditions("night")
-    recorder = EmbeddedRecorder(place.with_statics([car]), layout, night)
+    given = place.with_statics([car]), layout, Conditions("night"), Recording(image_scale=0.5)
+    recorder = EmbeddedRecorder(*given)
     (dark,) = recorder.frame(0).stations[0].images
     recorder.surroundings.parked = (replace(recorder.surroundings.parked[0], parked=False),)
     (lit,) = recorder.frame(0).stations[0].images
@@ -169,10 +167,8 @@ def test_the_lights_of_parked_vehicles_are_off():
 def test_a_parked_vehicle_looks_the_same_in_any_traffic():
     """Its track decides, which hangs on its own place."""
     empty, busy = world(count=0), world(count=9, seed=4)
-    car, other = (
-        upright_box("parked vehicle", empty.voxels.center[:2] + [x, 0.0], (4.6, 1.8, 1.5))
-        for x in (6.0, -6.0)
-    )
+    places = (empty.voxels.center[:2] + [x, 0.0] for x in (6.0, -6.0))
+    car, other = (upright_box("parked vehicle", at, (4.6, 1.8, 1.5)) for at in places)
     alone, _ = parked_vehicles(empty.with_statics([car]))
     among, _ = parked_vehicles(busy.with_statics([other, car]))
     assert alone.track[0] == among.track[1]

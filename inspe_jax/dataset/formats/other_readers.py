@@ -1,25 +1,53 @@
-"""What other people's readers of OPV2V data sets need.
-
-- Agents with the same number of cameras each, four in OPV2V: their pictures are one array. A
-  station with more cameras becomes several agents; one with fewer is filled up with black pictures
-  of cameras that look straight up.
-- The range of points and boxes to keep. The one that is set in readers is for a LiDAR on the roof
-  of a car: of one on a pole they keep no road user.
-- Maps of what cameras see, ``_bev_visibility.png``. HEAL's and CoAlign's camera readers keep the
-  boxes whose middle lies on a pixel that is not black.
+"""How files are written, and what other people's readers of OPV2V data sets need: agents with the
+same number of cameras each, four in OPV2V; the range of points and boxes to keep, as that of a
+LiDAR on a car keeps no road user of one on a pole; and maps of what cameras see: HEAL's and
+CoAlign's camera readers keep the boxes whose middle lies on a pixel that is not black.
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float, UInt8
 from PIL import Image as Pillow
 from PIL import ImageDraw
 
+from inspe_jax.core.errors import InspeError, check_known
 from inspe_jax.core.geometry import rotation
+from inspe_jax.dataset.formats.pictures import SUFFIXES
 from inspe_jax.scene.voxels import VoxelGrid
 from inspe_jax.simulation.frame import Image, RoadUserBox, Station
+
+MOST_CAMERAS = 16
+
+
+@dataclass(frozen=True)
+class FileOptions:
+    """How the files of a frame are written.
+
+    ``pictures``: JPEG files are a quarter of the size of PNG and are read four times as fast, but
+    few other readers look for them. ``cameras_per_agent``, for readers that want the same number
+    of all; 0 leaves them as they are. ``infra_set_names`` gives the first point cloud of each agent
+    a second name, ``_lidar0.pcd``, as the Infra-Set variant of OPV2V has it. ``visibility_maps``
+    adds a picture of the road users that the cameras of each agent see, ``_bev_visibility.png``.
+    """
+
+    pictures: str = "png"
+    cameras_per_agent: int = 0
+    infra_set_names: bool = False
+    visibility_maps: bool = False
+
+    def check(self, where: str) -> None:
+        """Raise InspeError where a value is out of range."""
+        check_known(self.pictures, SUFFIXES, f"{where}: pictures:")
+        if not 0 <= self.cameras_per_agent <= MOST_CAMERAS:
+            raise InspeError(
+                f"{where}: cameras_per_agent: {self.cameras_per_agent} is out of range: 1 to "
+                f"{MOST_CAMERAS}, or 0 for as many as there are"
+            )
+
+
+DEFAULT_OPTIONS = FileOptions()
 
 UP = np.array([0.0, np.pi / 2, 0.0])
 """Roll, pitch and yaw of a camera that looks straight up [rad]."""
@@ -52,12 +80,9 @@ def frame_of(agent: Station) -> Float[np.ndarray, "6"]:
 
 
 def with_cameras(stations: Sequence[Station], count: int) -> tuple[Station, ...]:
-    """The stations as agents with ``count`` cameras each; 0 leaves them as they are.
-
-    The first agent of a station keeps its number and its LiDARs. Others have the numbers after the
-    last station's, in the order of the stations, and no LiDAR. A station without a camera stays
-    without one where no other has one.
-    """
+    """The stations as agents with ``count`` cameras each; as they are if that is 0, or none has a
+    camera. The first agent of a station keeps its number and its LiDARs. Others have the numbers
+    after the last station's, in the order of the stations, and no LiDAR."""
     if not count or not any(station.images for station in stations):
         return tuple(stations)
     first, further = [], []
@@ -95,12 +120,9 @@ def _filled(images: list[Image], count: int, station: Station, like: Image) -> t
 
 
 def lidar_range(agents: Sequence[Station], voxels: VoxelGrid) -> list[float]:
-    """The range that holds every road user of the region as a whole, seen from any agent.
-
-    It is [x, y, z, x, y, z] [m], lower and upper limits in the frame of any agent, the same on all
-    four sides: what readers call ``cav_lidar_range``. They drop a box unless all of its corners lie
-    inside.
-    """
+    """The range that holds every road user of the region as a whole, seen from any agent: [x, y, z,
+    x, y, z] [m], lower and upper limits in the frame of any agent, the same on all four sides.
+    Readers call it ``cav_lidar_range``, and drop a box unless all of its corners lie inside."""
     ground = np.column_stack([voxels.columns, voxels.ground])
     around = np.concatenate([ground - [0.0, 0.0, BELOW], ground + [0.0, 0.0, HIGHEST]])
     side, low, high = 0.0, np.inf, -np.inf
@@ -116,11 +138,8 @@ def lidar_range(agents: Sequence[Station], voxels: VoxelGrid) -> list[float]:
 
 
 def visibility_map(agent: Station, boxes: Sequence[RoadUserBox]) -> UInt8[np.ndarray, "256 256"]:
-    """The map of an agent in its own frame: white on black, ahead is up.
-
-    A road user is white where at least one pixel of a camera shows it, or where it was not counted
-    what pixels show.
-    """
+    """The map of an agent in its own frame: white on black, ahead is up. A road user is white where
+    at least one pixel of a camera shows it, or where pixels were not counted."""
     pose = frame_of(agent)
     turn = rotation(pose[3:], np)
     picture = Pillow.new("L", (PIXELS, PIXELS))

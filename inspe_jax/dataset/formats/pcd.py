@@ -1,9 +1,6 @@
-"""Reads and writes PCD files, version 0.7: points with an intensity.
-
-Points are written as ``x y z rgb``, float32 and binary, with the intensity in the red byte of
+"""Reads and writes PCD files, version 0.7: ``x y z rgb``, with the intensity in the red byte of
 ``rgb``, as OPV2V has it. A reader of its own: pypcd4 (1.5) rejects files without COUNT, which the
-format allows, and raises errors of many kinds on damaged ones.
-"""
+format allows, and raises errors of many kinds on damaged ones."""
 
 import os
 from dataclasses import dataclass
@@ -39,10 +36,8 @@ _LONGEST_LINE = 10_000
 
 
 def write_pcd(path: str | os.PathLike[str], points: Any, note: str = "") -> None:
-    """Write points (N, 4): x, y, z [m] and intensity 0…1. The file appears when it is complete.
-
-    The intensity is rounded to 1/255. ``note`` becomes a comment in the header.
-    """
+    """Write points (N, 4): x, y, z [m] and intensity 0…1, which is rounded to 1/255. The file
+    appears when it is complete. ``note`` becomes a comment in the header."""
     points = np.asarray(points)
     rows = np.empty((len(points), 4), "<f4")
     rows[:, :3] = points[:, :3]

@@ -1,7 +1,5 @@
-"""Reads and writes pictures: colour as PNG or JPEG, depth, instance and semantic as PNG.
-
-The compression is fixed, so that the same picture always gives the same bytes.
-"""
+"""Reads and writes pictures: colour as PNG or JPEG, depth, instance and semantic as PNG. The
+compression is fixed, so that the same picture always gives the same bytes."""
 
 import zlib
 from pathlib import Path
@@ -19,7 +17,6 @@ as long again, and saves nothing."""
 QUALITY = {"quality": 95, "subsampling": 0}
 """Of JPEG files: colours at full resolution, and errors of about two steps of 255."""
 SUFFIXES = {"png": ".png", "jpeg": ".jpg"}
-"""By the names of :data:`~inspe_jax.dataset.formats.options.PICTURES`."""
 DEPTH_UNIT = 0.01
 """The resolution of a depth picture [m]."""
 DEPTH_CAP = 2**16 - 1

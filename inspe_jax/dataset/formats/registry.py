@@ -1,8 +1,5 @@
-"""The registry of data-set formats.
-
-To add a format, write a module with the four functions of a :class:`DatasetFormat`, and add a row
-to :data:`FORMATS`.
-"""
+"""The registry of data-set formats. To add one, write a module with the four functions of a
+:class:`DatasetFormat`, and add a row to :data:`FORMATS`."""
 
 import os
 from collections.abc import Callable, Mapping, Sequence
@@ -10,11 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from inspe_jax.core.errors import InspeError, check_known
-from inspe_jax.dataset.formats.options import DEFAULT_OPTIONS, FileOptions
+from inspe_jax.core.errors import check_known
 from inspe_jax.dataset.formats.opv2v import reader as opv2v_reader
 from inspe_jax.dataset.formats.opv2v import writer as opv2v_writer
-from inspe_jax.dataset.formats.protocol_file import PROTOCOL, read_protocol
+from inspe_jax.dataset.formats.other_readers import DEFAULT_OPTIONS, FileOptions
+from inspe_jax.dataset.formats.protocol_file import PROTOCOL
 from inspe_jax.simulation.frame import Frame
 
 
@@ -57,18 +54,6 @@ def format_of(folder: Path) -> DatasetFormat | None:
         if any(row.frames(folder, (agent,)) for agent in row.agents(folder)):
             return row
     return FORMATS[DEFAULT_FORMAT] if (folder / PROTOCOL).is_file() else None
-
-
-def read_frame(scenario: str | os.PathLike[str], number: int) -> Frame:
-    """A frame of a scenario, in whichever format it is stored.
-
-    Raises InspeError where there is no such folder or frame, or a file is broken.
-    """
-    folder = Path(scenario)
-    if not folder.is_dir():
-        raise InspeError(f"{folder}: no such folder")
-    row = format_of(folder) or FORMATS[DEFAULT_FORMAT]  # its reader says what is missing
-    return row.read(folder, number, row.agents(folder), read_protocol(folder))
 
 
 def write_frame(

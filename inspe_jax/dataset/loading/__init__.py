@@ -14,19 +14,6 @@ from inspe_jax.dataset.loading.loader import Loader
 from inspe_jax.dataset.loading.pillars import PillarGrid, pillar_features, taken
 
 __all__ = [
-    "Augment",
-    "Batch",
-    "Cache",
-    "Cameras",
-    "Lidars",
-    "Loader",
-    "PillarGrid",
-    "Pillars",
-    "Similarity",
-    "Targets",
-    "cache",
-    "on_picture",
-    "open_cache",
-    "pillar_features",
-    "taken",
-]
+    "Augment", "Batch", "Cache", "Cameras", "Lidars", "Loader", "PillarGrid", "Pillars",
+    "Similarity", "Targets", "cache", "on_picture", "open_cache", "pillar_features", "taken",
+]  # fmt: skip

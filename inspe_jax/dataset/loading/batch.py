@@ -1,10 +1,9 @@
 """What the loader gives: named tuples of NumPy arrays, which JAX takes as pytrees.
 
-Their shapes are the same in every batch, so that what is compiled once fits all. What is padding
-is 0, and its mask is false. Letters in shapes: B frames, S LiDARs, C cameras, N points of a cloud,
-M road users, H × W pixels, G units with LiDARs, P pillars, K points of a pillar. Positions are in
-the frame of the intersection, in metres: its middle on the ground is the origin, and the axes are
-those of the world, unless the frame was augmented.
+Their shapes are the same in every batch. What is padding is 0, and its mask is false. Letters in
+shapes: B frames, S LiDARs, C cameras, N points of a cloud, M road users, H × W pixels, G units with
+LiDARs, P pillars, K points of a pillar. Positions are in metres from the middle of the intersection
+on the ground; the axes are those of the world, unless the frame was augmented.
 """
 
 from typing import NamedTuple

@@ -1,8 +1,5 @@
-"""The decoded cache of a data set: made once, then read as fast as memory is copied.
-
-A cache is a folder with ``cache.json`` and, for each scenario, a folder ``SPLIT/SCENARIO`` as
-:mod:`inspe_jax.dataset.loading.stored` has it. Its arrays are mapped into memory: nothing is
-decoded when they are read, and the system keeps what was read lately.
+"""The decoded cache of a data set: a folder with ``cache.json`` and, for each scenario, a folder
+``SPLIT/SCENARIO`` as :mod:`inspe_jax.dataset.loading.stored` has it, mapped into memory when read.
 """
 
 import json
@@ -18,13 +15,8 @@ from inspe_jax.core.errors import InspeError, nearest
 from inspe_jax.core.files import check_model, prepare_folder, read_json, write_text
 from inspe_jax.core.parallel import cores
 from inspe_jax.dataset.folders import Dataset, Scenario, open_dataset, split_order
-from inspe_jax.dataset.loading.stored import (
-    PART,
-    RECORD,
-    StoredScenario,
-    decode,
-    digest_of_scenario,
-)
+from inspe_jax.dataset.loading import stored as storage
+from inspe_jax.dataset.loading.stored import StoredScenario, decode
 from inspe_jax.jobs.locks import lock_folder
 from inspe_jax.jobs.settings import Strict
 
@@ -81,19 +73,16 @@ def cache(
     workers: int | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Cache:
-    """Decode a data set into ``folder``, as far as it is not there yet.
+    """Decode a data set into ``folder``, as far as it is not there yet, also after a kill.
 
     ``pictures`` are resized to (height, width); None leaves them out. The scenarios are divided
-    among ``workers`` processes, one per core if not given; with 1, this process does it.
-    ``progress`` is called with (frames done, all frames).
-
-    A scenario appears when it is complete. After a run was killed, call this again: it continues.
-    Scenarios that were added to the set since are decoded as well.
+    among ``workers`` processes, one per core if not given; with 1, this process does it. A scenario
+    appears when it is complete. ``progress`` is called with (frames done, all frames).
 
     Scripts that call this need the usual ``if __name__ == "__main__":``, because workers are
     processes. Raises InspeError if the folder holds anything else, such as the cache of another
-    set, another state of the same set, or pictures of another size; if another run uses it; or if
-    a file of the set is broken. What was decoded until then stays.
+    state of the set or with pictures of another size; if another run uses it; or if a file of the
+    set is broken. What was decoded until then stays.
     """
     data = dataset if isinstance(dataset, Dataset) else open_dataset(dataset)
     if pictures is not None and not all(isinstance(n, int) and n >= 1 for n in pictures):
@@ -112,7 +101,7 @@ def cache(
         for split, scenario in each:
             if not scenario.frames:
                 continue
-            source = digest_of_scenario(scenario)
+            source = storage.digest_of_scenario(scenario)
             stored = there.get((split, scenario.name))
             if stored is None:
                 todo.append((scenario, path / split / scenario.name, source, pictures))
@@ -193,7 +182,7 @@ def _stored(path: Path) -> Iterator[StoredScenario]:
     splits = sorted(child for child in path.iterdir() if child.is_dir())
     for split in sorted(splits, key=split_order):
         for place in sorted(child for child in split.iterdir() if child.is_dir()):
-            if not (place.name.startswith(".") and place.name.endswith(PART)):
-                if not (place / RECORD).is_file():
+            if not (place.name.startswith(".") and place.name.endswith(storage.PART)):
+                if not (place / storage.RECORD).is_file():
                     raise InspeError(f"{place}: is no part of a cache: move it away")
                 yield StoredScenario(place, split.name)

@@ -37,9 +37,7 @@ def on_picture(points: Any, pose: Any, intrinsic: Any, xp: Any = np) -> Any:
 @dataclass(frozen=True)
 class Similarity:
     """Mirrors the plane y = 0 if ``mirrored``, then turns about the z axis by ``turn`` [rad], then
-    scales by ``scale``, all about the middle of the intersection.
-
-    It moves points, poses, boxes and pictures: what was consistent stays consistent.
+    scales by ``scale``, all about the middle of the intersection: points, poses, boxes, pictures.
     """
 
     mirrored: bool = False
@@ -60,11 +58,8 @@ class Similarity:
         return found
 
     def of_poses(self, poses: Float[np.ndarray, "*n 4 4"]) -> Float[np.ndarray, "*n 4 4"]:
-        """Poses of the sensors in the moved world: rotations, not scaled and not mirrored.
-
-        A mirrored sensor has its left and right exchanged: its new body frame is the mirrored one
-        with y reversed.
-        """
+        """Poses of the sensors in the moved world: rotations, not scaled and not mirrored. The body
+        frame of a mirrored sensor is the mirrored one with y reversed."""
         moved = np.array(poses)
         moved[..., :3, 3] = poses[..., :3, 3] @ self.linear.T
         moved[..., :3, :3] = (self.linear / self.scale) @ poses[..., :3, :3]
@@ -75,10 +70,8 @@ class Similarity:
     def of_intrinsics(
         self, intrinsics: Float[np.ndarray, "*n 3 3"], width: float
     ) -> Float[np.ndarray, "*n 3 3"]:
-        """Calibrations of pictures, which :meth:`copy_picture` mirrors if the world is mirrored.
-
-        Column u becomes ``width`` − u. Turns and scales leave a picture as it is.
-        """
+        """Calibrations of pictures, which :meth:`copy_picture` mirrors if the world is mirrored:
+        column u becomes ``width`` − u. Turns and scales leave a picture as it is."""
         moved = np.array(intrinsics)
         if self.mirrored:
             moved[..., 0, 1] *= -1
@@ -96,10 +89,8 @@ class Similarity:
             out[..., colour] = picture[:, ::-1, colour]
 
     def of_boxes(self, boxes: Float[np.ndarray, "N 9"]) -> Float[np.ndarray, "N 9"]:
-        """Boxes: x, y, z, length, width, height, yaw within ±π, and velocity in x and y.
-
-        Velocities scale as lengths do: the time between frames stays.
-        """
+        """Boxes: x, y, z, length, width, height, yaw within ±π, and velocity in x and y, which
+        scales as lengths do: the time between frames stays."""
         moved = np.array(boxes)
         moved[:, :3] = boxes[:, :3] @ self.linear.T
         moved[:, 3:6] *= self.scale

@@ -1,9 +1,8 @@
 """Batches of a cache for training: in a repeatable order, augmented, read ahead by threads.
 
-Threads, not worker processes: what takes time is NumPy copying and multiplying large arrays, during
-which Python's lock is free, and no batch has to be copied from another process. A :class:`Loader`
-is a source of random access, which ``grain`` can read as well; ``experiments/loading.py`` compares
-both.
+Threads, not worker processes: NumPy copies and multiplies large arrays without Python's lock, and
+no batch is copied from another process. ``grain`` can read a :class:`Loader` as well;
+``experiments/loading.py`` compares both.
 """
 
 from collections import deque
@@ -24,6 +23,8 @@ from inspe_jax.dataset.loading.stored import StoredScenario, to_metres, woven
 
 Sensor = Literal["camera", "lidar"]
 SENSORS: tuple[Sensor, ...] = get_args(Sensor)
+
+_Frame = tuple[StoredScenario, int]  # a scenario, and the place of a frame in it
 
 AHEAD = 2
 """Batches that each worker may be ahead of what was asked for: one that is being made, and one that
@@ -93,7 +94,6 @@ class Loader:
             )
 
     def __len__(self) -> int:
-        """Number of batches of an epoch."""
         frames = len(self.frames)
         return frames // self.batch if self.shuffle else -(-frames // self.batch)
 
@@ -108,20 +108,19 @@ class Loader:
         for b, (s, t) in enumerate(self.frames[chosen].tolist()):
             draw = np.random.default_rng([self.seed, epoch, first + b, 1])
             moved = Similarity() if self.augment is None else self.augment.similarity(draw)
-            stored = self.scenarios[s]
-            found.scenario[b], found.number[b] = s, stored.index["number"][t]
+            of = self.scenarios[s], t
+            found.scenario[b], found.number[b] = s, of[0].index["number"][t]
             found.transform[b], found.valid[b] = moved.matrix, True
             if found.lidars is not None:
-                self._fill_lidars(found.lidars, b, stored, t, moved, draw)
+                self._fill_lidars(found.lidars, b, of, moved, draw)
             if found.cameras is not None:
-                _fill_cameras(found.cameras, b, stored, t, moved)
-            self._fill_targets(found.targets, b, stored, t, moved)
+                _fill_cameras(found.cameras, b, of, moved)
+            self._fill_targets(found.targets, b, of, moved)
         if found.cameras is not None:
             found.cameras.pixels[~found.cameras.present] = 0
         return found
 
     def __iter__(self) -> Iterator[Batch]:
-        """The batches of the first epoch."""
         return self.steps(0, len(self))
 
     def steps(self, start: int = 0, stop: int | None = None) -> Iterator[Batch]:
@@ -183,53 +182,35 @@ class Loader:
         cameras = max(each.cameras for each in records)
         pixels, found_lidars, found_cameras = self.cache.pictures, None, None
         if "lidar" in self.sensors and lidars:
-            grid, shape = self.grid, (size, lidars, max(1, *(r.most_points for r in records)))
-            units = max(each.lidar_units for each in records)
-            found_lidars = Lidars(
-                points=np.zeros((*shape, 4), np.float32) if grid is None else None,
-                mask=np.zeros(shape, bool) if grid is None else None,
-                pillars=None if grid is None else grid.empty(size, units),
-                pose=_identities(size, lidars),
-                present=np.zeros((size, lidars), bool),
-                unit=np.zeros((size, lidars), np.int32),
-            )
+            points, mask, pillars = None, None, None
+            if self.grid is None:
+                shape = size, lidars, max(1, *(each.most_points for each in records))
+                points, mask = np.zeros((*shape, 4), np.float32), np.zeros(shape, bool)
+            else:
+                pillars = self.grid.empty(size, max(each.lidar_units for each in records))
+            found_lidars = Lidars(points, mask, pillars, *_no_sensors(size, lidars))
         if "camera" in self.sensors and cameras and pixels:
-            found_cameras = Cameras(
-                pixels=np.empty((size, cameras, *pixels, 3), np.uint8),
-                intrinsic=_identities(size, cameras, side=3),
-                pose=_identities(size, cameras),
-                present=np.zeros((size, cameras), bool),
-                unit=np.zeros((size, cameras), np.int32),
-            )
+            colours = np.empty((size, cameras, *pixels, 3), np.uint8)
+            intrinsic = _identities(size, cameras, side=3)
+            found_cameras = Cameras(colours, intrinsic, *_no_sensors(size, cameras))
         places = size, max(1, *(each.most_boxes for each in records))
-        return Batch(
-            lidars=found_lidars,
-            cameras=found_cameras,
-            targets=Targets(
-                boxes=np.zeros((*places, 9), np.float32),
-                kind=np.zeros(places, np.int32),
-                track=np.zeros(places, np.int32),
-                returns=np.zeros((*places, lidars), np.int32),
-                pixels=np.zeros((*places, cameras), np.float32),
-                mask=np.zeros(places, bool),
-            ),
-            scenario=np.zeros(size, np.int32),
-            number=np.zeros(size, np.int32),
-            transform=_identities(size),
-            valid=np.zeros(size, bool),
+        targets = Targets(
+            boxes=np.zeros((*places, 9), np.float32),
+            kind=np.zeros(places, np.int32),
+            track=np.zeros(places, np.int32),
+            returns=np.zeros((*places, lidars), np.int32),
+            pixels=np.zeros((*places, cameras), np.float32),
+            mask=np.zeros(places, bool),
         )
+        number, valid = np.zeros(size, np.int32), np.zeros(size, bool)
+        given = found_lidars, found_cameras, targets
+        return Batch(*given, number.copy(), number, _identities(size), valid)
 
     def _fill_lidars(
-        self,
-        found: Lidars,
-        b: int,
-        stored: StoredScenario,
-        t: int,
-        moved: Similarity,
-        draw: np.random.Generator,
+        self, found: Lidars, b: int, of: _Frame, moved: Similarity, draw: np.random.Generator
     ) -> None:
-        index, clouds = stored.index, list[np.ndarray]()
-        poses = _fill_poses(found, b, stored, t, moved)
+        (stored, t), clouds = of, list[np.ndarray]()
+        index, poses = stored.index, _fill_poses(found, b, of, moved)
         for s, pose in enumerate(poses):
             steps = stored.cloud(t, s)
             if found.points is not None and found.mask is not None:
@@ -246,9 +227,8 @@ class Loader:
                 group = Pillars(*(part[b, g] for part in found.pillars))
                 self.grid.fill(woven(own), group, order)
 
-    def _fill_targets(
-        self, found: Targets, b: int, stored: StoredScenario, t: int, moved: Similarity
-    ) -> None:
+    def _fill_targets(self, found: Targets, b: int, of: _Frame, moved: Similarity) -> None:
+        stored, t = of
         own = {
             name: stored.index[name][stored.boxes(t)]
             for name in ("boxes", "kind", "track", "returns", "pixels")
@@ -268,10 +248,9 @@ class Loader:
             getattr(found, name)[b, :count, :sensors] = own[name][near]
 
 
-def _fill_cameras(
-    found: Cameras, b: int, stored: StoredScenario, t: int, moved: Similarity
-) -> None:
-    count = len(_fill_poses(found, b, stored, t, moved))
+def _fill_cameras(found: Cameras, b: int, of: _Frame, moved: Similarity) -> None:
+    stored, t = of
+    count = len(_fill_poses(found, b, of, moved))
     width = found.pixels.shape[3]
     found.intrinsic[b, :count] = moved.of_intrinsics(stored.index["intrinsic"][t], width)
     for c in range(count):
@@ -279,9 +258,10 @@ def _fill_cameras(
 
 
 def _fill_poses(
-    found: Lidars | Cameras, b: int, stored: StoredScenario, t: int, moved: Similarity
+    found: Lidars | Cameras, b: int, of: _Frame, moved: Similarity
 ) -> Float[np.ndarray, "S 4 4"]:
     """Write the units and the poses of a frame's sensors; gives the poses."""
+    stored, t = of
     kind = "lidar" if isinstance(found, Lidars) else "camera"
     poses = np.array(stored.index[f"{kind}_pose"][t])
     poses[:, :3, 3] -= stored.middle
@@ -290,6 +270,11 @@ def _fill_poses(
     found.present[b, :count] = True
     found.pose[b, :count] = poses
     return poses
+
+
+def _no_sensors(*shape: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """``pose``, ``present`` and ``unit`` of padding."""
+    return _identities(*shape), np.zeros(shape, bool), np.zeros(shape, np.int32)
 
 
 def _identities(*leading: int, side: int = 4) -> Float[np.ndarray, "... n n"]:

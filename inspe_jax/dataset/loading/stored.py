@@ -61,10 +61,8 @@ class ScenarioRecord(Strict):
 
 
 class StoredScenario:
-    """A decoded scenario of T frames with S LiDARs and C cameras each.
-
-    It holds its place alone until its arrays are used, also when it is sent to another process.
-    """
+    """A decoded scenario of T frames with S LiDARs and C cameras each. It holds its place alone
+    until its arrays are used, also when it is sent to another process."""
 
     def __init__(self, path: Path, split: str) -> None:
         """Raises InspeError if a file is missing, or has another size than when it was written."""
@@ -137,10 +135,8 @@ class StoredScenario:
 
 
 def digest_of_scenario(scenario: Scenario) -> str:
-    """Identifies what a scenario holds, by its protocol and the names and sizes of its files.
-
-    It is the same for a copy. A file that was altered but kept its size is not noticed.
-    """
+    """Identifies what a scenario holds, by its protocol and the names and sizes of its files, the
+    same for a copy. A file that was altered but kept its size is not noticed."""
     found = hashlib.sha256()
     found.update(json.dumps(json_value(scenario.protocol), sort_keys=True, default=str).encode())
     for place, folders, names in os.walk(scenario.path):
@@ -281,11 +277,8 @@ def _boxes(boxes: Sequence[RoadUserBox]) -> dict[str, np.ndarray]:
 
 
 def _middle(scenario: Scenario, index: dict[str, np.ndarray]) -> list[float]:
-    """The middle of the intersection on the ground [m], as the protocol says.
-
-    If it does not, the middle of where road users are in all frames, which is the same for every
-    placement in the same traffic, on the median of the bottoms of their boxes; or of the sensors
-    where there are no road users.
+    """The middle of the intersection on the ground [m], as the protocol says; else that of where
+    road users are in all frames, on the median of the bottoms of their boxes; else of the sensors.
     """
     told = scenario.protocol.get("middle")
     if isinstance(told, list) and len(told) == 3:

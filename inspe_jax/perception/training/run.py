@@ -1,52 +1,113 @@
-"""The folder of a training: its record, what each step told, and its last two states; and the cache
-of the data set that a command names.
+"""What a training depends on; its folder: its record, what each step told, and its last two states;
+and the cache of the data set that a command names.
 
 ``run.json`` says what is trained on what. ``losses.csv`` has a row for each step, and
 ``validation.csv`` one for each time that mAP was measured. ``step_00000250.eqx`` is the state after
 250 steps: the detector and the optimiser's moments, as Equinox writes them.
 """
 
+import functools
 import json
 import os
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal, TypeAlias
 
 import equinox as eqx
 import jax
-from pydantic import BaseModel
+import numpy as np
+import optax
+from pydantic import Field
 
+from inspe_jax.core import files
 from inspe_jax.core.errors import InspeError
-from inspe_jax.core.files import (
-    STRICT,
-    check_model,
-    csv_line,
-    named,
-    prepare_folder,
-    read_csv,
-    read_json,
-    whole_file,
-    write_text,
-)
-from inspe_jax.dataset.loading import Cache, cache, open_cache
+from inspe_jax.core.files import check_model, prepare_folder, read_json, write_text
+from inspe_jax.dataset.loading import Augment, Cache, cache, open_cache
 from inspe_jax.dataset.loading.caching import CACHE, pictures_of
 from inspe_jax.jobs.locks import lock_folder
+from inspe_jax.jobs.settings import Count, Length, Strict
 from inspe_jax.perception.detector import Detector, model_of
-from inspe_jax.perception.training.settings import Content, optimiser
+from inspe_jax.perception.inputs import Agents, BevGrid
 
 RECORD, LOSSES, VALIDATION, LOCK = "run.json", "losses.csv", "validation.csv", ".run.lock"
 TEACHER_RUN = "teacher"
 """The folder in a run of a model that is taught: that of its teacher's training."""
 KEPT = 2  # states that are kept: the last, and the one before it in case the last is damaged
 
+Positive = Annotated[int, Field(ge=1)]
 State = tuple[Detector, Any]  # the detector, and the moments of the optimiser
 
+AUGMENT = Augment(flip=0.5, turn=np.pi, scale=(0.95, 1.05))
+"""Intersections have arms in any direction, so they are turned by any angle."""
 
-class _Record(BaseModel):
-    model_config = STRICT
+Optimiser: TypeAlias = optax.GradientTransformation
 
+RISE = 0.3  # share of the steps in which the learning rate rises; as in OneCycle's usual setting
+FEWEST = 4
+"""Steps of the shortest schedule: of fewer, three tenths are none, and a rise has no length."""
+DECAY = 0.01  # AdamW's weight decay (Loshchilov and Hutter 2019)
+MOST_GRADIENT = 10.0
+"""Norm to which gradients are cut. A first step has 30 to 100; later ones are below it."""
+
+
+class TrainingSettings(Strict):
+    """How a detector is trained.
+
+    ``model`` is a name of :data:`~inspe_jax.perception.detector.MODELS`. ``steps`` of ``batch``
+    frames each; ``rate`` is the highest learning rate, of AdamW under a schedule that rises for
+    three tenths of the steps and falls for the rest (Smith and Topin 2019). After every ``every``
+    steps the state is kept, and the mAP of ``validate_frames`` frames of the split ``validate`` is
+    measured. With ``augment``, frames are mirrored, turned and scaled at random. The defaults are
+    what two cores train in an hour.
+    """
+
+    model: str
+    steps: Positive = 1500
+    batch: Positive = 2
+    rate: Length = 2e-3
+    seed: Count = 0
+    every: Positive = 250
+    validate_frames: Count = 60
+    augment: bool = True
+
+
+class Content(Strict):
+    """What a run depends on: its settings, and what of the data set decides shapes and samples."""
+
+    settings: TrainingSettings
+    frames: dict[str, int]
+    scenarios: str
+    pictures: list[int] | None
+    lidars: int
+    cameras: int
+    half: float
+    cell: float
+    low: float
+    high: float
+
+    @property
+    def agents(self) -> Agents:
+        """The agents that the detector is made for."""
+        return Agents(self.lidars, self.cameras)
+
+    @property
+    def grid(self) -> BevGrid:
+        """The cells that the detector is made for."""
+        return BevGrid(half=self.half, cell=self.cell, low=self.low, high=self.high)
+
+
+@functools.cache  # equal ones are the same, so that a step is compiled once for all of them
+def optimiser(steps: int, rate: float) -> Optimiser:
+    """AdamW on cut gradients; its rate rises to ``rate`` and falls once in ``steps`` (Smith and
+    Topin 2019)."""
+    rates = optax.cosine_onecycle_schedule(max(steps, FEWEST), rate, RISE)
+    cut = optax.clip_by_global_norm(MOST_GRADIENT)
+    return optax.chain(cut, optax.adamw(rates, weight_decay=DECAY))
+
+
+class _Record(Strict):
     format: Literal["inspe_jax run 2"] = "inspe_jax run 2"
     content: Content
 
@@ -72,7 +133,7 @@ class TrainingRun:
     def rows(self, name: str) -> list[dict[str, float]]:
         """The rows of :data:`LOSSES` or of :data:`VALIDATION`."""
         path = self.path / name
-        rows = read_csv(path) if path.is_file() else []
+        rows = files.read_csv(path) if path.is_file() else []
         try:
             return [{key: float(value) for key, value in row.items()} for row in rows]
         except ValueError as e:
@@ -81,10 +142,10 @@ class TrainingRun:
     def write(self, name: str, row: Mapping[str, float]) -> None:
         """Append a row; numbers are written so that they read back the same."""
         path = self.path / name
-        with named(path), path.open("a", newline="", encoding="utf-8") as file:
+        with files.named(path), path.open("a", newline="", encoding="utf-8") as file:
             if not file.tell():
-                file.write(csv_line(row))
-            file.write(csv_line(row.values()))
+                file.write(files.csv_line(row))
+            file.write(files.csv_line(row.values()))
 
     def forget(self, after: int) -> None:
         """Drop the rows of steps after ``after``: they are told again, and come out the same."""
@@ -99,16 +160,14 @@ class TrainingRun:
 
     def keep(self, step: int, state: State) -> None:
         """Write the state after ``step`` steps, whole or not at all; older ones go."""
-        with whole_file(self.path / f"step_{step:08}.eqx") as file:
+        with files.whole_file(self.path / f"step_{step:08}.eqx") as file:
             eqx.tree_serialise_leaves(file, state)
         for _, path in self.states[:-KEPT]:
             path.unlink()
 
     def restore(self) -> tuple[int, State]:
-        """The last state and its step; that before the first step if there is none.
-
-        Raises InspeError if its file is damaged.
-        """
+        """The last state and its step; that before the first step if there is none. Raises
+        InspeError if its file is damaged."""
         if not self.states:
             # Compiled as one: dispatched one by one, each shape of weights would be compiled.
             return 0, eqx.filter_jit(self._first)()
@@ -127,7 +186,6 @@ class TrainingRun:
         return step, found
 
     def _first(self) -> State:
-        """The state that training begins with."""
         settings, agents, grid = self.content.settings, self.content.agents, self.content.grid
         detector = Detector(model_of(settings.model), agents, grid, jax.random.key(settings.seed))
         weights = eqx.filter(detector, eqx.is_inexact_array)
@@ -144,12 +202,9 @@ class TrainingRun:
 
 @contextmanager
 def begun(folder: str | os.PathLike[str], content: Content) -> Iterator[TrainingRun]:
-    """A run in ``folder``, new or begun before with the same content, while it is trained.
-
-    Meanwhile nobody else begins or trains it. What a kill left unfinished goes. Raises InspeError
-    if another process trains it, or if the folder has another run, saying what is different, or
-    other files.
-    """
+    """A run in ``folder``, new or begun before with the same content, locked while it is trained.
+    What a kill left unfinished goes. Raises InspeError if another process trains it, or if the
+    folder has another run, saying what is different, or other files."""
     path = prepare_folder(folder).resolve()
     if not (path / RECORD).is_file():
         _check_no_others(path)  # before a lock is written there
@@ -182,12 +237,8 @@ def _recorded(path: Path, content: Content) -> TrainingRun:
 
 def _check_no_others(path: Path) -> None:
     """Raise InspeError if a folder has more than a teacher, and what a kill left."""
-    others = sorted(
-        child.name
-        for child in path.iterdir()
-        if child.name not in (LOCK, TEACHER_RUN) and child.suffix != ".part"
-    )
-    if others:
+    names = (child.name for child in path.iterdir() if child.suffix != ".part")
+    if others := sorted({*names} - {LOCK, TEACHER_RUN}):
         raise InspeError(f"{path}: has other files, such as {others[0]}: name an empty folder")
 
 
@@ -197,9 +248,8 @@ def open_run(folder: str | os.PathLike[str]) -> TrainingRun:
     path = Path(folder).resolve()
     if not (path / RECORD).is_file():
         raise InspeError(f"{folder}: not a training run: make one with inspe train")
-    return TrainingRun(
-        path, check_model(_Record, read_json(path / RECORD), str(path / RECORD)).content
-    )
+    record = check_model(_Record, read_json(path / RECORD), str(path / RECORD))
+    return TrainingRun(path, record.content)
 
 
 def _step(line: str) -> float:
@@ -222,9 +272,9 @@ def cache_of(
     """A data set as a cache; ``source`` may be one.
 
     What of the set is not decoded yet is decoded into ``folder``, or else into a folder beside the
-    set, which has its name and ``_cache``. ``pictures`` are resized to (height, width). A cache
-    that is given has the size that it has; so has one that is there already, if ``any_size`` will
-    do. Raises InspeError if a cache is given with a ``folder``.
+    set, which has its name and ``_cache``. ``pictures`` are resized to (height, width), unless a
+    cache is given, or is there already and ``any_size`` will do. Raises InspeError if a cache is
+    given with a ``folder``.
     """
     source = Path(source)
     if (source / CACHE).is_file():
@@ -238,6 +288,26 @@ def cache_of(
     if any_size and (into / CACHE).is_file():
         pictures = pictures_of(into)
     return cache(source, into, pictures=pictures, progress=progress)
+
+
+def agents_of(cache: Cache) -> Agents:
+    """The most units with LiDARs, and with cameras, that a scenario of a cache has."""
+    lidars = max(each.record.lidar_units for each in cache.scenarios)
+    each_units = (each.index["camera_unit"] for each in cache.scenarios)
+    cameras = max(len(np.unique(units[units > 0])) for units in each_units)
+    return Agents(lidars, cameras if cache.pictures else 0)
+
+
+def check_sensors(name: str, cache: Cache) -> None:
+    """Raise InspeError if a model needs sensors that a cache has no data of."""
+    model, agents = model_of(name), agents_of(cache)
+    if "lidar" in model.sensors and not agents.lidars:
+        raise InspeError(f"{cache.path}: {name} needs LiDARs, and no scenario has one")
+    if "camera" in model.sensors and not agents.cameras:
+        why = "no scenario has a camera"
+        if not cache.pictures:
+            why = "the cache was made without pictures: cache the set again, with pictures"
+        raise InspeError(f"{cache.path}: {name} needs pictures, and {why}")
 
 
 def pictures_in_words(found: Cache) -> str:

@@ -18,18 +18,21 @@ from inspe_jax.core.errors import InspeError
 from inspe_jax.core.parallel import cores
 from inspe_jax.dataset.loading import Cache, Loader, Targets, open_cache
 from inspe_jax.jobs.engine import Messages, check_workers, load_cluster, run_jobs
-from inspe_jax.perception.detector import TEACHER, Detector, model_of
+from inspe_jax.perception.detector import TEACHER, Detector, Predictor, loader_of, model_of
 from inspe_jax.perception.evaluation import NoTruth
 from inspe_jax.perception.head import aims, loss, perspective_loss
 from inspe_jax.perception.inputs import BevGrid, Inputs, inputs_of
-from inspe_jax.perception.training.predict import Predictor, loader_of
-from inspe_jax.perception.training.run import LOSSES, TEACHER_RUN, VALIDATION, TrainingRun, begun
-from inspe_jax.perception.training.settings import (
+from inspe_jax.perception.training.run import (
     AUGMENT,
+    LOSSES,
+    TEACHER_RUN,
+    VALIDATION,
     Content,
     Optimiser,
+    TrainingRun,
     TrainingSettings,
     agents_of,
+    begun,
     check_sensors,
     optimiser,
 )
@@ -50,21 +53,23 @@ class Report(NamedTuple):
 Progress = Callable[[Report], None]  # what is called after each step of a training
 
 
+Scalar = Float[Array, ""]
+
+
 class _Losses(NamedTuple):
-    heat: Float[Array, ""]
-    values: Float[Array, ""]
-    taught: Float[Array, ""]
-    on_pictures: Float[Array, ""]
+    heat: Scalar
+    values: Scalar
+    taught: Scalar
+    on_pictures: Scalar
 
 
 def content_of(cache: Cache, settings: TrainingSettings, grid: BevGrid) -> Content:
     """What a run of these settings on a cache depends on."""
     sources = sorted((each.split, each.name, each.record.source) for each in cache.scenarios)
+    frames = {name: sum(one.record.frames for one in own) for name, own in cache.splits.items()}
     return Content(
         settings=settings,
-        frames={
-            name: sum(each.record.frames for each in own) for name, own in cache.splits.items()
-        },
+        frames=frames,
         scenarios=digest(sources),
         pictures=None if cache.pictures is None else list(cache.pictures),
         **agents_of(cache)._asdict(),
@@ -94,16 +99,9 @@ def train(
     grid.check()
     model = model_of(settings.model)
     check_sensors(settings.model, cache)
-    loader = loader_of(
-        settings.model,
-        cache,
-        "train",
-        grid,
-        batch=settings.batch,
-        seed=settings.seed,
-        augment=AUGMENT if settings.augment else None,
-        workers=1,
-    )
+    how: dict[str, Any] = dict(batch=settings.batch, seed=settings.seed, workers=1)
+    how["augment"] = AUGMENT if settings.augment else None
+    loader = loader_of(settings.model, cache, "train", grid, **how)
     with begun(folder, content_of(cache, settings, grid)) as run:
         teacher = None
         if model.taught:
@@ -158,7 +156,7 @@ def _finite(detector: Detector) -> bool:
 
 def objective(
     detector: Detector, teacher: Detector | None, inputs: Inputs, targets: Targets, grid: BevGrid
-) -> tuple[Float[Array, ""], _Losses]:
+) -> tuple[Scalar, _Losses]:
     """What is made small, and its parts."""
     predicted = detector(inputs)
     heat, values = loss(predicted.found, aims(targets, grid))
@@ -173,9 +171,7 @@ def objective(
     return sum(losses, jnp.zeros(())), losses
 
 
-def distillation(
-    taught: Float[Array, "B h w c"], teacher: Float[Array, "B h w c"]
-) -> Float[Array, ""]:
+def distillation(taught: Float[Array, "B h w c"], teacher: Float[Array, "B h w c"]) -> Scalar:
     """The loss of a student whose features are to say what its teacher's say (DiscoNet, Li et al.
     2021): the Kullback–Leibler divergence of their distributions over channels, for a cell.
 
@@ -204,14 +200,13 @@ def training_step(
 
 def _validate(cache: Cache, run: TrainingRun, predictor: Predictor, step: int) -> float | None:
     """The mAP on the split ``validate``, if there is one, as a row of the run."""
-    content = run.content
-    if not content.settings.validate_frames or "validate" not in cache.splits:
+    settings = run.content.settings
+    if not settings.validate_frames or "validate" not in cache.splits:
         return None
-    loader = loader_of(
-        content.settings.model, cache, "validate", content.grid, batch=1, shuffle=False
-    )
+    grid = run.content.grid
+    loader = loader_of(settings.model, cache, "validate", grid, batch=1, shuffle=False)
     try:
-        found = predictor.evaluate(loader, content.settings.validate_frames)
+        found = predictor.evaluate(loader, settings.validate_frames)
     except NoTruth:
         return None
     classes = dict(zip(KINDS, found.class_ap.tolist(), strict=True))
@@ -296,9 +291,8 @@ def train_all(
     with load_cluster().client(scheduler, count) as client:
         messages = Messages(client, heard)
         jobs = sorted(trainings, key=lambda training: training.scene)
-        for training, found in run_jobs(
-            client, jobs, _shared, _work, messages.topic, work, ahead=1
-        ):
+        given = jobs, _shared, _work, messages.topic, work
+        for training, found in run_jobs(client, *given, ahead=1):
             heard((training.key, training.steps))
             yield training, found
 
@@ -310,7 +304,6 @@ def _shared(training: Training) -> None:
 def _work(
     shared: None, training: Training, topic: str, work: Callable[[Training, Progress], Any]
 ) -> Any:
-    """What a worker does."""
     settings = training.settings
 
     def report(now: Report) -> None:

@@ -63,10 +63,8 @@ class CarlaSensor(Protocol):
 
 
 class CarlaCamera:
-    """A camera, and a camera of CARLA for each picture that its layers are made of.
-
-    Raises InspeError where pictures have another shape than the spec's own.
-    """
+    """A camera, and a camera of CARLA for each picture that its layers are made of. Raises
+    InspeError where pictures have another shape than the spec's own."""
 
     def __init__(self, spec: CameraSpec, recording: Recording) -> None:
         width, height = recording.picture_size(spec.width, spec.height)
@@ -108,11 +106,8 @@ class CarlaCamera:
 
 
 class CarlaLidar:
-    """A LiDAR: one turn per frame, all rays of the spec, no losses.
-
-    Random losses are added afterwards: CARLA's own random numbers continue from frame to frame, and
-    a frame should be the same however often it is recorded.
-    """
+    """A LiDAR: one turn per frame, all rays of the spec. Losses are added afterwards: CARLA's own
+    random numbers continue from frame to frame, so a frame would not repeat."""
 
     blueprints: tuple[str, ...] = ("sensor.lidar.ray_cast",)
 
@@ -172,10 +167,7 @@ class SensorQueue:
 
     def take(self, frame: int, until: float) -> Any:
         """The measurement of a frame of the server; None if it has not arrived by ``until``, a time
-        on the monotonic clock [s].
-
-        Measurements of earlier frames are dropped.
-        """
+        on the monotonic clock [s]. Measurements of earlier frames are dropped."""
         try:
             while True:
                 found = self._queue.get(timeout=max(until - time.monotonic(), 1e-3))
@@ -205,11 +197,8 @@ def instances_of(
     intrinsic: Float[np.ndarray, "3 3"],
     boxes: Boxes,
 ) -> Int[np.ndarray, "H W"]:
-    """Track + 1 of each pixel, 0 where there is no road user.
-
-    A pixel with the label of a road user shows the one whose box its point lies in, or is nearest
-    to within :data:`MARGIN`. ``depth`` [m], ``pose`` and ``intrinsic`` are the camera's.
-    """
+    """Track + 1 of each pixel, 0 where there is no road user: a pixel with the label of one shows
+    that whose box its point lies in, or is nearest to within :data:`MARGIN`."""
     found = np.zeros(depth.shape, np.int32)
     rows, columns = np.nonzero(np.isin(semantic, ROAD_USER_LABELS) & np.isfinite(depth))
     away = depth[rows, columns].astype(float)

@@ -49,12 +49,9 @@ def plain_errors(server: Server) -> Iterator[None]:
 
 @dataclass(eq=False)
 class CarlaSession:
-    """A connected client, its world, and what has to be restored there at the end.
-
-    ``carla`` is the client's module; ``settings`` and ``weather`` are those of before; ``actors``
-    are the ids of spawned actors, ``listening`` the sensors among them; ``hidden`` are the ids of
-    parked vehicles that were hidden.
-    """
+    """A connected client, its world, and what has to be restored there at the end: ``settings`` and
+    ``weather`` of before, the ids of spawned ``actors``, the sensors ``listening`` among them, and
+    the ids of parked vehicles that were ``hidden``."""
 
     carla: Any
     client: Any
@@ -79,10 +76,8 @@ class CarlaSession:
         return actor
 
     def command(self, commands: list[Any]) -> list[int]:
-        """Run commands as a batch; gives the ids of their actors, which may be new.
-
-        Raises InspeError, after the whole batch, if a command failed.
-        """
+        """Run commands as a batch; gives the ids of their actors, which may be new. Raises
+        InspeError, after the whole batch, if a command failed."""
         if not commands:
             return []
         replies = self.client.apply_batch_sync(commands, False)
@@ -157,23 +152,16 @@ def session_on(
 
 
 def weather_of(carla: Any, conditions: Conditions) -> Any:
-    """CARLA's weather parameters; the sun stands where it does for the embedded recorder.
-
-    ``carla`` is the client's module. CARLA's percentages of rain and fog have no unit. Rain of
+    """CARLA's weather parameters; the sun stands where it does for the embedded recorder. Rain of
     10 mm/h becomes 63 %, between CARLA's presets of medium (60 %) and hard rain (100 %). Fog with
-    a visual range of 200 m becomes 26 %, and with 50 m 70 %, equally dense at all heights.
-    """
+    a visual range of 200 m becomes 26 %, and with 50 m 70 %, equally dense at all heights."""
     light, strength = LIGHTS[conditions.light], conditions.intensity or 0.0
     weather = dict(cloudiness=10.0, wind_intensity=10.0)
     if conditions.weather == "rain":
         share = 100.0 * (1.0 - np.exp(-strength / 10.0))
         wet = ("precipitation", "precipitation_deposits", "wetness", "wind_intensity")
-        weather = dict.fromkeys(wet, share) | dict(
-            cloudiness=60.0 + 0.4 * share,
-            fog_density=0.05 * share,
-            fog_distance=0.75,
-            fog_falloff=0.1,
-        )
+        fog = dict(fog_density=0.05 * share, fog_distance=0.75, fog_falloff=0.1)
+        weather = dict.fromkeys(wet, share) | fog | dict(cloudiness=60.0 + 0.4 * share)
     elif conditions.weather == "fog":
         share = 100.0 * (1.0 - np.exp(-60.0 / strength))
         weather = dict(cloudiness=80.0, fog_density=share, fog_falloff=0.01)

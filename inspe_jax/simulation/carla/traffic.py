@@ -1,8 +1,5 @@
-"""The scene's road users as CARLA's actors: one per track, of its class, and close to its size.
-
-Actors have no physics: they stand upright where they are placed, and people glide. The boxes in
-frames are those that the server has for the actors, at the places that the server reports.
-"""
+"""The scene's road users as CARLA's actors: one per track, of its class, and close to its size,
+without physics. The boxes in frames are the server's, at the places that the server reports."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -39,11 +36,9 @@ class ActorBody:
 
 
 class Actors:
-    """The actors that stand for the road users of the current frame.
-
-    ``lights`` switches the vehicles' lights on; ``seed`` decides blueprints and colours. Raises
-    InspeError where the server has no blueprint for a class of the traffic.
-    """
+    """The actors that stand for the road users of the current frame. ``lights`` switches the
+    vehicles' lights on; ``seed`` decides blueprints and colours. Raises InspeError where the server
+    has no blueprint for a class of the traffic."""
 
     def __init__(
         self, session: CarlaSession, traffic: TrafficFrames, lights: bool, seed: int
@@ -97,10 +92,8 @@ class Actors:
         return tuple(found)
 
     def _bodies(self) -> dict[int, list[ActorBody]]:
-        """The blueprints of each class. Each is spawned once, because only an actor has a box.
-
-        One that cannot be spawned is left out.
-        """
+        """The blueprints of each class, but those that cannot be spawned: only an actor has a
+        box."""
         found: dict[int, list[ActorBody]] = {}
         blueprints = [*self.library.filter("vehicle.*"), *self.library.filter("walker.*")]
         for k, blueprint in enumerate(sorted(blueprints, key=lambda blueprint: blueprint.id)):
@@ -129,7 +122,6 @@ class Actors:
         return to_carla([x, y, z + SPAWN_HEIGHT + SPAWN_GAP * k, 0.0, 0.0, 0.0])
 
     def _spawn(self, tracks: list[int]) -> None:
-        """Spawn the actors of road users high in the air."""
         command, state = self.session.carla.command, self.session.carla.VehicleLightState
         commands, bodies = [], [self._body(track) for track in tracks]
         for k, (track, body) in enumerate(zip(tracks, bodies, strict=True)):
@@ -162,11 +154,8 @@ def _origin(
 
 
 def body_of(name: str, box: Any, usual: Float[np.ndarray, "3"]) -> ActorBody:
-    """A blueprint's body, from the bounding box of an actor.
-
-    ``usual`` is the size to take where the box has none [m]. A box without a height is taken to
-    stand on the ground, at the actor's origin.
-    """
+    """A blueprint's body, from the bounding box of an actor. ``usual`` is the size to take where
+    the box has none [m]. A box without a height stands on the ground, at the actor's origin."""
     middle, half = (np.array([v.x, v.y, v.z]) for v in (box.location, box.extent))
     given = np.isfinite(half) & (half > THINNEST)
     half = np.where(given, half, usual / 2)

@@ -1,8 +1,5 @@
-"""A camera in a world of triangles: a ray through every pixel, lit by sun, sky and street lamps.
-
-The static world is rendered once for each camera. In each frame only those pixels are rendered
-again on which a road user or its shadow may fall.
-"""
+"""A camera in a world of triangles: a ray through every pixel, lit by sun, sky and street lamps. In
+each frame only those pixels are rendered again on which a road user or its shadow may fall."""
 
 from typing import NamedTuple
 
@@ -14,7 +11,7 @@ from scipy.ndimage import minimum_filter
 
 from inspe_jax.core.geometry import rotation
 from inspe_jax.sensing.sensors import CameraSpec
-from inspe_jax.simulation.embedded.embree import Caster, RayHits
+from inspe_jax.simulation.embedded.embree import R3, Caster, RayHits
 from inspe_jax.simulation.embedded.headlights import COLOUR, LitGround, on_road_users
 from inspe_jax.simulation.embedded.light import metered_gain, parts, tone_map
 from inspe_jax.simulation.embedded.road_users import FrameActors, paints
@@ -45,18 +42,15 @@ _GLOW[PARTS.index("lamp rear")] = [0.5, 0.02, 0.02]
 
 
 class Background(NamedTuple):
-    """What each of R pixels, row by row, shows of the static world.
-
-    ``distance`` along the ray and ``point`` [m], the latter relative to the centre; ``in_sun``
-    where the sun shines; ``ambient`` the colour without sunlight and before haze; ``colour`` the
-    colour in the picture, linear; ``semantic`` CARLA's label.
-    """
+    """What each of R pixels, row by row, shows of the static world: ``point`` is relative to the
+    centre [m]; ``ambient`` the colour without sunlight and before haze; ``colour`` that in the
+    picture, linear; ``semantic`` CARLA's label."""
 
     distance: Float[np.ndarray, " R"]
-    point: Float[np.ndarray, "R 3"]
+    point: R3
     in_sun: Bool[np.ndarray, " R"]
-    ambient: Float[np.ndarray, "R 3"]
-    colour: Float[np.ndarray, "R 3"]
+    ambient: R3
+    colour: R3
     semantic: UInt8[np.ndarray, " R"]
 
 
@@ -72,10 +66,7 @@ class ChangedPixels(NamedTuple):
 
 class SunlitPoints:
     """Those of R points that are in the sun (``lit``), sorted by the square metre of the plan they
-    lie in.
-
-    ``reach`` is the distance from the centre, along x and y, up to which points count [m].
-    """
+    lie in. ``reach`` is how far from the centre, along x and y, points count [m]."""
 
     def __init__(self, point: np.ndarray, lit: np.ndarray, reach: float) -> None:
         self.reach, self.size = reach, int(2 * reach)
@@ -104,11 +95,8 @@ class SunlitPoints:
     def ends(
         self, top: Float[np.ndarray, "B 3"], along: Float[np.ndarray, "3"]
     ) -> Float[np.ndarray, " B"]:
-        """How far in plan shadows of points ``top`` reach along a direction that points down [m].
-
-        A shadow ends where no sunlit point is below its upper edge any more. On ground that falls
-        in this direction it is longer than on level ground.
-        """
+        """How far in plan shadows of points ``top`` reach along a direction that points down [m]:
+        to where no sunlit point is below their upper edge any more, also on falling ground."""
         far = np.arange(0, LONGEST)
         unit = along / np.hypot(*along[:2])
         at = top[:, None] + far[:, None] * unit
@@ -220,7 +208,6 @@ class Camera:
         return share
 
     def _layers(self, seen: ChangedPixels, boxes: tuple[RoadUserBox, ...]) -> dict[str, np.ndarray]:
-        """Depth, instance and semantic of every pixel."""
         distance, semantic = self.background.distance.copy(), self.background.semantic.copy()
         instance = np.zeros(len(distance), np.int32)
         hit = seen.box >= 0

@@ -7,13 +7,16 @@ from jaxtyping import Bool, Float, Int
 
 from inspe_jax.core.errors import needs
 
+R3 = Float[np.ndarray, "R 3"]  # a vector for each of R rays or points
+F33 = Float[np.ndarray, "F 3 3"]  # the corners of F triangles
+
 
 class RayHits(NamedTuple):
     """What R rays hit first: distance [m], index of the face (−1: nothing) and its unit normal."""
 
     distance: Float[np.ndarray, " R"]
     face: Int[np.ndarray, " R"]
-    normal: Float[np.ndarray, "R 3"]
+    normal: R3
 
 
 class Caster:
@@ -22,7 +25,7 @@ class Caster:
     Raises InspeError where Embree is missing.
     """
 
-    def __init__(self, triangles: Float[np.ndarray, "F 3 3"]) -> None:
+    def __init__(self, triangles: F33) -> None:
         with needs("recording needs Embree", "dataset", "no wheels for Linux on ARM"):
             from embreex.mesh_construction import TriangleMesh
             from embreex.rtcore_scene import EmbreeScene
@@ -34,7 +37,7 @@ class Caster:
     def cast(
         self,
         origins: Float[np.ndarray, "*R 3"],
-        directions: Float[np.ndarray, "R 3"],
+        directions: R3,
         reach: float | Float[np.ndarray, " R"],
     ) -> RayHits:
         """The first face on each ray within ``reach`` [m], from one origin, or one for each ray.
@@ -57,7 +60,7 @@ class Caster:
 
     def meets(
         self,
-        origins: Float[np.ndarray, "R 3"],
+        origins: R3,
         directions: Float[np.ndarray, "*R 3"],
         reach: float | Float[np.ndarray, " R"] = 1e4,
     ) -> Bool[np.ndarray, " R"]:

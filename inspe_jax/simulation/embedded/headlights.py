@@ -1,8 +1,7 @@
 """The lamps of vehicles: what they light, on the ground and on other road users.
 
-A vehicle has one beam, in the middle of its front, since at the distances that matter its two lamps
-are one. The beam is a dipped one: it is wide, has its maximum just below a cut-off and falls with
-the square of the distance. The ground's light is a map of the plan, made once a frame.
+A vehicle has one dipped beam, in the middle of its front: it is wide, has its maximum just below a
+cut-off and falls with the square of the distance. The ground's light is a map, made once a frame.
 """
 
 from typing import NamedTuple
@@ -11,15 +10,15 @@ import numpy as np
 from jaxtyping import Float, Int, UInt8
 
 from inspe_jax.scene.intersection import Intersection
+from inspe_jax.simulation.embedded.embree import R3
 from inspe_jax.simulation.embedded.light import CANDELA, Light
 from inspe_jax.simulation.embedded.road_users import FrameActors
 from inspe_jax.simulation.embedded.shading import DARKER, Shading
 from inspe_jax.simulation.embedded.static_world import GROUND_LABELS
 
 PEAK = 15_000 * CANDELA
-"""Brightness of both dipped beams at 1 m: 7,500 cd each, as lamps in use have it.
-
-UN Regulation 112 asks for 5,100 to 44,100 cd a lamp at 25 m on its own side of the road."""
+"""Brightness of both dipped beams at 1 m: 7,500 cd each, as lamps in use have it; UN Regulation 112
+asks for 5,100 to 44,100 cd a lamp at 25 m on its own side of the road."""
 COLOUR = np.array([1.0, 0.95, 0.86], np.float32)
 CUT_OFF, GLARE = 0.01, 0.01
 """Slope of the cut-off (UN Regulation 48: 1 to 1.5 %) and the share of light that is above it."""
@@ -55,13 +54,9 @@ class Beams(NamedTuple):
     ahead: Float[np.ndarray, "K 2"]
 
 
-def dipped(
-    to: Float[np.ndarray, "R 3"], ahead: Float[np.ndarray, "*R 2"]
-) -> Float[np.ndarray, " R"]:
-    """Light of dipped beams, over :data:`PEAK`, at the ends of vectors ``to`` from their fronts.
-
-    ``ahead`` is the beam's direction in plan, one for all or one for each.
-    """
+def dipped(to: R3, ahead: Float[np.ndarray, "*R 2"]) -> Float[np.ndarray, " R"]:
+    """Light of dipped beams, over :data:`PEAK`, at the ends of vectors ``to`` from their fronts;
+    ``ahead`` is the beam's direction in plan, one for all or one for each."""
     x, y = ahead[..., 0], ahead[..., 1]
     along, across = to[:, 0] * x + to[:, 1] * y, to[:, 1] * x - to[:, 0] * y
     onward = np.maximum(along, np.float32(1e-3))
@@ -104,7 +99,7 @@ class GroundMap:
         up = intersection.ground(xy + intersection.center[:2]) - intersection.center[2]
         self.points = np.column_stack([xy, up]).astype(np.float32)
 
-    def cells(self, point: Float[np.ndarray, "R 3"]) -> Int[np.ndarray, " R"]:
+    def cells(self, point: R3) -> Int[np.ndarray, " R"]:
         """The cell of the fine map that each point lies in; −1 off the map."""
         place = (point[:, :2] + np.float32(self.reach)) * np.float32(FINE / STEP)
         cell = np.floor(place).astype(np.int32)
@@ -153,17 +148,14 @@ class GroundMap:
 
 
 class LitGround:
-    """Those of R pixels that show ground on the map of headlights, and how it looks.
-
-    ``point`` is what each pixel shows, relative to the centre, and ``distance`` how far it is [m];
-    ``semantic`` is CARLA's label of it.
-    """
+    """Those of R pixels that show ground on the map of headlights, and how it looks. Parameters are
+    fields of the camera's background."""
 
     def __init__(
         self,
         ground: GroundMap,
         shading: Shading,
-        point: Float[np.ndarray, "R 3"],
+        point: R3,
         distance: Float[np.ndarray, " R"],
         semantic: UInt8[np.ndarray, " R"],
     ) -> None:
@@ -192,10 +184,8 @@ def on_road_users(
     box: Int[np.ndarray, " P"],
     light: Light,
 ) -> Float[np.ndarray, " P"]:
-    """The light that beams throw on road users, as if nothing stood between them.
-
-    ``box`` is the index of the road user that each of P points is on; the centre is the origin.
-    """
+    """The light that beams throw on road users, as if nothing stood between them. ``box`` is the
+    index of the road user that each of P points is on; the centre is the origin."""
     beams, total = actors.once(beams_of), np.zeros(len(point), np.float32)
     many, count = len(actors.boxes), len(beams.front)
     middle = np.array([b.center for b in actors.boxes]).reshape(-1, 3) - actors.center

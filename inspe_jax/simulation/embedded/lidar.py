@@ -1,7 +1,5 @@
-"""A LiDAR in a world of triangles: a ray of every channel at every azimuth, one turn per frame.
-
-The turn is centred on the frame's time; road users move meanwhile. No return is beyond the reach.
-"""
+"""A LiDAR in a world of triangles: a ray of every channel at every azimuth, in one turn per frame,
+which is centred on the frame's time; road users move meanwhile."""
 
 from typing import NamedTuple
 
@@ -50,10 +48,7 @@ class Lidar:
         return self.scan(returns, len(actors.boxes), self.recording.noise, rng)
 
     def cast(self, actors: FrameActors, turn: float) -> Returns:
-        """What the rays hit in one turn of ``turn`` seconds about the frame's time.
-
-        With a turn of 0 s all rays are fired at once.
-        """
+        """What the rays hit in one turn of ``turn`` seconds; if 0, all are fired at once."""
         distance, box = self.static_distance.copy(), np.full(len(self.body), -1)
         sectors = SECTORS if turn > 0 else 1
         sector = (self.phase * sectors).astype(int)

@@ -67,11 +67,8 @@ LIGHTS: dict[str, Light] = {
         lamps=1.0, exposure=0.033, target=0.05, most=32.0, moments=3,
     ),
 }  # fmt: skip
-"""Plausible values; the brightness has the order of magnitude that streets have.
-
-The unit is fixed by exposure, not by the scene: where a street lamp lights the road with 10 lx, the
-brightness of white is 0.11 at night. Gain of 32 is 30 dB, a usual limit of traffic cameras.
-"""
+"""Plausible values. The unit is fixed by exposure, not by the scene: where a street lamp lights the
+road with 10 lx, white is 0.11 at night. A gain of 32 is 30 dB, a usual limit of traffic cameras."""
 
 LAMP = (6.0, 5.0, 3.6)
 """Light of a street lamp at 1 m: a warm white. At 7.5 m this is 10 lx, as EN 13201 asks of streets
@@ -79,12 +76,9 @@ with mixed traffic."""
 CANDELA = 6.0 / 560
 """Light of 1 cd at 1 m: 10 lx at 7.5 m are 560 cd."""
 ELECTRONS = 6000.0
-"""Photo-electrons of a pixel at brightness 1.
-
-White is at a brightness of about 1.8 at midday: 11,000 electrons, the full well of pixels of 3 µm.
-At night it agrees with such a pixel's yield: 10 lx on asphalt (albedo 0.1) are 0.3 cd/m², through a
-lens of f/1.4 and in 33 ms some 60 electrons.
-"""
+"""Photo-electrons of a pixel at brightness 1. White at midday, about 1.8, is then 11,000 electrons,
+the full well of pixels of 3 µm; at night, 10 lx on asphalt (albedo 0.1) are 0.3 cd/m², through a
+lens of f/1.4 and in 33 ms some 60 electrons."""
 READ = 2.5
 """Standard deviation of a pixel's noise in the dark, in electrons: that of CMOS sensors now."""
 REDUCED = 0.5
@@ -111,11 +105,8 @@ def wetness(conditions: Conditions) -> float:
 
 
 def metered_gain(linear: Float[np.ndarray, "R 3"], light: Light) -> float:
-    """The automatic gain for a picture of linear light: it brings the geometric mean to the target.
-
-    It is between 1, which is none, and the light's largest. Every seventh pixel is measured, since
-    the light is metered and not each pixel.
-    """
+    """The automatic gain for a picture of linear light: it brings the geometric mean of every
+    seventh pixel to the target, within 1, which is none, and the light's largest."""
     brightness = np.asarray(linear, np.float64)[::7].mean(1)
     mean = float(np.exp(np.log(np.maximum(brightness, 1e-5)).mean())) if len(brightness) else 1.0
     return float(np.clip(light.target / mean, 1.0, light.most))

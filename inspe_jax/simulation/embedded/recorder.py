@@ -44,11 +44,9 @@ def simulated_sensor(
 class EmbeddedRecorder:
     """Records a scene's traffic with ray casting; it needs Embree, but no simulator.
 
-    Raises InspeError where Embree is missing, the recording is not valid, or a sensor is of a kind
-    that this recorder does not know.
-
     ``seed`` is that of the sensors' noise; ``appearance_seed`` that of the road users' shapes and
-    colours, which so may be the same under other layouts and in other light.
+    colours. Raises InspeError where Embree is missing, the recording is not valid, or a sensor is
+    of a kind that this recorder does not know.
     """
 
     notes: tuple[str, ...] = ()

@@ -1,7 +1,5 @@
-"""The road users of a frame: as boxes with names, and as triangles that rays can hit.
-
-Parked vehicles are road users that stand still: a detector has to find them like any other.
-"""
+"""The road users of a frame, parked vehicles among them: as boxes with names, and as triangles that
+rays can hit."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -16,7 +14,7 @@ from inspe_jax.scene.placed_bodies import grounds
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scene.statics import StaticBody
 from inspe_jax.scene.traffic.frames import CLASSES, Snapshot
-from inspe_jax.simulation.embedded.embree import Caster
+from inspe_jax.simulation.embedded.embree import F33, Caster
 from inspe_jax.simulation.embedded.shapes import PARTS, fitting, paint, shape_of
 from inspe_jax.simulation.frame import MOST_TRACK, RoadUserBox
 
@@ -31,17 +29,14 @@ class RoadUserTriangles:
     """Triangles relative to a centre [m]. ``box`` is the index of the road user that each belongs
     to, ``part`` the index of its part in ``PARTS``."""
 
-    triangles: Float[np.ndarray, "F 3 3"]
+    triangles: F33
     box: Int[np.ndarray, " F"]
     part: Int[np.ndarray, " F"]
 
 
 def boxes_of(seen: Snapshot, seed: int) -> tuple[RoadUserBox, ...]:
-    """Road users as boxes with names.
-
-    A road user's name, which is its shape, depends only on its track, its size and the seed, so it
-    is the same in every frame.
-    """
+    """Road users as boxes with names. A name, which is a shape, depends only on the track, the size
+    and the seed, so it is the same in every frame."""
     return tuple(
         RoadUserBox(
             track=int(track),
@@ -142,11 +137,9 @@ def is_box(one: StaticBody) -> bool:
 
 
 def parked_vehicles(scene: Scene) -> tuple[Snapshot, tuple[StaticBody, ...]]:
-    """The parked vehicles of a scene's region as road users, and the bodies that are left.
-
-    A vehicle is a road user where a moving one would be: with its centre in the region. Its track,
-    and so its shape and colour, hang on its own place alone, unless that number is taken.
-    """
+    """The parked vehicles with their centres in a scene's region as road users, and the bodies that
+    are left. A track, and so shape and colour, hangs on the vehicle's own place alone, unless that
+    number is taken."""
     place, radius = scene.intersection, scene.voxels.radius
     found: list[StaticBody] = []
     left: list[StaticBody] = []

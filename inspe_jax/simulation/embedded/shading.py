@@ -1,15 +1,15 @@
 """The colours of surfaces, lit by sun, sky and street lamps, and seen through the air.
 
-Wet roads are darker, as water that fills the pores lets less light out again (Lekner and Dorf, "Why
-some things are darker when wet", Applied Optics 27, 1988). The film over it reflects as water does
-(Fresnel, in the form of Schlick 1994). On most of the road the grains of the asphalt roughen it; in
-puddles it is smooth. The lamps themselves are not mirrored.
+Wet roads are darker (Lekner and Dorf, "Why some things are darker when wet", Applied Optics 27,
+1988). The film over them reflects as water does (Fresnel, in the form of Schlick 1994). The grains
+of the asphalt roughen it; in puddles it is smooth. The lamps themselves are not mirrored.
 """
 
 import numpy as np
 from jaxtyping import Float
 
 from inspe_jax.sensing.conditions import Conditions
+from inspe_jax.simulation.embedded.embree import R3
 from inspe_jax.simulation.embedded.light import LAMP, LIGHTS, haze, parts, wetness
 from inspe_jax.simulation.embedded.static_world import StaticWorld
 from inspe_jax.simulation.embedded.surface import noise
@@ -48,33 +48,21 @@ class Shading:
         self.lamps = (poles + [0.0, 0.0, LAMP_ABOVE]).astype(np.float32)
         self.lamp_colour = np.float32(self.light.lamps) * np.array(LAMP, np.float32)
 
-    def sunlight(
-        self, normal: Float[np.ndarray, "R 3"], albedo: Float[np.ndarray, "R 3"]
-    ) -> Float[np.ndarray, "R 3"]:
+    def sunlight(self, normal: R3, albedo: R3) -> R3:
         """Sunlight that surfaces reflect if nothing is in its way (Lambert)."""
         facing = np.maximum(normal @ self.to_sun, 0)
         direct: np.ndarray = albedo * facing[:, None] * self.sun
         return direct
 
-    def ambient_light(
-        self,
-        point: Float[np.ndarray, "R 3"],
-        normal: Float[np.ndarray, "R 3"],
-        albedo: Float[np.ndarray, "R 3"],
-    ) -> Float[np.ndarray, "R 3"]:
+    def ambient_light(self, point: R3, normal: R3, albedo: R3) -> R3:
         """All other light that surfaces reflect: from the sky and from street lamps."""
         light = (0.65 + 0.35 * normal[:, 2:]) * self.ambient
         if self.light.lamps > 0 and len(self.lamps):
             light += self._lamplight(point, normal)[:, None] * self.lamp_colour
         return albedo * light
 
-    def _lamplight(
-        self, point: Float[np.ndarray, "R 3"], normal: Float[np.ndarray, "R 3"]
-    ) -> Float[np.ndarray, " R"]:
-        """Σ n·d / (|d|² + 1)^(3/2) over the vectors d to the lamps [m].
-
-        Far from a lamp this is cos θ / r². It is at most 0.4 for each, as lamps are no points.
-        """
+    def _lamplight(self, point: R3, normal: R3) -> Float[np.ndarray, " R"]:
+        """Σ n·d / (|d|² + 1)^(3/2) over the vectors d to the lamps [m]: far away cos θ / r²."""
         found = np.empty(len(point), np.float32)
         own = (self.lamps**2).sum(1) + 1
         for at in parts(len(point)):
@@ -91,7 +79,7 @@ class Shading:
             found[at] = light.sum(1)
         return found
 
-    def sky(self, directions: Float[np.ndarray, "R 3"]) -> Float[np.ndarray, "R 3"]:
+    def sky(self, directions: R3) -> R3:
         """Colour of the sky: paler towards the horizon, with a glow around the sun."""
         up = np.sqrt(np.clip(directions[:, 2:], 0, 1))
         colour = self.sky_colour * (1.25 - 0.55 * up)
@@ -100,27 +88,15 @@ class Shading:
             colour += self.sun * (0.3 * toward**8 + 2.0 * toward**400)
         return colour
 
-    def mirrored(
-        self,
-        head_on: Float[np.ndarray, " R"],
-        to: Float[np.ndarray, "R 3"],
-        normal: Float[np.ndarray, "R 3"],
-    ) -> Float[np.ndarray, "R 3"]:
+    def mirrored(self, head_on: Float[np.ndarray, " R"], to: R3, normal: R3) -> R3:
         """Light of the sky that lacquer and glass mirror, more at grazing angles (Schlick 1994).
-
-        ``head_on`` is the reflectance for rays along the normal; rays go ``to`` the surface.
-        """
+        ``head_on`` is the reflectance for rays along the normal; rays go ``to`` the surface."""
         along = np.einsum("rk,rk->r", to, normal)
         grazing = head_on * (1 + (1 / 0.04 - 1) * (1 + np.minimum(along, 0)) ** 5)
         up = to[:, 2] - 2 * along * normal[:, 2]
         return (grazing * np.clip(0.25 + 1.5 * up, 0.1, 1))[:, None] * self.sky_colour
 
-    def reflected(
-        self,
-        point: Float[np.ndarray, "R 3"],
-        normal: Float[np.ndarray, "R 3"],
-        to: Float[np.ndarray, "R 3"],
-    ) -> Float[np.ndarray, "R 3"]:
+    def reflected(self, point: R3, normal: R3, to: R3) -> R3:
         """What the film on paved ground reflects of sky and surroundings at the ends of ``to``."""
         world = point[:, :2] + self.static_world.center[:2]
         level = 0.7 * noise(world / 1.8) + 0.3 * noise(world / 0.5)
@@ -144,9 +120,7 @@ class Shading:
         reflectance = HEAD_ON + (1 - HEAD_ON) * (1 - np.clip(steep, 0, 1)) ** 5
         return (film * reflectance)[:, None] * light
 
-    def through_air(
-        self, colour: Float[np.ndarray, "R 3"], distance: Float[np.ndarray, " R"]
-    ) -> Float[np.ndarray, "R 3"]:
+    def through_air(self, colour: R3, distance: Float[np.ndarray, " R"]) -> R3:
         """Colours as they appear from a distance [m], which may be infinite (Koschmieder 1924)."""
         if not self.haze:
             return colour

@@ -1,14 +1,10 @@
 """Low-polygon shapes of the road users, read from ``shapes.npz``, and their colours, from
-``paint.toml``: cameras and LiDARs record these.
+``paint.toml``. A shape fills a unit box: scaled by (length, width, height), that of a road user.
 
-A shape fills a unit box. Scaled by (length, width, height) it fills the box of a road user exactly,
-so that the boxes in a data set are the true extents.
-
-``shapes.npz`` is NumPy's; its entry ``made`` says how the shapes were made, and how to make them
-again. For each shape it has the class ``kind``, the ``name``, the natural ``size`` [m], the
-``steps`` of its cycle, and how many vertices and faces it has. The arrays ``vertices`` (step by
-step), ``faces`` and ``part`` (an index into ``parts`` for each face) hold all shapes, one after
-another. To add a shape, append to these arrays.
+The entry ``made`` of ``shapes.npz`` says how the shapes were made. For each shape there is the
+class ``kind``, the ``name``, the natural ``size`` [m], the ``steps`` of its cycle, and how many
+vertices and faces it has. The arrays ``vertices`` (step by step), ``faces`` and ``part`` (an index
+into ``parts`` for each face) hold all shapes, one after another: to add one, append to them.
 """
 
 import tomllib
@@ -27,9 +23,7 @@ PHASES = 24
 
 STRETCH = 0.15
 """A shape fits a box if no side of the box is larger or smaller than its own by a larger share.
-
-Models of one segment differ by about as much; a saloon that is stretched by more is no saloon.
-"""
+Models of one segment differ by about as much."""
 
 
 @dataclass(frozen=True)
@@ -79,12 +73,9 @@ VARIANTS: dict[str, tuple[str, ...]] = {
 
 
 def shape_of(name: str, phase: float = 0.0) -> Shape:
-    """The shape of a name.
-
-    ``phase`` is how far a stride (pedestrian) or a turn of the crank (cyclist) has come, in cycles.
-    It is rounded to a step of :data:`PHASES`, and ignored for people who stand and for vehicles.
-    Raises InspeError for an unknown name.
-    """
+    """The shape of a name. ``phase`` is how far a stride (pedestrian) or a turn of the crank
+    (cyclist) has come, in cycles; it is ignored for people who stand and for vehicles. Raises
+    InspeError for an unknown name."""
     check_known(name, _BY_NAME, "shape")
     steps = _BY_NAME[name][2]
     return steps[round(phase * PHASES) % len(steps)]
@@ -96,12 +87,9 @@ def natural_size(name: str) -> Float[np.ndarray, "3"]:
 
 
 def fitting(kind: str, size: Sequence[float] | Float[np.ndarray, "3"]) -> tuple[str, ...]:
-    """The names of a class's shapes that fit a box of ``size`` (length, width, height) [m].
-
-    Those that need to be stretched by at most :data:`STRETCH`, or if there are none, the one that
-    needs it least. Of pedestrians only the height counts: what they take up in plan is their
-    stride. Raises InspeError for an unknown class.
-    """
+    """The names of a class's shapes that fit a box of ``size`` (length, width, height) [m]: those
+    to be stretched by at most :data:`STRETCH`, or if there are none, the one that needs it least.
+    Of pedestrians only the height counts. Raises InspeError for an unknown class."""
     check_known(kind, VARIANTS, "class")
     own = np.array([natural_size(name) for name in VARIANTS[kind]])
     stretch = np.abs(np.log(np.asarray(size, float) / own))
@@ -111,11 +99,9 @@ def fitting(kind: str, size: Sequence[float] | Float[np.ndarray, "3"]) -> tuple[
 
 
 def paint(kind: str, rng: np.random.Generator) -> Float[np.ndarray, "P 3"]:
-    """Linear RGB albedo of each of the P :data:`PARTS`, for one road user of a class.
-
-    A colour is drawn for each part, made a few per cent brighter or darker, and converted from sRGB
-    to linear light (IEC 61966-2-1). Raises InspeError for an unknown class.
-    """
+    """Linear RGB albedo of each of the P :data:`PARTS`, for one road user of a class: drawn, made a
+    few per cent brighter or darker, and converted from sRGB (IEC 61966-2-1). Raises InspeError for
+    an unknown class."""
     check_known(kind, VARIANTS, "class")
     palettes = _PAINT["all"] | _PAINT.get(kind, {})
     srgb = np.zeros((len(PARTS), 3))

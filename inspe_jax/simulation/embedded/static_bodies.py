@@ -1,9 +1,8 @@
 """The static bodies of a scene as triangles: the same outlines and heights that scores take.
 
-Buildings, walls, poles and furniture fill their prisms. Hedges are prisms of leaves. The crown of a
-tree is rounded, and fills some nine tenths of its prism; as much light passes between its leaves as
-the body says. A parked vehicle has the shape of a road user of its size, within its box; in the
-region it is a road user and not one of these.
+Buildings, walls, hedges, poles and furniture fill their prisms. The crown of a tree is rounded, and
+fills some nine tenths of its prism. As much light passes between leaves as the body says. A parked
+vehicle outside the region has the shape of a road user of its size, within its box.
 """
 
 from collections.abc import Callable, Iterator
@@ -21,6 +20,7 @@ from shapely.geometry.base import BaseGeometry
 from inspe_jax.core.geometry import rotation
 from inspe_jax.scene.intersection import Intersection
 from inspe_jax.scene.statics import StaticBody, octagon
+from inspe_jax.simulation.embedded.embree import F33
 from inspe_jax.simulation.embedded.road_users import box_of, is_box, kind_of
 from inspe_jax.simulation.embedded.shapes import fitting, paint, shape_of
 
@@ -43,7 +43,7 @@ class Part(NamedTuple):
     """Triangles of one material in world metres, their colours where they have own ones, and the
     number of the body that they are of."""
 
-    triangles: Float[np.ndarray, "F 3 3"]
+    triangles: F33
     material: Material
     colour: float | Float[np.ndarray, "F 3"] = 0.0
     body: int = 0
@@ -57,9 +57,7 @@ def body_parts(one: StaticBody, place: Intersection) -> Iterator[Part]:
     yield from _LOOKS[one.kind](one, place, level, rng)
 
 
-def walls(
-    low: Float[np.ndarray, "*n N 3"], high: Float[np.ndarray, "*n N 3"]
-) -> Float[np.ndarray, "F 3 3"]:
+def walls(low: Float[np.ndarray, "*n N 3"], high: Float[np.ndarray, "*n N 3"]) -> F33:
     """The walls between two rings of points: two triangles for each side."""
     a, b, c, d = low, np.roll(low, -1, -2), np.roll(high, -1, -2), high
     return np.concatenate([np.stack([a, b, c], -2), np.stack([a, c, d], -2)]).reshape(-1, 3, 3)
@@ -71,9 +69,7 @@ def flat_triangles(shape: BaseGeometry) -> Float[np.ndarray, "F 3 2"]:
     return np.array([np.asarray(t.exterior.coords)[:3, :2] for t in cut]).reshape(-1, 3, 2)
 
 
-def _prism(
-    outline: Float[np.ndarray, "N 2"], bottom: float, top: float
-) -> tuple[Float[np.ndarray, "F 3 3"], Float[np.ndarray, "F 3 3"], Float[np.ndarray, "F 3 3"]]:
+def _prism(outline: Float[np.ndarray, "N 2"], bottom: float, top: float) -> tuple[F33, F33, F33]:
     """The sides, the top and the bottom of a prism."""
     low = np.column_stack([outline, np.full(len(outline), bottom)])
     high = low + [0.0, 0.0, top - bottom]
@@ -103,7 +99,6 @@ def _solid(
     level: float,
     rng: Generator,
 ) -> Iterator[Part]:
-    """A prism with sides and a top of two materials."""
     sides, lid, floor = _prism(one.outline, _bottom(one, place, level), level + one.height)
     yield Part(_thinned(sides, one, rng), side)
     yield Part(_thinned(lid, one, rng), top)
@@ -119,9 +114,7 @@ def _trunk(one: StaticBody, place: Intersection, level: float) -> Iterator[Part]
         yield Part(np.concatenate([sides, lid]), Material.TRUNK)
 
 
-def _thinned(
-    faces: Float[np.ndarray, "F 3 3"], one: StaticBody, rng: Generator
-) -> Float[np.ndarray, "f 3 3"]:
+def _thinned(faces: F33, one: StaticBody, rng: Generator) -> Float[np.ndarray, "f 3 3"]:
     """Faces without those that light passes: a ray meets two, so a share of √transmittance."""
     if one.transmittance == 0:
         return faces

@@ -1,10 +1,9 @@
 """The static world: ground, kerbs, buildings, trees and poles, as triangles with a material.
 
-The static bodies of a scene stand where scores have them. Besides, there is what makes pictures
-look like a place: buildings and trees outside the radius of the region of interest, where they
-block no line of sight inside it, as scores know nothing of them; and inside the radius low kerbs
-and thin poles. All this keeps clear of the bodies. Where bodies are part of a mesh of the place,
-its faces stand in their place, and nothing else is made up.
+Besides the static bodies of the scene, and clear of them, there is what makes pictures look like a
+place: buildings and trees outside the region of interest, where they block no line of sight inside
+it, and in it low kerbs and thin poles. Where bodies are part of a mesh of the place, its faces
+stand in their place, and nothing else is made up.
 """
 
 import zlib
@@ -25,7 +24,7 @@ from inspe_jax.scene.regions import Region
 from inspe_jax.scene.statics import StaticBody
 from inspe_jax.scene.street import HEADROOM, OVER_LANES
 from inspe_jax.scene.terrain import MARGIN, lattice_faces
-from inspe_jax.simulation.embedded.embree import Caster
+from inspe_jax.simulation.embedded.embree import F33, R3, Caster
 from inspe_jax.simulation.embedded.static_bodies import (
     Material,
     Part,
@@ -77,7 +76,7 @@ class StaticWorld:
     """
 
     center: Float[np.ndarray, "3"]
-    triangles: Float[np.ndarray, "F 3 3"]
+    triangles: F33
     material: Int[np.ndarray, " F"]
     body: Int[np.ndarray, " F"]
     surface: Surface
@@ -89,17 +88,14 @@ class StaticWorld:
         """Its triangles, ready for rays."""
         return Caster(self.triangles)
 
-    def paved(self, point: Float[np.ndarray, "R 3"]) -> Bool[np.ndarray, " R"]:
+    def paved(self, point: R3) -> Bool[np.ndarray, " R"]:
         """Whether the ground at points of it is paved, and so wet in rain."""
         label: np.ndarray = self.surface.label(point[:, :2] + self.center[:2])
         return label != GRASS
 
     def look(
-        self,
-        face: Int[np.ndarray, " R"],
-        point: Float[np.ndarray, "R 3"],
-        normal: Float[np.ndarray, "R 3"],
-    ) -> tuple[Float[np.ndarray, "R 3"], Int[np.ndarray, " R"]]:
+        self, face: Int[np.ndarray, " R"], point: R3, normal: R3
+    ) -> tuple[R3, Int[np.ndarray, " R"]]:
         """Linear albedo and CARLA's label at points where rays hit its faces (−1: nothing)."""
         material = np.where(face >= 0, self.material[face], -1)
         body = np.where(face >= 0, self.body[face], 0)
@@ -126,9 +122,7 @@ class StaticWorld:
         return albedo, semantic
 
 
-def _facade_colours(
-    point: Float[np.ndarray, "R 3"], normal: Float[np.ndarray, "R 3"], body: Int[np.ndarray, " R"]
-) -> Float[np.ndarray, "R 3"]:
+def _facade_colours(point: R3, normal: R3, body: Int[np.ndarray, " R"]) -> R3:
     """Linear albedo of walls: plaster or brick with rows of windows, one every 2.8 m and 3 m."""
     along = point[:, 1] * normal[:, 0] - point[:, 0] * normal[:, 1]
     across, up = along % 2.8, (point[:, 2] + 0.4) % 3.0
@@ -150,9 +144,8 @@ def build_static_world(
 
     ``masts`` holds the foot (x, y, z) and the height of each infrastructure unit's mast [m]; units
     over the carriageway get no mast, as they hang on wires. ``bodies`` are those of the scene.
-    Where its ground hides something, the place's ground points are those of its surface, and so the
-    same triangles lie here. Other buildings and trees stand at random places, which depend only on
-    the intersection's name and on where bodies leave room.
+    Other buildings and trees stand at random places, which depend only on the intersection's name
+    and on where bodies leave room.
     """
     center = np.asarray(intersection.center, float)
     road = [s for r, s in intersection.regions.items() if r in CARRIAGEWAY]
@@ -222,13 +215,9 @@ def _poles(
     return np.column_stack([feet, np.full(len(feet), POLE_HEIGHT)])
 
 
-def _surveyed(
-    mesh: Mesh, place: Intersection
-) -> tuple[Float[np.ndarray, "F 3 3"], Float[np.ndarray, "F 3"]]:
-    """The faces of a mesh that are not of the ground, and their linear albedos.
-
-    Without those beyond the ground that is known, and what stands in the way of traffic, as scores.
-    """
+def _surveyed(mesh: Mesh, place: Intersection) -> tuple[F33, Float[np.ndarray, "F 3"]]:
+    """The faces of a mesh, and their linear albedos: without the ground's, those beyond the ground
+    that is known, and what stands in the way of traffic, as scores."""
     triangles = mesh.world
     corners = triangles.reshape(-1, 3)
     over = (corners[:, 2] - place.ground(corners[:, :2])).reshape(-1, 3)
@@ -245,7 +234,7 @@ def _surveyed(
     return triangles[shown], (mesh.colour[shown] / 255.0) ** SRGB
 
 
-def _ground(intersection: Intersection, radius: float) -> Float[np.ndarray, "F 3 3"]:
+def _ground(intersection: Intersection, radius: float) -> F33:
     """The ground as a grid of 1 m on the map and coarser beyond; two triangles if it is flat."""
     center = intersection.center
     heights = intersection.ground_points[:, 2]
@@ -260,7 +249,7 @@ def _ground(intersection: Intersection, radius: float) -> Float[np.ndarray, "F 3
     return np.stack([x, y, z], -1).reshape(-1, 3)[lattice_faces(*x.shape)]
 
 
-def _kerbs(intersection: Intersection) -> Iterator[Float[np.ndarray, "F 3 3"]]:
+def _kerbs(intersection: Intersection) -> Iterator[F33]:
     """Kerbs along the edge of the carriageway, with gaps at crossings."""
     regions = intersection.regions
     road = [regions[r] for r in (Region.DRIVEWAY, Region.JUNCTION) if r in regions]
@@ -283,7 +272,7 @@ def _kerbs(intersection: Intersection) -> Iterator[Float[np.ndarray, "F 3 3"]]:
         yield np.concatenate([top, z[..., None]], -1)
 
 
-def _tube(foot: np.ndarray, radius: float, height: float) -> Float[np.ndarray, "F 3 3"]:
+def _tube(foot: np.ndarray, radius: float, height: float) -> F33:
     """A vertical prism with eight sides, closed at the top."""
     turn = np.linspace(0, 2 * np.pi, 8, endpoint=False)
     ring = foot + radius * np.column_stack([np.cos(turn), np.sin(turn), np.zeros(8)])
@@ -316,9 +305,7 @@ def _plots(
                 break
 
 
-def _house(
-    corners: np.ndarray, place: Intersection, height: float
-) -> tuple[Float[np.ndarray, "F 3 3"], Float[np.ndarray, "F 3 3"]]:
+def _house(corners: np.ndarray, place: Intersection, height: float) -> tuple[F33, F33]:
     """Walls and a flat roof; the walls begin below the lowest ground at the corners."""
     base = place.ground(corners).min() - 0.5
     low = np.column_stack([corners, np.full(4, base)])
@@ -340,7 +327,7 @@ def _trees(
                 break
 
 
-def _crown(foot: np.ndarray, height: float, rng: np.random.Generator) -> Float[np.ndarray, "F 3 3"]:
+def _crown(foot: np.ndarray, height: float, rng: np.random.Generator) -> F33:
     """A crown: a ball of rings of latitude, each point moved a little."""
     tall, wide = 0.62 * height / 2, 0.28 * height
     rows, columns = 5, 8

@@ -1,8 +1,5 @@
-"""What the ground looks like: the region at each point, the paint on it, and its colour.
-
-A raster of labels is drawn once for a scene. Colours follow from the labels and from noise that is
-fixed to the ground, so that every camera sees the same asphalt.
-"""
+"""What the ground looks like: a raster of regions and paint, drawn once for a scene, and colours
+that follow from it and from noise that is fixed to the ground."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -130,10 +127,8 @@ def _lines(intersection: Intersection) -> list[BaseGeometry]:
 
 
 def noise(at: Float[np.ndarray, "R 2"]) -> Float[np.ndarray, " R"]:
-    """Smooth noise of 0 … 1, always the same at the same point.
-
-    Value noise: random values on a lattice with spacing 1, and a smooth blend between them.
-    """
+    """Smooth noise of 0 … 1, always the same at the same point: random values on a lattice with
+    spacing 1, and a smooth blend between them."""
     cell = np.floor(at.T)
     x, y = cell.astype(np.int64)
     part = (at.T - cell).astype(np.float32)

@@ -1,8 +1,5 @@
-"""Reads frames from OPV2V files: those of this package, and data sets of other people.
-
-The latter need only have ``lidar_pose`` or ``true_ego_pos``, and ``angle``, ``extent`` and
-``location`` of each road user. Unknown keys are ignored.
-"""
+"""Reads frames from OPV2V files: of this package, and of other people, which need only have
+``lidar_pose`` or ``true_ego_pos``, and ``angle``, ``extent`` and ``location`` of each road user."""
 
 import os
 import re
@@ -112,12 +109,9 @@ def _frame_file(agent: Path, number: int) -> Path:
 
 
 def _content(path: Path, known: dict[bytes, dict[str, Any]]) -> dict[str, Any]:
-    """What a frame's YAML file holds.
-
-    Most of it is road users, the same for every agent: this text is parsed only once, and ``known``
-    keeps what it holds. A file that cannot be divided so, because it is broken or an anchor in one
-    half is used in the other, is parsed as a whole.
-    """
+    """What a frame's YAML file holds. Most of it is road users, the same for every agent: this text
+    is parsed once, and ``known`` keeps it. A file that cannot be divided so, because it is broken
+    or an anchor in one half is used in the other, is parsed as a whole."""
     check_input(path, YAML)
     text = path.read_bytes()
     head, mark, tail = text.partition(_BOXES)
@@ -148,10 +142,8 @@ def _numbers(
 
 
 def _boxes(contents: list[dict[str, Any]], files: list[Path]) -> tuple[RoadUserBox, ...]:
-    """The boxes that all agents list, each track once.
-
-    The sections of one kind come before ``vehicles``, which does not say the kind.
-    """
+    """The boxes that all agents list, each track once. The sections of one kind come before
+    ``vehicles``, which does not say the kind."""
     found: dict[int, RoadUserBox] = {}
     places = [*((section, kind) for kind, section in SECTIONS.items()), ("vehicles", "car")]
     for content, path in zip(contents, files, strict=True):
@@ -217,10 +209,8 @@ Counts = Mapping[str, Float[np.ndarray, "K B"]]
 def _observed(
     content: Mapping[str, Any], agent: int, records: str, boxes: Sequence[RoadUserBox]
 ) -> Counts:
-    """What an agent's scans or images recorded of each road user, as far as the file says it.
-
-    A section ``observed`` of another shape is another one's, and is left out.
-    """
+    """What an agent's scans or images recorded of each road user, as far as the file says it. A
+    section ``observed`` of another shape is another one's, and is left out."""
     observed = content.get("observed")
     found = dict[str, np.ndarray]()
     for key, of, field, decimals in OBSERVED:
@@ -236,7 +226,6 @@ def _observed(
 
 
 def _of(counts: Counts, i: int) -> dict[str, Any]:
-    """The counts of sensor ``i``."""
     return {field: rows[i] for field, rows in counts.items() if i < len(rows)}
 
 

@@ -2,9 +2,7 @@
 
 SCENARIO/AGENT/ holds ``000068.yaml``, ``.pcd``, ``_lidar1.pcd`` …, ``_camera0.png`` …, and, if they
 were recorded or asked for, ``_depth0.png``, ``_instance0.png``, ``_semantic0.png`` and
-``_bev_visibility.png``. The YAML file has the keys of both, and under ``observed`` what each sensor
-recorded of each road user. The time of a frame is its number times the time step in
-``data_protocol.yaml``.
+``_bev_visibility.png``. Under ``observed`` is what each sensor recorded of each road user.
 """
 
 import os
@@ -16,8 +14,8 @@ import numpy as np
 
 from inspe_jax.core.carla_frame import between, flip, to_carla
 from inspe_jax.core.files import whole_file, write_text
-from inspe_jax.dataset.formats.options import DEFAULT_OPTIONS, FileOptions
-from inspe_jax.dataset.formats.other_readers import is_blank, visibility_map, with_cameras
+from inspe_jax.dataset.formats import other_readers
+from inspe_jax.dataset.formats.other_readers import DEFAULT_OPTIONS, FileOptions
 from inspe_jax.dataset.formats.pcd import write_pcd
 from inspe_jax.dataset.formats.pictures import SUFFIXES, write_picture
 from inspe_jax.dataset.formats.protocol_file import dump_yaml, make_folder
@@ -59,7 +57,7 @@ def write_frame(
     """
     check_frame(frame)
     stem = f"{frame.number:06d}"
-    stations = with_cameras(frame.stations, options.cameras_per_agent)
+    stations = other_readers.with_cameras(frame.stations, options.cameras_per_agent)
     boxes = dump_yaml(_sections(frame.boxes, stations))
     agents = [make_folder(Path(scenario) / str(-station.number)) for station in stations]
     files = list[Path]()
@@ -71,7 +69,7 @@ def write_frame(
             files += _write_image(agent, stem, i, image, options)
         if options.visibility_maps:
             files.append(agent / f"{stem}_bev_visibility.png")
-            write_picture(files[-1], "semantic", visibility_map(station, frame.boxes))
+            write_picture(files[-1], "semantic", other_readers.visibility_map(station, frame.boxes))
     for station, agent in zip(stations, agents, strict=True):
         files.append(agent / f"{stem}.yaml")
         write_text(files[-1], dump_yaml(_sensors(station)) + boxes)
@@ -79,10 +77,8 @@ def write_frame(
 
 
 def _clear(agent: Path, stem: str) -> None:
-    """Delete the files of a frame: first the YAML file, and last the file that is written first.
-
-    A folder with many files is listed only if a frame of this number was begun before.
-    """
+    """Delete the files of a frame: first the YAML file, and last the file that is written first. A
+    folder with many files is listed only if a frame of this number was begun before."""
     last, first = agent / f"{stem}.yaml", agent / f"{stem}.pcd"
     if not (last.exists() or first.exists()):
         return
@@ -94,10 +90,8 @@ def _clear(agent: Path, stem: str) -> None:
 
 
 def _write_scans(agent: Path, stem: str, scans: Sequence[Scan], options: FileOptions) -> list[Path]:
-    """Write the scans: the first one with OPV2V's name, and with Infra-Set's if it is asked for.
-
-    A second name is a copy. A hard link would grow to one when the set is copied.
-    """
+    """Write the scans: the first one with OPV2V's name, and with Infra-Set's if it is asked for: a
+    copy, as a hard link would grow to one when the set is copied."""
     first = agent / f"{stem}.pcd"
     files = [first, *(agent / f"{stem}_lidar{i}.pcd" for i in range(1, len(scans)))]
     if not scans:
@@ -123,7 +117,6 @@ def _write_image(agent: Path, stem: str, i: int, image: Image, options: FileOpti
 
 
 def _sensors(station: Station) -> dict[str, Any]:
-    """The part of the YAML file about a station and its sensors."""
     unit = _rounded(to_carla(station.pose))
     lidars = [_rounded(to_carla(scan.pose)) for scan in station.scans] or [unit]
     return {
@@ -144,14 +137,13 @@ def _camera(image: Image, lidar: list[float]) -> dict[str, Any]:
         "cords": cords,
         "extrinsic": _rounded(between(lidar, cords), MATRIX_DECIMALS),
         "intrinsic": _rounded(image.intrinsic, MATRIX_DECIMALS),
-        **({"blank": True} if is_blank(image) else {}),
+        **({"blank": True} if other_readers.is_blank(image) else {}),
     }
 
 
 def _sections(
     boxes: Sequence[RoadUserBox], stations: Sequence[Station]
 ) -> dict[str, dict[int, Any]]:
-    """The part of the YAML file about road users, and what was observed of each."""
     order = sorted(range(len(boxes)), key=lambda k: boxes[k].track)
     ordered = [boxes[k] for k in order]
     entries = {int(box.track): _entry(box) for box in ordered}
@@ -164,11 +156,8 @@ def _sections(
 
 
 def _observed(k: int, stations: Sequence[Station]) -> dict[str, Any]:
-    """What the sensors recorded of road user ``k``: numbers of each sensor of each agent.
-
-    ``lidar_points`` are the LiDARs' returns, ``camera_pixels`` the pixels that show it and
-    ``visible_share`` their share of those that would if nothing stood before it.
-    """
+    """What each sensor of each agent recorded of road user ``k``: LiDAR returns; the pixels that
+    show it, and their share of those that would if nothing stood before it."""
     found: dict[str, Any] = {}
     for key, records, field, decimals in OBSERVED:
         each = {

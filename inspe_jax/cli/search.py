@@ -99,7 +99,8 @@ def optimise(
             checkpoint=checkpoint,
         )
     _show(result)
-    _save(world, result, folder)
+    folder = _save(world, result, folder)
+    common.out.print(f"next: inspe score {source} {folder / 'layout.yaml'} --plot plan.png")
 
 
 @command()

@@ -175,6 +175,7 @@ def test_optimise_writes_a_better_layout_and_shows_it(inspe, scored, files):
         assert f"{record[key]['surrogate']:.3f}" in text
     assert (files / "o" / "before_after.png").read_bytes().startswith(b"\x89PNG")
     assert "random, seed 0: budget spent" in text
+    assert "next: inspe score s.npz o/layout.yaml" in text
 
 
 def test_optimise_goes_on_from_its_checkpoint_and_takes_every_option(inspe, done, files):

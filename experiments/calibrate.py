@@ -62,8 +62,7 @@ from inspe_jax.core.files import write_text
 from inspe_jax.jobs.cluster import client
 from inspe_jax.mounting.strategies import STRATEGIES
 from inspe_jax.study.plan import Study, StudyJob, make_study
-from inspe_jax.study.sweep import sweep
-from inspe_jax.study.work import Row
+from inspe_jax.study.sweep import Row, sweep
 
 CHOICES: dict[str, tuple[Any, ...]] = {
     "visibility": ("past_others", "in_view", "line_of_sight"),

@@ -47,8 +47,7 @@ from inspe_jax.core.files import csv_text, write_text
 from inspe_jax.core.words import counted
 from inspe_jax.dataset import Cache, Generation, Loader
 from inspe_jax.dataset.plan import make_generation
-from inspe_jax.jobs.scenes import scene_of
-from inspe_jax.jobs.sources import SceneSource
+from inspe_jax.jobs.sources import SceneSource, scene_of
 from inspe_jax.mounting.mixes import starting_layout
 from inspe_jax.perception.evaluation import (
     Detections,

@@ -14,7 +14,7 @@ from inspe_jax.dataset.manifest import Fault
 from inspe_jax.dataset.plan import Generation, ScenarioPlan
 from inspe_jax.dataset.writer import DatasetWriter
 from inspe_jax.jobs.engine import load_cluster, run_jobs
-from inspe_jax.jobs.scenes import message_of
+from inspe_jax.jobs.sources import message_of
 from inspe_jax.simulation.backends import BACKENDS, check_backend, server_of
 from inspe_jax.simulation.recorder import Server
 

@@ -8,13 +8,12 @@ import pytest
 from inspe_jax import evaluate, load_layout
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import read_csv
-from inspe_jax.jobs.scenes import versions
+from inspe_jax.jobs.sources import versions
 from inspe_jax.placement.problem import Case
 from inspe_jax.report.page import report_entry, report_page
 from inspe_jax.scene.traffic.frames import CLASSES
 from inspe_jax.study.plan import make_study
-from inspe_jax.study.sweep import Results
-from inspe_jax.study.work import run_job
+from inspe_jax.study.sweep import Results, run_job
 
 
 def test_scores_have_those_that_are_named(run, scene, layout):

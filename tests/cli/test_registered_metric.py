@@ -11,7 +11,7 @@ from rich.console import Console
 
 from inspe_jax import evaluate, strategy
 from inspe_jax.core.files import read_csv
-from inspe_jax.jobs.scenes import versions
+from inspe_jax.jobs.sources import versions
 from inspe_jax.placement.result import Result, load_result, save_result
 from inspe_jax.placement.run import Progress
 from inspe_jax.placement.studies.pareto import DeviceMix, save_pareto
@@ -20,8 +20,7 @@ from inspe_jax.report.figures import plan_view
 from inspe_jax.report.progress import before_after
 from inspe_jax.scoring.metrics import METRICS, Metric
 from inspe_jax.study.plan import load_study
-from inspe_jax.study.sweep import Results
-from inspe_jax.study.work import run_job
+from inspe_jax.study.sweep import Results, run_job
 from inspe_jax.viewer.score_panel import score_panel
 from inspe_jax.viewer.scorer import ScoredLayout
 

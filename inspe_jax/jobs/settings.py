@@ -27,10 +27,8 @@ def _listed(value: Any) -> Any:
     return value if isinstance(value, list) else [value]
 
 
-class Strict(BaseModel):
+class Strict(BaseModel, **STRICT):
     """A part of a study file; unknown keys are errors."""
-
-    model_config = STRICT
 
 
 Count = Annotated[int, Field(ge=0)]

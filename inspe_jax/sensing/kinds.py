@@ -20,10 +20,8 @@ _Elevation = Annotated[float, Field(ge=-90, le=90)]
 _Limits = Annotated[list[_Elevation], Field(min_length=2, max_length=2)]
 
 
-class DeviceKeys(BaseModel):
+class DeviceKeys(BaseModel, **STRICT):
     """The keys of a catalogue that make a spec: those that every kind has."""
-
-    model_config = STRICT
 
     kind: str
     reliability: Annotated[float, Field(ge=0, le=1)] = 1.0

@@ -104,7 +104,7 @@ WHOLE = Size(
     *(dict(frames=100, radius=50.0), BevGrid()),
 )
 QUICK = Size(
-    *(2, 4, 1, 2, (8,), ("L-c",), 4, 2, 50),
+    *(4, 4, 1, 2, (8,), ("L-c",), 4, 2, 50),
     dict(frames=3, radius=15.0, voxel=1.0, density=8),
     BevGrid(half=QUICK_HALF),
 )

@@ -176,6 +176,7 @@ def growth(name: str, seed: int, repeats: int) -> list[dict[str, Any]]:
     """Seconds with more sensors, frames and objects; and the exponents fitted to them."""
     scene = workload(name, seed)
     whole, frames = sensors(scene), scene.traffic.frame_count
+    few = 2 if name == "quick" else None
 
     def first(count: int) -> Scene:
         return replace(scene, traffic=jax.tree.map(lambda leaf: leaf[:count], scene.traffic))
@@ -186,12 +187,11 @@ def growth(name: str, seed: int, repeats: int) -> list[dict[str, Any]]:
             *((len(whole) * n, scene, sensors(scene, n)) for n in (1, 2, 4)),
         ],
         "frames": [(n, first(n), whole) for n in (frames, frames // 2, frames // 4 + 1)],
-        "objects": [(n, workload(name, seed, density=n), whole) for n in (10, 20, 40)],
+        "objects": [(n, workload(name, seed, density=n), whole) for n in (10, 20, 40)[:few]],
     }
     rows = []
     for what, sizes in cases.items():
-        sizes = sizes[:2] if name == "quick" else sizes
-        found = []
+        sizes, found = sizes[:few], []
         for _, place, layout in sizes:
             inspe_jax.evaluate(place, layout)
             found.append(seconds(partial(inspe_jax.evaluate, place, layout), repeats))

@@ -62,9 +62,8 @@ def main() -> None:
     place = inspe_jax.built_in("four_way")
     for profile in ("ideal", "paper")[given.quick :]:
         scene = inspe_jax.build_scene(place, profile=profile, **size)
-        groups = {
-            BY_HAND: [inspe_jax.strategy(scene, name) for name in NINE[:: 4 if given.quick else 1]]
-        }
+        by_hand = NINE[-1:] if given.quick else NINE
+        groups = {BY_HAND: [inspe_jax.strategy(scene, name) for name in by_hand]}
         for mix in MIXES[:1] if given.quick else MIXES:
             own = {f"{profile}-{name}": count for name, count in mix.items()}
             problem = Problem(scene, starting_layout(scene, own))

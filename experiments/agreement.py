@@ -14,7 +14,6 @@ import numpy as np
 import raycast
 from benchmark_speed import Embree
 from common import arguments, console, output, show, town_junction, write_results
-from matplotlib.figure import Figure
 from rich.progress import track
 
 import inspe_jax
@@ -87,28 +86,7 @@ def main() -> None:
     total = np.size(differ)
     console.print(f"line of sight agrees with Embree on {sight:.6%} of {total:,} triples")
     settings = dict(scene.settings, seed=options.seed, poses=poses, line_of_sight=sight)
-    write_results(output(options, "agreement"), rows, settings, draw(rows))
-
-
-def draw(rows: list[dict[str, Any]]) -> Figure:
-    """Coverage of each device by the three ways."""
-    figure = Figure(figsize=(7.0, 0.6 + 0.28 * len(rows)), layout="constrained")
-    axes = figure.subplots()
-    at = np.arange(len(rows))
-    looks = (
-        ("coverage_bresenham", "Bresenham (paper)", "s", "#E69F00", 5),
-        ("coverage_exact", "exact walk", "o", "#0072B2", 8),
-        ("coverage", "inspe_jax", "x", "#000000", 5),
-    )
-    for key, label, marker, color, size in looks:
-        look: dict[str, Any] = dict(color=color, mfc="none", ls="none", ms=size)
-        axes.plot([r[key] for r in rows], at, marker, label=label, **look)
-    axes.set_yticks(at, [r["device"] for r in rows])
-    axes.set(xlabel="coverage C of one sensor, mean over random poses", xlim=(0, 1))
-    axes.invert_yaxis()
-    axes.grid(axis="x", alpha=0.3)
-    axes.legend(loc="lower right", fontsize=8)
-    return figure
+    write_results(output(options, "agreement"), rows, settings)
 
 
 if __name__ == "__main__":

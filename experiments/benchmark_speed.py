@@ -13,14 +13,11 @@ takes beside what a search charges for it. Ratios are what to quote: machines di
 the device that JAX runs on.
 """
 
-import json
-import subprocess
 import sys
 import time
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import jax
@@ -30,6 +27,7 @@ import raycast
 from common import (
     arguments,
     console,
+    in_fresh_process,
     machine,
     output,
     peak_memory,
@@ -39,7 +37,6 @@ from common import (
 )
 from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
-from matplotlib.figure import Figure
 
 import inspe_jax
 from inspe_jax import Layout, Scene
@@ -179,6 +176,7 @@ def growth(name: str, seed: int, repeats: int) -> list[dict[str, Any]]:
     """Seconds with more sensors, frames and objects; and the exponents fitted to them."""
     scene = workload(name, seed)
     whole, frames = sensors(scene), scene.traffic.frame_count
+    few = 2 if name == "quick" else None
 
     def first(count: int) -> Scene:
         return replace(scene, traffic=jax.tree.map(lambda leaf: leaf[:count], scene.traffic))
@@ -188,13 +186,12 @@ def growth(name: str, seed: int, repeats: int) -> list[dict[str, Any]]:
             (3, scene, every(whole, 4)),
             *((len(whole) * n, scene, sensors(scene, n)) for n in (1, 2, 4)),
         ],
-        "frames": [(n, first(n), whole) for n in sorted({frames // 4 + 1, frames // 2, frames})],
-        "objects": [(n, workload(name, seed, density=n), whole) for n in (10, 20, 40)],
+        "frames": [(n, first(n), whole) for n in (frames, frames // 2, frames // 4 + 1)],
+        "objects": [(n, workload(name, seed, density=n), whole) for n in (10, 20, 40)[:few]],
     }
     rows = []
     for what, sizes in cases.items():
-        sizes = sizes[:2] if name == "quick" else sizes
-        found = []
+        sizes, found = sizes[:few], []
         for _, place, layout in sizes:
             inspe_jax.evaluate(place, layout)
             found.append(seconds(partial(inspe_jax.evaluate, place, layout), repeats))
@@ -229,17 +226,6 @@ def slope(scene: Scene, layout: Layout) -> dict[str, float]:
 
 
 def measured(name: str, seed: int) -> dict[str, Any]:
-    """One workload in a process of its own: see :func:`measure_here`."""
-    code = (
-        "import sys, json; sys.path.insert(0, sys.argv[1]); import benchmark_speed as b; "
-        "print(json.dumps(b.measure_here(sys.argv[2], int(sys.argv[3]))))"
-    )
-    command = [sys.executable, "-c", code, str(Path(__file__).parent), name, str(seed)]
-    run = subprocess.run(command, capture_output=True, text=True, check=True)
-    return json.loads(run.stdout.splitlines()[-1])
-
-
-def measure_here(name: str, seed: int) -> dict[str, Any]:
     """One workload: cold and warm seconds and the peak memory of scores, then of gradients."""
     scene = workload(name, seed)
     layout = sensors(scene, 2 if name == "W3" else 1)
@@ -298,7 +284,7 @@ def main() -> None:
         highlight=False,
     )
     names = [n for n in WORKLOADS if (n == "quick") == options.quick]
-    others = [measured(n, options.seed) for n in names]
+    others = [in_fresh_process(measured, n, options.seed) for n in names]
     for row in others:
         row["ratio"] = row["warm"] / others[0]["warm"]
     show(
@@ -332,23 +318,7 @@ def main() -> None:
         "sampled_gradients": gradients,
         "softness": SOFTNESS,
     }
-    write_results(output(options, "benchmark_speed"), rows, settings, draw(rows, size))
-
-
-def draw(rows: list[dict[str, Any]], size: dict[str, Any]) -> Figure:
-    """Seconds as bars."""
-    figure = Figure(figsize=(6.4, 2.6), layout="constrained")
-    axes = figure.subplots()
-    bars = axes.barh([r["what"] for r in rows], [r["seconds"] for r in rows], color="#0072B2")
-    axes.bar_label(bars, [f"{r['seconds']:.2f} s" for r in rows], padding=3)
-    axes.set(xlabel="seconds", xlim=(0, 1.2 * max(r["seconds"] for r in rows)))
-    axes.invert_yaxis()
-    figure.suptitle(
-        f"{size['scene']}: {size['voxels']:,} voxels, {size['sensors']} sensors, "
-        f"{size['frames']} frames, {size['objects']} objects",
-        fontsize=9,
-    )
-    return figure
+    write_results(output(options, "benchmark_speed"), rows, settings)
 
 
 if __name__ == "__main__":

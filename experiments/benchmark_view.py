@@ -1,8 +1,6 @@
 """Claim: a sensor let go has scores in 0.3 s, a plan view in 1 s; the page answers in 0.3 s.
 
 All in the median; the page also while it scores and searches, unless it draws in 3-D by software.
-While a sensor is dragged, what it sees is recorded five times a second.
-A search stops in 0.5 s, in the midst of compiling, too.
 
 W1 of `benchmark_speed.py`: 152 520 voxels, 12 sensors, 100 frames of 40 road users. Once without a
 browser and, where there is Chromium, with one on the same cores: twice, since without a graphics
@@ -14,19 +12,11 @@ every 50 ms, an end. Timed from the end to the scores on the page's panel, of 20
 with mounting, the shown frame's voxels and all that is drawn; and to the plan view of all frames,
 with its blind spots.
 
-Recordings: a camera and a LiDAR are dragged in a circle, with an event every 50 ms, while scores
-follow. Timed from each recording of what the sensor sees, as it is put on the page, to the next.
-
 Answers: another sensor is chosen, which is what can be done at any time, at rest, while all frames
 are scored over and over, and while a search runs, from its button on, with all that it compiles.
 With a browser, timed in the page, from a click in the list of sensors to the picture in which all
 five numbers of the pose are the chosen sensor's, which the server tells. Without one, from an event
 handed to the server's loop to the end of what it asks of the queue.
-
-Stops: half of them while a search compiles, some seconds after it was begun, half while it
-searches. Timed from the button to the end of the search, with its best layout in hand.
-
-The first scores, once: from the start of the page, with nothing compiled, and what it says.
 """
 
 import tempfile
@@ -43,10 +33,8 @@ from typing import Any
 import numpy as np
 from benchmark_speed import sensors, workload
 from common import CHROMIUM, arguments, browser_on, console, machine, output, show, write_results
-from matplotlib.figure import Figure
 
 from inspe_jax.core.geometry import rotation
-from inspe_jax.placement.optimise import DEFAULT_METHOD
 from inspe_jax.placement.problem import Case
 from inspe_jax.viewer.app import Viewer
 from inspe_jax.viewer.browser_view import BrowserView
@@ -64,14 +52,8 @@ PAUSE = (0.3, 1.0)
 LONG = 600.0
 """What a search is given, which is stopped before [s]."""
 BROWSERS = ("no browser", "a browser, nothing in 3-D", "a browser, 3-D in software")
-WAITED = 60.0
-"""For a recording, at most [s]."""
-RECORDINGS = {"camera": "next picture, dragged", "lidar": "next points, dragged"}
 SCORES = {"few": "20 frames", "all": "all frames", "plan": "plan view of all frames"}
 ANSWERS = ("at rest", "while it scores", "while it searches")
-STOPS = ("stop, compiling", "stop, searching")
-BEGUN = (10.0, 4.0)
-"""A search is stopped so long after its start, or after its first better layout, at most [s]."""
 
 LOOK = """wanted => {
     const labels = [...document.querySelectorAll('label')];
@@ -130,32 +112,6 @@ def drag(viewer: Viewer, s: int, rng: np.random.Generator) -> dict[str, float]:
         if "all" in heard and picture.content != drawn and spots.label == BLIND_SPOTS:
             heard.setdefault("plan", now)
     return heard
-
-
-def recordings(viewer: Viewer, s: int, count: int) -> Iterator[float]:
-    """Drag a sensor in a circle; seconds from each of ``count`` recordings of it to the next."""
-    view = view_of(viewer)
-    view.select(s)
-    pose = np.array(viewer.layout.poses[s], float)
-    turn, at = rotation(np.array([0.0, 0.0, pose[5]]), np), pose[:3]
-    view.on_drag(HandleDrag("start", at, turn))
-    began, seen, last = time.monotonic(), view.sensor_view.seen, None
-    moved, done = began, 0
-    while done < count:
-        now = time.monotonic()
-        assert now < (last or began) + WAITED, "no recording came: can this sensor be recorded?"
-        if now >= moved:
-            moved += EVERY
-            aside = np.array([np.cos(now - began), np.sin(now - began), 0.0])
-            view.on_drag(HandleDrag("update", at + aside, turn))
-        if view.sensor_view.seen not in (None, seen):
-            seen = view.sensor_view.seen
-            if last is not None:
-                yield now - last
-                done += 1
-            last = now
-        time.sleep(0.002)
-    view.on_drag(HandleDrag("end", at, turn))
 
 
 def on_server(viewer: Viewer, s: int) -> float:
@@ -256,10 +212,6 @@ def measured(
         found = drag(viewer, k % len(viewer.layout), rng)
         for key, name in SCORES.items():
             yield dict(timed=name, after=time.monotonic() - began, seconds=found[key])
-    for kind, name in RECORDINGS.items():
-        s = [sensor.spec.kind for sensor in viewer.layout.sensors].index(kind)
-        for seconds in recordings(viewer, s, 2 * counts["drags"]):
-            yield dict(timed=name, after=time.monotonic() - began, seconds=seconds)
     time.sleep(2.0)  # until all is drawn
     states: list[AbstractContextManager[Ready]]
     states = [nullcontext(lambda: None), scoring(viewer), searching(viewer, tab)]
@@ -268,62 +220,6 @@ def measured(
         with state as ready:
             for seconds in answers(viewer, tab, counts[name], rng, ready):
                 yield dict(timed=name, after=time.monotonic() - began, seconds=seconds)
-
-
-def stopped(
-    viewer: Viewer, tab: Any, counts: dict[str, int], rng: np.random.Generator
-) -> Iterator[dict[str, Any]]:
-    """Searches that are stopped while they compile, and while they search."""
-    began = time.monotonic()
-    for name, method, most in zip(STOPS, (DEFAULT_METHOD, "random"), BEGUN, strict=True):
-        set_value(viewer.panel.method, method)
-        for _ in range(counts[name]):
-            with searching(viewer, tab):
-                if name == STOPS[1]:
-                    wait_until(lambda: viewer.searcher.gain > 0)
-                time.sleep(rng.uniform(0, most))
-                pressed = time.monotonic()
-                if tab is None:
-                    viewer.stop()
-                else:
-                    tab.get_by_role("button", name="Stop").click()
-                wait_until(lambda: not viewer.searching)
-            yield dict(timed=name, after=pressed - began, seconds=time.monotonic() - pressed)
-
-
-def first_scores(viewer: Viewer) -> tuple[float, list[str]]:
-    """Seconds until a page that was just started has scores, and what it says till then."""
-    began, said = time.monotonic(), list[str]()
-    while viewer.display.scored is None:
-        state = viewer.panel.headline.content.partition('data-state="')[2].partition('"')[0]
-        if state and state not in said:
-            said.append(state)
-        time.sleep(0.05)
-    return time.monotonic() - began, said
-
-
-def figure(rows: list[dict[str, Any]]) -> Figure:
-    """Every time: of scores, of answers."""
-    fig, found = Figure(figsize=(8.0, 5.6), layout="constrained"), times_of(rows)
-    others = (*ANSWERS, *STOPS)
-    above = (*SCORES.values(), *RECORDINGS.values())
-    scores, answered = fig.subplots(2, 1, height_ratios=(len(above), len(others)))
-    for ax, names in ((scores, above), (answered, others)):
-        lines = [line for name in names for line in found if line[0] == name]
-        for y, line in enumerate(lines):
-            ax.plot(found[line], np.full(len(found[line]), y), "|", ms=9, color="#0072b2")
-            ax.plot(np.median(found[line]), y, "o", ms=5, color="#d55e00", zorder=3)
-        ax.set_yticks(range(len(lines)), [f"{name}, {browser}" for name, browser in lines])
-        ax.set_ylim(len(lines) - 0.4, -0.6)
-        ax.grid(axis="x", lw=0.4, color="#d0d0d0")
-        ax.set_axisbelow(True)
-    scores.set(
-        xlabel="from the end of a drag to its scores, from a recording to the next [s]",
-        xlim=(0, None),
-    )
-    answered.set(xlabel="from a choice, or from Stop, to its answer [s]", xscale="log")
-    answered.xaxis.set_major_formatter("{x:g}")
-    return fig
 
 
 def times_of(rows: list[dict[str, Any]]) -> dict[tuple[str, str], list[float]]:
@@ -339,8 +235,8 @@ def main() -> None:
     given = arguments(__doc__, "seed")
     scene = workload("quick" if given.quick else "W1", given.seed)
     layout = sensors(scene)
-    many = (1, 1, 1, 1, 1, 1) if given.quick else (30, 20, 20, 40, 10, 10)  # searches compile long
-    counts = dict(zip(("drags", *ANSWERS, *STOPS), many, strict=True))
+    many = (1, 1, 1, 1) if given.quick else (30, 20, 20, 40)  # searches compile long
+    counts = dict(zip(("drags", *ANSWERS), many, strict=True))
     rows: list[dict[str, Any]] = []
     looked = BROWSERS[:1] if CHROMIUM is None or given.quick else BROWSERS
     if looked != BROWSERS:
@@ -350,15 +246,6 @@ def main() -> None:
         with tempfile.TemporaryDirectory() as folder:
             viewer = Viewer(Case(scene), layout, Path(folder) / "w1.yaml", port=0)
             try:
-                if not rows:
-                    seconds, said = first_scores(viewer)
-                    rows.append(
-                        dict(browser=browser, timed="first scores", after=0.0, seconds=seconds)
-                    )
-                    console.print(f"first scores after {seconds:.1f} s; until then the page says:")
-                    console.print(
-                        *(f"  {words}" for words in said[:: max(1, len(said) // 8)]), sep="\n"
-                    )
                 looking, drawn = browser != BROWSERS[0], browser == BROWSERS[2]
                 if not looking:  # the page's own panel and scene stand for a browser's
                     own = SimpleNamespace(
@@ -367,19 +254,18 @@ def main() -> None:
                     viewer.queue.submit(partial(viewer.open_view, own))
                 with browser_on(viewer.url, drawn=drawn) if looking else nullcontext() as tab:
                     wait_until(partial(bool, viewer.views))
-                    for timed in (measured, stopped):
-                        for row in timed(viewer, tab, counts, rng):
-                            rows.append({"browser": browser, **row})
+                    timed = measured(viewer, tab, counts, rng)
+                    rows += [{"browser": browser, **row} for row in timed]
             finally:
                 viewer.close()
     found, cells = times_of(rows), []
-    for name in (*SCORES.values(), *RECORDINGS.values(), *ANSWERS, *STOPS):
+    for name in (*SCORES.values(), *ANSWERS):
         times = [found[name, browser] for browser in looked]
         cells.append((name, *(f"{np.median(of):.3f} ({max(of):.3f})" for of in times)))
     show(("", *looked), cells, "median (most), in seconds")
     console.print(" · ".join(f"{key} {value}" for key, value in machine().items()))
     settings = {"seed": given.seed, "quick": given.quick, **counts}
-    write_results(output(given, "benchmark_view"), rows, settings, figure(rows))
+    write_results(output(given, "benchmark_view"), rows, settings)
 
 
 if __name__ == "__main__":

@@ -10,7 +10,9 @@ import shutil
 import sys
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -128,6 +130,13 @@ def processes(given: argparse.Namespace) -> int | None:
     It works for less time than a second process takes to import and compile.
     """
     return given.workers or (1 if given.quick else None)
+
+
+def in_fresh_process(work: Callable[..., Any], *given: Any) -> Any:
+    """The result of ``work(*given)`` in a process that has compiled nothing, with its own peak of
+    memory."""
+    with ProcessPoolExecutor(1, get_context("spawn")) as pool:
+        return pool.submit(work, *given).result()
 
 
 @contextmanager

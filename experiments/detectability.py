@@ -60,12 +60,11 @@ def main() -> None:
     number = 2 if given.quick else 100
     rows: list[dict[str, Any]] = []
     place = inspe_jax.built_in("four_way")
-    for profile in ("ideal", "paper"):
+    for profile in ("ideal", "paper")[given.quick :]:
         scene = inspe_jax.build_scene(place, profile=profile, **size)
-        groups = {
-            BY_HAND: [inspe_jax.strategy(scene, name) for name in NINE[:: 4 if given.quick else 1]]
-        }
-        for mix in MIXES[:2] if given.quick else MIXES:
+        by_hand = NINE[-1:] if given.quick else NINE
+        groups = {BY_HAND: [inspe_jax.strategy(scene, name) for name in by_hand]}
+        for mix in MIXES[:1] if given.quick else MIXES:
             own = {f"{profile}-{name}": count for name, count in mix.items()}
             problem = Problem(scene, starting_layout(scene, own))
             points = problem.space.random(np.random.default_rng(given.seed), number)

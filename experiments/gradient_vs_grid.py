@@ -6,9 +6,7 @@ layout, work on samples of the same size, and get the same seconds; each is comp
 begins, and what that takes is a column of its own. With ``--cold`` each runs in a process of its
 own that keeps nothing compiled, and its time is its user's: it begins when the search is called,
 and compiling is part of it. With ``--processor`` the seconds are processor time, which other work
-on the machine does not lengthen: run it on one core. Scores are exact, of the whole scene. Prints
-the median over the seeds for each cell, which methods win, and how soon the gradient reaches what
-the grid ends with.
+on the machine does not lengthen: run it on one core. Scores are exact, of the whole scene.
 
 A run that is stopped goes on from what it has written: rows are appended as they come. To use
 several cores, run it for some places on each, and put their CSVs together; each search then has
@@ -18,21 +16,26 @@ one core.
 import argparse
 import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
 import jax
 import numpy as np
-from common import MAPS, append_rows, arguments, console, markdown, read_rows, write_settings
+from common import (
+    MAPS,
+    append_rows,
+    arguments,
+    console,
+    in_fresh_process,
+    read_rows,
+    write_settings,
+)
 from matplotlib.figure import Figure
 
 import inspe_jax
 from inspe_jax import Layout, Scene
 from inspe_jax.core.compiling import compiled
-from inspe_jax.core.files import write_text
 from inspe_jax.mounting.mixes import starting_layout
 from inspe_jax.placement.candidates import COLUMNS, FRAMES
 from inspe_jax.placement.methods.registry import GRADIENTS, METHODS
@@ -80,7 +83,7 @@ def options() -> argparse.Namespace:
     if found.quick:
         found.seconds, found.seeds = 5.0 if found.cold else 0.5, 1
         if found.methods == ",".join(METHODS):
-            found.methods = "greedy-adam,grid,cma-es"  # the others compile for a minute
+            found.methods = "greedy-adam,grid"  # the others compile for a minute
             if found.cold:  # each of them for a quarter of one
                 found.methods = "greedy-adam,greedy"
     return found
@@ -154,9 +157,8 @@ def cold_cell(
 ) -> Found:
     """Every search in a process of its own, which imports and gets the scene before it begins."""
     for seed, name in todo:
-        with ProcessPoolExecutor(1, get_context("spawn")) as process:
-            task = process.submit(cold_search, scene, layout, name, seed, seconds, clock)
-            yield seed, name, *task.result()
+        found = in_fresh_process(cold_search, scene, layout, name, seed, seconds, clock)
+        yield seed, name, *found
 
 
 def warm_cell(
@@ -177,7 +179,7 @@ def warm_cell(
 
 def cell(
     place: str, mix: str, scene: Scene, layout: Layout, given: argparse.Namespace, done: set
-) -> Iterator[tuple[dict[str, Any], list[Progress]]]:
+) -> Iterator[dict[str, Any]]:
     """Every method and seed on one cell."""
     todo = [
         (seed, name)  # in turns: a machine that is busy for a while then slows all methods alike
@@ -191,71 +193,7 @@ def cell(
     for seed, name, history, work, compiling in searches(scene, layout, given.seconds, clock, todo):
         row = (place, mix, name, seed, given.seconds, history[0].best, history[-1].best)
         spent = (work, history[-1].seconds, compiling, words)
-        yield dict(zip(FIELDS, (*row, *spent), strict=True)), history
-
-
-def medians(rows: list[dict[str, str]]) -> dict[tuple[str, str], dict[str, np.ndarray]]:
-    """(lower quartile, median, upper quartile) of the final score, by cell and method."""
-    table: dict[tuple[str, str], dict[str, list[float]]] = {}
-    for row in rows:
-        table.setdefault((row["place"], row["mix"]), {}).setdefault(row["method"], []).append(
-            float(row["score"])
-        )
-    return {
-        at: {name: np.quantile(scores, (0.25, 0.5, 0.75)) for name, scores in by.items()}
-        for at, by in table.items()
-    }
-
-
-def courses(rows: list[dict[str, str]]) -> dict[tuple[str, str, str], dict[str, list]]:
-    """(seconds, best) of every run, by cell and method, then by seed."""
-    found: dict[tuple[str, str, str], dict[str, list]] = {}
-    for row in rows:
-        by = found.setdefault((row["place"], row["mix"], row["method"]), {})
-        by.setdefault(row["seed"], []).append((float(row["seconds"]), float(row["best"])))
-    return found
-
-
-def reached(course: dict[str, list], score: float) -> float:
-    """Median time at which the runs reached a score [s]; infinite where most did not."""
-    times = [min((t for t, best in s if best >= score), default=np.inf) for s in course.values()]
-    return float(np.median(times))
-
-
-def summary(rows: list[dict[str, str]], history: list[dict[str, str]]) -> str:
-    """A table for the README: medians, spread, who wins, how soon."""
-    table, course = medians(rows), courses(history)
-    names = [name for name in METHODS if any(name in by for by in table.values())]
-    lines = []
-    wins, early, within = dict.fromkeys(GRADIENT, 0), 0, 0
-    budget = float(rows[0]["budget"])
-    for at, by in table.items():
-        start = next(row["start"] for row in rows if (row["place"], row["mix"]) == at)
-        most = max(q[1] for q in by.values())
-        others = max((by[n][1] for n in by if n not in GRADIENT), default=-np.inf)
-        for name in GRADIENT:
-            wins[name] += bool(name in by and by[name][1] >= others)
-        cells = []
-        for name in names:
-            low, middle, high = by.get(name, (np.nan,) * 3)
-            words = f"{middle:.4f} ± {(high - low) / 2:.4f}"
-            cells.append("" if np.isnan(middle) else f"**{words}**" if middle == most else words)
-        sooner = ""
-        if "grid" in by and (ours := [name for name in GRADIENT if name in by]):
-            took = reached(course[(*at, "grid")], by["grid"][1])
-            best = min(ours, key=lambda name: reached(course[(*at, name)], by["grid"][1]))
-            ours_took = reached(course[(*at, best)], by["grid"][1])
-            ratio = took / ours_took
-            early += ratio >= 10
-            within += ours_took <= budget / 10
-            sooner = f"{ratio:.1f}× sooner by {best}"
-        lines.append((f"{at[0]}, {at[1]}", f"{float(start):.3f}", *cells, sooner))
-    text = markdown(("cell", "start", *names, "grid's end reached"), lines)
-    text += "\n\nAt least as good in the median as every search without gradients, of "
-    text += f"{len(table)} cells: " + ", ".join(f"{name} {n}" for name, n in wins.items()) + ".\n"
-    text += f"Grid's final score in a tenth of the time that grid took to it: {early}; of the "
-    text += f"time that grid was given: {within}.\n"
-    return text
+        yield dict(zip(FIELDS, (*row, *spent), strict=True))
 
 
 def draw(rows: list[dict[str, str]], path: Path) -> None:
@@ -293,13 +231,13 @@ def draw(rows: list[dict[str, str]], path: Path) -> None:
 
 
 def main() -> None:
-    """Run what is missing; then the table and the picture of all there is."""
+    """Run what is missing; then the picture of all there is."""
     given = options()
     stem = "gradient_vs_grid" + "_cold" * given.cold + "_quick" * given.quick
+    path = given.out / f"{stem}.csv"
     if given.draw:
-        draw(read_rows(given.out / f"{stem}.csv"), given.out / f"{stem}.png")
+        draw(read_rows(path), path.with_suffix(".png"))
         return
-    path, courses_path = given.out / f"{stem}.csv", given.out / f"{stem}_history.csv"
     for row in read_rows(path):
         if float(row["budget"]) != given.seconds:
             raise SystemExit(
@@ -311,22 +249,14 @@ def main() -> None:
         for mix in given.mixes.split(",")[: 1 if given.quick else None]:
             jax.clear_caches()  # else the compiled code of many cells exhausts the memory maps
             layout = starting_layout(scene, MIXES[mix])
-            for row, history in cell(place, mix, scene, layout, given, done):
-                key = {k: row[k] for k in ("place", "mix", "method", "seed")}
+            for row in cell(place, mix, scene, layout, given, done):
                 append_rows(path, [row])
-                append_rows(
-                    courses_path, [key | dict(seconds=p.seconds, best=p.best) for p in history]
-                )
                 console.print(
                     f"{place}, {mix}, {row['method']} {row['seed']}: {row['score']:.4f}",
                     highlight=False,
                 )
-    rows, steps = read_rows(path), read_rows(courses_path)
-    write_settings(given.out / f"{stem}.json", vars(given))
-    text = summary(rows, steps)
-    write_text(given.out / f"{stem}.md", text)
-    console.print(text, highlight=False)
-    draw(rows, given.out / f"{stem}.png")
+    write_settings(path.with_suffix(".json"), vars(given))
+    draw(read_rows(path), path.with_suffix(".png"))
 
 
 if __name__ == "__main__":

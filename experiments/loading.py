@@ -4,22 +4,18 @@ Four LiDARs with about 60 000 points each, and eight cameras: the layout Cam-d1/
 four-way intersection, recorded anew. Measured: bytes of a frame as recorded and in the cache, how
 long decoding takes, and frames a second as batches of four, by number of workers:
 
-- LiDARs as padded points, as stored and augmented (mirror, turn, scale), and as pillars of two
-  widths, which have room for all pillars with a point;
+- LiDARs as padded points, as stored and augmented (mirror, turn, scale), and as pillars;
 - eight pictures of 300 × 400, and all sensors together;
 - beside them, the same frames read from the set itself, without a cache.
 
 The set was just written, so all reads come from the system's memory: the figures are those of the
-loader, not of a disk. Each is the median of several rounds. Where `grain` is installed, it reads
-the same loader, with its threads and with its worker processes.
+loader, not of a disk. Each is the median of several rounds.
 """
 
 import time
 from collections import defaultdict
 from collections.abc import Callable, Iterator
 from functools import partial
-from importlib import import_module
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +24,7 @@ from common import arguments, console, kept_folder, machine, output, show, write
 from matplotlib.figure import Figure
 
 from inspe_jax.dataset import Dataset, cache, generate, load_generation, open
-from inspe_jax.dataset.loading import Augment, Batch, Cache, Loader, PillarGrid
+from inspe_jax.dataset.loading import Augment, Cache, Loader, PillarGrid
 from inspe_jax.dataset.loading.loader import Sensor
 from inspe_jax.dataset.statistics import statistics
 
@@ -49,13 +45,12 @@ ROUNDS, LASTS = 5, 1.0
 
 LIDAR: tuple[Sensor, ...] = ("lidar",)
 CAMERA: tuple[Sensor, ...] = ("camera",)
-FINE = PillarGrid(most_pillars=16_000)
-COARSE = PillarGrid(cell=0.8, most_pillars=8000, most_points=32)
 KINDS: dict[str, dict[str, Any]] = {
     "LiDARs, points": dict(sensors=LIDAR),
     "LiDARs, augmented": dict(sensors=LIDAR, augment=Augment()),
-    "LiDARs, 0.4 m pillars": dict(sensors=LIDAR, points=FINE, augment=Augment()),
-    "LiDARs, 0.8 m pillars": dict(sensors=LIDAR, points=COARSE, augment=Augment()),
+    "LiDARs, 0.4 m pillars": dict(
+        sensors=LIDAR, points=PillarGrid(most_pillars=16_000), augment=Augment()
+    ),
     "8 pictures": dict(sensors=CAMERA, augment=Augment()),
     "all sensors": dict(augment=Augment()),
 }
@@ -93,38 +88,6 @@ def from_the_set(data: Dataset, name: str) -> Iterator[int]:
                 yield sum(scan.points.size for unit in stations for scan in unit.scans)
 
 
-def with_grain(loader: Loader, processes: int) -> Iterator[Batch]:
-    """The same batches from grain: two threads, or so many worker processes."""
-    grain = import_module("grain")
-    import_module("absl.flags").FLAGS.mark_as_parsed()  # its workers ask for flags of absl
-    source = grain.MapDataset.source(loader).repeat()
-    options = grain.ReadOptions(num_threads=2, prefetch_buffer_size=4)
-    found = source.to_iter_dataset(options)
-    if processes:
-        found = found.mp_prefetch(grain.MultiprocessingOptions(num_workers=processes))
-    return iter(found)
-
-
-def filled(found: Cache, grid: PillarGrid) -> dict[str, float]:
-    """The most pillars of a LiDAR that have a point, and the share of its points that are kept."""
-    most, points, kept = 0, 0, 0
-    for batch in Loader(found, batch=1, shuffle=False, sensors=LIDAR):
-        assert batch.lidars is not None
-        for cloud in batch.lidars.points[0]:  # type: ignore[index]
-            near = (np.abs(cloud[:, :2]) < grid.half).all(1) & (cloud[:, 2] >= grid.low)
-            near &= (cloud[:, 2] < grid.high) & cloud.any(1)
-            cells = np.floor(cloud[near, :2] / grid.cell).astype(int)
-            _, counts = np.unique(cells, axis=0, return_counts=True)
-            most = max(most, len(counts))
-            points += counts.sum()
-            kept += np.minimum(counts, grid.most_points).sum()
-    name = f"pillars of {grid.cell} m"
-    return {
-        f"{name} with a point": float(most),
-        f"{name}: share of points kept": float(kept / points),
-    }
-
-
 Case = tuple[str, str, int]
 """A kind of batch, what reads it, and the number of workers."""
 
@@ -137,14 +100,9 @@ def cases(
     for kind in ("LiDARs, points", "8 pictures"):
         listed[kind, "set", 0] = partial(from_the_set, data, kind), 1
     for kind, settings in KINDS.items():
-        for workers in (0, 2) if quick else WORKERS:
+        for workers in WORKERS[2:3] if quick else WORKERS:
             loader = Loader(found, batch=BATCH, seed=seed, workers=workers, **settings)
             listed[kind, "cache", workers] = loader.steps, BATCH
-    if find_spec("grain") and not quick:
-        for kind in ("LiDARs, augmented", "all sensors"):
-            loader = Loader(found, batch=BATCH, seed=seed, **KINDS[kind])
-            listed[kind, "grain, threads", 2] = partial(with_grain, loader, 0), BATCH
-            listed[kind, "grain, processes", 2] = partial(with_grain, loader, 2), BATCH
     return listed
 
 
@@ -162,9 +120,7 @@ def measure(data: Dataset, found: Cache, quick: bool, seed: int) -> list[dict[st
     rows = []
     for (kind, reader, workers), of in rates.items():
         row = dict(kind=kind, reader=reader, workers=workers, median=float(np.median(of)))
-        # Worker processes are not counted in this one's time.
-        each = float(np.median(busy[kind, reader, workers]))
-        cpu = "" if reader == "grain, processes" else each
+        cpu = float(np.median(busy[kind, reader, workers]))
         rows.append(row | dict(least=min(of), most=max(of), cpu_ms=cpu))
     return rows
 
@@ -210,15 +166,13 @@ def main() -> None:
             "points of a cloud": counted.mean_points or 0.0,
             "decoding, s a frame": decoding / frames,
         }
-        sizes |= filled(found, FINE) | filled(found, COARSE)
         for name, value in sizes.items():
             console.print(f"{name}: {value:.3g}")
         rows = measure(data, found, given.quick, given.seed)
     cells = []
     for row in rows:
         numbers = [f"{row[key]:.0f}" for key in ("median", "least", "most")]
-        cpu = f"{row['cpu_ms']:.1f}" if row["cpu_ms"] else ""
-        cells.append((row["kind"], row["reader"], row["workers"], *numbers, cpu))
+        cells.append((row["kind"], row["reader"], row["workers"], *numbers, f"{row['cpu_ms']:.1f}"))
     show(("", "read by", "workers", "frames a second", "least", "most", "CPU ms a frame"), cells)
     reached = max(
         row["median"]

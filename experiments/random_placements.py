@@ -7,15 +7,13 @@ paper's three by hand with LiDARs, and what searches for P_sm and for detectabil
 each of those three. All placements at a place see the same traffic. Tells the correlation of mAP,
 of all classes and of each, with P_sm, C, O, IG and D, with intervals from resampling the
 placements: over all of them with what differs between the two places taken out, and also with what
-the number of LiDARs alone explains taken out. Then what the searches gained over the placements by
-hand, and the placements that P_sm ranks worst, with a picture of four: how often each place is
-seen, and which road users the detector finds and which it misses.
+the number of LiDARs alone explains taken out. A picture shows the four placements that P_sm ranks
+worst: how often each place is seen, and which road users the detector finds and which it misses.
 
 Sets, caches and the training are in the folder of --keep. A run that was stopped goes on there.
 """
 
 import argparse
-import itertools
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -26,9 +24,7 @@ import numpy as np
 from common import (
     METRICS,
     arguments,
-    console,
     kept_folder,
-    markdown,
     need_maps,
     on_maps,
     output,
@@ -47,8 +43,7 @@ from inspe_jax.core.files import csv_text, write_text
 from inspe_jax.core.words import counted
 from inspe_jax.dataset import Cache, Generation, Loader
 from inspe_jax.dataset.plan import make_generation
-from inspe_jax.jobs.scenes import scene_of
-from inspe_jax.jobs.sources import SceneSource
+from inspe_jax.jobs.sources import SceneSource, scene_of
 from inspe_jax.mounting.mixes import starting_layout
 from inspe_jax.perception.detector import loader_of
 from inspe_jax.perception.evaluation import (
@@ -74,8 +69,6 @@ SCORES = {"surrogate": "P_sm", **METRICS, "detectability": "D"}
 """What is compared with mAP: names in records, and symbols."""
 SEARCHED = ("surrogate", "detectability")
 """What is searched for, from each placement by hand."""
-GAINED = {"surrogate": "+.3f", "detectability": "+.3f", "mean_ap": "+.1f"}
-"""What a search is told to have gained: columns of records, and how they are written."""
 MODEL = "coalign"
 FOUND: dict[bool, dict[str, Any]] = {
     True: dict(c="#0072b2", marker="o", s=10),
@@ -297,29 +290,6 @@ def correlations(rows: Rows, resamples: int) -> Rows:
     return found
 
 
-def summary(rows: Rows) -> list[str]:
-    """What the searches gained, and where P_sm is furthest off, in lines."""
-    gained = []
-    for place in dict.fromkeys(row["place"] for row in rows):
-        own = {row["layout"]: row for row in rows if row["place"] == place}
-        for name, metric in itertools.product(own, SEARCHED):
-            if found := own.get(searched_from(name, metric)):
-                better = {key: float(found[key]) - float(own[name][key]) for key in GAINED}
-                gains = (f"{better[key]:{form}}" for key, form in GAINED.items())
-                gained.append((place, name, SCORES[metric], *gains))
-    heads = ("place", "from", "searched", "gain in P_sm", "in D", "in mAP")
-    lines = [markdown(heads, gained)]
-    off = off_the_line(rows)
-    for k in np.argsort(-np.abs(off))[:5]:
-        row = rows[int(k)]
-        lines.append(
-            f"{row['place']}, {row['layout']}, {counted(int(row['lidars']), 'LiDAR')}: P_sm "
-            f"{float(row['surrogate']):.3f}, mAP {float(row['mean_ap']):.1f}, "
-            f"{off[k]:+.1f} from the line"
-        )
-    return lines
-
-
 def off_the_line(rows: Rows) -> np.ndarray:
     """How far mAP is off the line over P_sm, without the mean of each place, in points."""
     x, y = (
@@ -437,11 +407,6 @@ def main() -> None:
     facts = dict(vars(given), size=size._asdict())
     write_results(stem, rows, facts, draw(rows, related))
     write_results(Path(f"{stem}_correlations"), related, dict(vars(given)))
-    for row in related:
-        if row["road_user"] == "mean":
-            value = f"{row['correlation']} {row['value']} [{row['low']}, {row['high']}]"
-            console.print(f"less {row['less']}: {SCORES[row['metric']]}: {value}", highlight=False)
-    console.print("\n".join(summary(rows)), highlight=False)
     furthest.savefig(f"{stem}_furthest.png", dpi=110)
 
 

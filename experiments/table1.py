@@ -396,12 +396,6 @@ def means(rows: Rows, of: str) -> Means:
     return {at: float(np.mean(values)) for at, values in found.items()}
 
 
-def means_of_seeds(rows: Rows, of: str) -> dict[str, Means]:
-    """What :func:`means` gives for the rows of each seed."""
-    seeds = sorted({row["seed"] for row in rows})
-    return {seed: means([row for row in rows if row["seed"] == seed], of) for seed in seeds}
-
-
 def read_paper1(path: Path | None) -> Means:
     """The paper's Table 1."""
     if path is None:

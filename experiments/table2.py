@@ -17,7 +17,7 @@ The study runs on all cores, or by a Dask scheduler, and goes on where it was st
 """
 
 import argparse
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -97,7 +97,8 @@ def plan(given: argparse.Namespace, **settings: Any) -> Study:
         wanted |= QUICK_SIZE
     size = {key: value for key, value in wanted.items() if value is not None}
     size |= dict(profile=given.profile, seed=given.seed)
-    content = dict(scenes=places(given), layouts=list(STRATEGIES), settings=size | settings)
+    scenes = places(given)[: 1 if given.quick else None]
+    content = dict(scenes=scenes, layouts=list(STRATEGIES), settings=size | settings)
     return make_study(content, MAPS, "intersections.yaml", "table2")
 
 
@@ -246,23 +247,17 @@ def optimised(rows: list[Row]) -> str:
     return f"{text}\n\n{markdown(('placement', 'by hand', 'found from it'), both)}\n"
 
 
-def panels(figure: Figure, names: Sequence[str]) -> Iterator[tuple[Any, str]]:
-    """A panel for each metric, placements along it."""
-    axes = figure.subplots(2, 2, sharex=True, sharey=True).ravel()
-    for ax, (metric, symbol) in zip(axes, METRICS.items(), strict=True):
-        ax.set_title(symbol, fontsize=10)
-        ax.grid(axis="y", color="#e0e0e0", lw=0.5)
-        ax.set_xticks(np.arange(len(names)), names, rotation=45, ha="right", fontsize=8)
-        ax.set_ylim(0, 1.03)
-        yield ax, metric
-
-
 def draw(stats: Stats, paper: Stats) -> Figure:
     """Mean and standard deviation of every placement, a panel a metric."""
     figure = Figure(figsize=(8.4, 5.6), layout="constrained")
     names = list(STRATEGIES)
     at = np.arange(len(names))
-    for ax, metric in panels(figure, names):
+    axes = figure.subplots(2, 2, sharex=True, sharey=True).ravel()
+    for ax, (metric, symbol) in zip(axes, METRICS.items(), strict=True):
+        ax.set_title(symbol, fontsize=10)
+        ax.grid(axis="y", color="#e0e0e0", lw=0.5)
+        ax.set_xticks(at, names, rotation=45, ha="right", fontsize=8)
+        ax.set_ylim(0, 1.03)
         both = [("inspe_jax", stats, "#0072b2", -0.12 if paper else 0.0)]
         both += [("paper", paper, "#d55e00", 0.12)] if paper else []
         for label, values, color, aside in both:

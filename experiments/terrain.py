@@ -78,7 +78,7 @@ def main() -> None:
     size: dict[str, Any] = dict(radius=RADIUS, seed=given.seed)
     if given.quick:
         size |= dict(radius=15, voxel=1.0, frames=3)
-    names = ["Cam-d2", "L-d2"] if given.quick else list(inspe_jax.STRATEGIES)
+    names = ["L-d2"] if given.quick else list(inspe_jax.STRATEGIES)
     rows: list[dict[str, Any]] = []
     for place in intersections(given):
         rows += compared(place, names, **size)

@@ -54,7 +54,7 @@ def main() -> None:
         profile="ideal", radius=radius, **(quick if options.quick else whole)
     )
     seeds = range(options.seed, options.seed + (1 if options.quick else 3))
-    layouts = ["Cam-d1", "L-d1"] if options.quick else list(STRATEGIES)
+    layouts = ["L-d1"] if options.quick else list(STRATEGIES)
 
     rows: list[dict[str, Any]] = []
     drawn: dict[str, tuple[Scene, np.ndarray]] = {}

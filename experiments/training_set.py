@@ -1,16 +1,14 @@
 """Claim: a data set of the ten intersections holds the road users that its densities ask for.
 
 Records a tenth of the set of ten intersections, three densities, three lights and the paper's nine
-placements: all of its scenarios at 1 Hz instead of 10, with pictures as detectors take them. Tells,
-by class, density and placement, how many road users a frame has of those asked for, how many have
-no LiDAR return, and how many points lie in a box for each return of its road user; the latter also
-for LiDARs whose turn takes as long as a frame, as before the turn was a setting. Draws the sizes of
-road users with those of real vehicles. The set stays where --keep says; a run that was stopped goes
-on there.
+placements: all of its scenarios at 1 Hz instead of 10, with pictures as detectors take them. By
+class, density and placement, counts the road users of a frame and those asked for, those without a
+LiDAR return, and the points in a box for each return of its road user. Draws the sizes of road
+users with those of real vehicles. The set stays where --keep says; a run that was stopped goes on
+there.
 """
 
 import argparse
-from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +35,7 @@ from inspe_jax.mounting.strategies import STRATEGIES
 from inspe_jax.scene.traffic.frames import CLASSES, DENSITIES, MIXES, quota
 from inspe_jax.simulation.embedded.light import LIGHTS
 from inspe_jax.simulation.frame import Frame
+from inspe_jax.simulation.recorder import TURN
 
 SPLITS = dict(train=7, validate=1, test=2)
 PICTURE = [352, 128]
@@ -54,7 +53,7 @@ REAL: dict[str, list[tuple[str, float, float]]] = {
 """Length and width [m]: makers' data sheets; the longest that EU directive 96/53/EC allows."""
 
 
-def study(given: argparse.Namespace, **changes: Any) -> dict[str, Any]:
+def study(given: argparse.Namespace) -> dict[str, Any]:
     """The content of a study file."""
     settings = dict(density=list(DENSITIES)[1:], light=given.lights, seconds=10, mix=given.mix)
     content: dict[str, Any] = dict(
@@ -68,7 +67,7 @@ def study(given: argparse.Namespace, **changes: Any) -> dict[str, Any]:
     else:
         scenes = yaml.safe_load((HERE / "intersections.yaml").read_text(encoding="utf-8"))
         content |= dict(scenes=on_maps(scenes))
-    return content | changes
+    return content
 
 
 def recorded(content: dict[str, Any], into: Path, workers: int | None) -> Dataset:
@@ -98,7 +97,7 @@ def of_frame(frame: Frame) -> np.ndarray:
     return np.column_stack([[CLASSES.index(box.kind) for box in frame.boxes], own, inside])
 
 
-def counted(data: Dataset, mix: str, light: str) -> "Rows":
+def counted(data: Dataset, mix: str, light: str) -> list[dict[str, Any]]:
     """A row for each placement, density and class, of the scenarios in one light.
 
     In another light LiDARs return the same, but for their noise.
@@ -119,59 +118,31 @@ def counted(data: Dataset, mix: str, light: str) -> "Rows":
             own = every[every[:, 0] == k]
             rows.append(
                 dict(
-                    placement=placement,
-                    density=density,
-                    road_user=name,
-                    frames=len(frames),
-                    asked=int(asked[k]),
-                    boxes=len(own),
-                    without_return=int((own[:, 1] == 0).sum()),
-                    returns=int(own[:, 1].sum()),
-                    points_inside=int(own[:, 2].sum()),
+                    placement=placement, density=density, road_user=name, frames=len(frames),
+                    asked=int(asked[k]), boxes=len(own),
+                    without_return=int((own[:, 1] == 0).sum()), returns=int(own[:, 1].sum()),
+                    points_inside=int(own[:, 2].sum()), turn_s=TURN,
                 )
-            )
+            )  # fmt: skip
     return rows
 
 
-Rows = list[dict[str, Any]]
-
-
-def total(rows: Rows, **of: str) -> Counter[str]:
-    """Sums over the rows of the placement, density or class given."""
-    found: Counter[str] = Counter()
-    for row in rows:
-        if all(row[key] == value for key, value in of.items()):
-            found.update({key: value for key, value in row.items() if isinstance(value, int)})
-    return found
-
-
-def tell_densities(rows: Rows) -> None:
-    """Road users of each class a frame, of those asked for."""
-    found = []
-    for density in dict.fromkeys(row["density"] for row in rows):
-        cells = []
-        for of in (*({"road_user": name} for name in CLASSES), {}):
-            sums, classes = total(rows, density=density, **of), 1 if of else len(CLASSES)
-            one = next(row for row in rows if row["density"] == density)["placement"]
-            asked = total(rows, density=density, placement=one, **of)["asked"]
-            cells.append(f"{sums['boxes'] * classes / sums['frames']:.1f} of {asked}")
-        found.append((density, *cells))
-    show(("density", *(f"{name}s" for name in CLASSES), "all"), found, "Road users a frame")
-
-
-def tell_placements(rows: Rows, title: str) -> None:
+def tell_placements(rows: list[dict[str, Any]]) -> None:
     """Boxes without a return, and points in a box for each return of its road user."""
     found = []
     for placement in dict.fromkeys(row["placement"] for row in rows):
         if STRATEGIES[placement].lidars:
             cells = []
             for name in CLASSES:
-                sums = total(rows, placement=placement, road_user=name)
-                none = sums["without_return"] / max(sums["boxes"], 1)
-                cells.append(f"{none:.1%}, {sums['points_inside'] / max(sums['returns'], 1):.2f}")
+                own = [r for r in rows if (r["placement"], r["road_user"]) == (placement, name)]
+                boxes, none, returns, inside = (
+                    sum(row[key] for row in own)
+                    for key in ("boxes", "without_return", "returns", "points_inside")
+                )
+                cells.append(f"{none / max(boxes, 1):.1%}, {inside / max(returns, 1):.2f}")
             found.append((placement, *cells))
     heads = [f"{name}s without\na return, points\na return" for name in CLASSES]
-    show(("placement", *heads), found, title)
+    show(("placement", *heads), found, "What LiDARs return of road users")
 
 
 def draw(data: Dataset) -> Figure:
@@ -207,20 +178,12 @@ def main() -> None:
     )
     need_maps(given)
     with kept_folder(given.keep) as into:
-        light = given.lights[0]
         data = recorded(study(given), into / "set", processes(given))
-        rows = counted(data, given.mix, light)
-        # As before the turn was a setting: it took as long as a frame.
-        slow = study(given, lidar_turn_s=1, layouts=["L-d1"])
-        slow["settings"] |= dict(light=[light])
-        before = counted(recorded(slow, into / "slow_turn", processes(given)), given.mix, light)
+        rows = counted(data, given.mix, given.lights[0])
         figure = draw(data)
-    tell_densities(rows)
-    tell_placements(rows, "What LiDARs return of road users")
-    tell_placements(before, "The same with a turn of 1 s")
-    every = [row | dict(turn_s=turn) for turn, part in ((0.1, rows), (1.0, before)) for row in part]
+    tell_placements(rows)
     settings = dict(mix=given.mix, study=study(given))
-    write_results(output(given, "training_set"), every, settings, figure)
+    write_results(output(given, "training_set"), rows, settings, figure)
 
 
 if __name__ == "__main__":

@@ -19,8 +19,6 @@ import re
 import tempfile
 import time
 from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -30,15 +28,14 @@ import numpy as np
 from common import (
     arguments,
     console,
+    in_fresh_process,
     kept_folder,
-    markdown,
     output,
     peak_memory,
     progress,
-    say,
     write_results,
 )
-from table1 import NAMES, PICTURES, QUICK_HALF, recorded
+from table1 import PICTURES, QUICK_HALF, recorded
 
 from inspe_jax.dataset import open_cache
 from inspe_jax.dataset.plan import make_generation
@@ -185,19 +182,6 @@ def measured(name: str, path: Path, times: int, half: float) -> dict[str, Any]:
     )  # fmt: skip
 
 
-def table(rows: list[dict[str, Any]]) -> str:
-    """The rows in Markdown; a dash is a part that the detector does not have."""
-    heads = ("detector", "after", "parameters", "a batch", "a step", *PARTS, "memory")
-    lines = []
-    for row in rows:
-        cells = [NAMES[row["model"]], row["after"], f"{row['parameters']:,}"]
-        cells += [f"{row['loading_ms']} ms", f"{row['step_ms'] / 1e3:.2f} s"]
-        times = [row[f"{part}_ms"] / 1e3 for part in PARTS]
-        cells += [f"{seconds:.2f}" if seconds else "–" for seconds in times]
-        lines.append([*cells, f"{row['memory_gib']} GiB"])
-    return markdown(heads, lines)
-
-
 def main() -> None:
     """Record, measure, tell."""
     steps = dict(type=int, default=9, help="that are measured")
@@ -209,12 +193,9 @@ def main() -> None:
     with kept_folder(given.keep) as into, progress("detectors") as bar:
         path = frames(given, into)
         for done, name in enumerate(models, 1):
-            # A process each, so that each has a peak of its own.
-            with ProcessPoolExecutor(1, get_context("spawn")) as pool:
-                rows.append(pool.submit(measured, name, path, times, half).result())
+            rows.append(in_fresh_process(measured, name, path, times, half))
             bar(done, len(models), name)
     write_results(output(given, "training_step"), rows, dict(vars(given)))
-    say(table(rows))
     share = max(row["loading_ms"] / row["step_ms"] for row in rows)
     console.print(f"loading takes at most {share:.1%} of a step, {SHARE:.0%} was claimed")
 

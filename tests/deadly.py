@@ -2,7 +2,7 @@
 
 import os
 
-from inspe_jax.study import work as study
+from inspe_jax.study import sweep as study
 
 
 def work(scene, job, wanted):

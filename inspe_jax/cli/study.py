@@ -20,8 +20,8 @@ from inspe_jax.scene.georeference import Georeference
 from inspe_jax.scene.maps.registry import georeference_of, read_map, road_lines
 from inspe_jax.sensing.layout import load_layout
 from inspe_jax.study.plan import SCORE_ONLY, Study, load_study
+from inspe_jax.study.sweep import Row
 from inspe_jax.study.sweep import sweep as run
-from inspe_jax.study.work import Row
 
 if TYPE_CHECKING:
     from inspe_jax.study.city import CityPlan

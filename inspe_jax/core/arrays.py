@@ -1,7 +1,5 @@
-"""NumPy arrays for compiled code: padded to a few lengths, and put on the device.
-
-Programs are compiled for lengths: with a few, scenes and layouts of similar size share one.
-"""
+"""NumPy arrays for compiled code: padded to a few lengths, so that scenes and layouts of similar
+size share a program, and put on the device."""
 
 from typing import Any
 
@@ -11,10 +9,8 @@ from jaxtyping import Array
 
 
 def bucket(count: int, least: int) -> int:
-    """The smallest of ``least`` × (1, 2, 3, 4, 6, 8, 12, 16, …) that is ``count`` or more.
-
-    0 if ``count`` is 0.
-    """
+    """The smallest of ``least`` × (1, 2, 3, 4, 6, 8, 12, 16, …) that is ``count`` or more; 0 if
+    ``count`` is 0."""
     if count <= 0:
         return 0
     length = least
@@ -26,11 +22,8 @@ def bucket(count: int, least: int) -> int:
 
 
 def wide_bucket(count: int, least: int, most: float = np.inf) -> int:
-    """The smallest of ``least`` × (1, 4, 16, …) that is ``count`` or more; 0 if ``count`` is 0.
-
-    For arrays whose padding costs nothing, because it is skipped. If the length would be more than
-    ``most``, it is that of :func:`bucket`.
-    """
+    """The smallest of ``least`` × (1, 4, 16, …) that is ``count`` or more; 0 if ``count`` is 0; and
+    if that is more than ``most``, :func:`bucket`. For arrays whose padding is skipped."""
     length = least if count > 0 else 0
     while length < count:
         length *= 4

@@ -129,12 +129,9 @@ def holds_main_thread() -> bool:
 
 
 def working_clock() -> Callable[[], float]:
-    """A clock [s] that stands still while the thread that calls this waits for a program.
-
-    It waits while it traces, and while it or a job that it runs on another thread
-    (:func:`inspe_jax.core.parallel.run`) compiles or reads a program from disk. What other threads
-    compile meanwhile does not stop the clock.
-    """
+    """A clock [s] that stands still while the thread that calls this waits for a program: while it
+    traces, and while it or a job of its :func:`inspe_jax.core.parallel.run` compiles or reads a
+    program from disk. What other threads compile meanwhile does not stop the clock."""
     waits = this_thread()
     return lambda: time.monotonic() - waits.seconds
 
@@ -164,10 +161,8 @@ NOTHING = ("0", "false", "f", "no", "n", "off")  # values of INSPE_CACHE that ke
 
 def keep_programs() -> None:
     """Keep all programs that this process compiles in the user's cache folder for the next one.
-
-    ``import inspe_jax`` calls it, unless INSPE_CACHE is 0. A folder that the user has set for JAX
-    stays, whether before or after this. If no folder can be written, nothing is kept.
-    """
+    ``import inspe_jax`` calls it, unless INSPE_CACHE is 0. A folder that the user sets for JAX,
+    before or after, stays. If no folder can be written, nothing is kept."""
     if jax.config.jax_compilation_cache_dir is not None:  # type: ignore[attr-defined]
         return
     try:

@@ -23,13 +23,10 @@ seam of two pieces of a body meets both, and one that ends on a face meets what 
 
 
 class ConvexPrism(NamedTuple):
-    """Upright prisms on convex outlines, in metres.
-
-    ``corners`` are counter-clockwise; ``normal`` and ``offset`` are those of the side from each
-    corner to the next: n·p ≤ d inside. Corners and sides may be repeated, as padding is. The prism
-    reaches from ``bottom`` to ``top``. ``clear`` is the share of light that passes through it.
-    Prisms that are not ``valid`` are padding.
-    """
+    """Upright prisms on convex outlines from ``bottom`` to ``top`` [m]. ``corners`` are
+    counter-clockwise; ``normal`` and ``offset`` are those of the side from each corner to the next:
+    n·p ≤ d inside. Corners and sides may be repeated. ``clear`` is the share of light that passes
+    through. Prisms that are not ``valid`` are padding."""
 
     corners: Float[Array, "*b K 2"]
     normal: Float[Array, "*b K 2"]
@@ -43,10 +40,8 @@ class ConvexPrism(NamedTuple):
 def sides(
     corners: Float[np.ndarray, "P K 2"],
 ) -> tuple[Float[np.ndarray, "P K 2"], Float[np.ndarray, "P K"]]:
-    """Outward unit normals and offsets of the sides of convex outlines, in NumPy.
-
-    A corner that is repeated has the side of the next one that is not.
-    """
+    """Outward unit normals and offsets of the sides of convex outlines, in NumPy. A corner that is
+    repeated has the side of the next one that is not."""
     step = np.roll(corners, -1, 1) - corners
     length = np.hypot(step[..., 0], step[..., 1])
     # From the last corner back, each side of no length takes the one after it.
@@ -59,12 +54,9 @@ def sides(
 
 
 class ConvexTerms(NamedTuple):
-    """What :func:`convex_shadow` needs of one sensor and prisms, made by :func:`convex_terms`.
-
-    ``x`` and ``y`` are the normal of each side over the sensor's distance inside it [1/m], negative
-    if the sensor is outside (``outside``). ``rise`` and ``sink`` are the heights of top and bottom
-    above the sensor [m].
-    """
+    """What :func:`convex_shadow` needs of one sensor and prisms: the normal (``x``, ``y``) of each
+    side over the sensor's distance inside it [1/m], negative if the sensor is ``outside``; and the
+    heights of top (``rise``) and bottom (``sink``) above the sensor [m]."""
 
     x: Float[Array, "*b K"]
     y: Float[Array, "*b K"]
@@ -255,12 +247,9 @@ Corner = tuple[float, float]
 def merge(
     triangles: Float[np.ndarray, "N 3 2"], least: float = LEAST_AREA
 ) -> list[Float[np.ndarray, "M 2"]]:
-    """Convex outlines, counter-clockwise, that together cover the triangles exactly.
-
-    Neighbours are joined over their longest sides first, as long as the union is convex. The number
-    of pieces is at most four times the smallest possible (Hertel and Mehlhorn, 1983). Pieces of
-    less than ``least`` [m²] are left out.
-    """
+    """Convex outlines, counter-clockwise, that together cover the triangles exactly, but for pieces
+    of less than ``least`` [m²]. Neighbours are joined over their longest sides first, as long as
+    the union is convex: at most four times as many as possible (Hertel and Mehlhorn, 1983)."""
     pieces: dict[int, list[Corner]] = {}
     owner: dict[tuple[Corner, Corner], int] = {}
     for k, triangle in enumerate(np.asarray(triangles, float)):

@@ -18,11 +18,8 @@ take the value under this key for it."""
 
 
 def digest(thing: Any) -> str:
-    """The SHA-256 of the content of ``thing``, as hexadecimal text.
-
-    ``thing`` may be an array, number, text, enumeration, polygon or dataclass, or a mapping or
-    sequence of these. Raises TypeError for anything else, as a function.
-    """
+    """The SHA-256, as hexadecimal text, of an array, number, text, enumeration, polygon or
+    dataclass, or of a mapping or sequence of these. Raises TypeError for anything else."""
     found = hashlib.sha256()
     _feed(found, thing)
     return found.hexdigest()

@@ -47,11 +47,12 @@ def brief(value: Any) -> str:
 
 
 def check_known(name: str, known: Iterable[str], what: str) -> None:
-    """Raise InspeError, which lists the known names of ``what``, if ``name`` is none of them."""
+    """Raise InspeError, which lists the known names of ``what``, if ``name`` is none of them;
+    ``what`` may be empty."""
     known = tuple(known)
     if name not in known:
         hint = nearest(str(name), known)
-        raise InspeError(f"{what} '{name}': one of {', '.join(known)}{hint}")
+        raise InspeError(f"{what} '{name}': one of {', '.join(known)}{hint}".lstrip())
 
 
 def missing_extra(what: str, extra: str, where: str = "") -> InspeError:

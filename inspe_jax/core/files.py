@@ -1,8 +1,5 @@
-"""Reading files that users write, key by key, and writing files whole or not at all.
-
-What is read is bounded before it is read: the size of text, the depth and the number of its parts,
-and the sizes that archives declare.
-"""
+"""Reading files that users write, key by key and bounded in size and depth, and writing files whole
+or not at all."""
 
 import csv
 import errno
@@ -55,10 +52,8 @@ _WORDS = {
 
 
 def check_model(model: type[Model], content: Any, where: str) -> Model:
-    """Read ``content`` as a pydantic ``model``. Raises InspeError with the first fault.
-
-    The message begins with the path of the key, as ``layout.yaml: units[0].base: …``.
-    """
+    """Read ``content`` as a pydantic ``model``. Raises InspeError with the first fault and the path
+    of its key, as ``layout.yaml: units[0].base: …``."""
     try:
         return model.model_validate(content)
     except ValidationError as e:
@@ -279,10 +274,8 @@ def cached_by_file(
 
 
 def check_output(path: str | os.PathLike[str] | None, suffixes: Collection[str] = ()) -> None:
-    """Raise InspeError if a file could not be written: to be called before the work for it.
-
-    A ``path`` of None is accepted. ``suffixes`` are the allowed ones; if empty, any is.
-    """
+    """Raise InspeError if a file could not be written: to be called before the work for it. A
+    ``path`` of None is accepted. ``suffixes`` are the allowed ones; if empty, any is."""
     if path is None:
         return
     path = Path(path)

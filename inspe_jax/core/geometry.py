@@ -6,9 +6,9 @@ cuts the prism's rectangle from t₀ to t₁, or misses it. The prism hides the 
 at which the line touches its top: z* = z_s + rise/t, with rise the top's height above the sensor,
 t = t₁ for a sensor above the top and t = t₀ for one below.
 
-:func:`shadow_ceiling`, for exact scores, works in u = 1/t (:func:`_plan_crossings`). Each u is
-linear in the column, so a sight line costs no division, and t₀ and t₁ are compared but never
-computed. It follows from the one cut of all prisms, :func:`inspe_jax.core.convex.sight_cut`.
+:func:`shadow_ceiling`, for exact scores, works in u = 1/t. Each u is linear in the column, so a
+sight line costs no division, and t₀ and t₁ are compared but never computed. It follows from the one
+cut of all prisms, :func:`inspe_jax.core.convex.sight_cut`.
 """
 
 from typing import Any, NamedTuple, Protocol
@@ -27,11 +27,9 @@ Point = tuple[Float[Array, "*n"], Float[Array, "*n"], Float[Array, "*n"]]
 
 
 class Prism(NamedTuple):
-    """Vertical prisms that stand on the ground: rectangles in plan, with a top.
-
-    ``center`` x and y [m]; ``yaw`` [rad]; ``half`` of length and width [m]; ``top`` height [m].
-    Prisms that are not ``valid`` are padding.
-    """
+    """Vertical prisms that stand on the ground: rectangles in plan, with a top. ``center`` x and y
+    [m]; ``yaw`` [rad]; ``half`` of length and width [m]; ``top`` height [m]. Prisms that are not
+    ``valid`` are padding."""
 
     center: Float[Array, "*b 2"]
     yaw: Float[Array, "*b"]
@@ -70,11 +68,9 @@ class Pinhole(Protocol):
 
 
 def pixels(image: Pinhole, points: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
-    """Points of the world in a picture: column and row in pixels, and depth in metres.
-
-    (0, 0) is the outer corner of the first pixel. A point behind the camera has a negative depth,
-    and its column and row mean nothing.
-    """
+    """Points of the world in a picture: column and row in pixels, of which (0, 0) is the outer
+    corner of the first, and depth in metres: negative behind the camera, where column and row mean
+    nothing."""
     pose = np.asarray(image.pose, float)
     body = (points - pose[:3]) @ rotation(pose[3:], np)
     seen = np.stack([-body[..., 1], -body[..., 2], body[..., 0]], -1) @ image.intrinsic.T
@@ -118,13 +114,10 @@ def ray_cube_margin(
 
 
 class ShadowTerms(NamedTuple):
-    """What :func:`shadow_ceiling` needs of one sensor and a prism, made by :func:`shadow_terms`.
-
-    ``cos`` and ``sin`` of the prism's yaw. ``x_near`` and the next three are one over the distances
-    [1/m] from the sensor to the planes of the front, back, left and right side, in the prism's
-    frame. ``x_inside`` and ``y_inside``: the sensor is between front and back, between left and
-    right. ``rise``: the top's height above the sensor [m].
-    """
+    """What :func:`shadow_ceiling` needs of one sensor and a prism: ``cos`` and ``sin`` of the
+    prism's yaw; in its frame, one over the distances [1/m] from the sensor to the planes of the
+    front, back, left and right side; whether it is between front and back (``x_inside``), between
+    left and right (``y_inside``); and the top's height above it [m]."""
 
     cos: Float[Array, "*b"]
     sin: Float[Array, "*b"]
@@ -153,18 +146,10 @@ def shadow_terms(sensor: Float[Array, "3"], prism: Prism) -> ShadowTerms:
     on = prism.valid.astype(x.dtype)
     front, back = nonzero(a - x), nonzero(-a - x)
     left, right = nonzero(b - y), nonzero(-b - y)
-    return ShadowTerms(
-        cos,
-        sin,
-        on / front,
-        on / back,
-        on / left,
-        on / right,
-        # From the same numbers, so that a sensor in the plane of a side is on one side of it.
-        prism.valid & (front > 0) & (back < 0),
-        prism.valid & (left > 0) & (right < 0),
-        prism.top - sensor[2],
-    )
+    over = on / front, on / back, on / left, on / right
+    # From the same numbers, so that a sensor in the plane of a side is on one side of it.
+    inside = prism.valid & (front > 0) & (back < 0), prism.valid & (left > 0) & (right < 0)
+    return ShadowTerms(cos, sin, *over, *inside, prism.top - sensor[2])
 
 
 def shadow_ceiling(
@@ -183,26 +168,17 @@ def shadow_ceiling(
     below, whose sight line is lowest where it enters. Nothing is seen beneath a prism. With
     ``ignore_self_occlusion`` a prism does not hide the columns it stands on.
     """
-    leaves, entry = _plan_crossings(terms, dx, dy)
+    ex, ey = terms.cos * dx + terms.sin * dy, terms.cos * dy - terms.sin * dx
+    x_exit, x_entry = _crossings(ex * terms.x_near, ex * terms.x_far, terms.x_inside)
+    y_exit, y_entry = _crossings(ey * terms.y_near, ey * terms.y_far, terms.y_inside)
+    # 1/t₁, less than 1 where the line ends inside, and 1/t₀.
+    leaves, entry = jnp.maximum(x_exit, y_exit), jnp.minimum(x_entry, y_entry)
     exit_ = jnp.maximum(leaves, 1.0)
     meets = exit_ < entry
     if ignore_self_occlusion is not False:
         meets &= (leaves >= 1.0) | ~jnp.asarray(ignore_self_occlusion)
     ceiling = sensor_z + terms.rise * jnp.where(terms.rise < 0, exit_, entry)
     return jnp.where(meets, ceiling, NEVER)
-
-
-def _plan_crossings(
-    terms: ShadowTerms, dx: Float[Array, " L"], dy: Float[Array, " L"]
-) -> tuple[Float[Array, " L"], Float[Array, " L"]]:
-    """(1/t₁, 1/t₀) of each sight line, with t₁ not clipped: 1/t₁ < 1 where the line ends inside.
-
-    The line misses where 1/t₁ ≥ 1/t₀ or 1/t₀ ≤ 1.
-    """
-    ex, ey = terms.cos * dx + terms.sin * dy, terms.cos * dy - terms.sin * dx
-    x_exit, x_entry = _crossings(ex * terms.x_near, ex * terms.x_far, terms.x_inside)
-    y_exit, y_entry = _crossings(ey * terms.y_near, ey * terms.y_far, terms.y_inside)
-    return jnp.maximum(x_exit, y_exit), jnp.minimum(x_entry, y_entry)
 
 
 def _crossings(

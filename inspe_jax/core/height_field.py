@@ -27,13 +27,10 @@ BESIDE = 1e-5
 
 
 class HeightField(NamedTuple):
-    """The ground's surface relative to the scene's centre.
-
-    ``corner`` (2,) is the lattice's first point [m], ``step`` the edge of its cells [m], and
-    ``heights`` (X, Y) are those of its points [m], of which ``highest`` is the greatest. Cells are
-    cut from their first point to the opposite one. ``steepest`` is the slope of the steepest
-    triangle.
-    """
+    """The ground's surface relative to the scene's centre: the lattice's first point (``corner``),
+    the edge of its cells (``step``), and the heights of its points and the ``highest`` [m]. Cells
+    are cut from their first point to the opposite one. ``steepest`` is the slope of the steepest
+    triangle."""
 
     corner: Float[Array, "2"]
     step: Float[Array, ""]
@@ -43,11 +40,9 @@ class HeightField(NamedTuple):
 
 
 class Lines(NamedTuple):
-    """One family of lines and what of them lies between a sensor and some columns.
-
-    ``at`` (2,) and ``to`` (2, C) are sensor and columns in steps of the lattice; ``begin`` and
-    ``along`` (C,) are a·s and a·(c − s). The lines ``first`` to ``last`` are crossed.
-    """
+    """One family of lines and what of them lies between a sensor (``at``) and some columns
+    (``to``), both in steps of the lattice; ``begin`` and ``along`` are a·s and a·(c − s). The lines
+    ``first`` to ``last`` are crossed."""
 
     axis: tuple[int, int]
     at: Float[Array, "2"]
@@ -107,13 +102,6 @@ def crossing(
     return t, height, there
 
 
-def _after(field: HeightField, height: Array, lowest: Float[Array, ""]) -> Float[Array, ""]:
-    """The share of the way to voxels at ``lowest`` or above up to which a line from ``height`` is
-    above all of the ground."""
-    clear = (height - field.highest) / jnp.maximum(height - lowest, 1e-3)
-    return jnp.where(height > field.highest, jnp.clip(clear, 0.0, 1.0), 0.0)
-
-
 def fold_crossings(
     field: HeightField,
     sensor: Float[Array, "3"],
@@ -128,7 +116,9 @@ def fold_crossings(
     Left out are those before which a line from ``spare`` metres below the sensor is above all of
     the ground. ``number`` tells lines apart: k of family f is 3·k + f.
     """
-    after = _after(field, sensor[2] - spare, lowest)
+    height = sensor[2] - spare
+    clear = (height - field.highest) / jnp.maximum(height - lowest, 1e-3)
+    after = jnp.where(height > field.highest, jnp.clip(clear, 0.0, 1.0), 0.0)
     for f, lines in enumerate(lines_between(field, sensor, columns, after)):
 
         def step(k: Array, total: Any, f: int = f, lines: Lines = lines) -> Any:

@@ -1,8 +1,5 @@
-"""Reading signed margins, hard or soft; and numerics that need care.
-
-Geometry returns margins in metres, positive where the statement holds. :func:`step` reads one
-margin as a chance. Chances are combined after reading.
-"""
+"""Reading signed margins, hard or soft; and numerics that need care. Geometry returns margins in
+metres, positive where the statement holds; chances are combined after reading."""
 
 import dataclasses
 from collections.abc import Callable, Sequence
@@ -117,18 +114,10 @@ class Softness:
         return self.field is None and self.shadow is None and self.rays != "density"
 
 
-def any_of(p: Float[Array, "S ..."]) -> Float[Array, "..."]:
-    """Chance that some reading holds, 1 − ∏(1 − p): exactly 0 or 1 if every p is 0 or 1."""
-    return 1.0 - jnp.prod(1.0 - p, axis=0)
-
-
 class Groups(NamedTuple):
-    """Groups of rows that are left out in turn, as arrays: one program serves any groups.
-
-    A row is in one group at most. ``order`` (S,) lists the rows group by group. ``of`` (S,) is
-    the number of each row's group. In ``order``, group g begins at ``first`` (G,) and stops before
-    ``end`` (G,). A spare group is empty: nothing is left out.
-    """
+    """Groups of rows that are left out in turn, as arrays: one program serves any groups. A row is
+    in one group at most, of number ``of``. ``order`` lists the rows group by group: group g begins
+    at ``first`` and stops before ``end``. A spare group is empty: nothing is left out."""
 
     order: Int[Array | np.ndarray, " S"]
     of: Int[Array | np.ndarray, " S"]
@@ -163,11 +152,9 @@ def without_each(
     both: Callable[[Array, Array], Array],
     nothing: Shaped[Array, "..."],
 ) -> Shaped[Array, "1+G ..."]:
-    """All rows combined by ``both``, and for each group all rows outside it.
-
-    ``nothing`` is the neutral element of ``both``. Rows are combined from both ends: leaving a
-    group out combines what comes before it with what comes after it, and needs no inverse.
-    """
+    """All rows combined by ``both``, whose neutral element is ``nothing``, and for each group all
+    rows outside it. Rows are combined from both ends: leaving a group out combines what comes
+    before it with what comes after it, and needs no inverse."""
 
     def combine(total: Array, row: Array) -> tuple[Array, Array]:
         total = both(total, row)
@@ -182,18 +169,17 @@ def without_each(
 
 
 def leave_one_out(p: Float[Array, "S ..."], groups: Groups | None) -> Float[Array, "1+G ..."]:
-    """Chance that some reading holds: of all rows in row 0, of all but group g in row 1 + g."""
+    """Chance that some reading holds, 1 − ∏(1 − p): of all rows in row 0, of all but group g in row
+    1 + g. It is exactly 0 or 1 if every p is 0 or 1."""
     if groups is None:
-        return any_of(p)[None]
+        return 1.0 - jnp.prod(1.0 - p, axis=0)[None]
     return 1.0 - without_each(1.0 - p, groups, jnp.multiply, jnp.ones_like(p[0]))
 
 
 def dot(x: Float[Array, "... V"], y: Float[Array, " V"]) -> Float[Array, "..."]:
-    """Σ x·y along the last axis, in three levels of partial sums.
-
-    A sum of a million numbers, one after another in single precision, has a relative error of 1e-4;
-    in levels of about a hundred it is 1e-6. The barriers keep XLA from merging the three sums.
-    """
+    """Σ x·y along the last axis, in three levels of partial sums: of a million numbers in single
+    precision, the relative error is 1e-6, and 1e-4 of one sum after another. The barriers keep XLA
+    from merging the three sums."""
     n = y.shape[-1]
     block = max(1, round(n ** (1 / 3)))
     room = block * block * max(1, -(-n // (block * block)))
@@ -217,24 +203,15 @@ def nonzero(x: Float[Array, "*n"], least: float = 1e-6) -> Float[Array, "*n"]:
 
 
 _ARCTAN = (
-    1.0,
-    -0.3333314528,
-    0.1999355085,
-    -0.1420889944,
-    0.1065626393,
-    -0.0752896400,
-    0.0429096138,
-    -0.0161657367,
-    0.0028662257,
-)
+    1.0, -0.3333314528, 0.1999355085, -0.1420889944, 0.1065626393, -0.0752896400, 0.0429096138,
+    -0.0161657367, 0.0028662257,
+)  # fmt: skip
 
 
 def arctan2(y: Float[Array, "*n"], x: Float[Array, "*n"]) -> Float[Array, "*n"]:
-    """Angle of (x, y) [rad], to 2e-7. At the origin both it and its derivative are 0.
-
-    Abramowitz and Stegun, 4.4.49, |error| ≤ 2e-8 before rounding. It is some forty times faster
-    than the C library's, which XLA calls point by point on a CPU.
-    """
+    """Angle of (x, y) [rad], to 2e-7; at the origin both it and its derivative are 0. Abramowitz
+    and Stegun, 4.4.49, |error| ≤ 2e-8 before rounding: some forty times faster than the C
+    library's, which XLA calls point by point on a CPU."""
     a, b = jnp.abs(x), jnp.abs(y)
     larger = jnp.maximum(a, b)
     t = jnp.minimum(a, b) / jnp.where(larger > 0, larger, 1.0)

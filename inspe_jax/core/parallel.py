@@ -46,11 +46,9 @@ def parts_of(rows: np.ndarray, size: int) -> list[np.ndarray]:
 
 
 def run(jobs: Sequence[Job], known: set[Hashable] = compiled) -> list[Any]:
-    """Run jobs on all cores and return their finished results, in order.
-
-    For each key that is not ``known``, one job runs first, so that its code is compiled only once.
-    Its key is then added to ``known``. Jobs must not call this function themselves.
-    """
+    """Run jobs on all cores and return their finished results, in order. For each key that is not
+    ``known``, one job runs first, so that its code is compiled only once; the key is then added to
+    ``known``. Jobs must not call this function themselves."""
     here = this_thread()
 
     def finished(number: int) -> Any:

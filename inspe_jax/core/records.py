@@ -105,10 +105,8 @@ def check_values(
 
 
 class ByContent:
-    """For dataclasses with ``eq=False``: equal, and of one hash, where all fields are.
-
-    Arrays are compared by value: shape and numbers, whatever their precision.
-    """
+    """For dataclasses with ``eq=False``: equal, and of one hash, where all fields are; arrays by
+    shape and numbers, whatever their precision."""
 
     def __eq__(self, other: object) -> bool:
         return type(other) is type(self) and _content(other) == _content(self)

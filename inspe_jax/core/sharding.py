@@ -1,7 +1,4 @@
-"""Splits work among several devices, if JAX has more than one.
-
-Arrays are split along one axis. Each device works on its part alone; results are added up after.
-"""
+"""Splits work among several devices, if JAX has more than one: arrays along one axis."""
 
 from collections.abc import Callable
 from functools import cache
@@ -40,10 +37,8 @@ def put(x: Any, axis: int | None) -> Any:
 
 
 def split(function: Callable[..., Any], takes: Any, gives: Any) -> Callable[..., Any]:
-    """A compiled function that every device runs on its part of the arguments.
-
-    ``takes`` and ``gives`` are the :func:`along` of each argument and of each result.
-    """
+    """A compiled function that every device runs on its part of the arguments; ``takes`` and
+    ``gives`` are the :func:`along` of each argument and of each result."""
     return jax.jit(
         jax.shard_map(function, mesh=_mesh(), in_specs=takes, out_specs=gives, check_vma=False)
     )

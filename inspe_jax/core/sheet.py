@@ -1,7 +1,7 @@
 """The sheet that maps are drawn on, and how figures are saved.
 
-A sheet is 180 mm wide. Its parts have fixed places in inches, so that nothing moves with the
-content: the map on the left, a panel for the legend on the right, a heading above, notes below.
+A sheet is 180 mm wide, with fixed places in inches for its parts: the map on the left, a panel for
+the legend on the right, a heading above, notes below.
 """
 
 import base64
@@ -105,12 +105,7 @@ def sheet(
     panel = fig.add_axes((PANEL / WIDTH, below / height, ASIDE / WIDTH, body / height))
     panel.set(xlim=(0, ASIDE * 72), ylim=(-body * 72, 0))  # in points
     panel.axis("off")
-    heading: dict[str, Any] = dict(weight="bold", va="top", parse_math=False)
-    fig.text(left, 1 - 0.10 / height, **fit(title, TITLE, 10), **heading)
-    fig.text(
-        left, 1 - 0.29 / height, facts, size=facts_size(facts), va="top", parse_math=math,
-        linespacing=1.35,
-    )  # fmt: skip
+    _head(fig, left, title, facts, parse_math=math, linespacing=1.35)
     fig.text(
         left, (below - FOOT) / height, "\n".join(lines),
         size=6.5, color="#404040", va="top", linespacing=1.3, parse_math=False,
@@ -121,29 +116,26 @@ def sheet(
 def sheet_of_two(
     title: str, facts: str, count: int, head: float, below: float, rows: int = 1
 ) -> tuple[Figure, list[Axes]]:
-    """A sheet for two maps side by side, of which ``count`` are there: the figure and their axes.
-
-    ``head`` and ``below`` are the room above and below the maps [inch]. Further ``rows`` of maps
-    are below the first one; their axes come after its.
-    """
+    """A sheet for two maps side by side, of which ``count`` are there, in some ``rows``: the figure
+    and their axes, row by row. ``head`` and ``below`` are the room above and below [inch]."""
     height = head + rows * SIDE + (rows - 1) * ROW_GAP + below
     fig = Figure(figsize=(WIDTH, height), facecolor="white")
     left = SIDE_LEFT / WIDTH
-    heading: dict[str, Any] = dict(va="top", parse_math=False)
-    fig.text(left, 1 - 0.10 / height, **fit(title, TITLE, 10), weight="bold", **heading)
-    fig.text(left, 1 - 0.29 / height, facts, size=facts_size(facts), **heading)
-    return fig, [
-        fig.add_axes(
-            (
-                (SIDE_LEFT + k * (SIDE + SIDE_GAP)) / WIDTH,
-                (below + row * (SIDE + ROW_GAP)) / height,
-                SIDE / WIDTH,
-                SIDE / height,
-            )
-        )
-        for row in reversed(range(rows))
-        for k in range(count)
-    ]
+    _head(fig, left, title, facts, parse_math=False)
+    axes = []
+    for row in reversed(range(rows)):
+        bottom = (below + row * (SIDE + ROW_GAP)) / height
+        for k in range(count):
+            beside = (SIDE_LEFT + k * (SIDE + SIDE_GAP)) / WIDTH
+            axes.append(fig.add_axes((beside, bottom, SIDE / WIDTH, SIDE / height)))
+    return fig, axes
+
+
+def _head(fig: Figure, left: float, title: str, facts: str, **how: Any) -> None:
+    height = fig.get_figheight()
+    bold: dict[str, Any] = dict(weight="bold", va="top", parse_math=False)
+    fig.text(left, 1 - 0.10 / height, **fit(title, TITLE, 10), **bold)
+    fig.text(left, 1 - 0.29 / height, facts, size=facts_size(facts), va="top", **how)
 
 
 def frame_map(ax: Axes, middle: Float[np.ndarray, "..."], radius: float, reach: float) -> None:
@@ -174,9 +166,8 @@ def draw_scale(ax: Axes, limit: float) -> None:
 def fit(words: str, length: int, size: float) -> dict[str, Any]:
     """Text that is never cut: what to pass to matplotlib for its words and their size [pt].
 
-    ``length`` characters of this ``size`` fit on its line. Longer words are smaller; those that
-    would be less than :data:`READABLE` of the size are on several lines, together 1.2 times as
-    high.
+    ``length`` characters of this ``size`` fit on its line. Longer words are smaller; below
+    :data:`READABLE` of the size they are on several lines, together 1.2 times as high.
     """
     if READABLE * len(words) <= length:
         return dict(s=words, size=size * min(1.0, length / max(len(words), 1)))

@@ -16,19 +16,14 @@ def counted(count: int, what: str) -> str:
 
 
 def visible(text: str) -> str:
-    """A text with its control characters as escapes, such as ``\\u202e``.
-
-    These are those of terminals, those that turn the direction of what follows, and those that
-    XML forbids. Tabs and line ends stay.
-    """
+    """A text with its control characters as escapes, such as ``\\u202e``: those of terminals, those
+    that turn the direction of what follows, and those that XML forbids. Tabs and line ends stay."""
     return _HIDDEN.sub(lambda found: ascii(found[0])[1:-1], text)
 
 
 def isolated(text: str) -> str:
-    """A :func:`visible` text that leaves the order of its neighbours alone.
-
-    One with letters that are written from right to left is set in a Unicode isolate.
-    """
+    """A :func:`visible` text that leaves the order of its neighbours alone: one with letters that
+    are written from right to left is set in a Unicode isolate."""
     text = visible(text)
     if text.isascii():
         return text

@@ -17,7 +17,7 @@ from inspe_jax.dataset.formats.registry import FORMATS
 from inspe_jax.dataset.manifest import record_frame
 from inspe_jax.dataset.plan import Generation, ScenarioPlan
 from inspe_jax.dataset.points_in_boxes import with_counts
-from inspe_jax.jobs.scenes import scene_of
+from inspe_jax.jobs.sources import scene_of
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scene.traffic.frames import CLASSES
 from inspe_jax.simulation.backends import BACKENDS

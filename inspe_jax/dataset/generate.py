@@ -29,7 +29,7 @@ from inspe_jax.dataset.plan import Generation, ScenarioPlan
 from inspe_jax.dataset.protocol import versions
 from inspe_jax.jobs.engine import load_cluster, run_jobs
 from inspe_jax.jobs.locks import ADVICE, check_versions, lock_folder
-from inspe_jax.jobs.scenes import message_of
+from inspe_jax.jobs.sources import message_of
 from inspe_jax.simulation.backends import BACKENDS, check_backend, server_of
 from inspe_jax.simulation.recorder import Server
 

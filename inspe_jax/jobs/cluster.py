@@ -13,18 +13,16 @@ from distributed import Client, LocalCluster, Worker, WorkerPlugin
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.parallel import cores
-from inspe_jax.jobs.scenes import versions
+from inspe_jax.jobs.sources import versions
 
 Started = TypeVar("Started")
 
 
 @contextmanager
 def client(scheduler: str | None, workers: int | None) -> Iterator[Client]:
-    """A client of the scheduler at an address, or of a new cluster on this machine.
-
-    The new cluster has ``workers`` processes, one per core if not given, and ends with the client.
-    Raises InspeError if no scheduler answers, or its workers are none or have other versions.
-    """
+    """A client of the scheduler at an address, or of a new cluster of ``workers`` processes on this
+    machine, one per core if not given, which ends with the client. Raises InspeError if no
+    scheduler answers, or its workers are none or have other versions."""
     if scheduler is not None:
         try:
             there = Client(scheduler, timeout=TIMEOUT)
@@ -47,7 +45,6 @@ def client(scheduler: str | None, workers: int | None) -> Iterator[Client]:
 
 @contextmanager
 def _own_cluster(count: int) -> Iterator[LocalCluster]:
-    """So many processes on this machine. Raises InspeError where they do not start."""
     cluster = _in_time(
         count,
         LocalCluster,
@@ -79,7 +76,7 @@ def _in_time(count: int, start: Callable[..., Started], *given: Any, **options: 
 
 @contextmanager
 def _kept_memory() -> Iterator[None]:
-    """Set :data:`MALLOC_SETTINGS` for workers started meanwhile, and for no other process."""
+    """:data:`MALLOC_SETTINGS` for workers started meanwhile, and for no other process."""
     had = {name: os.environ.get(name) for name in MALLOC_SETTINGS}
     own = {f"distributed.nanny.pre-spawn-environ.{k}": v for k, v in MALLOC_SETTINGS.items()}
     try:
@@ -129,11 +126,9 @@ CACHE_SETTINGS = (
 
 
 class WorkerSetup(WorkerPlugin):
-    """Sets up each of ``count`` workers that this process starts.
-
-    The worker uses this process's cache of compiled programs, keeps to its own cores where the
-    system allows that, and ignores Ctrl-C, which is for the process that started it.
-    """
+    """Sets up each of ``count`` workers that this process starts: the worker uses this process's
+    cache of compiled programs, keeps to its own cores where the system allows that, and ignores
+    Ctrl-C, which is for the process that started it."""
 
     name = "inspe-jax"
 

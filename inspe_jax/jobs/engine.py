@@ -52,10 +52,8 @@ def load_cluster() -> Any:
 
 
 class Messages:
-    """What jobs tell the process that runs them while they are at it.
-
-    ``heard`` is called with each message, in a thread of the client. Jobs send to the ``topic``.
-    """
+    """What jobs tell the process that runs them: ``heard`` is called with each message, in a thread
+    of the client. Jobs send to the ``topic``."""
 
     def __init__(self, client: Any, heard: Callable[[Any], None]) -> None:
         self.topic = f"inspe-{uuid4().hex[:8]}"
@@ -126,11 +124,8 @@ def _run_jobs(
     work: Callable[..., Any],
     given: Sequence[Any] = (),
 ) -> Iterator[tuple[J, Any]]:
-    """Run jobs, ``ahead`` of them at workers at a time; yields as :func:`run_jobs` does.
-
-    As many scenes are open as there are workers. Dask sends jobs to the worker that holds their
-    scene. When a job is done, one of the same scene follows.
-    """
+    """Run jobs, ``ahead`` of them at workers at a time, of as many scenes as there are workers.
+    Dask sends jobs to the worker that holds their scene; one of the same scene follows each."""
     from distributed import CancelledError, as_completed
 
     run = uuid4().hex[:8]  # others may use the same scheduler, so keys must differ

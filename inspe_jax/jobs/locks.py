@@ -13,11 +13,8 @@ ADVICE = "name another folder, or delete this one to start again"
 
 
 def lock_folder(folder: Path, name: str) -> "FileLock":
-    """Take the lock ``name`` of a folder, until its ``release``.
-
-    A killed process leaves no lock. Raises InspeError if another run has it, or filelock is
-    missing.
-    """
+    """Take the lock ``name`` of a folder, until its ``release``; a killed process leaves none.
+    Raises InspeError if another run has it, or filelock is missing."""
     with needs("sweeps, data sets and trainings lock their folders by filelock", "sweep"):
         from filelock import FileLock, Timeout
     lock = FileLock(folder / name)

@@ -1,13 +1,13 @@
 """Settings of studies of any kind: one value or a list for each key, and how they are checked."""
 
 import inspect
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from itertools import product
 from typing import Annotated, Any, TypeVar
 
 from pydantic import BaseModel, BeforeValidator, Field
 
-from inspe_jax.core.errors import InspeError, nearest
+from inspe_jax.core.errors import InspeError, check_known
 from inspe_jax.core.files import STRICT
 from inspe_jax.scene.profiles import DEFAULT_PROFILE, profile_of, profiles
 from inspe_jax.scene.scene import build_scene, density_count
@@ -27,10 +27,8 @@ def _listed(value: Any) -> Any:
     return value if isinstance(value, list) else [value]
 
 
-class Strict(BaseModel):
+class Strict(BaseModel, **STRICT):
     """A part of a study file; unknown keys are errors."""
-
-    model_config = STRICT
 
 
 Count = Annotated[int, Field(ge=0)]
@@ -76,22 +74,11 @@ def conditioned(settings: dict[str, Any]) -> dict[str, Any]:
     return settings | around.record
 
 
-def one_of(known: Collection[str]) -> Callable[[str], None]:
-    """A check that raises InspeError for a word that is not among ``known``."""
-
-    def check(value: str) -> None:
-        if value not in known:
-            allowed = ", ".join(known)
-            raise InspeError(f"'{value}': one of {allowed}{nearest(value, tuple(known))}")
-
-    return check
-
-
 CHECKS: dict[str, Callable[[Any], Any]] = {
-    "profile": one_of(profiles()),
+    "profile": lambda value: check_known(value, profiles(), ""),
     "density": density_count,
-    "mix": one_of(MIXES),
-    "traffic": one_of(TRAFFIC_MODELS),
+    "mix": lambda value: check_known(value, MIXES, ""),
+    "traffic": lambda value: check_known(value, TRAFFIC_MODELS, ""),
     "statics": check_statics,
     "terrain": check_terrain,
     "light": Conditions.of,

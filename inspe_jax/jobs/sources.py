@@ -1,22 +1,27 @@
-"""Where the scenes and layouts of a study come from; for sweeps and for data sets."""
+"""Where the scenes and layouts of a study come from, and how workers make them; for sweeps and for
+data sets."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 from typing import Annotated, Any
 
+import jax
 from pydantic import Field, model_validator
 
+from inspe_jax.core import version
 from inspe_jax.core.errors import InspeError, check_known
-from inspe_jax.core.files import check_input, digest_of, read_yaml
+from inspe_jax.core.files import check_input, digest_of, parse_yaml, read_yaml
+from inspe_jax.core.parallel import compiled
 from inspe_jax.jobs.settings import Count, Length, Line, Strict, Text, check_names, check_settings
-from inspe_jax.mounting.mixes import mix_name
-from inspe_jax.mounting.strategies import choose
-from inspe_jax.scene.procedural.built_ins import BUILT_INS
+from inspe_jax.mounting.mixes import mix_name, starting_layout
+from inspe_jax.mounting.strategies import choose, strategy
+from inspe_jax.scene.procedural.built_ins import BUILT_INS, built_in
 from inspe_jax.scene.profiles import BEFORE_PROFILES
-from inspe_jax.scene.scene import load_scene
+from inspe_jax.scene.scene import Scene, build_scene, load_scene
 from inspe_jax.sensing.catalogue import device, spec_of
-from inspe_jax.sensing.layout import load_layout
+from inspe_jax.sensing.layout import Layout, load_layout, parse_layout
 from inspe_jax.sensing.sensors import Spec
 
 
@@ -84,10 +89,8 @@ class SceneEntry(Strict):
 
 
 class LayoutEntry(Strict):
-    """A layout of a study file; a name alone is that of a file or of a strategy.
-
-    The order of these keys is part of the keys of jobs.
-    """
+    """A layout of a study file; a name alone is that of a file or of a strategy. The order of these
+    keys is part of the keys of jobs."""
 
     name: Line | None = None
     strategy: str | None = None
@@ -122,11 +125,9 @@ def each_scene(
     folder: Path,
     where: str,
 ) -> Iterator[tuple[str, SceneEntry, SceneSource, dict[str, list[Any]]]]:
-    """(place in the file, entry, source, settings) of every scene of a study.
-
-    A scene's own settings, named by ``keys``, replace those of the ``whole`` study. Raises
-    InspeError if a setting or a source is not valid, or two scenes have one name.
-    """
+    """(place in the file, entry, source, settings) of every scene of a study. Its own settings,
+    named by ``keys``, replace those of the ``whole`` study. Raises InspeError if a setting or a
+    source is not valid, or two scenes have one name."""
     keys, names = tuple(keys), []
     for k, entry in enumerate(entries):
         at = f"{where}: scenes[{k}]"
@@ -164,10 +165,8 @@ def scene_source(entry: SceneEntry, folder: Path, where: str) -> SceneSource:
 def scene_settings(
     source: SceneSource, own: Mapping[str, Any], whole: Mapping[str, Any], where: str
 ) -> dict[str, Any]:
-    """The values of a scene's settings, as lists: its ``own``, else those of the ``whole`` study.
-
-    A saved scene keeps the settings it was built with. Raises InspeError if it is given others.
-    """
+    """The values of a scene's settings, as lists: its ``own``, else those of the ``whole`` study;
+    of a saved scene those it was built with. Raises InspeError if it is given others."""
     if source.file is None:
         return {**whole} | {key: value for key, value in own.items() if value}
     if given := ", ".join(key for key, value in own.items() if value):
@@ -209,7 +208,17 @@ def _layout_source(
         kind = "file" if entry.mix is None else "mix"
         raise InspeError(f"{where}: a {kind} has its own devices; leave out {', '.join(options)}")
     if entry.mix is not None:
-        return _mix_source(entry.name, entry.mix, devices, where)
+        counts = {key: count for key, count in entry.mix.items() if count}
+        if not counts:
+            raise InspeError(f"{where}.mix: needs at least one sensor")
+        try:
+            for key in entry.mix:
+                devices.get(key) or device(key)
+        except InspeError as e:
+            raise InspeError(f"{where}.mix: {e}") from None
+        specs = tuple((key, devices[key]) for key in counts if key in devices)
+        mix = tuple(counts.items())
+        return LayoutSource(entry.name or mix_name(counts), options=specs, mix=mix)
     if entry.file is not None:
         path = folder / entry.file
         name = load_layout(path).name
@@ -222,18 +231,64 @@ def _layout_source(
     return LayoutSource(entry.name or chosen.name, chosen.name, tuple(options.items()))
 
 
-def _mix_source(
-    name: str | None, mix: Mapping[str, int], devices: Mapping[str, Spec], where: str
-) -> LayoutSource:
-    """The source of a mix of devices. Raises InspeError for no sensor or an unknown device."""
-    counts = {key: count for key, count in mix.items() if count}
-    if not counts:
-        raise InspeError(f"{where}.mix: needs at least one sensor")
-    for key in mix:
-        if key not in devices:
-            try:
-                device(key)
-            except InspeError as e:
-                raise InspeError(f"{where}.mix: {e}") from None
-    own = tuple((key, devices[key]) for key in counts if key in devices)
-    return LayoutSource(name or mix_name(counts), options=own, mix=tuple(counts.items()))
+# ── What a worker needs for any job ─────────────────────────────────────────
+
+COMPILED_SCENES = 6
+"""Most scenes whose compiled programs a worker keeps; programs depend on a scene's shapes."""
+
+_compiled_for: set[str] = set()
+
+
+@cache
+def versions() -> dict[str, str]:
+    """Versions that a result depends on."""
+    return version.versions(("jax", "numpy"))
+
+
+def scene_of(source: SceneSource, settings: dict[str, Any]) -> Scene:
+    """Build the scene of a source with ``settings``, or load a saved one. Raises InspeError if its
+    file is missing or has changed since the study was read, or as building does."""
+    if source.built_in is not None:
+        return build_scene(built_in(source.built_in), **settings)
+    path = Path(str(source.map or source.file))
+    check_input(path)
+    if digest_of(path) != source.content:
+        raise InspeError(f"{path}: has changed since the study was read")
+    if source.file is not None:
+        return load_scene(path)
+    from inspe_jax.scene.maps.registry import read_map
+
+    at: dict[str, Any] = dict(junction=source.junction, center=source.center)
+    return build_scene(read_map(path, **at, radius=settings["radius"]), **settings)
+
+
+def scene_or_message(source: SceneSource, settings: dict[str, Any]) -> Scene | str:
+    """The scene of a source; or the message of the error, if it cannot be built."""
+    try:
+        return scene_of(source, settings)
+    except Exception as e:
+        return message_of(e)
+
+
+def place_layout(source: LayoutSource, scene: Scene) -> Layout:
+    """The layout of a source on a scene. A mix stands as :func:`starting_layout` places it."""
+    if source.mix:
+        return starting_layout(scene, dict(source.mix), dict(source.options))
+    if source.strategy is not None:
+        return strategy(scene, source.strategy, **dict(source.options))
+    assert source.text is not None
+    return parse_layout(parse_yaml(source.text, source.name), source.name, source.name, scene)
+
+
+def release_compiled(scene: str) -> None:
+    """Drop the programs compiled for earlier scenes, once there are many scenes."""
+    if scene not in _compiled_for and len(_compiled_for) >= COMPILED_SCENES:
+        jax.clear_caches()
+        compiled.clear()
+        _compiled_for.clear()
+    _compiled_for.add(scene)
+
+
+def message_of(e: Exception) -> str:
+    """An exception in words: the message alone if it is an InspeError."""
+    return str(e) if isinstance(e, InspeError) else f"{type(e).__name__}: {e}"

@@ -17,12 +17,9 @@ from inspe_jax.sensing.sensors import Spec
 
 @dataclass(frozen=True)
 class Device:
-    """One row of the catalogue: a spec, its maker and its price.
-
-    ``price_usd`` is a list price [US$] of the year in ``note``, None if none is public.
-    ``source`` says where the figures come from, ``note`` what was assumed. ``product`` is False for
-    the model of a device that nobody sells.
-    """
+    """One row of the catalogue: a spec, its maker and its list price [US$] in the year of ``note``,
+    None if none is public. ``source`` says where the figures come from, ``note`` what was assumed.
+    ``product`` is False for the model of a device that nobody sells."""
 
     name: str
     kind: str
@@ -100,8 +97,5 @@ def check_spec(spec: Spec) -> None:
 
 
 def table_of(spec: Spec) -> dict[str, Any]:
-    """The catalogue keys of a spec, which :func:`spec_of` reads back.
-
-    They are Python's numbers, also if the spec has NumPy's.
-    """
+    """The catalogue keys of a spec, which :func:`spec_of` reads back: Python's own numbers."""
     return SENSOR_KINDS[spec.kind].table(spec)

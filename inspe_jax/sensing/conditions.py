@@ -83,11 +83,6 @@ class Conditions:
         return self.weather if self.intensity is None else f"{self.weather}:{self.intensity:.12g}"
 
     @property
-    def unusual(self) -> bool:
-        """Whether the weather has another intensity than its usual one."""
-        return self != Conditions(self.light, self.weather)
-
-    @property
     def words(self) -> str:
         """What a title adds for them; nothing at midday in clear air."""
         return "" if self == FAIR else f", {self}"
@@ -119,11 +114,8 @@ class Conditions:
 
 
 def perceiving(scene: Scene, layout: Layout, conditions: Conditions) -> Layout:
-    """The sensors of a layout as they perceive on a scene in these conditions.
-
-    Reliability is the device's own, times what the scene's profile says of its kind (1 where it
-    says nothing), times what the conditions leave.
-    """
+    """The sensors of a layout as they perceive on a scene in these conditions: reliability is the
+    device's own, times the profile's of its kind, if any, times what the conditions leave."""
     share = scene.profile.reliability
     there = conditions.layout(layout)
     if set(share.values()) == {1.0}:
@@ -176,11 +168,9 @@ class Case:
 
 def case_of(scene: Any, conditions: Any = None) -> Case:
     """A scene in conditions: a Case; or a scene, also by name, and Conditions, or their text such
-    as "night" or "night, rain:10". None is midday in clear air.
-
-    Raises InspeError as :func:`~inspe_jax.scene.scene.scene_of` does, and if conditions are none,
-    or are given besides those of a Case.
-    """
+    as "night" or "night, rain:10"; None is midday in clear air. Raises InspeError as
+    :func:`~inspe_jax.scene.scene.scene_of`, and if conditions are none, or are given besides those
+    of a Case."""
     if isinstance(scene, Case):
         if conditions is not None:
             raise InspeError(f"conditions: given twice, as {scene.conditions} and as {conditions}")

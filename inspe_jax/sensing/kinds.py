@@ -1,9 +1,8 @@
 """Kinds of sensor: the keys with which a catalogue describes their devices.
 
-A new kind is a row of :data:`SENSOR_KINDS`; scores, searches and layout files work with it then. A
-detector finds road users with it by the curves and the noise that the ``signal`` of its class of
-rays names. Light and weather take nothing from it until ``conditions.toml`` has figures for it, and
-a profile does not change its reliability.
+A new kind is a row of :data:`SENSOR_KINDS`; scores, searches and layout files then work with it.
+Light and weather take nothing from it until ``conditions.toml`` has figures for it, and a profile
+does not change its reliability.
 """
 
 from itertools import pairwise
@@ -21,10 +20,8 @@ _Elevation = Annotated[float, Field(ge=-90, le=90)]
 _Limits = Annotated[list[_Elevation], Field(min_length=2, max_length=2)]
 
 
-class DeviceKeys(BaseModel):
+class DeviceKeys(BaseModel, **STRICT):
     """The keys of a catalogue that make a spec: those that every kind has."""
-
-    model_config = STRICT
 
     kind: str
     reliability: Annotated[float, Field(ge=0, le=1)] = 1.0

@@ -47,10 +47,8 @@ ROUNDING = 1e-6  # rounding of decimals in a file may add this to a distance [m]
 
 @dataclass(frozen=True)
 class Unit:
-    """An infrastructure unit: sensors that share a processor and stand at one base.
-
-    ``base`` is x, y and the height of the ground there [m], in the world frame.
-    """
+    """An infrastructure unit: sensors that share a processor and stand at one base, x, y and the
+    height of the ground there [m], in the world frame."""
 
     name: str
     base: tuple[float, float, float]
@@ -94,12 +92,10 @@ class Goal:
 @pytree
 @dataclass(frozen=True, eq=False, repr=False)
 class Layout(ByContent, Described):
-    """Sensors with their poses. Two layouts are equal where all of them is, by value.
-
-    ``poses`` (S, 6) are x, y, z, roll, pitch, yaw in world metres and radians, which alone are
-    differentiated. ``profile`` names the profile that the layout was made under, None if unknown;
-    ``goal`` is what the search that found it has maximised, None if that is the usual P_sm.
-    """
+    """Sensors with their poses; equal where all of them is, by value. ``poses`` are x, y, z, roll,
+    pitch, yaw in world metres and radians, which alone are differentiated. ``profile`` names the
+    profile that the layout was made under, None if unknown; ``goal`` is what the search that found
+    it has maximised, None if that is the usual P_sm."""
 
     poses: Float[Array | np.ndarray, "S 6"]
     sensors: tuple[Sensor, ...] = field(metadata={"static": True})
@@ -174,14 +170,12 @@ def make_layout(
     *,
     unit_rule: bool = True,
 ) -> Layout:
-    """A checked layout; see :class:`Layout`. Errors name ``where``, or the layout.
+    """A checked layout, its sensors in this order; ``poses`` may be rows of :class:`Pose`.
 
-    Sensors keep their order, whatever their units. ``poses`` (S, 6) may be rows of :class:`Pose`.
-
-    Raises InspeError if the layout is empty, poses are not finite or of another shape, a unit is
-    missing, a device has impossible numbers, or two sensors or units have one name. With
-    ``unit_rule`` it is also an error if two sensors of one unit are more than 2 m apart in plan or
-    4 m in height.
+    Raises InspeError, which names ``where`` or the layout, if the layout is empty, poses are not
+    finite or of another shape, a unit is missing, a device has impossible numbers, or two sensors
+    or units have one name; with ``unit_rule`` also if two sensors of one unit are more than 2 m
+    apart in plan or 4 m in height.
     """
     where = where or name
     poses = _numbers(poses)
@@ -304,14 +298,8 @@ def parse_layout(
     if entry.order and sorted(entry.order) != sorted(names):
         raise InspeError(f"{where}: order: must name each sensor once: {', '.join(names)}")
     rows = [names.index(one) for one in entry.order or names]
-    layout = make_layout(
-        [sensors[s] for s in rows],
-        units,
-        np.array(poses)[rows],
-        entry.name or name,
-        where,
-        unit_rule=unit_rule,
-    )
+    ordered, at = [sensors[s] for s in rows], np.array(poses)[rows]
+    layout = make_layout(ordered, units, at, entry.name or name, where, unit_rule=unit_rule)
     return replace(layout, profile=entry.profile, goal=_goal(entry.searched_for, where))
 
 
@@ -344,19 +332,11 @@ def layout_text(layout: Layout) -> str:
     for unit, members in zip(layout.units, layout.members(), strict=True):
         entries = []
         for s in members:
-            dx, dy, dz = (poses[s, :3] - np.array(unit.base)).round(9).tolist()
+            sensor = layout.sensors[s]
+            *offset, height = (poses[s, :3] - np.array(unit.base)).round(9).tolist()
             roll, pitch, yaw = np.degrees(poses[s, 3:]).round(9).tolist()
-            entries.append(
-                dict(
-                    name=layout.sensors[s].name,
-                    device=layout.sensors[s].spec.name,
-                    height=dz,
-                    offset=[dx, dy],
-                    yaw_deg=yaw,
-                    pitch_deg=pitch,
-                    roll_deg=roll,
-                )
-            )
+            at = dict(height=height, offset=offset, yaw_deg=yaw, pitch_deg=pitch, roll_deg=roll)
+            entries.append(dict(name=sensor.name, device=sensor.spec.name) | at)
         units.append(dict(name=unit.name, base=list(unit.base), sensors=entries))
     content = {"name": layout.name, **made_with(layout), "units": units}
     check_model(_LayoutFile, content, f"{layout.name}, to be saved")

@@ -89,12 +89,10 @@ def collection(layout: Layout, features: list[dict[str, Any]]) -> dict[str, Any]
 def load_layout_geojson(
     path: str | os.PathLike[str], place: Intersection, *, unit_rule: bool = True
 ) -> Layout:
-    """The layout in a GeoJSON file, on the ground of a place.
-
-    ``unit_rule`` as in :func:`~inspe_jax.sensing.layout.make_layout`. Raises InspeError as
+    """The layout in a GeoJSON file, on the ground of a place; ``unit_rule`` as in
+    :func:`~inspe_jax.sensing.layout.make_layout`. Raises InspeError as
     :func:`~inspe_jax.scene.geojson.read_features` and
-    :func:`~inspe_jax.sensing.layout.load_layout`, and if a sensor's unit is not in the file.
-    """
+    :func:`~inspe_jax.sensing.layout.load_layout`, and if a sensor's unit is not in the file."""
     kinds = ("unit", "sensor")
     features, further = read_features(path, place, lambda own: own.get("feature") in kinds)
     units: dict[str, tuple[np.ndarray, list[dict[str, Any]]]] = {}
@@ -112,17 +110,9 @@ def load_layout_geojson(
             raise InspeError(f"{where}: no unit '{sensor.unit}'{nearest(sensor.unit, [*units])}")
         base, members = units[sensor.unit]
         yaw = known_georeference(place).yaw(at[None], np.array([sensor.azimuth_deg]))[0]
-        members.append(
-            dict(
-                name=sensor.name,
-                device=sensor.device,
-                height=sensor.height_m,
-                offset=(at - base).tolist(),
-                yaw_deg=float(np.degrees(yaw)),
-                pitch_deg=sensor.pitch_deg,
-                roll_deg=sensor.roll_deg,
-            )
-        )
+        own = dict(name=sensor.name, device=sensor.device, height=sensor.height_m)
+        own |= dict(offset=(at - base).tolist(), yaw_deg=float(np.degrees(yaw)))
+        members.append(own | dict(pitch_deg=sensor.pitch_deg, roll_deg=sensor.roll_deg))
     content: dict[str, Any] = {"profile": profiles[0]} if profiles else {}
     kept = ("name", "profile", "searched_for", "devices", "order")
     content |= {key: further[key] for key in kept if key in further}

@@ -18,11 +18,8 @@ LAYOUT_RULES: dict[str, Callable[[Scene, str], Layout]] = {}
 
 def layout_of(given: Any, scene: Scene, *, unit_rule: bool = True) -> Layout:
     """A layout on a scene that is given as such, as a file, or by the name of a strategy; checked.
-
-    ``unit_rule`` is for files, as in :func:`~inspe_jax.sensing.layout.make_layout`. Raises
-    InspeError as :func:`~inspe_jax.sensing.layout.load_layout` and
-    :func:`~inspe_jax.sensing.layout.make_layout` do, and for anything else than a layout.
-    """
+    ``unit_rule`` is for files. Raises InspeError as :func:`~inspe_jax.sensing.layout.load_layout`
+    and :func:`~inspe_jax.sensing.layout.make_layout`, and for anything else than a layout."""
     if isinstance(given, Layout):
         check_record(given, given.name, S=len(given))
         return given

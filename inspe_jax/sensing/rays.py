@@ -24,11 +24,8 @@ _ANGLE_ERROR = 1e-6  # largest error of an angle in single precision [rad]
 
 
 class Edges(NamedTuple):
-    """The edges of a field of view: two rows and two columns.
-
-    ``row`` and ``column`` (2,) are their coordinates, the first and the last. ``row_turn`` and
-    ``column_turn`` (2, 2) are the cosines and the sines of their angles.
-    """
+    """The edges of a field of view, the first and the last row and column: their coordinates, and
+    the cosines and sines of their angles."""
 
     row: Float[Array | np.ndarray, "*S 2"]
     column: Float[Array | np.ndarray, "*S 2"]
@@ -64,12 +61,9 @@ class RayTable(NamedTuple):
 
 
 class Signal(NamedTuple):
-    """What a sensor's rays bring a detector.
-
-    ``name`` is that of the curves by which the detector finds road users
-    (:mod:`inspe_jax.scoring.detection`). ``noise`` says which rays come back, and how exactly they
-    range; None for pictures, of which all pixels count.
-    """
+    """What a sensor's rays bring a detector: the ``name`` of the curves by which it finds road
+    users (:mod:`inspe_jax.scoring.detection`), and the ``noise``, which says which rays come back
+    and how exactly they range; None for pictures, of which all pixels count."""
 
     name: str
     noise: LidarNoise | None = None
@@ -127,10 +121,8 @@ class Rays:
         return self.table.edges.column[0] + index.astype(float) * self.table.column_step
 
     def field_margin(self, q: Point, edges: Edges) -> Float[Array, "*n"]:
-        """How deep points lie in the field of view within ``edges`` [m]; negative outside.
-
-        It is the least distance to an edge row, an edge column and the end of the reach.
-        """
+        """How deep points lie in the field of view within ``edges`` [m], negative outside: the
+        least distance to an edge row, an edge column and the end of the reach."""
         above, below = (self.square_row(q, edges, k) for k in range(2))
         margin = jnp.minimum(jnp.minimum(self.table.reach - _distance(q), above), -below)
         return margin if self.wraps else jnp.minimum(margin, self.column_margin(q, edges))
@@ -155,10 +147,8 @@ class Rays:
         return self.square_column(q, self.table.edges, edge)
 
     def rows_below(self, row: Float[Array, "*n"]) -> Float[Array, "*n"]:
-        """How many row spacings lie between the outer first row and a row coordinate.
-
-        Linear between the rows, and beyond the outer ones as far as the end spacing goes on.
-        """
+        """How many row spacings lie between the outer first row and a row coordinate: linear
+        between the rows, and beyond the outer ones as far as the end spacing goes on."""
         table = self.table
         counts = jnp.asarray(table.counts, float)
         at = (row - table.outer.row[0]) * table.count_steps
@@ -203,29 +193,22 @@ class Rays:
         raise NotImplementedError
 
     def slopes(self, q: Point, near: Any) -> tuple[Point, Point]:
-        """Gradients of the row and of the column coordinate with respect to the point [1/m].
-
-        They grow without bound towards the axis of a LiDAR and the picture plane of a camera.
-        Points nearer to it than ``near`` [m] have those at that distance.
-        """
+        """Gradients of the row and of the column coordinate with respect to the point [1/m]. Points
+        nearer than ``near`` [m] to a LiDAR's axis or a camera's picture plane, where gradients have
+        no bound, have those at that distance."""
         raise NotImplementedError
 
     # For most voxels the ray nearest to the centre decides whether any ray passes through.
 
     def to_ray(self, q: Point) -> tuple[Point, Any]:
-        """(vectors from points to a point on a ray near each, its largest error [m]).
-
-        The error is :data:`~inspe_jax.core.geometry.FAR` where there is no such ray.
-        """
+        """(vectors from points to a point on a ray near each, its largest error [m]), FAR where
+        there is no such ray."""
         raise NotImplementedError
 
     def between(self, q: Point, half: Any, extent: Callable[[Point], Any]) -> Bool[Array, "*n"]:
         """Whether cubes around points surely lie between two neighbouring rows or columns, or
-        beyond an end row, and touch neither. False means that it is not known.
-
-        ``half`` is half a cube's edge [m]. ``extent`` gives how far a cube reaches along a
-        direction, times the direction's length.
-        """
+        beyond an end row, and touch neither. ``half`` is half a cube's edge [m]; ``extent`` gives
+        how far a cube reaches along a direction, times the direction's length."""
         raise NotImplementedError
 
     def _neighbour(self, row: Float[Array, "*n"]) -> tuple[Any, Any, Any]:
@@ -295,11 +278,9 @@ class SphericalRays(Rays):
         return up, (-y / at, x / at, jnp.zeros_like(at))
 
     def to_ray(self, q: Point) -> tuple[Point, Any]:
-        """Along the meridian to the nearest row, and along the parallel to the nearest column.
-
-        Both arcs are taken as straight. The error is at most half the squared angle times the
-        range. Right above and below the sensor there is no meridian, and so no ray.
-        """
+        """Along the meridian to the nearest row, and along the parallel to the nearest column, both
+        as straight lines: the error is at most half the squared angle times the range. Right above
+        and below the sensor there is no meridian, and so no ray."""
         elevation, azimuth = self.row(q), self.column(q)
         up = self.row_at(self.nearest_row(elevation)) - elevation
         left = self._nearest_column(azimuth) - azimuth
@@ -310,11 +291,8 @@ class SphericalRays(Rays):
         return to, jnp.where(plan > 2 * _MIN_DISTANCE, distance * (bend + _ANGLE_ERROR), FAR)
 
     def between(self, q: Point, half: Any, extent: Callable[[Point], Any]) -> Bool[Array, "*n"]:
-        """Whether cubes lie between the cones of two rows.
-
-        A cube's extent across a cone is that across its tangent plane, plus how far the cone bends
-        away from the plane.
-        """
+        """Whether cubes lie between the cones of two rows. A cube's extent across a cone is that
+        across its tangent plane, plus how far the cone bends away from the plane."""
         plan, distance = _plan(q), jnp.sqrt(_plan(q) ** 2 + q[2] * q[2])
         elevation, span = self.row(q), 3.0**0.5 * half
         across = extent((-q[2] * q[0] / plan, -q[2] * q[1] / plan, plan)) / distance

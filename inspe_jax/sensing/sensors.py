@@ -136,12 +136,9 @@ def repeat_last(x: Any, length: int) -> np.ndarray:
 
 
 class Spec:
-    """The base of every kind of sensor: a frozen dataclass with whatever its grid of rays needs,
-    and a row in :data:`~inspe_jax.sensing.kinds.SENSOR_KINDS`.
-
-    ``reliability`` is the chance that what is in view is perceived. Defaults are those of a sensor
-    that looks level or all round.
-    """
+    """The base of every kind of sensor: a frozen dataclass with what its grid of rays needs, and a
+    row in :data:`~inspe_jax.sensing.kinds.SENSOR_KINDS`. ``reliability`` is the chance that what is
+    in view is perceived. Defaults are those of a sensor that looks level or all round."""
 
     name: str
     reliability: float

@@ -103,10 +103,8 @@ def check_budget(budget: float) -> None:
 def _greatest_worst(
     cents: Sequence[Int[np.ndarray, " K"]], values: Sequence[Float[np.ndarray, " K"]], limit: int
 ) -> float:
-    """The greatest score that every place can reach within the limit, exactly.
-
-    That is one of the scores. A higher one costs no less to reach, so it is found by halving.
-    """
+    """The greatest score that every place can reach within the limit, exactly: one of the scores. A
+    higher one costs no less to reach, so it is found by halving."""
     steps = np.unique(np.concatenate(values))
     low, high = 0, len(steps) - 1  # the lowest score is reached by all options
     while low < high:
@@ -123,10 +121,8 @@ def _greatest_sum(
     limit: int,
 ) -> tuple[list[int], float]:
     """(The option of each place with the greatest sum within the limit, what no sum can exceed).
-
-    HiGHS works in floating point. Its choice is added up in whole cents; one that exceeds the limit
-    after all is forbidden, and the program is solved again.
-    """
+    HiGHS works in floating point: a choice that exceeds the limit in whole cents after all is
+    forbidden, and the program is solved again."""
     sizes = np.array([len(row) for row in cents])
     place = np.repeat(np.arange(len(sizes)), sizes)
     cost, value = np.concatenate(cents), np.concatenate(worth)

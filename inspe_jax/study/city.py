@@ -24,7 +24,7 @@ from inspe_jax.scene.maps.registry import list_junctions
 from inspe_jax.scene.maps.road_map import MOST_LISTED, JunctionInfo
 from inspe_jax.study.budget import Share, share_out
 from inspe_jax.study.plan import Study, make_study
-from inspe_jax.study.work import LAYOUTS, Row
+from inspe_jax.study.sweep import LAYOUTS, Row
 
 SIGNALS, ALL = "signals", "all"
 """Words for junctions with signals, and for all."""
@@ -32,10 +32,8 @@ SIGNALS, ALL = "signals", "all"
 
 @dataclass(frozen=True)
 class Option:
-    """What one junction can get: a mix of devices, its cost [US dollars] and its score.
-
-    ``key`` is that of the job that found its layout; for no devices at all it is empty.
-    """
+    """What one junction can get: a mix of devices, its cost [US dollars] and its score. ``key`` is
+    that of the job that found its layout; for no devices at all it is empty."""
 
     mix: str
     cost: float
@@ -54,10 +52,8 @@ NOTHING = Option("", 0.0, 0.0)
 
 @dataclass(frozen=True)
 class JunctionFront:
-    """A junction, the options on its front, cheapest first, and the errors of mixes that failed.
-
-    A front begins with :data:`NOTHING`, unless a mix is free.
-    """
+    """A junction, the options on its front, cheapest first, and the errors of mixes that failed. A
+    front begins with :data:`NOTHING`, unless a mix is free."""
 
     junction: JunctionInfo
     options: tuple[Option, ...]
@@ -76,12 +72,9 @@ class JunctionFront:
 
 @dataclass(frozen=True)
 class CityPlan:
-    """A budget [US dollars] shared among junctions.
-
-    ``fronts`` are of the junctions that can get devices; ``share`` has the option of each.
-    ``weights`` are the importance of each, and ``worst`` says whether the least score is maximised.
-    ``left_out`` are junctions where every mix failed, with the first error.
-    """
+    """A budget [US dollars] shared among the junctions of ``fronts``, which can get devices, with
+    the importance of each. ``share`` has the option of each; ``worst`` says whether the least score
+    is maximised; ``left_out`` are junctions where every mix failed, with the first error."""
 
     budget: float
     fronts: tuple[JunctionFront, ...]
@@ -97,10 +90,8 @@ class CityPlan:
         return tuple(front.options[k] for front, k in pairs)
 
     def text(self, georeference: Georeference | None) -> str:
-        """The plan as CSV, one row for each junction that can get devices.
-
-        It has latitudes and longitudes where the map's projection is given.
-        """
+        """The plan as CSV, one row for each junction that can get devices, with latitudes and
+        longitudes where the map's projection is given."""
         rows: list[dict[str, Any]] = []
         for front, option, weight in zip(self.fronts, self.chosen, self.weights, strict=True):
             middle = np.array(front.junction.center[:2])
@@ -165,11 +156,9 @@ def city_study(
     settings: Mapping[str, Any],
     **more: Any,
 ) -> Study:
-    """The study of every mix of devices at every junction of a map.
-
-    ``settings`` and ``more`` are as in a study file (:mod:`inspe_jax.study.plan`); the settings
-    need a method of search. Raises InspeError as :func:`~inspe_jax.study.plan.make_study`.
-    """
+    """The study of every mix of devices at every junction of a map. ``settings``, which need a
+    method of search, and ``more`` are as in a study file (:mod:`inspe_jax.study.plan`). Raises
+    InspeError as :func:`~inspe_jax.study.plan.make_study`."""
     place = Path(path)
     at = str(place.resolve())
     scenes = [{"name": str(one.id), "map": at, "junction": one.id} for one in junctions]
@@ -185,9 +174,7 @@ def fronts_of(
     costs: Mapping[str, float],
 ) -> tuple[JunctionFront, ...]:
     """The front of each junction, from the rows of a study; ``costs`` are those of mixes by name.
-
-    Mixes that failed are not on it, nor is one that is beaten by a mix that costs no more.
-    """
+    No mix is on it that failed, or is beaten by one that costs no more."""
     by_key = {row["key"]: row for row in rows}
     options = defaultdict[str, list[Option]](lambda: [NOTHING])
     errors = defaultdict[str, list[str]](list)

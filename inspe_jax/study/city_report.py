@@ -30,10 +30,8 @@ _SMALL, _LARGE, _MANY = 4.0, 13.0, 60  # diameters of dots [points], of up to so
 
 
 def plan_table(plan: CityPlan, georeference: Georeference | None = None) -> RenderableType:
-    """What each junction gets: its place, its mix of devices, the cost and the score.
-
-    Places are latitudes and longitudes where the map's projection is given, else in metres.
-    """
+    """What each junction gets: its place, in degrees where the map's projection is given, else in
+    metres; its mix of devices, the cost and the score."""
     where = "x, y [m]" if georeference is None else "latitude, longitude"
     some = _some_count_more(plan)
     heads = ("importance",) if some else ()
@@ -75,11 +73,8 @@ def _some_count_more(plan: CityPlan) -> bool:
 
 
 def city_view(plan: CityPlan, name: str, roads: Sequence[Float[np.ndarray, "N 2"]] = ()) -> Figure:
-    """A map of what each junction gets.
-
-    ``name`` is that of the map, and ``roads`` are its lines [m]. A dot is larger the more is spent,
-    and its colour is the score.
-    """
+    """A map of what each junction gets: a dot is larger the more is spent, and its colour is the
+    score. ``name`` is that of the map, and ``roads`` are its lines [m]."""
     middles = np.array([front.junction.center[:2] for front in plan.fronts])
     cost = np.array([option.cost for option in plan.chosen])
     score = np.array([option.score for option in plan.chosen])
@@ -99,19 +94,16 @@ def city_view(plan: CityPlan, name: str, roads: Sequence[Float[np.ndarray, "N 2"
         ax.scatter(x[~gets], y[~gets], s=wide[~gets] ** 2, **_NOTHING, linewidths=0.8, zorder=4)
         _draw_names(ax, plan, middles, wide)
         draw_scale(ax, reach)
-        if len(some):
+        if len(some):  # colours from a tenth below the least score to a tenth above the greatest
+            tenths = 10 * score[some]
+            least, most = np.floor(tenths.min()) / 10, np.ceil(tenths.max()) / 10
             dots = ax.scatter(
                 x[some], y[some], s=wide[some] ** 2, c=score[some], cmap=SCORES,
-                norm=_norm(score[some]), ec="white", linewidths=0.5, zorder=4,
+                norm=Normalize(least, max(most, least + 0.1)), ec="white", linewidths=0.5,
+                zorder=4,
             )  # fmt: skip
             _draw_keys(fig, panel, dots, {float(cost[k]): float(wide[k]) for k in order})
     return fig
-
-
-def _norm(scores: Float[np.ndarray, " N"]) -> Normalize:
-    """Colours from a tenth below the least score to a tenth above the greatest."""
-    low, high = np.floor(10 * scores.min()) / 10, np.ceil(10 * scores.max()) / 10
-    return Normalize(low, max(high, low + 0.1))
 
 
 def _diameter(cost: Float[np.ndarray, " N"], most: float) -> Float[np.ndarray, " N"]:

@@ -40,7 +40,7 @@ from typing import Annotated, Any
 from pydantic import Field
 
 from inspe_jax.core.digest import digest
-from inspe_jax.core.errors import InspeError
+from inspe_jax.core.errors import InspeError, check_known
 from inspe_jax.core.files import check_model
 from inspe_jax.jobs.settings import (
     CHECKS,
@@ -54,7 +54,6 @@ from inspe_jax.jobs.settings import (
     combinations,
     conditioned,
     defaults_of,
-    one_of,
 )
 from inspe_jax.jobs.sources import (
     LayoutSource,
@@ -87,10 +86,8 @@ SETTINGS = (*BUILD_SETTINGS, *CONDITIONS, *SCORE_SETTINGS, *SEARCH_SETTINGS)
 @dataclass(frozen=True)
 class StudyJob:
     """One layout on one scene in one setting; ``settings`` has every key of :data:`SETTINGS`.
-
     ``metrics`` are computed: the usual ones, those the study asks for, and those with weight in
-    some job. ``detection`` has the curves of detectability, None for the usual ones.
-    """
+    some job. ``detection`` has the curves of detectability, None for the usual ones."""
 
     source: SceneSource
     layout: LayoutSource
@@ -105,11 +102,15 @@ class StudyJob:
         curves = () if self.detection is None else (self.detection,)
         return digest([self.source.anywhere, self.layout, self.settings, *curves])[:16]
 
+    @property
+    def build(self) -> dict[str, Any]:
+        """Settings that its scene is built with."""
+        return {key: self.settings[key] for key in BUILD_SETTINGS}
+
     @cached_property
     def scene(self) -> str:
         """A short text that identifies its scene."""
-        build = {k: self.settings[k] for k in BUILD_SETTINGS}
-        return digest([self.source.anywhere, build])[:16]
+        return digest([self.source.anywhere, self.build])[:16]
 
 
 @dataclass(frozen=True)
@@ -167,7 +168,7 @@ _CHECKS = CHECKS | {
     "weights": metrics.weights_of,
     "occlusion_reference": lambda value: check_options(None, value, "in_view"),
     "visibility": lambda value: check_options(None, "roi", value),
-    "method": lambda value: one_of((SCORE_ONLY, *METHODS))(value),
+    "method": lambda value: check_known(value, (SCORE_ONLY, *METHODS), ""),
     "seconds": lambda value: check_budget(value, None),
     "evaluations": lambda value: check_budget(None, value),
     "search_seed": check_seed,
@@ -175,10 +176,8 @@ _CHECKS = CHECKS | {
 
 
 def load_study(path: str | os.PathLike[str]) -> Study:
-    """Read a study file; its form is in this module's docstring.
-
-    Raises InspeError that names the file, the key and what is allowed.
-    """
+    """Read a study file; its form is in this module's docstring. Raises InspeError that names the
+    file, the key and what is allowed."""
     path = Path(path)
     content = read_study(path)
     return make_study(content, path.parent, str(path), path.stem)
@@ -214,7 +213,6 @@ def make_study(
 
 
 def _curves(given: str | None, folder: Path, where: str) -> DetectionCurves | None:
-    """The curves of a study's file of curves; None where they are the usual ones."""
     if given is None:
         return None
     try:
@@ -225,10 +223,8 @@ def _curves(given: str | None, folder: Path, where: str) -> DetectionCurves | No
 
 
 def _defaults(profile: str, sized: bool) -> dict[str, list[Any]]:
-    """The values of settings that are not given, by the profile.
-
-    Where the study gives a voxel size (``sized``), the spacing is found when a scene is built.
-    """
+    """The values of settings that are not given, by the profile. Where the study gives a voxel size
+    (``sized``), the spacing is found when a scene is built."""
     own = profile_of(profile)
     rest: dict[str, Any] = dict.fromkeys((*SCORE_SETTINGS, *SEARCH_SETTINGS))
     rest |= dict(occlusion_reference=own.occlusion_reference, visibility=own.visibility)

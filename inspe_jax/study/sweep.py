@@ -6,27 +6,35 @@ which is dropped when the run is resumed. Jobs that failed are then run again.
 """
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import IO, Any
 
 from inspe_jax.core.errors import InspeError, wrong_kind
 from inspe_jax.core.files import csv_line, csv_text, named, parse_csv, prepare_folder, write_text
 from inspe_jax.jobs.engine import check_workers, load_cluster, run_jobs
 from inspe_jax.jobs.locks import ADVICE, check_versions, lock_folder
-from inspe_jax.jobs.scenes import versions
-from inspe_jax.study.plan import Study, StudyJob
-from inspe_jax.study.work import (
-    LAYOUTS,
-    Row,
-    columns,
-    failure_columns,
-    row_head,
-    run_job,
-    scene_of_job,
-    tag_columns,
-)
+from inspe_jax.jobs.sources import message_of, place_layout, release_compiled, scene_of, versions
+from inspe_jax.placement import optimise
+from inspe_jax.placement.objective import Objective
+from inspe_jax.placement.problem import Case
+from inspe_jax.scene.scene import Scene
+from inspe_jax.scoring.evaluate import Scores, evaluate
+from inspe_jax.scoring.metrics import listed
+from inspe_jax.sensing.conditions import Conditions
+from inspe_jax.sensing.layout import Layout, layout_text
+from inspe_jax.study.plan import SCORE_ONLY, SCORE_SETTINGS, SETTINGS, Study, StudyJob
+
+Row = dict[str, str]
 
 TABLE = "results.csv"
+LITERAL = "information_gain_literal"
+"""Column of IG exactly as the paper prints it, for comparison."""
+FACTS = ("sensors", "voxels", "objects")
+"""Columns: number of sensors, of voxels, and mean number of objects in a frame."""
+BEFORE = "surrogate_before"
+"""Column of P_sm before a search; empty where nothing was searched."""
+LAYOUTS = "layouts"
+"""Folder of the layouts that searches found, by the keys of their jobs."""
 
 
 def sweep(
@@ -70,30 +78,19 @@ def sweep(
         if left:
             with load_cluster().client(scheduler, workers) as client:
                 for job, found in run_jobs(client, left, scene_of_job, run_job, versions()):
-                    results.add(*_row(job, found))
+                    failed = isinstance(found, Exception)
+                    results.add(*(failed_row(job, found), None) if failed else found)
                     report()
         return results.finish()
 
 
-def _row(job: StudyJob, found: Any) -> tuple[Row, str | None]:
-    if isinstance(found, Exception):
-        error = f"{type(found).__name__}: {found}"
-        return row_head(job) | versions() | failure_columns(error), None
-    return found
-
-
 class Results:
-    """The results of one study in a folder, which only one run at a time may have open.
-
-    ``rows`` are the rows so far, by the keys of their jobs; without those of earlier failures.
-    """
+    """The results of one study in a folder, which only one run at a time may have open. ``rows``
+    are the rows so far, by the keys of their jobs; without those of earlier failures."""
 
     def __init__(self, study: Study, folder: str | os.PathLike[str]) -> None:
-        """Open the folder, and read the rows that it has.
-
-        Raises InspeError if it cannot be written, another run uses it, or it has results of
-        another study or version.
-        """
+        """Open the folder, and read the rows that it has. Raises InspeError if it cannot be
+        written, another run uses it, or it has results of another study or version."""
         self.study = study
         self.columns = columns(study)
         self.folder = prepare_folder(folder)
@@ -169,3 +166,87 @@ class Results:
             )
         for row in rows:
             check_versions(row, versions(), self.path)
+
+
+# ── What a worker runs, and its row of the results ──────────────────────────
+
+
+def columns(study: Study) -> tuple[str, ...]:
+    """The columns of a study's results."""
+    first = ("key", "scene", "layout", *(f"tag_{name}" for name in study.tags))
+    names = (m.name for m in listed(study.metrics))
+    last = (LITERAL, BEFORE, "status", "error", *versions())
+    return (*first, *SETTINGS, *FACTS, *names, *last)
+
+
+def scene_of_job(job: StudyJob) -> Scene:
+    """The scene of a job. An error in it is that of every job on the scene."""
+    return scene_of(job.source, job.build)
+
+
+def run_job(scene: Scene, job: StudyJob, wanted: Row) -> tuple[Row, str | None]:
+    """Run a job: (its row of the results, the layout that a search found as YAML text or None).
+
+    Raises InspeError if the worker has other versions than those ``wanted``, or as what it runs.
+    """
+    if versions() != wanted:
+        raise InspeError(f"this worker has other versions: {versions()}")
+    release_compiled(job.scene)
+    layout = place_layout(job.layout, scene)
+    scores, before, found = _scored(scene, layout, job)
+    facts = (len(layout), scene.voxels.count, round(scene.traffic.mean_count, 2))
+    row = row_head(job) | wanted
+    row |= dict(zip(FACTS, map(str, facts), strict=True))
+    row |= {m.name: f"{scores.value(m.name):.7f}" for m in listed(job.metrics)}
+    row[LITERAL] = f"{scores.information_gain_literal:.7f}"
+    row |= {BEFORE: "" if before is None else f"{before:.7f}", "status": "done", "error": ""}
+    return row, None if found is None else layout_text(found)
+
+
+def row_head(job: StudyJob) -> Row:
+    """The columns of a row that are known before the job runs: its settings."""
+    row = {"key": job.key, "scene": job.source.name, "layout": job.layout.name}
+    return row | tag_columns(job) | {key: _word(job.settings[key]) for key in SETTINGS}
+
+
+def tag_columns(job: StudyJob) -> Row:
+    """The columns of the tags of a job's scene."""
+    return {f"tag_{name}": value for name, value in job.tags.items()}
+
+
+def failed_row(job: StudyJob, error: Exception) -> Row:
+    """The row of a job that failed; the error is put on one line."""
+    failed = {"status": "failed", "error": " ".join(message_of(error).split())}
+    return row_head(job) | versions() | failed
+
+
+def _scored(
+    scene: Scene, layout: Layout, job: StudyJob
+) -> tuple[Scores, float | None, Layout | None]:
+    """(scores, P_sm before a search, the layout that the search found)."""
+    given = job.settings
+    around = Conditions.of(given["light"], given["weather"])
+    options: dict[str, Any] = {key: given[key] for key in SCORE_SETTINGS}
+    options |= dict(metrics=job.metrics, detection=job.detection)
+    if given["method"] == SCORE_ONLY:
+        return evaluate(scene, layout, conditions=around, **options), None, None
+    result = optimise.optimise(
+        Case(scene, around),
+        layout,
+        given["method"],
+        seconds=given["seconds"],
+        evaluations=given["evaluations"],
+        seed=given["search_seed"],
+        objective=Objective(**options),
+    )
+    return result.scores, result.scores_before.surrogate, result.layout
+
+
+def _word(value: Any) -> str:
+    if value is None:
+        return ""
+    if isinstance(value, Mapping):
+        return " ".join(f"{key}={_word(item)}" for key, item in value.items())
+    if isinstance(value, list):
+        return " ".join(map(_word, value))
+    return str(value).removesuffix(".0") if isinstance(value, float) else str(value)

@@ -8,7 +8,7 @@ from rich.console import Console
 
 from inspe_jax import evaluate, optimise
 from inspe_jax.core.files import read_csv
-from inspe_jax.jobs.scenes import versions
+from inspe_jax.jobs.sources import versions
 from inspe_jax.placement.result import load_result, save_result
 from inspe_jax.placement.studies.pareto import DeviceMix, save_pareto
 from inspe_jax.report import page, tables
@@ -16,8 +16,7 @@ from inspe_jax.report.figures import plan_view
 from inspe_jax.report.progress import before_after
 from inspe_jax.scoring.metrics import METRICS, Metric
 from inspe_jax.study.plan import make_study
-from inspe_jax.study.sweep import Results
-from inspe_jax.study.work import run_job
+from inspe_jax.study.sweep import Results, run_job
 from inspe_jax.viewer.score_panel import score_panel
 from inspe_jax.viewer.scorer import ScoredLayout
 

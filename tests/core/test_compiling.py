@@ -53,16 +53,6 @@ def test_that_something_is_being_compiled_is_told_meanwhile():
     assert not watch.compiled().now  # it ended before it was compiled
 
 
-def test_time_is_counted_once_whatever_is_within_what_and_however_many_threads_wait():
-    watch = compiling._Watch()
-    for event, seconds in ((compiling.TRACED, 1.0), (compiling.TRACED, 3.0)):  # one in the other
-        watch.hear(event, seconds)
-    thread = threading.Thread(target=watch.hear, args=(compiling.COMPILED, 2.0))
-    thread.start()
-    thread.join()
-    assert watch.compiled().seconds == pytest.approx(3.0, abs=0.05)
-
-
 @pytest.mark.parametrize(
     ("where", "stands"), [("here", True), ("in jobs", True), ("beside", False)]
 )

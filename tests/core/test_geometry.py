@@ -69,34 +69,32 @@ def test_ray_cube_margin_by_hand(direction, offset, reach, margin):
     assert float(compiled_margin(d, float(reach), o, 0.5)[0]) == pytest.approx(margin, abs=1e-5)
 
 
-def test_shadows_of_a_car_seen_from_above_and_of_a_truck_seen_from_below():
-    """Sensor 5 m up at 0, car 8..12 m away and 1.5 m high: the line over its far top edge is at
-    5 − 3.5·24/12 = −2 m at x = 24, and at 5 − 3.5·15/12 = 0.625 m at 15 m. Sensor at 1 m, truck
-    3 m high: the line over its near top edge."""
-    assert ceiling((0.0, 0.0, 5.0), (24.0, 0.0)) == pytest.approx(-2.0, abs=1e-4)
-    assert ceiling((0.0, 0.0, 5.0), (15.0, 0.0)) == pytest.approx(0.625, abs=1e-4)
-    assert ceiling((0.0, 0.0, 1.0), (16.0, 0.0), top=3.0) == pytest.approx(5.0, abs=1e-4)
+OVER, LOW = (0.0, 0.0, 5.0), (0.0, 0.0, 1.0)
 
 
-def test_columns_that_a_prism_does_not_hide():
-    assert ceiling((0.0, 0.0, 5.0), (7.9, 0.0)) == NEVER  # before it
-    assert ceiling((0.0, 0.0, 5.0), (24.0, 3.0)) == NEVER  # beside it
-    assert ceiling((0.0, 0.0, 5.0), (-24.0, 0.0)) == NEVER  # on the other side
-    assert ceiling((0.0, 0.0, 5.0), (24.0, 0.0), valid=False) == NEVER
+@pytest.mark.parametrize(
+    ("sensor", "column", "how", "height"),
+    [
+        # From 5 m up over the car's far top edge, 12 m away and 1.5 m high: 5 − 3.5·24/12 at 24 m.
+        (OVER, (24.0, 0.0), {}, -2.0),
+        (OVER, (15.0, 0.0), {}, 0.625),
+        (LOW, (16.0, 0.0), dict(top=3.0), 5.0),  # from below, over the near top edge of a truck
+        (OVER, (7.9, 0.0), {}, NEVER),  # before it
+        (OVER, (24.0, 3.0), {}, NEVER),  # beside it
+        (OVER, (-24.0, 0.0), {}, NEVER),  # on the other side
+        (OVER, (24.0, 0.0), dict(valid=False), NEVER),
+        (OVER, (10.0, 0.5), {}, 1.5),  # inside it, up to the top
+        (OVER, (10.0, 0.5), dict(ignore_self_occlusion=True), NEVER),
+        (OVER, (24.0, 0.0), dict(ignore_self_occlusion=True), -2.0),
+        (OVER, (4.0, 0.0), dict(x=0.0), 5 - 3.5 * 2),  # from a mast over it, t₀ = 0
+    ],
+)
+def test_the_ceiling_of_a_shadow_by_hand(sensor, column, how, height):
+    assert ceiling(sensor, column, **how) == pytest.approx(height, abs=1e-4)
 
 
-def test_a_column_inside_a_prism_is_hidden_up_to_the_top_unless_it_is_its_own():
-    assert ceiling((0.0, 0.0, 5.0), (10.0, 0.5)) == pytest.approx(1.5, abs=1e-4)
-    assert ceiling((0.0, 0.0, 5.0), (10.0, 0.5), ignore_self_occlusion=True) == NEVER
-    assert ceiling((0.0, 0.0, 5.0), (24.0, 0.0), ignore_self_occlusion=True) == pytest.approx(
-        -2.0, abs=1e-4
-    )
-
-
-def test_a_sensor_over_a_prism_and_a_sensor_inside_one():
-    """From a mast over the car: t₀ = 0 and the exit at x = 2. From inside it sees nothing."""
-    assert ceiling((0.0, 0.0, 5.0), (4.0, 0.0), x=0.0) == pytest.approx(5 - 3.5 * 2, abs=1e-4)
-    assert ceiling((0.0, 0.0, 1.0), (4.0, 0.0), x=0.0) > 1e6
+def test_a_sensor_inside_a_prism_sees_nothing():
+    assert ceiling(LOW, (4.0, 0.0), x=0.0) > 1e6
 
 
 @pytest.mark.parametrize("x", [-2.0, 2.0])

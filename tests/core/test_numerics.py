@@ -9,17 +9,15 @@ from inspe_jax.core.errors import InspeError
 from inspe_jax.core.numerics import (
     Groups,
     Softness,
-    any_of,
     arctan2,
     dot,
     leave_one_out,
-    nonzero,
     step,
 )
 
 EACH = tuple((s,) for s in range(5))
 
-compiled_step, compiled_any, compiled_rest = map(jax.jit, (step, any_of, leave_one_out))
+compiled_step, compiled_rest = map(jax.jit, (step, leave_one_out))
 singles = partial(np.array, dtype=np.float32)
 """What is given to compiled functions: an array of NumPy needs no program of its own."""
 
@@ -36,7 +34,6 @@ def test_a_margin_is_read_hard_at_zero_and_soft_around_it():
 
 def test_readings_are_exact_on_certainties_and_multiply_as_chances():
     p = singles([[0.0, 1.0, 0.5], [0.0, 1.0, 0.5]])
-    assert compiled_any(p).tolist() == [0.0, 1.0, 0.75]
     left = [[0.0, 1.0, 0.75], [0.0, 1.0, 0.5], [0.0, 1.0, 0.5]]
     assert compiled_rest(p, Groups.of_rows(EACH[:2], 2)).tolist() == left
     assert compiled_rest(p, Groups.of_rows((), 2)).tolist() == left[:1]
@@ -91,12 +88,6 @@ def test_dot_keeps_single_precision_over_two_million_terms():
     exact = float(x.astype(float) @ y.astype(float))
     assert float(jax.jit(dot)(x, y)) == pytest.approx(exact, rel=2e-6)
     assert jax.jit(dot)(singles(np.ones((3, 5))), singles(range(5))).tolist() == [10.0] * 3
-
-
-def test_nonzero_keeps_the_side():
-    assert jax.jit(nonzero)(singles([-1e-9, 0.0, 1e-9, 3.0, -3.0])).tolist() == pytest.approx(
-        [-1e-6, 1e-6, 1e-6, 3.0, -3.0]
-    )
 
 
 def test_the_angle_is_that_of_the_c_library():

@@ -11,7 +11,7 @@ from inspe_jax.dataset import chunk, statistics
 from inspe_jax.dataset.estimate import Sample, estimate
 from inspe_jax.dataset.generate import DatasetWriter
 from inspe_jax.dataset.plan import make_generation
-from inspe_jax.jobs.scenes import scene_of
+from inspe_jax.jobs.sources import scene_of
 from inspe_jax.sensing.lidar_returns import ATTENUATION
 from inspe_jax.simulation.embedded.road_users import parked_vehicles
 

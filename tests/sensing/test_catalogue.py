@@ -53,26 +53,13 @@ def test_lidars_match_their_sheets(name, channels, lowest, highest, azimuths, re
     assert spec.grid.wraps == (name != "livox-horizon")
 
 
-def test_vlp_32c_is_the_manuals_uneven_table():
-    elevations = rings("velodyne-vlp-32c")
-    manual = [-25, -15.639, -11.31, -8.843, -7.254, -6.148, -5.333, -4.667, -4]
-    np.testing.assert_allclose(elevations[:9], manual, atol=1e-9)
-    np.testing.assert_allclose(elevations[-5:], [3.333, 4.667, 7, 10.333, 15], atol=1e-9)
-    np.testing.assert_allclose(np.diff(elevations[8:26]), 1 / 3, atol=0.0011)  # -4 to +1.667
-
-
-def test_hdl_64e_is_two_blocks():
-    lower, upper = rings("velodyne-hdl-64e")[:32], rings("velodyne-hdl-64e")[32:]
-    np.testing.assert_allclose(lower, np.linspace(-24.33, -8.83, 32), atol=1e-9)
-    np.testing.assert_allclose(upper, 2 - np.arange(31, -1, -1) / 3, atol=6e-4)
-
-
 @pytest.mark.parametrize(
     ("name", "outer", "slack"),
     [
         # A calibrated Ruby Plus, which has the Ruby's design.
         ("robosense-ruby-128", [-25.05, -19.65, -16.06, -13.58, -11.75, -10.36, -9.25], 0.07),
         ("robosense-ruby-128", [4.16, 4.41, 4.71, 5.06, 5.46, 5.96, 6.56, 7.41, 9.01, 11.52], 0.03),
+        ("velodyne-vlp-32c", [-15.639, -11.31, -8.843, -7.254, -6.148, -5.333, 3.333, 4.667, 7], 0),
         # A calibrated Pandar64, less its constant of 0.018 degrees.
         ("hesai-pandar64", [-24.897, -18.889, 3.04, 5.057, 8.059, 11.032, 14.882], 0.001),
     ],
@@ -95,6 +82,9 @@ def test_outer_rings_are_near_those_of_a_unit(name, outer, slack):
         ("robosense-helios-32", -55, -10, 3.0, 1e-6),
         ("hesai-xt32", -16, 15, 1.0, 1e-6),
         ("velodyne-vlp-16", -15, 15, 2.0, 1e-6),
+        ("velodyne-vlp-32c", -4, 1.667, 1 / 3, 0.0011),  # of the manual's uneven table
+        ("velodyne-hdl-64e", -24.33, -8.83, 0.5, 1e-6),  # two blocks
+        ("velodyne-hdl-64e", -8.34, 2, 1 / 3, 0.0011),
     ],
 )
 def test_resolution_is_the_published_one(name, low, high, step, slack):

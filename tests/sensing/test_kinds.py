@@ -174,10 +174,3 @@ def test_the_recorder_says_that_it_cannot_simulate_it(scene, layout):
     pytest.importorskip("embreex", reason="no wheels of Embree for this platform")
     with pytest.raises(InspeError, match="my-fan: backend embedded cannot simulate a sensor of ki"):
         EmbeddedRecorder(scene, layout)
-
-
-def test_without_its_row_the_kind_is_not_known(tmp_path):
-    path = tmp_path / "fans.yaml"
-    path.write_text(LAYOUT)
-    with pytest.raises(InspeError, match=r"devices.my-fan: kind: must be 'lidar' or 'camera'"):
-        load_layout(path)

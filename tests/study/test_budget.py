@@ -80,19 +80,6 @@ def test_more_places_than_can_be_enumerated():
     assert found.total == pytest.approx(best_sum(costs, scores, amount), abs=1e-9)
 
 
-def test_the_worst_place_comes_first_and_then_the_sum():
-    """By hand: 30 are three times 10, or one 20 and one 10; the sum prefers the latter."""
-    costs, scores = [[0, 10, 20]] * 3, [[0, 0.3, 0.9], [0, 0.3, 0.9], [0, 0.2, 0.4]]
-    one = [1, 1, 1]
-    assert share_out(costs, scores, 30, one).options in ((2, 1, 0), (1, 2, 0))
-    even = share_out(costs, scores, 30, one, worst=True)
-    assert (even.options, even.worst) == ((1, 1, 1), 0.2)
-    assert share_out(costs, scores, 40, one, worst=True).options == (1, 1, 2)
-    assert share_out(costs, scores, 50, one, worst=True).options in ((2, 1, 2), (1, 2, 2))
-    assert share_out(costs, scores, 29.99, one, worst=True).worst == 0.0
-    assert share_out(costs, scores, 30, [1, 1, 9]).options[2] == 2
-
-
 def test_cents_are_exact():
     """0.1 + 0.2 is more than 0.3 in binary, and 19.99 is not 1999 hundredths."""
     assert share_out([[0, 0.1], [0, 0.2]], [[0, 1]] * 2, 0.3, [1, 1]).options == (1, 1)

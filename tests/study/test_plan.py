@@ -8,7 +8,7 @@ import pytest
 import yaml
 
 from inspe_jax.core.errors import InspeError
-from inspe_jax.jobs.scenes import place_layout
+from inspe_jax.jobs.sources import place_layout
 from inspe_jax.mounting.mixes import starting_layout
 from inspe_jax.mounting.strategies import strategy
 from inspe_jax.scene.procedural.built_ins import built_in
@@ -30,6 +30,11 @@ settings:
   light: [midday, night]
   weather: [clear, "rain:10"]
 """
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return build_scene(built_in("four_way"), radius=15, voxel=2, frames=2, density=5)
 
 
 @pytest.fixture
@@ -137,12 +142,11 @@ def test_weights_are_by_name(read):
     assert read(STUDY, settings=dict(weights=usual)).jobs == read(STUDY, settings={}).jobs
 
 
-def test_devices_of_ones_own(read, tmp_path):
+def test_devices_of_ones_own(read, scene):
     """They reach the sensors that name them, and their figures are part of what a job is."""
     own = {"far": {"like": "paper-camera", "depth_m": 60}}
     layouts = [{"strategy": "Cam-d1", "camera": "far", "name": "far"}, "Cam-d1"]
     study = read(STUDY, devices=own, layouts=layouts)
-    scene = build_scene(built_in("four_way"), radius=15, voxel=2, frames=2, density=5)
     specs = {
         job.layout.name: {sensor.spec for sensor in place_layout(job.layout, scene).sensors}
         for job in study.jobs
@@ -157,14 +161,13 @@ def test_devices_of_ones_own(read, tmp_path):
         read(STUDY, devices={"far": {"like": "paper-camera", "depth_m": 0}})
 
 
-def test_a_mix_of_devices_is_a_layout(read):
+def test_a_mix_of_devices_is_a_layout(read, scene):
     """As `inspe pareto` begins with it; a device of which there is none is as if not named."""
     mix = {"paper-camera": 1, "paper-lidar-32": 2}
     study = read(STUDY, layouts=[{"mix": mix}, {"mix": {"far": 1}, "name": "one that sees far"}],
                  devices={"far": {"like": "paper-camera", "depth_m": 60}})  # fmt: skip
     own = {job.layout.name: job.layout for job in study.jobs}
     assert list(own) == ["1 paper-camera + 2 paper-lidar-32", "one that sees far"]
-    scene = build_scene(built_in("four_way"), radius=15, voxel=2, frames=2, density=5)
     placed, far = (place_layout(layout, scene) for layout in own.values())
     start = starting_layout(scene, mix)
     assert layout_text(placed) == layout_text(start)
@@ -176,8 +179,7 @@ def test_a_mix_of_devices_is_a_layout(read):
     assert not {job.key for job in more.jobs} & {job.key for job in study.jobs}
 
 
-def test_saved_scenes_and_layout_files(read, tmp_path):
-    scene = build_scene(built_in("four_way"), radius=15, voxel=2, frames=2, density=5)
+def test_saved_scenes_and_layout_files(read, scene, tmp_path):
     save_scene(scene, tmp_path / "saved.npz")
     save_layout(strategy(scene, "L-c"), tmp_path / "mine.yaml")
     study = read(STUDY, scenes=[{"file": "saved.npz"}], layouts=["mine.yaml"])
@@ -237,12 +239,6 @@ def test_bad_studies(read, changes, message):
 
 
 def test_a_file_that_is_no_study(tmp_path):
-    path = tmp_path / "study.yaml"
-    for text, message in (
-        ("[1, 2]", "the study is empty"),
-        ("scenes: [", "not YAML"),
-        ("scenes: 1\nscenes: 2", "given twice"),
-    ):
-        path.write_text(text)
-        with pytest.raises(InspeError, match=message):
-            load_study(path)
+    (tmp_path / "study.yaml").write_text("[1, 2]")
+    with pytest.raises(InspeError, match="the study is empty"):
+        load_study(tmp_path / "study.yaml")

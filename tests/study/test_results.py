@@ -4,10 +4,9 @@ import pytest
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import csv_text, read_csv
-from inspe_jax.jobs.scenes import versions
+from inspe_jax.jobs.sources import versions
 from inspe_jax.study.plan import make_study
-from inspe_jax.study.sweep import Results
-from inspe_jax.study.work import columns, failure_columns, row_head
+from inspe_jax.study.sweep import Results, columns, failed_row, row_head
 
 
 @pytest.fixture
@@ -78,7 +77,7 @@ def test_only_one_run_at_a_time(study, tmp_path):
 def test_what_failed_is_run_again(study, tmp_path):
     bad, good, _ = study.jobs
     with Results(study, tmp_path / "out") as results:
-        results.add(row_head(bad) | versions() | failure_columns("two\nlines, and a comma"))
+        results.add(failed_row(bad, InspeError("two\nlines, and a comma")))
         results.add(row(good))
     assert read_csv(tmp_path / "out" / "results.csv")[0]["error"] == "two lines, and a comma"
     with Results(study, tmp_path / "out") as results:

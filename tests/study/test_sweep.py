@@ -1,7 +1,6 @@
 """Jobs done by processes: killed and taken up again, in part failing, the table stays the same."""
 
 import os
-import platform
 import signal
 import subprocess
 from pathlib import Path
@@ -16,6 +15,7 @@ from inspe_jax import Conditions, build_scene, built_in, evaluate, strategy
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import read_csv
 from inspe_jax.jobs import cluster
+from inspe_jax.jobs.cluster import MALLOC_SETTINGS
 from inspe_jax.sensing.layout import load_layout
 from inspe_jax.study.plan import load_study
 from inspe_jax.study.sweep import Results, sweep
@@ -79,30 +79,15 @@ def test_rows_are_what_a_score_says(undisturbed):
         assert int(row["sensors"]) == len(layout)
 
 
-@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="the settings are glibc's")
-def test_workers_keep_the_memory_that_they_free(monkeypatch):
-    """Arrays of 2 MB, one after the other: pages are mapped for the first, not for all. Larger ones
-    are mapped each time, in pages of 2 MiB if the system has any."""
-
-    def faults(size, times):
-        import resource
-
-        before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
-        for _ in range(times):
-            bytearray(b"x") * size  # NumPy asks for huge pages itself
-        return resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before
-
-    for name in cluster.MALLOC_SETTINGS:
+def test_workers_start_with_settings_of_memory_that_no_other_process_has(monkeypatch):
+    for name in MALLOC_SETTINGS:
         monkeypatch.delenv(name, raising=False)
     with cluster.client(None, 1) as client:
-        (kept,) = client.run(faults, 2**21, 200).values()
-        (mapped,) = client.run(faults, 2**27, 10).values()
-    assert kept < 200 * 2**21 / 4096 / 5
-    huge = Path("/sys/kernel/mm/transparent_hugepage/enabled")
-    has_setting = tuple(map(int, platform.libc_ver()[1].split("."))) >= (2, 35)
-    if has_setting and huge.exists() and "[never]" not in huge.read_text():
-        assert mapped < 10 * 2**27 / 4096 / 5
-    assert not set(cluster.MALLOC_SETTINGS) & set(os.environ)
+        (found,) = client.run(lambda: dict(os.environ)).values()
+    assert {name: found[name] for name in MALLOC_SETTINGS} == {
+        name: str(value) for name, value in MALLOC_SETTINGS.items()
+    }
+    assert not set(MALLOC_SETTINGS) & set(os.environ)
 
 
 @pytest.mark.process

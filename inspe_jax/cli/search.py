@@ -282,8 +282,8 @@ def _show(result: Result) -> None:
     common.note(*result.notes)
 
 
-def _save(world: Scene, result: Result, folder: Path) -> None:
-    """Write and draw a search."""
+def _save(world: Scene, result: Result, folder: Path) -> Path:
+    """Write and draw a search, in the folder that is returned."""
     from inspe_jax.report.progress import before_after
 
     folder = claims.keep(partial(save_result, result), folder)
@@ -292,3 +292,4 @@ def _save(world: Scene, result: Result, folder: Path) -> None:
     )
     parts = (result.start, result.layout, result.scores_before, result.scores)
     common.draw(lambda: before_after(world, *parts, path=result.path), folder / PICTURE)
+    return folder

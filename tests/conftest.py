@@ -132,8 +132,9 @@ def pytest_terminal_summary(terminalreporter) -> None:
 
 LONG = (
     "test_docs", "test_notebooks", "test_methods", "test_soft", "test_page", "test_cli",
-    "test_sweep", "test_target_metrics", "test_evaluate", "test_exact", "test_generate",
-    "test_city", "test_statics", "test_traffic", "test_candidates", "test_compiles", "test_targets",
+    "test_sweep", "test_target_metrics", "test_evaluate", "test_exact", "test_statics",
+    "test_generate", "test_city", "test_traffic", "test_candidates", "test_queries",
+    "test_compiles", "test_constraints",
 )  # fmt: skip
 
 

@@ -1,5 +1,7 @@
 """Sets as bits and as numbers, against flags in NumPy: the same operations, the same counts."""
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -74,57 +76,56 @@ def test_sets_are_counted_as_flags(reading, rng):
     jax.tree.map(np.testing.assert_array_equal, found(*sets, frames(b)), expected)
 
 
-@pytest.mark.parametrize("units", [(), UNITS, tuple((s,) for s in range(S))])
-def test_unions_of_all_sensors_and_without_each_group(reading, rng, units):
+def test_unions_of_all_sensors_and_without_each_group(reading, rng):
     """Of sensors that see much, little and, having nothing in view, nothing."""
     views = rng.uniform(size=(S, Z, C)) < np.array([0.9, 0.3, 0.0, 0.5, 0.2])[:, None, None]
     visible = views[:, :, None] & (rng.uniform(size=(S, Z, F, C)) < 0.6)
     of = rng.uniform(size=(Z, F, C)) < 0.7
-    failures = Groups.of_rows(units, S)
+    groups = (), UNITS, tuple((s,) for s in range(S))
 
     def look(row, visible):
         return visible[row[0]], reading.level_sums(visible[row[0]], Z)
 
     @jax.jit
-    def found(views, visible, of, given):
-        rows = jnp.arange(S), None, views
-        union, sights = reading.over_sensors(look, rows, (visible,), failures)
-        return union.all, sights, union.count(of), reading.any_of(views, failures)
+    def found(views, visible, of):
+        def without(units):
+            failures, rows = Groups.of_rows(units, S), (jnp.arange(S), None, views)
+            union, sights = reading.over_sensors(look, rows, (visible,), failures)
+            return union.all, sights, union.count(of), reading.any_of(views, failures)
 
-    left = [range(S), *([s for s in range(S) if s not in unit] for unit in units)]
-    expected = (
-        as_set(reading, visible.any(0)),
-        np.moveaxis(visible.sum(2), 1, 2),
-        np.array([(visible[list(some)].any(0) & of).sum((0, 2)) for some in left]),
-        np.array([as_set(reading, views[list(some)].any(0)) for some in left]),
-    )
+        return [without(units) for units in groups]
+
+    def expected(units):
+        left = [range(S), *([s for s in range(S) if s not in unit] for unit in units)]
+        return (
+            as_set(reading, visible.any(0)),
+            np.moveaxis(visible.sum(2), 1, 2),
+            np.array([(visible[list(some)].any(0) & of).sum((0, 2)) for some in left]),
+            np.array([as_set(reading, views[list(some)].any(0)) for some in left]),
+        )
+
     sets = (as_set(reading, flags) for flags in (views, visible, of))
-    jax.tree.map(np.testing.assert_array_equal, found(*sets, frames(of)), expected)
+    jax.tree.map(np.testing.assert_array_equal, found(*sets), [*map(expected, groups)])
 
 
-@pytest.mark.parametrize(
-    ("reference", "seen", "original"),
-    # Voxels: 0 visible, 1 covered but hidden, 2 not covered, 3 solid and in sight.
-    [("roi", 1, 3), ("covered", 1, 2), ("targets", 1, 1)],
-)
-def test_occlusion_references_by_hand(reading, reference, seen, original):
-    def column(*flags):
-        return np.array(flags, bool)[:, None, None]  # (Z, F, C)
+def test_occlusion_references_by_hand(reading):
+    """(seen, original). Voxels: visible, covered but hidden, not covered, solid and in sight."""
 
-    def make(flags):
+    def make(*flags, axis=0):
+        column = np.moveaxis(np.array(flags, bool)[:, None, None], 0, axis)
         if isinstance(reading, Numbers):
-            return flags.astype(np.float32)
-        axis = flags.shape.index(4)  # the levels'
-        return bitmask.pack(np.moveaxis(flags, axis, -1))[..., 0]
+            return column.astype(np.float32)
+        return bitmask.pack(np.moveaxis(column, axis, -1))[..., 0]
 
-    visible, covered = column(1, 0, 0, 1), np.array([[[1], [1], [0], [1]]], bool)
-    solid = column(0, 0, 0, 1)
+    visible, solid, covered = make(1, 0, 0, 1), make(0, 0, 0, 1), make(1, 1, 0, 1, axis=1)
 
     @jax.jit
     def found(visible, covered, free, solid):
         rows = jnp.zeros(1), None, covered
         union, _ = reading.over_sensors(lambda row, seen: (seen, None), rows, (visible,), None)
-        return metrics.occlusion_terms(reading, union, covered, free, solid, reference)
+        terms = partial(metrics.occlusion_terms, reading, union, covered, free, solid)
+        return {reference: terms(reference) for reference in ("roi", "covered", "targets")}
 
-    terms = found(*map(make, (visible, covered, ~solid, solid)))
-    assert [x.item() for x in terms] == [seen, original]
+    counts = jax.device_get(found(visible, covered, make(1, 1, 1, 0), solid))
+    terms = {reference: tuple(x.item() for x in of) for reference, of in counts.items()}
+    assert terms == dict(roi=(1, 3), covered=(1, 2), targets=(1, 1))

@@ -35,7 +35,7 @@ it compiles runs fast enough on scenes as small as these."""
 KEPT = 2 * 2**30
 """Bytes of compiled programs that are kept from run to run."""
 
-PROGRAMS = 1150
+PROGRAMS = 1050
 """Programs that all tests together may compile, or read where another process compiled them.
 
 Each is traced, lowered and compiled, and that is most of what a run takes. A test that needs many

@@ -35,7 +35,7 @@ it compiles runs fast enough on scenes as small as these."""
 KEPT = 2 * 2**30
 """Bytes of compiled programs that are kept from run to run."""
 
-PROGRAMS = 1150
+PROGRAMS = 1050
 """Programs that all tests together may compile, or read where another process compiled them.
 
 Each is traced, lowered and compiled, and that is most of what a run takes. A test that needs many
@@ -132,8 +132,9 @@ def pytest_terminal_summary(terminalreporter) -> None:
 
 LONG = (
     "test_docs", "test_notebooks", "test_methods", "test_soft", "test_page", "test_cli",
-    "test_sweep", "test_target_metrics", "test_evaluate", "test_exact", "test_generate",
-    "test_city", "test_statics", "test_traffic", "test_candidates", "test_compiles", "test_targets",
+    "test_sweep", "test_target_metrics", "test_evaluate", "test_exact", "test_statics",
+    "test_generate", "test_city", "test_traffic", "test_candidates", "test_queries",
+    "test_compiles", "test_constraints",
 )  # fmt: skip
 
 

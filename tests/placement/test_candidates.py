@@ -15,6 +15,7 @@ from inspe_jax.placement.problem import Case, Problem
 from inspe_jax.placement.sample_score import SampleScore
 from inspe_jax.placement.space import Space
 from inspe_jax.scene.scene import Scene
+from inspe_jax.scene.statics import tree, upright_box
 from inspe_jax.scoring.detection import detection_curves
 
 
@@ -145,6 +146,20 @@ def test_bits_add_up_to_the_score(scene, name):
     for m in range(3):
         both = rest | {s: bits[s][m] for s in (2, 3)}
         assert together[m] == pytest.approx(sampled.value(both) - sampled.value(rest), abs=1e-6)
+
+
+def test_samples_know_the_bodies(scene):
+    """Of all columns and frames, a sample has the exact score, sensor by sensor too."""
+    crown = tree((0.0, 10.0), radius=2.0, height=7.0, base=2.5)
+    planted = scene.with_statics([upright_box("building", (14.0, 0.0), (6, 6, 9), 0.2), crown])
+    problem = Problem(planted, team(scene))
+    x = problem.space.start(problem.layout)[0]
+    sample, exact = problem.sample(np.random.default_rng(0), 10**6, 10**6), problem.exact(x)
+    assert exact < Problem(scene, problem.layout).exact(x) - 0.005
+    assert problem.rough(x[None], sample)[0] == pytest.approx(exact, abs=1e-6)
+    sampled, poses = SampleScore(problem, sample), candidates.poses(problem.space, x[None])
+    rows = {s: row[0] for s, row in sampled.views({s: poses[:, s] for s in range(5)}).items()}
+    assert sampled.value(rows) == pytest.approx(exact, abs=1e-6)
 
 
 def test_what_is_found_of_one_does_not_depend_on_the_others(problem):

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import shapely
-from shapely.geometry import MultiPoint, Point, Polygon, box
+from shapely.geometry import Point, Polygon, box
 
 from inspe_jax.core.convex import LEAST_AREA, merge
 from inspe_jax.placement.convex_regions import from_bounded, make_regions, to_bounded
@@ -129,15 +129,6 @@ def test_charts_reach_across_to_the_edges_and_stop_short_of_a_steep_end():
     assert along.max() < 26.02  # and not 26.06, where the edge across leans by 1 in 33
 
 
-@pytest.mark.parametrize("size", [30.0, 1e30])
-def test_any_chart_coordinates_are_inside(size):
-    v = size * np.random.default_rng(3).uniform(-1, 1, (100, 2))
-    for k, shape in enumerate(SHAPES):
-        polygon = MultiPoint(shape).convex_hull
-        for q in shapely.points(PIECES.at(v, np.full(100, k), np)):
-            assert polygon.distance(q) < 1e-5
-
-
 def test_everything_has_a_gradient():
     corners = np.concatenate(SHAPES)
     edges = (SQUARE + np.roll(SQUARE, 1, 0)) / 2
@@ -162,18 +153,17 @@ def test_intervals_and_discs_swing_and_invert():
     np.testing.assert_allclose(discs.to_bounded(discs.from_bounded(way, np), np), way)
     # In the middle both move as their argument does; the ends are reached and never passed.
     two, disc = np.float32(2.0), Disc(np.float32(2.0))
-    on_line = jax.jit(lambda v: to_bounded(v, jnp.asarray(two), jnp))
-    on_disc = jax.jit(lambda v: disc.to_bounded(v, jnp))
-    assert jax.jit(jax.grad(on_line))(0.0) == pytest.approx(1)
-    turn = jax.jit(jax.jacobian(on_disc))
-    np.testing.assert_allclose(turn(np.zeros(2, np.float32)), np.eye(2), atol=1e-6)
-    # What lies on the rim still moves.
-    for there, v in (
-        (on_line, from_bounded(two, two, np)),
-        (on_disc, disc.from_bounded(np.float32([2.0, 0.0]), np).astype(np.float32)),
+    line = lambda of: lambda v, xp: of(v, xp.asarray(two), xp)  # noqa: E731
+    for rim, there, back in (
+        (two[None], line(to_bounded), line(from_bounded)),
+        (np.float32([2.0, 0.0]), disc.to_bounded, disc.from_bounded),
     ):
-        assert np.abs(jax.jit(jax.jacobian(there))(v)).ravel()[0] > 0.1  # outward, of the disc
-        assert np.linalg.norm(np.asarray(there(v))) > 1.95
+        slope = jax.jit(jax.jacobian(lambda v, there=there: there(v, jnp)))
+        np.testing.assert_allclose(slope(0 * rim), np.eye(len(rim)), atol=1e-6)
+        # What lies on the rim still moves.
+        v = np.float32(back(rim, np))
+        assert np.abs(slope(v)).ravel()[0] > 0.1  # outward, of the disc
+        assert np.linalg.norm(there(v, np)) > 1.95
     v = np.linspace(-50, 50, 10001)
     assert np.abs(to_bounded(v, np.full(10001, 2.0), np)).max() == pytest.approx(2, abs=1e-4)
     wide = Disc(np.full(5000, 2.0))

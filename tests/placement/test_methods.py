@@ -18,12 +18,7 @@ from inspe_jax.core.numerics import Softness
 from inspe_jax.mounting.strategies import strategy
 from inspe_jax.placement import candidate_table, candidates
 from inspe_jax.placement import run as runs
-from inspe_jax.placement.checkpoint import (
-    Checkpoint,
-    load_checkpoint,
-    save_checkpoint,
-    state_of,
-)
+from inspe_jax.placement.checkpoint import Checkpoint, load_checkpoint, save_checkpoint, state_of
 from inspe_jax.placement.methods import (
     adam,
     cma_es,
@@ -129,10 +124,7 @@ def offers(run):
 BUDGET = {"grid": 30.0, "random": 20.0, "greedy": 45.0, "cma-es": 25.0}
 BUDGET |= {"adam": 45.0, "greedy-adam": 120.0, "lbfgsb": 20.0, "projected-gradient": 30.0}
 """Evaluations in which each method comes through all of its kinds of step, but for restarts."""
-PARTS = {
-    "greedy": {"Placing", "Exchanging", "Moving"},
-    "greedy-adam": {"Placing", "LocalSearch"},
-}
+PARTS = {"greedy": {"Placing", "Exchanging", "Moving"}, "greedy-adam": {"Placing", "LocalSearch"}}
 
 
 @pytest.fixture(scope="module")

@@ -1,8 +1,9 @@
 """A search from outside: budgets, starts, ends, checkpoints, and what is never handed on."""
 
 import json
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 from functools import partial
+from itertools import product
 from types import SimpleNamespace
 
 import numpy as np
@@ -72,15 +73,13 @@ def run_of(**options):
 
 
 def test_a_run_counts_work_in_exact_scores():
+    """And looks at its budget within a large generation."""
     run = run_of(evaluations=10)
     assert run.offer(run.start) == -3.0
     np.testing.assert_array_equal(run.rough(np.ones((8, 2)), 0), -np.ones(8))
     run.charge(0.5)
     assert run.evaluations == 1 + 8 * 0.25 + 0.5
     assert run.left == pytest.approx(0.65)
-
-
-def test_a_run_looks_at_its_budget_within_a_large_generation():
     run = run_of(evaluations=AT_ONCE * 0.25 * 2)
     with pytest.raises(BudgetSpent):
         run.rough(np.ones((3 * AT_ONCE, 2)), 0)
@@ -105,10 +104,9 @@ def test_a_run_keeps_the_best_and_a_copy_of_it():
     np.testing.assert_array_equal(run.best_x, [0.5, 0.0])
     assert [x.tolist() for x in run.path] == [[2.0, 0.0], [0.5, 0.0]]
     assert found == [([2.0, 0.0], -3.0), ([0.5, 0.0], 0.75)]
-    assert [row.score for row in run.history] == [-3.0, 0.75, 0.0]
-    assert [row.best for row in run.history] == [-3.0, 0.75, 0.75]
-    assert [row.evaluations for row in run.history] == [1, 2, 3]
-    assert told == [(pytest.approx(0.1 * k), best) for k, best in ((1, -3.0), (2, 0.75), (3, 0.75))]
+    rows = [(row.evaluations, row.score, row.best) for row in run.history]
+    assert rows == [(1, -3.0, -3.0), (2, 0.75, 0.75), (3, 0.0, 0.75)]
+    assert told == [(pytest.approx(0.1 * count), best) for count, _, best in rows]
 
 
 def test_a_run_has_two_budgets_and_a_clock_that_starts_with_its_first_score():
@@ -187,19 +185,18 @@ def test_a_search_finds_better_places_that_can_be_mounted(scene, layout, found):
         (found.layout, found.scores, found.objective),
         (found.start, found.scores_before, found.objective_before),
     ):  # by the scoring itself; single precision sums in another order
-        again = evaluate(scene, of)
-        assert scores.surrogate == pytest.approx(again.surrogate, abs=1e-6)
-        assert objective == pytest.approx(again.surrogate, abs=1e-6)
+        again = evaluate(scene, of).surrogate
+        assert (scores.surrogate, objective) == pytest.approx((again, again), abs=1e-6)
 
 
 def test_its_record_says_what_it_did_and_how_to_make_it_again(found):
     history = found.history
     assert history[0].score == found.objective_before
     assert history[-1].best == found.objective
-    best = np.maximum.accumulate([row.score for row in history])
-    assert [row.best for row in history] == best.tolist()
-    assert (np.diff([row.evaluations for row in history]) >= 1).all()
-    assert (np.diff([row.seconds for row in history]) > 0).all()
+    seconds, evaluations, scores, best = np.array([astuple(row) for row in history]).T
+    np.testing.assert_array_equal(best, np.maximum.accumulate(scores))
+    assert (np.diff(evaluations) >= 1).all()
+    assert (np.diff(seconds) > 0).all()
     # The last may be of what it held when the budget was spent.
     assert found.evaluations >= EVALUATIONS > history[-2].evaluations - 1
     assert found.seconds >= history[-1].seconds
@@ -303,13 +300,11 @@ def test_what_a_method_holds_is_scored_however_the_search_ends(scene, layout, qu
         assert (again.objective, len(again.history)) == (result.objective, 2)
 
 
-def test_a_search_outlives_a_checkpoint_that_cannot_be_written(
-    scene, layout, quick, tmp_path, monkeypatch
-):
+def test_a_search_outlives_a_full_disk(scene, layout, quick, tmp_path, monkeypatch):
     def full(*_):
         raise InspeError("c.npz: No space left on device")
 
-    monkeypatch.setattr("inspe_jax.placement.checkpoint.save_checkpoint", full)
+    monkeypatch.setattr(files, "save_checkpoint", full)
     result = quick("climb", climb)(scene, layout, evaluations=4, checkpoint=tmp_path / "c.npz")
     assert len(result.history) == 4
     assert "no checkpoint is written: c.npz: No space left on device" in result.notes
@@ -374,10 +369,8 @@ def test_several_scenes_and_the_worst(scene, layout, quick):
     result = quick("climb", climb)(
         [scene, dark], layout, evaluations=2, objective=Objective(over="worst")
     )
-    assert [(row["light"], row["weather"]) for row in result.settings["scenes"]] == [
-        ("midday", "clear"),
-        ("night", "rain:5"),
-    ]
+    around = [(row["light"], row["weather"]) for row in result.settings["scenes"]]
+    assert around == [("midday", "clear"), ("night", "rain:5")]
     assert result.settings["objective"]["over"] == "worst"
     apart = [evaluate(scene, layout, conditions=case.conditions) for case in (Case(scene), dark)]
     worst = min(scores.surrogate for scores in apart)
@@ -389,21 +382,10 @@ def test_several_scenes_and_the_worst(scene, layout, quick):
 def test_methods_are_compared_on_equal_terms(scene, layout, quick):
     quick("climb", climb)
     quick("short", partial(climb, steps=2))
-    told = []
-    results = compare(
-        scene,
-        layout,
-        ["short", "climb"],
-        evaluations=4,
-        seeds=2,
-        progress=lambda *row: told.append(row),
-    )
-    assert [(r.method, r.seed) for r in results] == [
-        ("short", 0),
-        ("short", 1),
-        ("climb", 0),
-        ("climb", 1),
-    ]
+    told, names = [], ("short", "climb")
+    given = dict(evaluations=4, seeds=2, progress=lambda *row: told.append(row))
+    results = compare(scene, layout, names, **given)
+    assert [(r.method, r.seed) for r in results] == [*product(names, (0, 1))]
     assert [r.evaluations for r in results] == [3, 3, 4, 4]
     assert len({r.objective_before for r in results}) == 1
     assert ("climb", 1, 1.0, results[-1].objective) in told
@@ -419,10 +401,8 @@ def test_a_comparison_that_is_stopped_gives_what_it_has(scene, layout, quick):
 
     quick("later", later)
     results = compare(scene, layout, ["later", "climb"], evaluations=10, seeds=3)
-    assert [(r.method, r.seed, r.status, len(r.history)) for r in results] == [
-        ("later", 0, "converged", 6),
-        ("later", 1, "interrupted", 3),
-    ]
+    found = [(r.method, r.seed, r.status, len(r.history)) for r in results]
+    assert found == [("later", 0, "converged", 6), ("later", 1, "interrupted", 3)]
 
 
 def test_a_budget_shorter_than_what_comes_before_it_gives_the_start(scene, layout):

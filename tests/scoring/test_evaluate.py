@@ -26,7 +26,6 @@ from inspe_jax.scene.scene import Scene
 from inspe_jax.scene.voxels import build_voxels
 from inspe_jax.scoring import metrics
 from inspe_jax.scoring.evaluate import evaluate, evaluate_many
-from inspe_jax.scoring.viewshed import viewshed
 from inspe_jax.sensing.sensors import LidarSpec
 
 FEW = replace(LIDAR, azimuth_count=450)
@@ -86,11 +85,11 @@ def test_no_vehicles_make_occlusion_the_unweighted_coverage():
 
 
 def test_a_sensor_that_sees_all_scores_one():
-    """A LiDAR of a hundred dense channels above a small scene with one small box far aside."""
+    """A LiDAR of many dense channels above the scene."""
     dense = LidarSpec(
         "dense", tuple(np.radians(np.linspace(-90, 10, 400)).tolist()), 1800, 2 * np.pi, 100.0
     )
-    scene = world(radius=10.0, frames=2, count=1, seed=1)
+    scene = world(seed=1)
     high = place_sensors((dense, [0.1, 0.1, 9.0, 0.0, 0.0, 0.0]))
     scores = evaluate(scene, high)
     assert scores.coverage == 1.0
@@ -99,33 +98,18 @@ def test_a_sensor_that_sees_all_scores_one():
     assert scores.level_coverage == pytest.approx([1] * 8)
 
 
-@pytest.mark.parametrize("seed", range(2))
-def test_adding_a_sensor_never_lowers_a_score(seed):
-    """Sensors are added one by one; contributions are the drop back, so never negative."""
-    scene = world(seed=seed)
-    full = random_layout(scene, [LIDAR, CAMERA, CAMERA, LIDAR], seed=seed)
-    parts = [(s.spec, p) for s, p in zip(full.sensors, full.poses.tolist(), strict=True)]
-    before = dict.fromkeys(FOUR, 0.0)
-    for count in range(1, 5):
-        scores = evaluate(scene, place_sensors(*parts[:count]))
-        for name in FOUR:
-            assert getattr(scores, name) >= before[name] - 1e-6  # rounding of single precision
-            before[name] = getattr(scores, name)
-        for row in scores.contributions:
-            assert min(getattr(row, name) for name in FOUR) >= 0
-
-
 def test_contributions_are_leave_one_out_drops():
+    """None is negative: adding a sensor never lowers a score."""
     scene = world(seed=6)
-    layout = random_layout(scene, [LIDAR, CAMERA, CAMERA], seed=6)
+    layout = random_layout(scene, [LIDAR, CAMERA, CAMERA, LIDAR], seed=6)
     scores = evaluate(scene, layout)
+    sensors = [(s.spec, p) for s, p in zip(layout.sensors, layout.poses.tolist(), strict=True)]
     for s, row in enumerate(scores.contributions):
-        rest = [k for k in range(3) if k != s]
-        left = place_sensors(*[(layout.sensors[k].spec, layout.poses[k].tolist()) for k in rest])
-        without = evaluate(scene, left)
+        without = evaluate(scene, place_sensors(*sensors[:s], *sensors[s + 1 :]))
         for name in FOUR:
             drop = getattr(scores, name) - getattr(without, name)
             assert getattr(row, name) == pytest.approx(drop, abs=2e-6)
+            assert getattr(row, name) >= 0
 
 
 def test_targets_are_the_vehicles_own_voxels_and_do_not_hide_themselves():
@@ -266,10 +250,6 @@ def test_settings_and_seen_share():
     assert metrics.weights_of(scores.settings["weights"]) == metrics.weights_of()
     assert scores.seen_share.shape == (len(scene.voxels.columns),)
     assert 0 < scores.seen_share.mean() < scores.coverage + 0.05
-    # As printed: 1 − Σ_visible H / Σ H.
-    seen = viewshed(scene, layout)
-    literal = 1 - (seen.resolved * seen.entropy).sum() / seen.entropy.sum()
-    assert scores.information_gain_literal == pytest.approx(literal, rel=1e-5)
 
 
 def test_many_layouts_score_as_they_do_one_by_one():

@@ -53,9 +53,9 @@ SCENES = {
     "two parts of frames": (
         dict(frames=131, count=3, voxel=1.0, radius=10.0), HIGH, "covered", "in_view"
     ),
-    "no vehicle": (dict(count=0), HIGH, "roi", "in_view"),
 }  # fmt: skip
-"""Every occlusion reference with every visibility, and what is special of the world."""
+"""Every occlusion reference with every visibility but for the usual ones, which a sample has below;
+and what is special of the world."""
 
 
 def both(scene, layout, failures=(), **options):
@@ -99,7 +99,7 @@ def test_masks_count_what_numbers_add_up_to(name):
         layout = layout.with_poses(poses)
     options = dict(occlusion_reference=reference, visibility=visibility)
     dense, counted = both(scene, layout, UNITS, **options)
-    assert 0.05 < float(dense.values["coverage"][0]) < 1
+    assert 0.05 < np.asarray(dense.values["coverage"])[0] < 1
     assert_same(dense, counted)
 
 
@@ -184,9 +184,8 @@ def test_a_world_is_kept_as_long_as_its_scene():
 @pytest.mark.parametrize("voxel", slow_but([TALL["voxel"], 0.5], 0.5))
 def test_occupancy_is_the_share_of_frames_in_which_a_voxel_is_in_a_vehicle(voxel):
     """Each centre against each box, by hand; where it always is, 0 does as well as 1."""
-    scene = world(voxel=voxel, radius=10.0, frames=3, count=9, slope=0.05)
-    inside = [solid_voxels(scene, k) for k in range(3)]
-    share = np.mean(inside, 0)
+    scene = world(voxel=voxel, radius=10.0 if voxel < 0.5 else 20.0, slope=0.05)
+    share = np.mean([solid_voxels(scene, k) for k in range(scene.traffic.frame_count)], 0)
     assert 0.01 < ((share > 0) & (share < 1)).mean() < 0.5
     np.testing.assert_allclose(made.tiled_scene_of(scene).voxel_occupancy, share % 1, atol=1e-6)
 
@@ -196,7 +195,7 @@ def test_tiles_hold_every_voxel_once(voxel):
     scene = world(voxel=voxel, radius=10.0, slope=0.1)
     ground, tiles = about_center(scene), tiles_of(about_center(scene))
     assert tiles.by_voxel(tiles.tile.there).all()
-    assert int(jax.lax.population_count(tiles.tile.there).sum()) == scene.voxels.count
+    assert np.unpackbits(np.asarray(tiles.tile.there).view(np.uint8)).sum() == scene.voxels.count
     numbers = len(tiles.tile.there)
     assert numbers % 8 == 0
     # Each within its bounds, and in the place that is said.

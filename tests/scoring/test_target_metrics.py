@@ -1,4 +1,4 @@
-"""Metrics of what a detector gets: against lines of sight by Embree in every frame, and by hand."""
+"""What a detector gets, as metrics and as maps: against Embree, walked rays, and by hand."""
 
 from dataclasses import replace
 
@@ -9,20 +9,24 @@ from worlds import (
     CAMERA,
     LIDAR,
     TALL,
-    TINY,
+    box_triangles,
     embree_line_of_sight,
     emptied,
     place_sensors,
-    random_layout,
     rays_on_box,
+    triangles,
+    with_boxes,
     world,
 )
 
 import inspe_jax
 from inspe_jax import Softness, evaluate
 from inspe_jax.core.errors import InspeError
+from inspe_jax.core.geometry import rotation
+from inspe_jax.report.targets import PIXELS, banded, targets_change, targets_record, targets_view
+from inspe_jax.scene.statics import body, octagon
 from inspe_jax.scene.traffic.frames import CLASSES, ROAD_USERS
-from inspe_jax.scoring.detection import FEW, detection_curves
+from inspe_jax.scoring.detection import BANDS, FEW, detection_curves
 from inspe_jax.scoring.exact import ONE_MORE, in_view_of, sight_shares
 from inspe_jax.scoring.metrics import chosen
 from inspe_jax.scoring.options import ScoreOptions
@@ -35,11 +39,22 @@ from inspe_jax.sensing.lidar_returns import LidarNoise
 from inspe_jax.visibility.centered_scene import poses_about_center
 
 FURTHER = ("detectability", "points_on_target", "pixel_density", "localisation", "redundancy")
+UNWEIGHTED = dict(metrics=FURTHER, weights=(0.5, 0.5, 0.0))
+"""Without traffic there is no information gain."""
+KEPT = 1.0 - LidarNoise().lost
+"""Share of returns that come back from so near that none is weak."""
+AWAY = (LIDAR, [0.0, 0.0, 40.0, 0.0, 0.0, 0.0])
+"""It sees nothing; cameras beside it are served by what serves the layout."""
 
 
 @pytest.fixture(scope="module")
 def scene():
-    return world(radius=20.0, voxel=0.5, frames=6, count=10, seed=7)
+    return world(frames=6, count=10, seed=7)
+
+
+@pytest.fixture(scope="module")
+def empty(scene):
+    return emptied(scene)
 
 
 @pytest.fixture(scope="module")
@@ -74,7 +89,7 @@ def on_slabs(scene, layout, user, columns):
     edges[-1] = np.inf
     for pose, sensor in zip(np.asarray(layout.poses, float), layout.sensors, strict=True):
         spec = sensor.spec
-        share = spec.pixels_per_ray if spec.focal_pixels else 1.0 - LidarNoise().lost
+        share = spec.pixels_per_ray if spec.focal_pixels else KEPT
         feet = np.column_stack([grid.columns, grid.ground])[columns]
         rays = [rays_on_box(spec, pose, foot, user.size, edges) for foot in feet]
         found.append(np.stack(rays) * share)
@@ -240,39 +255,37 @@ def test_columns_in_slabs_of_levels_are_whole(layout):
 
 def test_an_error_of_place_by_hand():
     """Nothing seen leaves what is unknown; one bearing removes half; two cross."""
-    error = jax.jit(position_error)
-    nothing = np.zeros((1, 3, 1), np.float32)
-    assert float(error(nothing)[0, 0]) == pytest.approx(2**0.5 * UNKNOWN, rel=1e-6)
-    along = np.array([1e6, 0.0, 0.0], np.float32)[None, :, None]
-    across = np.array([0.0, 0.0, 1e6], np.float32)[None, :, None]
-    assert float(error(along)[0, 0]) == pytest.approx(UNKNOWN, rel=1e-3)
-    assert float(error(along + across)[0, 0]) == pytest.approx(2e-3**0.5 / 1e3**0.5, rel=0.1)
-    slanting = np.array([5e5, 5e5, 5e5], np.float32)[None, :, None]  # one bearing at 45°
-    assert float(error(slanting)[0, 0]) == pytest.approx(UNKNOWN, rel=1e-2)
+    compiled = jax.jit(position_error)
+
+    def error(*information):
+        return np.asarray(compiled(np.float32(information)[None, :, None])).item()
+
+    assert error(0, 0, 0) == pytest.approx(2**0.5 * UNKNOWN, rel=1e-6)
+    assert error(1e6, 0, 0) == pytest.approx(UNKNOWN, rel=1e-3)
+    assert error(1e6, 0, 1e6) == pytest.approx(2e-3**0.5 / 1e3**0.5, rel=0.1)
+    assert error(5e5, 5e5, 5e5) == pytest.approx(UNKNOWN, rel=1e-2)  # one bearing at 45°
 
 
-def test_two_cameras_measure_where_one_does_not():
+def test_two_cameras_measure_where_one_does_not(empty):
     """From far off and low, one picture hardly tells the distance; a second, square to it, does."""
-    scene = emptied(world(radius=20.0, voxel=1.0))
     far = CAMERA.with_performance(1.0, 80.0)
-    one = place_sensors((far, [-35.0, 0.0, 3.0, 0.0, -0.1, 0.0]))
-    both = place_sensors(
-        (far, [-35.0, 0.0, 3.0, 0.0, -0.1, 0.0]), (far, [0.0, -35.0, 3.0, 0.0, -0.1, np.pi / 2])
+    west, south = (
+        (far, [*at, 3.0, 0.0, -0.1, yaw]) for at, yaw in (((-35.0, 0.0), 0.0), ((0.0, -35.0), 1.57))
     )
-    given = dict(metrics=FURTHER, weights=(0.5, 0.5, 0.0))
-    alone, crossed = (evaluate(scene, of, **given).metrics["localisation"] for of in (one, both))
+    alone, crossed = (
+        evaluate(empty, place_sensors(AWAY, *cameras), **UNWEIGHTED).metrics["localisation"]
+        for cameras in ([west], [west, south])
+    )
     assert 0.2 < alone < crossed
     assert 1 - crossed < 0.6 * (1 - alone)
 
 
-def test_a_camera_knows_nothing_of_what_is_behind_it():
+def test_a_camera_knows_nothing_of_what_is_behind_it(empty):
     """Nor is anything found there, nor pixels counted, however the scene is cut into tiles."""
-    scene = emptied(world(radius=20.0, voxel=1.0))
-    behind = scene.voxels.columns[:, 0] < -3
-    only = replace(scene.voxels, region=np.where(behind, 0, 1), counted=(0,))
-    layout = place_sensors((CAMERA, [0.0, 0.0, 6.0, 0.0, -0.2, 0.0]))
-    given = dict(metrics=FURTHER, weights=(0.5, 0.5, 0.0))
-    found = evaluate(replace(scene, voxels=only), layout, **given).metrics
+    behind = empty.voxels.columns[:, 0] < -3
+    only = replace(empty.voxels, region=np.where(behind, 0, 1), counted=(0,))
+    layout = place_sensors(AWAY, (CAMERA, [0.0, 0.0, 6.0, 0.0, -0.2, 0.0]))
+    found = evaluate(replace(empty, voxels=only), layout, **UNWEIGHTED).metrics
     assert [found[name] for name in FURTHER] == pytest.approx([0] * 5, abs=1e-6)
 
 
@@ -285,12 +298,157 @@ def test_units_without_sensors_do_not_matter(scene, layout, scores):
     assert evaluate(scene, apart, metrics=FURTHER).metrics == scores.metrics
 
 
-def test_softly_they_become_the_exact_ones():
-    scene = world(**TINY, seed=3)
-    layout = random_layout(scene, [LIDAR, CAMERA, CAMERA], seed=5, heights=(3.0, 6.0))
-    exact = evaluate(scene, layout, metrics=FURTHER).metrics
+def test_softly_they_become_the_exact_ones(scene, layout, scores):
     sharp = Softness(1e-4, 1e-4, "exact")
     soft = evaluate(scene, layout, metrics=FURTHER, softness=sharp).metrics
     for name in FURTHER:
-        assert soft[name] == pytest.approx(exact[name], abs=2e-3), name
-        assert exact[name] > 0
+        assert soft[name] == pytest.approx(scores.metrics[name], abs=2e-3), name
+        assert scores.metrics[name] > 0
+
+
+# ── Maps ────────────────────────────────────────────────────────────────────
+
+
+@pytest.fixture(scope="module")
+def lidars():
+    return place_sensors(
+        (LIDAR, [9.0, 9.0, 5.0, 0.0, 0.0, 0.3]), (LIDAR, [-9.0, -9.0, 4.0, 0.0, 0.03, 1.0])
+    )
+
+
+@pytest.mark.parametrize("name", ["pedestrian", "car"])
+def test_returns_behind_traffic_are_those_of_rays_that_are_cast(scene, empty, lidars, name):
+    """Some columns, six frames, eight headings: rays that meet the target before any vehicle.
+
+    In the mean over these columns within 5 %, and each within 15 % and three returns: traffic hides
+    whole slabs here, by the line to the middle of the column, and parts of slabs there.
+    """
+    caster = pytest.importorskip("inspe_jax.simulation.embedded.embree").Caster
+    pytest.importorskip("embreex")
+    user = ROAD_USERS[CLASSES.index(name)]
+    view, open_ = (target_view(of, lidars, name) for of in (scene, empty))
+    traffic, columns = scene.traffic, scene.voxels.columns
+    away = np.abs(columns[:, None, None] - traffic.center[None, ..., :2]).max(-1)
+    free = np.where(traffic.valid[None], away, 99.0).min((1, 2)) > 4.0
+    rng = np.random.default_rng(0)
+    chosen = rng.choice(np.flatnonzero(free), 8, replace=False)
+    body, found = LIDAR.grid.directions(), np.zeros(len(chosen))
+    headings = np.arange(8) * np.pi / 8 + 0.1
+    for k in range(traffic.frame_count):
+        around = triangles(scene, k)
+        for i, column in enumerate(chosen):
+            for yaw in headings:
+                target = box_triangles((*columns[column], 0.0), user.size, yaw)
+                world_of = caster(np.concatenate([target, around]))
+                for pose in np.asarray(lidars.poses):
+                    to = [*columns[column], 1.0] - pose[:3]
+                    toward = body @ (rotation(pose[3:], np).T @ to) / np.linalg.norm(to)
+                    near = body[toward > np.cos(min(2.5, 4.0 / np.linalg.norm(to[:2]) + 0.3))]
+                    hits = world_of.cast(pose[:3], near @ rotation(pose[3:], np).T, 50.0)
+                    found[i] += ((hits.face >= 0) & (hits.face < 12)).sum()
+    found /= traffic.frame_count * len(headings)
+    expected = view.points_on_target[chosen] / KEPT
+    assert (expected < 0.98 * open_.points_on_target[chosen] / KEPT).sum() >= 3
+    assert expected.mean() == pytest.approx(found.mean(), rel=0.05)
+    np.testing.assert_allclose(expected, found, rtol=0.15, atol=3.0)
+
+
+def test_pixels_per_metre_by_hand(empty):
+    """f / depth in the middle of the picture, however the camera rolls; nothing behind it or out of
+    reach."""
+    columns, near = empty.voxels.columns, CAMERA.with_performance(0.9, 15.0)
+    row = (columns[:, 1] == 0.25) & (columns[:, 0] > 1)
+    depth = columns[row, 0] - 0.25
+    expected = np.where(depth < 15.0, CAMERA.focal / depth, 0.0)
+    level, *rolled = (
+        target_view(empty, place_sensors(AWAY, (near, [0.25, 0.25, 0.86, roll, 0.0, 0.0])))
+        for roll in (0.0, 0.6, np.pi / 2)
+    )
+    np.testing.assert_allclose(level.pixel_density[row], expected, rtol=1e-4)
+    assert not level.pixel_density[columns[:, 0] < 0].any()
+    assert not level.points_on_target.any()
+    # Aside it is more: a metre square on to the line of sight is further across the picture.
+    aside = (columns == [10.25, 5.25]).all(1)
+    away = np.hypot(10.0, 5.0)
+    across = CAMERA.focal * away / 10.0**2  # d(y/x) over a metre along (−5, 10)/away
+    assert level.pixel_density[aside] == pytest.approx(across, rel=1e-4)
+    ahead = (columns == [10.25, 0.25]).all(1)
+    for view in rolled:
+        assert view.pixel_density[ahead] == pytest.approx(CAMERA.focal / 10.0, rel=1e-4)
+
+
+def test_who_is_higher_than_the_region_is_not_cut(empty, lidars):
+    """Levels of 3 m end below a truck's roof of 3.4 m."""
+    low = emptied(world(frames=6, spacing=3.0))
+    fine, cut = (target_view(of, lidars, "truck").points_on_target for of in (empty, low))
+    assert cut.mean() == pytest.approx(fine.mean(), rel=0.05)
+
+
+def test_fog_takes_what_is_far(scene, lidars):
+    fog = inspe_jax.Conditions.of(weather="fog:50")
+    clear, dim = target_view(scene, lidars), target_view(scene, lidars, conditions=fog)
+    assert dim.points_on_target.sum() < 0.9 * clear.points_on_target.sum()
+    assert (dim.returns <= clear.returns + 1e-4).all()
+
+
+def test_who_is_no_road_user_is_named(scene, lidars):
+    with pytest.raises(InspeError, match="did you mean pedestrian"):
+        target_view(scene, lidars, "pedestrain")
+
+
+def test_bands_and_records():
+    kinds = banded("", np.array([0.0, 12.4, 12.5, 62.5, 249.0, 1e3]), PIXELS).values
+    assert kinds.tolist() == [0, 0, 1, 3, 4, 5]
+    assert list(BANDS.values()) == [12.5, 25.0, 62.5, 125.0, 250.0]  # EN 62676-4
+
+
+def test_the_map_has_one_panel_for_each_kind_of_sensor(scene, lidars):
+    """And one for the chance of detection where there is only one kind."""
+    view = target_view(scene, lidars)
+    assert len(targets_view(scene, lidars, view).axes) == 2
+    assert "pixels_per_metre" not in targets_record(scene, lidars, view)
+    with pytest.raises(InspeError, match="frame 99 is out of range"):
+        targets_view(scene, lidars, view, frame=99)
+    blind = place_sensors((CAMERA, [9.0, 9.0, 5.0, 0, 0.5, 0.8]))
+    view = target_view(scene, blind)
+    assert not view.pixel_density.any()
+    assert view.detectability.mean() < 0.01
+    assert len(targets_view(scene, blind, view).axes) == 2
+    both = place_sensors((LIDAR, [9.0, 9.0, 5.0, 0, 0, 0]), (CAMERA, [9.0, -9.0, 5.0, 0, -0.2, 2]))
+    view = target_view(scene, both)
+    assert len(targets_view(scene, both, view).axes) == 2
+    record = targets_record(scene, both, view)
+    shares = record["lidar_returns"]["all"]["shares"]
+    values = view.points_on_target
+    assert shares["at least 5"] == pytest.approx((values >= 5).mean())
+    assert set(record["pixels_per_metre"]["all"]["shares"]) == set(BANDS)
+    assert record["detectability"]["all"] == pytest.approx(view.detectability.mean())
+    assert len(targets_change(scene, (both, view), (both, view)).axes) == 4
+
+
+def test_a_target_is_found_by_what_is_in_sight_of_it(empty):
+    """Behind a truck all of a pedestrian is hidden; behind a car, what is above it is found."""
+    layout = place_sensors((LIDAR, [-15.0, 0.25, 4.0, 0.0, 0.0, 0.0]))
+    place = (empty.voxels.columns == [6.25, 0.25]).all(1)
+    car, truck = (
+        with_boxes(empty, (3.5, 0.25, 0, 3.0, 2.5, height), frames=6) for height in (1.2, 3.6)
+    )
+    views = [target_view(of, layout, "pedestrian") for of in (empty, car, truck)]
+    found = [view.detectability[place] for view in views]
+    assert found[0] > found[1] > 0.1
+    assert found[2] == 0
+    returns = [view.returns[0, place] for view in views]
+    assert returns[0] > 10 * KEPT
+    assert returns[2] == 0
+
+
+def test_what_is_in_sight_below_a_crown_counts_for_itself(empty):
+    """A beam hides all but the feet of a pedestrian from a low LiDAR in all frames."""
+    beam = body("building", octagon(np.array([-6.0, 0.25]), 2.5), 4.0, base=1.0)
+    layout = place_sensors((LIDAR, [-15.0, 0.25, 1.2, 0.0, 0.0, 0.0]))
+    place = (empty.voxels.columns == [3.25, 0.25]).all(1)
+    open_, below = (target_view(of, layout) for of in (empty, replace(empty, statics=(beam,))))
+    returns = below.points_on_target[place]
+    assert 0.2 < returns / open_.points_on_target[place] < 0.8
+    curve = detection_curves().of("lidar")[CLASSES.index("pedestrian")]
+    assert below.detectability[place] == pytest.approx(chance(curve, returns), rel=1e-5)

@@ -24,23 +24,19 @@ def visits(flags):
     )
 
 
-@pytest.mark.parametrize("n", [1, 8, 9, 20, 32])
-def test_packed_flags_come_back(n):
+@pytest.mark.parametrize(("n", "number"), [(1, 1), (8, 1), (9, 1), (32, 1), (70, 3)])
+def test_packed_flags_come_back(n, number):
+    """More of them than a word holds go on in the next."""
     flags = np.random.default_rng(n).uniform(size=(5, 3, n)) < 0.4
     words = bitmask.pack(flags)
-    assert words.shape == (5, 3, 1)
-    assert words.dtype == bitmask.word(n)
+    assert words.shape == (5, 3, number)
+    assert words.dtype == bitmask.word(min(n, bitmask.WORD))
     np.testing.assert_array_equal(bitmask.unpack(words, n), flags)
-    np.testing.assert_array_equal(counts_of(words[..., 0]), flags.sum(-1))
+    counts = sum(np.asarray(counts_of(words[..., k])) for k in range(number))
+    np.testing.assert_array_equal(counts, flags.sum(-1))
 
 
-def test_more_flags_than_a_word_holds_go_on_in_the_next():
-    flags = np.random.default_rng(0).uniform(size=(4, 70)) < 0.5
-    assert bitmask.pack(flags).shape == (4, 3)
-    np.testing.assert_array_equal(bitmask.unpack(bitmask.pack(flags), 70), flags)
-
-
-@pytest.mark.parametrize("number", [0, 1, 40, 65])
+@pytest.mark.parametrize("number", [0, 40, 65])
 def test_marks_are_visited_once_and_in_order(number):
     """Every row's marks, as lists, whatever the others' lengths; bit 31 and full words included."""
     flags = np.random.default_rng(number).uniform(size=(number, 7)) < 0.3
@@ -50,7 +46,7 @@ def test_marks_are_visited_once_and_in_order(number):
         np.testing.assert_array_equal(row[row >= 0], np.flatnonzero(flag))
 
 
-@pytest.mark.parametrize(("number", "bits"), [(1, 3), (100, 8), (255, 5), (256, 20), (600, 32)])
+@pytest.mark.parametrize(("number", "bits"), [(1, 3), (255, 8), (256, 20), (600, 32)])
 def test_bits_are_tallied_one_by_one(number, bits):
     """Against a sum of the bits; all of them set in one column, more than a byte can count."""
     flags = np.random.default_rng(bits).random((number, 7, bits)) < 0.7

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from shapely import Polygon
-from worlds import SMALL, slow_but
+from worlds import slow_but
 
 import inspe_jax
 from inspe_jax.core.errors import InspeError
@@ -16,7 +16,8 @@ from inspe_jax.placement.studies.tolerance import tolerance
 
 @pytest.fixture(scope="module")
 def scene():
-    return inspe_jax.build_scene(inspe_jax.built_in("four_way"), **SMALL, frames=4)
+    size = dict(radius=30, voxel=0.5, frames=4, density="medium", profile="ideal")
+    return inspe_jax.build_scene(inspe_jax.built_in("four_way"), **size)
 
 
 @pytest.fixture
@@ -33,15 +34,13 @@ def of_one_unit(scene, name="Cam-d1"):
 
 
 @pytest.mark.parametrize("name", slow_but(["Cam-d1", "L-c"], "Cam-d1"))
-def test_slopes_are_differences_of_the_exact_score(name):
+def test_slopes_are_differences_of_the_exact_score(scene, name):
     """Over ±20 cm and ±1°, over which the exact staircase is nearly even.
 
     Apart by a sixth of the largest slope of their kind, or less: the soft slope at a point is a
     mean over 20 cm, not over the difference's own stretch. The sensors are turned away from
     where the strategy aims them, near which the score is flat.
     """
-    size = dict(radius=30, voxel=0.5, frames=4, density="medium", profile="ideal")
-    scene = inspe_jax.build_scene(inspe_jax.built_in("four_way"), **size)
     layout = of_one_unit(scene, name)
     layout = layout.with_poses(layout.poses + np.array([0, 0, 0, 0, -0.12, 0.3]))
     found = tolerance(scene, layout, samples=1)
@@ -65,7 +64,7 @@ def test_slopes_are_differences_of_the_exact_score(name):
 
 @pytest.mark.usefixtures("_flat")
 def test_no_error_leaves_the_score_and_errors_repeat(scene):
-    layout = inspe_jax.strategy(scene, "Cam-d1")
+    layout = of_one_unit(scene)
     still = tolerance(scene, layout, position=0.0, angle=0.0, samples=2)
     assert still.left.tolist() == [still.score] * 2
     assert still.score == pytest.approx(inspe_jax.evaluate(scene, layout).surrogate, abs=1e-6)

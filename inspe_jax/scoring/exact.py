@@ -300,16 +300,18 @@ def _terms(
         sights = None
     if sights is not None:
         sights = _sights_past_statics(tiled, sights, views, poses[:, :3])
+    # In NumPy: JAX would compile every slice of another shape.
+    by_tile, by_sensor = jax.tree.map(np.asarray, ((tiles.tile, tiles.last), (views, sights)))
+    of_all = jax.tree.map(np.asarray, (float(tiled.frame_count), poses, sensors))
 
     def of(some: slice) -> tuple:
-        seen = None if sights is None else sights[:, some]
-        part = jax.tree.map(lambda leaf: leaf[some], (tiles.tile, tiles.last))
-        return *part, views[:, some], seen, float(tiled.frame_count), poses, sensors
+        part = jax.tree.map(lambda leaf: leaf[some], by_tile)
+        return *part, *jax.tree.map(lambda leaf: leaf[:, some], by_sensor), *of_all
 
     step = min(cores(), CHUNKS)
     jobs: list[Job] = []
     for first in range(step):
-        given = jax.tree.map(np.asarray, of(slice(first, None, step)))
+        given = of(slice(first, None, step))
         key = _tile_terms, options, sensors.kinds, _shapes(given)
         jobs.append((key, partial(work, *given)))
     parts = run(jobs)

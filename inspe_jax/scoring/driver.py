@@ -28,10 +28,10 @@ from inspe_jax.scoring.tiled_scene import TiledScene
 from inspe_jax.visibility import bitmask
 from inspe_jax.visibility.tiles import Tile, Tiles, solid_in, unless_empty
 
-KEPT, SIGHTS_KEPT = 2**24, 2**28
-"""Voxels × frames × rows up to which all that a gradient needs is kept, and up to which what is
-read of sight lines is, with a row for each sensor. Of more it would be gigabytes, and is found
-again tile by tile."""
+KEPT, SIGHTS_KEPT = 2**24, 2**27
+"""Voxels × frames × rows up to which all that a gradient needs is kept, and up to which the union
+of the sensors is, with what is read of each one's sight lines. Of more it would be gigabytes, and
+is found again tile by tile."""
 SIGHTS = "sights"
 """Name of an array kept for the gradient: in how many frames each voxel is in line of sight."""
 
@@ -123,8 +123,8 @@ def measure_tiles(
     size = rows * tiles.tile.heights.size * tiled.frame_count
     if size > KEPT:
         # Finding these again would take one more pass over all frames.
-        sights = (rows + len(poses)) * tiles.tile.heights.size * tiled.frame_count
-        names = (SIGHTS, SIGHTS_READ) if sights <= SIGHTS_KEPT else (SIGHTS,)
+        reading = reading.in_little_room()
+        names = (SIGHTS, SIGHTS_READ) if size <= SIGHTS_KEPT else (SIGHTS,)
         only = jax.checkpoint_policies.save_only_these_names(*names)
         read_tile = jax.checkpoint(read_tile, policy=only)
     by_tile = tiles.tile, tiles.last, views, *(chunk.solid for chunk in tiled.chunks)

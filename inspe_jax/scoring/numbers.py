@@ -5,7 +5,7 @@ array (Z, F, C) of chances. The gradient is found sensor by sensor, of those tha
 tile in view, from how clear its sight lines are and which prisms that depends on.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
@@ -29,6 +29,7 @@ from inspe_jax.visibility.soft_sight import (
     SightsRead,
     cell_marks,
     clear_chance,
+    packed,
     read_sights,
 )
 from inspe_jax.visibility.statics import past_statics_chance
@@ -57,9 +58,18 @@ class NumberUnion:
 @pytree
 @dataclass(frozen=True)
 class Numbers:
-    """Margins read with a softness, which has no gradient; a set is a chance for each voxel."""
+    """Margins read with a softness, which has no gradient; a set is a chance for each voxel.
+
+    ``keeps``: how clear sight lines are is kept for the gradient. Else it is found again, from the
+    prisms that have a slope.
+    """
 
     softness: Softness
+    keeps: bool = field(default=True, metadata={"static": True})
+
+    def in_little_room(self) -> "Numbers":
+        """The same reading, which keeps less for the gradient."""
+        return replace(self, keeps=False)
 
     def voxels(self, tile: Tile) -> Float[Array, "Z C"]:
         """The voxels that there are."""
@@ -145,9 +155,8 @@ class Numbers:
             marks = shadows[k].sloped if marked is None else marked
             at = outlines(frames.prisms), marks, tile.columns, tile.heights, width
             sights = Sights(*at, spared)
-            read = shadows[k] if marked is None else read_sights(fixed, sights)
-            read = read._replace(clear=read.clear.astype(tile.heights.dtype))
-            found.append((clear_chance(sensor, sights, read), read))
+            read = read_sights(fixed, sights, None if shadows is None else shadows[k])
+            found.append((clear_chance(sensor, sights, read), read if self.keeps else packed(read)))
         return found[0][0], found[-1][0], [read for _, read in found]
 
     def _marked(
@@ -256,9 +265,6 @@ def _in_view(views: Float[Array, "S Z C"]) -> tuple[Int[Array, " S"], Int[Array,
 
 def _union_forward(see_from: SeeFrom, *given: Any) -> tuple[Any, tuple]:
     union, sights, read = _read_union(see_from, *given)
-    # At half precision, as they are many; 0 and 1 stay what they are.
-    half = jnp.float16 if union.dtype == jnp.float32 else jnp.float32
-    read = jax.tree.map(lambda leaf: leaf.astype(half) if leaf.dtype == union.dtype else leaf, read)
     union, read = checkpoint_name((union, read), SIGHTS_READ)
     return (union, sights), (union, read, *given)
 

@@ -25,7 +25,7 @@ from inspe_jax.core.geometry import FAR
 from inspe_jax.core.numerics import Width, exact, slope_of_step, step
 from inspe_jax.visibility import bitmask
 from inspe_jax.visibility.shadows import ShadowBounds, may_shade
-from inspe_jax.visibility.tiles import CLOSE, Tile
+from inspe_jax.visibility.tiles import CLOSE, Tile, pack_levels
 
 LINES = 2048
 """Sight lines that are read at once."""
@@ -54,17 +54,33 @@ class Sights(NamedTuple):
 
 class SightsRead(NamedTuple):
     """How ``clear`` lines are, and marks of the prisms on which that depends (``sloped``): those
-    that hide some line neither not at all nor for certain."""
+    that hide some line neither not at all nor for certain. :func:`packed`, ``clear`` are masks of
+    the levels that are not hidden for certain."""
 
-    clear: Float[Array, "Z F C"]
+    clear: Float[Array, "Z F C"] | UInt[Array, "F C"]
     sloped: UInt[Array, "W F K"]
 
 
-def read_sights(sensor: Float[Array, "3"], of: Sights, solid: bool = True) -> SightsRead:
+def packed(read: SightsRead) -> SightsRead:
+    """What was read, in little room."""
+    return read._replace(
+        clear=pack_levels(read.clear > 0, jnp.dtype(bitmask.word(len(read.clear))))
+    )
+
+
+def read_sights(
+    sensor: Float[Array, "3"], of: Sights, known: SightsRead | None = None, solid: bool = True
+) -> SightsRead:
     """The chance that prisms leave the line from a sensor to each voxel clear, in each frame.
 
-    ``solid``: all prisms stand on the ground and let no light through.
+    ``solid``: all prisms stand on the ground and let no light through. ``known`` is what was read
+    before: where it is packed, only the prisms that have a slope are looked at again.
     """
+    if known is not None:
+        if known.clear.ndim == 3:
+            return known
+        clear, _ = read_sights(sensor, of._replace(marked=known.sloped), None, solid)
+        return known._replace(clear=clear * bitmask.chances(known.clear, len(clear)))
     words, frames, cells = of.marked.shape
     clear = jnp.ones((len(of.heights), frames * cells, of.columns.shape[1] // cells))
     blocks, block = _blocks(of, solid)
@@ -85,13 +101,13 @@ def clear_chance(
     sensor: Float[Array, "3"], of: Sights, known: SightsRead | None = None, solid: bool = True
 ) -> Float[Array, "Z F C"]:
     """The same chance, with a gradient in the sensor's place; ``known`` if it is read already."""
-    return (read_sights(sensor, of, solid) if known is None else known).clear
+    return read_sights(sensor, of, known, solid).clear
 
 
 def _forward(
     sensor: Array, of: Sights, known: SightsRead | None, solid: bool
 ) -> tuple[Array, tuple]:
-    known = read_sights(sensor, of, solid) if known is None else known
+    known = read_sights(sensor, of, known, solid)
     return known.clear, (sensor, of._replace(marked=known.sloped), known.clear)
 
 

@@ -25,7 +25,7 @@ from worlds import (
 import inspe_jax
 from inspe_jax.core.numerics import Softness
 from inspe_jax.report.tables import scores_record
-from inspe_jax.scoring import metrics
+from inspe_jax.scoring import driver, metrics
 from inspe_jax.scoring.driver import measure_tiles
 from inspe_jax.scoring.numbers import Numbers
 from inspe_jax.scoring.options import ScoreOptions
@@ -266,6 +266,20 @@ def test_shadows_alone_have_the_gradient_of_the_exact_score(coordinate):
         mean += np.mean(slopes, 0)[1, coordinate]
     assert abs(exact) > 2e-3
     assert mean == pytest.approx(exact, rel=0.06)
+
+
+def test_a_gradient_in_little_room_is_the_same(monkeypatch):
+    """Of a large scene, what shadows leave clear is found again instead of kept."""
+    poses = [[-14.0, 0.0, 6.0, 0.0, -0.4, 0.2], [-10.0, 9.0, 5.0, 0.0, 0.0, 0.0]]
+    slope = partial(slope_of, "surrogate", world(**SMALL, count=14), LIDAR, poses, 0.5)
+    kept = slope()
+    with monkeypatch.context() as patch:
+        patch.setattr(driver, "KEPT", 0)
+        measure_tiles.clear_cache()
+        found = slope()
+    measure_tiles.clear_cache()
+    assert np.abs(kept).max(1).all()
+    np.testing.assert_allclose(found, kept, rtol=1e-4, atol=1e-6)
 
 
 DEGENERATE = [

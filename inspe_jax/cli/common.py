@@ -128,10 +128,23 @@ def _run() -> None:
         if extra is None or (e.name or "").startswith("inspe_jax"):
             raise
         words = str(missing_extra(f"`inspe {claims.command}` needs {e.name}", extra))
+    except (AssertionError, RuntimeError):
+        platforms = os.environ.get("JAX_PLATFORMS")
+        if not platforms or _has_devices():
+            raise
+        words = f"JAX_PLATFORMS={platforms}: JAX finds no such device here; install its driver "
+        words += "and JAX's plugin for it, or set JAX_PLATFORMS=cpu"
     else:
         return
     err.print(Text.assemble(("Error: ", "bold red"), words))
     sys.exit(2)
+
+
+def _has_devices() -> bool:
+    try:
+        return bool(jax.devices())
+    except (AssertionError, RuntimeError):
+        return False
 
 
 def _version(wanted: bool) -> None:

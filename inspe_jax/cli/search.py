@@ -21,7 +21,9 @@ from inspe_jax.placement.studies.pareto import (
     save_pareto,
 )
 from inspe_jax.scene.scene import Scene, load_scene
+from inspe_jax.scoring.metrics import METRICS
 from inspe_jax.sensing import catalogue
+from inspe_jax.sensing.conditions import FAIR
 
 PICTURE = "before_after.png"
 
@@ -99,8 +101,12 @@ def optimise(
             checkpoint=checkpoint,
         )
     _show(result)
-    folder = _save(world, result, folder)
-    common.out.print(f"next: inspe score {source} {folder / 'layout.yaml'} --plot plan.png")
+    folder, around = _save(world, result, folder), ""
+    for key, value in result.scores.conditions.record.items():
+        around += f" --{key} {value}" if value != FAIR.record[key] else ""
+    if further := [name for name in result.scores.metrics if not METRICS[name].usual]:
+        around += f" --metrics {','.join(further)}"
+    common.out.print(f"next: inspe score {source} {folder / 'layout.yaml'}{around} --plot plan.png")
 
 
 @command()
@@ -261,7 +267,7 @@ def _find_cheapest(
         )
     common.out.print(cheapest_table(found))
     best = found.best
-    words = f"{best.name} reaches {target:g}"
+    words = f"{best.name} reaches {target:g}, none of the mixes before it, which cost no more"
     if found.found is None:
         words = f"none reaches {target:g}; the best is {best.name}"
     common.out.print(f"{words}; {len(found.searched)} of {found.total} mixes were searched")

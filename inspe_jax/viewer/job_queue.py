@@ -30,8 +30,9 @@ class JobQueue:
         self._thread = threading.Thread(target=self._work, name="queue", daemon=True)
         self._thread.start()
 
-    def submit(self, action: Action, key: Hashable = None) -> None:
-        """Add an action. It replaces one of the same ``key`` that still waits.
+    def submit(self, action: Action, key: Hashable = None, *, first: bool = False) -> None:
+        """Add an action. It replaces one of the same ``key`` that still waits; with ``first``, it
+        is done before all others.
 
         Without a key it counts as of the :data:`asker`. Does nothing once the queue is closed.
         """
@@ -39,6 +40,8 @@ class JobQueue:
         with self._changed:
             if self._closed:
                 return
+            if first:
+                self._waiting = {key: (who, action)} | self._waiting
             self._waiting[key] = who, action
             own = [] if who is None else [k for k, (by, _) in self._waiting.items() if by == who]
             if len(own) > WAITING:

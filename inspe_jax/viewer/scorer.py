@@ -2,6 +2,7 @@
 
 import threading
 import time
+import traceback
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -59,7 +60,7 @@ class Scorer:
         self._layout: Layout | None = None
         self._frame = 0
         self._hurry = threading.Event()
-        self._queue = JobQueue(lambda _: None)  # where voxels cannot be found, scores say why
+        self._queue = JobQueue(self._failed)
 
     def score(self, layout: Layout, *, whole: bool) -> None:
         """Score a layout on a few frames, and with ``whole`` on all; find which voxels it sees."""
@@ -75,12 +76,16 @@ class Scorer:
     def select_frame(self, frame: int) -> None:
         """Select the frame whose voxels are found from now on."""
         self._frame = frame
-        self._queue.submit(self._find_sight, key="sight")
+        self._queue.submit(self._find_sight, key="sight", first=True)
 
     def close(self, *, wait: bool = True) -> None:
         """End the thread, once it has done what it is at; with ``wait``, come back then."""
         self._hurry.set()
         self._queue.close(0, wait=wait)
+
+    def _failed(self, wrong: Exception) -> None:
+        if not isinstance(wrong, InspeError):  # else scores say why voxels are not found
+            traceback.print_exception(wrong)
 
     def _score_few(self, layout: Layout, since: float) -> None:
         """While a sensor is dragged, half of the time is left to what else follows it."""

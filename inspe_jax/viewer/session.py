@@ -62,15 +62,15 @@ class LayoutSession:
         change for sensor ``s`` alone, and by as much for the sensors ``along``, whose units move as
         far in plan. The result is the nearest layout that can be mounted.
         """
-        old, pose = self.layout, np.array(pose, float)
-        pose[:2] = self._inside(pose[:2])
+        old, pose, notes = self.layout, np.array(pose, float), list[str]()
+        pose[:2] = self._inside(pose[:2], old.units[old.sensors[s].unit].name, notes)
         poses, units = np.array(old.poses, float), list(old.units)
         was = poses[s].copy()
         for unit in {old.sensors[k].unit for k in (s, *along)}:
             members, foot = list(old.members()[unit]), np.array(units[unit].base[:2])
             shift = pose[:2] - was[:2]
             if unit != old.sensors[s].unit:
-                shift = self._inside(foot + shift) - foot
+                shift = self._inside(foot + shift, units[unit].name, notes) - foot
             ground = self._ground(foot + shift)
             poses[members, :2] += shift
             poses[members, 2] += ground - self._ground(foot)
@@ -79,7 +79,7 @@ class LayoutSession:
         poses[together, 2] += pose[2] - was[2]
         poses[together, 3:] += (pose[3:] - was[3:] + np.pi) % (2 * np.pi) - np.pi
         poses[s, 3:] = pose[3:]
-        return self._mounted(replace(old, poses=poses, units=tuple(units)))
+        return self._mounted(replace(old, poses=poses, units=tuple(units)), notes)
 
     def move(self, s: int, pose: Float[np.ndarray, "6"], along: Sequence[int] = ()) -> None:
         """Move sensor ``s`` to a world pose, and others along: see :meth:`moved`."""
@@ -134,13 +134,14 @@ class LayoutSession:
         It looks at the scene's centre. A point outside of the region of interest is moved to its
         rim. Raises InspeError if the catalogue has no such device.
         """
-        spec, old = device(name).spec, self.layout
-        foot = self._inside(np.asarray(at, float))
+        spec, old, notes = device(name).spec, self.layout, list[str]()
+        unit_name = _free("unit", [u.name for u in old.units])
+        foot = self._inside(np.asarray(at, float), unit_name, notes)
         ground = self._ground(foot)
         to = self.scene.voxels.center[:2] - foot
         pitch = -np.arctan2(HEIGHT, max(np.hypot(*to), 1.0)) if spec.aimed else 0.0
         pose = [*foot, ground + HEIGHT, 0.0, pitch, np.arctan2(to[1], to[0])]
-        unit = Unit(_free("unit", [u.name for u in old.units]), (*foot.tolist(), ground))
+        unit = Unit(unit_name, (*foot.tolist(), ground))
         sensor = Sensor(_free(spec.name, [s.name for s in old.sensors]), spec, len(old.units))
         wanted = replace(
             old,
@@ -148,7 +149,7 @@ class LayoutSession:
             sensors=(*old.sensors, sensor),
             units=(*old.units, unit),
         )
-        self.take(*self._mounted(wanted, added=(unit.name,)))
+        self.take(*self._mounted(wanted, notes, added=(unit.name,)))
         return len(self.layout) - 1
 
     def duplicate(self, s: int) -> int:
@@ -217,16 +218,19 @@ class LayoutSession:
 
     # ── Mounting ──
 
-    def _mounted(self, wanted: Layout, added: Sequence[str] = ()) -> MountedLayout:
-        """The nearest layout that can be mounted; the wanted one if there is none. ``added`` are
-        the names of its new units."""
+    def _mounted(
+        self, wanted: Layout, before: Sequence[str] = (), added: Sequence[str] = ()
+    ) -> MountedLayout:
+        """The nearest layout that can be mounted; the wanted one if there is none. ``before`` are
+        notes on what was done before, ``added`` the names of its new units."""
         wanted = replace(wanted, goal=None)  # it is not what a search has found
         try:
             space = self._space_for(wanted)
             x, notes = space.start(wanted, added)
-            return space.layout(x), tuple(notes)
+            found = space.layout(x)
         except InspeError as wrong:
-            return wanted, (str(wrong),)
+            return wanted, (*before, str(wrong))
+        return found, (*before, *notes)
 
     def _space_for(self, wanted: Layout) -> Space:
         """Where the sensors of a layout may be: kept for the next change if only poses differ, and
@@ -240,14 +244,20 @@ class LayoutSession:
             self._space = kept = Space(self.scene, wanted, self.constraints)
         return kept
 
-    def _inside(self, at: Float[np.ndarray, "2"]) -> Float[np.ndarray, "2"]:
-        """The nearest point [m] within the region of interest. Raises InspeError if it is not
-        finite."""
+    def _inside(
+        self, at: Float[np.ndarray, "2"], unit: str, notes: list[str]
+    ) -> Float[np.ndarray, "2"]:
+        """The nearest point [m] within the region of interest; it is noted if it is another. Raises
+        InspeError if it is not finite."""
         center, radius = self.scene.voxels.center[:2], self.scene.voxels.radius
         away = float(np.hypot(*(at - center)))
         if not np.isfinite(away):  # of a camera in a window without a size
             raise InspeError("there is no such place")
-        return at if away <= radius else center + (at - center) * radius / away
+        if away <= radius:
+            return at
+        back = f"{away - radius:.2f} m back to the rim of the region of interest"
+        notes.append(f"unit '{unit}' brought {back}, whose radius is {radius:g} m")
+        return center + (at - center) * radius / away
 
     def _ground(self, foot: Float[np.ndarray, "2"]) -> float:
         return float(self.scene.intersection.ground(foot[None])[0])

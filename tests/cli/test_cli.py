@@ -685,3 +685,17 @@ def test_ctrl_c_that_a_callback_swallows_comes_again(monkeypatch):
         assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
     finally:
         signal.signal(signal.SIGINT, before)
+
+
+def test_a_device_that_is_not_there_is_told_in_a_line(inspe, monkeypatch):
+    def fail(*_, **__):
+        raise AssertionError
+
+    monkeypatch.setenv("JAX_PLATFORMS", "cuda")
+    monkeypatch.setattr("inspe_jax.report.tables.scores_of", fail)
+    with pytest.raises(AssertionError):  # with devices it is this package's
+        inspe("score", "s.npz", "layout.yaml")
+    monkeypatch.setattr(jax, "devices", fail)
+    status, _, error = inspe("score", "s.npz", "layout.yaml")
+    assert status == 2
+    assert re.fullmatch(r"Error: JAX_PLATFORMS=cuda: .* or set JAX_PLATFORMS=cpu\n", error)

@@ -197,6 +197,8 @@ def test_a_new_sensor_stands_on_a_unit_of_its_own_and_looks_at_the_centre(sessio
     assert note == f"unit '{unit.name}' added at {near}"
     assert len({sensor.name for sensor in session.layout.sensors}) == 5
     s = session.add("paper-camera", session.scene.voxels.center[:2] + [0.0, 900.0])
+    back = f"{900.0 - session.scene.voxels.radius:.2f} m back to the rim"
+    assert any(back in note for note in session.notes)
     away = pose_of(session, s)[:2] - session.scene.voxels.center[:2]
     assert np.hypot(*away) < session.scene.voxels.radius + 1e-6
 

@@ -1,8 +1,7 @@
 """Batches of a cache for training: in a repeatable order, augmented, read ahead by threads.
 
 Threads, not worker processes: NumPy copies and multiplies large arrays without Python's lock, and
-no batch is copied from another process. ``grain`` can read a :class:`Loader` as well;
-``experiments/loading.py`` compares both.
+no batch is copied from another process. ``grain`` can read a :class:`Loader` as well.
 """
 
 from collections import deque

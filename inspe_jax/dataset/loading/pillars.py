@@ -24,7 +24,7 @@ class PillarGrid:
     The defaults: 256 × 256 pillars of 0.4 m, the usual width for OPV2V, reach beyond the region of
     50 m and can be halved eight times; a lorry fits, also on a slope. A cloud of the paper's LiDARs
     has points in 6,400 of these pillars, one of a Velodyne HDL-64E in 14,000; 16 points a pillar
-    are 94 % of the latter's (``experiments/loading.py``).
+    are 94 % of the latter's.
     """
 
     half: float = 51.2

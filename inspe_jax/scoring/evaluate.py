@@ -39,8 +39,7 @@ from inspe_jax.visibility.tiles import CORE
 
 VISIBILITIES = ("in_view", "line_of_sight", "past_others")
 """What visibility means in information gain. ``in_view``: f, as in the paper. ``line_of_sight``: f
-× the share of frames in which no vehicle hides the voxel. ``past_others``: the same, but a vehicle
-does not hide the voxels inside it."""
+× the share of frames in which no vehicle hides the voxel; ``past_others``: no other vehicle."""
 
 
 class PaperMetrics:
@@ -265,8 +264,7 @@ def evaluate_many(
 
     Layouts are scored in parallel, on all cores or devices. The options and, but for the last
     digits of sums, the scores are those of :func:`evaluate`. ``poses`` are x, y, z [m], roll,
-    pitch, yaw [rad]. Raises InspeError as that does, and where ``poses`` has another shape or is
-    traced.
+    pitch, yaw [rad]. Raises InspeError as that does, and for traced poses or another shape.
     """
     scene, layout, conditions = check_layout(scene, layout, conditions)
     readings = options_of(scene, occlusion_reference, visibility)
@@ -347,7 +345,6 @@ def _means(x: Float[Array, " n"], rows: Float[Array, "R n"]) -> Float[Array, " R
 
 
 def _array(x: Array) -> Any:
-    """An array in NumPy, unless it is traced."""
     return x if isinstance(x, jax.core.Tracer) else np.asarray(x)
 
 

@@ -1,7 +1,6 @@
 """What a road user gets where it stands: LiDAR returns, pixels per metre, chance of detection.
 
-The target stands at each column of the region of interest. The means over columns are the metrics
-of :mod:`inspe_jax.scoring.target_metrics`.
+It stands at each column; means over columns are :mod:`inspe_jax.scoring.target_metrics`.
 """
 
 from dataclasses import dataclass
@@ -84,8 +83,7 @@ def target_view(
     it: the target is in its stead.
 
     Traffic is looked at slab by slab of the target's height, by the line of sight to the middle of
-    the column. Raises InspeError as :func:`inspe_jax.evaluate` does, and where ``road_user`` is no
-    class.
+    the column. Raises InspeError as :func:`inspe_jax.evaluate` does, and for an unknown road user.
     """
     check_known(road_user, CLASSES, "road user")
     curves = None if detection is None else detection.for_road_users(())
@@ -110,8 +108,7 @@ def pixel_density_at(
 ) -> Float[np.ndarray, " N"]:
     """Pixels per metre across each of N points of the world [m], of a camera at a world pose.
 
-    As in :attr:`TargetView.pixels_per_metre`. They are 0 outside of the picture and beyond reach,
-    and for LiDARs.
+    As in :attr:`TargetView.pixels_per_metre`: 0 out of the picture or reach, and for LiDARs.
     """
     if spec.focal_pixels is None:
         return np.zeros(len(points))

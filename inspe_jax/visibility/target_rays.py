@@ -61,8 +61,7 @@ def share_between_sides(
     """How much of upright faces, square on in plan, is between the sides of the field of view.
 
     ``to`` are their middles from the sensor, ``width`` and ``tall`` their sizes [m]. A side is a
-    plane through the sensor; it cuts a face as though all of it were spread evenly along the
-    plane's normal.
+    plane through the sensor; a face is taken as spread evenly along the plane's normal.
     """
     if rays.wraps:
         return jnp.ones((len(width), len(to[0])), to[0].dtype)
@@ -87,8 +86,7 @@ def _face_axes(transform: RigidTransform, to: Point) -> tuple[Point, Point, Poin
 
 
 def _shift_inside(rays: Rays, transform: RigidTransform, to: Point) -> Float[Array, " C"]:
-    """How far faces must go aside [m], at most :data:`ASIDE`, to have their middles between the
-    sides of the field of view."""
+    """How far faces go aside [m], to :data:`ASIDE`, to have their middles between the sides."""
     q, aside, _ = _face_axes(transform, to)
     found, out = [], []
     for k, sign in enumerate((1.0, -1.0)):
@@ -109,8 +107,7 @@ def picture_scale(
 
     The metre is level, and square on to the line of sight in plan. In a camera's tangents it is
     1 / depth along the optical axis in the middle of the picture, and more towards its sides; times
-    the focal length in pixels, it is pixels per metre. It is 0 where the point is outside of the
-    field of view or the reach.
+    the focal length in pixels, it is pixels per metre. It is 0 out of the picture or reach.
     """
     to = points - transform.position[None]
     scale, margin = scale_at(rays, transform, (to[:, 0], to[:, 1], to[:, 2]))
@@ -120,8 +117,7 @@ def picture_scale(
 def scale_at(
     rays: Rays, transform: RigidTransform, to: Point
 ) -> tuple[Float[Array, "*n"], Float[Array, "*n"]]:
-    """:func:`picture_scale` [1/m] of points ``to`` from the sensor, also outside of the picture;
-    and how deep they lie in the field of view [m]."""
+    """The scale [1/m] also outside of the picture, and the depth in the field of view [m]."""
     plan = jnp.sqrt(jnp.maximum(to[0] ** 2 + to[1] ** 2, _LEAST))
     q = to_body(transform.to_world, to)
     aside = to_body(transform.to_world, (-to[1] / plan, to[0] / plan, jnp.zeros_like(plan)))

@@ -87,16 +87,11 @@ def count_tile(
 
 
 def join_frames(parts: list[Counts]) -> Counts:
-    """The counts of consecutive runs of frames as those of all their frames."""
-    seen, original, columns, sights, core = zip(*parts, strict=True)
+    """The counts of consecutive runs of frames as those of all their frames; none of the core."""
+    seen, original, columns, sights, _ = zip(*parts, strict=True)
     in_sight = None if sights[0] is None else sum(map(_widened, sights[1:]), _widened(sights[0]))
-    return Counts(
-        jnp.concatenate(seen, 1),
-        jnp.concatenate(original, 1),
-        sum(columns[1:], columns[0]),
-        in_sight,
-        None if core[0] is None else jnp.concatenate(core, 1),
-    )
+    total = sum(columns[1:], columns[0])
+    return Counts(jnp.concatenate(seen, 1), jnp.concatenate(original, 1), total, in_sight)
 
 
 def _widened(counts: Array) -> Array:

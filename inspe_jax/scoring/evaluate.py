@@ -176,7 +176,7 @@ def evaluate(
         check_entropy(scene, found.entropy)
     found = found._replace(seen_share=jax.lax.stop_gradient(found.seen_share))
     regions = _by_region(scene, tiled, found.column_coverage)
-    measured = jax.tree.map(_array, found)
+    measured = jax.tree.map(lambda x: x if isinstance(x, jax.core.Tracer) else np.asarray(x), found)
     values = {of.name: measured.values[of.name][: 1 + len(each)] for of in options.metrics}
     rows = [*values.values(), surrogate(values, by_name)]
     total, *without = zip(*(_numbers(row) for row in rows), strict=True)
@@ -342,10 +342,6 @@ def _means(x: Float[Array, " n"], rows: Float[Array, "R n"]) -> Float[Array, " R
     """The mean of ``x`` weighted by each row; 0 where a row has no weight."""
     counted = rows.astype(x.dtype)
     return (counted * x[None]).sum(1) / jnp.maximum(counted.sum(1), 1e-6)
-
-
-def _array(x: Array) -> Any:
-    return x if isinstance(x, jax.core.Tracer) else np.asarray(x)
 
 
 def _numbers(x: Any) -> Any:

@@ -5,6 +5,7 @@ It stands at each column; means over columns are :mod:`inspe_jax.scoring.target_
 
 from dataclasses import dataclass
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -24,9 +25,10 @@ from inspe_jax.sensing.sensors import Spec
 from inspe_jax.visibility.centered_scene import poses_about_center
 from inspe_jax.visibility.in_view import transform_of
 from inspe_jax.visibility.queries import check_layout
-from inspe_jax.visibility.target_rays import picture_scale
+from inspe_jax.visibility.target_rays import scale_at
 
 _AT_ONCE = 64  # points of pixel_density_at are compiled for multiples of this
+_scale_at = jax.jit(scale_at)
 
 
 @dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
@@ -112,8 +114,8 @@ def pixel_density_at(
     """
     if spec.focal_pixels is None:
         return np.zeros(len(points))
-    to = np.zeros((-(-max(len(points), 1) // _AT_ONCE) * _AT_ONCE, 3))  # few sizes to compile for
-    to[: len(points)] = points - pose[:3]
-    turned = transform_of(jnp.asarray([0.0, 0.0, 0.0, *pose[3:]], float))
-    scale = picture_scale(spec.grid.rays, turned, jnp.asarray(to, float))
-    return np.asarray(scale)[: len(points)] * spec.focal_pixels
+    to = np.zeros((3, -(-max(len(points), 1) // _AT_ONCE) * _AT_ONCE))  # few sizes to compile for
+    to[:, : len(points)] = (points - pose[:3]).T
+    turned, (x, y, z) = transform_of(jnp.asarray(pose, float)), (jnp.asarray(k, float) for k in to)
+    scale, depth = _scale_at(spec.grid.rays, turned, (x, y, z))
+    return np.where(depth > 0, scale, 0.0)[: len(points)] * spec.focal_pixels

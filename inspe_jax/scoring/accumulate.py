@@ -9,7 +9,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array
 
 from inspe_jax.core.numerics import Groups
 from inspe_jax.scoring import metrics
@@ -25,12 +25,10 @@ def seen_by_sensor(
     """The voxels that one sensor sees in each frame: those in view (f = 1) and in line of sight.
 
     The second set is of the voxels in line of sight, in view or not, as information gain counts
-    them: it differs from occlusion in which voxels inside vehicles count. The third result is what
-    the reading needs for a gradient.
+    those inside vehicles. The third result is what the reading needs for a gradient.
     """
-    sensor, shadows, view = row
-    clear, in_sight, read = reading.line_of_sight(sensor, shadows, view, tile, frames, options)
-    return reading.both(reading.in_frames(view), clear), in_sight, read
+    clear, in_sight, read = reading.line_of_sight(row, tile, frames, options.line_of_sight)
+    return reading.both(reading.in_frames(row[2]), clear), in_sight, read
 
 
 def seen_in_tile(
@@ -60,23 +58,21 @@ def seen_in_tile(
 def count_tile(
     reading: Reading,
     tile: Tile,
-    views: Any,
-    sensors: Float[Array, "S 3"],
-    shadows: Any,
+    rows: SensorRow,
     frames: Frames,
     failures: Groups | None,
     options: ScoreOptions,
     core: Any = None,
 ) -> Counts:
-    """Count what sensors at positions ``sensors`` [m] see of one tile in F frames.
+    """Count what sensors see of one tile in F frames.
 
-    ``views`` are the sets that each has in view, ``shadows`` what ``reading.shadows`` gives, and
-    ``core`` the set of voxels in the core, None to count nothing there.
+    ``rows`` as of :func:`seen_in_tile`, with shadows as ``reading.shadows`` gives them; ``core`` is
+    the set of voxels in the core, None to count nothing there.
     """
-    covered = reading.any_of(views, failures)
+    covered = reading.any_of(rows[2], failures)
     solid = reading.solid(frames, len(tile.heights))
     free = reading.outside(reading.in_frames(reading.voxels(tile)), solid)
-    rows, reference = (sensors, shadows, views), options.occlusion_reference
+    reference = options.occlusion_reference
     union, sights = seen_in_tile(reading, rows, tile, frames, failures, options)
     seen, original = metrics.occlusion_terms(reading, union, covered, free, solid, reference)
     columns = reading.column_sums(reading.both(union.all, free))
@@ -91,16 +87,11 @@ def count_tile(
 
 
 def join_frames(parts: list[Counts]) -> Counts:
-    """The counts of consecutive runs of frames as those of all their frames."""
-    seen, original, columns, sights, core = zip(*parts, strict=True)
+    """The counts of consecutive runs of frames as those of all their frames; none of the core."""
+    seen, original, columns, sights, _ = zip(*parts, strict=True)
     in_sight = None if sights[0] is None else sum(map(_widened, sights[1:]), _widened(sights[0]))
-    return Counts(
-        jnp.concatenate(seen, 1),
-        jnp.concatenate(original, 1),
-        sum(columns[1:], columns[0]),
-        in_sight,
-        None if core[0] is None else jnp.concatenate(core, 1),
-    )
+    total = sum(columns[1:], columns[0])
+    return Counts(jnp.concatenate(seen, 1), jnp.concatenate(original, 1), total, in_sight)
 
 
 def _widened(counts: Array) -> Array:

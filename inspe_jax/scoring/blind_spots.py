@@ -24,9 +24,8 @@ class BlindSpot:
 
     ``name`` is as ``south crosswalk``. ``at`` is the place in it that is nearest to the middle of
     what is unseen [m], ``area`` that of the part [m²]. ``unseen`` is the share of its time and
-    height, up to the top of the region of interest, in which no sensor sees it: it is out of view,
-    or traffic or a body is in the way. ``loss`` is its share of all that is unseen, each region
-    with its weight.
+    height, up to the top of the region of interest, in which no sensor sees it, as it is out of
+    view or hidden. ``loss`` is its share of all that is unseen, each region with its weight.
     """
 
     name: str

@@ -4,8 +4,7 @@ The chance is a logistic function of the logarithm of the number:
 
     g(n) = most / (1 + (half / n)^slope).
 
-``detection.toml`` has the usual curves, one for each kind of sensor and class of road user, and
-their sources.
+``detection.toml`` has the usual curves by kind of sensor and class of road user, with sources.
 """
 
 import json
@@ -114,9 +113,8 @@ class DetectionCurves:
 
         Raises InspeError where there are none.
         """
-        for name, curves in self.by_kind:
-            if name == kind:
-                return curves
+        if (curves := dict(self.by_kind).get(kind)) is not None:
+            return curves
         raise InspeError(
             f"detection: there are no curves for sensors of kind '{kind}'; give one for each of "
             f"{', '.join(CLASSES)} with detection=, as inspe_jax.load_detection reads them"
@@ -157,17 +155,10 @@ def detection_curves() -> DetectionCurves:
     )
 
 
-class _CurveEntry(BaseModel):
-    model_config = STRICT
-    most: float
-    half: float
-    slope: float
-
-
 def _table(name: str, keys: Iterable[str], entry: Any) -> type[BaseModel]:
-    """A model of a table in which each of ``keys`` may be given."""
-    optional: dict[str, Any] = dict.fromkeys(keys, (entry | None, None))
-    return create_model(name, __config__=STRICT, **optional)
+    """A model of a table in which each of ``keys`` is as ``entry``: a type, and its default."""
+    fields: dict[str, Any] = dict.fromkeys(keys, entry)
+    return create_model(name, __config__=STRICT, **fields)
 
 
 SUFFIXES = (".toml", ".json")
@@ -192,7 +183,9 @@ def load_detection(path: str | os.PathLike[str]) -> DetectionCurves:
         raise InspeError(
             f"{path}: curves of detection are in a file ending {' or '.join(SUFFIXES)}"
         )
-    model = _table("_CurvesFile", SENSOR_KINDS, _table("_KindEntry", CLASSES, _CurveEntry))
+    curve = _table("_CurveEntry", DetectionCurve.__dataclass_fields__, (float, ...))
+    of_kind = _table("_KindEntry", CLASSES, (curve | None, None))
+    model = _table("_CurvesFile", SENSOR_KINDS, (of_kind | None, None))
     content = read_json(path) if path.suffix.lower() == ".json" else read_toml(path)
     given = check_model(model, content, str(path)).model_dump(exclude_none=True)
     fitted: dict[tuple[str, str], DetectionCurve] = {}
@@ -216,8 +209,7 @@ def load_detection(path: str | os.PathLike[str]) -> DetectionCurves:
 def save_detection(curves: DetectionCurves | Fitted, path: str | os.PathLike[str]) -> None:
     """Write curves to a JSON file that :func:`load_detection` reads.
 
-    ``curves`` of :func:`fit_detection` are put in place of the usual ones. Raises InspeError where
-    the file cannot be written.
+    Curves of :func:`fit_detection` replace usual ones. Raises InspeError if it cannot be written.
     """
     check_output(path, SUFFIXES[1:])
     if not isinstance(curves, DetectionCurves):

@@ -28,10 +28,10 @@ from inspe_jax.scoring.tiled_scene import TiledScene
 from inspe_jax.visibility import bitmask
 from inspe_jax.visibility.tiles import Tile, Tiles, solid_in, unless_empty
 
-KEPT, SIGHTS_KEPT = 2**24, 2**27
-"""Voxels × frames × rows up to which all that a gradient needs is kept, and up to which the union
-of the sensors is, with what is read of each one's sight lines. Of more it would be gigabytes, and
-is found again tile by tile."""
+KEPT, SENSORS_KEPT, SIGHTS_KEPT = 2**24, 2**26, 2**27
+"""Voxels × frames × rows up to which all that a gradient needs is kept, with at most so many
+× sensors; and up to which the union of the sensors is, with what is read of each one's sight lines
+in little room. More would be gigabytes: it is found again tile by tile."""
 SIGHTS = "sights"
 """Name of an array kept for the gradient: in how many frames each voxel is in line of sight."""
 
@@ -41,8 +41,7 @@ class MetricValues(NamedTuple):
 
     ``column_coverage`` and ``level_coverage`` are the shares of each column's and of each level's
     voxels that are in view. ``seen_share`` is the share of frames and levels in which each column
-    is seen. ``entropy`` is H(Ω) in nats. ``parts`` has every metric of all sensors in the core and
-    outside; None where scores are read softly.
+    is seen. ``entropy`` is H(Ω) in nats. ``parts`` has all metrics of the core and outside.
     """
 
     values: dict[str, Float[Array, " 1+G"]]
@@ -53,8 +52,7 @@ class MetricValues(NamedTuple):
     parts: dict[str, Float[Array, " 2"]] | None = None
 
     def of_scene(self, place: Any, failures: int) -> "MetricValues":
-        """The values of padded arrays as those of a scene: its columns at ``place``, and the rows
-        of so many failures."""
+        """The values of a scene's own columns, at ``place``, and of so many failures."""
         if not isinstance(self.column_coverage, jax.core.Tracer):
             place, self = jax.tree.map(np.asarray, (place, self))
         rows = slice(1 + failures)
@@ -79,11 +77,9 @@ def measure_tiles(
 
     ``poses`` are padded as ``sensors`` are. ``voxel`` is the edge of a voxel [m]. Every chunk of
     ``tiled`` must have all tiles; masks of solid voxels that it does not have are found tile by
-    tile. Read softly, the metrics are differentiable in the poses, in reverse mode, but not in the
-    softness.
+    tile. Read softly, the metrics are differentiable in the poses alone, in reverse mode.
 
-    The result has the tiles' columns, and a row for each group of failures that there is room for;
-    it has no ``parts``.
+    The result has the tiles' columns, a row for each place of a group of failures, and no parts.
     """
     reading = jax.lax.stop_gradient(reading)
     failures, positions, tiles = sensors.failures, poses[:, :3], tiled.tiles
@@ -99,9 +95,8 @@ def measure_tiles(
         parts = []
         for chunk, shadow, solid in zip(tiled.chunks, shadows, solids, strict=True):
             solid = solid_in(tile, chunk.prisms) if solid is None else solid
-            frames = Frames(chunk.prisms, solid)
-            given = reading, tile, f, positions, shadow, frames, failures, options
-            parts.append(count_tile(*given))
+            frames, rows = Frames(chunk.prisms, solid), (positions, shadow, f)
+            parts.append(count_tile(reading, tile, rows, frames, failures, options))
         counts, sights = join_frames(parts), None
         if counts.sights is not None:
             sights = checkpoint_name(counts.sights.astype(tile.heights.dtype), SIGHTS)
@@ -121,7 +116,7 @@ def measure_tiles(
 
     rows = 1 if failures is None else 1 + len(failures.first)
     size = rows * tiles.tile.heights.size * tiled.frame_count
-    if size > KEPT:
+    if size > KEPT or size * len(poses) > SENSORS_KEPT:
         # Finding these again would take one more pass over all frames.
         reading = reading.in_little_room()
         names = (SIGHTS, SIGHTS_READ) if size <= SIGHTS_KEPT else (SIGHTS,)

@@ -39,8 +39,7 @@ from inspe_jax.visibility.tiles import CORE
 
 VISIBILITIES = ("in_view", "line_of_sight", "past_others")
 """What visibility means in information gain. ``in_view``: f, as in the paper. ``line_of_sight``: f
-× the share of frames in which no vehicle hides the voxel. ``past_others``: the same, but a vehicle
-does not hide the voxels inside it."""
+× the share of frames in which no vehicle hides the voxel; ``past_others``: no other vehicle."""
 
 
 class PaperMetrics:
@@ -177,7 +176,7 @@ def evaluate(
         check_entropy(scene, found.entropy)
     found = found._replace(seen_share=jax.lax.stop_gradient(found.seen_share))
     regions = _by_region(scene, tiled, found.column_coverage)
-    measured = jax.tree.map(_array, found)
+    measured = jax.tree.map(lambda x: x if isinstance(x, jax.core.Tracer) else np.asarray(x), found)
     values = {of.name: measured.values[of.name][: 1 + len(each)] for of in options.metrics}
     rows = [*values.values(), surrogate(values, by_name)]
     total, *without = zip(*(_numbers(row) for row in rows), strict=True)
@@ -265,8 +264,7 @@ def evaluate_many(
 
     Layouts are scored in parallel, on all cores or devices. The options and, but for the last
     digits of sums, the scores are those of :func:`evaluate`. ``poses`` are x, y, z [m], roll,
-    pitch, yaw [rad]. Raises InspeError as that does, and where ``poses`` has another shape or is
-    traced.
+    pitch, yaw [rad]. Raises InspeError as that does, and for traced poses or another shape.
     """
     scene, layout, conditions = check_layout(scene, layout, conditions)
     readings = options_of(scene, occlusion_reference, visibility)
@@ -344,11 +342,6 @@ def _means(x: Float[Array, " n"], rows: Float[Array, "R n"]) -> Float[Array, " R
     """The mean of ``x`` weighted by each row; 0 where a row has no weight."""
     counted = rows.astype(x.dtype)
     return (counted * x[None]).sum(1) / jnp.maximum(counted.sum(1), 1e-6)
-
-
-def _array(x: Array) -> Any:
-    """An array in NumPy, unless it is traced."""
-    return x if isinstance(x, jax.core.Tracer) else np.asarray(x)
 
 
 def _numbers(x: Any) -> Any:

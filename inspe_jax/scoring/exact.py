@@ -1,7 +1,6 @@
 """Exact scores: voxels are counted as bits, and the cores divide the tiles and frames.
 
-Counts are exact in any order, so the scores are the same to the last bit on any number of cores and
-devices.
+Counts are exact in any order: scores are the same bits on any number of cores and devices.
 """
 
 from collections.abc import Callable
@@ -47,11 +46,9 @@ def measure_exactly(
 
     ``voxel`` is the edge of a voxel [m]. All cores work on it.
     """
-    sensors = sensor_array(sensor_set, ONE_MORE)
-    measured = count_exactly(
-        tiled, sensors.padded(poses), sensors, voxel, options or ScoreOptions.of()
-    )
-    return measured.of_scene(tiled.tiles.place, len(sensor_set.failures))
+    sensors, options = sensor_array(sensor_set, ONE_MORE), options or ScoreOptions.of()
+    found = count_exactly(tiled, sensors.padded(poses), sensors, voxel, options)
+    return found.of_scene(tiled.tiles.place, len(sensor_set.failures))
 
 
 def count_exactly(
@@ -115,8 +112,7 @@ def _past_statics(
 ) -> Any:
     """Masks (S, N, C) of the voxels that neither bodies nor the ground hide from ``sensors``.
 
-    Tiles of which a sensor has nothing in view are left out, and so are all of a scene without
-    bodies.
+    Tiles of which a sensor has nothing in view are left out.
     """
     statics, tile = tiled.statics, tiled.tiles.tile
     if statics is None:
@@ -200,8 +196,7 @@ def sight_shares(
     """The share of frames in which each of ``count`` sensors has each voxel in line of sight.
 
     Whether the voxel is in view does not matter; but from a sensor that has nothing of a tile in
-    view, the tile's shares are 0. ``views`` and ``sensors`` as in :func:`count_all`; ``options``
-    must count sights.
+    view, the tile's shares are 0. Arguments as of :func:`count_all`; ``options`` count sights.
     """
     sights = count_all(tiled, views, sensors, None, options).sights
     assert sights is not None  # options.sight
@@ -236,14 +231,13 @@ def _count(
     *,
     options: ScoreOptions,
 ) -> Counts:
-    """Count n tiles in F frames, tile by tile."""
     shadows = BITS.shadows(sensors, prisms)
 
     @unless_empty
     def count(tile: Tile, views: Array, solid: Array) -> Counts:
-        frames = Frames(prisms, solid)
+        rows, frames = (sensors, shadows, views), Frames(prisms, solid)
         core = jnp.where(tile.core, tile.there, tile.there.dtype.type(0))
-        return count_tile(BITS, tile, views, sensors, shadows, frames, failures, options, core)
+        return count_tile(BITS, tile, rows, frames, failures, options, core)
 
     seen, original, columns, sights, core = jax.lax.map(
         lambda part: count(*part), (tile, views.swapaxes(0, 1), solid)
@@ -263,7 +257,6 @@ def _summarise(
     *,
     metrics: tuple[Metric, ...],
 ) -> MetricValues:
-    """The metrics, from masks of what is in view, counts, and further terms of the metrics."""
     slabs, levels = tiled.tiles.slabs, tiled.tiles.level_count
     covered = BITS.any_of(views, failures)
     columns = bitmask.count(covered).reshape(len(covered), slabs, -1).sum(1)  # (1 + G, M·C)
@@ -304,17 +297,13 @@ def _terms(
     by_tile, by_sensor = jax.tree.map(np.asarray, ((tiles.tile, tiles.last), (views, sights)))
     of_all = jax.tree.map(np.asarray, (float(tiled.frame_count), poses, sensors))
 
-    def of(some: slice) -> tuple:
+    def job(some: slice) -> Job:
         part = jax.tree.map(lambda leaf: leaf[some], by_tile)
-        return *part, *jax.tree.map(lambda leaf: leaf[:, some], by_sensor), *of_all
+        given = *part, *jax.tree.map(lambda leaf: leaf[:, some], by_sensor), *of_all
+        return (_tile_terms, options, sensors.kinds, _shapes(given)), partial(work, *given)
 
     step = min(cores(), CHUNKS)
-    jobs: list[Job] = []
-    for first in range(step):
-        given = of(slice(first, None, step))
-        key = _tile_terms, options, sensors.kinds, _shapes(given)
-        jobs.append((key, partial(work, *given)))
-    parts = run(jobs)
+    parts = run([job(slice(first, None, step)) for first in range(step)])
 
     def joined(*part: Array) -> np.ndarray:
         whole = np.zeros((len(tiles.last), *part[0].shape[1:]), part[0].dtype)
@@ -423,7 +412,6 @@ def _one_layout(
     *,
     options: ScoreOptions,
 ) -> Float[Array, " K"]:
-    """Every metric of one layout."""
     found = measure_tiles(BITS, tiled, poses, sensors, voxel, options=options).values
     return jnp.stack([found[metric.name][0] for metric in options.metrics])
 

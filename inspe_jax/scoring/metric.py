@@ -3,45 +3,17 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Num
 
 from inspe_jax.core.numerics import Groups, Width
 from inspe_jax.scoring.detection import DetectionCurves
+from inspe_jax.scoring.numbers import Reading
 from inspe_jax.scoring.sensor_array import SensorArray
 from inspe_jax.scoring.target_evidence import TargetEvidence, target_evidence
 from inspe_jax.visibility.tiles import Tile
-
-
-class Sets(Protocol):
-    """The operations on sets of a tile's voxels that metrics use, read exactly or softly."""
-
-    def voxels(self, tile: Tile) -> Any:
-        """The voxels that there are."""
-
-    def both(self, a: Any, b: Any) -> Any:
-        """Intersection of two sets."""
-
-    def outside(self, a: Any, b: Any) -> Any:
-        """The voxels of ``a`` that are not in ``b``, a subset of ``a``."""
-
-    def any_of(self, rows: Any, failures: Groups | None) -> Any:
-        """Union of all rows (S, …), and of all but each group's: (1 + G, …)."""
-
-    def count(self, found: Any) -> Num[Array, "..."]:
-        """How many voxels a set has."""
-
-    def count_both(self, rows: Any, found: Any) -> Num[Array, "1+G F"]:
-        """How many voxels of each row are in a set, in each frame."""
-
-    def chances(self, found: Any, levels: int) -> Float[Array, "... Z C"]:
-        """The chance of each voxel to be in a set: 0 or 1, read exactly."""
-
-    @property
-    def width(self) -> Width:
-        """The width [m] with which the edges of a field of view are read."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +27,7 @@ class TileEvidence:
     ``detection`` has the curves of detection, None for the usual ones.
     """
 
-    reading: Sets
+    reading: Reading
     tile: Tile
     views: Any
     sights: Num[Array, "S C Z"] | None
@@ -98,8 +70,7 @@ class Evidence(NamedTuple):
     ``entropy`` are H(Ω|P) and H(Ω) in nats (:func:`~inspe_jax.scoring.metrics.entropy_terms`).
     ``terms`` holds the further terms of the registry's metrics by name, one row for each tile.
     ``levels`` is the number of a column's levels, of each where static bodies stand in some;
-    ``slabs`` that of the tiles over a column.
-    ``width`` [m] is that with which margins are read.
+    ``slabs`` that of the tiles over a column; ``width`` [m] that with which margins are read.
     """
 
     covered: Float[Array, "1+G L"]

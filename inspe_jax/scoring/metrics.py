@@ -16,7 +16,9 @@ from jaxtyping import Array, Float, Num
 
 from inspe_jax.core.errors import InspeError, nearest
 from inspe_jax.core.numerics import Groups, dot, leave_one_out, weighted_mean
-from inspe_jax.scoring.metric import Metric, Sets, TileEvidence
+from inspe_jax.scoring.metric import Metric, TileEvidence
+from inspe_jax.scoring.numbers import Reading
+from inspe_jax.scoring.reading import Union
 from inspe_jax.scoring.target_metrics import ROWS
 
 OCCLUSION_REFERENCES = ("roi", "covered", "targets")
@@ -35,17 +37,16 @@ def coverage(covered: Float[Array, "... L"], weight: Float[Array, " L"]) -> Floa
 
 
 def occlusion_terms(
-    reading: Sets, union: Any, covered: Any, free: Any, solid: Any, reference: str
+    reading: Reading, union: Union, covered: Any, free: Any, solid: Any, reference: str
 ) -> tuple[Num[Array, "1+G F"], Num[Array, "1+G F"]]:
     """(|V_orig| − |V_occ|, |V_orig|) of one tile in F frames.
 
     Arguments are sets of ``reading``: ``union`` is what some sensor has in view and in line of
     sight, ``covered`` what some sensor has in view, ``free`` the voxels outside every vehicle, and
-    ``solid`` those inside one. The paper leaves V_orig open. ``reference`` says which voxels it
-    has:
+    ``solid`` those inside one. The paper leaves V_orig open; it has, by ``reference``:
 
-    - ``roi``: every voxel of the region of interest. A voxel is occluded unless some sensor sees
-      it. Only this reading puts O below C throughout, as in the paper's Table 2.
+    - ``roi``: every voxel of the region of interest; one that no sensor sees is occluded. Only
+      this reading puts O below C throughout, as in the paper's Table 2.
     - ``covered``: the voxels that some sensor has in view.
     - ``targets``: the voxels inside vehicles. A vehicle does not hide its own voxels.
 
@@ -59,7 +60,7 @@ def occlusion_terms(
 
 
 def occlusion_terms_within(
-    reading: Sets, part: Any, seen: Any, covered: Any, free: Any, solid: Any, reference: str
+    reading: Reading, part: Any, seen: Any, covered: Any, free: Any, solid: Any, reference: str
 ) -> Num[Array, "2 F"]:
     """:func:`occlusion_terms` of all sensors together, in the columns of ``part`` alone."""
     counted = reading.both(counted_by_occlusion(free, solid, reference), part)

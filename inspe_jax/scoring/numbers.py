@@ -18,8 +18,7 @@ from inspe_jax.core.convex import outlines
 from inspe_jax.core.geometry import Prism
 from inspe_jax.core.numerics import Groups, Softness, Width, certain_beyond, leave_one_out
 from inspe_jax.core.pytree import pytree
-from inspe_jax.scoring.options import ScoreOptions
-from inspe_jax.scoring.reading import Bits, Frames, SeeFrom, SensorRow
+from inspe_jax.scoring.reading import Bits, Frames, SeeFrom, SensorRow, SightOptions, Union
 from inspe_jax.visibility import bitmask
 from inspe_jax.visibility.centered_scene import Statics
 from inspe_jax.visibility.in_view import soft_view
@@ -37,22 +36,6 @@ from inspe_jax.visibility.tiles import Tile
 
 SIGHTS_READ = "sights read"
 """Name of the arrays that a gradient needs of sight lines, of each sensor and in each frame."""
-
-
-@dataclass(frozen=True)
-class NumberUnion:
-    """The chance that some sensor sees a voxel in a frame: of all, and of all but each group."""
-
-    rows: Float[Array, "1+G Z F C"]
-
-    @property
-    def all(self) -> Float[Array, "Z F C"]:
-        """What some sensor sees, of all sensors."""
-        return self.rows[0]
-
-    def count(self, of: Float[Array, "Z F C"]) -> Float[Array, "1+G F"]:
-        """How many voxels of a set some sensor sees: of all sensors, and without each group."""
-        return (self.rows * of[None]).sum(1).sum(-1)
 
 
 @pytree
@@ -136,19 +119,14 @@ class Numbers:
         """None: what sight lines are read as is found tile by tile."""
 
     def line_of_sight(
-        self,
-        sensor: Float[Array, "3"],
-        shadows: Any,
-        view: Any,
-        tile: Tile,
-        frames: Frames,
-        options: ScoreOptions,
+        self, row: SensorRow, tile: Tile, frames: Frames, options: SightOptions
     ) -> tuple[Float[Array, "Z F C"], Float[Array, "Z F C"], list[SightsRead]]:
         """The chance that each voxel is in line of sight: once as occlusion counts it, and once as
         information gain does; and what was read for it, which is in ``shadows`` the next time."""
+        sensor, shadows, view = row
         width, fixed = self.softness.shadow, jax.lax.stop_gradient(sensor)
-        own = self.solid(frames, len(tile.heights)) > 0 if options.ignores_self_occlusion else None
-        apart = options.ignores_self_occlusion and options.sight == "line_of_sight"
+        own = self.solid(frames, len(tile.heights)) > 0 if options.spares else None
+        apart = options.spares and options.sight == "line_of_sight"
         marked = self._marked(fixed, view, tile, frames, options) if shadows is None else None
         found = []
         for k, spared in enumerate((own, None)[: 1 + apart]):
@@ -160,27 +138,27 @@ class Numbers:
         return found[0][0], found[-1][0], [read for _, read in found]
 
     def _marked(
-        self, sensor: Array, view: Any, tile: Tile, frames: Frames, options: ScoreOptions
+        self, sensor: Array, view: Any, tile: Tile, frames: Frames, options: SightOptions
     ) -> UInt[Array, "W F K"]:
         """The prisms that may hide something of each cell that counts."""
         reach = certain_beyond(self.softness.shadow)
         bounds = shadow_bounds(sensor, frames.prisms, reach)
         marked = cell_marks(sensor, outlines(frames.prisms), bounds, tile, reach)
-        if any(metric.sight for metric in options.metrics):  # in view or not
+        if options.anywhere:
             return marked
         cells = (view > 0).any(0).reshape(marked.shape[-1], -1).any(1)
         return jnp.where(cells, marked, jnp.uint32(0))
 
     def over_sensors(
         self, see_from: SeeFrom, rows: SensorRow, given: tuple, failures: Groups | None
-    ) -> tuple[NumberUnion, Any]:
+    ) -> tuple[Union, Any]:
         """The union of what the sensors see, and how often each has each voxel in line of sight.
 
         A sensor that has nothing of the tile in view is skipped.
         """
         positions, _, views = rows
         union, sights = _union(see_from, positions, views, failures, given)
-        return NumberUnion(union), sights
+        return Union(union[0], lambda of: (union * of[None]).sum(1).sum(-1)), sights
 
     def views(self, tiles: Tile, *_: Any) -> None:
         """None: what is in view is found tile by tile, and again for the gradient."""
@@ -227,8 +205,7 @@ def _read_union(
     failures: Groups | None,
     given: tuple,
 ) -> tuple[Float[Array, "1+G Z F C"], Any, Any]:
-    """The chance that some sensor sees each voxel, of all and without each group; the sights; and
-    what was read of each sensor's."""
+    """The chance that some sensor sees each voxel; the sights; and what was read of each sensor."""
     listed, number = _in_view(views)
     of_sensor = lambda s: see_from((positions[s], None, views[s]), *given)  # noqa: E731
     visible, *others = jax.eval_shape(of_sensor, 0)
@@ -270,8 +247,7 @@ def _union_forward(see_from: SeeFrom, *given: Any) -> tuple[Any, tuple]:
 
 
 def _union_backward(see_from: SeeFrom, kept: tuple, wanted: tuple) -> tuple:
-    """Sensor by sensor again. ∂(1 − ∏(1 − pₛ))/∂pₛ = ∏/(1 − pₛ); where pₛ = 1 it is certain and has
-    no slope of its own."""
+    """Sensor by sensor again. ∂(1 − ∏(1 − pₛ))/∂pₛ = ∏/(1 − pₛ), and 0 where pₛ = 1."""
     union, read, positions, views, failures, given = kept
     listed, number = _in_view(views)
     of_union, of_sights = wanted

@@ -6,6 +6,7 @@ from typing import NamedTuple
 from inspe_jax.scoring.detection import DetectionCurves, detection_curves
 from inspe_jax.scoring.metric import Metric
 from inspe_jax.scoring.metrics import METRICS, chosen
+from inspe_jax.scoring.reading import SightOptions
 
 
 class ScoreOptions(NamedTuple):
@@ -52,6 +53,7 @@ class ScoreOptions(NamedTuple):
         return ScoreOptions(self.occlusion_reference, self.sight or "in_view")
 
     @property
-    def ignores_self_occlusion(self) -> bool:
-        """Whether a voxel inside a vehicle is hidden by other vehicles only."""
-        return self.occlusion_reference == "targets" or self.sight == "past_others"
+    def line_of_sight(self) -> SightOptions:
+        """What line of sight is read for."""
+        spares = self.occlusion_reference == "targets" or self.sight == "past_others"
+        return SightOptions(self.sight, spares, any(metric.sight for metric in self.metrics))

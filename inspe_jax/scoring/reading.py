@@ -5,8 +5,7 @@ frames, C columns and Z levels in a tile:
 
 - :class:`Bits`: a mask for each column with a bit for each level, (C,), and (F, C) in F frames.
   Exact in any order, 32 voxels in one operation.
-- :class:`~inspe_jax.scoring.numbers.Numbers`: the chance of each voxel, (Z, C), and (Z, F, C) in F
-  frames. Differentiable.
+- :class:`~inspe_jax.scoring.numbers.Numbers`: chances of voxels, (Z, C), and (Z, F, C) in frames.
 
 ``rows`` are one set for each sensor, (S, …). A result for G groups of failures has 1 + G rows: row
 0 is of all sensors, row 1 + g of all but group g.
@@ -22,9 +21,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, Num, UInt
 
 from inspe_jax.core.geometry import Prism
-from inspe_jax.core.numerics import Groups
+from inspe_jax.core.numerics import Groups, without_each
 from inspe_jax.core.pytree import pytree
-from inspe_jax.scoring.options import ScoreOptions
 from inspe_jax.scoring.sensor_array import SensorArray
 from inspe_jax.sensing.rays import Kind, RayTable
 from inspe_jax.visibility import bitmask
@@ -62,6 +60,18 @@ class Counts(NamedTuple):
     core: Num[Array, "2 F"] | None = None
 
 
+class SightOptions(NamedTuple):
+    """What line of sight is read for.
+
+    ``sight`` is as of :class:`~inspe_jax.scoring.options.ScoreOptions`. ``spares``: a voxel inside
+    a vehicle is hidden by other vehicles only. ``anywhere``: what is not in view counts, too.
+    """
+
+    sight: str | None
+    spares: bool
+    anywhere: bool
+
+
 SensorRow = tuple[Float[Array, "3"], Any, Any]
 """One sensor: its position, what its shadows need, and the set that it has in view."""
 SeeFrom = Callable[..., tuple[Any, Any, Any]]
@@ -70,16 +80,11 @@ frames in which each voxel is in line of sight, or None, and what a gradient nee
 
 
 @dataclass(frozen=True)
-class BitUnion:
-    """What some sensor sees in each frame; ``alone`` counts what of a set only one group sees."""
+class Union:
+    """What some sensor sees in each frame; ``count`` counts that of a set, also without groups."""
 
-    all: UInt[Array, "F C"]
-    alone: Callable[[UInt[Array, "F C"]], Int[Array, "G F"]]
-
-    def count(self, of: UInt[Array, "F C"]) -> Int[Array, "1+G F"]:
-        """How many voxels of a set some sensor sees: of all sensors, and without each group."""
-        seen = bitmask.count(self.all & of).sum(1)
-        return jnp.concatenate([seen[None], seen[None] - self.alone(of)])
+    all: Any
+    count: Callable[[Any], Num[Array, "1+G F"]]
 
 
 @pytree
@@ -113,7 +118,9 @@ class Bits:
 
     def any_of(self, rows: UInt[Array, "S ..."], failures: Groups | None) -> UInt[Array, "1+G ..."]:
         """Union of all rows, and of all but each group's."""
-        return bitmask.without_one(rows, failures)
+        if failures is None:
+            return jax.lax.reduce(rows, rows.dtype.type(0), jax.lax.bitwise_or, (0,))[None]
+        return without_each(rows, failures, jax.lax.bitwise_or, jnp.zeros_like(rows[0]))
 
     def count(self, found: UInt[Array, "... C"]) -> Int[Array, "..."]:
         """How many voxels a set has."""
@@ -153,23 +160,17 @@ class Bits:
         return jax.vmap(shadow_bounds, (0, None))(sensors, prisms)
 
     def line_of_sight(
-        self,
-        sensor: Float[Array, "3"],
-        shadows: Any,
-        view: Any,
-        tile: Tile,
-        frames: Frames,
-        options: ScoreOptions,
+        self, row: SensorRow, tile: Tile, frames: Frames, options: SightOptions
     ) -> tuple[UInt[Array, "F C"], UInt[Array, "F C"], None]:
-        """The voxels in line of sight of a sensor: once as occlusion counts them, and once as
-        information gain does; and nothing for a gradient."""
-        spared = frames.solid if options.ignores_self_occlusion else None
+        """The voxels in line of sight, as occlusion and as information gain count them."""
+        sensor, shadows, _ = row
+        spared = frames.solid if options.spares else None
         clear = clear_masks(sensor, shadows, tile, spared)
         return clear, clear if options.sight == "past_others" else clear & ~frames.solid, None
 
     def over_sensors(
         self, see_from: SeeFrom, rows: SensorRow, given: tuple, failures: Groups | None
-    ) -> tuple[BitUnion, Any]:
+    ) -> tuple[Union, Any]:
         """The union of what the sensors see, and how often each has each voxel in line of sight.
 
         The loop takes only the sensors that have some of the tile in view, one group after the
@@ -204,17 +205,20 @@ class Bits:
         start = none, none, none, each, sights
         once, twice, _, each, sights = jax.lax.fori_loop(0, number, add_sensor, start)
 
-        def alone(of: UInt[Array, "F C"]) -> Int[Array, "G F"]:
+        def count(of: UInt[Array, "F C"]) -> Int[Array, "1+G F"]:
             def add_lost(i: Array, state: tuple) -> tuple:
                 lost, taken = state
                 taken = jnp.where(opens(i), jnp.zeros_like(taken), taken)
                 own = each[i] & ~twice & of & ~taken
                 return lost.at[group[listed[i]]].add(self.count(own)), taken | own
 
-            lost = jnp.zeros((groups, len(none)), int)
-            return jax.lax.fori_loop(0, number, add_lost, (lost, none))[0] if groups else lost
+            seen = bitmask.count(once & of).sum(1)
+            alone = jnp.zeros((groups, len(none)), int)
+            if groups:
+                alone = jax.lax.fori_loop(0, number, add_lost, (alone, none))[0]
+            return jnp.concatenate([seen[None], seen[None] - alone])
 
-        return BitUnion(once, alone), sights
+        return Union(once, count), sights
 
     def views(
         self, tiles: Tile, poses: Float[Array, "S 6"], sensors: SensorArray, half: float | Array

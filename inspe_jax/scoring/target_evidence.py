@@ -189,8 +189,7 @@ def _sharp(
 ) -> Float[Array, " C"]:
     """The chance that a camera has :data:`DETECT` pixels per metre at points ``to`` from it.
 
-    The margin [m] is how much further off that would still be so. In a tile above the lowest slab
-    of levels it is 0: it belongs to the column, once.
+    The margin [m] is how much further off that would still be so. Only the lowest slab counts it.
     """
     if rays.signal.noise is not None:
         return jnp.zeros_like(to[0])
@@ -219,8 +218,7 @@ def _precision(
     the variance w²/(12 n). Along it, each return has the noise of range. A camera ranges by
     the pixel in which a pedestrian's foot stands on the ground: with s pixels per metre of an
     upright face, it is 1/s · d/h long there, for a camera h above and d away; and the ground is
-    level to :data:`LEVEL_GROUND`. ``foot_seen`` is how often the foot is in sight and in the
-    picture.
+    level to :data:`LEVEL_GROUND`. ``foot_seen``: how often the foot is in sight and in the picture.
     """
     across = (12.0 * amount / jnp.asarray(wide**2, amount.dtype)[:, None]).mean(0)
     if noise is None:

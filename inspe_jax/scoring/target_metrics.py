@@ -20,8 +20,7 @@ from inspe_jax.scoring.metric import Evidence, Metric, TileEvidence
 SCALE = 20.0
 """A typical distance [m]: how much further off a target could be is measured from there."""
 UNKNOWN = 2.0
-"""Standard deviation of a road user's place, along x and y each, before any sensor sees it [m]:
-about half a lane."""
+"""Standard deviation, along x and y, of the place of an unseen road user [m]: half a lane."""
 
 
 def detectability(chance: Float[Array, "R K L"], width: Width = None) -> Float[Array, "R L"]:
@@ -38,8 +37,7 @@ def points_on_target(returns: Float[Array, "R K L"], width: Width = None) -> Flo
     """P: the share of classes with at least :data:`FEW` LiDAR returns.
 
     ``returns`` n are expected numbers of all sensors together, mean over frames. The margin is how
-    much further off the road user could stand, from :data:`SCALE` metres: n falls as the square of
-    the distance.
+    much further off it could stand, from :data:`SCALE` metres: n falls as the distance squared.
     """
     further = SCALE * (jnp.sqrt(jnp.maximum(returns, 1e-6) / FEW) - 1.0)
     return step(further, width).mean(1)
@@ -48,8 +46,7 @@ def points_on_target(returns: Float[Array, "R K L"], width: Width = None) -> Flo
 def pixel_density(sharp: Float[Array, "R L"], width: Width = None) -> Float[Array, "R L"]:
     """X: whether some camera has 25 pixels per metre or more.
 
-    That is the task "detect" of EN 62676-4, here at half the height of a pedestrian and without
-    traffic.
+    The task "detect" of EN 62676-4, here at half a pedestrian's height and without traffic.
     """
     return sharp
 
@@ -57,9 +54,8 @@ def pixel_density(sharp: Float[Array, "R L"], width: Width = None) -> Float[Arra
 def localisation(precision: Float[Array, "R 3 L"], width: Width = None) -> Float[Array, "R L"]:
     """L = 1 − error / error before: how much of the uncertainty of a place is removed.
 
-    The error is the root of the trace of (J₀ + J)⁻¹ (van Trees' bound). ``precision`` J, as xx, xy
-    and yy [1/m²], is the sum of all sensors' information, mean over frames; J₀ is that of
-    :data:`UNKNOWN`.
+    The error is the root of the trace of (J₀ + J)⁻¹ (van Trees' bound), J₀ of :data:`UNKNOWN`.
+    ``precision`` J, xx, xy and yy [1/m²], is the sum of the sensors' information, mean over frames.
     """
     return 1.0 - position_error(precision) / (2.0**0.5 * UNKNOWN)
 
@@ -122,12 +118,9 @@ def seen_twice(at: TileEvidence) -> Float[Array, "1+G C"]:
 
 NoneOne = tuple[Array, Array]
 """The chances that none, and that exactly one, of some units sees each voxel."""
-Fuse = Callable[[Float[Array, "S ..."], Groups | None], Float[Array, "1+G ..."]]
-"""Fuses all sensors, and all but each group's."""
 
 
 def _totals(each: Float[Array, "S ..."], failures: Groups | None) -> Float[Array, "1+G ..."]:
-    """The sum over all sensors, and over all but each group's."""
     if failures is None:
         return each.sum(0)[None]
     return without_each(each, failures, jnp.add, jnp.zeros_like(each[0]))
@@ -143,7 +136,7 @@ def _of_targets(
     symbol: str,
     summary: str,
     field: str,
-    fuse: Fuse,
+    fuse: Callable[[Float[Array, "S ..."], Groups | None], Float[Array, "1+G ..."]],
 ) -> Metric:
     """The row of a metric that ``of_columns`` gives of what sensors have on road users.
 

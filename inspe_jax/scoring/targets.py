@@ -1,11 +1,11 @@
 """What a road user gets where it stands: LiDAR returns, pixels per metre, chance of detection.
 
-The target stands at each column of the region of interest. The means over columns are the metrics
-of :mod:`inspe_jax.scoring.target_metrics`.
+It stands at each column; means over columns are :mod:`inspe_jax.scoring.target_metrics`.
 """
 
 from dataclasses import dataclass
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -25,9 +25,10 @@ from inspe_jax.sensing.sensors import Spec
 from inspe_jax.visibility.centered_scene import poses_about_center
 from inspe_jax.visibility.in_view import transform_of
 from inspe_jax.visibility.queries import check_layout
-from inspe_jax.visibility.target_rays import picture_scale
+from inspe_jax.visibility.target_rays import scale_at
 
 _AT_ONCE = 64  # points of pixel_density_at are compiled for multiples of this
+_scale_at = jax.jit(scale_at)
 
 
 @dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
@@ -84,8 +85,7 @@ def target_view(
     it: the target is in its stead.
 
     Traffic is looked at slab by slab of the target's height, by the line of sight to the middle of
-    the column. Raises InspeError as :func:`inspe_jax.evaluate` does, and where ``road_user`` is no
-    class.
+    the column. Raises InspeError as :func:`inspe_jax.evaluate` does, and for an unknown road user.
     """
     check_known(road_user, CLASSES, "road user")
     curves = None if detection is None else detection.for_road_users(())
@@ -110,13 +110,12 @@ def pixel_density_at(
 ) -> Float[np.ndarray, " N"]:
     """Pixels per metre across each of N points of the world [m], of a camera at a world pose.
 
-    As in :attr:`TargetView.pixels_per_metre`. They are 0 outside of the picture and beyond reach,
-    and for LiDARs.
+    As in :attr:`TargetView.pixels_per_metre`: 0 out of the picture or reach, and for LiDARs.
     """
     if spec.focal_pixels is None:
         return np.zeros(len(points))
-    to = np.zeros((-(-max(len(points), 1) // _AT_ONCE) * _AT_ONCE, 3))  # few sizes to compile for
-    to[: len(points)] = points - pose[:3]
-    turned = transform_of(jnp.asarray([0.0, 0.0, 0.0, *pose[3:]], float))
-    scale = picture_scale(spec.grid.rays, turned, jnp.asarray(to, float))
-    return np.asarray(scale)[: len(points)] * spec.focal_pixels
+    to = np.zeros((3, -(-max(len(points), 1) // _AT_ONCE) * _AT_ONCE))  # few sizes to compile for
+    to[:, : len(points)] = (points - pose[:3]).T
+    turned, (x, y, z) = transform_of(jnp.asarray(pose, float)), (jnp.asarray(k, float) for k in to)
+    scale, depth = _scale_at(spec.grid.rays, turned, (x, y, z))
+    return np.where(depth > 0, scale, 0.0)[: len(points)] * spec.focal_pixels

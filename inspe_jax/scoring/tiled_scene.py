@@ -28,11 +28,9 @@ FRAMES = 128
 """Frames in one chunk: what a tile needs of so many stays in a core's cache."""
 
 ENTROPIC = 4096
-"""Least length of the arrays of voxels that may have entropy; longer arrays are summed in parts of
-this length."""
+"""Least length of the arrays of voxels that may have entropy, and the length of parts of sums."""
 MANY_ENTROPIC = 2**18
-"""Up to this length three of four such voxels may be padding. Longer arrays are padded less: a
-gradient keeps numbers for every entry."""
+"""Up to this length three of four such voxels may be padding; a gradient keeps all entries."""
 
 
 class SceneArrays(NamedTuple):
@@ -137,7 +135,6 @@ def tiled_scene_of(scene: Scene, *, whole: bool = False, masks: bool = True) -> 
 
 
 def _tile_whole(scene: Scene, masks: bool) -> TiledScene:
-    """The scene with all tiles in every chunk."""
     tiled, prisms = tiled_scene_of(scene), about_center(scene).prisms
     chunks, tile = [], tiled.tiles.tile
     for begin in range(0, tiled.frame_count, FRAMES):
@@ -152,7 +149,6 @@ def _rows(arrays: Any, rows: slice | Int[np.ndarray, " N"]) -> Any:
 
 
 def _tile_scene(scene: Scene) -> TiledScene:
-    """The scene in chunks for all cores or devices."""
     centered = about_center(scene)
     tiles = tiles_of(centered)
     total = len(centered.prisms.top)

@@ -1,7 +1,6 @@
 """Viewsheds: for each voxel, how many sensors have it in view and in which frames it is seen.
 
-They are the cumulative viewsheds of geographic information systems, from the masks that exact
-scores count.
+They are the cumulative viewsheds of geographic information systems.
 """
 
 from dataclasses import dataclass
@@ -61,10 +60,9 @@ class Viewshed:
 
 
 def viewshed(scene: Scene, layout: Layout, *, conditions: Conditions = FAIR) -> Viewshed:
-    """How well a layout sees each voxel, over all frames.
+    """How well a layout sees each voxel, over all frames; a scene may be without traffic.
 
-    Raises InspeError as :func:`inspe_jax.evaluate` does, except that a scene without traffic is
-    allowed.
+    Raises InspeError as :func:`inspe_jax.evaluate` does.
     """
     layout, tiles, views, sensors = _views(scene, layout, conditions)
     levels = tiles.tile.heights.shape[1]
@@ -114,8 +112,7 @@ def sight_in(
 def _views(
     scene: Scene, layout: Layout, conditions: Conditions
 ) -> tuple[Layout, Tiles, UInt[np.ndarray, "S N C"], Float[np.ndarray, "S 3"]]:
-    """The layout under the conditions, the tiles, masks of what each sensor has in view, and the
-    sensors' positions about the scene's centre [m]; the arrays end in empty places."""
+    """The layout under the conditions, the tiles, and, padded, masks in view and positions [m]."""
     check_layout(scene, layout)
     layout, tiled = perceiving(scene, layout, conditions), tiled_scene_of(scene, whole=True)
     sensors = sensor_array(SensorSet.of(layout), ONE_MORE)
@@ -132,7 +129,6 @@ def _seen_masks(
     prisms: Prism,
     sensors: Float[Array, "S 3"],
 ) -> UInt[Array, "N T C"]:
-    """Masks of what some sensor sees in each frame."""
     shadows = BITS.shadows(sensors, prisms)
 
     @unless_empty

@@ -1,8 +1,7 @@
-"""Bit masks: many yes-or-no answers in one integer.
+"""Bit masks: a column's levels are the bits of one word.
 
-A column's levels are the bits of one word. What a sensor has in view is a mask. A shadow clears the
-low bits of it. The union of sensors is OR, and a count of voxels is a count of bits. Each is one
-operation for up to 32 voxels, and exact in any order.
+A shadow clears the low bits of what a sensor has in view, the union of sensors is OR, and a count
+of voxels one of bits: one operation for up to 32 voxels, exact in any order.
 """
 
 from collections.abc import Callable
@@ -12,8 +11,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, UInt
-
-from inspe_jax.core.numerics import Groups, without_each
 
 WORD = 32
 """Bits of the longest word, and so the most levels in one mask."""
@@ -48,13 +45,6 @@ def unpack(masks: UInt[np.ndarray, "... w"], n: int) -> Bool[np.ndarray, "... n"
 def count(masks: UInt[Array, "*n"]) -> Int[Array, "*n"]:
     """How many bits are set in each word."""
     return jax.lax.population_count(masks).astype(jnp.int32)
-
-
-def without_one(masks: UInt[Array, "S ..."], groups: Groups | None) -> UInt[Array, "1+G ..."]:
-    """The union of all rows, and for each group the union of all rows outside it."""
-    if groups is None:
-        return jax.lax.reduce(masks, masks.dtype.type(0), jax.lax.bitwise_or, (0,))[None]
-    return without_each(masks, groups, jax.lax.bitwise_or, jnp.zeros_like(masks[0]))
 
 
 BYTE = 255

@@ -60,8 +60,7 @@ class CenteredScene(NamedTuple):
 def about_center(scene: Scene) -> CenteredScene:
     """The scene's arrays relative to its centre.
 
-    Each frame ends in some prisms that are not valid, so that scenes of similar traffic have arrays
-    of one shape.
+    Frames end in prisms that are not valid: scenes of similar traffic have arrays of one shape.
     """
     grid, traffic = scene.voxels, scene.traffic
     x, y, z = grid.center
@@ -88,7 +87,6 @@ def about_center(scene: Scene) -> CenteredScene:
 
 
 def _ground_about_center(scene: Scene) -> HeightField | None:
-    """A scene's terrain relative to its centre; None if it has none."""
     if (terrain := scene.terrain) is None:
         return None
     x, y, z = scene.voxels.center

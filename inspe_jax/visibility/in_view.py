@@ -22,16 +22,14 @@ TOUCH = 2e-5
 """A ray this near to a voxel touches it [m]: the rounding of single precision at 100 m."""
 
 SLACK = 2e-4
-"""A quick test that decides without the six rays does so by at least this margin [m]: ten times the
-rounding of single precision at 100 m."""
+"""Tests without the six rays decide by at least this margin [m]: ten times that rounding."""
 
 INSIDE = 1e-3
 """A voxel that a ray meets is in the field of view by at least this margin [m]."""
 
 DEEP = 0.7
 """Ray margins are cut off at this fraction of half a voxel's edge. Where rays are dense, every
-voxel has a ray at least as deep; which of its rays is the deepest changes with every move and means
-nothing."""
+voxel has a ray at least as deep, and which is the deepest changes with every move."""
 
 
 class RigidTransform(NamedTuple):
@@ -47,7 +45,6 @@ def transform_of(pose: Float[Array, "6"]) -> RigidTransform:
 
 
 def _to_voxels(transform: RigidTransform, centers: Float[Array, "V 3"]) -> Point:
-    """From the sensor to each voxel, world axes."""
     r = centers - transform.position[None]  # (V, 3)
     return r[:, 0], r[:, 1], r[:, 2]
 
@@ -256,8 +253,7 @@ def soft_view(
 ) -> Float[Array, "Z C"]:
     """The chance that one sensor has each voxel of a tile in view: both margins, read softly.
 
-    ``kind`` is the number of the sensor's kind among ``kinds``. Where it is their count, there is
-    no sensor, and nothing is in view.
+    ``kind`` is the number of its kind among ``kinds``; their count is that of no sensor.
     """
     levels, columns = tile.heights.shape
     dense = softness.rays == "density"
@@ -347,8 +343,7 @@ def may_touch_field(
 ) -> Bool[Array, ""]:
     """Whether a sphere around a tile's voxels touches the field of view.
 
-    If it does not, none of the voxels is in the field. ``outer``: of rays as a density, whose field
-    ends half a spacing beyond the outermost rays.
+    ``outer``: of rays as a density, whose field ends half a spacing beyond the outermost rays.
     """
     middle = (tile.low + tile.high) / 2
     radius = jnp.hypot(tile.radius, middle - tile.low) + 3.0**0.5 * half + SLACK

@@ -41,7 +41,6 @@ def in_view(scene: Scene | Case | str, layout: Layout | str) -> Bool[np.ndarray,
 def _past_statics(
     centered: CenteredScene, tiles: Tiles, sensor: np.ndarray, view: UInt[Array, "N C"]
 ) -> UInt[np.ndarray, "N C"]:
-    """What static bodies leave of the voxels ``view``."""
     if centered.statics is None:
         return np.asarray(view)
     return np.asarray(view & past_statics_of_sensor(sensor, centered.statics, tiles.tile, view))

@@ -1,9 +1,8 @@
 """Rays as a density: the expected number of rays on a voxel, and the chance of at least one.
 
 The phase of the grid, that is where between two rows and between two columns it begins, is taken as
-random. Then nothing depends on which single ray meets which voxel. What is left is how far apart
-rays are where the voxel is, and how large the voxel looks from there. That is smooth in the pose,
-and its sum over voxels is the mean over phases of the exact count.
+random. What is left is how far apart rays are at the voxel, and how large it looks. That is smooth
+in the pose, and its sum over voxels is the mean over phases of the exact count.
 
 A voxel is seen as the shadow of a box, a zonogon. In a plane whose units are the spacings of
 columns and of rows, the rays are the points of a unit lattice at a random place.
@@ -100,8 +99,7 @@ def hit_chance(of: Footprint) -> Float[Array, "*n"]:
 def _nearest_line(
     length: Float[Array, "*n"], across: Float[Array, "*n"], area: Float[Array, "*n"]
 ) -> Float[Array, "*n"]:
-    """∫ min(1, L(y)) dy over |y| ≤ ½. L is ``length`` near 0, and falls evenly to 0 at across/2
-    from where its integral over all y is ``area``."""
+    """∫ min(1, L(y)) dy, |y| ≤ ½. L is ``length`` near 0, falls to 0 at across/2; ∫ L dy = area."""
     length, across = (jnp.maximum(x, _LEAST) for x in (length, across))
     slant = jnp.clip(2.0 - 2.0 * area / (length * across), _LEAST, 1.0)
     most = jnp.minimum(length, 1.0)

@@ -1,7 +1,6 @@
 """Line of sight: does a vehicle cut the line from a sensor to a voxel's centre?
 
-The sensor's rays do not matter here. Vehicles are prisms; :mod:`inspe_jax.core.geometry` has the
-shadow of one of them.
+Rays do not matter here. Vehicles are prisms, with shadows of :mod:`inspe_jax.core.geometry`.
 """
 
 from typing import Any, NamedTuple
@@ -81,8 +80,7 @@ def may_stand_on(
     """Whether a prism may stand on a column of a tile, whether or not a voxel there is ``solid``.
 
     Where it is false, the prism is at least :data:`~inspe_jax.visibility.tiles.CLOSE` away from all
-    columns. In a frame in which no voxel of the tile is solid, only a prism that is lower than the
-    lowest voxel of some column may.
+    columns. Where no voxel of a frame is solid, only one below some column's lowest voxel may.
     """
     away = bounds.near + bounds.span
     x = sensor[0] + away * bounds.x - tile.center[0]
@@ -105,8 +103,7 @@ def clear_masks(
     """Masks of the voxels of one tile that are in line of sight of one sensor, in each frame.
 
     These are the voxels above every prism's :func:`~inspe_jax.core.geometry.shadow_ceiling`. Only
-    the prisms that :func:`may_shade` the tile are taken, some two of forty: first the first one of
-    every frame, then the second.
+    the prisms that :func:`may_shade` the tile are taken, one of every frame at once.
 
     ``spared`` are masks of voxels inside vehicles that only other vehicles may hide. Then there are
     two passes. In the first, a prism that :func:`may_stand_on` the tile does not hide its own
@@ -117,7 +114,6 @@ def clear_masks(
     every = jnp.arange(shading.shape[1])
 
     def above(frames: Array, marked: Array, standing: Array | None) -> UInt[Array, "F C"]:
-        """Masks of what is above the ceilings of the marked prisms."""
 
         def lift(ceiling: Array, prism: Array, some: Array) -> Array:
             of = jax.tree.map(lambda leaf: leaf[frames, prism][:, None], bounds.terms)  # (F, 1)

@@ -6,8 +6,7 @@ that p is about the mean of the exact reading over places of the sensor near by,
 those of exact scores averaged over such places.
 
 Only what may be hidden is read: cells of neighbouring columns with the prisms that are marked for
-them, in blocks of cells with about as many marks. Every operation of a block is on arrays that stay
-in a core's nearest cache.
+them, in blocks of cells with about as many marks, which stay in a core's nearest cache.
 """
 
 import math
@@ -133,9 +132,8 @@ clear_chance.defvjp(_forward, _backward)
 
 
 class _Rows(NamedTuple):
-    """A block of R cells of G columns: the ``number`` of each among frames × cells, what a sensor's
-    lines are read as, and the ``slope`` of a sum of how clear they are in the sensor's place, with
-    weights that are multiplied by it."""
+    """A block of R cells of G columns: the ``number`` of each among frames × cells, what lines are
+    read as, and the ``slope`` of their weighted sum, with weights times how clear they are."""
 
     number: Int[Array, " R"]
     read: Callable[[Float[Array, "3"]], tuple[Float[Array, "Z R G"], UInt[Array, "W R"]]]
@@ -305,8 +303,7 @@ def _most_first(count: Int[Array, " N"]) -> Int[Array, " N"]:
 
 
 class InPlan(NamedTuple):
-    """The chance that a line meets a prism in plan, and its derivatives by the cut's margins where
-    it is not 0."""
+    """The chance that a line meets a prism in plan, and its derivatives by the cut's margins."""
 
     met: Float[Array, "*n"]
     by_left: Float[Array, "*n"]
@@ -315,8 +312,7 @@ class InPlan(NamedTuple):
 
 
 def _in_plan(cut: SightCut, width: Width) -> InPlan:
-    """A line meets a prism if it passes neither to the left nor to the right, which exclude each
-    other, and the prism is ahead."""
+    """A line meets a prism ahead if it passes neither to the left nor to the right of it."""
     left, right = cut.left + SEAM, cut.right + SEAM
     sides = jnp.maximum(step(left, width) + step(right, width) - 1.0, 0.0)
     ahead = step(cut.ahead, width)
@@ -352,13 +348,11 @@ def _at_level(
     A line is lowest in the prism where it leaves it if it falls, and where it enters if it rises;
     which of them decides is told by the line that touches the top, so that nothing jumps where the
     sensor passes a voxel's height. At a share τ of the line from the voxel its height is
-    z + (sz − z)·τ, and it moves by τ where the sensor moves by 1; close to the column that is taken
-    to be NO_LEVER.
+    z + (sz − z)·τ, and it moves by τ where the sensor moves by 1; by NO_LEVER at least.
     """
 
     def rises(height: Array, at: Array) -> tuple[Array, Array, Array]:
-        """How far the sensor has to rise for the line to pass ``height`` at τ, and the derivatives
-        in τ and in the sensor's height."""
+        """The rise for the line to pass ``height`` at τ; its derivatives in τ and sensor height."""
         lever = 1.0 / jnp.maximum(at, NO_LEVER)
         need = (height - z - (sz - z) * at) * lever
         by_at = jnp.where(at > NO_LEVER, need, 0.0) + sz - z

@@ -50,8 +50,7 @@ def past_statics_masks(
 ) -> UInt[Array, "N C"]:
     """Masks of the voxels of N tiles that neither bodies nor the ground hide from a sensor.
 
-    ``views`` are masks of what the sensor has in view; a tile of which it has nothing is left out,
-    and has no such voxels.
+    ``views`` are masks of what the sensor has in view; in a tile of which it has nothing are none.
     """
     hide = [_behind_bodies(sensor, statics.bodies)] if statics.bodies is not None else []
     hide += [_behind_ground(sensor, statics.ground)] if statics.ground is not None else []
@@ -161,8 +160,7 @@ past_statics_of_sensor = jax.jit(past_statics_masks)
 def past_statics_chance(
     sensor: Float[Array, "3"], statics: Statics, tile: Tile, width: Width
 ) -> Float[Array, "Z C"]:
-    """The chance that bodies and the ground leave the sight line from a sensor to each voxel of a
-    tile clear.
+    """The chance that bodies and the ground leave a sensor's line to each voxel of a tile clear.
 
     It is ∏ (1 − p·(1 − transmittance)) over all prisms, with p the product of the margins of a cut
     read with ``width`` [m], and of the ground, whose margin is how far the sensor is too low. What

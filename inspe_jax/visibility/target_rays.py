@@ -61,8 +61,7 @@ def share_between_sides(
     """How much of upright faces, square on in plan, is between the sides of the field of view.
 
     ``to`` are their middles from the sensor, ``width`` and ``tall`` their sizes [m]. A side is a
-    plane through the sensor; it cuts a face as though all of it were spread evenly along the
-    plane's normal.
+    plane through the sensor; a face is taken as spread evenly along the plane's normal.
     """
     if rays.wraps:
         return jnp.ones((len(width), len(to[0])), to[0].dtype)
@@ -87,8 +86,7 @@ def _face_axes(transform: RigidTransform, to: Point) -> tuple[Point, Point, Poin
 
 
 def _shift_inside(rays: Rays, transform: RigidTransform, to: Point) -> Float[Array, " C"]:
-    """How far faces must go aside [m], at most :data:`ASIDE`, to have their middles between the
-    sides of the field of view."""
+    """How far faces go aside [m], to :data:`ASIDE`, to have their middles between the sides."""
     q, aside, _ = _face_axes(transform, to)
     found, out = [], []
     for k, sign in enumerate((1.0, -1.0)):
@@ -101,27 +99,16 @@ def _shift_inside(rays: Rays, transform: RigidTransform, to: Point) -> Float[Arr
     return jnp.where(rays.table.wide, either, jnp.clip(found[0] + found[1], -ASIDE, ASIDE))
 
 
-@jax.jit
-def picture_scale(
-    rays: Rays, transform: RigidTransform, points: Float[Array, "N 3"]
-) -> Float[Array, " N"]:
-    """How far a metre across a target at each point is in the picture [1/m].
-
-    The metre is level, and square on to the line of sight in plan. In a camera's tangents it is
-    1 / depth along the optical axis in the middle of the picture, and more towards its sides; times
-    the focal length in pixels, it is pixels per metre. It is 0 where the point is outside of the
-    field of view or the reach.
-    """
-    to = points - transform.position[None]
-    scale, margin = scale_at(rays, transform, (to[:, 0], to[:, 1], to[:, 2]))
-    return jnp.where(margin > 0, scale, 0.0)
-
-
 def scale_at(
     rays: Rays, transform: RigidTransform, to: Point
 ) -> tuple[Float[Array, "*n"], Float[Array, "*n"]]:
-    """:func:`picture_scale` [1/m] of points ``to`` from the sensor, also outside of the picture;
-    and how deep they lie in the field of view [m]."""
+    """How long a metre across a target is in a picture [1/m], and its depth in the field [m].
+
+    Targets are at points ``to`` from the sensor, also outside of the picture. The metre is level,
+    and square on to the line of sight in plan. In a camera's tangents it is 1 / depth along the
+    optical axis in the middle of the picture, and more towards its sides; times the focal length in
+    pixels, it is pixels per metre.
+    """
     plan = jnp.sqrt(jnp.maximum(to[0] ** 2 + to[1] ** 2, _LEAST))
     q = to_body(transform.to_world, to)
     aside = to_body(transform.to_world, (-to[1] / plan, to[0] / plan, jnp.zeros_like(plan)))

@@ -25,11 +25,9 @@ COLUMNS = (96, 320)
 CELL = 8
 """Columns of a cell: a tile is read softly cell by cell."""
 CHUNKS = 8
-"""Most chunks that the tiles are divided into. The number of tiles is a multiple of it, so that
-chunks have equal size."""
+"""Most chunks that the tiles are divided into. The number of tiles is a multiple of it."""
 WIDE = 512
-"""Up to so many tiles three of four may be padding; padding beyond would take gigabytes of
-masks."""
+"""Up to so many tiles three of four may be padding: of more, masks would take gigabytes."""
 CLOSE = 1e-2
 """Tests of whole tiles are wider by this [m], which is more than the error of single precision."""
 CORE = 30.0
@@ -69,8 +67,7 @@ class Tiles:
 
     Where there are more levels, the columns are cut into slabs of levels. The tiles of the lowest
     slab come first. ``place`` is the number of each of the scene's columns among the columns of a
-    slab's tiles; None where it is not needed. ``gaps``: some voxels are inside a static body, and
-    so are not there.
+    slab's tiles; None where it is not needed. ``gaps``: voxels inside static bodies are not there.
     """
 
     tile: Tile
@@ -120,8 +117,7 @@ class Tiles:
 def tiles_of(scene: CenteredScene, cell: int = CELL) -> Tiles:
     """The columns in tiles of nearly equal size, by halving along the longer side.
 
-    Tiles end in padding, which repeats a column. Some tiles are padding only: scenes of similar
-    size have arrays of one shape.
+    Tiles end in padding, which repeats a column; some are padding only, for arrays of one shape.
     """
     columns, heights = np.asarray(scene.columns), np.asarray(scene.heights)
     few = -(-len(columns) // CHUNKS)

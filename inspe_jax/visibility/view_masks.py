@@ -74,8 +74,7 @@ def _by_nearest_ray(
     from the sensor through p meets the cube: the separating axes are the cross products of the line
     with the cube's three. Three conditions make this sure: |p − q| is at most |q|/2, the sensor is
     further than an edge from q, and the whole cube is within the reach. The voxel is not in view if
-    it lies between two rows or two columns, or so far outside the field of view that no corner is
-    inside.
+    it lies between two rows or two columns, or has no corner in the field of view.
     """
     q = to_body(to_world, offset)
     to, slack = rays.to_ray(q)

@@ -5,12 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from inspe_jax.placement.candidates import (
-    FRAMES,
-    lattice,
-    poses,
-    set_heights,
-)
+from inspe_jax.placement.candidates import FRAMES, lattice, poses, set_heights
 from inspe_jax.placement.problem import Problem
 from inspe_jax.placement.sample_score import Rows, SampleScore
 from inspe_jax.sensing.layout import UNIT_HEIGHT

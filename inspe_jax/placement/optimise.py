@@ -4,11 +4,11 @@ import os
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
 from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
 
 from inspe_jax.core.digest import digest
 from inspe_jax.core.errors import InspeError, check_known, or_usual, wrong_kind
@@ -147,22 +147,14 @@ def compare(
     rows = check_search(names, objective, start, several)
     seconds = _seconds(seconds, evaluations)
     problem = Problem(cases_of(scene, conditions), layout, objective, constraints)
+    search = partial(_search, problem, start=start, seconds=seconds, evaluations=evaluations)
     results: list[Result] = []
     try:
-        for row in rows:
-            for seed in several:
-                result = _search(
-                    problem,
-                    row,
-                    seed,
-                    start,
-                    seconds=seconds,
-                    evaluations=evaluations,
-                    progress=None if progress is None else partial(progress, row.name, seed),
-                )
-                results.append(result)
-                if result.status == "interrupted":
-                    return results
+        for row, seed in product(rows, several):
+            notify = None if progress is None else partial(progress, row.name, seed)
+            results.append(search(row, seed, progress=notify))
+            if results[-1].status == "interrupted":
+                break
     except KeyboardInterrupt:
         if not results:
             raise
@@ -181,7 +173,11 @@ def _search(
     **options: Any,
 ) -> Result:
     """A search from a start; ``options`` are those of :class:`Run`."""
-    x, notes = _start(problem, start, seed)
+    space, notes = problem.space, tuple[str, ...]()
+    if start == "random":
+        x = space.random(np.random.default_rng([seed, 11]), 1)[0]
+    else:
+        x, notes = space.start(problem.layout if isinstance(start, str) else start)
     run = Run(problem, x, seed=seed, **options)
     run.notes += notes
     writer = None
@@ -369,12 +365,3 @@ def check_search(
     elif not isinstance(start, Layout):
         raise wrong_kind("start", start, f"a Layout, or one of {', '.join(STARTS)}")
     return rows
-
-
-def _start(
-    problem: Problem, start: str | Layout, seed: int
-) -> tuple[Float[np.ndarray, " N"], tuple[str, ...]]:
-    """Feasible coordinates to begin at, and notes on what was moved to make them feasible."""
-    if start == "random":
-        return problem.space.random(np.random.default_rng([seed, 11]), 1)[0], ()
-    return problem.space.start(problem.layout if isinstance(start, str) else start)

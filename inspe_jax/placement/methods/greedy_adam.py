@@ -41,9 +41,6 @@ NARROW = 0.1
 TRIES, GENERATIONS = 8, 8
 """Moves of each unit that are tried at once, and how often for each sensor."""
 
-ONE_LINE = np.zeros(1, int)
-"""The line of a single layout."""
-
 
 @dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
 class LocalSearch:
@@ -172,7 +169,7 @@ def _bursts(
     problem, x = run.problem, state.x
     count, softness, rate = state.count, state.softness, state.rate
     while _bursts_fit(run):
-        start = charted(problem, x[None], ONE_LINE, count)
+        start = charted(problem, x[None], np.zeros(1, int), count)
         after = advance(run, start, lambda: (softness, rate), BURST)
         count, new = after.count, layouts(problem, after)[0]
         charge(run, sampled, len(problem.layout))

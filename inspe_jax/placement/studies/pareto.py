@@ -5,14 +5,14 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from math import prod
-from typing import Any
+from typing import TypedDict, Unpack
 
 from inspe_jax.core.errors import InspeError, nearest, or_usual
 from inspe_jax.core.files import csv_text, prepare_folder, write_text
 from inspe_jax.mounting.mixes import mix_name, starting_layout
 from inspe_jax.placement.constraints import Constraints
 from inspe_jax.placement.objective import Objective, total_price
-from inspe_jax.placement.optimise import DEFAULT_METHOD, optimise
+from inspe_jax.placement.optimise import optimise
 from inspe_jax.placement.problem import AnyScene, cases_of
 from inspe_jax.placement.result import Result
 from inspe_jax.scoring.metrics import listed_in
@@ -22,6 +22,20 @@ from inspe_jax.sensing.layout import save_layout
 MOST = 200
 """Largest number of mixes that are searched."""
 _ADVICE = f"at most {MOST} are searched; allow fewer counts, such as 0, 4 and 8"
+
+MixProgress = Callable[[Mapping[str, int], float, float], None]
+"""It is called with a mix, the fraction of all work that is done, and the mix's best score."""
+
+
+class SearchOptions(TypedDict, total=False):
+    """Options of each mix's search, as in :func:`~inspe_jax.placement.optimise.optimise`."""
+
+    method: str
+    seconds: float | None
+    evaluations: float | None
+    seed: int
+    objective: Objective | None
+    constraints: Constraints | None
 
 
 @dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
@@ -90,41 +104,24 @@ def pareto(
     scene: AnyScene | Sequence[AnyScene],
     counts: Mapping[str, Sequence[int]],
     *,
-    method: str = DEFAULT_METHOD,
-    seconds: float | None = None,
-    evaluations: float | None = None,
-    seed: int = 0,
-    objective: Objective | None = None,
-    constraints: Constraints | None = None,
-    progress: Callable[[Mapping[str, int], float, float], None] | None = None,
+    progress: MixProgress | None = None,
     conditions: Conditions | str | None = None,
+    **options: Unpack[SearchOptions],
 ) -> list[DeviceMix]:
     """Search for the best layout of every mix of devices; returns the mixes, cheapest first.
 
     ``scene``, ``conditions``: as in :func:`~inspe_jax.placement.optimise.optimise`.
     ``counts``: the numbers of each device to try, such as ``{"hesai-xt32": range(5)}``.
-    ``method``, ``seconds``, ``evaluations``, ``seed``: of each mix's search, as in
-    :func:`~inspe_jax.placement.optimise.optimise`; compiling does not count as part of the budget.
-    ``objective``: mixes that cost more than its ``budget`` are left out; its ``prices`` replace
-    those of the catalogue; with ``failures`` a mix has at least two sensors.
-    ``progress``: called with (mix, fraction of all work that is done, best score of the mix).
+    ``options``: of each mix's search, see :class:`SearchOptions`. Mixes that cost more than the
+    objective's ``budget`` are left out; its ``prices`` replace those of the catalogue; with its
+    ``failures`` a mix has at least two sensors.
 
     Ctrl-C ends with the mixes so far; the last one has the best layout up to then. Raises
     InspeError, before the first search, if a device is unknown or has no price, a number is not
     valid, the place has too few posts, or no mix is left.
     """
-    found = searched(
-        device_mixes(counts, objective),
-        scene,
-        conditions,
-        progress,
-        method=method,
-        seconds=seconds,
-        evaluations=evaluations,
-        seed=seed,
-        objective=objective,
-        constraints=constraints,
-    )
+    wanted = device_mixes(counts, options.get("objective"))
+    found = searched(wanted, scene, conditions, progress, float("inf"), **options)
     return [replace(mix, front=_on_front(mix, found)) for mix in found]
 
 
@@ -133,14 +130,9 @@ def cheapest(
     counts: Mapping[str, Sequence[int]],
     target: float,
     *,
-    method: str = DEFAULT_METHOD,
-    seconds: float | None = None,
-    evaluations: float | None = None,
-    seed: int = 0,
-    objective: Objective | None = None,
-    constraints: Constraints | None = None,
-    progress: Callable[[Mapping[str, int], float, float], None] | None = None,
+    progress: MixProgress | None = None,
     conditions: Conditions | str | None = None,
+    **options: Unpack[SearchOptions],
 ) -> Cheapest:
     """Search for the cheapest mix of devices whose objective is at least ``target``.
 
@@ -152,21 +144,10 @@ def cheapest(
     could be so high.
     """
     check_target(target)
-    objective = objective or Objective(weights={"detectability": 1.0})
+    objective = options.get("objective") or Objective(weights={"detectability": 1.0})
     wanted = device_mixes(counts, objective)
-    found = searched(
-        wanted,
-        scene,
-        conditions,
-        progress,
-        target,
-        method=method,
-        seconds=seconds,
-        evaluations=evaluations,
-        seed=seed,
-        objective=objective,
-        constraints=constraints,
-    )
+    options["objective"] = objective
+    found = searched(wanted, scene, conditions, progress, target, **options)
     return Cheapest(target, tuple(found), len(wanted))
 
 
@@ -180,15 +161,16 @@ def searched(
     wanted: Sequence[tuple[float, dict[str, int]]],
     scene: AnyScene | Sequence[AnyScene],
     conditions: Conditions | str | None,
-    progress: Callable[[Mapping[str, int], float, float], None] | None,
+    progress: MixProgress | None,
     target: float = float("inf"),
-    **options: Any,
+    **options: Unpack[SearchOptions],
 ) -> list[DeviceMix]:
     """The mixes ``wanted``, searched one after another until one has an objective of ``target``.
 
-    ``options`` are those of :func:`~inspe_jax.placement.optimise.optimise`. Ctrl-C ends with the
-    mixes so far.
+    Ctrl-C ends with the mixes so far. Raises TypeError where an option is of no search of mixes.
     """
+    if others := set(options) - set(SearchOptions.__annotations__):
+        raise TypeError(f"unexpected options of a search of mixes: {', '.join(sorted(others))}")
     cases = cases_of(scene, conditions)
     starts = [starting_layout(cases[0].scene, row) for _, row in wanted]
     found: list[DeviceMix] = []

@@ -44,11 +44,11 @@ _SAMPLE_COST = (0.05, 0.3, 1.9)
 the columns and of the frames that are in the sample. Measured on two cores, with 8 cameras, 4
 LiDARs and both, on 150,000 voxels and 100 frames: 0.04 to 0.21."""
 
-GRADIENT_COST = (30.0, 5.2e3, 49.0e3)
+GRADIENT_COST = (14.0, 3.6e3, 22.6e3)
 """The cost of a gradient in hard scores of the same sample is a·(n + b)/(n + c), with n
-columns·frames. On 384 × 3, 768 × 6 and 2048 × 8 columns × frames it gives 3.8, 5.5 and 9.9.
-`experiments/benchmark_speed.py` measures it on two cores: 3.3, 5.6 and 8.3 with eight cameras, and
-up to a fifth more with four LiDARs."""
+columns·frames. On 384 × 3, 768 × 6 and 2048 × 8 columns × frames it gives 2.8, 4.2 and 7.2.
+`experiments/benchmark_speed.py` measures it on two cores: 2.7, 3.4 and 6.1 with eight cameras, 2.7,
+4.3 and 6.5 with four LiDARs, 2.8, 4.6 and 7.6 with both."""
 
 AnyScene = Scene | Case | str
 """A scene as users give it: as such, in conditions, or by name."""

@@ -1,5 +1,6 @@
 """The command line as a stranger meets it: what it prints, what it writes, how it fails."""
 
+import inspect
 import json
 import os
 import re
@@ -31,7 +32,7 @@ from inspe_jax.core.files import read_csv, write_text
 from inspe_jax.core.tables import table_of
 from inspe_jax.core.words import visible
 from inspe_jax.placement.result import FILES
-from inspe_jax.placement.studies.tolerance import Slopes, Tolerance
+from inspe_jax.placement.studies.tolerance import Slopes, Tolerance, tolerance
 from inspe_jax.scene.scene import load_scene, save_scene
 
 LAYOUT = """
@@ -225,6 +226,7 @@ def test_pareto_finds_what_is_worth_its_money(done, files):
 
 def test_tolerance_prints_and_writes_the_same(done, files, monkeypatch):
     def found(case, layout, *, objective, progress, **errors):
+        inspect.signature(tolerance).bind(case, layout, objective=objective, **errors)
         asked.append(errors)
         slopes = (Slopes(layout.sensors[0].name, 0.01, 0.0, -0.02, 0.1, 0.3),)
         settings = dict(position=0.2, angle_deg=2.0, samples=3, **case.conditions.record)
@@ -335,6 +337,8 @@ BAD = [
     (("optimise", "s.npz", "layout.yaml", "--failures"), "at least two units, it has one"),
     (("pareto", "s.npz", "--device", "hesai-xt32"), "--device hesai-xt32: write DEVICE:COUNTS"),
     (("pareto", "s.npz", "--device", "hesai-xt32:0-2"), "--price hesai-xt32=USD"),
+    (("pareto", "s.npz", "--device", "hesai-xt32:2-0"), "DEVICE:COUNTS"),
+    (("scene", "four_way", "--out", "s2.txt"), "must end in .npz"),
     (("pareto", "s.npz", "--device", "a:1", "--device", "a:2"), "a is given twice"),
     (("pareto", "s.npz", "--price", "hesai-xt32"), "DEVICE=USD, such as"),
     (("report", "nosuch", "--out", "report.pdf"), "report.pdf: the name must end in .html"),
@@ -687,13 +691,14 @@ def test_ctrl_c_that_a_callback_swallows_comes_again(monkeypatch):
         signal.signal(signal.SIGINT, before)
 
 
-def test_a_device_that_is_not_there_is_told_in_a_line(inspe, monkeypatch):
+@pytest.mark.parametrize("wrong", [AssertionError, RuntimeError])
+def test_a_device_that_is_not_there_is_told_in_a_line(inspe, monkeypatch, wrong):
     def fail(*_, **__):
-        raise AssertionError
+        raise wrong
 
     monkeypatch.setenv("JAX_PLATFORMS", "cuda")
     monkeypatch.setattr("inspe_jax.report.tables.scores_of", fail)
-    with pytest.raises(AssertionError):  # with devices it is this package's
+    with pytest.raises(wrong):  # with devices it is this package's
         inspe("score", "s.npz", "layout.yaml")
     monkeypatch.setattr(jax, "devices", fail)
     status, _, error = inspe("score", "s.npz", "layout.yaml")

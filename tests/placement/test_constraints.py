@@ -159,14 +159,6 @@ def test_candidate_feet():
     assert np.hypot(*(stays - units[3].base[:2]).T).max() < 2e-3
 
 
-def test_what_a_unit_of_one_sensor_cannot_change_has_no_scale():
-    space = space_of(layout="L-d2")
-    assert space.size == 5 * 2 + 5 * 2
-    frozen = [name for name, at in space.index._asdict().items() if not space.scale[at].any()]
-    assert frozen == ["offset", "rise"]
-    np.testing.assert_array_equal(space.index.flat(), np.arange(space.size))
-
-
 # ── Violations and messages ─────────────────────────────────────────────────
 
 HEIGHTS = "m above the ground, not 3 to 12 m"

@@ -25,7 +25,6 @@ from inspe_jax.report.tables import (
     before_after_table,
     comparison_table,
     moves_table,
-    pareto_table,
 )
 from inspe_jax.scoring.evaluate import ManyScores, evaluate
 
@@ -253,9 +252,3 @@ def test_one_mix_is_a_figure_too(found):
     assert ax.lines[1].get_data()[0].tolist() == [0.0]
     with pytest.raises(InspeError, match="no mix"):
         pareto_view([])
-
-
-def test_the_table_has_a_row_a_mix(found):
-    rows = [line for line in printed(pareto_table(found)).splitlines() if "device" in line]
-    assert [("front" in row) for row in rows] == [True, False, True]
-    assert "0.6000" in rows[2]

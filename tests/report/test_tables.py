@@ -26,7 +26,7 @@ from inspe_jax.report.tables import scores_record, scores_table, sweep_table
 from inspe_jax.scene.maps.road_map import JunctionInfo
 from inspe_jax.scene.profiles import profiles
 from inspe_jax.scoring.evaluate import Contribution, Scores
-from inspe_jax.sensing.catalogue import Device, devices
+from inspe_jax.sensing.catalogue import devices
 from inspe_jax.sensing.layout import Sensor, Unit, make_layout
 
 METRICS = ("coverage", "occlusion", "information_gain", "surrogate")
@@ -172,19 +172,6 @@ def test_a_layout_for_people(layout):
     tilted = shown(layout_table(layout.with_poses(poses)))
     assert "roll" in tilted
     assert row(tilted, "1", "cam", "a")[-2:] == ["-15.5", "-3.0"]
-
-
-def test_devices_for_people():
-    mine = {
-        "cam": Device("cam", "camera", "A camera", "Maker [x]", CAMERA, 1234.0, "page 3", ""),
-        "lid": Device("lid", "lidar", "A LiDAR", "Someone", LIDAR, None, "page 4", ""),
-    }
-    # 100° across; 2·arctan(300/f) high with f = 400/tan 50°; ⌊0.1·800⌋ × ⌊0.1·600⌋ rays.
-    high = math.degrees(2 * math.atan(300 * math.tan(math.radians(50)) / 400))
-    lines = [" ".join(line.split()) for line in shown(devices_table(mine)).splitlines()]
-    assert f"cam camera 800 × 600 100° × {high:.0f}° 30 4,800 1,234" in lines
-    assert "lid lidar 32 360° × 27° 50 57,600 –" in lines
-    assert "lid: page 4." in lines
 
 
 # ── Narrow terminals ────────────────────────────────────────────────────────

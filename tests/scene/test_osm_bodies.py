@@ -87,6 +87,9 @@ def test_heights_and_where_no_body_is(path, bodies):
     ):  # fmt: skip
         (one,) = at(path, bodies, point)
         assert (one.kind, one.base, one.height) == ("building", base, pytest.approx(height))
+    (house,) = at(path, bodies, (16, 15))
+    corners = world(path, box(10, 10, 22, 20))  # degrees are written to 0.1 mm
+    assert house.polygon.symmetric_difference(Polygon(corners)).area < 44 * 1e-4
     # In the courtyard, over what is underground or gone, on the road, and far away.
     for point in ((-26, -26), (-27, 25), (-27, 33), (0, 42), (505, 505)):
         assert at(path, bodies, point) == []
@@ -251,6 +254,8 @@ def test_outlines_that_the_extract_cuts_are_closed_or_left_out(tmp_path):
     place = read_map(path, junction=info.id, radius=40)
     assert sorted(b.height for b in place.bodies) == [4, 7]
     assert any("are not closed: 4, left out" in note for note in place.notes)
+    size = dict(radius=40, voxel=2.0, density=10, frames=5)
+    assert build_scene(place, traffic="sumo", **size).traffic.mean_count > 3
 
 
 @pytest.mark.parametrize("seed", range(2))

@@ -185,6 +185,15 @@ TOWN = {"parked vehicle": 15, "tree": 12, "pole": 8, "furniture": 5}
 """At least so many of each kind stand at every built-in where people walk."""
 
 
+def test_street_bodies_on_a_town_map(maps):
+    from inspe_jax.scene.maps.registry import read_map
+
+    place = read_map(maps / "Town10HD.xodr", junction=189, radius=RADIUS)
+    bodies = street_bodies(place, RADIUS)
+    check(place, bodies)
+    assert len(bodies) > 50
+
+
 def check(place, bodies):
     """Nothing is on a lane, a footpath, a crosswalk or near a pole, nor in another body."""
     lanes = lanes_of(place)

@@ -32,7 +32,6 @@ from inspe_jax.scoring.sensor_array import SensorSet, sensor_array
 from inspe_jax.scoring.tiled_scene import SceneArrays
 from inspe_jax.visibility import bitmask
 from inspe_jax.visibility.centered_scene import CenteredScene, about_center, poses_about_center
-from inspe_jax.visibility.tiles import tiles_of
 
 SPECS = [LIDAR, CAMERA, CAMERA, LIDAR]
 
@@ -188,22 +187,3 @@ def test_occupancy_is_the_share_of_frames_in_which_a_voxel_is_in_a_vehicle(voxel
     share = np.mean([solid_voxels(scene, k) for k in range(scene.traffic.frame_count)], 0)
     assert 0.01 < ((share > 0) & (share < 1)).mean() < 0.5
     np.testing.assert_allclose(made.tiled_scene_of(scene).voxel_occupancy, share % 1, atol=1e-6)
-
-
-@pytest.mark.parametrize("voxel", [TALL["voxel"], 0.5, 2.0])
-def test_tiles_hold_every_voxel_once(voxel):
-    scene = world(voxel=voxel, radius=10.0, slope=0.1)
-    ground, tiles = about_center(scene), tiles_of(about_center(scene))
-    assert tiles.by_voxel(tiles.tile.there).all()
-    assert np.unpackbits(np.asarray(tiles.tile.there).view(np.uint8)).sum() == scene.voxels.count
-    numbers = len(tiles.tile.there)
-    assert numbers % 8 == 0
-    # Each within its bounds, and in the place that is said.
-    place = np.asarray(tiles.place)
-    xy = np.asarray(tiles.tile.columns).swapaxes(1, 2)[: numbers // tiles.slabs]
-    np.testing.assert_array_equal(xy.reshape(-1, 2)[place], ground.columns)
-    away = np.hypot(*(xy - np.asarray(tiles.tile.center)[: len(xy), None]).transpose(2, 0, 1))
-    assert (away <= np.asarray(tiles.tile.radius)[: len(xy), None]).all()
-    z = np.asarray(tiles.tile.heights)
-    np.testing.assert_array_equal(z.min((1, 2)), tiles.tile.low)
-    np.testing.assert_array_equal(z.max((1, 2)), tiles.tile.high)

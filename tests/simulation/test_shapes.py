@@ -56,13 +56,6 @@ def test_only_outsides_are_visible(kind, name):
     assert inside.sum() <= (3 if kind in ALIKE else 0.002 * met.sum())
 
 
-def test_a_phase_goes_round_and_vehicles_have_none():
-    turn = "bicycle.upright"
-    assert shape_of(turn, 1.25) is shape_of(turn, 0.25)
-    assert shape_of(turn, 0.25) is not shape_of(turn, 0.5)
-    assert [moves(name) for name in ("car.micro", "truck.light_box", "walker.standing")] == [0] * 3
-
-
 def test_every_class_has_shapes_and_every_part_is_used_and_painted():
     assert tuple(VARIANTS) == CLASSES
     used = {PARTS[p] for _, name in EVERY for p in shape_of(name).part}
@@ -98,5 +91,3 @@ def test_unknown_shapes():
         fitting("tram", (9, 2, 3))
     with pytest.raises(InspeError, match=r"shape 'car\.jeep': one of car\.micro"):
         shape_of("car.jeep")
-    with pytest.raises(InspeError, match="class 'tram'"):
-        paint("tram", np.random.default_rng(0))

@@ -231,6 +231,18 @@ def test_a_real_block_agrees_with_embree(hilly):
     assert (open_ & ~ours).mean() > 0.05
 
 
+def test_a_raised_junction_of_a_town_agrees_with_embree(maps):
+    """On the ground of a real map, from sensors near it, where it hides most."""
+    from inspe_jax.scene.maps.registry import read_map
+
+    place = read_map(maps / "Town03.xodr", junction="222", radius=40.0)
+    size = dict(radius=40, voxel=1.0, frames=1, density="none")
+    scene = inspe_jax.build_scene(place, **size, terrain="ground")
+    layout = sensors_in(scene, 8)
+    ours, embree = (of(scene, layout, 0) for of in (line_of_sight, embree_line_of_sight))
+    assert (ours != embree).mean() <= 1e-4
+
+
 def test_a_guard_rail_is_an_obstacle_without_code_of_its_own():
     """It hides what lies behind it where the line is below its 1 m: by similar triangles, with the
     soft reading as its limit, and with more to see for a higher sensor."""
@@ -434,5 +446,6 @@ def test_gradients_are_differences(case):
             ]
             differences = (np.array(ends[:3]) - ends[3:]) / 2e-5
             assert slope == pytest.approx(differences, **within)
+            assert np.abs(slope).max() > 1e-2
             total += np.abs(slope).sum()
     assert total > 1.0

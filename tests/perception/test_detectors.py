@@ -63,7 +63,7 @@ def test_every_detector_takes_what_the_loader_gives(cached, name):
 def test_a_detector_heeds_no_order_and_learns_everywhere(cached, name, monkeypatch):
     """One map and all scales, of LiDARs and of both; other parts by themselves are in
     ``test_parts``. Two scales are compiled sooner than three."""
-    monkeypatch.setattr(encoders, "WIDTHS", (8, 12, 16))
+    monkeypatch.setattr(encoders, "WIDTHS", (8, 16, 24))
     monkeypatch.setattr(detectors, "CHANNELS", 16)
     given, targets = inputs(cached, name)
     detector = eqx.filter_jit(Detector)(model_of(name), agents_of(cached), GRID, jax.random.key(0))

@@ -446,6 +446,5 @@ def test_gradients_are_differences(case):
             ]
             differences = (np.array(ends[:3]) - ends[3:]) / 2e-5
             assert slope == pytest.approx(differences, **within)
-            assert np.abs(slope).max() > 1e-2
             total += np.abs(slope).sum()
     assert total > 1.0

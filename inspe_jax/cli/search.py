@@ -267,7 +267,9 @@ def _find_cheapest(
         )
     common.out.print(cheapest_table(found))
     best = found.best
-    words = f"{best.name} reaches {target:g}, none of the mixes before it, which cost no more"
+    words = f"{best.name} reaches {target:g}"
+    if len(found.searched) > 1:
+        words += ", and no mix before it, which cost no more"
     if found.found is None:
         words = f"none reaches {target:g}; the best is {best.name}"
     common.out.print(f"{words}; {len(found.searched)} of {found.total} mixes were searched")

@@ -122,19 +122,24 @@ class Numbers:
         self, row: SensorRow, tile: Tile, frames: Frames, options: SightOptions
     ) -> tuple[Float[Array, "Z F C"], Float[Array, "Z F C"], list[SightsRead]]:
         """The chance that each voxel is in line of sight: once as occlusion counts it, and once as
-        information gain does; and what was read for it, which is in ``shadows`` the next time."""
-        sensor, shadows, view = row
+        information gain does. The third result is what was read for them; given in the place of
+        shadows, it is not read again."""
+        sensor, known, view = row
         width, fixed = self.softness.shadow, jax.lax.stop_gradient(sensor)
+        prisms = outlines(frames.prisms)
+        marked: Any = None
+        if known is None:
+            marked = self._marked(fixed, view, tile, frames, options)
+
+        def look(spared: Any, known: SightsRead | None) -> tuple[Array, SightsRead]:
+            marks = marked if known is None else known.sloped
+            sights = Sights(prisms, marks, tile.columns, tile.heights, width, spared)
+            read = read_sights(fixed, sights, known)
+            return clear_chance(sensor, sights, read), read if self.keeps else packed(read)
+
         own = self.solid(frames, len(tile.heights)) > 0 if options.spares else None
-        apart = options.spares and options.sight == "line_of_sight"
-        marked = self._marked(fixed, view, tile, frames, options) if shadows is None else None
-        found = []
-        for k, spared in enumerate((own, None)[: 1 + apart]):
-            marks = shadows[k].sloped if marked is None else marked
-            at = outlines(frames.prisms), marks, tile.columns, tile.heights, width
-            sights = Sights(*at, spared)
-            read = read_sights(fixed, sights, None if shadows is None else shadows[k])
-            found.append((clear_chance(sensor, sights, read), read if self.keeps else packed(read)))
+        whole = [own, None] if options.spares and options.sight == "line_of_sight" else [own]
+        found = [look(*each) for each in zip(whole, known or [None] * len(whole), strict=True)]
         return found[0][0], found[-1][0], [read for _, read in found]
 
     def _marked(

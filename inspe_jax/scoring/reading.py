@@ -73,7 +73,8 @@ class SightOptions(NamedTuple):
 
 
 SensorRow = tuple[Float[Array, "3"], Any, Any]
-"""One sensor: its position, what its shadows need, and the set that it has in view."""
+"""One sensor: its position, what its shadows need or what was read of its sight lines before, and
+the set that it has in view."""
 SeeFrom = Callable[..., tuple[Any, Any, Any]]
 """Gives, for one sensor and what else is given, the set that it sees in each frame, the number of
 frames in which each voxel is in line of sight, or None, and what a gradient needs, or None."""

@@ -73,12 +73,13 @@ def read_sights(
     """The chance that prisms leave the line from a sensor to each voxel clear, in each frame.
 
     ``solid``: all prisms stand on the ground and let no light through. ``known`` is what was read
-    before: where it is packed, only the prisms that have a slope are looked at again.
+    before: where it is packed, the marked prisms, which need be those that have a slope only, are
+    looked at again.
     """
     if known is not None:
         if known.clear.ndim == 3:
             return known
-        clear, _ = read_sights(sensor, of._replace(marked=known.sloped), None, solid)
+        clear, _ = read_sights(sensor, of, None, solid)
         return known._replace(clear=clear * bitmask.chances(known.clear, len(clear)))
     words, frames, cells = of.marked.shape
     clear = jnp.ones((len(of.heights), frames * cells, of.columns.shape[1] // cells))

@@ -35,9 +35,10 @@ def test_jobs_are_done_in_turn_and_only_the_newest_of_a_key():
     for k in range(5):
         queue.submit(lambda k=k: done.append(("drag", k)), key="drag")
     queue.submit(lambda: done.append("end"))
+    queue.submit(lambda: done.append("soon"), key="soon", first=True)
     go.set()
     queue.close()
-    assert done == [("drag", 4), "end"]
+    assert done == ["soon", ("drag", 4), "end"]
 
 
 def test_of_a_browser_only_the_newest_wait_and_the_end_comes_soon(monkeypatch):

@@ -43,6 +43,13 @@ class Claims:
             check_writable(Path(path).parent)
             self._claim([Path(path)], force)
 
+    def outputs(self, plot: Path | None, record: str | None = None, *, force: bool) -> None:
+        """The same for the files of ``--plot`` and ``--json``."""
+        from inspe_jax.core.sheet import FORMATS
+
+        self.file(plot, FORMATS, force=force)
+        self.file(record, force=force)
+
     def folder(self, folder: Path, names: Iterable[str], *, force: bool) -> None:
         """The same for the files of these ``names`` in a folder, which may be new."""
         check_folder(folder)

@@ -178,16 +178,14 @@ def stats(
     Args:
         row (--csv FILE.csv): Write the data set's row of a table that compares data sets.
     """
-    from inspe_jax.core.sheet import FORMATS
     from inspe_jax.dataset.figure import statistics_view
     from inspe_jax.dataset.folders import open_dataset
     from inspe_jax.dataset.manifest import differing
     from inspe_jax.dataset.statistics import statistics, table_row
     from inspe_jax.dataset.tables import statistics_record, statistics_table
 
-    claims.file(plot, FORMATS, force=force)
+    claims.outputs(plot, record, force=force)
     claims.file(row, (".csv",), force=force)
-    claims.file(record, force=force)
     recorded = open_dataset(data)
     damaged = [fault for scenario in recorded.scenarios for fault in differing(scenario)]
     with common.progress("frames") as tell:
@@ -294,12 +292,11 @@ def show_frame(
         frame (FRAME): The number of the frame.
         scenario (NAME): The scenario, if there are several.
     """
-    from inspe_jax.core.sheet import FORMATS
     from inspe_jax.dataset.folders import open_dataset
     from inspe_jax.dataset.frame_figure import frame_view
     from inspe_jax.dataset.tables import frame_table
 
-    claims.file(plot, FORMATS, force=force)
+    claims.outputs(plot, force=force)
     chosen = open_dataset(data).scenario(scenario)
     with common.busy(f"reading frame {frame}"):
         table = frame_table(chosen, frame)

@@ -214,14 +214,12 @@ def detect(
         scenario (NAME): Its scenario; the first if not given.
         least (--score): Least score that is shown.
     """
-    from inspe_jax.core.sheet import FORMATS
     from inspe_jax.dataset import Loader
     from inspe_jax.perception import figure
     from inspe_jax.perception.evaluation import detections_table
     from inspe_jax.simulation.frame import KINDS
 
-    claims.file(plot, FORMATS, force=force)
-    claims.file(record, force=force)
+    claims.outputs(plot, record, force=force)
     training, step, loader, predictor = _ready(run, recorded, cache, split)
     name, number, index = loader.find(scenario, frame)
     batch = loader[index]

@@ -85,7 +85,6 @@ def scene(
             heights; with --terrain ground it hides what is behind it.
         save (--out FILE.npz): Save the scene.
     """
-    from inspe_jax.core.sheet import FORMATS
     from inspe_jax.report.figures import scene_view
     from inspe_jax.report.scene_tables import scene_table
     from inspe_jax.scene.maps.digital_twin import with_mesh
@@ -96,7 +95,7 @@ def scene(
         _list_places(source)
         return
     claims.file(save, SCENE_SUFFIXES, force=force)
-    claims.file(plot, FORMATS, force=force)
+    claims.outputs(plot, force=force)
     settings = options.given
     traffic = options.traffic
     path, own = Path(source), list[np.ndarray]()

@@ -42,12 +42,10 @@ def score(
 
     A layout that a search found says what it was searched for; that is scored too.
     """
-    from inspe_jax.core.sheet import FORMATS
     from inspe_jax.report.figures import plan_view
     from inspe_jax.report.tables import blind_spots_table, scores_of, scores_record, scores_table
 
-    claims.file(plot, FORMATS, force=force)
-    claims.file(record, force=force)
+    claims.outputs(plot, record, force=force)
     conditions, objective = options.conditions, options.objective()
     with common.busy(f"reading {source}"):
         world, placed = common.scene_and_layout(source, sensors, options.profile)
@@ -84,11 +82,9 @@ def targets(
     Args:
         road_user: Who stands there: car, truck, cyclist or pedestrian.
     """
-    from inspe_jax.core.sheet import FORMATS
     from inspe_jax.report.targets import targets_record, targets_table, targets_view
 
-    claims.file(plot, FORMATS, force=force)
-    claims.file(record, force=force)
+    claims.outputs(plot, record, force=force)
     conditions, curves = options.conditions, options.curves()
     check_known(road_user, CLASSES, "road user")
     with common.busy(f"reading {source}"):

@@ -180,14 +180,14 @@ def stats(
     """
     from inspe_jax.dataset.figure import statistics_view
     from inspe_jax.dataset.folders import open_dataset
-    from inspe_jax.dataset.manifest import differing
+    from inspe_jax.dataset.manifest import compare
     from inspe_jax.dataset.statistics import statistics, table_row
     from inspe_jax.dataset.tables import statistics_record, statistics_table
 
     claims.outputs(plot, record, force=force)
     claims.file(row, (".csv",), force=force)
     recorded = open_dataset(data)
-    damaged = [fault for scenario in recorded.scenarios for fault in differing(scenario)]
+    damaged = [fault for scenario in recorded.scenarios for fault in compare(scenario.path)[1]]
     with common.progress("frames") as tell:
         found = statistics(recorded, tell)
     common.show(statistics_table(found), statistics_record(found), record)

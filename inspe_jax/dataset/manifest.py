@@ -138,11 +138,6 @@ def compare(
     return manifest, found + [Fault(path, "not in the manifest") for path in sorted(strange)]
 
 
-def differing(scenario: Scenario) -> list[Fault]:
-    """The files of a scenario that have not the size that its manifest says, if it has one."""
-    return compare(scenario.path)[1]
-
-
 def _fault_of(path: Path, size: int, digest: str, deep: bool) -> str:
     """What is wrong with a file; empty if nothing is."""
     try:

@@ -16,13 +16,7 @@ from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import check_input, whole_file
 from inspe_jax.mounting import strategies
 from inspe_jax.mounting.site import Site
-from inspe_jax.scene.maps.registry import (
-    georeference_of,
-    is_map,
-    junction_at,
-    list_junctions,
-    read_map,
-)
+from inspe_jax.scene.maps.registry import is_map, junction_at, open_map, read_map
 from inspe_jax.scene.maps.road_map import MARGIN
 from inspe_jax.scene.procedural.built_ins import built_in
 from inspe_jax.scene.profiles import DEFAULT_PROFILE, profile_of
@@ -237,8 +231,9 @@ def _list_places(source: str) -> None:
 
     if is_map(source):
         with common.busy(f"reading {source}"):
-            found, georeference = list_junctions(source), georeference_of(source)
-        common.out.print(junctions_table(found, Path(source).name, georeference))
+            place = open_map(source)
+            found = place.list_junctions()
+        common.out.print(junctions_table(found, Path(source).name, place.georeference))
         return
     check_scene_name(source)
     common.out.print(built_ins_table())

@@ -17,7 +17,7 @@ from inspe_jax.mounting.mixes import mix_name
 from inspe_jax.placement.objective import Objective
 from inspe_jax.placement.studies.pareto import device_mixes
 from inspe_jax.scene.georeference import Georeference
-from inspe_jax.scene.maps.registry import georeference_of, read_map, road_lines
+from inspe_jax.scene.maps.registry import open_map, read_map
 from inspe_jax.sensing.layout import load_layout
 from inspe_jax.study.plan import SCORE_ONLY, Study, load_study
 from inspe_jax.study.sweep import Row
@@ -175,7 +175,8 @@ def plan(
     _show(found, georeference)
     with common.busy("drawing"):
         write_text(folder / "plan.csv", found.text(georeference))
-        save_figure(city_view(found, source.name, road_lines(source)), folder / "plan.png")
+        view = city_view(found, source.name, open_map(source).road_lines())
+        save_figure(view, folder / "plan.png")
         if georeference:
             text = _geojson(found, source, folder, size, georeference)
             write_text(folder / "plan.geojson", text)
@@ -197,7 +198,7 @@ def _show(found: "CityPlan", georeference: Georeference | None) -> None:
 
 def _projection(source: Path) -> Georeference | None:
     """The projection of a map; None where it has none, and with a note where it cannot be used."""
-    georeference = georeference_of(source)
+    georeference = open_map(source).georeference
     if georeference is not None:
         try:
             georeference.check()

@@ -15,9 +15,9 @@ from inspe_jax.scene.maps.bodies import simple_pieces
 from inspe_jax.scene.maps.openstreetmap.bodies import Sizes, length_of
 from inspe_jax.scene.maps.openstreetmap.extract import read_extract
 from inspe_jax.scene.maps.registry import (
-    georeference_of,
     junction_at,
     list_junctions,
+    open_map,
     read_map,
 )
 from inspe_jax.scene.regions import Region
@@ -71,7 +71,7 @@ def test_the_middle_of_each_road_is_where_its_nodes_are(path, place):
 def test_a_junction_is_found_by_its_coordinates(path):
     (lon, lat), *_ = degrees([(12, -9)])
     found = junction_at(path, lat, lon)
-    middle = georeference_of(path).to_degrees(np.array([found.center[:2]]))[0]
+    middle = open_map(path).georeference.to_degrees(np.array([found.center[:2]]))[0]
     assert np.abs(middle - [LON, LAT]).max() < 1e-5
     with pytest.raises(InspeError, match=r"no junction within 100 m of 48,11; the middle of"):
         junction_at(path, 48.0, 11.0)

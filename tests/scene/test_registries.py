@@ -57,8 +57,8 @@ def test_a_row_is_all_that_a_map_format_needs(toy_map, tmp_path):
         maps.read_map(tmp_path / "town.toy", junction="north")
     assert maps.is_map(toy_map)
     assert [info.id for info in maps.list_junctions(toy_map)] == ["north", "south"]
-    assert maps.georeference_of(toy_map) is None
-    assert len(maps.road_lines(toy_map)) == 7
+    assert maps.open_map(toy_map).georeference is None
+    assert len(maps.open_map(toy_map).road_lines()) == 7
     place = maps.read_map(toy_map, junction="north", radius=30)
     own = crossing("own", (0, 90, 180, 270), (1, 1, 1, 1))
     assert place.regions.keys() == own.regions.keys()

@@ -7,10 +7,8 @@ import os
 from pkgutil import resolve_name
 
 import numpy as np
-from jaxtyping import Float
 
 from inspe_jax.core.errors import InspeError
-from inspe_jax.scene.georeference import Georeference
 from inspe_jax.scene.intersection import Intersection
 from inspe_jax.scene.maps.road_map import JunctionInfo, RoadMap
 from inspe_jax.scene.maps.sumo.network import NET_SUFFIXES, OSM_SUFFIXES
@@ -48,23 +46,13 @@ def list_junctions(path: str | os.PathLike[str]) -> tuple[JunctionInfo, ...]:
     return open_map(path).list_junctions()
 
 
-def georeference_of(path: str | os.PathLike[str]) -> Georeference | None:
-    """The projection of a map, None without a usable one. Raises InspeError as :func:`open_map`."""
-    return open_map(path).georeference
-
-
-def road_lines(path: str | os.PathLike[str]) -> list[Float[np.ndarray, "N 2"]]:
-    """The lines of a map's roads [m], for drawing. Raises InspeError as :func:`open_map`."""
-    return open_map(path).road_lines()
-
-
 def junction_at(path: str | os.PathLike[str], lat: float, lon: float) -> JunctionInfo:
     """The junction of a map that is nearest to a latitude and longitude [degrees].
 
     Raises InspeError if the map has no projection, if every junction is farther than :data:`FAR`,
     or as :func:`read_map`.
     """
-    georeference = georeference_of(path)
+    georeference = open_map(path).georeference
     if georeference is None:
         raise InspeError(
             f"{path}: the map does not say where on the Earth it is: choose a place with "

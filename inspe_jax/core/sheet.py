@@ -105,7 +105,7 @@ def sheet(
     panel = fig.add_axes((PANEL / WIDTH, below / height, ASIDE / WIDTH, body / height))
     panel.set(xlim=(0, ASIDE * 72), ylim=(-body * 72, 0))  # in points
     panel.axis("off")
-    _head(fig, left, title, facts, parse_math=math, linespacing=1.35)
+    heading(fig, title, facts, parse_math=math, linespacing=1.35)
     fig.text(
         left, (below - FOOT) / height, "\n".join(lines),
         size=6.5, color="#404040", va="top", linespacing=1.3, parse_math=False,
@@ -120,8 +120,7 @@ def sheet_of_two(
     and their axes, row by row. ``head`` and ``below`` are the room above and below [inch]."""
     height = head + rows * SIDE + (rows - 1) * ROW_GAP + below
     fig = Figure(figsize=(WIDTH, height), facecolor="white")
-    left = SIDE_LEFT / WIDTH
-    _head(fig, left, title, facts, parse_math=False)
+    heading(fig, title, facts, SIDE_LEFT / WIDTH)
     axes = []
     for row in reversed(range(rows)):
         bottom = (below + row * (SIDE + ROW_GAP)) / height
@@ -131,11 +130,15 @@ def sheet_of_two(
     return fig, axes
 
 
-def _head(fig: Figure, left: float, title: str, facts: str, **how: Any) -> None:
+def heading(fig: Figure, title: str, facts: str, left: float = LEFT / WIDTH, **how: Any) -> None:
+    """Write a title and ``facts`` below it, from ``left`` of the width on; facts with a line that
+    is longer than the sheet are smaller. ``how`` is the look of the facts."""
     height = fig.get_figheight()
-    bold: dict[str, Any] = dict(weight="bold", va="top", parse_math=False)
-    fig.text(left, 1 - 0.10 / height, **fit(title, TITLE, 10), **bold)
-    fig.text(left, 1 - 0.29 / height, facts, size=facts_size(facts), va="top", **how)
+    look: dict[str, Any] = dict(x=left, va="top", parse_math=False)
+    fig.text(y=1 - 0.10 / height, **fit(title, TITLE, 10), weight="bold", **look)
+    longest = max(map(len, facts.splitlines()), default=0)
+    size = STYLE["font.size"] * min(1.0, LINE / max(longest, 1))
+    fig.text(y=1 - 0.29 / height, s=facts, size=size, **look | how)
 
 
 def frame_map(ax: Axes, middle: Float[np.ndarray, "..."], radius: float, reach: float) -> None:
@@ -177,12 +180,6 @@ def fit(words: str, length: int, size: float) -> dict[str, Any]:
         if len(broken) <= lines:
             return dict(s="\n".join(broken), size=size * share, linespacing=1.05)
     raise AssertionError("some number of lines is enough")
-
-
-def facts_size(facts: str) -> float:
-    """The size [pt] in which the longest line of a figure's facts is as wide as the sheet."""
-    longest = max(map(len, facts.splitlines()), default=1)
-    return float(STYLE["font.size"] * min(1.0, LINE / max(longest, 1)))
 
 
 def setting_words(settings: Mapping[str, Any]) -> str:

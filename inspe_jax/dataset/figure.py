@@ -11,9 +11,9 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator, StrMethodFormatter
 
+from inspe_jax.core import sheet
 from inspe_jax.core.sheet import CLASS_COLORS, HEAD, KEYS, LEFT, NOTE_LINE, WIDTH, house_style
 from inspe_jax.core.words import counted
-from inspe_jax.dataset.frame_figure import heading
 from inspe_jax.dataset.statistics import Statistics, bands
 from inspe_jax.simulation.frame import KINDS
 
@@ -63,7 +63,7 @@ def _heading(fig: Figure, found: Statistics) -> None:
         f"{counted(total.frames, 'frame')}, {total.boxes:,} boxes of "
         f"{counted(sum(found.tracks.values()), 'road user')}\n{seen}"
     )
-    heading(fig, f"Data set {found.name}", facts)
+    sheet.heading(fig, f"Data set {found.name}", facts, linespacing=1.35)
 
 
 def _notes(found: Statistics) -> str:

@@ -98,15 +98,7 @@ def _heading(fig: Figure, scenario: Scenario, frame: Frame, images: Sequence[Ima
         f"{counted(len(images), 'image')}; {counted(len(scans), 'point cloud')}"
         f"{f' of {points:,} points together' if scans else ''}"
     )
-    heading(fig, f"{scenario.name}, frame {frame.number}", facts)
-
-
-def heading(fig: Figure, title: str, facts: str) -> None:
-    """Write a title, and two lines of ``facts`` below it."""
-    height = fig.get_figheight()
-    at: dict[str, Any] = dict(x=LEFT / WIDTH, va="top", parse_math=False)
-    fig.text(y=1 - 0.10 / height, **sheet.fit(title, sheet.TITLE, 10), weight="bold", **at)
-    fig.text(y=1 - 0.29 / height, s=facts, linespacing=1.35, **at)
+    sheet.heading(fig, f"{scenario.name}, frame {frame.number}", facts, linespacing=1.35)
 
 
 def _draw_plan(ax: Axes, frame: Frame) -> Any:

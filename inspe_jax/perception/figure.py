@@ -12,7 +12,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from inspe_jax.core.errors import InspeError
-from inspe_jax.core.sheet import CLASS_COLORS, KEYS, house_style
+from inspe_jax.core.sheet import CLASS_COLORS, KEYS, heading, house_style
 from inspe_jax.core.words import counted
 from inspe_jax.dataset import frame_figure
 from inspe_jax.dataset.loading.batch import Batch, Cameras
@@ -85,7 +85,8 @@ def draw(
     shapes = [] if cameras is None else [cameras.pixels.shape[2:4]] * len(there)
     with house_style():
         fig, ax, panel, places = frame_figure.sheet_of_pictures(shapes)
-        frame_figure.heading(fig, title, _facts(compared, len(detections.kind), least_score))
+        facts = _facts(compared, len(detections.kind), least_score)
+        heading(fig, title, facts, linespacing=1.35)
         _draw_plan(ax, batch, b, compared, groups)
         points = batch.lidars is not None and batch.lidars.points is not None
         _draw_panel(panel, compared, bool(there), points)
@@ -181,9 +182,7 @@ def _draw_panel(panel: Axes, compared: _Compared, cameras: bool, points: bool) -
     if points:
         keys.append(Line2D([], [], ls="", marker=".", ms=3, c=_POINT, label="LiDAR point"))
     if cameras:
-        keys.append(
-            Line2D([], [], color=frame_figure.BADGE_COLOR, lw=0.9, label="direction of a camera")
-        )
+        keys.append(frame_figure.camera_key())
     panel.legend(handles=keys, loc="lower left", **KEYS)
 
 

@@ -11,7 +11,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import StrMethodFormatter
 
 from inspe_jax.core.errors import InspeError
-from inspe_jax.core.sheet import KEYS, TITLE, WIDTH, fit, house_style, setting_words
+from inspe_jax.core.sheet import KEYS, WIDTH, fit, heading, house_style, setting_words
 from inspe_jax.placement.result import Result
 from inspe_jax.placement.run import Progress
 from inspe_jax.placement.studies.pareto import DeviceMix
@@ -27,14 +27,6 @@ FRONT, BEATEN = "#0072b2", "#808080"
 NAMED = 12  # most mixes on the front that are named; those that add most to the score are chosen
 GRID: dict[str, Any] = dict(color="#e0e0e0", lw=0.4)
 _LEFT = 0.085  # left edge of headings and axes, as a share of the width
-
-
-def _headed(title: str, facts: str, height: float) -> Figure:
-    fig = Figure(figsize=(WIDTH, height), facecolor="white")
-    heading: dict[str, Any] = dict(va="top", parse_math=False)
-    fig.text(_LEFT, 1 - 0.10 / height, **fit(title, TITLE, 10), weight="bold", **heading)
-    fig.text(_LEFT, 1 - 0.29 / height, facts, **heading)
-    return fig
 
 
 def _look(k: int) -> dict[str, Any]:
@@ -62,7 +54,8 @@ def pareto_view(mixes: Sequence[DeviceMix]) -> Figure:
     height = 3.75 + 0.155 * len(names)
     facts = f"{len(mixes)} mixes of devices, each searched by {mixes[0].method}"
     with house_style():
-        fig = _headed(f"Cost against score at {mixes[0].scene}", facts, height)
+        fig = Figure(figsize=(WIDTH, height), facecolor="white")
+        heading(fig, f"Cost against score at {mixes[0].scene}", facts, _LEFT)
         ax = fig.add_axes((_LEFT, 1 - 3.22 / height, 0.885, 2.7 / height))
         end = max(mix.cost for mix in mixes)
         end += 0.04 * max(end - cost[0], 0.05 * end, 1.0)
@@ -109,7 +102,8 @@ def history_view(results: Sequence[Result]) -> Figure:
     facts = facts if seeds > 1 else "one seed"
     facts += f"; {setting_words(results[0].scores.settings)}"
     with house_style():
-        fig = _headed(f"Searches for {results[0].start.name} at {scenes}", facts, 3.6)
+        fig = Figure(figsize=(WIDTH, 3.6), facecolor="white")
+        heading(fig, f"Searches for {results[0].start.name} at {scenes}", facts, _LEFT)
         first, second = fig.subplots(1, 2, sharey=True)
         fig.subplots_adjust(left=0.085, right=0.985, top=0.74, bottom=0.13, wspace=0.06)
         for ax, (name, along) in zip((first, second), panels, strict=True):

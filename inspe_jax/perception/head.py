@@ -6,6 +6,7 @@ et al. 2019). What else is told there, the *values*, are: the middle's place wit
 training, detectors of cameras also tell heat on the pictures, at the road users that they show.
 """
 
+from functools import partial
 from typing import NamedTuple
 
 import equinox as eqx
@@ -226,7 +227,8 @@ def perspective_aims(
     assert inputs.unit is not None
     scale = np.array(cells) / inputs.pixels.shape[2:4]
     boxes = jnp.asarray(targets.boxes)
-    seen = jax.vmap(jax.vmap(_on_picture, in_axes=(None, 0, 0)))(
+    on_each = jax.vmap(jax.vmap(partial(on_picture, xp=jnp), in_axes=(None, 0, 0)))
+    seen = on_each(
         _corners(boxes), jnp.asarray(inputs.pose), jnp.asarray(inputs.intrinsic)
     )  # (B, C, M, 8, 3)
     pixels = jnp.moveaxis(jnp.asarray(targets.pixels), -1, 1)  # (B, C, M)
@@ -259,10 +261,3 @@ def _corners(boxes: Float[Array, "B M 9"]) -> Float[Array, "B M 8 3"]:
     cos, sin = jnp.cos(boxes[..., 6, None]), jnp.sin(boxes[..., 6, None])
     turned = off[..., 0] * cos - off[..., 1] * sin, off[..., 0] * sin + off[..., 1] * cos
     return boxes[:, :, None, :3] + jnp.stack([*turned, off[..., 2]], -1)
-
-
-def _on_picture(
-    points: Float[Array, "M 8 3"], pose: Float[Array, "4 4"], intrinsic: Float[Array, "3 3"]
-) -> Float[Array, "M 8 3"]:
-    """Column and row [pixels] and depth [m] of points on a picture."""
-    return on_picture(points.reshape(-1, 3), pose, intrinsic, jnp).reshape(points.shape)

@@ -25,13 +25,13 @@ def pose_matrix(pose: Any) -> Float[np.ndarray, "4 4"]:
 def on_picture(points: Any, pose: Any, intrinsic: Any, xp: Any = np) -> Any:
     """Points on a picture: column and row [pixels], and depth [m], negative behind the camera.
 
-    ``points`` (N, 3) are in the frame that ``pose`` (4, 4) leads to from the camera's body (x
+    ``points`` (…, 3) are in the frame that ``pose`` (4, 4) leads to from the camera's body (x
     forward, y left, z up); ``intrinsic`` is (3, 3). (0, 0) is the outer corner of the first pixel.
     ``xp`` is numpy or jax.numpy.
     """
-    body = (points - pose[None, :3, 3]) @ pose[:3, :3]
-    seen = xp.stack([-body[:, 1], -body[:, 2], body[:, 0]], -1) @ intrinsic.T
-    return xp.concatenate([seen[:, :2] / seen[:, 2:], seen[:, 2:]], -1)
+    body = (points - xp.broadcast_to(pose[:3, 3], points.shape)) @ pose[:3, :3]
+    seen = xp.stack([-body[..., 1], -body[..., 2], body[..., 0]], -1) @ intrinsic.T
+    return xp.concatenate([seen[..., :2] / seen[..., 2:], seen[..., 2:]], -1)
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from inspe_jax.core.geometry import FAR, Point
+from inspe_jax.core.geometry import FAR, Point, dot3
 from inspe_jax.core.numerics import arctan2
 from inspe_jax.core.pytree import pytree
 from inspe_jax.sensing.lidar_returns import LidarNoise
@@ -124,7 +124,8 @@ class Rays:
         """How deep points lie in the field of view within ``edges`` [m], negative outside: the
         least distance to an edge row, an edge column and the end of the reach."""
         above, below = (self.square_row(q, edges, k) for k in range(2))
-        margin = jnp.minimum(jnp.minimum(self.table.reach - _distance(q), above), -below)
+        distance = jnp.sqrt(jnp.maximum(dot3(q, q), _MIN_DISTANCE**2))
+        margin = jnp.minimum(jnp.minimum(self.table.reach - distance, above), -below)
         return margin if self.wraps else jnp.minimum(margin, self.column_margin(q, edges))
 
     def column_margin(self, q: Point, edges: Edges) -> Float[Array, "*n"]:
@@ -391,8 +392,3 @@ class PinholeRays(Rays):
 def _plan(q: Point) -> Float[Array, "*n"]:
     """Distance from the z axis [m], at least :data:`_MIN_DISTANCE`."""
     return jnp.sqrt(jnp.maximum(q[0] * q[0] + q[1] * q[1], _MIN_DISTANCE**2))
-
-
-def _distance(q: Point) -> Float[Array, "*n"]:
-    """Distance from the sensor [m], at least :data:`_MIN_DISTANCE`."""
-    return jnp.sqrt(jnp.maximum(q[0] * q[0] + q[1] * q[1] + q[2] * q[2], _MIN_DISTANCE**2))

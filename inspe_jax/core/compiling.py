@@ -157,6 +157,13 @@ KEPT = 512 * 2**20
 """Size of the folder of compiled programs [bytes]. What was used least recently is removed first,
 as a process ends."""
 NOTHING = ("0", "false", "f", "no", "n", "off")  # values of INSPE_CACHE that keep nothing
+CACHE_SETTINGS = (
+    "jax_enable_compilation_cache",
+    "jax_compilation_cache_dir",
+    "jax_compilation_cache_max_size",
+    "jax_persistent_cache_min_compile_time_secs",
+)
+"""JAX's settings of its cache of compiled programs."""
 
 
 def keep_programs() -> None:

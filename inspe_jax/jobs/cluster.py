@@ -11,6 +11,7 @@ import dask
 import jax
 from distributed import Client, LocalCluster, Worker, WorkerPlugin
 
+from inspe_jax.core.compiling import CACHE_SETTINGS
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.parallel import cores
 from inspe_jax.jobs.sources import versions
@@ -114,15 +115,6 @@ def _check_workers(there: Client, scheduler: str) -> None:
                     f"worker {worker} has {name} {found.get(name)}, and this process has "
                     f"{version}; one table needs the same versions everywhere"
                 )
-
-
-CACHE_SETTINGS = (
-    "jax_enable_compilation_cache",
-    "jax_compilation_cache_dir",
-    "jax_compilation_cache_max_size",
-    "jax_persistent_cache_min_compile_time_secs",
-)
-"""JAX's settings of its cache of compiled programs."""
 
 
 class WorkerSetup(WorkerPlugin):

@@ -30,7 +30,7 @@ from typing import IO, Any, TypeAlias
 
 import jax
 
-from inspe_jax.core.compiling import leave
+from inspe_jax.core.compiling import CACHE_SETTINGS, leave
 from inspe_jax.core.errors import InspeError
 from inspe_jax.placement.constraints import Constraints
 from inspe_jax.placement.objective import Objective
@@ -43,13 +43,7 @@ PATIENCE = 0.4  # time that a process gets to end by itself before it is killed 
 KILLED = -9  # exit status of a process that the system killed; does not occur on Windows
 PROCESS_ENVIRONMENT = {"XLA_PYTHON_CLIENT_PREALLOCATE": "false"}
 """Of the search's process: the page's process already has most of a graphics card's memory."""
-SETTINGS = (
-    "jax_compilation_cache_dir",
-    "jax_compilation_cache_max_size",
-    "jax_enable_compilation_cache",
-    "jax_enable_x64",
-    "jax_persistent_cache_min_compile_time_secs",
-)
+SETTINGS = (*CACHE_SETTINGS, "jax_enable_x64")
 """Settings of JAX that it takes over from this one, through its environment."""
 
 Process: TypeAlias = "subprocess.Popen[bytes]"

@@ -67,8 +67,6 @@ SHARED = """
     folder (--out DIR): Folder for the results.
     force: Replace files that this command did not write, or were changed.
 """
-LAST = ("folder", "force")
-"""Options that come last in the help."""
 
 Whole = Annotated[int, typer.Option(min=0)]
 Positive = Annotated[int, typer.Option(min=1)]
@@ -98,7 +96,8 @@ def command(group: typer.Typer = app, name: str | None = None) -> Callable[[_Com
             for field in fields(record):
                 option = one.replace(name=field.name, default=field.default)
                 parameters.append(_parameter(option, types[field.name], helps))
-        parameters.sort(key=lambda p: (p.kind == p.KEYWORD_ONLY, p.name in LAST))
+        # In the help, what is written and replaced comes last.
+        parameters.sort(key=lambda p: (p.kind == p.KEYWORD_ONLY, p.name in ("folder", "force")))
 
         @functools.wraps(function)
         def called(**given: Any) -> None:

@@ -13,9 +13,6 @@ from uuid import uuid4
 
 from inspe_jax.core.errors import InspeError, needs
 
-JOBS_AHEAD = 3
-"""Jobs that wait at each worker's thread, so that no worker waits for the next."""
-
 
 class Schedulable(Protocol):
     """A job that can be scheduled. Jobs of one scene must follow each other in their list."""
@@ -73,15 +70,15 @@ def run_jobs(
     build: Callable[[J], Any],
     work: Callable[..., Any],
     *given: Any,
-    ahead: int = JOBS_AHEAD,
+    ahead: int = 3,
 ) -> Iterator[tuple[J, Any]]:
     """Run all jobs; yields each with its result or with its exception, as they finish.
 
     A result is that of ``work(scene, job, *given)``, where ``scene`` is the result of ``build`` for
-    the first job of a scene. ``ahead`` is the number of jobs that wait at each thread of a worker;
-    with 1, workers get jobs in order and of one scene. When a worker dies, Dask suspects every job
-    that it held: all of them are run once more at the end, one at a time. Raises InspeError if the
-    scheduler is lost.
+    the first job of a scene. ``ahead`` is the number of jobs that wait at each thread of a worker,
+    so that none waits for the next; with 1, workers get jobs in order and of one scene. When a
+    worker dies, Dask suspects every job that it held: all of them are run once more at the end, one
+    at a time. Raises InspeError if the scheduler is lost.
     """
     from distributed import KilledWorker
 

@@ -21,8 +21,6 @@ TURN = 0.1
 """How long a LiDAR's turn takes, if nothing else is said [s]: usual devices turn at 10 Hz."""
 MOST_PIXELS = 8192
 """The largest width and height of a picture."""
-CONNECTING = 3.0
-"""How long to wait for a connection to a server [s]."""
 
 Row = TypeVar("Row")
 
@@ -104,7 +102,7 @@ class Server:
     def reach(self) -> None:
         """Raise InspeError if no server answers at the address."""
         try:
-            socket.create_connection((self.host, self.port), CONNECTING).close()
+            socket.create_connection((self.host, self.port), timeout=3.0).close()
         except (OSError, UnicodeError) as error:  # the latter for names that are not valid
             what = getattr(error, "strerror", None) or error
             raise InspeError(

@@ -14,11 +14,6 @@ from inspe_jax.viewer.job_queue import asker
 from inspe_jax.viewer.score_panel import VISIBILITY_NAMES
 
 SECONDS = 60.0  # usual time of a search [s]
-OF_SEARCH = (
-    "It may move every unit to wherever units can stand, also to new poles. It compiles first; "
-    "that does not count as its time."
-)
-"""What is said of a search before the first one."""
 SLATE = (86, 104, 122)
 """Colour of buttons that are not the main one of their folder."""
 BLIND_SPOTS = "Blind spots"
@@ -102,7 +97,10 @@ class Panel:
             self.optimise = gui.add_button("Optimise from here", color="green")
             self.stop = gui.add_button("Stop", color="orange", visible=False)
             self.bar = gui.add_progress_bar(0.0, visible=False)
-            self.course = gui.add_markdown(OF_SEARCH)
+            self.course = gui.add_markdown(
+                "It may move every unit to wherever units can stand, also to new poles. It "
+                "compiles first; that does not count as its time."
+            )
         self.blind_spots = gui.add_folder(BLIND_SPOTS, visible=False)
         with gui.add_folder("Traffic"):
             self.frame = gui.add_slider("Frame", 0, max(frames - 1, 1), 1, 0, disabled=frames < 2)

@@ -10,8 +10,6 @@ from jaxtyping import Float, UInt8
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.geometry import rotation
 
-_MIRROR = np.array([1.0, -1.0, 1.0])
-
 
 def pose_matrix(pose: Any) -> Float[np.ndarray, "4 4"]:
     """The matrix of a pose (6,) [m, rad]: from the body's frame to the world."""
@@ -48,7 +46,7 @@ class Similarity:
     def linear(self) -> Float[np.ndarray, "3 3"]:
         """The matrix that moves points."""
         turned: np.ndarray = rotation(np.array([0.0, 0.0, self.turn]), np)
-        return self.scale * (turned * _MIRROR if self.mirrored else turned)
+        return self.scale * (turned * [1.0, -1.0, 1.0] if self.mirrored else turned)
 
     @property
     def matrix(self) -> Float[np.ndarray, "4 4"]:

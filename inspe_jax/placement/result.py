@@ -125,7 +125,10 @@ def load_result(folder: str | os.PathLike[str]) -> Result:
     layout, start = (load_layout(place / name) for name in FILES[:2])
     try:
         for key in _SCORES:
-            record[key] = _scores(record[key])
+            of = record[key]
+            of["contributions"] = tuple(Contribution(**row) for row in of["contributions"])
+            of["level_coverage"] = tuple(of["level_coverage"])
+            record[key] = Scores(**of | {"seen_share": np.array(of["seen_share"], float)})
         record["notes"] = tuple(record["notes"])
         history = tuple(
             Progress(**{key: float(value) for key, value in row.items()})
@@ -175,11 +178,3 @@ def _path_rows(result: Result) -> list[dict[str, Any]]:
 
 def _of(result: Result) -> dict[str, Any]:
     return {"method": result.method, "seed": result.seed}
-
-
-def _scores(record: dict[str, Any]) -> Scores:
-    record = dict(record)
-    record["contributions"] = tuple(Contribution(**row) for row in record["contributions"])
-    record["level_coverage"] = tuple(record["level_coverage"])
-    record["seen_share"] = np.array(record["seen_share"], float)
-    return Scores(**record)

@@ -33,7 +33,7 @@ from inspe_jax.sensing.sensors import RayGrid
 from inspe_jax.visibility import bitmask
 from inspe_jax.visibility.centered_scene import Statics
 from inspe_jax.visibility.statics import past_statics_masks
-from inspe_jax.visibility.tiles import Tile, Tiles, zeros_of
+from inspe_jax.visibility.tiles import Tile, zeros_of
 from inspe_jax.visibility.view_masks import view_masks
 
 FOUND = "detectability"
@@ -102,19 +102,16 @@ def view_jobs(
     fixed = dict(chunk=chunk, statics=tiled.statics, last=tiled.tiles.last, options=options)
 
     def rows(part: np.ndarray) -> Rows:
-        return _by_voxel(tiled.tiles, *_view(rays, half, pixels, part, **fixed))
+        """What :func:`_view` returns, in the scene's order of voxels and of columns."""
+        view, seen, chance = map(np.asarray, _view(rays, half, pixels, part, **fixed))
+        tiles, (count, number, classes, columns) = tiled.tiles, chance.shape
+        found = chance.reshape(count, tiles.slabs, number // tiles.slabs, classes, columns)
+        found = found.sum(1).swapaxes(1, 2).reshape(count, classes, number // tiles.slabs * columns)
+        found = found[..., np.asarray(tiles.place)].astype(np.float32)
+        bits = [tiles.by_voxel(view)[:, None], tiles.by_voxel(seen)]
+        return Rows(np.concatenate(bits, 1), found)
 
     return [(key, partial(rows, part)) for part in parts_of(on_host(poses, float), TOGETHER)]
-
-
-def _by_voxel(tiles: Tiles, view: Array, seen: Array, chance: Array) -> Rows:
-    """What :func:`_view` returns, in the scene's order of voxels and of columns."""
-    count, number, classes, columns = chance.shape
-    found = np.asarray(chance).reshape(count, tiles.slabs, number // tiles.slabs, classes, columns)
-    found = found.sum(1).swapaxes(1, 2).reshape(count, classes, number // tiles.slabs * columns)
-    found = found[..., np.asarray(tiles.place)].astype(np.float32)
-    bits = [tiles.by_voxel(np.asarray(view))[:, None], tiles.by_voxel(np.asarray(seen))]
-    return Rows(np.concatenate(bits, 1), found)
 
 
 @partial(jax.jit, static_argnames="options")

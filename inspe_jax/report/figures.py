@@ -110,8 +110,12 @@ def plan_view(
     """
     layer = layer or seen_layer(scores.seen_share, scene)
     layout = scores.conditions.layout(layout)
+    values = [(m, f"{in_math(m)} {scores.value(m.name):.3f}") for m in listed_in(scores)]
+    line = ",  ".join(f"{metric.words} {value}" for metric, value in values)
+    if len(line) > LINE:  # then by their symbols alone
+        line = ",  ".join(value for _, value in values)
     facts = (
-        f"{_score_line(scores)}\n"
+        f"{line}\n"
         f"radius {scene.voxels.radius:g} m, {scene.voxels.words}; {_users(scene, frame)}; "
         f"{setting_words(scores.settings)}"
     )
@@ -125,14 +129,6 @@ def plan_view(
         _list_sensors(panel, layout, top)
         panel.legend(handles=keys, loc="lower left", **KEYS)
     return fig
-
-
-def _score_line(scores: Scores) -> str:
-    """Every score by name and symbol on one line; by its symbol alone where there are many."""
-    rows = listed_in(scores)
-    values = [(metric, f"{in_math(metric)} {scores.value(metric.name):.3f}") for metric in rows]
-    line = ",  ".join(f"{metric.words} {value}" for metric, value in values)
-    return line if len(line) <= LINE else ",  ".join(value for _, value in values)
 
 
 def in_math(metric: Metric) -> str:

@@ -33,7 +33,7 @@ def plan_table(plan: CityPlan, georeference: Georeference | None = None) -> Rend
     """What each junction gets: its place, in degrees where the map's projection is given, else in
     metres; its mix of devices, the cost and the score."""
     where = "x, y [m]" if georeference is None else "latitude, longitude"
-    some = _some_count_more(plan)
+    some = len(set(plan.weights)) > 1
     heads = ("importance",) if some else ()
     title = f"{_money(plan.budget)} US dollars for {counted(len(plan.fronts), 'junction')}"
     table = table_of(title, "#", "junction", where, *heads, "devices", "cost\n[US$]", "score")
@@ -51,7 +51,7 @@ def plan_table(plan: CityPlan, georeference: Georeference | None = None) -> Rend
 def plan_words(plan: CityPlan) -> list[str]:
     """The whole plan in two lines: what is spent and the score; and how near to the best it is."""
     share, gets = plan.share, sum(bool(option.key) for option in plan.chosen)
-    some = _some_count_more(plan)
+    some = len(set(plan.weights)) > 1
     spent = f"{_money(share.cost)} of {_money(plan.budget)} US dollars, at {gets} of "
     spent += counted(len(plan.fronts), "junction")
     mean = f"{'weighted ' * some}mean {share.total / sum(plan.weights):.4f}"
@@ -68,10 +68,6 @@ def _money(amount: float) -> str:
     return f"{amount:,.2f}".removesuffix(".00")
 
 
-def _some_count_more(plan: CityPlan) -> bool:
-    return len(set(plan.weights)) > 1
-
-
 def city_view(plan: CityPlan, name: str, roads: Sequence[Float[np.ndarray, "N 2"]] = ()) -> Figure:
     """A map of what each junction gets: a dot is larger the more is spent, and its colour is the
     score. ``name`` is that of the map, and ``roads`` are its lines [m]."""
@@ -82,7 +78,8 @@ def city_view(plan: CityPlan, name: str, roads: Sequence[Float[np.ndarray, "N 2"
     low, high, (x, y) = middles.min(0), middles.max(0), middles.T
     reach = 0.56 * max(float((high - low).max()), 100.0)
     (left, below), (right, above) = (low + high) / 2 - reach, (low + high) / 2 + reach
-    wide = _diameter(cost, cost.max()) * min(1.0, np.sqrt(_MANY / len(cost)))
+    part = cost / (cost.max() or 1.0)  # of the areas of dots
+    wide = np.sqrt(_SMALL**2 + part * (_LARGE**2 - _SMALL**2)) * min(1, np.sqrt(_MANY / len(cost)))
     order = np.argsort(-cost, kind="stable")
     some = order[gets[order]]  # small dots over large ones
     with house_style():
@@ -104,12 +101,6 @@ def city_view(plan: CityPlan, name: str, roads: Sequence[Float[np.ndarray, "N 2"
             )  # fmt: skip
             _draw_keys(fig, panel, dots, {float(cost[k]): float(wide[k]) for k in order})
     return fig
-
-
-def _diameter(cost: Float[np.ndarray, " N"], most: float) -> Float[np.ndarray, " N"]:
-    """Diameters of dots [points]; their areas grow by the cost."""
-    part = cost / most if most > 0 else np.zeros_like(cost)
-    return np.sqrt(_SMALL**2 + part * (_LARGE**2 - _SMALL**2))
 
 
 def _draw_names(

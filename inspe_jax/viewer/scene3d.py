@@ -71,7 +71,8 @@ class Scene3D:
         api.configure_default_lights(enabled=False)
         api.add_light_ambient("light/sky", intensity=1.0)
         api.add_light_directional("light/sun", intensity=1.0, position=(-60.0, -100.0, 200.0))
-        self._draw_ground()
+        for region, color in GROUND_COLORS.items():
+            self._squares(f"ground/{region.key}", scene.voxels.region == region, color, 0.0)
         self._draw_lanes()
         self._draw_bodies()
 
@@ -236,11 +237,6 @@ class Scene3D:
         at, which = np.unique(corner.reshape(-1, 2), axis=0, return_inverse=True)
         points = self._on_ground(grid.center[:2] + grid.spacing * at, lift=0.0)
         return points, which.reshape(-1, 4)
-
-    def _draw_ground(self) -> None:
-        grid = self.scene.voxels
-        for region, color in GROUND_COLORS.items():
-            self._squares(f"ground/{region.key}", grid.region == region, color, 0.0)
 
     def _squares(self, name: str, own: np.ndarray, color: str, lift: float) -> None:
         """Draw the squares of some columns (L,) so high above the ground [m], as one mesh."""

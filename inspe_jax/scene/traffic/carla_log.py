@@ -169,21 +169,17 @@ def log_traffic(
             f"{path}: in {times[-1] - times[0]:.0f} s nobody comes within {radius:g} m of "
             f"({intersection.center[0]:.1f}, {intersection.center[1]:.1f})"
         )
-    if (share := _on_roads(seen, intersection)) < ON_ROADS:
+    roads = unary_union(list(intersection.regions.values()))
+    kind = np.concatenate([frame.kind for frame in seen])
+    middle = np.concatenate([frame.center for frame in seen])
+    cars = middle[np.isin(kind, [CLASSES.index("car"), CLASSES.index("truck")])]
+    share = shapely.intersects_xy(roads, *cars[:, :2].T).mean() if len(cars) else 1.0
+    if share < ON_ROADS:
         raise InspeError(
             f"{path}: a log of map '{log.map}', and not of {intersection.name}: {share:.0%} of its "
             "cars and trucks are on the roads here; read the intersection from the log's own map"
         )
     return pack_frames(seen, step)
-
-
-def _on_roads(seen: list[Snapshot], intersection: Intersection) -> float:
-    """The share of cars and trucks that are on some region; 1 where there are none."""
-    roads = unary_union(list(intersection.regions.values()))
-    kind = np.concatenate([frame.kind for frame in seen])
-    middle = np.concatenate([frame.center for frame in seen])
-    cars = middle[np.isin(kind, [CLASSES.index("car"), CLASSES.index("truck")])]
-    return float(shapely.intersects_xy(roads, *cars[:, :2].T).mean()) if len(cars) else 1.0
 
 
 def _at(log: RecorderLog, times: np.ndarray, time: float) -> _Moment:

@@ -26,16 +26,6 @@ _OPENDRIVE = " (OpenDRIVE)"
 _PARKED = ("Car", "Truck", "Bus", "Motorcycle", "Bicycle")
 
 
-def town_of(place: Intersection) -> str:
-    """The name of an intersection's map. Raises InspeError if it is not an OpenDRIVE map."""
-    if not place.source.endswith(_OPENDRIVE):
-        raise InspeError(
-            f"{place.name}: its source is {place.source}, which a CARLA server cannot show; read "
-            "an intersection from the OpenDRIVE map (.xodr) of one of CARLA's towns"
-        )
-    return Path(place.source.removesuffix(_OPENDRIVE)).stem
-
-
 @contextmanager
 def plain_errors(server: Server) -> Iterator[None]:
     """Turn the client's errors, all RuntimeErrors, into InspeErrors with the server's name."""
@@ -119,7 +109,12 @@ def session_on(
     are restored when the block ends, in whichever way. Raises InspeError where no server answers,
     its version is not the client's, it does not have the map, or other traffic is there.
     """
-    town = town_of(place)
+    if not place.source.endswith(_OPENDRIVE):
+        raise InspeError(
+            f"{place.name}: its source is {place.source}, which a CARLA server cannot show; read "
+            "an intersection from the OpenDRIVE map (.xodr) of one of CARLA's towns"
+        )
+    town = Path(place.source.removesuffix(_OPENDRIVE)).stem
     what = "recording with CARLA needs its client, in the server's version"
     with needs(what, "opendrive", "Linux and Windows, Python up to 3.12"):
         import carla

@@ -125,7 +125,12 @@ class Actors:
         command, state = self.session.carla.command, self.session.carla.VehicleLightState
         commands, bodies = [], [self._body(track) for track in tracks]
         for k, (track, body) in enumerate(zip(tracks, bodies, strict=True)):
-            blueprint = self._blueprint(body.name, np.random.default_rng([self.seed, track, 2]))
+            blueprint = self.library.find(body.name)
+            blueprint.set_attribute("role_name", ROLE_NAME)
+            if blueprint.has_attribute("color"):
+                colours = blueprint.get_attribute("color").recommended_values
+                rng = np.random.default_rng([self.seed, track, 2])
+                blueprint.set_attribute("color", colours[int(rng.integers(len(colours)))])
             spawn = command.SpawnActor(blueprint, self.session.transform(self._in_the_air(k)))
             spawn.then(command.SetSimulatePhysics(command.FutureActor, False))
             if self.lights and body.name.startswith("vehicle."):
@@ -134,14 +139,6 @@ class Actors:
             commands.append(spawn)
         actors = self.session.command(commands)
         self.present |= dict(zip(tracks, zip(actors, bodies, strict=True), strict=True))
-
-    def _blueprint(self, name: str, rng: np.random.Generator) -> Any:
-        blueprint = self.library.find(name)
-        blueprint.set_attribute("role_name", ROLE_NAME)
-        if blueprint.has_attribute("color"):
-            colours = blueprint.get_attribute("color").recommended_values
-            blueprint.set_attribute("color", colours[int(rng.integers(len(colours)))])
-        return blueprint
 
 
 def _origin(

@@ -9,8 +9,7 @@ from jaxtyping import Array
 
 
 def bucket(count: int, least: int) -> int:
-    """The smallest of ``least`` × (1, 2, 3, 4, 6, 8, 12, 16, …) that is ``count`` or more; 0 if
-    ``count`` is 0."""
+    """The smallest of ``least`` × (1, 2, 3, 4, 6, 8, 12, …) not below ``count``; 0 if that is 0."""
     if count <= 0:
         return 0
     length = least

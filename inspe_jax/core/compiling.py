@@ -154,8 +154,7 @@ def on_behalf_of(waits: Stretches) -> Iterator[None]:
 # ── Programs that are kept on disk ──────────────────────────────────────────
 
 KEPT = 512 * 2**20
-"""Size of the folder of compiled programs [bytes]. What was used least recently is removed first,
-as a process ends."""
+"""Size of the folder of compiled programs [bytes]. The least recently used go as a process ends."""
 NOTHING = ("0", "false", "f", "no", "n", "off")  # values of INSPE_CACHE that keep nothing
 CACHE_SETTINGS = (
     "jax_enable_compilation_cache",

@@ -37,8 +37,7 @@ _SHORT.maxstring = _SHORT.maxlong = _SHORT.maxother = 80
 
 
 def brief(value: Any) -> str:
-    """What a message quotes of a value: about 80 characters, of lists and mappings their first
-    items."""
+    """What a message quotes of a value: 80 characters or so; first items of lists and mappings."""
     try:
         text = _SHORT.repr(value)
     except ValueError:  # Python writes no integer of more than 4,300 digits

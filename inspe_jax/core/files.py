@@ -1,5 +1,4 @@
-"""Reading files that users write, key by key and bounded in size and depth, and writing files whole
-or not at all."""
+"""Reading users' files key by key, bounded in size and depth; writing files whole or not at all."""
 
 import csv
 import errno
@@ -389,8 +388,7 @@ def _without_prefix(cell: str) -> str:
 
 
 def json_value(value: Any) -> Any:
-    """A value for JSON: lists for tuples and arrays, Python numbers for NumPy's, and records as
-    mappings."""
+    """A value for JSON: tuples and arrays become lists, NumPy's numbers Python's, records dicts."""
     if is_dataclass(value) and not isinstance(value, type):
         return {f.name: json_value(getattr(value, f.name)) for f in fields(value)}
     if isinstance(value, Mapping):

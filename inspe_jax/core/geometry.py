@@ -1,5 +1,4 @@
-"""Rotations, pictures, and the two geometric tests of visibility: ray against cube, and sight line
-against prism.
+"""Rotations, pictures, and the two tests of visibility: ray against cube, sight line against prism.
 
 Sight line against prism: in plan the line from sensor s to column c is s + t·(c − s), 0 ≤ t ≤ 1. It
 cuts the prism's rectangle from t₀ to t₁, or misses it. The prism hides the column below the height
@@ -68,9 +67,8 @@ class Pinhole(Protocol):
 
 
 def pixels(image: Pinhole, points: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
-    """Points of the world in a picture: column and row in pixels, of which (0, 0) is the outer
-    corner of the first, and depth in metres: negative behind the camera, where column and row mean
-    nothing."""
+    """Points of the world in a picture: column and row in pixels from the outer corner of the
+    first, and depth in metres: negative behind the camera, where column and row mean nothing."""
     pose = np.asarray(image.pose, float)
     body = (points - pose[:3]) @ rotation(pose[3:], np)
     seen = np.stack([-body[..., 1], -body[..., 2], body[..., 0]], -1) @ image.intrinsic.T
@@ -136,8 +134,7 @@ def shadow_terms(sensor: Float[Array, "3"], prism: Prism) -> ShadowTerms:
     In the prism's frame, the sight line s + t·(c − s) crosses the slab −a ≤ x ≤ a at
     t = (±a − s_x)/d_x, with d = c − s. In u = 1/t that is d_x/(±a − s_x): linear in the column, and
     divided by a number that depends on sensor and prism only. A sight line parallel to a side has
-    u = 0, t = ∞, and needs no special case. An invalid prism gets u = 0 throughout and hides
-    nothing.
+    u = 0, t = ∞, and needs no special case. An invalid prism has u = 0 and hides nothing.
     """
     dx, dy = sensor[0] - prism.center[..., 0], sensor[1] - prism.center[..., 1]
     cos, sin = jnp.cos(prism.yaw), jnp.sin(prism.yaw)

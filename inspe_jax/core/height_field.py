@@ -29,8 +29,7 @@ BESIDE = 1e-5
 class HeightField(NamedTuple):
     """The ground's surface relative to the scene's centre: the lattice's first point (``corner``),
     the edge of its cells (``step``), and the heights of its points and the ``highest`` [m]. Cells
-    are cut from their first point to the opposite one. ``steepest`` is the slope of the steepest
-    triangle."""
+    are cut from their first point to the opposite one. ``steepest`` is the largest slope."""
 
     corner: Float[Array, "2"]
     step: Float[Array, ""]

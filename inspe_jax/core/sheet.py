@@ -84,8 +84,7 @@ def _text(fig: Figure, dpi: float, **how: Any) -> str:
 
 @contextmanager
 def house_style() -> Iterator[None]:
-    """Matplotlib's defaults with :data:`STYLE`; settings are those of the whole process, so one
-    thread draws at a time."""
+    """Matplotlib's defaults with :data:`STYLE`, which all threads share: one draws at a time."""
     with _DRAWING, style.context(["default", STYLE]):
         yield
 

@@ -273,8 +273,7 @@ def make_generation(
 
 
 def check_seconds(seconds: float, rate: float, where: str) -> None:
-    """Raise InspeError if a scenario of this length [s] has no whole number of frames, or too
-    many."""
+    """Raise InspeError if so many seconds have no whole number of frames, or too many."""
     frames = seconds * rate
     if abs(frames - round(frames)) > 1e-6 * frames or not 1 <= round(frames) <= MOST_FRAMES:
         raise InspeError(

@@ -1,5 +1,4 @@
-"""Where the scenes and layouts of a study come from, and how workers make them; for sweeps and for
-data sets."""
+"""Where the scenes and layouts of sweeps and data sets come from, and how workers make them."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace

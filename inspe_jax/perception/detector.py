@@ -1,5 +1,4 @@
-"""A detector: encoders of its modalities, a fusion of agents, and the head; and what it finds in
-frames.
+"""A detector (its modalities' encoders, a fusion of agents, the head), and what it finds in frames.
 
 The eight of the paper's Table 1 are rows of :data:`MODELS`. They differ in encoder and fusion,
 which are as in their papers but smaller. In profiles of JAX, operations have the names of their

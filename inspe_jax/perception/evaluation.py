@@ -33,8 +33,7 @@ class Detections(NamedTuple):
     ``boxes`` are as in :class:`~inspe_jax.dataset.loading.batch.Targets`: x, y, z of the middle,
     length, width, height [m], yaw [rad], and velocity in x and y [m/s], in the frame of the
     intersection. A detector that does not estimate velocity gives 0 for it. ``kind`` is the index
-    in :data:`~inspe_jax.simulation.frame.KINDS`, and ``score`` is from 0 to 1: how sure the
-    detector is.
+    in :data:`~inspe_jax.simulation.frame.KINDS`, ``score`` how sure the detector is, from 0 to 1.
     """
 
     boxes: Float32[np.ndarray, "N 9"]

@@ -135,8 +135,7 @@ class V2VNet(eqx.Module):
 def to_windows(
     x: Float[Array, "*n h w c"], side: int, *, sparse: bool = False
 ) -> Float[Array, "*n m t c"]:
-    """m windows of t = side² cells: neighbours or, if ``sparse``, cells evenly over the map (Tu et
-    al. 2022)."""
+    """m windows of t = side² cells: neighbours, or spread evenly if ``sparse`` (Tu et al. 2022)."""
     *leading, high, wide, channels = x.shape
     shape = (high // side, side, wide // side, side)
     order = (0, 2, 1, 3, 4)

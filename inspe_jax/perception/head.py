@@ -49,8 +49,7 @@ def bumps(
 def class_heat(
     down: Float[Array, "n M h"], across: Float[Array, "n M w"], kind: Int[Array, "n M"]
 ) -> Float[Array, "n h w K"]:
-    """The heat of road users whose bumps along rows and columns are given: the highest of each
-    class at each cell."""
+    """The heat of each class at each cell: the highest of its road users' bumps, given by axis."""
 
     def one(rows: Array, columns: Array, own: Array) -> Array:
         both = rows[:, :, None] * columns[:, None]  # (M, h, w)

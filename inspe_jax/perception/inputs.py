@@ -1,6 +1,5 @@
 """What a detector takes of a batch: the data of the agents, in arrays of fixed shape. An agent is
-what one infrastructure unit has of one modality: its LiDARs, or its cameras. Agents of LiDARs come
-first."""
+what an infrastructure unit has of one modality: its LiDARs, which come first, or its cameras."""
 
 from dataclasses import asdict, dataclass
 from typing import NamedTuple

@@ -119,8 +119,7 @@ def _length(x: Any, xp: Any) -> Any:
 class Limits:
     """The limits of all coordinates except ``base``.
 
-    ``sector`` (S,): whose yaw is limited. ``aimed`` (S,): which sensors are usually aimed down at
-    a place, as cameras.
+    ``sector`` (S,): whose yaw is limited. ``aimed`` (S,): which are usually aimed down, as cameras.
     """
 
     arm: Disc

@@ -47,8 +47,7 @@ class Objective:
 
     @property
     def weights_by_name(self) -> dict[str, float]:
-        """The weight of every metric in P_sm. Raises InspeError as :func:`metrics.weights_of`
-        does."""
+        """The weight of every metric in P_sm. Raises InspeError as :func:`metrics.weights_of`."""
         return metrics.weights_of(self.weights)
 
     @property
@@ -97,8 +96,7 @@ class Objective:
                 raise InspeError(f"price of {name} {price}: 0 or more, in US dollars")
 
     def within(self, scene: Scene) -> Scene:
-        """The scene with weight only in the regions that count. Raises InspeError if it has none of
-        them."""
+        """The scene with weight only in regions that count. Raises InspeError if it has none."""
         if not self.regions:
             return scene
         some = regions_of(self.regions)

@@ -86,15 +86,13 @@ def optimise(
     The budget is in ``seconds`` (60 if no budget is given), in ``evaluations`` (exact scores, with
     all other work in their equivalents), or both. Seconds of wall time count from the first exact
     score on; while a program is compiled they do not. With ``evaluations`` alone, the same ``seed``
-    gives the same result on the same machine. The search also ends with a best score of ``target``
-    or more.
+    gives the same result on the same machine. A best score of ``target`` or more also ends it.
 
     ``progress`` is called with the share of the budget that is spent and the best score so far.
     ``found`` is called with every layout that is the best so far, and its score.
 
     ``checkpoint`` names an ``.npz`` file, which is written every 10 s and at the end. If the file
-    exists, the search goes on from it and ends as if it had not been stopped; with a larger budget
-    it goes further.
+    exists, the search goes on from it as if never stopped, and further with a larger budget.
 
     Ctrl-C ends a search with the best layout so far; so does a KeyboardInterrupt in ``progress``.
     The result is feasible, as checked on the map's polygons, and its exact score is never below

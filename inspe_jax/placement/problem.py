@@ -153,8 +153,7 @@ class Problem:
 
     @cached_property
     def space(self) -> Space:
-        """Where the sensors may be. Raises InspeError where a constraint is bad, or a unit has
-        nowhere to stand."""
+        """Where sensors may be. Raises InspeError for bad constraints, or a unit without place."""
         return Space(self.cases[0].scene, self.layout, self._constraints)
 
     @cached_property

@@ -1,5 +1,4 @@
-"""The result of a search: the layout, its scores before and after, and its history; also as
-files."""
+"""The result of a search, also as files: the layout, its scores before and after, its history."""
 
 import json
 import os

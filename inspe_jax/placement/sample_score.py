@@ -302,8 +302,7 @@ class SampleScore:
 
 def _shares(problem: Problem, sample: Sample) -> Iterator[np.ndarray]:
     """What each voxel of a sample counts for in C (V,), O (T, V) and IG (V,), and each column for
-    every class of road users alike in D (L,). Each sums to 1. Several cases stand one after
-    another."""
+    every class of road users alike in D (L,), case after case. Each sums to 1."""
     parts = []
     for part, tiled in zip(sample.arrays, sample.scenes, strict=True):
         (chunk,) = tiled.chunks

@@ -320,8 +320,7 @@ class Space:
         return np.where(rng.uniform(size=(count, 1)) < 0.5, on_pole, on_area)
 
     def feet(self, spacing: float) -> Float[np.ndarray, "F 2"]:
-        """Candidate feet [m]: a lattice over the areas, all poles, and the given feet that may
-        stay."""
+        """Candidate feet [m]: a lattice over the areas, all poles, and given feet that may stay."""
         single = self._pieces.corners[self._pieces.area == 0, 0]
         areas = any(PLACES[name][0] for name in self._places)
         lattice = self.site.lattice(spacing) if areas else np.zeros((0, 2))

@@ -59,8 +59,7 @@ REGION_COLORS: dict[Region, str] = dict(
 SENSOR_COLORS: defaultdict[str, str] = defaultdict(
     lambda: "#2f5d50", {"camera": "#c04a00", "lidar": "#8a2f74"}
 )
-"""Vermilion, reddish purple and, for other kinds of sensor, dark green: dark enough for white
-digits on them."""
+"""Vermilion, reddish purple and, for other kinds, dark green: dark enough for white digits."""
 
 _LINE: dict[str, Any] = dict(ec="#707070", lw=0.3)
 OUTLINE: dict[str, Any] = dict(fc="none", ec="#999999", lw=0.45)
@@ -105,8 +104,7 @@ def plan_view(
 
     The raster shows ``scores.seen_share``, the share of frames and levels in which a column is
     seen, or another ``layer``. For a camera the horizontal field of view is drawn up to its depth,
-    for a LiDAR its reach. Raises InspeError if there is no such ``frame``, or if the scores are of
-    another scene.
+    for a LiDAR its reach. Raises InspeError for no such ``frame``, or scores of another scene.
     """
     layer = layer or seen_layer(scores.seen_share, scene)
     layout = scores.conditions.layout(layout)
@@ -143,8 +141,7 @@ def column_raster(
     """A value for each column as an image, NaN where there is no column; and (x0, x1, y0, y1) [m].
 
     Rows run northward and columns of the image eastward from the south-west corner, so that each
-    pixel is the true square of its voxel column. Raises InspeError if L is not the number of
-    columns.
+    pixel is its voxel column's true square. Raises InspeError if L is not the number of columns.
     """
     values = np.asarray(values, float)
     if values.shape != (len(voxels.columns),):
@@ -315,8 +312,7 @@ def draw_plan(
 
 
 def draw_regions(ax: Axes, scene: Scene, look: Callable[[Region], dict[str, Any]]) -> None:
-    """Draw regions within the circle; where they overlap, the one that a column belongs to on
-    top."""
+    """Draw regions within the circle; where they overlap, a column's own is on top."""
     disc = _disc(scene)
     for region in reversed(PRECEDENCE):
         shape = scene.intersection.regions.get(region)

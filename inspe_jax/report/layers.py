@@ -9,8 +9,7 @@ from inspe_jax.scene.scene import Scene
 from inspe_jax.scoring.viewshed import Viewshed, Visibility
 
 HIDDEN = 0.5
-"""A column is a blind spot if traffic hides it for more than this share of the time that no road
-user is in it."""
+"""A column is a blind spot if traffic hides it for more than this share of the time it is empty."""
 CELL = 2.5
 """Side of the square about a column that maps show the mean of [m]: a few rays of a camera or a
 LiDAR wide at the reach of most."""

@@ -23,8 +23,7 @@ class SensorRow:
     centre [m], ``height`` that of the centre above the ground at its unit's base [m]. ``offset`` is
     how far it hangs from the base in plan [m], towards ``offset_azimuth``. ``azimuth`` is the
     direction that it faces; both are in degrees clockwise from north. ``tilt`` is how far it looks
-    down, and ``roll`` how far its left side is up [degrees]. ``price`` [US dollars] is None if
-    unknown."""
+    down, ``roll`` how far its left side is up [degrees]. ``price``: US dollars, None if unknown."""
 
     number: int
     name: str
@@ -49,9 +48,8 @@ class SensorRow:
 class UnitRow:
     """One unit: its base in the world and on the Earth, and its sensors.
 
-    ``position`` is x, y and the height of the ground [m], of the existing pole if it is mounted on
-    one; ``degrees`` latitude and longitude, None where the place has no coordinates. ``pole`` says
-    what it stands on.
+    ``position`` is x, y and the height of the ground [m], of the existing pole if it is on one;
+    ``degrees`` latitude and longitude, None without coordinates; ``pole`` what it stands on.
     """
 
     name: str

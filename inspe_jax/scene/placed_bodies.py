@@ -65,8 +65,7 @@ def _solids(one: StaticBody, ground: float) -> Iterator[tuple[Polygon, float, fl
 def inside_bodies(
     bodies: Sequence[StaticBody], place: Intersection, grid: VoxelGrid
 ) -> Bool[np.ndarray, "L Z"]:
-    """Whether the centre of each voxel is inside a body. Raises InspeError where one swallows the
-    region of interest."""
+    """Whether each voxel's centre is in a body. Raises InspeError if one swallows the region."""
     found = np.zeros((len(grid.columns), grid.level_count), bool)
     heights = grid.ground[:, None] + grid.levels  # (L, Z)
     x, y = grid.columns.T

@@ -243,8 +243,7 @@ class Viewer:
     def write_report(self, client: Any) -> None:
         """Write a report beside the layout's file, and send it to the browser that asks for it.
 
-        It has before and after where the layout is not as it was opened, and the target if one is
-        set.
+        It has before and after where the layout is not as opened, and the target if one is set.
         """
 
         def job() -> None:

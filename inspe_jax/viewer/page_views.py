@@ -103,8 +103,7 @@ def _marked(picture: Image, scene: Scene, layout: Layout, eye: _Eye) -> Figure:
 def _label_unit(
     ax: Axes, eye: _Eye, foot: tuple[float, float, float], at: Float[np.ndarray, "M 3"], words: str
 ) -> None:
-    """A unit's pole, upright; level arms from it to dots at its sensors; and their numbers above
-    the highest."""
+    """A unit's upright pole, level arms to dots at its sensors, their numbers above the highest."""
     hung = np.column_stack([np.tile(foot[:2], (len(at), 1)), at[:, 2]])  # where arms begin
     lines = [np.array([foot, hung[np.argmax(at[:, 2])]]), *np.stack([hung, at], 1)]
     drawn = [pixels(eye, line) for line in lines]

@@ -66,8 +66,7 @@ KEYS = (
     Key("Look at the whole intersection", "home", None, "Home", lambda v, c: v.look_at_all(c)),
     Key("List the keys", "H", None, "H or ?", lambda _, client: _list_keys(client)),
 )
-"""They are not heard while a number is typed. Arrows and W, A, S, D, Q, E move the camera, which is
-viser's."""
+"""Not heard while a number is typed. Arrows and W, A, S, D, Q, E are viser's, for the camera."""
 
 
 class Panel:

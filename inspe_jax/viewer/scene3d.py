@@ -104,12 +104,10 @@ class Scene3D:
             self._boxes(f"road users/{name}", center, traffic.size[frame, who], yaw, USER_COLOR)
 
     def draw_voxels(self, sight: Int[np.ndarray, " V"], shown: Iterable[Visibility]) -> None:
-        """Draw the voxels of the kinds ``shown``: hidden ones as boxes, others as tints of the
-        ground.
+        """Draw the voxels of the kinds ``shown``: hidden ones as boxes, others as tinted ground.
 
         ``sight`` is the :class:`Visibility` of each voxel in a frame. A column has the tint of the
-        kind that most of its voxels are of, so that no tint lies on another one, and none hides a
-        box.
+        kind of most of its voxels, so that no tint lies on another one, and none hides a box.
         """
         free, wanted = free_of_bodies(self.scene), set(shown)
         kinds = np.where(free, np.asarray(sight).reshape(free.shape), -1)
@@ -204,8 +202,7 @@ class Scene3D:
         self.drawn[f"{name}/view"].points = segments(view).astype(np.float32)
 
     def _number(self, layout: Layout, poses: Float[np.ndarray, "S 6"], wrong: set[int]) -> None:
-        """Draw the numbers of a unit's sensors as one label above it; several labels would
-        overlap."""
+        """Draw the numbers of a unit's sensors as one label above it: several would overlap."""
         units = [members for members in layout.members() if members]
         for u, members in enumerate(units):
             word = "  ".join(f"{k + 1} !" if k in wrong else str(k + 1) for k in members)
@@ -307,8 +304,7 @@ class Scene3D:
 
 
 def look_from(camera: Any, scene: Scene, back: float = 1.0) -> None:
-    """Point a camera at the whole scene from the south and from above; ``back`` scales its
-    distance."""
+    """Point a camera at the scene, from the south and above; ``back`` scales its distance."""
     radius = scene.voxels.radius
     camera.position = (0.0, -1.05 * back * radius, 0.95 * back * radius)
     camera.look_at = (0.0, -0.08 * radius, 0.0)

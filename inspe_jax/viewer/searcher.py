@@ -78,12 +78,10 @@ class SearchEnding:
 class Searcher:
     """Runs one search at a time; ``running`` is true until ``ended`` is called.
 
-    Its process is kept for the next search, which then finds the programs that are compiled
-    already.
+    Its process is kept for the next search, which then finds programs compiled already.
 
     Three functions are called on a thread of its own: ``progress`` with the fraction of the budget
-    that is spent and the best score, ``found`` with every layout that is the best so far and its
-    score, ``ended`` once.
+    spent and the best score, ``found`` with every best layout so far and its score, ``ended`` once.
     """
 
     def __init__(
@@ -112,8 +110,7 @@ class Searcher:
         return 0.0 if self._best is None else self._best[1] - self._first
 
     def start(self, layout: Layout, method: str, seconds: float, target: float = math.inf) -> None:
-        """Start a search from a layout, which also ends with a score of ``target`` or more, unless
-        another one runs."""
+        """Start a search, if none runs. It also ends with a score of ``target`` or more."""
         search = dict(
             scene=self.case, layout=layout, method=method, seconds=seconds, target=target,
             objective=self.objective, constraints=self.constraints,

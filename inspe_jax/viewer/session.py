@@ -33,8 +33,7 @@ class LayoutSession:
     how mounting has altered the last change."""
 
     def __init__(self, scene: Scene, layout: Layout) -> None:
-        """The layout is taken as it is, even if it breaks a rule of mounting: see
-        :meth:`faults`."""
+        """The layout is taken as it is, even if it breaks a rule of mounting: :meth:`faults`."""
         self.scene, self.layout = scene, layout
         self.constraints = Constraints()
         self.notes: tuple[str, ...] = ()

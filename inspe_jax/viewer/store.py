@@ -24,8 +24,7 @@ class LayoutStore:
     are files that earlier runs have left, the newest first."""
 
     def __init__(self, path: Path, opened: Layout, scene: Scene | None = None) -> None:
-        """``opened`` is the layout at the start. ``scene`` gives ground heights that files leave
-        out."""
+        """``opened`` is the layout at the start; ``scene`` gives ground heights that files lack."""
         self.path, self._scene = Path(path).resolve(), scene
         self._saved = opened
         self._known: dict[Path, bytes] = {}  # this run's own files, as it has written them

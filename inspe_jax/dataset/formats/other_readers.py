@@ -60,8 +60,7 @@ BEYOND = 9.5
 BELOW = 0.5
 """How far the ground out there may lie below the region's lowest [m]: 5 % over that length."""
 STEP = 6.4
-"""Limits along x and y are multiples of this [m]: 16 pillars of 0.4 m, so that networks can halve
-their grid four times."""
+"""Limits along x and y are multiples of this [m]: 16 pillars of 0.4 m, to be halved four times."""
 
 PIXELS = 256
 """Width and height of a map, as in OPV2V and these readers."""

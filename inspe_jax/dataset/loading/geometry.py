@@ -1,5 +1,4 @@
-"""Poses as matrices, points on pictures, and similarities of the whole intersection, also at
-random."""
+"""Poses as matrices, points on pictures, and similarities of the intersection, also at random."""
 
 from dataclasses import dataclass
 from typing import Any

@@ -17,9 +17,8 @@ class PillarGrid:
     """A square grid of pillars about the middle of the intersection.
 
     It reaches ``half`` to each side [m], and from ``low`` to ``high`` above the ground [m];
-    pillars are ``cell`` wide [m]. The points of an infrastructure unit are together. Of a pillar's
-    points, ``most_points`` are kept, and of the pillars that have a point ``most_pillars``, both at
-    random.
+    pillars are ``cell`` wide [m]. The points of an infrastructure unit are together. At random,
+    ``most_points`` of a pillar's points are kept, and ``most_pillars`` of the pillars with a point.
 
     The defaults: 256 × 256 pillars of 0.4 m, the usual width for OPV2V, reach beyond the region of
     50 m and can be halved eight times; a lorry fits, also on a slope. A cloud of the paper's LiDARs
@@ -71,8 +70,7 @@ class PillarGrid:
     ) -> None:
         """Put points, in random order, into the pillars ``out`` of one group, which are empty.
 
-        Where there are too many pillars, ``rng`` draws which are kept; without it, they are always
-        the same.
+        Of too many pillars ``rng`` draws which are kept; without it, they are always the same.
         """
         side, nowhere = self.side, self.side**2
         x, y, z = np.ascontiguousarray(points[:, :3].T)

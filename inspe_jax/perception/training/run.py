@@ -192,8 +192,7 @@ class TrainingRun:
         return detector, optimiser(settings.steps, settings.rate).init(weights)
 
     def last(self) -> tuple[int, Detector]:
-        """The step of the last state and its detector. Raises InspeError if there is none, or it is
-        damaged."""
+        """Step and detector of the last state. Raises InspeError if it is damaged or not there."""
         if not self.states:
             raise InspeError(f"{self.path}: has no state yet: train it first")
         step, (detector, _) = self.restore()
@@ -243,8 +242,7 @@ def _check_no_others(path: Path) -> None:
 
 
 def open_run(folder: str | os.PathLike[str]) -> TrainingRun:
-    """The run in a folder. Raises InspeError if there is none, or its record is damaged or of
-    another version."""
+    """The run in a folder. Raises InspeError if it is missing, damaged or of another version."""
     path = Path(folder).resolve()
     if not (path / RECORD).is_file():
         raise InspeError(f"{folder}: not a training run: make one with inspe train")

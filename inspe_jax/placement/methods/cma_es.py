@@ -20,8 +20,7 @@ FOLLOWED = 7
 PATIENCE = 8
 """Exact scores without a better one after which a restart follows."""
 NARROW = 0.01
-"""A restart also follows where a generation spreads less than this in every coordinate, in
-typical steps."""
+"""A restart also follows where a generation spreads less in all coordinates [typical steps]."""
 SCREENED = 16
 """Random layouts of which the best is where a restart begins."""
 
@@ -31,8 +30,7 @@ class CmaState:
     """The losses since the last restart, from which the strategy can be made again.
 
     ``restart``, its number; ``origin`` (N,), the layout where it began; ``losses`` (G, P), those
-    of G generations of P; ``best``, its best exact score; ``waited``, the exact scores
-    since then.
+    of G generations of P; ``best``, its best exact score; ``waited``, the exact scores since.
     """
 
     restart: int
@@ -103,8 +101,7 @@ def _layouts(
 def _strategy(run: Run, state: CmaState) -> Any:
     """The strategy at this state, a ``cmaes.CMA``: from the run's cache or made from the losses.
 
-    It is taken out of the cache: one that has asked for a generation that was then cut short must
-    not be used again.
+    It is taken out of the cache: one whose generation was cut short must not be used again.
     """
     from cmaes import CMA  # only here: its import takes a third as long as all others
 

@@ -30,8 +30,7 @@ class GridState:
 
     ``x`` (N,) is the present layout and ``value`` its exact score. ``scores`` are those of the
     block's grid so far. ``level`` counts how often the grid was made finer. ``sweep`` and ``block``
-    are the numbers of the sweep and of the block in it. ``moved`` tells whether this sweep has
-    found anything better.
+    are the numbers of the sweep and of the block in it. ``moved``: this sweep has found better.
     """
 
     x: Float[np.ndarray, " N"]

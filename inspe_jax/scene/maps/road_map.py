@@ -189,8 +189,7 @@ class MapJunction(ABC):
 
     @abstractmethod
     def drives(self, arm_of: dict[tuple[int, str], int]) -> Iterable[Route]:
-        """Every path from an inbound lane to another arm of ``arm_of`` (road, end), from radius to
-        radius; no U-turns."""
+        """Every path from an inbound lane to another arm of ``arm_of`` (road, end), rim to rim."""
 
     @abstractmethod
     def with_bodies(

@@ -194,8 +194,7 @@ def strip(line: Float[np.ndarray, "N 2"], near: float, far: float) -> Polygon:
 def turns(roads: list[Road], corner_radius: float) -> Iterator[Route]:
     """Every movement from every road to every other, on the lanes for it.
 
-    Turns are arcs as wide as the mouths allow; round a corner the lane keeps its distance from the
-    kerb.
+    Turns are arcs as wide as the mouths allow; round corners lanes keep their distance from kerbs.
     """
     for i, a in enumerate(roads):
         for j, k, n in _movements(roads, i):

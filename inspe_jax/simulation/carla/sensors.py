@@ -34,8 +34,7 @@ NEEDS: dict[str, tuple[str, ...]] = {
 """CARLA's pictures that each layer is made of. CARLA numbers instances, but does not say which
 number an actor has, so pixels are matched to road users by place."""
 ROAD_USER_LABELS = (12, 13, 14, 15, 16, 18, 19)
-"""CARLA's labels (0.9.14 and later) of people, riders, cars, trucks, buses, motorcycles, bicycles.
-"""
+"""CARLA's labels (from 0.9.14 on) of people, riders, cars, trucks, buses, motorcycles, bicycles."""
 MARGIN = 0.3
 """Mirrors and limbs may reach this far out of a box [m]."""
 

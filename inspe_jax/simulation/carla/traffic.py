@@ -92,8 +92,7 @@ class Actors:
         return tuple(found)
 
     def _bodies(self) -> dict[int, list[ActorBody]]:
-        """The blueprints of each class, but those that cannot be spawned: only an actor has a
-        box."""
+        """The blueprints of each class that can be spawned: only an actor has a box."""
         found: dict[int, list[ActorBody]] = {}
         blueprints = [*self.library.filter("vehicle.*"), *self.library.filter("walker.*")]
         for k, blueprint in enumerate(sorted(blueprints, key=lambda blueprint: blueprint.id)):

@@ -35,8 +35,7 @@ FAINT = 0.25
 CLEAR = 1.5
 """Light of a beam that changes the look of a road user, as a share of the sky's."""
 MOST = 2
-"""A road user is lit by so many beams at most: in a queue, others are behind those that are near.
-"""
+"""A road user is lit by so many beams at most: in a queue, others are behind those nearby."""
 STEP = 0.5
 """Spacing of the map [m]."""
 FINE = 4

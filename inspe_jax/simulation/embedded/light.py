@@ -71,8 +71,7 @@ LIGHTS: dict[str, Light] = {
 road with 10 lx, white is 0.11 at night. A gain of 32 is 30 dB, a usual limit of traffic cameras."""
 
 LAMP = (6.0, 5.0, 3.6)
-"""Light of a street lamp at 1 m: a warm white. At 7.5 m this is 10 lx, as EN 13201 asks of streets
-with mixed traffic."""
+"""Light of a street lamp at 1 m: warm white; at 7.5 m 10 lx, as EN 13201 asks for mixed traffic."""
 CANDELA = 6.0 / 560
 """Light of 1 cd at 1 m: 10 lx at 7.5 m are 560 cd."""
 ELECTRONS = 6000.0

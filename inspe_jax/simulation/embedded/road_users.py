@@ -1,5 +1,4 @@
-"""The road users of a frame, parked vehicles among them: as boxes with names, and as triangles that
-rays can hit."""
+"""The road users of a frame, with parked vehicles: as named boxes, and as triangles for rays."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -137,9 +136,8 @@ def is_box(one: StaticBody) -> bool:
 
 
 def parked_vehicles(scene: Scene) -> tuple[Snapshot, tuple[StaticBody, ...]]:
-    """The parked vehicles with their centres in a scene's region as road users, and the bodies that
-    are left. A track, and so shape and colour, hangs on the vehicle's own place alone, unless that
-    number is taken."""
+    """The parked vehicles with centres in a scene's region as road users, and the other bodies. A
+    track, and so shape and colour, hangs on the vehicle's own place alone, unless it is taken."""
     place, radius = scene.intersection, scene.voxels.radius
     found: list[StaticBody] = []
     left: list[StaticBody] = []

@@ -31,8 +31,7 @@ class Shape:
     """A mesh that fills −0.5 … 0.5 on each axis: x forward, y left, z up, the ground at −0.5.
 
     The corners of a face run counter-clockwise, seen from outside. ``part`` is an index into
-    ``PARTS``. At its :func:`natural_size` the shape has natural proportions. The arrays are shared
-    and read-only.
+    ``PARTS``. At its :func:`natural_size` proportions are natural. Arrays are shared and read-only.
     """
 
     vertices: Float[np.ndarray, "N 3"]
@@ -99,9 +98,8 @@ def fitting(kind: str, size: Sequence[float] | Float[np.ndarray, "3"]) -> tuple[
 
 
 def paint(kind: str, rng: np.random.Generator) -> Float[np.ndarray, "P 3"]:
-    """Linear RGB albedo of each of the P :data:`PARTS`, for one road user of a class: drawn, made a
-    few per cent brighter or darker, and converted from sRGB (IEC 61966-2-1). Raises InspeError for
-    an unknown class."""
+    """Linear RGB albedo of the P :data:`PARTS` of one road user of a class: drawn, varied by a few
+    per cent, and converted from sRGB (IEC 61966-2-1). Raises InspeError for an unknown class."""
     check_known(kind, VARIANTS, "class")
     palettes = _PAINT["all"] | _PAINT.get(kind, {})
     srgb = np.zeros((len(PARTS), 3))

@@ -280,8 +280,7 @@ class SumoMap(RoadMap):
 def load_net(path: Path) -> SumoMap:
     """The network of a .net.xml, .osm or .xodr file, cached while the file does not change.
 
-    Raises InspeError if SUMO or the file is missing, if it is another kind of file, or if it has no
-    roads.
+    Raises InspeError if SUMO or the file is missing, or it is of another kind or without roads.
     """
     with needs("SUMO networks and OpenStreetMap need sumolib", "sumo"):
         import sumolib

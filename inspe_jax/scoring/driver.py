@@ -63,6 +63,17 @@ class MetricValues(NamedTuple):
         )
 
 
+class TileReadings(NamedTuple):
+    """What is read of N tiles: how many voxels ``columns`` and ``levels`` have in view, the chance
+    that each voxel is ``resolved``, the ``counts``, and the further ``terms`` of the metrics."""
+
+    columns: Num[Array, "N 1+G C"]
+    levels: Num[Array, "N Z"]
+    resolved: Float[Array, "N 1+G Z C"]
+    counts: Counts
+    terms: dict[str, Any]
+
+
 @partial(jax.jit, static_argnames="options")
 def measure_tiles(
     reading: Reading,
@@ -81,13 +92,38 @@ def measure_tiles(
 
     The result has the tiles' columns, a row for each place of a group of failures, and no parts.
     """
-    reading = jax.lax.stop_gradient(reading)
+    reading, kept = jax.lax.stop_gradient(reading), kept_for_gradient(tiled, sensors)
+    found = read_tiles(reading, tiled, poses, sensors, voxel, kept, options)
+    return summarise_readings(found, tiled, sensors.failures, reading.width, options)
+
+
+def kept_for_gradient(tiled: TiledScene, sensors: SensorArray) -> tuple[str, ...] | None:
+    """Names of what is kept for a gradient; None for all. Finding it again takes a pass over all
+    frames; of large scenes there is not the room for it."""
+    size = tiled.tiles.tile.heights.size * tiled.frame_count
+    size *= 1 if sensors.failures is None else 1 + len(sensors.failures.first)
+    if size <= KEPT and size * len(sensors.kind) <= SENSORS_KEPT:
+        return None
+    return (SIGHTS, SIGHTS_READ) if size <= SIGHTS_KEPT else (SIGHTS,)
+
+
+def read_tiles(
+    reading: Reading,
+    tiled: TiledScene,
+    poses: Float[Array, "S 6"],
+    sensors: SensorArray,
+    voxel: float | Array,
+    kept: tuple[str, ...] | None,
+    options: ScoreOptions,
+) -> TileReadings:
+    """What is read of tiles. ``kept`` is what :func:`kept_for_gradient` gives; the other arguments
+    are as of :func:`measure_tiles`."""
     failures, positions, tiles = sensors.failures, poses[:, :3], tiled.tiles
     seen_by = poses, sensors, voxel / 2
     views = reading.views(tiles.tile, *seen_by)
     shadows = [reading.shadows(positions, chunk.prisms) for chunk in tiled.chunks]
 
-    def read_tile(tile: Tile, last: Array, views: Any, *solids: Any) -> tuple[Any, ...]:
+    def read_tile(tile: Tile, last: Array, views: Any, *solids: Any) -> TileReadings:
         levels = len(tile.heights)
         f = reading.view_of_tile(views, tile, *seen_by)
         past = reading.past_statics(tile, positions, tiled.statics, f)
@@ -106,7 +142,7 @@ def measure_tiles(
         at = TileEvidence(reading, tile, *of_sensors, last, tiles.slabs == 1, options.detection)
         visible = reading.chances(f, levels) if options.visibility == "in_view" else at.visible
         covered = reading.any_of(f, failures)
-        return (
+        return TileReadings(
             reading.column_counts(covered),
             reading.level_counts(covered[0], levels),
             metrics.resolved(visible, jnp.asarray(sensors.reliability, float), failures),
@@ -114,30 +150,36 @@ def measure_tiles(
             metrics.tile_terms(options.metrics, at),
         )
 
-    rows = 1 if failures is None else 1 + len(failures.first)
-    size = rows * tiles.tile.heights.size * tiled.frame_count
-    if size > KEPT or size * len(poses) > SENSORS_KEPT:
-        # Finding these again would take one more pass over all frames.
+    if kept is not None:
         reading = reading.in_little_room()
-        names = (SIGHTS, SIGHTS_READ) if size <= SIGHTS_KEPT else (SIGHTS,)
-        only = jax.checkpoint_policies.save_only_these_names(*names)
+        only = jax.checkpoint_policies.save_only_these_names(*kept)
         read_tile = jax.checkpoint(read_tile, policy=only)
     by_tile = tiles.tile, tiles.last, views, *(chunk.solid for chunk in tiled.chunks)
-    found = jax.lax.map(lambda given: unless_empty(read_tile)(*given), by_tile)
-    columns, by_level, resolved, counts, terms = found
-    columns = columns.swapaxes(0, 1).reshape(columns.shape[1], tiles.slabs, -1)
-    by_level = by_level.reshape(tiles.slabs, len(tiles.tile.there) // tiles.slabs, -1)
+    return jax.lax.map(lambda given: unless_empty(read_tile)(*given), by_tile)
+
+
+def summarise_readings(
+    found: TileReadings,
+    tiled: TiledScene,
+    failures: Groups | None,
+    width: Width,
+    options: ScoreOptions,
+) -> MetricValues:
+    """The metrics from what :func:`read_tiles` gives of all tiles of a scene."""
+    tiles, counts = tiled.tiles, found.counts
+    columns = found.columns.swapaxes(0, 1).reshape(found.columns.shape[1], tiles.slabs, -1)
+    by_level = found.levels.reshape(tiles.slabs, len(tiles.tile.there) // tiles.slabs, -1)
     tile, column = jnp.divmod(tiled.column, tiles.tile.there.shape[1])
     return summarise(
         tiled,
         tiles.column_shares(columns.sum(1).astype(float)),
         by_level.sum(1).reshape(-1),
-        metrics.entropy_terms(resolved[tile, :, tiled.level, column].T, tiled.occupancy),
+        metrics.entropy_terms(found.resolved[tile, :, tiled.level, column].T, tiled.occupancy),
         counts._replace(seen=counts.seen.sum(0), original=counts.original.sum(0)),
-        terms,
+        found.terms,
         failures,
         options.metrics,
-        reading.width,
+        width,
     )
 
 

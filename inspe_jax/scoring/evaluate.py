@@ -30,6 +30,7 @@ from inspe_jax.scoring.numbers import Numbers
 from inspe_jax.scoring.options import ScoreOptions
 from inspe_jax.scoring.reading import BITS
 from inspe_jax.scoring.sensor_array import SensorSet, sensor_array
+from inspe_jax.scoring.soft import measure_softly
 from inspe_jax.scoring.tiled_scene import TiledScene, tiled_scene_of
 from inspe_jax.sensing.conditions import FAIR, Case, Conditions, perceiving
 from inspe_jax.sensing.layout import Layout
@@ -235,9 +236,10 @@ def _measured(
     if softness.exact and not traced:
         tiled = tiled_scene_of(scene)
         return tiled, count_exactly(tiled, padded, sensors, voxel, options)
-    reading = BITS if softness.exact else Numbers(softness)
     tiled = tiled_scene_of(scene, whole=True, masks=softness.exact)
-    return tiled, measure_tiles(reading, tiled.bucketed, padded, sensors, voxel, options=options)
+    if not softness.exact:
+        return tiled, measure_softly(Numbers(softness), tiled, padded, sensors, voxel, options)
+    return tiled, measure_tiles(BITS, tiled.bucketed, padded, sensors, voxel, options=options)
 
 
 @dataclass(frozen=True, eq=False)

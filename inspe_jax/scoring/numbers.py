@@ -256,10 +256,17 @@ def _union_backward(see_from: SeeFrom, kept: tuple, wanted: tuple) -> tuple:
     union, read, positions, views, failures, given = kept
     listed, number = _in_view(views)
     of_union, of_sights = wanted
+    cells = read[0].sloped.shape[-1]
+    # Sight lines of the other cells have no slope: some sensor sees them for certain, or nobody asks.
+    asked = (((1.0 - union) * of_union) != 0).any((0, 1)).reshape(-1, cells, views.shape[-1] // cells).any(-1)
 
     def add(i: Array, slopes: tuple[Array, Array]) -> tuple[Array, Array]:
         s = listed[i]
         known = jax.tree.map(lambda all_: all_[s], read)
+        some = asked
+        if of_sights is not None:
+            some = some | (of_sights[s] != 0).any(-1).reshape(cells, -1).any(-1)
+        known = [of._replace(sloped=jnp.where(some, of.sloped, jnp.uint32(0))) for of in known]
         of_sensor = lambda position, view: see_from((position, known, view), *given)[:2]  # noqa: E731
         (visible, _), back = jax.vjp(of_sensor, positions[s], views[s])
         each = (1.0 - union) * of_union

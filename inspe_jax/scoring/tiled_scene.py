@@ -4,7 +4,7 @@ It is made once for a scene, or for a sample of one, and serves every layout.
 """
 
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import cached_property, partial
 from itertools import pairwise
 from typing import Any, NamedTuple
 from weakref import WeakKeyDictionary
@@ -115,6 +115,21 @@ class TiledScene:
         So a program compiled for one scene serves other scenes of similar size.
         """
         return replace(self, tiles=replace(self.tiles, place=None), device_tiles=None)
+
+    @cached_property
+    def apart(self) -> "list[tuple[Int[np.ndarray, ' n'], TiledScene]]":
+        """The tiles with some column, each with those above it: their numbers, and they alone
+        without what :func:`~inspe_jax.scoring.driver.summarise` needs."""
+        found, none = [], np.zeros(0)
+        numbers = np.arange(len(self.tiles.tile.there)).reshape(self.tiles.slabs, -1).T
+        whole = jax.tree.map(np.asarray, replace(self.bucketed, weight=none, occupancy=none))
+        for rows in numbers:
+            tile = jax.tree.map(lambda leaf: leaf[rows], whole.tiles.tile)  # noqa: B023
+            if tile.there.any():
+                chunks = tuple(replace(chunk, tile=tile) for chunk in whole.chunks)
+                tiles = replace(whole.tiles, tile=tile)
+                found.append((rows, replace(whole, tiles=tiles, chunks=chunks, column=none, level=none)))
+        return untraced(lambda: jax.device_put(found))
 
 
 _kept_scenes: "WeakKeyDictionary[Scene, dict[tuple, TiledScene]]" = WeakKeyDictionary()

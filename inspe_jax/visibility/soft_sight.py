@@ -115,11 +115,9 @@ def _backward(solid: bool, kept: tuple, wanted: Float[Array, "Z F C"]) -> tuple:
     """Cell by cell again, of the prisms that have a slope: nothing else of a prism is kept."""
     sensor, of, clear = kept
     frames, cells = of.marked.shape[1:]
-    # A line has a slope where it is neither clear nor hidden for certain, and somebody asks.
+    blocks, block = _blocks(of, solid)
+    # A line has a slope where it is neither clear nor hidden for certain.
     wanted = jnp.where(clear < 1.0, wanted * clear, 0.0)
-    wanted = wanted.reshape(len(wanted), frames, cells, -1)
-    asked = (wanted != 0).any((0, 3))
-    blocks, block = _blocks(of._replace(marked=jnp.where(asked, of.marked, jnp.uint32(0))), solid)
     wanted = wanted.reshape(len(wanted), frames * cells, -1)
 
     def add(number: Array, slope: Array) -> Array:
@@ -177,7 +175,7 @@ def _blocks(of: Sights, solid: bool) -> tuple[Array, Callable[[Array], _Rows]]:
         ) -> tuple[Array, AtLevel]:
             """How much of a level a prism of each row hides, and what that comes from."""
             z, spared = level
-            at = _at_level(prism, cut.near, cut.far, z, sz, of.width, solid)
+            at = _at_level(prism, plan, z, sz, of.width, solid)
             found = plan.met * at.hidden
             if spared is not None:  # by those that stand on the column
                 found = jnp.where(spared & (cut.depth > 0), 0.0, found)
@@ -304,12 +302,15 @@ def _most_first(count: Int[Array, " N"]) -> Int[Array, " N"]:
 
 
 class InPlan(NamedTuple):
-    """The chance that a line meets a prism in plan, and its derivatives by the cut's margins."""
+    """The chance that a line meets a prism in plan, its derivatives by the cut's margins, and the
+    cut's ``near`` and ``far``, each with one over it."""
 
     met: Float[Array, "*n"]
     by_left: Float[Array, "*n"]
     by_right: Float[Array, "*n"]
     by_ahead: Float[Array, "*n"]
+    near: tuple[Float[Array, "*n"], Float[Array, "*n"]]
+    far: tuple[Float[Array, "*n"], Float[Array, "*n"]]
 
 
 def _in_plan(cut: SightCut, width: Width) -> InPlan:
@@ -322,6 +323,7 @@ def _in_plan(cut: SightCut, width: Width) -> InPlan:
         ahead * slope_of_step(left, width),
         ahead * slope_of_step(right, width),
         sides * slope_of_step(cut.ahead, width),
+        *((at, 1.0 / jnp.maximum(at, NO_LEVER)) for at in (cut.near, cut.far)),
     )
 
 
@@ -337,8 +339,7 @@ class AtLevel(NamedTuple):
 
 def _at_level(
     prism: ConvexPrism,
-    near: Float[Array, "R G"],
-    far: Float[Array, "R G"],
+    plan: InPlan,
     z: Float[Array, "R G"],
     sz: Float[Array, ""],
     width: Width,
@@ -352,21 +353,23 @@ def _at_level(
     z + (sz − z)·τ, and it moves by τ where the sensor moves by 1; by NO_LEVER at least.
     """
 
-    def rises(height: Array, at: Array) -> tuple[Array, Array, Array]:
+    def rises(height: Array, is_near: Array) -> tuple[Array, Array, Array]:
         """The rise for the line to pass ``height`` at τ; its derivatives in τ and sensor height."""
-        lever = 1.0 / jnp.maximum(at, NO_LEVER)
+        at, lever = (jnp.where(is_near, *each) for each in zip(plan.near, plan.far, strict=True))
         need = (height - z - (sz - z) * at) * lever
         by_at = jnp.where(at > NO_LEVER, need, 0.0) + sz - z
         return need, -by_at * lever, -at * lever
 
     top = prism.top + LEVEL
     low_is_near, high_is_near = top > z, prism.bottom < z
-    below, by_low, by_height = rises(top, jnp.where(low_is_near, near, far))
+    below, by_low, by_height = rises(top, low_is_near)
     hidden, by = step(below, width), slope_of_step(below, width)
     by_low, by_height = by * by_low, by * by_height
-    by_near, by_far = jnp.where(low_is_near, by_low, 0.0), jnp.where(low_is_near, 0.0, by_low)
+    # Multiplied by 0 or 1: what is selected here, XLA computes point by point.
+    is_near = low_is_near.astype(by_low.dtype)
+    by_near, by_far = by_low * is_near, by_low * (1.0 - is_near)
     if not solid:
-        beneath, by_high, by_rise = rises(prism.bottom, jnp.where(high_is_near, near, far))
+        beneath, by_high, by_rise = rises(prism.bottom, high_is_near)
         opaque = step(HALF - prism.clear) if exact(width) else 1.0 - prism.clear
         over, by_over = step(-beneath, width) * opaque, slope_of_step(-beneath, width) * opaque
         by_high = -hidden * by_over * by_high

@@ -1,0 +1,207 @@
+"""Soft scores and their gradients on all cores: each takes one tile after the other.
+
+XLA runs a loop over tiles on one core. So a program that a user compiles with ``jax.jit`` calls the
+cores (``jax.pure_callback``), which run programs of one tile; these serve all scenes.
+"""
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import jax
+import numpy as np
+from jaxtyping import Array, Float
+
+from inspe_jax.core import sharding
+from inspe_jax.core.numerics import Groups, Width
+from inspe_jax.core.parallel import Job, cores, run
+from inspe_jax.scoring.driver import (
+    MetricValues,
+    TileReadings,
+    kept_for_gradient,
+    measure_tiles,
+    read_tiles,
+    summarise_readings,
+)
+from inspe_jax.scoring.numbers import Numbers
+from inspe_jax.scoring.options import ScoreOptions
+from inspe_jax.scoring.sensor_array import SensorArray
+from inspe_jax.scoring.tiled_scene import TiledScene
+
+UNUSED = 2
+"""Of so many scores what their gradients need is kept until these are asked for."""
+
+
+def measure_softly(
+    reading: Numbers,
+    tiled: TiledScene,
+    poses: Float[Array | np.ndarray, "S 6"],
+    sensors: SensorArray,
+    voxel: float,
+    options: ScoreOptions,
+) -> MetricValues:
+    """:func:`~inspe_jax.scoring.driver.measure_tiles`, read softly.
+
+    On all cores; in double precision, on one core and on other devices it is one program.
+    """
+    double = jax.config.jax_enable_x64  # type: ignore[attr-defined]
+    if double or cores() == 1 or sharding.devices() > 1 or jax.default_backend() != "cpu":
+        return measure_tiles(reading, tiled.bucketed, poses, sensors, voxel, options=options)
+    return _measured(_Work(tiled, sensors, voxel, options), reading, poses)
+
+
+class _Work:
+    """The soft metrics of sensors on a scene and their gradient, of arrays that are not traced."""
+
+    def __init__(
+        self, tiled: TiledScene, sensors: SensorArray, voxel: float, options: ScoreOptions
+    ) -> None:
+        self.tiled, self.sensors, self.voxel = tiled, sensors, voxel
+        self.static = dict(kept=kept_for_gradient(tiled, sensors), options=options)
+        self._slopes: dict[bytes, Any] = {}
+
+    @property
+    def shapes(self) -> MetricValues:
+        """The shapes of the metrics."""
+        tiles, failures = self.tiled.tiles, self.sensors.failures
+        row, column, level, one = (
+            jax.ShapeDtypeStruct(shape, np.float32)
+            for shape in (
+                (1 if failures is None else 1 + len(failures.first),),
+                (tiles.tile.there.size // tiles.slabs,),
+                (tiles.level_count,),
+                (),
+            )
+        )
+        options: ScoreOptions = self.static["options"]
+        values = {metric.name: row for metric in options.metrics}
+        return MetricValues(values, column, level, one, column)
+
+    def value(self, reading: Numbers, poses: Any) -> MetricValues:
+        """The metrics."""
+        return _on_host(_summary(*self._summed(self._read(_read, reading, poses), reading)))
+
+    def forward(self, reading: Numbers, poses: Any) -> MetricValues:
+        """The metrics, while what the gradient needs is kept for :meth:`backward`."""
+        found, slopes = zip(*self._read(_read_with_slope, reading, poses), strict=True)
+        values, of_tiles = _summary_with_slope(*self._summed(found, reading))
+        self._slopes[_content(reading, poses)] = slopes, of_tiles
+        for old in list(self._slopes)[:-UNUSED]:
+            self._slopes.pop(old, None)
+        return _on_host(values)
+
+    def backward(self, reading: Numbers, poses: Any, wanted: MetricValues) -> np.ndarray:
+        """The gradient in the poses of the metrics, weighted by what is ``wanted``."""
+        while (kept := self._slopes.pop(_content(reading, poses), None)) is None:
+            self.forward(reading, poses)
+        slopes, of_tiles = kept
+        wanted = _on_host(_pulled(of_tiles, _on_host(wanted)))
+        jobs: list[Job] = []
+        for (rows, _), slope in zip(self.tiled.apart, slopes, strict=True):
+            own = jax.tree.map(lambda leaf: leaf[np.asarray(rows)], wanted)  # noqa: B023
+            key = _pulled, jax.tree.structure(slope), _shapes(slope)
+            jobs.append((key, partial(_pulled, slope, own)))
+        return np.sum(run(jobs), 0)
+
+    def _read(self, work: Callable[..., Any], reading: Numbers, poses: Any) -> list[Any]:
+        """What ``work`` gives of each tile."""
+        given = _on_host((poses, self.sensors, self.voxel))
+        reading, jobs = _on_host(reading), []
+        for _, tile in self.tiled.apart:
+            key = work, *self.static.values(), self.sensors.kinds, _shapes(tile, given)
+            jobs.append((key, partial(work, reading, tile, *given, **self.static)))
+        return run(jobs)
+
+    def _summed(self, parts: Any, reading: Numbers) -> tuple:
+        """What was read of all tiles, and what else their summary needs."""
+
+        def joined(*leaves: Any) -> np.ndarray:
+            first = np.asarray(leaves[0])
+            whole = np.zeros((len(self.tiled.tiles.tile.there), *first.shape[1:]), first.dtype)
+            for (rows, _), leaf in zip(self.tiled.apart, leaves, strict=True):
+                whole[np.asarray(rows)] = leaf
+            return whole
+
+        found = jax.tree.map(joined, *parts)
+        failures, options = self.sensors.failures, self.static["options"]
+        return found, self.tiled.bucketed, failures, reading.width, options
+
+
+def _called(work: Callable[..., Any], shapes: Any, *given: Any) -> Any:
+    """``work(*given)``, by the program that is being traced if one is."""
+    if not any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(given)):
+        return work(*given)
+    return jax.pure_callback(work, shapes, *given, vmap_method="sequential")
+
+
+@partial(jax.custom_vjp, nondiff_argnums=(0,))
+def _measured(work: _Work, reading: Numbers, poses: Float[Array, "S 6"]) -> MetricValues:
+    return _called(work.value, work.shapes, reading, poses)
+
+
+def _forward(work: _Work, reading: Numbers, poses: Array) -> tuple[MetricValues, tuple]:
+    return _called(work.forward, work.shapes, reading, poses), (reading, poses)
+
+
+def _backward(work: _Work, kept: tuple, wanted: MetricValues) -> tuple[None, Array]:
+    shape = jax.ShapeDtypeStruct(kept[1].shape, kept[1].dtype)
+    return None, _called(work.backward, shape, *kept, wanted)
+
+
+_measured.defvjp(_forward, _backward)
+
+
+@partial(jax.jit, static_argnames=("kept", "options"))
+def _read(
+    reading: Numbers,
+    tiled: TiledScene,
+    poses: Float[Array, "S 6"],
+    sensors: SensorArray,
+    voxel: float | Array,
+    *,
+    kept: tuple[str, ...] | None,
+    options: ScoreOptions,
+) -> TileReadings:
+    return read_tiles(reading, tiled, poses, sensors, voxel, kept, options)
+
+
+@partial(jax.jit, static_argnames=("kept", "options"))
+def _read_with_slope(
+    reading: Numbers, tiled: TiledScene, poses: Float[Array, "S 6"], *given: Any, **static: Any
+) -> tuple[TileReadings, Any]:
+    return jax.vjp(lambda poses: _read(reading, tiled, poses, *given, **static), poses)
+
+
+@partial(jax.jit, static_argnums=4)
+def _summary(
+    found: TileReadings,
+    tiled: TiledScene,
+    failures: Groups | None,
+    width: Width,
+    options: ScoreOptions,
+) -> MetricValues:
+    return summarise_readings(found, tiled, failures, width, options)
+
+
+@partial(jax.jit, static_argnums=4)
+def _summary_with_slope(found: TileReadings, *given: Any) -> tuple[MetricValues, Any]:
+    return jax.vjp(lambda found: _summary(found, *given), found)
+
+
+@jax.jit
+def _pulled(slope: Callable[..., Any], wanted: Any) -> Any:
+    """The gradient of what has a ``slope``, weighted by what is ``wanted``."""
+    return slope(wanted)[0]
+
+
+def _on_host(arrays: Any) -> Any:
+    return jax.tree.map(np.asarray, arrays)
+
+
+def _shapes(*arrays: Any) -> tuple[tuple[int, ...], ...]:
+    """The shapes of all arrays, for which programs are compiled."""
+    return tuple(np.shape(leaf) for leaf in jax.tree.leaves(arrays))
+
+
+def _content(*arrays: Any) -> bytes:
+    return b"".join(np.asarray(leaf).tobytes() for leaf in jax.tree.leaves(arrays))

@@ -40,8 +40,8 @@ from embreex.rtcore_scene import EmbreeScene
 
 import inspe_jax
 from inspe_jax import Layout, Scene
+from inspe_jax.core.arrays import from_center
 from inspe_jax.placement.problem import Problem
-from inspe_jax.visibility.centered_scene import poses_about_center
 
 SOFTNESS = 0.5
 """Of the gradient that is timed [m]."""
@@ -142,7 +142,7 @@ def sampled_gradients(scene: Scene, quick: bool) -> list[dict[str, Any]]:
     found = []
     for name in ("L-d1",) if quick else ("Cam-d1", "L-d1", "Cam-d1/L-d1"):
         layout = inspe_jax.strategy(scene, name)
-        problem, poses = Problem(scene, layout), poses_about_center(scene, layout)
+        problem, poses = Problem(scene, layout), from_center(scene.voxels.center, layout.poses)
         x = problem.space.start(layout)[0][None]
         for size in SAMPLES[: 1 if quick else None]:
             drawn = problem.draw(np.random.default_rng(0), *size)

@@ -1,4 +1,4 @@
-"""Runs work on all cores of this machine.
+"""Runs work on all cores of this machine, and knows what fits in its memory.
 
 XLA runs the body of a loop on one core, and the programs that one thread sends to a CPU one after
 the other. Programs from several threads run at the same time.
@@ -16,7 +16,9 @@ import jax.experimental
 import numpy as np
 
 from inspe_jax.core.compiling import on_behalf_of, this_thread
+from inspe_jax.core.errors import InspeError
 
+BYTES_PER_VOXEL = 50  # peak memory of scoring, for each voxel and sensor, and once more for all
 Result = TypeVar("Result")
 
 Job = tuple[Hashable, Callable[[], Any]]
@@ -89,3 +91,18 @@ def untraced(work: Callable[[], Result]) -> Result:
 
     with ThreadPoolExecutor(1) as pool:
         return pool.submit(there).result()
+
+
+def check_memory(voxels: float, sensors: int) -> None:
+    """Raise InspeError if scoring so many voxels does not fit in this machine's memory."""
+    try:
+        memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    except (AttributeError, ValueError, OSError):  # not on Windows
+        memory = 16 * 2**30
+    needed = voxels * (sensors + 1) * BYTES_PER_VOXEL
+    if needed > 0.8 * memory:
+        raise InspeError(
+            f"the grid is too large for memory: {voxels / 1e6:,.0f} million voxels and {sensors} "
+            f"sensors take about {needed / 2**30:,.0f} GiB, and this machine has "
+            f"{memory / 2**30:,.0f} GiB; use larger voxels, a wider spacing or a smaller radius"
+        )

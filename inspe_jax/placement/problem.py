@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from inspe_jax.core.arrays import on_device, on_host
+from inspe_jax.core.arrays import from_center, on_device, on_host, pad_rows
 from inspe_jax.core.digest import digest
 from inspe_jax.core.errors import InspeError, or_usual
 from inspe_jax.core.numerics import Softness
@@ -32,12 +32,12 @@ from inspe_jax.scoring.exact import measure_exactly
 from inspe_jax.scoring.numbers import Numbers, Reading
 from inspe_jax.scoring.options import ScoreOptions
 from inspe_jax.scoring.reading import BITS
-from inspe_jax.scoring.sensor_array import SensorArray, SensorSet, sensor_array
 from inspe_jax.scoring.tiled_scene import SceneArrays, TiledScene, tiled_sample, tiled_scene_of
 from inspe_jax.sensing.conditions import Case, Conditions, case_of, perceiving
 from inspe_jax.sensing.layout import Layout
-from inspe_jax.visibility.centered_scene import CenteredScene, about_center, poses_about_center
-from inspe_jax.visibility.queries import check_layout
+from inspe_jax.sensing.named import check_layout
+from inspe_jax.sensing.sensor_array import SensorArray, SensorSet, sensor_array
+from inspe_jax.visibility.centered_scene import CenteredScene, about_center
 
 _SAMPLE_COST = (0.05, 0.3, 1.9)
 """The cost of a rough score in exact scores is a + b·columns + c·columns·frames, of the shares of
@@ -179,7 +179,7 @@ class Problem:
 
     def exact_of(self, layout: Layout) -> float:
         """The exact objective of a layout of these sensors."""
-        poses = poses_about_center(self.cases[0].scene, layout)
+        poses = from_center(self.cases[0].scene.voxels.center, layout.poses)
         measures = []
         for case, sensor_set in zip(self.cases, self.sensor_sets, strict=True):
             found = measure_exactly(
@@ -261,7 +261,8 @@ class Problem:
         shapes = tuple(leaf.shape for leaf in jax.tree.leaves((scenes, self.terms.sensors)))
         kinds = tuple(sensors.kinds for sensors in self.terms.sensors)
         key = (case_scores, self.options, kinds, shapes)
-        padded = [self.terms.sensors[0].padded(row) for row in on_host(poses(self.space, x), float)]
+        places = len(self.terms.sensors[0].kind)
+        padded = [pad_rows(row, places) for row in on_host(poses(self.space, x), float)]
         jobs: list[Job] = [
             (key, partial(case_scores, BITS, row, scenes, self.terms, options=self.options))
             for row in padded
@@ -280,7 +281,7 @@ class Problem:
         """
         tiled = (tiled_sample(x, masks=False) if isinstance(x, SceneArrays) else x for x in on)
         value, slope = soft_slope(
-            self.terms.sensors[0].padded(on_host(poses, float)),
+            pad_rows(on_host(poses, float), len(self.terms.sensors[0].kind)),
             tuple(scene.bucketed for scene in tiled),
             self.terms,
             softness,

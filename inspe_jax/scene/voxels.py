@@ -1,6 +1,5 @@
 """The voxelised region of interest: columns over a plan grid, each with the same levels."""
 
-import os
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -10,6 +9,7 @@ import shapely
 from jaxtyping import Float, Int
 
 from inspe_jax.core.errors import InspeError
+from inspe_jax.core.parallel import check_memory
 from inspe_jax.core.pytree import pytree
 from inspe_jax.core.records import ByContent, Described, check_values
 from inspe_jax.scene.intersection import Intersection
@@ -19,7 +19,6 @@ ROI_HEIGHT = 4.0  # height of the region of interest above the ground [m]
 RADIUS_LIMITS = (10.0, 200.0)  # allowed radius of the region of interest, D_inf [m]
 VOXEL_LIMITS = (0.05, 2.0)  # allowed edge of a voxel [m]
 SPACING_LIMIT = 4.0  # largest spacing of voxels [m]; the smallest is the voxel's edge
-BYTES_PER_VOXEL = 50  # peak memory of scoring, for each voxel and sensor, and once more for all
 
 
 @pytree
@@ -147,19 +146,4 @@ def check_range(name: str, value: float, limits: tuple[float, float]) -> None:
     if not limits[0] <= value <= limits[1]:
         raise InspeError(
             f"{name} {value:g} m is out of range: between {limits[0]:g} and {limits[1]:g} m"
-        )
-
-
-def check_memory(voxels: float, sensors: int) -> None:
-    """Raise InspeError if scoring so many voxels does not fit in this machine's memory."""
-    try:
-        memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-    except (AttributeError, ValueError, OSError):  # not on Windows
-        memory = 16 * 2**30
-    needed = voxels * (sensors + 1) * BYTES_PER_VOXEL
-    if needed > 0.8 * memory:
-        raise InspeError(
-            f"the grid is too large for memory: {voxels / 1e6:,.0f} million voxels and {sensors} "
-            f"sensors take about {needed / 2**30:,.0f} GiB, and this machine has "
-            f"{memory / 2**30:,.0f} GiB; use larger voxels, a wider spacing or a smaller radius"
         )

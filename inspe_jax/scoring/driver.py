@@ -23,8 +23,8 @@ from inspe_jax.scoring.metric import Evidence, Metric, TileEvidence
 from inspe_jax.scoring.numbers import SIGHTS_READ, Reading
 from inspe_jax.scoring.options import ScoreOptions
 from inspe_jax.scoring.reading import Counts, Frames
-from inspe_jax.scoring.sensor_array import SensorArray
 from inspe_jax.scoring.tiled_scene import TiledScene
+from inspe_jax.sensing.sensor_array import SensorArray
 from inspe_jax.visibility import bitmask
 from inspe_jax.visibility.tiles import Tile, Tiles, solid_in, unless_empty
 

@@ -9,12 +9,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from inspe_jax.core.arrays import from_center, pad_rows
 from inspe_jax.core.errors import InspeError, check_known, wrong_kind
 from inspe_jax.core.numerics import Softness
+from inspe_jax.core.parallel import check_memory
 from inspe_jax.core.records import ByContent, Described, check_values
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.scene import Scene
-from inspe_jax.scene.voxels import check_memory
 from inspe_jax.scoring.detection import DetectionCurves
 from inspe_jax.scoring.driver import MetricValues, measure_tiles
 from inspe_jax.scoring.exact import ONE_MORE, count_exactly, measure_many
@@ -29,13 +30,12 @@ from inspe_jax.scoring.metrics import (
 from inspe_jax.scoring.numbers import Numbers
 from inspe_jax.scoring.options import ScoreOptions
 from inspe_jax.scoring.reading import BITS
-from inspe_jax.scoring.sensor_array import SensorSet, sensor_array
 from inspe_jax.scoring.soft import measure_softly
 from inspe_jax.scoring.tiled_scene import TiledScene, tiled_scene_of
 from inspe_jax.sensing.conditions import FAIR, Case, Conditions, perceiving
 from inspe_jax.sensing.layout import Layout
-from inspe_jax.visibility.centered_scene import from_center
-from inspe_jax.visibility.queries import check_layout, check_places
+from inspe_jax.sensing.named import check_layout, check_places
+from inspe_jax.sensing.sensor_array import SensorArray, SensorSet, sensor_array
 from inspe_jax.visibility.tiles import CORE
 
 VISIBILITIES = ("in_view", "line_of_sight", "past_others")
@@ -167,12 +167,16 @@ def evaluate(
     check_options(weights, **readings, detection=detection)
     by_name = weights_of(weights)
     options = ScoreOptions.of(**readings, names=chosen(metrics, by_name), detection=detection)
-    check_memory(scene.voxels.count, len(layout))
-    layout = perceiving(scene, layout, conditions)
+    width, layout = Softness.of(softness), perceiving(scene, layout, conditions)
     # Without each sensor in turn, but not where poses are traced.
     traced = isinstance(layout.poses, jax.core.Tracer)
     each = () if traced else tuple((s,) for s in range(len(layout)))
-    tiled, found = _measured(scene, layout, each, Softness.of(softness), options)
+    sensors = sensor_array(SensorSet.of(layout, each), ONE_MORE if width.exact else 0)
+    check_memory(scene.voxels.count, len(layout))
+    # An exact score is a step function of the poses, and has no gradient.
+    poses = jax.lax.stop_gradient(layout.poses) if traced and width.exact else layout.poses
+    poses = from_center(scene.voxels.center, pad_rows(poses, len(sensors.kind)))
+    tiled, found = _measured(scene, poses, sensors, width, options, traced)
     if by_name["information_gain"] > 0:
         check_entropy(scene, found.entropy)
     found = found._replace(seen_share=jax.lax.stop_gradient(found.seen_share))
@@ -221,25 +225,21 @@ def _limits(scene: Scene, detection: DetectionCurves | None) -> dict[str, Any]:
 
 def _measured(
     scene: Scene,
-    layout: Layout,
-    failures: tuple[tuple[int, ...], ...],
+    poses: Float[Array | np.ndarray, "S 6"],
+    sensors: SensorArray,
     softness: Softness,
     options: ScoreOptions,
+    traced: bool,
 ) -> tuple[TiledScene, MetricValues]:
     """The scene in tiles and its metrics, of columns of tiles; counted exactly or read softly."""
-    sensor_set, voxel = SensorSet.of(layout, failures), scene.voxels.size
-    traced = isinstance(layout.poses, jax.core.Tracer)
-    sensors = sensor_array(sensor_set, ONE_MORE if softness.exact else 0)
-    # An exact score is a step function of the poses, and has no gradient.
-    poses = jax.lax.stop_gradient(layout.poses) if traced and softness.exact else layout.poses
-    padded = from_center(scene, sensors.padded(poses))
+    voxel = scene.voxels.size
     if softness.exact and not traced:
         tiled = tiled_scene_of(scene)
-        return tiled, count_exactly(tiled, padded, sensors, voxel, options)
+        return tiled, count_exactly(tiled, poses, sensors, voxel, options)
     tiled = tiled_scene_of(scene, whole=True, masks=softness.exact)
     if not softness.exact:
-        return tiled, measure_softly(Numbers(softness), tiled, padded, sensors, voxel, options)
-    return tiled, measure_tiles(BITS, tiled.bucketed, padded, sensors, voxel, options=options)
+        return tiled, measure_softly(Numbers(softness), tiled, poses, sensors, voxel, options)
+    return tiled, measure_tiles(BITS, tiled.bucketed, poses, sensors, voxel, options=options)
 
 
 @dataclass(frozen=True, eq=False)
@@ -294,7 +294,7 @@ def evaluate_many(
         check_entropy(scene, entropy(tiled.occupancy).sum())
     found = measure_many(
         tiled,
-        from_center(scene, poses),
+        from_center(scene.voxels.center, poses),
         SensorSet.of(layout),
         scene.voxels.size,
         ScoreOptions.of(**readings, names=chosen(metrics, by_name), detection=detection),

@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Num, UInt
 
 from inspe_jax.core import sharding
+from inspe_jax.core.arrays import pad_rows
 from inspe_jax.core.geometry import Prism
 from inspe_jax.core.numerics import Groups
 from inspe_jax.core.parallel import Job, cores, run
@@ -24,8 +25,8 @@ from inspe_jax.scoring.metric import Metric, TileEvidence
 from inspe_jax.scoring.metrics import entropy, entropy_terms, resolved, tile_terms
 from inspe_jax.scoring.options import ScoreOptions
 from inspe_jax.scoring.reading import BITS, Counts, Frames
-from inspe_jax.scoring.sensor_array import SensorArray, SensorSet, sensor_array
 from inspe_jax.scoring.tiled_scene import ENTROPIC, TiledScene, device_order
+from inspe_jax.sensing.sensor_array import SensorArray, SensorSet, sensor_array
 from inspe_jax.visibility import bitmask
 from inspe_jax.visibility.statics import past_statics_of_sensor
 from inspe_jax.visibility.tiles import CHUNKS, Tile, unless_empty
@@ -47,7 +48,8 @@ def measure_exactly(
     ``voxel`` is the edge of a voxel [m]. All cores work on it.
     """
     sensors, options = sensor_array(sensor_set, ONE_MORE), options or ScoreOptions.of()
-    found = count_exactly(tiled, sensors.padded(poses), sensors, voxel, options)
+    poses = pad_rows(poses, len(sensors.kind))
+    found = count_exactly(tiled, poses, sensors, voxel, options)
     return found.of_scene(tiled.tiles.place, len(sensor_set.failures))
 
 
@@ -62,9 +64,9 @@ def count_exactly(
     views, counts, terms = evidence_of_tiles(tiled, poses, sensors, voxel, options)
     if options.visibility == "in_view":
         counts = counts._replace(sights=None)
-    columns_only = replace(tiled.bucketed, chunks=())
-    given = columns_only, views, counts, terms, sensors.reliability, sensors.failures
-    return _summarise(*given, metrics=options.metrics)
+    columns_only, metrics = replace(tiled.bucketed, chunks=()), options.metrics
+    reliability, failures = sensors.reliability, sensors.failures
+    return _summarise(columns_only, views, counts, terms, reliability, failures, metrics=metrics)
 
 
 def evidence_of_tiles(
@@ -395,7 +397,7 @@ def measure_many(
     each = sharding.devices()
     work = partial(_one_layout, options=options) if each == 1 else _layout_each(options)
     # A layout for a core, or one for every device: devices that would be idle repeat the first.
-    whole = np.stack([sensors.padded(row) for row in poses])
+    whole = np.stack([pad_rows(row, len(sensors.kind)) for row in poses])
     rows = np.resize(whole, (-(-len(whole) // each), each, *whole.shape[1:]))
     key = measure_many, options, sensors.kinds, _shapes(*data[:2])
     jobs: list[Job] = [(key, partial(work, row[0] if each == 1 else row, *data)) for row in rows]

@@ -11,8 +11,8 @@ from jaxtyping import Array, Bool, Float, Num
 from inspe_jax.core.numerics import Groups, Width
 from inspe_jax.scoring.detection import DetectionCurves
 from inspe_jax.scoring.numbers import Reading
-from inspe_jax.scoring.sensor_array import SensorArray
 from inspe_jax.scoring.target_evidence import TargetEvidence, target_evidence
+from inspe_jax.sensing.sensor_array import SensorArray
 from inspe_jax.visibility.tiles import Tile
 
 

@@ -258,7 +258,12 @@ def _union_backward(see_from: SeeFrom, kept: tuple, wanted: tuple) -> tuple:
     of_union, of_sights = wanted
     cells = read[0].sloped.shape[-1]
     # Sight lines of the other cells have no slope: some sensor sees them for certain, or nobody asks.
-    asked = (((1.0 - union) * of_union) != 0).any((0, 1)).reshape(-1, cells, views.shape[-1] // cells).any(-1)
+    asked = (
+        (((1.0 - union) * of_union) != 0)
+        .any((0, 1))
+        .reshape(-1, cells, views.shape[-1] // cells)
+        .any(-1)
+    )
 
     def add(i: Array, slopes: tuple[Array, Array]) -> tuple[Array, Array]:
         s = listed[i]

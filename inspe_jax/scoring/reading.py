@@ -23,8 +23,8 @@ from jaxtyping import Array, Float, Int, Num, UInt
 from inspe_jax.core.geometry import Prism
 from inspe_jax.core.numerics import Groups, without_each
 from inspe_jax.core.pytree import pytree
-from inspe_jax.scoring.sensor_array import SensorArray
 from inspe_jax.sensing.rays import Kind, RayTable
+from inspe_jax.sensing.sensor_array import SensorArray
 from inspe_jax.visibility import bitmask
 from inspe_jax.visibility.centered_scene import Statics
 from inspe_jax.visibility.shadows import clear_masks, shadow_bounds

@@ -25,8 +25,8 @@ from inspe_jax.scoring.driver import (
 )
 from inspe_jax.scoring.numbers import Numbers
 from inspe_jax.scoring.options import ScoreOptions
-from inspe_jax.scoring.sensor_array import SensorArray
 from inspe_jax.scoring.tiled_scene import TiledScene
+from inspe_jax.sensing.sensor_array import SensorArray
 
 UNUSED = 2
 """Of so many scores what their gradients need is kept until these are asked for."""

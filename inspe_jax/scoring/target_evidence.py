@@ -17,9 +17,9 @@ from jaxtyping import Array, Bool, Float
 from inspe_jax.core.numerics import Width, step
 from inspe_jax.scene.traffic.frames import CLASSES, ROAD_USERS
 from inspe_jax.scoring.detection import BANDS, DetectionCurves, detection_curves
-from inspe_jax.scoring.sensor_array import SensorArray
 from inspe_jax.sensing.lidar_returns import LidarNoise
 from inspe_jax.sensing.rays import Kind, Rays, RayTable
+from inspe_jax.sensing.sensor_array import SensorArray
 from inspe_jax.visibility import bitmask
 from inspe_jax.visibility.in_view import transform_of
 from inspe_jax.visibility.target_rays import NEAR, rays_on_face, scale_at, share_between_sides

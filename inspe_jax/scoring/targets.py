@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from inspe_jax.core.arrays import from_center, pad_rows
 from inspe_jax.core.errors import check_known
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scene.traffic.frames import CLASSES, ROAD_USERS
@@ -17,14 +18,13 @@ from inspe_jax.scoring.detection import DetectionCurves
 from inspe_jax.scoring.exact import ONE_MORE, evidence_of_tiles
 from inspe_jax.scoring.metric import Metric, TileEvidence, column_sums
 from inspe_jax.scoring.options import ScoreOptions
-from inspe_jax.scoring.sensor_array import SensorSet, sensor_array
 from inspe_jax.scoring.tiled_scene import tiled_scene_of
 from inspe_jax.sensing.conditions import Case, Conditions, perceiving
 from inspe_jax.sensing.layout import Layout
+from inspe_jax.sensing.named import check_layout
+from inspe_jax.sensing.sensor_array import SensorSet, sensor_array
 from inspe_jax.sensing.sensors import Spec
-from inspe_jax.visibility.centered_scene import poses_about_center
 from inspe_jax.visibility.in_view import transform_of
-from inspe_jax.visibility.queries import check_layout
 from inspe_jax.visibility.target_rays import scale_at
 
 _AT_ONCE = 64  # points of pixel_density_at are compiled for multiples of this
@@ -92,7 +92,7 @@ def target_view(
     scene, layout, conditions = check_layout(scene, layout, conditions)
     layout = perceiving(scene, layout, conditions)
     tiled, sensors = tiled_scene_of(scene), sensor_array(SensorSet.of(layout), ONE_MORE)
-    poses = sensors.padded(poses_about_center(scene, layout))
+    poses = pad_rows(from_center(scene.voxels.center, layout.poses), len(sensors.kind))
     options = ScoreOptions.of(names=(), detection=curves)._replace(metrics=(_MAP,))
     *_, terms = evidence_of_tiles(tiled, poses, sensors, scene.voxels.size, options)
     columns = column_sums(jnp.asarray(terms[_MAP.name]), tiled.tiles.slabs)

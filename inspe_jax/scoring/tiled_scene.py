@@ -128,7 +128,9 @@ class TiledScene:
             if tile.there.any():
                 chunks = tuple(replace(chunk, tile=tile) for chunk in whole.chunks)
                 tiles = replace(whole.tiles, tile=tile)
-                found.append((rows, replace(whole, tiles=tiles, chunks=chunks, column=none, level=none)))
+                found.append(
+                    (rows, replace(whole, tiles=tiles, chunks=chunks, column=none, level=none))
+                )
         return untraced(lambda: jax.device_put(found))
 
 

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, UInt
 
+from inspe_jax.core.arrays import from_center, pad_rows
 from inspe_jax.core.geometry import Prism
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scoring import metrics
@@ -19,12 +20,12 @@ from inspe_jax.scoring.evaluate import options_of
 from inspe_jax.scoring.exact import ONE_MORE, in_view_of, sight_shares
 from inspe_jax.scoring.options import ScoreOptions
 from inspe_jax.scoring.reading import BITS, Frames
-from inspe_jax.scoring.sensor_array import SensorSet, sensor_array
 from inspe_jax.scoring.tiled_scene import by_level, tiled_scene_of
 from inspe_jax.sensing.conditions import FAIR, Conditions, perceiving
 from inspe_jax.sensing.layout import Layout
-from inspe_jax.visibility.centered_scene import poses_about_center
-from inspe_jax.visibility.queries import check_frame, check_layout
+from inspe_jax.sensing.named import check_layout
+from inspe_jax.sensing.sensor_array import SensorSet, sensor_array
+from inspe_jax.visibility.queries import check_frame
 from inspe_jax.visibility.tiles import Tile, Tiles, unless_empty
 
 
@@ -116,7 +117,7 @@ def _views(
     check_layout(scene, layout)
     layout, tiled = perceiving(scene, layout, conditions), tiled_scene_of(scene, whole=True)
     sensors = sensor_array(SensorSet.of(layout), ONE_MORE)
-    poses = sensors.padded(poses_about_center(scene, layout))
+    poses = pad_rows(from_center(scene.voxels.center, layout.poses), len(sensors.kind))
     views = np.asarray(in_view_of(tiled, poses, sensors, scene.voxels.size / 2))
     return layout, tiled.tiles, views, poses[:, :3]
 

@@ -17,6 +17,7 @@ from inspe_jax.core.errors import InspeError, nearest
 from inspe_jax.core.files import check_model
 from inspe_jax.scene.geojson import Feature, known_georeference, read_features
 from inspe_jax.scene.intersection import Intersection
+from inspe_jax.scene.scene import Scene
 from inspe_jax.sensing.layout import Layout, made_with, parse_layout
 
 DIGITS = 9  # decimals of degrees: a tenth of a millimetre
@@ -87,13 +88,13 @@ def collection(layout: Layout, features: list[dict[str, Any]]) -> dict[str, Any]
 
 
 def load_layout_geojson(
-    path: str | os.PathLike[str], place: Intersection, *, unit_rule: bool = True
+    path: str | os.PathLike[str], scene: Scene, *, unit_rule: bool = True
 ) -> Layout:
-    """The layout in a GeoJSON file, on the ground of a place; ``unit_rule`` as in
+    """The layout in a GeoJSON file, on the ground of a scene; ``unit_rule`` as in
     :func:`~inspe_jax.sensing.layout.make_layout`. Raises InspeError as
     :func:`~inspe_jax.scene.geojson.read_features` and
     :func:`~inspe_jax.sensing.layout.load_layout`, and if a sensor's unit is not in the file."""
-    kinds = ("unit", "sensor")
+    place, kinds = scene.intersection, ("unit", "sensor")
     features, further = read_features(path, place, lambda own: own.get("feature") in kinds)
     units: dict[str, tuple[np.ndarray, list[dict[str, Any]]]] = {}
     profiles = []

@@ -1,24 +1,21 @@
 """A scene's arrays relative to its centre, which visibility works on."""
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from inspe_jax.core.arrays import bucket, on_device, on_host
+from inspe_jax.core.arrays import bucket, on_device
 from inspe_jax.core.convex import ConvexPrism, sides
 from inspe_jax.core.geometry import FAR, Prism
 from inspe_jax.core.height_field import HeightField
 from inspe_jax.scene.placed_bodies import convex_parts
 from inspe_jax.scene.scene import Scene
-from inspe_jax.sensing.layout import Layout
 
-PRISMS = 16
-"""Least number of places for prisms in a frame."""
-PARTS = 32
-"""Least number of places for the convex prisms of static bodies."""
+PRISMS = 16  # least number of places for prisms in a frame
+PARTS = 32  # least number of places for the convex prisms of static bodies
 
 
 class Statics(NamedTuple):
@@ -124,16 +121,3 @@ def _bodies_about_center(scene: Scene) -> ConvexPrism | None:
         clear=padded(parts.transmittance),
         valid=padded(np.ones(len(corners)), bool),
     )
-
-
-def poses_about_center(scene: Scene, layout: Layout) -> Any:
-    """The layout's poses (S, 6) relative to the scene's centre: traced, or in NumPy."""
-    return from_center(scene, layout.poses)
-
-
-def from_center(scene: Scene, poses: Any) -> Any:
-    """World poses (S, 6) relative to the scene's centre: traced, or in NumPy."""
-    shift = np.concatenate([scene.voxels.center, np.zeros(3)])
-    if isinstance(poses, jax.core.Tracer):
-        return jnp.asarray(poses - shift[None], float)
-    return on_host(np.asarray(poses) - shift, float)

@@ -6,14 +6,13 @@ import jax
 import numpy as np
 from jaxtyping import Array, Bool, UInt
 
+from inspe_jax.core.arrays import from_center
 from inspe_jax.core.errors import InspeError
-from inspe_jax.scene.placed_bodies import body_at
 from inspe_jax.scene.scene import Scene
-from inspe_jax.scene.voxels import ROI_HEIGHT
-from inspe_jax.sensing.conditions import Case, Conditions, case_of
+from inspe_jax.sensing.conditions import Case
 from inspe_jax.sensing.layout import Layout
-from inspe_jax.sensing.named import layout_of
-from inspe_jax.visibility.centered_scene import CenteredScene, about_center, poses_about_center
+from inspe_jax.sensing.named import check_layout
+from inspe_jax.visibility.centered_scene import CenteredScene, about_center
 from inspe_jax.visibility.shadows import sight_masks
 from inspe_jax.visibility.statics import past_statics_of_sensor
 from inspe_jax.visibility.tiles import Tiles, tiles_of
@@ -28,7 +27,7 @@ def in_view(scene: Scene | Case | str, layout: Layout | str) -> Bool[np.ndarray,
     """
     scene, layout, conditions = check_layout(scene, layout)
     layout = conditions.layout(layout)
-    centered, poses = about_center(scene), poses_about_center(scene, layout)
+    centered, poses = about_center(scene), from_center(scene.voxels.center, layout.poses)
     tiles = tiles_of(centered)
     half, found = scene.voxels.size / 2, np.zeros((len(layout), scene.voxels.count), bool)
     for grid, index in layout.groups():
@@ -58,7 +57,7 @@ def line_of_sight(
     scene, layout, _ = check_layout(scene, layout)
     frame = check_frame(scene, frame)
     centered = about_center(scene)
-    tiles, poses = tiles_of(centered), poses_about_center(scene, layout)
+    tiles, poses = tiles_of(centered), from_center(scene.voxels.center, layout.poses)
     prisms = jax.tree.map(lambda leaf: leaf[frame : frame + 1], centered.prisms)
     clear = []
     for at in poses[:, :3]:
@@ -73,46 +72,3 @@ def check_frame(scene: Scene, frame: int) -> int:
     if not 0 <= frame <= last:
         raise InspeError(f"frame {frame} is out of range: {scene.name} has frames 0 to {last}")
     return frame
-
-
-def check_layout(
-    scene: Scene | Case | str, layout: Layout | str, conditions: Conditions | str | None = None
-) -> tuple[Scene, Layout, Conditions]:
-    """The scene, the layout and the conditions of a function that users call, each also by name.
-
-    Raises InspeError where one of them is something else or has wrong numbers, as
-    :func:`~inspe_jax.sensing.conditions.case_of` and
-    :func:`~inspe_jax.sensing.named.layout_of` do, and where a sensor is in the ground, in a static
-    body or out of reach. Traced poses have no values to check and pass.
-    """
-    case = case_of(scene, conditions)
-    layout = layout_of(layout, case.scene)
-    if not isinstance(layout.poses, jax.core.Tracer):
-        check_places(case.scene, layout)
-    return case.scene, layout, case.conditions
-
-
-def check_places(scene: Scene, layout: Layout) -> None:
-    """Raise InspeError where a sensor is in the ground, in a static body or out of reach."""
-    grid, poses = scene.voxels, np.asarray(layout.poses, float)
-    for pose, sensor in zip(poses, layout.sensors, strict=True):
-        where = f"{layout.name}: sensor '{sensor.name}' at ({pose[0]:.2f}, {pose[1]:.2f})"
-        away, reach = np.hypot(*(pose[:2] - grid.center[:2])), sensor.spec.grid.reach
-        ground = float(scene.intersection.ground(pose[None, :2])[0])
-        gap = np.hypot(max(away - grid.radius, 0.0), max(pose[2] - ground - ROI_HEIGHT, 0.0))
-        if gap > reach:
-            raise InspeError(
-                f"{where}, {pose[2] - ground:.0f} m up, is {gap:.0f} m from the region of interest "
-                f"of {scene.name} and reaches {reach:g} m; is this layout for another scene?"
-            )
-        if not pose[2] > ground:
-            raise InspeError(
-                f"{where} is in the ground: its height is {pose[2]:.2f} m and the ground's "
-                f"{ground:.2f} m"
-            )
-        inside = body_at(scene.statics, scene.intersection, pose[:3])
-        if inside is not None:
-            raise InspeError(
-                f"{where}, {pose[2] - ground:.1f} m up, is inside a body of {scene.name}, the "
-                f"{inside.words}; move it out, above or beneath, or take the body away"
-            )

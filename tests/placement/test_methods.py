@@ -13,7 +13,7 @@ from dense_reference import measure
 from mounts import SIDEWALK, assert_mountable, lanes_of, team
 from worlds import CAMERA, LIDAR, place_sensors, world
 
-from inspe_jax.core.arrays import on_host
+from inspe_jax.core.arrays import from_center, on_host
 from inspe_jax.core.numerics import Softness
 from inspe_jax.mounting.strategies import strategy
 from inspe_jax.placement import candidate_table, candidates
@@ -36,7 +36,6 @@ from inspe_jax.scene.procedural.built_ins import built_in
 from inspe_jax.scene.scene import build_scene
 from inspe_jax.scoring.metrics import surrogate, weights_of
 from inspe_jax.sensing.layout import Layout
-from inspe_jax.visibility.centered_scene import poses_about_center
 
 SLOPES = ("adam", "lbfgsb", "projected-gradient")
 """Methods that need nothing but scores and slopes."""
@@ -341,7 +340,7 @@ class Known(Problem):
 
     def __init__(self, scene, layout, at):
         super().__init__(scene, layout)
-        self.at = np.asarray(poses_about_center(scene, at), float)
+        self.at = np.asarray(from_center(scene.voxels.center, at.poses), float)
 
     def nearness(self, poses, at):
         """The mean over sensors, and its slope in their poses."""
@@ -353,7 +352,8 @@ class Known(Problem):
         return self.at + 0.2 * np.sin(np.sum(np.asarray(arrays[0].centered.columns[0], float)))
 
     def exact_of(self, layout):
-        return self.nearness(poses_about_center(self.cases[0].scene, layout), self.at)[0]
+        center = self.cases[0].scene.voxels.center
+        return self.nearness(from_center(center, layout.poses), self.at)[0]
 
     def rough(self, x, sample):
         at = self.moved(sample.arrays)

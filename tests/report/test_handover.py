@@ -55,7 +55,7 @@ def test_a_plan_is_read_back_as_the_layout(scene, layout, system, tmp_path):
     place = replace(scene.intersection, georeference=SYSTEMS[system])
     path = tmp_path / "plan.geojson"
     path.write_text(plan_geojson(layout, place))
-    again = load_layout_geojson(path, place)
+    again = load_layout_geojson(path, replace(scene, intersection=place))
     assert [s.name for s in again.sensors] == [s.name for s in layout.sensors]
     assert [s.spec for s in again.sensors] == [s.spec for s in layout.sensors]
     assert [u.name for u in again.units] == [u.name for u in layout.units]
@@ -80,7 +80,7 @@ def test_units_say_what_they_stand_on_as_the_schedule_does(scene, layout, tmp_pa
     assert units[0]["pole"] == pytest.approx(rows[0].degrees[::-1], abs=1e-9)
     assert ["pole" in one for one in units[1:]] == [False] * (len(units) - 1)
     (tmp_path / "plan.geojson").write_text(text)
-    again = load_layout_geojson(tmp_path / "plan.geojson", place)
+    again = load_layout_geojson(tmp_path / "plan.geojson", replace(scene, intersection=place))
     np.testing.assert_allclose(again.units[0].base[:2], foot[:2], atol=2e-3)
 
 
@@ -136,9 +136,9 @@ def test_gdal_reads_the_plan_and_what_it_saves_is_still_the_layout(scene, layout
         driver="GeoJSON", COORDINATE_PRECISION=9,
     )  # fmt: skip
     with pytest.raises(InspeError, match="my-camera"):  # whose figures are a member of the file
-        load_layout_geojson(again, scene.intersection)
+        load_layout_geojson(again, scene)
     again.write_text(again.read_text().replace("my-camera", "paper-camera"))
-    found = load_layout_geojson(again, scene.intersection)
+    found = load_layout_geojson(again, scene)
     assert found.profile == layout.profile
     assert np.abs(np.asarray(found.poses) - np.asarray(layout.poses))[:, :3].max() < 2e-3
 
@@ -253,7 +253,7 @@ def test_a_wrong_file_says_what_is_wrong(scene, layout, tmp_path, change, words)
     path = tmp_path / "plan.geojson"
     path.write_text(json.dumps(content))
     with pytest.raises(InspeError) as error:
-        load_layout_geojson(path, scene.intersection)
+        load_layout_geojson(path, scene)
     assert str(error.value).startswith(str(path))
     assert words in str(error.value)
 

@@ -20,6 +20,7 @@ from worlds import (
     world,
 )
 
+from inspe_jax.core.arrays import from_center, pad_rows
 from inspe_jax.core.numerics import Softness
 from inspe_jax.core.parallel import run
 from inspe_jax.placement.sample_score import view_jobs
@@ -28,10 +29,10 @@ from inspe_jax.scoring import tiled_scene as made
 from inspe_jax.scoring.driver import measure_tiles
 from inspe_jax.scoring.options import ScoreOptions
 from inspe_jax.scoring.reading import BITS
-from inspe_jax.scoring.sensor_array import SensorSet, sensor_array
 from inspe_jax.scoring.tiled_scene import SceneArrays
+from inspe_jax.sensing.sensor_array import SensorSet, sensor_array
 from inspe_jax.visibility import bitmask
-from inspe_jax.visibility.centered_scene import CenteredScene, about_center, poses_about_center
+from inspe_jax.visibility.centered_scene import CenteredScene, about_center
 
 SPECS = [LIDAR, CAMERA, CAMERA, LIDAR]
 
@@ -60,7 +61,7 @@ and what is special of the world."""
 def both(scene, layout, failures=(), **options):
     """(dense, by masks)."""
     sensor_set = SensorSet.of(layout, failures)
-    poses, voxel = poses_about_center(scene, layout), scene.voxels.size
+    poses, voxel = from_center(scene.voxels.center, layout.poses), scene.voxels.size
     field = SceneArrays(about_center(scene), jnp.asarray(scene.voxels.weight, float))
     dense = measure(field, poses, sensor_set, voxel, **options)
     return dense, exact.measure_exactly(
@@ -129,7 +130,7 @@ def test_any_number_of_cores_gives_the_same_bits(monkeypatch):
         monkeypatch.setattr(made, "cores", lambda number=number: number)
         shared = made._tile_scene(scene)
         assert len(shared.chunks) == number
-        poses = poses_about_center(scene, layout)
+        poses = from_center(scene.voxels.center, layout.poses)
         found.append(exact.measure_exactly(shared, poses, sensor_set, scene.voxels.size))
     jax.tree.map(np.testing.assert_array_equal, *found)
 
@@ -148,10 +149,10 @@ def test_a_sample_is_counted_as_a_scene_of_its_own():
         jnp.asarray(rng.uniform(size=77 * levels), float),
     )
     sensor_set = SensorSet.of(layout, UNITS)
-    poses, voxel = poses_about_center(scene, layout), scene.voxels.size
+    poses, voxel = from_center(scene.voxels.center, layout.poses), scene.voxels.size
     sample = made.tiled_sample(field)
     sensors = sensor_array(sensor_set, exact.ONE_MORE)
-    padded, asked = sensors.padded(poses), ScoreOptions.of()
+    padded, asked = pad_rows(poses, len(sensors.kind)), ScoreOptions.of()
     traced = measure_tiles(BITS, sample.bucketed, padded, sensors, voxel, options=asked)
     found = traced.of_scene(sample.tiles.place, len(sensor_set.failures))
     assert_same(measure(field, poses, sensor_set, voxel), found)

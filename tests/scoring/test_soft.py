@@ -23,16 +23,17 @@ from worlds import (
 )
 
 import inspe_jax
+from inspe_jax.core.arrays import from_center, pad_rows
 from inspe_jax.core.numerics import Softness
 from inspe_jax.report.tables import scores_record
 from inspe_jax.scoring import driver, metrics
 from inspe_jax.scoring.driver import measure_tiles
 from inspe_jax.scoring.numbers import Numbers
 from inspe_jax.scoring.options import ScoreOptions
-from inspe_jax.scoring.sensor_array import SensorSet, sensor_array
 from inspe_jax.scoring.tiled_scene import SceneArrays, tiled_scene_of
+from inspe_jax.sensing.sensor_array import SensorSet, sensor_array
 from inspe_jax.sensing.sensors import LidarSpec
-from inspe_jax.visibility.centered_scene import about_center, poses_about_center
+from inspe_jax.visibility.centered_scene import about_center
 from inspe_jax.visibility.in_view import in_view_margins, transform_of
 
 NEAR = LidarSpec("near", tuple(np.radians([-60.0, -40.0, -25.0, -10.0])), 360, 2 * np.pi, 18.0)
@@ -103,7 +104,7 @@ def two_ways(scene, layout, failures, softness, **options):
         return measure(field, poses, sensor_set, voxel, softness, **options)
 
     def by_tiles(poses):
-        at = tiled.bucketed, sensors.padded(poses), sensors, voxel
+        at = tiled.bucketed, pad_rows(poses, len(sensors.kind)), sensors, voxel
         found = measure_tiles(Numbers(softness), *at, options=ScoreOptions.of(**options))
         return found.of_scene(tiled.tiles.place, len(failures))
 
@@ -125,7 +126,7 @@ def test_tile_by_tile_is_all_vehicles_against_all_columns(reading):
         return sum(value.sum() for value in measures.values.values()), measures
 
     (expected_slope, expected), (slope, found) = (
-        jax.grad(partial(total, way), has_aux=True)(poses_about_center(scene, layout))
+        jax.grad(partial(total, way), has_aux=True)(from_center(scene.voxels.center, layout.poses))
         for way in two_ways(scene, layout, ((0, 2), (1,)), READINGS[reading], **APART)
     )
     jax.tree.map(partial(np.testing.assert_allclose, rtol=1e-5, atol=2e-6), found, expected)
@@ -147,7 +148,7 @@ def test_slabs_of_levels_and_runs_of_frames_are_put_together(double, size):
     """
     scene = world(seed=3, **size)
     layout = random_layout(scene, [LIDAR, CAMERA, CAMERA], seed=6, heights=(3.0, 6.0))
-    poses = np.asarray(poses_about_center(scene, layout)) * [0.3, 0.3, 1, 1, 1, 1]
+    poses = np.asarray(from_center(scene.voxels.center, layout.poses)) * [0.3, 0.3, 1, 1, 1, 1]
     expected, found = (way(poses) for way in two_ways(scene, layout, ((0, 2), (1,)), 0.5))
     assert 0.05 < float(expected.values["coverage"][0]) < 1
     jax.tree.map(partial(np.testing.assert_allclose, rtol=1e-12, atol=1e-12), found, expected)

@@ -21,6 +21,7 @@ from worlds import (
 
 import inspe_jax
 from inspe_jax import Softness, evaluate
+from inspe_jax.core.arrays import from_center, pad_rows
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.geometry import rotation
 from inspe_jax.report.targets import PIXELS, banded, targets_change, targets_record, targets_view
@@ -30,13 +31,12 @@ from inspe_jax.scoring.detection import BANDS, FEW, detection_curves
 from inspe_jax.scoring.exact import ONE_MORE, in_view_of, sight_shares
 from inspe_jax.scoring.metrics import chosen
 from inspe_jax.scoring.options import ScoreOptions
-from inspe_jax.scoring.sensor_array import SensorSet, sensor_array
 from inspe_jax.scoring.target_metrics import UNKNOWN, position_error, redundancy
 from inspe_jax.scoring.targets import target_view
 from inspe_jax.scoring.tiled_scene import tiled_scene_of
 from inspe_jax.sensing.layout import Sensor, Unit, make_layout
 from inspe_jax.sensing.lidar_returns import LidarNoise
-from inspe_jax.visibility.centered_scene import poses_about_center
+from inspe_jax.sensing.sensor_array import SensorSet, sensor_array
 
 FURTHER = ("detectability", "points_on_target", "pixel_density", "localisation", "redundancy")
 UNWEIGHTED = dict(metrics=FURTHER, weights=(0.5, 0.5, 0.0))
@@ -189,7 +189,7 @@ def sight_of(scene, layout):
     """The share of frames in which each sensor sees each voxel (S, V), from the lines of sight that
     scores count, which have tests of their own. Embree does not look past a road user itself."""
     tiled, sensors = tiled_scene_of(scene), sensor_array(SensorSet.of(layout), ONE_MORE)
-    poses = sensors.padded(poses_about_center(scene, layout))
+    poses = pad_rows(from_center(scene.voxels.center, layout.poses), len(sensors.kind))
     views = np.asarray(in_view_of(tiled, poses, sensors, scene.voxels.size / 2))
     asked = ScoreOptions.of(visibility="past_others")
     share = sight_shares(tiled, views, poses[:, :3], asked, len(layout))

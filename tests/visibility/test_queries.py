@@ -19,10 +19,11 @@ from worlds import (
     world,
 )
 
+from inspe_jax.core.arrays import from_center
 from inspe_jax.core.errors import InspeError
 from inspe_jax.sensing.catalogue import devices
 from inspe_jax.sensing.sensors import CameraSpec, LidarSpec
-from inspe_jax.visibility.centered_scene import about_center, poses_about_center
+from inspe_jax.visibility.centered_scene import about_center
 from inspe_jax.visibility.in_view import in_view_margins, transform_of
 from inspe_jax.visibility.queries import in_view, line_of_sight
 
@@ -230,7 +231,7 @@ def test_in_view_by_masks_is_in_view_by_margins(name):
     layout = place_sensors(*((AWKWARD[name], pose) for pose in poses))
     groups, half = layout.groups(), scene.voxels.size / 2
     margins = jax.jit(lambda poses, ground: view_margins(poses, ground.centers, groups, half))
-    at = poses_about_center(scene, layout), about_center(scene)
+    at = from_center(scene.voxels.center, layout.poses), about_center(scene)
     field, ray = map(np.asarray, margins(*at))
     masks = in_view(scene, layout)
     assert masks.any()
@@ -253,7 +254,7 @@ def test_line_of_sight_by_masks_is_that_of_all_ceilings(voxel):
     layout = place_sensors(*((LIDAR, [*place, 0.0, 0.0, 0.0]) for place in places))
     ground = about_center(scene)
     prisms = jax.tree.map(lambda leaf: np.asarray(leaf)[0], ground.prisms)
-    sensors = poses_about_center(scene, layout)[:, :3]
+    sensors = from_center(scene.voxels.center, layout.poses)[:, :3]
     ceilings = np.asarray(jax.jit(shadow_ceilings)(sensors, prisms, ground.columns))
     clear = (np.asarray(ground.heights) > ceilings[:, :, None]).reshape(len(places), -1)
     masks = line_of_sight(scene, layout, 0)

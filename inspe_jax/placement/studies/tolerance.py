@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from inspe_jax.core.arrays import from_center
 from inspe_jax.core.errors import InspeError
 from inspe_jax.placement.objective import Objective
 from inspe_jax.placement.problem import AnyScene, Problem, cases_of
@@ -15,7 +16,6 @@ from inspe_jax.placement.run import check_seed
 from inspe_jax.scoring.tiled_scene import tiled_scene_of
 from inspe_jax.sensing.conditions import Conditions
 from inspe_jax.sensing.layout import Layout
-from inspe_jax.visibility.centered_scene import poses_about_center
 
 SOFTNESS = 0.2
 """Softness of the slopes [m]: the width over which edges of fields of view and shadows are blurred.
@@ -105,7 +105,7 @@ def tolerance(
     problem = Problem(cases_of(scene, conditions), layout, objective)
     layout = problem.layout
     planned = problem.exact_of(layout)
-    poses = poses_about_center(problem.cases[0].scene, layout)
+    poses = from_center(problem.cases[0].scene.voxels.center, layout.poses)
     worlds = tuple(
         tiled_scene_of(case.scene, whole=True, masks=False).bucketed for case in problem.cases
     )

@@ -4,15 +4,14 @@ Only the kinds of their ray grids are fixed, so one compiled program serves many
 """
 
 from dataclasses import dataclass, field
-from functools import lru_cache, partial
-from typing import Any, NamedTuple
+from functools import lru_cache
+from typing import NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from inspe_jax.core.arrays import bucket, on_device
+from inspe_jax.core.arrays import bucket
 from inspe_jax.core.numerics import Groups
 from inspe_jax.core.pytree import pytree
 from inspe_jax.sensing.layout import Layout
@@ -47,8 +46,7 @@ class SensorSet(NamedTuple):
         )
 
 
-SENSORS = 4
-"""Least number of places for sensors."""
+SENSORS = 4  # least number of places for sensors
 
 
 @pytree
@@ -58,7 +56,7 @@ class SensorArray:
 
     Of S places for sensors the first are taken. ``kind`` is the number of each sensor's kind among
     ``kinds``, or their count where the place is empty, and ``table`` has the numbers of its ray
-    grid. The others are as in :class:`SensorSet`; an empty place has a unit of its own.
+    grid. The others are as in :class:`SensorSet`; empty places have own units, and the first pose.
     """
 
     table: RayTable
@@ -68,38 +66,6 @@ class SensorArray:
     pixels: Float[Array | np.ndarray, " S"]
     failures: Groups | None
     kinds: tuple[Kind, ...] = field(metadata={"static": True})
-
-    def padded(self, poses: Float[Array | np.ndarray, "s 6"]) -> Any:
-        """The sensors' poses, with the first one repeated for every empty place; traced or not."""
-        return pad_rows(poses, len(self.kind))
-
-
-@partial(jax.custom_vjp, nondiff_argnums=(1,))
-def pad_rows(rows: Float[Array | np.ndarray, "s n"], count: int) -> Any:
-    """``count`` rows: those given, then the first one repeated.
-
-    In NumPy unless traced, the gradient too: JAX would compile a program for every number of rows.
-    """
-    if isinstance(rows, jax.core.Tracer):
-        return jnp.concatenate([rows, jnp.repeat(rows[:1], count - len(rows), 0)])
-    rows = np.asarray(rows)
-    return np.concatenate([rows, np.repeat(rows[:1], count - len(rows), 0)])
-
-
-def _pad_rows_forward(rows: Any, count: int) -> tuple[Any, Any]:
-    return pad_rows(rows, count), np.zeros(len(rows), bool)
-
-
-def _pad_rows_backward(count: int, rows: Any, slope: Any) -> tuple[Any]:
-    number = len(rows)
-    if isinstance(slope, jax.core.Tracer):
-        return (slope[:number].at[0].add(slope[number:].sum(0)),)
-    slope = np.array(slope)
-    slope[0] += slope[number:].sum(0)
-    return (on_device(slope[:number]),)
-
-
-pad_rows.defvjp(_pad_rows_forward, _pad_rows_backward)
 
 
 @lru_cache(maxsize=64)

@@ -54,7 +54,7 @@ WORKLOADS: dict[str, dict[str, Any]] = {
     "W3": dict(radius=100.0, voxel=0.5, density=60, frames=300),
     "quick": dict(radius=20.0, voxel=0.5, density=20, frames=10),
 }
-GRADIENT = {"W1": 20, "quick": 12}
+GRADIENT = {"W1": 10, "quick": 6}
 """Usual time of a gradient in all poses, in exact scores of the same layout."""
 
 

@@ -155,8 +155,9 @@ def evaluate(
 
     With traced poses P (S, 6), ``evaluate(scene, layout.with_poses(P), softness=0.5).surrogate`` is
     differentiable in P. The exact score is a step function, with gradient 0. The
-    gradient needs no ``jax.jit`` around it: without it, the compiled programs serve other scenes
-    and layouts of similar size; with it, the scene becomes a part of the program.
+    gradient needs no ``jax.jit`` around it. On a CPU it runs on all cores either way, in compiled
+    programs that serve other scenes and layouts; on one core, in double precision or on another
+    device, with ``jax.jit`` the scene becomes a part of the program.
 
     Raises InspeError where a sensor is in the ground or out of reach of the scene, an option is
     unknown, or the arrays would not fit in memory. It is also raised where there is no traffic and

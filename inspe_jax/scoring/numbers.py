@@ -247,7 +247,7 @@ def _in_view(views: Float[Array, "S Z C"]) -> tuple[Int[Array, " S"], Int[Array,
 
 def _union_forward(see_from: SeeFrom, *given: Any) -> tuple[Any, tuple]:
     union, sights, read = _read_union(see_from, *given)
-    union, read = checkpoint_name((union, read), SIGHTS_READ)
+    union, read = jax.tree.map(lambda x: checkpoint_name(x, SIGHTS_READ), (union, read))
     return (union, sights), (union, read, *given)
 
 
@@ -257,21 +257,22 @@ def _union_backward(see_from: SeeFrom, kept: tuple, wanted: tuple) -> tuple:
     listed, number = _in_view(views)
     of_union, of_sights = wanted
     cells = read[0].sloped.shape[-1]
-    # Sight lines of the other cells have no slope: some sensor sees them for certain, or nobody asks.
-    asked = (
-        (((1.0 - union) * of_union) != 0)
-        .any((0, 1))
-        .reshape(-1, cells, views.shape[-1] // cells)
-        .any(-1)
-    )
+
+    def any_of_cells(wanted: Array) -> Array:
+        return wanted.any(0).reshape(*wanted.shape[1:-1], cells, -1).any(-1)
+
+    # Elsewhere some sensor sees all for certain, and its sight lines have no slope in the union.
+    open_cells = any_of_cells((((1.0 - union) * of_union) != 0).any(0))
 
     def add(i: Array, slopes: tuple[Array, Array]) -> tuple[Array, Array]:
         s = listed[i]
-        known = jax.tree.map(lambda all_: all_[s], read)
-        some = asked
+        asked = open_cells
         if of_sights is not None:
-            some = some | (of_sights[s] != 0).any(-1).reshape(cells, -1).any(-1)
-        known = [of._replace(sloped=jnp.where(some, of.sloped, jnp.uint32(0))) for of in known]
+            asked = asked | any_of_cells((of_sights[s] != 0).T)[None]
+        known = [
+            of._replace(sloped=jnp.where(asked, of.sloped, jnp.uint32(0)))
+            for of in jax.tree.map(lambda all_: all_[s], read)
+        ]
         of_sensor = lambda position, view: see_from((position, known, view), *given)[:2]  # noqa: E731
         (visible, _), back = jax.vjp(of_sensor, positions[s], views[s])
         each = (1.0 - union) * of_union

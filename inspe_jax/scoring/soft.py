@@ -13,7 +13,6 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from inspe_jax.core import sharding
-from inspe_jax.core.numerics import Groups, Width
 from inspe_jax.core.parallel import Job, cores, run
 from inspe_jax.scoring.driver import (
     MetricValues,
@@ -57,11 +56,11 @@ class _Work:
         self, tiled: TiledScene, sensors: SensorArray, voxel: float, options: ScoreOptions
     ) -> None:
         self.tiled, self.sensors, self.voxel = tiled, sensors, voxel
-        self.static = dict(kept=kept_for_gradient(tiled, sensors), options=options)
+        self.kept, self.options = kept_for_gradient(tiled, sensors), options
         self._slopes: dict[bytes, Any] = {}
 
     @property
-    def shapes(self) -> MetricValues:
+    def shapes(self) -> Any:
         """The shapes of the metrics."""
         tiles, failures = self.tiled.tiles, self.sensors.failures
         row, column, level, one = (
@@ -73,9 +72,8 @@ class _Work:
                 (),
             )
         )
-        options: ScoreOptions = self.static["options"]
-        values = {metric.name: row for metric in options.metrics}
-        return MetricValues(values, column, level, one, column)
+        values: Any = {metric.name: row for metric in self.options.metrics}
+        return MetricValues(values, column, level, one, column)  # type: ignore[arg-type]
 
     def value(self, reading: Numbers, poses: Any) -> MetricValues:
         """The metrics."""
@@ -98,18 +96,19 @@ class _Work:
         wanted = _on_host(_pulled(of_tiles, _on_host(wanted)))
         jobs: list[Job] = []
         for (rows, _), slope in zip(self.tiled.apart, slopes, strict=True):
-            own = jax.tree.map(lambda leaf: leaf[np.asarray(rows)], wanted)  # noqa: B023
+            own = jax.tree.map(lambda leaf: leaf[rows], wanted)  # noqa: B023
             key = _pulled, jax.tree.structure(slope), _shapes(slope)
             jobs.append((key, partial(_pulled, slope, own)))
         return np.sum(run(jobs), 0)
 
     def _read(self, work: Callable[..., Any], reading: Numbers, poses: Any) -> list[Any]:
         """What ``work`` gives of each tile."""
-        given = _on_host((poses, self.sensors, self.voxel))
-        reading, jobs = _on_host(reading), []
+        reading, *arrays = _on_host((reading, poses, self.sensors, self.voxel))
+        jobs: list[Job] = []
         for _, tile in self.tiled.apart:
-            key = work, *self.static.values(), self.sensors.kinds, _shapes(tile, given)
-            jobs.append((key, partial(work, reading, tile, *given, **self.static)))
+            given = tile, *arrays
+            key = work, self.kept, self.options, self.sensors.kinds, _shapes(given)
+            jobs.append((key, partial(work, reading, *given, self.kept, self.options)))
         return run(jobs)
 
     def _summed(self, parts: Any, reading: Numbers) -> tuple:
@@ -119,12 +118,11 @@ class _Work:
             first = np.asarray(leaves[0])
             whole = np.zeros((len(self.tiled.tiles.tile.there), *first.shape[1:]), first.dtype)
             for (rows, _), leaf in zip(self.tiled.apart, leaves, strict=True):
-                whole[np.asarray(rows)] = leaf
+                whole[rows] = leaf
             return whole
 
         found = jax.tree.map(joined, *parts)
-        failures, options = self.sensors.failures, self.static["options"]
-        return found, self.tiled.bucketed, failures, reading.width, options
+        return found, self.tiled.bucketed, self.sensors.failures, reading.width, self.options
 
 
 def _called(work: Callable[..., Any], shapes: Any, *given: Any) -> Any:
@@ -151,41 +149,20 @@ def _backward(work: _Work, kept: tuple, wanted: MetricValues) -> tuple[None, Arr
 _measured.defvjp(_forward, _backward)
 
 
-@partial(jax.jit, static_argnames=("kept", "options"))
-def _read(
-    reading: Numbers,
-    tiled: TiledScene,
-    poses: Float[Array, "S 6"],
-    sensors: SensorArray,
-    voxel: float | Array,
-    *,
-    kept: tuple[str, ...] | None,
-    options: ScoreOptions,
-) -> TileReadings:
-    return read_tiles(reading, tiled, poses, sensors, voxel, kept, options)
+_read = jax.jit(read_tiles, static_argnums=(5, 6))
+_summary = jax.jit(summarise_readings, static_argnums=4)
 
 
-@partial(jax.jit, static_argnames=("kept", "options"))
+@partial(jax.jit, static_argnums=(5, 6))
 def _read_with_slope(
-    reading: Numbers, tiled: TiledScene, poses: Float[Array, "S 6"], *given: Any, **static: Any
+    reading: Numbers, tiled: TiledScene, poses: Float[Array, "S 6"], *given: Any
 ) -> tuple[TileReadings, Any]:
-    return jax.vjp(lambda poses: _read(reading, tiled, poses, *given, **static), poses)
-
-
-@partial(jax.jit, static_argnums=4)
-def _summary(
-    found: TileReadings,
-    tiled: TiledScene,
-    failures: Groups | None,
-    width: Width,
-    options: ScoreOptions,
-) -> MetricValues:
-    return summarise_readings(found, tiled, failures, width, options)
+    return jax.vjp(lambda poses: read_tiles(reading, tiled, poses, *given), poses)
 
 
 @partial(jax.jit, static_argnums=4)
 def _summary_with_slope(found: TileReadings, *given: Any) -> tuple[MetricValues, Any]:
-    return jax.vjp(lambda found: _summary(found, *given), found)
+    return jax.vjp(lambda found: summarise_readings(found, *given), found)
 
 
 @jax.jit

@@ -120,18 +120,17 @@ class TiledScene:
     def apart(self) -> "list[tuple[Int[np.ndarray, ' n'], TiledScene]]":
         """The tiles with some column, each with those above it: their numbers, and they alone
         without what :func:`~inspe_jax.scoring.driver.summarise` needs."""
-        found, none = [], np.zeros(0)
+        none: Any = np.zeros(0)
         numbers = np.arange(len(self.tiles.tile.there)).reshape(self.tiles.slabs, -1).T
         whole = jax.tree.map(np.asarray, replace(self.bucketed, weight=none, occupancy=none))
-        for rows in numbers:
-            tile = jax.tree.map(lambda leaf: leaf[rows], whole.tiles.tile)  # noqa: B023
-            if tile.there.any():
-                chunks = tuple(replace(chunk, tile=tile) for chunk in whole.chunks)
-                tiles = replace(whole.tiles, tile=tile)
-                found.append(
-                    (rows, replace(whole, tiles=tiles, chunks=chunks, column=none, level=none))
-                )
-        return untraced(lambda: jax.device_put(found))
+        rows = [at for at in numbers if whole.tiles.tile.there[at].any()]
+        found = []
+        for at in rows:
+            tile = jax.tree.map(lambda leaf: leaf[at], whole.tiles.tile)  # noqa: B023
+            chunks = tuple(replace(chunk, tile=tile) for chunk in whole.chunks)
+            tiles = replace(whole.tiles, tile=tile)
+            found.append(replace(whole, tiles=tiles, chunks=chunks, column=none, level=none))
+        return list(zip(rows, untraced(lambda: jax.device_put(found)), strict=True))
 
 
 _kept_scenes: "WeakKeyDictionary[Scene, dict[tuple, TiledScene]]" = WeakKeyDictionary()

@@ -26,7 +26,7 @@ import inspe_jax
 from inspe_jax.core.arrays import from_center, pad_rows
 from inspe_jax.core.numerics import Softness
 from inspe_jax.report.tables import scores_record
-from inspe_jax.scoring import driver, metrics
+from inspe_jax.scoring import driver, metrics, soft
 from inspe_jax.scoring.driver import measure_tiles
 from inspe_jax.scoring.numbers import Numbers
 from inspe_jax.scoring.options import ScoreOptions
@@ -281,6 +281,32 @@ def test_a_gradient_in_little_room_is_the_same(monkeypatch):
     measure_tiles.clear_cache()
     assert np.abs(kept).max(1).all()
     np.testing.assert_allclose(found, kept, rtol=1e-4, atol=1e-6)
+
+
+@pytest.mark.parametrize("compiled", [jax.jit, lambda work: work], ids=["jit", "plain"])
+def test_all_cores_find_what_one_program_finds(compiled, monkeypatch):
+    """Scores and slopes, each alone and of two places at once, as a later call finds them too."""
+    scene = world(**SMALL, count=14)
+    layout = random_layout(scene, [CAMERA, LIDAR, CAMERA], 3, heights=(3.0, 8.0))
+    poses = jnp.asarray(layout.poses)
+
+    def score(poses):
+        found = inspe_jax.evaluate(scene, layout.with_poses(poses), softness=0.5)
+        return found.surrogate, (found.metrics, found.region_coverage, found.level_coverage)
+
+    def found():
+        slope = compiled(jax.value_and_grad(score, has_aux=True))
+        several = jax.vmap(slope)(jnp.stack([poses, poses + 0.1]))
+        alone = inspe_jax.evaluate(scene, layout, softness=0.5)
+        return compiled(score)(poses), slope(poses), slope(poses), several, alone.contributions[1]
+
+    monkeypatch.setattr(soft, "cores", lambda: 2)
+    by_cores = found()
+    monkeypatch.setattr(soft, "cores", lambda: 1)
+    for ours, theirs in zip(*map(jax.tree.leaves, (by_cores[:-1], found()[:-1])), strict=True):
+        np.testing.assert_allclose(ours, theirs, rtol=1e-5, atol=2e-7)
+    assert np.abs(by_cores[1][1]).max() > 1e-3
+    assert by_cores[-1].metrics == pytest.approx(found()[-1].metrics, abs=1e-6)
 
 
 DEGENERATE = [

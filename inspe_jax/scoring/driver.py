@@ -1,7 +1,8 @@
 """The scores of a scene or of a sample of one, tile by tile; and the metrics from all counts.
 
 Read as bits, scores are exact; read as chances, they are soft and have gradients.
-:mod:`inspe_jax.scoring.exact` divides the same stages of one exact score among the cores.
+:mod:`inspe_jax.scoring.exact` and :mod:`inspe_jax.scoring.soft` divide the same stages of one score
+among the cores.
 
 A soft reading is exactly 0 or 1 beyond a few widths (:func:`inspe_jax.core.numerics.step`). So a
 tile that is far from a field of view or a shadow can skip it, and the result is the same.

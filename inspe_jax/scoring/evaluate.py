@@ -154,10 +154,10 @@ def evaluate(
     usual ones if None (:func:`~inspe_jax.scoring.detection.load_detection`).
 
     With traced poses P (S, 6), ``evaluate(scene, layout.with_poses(P), softness=0.5).surrogate`` is
-    differentiable in P. The exact score is a step function, with gradient 0. The
-    gradient needs no ``jax.jit`` around it. On a CPU it runs on all cores either way, in compiled
-    programs that serve other scenes and layouts; on one core, in double precision or on another
-    device, with ``jax.jit`` the scene becomes a part of the program.
+    differentiable in P, once and in reverse mode. The exact score is a step function, with gradient
+    0. The gradient needs no ``jax.jit`` around it. On a CPU it runs on all cores either way, in
+    compiled programs that serve other scenes and layouts; on one core, in double precision or on
+    another device, with ``jax.jit`` the scene becomes a part of the program.
 
     Raises InspeError where a sensor is in the ground or out of reach of the scene, an option is
     unknown, or the arrays would not fit in memory. It is also raised where there is no traffic and

@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from inspe_jax.core import sharding
+from inspe_jax.core.compiling import on_behalf_of, this_thread
 from inspe_jax.core.parallel import Job, cores, run
 from inspe_jax.scoring.driver import (
     MetricValues,
@@ -28,7 +29,8 @@ from inspe_jax.scoring.tiled_scene import TiledScene
 from inspe_jax.sensing.sensor_array import SensorArray
 
 UNUSED = 2
-"""Of so many scores what their gradients need is kept until these are asked for."""
+"""Of so many scores what their gradients need is kept until these are asked for. Of more at once,
+as under ``jax.vmap``, it is found again."""
 
 
 def measure_softly(
@@ -82,21 +84,22 @@ class _Work:
     def forward(self, reading: Numbers, poses: Any) -> MetricValues:
         """The metrics, while what the gradient needs is kept for :meth:`backward`."""
         found, slopes = zip(*self._read(_read_with_slope, reading, poses), strict=True)
-        values, of_tiles = _summary_with_slope(*self._summed(found, reading))
-        self._slopes[_content(reading, poses)] = slopes, of_tiles
+        summed = self._summed(found, reading)
+        self._slopes[_content(reading, poses)] = slopes, summed
         for old in list(self._slopes)[:-UNUSED]:
             self._slopes.pop(old, None)
-        return _on_host(values)
+        return _on_host(_summary(*summed))
 
-    def backward(self, reading: Numbers, poses: Any, wanted: MetricValues) -> np.ndarray:
-        """The gradient in the poses of the metrics, weighted by what is ``wanted``."""
+    def backward(self, reading: Numbers, poses: Any, after: Any, wanted: MetricValues) -> Any:
+        """The gradient in the poses of the metrics, weighted by what is ``wanted``. It comes
+        ``after`` a result of :meth:`forward`, as else XLA might call this first."""
         while (kept := self._slopes.pop(_content(reading, poses), None)) is None:
             self.forward(reading, poses)
-        slopes, of_tiles = kept
-        wanted = _on_host(_pulled(of_tiles, _on_host(wanted)))
+        slopes, summed = kept
+        of_tiles = _on_host(_slope_of_summary(*summed, _on_host(wanted)))
         jobs: list[Job] = []
         for (rows, _), slope in zip(self.tiled.apart, slopes, strict=True):
-            own = jax.tree.map(lambda leaf: leaf[rows], wanted)  # noqa: B023
+            own = jax.tree.map(lambda leaf: leaf[rows], of_tiles)  # noqa: B023
             key = _pulled, jax.tree.structure(slope), _shapes(slope)
             jobs.append((key, partial(_pulled, slope, own)))
         return np.sum(run(jobs), 0)
@@ -107,7 +110,8 @@ class _Work:
         jobs: list[Job] = []
         for _, tile in self.tiled.apart:
             given = tile, *arrays
-            key = work, self.kept, self.options, self.sensors.kinds, _shapes(given)
+            kind = jax.tree.structure((reading, given))
+            key = work, self.kept, self.options, kind, _shapes(given)
             jobs.append((key, partial(work, reading, *given, self.kept, self.options)))
         return run(jobs)
 
@@ -122,14 +126,22 @@ class _Work:
             return whole
 
         found = jax.tree.map(joined, *parts)
-        return found, self.tiled.bucketed, self.sensors.failures, reading.width, self.options
+        failures, width = self.sensors.failures, _on_host(reading.width)
+        return found, self.tiled.bucketed, failures, width, self.options
 
 
 def _called(work: Callable[..., Any], shapes: Any, *given: Any) -> Any:
     """``work(*given)``, by the program that is being traced if one is."""
     if not any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(given)):
         return work(*given)
-    return jax.pure_callback(work, shapes, *given, vmap_method="sequential")
+    here = this_thread()
+
+    def call(*given: Any) -> Any:
+        # A callback has a device of its own, for which all would be compiled once more.
+        with on_behalf_of(here), jax.default_device(None):
+            return work(*given)
+
+    return jax.pure_callback(call, shapes, *given, vmap_method="sequential")
 
 
 @partial(jax.custom_vjp, nondiff_argnums=(0,))
@@ -138,7 +150,8 @@ def _measured(work: _Work, reading: Numbers, poses: Float[Array, "S 6"]) -> Metr
 
 
 def _forward(work: _Work, reading: Numbers, poses: Array) -> tuple[MetricValues, tuple]:
-    return _called(work.forward, work.shapes, reading, poses), (reading, poses)
+    found = _called(work.forward, work.shapes, reading, poses)
+    return found, (reading, poses, found.entropy)
 
 
 def _backward(work: _Work, kept: tuple, wanted: MetricValues) -> tuple[None, Array]:
@@ -161,8 +174,9 @@ def _read_with_slope(
 
 
 @partial(jax.jit, static_argnums=4)
-def _summary_with_slope(found: TileReadings, *given: Any) -> tuple[MetricValues, Any]:
-    return jax.vjp(lambda found: summarise_readings(found, *given), found)
+def _slope_of_summary(found: TileReadings, *given: Any) -> TileReadings:
+    *given, wanted = given
+    return jax.vjp(lambda found: summarise_readings(found, *given), found)[1](wanted)[0]
 
 
 @jax.jit

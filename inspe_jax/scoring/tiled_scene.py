@@ -120,17 +120,20 @@ class TiledScene:
     def apart(self) -> "list[tuple[Int[np.ndarray, ' n'], TiledScene]]":
         """The tiles with some column, each with those above it: their numbers, and they alone
         without what :func:`~inspe_jax.scoring.driver.summarise` needs."""
-        none: Any = np.zeros(0)
         numbers = np.arange(len(self.tiles.tile.there)).reshape(self.tiles.slabs, -1).T
-        whole = jax.tree.map(np.asarray, replace(self.bucketed, weight=none, occupancy=none))
-        rows = [at for at in numbers if whole.tiles.tile.there[at].any()]
-        found = []
-        for at in rows:
-            tile = jax.tree.map(lambda leaf: leaf[at], whole.tiles.tile)  # noqa: B023
-            chunks = tuple(replace(chunk, tile=tile) for chunk in whole.chunks)
-            tiles = replace(whole.tiles, tile=tile)
-            found.append(replace(whole, tiles=tiles, chunks=chunks, column=none, level=none))
-        return list(zip(rows, untraced(lambda: jax.device_put(found)), strict=True))
+        whole = jax.tree.map(np.asarray, self.tiles.tile)
+        rows = [at for at in numbers if whole.there[at].any()]
+
+        def parts() -> list[TiledScene]:
+            none = on_device(np.zeros(0), float)
+            rest = replace(self.bucketed, weight=none, occupancy=none, column=none, level=none)
+            found = []
+            for tile in (_rows(whole, at) for at in rows):
+                chunks = tuple(replace(chunk, tile=tile) for chunk in rest.chunks)
+                found.append(replace(rest, tiles=replace(rest.tiles, tile=tile), chunks=chunks))
+            return found
+
+        return list(zip(rows, untraced(parts), strict=True))
 
 
 _kept_scenes: "WeakKeyDictionary[Scene, dict[tuple, TiledScene]]" = WeakKeyDictionary()

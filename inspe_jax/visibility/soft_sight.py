@@ -76,24 +76,27 @@ def read_sights(
     before: where it is packed, the marked prisms, which need be those that have a slope only, are
     looked at again.
     """
-    if known is not None:
-        if known.clear.ndim == 3:
-            return known
-        clear, _ = read_sights(sensor, of, None, solid)
-        return known._replace(clear=clear * bitmask.chances(known.clear, len(clear)))
+    if known is not None and known.clear.ndim == 3:
+        return known
     words, frames, cells = of.marked.shape
-    clear = jnp.ones((len(of.heights), frames * cells, of.columns.shape[1] // cells))
+    shape = len(of.heights), frames, of.columns.shape[1]
+    # 0 where a line is known to be hidden for certain.
+    clear = jnp.ones(shape) if known is None else bitmask.chances(known.clear, len(of.heights))
     blocks, block = _blocks(of, solid)
 
     def read(number: Array, found: SightsRead) -> SightsRead:
         rows = block(number)
+        clear, sloped = rows.read(sensor)
+        if known is not None:
+            clear *= found.clear.at[:, rows.number].get(mode="fill", fill_value=0)
         put = lambda all_, new: all_.at[:, rows.number].set(new, mode="drop", unique_indices=True)  # noqa: E731
-        return SightsRead(*map(put, found, rows.read(sensor)))
+        return SightsRead(*map(put, found, (clear, sloped)))
 
     sloped = jnp.zeros((words, frames * cells), of.marked.dtype)
-    clear, sloped = jax.lax.fori_loop(0, blocks, read, SightsRead(clear, sloped))
-    shape = len(of.heights), frames, of.columns.shape[1]
-    return SightsRead(clear.reshape(shape), sloped.reshape(of.marked.shape))
+    start = SightsRead(clear.reshape(len(clear), frames * cells, -1), sloped)
+    clear, sloped = jax.lax.fori_loop(0, blocks, read, start)
+    sloped = sloped.reshape(of.marked.shape) if known is None else known.sloped
+    return SightsRead(clear.reshape(shape), sloped)
 
 
 @partial(jax.custom_vjp, nondiff_argnums=(3,))
@@ -386,8 +389,9 @@ def _packed(prisms: ConvexPrism) -> tuple[Float[Array, "N F B"], list[tuple[int,
     lead = prisms.top.shape
     shapes = [leaf.shape[len(lead) :] for leaf in numbers]
     each = zip(numbers, shapes, strict=True)
-    flat = [leaf.reshape(*lead, math.prod(shape)) for leaf, shape in each]
-    return jnp.moveaxis(jnp.concatenate(flat, -1), -1, 0), shapes
+    # Each is turned by itself: turned together, all would be copied once more.
+    flat = [jnp.moveaxis(leaf.reshape(*lead, math.prod(shape)), -1, 0) for leaf, shape in each]
+    return jnp.concatenate(flat), shapes
 
 
 def _unpacked(table: Float[Array, "N R 1"], shapes: list[tuple[int, ...]]) -> ConvexPrism:

@@ -24,6 +24,7 @@ from worlds import (
 
 import inspe_jax
 from inspe_jax.core.arrays import from_center, pad_rows
+from inspe_jax.core.compiling import compiled
 from inspe_jax.core.numerics import Softness
 from inspe_jax.report.tables import scores_record
 from inspe_jax.scoring import driver, metrics, soft
@@ -283,8 +284,8 @@ def test_a_gradient_in_little_room_is_the_same(monkeypatch):
     np.testing.assert_allclose(found, kept, rtol=1e-4, atol=1e-6)
 
 
-@pytest.mark.parametrize("compiled", [jax.jit, lambda work: work], ids=["jit", "plain"])
-def test_all_cores_find_what_one_program_finds(compiled, monkeypatch):
+@pytest.mark.parametrize("way", [jax.jit, lambda work: work], ids=["jit", "plain"])
+def test_all_cores_find_what_one_program_finds(way, monkeypatch):
     """Scores and slopes, each alone and of two places at once, as a later call finds them too."""
     scene = world(**SMALL, count=14)
     layout = random_layout(scene, [CAMERA, LIDAR, CAMERA], 3, heights=(3.0, 8.0))
@@ -295,10 +296,10 @@ def test_all_cores_find_what_one_program_finds(compiled, monkeypatch):
         return found.surrogate, (found.metrics, found.region_coverage, found.level_coverage)
 
     def found():
-        slope = compiled(jax.value_and_grad(score, has_aux=True))
+        slope = way(jax.value_and_grad(score, has_aux=True))
         several = jax.vmap(slope)(jnp.stack([poses, poses + 0.1]))
         alone = inspe_jax.evaluate(scene, layout, softness=0.5)
-        return compiled(score)(poses), slope(poses), slope(poses), several, alone.contributions[1]
+        return way(score)(poses), slope(poses), slope(poses), several, alone.contributions[1]
 
     monkeypatch.setattr(soft, "cores", lambda: 2)
     by_cores = found()
@@ -307,6 +308,26 @@ def test_all_cores_find_what_one_program_finds(compiled, monkeypatch):
         np.testing.assert_allclose(ours, theirs, rtol=1e-5, atol=2e-7)
     assert np.abs(by_cores[1][1]).max() > 1e-3
     assert by_cores[-1].metrics == pytest.approx(found()[-1].metrics, abs=1e-6)
+
+
+def test_a_compiled_gradient_reads_each_tile_once_with_the_programs_of_another(monkeypatch):
+    """XLA may order calls that share no data as it likes, and a callback has its own settings."""
+    scene, calls, read = world(**SMALL, count=14), [], soft._read_with_slope
+    layout = random_layout(scene, [CAMERA, LIDAR, CAMERA], 3, heights=(3.0, 8.0))
+    monkeypatch.setattr(soft, "cores", lambda: 2)
+    monkeypatch.setattr(soft, "_read_with_slope", lambda *at: calls.append(at) or read(*at))
+
+    def score(poses):
+        return inspe_jax.evaluate(scene, layout.with_poses(poses), softness=0.5).surrogate
+
+    poses = jnp.asarray(layout.poses)
+    expected = jax.grad(score)(poses)
+    once, programs = len(calls), compiled().programs
+    assert once == len(tiled_scene_of(scene, whole=True, masks=False).apart) > 1
+    _, slope = jax.jit(jax.value_and_grad(score))(poses)
+    assert len(calls) == 2 * once
+    assert compiled().programs <= programs + 2  # its own, and how the summary slopes
+    np.testing.assert_allclose(slope, expected, rtol=1e-5, atol=1e-7)
 
 
 DEGENERATE = [

@@ -189,7 +189,8 @@ class MapJunction(ABC):
 
     @abstractmethod
     def drives(self, arm_of: dict[tuple[int, str], int]) -> Iterable[Route]:
-        """Every path from an inbound lane to another arm of ``arm_of`` (road, end), rim to rim."""
+        """Every path from an inbound lane to another arm of ``arm_of`` (road, end), from radius to
+        radius; no U-turns."""
 
     @abstractmethod
     def with_bodies(

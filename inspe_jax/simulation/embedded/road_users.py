@@ -137,7 +137,7 @@ def is_box(one: StaticBody) -> bool:
 
 def parked_vehicles(scene: Scene) -> tuple[Snapshot, tuple[StaticBody, ...]]:
     """The parked vehicles with centres in a scene's region as road users, and the other bodies. A
-    track, and so shape and colour, hangs on the vehicle's own place alone, unless it is taken."""
+    track, and so shape and colour, hangs on its own place alone, unless that number is taken."""
     place, radius = scene.intersection, scene.voxels.radius
     found: list[StaticBody] = []
     left: list[StaticBody] = []

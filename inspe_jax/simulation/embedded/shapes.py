@@ -98,8 +98,9 @@ def fitting(kind: str, size: Sequence[float] | Float[np.ndarray, "3"]) -> tuple[
 
 
 def paint(kind: str, rng: np.random.Generator) -> Float[np.ndarray, "P 3"]:
-    """Linear RGB albedo of the P :data:`PARTS` of one road user of a class: drawn, varied by a few
-    per cent, and converted from sRGB (IEC 61966-2-1). Raises InspeError for an unknown class."""
+    """Linear RGB albedo of the P :data:`PARTS` of one road user of a class: drawn, a few per cent
+    brighter or darker, and converted from sRGB (IEC 61966-2-1). Raises InspeError for an unknown
+    class."""
     check_known(kind, VARIANTS, "class")
     palettes = _PAINT["all"] | _PAINT.get(kind, {})
     srgb = np.zeros((len(PARTS), 3))

@@ -175,8 +175,8 @@ def _read_with_slope(
 
 @partial(jax.jit, static_argnums=4)
 def _slope_of_summary(found: TileReadings, *given: Any) -> TileReadings:
-    *given, wanted = given
-    return jax.vjp(lambda found: summarise_readings(found, *given), found)[1](wanted)[0]
+    *rest, wanted = given
+    return jax.vjp(lambda found: summarise_readings(found, *rest), found)[1](wanted)[0]
 
 
 @jax.jit

@@ -47,6 +47,11 @@ def parts_of(rows: np.ndarray, size: int) -> list[np.ndarray]:
     return list(filled.reshape(-1, size, *rows.shape[1:]))
 
 
+def shapes_of(*arrays: Any) -> tuple[tuple[int, ...], ...]:
+    """The shapes of all arrays, for which programs are compiled: a part of a job's key."""
+    return tuple(np.shape(leaf) for leaf in jax.tree.leaves(arrays))
+
+
 def run(jobs: Sequence[Job], known: set[Hashable] = compiled) -> list[Any]:
     """Run jobs on all cores and return their finished results, in order. For each key that is not
     ``known``, one job runs first, so that its code is compiled only once; the key is then added to

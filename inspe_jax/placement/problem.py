@@ -19,7 +19,7 @@ from inspe_jax.core.arrays import from_center, on_device, on_host, pad_rows
 from inspe_jax.core.digest import digest
 from inspe_jax.core.errors import InspeError, or_usual
 from inspe_jax.core.numerics import Softness
-from inspe_jax.core.parallel import Job, run
+from inspe_jax.core.parallel import Job, run, shapes_of
 from inspe_jax.placement.candidates import poses
 from inspe_jax.placement.constraints import Constraints
 from inspe_jax.placement.objective import COMBINATIONS, Objective
@@ -258,9 +258,8 @@ class Problem:
     def rough(self, x: Float[np.ndarray, "M N"], sample: Sample) -> Float[np.ndarray, " M"]:
         """The objective of M layouts at coordinates ``x``, read hard on a sample, in parallel."""
         scenes = tuple(tiled.bucketed for tiled in sample.scenes)
-        shapes = tuple(leaf.shape for leaf in jax.tree.leaves((scenes, self.terms.sensors)))
         kinds = tuple(sensors.kinds for sensors in self.terms.sensors)
-        key = (case_scores, self.options, kinds, shapes)
+        key = (case_scores, self.options, kinds, shapes_of(scenes, self.terms.sensors))
         places = len(self.terms.sensors[0].kind)
         padded = [pad_rows(row, places) for row in on_host(poses(self.space, x), float)]
         jobs: list[Job] = [

@@ -177,7 +177,7 @@ def evaluate(
     # An exact score is a step function of the poses, and has no gradient.
     poses = jax.lax.stop_gradient(layout.poses) if traced and width.exact else layout.poses
     poses = from_center(scene.voxels.center, pad_rows(poses, len(sensors.kind)))
-    tiled, found = _measured(scene, poses, sensors, width, options, traced)
+    tiled, found = _measured(scene, poses, sensors, width, options)
     if by_name["information_gain"] > 0:
         check_entropy(scene, found.entropy)
     found = found._replace(seen_share=jax.lax.stop_gradient(found.seen_share))
@@ -230,11 +230,10 @@ def _measured(
     sensors: SensorArray,
     softness: Softness,
     options: ScoreOptions,
-    traced: bool,
 ) -> tuple[TiledScene, MetricValues]:
     """The scene in tiles and its metrics, of columns of tiles; counted exactly or read softly."""
     voxel = scene.voxels.size
-    if softness.exact and not traced:
+    if softness.exact and not isinstance(poses, jax.core.Tracer):
         tiled = tiled_scene_of(scene)
         return tiled, count_exactly(tiled, poses, sensors, voxel, options)
     tiled = tiled_scene_of(scene, whole=True, masks=softness.exact)

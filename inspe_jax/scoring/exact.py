@@ -17,7 +17,7 @@ from inspe_jax.core import sharding
 from inspe_jax.core.arrays import pad_rows
 from inspe_jax.core.geometry import Prism
 from inspe_jax.core.numerics import Groups
-from inspe_jax.core.parallel import Job, cores, run
+from inspe_jax.core.parallel import Job, cores, run, shapes_of
 from inspe_jax.scoring.accumulate import count_tile
 from inspe_jax.scoring.detection import DetectionCurves
 from inspe_jax.scoring.driver import MetricValues, measure_tiles, summarise
@@ -100,7 +100,7 @@ def in_view_of(
     for s in present:
         kind = sensors.kinds[sensors.kind[s]]
         rays = kind.rays(jax.tree.map(lambda numbers: numbers[s], sensors.table))  # noqa: B023
-        key = view_masks, kind, _shapes(rays.table.rows, rays.table.nearest, tile.heights)
+        key = view_masks, kind, shapes_of(rays.table.rows, rays.table.nearest, tile.heights)
         jobs.append((key, partial(look, rays, poses[s], tiles, half)))
     for s, view in zip(present, run(jobs), strict=True):
         views[s, order] = view
@@ -143,11 +143,6 @@ def _sights_past_statics(
     return sights * bitmask.unpack(np.asarray(masks)[..., None], levels)
 
 
-def _shapes(*arrays: Any) -> tuple[tuple[int, ...], ...]:
-    """The shapes of all arrays, for which programs are compiled."""
-    return tuple(leaf.shape for leaf in jax.tree.leaves(arrays))
-
-
 @cache
 def _split_view() -> Callable[..., Any]:
     """:func:`view_masks`, every device for its tiles."""
@@ -170,7 +165,7 @@ def count_all(
         few = views[:, chunk.tiles]
         count = _split_count(options) if chunk.split else partial(_count, options=options)
         work = partial(count, chunk.tile, few, chunk.solid, chunk.prisms, sensors, failures)
-        key = _count, options, _shapes(few, chunk.prisms.top), groups, chunk.split
+        key = _count, options, shapes_of(few, chunk.prisms.top), groups, chunk.split
         jobs.append((key, work))
     seen = np.zeros((2, 1 + groups, tiled.frame_count), np.int32)
     core = np.zeros((2, tiled.frame_count), np.int32)
@@ -302,7 +297,7 @@ def _terms(
     def job(some: slice) -> Job:
         part = jax.tree.map(lambda leaf: leaf[some], by_tile)
         given = *part, *jax.tree.map(lambda leaf: leaf[:, some], by_sensor), *of_all
-        return (_tile_terms, options, sensors.kinds, _shapes(given)), partial(work, *given)
+        return (_tile_terms, options, sensors.kinds, shapes_of(given)), partial(work, *given)
 
     step = min(cores(), CHUNKS)
     parts = run([job(slice(first, None, step)) for first in range(step)])
@@ -399,7 +394,7 @@ def measure_many(
     # A layout for a core, or one for every device: devices that would be idle repeat the first.
     whole = np.stack([pad_rows(row, len(sensors.kind)) for row in poses])
     rows = np.resize(whole, (-(-len(whole) // each), each, *whole.shape[1:]))
-    key = measure_many, options, sensors.kinds, _shapes(*data[:2])
+    key = measure_many, options, sensors.kinds, shapes_of(*data[:2])
     jobs: list[Job] = [(key, partial(work, row[0] if each == 1 else row, *data)) for row in rows]
     found = np.stack(run(jobs)).reshape(-1, len(options.metrics))[: len(poses)]
     return {metric.name: column for metric, column in zip(options.metrics, found.T, strict=True)}

@@ -14,7 +14,8 @@ from jaxtyping import Array, Float
 
 from inspe_jax.core import sharding
 from inspe_jax.core.compiling import on_behalf_of, this_thread
-from inspe_jax.core.parallel import Job, cores, run
+from inspe_jax.core.digest import digest
+from inspe_jax.core.parallel import Job, cores, run, shapes_of
 from inspe_jax.scoring.driver import (
     MetricValues,
     TileReadings,
@@ -59,7 +60,7 @@ class _Work:
     ) -> None:
         self.tiled, self.sensors, self.voxel = tiled, sensors, voxel
         self.kept, self.options = kept_for_gradient(tiled, sensors), options
-        self._slopes: dict[bytes, Any] = {}
+        self._slopes: dict[str, Any] = {}
 
     @property
     def shapes(self) -> Any:
@@ -79,13 +80,13 @@ class _Work:
 
     def value(self, reading: Numbers, poses: Any) -> MetricValues:
         """The metrics."""
-        return _on_host(_summary(*self._summed(self._read(_read, reading, poses), reading)))
+        return _on_host(_summary(*self._summed(self._of_each_tile(_read, reading, poses), reading)))
 
     def forward(self, reading: Numbers, poses: Any) -> MetricValues:
         """The metrics, while what the gradient needs is kept for :meth:`backward`."""
-        found, slopes = zip(*self._read(_read_with_slope, reading, poses), strict=True)
+        found, slopes = zip(*self._of_each_tile(_read_with_slope, reading, poses), strict=True)
         summed = self._summed(found, reading)
-        self._slopes[_content(reading, poses)] = slopes, summed
+        self._slopes[digest((reading, poses))] = slopes, summed
         for old in list(self._slopes)[:-UNUSED]:
             self._slopes.pop(old, None)
         return _on_host(_summary(*summed))
@@ -93,25 +94,25 @@ class _Work:
     def backward(self, reading: Numbers, poses: Any, after: Any, wanted: MetricValues) -> Any:
         """The gradient in the poses of the metrics, weighted by what is ``wanted``. It comes
         ``after`` a result of :meth:`forward`, as else XLA might call this first."""
-        while (kept := self._slopes.pop(_content(reading, poses), None)) is None:
+        while (kept := self._slopes.pop(digest((reading, poses)), None)) is None:
             self.forward(reading, poses)
         slopes, summed = kept
         of_tiles = _on_host(_slope_of_summary(*summed, _on_host(wanted)))
         jobs: list[Job] = []
         for (rows, _), slope in zip(self.tiled.apart, slopes, strict=True):
             own = jax.tree.map(lambda leaf: leaf[rows], of_tiles)  # noqa: B023
-            key = _pulled, jax.tree.structure(slope), _shapes(slope)
+            key = _pulled, jax.tree.structure(slope), shapes_of(slope)
             jobs.append((key, partial(_pulled, slope, own)))
         return np.sum(run(jobs), 0)
 
-    def _read(self, work: Callable[..., Any], reading: Numbers, poses: Any) -> list[Any]:
+    def _of_each_tile(self, work: Callable[..., Any], reading: Numbers, poses: Any) -> list[Any]:
         """What ``work`` gives of each tile."""
         reading, *arrays = _on_host((reading, poses, self.sensors, self.voxel))
         jobs: list[Job] = []
         for _, tile in self.tiled.apart:
             given = tile, *arrays
             kind = jax.tree.structure((reading, given))
-            key = work, self.kept, self.options, kind, _shapes(given)
+            key = work, self.kept, self.options, kind, shapes_of(given)
             jobs.append((key, partial(work, reading, *given, self.kept, self.options)))
         return run(jobs)
 
@@ -187,12 +188,3 @@ def _pulled(slope: Callable[..., Any], wanted: Any) -> Any:
 
 def _on_host(arrays: Any) -> Any:
     return jax.tree.map(np.asarray, arrays)
-
-
-def _shapes(*arrays: Any) -> tuple[tuple[int, ...], ...]:
-    """The shapes of all arrays, for which programs are compiled."""
-    return tuple(np.shape(leaf) for leaf in jax.tree.leaves(arrays))
-
-
-def _content(*arrays: Any) -> bytes:
-    return b"".join(np.asarray(leaf).tobytes() for leaf in jax.tree.leaves(arrays))

@@ -2,7 +2,6 @@
 
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
@@ -11,6 +10,7 @@ from inspe_jax.core.arrays import bucket, on_device
 from inspe_jax.core.convex import ConvexPrism, sides
 from inspe_jax.core.geometry import FAR, Prism
 from inspe_jax.core.height_field import HeightField
+from inspe_jax.core.parallel import shapes_of
 from inspe_jax.scene.placed_bodies import convex_parts
 from inspe_jax.scene.scene import Scene
 
@@ -28,7 +28,7 @@ class Statics(NamedTuple):
     @property
     def shapes(self) -> tuple[tuple[int, ...], ...]:
         """The shapes of its arrays, for which programs are compiled."""
-        return tuple(leaf.shape for leaf in jax.tree.leaves(self))
+        return shapes_of(self)
 
 
 class CenteredScene(NamedTuple):

@@ -369,8 +369,8 @@ def _at_level(
     hidden, by = step(below, width), slope_of_step(below, width)
     by_low, by_height = by * by_low, by * by_height
     # Multiplied by 0 or 1: what is selected here, XLA computes point by point.
-    is_near = low_is_near.astype(by_low.dtype)
-    by_near, by_far = by_low * is_near, by_low * (1.0 - is_near)
+    near = low_is_near.astype(by_low.dtype)
+    by_near, by_far = by_low * near, by_low * (1.0 - near)
     if not solid:
         beneath, by_high, by_rise = rises(prism.bottom, high_is_near)
         opaque = step(HALF - prism.clear) if exact(width) else 1.0 - prism.clear

@@ -5,10 +5,10 @@ from functools import lru_cache
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from inspe_jax.core.arrays import on_host
 from inspe_jax.core.parallel import parts_of
 from inspe_jax.mounting.site import farthest_first
 from inspe_jax.placement.space import Space
@@ -44,7 +44,7 @@ def poses(space: Space, x: Float[np.ndarray, "M N"]) -> Float[np.ndarray, "M S 6
 @lru_cache(maxsize=4)  # compiled functions keep their space in memory, so only a few are kept
 def _mapped(space: Space) -> tuple[Any, Any]:
     compiled = (jax.jit(jax.vmap(space.project)), jax.jit(jax.vmap(space.poses)))
-    project, poses = (lambda x, f=f: f(jnp.asarray(x, float)) for f in compiled)
+    project, poses = (lambda x, f=f: f(on_host(x, float)) for f in compiled)
     return project, poses
 
 

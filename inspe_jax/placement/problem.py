@@ -166,7 +166,7 @@ class Problem:
         for case in self.cases:
             tiled = tiled_scene_of(case.scene)
             if self.objective.weights_by_name["information_gain"] > 0:
-                check_entropy(case.scene, metrics.entropy(tiled.occupancy).sum())
+                check_entropy(case.scene, np.asarray(metrics.entropy(tiled.occupancy)).sum())
             arrays = case.scene.voxel_weight, tiled.voxel_occupancy
             found.append(
                 SceneArrays(about_center(case.scene), *(on_device(x, float) for x in arrays))
@@ -292,7 +292,7 @@ class Problem:
     @cached_property
     def charted_loss(self) -> Loss:
         """The loss in typical steps ``z`` (N,) from an ``anchor`` (N,) in charts ``place`` (U,)."""
-        space, scale = self.space, jnp.asarray(self.space.scale, float)
+        space, scale = self.space, on_host(self.space.scale)
         return self._loss_through(
             lambda z, anchor, place: space.poses(space.from_chart(anchor + scale * z, place))
         )
@@ -300,7 +300,7 @@ class Problem:
     @cached_property
     def scaled_loss(self) -> Loss:
         """The loss in coordinates (N,) divided by :attr:`nonzero_scale`."""
-        scale = jnp.asarray(self.nonzero_scale, float)
+        scale = on_host(self.nonzero_scale)
         return self._loss_through(lambda z: self.space.poses(scale * z))
 
     @property

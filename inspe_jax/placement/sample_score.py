@@ -312,7 +312,7 @@ def _shares(problem: Problem, sample: Sample) -> Iterator[np.ndarray]:
         if part.centered.inside is not None:
             free *= ~np.asarray(part.centered.inside).ravel()
         weight, entropy = np.asarray(part.weight, float), np.asarray(part.occupancy, float)
-        entropy = np.asarray(metrics.entropy(jnp.asarray(entropy, float)), float)
+        entropy = np.asarray(metrics.entropy(on_host(entropy)), float)
         frames = np.maximum((free.sum(1) > 0).sum(), 1)  # those in which any voxel counts
         free = free / np.maximum(free.sum(1, keepdims=True), 1e-9) / frames
         places = weight[:: tiled.tiles.level_count]

@@ -291,7 +291,7 @@ def evaluate_many(
     tiled = tiled_scene_of(scene, whole=True)
     by_name = weights_of(weights)
     if by_name["information_gain"] > 0:
-        check_entropy(scene, entropy(tiled.occupancy).sum())
+        check_entropy(scene, np.asarray(entropy(tiled.occupancy)).sum())
     found = measure_many(
         tiled,
         from_center(scene.voxels.center, poses),
@@ -347,10 +347,15 @@ def _means(x: Float[Array, " n"], rows: Float[Array, "R n"]) -> Float[Array, " R
 
 
 def _numbers(x: Any) -> Any:
-    """Python numbers, nested as the array is; a traced array becomes scalars in nested lists."""
+    """Python numbers, nested as the array is; a traced row becomes a list of scalars."""
     if not isinstance(x, jax.core.Tracer):
         return np.asarray(x, float).tolist()
-    return [_numbers(row) for row in x] if x.ndim else x
+    return _scalars(x) if x.ndim else x
+
+
+@jax.jit
+def _scalars(row: Float[Array, " n"]) -> list[Float[Array, ""]]:
+    return list(row)
 
 
 def options_of(
@@ -377,7 +382,7 @@ def check_options(
     weights_of(weights)
 
 
-def check_entropy(scene: Scene, entropy: Float[Array, ""]) -> None:
+def check_entropy(scene: Scene, entropy: Any) -> None:
     """Raise InspeError unless the entropy H(Ω) is more than 0; a traced one passes."""
     if isinstance(entropy, jax.core.Tracer):
         return

@@ -97,7 +97,8 @@ class Evidence(NamedTuple):
 
 def column_sums(found: Float[Array, "N ... C"], slabs: int) -> Float[Array, "... L"]:
     """Terms of columns, one row for each tile, summed over the slabs of levels."""
-    each = jnp.moveaxis(jnp.reshape(found, (slabs, -1, *found.shape[1:])).sum(0), 0, -2)
+    each = found.reshape(slabs, -1, *found.shape[1:]).sum(0)
+    each = each.transpose(*range(1, each.ndim - 1), 0, -1)
     return each.reshape(*each.shape[:-2], -1)
 
 

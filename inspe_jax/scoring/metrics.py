@@ -9,8 +9,10 @@ groups of failures. So arrays have a leading axis of 1 + G rows, and functions k
 """
 
 from collections.abc import Container, Mapping, Sequence
+from functools import partial
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Num
 
@@ -84,6 +86,7 @@ def occlusion(seen: Float[Array, "T ..."], original: Float[Array, "T ..."]) -> F
     return share.sum(0) / jnp.maximum(has.astype(share.dtype).sum(0), 1.0)
 
 
+@partial(jax.jit, inline=True)
 def entropy(p: Float[Array, "*n"]) -> Float[Array, "*n"]:
     """Binary entropy H(p) = −p ln p − (1 − p) ln(1 − p) in nats; 0 at p = 0 and p = 1."""
     return -_x_log_x(p) - _x_log_x(1.0 - p)

@@ -4,13 +4,14 @@ It stands at each column; means over columns are :mod:`inspe_jax.scoring.target_
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from inspe_jax.core.arrays import from_center, pad_rows
+from inspe_jax.core.arrays import from_center, on_host, pad_rows
 from inspe_jax.core.errors import check_known
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scene.traffic.frames import CLASSES, ROAD_USERS
@@ -28,7 +29,12 @@ from inspe_jax.visibility.in_view import transform_of
 from inspe_jax.visibility.target_rays import scale_at
 
 _AT_ONCE = 64  # points of pixel_density_at are compiled for multiples of this
-_scale_at = jax.jit(scale_at)
+
+
+@jax.jit
+def _scale_at(rays: Any, pose: Float[Array, "6"], points: Any) -> Any:
+    """:func:`scale_at` from a pose."""
+    return scale_at(rays, transform_of(pose), tuple(points))
 
 
 @dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
@@ -95,9 +101,9 @@ def target_view(
     poses = pad_rows(from_center(scene.voxels.center, layout.poses), len(sensors.kind))
     options = ScoreOptions.of(names=(), detection=curves)._replace(metrics=(_MAP,))
     *_, terms = evidence_of_tiles(tiled, poses, sensors, scene.voxels.size, options)
-    columns = column_sums(jnp.asarray(terms[_MAP.name]), tiled.tiles.slabs)
+    columns = column_sums(terms[_MAP.name], tiled.tiles.slabs)
     number, grid = CLASSES.index(road_user), scene.voxels
-    returns, chance = np.asarray(columns)[: len(layout), :, number].swapaxes(0, 1)
+    returns, chance = columns[: len(layout), :, number].swapaxes(0, 1)
     middles = np.column_stack([grid.columns, grid.ground + ROAD_USERS[number].size[2] / 2])
     pairs = zip(layout.sensors, layout.poses, strict=True)
     pixels = [pixel_density_at(sensor.spec, pose, middles) for sensor, pose in pairs]
@@ -116,6 +122,5 @@ def pixel_density_at(
         return np.zeros(len(points))
     to = np.zeros((3, -(-max(len(points), 1) // _AT_ONCE) * _AT_ONCE))  # few sizes to compile for
     to[:, : len(points)] = (points - pose[:3]).T
-    turned, (x, y, z) = transform_of(jnp.asarray(pose, float)), (jnp.asarray(k, float) for k in to)
-    scale, depth = _scale_at(spec.grid.rays, turned, (x, y, z))
+    scale, depth = map(np.asarray, _scale_at(spec.grid.rays, on_host(pose), on_host(to)))
     return np.where(depth > 0, scale, 0.0)[: len(points)] * spec.focal_pixels

@@ -10,7 +10,6 @@ from typing import Any, NamedTuple
 from weakref import WeakKeyDictionary
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, UInt
 
@@ -147,7 +146,7 @@ def tiled_scene_of(scene: Scene, *, whole: bool = False, masks: bool = True) -> 
     of them as constants. It is kept as long as the scene, one for each precision of JAX.
     """
     kept = _kept_scenes.setdefault(scene, {})
-    key = whole, masks, jnp.zeros((), float).dtype
+    key = whole, masks, jax.dtypes.canonicalize_dtype(float)
     if key not in kept:
         kept[key] = untraced(lambda: _tile_whole(scene, masks) if whole else _tile_scene(scene))
     return kept[key]
@@ -243,9 +242,9 @@ def tiled_sample(sample: SceneArrays, masks: bool = True) -> TiledScene:
     tiles = tiles_of(sample.centered, CELL if masks else 1)
     prisms, levels = sample.centered.prisms, tiles.level_count
     if sample.centered.inside is None:
-        weight = sample.weight[::levels]
+        weight = np.asarray(sample.weight)[::levels]
     else:  # voxels inside a body have no weight
-        weight = sample.weight.reshape(-1, levels).mean(1)
+        weight = np.asarray(sample.weight).reshape(-1, levels).mean(1)
     height = tiles.tile.heights.shape[1]
     columns = len(tiles.tile.there) // tiles.slabs * tiles.tile.there.shape[1]
     level = np.arange(levels)
@@ -253,7 +252,7 @@ def tiled_sample(sample: SceneArrays, masks: bool = True) -> TiledScene:
     return TiledScene(
         tiles,
         (WorkChunk(tiles.tile, prisms, solid(tiles.tile, prisms) if masks else None),),
-        _column_weight(tiles, np.asarray(weight)),
+        _column_weight(tiles, weight),
         sample.occupancy,
         on_device(column.reshape(-1)),
         on_device(np.tile(level % height, len(column))),

@@ -58,10 +58,10 @@ def line_of_sight(
     frame = check_frame(scene, frame)
     centered = about_center(scene)
     tiles, poses = tiles_of(centered), from_center(scene.voxels.center, layout.poses)
-    prisms = jax.tree.map(lambda leaf: leaf[frame : frame + 1], centered.prisms)
+    prisms = jax.tree.map(lambda leaf: np.asarray(leaf)[frame : frame + 1], centered.prisms)
     clear = []
     for at in poses[:, :3]:
-        sight = sight_masks(at, prisms, tiles.tile)[:, 0]
+        sight = np.asarray(sight_masks(at, prisms, tiles.tile))[:, 0]
         clear.append(tiles.by_voxel(_past_statics(centered, tiles, at, sight)))
     return np.stack(clear)
 

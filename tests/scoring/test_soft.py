@@ -284,50 +284,66 @@ def test_a_gradient_in_little_room_is_the_same(monkeypatch):
     np.testing.assert_allclose(found, kept, rtol=1e-4, atol=1e-6)
 
 
-@pytest.mark.parametrize("way", [jax.jit, lambda work: work], ids=["jit", "plain"])
-def test_all_cores_find_what_one_program_finds(way, monkeypatch):
-    """Scores and slopes, each alone and of two places at once, as a later call finds them too."""
+@pytest.fixture
+def by_cores(monkeypatch):
+    """What finds soft scores on as many cores as it is told."""
+    return lambda count: monkeypatch.setattr(soft, "cores", lambda: count)
+
+
+def case_of_cores():
+    """A scene, a layout, and what differentiates its scores."""
     scene = world(**SMALL, count=14)
     layout = random_layout(scene, [CAMERA, LIDAR, CAMERA], 3, heights=(3.0, 8.0))
-    poses = jnp.asarray(layout.poses)
 
     def score(poses):
         found = inspe_jax.evaluate(scene, layout.with_poses(poses), softness=0.5)
         return found.surrogate, (found.metrics, found.region_coverage, found.level_coverage)
 
-    def found():
-        slope = way(jax.value_and_grad(score, has_aux=True))
-        several = jax.vmap(slope)(jnp.stack([poses, poses + 0.1]))
-        alone = inspe_jax.evaluate(scene, layout, softness=0.5)
-        return way(score)(poses), slope(poses), slope(poses), several, alone.contributions[1]
-
-    monkeypatch.setattr(soft, "cores", lambda: 2)
-    by_cores = found()
-    monkeypatch.setattr(soft, "cores", lambda: 1)
-    for ours, theirs in zip(*map(jax.tree.leaves, (by_cores[:-1], found()[:-1])), strict=True):
-        np.testing.assert_allclose(ours, theirs, rtol=1e-5, atol=2e-7)
-    assert np.abs(by_cores[1][1]).max() > 1e-3
-    assert by_cores[-1].metrics == pytest.approx(found()[-1].metrics, abs=1e-6)
+    return scene, layout, score, jax.value_and_grad(score, has_aux=True)
 
 
-def test_a_compiled_gradient_reads_each_tile_once_with_the_programs_of_another(monkeypatch):
+def test_all_cores_find_what_one_program_finds(by_cores):
+    """Scores and slopes, eager and compiled, of two places at once, and as later calls find them;
+    and what each sensor adds."""
+    scene, layout, score, slope = case_of_cores()
+    two = jnp.stack([layout.poses, layout.poses + 0.1])
+    by_cores(1)
+    whole = jax.jit(slope)
+    expected = [jax.tree.leaves(whole(poses)) for poses in two]
+    added = inspe_jax.evaluate(scene, layout, softness=0.5).contributions[1].metrics
+    by_cores(2)
+    compiled = jax.jit(slope)
+    places = jax.tree.leaves(jax.vmap(compiled)(two))
+    found = [[leaf[k] for leaf in places] for k in range(2)]
+    expected += expected[:1] * 3
+    found += [jax.tree.leaves(way(two[0])) for way in (slope, compiled, compiled)]
+    for ours, theirs in zip(found, expected, strict=True):
+        for one, other in zip(ours, theirs, strict=True):
+            np.testing.assert_allclose(one, other, rtol=1e-5, atol=2e-7)
+    assert np.abs(expected[0][-1]).max() > 1e-3
+    # Without a gradient.
+    for way in (score, jax.jit(score)):
+        ours = jax.tree.leaves(way(two[0]))
+        np.testing.assert_allclose(ours, expected[0][:-1], rtol=1e-5, atol=2e-7)
+    ours = inspe_jax.evaluate(scene, layout, softness=0.5).contributions[1].metrics
+    assert ours == pytest.approx(added, abs=1e-6)
+
+
+def test_a_compiled_gradient_reads_each_tile_once_with_the_programs_of_another(
+    by_cores, monkeypatch
+):
     """XLA may order calls that share no data as it likes, and a callback has its own settings."""
-    scene, calls, read = world(**SMALL, count=14), [], soft._read_with_slope
-    layout = random_layout(scene, [CAMERA, LIDAR, CAMERA], 3, heights=(3.0, 8.0))
-    monkeypatch.setattr(soft, "cores", lambda: 2)
+    (scene, layout, score, slope), calls, read = case_of_cores(), [], soft._read_with_slope
+    by_cores(2)
     monkeypatch.setattr(soft, "_read_with_slope", lambda *at: calls.append(at) or read(*at))
-
-    def score(poses):
-        return inspe_jax.evaluate(scene, layout.with_poses(poses), softness=0.5).surrogate
-
     poses = jnp.asarray(layout.poses)
-    expected = jax.grad(score)(poses)
+    _, expected = slope(poses)
     once, programs = len(calls), compiled().programs
     assert once == len(tiled_scene_of(scene, whole=True, masks=False).apart) > 1
-    _, slope = jax.jit(jax.value_and_grad(score))(poses)
+    _, found = jax.jit(slope)(poses)
     assert len(calls) == 2 * once
     assert compiled().programs <= programs + 2  # its own, and how the summary slopes
-    np.testing.assert_allclose(slope, expected, rtol=1e-5, atol=1e-7)
+    np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-7)
 
 
 DEGENERATE = [

@@ -38,7 +38,7 @@ def in_view(scene: Scene | Case | str, layout: Layout | str) -> Bool[np.ndarray,
 
 
 def _past_statics(
-    centered: CenteredScene, tiles: Tiles, sensor: np.ndarray, view: UInt[Array, "N C"]
+    centered: CenteredScene, tiles: Tiles, sensor: np.ndarray, view: UInt[Array | np.ndarray, "N C"]
 ) -> UInt[np.ndarray, "N C"]:
     if centered.statics is None:
         return np.asarray(view)

@@ -333,7 +333,7 @@ def test_a_compiled_gradient_reads_each_tile_once_with_the_programs_of_another(
     by_cores, monkeypatch
 ):
     """XLA may order calls that share no data as it likes, and a callback has its own settings."""
-    (scene, layout, score, slope), calls, read = case_of_cores(), [], soft._read_with_slope
+    (scene, layout, _, slope), calls, read = case_of_cores(), [], soft._read_with_slope
     by_cores(2)
     monkeypatch.setattr(soft, "_read_with_slope", lambda *at: calls.append(at) or read(*at))
     poses = jnp.asarray(layout.poses)

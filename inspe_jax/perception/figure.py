@@ -3,7 +3,7 @@
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool
 from matplotlib import patheffects
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
@@ -17,7 +17,7 @@ from inspe_jax.core.words import counted
 from inspe_jax.dataset import frame_figure
 from inspe_jax.dataset.loading.batch import Batch, Cameras
 from inspe_jax.perception.evaluation import USUAL_DISTANCE, Detections, check, matched, truth_of
-from inspe_jax.simulation.frame import KINDS, RoadUserBox
+from inspe_jax.simulation.frame import KINDS, Image, RoadUserBox
 from inspe_jax.simulation.projection import corners, edge_lines
 
 TRUTH_COLOR, MISSED_COLOR = "#808080", "#f0e442"
@@ -50,13 +50,6 @@ class _Group(NamedTuple):
     in_plan: dict[str, Any]
     on_pictures: dict[str, Any]
     line: str | None = None
-
-
-class _Camera(NamedTuple):
-    """A camera at the origin: boxes are given in its body's frame."""
-
-    intrinsic: Float[np.ndarray, "3 3"]
-    pose: Float[np.ndarray, "6"]
 
 
 def draw(
@@ -190,11 +183,11 @@ def _draw_image(ax: Axes, cameras: Cameras, b: int, c: int, groups: list[_Group]
     pixels = cameras.pixels[b, c]
     height, width = pixels.shape[:2]
     pose = cameras.pose[b, c].astype(float)
-    camera = _Camera(cameras.intrinsic[b, c].astype(float), np.zeros(6))
+    image = Image(np.zeros(6), cameras.intrinsic[b, c].astype(float), pixels)  # of its own frame
     shown = 0
     for group in groups:
         there = (corners(group.boxes) - pose[:3, 3]) @ pose[:3, :3]
-        lines, owner = edge_lines(camera, there, width, height)
+        lines, owner = edge_lines(image, there, width, height)
         colors = group.line or [group.colors[k] for k in owner]
         ax.add_collection(
             LineCollection(list(lines), colors=colors, **group.on_pictures), autolim=False

@@ -17,7 +17,7 @@ from typing import Any
 import yaml
 
 from inspe_jax.core.digest import digest
-from inspe_jax.core.errors import InspeError
+from inspe_jax.core.errors import InspeError, check_known
 from inspe_jax.core.files import prepare_folder, read_yaml, write_text
 from inspe_jax.dataset import manifest
 from inspe_jax.dataset.chunk import Chunk, Outcome, build, close, work
@@ -30,7 +30,7 @@ from inspe_jax.dataset.protocol import versions
 from inspe_jax.jobs.engine import load_cluster, run_jobs
 from inspe_jax.jobs.locks import ADVICE, check_versions, lock_folder
 from inspe_jax.jobs.sources import message_of
-from inspe_jax.simulation.backends import BACKENDS, check_backend, server_of
+from inspe_jax.simulation.backends import BACKENDS, server_of
 from inspe_jax.simulation.recorder import Server
 
 UNFINISHED = ".unfinished"
@@ -247,7 +247,7 @@ def generate(
 
 def _checked(backend: str, workers: int | None) -> int | None:
     """The number of workers to use. Raises InspeError if ``workers`` is not allowed."""
-    check_backend(backend)
+    check_known(backend, BACKENDS, "backend")
     most = BACKENDS[backend].most_workers
     if workers is not None and (workers < 1 or (most is not None and workers > most)):
         allowed = "1 or more" if most is None else f"{most} with backend {backend}"

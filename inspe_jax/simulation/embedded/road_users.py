@@ -15,7 +15,7 @@ from inspe_jax.scene.statics import StaticBody
 from inspe_jax.scene.traffic.frames import CLASSES, Snapshot
 from inspe_jax.simulation.embedded.embree import F33, Caster
 from inspe_jax.simulation.embedded.shapes import PARTS, fitting, paint, shape_of
-from inspe_jax.simulation.frame import MOST_TRACK, RoadUserBox
+from inspe_jax.simulation.frame import MOST_TRACK, Boxes, RoadUserBox
 
 STRIDE = {"pedestrian": 1.4, "cyclist": 4.5}
 """Distance of a whole stride, or of a turn of the crank [m]."""
@@ -33,7 +33,7 @@ class RoadUserTriangles:
     part: Int[np.ndarray, " F"]
 
 
-def boxes_of(seen: Snapshot, seed: int) -> tuple[RoadUserBox, ...]:
+def boxes_of(seen: Snapshot, seed: int) -> Boxes:
     """Road users as boxes with names. A name, which is a shape, depends only on the track, the size
     and the seed, so it is the same in every frame."""
     return tuple(
@@ -50,9 +50,7 @@ def boxes_of(seen: Snapshot, seed: int) -> tuple[RoadUserBox, ...]:
     )
 
 
-def pose_road_users(
-    boxes: tuple[RoadUserBox, ...], center: Float[np.ndarray, "3"]
-) -> RoadUserTriangles:
+def pose_road_users(boxes: Boxes, center: Float[np.ndarray, "3"]) -> RoadUserTriangles:
     """The shapes of road users, each in its box; positions are relative to ``center`` [m]."""
     triangles, box_index, part = [np.zeros((0, 3, 3))], [], []
     for k, box in enumerate(boxes):
@@ -76,7 +74,7 @@ def _phase(box: RoadUserBox) -> float:
     return float(box.track * 0.381966 + along / STRIDE[box.kind])
 
 
-def paints(boxes: tuple[RoadUserBox, ...], seed: int) -> Float[np.ndarray, "K P 3"]:
+def paints(boxes: Boxes, seed: int) -> Float[np.ndarray, "K P 3"]:
     """Linear albedo of every part of every road user; it depends only on track and seed."""
     each = [_paint(box.kind, box.track, seed) for box in boxes]
     return np.array(each, np.float32).reshape(-1, len(PARTS), 3)
@@ -90,7 +88,7 @@ def _paint(kind: str, track: int, seed: int) -> Float[np.ndarray, "P 3"]:
 class FrameActors:
     """The road users of one frame, ready for rays at any moment close to the frame's time."""
 
-    def __init__(self, boxes: tuple[RoadUserBox, ...], center: Float[np.ndarray, "3"]) -> None:
+    def __init__(self, boxes: Boxes, center: Float[np.ndarray, "3"]) -> None:
         self.boxes, self.center = boxes, center
         self._made: dict[Any, Any] = {}
         self.velocity = np.array([box.velocity for box in boxes], float).reshape(-1, 3)

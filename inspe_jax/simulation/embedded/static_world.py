@@ -38,8 +38,6 @@ SRGB = 2.2
 """Exponent of sRGB's curve, nearly."""
 HORIZON = 400.0
 """The ground reaches this far from the centre [m]."""
-MAPPED = MARGIN
-"""The ground follows the map to this distance beyond the radius [m]; further out it is coarse."""
 KERB_SIZE = (0.15, 0.12)
 """Width and height of a kerb [m]."""
 POLE_RADIUS = 0.08
@@ -200,7 +198,7 @@ def _all_but_masts(
     for k, one in enumerate(bodies):
         if mesh is None or one.kind != "solid":
             parts += [part._replace(body=k) for part in body_parts(one, intersection)]
-    surface = lay_surface(intersection, radius + MAPPED)
+    surface = lay_surface(intersection, radius + MARGIN)
     return tuple(parts), _poles(intersection, radius, own), surface
 
 
@@ -211,7 +209,7 @@ def _poles(
     feet = np.asarray(intersection.poles, float)
     away = np.hypot(*(feet - np.asarray(intersection.center, float))[:, :2].T)
     beside = shapely.dwithin(shapely.points(feet[:, :2]), own, 0.5)
-    feet = feet[(away <= radius + MAPPED) & ~beside]
+    feet = feet[(away <= radius + MARGIN) & ~beside]
     return np.column_stack([feet, np.full(len(feet), POLE_HEIGHT)])
 
 
@@ -241,7 +239,7 @@ def _ground(intersection: Intersection, radius: float) -> F33:
     if np.ptp(heights) < 1e-6:
         lines = np.array([-HORIZON, HORIZON])
     else:
-        near = np.arange(-np.ceil(radius + MAPPED), np.ceil(radius + MAPPED) + 1)
+        near = np.arange(-np.ceil(radius + MARGIN), np.ceil(radius + MARGIN) + 1)
         far = np.linspace(near[-1], HORIZON, 20)[1:]
         lines = np.concatenate([-far[::-1], near, far])
     x, y = np.meshgrid(center[0] + lines, center[1] + lines, indexing="ij")

@@ -206,22 +206,13 @@ SPREAD, LEAST_SPREAD = 0.25, 0.5
 """Standard deviation of a bump, as a share of the box's extent, and at least [cells]."""
 
 
-def perspective_loss(
-    heat: Float[Array, "n h w K"], inputs: Inputs, targets: Targets
-) -> Float[Array, ""]:
-    """The focal loss of what is told on pictures, for each road user on each that shows one:
-    perspective supervision (BEVFormer v2, Yang et al. 2023). From a loss in bird's-eye view alone,
-    encoders of pictures that are not pre-trained learn slowly.
-    """
-    aim, shown = perspective_aims(inputs, targets, (heat.shape[1], heat.shape[2]))
-    return focal_loss(heat, aim, shown)
-
-
 def perspective_aims(
-    inputs: Inputs, targets: Targets, cells: tuple[int, int]
+    inputs: Inputs, targets: Targets, cells: tuple[int, ...]
 ) -> tuple[Float[Array, "n h w K"], Bool[Array, "n M"]]:
     """The heat to be told on the ``cells`` (h, w) of each picture, with bumps at the middles of the
-    boxes' extents on it, and whom each picture shows."""
+    boxes' extents on it, and whom each picture shows: perspective supervision (BEVFormer v2, Yang
+    et al. 2023). From a loss in bird's-eye view alone, encoders of pictures that are not
+    pre-trained learn slowly."""
     assert inputs.pixels is not None
     assert inputs.unit is not None
     scale = np.array(cells) / inputs.pixels.shape[2:4]

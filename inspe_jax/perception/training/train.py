@@ -20,7 +20,7 @@ from inspe_jax.dataset.loading import Cache, Loader, Targets, open_cache
 from inspe_jax.jobs.engine import Messages, check_workers, load_cluster, run_jobs
 from inspe_jax.perception.detector import TEACHER, Detector, Predictor, loader_of, model_of
 from inspe_jax.perception.evaluation import NoTruth
-from inspe_jax.perception.head import aims, loss, perspective_loss
+from inspe_jax.perception.head import aims, focal_loss, loss, perspective_aims
 from inspe_jax.perception.inputs import BevGrid, Inputs, inputs_of
 from inspe_jax.perception.training.run import (
     AUGMENT,
@@ -166,7 +166,8 @@ def objective(
             teaching = teacher(inputs).fused
         taught = distillation(predicted.fused, teaching)
     if predicted.on_pictures is not None:
-        on_pictures = perspective_loss(predicted.on_pictures, inputs, targets)
+        aim, shown = perspective_aims(inputs, targets, predicted.on_pictures.shape[1:3])
+        on_pictures = focal_loss(predicted.on_pictures, aim, shown)
     losses = _Losses(heat, values, taught, on_pictures)
     return sum(losses, jnp.zeros(())), losses
 

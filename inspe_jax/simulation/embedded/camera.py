@@ -21,7 +21,7 @@ from inspe_jax.simulation.embedded.static_bodies import Material
 from inspe_jax.simulation.embedded.static_world import GROUND_LABELS
 from inspe_jax.simulation.embedded.surroundings import Surroundings
 from inspe_jax.simulation.frame import Boxes, Image, Pose6
-from inspe_jax.simulation.projection import corners, outlines
+from inspe_jax.simulation.projection import Corners, corners, outlines
 
 SHADOWED = 150.0
 """Shadows of road users are rendered up to this distance from the centre, along x and y [m]."""
@@ -304,7 +304,7 @@ class Camera:
         up = np.array([0, 0, 1], np.float32)
         return pixels[self._in_shadow(caster, self.background.point[pixels], up)]
 
-    def _pixels_near(self, box_corners: Float[np.ndarray, "B 8 3"]) -> Int[np.ndarray, " P"]:
+    def _pixels_near(self, box_corners: Corners) -> Int[np.ndarray, " P"]:
         """The pixels inside the outlines of boxes, and close around them."""
         wanted = Pillow.new("1", (self.width, self.height))
         pen = ImageDraw.Draw(wanted)

@@ -93,9 +93,7 @@ class SunlitPoints:
         runs = zip(self.start[rows + x0], self.start[rows + x1 + 1], strict=True)
         return np.concatenate([self.pixels[a:b] for a, b in runs])
 
-    def ends(
-        self, top: Float[np.ndarray, "B 3"], along: Float[np.ndarray, "3"]
-    ) -> Float[np.ndarray, " B"]:
+    def ends(self, top: R3, along: Float[np.ndarray, "3"]) -> Float[np.ndarray, " R"]:
         """How far in plan shadows of points ``top`` reach along a direction that points down [m]:
         to where no sunlit point is below their upper edge any more, also on falling ground."""
         far = np.arange(0, LONGEST)
@@ -186,9 +184,7 @@ class Camera:
         colour = shading.through_air(direct + ambient, distance)
         return point, in_sun, ambient, colour, np.where(hit, semantic, SKY).astype(np.uint8)
 
-    def _in_shadow(
-        self, caster: Caster, point: np.ndarray, normal: np.ndarray
-    ) -> Bool[np.ndarray, " R"]:
+    def _in_shadow(self, caster: Caster, point: R3, normal: R3) -> Bool[np.ndarray, " R"]:
         """Whether the caster's triangles stand between points and the sun."""
         return caster.meets(point + np.float32(0.02) * normal, self.shading.to_sun, LONGEST)
 

@@ -145,14 +145,10 @@ class GroundMap:
 
 
 def on_road_users(
-    actors: FrameActors,
-    point: Float[np.ndarray, "P 3"],
-    normal: Float[np.ndarray, "P 3"],
-    box: Int[np.ndarray, " P"],
-    light: Light,
-) -> Float[np.ndarray, " P"]:
+    actors: FrameActors, point: R3, normal: R3, box: Int[np.ndarray, " R"], light: Light
+) -> Float[np.ndarray, " R"]:
     """The light that beams throw on road users, as if nothing stood between them. ``box`` is the
-    index of the road user that each of P points is on; the centre is the origin."""
+    index of the road user that each of R points is on; the centre is the origin."""
     beams, total = actors.once(beams_of), np.zeros(len(point), np.float32)
     many, count = len(actors.boxes), len(beams.front)
     middle = np.array([b.center for b in actors.boxes]).reshape(-1, 3) - actors.center

@@ -11,8 +11,8 @@ from jax import lax
 from shapely.affinity import translate
 from shapely.geometry import box
 
+from inspe_jax.core.geometry import pose_matrix
 from inspe_jax.dataset.loading import PillarGrid, Pillars, Targets, on_picture
-from inspe_jax.dataset.loading.geometry import pose_matrix
 from inspe_jax.perception import encoders, head, layers
 from inspe_jax.perception import fusion as fusions
 from inspe_jax.perception.inputs import BevGrid, Inputs

@@ -1,4 +1,4 @@
-"""Poses as matrices, points on pictures, and similarities of the intersection, also at random."""
+"""Points on pictures, and similarities of the intersection, also at random."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -8,15 +8,6 @@ from jaxtyping import Float, UInt8
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.geometry import rotation
-
-
-def pose_matrix(pose: Any) -> Float[np.ndarray, "4 4"]:
-    """The matrix of a pose (6,) [m, rad]: from the body's frame to the world."""
-    pose = np.asarray(pose, float)
-    found = np.eye(4)
-    found[:3, :3] = rotation(pose[3:], np)
-    found[:3, 3] = pose[:3]
-    return found
 
 
 def on_picture(points: Any, pose: Any, intrinsic: Any, xp: Any = np) -> Any:

@@ -26,10 +26,13 @@ from inspe_jax.scene.street import HEADROOM, OVER_LANES
 from inspe_jax.scene.terrain import MARGIN, lattice_faces
 from inspe_jax.simulation.embedded.embree import F33, R3, Caster
 from inspe_jax.simulation.embedded.static_bodies import (
+    FOUNDATION,
     Material,
     Part,
     body_parts,
     flat_triangles,
+    foot_of,
+    prism,
     walls,
 )
 from inspe_jax.simulation.embedded.surface import GRASS, Surface, lay_surface, noise
@@ -185,7 +188,8 @@ def _all_but_masts(
             taken = unary_union([taken, own.buffer(CLEAR)])
         built = list[Polygon]()
         for k, corners in enumerate(_plots(intersection, taken, radius, rng)):
-            sides, roof = _house(corners, intersection, float(rng.uniform(6, 18)))
+            base, height = foot_of(corners, intersection), float(rng.uniform(6, 18))
+            sides, roof, _ = prism(corners, base, base + FOUNDATION + height)
             parts += [Part(sides, Material.BUILDING, body=k), Part(roof, Material.ROOF, body=k)]
             built.append(Polygon(corners).buffer(1.0))
         taken = unary_union([taken, *built])
@@ -301,14 +305,6 @@ def _plots(
                 built.append(shape)
                 yield corners
                 break
-
-
-def _house(corners: np.ndarray, place: Intersection, height: float) -> tuple[F33, F33]:
-    """Walls and a flat roof; the walls begin below the lowest ground at the corners."""
-    base = place.ground(corners).min() - 0.5
-    low = np.column_stack([corners, np.full(4, base)])
-    high = low + [0.0, 0.0, height + 0.5]
-    return walls(low, high), np.array([high[[0, 1, 2]], high[[0, 2, 3]]])
 
 
 def _trees(

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Float
 from matplotlib import patheffects
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PolyCollection
@@ -18,7 +18,7 @@ from inspe_jax.core.sheet import ASIDE, CLASS_COLORS, LEFT, MAP, WIDTH
 from inspe_jax.core.words import counted
 from inspe_jax.dataset.folders import Scenario
 from inspe_jax.dataset.points_in_boxes import world_points
-from inspe_jax.simulation.frame import KINDS, Frame, Image, RoadUserBox, Station
+from inspe_jax.simulation.frame import KINDS, Frame, Image, Picture, RoadUserBox, Station
 from inspe_jax.simulation.projection import corners, edge_lines
 
 MARGIN = 6.0
@@ -231,7 +231,7 @@ def _draw_image(ax: Axes, image: Image, boxes: Sequence[RoadUserBox], words: str
     draw_picture(ax, image.rgb, f"{words}: {met} box{'es' * (met != 1)}")
 
 
-def draw_picture(ax: Axes, rgb: UInt8[np.ndarray, "H W 3"], words: str) -> None:
+def draw_picture(ax: Axes, rgb: Picture, words: str) -> None:
     """Draw a picture under what is drawn in its pixels, with words above it."""
     height, width = rgb.shape[:2]
     ax.imshow(rgb, extent=(0, width, height, 0))

@@ -12,6 +12,7 @@ from inspe_jax.core.errors import InspeError, check_known
 from inspe_jax.scene.traffic.frames import CLASSES
 
 Pose6 = Float[np.ndarray, "6"]
+Picture = UInt8[np.ndarray, "H W 3"]
 
 KINDS = CLASSES
 """Kinds of :class:`RoadUserBox`."""
@@ -80,7 +81,7 @@ class Image(Deferred):
 
     pose: Pose6
     intrinsic: Float[np.ndarray, "3 3"]
-    rgb: UInt8[np.ndarray, "H W 3"] = field(repr=False)
+    rgb: Picture = field(repr=False)
     # None by a factory is no attribute of the class, which a deferred field would find.
     depth: Float[np.ndarray, "H W"] | None = field(default_factory=lambda: None, repr=False)
     instance: Int[np.ndarray, "H W"] | None = field(default_factory=lambda: None, repr=False)

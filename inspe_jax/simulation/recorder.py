@@ -119,7 +119,6 @@ class Recorder(Protocol):
 
     def frame(self, t: int) -> Frame:
         """Frame t of the scene's traffic, as every station recorded it."""
-        ...
 
 
 def frame_of(

@@ -22,7 +22,6 @@ class _Dumper(_Base):
     """YAML without anchors: an object that is in two dictionaries is written twice."""
 
     def ignore_aliases(self, data: Any) -> bool:
-        """Always."""
         return True
 
 

@@ -4,10 +4,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Float
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.geometry import rotation
+from inspe_jax.simulation.frame import Picture
 
 
 def on_picture(points: Any, pose: Any, intrinsic: Any, xp: Any = np) -> Any:
@@ -66,9 +67,7 @@ class Similarity:
             moved[..., 0, 2] = width - moved[..., 0, 2]
         return moved
 
-    def copy_picture(
-        self, picture: UInt8[np.ndarray, "H W 3"], out: UInt8[np.ndarray, "H W 3"]
-    ) -> None:
+    def copy_picture(self, picture: Picture, out: Picture) -> None:
         """Write a picture to ``out``, mirrored if the world is."""
         if not self.mirrored:
             out[:] = picture

@@ -19,7 +19,7 @@ from inspe_jax.core.errors import InspeError
 from inspe_jax.core.geometry import rotation
 from inspe_jax.sensing.lidar_returns import ATTENUATION
 from inspe_jax.sensing.sensors import CameraSpec, LidarSpec
-from inspe_jax.simulation.frame import Boxes, Image, Pose6, Scan
+from inspe_jax.simulation.frame import Boxes, Image, Picture, Pose6, Scan
 from inspe_jax.simulation.recorder import Recording, apply_noise
 
 FAR = 1000.0
@@ -55,7 +55,6 @@ class CarlaSensor(Protocol):
 
     def record(self, pose: Pose6, data: Measured, boxes: Boxes, rng: Generator) -> Image | Scan:
         """The image or the scan of a frame with these ``boxes``; ``rng`` is for the noise."""
-        ...
 
 
 class CarlaCamera:
@@ -169,13 +168,13 @@ class SensorQueue:
             return None
 
 
-def _colours(image: Any) -> UInt8[np.ndarray, "H W 3"]:
+def _colours(image: Any) -> Picture:
     """Red, green and blue of a picture, which CARLA stores as blue, green, red and alpha."""
     bgra = np.frombuffer(image.raw_data, np.uint8).reshape(image.height, image.width, 4)
     return np.ascontiguousarray(bgra[..., 2::-1])
 
 
-def _depth(colours: UInt8[np.ndarray, "H W 3"]) -> Float[np.ndarray, "H W"]:
+def _depth(colours: Picture) -> Float[np.ndarray, "H W"]:
     """Depth along the axis [m], infinite from :data:`FAR` on, from the 24 bits of the colours."""
     red, green, blue = np.moveaxis(colours.astype(np.int64), -1, 0)
     code = red + 256 * green + 65536 * blue

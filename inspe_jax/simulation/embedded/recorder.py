@@ -22,7 +22,6 @@ class SimulatedSensor(Protocol):
 
     def record(self, actors: FrameActors, rng: np.random.Generator) -> Image | Scan:
         """What the sensor records of one frame; ``rng`` is for its noise."""
-        ...
 
 
 SENSORS: dict[str, Callable[[Any, Pose6, Surroundings], SimulatedSensor]] = {

@@ -133,7 +133,9 @@ def _train(
         row = {name: float(value) for name, value in losses._asdict().items()}
         total = sum(row.values())
         due = number % settings.every == 0 or number == settings.steps
-        if not np.isfinite(total) or (due and not _finite(detector)):
+        # A loss is of the weights before its step.
+        weights = jax.tree.leaves(eqx.filter(detector, eqx.is_inexact_array)) if due else []
+        if not all(np.isfinite(np.asarray(each)).all() for each in (total, *weights)):
             raise InspeError(
                 f"{run.path}: step {number} gave no numbers: train into another folder, at a lower "
                 f"rate than {settings.rate:g}; the state after step {run.steps} stays"
@@ -146,12 +148,6 @@ def _train(
             mean_ap = _validate(loader.cache, run, predictor, number)
         if progress:
             progress(Report(settings.model, number, settings.steps, late, mean_ap))
-
-
-def _finite(detector: Detector) -> bool:
-    """Whether all weights are numbers: a loss is of the weights before its step."""
-    leaves = jax.tree.leaves(eqx.filter(detector, eqx.is_inexact_array))
-    return all(np.isfinite(np.asarray(leaf)).all() for leaf in leaves)
 
 
 def objective(

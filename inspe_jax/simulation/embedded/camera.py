@@ -146,19 +146,16 @@ class Camera:
         turned = (body * self.ahead[:, None]) @ rotation(self.pose[3:], np).T
         self.directions = np.ascontiguousarray(turned, np.float32)
         self.origin = (self.pose[:3] - self.static_world.center).astype(np.float32)
-        self.background = self._background()
+        hits = self.static_world.caster.cast(self.origin, self.directions, FAR)
+        slices = parts(len(self.directions))
+        found = [self._background_part(part, *(x[part] for x in hits)) for part in slices]
+        whole = (np.concatenate(field) for field in zip(*found, strict=True))
+        self.background = Background(hits.distance, *whole)
         self.gain = metered_gain(self.background.colour, self.light)
         self.lit_ground = None
         if surroundings.ground is not None:
             self.lit_ground = LitGround(surroundings.ground, self.shading, self.background)
         self.sunlit = SunlitPoints(self.background.point, self.background.in_sun, SHADOWED)
-
-    def _background(self) -> Background:
-        hits = self.static_world.caster.cast(self.origin, self.directions, FAR)
-        slices = parts(len(self.directions))
-        found = [self._background_part(part, *(x[part] for x in hits)) for part in slices]
-        whole = (np.concatenate(field) for field in zip(*found, strict=True))
-        return Background(hits.distance, *whole)
 
     def _background_part(
         self, pixels: slice, distance: np.ndarray, face: np.ndarray, normal: np.ndarray

@@ -82,18 +82,16 @@ class Depthwise(eqx.Module):
         return sum(parts[1:], parts[0])
 
 
-class _Scaled(eqx.Module):
+class Norm(eqx.Module):
+    """Normalisation of maps over all cells and a group of channels (Wu and He 2018). A variance is
+    the mean square less the square of the mean: a CPU reads the map once, in a fifth of the time.
+    """
+
     scale: Float[Array, " c"]
     shift: Float[Array, " c"]
 
     def __init__(self, channels: int) -> None:
         self.scale, self.shift = jnp.ones(channels), jnp.zeros(channels)
-
-
-class Norm(_Scaled):
-    """Normalisation of maps over all cells and a group of channels (Wu and He 2018). A variance is
-    the mean square less the square of the mean: a CPU reads the map once, in a fifth of the time.
-    """
 
     def __call__(self, x: Map) -> Map:
         mean, square = (self._of_groups(moment.mean((-3, -2))) for moment in (x, jnp.square(x)))
@@ -108,8 +106,14 @@ class Norm(_Scaled):
         return mean.reshape(moments.shape)
 
 
-class CellNorm(_Scaled):
+class CellNorm(eqx.Module):
     """Normalisation of the channels of each cell by themselves (Ba et al. 2016)."""
+
+    scale: Float[Array, " c"]
+    shift: Float[Array, " c"]
+
+    def __init__(self, channels: int) -> None:
+        self.scale, self.shift = jnp.ones(channels), jnp.zeros(channels)
 
     def __call__(self, x: Float[Array, "*n c"]) -> Float[Array, "*n c"]:
         off = x - x.mean(-1, keepdims=True)

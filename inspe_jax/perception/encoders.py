@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int, UInt8
 
 from inspe_jax.dataset.loading import PillarGrid, Pillars, pillar_features, taken
-from inspe_jax.perception.head import HeatHead
+from inspe_jax.perception.head import Heat, HeatHead
 from inspe_jax.perception.inputs import BevGrid, Inputs
 from inspe_jax.perception.layers import Block, Conv, Depthwise, Map, Norm, Perceptron, enlarged
 
@@ -248,7 +248,7 @@ class LiftSplat(eqx.Module):
         self.grid, self.units = grid, units
 
     @jax.named_scope("pictures")
-    def __call__(self, inputs: Inputs) -> tuple[Float[Array, "B U H W C"], Float[Array, "n h w K"]]:
+    def __call__(self, inputs: Inputs) -> tuple[Float[Array, "B U H W C"], Heat]:
         assert inputs.pixels is not None
         frames, _, high, wide, _ = inputs.pixels.shape
         pixels = jnp.asarray(inputs.pixels).reshape(-1, high, wide, 3)

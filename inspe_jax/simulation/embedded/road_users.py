@@ -52,18 +52,15 @@ def boxes_of(seen: Snapshot, seed: int) -> Boxes:
 
 def pose_road_users(boxes: Boxes, center: Float[np.ndarray, "3"]) -> RoadUserTriangles:
     """The shapes of road users, each in its box; positions are relative to ``center`` [m]."""
-    triangles, box_index, part = [np.zeros((0, 3, 3))], [], []
-    for k, box in enumerate(boxes):
-        shape = shape_of(box.name, _phase(box))
+    shapes = [shape_of(box.name, _phase(box)) for box in boxes]
+    triangles = [np.zeros((0, 3, 3))]
+    for box, shape in zip(boxes, shapes, strict=True):
         turn = rotation(np.array([0.0, 0.0, box.yaw]), np)
         at = box.center - center
         triangles.append(((shape.vertices * box.size) @ turn.T + at)[shape.faces])
-        box_index.append(np.full(len(shape.faces), k))
-        part.append(shape.part)
-    none = [np.zeros(0, int)]
-    return RoadUserTriangles(
-        np.concatenate(triangles), np.concatenate(none + box_index), np.concatenate(none + part)
-    )
+    owner = np.repeat(np.arange(len(boxes)), np.array([len(x.faces) for x in shapes], int))
+    part = np.concatenate([np.zeros(0, int), *(shape.part for shape in shapes)])
+    return RoadUserTriangles(np.concatenate(triangles), owner, part)
 
 
 def _phase(box: RoadUserBox) -> float:
@@ -137,8 +134,7 @@ def parked_vehicles(scene: Scene) -> tuple[Snapshot, tuple[StaticBody, ...]]:
     """The parked vehicles with centres in a scene's region as road users, and the other bodies. A
     track, and so shape and colour, hangs on its own place alone, unless that number is taken."""
     place, radius = scene.intersection, scene.voxels.radius
-    found: list[StaticBody] = []
-    left: list[StaticBody] = []
+    found, left = list[StaticBody](), list[StaticBody]()
     for one in scene.statics:
         inside = np.hypot(*(one.middle - np.asarray(place.center)[:2])) <= radius
         (found if is_box(one) and inside else left).append(one)

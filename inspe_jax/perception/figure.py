@@ -24,7 +24,6 @@ TRUTH_COLOR, MISSED_COLOR = "#808080", "#f0e442"
 """A grey, and Okabe and Ito's yellow, which no class has."""
 
 _FILL, _POINT = "#dcdcdc", "#cfcfcf"
-_ROW = 9.5  # height of a row of the panel [pt]
 _COLUMNS = (62, 91, 117)  # right edges in the panel [pt]
 _DASHES: Any = (0, (2.5, 1.2))
 _DISC: dict[str, Any] = dict(ls="", marker="o", ms=10, mfc=MISSED_COLOR, mew=0, alpha=0.6)
@@ -156,9 +155,9 @@ def _draw_plan(ax: Axes, batch: Batch, b: int, compared: _Compared, groups: list
 def _draw_panel(panel: Axes, compared: _Compared, cameras: bool, points: bool) -> None:
     look: dict[str, Any] = dict(size=6.5, va="center", parse_math=False)
     for x, word in zip(_COLUMNS, ("found", "missed", "false"), strict=True):
-        panel.text(x, -_ROW / 2, word, ha="right", **look)
+        panel.text(x, -frame_figure.ROW / 2, word, ha="right", **look)
     for k, kind in enumerate(KINDS):
-        y = -_ROW * (k + 1.5)
+        y = -frame_figure.ROW * (k + 1.5)
         panel.text(0, y, kind, color=CLASS_COLORS[k], weight="bold", **look)
         missed = compared.missed[compared.truth.kind == k]
         counts = (~missed).sum(), missed.sum(), compared.false[compared.found.kind == k].sum()

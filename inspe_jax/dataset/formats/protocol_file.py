@@ -14,7 +14,6 @@ from inspe_jax.simulation.frame import Station
 PROTOCOL = "data_protocol.yaml"
 """The name of the file, in the scenario's folder."""
 
-_WORLD = ("fixed_delta_seconds", "client_port", "seed", "weather", "town")
 _Base: Any = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
 
 
@@ -38,7 +37,7 @@ def write_protocol(
     """
     path = make_folder(Path(scenario)) / PROTOCOL
     world = protocol.get("world")
-    for key in _WORLD:
+    for key in ("fixed_delta_seconds", "client_port", "seed", "weather", "town"):
         if not isinstance(world, Mapping) or key not in world:
             raise InspeError(f"{path}: world.{key}: missing key")
     names = {-station.number: station.name for station in stations}

@@ -11,10 +11,11 @@ from rich.text import Text
 from inspe_jax.cli import common
 from inspe_jax.cli.claims import claims
 from inspe_jax.cli.options import command
+from inspe_jax.core.errors import check_known
 from inspe_jax.core.files import check_folder, csv_text, write_text
 from inspe_jax.core.parallel import cores
 from inspe_jax.core.words import counted
-from inspe_jax.simulation.backends import check_backend, server_of
+from inspe_jax.simulation.backends import BACKENDS, server_of
 
 if TYPE_CHECKING:
     from inspe_jax.dataset import Generation
@@ -88,7 +89,7 @@ def generate(
 
     check_folder(folder)
     if backend is not None:
-        check_backend(backend)
+        check_known(backend, BACKENDS, "backend")
     server = None if address is None else Server.of(address)
     with common.busy(f"reading {source}"):
         generation = load_generation(source, files)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from inspe_jax.core.geometry import rotation
+from inspe_jax.core.geometry import pose_matrix
 
 
 def to_carla(pose: Any) -> Float[np.ndarray, "*n 6"]:
@@ -34,11 +34,8 @@ def flip(points: Any) -> Any:
 
 def matrix(cords: Any) -> Float[np.ndarray, "4 4"]:
     """From a body at ``cords`` (6,) to CARLA's world: ``carla.Transform.get_matrix()``."""
-    pose = from_carla(cords)
     mirror = np.diag([1.0, -1.0, 1.0, 1.0])
-    enu = np.eye(4)
-    enu[:3, :3], enu[:3, 3] = rotation(pose[3:], np), pose[:3]
-    return mirror @ enu @ mirror
+    return mirror @ pose_matrix(from_carla(cords)) @ mirror
 
 
 def between(source: Any, target: Any) -> Float[np.ndarray, "4 4"]:

@@ -54,6 +54,14 @@ def rotation(angles: Any, xp: Any = jnp) -> Any:
     )
 
 
+def pose_matrix(pose: Any) -> Float[np.ndarray, "4 4"]:
+    """The matrix of a pose (6,) [m, rad]: from the body's frame to the world."""
+    pose = np.asarray(pose, float)
+    found = np.eye(4)
+    found[:3, :3], found[:3, 3] = rotation(pose[3:], np), pose[:3]
+    return found
+
+
 class Pinhole(Protocol):
     """A camera, such as an :class:`~inspe_jax.simulation.frame.Image` is of."""
 

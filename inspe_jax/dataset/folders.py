@@ -104,7 +104,7 @@ def open_dataset(path: str | os.PathLike[str]) -> Dataset:
     scenarios = _scenarios(folder)
     if scenarios:
         return Dataset(folder, {folder.name: scenarios})
-    splits = sorted(_folders(folder), key=split_order)
+    splits = split_folders(folder)
     found = {split.name: scenarios for split in splits if (scenarios := _scenarios(split))}
     if not found:
         expected = ", ".join(
@@ -116,9 +116,9 @@ def open_dataset(path: str | os.PathLike[str]) -> Dataset:
     return Dataset(folder, found)
 
 
-def split_order(split: Path) -> int:
-    """Sorts the folders of splits: the usual ones first."""
-    return SPLITS.index(split.name) if split.name in SPLITS else len(SPLITS)
+def split_folders(path: Path) -> list[Path]:
+    """The folders of splits: the usual ones first, then by name."""
+    return sorted(subfolders(path), key=lambda split: (*SPLITS, split.name).index(split.name))
 
 
 def disk_size(folder: Path) -> int:
@@ -132,9 +132,10 @@ def disk_size(folder: Path) -> int:
 
 
 def _scenarios(split: Path) -> tuple[Scenario, ...]:
-    found = ((child, format_of(child)) for child in _folders(split))
+    found = ((child, format_of(child)) for child in subfolders(split))
     return tuple(Scenario(child, row) for child, row in found if row is not None)
 
 
-def _folders(path: Path) -> list[Path]:
+def subfolders(path: Path) -> list[Path]:
+    """The folders in a folder, by name."""
     return sorted(child for child in path.iterdir() if child.is_dir())

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Float
 from matplotlib import patheffects
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PolyCollection
@@ -18,7 +18,7 @@ from inspe_jax.core.sheet import ASIDE, CLASS_COLORS, LEFT, MAP, WIDTH
 from inspe_jax.core.words import counted
 from inspe_jax.dataset.folders import Scenario
 from inspe_jax.dataset.points_in_boxes import world_points
-from inspe_jax.simulation.frame import KINDS, Frame, Image, RoadUserBox, Station
+from inspe_jax.simulation.frame import KINDS, Frame, Image, Picture, RoadUserBox, Station
 from inspe_jax.simulation.projection import corners, edge_lines
 
 MARGIN = 6.0
@@ -31,7 +31,7 @@ _HEIGHTS = LinearSegmentedColormap.from_list(
 _HEAD, _FOOT, _GAP, _WORDS = 0.62, 0.42, 0.10, 0.17  # [inch]
 _DOTS: Any = (0, (1, 1.2))
 RIM: list[Any] = [patheffects.withStroke(linewidth=1.3, foreground="white", alpha=0.6)]
-_ROW = 9.5  # height of a row of the panel [pt]
+ROW = 9.5  # height of a row of the panel [pt]
 
 
 def frame_view(scenario: Scenario, number: int) -> Figure:
@@ -185,15 +185,15 @@ def _draw_panel(fig: Figure, panel: Axes, frame: Frame, cloud: Any, images: bool
         panel.text(middle, -1, "height of a point, z [m]", ha="center", va="top")
         y = -42.0
     look: dict[str, Any] = dict(size=6.5, va="center", parse_math=False)
-    most = int((MAP * 72 + y) / _ROW) - 10 - len(KINDS)
+    most = int((MAP * 72 + y) / ROW) - 10 - len(KINDS)
     for station in frame.stations[:most]:
-        y -= _ROW
+        y -= ROW
         badge(panel, (6, y), name_of(station))
         panel.text(
             13 + 3.2 * (len(name_of(station)) - 1), y, **look | sheet.fit(station.name, 26, 6.5)
         )
     more = len(frame.stations[most:])
-    panel.text(0, y - _ROW, f"and {counted(more, 'more station')}" if more else "", **look)
+    panel.text(0, y - ROW, f"and {counted(more, 'more station')}" if more else "", **look)
     panel.legend(handles=_keys(frame, images), loc="lower left", **sheet.KEYS)
 
 
@@ -231,7 +231,7 @@ def _draw_image(ax: Axes, image: Image, boxes: Sequence[RoadUserBox], words: str
     draw_picture(ax, image.rgb, f"{words}: {met} box{'es' * (met != 1)}")
 
 
-def draw_picture(ax: Axes, rgb: UInt8[np.ndarray, "H W 3"], words: str) -> None:
+def draw_picture(ax: Axes, rgb: Picture, words: str) -> None:
     """Draw a picture under what is drawn in its pixels, with words above it."""
     height, width = rgb.shape[:2]
     ax.imshow(rgb, extent=(0, width, height, 0))

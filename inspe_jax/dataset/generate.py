@@ -17,7 +17,7 @@ from typing import Any
 import yaml
 
 from inspe_jax.core.digest import digest
-from inspe_jax.core.errors import InspeError
+from inspe_jax.core.errors import InspeError, check_known
 from inspe_jax.core.files import prepare_folder, read_yaml, write_text
 from inspe_jax.dataset import manifest
 from inspe_jax.dataset.chunk import Chunk, Outcome, build, close, work
@@ -30,7 +30,7 @@ from inspe_jax.dataset.protocol import versions
 from inspe_jax.jobs.engine import load_cluster, run_jobs
 from inspe_jax.jobs.locks import ADVICE, check_versions, lock_folder
 from inspe_jax.jobs.sources import message_of
-from inspe_jax.simulation.backends import BACKENDS, check_backend, server_of
+from inspe_jax.simulation.backends import BACKENDS, server_of
 from inspe_jax.simulation.recorder import Server
 
 UNFINISHED = ".unfinished"
@@ -39,14 +39,14 @@ CONTINUE = "give the same command again to resume"
 
 
 class DatasetWriter:
-    """The folder of a data set, locked for one run. ``there`` holds the numbers of the complete
+    """The folder of a data set, locked by its run. ``there`` holds the numbers of the complete
     frames of each scenario, by name, as last counted; ``damage`` what was found wrong with
     scenarios that had been complete."""
 
     def __init__(
         self,
         generation: Generation,
-        folder: str | os.PathLike[str],
+        folder: Path,
         backend: str,
         deep: bool = True,
         progress: Callable[[int, int], None] | None = None,
@@ -54,28 +54,16 @@ class DatasetWriter:
         """Compare finished scenarios with their manifests: ``deep`` by digests, else by sizes.
 
         ``progress`` is called with (scenarios compared, all). Raises InspeError if the folder
-        cannot be written to, another run uses it, or it contains another data set or other files.
+        contains another data set or other files.
         """
-        self.folder = prepare_folder(folder)
-        self.format_name = generation.format
-        self._lock = lock_folder(self.folder, f".{GENERATION}.lock")
-        try:
-            self._check(record_of(generation, backend))
-            self.there: dict[str, set[int]] = {}
-            self.damage: dict[str, list[Fault]] = {}
-            for plan in generation.scenarios:
-                self.there[plan.name] = self._resume(plan, deep)
-                if progress:
-                    progress(len(self.there), len(generation.scenarios))
-        except BaseException:
-            self._lock.release()
-            raise
-
-    def __enter__(self) -> "DatasetWriter":
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._lock.release()
+        self.folder, self.format_name = folder, generation.format
+        self._check(record_of(generation, backend))
+        self.there: dict[str, set[int]] = {}
+        self.damage: dict[str, list[Fault]] = {}
+        for plan in generation.scenarios:
+            self.there[plan.name] = self._resume(plan, deep)
+            if progress:
+                progress(len(self.there), len(generation.scenarios))
 
     def place(self, plan: ScenarioPlan) -> Path:
         """The folder of a finished scenario."""
@@ -113,11 +101,6 @@ class DatasetWriter:
     def frames(self) -> int:
         """Number of complete frames, as last counted."""
         return sum(map(len, self.there.values()))
-
-    @property
-    def size(self) -> int:
-        """Size of all scenarios, finished or not [bytes]."""
-        return sum(disk_size(self.folder / top) for top in (*SPLITS, UNFINISHED))
 
     def _check(self, record: dict[str, Any]) -> None:
         """Write the record of the data set, or compare it with the one that is there."""
@@ -237,17 +220,19 @@ def generate(
     workers = _checked(backend, workers)
     server = server_of(backend, server)
     try:
-        with DatasetWriter(generation, folder, backend, deep, checking) as writer:
+        place = prepare_folder(folder)
+        with lock_folder(place, f".{GENERATION}.lock"):
+            writer = DatasetWriter(generation, place, backend, deep, checking)
             had = writer.frames
             failures, notes = _record(writer, generation, backend, workers, server, progress)
             if not failures:
                 writer.clear()
             placed = [plan.frames for plan in generation.scenarios if writer.place(plan).exists()]
             return GenerationResult(
-                folder=writer.folder,
+                folder=place,
                 scenarios=len(placed),
                 frames=sum(placed),
-                size=writer.size,
+                size=sum(disk_size(place / top) for top in (*SPLITS, UNFINISHED)),
                 recorded=writer.frames - had,
                 seconds=time.monotonic() - began,
                 failures=failures,
@@ -262,7 +247,7 @@ def generate(
 
 def _checked(backend: str, workers: int | None) -> int | None:
     """The number of workers to use. Raises InspeError if ``workers`` is not allowed."""
-    check_backend(backend)
+    check_known(backend, BACKENDS, "backend")
     most = BACKENDS[backend].most_workers
     if workers is not None and (workers < 1 or (most is not None and workers > most)):
         allowed = "1 or more" if most is None else f"{most} with backend {backend}"

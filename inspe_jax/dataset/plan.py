@@ -180,7 +180,7 @@ _Proportion = Annotated[float, Field(ge=0)]
 
 
 class RecordingEntry(Strict):
-    """The keys of the file that concern the recording."""
+    """The keys of the file that concern the recording; the last four are :class:`FileOptions`."""
 
     rate_hz: Annotated[float, Field(gt=0, le=1000)] = 10.0
     # Beside pictures.
@@ -192,11 +192,8 @@ class RecordingEntry(Strict):
     lidar_turn_s: Annotated[float, Field(ge=0, le=1)] = TURN
     format: str = DEFAULT_FORMAT
     pictures: str = DEFAULT_OPTIONS.pictures
-    # For readers that want as many of each; 0: as they are.
     cameras_per_agent: int = DEFAULT_OPTIONS.cameras_per_agent
-    # A second name for the first point cloud of each agent.
     infra_set_names: bool = DEFAULT_OPTIONS.infra_set_names
-    # A picture of the road users that each agent's cameras see.
     visibility_maps: bool = DEFAULT_OPTIONS.visibility_maps
 
     def recording(self, where: str) -> Recording:

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from inspe_jax.core.geometry import rotation
-from inspe_jax.simulation.frame import MOST_TRACK, Frame, Image, RoadUserBox, Scan
+from inspe_jax.simulation.frame import MOST_TRACK, Frame, RoadUserBox, Scan
 
 SLACK = 1e-3
 """A box is made larger by this on every side but the bottom [m]. So points on its faces are inside
@@ -44,23 +44,17 @@ def count_inside(scans: Sequence[Scan], boxes: Sequence[RoadUserBox]) -> Int[np.
 def with_counts(frame: Frame) -> Frame:
     """The frame with the returns and the pixels of each road user: where its recorder told none,
     the points inside its box, and its pixels in the instance picture, if there is one."""
-
-    def of_scan(scan: Scan) -> Scan:
-        if scan.returns is not None:
-            return scan
-        return replace(scan, returns=count_inside([scan], frame.boxes)[0])
-
-    def of_image(image: Image) -> Image:
-        if image.pixels is not None or image.instance is None:
-            return image
-        instance = np.bincount(np.ravel(image.instance), minlength=MOST_TRACK + 2)
-        tracks = np.array([box.track for box in frame.boxes], int)
-        return replace(image, pixels=instance[tracks + 1])
-
-    stations = []
+    tracks, stations = np.array([box.track for box in frame.boxes], int), []
     for station in frame.stations:
-        images, scans = tuple(map(of_image, station.images)), tuple(map(of_scan, station.scans))
-        stations.append(replace(station, images=images, scans=scans))
+        images, scans = list(station.images), list(station.scans)
+        for i, image in enumerate(images):
+            if image.pixels is None and image.instance is not None:
+                instance = np.bincount(np.ravel(image.instance), minlength=MOST_TRACK + 2)
+                images[i] = replace(image, pixels=instance[tracks + 1])
+        for i, scan in enumerate(scans):
+            if scan.returns is None:
+                scans[i] = replace(scan, returns=count_inside([scan], frame.boxes)[0])
+        stations.append(replace(station, images=tuple(images), scans=tuple(scans)))
     return replace(frame, stations=tuple(stations))
 
 

@@ -199,9 +199,8 @@ def _from_protocol(content: dict[str, Any], where: str, folders: Iterable[Path])
 def _source(entry: _Scene, folders: Iterable[Path], where: str) -> SceneSource:
     """The source of the scene; its file is searched in the folders, by name and content."""
     given = entry.map or entry.file
-    plain = SceneEntry(**entry.model_dump(exclude={"content"}))
     if given is None:
-        return scene_source(plain, Path(), where)
+        return scene_source(entry, Path(), where)
     folders = list(dict.fromkeys(folders))
     there = [folder for folder in folders if (folder / Path(given).name).is_file()]
     same = [folder for folder in there if digest_of(folder / Path(given).name) == entry.content]
@@ -211,7 +210,7 @@ def _source(entry: _Scene, folders: Iterable[Path], where: str) -> SceneSource:
         raise InspeError(
             f"{where}: {given} {what}; searched in {searched}; name its folder: --files"
         )
-    return scene_source(plain, same[0], where)
+    return scene_source(entry, same[0], where)
 
 
 def _settings(

@@ -13,7 +13,7 @@ from inspe_jax.core.errors import InspeError
 from inspe_jax.dataset.folders import Dataset, Scenario, disk_size, open_dataset
 from inspe_jax.dataset.formats.registry import FORMATS
 from inspe_jax.dataset.points_in_boxes import count_inside
-from inspe_jax.simulation.frame import KINDS, RoadUserBox, Scan
+from inspe_jax.simulation.frame import KINDS, Boxes, Scan
 
 RANGE_EDGES: Float[np.ndarray, " R"] = 5 * 2 ** (np.arange(-4, 14) / 2)
 """Limits of the range bands [m], each √2 times the one before: 1.25, 1.8, 2.5 … 453."""
@@ -223,9 +223,7 @@ def _town(scenario: Scenario) -> str | None:
     return None if town is None else str(town)
 
 
-def _points_in_boxes(
-    scans: Sequence[Scan], boxes: Sequence[RoadUserBox]
-) -> Float[np.ndarray, "3 B"]:
+def _points_in_boxes(scans: Sequence[Scan], boxes: Boxes) -> Float[np.ndarray, "3 B"]:
     """Kind, range to the nearest scan, and points of each box."""
     kind = [KINDS.index(box.kind) for box in boxes]
     sensors = np.array([scan.pose[:3] for scan in scans])

@@ -7,22 +7,20 @@ from typing import TYPE_CHECKING, Any
 from inspe_jax.core.errors import InspeError, needs
 
 if TYPE_CHECKING:
-    from filelock import FileLock
+    from filelock import AcquireReturnProxy
 
 ADVICE = "name another folder, or delete this one to start again"
 
 
-def lock_folder(folder: Path, name: str) -> "FileLock":
-    """Take the lock ``name`` of a folder, until its ``release``; a killed process leaves none.
-    Raises InspeError if another run has it, or filelock is missing."""
+def lock_folder(folder: Path, name: str) -> "AcquireReturnProxy":
+    """Take the lock ``name`` of a folder for a ``with`` block; a killed process leaves none. Raises
+    InspeError if another run has it, or filelock is missing."""
     with needs("sweeps, data sets and trainings lock their folders by filelock", "sweep"):
         from filelock import FileLock, Timeout
-    lock = FileLock(folder / name)
     try:
-        lock.acquire(timeout=0)
+        return FileLock(folder / name).acquire(timeout=0)
     except Timeout:
         raise InspeError(f"{folder}: is in use by another run; wait until it is done") from None
-    return lock
 
 
 def check_versions(had: Mapping[str, Any], now: Mapping[str, str], where: object) -> None:

@@ -21,7 +21,7 @@ from inspe_jax.dataset.loading.loader import Sensor
 from inspe_jax.perception import encoders, fusion
 from inspe_jax.perception.evaluation import Detections, Evaluation, evaluate, truth_of, within
 from inspe_jax.perception.fusion import AgentMaps, FusedMap, Mean, Present
-from inspe_jax.perception.head import CenterHead, HeadOutput, Peaks, peaks
+from inspe_jax.perception.head import CenterHead, HeadOutput, Heat, Peaks, peaks
 from inspe_jax.perception.inputs import Agents, BevGrid, Inputs, inputs_of
 
 ENCODED, CHANNELS = 32, 48
@@ -143,9 +143,7 @@ class Detector(eqx.Module):
         found: Array = self.fusions[0](jnp.concatenate(necked, 1), present)
         return found
 
-    def encoded(
-        self, inputs: Inputs
-    ) -> tuple[list[AgentMaps], Present, Float[Array, "n h w K"] | None]:
+    def encoded(self, inputs: Inputs) -> tuple[list[AgentMaps], Present, Heat | None]:
         """The maps of each modality's agents, which agents are present, and heat on pictures."""
         maps, present, on_pictures = [], jnp.asarray(inputs.present), None
         joined = self.model.joined

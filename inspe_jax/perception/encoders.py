@@ -9,9 +9,9 @@ import numpy as np
 from jaxtyping import Array, Float, Int, UInt8
 
 from inspe_jax.dataset.loading import PillarGrid, Pillars, pillar_features, taken
-from inspe_jax.perception.head import HeatHead
+from inspe_jax.perception.head import Heat, HeatHead
 from inspe_jax.perception.inputs import BevGrid, Inputs
-from inspe_jax.perception.layers import Block, Conv, Depthwise, Norm, Perceptron, enlarged
+from inspe_jax.perception.layers import Block, Conv, Depthwise, Map, Norm, Perceptron, enlarged
 
 
 class PillarEncoder(eqx.Module):
@@ -54,7 +54,7 @@ WIDTHS = (64, 96, 128)
 """Channels at a half, a quarter and an eighth of the side. As PointPillars' 64, 128, 256, but that
 a CPU would take three times as long for these."""
 
-Maps = tuple[Float[Array, "*n h w c"], ...]  # maps at three scales
+Maps = tuple[Map, ...]  # maps at three scales
 
 
 class Pyramid(eqx.Module):
@@ -71,7 +71,7 @@ class Pyramid(eqx.Module):
             inputs = channels
 
     @jax.named_scope("pyramids")
-    def __call__(self, x: Float[Array, "*n h w c"]) -> Maps:
+    def __call__(self, x: Map) -> Maps:
         found = []
         for halve, keep in self.blocks:
             x = keep(halve(x))
@@ -92,7 +92,7 @@ class Neck(eqx.Module):
         self.smooth = Block(channels, channels, last)
 
     @jax.named_scope("pyramids")
-    def __call__(self, maps: Maps) -> Float[Array, "*n h w c"]:
+    def __call__(self, maps: Maps) -> Map:
         pairs = zip(self.level, maps, strict=True)
         parts = [enlarged(level(x), 2**k) for k, (level, x) in enumerate(pairs)]
         return self.smooth(sum(parts[1:], parts[0]))
@@ -248,7 +248,7 @@ class LiftSplat(eqx.Module):
         self.grid, self.units = grid, units
 
     @jax.named_scope("pictures")
-    def __call__(self, inputs: Inputs) -> tuple[Float[Array, "B U H W C"], Float[Array, "n h w K"]]:
+    def __call__(self, inputs: Inputs) -> tuple[Float[Array, "B U H W C"], Heat]:
         assert inputs.pixels is not None
         frames, _, high, wide, _ = inputs.pixels.shape
         pixels = jnp.asarray(inputs.pixels).reshape(-1, high, wide, 3)

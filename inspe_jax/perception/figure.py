@@ -3,7 +3,7 @@
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool
 from matplotlib import patheffects
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
@@ -17,14 +17,13 @@ from inspe_jax.core.words import counted
 from inspe_jax.dataset import frame_figure
 from inspe_jax.dataset.loading.batch import Batch, Cameras
 from inspe_jax.perception.evaluation import USUAL_DISTANCE, Detections, check, matched, truth_of
-from inspe_jax.simulation.frame import KINDS, RoadUserBox
+from inspe_jax.simulation.frame import KINDS, Image, RoadUserBox
 from inspe_jax.simulation.projection import corners, edge_lines
 
 TRUTH_COLOR, MISSED_COLOR = "#808080", "#f0e442"
 """A grey, and Okabe and Ito's yellow, which no class has."""
 
 _FILL, _POINT = "#dcdcdc", "#cfcfcf"
-_ROW = 9.5  # height of a row of the panel [pt]
 _COLUMNS = (62, 91, 117)  # right edges in the panel [pt]
 _DASHES: Any = (0, (2.5, 1.2))
 _DISC: dict[str, Any] = dict(ls="", marker="o", ms=10, mfc=MISSED_COLOR, mew=0, alpha=0.6)
@@ -50,13 +49,6 @@ class _Group(NamedTuple):
     in_plan: dict[str, Any]
     on_pictures: dict[str, Any]
     line: str | None = None
-
-
-class _Camera(NamedTuple):
-    """A camera at the origin: boxes are given in its body's frame."""
-
-    intrinsic: Float[np.ndarray, "3 3"]
-    pose: Float[np.ndarray, "6"]
 
 
 def draw(
@@ -163,9 +155,9 @@ def _draw_plan(ax: Axes, batch: Batch, b: int, compared: _Compared, groups: list
 def _draw_panel(panel: Axes, compared: _Compared, cameras: bool, points: bool) -> None:
     look: dict[str, Any] = dict(size=6.5, va="center", parse_math=False)
     for x, word in zip(_COLUMNS, ("found", "missed", "false"), strict=True):
-        panel.text(x, -_ROW / 2, word, ha="right", **look)
+        panel.text(x, -frame_figure.ROW / 2, word, ha="right", **look)
     for k, kind in enumerate(KINDS):
-        y = -_ROW * (k + 1.5)
+        y = -frame_figure.ROW * (k + 1.5)
         panel.text(0, y, kind, color=CLASS_COLORS[k], weight="bold", **look)
         missed = compared.missed[compared.truth.kind == k]
         counts = (~missed).sum(), missed.sum(), compared.false[compared.found.kind == k].sum()
@@ -190,11 +182,11 @@ def _draw_image(ax: Axes, cameras: Cameras, b: int, c: int, groups: list[_Group]
     pixels = cameras.pixels[b, c]
     height, width = pixels.shape[:2]
     pose = cameras.pose[b, c].astype(float)
-    camera = _Camera(cameras.intrinsic[b, c].astype(float), np.zeros(6))
+    image = Image(np.zeros(6), cameras.intrinsic[b, c].astype(float), pixels)  # of its own frame
     shown = 0
     for group in groups:
         there = (corners(group.boxes) - pose[:3, 3]) @ pose[:3, :3]
-        lines, owner = edge_lines(camera, there, width, height)
+        lines, owner = edge_lines(image, there, width, height)
         colors = group.line or [group.colors[k] for k in owner]
         ax.add_collection(
             LineCollection(list(lines), colors=colors, **group.on_pictures), autolim=False

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from inspe_jax.perception.layers import CellNorm, Conv, Linear, Perceptron, attend
+from inspe_jax.perception.layers import CellNorm, Conv, Linear, Map, Perceptron, attend
 
 AgentMaps = Float[Array, "B A H W C"]
 Present = Bool[Array, "B A"]
@@ -91,9 +91,7 @@ class ConvGRU(eqx.Module):
         self.gates = Conv(2 * channels, 2 * channels, first)
         self.candidate = Conv(2 * channels, channels, second)
 
-    def __call__(
-        self, message: Float[Array, "*n h w c"], state: Float[Array, "*n h w c"]
-    ) -> Float[Array, "*n h w c"]:
+    def __call__(self, message: Map, state: Map) -> Map:
         both = jnp.concatenate([message, state], -1)
         update, reset = jnp.split(jax.nn.sigmoid(self.gates(both)), 2, -1)
         candidate = jnp.tanh(self.candidate(jnp.concatenate([message, reset * state], -1)))
@@ -132,33 +130,24 @@ class V2VNet(eqx.Module):
 # ── Attention by modality, and within windows ───────────────────────────────
 
 
-def to_windows(
-    x: Float[Array, "*n h w c"], side: int, *, sparse: bool = False
-) -> Float[Array, "*n m t c"]:
+def to_windows(x: Map, side: int, *, sparse: bool = False) -> Float[Array, "*n m t c"]:
     """m windows of t = side² cells: neighbours, or spread evenly if ``sparse`` (Tu et al. 2022)."""
     *leading, high, wide, channels = x.shape
-    shape = (high // side, side, wide // side, side)
-    order = (0, 2, 1, 3, 4)
     if sparse:
-        shape, order = (side, high // side, side, wide // side), (1, 3, 0, 2, 4)
-    parts = x.reshape(*leading, *shape, channels).transpose(_last_axes(x.ndim - 3, order))
+        parts = x.reshape(-1, side, high // side, side, wide // side, channels)
+        parts = parts.transpose(0, 2, 4, 1, 3, 5)
+    else:
+        parts = x.reshape(-1, high // side, side, wide // side, side, channels).swapaxes(2, 3)
     return parts.reshape(*leading, -1, side * side, channels)
 
 
-def from_windows(
-    x: Float[Array, "*n m t c"], high: int, wide: int, *, sparse: bool = False
-) -> Float[Array, "*n h w c"]:
+def from_windows(x: Float[Array, "*n m t c"], high: int, wide: int, *, sparse: bool = False) -> Map:
     """The inverse of :func:`to_windows`."""
     *leading, _, tokens, channels = x.shape
     side = round(tokens**0.5)
-    parts = x.reshape(*leading, high // side, wide // side, side, side, channels)
-    order = (2, 0, 3, 1, 4) if sparse else (0, 2, 1, 3, 4)
-    return parts.transpose(_last_axes(x.ndim - 3, order)).reshape(*leading, high, wide, channels)
-
-
-def _last_axes(leading: int, order: Sequence[int]) -> list[int]:
-    """An order of axes that leaves ``leading`` ones where they are."""
-    return [*range(leading), *(leading + k for k in order)]
+    parts = x.reshape(-1, high // side, wide // side, side, side, channels)
+    parts = parts.transpose(0, 3, 1, 4, 2, 5) if sparse else parts.swapaxes(2, 3)
+    return parts.reshape(*leading, high, wide, channels)
 
 
 def offsets(side: int) -> Int[np.ndarray, "t t"]:
@@ -201,9 +190,7 @@ class HeterogeneousAttention(eqx.Module):
         )
         self.modalities, self.heads = tuple(modalities), heads
 
-    def __call__(
-        self, x: Float[Array, "B A M T C"], present: Bool[Array, "B A"]
-    ) -> Float[Array, "B A M T C"]:
+    def __call__(self, x: Float[Array, "B A M T C"], present: Present) -> Float[Array, "B A M T C"]:
         """``x`` has M windows of T cells for each agent; absent agents are attended to by none."""
         kinds = np.array(self.modalities)
         query, key, value = (
@@ -296,7 +283,7 @@ class WindowAttention(eqx.Module):
         self.bias = jnp.zeros((heads, (2 * side - 1) ** 2))
         self.side, self.heads = side, heads
 
-    def __call__(self, x: Float[Array, "*n h w c"]) -> Float[Array, "*n h w c"]:
+    def __call__(self, x: Map) -> Map:
         high, wide, channels = x.shape[-3:]
         tokens = to_windows(self.project(x), self.side)
         split = tokens.reshape(*tokens.shape[:-1], 3, self.heads, channels // self.heads)

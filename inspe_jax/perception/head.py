@@ -22,6 +22,8 @@ from inspe_jax.perception.inputs import BevGrid, Inputs
 from inspe_jax.perception.layers import Block, Conv, enlarged
 from inspe_jax.simulation.frame import KINDS
 
+Heat = Float[Array, "*n h w K"]
+
 RARE = -2.19
 """First bias of the heat: a chance of 0.1, so that the loss does not begin with every cell being
 wrong (Lin et al. 2017, focal loss)."""
@@ -48,7 +50,7 @@ def bumps(
 
 def class_heat(
     down: Float[Array, "n M h"], across: Float[Array, "n M w"], kind: Int[Array, "n M"]
-) -> Float[Array, "n h w K"]:
+) -> Heat:
     """The heat of each class at each cell: the highest of its road users' bumps, given by axis."""
 
     def one(rows: Array, columns: Array, own: Array) -> Array:
@@ -64,9 +66,7 @@ def per_road_user(total: Float[Array, ""], mask: Bool[Array, "*n"]) -> Float[Arr
     return total / jnp.maximum(mask.sum(), 1).astype(float)
 
 
-def focal_loss(
-    heat: Float[Array, "*n K"], aim: Float[Array, "*n K"], mask: Bool[Array, "*m"]
-) -> Float[Array, ""]:
+def focal_loss(heat: Heat, aim: Heat, mask: Bool[Array, "*m"]) -> Float[Array, ""]:
     """The loss of heat before the sigmoid, for each road user in ``mask`` on average."""
     chance, none = jax.nn.log_sigmoid(heat), jax.nn.log_sigmoid(-heat)
     right = -((1 - jnp.exp(chance)) ** HARD) * chance
@@ -206,22 +206,13 @@ SPREAD, LEAST_SPREAD = 0.25, 0.5
 """Standard deviation of a bump, as a share of the box's extent, and at least [cells]."""
 
 
-def perspective_loss(
-    heat: Float[Array, "n h w K"], inputs: Inputs, targets: Targets
-) -> Float[Array, ""]:
-    """The focal loss of what is told on pictures, for each road user on each that shows one:
-    perspective supervision (BEVFormer v2, Yang et al. 2023). From a loss in bird's-eye view alone,
-    encoders of pictures that are not pre-trained learn slowly.
-    """
-    aim, shown = perspective_aims(inputs, targets, (heat.shape[1], heat.shape[2]))
-    return focal_loss(heat, aim, shown)
-
-
 def perspective_aims(
-    inputs: Inputs, targets: Targets, cells: tuple[int, int]
-) -> tuple[Float[Array, "n h w K"], Bool[Array, "n M"]]:
+    inputs: Inputs, targets: Targets, cells: tuple[int, ...]
+) -> tuple[Heat, Bool[Array, "n M"]]:
     """The heat to be told on the ``cells`` (h, w) of each picture, with bumps at the middles of the
-    boxes' extents on it, and whom each picture shows."""
+    boxes' extents on it, and whom each picture shows: perspective supervision (BEVFormer v2, Yang
+    et al. 2023). From a loss in bird's-eye view alone, encoders of pictures that are not
+    pre-trained learn slowly."""
     assert inputs.pixels is not None
     assert inputs.unit is not None
     scale = np.array(cells) / inputs.pixels.shape[2:4]

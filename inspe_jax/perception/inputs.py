@@ -81,7 +81,9 @@ def inputs_of(batch: Batch, agents: Agents) -> Inputs:
         pillars = _filled_up(lidars.pillars, agents.lidars)
         present.append(pillars.counts.any(-1))
     if cameras is not None:
-        unit = np.where(cameras.present, _ranks(cameras.unit), -1).astype(np.int32)
+        # The place of each unit among the frame's, in the order of their numbers; 0 is padding.
+        rank = [np.unique([0, *row], return_inverse=True)[1][1:] - 1 for row in cameras.unit]
+        unit = np.where(cameras.present, rank, -1).astype(np.int32)
         _check_count(int(unit.max(initial=-1)) + 1, agents.cameras, "cameras")
         present.append((unit[..., None] == np.arange(agents.cameras)).any(1))
     there = np.concatenate(present, -1)
@@ -109,12 +111,3 @@ def _check_count(there: int, most: int, what: str) -> None:
             f"a frame has {there} units with {what}, but the detector was made for {most}: train "
             f"one on a set with as many"
         )
-
-
-def _ranks(unit: Int32[np.ndarray, "B C"]) -> Int32[np.ndarray, "B C"]:
-    """The units of each frame, numbered from 0 in the order of their numbers; padding is −1."""
-    found = np.full(unit.shape, -1)
-    for b, row in enumerate(unit):
-        there = np.unique(row[row > 0])
-        found[b] = np.where(row > 0, np.searchsorted(there, row), -1)
-    return found

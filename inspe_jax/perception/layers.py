@@ -13,6 +13,7 @@ from jax import lax
 from jaxtyping import Array, Float
 
 Activation = Callable[[Any], Any]
+Map = Float[Array, "*n h w c"]
 
 NEAR_ZERO = 1e-5  # added to variances, as is usual
 GROUPS = 8  # groups of channels of a norm; every number of channels is a multiple of it
@@ -52,7 +53,7 @@ class Conv(eqx.Module):
         self.bias = jnp.zeros(outputs)
         self.stride = stride
 
-    def __call__(self, x: Float[Array, "*n h w c"]) -> Float[Array, "*n hs ws d"]:
+    def __call__(self, x: Map) -> Float[Array, "*n hs ws d"]:
         maps = x.reshape(-1, *x.shape[-3:])
         strides, axes = (self.stride, self.stride), ("NHWC", "HWIO", "NHWC")
         found = lax.conv_general_dilated(maps, self.weight, strides, "SAME", dimension_numbers=axes)
@@ -66,19 +67,17 @@ class Depthwise(eqx.Module):
     weight: Float[Array, "k k c"]
     stride: int = eqx.field(static=True)
 
-    def __init__(self, channels: int, key: Array, *, width: int = 3, stride: int = 1) -> None:
-        self.weight = _he(key, (width, width, channels), width * width)
+    def __init__(self, channels: int, key: Array, *, stride: int = 1) -> None:
+        self.weight = _he(key, (3, 3, channels), 9)
         self.stride = stride
 
     def __call__(self, x: Float[Array, "n h w c"]) -> Float[Array, "n hs ws c"]:
         _, high, wide, _ = x.shape
-        width, step = len(self.weight), self.stride
-        side = width // 2
-        padded = jnp.pad(x, ((0, 0), (side, side), (side, side), (0, 0)))
+        step, padded = self.stride, jnp.pad(x, ((0, 0), (1, 1), (1, 1), (0, 0)))
         weight = self.weight[None, None, None]
         parts = [
             padded[:, i : i + high : step, j : j + wide : step] * weight[:, :, :, i, j]
-            for i, j in np.ndindex(width, width)
+            for i, j in np.ndindex(3, 3)
         ]
         return sum(parts[1:], parts[0])
 
@@ -94,7 +93,7 @@ class Norm(eqx.Module):
     def __init__(self, channels: int) -> None:
         self.scale, self.shift = jnp.ones(channels), jnp.zeros(channels)
 
-    def __call__(self, x: Float[Array, "*n h w c"]) -> Float[Array, "*n h w c"]:
+    def __call__(self, x: Map) -> Map:
         mean, square = (self._of_groups(moment.mean((-3, -2))) for moment in (x, jnp.square(x)))
         steep = lax.rsqrt(jnp.maximum(square - mean**2, 0) + NEAR_ZERO)
         slope = steep * _under(self.scale, steep)
@@ -143,7 +142,7 @@ class Block(eqx.Module):
         self.norm = Norm(outputs)
         self.activation = activation
 
-    def __call__(self, x: Float[Array, "*n h w c"]) -> Float[Array, "*n hs ws d"]:
+    def __call__(self, x: Map) -> Float[Array, "*n hs ws d"]:
         return self.activation(self.norm(self.conv(x)))
 
 
@@ -172,7 +171,7 @@ class Perceptron(eqx.Module):
         return self.outer(self.activation(self.inner(x)))
 
 
-def enlarged(x: Float[Array, "*n h w c"], times: int) -> Float[Array, "*n ht wt c"]:
+def enlarged(x: Map, times: int) -> Float[Array, "*n ht wt c"]:
     """Maps with every cell repeated ``times`` along both sides."""
     return jnp.repeat(jnp.repeat(x, times, -3), times, -2) if times > 1 else x
 

@@ -49,11 +49,6 @@ BACKENDS: dict[str, Backend] = {
 DEFAULT_BACKEND = "embedded"
 
 
-def check_backend(backend: str) -> None:
-    """Raise InspeError for a backend that is not in :data:`BACKENDS`."""
-    check_known(backend, BACKENDS, "backend")
-
-
 def server_of(backend: str, server: Server | None) -> Server | None:
     """The server that a backend records with: the usual address if none is given.
 
@@ -85,7 +80,7 @@ def recorder_of(
     ``seed`` is that of the noise, ``appearance_seed`` that of the road users' shapes and colours.
     Raises InspeError for a backend that is not in :data:`BACKENDS`, or as the recorder does.
     """
-    check_backend(backend)
+    check_known(backend, BACKENDS, "backend")
     seeds = dict(seed=seed, appearance_seed=appearance_seed)
     given = dict(conditions=conditions, recording=recording, server=server)
     return BACKENDS[backend].open(scene=scene, layout=layout, **given, **seeds)

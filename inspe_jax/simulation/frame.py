@@ -11,6 +11,9 @@ from jaxtyping import Float, Int, UInt8
 from inspe_jax.core.errors import InspeError, check_known
 from inspe_jax.scene.traffic.frames import CLASSES
 
+Pose6 = Float[np.ndarray, "6"]
+Picture = UInt8[np.ndarray, "H W 3"]
+
 KINDS = CLASSES
 """Kinds of :class:`RoadUserBox`."""
 
@@ -61,6 +64,9 @@ class RoadUserBox:
     parked: bool = False
 
 
+Boxes = tuple[RoadUserBox, ...]
+
+
 @dataclass(frozen=True, eq=False)
 class Image(Deferred):
     """A camera's picture, and what each pixel of it shows.
@@ -73,9 +79,9 @@ class Image(Deferred):
     share (0…1) of those that would show it if nothing stood before it; None: not counted.
     """
 
-    pose: Float[np.ndarray, "6"]
+    pose: Pose6
     intrinsic: Float[np.ndarray, "3 3"]
-    rgb: UInt8[np.ndarray, "H W 3"] = field(repr=False)
+    rgb: Picture = field(repr=False)
     # None by a factory is no attribute of the class, which a deferred field would find.
     depth: Float[np.ndarray, "H W"] | None = field(default_factory=lambda: None, repr=False)
     instance: Int[np.ndarray, "H W"] | None = field(default_factory=lambda: None, repr=False)
@@ -89,7 +95,7 @@ class Scan(Deferred):
     """The points of a LiDAR: x, y, z in its body frame (x forward, y left, z up) [m], intensity
     0…1. ``returns`` is how many are of each of the frame's B road users; None: not counted."""
 
-    pose: Float[np.ndarray, "6"]
+    pose: Pose6
     points: Float[np.ndarray, "N 4"] = field(repr=False)
     returns: Int[np.ndarray, " B"] | None = field(default=None, repr=False)
 
@@ -101,7 +107,7 @@ class Station:
 
     number: int
     name: str
-    pose: Float[np.ndarray, "6"]
+    pose: Pose6
     images: tuple[Image, ...]
     scans: tuple[Scan, ...]
 
@@ -113,7 +119,7 @@ class Frame:
 
     number: int
     time: float
-    boxes: tuple[RoadUserBox, ...]
+    boxes: Boxes
     stations: tuple[Station, ...]
 
 

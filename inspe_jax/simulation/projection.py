@@ -9,6 +9,9 @@ from jaxtyping import Float, Int
 from inspe_jax.core.geometry import Pinhole, pixels, rotation
 from inspe_jax.simulation.frame import RoadUserBox
 
+Corners = Float[np.ndarray, "B 8 3"]
+Edges = tuple[Float[np.ndarray, "M 2 2"], Int[np.ndarray, " M"]]
+
 NEAR = 0.1
 """Edges are cut where they come closer to the plane of the camera than this [m]."""
 TOUCHING = 0.01
@@ -20,7 +23,7 @@ EDGES = np.array([*_BOTTOM, *((a + 4, b + 4) for a, b in _BOTTOM), *((k, k + 4) 
 """The 12 edges of a box, as pairs of its :func:`corners`; (3, 0) is at the front, at the bottom."""
 
 
-def corners(boxes: Sequence[RoadUserBox]) -> Float[np.ndarray, "B 8 3"]:
+def corners(boxes: Sequence[RoadUserBox]) -> Corners:
     """Corners of boxes in the world [m]: front left, rear left, rear right, front right at the
     bottom, then the same at the top."""
     found = np.zeros((len(boxes), 8, 3))
@@ -30,9 +33,7 @@ def corners(boxes: Sequence[RoadUserBox]) -> Float[np.ndarray, "B 8 3"]:
     return found
 
 
-def edge_lines(
-    image: Pinhole, box_corners: Float[np.ndarray, "B 8 3"], width: int, height: int
-) -> tuple[Float[np.ndarray, "M 2 2"], Int[np.ndarray, " M"]]:
+def edge_lines(image: Pinhole, box_corners: Corners, width: int, height: int) -> Edges:
     """The parts of boxes' edges that lie in a picture of ``width`` and ``height`` pixels: (column,
     row) of their ends, and the index of the box of each. ``box_corners`` are those of
     :func:`corners`. A box behind the camera, or outside the picture, has no edges.
@@ -45,11 +46,7 @@ def edge_lines(
 
 
 def outlines(
-    image: Pinhole,
-    box_corners: Float[np.ndarray, "B 8 3"],
-    width: int,
-    height: int,
-    margin: float = 0.0,
+    image: Pinhole, box_corners: Corners, width: int, height: int, margin: float = 0.0
 ) -> list[Float[np.ndarray, "N 2"]]:
     """The areas of a picture that boxes with these :func:`corners` cover, as polygons of (column,
     row), each ``margin`` pixels wider than its box. A box that is not in it has no polygon."""
@@ -61,9 +58,7 @@ def outlines(
     return [np.asarray(shape.exterior.coords) for shape in shapes]
 
 
-def _in_front(
-    image: Pinhole, box_corners: Float[np.ndarray, "B 8 3"], near: float
-) -> tuple[Float[np.ndarray, "M 2 2"], Int[np.ndarray, " M"]]:
+def _in_front(image: Pinhole, box_corners: Corners, near: float) -> Edges:
     """The edges of boxes in the plane of a picture, cut where they come closer than ``near`` [m],
     and the index of the box of each."""
     pose = np.asarray(image.pose, float)

@@ -13,7 +13,7 @@ from inspe_jax.core.errors import InspeError, check_known
 from inspe_jax.scene.scene import Scene
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.sensing.lidar_returns import ATTENUATION, LidarNoise
-from inspe_jax.simulation.frame import Frame, Image, RoadUserBox, Scan, Station
+from inspe_jax.simulation.frame import Boxes, Frame, Image, Scan, Station
 
 LAYERS = ("depth", "instance", "semantic")
 """What a camera can record in addition to its pictures."""
@@ -119,14 +119,13 @@ class Recorder(Protocol):
 
     def frame(self, t: int) -> Frame:
         """Frame t of the scene's traffic, as every station recorded it."""
-        ...
 
 
 def frame_of(
     scene: Scene,
     layout: Layout,
     t: int,
-    boxes: tuple[RoadUserBox, ...],
+    boxes: Boxes,
     recorded: Sequence[Image | Scan],
 ) -> Frame:
     """Frame t of a scene's traffic, with one station for each unit of the layout. ``recorded`` has

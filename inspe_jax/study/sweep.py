@@ -95,7 +95,7 @@ class Results:
         self.columns = columns(study)
         self.folder = prepare_folder(folder)
         self.path = self.folder / TABLE
-        self._lock = lock_folder(self.folder, f".{TABLE}.lock")
+        self._lock = lock_folder(self.folder, f".{TABLE}.lock").lock
         self._file: IO[str] | None = None
         try:
             self.rows = self._taken_up()

@@ -7,6 +7,7 @@ import made_up
 import pytest
 from opv2v_validator import check_set
 
+from inspe_jax.core.files import prepare_folder
 from inspe_jax.dataset import chunk, statistics
 from inspe_jax.dataset.estimate import Sample, estimate
 from inspe_jax.dataset.generate import DatasetWriter
@@ -51,11 +52,11 @@ def test_sizes_and_counts_are_those_of_the_set(tmp_path, monkeypatch):
     assert told == [(n, 4) for n in range(1, 5)]
     assert not list(tmp_path.iterdir())  # nothing is left behind
     monkeypatch.setattr(chunk, "_worker", chunk.WorkerState())
-    with DatasetWriter(generation, tmp_path / "out", "embedded") as writer:
-        for plan in generation.scenarios:
-            made_up.record(writer, plan)
-            assert writer.finish(plan)
-        writer.clear()
+    writer = DatasetWriter(generation, prepare_folder(tmp_path / "out"), "embedded")
+    for plan in generation.scenarios:
+        made_up.record(writer, plan)
+        assert writer.finish(plan)
+    writer.clear()
     check_set(tmp_path / "out", attenuation=ATTENUATION)
     made = statistics(tmp_path / "out")
     plan = generation.scenarios[0]

@@ -10,6 +10,7 @@ from frames import WORLD, assert_same, frame
 
 from inspe_jax import dataset
 from inspe_jax.core.errors import InspeError
+from inspe_jax.core.files import prepare_folder
 from inspe_jax.dataset import Frame, Generation, chunk, load_generation
 from inspe_jax.dataset.formats.other_readers import FileOptions
 from inspe_jax.dataset.formats.registry import FORMATS, DatasetFormat
@@ -77,12 +78,12 @@ def test_a_data_set_is_generated_in_a_new_format(tmp_path, monkeypatch):
     made_up.here(monkeypatch)
     toy = generation(tmp_path, format="pickle")
     (plan,) = toy.scenarios
-    with DatasetWriter(toy, tmp_path / "out", "embedded") as writer:
-        assert writer.finish(plan) is False
-        told = chunk.Outcome(notes=("camera: made up", "lidar: made up"))
-        assert made_up.record(writer, plan) == [told] * 2
-        assert made_up.record(writer, plan) == [chunk.Outcome()] * 2  # nothing is left to do
-        assert writer.finish(plan) is True
+    writer = DatasetWriter(toy, prepare_folder(tmp_path / "out"), "embedded")
+    assert writer.finish(plan) is False
+    told = chunk.Outcome(notes=("camera: made up", "lidar: made up"))
+    assert made_up.record(writer, plan) == [told] * 2
+    assert made_up.record(writer, plan) == [chunk.Outcome()] * 2  # nothing is left to do
+    assert writer.finish(plan) is True
     (scenario,) = dataset.open(tmp_path / "out").scenarios
     assert (scenario.format, scenario.frames) == (TOY, tuple(range(14)))
     # Its protocol gives a plan in the same format.

@@ -17,8 +17,10 @@ from processes import in_this_process, inspe_process
 
 import inspe_jax.dataset as dataset
 from inspe_jax.core.errors import InspeError
+from inspe_jax.core.files import prepare_folder
 from inspe_jax.dataset import chunk, generate, load_generation
-from inspe_jax.dataset.generate import DatasetWriter
+from inspe_jax.dataset.manifest import GENERATION
+from inspe_jax.jobs.locks import lock_folder
 
 LAYOUT = """
 name: two masts
@@ -322,10 +324,8 @@ def test_bad_options(tmp_path, monkeypatch, options, message):
 
 def test_a_folder_is_of_one_run_at_a_time(tmp_path):
     generation, in_use = load_generation(write(tmp_path)), "is in use by another run"
-    with (
-        DatasetWriter(generation, tmp_path / "out", "embedded"),
-        pytest.raises(InspeError, match=in_use),
-    ):
+    lock = lock_folder(prepare_folder(tmp_path / "out"), f".{GENERATION}.lock")
+    with lock, pytest.raises(InspeError, match=in_use):
         generate(generation, tmp_path / "out")
 
 

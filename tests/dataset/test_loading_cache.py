@@ -11,9 +11,8 @@ from loading_sets import HEIGHT, MIDDLE, WIDTH, frame_of, write_scenario
 
 from inspe_jax import dataset
 from inspe_jax.core.errors import InspeError
-from inspe_jax.core.geometry import rotation
+from inspe_jax.core.geometry import pose_matrix, rotation
 from inspe_jax.dataset.loading import caching, open_cache
-from inspe_jax.dataset.loading.geometry import pose_matrix
 from inspe_jax.dataset.loading.stored import AT_ONCE, STEPS, to_metres, to_steps
 from inspe_jax.dataset.points_in_boxes import count_inside
 

@@ -14,6 +14,7 @@ from typer.testing import CliRunner
 
 import inspe_jax.cli  # noqa: F401, which adds the commands
 from inspe_jax.cli.common import app
+from inspe_jax.core.files import prepare_folder
 from inspe_jax.dataset import Scenario
 from inspe_jax.dataset.generate import DatasetWriter
 from inspe_jax.dataset.manifest import MANIFEST, RECORDS, check, manifest_of
@@ -31,14 +32,14 @@ STUDY = dict(
 
 def record(plan_of, out: Path, deep: bool = True) -> dict[str, list]:
     """What `generate` does, without processes; gives what was repaired."""
-    with DatasetWriter(plan_of, out, "embedded", deep) as writer:
-        for plan in plan_of.scenarios:
-            if writer.place(plan).exists():
-                continue
-            made_up.record(writer, plan)
-            assert writer.finish(plan)
-        writer.clear()
-        return writer.damage
+    writer = DatasetWriter(plan_of, prepare_folder(out), "embedded", deep)
+    for plan in plan_of.scenarios:
+        if writer.place(plan).exists():
+            continue
+        made_up.record(writer, plan)
+        assert writer.finish(plan)
+    writer.clear()
+    return writer.damage
 
 
 @pytest.fixture(scope="module")
@@ -174,17 +175,17 @@ def test_a_broken_record_of_a_frame_counts_as_none(made, copy, text):
     that was changed, or left empty by a crash of the machine."""
     plan, out = copy
     one = plan.scenarios[0]
-    with DatasetWriter(plan, out, "embedded") as writer:
-        shutil.rmtree(writer.place(one))
-        made_up.record(writer, one)
-        folder = writer.unfinished(one)
-        (folder / RECORDS / "000001.json").write_text(text)
-        (folder / "-1" / "000002.pcd").write_bytes(b"")
-        flip_bit(folder / "-1" / "000003.pcd", -30)
-        assert not writer.finish(one)
-        assert writer.there[one.name] == {0, 3}  # by sizes
-    with DatasetWriter(plan, out, "embedded") as writer:
-        assert writer.there[one.name] == {0}
+    writer = DatasetWriter(plan, out, "embedded")
+    shutil.rmtree(writer.place(one))
+    made_up.record(writer, one)
+    folder = writer.unfinished(one)
+    (folder / RECORDS / "000001.json").write_text(text)
+    (folder / "-1" / "000002.pcd").write_bytes(b"")
+    flip_bit(folder / "-1" / "000003.pcd", -30)
+    assert not writer.finish(one)
+    assert writer.there[one.name] == {0, 3}  # by sizes
+    writer = DatasetWriter(plan, out, "embedded")
+    assert writer.there[one.name] == {0}
     record(plan, out)
     assert made_up.content(out) == made_up.content(made[1])
 
@@ -205,7 +206,8 @@ def test_a_kill_while_a_scenario_is_finished_leaves_no_records_in_it(
             raise KeyboardInterrupt
         real(path, *given)
 
-    with monkeypatch.context() as patch, DatasetWriter(plan, out, "embedded") as writer:
+    writer = DatasetWriter(plan, out, "embedded")
+    with monkeypatch.context() as patch:
         made_up.record(writer, one)
         patch.setattr(os if ended == "replace" else shutil, ended, killed)
         with pytest.raises(KeyboardInterrupt):

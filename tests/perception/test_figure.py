@@ -6,9 +6,10 @@ from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 
 from inspe_jax.core.errors import InspeError
+from inspe_jax.core.geometry import pose_matrix
 from inspe_jax.core.sheet import CLASS_COLORS
 from inspe_jax.dataset.loading import Batch, Cameras, Lidars, Targets
-from inspe_jax.dataset.loading.geometry import on_picture, pose_matrix
+from inspe_jax.dataset.loading.geometry import on_picture
 from inspe_jax.perception.evaluation import Detections, truth_of
 from inspe_jax.perception.figure import MISSED_COLOR, TRUTH_COLOR, draw
 

@@ -11,8 +11,8 @@ from jax import lax
 from shapely.affinity import translate
 from shapely.geometry import box
 
+from inspe_jax.core.geometry import pose_matrix
 from inspe_jax.dataset.loading import PillarGrid, Pillars, Targets, on_picture
-from inspe_jax.dataset.loading.geometry import pose_matrix
 from inspe_jax.perception import encoders, head, layers
 from inspe_jax.perception import fusion as fusions
 from inspe_jax.perception.inputs import BevGrid, Inputs
@@ -396,8 +396,8 @@ def test_heat_on_pictures_is_where_they_show_road_users():
     targets = Targets(boxes, kinds, kinds, np.zeros((1, 4, 0), np.int32), pixels, mask)
     inputs = three_cameras(high, wide)
     aims_of = jax.jit(lambda targets: head.perspective_aims(inputs, targets, cells))
-    loss_of = jax.jit(lambda heat: head.perspective_loss(heat, inputs, targets))
     aim, shown = (np.asarray(x) for x in aims_of(targets))
+    loss_of = jax.jit(lambda heat: head.focal_loss(heat, aim, shown))
     assert shown.tolist() == [[True, True, False, False], [True, False, False, False], [False] * 4]
     assert not aim[2].any()
     assert not aim[1, ..., 3].any()

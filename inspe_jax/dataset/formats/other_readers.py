@@ -17,6 +17,7 @@ from inspe_jax.core.geometry import rotation
 from inspe_jax.dataset.formats.pictures import SUFFIXES
 from inspe_jax.scene.voxels import VoxelGrid
 from inspe_jax.simulation.frame import Image, RoadUserBox, Station
+from inspe_jax.simulation.projection import corners
 
 MOST_CAMERAS = 16
 
@@ -68,8 +69,6 @@ PIXEL = 0.39
 """Size of a pixel [m]: they see 50 m ahead, back and aside."""
 MIDDLE = 127
 """Row and column of the agent."""
-CORNERS = np.array([[1, 1, 0], [1, -1, 0], [-1, -1, 0], [-1, 1, 0]]) / 2
-"""In plan, of a box of length and width 1."""
 
 
 def frame_of(agent: Station) -> Float[np.ndarray, "6"]:
@@ -146,10 +145,8 @@ def visibility_map(agent: Station, boxes: Sequence[RoadUserBox]) -> UInt8[np.nda
     uncounted = any(image.pixels is None for image in agent.images)
     for k, box in enumerate(boxes):
         if uncounted or any(np.asarray(image.pixels)[k] > 0 for image in agent.images):
-            middle = np.asarray(box.center, float)
-            facing = rotation(np.array([0.0, 0.0, box.yaw]), np)
-            corners = middle + (CORNERS * box.size) @ facing.T
-            at = (np.vstack([corners, middle]) - pose[:3]) @ turn
+            sides = corners([box])[0].reshape(2, 4, 3).mean(0)  # half-way up
+            at = (np.vstack([sides, box.center]) - pose[:3]) @ turn
             # Column and row; the readers round towards the agent, too.
             at = MIDDLE - np.trunc(at[:, 1::-1] / PIXEL).astype(int)
             draw.polygon([tuple(p) for p in at[:4].tolist()], fill=255)

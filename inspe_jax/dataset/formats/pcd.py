@@ -31,8 +31,6 @@ _KEYS = (
     *("WIDTH", "HEIGHT", "VIEWPOINT", "POINTS", "DATA"),
 )
 _SIZES = {"F": (4, 8), "I": (1, 2, 4, 8), "U": (1, 2, 4, 8)}
-_MOST_COUNT = 10_000
-_LONGEST_LINE = 10_000
 
 
 def write_pcd(path: str | os.PathLike[str], points: Any, note: str = "") -> None:
@@ -95,7 +93,7 @@ def _read_header(f: IO[bytes], path: Path) -> _Header:
     entries: dict[str, list[str]] = {}
     notes = []
     while "DATA" not in entries:
-        line = f.readline(_LONGEST_LINE).decode("ascii", "replace")
+        line = f.readline(10_000).decode("ascii", "replace")
         key, *values = line.split() or [""]
         if key.startswith("#"):
             notes.append(line.lstrip("#").strip())
@@ -125,7 +123,7 @@ def _row(entries: dict[str, list[str]], path: Path) -> np.dtype:
         raise InspeError(f"{path}: FIELDS, SIZE, TYPE and COUNT do not have the same length")
     fields = []
     for i, (kind, size, count) in enumerate(zip(types, sizes, counts, strict=True)):
-        if size not in _SIZES.get(kind, ()) or not 1 <= count <= _MOST_COUNT:
+        if size not in _SIZES.get(kind, ()) or not 1 <= count <= 10_000:
             raise InspeError(
                 f"{path}: field {names[i]}: TYPE {kind} SIZE {size} COUNT {count} is not allowed"
             )

@@ -14,7 +14,6 @@ from inspe_jax.simulation.frame import Station
 PROTOCOL = "data_protocol.yaml"
 """The name of the file, in the scenario's folder."""
 
-_WORLD = ("fixed_delta_seconds", "client_port", "seed", "weather", "town")
 _Base: Any = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
 
 
@@ -22,7 +21,6 @@ class _Dumper(_Base):
     """YAML without anchors: an object that is in two dictionaries is written twice."""
 
     def ignore_aliases(self, data: Any) -> bool:
-        """Always."""
         return True
 
 
@@ -39,7 +37,7 @@ def write_protocol(
     """
     path = make_folder(Path(scenario)) / PROTOCOL
     world = protocol.get("world")
-    for key in _WORLD:
+    for key in ("fixed_delta_seconds", "client_port", "seed", "weather", "town"):
         if not isinstance(world, Mapping) or key not in world:
             raise InspeError(f"{path}: world.{key}: missing key")
     names = {-station.number: station.name for station in stations}

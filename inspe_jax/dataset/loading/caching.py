@@ -14,7 +14,7 @@ from pathlib import Path
 from inspe_jax.core.errors import InspeError, nearest
 from inspe_jax.core.files import check_model, prepare_folder, read_json, write_text
 from inspe_jax.core.parallel import cores
-from inspe_jax.dataset.folders import Dataset, Scenario, open_dataset, split_order
+from inspe_jax.dataset.folders import Dataset, Scenario, open_dataset, split_folders, subfolders
 from inspe_jax.dataset.loading import stored as storage
 from inspe_jax.dataset.loading.stored import StoredScenario, decode
 from inspe_jax.jobs.locks import lock_folder
@@ -179,9 +179,8 @@ def _claim(path: Path, pictures: tuple[int, int] | None) -> None:
 
 def _stored(path: Path) -> Iterator[StoredScenario]:
     """The complete scenarios of a cache, split by split."""
-    splits = sorted(child for child in path.iterdir() if child.is_dir())
-    for split in sorted(splits, key=split_order):
-        for place in sorted(child for child in split.iterdir() if child.is_dir()):
+    for split in split_folders(path):
+        for place in subfolders(split):
             if not (place.name.startswith(".") and place.name.endswith(storage.PART)):
                 if not (place / storage.RECORD).is_file():
                     raise InspeError(f"{place}: is no part of a cache: move it away")

@@ -1,22 +1,14 @@
-"""Poses as matrices, points on pictures, and similarities of the intersection, also at random."""
+"""Points on pictures, and similarities of the intersection, also at random."""
 
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Float
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.geometry import rotation
-
-
-def pose_matrix(pose: Any) -> Float[np.ndarray, "4 4"]:
-    """The matrix of a pose (6,) [m, rad]: from the body's frame to the world."""
-    pose = np.asarray(pose, float)
-    found = np.eye(4)
-    found[:3, :3] = rotation(pose[3:], np)
-    found[:3, 3] = pose[:3]
-    return found
+from inspe_jax.simulation.frame import Picture
 
 
 def on_picture(points: Any, pose: Any, intrinsic: Any, xp: Any = np) -> Any:
@@ -75,9 +67,7 @@ class Similarity:
             moved[..., 0, 2] = width - moved[..., 0, 2]
         return moved
 
-    def copy_picture(
-        self, picture: UInt8[np.ndarray, "H W 3"], out: UInt8[np.ndarray, "H W 3"]
-    ) -> None:
+    def copy_picture(self, picture: Picture, out: Picture) -> None:
         """Write a picture to ``out``, mirrored if the world is."""
         if not self.mirrored:
             out[:] = picture

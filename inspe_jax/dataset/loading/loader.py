@@ -228,23 +228,18 @@ class Loader:
 
     def _fill_targets(self, found: Targets, b: int, of: _Frame, moved: Similarity) -> None:
         stored, t = of
-        own = {
-            name: stored.index[name][stored.boxes(t)]
-            for name in ("boxes", "kind", "track", "returns", "pixels")
-        }
-        boxes = np.array(own["boxes"])
+        rows = stored.boxes(t)
+        boxes = np.array(stored.index["boxes"][rows])
         boxes[:, :3] -= stored.middle
-        own["boxes"] = moved.of_boxes(boxes)
+        boxes = moved.of_boxes(boxes)
         near = np.ones(len(boxes), bool)
         if self.half is not None:
-            near = np.abs(own["boxes"][:, :2]).max(1, initial=0) <= self.half
+            near = np.abs(boxes[:, :2]).max(1, initial=0) <= self.half
         count = int(near.sum())
-        found.mask[b, :count] = True
-        for name in ("boxes", "kind", "track"):
-            getattr(found, name)[b, :count] = own[name][near]
-        for name in ("returns", "pixels"):  # of as many sensors as the scenario has
-            sensors = own[name].shape[1]
-            getattr(found, name)[b, :count, :sensors] = own[name][near]
+        found.mask[b, :count], found.boxes[b, :count] = True, boxes[near]
+        for name in ("kind", "track", "returns", "pixels"):
+            own = stored.index[name][rows][near]  # of as many sensors as the scenario has
+            getattr(found, name)[(b, slice(count), *map(slice, own.shape[1:]))] = own
 
 
 def _fill_cameras(found: Cameras, b: int, of: _Frame, moved: Similarity) -> None:

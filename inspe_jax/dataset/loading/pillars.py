@@ -9,8 +9,6 @@ from jaxtyping import Float
 from inspe_jax.core.errors import InspeError
 from inspe_jax.dataset.loading.batch import Pillars
 
-_SMALL = 2**16
-
 
 @dataclass(frozen=True)
 class PillarGrid:
@@ -88,7 +86,7 @@ class PillarGrid:
             draw = np.random.default_rng(0) if rng is None else rng
             pillars = np.sort(draw.permutation(pillars)[: self.most_pillars])
         # The pillar of each point; points of none come last. Sorting 16 bits takes one pass.
-        kind = np.uint16 if len(pillars) < _SMALL else np.int64
+        kind = np.uint16 if len(pillars) < 2**16 else np.int64
         slot = np.full(nowhere + 1, len(pillars), kind)
         slot[pillars] = np.arange(len(pillars))
         own = slot[cell]

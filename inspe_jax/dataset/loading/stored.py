@@ -20,9 +20,8 @@ from PIL import Image as Pillow
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import check_model, json_value, open_arrays, read_json
-from inspe_jax.core.geometry import rotation
+from inspe_jax.core.geometry import pose_matrix, rotation
 from inspe_jax.dataset.folders import Scenario
-from inspe_jax.dataset.loading.geometry import pose_matrix
 from inspe_jax.dataset.points_in_boxes import count_inside
 from inspe_jax.jobs.settings import Strict
 from inspe_jax.simulation.frame import KINDS, Image, RoadUserBox, Scan

@@ -205,15 +205,14 @@ def begun(folder: str | os.PathLike[str], content: Content) -> Iterator[Training
     What a kill left unfinished goes. Raises InspeError if another process trains it, or if the
     folder has another run, saying what is different, or other files."""
     path = prepare_folder(folder).resolve()
-    if not (path / RECORD).is_file():
-        _check_no_others(path)  # before a lock is written there
-    lock = lock_folder(path, LOCK)
-    try:
+    if not (path / RECORD).is_file():  # a new one, but for a teacher, and what a kill left
+        names = (child.name for child in path.iterdir() if child.suffix != ".part")
+        if others := sorted({*names} - {LOCK, TEACHER_RUN}):
+            raise InspeError(f"{path}: has other files, such as {others[0]}: name an empty folder")
+    with lock_folder(path, LOCK):
         for part in path.glob(".*.part"):
             part.unlink()
         yield _recorded(path, content)
-    finally:
-        lock.release()
 
 
 def _recorded(path: Path, content: Content) -> TrainingRun:
@@ -232,13 +231,6 @@ def _recorded(path: Path, content: Content) -> TrainingRun:
         )
     write_text(path / RECORD, json.dumps(_Record(content=content).model_dump(), indent=2) + "\n")
     return TrainingRun(path, content)
-
-
-def _check_no_others(path: Path) -> None:
-    """Raise InspeError if a folder has more than a teacher, and what a kill left."""
-    names = (child.name for child in path.iterdir() if child.suffix != ".part")
-    if others := sorted({*names} - {LOCK, TEACHER_RUN}):
-        raise InspeError(f"{path}: has other files, such as {others[0]}: name an empty folder")
 
 
 def open_run(folder: str | os.PathLike[str]) -> TrainingRun:

@@ -20,7 +20,7 @@ from inspe_jax.dataset.loading import Cache, Loader, Targets, open_cache
 from inspe_jax.jobs.engine import Messages, check_workers, load_cluster, run_jobs
 from inspe_jax.perception.detector import TEACHER, Detector, Predictor, loader_of, model_of
 from inspe_jax.perception.evaluation import NoTruth
-from inspe_jax.perception.head import aims, loss, perspective_loss
+from inspe_jax.perception.head import aims, focal_loss, loss, perspective_aims
 from inspe_jax.perception.inputs import BevGrid, Inputs, inputs_of
 from inspe_jax.perception.training.run import (
     AUGMENT,
@@ -133,7 +133,9 @@ def _train(
         row = {name: float(value) for name, value in losses._asdict().items()}
         total = sum(row.values())
         due = number % settings.every == 0 or number == settings.steps
-        if not np.isfinite(total) or (due and not _finite(detector)):
+        # A loss is of the weights before its step.
+        weights = jax.tree.leaves(eqx.filter(detector, eqx.is_inexact_array)) if due else []
+        if not all(np.isfinite(np.asarray(each)).all() for each in (total, *weights)):
             raise InspeError(
                 f"{run.path}: step {number} gave no numbers: train into another folder, at a lower "
                 f"rate than {settings.rate:g}; the state after step {run.steps} stays"
@@ -148,12 +150,6 @@ def _train(
             progress(Report(settings.model, number, settings.steps, late, mean_ap))
 
 
-def _finite(detector: Detector) -> bool:
-    """Whether all weights are numbers: a loss is of the weights before its step."""
-    leaves = jax.tree.leaves(eqx.filter(detector, eqx.is_inexact_array))
-    return all(np.isfinite(np.asarray(leaf)).all() for leaf in leaves)
-
-
 def objective(
     detector: Detector, teacher: Detector | None, inputs: Inputs, targets: Targets, grid: BevGrid
 ) -> tuple[Scalar, _Losses]:
@@ -166,7 +162,8 @@ def objective(
             teaching = teacher(inputs).fused
         taught = distillation(predicted.fused, teaching)
     if predicted.on_pictures is not None:
-        on_pictures = perspective_loss(predicted.on_pictures, inputs, targets)
+        aim, shown = perspective_aims(inputs, targets, predicted.on_pictures.shape[1:3])
+        on_pictures = focal_loss(predicted.on_pictures, aim, shown)
     losses = _Losses(heat, values, taught, on_pictures)
     return sum(losses, jnp.zeros(())), losses
 

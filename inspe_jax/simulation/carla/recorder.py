@@ -22,7 +22,7 @@ from inspe_jax.sensing.layout import Layout
 from inspe_jax.simulation.carla.sensors import SENSOR_KINDS, SensorQueue
 from inspe_jax.simulation.carla.server import ROLE_NAME, CarlaSession, plain_errors, session_on
 from inspe_jax.simulation.carla.traffic import Actors
-from inspe_jax.simulation.frame import Frame, Image, RoadUserBox, Scan
+from inspe_jax.simulation.frame import Boxes, Frame, Image, Scan
 from inspe_jax.simulation.recorder import Recording, Server, frame_of, noise_source, row_of
 
 SETTLE = 1.0
@@ -126,7 +126,7 @@ class CarlaRecorder:
             f"{self.server.timeout:g} s; a slower machine needs a longer timeout"
         )
 
-    def _record(self, s: int, t: int, number: int, boxes: tuple[RoadUserBox, ...]) -> Image | Scan:
+    def _record(self, s: int, t: int, number: int, boxes: Boxes) -> Image | Scan:
         """What sensor s measured in the server's frame ``number``, which is frame t."""
         until = time.monotonic() + self.server.timeout
         data = {}

@@ -19,7 +19,7 @@ from inspe_jax.core.errors import InspeError
 from inspe_jax.core.geometry import rotation
 from inspe_jax.sensing.lidar_returns import ATTENUATION
 from inspe_jax.sensing.sensors import CameraSpec, LidarSpec
-from inspe_jax.simulation.frame import Image, RoadUserBox, Scan
+from inspe_jax.simulation.frame import Boxes, Image, Picture, Pose6, Scan
 from inspe_jax.simulation.recorder import Recording, apply_noise
 
 FAR = 1000.0
@@ -40,7 +40,6 @@ MARGIN = 0.3
 
 Measured: TypeAlias = Mapping[str, Any]
 """What sensors of CARLA have measured, by the name of their blueprint."""
-Boxes: TypeAlias = tuple[RoadUserBox, ...]
 
 
 class CarlaSensor(Protocol):
@@ -54,11 +53,8 @@ class CarlaSensor(Protocol):
     attributes: dict[str, str]
     notes: tuple[str, ...]
 
-    def record(
-        self, pose: Float[np.ndarray, "6"], data: Measured, boxes: Boxes, rng: Generator
-    ) -> Image | Scan:
+    def record(self, pose: Pose6, data: Measured, boxes: Boxes, rng: Generator) -> Image | Scan:
         """The image or the scan of a frame with these ``boxes``; ``rng`` is for the noise."""
-        ...
 
 
 class CarlaCamera:
@@ -87,9 +83,7 @@ class CarlaCamera:
                 f"({spec.principal[0]:g}, {spec.principal[1]:g})",
             )
 
-    def record(
-        self, pose: Float[np.ndarray, "6"], data: Measured, boxes: Boxes, rng: Generator
-    ) -> Image:
+    def record(self, pose: Pose6, data: Measured, boxes: Boxes, rng: Generator) -> Image:
         """The picture and its layers."""
         pictures = {name.rpartition(".")[2]: _colours(image) for name, image in data.items()}
         layers: dict[str, np.ndarray] = {}
@@ -137,9 +131,7 @@ class CarlaLidar:
         if recording.turn > 0:
             self.notes += ("CARLA fires all rays of a LiDAR's turn at once: lidar_turn_s is 0",)
 
-    def record(
-        self, pose: Float[np.ndarray, "6"], data: Measured, boxes: Boxes, rng: Generator
-    ) -> Scan:
+    def record(self, pose: Pose6, data: Measured, boxes: Boxes, rng: Generator) -> Scan:
         """The points that are not lost."""
         (scan,) = data.values()
         points = flip(np.frombuffer(scan.raw_data, np.float32).reshape(-1, 4)[:, :3]).astype(float)
@@ -176,13 +168,13 @@ class SensorQueue:
             return None
 
 
-def _colours(image: Any) -> UInt8[np.ndarray, "H W 3"]:
+def _colours(image: Any) -> Picture:
     """Red, green and blue of a picture, which CARLA stores as blue, green, red and alpha."""
     bgra = np.frombuffer(image.raw_data, np.uint8).reshape(image.height, image.width, 4)
     return np.ascontiguousarray(bgra[..., 2::-1])
 
 
-def _depth(colours: UInt8[np.ndarray, "H W 3"]) -> Float[np.ndarray, "H W"]:
+def _depth(colours: Picture) -> Float[np.ndarray, "H W"]:
     """Depth along the axis [m], infinite from :data:`FAR` on, from the 24 bits of the colours."""
     red, green, blue = np.moveaxis(colours.astype(np.int64), -1, 0)
     code = red + 256 * green + 65536 * blue
@@ -192,7 +184,7 @@ def _depth(colours: UInt8[np.ndarray, "H W 3"]) -> Float[np.ndarray, "H W"]:
 def instances_of(
     semantic: UInt8[np.ndarray, "H W"],
     depth: Float[np.ndarray, "H W"],
-    pose: Float[np.ndarray, "6"],
+    pose: Pose6,
     intrinsic: Float[np.ndarray, "3 3"],
     boxes: Boxes,
 ) -> Int[np.ndarray, "H W"]:

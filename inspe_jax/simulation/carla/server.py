@@ -23,7 +23,6 @@ ROLE_NAME = "inspe"
 """The role name of the actors that this package spawns."""
 
 _OPENDRIVE = " (OpenDRIVE)"
-_PARKED = ("Car", "Truck", "Bus", "Motorcycle", "Bicycle")
 
 
 @contextmanager
@@ -133,7 +132,7 @@ def session_on(
         world.set_weather(weather_of(carla, conditions))
         session.hidden = [
             item.id
-            for label in _PARKED
+            for label in ("Car", "Truck", "Bus", "Motorcycle", "Bicycle")
             for item in world.get_environment_objects(getattr(carla.CityObjectLabel, label))
         ]
         if session.hidden:

@@ -13,7 +13,7 @@ from inspe_jax.core.geometry import rotation
 from inspe_jax.scene.traffic.carla_log import kind_of
 from inspe_jax.scene.traffic.frames import CLASSES, ROAD_USERS, TrafficFrames
 from inspe_jax.simulation.carla.server import ROLE_NAME, CarlaSession
-from inspe_jax.simulation.frame import RoadUserBox
+from inspe_jax.simulation.frame import Boxes, Pose6, RoadUserBox
 
 SPAWN_HEIGHT = 300.0
 """Actors are spawned this high above the junction [m], in free air, and then moved down."""
@@ -70,7 +70,7 @@ class Actors:
             commands.append(put(actor, self.session.transform(to_carla(_origin(body, *where)))))
         self.session.command(commands)
 
-    def boxes(self, t: int, snapshot: Any) -> tuple[RoadUserBox, ...]:
+    def boxes(self, t: int, snapshot: Any) -> Boxes:
         """The boxes of the road users of frame t, as the server has them in a snapshot."""
         found, seen = [], self.traffic.at(t)
         for kind, track, velocity in zip(seen.kind, seen.track, seen.velocity, strict=True):
@@ -115,7 +115,7 @@ class Actors:
         near = np.flatnonzero(off <= off.min() + SIZE_TOLERANCE)
         return bodies[np.random.default_rng([self.seed, track, 1]).choice(near)]
 
-    def _in_the_air(self, k: int) -> Float[np.ndarray, "6"]:
+    def _in_the_air(self, k: int) -> Pose6:
         """The cords of the k-th actor that is spawned, above the others."""
         x, y, z = self.middle
         return to_carla([x, y, z + SPAWN_HEIGHT + SPAWN_GAP * k, 0.0, 0.0, 0.0])
@@ -142,7 +142,7 @@ class Actors:
 
 def _origin(
     body: ActorBody, center: Float[np.ndarray, "3"], yaw: float, size: Float[np.ndarray, "3"]
-) -> Float[np.ndarray, "6"]:
+) -> Pose6:
     """The pose of an actor whose box stands on a road user's ground, with its middle in plan."""
     middle = np.array([*center[:2], center[2] - size[2] / 2 + body.size[2] / 2])
     angles = np.array([0.0, 0.0, yaw])

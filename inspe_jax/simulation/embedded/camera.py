@@ -12,15 +12,16 @@ from scipy.ndimage import minimum_filter
 from inspe_jax.core.geometry import rotation
 from inspe_jax.sensing.sensors import CameraSpec
 from inspe_jax.simulation.embedded.embree import R3, Caster, RayHits
-from inspe_jax.simulation.embedded.headlights import COLOUR, LitGround, on_road_users
+from inspe_jax.simulation.embedded.headlights import COLOUR, GroundMap, on_road_users
 from inspe_jax.simulation.embedded.light import metered_gain, parts, tone_map
 from inspe_jax.simulation.embedded.road_users import FrameActors, paints
-from inspe_jax.simulation.embedded.shading import DARKER, FAR
+from inspe_jax.simulation.embedded.shading import DARKER, FAR, Shading
 from inspe_jax.simulation.embedded.shapes import PARTS
 from inspe_jax.simulation.embedded.static_bodies import Material
+from inspe_jax.simulation.embedded.static_world import GROUND_LABELS
 from inspe_jax.simulation.embedded.surroundings import Surroundings
-from inspe_jax.simulation.frame import Image, RoadUserBox
-from inspe_jax.simulation.projection import corners, outlines
+from inspe_jax.simulation.frame import Boxes, Image, Pose6
+from inspe_jax.simulation.projection import Corners, corners, outlines
 
 SHADOWED = 150.0
 """Shadows of road users are rendered up to this distance from the centre, along x and y [m]."""
@@ -92,9 +93,7 @@ class SunlitPoints:
         runs = zip(self.start[rows + x0], self.start[rows + x1 + 1], strict=True)
         return np.concatenate([self.pixels[a:b] for a, b in runs])
 
-    def ends(
-        self, top: Float[np.ndarray, "B 3"], along: Float[np.ndarray, "3"]
-    ) -> Float[np.ndarray, " B"]:
+    def ends(self, top: R3, along: Float[np.ndarray, "3"]) -> Float[np.ndarray, " R"]:
         """How far in plan shadows of points ``top`` reach along a direction that points down [m]:
         to where no sunlit point is below their upper edge any more, also on falling ground."""
         far = np.arange(0, LONGEST)
@@ -107,12 +106,32 @@ class SunlitPoints:
         return np.where(beneath, far + 1, 0).max(-1)
 
 
+class LitGround:
+    """Those pixels that show ground on the map of headlights, and how it looks."""
+
+    def __init__(self, ground: GroundMap, shading: Shading, shown: Background) -> None:
+        level, cell = np.isin(shown.semantic, GROUND_LABELS), ground.cells(shown.point)
+        self.ground, self.pixels = ground, np.flatnonzero(level & (cell >= 0))
+        self.cell, point = cell[self.pixels], shown.point[self.pixels]
+        static_world = shading.static_world
+        darker = np.float32(DARKER * shading.wet) * static_world.paved(point)
+        world = point[:, :2] + static_world.center[:2]
+        albedo = static_world.surface.albedo(world) * (1 - darker)[:, None]
+        clear = np.exp(-np.float32(shading.haze) * shown.distance[self.pixels])
+        lamps = np.float32(shading.light.lamps)
+        self.look = (albedo * (lamps * COLOUR * clear[:, None])).astype(np.float32)
+
+    def added(self, actors: FrameActors) -> tuple[Int[np.ndarray, " P"], Float[np.ndarray, "P 3"]]:
+        """The pixels that headlights make brighter, each once, and by how much."""
+        light = actors.once(self.ground.fine).take(self.cell)
+        own = np.flatnonzero(light)
+        return self.pixels[own], light[own, None] * self.look.take(own, axis=0)
+
+
 class Camera:
     """One camera at its place, in one light."""
 
-    def __init__(
-        self, spec: CameraSpec, pose: Float[np.ndarray, "6"], surroundings: Surroundings
-    ) -> None:
+    def __init__(self, spec: CameraSpec, pose: Pose6, surroundings: Surroundings) -> None:
         self.pose, self.static_world = np.asarray(pose, float), surroundings.static_world
         self.recording, self.appearance_seed = surroundings.recording, surroundings.appearance_seed
         self.shading, self.light = surroundings.shading, surroundings.shading.light
@@ -127,20 +146,16 @@ class Camera:
         turned = (body * self.ahead[:, None]) @ rotation(self.pose[3:], np).T
         self.directions = np.ascontiguousarray(turned, np.float32)
         self.origin = (self.pose[:3] - self.static_world.center).astype(np.float32)
-        self.background = self._background()
-        self.gain = metered_gain(self.background.colour, self.light)
-        self.lit_ground = None
-        if surroundings.ground is not None:
-            shown = self.background.point, self.background.distance, self.background.semantic
-            self.lit_ground = LitGround(surroundings.ground, self.shading, *shown)
-        self.sunlit = SunlitPoints(self.background.point, self.background.in_sun, SHADOWED)
-
-    def _background(self) -> Background:
         hits = self.static_world.caster.cast(self.origin, self.directions, FAR)
         slices = parts(len(self.directions))
         found = [self._background_part(part, *(x[part] for x in hits)) for part in slices]
         whole = (np.concatenate(field) for field in zip(*found, strict=True))
-        return Background(hits.distance, *whole)
+        self.background = Background(hits.distance, *whole)
+        self.gain = metered_gain(self.background.colour, self.light)
+        self.lit_ground = None
+        if surroundings.ground is not None:
+            self.lit_ground = LitGround(surroundings.ground, self.shading, self.background)
+        self.sunlit = SunlitPoints(self.background.point, self.background.in_sun, SHADOWED)
 
     def _background_part(
         self, pixels: slice, distance: np.ndarray, face: np.ndarray, normal: np.ndarray
@@ -166,9 +181,7 @@ class Camera:
         colour = shading.through_air(direct + ambient, distance)
         return point, in_sun, ambient, colour, np.where(hit, semantic, SKY).astype(np.uint8)
 
-    def _in_shadow(
-        self, caster: Caster, point: np.ndarray, normal: np.ndarray
-    ) -> Bool[np.ndarray, " R"]:
+    def _in_shadow(self, caster: Caster, point: R3, normal: R3) -> Bool[np.ndarray, " R"]:
         """Whether the caster's triangles stand between points and the sun."""
         return caster.meets(point + np.float32(0.02) * normal, self.shading.to_sun, LONGEST)
 
@@ -207,7 +220,7 @@ class Camera:
             share[k] = pixels[k] / max((hits.face >= 0).sum(), pixels[k])
         return share
 
-    def _layers(self, seen: ChangedPixels, boxes: tuple[RoadUserBox, ...]) -> dict[str, np.ndarray]:
+    def _layers(self, seen: ChangedPixels, boxes: Boxes) -> dict[str, np.ndarray]:
         distance, semantic = self.background.distance.copy(), self.background.semantic.copy()
         instance = np.zeros(len(distance), np.int32)
         hit = seen.box >= 0
@@ -266,9 +279,7 @@ class Camera:
             colour += _GLOW[part] * on[box, None]
         return colour
 
-    def _shadows(
-        self, caster: Caster, boxes: tuple[RoadUserBox, ...], after: float
-    ) -> Int[np.ndarray, " P"]:
+    def _shadows(self, caster: Caster, boxes: Boxes, after: float) -> Int[np.ndarray, " P"]:
         """The pixels of the static world in the shadow of a road user, and in the sun otherwise."""
         if not (self.light.has_sun and boxes):
             return np.zeros(0, int)
@@ -286,7 +297,7 @@ class Camera:
         up = np.array([0, 0, 1], np.float32)
         return pixels[self._in_shadow(caster, self.background.point[pixels], up)]
 
-    def _pixels_near(self, box_corners: Float[np.ndarray, "B 8 3"]) -> Int[np.ndarray, " P"]:
+    def _pixels_near(self, box_corners: Corners) -> Int[np.ndarray, " P"]:
         """The pixels inside the outlines of boxes, and close around them."""
         wanted = Pillow.new("1", (self.width, self.height))
         pen = ImageDraw.Draw(wanted)

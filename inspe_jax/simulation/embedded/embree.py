@@ -8,6 +8,7 @@ from jaxtyping import Bool, Float, Int
 from inspe_jax.core.errors import needs
 
 R3 = Float[np.ndarray, "R 3"]  # a vector for each of R rays or points
+Reach = float | Float[np.ndarray, " R"]  # of all rays, or of each [m]
 F33 = Float[np.ndarray, "F 3 3"]  # the corners of F triangles
 
 
@@ -34,12 +35,7 @@ class Caster:
             self._scene = EmbreeScene(robust=True)  # else rays slip through between faces
             TriangleMesh(self._scene, np.ascontiguousarray(triangles, np.float32))
 
-    def cast(
-        self,
-        origins: Float[np.ndarray, "*R 3"],
-        directions: R3,
-        reach: float | Float[np.ndarray, " R"],
-    ) -> RayHits:
+    def cast(self, origins: Float[np.ndarray, "*R 3"], directions: R3, reach: Reach) -> RayHits:
         """The first face on each ray within ``reach`` [m], from one origin, or one for each ray.
 
         Normals point towards the origin of the ray. ``distance`` is infinite where nothing is hit.
@@ -59,10 +55,7 @@ class Caster:
         return RayHits(distance, found["primID"], normal)
 
     def meets(
-        self,
-        origins: R3,
-        directions: Float[np.ndarray, "*R 3"],
-        reach: float | Float[np.ndarray, " R"] = 1e4,
+        self, origins: R3, directions: Float[np.ndarray, "*R 3"], reach: Reach
     ) -> Bool[np.ndarray, " R"]:
         """Whether each ray hits anything within ``reach`` [m]; one direction, or one per ray."""
         start, to, reach = _rays(origins, directions, reach)

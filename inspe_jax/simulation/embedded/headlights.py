@@ -7,14 +7,12 @@ cut-off and falls with the square of the distance. The ground's light is a map, 
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int, UInt8
+from jaxtyping import Float, Int
 
 from inspe_jax.scene.intersection import Intersection
 from inspe_jax.simulation.embedded.embree import R3
 from inspe_jax.simulation.embedded.light import CANDELA, Light
 from inspe_jax.simulation.embedded.road_users import FrameActors
-from inspe_jax.simulation.embedded.shading import DARKER, Shading
-from inspe_jax.simulation.embedded.static_world import GROUND_LABELS
 
 PEAK = 15_000 * CANDELA
 """Brightness of both dipped beams at 1 m: 7,500 cd each, as lamps in use have it; UN Regulation 112
@@ -146,45 +144,11 @@ class GroundMap:
         return light
 
 
-class LitGround:
-    """Those of R pixels that show ground on the map of headlights, and how it looks. Parameters are
-    fields of the camera's background."""
-
-    def __init__(
-        self,
-        ground: GroundMap,
-        shading: Shading,
-        point: R3,
-        distance: Float[np.ndarray, " R"],
-        semantic: UInt8[np.ndarray, " R"],
-    ) -> None:
-        level, cell = np.isin(semantic, GROUND_LABELS), ground.cells(point)
-        self.ground, self.pixels = ground, np.flatnonzero(level & (cell >= 0))
-        self.cell, point = cell[self.pixels], point[self.pixels]
-        static_world = shading.static_world
-        darker = np.float32(DARKER * shading.wet) * static_world.paved(point)
-        world = point[:, :2] + static_world.center[:2]
-        albedo = static_world.surface.albedo(world) * (1 - darker)[:, None]
-        clear = np.exp(-np.float32(shading.haze) * distance[self.pixels])
-        lamps = np.float32(shading.light.lamps)
-        self.look = (albedo * (lamps * COLOUR * clear[:, None])).astype(np.float32)
-
-    def added(self, actors: FrameActors) -> tuple[Int[np.ndarray, " P"], Float[np.ndarray, "P 3"]]:
-        """The pixels that headlights make brighter, each once, and by how much."""
-        light = actors.once(self.ground.fine).take(self.cell)
-        own = np.flatnonzero(light)
-        return self.pixels[own], light[own, None] * self.look.take(own, axis=0)
-
-
 def on_road_users(
-    actors: FrameActors,
-    point: Float[np.ndarray, "P 3"],
-    normal: Float[np.ndarray, "P 3"],
-    box: Int[np.ndarray, " P"],
-    light: Light,
-) -> Float[np.ndarray, " P"]:
+    actors: FrameActors, point: R3, normal: R3, box: Int[np.ndarray, " R"], light: Light
+) -> Float[np.ndarray, " R"]:
     """The light that beams throw on road users, as if nothing stood between them. ``box`` is the
-    index of the road user that each of P points is on; the centre is the origin."""
+    index of the road user that each of R points is on; the centre is the origin."""
     beams, total = actors.once(beams_of), np.zeros(len(point), np.float32)
     many, count = len(actors.boxes), len(beams.front)
     middle = np.array([b.center for b in actors.boxes]).reshape(-1, 3) - actors.center

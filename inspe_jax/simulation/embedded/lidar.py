@@ -5,13 +5,14 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
+from numpy.random import Generator
 
 from inspe_jax.core.geometry import rotation
 from inspe_jax.sensing.lidar_returns import LidarNoise
 from inspe_jax.sensing.sensors import LidarSpec
 from inspe_jax.simulation.embedded.road_users import FrameActors
 from inspe_jax.simulation.embedded.surroundings import Surroundings
-from inspe_jax.simulation.frame import Scan
+from inspe_jax.simulation.frame import Pose6, Scan
 from inspe_jax.simulation.recorder import apply_noise
 
 SECTORS = 12
@@ -29,9 +30,7 @@ class Returns(NamedTuple):
 class Lidar:
     """One LiDAR at its place. Rays into the static world are cast only once."""
 
-    def __init__(
-        self, spec: LidarSpec, pose: Float[np.ndarray, "6"], surroundings: Surroundings
-    ) -> None:
+    def __init__(self, spec: LidarSpec, pose: Pose6, surroundings: Surroundings) -> None:
         self.recording, self.reach = surroundings.recording, spec.reach
         self.pose = np.asarray(pose, float)
         self.body = spec.grid.directions()  # (R, 3), channel by channel
@@ -42,7 +41,7 @@ class Lidar:
         column = np.tile(np.arange(spec.azimuth_count), len(spec.elevations))
         self.phase = (column + 0.5) / spec.azimuth_count  # of a turn, 0 … 1
 
-    def record(self, actors: FrameActors, rng: np.random.Generator) -> Scan:
+    def record(self, actors: FrameActors, rng: Generator) -> Scan:
         """The points of one turn."""
         returns = self.cast(actors, self.recording.turn)
         return self.scan(returns, len(actors.boxes), self.recording.noise, rng)
@@ -62,9 +61,7 @@ class Lidar:
             box[own[hit]] = road_users.box[hits.face[hit]]
         return Returns(distance, box)
 
-    def scan(
-        self, returns: Returns, boxes: int, noise: LidarNoise, rng: np.random.Generator
-    ) -> Scan:
+    def scan(self, returns: Returns, boxes: int, noise: LidarNoise, rng: Generator) -> Scan:
         """The points of the returns that are not lost; ``boxes`` is the number of road users."""
         points, back = apply_noise(self.body, returns.distance, noise, rng)
         own = returns.box[back]

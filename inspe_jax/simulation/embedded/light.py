@@ -8,6 +8,7 @@ from jaxtyping import Float, UInt8
 from scipy.special import ndtri
 
 from inspe_jax.sensing.conditions import Conditions
+from inspe_jax.simulation.frame import Picture
 
 
 @dataclass(frozen=True)
@@ -117,9 +118,7 @@ def grain(linear: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
     return np.float32(REDUCED) * np.sqrt(np.maximum(linear, 0) * shot + read)
 
 
-def tone_map(
-    linear: Float[np.ndarray, "H W 3"], gain: float, rng: np.random.Generator
-) -> UInt8[np.ndarray, "H W 3"]:
+def tone_map(linear: Float[np.ndarray, "H W 3"], gain: float, rng: np.random.Generator) -> Picture:
     """The 8-bit picture of linear light: noise, gain, roll-off of highlights, sRGB's curve."""
     given = np.asarray(linear, np.float32).ravel()
     picture = np.empty(given.shape, np.uint8)

@@ -5,7 +5,6 @@ from functools import cache, lru_cache
 from typing import Any, Protocol
 
 import numpy as np
-from jaxtyping import Float
 
 from inspe_jax.scene.scene import Scene
 from inspe_jax.sensing.conditions import FAIR, Conditions
@@ -14,7 +13,7 @@ from inspe_jax.simulation.embedded.camera import Camera
 from inspe_jax.simulation.embedded.lidar import Lidar
 from inspe_jax.simulation.embedded.road_users import FrameActors
 from inspe_jax.simulation.embedded.surroundings import Surroundings
-from inspe_jax.simulation.frame import Frame, Image, RoadUserBox, Scan
+from inspe_jax.simulation.frame import Boxes, Frame, Image, Pose6, Scan
 from inspe_jax.simulation.recorder import Recording, frame_of, noise_source, row_of
 
 
@@ -23,10 +22,9 @@ class SimulatedSensor(Protocol):
 
     def record(self, actors: FrameActors, rng: np.random.Generator) -> Image | Scan:
         """What the sensor records of one frame; ``rng`` is for its noise."""
-        ...
 
 
-SENSORS: dict[str, Callable[[Any, Float[np.ndarray, "6"], Surroundings], SimulatedSensor]] = {
+SENSORS: dict[str, Callable[[Any, Pose6, Surroundings], SimulatedSensor]] = {
     "camera": Camera,
     "lidar": Lidar,
 }
@@ -34,9 +32,7 @@ SENSORS: dict[str, Callable[[Any, Float[np.ndarray, "6"], Surroundings], Simulat
 surroundings. To add a kind, add a row."""
 
 
-def simulated_sensor(
-    spec: Any, pose: Float[np.ndarray, "6"], surroundings: Surroundings
-) -> SimulatedSensor:
+def simulated_sensor(spec: Any, pose: Pose6, surroundings: Surroundings) -> SimulatedSensor:
     """The simulation of a sensor. Raises InspeError for a kind that is not in :data:`SENSORS`."""
     return row_of(SENSORS, spec, "embedded")(spec, pose, surroundings)
 
@@ -108,9 +104,7 @@ class LiveSensor:
 
         self._placed, self._actors = placed, lru_cache(maxsize=1)(own.actors)
 
-    def record(
-        self, t: int, pose: Float[np.ndarray, "6"] | None = None
-    ) -> tuple[tuple[RoadUserBox, ...], Image | Scan]:
+    def record(self, t: int, pose: Pose6 | None = None) -> tuple[Boxes, Image | Scan]:
         """Road users of frame t, and what the sensor records of them at a pose, or at its own."""
         at = self._own if pose is None else map(float, pose)
         actors, noise = self._actors(t), noise_source(self._seed, t, self._s)

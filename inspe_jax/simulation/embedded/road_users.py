@@ -15,7 +15,7 @@ from inspe_jax.scene.statics import StaticBody
 from inspe_jax.scene.traffic.frames import CLASSES, Snapshot
 from inspe_jax.simulation.embedded.embree import F33, Caster
 from inspe_jax.simulation.embedded.shapes import PARTS, fitting, paint, shape_of
-from inspe_jax.simulation.frame import MOST_TRACK, RoadUserBox
+from inspe_jax.simulation.frame import MOST_TRACK, Boxes, RoadUserBox
 
 STRIDE = {"pedestrian": 1.4, "cyclist": 4.5}
 """Distance of a whole stride, or of a turn of the crank [m]."""
@@ -33,7 +33,7 @@ class RoadUserTriangles:
     part: Int[np.ndarray, " F"]
 
 
-def boxes_of(seen: Snapshot, seed: int) -> tuple[RoadUserBox, ...]:
+def boxes_of(seen: Snapshot, seed: int) -> Boxes:
     """Road users as boxes with names. A name, which is a shape, depends only on the track, the size
     and the seed, so it is the same in every frame."""
     return tuple(
@@ -50,22 +50,17 @@ def boxes_of(seen: Snapshot, seed: int) -> tuple[RoadUserBox, ...]:
     )
 
 
-def pose_road_users(
-    boxes: tuple[RoadUserBox, ...], center: Float[np.ndarray, "3"]
-) -> RoadUserTriangles:
+def pose_road_users(boxes: Boxes, center: Float[np.ndarray, "3"]) -> RoadUserTriangles:
     """The shapes of road users, each in its box; positions are relative to ``center`` [m]."""
-    triangles, box_index, part = [np.zeros((0, 3, 3))], [], []
-    for k, box in enumerate(boxes):
-        shape = shape_of(box.name, _phase(box))
+    shapes = [shape_of(box.name, _phase(box)) for box in boxes]
+    triangles = [np.zeros((0, 3, 3))]
+    for box, shape in zip(boxes, shapes, strict=True):
         turn = rotation(np.array([0.0, 0.0, box.yaw]), np)
         at = box.center - center
         triangles.append(((shape.vertices * box.size) @ turn.T + at)[shape.faces])
-        box_index.append(np.full(len(shape.faces), k))
-        part.append(shape.part)
-    none = [np.zeros(0, int)]
-    return RoadUserTriangles(
-        np.concatenate(triangles), np.concatenate(none + box_index), np.concatenate(none + part)
-    )
+    owner = np.repeat(np.arange(len(boxes)), np.array([len(x.faces) for x in shapes], int))
+    part = np.concatenate([np.zeros(0, int), *(shape.part for shape in shapes)])
+    return RoadUserTriangles(np.concatenate(triangles), owner, part)
 
 
 def _phase(box: RoadUserBox) -> float:
@@ -76,7 +71,7 @@ def _phase(box: RoadUserBox) -> float:
     return float(box.track * 0.381966 + along / STRIDE[box.kind])
 
 
-def paints(boxes: tuple[RoadUserBox, ...], seed: int) -> Float[np.ndarray, "K P 3"]:
+def paints(boxes: Boxes, seed: int) -> Float[np.ndarray, "K P 3"]:
     """Linear albedo of every part of every road user; it depends only on track and seed."""
     each = [_paint(box.kind, box.track, seed) for box in boxes]
     return np.array(each, np.float32).reshape(-1, len(PARTS), 3)
@@ -90,7 +85,7 @@ def _paint(kind: str, track: int, seed: int) -> Float[np.ndarray, "P 3"]:
 class FrameActors:
     """The road users of one frame, ready for rays at any moment close to the frame's time."""
 
-    def __init__(self, boxes: tuple[RoadUserBox, ...], center: Float[np.ndarray, "3"]) -> None:
+    def __init__(self, boxes: Boxes, center: Float[np.ndarray, "3"]) -> None:
         self.boxes, self.center = boxes, center
         self._made: dict[Any, Any] = {}
         self.velocity = np.array([box.velocity for box in boxes], float).reshape(-1, 3)
@@ -139,8 +134,7 @@ def parked_vehicles(scene: Scene) -> tuple[Snapshot, tuple[StaticBody, ...]]:
     """The parked vehicles with centres in a scene's region as road users, and the other bodies. A
     track, and so shape and colour, hangs on its own place alone, unless that number is taken."""
     place, radius = scene.intersection, scene.voxels.radius
-    found: list[StaticBody] = []
-    left: list[StaticBody] = []
+    found, left = list[StaticBody](), list[StaticBody]()
     for one in scene.statics:
         inside = np.hypot(*(one.middle - np.asarray(place.center)[:2])) <= radius
         (found if is_box(one) and inside else left).append(one)

@@ -69,7 +69,7 @@ def flat_triangles(shape: BaseGeometry) -> Float[np.ndarray, "F 3 2"]:
     return np.array([np.asarray(t.exterior.coords)[:3, :2] for t in cut]).reshape(-1, 3, 2)
 
 
-def _prism(outline: Float[np.ndarray, "N 2"], bottom: float, top: float) -> tuple[F33, F33, F33]:
+def prism(outline: Float[np.ndarray, "N 2"], bottom: float, top: float) -> tuple[F33, F33, F33]:
     """The sides, the top and the bottom of a prism."""
     low = np.column_stack([outline, np.full(len(outline), bottom)])
     high = low + [0.0, 0.0, top - bottom]
@@ -83,10 +83,10 @@ def _prism(outline: Float[np.ndarray, "N 2"], bottom: float, top: float) -> tupl
 
 def _bottom(one: StaticBody, place: Intersection, level: float) -> float:
     """Where a body begins [m]; below the ground if it stands on it."""
-    return level + one.base if one.base > 0 else _foot(one.outline, place)
+    return level + one.base if one.base > 0 else foot_of(one.outline, place)
 
 
-def _foot(outline: Float[np.ndarray, "N 2"], place: Intersection) -> float:
+def foot_of(outline: Float[np.ndarray, "N 2"], place: Intersection) -> float:
     """Below the lowest ground at the corners of what stands on it [m]."""
     return float(place.ground(outline).min()) - FOUNDATION
 
@@ -99,7 +99,7 @@ def _solid(
     level: float,
     rng: Generator,
 ) -> Iterator[Part]:
-    sides, lid, floor = _prism(one.outline, _bottom(one, place, level), level + one.height)
+    sides, lid, floor = prism(one.outline, _bottom(one, place, level), level + one.height)
     yield Part(_thinned(sides, one, rng), side)
     yield Part(_thinned(lid, one, rng), top)
     if one.base > 0:
@@ -110,7 +110,7 @@ def _solid(
 def _trunk(one: StaticBody, place: Intersection, level: float) -> Iterator[Part]:
     if one.trunk > 0:
         outline = octagon(one.middle, one.trunk)
-        sides, lid, _ = _prism(outline, _foot(outline, place), level + one.base)
+        sides, lid, _ = prism(outline, foot_of(outline, place), level + one.base)
         yield Part(np.concatenate([sides, lid]), Material.TRUNK)
 
 

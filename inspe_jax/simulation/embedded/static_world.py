@@ -26,10 +26,13 @@ from inspe_jax.scene.street import HEADROOM, OVER_LANES
 from inspe_jax.scene.terrain import MARGIN, lattice_faces
 from inspe_jax.simulation.embedded.embree import F33, R3, Caster
 from inspe_jax.simulation.embedded.static_bodies import (
+    FOUNDATION,
     Material,
     Part,
     body_parts,
     flat_triangles,
+    foot_of,
+    prism,
     walls,
 )
 from inspe_jax.simulation.embedded.surface import GRASS, Surface, lay_surface, noise
@@ -38,8 +41,6 @@ SRGB = 2.2
 """Exponent of sRGB's curve, nearly."""
 HORIZON = 400.0
 """The ground reaches this far from the centre [m]."""
-MAPPED = MARGIN
-"""The ground follows the map to this distance beyond the radius [m]; further out it is coarse."""
 KERB_SIZE = (0.15, 0.12)
 """Width and height of a kerb [m]."""
 POLE_RADIUS = 0.08
@@ -187,7 +188,8 @@ def _all_but_masts(
             taken = unary_union([taken, own.buffer(CLEAR)])
         built = list[Polygon]()
         for k, corners in enumerate(_plots(intersection, taken, radius, rng)):
-            sides, roof = _house(corners, intersection, float(rng.uniform(6, 18)))
+            base, height = foot_of(corners, intersection), float(rng.uniform(6, 18))
+            sides, roof, _ = prism(corners, base, base + FOUNDATION + height)
             parts += [Part(sides, Material.BUILDING, body=k), Part(roof, Material.ROOF, body=k)]
             built.append(Polygon(corners).buffer(1.0))
         taken = unary_union([taken, *built])
@@ -200,7 +202,7 @@ def _all_but_masts(
     for k, one in enumerate(bodies):
         if mesh is None or one.kind != "solid":
             parts += [part._replace(body=k) for part in body_parts(one, intersection)]
-    surface = lay_surface(intersection, radius + MAPPED)
+    surface = lay_surface(intersection, radius + MARGIN)
     return tuple(parts), _poles(intersection, radius, own), surface
 
 
@@ -211,7 +213,7 @@ def _poles(
     feet = np.asarray(intersection.poles, float)
     away = np.hypot(*(feet - np.asarray(intersection.center, float))[:, :2].T)
     beside = shapely.dwithin(shapely.points(feet[:, :2]), own, 0.5)
-    feet = feet[(away <= radius + MAPPED) & ~beside]
+    feet = feet[(away <= radius + MARGIN) & ~beside]
     return np.column_stack([feet, np.full(len(feet), POLE_HEIGHT)])
 
 
@@ -241,7 +243,7 @@ def _ground(intersection: Intersection, radius: float) -> F33:
     if np.ptp(heights) < 1e-6:
         lines = np.array([-HORIZON, HORIZON])
     else:
-        near = np.arange(-np.ceil(radius + MAPPED), np.ceil(radius + MAPPED) + 1)
+        near = np.arange(-np.ceil(radius + MARGIN), np.ceil(radius + MARGIN) + 1)
         far = np.linspace(near[-1], HORIZON, 20)[1:]
         lines = np.concatenate([-far[::-1], near, far])
     x, y = np.meshgrid(center[0] + lines, center[1] + lines, indexing="ij")
@@ -303,14 +305,6 @@ def _plots(
                 built.append(shape)
                 yield corners
                 break
-
-
-def _house(corners: np.ndarray, place: Intersection, height: float) -> tuple[F33, F33]:
-    """Walls and a flat roof; the walls begin below the lowest ground at the corners."""
-    base = place.ground(corners).min() - 0.5
-    low = np.column_stack([corners, np.full(4, base)])
-    high = low + [0.0, 0.0, height + 0.5]
-    return walls(low, high), np.array([high[[0, 1, 2]], high[[0, 2, 3]]])
 
 
 def _trees(

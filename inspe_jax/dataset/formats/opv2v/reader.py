@@ -18,7 +18,7 @@ from inspe_jax.dataset.formats.opv2v.writer import KMH, NO_LIDAR, OBSERVED, SECT
 from inspe_jax.dataset.formats.pcd import read_notes, read_pcd
 from inspe_jax.dataset.formats.pictures import SUFFIXES, read_picture
 from inspe_jax.dataset.formats.protocol_file import as_mapping
-from inspe_jax.simulation.frame import Frame, Image, RoadUserBox, Scan, Station
+from inspe_jax.simulation.frame import Boxes, Frame, Image, RoadUserBox, Scan, Station
 from inspe_jax.simulation.recorder import LAYERS
 
 TICK = 0.05
@@ -141,7 +141,7 @@ def _numbers(
     return array.astype(float)
 
 
-def _boxes(contents: list[dict[str, Any]], files: list[Path]) -> tuple[RoadUserBox, ...]:
+def _boxes(contents: list[dict[str, Any]], files: list[Path]) -> Boxes:
     """The boxes that all agents list, each track once. The sections of one kind come before
     ``vehicles``, which does not say the kind."""
     found: dict[int, RoadUserBox] = {}
@@ -186,7 +186,7 @@ def _station(
     name: str,
     content: dict[str, Any],
     path: Path,
-    boxes: Sequence[RoadUserBox],
+    boxes: Boxes,
     suffixes: Sequence[str],
 ) -> Station:
     lidars = _numbered(content, "lidar_pose")
@@ -206,9 +206,7 @@ Counts = Mapping[str, Float[np.ndarray, "K B"]]
 """Of K sensors and B road users, by the field of a scan or an image."""
 
 
-def _observed(
-    content: Mapping[str, Any], agent: int, records: str, boxes: Sequence[RoadUserBox]
-) -> Counts:
+def _observed(content: Mapping[str, Any], agent: int, records: str, boxes: Boxes) -> Counts:
     """What an agent's scans or images recorded of each road user, as far as the file says it. A
     section ``observed`` of another shape is another one's, and is left out."""
     observed = content.get("observed")

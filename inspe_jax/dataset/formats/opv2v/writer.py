@@ -19,7 +19,7 @@ from inspe_jax.dataset.formats.other_readers import DEFAULT_OPTIONS, FileOptions
 from inspe_jax.dataset.formats.pcd import write_pcd
 from inspe_jax.dataset.formats.pictures import SUFFIXES, write_picture
 from inspe_jax.dataset.formats.protocol_file import dump_yaml, make_folder
-from inspe_jax.simulation.frame import Frame, Image, RoadUserBox, Scan, Station, check_frame
+from inspe_jax.simulation.frame import Boxes, Frame, Image, RoadUserBox, Scan, Station, check_frame
 from inspe_jax.simulation.recorder import LAYERS
 
 SECTIONS: dict[str, str] = {
@@ -141,9 +141,7 @@ def _camera(image: Image, lidar: list[float]) -> dict[str, Any]:
     }
 
 
-def _sections(
-    boxes: Sequence[RoadUserBox], stations: Sequence[Station]
-) -> dict[str, dict[int, Any]]:
+def _sections(boxes: Boxes, stations: Sequence[Station]) -> dict[str, dict[int, Any]]:
     order = sorted(range(len(boxes)), key=lambda k: boxes[k].track)
     ordered = [boxes[k] for k in order]
     entries = {int(box.track): _entry(box) for box in ordered}

@@ -62,17 +62,14 @@ class SensorControls:
             self.row_buttons = gui.add_button_group("Select", ("1",))
             self.toggle_buttons = gui.add_button_group("Select together", ("1",))
 
-        def typed(key: str, _: Any) -> None:
-            view.type_number(key, self.pose[key].value)
-
         changes = partial(bind, settle=viewer.settle)
         existing = {"Duplicate": view.duplicate, "Remove": view.remove}
         bind(self.sensor, lambda _: view.select(self.sensor.options.index(self.sensor.value)))
         bind(self.row_buttons, lambda _: view.select(int(self.row_buttons.value) - 1))
-        bind(self.toggle_buttons, lambda _: view.toggle(int(self.toggle_buttons.value) - 1))
+        bind(self.toggle_buttons, lambda _: view.select(int(self.toggle_buttons.value) - 1, True))
         bind(self.name, lambda _: view.rename(self.name.value))
         for key, number in self.pose.items():
-            bind(number, partial(typed, key))
+            bind(number, lambda _, key=key: view.type_number(key, self.pose[key].value))
         changes(self.device, lambda _: view.swap(self._devices[self.device.value]))
         changes(self.existing, lambda _: existing[self.existing.value]())
         changes(self.add, lambda _: view.add(self._devices[self.new.value]))

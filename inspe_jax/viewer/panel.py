@@ -154,11 +154,7 @@ class Panel:
             )
             for number, at in enumerate(earlier):
                 self.offers.append(self._gui.add_button(f"Open {at.name}"))
-
-                def ask(_: Any, number: int = number) -> None:
-                    self._viewer.open_earlier(number)
-
-                self._changes(self.offers[-1], ask)
+                self._changes(self.offers[-1], lambda _, k=number: self._viewer.open_earlier(k))
             leave = self._gui.add_button("Leave them", color="gray")
             self._changes(leave, lambda _: setattr(self.earlier, "visible", False))
 
@@ -175,7 +171,7 @@ class Panel:
             def answer(_: Any) -> None:
                 question.close()
                 if at is not None:
-                    self._viewer.save_in(at)
+                    self._viewer.save(at)
 
             self._changes(self._gui.add_button(words, color=color), answer)
 

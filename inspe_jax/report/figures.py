@@ -256,15 +256,9 @@ def _disc(scene: Scene) -> BaseGeometry:
 
 def _patch(shape: BaseGeometry, **look: Any) -> PathPatch:
     """The polygons of a shape with their holes; points and lines that a clip left are dropped."""
-    rings = [
-        Outline(ring.coords, closed=True)
-        for part in shapely.get_parts(shape)
-        if part.geom_type == "Polygon"
-        for polygon in [shapely.geometry.polygon.orient(part)]
-        for ring in (polygon.exterior, *polygon.interiors)
-    ]
-    empty = Outline(np.zeros((0, 2)))
-    return PathPatch(Outline.make_compound_path(*rings) if rings else empty, **look)
+    rings = shapely.get_rings(shapely.get_parts(shapely.orient_polygons(shape)))
+    outlines = [Outline(shapely.get_coordinates(ring), closed=True) for ring in rings]
+    return PathPatch(Outline.make_compound_path(*outlines), **look)
 
 
 def reach_of(scene: Scene, *layouts: Layout) -> float:

@@ -81,12 +81,7 @@ class Scene3D:
         place, center = self.scene.intersection, self.shift[:2]
         radius = self.scene.voxels.radius
         within = place.mounting.intersection(shapely.Point(center).buffer(radius))
-        rings = [
-            shapely.segmentize(ring, 2.0)
-            for part in shapely.get_parts(within)
-            if part.geom_type == "Polygon"
-            for ring in (part.exterior, *part.interiors)
-        ]
+        rings = shapely.segmentize(shapely.get_rings(shapely.get_parts(within)), 2.0)
         lines = [segments(self._on_ground(shapely.get_coordinates(ring))) for ring in rings]
         at = self.scene.poles
         if len(at):

@@ -13,13 +13,6 @@ from inspe_jax.mounting.mixes import starting_layout
 from inspe_jax.placement import optimise as search
 from inspe_jax.placement.result import FILES, STATUSES, Result, save_comparison, save_result
 from inspe_jax.placement.studies import pareto as studies
-from inspe_jax.placement.studies.pareto import (
-    cheapest,
-    check_target,
-    device_mixes,
-    layout_file,
-    save_pareto,
-)
 from inspe_jax.scene.scene import Scene, load_scene
 from inspe_jax.scoring.metrics import METRICS
 from inspe_jax.sensing import catalogue
@@ -203,8 +196,8 @@ def pareto(
 
     objective, constraints = options.checked(budget=budget)
     wanted = device_counts(options.device)
-    mixes = [row for _, row in device_mixes(wanted, objective)]
-    names = ("pareto.csv", "pareto.png", *map(layout_file, mixes))
+    mixes = [row for _, row in studies.device_mixes(wanted, objective)]
+    names = ("pareto.csv", "pareto.png", *map(studies.layout_file, mixes))
     claims.folder(folder, names, force=force)
     with common.busy(f"reading {source}"):
         cases = options.cases(load_scene(source, options.profile))
@@ -217,7 +210,7 @@ def pareto(
             **options.of_mixes(callback),
         )
     common.out.print(pareto_table(found))
-    folder = claims.keep(partial(save_pareto, found), folder)
+    folder = claims.keep(partial(studies.save_pareto, found), folder)
     common.note(*(f"{mix.name}: {words}" for mix in found for words in mix.result.notes))
     if len(found) < len(mixes):
         common.note(f"stopped after {len(found)} of {len(mixes)} mixes")
@@ -244,20 +237,20 @@ def _find_cheapest(
     """`inspe optimise --target`: the cheapest mix of devices that reaches a score."""
     from inspe_jax.report.tables import cheapest_table
 
-    check_target(target)
+    studies.check_target(target)
     if not options.weight:
         options = replace(options, weight=["detectability=1"])
     objective, constraints = options.checked()
     given = device_counts(options.device) if options.device else None
     if given:
-        device_mixes(given, objective)
+        studies.device_mixes(given, objective)
     with common.busy(f"reading {source}"):
         world, placed = common.scene_and_layout(source, sensors, options.profile)
         cases = options.cases(world)
     names = [sensor.spec.name for sensor in placed.sensors]
     of_layout = {name: range(names.count(name) + 1) for name in sorted({*names})}
     with common.search_bar("searching") as callback:
-        found = cheapest(
+        found = studies.cheapest(
             cases,
             given or of_layout,
             target,

@@ -64,7 +64,6 @@ class Scene3D:
         self.drawn: dict[str, Any] = {}
         self._looks: dict[int, tuple[Spec, str]] = {}  # of the sensors that are drawn
         self._at: dict[int, Float[np.ndarray, 6]] = {}  # their poses
-        self._units = 0  # number of units that have a label
         api.set_up_direction("+z")
         api.configure_environment_map(None)
         api.configure_fog(1e6, 1e7, enabled=False)
@@ -106,7 +105,7 @@ class Scene3D:
         """
         free, wanted = free_of_bodies(self.scene), set(shown)
         kinds = np.where(free, np.asarray(sight).reshape(free.shape), -1)
-        self._forget_all("voxels/")
+        self._forget("voxels/")
         if Visibility.HIDDEN in wanted and (kinds == Visibility.HIDDEN).any():
             self._draw_hidden(kinds == Visibility.HIDDEN)
         for kind in wanted.intersection(TINTS):
@@ -145,7 +144,7 @@ class Scene3D:
         ]
         for k, look in list(self._looks.items()):
             if k >= len(looks) or look != looks[k]:
-                self._forget_all(f"sensors/{k + 1}/")
+                self._forget(f"sensors/{k + 1}/")
                 del self._looks[k], self._at[k]
         poses = np.asarray(layout.poses, float)
         for k, (spec, color) in enumerate(looks):
@@ -203,22 +202,16 @@ class Scene3D:
             word = "  ".join(f"{k + 1} !" if k in wrong else str(k + 1) for k in members)
             at = poses[list(members), :3]
             at = np.append(at[:, :2].mean(0), at[:, 2].max() + ABOVE) - self.shift
-            label = self.drawn.get(f"numbers/{u + 1}")
-            if label is None:
-                label = self.api.add_label(f"numbers/{u + 1}", word, anchor="bottom-center")
-                self.drawn[f"numbers/{u + 1}"] = label
-            label.text, label.position = word, at
-        for u in range(len(units), self._units):
-            self._forget(f"numbers/{u + 1}")
-        self._units = len(units)
+            name = f"numbers/{u + 1}"
+            if name not in self.drawn:
+                self.drawn[name] = self.api.add_label(name, word, anchor="bottom-center")
+            self.drawn[name].text, self.drawn[name].position = word, at
+        self._forget("numbers/", len(units))
 
-    def _forget(self, name: str) -> None:
-        if name in self.drawn:
+    def _forget(self, prefix: str, kept: int = 0) -> None:
+        """Remove what is drawn under names that begin like this, except the first so many."""
+        for name in [name for name in self.drawn if name.startswith(prefix)][kept:]:
             self.drawn.pop(name).remove()
-
-    def _forget_all(self, prefix: str) -> None:
-        for name in [name for name in self.drawn if name.startswith(prefix)]:
-            self._forget(name)
 
     @cached_property
     def _corners(self) -> tuple[Float[np.ndarray, "C 3"], Int[np.ndarray, "L 4"]]:

@@ -19,6 +19,7 @@ from inspe_jax.placement.studies.pareto import device_mixes
 from inspe_jax.scene.georeference import Georeference
 from inspe_jax.scene.maps.registry import open_map, read_map
 from inspe_jax.sensing.layout import load_layout
+from inspe_jax.sensing.layout_geojson import DIGITS, point_feature
 from inspe_jax.study.plan import SCORE_ONLY, Study, load_study
 from inspe_jax.study.sweep import Row
 from inspe_jax.study.sweep import sweep as run
@@ -209,9 +210,9 @@ def _geojson(
 
     layouts, points = {}, []
     for front, option in zip(found.fronts, found.chosen, strict=True):
-        lon, lat = georeference.to_degrees(np.array(front.junction.center[:2])[None])[0].tolist()
+        at = georeference.to_degrees(np.array(front.junction.center[:2])[None])[0].round(DIGITS)
         about = dict(mix=option.mix, cost_usd=option.cost, score=option.score)
-        points.append(dict(junction=front.name, longitude=lon, latitude=lat, **about))
+        points.append(point_feature(at.tolist(), feature="junction", junction=front.name, **about))
         if option.key:
             place = read_map(source, junction=front.junction.id, radius=radius)
             layouts[front.name] = load_layout(folder / option.layout), place

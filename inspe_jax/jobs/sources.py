@@ -261,14 +261,6 @@ def scene_of(source: SceneSource, settings: dict[str, Any]) -> Scene:
     return build_scene(read_map(path, **at, radius=settings["radius"]), **settings)
 
 
-def scene_or_message(source: SceneSource, settings: dict[str, Any]) -> Scene | str:
-    """The scene of a source; or the message of the error, if it cannot be built."""
-    try:
-        return scene_of(source, settings)
-    except Exception as e:
-        return message_of(e)
-
-
 def place_layout(source: LayoutSource, scene: Scene) -> Layout:
     """The layout of a source on a scene. A mix stands as :func:`starting_layout` places it."""
     if source.mix:

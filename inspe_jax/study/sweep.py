@@ -6,7 +6,7 @@ which is dropped when the run is resumed. Jobs that failed are then run again.
 """
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from inspe_jax.core.errors import InspeError, wrong_kind
@@ -137,16 +137,6 @@ class Results:
             raise InspeError(f"{self.path}: its columns are not those of this study; {ADVICE}")
         whole = content[: content.rfind(b"\n") + 1]
         rows = parse_csv(whole, str(self.path))
-        self._check(rows)
-        if len(whole) < len(content):
-            write_text(self.path, whole.decode("utf-8"))
-        found = {row["key"]: row for row in rows if row["status"] == "done"}
-        for job in self.study.jobs:  # tags may have been changed since
-            if job.key in found:
-                found[job.key] |= tag_columns(job)
-        return found
-
-    def _check(self, rows: Sequence[Row]) -> None:
         known = {job.key for job in self.study.jobs}
         strange = [row for row in rows if row["key"] not in known]
         if strange:
@@ -156,6 +146,13 @@ class Results:
             )
         for row in rows:
             check_versions(row, versions(), self.path)
+        if len(whole) < len(content):
+            write_text(self.path, whole.decode("utf-8"))
+        found = {row["key"]: row for row in rows if row["status"] == "done"}
+        for job in self.study.jobs:  # tags may have been changed since
+            if job.key in found:
+                found[job.key] |= tag_columns(job)
+        return found
 
 
 # ── What a worker runs, and its row of the results ──────────────────────────

@@ -40,7 +40,7 @@ from typing import Annotated, Any
 from pydantic import Field
 
 from inspe_jax.core.digest import digest
-from inspe_jax.core.errors import InspeError, check_known
+from inspe_jax.core.errors import check_known, located
 from inspe_jax.core.files import check_model
 from inspe_jax.jobs import sources
 from inspe_jax.jobs.settings import (
@@ -183,12 +183,14 @@ def make_study(
     whole = {key: getattr(entry.settings, key) for key in SETTINGS}
     check_settings(whole, f"{where}: settings", _CHECKS)
     weights = [metrics.weights_of(given) for given in entry.settings.weights]
-    try:
+    with located(f"{where}: metrics"):
         most = {name: max(row[name] for row in weights) for name in metrics.METRICS if weights}
         found = metrics.chosen(entry.metrics, most)
-    except InspeError as e:
-        raise InspeError(f"{where}: metrics: {e}") from None
-    curves = _curves(entry.detection, folder, where)
+    curves = None
+    if entry.detection is not None:
+        with located(f"{where}: detection"):
+            own = load_detection(folder / entry.detection)
+        curves = None if own == detection_curves() else own
     layouts = sources.layout_sources(entry, folder, where)
     jobs: dict[str, StudyJob] = {}
     scenes = sources.each_scene(entry.scenes, BUILD_SETTINGS, whole, folder, where)
@@ -203,16 +205,6 @@ def make_study(
                 job = StudyJob(source, layout, settings, dict(item.tags), found, curves)
                 jobs.setdefault(job.key, job)
     return Study(entry.name or name, tuple(jobs.values()))
-
-
-def _curves(given: str | None, folder: Path, where: str) -> DetectionCurves | None:
-    if given is None:
-        return None
-    try:
-        curves = load_detection(folder / given)
-    except InspeError as e:
-        raise InspeError(f"{where}: detection: {e}") from None
-    return None if curves == detection_curves() else curves
 
 
 def _defaults(profile: str, sized: bool) -> dict[str, list[Any]]:

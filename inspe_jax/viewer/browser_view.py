@@ -46,7 +46,7 @@ class BrowserView:
         self.dragging: Gripped | None = None
         self._layout: Layout = viewer.layout  # that the places are of
         self._typing = {key: DelayedAction() for key in (*POSE, "name")}
-        self.controls = SensorControls(client.gui, viewer, self, viewer.panel.sensor_orders)
+        self.controls = SensorControls(client.gui, viewer, self)
         self.selection3d = Selection3D(client.scene, viewer.scene3d.shift, self.on_drag)
         folder, failed = self.controls.sensor_view, viewer.queue.failed
         self.sensor_view = SensorView(client.gui, folder, viewer.case, failed, self._show_points)

@@ -131,13 +131,6 @@ class Panel:
         self._changes(self.download, viewer.download)
         self._changes(self.report, viewer.write_report)
 
-    @property
-    def sensor_orders(self) -> tuple[float, float, float, float]:
-        """Where in the panel the four folders of a browser's sensors stand. What is said of the
-        last change is below the first two, whose buttons then stay where they are."""
-        after = float(self.target.order)
-        return after + 0.1, after + 0.2, after + 0.4, after + 0.5
-
     def offer_earlier(self, earlier: Sequence[Path]) -> None:
         """Offer to open layouts that an earlier run has left."""
         if not earlier:

@@ -28,21 +28,21 @@ class SensorControls:
     """Every control by name. When a person uses one, a method of ``view`` is called. A value that
     the program itself sets calls nothing."""
 
-    def __init__(
-        self, gui: viser.GuiApi, viewer: Any, view: Any, orders: tuple[float, float, float, float]
-    ) -> None:
-        """``viewer`` applies what is typed, ``view`` has the methods that are bound below.
-        ``orders`` are the places in the panel of the four folders."""
+    def __init__(self, gui: viser.GuiApi, viewer: Any, view: Any) -> None:
+        """``viewer`` applies what is typed, ``view`` has the methods that are bound below."""
+        # Of four folders, the notes on the last change are below the first two, whose buttons then
+        # stay where they are.
+        after = float(viewer.panel.target.order)
         known = sorted((one.spec for one in devices().values()), key=lambda spec: spec.title)
         self._devices = {label_of(spec): spec.name for spec in known}
-        with gui.add_folder("New sensor", order=orders[0]):
+        with gui.add_folder("New sensor", order=after + 0.1):
             self.new = gui.add_dropdown(
                 "New device", list(self._devices), hint="The device that Add mounts"
             )
             self.add = gui.add_button(
                 "Add", hint="Mount a new sensor as near as possible to the point you look at"
             )
-        with gui.add_folder("Sensor", order=orders[1]):
+        with gui.add_folder("Sensor", order=after + 0.2):
             self.sensor = gui.add_dropdown("Sensor", ("1",))
             self.name = gui.add_text("Name", "")
             self.device = gui.add_dropdown("Device", list(self._devices))
@@ -55,8 +55,8 @@ class SensorControls:
                 ("Duplicate", "Remove"),
                 hint="Copy the sensor that has the handle; remove all that are selected",
             )
-        self.sensor_view = gui.add_folder("Through the sensor", order=orders[2])
-        with gui.add_folder("All sensors", order=orders[3]):
+        self.sensor_view = gui.add_folder("Through the sensor", order=after + 0.4)
+        with gui.add_folder("All sensors", order=after + 0.5):
             self.table = gui.add_html("")
             # What a click on a row of the table presses; the page shows only the table.
             self.row_buttons = gui.add_button_group("Select", ("1",))

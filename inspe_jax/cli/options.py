@@ -407,9 +407,7 @@ def device_counts(given: list[str] | None) -> dict[str, list[int]]:
         name, _, several = text.rpartition(":")
         try:
             low, to, high = several.partition("-")
-            numbers = (
-                list(range(int(low), int(high) + 1)) if to else [int(n) for n in low.split(",")]
-            )
+            numbers = [*range(int(low), int(high) + 1)] if to else [*map(int, low.split(","))]
         except ValueError:
             numbers = []
         if not name or not numbers:

@@ -59,6 +59,8 @@ def optimise(
         checkpoint (FILE.npz): Save the state of the search every 10 s; resume from the file if
             it exists.
     """
+    from inspe_jax.report.tables import before_after_table, moves_table
+
     claims.folder(folder, (*FILES, PICTURE), force=force)
     check_output(checkpoint, (".npz",))
     if target is not None:
@@ -93,7 +95,14 @@ def optimise(
             progress=lambda done, best: callback(done, best, ""),
             checkpoint=checkpoint,
         )
-    _show(result)
+    common.out.print(before_after_table(result))
+    common.out.print(moves_table(result.start, result.layout))
+    common.out.print(
+        f"{result.method}, seed {result.seed}: {result.status} "
+        f"({STATUSES[result.status]}) after {result.seconds:.0f} s, "
+        f"{result.evaluations:.0f} exact scores' work"
+    )
+    common.note(*result.notes)
     folder, around = _save(world, result, folder), ""
     for key, value in result.scores.conditions.record.items():
         around += f" --{key} {value}" if value != FAIR.record[key] else ""
@@ -267,20 +276,6 @@ def _find_cheapest(
         words = f"none reaches {target:g}; the best is {best.name}"
     common.out.print(f"{words}; {len(found.searched)} of {found.total} mixes were searched")
     _save(world, best.result, folder)
-
-
-def _show(result: Result) -> None:
-    """Print the scores before and after a search, what moved, and its notes."""
-    from inspe_jax.report.tables import before_after_table, moves_table
-
-    common.out.print(before_after_table(result))
-    common.out.print(moves_table(result.start, result.layout))
-    common.out.print(
-        f"{result.method}, seed {result.seed}: {result.status} "
-        f"({STATUSES[result.status]}) after {result.seconds:.0f} s, "
-        f"{result.evaluations:.0f} exact scores' work"
-    )
-    common.note(*result.notes)
 
 
 def _save(world: Scene, result: Result, folder: Path) -> Path:

@@ -147,7 +147,8 @@ class Panel:
             )
             for number, at in enumerate(earlier):
                 self.offers.append(self._gui.add_button(f"Open {at.name}"))
-                self._changes(self.offers[-1], lambda _, k=number: self._viewer.open_earlier(k))
+                ask = partial(lambda k, _: self._viewer.open_earlier(k), number)
+                self._changes(self.offers[-1], ask)
             leave = self._gui.add_button("Leave them", color="gray")
             self._changes(leave, lambda _: setattr(self.earlier, "visible", False))
 

@@ -149,8 +149,8 @@ class Scene3D:
         poses = np.asarray(layout.poses, float)
         for k, (spec, color) in enumerate(looks):
             if k not in self._looks:
-                new[k] = self._draw_sensor(k, spec, color)
-                self._looks[k] = (spec, color)
+                self._draw_sensor(k, spec, color)
+                new[k], self._looks[k] = self.drawn[f"sensors/{k + 1}/device"], (spec, color)
             if k not in self._at or (self._at[k] != poses[k]).any():
                 self._move_sensor(k, spec, poses[k])
                 self._at[k] = poses[k].copy()
@@ -162,11 +162,10 @@ class Scene3D:
         scene's centre [m], and its colour."""
         return self.drawn[f"sensors/{k + 1}/view"].points, self._looks[k][1]
 
-    def _draw_sensor(self, k: int, spec: Spec, color: str) -> Any:
-        name = f"sensors/{k + 1}"
-        body: Any
+    def _draw_sensor(self, k: int, spec: Spec, color: str) -> None:
+        name, body = f"sensors/{k + 1}", f"sensors/{k + 1}/device"
         if isinstance(spec, CameraSpec):
-            body = self.api.add_box(f"{name}/device", rgb(color), dimensions=(0.7, 0.5, 0.5))
+            self.drawn[body] = self.api.add_box(body, rgb(color), dimensions=(0.7, 0.5, 0.5))
             self.drawn[f"{name}/frustum"] = self.api.add_camera_frustum(
                 f"{name}/frustum",
                 fov=2 * np.arctan(spec.height / 2 / spec.focal),
@@ -176,12 +175,10 @@ class Scene3D:
                 color=rgb(color),
             )
         else:
-            body = self.api.add_cylinder(f"{name}/device", 0.35, 0.6, color=rgb(color))
-        self.drawn[f"{name}/device"] = body
+            self.drawn[body] = self.api.add_cylinder(body, 0.35, 0.6, color=rgb(color))
         nowhere = np.zeros((1, 2, 3))
         self._lines(f"{name}/pole", nowhere, "#404040", 0.08)
         self._lines(f"{name}/view", nowhere, color, THIN)
-        return body
 
     def _move_sensor(self, k: int, spec: Spec, pose: Float[np.ndarray, "6"]) -> None:
         name, at, turn = f"sensors/{k + 1}", pose[:3] - self.shift, rotation(pose[3:], np)

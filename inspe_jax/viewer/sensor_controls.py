@@ -69,7 +69,7 @@ class SensorControls:
         bind(self.toggle_buttons, lambda _: view.select(int(self.toggle_buttons.value) - 1, True))
         bind(self.name, lambda _: view.rename(self.name.value))
         for key, number in self.pose.items():
-            bind(number, lambda _, key=key: view.type_number(key, self.pose[key].value))
+            bind(number, partial(lambda key, _: view.type_number(key, self.pose[key].value), key))
         changes(self.device, lambda _: view.swap(self._devices[self.device.value]))
         changes(self.existing, lambda _: existing[self.existing.value]())
         changes(self.add, lambda _: view.add(self._devices[self.new.value]))

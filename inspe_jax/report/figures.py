@@ -54,8 +54,6 @@ REGION_COLORS: dict[Region, str] = dict(
     zip(Region, ("#dcdcdc", "#f5eb86", "#e9a83a", "#74c4ab", "#b4dcf4"), strict=True)
 )
 """Tints of Okabe and Ito's black, yellow, orange, bluish green and sky blue, by region."""
-
-
 SENSOR_COLORS: defaultdict[str, str] = defaultdict(
     lambda: "#2f5d50", {"camera": "#c04a00", "lidar": "#8a2f74"}
 )
@@ -91,8 +89,7 @@ def scene_view(scene: Scene, *, frame: int = 0) -> Figure:
         draw_routes(ax, scene)
         draw_bodies(ax, scene)
         draw_users(ax, scene, frame, [dict(fc=c, ec="black", lw=0.3) for c in CLASS_COLORS])
-        near = scene.poles
-        ax.plot(*near.T[:2], **_POLE, zorder=6)
+        ax.plot(*scene.poles.T[:2], **_POLE, zorder=6)
         panel.legend(handles=_scene_keys(scene), loc="upper left", **KEYS)
     return fig
 
@@ -230,8 +227,7 @@ def _scene_keys(scene: Scene) -> list[Any]:
 def plan_keys(scene: Scene, layout: Layout) -> list[Any]:
     """Legend entries of a plan view, with the reach of each kind of sensor."""
     keys: list[Any] = []
-    kinds = {sensor.spec.kind for sensor in layout.sensors}
-    for kind in sorted(kinds):
+    for kind in sorted({sensor.spec.kind for sensor in layout.sensors}):
         specs = [sensor.spec for sensor in layout.sensors if sensor.spec.kind == kind]
         far = ", ".join(f"{reach:g}" for reach in sorted({s.grid.reach for s in specs}))
         words = f"{specs[0].title}, {'view to' if specs[0].aimed else 'reach'} {far} m"

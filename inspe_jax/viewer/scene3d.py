@@ -278,8 +278,7 @@ class Scene3D:
         opacity: float | None = None,
     ) -> None:
         """Draw boxes at ``center`` (N, 3) with ``size`` (N, 3) [m] and ``yaw`` (N,) [rad]."""
-        zero = np.zeros(len(yaw))
-        turn = np.column_stack([np.cos(yaw / 2), zero, zero, np.sin(yaw / 2)])
+        turn = SO3.from_z_radians(yaw).wxyz
         self.drawn[name] = self.api.add_batched_meshes_simple(
             name, _BOX.astype(np.float32), _FACES.astype(np.uint32), turn.astype(np.float32),
             center.astype(np.float32), batched_scales=size.astype(np.float32),

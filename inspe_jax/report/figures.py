@@ -272,16 +272,18 @@ def draw_plan(
     frame: int | None = 0,
     *,
     side: float = MAP,
-    numbers: Sequence[int] | None = None,
+    own: Sequence[int] | None = None,
 ) -> AxesImage:
     """Draw a map of ``reach`` [m] and ``side`` [inch]: a layer, and over it a frame's road users if
     one is given, what each sensor looks at, and its number.
 
-    ``numbers`` are 1, 2, … unless given. Raises InspeError if the layer is of another scene.
+    ``own`` are the places in the layout of the sensors that are drawn, all if None. Raises
+    InspeError if the layer is of another scene.
     """
     raster, extent = layer_raster(scene.voxels, layer)
     frame_map(ax, scene.voxels.center, scene.voxels.radius, reach)
-    poses = np.asarray(layout.poses, float)
+    own = range(len(layout)) if own is None else own
+    specs, poses = [layout.sensors[s].spec for s in own], np.asarray(layout.poses, float)[[*own]]
     colors: Any = layer.colors
     if layer.kinds:
         colors = ListedColormap([color for _, color in layer.kinds])
@@ -294,10 +296,10 @@ def draw_plan(
     draw_bodies(ax, scene)
     if frame is not None:
         draw_users(ax, scene, frame, [USER] * len(CLASSES))
-    for sensor, pose in zip(layout.sensors, poses, strict=True):
-        for ring in clear_outlines(scene, sensor.spec, pose):
-            ax.plot(*ring.T, **wedge_look(sensor.spec), zorder=5)
-    _draw_badges(ax, layout, poses, side, numbers or range(1, len(poses) + 1))
+    for spec, pose in zip(specs, poses, strict=True):
+        for ring in clear_outlines(scene, spec, pose):
+            ax.plot(*ring.T, **wedge_look(spec), zorder=5)
+    _draw_badges(ax, specs, poses, side, [s + 1 for s in own])
     return image
 
 
@@ -340,21 +342,21 @@ def _badge(ax: Axes, at: Sequence[float] | np.ndarray, number: int, kind: str) -
 
 
 def _draw_badges(
-    ax: Axes, layout: Layout, poses: np.ndarray, side: float, numbers: Sequence[int]
+    ax: Axes, specs: Sequence[Spec], poses: np.ndarray, side: float, numbers: Sequence[int]
 ) -> None:
     """Draw a dot at each sensor and its number beside it; a camera's number is in front of it."""
     (left, right), (low, high) = ax.get_xlim(), ax.get_ylim()
     out = poses[:, :2] - [(left + right) / 2, (low + high) / 2]
     out /= np.maximum(np.hypot(*out.T), 1e-9)[:, None]
     ahead = np.column_stack([np.cos(poses[:, 5]), np.sin(poses[:, 5])])
-    camera = np.array([[sensor.spec.kind == "camera"] for sensor in layout.sensors])
+    camera = np.array([[spec.kind == "camera"] for spec in specs])
     gap = (_BADGE + 1.5) * (right - left) / (side * 72)
     places = spread_badges(poses[:, :2], np.where(camera, ahead, out), gap)
-    for k, (sensor, foot, place) in enumerate(zip(layout.sensors, poses, places, strict=True)):
-        kind, color = sensor.spec.kind, SENSOR_COLORS[sensor.spec.kind]
+    for spec, number, foot, place in zip(specs, numbers, poses, places, strict=True):
+        kind, color = spec.kind, SENSOR_COLORS[spec.kind]
         ax.plot([foot[0], place[0]], [foot[1], place[1]], color=color, lw=0.7, zorder=6)
         ax.plot(*foot[:2], _MARKERS[kind], ms=3.5, mfc=color, mec="white", mew=0.4, zorder=6)
-        _badge(ax, place, numbers[k], kind)
+        _badge(ax, place, number, kind)
 
 
 def _color_bar(fig: Figure, panel: Axes, image: Any, layer: MapLayer) -> float:

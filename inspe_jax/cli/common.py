@@ -20,11 +20,11 @@ from inspe_jax.cli.claims import claims
 from inspe_jax.cli.stopping import CTRL_C, attended, step, stopped
 from inspe_jax.core.compiling import compiled, keep_programs, leave
 from inspe_jax.core.errors import InspeError, missing_extra
-from inspe_jax.core.files import check_input, read_json, write_text
+from inspe_jax.core.files import read_json, write_text
 from inspe_jax.core.version import __version__
 from inspe_jax.core.words import visible
 from inspe_jax.scene.geojson import SUFFIX
-from inspe_jax.scene.scene import SCENE_SUFFIXES, Scene, check_scene_name, load_scene
+from inspe_jax.scene.scene import Scene, load_scene
 from inspe_jax.sensing.layout import Layout, load_layout
 from inspe_jax.sensing.named import layout_of, rule_of
 
@@ -180,13 +180,6 @@ def scene_and_layout(source: str, sensors: str, profile: str | None) -> tuple[Sc
     check_layout(sensors)
     world = load_scene(source, profile)
     return world, layout_on(world, sensors)
-
-
-def check_scene(source: str) -> None:
-    """Raise InspeError if there is no such built-in or file: before another scene is built."""
-    check_scene_name(source)
-    if Path(source).suffix in SCENE_SUFFIXES:
-        check_input(Path(source))
 
 
 def check_layout(sensors: str, *, unit_rule: bool = True) -> None:

@@ -115,10 +115,8 @@ def generate(
         f"{result.size / 1e6:.1f} MB{speed}"
     )
     common.out.print(f"wrote {result.folder}")
-    damaged = [fault for faults in result.repaired.values() for fault in faults]
-    common.note_some(
-        [f"{fault}: recorded again" for fault in damaged], FAILURES, "recorded again, too"
-    )
+    again = [f"{one}: recorded again" for faults in result.repaired.values() for one in faults]
+    common.note_some(again, FAILURES, "recorded again, too")
     _note_often(Counter(words for notes in result.notes.values() for words in notes))
     common.note(*[f"{name}: {error}" for name, error in result.failures.items()][:FAILURES])
     if result.failures:
@@ -193,8 +191,7 @@ def stats(
         found = statistics(recorded, tell)
     common.show(statistics_table(found), statistics_record(found), record)
     if row:
-        values = {key: "" if value is None else value for key, value in table_row(found).items()}
-        write_text(row, csv_text([values]))
+        write_text(row, csv_text([table_row(found)]))
         common.said(f"wrote {row}", record)
     common.draw(lambda: statistics_view(found), plot, record)
     if damaged:

@@ -24,15 +24,17 @@ from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
 import typer
 
-from inspe_jax.cli.common import app, check_scene
+from inspe_jax.cli.common import app
 from inspe_jax.core.errors import InspeError
+from inspe_jax.core.files import check_input
 from inspe_jax.mounting.mixes import mix_name
 from inspe_jax.placement.constraints import Constraints
 from inspe_jax.placement.objective import Objective
 from inspe_jax.placement.optimise import DEFAULT_METHOD, check_search
 from inspe_jax.placement.problem import Case, Problem
 from inspe_jax.placement.run import check_budget
-from inspe_jax.scene.scene import Scene, load_scene
+from inspe_jax.scene.procedural.built_ins import BUILT_INS
+from inspe_jax.scene.scene import Scene, check_scene_name, load_scene
 from inspe_jax.scoring.detection import DetectionCurves, detection_curves, load_detection
 from inspe_jax.scoring.metrics import names_of, weights_of
 from inspe_jax.sensing.conditions import Conditions
@@ -327,8 +329,10 @@ class SearchOptions(ScoreOptions):
         wanted = self.objective(over=over, failures=self.failures, **objective)
         constraints = Constraints(places=_places(self.places or []), heights=self.heights)
         constraints.check()
-        for other in self.also or ():
-            check_scene(other)
+        for other in self.also or ():  # before another scene is built
+            check_scene_name(other)
+            if other not in BUILT_INS:
+                check_input(Path(other))
         return wanted, constraints
 
 
@@ -403,9 +407,7 @@ def device_counts(given: list[str] | None) -> dict[str, list[int]]:
         name, _, several = text.rpartition(":")
         try:
             low, to, high = several.partition("-")
-            numbers = (
-                list(range(int(low), int(high) + 1)) if to else [int(n) for n in low.split(",")]
-            )
+            numbers = [*range(int(low), int(high) + 1)] if to else [*map(int, low.split(","))]
         except ValueError:
             numbers = []
         if not name or not numbers:

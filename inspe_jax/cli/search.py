@@ -13,13 +13,6 @@ from inspe_jax.mounting.mixes import starting_layout
 from inspe_jax.placement import optimise as search
 from inspe_jax.placement.result import FILES, STATUSES, Result, save_comparison, save_result
 from inspe_jax.placement.studies import pareto as studies
-from inspe_jax.placement.studies.pareto import (
-    cheapest,
-    check_target,
-    device_mixes,
-    layout_file,
-    save_pareto,
-)
 from inspe_jax.scene.scene import Scene, load_scene
 from inspe_jax.scoring.metrics import METRICS
 from inspe_jax.sensing import catalogue
@@ -66,6 +59,8 @@ def optimise(
         checkpoint (FILE.npz): Save the state of the search every 10 s; resume from the file if
             it exists.
     """
+    from inspe_jax.report.tables import before_after_table, moves_table
+
     claims.folder(folder, (*FILES, PICTURE), force=force)
     check_output(checkpoint, (".npz",))
     if target is not None:
@@ -100,7 +95,14 @@ def optimise(
             progress=lambda done, best: callback(done, best, ""),
             checkpoint=checkpoint,
         )
-    _show(result)
+    common.out.print(before_after_table(result))
+    common.out.print(moves_table(result.start, result.layout))
+    common.out.print(
+        f"{result.method}, seed {result.seed}: {result.status} "
+        f"({STATUSES[result.status]}) after {result.seconds:.0f} s, "
+        f"{result.evaluations:.0f} exact scores' work"
+    )
+    common.note(*result.notes)
     folder, around = _save(world, result, folder), ""
     for key, value in result.scores.conditions.record.items():
         around += f" --{key} {value}" if value != FAIR.record[key] else ""
@@ -203,8 +205,8 @@ def pareto(
 
     objective, constraints = options.checked(budget=budget)
     wanted = device_counts(options.device)
-    mixes = [row for _, row in device_mixes(wanted, objective)]
-    names = ("pareto.csv", "pareto.png", *map(layout_file, mixes))
+    mixes = [row for _, row in studies.device_mixes(wanted, objective)]
+    names = ("pareto.csv", "pareto.png", *map(studies.layout_file, mixes))
     claims.folder(folder, names, force=force)
     with common.busy(f"reading {source}"):
         cases = options.cases(load_scene(source, options.profile))
@@ -217,7 +219,7 @@ def pareto(
             **options.of_mixes(callback),
         )
     common.out.print(pareto_table(found))
-    folder = claims.keep(partial(save_pareto, found), folder)
+    folder = claims.keep(partial(studies.save_pareto, found), folder)
     common.note(*(f"{mix.name}: {words}" for mix in found for words in mix.result.notes))
     if len(found) < len(mixes):
         common.note(f"stopped after {len(found)} of {len(mixes)} mixes")
@@ -244,20 +246,20 @@ def _find_cheapest(
     """`inspe optimise --target`: the cheapest mix of devices that reaches a score."""
     from inspe_jax.report.tables import cheapest_table
 
-    check_target(target)
+    studies.check_target(target)
     if not options.weight:
         options = replace(options, weight=["detectability=1"])
     objective, constraints = options.checked()
     given = device_counts(options.device) if options.device else None
     if given:
-        device_mixes(given, objective)
+        studies.device_mixes(given, objective)
     with common.busy(f"reading {source}"):
         world, placed = common.scene_and_layout(source, sensors, options.profile)
         cases = options.cases(world)
     names = [sensor.spec.name for sensor in placed.sensors]
     of_layout = {name: range(names.count(name) + 1) for name in sorted({*names})}
     with common.search_bar("searching") as callback:
-        found = cheapest(
+        found = studies.cheapest(
             cases,
             given or of_layout,
             target,
@@ -274,20 +276,6 @@ def _find_cheapest(
         words = f"none reaches {target:g}; the best is {best.name}"
     common.out.print(f"{words}; {len(found.searched)} of {found.total} mixes were searched")
     _save(world, best.result, folder)
-
-
-def _show(result: Result) -> None:
-    """Print the scores before and after a search, what moved, and its notes."""
-    from inspe_jax.report.tables import before_after_table, moves_table
-
-    common.out.print(before_after_table(result))
-    common.out.print(moves_table(result.start, result.layout))
-    common.out.print(
-        f"{result.method}, seed {result.seed}: {result.status} "
-        f"({STATUSES[result.status]}) after {result.seconds:.0f} s, "
-        f"{result.evaluations:.0f} exact scores' work"
-    )
-    common.note(*result.notes)
 
 
 def _save(world: Scene, result: Result, folder: Path) -> Path:

@@ -14,10 +14,10 @@ from inspe_jax.cli.claims import claims
 from inspe_jax.cli.options import ScoreOptions, WeightOptions, command, prices
 from inspe_jax.core.files import check_output, write_text
 from inspe_jax.placement.problem import Case
-from inspe_jax.placement.result import Result, load_result
+from inspe_jax.placement.result import load_result
 from inspe_jax.placement.studies.tolerance import tolerance as installed
-from inspe_jax.scene.scene import Scene, load_scene
-from inspe_jax.sensing.layout import Layout, layout_text
+from inspe_jax.scene.scene import load_scene
+from inspe_jax.sensing.layout import layout_text
 from inspe_jax.visibility.queries import check_frame
 
 
@@ -68,7 +68,11 @@ def report(
     with common.busy(f"reading {source}"):
         world = objective.within(load_scene(source, options.profile))
         check_frame(world, frame)
-        placed = [_found_or_placed(world, given) for given in wanted]
+        found = [load_result(given) if Path(given).is_dir() else None for given in wanted]
+        placed = [
+            (one.layout if one else common.layout_on(world, given), one)
+            for given, one in zip(wanted, found, strict=True)
+        ]
     case = Case(world, conditions)
     check_names([layout.name for layout, _ in placed])
     entries = []
@@ -89,14 +93,6 @@ def report(
     for entry in entries:
         common.out.print(goal_words(entry.layout, entry.scores, entry.sought))
     common.out.print(f"wrote {path}, {path.stat().st_size / 1e6:.1f} MB")
-
-
-def _found_or_placed(world: Scene, given: str) -> tuple[Layout, Result | None]:
-    """A layout; and the search that found it, if ``given`` is the folder of a search."""
-    if Path(given).is_dir():
-        result = load_result(given)
-        return result.layout, result
-    return common.layout_on(world, given), None
 
 
 @command()

@@ -19,6 +19,7 @@ from inspe_jax.placement.studies.pareto import device_mixes
 from inspe_jax.scene.georeference import Georeference
 from inspe_jax.scene.maps.registry import open_map, read_map
 from inspe_jax.sensing.layout import load_layout
+from inspe_jax.sensing.layout_geojson import DIGITS, point_feature
 from inspe_jax.study.plan import SCORE_ONLY, Study, load_study
 from inspe_jax.study.sweep import Row
 from inspe_jax.study.sweep import sweep as run
@@ -107,15 +108,8 @@ def plan(
         seed: Seed of the traffic and of the searches.
     """
     from inspe_jax.core.sheet import save_figure
+    from inspe_jax.study import city
     from inspe_jax.study.budget import check_budget
-    from inspe_jax.study.city import (
-        check_importance,
-        choose_junctions,
-        city_study,
-        close_pairs,
-        fronts_of,
-        plan_city,
-    )
     from inspe_jax.study.city_report import city_view
 
     if not running.dry_run:
@@ -143,9 +137,9 @@ def plan(
     if options.detection is not None:
         more["detection"] = str(options.detection.resolve())
     with common.busy(f"reading {source}"):
-        places = choose_junctions(source, junctions)
-        check_importance(given, places)
-        study = city_study(
+        places = city.choose_junctions(source, junctions)
+        city.check_importance(given, places)
+        study = city.city_study(
             source,
             places,
             [row for _, row in mixes],
@@ -153,7 +147,7 @@ def plan(
             **more,
         )
     size = float(study.jobs[0].settings["radius"])
-    if pairs := close_pairs(places, 2 * size):
+    if pairs := city.close_pairs(places, 2 * size):
         common.note(
             f"{counted(pairs, 'pair')} of junctions are nearer to each other than twice the "
             "radius: their regions overlap, and each counts its own sensors alone"
@@ -167,8 +161,8 @@ def plan(
     rows = running.rows(study, folder, "searches")
     costs = {mix_name(row): cost for cost, row in mixes}
     with common.busy("sharing out the budget"):
-        fronts = fronts_of(study, rows, places, costs)
-        found = plan_city(fronts, budget, worst=worst, importance=given)
+        fronts = city.fronts_of(study, rows, places, costs)
+        found = city.plan_city(fronts, budget, worst=worst, importance=given)
     georeference = _projection(source)
     if georeference and (doubt := georeference.doubt(places[0].center)):
         common.note(doubt)
@@ -216,9 +210,9 @@ def _geojson(
 
     layouts, points = {}, []
     for front, option in zip(found.fronts, found.chosen, strict=True):
-        lon, lat = georeference.to_degrees(np.array(front.junction.center[:2])[None])[0].tolist()
+        at = georeference.to_degrees(np.array(front.junction.center[:2])[None])[0].round(DIGITS)
         about = dict(mix=option.mix, cost_usd=option.cost, score=option.score)
-        points.append(dict(junction=front.name, longitude=lon, latitude=lat, **about))
+        points.append(point_feature(at.tolist(), feature="junction", junction=front.name, **about))
         if option.key:
             place = read_map(source, junction=front.junction.id, radius=radius)
             layouts[front.name] = load_layout(folder / option.layout), place

@@ -23,7 +23,7 @@ from inspe_jax.jobs.sources import (
     message_of,
     place_layout,
     release_compiled,
-    scene_or_message,
+    scene_of,
 )
 from inspe_jax.scene.scene import Scene
 from inspe_jax.sensing.layout import Layout, layout_text, parse_layout
@@ -130,7 +130,10 @@ def open_recorder(
 
 def build(chunk: Chunk) -> Scene | str:
     """The scene of a chunk; or the message of the error, if it cannot be built."""
-    return scene_or_message(chunk.source, chunk.plan.build)
+    try:
+        return scene_of(chunk.source, chunk.plan.build)
+    except Exception as e:
+        return message_of(e)
 
 
 def work(scene: Scene | str, chunk: Chunk) -> Outcome:

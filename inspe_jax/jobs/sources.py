@@ -10,7 +10,7 @@ import jax
 from pydantic import Field, model_validator
 
 from inspe_jax.core import version
-from inspe_jax.core.errors import InspeError, check_known
+from inspe_jax.core.errors import InspeError, check_known, located
 from inspe_jax.core.files import check_input, digest_of, parse_yaml, read_yaml
 from inspe_jax.core.parallel import compiled
 from inspe_jax.jobs.settings import Count, Length, Line, Strict, Text, check_names, check_settings
@@ -210,11 +210,9 @@ def _layout_source(
         counts = {key: count for key, count in entry.mix.items() if count}
         if not counts:
             raise InspeError(f"{where}.mix: needs at least one sensor")
-        try:
+        with located(f"{where}.mix"):
             for key in entry.mix:
                 devices.get(key) or device(key)
-        except InspeError as e:
-            raise InspeError(f"{where}.mix: {e}") from None
         specs = tuple((key, devices[key]) for key in counts if key in devices)
         mix = tuple(counts.items())
         return LayoutSource(entry.name or mix_name(counts), options=specs, mix=mix)
@@ -223,10 +221,8 @@ def _layout_source(
         name = load_layout(path).name
         return LayoutSource(entry.name or name, text=path.read_text(encoding="utf-8"))
     options = {key: devices.get(value, value) for key, value in options.items()}
-    try:
+    with located(where):
         chosen = choose(str(entry.strategy), **options)
-    except InspeError as e:
-        raise InspeError(f"{where}: {e}") from None
     return LayoutSource(entry.name or chosen.name, chosen.name, tuple(options.items()))
 
 
@@ -259,14 +255,6 @@ def scene_of(source: SceneSource, settings: dict[str, Any]) -> Scene:
 
     at: dict[str, Any] = dict(junction=source.junction, center=source.center)
     return build_scene(read_map(path, **at, radius=settings["radius"]), **settings)
-
-
-def scene_or_message(source: SceneSource, settings: dict[str, Any]) -> Scene | str:
-    """The scene of a source; or the message of the error, if it cannot be built."""
-    try:
-        return scene_of(source, settings)
-    except Exception as e:
-        return message_of(e)
 
 
 def place_layout(source: LayoutSource, scene: Scene) -> Layout:

@@ -25,7 +25,6 @@ LINES = ("-", (0, (5, 1.5)), (0, (1.2, 1.2)), (0, (6, 1.5, 1.2, 1.5)))
 """Line styles, so that methods differ not only in colour."""
 FRONT, BEATEN = "#0072b2", "#808080"
 NAMED = 12  # most mixes on the front that are named; those that add most to the score are chosen
-GRID: dict[str, Any] = dict(color="#e0e0e0", lw=0.4)
 _LEFT = 0.085  # left edge of headings and axes, as a share of the width
 
 
@@ -35,7 +34,7 @@ def _look(k: int) -> dict[str, Any]:
 
 def _with_grid(ax: Axes, **labels: Any) -> None:
     ax.set(**labels)
-    ax.grid(**GRID)
+    ax.grid(color="#e0e0e0", lw=0.4)
     ax.set_axisbelow(True)
 
 

@@ -54,8 +54,6 @@ REGION_COLORS: dict[Region, str] = dict(
     zip(Region, ("#dcdcdc", "#f5eb86", "#e9a83a", "#74c4ab", "#b4dcf4"), strict=True)
 )
 """Tints of Okabe and Ito's black, yellow, orange, bluish green and sky blue, by region."""
-
-
 SENSOR_COLORS: defaultdict[str, str] = defaultdict(
     lambda: "#2f5d50", {"camera": "#c04a00", "lidar": "#8a2f74"}
 )
@@ -91,8 +89,7 @@ def scene_view(scene: Scene, *, frame: int = 0) -> Figure:
         draw_routes(ax, scene)
         draw_bodies(ax, scene)
         draw_users(ax, scene, frame, [dict(fc=c, ec="black", lw=0.3) for c in CLASS_COLORS])
-        near = scene.poles
-        ax.plot(*near.T[:2], **_POLE, zorder=6)
+        ax.plot(*scene.poles.T[:2], **_POLE, zorder=6)
         panel.legend(handles=_scene_keys(scene), loc="upper left", **KEYS)
     return fig
 
@@ -230,8 +227,7 @@ def _scene_keys(scene: Scene) -> list[Any]:
 def plan_keys(scene: Scene, layout: Layout) -> list[Any]:
     """Legend entries of a plan view, with the reach of each kind of sensor."""
     keys: list[Any] = []
-    kinds = {sensor.spec.kind for sensor in layout.sensors}
-    for kind in sorted(kinds):
+    for kind in sorted({sensor.spec.kind for sensor in layout.sensors}):
         specs = [sensor.spec for sensor in layout.sensors if sensor.spec.kind == kind]
         far = ", ".join(f"{reach:g}" for reach in sorted({s.grid.reach for s in specs}))
         words = f"{specs[0].title}, {'view to' if specs[0].aimed else 'reach'} {far} m"
@@ -256,15 +252,9 @@ def _disc(scene: Scene) -> BaseGeometry:
 
 def _patch(shape: BaseGeometry, **look: Any) -> PathPatch:
     """The polygons of a shape with their holes; points and lines that a clip left are dropped."""
-    rings = [
-        Outline(ring.coords, closed=True)
-        for part in shapely.get_parts(shape)
-        if part.geom_type == "Polygon"
-        for polygon in [shapely.geometry.polygon.orient(part)]
-        for ring in (polygon.exterior, *polygon.interiors)
-    ]
-    empty = Outline(np.zeros((0, 2)))
-    return PathPatch(Outline.make_compound_path(*rings) if rings else empty, **look)
+    rings = shapely.get_rings(shapely.get_parts(shapely.orient_polygons(shape)))
+    outlines = [Outline(shapely.get_coordinates(ring), closed=True) for ring in rings]
+    return PathPatch(Outline.make_compound_path(*outlines), **look)
 
 
 def reach_of(scene: Scene, *layouts: Layout) -> float:
@@ -282,16 +272,18 @@ def draw_plan(
     frame: int | None = 0,
     *,
     side: float = MAP,
-    numbers: Sequence[int] | None = None,
+    own: Sequence[int] | None = None,
 ) -> AxesImage:
     """Draw a map of ``reach`` [m] and ``side`` [inch]: a layer, and over it a frame's road users if
     one is given, what each sensor looks at, and its number.
 
-    ``numbers`` are 1, 2, … unless given. Raises InspeError if the layer is of another scene.
+    ``own`` are the places in the layout of the sensors that are drawn, all if None. Raises
+    InspeError if the layer is of another scene.
     """
     raster, extent = layer_raster(scene.voxels, layer)
     frame_map(ax, scene.voxels.center, scene.voxels.radius, reach)
-    poses = np.asarray(layout.poses, float)
+    own = range(len(layout)) if own is None else own
+    specs, poses = [layout.sensors[s].spec for s in own], np.asarray(layout.poses, float)[[*own]]
     colors: Any = layer.colors
     if layer.kinds:
         colors = ListedColormap([color for _, color in layer.kinds])
@@ -304,10 +296,10 @@ def draw_plan(
     draw_bodies(ax, scene)
     if frame is not None:
         draw_users(ax, scene, frame, [USER] * len(CLASSES))
-    for sensor, pose in zip(layout.sensors, poses, strict=True):
-        for ring in clear_outlines(scene, sensor.spec, pose):
-            ax.plot(*ring.T, **wedge_look(sensor.spec), zorder=5)
-    _draw_badges(ax, layout, poses, side, numbers or range(1, len(poses) + 1))
+    for spec, pose in zip(specs, poses, strict=True):
+        for ring in clear_outlines(scene, spec, pose):
+            ax.plot(*ring.T, **wedge_look(spec), zorder=5)
+    _draw_badges(ax, specs, poses, side, [s + 1 for s in own])
     return image
 
 
@@ -350,21 +342,21 @@ def _badge(ax: Axes, at: Sequence[float] | np.ndarray, number: int, kind: str) -
 
 
 def _draw_badges(
-    ax: Axes, layout: Layout, poses: np.ndarray, side: float, numbers: Sequence[int]
+    ax: Axes, specs: Sequence[Spec], poses: np.ndarray, side: float, numbers: Sequence[int]
 ) -> None:
     """Draw a dot at each sensor and its number beside it; a camera's number is in front of it."""
     (left, right), (low, high) = ax.get_xlim(), ax.get_ylim()
     out = poses[:, :2] - [(left + right) / 2, (low + high) / 2]
     out /= np.maximum(np.hypot(*out.T), 1e-9)[:, None]
     ahead = np.column_stack([np.cos(poses[:, 5]), np.sin(poses[:, 5])])
-    camera = np.array([[sensor.spec.kind == "camera"] for sensor in layout.sensors])
+    camera = np.array([[spec.kind == "camera"] for spec in specs])
     gap = (_BADGE + 1.5) * (right - left) / (side * 72)
     places = spread_badges(poses[:, :2], np.where(camera, ahead, out), gap)
-    for k, (sensor, foot, place) in enumerate(zip(layout.sensors, poses, places, strict=True)):
-        kind, color = sensor.spec.kind, SENSOR_COLORS[sensor.spec.kind]
+    for spec, number, foot, place in zip(specs, numbers, poses, places, strict=True):
+        kind, color = spec.kind, SENSOR_COLORS[spec.kind]
         ax.plot([foot[0], place[0]], [foot[1], place[1]], color=color, lw=0.7, zorder=6)
         ax.plot(*foot[:2], _MARKERS[kind], ms=3.5, mfc=color, mec="white", mew=0.4, zorder=6)
-        _badge(ax, place, numbers[k], kind)
+        _badge(ax, place, number, kind)
 
 
 def _color_bar(fig: Figure, panel: Axes, image: Any, layer: MapLayer) -> float:
@@ -372,20 +364,15 @@ def _color_bar(fig: Figure, panel: Axes, image: Any, layer: MapLayer) -> float:
     depth = -panel.get_ylim()[0]
     low = 13.0 + _LABEL * (1 + layer.label.count("\n"))
     axes = panel.inset_axes((0.02, 1 - low / depth, 0.94, 7 / depth))
-    ticks = ticks_of(layer)
+    ticks = [0.0, 0.25, 0.5, 0.75, 1.0]
+    if layer.most != 1.0:
+        round_numbers = MaxNLocator(5, steps=[1, 2, 5, 10]).tick_values(0, layer.most)
+        ticks = [float(f"{tick:g}") for tick in round_numbers if 0 <= tick <= layer.most]
     bar = fig.colorbar(image, cax=axes, orientation="horizontal", ticks=ticks)
     bar.ax.set_xticklabels([f"{tick:g}" for tick in ticks])
     middle = panel.get_xlim()[1] / 2
     panel.text(middle, -1, layer.label, ha="center", va="top", linespacing=1.2)
     return low + 22.0
-
-
-def ticks_of(layer: MapLayer) -> list[float]:
-    """Round values from 0 to mark on a layer's colour bar."""
-    if layer.most == 1.0:
-        return [0, 0.25, 0.5, 0.75, 1]
-    ticks = MaxNLocator(5, steps=[1, 2, 5, 10]).tick_values(0, layer.most)
-    return [float(f"{tick:g}") for tick in ticks if 0 <= tick <= layer.most]
 
 
 def kind_keys(layer: MapLayer) -> list[Any]:

@@ -17,7 +17,7 @@ from inspe_jax.report.schedule import EXISTING_POLE, installation_schedule, mate
 from inspe_jax.scene.geojson import known_georeference
 from inspe_jax.scene.intersection import Intersection
 from inspe_jax.sensing.layout import Layout, made_with
-from inspe_jax.sensing.layout_geojson import DIGITS, collection, layout_features, point_feature
+from inspe_jax.sensing.layout_geojson import DIGITS, collection, layout_features
 
 LINE = {"camera": "ffb27200", "lidar": "ff00559e"}
 """Colours of outlines in KML, by kind of sensor: alpha, blue, green, red."""
@@ -58,17 +58,12 @@ def plan_geojson(layout: Layout, place: Intersection) -> str:
 def city_geojson(
     layouts: Mapping[str, tuple[Layout, Intersection]], junctions: Sequence[dict[str, Any]]
 ) -> str:
-    """The plan of a city as GeoJSON: ``junctions`` as points, and the plan of each that has one.
+    """The plan of a city as GeoJSON: ``junctions`` as features, and the plan of each that has one.
 
     ``layouts`` are by the ids of their junctions, which their features have as their property
-    ``junction``. Those of ``junctions`` have theirs, with ``longitude`` and ``latitude`` for
-    coordinates. Raises as :func:`plan_features`.
+    ``junction``. Raises as :func:`plan_features`.
     """
-    found, own_devices = list[dict[str, Any]](), dict[str, Any]()
-    for one in junctions:
-        own = dict(one)
-        at = [round(own.pop(key), DIGITS) for key in ("longitude", "latitude")]
-        found.append(point_feature(at, feature="junction", **own))
+    found, own_devices = [*junctions], dict[str, Any]()
     for name, (layout, place) in layouts.items():
         own_devices |= made_with(layout).get("devices", {})
         for feature in plan_features(layout, place):

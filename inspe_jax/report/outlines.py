@@ -57,9 +57,7 @@ def clear_outlines(
     hides = (parts.top > level) & shapely.intersects(shadows, view)
     hides &= ~shapely.contains_xy(shadows, *pose[:2])
     left = shapely.difference(view, shapely.union_all(shadows[hides]))
-    polygons = [one for one in shapely.get_parts(left) if one.geom_type == "Polygon"]
-    rings = [ring for one in polygons for ring in (one.exterior, *one.interiors)]
-    return [np.asarray(ring.coords) for ring in rings]
+    return [shapely.get_coordinates(ring) for ring in shapely.get_rings(shapely.get_parts(left))]
 
 
 def _ray_ends(spec: Spec, pose: Float[np.ndarray, "6"], level: float) -> Float[np.ndarray, "N 2"]:

@@ -24,18 +24,12 @@ from inspe_jax.placement.objective import Objective
 from inspe_jax.placement.problem import Case
 from inspe_jax.placement.result import STATUSES, Result
 from inspe_jax.placement.studies.tolerance import Tolerance
+from inspe_jax.report import schedule
 from inspe_jax.report.curves import history_view
 from inspe_jax.report.figures import SENSOR_COLORS, plan_view, scene_view
 from inspe_jax.report.layers import BLIND, SIGHT_COLORS, USER_COLOR, MapLayer, layers
 from inspe_jax.report.progress import before_after, same_sensors
 from inspe_jax.report.scene_tables import resolution_of
-from inspe_jax.report.schedule import (
-    EXISTING_POLE,
-    installation_schedule,
-    materials,
-    sensors_in_words,
-    total_price,
-)
 from inspe_jax.report.tables import goal_words, scores_of, scores_record, tolerance_record
 from inspe_jax.report.targets import targets_view
 from inspe_jax.scene.intersection import BUILT_IN
@@ -58,7 +52,7 @@ CAPTIONS: dict[str, str] = {
     "redundancy": "Redundancy: how many sensors have a spot in view, a mean over its levels.",
 }
 FACTS = dict[str, Any](
-    built_in=BUILT_IN, sumo=SUMO, geographic=GEOGRAPHIC, existing_pole=EXISTING_POLE,
+    built_in=BUILT_IN, sumo=SUMO, geographic=GEOGRAPHIC, existing_pole=schedule.EXISTING_POLE,
     resolution_of=resolution_of, degrees=degrees, conditions=Conditions.of,
 )  # fmt: skip
 """What templates compare sources of places and poles of units with, and call."""
@@ -157,7 +151,7 @@ def report_page(
     for entry in entries:
         layout, scores = entry.layout, entry.scores
         of_columns = layers(scene, entry.shed)
-        rows = materials(layout, prices or {})
+        rows, words = schedule.materials(layout, prices or {}), schedule.sensors_in_words(layout)
         record = scores_record(scores, scene, layout, entry.sought)
         shown = scores.conditions.layout(layout)
         photograph = done(views and views.photograph(scene, shown, frame))
@@ -166,11 +160,11 @@ def report_page(
                 entry=entry,
                 name=layout.name,
                 record=record,
-                units=installation_schedule(layout, scene.intersection, prices or {}),
+                units=schedule.installation_schedule(layout, scene.intersection, prices or {}),
                 materials=rows,
-                total=total_price(rows),
+                total=schedule.total_price(rows),
                 specs={sensor.spec.name: sensor.spec for sensor in layout.sensors},
-                counts=f"{counted(len(layout.units), 'unit')} with {sensors_in_words(layout)}",
+                counts=f"{counted(len(layout.units), 'unit')} with {words}",
                 goal=None if entry.sought is None else goal_words(layout, scores, entry.sought),
                 blind=_shares(of_columns["blind"]),
                 images=done(_images(scene, entry, of_columns, frame)),

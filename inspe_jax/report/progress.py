@@ -59,11 +59,8 @@ def before_after(
             ("after", after, scores))[: 1 + moved]  # fmt: skip
     with house_style():
         title = f"{before.name} at {scene.name}"
-        facts = (
-            f"radius {scene.voxels.radius:g} m, {scene.voxels.words}; frame {frame} of the "
-            f"traffic; "
-            f"{setting_words(scores.settings)}"
-        )
+        facts = f"radius {scene.voxels.radius:g} m, {scene.voxels.words}; frame {frame} of the "
+        facts += f"traffic; {setting_words(scores.settings)}"
         keys = plan_keys(scene, before)
         below = _BELOW + _ROW * np.ceil((len(keys) + 1) / 2)
         fig, axes = sheet_of_two(title, facts, len(when), _HEAD, below)

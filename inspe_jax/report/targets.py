@@ -1,7 +1,6 @@
 """What a road user gets at each place: tables, records and maps of returns, px/m and chances."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -194,13 +193,7 @@ def _sheet(
             for k, (words, layer, own) in enumerate(_panels(scene, layout, view)):
                 ax = axes[2 * row + k]
                 words = when + words.splitlines()[0].rstrip(",") if when else words
-                few = replace(
-                    layout,
-                    poses=np.asarray(layout.poses, float)[own],
-                    sensors=tuple(layout.sensors[s] for s in own),
-                )
-                numbers = [s + 1 for s in own]
-                draw_plan(ax, scene, few, layer, reach, frame, side=SIDE, numbers=numbers)
+                draw_plan(ax, scene, layout, layer, reach, frame, side=SIDE, own=own)
                 ax.set_title(words, size=7.5, loc="left", pad=4)
                 ax.set(**({"ylabel": ""} if k else {}), **({} if last else {"xlabel": ""}))
                 if last:

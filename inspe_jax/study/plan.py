@@ -40,8 +40,9 @@ from typing import Annotated, Any
 from pydantic import Field
 
 from inspe_jax.core.digest import digest
-from inspe_jax.core.errors import InspeError, check_known
+from inspe_jax.core.errors import check_known, located
 from inspe_jax.core.files import check_model
+from inspe_jax.jobs import sources
 from inspe_jax.jobs.settings import (
     CHECKS,
     CONDITIONS,
@@ -54,15 +55,6 @@ from inspe_jax.jobs.settings import (
     combinations,
     conditioned,
     defaults_of,
-)
-from inspe_jax.jobs.sources import (
-    LayoutSource,
-    SceneEntry,
-    SceneSource,
-    Sources,
-    each_scene,
-    layout_sources,
-    read_study,
 )
 from inspe_jax.placement.optimise import DEFAULT_SECONDS, METHODS
 from inspe_jax.placement.run import check_budget, check_seed
@@ -89,8 +81,8 @@ class StudyJob:
     ``metrics`` are computed: the usual ones, those the study asks for, and those with weight in
     some job. ``detection`` has the curves of detectability, None for the usual ones."""
 
-    source: SceneSource
-    layout: LayoutSource
+    source: sources.SceneSource
+    layout: sources.LayoutSource
     settings: Mapping[str, Any]
     tags: Mapping[str, str] = field(default_factory=dict)
     metrics: tuple[str, ...] = ()
@@ -153,11 +145,11 @@ class _Settings(_Build):
     search_seed: Several[Count] = Field(default=[])
 
 
-class _SceneEntry(SceneEntry, _Build):
+class _SceneEntry(sources.SceneEntry, _Build):
     pass
 
 
-class _StudyFile(Sources):
+class _StudyFile(sources.Sources):
     scenes: Annotated[list[_SceneEntry], Field(min_length=1)]
     settings: _Settings = _Settings()
     metrics: list[str] = Field(default=[])
@@ -179,7 +171,7 @@ def load_study(path: str | os.PathLike[str]) -> Study:
     """Read a study file; its form is in this module's docstring. Raises InspeError that names the
     file, the key and what is allowed."""
     path = Path(path)
-    content = read_study(path)
+    content = sources.read_study(path)
     return make_study(content, path.parent, str(path), path.stem)
 
 
@@ -191,15 +183,18 @@ def make_study(
     whole = {key: getattr(entry.settings, key) for key in SETTINGS}
     check_settings(whole, f"{where}: settings", _CHECKS)
     weights = [metrics.weights_of(given) for given in entry.settings.weights]
-    try:
+    with located(f"{where}: metrics"):
         most = {name: max(row[name] for row in weights) for name in metrics.METRICS if weights}
         found = metrics.chosen(entry.metrics, most)
-    except InspeError as e:
-        raise InspeError(f"{where}: metrics: {e}") from None
-    curves = _curves(entry.detection, folder, where)
-    layouts = layout_sources(entry, folder, where)
+    curves = None
+    if entry.detection is not None:
+        with located(f"{where}: detection"):
+            own = load_detection(folder / entry.detection)
+        curves = None if own == detection_curves() else own
+    layouts = sources.layout_sources(entry, folder, where)
     jobs: dict[str, StudyJob] = {}
-    for _, item, source, given in each_scene(entry.scenes, BUILD_SETTINGS, whole, folder, where):
+    scenes = sources.each_scene(entry.scenes, BUILD_SETTINGS, whole, folder, where)
+    for _, item, source, given in scenes:
         for profile in given["profile"] or [DEFAULT_PROFILE]:
             of = given | dict(profile=[profile])
             defaults = _defaults(profile, sized=bool(given["voxel"]))
@@ -210,16 +205,6 @@ def make_study(
                 job = StudyJob(source, layout, settings, dict(item.tags), found, curves)
                 jobs.setdefault(job.key, job)
     return Study(entry.name or name, tuple(jobs.values()))
-
-
-def _curves(given: str | None, folder: Path, where: str) -> DetectionCurves | None:
-    if given is None:
-        return None
-    try:
-        curves = load_detection(folder / given)
-    except InspeError as e:
-        raise InspeError(f"{where}: detection: {e}") from None
-    return None if curves == detection_curves() else curves
 
 
 def _defaults(profile: str, sized: bool) -> dict[str, list[Any]]:

@@ -6,8 +6,8 @@ which is dropped when the run is resumed. Jobs that failed are then run again.
 """
 
 import os
-from collections.abc import Callable, Mapping, Sequence
-from typing import IO, Any
+from collections.abc import Callable, Mapping
+from typing import Any
 
 from inspe_jax.core.errors import InspeError, wrong_kind
 from inspe_jax.core.files import csv_line, csv_text, named, parse_csv, prepare_folder, write_text
@@ -96,7 +96,6 @@ class Results:
         self.folder = prepare_folder(folder)
         self.path = self.folder / TABLE
         self._lock = lock_folder(self.folder, f".{TABLE}.lock").lock
-        self._file: IO[str] | None = None
         try:
             self.rows = self._taken_up()
         except BaseException:
@@ -107,8 +106,6 @@ class Results:
         return self
 
     def __exit__(self, *_: object) -> None:
-        if self._file:
-            self._file.close()
         self._lock.release()
 
     def add(self, row: Row, layout: str | None = None) -> None:
@@ -116,22 +113,15 @@ class Results:
         if layout is not None:
             (self.folder / LAYOUTS).mkdir(exist_ok=True)
             write_text(self.folder / LAYOUTS / f"{row['key']}.yaml", layout)
-        if self._file is None:
-            new = not self.path.exists()
-            self._file = self.path.open("a", newline="", encoding="utf-8")
-            if new:
-                self._file.write(csv_line(self.columns))
-        with named(self.path):
-            self._file.write(csv_line(row.get(name, "") for name in self.columns))
-            self._file.flush()
-            os.fsync(self._file.fileno())
-        self.rows[row["key"]] = {name: row.get(name, "") for name in self.columns}
+        whole, new = {name: row.get(name, "") for name in self.columns}, not self.path.exists()
+        with named(self.path), self.path.open("a", newline="", encoding="utf-8") as file:
+            file.write(csv_text([whole]) if new else csv_line(whole.values()))
+            file.flush()
+            os.fsync(file.fileno())
+        self.rows[row["key"]] = whole
 
     def finish(self) -> list[Row]:
         """Write the rows in the order of the study; returns them."""
-        if self._file:
-            self._file.close()
-            self._file = None
         rows = [self.rows[job.key] for job in self.study.jobs if job.key in self.rows]
         write_text(self.path, csv_text(rows))
         return rows
@@ -147,16 +137,6 @@ class Results:
             raise InspeError(f"{self.path}: its columns are not those of this study; {ADVICE}")
         whole = content[: content.rfind(b"\n") + 1]
         rows = parse_csv(whole, str(self.path))
-        self._check(rows)
-        if len(whole) < len(content):
-            write_text(self.path, whole.decode("utf-8"))
-        found = {row["key"]: row for row in rows if row["status"] == "done"}
-        for job in self.study.jobs:  # tags may have been changed since
-            if job.key in found:
-                found[job.key] |= tag_columns(job)
-        return found
-
-    def _check(self, rows: Sequence[Row]) -> None:
         known = {job.key for job in self.study.jobs}
         strange = [row for row in rows if row["key"] not in known]
         if strange:
@@ -166,6 +146,13 @@ class Results:
             )
         for row in rows:
             check_versions(row, versions(), self.path)
+        if len(whole) < len(content):
+            write_text(self.path, whole.decode("utf-8"))
+        found = {row["key"]: row for row in rows if row["status"] == "done"}
+        for job in self.study.jobs:  # tags may have been changed since
+            if job.key in found:
+                found[job.key] |= tag_columns(job)
+        return found
 
 
 # ── What a worker runs, and its row of the results ──────────────────────────

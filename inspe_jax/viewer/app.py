@@ -205,25 +205,19 @@ class Viewer:
 
     # ── Files ──
 
-    def save(self) -> None:
-        """Save the layout; ask first if that would replace a file of an earlier run."""
+    def save(self, path: Path | None = None) -> None:
+        """Save the layout in this file, which may be there, and in no other from now on; without
+        one in its own, but ask first if that would replace a file of an earlier run."""
 
         def job() -> None:
-            if self.store.would_replace(self.layout):
+            if path is None and self.store.would_replace(self.layout):
                 self.panel.ask_replace(self.store.path, self.store.beside)
-            else:
-                self._save(self.store.path)
+                return
+            self.store.save(self.layout, path)
+            self._keep(self.layout)
+            self.display.notify("Saved", str(self.store.path), "green")
 
         self.unless_searching(job)
-
-    def save_in(self, path: Path) -> None:
-        """Save the layout in this file, which may be there, and in no other from now on."""
-        self.unless_searching(lambda: self._save(path))
-
-    def _save(self, path: Path) -> None:
-        self.store.save(self.layout, path)
-        self._keep(self.layout)
-        self.display.notify("Saved", str(path), "green")
 
     def open_earlier(self, number: int) -> None:
         """Open a layout that an earlier run has left."""
@@ -346,8 +340,6 @@ class Viewer:
         try:
             self._keep(self.layout)
         finally:
-            for view in list(self.views.values()):
-                view.follow()
             self.display.draw(self.layout, self.session.faults(), self.session.notes)
             self._show_controls()
             self.scorer.score(self.layout, whole=True)

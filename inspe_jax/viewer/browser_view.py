@@ -46,7 +46,7 @@ class BrowserView:
         self.dragging: Gripped | None = None
         self._layout: Layout = viewer.layout  # that the places are of
         self._typing = {key: DelayedAction() for key in (*POSE, "name")}
-        self.controls = SensorControls(client.gui, viewer, self, viewer.panel.sensor_orders)
+        self.controls = SensorControls(client.gui, viewer, self)
         self.selection3d = Selection3D(client.scene, viewer.scene3d.shift, self.on_drag)
         folder, failed = self.controls.sensor_view, viewer.queue.failed
         self.sensor_view = SensorView(client.gui, folder, viewer.case, failed, self._show_points)
@@ -63,18 +63,24 @@ class BrowserView:
         for waiting in self._typing.values():
             waiting.run_now()
 
-    def select(self, s: int) -> None:
-        """Select another sensor, and no other."""
-        self._select(lambda: (s,))
+    def select(self, s: int, toggle: bool = False) -> None:
+        """Select another sensor, and no other; with ``toggle`` together with those that are, or no
+        longer. The last one stays selected."""
+        self.settle()
 
-    def toggle(self, s: int) -> None:
-        """Select a sensor together with others, or no longer; the last one stays selected."""
+        def job() -> None:
+            self.follow()
+            if self.dragging is None and s < len(self._viewer.layout):
+                others = tuple(k for k in self.selection if k != s and toggle)
+                more = () if toggle and s in self.selection else (s,)
+                self.selection = others + more or self.selection
+            self._viewer.queue.submit(show, key=("selection", id(self)))
 
-        def found() -> tuple[int, ...]:
-            others = tuple(k for k in self.selection if k != s)
-            return others if s in self.selection else (*others, s)
+        def show() -> None:
+            self.show()
+            self._viewer.display.show_selection(self)
 
-        self._select(found)
+        self._viewer.queue.submit(job)
 
     def swap(self, name: str) -> None:
         """Exchange the device of the sensor in hand."""
@@ -204,22 +210,6 @@ class BrowserView:
     def show_table(self, layout: Layout, scored: ScoredLayout | None) -> None:
         """Show a row for each sensor of a layout, with what it adds to scores, if it has any."""
         self.controls.table.content = sensor_table(layout, scored, self.selection)
-
-    def _select(self, found: Callable[[], tuple[int, ...]]) -> None:
-        self.settle()
-
-        def job() -> None:
-            self.follow()
-            if self.dragging is None:
-                there = (s for s in found() if s < len(self._viewer.layout))
-                self.selection = tuple(dict.fromkeys(there)) or self.selection
-            self._viewer.queue.submit(show, key=("selection", id(self)))
-
-        def show() -> None:
-            self.show()
-            self._viewer.display.show_selection(self)
-
-        self._viewer.queue.submit(job)
 
     def _change(self, change: Callable[[LayoutSession, int], None]) -> None:
         """Have the layout changed, of which a sensor is in hand."""

@@ -1,7 +1,7 @@
 """What browsers see: a layout in three dimensions, its voxels, and its scores beside them. Every
 public method runs on the queue's thread."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from jaxtyping import UInt
@@ -120,13 +120,12 @@ class Display:
     def _bind(self, body: Any, s: int) -> None:
         """Have a click on a sensor's body select it, and one with Shift or Ctrl toggle it."""
         for modifier in (None, "shift", "cmd/ctrl"):
-            ask = BrowserView.toggle if modifier else BrowserView.select
 
-            async def clicked(event: Any, ask: Callable[[BrowserView, int], None] = ask) -> None:
+            async def clicked(event: Any, toggle: bool = modifier is not None) -> None:
                 view = self._views.get(event.client_id)
                 asker.set(event.client_id)
                 if view is not None:
-                    ask(view, s)
+                    view.select(s, toggle)
 
             body.on_click(modifier=modifier)(clicked)
 

@@ -100,18 +100,19 @@ class DelayedAction:
         """Run this action after ``seconds``, in place of one that waits."""
         with self._lock:
             self.cancel()
-            timer = threading.Timer(seconds, lambda: self._run(timer))
+            timer = threading.Timer(seconds, lambda: self.run_now(timer))
             timer.daemon = True
             self._action, self._timer = partial(copy_context().run, action), timer
             timer.start()
 
-    def run_now(self) -> None:
-        """Run the action that waits now, if there is one."""
+    def run_now(self, of: threading.Timer | None = None) -> None:
+        """Run the action that waits now, if there is one, and is that of this timer if given."""
         with self._lock:
-            action = self._action
-            self.cancel()
-            if action is not None:
-                action()
+            if of is None or of is self._timer:  # else a newer action has replaced it
+                action = self._action
+                self.cancel()
+                if action is not None:
+                    action()
 
     def cancel(self) -> None:
         """Drop the action that waits."""
@@ -119,8 +120,3 @@ class DelayedAction:
             if self._timer is not None:
                 self._timer.cancel()
             self._action = self._timer = None
-
-    def _run(self, timer: threading.Timer) -> None:
-        with self._lock:
-            if timer is self._timer:  # no newer action has replaced it
-                self.run_now()

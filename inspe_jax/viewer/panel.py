@@ -131,13 +131,6 @@ class Panel:
         self._changes(self.download, viewer.download)
         self._changes(self.report, viewer.write_report)
 
-    @property
-    def sensor_orders(self) -> tuple[float, float, float, float]:
-        """Where in the panel the four folders of a browser's sensors stand. What is said of the
-        last change is below the first two, whose buttons then stay where they are."""
-        after = float(self.target.order)
-        return after + 0.1, after + 0.2, after + 0.4, after + 0.5
-
     def offer_earlier(self, earlier: Sequence[Path]) -> None:
         """Offer to open layouts that an earlier run has left."""
         if not earlier:
@@ -154,10 +147,7 @@ class Panel:
             )
             for number, at in enumerate(earlier):
                 self.offers.append(self._gui.add_button(f"Open {at.name}"))
-
-                def ask(_: Any, number: int = number) -> None:
-                    self._viewer.open_earlier(number)
-
+                ask = partial(lambda k, _: self._viewer.open_earlier(k), number)
                 self._changes(self.offers[-1], ask)
             leave = self._gui.add_button("Leave them", color="gray")
             self._changes(leave, lambda _: setattr(self.earlier, "visible", False))
@@ -175,7 +165,7 @@ class Panel:
             def answer(_: Any) -> None:
                 question.close()
                 if at is not None:
-                    self._viewer.save_in(at)
+                    self._viewer.save(at)
 
             self._changes(self._gui.add_button(words, color=color), answer)
 

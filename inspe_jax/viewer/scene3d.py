@@ -64,7 +64,6 @@ class Scene3D:
         self.drawn: dict[str, Any] = {}
         self._looks: dict[int, tuple[Spec, str]] = {}  # of the sensors that are drawn
         self._at: dict[int, Float[np.ndarray, 6]] = {}  # their poses
-        self._units = 0  # number of units that have a label
         api.set_up_direction("+z")
         api.configure_environment_map(None)
         api.configure_fog(1e6, 1e7, enabled=False)
@@ -81,12 +80,7 @@ class Scene3D:
         place, center = self.scene.intersection, self.shift[:2]
         radius = self.scene.voxels.radius
         within = place.mounting.intersection(shapely.Point(center).buffer(radius))
-        rings = [
-            shapely.segmentize(ring, 2.0)
-            for part in shapely.get_parts(within)
-            if part.geom_type == "Polygon"
-            for ring in (part.exterior, *part.interiors)
-        ]
+        rings = shapely.segmentize(shapely.get_rings(shapely.get_parts(within)), 2.0)
         lines = [segments(self._on_ground(shapely.get_coordinates(ring))) for ring in rings]
         at = self.scene.poles
         if len(at):
@@ -111,7 +105,7 @@ class Scene3D:
         """
         free, wanted = free_of_bodies(self.scene), set(shown)
         kinds = np.where(free, np.asarray(sight).reshape(free.shape), -1)
-        self._forget_all("voxels/")
+        self._forget("voxels/")
         if Visibility.HIDDEN in wanted and (kinds == Visibility.HIDDEN).any():
             self._draw_hidden(kinds == Visibility.HIDDEN)
         for kind in wanted.intersection(TINTS):
@@ -150,13 +144,13 @@ class Scene3D:
         ]
         for k, look in list(self._looks.items()):
             if k >= len(looks) or look != looks[k]:
-                self._forget_all(f"sensors/{k + 1}/")
+                self._forget(f"sensors/{k + 1}/")
                 del self._looks[k], self._at[k]
         poses = np.asarray(layout.poses, float)
         for k, (spec, color) in enumerate(looks):
             if k not in self._looks:
-                new[k] = self._draw_sensor(k, spec, color)
-                self._looks[k] = (spec, color)
+                self._draw_sensor(k, spec, color)
+                new[k], self._looks[k] = self.drawn[f"sensors/{k + 1}/device"], (spec, color)
             if k not in self._at or (self._at[k] != poses[k]).any():
                 self._move_sensor(k, spec, poses[k])
                 self._at[k] = poses[k].copy()
@@ -168,11 +162,10 @@ class Scene3D:
         scene's centre [m], and its colour."""
         return self.drawn[f"sensors/{k + 1}/view"].points, self._looks[k][1]
 
-    def _draw_sensor(self, k: int, spec: Spec, color: str) -> Any:
-        name = f"sensors/{k + 1}"
-        body: Any
+    def _draw_sensor(self, k: int, spec: Spec, color: str) -> None:
+        name, body = f"sensors/{k + 1}", f"sensors/{k + 1}/device"
         if isinstance(spec, CameraSpec):
-            body = self.api.add_box(f"{name}/device", rgb(color), dimensions=(0.7, 0.5, 0.5))
+            self.drawn[body] = self.api.add_box(body, rgb(color), dimensions=(0.7, 0.5, 0.5))
             self.drawn[f"{name}/frustum"] = self.api.add_camera_frustum(
                 f"{name}/frustum",
                 fov=2 * np.arctan(spec.height / 2 / spec.focal),
@@ -182,12 +175,10 @@ class Scene3D:
                 color=rgb(color),
             )
         else:
-            body = self.api.add_cylinder(f"{name}/device", 0.35, 0.6, color=rgb(color))
-        self.drawn[f"{name}/device"] = body
+            self.drawn[body] = self.api.add_cylinder(body, 0.35, 0.6, color=rgb(color))
         nowhere = np.zeros((1, 2, 3))
         self._lines(f"{name}/pole", nowhere, "#404040", 0.08)
         self._lines(f"{name}/view", nowhere, color, THIN)
-        return body
 
     def _move_sensor(self, k: int, spec: Spec, pose: Float[np.ndarray, "6"]) -> None:
         name, at, turn = f"sensors/{k + 1}", pose[:3] - self.shift, rotation(pose[3:], np)
@@ -208,22 +199,16 @@ class Scene3D:
             word = "  ".join(f"{k + 1} !" if k in wrong else str(k + 1) for k in members)
             at = poses[list(members), :3]
             at = np.append(at[:, :2].mean(0), at[:, 2].max() + ABOVE) - self.shift
-            label = self.drawn.get(f"numbers/{u + 1}")
-            if label is None:
-                label = self.api.add_label(f"numbers/{u + 1}", word, anchor="bottom-center")
-                self.drawn[f"numbers/{u + 1}"] = label
-            label.text, label.position = word, at
-        for u in range(len(units), self._units):
-            self._forget(f"numbers/{u + 1}")
-        self._units = len(units)
+            name = f"numbers/{u + 1}"
+            if name not in self.drawn:
+                self.drawn[name] = self.api.add_label(name, word, anchor="bottom-center")
+            self.drawn[name].text, self.drawn[name].position = word, at
+        self._forget("numbers/", len(units))
 
-    def _forget(self, name: str) -> None:
-        if name in self.drawn:
+    def _forget(self, prefix: str, kept: int = 0) -> None:
+        """Remove what is drawn under names that begin like this, except the first so many."""
+        for name in [name for name in self.drawn if name.startswith(prefix)][kept:]:
             self.drawn.pop(name).remove()
-
-    def _forget_all(self, prefix: str) -> None:
-        for name in [name for name in self.drawn if name.startswith(prefix)]:
-            self._forget(name)
 
     @cached_property
     def _corners(self) -> tuple[Float[np.ndarray, "C 3"], Int[np.ndarray, "L 4"]]:
@@ -293,8 +278,7 @@ class Scene3D:
         opacity: float | None = None,
     ) -> None:
         """Draw boxes at ``center`` (N, 3) with ``size`` (N, 3) [m] and ``yaw`` (N,) [rad]."""
-        zero = np.zeros(len(yaw))
-        turn = np.column_stack([np.cos(yaw / 2), zero, zero, np.sin(yaw / 2)])
+        turn = SO3.from_z_radians(yaw).wxyz
         self.drawn[name] = self.api.add_batched_meshes_simple(
             name, _BOX.astype(np.float32), _FACES.astype(np.uint32), turn.astype(np.float32),
             center.astype(np.float32), batched_scales=size.astype(np.float32),

@@ -104,11 +104,6 @@ class Searcher:
         self._first = 0.0  # score of the start
         self.running = False
 
-    @property
-    def gain(self) -> float:
-        """What the objective has gained over the start so far."""
-        return 0.0 if self._best is None else self._best[1] - self._first
-
     def start(self, layout: Layout, method: str, seconds: float, target: float = math.inf) -> None:
         """Start a search, if none runs. It also ends with a score of ``target`` or more."""
         search = dict(

@@ -28,21 +28,21 @@ class SensorControls:
     """Every control by name. When a person uses one, a method of ``view`` is called. A value that
     the program itself sets calls nothing."""
 
-    def __init__(
-        self, gui: viser.GuiApi, viewer: Any, view: Any, orders: tuple[float, float, float, float]
-    ) -> None:
-        """``viewer`` applies what is typed, ``view`` has the methods that are bound below.
-        ``orders`` are the places in the panel of the four folders."""
+    def __init__(self, gui: viser.GuiApi, viewer: Any, view: Any) -> None:
+        """``viewer`` applies what is typed, ``view`` has the methods that are bound below."""
+        # Of four folders, the notes on the last change are below the first two, whose buttons then
+        # stay where they are.
+        after = float(viewer.panel.target.order)
         known = sorted((one.spec for one in devices().values()), key=lambda spec: spec.title)
         self._devices = {label_of(spec): spec.name for spec in known}
-        with gui.add_folder("New sensor", order=orders[0]):
+        with gui.add_folder("New sensor", order=after + 0.1):
             self.new = gui.add_dropdown(
                 "New device", list(self._devices), hint="The device that Add mounts"
             )
             self.add = gui.add_button(
                 "Add", hint="Mount a new sensor as near as possible to the point you look at"
             )
-        with gui.add_folder("Sensor", order=orders[1]):
+        with gui.add_folder("Sensor", order=after + 0.2):
             self.sensor = gui.add_dropdown("Sensor", ("1",))
             self.name = gui.add_text("Name", "")
             self.device = gui.add_dropdown("Device", list(self._devices))
@@ -55,24 +55,21 @@ class SensorControls:
                 ("Duplicate", "Remove"),
                 hint="Copy the sensor that has the handle; remove all that are selected",
             )
-        self.sensor_view = gui.add_folder("Through the sensor", order=orders[2])
-        with gui.add_folder("All sensors", order=orders[3]):
+        self.sensor_view = gui.add_folder("Through the sensor", order=after + 0.4)
+        with gui.add_folder("All sensors", order=after + 0.5):
             self.table = gui.add_html("")
             # What a click on a row of the table presses; the page shows only the table.
             self.row_buttons = gui.add_button_group("Select", ("1",))
             self.toggle_buttons = gui.add_button_group("Select together", ("1",))
 
-        def typed(key: str, _: Any) -> None:
-            view.type_number(key, self.pose[key].value)
-
         changes = partial(bind, settle=viewer.settle)
         existing = {"Duplicate": view.duplicate, "Remove": view.remove}
         bind(self.sensor, lambda _: view.select(self.sensor.options.index(self.sensor.value)))
         bind(self.row_buttons, lambda _: view.select(int(self.row_buttons.value) - 1))
-        bind(self.toggle_buttons, lambda _: view.toggle(int(self.toggle_buttons.value) - 1))
+        bind(self.toggle_buttons, lambda _: view.select(int(self.toggle_buttons.value) - 1, True))
         bind(self.name, lambda _: view.rename(self.name.value))
         for key, number in self.pose.items():
-            bind(number, partial(typed, key))
+            bind(number, partial(lambda key, _: view.type_number(key, self.pose[key].value), key))
         changes(self.device, lambda _: view.swap(self._devices[self.device.value]))
         changes(self.existing, lambda _: existing[self.existing.value]())
         changes(self.add, lambda _: view.add(self._devices[self.new.value]))

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import viser
-from jaxtyping import Float, UInt8
+from jaxtyping import Float
 from PIL import Image as Pillow
 
 from inspe_jax.core.errors import InspeError
@@ -124,7 +124,9 @@ def _page(spec: Spec, boxes: Sequence[RoadUserBox], seen: Image | Scan) -> str:
     at = np.array([box.center for box in boxes]).reshape(-1, 3)
     away = np.linalg.norm(at - pose[:3], axis=1)
     if isinstance(seen, Image):
-        image = picture_url(seen.rgb)
+        file = io.BytesIO()
+        Pillow.fromarray(seen.rgb).save(file, "jpeg", quality=QUALITY)
+        image = f"data:image/jpeg;base64,{base64.b64encode(file.getvalue()).decode()}"
         shown = np.count_nonzero(np.asarray(seen.pixels))
         summary = f"{shown} of {len(boxes)} road users are in the picture"
         sharp = np.where(away <= spec.grid.reach, pixel_density_at(spec, pose, at), np.nan)
@@ -159,10 +161,3 @@ def image_scale(spec: Spec) -> float:
     if not isinstance(spec, CameraSpec):
         return 1.0
     return min(1.0, float(np.sqrt(PIXELS / (spec.width * spec.height))))
-
-
-def picture_url(rgb: UInt8[np.ndarray, "H W 3"]) -> str:
-    """A picture as a URL that contains it."""
-    file = io.BytesIO()
-    Pillow.fromarray(rgb).save(file, "jpeg", quality=QUALITY)
-    return f"data:image/jpeg;base64,{base64.b64encode(file.getvalue()).decode()}"

@@ -20,15 +20,16 @@ OFFERED = 4  # most files of earlier runs that are offered
 
 
 class LayoutStore:
-    """The files of one layout: ``path``, where it is saved, and ``unsaved`` beside it. ``earlier``
-    are files that earlier runs have left, the newest first."""
+    """The files of one layout: ``path``, where it is saved, and ``unsaved`` beside it, which keeps
+    unsaved changes if there are any and is never a file of an earlier run. ``earlier`` are files
+    that earlier runs have left, the newest first."""
 
     def __init__(self, path: Path, opened: Layout, scene: Scene | None = None) -> None:
         """``opened`` is the layout at the start; ``scene`` gives ground heights that files lack."""
         self.path, self._scene = Path(path).resolve(), scene
         self._saved = opened
         self._known: dict[Path, bytes] = {}  # this run's own files, as it has written them
-        self._unsaved: Path | None = None
+        self.unsaved: Path | None = None
         self._written: Layout | None = None  # what is in that file
         self._wrong = ""  # why the newest layout is not
         self._taken_up: tuple[Path, Layout] | None = None
@@ -37,14 +38,9 @@ class LayoutStore:
         self.earlier = [at for at in self._others() if not self._is(at, opened)][:OFFERED]
 
     @property
-    def unsaved(self) -> Path:
-        """The file that keeps unsaved changes; never a file of an earlier run."""
-        return self._unsaved or _free(self._unsaved_names())
-
-    @property
     def beside(self) -> Path:
         """The next free name beside :attr:`path`."""
-        return _free(_numbered(self.path))
+        return next(at for at in _numbered(self.path) if not at.exists())
 
     def holds(self, layout: Layout) -> bool:
         """Whether a layout has no unsaved changes."""
@@ -65,7 +61,7 @@ class LayoutStore:
 
     def kept(self, layout: Layout) -> Path | None:
         """The file that keeps the unsaved changes of a layout; None if none does."""
-        return self._unsaved if self._written is layout and self._owns(self._unsaved) else None
+        return self.unsaved if self._written is layout and self._owns(self.unsaved) else None
 
     def save(self, layout: Layout, path: Path | None = None) -> None:
         """Save the layout to ``path``, or to the present file. A file there is replaced. ``path``
@@ -82,13 +78,13 @@ class LayoutStore:
     def keep(self, layout: Layout) -> None:
         """Keep the unsaved changes of a layout; remove their file if there are none. Raises
         InspeError or OSError if they cannot be kept: :meth:`words` then say so."""
-        if not self._owns(self._unsaved):
-            self._unsaved = self._written = None
-        at, new = self._unsaved, self._unsaved is None
+        if not self._owns(self.unsaved):
+            self.unsaved = self._written = None
+        at, new = self.unsaved, self.unsaved is None
         if self.holds(layout):
             if at is not None:
                 at.unlink(missing_ok=True)
-                self._unsaved = None
+                self.unsaved = None
         elif self._written is not layout:
             try:
                 at = at or self._new_unsaved()
@@ -98,7 +94,7 @@ class LayoutStore:
                 if new and at is not None:  # it is empty
                     at.unlink(missing_ok=True)
                 raise
-            self._unsaved, self._written = at, layout
+            self.unsaved, self._written = at, layout
             self._know(at)
 
     def words(self, layout: Layout) -> str:
@@ -124,19 +120,15 @@ class LayoutStore:
 
     def _owns(self, path: Path | None) -> bool:
         """Whether this run has written a file, and nobody has changed it since."""
-        if path is None or path not in self._known:
-            return False
-        try:
-            return path.read_bytes() == self._known[path]
-        except OSError:
-            return False
+        with suppress(OSError):
+            return path is not None and path.read_bytes() == self._known.get(path)
+        return False
 
     def _is(self, path: Path, layout: Layout) -> bool:
-        try:
+        with suppress(InspeError, OSError):
             found = load_layout(path, self._scene, unit_rule=False)
             return layout_text(found) == layout_text(layout)
-        except (InspeError, OSError):
-            return False
+        return False
 
     def _others(self) -> list[Path]:
         """Files that earlier runs may have left, the newest first."""
@@ -146,12 +138,10 @@ class LayoutStore:
         found = [at for at in found if at.is_file()]
         return sorted(found, key=lambda at: at.stat().st_mtime, reverse=True)
 
-    def _unsaved_names(self) -> Iterator[Path]:
-        return _numbered(self.path.with_name(f"{self.path.stem}.{UNSAVED}{self.path.suffix}"))
-
     def _new_unsaved(self) -> Path:
         """A new file for unsaved changes; another run may be choosing a name at the same time."""
-        for at in self._unsaved_names():
+        first = self.path.with_name(f"{self.path.stem}.{UNSAVED}{self.path.suffix}")
+        for at in _numbered(first):
             with suppress(FileExistsError):
                 at.touch(exist_ok=False)
                 self._know(at)
@@ -163,7 +153,3 @@ def _numbered(path: Path) -> Iterator[Path]:
     yield path
     for k in count(2):
         yield path.with_name(f"{path.stem}-{k}{path.suffix}")
-
-
-def _free(paths: Iterator[Path]) -> Path:
-    return next(at for at in paths if not at.exists())

@@ -29,11 +29,12 @@ def test_a_new_file_is_written_without_a_question(path, layout):
     assert store.earlier == []
     higher = raised(layout, 1.0)
     store.keep(higher)
-    assert store.unsaved.is_file()
+    kept = store.unsaved
+    assert kept.is_file()
     assert not store.would_replace(higher)
     store.save(higher)
     assert not store.would_replace(layout)  # it is this run's own
-    assert not store.unsaved.exists()
+    assert not kept.exists()
     assert store.holds(higher)
     np.testing.assert_allclose(heights(path), higher.poses[:, 2])
 

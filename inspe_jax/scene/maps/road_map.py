@@ -2,7 +2,7 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import product
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
@@ -152,22 +152,26 @@ class Node(NamedTuple):
     signals: int
 
 
+@dataclass(eq=False)
 class MapJunction(ABC):
     """One junction of a map, or several members that count as one, and what its format reads to a
     radius [m] about their middle.
 
     ``poles`` of the map are at any height [m]; ``interior`` are the numbers of the roads inside the
-    junction, or from one member to another.
+    junction, or from one member to another. A format's ``__post_init__`` finds these and the
+    ``approaches``.
     """
 
-    approaches: list[Approach]
-    poles: Float[np.ndarray, "P 3"]
-    interior: set[int]
+    map: Any
+    members: set[Any]
+    middle: Float[np.ndarray, "3"]
+    radius: float
+    approaches: list[Approach] = field(init=False)
+    poles: Float[np.ndarray, "P 3"] = field(init=False)
+    interior: set[int] = field(init=False)
 
-    def __init__(
-        self, of: Any, members: set[Any], middle: Float[np.ndarray, "3"], radius: float
-    ) -> None:
-        self.map, self.members, self.middle, self.radius = of, members, middle, radius
+    @abstractmethod
+    def __post_init__(self) -> None: ...
 
     def region_of(self, strip: LaneStrip) -> Region | None:
         """The region of a lane; None of one that is in no region."""

@@ -57,12 +57,9 @@ def _is_junction(node: Any) -> bool:
 class SumoJunction(MapJunction):
     """Nodes of a network that are one junction, and the edges that begin or end there."""
 
-    poles = np.zeros((0, 3))
-
-    def __init__(
-        self, of: "SumoMap", members: set[Any], middle: Float[np.ndarray, "3"], radius: float
-    ) -> None:
-        super().__init__(of, members, middle, radius)
+    def __post_init__(self) -> None:
+        of, members = self.map, self.members
+        self.poles = np.zeros((0, 3))
         nodes = [of.net.getNode(name) for name in members]
         edges = {edge for node in nodes for edge in (*node.getIncoming(), *node.getOutgoing())}
         self.edges = dict(sorted((of.numbers[edge.getID()], edge) for edge in edges))

@@ -18,7 +18,8 @@ from shapely.geometry import LineString, Point, Polygon
 from shapely.geometry.base import BaseGeometry
 from shapely.ops import unary_union
 
-from inspe_jax.scene.georeference import Georeference
+from inspe_jax.scene.geojson import known_georeference
+from inspe_jax.scene.intersection import Intersection
 from inspe_jax.scene.lines import distinct
 from inspe_jax.scene.maps.bodies import BARRIERS, BUILDING, SMALL, TREE, Shape, crown_base
 from inspe_jax.scene.maps.openstreetmap.extract import Tags, Way, read_extract
@@ -145,21 +146,15 @@ class Sizes:
 
 
 class BodyReader:
-    """Reads what an extract has beside lanes within ``reach`` [m] of a point [m].
+    """Reads what an extract has beside lanes within ``reach`` [m] of the centre of a place.
 
     ``notes`` get what was assumed. Raises InspeError as
     :func:`~inspe_jax.scene.maps.openstreetmap.extract.read_extract`.
     """
 
-    def __init__(
-        self,
-        path: Path,
-        middle: Float[np.ndarray, "2"],
-        reach: float,
-        georeference: Georeference,
-        notes: list[str],
-    ) -> None:
+    def __init__(self, path: Path, place: Intersection, reach: float, notes: list[str]) -> None:
         self.notes, self.sizes = notes, Sizes()
+        middle, georeference = place.center[:2], known_georeference(place)
         self.disc = Point(middle).buffer(reach)
         square = shapely.segmentize(Point(middle).buffer(reach + BEYOND, cap_style="square"), 50.0)
         degrees = georeference.to_degrees(shapely.get_coordinates(square))

@@ -116,11 +116,11 @@ class SumoJunction(MapJunction):
     def with_bodies(
         self, place: Intersection, lane_strips: list[LaneStrip], notes: list[str]
     ) -> Intersection:
-        projection = place.georeference
-        if projection is None or not str(self.map.path).lower().endswith(OSM_SUFFIXES):
+        is_extract = str(self.map.path).lower().endswith(OSM_SUFFIXES)
+        if place.georeference is None or not is_extract:
             return place
         reach = self.radius + MARGIN
-        reader = BodyReader(self.map.path, self.middle[:2], reach, projection, notes)
+        reader = BodyReader(self.map.path, place, reach, notes)
         place = _on_heights(place, reader.spot_heights(), self.radius, notes)
         return with_bodies(place, reader.shapes(), reach, notes)
 

@@ -248,10 +248,7 @@ class RoadMap(ABC):
         return tuple(found)
 
     def read(
-        self,
-        junction: Id | None = None,
-        center: tuple[float, float] | None = None,
-        radius: float = 50.0,
+        self, junction: Id | None, center: tuple[float, float] | None, radius: float
     ) -> Intersection:
         """One junction and its surroundings: :func:`~inspe_jax.scene.maps.registry.read_map`."""
         members, middle, where = self._chosen(junction, center)

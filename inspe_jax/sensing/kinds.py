@@ -135,16 +135,8 @@ class CameraKeys(DeviceKeys):
             focal = float(self.width / 2 / np.tan(np.radians(self.hfov_deg) / 2))
         assert focal is not None
         cx, cy = self.principal_px or (self.width / 2, self.height / 2)
-        return CameraSpec(
-            name=name,
-            width=self.width,
-            height=self.height,
-            focal=focal,
-            principal=(cx, cy),
-            downsample=self.downsample,
-            depth=self.depth_m,
-            reliability=self.reliability,
-        )
+        same = self.model_dump(include={"width", "height", "downsample", "reliability"})
+        return CameraSpec(name, focal=focal, principal=(cx, cy), depth=self.depth_m, **same)
 
     @classmethod
     def table(cls, spec: CameraSpec) -> dict[str, Any]:

@@ -159,7 +159,7 @@ class MapJunction(ABC):
 
     ``poles`` of the map are at any height [m]; ``interior`` are the numbers of the roads inside the
     junction, or from one member to another. A format's ``__post_init__`` finds these and the
-    ``approaches``.
+    ``approaches``. ``notes`` get what was assumed and done.
     """
 
     map: Any
@@ -169,6 +169,7 @@ class MapJunction(ABC):
     approaches: list[Approach] = field(init=False)
     poles: Float[np.ndarray, "P 3"] = field(init=False)
     interior: set[int] = field(init=False)
+    notes: list[str] = field(init=False, default_factory=list)
 
     @abstractmethod
     def __post_init__(self) -> None: ...
@@ -186,10 +187,8 @@ class MapJunction(ABC):
         """The lanes near the junction on all levels, and which of them are certainly on its own."""
 
     @abstractmethod
-    def areas(
-        self, lane_strips: list[LaneStrip], notes: list[str]
-    ) -> dict[Region, list[BaseGeometry]]:
-        """Parts, which may overlap, of all regions but crosswalks; ``notes`` get assumptions."""
+    def areas(self, lane_strips: list[LaneStrip]) -> dict[Region, list[BaseGeometry]]:
+        """Parts, which may overlap, of all regions but crosswalks."""
 
     @abstractmethod
     def drives(self, arm_of: dict[tuple[int, str], int]) -> Iterable[Route]:
@@ -197,10 +196,8 @@ class MapJunction(ABC):
         radius; no U-turns."""
 
     @abstractmethod
-    def with_bodies(
-        self, place: Intersection, lane_strips: list[LaneStrip], notes: list[str]
-    ) -> Intersection:
-        """The place with the bodies of its map; ``notes`` get what was done."""
+    def with_bodies(self, place: Intersection, lane_strips: list[LaneStrip]) -> Intersection:
+        """The place with the bodies of its map."""
 
 
 class RoadMap(ABC):
@@ -260,13 +257,12 @@ class RoadMap(ABC):
                 f"{self.source}: no roads within {radius:g} m of ({middle[0]:.1f}, {middle[1]:.1f})"
             )
         arms, arm_of = arms_of(here.approaches)
-        notes: list[str] = []
-        areas = _side_by_side(here.areas(lane_strips, notes))
+        areas = _side_by_side(here.areas(lane_strips))
         reach = radius + MARGIN
         ground = np.concatenate([s.center for s in lane_strips])
         ground = ground[distance_from(ground, middle) <= reach + 5.0]
         disc = Point(middle[:2]).buffer(reach, quad_segs=32)
-        walks = crosswalks_of(self.crossings, areas, arms, ground, disc, notes)
+        walks = crosswalks_of(self.crossings, areas, arms, ground, disc, here.notes)
         areas[Region.CROSSWALK] = clean(unary_union(walks))
         regions = {region: areas[region].intersection(disc) for region in Region}
         medians = [s.polygon for s in lane_strips if s.kind == "median"]
@@ -296,10 +292,10 @@ class RoadMap(ABC):
             poles=place.on_ground(here.poles),
             routes=(*here.drives(arm_of), *people),
         )
-        place = here.with_bodies(place, lane_strips, notes)
+        place = here.with_bodies(place, lane_strips)
         if not len(place.poles):
-            notes.append(NO_POLES)
-        return replace(place, notes=tuple(notes))
+            here.notes.append(NO_POLES)
+        return replace(place, notes=tuple(here.notes))
 
     def _chosen(
         self, junction: Id | None, center: tuple[float, float] | None

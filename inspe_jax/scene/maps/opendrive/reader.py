@@ -83,9 +83,7 @@ class OpenDriveJunction(MapJunction):
                     found += strip.runs(away <= reach + width.max() + STEP)
         return found, [s.junction in self.members or s.road in self.interior for s in found]
 
-    def areas(
-        self, lane_strips: list[LaneStrip], notes: list[str]
-    ) -> dict[Region, list[BaseGeometry]]:
+    def areas(self, lane_strips: list[LaneStrip]) -> dict[Region, list[BaseGeometry]]:
         parts: dict[Region, list[BaseGeometry]] = {region: [] for region in Region}
         drawn = False
         for number in sorted({s.junction for s in lane_strips} - {-1}):
@@ -105,21 +103,19 @@ class OpenDriveJunction(MapJunction):
             if (region := self.region_of(strip)) is not None:
                 parts[region].append(strip.polygon)
         if drawn:
-            notes.append(
+            self.notes.append(
                 "sidewalks and shoulders end at the junction in the map; its corners were drawn "
                 "between those of neighbouring roads"
             )
         return parts
 
-    def with_bodies(
-        self, place: Intersection, lane_strips: list[LaneStrip], notes: list[str]
-    ) -> Intersection:
+    def with_bodies(self, place: Intersection, lane_strips: list[LaneStrip]) -> Intersection:
         reach, shapes = self.radius + MARGIN, self.map.shapes
-        notes += self.map.notes
-        place = with_bodies(place, [s for s in shapes if s.kind != PARKING], reach, notes)
+        self.notes += self.map.notes
+        place = with_bodies(place, [s for s in shapes if s.kind != PARKING], reach, self.notes)
         lanes = [strip for strip in lane_strips if strip.kind == "parking"]
         spaces = [shape.area for shape in shapes if shape.kind == PARKING]
-        return with_parked(place, lanes, spaces, reach, notes)
+        return with_parked(place, lanes, spaces, reach, self.notes)
 
     def drives(self, arm_of: dict[tuple[int, str], int]) -> Iterator[Route]:
         town, approaches = self.map, self.approaches

@@ -84,9 +84,7 @@ class SumoJunction(MapJunction):
         own = {s.road for s, far in near if far <= CLUSTER} | self.interior
         return [s for s, _ in near], [s.road in own for s, _ in near]
 
-    def areas(
-        self, lane_strips: list[LaneStrip], notes: list[str]
-    ) -> dict[Region, list[BaseGeometry]]:
+    def areas(self, lane_strips: list[LaneStrip]) -> dict[Region, list[BaseGeometry]]:
         middle = self.middle
         reach = max(float(distance_from(s.center, middle).max()) for s in lane_strips)
         ground = np.concatenate([s.center for s in lane_strips])
@@ -113,16 +111,30 @@ class SumoJunction(MapJunction):
                 parts[region].append(strip.polygon)
         return parts
 
-    def with_bodies(
-        self, place: Intersection, lane_strips: list[LaneStrip], notes: list[str]
-    ) -> Intersection:
+    def with_bodies(self, place: Intersection, lane_strips: list[LaneStrip]) -> Intersection:
         is_extract = str(self.map.path).lower().endswith(OSM_SUFFIXES)
         if place.georeference is None or not is_extract:
             return place
         reach = self.radius + MARGIN
-        reader = BodyReader(self.map.path, place, reach, notes)
-        place = _on_heights(place, reader.spot_heights(), self.radius, notes)
-        return with_bodies(place, reader.shapes(), reach, notes)
+        reader = BodyReader(self.map.path, place, reach, self.notes)
+        place = self._on_heights(place, reader.spot_heights())
+        return with_bodies(place, reader.shapes(), reach, self.notes)
+
+    def _on_heights(self, place: Intersection, spots: Float[np.ndarray, "N 3"]) -> Intersection:
+        """A place on ground through spot heights, if they lie around its roads."""
+        if len(spots) < SPOTS:
+            return place
+        near = Point(place.center[:2]).buffer(self.radius)
+        roads = unary_union(list(place.regions.values())).intersection(near)
+        if not MultiPoint(spots[:, :2]).convex_hull.buffer(NEAR_SPOTS).covers(roads):
+            self.notes.append(
+                f"the map's {len(spots)} points with a height do not lie around it: level"
+            )
+            return place
+        self.notes.append(
+            f"heights of the ground between {len(spots)} points of the map with a height"
+        )
+        return laid_on(place, spots, self.radius)
 
     def drives(self, arm_of: dict[tuple[int, str], int]) -> Iterator[Route]:
         strips = self.map.lane_strips
@@ -306,18 +318,3 @@ def _approach(streets: SumoMap, number: int, edge: Any, end: str) -> Approach:
         for lane, strip in lane_strips
     ]
     return Approach.across(number, end, origin, outward, heading(chord), cut)
-
-
-def _on_heights(
-    place: Intersection, spots: Float[np.ndarray, "N 3"], radius: float, notes: list[str]
-) -> Intersection:
-    """A place on ground through spot heights, if they lie around its roads."""
-    if len(spots) < SPOTS:
-        return place
-    near = Point(place.center[:2]).buffer(radius)
-    roads = unary_union(list(place.regions.values())).intersection(near)
-    if not MultiPoint(spots[:, :2]).convex_hull.buffer(NEAR_SPOTS).covers(roads):
-        notes.append(f"the map's {len(spots)} points with a height do not lie around it: level")
-        return place
-    notes.append(f"heights of the ground between {len(spots)} points of the map with a height")
-    return laid_on(place, spots, radius)

@@ -157,11 +157,3 @@ SENSOR_KINDS: dict[str, type[DeviceKeys]] = {
     keys.spec_type.kind: keys for keys in (LidarKeys, CameraKeys)
 }
 """Every kind of sensor by name."""
-
-
-def keys_of(kind: Any, where: str) -> type[DeviceKeys]:
-    """The catalogue keys of a kind. Raises InspeError that names ``where`` and the kinds."""
-    if not isinstance(kind, str) or kind not in SENSOR_KINDS:
-        known = " or ".join(f"'{name}'" for name in SENSOR_KINDS)
-        raise InspeError(f"{where}: kind: must be {known}, got {kind!r}")
-    return SENSOR_KINDS[kind]

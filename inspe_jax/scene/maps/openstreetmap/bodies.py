@@ -165,12 +165,12 @@ class BodyReader:
         self.open = 0  # outlines that could not be closed
 
     def spot_heights(self) -> Float[np.ndarray, "N 3"]:
-        """The nodes that have a height (``ele``), in world metres."""
-        found = [
-            (*self.at[name], height)
-            for name, tags in self.extract.node_tags.items()
-            if (height := _elevation(tags.get("ele", ""))) is not None
-        ]
+        """The nodes that have a height (``ele``) of this Earth, in world metres."""
+        found = []
+        for name, tags in self.extract.node_tags.items():
+            with suppress(ValueError):
+                if LOWEST < (height := float(tags.get("ele", "").removesuffix("m"))) < HIGHEST_LAND:
+                    found.append((*self.at[name], height))
         return np.array(found, float).reshape(-1, 3)
 
     def shapes(self) -> list[Shape]:
@@ -340,11 +340,3 @@ def _is_building(tags: Tags) -> bool:
 
 def _is_area(tags: Tags) -> bool:
     return _is_building(tags) or (tags.get("barrier") == "hedge" and tags.get("area") == "yes")
-
-
-def _elevation(text: str) -> float | None:
-    """The metres of a tag ``ele``; None where they are no height on this Earth."""
-    with suppress(ValueError):
-        if LOWEST < (height := float(text.removesuffix("m"))) < HIGHEST_LAND:
-            return height
-    return None

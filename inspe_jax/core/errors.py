@@ -31,6 +31,15 @@ class InspeError(ValueError):
         super().__init__(message)
 
 
+@contextmanager
+def error_at(where: str) -> Iterator[None]:
+    """Begin the message of an InspeError in the block with ``where`` it is."""
+    try:
+        yield
+    except InspeError as error:
+        raise InspeError(f"{where}: {error}") from None
+
+
 _SHORT = reprlib.Repr()
 _SHORT.maxlevel, _SHORT.maxlist, _SHORT.maxdict = 2, 6, 4
 _SHORT.maxstring = _SHORT.maxlong = _SHORT.maxother = 80

@@ -32,12 +32,14 @@ class InspeError(ValueError):
 
 
 @contextmanager
-def error_at(where: str) -> Iterator[None]:
-    """Begin the message of an InspeError in the block with ``where`` it is."""
+def error_at(where: str, *kinds: type[Exception]) -> Iterator[None]:
+    """Begin the message of an InspeError in the block with ``where`` it is; or, if ``kinds`` of
+    errors are given, turn those into an InspeError with such a message."""
+    caught = kinds or (InspeError,)
     try:
         yield
-    except InspeError as error:
-        raise InspeError(f"{where}: {error}") from None
+    except caught as error:
+        raise InspeError(f"{where}: {error}") from (error if kinds else None)
 
 
 _SHORT = reprlib.Repr()

@@ -20,7 +20,7 @@ from jaxtyping import Float, Int
 from scipy import ndimage
 from shapely.ops import unary_union
 
-from inspe_jax.core.errors import InspeError, needs
+from inspe_jax.core.errors import InspeError, error_at, needs
 from inspe_jax.core.files import check_input
 from inspe_jax.scene.intersection import LOW, Intersection, Mesh
 from inspe_jax.scene.maps.bodies import Shape, with_bodies
@@ -76,10 +76,9 @@ def read_mesh(path: str | os.PathLike[str]) -> Mesh:
     check_input(file)
     with needs("meshes need trimesh", "geo"):
         import trimesh
-    try:
+    # Its readers raise whatever they run into.
+    with error_at(f"{path}: not a mesh that trimesh reads", Exception):
         parts = list(_parts(trimesh.load_scene(file, process=False)))
-    except Exception as error:  # its readers raise whatever they run into
-        raise InspeError(f"{path}: not a mesh that trimesh reads: {error}") from error
     corners = np.concatenate([np.zeros((0, 3, 3)), *(corners for corners, _ in parts)])
     colours = np.concatenate([np.zeros((0, 3), np.uint8), *(colours for _, colours in parts)])
     if not len(corners) or not np.isfinite(corners).all():

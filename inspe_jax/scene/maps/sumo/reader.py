@@ -11,7 +11,7 @@ from shapely.geometry import MultiPoint, Point, Polygon
 from shapely.geometry.base import BaseGeometry
 from shapely.ops import unary_union
 
-from inspe_jax.core.errors import InspeError, needs
+from inspe_jax.core.errors import InspeError, error_at, needs
 from inspe_jax.core.files import cached_by_file
 from inspe_jax.scene.georeference import Georeference
 from inspe_jax.scene.intersection import Intersection, Route
@@ -294,12 +294,11 @@ def load_net(path: Path) -> SumoMap:
     with needs("SUMO networks and OpenStreetMap need sumolib", "sumo"):
         import sumolib
     file = network_file(path)
-    try:
+    wrong = f"{path}: not a SUMO network: missing or wrong"
+    with error_at(wrong, SAXException, KeyError, ValueError, AttributeError, TypeError):
         net = sumolib.net.readNet(
             str(file), withInternal=True, withPedestrianConnections=True, lxml=False
         )
-    except (SAXException, KeyError, ValueError, AttributeError, TypeError) as error:
-        raise InspeError(f"{path}: not a SUMO network: missing or wrong: {error}") from error
     if not any(edge.getFunction() == "" for edge in net.getEdges()):
         raise InspeError(f"{path}: the network has no roads")
     return SumoMap(path, file, net)

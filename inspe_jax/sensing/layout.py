@@ -29,7 +29,7 @@ from pydantic import BaseModel, Field
 
 from inspe_jax.core.digest import ORIGIN
 from inspe_jax.core.errors import InspeError, check_known, error_at, wrong_kind
-from inspe_jax.core.files import STRICT, check_model, read_yaml, write_text
+from inspe_jax.core.files import STRICT, check_model, json_value, read_yaml, write_text
 from inspe_jax.core.geometry import rotation
 from inspe_jax.core.pytree import pytree
 from inspe_jax.core.records import ByContent, Described, check_record
@@ -84,8 +84,7 @@ class Goal:
     @property
     def record(self) -> dict[str, Any]:
         """The content of a layout file under ``searched_for``."""
-        record = dict[str, Any](weights=dict(self.weights), regions=list(self.regions))
-        record |= dict(road_users=list(self.road_users), failures=self.failures)
+        record = json_value(self) | {"weights": dict(self.weights)}
         return {key: value for key, value in record.items() if value}
 
 

@@ -45,6 +45,8 @@ CLUSTER = 35.0  # junctions whose middle is this near to ``center`` count as one
 MARGIN = 10.0  # a map is read this much beyond the radius [m]
 MOST_LISTED = 20  # at most this many junctions are listed in an error
 
+Areas = dict[Region, BaseGeometry]
+
 
 @dataclass(frozen=True)
 class JunctionInfo:
@@ -71,34 +73,6 @@ def clean(shape: BaseGeometry) -> BaseGeometry:
     return unary_union([part for part in shapely.get_parts(shape) if part.area > 0.5])
 
 
-def crosswalks_of(
-    loops: Iterable[np.ndarray],
-    areas: dict[Region, BaseGeometry],
-    arms: tuple[Arm, ...],
-    ground: np.ndarray,
-    disc: Polygon,
-    notes: list[str],
-) -> list[BaseGeometry]:
-    """The crosswalks of a map, from outlines (K, 3), inside the disc and near ground points (N, 3).
-
-    If there is none at the junction, strips across the arms' mouths are added, with a note.
-    """
-    index = cKDTree(ground[:, :2])
-    walks = []
-    for loop in loops:
-        middle = loop.mean(0)
-        level = ground[index.query(middle[:2])[1], 2]
-        if disc.contains(Point(middle)) and abs(middle[2] - level) < 2.0:
-            walks.append(valid(Polygon(loop[:, :2])))
-    if any(walk.distance(areas[Region.JUNCTION]) < 8.0 for walk in walks):
-        return walks
-    if areas[Region.SIDEWALK].intersection(disc).is_empty:
-        notes.append("no crosswalks: the map has none here, and no sidewalks they could join")
-        return walks
-    notes.append("the map has no crosswalks here; strips across the junction's mouths stand in")
-    return walks + [mouth_crosswalks((arm,)) for arm in arms]
-
-
 def joined_lines(lines: list[np.ndarray]) -> Iterator[np.ndarray]:
     """Footpaths (N, 2), joined where the end of one is within 1.5 m of another; 5 m or longer."""
     lines = list(lines)
@@ -120,10 +94,7 @@ def joined_lines(lines: list[np.ndarray]) -> Iterator[np.ndarray]:
 
 
 def mounting_of(
-    regions: dict[Region, BaseGeometry],
-    medians: list[BaseGeometry],
-    arms: tuple[Arm, ...],
-    disc: Polygon,
+    regions: Areas, medians: list[BaseGeometry], arms: tuple[Arm, ...], disc: Polygon
 ) -> BaseGeometry:
     """Where a pole may stand: sidewalks, shoulders and medians, but not carriageway or crosswalks.
 
@@ -181,6 +152,30 @@ class MapJunction(ABC):
         if strip.kind in SHOULDER:
             return Region.SHOULDER
         return Region.SIDEWALK if strip.kind in SIDEWALK else None
+
+    def crosswalks(
+        self, areas: Areas, arms: tuple[Arm, ...], ground: Float[np.ndarray, "N 3"], disc: Polygon
+    ) -> list[BaseGeometry]:
+        """The crosswalks of its map inside the disc and near ground points [m].
+
+        If there is none at the junction, strips across the arms' mouths are added, with a note.
+        """
+        index = cKDTree(ground[:, :2])
+        walks = []
+        for loop in self.map.crossings:
+            middle = loop.mean(0)
+            level = ground[index.query(middle[:2])[1], 2]
+            if disc.contains(Point(middle)) and abs(middle[2] - level) < 2.0:
+                walks.append(valid(Polygon(loop[:, :2])))
+        if any(walk.distance(areas[Region.JUNCTION]) < 8.0 for walk in walks):
+            return walks
+        if areas[Region.SIDEWALK].intersection(disc).is_empty:
+            none = "no crosswalks: the map has none here, and no sidewalks they could join"
+            self.notes.append(none)
+            return walks
+        strips = "the map has no crosswalks here; strips across the junction's mouths stand in"
+        self.notes.append(strips)
+        return walks + [mouth_crosswalks((arm,)) for arm in arms]
 
     @abstractmethod
     def lanes(self) -> tuple[list[LaneStrip], list[bool]]:
@@ -262,7 +257,7 @@ class RoadMap(ABC):
         ground = np.concatenate([s.center for s in lane_strips])
         ground = ground[distance_from(ground, middle) <= reach + 5.0]
         disc = Point(middle[:2]).buffer(reach, quad_segs=32)
-        walks = crosswalks_of(self.crossings, areas, arms, ground, disc, here.notes)
+        walks = here.crosswalks(areas, arms, ground, disc)
         areas[Region.CROSSWALK] = clean(unary_union(walks))
         regions = {region: areas[region].intersection(disc) for region in Region}
         medians = [s.polygon for s in lane_strips if s.kind == "median"]
@@ -326,9 +321,9 @@ class RoadMap(ABC):
         return {j for j, one in zip(ids, near, strict=True) if one}, at, f"at {where}"
 
 
-def _side_by_side(parts: dict[Region, list[BaseGeometry]]) -> dict[Region, BaseGeometry]:
+def _side_by_side(parts: dict[Region, list[BaseGeometry]]) -> Areas:
     """Junction, driveway, shoulder and sidewalk of their parts, without overlaps, seams or gaps."""
-    areas: dict[Region, BaseGeometry] = {}
+    areas: Areas = {}
     taken: BaseGeometry = MultiPolygon()
     for region in (Region.JUNCTION, Region.DRIVEWAY, Region.SHOULDER, Region.SIDEWALK):
         areas[region] = clean(unary_union(parts[region]).difference(taken))

@@ -122,18 +122,14 @@ class SumoJunction(MapJunction):
 
     def _on_heights(self, place: Intersection, spots: Float[np.ndarray, "N 3"]) -> Intersection:
         """A place on ground through spot heights, if they lie around its roads."""
-        if len(spots) < SPOTS:
+        if (count := len(spots)) < SPOTS:
             return place
         near = Point(place.center[:2]).buffer(self.radius)
         roads = unary_union(list(place.regions.values())).intersection(near)
         if not MultiPoint(spots[:, :2]).convex_hull.buffer(NEAR_SPOTS).covers(roads):
-            self.notes.append(
-                f"the map's {len(spots)} points with a height do not lie around it: level"
-            )
+            self.notes.append(f"the map's {count} points with a height do not lie around it: level")
             return place
-        self.notes.append(
-            f"heights of the ground between {len(spots)} points of the map with a height"
-        )
+        self.notes.append(f"heights of the ground between {count} points of the map with a height")
         return laid_on(place, spots, self.radius)
 
     def drives(self, arm_of: dict[tuple[int, str], int]) -> Iterator[Route]:

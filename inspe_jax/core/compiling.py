@@ -78,7 +78,7 @@ class _Watch:
         self._lock = threading.Lock()
         self._programs = 0
         self._all = Stretches()
-        self._since: dict[int, float] = {}  # when XLA began, by the thread that waits for it
+        self.since: dict[int, float] = {}  # when XLA began, by the thread that waits for it
         self.local = _Local()
 
     def hear(self, event: str, duration_secs: float, **_: str | int) -> None:
@@ -90,39 +90,32 @@ class _Watch:
             now = time.monotonic()
             self._programs += event == COMPILED
             if event == LOWERED:
-                self._since[thread] = now
+                self.since[thread] = now
             else:
-                self._since.pop(thread, None)
+                self.since.pop(thread, None)
             for stretches in (self._all, self.local.waits):
                 stretches.add(now - duration_secs, now)
 
-    def holds(self, thread: int) -> bool:
-        with self._lock:
-            return thread in self._since
-
     def compiled(self) -> Compiled:
+        """What this process has compiled since this module was imported."""
         alive = {thread.ident for thread in threading.enumerate()}
         with self._lock:
-            self._since = {thread: at for thread, at in self._since.items() if thread in alive}
+            self.since = {thread: at for thread, at in self.since.items() if thread in alive}
             seconds = self._all.seconds
-            if self._since:
-                since = min(self._since.values())
+            if self.since:
+                since = min(self.since.values())
                 seconds = self._all.before(since) + time.monotonic() - since
-            return Compiled(self._programs, seconds, bool(self._since))
+            return Compiled(self._programs, seconds, bool(self.since))
 
 
 _watch = _Watch()
 jax.monitoring.register_event_duration_secs_listener(_watch.hear)
-
-
-def compiled() -> Compiled:
-    """What this process has compiled since this module was imported."""
-    return _watch.compiled()
+compiled = _watch.compiled
 
 
 def holds_main_thread() -> bool:
     """Whether XLA compiles in the main thread now, which then does not hear Ctrl-C."""
-    return _watch.holds(threading.main_thread().ident or 0)
+    return threading.main_thread().ident in _watch.since
 
 
 # ── A clock that stands still while something is compiled ───────────────────

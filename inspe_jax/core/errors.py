@@ -31,6 +31,17 @@ class InspeError(ValueError):
         super().__init__(message)
 
 
+@contextmanager
+def error_at(where: str, *kinds: type[Exception]) -> Iterator[None]:
+    """Begin the message of an InspeError in the block with ``where`` it is; or, if ``kinds`` of
+    errors are given, turn those into an InspeError with such a message."""
+    caught = kinds or (InspeError,)
+    try:
+        yield
+    except caught as error:
+        raise InspeError(f"{where}: {error}") from (error if kinds else None)
+
+
 _SHORT = reprlib.Repr()
 _SHORT.maxlevel, _SHORT.maxlist, _SHORT.maxdict = 2, 6, 4
 _SHORT.maxstring = _SHORT.maxlong = _SHORT.maxother = 80

@@ -18,7 +18,6 @@ import zipfile
 import zlib
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import IO, Any, TypeVar
 from xml.parsers import expat
@@ -26,8 +25,9 @@ from xml.parsers import expat
 import numpy as np
 import yaml
 from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic_core import to_jsonable_python
 
-from inspe_jax.core.errors import InspeError, brief, nearest
+from inspe_jax.core.errors import InspeError, brief, error_at, nearest
 from inspe_jax.core.yaml_loader import DEPTH, check_digits, load_yaml
 
 Model = TypeVar("Model", bound=BaseModel)
@@ -133,19 +133,15 @@ def parse_yaml(text: str | bytes, where: str) -> Any:
 def read_json(path: Path) -> Any:
     """The content of a JSON file. Raises InspeError if it is missing, too large or not JSON."""
     check_input(path, TEXT)
-    try:
+    with error_at(f"{path}: not JSON", ValueError, RecursionError):
         return json.loads(path.read_bytes(), parse_int=lambda text: int(check_digits(text)))
-    except (ValueError, RecursionError) as e:
-        raise InspeError(f"{path}: not JSON: {e}") from e
 
 
 def read_toml(path: Path) -> dict[str, Any]:
     """The content of a TOML file. Raises InspeError if it is missing, too large or not TOML."""
     check_input(path, YAML)
-    try:
+    with error_at(f"{path}: not TOML", ValueError, RecursionError):
         return tomllib.loads(path.read_text("utf-8"))
-    except (ValueError, RecursionError) as e:
-        raise InspeError(f"{path}: not TOML: {e}") from e
 
 
 def read_csv(path: Path) -> list[dict[str, str]]:
@@ -157,10 +153,8 @@ def read_csv(path: Path) -> list[dict[str, str]]:
 def parse_csv(text: bytes, where: str) -> list[dict[str, str]]:
     """The rows of a CSV text, as :func:`csv_text` had them, without cells beyond the head's. Raises
     InspeError, which names ``where``, for other text."""
-    try:
+    with error_at(f"{where}: not CSV", ValueError, csv.Error):
         rows = [*csv.reader(io.StringIO(text.decode("utf-8-sig"), newline=""))]
-    except (ValueError, csv.Error) as e:
-        raise InspeError(f"{where}: not CSV: {e}") from e
     cells = [[_without_prefix(cell) for cell in row] for row in rows if row]
     if not cells:
         raise InspeError(f"{where}: not CSV: it is empty")
@@ -218,15 +212,13 @@ def check_xml(file: io.BufferedIOBase, where: str, root: str) -> None:
     most = math.inf
     if isinstance(file, gzip.GzipFile):
         most = max(2**26, UNPACKED * os.fstat(file.fileno()).st_size)
-    read = 0
-    try:
+    read, wrong = 0, f"{where}: not well-formed XML, perhaps cut short"
+    with error_at(wrong, expat.ExpatError, OSError, EOFError, zlib.error):
         while chunk := file.read(2**20):
             read += len(chunk)
             check_size(where, read, most, "unpacked text")
             parser.Parse(chunk)
         parser.Parse(b"", True)
-    except (expat.ExpatError, OSError, EOFError, zlib.error) as e:
-        raise InspeError(f"{where}: not well-formed XML, perhaps cut short: {e}") from e
 
 
 def check_input(path: Path, most: float = math.inf) -> None:
@@ -389,10 +381,4 @@ def _without_prefix(cell: str) -> str:
 
 def json_value(value: Any) -> Any:
     """A value for JSON: tuples and arrays become lists, NumPy's numbers Python's, records dicts."""
-    if is_dataclass(value) and not isinstance(value, type):
-        return {f.name: json_value(getattr(value, f.name)) for f in fields(value)}
-    if isinstance(value, Mapping):
-        return {str(key): json_value(item) for key, item in value.items()}
-    if isinstance(value, np.ndarray | np.generic):
-        return value.tolist()
-    return [json_value(item) for item in value] if isinstance(value, list | tuple) else value
+    return to_jsonable_python(value, bytes_mode="base64", fallback=lambda array: array.tolist())

@@ -80,8 +80,7 @@ def pixels(image: Pinhole, points: Float[np.ndarray, "*n 3"]) -> Float[np.ndarra
     pose = np.asarray(image.pose, float)
     body = (points - pose[:3]) @ rotation(pose[3:], np)
     seen = np.stack([-body[..., 1], -body[..., 2], body[..., 0]], -1) @ image.intrinsic.T
-    placed: np.ndarray = np.concatenate([seen[..., :2] / seen[..., 2:], seen[..., 2:]], -1)
-    return placed
+    return np.concatenate([seen[..., :2] / seen[..., 2:], seen[..., 2:]], -1)
 
 
 def dot3(a: Point, b: Point) -> Float[Array, "*n"]:

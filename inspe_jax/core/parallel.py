@@ -81,8 +81,7 @@ def at_precision(double: bool) -> AbstractContextManager[None]:
     """Set double or single precision in this thread; threads do not inherit it."""
     # The function is in different places in different versions of JAX.
     switch: Any = jax if hasattr(jax, "enable_x64") else jax.experimental
-    found: AbstractContextManager[None] = switch.enable_x64(double)
-    return found
+    return switch.enable_x64(double)
 
 
 def untraced(work: Callable[[], Result]) -> Result:

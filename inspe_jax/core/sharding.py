@@ -16,11 +16,6 @@ def devices() -> int:
     return jax.local_device_count()
 
 
-def divides(length: int) -> bool:
-    """Whether there are several devices and ``length`` is a multiple of their number."""
-    return devices() > 1 and length % devices() == 0
-
-
 @cache
 def _mesh() -> Mesh:
     return Mesh(np.array(jax.local_devices()), (_AXIS,))

@@ -65,20 +65,12 @@ def save_figure(fig: Figure, path: str | os.PathLike[str]) -> None:
         fig.savefig(f, format=suffix[1:], dpi=300, metadata=FORMATS[suffix])
 
 
-def png_text(fig: Figure, dpi: float) -> str:
-    """A figure as PNG in base64, for a page that holds it. The same figure gives the same text."""
-    return _text(fig, dpi, format="png", metadata={})
-
-
-def jpeg_text(fig: Figure, dpi: float) -> str:
-    """A figure that is mostly a photograph as JPEG in base64."""
-    return _text(fig, dpi, format="jpeg", pil_kwargs={"quality": 85})
-
-
-def _text(fig: Figure, dpi: float, **how: Any) -> str:
+def image_text(fig: Figure, dpi: float, kind: str = "png") -> str:
+    """A figure in base64, for a page that holds it: as PNG, or as JPEG, for one that is mostly a
+    photograph. The same figure gives the same text."""
     made = io.BytesIO()
     with house_style():
-        fig.savefig(made, dpi=dpi, **how)
+        fig.savefig(made, dpi=dpi, format=kind, pil_kwargs={"quality": 85})  # of JPEG
     return base64.b64encode(made.getvalue()).decode()
 
 

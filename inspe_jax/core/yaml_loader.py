@@ -37,14 +37,12 @@ class _Loader(_Base):
             if key in seen:
                 raise yaml.YAMLError(f"the key {brief(key)} is given twice,{node.start_mark}")
             seen.add(key)
-        found: dict[Any, Any] = super().construct_mapping(node, deep)
-        return found
+        return super().construct_mapping(node, deep)
 
 
 def _whole(loader: Any, node: yaml.ScalarNode) -> int:
     check_digits(node.value)
-    number: int = loader.construct_yaml_int(node)
-    return number
+    return loader.construct_yaml_int(node)
 
 
 _Loader.add_constructor("tag:yaml.org,2002:int", _whole)

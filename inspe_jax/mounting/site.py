@@ -192,17 +192,11 @@ class Site:
         return sorted(found, key=lambda outline: -Polygon(outline).area)
 
     def carries(
-        self,
-        foot: Float[np.ndarray, "2"],
-        *,
-        areas: bool = True,
-        poles: bool = True,
-        within: float = 0.0,
+        self, foot: Float[np.ndarray, "2"], within: float, *, areas: bool = True, poles: bool = True
     ) -> bool:
         """Whether a unit may stand at ``foot`` (x, y) [m], on free mounting area or on a pole, or
         ``within`` a tolerance [m] of them."""
-        away = np.hypot(*(self.poles - foot).T)
-        on_pole = poles and len(away) > 0 and away.min() <= within
+        on_pole = poles and (np.hypot(*(self.poles - foot).T) <= within).any()
         return bool(on_pole or (areas and self.free.distance(Point(foot)) <= within))
 
     def over_lane(self, point: Float[np.ndarray, "2"]) -> bool:

@@ -24,8 +24,7 @@ def on_span(layout: Layout, site: Site) -> Bool[np.ndarray, " U"]:
     feet = [np.array(unit.base[:2]) for unit in layout.units]
     return np.array(
         [
-            bool(np.hypot(*(foot - site.center)) <= SPAN)
-            and not site.carries(foot, within=TOLERANCE)
+            bool(np.hypot(*(foot - site.center)) <= SPAN) and not site.carries(foot, TOLERANCE)
             for foot in feet
         ]
     )
@@ -89,7 +88,7 @@ def _foot(
         yield f"({foot[0]:.2f}, {foot[1]:.2f}) is {how} a body, the {near.words}"
         return
     areas, poles = PLACES[constraints.places_of(unit.name)]
-    if not site.carries(foot, areas=areas, poles=poles, within=TOLERANCE):
+    if not site.carries(foot, TOLERANCE, areas=areas, poles=poles):
         what = " and no ".join(["mounting area"] * areas + ["pole"] * poles)
         yield f"({foot[0]:.2f}, {foot[1]:.2f}) stands on no {what}"
 
@@ -132,7 +131,7 @@ def differences(
         foot = np.array(new.base[:2])
         away = float(np.hypot(*(foot - old.base[:2])))
         if away > TOLERANCE:
-            on_pole = site.carries(foot, areas=False, within=TOLERANCE)
+            on_pole = site.carries(foot, TOLERANCE, areas=False)
             where = "pole" if on_pole else "mounting area"
             if old.name in added:
                 near = f"the nearest {where}, {away:.2f} m from the point asked for"

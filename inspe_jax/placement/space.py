@@ -121,7 +121,7 @@ class Space:
             row = [] if self._kept[u] else [*np.flatnonzero(np.where(self._pole, poles, areas))]
             # A given foot that may stay is a place for its unit, also in the rim of an area.
             at = foot + self.center[:2]
-            if self._kept[u] or self.site.carries(at, areas=areas, poles=poles, within=TOLERANCE):
+            if self._kept[u] or self.site.carries(at, TOLERANCE, areas=areas, poles=poles):
                 row.append(len(pool))
                 pool.append(foot[None])
             if not row:

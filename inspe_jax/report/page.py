@@ -18,7 +18,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 from matplotlib.figure import Figure
 
 from inspe_jax.core.errors import InspeError
-from inspe_jax.core.sheet import jpeg_text, png_text
+from inspe_jax.core.sheet import image_text
 from inspe_jax.core.words import counted, isolated
 from inspe_jax.placement.objective import Objective
 from inspe_jax.placement.problem import Case
@@ -168,7 +168,7 @@ def report_page(
                 goal=None if entry.sought is None else goal_words(layout, scores, entry.sought),
                 blind=_shares(of_columns["blind"]),
                 images=done(_images(scene, entry, of_columns, frame)),
-                photograph=photograph and jpeg_text(photograph, DPI),
+                photograph=photograph and image_text(photograph, DPI, "jpeg"),
                 scene3d=done(
                     views and _text(views.scene3d(scene, layout, scores.conditions, frame))
                 ),
@@ -201,7 +201,7 @@ def report_page(
         weights=entries[0].scores.settings["weights"],
         core=CORE,
         regions={r.key: WEIGHTS[r] for r in Region if r.key in records[0]["region_coverage"]},
-        image=png_text(scene_view(scene, frame=frame), DPI),
+        image=image_text(scene_view(scene, frame=frame), DPI),
         record=_text(json.dumps(records, indent=2)),
         made=date.today().isoformat(),
     )
@@ -228,7 +228,7 @@ def _images(
         )  # fmt: skip
     if result is not None:
         found["Score against time"] = history_view([result])
-    return {words: png_text(figure, DPI) for words, figure in found.items()}
+    return {words: image_text(figure, DPI) for words, figure in found.items()}
 
 
 def template(room: str, name: str) -> Template:

@@ -13,7 +13,7 @@ from pydantic import BaseModel, ConfigDict
 from shapely.geometry import shape
 from shapely.geometry.base import BaseGeometry
 
-from inspe_jax.core.errors import InspeError
+from inspe_jax.core.errors import InspeError, error_at
 from inspe_jax.core.files import check_model, read_csv, read_json
 from inspe_jax.scene.georeference import WGS84, Georeference, wgs84
 from inspe_jax.scene.intersection import Intersection
@@ -96,10 +96,8 @@ def read_features(
             raise InspeError(f"{where}.geometry: no geometry of GeoJSON") from error
         if geometry.is_empty:
             raise InspeError(f"{where}.geometry: has no coordinates")
-        try:
+        with error_at(f"{path}: crs"):
             moved = shapely.transform(geometry, to_world)
-        except InspeError as error:
-            raise InspeError(f"{path}: crs: {error}") from None
         if not np.isfinite(shapely.get_coordinates(moved)).all():
             at = shapely.get_coordinates(geometry)[0].tolist()
             raise InspeError(

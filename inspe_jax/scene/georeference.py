@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from inspe_jax.core.errors import InspeError, needs
+from inspe_jax.core.errors import InspeError, error_at, needs
 
 LOCAL = 0.5  # directions are those of a line of twice this length [m]
 MADE_UP = 1.0  # nearer to 0° N 0° E is sea [degrees]: origin of projections without a true one
@@ -33,13 +33,12 @@ class Georeference:
     def _to_world(self) -> Any:
         """PROJ's conversion of longitudes and latitudes to the projection's metres."""
         pyproj = _pyproj()
-        try:
+        wrong = f"'{self.crs}' is no projection that PROJ knows"
+        with error_at(wrong, pyproj.exceptions.ProjError):
             system = pyproj.CRS.from_user_input(self.crs)
             if not system.is_projected:
                 raise InspeError(f"'{self.crs}' has no metres: name a projection")
             return pyproj.Transformer.from_crs(WGS84, system.to_2d(), always_xy=True)
-        except pyproj.exceptions.ProjError as error:
-            raise InspeError(f"'{self.crs}' is no projection that PROJ knows: {error}") from error
 
     def to_degrees(self, points: Float[np.ndarray, "N 2"]) -> Float[np.ndarray, "N 2"]:
         """Longitudes and latitudes [degrees] of world coordinates [m]. Raises as :meth:`check`."""
@@ -93,11 +92,10 @@ def wgs84(
     if system.endswith(("CRS84", ":4326")):
         return np.asarray(points, float)
     pyproj = _pyproj()
-    try:
+    wrong = f"'{system}' is no coordinate system that PROJ knows"
+    with error_at(wrong, pyproj.exceptions.ProjError):
         known = pyproj.CRS.from_user_input(system).to_2d()
         there = pyproj.Transformer.from_crs(known, WGS84, always_xy=True)
-    except pyproj.exceptions.ProjError as error:
-        raise InspeError(f"'{system}' is no coordinate system that PROJ knows: {error}") from error
     way = "INVERSE" if back else "FORWARD"
     return np.column_stack(there.transform(*np.asarray(points, float).T, direction=way))
 

@@ -6,8 +6,12 @@ Left is on the left of the direction of travel.
 import numpy as np
 from jaxtyping import Float
 
+Vector = Float[np.ndarray, "2"]
+Line = Float[np.ndarray, "N 2"]
+"""A point or a direction, and a line, in plan."""
 
-def turned(line: Float[np.ndarray, "N 2"], angle: float) -> Float[np.ndarray, "N 2"]:
+
+def turned(line: Line, angle: float) -> Line:
     """A line turned about the origin by ``angle`` [rad]."""
     c, s = np.cos(angle), np.sin(angle)
     return line @ np.array([[c, s], [-s, c]])
@@ -43,14 +47,12 @@ _STRAIGHT = np.radians(5.0)  # a bend that turns less is one cubic curve
 _HANDLE = 0.4  # distance of the cubic curve's inner control points, as a share of its chord
 
 
-def joined(*parts: Float[np.ndarray, "..."]) -> Float[np.ndarray, "N 2"]:
+def joined(*parts: Float[np.ndarray, "..."]) -> Line:
     """Lines and points joined to one line, without repeated points."""
     return distinct(np.concatenate([np.reshape(part, (-1, 2)) for part in parts]))
 
 
-def arc(
-    center: Float[np.ndarray, "2"], radius: float, start: float, end: float
-) -> Float[np.ndarray, "N 2"]:
+def arc(center: Vector, radius: float, start: float, end: float) -> Line:
     """A circular arc from the direction ``start`` to ``end`` about its centre [m, rad]."""
     sweep = abs(end - start)
     steps = int(np.ceil(round(sweep / min(_ARC_STEP, _CHORD / radius), 6)))
@@ -58,13 +60,7 @@ def arc(
     return center + radius * np.column_stack([np.cos(angle), np.sin(angle)])
 
 
-def bend(
-    start: Float[np.ndarray, "2"],
-    out: Float[np.ndarray, "2"],
-    end: Float[np.ndarray, "2"],
-    into: Float[np.ndarray, "2"],
-    radius: float = np.inf,
-) -> Float[np.ndarray, "N 2"]:
+def bend(start: Vector, out: Vector, end: Vector, into: Vector, radius: float = np.inf) -> Line:
     """A line from ``start`` along ``out`` to ``end`` along ``into``, tangent to these unit vectors.
 
     It is straight, then an arc of ``radius`` [m] or the largest that fits, then straight again; or
@@ -81,13 +77,7 @@ def bend(
     return joined(start, curve, end)
 
 
-def fillet(
-    start: Float[np.ndarray, "2"],
-    out: Float[np.ndarray, "2"],
-    end: Float[np.ndarray, "2"],
-    into: Float[np.ndarray, "2"],
-    radius: float,
-) -> Float[np.ndarray, "N 2"]:
+def fillet(start: Vector, out: Vector, end: Vector, into: Vector, radius: float) -> Line:
     """Only the arc of :func:`bend`; no points if there is none."""
     chord, sine = end - start, _cross(out, into)
     turn = float(np.arctan2(sine, out @ into))
@@ -104,7 +94,7 @@ def fillet(
     return arc(first + radius * inward, radius, begin, begin + turn)
 
 
-def onto_ring(left: float, ring: float, radius: float) -> Float[np.ndarray, "N 2"]:
+def onto_ring(left: float, ring: float, radius: float) -> Line:
     """The arc of a radius [m], a right turn, from a line along −x at y = ``left`` [m] onto the ring
     of radius ``ring`` [m] about the origin. Mirrored in the x axis and reversed, it leads off."""
     beside = left + radius
@@ -113,7 +103,7 @@ def onto_ring(left: float, ring: float, radius: float) -> Float[np.ndarray, "N 2
     return arc(center, radius, -np.pi / 2, to_ring - np.pi)
 
 
-def offset(line: Float[np.ndarray, "N 2"], left: float) -> Float[np.ndarray, "N 2"]:
+def offset(line: Line, left: float) -> Line:
     """The line moved ``left`` metres to the left, with mitred corners."""
     step = np.diff(line, axis=0)
     normal = np.column_stack([-step[:, 1], step[:, 0]]) / np.hypot(*step.T)[:, None]  # (N − 1, 2)
@@ -121,9 +111,7 @@ def offset(line: Float[np.ndarray, "N 2"], left: float) -> Float[np.ndarray, "N 
     return line + left * (before + after) / (1 + (before * after).sum(1))[:, None]
 
 
-def at_distance(
-    start: Float[np.ndarray, "2"], direction: Float[np.ndarray, "2"], distance: float
-) -> Float[np.ndarray, "2"]:
+def at_distance(start: Vector, direction: Vector, distance: float) -> Vector:
     """Where a ray from ``start``, which is nearer, is ``distance`` [m] from the origin."""
     along = float(start @ direction)
     return start + (np.sqrt(along**2 + distance**2 - start @ start) - along) * direction

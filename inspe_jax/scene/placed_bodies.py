@@ -50,9 +50,7 @@ def convex_parts(bodies: Sequence[StaticBody], place: Intersection) -> ConvexPar
 
 def grounds(bodies: Sequence[StaticBody], place: Intersection) -> Float[np.ndarray, " N"]:
     """The height of the ground in the middle of each body [m]."""
-    if not bodies:
-        return np.zeros(0)
-    return place.ground(np.array([one.middle for one in bodies]))
+    return place.ground(np.array([one.middle for one in bodies]).reshape(-1, 2))
 
 
 def _solids(one: StaticBody, ground: float) -> Iterator[tuple[Polygon, float, float]]:

@@ -15,7 +15,7 @@ import shapely
 from jaxtyping import Bool, Float
 from shapely.geometry.base import BaseGeometry
 
-from inspe_jax.core.errors import InspeError, nearest, wrong_kind
+from inspe_jax.core.errors import InspeError, error_at, nearest, wrong_kind
 from inspe_jax.core.files import cached_by_file, check_output, open_arrays, whole_file
 from inspe_jax.core.pytree import pytree
 from inspe_jax.core.records import Described, check_record
@@ -221,18 +221,15 @@ def load_scene(source: str | os.PathLike[str], profile: str | None = None) -> Sc
         return build_scene(built_in(str(source)), profile=profile or DEFAULT_PROFILE)
     path = Path(source)
     check_scene_name(path)
-    with open_arrays(path, "not a scene saved by this package") as arrays:
-        try:
-            scene = _unpack(arrays)
-            own = scene.profile.name
-            if profile not in (None, own):
-                raise InspeError(
-                    f"built under the profile {own}, not {profile}; build it again: "
-                    f"inspe scene … --profile {profile}"
-                )
-            return scene.check()
-        except InspeError as e:
-            raise InspeError(f"{path}: {e}") from None
+    with open_arrays(path, "not a scene saved by this package") as arrays, error_at(f"{path}"):
+        scene = _unpack(arrays)
+        own = scene.profile.name
+        if profile not in (None, own):
+            raise InspeError(
+                f"built under the profile {own}, not {profile}; build it again: "
+                f"inspe scene … --profile {profile}"
+            )
+        return scene.check()
 
 
 def scene_of(given: Any) -> Scene:

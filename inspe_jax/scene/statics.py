@@ -15,6 +15,7 @@ from shapely.geometry import LineString, Polygon
 
 from inspe_jax.core.convex import merge
 from inspe_jax.core.errors import InspeError, check_known
+from inspe_jax.scene.lines import Vector
 
 KINDS = ("building", "wall", "hedge", "tree", "pole", "furniture", "parked vehicle", "solid")
 """What a body can be. Furniture are bus shelters, kiosks, switch boxes. A solid is part of a mesh,
@@ -155,10 +156,7 @@ def _without_straight(corners: Float[np.ndarray, "N 2"]) -> Float[np.ndarray, "M
 
 
 def upright_box(
-    kind: str,
-    at: Sequence[float] | Float[np.ndarray, "2"],
-    size: Sequence[float] | Float[np.ndarray, "3"],
-    yaw: float = 0.0,
+    kind: str, at: Sequence[float] | Vector, size: Sequence[float], yaw: float = 0.0
 ) -> StaticBody:
     """A box on the ground: middle (x, y), length, width and height [m], heading ``yaw`` [rad].
     Raises InspeError as :func:`body`."""
@@ -182,7 +180,7 @@ def wall(
 
 
 def tree(
-    at: Sequence[float] | Float[np.ndarray, "2"],
+    at: Sequence[float] | Vector,
     *,
     radius: float,
     height: float,
@@ -199,9 +197,7 @@ def tree(
     return body("tree", crown, height, base=base, transmittance=transmittance, trunk=trunk)
 
 
-def pole(
-    at: Sequence[float] | Float[np.ndarray, "2"], *, radius: float, height: float
-) -> StaticBody:
+def pole(at: Sequence[float] | Vector, *, radius: float, height: float) -> StaticBody:
     """A pole at (x, y) [m], an octagon of the area of a disc. Raises InspeError as :func:`body`."""
     return body("pole", octagon(at, radius), height)
 

@@ -189,12 +189,6 @@ class _Room:
                 yield Spot(at, along, out if left > right else -out)
 
 
-def room_along(place: Intersection, radius: float, step: float) -> list[Spot]:
-    """Spots along the backs of a place's sidewalks, ``step`` metres apart."""
-    room = _Room(place, radius)
-    return list(room.along(room.back, lambda: step))
-
-
 def _signals(room: _Room, rng: np.random.Generator) -> None:
     """A signal post at either kerb of each arm, where drivers stop, unless a pole is there."""
     for arm in room.place.arms:

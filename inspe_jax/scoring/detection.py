@@ -25,7 +25,7 @@ from pydantic import BaseModel, create_model
 from scipy.optimize import minimize
 from scipy.special import expit, logit
 
-from inspe_jax.core.errors import InspeError, check_known
+from inspe_jax.core.errors import InspeError, check_known, error_at
 from inspe_jax.core.files import STRICT, check_model, check_output, read_json, read_toml, write_text
 from inspe_jax.scene.traffic.frames import CLASSES
 from inspe_jax.sensing.kinds import SENSOR_KINDS
@@ -191,19 +191,15 @@ def load_detection(path: str | os.PathLike[str]) -> DetectionCurves:
     fitted: dict[tuple[str, str], DetectionCurve] = {}
     for kind, of in given.items():
         for road_user, row in of.items():
-            try:
+            with error_at(f"{path}: {kind}.{road_user}"):
                 fitted[kind, road_user] = DetectionCurve(**row)
-            except InspeError as e:
-                raise InspeError(f"{path}: {kind}.{road_user}: {e}") from None
     if not fitted:
         raise InspeError(
             f"{path}: it has no curve; give at least one, such as a table [lidar.car] with most, "
             "half and slope"
         )
-    try:
+    with error_at(f"{path}"):  # of a further kind that lacks a class
         return detection_curves().with_curves(fitted)
-    except InspeError as e:  # a further kind lacks a class
-        raise InspeError(f"{path}: {e}") from None
 
 
 def save_detection(curves: DetectionCurves | Fitted, path: str | os.PathLike[str]) -> None:

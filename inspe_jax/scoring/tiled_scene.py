@@ -190,7 +190,7 @@ def _tile_scene(scene: Scene) -> TiledScene:
     occupancy = np.pad(counts[column, level] / total, (0, spare))
     column, level = np.pad(column, (0, spare)), np.pad(level, (0, spare))
     of_devices, number = None, len(tiles.tile.there)
-    if sharding.divides(number):
+    if sharding.devices() > 1 and number % sharding.devices() == 0:
         of_devices = sharding.put(_rows(tiles.tile, device_order(number)), 0)
     weight, inside = scene.voxels.column_weight, scene.inside_statics
     if inside is not None:

@@ -9,9 +9,9 @@ from functools import cache, lru_cache
 from importlib.resources import files
 from typing import Any
 
-from inspe_jax.core.errors import InspeError, brief, nearest
+from inspe_jax.core.errors import InspeError, brief, error_at, nearest
 from inspe_jax.core.files import check_model
-from inspe_jax.sensing.kinds import SENSOR_KINDS, keys_of
+from inspe_jax.sensing.kinds import SENSOR_KINDS
 from inspe_jax.sensing.sensors import Spec
 
 
@@ -70,16 +70,18 @@ def spec_of(table: Any, name: str, where: str) -> Spec:
         raise InspeError(f"{where}: must be a table of one device, got {brief(table)}")
     table = dict(table)
     if "like" in table:
-        try:
+        with error_at(f"{where}: like"):
             other = device(table.pop("like")).spec
-        except InspeError as e:
-            raise InspeError(f"{where}: like: {e}") from None
         replaces = SENSOR_KINDS[other.kind].replaces
         gone = {key for own in table for key in replaces.get(own, ())}
         table = {key: x for key, x in table_of(other).items() if key not in gone} | table
     if "kind" not in table:
         raise InspeError(f"{where}: kind: missing key")
-    return check_model(keys_of(table["kind"], where), table, where).spec(name, where)
+    kind = table["kind"]
+    if not isinstance(kind, str) or kind not in SENSOR_KINDS:
+        known = " or ".join(f"'{name}'" for name in SENSOR_KINDS)
+        raise InspeError(f"{where}: kind: must be {known}, got {kind!r}")
+    return check_model(SENSOR_KINDS[kind], table, where).spec(name, where)
 
 
 @lru_cache(maxsize=1024)

@@ -135,16 +135,8 @@ class CameraKeys(DeviceKeys):
             focal = float(self.width / 2 / np.tan(np.radians(self.hfov_deg) / 2))
         assert focal is not None
         cx, cy = self.principal_px or (self.width / 2, self.height / 2)
-        return CameraSpec(
-            name=name,
-            width=self.width,
-            height=self.height,
-            focal=focal,
-            principal=(cx, cy),
-            downsample=self.downsample,
-            depth=self.depth_m,
-            reliability=self.reliability,
-        )
+        same = self.model_dump(include={"width", "height", "downsample", "reliability"})
+        return CameraSpec(name, focal=focal, principal=(cx, cy), depth=self.depth_m, **same)
 
     @classmethod
     def table(cls, spec: CameraSpec) -> dict[str, Any]:
@@ -165,11 +157,3 @@ SENSOR_KINDS: dict[str, type[DeviceKeys]] = {
     keys.spec_type.kind: keys for keys in (LidarKeys, CameraKeys)
 }
 """Every kind of sensor by name."""
-
-
-def keys_of(kind: Any, where: str) -> type[DeviceKeys]:
-    """The catalogue keys of a kind. Raises InspeError that names ``where`` and the kinds."""
-    if not isinstance(kind, str) or kind not in SENSOR_KINDS:
-        known = " or ".join(f"'{name}'" for name in SENSOR_KINDS)
-        raise InspeError(f"{where}: kind: must be {known}, got {kind!r}")
-    return SENSOR_KINDS[kind]

@@ -28,8 +28,8 @@ from jaxtyping import Array, Float
 from pydantic import BaseModel, Field
 
 from inspe_jax.core.digest import ORIGIN
-from inspe_jax.core.errors import InspeError, check_known, wrong_kind
-from inspe_jax.core.files import STRICT, check_model, read_yaml, write_text
+from inspe_jax.core.errors import InspeError, check_known, error_at, wrong_kind
+from inspe_jax.core.files import STRICT, check_model, json_value, read_yaml, write_text
 from inspe_jax.core.geometry import rotation
 from inspe_jax.core.pytree import pytree
 from inspe_jax.core.records import ByContent, Described, check_record
@@ -84,8 +84,7 @@ class Goal:
     @property
     def record(self) -> dict[str, Any]:
         """The content of a layout file under ``searched_for``."""
-        record = dict[str, Any](weights=dict(self.weights), regions=list(self.regions))
-        record |= dict(road_users=list(self.road_users), failures=self.failures)
+        record = json_value(self) | {"weights": dict(self.weights)}
         return {key: value for key, value in record.items() if value}
 
 
@@ -270,10 +269,8 @@ def parse_layout(
         raise InspeError(f"{where}: the layout is empty: it needs 'units', each with 'sensors'")
     entry = check_model(_LayoutFile, content, where)
     if entry.profile is not None:
-        try:
+        with error_at(f"{where}: profile"):
             profile_of(entry.profile)
-        except InspeError as e:
-            raise InspeError(f"{where}: profile: {e}") from None
     own = {
         key: spec_of(table, key, f"{where}: devices.{key}") for key, table in entry.devices.items()
     }
@@ -286,10 +283,8 @@ def parse_layout(
         z = unit.base[2] if len(unit.base) == 3 else float(on_ground)
         units.append(Unit(unit.name or f"unit {u + 1}", (x, y, z)))
         for k, item in enumerate(unit.sensors):
-            try:
+            with error_at(f"{where}: units[{u}].sensors[{k}].device"):
                 spec = own.get(item.device) or device(item.device).spec
-            except InspeError as e:
-                raise InspeError(f"{where}: units[{u}].sensors[{k}].device: {e}") from None
             sensors.append(Sensor(item.name or f"{units[u].name} {k + 1}", spec, u))
             (dx, dy), height = item.offset, item.height
             angles = np.radians([item.roll_deg, item.pitch_deg, item.yaw_deg])
@@ -306,12 +301,10 @@ def parse_layout(
 def _goal(entry: _GoalEntry | None, where: str) -> Goal | None:
     if entry is None:
         return None
-    try:
+    with error_at(f"{where}: searched_for"):
         regions_of(entry.regions)
         for name in entry.road_users:
             check_known(name, CLASSES, "road user")
-    except InspeError as e:
-        raise InspeError(f"{where}: searched_for: {e}") from None
     named = tuple(entry.regions), tuple(entry.road_users)
     return Goal(tuple(entry.weights.items()), *named, entry.failures)
 

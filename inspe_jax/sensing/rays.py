@@ -75,11 +75,6 @@ class Kind(NamedTuple):
     of: "type[Rays]"
     wraps: bool
 
-    @property
-    def name(self) -> str:
-        """A name to sort kinds by."""
-        return f"{self.of.__name__} {self.wraps}"
-
     def rays(self, table: RayTable) -> "Rays":
         """Rays of this kind."""
         return self.of(table, self.wraps)

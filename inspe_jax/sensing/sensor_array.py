@@ -71,7 +71,7 @@ class SensorArray:
 @lru_cache(maxsize=64)
 def sensor_array(sensor_set: SensorSet, spare: int = 0) -> SensorArray:
     """A sensor set as arrays, with at least ``spare`` empty places."""
-    kinds = tuple(sorted({grid.kind for grid, _ in sensor_set.groups}, key=lambda kind: kind.name))
+    kinds = tuple(sorted({grid.kind for grid, _ in sensor_set.groups}, key=str))
     grids = {s: grid for grid, index in sensor_set.groups for s in index}
     count, room = len(grids), bucket(len(grids) + spare, SENSORS)
     tables = [grids[min(s, count - 1)].table for s in range(room)]

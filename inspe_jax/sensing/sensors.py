@@ -160,8 +160,7 @@ class Spec:
     @property
     def azimuth_limits(self) -> tuple[float, float]:
         """Right and left edge of its view [rad], counter-clockwise from straight ahead."""
-        right, left = self.grid.column_limits
-        return right, left
+        return self.grid.column_limits
 
     @property
     def resolution(self) -> str:

@@ -10,7 +10,7 @@ import viser
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from inspe_jax.core.sheet import house_style, png_text
+from inspe_jax.core.sheet import house_style, image_text
 from inspe_jax.report.figures import draw_plan, reach_of, spread_badges
 from inspe_jax.report.layers import seen_layer
 from inspe_jax.report.page import template
@@ -60,7 +60,7 @@ class BlindSpotPanel:
     def _show(self, layout: Layout, scores: Scores) -> None:
         self.spots = blind_spots(self._scene, scores.seen_share)[: len(LETTERS)]
         figure = plan_picture(self._scene, layout, scores, self.spots)
-        self.picture.content = _IMAGE.render(png=png_text(figure, DOTS))
+        self.picture.content = _IMAGE.render(png=image_text(figure, DOTS))
         for k, button in enumerate(self.buttons):
             button.visible = k < len(self.spots)
             if button.visible:

@@ -55,7 +55,7 @@ def test_curves_of_ones_own_are_scored_with(run, scene, layout, tmp_path):
 def test_a_page_has_them_and_a_map_of_what_a_pedestrian_gets(scene, layout, monkeypatch):
     from inspe_jax.report import page
 
-    monkeypatch.setattr(page, "png_text", lambda figure, _: str(len(figure.axes)))
+    monkeypatch.setattr(page, "image_text", lambda figure, _: str(len(figure.axes)))
     plain = report_page(scene, [report_entry(Case(scene), layout, Objective())])
     further = report_entry(Case(scene), layout, Objective(metrics=("detectability",)))
     with_it = report_page(scene, [further])

@@ -44,7 +44,7 @@ def shown(table):
 def test_it_shows_once_it_is_in_the_registry_and_not_before(
     scene, layout, run, search, tmp_path, monkeypatch
 ):
-    monkeypatch.setattr(page, "png_text", lambda *_: "")
+    monkeypatch.setattr(page, "image_text", lambda *_: "")
 
     def found():
         """What a person or a program reads, by where."""

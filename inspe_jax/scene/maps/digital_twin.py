@@ -18,10 +18,9 @@ import numpy as np
 import shapely
 from jaxtyping import Float, Int
 from scipy import ndimage
-from shapely.geometry.base import BaseGeometry
 from shapely.ops import unary_union
 
-from inspe_jax.core.errors import InspeError, needs
+from inspe_jax.core.errors import InspeError, error_at, needs
 from inspe_jax.core.files import check_input
 from inspe_jax.scene.intersection import LOW, Intersection, Mesh
 from inspe_jax.scene.maps.bodies import Shape, with_bodies
@@ -54,19 +53,15 @@ def with_mesh(place: Intersection, path: str | os.PathLike[str], radius: float) 
     mesh has no ground in the regions of the place, and if it has too many triangles or solids.
     """
     mesh = _near(read_mesh(path), place, radius + MARGIN, path)
-    grid = _Grid(place, radius + MARGIN)
-    world = mesh.world
-    cell, z = grid.surfaces(world)
-    ground = _ground(place, grid, cell, z, path)
-    notes = list(place.notes)
-    stood = laid_on(place, ground, radius)
-    shapes = list(_shapes(stood, grid, world, cell, z))
+    seen = _FromAbove(mesh, place, radius + MARGIN)
+    stood = laid_on(place, _ground(place, seen, path), radius)
+    shapes = list(_shapes(stood, seen))
     if len(shapes) > MOST_SOLIDS:
         raise InspeError(
             f"{path}: is {len(shapes):,} solids near {place.name}, of {MOST_SOLIDS:,} at most: "
             "every score takes them all; leave small things such as leaves and cables out of it"
         )
-    notes.append(f"ground and {len(shapes)} solids from {Path(path).name}")
+    notes = [*place.notes, f"ground and {len(shapes)} solids from {Path(path).name}"]
     if place.bodies:
         notes.append(f"{len(place.bodies)} bodies of the map left out for those of the mesh")
     found = with_bodies(stood, shapes, radius + MARGIN, notes)
@@ -81,10 +76,9 @@ def read_mesh(path: str | os.PathLike[str]) -> Mesh:
     check_input(file)
     with needs("meshes need trimesh", "geo"):
         import trimesh
-    try:
+    # Its readers raise whatever they run into.
+    with error_at(f"{path}: not a mesh that trimesh reads", Exception):
         parts = list(_parts(trimesh.load_scene(file, process=False)))
-    except Exception as error:  # its readers raise whatever they run into
-        raise InspeError(f"{path}: not a mesh that trimesh reads: {error}") from error
     corners = np.concatenate([np.zeros((0, 3, 3)), *(corners for corners, _ in parts)])
     colours = np.concatenate([np.zeros((0, 3), np.uint8), *(colours for _, colours in parts)])
     if not len(corners) or not np.isfinite(corners).all():
@@ -142,26 +136,22 @@ def _near(mesh: Mesh, place: Intersection, reach: float, path: Any) -> Mesh:
     return Mesh(np.asarray(place.center, float), moved, mesh.colour[near])
 
 
-class _Grid:
-    """Square cells about a place."""
+class _FromAbove:
+    """A mesh on square cells about a place: the cells and the heights [m] where upright lines
+    through their middles meet ``triangles``, by cell and from below."""
 
-    def __init__(self, place: Intersection, reach: float) -> None:
+    def __init__(self, mesh: Mesh, place: Intersection, reach: float) -> None:
         half = int(np.ceil(reach / CELL))
         self.corner, self.side = np.asarray(place.center, float)[:2] - half * CELL, 2 * half
+        self.triangles = mesh.world
+        self.cell, self.z = self._surfaces()
 
     def middle(self, cell: Int[np.ndarray, " N"]) -> Float[np.ndarray, "N 2"]:
         """The middles of cells by number."""
         return self.corner + (np.column_stack(np.divmod(cell, self.side)) + 0.5) * CELL
 
-    def inside(self, area: BaseGeometry) -> BaseGeometry:
-        return area.intersection(shapely.box(*self.corner, *(self.corner + self.side * CELL)))
-
-    def surfaces(
-        self, triangles: Float[np.ndarray, "F 3 3"]
-    ) -> tuple[Int[np.ndarray, " N"], Float[np.ndarray, " N"]]:
-        """Where upright lines through the middles of cells meet triangles: cells and heights [m],
-        by cell and from below."""
-        at = (triangles[..., :2] - self.corner) / CELL - 0.5
+    def _surfaces(self) -> tuple[Int[np.ndarray, " N"], Float[np.ndarray, " N"]]:
+        at = (self.triangles[..., :2] - self.corner) / CELL - 0.5
         first = np.clip(np.ceil(at.min(1)), 0, self.side).astype(int)
         count = np.clip(np.floor(at.max(1)), -1, self.side - 1).astype(int) + 1 - first
         number = np.where((count > 0).all(1), count.prod(1), 0)
@@ -178,7 +168,7 @@ class _Grid:
             v = ((i - ax) * (cy - ay) - (cx - ax) * (j - ay)) / area
             w = ((bx - ax) * (j - ay) - (i - ax) * (by - ay)) / area
             inside = ~flat & (v >= 0) & (w >= 0) & (v + w <= 1)  # on an edge, in both triangles
-            za, zb, zc = (triangles[part][which, k, 2] for k in range(3))
+            za, zb, zc = (self.triangles[part][which, k, 2] for k in range(3))
             height = za + v * (zb - za) + w * (zc - za)
             return (i * self.side + j)[inside], height[inside]
 
@@ -189,16 +179,14 @@ class _Grid:
         order = np.lexsort([z, cell])
         return cell[order], z[order]
 
-    def upright(
-        self, triangles: Float[np.ndarray, "F 3 3"]
-    ) -> tuple[Int[np.ndarray, " N"], Float[np.ndarray, " N"]]:
+    def upright(self) -> tuple[Int[np.ndarray, " N"], Float[np.ndarray, " N"]]:
         """Points on the edges of steep triangles, at most half a cell apart: cells and heights [m].
 
         Lines through the middles of cells miss walls, which lie between them.
         """
-        across = np.cross(*np.diff(triangles, axis=1).swapaxes(0, 1))
+        across = np.cross(*np.diff(self.triangles, axis=1).swapaxes(0, 1))
         steep = np.abs(across[:, 2]) < STEEP * np.linalg.norm(across, axis=1)
-        ends = triangles[steep][:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2, 3)
+        ends = self.triangles[steep][:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2, 3)
         parts = np.maximum(np.ceil(2 * np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1) / CELL), 1)
         number = np.minimum(parts, 2 * self.side).astype(int) + 1
         which, nth = _repeated(number)
@@ -218,45 +206,34 @@ def _repeated(number: Int[np.ndarray, " F"]) -> tuple[Int[np.ndarray, " N"], Int
     return which, np.arange(len(which)) - np.repeat(number.cumsum() - number, number)
 
 
-def _ground(
-    place: Intersection,
-    grid: _Grid,
-    cell: Int[np.ndarray, " N"],
-    z: Float[np.ndarray, " N"],
-    path: Any,
-) -> Float[np.ndarray, "G 3"]:
+def _ground(place: Intersection, seen: _FromAbove, path: Any) -> Float[np.ndarray, "G 3"]:
     """Points of the ground: in cells of the regions, the surface nearest to the median around."""
     regions = unary_union(list(place.regions.values()))
     shapely.prepare(regions)
-    on = shapely.contains_xy(regions, *grid.middle(cell).T)
-    cell, z = cell[on], z[on]
+    on = shapely.contains_xy(regions, *seen.middle(seen.cell).T)
+    cell, z = seen.cell[on], seen.z[on]
     cells, lowest = np.unique(cell, return_index=True)
     area = len(cells) * CELL**2
-    if len(cells) == 0 or area < COVERED * grid.inside(regions).area:
+    square = shapely.box(*seen.corner, *(seen.corner + seen.side * CELL))
+    if len(cells) == 0 or area < COVERED * regions.intersection(square).area:
         raise InspeError(
             f"{path}: has ground for {area:.0f} m² of the regions of {place.name}; the mesh must "
             "have the roads, in the map's coordinates and z up (y up in glTF)"
         )
-    image = np.full(grid.side**2, np.median(z[lowest]))
+    image = np.full(seen.side**2, np.median(z[lowest]))
     image[cells] = z[lowest]
-    level = ndimage.median_filter(image.reshape(grid.side, grid.side), int(AROUND / CELL)).ravel()
+    level = ndimage.median_filter(image.reshape(seen.side, seen.side), int(AROUND / CELL)).ravel()
     off = np.abs(z - level[cell])
     nearest = np.lexsort([off, cell])[lowest]
     nearest = nearest[off[nearest] < LOW]  # a road user of a survey hides the road
-    return np.column_stack([grid.middle(cell[nearest]), z[nearest]])
+    return np.column_stack([seen.middle(cell[nearest]), z[nearest]])
 
 
-def _shapes(
-    place: Intersection,
-    grid: _Grid,
-    world: Float[np.ndarray, "F 3 3"],
-    cell: Int[np.ndarray, " N"],
-    z: Float[np.ndarray, " N"],
-) -> Iterator[Shape]:
-    upright, edges = grid.upright(world)
-    edges = edges - place.ground(grid.middle(upright))
-    over = z - place.ground(grid.middle(cell))
-    count, high = grid.side**2, over > LOW
+def _shapes(place: Intersection, seen: _FromAbove) -> Iterator[Shape]:
+    cell, (upright, edges) = seen.cell, seen.upright()
+    edges = edges - place.ground(seen.middle(upright))
+    over = seen.z - place.ground(seen.middle(cell))
+    count, high = seen.side**2, over > LOW
     wall = edges > LOW
     top, base, foot = np.full(count, -np.inf), np.full(count, np.inf), np.full(count, np.inf)
     at, level = np.r_[cell[high], upright[wall]], np.r_[over[high], edges[wall]]
@@ -264,7 +241,7 @@ def _shapes(
     np.minimum.at(base, at, level)
     np.minimum.at(foot, upright, edges)
     # Beside cells with a surface, cells with upright faces alone are on the far side of a wall.
-    square = (grid.side, grid.side)
+    square = (seen.side, seen.side)
     covered = np.zeros(count, bool)
     covered[cell[high]] = True
     near = ndimage.binary_dilation(covered.reshape(square), np.ones((3, 3))).ravel()
@@ -278,7 +255,7 @@ def _shapes(
     base, top = base[cells], top[cells]
     alike = np.column_stack([np.searchsorted(LEVELS, end, "right") for end in (base, top)])
     kinds, label = np.unique(alike, axis=0, return_inverse=True)
-    corner = grid.corner + np.column_stack(np.divmod(cells, grid.side)) * CELL
+    corner = seen.corner + np.column_stack(np.divmod(cells, seen.side)) * CELL
     squares = shapely.box(*corner.T, *(corner + CELL).T)
     for k in range(len(kinds)):
         own = label.ravel() == k

@@ -126,9 +126,7 @@ def _in_projection(place: Intersection, path: Path, model: Any, at: np.ndarray) 
     return wgs84(model.crs.to_wkt(), place.georeference.to_degrees(at), back=True)
 
 
-def _window(
-    model: Any, row: np.ndarray, column: np.ndarray, path: Path
-) -> tuple[int, int, int, int]:
+def _window(model: Any, row: np.ndarray, column: np.ndarray, path: Path) -> list[int]:
     """First column and row of the cells around points, and how many there are of each."""
     ends = []
     for at, size in ((row, model.height), (column, model.width)):
@@ -144,7 +142,7 @@ def _window(
             f"{path}: has more than {MOST} cells a side around this place; resample it, as to 0.5 m"
         )
     (top, bottom), (left, right) = ends
-    return left, top, right - left, bottom - top
+    return [left, top, right - left, bottom - top]
 
 
 @contextmanager

@@ -109,10 +109,8 @@ def arms_of(approaches: list[Approach]) -> tuple[tuple[Arm, ...], dict[tuple[int
             groups.remove([approach])
             groups[groups.index([partner])].append(approach)
     made = sorted(((_arm(g), g) for g in groups), key=lambda x: x[0].bearing)
-    return (
-        tuple(arm for arm, _ in made),
-        {(approach.road, approach.end): i for i, (_, g) in enumerate(made) for approach in g},
-    )
+    arm_of = {(approach.road, approach.end): i for i, (_, g) in enumerate(made) for approach in g}
+    return tuple(arm for arm, _ in made), arm_of
 
 
 def _gap(a: Approach, b: Approach) -> float:

@@ -2,7 +2,7 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import product
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
@@ -45,6 +45,8 @@ CLUSTER = 35.0  # junctions whose middle is this near to ``center`` count as one
 MARGIN = 10.0  # a map is read this much beyond the radius [m]
 MOST_LISTED = 20  # at most this many junctions are listed in an error
 
+Areas = dict[Region, BaseGeometry]
+
 
 @dataclass(frozen=True)
 class JunctionInfo:
@@ -71,34 +73,6 @@ def clean(shape: BaseGeometry) -> BaseGeometry:
     return unary_union([part for part in shapely.get_parts(shape) if part.area > 0.5])
 
 
-def crosswalks_of(
-    loops: Iterable[np.ndarray],
-    areas: dict[Region, BaseGeometry],
-    arms: tuple[Arm, ...],
-    ground: np.ndarray,
-    disc: Polygon,
-    notes: list[str],
-) -> list[BaseGeometry]:
-    """The crosswalks of a map, from outlines (K, 3), inside the disc and near ground points (N, 3).
-
-    If there is none at the junction, strips across the arms' mouths are added, with a note.
-    """
-    index = cKDTree(ground[:, :2])
-    walks = []
-    for loop in loops:
-        middle = loop.mean(0)
-        level = ground[index.query(middle[:2])[1], 2]
-        if disc.contains(Point(middle)) and abs(middle[2] - level) < 2.0:
-            walks.append(valid(Polygon(loop[:, :2])))
-    if any(walk.distance(areas[Region.JUNCTION]) < 8.0 for walk in walks):
-        return walks
-    if areas[Region.SIDEWALK].intersection(disc).is_empty:
-        notes.append("no crosswalks: the map has none here, and no sidewalks they could join")
-        return walks
-    notes.append("the map has no crosswalks here; strips across the junction's mouths stand in")
-    return walks + [mouth_crosswalks((arm,)) for arm in arms]
-
-
 def joined_lines(lines: list[np.ndarray]) -> Iterator[np.ndarray]:
     """Footpaths (N, 2), joined where the end of one is within 1.5 m of another; 5 m or longer."""
     lines = list(lines)
@@ -120,10 +94,7 @@ def joined_lines(lines: list[np.ndarray]) -> Iterator[np.ndarray]:
 
 
 def mounting_of(
-    regions: dict[Region, BaseGeometry],
-    medians: list[BaseGeometry],
-    arms: tuple[Arm, ...],
-    disc: Polygon,
+    regions: Areas, medians: list[BaseGeometry], arms: tuple[Arm, ...], disc: Polygon
 ) -> BaseGeometry:
     """Where a pole may stand: sidewalks, shoulders and medians, but not carriageway or crosswalks.
 
@@ -152,22 +123,27 @@ class Node(NamedTuple):
     signals: int
 
 
+@dataclass(eq=False)
 class MapJunction(ABC):
     """One junction of a map, or several members that count as one, and what its format reads to a
     radius [m] about their middle.
 
     ``poles`` of the map are at any height [m]; ``interior`` are the numbers of the roads inside the
-    junction, or from one member to another.
+    junction, or from one member to another. A format's ``__post_init__`` finds these and the
+    ``approaches``. ``notes`` get what was assumed and done.
     """
 
-    approaches: list[Approach]
-    poles: Float[np.ndarray, "P 3"]
-    interior: set[int]
+    map: Any
+    members: set[Any]
+    middle: Float[np.ndarray, "3"]
+    radius: float
+    approaches: list[Approach] = field(init=False)
+    poles: Float[np.ndarray, "P 3"] = field(init=False)
+    interior: set[int] = field(init=False)
+    notes: list[str] = field(init=False, default_factory=list)
 
-    def __init__(
-        self, of: Any, members: set[Any], middle: Float[np.ndarray, "3"], radius: float
-    ) -> None:
-        self.map, self.members, self.middle, self.radius = of, members, middle, radius
+    @abstractmethod
+    def __post_init__(self) -> None: ...
 
     def region_of(self, strip: LaneStrip) -> Region | None:
         """The region of a lane; None of one that is in no region."""
@@ -177,15 +153,37 @@ class MapJunction(ABC):
             return Region.SHOULDER
         return Region.SIDEWALK if strip.kind in SIDEWALK else None
 
+    def crosswalks(
+        self, areas: Areas, arms: tuple[Arm, ...], ground: Float[np.ndarray, "N 3"], disc: Polygon
+    ) -> list[BaseGeometry]:
+        """The crosswalks of its map inside the disc and near ground points [m].
+
+        If there is none at the junction, strips across the arms' mouths are added, with a note.
+        """
+        index = cKDTree(ground[:, :2])
+        walks = []
+        for loop in self.map.crossings:
+            middle = loop.mean(0)
+            level = ground[index.query(middle[:2])[1], 2]
+            if disc.contains(Point(middle)) and abs(middle[2] - level) < 2.0:
+                walks.append(valid(Polygon(loop[:, :2])))
+        if any(walk.distance(areas[Region.JUNCTION]) < 8.0 for walk in walks):
+            return walks
+        if areas[Region.SIDEWALK].intersection(disc).is_empty:
+            none = "no crosswalks: the map has none here, and no sidewalks they could join"
+            self.notes.append(none)
+            return walks
+        strips = "the map has no crosswalks here; strips across the junction's mouths stand in"
+        self.notes.append(strips)
+        return walks + [mouth_crosswalks((arm,)) for arm in arms]
+
     @abstractmethod
     def lanes(self) -> tuple[list[LaneStrip], list[bool]]:
         """The lanes near the junction on all levels, and which of them are certainly on its own."""
 
     @abstractmethod
-    def areas(
-        self, lane_strips: list[LaneStrip], notes: list[str]
-    ) -> dict[Region, list[BaseGeometry]]:
-        """Parts, which may overlap, of all regions but crosswalks; ``notes`` get assumptions."""
+    def areas(self, lane_strips: list[LaneStrip]) -> dict[Region, list[BaseGeometry]]:
+        """Parts, which may overlap, of all regions but crosswalks."""
 
     @abstractmethod
     def drives(self, arm_of: dict[tuple[int, str], int]) -> Iterable[Route]:
@@ -193,10 +191,8 @@ class MapJunction(ABC):
         radius; no U-turns."""
 
     @abstractmethod
-    def with_bodies(
-        self, place: Intersection, lane_strips: list[LaneStrip], notes: list[str]
-    ) -> Intersection:
-        """The place with the bodies of its map; ``notes`` get what was done."""
+    def with_bodies(self, place: Intersection, lane_strips: list[LaneStrip]) -> Intersection:
+        """The place with the bodies of its map."""
 
 
 class RoadMap(ABC):
@@ -244,10 +240,7 @@ class RoadMap(ABC):
         return tuple(found)
 
     def read(
-        self,
-        junction: Id | None = None,
-        center: tuple[float, float] | None = None,
-        radius: float = 50.0,
+        self, junction: Id | None, center: tuple[float, float] | None, radius: float
     ) -> Intersection:
         """One junction and its surroundings: :func:`~inspe_jax.scene.maps.registry.read_map`."""
         members, middle, where = self._chosen(junction, center)
@@ -259,13 +252,12 @@ class RoadMap(ABC):
                 f"{self.source}: no roads within {radius:g} m of ({middle[0]:.1f}, {middle[1]:.1f})"
             )
         arms, arm_of = arms_of(here.approaches)
-        notes: list[str] = []
-        areas = _side_by_side(here.areas(lane_strips, notes))
+        areas = _side_by_side(here.areas(lane_strips))
         reach = radius + MARGIN
         ground = np.concatenate([s.center for s in lane_strips])
         ground = ground[distance_from(ground, middle) <= reach + 5.0]
         disc = Point(middle[:2]).buffer(reach, quad_segs=32)
-        walks = crosswalks_of(self.crossings, areas, arms, ground, disc, notes)
+        walks = here.crosswalks(areas, arms, ground, disc)
         areas[Region.CROSSWALK] = clean(unary_union(walks))
         regions = {region: areas[region].intersection(disc) for region in Region}
         medians = [s.polygon for s in lane_strips if s.kind == "median"]
@@ -295,10 +287,10 @@ class RoadMap(ABC):
             poles=place.on_ground(here.poles),
             routes=(*here.drives(arm_of), *people),
         )
-        place = here.with_bodies(place, lane_strips, notes)
+        place = here.with_bodies(place, lane_strips)
         if not len(place.poles):
-            notes.append(NO_POLES)
-        return replace(place, notes=tuple(notes))
+            here.notes.append(NO_POLES)
+        return replace(place, notes=tuple(here.notes))
 
     def _chosen(
         self, junction: Id | None, center: tuple[float, float] | None
@@ -329,9 +321,9 @@ class RoadMap(ABC):
         return {j for j, one in zip(ids, near, strict=True) if one}, at, f"at {where}"
 
 
-def _side_by_side(parts: dict[Region, list[BaseGeometry]]) -> dict[Region, BaseGeometry]:
+def _side_by_side(parts: dict[Region, list[BaseGeometry]]) -> Areas:
     """Junction, driveway, shoulder and sidewalk of their parts, without overlaps, seams or gaps."""
-    areas: dict[Region, BaseGeometry] = {}
+    areas: Areas = {}
     taken: BaseGeometry = MultiPolygon()
     for region in (Region.JUNCTION, Region.DRIVEWAY, Region.SHOULDER, Region.SIDEWALK):
         areas[region] = clean(unary_union(parts[region]).difference(taken))

@@ -18,7 +18,7 @@ from inspe_jax.scene.intersection import (
     Route,
     mouth_crosswalks,
 )
-from inspe_jax.scene.lines import arc_of, bend, fillet, joined, offset, resampled
+from inspe_jax.scene.lines import Line, arc_of, bend, fillet, joined, offset, resampled
 from inspe_jax.scene.regions import Region
 
 LENGTH = 120.0  # length of roads from the middle [m]
@@ -140,9 +140,7 @@ def town(
     )
 
 
-def _footpaths(
-    roads: list[Road], kerbs: list[np.ndarray], back: float
-) -> Iterator[Float[np.ndarray, "N 2"]]:
+def _footpaths(roads: list[Road], kerbs: list[np.ndarray], back: float) -> Iterator[Line]:
     """Footpaths over every crosswalk and along every sidewalk, ``back`` [m] from the kerb."""
     for road in roads:
         middle = road.mouth + CROSSWALK_WIDTH / 2
@@ -186,7 +184,7 @@ def corners(roads: list[Road], radius: float) -> tuple[list[Road], list[np.ndarr
     return ended, kerbs
 
 
-def strip(line: Float[np.ndarray, "N 2"], near: float, far: float) -> Polygon:
+def strip(line: Line, near: float, far: float) -> Polygon:
     """The strip from ``near`` to ``far`` metres to the right of a line."""
     return Polygon(joined(offset(line, -near), offset(line, -far)[::-1]))
 
@@ -243,10 +241,7 @@ def station(left: float) -> float:
 
 
 def route(
-    line: Float[np.ndarray, "N 2"],
-    width: float,
-    through: tuple[int, int] = (-1, -1),
-    user: str = "vehicle",
+    line: Line, width: float, through: tuple[int, int] = (-1, -1), user: str = "vehicle"
 ) -> Route:
     """A route on level ground, with waypoints 1 m apart."""
     points = resampled(line)

@@ -204,12 +204,11 @@ def _snapshot(
     log: RecorderLog, moment: _Moment, intersection: Intersection, radius: float
 ) -> Snapshot:
     who = [actor for actor in moment.where if actor in log.kinds]
-    still = np.zeros(6)
     x, y, z, roll, pitch, yaw = np.reshape([moment.where[actor] for actor in who], (-1, 6)).T
     poses = from_carla(np.column_stack([x / 100, y / 100, z / 100, roll, yaw, pitch]))
     at, yaw = poses[:, :3], poses[:, 5]
     box = np.reshape([log.boxes[actor] for actor in who], (-1, 6))
-    velocity = np.reshape([moment.velocity.get(actor, still) for actor in who], (-1, 6))
+    velocity = np.reshape([moment.velocity.get(actor, np.zeros(6)) for actor in who], (-1, 6))
     offset, speed, size = flip(box[:, :3]), flip(velocity[:, :3]), 2 * box[:, 3:]
     cos, sin = np.cos(yaw), np.sin(yaw)
     middle = at[:, :2] + np.column_stack(

@@ -59,22 +59,19 @@ APRON = 25.0  # lanes are read so much farther than kept [m]: none ends inside t
 class OpenDriveJunction(MapJunction):
     """One or several junctions of an OpenDRIVE file."""
 
-    def __init__(
-        self, of: "OpenDriveMap", members: set[Any], middle: Float[np.ndarray, "3"], radius: float
-    ) -> None:
-        super().__init__(of, members, middle, radius)
-        self.town, signals = of, of.signals
-        # Signals are at the height of their lights, or below ground.
-        self.poles = signals[distance_from(signals, middle) <= radius + MARGIN]
-        self.interior = interior_of(self.town, members)
-        self.approaches = approaches_of(self.town, members)
+    def __post_init__(self) -> None:
+        signals = self.map.signals
+        # They are at the height of their lights, or below ground.
+        self.poles = signals[distance_from(signals, self.middle) <= self.radius + MARGIN]
+        self.interior = interior_of(self.map, self.members)
+        self.approaches = approaches_of(self.map, self.members)
 
     def lanes(self) -> tuple[list[LaneStrip], list[bool]]:
         reach, found = self.radius + MARGIN + APRON, list[LaneStrip]()
-        for road in self.town.roads.values():
+        for road in self.map.roads.values():
             for start, end, lanes in road.sections if road.near(self.middle, reach) else ():
                 for lane, kind in lanes.items():
-                    line = self.town.along(road.id, lane, start, end, STEP)
+                    line = self.map.along(road.id, lane, start, end, STEP)
                     width = np.array([w.lane_width for w in line])
                     if len(line) < 2 or width.max() < 0.05:
                         continue
@@ -86,14 +83,12 @@ class OpenDriveJunction(MapJunction):
                     found += strip.runs(away <= reach + width.max() + STEP)
         return found, [s.junction in self.members or s.road in self.interior for s in found]
 
-    def areas(
-        self, lane_strips: list[LaneStrip], notes: list[str]
-    ) -> dict[Region, list[BaseGeometry]]:
+    def areas(self, lane_strips: list[LaneStrip]) -> dict[Region, list[BaseGeometry]]:
         parts: dict[Region, list[BaseGeometry]] = {region: [] for region in Region}
         drawn = False
         for number in sorted({s.junction for s in lane_strips} - {-1}):
             strips = [s for s in lane_strips if s.junction == number]
-            approaches = approaches_of(self.town, {number})
+            approaches = approaches_of(self.map, {number})
             corners: list[Polygon] = []
             if not any(s.kind in SHOULDER | SIDEWALK for s in strips):
                 for side, kinds in ((Region.SHOULDER, SHOULDER), (Region.SIDEWALK, SIDEWALK)):
@@ -108,24 +103,22 @@ class OpenDriveJunction(MapJunction):
             if (region := self.region_of(strip)) is not None:
                 parts[region].append(strip.polygon)
         if drawn:
-            notes.append(
+            self.notes.append(
                 "sidewalks and shoulders end at the junction in the map; its corners were drawn "
                 "between those of neighbouring roads"
             )
         return parts
 
-    def with_bodies(
-        self, place: Intersection, lane_strips: list[LaneStrip], notes: list[str]
-    ) -> Intersection:
-        reach, shapes = self.radius + MARGIN, self.town.shapes
-        notes += self.town.notes
-        place = with_bodies(place, [s for s in shapes if s.kind != PARKING], reach, notes)
+    def with_bodies(self, place: Intersection, lane_strips: list[LaneStrip]) -> Intersection:
+        reach, shapes = self.radius + MARGIN, self.map.shapes
+        self.notes += self.map.notes
+        place = with_bodies(place, [s for s in shapes if s.kind != PARKING], reach, self.notes)
         lanes = [strip for strip in lane_strips if strip.kind == "parking"]
         spaces = [shape.area for shape in shapes if shape.kind == PARKING]
-        return with_parked(place, lanes, spaces, reach, notes)
+        return with_parked(place, lanes, spaces, reach, self.notes)
 
     def drives(self, arm_of: dict[tuple[int, str], int]) -> Iterator[Route]:
-        town, approaches = self.town, self.approaches
+        town, approaches = self.map, self.approaches
         inside = {r.id for r in town.roads.values() if r.junction in self.members} | self.interior
         # By position, not by road, because a step may skip a road that is a stub.
         cuts = [LineString([approach.point(k) for k in approach.kerbs]) for approach in approaches]

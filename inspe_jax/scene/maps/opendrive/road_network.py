@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from inspe_jax.core.errors import InspeError
+from inspe_jax.core.errors import InspeError, error_at
 from inspe_jax.core.files import TEXT, check_input, check_xml
 from inspe_jax.scene.georeference import Georeference, of_open_drive
 from inspe_jax.scene.lines import distance_from
@@ -55,10 +55,9 @@ def read_roads(path: Path) -> tuple[str, ET.Element, dict[int, OpenDriveRoad]]:
     root = ET.fromstring(text.encode())
     for element in root.iter():
         element.tag = element.tag.rpartition("}")[2]
-    try:
+    wrong = f"{path}: not OpenDRIVE: missing or wrong in a road"
+    with error_at(wrong, AttributeError, KeyError, TypeError, ValueError):
         roads = {r.id: r for r in map(_road, root.iter("road"))}
-    except (AttributeError, KeyError, TypeError, ValueError) as error:
-        raise InspeError(f"{path}: not OpenDRIVE: missing or wrong in a road: {error}") from error
     if not roads:
         raise InspeError(f"{path}: the map has no roads")
     return text, root, roads

@@ -18,7 +18,8 @@ from shapely.geometry import LineString, Point, Polygon
 from shapely.geometry.base import BaseGeometry
 from shapely.ops import unary_union
 
-from inspe_jax.scene.georeference import Georeference
+from inspe_jax.scene.geojson import known_georeference
+from inspe_jax.scene.intersection import Intersection
 from inspe_jax.scene.lines import distinct
 from inspe_jax.scene.maps.bodies import BARRIERS, BUILDING, SMALL, TREE, Shape, crown_base
 from inspe_jax.scene.maps.openstreetmap.extract import Tags, Way, read_extract
@@ -145,21 +146,15 @@ class Sizes:
 
 
 class BodyReader:
-    """Reads what an extract has beside lanes within ``reach`` [m] of a point [m].
+    """Reads what an extract has beside lanes within ``reach`` [m] of the centre of a place.
 
     ``notes`` get what was assumed. Raises InspeError as
     :func:`~inspe_jax.scene.maps.openstreetmap.extract.read_extract`.
     """
 
-    def __init__(
-        self,
-        path: Path,
-        middle: Float[np.ndarray, "2"],
-        reach: float,
-        georeference: Georeference,
-        notes: list[str],
-    ) -> None:
+    def __init__(self, path: Path, place: Intersection, reach: float, notes: list[str]) -> None:
         self.notes, self.sizes = notes, Sizes()
+        middle, georeference = place.center[:2], known_georeference(place)
         self.disc = Point(middle).buffer(reach)
         square = shapely.segmentize(Point(middle).buffer(reach + BEYOND, cap_style="square"), 50.0)
         degrees = georeference.to_degrees(shapely.get_coordinates(square))
@@ -170,12 +165,12 @@ class BodyReader:
         self.open = 0  # outlines that could not be closed
 
     def spot_heights(self) -> Float[np.ndarray, "N 3"]:
-        """The nodes that have a height (``ele``), in world metres."""
-        found = [
-            (*self.at[name], height)
-            for name, tags in self.extract.node_tags.items()
-            if (height := _elevation(tags.get("ele", ""))) is not None
-        ]
+        """The nodes that have a height (``ele``) of this Earth, in world metres."""
+        found = []
+        for name, tags in self.extract.node_tags.items():
+            with suppress(ValueError):
+                if LOWEST < (height := float(tags.get("ele", "").removesuffix("m"))) < HIGHEST_LAND:
+                    found.append((*self.at[name], height))
         return np.array(found, float).reshape(-1, 3)
 
     def shapes(self) -> list[Shape]:
@@ -345,11 +340,3 @@ def _is_building(tags: Tags) -> bool:
 
 def _is_area(tags: Tags) -> bool:
     return _is_building(tags) or (tags.get("barrier") == "hedge" and tags.get("area") == "yes")
-
-
-def _elevation(text: str) -> float | None:
-    """The metres of a tag ``ele``; None where they are no height on this Earth."""
-    with suppress(ValueError):
-        if LOWEST < (height := float(text.removesuffix("m"))) < HIGHEST_LAND:
-            return height
-    return None

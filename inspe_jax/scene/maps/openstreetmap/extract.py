@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
 
-from inspe_jax.core.errors import InspeError
+from inspe_jax.core.errors import error_at
 
 Tags = dict[str, str]
 ORDER = ("node", "way", "relation")  # each consists of those before it
@@ -46,12 +46,10 @@ def read_extract(path: Path, area: Box) -> Extract:
     Raises InspeError where it is not well-formed XML.
     """
     found = Extract()
-    try:
+    with error_at(f"{path}: not well-formed XML", ET.ParseError, OSError, EOFError):
         for _ in ORDER:
             if _read(path, area, found):
                 break
-    except (ET.ParseError, OSError, EOFError) as error:
-        raise InspeError(f"{path}: not well-formed XML: {error}") from error
     return found
 
 

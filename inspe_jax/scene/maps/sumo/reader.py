@@ -11,7 +11,7 @@ from shapely.geometry import MultiPoint, Point, Polygon
 from shapely.geometry.base import BaseGeometry
 from shapely.ops import unary_union
 
-from inspe_jax.core.errors import InspeError, needs
+from inspe_jax.core.errors import InspeError, error_at, needs
 from inspe_jax.core.files import cached_by_file
 from inspe_jax.scene.georeference import Georeference
 from inspe_jax.scene.intersection import Intersection, Route
@@ -57,12 +57,9 @@ def _is_junction(node: Any) -> bool:
 class SumoJunction(MapJunction):
     """Nodes of a network that are one junction, and the edges that begin or end there."""
 
-    poles = np.zeros((0, 3))
-
-    def __init__(
-        self, of: "SumoMap", members: set[Any], middle: Float[np.ndarray, "3"], radius: float
-    ) -> None:
-        super().__init__(of, members, middle, radius)
+    def __post_init__(self) -> None:
+        of, members = self.map, self.members
+        self.poles = np.zeros((0, 3))
         nodes = [of.net.getNode(name) for name in members]
         edges = {edge for node in nodes for edge in (*node.getIncoming(), *node.getOutgoing())}
         self.edges = dict(sorted((of.numbers[edge.getID()], edge) for edge in edges))
@@ -87,9 +84,7 @@ class SumoJunction(MapJunction):
         own = {s.road for s, far in near if far <= CLUSTER} | self.interior
         return [s for s, _ in near], [s.road in own for s, _ in near]
 
-    def areas(
-        self, lane_strips: list[LaneStrip], notes: list[str]
-    ) -> dict[Region, list[BaseGeometry]]:
+    def areas(self, lane_strips: list[LaneStrip]) -> dict[Region, list[BaseGeometry]]:
         middle = self.middle
         reach = max(float(distance_from(s.center, middle).max()) for s in lane_strips)
         ground = np.concatenate([s.center for s in lane_strips])
@@ -116,16 +111,26 @@ class SumoJunction(MapJunction):
                 parts[region].append(strip.polygon)
         return parts
 
-    def with_bodies(
-        self, place: Intersection, lane_strips: list[LaneStrip], notes: list[str]
-    ) -> Intersection:
-        projection = place.georeference
-        if projection is None or not str(self.map.path).lower().endswith(OSM_SUFFIXES):
+    def with_bodies(self, place: Intersection, lane_strips: list[LaneStrip]) -> Intersection:
+        is_extract = str(self.map.path).lower().endswith(OSM_SUFFIXES)
+        if place.georeference is None or not is_extract:
             return place
         reach = self.radius + MARGIN
-        reader = BodyReader(self.map.path, self.middle[:2], reach, projection, notes)
-        place = _on_heights(place, reader.spot_heights(), self.radius, notes)
-        return with_bodies(place, reader.shapes(), reach, notes)
+        reader = BodyReader(self.map.path, place, reach, self.notes)
+        place = self._on_heights(place, reader.spot_heights())
+        return with_bodies(place, reader.shapes(), reach, self.notes)
+
+    def _on_heights(self, place: Intersection, spots: Float[np.ndarray, "N 3"]) -> Intersection:
+        """A place on ground through spot heights, if they lie around its roads."""
+        if (count := len(spots)) < SPOTS:
+            return place
+        near = Point(place.center[:2]).buffer(self.radius)
+        roads = unary_union(list(place.regions.values())).intersection(near)
+        if not MultiPoint(spots[:, :2]).convex_hull.buffer(NEAR_SPOTS).covers(roads):
+            self.notes.append(f"the map's {count} points with a height do not lie around it: level")
+            return place
+        self.notes.append(f"heights of the ground between {count} points of the map with a height")
+        return laid_on(place, spots, self.radius)
 
     def drives(self, arm_of: dict[tuple[int, str], int]) -> Iterator[Route]:
         strips = self.map.lane_strips
@@ -285,12 +290,11 @@ def load_net(path: Path) -> SumoMap:
     with needs("SUMO networks and OpenStreetMap need sumolib", "sumo"):
         import sumolib
     file = network_file(path)
-    try:
+    wrong = f"{path}: not a SUMO network: missing or wrong"
+    with error_at(wrong, SAXException, KeyError, ValueError, AttributeError, TypeError):
         net = sumolib.net.readNet(
             str(file), withInternal=True, withPedestrianConnections=True, lxml=False
         )
-    except (SAXException, KeyError, ValueError, AttributeError, TypeError) as error:
-        raise InspeError(f"{path}: not a SUMO network: missing or wrong: {error}") from error
     if not any(edge.getFunction() == "" for edge in net.getEdges()):
         raise InspeError(f"{path}: the network has no roads")
     return SumoMap(path, file, net)
@@ -309,18 +313,3 @@ def _approach(streets: SumoMap, number: int, edge: Any, end: str) -> Approach:
         for lane, strip in lane_strips
     ]
     return Approach.across(number, end, origin, outward, heading(chord), cut)
-
-
-def _on_heights(
-    place: Intersection, spots: Float[np.ndarray, "N 3"], radius: float, notes: list[str]
-) -> Intersection:
-    """A place on ground through spot heights, if they lie around its roads."""
-    if len(spots) < SPOTS:
-        return place
-    near = Point(place.center[:2]).buffer(radius)
-    roads = unary_union(list(place.regions.values())).intersection(near)
-    if not MultiPoint(spots[:, :2]).convex_hull.buffer(NEAR_SPOTS).covers(roads):
-        notes.append(f"the map's {len(spots)} points with a height do not lie around it: level")
-        return place
-    notes.append(f"heights of the ground between {len(spots)} points of the map with a height")
-    return laid_on(place, spots, radius)

@@ -50,7 +50,7 @@ Progress = Callable[[int, int], None]
 
 @dataclass
 class ArrivalStream:
-    """Arrivals of one class: times ``when`` at a rate of one a second, paths and sizes.
+    """Arrivals of one class: their times at a rate of one a second, numbers of paths, and sizes.
 
     Another rate brings the same road users, earlier or later.
     """
@@ -59,21 +59,19 @@ class ArrivalStream:
     paths: list[TravelPath]
     mix: Mix
     rng: np.random.Generator
-    when: list[float] = field(default_factory=list)
-    path_index: list[int] = field(default_factory=list)
-    size: list[np.ndarray] = field(default_factory=list)
+    drawn: list[tuple[float, int, np.ndarray]] = field(default_factory=list)
 
-    def until(self, time: float) -> int:
-        """Number of arrivals up to a time at one a second; missing ones are drawn."""
+    def until(self, time: float) -> list[tuple[float, int, np.ndarray]]:
+        """The arrivals up to a time at one a second; missing ones are drawn."""
         weight = np.array([path.weight for path in self.paths])
-        while not self.when or self.when[-1] < time:
-            last = self.when[-1] if self.when else 0.0
-            self.when.append(last + self.rng.exponential())
-            self.path_index.append(int(self.rng.choice(len(self.paths), p=weight / weight.sum())))
+        last = self.drawn[-1][0] if self.drawn else 0.0
+        while not self.drawn or last < time:
+            last += self.rng.exponential()
+            path = int(self.rng.choice(len(self.paths), p=weight / weight.sum()))
             mean = self.mix.mean_size(self.kind, self.rng)
             varied = np.clip(self.rng.standard_normal(3), -2, 2) * self.mix.spread
-            self.size.append(mean * (1 + varied))
-        return int(np.searchsorted(self.when, time))
+            self.drawn.append((last, path, mean * (1 + varied)))
+        return [one for one in self.drawn if one[0] < time]
 
 
 def sumo_traffic(
@@ -237,9 +235,8 @@ class _SumoRuns:
                 looks["maxSpeed"] = f"{user.top_speed:g}"
             for k, path in enumerate(stream.paths):
                 ET.SubElement(root, "route", id=f"{name}.{k}", edges=" ".join(path.edges))
-            for n in range(stream.until(end * rate)):
-                who, size, when = f"{name}.{n}", stream.size[n], stream.when[n] / rate
-                path = stream.paths[stream.path_index[n]]
+            for n, (at_one, number, size) in enumerate(stream.until(end * rate)):
+                who, when, path = f"{name}.{n}", at_one / rate, stream.paths[number]
                 sizes[who] = (stream.kind, len(CLASSES) * n + stream.kind, size)
                 body = dict(
                     zip(("length", "width", "height"), (f"{x:.3f}" for x in size), strict=True)
@@ -253,7 +250,7 @@ class _SumoRuns:
                     ET.SubElement(one, "walk", to)
                 else:
                     start |= {"departLane": "best", "departSpeed": "desired", "arrivalPos": arrival}
-                    one = ET.Element("vehicle", start | {"route": f"{name}.{stream.path_index[n]}"})
+                    one = ET.Element("vehicle", start | {"route": f"{name}.{number}"})
                 people.append((when, one))
         root.extend(one for _, one in sorted(people, key=lambda pair: pair[0]))
         ET.ElementTree(root).write(file)

@@ -60,10 +60,13 @@ def waypoint_traffic(
     value is out of range, the mix is unknown, or no route lies within the radius.
     """
     check_traffic(radius=radius, count=count, frames=frames, mix=mix, step=step, seed=seed)
-    walked = MIXES[mix].shares[CLASSES.index("pedestrian")] > 0
+    walked = MIXES[mix].shares[WALKER] > 0
     place = with_walkways(intersection, radius) if walked else intersection
     paths = lay_paths(place, radius)
-    kind = _kinds(paths, MIXES[mix], count)
+    has_path = [bool((paths.user == PATH_USERS.index(u.path)).any()) for u in ROAD_USERS]
+    # Cyclists ride only where there are pedestrians too, so not on motorways.
+    has_path[CLASSES.index("cyclist")] &= has_path[WALKER]
+    kind = np.repeat(np.arange(len(CLASSES), dtype=np.int8), quota(MIXES[mix], has_path, count))
     if len(kind) < count:
         raise InspeError(
             f"{intersection.name}: no route within {radius:g} m of the centre for mix '{mix}'"
@@ -77,13 +80,6 @@ def waypoint_traffic(
         if progress is not None:
             progress(frame + 1, frames)
     return pack_frames(seen, step)
-
-
-def _kinds(paths: Paths, mix: Mix, count: int) -> Int[np.ndarray, " M"]:
-    has_path = [bool((paths.user == PATH_USERS.index(u.path)).any()) for u in ROAD_USERS]
-    # Cyclists ride only where there are pedestrians too, so not on motorways.
-    has_path[CLASSES.index("cyclist")] &= has_path[CLASSES.index("pedestrian")]
-    return np.repeat(np.arange(len(CLASSES), dtype=np.int8), quota(mix, has_path, count))
 
 
 def _warmed_up(paths: Paths, kind: np.ndarray, mix: str, seed: int) -> WaypointModel:

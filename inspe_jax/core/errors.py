@@ -99,15 +99,6 @@ def _install(extra: str) -> str:
     return f"pip install '{package}'"
 
 
-@contextmanager
-def located(where: str) -> Iterator[None]:
-    """Put ``where``, such as a file's key, before the message of an InspeError in the block."""
-    try:
-        yield
-    except InspeError as e:
-        raise InspeError(f"{where}: {e}") from None
-
-
 def wrong_kind(name: str, given: Any, wanted: str) -> InspeError:
     """The error of an argument that is something else than what is ``wanted``."""
     text = " ".join(brief(given).split())

@@ -7,7 +7,7 @@ from typing import Annotated, Any, TypeVar
 
 from pydantic import BaseModel, BeforeValidator, Field
 
-from inspe_jax.core.errors import InspeError, check_known, located
+from inspe_jax.core.errors import InspeError, check_known, error_at
 from inspe_jax.core.files import STRICT
 from inspe_jax.scene.profiles import DEFAULT_PROFILE, profile_of, profiles
 from inspe_jax.scene.scene import build_scene, density_count
@@ -93,7 +93,7 @@ def check_settings(
     """Raise InspeError where a setting has a value that is not allowed."""
     for key, check in checks.items():
         for value in given.get(key, ()):
-            with located(f"{where}.{key}"):
+            with error_at(f"{where}.{key}"):
                 check(value)
 
 

@@ -10,7 +10,7 @@ import jax
 from pydantic import Field, model_validator
 
 from inspe_jax.core import version
-from inspe_jax.core.errors import InspeError, check_known, located
+from inspe_jax.core.errors import InspeError, check_known, error_at
 from inspe_jax.core.files import check_input, digest_of, parse_yaml, read_yaml
 from inspe_jax.core.parallel import compiled
 from inspe_jax.jobs.settings import Count, Length, Line, Strict, Text, check_names, check_settings
@@ -210,7 +210,7 @@ def _layout_source(
         counts = {key: count for key, count in entry.mix.items() if count}
         if not counts:
             raise InspeError(f"{where}.mix: needs at least one sensor")
-        with located(f"{where}.mix"):
+        with error_at(f"{where}.mix"):
             for key in entry.mix:
                 devices.get(key) or device(key)
         specs = tuple((key, devices[key]) for key in counts if key in devices)
@@ -221,7 +221,7 @@ def _layout_source(
         name = load_layout(path).name
         return LayoutSource(entry.name or name, text=path.read_text(encoding="utf-8"))
     options = {key: devices.get(value, value) for key, value in options.items()}
-    with located(where):
+    with error_at(where):
         chosen = choose(str(entry.strategy), **options)
     return LayoutSource(entry.name or chosen.name, chosen.name, tuple(options.items()))
 

@@ -40,7 +40,7 @@ from typing import Annotated, Any
 from pydantic import Field
 
 from inspe_jax.core.digest import digest
-from inspe_jax.core.errors import check_known, located
+from inspe_jax.core.errors import check_known, error_at
 from inspe_jax.core.files import check_model
 from inspe_jax.jobs import sources
 from inspe_jax.jobs.settings import (
@@ -183,12 +183,12 @@ def make_study(
     whole = {key: getattr(entry.settings, key) for key in SETTINGS}
     check_settings(whole, f"{where}: settings", _CHECKS)
     weights = [metrics.weights_of(given) for given in entry.settings.weights]
-    with located(f"{where}: metrics"):
+    with error_at(f"{where}: metrics"):
         most = {name: max(row[name] for row in weights) for name in metrics.METRICS if weights}
         found = metrics.chosen(entry.metrics, most)
     curves = None
     if entry.detection is not None:
-        with located(f"{where}: detection"):
+        with error_at(f"{where}: detection"):
             own = load_detection(folder / entry.detection)
         curves = None if own == detection_curves() else own
     layouts = sources.layout_sources(entry, folder, where)

@@ -2,14 +2,13 @@
 cheapest mix that reaches a target."""
 
 import csv
-import io
 from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from drawn import printed
 from mounts import assert_mountable, lanes_of
-from rich.console import Console
 from worlds import SMALL
 
 import inspe_jax
@@ -231,9 +230,7 @@ def test_only_the_regions_that_are_named_count(large):
         ]
     )
     assert result.objective == pytest.approx(careful, abs=0.03)
-    out = io.StringIO()
-    Console(file=out, width=120).print(before_after_table(result))
-    assert "(C and D of crosswalk, sidewalk only)" in out.getvalue()
+    assert "(C and D of crosswalk, sidewalk only)" in printed(before_after_table(result))
 
 
 def test_what_does_not_weigh_regions_is_refused():

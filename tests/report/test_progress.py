@@ -19,11 +19,7 @@ from inspe_jax.report.curves import NAMED, history_view, pareto_view
 from inspe_jax.report.figures import layer_raster
 from inspe_jax.report.layers import seen_layer
 from inspe_jax.report.progress import MOVED, WENT, before_after
-from inspe_jax.report.tables import (
-    before_after_table,
-    comparison_table,
-    moves_table,
-)
+from inspe_jax.report.tables import before_after_table, comparison_table, moves_table
 from inspe_jax.scoring.evaluate import ManyScores, evaluate
 
 

@@ -1,10 +1,12 @@
-"""What a figure has drawn: its texts with their places, its pixels."""
+"""What a figure has drawn: its texts with their places, its pixels; and the text of a table."""
 
+import io
 from itertools import combinations
 
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.text import Text
+from rich.console import Console
 
 
 def pixels(fig):
@@ -46,3 +48,10 @@ def misplaced(fig):
         )
         > 0.5
     ]
+
+
+def printed(table, width=160):
+    """A table in so many columns."""
+    out = io.StringIO()
+    Console(file=out, width=width, color_system=None).print(table, crop=False)
+    return out.getvalue()

@@ -19,6 +19,12 @@ UNIT = np.array([12.0, 8.0, 6.0, 0.0, 0.0, np.radians(-150)])
 """The pose of a unit, 6 m up and looking south-west."""
 
 
+LEVEL = np.array([0.0, 0.0, 6.0, 0.0, 0.0, 0.0])
+INTRINSIC = np.array([[100.0, 0, 400], [0, 100.0, 300], [0, 0, 1]])
+CAMERA = Image(LEVEL, INTRINSIC, np.zeros((600, 800, 3), np.uint8))
+"""A level camera 6 m up that looks east, of 800 × 600 pixels and a focal length of 100."""
+
+
 def car(track: int = 3, **changes) -> RoadUserBox:
     """A car on the ground at (10, 20), facing north at 10 m/s."""
     values = {
@@ -31,6 +37,10 @@ def car(track: int = 3, **changes) -> RoadUserBox:
         "velocity": np.array([0.0, 10.0, 0.0]),
     }
     return RoadUserBox(**{**values, **changes})
+
+
+AHEAD = car(1, center=np.array([10.0, 0.0, 1.0]), yaw=0.0, size=np.array([4.0, 2.0, 2.0]))
+"""A car from 8 m to 12 m before :data:`CAMERA`, 1 m to each side, 2 m high."""
 
 
 def image(

@@ -6,15 +6,7 @@ import numpy as np
 from frames import WORLD
 
 from inspe_jax.core.geometry import pixels, rotation
-from inspe_jax.dataset import (
-    Frame,
-    Image,
-    RoadUserBox,
-    Scan,
-    Station,
-    write_frame,
-    write_protocol,
-)
+from inspe_jax.dataset import Frame, Image, RoadUserBox, Scan, Station, write_frame, write_protocol
 from inspe_jax.simulation.frame import KINDS
 from inspe_jax.simulation.projection import corners
 

@@ -2,16 +2,13 @@
 
 from dataclasses import replace
 from functools import cache
-from typing import Any
 
 import numpy as np
-import pytest
+import worlds
 from shapely import STRtree, polygons
 from shapely.geometry import MultiPolygon
-from worlds import MAPS
 
 from inspe_jax.scene.intersection import Intersection, Route
-from inspe_jax.scene.maps.registry import read_map
 from inspe_jax.scene.traffic.frames import TrafficFrames
 
 LANE = 3.5
@@ -36,17 +33,9 @@ def quarter_bend(x: float, y: float, radius: float, left: bool) -> list[tuple[fl
 
 
 def intersection(routes: list[Route], center: tuple[float, ...] = (0, 0, 0)) -> Intersection:
-    return Intersection(
-        name="test crossing",
-        source="by hand",
-        center=np.array(center, float),
-        regions={},
-        arms=(),
-        routes=tuple(routes),
-        mounting=MultiPolygon(),
-        poles=np.zeros((0, 3)),
-        ground_points=np.zeros((1, 3)),
-    )
+    """A place of routes alone."""
+    bare = dict(regions={}, mounting=MultiPolygon(), ground_points=np.zeros((1, 3)))
+    return replace(worlds.crossing(center=center), routes=tuple(routes), **bare)
 
 
 def turned(route: Route, angle: float, shift: tuple[float, ...] = (0, 0, 0)) -> Route:
@@ -88,11 +77,3 @@ def overlapping(traffic: TrafficFrames) -> list[tuple[int, int, int]]:
         pairs = STRtree(bodies).query(bodies, predicate="intersects").T
         found += [(t, int(i), int(j)) for i, j in pairs if i < j]
     return found
-
-
-def place_in(town: str, **where: Any) -> Intersection:
-    """A junction of a town; skips where the client or the maps are absent."""
-    pytest.importorskip("carla", reason="needs the CARLA client")
-    if not (MAPS / f"{town}.xodr").is_file():
-        pytest.skip("needs the maps beside the checkout")
-    return read_map(MAPS / f"{town}.xodr", **where)

@@ -1,23 +1,20 @@
 """Further metrics where a user asks for them: scores, reports, studies; and a target."""
 
-import csv
 import json
 
 import pytest
 
 from inspe_jax import evaluate, load_layout
 from inspe_jax.core.errors import InspeError
+from inspe_jax.core.files import read_csv
 from inspe_jax.placement.objective import Objective
 from inspe_jax.placement.problem import Case
 from inspe_jax.report.page import report_entry, report_page
 from inspe_jax.scene.traffic.frames import CLASSES
-from inspe_jax.study.plan import make_study
 
 
-def test_scores_have_those_that_are_named(run, scene, layout):
-    record = json.loads(
-        run("score", "s.npz", "layout.yaml", "--metrics", "detectability", "--json", "-")
-    )
+def test_scores_have_those_that_are_named(run, scored, scene, layout):
+    record = scored("s.npz", "layout.yaml", "--metrics", "detectability")
     found = evaluate(scene, layout, metrics=("detectability",))
     assert record["detectability"] == pytest.approx(found.metrics["detectability"], abs=1e-6)
     assert "localisation" not in record
@@ -27,25 +24,21 @@ def test_scores_have_those_that_are_named(run, scene, layout):
         assert name in words
     usual = run("score", "s.npz", "layout.yaml")
     assert "detectability" not in usual
-    assert "did you mean localisation" in run(
-        "score", "s.npz", "layout.yaml", "--metrics", "localization", fails=True
-    )
-    listed = run("metrics")
-    assert "detectability D 0 chance that a detector finds a road user" in listed
+    wrong = run("score", "s.npz", "layout.yaml", "--metrics", "localization", fails=True)
+    assert "did you mean localisation" in wrong
+    assert "detectability D 0 chance that a detector finds a road user" in run("metrics")
 
 
-def test_curves_of_ones_own_are_scored_with(run, scene, layout, tmp_path):
+def test_curves_of_ones_own_are_scored_with(run, scored, scene, layout, tmp_path):
     """Read from a file, and said in the record."""
     none = "".join(f"[camera.{name}]\nmost = 1e-9\nhalf = 1\nslope = 1\n" for name in CLASSES)
     (tmp_path / "blind.toml").write_text(none)
     given = ("s.npz", "layout.yaml", "--metrics", "detectability", "--detection", "blind.toml")
-    record = json.loads(run("score", *given, "--json", "-"))
+    record = scored(*given)
     assert evaluate(scene, layout, metrics=("detectability",)).metrics["detectability"] > 0
     assert record["detectability"] == pytest.approx(0, abs=1e-8)
     assert record["settings"]["detection"]["camera"]["car"]["most"] == 1e-9
-    seen = json.loads(
-        run("targets", "s.npz", "layout.yaml", "--detection", "blind.toml", "--json", "-")
-    )
+    seen = json.loads(run("targets", *given[:2], "--detection", "blind.toml", "--json", "-"))
     assert seen["detectability"]["all"] == pytest.approx(0, abs=1e-8)
     assert "no.toml: no such file" in run("score", *given[:-1], "no.toml", fails=True)
     with pytest.raises(InspeError, match="give curves, as inspe_jax"):
@@ -65,18 +58,6 @@ def test_a_page_has_them_and_a_map_of_what_a_pedestrian_gets(scene, layout, monk
     assert "detectability D" in with_it
 
 
-def test_studies_have_a_column_for_each(tmp_path):
-    content = {"scenes": [{"built_in": "four_way"}], "layouts": ["L-c"]}
-    plain = make_study(content, tmp_path)
-    study = make_study(content | {"metrics": ["detectability"]}, tmp_path)
-    assert study.metrics == (*plain.metrics, "detectability")
-    assert [job.key for job in study.jobs] == [job.key for job in plain.jobs]
-    weighted = make_study(content | {"settings": {"weights": {"localisation": 1.0}}}, tmp_path)
-    assert weighted.metrics == (*plain.metrics, "localisation")
-    with pytest.raises(InspeError, match=r"metrics: .*did you mean detectability"):
-        make_study(content | {"metrics": ["detectabilty"]}, tmp_path)
-
-
 def test_the_cheapest_mix_is_told_with_those_that_fall_short(run, tmp_path):
     given = ("--device", "velodyne-vlp-16:1-2", "--evaluations", "3", "--method", "random")
     words = run(
@@ -86,8 +67,7 @@ def test_the_cheapest_mix_is_told_with_those_that_fall_short(run, tmp_path):
     assert (tmp_path / "c" / "layout.yaml").is_file()
     short = run("optimise", "s.npz", "--target", "0.999", *given, "--out", "d")
     assert "none reaches 0.999; the best is 2 velodyne-vlp-16; 2 of 2 mixes were" in short
-    history = list(csv.DictReader((tmp_path / "d" / "history.csv").read_text().splitlines()))
-    assert history
+    assert read_csv(tmp_path / "d" / "history.csv")
 
 
 @pytest.mark.parametrize(
@@ -100,6 +80,7 @@ def test_the_cheapest_mix_is_told_with_those_that_fall_short(run, tmp_path):
         (("--target", "0.9", "--device", "paper-camera:1"), "--price paper-camera=USD"),
         (("--region", "crosswalk"), "occlusion counts every voxel"),
         (("--region", "kerb", "--weight", "coverage=1"), "region 'kerb': one of driveway"),
+        (("--region", "crosswalks", "--weight", "coverage=1"), "did you mean crosswalk"),
     ],
 )
 def test_what_does_not_go_together_is_said(run, arguments, words):
@@ -119,7 +100,7 @@ def test_a_search_begins_with_a_mix_of_devices(run, tmp_path):
 AIM = ("--weight", "detectability=1", "--region", "crosswalk", "--road-user", "pedestrian")
 
 
-def test_a_layout_says_what_it_was_searched_for_and_is_scored_for_that(run, tmp_path):
+def test_a_layout_says_what_it_was_searched_for_and_is_scored_for_that(run, scored, tmp_path):
     """The same number from search, score, report and Python; the usual P_sm beside it."""
     words = run(
         "optimise", "s.npz", "layout.yaml", *AIM, "--method", "random", "--evaluations", 2,
@@ -131,10 +112,10 @@ def test_a_layout_says_what_it_was_searched_for_and_is_scored_for_that(run, tmp_
     goal = dict(weights={"detectability": 1.0}, regions=["crosswalk"], road_users=["pedestrian"])
     assert layout.goal.record == goal
     assert load_layout(tmp_path / "g" / "start.yaml").goal is None
-    with_goal = json.loads(run("score", "s.npz", "g/layout.yaml", "--json", "-"))
+    with_goal = scored("s.npz", "g/layout.yaml")
     assert with_goal["searched_for"].pop("score") == pytest.approx(found, abs=1e-6)
     assert with_goal["searched_for"] == goal
-    given = json.loads(run("score", "s.npz", "g/layout.yaml", *AIM, "--json", "-"))
+    given = scored("s.npz", "g/layout.yaml", *AIM)
     assert given["surrogate"] == pytest.approx(found, abs=1e-6)
     assert "searched_for" not in given
     assert given["settings"]["regions"] == ["crosswalk"]
@@ -149,6 +130,5 @@ def test_a_layout_says_what_it_was_searched_for_and_is_scored_for_that(run, tmp_
     assert card in page
     wrong = (tmp_path / "g" / "layout.yaml").read_text().replace("[crosswalk]", "[kerb]")
     (tmp_path / "wrong.yaml").write_text(wrong)
-    assert "wrong.yaml: searched_for: region 'kerb': one of" in run(
-        "score", "s.npz", "wrong.yaml", fails=True
-    )
+    said = run("score", "s.npz", "wrong.yaml", fails=True)
+    assert "wrong.yaml: searched_for: region 'kerb': one of" in said

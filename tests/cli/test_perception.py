@@ -149,11 +149,12 @@ def test_a_set_without_the_sensors_of_a_model_is_refused(trained, tmp_path):
     found = run("train", trained / "set", *words, "--out", tmp_path / "run")
     assert "lss-eff needs pictures: leave --pictures none out" in str(found.exception)
     assert not (tmp_path / "blind").exists()
-    found = run("train", trained / "set", "--pictures", "big", "--out", tmp_path / "run")
-    assert "--pictures big: width and height such as 400x300, or none" in str(found.exception)
-    found = run("train", trained / "set_cache", "--pictures", "64x48", "--out", tmp_path / "run")
-    assert "is a cache and has pictures of 32x24, not 64x48: leave" in str(found.exception)
-    found = run("train", trained / "set_cache", "--pictures", "none", "--out", tmp_path / "run")
-    assert "is a cache and has pictures of 32x24, not none: leave" in str(found.exception)
-    found = run("train", trained / "set", "--rate", "-1", "--out", tmp_path / "run")
-    assert "training: rate: input should be greater than 0" in str(found.exception)
+    has = "is a cache and has pictures of 32x24, not"
+    for name, option, value, said in (
+        ("set", "--pictures", "big", "--pictures big: width and height such as 400x300, or none"),
+        ("set_cache", "--pictures", "64x48", f"{has} 64x48: leave"),
+        ("set_cache", "--pictures", "none", f"{has} none: leave"),
+        ("set", "--rate", "-1", "training: rate: input should be greater than 0"),
+    ):
+        found = run("train", trained / name, option, value, "--out", tmp_path / "run")
+        assert said in str(found.exception)

@@ -1,10 +1,9 @@
 """A metric that is added to the registry shows everywhere, and nothing outside names it."""
 
-import io
 import json
 
 import pytest
-from rich.console import Console
+from drawn import printed
 
 from inspe_jax import evaluate, optimise
 from inspe_jax.core.files import read_csv
@@ -35,12 +34,6 @@ def search(scene, layout):
     return lambda: optimise(scene, layout, "random", evaluations=3)
 
 
-def shown(table):
-    out = io.StringIO()
-    Console(file=out, width=200, color_system=None).print(table)
-    return out.getvalue()
-
-
 def test_it_shows_once_it_is_in_the_registry_and_not_before(
     scene, layout, run, search, tmp_path, monkeypatch
 ):
@@ -66,11 +59,11 @@ def test_it_shows_once_it_is_in_the_registry_and_not_before(
             "metrics": run("metrics"),
             "page": page.report_page(scene, [entry]),
             "panel": "".join(score_panel(layout, scored, frames=5)),
-            "before and after": shown(tables.before_after_table(result)),
+            "before and after": printed(tables.before_after_table(result)),
             "maps": str([ax.get_title(loc="left") for ax in before_after(scene, *before).axes]),
             "map": str([text.get_text() for text in plan_view(scene, layout, scores).texts]),
-            "pareto": shown(tables.pareto_table(mixes)) + str(read_csv(tmp_path / "pareto.csv")),
-            "sweep": shown(tables.sweep_table([row])) + str(read_csv(folder / "results.csv")),
+            "pareto": printed(tables.pareto_table(mixes)) + str(read_csv(tmp_path / "pareto.csv")),
+            "sweep": printed(tables.sweep_table([row])) + str(read_csv(folder / "results.csv")),
         }  # fmt: skip
 
     for text in found()[2].values():
@@ -104,10 +97,10 @@ def test_results_of_before_and_of_another_registry_are_read_and_shown(
     with monkeypatch.context() as registered:
         registered.setitem(METRICS, TOY.name, TOY)
         save_result(search(), tmp_path)
-        own = shown(tables.before_after_table(before))
+        own = printed(tables.before_after_table(before))
     back = load_result(tmp_path)
     assert back.scores.value(TOY.name) > 0
     assert back.scores.contributions[0].value(TOY.name) > 0
-    for text in (own, shown(tables.before_after_table(back))):
+    for text in (own, printed(tables.before_after_table(back))):
         assert "coverage" in text
         assert TOY.words not in text

@@ -6,14 +6,7 @@ import numpy as np
 import pytest
 
 from inspe_jax.core.errors import InspeError
-from inspe_jax.core.numerics import (
-    Groups,
-    Softness,
-    arctan2,
-    dot,
-    leave_one_out,
-    step,
-)
+from inspe_jax.core.numerics import Groups, Softness, arctan2, dot, leave_one_out, step
 
 EACH = tuple((s,) for s in range(5))
 

@@ -1,15 +1,14 @@
 """The content of the figures and tables of a data set and of its frames."""
 
-import io
 import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from frames import WORLD, car, scan, station
+from drawn import printed
+from frames import AHEAD, CAMERA, LEVEL, WORLD, car, scan, station
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
-from rich.console import Console
 
 import inspe_jax.dataset as dataset
 from inspe_jax.core.sheet import CLASS_COLORS
@@ -20,11 +19,6 @@ from inspe_jax.dataset.statistics import bands, statistics
 from inspe_jax.dataset.tables import frame_table, statistics_record, statistics_table
 from inspe_jax.simulation.frame import KINDS
 
-LEVEL = np.array([0.0, 0.0, 6.0, 0.0, 0.0, 0.0])
-CAMERA = Image(
-    LEVEL, np.array([[100.0, 0, 400], [0, 100.0, 300], [0, 0, 1]]), np.zeros((600, 800, 3), "u1")
-)
-AHEAD = car(1, center=np.array([10.0, 0.0, 1.0]), yaw=0.0, size=np.array([4.0, 2.0, 2.0]))
 BEHIND = car(2, kind="truck", center=np.array([-20.0, 0.0, 2.0]), size=np.array([9.0, 2.5, 4.0]))
 
 
@@ -59,12 +53,6 @@ def panels(fig: Figure) -> dict[str, list]:
 
 def words(fig: Figure) -> str:
     return "\n".join(text.get_text() for text in fig.texts)
-
-
-def printed(table) -> str:
-    file = io.StringIO()
-    Console(file=file, width=120).print(table)
-    return file.getvalue()
 
 
 def test_counts_of_a_set_are_drawn(found):

@@ -45,13 +45,6 @@ STUDY = dict(
 FRAMES = 14
 
 
-@pytest.fixture(autouse=True)
-def _made_up():
-    back = made_up.use()
-    yield
-    back()
-
-
 @contextmanager
 def one_thread():
     """One worker in this process, which does not have to import anything first."""
@@ -69,10 +62,12 @@ def one_thread():
         yield
 
 
-@pytest.fixture
-def at_home():
+@pytest.fixture(autouse=True)
+def _made_up():
+    back = made_up.use()
     with one_thread():
         yield
+    back()
 
 
 def write(folder: Path, **changes) -> Path:
@@ -154,7 +149,7 @@ def test_every_scenario_is_valid_and_in_its_split(undisturbed):
         assert told["stations"][-1] == ("north-east" if len(scenario.agents) == 2 else "centre")
 
 
-def test_existing_frames_are_not_recorded_again(undisturbed, at_home, tmp_path):
+def test_existing_frames_are_not_recorded_again(undisturbed, tmp_path):
     """No worker is started either; scenarios of which a file is missing are."""
     path, files = undisturbed
     out = tmp_path / "out"
@@ -170,7 +165,7 @@ def test_existing_frames_are_not_recorded_again(undisturbed, at_home, tmp_path):
 
 
 @pytest.mark.process
-def test_a_killed_worker_is_replaced_and_a_run_goes_on_after_ctrl_c(undisturbed, at_home, tmp_path):
+def test_a_killed_worker_is_replaced_and_a_run_goes_on_after_ctrl_c(undisturbed, tmp_path):
     path, files = undisturbed
     out, pids = tmp_path / "out", tmp_path / "pids"
     pids.mkdir()
@@ -192,7 +187,7 @@ def test_a_killed_worker_is_replaced_and_a_run_goes_on_after_ctrl_c(undisturbed,
 
 
 @pytest.mark.process
-def test_a_run_that_was_killed_continues_where_it_was(undisturbed, at_home, tmp_path):
+def test_a_run_that_was_killed_continues_where_it_was(undisturbed, tmp_path):
     """The second run starts at once: a worker of the first may still write frames."""
     path, files = undisturbed
     out = tmp_path / "out"
@@ -206,7 +201,7 @@ def test_a_run_that_was_killed_continues_where_it_was(undisturbed, at_home, tmp_
     assert made_up.content(out) == files
 
 
-def test_a_full_disk(undisturbed, at_home, tmp_path, monkeypatch):
+def test_a_full_disk(undisturbed, tmp_path, monkeypatch):
     """All files are complete, and with free space again the data set becomes the same."""
     path, files = undisturbed
     out = tmp_path / "out"
@@ -221,7 +216,7 @@ def test_a_full_disk(undisturbed, at_home, tmp_path, monkeypatch):
     assert made_up.content(out) == files
 
 
-def test_scenarios_that_cannot_be_generated(at_home, tmp_path, monkeypatch):
+def test_scenarios_that_cannot_be_generated(tmp_path, monkeypatch):
     """The errors say why, also that of a worker, and the other scenarios are generated."""
     for name in ("broken", "unheard of"):
         (tmp_path / f"{name}.yaml").write_text(LAYOUT.replace("two masts", name))
@@ -256,7 +251,7 @@ def test_scenarios_that_cannot_be_generated(at_home, tmp_path, monkeypatch):
     assert_whole(tmp_path / "out")
 
 
-def test_a_scenario_is_generated_again_from_its_protocol(undisturbed, at_home, tmp_path):
+def test_a_scenario_is_generated_again_from_its_protocol(undisturbed, tmp_path):
     """To the same bytes: from this file alone, in another folder."""
     path, files = undisturbed
     plan = load_generation(path).scenarios[2]

@@ -103,15 +103,6 @@ def test_of_equal_scores_the_last_comes_first():
     assert evaluate(*(of[::-1] for of in frames)).mean_ap < 0.5
 
 
-def test_a_detection_does_not_take_what_is_far_or_of_another_class_or_frame():
-    truth = boxes_at((0, 0))
-    for found in (boxes_at((0, 4)), boxes_at((0, 0), kind=1)):
-        assert evaluate([found], [truth]).mean_ap == 0
-    assert evaluate([NOTHING, truth], [truth, NOTHING]).mean_ap == 0
-    found = evaluate([boxes_at((0, 3.999))], [truth]).ap[0]
-    np.testing.assert_allclose(found, [0, 0, 0, 1], rtol=1e-12)
-
-
 def loop(found: Detections, truth: Detections, distance: float) -> list[int]:
     """What nuScenes' rule says, one detection after the other."""
     taken = [-1] * len(found.kind)

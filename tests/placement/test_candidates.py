@@ -1,9 +1,11 @@
 """Candidate poses: where they are, what each sees and adds, and greedy placement among them."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from mounts import team
-from worlds import random_traffic, slow_but, world
+from worlds import random_traffic, slow_but
 
 from inspe_jax.placement import candidate_table as tables
 from inspe_jax.placement import candidates
@@ -14,14 +16,8 @@ from inspe_jax.placement.objective import Objective
 from inspe_jax.placement.problem import Case, Problem
 from inspe_jax.placement.sample_score import SampleScore
 from inspe_jax.placement.space import Space
-from inspe_jax.scene.scene import Scene
 from inspe_jax.scene.statics import tree, upright_box
 from inspe_jax.scoring.detection import detection_curves
-
-
-@pytest.fixture(scope="module")
-def scene():
-    return world(radius=20.0, voxel=1.0, frames=5, count=12, seed=3)
 
 
 @pytest.fixture(scope="module")
@@ -98,11 +94,6 @@ def test_units_that_must_stay_have_their_feet_among_the_candidates(scene):
 # ── Scores of samples ───────────────────────────────────────────────────────
 
 
-def other_traffic(scene):
-    traffic = random_traffic(scene.intersection, 5, 16, 20.0, seed=8)
-    return Scene(scene.voxels, traffic, scene.intersection)
-
-
 OBJECTIVES = {
     "default": Objective(),
     "targets, N−1, in sight": Objective(
@@ -124,8 +115,9 @@ OBJECTIVES = {
 )
 def test_bits_add_up_to_the_score(scene, name):
     """The sum over what each sensor sees is the rough score; and gains are differences of it."""
-    scenes = [scene, Case(other_traffic(scene))] if name.endswith("two scenes") else scene
-    problem = Problem(scenes, team(scene), OBJECTIVES[name])
+    traffic = random_traffic(scene.intersection, 5, 16, 20.0, seed=8)
+    both = [scene, Case(replace(scene, traffic=traffic))]
+    problem = Problem(both if name.endswith("two scenes") else scene, team(scene), OBJECTIVES[name])
     sample = problem.sample(np.random.default_rng(1), 96, 3)
     sampled, x = SampleScore(problem, sample), problem.space.random(np.random.default_rng(2), 3)
     stand = candidates.poses(problem.space, x)

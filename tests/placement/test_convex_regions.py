@@ -14,9 +14,7 @@ from inspe_jax.placement.coordinates import Disc
 SQUARE = np.array([[0, 0], [2, 0], [2, 2], [0, 2]], float)
 TRAPEZE = np.array([[0, 4], [12, 4], [9, 7], [1, 7]], float)
 LEANING = SQUARE @ np.array([[0.8, 0.6], [-0.6, 0.8]]) * 3.0 + [12, -9]
-WEDGE = np.array(
-    [[20, 0], [26, 0.0], [26.06, 2.0], [23, 2.5], [20, 2]], float
-)  # an end nearly upright
+WEDGE = np.array([[20, 0], [26, 0], [26.06, 2], [23, 2.5], [20, 2]], float)  # an end nearly upright
 SHAPES = [SQUARE, TRAPEZE, LEANING, WEDGE, np.array([[-3.0, 5.0]])]
 PIECES = make_regions(SHAPES)
 SOLID = [Polygon(shape) for shape in SHAPES if len(shape) > 1]

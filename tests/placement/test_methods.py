@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from dense_reference import measure
 from mounts import SIDEWALK, assert_mountable, lanes_of, team
-from worlds import CAMERA, LIDAR, place_sensors, world
+from worlds import CAMERA, LIDAR, place_sensors
 
 from inspe_jax.core.arrays import from_center, on_host
 from inspe_jax.core.numerics import Softness
@@ -67,11 +67,6 @@ def _small():
             for module in modules:
                 patch.setattr(module, name, value)
         yield
-
-
-@pytest.fixture(scope="module")
-def scene():
-    return world(radius=20.0, voxel=1.0, frames=5, count=12, seed=3)
 
 
 class Preferring(Problem):

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 from mounts import team
-from worlds import world
 
 import inspe_jax
 from inspe_jax.placement.candidates import project
@@ -43,11 +42,6 @@ def step(run, state):
 TOY = Method("toy", "hill climbing by random steps", (ClimbState,), begin, step)
 
 # ── Its row, and what follows from it ───────────────────────────────────────
-
-
-@pytest.fixture(scope="module")
-def scene():
-    return world(radius=20.0, voxel=1.0, frames=5, count=12, seed=3)
 
 
 @pytest.fixture(scope="module")

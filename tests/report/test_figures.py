@@ -1,6 +1,5 @@
 """What a figure shows, read back from the figure: places, angles, colours, and room for text."""
 
-import math
 from dataclasses import replace
 
 import numpy as np
@@ -34,8 +33,6 @@ from inspe_jax.scene.statics import tree, upright_box
 from inspe_jax.scoring.evaluate import Contribution, Scores
 from inspe_jax.sensing.layout import Sensor, Unit, make_layout
 from inspe_jax.sensing.sensors import CameraSpec, LidarSpec
-
-SECTOR = LidarSpec("sector", (-0.1, 0.0), 80, math.radians(80), 20.0)
 
 
 def scores_of(scene, layout, share=None):
@@ -186,7 +183,8 @@ def test_a_lidar_looks_all_round_or_in_a_sector():
     assert np.hypot(*(circle - pose[:2]).T) == pytest.approx(50.0)
     assert circle[0] == pytest.approx(circle[-1])
     assert shapely.Polygon(circle).area == pytest.approx(np.pi * 50**2, rel=1e-3)
-    angle, far = bearings(view_outline(SECTOR, pose, 0.0), pose)
+    sector = LidarSpec("sector", (-0.1, 0.0), 80, np.radians(80), 20.0)
+    angle, far = bearings(view_outline(sector, pose, 0.0), pose)
     assert far == pytest.approx(20.0)
     assert np.degrees([angle.min(), angle.max()]) == pytest.approx([-40, 40])
 
@@ -373,12 +371,10 @@ def test_arrow_heads_point_along_the_lanes():
 
 # ── Files ───────────────────────────────────────────────────────────────────
 
-MAGIC = {".PNG": b"\x89PNG", ".svg": b"<?xml", ".pdf": b"%PDF"}
-
 
 def test_a_figure_is_written_by_its_suffix_the_same_each_time(scene, pair, tmp_path):
     figures = [plan_view(scene, pair, scores_of(scene, pair)) for _ in range(2)]
-    for suffix, magic in MAGIC.items():
+    for suffix, magic in ((".PNG", b"\x89PNG"), (".svg", b"<?xml"), (".pdf", b"%PDF")):
         path, written = tmp_path / f"a{suffix}", []
         for figure in figures:
             save_figure(figure, path)

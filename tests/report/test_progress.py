@@ -1,15 +1,13 @@
 """What the figures of searches and of a Pareto front show, read back; and their tables."""
 
-import io
 from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from drawn import misplaced
+from drawn import misplaced, printed
 from matplotlib.collections import PolyCollection
 from matplotlib.patches import FancyArrowPatch
-from rich.console import Console
 from worlds import CAMERA, LIDAR, place_sensors, world
 
 from inspe_jax.core.errors import InspeError
@@ -21,11 +19,7 @@ from inspe_jax.report.curves import NAMED, history_view, pareto_view
 from inspe_jax.report.figures import layer_raster
 from inspe_jax.report.layers import seen_layer
 from inspe_jax.report.progress import MOVED, WENT, before_after
-from inspe_jax.report.tables import (
-    before_after_table,
-    comparison_table,
-    moves_table,
-)
+from inspe_jax.report.tables import before_after_table, comparison_table, moves_table
 from inspe_jax.scoring.evaluate import ManyScores, evaluate
 
 
@@ -170,12 +164,6 @@ def test_methods_can_be_told_apart_and_are_named_with_their_end(result):
     assert words == [f"m{k}, {0.1 * k:.4f}" for k in range(8)]
     with pytest.raises(InspeError, match="no result"):
         history_view([])
-
-
-def printed(table):
-    console = Console(width=100, record=True, file=io.StringIO())
-    console.print(table)
-    return console.export_text()
 
 
 def row_of(text, start):

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from rich.console import Console
+from drawn import printed
 from worlds import CAMERA, LIDAR, place_sensors, world
 
 from inspe_jax.cli.common import WholeConsole
@@ -30,8 +30,6 @@ from inspe_jax.sensing.catalogue import devices
 from inspe_jax.sensing.layout import Sensor, Unit, make_layout
 
 METRICS = ("coverage", "occlusion", "information_gain", "surrogate")
-WIDTHS = (80, 160)
-NARROW = (40, 80)
 
 
 def named(*values):
@@ -69,12 +67,6 @@ def layout():
     turn = np.radians([[0.0, -15.5, 270.0], [0.0, 0.0, -180.0]])
     poses = np.column_stack([[[-10.0, 0.5, 6.0], [10.0, 0.0, 104.5]], turn])
     return make_layout(members, units, poses, "a layout")
-
-
-def shown(table, width=160):
-    out = io.StringIO()
-    Console(file=out, width=width, color_system=None).print(table, crop=False)
-    return out.getvalue()
 
 
 def row(text, *begins):
@@ -121,9 +113,9 @@ def test_scores_of_another_layout_are_refused(scene, make):
         make(SCORES, scene, other)
 
 
-@pytest.mark.parametrize("width", WIDTHS)
+@pytest.mark.parametrize("width", [80, 160])
 def test_scores_for_people_are_whole(layout, width):
-    text = shown(scores_table(SCORES, layout), width)
+    text = printed(scores_table(SCORES, layout), width)
     assert row(text, "coverage", "C")[2:6] == ["0.3", "0.812", "0.910", "0.210"]
     assert row(text, "occlusion", "O")[2:4] == ["0.5", "0.300"]
     assert row(text, "information", "gain", "IG")[3:5] == ["0.2", "0.333"]
@@ -140,12 +132,12 @@ def test_scores_for_people_are_whole(layout, width):
 
 
 def test_a_scene_for_people(scene):
-    text = shown(scene_table(scene))
+    text = printed(scene_table(scene))
     count = len(scene.voxels.columns)
     assert f"{count:,} columns × 4 levels = {4 * count:,}; voxel 1 m" in text
     assert "one every" not in text
     apart = replace(scene, voxels=replace(scene.voxels, size=0.2))
-    assert "voxel 0.2 m, one every 1 m" in " ".join(shown(scene_table(apart)).split())
+    assert "voxel 0.2 m, one every 1 m" in " ".join(printed(scene_table(apart)).split())
     assert f"3 frames, {scene.traffic.mean_count:.1f} road users" in text
     assert "radius 12, seed 0" in text
     for region, key in ((1, "junction"), (3, "sidewalk")):
@@ -155,21 +147,15 @@ def test_a_scene_for_people(scene):
 
 
 def test_a_layout_for_people(layout):
-    text = shown(layout_table(layout))
+    text = printed(layout_table(layout))
     # Height is above the unit's base, and yaw lies in (−180°, 180°].
-    assert row(text, "1", "cam", "a")[-6:] == [
-        "test-camera",
-        "-10.0",
-        "0.5",
-        "6.0",
-        "-90.0",
-        "-15.5",
-    ]
+    camera = ["test-camera", "-10.0", "0.5", "6.0", "-90.0", "-15.5"]
+    assert row(text, "1", "cam", "a")[-6:] == camera
     assert row(text, "2")[-6:] == ["test-lidar", "10.0", "0.0", "4.5", "180.0", "0.0"]
     assert "roll" not in text
     poses = np.array(layout.poses)
     poses[0, 3] = math.radians(-3)
-    tilted = shown(layout_table(layout.with_poses(poses)))
+    tilted = printed(layout_table(layout.with_poses(poses)))
     assert "roll" in tilted
     assert row(tilted, "1", "cam", "a")[-2:] == ["-15.5", "-3.0"]
 
@@ -193,7 +179,7 @@ def mixes():
 SWEPT = dict(layout="Cam-d1/L-d1", status="done", coverage="0.81", occlusion="0.3", surrogate="0.7")
 
 
-@pytest.mark.parametrize("width", NARROW)
+@pytest.mark.parametrize("width", [40, 80])
 @pytest.mark.parametrize(
     "table",
     [
@@ -212,7 +198,7 @@ def test_no_table_cuts_a_number_or_a_name(table, width):
 
     A word of prose that no line holds is the only one that breaks.
     """
-    lines = [line.rstrip() for line in shown(table, width).splitlines()]
+    lines = [line.rstrip() for line in printed(table, width).splitlines()]
     whole = [str(cell) for column in table.columns if column.no_wrap for cell in column.cells]
     for cell in whole:
         assert any(line == cell or f" {cell} " in f" {line} " for line in lines), cell

@@ -4,7 +4,6 @@ import sys
 
 import numpy as np
 import pytest
-from worlds import MAPS
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.scene.georeference import Georeference, of_open_drive
@@ -70,13 +69,12 @@ def test_an_open_drive_projection_is_read():
 
 
 @pytest.mark.parametrize(("lat", "lon"), [(49.0, 8.0), (0.0, 0.0), (-33.9, 151.2)])
-def test_carla_s_own_maps_lie_where_its_client_says(lat, lon):
+def test_carla_s_own_maps_lie_where_its_client_says(maps, lat, lon):
     """Their Earth is a sphere, on which degrees are up to 0.7 % longer or shorter. North is +y."""
-    carla = pytest.importorskip("carla", reason="needs the CARLA client: extra [opendrive]")
-    if not MAPS.is_dir():
-        pytest.skip("CARLA's town maps are not at hand")
+    import carla
+
     given = "+lat_0=4.9000000000000000e+1 +lon_0=8.0000000000000000e+0"
-    text = (MAPS / "Town03.xodr").read_text()
+    text = (maps / "Town03.xodr").read_text()
     assert given in text
     georeference = of_open_drive(f"+lat_0={lat!r} +lon_0={lon!r}")
     town = carla.Map("Town03", text.replace(given, f"+lat_0={lat!r} +lon_0={lon!r}"))

@@ -9,7 +9,6 @@ import pytest
 import shapely
 from scipy.spatial import cKDTree
 from shapely import affinity
-from worlds import MAPS
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.scene.intersection import Intersection, mouth_crosswalks
@@ -18,13 +17,6 @@ from inspe_jax.scene.maps.registry import list_junctions, read_map
 from inspe_jax.scene.regions import Region
 
 carla = pytest.importorskip("carla", reason="needs the CARLA client: extra [opendrive]")
-
-needs_maps = pytest.mark.skipif(not MAPS.is_dir(), reason="CARLA's town maps are not at hand")
-
-
-def town(name: str) -> Path:
-    return MAPS / f"{name}.xodr"
-
 
 # A map small enough to work out on paper: one straight street along x. Road 1 from −60 to −10, a
 # junction from −10 to 10, road 2 from 10 to 60. Lanes 3.5 m, shoulders 1 m and sidewalks 2 m on
@@ -245,11 +237,9 @@ PLACES = {  # place: (town, options, arms that one sees on the map)
 
 
 @pytest.fixture(params=PLACES)
-def place(request) -> Intersection:
+def place(request, maps) -> Intersection:
     name, options, arms = PLACES[request.param]
-    if not MAPS.is_dir():
-        pytest.skip("CARLA's town maps are not at hand")
-    found = read_map(town(name), **options)
+    found = read_map(maps / f"{name}.xodr", **options)
     assert len(found.arms) == arms
     return found
 
@@ -293,11 +283,10 @@ def test_places_are_whole(place):
         assert min(inward or [np.inf]) > max(outward or [-np.inf])
 
 
-@needs_maps
 @pytest.mark.parametrize(("name", "junction"), [("Town05", 53), ("Town10HD", 189), ("Town06", 72)])
-def test_carlas_own_waypoints_lie_in_their_region(name, junction):
-    place = read_map(town(name), junction=junction)
-    world = carla.Map(name, town(name).read_text())
+def test_carlas_own_waypoints_lie_in_their_region(maps, name, junction):
+    place = read_map(maps / f"{name}.xodr", junction=junction)
+    world = carla.Map(name, (maps / f"{name}.xodr").read_text())
     width = 0.0
     for waypoint in world.generate_waypoints(1.0):
         at = waypoint.transform.location
@@ -315,14 +304,13 @@ def test_carlas_own_waypoints_lie_in_their_region(name, junction):
         assert place.regions[Region.DRIVEWAY].area == pytest.approx(width, rel=0.04)
 
 
-@needs_maps
 @pytest.mark.parametrize(("name", "junction"), [("Town05", 53), ("Town03", 222), ("Town07", 725)])
-def test_lanes_lie_where_the_raw_xml_puts_them(name, junction):
+def test_lanes_lie_where_the_raw_xml_puts_them(maps, name, junction):
     """Lane middles from the file's own numbers, right-handed, without CARLA."""
-    place = read_map(town(name), junction=junction)
+    place = read_map(maps / f"{name}.xodr", junction=junction)
     regions = {"driving": Region.DRIVEWAY, "sidewalk": Region.SIDEWALK, "shoulder": Region.SHOULDER}
     checked = 0
-    for element in ET.parse(town(name)).iter("road"):
+    for element in ET.parse(maps / f"{name}.xodr").iter("road"):
         sections = element.findall("lanes/laneSection")
         if element.get("junction") != "-1" or len(sections) != 1:
             continue
@@ -356,20 +344,18 @@ def polynomial(rows, key: str, s: float) -> float:
     return sum(float(row[0].get(k)) * ds**i for i, k in enumerate("abcd")) if row else 0.0
 
 
-@needs_maps
-def test_levels_that_overlap_are_told_apart():
+def test_levels_that_overlap_are_told_apart(maps):
     """Town05's elevated road over 53, and Town04's interchange whose ramps join both levels."""
     for name, junction in (("Town05", 53), ("Town04", 1061)):
-        points = read_map(town(name), junction=junction, radius=100).ground_points
+        points = read_map(maps / f"{name}.xodr", junction=junction, radius=100).ground_points
         a, b = cKDTree(points[:, :2]).query_pairs(2.0, output_type="ndarray").T
         assert abs(points[a, 2] - points[b, 2]).max() < 2
 
 
-@needs_maps
-def test_crosswalks_are_the_maps_or_strips_with_a_note():
-    own = read_map(town("Town10HD"), junction=189)
+def test_crosswalks_are_the_maps_or_strips_with_a_note(maps):
+    own = read_map(maps / "Town10HD.xodr", junction=189)
     assert not any("crosswalk" in note for note in own.notes)
-    loops = load_map(town("Town10HD")).crossings
+    loops = load_map(maps / "Town10HD.xodr").crossings
     near = [c for c in loops if np.hypot(*(c.mean(0) - own.center)[:2]) < 45]
     assert len(near) == 2
     for shape in (shapely.Polygon(c[:, :2]) for c in near):
@@ -377,33 +363,31 @@ def test_crosswalks_are_the_maps_or_strips_with_a_note():
 
     assert own.regions[Region.JUNCTION].contains(shapely.Point(-62.0, -20.5))  # a median's gap
 
-    bare = read_map(town("Town05"), junction=53)
+    bare = read_map(maps / "Town05.xodr", junction=53)
     assert any("the map has no crosswalks here" in note for note in bare.notes)
     strips = mouth_crosswalks(bare.arms)
     assert bare.regions[Region.CROSSWALK].symmetric_difference(strips).area < 0.1
 
-    motorway = read_map(town("Town04"), junction=1176)
+    motorway = read_map(maps / "Town04.xodr", junction=1176)
     assert motorway.regions[Region.CROSSWALK].is_empty
     assert any("no crosswalks" in note for note in motorway.notes)
 
 
-@needs_maps
-def test_poles_are_signals_on_the_ground_each_once():
-    signals = read_map(town("Town04"), junction=916)
+def test_poles_are_signals_on_the_ground_each_once(maps):
+    signals = read_map(maps / "Town04.xodr", junction=916)
     assert len(signals.poles) == 6
     gaps = shapely.distance(*np.meshgrid(*[shapely.points(signals.poles[:, :2])] * 2))
     assert gaps[~np.eye(6, dtype=bool)].min() >= 0.5
     np.testing.assert_allclose(signals.poles[:, 2], signals.ground(signals.poles[:, :2]))
-    bare = read_map(town("Town05"), junction=53)
+    bare = read_map(maps / "Town05.xodr", junction=53)
     assert bare.poles.shape == (0, 3)
     assert any("no poles" in note for note in bare.notes)
 
 
-@needs_maps
 @pytest.mark.parametrize("name", ["Town03", "Town10HD"])
-def test_the_list_has_the_junctions_of_the_file(name):
-    listed = list_junctions(town(name))
-    ids = [int(j.get("id")) for j in ET.parse(town(name)).iter("junction")]
+def test_the_list_has_the_junctions_of_the_file(maps, name):
+    listed = list_junctions(maps / f"{name}.xodr")
+    ids = [int(j.get("id")) for j in ET.parse(maps / f"{name}.xodr").iter("junction")]
     assert [j.id for j in listed] == sorted(ids)
     by_id = {j.id: j for j in listed}
     if name == "Town03":

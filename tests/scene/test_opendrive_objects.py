@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import shapely
 from shapely.geometry import Point, Polygon, box
-from worlds import MAPS, crossing
+from worlds import crossing
 
 import inspe_jax
 from inspe_jax.scene.maps.lanes import LaneStrip
@@ -18,6 +18,7 @@ from inspe_jax.scene.maps.opendrive.objects import (
     shapes_of,
     with_parked,
 )
+from inspe_jax.scene.maps.registry import read_map
 from inspe_jax.scene.regions import Region
 
 LINE = '<geometry s="0" x="10" y="20" hdg="0" length="100"><line/></geometry>'
@@ -162,16 +163,14 @@ def test_pieces_worked_out_on_paper():
         assert np.allclose(at, [1 - at_end[1], 2 + at_end[0]])
 
 
-@pytest.mark.skipif(not MAPS.is_dir(), reason="CARLA's town maps are not at hand")
 @pytest.mark.parametrize("town", ["Town04", "Town10HD"])
-def test_the_line_is_carla_s(town):
+def test_the_line_is_carla_s(maps, town):
     """CARLA's lanes lie straight across from the same point of the line, and run along it: to
     0.1 mm in single precision."""
-    pytest.importorskip("carla", reason="needs the CARLA client: extra [opendrive]")
     from inspe_jax.scene.maps.opendrive.reader import load_map
     from inspe_jax.scene.maps.opendrive.road_network import heading_of, position
 
-    path = MAPS / f"{town}.xodr"
+    path = maps / f"{town}.xodr"
     carla, rng = load_map(path), np.random.default_rng(0)
     off, seen = [], 0
     roads = {int(r.get("id")): r for r in ET.parse(path).getroot().iter("road")}
@@ -260,14 +259,9 @@ def test_not_on_crosswalks_nor_in_other_bodies():
     assert 0 < len(near) < len(found.bodies)
 
 
-def test_a_town_with_parking_lanes():
+def test_a_town_with_parking_lanes(maps):
     """In Town05 parked vehicles stand in nobody's way."""
-    if not (path := MAPS / "Town05.xodr").is_file():
-        pytest.skip("the town maps are not beside the checkout")
-    pytest.importorskip("carla", reason="needs the CARLA client: extra [opendrive]")
-    from inspe_jax.scene.maps.registry import read_map
-
-    place = read_map(path, junction="53", radius=50.0)
+    place = read_map(maps / "Town05.xodr", junction="53", radius=50.0)
     assert {one.kind for one in place.bodies} == {"parked vehicle"}
     size = dict(radius=50, voxel=1.0, frames=4)
     scene = inspe_jax.build_scene(place, statics="map", **size)

@@ -14,12 +14,7 @@ from inspe_jax.core.errors import InspeError
 from inspe_jax.scene.maps.bodies import simple_pieces
 from inspe_jax.scene.maps.openstreetmap.bodies import Sizes, length_of
 from inspe_jax.scene.maps.openstreetmap.extract import read_extract
-from inspe_jax.scene.maps.registry import (
-    junction_at,
-    list_junctions,
-    open_map,
-    read_map,
-)
+from inspe_jax.scene.maps.registry import junction_at, list_junctions, open_map, read_map
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.scene import build_scene, load_scene, save_scene
 from inspe_jax.scene.street import map_bodies

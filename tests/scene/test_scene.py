@@ -111,19 +111,15 @@ def test_what_cannot_be_loaded(tmp_path, monkeypatch, name, message):
         load_scene(name)
 
 
-CORRUPT = {
-    "route_points": r"routes\[0\].waypoints",
-    "grid_columns": "voxels.columns",
-    "statics_numbers": r"statics\[0\].height",
-}
-
-
 def test_no_array_of_a_saved_scene_may_have_a_value_that_is_not_finite(tmp_path):
     path, size = tmp_path / "bad.npz", dict(radius=15, voxel=1.0, frames=2, density=4)
     save_scene(build_scene("four_way", statics="street", **size), path)
     with np.load(path) as data:
         saved = dict(data)
-    for name, words in CORRUPT.items():
+    for name, words in (
+        ("route_points", r"routes\[0\].waypoints"), ("grid_columns", "voxels.columns"),
+        ("statics_numbers", r"statics\[0\].height"),
+    ):  # fmt: skip
         bad = saved[name].copy()
         bad.flat[0] = np.nan
         np.savez(path, **saved | {name: bad})

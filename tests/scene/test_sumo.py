@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import shapely
 from shapely.geometry import LineString, Point, Polygon
-from worlds import MAPS, rilsa
+from worlds import rilsa
 
 import inspe_jax
 from inspe_jax.core.errors import InspeError
@@ -115,11 +115,9 @@ def test_nothing_is_paved_where_the_file_has_nothing(place, raw):
     assert place.mounting.intersection(shapely.union_all(traffic)).area < 0.01
 
 
-@pytest.mark.skipif(not MAPS.is_dir(), reason="CARLA's town maps are not at hand")
-def test_a_town_is_the_same_place_by_its_net_and_by_opendrive():
-    pytest.importorskip("carla", reason="reading OpenDRIVE needs the CARLA client")
-    net = read_map(MAPS / "Town05.net.xml", junction=53)
-    own = read_map(MAPS / "Town05.xodr", junction=53)
+def test_a_town_is_the_same_place_by_its_net_and_by_opendrive(maps):
+    net = read_map(maps / "Town05.net.xml", junction=53)
+    own = read_map(maps / "Town05.xodr", junction=53)
     assert np.hypot(*(net.center - own.center)[:2]) < 1.0
     drive = [p.regions[Region.DRIVEWAY].union(p.regions[Region.JUNCTION]) for p in (net, own)]
     # CARLA's crosswalks and shoulders are carriageway to SUMO.

@@ -11,20 +11,11 @@ from itertools import pairwise
 import numpy as np
 import pytest
 import shapely
-from streets import (
-    FAR,
-    LANE,
-    crossing,
-    intersection,
-    line,
-    overlapping,
-    place_in,
-    quarter_bend,
-    turned,
-)
+from streets import FAR, LANE, crossing, intersection, line, overlapping, quarter_bend, turned
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.scene.intersection import Arm, Intersection, Route
+from inspe_jax.scene.maps.registry import read_map
 from inspe_jax.scene.procedural.built_ins import built_in
 from inspe_jax.scene.scene import AS_RECORDED, build_scene
 from inspe_jax.scene.traffic.frames import (
@@ -326,14 +317,14 @@ def test_built_ins(name: str) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("density", [20, 40, 60])
-def test_lorries_in_narrow_streets_do_not_stand_for_good(density: int) -> None:
+def test_lorries_in_narrow_streets_do_not_stand_for_good(maps, density: int) -> None:
     """Where two sweep each other's corner one goes first; who is wedged in goes and comes again.
 
     Roads that fill let one vehicle out of each lane in 20 s at the slowest. Those queueing for it
     then move on by a lorry and its gap, 10.5 m, for which they need some 3.5 s at 3 m/s: they stand
     for at most 0.83 of the time.
     """
-    place = place_in("Town04", junction=278, radius=50)
+    place = read_map(maps / "Town04.xodr", junction=278, radius=50)
     traffic = waypoint_traffic(place, radius=50, count=density, frames=100, mix="largest")
     assert overlapping(traffic) == []
     at = [xyz[there, :2] for xyz, there in zip(traffic.center, traffic.valid, strict=True)]

@@ -57,16 +57,15 @@ def test_a_curve_is_found_again_from_boxes():
 
 def test_boxes_that_tell_nothing_are_refused():
     row = dict(sensor="camera", road_user="car", number="120", found="1")
-    with pytest.raises(InspeError, match="40 of them found"):
-        fit_detection([row] * 40)
-    with pytest.raises(InspeError, match="box 2: a row needs"):
-        fit_detection([row, {}])
-    with pytest.raises(InspeError, match="found 0 or 1"):
-        fit_detection([row | dict(found=0.5)])
-    with pytest.raises(InspeError, match="did you mean camera"):
-        fit_detection([row | dict(sensor="camra")])
-    with pytest.raises(InspeError, match="no boxes"):
-        fit_detection([])
+    for rows, words in (
+        ([row] * 40, "40 of them found"),
+        ([row, {}], "box 2: a row needs"),
+        ([row | dict(found=0.5)], "found 0 or 1"),
+        ([row | dict(sensor="camra")], "did you mean camera"),
+        ([], "no boxes"),
+    ):
+        with pytest.raises(InspeError, match=words):
+            fit_detection(rows)
 
 
 def test_a_file_of_curves_replaces_those_that_it_has(tmp_path):

@@ -234,12 +234,13 @@ def test_moving_the_whole_world_changes_nothing(turn, shift):
 
 def test_unknown_options():
     scene, layout = world(), place_sensors((LIDAR, [0.0, 0.0, 5.0, 0.0, 0.0, 0.0]))
-    with pytest.raises(InspeError, match="occlusion_reference 'x': one of roi"):
-        evaluate(scene, layout, occlusion_reference="x")
-    with pytest.raises(InspeError, match="visibility 'x': one of in_view"):
-        evaluate(scene, layout, visibility="x")
-    with pytest.raises(InspeError, match="sum to 1"):
-        evaluate(scene, layout, weights=(1, 1, 1))
+    for options, words in (
+        (dict(occlusion_reference="x"), "occlusion_reference 'x': one of roi"),
+        (dict(visibility="x"), "visibility 'x': one of in_view"),
+        (dict(weights=(1, 1, 1)), "sum to 1"),
+    ):
+        with pytest.raises(InspeError, match=words):
+            evaluate(scene, layout, **options)
 
 
 def test_settings_and_seen_share():
@@ -296,6 +297,7 @@ def test_scenes_layouts_and_metrics_are_taken_by_name(tmp_path):
         (lambda s, w: evaluate("four-way", w), "no scene 'four-way'.*did you mean four_way"),
         (lambda s, w: evaluate(s, "Cam-d9"), "no layout 'Cam-d9'.*did you mean Cam-d"),
         (lambda s, w: evaluate(s, w, metrics="al"), "metric 'al': a metric is one of"),
+        (lambda s, w: ij.target_view(s, w, "pedestrain"), "did you mean pedestrian"),
         (lambda s, w: ij.build_scene(s), "intersection: got <Scene: .*or an Intersection"),
         (lambda s, w: ij.build_scene("a.xodr"), "intersection: got 'a.xodr'.*read_map"),
         (lambda s, w: w.with_poses([[1.0, 2.0]]), r"poses have shape \(1, 2\), expected \(1, 6\)"),

@@ -391,11 +391,6 @@ def test_fog_takes_what_is_far(scene, lidars):
     assert (dim.returns <= clear.returns + 1e-4).all()
 
 
-def test_who_is_no_road_user_is_named(scene, lidars):
-    with pytest.raises(InspeError, match="did you mean pedestrian"):
-        target_view(scene, lidars, "pedestrain")
-
-
 def test_bands_and_records():
     kinds = banded("", np.array([0.0, 12.4, 12.5, 62.5, 249.0, 1e3]), PIXELS).values
     assert kinds.tolist() == [0, 0, 1, 3, 4, 5]

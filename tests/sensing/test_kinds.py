@@ -25,7 +25,6 @@ from inspe_jax.sensing.layout import load_layout, save_layout
 from inspe_jax.sensing.lidar_returns import LidarNoise
 from inspe_jax.sensing.rays import Signal, SphericalRays
 from inspe_jax.sensing.sensors import RayGrid, Spec
-from inspe_jax.simulation.embedded.recorder import EmbeddedRecorder
 from inspe_jax.visibility.queries import in_view
 
 # ── First file: the spec ────────────────────────────────────────────────────
@@ -168,9 +167,3 @@ def test_weather_without_figures_for_it_takes_nothing(fan, layout):
     assert Conditions.of("night", "fog:50").spec(LIDAR) != LIDAR
     assert spec.with_performance(0.5, reach=10.0) == FanSpec("my-fan", 241, spec.fov, 10.0, 0.5)
     assert FAIR.layout(layout) is layout
-
-
-def test_the_recorder_says_that_it_cannot_simulate_it(scene, layout):
-    pytest.importorskip("embreex", reason="no wheels of Embree for this platform")
-    with pytest.raises(InspeError, match="my-fan: backend embedded cannot simulate a sensor of ki"):
-        EmbeddedRecorder(scene, layout)

@@ -169,14 +169,12 @@ def test_the_turn_takes_time():
 # ---- agreement with the scores ---------------------------------------------------------------
 
 
-SHORT = replace(COARSE, reach=25.0)
-
-
 @pytest.fixture(scope="module")
 def partial():
     """20 road users (what meshes hide less than boxes, grows with their number); a LiDAR and a
     camera so low that much is hidden, with so short a reach that much is out of view."""
-    layout = place_sensors((SHORT, [9, 9, 3.0, 0, 0, 0]), (SMALL, [-9, -9, 5.0, 0, -0.25, -2.3]))
+    short = replace(COARSE, reach=25.0)
+    layout = place_sensors((short, [9, 9, 3.0, 0, 0, 0]), (SMALL, [-9, -9, 5.0, 0, -0.25, -2.3]))
     scene = four_way(density="low")
     return scene, layout, EmbeddedRecorder(scene, layout).surroundings
 
@@ -223,16 +221,14 @@ def test_lines_of_sight_reach_as_many_voxels_as_occlusion_says(partial):
     assert np.mean(shares) > scores.occlusion
 
 
-TALL = ("BUILDING", "ROOF", "TRUNK", "CROWN")
-
-
 def test_only_kerbs_and_poles_stand_within_the_radius():
     for name in ("four_way", "roundabout", "t_junction"):
         place = inspe_jax.built_in(name)
         scene = build_scene(place, radius=40, voxel=2.0, density="none", frames=1)
         static_world = EmbeddedRecorder(scene, lidars((9, 9, 6))).surroundings.static_world
         open_ = shapely.union_all(list(place.regions.values()))
-        tall = np.isin(static_world.material, [Material[name] for name in TALL])
+        houses_and_trees = Material.BUILDING, Material.ROOF, Material.TRUNK, Material.CROWN
+        tall = np.isin(static_world.material, houses_and_trees)
         at = (static_world.triangles[tall] + static_world.center).reshape(-1, 3)
         assert len(at) > 300
         assert shapely.distance(open_, shapely.points(at[:, :2])).min() > 0.1

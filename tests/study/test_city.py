@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from drawn import misplaced
-from processes import in_this_process, inspe_here
+from processes import in_this_process, inspe_here, refused
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import read_csv
@@ -181,11 +181,9 @@ BAD = [
 
 
 @pytest.mark.parametrize(("arguments", "message"), BAD, ids=[" ".join(a) for a, _ in BAD])
-def test_bad_input_is_one_message(inspe, arguments, message):
+def test_bad_input_is_one_message(inspe, files, arguments, message):
     budget = () if "--budget" in arguments else ("--budget", 1)
-    status, _, error = inspe("plan", *arguments, *budget)
-    assert status == 2
-    assert message in " ".join(error.split())
+    refused(inspe, files, ("plan", *arguments, *budget), message)
 
 
 # ── From rows to a plan, without a search ───────────────────────────────────

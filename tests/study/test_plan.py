@@ -49,8 +49,9 @@ def read(tmp_path):
 
 
 def test_every_combination_is_a_job(read):
-    study = read(STUDY, metrics=["redundancy"])
-    assert "redundancy" in study.metrics
+    study, plain = read(STUDY, metrics=["redundancy"]), read(STUDY)
+    assert study.metrics == (*plain.metrics, "redundancy")
+    assert [job.key for job in study.jobs] == [job.key for job in plain.jobs]
     assert Study("some", study.jobs[2:]).metrics == study.metrics
     assert study.name == "study"
     assert study.tags == ("kind",)
@@ -134,6 +135,8 @@ def test_weights_are_by_name(read):
     given = dict(occlusion=0.3, coverage=0.2, information_gain=0.5)
     study = read(STUDY, settings=dict(weights=given))
     assert study.jobs[0].settings["weights"] == given
+    one = read(STUDY, settings=dict(weights={"localisation": 1}))
+    assert one.metrics == (*study.metrics, "localisation")
     zero = given | dict(detectability=0)
     assert read(STUDY, settings=dict(weights=[zero])).jobs == study.jobs
     two = read(STUDY, settings=dict(weights=[given, {"coverage": 1}]))
@@ -230,6 +233,7 @@ def test_saved_scenes_and_layout_files(read, scene, tmp_path):
         (dict(settings=dict(frames=0)), r"settings.frames\[0\]: .*greater than or equal to 1"),
         (dict(settings=dict(seconds=[])), r"settings.seconds: needs at least 1"),
         (dict(settings=dict(occlusion_reference="all")), r"occlusion_reference 'all': one of"),
+        (dict(metrics=["detectabilty"]), "metrics: .*did you mean detectability"),
         (dict(settings=dict(lights="dusk")), r"settings.lights: unknown key; did you mean light"),
     ],
 )

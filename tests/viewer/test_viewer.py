@@ -86,8 +86,8 @@ def about(axis, degrees):
     return rotation(np.array([0, 0, YAW]), np) @ Rotation.from_rotvec(rotvec).as_matrix()
 
 
-def pull(viewer, shift=(0, 0, 0), turn=None, phases=("start", "update", "end")):
-    at = np.array(viewer.layout.poses[viewer.view.in_hand, :3])
+def pull(viewer, shift=(0, 0, 0), turn=None, phases=("start", "update", "end"), at=None):
+    at = np.array(viewer.layout.poses[viewer.view.in_hand, :3]) if at is None else at
     turn = about(UP, 0) if turn is None else turn
     for phase in phases:
         to = at if phase == "start" else at + shift
@@ -114,8 +114,7 @@ def test_a_drag_is_of_the_sensor_that_it_began_on(viewer, layout):
     at = np.array(layout.poses[0, :3]) + [0, 0, 1.0]
     pull(viewer, (0, 0, 1.0), phases=("start", "update"))
     viewer.view.select(1)
-    viewer.queue.submit(lambda: viewer.view.drag(HandleDrag("end", at, about(UP, 0))))
-    done(viewer)
+    pull(viewer, phases=("end",), at=at)
     assert viewer.layout.poses[0, 2] == pytest.approx(7.0, abs=1e-6)
     np.testing.assert_allclose(viewer.layout.poses[1], layout.poses[1], atol=1e-6)
 
@@ -123,8 +122,7 @@ def test_a_drag_is_of_the_sensor_that_it_began_on(viewer, layout):
     done(viewer)
     pull(viewer, (0, 0, 1.0), phases=("start", "update"))
     viewer.change(lambda: viewer.session.remove(1))
-    viewer.queue.submit(lambda: viewer.view.drag(HandleDrag("end", at + [0, 0, 3.0], about(UP, 0))))
-    done(viewer)
+    pull(viewer, (0, 0, 3.0), phases=("end",), at=at)
     assert len(viewer.layout) == 1
     assert viewer.layout.poses[0, 2] == pytest.approx(7.0, abs=1e-6)
 
@@ -430,11 +428,7 @@ def test_what_somebody_else_removes_is_no_longer_selected_and_its_neighbour_is_n
         viewer.settle()
         done(viewer)
         assert [words for _, words, _ in viewer.told] == ["no sensor is selected: select one first"]
-    for phase in ("start", "update", "end"):
-        viewer.queue.submit(
-            lambda phase=phase: view.drag(HandleDrag(phase, np.zeros(3), about(UP, 0)))
-        )
-    done(viewer)
+    pull(viewer, at=np.zeros(3))
     assert viewer.layout is left
     done(viewer, lambda: view.controls.sensor.value == "No sensor is selected")
     assert view.controls.pose["x"].disabled

@@ -8,6 +8,12 @@ from inspe_jax.core.errors import InspeError
 from inspe_jax.scoring import metrics
 
 
+def test_coverage_is_the_weighted_share():
+    coverage, w = jax.jit(metrics.coverage), np.array([0.22, 0.25, 0.13])
+    assert float(coverage(np.array([1.0, 0.0, 1.0]), w)) == pytest.approx(0.35 / 0.60)
+    assert float(coverage(np.ones(3), w)) == pytest.approx(1)
+
+
 def test_occlusion_is_a_mean_over_frames_that_have_a_target():
     occlusion = jax.jit(metrics.occlusion)
     assert float(occlusion(np.array([1.0, 0, 3]), np.array([2.0, 0, 4]))) == 0.625
@@ -17,9 +23,25 @@ def test_occlusion_is_a_mean_over_frames_that_have_a_target():
 def test_entropy_against_numpy():
     p = np.random.default_rng(0).uniform(0, 1, 50)
     expected = -p * np.log(p) - (1 - p) * np.log(1 - p)
-    found = np.asarray(jax.jit(metrics.entropy)(np.concatenate([p, [0.0, 1.0]])))
+    found = np.asarray(entropy(np.concatenate([p, [0.0, 1.0]])))
     np.testing.assert_allclose(found[:-2], expected, rtol=1e-5)
     assert found[-2:].tolist() == [0, 0]
+
+
+entropy = jax.jit(metrics.entropy)
+information_gain = jax.jit(lambda q, p: metrics.information_gain(*metrics.entropy_terms(q, p)))
+
+
+def gain(q, p):
+    return float(information_gain(np.array(q), np.array(p)))
+
+
+def test_information_gain_by_hand():
+    """p̂ = ½, ½, 0: two voxels carry one bit each. Seeing one of them resolves half."""
+    p = [0.5, 0.5, 0.0]
+    assert gain([1.0, 0, 1], p) == pytest.approx(0.5)
+    assert gain([0.4, 0.4, 0], p) == pytest.approx(0.4)
+    assert gain([1.0, 1, 1], p) == pytest.approx(1)
 
 
 def test_information_gain_is_the_mutual_information_of_an_erasure_channel():
@@ -32,8 +54,19 @@ def test_information_gain_is_the_mutual_information_of_an_erasure_channel():
         on = joint > 0
         mutual += (joint[on] * np.log(joint[on] / product[on])).sum()
         total += -pi * np.log(pi) - (1 - pi) * np.log(1 - pi)
-    gain = jax.jit(lambda q, p: metrics.information_gain(*metrics.entropy_terms(q, p)))(q, p)
-    assert float(gain) == pytest.approx(mutual / total, rel=1e-5)
+    assert gain(q, p) == pytest.approx(mutual / total, rel=1e-5)
+
+
+def test_no_entropy_is_no_gain_and_no_nan():
+    for p in (np.zeros(3), np.ones(3)):
+        assert gain([1.0, 1, 1], p) == 0
+
+
+def test_surrogate_and_its_weights():
+    scores = dict(coverage=1.0, occlusion=0.5, information_gain=0.25)
+    assert metrics.surrogate(scores, metrics.weights_of()) == pytest.approx(0.3 + 0.25 + 0.05)
+    assert metrics.surrogate(scores, metrics.weights_of((1, 0, 0))) == 1.0
+    assert metrics.surrogate(scores, metrics.weights_of({"occlusion": 1})) == 0.5
 
 
 @pytest.mark.parametrize(

@@ -18,6 +18,7 @@ import zipfile
 import zlib
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import IO, Any, TypeVar
 from xml.parsers import expat
@@ -25,7 +26,6 @@ from xml.parsers import expat
 import numpy as np
 import yaml
 from pydantic import BaseModel, ConfigDict, ValidationError
-from pydantic_core import to_jsonable_python
 
 from inspe_jax.core.errors import InspeError, brief, error_at, nearest
 from inspe_jax.core.yaml_loader import DEPTH, check_digits, load_yaml
@@ -381,4 +381,10 @@ def _without_prefix(cell: str) -> str:
 
 def json_value(value: Any) -> Any:
     """A value for JSON: tuples and arrays become lists, NumPy's numbers Python's, records dicts."""
-    return to_jsonable_python(value, bytes_mode="base64", fallback=lambda array: array.tolist())
+    if is_dataclass(value) and not isinstance(value, type):
+        return {f.name: json_value(getattr(value, f.name)) for f in fields(value)}
+    if isinstance(value, Mapping):
+        return {str(key): json_value(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    return [json_value(item) for item in value] if isinstance(value, list | tuple) else value

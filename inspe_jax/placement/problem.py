@@ -292,7 +292,7 @@ class Problem:
     @cached_property
     def charted_loss(self) -> Loss:
         """The loss in typical steps ``z`` (N,) from an ``anchor`` (N,) in charts ``place`` (U,)."""
-        space, scale = self.space, on_host(self.space.scale)
+        space, scale = self.space, on_host(self.space.scale, float)
         return self._loss_through(
             lambda z, anchor, place: space.poses(space.from_chart(anchor + scale * z, place))
         )
@@ -300,7 +300,7 @@ class Problem:
     @cached_property
     def scaled_loss(self) -> Loss:
         """The loss in coordinates (N,) divided by :attr:`nonzero_scale`."""
-        scale = on_host(self.nonzero_scale)
+        scale = on_host(self.nonzero_scale, float)
         return self._loss_through(lambda z: self.space.poses(scale * z))
 
     @property

@@ -122,5 +122,5 @@ def pixel_density_at(
         return np.zeros(len(points))
     to = np.zeros((3, -(-max(len(points), 1) // _AT_ONCE) * _AT_ONCE))  # few sizes to compile for
     to[:, : len(points)] = (points - pose[:3]).T
-    scale, depth = map(np.asarray, _scale_at(spec.grid.rays, on_host(pose), on_host(to)))
+    scale, depth = map(np.asarray, _scale_at(spec.grid.rays, on_host(pose, float), on_host(to)))
     return np.where(depth > 0, scale, 0.0)[: len(points)] * spec.focal_pixels

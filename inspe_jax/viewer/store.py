@@ -121,7 +121,7 @@ class LayoutStore:
     def _owns(self, path: Path | None) -> bool:
         """Whether this run has written a file, and nobody has changed it since."""
         with suppress(OSError):
-            return path is not None and path.read_bytes() == self._known.get(path)
+            return path in self._known and path.read_bytes() == self._known[path]
         return False
 
     def _is(self, path: Path, layout: Layout) -> bool:

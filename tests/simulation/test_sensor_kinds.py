@@ -1,12 +1,14 @@
 """Adding a kind of sensor: a spec, and one row in the table of a backend."""
 
+from dataclasses import dataclass
+
 import numpy as np
 import pytest
 from worlds import CAMERA, place_sensors, with_boxes, world
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.geometry import rotation
-from inspe_jax.sensing.sensors import LidarSpec
+from inspe_jax.sensing.sensors import Spec
 from inspe_jax.simulation.backends import recorder_of
 from inspe_jax.simulation.embedded.recorder import SENSORS
 from inspe_jax.simulation.frame import Scan
@@ -15,18 +17,26 @@ from inspe_jax.simulation.recorder import Recording
 pytest.importorskip("embreex", reason="no wheels of Embree for this platform")
 
 
-class FanSpec(LidarSpec):
-    """A flat fan of rays ahead, as of a radar."""
+@dataclass(frozen=True)
+class FanSpec(Spec):
+    """A flat fan of ``count`` rays ahead, as of a radar, across ``fov`` [rad], to ``reach`` [m]."""
+
+    name: str
+    count: int
+    fov: float
+    reach: float
+    reliability: float = 1.0
 
     kind = "fan"
+    title = "fan"
 
 
 class Fan:
     """Its simulation: the nearest return of each ray."""
 
     def __init__(self, spec, pose, surroundings):
-        turn = np.linspace(-0.5, 0.5, spec.azimuth_count) * spec.azimuth_fov
-        self.body = np.column_stack([np.cos(turn), np.sin(turn), 0 * turn])
+        turn = np.linspace(-spec.fov / 2, spec.fov / 2, spec.count)
+        self.body = np.column_stack([np.cos(turn), np.sin(turn), np.zeros(spec.count)])
         self.pose, self.reach, self.surroundings = pose, spec.reach, surroundings
 
     def record(self, actors, rng):
@@ -39,7 +49,7 @@ class Fan:
         return Scan(self.pose, points.astype(np.float32))
 
 
-FAN = FanSpec("a fan", (0.0,), 41, np.radians(40), 60.0)
+FAN = FanSpec("a fan", 41, np.radians(40), 60.0)
 """A ray for every degree."""
 
 

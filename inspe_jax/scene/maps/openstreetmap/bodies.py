@@ -148,7 +148,7 @@ class Sizes:
 class BodyReader:
     """Reads what an extract has beside lanes within ``reach`` [m] of the centre of a place.
 
-    ``notes`` get what was assumed. Raises InspeError as
+    ``notes`` get what was assumed. Raises InspeError where the place has no georeference, and as
     :func:`~inspe_jax.scene.maps.openstreetmap.extract.read_extract`.
     """
 

@@ -28,7 +28,7 @@ import numpy as np
 from pydantic import Field
 
 from inspe_jax.core.digest import digest
-from inspe_jax.core.errors import InspeError, check_known
+from inspe_jax.core.errors import InspeError, check_known, error_at
 from inspe_jax.core.files import check_model
 from inspe_jax.core.words import counted
 from inspe_jax.dataset.folders import SPLITS
@@ -203,10 +203,8 @@ class RecordingEntry(Strict):
         size = (self.image_size[0], self.image_size[1]) if self.image_size else None
         turn, layers = self.lidar_turn_s, tuple(self.layers)
         found = Recording(self.rate_hz, layers, self.image_scale, turn=turn, image_size=size)
-        try:
+        with error_at(where):
             found.check()
-        except InspeError as e:
-            raise InspeError(f"{where}: {e}") from None
         return found
 
     def files(self, where: str) -> FileOptions:

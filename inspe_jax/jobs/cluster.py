@@ -12,7 +12,7 @@ import jax
 from distributed import Client, LocalCluster, Worker, WorkerPlugin
 
 from inspe_jax.core.compiling import CACHE_SETTINGS
-from inspe_jax.core.errors import InspeError
+from inspe_jax.core.errors import InspeError, error_at
 from inspe_jax.core.parallel import cores
 from inspe_jax.jobs.sources import versions
 
@@ -25,10 +25,9 @@ def client(scheduler: str | None, workers: int | None) -> Iterator[Client]:
     machine, one per core if not given, which ends with the client. Raises InspeError if no
     scheduler answers, or its workers are none or have other versions."""
     if scheduler is not None:
-        try:
+        wrong = f"scheduler '{scheduler}' does not answer"
+        with error_at(wrong, OSError, TimeoutError, ValueError):
             there = Client(scheduler, timeout=TIMEOUT)
-        except (OSError, TimeoutError, ValueError) as e:
-            raise InspeError(f"scheduler '{scheduler}' does not answer: {e}") from e
         with there:
             _check_workers(there, scheduler)
             yield there

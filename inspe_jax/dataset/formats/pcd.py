@@ -10,7 +10,7 @@ from typing import IO, Any
 import numpy as np
 from jaxtyping import Float
 
-from inspe_jax.core.errors import InspeError
+from inspe_jax.core.errors import InspeError, error_at
 from inspe_jax.core.files import ARRAYS, check_input, whole_file
 
 _HEADER = """\
@@ -162,10 +162,8 @@ def _read_columns(body: bytes, header: _Header, path: Path) -> dict[str, np.ndar
         columns = [rows[str(i)][:, 0] for i in range(len(counts))]
     else:
         first = np.cumsum([0, *counts])
-        try:
+        with error_at(f"{path}: its points are not numbers", ValueError):
             values = np.array(body.split(), "S").astype(np.float64)
-        except ValueError as e:
-            raise InspeError(f"{path}: its points are not numbers: {e}") from None
         if len(values) != points * first[-1]:
             raise InspeError(
                 f"{path}: {points} POINTS need {first[-1]} numbers each, there are {len(values)}"

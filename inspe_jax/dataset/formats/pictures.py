@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from PIL import Image as Pillow
 
-from inspe_jax.core.errors import InspeError
+from inspe_jax.core.errors import InspeError, error_at
 from inspe_jax.core.files import check_input, whole_file
 
 COMPRESSION = {"compress_level": 1, "compress_type": zlib.Z_RLE}
@@ -47,12 +47,13 @@ def read_picture(path: Path, layer: str) -> np.ndarray:
     for a file that is no picture, or of other bits.
     """
     check_input(path)
-    try:
-        with Pillow.open(path, formats=["PNG", "JPEG"]) as picture:
-            mode = picture.mode
-            pixels = np.array(picture.convert("RGB") if layer == "rgb" else picture)
-    except (OSError, SyntaxError, ValueError, EOFError) as e:
-        raise InspeError(f"{path}: not a readable picture: {e}") from e
+    wrong = f"{path}: not a readable picture"
+    with (
+        error_at(wrong, OSError, SyntaxError, ValueError, EOFError),
+        Pillow.open(path, formats=["PNG", "JPEG"]) as picture,
+    ):
+        mode = picture.mode
+        pixels = np.array(picture.convert("RGB") if layer == "rgb" else picture)
     bits = 8 if layer == "semantic" else 16
     # Some versions of Pillow convert 16 bits to 32.
     if layer != "rgb" and mode not in (("L", "P") if bits == 8 else ("I;16", "I;16B", "I")):

@@ -22,7 +22,7 @@ import optax
 from pydantic import Field
 
 from inspe_jax.core import files
-from inspe_jax.core.errors import InspeError
+from inspe_jax.core.errors import InspeError, error_at
 from inspe_jax.core.files import check_model, prepare_folder, read_json, write_text
 from inspe_jax.dataset.loading import Augment, Cache, cache, open_cache
 from inspe_jax.dataset.loading.caching import CACHE, pictures_of
@@ -134,10 +134,8 @@ class TrainingRun:
         """The rows of :data:`LOSSES` or of :data:`VALIDATION`."""
         path = self.path / name
         rows = files.read_csv(path) if path.is_file() else []
-        try:
+        with error_at(f"{path}: not a table of numbers", ValueError):
             return [{key: float(value) for key, value in row.items()} for row in rows]
-        except ValueError as e:
-            raise InspeError(f"{path}: not a table of numbers: {e}") from e
 
     def write(self, name: str, row: Mapping[str, float]) -> None:
         """Append a row; numbers are written so that they read back the same."""

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.ndimage import map_coordinates
 
-from inspe_jax.core.errors import InspeError, needs
+from inspe_jax.core.errors import InspeError, error_at, needs
 from inspe_jax.core.files import check_input
 from inspe_jax.scene.georeference import wgs84
 from inspe_jax.scene.intersection import Intersection
@@ -70,19 +70,21 @@ def _heights(
     with needs("elevation models need rasterio", "geo"), _own_proj():
         import rasterio
         import rasterio.windows
-    try:
-        with _own_proj(), rasterio.open(path, driver=DRIVERS[path.suffix.lower()]) as model:
-            _check(model, path)
-            points = _in_projection(place, path, model, at)
-            a, b, c, d, e, f = tuple(~model.transform)[:6]
-            x, y = points.T
-            # Whole numbers are in the middle of cells.
-            row, column = d * x + e * y + f - 0.5, a * x + b * y + c - 0.5
-            window = rasterio.windows.Window(*_window(model, row, column, path))
-            values = model.read(1, window=window, masked=True)
-            scale, offset = model.scales[0], model.offsets[0]
-    except rasterio.errors.RasterioError as error:
-        raise InspeError(f"{path}: not an elevation model that GDAL reads: {error}") from error
+    wrong = f"{path}: not an elevation model that GDAL reads"
+    with (
+        error_at(wrong, rasterio.errors.RasterioError),
+        _own_proj(),
+        rasterio.open(path, driver=DRIVERS[path.suffix.lower()]) as model,
+    ):
+        _check(model, path)
+        points = _in_projection(place, path, model, at)
+        a, b, c, d, e, f = tuple(~model.transform)[:6]
+        x, y = points.T
+        # Whole numbers are in the middle of cells.
+        row, column = d * x + e * y + f - 0.5, a * x + b * y + c - 0.5
+        window = rasterio.windows.Window(*_window(model, row, column, path))
+        values = model.read(1, window=window, masked=True)
+        scale, offset = model.scales[0], model.offsets[0]
     cells = np.ma.filled(values.astype(float), np.nan) * scale + offset
     here = [row - window.row_off, column - window.col_off]
     heights = map_coordinates(cells, here, order=1, cval=np.nan, prefilter=False)

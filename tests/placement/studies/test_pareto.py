@@ -156,7 +156,11 @@ def test_sensors_start_on_posts_of_their_own_lidars_first(scene):
         ({CAMERA: [-1, 2]}, PRICED, "each 0 or more"),
         ({CAMERA: [0]}, PRICED, "no mix is left: a mix needs at least one sensor"),
         ({CAMERA: [1]}, replace(PRICED, failures=True), "a mix needs at least two sensors"),
-        ({LIDAR: [1]}, Objective(prices={"hesai-xt": 1.0}), "'hesai-xt', which is in no mix"),
+        (
+            {LIDAR: [1]},
+            Objective(prices={"hesai-xt": 1.0}),
+            "price of 'hesai-xt', which is in no mix",
+        ),
         ({CAMERA: range(100_000), LIDAR: range(100_000)}, PRICED, "10,000,000,000 mixes, and at"),
         ({CAMERA: [2]}, Objective(prices={CAMERA: 1000.0}, budget=1500.0), "cheapest costs 2,000"),
         ({CAMERA: range(300)}, PRICED, "299 mixes, and at most 200"),

@@ -35,14 +35,18 @@ it compiles runs fast enough on scenes as small as these."""
 KEPT = 2 * 2**30
 """Bytes of compiled programs that are kept from run to run."""
 
-PROGRAMS = 1050
-"""Programs that all tests together may compile, or read where another process compiled them.
+PROGRAMS = {"science": 800, "other": 1000}
+"""Programs that the tests of README's command, and all others, may compile, or read where another
+process compiled them.
 
 Each is traced, lowered and compiled, and that is most of what a run takes. A test that needs many
 should take the shapes of another (:mod:`worlds`), or NumPy where it has no use for a program.
 """
 
-programs: Counter[str] = Counter()
+OTHER = "wing", "browser", "notebook", "process", "slow"
+"""Marks of the tests that README's command leaves out."""
+
+programs: dict[str, Counter[str]] = {part: Counter() for part in PROGRAMS}
 """Compiled so far, by file of tests; where processes share the work, their sum is in the first."""
 
 
@@ -103,31 +107,36 @@ def pytest_runtest_protocol(item: pytest.Item) -> Iterator[None]:
     try:
         return (yield)
     finally:
-        programs[item.nodeid.split("::")[0]] += compiling.compiled().programs - before
+        part = "other" if any(map(item.get_closest_marker, OTHER)) else "science"
+        programs[part][item.nodeid.split("::")[0]] += compiling.compiled().programs - before
 
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_testnodedown(node) -> None:
     """One of the processes that share the work is done."""
-    programs.update(getattr(node, "workeroutput", {}).get("programs", {}))
+    for part, found in getattr(node, "workeroutput", {}).get("programs", {}).items():
+        programs[part].update(found)
 
 
 @pytest.hookimpl(trylast=True)
 def pytest_sessionfinish(session: pytest.Session) -> None:
+    over = any(found.total() > PROGRAMS[part] for part, found in programs.items())
     if hasattr(session.config, "workeroutput"):
-        session.config.workeroutput["programs"] = dict(programs)
-    elif programs.total() > PROGRAMS and session.exitstatus == pytest.ExitCode.OK:
+        session.config.workeroutput["programs"] = {k: dict(found) for k, found in programs.items()}
+    elif over and session.exitstatus == pytest.ExitCode.OK:
         session.exitstatus = pytest.ExitCode.TESTS_FAILED
 
 
 def pytest_terminal_summary(terminalreporter) -> None:
-    total = programs.total()
-    line = f"{total} programs compiled or read, of {PROGRAMS} at most"
-    if total > PROGRAMS:
-        most = ", ".join(f"{count} by {file}" for file, count in programs.most_common(5))
-        terminalreporter.write_line(f"ERROR {line}: {most}", red=True)
-    elif total:
-        terminalreporter.write_line(line)
+    for part, found in programs.items():
+        line = (
+            f"{found.total()} programs compiled or read, of {PROGRAMS[part]} at most: {part} tests"
+        )
+        if found.total() > PROGRAMS[part]:
+            most = ", ".join(f"{count} by {file}" for file, count in found.most_common(5))
+            terminalreporter.write_line(f"ERROR {line}: {most}", red=True)
+        elif found.total():
+            terminalreporter.write_line(line)
 
 
 LONG = (

@@ -71,7 +71,7 @@ Drawn = tuple[tuple[Int[np.ndarray, " l"], Int[np.ndarray, " t"]], ...]
 
 Loss = Callable[..., tuple[Any, Any]]
 """A loss and its slope in the first argument; the last two are the drawn columns and frames, and
-the softness [m]."""
+the softness [m]. ``of`` is what gives the slope in poses, :meth:`Problem.slope` if not given."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -317,9 +317,9 @@ class Problem:
         def back(slope, z, *rest):  # type: ignore[no-untyped-def]
             return jax.vjp(lambda z: poses(z, *rest), z)[1](slope)[0]
 
-        def loss(*at: Any) -> tuple[Any, Any]:
+        def loss(*at: Any, of: Callable[..., Any] | None = None) -> tuple[Any, Any]:
             *given, drawn, softness = at
-            value, slope = self.slope(forward(*given), self.take(drawn), softness)
+            value, slope = (of or self.slope)(forward(*given), self.take(drawn), softness)
             return on_host(-value, float), back(-slope, *given)
 
         return loss

@@ -123,7 +123,8 @@ def charted(
 
 def _charts(problem: Problem, x: Float[np.ndarray, "M N"]) -> tuple[np.ndarray, np.ndarray]:
     """The layouts' places in new charts, and which charts these are."""
-    v, place = zip(*(problem.space.chart(row) for row in x), strict=True)
+    stay = problem.objective.pole_price > 0
+    v, place = zip(*(problem.space.chart(row, stay) for row in x), strict=True)
     return on_host(np.stack(v), float), np.stack(place)
 
 

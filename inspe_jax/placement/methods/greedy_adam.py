@@ -18,16 +18,8 @@ import numpy as np
 from jaxtyping import Float
 
 from inspe_jax.placement.candidates import COLUMNS, FRAMES
-from inspe_jax.placement.methods import greedy
-from inspe_jax.placement.methods.adam import (
-    GRADIENT,
-    STEP_COLUMNS,
-    STEP_FRAMES,
-    Slope,
-    advance,
-    charted,
-    layouts,
-)
+from inspe_jax.placement.methods import adam, greedy
+from inspe_jax.placement.methods.adam import GRADIENT, Slope, advance, charted, layouts
 from inspe_jax.placement.methods.cma_es import CMA_ES
 from inspe_jax.placement.methods.greedy import FINER, MOVE_COST, Placing, Sighted, charge
 from inspe_jax.placement.run import Method, Run
@@ -108,7 +100,7 @@ def step(run: Run, state: Any, by: Slope | None = GRADIENT) -> Any:
 
 def _bursts_fit(run: Run, by: Slope) -> bool:
     """Whether a burst ends before :data:`UNTIL`."""
-    drawn = run.problem.draw(run.rng(0), STEP_COLUMNS, STEP_FRAMES)
+    drawn = run.problem.draw(run.rng(0), adam.STEP_COLUMNS, adam.STEP_FRAMES)
     burst = BURST * by.cost(run.problem, drawn) * run.exact_cost
     return run.share(run.spent + burst) < UNTIL
 
@@ -182,7 +174,8 @@ def _bursts(
         count, new = after.count, layouts(problem, after)[0]
         charge(run, sampled, len(problem.layout))
         seen = greedy.sights(sampled, new)
-        if sampled.value(seen) <= sampled.value(rows):
+        paid = (problem.pole_costs(new) - problem.pole_costs(x)).sum()
+        if sampled.value(seen) - paid <= sampled.value(rows):
             break
         run.hold(new)
         x, rows = new, seen

@@ -29,6 +29,8 @@ def optimise(
     options: DeviceOptions,
     start: str = "given",
     target: float | None = None,
+    poles: int | None = None,
+    pole_price: float = 0.0,
     checkpoint: Path | None = None,
     folder: Path = Path("optimised"),
     force: bool = False,
@@ -45,7 +47,7 @@ def optimise(
     - `inspe optimise j189.npz layout.yaml --also j189_night.npz --worst --places poles`
     - `inspe optimise j189.npz layout.yaml --seconds 3600 --checkpoint search.npz`
     - `inspe optimise roundabout L-d1 --weight detectability=1 --region crosswalk`
-    - `inspe optimise four_way --device velodyne-vlp-16:2 --device paper-camera:4`
+    - `inspe optimise four_way --device velodyne-vlp-16:2 --device paper-camera:4 --poles 3`
     - `inspe optimise four_way --target 0.95 --region crosswalk --device velodyne-vlp-16:1-4`
 
     Args:
@@ -56,6 +58,9 @@ def optimise(
             of it, at the junction's corners and roadsides where the search begins; repeat it
             for others. With --target the numbers to try, such as 0-4 or 0,4,8; those of the
             layout if not given.
+        poles: With --device, the most poles that carry the sensors; one each if not given.
+        pole_price (--pole-price SCORE): What a new pole must gain, such as 0.01: it is taken from
+            the score of a layout for each unit that stands on no pole of the map.
         checkpoint (FILE.npz): Save the state of the search every 10 s; resume from the file if
             it exists.
     """
@@ -66,16 +71,20 @@ def optimise(
     if target is not None:
         if checkpoint is not None or start != "given":
             raise InspeError("--target searches many mixes: leave out --checkpoint and --start")
+        if poles is not None or pole_price:
+            raise InspeError("--poles and --pole-price are for one mix: leave out --target")
         _find_cheapest(source, sensors or common.DEFAULT_LAYOUT, target, folder, options)
         return
     if options.price:
         raise InspeError("--price is for --target: other searches do not count what devices cost")
-    objective, constraints = options.checked(start)
+    objective, constraints = options.checked(start, pole_price=pole_price)
     mix = _mix(options.device, sensors)
+    if poles is not None and not mix:
+        raise InspeError("--poles is for a mix: give --device; a layout has its poles already")
     with common.busy(f"reading {source}"):
         if mix:
             world = load_scene(source, options.profile)
-            placed = starting_layout(world, mix)
+            placed = starting_layout(world, mix, poles=poles)
         else:
             world, placed = common.scene_and_layout(
                 source, sensors or common.DEFAULT_LAYOUT, options.profile

@@ -13,6 +13,8 @@ from inspe_jax.sensing.catalogue import device
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.sensing.sensors import Spec
 
+_FAN = float(np.radians(60.0))  # between sensors that are aimed from one pole [rad]
+
 
 def mix_name(counts: Mapping[str, int]) -> str:
     """A mix in words, such as "4 hesai-xt32 + 2 paper-camera"."""
@@ -20,33 +22,45 @@ def mix_name(counts: Mapping[str, int]) -> str:
 
 
 def starting_layout(
-    scene: Scene, counts: Mapping[str, int], own: Mapping[str, Spec] | None = None
+    scene: Scene,
+    counts: Mapping[str, int],
+    own: Mapping[str, Spec] | None = None,
+    poles: int | None = None,
 ) -> Layout:
     """The layout from which the search of a mix starts, of so many of each device (``counts``).
 
     Posts are at the junction's corners and roadsides. Each sensor is a unit of its own and looks
     at the centre. LiDARs are placed first; each sensor takes the post that is furthest from those
-    already taken. ``own`` has the specs of devices that are not in the catalogue. Raises InspeError
-    if there are more sensors than posts, no sensor, or nowhere to put a pole.
+    already taken. With so many ``poles`` at most, further sensors join the first on their posts, in
+    turn, and further ones that are aimed there look 60° and more to the side. ``own`` has the specs
+    of devices that are not in the catalogue. Raises InspeError if there are more poles than posts,
+    no sensor, no pole, or nowhere to put one.
     """
     specs = {name: (own or {}).get(name) or device(name).spec for name in counts}
     wanted = [specs[name] for name, n in counts.items() for _ in range(n)]
     if not wanted:
         raise InspeError("a mix needs at least one sensor")
+    if poles is not None and poles < 1:
+        raise InspeError(f"poles {poles}: a mix needs at least one")
     wanted.sort(key=lambda spec: spec.aimed)
     site = Site(scene.intersection, scene.voxels.radius, depth=30.0, bodies=scene.statics)
     sorts = {"corner": site.corners, "roadside": site.roadsides}
     feet = np.concatenate([*sorts.values()])
     posts = [f"{sort} {i + 1}" for sort, those in sorts.items() for i in range(len(those))]
     order = farthest_first(feet, len(feet))
-    if len(wanted) > len(order):
+    count = min(len(wanted) if poles is None else poles, len(wanted))
+    if count > len(order):
         raise InspeError(
-            f"{scene.name}: {len(wanted)} sensors, but only {len(order)} posts at corners and "
-            "roadsides; allow fewer sensors"
+            f"{scene.name}: {count} sensors on poles of their own, but only {len(order)} posts at "
+            "corners and roadsides; allow fewer sensors, or fewer poles for them"
         )
     views = []
-    for spec, at in zip(wanted, order, strict=False):
-        post, foot = posts[at], feet[at]
-        view = site.camera(post, foot, site.center) if spec.aimed else site.lidar(post, foot)
+    for k, spec in enumerate(wanted):
+        post, foot, yaw = posts[order[k % count]], feet[order[k % count]], None
+        if before := sum(other.aimed for other in wanted[k % count : k : count]):
+            aside = _FAN * ((before + 1) // 2) * (-1) ** before
+            yaw = site.azimuth(2 * site.center - foot) + aside
+        aimed = spec.aimed
+        view = site.camera(post, foot, site.center, yaw=yaw) if aimed else site.lidar(post, foot)
         views.append((view, spec))
     return replace(join(mix_name(counts), scene.intersection, views), profile=scene.profile.name)

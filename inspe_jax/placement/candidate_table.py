@@ -1,6 +1,7 @@
 """Candidate poses for every sensor, and what a sensor sees of one sample from each."""
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -86,6 +87,12 @@ class Table:
             kinds.append(CandidateKind(tuple(sensors), foot, height, yaw, pitch))
         return cls(problem, sampled, feet, stand, kinds)
 
+    @cached_property
+    def price(self) -> Float[np.ndarray, "U F"]:
+        """What the objective pays for each unit's pole at each foot."""
+        feet = np.repeat(self.feet[:, None], len(self.stand), 1)
+        return self.problem.objective.pole_price * self.problem.space.new_poles(feet).T
+
     @property
     def parts(self) -> list[CandidateKind]:
         """The kind of each chunk of candidates. The first chunks of all kinds come first."""
@@ -117,9 +124,21 @@ class Table:
         return {s: self.kind_of(s).row(k) for s, k in picks.items()}
 
     def gains(self, s: int, rows: dict[int, Rows]) -> Float[np.ndarray, " K"]:
-        """The gain of sensor ``s`` at each candidate, beside others that see ``rows``."""
+        """The gain of sensor ``s`` at each candidate, beside others that see ``rows``; its share of
+        the pole is paid."""
         kind, weights = self.kind_of(s), self.sampled.marginal(rows, s)
-        return np.concatenate([weights.dot(part) for part in kind.rows])[: len(kind.foot)]
+        gains = np.concatenate([weights.dot(part) for part in kind.rows])[: len(kind.foot)]
+        return gains - self.share(s)[kind.foot[: len(gains)]]
+
+    def share(self, s: int) -> Float[np.ndarray, " F"]:
+        """What sensor ``s`` pays for its unit's pole at each foot, as much as the unit's others."""
+        u = self.problem.layout.sensors[s].unit
+        return self.price[u] / len(self.problem.layout.members()[u])
+
+    def value(self, picks: Picks, u: int) -> float:
+        """The score of sensors at the picks, without what unit ``u`` pays for its pole."""
+        s = self.problem.layout.members()[u][0]
+        return self.sampled.value(self.rows(picks)) - self.price[u, self.kind_of(s).foot[picks[s]]]
 
     def fits(self, picks: Picks, s: int, k: Int[np.ndarray, " n"] | int) -> np.ndarray:
         """Whether sensor ``s`` may be at candidates ``k``, beside the sensors already placed."""

@@ -29,6 +29,8 @@ class Objective:
     ``failures`` a score is N−1: the mean over the units of the score without that unit.
     ``budget`` is the most that the layout may cost [US dollars]. ``prices`` of devices [US dollars]
     replace the catalogue's.
+    ``pole_price`` is what each new pole costs the objective itself: how much it must gain. A unit
+    that may move stands on a new pole unless on one of the map's.
     ``regions``, by name, are the only ones that count; all if none is given. ``metrics`` are also
     in the scores of results; they do not change what is found. ``detection`` has the curves of
     detectability, the usual ones if None.
@@ -41,6 +43,7 @@ class Objective:
     failures: bool = False
     budget: float | None = None
     prices: Mapping[str, float] = field(default_factory=dict)
+    pole_price: float = 0.0
     regions: tuple[str, ...] = ()
     metrics: tuple[str, ...] = ()
     detection: DetectionCurves | None = None
@@ -94,6 +97,10 @@ class Objective:
         for name, price in self.prices.items():
             if not 0 <= price < float("inf"):
                 raise InspeError(f"price of {name} {price}: 0 or more, in US dollars")
+        if not 0 <= self.pole_price < 1:
+            raise InspeError(
+                f"pole_price {self.pole_price:g}: what a new pole must gain, at least 0 and below 1"
+            )
 
     def within(self, scene: Scene) -> Scene:
         """The scene with weight only in regions that count. Raises InspeError if it has none."""

@@ -255,6 +255,10 @@ def _result(run: Run, row: Method, status: str, begun: str | Layout) -> Result:
         notes.append(f"nothing was searched, only the start was scored: {STATUSES[status]}{more}")
     elif run.best == before:
         notes.append("nothing better than the start was found; try a larger budget or start")
+    if paid := float(problem.pole_costs(run.best_x).sum()):
+        count = round(paid / objective.pole_price)
+        words = f"{count} of {len(found.units)} units stand on new poles"
+        notes.append(f"{words}, which the objective pays {paid:g} for")
     case = problem.cases[0]
     options = ("weights", "occlusion_reference", "visibility", "metrics", "detection")
     readings: dict[str, Any] = {name: getattr(objective, name) for name in options}

@@ -71,7 +71,7 @@ Drawn = tuple[tuple[Int[np.ndarray, " l"], Int[np.ndarray, " t"]], ...]
 
 Loss = Callable[..., tuple[Any, Any]]
 """A loss and its slope in the first argument; the last two are the drawn columns and frames, and
-the softness [m]."""
+the softness [m]. ``of`` is what gives the slope in poses, :meth:`Problem.slope` if not given."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,10 +175,15 @@ class Problem:
 
     def exact(self, x: Float[np.ndarray, " N"]) -> float:
         """The exact objective of the layout at coordinates ``x``."""
-        return self.exact_of(self.space.layout(np.asarray(x)))
+        return self.exact_of(self.space.layout(np.asarray(x))) - float(self.pole_costs(x).sum())
+
+    def pole_costs(self, x: Float[np.ndarray, "*M N"]) -> Float[np.ndarray, "*M U"]:
+        """What the objective pays for the new pole of each unit, if it stands on one."""
+        feet = np.asarray(x)[..., self.space.index.base]
+        return self.objective.pole_price * self.space.new_poles(feet)
 
     def exact_of(self, layout: Layout) -> float:
-        """The exact objective of a layout of these sensors."""
+        """The exact objective of a layout of these sensors, without what its poles cost."""
         poses = from_center(self.cases[0].scene.voxels.center, layout.poses)
         measures = []
         for case, sensor_set in zip(self.cases, self.sensor_sets, strict=True):
@@ -266,7 +271,8 @@ class Problem:
             (key, partial(case_scores, BITS, row, scenes, self.terms, options=self.options))
             for row in padded
         ]
-        return np.array([self._combined(row) for row in run(jobs)])
+        scores = np.array([self._combined(row) for row in run(jobs)])
+        return scores - self.pole_costs(x).sum(-1)
 
     def slope(
         self,
@@ -317,9 +323,9 @@ class Problem:
         def back(slope, z, *rest):  # type: ignore[no-untyped-def]
             return jax.vjp(lambda z: poses(z, *rest), z)[1](slope)[0]
 
-        def loss(*at: Any) -> tuple[Any, Any]:
+        def loss(*at: Any, of: Callable[..., Any] | None = None) -> tuple[Any, Any]:
             *given, drawn, softness = at
-            value, slope = self.slope(forward(*given), self.take(drawn), softness)
+            value, slope = (of or self.slope)(forward(*given), self.take(drawn), softness)
             return on_host(-value, float), back(-slope, *given)
 
         return loss

@@ -223,18 +223,23 @@ class Space:
         base = self._pieces.nearest(c.base, self._allowed, xp)[0]
         return self._limits.clip(c, xp)._replace(base=base).flat(xp)
 
-    def chart(self, x: Float[Any, " N"]) -> tuple[Float[np.ndarray, " N"], Int[np.ndarray, " U"]]:
+    def chart(
+        self, x: Float[Any, " N"], stay: bool = False
+    ) -> tuple[Float[np.ndarray, " N"], Int[np.ndarray, " U"]]:
         """Feasible coordinates as coordinates without bounds, and the region (U,) of each unit.
 
         A region is a piece of ground or a pole; the area, if a unit's pole is on one where the unit
-        may stand, or within 0.5 m of it. In the middle of its range, a coordinate without bounds
-        moves as the coordinate itself. A coordinate on a bound counts as slightly inside, by 1 % of
-        the way to the middle.
+        may stand, or within 0.5 m of it, unless units on poles ``stay`` there. In the middle of its
+        range, a coordinate without bounds moves as the coordinate itself. A coordinate on a bound
+        counts as slightly inside, by 1 % of the way to the middle.
         """
         c = self.split(np.asarray(x, float))
         far = self._pieces.nearest(c.base, self._allowed)[2]  # (U, K), squared
         wide = np.where(self._pieces.area > 0, far, np.inf)
         place = np.where(wide.min(1) <= _NEAR**2, wide.argmin(1), far.argmin(1))
+        if stay:
+            poles = np.where(self._pole, far, np.inf)
+            place = np.where(poles.min(1) <= TOLERANCE**2, poles.argmin(1), place)
         v = self._limits.from_bounded(c)._replace(base=self._pieces.chart(c.base, place, np))
         return v.flat(), place
 
@@ -331,6 +336,11 @@ class Space:
         everywhere = np.ones((1, len(self._pieces)), bool)
         on = self._pieces.nearest(np.asarray(feet, float), everywhere)[2] <= TOLERANCE**2  # (F, K)
         return np.any(on[None] & self._allowed[:, None], axis=-1)
+
+    def new_poles(self, feet: Float[np.ndarray, "*M U 2"]) -> Bool[np.ndarray, "*M U"]:
+        """Whether each unit stands on no pole of the map at these feet, and may move."""
+        away = feet[..., None, :] - (self.site.poles - self.center[:2])
+        return (np.hypot(*np.moveaxis(away, -1, 0)) > TOLERANCE).all(-1) & ~self._kept
 
     @property
     def limits(self) -> tuple[Float[np.ndarray, "S 2"], Float[np.ndarray, "S 2"]]:

@@ -7,7 +7,7 @@ end, so that the edges of views are precise.
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -17,7 +17,7 @@ from jaxtyping import Float, Int
 
 from inspe_jax.core.arrays import on_host
 from inspe_jax.core.parallel import run as on_all_cores
-from inspe_jax.placement.problem import Problem
+from inspe_jax.placement.problem import Drawn, Problem
 from inspe_jax.placement.run import Method, Run
 
 SOFTNESS = (3.0, 0.3)
@@ -42,6 +42,18 @@ _LAST = 0.95  # share of the budget at which the search ends, to leave time for 
 
 _adam = optax.chain(optax.clip_by_global_norm(10.0), optax.scale_by_adam(b1=0.9, b2=0.98))
 _at_rest = jax.jit(jax.vmap(_adam.init))
+
+
+class Slope(NamedTuple):
+    """What steps follow: ``at`` gives a score and its slope in poses, of a problem and what
+    :meth:`Problem.slope` takes; ``cost`` is what one costs on a sample, in exact scores."""
+
+    at: Callable[..., tuple[float, Float[np.ndarray, "S 6"]]]
+    cost: Callable[[Problem, Drawn], float]
+
+
+GRADIENT = Slope(lambda problem, *at: problem.slope(*at), Problem.gradient_cost)
+"""That of the soft score."""
 
 
 def annealed(ends: Any, done: float) -> float:
@@ -111,7 +123,8 @@ def charted(
 
 def _charts(problem: Problem, x: Float[np.ndarray, "M N"]) -> tuple[np.ndarray, np.ndarray]:
     """The layouts' places in new charts, and which charts these are."""
-    v, place = zip(*(problem.space.chart(row) for row in x), strict=True)
+    stay = problem.objective.pole_price > 0
+    v, place = zip(*(problem.space.chart(row, stay) for row in x), strict=True)
     return on_host(np.stack(v), float), np.stack(place)
 
 
@@ -158,17 +171,20 @@ def step_adam(run: Run, state: AdamState) -> AdamState | None:
     return state
 
 
-def advance(run: Run, state: L, now: Callable[[], tuple[float, float]], count: int) -> L:
+def advance(
+    run: Run, state: L, now: Callable[[], tuple[float, float]], count: int, by: Slope = GRADIENT
+) -> L:
     """Do ``count`` gradient steps, each on new samples; ``now`` gives softness [m] and rate."""
     problem, line, z = run.problem, state.line, state.z
-    optimiser, loss = _optimiser_state(state), problem.charted_loss
+    optimiser = _optimiser_state(state)
+    loss = partial(problem.charted_loss, of=partial(by.at, problem))
     together = (line[:, None] == line[None]).astype(z.dtype)
     mean = together / together.sum(1, keepdims=True)
     for k in range(state.count, state.count + count):
         softness, rate = (jnp.asarray(x, float) for x in now())
         rng = run.rng(2, k)
         drawn = [problem.draw(rng, STEP_COLUMNS, STEP_FRAMES) for _ in line]
-        run.charge(len(line) * problem.gradient_cost(drawn[0]))
+        run.charge(len(line) * by.cost(problem, drawn[0]))
         # One by one, on all cores: faster than all lines in one array.
         rows = zip(z, state.anchor, state.place, drawn, strict=True)
         jobs = [("slope", partial(loss, *row, softness)) for row in rows]

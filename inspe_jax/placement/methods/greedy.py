@@ -72,13 +72,14 @@ def lazy_greedy(table: Table) -> tuple[Picks, int]:
     """
     problem, sampled, picks = table.problem, table.sampled, Picks()
     heap: list[tuple[float, int, int, int]] = []  # (−bound, sensor, candidate, placed then)
-    alike = [group for kind in table.kinds for group in _interchangeable(problem, kind.sensors)]
+    alike = [group for kind in table.kinds for group in _interchangeable(table, kind.sensors)]
     group_of = {s: group for group in alike for s in group}
     for group in alike:
         gains = table.gains(group[0], {})
         heap += [(-gain, group[0], k, 0) for k, gain in enumerate(gains.tolist())]
     heapq.heapify(heap)
     again, weights = 0, dict[int, MarginalWeights]()
+    shares = [table.share(s) for s in range(len(problem.layout))]
     while heap and len(picks) < len(problem.layout):
         _, s, k, then = heapq.heappop(heap)
         if then == len(picks) and s not in picks and table.fits(picks, s, k):
@@ -94,19 +95,20 @@ def lazy_greedy(table: Table) -> tuple[Picks, int]:
         for t in may:
             if t not in weights:
                 weights[t] = sampled.marginal(rows, t)
-        row = table.kind_of(s).row(k)
-        found = [float(weights[t].dot(row[None])[0]) for t in may]
+        row, foot = table.kind_of(s).row(k), table.kind_of(s).foot[k]
+        found = [float(weights[t].dot(row[None])[0] - shares[t][foot]) for t in may]
         best = int(np.argmax(found))
         again += 1
         heapq.heappush(heap, (-found[best], may[best], k, len(picks)))
     return picks, again
 
 
-def _interchangeable(problem: Problem, sensors: Sequence[int]) -> list[list[int]]:
-    """Sensors of one kind that are as reliable as each other."""
+def _interchangeable(table: Table, sensors: Sequence[int]) -> list[list[int]]:
+    """Sensors of one kind that are as reliable as each other and pay as much for poles."""
     groups: dict[object, list[int]] = {}
     for s in sensors:
-        groups.setdefault(tuple(of.reliability[s] for of in problem.sensor_sets), []).append(s)
+        reliability = (of.reliability[s] for of in table.problem.sensor_sets)
+        groups.setdefault((*reliability, table.share(s).tobytes()), []).append(s)
     return list(groups.values())
 
 
@@ -127,17 +129,17 @@ def exchange(table: Table, picks: Picks, u: int) -> Picks:
         kind, gains = table.kind_of(s), table.gains(s, rows)
         np.maximum.at(most, kind.foot, gains)
         bound += most
-    best, value = picks, sampled.value(table.rows(picks)) + LEAST
+    best, value = picks, table.value(picks, u) + LEAST
     for foot in np.argsort(-bound, kind="stable"):
         if nothing + bound[foot] <= value:
             break
         filled = _fill(table, others, members, int(foot))
-        if (score := sampled.value(table.rows(filled))) > value:
+        if (score := table.value(filled, u)) > value:
             best, value = filled, score
     for s in members:
         rest = {t: k for t, k in best.items() if t != s}
         again = _fill(table, rest, (s,), int(table.kind_of(s).foot[best[s]]))
-        if (score := sampled.value(table.rows(again))) > value:
+        if (score := table.value(again, u)) > value:
             best, value = again, score
     return best
 
@@ -204,7 +206,8 @@ def finer(
     for u, part in zip(units, tried, strict=True):
         others = {s: row for s, row in rows.items() if s not in members[u]}
         choice = {s: Rows.joined([rows[s][None], new[s]]) for s in members[u]}
-        now, *gains = sampled.gains(others, choice)
+        costs = problem.pole_costs(np.concatenate([x[None], part]))[:, u]
+        now, *gains = sampled.gains(others, choice) - costs
         best = int(np.argmax(gains))
         if gains[best] > now + LEAST:
             moved = part[best], {s: new[s][best] for s in members[u]}

@@ -18,8 +18,8 @@ import numpy as np
 from jaxtyping import Float
 
 from inspe_jax.placement.candidates import COLUMNS, FRAMES
-from inspe_jax.placement.methods import greedy
-from inspe_jax.placement.methods.adam import STEP_COLUMNS, STEP_FRAMES, advance, charted, layouts
+from inspe_jax.placement.methods import adam, greedy
+from inspe_jax.placement.methods.adam import GRADIENT, Slope, advance, charted, layouts
 from inspe_jax.placement.methods.cma_es import CMA_ES
 from inspe_jax.placement.methods.greedy import FINER, MOVE_COST, Placing, Sighted, charge
 from inspe_jax.placement.run import Method, Run
@@ -77,35 +77,35 @@ def begin(run: Run) -> Any:
     return (_instead(run) or greedy.GREEDY).begin(run)
 
 
-def step(run: Run, state: Any) -> Any:
+def step(run: Run, state: Any, by: Slope | None = GRADIENT) -> Any:
     """A piece of greedy placement, or a pass of bursts and moves; then the next round.
 
     Where bursts fit, they follow the first pass of exchanges: that gains the most, and after it
-    they gain more in the same time.
+    they gain more in the same time. They follow the slope ``by``; without one there are none.
     """
     if other := _instead(run):
         return other.step(run, state)
     if isinstance(state, LocalSearch):
-        return _pass(run, state)
+        return _pass(run, state, by)
     found = greedy.step(run, state)
     if isinstance(found, Placing):
         return found
     exchanged = isinstance(state, greedy.Exchanging) and found.unit == 0
-    if isinstance(found, greedy.Moving) or (exchanged and _bursts_fit(run)):
+    if isinstance(found, greedy.Moving) or (exchanged and (by is None or _bursts_fit(run, by))):
         run.cache.pop("table", None)  # of candidates, some 100 MB
         first = state.round * STEPS
         return LocalSearch(state.round, found.x, found.value, first, widest=found.value)
     return found
 
 
-def _bursts_fit(run: Run) -> bool:
+def _bursts_fit(run: Run, by: Slope) -> bool:
     """Whether a burst ends before :data:`UNTIL`."""
-    drawn = run.problem.draw(run.rng(0), STEP_COLUMNS, STEP_FRAMES)
-    burst = BURST * run.problem.gradient_cost(drawn) * run.exact_cost
+    drawn = run.problem.draw(run.rng(0), adam.STEP_COLUMNS, adam.STEP_FRAMES)
+    burst = BURST * by.cost(run.problem, drawn) * run.exact_cost
     return run.share(run.spent + burst) < UNTIL
 
 
-def _pass(run: Run, state: LocalSearch) -> Placing | LocalSearch:
+def _pass(run: Run, state: LocalSearch, by: Slope | None) -> Placing | LocalSearch:
     """Bursts while they gain, then moves of every unit, on a sample of its own; judged exactly.
 
     At first all together; once that gained nothing, the bursts and each unit's moves on their own.
@@ -117,8 +117,8 @@ def _pass(run: Run, state: LocalSearch) -> Placing | LocalSearch:
     charge(run, sampled, len(problem.layout))
     first = state.x, greedy.sights(sampled, state.x)
     at, value, moved, start = first, state.value, 0, state.value
-    if _bursts_fit(run):
-        new, state = _bursts(run, state, sampled, first[1])
+    if by is not None and _bursts_fit(run, by):
+        new, state = _bursts(run, state, sampled, first[1], by)
         at, value = _better(run, at, value, new) if careful else (new, value)
     new, rng = at, run.rng(2, *key)
     for k in range(GENERATIONS * max(map(len, members))):
@@ -159,7 +159,7 @@ def _better(run: Run, at: Sighted, value: float, new: Sighted) -> tuple[Sighted,
 
 
 def _bursts(
-    run: Run, state: LocalSearch, sampled: SampleScore, rows: dict[int, Rows]
+    run: Run, state: LocalSearch, sampled: SampleScore, rows: dict[int, Rows], by: Slope
 ) -> tuple[Sighted, LocalSearch]:
     """Bursts of Adam, each at rest at first, until one gains nothing on the sample or does not fit.
 
@@ -168,13 +168,14 @@ def _bursts(
     """
     problem, x = run.problem, state.x
     count, softness, rate = state.count, state.softness, state.rate
-    while _bursts_fit(run):
+    while _bursts_fit(run, by):
         start = charted(problem, x[None], np.zeros(1, int), count)
-        after = advance(run, start, lambda: (softness, rate), BURST)
+        after = advance(run, start, lambda: (softness, rate), BURST, by)
         count, new = after.count, layouts(problem, after)[0]
         charge(run, sampled, len(problem.layout))
         seen = greedy.sights(sampled, new)
-        if sampled.value(seen) <= sampled.value(rows):
+        paid = (problem.pole_costs(new) - problem.pole_costs(x)).sum()
+        if sampled.value(seen) - paid <= sampled.value(rows):
             break
         run.hold(new)
         x, rows = new, seen

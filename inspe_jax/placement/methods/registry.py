@@ -2,6 +2,7 @@
 
 from inspe_jax.placement.methods.adam import ADAM
 from inspe_jax.placement.methods.cma_es import CMA_ES
+from inspe_jax.placement.methods.differences import DIFFERENCES, MOVES
 from inspe_jax.placement.methods.greedy import GREEDY
 from inspe_jax.placement.methods.greedy_adam import GREEDY_ADAM
 from inspe_jax.placement.methods.grid import GRID
@@ -11,7 +12,7 @@ from inspe_jax.placement.run import Method
 
 GRADIENTS: tuple[Method, ...] = (ADAM, GREEDY_ADAM, LBFGSB, PROJECTED_GRADIENT)
 """Those that follow the gradient of the soft score."""
-SEARCHES: tuple[Method, ...] = (GRID, RANDOM, GREEDY, CMA_ES)
+SEARCHES: tuple[Method, ...] = (GRID, RANDOM, GREEDY, CMA_ES, DIFFERENCES, MOVES)
 """Those that need no gradient."""
 
 METHODS: dict[str, Method] = {method.name: method for method in (*GRADIENTS, *SEARCHES)}

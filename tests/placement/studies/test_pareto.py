@@ -146,6 +146,27 @@ def test_sensors_start_on_posts_of_their_own_lidars_first(scene):
     assert len({unit.base[:2] for unit in start.units}) == len(start.units) == 5
 
 
+def test_a_mix_on_few_poles_shares_them(scene):
+    """As evenly as it can; cameras on one pole look apart. A search keeps to so many."""
+    start = starting_layout(scene, {CAMERA: 4, LIDAR: 2}, poles=3)
+    kinds = [[start.sensors[s].spec.kind for s in members] for members in start.members()]
+    assert sorted(kinds) == [["camera", "camera"], ["lidar", "camera"], ["lidar", "camera"]]
+    (pair,) = (list(members) for members, of in zip(start.members(), kinds, strict=True)
+               if of == ["camera", "camera"])  # fmt: skip
+    yaw = np.asarray(start.poses)[pair, 5]
+    assert np.cos(yaw[1] - yaw[0]) == pytest.approx(0.5, abs=1e-6)
+    both, priced = starting_layout(scene, {OTHER: 1, LIDAR: 1}, poles=1), Objective(pole_price=0.02)
+    result = optimise(scene, both, "random", evaluations=3, objective=priced)
+    (unit,) = result.layout.units
+    poles = np.asarray(scene.intersection.poles)[:, :2]
+    new = bool(np.hypot(*(poles - unit.base[:2]).T).min() > 1e-3)
+    assert result.objective == pytest.approx(result.scores.surrogate - 0.02 * new, abs=1e-6)
+    words = "1 of 1 units stand on new poles, which the objective pays 0.02 for"
+    assert (words in result.notes) == new
+    with pytest.raises(InspeError, match="poles 0: a mix needs at least one"):
+        starting_layout(scene, {CAMERA: 1}, poles=0)
+
+
 @pytest.mark.parametrize(
     ("counts", "objective", "message"),
     [
@@ -164,7 +185,8 @@ def test_sensors_start_on_posts_of_their_own_lidars_first(scene):
         ({CAMERA: range(100_000), LIDAR: range(100_000)}, PRICED, "10,000,000,000 mixes, and at"),
         ({CAMERA: [2]}, Objective(prices={CAMERA: 1000.0}, budget=1500.0), "cheapest costs 2,000"),
         ({CAMERA: range(300)}, PRICED, "299 mixes, and at most 200"),
-        ({CAMERA: [99]}, PRICED, "99 sensors, but only"),
+        ({CAMERA: [99]}, PRICED, "99 sensors on poles of their own, but only"),
+        ({CAMERA: [1]}, replace(PRICED, pole_price=1.0), "at least 0 and below 1"),
     ],
 )
 def test_bad_input(scene, counts, objective, message):
@@ -239,8 +261,9 @@ def test_greedy_says_what_it_does_not_know_and_the_default_does_without(large):
     local = Objective(weights={"detectability": 0.5, "localisation": 0.5})
     with pytest.raises(InspeError, match=r"does not know localisation, .*cma-es"):
         optimise(large, start, "greedy", evaluations=5.0, objective=local)
-    assert set(methods()) - set(methods(local)) == {"greedy"}
-    assert set(methods()) == set(methods(FOUND))
+    controls = {"differences", "moves"}
+    assert set(methods()) - set(methods(local)) == {"greedy", *controls}
+    assert set(methods()) - set(methods(FOUND)) == controls
     given = dict(evaluations=60.0, objective=FOUND)
     default, cma = (optimise(large, start, name, **given) for name in ("greedy-adam", "cma-es"))
     spent = [[point.evaluations for point in of.history] for of in (default, cma)]

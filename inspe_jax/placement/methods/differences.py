@@ -1,0 +1,55 @@
+"""Controls of the default search: the same, with another thing in place of its gradient.
+
+What the default gains over them in equal time is what its gradient gains.
+"""
+
+from functools import partial
+from typing import Any
+
+import jax
+import numpy as np
+from jaxtyping import Float
+
+from inspe_jax.core.arrays import on_host
+from inspe_jax.placement.methods.adam import Slope
+from inspe_jax.placement.methods.greedy import VIEW_COST
+from inspe_jax.placement.methods.greedy_adam import GREEDY_ADAM, step
+from inspe_jax.placement.problem import Drawn, Problem, Sample
+from inspe_jax.placement.run import Method
+from inspe_jax.placement.sample_score import PAPER, SampleScore
+
+HALF = np.array([0.5, 0.5, 0.5, 0.0, 0.03, 0.03])
+"""Half of a difference in x, y, z [m], roll, which is not searched, pitch and yaw [rad]."""
+_STEPS = np.concatenate([np.zeros((1, 6)), np.diag(HALF)[HALF > 0], -np.diag(HALF)[HALF > 0]])
+
+
+def differences(
+    problem: Problem, poses: Float[Any, "S 6"], on: Any, softness: Any
+) -> tuple[float, Float[np.ndarray, "S 6"]]:
+    """The hard score of poses on samples ``on`` and its central differences, as
+    :meth:`Problem.slope`. Each redoes only the sensor that moves."""
+    sampled = SampleScore(problem, Sample(jax.device_put(on), 0.0))
+    views = sampled.views({s: pose + _STEPS for s, pose in enumerate(np.asarray(poses, float))})
+    rows, slope = {s: seen[0] for s, seen in views.items()}, np.zeros(np.shape(poses))
+    for s, seen in views.items():
+        gains = sampled.gains({t: row for t, row in rows.items() if t != s}, {s: seen})
+        _, after, before = np.split(gains, [1, 6])
+        slope[s, HALF > 0] = (after - before) / (2 * HALF[HALF > 0])
+    return sampled.value(rows), on_host(slope, float)
+
+
+def _cost(problem: Problem, drawn: Drawn) -> float:
+    return len(_STEPS) * VIEW_COST * problem.sample_cost(drawn)
+
+
+def _control(name: str, summary: str, by: Slope | None) -> Method:
+    same = GREEDY_ADAM.states, GREEDY_ADAM.begin, partial(step, by=by)
+    return Method(name, f"a control: greedy-adam {summary}", *same, knows=PAPER)
+
+
+DIFFERENCES = _control(
+    "differences",
+    "with central differences of the hard score for gradients",
+    Slope(differences, _cost),
+)
+MOVES = _control("moves", "without bursts of Adam; finer moves have their time", None)

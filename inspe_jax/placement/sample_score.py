@@ -38,8 +38,7 @@ from inspe_jax.visibility.view_masks import view_masks
 
 FOUND = "detectability"
 """The metric whose chances are found with the views."""
-PAPER = ("coverage", "occlusion", "information_gain")
-KNOWN = (*PAPER, FOUND)
+KNOWN = ("coverage", "occlusion", "information_gain", FOUND)
 """The metrics that are sums over a row. Others count nothing here."""
 LEAST = 1e-6
 """A gain that is smaller is rounding."""

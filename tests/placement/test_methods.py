@@ -30,6 +30,7 @@ from inspe_jax.placement.methods import (
     solver_rounds,
 )
 from inspe_jax.placement.methods.registry import METHODS
+from inspe_jax.placement.objective import Objective
 from inspe_jax.placement.optimise import _drive
 from inspe_jax.placement.problem import Problem, case_scores
 from inspe_jax.placement.run import BudgetSpent, Run
@@ -150,6 +151,16 @@ def test_a_method_finds_better_layouts_that_can_be_mounted(name, problem, ran):
     scene = problem.cases[0].scene
     assert_mountable(scene, layout, lanes_of(scene.intersection))
     assert PARTS.get(name, set()) <= {kept.state["class"] for kept in seen}
+
+
+@pytest.mark.slow
+def test_the_default_finds_what_detects_by_greedy_placement_and_gradients(scene):
+    objective = Objective(weights={"coverage": 0.3, "detectability": 0.7})
+    run = begun(Problem(scene, team(scene, second=CAMERA), objective), BUDGET["greedy-adam"])
+    seen = [kept.state for kept in steps(run, METHODS["greedy-adam"])]
+    assert {"Placing", "LocalSearch"} <= {state["class"] for state in seen}
+    assert max(state.get("count", 0) for state in seen) >= greedy_adam.BURST
+    assert run.best > run.history[0].score + 0.01
 
 
 @pytest.mark.parametrize("name", METHODS)

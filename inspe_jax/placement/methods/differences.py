@@ -16,7 +16,7 @@ from inspe_jax.placement.methods.greedy import VIEW_COST
 from inspe_jax.placement.methods.greedy_adam import GREEDY_ADAM, step
 from inspe_jax.placement.problem import Drawn, Problem, Sample
 from inspe_jax.placement.run import Method
-from inspe_jax.placement.sample_score import PAPER, SampleScore
+from inspe_jax.placement.sample_score import KNOWN, SampleScore
 
 HALF = np.array([0.5, 0.5, 0.5, 0.0, 0.03, 0.03])
 """Half of a difference in x, y, z [m], roll, which is not searched, pitch and yaw [rad]."""
@@ -44,7 +44,7 @@ def _cost(problem: Problem, drawn: Drawn) -> float:
 
 def _control(name: str, summary: str, by: Slope | None) -> Method:
     same = GREEDY_ADAM.states, GREEDY_ADAM.begin, partial(step, by=by)
-    return Method(name, f"a control: greedy-adam {summary}", *same, knows=PAPER)
+    return Method(name, f"a control: greedy-adam {summary}", *same, knows=KNOWN)
 
 
 DIFFERENCES = _control(

@@ -7,7 +7,8 @@
 3. Finer moves, judged hard, gain where the score has no slope.
 
 With LiDARs alone it is :data:`~inspe_jax.placement.methods.greedy.GREEDY`, whose exchanges gain
-more there; where metrics other than the paper's have weight, it is CMA-ES.
+more there. Where a metric has weight of which candidates cannot tell what they add, as a user's own
+metric, it is :data:`~inspe_jax.placement.methods.adam.ADAM`: it needs the slope alone.
 """
 
 from dataclasses import dataclass, replace
@@ -20,10 +21,9 @@ from jaxtyping import Float
 from inspe_jax.placement.candidates import COLUMNS, FRAMES
 from inspe_jax.placement.methods import adam, greedy
 from inspe_jax.placement.methods.adam import GRADIENT, Slope, advance, charted, layouts
-from inspe_jax.placement.methods.cma_es import CMA_ES
 from inspe_jax.placement.methods.greedy import FINER, MOVE_COST, Placing, Sighted, charge
 from inspe_jax.placement.run import Method, Run
-from inspe_jax.placement.sample_score import PAPER, Rows, SampleScore
+from inspe_jax.placement.sample_score import KNOWN, Rows, SampleScore
 
 UNTIL = 0.85
 """Share of the budget at which bursts of Adam end."""
@@ -67,8 +67,8 @@ class LocalSearch:
 def _instead(run: Run) -> Method | None:
     """The method for sensors or an objective for which this one is not made; else None."""
     weights = run.problem.objective.weights_by_name
-    if any(weight for name, weight in weights.items() if name not in PAPER):
-        return CMA_ES
+    if any(weight for name, weight in weights.items() if name not in KNOWN):
+        return adam.ADAM
     return None if greedy.aimed(run.problem) else greedy.GREEDY
 
 
@@ -185,9 +185,9 @@ def _bursts(
 
 GREEDY_ADAM = Method(
     "greedy-adam",
-    "greedy placement, then Adam and finer moves; greedy with LiDARs only; CMA-ES for metrics "
-    "other than the paper's",
-    (*greedy.GREEDY.states, LocalSearch, *CMA_ES.states),
+    "greedy placement, then Adam and finer moves; greedy with LiDARs only; Adam for metrics of "
+    "one's own",
+    (*greedy.GREEDY.states, LocalSearch, *adam.ADAM.states),
     begin,
     step,
 )

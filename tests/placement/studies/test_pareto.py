@@ -261,11 +261,10 @@ def test_greedy_says_what_it_does_not_know_and_the_default_does_without(large):
     local = Objective(weights={"detectability": 0.5, "localisation": 0.5})
     with pytest.raises(InspeError, match=r"does not know localisation, .*cma-es"):
         optimise(large, start, "greedy", evaluations=5.0, objective=local)
-    controls = {"differences", "moves"}
-    assert set(methods()) - set(methods(local)) == {"greedy", *controls}
-    assert set(methods()) - set(methods(FOUND)) == controls
-    given = dict(evaluations=60.0, objective=FOUND)
-    default, cma = (optimise(large, start, name, **given) for name in ("greedy-adam", "cma-es"))
-    spent = [[point.evaluations for point in of.history] for of in (default, cma)]
+    assert set(methods()) - set(methods(local)) == {"greedy", "differences", "moves"}
+    assert methods() == methods(FOUND)
+    given = dict(evaluations=60.0, objective=local)
+    default, adam = (optimise(large, start, name, **given) for name in ("greedy-adam", "adam"))
+    spent = [[point.evaluations for point in of.history] for of in (default, adam)]
     assert spent[0] == spent[1]
-    assert default.objective == cma.objective >= default.objective_before
+    assert default.objective == adam.objective > default.objective_before

@@ -8,7 +8,8 @@
 
 With LiDARs alone it is :data:`~inspe_jax.placement.methods.greedy.GREEDY`, whose exchanges gain
 more there. Where a metric has weight of which candidates cannot tell what they add, as a user's own
-metric, it is :data:`~inspe_jax.placement.methods.adam.ADAM`: it needs the slope alone.
+metric, it is Adam with cameras alone, which needs the slope alone, and CMA-ES with LiDARs, of which
+most of what they gain is no slope's.
 """
 
 from dataclasses import dataclass, replace
@@ -21,6 +22,7 @@ from jaxtyping import Float
 from inspe_jax.placement.candidates import COLUMNS, FRAMES
 from inspe_jax.placement.methods import adam, greedy
 from inspe_jax.placement.methods.adam import GRADIENT, Slope, advance, charted, layouts
+from inspe_jax.placement.methods.cma_es import CMA_ES
 from inspe_jax.placement.methods.greedy import FINER, MOVE_COST, Placing, Sighted, charge
 from inspe_jax.placement.run import Method, Run
 from inspe_jax.placement.sample_score import KNOWN, Rows, SampleScore
@@ -68,7 +70,7 @@ def _instead(run: Run) -> Method | None:
     """The method for sensors or an objective for which this one is not made; else None."""
     weights = run.problem.objective.weights_by_name
     if any(weight for name, weight in weights.items() if name not in KNOWN):
-        return adam.ADAM
+        return adam.ADAM if all(s.spec.aimed for s in run.problem.layout.sensors) else CMA_ES
     return None if greedy.aimed(run.problem) else greedy.GREEDY
 
 
@@ -185,9 +187,9 @@ def _bursts(
 
 GREEDY_ADAM = Method(
     "greedy-adam",
-    "greedy placement, then Adam and finer moves; greedy with LiDARs only; Adam for metrics of "
-    "one's own",
-    (*greedy.GREEDY.states, LocalSearch, *adam.ADAM.states),
+    "greedy placement, then Adam and finer moves; greedy with LiDARs only; for metrics of one's "
+    "own Adam, or CMA-ES with LiDARs",
+    (*greedy.GREEDY.states, LocalSearch, *adam.ADAM.states, *CMA_ES.states),
     begin,
     step,
 )

@@ -15,6 +15,7 @@ import inspe_jax
 from inspe_jax.core.errors import InspeError
 from inspe_jax.mounting.mixes import starting_layout
 from inspe_jax.placement.methods.adam import AdamState
+from inspe_jax.placement.methods.cma_es import CmaState
 from inspe_jax.placement.methods.registry import METHODS
 from inspe_jax.placement.objective import Objective
 from inspe_jax.placement.optimise import methods, optimise
@@ -266,7 +267,8 @@ def test_greedy_says_what_it_does_not_know_and_the_default_does_without(large):
         optimise(large, start, "greedy", evaluations=5.0, objective=local)
     assert set(methods()) - set(methods(local)) == {"greedy", "differences", "moves"}
     assert methods() == methods(FOUND)
-    problem = Problem(large, start, local)
-    run = Run(problem, problem.space.start(start)[0], evaluations=60.0)
-    run.offer(run.start)
-    assert isinstance(METHODS["greedy-adam"].begin(run), AdamState)
+    for mix, of in ({CAMERA: 2}, AdamState), ({CAMERA: 1, LIDAR: 1}, CmaState):
+        problem = Problem(large, starting_layout(large, mix), local)
+        run = Run(problem, problem.space.start(problem.layout)[0], evaluations=60.0)
+        run.offer(run.start)
+        assert isinstance(METHODS["greedy-adam"].begin(run), of)

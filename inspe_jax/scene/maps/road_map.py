@@ -1,10 +1,11 @@
 """A map of roads: what each format reads of it, and the place that is made of that."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -139,7 +140,7 @@ class MapJunction(ABC):
     radius: float
     approaches: list[Approach] = field(init=False)
     poles: Float[np.ndarray, "P 3"] = field(init=False)
-    interior: set[int] = field(init=False)
+    interior: set[Any] = field(init=False)
     notes: list[str] = field(init=False, default_factory=list)
 
     @abstractmethod
@@ -186,7 +187,7 @@ class MapJunction(ABC):
         """Parts, which may overlap, of all regions but crosswalks."""
 
     @abstractmethod
-    def drives(self, arm_of: dict[tuple[int, str], int]) -> Iterable[Route]:
+    def drives(self, arm_of: dict[tuple[Id, str], int]) -> Iterable[Route]:
         """Every path from an inbound lane to another arm of ``arm_of`` (road, end), from radius to
         radius; no U-turns."""
 
@@ -201,6 +202,7 @@ class RoadMap(ABC):
     ``format`` is how the source of its places ends, ``around`` how a junction is read. ``name`` is
     that of its file without suffixes. ``crossings`` are the outlines of all crosswalks, each
     (K, 3). ``georeference`` is the projection of its coordinates, None without a usable one.
+    ``notes`` are on all of it; ``unread`` are junctions that are left out, with why.
     """
 
     format: ClassVar[str]
@@ -209,6 +211,8 @@ class RoadMap(ABC):
     name: str
     crossings: Sequence[np.ndarray]
     georeference: Georeference | None
+    notes: Sequence[str] = ()
+    unread: Mapping[str, str] = MappingProxyType({})
 
     @abstractmethod
     def road_lines(self) -> list[Float[np.ndarray, "N 2"]]:
@@ -302,6 +306,8 @@ class RoadMap(ABC):
         if center is None:
             named = {str(j): j for j in ids}
             name = str(junction)
+            if why := self.unread.get(name):
+                raise InspeError(f"{self.source}: junction {name} is not read: {why}")
             if name not in named:
                 known = ", ".join([*named][:MOST_LISTED]) + ", …" * (len(named) > MOST_LISTED)
                 raise InspeError(

@@ -132,7 +132,7 @@ class SumoJunction(MapJunction):
         self.notes.append(f"heights of the ground between {count} points of the map with a height")
         return laid_on(place, spots, self.radius)
 
-    def drives(self, arm_of: dict[tuple[int, str], int]) -> Iterator[Route]:
+    def drives(self, arm_of: dict[tuple[Id, str], int]) -> Iterator[Route]:
         strips = self.map.lane_strips
         for road in (approach.road for approach in self.approaches if approach.end == "end"):
             arm = arm_of[road, "end"]

@@ -17,7 +17,7 @@ from inspe_jax.core.files import cached_by_file
 from inspe_jax.core.words import counted
 from inspe_jax.scene.intersection import Intersection, Route
 from inspe_jax.scene.lines import distance_from, resampled
-from inspe_jax.scene.maps.bodies import Ways, with_bodies
+from inspe_jax.scene.maps.bodies import with_bodies
 from inspe_jax.scene.maps.lanes import (
     CARRIAGEWAY,
     SHOULDER,
@@ -118,7 +118,7 @@ class OpenDriveJunction(MapJunction):
     def with_bodies(self, place: Intersection, lane_strips: list[LaneStrip]) -> Intersection:
         reach, shapes = self.radius + MARGIN, self.map.shapes
         self.notes += self.map.notes
-        lanes = Ways.of(place).lanes
+        lanes = unary_union([s.polygon for s in lane_strips if s.kind in CARRIAGEWAY])
         hung = shapely.intersects_xy(lanes, *place.poles[:, :2].T)
         if hung.any():
             self.notes.append(f"{counted(int(hung.sum()), 'signal')} over lanes: no standing poles")

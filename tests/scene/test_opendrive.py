@@ -333,6 +333,18 @@ def test_crosswalks_of_every_form_lie_at_t_of_the_reference_line(write, form):
     np.testing.assert_allclose(loop[:, 2], 0.94)
 
 
+def test_people_cross_a_wide_crosswalk_across_the_road_and_lanes_that_overlap_step_on(write):
+    walk = '<objects><object type="crosswalk" s="43" t="0" length="12" width="7"/></objects>'
+    text = GOOD.replace("</lanes></road>", f"</lanes>{walk}</road>", 1)
+    text = text.replace('x="-60.0"', 'x="-59.3"')  # road 1 overlaps the junction's by 0.7 m
+    place = read_map(write(text), junction=7, radius=30)
+    crossing = [r.waypoints for r in place.routes if r.user == "pedestrian"]
+    across = [w for w in crossing if np.ptp(w[:, 1]) > 6]
+    assert [np.ptp(w[:, 0]) for w in across] == pytest.approx([0, 0], abs=1e-9)
+    drives = [r.waypoints for r in place.routes if r.user == "vehicle"]
+    assert all((np.sign(np.diff(w[:, 0])) == np.sign(w[-1, 0])).all() for w in drives)
+
+
 def test_signals_stand_at_their_place_unless_over_lanes(write):
     signals = "".join(f'<signal type="1000001" s="45" t="{t}" zOffset="5"/>' for t in (5, 0))
     text = GOOD.replace("</lanes></road>", f"</lanes><signals>{signals}</signals></road>", 1)

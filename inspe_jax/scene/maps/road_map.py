@@ -251,15 +251,15 @@ class RoadMap(ABC):
         check_range("radius", radius, RADIUS_READ)
         here = self.around(self, members, middle, radius)
         lane_strips = same_level(*here.lanes())
-        if not lane_strips:
+        reach = radius + MARGIN
+        ground = np.concatenate([np.zeros((0, 3)), *(s.center for s in lane_strips)])
+        ground = ground[distance_from(ground, middle) <= reach + 5.0]
+        if not len(ground):
             raise InspeError(
                 f"{self.source}: no roads within {radius:g} m of ({middle[0]:.1f}, {middle[1]:.1f})"
             )
         arms, arm_of = arms_of(here.approaches)
         areas = _side_by_side(here.areas(lane_strips))
-        reach = radius + MARGIN
-        ground = np.concatenate([s.center for s in lane_strips])
-        ground = ground[distance_from(ground, middle) <= reach + 5.0]
         disc = Point(middle[:2]).buffer(reach, quad_segs=32)
         walks = here.crosswalks(areas, arms, ground, disc)
         areas[Region.CROSSWALK] = clean(unary_union(walks))
@@ -284,7 +284,8 @@ class RoadMap(ABC):
             if strip.kind in SIDEWALK
             for run in strip.runs(distance_from(strip.center, middle) <= radius)
         ]
-        people = walking_routes(place, [*crossing_lines(walks), *joined_lines(pavements)])
+        lanes = [s.center for s in lane_strips if s.kind in CARRIAGEWAY]
+        people = walking_routes(place, [*crossing_lines(walks, lanes), *joined_lines(pavements)])
         place = replace(
             place,
             center=place.on_ground(middle[None])[0],

@@ -15,14 +15,17 @@ NODES, WEIGHTS = np.polynomial.legendre.leggauss(8)  # Gauss's quadrature on −
 STRETCH = 5.0  # spirals are integrated in stretches of at most this [m]: errors are below 1 µm
 STEPS = 512  # a cubic's length is summed up over so many
 HUGE = 1e9  # no number of a map is so large
+SHARPEST = 10.0  # no curve is so sharp [1/m]
 LONGEST = 1e5  # no road is so long [m]
 
 Course = Callable[[Float[np.ndarray, " N"]], tuple[Float[np.ndarray, "N 2"], np.ndarray]]
 """The points [m] and the headings (N,) [rad] so far along a piece [m], from (0, 0) along x."""
 
 
-def number(element: ET.Element, key: str, default: float | None = None) -> float:
-    """A number of an element. Raises ValueError where it is none, is not finite or is missing."""
+def number(
+    element: ET.Element, key: str, default: float | None = None, most: float = HUGE
+) -> float:
+    """A number of an element. Raises ValueError where it is none, is missing or not below most."""
     text = element.get(key)
     if text is None and default is not None:
         return default
@@ -30,7 +33,7 @@ def number(element: ET.Element, key: str, default: float | None = None) -> float
         value = float(text or "")
     except ValueError:
         value = np.nan
-    if not abs(value) < HUGE:
+    if not abs(value) < most:
         given = "is missing" if text is None else f"is '{text[:40]}'"
         raise ValueError(f"{key} of <{element.tag}> {given}")
     return value
@@ -101,17 +104,17 @@ def _course(shape: ET.Element, length: float) -> Course:
     if shape.tag == "line":
         return _arc(0.0)
     if shape.tag == "arc":
-        return _arc(number(shape, "curvature"))
+        return _arc(number(shape, "curvature", most=SHARPEST))
     if shape.tag == "spiral":
-        first = number(shape, "curvStart")
-        return _spiral(first, (number(shape, "curvEnd") - first) / length, length)
+        first, last = (number(shape, key, most=SHARPEST) for key in ("curvStart", "curvEnd"))
+        return _spiral(first, (last - first) / length, length)
     if shape.tag == "poly3":
         rows = np.array([[0, 1, 0, 0], [number(shape, k) for k in "abcd"]], float)
         return _cubic(rows, length, length, 1.0)
     if shape.tag == "paramPoly3":
         rows = np.array([[number(shape, k + of) for k in "abcd"] for of in "UV"])
-        last = length if shape.get("pRange") == "arcLength" else 1.0
-        return _cubic(rows, last, length, None)
+        end = length if shape.get("pRange") == "arcLength" else 1.0
+        return _cubic(rows, end, length, None)
     raise ValueError(f"a <geometry> of <{shape.tag}>")
 
 

@@ -16,7 +16,7 @@ from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import cached_by_file
 from inspe_jax.core.words import counted
 from inspe_jax.scene.intersection import Intersection, Route
-from inspe_jax.scene.lines import distance_from, resampled
+from inspe_jax.scene.lines import distance_from, onward, resampled
 from inspe_jax.scene.maps.bodies import with_bodies
 from inspe_jax.scene.maps.lanes import (
     CARRIAGEWAY,
@@ -153,7 +153,7 @@ class OpenDriveJunction(MapJunction):
                     if exit_arm in (entry_arm, -1):
                         continue
                     line = [*upstream, *path, *self._follow(path[-1], onward=True)]
-                    points = resampled(town.graph.positions(line))
+                    points = resampled(onward(town.graph.positions(line)))
                     yield Route(points, high - low, "vehicle", (entry_arm, exit_arm))
 
     def _follow(self, start: Waypoint, onward: bool) -> list[Waypoint]:

@@ -15,7 +15,7 @@ from inspe_jax.core.errors import InspeError, error_at, needs
 from inspe_jax.core.files import cached_by_file
 from inspe_jax.scene.georeference import Georeference
 from inspe_jax.scene.intersection import Intersection, Route
-from inspe_jax.scene.lines import distance_from, distinct, resampled
+from inspe_jax.scene.lines import distance_from, distinct, onward, resampled
 from inspe_jax.scene.maps.bodies import with_bodies
 from inspe_jax.scene.maps.lanes import Approach, LaneStrip, heading
 from inspe_jax.scene.maps.openstreetmap.bodies import BodyReader
@@ -146,7 +146,7 @@ class SumoJunction(MapJunction):
                     if exit_arm in (arm, -1):
                         continue
                     names = [*before, *path, *self._follow(path[-1], 1)]
-                    line = distinct(np.concatenate([strips[n].center for n in names]))
+                    line = onward(distinct(np.concatenate([strips[n].center for n in names])))
                     at = distance_from(line, strips[name].center[-1]).argmin()
                     line = self._about(line, at)
                     if len(line) > 1:

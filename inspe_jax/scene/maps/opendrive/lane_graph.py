@@ -1,31 +1,15 @@
-"""How the lanes of an OpenDRIVE map are linked, and steps along them."""
+"""How the lanes of an OpenDRIVE map are linked."""
 
 import xml.etree.ElementTree as ET
 from collections import defaultdict
 from collections.abc import Iterator, Mapping
-from itertools import groupby
-from typing import NamedTuple
-
-import numpy as np
-from jaxtyping import Float
 
 from inspe_jax.scene.maps.opendrive.geometry import number
 from inspe_jax.scene.maps.opendrive.road_network import Lane, OpenDriveRoad, identity
 from inspe_jax.scene.maps.road_map import Id
 
-MOST_LANES = 100  # one step passes at most so many
-
 LaneKey = tuple[Id, int, int]
 """A road, the index of one of its sections, and a lane there."""
-
-
-class Waypoint(NamedTuple):
-    """A place in the middle of a lane, at s [m]."""
-
-    road: Id
-    section: int
-    lane: int
-    s: float
 
 
 class LaneGraph:
@@ -98,39 +82,3 @@ class LaneGraph:
                 entered = self.roads[beyond].sections[at].lanes.get(name)
                 if entered and entered.onward == (first == "start") and contact in ("", first):
                     yield beyond, at, name
-
-    def step(
-        self, here: Waypoint, distance: float, onward: bool, passed: int = 0
-    ) -> list[Waypoint]:
-        """The waypoints so far ahead [m] of one, or behind it."""
-        section = self.roads[here.road].sections[here.section]
-        rising = section.lanes[here.lane].onward == onward
-        room = section.end - here.s if rising else here.s - section.start
-        if distance <= room:
-            return [here._replace(s=here.s + (distance if rising else -distance))]
-        found = []
-        links = self.follows if onward else self.leads
-        for road, index, lane in links.get(here[:3], ()) if passed < MOST_LANES else ():
-            beyond = self.roads[road].sections[index]
-            up = beyond.lanes[lane].onward == onward
-            start = Waypoint(road, index, lane, beyond.start if up else beyond.end)
-            found += self.step(start, distance - room, onward, passed + 1)
-        return found
-
-    def positions(self, line: list[Waypoint]) -> Float[np.ndarray, "N 3"]:
-        """Where waypoints are [m]."""
-        found = []
-        for (road, index, lane), group in groupby(line, lambda w: w[:3]):
-            at = self.roads[road]
-            s = np.array([w.s for w in group])
-            found.append(at.cuts(at.sections[index], s)[lane].middle)
-        return np.concatenate(found)
-
-    def heading(self, here: Waypoint) -> Float[np.ndarray, "2"]:
-        """The unit vector along the lane in which traffic runs."""
-        section = self.roads[here.road].sections[here.section]
-        step = min(0.01, (section.end - section.start) / 4)
-        low = min(max(here.s - step / 2, section.start), section.end - step)
-        first, last = self.positions([here._replace(s=low), here._replace(s=low + step)])[:, :2]
-        along = (last - first) if section.lanes[here.lane].onward else (first - last)
-        return along / max(float(np.hypot(*along)), 1e-12)

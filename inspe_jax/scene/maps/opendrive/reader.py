@@ -8,15 +8,15 @@ from pathlib import Path
 import numpy as np
 import shapely
 from jaxtyping import Float
-from shapely.geometry import LineString, Point, Polygon
+from shapely.geometry import LineString, Polygon
 from shapely.geometry.base import BaseGeometry
 from shapely.ops import unary_union
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import cached_by_file
 from inspe_jax.core.words import counted
-from inspe_jax.scene.intersection import Intersection, Route
-from inspe_jax.scene.lines import distance_from, onward, resampled
+from inspe_jax.scene.intersection import Intersection
+from inspe_jax.scene.lines import distance_from
 from inspe_jax.scene.maps.bodies import with_bodies
 from inspe_jax.scene.maps.lanes import (
     CARRIAGEWAY,
@@ -28,7 +28,7 @@ from inspe_jax.scene.maps.lanes import (
     heading,
 )
 from inspe_jax.scene.maps.opendrive.geometry import number
-from inspe_jax.scene.maps.opendrive.lane_graph import LaneGraph, Waypoint
+from inspe_jax.scene.maps.opendrive.lane_graph import LaneGraph, LaneKey
 from inspe_jax.scene.maps.opendrive.objects import CROSSWALK, PARKING, shapes_of, with_parked
 from inspe_jax.scene.maps.opendrive.road_network import (
     LaneCut,
@@ -77,17 +77,15 @@ class OpenDriveJunction(MapJunction):
     def lanes(self) -> tuple[list[LaneStrip], list[bool]]:
         reach, found = self.radius + MARGIN + APRON, list[LaneStrip]()
         for road in self.map.roads.values():
-            for section in road.sections if road.near(self.middle, reach) else ():
-                for lane, cut in along(road, section, STEP).items():
-                    if cut.width.max() < 0.05:
+            for index in range(len(road.sections)) if road.near(self.middle, reach) else ():
+                for strip in self.map.strips(road, index).values():
+                    width = np.hypot(*(strip.left - strip.right).T).max()
+                    if width < 0.05:
                         continue
-                    left, right = (cut.outer, cut.inner)[:: 1 if lane > 0 else -1]
-                    kind = section.lanes[lane].kind
-                    strip = LaneStrip(road.id, road.junction, kind, cut.middle, left, right)
                     # One lane's width farther: the disc cuts the lane, and not its stations.
-                    away = distance_from(cut.middle, self.middle)
-                    found += strip.runs(away <= reach + cut.width.max() + STEP)
-        return found, [s.junction in self.members or s.road in self.interior for s in found]
+                    away = distance_from(strip.center, self.middle)
+                    found += strip.runs(away <= reach + width + STEP)
+        return found, [s.road in self.interior for s in found]
 
     def areas(self, lane_strips: list[LaneStrip]) -> dict[Region, list[BaseGeometry]]:
         parts: dict[Region, list[BaseGeometry]] = {region: [] for region in Region}
@@ -129,47 +127,6 @@ class OpenDriveJunction(MapJunction):
         spaces = [shape.area for shape in shapes if shape.kind == PARKING]
         return with_parked(place, parking, spaces, reach, self.notes)
 
-    def drives(self, arm_of: dict[tuple[Id, str], int]) -> Iterator[Route]:
-        town, approaches = self.map, self.approaches
-        inside = {r.id for r in town.roads.values() if r.junction in self.members} | self.interior
-        # By position, not by road, because a step may skip a road that is a stub.
-        cuts = [LineString([approach.point(k) for k in approach.kerbs]) for approach in approaches]
-
-        def leads_to(at: np.ndarray) -> int:
-            """The arm at whose mouth a point is; −1 if it is at none."""
-            away = shapely.distance(cuts, Point(at[:2]))
-            best = approaches[int(np.argmin(away))]
-            return arm_of[best.road, best.end] if away.min() < 2 * STEP else -1
-
-        for approach in approaches:
-            entry_arm = arm_of[approach.road, approach.end]
-            for lane, kind, low, high, inbound in approach.lanes:
-                if kind not in TRAVEL or not inbound:
-                    continue
-                mouth = town.mouth(approach, lane)
-                upstream = self._follow(mouth, onward=False)[::-1]
-                for path in _lane_paths(town.graph, mouth, inside):
-                    exit_arm = leads_to(town.graph.positions(path[-1:])[0])
-                    if exit_arm in (entry_arm, -1):
-                        continue
-                    line = [*upstream, *path, *self._follow(path[-1], onward=True)]
-                    points = resampled(onward(town.graph.positions(line)))
-                    yield Route(points, high - low, "vehicle", (entry_arm, exit_arm))
-
-    def _follow(self, start: Waypoint, onward: bool) -> list[Waypoint]:
-        """Waypoints from a lane on or back to the radius, straight on."""
-        graph, line, here = self.map.graph, list[Waypoint](), start
-        for _ in range(int(4 * self.radius / STEP)):  # four radii on a winding road
-            options = graph.step(here, STEP, onward)
-            if not options or distance_from(graph.positions([here]), self.middle)[0] > self.radius:
-                break
-            if len(options) > 1:
-                ahead = graph.heading(here)
-                options = [max(options, key=lambda w: float(graph.heading(w) @ ahead))]
-            here = options[0]
-            line.append(here)
-        return line
-
 
 class OpenDriveMap(RoadMap):
     """An OpenDRIVE file.
@@ -189,7 +146,9 @@ class OpenDriveMap(RoadMap):
         if not self.roads:
             why = f" that can be read: {'; '.join(out[:MOST_NAMED])}" if out else ""
             raise InspeError(f"{path}: the map has no roads{why}")
-        self.graph = LaneGraph(self.roads, root)
+        self._strips: dict[tuple[Id, int], dict[int, LaneStrip]] = {}
+        graph = LaneGraph(self.roads, root)
+        self.follows, self.leads = graph.follows, graph.leads
         self.signals, no_signals = signals_of(found.values())
         self.shapes, on_shapes = shapes_of(found.values())
         self.crossings = tuple(
@@ -202,10 +161,10 @@ class OpenDriveMap(RoadMap):
         with_lanes = self.junctions()
         self.unread = {
             str(name): NO_AREA.get(kind, "none of its roads has lanes")
-            for name, kind in self.graph.junctions.items()
+            for name, kind in graph.junctions.items()
             if name not in with_lanes
         }
-        out += [*self.graph.left_out, *(f"junction {n} ({w})" for n, w in self.unread.items())]
+        out += [*graph.left_out, *(f"junction {n} ({w})" for n, w in self.unread.items())]
         self.notes = (*self._notes(out, no_signals, moved), *on_shapes, *on_it)
 
     def _notes(self, out: list[str], bad: int, moved: tuple[float, float]) -> Iterator[str]:
@@ -222,11 +181,28 @@ class OpenDriveMap(RoadMap):
             east, north = moved
             yield f"coordinates are those of the map less ({east:.0f}, {north:.0f}) m"
 
-    def mouth(self, approach: Approach, lane: int) -> Waypoint:
-        """The waypoint in a lane at the end of its road."""
-        road = self.roads[approach.road]
-        s = 0.0 if approach.end == "start" else road.length
-        return Waypoint(road.id, road.section_at(s), lane, s)
+    def strips(self, road: OpenDriveRoad, index: int) -> dict[int, LaneStrip]:
+        """The lanes of a section of a road, by id."""
+        section = road.sections[index]
+        if (road.id, index) not in self._strips:
+            found = self._strips[road.id, index] = {}
+            for lane, cut in along(road, section, STEP).items():
+                one, way = section.lanes[lane], 1 if section.lanes[lane].onward else -1
+                left, right = (cut.outer, cut.inner)[:: way if lane > 0 else -way]
+                lines = (line[::way] for line in (cut.middle, left, right))
+                found[lane] = LaneStrip(road.id, road.junction, one.kind, *lines)
+        return self._strips[road.id, index]
+
+    def strip(self, lane: LaneKey) -> LaneStrip:
+        return self.strips(self.roads[lane[0]], lane[1])[lane[2]]
+
+    def lane_at(self, approach: Approach, lane: int) -> LaneKey:
+        last = len(self.roads[approach.road].sections) - 1
+        return approach.road, 0 if approach.end == "start" else last, lane
+
+    def entry(self, lane: LaneKey) -> tuple[Id, str]:
+        one = self.roads[lane[0]].sections[lane[1]].lanes[lane[2]]
+        return lane[0], "start" if one.onward else "end"
 
     def road_lines(self) -> list[Float[np.ndarray, "N 2"]]:
         found = []  # the middle of a driving lane of each
@@ -289,28 +265,10 @@ def signals_of(
     return kept, bad
 
 
-def _lane_paths(graph: LaneGraph, mouth: Waypoint, inside: set[Id]) -> Iterator[list[Waypoint]]:
-    """All paths of waypoints from a mouth through the junction to the first one beyond it."""
-    stack = [([mouth], frozenset[tuple[Id, int]]())]
-    while stack:
-        path, seen = stack.pop()
-        here = path[-1]
-        for step in graph.step(here, STEP, onward=True):
-            lane = (step.road, step.lane)
-            if step.road not in inside:
-                if here.road in inside:
-                    yield [*path, step]
-                elif len(path) < 5:  # still on the approach
-                    stack.append(([*path, step], seen))
-            elif lane == (here.road, here.lane):
-                stack.append(([*path, step], seen))
-            elif lane not in seen:  # at most once round a roundabout
-                stack.append(([*path, step], seen | {lane}))
-
-
 def interior_of(town: OpenDriveMap, members: set[Id]) -> set[Id]:
-    """Roads of short chains from one member junction to another, as the ring of a roundabout."""
-    found: set[Id] = set()
+    """The roads of member junctions, and of short chains from one to another, as the ring of a
+    roundabout."""
+    found = {road.id for road in town.roads.values() if road.junction in members}
     for first in town.roads.values():
         chain, ends, todo = set[Id](), set[Id](), [first.id]
         while todo and first.junction == -1 and len(members) > 1:
@@ -334,7 +292,6 @@ def approaches_of(town: OpenDriveMap, members: set[Id]) -> list[Approach]:
         if road.junction in members
         for link in road.links.values()
         if link[0] == "road" and link[1] in town.roads and link[1] not in inside
-        if town.roads[link[1]].junction not in members
     }
     ends = sorted(touched, key=lambda one: (listed(one[0]), one[1]))
     approaches = [_approach(town.roads[road], end) for road, end in ends]

@@ -33,7 +33,8 @@ from inspe_jax.scene.statics import HIGHEST, LEAFY, StaticBody, octagon, upright
 from inspe_jax.scene.street import PARKED
 from inspe_jax.scene.traffic.frames import drawn_size
 
-PARKING, CROSSWALK = "parking space", "crosswalk"  # kinds of shapes that are no bodies
+PARKING, CROSSWALK, SIGNAL = FLAT = "parking space", "crosswalk", "signal"
+"""Kinds of shapes that are no bodies."""
 KINDS = {
     "building": "building",
     "tree": "tree",
@@ -46,8 +47,9 @@ KINDS = {
     "obstacle": "furniture",
     "parkingSpace": PARKING,
     "crosswalk": CROSSWALK,
+    "1000001": SIGNAL,
 }
-"""The kind of body for each type of object."""
+"""The kind of body for each type of object or signal."""
 SEEN_THROUGH = ("guardRail", "railing", "fence")  # subtypes of barriers that hide little
 LIFTED = 0.5  # what begins lower above the road stands on the ground [m]
 MOST_REPEATS = 1000  # objects that a ``<repeat>`` places more often are a strip without gaps
@@ -74,12 +76,12 @@ Solid = tuple[BaseGeometry | None, float, float]
 def shapes_of(
     roads: Iterable[tuple[ET.Element, OpenDriveRoad]],
 ) -> tuple[tuple[Shape, ...], tuple[str, ...]]:
-    """The bodies, parking spaces and crosswalks (``base`` is the height of its ground) of roads and
-    their elements, and notes on what was assumed and left out."""
+    """The shapes on roads and their elements, and notes on what was assumed and left out. ``base``
+    of a crosswalk or signal is its height [m]."""
     found: list[Shape] = []
     counts: Counter[str] = Counter()
     for parent, road in roads:
-        for element in parent.iterfind("objects/object"):
+        for element in (*parent.iterfind("objects/object"), *parent.iterfind("signals/signal")):
             try:
                 if _kind(element) is not None:
                     found += _shapes(element, road, counts)
@@ -112,7 +114,7 @@ def _shapes(element: ET.Element, road: OpenDriveRoad, counts: "Counter[str]") ->
         if area is None or kind is None:
             counts["size"] += 1
             continue
-        if kind in (PARKING, CROSSWALK):
+        if kind in FLAT:
             s, t = (np.array([number(element, key)]) for key in "st")
             yield Shape(kind, area, 0.0, low + float(road.points(s, t)[0, 2]))
             continue
@@ -158,7 +160,9 @@ def _simple(element: ET.Element, place: Place, turn: float, line: ReferenceLine)
         half = np.array([place.length, place.width]) / 2
         corners = half * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
         return Polygon(at + turned(corners, float(heading) + turn)), *heights
-    usual = {"pole": POLE[1], "tree": TREE["diameter_crown"] / 2}.get(_kind(element) or "")
+    usual = {"pole": POLE[1], SIGNAL: POLE[1], "tree": TREE["diameter_crown"] / 2}.get(
+        _kind(element) or ""
+    )
     return None if usual is None else Polygon(octagon(at, usual)), *heights
 
 

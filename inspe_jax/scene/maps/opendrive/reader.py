@@ -1,7 +1,6 @@
 """Reads OpenDRIVE maps: junctions with their lanes, crosswalks, routes and bodies."""
 
-import xml.etree.ElementTree as ET
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -27,9 +26,15 @@ from inspe_jax.scene.maps.lanes import (
     LaneStrip,
     heading,
 )
-from inspe_jax.scene.maps.opendrive.geometry import number
 from inspe_jax.scene.maps.opendrive.lane_graph import LaneGraph, LaneKey
-from inspe_jax.scene.maps.opendrive.objects import CROSSWALK, PARKING, shapes_of, with_parked
+from inspe_jax.scene.maps.opendrive.objects import (
+    CROSSWALK,
+    FLAT,
+    PARKING,
+    SIGNAL,
+    shapes_of,
+    with_parked,
+)
 from inspe_jax.scene.maps.opendrive.road_network import (
     LaneCut,
     OpenDriveRoad,
@@ -52,13 +57,10 @@ from inspe_jax.scene.maps.road_map import (
 )
 from inspe_jax.scene.regions import Region
 
-TRAFFIC_LIGHT = "1000001"  # OpenDRIVE's type of signal
 ISLAND = 3.0  # a gap between a junction's lanes is paved unless such a circle fits in it [m]
 COARSE = 5.0  # spacing of the points of a map's road lines [m]
 MOST_NAMED = 6  # at most so many of what is left out are named in a note
-NO_AREA = dict.fromkeys(
-    ("direct", "virtual"), "one without an area of its own; choose another, or --center X Y"
-)
+NO_AREA = "one without an area of its own; choose another, or --center X Y"
 BOX = 10  # a bounding box is that of so many stretches of each lane
 KINDS = CARRIAGEWAY | SHOULDER | SIDEWALK | {"none", "median", "rail", "tram"}  # known types
 APRON = 25.0  # lanes are read so much farther than kept [m]: none ends inside the rim
@@ -121,7 +123,7 @@ class OpenDriveJunction(MapJunction):
         if hung.any():
             self.notes.append(f"{counted(int(hung.sum()), 'signal')} over lanes: no standing poles")
             place = replace(place, poles=place.poles[~hung])
-        bodies = [s for s in shapes if s.kind not in (PARKING, CROSSWALK)]
+        bodies = [s for s in shapes if s.kind not in FLAT]
         place = with_bodies(place, bodies, reach, self.notes)
         parking = [strip for strip in lane_strips if strip.kind == "parking"]
         spaces = [shape.area for shape in shapes if shape.kind == PARKING]
@@ -149,7 +151,6 @@ class OpenDriveMap(RoadMap):
         self._strips: dict[tuple[Id, int], dict[int, LaneStrip]] = {}
         graph = LaneGraph(self.roads, root)
         self.follows, self.leads = graph.follows, graph.leads
-        self.signals, no_signals = signals_of(found.values())
         self.shapes, on_shapes = shapes_of(found.values())
         self.crossings = tuple(
             np.column_stack([outline[:-1], np.full(len(outline) - 1, shape.base)])
@@ -157,17 +158,22 @@ class OpenDriveMap(RoadMap):
             if shape.kind == CROSSWALK
             for outline in [np.array(shape.area.exterior.coords)]
         )
+        self.signals = np.zeros((0, 3))
+        for shape in (shape for shape in self.shapes if shape.kind == SIGNAL):
+            point = np.array([*shape.area.centroid.coords[0], shape.base])
+            if not (distance_from(self.signals, point) < 0.5).any():  # roads share them
+                self.signals = np.vstack([self.signals, point])
         self.georeference, on_it = projection_of(root, moved)
         with_lanes = self.junctions()
         self.unread = {
-            str(name): NO_AREA.get(kind, "none of its roads has lanes")
+            str(name): NO_AREA if kind in ("direct", "virtual") else "none of its roads has lanes"
             for name, kind in graph.junctions.items()
             if name not in with_lanes
         }
         out += [*graph.left_out, *(f"junction {n} ({w})" for n, w in self.unread.items())]
-        self.notes = (*self._notes(out, no_signals, moved), *on_shapes, *on_it)
+        self.notes = (*self._notes(out, moved), *on_shapes, *on_it)
 
-    def _notes(self, out: list[str], bad: int, moved: tuple[float, float]) -> Iterator[str]:
+    def _notes(self, out: list[str], moved: tuple[float, float]) -> Iterator[str]:
         if out:
             more = f" and {len(out) - MOST_NAMED} more" * (len(out) > MOST_NAMED)
             yield f"left out of the map: {'; '.join(out[:MOST_NAMED])}{more}"
@@ -175,8 +181,6 @@ class OpenDriveMap(RoadMap):
             yield f"lanes of other types are left out: {', '.join(sorted(kinds)[:MOST_NAMED])}"
         if count := sum(road.shaped for road in self.roads.values()):
             yield f"lateral profiles (<shape>) of {counted(count, 'road')} are not read"
-        if bad:
-            yield f"signals of the map without a place: {bad}, left out"
         if any(moved):
             east, north = moved
             yield f"coordinates are those of the map less ({east:.0f}, {north:.0f}) m"
@@ -242,27 +246,6 @@ def along(road: OpenDriveRoad, section: Section, spacing: float) -> dict[int, La
     """Lanes at stations from one end of a section to the other, about ``spacing`` [m] apart."""
     count = max(2, int(np.ceil((section.end - section.start) / spacing)) + 1)
     return road.cuts(section, np.linspace(section.start, section.end, count))
-
-
-def signals_of(
-    roads: Iterable[tuple[ET.Element, OpenDriveRoad]],
-) -> tuple[Float[np.ndarray, "P 3"], int]:
-    """The traffic lights of roads [m], one of those within 0.5 m, because roads share them; and the
-    number of those without a place."""
-    kept, bad = np.zeros((0, 3)), 0
-    for element, road in roads:
-        for signal in element.iterfind("signals/signal"):
-            if signal.get("type") != TRAFFIC_LIGHT:
-                continue
-            try:
-                s, t = (np.array([number(signal, key)]) for key in "st")
-            except ValueError:
-                bad += 1
-                continue
-            point = road.points(s, t)
-            if not (distance_from(kept, point[0]) < 0.5).any():
-                kept = np.vstack([kept, point])
-    return kept, bad
 
 
 def interior_of(town: OpenDriveMap, members: set[Id]) -> set[Id]:

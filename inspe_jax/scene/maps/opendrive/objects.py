@@ -48,6 +48,7 @@ KINDS = {
     "parkingSpace": PARKING,
     "crosswalk": CROSSWALK,
     "1000001": SIGNAL,
+    "1000002": SIGNAL,
 }
 """The kind of body for each type of object or signal."""
 SEEN_THROUGH = ("guardRail", "railing", "fence")  # subtypes of barriers that hide little

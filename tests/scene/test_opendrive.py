@@ -521,3 +521,9 @@ def test_the_list_has_the_junctions_of_the_file(maps, name):
     else:
         assert by_id[189].crosswalks == 2
         assert by_id[189].size == pytest.approx(44.4, abs=0.2)
+
+
+def test_routes_through_a_junction_wider_than_the_radius_lie_within_it(write):
+    place = read_map(write(GOOD), junction=7, radius=6)
+    drives = [r.waypoints for r in place.routes if r.user == "vehicle"]
+    assert [np.ptp(w[:, 0]) for w in drives] == pytest.approx([13, 13], abs=1)

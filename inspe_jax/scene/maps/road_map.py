@@ -255,8 +255,13 @@ class MapJunction(ABC):
         return found[::direction]
 
     def _about(self, line: np.ndarray, at: int | np.intp) -> np.ndarray:
-        """The points of a line around index ``at`` up to the first ones beyond the radius."""
-        outside = np.flatnonzero(distance_from(line, self.middle) > self.radius)
+        """The points of a line around index ``at``, or the next one within the radius, up to the
+        first ones beyond it; none where it does not come so near."""
+        away = distance_from(line, self.middle)
+        inside, outside = np.flatnonzero(away <= self.radius), np.flatnonzero(away > self.radius)
+        if not len(inside):
+            return line[:0]
+        at = inside[min(np.searchsorted(inside, at), len(inside) - 1)]
         first = outside[outside < at].max(initial=0)
         last = outside[outside > at].min(initial=len(line))
         return line[first : last + 1]

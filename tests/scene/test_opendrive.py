@@ -196,7 +196,7 @@ ERRORS = {
     "direct": (
         GOOD.replace("<junction", '<junction id="5" type="direct"/><junction', 1),
         {"junction": 5},
-        r"street.xodr: junction 5 is not read: one without an area of its own; choose another, or",
+        r"street.xodr: junction 5 is not read: a direct junction has no area of its own; choose an",
     ),
     "unknown junction": (GOOD, {"junction": 3}, r"street.xodr: no junction '3'; there are: 7$"),
     "far center": (

@@ -74,7 +74,7 @@ def valid(shape: BaseGeometry) -> BaseGeometry:
 
 def clean(shape: BaseGeometry) -> BaseGeometry:
     """A shape without seams and slivers of a few centimetres and without parts below 0.5 m²."""
-    with np.errstate(divide="ignore"):  # at corners that double back
+    with np.errstate(divide="ignore", invalid="ignore"):  # at corners that double back
         for step in (0.05, -0.12, 0.07):
             shape = shape.buffer(step, join_style="mitre")
     return unary_union([part for part in shapely.get_parts(shape) if part.area > 0.5])

@@ -60,7 +60,7 @@ from inspe_jax.scene.regions import Region
 ISLAND = 3.0  # a gap between a junction's lanes is paved unless such a circle fits in it [m]
 COARSE = 5.0  # spacing of the points of a map's road lines [m]
 MOST_NAMED = 6  # at most so many of what is left out are named in a note
-NO_AREA = "one without an area of its own; choose another, or --center X Y"
+NO_AREA = "a {} junction has no area of its own; choose another, or --center X Y"
 BOX = 10  # a bounding box is that of so many stretches of each lane
 KINDS = CARRIAGEWAY | SHOULDER | SIDEWALK | {"none", "median", "rail", "tram"}  # known types
 APRON = 25.0  # lanes are read so much farther than kept [m]: none ends inside the rim
@@ -166,7 +166,9 @@ class OpenDriveMap(RoadMap):
         self.georeference, on_it = projection_of(root, moved)
         with_lanes = self.junctions()
         self.unread = {
-            str(name): NO_AREA if kind in ("direct", "virtual") else "none of its roads has lanes"
+            str(name): NO_AREA.format(kind)
+            if kind in ("direct", "virtual")
+            else "none of its roads has lanes"
             for name, kind in graph.junctions.items()
             if name not in with_lanes
         }

@@ -262,7 +262,7 @@ class MapJunction(ABC):
         inside, outside = np.flatnonzero(away <= self.radius), np.flatnonzero(away > self.radius)
         if not len(inside):
             return line[:0]
-        at = inside[min(np.searchsorted(inside, at), len(inside) - 1)]
+        at = int(inside[min(int(np.searchsorted(inside, at)), len(inside) - 1)])
         first = outside[outside < at].max(initial=0)
         last = outside[outside > at].min(initial=len(line))
         return line[first : last + 1]

@@ -19,6 +19,7 @@ from inspe_jax.scene.maps.road_map import Id
 
 INSET = 1e-3  # lanes and offsets may jump at the ends of sections: cuts stay inside [m]
 UTF_16 = (b"\xff\xfe", b"\xfe\xff")
+WIDEST = 200.0  # no lane is so wide, and none so far from its road's line [m]
 FAR = 1e5  # single precision is 8 mm here: coordinates beyond are taken from a point near [m]
 
 
@@ -159,6 +160,9 @@ def _lanes(element: ET.Element, left_hand: bool) -> dict[int, Lane]:
         widths, borders = lane.findall("width"), lane.findall("border")
         if name and kind != "none" and not widths and not borders:
             raise ValueError(f"no <width> and no <border> in lane {name}")
+        edge = Cubics(widths or borders, "sOffset")
+        if abs(edge.rows[:, 1]).max(initial=0.0) > WIDEST:
+            raise ValueError(f"lane {name} is wider than {WIDEST:g} m")
         rows = [[number(h, k) for k in ("sOffset", "inner", "outer")] for h in lane.iter("height")]
         links = {
             end: [int(number(link, "id")) for link in lane.iterfind(f"link/{tag}")]
@@ -168,7 +172,7 @@ def _lanes(element: ET.Element, left_hand: bool) -> dict[int, Lane]:
             kind,
             ((name < 0) != left_hand) != (lane.get("direction") == "reversed"),
             lane.get("level") in ("true", "1"),
-            Cubics(widths or borders, "sOffset"),
+            edge,
             not widths,
             np.array(rows).reshape(-1, 3),
             links,

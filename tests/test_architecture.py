@@ -38,7 +38,7 @@ ROOMS = {
         "scene/", "mounting/site.py", "placement/constraints.py", "placement/space.py",
         "simulation/", "report/", "viewer/scene3d.py",
     ),
-    "carla": ("scene/maps/opendrive/", "simulation/carla/"),
+    "carla": ("simulation/carla/",),
     "embreex": ("simulation/embedded/embree.py",),
     "pyproj": ("scene/georeference.py",),
     "fastkml": ("report/",),

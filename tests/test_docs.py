@@ -68,7 +68,6 @@ def test_contributing_names_files_that_are_there():
 @pytest.mark.slow
 def test_every_block_of_the_readme_runs(tmp_path, monkeypatch):
     """In order, in one folder, as a reader would paste them; YAML says its file's name first."""
-    pytest.importorskip("carla", reason="reading OpenDRIVE needs the CARLA client")
     pytest.importorskip("sumolib", reason="OpenStreetMap needs SUMO")
     text, names, skipped = (ROOT / "README.md").read_text(encoding="utf-8"), {}, []
     monkeypatch.chdir(tmp_path)

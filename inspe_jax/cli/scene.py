@@ -234,6 +234,8 @@ def _list_places(source: str) -> None:
             place = open_map(source)
             found = place.list_junctions()
         common.out.print(junctions_table(found, Path(source).name, place.georeference))
+        for note in place.notes:
+            common.note(note)
         return
     check_scene_name(source)
     common.out.print(built_ins_table())

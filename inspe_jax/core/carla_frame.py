@@ -25,6 +25,19 @@ def from_carla(cords: Any) -> Float[np.ndarray, "*n 6"]:
     return np.stack([x, -y, z, np.radians(roll), np.radians(pitch), -np.radians(yaw)], -1)
 
 
+THINNEST = 0.05  # smaller half sizes do not count [m]: some versions give two-wheelers no width
+
+
+def whole_box(
+    middle: Float[np.ndarray, "3"], half: Float[np.ndarray, "3"], usual: Float[np.ndarray, "3"]
+) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
+    """A box's middle and half sizes, where it has none those of the ``usual`` size [m]. A box
+    without a height stands on the ground, at the actor's origin."""
+    given = np.isfinite(half) & (half > THINNEST)
+    half, middle = np.where(given, half, usual / 2), np.where(np.isfinite(middle), middle, 0.0)
+    return np.where(given | [True, True, False], middle, half), half
+
+
 def flip(points: Any) -> Any:
     """Points (…, 3 or more) from one body frame to the other: the second column changes sign."""
     flipped = np.array(points)

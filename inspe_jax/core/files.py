@@ -213,7 +213,7 @@ def check_xml(file: io.BufferedIOBase, where: str, root: str) -> None:
     if isinstance(file, gzip.GzipFile):
         most = max(2**26, UNPACKED * os.fstat(file.fileno()).st_size)
     read, wrong = 0, f"{where}: not well-formed XML, perhaps cut short"
-    with error_at(wrong, expat.ExpatError, OSError, EOFError, zlib.error):
+    with error_at(wrong, expat.ExpatError, LookupError, OSError, EOFError, zlib.error):
         while chunk := file.read(2**20):
             read += len(chunk)
             check_size(where, read, most, "unpacked text")

@@ -72,7 +72,8 @@ def read_features(
     Coordinates are longitudes and latitudes, or those of the system that an older GeoJSON file
     names in ``crs``. A CSV file has a row for each point, with columns ``latitude``, ``longitude``
     and those of its properties. Properties that are null are left out. ``wanted`` says by its
-    properties whether a feature is read. Raises InspeError if the place has no coordinates, the
+    properties whether a feature is read. Members have the numbers of features without a geometry,
+    which are left out, as ``bare``. Raises InspeError if the place has no coordinates, the
     file is no such file, or a wanted feature has no coordinates.
     """
     georeference = known_georeference(place)
@@ -83,11 +84,14 @@ def read_features(
     def to_world(points: Float[np.ndarray, "N 2"]) -> Float[np.ndarray, "N 2"]:
         return georeference.from_degrees(wgs84(system, points))
 
-    features = []
+    features, bare = [], []
     for k, entry in enumerate(found.features):
         where = f"{path}: features[{k}]"
         properties = {key: v for key, v in (entry.properties or {}).items() if v is not None}
         if not wanted(properties):
+            continue
+        if entry.geometry is None:
+            bare.append(k)
             continue
         try:
             geometry = shapely.force_2d(shape(entry.geometry))
@@ -105,7 +109,7 @@ def read_features(
                 "WGS 84, as GeoJSON has to be, or name its projection in 'crs'"
             )
         features.append(Feature(moved, properties, where))
-    return tuple(features), found.model_extra or {}
+    return tuple(features), {**(found.model_extra or {}), "bare": bare}
 
 
 def _points(path: Path) -> dict[str, Any]:

@@ -24,6 +24,7 @@ from inspe_jax.scene.statics import StaticBody
 
 BUILT_IN = "built-in"  # source of a place that is made up
 CLEARANCE = 2.5  # what is higher or lower than the road by more is on another level [m]
+ALONG = 0.87  # lines that differ by less than 30° run along each other
 LOW = 0.4  # what of a mesh rises less over the ground is part of it, as kerbs are [m]
 CROSSWALK_WIDTH = 3.0  # width of a crosswalk that is added where a map has none [m]
 
@@ -192,12 +193,22 @@ def mouth_crosswalks(arms: tuple[Arm, ...]) -> BaseGeometry:
     return unary_union([LineString(line).buffer(half, cap_style="flat") for line in ends])
 
 
-def crossing_lines(walks: list[BaseGeometry]) -> Iterator[np.ndarray]:
-    """The middle line (N, 2) of each crosswalk, along its longer side and 3 m beyond both ends."""
+def crossing_lines(
+    walks: list[BaseGeometry], lanes: Iterable[np.ndarray] = ()
+) -> Iterator[np.ndarray]:
+    """The middle line (N, 2) of each crosswalk, 3 m beyond both ends: along its longer side, or
+    along the other if the lines of ``lanes`` under it run along that."""
+    steps = [np.diff(line[:, :2], axis=0) for line in lanes]
+    at = np.concatenate([np.zeros((0, 2)), *(line[:-1, :2] for line in lanes)])
+    ahead = np.concatenate([np.zeros((0, 2)), *steps])
     for walk in walks:
         corners = np.array(walk.minimum_rotated_rectangle.exterior.coords)[:4]
         sides = np.diff(corners[:3], axis=0)
-        along = sides[np.argmax(np.hypot(*sides.T))]
+        length, under = np.hypot(*sides.T), ahead[shapely.intersects_xy(walk, *at.T)]
+        along = sides[np.argmax(length)]
+        alike = abs(under @ along) > ALONG * length.max() * np.hypot(*under.T)
+        if alike.sum() > len(under) / 2:
+            along = sides[np.argmin(length)]
         reach = along / 2 + 3.0 * along / np.linalg.norm(along)
         middle = corners.mean(0)
         yield resampled(np.array([middle - reach, middle + reach]))

@@ -3,6 +3,8 @@
 Left is on the left of the direction of travel.
 """
 
+from itertools import pairwise
+
 import numpy as np
 from jaxtyping import Float
 
@@ -39,6 +41,15 @@ def distinct(line: np.ndarray) -> np.ndarray:
     """A line without points that repeat the one before."""
     apart = np.hypot(*np.diff(line[:, :2], axis=0).T) > 1e-6
     return line[np.concatenate([[True], apart])]
+
+
+def onward(line: np.ndarray) -> np.ndarray:
+    """A line without the points at which it steps back, as where two lanes overlap."""
+    kept = [line[0]]
+    for here, there in pairwise([*line[1:], 2 * line[-1] - line[-2]]):
+        if (here - kept[-1])[:2] @ (there - here)[:2] >= 0:
+            kept.append(here)
+    return np.array(kept)
 
 
 _ARC_STEP = np.radians(3.0)  # largest step of an arc: an error of 3 mm at a radius of 8 m

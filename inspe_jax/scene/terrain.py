@@ -137,7 +137,7 @@ def between(given: Float[np.ndarray, "G 3"], at: Float[np.ndarray, "N 2"]) -> np
 
 
 def _one_thread() -> AbstractContextManager[object]:
-    """For BLAS in the block; threadpoolctl comes with the extras that read maps with heights."""
+    """For BLAS in the block; threadpoolctl comes with the extras ``geo`` and ``sumo``."""
     try:
         from threadpoolctl import threadpool_limits
     except ImportError:

@@ -476,12 +476,12 @@ def test_what_cannot_be_written_after_the_work_is_kept_elsewhere(tmp_path, capsy
 
 HERE = "file:///home/a%20b/inspe"
 ORIGINS = [
-    (None, "pip install 'inspe_jax[opendrive]' (Linux"),
-    ({"url": HERE, "dir_info": {}}, "in /home/a b/inspe: pip install '.[opendrive]' (Linux"),
-    ({"url": HERE, "dir_info": {"editable": True}}, "inspe: pip install -e '.[opendrive]'"),
+    (None, "pip install 'inspe_jax[carla]' (Linux"),
+    ({"url": HERE, "dir_info": {}}, "in /home/a b/inspe: pip install '.[carla]' (Linux"),
+    ({"url": HERE, "dir_info": {"editable": True}}, "inspe: pip install -e '.[carla]'"),
     (
         {"url": "https://a.org/i.git", "vcs_info": {"vcs": "git"}},
-        "pip install 'inspe_jax[opendrive] @ git+https://a.org/i.git'",
+        "pip install 'inspe_jax[carla] @ git+https://a.org/i.git'",
     ),
 ]
 
@@ -491,7 +491,7 @@ def test_missing_extra_says_what_to_install(monkeypatch, origin, command):
     """As this package was installed: from a registry, a folder or an address."""
     text = SimpleNamespace(read_text=lambda _: origin and json.dumps(origin))
     monkeypatch.setattr("inspe_jax.core.errors.metadata.distribution", lambda _: text)
-    assert command in str(missing_extra("maps need carla", "opendrive", "Linux and Windows"))
+    assert command in str(missing_extra("recording needs it", "carla", "Linux and Windows"))
 
 
 EXTRAS = {

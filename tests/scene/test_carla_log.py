@@ -12,6 +12,7 @@ from worlds import MAPS, crossing
 from inspe_jax.core.errors import InspeError
 from inspe_jax.scene.scene import build_scene
 from inspe_jax.scene.traffic.carla_log import load_log, log_traffic
+from inspe_jax.scene.traffic.frames import ROAD_USERS
 
 LOGS = MAPS.parent / "carla_logs"
 CAR, TRUCK, CYCLIST, PEDESTRIAN = range(4)
@@ -106,6 +107,20 @@ def test_frames_end_with_the_log(place, path):
     assert settings["frames"] == "5"
     assert settings["density"] == settings["mix"] == "as recorded"
     assert settings["traffic"] == "run.log"
+
+
+def test_a_box_without_a_size_has_the_usual_one(place, tmp_path, monkeypatch):
+    name, facts, (long, _, high), *rest = ACTORS[2]
+    monkeypatch.setitem(ACTORS, 2, (name, facts, (long, 0.0, np.inf), *rest))
+    path = tmp_path / "run.log"
+    path.write_bytes(log())
+    scene = build_scene(place, radius=20, voxel=1.0, frames=1, traffic=path)
+    size = scene.traffic.at(0).size[1]
+    assert size == pytest.approx([2 * long, *ROAD_USERS[CYCLIST].size[1:]])
+    assert size[2] < 2 * high + 1
+    assert scene.intersection.notes[-1:] == (
+        "the log has boxes without a size: 1 road user of the usual size of the kind",
+    )
 
 
 def test_who_is_set_down_elsewhere_does_not_fly_there(place, tmp_path):

@@ -302,6 +302,18 @@ def test_a_scene_has_the_map_s_bodies_and_keeps_them(place, tmp_path):
     assert digest(rebuilt.statics) == digest(scene.statics)
 
 
+def test_traffic_drives_on_the_left_where_the_country_does(tmp_path):
+    text = full_town().write(tmp_path / "town.osm").read_text()
+    (tmp_path / "town.osm").write_text(
+        text.replace('lat="48', 'lat="51').replace('lon="11', 'lon="-1')
+    )
+    place = read_map(tmp_path / "town.osm", junction="1", radius=40.0)
+    assert "on the left, as in Great Britain or Ireland; where" in " ".join(place.notes)
+    for route in (r for r in place.routes if r.user == "vehicle"):
+        arm = place.arms[route.through[0]]
+        assert (arm.axes @ (route.waypoints[0, :2] - arm.mouth))[1] < 0  # right, looking outwards
+
+
 def test_points_with_heights_make_the_ground(tmp_path):
     """Three points or more with ``ele``: the place stands on the surface through them."""
 

@@ -100,6 +100,17 @@ def test_poles_that_carry_nothing_are_named_with_why(place, spots, tmp_path):
     assert len(scene.poles) == 3  # within the radius
 
 
+def test_what_has_no_geometry_is_left_out_and_a_street_lamp_is_a_pole(place, spots, tmp_path):
+    rows = [dict(kind="street_lamp", height_m=8.0), dict(kind="pole")]
+    path = write(tmp_path / "poles.geojson", place, shapely.points(spots[:2]), rows)
+    content = json.loads(path.read_text())
+    content["features"][1]["geometry"] = None
+    path.write_text(json.dumps(content))
+    found = with_own_bodies(place, path, REACH)
+    assert [(one.kind, one.height) for one in found.bodies] == [("pole", 8.0)]
+    assert "poles.geojson: features without a geometry: 1: left out" in found.notes
+
+
 def test_a_pole_of_one_s_own_takes_the_place_of_the_map_s(place, spots, tmp_path):
     """Else each would be in the way of the other, and neither carry anything."""
     first = write(tmp_path / "map.geojson", place, shapely.points(spots[:2]))

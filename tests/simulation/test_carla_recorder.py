@@ -275,7 +275,7 @@ def test_scenes_that_no_server_has_and_a_missing_client(monkeypatch):
     scene, layout = world(count=0), place_sensors((client.CAMERA, [0, 0, 6, 0, 0, 0]))
     for source, words in (
         ("tests", r"test crossing: its source is tests.*\.xodr"),
-        ("Town03.xodr (OpenDRIVE)", r"pip install .*\[opendrive\]'"),
+        ("Town03.xodr (OpenDRIVE)", r"pip install .*\[carla\]'"),
     ):
         there = replace(scene, intersection=replace(scene.intersection, source=source))
         with pytest.raises(InspeError, match=words), recorder_of("carla", there, layout):

@@ -18,7 +18,7 @@ from inspe_jax.scene.intersection import CLEARANCE, Arm
 
 # Kinds of lane, in OpenDRIVE's words.
 TRAVEL = {"driving", "entry", "exit", "onRamp", "offRamp", "connectingRamp", "bus", "taxi", "HOV"}
-TRAVEL |= {"mwyEntry", "mwyExit"}
+TRAVEL |= {"mwyEntry", "mwyExit", "shared", "slipLane"}
 CARRIAGEWAY = TRAVEL | {"bidirectional", "parking", "biking", "stop", "restricted", "roadWorks"}
 SHOULDER = {"shoulder", "border", "curb"}
 SIDEWALK = {"sidewalk", "walking"}
@@ -31,7 +31,7 @@ class Approach:
     Offsets along the cut run to the left, looking away from the junction [m].
     """
 
-    road: int
+    road: int | str
     end: str  # 'start' or 'end' of the road
     origin: Float[np.ndarray, "2"]
     outward: float  # heading away from the junction at the cut
@@ -40,7 +40,7 @@ class Approach:
 
     @classmethod
     def across(
-        cls, road: int, end: str, origin: np.ndarray, forward: np.ndarray, bearing: float,
+        cls, road: int | str, end: str, origin: np.ndarray, forward: np.ndarray, bearing: float,
         lanes: Iterable[tuple[int, str, np.ndarray, float, bool]],
     ) -> "Approach":  # fmt: skip
         """A cut across a road at ``origin``, looking along the unit vector ``forward``, from its
@@ -89,7 +89,7 @@ def heading(vector: np.ndarray) -> float:
     return float(np.arctan2(vector[1], vector[0]))
 
 
-def arms_of(approaches: list[Approach]) -> tuple[tuple[Arm, ...], dict[tuple[int, str], int]]:
+def arms_of(approaches: list[Approach]) -> tuple[tuple[Arm, ...], dict[tuple[int | str, str], int]]:
     """The arms of a junction, counter-clockwise by bearing, and the arm of each (road, end).
 
     Each approach is an arm; two by which a divided road leads in and out are one arm.
@@ -138,8 +138,8 @@ class LaneStrip:
     ``junction`` is −1 outside junctions; ``kind`` is one of the words above.
     """
 
-    road: int
-    junction: int
+    road: int | str
+    junction: int | str
     kind: str
     center: Float[np.ndarray, "N 3"]
     left: Float[np.ndarray, "N 2"]
@@ -147,7 +147,7 @@ class LaneStrip:
 
     @classmethod
     def along(
-        cls, road: int, junction: int, kind: str, center: Float[np.ndarray, "N 3"],
+        cls, road: int | str, junction: int | str, kind: str, center: Float[np.ndarray, "N 3"],
         ahead: Float[np.ndarray, "N 2"], width: Float[np.ndarray, " N"] | float,
     ) -> "LaneStrip":  # fmt: skip
         """A strip of a width [m] along a middle line with unit headings ``ahead``."""

@@ -3,7 +3,7 @@
 import os
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 import shapely
@@ -32,6 +32,7 @@ LARGE = 10.0  # what lies this much beyond the reach may still come into it, as 
 NAMED = 20  # most poles that are named because they are left out
 USUAL = {"Polygon": "building", "LineString": "wall", "Point": "pole"}
 """The kind of body of a geometry of which the file says none."""
+SAME = {"street_lamp": "pole", "lamp_post": "pole"}  # OpenStreetMap's and others' words for kinds
 
 _Metres = Annotated[float, Field(gt=0, le=HIGHEST)]
 
@@ -58,7 +59,7 @@ def with_own_bodies(
     :func:`~inspe_jax.scene.geojson.read_features`, if a property is wrong, and if nothing is so
     near.
     """
-    features, _ = read_features(path, place)
+    features, members = read_features(path, place)
     if not features:
         raise InspeError(f"{path}: has no features that are bodies")
     away = shapely.distance([one.geometry for one in features], shapely.Point(place.center[:2]))
@@ -80,6 +81,8 @@ def with_own_bodies(
     if len(near) < len(features):
         far = f"{len(features) - len(near)} of {len(features)} features"
         notes.append(f"{far} are farther than {reach:g} m: left out")
+    if bare := members["bare"]:
+        notes.append(f"features without a geometry: {', '.join(map(str, bare[:NAMED]))}: left out")
     lost = list(_poles_left_out(features, poles, place, reach))
     notes += lost[:NAMED]
     notes += [f"and {len(lost) - NAMED:,} more poles: left out"] if len(lost) > NAMED else []
@@ -93,7 +96,7 @@ def _poles_left_out(
 ) -> Iterator[str]:
     """A line for each pole of the file that is not among ``poles``: its name or number, and why."""
     for one in features:
-        kind = one.properties.get("kind") or USUAL.get(one.geometry.geom_type)
+        kind = _kind_of(one.properties.get("kind"), one.geometry)
         if kind != "pole" or shapely.dwithin(poles, one.geometry, SAME_POLE).any():
             continue
         away = one.geometry.distance(shapely.Point(place.center[:2]))
@@ -101,6 +104,10 @@ def _poles_left_out(
         name = one.properties.get("name") or one.where.rpartition(": ")[2]
         why = far if away > reach else "on lanes, crossings or footpaths"
         yield f"pole {name}: left out: {why}"
+
+
+def _kind_of(given: Any, geometry: BaseGeometry) -> Any:
+    return SAME.get(str(given), given) or USUAL.get(geometry.geom_type)
 
 
 def _once(shapes: Iterable[Shape]) -> Iterator[Shape]:
@@ -116,7 +123,7 @@ def _shapes(one: Feature) -> Iterator[Shape]:
     for part in shapely.get_parts(shapely.get_parts(one.geometry)):
         if part.geom_type not in USUAL or part.is_empty:
             raise InspeError(f"{where}: a {part.geom_type} is no body: {', '.join(USUAL)}")
-        kind = own.kind or USUAL[part.geom_type]
+        kind = _kind_of(own.kind, part)
         check_known(kind, HEIGHTS, f"{where}: kind")
         height, base = own.height_m or HEIGHTS[kind], own.base_m
         if base >= height:

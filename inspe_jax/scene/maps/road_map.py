@@ -1,10 +1,12 @@
 """A map of roads: what each format reads of it, and the place that is made of that."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import product
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -26,12 +28,13 @@ from inspe_jax.scene.intersection import (
     mouth_crosswalks,
     walking_routes,
 )
-from inspe_jax.scene.lines import distance_from, resampled
+from inspe_jax.scene.lines import distance_from, distinct, onward, resampled
 from inspe_jax.scene.maps.bodies import NO_POLES
 from inspe_jax.scene.maps.lanes import (
     CARRIAGEWAY,
     SHOULDER,
     SIDEWALK,
+    TRAVEL,
     Approach,
     LaneStrip,
     arms_of,
@@ -43,6 +46,9 @@ from inspe_jax.scene.voxels import check_range
 STEP = 1.0  # spacing of the stations sampled along lanes and routes [m]
 CLUSTER = 35.0  # junctions whose middle is this near to ``center`` count as one [m]
 MARGIN = 10.0  # a map is read this much beyond the radius [m]
+AHEAD = 10  # which of lanes is straight on, is seen from so many stations of each
+MOST_LANES = 200  # a route goes along at most so many beyond its junction
+DRIVEN = TRAVEL | {"bidirectional"}  # kinds of lanes that routes go along
 MOST_LISTED = 20  # at most this many junctions are listed in an error
 
 Areas = dict[Region, BaseGeometry]
@@ -68,8 +74,9 @@ def valid(shape: BaseGeometry) -> BaseGeometry:
 
 def clean(shape: BaseGeometry) -> BaseGeometry:
     """A shape without seams and slivers of a few centimetres and without parts below 0.5 m²."""
-    for step in (0.05, -0.12, 0.07):
-        shape = shape.buffer(step, join_style="mitre")
+    with np.errstate(divide="ignore", invalid="ignore"):  # at corners that double back
+        for step in (0.05, -0.12, 0.07):
+            shape = shape.buffer(step, join_style="mitre")
     return unary_union([part for part in shapely.get_parts(shape) if part.area > 0.5])
 
 
@@ -139,7 +146,7 @@ class MapJunction(ABC):
     radius: float
     approaches: list[Approach] = field(init=False)
     poles: Float[np.ndarray, "P 3"] = field(init=False)
-    interior: set[int] = field(init=False)
+    interior: set[Any] = field(init=False)
     notes: list[str] = field(init=False, default_factory=list)
 
     @abstractmethod
@@ -185,10 +192,80 @@ class MapJunction(ABC):
     def areas(self, lane_strips: list[LaneStrip]) -> dict[Region, list[BaseGeometry]]:
         """Parts, which may overlap, of all regions but crosswalks."""
 
-    @abstractmethod
-    def drives(self, arm_of: dict[tuple[int, str], int]) -> Iterable[Route]:
+    def drives(self, arm_of: dict[tuple[Id, str], int]) -> Iterator[Route]:
         """Every path from an inbound lane to another arm of ``arm_of`` (road, end), from radius to
         radius; no U-turns."""
+        town = self.map
+        for approach in self.approaches:
+            arm = arm_of[approach.road, approach.end]
+            for lane, kind, low, high, inbound in approach.lanes:
+                if kind not in TRAVEL or not inbound:
+                    continue
+                mouth = town.lane_at(approach, lane)
+                before = self._follow(mouth, -1)
+                for path in self._paths(mouth, arm_of):
+                    exit_arm = arm_of[town.entry(path[-1])]
+                    if exit_arm == arm:
+                        continue
+                    names = [*before, *path, *self._follow(path[-1], 1)]
+                    line = np.concatenate([town.strip(name).center for name in names])
+                    line = onward(distinct(line))
+                    at = distance_from(line, town.strip(mouth).center[-1]).argmin()
+                    line = self._about(line, at)
+                    if len(line) > 1:
+                        yield Route(resampled(line), high - low, "vehicle", (arm, exit_arm))
+
+    def _paths(self, start: Any, arm_of: Container[tuple[Id, str]]) -> Iterator[list[Any]]:
+        """All sequences of lanes from an inbound lane through the junction to an arm."""
+        stack = [[start]]
+        while stack:
+            path = stack.pop()
+            for lane in self.map.follows[path[-1]]:
+                strip = self.map.strip(lane)
+                if strip.kind not in DRIVEN or lane in path:  # at most once round a roundabout
+                    continue
+                if self.map.entry(lane) in arm_of:
+                    yield [*path, lane]
+                elif strip.road in self.interior or len(strip.center) < 3:  # a stub
+                    stack.append([*path, lane])
+
+    def _follow(self, start: Any, direction: int) -> list[Any]:
+        """Lanes from ``start`` on (1) or back (−1) to the radius, in travel order; straight on."""
+        here, found = start, list[Any]()
+        links = self.map.follows if direction > 0 else self.map.leads
+
+        def line_of(lane: Any) -> np.ndarray:
+            return np.asarray(self.map.strip(lane).center[::direction, :2])
+
+        def turn(lane: Any, here: Any) -> float:
+            line, last = line_of(lane), lane
+            while len(line) < AHEAD and len(links.get(last, ())) == 1:
+                (last,) = links[last]
+                line = np.concatenate([line, line_of(last)])
+            one, two = np.diff(line_of(here)[-2:], axis=0)[0], line[:AHEAD][-1] - line[0]
+            return float(one @ two / np.maximum(np.hypot(*one) * np.hypot(*two), 1e-12))
+
+        for _ in range(MOST_LANES):
+            options = [o for o in links.get(here, ()) if o not in found]
+            options = [o for o in options if self.map.strip(o).kind in DRIVEN]
+            end = line_of(here)[-1:]
+            if not options or distance_from(end, self.middle)[0] > self.radius:
+                break
+            here = max(options, key=partial(turn, here=here))
+            found.append(here)
+        return found[::direction]
+
+    def _about(self, line: np.ndarray, at: int | np.intp) -> np.ndarray:
+        """The points of a line around index ``at``, or the next one within the radius, up to the
+        first ones beyond it; none where it does not come so near."""
+        away = distance_from(line, self.middle)
+        inside, outside = np.flatnonzero(away <= self.radius), np.flatnonzero(away > self.radius)
+        if not len(inside):
+            return line[:0]
+        at = int(inside[min(int(np.searchsorted(inside, at)), len(inside) - 1)])
+        first = outside[outside < at].max(initial=0)
+        last = outside[outside > at].min(initial=len(line))
+        return line[first : last + 1]
 
     @abstractmethod
     def with_bodies(self, place: Intersection, lane_strips: list[LaneStrip]) -> Intersection:
@@ -201,6 +278,8 @@ class RoadMap(ABC):
     ``format`` is how the source of its places ends, ``around`` how a junction is read. ``name`` is
     that of its file without suffixes. ``crossings`` are the outlines of all crosswalks, each
     (K, 3). ``georeference`` is the projection of its coordinates, None without a usable one.
+    ``notes`` are on all of it; ``unread`` are junctions that are left out, with why. ``follows``
+    and ``leads`` have the lanes after and before each, as traffic runs.
     """
 
     format: ClassVar[str]
@@ -209,10 +288,26 @@ class RoadMap(ABC):
     name: str
     crossings: Sequence[np.ndarray]
     georeference: Georeference | None
+    follows: Mapping[Any, Sequence[Any]]
+    leads: Mapping[Any, Sequence[Any]]
+    notes: Sequence[str] = ()
+    unread: Mapping[str, str] = MappingProxyType({})
 
     @abstractmethod
     def road_lines(self) -> list[Float[np.ndarray, "N 2"]]:
         """The lines of its roads [m], for drawing."""
+
+    @abstractmethod
+    def strip(self, lane: Any) -> LaneStrip:
+        """All of a lane, in the direction of its traffic."""
+
+    @abstractmethod
+    def lane_at(self, approach: Approach, lane: int) -> Any:
+        """The key of a lane at the end of its road."""
+
+    def entry(self, lane: Any) -> tuple[Id, str]:
+        """The road of a lane, and the end by which its traffic enters it."""
+        return self.strip(lane).road, "start"
 
     @abstractmethod
     def junctions(self) -> list[Id]:
@@ -247,15 +342,15 @@ class RoadMap(ABC):
         check_range("radius", radius, RADIUS_READ)
         here = self.around(self, members, middle, radius)
         lane_strips = same_level(*here.lanes())
-        if not lane_strips:
+        reach = radius + MARGIN
+        ground = np.concatenate([np.zeros((0, 3)), *(s.center for s in lane_strips)])
+        ground = ground[distance_from(ground, middle) <= reach + 5.0]
+        if not len(ground):
             raise InspeError(
                 f"{self.source}: no roads within {radius:g} m of ({middle[0]:.1f}, {middle[1]:.1f})"
             )
         arms, arm_of = arms_of(here.approaches)
         areas = _side_by_side(here.areas(lane_strips))
-        reach = radius + MARGIN
-        ground = np.concatenate([s.center for s in lane_strips])
-        ground = ground[distance_from(ground, middle) <= reach + 5.0]
         disc = Point(middle[:2]).buffer(reach, quad_segs=32)
         walks = here.crosswalks(areas, arms, ground, disc)
         areas[Region.CROSSWALK] = clean(unary_union(walks))
@@ -280,7 +375,8 @@ class RoadMap(ABC):
             if strip.kind in SIDEWALK
             for run in strip.runs(distance_from(strip.center, middle) <= radius)
         ]
-        people = walking_routes(place, [*crossing_lines(walks), *joined_lines(pavements)])
+        lanes = [s.center for s in lane_strips if s.kind in CARRIAGEWAY]
+        people = walking_routes(place, [*crossing_lines(walks, lanes), *joined_lines(pavements)])
         place = replace(
             place,
             center=place.on_ground(middle[None])[0],
@@ -302,6 +398,8 @@ class RoadMap(ABC):
         if center is None:
             named = {str(j): j for j in ids}
             name = str(junction)
+            if why := self.unread.get(name):
+                raise InspeError(f"{self.source}: junction {name} is not read: {why}")
             if name not in named:
                 known = ", ".join([*named][:MOST_LISTED]) + ", …" * (len(named) > MOST_LISTED)
                 raise InspeError(

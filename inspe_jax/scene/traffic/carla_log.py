@@ -13,12 +13,14 @@ import numpy as np
 import shapely
 from shapely.ops import unary_union
 
-from inspe_jax.core.carla_frame import flip, from_carla
+from inspe_jax.core.carla_frame import flip, from_carla, whole_box
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import ARRAYS, cached_by_file, check_input
+from inspe_jax.core.words import counted
 from inspe_jax.scene.intersection import Intersection
 from inspe_jax.scene.traffic.frames import (
     CLASSES,
+    ROAD_USERS,
     Snapshot,
     TrafficFrames,
     pack_frames,
@@ -73,13 +75,14 @@ class _Moment:
 class RecorderLog:
     """A log: the name of its map, its moments in order, and by actor the class and the box.
 
-    A box is its offset from the actor and its half sizes [m].
+    A box is its offset from the actor and its half sizes [m]. ``notes`` say which are usual ones.
     """
 
     map: str
     moments: list[_Moment] = field(default_factory=list)
     kinds: dict[int, int] = field(default_factory=dict)
     boxes: dict[int, np.ndarray] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
 
 
 @cached_by_file(4)
@@ -126,11 +129,18 @@ def _read_packets(reader: _PacketReader, log: RecorderLog) -> None:
         elif packet == _BOXES:
             log.boxes |= {actor: box / 100 for actor, box in reader.by_actor().items()}
         reader.at = end
+    usual = 0
     for actor, (name, facts) in actors.items():
         if actor in log.boxes:
             kind = kind_of(name, facts, 2 * log.boxes[actor][3])
             if kind is not None:
-                log.kinds[actor] = kind
+                log.kinds[actor], box = kind, log.boxes[actor]
+                whole = whole_box(box[:3], box[3:], np.array(ROAD_USERS[kind].size))
+                log.boxes[actor] = np.concatenate(whole)
+                usual += not np.array_equal(log.boxes[actor], box)
+    if usual:
+        words = counted(usual, "road user")
+        log.notes = (f"the log has boxes without a size: {words} of the usual size of the kind",)
 
 
 def kind_of(name: str, facts: dict[str, str], length: float) -> int | None:

@@ -115,7 +115,7 @@ def session_on(
         )
     town = Path(place.source.removesuffix(_OPENDRIVE)).stem
     what = "recording with CARLA needs its client, in the server's version"
-    with needs(what, "opendrive", "Linux and Windows, Python up to 3.12"):
+    with needs(what, "carla", "Linux and Windows, Python up to 3.12"):
         import carla
     client = _connected(carla, server)
     world = client.get_world()

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from inspe_jax.core.carla_frame import flip, from_carla, to_carla
+from inspe_jax.core.carla_frame import flip, from_carla, to_carla, whole_box
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.geometry import rotation
 from inspe_jax.scene.traffic.carla_log import kind_of
@@ -22,8 +22,6 @@ SPAWN_GAP = 8.0
 SIZE_TOLERANCE = 0.1
 """A blueprint may be used if its error in size is at most this much larger than the best one's. The
 error is the largest absolute logarithm of the ratios of length, width and height."""
-THINNEST = 0.05
-"""Half sizes below this do not count [m]: some versions of CARLA give two-wheelers no width."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,13 +149,9 @@ def _origin(
 
 def body_of(name: str, box: Any, usual: Float[np.ndarray, "3"]) -> ActorBody:
     """A blueprint's body, from the bounding box of an actor. ``usual`` is the size to take where
-    the box has none [m]. A box without a height stands on the ground, at the actor's origin."""
+    the box has none [m]."""
     middle, half = (np.array([v.x, v.y, v.z]) for v in (box.location, box.extent))
-    given = np.isfinite(half) & (half > THINNEST)
-    half = np.where(given, half, usual / 2)
-    middle = np.where(np.isfinite(middle), middle, 0.0)
-    if not given[2]:
-        middle[2] = half[2]
+    middle, half = whole_box(middle, half, usual)
     return ActorBody(name, flip(middle), 2 * half)
 
 

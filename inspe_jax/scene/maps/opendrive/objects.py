@@ -1,14 +1,15 @@
 """The bodies of an OpenDRIVE map: its ``<object>`` elements of types that hide what is behind them,
-and vehicles that stand in its parking lanes and spaces, at random but the same for a place.
+its crosswalks, and vehicles that stand in its parking lanes and spaces, at random but the same for
+a place.
 
 Objects are at (s, t) of a road's reference line. Not read: guard rails, railings and fences, which
-one sees through; crosswalks, islands, marks and signs.
+one sees through; islands, marks and signs.
 """
 
 import xml.etree.ElementTree as ET
 import zlib
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from itertools import pairwise
 from typing import NamedTuple
@@ -25,12 +26,15 @@ from inspe_jax.scene.intersection import Intersection
 from inspe_jax.scene.lines import arc_of, turned
 from inspe_jax.scene.maps.bodies import BARRIERS, HEIGHTS, POLE, TREE, Shape, crown_base
 from inspe_jax.scene.maps.lanes import LaneStrip
+from inspe_jax.scene.maps.opendrive.geometry import ReferenceLine, number
+from inspe_jax.scene.maps.opendrive.road_network import OpenDriveRoad
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.statics import HIGHEST, LEAFY, StaticBody, octagon, upright_box
 from inspe_jax.scene.street import PARKED
 from inspe_jax.scene.traffic.frames import drawn_size
 
-PARKING = "parking space"  # the kind of a shape that is no body
+PARKING, CROSSWALK, SIGNAL = FLAT = "parking space", "crosswalk", "signal"
+"""Kinds of shapes that are no bodies."""
 KINDS = {
     "building": "building",
     "tree": "tree",
@@ -42,88 +46,15 @@ KINDS = {
     "soundBarrier": "wall",
     "obstacle": "furniture",
     "parkingSpace": PARKING,
+    "crosswalk": CROSSWALK,
+    "1000001": SIGNAL,
+    "1000002": SIGNAL,
 }
-"""The kind of body for each type of object."""
+"""The kind of body for each type of object or signal."""
 SEEN_THROUGH = ("guardRail", "railing", "fence")  # subtypes of barriers that hide little
 LIFTED = 0.5  # what begins lower above the road stands on the ground [m]
 MOST_REPEATS = 1000  # objects that a ``<repeat>`` places more often are a strip without gaps
 STEP = 2.0  # strips along a road have a corner this often [m]
-NOT_NUMBERS = (KeyError, ValueError, StopIteration)  # raised where an element lacks a number
-NODES, WEIGHTS = np.polynomial.legendre.leggauss(8)  # Gauss's quadrature on −1 … 1
-STRETCH = 5.0  # spirals are integrated in stretches of at most this [m]: errors are below 1 µm
-
-Course = Callable[[float], tuple[Float[np.ndarray, "2"], float]]
-"""The point [m] and the heading [rad] so far along a piece [m], which begins in (0, 0) along x."""
-
-
-class ReferenceLine:
-    """The pieces of a road's ``<planView>``, by s. Raises :data:`NOT_NUMBERS` where one lacks
-    something, or there is none."""
-
-    def __init__(self, road: ET.Element) -> None:
-        self.pieces = []
-        for element in road.iterfind("planView/geometry"):
-            keys = ("s", "x", "y", "hdg", "length")
-            s, x, y, heading, length = (float(element.attrib[k]) for k in keys)
-            course = _course(next(iter(element)), length)
-            self.pieces.append((s, np.array([x, y]), heading, course))
-        self.pieces.sort(key=lambda piece: piece[0])
-        if not self.pieces:
-            raise ValueError("a road without a <planView>")
-
-    def at(self, s: float, t: float = 0.0) -> tuple[Float[np.ndarray, "2"], float]:
-        """The point at s and t [m] (t to the left), and the heading of the road there [rad]."""
-        before = (piece for piece in reversed(self.pieces) if piece[0] <= s)
-        begin, start, heading, course = next(before, self.pieces[0])
-        point, bent = course(s - begin)
-        point, heading = start + turned(point, heading), heading + bent
-        return point + t * np.array([-np.sin(heading), np.cos(heading)]), heading
-
-
-def _course(shape: ET.Element, length: float) -> Course:
-    values = {k: float(v) for k, v in shape.attrib.items() if k != "pRange"}
-    length = max(length, 1e-9)
-    if shape.tag == "line":
-        return _bent(0.0, 0.0)
-    if shape.tag == "arc":
-        return _bent(values["curvature"], 0.0)
-    if shape.tag == "spiral":
-        first = values["curvStart"]
-        return _bent(first, (values["curvEnd"] - first) / length)
-    if shape.tag == "poly3":
-        rows = np.array([[0, 1, 0, 0], [values[k] for k in "abcd"]], float)
-        return _cubic(rows, length, length)
-    if shape.tag == "paramPoly3":
-        rows = np.array([[values[k + of] for k in "abcd"] for of in "UV"])
-        return _cubic(rows, length, length if shape.get("pRange") == "arcLength" else 1.0)
-    raise ValueError(f"a <geometry> of <{shape.tag}>")
-
-
-def _bent(curvature: float, change: float) -> Course:
-    """A curve of a curvature at its start [1/m], which changes evenly [1/m²]."""
-
-    def course(along: float) -> tuple[Float[np.ndarray, "2"], float]:
-        edges = np.linspace(0.0, along, int(np.ceil(abs(along) / STRETCH)) + 1)
-        half = np.diff(edges)[:, None] / 2
-        where = edges[:-1, None] + half * (1 + NODES)  # (K, 8)
-        turns = curvature * where + change * where**2 / 2
-        weights = half * WEIGHTS
-        point = np.array([(weights * np.cos(turns)).sum(), (weights * np.sin(turns)).sum()])
-        return point, curvature * along + change * along**2 / 2
-
-    return course
-
-
-def _cubic(coefficients: Float[np.ndarray, "2 4"], length: float, last: float) -> Course:
-    """Two cubics over a parameter that runs from 0 to ``last`` over the length [m]."""
-
-    def course(along: float) -> tuple[Float[np.ndarray, "2"], float]:
-        p = along * last / length
-        powers, slopes = p ** np.arange(4), np.arange(4) * p ** np.array([0, 0, 1, 2])
-        dx, dy = coefficients @ slopes
-        return coefficients @ powers, float(np.arctan2(dy, dx))
-
-    return course
 
 
 class Place(NamedTuple):
@@ -143,23 +74,19 @@ Solid = tuple[BaseGeometry | None, float, float]
 """An area, None where no size is known, and between which heights over the road [m]."""
 
 
-def shapes_of(root: ET.Element) -> tuple[tuple[Shape, ...], tuple[str, ...]]:
-    """The bodies of all roads of a map, and notes on what was assumed and left out."""
+def shapes_of(
+    roads: Iterable[tuple[ET.Element, OpenDriveRoad]],
+) -> tuple[tuple[Shape, ...], tuple[str, ...]]:
+    """The shapes on roads and their elements, and notes on what was assumed and left out. ``base``
+    of a crosswalk or signal is its height [m]."""
     found: list[Shape] = []
     counts: Counter[str] = Counter()
-    for road in root.iter("road"):
-        elements = [o for o in road.iterfind("objects/object") if _kind(o) is not None]
-        if not elements:
-            continue
-        try:
-            line = ReferenceLine(road)
-        except NOT_NUMBERS:
-            counts["bad"] += len(elements)
-            continue
-        for element in elements:
+    for parent, road in roads:
+        for element in (*parent.iterfind("objects/object"), *parent.iterfind("signals/signal")):
             try:
-                found += _shapes(element, line, counts)
-            except NOT_NUMBERS:
+                if _kind(element) is not None:
+                    found += _shapes(element, road, counts)
+            except ValueError:
                 counts["bad"] += 1
     notes = tuple(
         f"objects of the map {words}: {counts[key]}, {done}"
@@ -182,22 +109,15 @@ def _kind(element: ET.Element) -> str | None:
     return KINDS.get(element.get("type", ""))
 
 
-def _number(element: ET.Element, key: str, default: float = 0.0) -> float:
-    """A number of an element. Raises ValueError where it is none, or is not finite."""
-    value = float(element.get(key, default))
-    if not np.isfinite(value):
-        raise ValueError(key)
-    return value
-
-
-def _shapes(element: ET.Element, line: ReferenceLine, counts: "Counter[str]") -> Iterator[Shape]:
-    for area, low, high in _areas(element, line):
+def _shapes(element: ET.Element, road: OpenDriveRoad, counts: "Counter[str]") -> Iterator[Shape]:
+    for area, low, high in _areas(element, road.line):
         kind = _kind(element)
         if area is None or kind is None:
             counts["size"] += 1
             continue
-        if kind == PARKING:
-            yield Shape(kind, area, 0.0)
+        if kind in FLAT:
+            s, t = (np.array([number(element, key)]) for key in "st")
+            yield Shape(kind, area, 0.0, low + float(road.points(s, t)[0, 2]))
             continue
         base = low if low >= LIFTED else 0.0
         if not base < high <= HIGHEST or high - low <= 0:
@@ -214,14 +134,14 @@ def _shapes(element: ET.Element, line: ReferenceLine, counts: "Counter[str]") ->
 
 
 def _areas(element: ET.Element, line: ReferenceLine) -> Iterator[Solid]:
-    own = Place(*(_number(element, key) for key in Place._fields))
-    turn = _number(element, "hdg")
+    own = Place(*(number(element, key, 0.0) for key in Place._fields))
+    turn = number(element, "hdg", 0.0)
     outlines = [*element.iterfind("outline"), *element.iterfind("outlines/outline")]
     rows = [(repeat, _places(own, repeat)) for repeat in element.iterfind("repeat")]
     if outlines:
         for place in [place for _, row in rows for place in row or ()] or [own]:
             for outline in outlines:
-                yield _outlined(outline, own, place, turn, line)
+                yield _outlined(outline, own, place, turn, line, _kind(element) != CROSSWALK)
         return
     if not rows:
         yield _simple(element, own, turn, line)
@@ -240,33 +160,36 @@ def _simple(element: ET.Element, place: Place, turn: float, line: ReferenceLine)
     if place.length > 0 and place.width > 0:
         half = np.array([place.length, place.width]) / 2
         corners = half * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
-        return Polygon(at + turned(corners, heading + turn)), *heights
-    usual = {"pole": POLE[1], "tree": TREE["diameter_crown"] / 2}.get(_kind(element) or "")
+        return Polygon(at + turned(corners, float(heading) + turn)), *heights
+    usual = {"pole": POLE[1], SIGNAL: POLE[1], "tree": TREE["diameter_crown"] / 2}.get(
+        _kind(element) or ""
+    )
     return None if usual is None else Polygon(octagon(at, usual)), *heights
 
 
 def _outlined(
-    outline: ET.Element, own: Place, place: Place, turn: float, line: ReferenceLine
+    outline: ET.Element, own: Place, place: Place, turn: float, line: ReferenceLine, strip: bool
 ) -> Solid:
-    """What is on an outline, moved from the object's own place to another."""
+    """What is on an outline, moved from the object's own place to another; one that is not closed
+    is a ``strip``, or closed all the same."""
     at, heading = line.at(place.s, place.t)
     corners, low, high = [], [], []
     for corner in outline:
         if corner.tag == "cornerRoad":
-            s, t = float(corner.attrib["s"]), float(corner.attrib["t"])
+            s, t = number(corner, "s"), number(corner, "t")
             point, _ = line.at(s + place.s - own.s, t + place.t - own.t)
-            low.append(_number(corner, "dz"))
+            low.append(number(corner, "dz", 0.0))
         elif corner.tag == "cornerLocal":
-            u, v = float(corner.attrib["u"]), float(corner.attrib["v"])
-            point = at + turned(np.array([u, v]), heading + turn)
-            low.append(_number(corner, "z"))
+            u, v = number(corner, "u"), number(corner, "v")
+            point = at + turned(np.array([u, v]), float(heading) + turn)
+            low.append(number(corner, "z", 0.0))
         else:
             continue
         corners.append(point)
-        high.append(low[-1] + _number(corner, "height", own.height))
-    if outline.get("closed") == "false" and len(corners) > 1:
-        strip = LineString(corners).buffer(BARRIERS["wall"][1] / 2, cap_style="flat")
-        return strip, place.zOffset + min(low), place.zOffset + max(high)
+        high.append(low[-1] + number(corner, "height", own.height))
+    if strip and outline.get("closed") == "false" and len(corners) > 1:
+        along = LineString(corners).buffer(BARRIERS["wall"][1] / 2, cap_style="flat")
+        return along, place.zOffset + min(low), place.zOffset + max(high)
     if len(corners) < 3 or not np.isfinite(corners).all():
         return None, 0.0, 0.0
     return Polygon(corners), place.zOffset + min(low), place.zOffset + max(high)
@@ -276,16 +199,16 @@ def _place_at(own: Place, repeat: ET.Element, share: float) -> Place:
     """The place of an object at a share of the length of its ``<repeat>``."""
 
     def between(key: str) -> float:
-        first = _number(repeat, f"{key}Start", getattr(own, key))
-        return first + share * (_number(repeat, f"{key}End", first) - first)
+        first = number(repeat, f"{key}Start", getattr(own, key))
+        return first + share * (number(repeat, f"{key}End", first) - first)
 
-    s = _number(repeat, "s", own.s) + share * _number(repeat, "length")
+    s = number(repeat, "s", own.s) + share * number(repeat, "length", 0.0)
     return Place(s, *(between(key) for key in Place._fields[1:]))
 
 
 def _places(own: Place, repeat: ET.Element) -> list[Place] | None:
     """An object's places along a ``<repeat>``; None where it has no gaps."""
-    reach, distance = _number(repeat, "length"), _number(repeat, "distance")
+    reach, distance = (number(repeat, key, 0.0) for key in ("length", "distance"))
     if distance <= 0 or reach / distance > MOST_REPEATS:
         return None
     count = int(reach / distance + 1e-9)
@@ -294,7 +217,7 @@ def _places(own: Place, repeat: ET.Element) -> list[Place] | None:
 
 def _strip(own: Place, repeat: ET.Element, line: ReferenceLine) -> Iterator[Solid]:
     """The stretches of an object that goes on along a ``<repeat>`` without gaps."""
-    reach = _number(repeat, "length")
+    reach = number(repeat, "length", 0.0)
     shares = np.linspace(0.0, 1.0, int(np.clip(np.ceil(reach / STEP), 1, MOST_REPEATS)) + 1)
     for first, last in pairwise(shares.tolist()):
         ends = [_place_at(own, repeat, first), _place_at(own, repeat, last)]

@@ -1,21 +1,21 @@
-"""Reads OpenDRIVE maps with the CARLA client's ``carla.Map``, which needs no server."""
+"""Reads OpenDRIVE maps: junctions with their lanes, crosswalks, routes and bodies."""
 
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import shapely
 from jaxtyping import Float
-from shapely.geometry import LineString, Point, Polygon
+from shapely.geometry import LineString, Polygon
 from shapely.geometry.base import BaseGeometry
 from shapely.ops import unary_union
 
-from inspe_jax.core.errors import InspeError, needs
+from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import cached_by_file
-from inspe_jax.scene.intersection import Intersection, Route
-from inspe_jax.scene.lines import distance_from, resampled
+from inspe_jax.core.words import counted
+from inspe_jax.scene.intersection import Intersection
+from inspe_jax.scene.lines import distance_from
 from inspe_jax.scene.maps.bodies import with_bodies
 from inspe_jax.scene.maps.lanes import (
     CARRIAGEWAY,
@@ -26,17 +26,24 @@ from inspe_jax.scene.maps.lanes import (
     LaneStrip,
     heading,
 )
-from inspe_jax.scene.maps.opendrive.objects import PARKING, shapes_of, with_parked
+from inspe_jax.scene.maps.opendrive.lane_graph import LaneGraph, LaneKey
+from inspe_jax.scene.maps.opendrive.objects import (
+    CROSSWALK,
+    FLAT,
+    PARKING,
+    SIGNAL,
+    shapes_of,
+    with_parked,
+)
 from inspe_jax.scene.maps.opendrive.road_network import (
-    INSET,
+    LaneCut,
     OpenDriveRoad,
-    distinct_points,
-    heading_of,
-    loops_of,
-    position,
+    Section,
+    listed,
+    moved_near,
     projection_of,
-    quiet,
     read_roads,
+    read_tree,
 )
 from inspe_jax.scene.maps.road_map import (
     CLUSTER,
@@ -50,9 +57,12 @@ from inspe_jax.scene.maps.road_map import (
 )
 from inspe_jax.scene.regions import Region
 
-TRAFFIC_LIGHT = "1000001"  # CARLA's type of landmark
 ISLAND = 3.0  # a gap between a junction's lanes is paved unless such a circle fits in it [m]
 COARSE = 5.0  # spacing of the points of a map's road lines [m]
+MOST_NAMED = 6  # at most so many of what is left out are named in a note
+NO_AREA = "a {} junction has no area of its own; choose another, or --center X Y"
+BOX = 10  # a bounding box is that of so many stretches of each lane
+KINDS = CARRIAGEWAY | SHOULDER | SIDEWALK | {"none", "median", "rail", "tram"}  # known types
 APRON = 25.0  # lanes are read so much farther than kept [m]: none ends inside the rim
 
 
@@ -69,34 +79,30 @@ class OpenDriveJunction(MapJunction):
     def lanes(self) -> tuple[list[LaneStrip], list[bool]]:
         reach, found = self.radius + MARGIN + APRON, list[LaneStrip]()
         for road in self.map.roads.values():
-            for start, end, lanes in road.sections if road.near(self.middle, reach) else ():
-                for lane, kind in lanes.items():
-                    line = self.map.along(road.id, lane, start, end, STEP)
-                    width = np.array([w.lane_width for w in line])
-                    if len(line) < 2 or width.max() < 0.05:
+            for index in range(len(road.sections)) if road.near(self.middle, reach) else ():
+                for strip in self.map.strips(road, index).values():
+                    width = np.hypot(*(strip.left - strip.right).T).max()
+                    if width < 0.05:
                         continue
-                    center = np.array([position(w.transform.location) for w in line])
-                    ahead = np.array([heading_of(w) for w in line])
-                    strip = LaneStrip.along(road.id, road.junction, kind, center, ahead, width)
                     # One lane's width farther: the disc cuts the lane, and not its stations.
-                    away = distance_from(center, self.middle)
-                    found += strip.runs(away <= reach + width.max() + STEP)
-        return found, [s.junction in self.members or s.road in self.interior for s in found]
+                    away = distance_from(strip.center, self.middle)
+                    found += strip.runs(away <= reach + width + STEP)
+        return found, [s.road in self.interior for s in found]
 
     def areas(self, lane_strips: list[LaneStrip]) -> dict[Region, list[BaseGeometry]]:
         parts: dict[Region, list[BaseGeometry]] = {region: [] for region in Region}
         drawn = False
-        for number in sorted({s.junction for s in lane_strips} - {-1}):
-            strips = [s for s in lane_strips if s.junction == number]
-            approaches = approaches_of(self.map, {number})
+        for name in sorted({s.junction for s in lane_strips} - {-1}, key=listed):
+            strips = [s for s in lane_strips if s.junction == name]
+            approaches = approaches_of(self.map, {name})
             corners: list[Polygon] = []
             if not any(s.kind in SHOULDER | SIDEWALK for s in strips):
                 for side, kinds in ((Region.SHOULDER, SHOULDER), (Region.SIDEWALK, SIDEWALK)):
                     parts[side] += (found := list(_corners(approaches, kinds)))
                     corners += found
-            drawn |= number in self.members and bool(corners)
+            drawn |= name in self.members and bool(corners)
             paved = _paved(strips, approaches, corners)
-            parts[Region.JUNCTION if number in self.members else Region.DRIVEWAY].append(paved)
+            parts[Region.JUNCTION if name in self.members else Region.DRIVEWAY].append(paved)
         for strip in lane_strips:
             if strip.kind in CARRIAGEWAY and strip.junction != -1:  # in the paved area already
                 continue
@@ -112,113 +118,124 @@ class OpenDriveJunction(MapJunction):
     def with_bodies(self, place: Intersection, lane_strips: list[LaneStrip]) -> Intersection:
         reach, shapes = self.radius + MARGIN, self.map.shapes
         self.notes += self.map.notes
-        place = with_bodies(place, [s for s in shapes if s.kind != PARKING], reach, self.notes)
-        lanes = [strip for strip in lane_strips if strip.kind == "parking"]
+        lanes = unary_union([s.polygon for s in lane_strips if s.kind in CARRIAGEWAY])
+        hung = shapely.intersects_xy(lanes, *place.poles[:, :2].T)
+        if hung.any():
+            self.notes.append(f"{counted(int(hung.sum()), 'signal')} over lanes: no standing poles")
+            place = replace(place, poles=place.poles[~hung])
+        bodies = [s for s in shapes if s.kind not in FLAT]
+        place = with_bodies(place, bodies, reach, self.notes)
+        parking = [strip for strip in lane_strips if strip.kind == "parking"]
         spaces = [shape.area for shape in shapes if shape.kind == PARKING]
-        return with_parked(place, lanes, spaces, reach, self.notes)
-
-    def drives(self, arm_of: dict[tuple[int, str], int]) -> Iterator[Route]:
-        town, approaches = self.map, self.approaches
-        inside = {r.id for r in town.roads.values() if r.junction in self.members} | self.interior
-        # By position, not by road, because a step may skip a road that is a stub.
-        cuts = [LineString([approach.point(k) for k in approach.kerbs]) for approach in approaches]
-
-        def leads_to(waypoint: Any) -> int:
-            """The arm at whose mouth a waypoint is; −1 if it is at none."""
-            away = shapely.distance(cuts, Point(position(waypoint.transform.location)[:2]))
-            best = approaches[int(np.argmin(away))]
-            return arm_of[best.road, best.end] if away.min() < 2 * STEP else -1
-
-        for approach in approaches:
-            at = INSET if approach.end == "start" else town.roads[approach.road].length - INSET
-            for lane, kind, _, _, inbound in approach.lanes:
-                if kind not in TRAVEL or not inbound:
-                    continue
-                mouth = town.at(approach.road, lane, at)
-                upstream = self._follow(mouth, "previous")[::-1]
-                for path in _lane_paths(mouth, inside):
-                    entry_arm, exit_arm = arm_of[approach.road, approach.end], leads_to(path[-1])
-                    if exit_arm in (entry_arm, -1):
-                        continue
-                    line = [*upstream, *path, *self._follow(path[-1], "next")]
-                    points = resampled(np.array([position(w.transform.location) for w in line]))
-                    yield Route(points, mouth.lane_width, "vehicle", (entry_arm, exit_arm))
-
-    def _follow(self, start: Any, direction: str) -> list[Any]:
-        """Waypoints from a lane on ('next') or back ('previous') to the radius, straight on."""
-        line, here = list[Any](), start
-        for _ in range(int(4 * self.radius / STEP)):  # four radii on a winding road
-            options = getattr(here, direction)(STEP)
-            at = position(here.transform.location)[None]
-            if not options or distance_from(at, self.middle)[0] > self.radius:
-                break
-            heading = heading_of(here)
-            here = max(options, key=lambda w: float(heading_of(w) @ heading))
-            line.append(here)
-        return line
+        return with_parked(place, parking, spaces, reach, self.notes)
 
 
 class OpenDriveMap(RoadMap):
-    """An OpenDRIVE file: CARLA's map, and what its XML adds.
+    """An OpenDRIVE file.
 
-    ``notes`` are on the ``shapes`` of its objects and on its projection. Raises InspeError if the
-    CARLA client is missing, or if the file is not OpenDRIVE.
+    ``notes`` are on what is left out of it, on the ``shapes`` of its objects and on its projection.
+    Raises InspeError if the file is not OpenDRIVE, or has no road that can be read.
     """
 
     format, around = "(OpenDRIVE)", OpenDriveJunction
 
     def __init__(self, path: Path) -> None:
         self.path, self.name = path, path.stem
-        text, root, self.roads = read_roads(path)
-        where = "Linux and Windows, Python up to 3.12"
-        with needs("reading OpenDRIVE needs the CARLA client", "opendrive", where):
-            import carla
-        try:
-            with quiet():
-                self.carla = carla.Map(path.stem, text)
-                corners = [position(c) for c in self.carla.get_crosswalks()]
-                marks = [m for m in self.carla.get_all_landmarks() if m.type == TRAFFIC_LIGHT]
-        except (RuntimeError, IndexError) as error:
-            raise InspeError(f"{path}: the CARLA client cannot read this map ({error})") from error
-        self.signals = distinct_points([position(m.transform.location) for m in marks])
-        self.crossings = tuple(loops_of(corners))
-        self.shapes, notes = shapes_of(root)
-        self.georeference, on_it = projection_of(root)
-        self.notes = (*notes, *on_it)
+        root = read_tree(path)
+        moved = moved_near(root)
+        found, out = read_roads(root)
+        self.roads = {name: road for name, (_, road) in found.items()}
+        if not self.roads:
+            why = f" that can be read: {'; '.join(out[:MOST_NAMED])}" if out else ""
+            raise InspeError(f"{path}: the map has no roads{why}")
+        self._strips: dict[tuple[Id, int], dict[int, LaneStrip]] = {}
+        graph = LaneGraph(self.roads, root)
+        self.follows, self.leads = graph.follows, graph.leads
+        self.shapes, on_shapes = shapes_of(found.values())
+        self.crossings = tuple(
+            np.column_stack([outline[:-1], np.full(len(outline) - 1, shape.base)])
+            for shape in self.shapes
+            if shape.kind == CROSSWALK
+            for outline in [np.array(shape.area.exterior.coords)]
+        )
+        self.signals = np.zeros((0, 3))
+        for shape in (shape for shape in self.shapes if shape.kind == SIGNAL):
+            point = np.array([*shape.area.centroid.coords[0], shape.base])
+            if not (distance_from(self.signals, point) < 0.5).any():  # roads share them
+                self.signals = np.vstack([self.signals, point])
+        self.georeference, on_it = projection_of(root, moved)
+        with_lanes = self.junctions()
+        self.unread = {
+            str(name): NO_AREA.format(kind)
+            if kind in ("direct", "virtual")
+            else "none of its roads has lanes"
+            for name, kind in graph.junctions.items()
+            if name not in with_lanes
+        }
+        out += [*graph.left_out, *(f"junction {n} ({w})" for n, w in self.unread.items())]
+        self.notes = (*self._notes(out, moved), *on_shapes, *on_it)
 
-    def at(self, road: int, lane: int, s: float) -> Any:
-        """CARLA's waypoint in the middle of a lane, s [m] along the road; None beyond its ends."""
-        return self.carla.get_waypoint_xodr(road, lane, s)
+    def _notes(self, out: list[str], moved: tuple[float, float]) -> Iterator[str]:
+        if out:
+            more = f" and {len(out) - MOST_NAMED} more" * (len(out) > MOST_NAMED)
+            yield f"left out of the map: {'; '.join(out[:MOST_NAMED])}{more}"
+        if kinds := set().union(*(road.kinds() for road in self.roads.values())) - KINDS:
+            yield f"lanes of other types are left out: {', '.join(sorted(kinds)[:MOST_NAMED])}"
+        if count := sum(road.shaped for road in self.roads.values()):
+            yield f"lateral profiles (<shape>) of {counted(count, 'road')} are not read"
+        if any(moved):
+            east, north = moved
+            yield f"coordinates are those of the map less ({east:.0f}, {north:.0f}) m"
 
-    def along(self, road: int, lane: int, start: float, end: float, spacing: float) -> list[Any]:
-        """CARLA's waypoints along a lane from one s to another, about ``spacing`` [m] apart."""
-        inset, count = min(INSET, (end - start) / 4), int(np.ceil((end - start) / spacing)) + 1
-        stations = np.linspace(start + inset, end - inset, max(2, count)).tolist()
-        return [w for s in stations if (w := self.at(road, lane, s)) is not None]
+    def strips(self, road: OpenDriveRoad, index: int) -> dict[int, LaneStrip]:
+        """The lanes of a section of a road, by id."""
+        section = road.sections[index]
+        if (road.id, index) not in self._strips:
+            found = self._strips[road.id, index] = {}
+            for lane, cut in along(road, section, STEP).items():
+                one, way = section.lanes[lane], 1 if section.lanes[lane].onward else -1
+                left, right = (cut.outer, cut.inner)[:: way if lane > 0 else -way]
+                lines = (line[::way] for line in (cut.middle, left, right))
+                found[lane] = LaneStrip(road.id, road.junction, one.kind, *lines)
+        return self._strips[road.id, index]
+
+    def strip(self, lane: LaneKey) -> LaneStrip:
+        return self.strips(self.roads[lane[0]], lane[1])[lane[2]]
+
+    def lane_at(self, approach: Approach, lane: int) -> LaneKey:
+        last = len(self.roads[approach.road].sections) - 1
+        return approach.road, 0 if approach.end == "start" else last, lane
+
+    def entry(self, lane: LaneKey) -> tuple[Id, str]:
+        one = self.roads[lane[0]].sections[lane[1]].lanes[lane[2]]
+        return lane[0], "start" if one.onward else "end"
 
     def road_lines(self) -> list[Float[np.ndarray, "N 2"]]:
         found = []  # the middle of a driving lane of each
         for road in self.roads.values():
-            for start, end, lanes in road.sections:
-                lane = next((name for name, kind in lanes.items() if kind == "driving"), 0)
-                marks = self.along(road.id, lane, start, end, COARSE) if lane else []
-                if len(marks) > 1:
-                    found.append(np.array([position(m.transform.location)[:2] for m in marks]))
+            for section in road.sections:
+                driving = [name for name, one in section.lanes.items() if one.kind in TRAVEL]
+                if driving:
+                    found.append(along(road, section, COARSE)[driving[0]].middle[:, :2])
         return found
 
     def junctions(self) -> list[Id]:
-        return sorted({road.junction for road in self.roads.values()} - {-1})
+        roads = self.roads.values()
+        with_lanes = {road.junction for road in roads if road.kinds() - {"none"}}
+        return sorted(with_lanes - {-1}, key=listed)
 
     def node(self, junction: Id) -> Node:
-        for road in self.roads.values():
-            for lane in road.sections[0][2] if road.junction == junction else ():
-                waypoint = self.at(road.id, lane, road.length / 2)
-                if waypoint is not None and waypoint.get_junction() is not None:
-                    box = waypoint.get_junction().bounding_box
-                    middle, size = position(box.location), 2 * max(box.extent.x, box.extent.y)
-                    signals = distance_from(self.signals, middle) < size / 2 + 15.0
-                    return Node(middle, size, int(signals.sum()))
-        raise InspeError(f"{self.source}: junction {junction} has no lanes")
+        lines = [
+            cut.middle
+            for road in self.roads.values()
+            for section in (road.sections if road.junction == junction else ())
+            for name, cut in along(road, section, (section.end - section.start) / BOX).items()
+            if section.lanes[name].kind != "none"
+        ]
+        points = np.concatenate(lines)
+        middle, size = (points.min(0) + points.max(0)) / 2, float(np.ptp(points[:, :2], 0).max())
+        signals = distance_from(self.signals, middle) < size / 2 + 15.0
+        return Node(middle, size, int(signals.sum()))
 
 
 @cached_by_file(8)
@@ -227,30 +244,18 @@ def load_map(path: Path) -> OpenDriveMap:
     return OpenDriveMap(path)
 
 
-def _lane_paths(mouth: Any, inside: set[int]) -> Iterator[list[Any]]:
-    """All paths of waypoints from a mouth through the junction to the first one beyond it."""
-    stack = [([mouth], frozenset[tuple[int, int]]())]
-    while stack:
-        path, seen = stack.pop()
-        here = path[-1]
-        for step in here.next(STEP):
-            lane = (step.road_id, step.lane_id)
-            if step.road_id not in inside:
-                if here.road_id in inside:
-                    yield [*path, step]
-                elif len(path) < 5:  # still on the approach
-                    stack.append(([*path, step], seen))
-            elif lane == (here.road_id, here.lane_id):
-                stack.append(([*path, step], seen))
-            elif lane not in seen:  # at most once round a roundabout
-                stack.append(([*path, step], seen | {lane}))
+def along(road: OpenDriveRoad, section: Section, spacing: float) -> dict[int, LaneCut]:
+    """Lanes at stations from one end of a section to the other, about ``spacing`` [m] apart."""
+    count = max(2, int(np.ceil((section.end - section.start) / spacing)) + 1)
+    return road.cuts(section, np.linspace(section.start, section.end, count))
 
 
-def interior_of(town: OpenDriveMap, members: set[int]) -> set[int]:
-    """Roads of short chains from one member junction to another, as the ring of a roundabout."""
-    found: set[int] = set()
+def interior_of(town: OpenDriveMap, members: set[Id]) -> set[Id]:
+    """The roads of member junctions, and of short chains from one to another, as the ring of a
+    roundabout."""
+    found = {road.id for road in town.roads.values() if road.junction in members}
     for first in town.roads.values():
-        chain, ends, todo = set[int](), set[int](), [first.id]
+        chain, ends, todo = set[Id](), set[Id](), [first.id]
         while todo and first.junction == -1 and len(members) > 1:
             road = town.roads[todo.pop()]
             chain.add(road.id)
@@ -263,7 +268,7 @@ def interior_of(town: OpenDriveMap, members: set[int]) -> set[int]:
     return found
 
 
-def approaches_of(town: OpenDriveMap, members: set[int]) -> list[Approach]:
+def approaches_of(town: OpenDriveMap, members: set[Id]) -> list[Approach]:
     """The approaches: ends of the roads that the members' connecting roads lead from and to."""
     inside = interior_of(town, members)
     touched = {
@@ -272,13 +277,13 @@ def approaches_of(town: OpenDriveMap, members: set[int]) -> list[Approach]:
         if road.junction in members
         for link in road.links.values()
         if link[0] == "road" and link[1] in town.roads and link[1] not in inside
-        if town.roads[link[1]].junction not in members
     }
-    approaches = [_approach(town, town.roads[road], end) for road, end in sorted(touched)]
+    ends = sorted(touched, key=lambda one: (listed(one[0]), one[1]))
+    approaches = [_approach(town.roads[road], end) for road, end in ends]
     return [approach for approach in approaches if approach is not None]
 
 
-def _beyond(town: OpenDriveMap, road: int, end: str) -> tuple[int, str]:
+def _beyond(town: OpenDriveMap, road: Id, end: str) -> tuple[Id, str]:
     """The road end itself; if the road is a stub, the next end. Maps have stubs of 0.01 mm."""
     here, other = town.roads[road], "end" if end == "start" else "start"
     kind, following, contact = here.links.get(other, ("", -1, ""))
@@ -287,39 +292,30 @@ def _beyond(town: OpenDriveMap, road: int, end: str) -> tuple[int, str]:
     return road, end
 
 
-def _approach(town: OpenDriveMap, road: OpenDriveRoad, end: str) -> Approach | None:
-    away = 1 if end == "start" else -1
-    at = INSET if end == "start" else road.length - INSET
-    here = _cut(town, road, at, away)
-    there = _cut(town, road, at + away * min(15.0, road.length - 2 * INSET), away)
+def _approach(road: OpenDriveRoad, end: str) -> Approach | None:
+    away, at = (1, 0.0) if end == "start" else (-1, road.length)
+    here, there = (_cut(road, at + away * far, away) for far in (0.0, min(15.0, road.length)))
     if here is None or there is None:
         return None
     chord = there.point(sum(there.kerbs) / 2) - here.point(sum(here.kerbs) / 2)
     return replace(here, end=end, bearing=heading(chord))
 
 
-def _cut(town: OpenDriveMap, road: OpenDriveRoad, s: float, away: int) -> Approach | None:
+def _cut(road: OpenDriveRoad, s: float, away: int) -> Approach | None:
     """A road's cross-section at s, looking along it (away = +1) or back (−1)."""
-    lanes = next((lanes for a, b, lanes in road.sections if a <= s <= b), {})
-    found = [(lane, kind, town.at(road.id, lane, s)) for lane, kind in lanes.items()]
-    found = [x for x in found if x[2] is not None and x[2].lane_width > 0.05]
+    section, found = road.sections[road.section_at(s)], []
+    for lane, cut in road.cuts(section, np.array([s])).items():
+        if (width := float(cut.width[0])) > 0.05:
+            one = section.lanes[lane]
+            inbound = one.onward != (away > 0)
+            found.append((lane, one.kind, cut.middle[0, :2], width, inbound))
     carriageway = [x for x in found if x[1] in CARRIAGEWAY]
     if not carriageway:
         return None
-    lane, _, guide = min(carriageway, key=lambda x: abs(x[0]))  # the innermost tapers least
-    origin = position(guide.transform.location)[:2]
-    # CARLA's headings follow traffic; the road's own direction is that of growing s.
-    step = min(0.5, road.length / 4) * (1 if s < road.length / 2 else -1)
-    ahead = position(town.at(road.id, lane, s + step).transform.location)[:2]
-    forward = heading_of(guide)
-    if forward @ (ahead - origin) * away * step < 0:
-        forward = -forward
-    cut = [
-        (lane, kind, position(w.transform.location)[:2], w.lane_width,
-         bool(forward @ heading_of(w) < 0))
-        for lane, kind, w in found
-    ]  # fmt: skip
-    return Approach.across(road.id, "", origin, forward, heading(forward), cut)
+    turn = float(road.line.at(s)[1])
+    forward = away * np.array([np.cos(turn), np.sin(turn)])
+    origin = carriageway[0][2]  # of the innermost, which tapers least
+    return Approach.across(road.id, "", origin, forward, heading(forward), found)
 
 
 def _paved(

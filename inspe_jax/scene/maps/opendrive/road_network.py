@@ -1,148 +1,261 @@
-"""An OpenDRIVE map: roads and links from its XML, and what CARLA says in the world frame.
-
-CARLA is left-handed: ``position`` flips its y, ``heading_of`` its yaw.
-"""
+"""The roads of an OpenDRIVE map (1.4 to 1.8), of its XML."""
 
 import io
-import os
 import xml.etree.ElementTree as ET
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
-from inspe_jax.core.errors import InspeError, error_at
+from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import TEXT, check_input, check_xml
 from inspe_jax.scene.georeference import Georeference, of_open_drive
 from inspe_jax.scene.lines import distance_from
+from inspe_jax.scene.maps.opendrive.geometry import LONGEST, Cubics, ReferenceLine, number
+from inspe_jax.scene.maps.road_map import Id
 
-INSET = 1e-3  # at the very end of a lane CARLA gives the next lane: queries stay inside [m]
+INSET = 1e-3  # lanes and offsets may jump at the ends of sections: cuts stay inside [m]
+UTF_16 = (b"\xff\xfe", b"\xfe\xff")
+WIDEST = 200.0  # no lane is so wide, and none so far from its road's line [m]
+FAR = 1e5  # single precision is 8 mm here: coordinates beyond are taken from a point near [m]
+
+
+class Lane(NamedTuple):
+    """A lane of a section: ``onward`` if its traffic runs with s, ``level`` if it does not tilt
+    with its road, ``edge`` its width, or where its outer edge is if ``is_border``, ``heights`` rows
+    of where and how high its two edges are over the road [m], ``links`` from 'start' and 'end'."""
+
+    kind: str
+    onward: bool
+    level: bool
+    edge: Cubics
+    is_border: bool
+    heights: Float[np.ndarray, "H 3"]
+    links: dict[str, list[int]]
+
+
+class Section(NamedTuple):
+    """A stretch of a road [m], and its lanes by id, from the middle outwards."""
+
+    start: float
+    end: float
+    lanes: dict[int, Lane]
+
+
+class LaneCut(NamedTuple):
+    """A lane's middle line, inner and outer edge, and width [m] at stations."""
+
+    middle: Float[np.ndarray, "N 3"]
+    inner: Float[np.ndarray, "N 2"]
+    outer: Float[np.ndarray, "N 2"]
+    width: Float[np.ndarray, " N"]
 
 
 @dataclass(frozen=True, eq=False)
 class OpenDriveRoad:
-    """A road of the XML: the start of each piece, its lanes by section, and its links."""
+    """A road: ``links`` are 'start'/'end' → ('road'/'junction', id, contact); one that is
+    ``shaped`` has a lateral profile, which is not read."""
 
-    id: int
-    junction: int  # −1 outside junctions
+    id: Id
+    junction: Id  # −1 outside junctions
     length: float
-    pieces: Float[np.ndarray, "K 3"]  # x, y where each planView piece starts, and its length
-    sections: tuple[tuple[float, float, dict[int, str]], ...]  # from s, to s, lane id → type
-    links: dict[str, tuple[str, int, str]]  # 'start'/'end' → ('road'/'junction', id, contact)
+    line: ReferenceLine
+    elevation: Cubics
+    superelevation: Cubics
+    shaped: bool
+    offset: Cubics
+    sections: tuple[Section, ...]
+    links: dict[str, tuple[str, Id, str]]
+
+    @classmethod
+    def of(cls, element: ET.Element) -> "OpenDriveRoad":
+        """That of an element. Raises ValueError where something is missing or wrong in it."""
+        length, left_hand = number(element, "length"), element.get("rule") == "LHT"
+        if not 0 < length < LONGEST:
+            raise ValueError(f"length of <road> is {length:g}")
+        found = sorted(element.iterfind("lanes/laneSection"), key=lambda one: number(one, "s"))
+        bounds = [*(number(one, "s") for one in found), length]
+        sections = tuple(
+            Section(start, end, _lanes(one, left_hand))
+            for one, (start, end) in zip(found, pairwise(bounds), strict=True)
+            if end > start
+        )
+        if not sections:
+            raise ValueError("no <laneSection> in it")
+        links = {}
+        for end, tag in (("start", "predecessor"), ("end", "successor")):
+            if (link := element.find(f"link/{tag}")) is not None:
+                kind, other = link.get("elementType", "road"), identity(link.get("elementId", ""))
+                contact = link.get("contactPoint", "")
+                if kind == "road" and contact not in ("start", "end") and not link.get("elementS"):
+                    raise ValueError(f"contactPoint of its <{tag}> is '{contact[:40]}'")
+                links[end] = (kind, other, contact)
+        return cls(
+            identity(element.get("id", "")),
+            identity(element.get("junction") or "-1"),
+            length,
+            ReferenceLine(element),
+            Cubics(element.iterfind("elevationProfile/elevation")),
+            Cubics(element.iterfind("lateralProfile/superelevation")),
+            element.find("lateralProfile/shape") is not None,
+            Cubics(element.iterfind("lanes/laneOffset")),
+            sections,
+            links,
+        )
 
     def near(self, middle: np.ndarray, reach: float) -> bool:
         """Whether a piece, nowhere farther from its start than its length, may come in reach."""
-        away = distance_from(self.pieces, middle)
-        return bool((away <= reach + self.pieces[:, 2] + 20.0).any())  # 20 m: half a wide road
+        away = distance_from(self.line.starts, middle)
+        return bool((away <= reach + self.line.lengths + 20.0).any())  # 20 m: half a wide road
+
+    def points(
+        self, s: Float[np.ndarray, " N"], t: np.ndarray, tilted: np.ndarray | None = None
+    ) -> Float[np.ndarray, "..."]:
+        """The points (…, N, 3) at s and t (…, N), where the road tilts as at ``tilted``."""
+        at, heading = self.line.at(s)
+        tilt, tilted = self.superelevation(s), t if tilted is None else tilted
+        across = t + tilted * (np.cos(tilt) - 1)
+        x, y = at[:, 0] - across * np.sin(heading), at[:, 1] + across * np.cos(heading)
+        return np.stack([x, y, self.elevation(s) + tilted * np.sin(tilt)], -1)
+
+    def cuts(self, section: Section, s: Float[np.ndarray, " N"]) -> dict[int, LaneCut]:
+        """The lanes of a section at stations."""
+        inset = min(INSET, (section.end - section.start) / 4)
+        s = np.clip(s, section.start + inset, section.end - inset)
+        last, hinge = dict.fromkeys((1, -1), self.offset(s)), dict[int, np.ndarray]()
+        rows, tilted = [], []  # of each lane where its middle and its edges are, in t
+        for lane, one in section.lanes.items():
+            side, inner = (1 if lane > 0 else -1), last[1 if lane > 0 else -1]
+            edge = one.edge(s - section.start)
+            outer = inner + side * np.maximum(side * (edge - inner) if one.is_border else edge, 0.0)
+            rows.append(((inner + outer) / 2, inner, outer))
+            tilted.append((hinge.setdefault(side, inner),) * 3 if one.level else rows[-1])
+            last[side] = outer
+        t, tilts = (np.reshape(x, (-1, 3, len(s))) for x in (rows, tilted))
+        points, found = self.points(s, t, tilts), {}
+        for (lane, one), (middle, inner, outer), (_, t, u) in zip(
+            section.lanes.items(), points, rows, strict=True
+        ):
+            for lift in one.heights.T[1:] if len(one.heights) else ():
+                middle[:, 2] += np.interp(s - section.start, one.heights[:, 0], lift) / 2
+            found[lane] = LaneCut(middle, inner[:, :2], outer[:, :2], abs(u - t))
+        return found
+
+    def kinds(self) -> set[str]:
+        """The types of its lanes."""
+        return {lane.kind for section in self.sections for lane in section.lanes.values()}
+
+    def section_at(self, s: float) -> int:
+        """The index of the section at s."""
+        return max(0, sum(one.start <= s for one in self.sections) - 1)
 
 
-def position(location: Any) -> np.ndarray:
-    """CARLA's left-handed location in the world frame (3,) [m]."""
-    return np.array([location.x, -location.y, location.z])
+def _lanes(element: ET.Element, left_hand: bool) -> dict[int, Lane]:
+    found = {}
+    for lane in element.iter("lane"):
+        name, kind = int(number(lane, "id")), lane.get("type", "none")
+        widths, borders = lane.findall("width"), lane.findall("border")
+        if name and kind != "none" and not widths and not borders:
+            raise ValueError(f"no <width> and no <border> in lane {name}")
+        edge = Cubics(widths or borders, "sOffset")
+        if abs(edge.rows[:, 1]).max(initial=0.0) > WIDEST:
+            raise ValueError(f"lane {name} is wider than {WIDEST:g} m")
+        rows = [[number(h, k) for k in ("sOffset", "inner", "outer")] for h in lane.iter("height")]
+        links = {
+            end: [int(number(link, "id")) for link in lane.iterfind(f"link/{tag}")]
+            for end, tag in (("start", "predecessor"), ("end", "successor"))
+        }
+        found[name] = Lane(
+            kind,
+            ((name < 0) != left_hand) != (lane.get("direction") == "reversed"),
+            lane.get("level") in ("true", "1"),
+            edge,
+            not widths,
+            np.array(rows).reshape(-1, 3),
+            links,
+        )
+    found.pop(0, None)
+    return {name: found[name] for name in sorted(found, key=abs)}
 
 
-def read_roads(path: Path) -> tuple[str, ET.Element, dict[int, OpenDriveRoad]]:
-    """The text of a map, its elements without namespaces, and its roads by id. Raises InspeError if
-    it is not OpenDRIVE."""
+def identity(text: str) -> Id:
+    """The id of a road or junction: a number if it is written as one."""
+    short = len(text) < 19 and (text == "-1" or (text.isascii() and text.isdigit()))
+    return int(text) if short and str(int(text)) == text else text
+
+
+def listed(name: Id) -> tuple[bool, Id]:
+    """The order of ids: numbers before words."""
+    return isinstance(name, str), name
+
+
+def read_tree(path: Path) -> ET.Element:
+    """The elements of a map without namespaces. Raises InspeError if it is not OpenDRIVE."""
     check_input(path, TEXT)
-    text = path.read_bytes().decode("utf-8-sig", "replace")
-    # Checked here: CARLA skips what it does not know, or aborts.
-    check_xml(io.BytesIO(text.encode()), str(path), "OpenDRIVE")
-    root = ET.fromstring(text.encode())
+    data = path.read_bytes()
+    if not data.startswith(UTF_16):
+        data = data.decode("utf-8-sig", "replace").strip().encode()
+        data = data[max(0, data.find(b"<?xml ")) :]  # a comment may stand before it
+    check_xml(io.BytesIO(data), str(path), "OpenDRIVE")
+    root = ET.fromstring(data)
     for element in root.iter():
         element.tag = element.tag.rpartition("}")[2]
-    wrong = f"{path}: not OpenDRIVE: missing or wrong in a road"
-    with error_at(wrong, AttributeError, KeyError, TypeError, ValueError):
-        roads = {r.id: r for r in map(_road, root.iter("road"))}
-    if not roads:
-        raise InspeError(f"{path}: the map has no roads")
-    return text, root, roads
+    return root
 
 
-def projection_of(root: ET.Element) -> tuple[Georeference | None, list[str]]:
+def read_roads(root: ET.Element) -> tuple[dict[Id, tuple[ET.Element, OpenDriveRoad]], list[str]]:
+    """The roads of a map by id, with their elements, and what is left out, with why."""
+    found: dict[Id, tuple[ET.Element, OpenDriveRoad]] = {}
+    out = []
+    for element in root.iterfind("road"):
+        try:
+            road = OpenDriveRoad.of(element)
+            if road.id in found:
+                raise ValueError("another road has this id")
+            found[road.id] = element, road
+        except ValueError as error:
+            out.append(f"road {element.get('id')} ({error})")
+    return found, out
+
+
+def moved_near(root: ET.Element) -> tuple[float, float]:
+    """Take coordinates that are too large for single precision from a point near all roads; how
+    much they are less then (x, y) [m]."""
+    pieces = root.findall("road/planView/geometry")
+    try:
+        at = np.array([[number(piece, key) for key in "xy"] for piece in pieces])
+    except ValueError:  # said of its road
+        return 0.0, 0.0
+    if not len(at) or abs(middle := np.median(at, 0)).max() < FAR:
+        return 0.0, 0.0
+    x, y = np.round(middle, -3).tolist()
+    for piece, (east, north) in zip(pieces, at.tolist(), strict=True):
+        piece.set("x", repr(east - x))
+        piece.set("y", repr(north - y))
+    return x, y
+
+
+def projection_of(
+    root: ET.Element, moved: tuple[float, float]
+) -> tuple[Georeference | None, list[str]]:
     """The projection that the header names, if it can be used, and a note if it cannot."""
     # The header's offset leads from the roads' coordinates, here the world's, to the projection's.
     offset = root.find("header/offset")
     try:
         given = {} if offset is None else offset.attrib
         x, y, turn = (float(given.get(key, 0.0)) for key in ("x", "y", "hdg"))
-        found = of_open_drive(root.findtext("header/geoReference", ""), (-x, -y))
+        text = root.findtext("header/geoReference", "")
+        found = of_open_drive(text, (-x - moved[0], -y - moved[1]))
         if found is not None:
             if turn:
                 raise InspeError(f"an offset that turns by {turn:g} rad is not read")
+            if "+units=" in text and "+units=m " not in f"{text} ":
+                raise InspeError("its unit is not the metre, which OpenDRIVE's is: lengths are "
+                                 "taken as metres; write +units=m if they are")  # fmt: skip
             found.check()
     except (InspeError, ValueError) as error:
         return None, [f"no coordinates: the map's projection: {error}"]
     return found, []
-
-
-def _road(element: ET.Element) -> OpenDriveRoad:
-    length = float(element.attrib["length"])
-    sections = element.findall("lanes/laneSection")
-    bounds = [float(s.attrib["s"]) for s in sections] + [length]
-    lanes = [
-        {int(x.attrib["id"]): x.attrib["type"] for x in s.iter("lane") if x.get("id") != "0"}
-        for s in sections
-    ]
-    links = {}
-    for end, tag in (("start", "predecessor"), ("end", "successor")):
-        link = element.find(f"link/{tag}")
-        if link is not None:
-            kind, contact = link.attrib["elementType"], link.get("contactPoint", "")
-            links[end] = (kind, int(link.attrib["elementId"]), contact)
-    pieces = [[float(g.attrib[k]) for k in ("x", "y", "length")] for g in element.iter("geometry")]
-    return OpenDriveRoad(
-        int(element.attrib["id"]),
-        int(element.get("junction", -1)),
-        length,
-        np.array(pieces).reshape(-1, 3),
-        tuple(zip(bounds, bounds[1:], lanes, strict=False)),
-        links,
-    )
-
-
-@contextmanager
-def quiet() -> Iterator[None]:
-    """Silence C++ code, which writes to the file descriptors and not to ``sys.stderr``."""
-    kept = {fd: os.dup(fd) for fd in (1, 2)}
-    null = os.open(os.devnull, os.O_WRONLY)
-    try:
-        for fd in kept:
-            os.dup2(null, fd)
-        yield
-    finally:
-        for fd, copy in kept.items():
-            os.dup2(copy, fd)
-            os.close(copy)
-        os.close(null)
-
-
-def loops_of(corners: list[np.ndarray]) -> Iterator[np.ndarray]:
-    """Crosswalk outlines from CARLA's list of corners; an outline ends where it meets its start."""
-    loop: list[np.ndarray] = []
-    for corner in corners:
-        if loop and np.allclose(corner, loop[0], atol=1e-3):
-            if len(loop) > 2:
-                yield np.array(loop)
-            loop = []
-        else:
-            loop.append(corner)
-
-
-def heading_of(waypoint: Any) -> np.ndarray:
-    """Unit vector along a waypoint's lane in the world frame (2,)."""
-    yaw = -np.radians(waypoint.transform.rotation.yaw)
-    return np.array([np.cos(yaw), np.sin(yaw)])
-
-
-def distinct_points(points: list[np.ndarray]) -> np.ndarray:
-    """Points (P, 3) without those within 0.5 m of an earlier one, because roads share signals."""
-    kept: list[np.ndarray] = []
-    for point in points:
-        if all(np.hypot(*(point - other)[:2]) >= 0.5 for other in kept):
-            kept.append(point)
-    return np.array(kept).reshape(-1, 3)

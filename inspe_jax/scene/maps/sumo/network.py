@@ -8,9 +8,15 @@ import shutil
 import subprocess
 import sys
 import tempfile
+import tomllib
+import xml.etree.ElementTree as ET
 from collections.abc import Sequence
 from contextlib import suppress
+from importlib.resources import files
 from pathlib import Path
+
+import shapely
+from shapely.geometry import Point
 
 from inspe_jax.core.errors import InspeError, missing_extra
 from inspe_jax.core.files import check_xml, digest_of
@@ -51,9 +57,25 @@ def network_file(path: Path) -> Path:
     if not made.exists():
         part = made.with_suffix(".part.xml")
         given = [f"--{kind}-files", str(path), "-o", str(part), *_OPTIONS[kind].split()]
+        given += ["--lefthand", "true"] if kind == "osm" and left_hand(path) else []
         run("netconvert", given, f"{path}")
         part.rename(made)
     return made
+
+
+def left_hand(path: Path) -> str:
+    """Where an OpenStreetMap extract with left-hand traffic lies, by its first point; else ''."""
+    with gzip.open(path) if path.name.lower().endswith(".gz") else path.open("rb") as f:
+        nodes = (one for _, one in ET.iterparse(f, ["start"]) if one.tag == "node")
+        try:
+            at = [float(next(nodes).get(key, "")) for key in ("lon", "lat")]
+        except (StopIteration, ValueError):  # netconvert says what is wrong
+            return ""
+    table = files("inspe_jax.scene.maps.openstreetmap").joinpath("left_hand.toml").read_text()
+    for name, line in tomllib.loads(table).items():
+        if shapely.from_wkt(f"POLYGON (({line}, {line.split(',')[0]}))").covers(Point(at)):
+            return name
+    return ""
 
 
 def run(name: str, arguments: Sequence[str], where: str) -> None:

@@ -1,6 +1,6 @@
 """Reads SUMO networks and OpenStreetMap extracts: lanes, crossings, sidewalks and bodies."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 from xml.sax import SAXException
@@ -14,13 +14,19 @@ from shapely.ops import unary_union
 from inspe_jax.core.errors import InspeError, error_at, needs
 from inspe_jax.core.files import cached_by_file
 from inspe_jax.scene.georeference import Georeference
-from inspe_jax.scene.intersection import Intersection, Route
+from inspe_jax.scene.intersection import Intersection
 from inspe_jax.scene.lines import distance_from, distinct, resampled
 from inspe_jax.scene.maps.bodies import with_bodies
 from inspe_jax.scene.maps.lanes import Approach, LaneStrip, heading
 from inspe_jax.scene.maps.openstreetmap.bodies import BodyReader
 from inspe_jax.scene.maps.road_map import CLUSTER, MARGIN, Id, MapJunction, Node, RoadMap, valid
-from inspe_jax.scene.maps.sumo.network import GEOGRAPHIC, OSM_SUFFIXES, SUMO, network_file
+from inspe_jax.scene.maps.sumo.network import (
+    GEOGRAPHIC,
+    OSM_SUFFIXES,
+    SUMO,
+    left_hand,
+    network_file,
+)
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.terrain import laid_on
 
@@ -113,6 +119,11 @@ class SumoJunction(MapJunction):
 
     def with_bodies(self, place: Intersection, lane_strips: list[LaneStrip]) -> Intersection:
         is_extract = str(self.map.path).lower().endswith(OSM_SUFFIXES)
+        if is_extract and (where := left_hand(self.map.path)):
+            self.notes.append(
+                f"traffic drives on the left, as in {where}; where that is wrong, give a network "
+                "that netconvert made without --lefthand"
+            )
         if place.georeference is None or not is_extract:
             return place
         reach = self.radius + MARGIN
@@ -132,68 +143,6 @@ class SumoJunction(MapJunction):
         self.notes.append(f"heights of the ground between {count} points of the map with a height")
         return laid_on(place, spots, self.radius)
 
-    def drives(self, arm_of: dict[tuple[int, str], int]) -> Iterator[Route]:
-        strips = self.map.lane_strips
-        for road in (approach.road for approach in self.approaches if approach.end == "end"):
-            arm = arm_of[road, "end"]
-            for lane in self.edges[road].getLanes():
-                name = lane.getID()
-                if name not in strips or strips[name].kind != "driving":
-                    continue
-                before = self._follow(name, -1)
-                for path in self._paths(name):
-                    exit_arm = arm_of.get((strips[path[-1]].road, "start"), -1)
-                    if exit_arm in (arm, -1):
-                        continue
-                    names = [*before, *path, *self._follow(path[-1], 1)]
-                    line = distinct(np.concatenate([strips[n].center for n in names]))
-                    at = distance_from(line, strips[name].center[-1]).argmin()
-                    line = self._about(line, at)
-                    if len(line) > 1:
-                        yield Route(resampled(line), lane.getWidth(), "vehicle", (arm, exit_arm))
-
-    def _paths(self, start: str) -> Iterator[list[str]]:
-        """All sequences of lanes from an inbound lane through the junction to one beyond."""
-        stack = [[start]]
-        while stack:
-            path = stack.pop()
-            for lane in self.map.follows[path[-1]]:
-                strip = self.map.lane_strips[lane]
-                if strip.kind != "driving" or lane in path:  # at most once round a roundabout
-                    continue
-                if strip.road in self.interior:
-                    stack.append([*path, lane])
-                else:
-                    yield [*path, lane]
-
-    def _follow(self, start: str, direction: int) -> list[str]:
-        """Lanes from ``start`` on (1) or back (−1) to the radius, in travel order; straight on."""
-        streets, here, found = self.map, start, list[str]()
-        for _ in range(50):
-            end = streets.lane_strips[here].center[-1 if direction > 0 else 0]
-            options = (streets.follows if direction > 0 else streets.leads).get(here, [])
-            options = [o for o in options if streets.lane_strips[o].kind == "driving"]
-            options = [o for o in options if o not in found]
-            if not options or distance_from(end[None], self.middle)[0] > self.radius:
-                break
-
-            def turn(lane: str, here: str = here) -> float:
-                a, b = (streets.lane_strips[n].center[:, :2] for n in (here, lane))
-                ends = (-1, -2) if direction > 0 else (1, 0)
-                one, two = (line[ends[0]] - line[ends[1]] for line in (a, b))
-                return float(one @ two / np.hypot(*one) / np.hypot(*two))
-
-            here = max(options, key=turn)
-            found.append(here)
-        return found if direction > 0 else found[::-1]
-
-    def _about(self, line: np.ndarray, at: int | np.intp) -> np.ndarray:
-        """The points of a line around index ``at`` up to where it leaves the radius."""
-        outside = np.flatnonzero(distance_from(line, self.middle) > self.radius)
-        first = outside[outside < at].max(initial=-1) + 1
-        last = outside[outside > at].min(initial=len(line))
-        return line[first:last]
-
 
 class SumoMap(RoadMap):
     """A SUMO network, or an OpenStreetMap extract by the network that netconvert makes of it.
@@ -203,8 +152,7 @@ class SumoMap(RoadMap):
     projections, whose coordinates are millions of metres.
 
     Every lane is a strip by the network's name. ``road`` of a strip is the number of its edge,
-    ``junction`` is 1 inside any junction, else −1. ``follows`` and ``leads`` have the lanes after
-    and before each, with those inside junctions. ``walks`` are nodes with their walking areas.
+    ``junction`` is 1 inside any junction, else −1. ``walks`` are nodes with their walking areas.
     """
 
     format, around = SUMO, SumoJunction
@@ -223,9 +171,9 @@ class SumoMap(RoadMap):
         self.leads: dict[str, list[str]] = {}
         self.walks: list[tuple[str, BaseGeometry]] = []
         self.crossings: list[np.ndarray] = []
-        edges = net.getEdges(withInternal=True)
-        self.numbers = {edge.getID(): number for number, edge in enumerate(edges)}
-        for edge in edges:
+        self.edges = net.getEdges(withInternal=True)
+        self.numbers = {edge.getID(): number for number, edge in enumerate(self.edges)}
+        for edge in self.edges:
             for lane in edge.getLanes():
                 self._add(edge, lane)
         for lane, after in self.follows.items():
@@ -261,6 +209,12 @@ class SumoMap(RoadMap):
     def position(self, name: Id) -> Float[np.ndarray, "3"]:
         """The position of a node [m]."""
         return self.to_world([self.net.getNode(name).getCoord3D()])[0]
+
+    def strip(self, lane: str) -> LaneStrip:
+        return self.lane_strips[lane]
+
+    def lane_at(self, approach: Approach, lane: int) -> str:
+        return str(self.edges[int(approach.road)].getLane(lane).getID())
 
     def road_lines(self) -> list[Float[np.ndarray, "N 2"]]:
         to_world = self.to_world

@@ -11,6 +11,7 @@ from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import check_output
 from inspe_jax.mounting.mixes import starting_layout
 from inspe_jax.placement import optimise as search
+from inspe_jax.placement.methods.registry import CONTROLS
 from inspe_jax.placement.result import FILES, STATUSES, Result, save_comparison, save_result
 from inspe_jax.placement.studies import pareto as studies
 from inspe_jax.scene.scene import Scene, load_scene
@@ -144,7 +145,7 @@ def compare(
     - `inspe compare j189.npz layout.yaml --seconds 60 --seeds 5 --out j189_methods`
 
     Args:
-        methods (A,B,…): Search methods, separated by commas; all if not given.
+        methods (A,B,…): Search methods, separated by commas; all but the controls if not given.
         seeds: Number of searches by each method; their seeds count from 0.
     """
     from inspe_jax.report.curves import history_view
@@ -154,7 +155,8 @@ def compare(
     claims.folder(folder, files, force=force)
     objective, constraints = options.checked()
     names = [name.strip() for name in methods.split(",") if name.strip()]
-    names = names or list(search.methods(objective))
+    controls = {method.name for method in CONTROLS}
+    names = names or [name for name in search.methods(objective) if name not in controls]
     search.check_search(names, objective, start, range(seeds))
     with common.busy(f"reading {source}"):
         world, placed = common.scene_and_layout(source, sensors, options.profile)

@@ -32,9 +32,9 @@ def starting_layout(
     Posts are at the junction's corners and roadsides. Each sensor is a unit of its own and looks
     at the centre. LiDARs are placed first; each sensor takes the post that is furthest from those
     already taken. With so many ``poles`` at most, further sensors join the first on their posts, in
-    turn, and further ones that are aimed there look 60° and more to the side. ``own`` has the specs
-    of devices that are not in the catalogue. Raises InspeError if there are more poles than posts,
-    no sensor, no pole, or nowhere to put one.
+    turn, and further ones that are aimed there, up to six, look 60° aside of each other. ``own``
+    has the specs of devices that are not in the catalogue. Raises InspeError if there are more
+    poles than posts, no sensor, no pole, or nowhere to put one.
     """
     specs = {name: (own or {}).get(name) or device(name).spec for name in counts}
     wanted = [specs[name] for name, n in counts.items() for _ in range(n)]

@@ -255,10 +255,11 @@ def _result(run: Run, row: Method, status: str, begun: str | Layout) -> Result:
         notes.append(f"nothing was searched, only the start was scored: {STATUSES[status]}{more}")
     elif run.best == before:
         notes.append("nothing better than the start was found; try a larger budget or start")
-    if paid := float(problem.pole_costs(run.best_x).sum()):
+    if objective.pole_price:
+        began, paid = (float(problem.pole_costs(x).sum()) for x in (run.start, run.best_x))
         count = round(paid / objective.pole_price)
-        words = f"{count} of {len(found.units)} units stand on new poles"
-        notes.append(f"{words}, which the objective pays {paid:g} for")
+        words = f"{count} of {len(found.units)} units stand on new poles, which the objective pays"
+        notes.append(f"{words} {paid:g} for; {began:g} at the start")
     case = problem.cases[0]
     options = ("weights", "occlusion_reference", "visibility", "metrics", "detection")
     readings: dict[str, Any] = {name: getattr(objective, name) for name in options}

@@ -120,7 +120,8 @@ def before_after_table(result: Result) -> RenderableType:
         (m.words, m.symbol, before.value(m.name), after.value(m.name))
         for m in listed_in(before, after)
     ]
-    if abs(result.objective - result.scores.surrogate) > _SAME:
+    ends = (result.objective_before, before), (result.objective, after)
+    if any(abs(value - scores.surrogate) > _SAME for value, scores in ends):
         rows.append(("objective", "", result.objective_before, result.objective))
     for name, symbol, old, new in rows:
         look = "bold" if name == rows[-1][0] else ""

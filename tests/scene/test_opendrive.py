@@ -224,6 +224,7 @@ def test_a_missing_file_is_named(tmp_path):
 
 LANE = re.compile(r'(<lane id=")(-?)([123])(".*?)<width sOffset="0" a="[^"]*" ')
 EDGES = {"1": 3.5, "2": 4.5, "3": 6.5}  # of each lane, outside
+SECTION = re.compile(r'<laneSection s="0(".*?</laneSection>)')
 SAME = {  # the street written otherwise, and its junction
     "words": (re.sub(r'((?:Road|<road id|"road" elementId)=")', r"\1way ", GOOD), 7),
     "large ids": (re.sub(r'"1([01])"', r'"9999999999\1"', GOOD), 7),
@@ -239,6 +240,13 @@ SAME = {  # the street written otherwise, and its junction
     ),
     "shared": (GOOD.replace('"driving"', '"shared"'), 7),
     "same lanes": (re.sub(r'(<connection id="0"[^>]*)>.*?</connection>', r"\1/>", GOOD), 7),
+    "lanes of its roads": (re.sub("<laneLink.*?>", "", GOOD), 7),
+    "no connections": (re.sub("<connection.*</connection>", "", GOOD), 7),
+    "borders to the left": (
+        LANE.sub(lambda x: f'{x[1]}{x[2]}{x[3]}{x[4]}<border sOffset="0" a="{EDGES[x[3]]}" ', GOOD),
+        7,
+    ),
+    "sections without links": (SECTION.sub(r'<laneSection s="0\1<laneSection s="10\1', GOOD, 1), 7),
 }
 
 
@@ -255,8 +263,11 @@ def test_a_street_written_otherwise_is_the_same_place(write, plain, case):
 
 
 def test_far_coordinates_are_taken_from_a_point_near(write, plain):
-    place = read_map(write(street((678_000.0, 5_405_000.0))), junction=7, radius=30)
+    bad = road(3, (0, 200), 0.0, 9, "", 0.0, 0.0).replace('x="0"', "")
+    text = street((678_000.0, 5_405_000.0)).replace("<junction", f"{bad}<junction", 1)
+    place = read_map(write(text), center=(678_000.0, 5_405_000.0), radius=30)
     assert "coordinates are those of the map less (678000, 5405000) m" in place.notes
+    assert "left out of the map: road 3 (x of <geometry> is missing)" in place.notes
     for region in Region:  # the text has them in double precision
         assert place.regions[region].symmetric_difference(plain.regions[region]).area < 1e-4
 
@@ -268,10 +279,34 @@ def test_what_cannot_be_read_is_left_out_and_named(write, plain):
     assert place.notes[:-1] == (
         *plain.notes[:-1],
         "left out of the map: road 3 (length of <road> is 0); road 4 (hdg of <geometry> is 'nan'); "
-        "road 1 (another road has this id); junction 8 (none of its roads has lanes)",
+        "road 1 (another road has this id); junction 8 (none of its roads that can be read has "
+        "lanes)",
+    )
+    far = road(3, (1e8, 0), 0.0, 9, "", 0.0, 0.0) + road(4, (0, 200), 0.0, 9, "", 0.0, 0.0).replace(
+        "</planView>",
+        '<geometry s="9" x="50" y="200" hdg="0" length="9"><line/></geometry></planView>',
+    )
+    far += road(5, (0, 200), 0.0, 9, "", 0.0, 0.0).replace(
+        "<laneSection", '<laneSection singleSide="true"'
+    )
+    place = read_map(write(GOOD.replace("<junction", f"{far}<junction", 1)), junction=7, radius=30)
+    assert place.notes[:-1] == (
+        *plain.notes[:-1],
+        "left out of the map: road 3 (it is over 100 km from most roads); road 4 (pieces of its "
+        "<planView> are over 20 m apart); road 5 (a <laneSection> of a single side)",
     )
     kinds = GOOD.replace('"sidewalk"', '"special1"')
     assert "lanes of other types are left out: special1" in read_map(write(kinds), junction=7).notes
+
+
+def test_a_junction_that_nobody_can_drive_through_is_said(write):
+    none = "no vehicles drive through: the map links no lanes through the junction"
+    unlinked = read_map(write(re.sub('laneLink from="-?1"', 'laneLink from="5"', GOOD)), junction=7)
+    apart = read_map(write(GOOD.replace('x="10.0"', 'x="76.0"', 1)), junction=7)
+    for place in unlinked, apart:
+        assert none in place.notes
+        assert {route.user for route in place.routes} == {"pedestrian"}
+    assert "routes whose lanes are over 20 m apart: 2, left out" in apart.notes
 
 
 def test_traffic_drives_on_the_left_where_the_rule_says_so(write):

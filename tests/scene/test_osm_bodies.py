@@ -309,7 +309,9 @@ def test_traffic_drives_on_the_left_where_the_country_does(tmp_path):
     )
     place = read_map(tmp_path / "town.osm", junction="1", radius=40.0)
     assert "on the left, as in Great Britain or Ireland; where" in " ".join(place.notes)
-    for route in (r for r in place.routes if r.user == "vehicle"):
+    vehicles = [r for r in place.routes if r.user == "vehicle"]
+    assert vehicles
+    for route in vehicles:
         arm = place.arms[route.through[0]]
         assert (arm.axes @ (route.waypoints[0, :2] - arm.mouth))[1] < 0  # right, looking outwards
 

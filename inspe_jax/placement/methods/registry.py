@@ -12,8 +12,10 @@ from inspe_jax.placement.run import Method
 
 GRADIENTS: tuple[Method, ...] = (ADAM, GREEDY_ADAM, LBFGSB, PROJECTED_GRADIENT)
 """Those that follow the gradient of the soft score."""
-SEARCHES: tuple[Method, ...] = (GRID, RANDOM, GREEDY, CMA_ES, DIFFERENCES, MOVES)
+SEARCHES: tuple[Method, ...] = (GRID, RANDOM, GREEDY, CMA_ES)
 """Those that need no gradient."""
+CONTROLS: tuple[Method, ...] = (DIFFERENCES, MOVES)
+"""The default without its gradient."""
 
-METHODS: dict[str, Method] = {method.name: method for method in (*GRADIENTS, *SEARCHES)}
+METHODS: dict[str, Method] = {m.name: m for m in (*GRADIENTS, *SEARCHES, *CONTROLS)}
 """Every method by name. It is read whenever a search begins, so a row can be added at run time."""

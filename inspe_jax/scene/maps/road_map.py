@@ -4,7 +4,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from itertools import product
+from itertools import pairwise, product
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, ClassVar, NamedTuple
@@ -48,6 +48,9 @@ CLUSTER = 35.0  # junctions whose middle is this near to ``center`` count as one
 MARGIN = 10.0  # a map is read this much beyond the radius [m]
 AHEAD = 10  # which of lanes is straight on, is seen from so many stations of each
 MOST_LANES = 200  # a route goes along at most so many beyond its junction
+APART = 20.0  # lanes that follow each other are no farther apart [m]
+FAR = 1e5  # coordinates beyond are those of a file that was moved near [m]
+NO_ROUTES = "no vehicles drive through: the map links no lanes through the junction"
 DRIVEN = TRAVEL | {"bidirectional"}  # kinds of lanes that routes go along
 MOST_LISTED = 20  # at most this many junctions are listed in an error
 
@@ -195,7 +198,7 @@ class MapJunction(ABC):
     def drives(self, arm_of: dict[tuple[Id, str], int]) -> Iterator[Route]:
         """Every path from an inbound lane to another arm of ``arm_of`` (road, end), from radius to
         radius; no U-turns."""
-        town = self.map
+        town, broken, driven = self.map, 0, 0
         for approach in self.approaches:
             arm = arm_of[approach.road, approach.end]
             for lane, kind, low, high, inbound in approach.lanes:
@@ -208,12 +211,21 @@ class MapJunction(ABC):
                     if exit_arm == arm:
                         continue
                     names = [*before, *path, *self._follow(path[-1], 1)]
-                    line = np.concatenate([town.strip(name).center for name in names])
+                    lines = [town.strip(name).center for name in names]
+                    if any(distance_from(b[:1], a[-1])[0] > APART for a, b in pairwise(lines)):
+                        broken += 1
+                        continue
+                    line = np.concatenate(lines)
                     line = onward(distinct(line))
                     at = distance_from(line, town.strip(mouth).center[-1]).argmin()
                     line = self._about(line, at)
                     if len(line) > 1:
+                        driven += 1
                         yield Route(resampled(line), high - low, "vehicle", (arm, exit_arm))
+        if broken:
+            self.notes.append(f"routes whose lanes are over {APART:g} m apart: {broken}, left out")
+        if self.approaches and not driven:
+            self.notes.append(NO_ROUTES)
 
     def _paths(self, start: Any, arm_of: Container[tuple[Id, str]]) -> Iterator[list[Any]]:
         """All sequences of lanes from an inbound lane through the junction to an arm."""
@@ -278,8 +290,9 @@ class RoadMap(ABC):
     ``format`` is how the source of its places ends, ``around`` how a junction is read. ``name`` is
     that of its file without suffixes. ``crossings`` are the outlines of all crosswalks, each
     (K, 3). ``georeference`` is the projection of its coordinates, None without a usable one.
-    ``notes`` are on all of it; ``unread`` are junctions that are left out, with why. ``follows``
-    and ``leads`` have the lanes after and before each, as traffic runs.
+    ``notes`` are on all of it; ``unread`` are junctions that are left out, with why. Coordinates
+    are less than in the file by ``moved`` [m]. ``follows`` and ``leads`` have the lanes after and
+    before each, as traffic runs.
     """
 
     format: ClassVar[str]
@@ -292,6 +305,7 @@ class RoadMap(ABC):
     leads: Mapping[Any, Sequence[Any]]
     notes: Sequence[str] = ()
     unread: Mapping[str, str] = MappingProxyType({})
+    moved: tuple[float, float] = (0.0, 0.0)
 
     @abstractmethod
     def road_lines(self) -> list[Float[np.ndarray, "N 2"]]:
@@ -407,7 +421,9 @@ class RoadMap(ABC):
                     f"{nearest(name, [*named])}"
                 )
             return {named[name]}, self.node(named[name]).middle, f"junction {name}"
-        at, where = np.array([*center, 0.0], float), f"({center[0]:g}, {center[1]:g})"
+        where = f"({center[0]:.10g}, {center[1]:.10g})"
+        whole = np.abs(center).max() > FAR  # given in coordinates of the file
+        at = np.array([*center, 0.0], float) - [*(self.moved if whole else (0.0, 0.0)), 0.0]
         middles = np.array([self.node(j).middle for j in ids]).reshape(-1, 3)
         away = distance_from(middles, at)
         near = away <= CLUSTER

@@ -16,7 +16,8 @@ STRETCH = 5.0  # spirals are integrated in stretches of at most this [m]: errors
 STEPS = 512  # a cubic's length is summed up over so many
 HUGE = 1e9  # no number of a map is so large
 SHARPEST = 10.0  # no curve is so sharp [1/m]
-LONGEST = 1e5  # no road is so long [m]
+LONGEST = 1e5  # no road is so long, nor so far from others [m]
+APART = 20.0  # what follows something begins no farther from its end [m]
 
 Course = Callable[[Float[np.ndarray, " N"]], tuple[Float[np.ndarray, "N 2"], np.ndarray]]
 """The points [m] and the headings (N,) [rad] so far along a piece [m], from (0, 0) along x."""
@@ -78,6 +79,11 @@ class ReferenceLine:
         self.table = np.array([piece[:5] for piece in pieces])
         self.starts, self.lengths = self.table[:, 1:3], self.table[:, 4]
         self.courses: list[Course] = [piece[5] for piece in pieces]
+        if abs(self.starts).max() > LONGEST:
+            raise ValueError(f"it is over {LONGEST / 1000:g} km from most roads")
+        apart = np.hypot(*(self.starts[1:] - self.starts[:-1]).T) - self.lengths[:-1]
+        if apart.max(initial=0.0) > APART:
+            raise ValueError(f"pieces of its <planView> are over {APART:g} m apart")
 
     def at(
         self, s: np.ndarray | float, t: np.ndarray | float = 0.0

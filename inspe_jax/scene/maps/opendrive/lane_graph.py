@@ -36,7 +36,7 @@ class LaneGraph:
 
     def _through(self, root: ET.Element) -> dict[tuple[Id, Id, int], list[tuple[Id, int]]]:
         """By junction, incoming road and lane, the roads and lanes that lead on."""
-        found = defaultdict(list)
+        found, linked, bare = defaultdict(list), set[Id](), list[tuple[Id, Id, Id]]()
         for junction in root.iterfind("junction"):
             name = identity(junction.get("id", ""))
             self.junctions[name] = junction.get("type", "default")
@@ -50,16 +50,26 @@ class LaneGraph:
                 except ValueError as error:
                     self.left_out.append(f"connection {one.get('id')} of junction {name} ({error})")
                     continue
-                own = {lane for section in self.roads[to].sections for lane in section.lanes}
-                for start, end in ends or [(lane, lane) for lane in own]:
+                if not ends:
+                    bare.append((name, came, to))
+                    continue
+                linked.add(to)
+                for start, end in ends:
                     found[name, came, int(start)].append((to, int(end)))
-        known = {-1, *self.junctions}
-        for road in (road for road in self.roads.values() if road.junction not in known):
+        # Of connections without lanes, the links of the connecting road's own lanes count.
+        for road in (road for road in self.roads.values() if road.junction != -1):
+            if road.id in linked:
+                continue
             for place, at in (("start", 0), ("end", -1)):
                 kind, other, _ = road.links.get(place, ("", -1, ""))
                 for name, lane in road.sections[at].lanes.items() if kind == "road" else ():
                     for before in lane.links[place] if lane.onward == (place == "start") else ():
                         found[road.junction, other, before].append((road.id, name))
+                        linked.add(road.id)
+        for name, came, to in bare:
+            if to not in linked:
+                for same in {lane for section in self.roads[to].sections for lane in section.lanes}:
+                    found[name, came, same].append((to, same))
         return found
 
     def _after(
@@ -68,7 +78,7 @@ class LaneGraph:
         road, end = self.roads[key[0]], "end" if lane.onward else "start"
         index = key[1] + (1 if lane.onward else -1)
         if 0 <= index < len(road.sections):
-            for name in lane.links[end]:
+            for name in lane.links[end] or [key[2]]:
                 if name in road.sections[index].lanes:
                     yield road.id, index, name
             return

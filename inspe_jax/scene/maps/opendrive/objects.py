@@ -178,7 +178,7 @@ def _outlined(
         if corner.tag == "cornerRoad":
             s, t = number(corner, "s"), number(corner, "t")
             point, _ = line.at(s + place.s - own.s, t + place.t - own.t)
-            low.append(number(corner, "dz", 0.0))
+            low.append(number(corner, "dz", 0.0) - place.zOffset)  # over the reference line
         elif corner.tag == "cornerLocal":
             u, v = number(corner, "u"), number(corner, "v")
             point = at + turned(np.array([u, v]), float(heading) + turn)
@@ -192,7 +192,9 @@ def _outlined(
         return along, place.zOffset + min(low), place.zOffset + max(high)
     if len(corners) < 3 or not np.isfinite(corners).all():
         return None, 0.0, 0.0
-    return Polygon(corners), place.zOffset + min(low), place.zOffset + max(high)
+    area = Polygon(corners)
+    area = area if area.is_valid else area.convex_hull  # corners in another order
+    return area, place.zOffset + min(low), place.zOffset + max(high)
 
 
 def _place_at(own: Place, repeat: ET.Element, share: float) -> Place:

@@ -60,7 +60,7 @@ from inspe_jax.scene.regions import Region
 ISLAND = 3.0  # a gap between a junction's lanes is paved unless such a circle fits in it [m]
 COARSE = 5.0  # spacing of the points of a map's road lines [m]
 MOST_NAMED = 6  # at most so many of what is left out are named in a note
-NO_AREA = "a {} junction has no area of its own; choose another, or --center X Y"
+NO_AREA = "a {} junction has no area of its own; choose another"
 BOX = 10  # a bounding box is that of so many stretches of each lane
 KINDS = CARRIAGEWAY | SHOULDER | SIDEWALK | {"none", "median", "rail", "tram"}  # known types
 APRON = 25.0  # lanes are read so much farther than kept [m]: none ends inside the rim
@@ -142,7 +142,7 @@ class OpenDriveMap(RoadMap):
     def __init__(self, path: Path) -> None:
         self.path, self.name = path, path.stem
         root = read_tree(path)
-        moved = moved_near(root)
+        self.moved = moved = moved_near(root)
         found, out = read_roads(root)
         self.roads = {name: road for name, (_, road) in found.items()}
         if not self.roads:
@@ -168,7 +168,7 @@ class OpenDriveMap(RoadMap):
         self.unread = {
             str(name): NO_AREA.format(kind)
             if kind in ("direct", "virtual")
-            else "none of its roads has lanes"
+            else "none of its roads that can be read has lanes"
             for name, kind in graph.junctions.items()
             if name not in with_lanes
         }
@@ -254,9 +254,11 @@ def interior_of(town: OpenDriveMap, members: set[Id]) -> set[Id]:
     """The roads of member junctions, and of short chains from one to another, as the ring of a
     roundabout."""
     found = {road.id for road in town.roads.values() if road.junction in members}
+    if len(members) < 2:
+        return found
     for first in town.roads.values():
         chain, ends, todo = set[Id](), set[Id](), [first.id]
-        while todo and first.junction == -1 and len(members) > 1:
+        while todo and first.junction == -1:
             road = town.roads[todo.pop()]
             chain.add(road.id)
             ends |= {link[1] for link in road.links.values() if link[0] == "junction"}
@@ -278,6 +280,7 @@ def approaches_of(town: OpenDriveMap, members: set[Id]) -> list[Approach]:
         for link in road.links.values()
         if link[0] == "road" and link[1] in town.roads and link[1] not in inside
     }
+    touched = {one for one in touched if one[1]}  # not along a road, as a virtual junction
     ends = sorted(touched, key=lambda one: (listed(one[0]), one[1]))
     approaches = [_approach(town.roads[road], end) for road, end in ends]
     return [approach for approach in approaches if approach is not None]

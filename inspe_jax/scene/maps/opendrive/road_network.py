@@ -2,6 +2,7 @@
 
 import io
 import xml.etree.ElementTree as ET
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -20,6 +21,7 @@ from inspe_jax.scene.maps.road_map import Id
 INSET = 1e-3  # lanes and offsets may jump at the ends of sections: cuts stay inside [m]
 UTF_16 = (b"\xff\xfe", b"\xfe\xff")
 WIDEST = 200.0  # no lane is so wide, and none so far from its road's line [m]
+HIGHEST = 1e4  # no road is so high [m]
 FAR = 1e5  # single precision is 8 mm here: coordinates beyond are taken from a point near [m]
 
 
@@ -77,9 +79,11 @@ class OpenDriveRoad:
         if not 0 < length < LONGEST:
             raise ValueError(f"length of <road> is {length:g}")
         found = sorted(element.iterfind("lanes/laneSection"), key=lambda one: number(one, "s"))
+        if any(one.get("singleSide") in ("true", "1") for one in found):
+            raise ValueError("a <laneSection> of a single side")
         bounds = [*(number(one, "s") for one in found), length]
         sections = tuple(
-            Section(start, end, _lanes(one, left_hand))
+            Section(start, end, _lanes(one, left_hand, end - start))
             for one, (start, end) in zip(found, pairwise(bounds), strict=True)
             if end > start
         )
@@ -93,15 +97,20 @@ class OpenDriveRoad:
                 if kind == "road" and contact not in ("start", "end") and not link.get("elementS"):
                     raise ValueError(f"contactPoint of its <{tag}> is '{contact[:40]}'")
                 links[end] = (kind, other, contact)
+        offset = Cubics(element.iterfind("lanes/laneOffset"))
+        elevation = Cubics(element.iterfind("elevationProfile/elevation"))
+        for cubics, most in ((offset, WIDEST), (elevation, HIGHEST)):
+            if abs(cubics(np.linspace(0.0, length, 9))).max() > most:
+                raise ValueError(f"its lane offset or elevation is over {most:g} m")
         return cls(
             identity(element.get("id", "")),
-            identity(element.get("junction") or "-1"),
+            identity(element.get("junction") or "-1") if element.get("junction") != "none" else -1,
             length,
             ReferenceLine(element),
-            Cubics(element.iterfind("elevationProfile/elevation")),
+            elevation,
             Cubics(element.iterfind("lateralProfile/superelevation")),
             element.find("lateralProfile/shape") is not None,
-            Cubics(element.iterfind("lanes/laneOffset")),
+            offset,
             sections,
             links,
         )
@@ -153,15 +162,17 @@ class OpenDriveRoad:
         return max(0, sum(one.start <= s for one in self.sections) - 1)
 
 
-def _lanes(element: ET.Element, left_hand: bool) -> dict[int, Lane]:
-    found = {}
+def _lanes(element: ET.Element, left_hand: bool, length: float) -> dict[int, Lane]:
+    found, at = {}, np.linspace(0.0, length, 9)
     for lane in element.iter("lane"):
         name, kind = int(number(lane, "id")), lane.get("type", "none")
         widths, borders = lane.findall("width"), lane.findall("border")
         if name and kind != "none" and not widths and not borders:
             raise ValueError(f"no <width> and no <border> in lane {name}")
         edge = Cubics(widths or borders, "sOffset")
-        if abs(edge.rows[:, 1]).max(initial=0.0) > WIDEST:
+        if not widths and name < 0 and (edge.rows[:, 1] > 0).any():  # written as if on the left
+            edge.rows[:, 1:] *= -1
+        if abs(edge(at)).max() > WIDEST:
             raise ValueError(f"lane {name} is wider than {WIDEST:g} m")
         rows = [[number(h, k) for k in ("sOffset", "inner", "outer")] for h in lane.iter("height")]
         links = {
@@ -183,6 +194,7 @@ def _lanes(element: ET.Element, left_hand: bool) -> dict[int, Lane]:
 
 def identity(text: str) -> Id:
     """The id of a road or junction: a number if it is written as one."""
+    text = text.strip()
     short = len(text) < 19 and (text == "-1" or (text.isascii() and text.isdigit()))
     return int(text) if short and str(int(text)) == text else text
 
@@ -224,15 +236,15 @@ def read_roads(root: ET.Element) -> tuple[dict[Id, tuple[ET.Element, OpenDriveRo
 def moved_near(root: ET.Element) -> tuple[float, float]:
     """Take coordinates that are too large for single precision from a point near all roads; how
     much they are less then (x, y) [m]."""
-    pieces = root.findall("road/planView/geometry")
-    try:
-        at = np.array([[number(piece, key) for key in "xy"] for piece in pieces])
-    except ValueError:  # said of its road
-        return 0.0, 0.0
+    pieces = list[tuple[ET.Element, float, float]]()
+    for piece in root.iterfind("road/planView/geometry"):
+        with suppress(ValueError):  # said of its road
+            pieces.append((piece, number(piece, "x"), number(piece, "y")))
+    at = np.array([place for _, *place in pieces])
     if not len(at) or abs(middle := np.median(at, 0)).max() < FAR:
         return 0.0, 0.0
     x, y = np.round(middle, -3).tolist()
-    for piece, (east, north) in zip(pieces, at.tolist(), strict=True):
+    for piece, east, north in pieces:
         piece.set("x", repr(east - x))
         piece.set("y", repr(north - y))
     return x, y

@@ -177,8 +177,11 @@ def test_table_of_scores_before_and_after(result):
     change = f"{after - before:+.3f}"
     assert row_of(text, "coverage")[2:] == [f"{before:.3f}", f"{after:.3f}", change]
     assert row_of(text, "objective")[1:] == ["0.200", "0.400", "+0.200"]
-    same = replace(result, objective=result.scores.surrogate)
+    before, after = result.scores_before.surrogate, result.scores.surrogate
+    same = replace(result, objective_before=before, objective=after)
     assert "objective" not in printed(before_after_table(same))
+    paid = replace(same, objective_before=before - 0.01)  # for a new pole
+    assert row_of(printed(before_after_table(paid)), "objective")[2] == f"{after:.3f}"
 
 
 def test_table_of_moves(result):

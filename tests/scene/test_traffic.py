@@ -325,15 +325,17 @@ def test_lorries_in_narrow_streets_do_not_stand_for_good(maps, density: int) -> 
     for at most 0.83 of the time.
     """
     place = read_map(maps / "Town04.xodr", junction=278, radius=50)
-    traffic = waypoint_traffic(place, radius=50, count=density, frames=100, mix="largest")
-    assert overlapping(traffic) == []
-    at = [xyz[there, :2] for xyz, there in zip(traffic.center, traffic.valid, strict=True)]
-    stands = [
-        (np.abs(now[:, None] - before).sum(-1).min(1) < 0.05).mean() for before, now in pairwise(at)
-    ]
-    assert np.mean(stands) < (0.6 if density == 20 else 0.83)
-    waits = "".join("." if share == 1 else "|" for share in stands).split("|")
-    assert max(map(len, waits)) <= WEDGED
+    shares = list[float]()
+    for seed in range(3 if density == 20 else 1):  # few lorries: one drawing says little
+        some = dict(radius=50, count=density, frames=100, mix="largest", seed=seed)
+        traffic = waypoint_traffic(place, **some)
+        assert overlapping(traffic) == []
+        at = [xyz[there, :2] for xyz, there in zip(traffic.center, traffic.valid, strict=True)]
+        stands = [(np.abs(b[:, None] - a).sum(-1).min(1) < 0.05).mean() for a, b in pairwise(at)]
+        waits = "".join("." if share == 1 else "|" for share in stands).split("|")
+        assert max(map(len, waits)) <= WEDGED
+        shares += stands
+    assert np.mean(shares) < (0.6 if density == 20 else 0.83)
 
 
 def counted(counts: list[int], frames: int = 2) -> TrafficFrames:

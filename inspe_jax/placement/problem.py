@@ -177,6 +177,10 @@ class Problem:
         """The exact objective of the layout at coordinates ``x``."""
         return self.exact_of(self.space.layout(np.asarray(x))) - float(self.pole_costs(x).sum())
 
+    def chart(self, x: Float[np.ndarray, " N"]) -> tuple[np.ndarray, np.ndarray]:
+        """:meth:`Space.chart`; where new poles have a price, units on poles stay there."""
+        return self.space.chart(x, self.objective.pole_price > 0)
+
     def pole_costs(self, x: Float[np.ndarray, "*M N"]) -> Float[np.ndarray, "*M U"]:
         """What the objective pays for the new pole of each unit, if it stands on one."""
         feet = np.asarray(x)[..., self.space.index.base]

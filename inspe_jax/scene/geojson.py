@@ -66,14 +66,14 @@ def read_features(
     path: str | os.PathLike[str],
     place: Intersection,
     wanted: Callable[[dict[str, Any]], bool] = lambda properties: True,
-) -> tuple[tuple[Feature, ...], dict[str, Any]]:
+) -> tuple[tuple[Feature, ...], dict[str, Any], list[int]]:
     """The features of a file in the world metres of a place, and its further members.
 
     Coordinates are longitudes and latitudes, or those of the system that an older GeoJSON file
     names in ``crs``. A CSV file has a row for each point, with columns ``latitude``, ``longitude``
     and those of its properties. Properties that are null are left out. ``wanted`` says by its
-    properties whether a feature is read. Members have the numbers of features without a geometry,
-    which are left out, as ``bare``. Raises InspeError if the place has no coordinates, the
+    properties whether a feature is read. The last are the numbers of features without a geometry,
+    which are left out. Raises InspeError if the place has no coordinates, the
     file is no such file, or a wanted feature has no coordinates.
     """
     georeference = known_georeference(place)
@@ -109,7 +109,7 @@ def read_features(
                 "WGS 84, as GeoJSON has to be, or name its projection in 'crs'"
             )
         features.append(Feature(moved, properties, where))
-    return tuple(features), {**(found.model_extra or {}), "bare": bare}
+    return tuple(features), found.model_extra or {}, bare
 
 
 def _points(path: Path) -> dict[str, Any]:

@@ -95,8 +95,8 @@ def load_layout_geojson(
     :func:`~inspe_jax.scene.geojson.read_features` and
     :func:`~inspe_jax.sensing.layout.load_layout`, and if a sensor's unit is not in the file."""
     place, kinds = scene.intersection, ("unit", "sensor")
-    features, further = read_features(path, place, lambda own: own.get("feature") in kinds)
-    if bare := further["bare"]:
+    features, further, bare = read_features(path, place, lambda own: own.get("feature") in kinds)
+    if bare:
         raise InspeError(f"{path}: features[{bare[0]}].geometry: no geometry of GeoJSON")
     units: dict[str, tuple[np.ndarray, list[dict[str, Any]]]] = {}
     profiles = []

@@ -123,8 +123,7 @@ def charted(
 
 def _charts(problem: Problem, x: Float[np.ndarray, "M N"]) -> tuple[np.ndarray, np.ndarray]:
     """The layouts' places in new charts, and which charts these are."""
-    stay = problem.objective.pole_price > 0
-    v, place = zip(*(problem.space.chart(row, stay) for row in x), strict=True)
+    v, place = zip(*map(problem.chart, x), strict=True)
     return on_host(np.stack(v), float), np.stack(place)
 
 

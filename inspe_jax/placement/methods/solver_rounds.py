@@ -92,7 +92,7 @@ def charged(
 
 def _lbfgsb(run: Run, x: np.ndarray, data: tuple) -> np.ndarray:
     problem = run.problem
-    v, place = problem.space.chart(x, problem.objective.pole_price > 0)
+    v, place = problem.chart(x)
     anchor, scale = on_host(v, float), problem.space.scale
 
     def layout(z: Any) -> np.ndarray:

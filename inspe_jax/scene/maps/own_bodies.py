@@ -59,7 +59,7 @@ def with_own_bodies(
     :func:`~inspe_jax.scene.geojson.read_features`, if a property is wrong, and if nothing is so
     near.
     """
-    features, members = read_features(path, place)
+    features, _, bare = read_features(path, place)
     if not features:
         raise InspeError(f"{path}: has no features that are bodies")
     away = shapely.distance([one.geometry for one in features], shapely.Point(place.center[:2]))
@@ -81,7 +81,7 @@ def with_own_bodies(
     if len(near) < len(features):
         far = f"{len(features) - len(near)} of {len(features)} features"
         notes.append(f"{far} are farther than {reach:g} m: left out")
-    if bare := members["bare"]:
+    if bare:
         notes.append(f"features without a geometry: {', '.join(map(str, bare[:NAMED]))}: left out")
     lost = list(_poles_left_out(features, poles, place, reach))
     notes += lost[:NAMED]

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from inspe_jax.scene.lines import turned
+from inspe_jax.scene.maps.road_map import APART
 
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(8)  # Gauss's quadrature on −1 … 1
 STRETCH = 5.0  # spirals are integrated in stretches of at most this [m]: errors are below 1 µm
@@ -17,7 +18,6 @@ STEPS = 512  # a cubic's length is summed up over so many
 HUGE = 1e9  # no number of a map is so large
 SHARPEST = 10.0  # no curve is so sharp [1/m]
 LONGEST = 1e5  # no road is so long, nor so far from others [m]
-APART = 20.0  # what follows something begins no farther from its end [m]
 
 Course = Callable[[Float[np.ndarray, " N"]], tuple[Float[np.ndarray, "N 2"], np.ndarray]]
 """The points [m] and the headings (N,) [rad] so far along a piece [m], from (0, 0) along x."""

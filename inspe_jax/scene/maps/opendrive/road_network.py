@@ -16,13 +16,12 @@ from inspe_jax.core.files import TEXT, check_input, check_xml
 from inspe_jax.scene.georeference import Georeference, of_open_drive
 from inspe_jax.scene.lines import distance_from
 from inspe_jax.scene.maps.opendrive.geometry import LONGEST, Cubics, ReferenceLine, number
-from inspe_jax.scene.maps.road_map import Id
+from inspe_jax.scene.maps.road_map import FAR, Id
 
 INSET = 1e-3  # lanes and offsets may jump at the ends of sections: cuts stay inside [m]
 UTF_16 = (b"\xff\xfe", b"\xfe\xff")
 WIDEST = 200.0  # no lane is so wide, and none so far from its road's line [m]
 HIGHEST = 1e4  # no road is so high [m]
-FAR = 1e5  # single precision is 8 mm here: coordinates beyond are taken from a point near [m]
 
 
 class Lane(NamedTuple):

@@ -305,7 +305,8 @@ def test_a_layout_that_breaks_a_rule_opens_in_red_and_says_why(scene, layout, tm
 
 def test_a_column_has_the_tint_that_most_of_its_voxels_are_of_and_hidden_ones_are_boxes(viewer):
     """So no tint lies on another one, and none hides a box."""
-    scene3d, grid = viewer.scene3d, viewer.case.scene.voxels
+    grid = viewer.case.scene.voxels
+    scene3d = Scene3D(viewer.server.scene, viewer.case.scene)
     kinds = np.full((len(grid.columns), grid.level_count), Visibility.OUT_OF_VIEW)
     kinds[:, 0], kinds[:5] = Visibility.HIDDEN, Visibility.SEEN
     scene3d.draw_voxels(kinds.ravel(), Visibility)

@@ -25,7 +25,9 @@ from inspe_jax.placement.candidate_table import Table as Candidates
 from inspe_jax.placement.candidates import lattice
 from inspe_jax.placement.methods.greedy import lazy_greedy
 from inspe_jax.placement.problem import Problem
-from inspe_jax.placement.sample_score import SampleScore
+from inspe_jax.placement.sampled_objective import SampledObjective, joined, one_tile_a_slab
+from inspe_jax.scoring.metrics import entropy
+from inspe_jax.visibility import bitmask
 
 ALL = 10**9
 """More columns and frames than there are."""
@@ -58,7 +60,7 @@ def instance(quick: bool, seed: int) -> tuple[Scene, Layout]:
 def candidates(problem: Problem, quick: bool, seed: int) -> Candidates:
     """Candidate poses, the same for every camera, and all that they see."""
     layout, space = problem.layout, problem.space
-    sampled = SampleScore(problem, problem.sample(np.random.default_rng(seed), ALL, ALL))
+    sampled = SampledObjective(problem, problem.sample(np.random.default_rng(seed), ALL, ALL))
     feet = lattice(space, 6 if quick else 16)
     stand = space.can_stand(feet)
     common = np.flatnonzero(stand.all(0))
@@ -103,22 +105,48 @@ def best_subset(
     return chosen, float(worth[seen[chosen].any(0)].sum()), float(-found.mip_dual_bound)
 
 
+def elements(table: Candidates) -> tuple[np.ndarray, np.ndarray]:
+    """What each of K candidates sees, (K, E), and what each element is worth, (E,).
+
+    Elements are the voxels in view and the voxels seen in each frame. The worth is P_sm written by
+    hand: cameras of reliability 1 resolve all that they have in view, so IG is of a union, too.
+    """
+    kind, count = table.kinds[0], table.kinds[0].looked
+    (rows,), (tiled,) = joined(kind.rows), map(one_tile_a_slab, table.sampled.sample.scenes)
+    (chunk,), levels = tiled.chunks, tiled.tiles.level_count
+    seen, view, there, solid = (
+        bitmask.unpack(np.asarray(x)[..., None], levels)
+        for x in (
+            rows.seen[:count, 0],
+            rows.view[:count, 0],
+            chunk.tile.there[0],
+            np.asarray(chunk.solid)[0],
+        )
+    )
+    weight = np.asarray(tiled.weight, float)[:, None] * there
+    free = (there & ~solid).astype(float)
+    left = np.asarray(entropy(tiled.occupancy[0])).T
+    in_view = 0.3 * weight / weight.sum() + 0.2 * left / left.sum()
+    in_frames = 0.5 * free / free.sum((1, 2), keepdims=True) / len(free)
+    each = np.concatenate([part.reshape(count, -1) for part in (view, seen)], 1)
+    return each, np.concatenate([in_view.ravel(), in_frames.ravel()])
+
+
 def discrete(table: Candidates, seconds: float) -> tuple[list[dict[str, Any]], dict[str, Any]]:
     """The optimum and greedy's choice: a row each; and the instance's figures."""
     problem, sampled = table.problem, table.sampled
     scene = problem.cases[0].scene
-    kind, k, count = table.kinds[0], len(problem.layout), len(table.kinds[0].foot)
-    bits = np.concatenate([part.bits for part in kind.rows])[:count].reshape(count, -1)
-    # Cameras of reliability 1 resolve all that they have in view, so that IG is of a union, too:
-    # what a set sees is worth the sum over its bits of what one camera alone gains by each.
-    worth = sampled.marginal({}, 0).bits.ravel().astype(float)
+    k, count = len(problem.layout), table.kinds[0].looked
+    seen, worth = elements(table)
     began = time.perf_counter()
-    chosen, value, bound = best_subset(bits, worth, k, seconds)
+    chosen, value, bound = best_subset(seen, worth, k, seconds)
     solved = time.perf_counter()
-    picks, again = lazy_greedy(table)
+    picks, looked = lazy_greedy(table)
     done = time.perf_counter()
     start = problem.space.start(problem.layout)[0]
     best = dict(enumerate(chosen.tolist()))
+    scored = sampled.value(table.rows(best))
+    assert abs(value - scored) < 1e-4, f"the elements are worth {value}, the set {scored}"
     rows = [
         dict(method=name, seed="", score=problem.exact(table.layout(start, chosen)), seconds=took)
         for name, chosen, took in (
@@ -133,7 +161,7 @@ def discrete(table: Candidates, seconds: float) -> tuple[list[dict[str, Any]], d
         frames=scene.traffic.frame_count,
         bound=bound,
         gap=bound - value,
-        gains_worked_out=count + again,
+        gains_worked_out=looked,
         gains_of_plain_greedy=sum(count - n for n in range(k)),
     )
     return rows, figures

@@ -362,7 +362,7 @@ class DeviceOptions(SearchOptions):
     def checked(self, start: str = "given", **objective: Any) -> tuple[Objective, Constraints]:
         """The objective with prices, and the constraints; the method is checked too."""
         wanted, constraints = super().checked(prices=prices(self.price), **objective)
-        check_search((self.method,), wanted, start, (self.seed,))
+        check_search((self.method,), start, (self.seed,))
         return wanted, constraints
 
 

@@ -156,8 +156,8 @@ def compare(
     objective, constraints = options.checked()
     names = [name.strip() for name in methods.split(",") if name.strip()]
     controls = {method.name for method in CONTROLS}
-    names = names or [name for name in search.methods(objective) if name not in controls]
-    search.check_search(names, objective, start, range(seeds))
+    names = names or [name for name in search.methods() if name not in controls]
+    search.check_search(names, start, range(seeds))
     with common.busy(f"reading {source}"):
         world, placed = common.scene_and_layout(source, sensors, options.profile)
         cases = options.cases(world)

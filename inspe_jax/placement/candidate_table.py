@@ -1,5 +1,6 @@
 """Candidate poses for every sensor, and what a sensor sees of one sample from each."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -8,7 +9,13 @@ from jaxtyping import Bool, Float, Int
 
 from inspe_jax.placement.candidates import FRAMES, lattice, poses, set_heights
 from inspe_jax.placement.problem import Problem
-from inspe_jax.placement.sample_score import Rows, SampleScore
+from inspe_jax.placement.sampled_objective import (
+    Rows,
+    SampledObjective,
+    SampledRows,
+    joined,
+    rows_at,
+)
 from inspe_jax.sensing.layout import UNIT_HEIGHT
 
 HEIGHTS, YAWS = 3, 8
@@ -35,9 +42,14 @@ class CandidateKind:
         """Number of chunks of candidates."""
         return -(-len(self.foot) // CHUNK)
 
+    @property
+    def looked(self) -> int:
+        """Number of candidates that were looked at."""
+        return min(len(self.rows) * CHUNK, len(self.foot))
+
     def row(self, k: int) -> Rows:
         """What is seen from candidate ``k``."""
-        return self.rows[k // CHUNK][k % CHUNK]
+        return rows_at(self.rows[k // CHUNK], k % CHUNK)
 
 
 @dataclass(eq=False)
@@ -45,7 +57,7 @@ class Table:
     """The candidates of every kind of sensor of a problem, on one sample."""
 
     problem: Problem
-    sampled: SampleScore
+    sampled: SampledObjective
     feet: Float[np.ndarray, "F 2"]
     stand: Bool[np.ndarray, "U F"]
     kinds: list[CandidateKind]
@@ -64,7 +76,7 @@ class Table:
         The candidates are shifted at random by up to a step if not ``first``.
         """
         space, layout = problem.space, problem.layout
-        sampled = SampleScore(problem, problem.sample(rng, columns, FRAMES))
+        sampled = SampledObjective(problem, problem.sample(rng, columns, FRAMES))
         feet = lattice(space)
         stand = space.can_stand(feet)
         shift = np.array([0.5, 0.0, 0.5]) if first else rng.uniform(size=3)
@@ -123,12 +135,40 @@ class Table:
         """What each placed sensor sees."""
         return {s: self.kind_of(s).row(k) for s, k in picks.items()}
 
-    def gains(self, s: int, rows: dict[int, Rows]) -> Float[np.ndarray, " K"]:
-        """The gain of sensor ``s`` at each candidate, beside others that see ``rows``; its share of
-        the pole is paid."""
-        kind, weights = self.kind_of(s), self.sampled.marginal(rows, s)
-        gains = np.concatenate([weights.dot(part) for part in kind.rows])[: len(kind.foot)]
-        return gains - self.share(s)[kind.foot[: len(gains)]]
+    def scores(self, rows: SampledRows, at: Sequence[tuple[int, int]]) -> Float[np.ndarray, " n"]:
+        """The score with sensor s at candidate k, for each (s, k), beside others that see ``rows``;
+        the sensor's share of the pole is paid."""
+        new = joined([rows_at(self.kind_of(s).row(k), None) for s, k in at])
+        paid = [self.share(s)[self.kind_of(s).foot[k]] for s, k in at]
+        return self.sampled.scores(rows, np.array(at)[:, :1], [new]) - np.array(paid)
+
+    def scores_of_all(
+        self, rows: SampledRows, sensors: Sequence[int]
+    ) -> dict[int, Float[np.ndarray, " K"]]:
+        """The same of some sensors of a unit, each at all of its candidates."""
+        found = dict[int, Float[np.ndarray, " K"]]()
+        for s in self.one_of_each(sensors):
+            kind, at = self.kind_of(s), np.full((CHUNK, 1), s)
+            scores = np.concatenate([self.sampled.scores(rows, at, [part]) for part in kind.rows])
+            scores = scores[: kind.looked] - self.share(s)[kind.foot[: kind.looked]]
+            found |= {t: scores for group in self.alike if s in group for t in group}
+        return {s: found[s] for s in sensors}
+
+    @cached_property
+    def alike(self) -> list[list[int]]:
+        """Sensors of one kind that are as reliable as each other and pay as much for poles."""
+        groups: dict[object, list[int]] = {}
+        for number, kind in enumerate(self.kinds):
+            for s in kind.sensors:
+                reliability = (of.reliability[s] for of in self.problem.sensor_sets)
+                key = (number, *reliability, self.share(s).tobytes())
+                groups.setdefault(key, []).append(s)
+        return list(groups.values())
+
+    def one_of_each(self, sensors: Sequence[int]) -> list[int]:
+        """The first of some sensors of a unit in each group of those that are :attr:`alike`."""
+        firsts = ([s for s in group if s in sensors][:1] for group in self.alike)
+        return [s for first in firsts for s in first]
 
     def share(self, s: int) -> Float[np.ndarray, " F"]:
         """What sensor ``s`` pays for its unit's pole at each foot, as much as the unit's others."""

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from inspe_jax.core.digest import digest
-from inspe_jax.core.errors import InspeError, check_known, or_usual, wrong_kind
+from inspe_jax.core.errors import InspeError, check_known, wrong_kind
 from inspe_jax.core.files import check_output, check_writable, json_value
 from inspe_jax.core.version import versions
 from inspe_jax.placement.checkpoint import SUFFIXES, CheckpointWriter
@@ -45,15 +45,9 @@ _ENDING = 0.1
 """A method that stops with at most this share of the budget left has used its budget."""
 
 
-def methods(objective: Objective | None = None) -> dict[str, str]:
-    """The names of all search methods that can maximise an objective, each with a line about it."""
-    return {row.name: row.summary for row in _knowing(objective)}
-
-
-def _knowing(objective: Objective | None) -> list[Method]:
-    """The search methods that know all metrics with weight."""
-    weights = or_usual("objective", objective, Objective).weights_by_name
-    return [row for row in METHODS.values() if not row.unknown(weights)]
+def methods() -> dict[str, str]:
+    """The names of all search methods, each with a line about it."""
+    return {row.name: row.summary for row in METHODS.values()}
 
 
 def optimise(
@@ -99,7 +93,7 @@ def optimise(
     that of the start. Raises InspeError if an option is unknown or out of range, if a unit has
     nowhere to stand, or if the checkpoint is of another search.
     """
-    (row,) = check_search((method,), objective, start, (seed,))
+    (row,) = check_search((method,), start, (seed,))
     seconds = _seconds(seconds, evaluations)
     check_output(checkpoint, SUFFIXES)
     if checkpoint is not None:
@@ -134,15 +128,14 @@ def compare(
 ) -> list[Result]:
     """Search by several methods on equal terms, once for each seed.
 
-    ``methods`` are names of :func:`methods`; None means all that know the objective. ``seeds`` is a
-    number of seeds, from 0 on, or the seeds. The other options are as in :func:`optimise`. All
+    ``methods`` are names of :func:`methods`; None means all. ``seeds`` is a number of seeds, from
+    0 on, or the seeds. The other options are as in :func:`optimise`. All
     searches use the same compiled scores. ``progress`` is called with the method, the seed, the
     share of its budget spent and its best score. Ctrl-C ends the comparison with the searches so
     far, the last one as it stands. Raises InspeError as :func:`optimise`.
     """
     several = range(seeds) if isinstance(seeds, int) else seeds
-    names = [row.name for row in _knowing(objective)] if methods is None else methods
-    rows = check_search(names, objective, start, several)
+    rows = check_search(tuple(METHODS) if methods is None else methods, start, several)
     seconds = _seconds(seconds, evaluations)
     problem = Problem(cases_of(scene, conditions), layout, objective, constraints)
     search = partial(_search, problem, start=start, seconds=seconds, evaluations=evaluations)
@@ -339,21 +332,12 @@ def _seconds(seconds: float | None, evaluations: float | None) -> float | None:
 
 
 def check_search(
-    methods: Sequence[str],
-    objective: Objective | None = None,
-    start: str | Layout = "given",
-    seeds: Sequence[int] = (0,),
+    methods: Sequence[str], start: str | Layout = "given", seeds: Sequence[int] = (0,)
 ) -> list[Method]:
-    """The methods of these names. Raises InspeError where one is unknown or named twice, does not
-    know the objective, or the start or a seed cannot be: all that needs no scene to be seen."""
-    weights = or_usual("objective", objective, Objective).weights_by_name
+    """The methods of these names. Raises InspeError where one is unknown or named twice, or the
+    start or a seed cannot be: all that needs no scene to be seen."""
     for name in methods:
         check_known(name, METHODS, "method")
-        if others := METHODS[name].unknown(weights):
-            raise InspeError(
-                f"method '{name}' does not know {', '.join(others)}, which has weight; use one of "
-                f"{', '.join(row.name for row in _knowing(objective))}"
-            )
     rows = [METHODS[name] for name in methods]
     if not rows:
         raise InspeError(f"no method to compare: give some of {', '.join(METHODS)}")

@@ -4,7 +4,7 @@ A method says how a search begins and does one step of it. A step goes from one 
 so a search can be stopped after any step and resumed.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from numbers import Real
 from typing import Any
@@ -35,8 +35,7 @@ class Method:
 
     ``states`` are the frozen dataclasses of its states. Their fields are NumPy arrays, numbers and
     strings, as a checkpoint holds them. ``begin`` gives the first state. ``step`` does about a
-    second of work and gives the next state, or None if nothing is left to do. ``knows`` are the
-    metrics that it can maximise; None for all.
+    second of work and gives the next state, or None if nothing is left to do.
     """
 
     name: str
@@ -44,12 +43,6 @@ class Method:
     states: tuple[type[Any], ...]
     begin: "Callable[[Run], Any]"
     step: "Callable[[Run, Any], Any]"
-    knows: tuple[str, ...] | None = None
-
-    def unknown(self, weights: Mapping[str, float]) -> list[str]:
-        """The metrics with weight that it does not know."""
-        known = weights if self.knows is None else self.knows
-        return [name for name, weight in weights.items() if weight and name not in known]
 
 
 @dataclass(frozen=True)

@@ -125,7 +125,6 @@ def read_tiles(
     shadows = [reading.shadows(positions, chunk.prisms) for chunk in tiled.chunks]
 
     def read_tile(tile: Tile, last: Array, views: Any, *solids: Any) -> TileReadings:
-        levels = len(tile.heights)
         f = reading.view_of_tile(views, tile, *seen_by)
         past = reading.past_statics(tile, positions, tiled.statics, f)
         f = f if past is None else reading.both(f, past)
@@ -138,18 +137,10 @@ def read_tiles(
         if counts.sights is not None:
             sights = checkpoint_name(counts.sights.astype(tile.heights.dtype), SIGHTS)
             if past is not None:
-                sights = sights * reading.chances(past, levels).swapaxes(1, 2)
+                sights = sights * reading.chances(past, len(tile.heights)).swapaxes(1, 2)
         of_sensors = f, sights, tiled.frame_count, poses, sensors
         at = TileEvidence(reading, tile, *of_sensors, last, tiles.slabs == 1, options.detection)
-        visible = reading.chances(f, levels) if options.visibility == "in_view" else at.visible
-        covered = reading.any_of(f, failures)
-        return TileReadings(
-            reading.column_counts(covered),
-            reading.level_counts(covered[0], levels),
-            metrics.resolved(visible, jnp.asarray(sensors.reliability, float), failures),
-            counts._replace(sights=None),
-            metrics.tile_terms(options.metrics, at),
-        )
+        return readings_of_tile(at, counts, options)
 
     if kept is not None:
         reading = reading.in_little_room()
@@ -157,6 +148,20 @@ def read_tiles(
         read_tile = jax.checkpoint(read_tile, policy=only)
     by_tile = tiles.tile, tiles.last, views, *(chunk.solid for chunk in tiled.chunks)
     return jax.lax.map(lambda given: unless_empty(read_tile)(*given), by_tile)
+
+
+def readings_of_tile(at: TileEvidence, counts: Counts, options: ScoreOptions) -> TileReadings:
+    """What is read of one tile, from what each sensor has of it and what all together see."""
+    reading, failures, levels = at.reading, at.failures, len(at.tile.heights)
+    visible = reading.chances(at.views, levels) if options.visibility == "in_view" else at.visible
+    covered = reading.any_of(at.views, failures)
+    return TileReadings(
+        reading.column_counts(covered),
+        reading.level_counts(covered[0], levels),
+        metrics.resolved(visible, jnp.asarray(at.sensors.reliability, float), failures),
+        counts._replace(sights=None),
+        metrics.tile_terms(options.metrics, at),
+    )
 
 
 def summarise_readings(
@@ -170,12 +175,15 @@ def summarise_readings(
     tiles, counts = tiled.tiles, found.counts
     columns = found.columns.swapaxes(0, 1).reshape(found.columns.shape[1], tiles.slabs, -1)
     by_level = found.levels.reshape(tiles.slabs, len(tiles.tile.there) // tiles.slabs, -1)
-    tile, column = jnp.divmod(tiled.column, tiles.tile.there.shape[1])
+    resolved = found.resolved.swapaxes(0, 1)  # (1 + G, N, Z, C)
+    if tiled.occupancy.ndim == 1:
+        tile, column = jnp.divmod(tiled.column, tiles.tile.there.shape[1])
+        resolved = found.resolved[tile, :, tiled.level, column].T
     return summarise(
         tiled,
         tiles.column_shares(columns.sum(1).astype(float)),
         by_level.sum(1).reshape(-1),
-        metrics.entropy_terms(found.resolved[tile, :, tiled.level, column].T, tiled.occupancy),
+        metrics.entropy_terms(resolved.reshape(len(resolved), -1), tiled.occupancy.reshape(-1)),
         counts._replace(seen=counts.seen.sum(0), original=counts.original.sum(0)),
         found.terms,
         failures,

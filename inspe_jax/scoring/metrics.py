@@ -148,6 +148,7 @@ METRICS: dict[str, Metric] = {
             "share of voxels that some sensor ray passes through, weighted by region",
             lambda found: coverage(found.covered, found.weight),
             by_region=True,
+            submodular=True,
         ),
         Metric(
             "occlusion",
@@ -155,6 +156,7 @@ METRICS: dict[str, Metric] = {
             0.5,
             "share of voxels that stays visible behind traffic, a mean over frames",
             lambda found: occlusion(found.seen, found.original),
+            submodular=True,
         ),
         Metric(
             "information_gain",
@@ -162,6 +164,7 @@ METRICS: dict[str, Metric] = {
             0.2,
             "share of the occupancy's entropy that the sensors resolve",
             lambda found: information_gain(found.remaining, found.entropy),
+            submodular=True,
         ),
         *ROWS,
     )

@@ -264,3 +264,25 @@ class Bits:
 
 BITS = Bits()
 """The exact reading."""
+
+
+@pytree
+@dataclass(frozen=True)
+class Known(Bits):
+    """As :class:`Bits`, of what each sensor sees that is known: it takes no geometry.
+
+    In place of shadows, rows have the set (F, C) that a sensor sees in each frame, and the numbers
+    of frames (C, Z) in which it has each voxel in line of sight, or None.
+    """
+
+    def over_sensors(
+        self, see_from: SeeFrom, rows: SensorRow, given: tuple, failures: Groups | None
+    ) -> tuple[Union, Any]:
+        """As that of :class:`Bits`."""
+        seen, sights = rows[1]
+        unions = self.any_of(seen, failures)
+        return Union(unions[0], lambda of: self.count(unions & of[None])), sights
+
+
+KNOWN = Known()
+"""The exact reading of what is known."""

@@ -137,6 +137,7 @@ def _of_targets(
     summary: str,
     field: str,
     fuse: Callable[[Float[Array, "S ..."], Groups | None], Float[Array, "1+G ..."]],
+    submodular: bool = False,
 ) -> Metric:
     """The row of a metric that ``of_columns`` gives of what sensors have on road users.
 
@@ -155,7 +156,8 @@ def _of_targets(
             columns = of_columns(fuse(columns, found.failures), found.width)
         return weighted_mean(columns, found.weight)
 
-    return _row(name, symbol, summary, value=value, terms=terms)
+    how = dict(value=value, terms=terms, targets=True, submodular=submodular)
+    return _row(name, symbol, summary, **how)
 
 
 ROWS = (
@@ -165,6 +167,7 @@ ROWS = (
         "chance that a detector finds a road user, mean over places, classes and frames",
         "chance",
         leave_one_out,
+        submodular=True,
     ),
     _of_targets(
         points_on_target,
@@ -179,6 +182,7 @@ ROWS = (
         f"share of places with {BANDS['detect']:g} pixels per metre or more, without traffic",
         "sharp",
         leave_one_out,
+        submodular=True,
     ),
     _of_targets(
         localisation,

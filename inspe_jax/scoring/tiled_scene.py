@@ -81,7 +81,8 @@ class TiledScene:
     ``weight`` is the region weight of the columns of the M tiles of a slab, 0 for padding; of a
     column with voxels inside a body it is the share that the others are of it. ``occupancy`` is p̂
     of the voxels that may have entropy, padded with 0 at the end. ``column`` and ``level`` say
-    which these are: the column's number among the tiles' columns, and the level in its slab.
+    which these are: the column's number among the tiles' columns, and the level in its slab; they
+    are empty if ``occupancy`` (N, Z, C) is of all voxels of the tiles.
     ``device_tiles`` are the tiles in :func:`device_order`, divided among the devices; None where
     there is one. ``statics`` are the bodies and the ground; None where there are none.
     """
@@ -89,7 +90,7 @@ class TiledScene:
     tiles: Tiles
     chunks: tuple[WorkChunk, ...]
     weight: Float[Array, " MC"]
-    occupancy: Float[Array, " U"]
+    occupancy: Float[Array, "*U"]
     column: Int[Array, " U"]
     level: Int[Array, " U"]
     frame_count: int = field(metadata={"static": True})
@@ -99,13 +100,18 @@ class TiledScene:
     @property
     def voxel_occupancy(self) -> Float[np.ndarray, " V"]:
         """p̂ in the scene's order of voxels. It is 0 also where p̂ = 1: neither has entropy."""
+        return self.tiles.of_voxels(self.tile_occupancy)
+
+    @property
+    def tile_occupancy(self) -> Float[np.ndarray, "N C Z"]:
+        """The same of the tiles' voxels."""
         there = self.tiles.tile.there
         found = np.zeros((there.size, self.tiles.tile.heights.shape[-2]))
         share = np.asarray(self.occupancy, float)
         real = share > 0  # the others are padding
         column, level = (np.asarray(at)[real] for at in (self.column, self.level))
         found[column, level] = share[real]
-        return self.tiles.of_voxels(found.reshape(*there.shape, -1))
+        return found.reshape(*there.shape, -1)
 
     @property
     def bucketed(self) -> "TiledScene":

@@ -23,7 +23,7 @@ from worlds import (
 from inspe_jax.core.arrays import from_center, pad_rows
 from inspe_jax.core.numerics import Softness
 from inspe_jax.core.parallel import run
-from inspe_jax.placement.sample_score import view_jobs
+from inspe_jax.placement.sampled_objective import view_jobs
 from inspe_jax.scoring import exact
 from inspe_jax.scoring import tiled_scene as made
 from inspe_jax.scoring.driver import measure_tiles

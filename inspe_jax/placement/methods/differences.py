@@ -16,7 +16,7 @@ from inspe_jax.placement.methods.greedy import VIEW_COST
 from inspe_jax.placement.methods.greedy_adam import GREEDY_ADAM, step
 from inspe_jax.placement.problem import Drawn, Problem, Sample
 from inspe_jax.placement.run import Method
-from inspe_jax.placement.sample_score import KNOWN, SampleScore
+from inspe_jax.placement.sampled_objective import SampledObjective, rows_at
 
 HALF = np.array([0.5, 0.5, 0.5, 0.0, 0.03, 0.03])
 """Half of a difference in x, y, z [m], roll, which is not searched, pitch and yaw [rad]."""
@@ -28,12 +28,12 @@ def differences(
 ) -> tuple[float, Float[np.ndarray, "S 6"]]:
     """The hard score of poses on samples ``on`` and its central differences, as
     :meth:`Problem.slope`. Each redoes only the sensor that moves."""
-    sampled = SampleScore(problem, Sample(jax.device_put(on), 0.0))
+    sampled = SampledObjective(problem, Sample(jax.device_put(on), 0.0))
     views = sampled.views({s: pose + _STEPS for s, pose in enumerate(np.asarray(poses, float))})
-    rows, slope = {s: seen[0] for s, seen in views.items()}, np.zeros(np.shape(poses))
+    rows, slope = {s: rows_at(seen, 0) for s, seen in views.items()}, np.zeros(np.shape(poses))
     for s, seen in views.items():
-        gains = sampled.gains({t: row for t, row in rows.items() if t != s}, {s: seen})
-        _, after, before = np.split(gains, [1, 6])
+        scores = sampled.scores(rows, np.full((len(_STEPS), 1), s), [seen])
+        _, after, before = np.split(scores, [1, 6])
         slope[s, HALF > 0] = (after - before) / (2 * HALF[HALF > 0])
     return sampled.value(rows), on_host(slope, float)
 
@@ -44,7 +44,7 @@ def _cost(problem: Problem, drawn: Drawn) -> float:
 
 def _control(name: str, summary: str, by: Slope | None) -> Method:
     same = GREEDY_ADAM.states, GREEDY_ADAM.begin, partial(step, by=by)
-    return Method(name, f"a control: greedy-adam {summary}", *same, knows=KNOWN)
+    return Method(name, f"a control: greedy-adam {summary}", *same)
 
 
 DIFFERENCES = _control(

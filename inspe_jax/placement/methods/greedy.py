@@ -1,11 +1,10 @@
 """Greedy placement over candidate poses, with lazy evaluation; exchanges and finer moves after it.
 
 What a candidate pose sees is found once, for one sensor and not for a whole layout; after
-that what it adds to any layout is a sum over bits (:mod:`inspe_jax.placement.sample_score`).
+that what it adds to any layout is a sum over bits (:mod:`inspe_jax.placement.sampled_objective`).
 """
 
-import heapq
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -16,7 +15,7 @@ from inspe_jax.placement.candidate_table import HEIGHTS, Picks, Table
 from inspe_jax.placement.candidates import COLUMNS, FRAMES, poses, project
 from inspe_jax.placement.problem import Problem
 from inspe_jax.placement.run import Method, Run
-from inspe_jax.placement.sample_score import KNOWN, LEAST, MarginalWeights, Rows, SampleScore
+from inspe_jax.placement.sampled_objective import LEAST, Rows, SampledObjective, joined, rows_at
 
 WIDTH = 1.0
 """Length of the first finer moves, in typical steps."""
@@ -30,6 +29,14 @@ three are measured on 8 cameras, 4 LiDARs and both, 150,000 voxels."""
 MOVE_COST, PLACE_COST, EXCHANGE_COST = 2.2, 0.45, 0.125
 """In views: a finer move of one sensor; placing all sensors greedily, for each candidate; and
 exchanging a unit, for each candidate of each of its sensors."""
+
+BATCH = 32
+"""Candidates that are tried at once."""
+GROWS = (
+    "a sensor may add more to this objective the more others there are: greedy placement tries all "
+    "candidates for every sensor, and is no longer within 1 - 1/e of the best of them"
+)
+"""A note of searches whose objective is not submodular."""
 
 Sighted = tuple[Float[np.ndarray, " N"], dict[int, Rows]]
 """A layout, and what its sensors see of a sample."""
@@ -66,50 +73,49 @@ def _effort(problem: Problem) -> Effort:
 def lazy_greedy(table: Table) -> tuple[Picks, int]:
     """Place one sensor after the other, each time the one that adds most, at its best candidate.
 
-    Returns the chosen candidates, and how many gains were computed again. An earlier gain is an
-    upper bound of a later one (Minoux 1978). The first sensor of a unit fixes the unit's foot; its
-    other sensors choose among the candidates there.
+    Returns the chosen candidates, and how many gains were computed. Where the objective is
+    submodular, an earlier gain is an upper bound of a later one (Minoux 1978): candidates are tried
+    in the order of it, until none can be better. The first sensor of a unit fixes the unit's foot;
+    its other sensors choose among the candidates there.
     """
-    problem, sampled, picks = table.problem, table.sampled, Picks()
-    heap: list[tuple[float, int, int, int]] = []  # (−bound, sensor, candidate, placed then)
-    alike = [group for kind in table.kinds for group in _interchangeable(table, kind.sensors)]
-    group_of = {s: group for group in alike for s in group}
-    for group in alike:
-        gains = table.gains(group[0], {})
-        heap += [(-gain, group[0], k, 0) for k, gain in enumerate(gains.tolist())]
-    heapq.heapify(heap)
-    again, weights = 0, dict[int, MarginalWeights]()
-    shares = [table.share(s) for s in range(len(problem.layout))]
-    while heap and len(picks) < len(problem.layout):
-        _, s, k, then = heapq.heappop(heap)
-        if then == len(picks) and s not in picks and table.fits(picks, s, k):
-            picks[s] = k
-            weights.clear()
-            continue
-        # Units that stand there already come first: others are still free to go elsewhere.
-        may = [t for t in group_of[s] if t not in picks and table.fits(picks, t, k)]
-        may.sort(key=lambda t: table.mast(picks, t)[0] < 0)
-        if not may:
-            continue  # nor ever after: units only ever take places
-        rows = table.rows(picks)
-        for t in may:
-            if t not in weights:
-                weights[t] = sampled.marginal(rows, t)
-        row, foot = table.kind_of(s).row(k), table.kind_of(s).foot[k]
-        found = [float(weights[t].dot(row[None])[0] - shares[t][foot]) for t in may]
-        best = int(np.argmax(found))
-        again += 1
-        heapq.heappush(heap, (-found[best], may[best], k, len(picks)))
-    return picks, again
+    picks, count = Picks(), 0
+    number = [table.kind_of(group[0]).looked for group in table.alike]
+    at = [(g, k) for g, looked in enumerate(number) for k in range(looked)]
+    bound = np.full(len(at), np.inf)
+    while True:
+        rows, best, pick = table.rows(picks), -np.inf, None
+        nothing = table.sampled.value(rows)
+        order = np.argsort(-bound, kind="stable")
+        for part in np.split(order, range(BATCH, len(order), BATCH)):
+            if bound[part].max(initial=-np.inf) <= best:
+                break
+            tried = [(i, s) for i in part for s in _may_stand(table, picks, *at[i])]
+            bound[part] = -np.inf  # nor ever after: units only ever take places
+            if not tried:
+                continue
+            pairs = [(s, at[i][1]) for i, s in tried]
+            gains = table.scores(rows, pairs) - nothing
+            count += len(gains)
+            index = np.array([i for i, _ in tried])
+            np.maximum.at(bound, index, gains if table.sampled.submodular else np.inf)
+            if gains.max() > best:
+                best, pick = gains.max(), pairs[int(gains.argmax())]
+        if pick is None:
+            return picks, count
+        picks[pick[0]] = pick[1]
 
 
-def _interchangeable(table: Table, sensors: Sequence[int]) -> list[list[int]]:
-    """Sensors of one kind that are as reliable as each other and pay as much for poles."""
-    groups: dict[object, list[int]] = {}
-    for s in sensors:
-        reliability = (of.reliability[s] for of in table.problem.sensor_sets)
-        groups.setdefault((*reliability, table.share(s).tobytes()), []).append(s)
-    return list(groups.values())
+def _may_stand(table: Table, picks: Picks, g: int, k: int) -> list[int]:
+    """The sensors of group ``g`` to try at candidate ``k``: one of each unit that stands there
+    already, then one of a unit that is free to go elsewhere."""
+    there, free = dict[int, int](), list[int]()
+    for s in table.alike[g]:
+        if s not in picks and table.fits(picks, s, k):
+            if table.mast(picks, s)[0] < 0:
+                free.append(s)
+            else:
+                there.setdefault(table.problem.layout.sensors[s].unit, s)
+    return [*there.values(), *free[:1]]
 
 
 def exchange(table: Table, picks: Picks, u: int) -> Picks:
@@ -123,17 +129,16 @@ def exchange(table: Table, picks: Picks, u: int) -> Picks:
     others = {s: k for s, k in picks.items() if s not in members}
     rows = table.rows(others)
     nothing = sampled.value(rows)
-    bound = np.where(table.stand[u], 0.0, -np.inf)
+    bound, alone = np.where(table.stand[u], 0.0, -np.inf), table.scores_of_all(rows, members)
     for s in members:
         most = np.full(len(bound), -np.inf)
-        kind, gains = table.kind_of(s), table.gains(s, rows)
-        np.maximum.at(most, kind.foot, gains)
-        bound += most
+        np.maximum.at(most, table.kind_of(s).foot, alone[s] - nothing)
+        bound += most if sampled.submodular else np.inf
     best, value = picks, table.value(picks, u) + LEAST
     for foot in np.argsort(-bound, kind="stable"):
         if nothing + bound[foot] <= value:
             break
-        filled = _fill(table, others, members, int(foot))
+        filled = _fill(table, others, members, int(foot), alone)
         if (score := table.value(filled, u)) > value:
             best, value = filled, score
     for s in members:
@@ -144,21 +149,24 @@ def exchange(table: Table, picks: Picks, u: int) -> Picks:
     return best
 
 
-def _fill(table: Table, picks: Picks, sensors: Sequence[int], foot: int) -> Picks:
-    """The sensors placed greedily at one foot beside the picks."""
+def _fill(
+    table: Table,
+    picks: Picks,
+    sensors: Sequence[int],
+    foot: int,
+    known: Mapping[int, Float[np.ndarray, " K"]] | None = None,
+) -> Picks:
+    """The sensors placed greedily at one foot beside the picks; ``known`` are scores of the first
+    at its candidates."""
     picks, left = dict(picks), list(sensors)
     while left:
-        rows, found = table.rows(picks), []
-        for s in left:
-            kind = table.kind_of(s)
-            at = np.flatnonzero(kind.foot == foot)
-            at = at[table.fits(picks, s, at)]
-            there = Rows.joined([kind.row(k)[None] for k in at])
-            gains = table.sampled.marginal(rows, s).dot(there)
-            best = int(gains.argmax())
-            found.append((float(gains[best]), s, int(at[best])))
-        _, s, k = max(found, key=lambda row: row[0])
-        picks[s] = k
+        at = []
+        for s in table.one_of_each(left):
+            there = np.flatnonzero(table.kind_of(s).foot == foot)
+            at += [(s, k) for k in there[table.fits(picks, s, there)].tolist()]
+        found = known and [known[s][k] for s, k in at]
+        s, k = at[int(np.argmax(found or table.scores(table.rows(picks), at)))]
+        picks[s], known = k, None
         left.remove(s)
     return picks
 
@@ -166,15 +174,15 @@ def _fill(table: Table, picks: Picks, sensors: Sequence[int], foot: int) -> Pick
 # ── Finer moves: random ones of single units, each judged on a sample ───────
 
 
-def sights(sampled: SampleScore, x: Float[np.ndarray, " N"]) -> dict[int, Rows]:
+def sights(sampled: SampledObjective, x: Float[np.ndarray, " N"]) -> dict[int, Rows]:
     """What the sensors of a layout see."""
     stand = poses(sampled.problem.space, x[None])[0]
     found = sampled.views({s: pose[None] for s, pose in enumerate(stand)})
-    return {s: rows[0] for s, rows in found.items()}
+    return {s: rows_at(rows, 0) for s, rows in found.items()}
 
 
 def finer(
-    sampled: SampleScore,
+    sampled: SampledObjective,
     x: Float[np.ndarray, " N"],
     rows: dict[int, Rows],
     units: Sequence[int],
@@ -204,13 +212,13 @@ def finer(
         {s: at[:, s] for u, at in zip(units, stand, strict=True) for s in members[u]}
     )
     for u, part in zip(units, tried, strict=True):
-        others = {s: row for s, row in rows.items() if s not in members[u]}
-        choice = {s: Rows.joined([rows[s][None], new[s]]) for s in members[u]}
+        choice = [joined([rows_at(rows[s], None), new[s]]) for s in members[u]]
         costs = problem.pole_costs(np.concatenate([x[None], part]))[:, u]
-        now, *gains = sampled.gains(others, choice) - costs
-        best = int(np.argmax(gains))
-        if gains[best] > now + LEAST:
-            moved = part[best], {s: new[s][best] for s in members[u]}
+        at = np.tile(members[u], (1 + tries, 1))
+        now, *scores = sampled.scores(rows, at, choice) - costs
+        best = int(np.argmax(scores))
+        if scores[best] > now + LEAST:
+            moved = part[best], {s: rows_at(new[s], best) for s in members[u]}
             x, rows = with_unit(problem, (x, rows), moved, u)
     return x, rows
 
@@ -302,7 +310,7 @@ def step(run: Run, state: GreedyState) -> GreedyState:
             return _move(run, state)
 
 
-def charge(run: Run, sampled: SampleScore, views: float) -> None:
+def charge(run: Run, sampled: SampledObjective, views: float) -> None:
     """Charge for looking at what one sensor sees, so many times."""
     run.charge(views * VIEW_COST * sampled.sample.cost / len(run.problem.layout))
 
@@ -337,10 +345,14 @@ def place(run: Run, state: Placing) -> Exchanging | Moving:
 
     If some sensor found no place, candidates are not exchanged.
     """
-    table = _table(run, state.round, state.part)
-    charge(run, table.sampled, PLACE_COST * sum(len(kind.foot) for kind in table.kinds))
+    table, sensors = _table(run, state.round, state.part), range(len(run.problem.layout))
+    passes = 1
+    if not table.sampled.submodular:
+        passes = len(sensors)
+        if GROWS not in run.notes:
+            run.notes.append(GROWS)
+    charge(run, table.sampled, PLACE_COST * passes * sum(len(kind.foot) for kind in table.kinds))
     picks, x, value = _placed(run, table)
-    sensors = range(len(run.problem.layout))
     if len(picks) < len(sensors):
         return Moving(state.round, x, value, x)
     return Exchanging(state.round, x, value, np.array([picks[s] for s in sensors]))
@@ -385,7 +397,9 @@ def _move(run: Run, state: Moving) -> Moving | Placing:
     x, key = state.now, (state.round, state.passes, u)
     held, sampled, rows = run.cache.pop("pass", (None, None, None))
     if held != key:
-        sampled = SampleScore(problem, problem.sample(run.rng(1, *key[:2]), wanted.columns, FRAMES))
+        sampled = SampledObjective(
+            problem, problem.sample(run.rng(1, *key[:2]), wanted.columns, FRAMES)
+        )
         rows = sights(sampled, x)
     views = wanted.tries * len(problem.layout.members()[u])
     charge(run, sampled, (u == 0) * len(rows) + MOVE_COST * views)
@@ -422,5 +436,4 @@ GREEDY = Method(
     (Placing, Exchanging, Moving),
     begin,
     step,
-    knows=KNOWN,
 )

@@ -7,9 +7,7 @@
 3. Finer moves, judged hard, gain where the score has no slope.
 
 With LiDARs alone it is :data:`~inspe_jax.placement.methods.greedy.GREEDY`, whose exchanges gain
-more there. Where a metric has weight of which candidates cannot tell what they add, as a user's own
-metric, it is Adam with cameras alone, which needs the slope alone, and CMA-ES with LiDARs, of which
-most of what they gain is no slope's.
+more there.
 """
 
 from dataclasses import dataclass, replace
@@ -22,10 +20,9 @@ from jaxtyping import Float
 from inspe_jax.placement.candidates import COLUMNS, FRAMES
 from inspe_jax.placement.methods import adam, greedy
 from inspe_jax.placement.methods.adam import GRADIENT, Slope, advance, charted, layouts
-from inspe_jax.placement.methods.cma_es import CMA_ES
 from inspe_jax.placement.methods.greedy import FINER, MOVE_COST, Placing, Sighted, charge
 from inspe_jax.placement.run import Method, Run
-from inspe_jax.placement.sample_score import KNOWN, Rows, SampleScore
+from inspe_jax.placement.sampled_objective import Rows, SampledObjective
 
 UNTIL = 0.85
 """Share of the budget at which bursts of Adam end."""
@@ -66,17 +63,9 @@ class LocalSearch:
     careful: bool = False
 
 
-def _instead(run: Run) -> Method | None:
-    """The method for sensors or an objective for which this one is not made; else None."""
-    weights = run.problem.objective.weights_by_name
-    if any(weight for name, weight in weights.items() if name not in KNOWN):
-        return adam.ADAM if all(s.spec.aimed for s in run.problem.layout.sensors) else CMA_ES
-    return None if greedy.aimed(run.problem) else greedy.GREEDY
-
-
 def begin(run: Run) -> Any:
-    """Before greedy placement, or the first state of the method instead."""
-    return (_instead(run) or greedy.GREEDY).begin(run)
+    """Before greedy placement."""
+    return greedy.GREEDY.begin(run)
 
 
 def step(run: Run, state: Any, by: Slope | None = GRADIENT) -> Any:
@@ -85,8 +74,8 @@ def step(run: Run, state: Any, by: Slope | None = GRADIENT) -> Any:
     Where bursts fit, they follow the first pass of exchanges: that gains the most, and after it
     they gain more in the same time. They follow the slope ``by``; without one there are none.
     """
-    if other := _instead(run):
-        return other.step(run, state)
+    if not greedy.aimed(run.problem):
+        return greedy.step(run, state)
     if isinstance(state, LocalSearch):
         return _pass(run, state, by)
     found = greedy.step(run, state)
@@ -114,7 +103,7 @@ def _pass(run: Run, state: LocalSearch, by: Slope | None) -> Placing | LocalSear
     A round ends when moves of all widths, from the widest on, gained nothing.
     """
     problem, key, careful = run.problem, (state.round, state.passes), state.careful
-    sampled = SampleScore(problem, problem.sample(run.rng(1, *key), COLUMNS, FRAMES))
+    sampled = SampledObjective(problem, problem.sample(run.rng(1, *key), COLUMNS, FRAMES))
     members = problem.layout.members()
     charge(run, sampled, len(problem.layout))
     first = state.x, greedy.sights(sampled, state.x)
@@ -161,7 +150,7 @@ def _better(run: Run, at: Sighted, value: float, new: Sighted) -> tuple[Sighted,
 
 
 def _bursts(
-    run: Run, state: LocalSearch, sampled: SampleScore, rows: dict[int, Rows], by: Slope
+    run: Run, state: LocalSearch, sampled: SampledObjective, rows: dict[int, Rows], by: Slope
 ) -> tuple[Sighted, LocalSearch]:
     """Bursts of Adam, each at rest at first, until one gains nothing on the sample or does not fit.
 
@@ -187,9 +176,8 @@ def _bursts(
 
 GREEDY_ADAM = Method(
     "greedy-adam",
-    "greedy placement, then Adam and finer moves; greedy with LiDARs only; for metrics of one's "
-    "own Adam, or CMA-ES with LiDARs",
-    (*greedy.GREEDY.states, LocalSearch, *adam.ADAM.states, *CMA_ES.states),
+    "greedy placement, then Adam and finer moves; greedy with LiDARs only",
+    (*greedy.GREEDY.states, LocalSearch),
     begin,
     step,
 )

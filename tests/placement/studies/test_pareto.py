@@ -14,13 +14,9 @@ from worlds import SMALL
 import inspe_jax
 from inspe_jax.core.errors import InspeError
 from inspe_jax.mounting.mixes import starting_layout
-from inspe_jax.placement.methods.adam import AdamState
-from inspe_jax.placement.methods.cma_es import CmaState
-from inspe_jax.placement.methods.registry import METHODS
 from inspe_jax.placement.objective import Objective
-from inspe_jax.placement.optimise import methods, optimise
+from inspe_jax.placement.optimise import optimise
 from inspe_jax.placement.problem import Problem
-from inspe_jax.placement.run import Run
 from inspe_jax.placement.studies import pareto as module
 from inspe_jax.placement.studies.pareto import cheapest, device_mixes, pareto, save_pareto, searched
 from inspe_jax.report.tables import before_after_table
@@ -256,18 +252,3 @@ def test_only_the_regions_that_are_named_count(large):
     )
     assert result.objective == pytest.approx(careful, abs=0.03)
     assert "(C and D of crosswalk, sidewalk only)" in printed(before_after_table(result))
-
-
-@pytest.mark.slow
-def test_greedy_says_what_it_does_not_know_and_the_default_does_without(large):
-    start = starting_layout(large, {CAMERA: 2})
-    local = Objective(weights={"detectability": 0.5, "localisation": 0.5})
-    with pytest.raises(InspeError, match=r"does not know localisation, .*cma-es"):
-        optimise(large, start, "greedy", evaluations=5.0, objective=local)
-    assert set(methods()) - set(methods(local)) == {"greedy", "differences", "moves"}
-    assert methods() == methods(FOUND)
-    for mix, of in ({CAMERA: 2}, AdamState), ({CAMERA: 1, LIDAR: 1}, CmaState):
-        problem = Problem(large, starting_layout(large, mix), local)
-        run = Run(problem, problem.space.start(problem.layout)[0], evaluations=60.0)
-        run.offer(run.start)
-        assert isinstance(METHODS["greedy-adam"].begin(run), of)

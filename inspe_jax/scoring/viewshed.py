@@ -16,8 +16,7 @@ from inspe_jax.core.geometry import Prism
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scoring import metrics
 from inspe_jax.scoring.accumulate import seen_in_tile
-from inspe_jax.scoring.evaluate import options_of
-from inspe_jax.scoring.exact import ONE_MORE, in_view_of, sight_shares
+from inspe_jax.scoring.exact import ONE_MORE, in_view_of
 from inspe_jax.scoring.options import ScoreOptions
 from inspe_jax.scoring.reading import BITS, Frames
 from inspe_jax.scoring.tiled_scene import by_level, tiled_scene_of
@@ -43,14 +42,12 @@ class Viewshed:
     """How well a layout sees each voxel of a scene.
 
     ``sensors`` is how many sensors have the voxel in view. Of ``frame_count`` frames, some sensor
-    sees it in ``seen``, and it is inside a road user in ``occupied``. ``resolved`` is q_i of
-    information gain, with the visibility of the scene's profile.
+    sees it in ``seen``, and it is inside a road user in ``occupied``.
     """
 
     sensors: Int[np.ndarray, " V"]
     seen: Int[np.ndarray, " V"]
     occupied: Int[np.ndarray, " V"]
-    resolved: Float[np.ndarray, " V"]
     frame_count: int
 
     @property
@@ -74,16 +71,10 @@ def viewshed(scene: Scene, layout: Layout, *, conditions: Conditions = FAIR) -> 
         found = _seen_masks(tiles.tile, views, chunk.solid, chunk.prisms, sensors)
         seen += np.asarray(by_level(found, levels))
         occupied += np.asarray(by_level(chunk.solid, levels))
-    flags = tiles.by_voxel(views[: len(layout)])  # (S, V)
-    visible, options = flags.astype(float), ScoreOptions.of(**options_of(scene))
-    if options.sight:  # by the programs that a score compiles
-        tiled = tiled_scene_of(scene)
-        visible *= sight_shares(tiled, views, sensors, options, len(layout))
     return Viewshed(
-        sensors=flags.sum(0),
+        sensors=tiles.by_voxel(views[: len(layout)]).sum(0),
         seen=tiles.of_voxels(seen),
         occupied=tiles.of_voxels(occupied),
-        resolved=1.0 - np.prod(1.0 - visible * layout.reliability[:, None], axis=0),
         frame_count=scene.traffic.frame_count,
     )
 

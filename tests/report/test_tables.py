@@ -40,7 +40,6 @@ SCORES = Scores(
     metrics=dict(coverage=0.8123456789012345, occlusion=0.1 + 0.2, information_gain=1 / 3),
     surrogate=0.7004999,
     region_coverage={"driveway": 0.901, "crosswalk": 0.456},
-    level_coverage=(0.111, 0.222, 0.333),
     contributions=(
         Contribution("cam a", named(0.0123 + 1e-9, 0.0456, 0.0789), 0.01 / 1.01),
         Contribution("[red]top[/red]", named(-0.0001, 0.2222, 0.0), 0.1111),
@@ -85,7 +84,7 @@ def test_the_record_is_the_scores_exactly(scene, layout):
     record = scores_record(SCORES, scene, layout)
     assert json.loads(json.dumps(record)) == record
     assert set(record) == {
-        *METRICS, "information_gain_literal", "region_coverage", "level_coverage", "parts",
+        *METRICS, "information_gain_literal", "region_coverage", "parts",
         "contributions", "blind_spots", "settings", "scene", "layout", "versions",
     }  # fmt: skip
     assert record["settings"] == SCORES.settings | {"at": 0.5}
@@ -96,7 +95,6 @@ def test_the_record_is_the_scores_exactly(scene, layout):
         assert record[name] == getattr(SCORES, name)
     assert record["information_gain_literal"] == pytest.approx(2 / 3)
     assert record["region_coverage"] == SCORES.region_coverage
-    assert record["level_coverage"] == list(SCORES.level_coverage)
     assert record["parts"] == SCORES.parts
     assert [(c["sensor"], c["unit"], c["device"]) for c in record["contributions"]] == [
         ("cam a", "mast", "test-camera"),

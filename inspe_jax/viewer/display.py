@@ -13,7 +13,7 @@ from inspe_jax.scoring.evaluate import Scores
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.viewer.blind_spot_panel import BlindSpotPanel
 from inspe_jax.viewer.browser_view import BrowserView
-from inspe_jax.viewer.job_queue import DelayedAction, JobQueue, asker
+from inspe_jax.viewer.job_queue import DelayedAction, JobQueue
 from inspe_jax.viewer.panel import Panel
 from inspe_jax.viewer.scene3d import Scene3D, look_from
 from inspe_jax.viewer.score_panel import score_panel
@@ -123,7 +123,6 @@ class Display:
 
             async def clicked(event: Any, toggle: bool = modifier is not None) -> None:
                 view = self._views.get(event.client_id)
-                asker.set(event.client_id)
                 if view is not None:
                     view.select(s, toggle)
 

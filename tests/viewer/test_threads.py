@@ -20,7 +20,7 @@ from inspe_jax.scoring.metrics import METRICS
 from inspe_jax.scoring.viewshed import sight_in
 from inspe_jax.sensing.conditions import Conditions
 from inspe_jax.viewer import scorer as scorers
-from inspe_jax.viewer.job_queue import WAITING, DelayedAction, JobQueue, asker
+from inspe_jax.viewer.job_queue import DelayedAction, JobQueue
 from inspe_jax.viewer.score_panel import cost_of, score_panel
 from inspe_jax.viewer.scorer import Scorer
 from inspe_jax.viewer.searcher import Searcher
@@ -41,44 +41,16 @@ def test_jobs_are_done_in_turn_and_only_the_newest_of_a_key():
     assert done == ["soon", ("drag", 4), "end"]
 
 
-def test_of_a_browser_only_the_newest_wait_and_the_end_comes_soon(monkeypatch):
-    """Whoever runs what one has typed; others, and what nobody has asked for, lose nothing."""
-    done, failed, go = [], [], threading.Event()
-    queue = JobQueue(failed.append)
-
-    def ask(who, count):
-        token = asker.set(who)
-        for k in range(count):
-            queue.submit(lambda k=k: done.append((who, k)))
-        asker.reset(token)
-
-    queue.submit(go.wait)
-    ask("one", WAITING)
-    ask(None, 3 * WAITING)
-    ask("other", 10_000)
-    typed = DelayedAction()
-    token = asker.set("other")
-    typed.start(60, lambda: queue.submit(lambda: done.append(("other", "typed"))))
-    asker.set("one")
-    typed.run_now()
-    asker.reset(token)
-    assert len(queue._waiting) == 5 * WAITING + 1
-    go.set()
-    while queue._waiting:
-        time.sleep(0.01)
-    queue.submit(go.clear)
+def test_the_end_comes_soon():
+    """What waits for longer than the patience is dropped."""
+    done, go = [], threading.Event()
+    queue = JobQueue(lambda _: None)
     queue.submit(lambda: go.wait(1))
     queue.submit(lambda: done.append("never"))
     began = time.monotonic()
     queue.close(0.1)
     assert time.monotonic() - began < 2
-    of = {who: [k for other, k in done if other == who] for who in ("one", None, "other")}
-    assert of["one"] == list(range(WAITING))
-    assert of[None] == list(range(3 * WAITING))
-    assert of["other"] == [*range(10_001 - WAITING, 10_000), "typed"]
-    assert [str(wrong) for wrong in failed] == [
-        f"more was asked than can be done: only the newest {WAITING} requests are"
-    ]
+    assert done == []
 
 
 def test_of_what_is_to_be_done_later_the_last_is_done_once_and_can_be_done_now():

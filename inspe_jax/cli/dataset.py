@@ -40,7 +40,6 @@ def generate(
     workers: int | None = None,
     address: str | None = None,
     files: Path | None = None,
-    deep: bool = True,
     dry_run: bool = False,
 ) -> None:
     """Generate a data set in OPV2V's format: what the sensors of layouts record in scenes.
@@ -78,8 +77,6 @@ def generate(
         address (--server HOST:PORT): Address of the CARLA server, with --backend carla;
             127.0.0.1:2000 if not given.
         files (DIR): Folder of the map or saved scene that a data_protocol.yaml names.
-        deep (--deep/--sizes): Compare what is there by the digests of files, or by their sizes
-            alone, which is faster.
         dry_run: Say what the set would hold, its size and the time it takes: builds every
             scene, and tries every layout on two frames.
     """
@@ -105,7 +102,6 @@ def generate(
             backend,
             workers=workers,
             server=server,
-            deep=deep,
             progress=report,
             checking=report and partial(report, what="scenarios compared"),
         )

@@ -7,14 +7,12 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, UInt
 
 from inspe_jax.core.arrays import from_center, pad_rows
 from inspe_jax.core.geometry import Prism
 from inspe_jax.scene.scene import Scene
-from inspe_jax.scoring import metrics
 from inspe_jax.scoring.accumulate import seen_in_tile
 from inspe_jax.scoring.exact import ONE_MORE, in_view_of
 from inspe_jax.scoring.options import ScoreOptions
@@ -49,12 +47,6 @@ class Viewshed:
     seen: Int[np.ndarray, " V"]
     occupied: Int[np.ndarray, " V"]
     frame_count: int
-
-    @property
-    def entropy(self) -> Float[np.ndarray, " V"]:
-        """Entropy of each voxel's occupancy [bit]."""
-        share = jnp.asarray(self.occupied / self.frame_count, float)
-        return np.asarray(metrics.entropy(share)) / np.log(2.0)
 
 
 def viewshed(scene: Scene, layout: Layout, *, conditions: Conditions = FAIR) -> Viewshed:

@@ -88,7 +88,7 @@ def test_an_empty_road(scene, layout):
     empty = replace(scene, traffic=no_traffic())
     shed = viewshed(empty, layout)
     np.testing.assert_array_equal(shed.seen, shed.sensors > 0)
-    assert not shed.entropy.any()
+    assert not shed.occupied.any()
     assert set(sight_in(empty, layout, 0).tolist()) == {Visibility.OUT_OF_VIEW, Visibility.SEEN}
 
 

@@ -9,7 +9,6 @@ import jax
 import numpy as np
 import pytest
 
-from inspe_jax.core import compiling
 from inspe_jax.core.errors import InspeError
 from inspe_jax.placement.constraints import Constraints
 from inspe_jax.placement.objective import Objective
@@ -262,26 +261,6 @@ def test_a_search_is_stopped_while_it_compiles_or_fails_with_its_best(
     assert "too large" in failed.reason
     assert (none.layout, none.failed) == (None, True)
     assert "nowhere to stand" in none.reason
-
-
-def test_nothing_that_is_kept_compiled_is_cut_short(monkeypatch):
-    """The process waits, for a while, until JAX has written its file."""
-    left, go = [], threading.Event()
-    path = compiling.CACHE
-    code = compile("def put():\n    go.wait(60)\nput()", f"/somewhere/{path}", "exec")
-    writing = threading.Thread(target=exec, args=(code, {"go": go}))
-    writing.start()
-    monkeypatch.setattr(compiling.os, "_exit", lambda status: left.append(status))
-    began = time.monotonic()
-    threading.Timer(0.1, go.set).start()
-    compiling.leave(0)
-    assert left == [0]
-    assert time.monotonic() - began >= 0.1
-    writing.join()
-    began = time.monotonic()
-    compiling.leave(1)
-    assert time.monotonic() - began < compiling.WRITING
-    assert left == [0, 1]
 
 
 # ── The score panel ──

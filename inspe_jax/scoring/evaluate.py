@@ -109,11 +109,6 @@ class Scores(PaperMetrics, ByContent, Described):
         return {k: f"{x:.4f}" if isinstance(x, float) else x for k, x in shown.items()}
 
     @property
-    def information_gain_literal(self) -> float:
-        """IG as the paper prints it, for comparison only: it falls as sensors see more."""
-        return 1.0 - self.information_gain
-
-    @property
     def conditions(self) -> Conditions:
         """The light and weather that the scores are for."""
         return Conditions.of(**{k: self.settings.get(k, usual) for k, usual in FAIR.record.items()})

@@ -82,16 +82,15 @@ def test_the_record_is_the_scores_exactly(scene, layout):
     record = scores_record(SCORES, scene, layout)
     assert json.loads(json.dumps(record)) == record
     assert set(record) == {
-        *METRICS, "information_gain_literal", "region_coverage", "parts",
-        "contributions", "blind_spots", "settings", "scene", "layout", "versions",
+        *METRICS, "region_coverage", "parts", "contributions", "blind_spots", "settings", "scene",
+        "layout", "versions",
     }  # fmt: skip
     assert record["settings"] == SCORES.settings | {"at": 0.5}
     about = dict(name="test crossing", source="tests", settings={"radius": "12", "seed": "0"})
     assert (record["scene"], record["layout"]) == (about, "a layout")
     assert set(record["versions"]) == {"inspe_jax", "jax", "numpy"}
-    for name in (*METRICS, "information_gain_literal"):
+    for name in METRICS:
         assert record[name] == getattr(SCORES, name)
-    assert record["information_gain_literal"] == pytest.approx(2 / 3)
     assert record["region_coverage"] == SCORES.region_coverage
     assert record["parts"] == SCORES.parts
     assert [(c["sensor"], c["unit"], c["device"]) for c in record["contributions"]] == [

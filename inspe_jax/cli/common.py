@@ -2,7 +2,6 @@
 
 import json
 import os
-import re
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext, suppress
@@ -71,16 +70,6 @@ EXTRAS = {
 """The extra that brings the libraries of a whole command."""
 DEFAULT_SCENE = "four_way"
 DEFAULT_LAYOUT = "Cam-d1"
-
-PICTURES = "400x300"  # width and height that pictures are decoded to if no option says [pixels]
-
-
-def picture_size(text: str) -> tuple[int, int] | None:
-    """Height and width of an option such as 400x300; None for none."""
-    found = re.fullmatch(r"(\d+)x(\d+)", text)
-    if not found and text != "none":
-        raise InspeError(f"--pictures {text}: width and height such as 400x300, or none")
-    return (int(found[2]), int(found[1])) if found else None
 
 
 def main() -> None:

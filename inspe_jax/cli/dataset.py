@@ -1,5 +1,6 @@
 """Data sets: `inspe generate`, and `inspe dataset stats`, `check`, `cache` and `show`."""
 
+import re
 from collections import Counter
 from functools import partial
 from pathlib import Path
@@ -11,7 +12,7 @@ from rich.text import Text
 from inspe_jax.cli import common
 from inspe_jax.cli.claims import claims
 from inspe_jax.cli.options import command
-from inspe_jax.core.errors import check_known
+from inspe_jax.core.errors import InspeError, check_known
 from inspe_jax.core.files import check_folder, csv_text, write_text
 from inspe_jax.core.parallel import cores
 from inspe_jax.core.words import counted
@@ -238,9 +239,7 @@ def check_files(
 
 
 @command(dataset_app, name="cache")
-def decode(
-    data: Path, *, into: Path, size: str = common.PICTURES, workers: int | None = None
-) -> None:
+def decode(data: Path, *, into: Path, size: str = "400x300", workers: int | None = None) -> None:
     """Decode a data set into arrays that training reads at once, many times as fast as the files.
 
     `inspe_jax.dataset.Loader` gives batches of the cache. After a stop, the same command goes on.
@@ -257,11 +256,19 @@ def decode(
     from inspe_jax.dataset import cache
 
     with common.progress("frames") as tell:
-        made = cache(data, into, pictures=common.picture_size(size), workers=workers, progress=tell)
+        made = cache(data, into, pictures=_picture_size(size), workers=workers, progress=tell)
     frames = sum(scenario.record.frames for scenario in made.scenarios)
     common.out.print(
         f"{counted(len(made.scenarios), 'scenario')}, {counted(frames, 'frame')}\nwrote {into}"
     )
+
+
+def _picture_size(text: str) -> tuple[int, int] | None:
+    """Height and width of an option such as 400x300; None for none."""
+    found = re.fullmatch(r"(\d+)x(\d+)", text)
+    if not found and text != "none":
+        raise InspeError(f"--pictures {text}: width and height such as 400x300, or none")
+    return (int(found[2]), int(found[1])) if found else None
 
 
 @command(dataset_app, name="show")

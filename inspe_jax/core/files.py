@@ -44,6 +44,8 @@ _WORDS = {
     "too_short": "needs at least {min_length}, has {actual_length}",
     "too_long": "has more than {max_length}",
     "list_type": "must be a list, got {given}",
+    "float_type": "must be a number (in YAML without quotes, and 1.0e+9, not 1e9), got {given}",
+    "int_type": "must be a whole number (without quotes), got {given}",
 }
 """What is said of pydantic's kinds of fault, in place of its own words."""
 
@@ -67,28 +69,12 @@ def check_model(model: type[Model], content: Any, where: str) -> Model:
             message += f"; allowed: {', '.join(known)}"
         elif fault["type"] in ("model_type", "dict_type"):
             message = f"must hold keys with values: {', '.join(sorted(model.model_fields))}"
-        elif (number := _number_in(fault)) is not None:
-            message = f"must be a number, got {given}, a text: write {number}"
         elif fault["type"] in _WORDS:
             message = _WORDS[fault["type"]].format(given=given, **fault.get("ctx", {}))
         else:
             message = fault["msg"][:1].lower() + fault["msg"][1:]
             message += "" if isinstance(fault["input"], dict) else f", got {given}"
         raise InspeError(f"{where}: {key or 'the file'}: {message}") from None
-
-
-def _number_in(fault: Any) -> str | None:
-    """How to write the number that stands as text where one is wanted; None if there is none."""
-    text = fault["input"]
-    if fault["type"] not in ("float_type", "int_type") or not isinstance(text, str):
-        return None
-    try:
-        number = int(text) if text.isdecimal() else float(text)
-    except ValueError:
-        return None
-    written = yaml.safe_dump(number).split()[0]  # 1e30 would be text again
-    exponent = "; in YAML 1.0e+9 is a number, and 1e9 is text" if "e" in text.lower() else ""
-    return f"{written}, without quotes{exponent}"
 
 
 def _fields(model: type[BaseModel], path: Sequence[int | str]) -> set[str]:

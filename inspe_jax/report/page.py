@@ -19,7 +19,7 @@ from matplotlib.figure import Figure
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.sheet import image_text
-from inspe_jax.core.words import counted, isolated
+from inspe_jax.core.words import counted, visible
 from inspe_jax.placement.objective import Objective
 from inspe_jax.placement.problem import Case
 from inspe_jax.placement.result import STATUSES, Result
@@ -228,12 +228,12 @@ def _images(
 
 
 def template(room: str, name: str) -> Template:
-    """An HTML template ``name`` in a folder of the package. Inserted text is escaped, and isolated
-    from its neighbours (:func:`~inspe_jax.core.words.isolated`)."""
+    """An HTML template ``name`` in a folder of the package. Inserted text is escaped, and so are
+    its control characters (:func:`~inspe_jax.core.words.visible`)."""
     return Environment(
         loader=PackageLoader("inspe_jax", room),
         autoescape=True,
-        finalize=lambda value: isolated(value) if type(value) is str else value,
+        finalize=lambda value: visible(value) if type(value) is str else value,
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,

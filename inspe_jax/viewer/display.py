@@ -7,7 +7,7 @@ from typing import Any
 from jaxtyping import UInt
 
 from inspe_jax.core.compiling import compiled
-from inspe_jax.core.words import isolated
+from inspe_jax.core.words import visible
 from inspe_jax.placement.feasibility import Fault
 from inspe_jax.scoring.evaluate import Scores
 from inspe_jax.sensing.layout import Layout
@@ -43,7 +43,7 @@ class Display:
         self._drawn_frame = -1
         self._compiled = compiled().seconds  # when the newest scores came
         self._waiting = DelayedAction()
-        server.gui.set_panel_label(f"{isolated(opened.name)} at {isolated(case.scene.name)}")
+        server.gui.set_panel_label(f"{visible(opened.name)} at {visible(case.scene.name)}")
         self.scene3d = Scene3D(server.scene, case.scene)
         self.blind_spots = BlindSpotPanel(
             server.gui, self._panel.blind_spots, case.scene, self._queue.failed

@@ -26,7 +26,7 @@ from inspe_jax.core.files import (
     read_yaml,
     write_text,
 )
-from inspe_jax.core.words import isolated
+from inspe_jax.core.words import visible
 
 
 def test_a_file_is_read_again_only_when_it_changes(tmp_path):
@@ -190,12 +190,9 @@ class Row(BaseModel):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("height: 1e9", "height: must be a number, got '1e9', a text: write 1000000000.0, without "
-         "quotes; in YAML 1.0e+9 is a number, and 1e9 is text"),
-        ("height: 1e30", "write 1.0e+30, without quotes"),
-        ("count: '5'", "count: must be a number, got '5', a text: write 5, without quotes"),
-        ("height: high", "height: input should be a valid number, got 'high'"),
-        (f"height: '{'x' * 60_000}'", "height: input should be a valid number, got 'xxx"),
+        ("height: 1e9", "height: must be a number (in YAML without quotes, and 1.0e+9, not 1e9)"),
+        ("count: '5'", "count: must be a whole number (without quotes), got '5'"),
+        (f"height: '{'x' * 60_000}'", "1e9), got 'xxx"),
         (f"names: '{'x' * 60_000}'", "names: must be a list, got 'xxx"),
         (f"{'x' * 900}: 1", "unknown key; allowed: count, height, names"),
     ],
@@ -217,9 +214,7 @@ def test_messages_are_of_bounded_length_and_of_visible_characters():
     assert brief(16**5000) == "a number of thousands of digits"
     bomb = parse_yaml(LAUGHS[: LAUGHS.index("a5:")], "a")
     assert len(brief(bomb)) <= 80
-    assert isolated("Müller 7") == "Müller 7"
-    assert isolated("\u202e12") == "\\u202e12"
-    assert isolated("שלום 12") == "\u2068שלום 12\u2069"
+    assert visible("Müller 7\u202e12") == "Müller 7\\u202e12"
 
 
 def test_a_disk_that_is_full_is_named_with_the_file(tmp_path):

@@ -166,7 +166,7 @@ def test_a_table_of_poles(place, spots, tmp_path):
     [
         (dict(kind="house"), r"features\[0\]: kind 'house': one of building, wall"),
         (dict(height_m=-1), "height_m: input should be greater than 0"),
-        (dict(height_m="high"), "height_m: must be a number"),
+        (dict(height_m="high"), "height_m: input should be a valid number"),
         (dict(base_m=9), r"base_m 9 m must be below height_m 6 m"),
         (dict(transmittance=2), "transmittance"),
         ({}, r"nothing within 40 m of .* the nearest is [89],\d\d\d m away"),

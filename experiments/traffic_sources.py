@@ -9,6 +9,7 @@ map is at hand; with --quick, or without, RiLSA's that comes with SUMO.
 from pathlib import Path
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 import sumo
 from common import MAPS, METRICS, arguments, console, output, show, write_results
@@ -20,6 +21,7 @@ from inspe_jax import STRATEGIES, Intersection, Scene
 from inspe_jax.report.figures import column_raster
 from inspe_jax.scene.maps.registry import read_map
 from inspe_jax.scene.traffic.frames import TRAFFIC_MODELS
+from inspe_jax.scoring.metrics import entropy
 from inspe_jax.scoring.viewshed import viewshed
 
 LEVEL = 1.0
@@ -41,7 +43,8 @@ def occupancy(scene: Scene) -> tuple[np.ndarray, float]:
     """p̂ of each voxel (L, Z), and the entropy of them all [bit]."""
     shed = viewshed(scene, inspe_jax.strategy(scene, "Cam-c"))
     share = shed.occupied / shed.frame_count
-    return share.reshape(-1, scene.voxels.level_count), float(shed.entropy.sum())
+    bits = np.asarray(entropy(jnp.asarray(share, float))) / np.log(2.0)
+    return share.reshape(-1, scene.voxels.level_count), float(bits.sum())
 
 
 def main() -> None:

@@ -33,7 +33,7 @@ AGAIN = 5
 RECORDING = Recording(
     rate=RATE,
     layers=("depth", "instance", "semantic"),
-    image_scale=0.15,
+    image_size=(96, 72),
     noise=LidarNoise(range=0.0, lost=0.2),
 )
 RAIN = Conditions.of("dusk", "rain:10")

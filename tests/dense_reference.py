@@ -185,7 +185,6 @@ def summarise(
             information_gain=metrics.information_gain(remaining, total),
         ),
         column_coverage=by_column.mean(1),
-        level_coverage=by_column.mean(0),
         entropy=total,
         seen_share=seen.seen_share.reshape(ground.heights.shape).mean(1),
     )

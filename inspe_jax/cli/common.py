@@ -2,7 +2,6 @@
 
 import json
 import os
-import re
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext, suppress
@@ -12,7 +11,6 @@ from typing import Annotated, Any, NoReturn
 import jax
 import typer
 from rich.console import Console
-from rich.measure import Measurement
 from rich.text import Text
 from typer.core import TyperGroup
 
@@ -50,8 +48,7 @@ app = typer.Typer(
 
 
 class WholeConsole(Console):
-    """A console that cuts and breaks no line of text. In a pipe, tables are as wide as they need,
-    unless the environment's COLUMNS says how wide."""
+    """A console that cuts and breaks no line of text."""
 
     def print(self, *objects: Any, **how: Any) -> None:
         """Print as rich does, with whole lines."""
@@ -60,16 +57,7 @@ class WholeConsole(Console):
             if isinstance(text, Text):
                 text.plain = visible(text.plain)
         lines = all(isinstance(x, str | Text) for x in objects)
-        usual = self._width
-        if not self.is_terminal and "COLUMNS" not in os.environ:
-            wide = self.options.update(width=10_000)
-            tables = [x for x in objects if not isinstance(x, str)]
-            needed = max((Measurement.get(self, wide, x).minimum for x in tables), default=0)
-            self.width = max(self.width, needed)
-        try:
-            super().print(*texts, **{"crop": False, "soft_wrap": lines} | how)
-        finally:
-            self._width = usual
+        super().print(*texts, **{"crop": False, "soft_wrap": lines} | how)
 
 
 out = WholeConsole(highlight=False, markup=False)
@@ -82,16 +70,6 @@ EXTRAS = {
 """The extra that brings the libraries of a whole command."""
 DEFAULT_SCENE = "four_way"
 DEFAULT_LAYOUT = "Cam-d1"
-
-PICTURES = "400x300"  # width and height that pictures are decoded to if no option says [pixels]
-
-
-def picture_size(text: str) -> tuple[int, int] | None:
-    """Height and width of an option such as 400x300; None for none."""
-    found = re.fullmatch(r"(\d+)x(\d+)", text)
-    if not found and text != "none":
-        raise InspeError(f"--pictures {text}: width and height such as 400x300, or none")
-    return (int(found[2]), int(found[1])) if found else None
 
 
 def main() -> None:

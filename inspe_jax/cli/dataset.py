@@ -1,5 +1,6 @@
 """Data sets: `inspe generate`, and `inspe dataset stats`, `check`, `cache` and `show`."""
 
+import re
 from collections import Counter
 from functools import partial
 from pathlib import Path
@@ -11,7 +12,7 @@ from rich.text import Text
 from inspe_jax.cli import common
 from inspe_jax.cli.claims import claims
 from inspe_jax.cli.options import command
-from inspe_jax.core.errors import check_known
+from inspe_jax.core.errors import InspeError, check_known
 from inspe_jax.core.files import check_folder, csv_text, write_text
 from inspe_jax.core.parallel import cores
 from inspe_jax.core.words import counted
@@ -40,7 +41,6 @@ def generate(
     workers: int | None = None,
     address: str | None = None,
     files: Path | None = None,
-    deep: bool = True,
     dry_run: bool = False,
 ) -> None:
     """Generate a data set in OPV2V's format: what the sensors of layouts record in scenes.
@@ -78,8 +78,6 @@ def generate(
         address (--server HOST:PORT): Address of the CARLA server, with --backend carla;
             127.0.0.1:2000 if not given.
         files (DIR): Folder of the map or saved scene that a data_protocol.yaml names.
-        deep (--deep/--sizes): Compare what is there by the digests of files, or by their sizes
-            alone, which is faster.
         dry_run: Say what the set would hold, its size and the time it takes: builds every
             scene, and tries every layout on two frames.
     """
@@ -105,7 +103,6 @@ def generate(
             backend,
             workers=workers,
             server=server,
-            deep=deep,
             progress=report,
             checking=report and partial(report, what="scenarios compared"),
         )
@@ -242,9 +239,7 @@ def check_files(
 
 
 @command(dataset_app, name="cache")
-def decode(
-    data: Path, *, into: Path, size: str = common.PICTURES, workers: int | None = None
-) -> None:
+def decode(data: Path, *, into: Path, size: str = "400x300", workers: int | None = None) -> None:
     """Decode a data set into arrays that training reads at once, many times as fast as the files.
 
     `inspe_jax.dataset.Loader` gives batches of the cache. After a stop, the same command goes on.
@@ -261,11 +256,19 @@ def decode(
     from inspe_jax.dataset import cache
 
     with common.progress("frames") as tell:
-        made = cache(data, into, pictures=common.picture_size(size), workers=workers, progress=tell)
+        made = cache(data, into, pictures=_picture_size(size), workers=workers, progress=tell)
     frames = sum(scenario.record.frames for scenario in made.scenarios)
     common.out.print(
         f"{counted(len(made.scenarios), 'scenario')}, {counted(frames, 'frame')}\nwrote {into}"
     )
+
+
+def _picture_size(text: str) -> tuple[int, int] | None:
+    """Height and width of an option such as 400x300; None for none."""
+    found = re.fullmatch(r"(\d+)x(\d+)", text)
+    if not found and text != "none":
+        raise InspeError(f"--pictures {text}: width and height such as 400x300, or none")
+    return (int(found[2]), int(found[1])) if found else None
 
 
 @command(dataset_app, name="show")

@@ -62,8 +62,7 @@ SHARED = """
         this machine's cores are used.
     workers: Processes on this machine; one per core if not given.
     data (DIR): A data set, one split of it, or one scenario.
-    recorded (SET): A data set, or the cache of one.
-    cache (DIR): Folder for the set's cache, if SET is none: SET_cache if not given.
+    recorded (CACHE): The cache of a data set, as `inspe dataset cache` makes it.
     split: Split of the set.
     run (RUN): The folder of a training.
     folder (--out DIR): Folder for the results.

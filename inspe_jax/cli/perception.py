@@ -34,12 +34,10 @@ def train_detector(
     every: Positive = 250,
     validate: Whole = 60,
     augment: bool = True,
-    pictures: str | None = None,
-    cache: Path | None = None,
     workers: int | None = None,
     scheduler: str | None = None,
 ) -> None:
-    """Train a detector, or several, on the split train of a data set.
+    """Train a detector, or several, on the split train of a cache.
 
     The detectors of InSPE's Table 1 are lss-eff and lss-resnet (cameras), v2vnet, v2x-vit and
     coalign (LiDARs), attfuse, disconet and hm-vit (both). They are small: what two cores train in
@@ -54,7 +52,7 @@ def train_detector(
     Examples:
 
     - `inspe train infra_cache --model lss-eff --steps 3000 --out lss-eff`
-    - `inspe train infra --model v2x-vit --model coalign --seed 0 --seed 1 --out runs`
+    - `inspe train infra_cache --model v2x-vit --model coalign --seed 0 --seed 1 --out runs`
 
     Args:
         folder (--out RUN): Folder of the training.
@@ -66,31 +64,20 @@ def train_detector(
         every: Steps after which the state is kept, and mAP measured.
         validate: Frames of the split validate that mAP is measured on.
         augment: Mirror, turn and scale frames at random.
-        pictures (WxH): Width and height of pictures, or none. 400x300 if not given.
     """
+    from inspe_jax.dataset import open_cache
     from inspe_jax.perception import training
-    from inspe_jax.perception.detector import model_of
-    from inspe_jax.perception.training.run import pictures_in_words
 
     check_folder(folder)
     given = dict(steps=steps, batch=batch, rate=rate, every=every)
     given |= dict(validate_frames=validate, augment=augment)
     wanted = []
-    size = common.picture_size(pictures or common.PICTURES)
     for name, number in dict.fromkeys(product(model or ["coalign"], seed or [0])):
-        # Before frames are decoded, which may take hours.
-        if "camera" in model_of(name).sensors and size is None:
-            raise InspeError(f"{name} needs pictures: leave --pictures none out")
         own = dict(model=name, seed=number, **given)
         wanted.append(check_model(training.TrainingSettings, own, "training"))
     check_workers(scheduler, workers)
     many = len(wanted) > 1 or workers is not None or scheduler is not None
-    data = _cache(recorded, cache, size)
-    if pictures and data.pictures != size:
-        raise InspeError(
-            f"{recorded}: is a cache and has {pictures_in_words(data)}, not {pictures}: leave "
-            f"--pictures out, or give the set itself"
-        )
+    data = open_cache(recorded)
     with common.resumable():
         if many:
             _train_many(data, folder, wanted, workers, scheduler)
@@ -165,7 +152,6 @@ def evaluate_detector(
     *,
     split: str = "test",
     record: str | None = None,
-    cache: Path | None = None,
     force: bool = False,
 ) -> None:
     """Measure what a trained detector finds: nuScenes' mAP, by class.
@@ -176,12 +162,12 @@ def evaluate_detector(
 
     Examples:
 
-    - `inspe evaluate v2x-vit infra --split validate --json found.json`
+    - `inspe evaluate v2x-vit infra_cache --split validate --json found.json`
     """
     from inspe_jax.perception.evaluation import evaluation_table
 
     claims.file(record, force=force)
-    training, step, loader, predictor = _ready(run, recorded, cache, split)
+    training, step, loader, predictor = _ready(run, recorded, split)
     with common.progress("frames") as tell:
         found = predictor.evaluate(loader, progress=tell)
     content = {"run": str(training.path), "split": split, "step": step, "classes": found.rows()}
@@ -199,15 +185,14 @@ def detect(
     least: Annotated[float, typer.Option(min=0, max=1)] = 0.3,
     plot: Path | None = None,
     record: str | None = None,
-    cache: Path | None = None,
     force: bool = False,
 ) -> None:
     """List what a trained detector finds in a frame, and draw it beside the ground truth.
 
     Examples:
 
-    - `inspe detect v2x-vit infra --plot detections.png`
-    - `inspe detect v2x-vit infra --scenario four_way --frame 68 --score 0.1`
+    - `inspe detect v2x-vit infra_cache --plot detections.png`
+    - `inspe detect v2x-vit infra_cache --scenario four_way --frame 68 --score 0.1`
 
     Args:
         frame: Number of the frame; the first if not given.
@@ -220,7 +205,7 @@ def detect(
     from inspe_jax.simulation.frame import KINDS
 
     claims.outputs(plot, record, force=force)
-    training, step, loader, predictor = _ready(run, recorded, cache, split)
+    training, step, loader, predictor = _ready(run, recorded, split)
     name, number, index = loader.find(scenario, frame)
     batch = loader[index]
     with common.busy("detecting"):
@@ -250,30 +235,17 @@ def _unfinished(run: "TrainingRun", step: int) -> str:
     return "" if step >= steps else f", after {step:,} of {steps:,} steps"
 
 
-def _cache(
-    source: Path, folder: Path | None, pictures: tuple[int, int] | None, any_size: bool = False
-) -> "Cache":
-    """The cache of a set, which is decoded as far as it is not."""
-    from inspe_jax.perception.training.run import cache_of
-
-    with common.progress("decoding frames") as tell:
-        return cache_of(source, pictures=pictures, any_size=any_size, folder=folder, progress=tell)
-
-
-def _ready(
-    folder: Path, source: Path, cache: Path | None, split: str
-) -> "tuple[TrainingRun, int, Loader, Any]":
-    """A run, the step of its last state, the frames of a set in order, and what detects in them."""
+def _ready(folder: Path, cache: Path, split: str) -> "tuple[TrainingRun, int, Loader, Any]":
+    """A run, the step of its last state, the frames of a cache in order, and what detects there."""
+    from inspe_jax.dataset import open_cache
     from inspe_jax.perception import training
-    from inspe_jax.perception.detector import loader_of, model_of
+    from inspe_jax.perception.detector import loader_of
     from inspe_jax.perception.training.run import check_pictures, check_sensors
 
     run = training.open_run(folder)
     content = run.content
     step, detector = run.last()
-    name, size = content.settings.model, content.pictures
-    blind = "camera" not in model_of(name).sensors
-    data = _cache(source, cache, None if size is None else (size[0], size[1]), any_size=blind)
+    name, data = content.settings.model, open_cache(cache)
     check_sensors(name, data)
     check_pictures(run, data)
     loader = loader_of(name, data, split, content.grid, batch=1, shuffle=False)

@@ -15,7 +15,6 @@ from inspe_jax.cli.options import ScoreOptions, WeightOptions, command, prices
 from inspe_jax.core.files import check_output, write_text
 from inspe_jax.placement.problem import Case
 from inspe_jax.placement.result import load_result
-from inspe_jax.placement.studies.tolerance import tolerance as installed
 from inspe_jax.scene.scene import load_scene
 from inspe_jax.sensing.layout import layout_text
 from inspe_jax.visibility.queries import check_frame
@@ -27,7 +26,6 @@ def report(
     sensors: list[str] | None = None,
     *,
     path: Path = Path("report.html"),
-    tolerance: bool = False,
     frame: int = 0,
     price: list[str] | None = None,
     force: bool = False,
@@ -42,16 +40,14 @@ def report(
     Examples:
 
     - `inspe report`  (the built-in four-way with cameras at its corners)
-    - `inspe report j189.npz start.yaml better --tolerance --out j189.html`  (`better` is a
-      folder of `inspe optimise`)
+    - `inspe report j189.npz start.yaml better --out j189.html`  (`better` is a folder of
+      `inspe optimise`)
     - `inspe report roundabout Cam-d1 L-d1 Cam-d1/L-d1 --light night`
 
     Args:
         sensors (LAYOUT): Layouts to show side by side: .yaml files, names of strategies, or
             folders of `inspe optimise`, for which the page also shows the search.
         path (--out FILE.html): File of the page.
-        tolerance: Show how carefully each layout must be installed; takes half a minute to
-            compile.
         frame: Number of the frame of traffic that is drawn.
     """
     from inspe_jax.report.page import check_names, report_entry, report_page
@@ -80,10 +76,6 @@ def report(
         with common.busy(f"scoring {layout.name}"):
             entry = report_entry(case, layout, objective, result)
             entry = replace(entry, sought=options.sought(case, layout))
-        if tolerance:
-            with common.progress(f"installations of {layout.name}") as callback:
-                slopes = installed(case, layout, objective=objective, progress=callback)
-            entry = replace(entry, tolerance=slopes)
         entries.append(entry)
     with common.progress("drawing") as callback:
         page = report_page(

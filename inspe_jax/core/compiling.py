@@ -7,13 +7,11 @@ which stands still meanwhile. The programs are kept on disk for the next process
 import atexit
 import contextlib
 import os
-import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from types import FrameType
 from typing import NoReturn
 
 import jax
@@ -203,23 +201,11 @@ def prune(folder: Path, most: int = KEPT) -> None:
 
 # ── Ending the process while something is compiled ──────────────────────────
 
-CACHE = "lru_cache.py"  # the file of JAX's code that writes its cache
-WRITING = 0.3  # longest time to wait for a write to the cache at the end [s]
+WRITING = 0.3  # time that JAX has at the end for what it writes to its cache [s]
 
 
 def leave(status: int) -> NoReturn:
-    """End the process now, but wait briefly while JAX writes a file of its cache: it writes in
+    """End the process, after a moment in which JAX ends what it writes to its cache: it writes in
     place and never again, so an incomplete file would stay unusable."""
-    deadline = time.monotonic() + WRITING
-    while time.monotonic() < deadline and any(map(_is_writing, sys._current_frames().values())):
-        time.sleep(0.005)
+    time.sleep(WRITING)
     os._exit(status)
-
-
-def _is_writing(frame: FrameType | None) -> bool:
-    """Whether a thread is writing to JAX's cache."""
-    while frame is not None:
-        if frame.f_code.co_filename.endswith(CACHE) and frame.f_code.co_name == "put":
-            return True
-        frame = frame.f_back
-    return False

@@ -9,7 +9,6 @@ import io
 import json
 import math
 import os
-import re
 import secrets
 import stat
 import tempfile
@@ -36,7 +35,6 @@ Content = TypeVar("Content")
 YAML, TEXT, ARRAYS = 2**22, 2**28, 2**30
 """Largest file of YAML and of other text, and largest arrays of a file together [bytes]."""
 UNPACKED = 100  # a packed map is at most this many times as large when it is unpacked, or 64 MiB
-_FORMULA = re.compile("'*[=+\\-@\t\r\n＝＋－＠].", re.DOTALL)
 
 STRICT = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 """For models of what users write. A quoted number is reported as a mistake, not converted."""
@@ -46,6 +44,8 @@ _WORDS = {
     "too_short": "needs at least {min_length}, has {actual_length}",
     "too_long": "has more than {max_length}",
     "list_type": "must be a list, got {given}",
+    "float_type": "must be a number (in YAML without quotes, and 1.0e+9, not 1e9), got {given}",
+    "int_type": "must be a whole number (without quotes), got {given}",
 }
 """What is said of pydantic's kinds of fault, in place of its own words."""
 
@@ -69,28 +69,12 @@ def check_model(model: type[Model], content: Any, where: str) -> Model:
             message += f"; allowed: {', '.join(known)}"
         elif fault["type"] in ("model_type", "dict_type"):
             message = f"must hold keys with values: {', '.join(sorted(model.model_fields))}"
-        elif (number := _number_in(fault)) is not None:
-            message = f"must be a number, got {given}, a text: write {number}"
         elif fault["type"] in _WORDS:
             message = _WORDS[fault["type"]].format(given=given, **fault.get("ctx", {}))
         else:
             message = fault["msg"][:1].lower() + fault["msg"][1:]
             message += "" if isinstance(fault["input"], dict) else f", got {given}"
         raise InspeError(f"{where}: {key or 'the file'}: {message}") from None
-
-
-def _number_in(fault: Any) -> str | None:
-    """How to write the number that stands as text where one is wanted; None if there is none."""
-    text = fault["input"]
-    if fault["type"] not in ("float_type", "int_type") or not isinstance(text, str):
-        return None
-    try:
-        number = int(text) if text.isdecimal() else float(text)
-    except ValueError:
-        return None
-    written = yaml.safe_dump(number).split()[0]  # 1e30 would be text again
-    exponent = "; in YAML 1.0e+9 is a number, and 1e9 is text" if "e" in text.lower() else ""
-    return f"{written}, without quotes{exponent}"
 
 
 def _fields(model: type[BaseModel], path: Sequence[int | str]) -> set[str]:
@@ -151,11 +135,12 @@ def read_csv(path: Path) -> list[dict[str, str]]:
 
 
 def parse_csv(text: bytes, where: str) -> list[dict[str, str]]:
-    """The rows of a CSV text, as :func:`csv_text` had them, without cells beyond the head's. Raises
-    InspeError, which names ``where``, for other text."""
+    """The rows of a CSV text, without cells beyond the head's. Raises InspeError, which names
+    ``where``, for other text."""
     with error_at(f"{where}: not CSV", ValueError, csv.Error):
-        rows = [*csv.reader(io.StringIO(text.decode("utf-8-sig"), newline=""))]
-    cells = [[_without_prefix(cell) for cell in row] for row in rows if row]
+        cells = [
+            row for row in csv.reader(io.StringIO(text.decode("utf-8-sig"), newline="")) if row
+        ]
     if not cells:
         raise InspeError(f"{where}: not CSV: it is empty")
     return [dict(zip(cells[0], row, strict=False)) for row in cells[1:]]
@@ -349,11 +334,7 @@ def write_text(path: str | os.PathLike[str], text: str) -> None:
 
 
 def csv_text(rows: Sequence[Mapping[str, Any]]) -> str:
-    """Rows as CSV text, under the keys of the first; there must be at least one.
-
-    Text that a spreadsheet would run as a formula gets an apostrophe before it (OWASP, "CSV
-    injection"), which :func:`parse_csv` takes away. Numbers stay as they are.
-    """
+    """Rows as CSV text, under the keys of the first; there must be at least one."""
     return csv_line(rows[0]) + "".join(
         csv_line(row.get(key, "") for key in rows[0]) for row in rows
     )
@@ -362,21 +343,8 @@ def csv_text(rows: Sequence[Mapping[str, Any]]) -> str:
 def csv_line(cells: Iterable[Any]) -> str:
     """A line of :func:`csv_text`."""
     text = io.StringIO()
-    csv.writer(text).writerow(map(_with_prefix, cells))
+    csv.writer(text).writerow(cells)
     return text.getvalue().removesuffix("\r\n") + "\n"  # a cell with either of them is quoted
-
-
-def _with_prefix(cell: Any) -> Any:
-    if isinstance(cell, str) and _FORMULA.match(cell):
-        try:
-            float(cell)
-        except ValueError:
-            return f"'{cell}"
-    return cell
-
-
-def _without_prefix(cell: str) -> str:
-    return cell[1:] if cell.startswith("'") and _FORMULA.match(cell) else cell
 
 
 def json_value(value: Any) -> Any:

@@ -3,6 +3,7 @@
 from typing import Any
 
 from rich import box
+from rich.cells import cell_len
 from rich.console import Console, ConsoleOptions, RenderableType, RenderResult
 from rich.measure import Measurement
 from rich.table import Column, Table
@@ -26,64 +27,33 @@ _UNBOUNDED = 10_000
 
 
 class WholeTable(Table):
-    """A table that cuts no number and no name, whatever its width: columns of prose break between
-    words, and where that is not enough, every row becomes a block of lines, one a column."""
+    """A table that cuts no number and no name: columns of prose break between words, and where that
+    is not enough, lines are longer than the terminal."""
 
     def add_row(self, *cells: RenderableType | None, **how: Any) -> None:
         """Add a row; control characters of its texts show as escapes."""
         for cell in cells:
             if isinstance(cell, Text):
                 cell.plain = visible(cell.plain)
-        super().add_row(*(visible(x) if isinstance(x, str) else x for x in cells), **how)
-
-    def __rich_measure__(self, console: Console, options: ConsoleOptions) -> Measurement:
-        """From the narrowest width in which it is a table, to that of whole lines."""
-        self._measure_columns(console, options)
-        return super().__rich_measure__(console, options)
+        shown = [visible(x) if isinstance(x, str) else x for x in cells]
+        super().add_row(*shown, **how)
+        for column, cell in zip(self.columns, shown, strict=False):
+            least = max(_width(column, text) for text in (column.header, cell or ""))
+            column.min_width = max(column.min_width or 0, least)
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        """The table, or its rows as blocks of lines."""
-        wide = options.update(width=_UNBOUNDED)
-        more = self._measure_columns(console, wide)
-        spare = options.max_width - super().__rich_measure__(console, wide).minimum
-        if spare < 0:
-            yield from self._rows_as_blocks(console, options)
-            return
-        for left, k in zip(
-            range(len(more), 0, -1), sorted(more, key=more.__getitem__), strict=True
-        ):
-            given = min(more[k], spare // left)
-            spare -= given
-            self.columns[k].width = (self.columns[k].min_width or 0) + given
-        yield from super().__rich_console__(console, options)
+        """The table in the width that there is, or in the least that it needs."""
+        least = Measurement.get(console, options.update(width=_UNBOUNDED), self).minimum
+        yield from super().__rich_console__(
+            console, options.update(width=max(options.max_width, least))
+        )
 
-    def _measure_columns(self, console: Console, options: ConsoleOptions) -> dict[int, int]:
-        """Set each column's least width; returns how much wider whole lines are, of prose."""
-        wide, more = options.update(width=_UNBOUNDED), {}
-        for k, column in enumerate(self.columns):
-            cells = [Measurement.get(console, wide, x) for x in (column.header, *column.cells)]
-            most = max(cell.maximum for cell in cells)
-            least = most if column.no_wrap else min(max(cell.minimum for cell in cells), _WORD)
-            column.width, column.min_width = None, least
-            if not column.no_wrap:
-                more[k] = most - least
-        return more
 
-    def _rows_as_blocks(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        heads = (str(x.header).replace("-\n", "") for x in self.columns)
-        names = [Text(" ".join(head.split())) for head in heads]
-        grid = Table.grid(Column(no_wrap=True), Column(overflow="fold"), padding=(0, 2))
-        for cells, row in zip(
-            zip(*(x.cells for x in self.columns), strict=True), self.rows, strict=True
-        ):
-            for name, cell in zip(names, cells, strict=True):
-                if str(cell):
-                    grid.add_row(name, cell, style=row.style)
-            grid.add_row()
-        longest = max((x.min_width or 0 for x in self.columns if x.no_wrap), default=0)
-        needed = max(map(len, names)) + 2 + longest
-        yield Text(f"{self.title}\n", style="bold")
-        yield from console.render(grid, options.update(width=max(options.max_width, needed)))
+def _width(column: Column, cell: RenderableType) -> int:
+    """The width of a cell's longest line, or word of prose, in characters."""
+    if column.no_wrap:
+        return max(map(cell_len, str(cell).splitlines()), default=0)
+    return max((min(cell_len(word), _WORD) for word in str(cell).split()), default=0)
 
 
 def table_of(title: str, *columns: str) -> Table:

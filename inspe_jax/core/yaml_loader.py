@@ -10,10 +10,9 @@ from inspe_jax.core.errors import brief
 VALUES, DEPTH, DIGITS = 10**6, 100, 40
 """Most values of a YAML text, with each alias written out; greatest depth of YAML and of XML; most
 digits of a whole number."""
-_Base: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # libyaml's is fast, where it is there
 
 
-class _Loader(_Base):
+class _Loader(yaml.CSafeLoader):
     """A YAML loader for which a key given twice is an error. Nodes are made by recursion, in C: it
     ends at :data:`DEPTH`, before the stack does."""
 

@@ -48,10 +48,9 @@ class DatasetWriter:
         generation: Generation,
         folder: Path,
         backend: str,
-        deep: bool = True,
         progress: Callable[[int, int], None] | None = None,
     ) -> None:
-        """Compare finished scenarios with their manifests: ``deep`` by digests, else by sizes.
+        """Compare finished scenarios with their manifests, by digests.
 
         ``progress`` is called with (scenarios compared, all). Raises InspeError if the folder
         contains another data set or other files.
@@ -61,7 +60,7 @@ class DatasetWriter:
         self.there: dict[str, set[int]] = {}
         self.damage: dict[str, list[Fault]] = {}
         for plan in generation.scenarios:
-            self.there[plan.name] = self._resume(plan, deep)
+            self.there[plan.name] = self._resume(plan)
             if progress:
                 progress(len(self.there), len(generation.scenarios))
 
@@ -128,14 +127,14 @@ class DatasetWriter:
                 )
         check_versions(kept.get("versions") or {}, record["versions"], self.folder)
 
-    def _resume(self, plan: ScenarioPlan, deep: bool) -> set[int]:
+    def _resume(self, plan: ScenarioPlan) -> set[int]:
         """Numbers of the complete frames of a scenario. A finished scenario of which a file is
         damaged or missing becomes unfinished again."""
         place, folder = self.place(plan), self.unfinished(plan)
         if place.exists():
             shutil.rmtree(place / RECORDS, ignore_errors=True)  # of a run that was killed
             # Files that the manifest does not know are left alone: they may be the user's.
-            kept, found = manifest.compare(place, plan.frames, deep)
+            kept, found = manifest.compare(place, plan.frames, deep=True)
             if kept is None and not found:
                 found = [Fault(place / MANIFEST, "is missing")]
             if not found:
@@ -146,7 +145,7 @@ class DatasetWriter:
             for name in (PROTOCOL, MANIFEST):
                 (place / name).unlink(missing_ok=True)
             os.replace(place, folder)
-        return set(manifest.recorded_frames(folder, deep))
+        return set(manifest.recorded_frames(folder, deep=True))
 
 
 def record_of(generation: Generation, backend: str) -> dict[str, Any]:
@@ -193,7 +192,6 @@ def generate(
     *,
     workers: int | None = None,
     server: Server | None = None,
-    deep: bool = True,
     progress: Callable[[int, int], None] | None = None,
     checking: Callable[[int, int], None] | None = None,
 ) -> GenerationResult:
@@ -206,10 +204,9 @@ def generate(
     the usual one if not given. ``progress`` is called with (frames done, all frames).
 
     After a run was killed, call this again: it continues, and gives the same bytes. Scenarios that
-    are there are compared with their manifests, by digests if ``deep``, otherwise by the sizes of
-    files, and those that are damaged are recorded again; ``checking`` is called with (scenarios
-    compared, all). If a scenario cannot be generated, its error is in the result's ``failures``,
-    and the others are generated.
+    are there are compared with their manifests, by digests, and those that are damaged are recorded
+    again; ``checking`` is called with (scenarios compared, all). If a scenario cannot be generated,
+    its error is in the result's ``failures``, and the others are generated.
 
     Scripts that call this need the usual ``if __name__ == "__main__":``, because workers are
     processes. Raises InspeError if Dask is missing, no server answers, the disk is full or cannot
@@ -222,7 +219,7 @@ def generate(
     try:
         place = prepare_folder(folder)
         with lock_folder(place, f".{GENERATION}.lock"):
-            writer = DatasetWriter(generation, place, backend, deep, checking)
+            writer = DatasetWriter(generation, place, backend, checking)
             had = writer.frames
             failures, notes = _record(writer, generation, backend, workers, server, progress)
             if not failures:

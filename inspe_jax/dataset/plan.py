@@ -185,8 +185,7 @@ class RecordingEntry(Strict):
     rate_hz: Annotated[float, Field(gt=0, le=1000)] = 10.0
     # Beside pictures.
     layers: list[Literal["depth", "instance", "semantic"]] = Field(default=[])
-    # Of the cameras' own resolution; or width and height of all pictures.
-    image_scale: Annotated[float, Field(gt=0, le=4)] = 1.0
+    # Width and height of all pictures, if not the cameras' own.
     image_size: Annotated[list[int], Field(min_length=2, max_length=2)] | None = None
     # How long a LiDAR's turn takes; 0: all rays at once.
     lidar_turn_s: Annotated[float, Field(ge=0, le=1)] = TURN
@@ -202,7 +201,7 @@ class RecordingEntry(Strict):
         check_names([str(layer) for layer in self.layers], f"{where}: layers")
         size = (self.image_size[0], self.image_size[1]) if self.image_size else None
         turn, layers = self.lidar_turn_s, tuple(self.layers)
-        found = Recording(self.rate_hz, layers, self.image_scale, turn=turn, image_size=size)
+        found = Recording(self.rate_hz, layers, turn=turn, image_size=size)
         with error_at(where):
             found.check()
         return found

@@ -48,7 +48,7 @@ from inspe_jax.jobs.sources import (
 from inspe_jax.sensing.layout import parse_layout
 from inspe_jax.simulation.backends import BACKENDS
 
-FORMAT = "inspe_jax scenario 2"
+FORMAT = "inspe_jax scenario 3"
 PORT = 2000
 """CARLA's usual port. Readers of OPV2V data sets expect one in the protocol; it has no effect."""
 
@@ -106,7 +106,6 @@ def protocol_of(
         "backend": backend,
         "rate_hz": plan.recording.rate,
         "layers": list(plan.recording.layers),
-        "image_scale": plan.recording.image_scale,
         "image_size": list(size) if size else None,
         "lidar_turn_s": plan.recording.turn,
         "seed": plan.seed,

@@ -25,7 +25,7 @@ from inspe_jax.placement.run import Progress
 from inspe_jax.scoring.evaluate import Contribution, Scores
 from inspe_jax.sensing.layout import Layout, load_layout, save_layout
 
-FORMAT = "inspe_jax result 3"
+FORMAT = "inspe_jax result 4"
 FILES = ("layout.yaml", "start.yaml", "result.json", "history.csv", "path.csv")
 """The files of a result: the layout that was found, the start, the record, all exact scores, and
 the poses of every layout that was the best so far."""
@@ -126,7 +126,6 @@ def load_result(folder: str | os.PathLike[str]) -> Result:
         for key in _SCORES:
             of = record[key]
             of["contributions"] = tuple(Contribution(**row) for row in of["contributions"])
-            of["level_coverage"] = tuple(of["level_coverage"])
             record[key] = Scores(**of | {"seen_share": np.array(of["seen_share"], float)})
         record["notes"] = tuple(record["notes"])
         history = tuple(

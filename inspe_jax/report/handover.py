@@ -11,7 +11,7 @@ from shapely.geometry.polygon import orient
 
 from inspe_jax.core.errors import needs
 from inspe_jax.core.files import csv_text
-from inspe_jax.core.words import isolated
+from inspe_jax.core.words import visible
 from inspe_jax.report.outlines import view_outline
 from inspe_jax.report.schedule import EXISTING_POLE, installation_schedule, materials
 from inspe_jax.scene.geojson import known_georeference
@@ -90,9 +90,9 @@ def plan_kml(layout: Layout, place: Intersection) -> str:
             geometry = geometry | {"coordinates": [*geometry["coordinates"], own["height_m"]]}
         view = own.pop("feature") == "view"
         return Placemark(
-            name=isolated(own.pop("name")),
+            name=visible(own.pop("name")),
             description="<br/>".join(  # viewers of maps read it as HTML
-                escape(isolated(f"{key}: {value}")) for key, value in own.items()
+                escape(visible(f"{key}: {value}")) for key, value in own.items()
             ),
             style_url=StyleUrl(url=f"#{own['kind']}") if view and own["kind"] in LINE else None,
             kml_geometry=create_kml_geometry(shape(geometry), altitude_mode=mode),
@@ -109,7 +109,7 @@ def plan_kml(layout: Layout, place: Intersection) -> str:
         )
         for kind, colour in LINE.items()
     ]
-    title = isolated(f"{layout.name} at {place.name}")
+    title = visible(f"{layout.name} at {place.name}")
     document = KML(features=[Document(name=title, styles=styles, features=folders)])
     return '<?xml version="1.0" encoding="UTF-8"?>\n' + document.to_string(prettyprint=True)
 

@@ -19,18 +19,17 @@ from matplotlib.figure import Figure
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.sheet import image_text
-from inspe_jax.core.words import counted, isolated
+from inspe_jax.core.words import counted, visible
 from inspe_jax.placement.objective import Objective
 from inspe_jax.placement.problem import Case
 from inspe_jax.placement.result import STATUSES, Result
-from inspe_jax.placement.studies.tolerance import Tolerance
 from inspe_jax.report import schedule
 from inspe_jax.report.curves import history_view
 from inspe_jax.report.figures import SENSOR_COLORS, plan_view, scene_view
 from inspe_jax.report.layers import BLIND, SIGHT_COLORS, USER_COLOR, MapLayer, layers
 from inspe_jax.report.progress import before_after, same_sensors
 from inspe_jax.report.scene_tables import resolution_of
-from inspe_jax.report.tables import goal_words, scores_of, scores_record, tolerance_record
+from inspe_jax.report.tables import goal_words, scores_of, scores_record
 from inspe_jax.report.targets import targets_view
 from inspe_jax.scene.intersection import BUILT_IN
 from inspe_jax.scene.maps.sumo.network import GEOGRAPHIC, SUMO
@@ -74,15 +73,13 @@ class ReportEntry:
     """A layout with all that a page shows of it.
 
     ``result``: that of the search that found it. ``start`` and ``before``: the layout before, and
-    its scores. ``target``: the P_sm that it should reach. ``tolerance``: how carefully it must be
-    installed. ``targets``: what a pedestrian gets at each place. ``sought``: the score that it was
-    searched for, if that is not P_sm.
+    its scores. ``target``: the P_sm that it should reach. ``targets``: what a pedestrian gets at
+    each place. ``sought``: the score that it was searched for, if that is not P_sm.
     """
 
     layout: Layout
     scores: Scores
     shed: Viewshed
-    tolerance: Tolerance | None = None
     result: Result | None = None
     start: Layout | None = None
     before: Scores | None = None
@@ -99,7 +96,7 @@ def report_entry(
     start: Layout | None = None,
     target: float | None = None,
 ) -> ReportEntry:
-    """Score a layout for a page, without its tolerance. Raises InspeError as :func:`scores_of`.
+    """Score a layout for a page. Raises InspeError as :func:`scores_of`.
 
     ``result`` is that of the search that found the layout, if any. ``start`` is the layout to
     compare with, that of the search if None. ``target`` is the P_sm that the layout should reach.
@@ -172,7 +169,6 @@ def report_page(
                 scene3d=done(
                     views and _text(views.scene3d(scene, layout, scores.conditions, frame))
                 ),
-                tolerance=entry.tolerance and tolerance_record(entry.tolerance, scene, layout),
             )
         )
     records = [part["record"] for part in parts]
@@ -232,12 +228,12 @@ def _images(
 
 
 def template(room: str, name: str) -> Template:
-    """An HTML template ``name`` in a folder of the package. Inserted text is escaped, and isolated
-    from its neighbours (:func:`~inspe_jax.core.words.isolated`)."""
+    """An HTML template ``name`` in a folder of the package. Inserted text is escaped, and so are
+    its control characters (:func:`~inspe_jax.core.words.visible`)."""
     return Environment(
         loader=PackageLoader("inspe_jax", room),
         autoescape=True,
-        finalize=lambda value: isolated(value) if type(value) is str else value,
+        finalize=lambda value: visible(value) if type(value) is str else value,
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,

@@ -263,9 +263,7 @@ def scores_record(
     goal = {} if sought is None or layout.goal is None else layout.goal.record | {"score": sought}
     return {
         **{m.name: float(scores.value(m.name)) for m in listed_in(scores)},
-        "information_gain_literal": float(scores.information_gain_literal),
         "region_coverage": {key: float(share) for key, share in scores.region_coverage.items()},
-        "level_coverage": [float(share) for share in scores.level_coverage],
         "parts": json_value(scores.parts),
         "contributions": [
             {

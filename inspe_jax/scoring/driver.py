@@ -26,7 +26,6 @@ from inspe_jax.scoring.options import ScoreOptions
 from inspe_jax.scoring.reading import Counts, Frames
 from inspe_jax.scoring.tiled_scene import TiledScene
 from inspe_jax.sensing.sensor_array import SensorArray
-from inspe_jax.visibility import bitmask
 from inspe_jax.visibility.tiles import Tile, Tiles, solid_in, unless_empty
 
 KEPT, SENSORS_KEPT, SIGHTS_KEPT = 2**24, 2**26, 2**27
@@ -40,14 +39,13 @@ SIGHTS = "sights"
 class MetricValues(NamedTuple):
     """Every metric by name: of all sensors in row 0, without group g of the failures in row 1 + g.
 
-    ``column_coverage`` and ``level_coverage`` are the shares of each column's and of each level's
-    voxels that are in view. ``seen_share`` is the share of frames and levels in which each column
-    is seen. ``entropy`` is H(Ω) in nats. ``parts`` has all metrics of the core and outside.
+    ``column_coverage`` is the share of each column's voxels that are in view. ``seen_share`` is the
+    share of frames and levels in which each column is seen. ``entropy`` is H(Ω) in nats. ``parts``
+    has all metrics of the core and outside.
     """
 
     values: dict[str, Float[Array, " 1+G"]]
     column_coverage: Float[Array, " L"]
-    level_coverage: Float[Array, " Z"]
     entropy: Float[Array, ""]
     seen_share: Float[Array, " L"]
     parts: dict[str, Float[Array, " 2"]] | None = None
@@ -65,11 +63,10 @@ class MetricValues(NamedTuple):
 
 
 class TileReadings(NamedTuple):
-    """What is read of N tiles: how many voxels ``columns`` and ``levels`` have in view, the chance
-    that each voxel is ``resolved``, the ``counts``, and the further ``terms`` of the metrics."""
+    """What is read of N tiles: how many voxels ``columns`` have in view, the chance that each voxel
+    is ``resolved``, the ``counts``, and the further ``terms`` of the metrics."""
 
     columns: Num[Array, "N 1+G C"]
-    levels: Num[Array, "N Z"]
     resolved: Float[Array, "N 1+G Z C"]
     counts: Counts
     terms: dict[str, Any]
@@ -157,7 +154,6 @@ def readings_of_tile(at: TileEvidence, counts: Counts, options: ScoreOptions) ->
     covered = reading.any_of(at.views, failures)
     return TileReadings(
         reading.column_counts(covered),
-        reading.level_counts(covered[0], levels),
         metrics.resolved(visible, jnp.asarray(at.sensors.reliability, float), failures),
         counts._replace(sights=None),
         metrics.tile_terms(options.metrics, at),
@@ -174,7 +170,6 @@ def summarise_readings(
     """The metrics from what :func:`read_tiles` gives of all tiles of a scene."""
     tiles, counts = tiled.tiles, found.counts
     columns = found.columns.swapaxes(0, 1).reshape(found.columns.shape[1], tiles.slabs, -1)
-    by_level = found.levels.reshape(tiles.slabs, len(tiles.tile.there) // tiles.slabs, -1)
     resolved = found.resolved.swapaxes(0, 1)  # (1 + G, N, Z, C)
     if tiled.occupancy.ndim == 1:
         tile, column = jnp.divmod(tiled.column, tiles.tile.there.shape[1])
@@ -182,7 +177,6 @@ def summarise_readings(
     return summarise(
         tiled,
         tiles.column_shares(columns.sum(1).astype(float)),
-        by_level.sum(1).reshape(-1),
         metrics.entropy_terms(resolved.reshape(len(resolved), -1), tiled.occupancy.reshape(-1)),
         counts._replace(seen=counts.seen.sum(0), original=counts.original.sum(0)),
         found.terms,
@@ -195,7 +189,6 @@ def summarise_readings(
 def summarise(
     tiled: TiledScene,
     shares: Float[Array, "1+G MC"],
-    by_level: Num[Array, " Z"],
     entropy: tuple[Float[Array, " 1+G"], Float[Array, ""]],
     counts: Counts,
     terms: dict[str, Any],
@@ -206,12 +199,11 @@ def summarise(
 ) -> MetricValues:
     """The metrics of a scene, and the shares that pictures show; columns in the tiles' order.
 
-    ``shares`` are the shares of each column's levels in view; ``by_level`` is how many columns are
-    in view at each level; ``entropy`` is (H(Ω|P), H(Ω)), and ``entropy_of_parts`` that of all
-    sensors, a column each for the core and outside; ``counts`` are those of all tiles, ``terms``
-    and ``width`` as in :class:`~inspe_jax.scoring.metric.Evidence`.
+    ``shares`` are the shares of each column's levels in view; ``entropy`` is (H(Ω|P), H(Ω)), and
+    ``entropy_of_parts`` that of all sensors, a column each for the core and outside; ``counts`` are
+    those of all tiles, ``terms`` and ``width`` as in :class:`~inspe_jax.scoring.metric.Evidence`.
     """
-    slabs, levels = tiled.tiles.slabs, tiled.tiles.level_count
+    slabs = tiled.tiles.slabs
     seen = counts.columns.reshape(slabs, -1).sum(0)
     own_levels = tiled.tiles.column_levels
     frames, whole = (jnp.asarray(x, float).T for x in (counts.seen, counts.original))
@@ -224,7 +216,6 @@ def summarise(
     return MetricValues(
         {metric.name: metric.value(evidence) for metric in metrics},
         column_coverage=shares[0],
-        level_coverage=by_level[:levels].astype(float) / _columns_of_levels(tiled.tiles),
         entropy=entropy[1],
         seen_share=seen.astype(float) / (tiled.frame_count * own_levels),
         parts=parts,
@@ -260,13 +251,3 @@ def _of_parts(
             {k: jnp.where(counted | (not m.by_region), x, 0.0) for k, (m, x) in values.items()}
         )
     return {name: jnp.stack([of[name] for of in found]) for name in found[0]}
-
-
-def _columns_of_levels(tiles: Tiles) -> Num[Array, "*Z"]:
-    """How many columns each level has: one number, unless bodies stand in some."""
-    there = tiles.tile.there.reshape(tiles.slabs, -1)
-    if not tiles.gaps:
-        return (there[0] != 0).astype(float).sum()
-    height = tiles.tile.heights.shape[1]
-    counts = bitmask.count_levels(there.T, height).reshape(-1)[: tiles.level_count]
-    return jnp.maximum(counts.astype(float), 1.0)

@@ -83,8 +83,8 @@ class Scores(PaperMetrics, ByContent, Described):
     """The scores of one layout on one scene, each between 0 and 1, higher is better.
 
     ``metrics`` are by name, and ``surrogate`` is their weighted sum P_sm. They are numbers, or JAX
-    arrays where the layout's poses are traced. ``region_coverage`` and ``level_coverage`` are the
-    shares in view, unweighted, of the voxels of each region and of each level (lowest first).
+    arrays where the layout's poses are traced. ``region_coverage`` is the share in
+    view, unweighted, of the voxels of each region.
 
     ``contributions`` has one row a sensor, in the layout's order; none where poses are traced. One
     can be negative only for occlusion with the reference ``covered``, whose voxels change with the
@@ -99,7 +99,6 @@ class Scores(PaperMetrics, ByContent, Described):
     metrics: dict[str, float]
     surrogate: float
     region_coverage: dict[str, float]
-    level_coverage: tuple[float, ...]
     contributions: tuple[Contribution, ...]
     seen_share: Float[np.ndarray, " L"]
     settings: dict[str, Any]
@@ -108,11 +107,6 @@ class Scores(PaperMetrics, ByContent, Described):
     def _facts(self) -> dict[str, Any]:
         shown = {**self.metrics, "P_sm": self.surrogate}
         return {k: f"{x:.4f}" if isinstance(x, float) else x for k, x in shown.items()}
-
-    @property
-    def information_gain_literal(self) -> float:
-        """IG as the paper prints it, for comparison only: it falls as sensors see more."""
-        return 1.0 - self.information_gain
 
     @property
     def conditions(self) -> Conditions:
@@ -190,7 +184,6 @@ def evaluate(
         metrics=dict(zip(values, total[:-1], strict=True)),
         surrogate=total[-1],
         region_coverage={key: _numbers(share) for key, share in regions.items()},
-        level_coverage=tuple(_numbers(measured.level_coverage)),
         contributions=tuple(
             Contribution(
                 sensor.name,

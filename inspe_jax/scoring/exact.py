@@ -183,25 +183,6 @@ def count_all(
     return Counts(*counts)
 
 
-def sight_shares(
-    tiled: TiledScene,
-    views: UInt[np.ndarray, "S N C"],
-    sensors: Float[np.ndarray, "S 3"],
-    options: ScoreOptions,
-    count: int,
-) -> Float[np.ndarray, "count V"]:
-    """The share of frames in which each of ``count`` sensors has each voxel in line of sight.
-
-    Whether the voxel is in view does not matter; but from a sensor that has nothing of a tile in
-    view, the tile's shares are 0. Arguments as of :func:`count_all`; ``options`` count sights.
-    """
-    sights = count_all(tiled, views, sensors, None, options).sights
-    assert sights is not None  # options.sight
-    sights = _sights_past_statics(tiled, sights, views, sensors)
-    shares = [tiled.tiles.of_voxels(np.asarray(of)) for of in sights[:count]]
-    return np.stack(shares) / tiled.frame_count
-
-
 def _add_counts(total: np.ndarray, counts: Any) -> None:
     """Add counts to a total. Counts of several devices stand one after another."""
     total += np.asarray(counts).reshape(-1, *total.shape).sum(0, dtype=total.dtype)
@@ -254,15 +235,13 @@ def _summarise(
     *,
     metrics: tuple[Metric, ...],
 ) -> MetricValues:
-    slabs, levels = tiled.tiles.slabs, tiled.tiles.level_count
+    slabs = tiled.tiles.slabs
     covered = BITS.any_of(views, failures)
     columns = bitmask.count(covered).reshape(len(covered), slabs, -1).sum(1)  # (1 + G, M·C)
-    by_level = bitmask.count_levels(covered[0].reshape(slabs, -1).T, -(-levels // slabs))
     *entropy, parts = _entropy_terms(tiled, views, counts.sights, reliability, failures)
     return summarise(
         tiled,
         tiled.tiles.column_shares(columns.astype(float)),
-        by_level.reshape(-1),
         (entropy[0], entropy[1]),
         counts,
         terms,

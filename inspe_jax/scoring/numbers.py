@@ -103,10 +103,6 @@ class Numbers:
         """How many voxels of a set each column has."""
         return found.sum(-2)
 
-    def level_counts(self, found: Float[Array, "Z C"], levels: int) -> Float[Array, " Z"]:
-        """How many voxels of a set each level has."""
-        return found.sum(1)
-
     def column_sums(self, found: Float[Array, "Z F C"]) -> Float[Array, " C"]:
         """How many voxels of a set each column has, summed over the frames."""
         return found.sum(0).sum(0)

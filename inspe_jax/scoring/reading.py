@@ -144,10 +144,6 @@ class Bits:
         """How many voxels of a set each column has."""
         return bitmask.count(found)
 
-    def level_counts(self, found: UInt[Array, " C"], levels: int) -> Int[Array, " Z"]:
-        """How many voxels of a set each level has."""
-        return bitmask.count_levels(found[:, None], levels)[0]
-
     def column_sums(self, found: UInt[Array, "F C"]) -> Int[Array, " C"]:
         """How many voxels of a set each column has, summed over the frames."""
         return bitmask.count(found).sum(0)

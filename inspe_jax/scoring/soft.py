@@ -66,17 +66,16 @@ class _Work:
     def shapes(self) -> Any:
         """The shapes of the metrics."""
         tiles, failures = self.tiled.tiles, self.sensors.failures
-        row, column, level, one = (
+        row, column, one = (
             jax.ShapeDtypeStruct(shape, np.float32)
             for shape in (
                 (1 if failures is None else 1 + len(failures.first),),
                 (tiles.tile.there.size // tiles.slabs,),
-                (tiles.level_count,),
                 (),
             )
         )
         values: Any = {metric.name: row for metric in self.options.metrics}
-        return MetricValues(values, column, level, one, column)  # type: ignore[arg-type]
+        return MetricValues(values, column, one, column)  # type: ignore[arg-type]
 
     def value(self, reading: Numbers, poses: Any) -> MetricValues:
         """The metrics."""

@@ -7,17 +7,14 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, UInt
 
 from inspe_jax.core.arrays import from_center, pad_rows
 from inspe_jax.core.geometry import Prism
 from inspe_jax.scene.scene import Scene
-from inspe_jax.scoring import metrics
 from inspe_jax.scoring.accumulate import seen_in_tile
-from inspe_jax.scoring.evaluate import options_of
-from inspe_jax.scoring.exact import ONE_MORE, in_view_of, sight_shares
+from inspe_jax.scoring.exact import ONE_MORE, in_view_of
 from inspe_jax.scoring.options import ScoreOptions
 from inspe_jax.scoring.reading import BITS, Frames
 from inspe_jax.scoring.tiled_scene import by_level, tiled_scene_of
@@ -43,21 +40,13 @@ class Viewshed:
     """How well a layout sees each voxel of a scene.
 
     ``sensors`` is how many sensors have the voxel in view. Of ``frame_count`` frames, some sensor
-    sees it in ``seen``, and it is inside a road user in ``occupied``. ``resolved`` is q_i of
-    information gain, with the visibility of the scene's profile.
+    sees it in ``seen``, and it is inside a road user in ``occupied``.
     """
 
     sensors: Int[np.ndarray, " V"]
     seen: Int[np.ndarray, " V"]
     occupied: Int[np.ndarray, " V"]
-    resolved: Float[np.ndarray, " V"]
     frame_count: int
-
-    @property
-    def entropy(self) -> Float[np.ndarray, " V"]:
-        """Entropy of each voxel's occupancy [bit]."""
-        share = jnp.asarray(self.occupied / self.frame_count, float)
-        return np.asarray(metrics.entropy(share)) / np.log(2.0)
 
 
 def viewshed(scene: Scene, layout: Layout, *, conditions: Conditions = FAIR) -> Viewshed:
@@ -74,16 +63,10 @@ def viewshed(scene: Scene, layout: Layout, *, conditions: Conditions = FAIR) -> 
         found = _seen_masks(tiles.tile, views, chunk.solid, chunk.prisms, sensors)
         seen += np.asarray(by_level(found, levels))
         occupied += np.asarray(by_level(chunk.solid, levels))
-    flags = tiles.by_voxel(views[: len(layout)])  # (S, V)
-    visible, options = flags.astype(float), ScoreOptions.of(**options_of(scene))
-    if options.sight:  # by the programs that a score compiles
-        tiled = tiled_scene_of(scene)
-        visible *= sight_shares(tiled, views, sensors, options, len(layout))
     return Viewshed(
-        sensors=flags.sum(0),
+        sensors=tiles.by_voxel(views[: len(layout)]).sum(0),
         seen=tiles.of_voxels(seen),
         occupied=tiles.of_voxels(occupied),
-        resolved=1.0 - np.prod(1.0 - visible * layout.reliability[:, None], axis=0),
         frame_count=scene.traffic.frame_count,
     )
 

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float, Int, UInt8
 
 from inspe_jax.core.errors import InspeError, check_known
+from inspe_jax.core.records import check_record, check_values
 from inspe_jax.scene.traffic.frames import CLASSES
 
 Pose6 = Float[np.ndarray, "6"]
@@ -19,6 +20,9 @@ KINDS = CLASSES
 
 MOST_TRACK = 2**16 - 2
 """The largest track: ``track + 1`` must fit into a 16-bit picture."""
+
+LEAST_SIZE = 1e-3
+"""The smallest length, width or height of a box [m]."""
 
 MOST_FRAME = 999_999
 """The largest number of a frame: file names have six digits, and are sorted as text."""
@@ -63,6 +67,11 @@ class RoadUserBox:
     velocity: Float[np.ndarray, "3"]
     parked: bool = False
 
+    def _check(self, prefix: str) -> None:
+        check_known(self.kind, KINDS, f"{prefix}kind")
+        check_values(self.track, f"{prefix}track", 0, MOST_TRACK)
+        check_values(self.size, f"{prefix}size", LEAST_SIZE)
+
 
 Boxes = tuple[RoadUserBox, ...]
 
@@ -71,8 +80,8 @@ Boxes = tuple[RoadUserBox, ...]
 class Image(Deferred):
     """A camera's picture, and what each pixel of it shows.
 
-    ``intrinsic`` is the calibration in pixels. ``depth`` is measured along the camera's axis [m],
-    and infinite where nothing was hit; ``instance`` is track + 1, and 0 where there is no road
+    ``intrinsic`` is the calibration in pixels. ``depth`` (H, W) is measured along the camera's axis
+    [m], and infinite where nothing was hit; ``instance`` is track + 1, and 0 where there is no road
     user; ``semantic`` is a label. Each of these three may be None.
 
     ``pixels`` is the number of pixels that show each of the frame's B road users, ``share`` their
@@ -83,11 +92,21 @@ class Image(Deferred):
     intrinsic: Float[np.ndarray, "3 3"]
     rgb: Picture = field(repr=False)
     # None by a factory is no attribute of the class, which a deferred field would find.
-    depth: Float[np.ndarray, "H W"] | None = field(default_factory=lambda: None, repr=False)
+    depth: np.ndarray | None = field(default_factory=lambda: None, repr=False)
     instance: Int[np.ndarray, "H W"] | None = field(default_factory=lambda: None, repr=False)
     semantic: UInt8[np.ndarray, "H W"] | None = field(default_factory=lambda: None, repr=False)
     pixels: Int[np.ndarray, " B"] | None = field(default=None, repr=False)
     share: Float[np.ndarray, " B"] | None = field(default=None, repr=False)
+
+    def _check(self, prefix: str) -> None:
+        check_values(self.rgb, f"{prefix}rgb", 0, 255)
+        if self.depth is not None and self.depth.shape != self.rgb.shape[:2]:
+            expected = f"{self.rgb.shape[:2]}, as rgb"
+            raise InspeError(f"{prefix}depth: shape {self.depth.shape}, expected {expected}")
+        if self.depth is not None and not (self.depth >= 0).all():  # also false for NaN
+            raise InspeError(f"{prefix}depth: below 0 or no number")
+        if self.instance is not None:
+            check_values(self.instance, f"{prefix}instance", 0, MOST_TRACK + 1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,6 +117,9 @@ class Scan(Deferred):
     pose: Pose6
     points: Float[np.ndarray, "N 4"] = field(repr=False)
     returns: Int[np.ndarray, " B"] | None = field(default=None, repr=False)
+
+    def _check(self, prefix: str) -> None:
+        check_values(self.points[:, 3], f"{prefix}points: intensity", 0, 1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,86 +144,27 @@ class Frame:
     boxes: Boxes
     stations: tuple[Station, ...]
 
+    def _check(self, prefix: str) -> None:
+        check_values(self.number, f"{prefix}number", 0, MOST_FRAME)
+        numbers = [station.number for station in self.stations]
+        for what, own in (("track", [box.track for box in self.boxes]), ("station", numbers)):
+            for number in own:
+                if own.count(number) > 1:
+                    raise InspeError(f"{prefix}{what} {number} is given twice")
+        for s, station in enumerate(self.stations):
+            check_values(station.number, f"{prefix}stations[{s}].number", 1)
+            for name in ("images", "scans"):
+                for k, record in enumerate(getattr(station, name)):
+                    _check_counts(record, len(self.boxes), f"{prefix}stations[{s}].{name}[{k}]")
+
 
 def check_frame(frame: Frame) -> None:
     """Raise InspeError where a value of a frame is not valid. This reads all deferred fields."""
-    where = f"frame {frame.number}"
-    _whole_number(frame.number, 0, MOST_FRAME, "frame")
-    tracks = [box.track for box in frame.boxes]
-    numbers = [station.number for station in frame.stations]
-    for what, own, least, most in (("track", tracks, 0, MOST_TRACK), ("station", numbers, 1, None)):
-        for number in own:
-            _whole_number(number, least, most, f"{where}: {what}")
-            if own.count(number) > 1:
-                raise InspeError(f"{where}: {what} {number} is given twice")
-    for box in frame.boxes:
-        here = f"{where}: track {box.track}"
-        check_known(box.kind, KINDS, f"{here}: kind")
-        for key, shape in (("center", (3,)), ("size", (3,)), ("velocity", (3,)), ("yaw", ())):
-            _numbers(getattr(box, key), shape, f"{here}: {key}")
-        if not np.all(np.asarray(box.size) > 0):
-            raise InspeError(f"{here}: size {np.asarray(box.size).tolist()} is not above 0")
-    for station in frame.stations:
-        here = f"{where}: station {station.number}"
-        _numbers(station.pose, (6,), f"{here}: pose")
-        for i, image in enumerate(station.images):
-            _check_image(image, len(tracks), f"{here}: image {i}")
-        for i, scan in enumerate(station.scans):
-            _check_scan(scan, len(tracks), f"{here}: scan {i}")
+    check_record(frame, f"frame {frame.number}")
 
 
-_LAYERS: tuple[tuple[str, str, str, float, float], ...] = (
-    ("depth", "f", "floats", 0.0, np.inf),
-    ("instance", "iu", "integers", 0, MOST_TRACK + 1),
-    ("semantic", "u", "unsigned integers", 0, 255),
-)
-"""Each layer's kinds of numbers, in NumPy's letters and in words, and the least and the most."""
-
-
-def _check_image(image: Image, road_users: int, where: str) -> None:
-    _numbers(image.pose, (6,), f"{where}: pose")
-    _numbers(image.intrinsic, (3, 3), f"{where}: intrinsic")
-    rgb = np.asarray(image.rgb)
-    if rgb.ndim != 3 or rgb.shape[2] != 3 or rgb.dtype != np.uint8 or not rgb.size:
-        given = f"{rgb.dtype} {rgb.shape}"
-        raise InspeError(f"{where}: rgb must be uint8 (height, width, 3), got {given}")
-    for key, letters, words, least, most in _LAYERS:
-        if getattr(image, key) is None:
-            continue
-        layer = np.asarray(getattr(image, key))
-        if layer.shape != rgb.shape[:2] or layer.dtype.kind not in letters:
-            allowed = f"{rgb.shape[:2]} as rgb, of {words}"
-            raise InspeError(f"{where}: {key} must be {allowed}, got {layer.dtype} {layer.shape}")
-        _within(layer, least, most, f"{where}: {key}")
-    for key in ("pixels", "share"):
-        if getattr(image, key) is not None:
-            _numbers(getattr(image, key), (road_users,), f"{where}: {key}")
-
-
-def _check_scan(scan: Scan, road_users: int, where: str) -> None:
-    _numbers(scan.pose, (6,), f"{where}: pose")
-    points = np.asarray(scan.points)
-    _numbers(points, (len(points) if points.ndim else 0, 4), f"{where}: points")
-    _within(points[:, 3], 0, 1, f"{where}: points: intensity")
-    if scan.returns is not None:
-        _numbers(scan.returns, (road_users,), f"{where}: returns")
-
-
-def _numbers(value: Any, shape: tuple[int, ...], where: str) -> None:
-    array = np.asarray(value)
-    if array.shape != shape or array.dtype.kind not in "fiu" or not np.isfinite(array).all():
-        given = array.tolist() if array.size <= 9 else f"{array.dtype} {array.shape}"
-        raise InspeError(f"{where} must be finite numbers of shape {shape}, got {given}")
-
-
-def _within(array: np.ndarray, least: float, most: float, where: str) -> None:
-    if array.size and not (array.min() >= least and array.max() <= most):  # also false for NaN
-        given = f"{array.min()} to {array.max()}"
-        raise InspeError(f"{where} runs from {given}: allowed {least} to {most}")
-
-
-def _whole_number(value: Any, least: int, most: int | None, where: str) -> None:
-    whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
-    if not whole or value < least or (most is not None and value > most):
-        allowed = f"at least {least}" if most is None else f"{least} to {most}"
-        raise InspeError(f"{where} {value!r} is out of range: a whole number, {allowed}")
+def _check_counts(record: Image | Scan, road_users: int, where: str) -> None:
+    for name in ("returns", "pixels", "share"):
+        counts = getattr(record, name, None)
+        if counts is not None and len(counts) != road_users:
+            raise InspeError(f"{where}.{name}: {len(counts)} values, for {road_users} road users")

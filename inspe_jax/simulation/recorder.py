@@ -30,8 +30,8 @@ class Recording:
     """Settings of a recording.
 
     ``rate`` is the number of frames per second [Hz]; ``layers`` are of :data:`LAYERS`;
-    ``image_scale`` multiplies the cameras' own resolution; ``image_size`` (width, height), where
-    given, is that of all pictures instead: they show the same, with pixels that need not be square.
+    ``image_size`` (width, height), where given, is that of all pictures, in place of the cameras'
+    own: they show the same, with pixels that need not be square.
     ``noise`` is that of the LiDARs, and ``turn`` how long a turn of theirs takes [s], 0 if all rays
     are fired at once.
 
@@ -41,7 +41,6 @@ class Recording:
 
     rate: float = 10.0
     layers: tuple[str, ...] = ()
-    image_scale: float = 1.0
     noise: LidarNoise = field(default_factory=LidarNoise)
     turn: float = TURN
     image_size: tuple[int, int] | None = None
@@ -50,25 +49,15 @@ class Recording:
         """Raise InspeError where a value is out of range."""
         if not (np.isfinite(self.rate) and self.rate > 0):
             raise InspeError(f"rate {self.rate} Hz is out of range: above 0")
-        if not (np.isfinite(self.image_scale) and 0 < self.image_scale <= 4):
-            raise InspeError(f"image_scale {self.image_scale} is out of range: above 0, up to 4")
         if self.image_size is not None and not all(1 <= n <= MOST_PIXELS for n in self.image_size):
             raise InspeError(
                 f"image_size {list(self.image_size)} is out of range: width and height, each 1 to "
                 f"{MOST_PIXELS}"
             )
-        if self.image_size is not None and self.image_scale != 1:
-            raise InspeError("image_size and image_scale: give one of them")
         if not (np.isfinite(self.turn) and 0 <= self.turn <= 1):
             raise InspeError(f"turn {self.turn} s is out of range: 0 to 1")
         for name in self.layers:
             check_known(name, LAYERS, "layer")
-
-    def picture_size(self, width: int, height: int) -> tuple[int, int]:
-        """Width and height of the pictures of a camera that has these itself [pixels]."""
-        if self.image_size is not None:
-            return self.image_size
-        return max(1, round(width * self.image_scale)), max(1, round(height * self.image_scale))
 
 
 @dataclass(frozen=True)

@@ -27,8 +27,6 @@ from inspe_jax.study.plan import SCORE_ONLY, SCORE_SETTINGS, SETTINGS, Study, St
 Row = dict[str, str]
 
 TABLE = "results.csv"
-LITERAL = "information_gain_literal"
-"""Column of IG exactly as the paper prints it, for comparison."""
 FACTS = ("sensors", "voxels", "objects")
 """Columns: number of sensors, of voxels, and mean number of objects in a frame."""
 BEFORE = "surrogate_before"
@@ -162,7 +160,7 @@ def columns(study: Study) -> tuple[str, ...]:
     """The columns of a study's results."""
     first = ("key", "scene", "layout", *(f"tag_{name}" for name in study.tags))
     names = (m.name for m in listed(study.metrics))
-    last = (LITERAL, BEFORE, "status", "error", *versions())
+    last = (BEFORE, "status", "error", *versions())
     return (*first, *SETTINGS, *FACTS, *names, *last)
 
 
@@ -185,7 +183,6 @@ def run_job(scene: Scene, job: StudyJob, wanted: Row) -> tuple[Row, str | None]:
     row = row_head(job) | wanted
     row |= dict(zip(FACTS, map(str, facts), strict=True))
     row |= {m.name: f"{scores.value(m.name):.7f}" for m in listed(job.metrics)}
-    row[LITERAL] = f"{scores.information_gain_literal:.7f}"
     row |= {BEFORE: "" if before is None else f"{before:.7f}", "status": "done", "error": ""}
     return row, None if found is None else layout_text(found)
 

@@ -7,13 +7,13 @@ from typing import Any
 from jaxtyping import UInt
 
 from inspe_jax.core.compiling import compiled
-from inspe_jax.core.words import isolated
+from inspe_jax.core.words import visible
 from inspe_jax.placement.feasibility import Fault
 from inspe_jax.scoring.evaluate import Scores
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.viewer.blind_spot_panel import BlindSpotPanel
 from inspe_jax.viewer.browser_view import BrowserView
-from inspe_jax.viewer.job_queue import DelayedAction, JobQueue, asker
+from inspe_jax.viewer.job_queue import DelayedAction, JobQueue
 from inspe_jax.viewer.panel import Panel
 from inspe_jax.viewer.scene3d import Scene3D, look_from
 from inspe_jax.viewer.score_panel import score_panel
@@ -43,7 +43,7 @@ class Display:
         self._drawn_frame = -1
         self._compiled = compiled().seconds  # when the newest scores came
         self._waiting = DelayedAction()
-        server.gui.set_panel_label(f"{isolated(opened.name)} at {isolated(case.scene.name)}")
+        server.gui.set_panel_label(f"{visible(opened.name)} at {visible(case.scene.name)}")
         self.scene3d = Scene3D(server.scene, case.scene)
         self.blind_spots = BlindSpotPanel(
             server.gui, self._panel.blind_spots, case.scene, self._queue.failed
@@ -123,7 +123,6 @@ class Display:
 
             async def clicked(event: Any, toggle: bool = modifier is not None) -> None:
                 view = self._views.get(event.client_id)
-                asker.set(event.client_id)
                 if view is not None:
                     view.select(s, toggle)
 

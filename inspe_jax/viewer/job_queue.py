@@ -3,28 +3,18 @@ Browsers, the scorer and the search submit actions from threads of their own."""
 
 import threading
 from collections.abc import Callable, Hashable
-from contextvars import ContextVar, copy_context
-from functools import partial
-
-from inspe_jax.core.errors import InspeError
 
 Action = Callable[[], object]
-WAITING = 100  # most actions of one browser that wait; a further one takes the place of the oldest
 PATIENCE = 2.0  # time that waiting actions get at the end, before the rest is dropped [s]
-asker: ContextVar[Hashable] = ContextVar("asker", default=None)
-"""The browser whose event is being handled, if one is."""
 
 
 class JobQueue:
-    """Runs actions one after another, in the order in which they were submitted.
-
-    Of what a browser asks for, at most :data:`WAITING` actions wait, the newest.
-    """
+    """Runs actions one after another, in the order in which they were submitted."""
 
     def __init__(self, failed: Callable[[Exception], None]) -> None:
         """``failed`` is called on the queue's thread with every exception that an action raises."""
         self.failed = failed
-        self._waiting: dict[Hashable, tuple[Hashable, Action]] = {}  # by key: who asked, for what
+        self._waiting: dict[Hashable, Action] = {}
         self._changed = threading.Condition()
         self._closed = False
         self._thread = threading.Thread(target=self._work, name="queue", daemon=True)
@@ -32,21 +22,14 @@ class JobQueue:
 
     def submit(self, action: Action, key: Hashable = None, *, first: bool = False) -> None:
         """Add an action. It replaces one of the same ``key`` that still waits; with ``first``, it
-        is done before all others.
-
-        Without a key it counts as of the :data:`asker`. Does nothing once the queue is closed.
-        """
-        who, key = (asker.get(), object()) if key is None else (None, key)
+        is done before all others. Does nothing once the queue is closed."""
+        key = object() if key is None else key
         with self._changed:
             if self._closed:
                 return
             if first:
-                self._waiting = {key: (who, action)} | self._waiting
-            self._waiting[key] = who, action
-            own = [] if who is None else [k for k, (by, _) in self._waiting.items() if by == who]
-            if len(own) > WAITING:
-                del self._waiting[own[0]]
-                self._waiting["too many"] = None, _too_many
+                self._waiting = {key: action} | self._waiting
+            self._waiting[key] = action
             self._changed.notify()
 
     def drop(self, *keys: Hashable) -> None:
@@ -73,22 +56,17 @@ class JobQueue:
                 self._changed.wait_for(lambda: self._waiting or self._closed)
                 if not self._waiting:
                     return
-                _, action = self._waiting.pop(next(iter(self._waiting)))
+                action = self._waiting.pop(next(iter(self._waiting)))
             try:
                 action()
             except Exception as e:
                 self.failed(e)
 
 
-def _too_many() -> None:
-    raise InspeError(f"more was asked than can be done: only the newest {WAITING} requests are")
-
-
 class DelayedAction:
     """Runs one action after a delay; a newer action replaces the one that waits.
 
     The lock is held while the action runs: a caller of :meth:`run_now` continues when it is done.
-    Whoever runs it, it counts as of the browser that started it.
     """
 
     def __init__(self) -> None:
@@ -102,7 +80,7 @@ class DelayedAction:
             self.cancel()
             timer = threading.Timer(seconds, lambda: self.run_now(timer))
             timer.daemon = True
-            self._action, self._timer = partial(copy_context().run, action), timer
+            self._action, self._timer = action, timer
             timer.start()
 
     def run_now(self, of: threading.Timer | None = None) -> None:

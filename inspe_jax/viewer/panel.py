@@ -10,7 +10,6 @@ import viser
 
 from inspe_jax.placement.optimise import DEFAULT_METHOD, METHODS
 from inspe_jax.scoring.viewshed import Visibility
-from inspe_jax.viewer.job_queue import asker
 from inspe_jax.viewer.score_panel import VISIBILITY_NAMES
 
 SECONDS = 60.0  # usual time of a search [s]
@@ -33,7 +32,6 @@ def bind(
         options = getattr(control, "options", None)
         if event.client is None or (options is not None and control.value not in options):
             return
-        asker.set(event.client_id)
         settle()
         ask(event.client)
 

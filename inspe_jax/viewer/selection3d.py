@@ -11,7 +11,6 @@ from jaxtyping import Float
 from viser.transforms import SO3
 
 from inspe_jax.report.figures import SENSOR_COLORS
-from inspe_jax.viewer.job_queue import asker
 from inspe_jax.viewer.scene3d import rgb
 
 LENGTH = 90.0  # length of the handle's arrows [pixel]
@@ -62,7 +61,6 @@ class Selection3D:
         @gizmo.on_update
         async def _(event: viser.TransformControlsEvent) -> None:
             if event.client is not None:
-                asker.set(event.client_id)
                 at, turn = np.array(gizmo.position) + shift, SO3(np.array(gizmo.wxyz)).as_matrix()
                 dragged(HandleDrag(event.phase, at, turn))
 

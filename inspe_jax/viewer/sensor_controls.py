@@ -6,7 +6,7 @@ from typing import Any
 
 import viser
 
-from inspe_jax.core.words import isolated
+from inspe_jax.core.words import visible
 from inspe_jax.sensing.catalogue import devices
 from inspe_jax.sensing.layout import Sensor
 from inspe_jax.sensing.sensors import Spec
@@ -78,7 +78,7 @@ class SensorControls:
         """List the sensors, numbered from 1; show that at place ``in_hand``, if one is; enable only
         what selects unless the layout may ``change``."""
         held = None if in_hand is None else sensors[in_hand]
-        options = tuple(f"{k + 1}  {isolated(one.name)}" for k, one in enumerate(sensors))
+        options = tuple(f"{k + 1}  {visible(one.name)}" for k, one in enumerate(sensors))
         options += (NONE,) if held is None else ()
         if options != tuple(self.sensor.options):
             self.sensor.options = options

@@ -113,7 +113,7 @@ class SensorView:
             there = layout is at.layout or (at.held and layout.sensors == at.layout.sensors)
             if there and of == s:
                 return sensor
-        case, small = self.case, Recording(image_scale=image_scale(at.layout.sensors[s].spec))
+        case, small = self.case, Recording(image_size=image_size(at.layout.sensors[s].spec))
         sensor = LiveSensor(case.scene, at.layout, s, case.conditions, small)
         self._live = at.layout, s, sensor
         return sensor
@@ -156,8 +156,9 @@ def _sharpness(density: float) -> str:
     return ", ".join([f"{int(density)} px/m", *band])
 
 
-def image_scale(spec: Spec) -> float:
-    """The scale of a camera's pictures, so that they have about :data:`PIXELS`."""
+def image_size(spec: Spec) -> tuple[int, int] | None:
+    """Width and height of a camera's pictures, so that they have about :data:`PIXELS`."""
     if not isinstance(spec, CameraSpec):
-        return 1.0
-    return min(1.0, float(np.sqrt(PIXELS / (spec.width * spec.height))))
+        return None
+    scale = min(1.0, float(np.sqrt(PIXELS / (spec.width * spec.height))))
+    return round(spec.width * scale), round(spec.height * scale)

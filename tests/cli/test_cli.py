@@ -279,7 +279,7 @@ def test_a_study_is_checked_and_counted_before_it_is_run(inspe, done, files):
 def test_a_data_set_is_checked_and_counted_before_it_is_made(inspe, files):
     text = (
         "scenes: [{built_in: four_way, radius: 15, voxel: 2}]\nlayouts: [layout.yaml, L-c]\n"
-        "settings: {light: [midday, night], seconds: 1}\nimage_scale: 0.1\n"
+        "settings: {light: [midday, night], seconds: 1}\nimage_size: [80, 60]\n"
     )
     (files / "set.yaml").write_text(text)
     status, words, notes = inspe("generate", "set.yaml", "--out", "set", "--dry-run")

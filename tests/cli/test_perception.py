@@ -15,7 +15,7 @@ from inspe_jax.perception.training import open_run
 from inspe_jax.perception.training.run import LOSSES
 from inspe_jax.simulation.frame import KINDS
 
-TRAIN = ("--model", "early-fusion", "--steps", "2", "--every", "1", "--pictures", "32x24")
+TRAIN = ("--model", "early-fusion", "--steps", "2", "--every", "1")
 
 
 def run(*words: object):
@@ -26,10 +26,11 @@ def run(*words: object):
 def trained(tmp_path_factory):
     root = tmp_path_factory.mktemp("perception")
     write_set(root / "set")
-    found = run("train", root / "set", *TRAIN, "--out", root / "run")
+    words = ("--out", root / "set_cache", "--pictures", "32x24", "--workers", 1)
+    assert run("dataset", "cache", root / "set", *words).exit_code == 0
+    found = run("train", root / "set_cache", *TRAIN, "--out", root / "run")
     assert found.exit_code == 0, found.output
     assert "early-fusion: 2 steps\nwrote" in found.output
-    assert (root / "set_cache" / "cache.json").is_file()
     return root
 
 
@@ -45,10 +46,18 @@ def test_several_are_trained_by_workers(trained, tmp_path):
     assert first.rows(LOSSES) != second.rows(LOSSES)
 
 
-def test_workers_are_refused_before_anything_is_decoded(tmp_path):
-    words = ("--workers", 2, "--scheduler", "tcp://host:1", "--out", tmp_path / "run")
-    found = run("train", tmp_path / "no set", *words)
-    assert "workers 2: give 1 or more; with a scheduler give none" in str(found.exception)
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("set", "--workers", 2, "--scheduler", "tcp://host:1"), "workers 2: give 1 or more; with"),
+        (("set",), "set: not a cache: make one with inspe dataset cache"),
+        (("set_cache", "--rate", "-1"), "training: rate: input should be greater than 0"),
+    ],
+)
+def test_what_cannot_be_trained_is_said(trained, tmp_path, words, said):
+    name, *options = words
+    found = run("train", trained / name, *options, "--out", tmp_path / "run")
+    assert said in str(found.exception)
 
 
 @pytest.mark.process
@@ -82,22 +91,11 @@ def test_ctrl_c_says_how_to_go_on(trained, tmp_path, monkeypatch):
 
 
 def test_evaluate_tells_by_class(trained):
-    found = run("evaluate", trained / "run", trained / "set", "--json", "-")
+    found = run("evaluate", trained / "run", trained / "set_cache", "--json", "-")
     assert found.exit_code == 0, found.output
     classes = json.loads(found.stdout)["classes"]
     assert [row["class"] for row in classes] == ["car", "truck", "cyclist", "pedestrian", "all"]
     assert classes[-1]["road_users"] == 12
-
-
-def test_a_detector_of_lidars_does_not_ask_what_size_pictures_have(trained, tmp_path):
-    words = ("evaluate", trained / "run", trained / "set", "--json", "-")
-    blind = run(*words, "--cache", tmp_path / "blind")  # decoded now, with the run's pictures
-    assert blind.exit_code == 0, blind.output
-    record = tmp_path / "blind" / "cache.json"
-    record.write_text(record.read_text().replace("[24, 32]", "[48, 64]"))
-    again = run(*words, "--cache", tmp_path / "blind")
-    assert again.exit_code == 0, again.exception
-    assert json.loads(again.stdout) == json.loads(blind.stdout)
 
 
 def test_detect_lists_and_draws_a_frame(trained, tmp_path):
@@ -142,19 +140,3 @@ def test_what_is_not_in_the_set_is_said(trained, words, said):
     found = run("detect", trained / "run", trained / "set_cache", *words)
     assert found.exit_code
     assert said in str(found.exception)
-
-
-def test_a_set_without_the_sensors_of_a_model_is_refused(trained, tmp_path):
-    words = ("--model", "lss-eff", "--pictures", "none", "--cache", tmp_path / "blind")
-    found = run("train", trained / "set", *words, "--out", tmp_path / "run")
-    assert "lss-eff needs pictures: leave --pictures none out" in str(found.exception)
-    assert not (tmp_path / "blind").exists()
-    has = "is a cache and has pictures of 32x24, not"
-    for name, option, value, said in (
-        ("set", "--pictures", "big", "--pictures big: width and height such as 400x300, or none"),
-        ("set_cache", "--pictures", "64x48", f"{has} 64x48: leave"),
-        ("set_cache", "--pictures", "none", f"{has} none: leave"),
-        ("set", "--rate", "-1", "training: rate: input should be greater than 0"),
-    ):
-        found = run("train", trained / name, option, value, "--out", tmp_path / "run")
-        assert said in str(found.exception)

@@ -19,16 +19,14 @@ from inspe_jax.core.files import (
     cached_by_file,
     check_model,
     check_xml,
-    csv_text,
     open_arrays,
-    parse_csv,
     parse_yaml,
     read_json,
     read_toml,
     read_yaml,
     write_text,
 )
-from inspe_jax.core.words import isolated
+from inspe_jax.core.words import visible
 
 
 def test_a_file_is_read_again_only_when_it_changes(tmp_path):
@@ -192,12 +190,9 @@ class Row(BaseModel):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("height: 1e9", "height: must be a number, got '1e9', a text: write 1000000000.0, without "
-         "quotes; in YAML 1.0e+9 is a number, and 1e9 is text"),
-        ("height: 1e30", "write 1.0e+30, without quotes"),
-        ("count: '5'", "count: must be a number, got '5', a text: write 5, without quotes"),
-        ("height: high", "height: input should be a valid number, got 'high'"),
-        (f"height: '{'x' * 60_000}'", "height: input should be a valid number, got 'xxx"),
+        ("height: 1e9", "height: must be a number (in YAML without quotes, and 1.0e+9, not 1e9)"),
+        ("count: '5'", "count: must be a whole number (without quotes), got '5'"),
+        (f"height: '{'x' * 60_000}'", "1e9), got 'xxx"),
         (f"names: '{'x' * 60_000}'", "names: must be a list, got 'xxx"),
         (f"{'x' * 900}: 1", "unknown key; allowed: count, height, names"),
     ],
@@ -219,25 +214,7 @@ def test_messages_are_of_bounded_length_and_of_visible_characters():
     assert brief(16**5000) == "a number of thousands of digits"
     bomb = parse_yaml(LAUGHS[: LAUGHS.index("a5:")], "a")
     assert len(brief(bomb)) <= 80
-    assert isolated("Müller 7") == "Müller 7"
-    assert isolated("\u202e12") == "\\u202e12"
-    assert isolated("שלום 12") == "\u2068שלום 12\u2069"
-
-
-CELLS = ["=cmd|' /C calc'!A0", "+1+cmd", "-2+3", "@SUM(A1)", "\t=1", "\r=1", "＝1", "'=1", "''@x"]
-
-
-def test_text_of_a_table_is_no_formula_and_numbers_stay():
-    """OWASP's list. What is read back is what was written."""
-    plain = ["-1.5", "+2", "-inf", "a=b", "-", "it's", "'quoted'", "", "-1e-7"]
-    rows = [{"name": cell, "=head()": -1.5} for cell in CELLS + plain]
-    text = csv_text(rows)
-    lines = [line.lstrip('"') for line in text.split("\n")[1:]]
-    assert text.startswith("name,'=head()\n")
-    assert not any(line.startswith(tuple("=@\t\r＝")) for line in lines)
-    assert {"'-2+3,-1.5", "-1.5,-1.5", "+2,-1.5"} < set(lines)
-    assert [row["name"] for row in parse_csv(text.encode(), "a")] == CELLS + plain
-    assert parse_csv(text.encode(), "a")[0]["=head()"] == "-1.5"
+    assert visible("Müller 7\u202e12") == "Müller 7\\u202e12"
 
 
 def test_a_disk_that_is_full_is_named_with_the_file(tmp_path):

@@ -34,7 +34,7 @@ def scene_and_layout():
 
 def scores(scene, layout, options) -> list:
     s = inspe_jax.evaluate(scene, layout, **options)
-    found = [s.coverage, s.occlusion, s.information_gain, s.region_coverage, s.level_coverage]
+    found = [s.coverage, s.occlusion, s.information_gain, s.region_coverage]
     found += [[c.surrogate for c in s.contributions], s.seen_share.tolist()]
     poses = [layout.with_poses(layout.poses + [k, 0, 0, 0, 0, 0.1]).poses for k in range(3)]
     many = inspe_jax.evaluate_many(scene, layout, poses, **options)

@@ -22,7 +22,7 @@ STUDY = dict(
     scenes=[{"built_in": "four_way", "tags": {"kind": "crossing"}}],
     layouts=["Cam-d1/L-d1", "L-c"],
     settings=dict(radius=15, voxel=2, density=8, seconds=0.2, seed=[0, 1]),
-    image_scale=0.1,
+    image_size=[80, 60],
     splits=dict(train=1, test=1),
 )
 STREET = dict(statics="street", radius=30)

@@ -273,7 +273,7 @@ def test_other_folders_are_not_changed(undisturbed, tmp_path):
     out = tmp_path / "out"
     shutil.copytree(path.parent / "out", out)
     for other in (
-        STUDY | dict(image_scale=0.5),
+        STUDY | dict(image_size=[40, 30]),
         STUDY | dict(splits=dict(train=1, test=1)),
         STUDY | dict(settings=STUDY["settings"] | dict(seed=[0, 2])),
     ):

@@ -70,8 +70,8 @@ def test_every_combination_is_a_scenario(read):
         assert plan.tags == ({"kind": "roundabout"} if plan.source.name == "the circle" else {})
     (plan, *_) = read(settings={}).scenarios
     assert (plan.frames, plan.settings["seconds"], plan.recording) == (100, 10, Recording())
-    (plan, *_) = read(rate_hz=4, layers=["depth"], image_scale=0.25).scenarios
-    assert plan.recording == Recording(rate=4, layers=("depth",), image_scale=0.25)
+    (plan, *_) = read(rate_hz=4, layers=["depth"], image_size=[40, 30]).scenarios
+    assert plan.recording == Recording(rate=4, layers=("depth",), image_size=(40, 30))
     assert (plan.frames, plan.build["step"]) == (8, 0.25)
 
 
@@ -214,7 +214,6 @@ def test_splits_of_any_number(kinds, proportions, random):
         (dict(rate=10), r"rate: unknown key; did you mean rate_hz"),
         (dict(layers=["depth", "depth"]), r"layers: two are named 'depth'"),
         (dict(image_size=[352, 0]), r"image_size \[352, 0\] is out of range: width and"),
-        (dict(image_size=[352, 128], image_scale=0.5), r"image_size and image_scale: give one"),
         (dict(pictures="jpg"), r"pictures: 'jpg': one of png, jpeg; did you mean jpeg"),
         (dict(cameras_per_agent=99), r"cameras_per_agent: 99 is out of range: 1 to 16, or 0"),
         (dict(splits=dict(train=0)), r"splits: one of train, validate, test must be above 0"),

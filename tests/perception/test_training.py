@@ -19,7 +19,7 @@ from inspe_jax.perception.detector import MODELS
 from inspe_jax.perception.inputs import BevGrid
 from inspe_jax.perception.training import Training, TrainingSettings, open_run, train, train_all
 from inspe_jax.perception.training import run as runs
-from inspe_jax.perception.training.run import LOSSES, VALIDATION, TrainingRun, begun, cache_of
+from inspe_jax.perception.training.run import LOSSES, VALIDATION, TrainingRun, begun
 from inspe_jax.perception.training.train import content_of, distillation
 
 GRID = BevGrid(half=12.8)
@@ -246,8 +246,7 @@ def test_only_one_process_trains_a_run(cached, tmp_path):
 
 def test_a_model_needs_its_sensors(cached, tmp_path):
     write_scenario(tmp_path / "set" / "train" / "a", [frame_of(0, lidars=False)])
-    blind = cache_of(tmp_path / "set", pictures=None)
-    assert blind.path == tmp_path / "set_cache"
+    blind = dataset.cache(tmp_path / "set", tmp_path / "cache", pictures=None, workers=1)
     blind_to = "needs pictures, and the cache was made without pictures"
     for name, why in (("lss-eff", blind_to), ("coalign", "needs LiDARs, and no scenario has one")):
         with pytest.raises(InspeError, match=why):
@@ -257,13 +256,10 @@ def test_a_model_needs_its_sensors(cached, tmp_path):
 
 def test_pictures_of_another_size_are_refused(stopped_and_not, tmp_path):
     write_scenario(tmp_path / "set" / "train" / "a", [frame_of(0)])
-    other = cache_of(tmp_path / "set", pictures=(24, 32), folder=tmp_path / "other")
+    other = dataset.cache(tmp_path / "set", tmp_path / "other", pictures=(24, 32), workers=1)
     run = stopped_and_not[0]
     runs.check_pictures(run, other)  # coalign takes none
     settings = run.content.settings.model_copy(update={"model": "lss-eff"})
     run = TrainingRun(run.path, run.content.model_copy(update={"settings": settings}))
     with pytest.raises(InspeError, match=r"pictures of 32x24, but .* --pictures 64x48"):
         runs.check_pictures(run, other)
-    assert cache_of(other.path, pictures=None).pictures == (24, 32)
-    with pytest.raises(InspeError, match=r"other: is a cache already: leave --cache .*more out"):
-        cache_of(other.path, pictures=None, folder=tmp_path / "more")

@@ -55,9 +55,7 @@ def test_layers_have_no_value_within_a_body(street):
     assert whole.any()
     assert part.any()
     free = ~inside.ravel()
-    everything = Viewshed(
-        sensors=3 * free, seen=5 * free, occupied=0 * free, resolved=1.0 * free, frame_count=5
-    )
+    everything = Viewshed(sensors=3 * free, seen=5 * free, occupied=0 * free, frame_count=5)
     found = layers(street, everything)
     for name, value in (("seen", 1.0), ("redundancy", 3.0), ("blind", 0.0)):
         values = found[name].values

@@ -41,7 +41,7 @@ def scores_of(scene, layout, share=None):
     drops = dict(coverage=0.01, occlusion=0.02, information_gain=0.03)
     parts = tuple(Contribution(s.name, drops, 0.019) for s in layout.sensors)
     found = dict(coverage=0.812, occlusion=0.703, information_gain=0.651)
-    return Scores(found, 0.7253, {"driveway": 0.8}, (0.8,), parts, share, {})
+    return Scores(found, 0.7253, {"driveway": 0.8}, parts, share, {})
 
 
 @pytest.fixture(scope="module")

@@ -110,7 +110,7 @@ def test_a_page_says_what_to_mount_where(page):
     assert "2 arm test-camera 9.00 9.50 6.00 225.0 30.0 3.0 1.50 0 900" in words
     assert "--price test-lidar=USD" in words
     assert "scores, weights coverage 0.3, occlusion 0.5, information gain 0.2" in words
-    assert "inspe report --tolerance" in words
+    assert "inspe tolerance" in words
     assert "total, without prices that are unknown 1,800" in words
     first, second, *_ = blind_spots(scene, entry.scores.seen_share)
     assert f"Most is missed on the {first.name} ({first.unseen:.0%} of time" in words
@@ -138,7 +138,7 @@ def test_pages_are_printed_on_a4(tmp_path, page):
     assert "scores.json" not in "".join(sheets)  # which is to be clicked on
     assert "scores.json" in html
     for heading, last in {
-        "Installation schedule": "inspe report --tolerance",
+        "Installation schedule": "inspe tolerance",
         "Bill of materials": "--price test-lidar=USD",
         "What each sensor adds": "3 top pole",
     }.items():  # a table is on the sheet of its heading

@@ -110,7 +110,7 @@ def test_fitted_curves_are_written_and_read(tmp_path):
         ("[radar.car]\nmost = 0.9\nhalf = 8\nslope = 1", "unknown key.*allowed: camera, lidar"),
         ("[lidar.car]\nmost = 0.9\nhalf = 8", r"lidar.car.slope: missing key"),
         ("[lidar.car]\nmost = 1.2\nhalf = 8\nslope = 1", r"lidar.car: .*most is in 0 … 1"),
-        ("[lidar.car]\nmost = '0.9'\nhalf = 8\nslope = 1", "most: .*'0.9', a text: write 0.9"),
+        ("[lidar.car]\nmost = '0.9'\nhalf = 8\nslope = 1", "most: must be a number .* got '0.9'"),
         ("[lidar.car]\nmost = nan\nhalf = 8\nslope = 1", "lidar.car.most: .*finite"),
         ("[lidar.car\n", "not TOML"),
         ("", "it has no curve"),

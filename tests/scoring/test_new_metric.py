@@ -97,8 +97,3 @@ def test_a_search_maximises_it(scene):
     found = inspe_jax.optimise(scene, layout, "random", evaluations=80, objective=objective)
     assert found.objective == pytest.approx(found.scores.metrics["watched_twice"], abs=1e-6)
     assert found.objective > found.objective_before
-
-
-def test_taken_from_the_registry_it_is_gone(scene, layout, monkeypatch):
-    monkeypatch.delitem(metrics.METRICS, "watched_twice")
-    assert "watched_twice" not in inspe_jax.evaluate(scene, layout).metrics

@@ -289,7 +289,7 @@ def case_of_cores():
 
     def score(poses):
         found = inspe_jax.evaluate(scene, layout.with_poses(poses), softness=0.5)
-        return found.surrogate, (found.metrics, found.region_coverage, found.level_coverage)
+        return found.surrogate, (found.metrics, found.region_coverage)
 
     return scene, layout, score, jax.value_and_grad(score, has_aux=True)
 

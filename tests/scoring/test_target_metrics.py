@@ -28,7 +28,7 @@ from inspe_jax.report.targets import PIXELS, banded, targets_change, targets_rec
 from inspe_jax.scene.statics import body, octagon
 from inspe_jax.scene.traffic.frames import CLASSES, ROAD_USERS
 from inspe_jax.scoring.detection import BANDS, FEW, detection_curves
-from inspe_jax.scoring.exact import ONE_MORE, in_view_of, sight_shares
+from inspe_jax.scoring.exact import ONE_MORE, evidence_of_tiles
 from inspe_jax.scoring.metrics import chosen
 from inspe_jax.scoring.options import ScoreOptions
 from inspe_jax.scoring.target_metrics import UNKNOWN, position_error, redundancy
@@ -190,10 +190,10 @@ def sight_of(scene, layout):
     scores count, which have tests of their own. Embree does not look past a road user itself."""
     tiled, sensors = tiled_scene_of(scene), sensor_array(SensorSet.of(layout), ONE_MORE)
     poses = pad_rows(from_center(scene.voxels.center, layout.poses), len(sensors.kind))
-    views = np.asarray(in_view_of(tiled, poses, sensors, scene.voxels.size / 2))
     asked = ScoreOptions.of(visibility="past_others")
-    share = sight_shares(tiled, views, poses[:, :3], asked, len(layout))
-    return inspe_jax.in_view(scene, layout) * share
+    counts = evidence_of_tiles(tiled, poses, sensors, scene.voxels.size, asked)[1]
+    share = tiled.tiles.of_voxels(np.asarray(counts.sights)) / scene.traffic.frame_count
+    return inspe_jax.in_view(scene, layout) * share[: len(layout)]
 
 
 def test_what_a_sensor_adds_is_what_the_layout_lacks_without_it(scene, layout, scores):

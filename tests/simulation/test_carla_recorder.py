@@ -231,7 +231,7 @@ STUDY = {
     "scenes": [{"map": f"{client.TOWN}.xodr", "junction": client.JUNCTION, "radius": 20}],
     "layouts": ["one.yaml"],
     "settings": {"voxel": 2, "density": 5, "seconds": 0.2},
-    "image_scale": 0.05,
+    "image_size": [40, 30],
 }
 ONE = """
 name: one mast

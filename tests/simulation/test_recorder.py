@@ -435,7 +435,7 @@ def test_slopes_and_empty_roads_are_recorded():
 def test_bad_input(scene, corners):
     for given, words in (
         (dict(rate=0), "rate 0 Hz"),
-        (dict(image_scale=9), "image_scale 9"),
+        (dict(image_size=(0, 9)), r"image_size \[0, 9\]"),
         (dict(layers=("dept",)), "layer 'dept': one of .*did you mean depth"),
     ):
         with pytest.raises(InspeError, match=words):
@@ -459,7 +459,7 @@ def both():
 
 @pytest.mark.parametrize(("light", "s"), [("dusk", 1), ("night", 0)])
 def test_a_live_sensor_records_at_its_place_what_the_recorder_does(scene, both, light, s):
-    around, small = Conditions(light), Recording(image_scale=0.5)
+    around, small = Conditions(light), Recording(image_size=(SMALL.width // 2, SMALL.height // 2))
     whole = EmbeddedRecorder(scene, both, around, small, seed=3)
     live = LiveSensor(scene, both, s, around, small, seed=3)
     live.record(0, np.array(both.poses[s]) + [0.5, 0, 0, 0, 0, 0.2])  # held, and put back

@@ -60,7 +60,7 @@ def test_a_fan_of_rays_is_recorded_next_to_a_camera(monkeypatch):
     layout = place_sensors(
         (FAN, [0, 0, 0.6, 0, 0, np.pi / 2]), (CAMERA, [0, 0, 5, 0, -0.3, np.pi / 2])
     )
-    recording = Recording(image_scale=0.1)
+    recording = Recording(image_size=(80, 60))
     with recorder_of("embedded", scene, layout, recording=recording) as recorder:
         fan, camera = recorder.frame(0).stations
     assert (len(fan.images), len(camera.images), len(camera.scans)) == (0, 1, 0)

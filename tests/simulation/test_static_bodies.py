@@ -110,7 +110,7 @@ def test_other_things_stay_where_they_were_and_keep_clear(street):
 
 def test_bodies_are_in_pictures(street):
     layout = place_sensors((CAMERA, [38.0, -21.0, 9.0, 0.0, -0.2, np.arctan2(-11.0, 7.5)]))
-    recording = Recording(layers=("semantic",), image_scale=0.25)
+    recording = Recording(layers=("semantic",), image_size=(200, 150))
     image, empty = (
         EmbeddedRecorder(scene, layout, recording=recording).frame(0).stations[0].images[0]
         for scene in (street, street.with_statics([]))
@@ -155,7 +155,7 @@ def test_the_lights_of_parked_vehicles_are_off():
     place = world(count=0)
     car = upright_box("parked vehicle", place.voxels.center[:2] + [6.0, 0.0], (4.6, 1.8, 1.5), 0.4)
     layout = place_sensors((CAMERA, [-4.0, 0.0, 5.0, 0.0, -0.3, 0.0]))
-    given = place.with_statics([car]), layout, Conditions("night"), Recording(image_scale=0.5)
+    given = place.with_statics([car]), layout, Conditions("night"), Recording(image_size=(400, 300))
     recorder = EmbeddedRecorder(*given)
     (dark,) = recorder.frame(0).stations[0].images
     recorder.surroundings.parked = (replace(recorder.surroundings.parked[0], parked=False),)

@@ -296,7 +296,7 @@ def test_a_typed_number_is_read_before_the_controls_are_shown_anew(viewer, monke
 
 
 def test_a_burst_of_requests_is_shown_once(viewer, layout, monkeypatch):
-    """Sixty times Undo undo sixty changes; they count as this browser's."""
+    """Sixty times Undo undo sixty changes."""
     layouts = [replace(layout, name=f"{k}") for k in range(70)]
     for one in layouts:
         viewer.session.take(one)
@@ -311,7 +311,6 @@ def test_a_burst_of_requests_is_shown_once(viewer, layout, monkeypatch):
         for _ in range(60):
             send(page, **undo)
         wait_until(lambda: len(viewer.queue._waiting) >= 60)
-        assert sum(who is not None for who, _ in [*viewer.queue._waiting.values()]) >= 60
         going.set()
         wait_until(lambda: viewer.layout is layouts[9])
         wait_until(lambda: shown and shown[-1] is layouts[9])

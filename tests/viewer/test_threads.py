@@ -9,7 +9,6 @@ import jax
 import numpy as np
 import pytest
 
-from inspe_jax.core import compiling
 from inspe_jax.core.errors import InspeError
 from inspe_jax.placement.constraints import Constraints
 from inspe_jax.placement.objective import Objective
@@ -20,7 +19,7 @@ from inspe_jax.scoring.metrics import METRICS
 from inspe_jax.scoring.viewshed import sight_in
 from inspe_jax.sensing.conditions import Conditions
 from inspe_jax.viewer import scorer as scorers
-from inspe_jax.viewer.job_queue import WAITING, DelayedAction, JobQueue, asker
+from inspe_jax.viewer.job_queue import DelayedAction, JobQueue
 from inspe_jax.viewer.score_panel import cost_of, score_panel
 from inspe_jax.viewer.scorer import Scorer
 from inspe_jax.viewer.searcher import Searcher
@@ -41,44 +40,16 @@ def test_jobs_are_done_in_turn_and_only_the_newest_of_a_key():
     assert done == ["soon", ("drag", 4), "end"]
 
 
-def test_of_a_browser_only_the_newest_wait_and_the_end_comes_soon(monkeypatch):
-    """Whoever runs what one has typed; others, and what nobody has asked for, lose nothing."""
-    done, failed, go = [], [], threading.Event()
-    queue = JobQueue(failed.append)
-
-    def ask(who, count):
-        token = asker.set(who)
-        for k in range(count):
-            queue.submit(lambda k=k: done.append((who, k)))
-        asker.reset(token)
-
-    queue.submit(go.wait)
-    ask("one", WAITING)
-    ask(None, 3 * WAITING)
-    ask("other", 10_000)
-    typed = DelayedAction()
-    token = asker.set("other")
-    typed.start(60, lambda: queue.submit(lambda: done.append(("other", "typed"))))
-    asker.set("one")
-    typed.run_now()
-    asker.reset(token)
-    assert len(queue._waiting) == 5 * WAITING + 1
-    go.set()
-    while queue._waiting:
-        time.sleep(0.01)
-    queue.submit(go.clear)
+def test_the_end_comes_soon():
+    """What waits for longer than the patience is dropped."""
+    done, go = [], threading.Event()
+    queue = JobQueue(lambda _: None)
     queue.submit(lambda: go.wait(1))
     queue.submit(lambda: done.append("never"))
     began = time.monotonic()
     queue.close(0.1)
     assert time.monotonic() - began < 2
-    of = {who: [k for other, k in done if other == who] for who in ("one", None, "other")}
-    assert of["one"] == list(range(WAITING))
-    assert of[None] == list(range(3 * WAITING))
-    assert of["other"] == [*range(10_001 - WAITING, 10_000), "typed"]
-    assert [str(wrong) for wrong in failed] == [
-        f"more was asked than can be done: only the newest {WAITING} requests are"
-    ]
+    assert done == []
 
 
 def test_of_what_is_to_be_done_later_the_last_is_done_once_and_can_be_done_now():
@@ -219,46 +190,36 @@ def searcher(scene, heard):
     found.close()
 
 
-@pytest.mark.process
-def test_searches_end_are_stopped_and_leave_their_best_where_the_process_dies(
-    scene, layout, searcher, heard, tmp_path, monkeypatch
-):
-    """The process does not look for modules in the folder of somebody's scene, is kept for the next
-    search, and ends by itself when nobody is there who could ask it for something."""
-    (tmp_path / "yaml.py").write_text("raise SystemExit('this is not YAML')")
-    monkeypatch.chdir(tmp_path)
+def test_searches_end_or_are_stopped_with_their_best(scene, layout, searcher, heard):
+    """One at a time; what a search that is stopped still computes is not told."""
 
     def ended(*of, count):
         searcher.start(layout, "random", *of)
         return heard.ended.wait(lambda told: len(told) == count)[-1][0]
 
-    def found():
-        heard.found.heard.clear()
-        searcher.start(layout, "random", 600.0)
-        heard.found.wait(lambda told: len(told) >= 2)
-        return searcher._process
-
     first = ended(1.0, count=1)
     assert (first.reason, first.failed) == ("budget spent", False)
     assert first.gain >= 0
-    process, target = searcher._process, evaluate(scene, layout).surrogate + 1e-4
+    target = evaluate(scene, layout).surrogate + 1e-4
     second = ended(600.0, target, count=2)  # long before its time
     assert second.reason == "target reached"
     assert evaluate(scene, second.layout).surrogate >= target
-    assert found() is process
-    searcher.start(layout, "random", 600.0)  # one at a time
-    process.stdin.close()
-    assert process.wait(30) == 0
-    left = heard.ended.wait(lambda told: len(told) == 3)[-1][0]
-    assert (left.reason, left.failed) == ("the search's process ended by itself (status 0)", True)
-    np.testing.assert_array_equal(left.layout.poses, heard.found.heard[-1][0].poses)
-    found()  # in a new process
+    heard.found.heard.clear()
+    searcher.start(layout, "random", 600.0)
+    thread = searcher.thread
+    searcher.start(layout, "random", 600.0)
+    assert searcher.thread is thread
+    heard.found.wait(lambda told: len(told) >= 2)
     began = time.monotonic()
     searcher.stop()
-    ending = heard.ended.wait(lambda told: len(told) == 4)[-1][0]
+    ending = heard.ended.wait(lambda told: len(told) == 3)[-1][0]
     assert time.monotonic() - began < 2
     assert ending.reason == "interrupted"
     assert (ending.failed, searcher.running) == (False, False)
+    told = len(heard.progress.heard), len(heard.found.heard)
+    thread.join(60)  # and takes up no core
+    assert not thread.is_alive()
+    assert (len(heard.progress.heard), len(heard.found.heard)) == told
     scores = [score for _, score in heard.found.heard]
     assert scores == sorted(scores)
     gain = evaluate(scene, ending.layout).surrogate - scores[0]
@@ -266,67 +227,40 @@ def test_searches_end_are_stopped_and_leave_their_best_where_the_process_dies(
     np.testing.assert_array_equal(ending.layout.poses, heard.found.heard[-1][0].poses)
     assert ending.layout.name.endswith(", optimised")
     assert Space(scene, layout).violations(ending.layout) == []
-    searcher.stop()
-    searcher.start(layout, "random", 600.0)
-    searcher._process.kill()
-    dead = heard.ended.wait(lambda told: len(told) == 5)[-1][0]
-    assert (dead.layout, dead.failed) == (None, True)
-    assert "memory runs out" in dead.reason
 
 
-@pytest.mark.process
-@pytest.mark.parametrize("at", ["starting", "compiling"])
-def test_a_search_is_stopped_in_the_midst_of_whatever_it_does(layout, searcher, heard, at):
-    """As its process starts, and while it compiles; while it searches: see above."""
-    searcher.start(layout, "greedy-adam", 600.0)
-    while at != "starting" and not searcher._ready:
-        time.sleep(0.01)
-    if at == "compiling":
-        time.sleep(1)  # its first programs take longer
-    process, began = searcher._process, time.monotonic()
-    searcher.stop()
-    heard.ended.wait(lambda told: told)
-    assert time.monotonic() - began < 2
-    assert process.poll() is not None  # and takes up no core
+def test_a_search_is_stopped_while_it_compiles_or_fails_with_its_best(
+    layout, searcher, heard, monkeypatch
+):
+    """Python cannot interrupt XLA: here it compiles until it is let go. A search that cannot begin
+    says why."""
+    compiles, go = threading.Event(), threading.Event()
 
+    def compiling(*_, found, **__):
+        compiles.set()
+        go.wait(60)
+        found(layout, 0.5)
+        raise MemoryError("too large")
 
-def test_nothing_that_is_kept_compiled_is_cut_short(monkeypatch):
-    """The process waits, for a while, until JAX has written its file."""
-    left, go = [], threading.Event()
-    path = compiling.CACHE
-    code = compile("def put():\n    go.wait(60)\nput()", f"/somewhere/{path}", "exec")
-    writing = threading.Thread(target=exec, args=(code, {"go": go}))
-    writing.start()
-    monkeypatch.setattr(compiling.os, "_exit", lambda status: left.append(status))
-    began = time.monotonic()
-    threading.Timer(0.1, go.set).start()
-    compiling.leave(0)
-    assert left == [0]
-    assert time.monotonic() - began >= 0.1
-    writing.join()
-    began = time.monotonic()
-    compiling.leave(1)
-    assert time.monotonic() - began < compiling.WRITING
-    assert left == [0, 1]
-
-
-@pytest.mark.process
-def test_a_search_that_cannot_begin_says_why(layout, searcher, heard, monkeypatch):
-    def fail(*_, **__):
-        raise OSError(12, "Cannot allocate memory")
-
-    monkeypatch.setattr("inspe_jax.viewer.searcher.subprocess.Popen", fail)
-    searcher.start(layout, "random", 5.0)
-    monkeypatch.undo()
-    assert not searcher.running
-    searcher.start(replace(layout, name=lambda: None), "random", 5.0)  # cannot be pickled
-    heard.ended.wait(lambda told: len(told) == 2)
+    with monkeypatch.context() as short:
+        short.setattr("inspe_jax.viewer.searcher.optimise", compiling)
+        searcher.start(layout, "random", 600.0)
+        left = searcher.thread
+        assert compiles.wait(60)
+        searcher.stop()
+        searcher.start(layout, "random", 600.0)
+        go.set()
+        heard.ended.wait(lambda told: len(told) == 2)
+        left.join(60)
     searcher.constraints = Constraints(places="poles")  # there is none
     searcher.start(layout, "random", 5.0)
-    endings = [ending for (ending,) in heard.ended.wait(lambda told: len(told) == 3)]
-    assert [(ending.failed, ending.layout) for ending in endings] == [(True, None)] * 3
-    reasons = "Cannot allocate memory", "could not be started", "nowhere to stand"
-    assert all(why in ending.reason for why, ending in zip(reasons, endings, strict=True))
+    stopped, failed, none = (ending for (ending,) in heard.ended.wait(lambda told: len(told) == 3))
+    assert (stopped.layout, stopped.failed) == (None, False)
+    assert "before there was a score" in stopped.reason
+    assert (failed.after, failed.failed, len(heard.found.heard)) == (0.5, True, 1)
+    assert "too large" in failed.reason
+    assert (none.layout, none.failed) == (None, True)
+    assert "nowhere to stand" in none.reason
 
 
 # ── The score panel ──

@@ -39,7 +39,7 @@ from inspe_jax.viewer.scene3d import BROKEN_COLOR, Scene3D, rgb
 from inspe_jax.viewer.score_panel import LEGEND
 from inspe_jax.viewer.searcher import SearchEnding
 from inspe_jax.viewer.selection3d import HandleDrag
-from inspe_jax.viewer.sensor_view import image_scale
+from inspe_jax.viewer.sensor_view import image_size
 
 AHEAD, LEFT, UP = np.eye(3)
 YAW = np.radians(-100)
@@ -480,7 +480,7 @@ def test_blind_spots_are_listed_in_their_order_and_again_after_a_change(
 
 def recorded(scene, layout, s, frame, around=FAIR):
     """What the recorder has of one sensor, in pictures of the page's size."""
-    small = Recording(image_scale=image_scale(layout.sensors[s].spec))
+    small = Recording(image_size=image_size(layout.sensors[s].spec))
     station = EmbeddedRecorder(scene, layout, around, small).frame(frame).stations
     unit = station[layout.sensors[s].unit]
     (found,) = (*unit.images, *unit.scans)

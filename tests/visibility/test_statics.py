@@ -161,8 +161,6 @@ def test_scores_are_counts_of_voxels_outside_bodies():
         free = there & ~solid_voxels(scene, frame)
         share.append((seen & free).sum() / free.sum())
     assert scores.occlusion == pytest.approx(np.mean(share), abs=1e-4)
-    levels = (some.reshape(inside.shape) & ~inside).sum(0) / (~inside).sum(0)
-    assert scores.level_coverage == pytest.approx(levels, abs=1e-6)
     region = np.repeat(scene.voxels.region, scene.voxels.level_count)
     for key, value in scores.region_coverage.items():
         own = there & (region == inspe_jax.Region[key.upper()])

@@ -14,10 +14,8 @@ from inspe_jax.simulation.frame import Station
 PROTOCOL = "data_protocol.yaml"
 """The name of the file, in the scenario's folder."""
 
-_Base: Any = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
 
-
-class _Dumper(_Base):
+class _Dumper(yaml.CSafeDumper):
     """YAML without anchors: an object that is in two dictionaries is written twice."""
 
     def ignore_aliases(self, data: Any) -> bool:

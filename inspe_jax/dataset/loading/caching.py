@@ -123,7 +123,7 @@ def open_cache(folder: str | os.PathLike[str]) -> Cache:
     """Open a cache that :func:`cache` made. Raises InspeError if it is none, or is damaged."""
     path = Path(folder).resolve()
     if not (path / CACHE).is_file():
-        raise InspeError(f"{folder}: not a cache: make one with inspe_jax.dataset.cache")
+        raise InspeError(f"{folder}: not a cache: make one with inspe dataset cache")
     pictures = pictures_of(path)
     scenarios = tuple(_stored(path))
     if not scenarios:

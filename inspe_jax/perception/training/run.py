@@ -1,5 +1,4 @@
-"""What a training depends on; its folder: its record, what each step told, and its last two states;
-and the cache of the data set that a command names.
+"""What a training depends on; its folder: its record, what each step told, and its last two states.
 
 ``run.json`` says what is trained on what. ``losses.csv`` has a row for each step, and
 ``validation.csv`` one for each time that mAP was measured. ``step_00000250.eqx`` is the state after
@@ -9,7 +8,7 @@ and the cache of the data set that a command names.
 import functools
 import json
 import os
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,8 +23,7 @@ from pydantic import Field
 from inspe_jax.core import files
 from inspe_jax.core.errors import InspeError, error_at
 from inspe_jax.core.files import check_model, prepare_folder, read_json, write_text
-from inspe_jax.dataset.loading import Augment, Cache, cache, open_cache
-from inspe_jax.dataset.loading.caching import CACHE, pictures_of
+from inspe_jax.dataset.loading import Augment, Cache
 from inspe_jax.jobs.locks import lock_folder
 from inspe_jax.jobs.settings import Count, Length, Strict
 from inspe_jax.perception.detector import Detector, model_of
@@ -249,35 +247,6 @@ def _step(line: str) -> float:
 # ── The data set ────────────────────────────────────────────────────────────
 
 
-def cache_of(
-    source: str | os.PathLike[str],
-    *,
-    pictures: tuple[int, int] | None,
-    any_size: bool = False,
-    folder: str | os.PathLike[str] | None = None,
-    progress: Callable[[int, int], None] | None = None,
-) -> Cache:
-    """A data set as a cache; ``source`` may be one.
-
-    What of the set is not decoded yet is decoded into ``folder``, or else into a folder beside the
-    set, which has its name and ``_cache``. ``pictures`` are resized to (height, width), unless a
-    cache is given, or is there already and ``any_size`` will do. Raises InspeError if a cache is
-    given with a ``folder``.
-    """
-    source = Path(source)
-    if (source / CACHE).is_file():
-        if folder is not None:
-            raise InspeError(
-                f"{source}: is a cache already: leave --cache {folder} out, or give the set itself"
-            )
-        return open_cache(source)
-    beside = source.resolve()
-    into = beside.with_name(f"{beside.name}_cache") if folder is None else Path(folder)
-    if any_size and (into / CACHE).is_file():
-        pictures = pictures_of(into)
-    return cache(source, into, pictures=pictures, progress=progress)
-
-
 def agents_of(cache: Cache) -> Agents:
     """The most units with LiDARs, and with cameras, that a scenario of a cache has."""
     lidars = max(each.record.lidar_units for each in cache.scenarios)
@@ -298,20 +267,13 @@ def check_sensors(name: str, cache: Cache) -> None:
         raise InspeError(f"{cache.path}: {name} needs pictures, and {why}")
 
 
-def pictures_in_words(found: Cache) -> str:
-    """What pictures a cache has."""
-    if found.pictures is None:
-        return "no pictures"
-    height, width = found.pictures
-    return f"pictures of {width}x{height}"
-
-
 def check_pictures(run: TrainingRun, found: Cache) -> None:
     """Raise InspeError if a run's detector takes pictures, and a cache has others or none."""
     size = None if found.pictures is None else list(found.pictures)
     if "camera" in model_of(run.content.settings.model).sensors and size != run.content.pictures:
         height, width = run.content.pictures or (0, 0)
+        has = f"pictures of {size[1]}x{size[0]}" if size else "no pictures"
         raise InspeError(
-            f"{found.path}: has {pictures_in_words(found)}, but {run.path} was trained on "
+            f"{found.path}: has {has}, but {run.path} was trained on "
             f"{width}x{height}: cache the set into another folder with --pictures {width}x{height}"
         )

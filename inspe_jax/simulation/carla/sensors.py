@@ -62,7 +62,7 @@ class CarlaCamera:
     InspeError where pictures have another shape than the spec's own."""
 
     def __init__(self, spec: CameraSpec, recording: Recording) -> None:
-        width, height = recording.picture_size(spec.width, spec.height)
+        width, height = recording.image_size or (spec.width, spec.height)
         if abs(height - spec.height * width / spec.width) > 1:
             raise InspeError(
                 f"image_size [{width}, {height}]: CARLA's pixels are square, and {spec.name} has "

@@ -135,7 +135,7 @@ class Camera:
         self.pose, self.static_world = np.asarray(pose, float), surroundings.static_world
         self.recording, self.appearance_seed = surroundings.recording, surroundings.appearance_seed
         self.shading, self.light = surroundings.shading, surroundings.shading.light
-        self.width, self.height = self.recording.picture_size(spec.width, spec.height)
+        self.width, self.height = self.recording.image_size or (spec.width, spec.height)
         (cx, cy), f = spec.principal, spec.focal
         scale = np.diag([self.width / spec.width, self.height / spec.height, 1.0])
         self.intrinsic = scale @ np.array([[f, 0.0, cx], [0.0, f, cy], [0.0, 0.0, 1.0]])

@@ -9,6 +9,7 @@ import io
 import json
 import math
 import os
+import re
 import secrets
 import stat
 import tempfile
@@ -35,6 +36,7 @@ Content = TypeVar("Content")
 YAML, TEXT, ARRAYS = 2**22, 2**28, 2**30
 """Largest file of YAML and of other text, and largest arrays of a file together [bytes]."""
 UNPACKED = 100  # a packed map is at most this many times as large when it is unpacked, or 64 MiB
+_FORMULA = re.compile("'*[=+\\-@\t\r\n＝＋－＠].", re.DOTALL)
 
 STRICT = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 """For models of what users write. A quoted number is reported as a mistake, not converted."""
@@ -135,12 +137,11 @@ def read_csv(path: Path) -> list[dict[str, str]]:
 
 
 def parse_csv(text: bytes, where: str) -> list[dict[str, str]]:
-    """The rows of a CSV text, without cells beyond the head's. Raises InspeError, which names
-    ``where``, for other text."""
+    """The rows of a CSV text, as :func:`csv_text` had them, without cells beyond the head's. Raises
+    InspeError, which names ``where``, for other text."""
     with error_at(f"{where}: not CSV", ValueError, csv.Error):
-        cells = [
-            row for row in csv.reader(io.StringIO(text.decode("utf-8-sig"), newline="")) if row
-        ]
+        rows = [*csv.reader(io.StringIO(text.decode("utf-8-sig"), newline=""))]
+    cells = [[_without_prefix(cell) for cell in row] for row in rows if row]
     if not cells:
         raise InspeError(f"{where}: not CSV: it is empty")
     return [dict(zip(cells[0], row, strict=False)) for row in cells[1:]]
@@ -334,7 +335,11 @@ def write_text(path: str | os.PathLike[str], text: str) -> None:
 
 
 def csv_text(rows: Sequence[Mapping[str, Any]]) -> str:
-    """Rows as CSV text, under the keys of the first; there must be at least one."""
+    """Rows as CSV text, under the keys of the first; there must be at least one.
+
+    Text that a spreadsheet would run as a formula gets an apostrophe before it (OWASP, "CSV
+    injection"), which :func:`parse_csv` takes away. Numbers stay as they are.
+    """
     return csv_line(rows[0]) + "".join(
         csv_line(row.get(key, "") for key in rows[0]) for row in rows
     )
@@ -343,8 +348,21 @@ def csv_text(rows: Sequence[Mapping[str, Any]]) -> str:
 def csv_line(cells: Iterable[Any]) -> str:
     """A line of :func:`csv_text`."""
     text = io.StringIO()
-    csv.writer(text).writerow(cells)
+    csv.writer(text).writerow(map(_with_prefix, cells))
     return text.getvalue().removesuffix("\r\n") + "\n"  # a cell with either of them is quoted
+
+
+def _with_prefix(cell: Any) -> Any:
+    if isinstance(cell, str) and _FORMULA.match(cell):
+        try:
+            float(cell)
+        except ValueError:
+            return f"'{cell}"
+    return cell
+
+
+def _without_prefix(cell: str) -> str:
+    return cell[1:] if cell.startswith("'") and _FORMULA.match(cell) else cell
 
 
 def json_value(value: Any) -> Any:

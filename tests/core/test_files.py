@@ -19,7 +19,9 @@ from inspe_jax.core.files import (
     cached_by_file,
     check_model,
     check_xml,
+    csv_text,
     open_arrays,
+    parse_csv,
     parse_yaml,
     read_json,
     read_toml,
@@ -215,6 +217,22 @@ def test_messages_are_of_bounded_length_and_of_visible_characters():
     bomb = parse_yaml(LAUGHS[: LAUGHS.index("a5:")], "a")
     assert len(brief(bomb)) <= 80
     assert visible("Müller 7\u202e12") == "Müller 7\\u202e12"
+
+
+CELLS = ["=cmd|' /C calc'!A0", "+1+cmd", "-2+3", "@SUM(A1)", "\t=1", "\r=1", "＝1", "'=1", "''@x"]
+
+
+def test_text_of_a_table_is_no_formula_and_numbers_stay():
+    """OWASP's list. What is read back is what was written."""
+    plain = ["-1.5", "+2", "-inf", "a=b", "-", "it's", "'quoted'", "", "-1e-7"]
+    rows = [{"name": cell, "=head()": -1.5} for cell in CELLS + plain]
+    text = csv_text(rows)
+    lines = [line.lstrip('"') for line in text.split("\n")[1:]]
+    assert text.startswith("name,'=head()\n")
+    assert not any(line.startswith(tuple("=@\t\r＝")) for line in lines)
+    assert {"'-2+3,-1.5", "-1.5,-1.5", "+2,-1.5"} < set(lines)
+    assert [row["name"] for row in parse_csv(text.encode(), "a")] == CELLS + plain
+    assert parse_csv(text.encode(), "a")[0]["=head()"] == "-1.5"
 
 
 def test_a_disk_that_is_full_is_named_with_the_file(tmp_path):

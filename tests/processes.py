@@ -33,29 +33,6 @@ def inspe_process(*arguments: str, before: str = "", **options: Any) -> subproce
     )
 
 
-def on_devices(count: int, script: str, test: str, *arguments: str) -> list[str]:
-    """The lines that a script prints in a process of so many devices.
-
-    It imports what the file ``test`` does, and that file itself.
-    """
-    here = Path(test).parent
-    ran = subprocess.run(
-        [sys.executable, "-c", script, *arguments],
-        env=os.environ
-        | {
-            "XLA_FLAGS": f"{os.environ.get('XLA_FLAGS', '')} "
-            f"--xla_force_host_platform_device_count={count}",
-            "JAX_PLATFORMS": "cpu",
-            "PYTHONPATH": os.pathsep.join([str(here), str(here.parent)]),
-        },
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert ran.returncode == 0, ran.stderr
-    return ran.stdout.splitlines()
-
-
 def inspe_here(
     folder: Path, monkeypatch: Any, capsys: Any, *arguments: Any
 ) -> tuple[int, str, str]:

@@ -1,11 +1,10 @@
 """Exact scores: voxels are counted as bits, and the cores divide the tiles and frames.
 
-Counts are exact in any order: scores are the same bits on any number of cores and devices.
+Counts are exact in any order: scores are the same bits on any number of cores.
 """
 
-from collections.abc import Callable
 from dataclasses import replace
-from functools import cache, partial
+from functools import partial
 from typing import Any
 
 import jax
@@ -13,7 +12,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Num, UInt
 
-from inspe_jax.core import sharding
 from inspe_jax.core.arrays import pad_rows
 from inspe_jax.core.geometry import Prism
 from inspe_jax.core.numerics import Groups
@@ -25,7 +23,7 @@ from inspe_jax.scoring.metric import Metric, TileEvidence
 from inspe_jax.scoring.metrics import entropy, entropy_terms, resolved, tile_terms
 from inspe_jax.scoring.options import ScoreOptions
 from inspe_jax.scoring.reading import BITS, Counts, Frames
-from inspe_jax.scoring.tiled_scene import ENTROPIC, TiledScene, device_order
+from inspe_jax.scoring.tiled_scene import ENTROPIC, TiledScene
 from inspe_jax.sensing.sensor_array import SensorArray, SensorSet, sensor_array
 from inspe_jax.visibility import bitmask
 from inspe_jax.visibility.statics import past_statics_of_sensor
@@ -91,19 +89,15 @@ def in_view_of(
     """Masks of what each sensor has in view, past static bodies. ``half`` of a voxel's edge [m]."""
     tile = tiled.tiles.tile
     views = np.zeros((len(poses), *tile.there.shape), tile.there.dtype)
-    given: Any = view_masks, tile, slice(None)
-    if tiled.device_tiles is not None:
-        given = _split_view(), tiled.device_tiles, device_order(views.shape[1])
-    look, tiles, order = given
     jobs: list[Job] = []
     present = np.flatnonzero(sensors.kind < len(sensors.kinds))
     for s in present:
         kind = sensors.kinds[sensors.kind[s]]
         rays = kind.rays(jax.tree.map(lambda numbers: numbers[s], sensors.table))  # noqa: B023
         key = view_masks, kind, shapes_of(rays.table.rows, rays.table.nearest, tile.heights)
-        jobs.append((key, partial(look, rays, poses[s], tiles, half)))
+        jobs.append((key, partial(view_masks, rays, poses[s], tile, half)))
     for s, view in zip(present, run(jobs), strict=True):
-        views[s, order] = view
+        views[s] = view
     return views & _past_statics(tiled, views, poses[:, :3])
 
 
@@ -143,13 +137,6 @@ def _sights_past_statics(
     return sights * bitmask.unpack(np.asarray(masks)[..., None], levels)
 
 
-@cache
-def _split_view() -> Callable[..., Any]:
-    """:func:`view_masks`, every device for its tiles."""
-    whole, first = sharding.along(None), sharding.along(0)
-    return sharding.split(view_masks, (whole, whole, first, whole), first)
-
-
 def count_all(
     tiled: TiledScene,
     views: UInt[Array | np.ndarray, "S N C"],
@@ -163,10 +150,9 @@ def count_all(
     groups = 0 if failures is None else len(failures.first)
     for chunk in tiled.chunks:
         few = views[:, chunk.tiles]
-        count = _split_count(options) if chunk.split else partial(_count, options=options)
-        work = partial(count, chunk.tile, few, chunk.solid, chunk.prisms, sensors, failures)
-        key = _count, options, shapes_of(few, chunk.prisms.top), groups, chunk.split
-        jobs.append((key, work))
+        given = chunk.tile, few, chunk.solid, chunk.prisms, sensors, failures
+        key = _count, options, shapes_of(few, chunk.prisms.top), groups
+        jobs.append((key, partial(_count, *given, options=options)))
     seen = np.zeros((2, 1 + groups, tiled.frame_count), np.int32)
     core = np.zeros((2, tiled.frame_count), np.int32)
     columns = np.zeros(views.shape[1:], np.int32)
@@ -176,26 +162,11 @@ def count_all(
     for chunk, part in zip(tiled.chunks, run(jobs), strict=True):
         seen[:, :, chunk.frames] += np.stack([part.seen, part.original])
         core[:, chunk.frames] += np.asarray(part.core)
-        _add_counts(columns[chunk.tiles], part.columns)
+        columns[chunk.tiles] += np.asarray(part.columns)
         if options.sight:
-            _add_counts(sights[:, chunk.tiles], part.sights)
+            sights[:, chunk.tiles] += np.asarray(part.sights, kind)
     counts: Any = *seen, columns, sights if options.sight else None, core
     return Counts(*counts)
-
-
-def _add_counts(total: np.ndarray, counts: Any) -> None:
-    """Add counts to a total. Counts of several devices stand one after another."""
-    total += np.asarray(counts).reshape(-1, *total.shape).sum(0, dtype=total.dtype)
-
-
-@cache
-def _split_count(options: ScoreOptions) -> Callable[..., Counts]:
-    """:func:`_count`, every device for its frames."""
-    whole, first, second = (sharding.along(axis) for axis in (None, 0, 1))
-    sights = first if options.sight else None
-    gives: Any = Counts(second, second, first, sights, second)  # type: ignore[arg-type]
-    given = whole, whole, second, first, whole, whole
-    return sharding.split(partial(_count, options=options), given, gives)
 
 
 @partial(jax.jit, static_argnames="options")
@@ -362,20 +333,14 @@ def measure_many(
     voxel: float,
     options: ScoreOptions,
 ) -> dict[str, Float[np.ndarray, " M"]]:
-    """Every metric of M layouts of the same sensors; every chunk of ``tiled`` has all tiles.
-
-    Each device works on a layout of its own, or on one device each core.
-    """
+    """Every metric of M layouts of the same sensors, one for each core at a time; every chunk of
+    ``tiled`` has all tiles."""
     sensors = sensor_array(sensor_set, ONE_MORE)
     data = tiled.bucketed, sensors, voxel
-    each = sharding.devices()
-    work = partial(_one_layout, options=options) if each == 1 else _layout_each(options)
-    # A layout for a core, or one for every device: devices that would be idle repeat the first.
-    whole = np.stack([pad_rows(row, len(sensors.kind)) for row in poses])
-    rows = np.resize(whole, (-(-len(whole) // each), each, *whole.shape[1:]))
     key = measure_many, options, sensors.kinds, shapes_of(*data[:2])
-    jobs: list[Job] = [(key, partial(work, row[0] if each == 1 else row, *data)) for row in rows]
-    found = np.stack(run(jobs)).reshape(-1, len(options.metrics))[: len(poses)]
+    rows = [pad_rows(row, len(sensors.kind)) for row in poses]
+    jobs: list[Job] = [(key, partial(_one_layout, row, *data, options=options)) for row in rows]
+    found = np.stack(run(jobs))
     return {metric.name: column for metric, column in zip(options.metrics, found.T, strict=True)}
 
 
@@ -390,14 +355,3 @@ def _one_layout(
 ) -> Float[Array, " K"]:
     found = measure_tiles(BITS, tiled, poses, sensors, voxel, options=options).values
     return jnp.stack([found[metric.name][0] for metric in options.metrics])
-
-
-@cache
-def _layout_each(options: ScoreOptions) -> Callable[..., Array]:
-    """:func:`_one_layout`, every device for a layout."""
-    whole, first = sharding.along(None), sharding.along(0)
-    return sharding.split(
-        lambda poses, *data: _one_layout(poses[0], *data, options=options)[None],
-        (first, whole, whole, whole),
-        first,
-    )

@@ -12,7 +12,6 @@ import jax
 import numpy as np
 from jaxtyping import Array, Float
 
-from inspe_jax.core import sharding
 from inspe_jax.core.compiling import on_behalf_of, this_thread
 from inspe_jax.core.digest import digest
 from inspe_jax.core.parallel import Job, cores, run, shapes_of
@@ -47,7 +46,7 @@ def measure_softly(
     On all cores; in double precision, on one core and on other devices it is one program.
     """
     double = jax.config.jax_enable_x64  # type: ignore[attr-defined]
-    if double or cores() == 1 or sharding.devices() > 1 or jax.default_backend() != "cpu":
+    if double or cores() == 1 or jax.default_backend() != "cpu":
         return measure_tiles(reading, tiled.bucketed, poses, sensors, voxel, options=options)
     return _measured(_Work(tiled, sensors, voxel, options), reading, poses)
 

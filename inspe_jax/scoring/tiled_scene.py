@@ -13,7 +13,6 @@ import jax
 import numpy as np
 from jaxtyping import Array, Float, Int, UInt
 
-from inspe_jax.core import sharding
 from inspe_jax.core.arrays import on_device, wide_bucket
 from inspe_jax.core.geometry import Prism
 from inspe_jax.core.parallel import cores, untraced
@@ -51,7 +50,7 @@ class WorkChunk:
 
     ``prisms`` (F, B) are the road users of the frames, ``solid`` masks of the voxels inside a
     vehicle, None in a scene without masks. The tiles are every ``step``-th one from ``first`` on;
-    the frames start at ``begin``. If ``split``, the frames are divided among the devices.
+    the frames start at ``begin``.
     """
 
     tile: Tile
@@ -60,7 +59,6 @@ class WorkChunk:
     first: int = field(metadata={"static": True}, default=0)
     step: int = field(metadata={"static": True}, default=1)
     begin: int = field(metadata={"static": True}, default=0)
-    split: bool = field(metadata={"static": True}, default=False)
 
     @property
     def tiles(self) -> slice:
@@ -83,8 +81,7 @@ class TiledScene:
     of the voxels that may have entropy, padded with 0 at the end. ``column`` and ``level`` say
     which these are: the column's number among the tiles' columns, and the level in its slab; they
     are empty if ``occupancy`` (N, Z, C) is of all voxels of the tiles.
-    ``device_tiles`` are the tiles in :func:`device_order`, divided among the devices; None where
-    there is one. ``statics`` are the bodies and the ground; None where there are none.
+    ``statics`` are the bodies and the ground; None where there are none.
     """
 
     tiles: Tiles
@@ -94,7 +91,6 @@ class TiledScene:
     column: Int[Array, " U"]
     level: Int[Array, " U"]
     frame_count: int = field(metadata={"static": True})
-    device_tiles: Tile | None = None
     statics: Statics | None = None
 
     @property
@@ -119,7 +115,7 @@ class TiledScene:
 
         So a program compiled for one scene serves other scenes of similar size.
         """
-        return replace(self, tiles=replace(self.tiles, place=None), device_tiles=None)
+        return replace(self, tiles=replace(self.tiles, place=None))
 
     @cached_property
     def apart(self) -> "list[tuple[Int[np.ndarray, ' n'], TiledScene]]":
@@ -164,7 +160,7 @@ def _tile_whole(scene: Scene, masks: bool) -> TiledScene:
     for begin in range(0, tiled.frame_count, FRAMES):
         part = _rows(prisms, slice(begin, begin + FRAMES))
         chunks.append(WorkChunk(tile, part, solid(tile, part) if masks else None, begin=begin))
-    return replace(tiled, chunks=tuple(chunks), device_tiles=None)
+    return replace(tiled, chunks=tuple(chunks))
 
 
 def _rows(arrays: Any, rows: slice | Int[np.ndarray, " N"]) -> Any:
@@ -177,15 +173,11 @@ def _tile_scene(scene: Scene) -> TiledScene:
     tiles = tiles_of(centered)
     total = len(centered.prisms.top)
     chunks, counts = [], np.zeros((*tiles.tile.there.shape, tiles.tile.heights.shape[1]), int)
-    everywhere = sharding.put(tiles.tile, None) if sharding.devices() > 1 else tiles.tile
-    for begin, end, split in _frame_runs(total):
+    ends = np.linspace(0, total, -(-total // FRAMES) + 1).round().astype(int)
+    for begin, end in pairwise(ends.tolist()):
         prisms = _rows(centered.prisms, slice(begin, end))
         inside = solid(tiles.tile, prisms)
         counts += np.asarray(by_level(inside, counts.shape[-1]))
-        if split:
-            parts = sharding.put(prisms, 0), sharding.put(inside, 1)
-            chunks.append(WorkChunk(everywhere, *parts, begin=begin, split=True))
-            continue
         step = min(cores(), CHUNKS)
         for first in range(step):
             tile, own = _rows((tiles.tile, inside), slice(first, None, step))
@@ -195,9 +187,6 @@ def _tile_scene(scene: Scene) -> TiledScene:
     spare = wide_bucket(len(column), ENTROPIC, MANY_ENTROPIC) - len(column)
     occupancy = np.pad(counts[column, level] / total, (0, spare))
     column, level = np.pad(column, (0, spare)), np.pad(level, (0, spare))
-    of_devices, number = None, len(tiles.tile.there)
-    if sharding.devices() > 1 and number % sharding.devices() == 0:
-        of_devices = sharding.put(_rows(tiles.tile, device_order(number)), 0)
     weight, inside = scene.voxels.column_weight, scene.inside_statics
     if inside is not None:
         weight = weight * (1.0 - inside.mean(1))
@@ -209,33 +198,8 @@ def _tile_scene(scene: Scene) -> TiledScene:
         on_device(column),
         on_device(level),
         total,
-        of_devices,
         centered.statics,
     )
-
-
-def device_order(tiles: int) -> Int[np.ndarray, " N"]:
-    """Numbers of the tiles device by device: device d of D has d, d + D, …
-
-    So each has some of the padding at the end.
-    """
-    return np.arange(tiles).reshape(-1, sharding.devices()).T.ravel()
-
-
-def _frame_runs(total: int) -> list[tuple[int, int, bool]]:
-    """(first frame, end, whether the devices divide it) of each run of frames.
-
-    A device takes at most :data:`FRAMES` at once. The last few frames, which the number of devices
-    does not divide, are for one device.
-    """
-    number, runs = sharding.devices(), []
-    whole = total // number * number if number > 1 else 0
-    for begin, end, each in ((0, whole, number), (whole, total, 1)):
-        if begin < end:
-            parts = -(-(end - begin) // (FRAMES * each))
-            at = np.linspace(begin // each, end // each, parts + 1).round().astype(int) * each
-            runs += [(*ends, each > 1) for ends in pairwise(at.tolist())]
-    return runs
 
 
 def tiled_sample(sample: SceneArrays, masks: bool = True) -> TiledScene:

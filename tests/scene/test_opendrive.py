@@ -330,6 +330,9 @@ def test_traffic_drives_on_the_left_where_the_rule_says_so(write):
 def test_a_road_tilts_and_lanes_are_raised(write):
     tilt = '<lateralProfile><superelevation s="0" a="0.1" b="0" c="0" d="0"/></lateralProfile>'
     text = GOOD.replace("<lanes>", tilt + "<lanes>")
+    kerbs = np.array([[-20.3, t * np.cos(0.1), 0.794 + t * np.sin(0.1)] for t in (-4.5, -3.5, 4.5)])
+    ground = read_map(write(text), junction=7, radius=30).ground(kerbs[:, :2])
+    np.testing.assert_allclose(ground, kerbs[:, 2], atol=0.01)  # between stations 1 m apart
     text = text.replace('type="sidewalk">', 'type="sidewalk" level="true">')
     text = text.replace(
         "</lane></left>", '<height sOffset="0" inner="0.1" outer="0.1"/></lane></left>'

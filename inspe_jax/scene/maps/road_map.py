@@ -357,7 +357,7 @@ class RoadMap(ABC):
         here = self.around(self, members, middle, radius)
         lane_strips = same_level(*here.lanes())
         reach = radius + MARGIN
-        ground = np.concatenate([np.zeros((0, 3)), *(s.center for s in lane_strips)])
+        ground = np.concatenate([np.zeros((0, 3)), *(s.ground for s in lane_strips)])
         ground = ground[distance_from(ground, middle) <= reach + 5.0]
         if not len(ground):
             raise InspeError(

@@ -81,7 +81,7 @@ class OpenDriveJunction(MapJunction):
         for road in self.map.roads.values():
             for index in range(len(road.sections)) if road.near(self.middle, reach) else ():
                 for strip in self.map.strips(road, index).values():
-                    width = np.hypot(*(strip.left - strip.right).T).max()
+                    width = np.hypot(*(strip.left - strip.right)[:, :2].T).max()
                     if width < 0.05:
                         continue
                     # One lane's width farther: the disc cuts the lane, and not its stations.

@@ -50,8 +50,8 @@ class LaneCut(NamedTuple):
     """A lane's middle line, inner and outer edge, and width [m] at stations."""
 
     middle: Float[np.ndarray, "N 3"]
-    inner: Float[np.ndarray, "N 2"]
-    outer: Float[np.ndarray, "N 2"]
+    inner: Float[np.ndarray, "N 3"]
+    outer: Float[np.ndarray, "N 3"]
     width: Float[np.ndarray, " N"]
 
 
@@ -147,9 +147,12 @@ class OpenDriveRoad:
         for (lane, one), (middle, inner, outer), (_, t, u) in zip(
             section.lanes.items(), points, rows, strict=True
         ):
-            for lift in one.heights.T[1:] if len(one.heights) else ():
-                middle[:, 2] += np.interp(s - section.start, one.heights[:, 0], lift) / 2
-            found[lane] = LaneCut(middle, inner[:, :2], outer[:, :2], abs(u - t))
+            for edge, lift in zip((inner, outer), one.heights.T[1:], strict=True):
+                if len(lift):
+                    rise = np.interp(s - section.start, one.heights[:, 0], lift)
+                    edge[:, 2] += rise
+                    middle[:, 2] += rise / 2
+            found[lane] = LaneCut(middle, inner, outer, abs(u - t))
         return found
 
     def kinds(self) -> set[str]:

@@ -193,9 +193,7 @@ class SumoMap(RoadMap):
         number, inside, kind = self.numbers[edge.getID()], 1 if use else -1, kind_of(lane)
         strip = LaneStrip.along(number, inside, kind, center, ahead, lane.getWidth())
         if use == "crossing":
-            outline = np.concatenate([strip.left, strip.right[::-1]])
-            heights = np.concatenate([strip.center, strip.center[::-1]])[:, 2]
-            self.crossings.append(np.column_stack([outline, heights]))
+            self.crossings.append(np.concatenate([strip.left, strip.right[::-1]]))
         elif kind:
             self.lane_strips[lane.getID()] = strip
             after = (link.getViaLaneID() or link.getToLane().getID() for link in lane.getOutgoing())

@@ -236,6 +236,27 @@ def check_input(path: Path, most: float = math.inf) -> None:
     check_size(path, facts.st_size, most, "content")
 
 
+OTHER_KINDS = {
+    rb"\x1f\x8b": "is packed with gzip; unpack it: gunzip FILE",
+    rb"BZh\d": "is packed with bzip2; unpack it: bunzip2 FILE",
+    rb"PK\x03\x04": "is a zip archive; unpack it: unzip FILE",
+    rb"(?s).*OSMHeader": "is OpenStreetMap's PBF; make XML of it: osmium cat FILE -o city.osm",
+    rb"[^{]*<kml": "is KML; make bodies of it: ogr2ogr -f GeoJSON bodies.geojson FILE",
+    rb"[^{]*<osm": "is XML of OpenStreetMap or Lanelet2; the first is a map: name it city.osm",
+}
+"""How files begin of kinds that are given in place of others, and what to do with them."""
+
+
+def check_kind(path: Path, *allowed: bytes) -> None:
+    """Raise InspeError if a file is missing, or of :data:`OTHER_KINDS` but for the allowed."""
+    check_input(path)
+    with path.open("rb") as f:
+        start = f.read(1024)
+    for pattern, words in OTHER_KINDS.items():
+        if pattern not in allowed and re.match(pattern, start):
+            raise InspeError(f"{path}: {words}")
+
+
 def check_size(where: object, size: float, most: float, what: str) -> None:
     """Raise InspeError if ``what`` has more than ``most`` bytes."""
     if size > most:
@@ -244,20 +265,18 @@ def check_size(where: object, size: float, most: float, what: str) -> None:
         )
 
 
-def cached_by_file(
-    size: int,
-) -> Callable[[Callable[[Path], Content]], Callable[[str | os.PathLike[str]], Content]]:
+def cached_by_file(size: int) -> Callable[[Callable[..., Content]], Callable[..., Content]]:
     """A decorator for readers of files: it caches the content of ``size`` files, until they change.
-    The reader then raises InspeError if there is no file."""
+    The reader then raises InspeError if there is no file. It may take an option besides."""
 
-    def decorated(read: Callable[[Path], Content]) -> Callable[[str | os.PathLike[str]], Content]:
-        cached = functools.lru_cache(maxsize=size)(lambda path, *facts: read(path))
+    def decorated(read: Callable[..., Content]) -> Callable[..., Content]:
+        cached = functools.lru_cache(maxsize=size)(lambda facts, *given: read(*given))
 
         @functools.wraps(read)
-        def load(path: str | os.PathLike[str]) -> Content:
+        def load(path: str | os.PathLike[str], *options: Any) -> Content:
             check_input(path := Path(path))
             facts = path.stat()
-            return cached(path, path.resolve(), facts.st_mtime_ns, facts.st_size)
+            return cached((path.resolve(), facts.st_mtime_ns, facts.st_size), path, *options)
 
         return load
 

@@ -107,7 +107,8 @@ class Intersection(Described):
     which a scene has with ``statics="map"``; ``mesh`` are the triangles that bodies of kind
     ``solid`` stand for. ``georeference`` is the projection of its coordinates, None if unknown.
     ``level_points`` are the ground points of the map, where the place stands on other ground
-    (:meth:`standing_on`). A saved scene keeps neither the map nor these.
+    (:meth:`standing_on`). ``driving_side`` is what was asked for in place of the country's. A saved
+    scene keeps neither the map nor these.
     """
 
     name: str
@@ -125,6 +126,7 @@ class Intersection(Described):
     georeference: Georeference | None = field(default=None, metadata={ORIGIN: None})
     mesh: Mesh | None = None
     level_points: Float[np.ndarray, "N 3"] | None = field(default=None, metadata={ORIGIN: None})
+    driving_side: str | None = field(default=None, metadata={ORIGIN: None})
 
     def _facts(self) -> dict[str, Any]:
         counts = {part: len(getattr(self, part)) for part in ("arms", "routes", "poles", "bodies")}

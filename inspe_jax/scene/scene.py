@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float
 from shapely.geometry.base import BaseGeometry
 
 from inspe_jax.core.errors import InspeError, error_at, nearest, wrong_kind
-from inspe_jax.core.files import cached_by_file, check_output, open_arrays, whole_file
+from inspe_jax.core.files import cached_by_file, check_kind, check_output, open_arrays, whole_file
 from inspe_jax.core.pytree import pytree
 from inspe_jax.core.records import Described, check_record
 from inspe_jax.scene.geojson import SUFFIX as GEOJSON
@@ -257,6 +257,8 @@ def check_scene_name(source: str | os.PathLike[str]) -> None:
         return
     if other := what_is(source):
         raise InspeError(f"{source}: {other}")
+    if Path(source).is_file():
+        check_kind(Path(source))
     raise InspeError(
         f"no scene '{source}': give a built-in ({', '.join(BUILT_INS)}), a saved .npz, or a map "
         f"(.xodr, .net.xml, .osm){nearest(str(source), tuple(BUILT_INS))}"

@@ -196,7 +196,15 @@ ERRORS = {
     "direct": (
         GOOD.replace("<junction", '<junction id="5" type="direct"/><junction', 1),
         {"junction": 5},
-        r"street.xodr: junction 5 is not read: a direct junction has no area of its own; choose an",
+        r"street.xodr: junction 5 is not read: a direct junction has no area of its own, choose an",
+    ),
+    "no contact point": (
+        re.sub(
+            r'(tRoad|cessor elementType="road" elementId="[12]") contactPoint="\w*"', r"\1", GOOD
+        ),
+        {},
+        r"junction 7 is not read: none of its roads that can be read has lanes; road 10 "
+        r"\(contactPoint of its <predecessor> is missing; write start or end\); road 11 \(",
     ),
     "unknown junction": (GOOD, {"junction": 3}, r"street.xodr: no junction '3'; there are: 7$"),
     "far center": (

@@ -397,6 +397,7 @@ class RoadMap(ABC):
             poles=place.on_ground(here.poles),
             routes=(*here.drives(arm_of), *people),
         )
+        here.notes += self.notes
         place = here.with_bodies(place, lane_strips)
         if not len(place.poles):
             here.notes.append(NO_POLES)

@@ -60,7 +60,8 @@ from inspe_jax.scene.regions import Region
 ISLAND = 3.0  # a gap between a junction's lanes is paved unless such a circle fits in it [m]
 COARSE = 5.0  # spacing of the points of a map's road lines [m]
 MOST_NAMED = 6  # at most so many of what is left out are named in a note
-NO_AREA = "a {} junction has no area of its own; choose another"
+NO_AREA = "a {} junction has no area of its own, choose another"
+NO_LANES = "none of its roads that can be read has lanes"
 BOX = 10  # a bounding box is that of so many stretches of each lane
 KINDS = CARRIAGEWAY | SHOULDER | SIDEWALK | {"none", "median", "rail", "tram"}  # known types
 APRON = 25.0  # lanes are read so much farther than kept [m]: none ends inside the rim
@@ -117,7 +118,6 @@ class OpenDriveJunction(MapJunction):
 
     def with_bodies(self, place: Intersection, lane_strips: list[LaneStrip]) -> Intersection:
         reach, shapes = self.radius + MARGIN, self.map.shapes
-        self.notes += self.map.notes
         lanes = unary_union([s.polygon for s in lane_strips if s.kind in CARRIAGEWAY])
         hung = shapely.intersects_xy(lanes, *place.poles[:, :2].T)
         if hung.any():
@@ -143,7 +143,8 @@ class OpenDriveMap(RoadMap):
         self.path, self.name = path, path.stem
         root = read_tree(path)
         self.moved = moved = moved_near(root)
-        found, out = read_roads(root)
+        found, roads_out = read_roads(root)
+        out = [words for _, words in roads_out]
         self.roads = {name: road for name, (_, road) in found.items()}
         if not self.roads:
             why = f" that can be read: {'; '.join(out[:MOST_NAMED])}" if out else ""
@@ -168,11 +169,14 @@ class OpenDriveMap(RoadMap):
         self.unread = {
             str(name): NO_AREA.format(kind)
             if kind in ("direct", "virtual")
-            else "none of its roads that can be read has lanes"
+            else "; ".join(
+                [NO_LANES, *(words for junction, words in roads_out if junction == name)]
+            )
             for name, kind in graph.junctions.items()
             if name not in with_lanes
         }
-        out += [*graph.left_out, *(f"junction {n} ({w})" for n, w in self.unread.items())]
+        unread = (f"junction {n} ({w.partition(';')[0]})" for n, w in self.unread.items())
+        out += [*graph.left_out, *unread]
         self.notes = (*self._notes(out, moved), *on_shapes, *on_it)
 
     def _notes(self, out: list[str], moved: tuple[float, float]) -> Iterator[str]:

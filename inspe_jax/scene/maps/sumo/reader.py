@@ -1,6 +1,7 @@
 """Reads SUMO networks and OpenStreetMap extracts: lanes, crossings, sidewalks and bodies."""
 
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from xml.sax import SAXException
@@ -24,7 +25,6 @@ from inspe_jax.scene.maps.sumo.network import (
     GEOGRAPHIC,
     OSM_SUFFIXES,
     SUMO,
-    left_hand,
     network_file,
 )
 from inspe_jax.scene.regions import Region
@@ -118,14 +118,9 @@ class SumoJunction(MapJunction):
         return parts
 
     def with_bodies(self, place: Intersection, lane_strips: list[LaneStrip]) -> Intersection:
-        is_extract = str(self.map.path).lower().endswith(OSM_SUFFIXES)
-        if is_extract and (where := left_hand(self.map.path)):
-            self.notes.append(
-                f"traffic drives on the left, as in {where}; where that is wrong, give a network "
-                "that netconvert made without --lefthand"
-            )
-        if place.georeference is None or not is_extract:
+        if place.georeference is None or not str(self.map.path).lower().endswith(OSM_SUFFIXES):
             return place
+        place = replace(place, driving_side=self.map.side)
         reach = self.radius + MARGIN
         reader = BodyReader(self.map.path, place, reach, self.notes)
         place = self._on_heights(place, reader.spot_heights())
@@ -149,7 +144,8 @@ class SumoMap(RoadMap):
 
     ``file`` is what SUMO can run on, ``net`` sumolib's. World coordinates are those of the map that
     the network was made from: they are the network's less ``shift`` [m], but for geographic
-    projections, whose coordinates are millions of metres.
+    projections, whose coordinates are millions of metres. ``side`` is what traffic of an extract
+    was asked to drive on, None if its country says.
 
     Every lane is a strip by the network's name. ``road`` of a strip is the number of its edge,
     ``junction`` is 1 inside any junction, else −1. ``walks`` are nodes with their walking areas.
@@ -157,8 +153,10 @@ class SumoMap(RoadMap):
 
     format, around = SUMO, SumoJunction
 
-    def __init__(self, path: Path, file: Path, net: Any) -> None:
-        self.path, self.file, self.net = path, file, net
+    def __init__(
+        self, path: Path, file: Path, net: Any, side: str | None, notes: list[str]
+    ) -> None:
+        self.path, self.file, self.net, self.side, self.notes = path, file, net, side, notes
         self.name = path.name.split(".")[0]
         moved = np.array(net.getLocationOffset(), float)
         self.shift = moved if np.abs(moved).max() <= GEOGRAPHIC else np.zeros(2)
@@ -234,14 +232,15 @@ class SumoMap(RoadMap):
 
 
 @cached_by_file(8)
-def load_net(path: Path) -> SumoMap:
+def load_net(path: Path, side: str | None = None) -> SumoMap:
     """The network of a .net.xml, .osm or .xodr file, cached while the file does not change.
 
-    Raises InspeError if SUMO or the file is missing, or it is of another kind or without roads.
+    Traffic of an extract drives on a ``side``, or by its country. Raises InspeError if SUMO or the
+    file is missing, it is of another kind or without roads, or if there is no such side.
     """
     with needs("SUMO networks and OpenStreetMap need sumolib", "sumo"):
         import sumolib
-    file = network_file(path)
+    file, notes = network_file(path, side)
     wrong = f"{path}: not a SUMO network: missing or wrong"
     with error_at(wrong, SAXException, KeyError, ValueError, AttributeError, TypeError):
         net = sumolib.net.readNet(
@@ -249,7 +248,7 @@ def load_net(path: Path) -> SumoMap:
         )
     if not any(edge.getFunction() == "" for edge in net.getEdges()):
         raise InspeError(f"{path}: the network has no roads")
-    return SumoMap(path, file, net)
+    return SumoMap(path, file, net, side, notes)
 
 
 def _approach(streets: SumoMap, number: int, edge: Any, end: str) -> Approach:

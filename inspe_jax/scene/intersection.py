@@ -26,6 +26,7 @@ BUILT_IN = "built-in"  # source of a place that is made up
 CLEARANCE = 2.5  # what is higher or lower than the road by more is on another level [m]
 ALONG = 0.87  # lines that differ by less than 30° run along each other
 LOW = 0.4  # what of a mesh rises less over the ground is part of it, as kerbs are [m]
+BEYOND = 3.0  # people who cross begin and end so far beyond a crosswalk [m]
 CROSSWALK_WIDTH = 3.0  # width of a crosswalk that is added where a map has none [m]
 
 
@@ -198,7 +199,7 @@ def mouth_crosswalks(arms: tuple[Arm, ...]) -> BaseGeometry:
 def crossing_lines(
     walks: list[BaseGeometry], lanes: Iterable[np.ndarray] = ()
 ) -> Iterator[np.ndarray]:
-    """The middle line (N, 2) of each crosswalk, 3 m beyond both ends: along its longer side, or
+    """The middle line (N, 2) of each crosswalk, :data:`BEYOND` both ends: along its longer side, or
     along the other if the lines of ``lanes`` under it run along that."""
     steps = [np.diff(line[:, :2], axis=0) for line in lanes]
     at = np.concatenate([np.zeros((0, 2)), *(line[:-1, :2] for line in lanes)])
@@ -211,7 +212,7 @@ def crossing_lines(
         alike = abs(under @ along) > ALONG * length.max() * np.hypot(*under.T)
         if alike.sum() > len(under) / 2:
             along = sides[np.argmin(length)]
-        reach = along / 2 + 3.0 * along / np.linalg.norm(along)
+        reach = along / 2 + BEYOND * along / np.linalg.norm(along)
         middle = corners.mean(0)
         yield resampled(np.array([middle - reach, middle + reach]))
 

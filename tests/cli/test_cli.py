@@ -65,7 +65,7 @@ def files(tmp_path_factory, scene):
     (folder / "rule.yaml").write_text(LAYOUT.replace("yaw_deg: 0", "yaw_deg: 0, offset: [3, 0]"))
     (folder / "page.xodr").write_text("<html></html>")
     (folder / "cut.xodr").write_text("<OpenDRIVE><road id='1'>")
-    (folder / "city.osm.bz2").write_bytes(b"BZh91AY")
+    (folder / "city.osm.bz2").write_bytes(b"BZh91AY&SY")
     return folder
 
 

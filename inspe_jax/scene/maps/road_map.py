@@ -1,7 +1,7 @@
 """A map of roads: what each format reads of it, and the place that is made of that."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Container, Iterator, Mapping, Sequence
+from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import pairwise, product
@@ -13,7 +13,7 @@ import numpy as np
 import shapely
 from jaxtyping import Float
 from scipy.spatial import cKDTree
-from shapely.geometry import MultiPolygon, Point, Polygon
+from shapely.geometry import LineString, MultiPolygon, Point, Polygon
 from shapely.geometry.base import BaseGeometry
 from shapely.ops import unary_union
 
@@ -48,6 +48,9 @@ CLUSTER = 35.0  # junctions whose middle is this near to ``center`` count as one
 MARGIN = 10.0  # a map is read this much beyond the radius [m]
 AHEAD = 10  # which of lanes is straight on, is seen from so many stations of each
 MOST_LANES = 200  # a route goes along at most so many beyond its junction
+STRAY = (
+    4.0  # footpaths lead no farther over a road beside crossings, whose lines end 3 m beyond [m]
+)
 APART = 20.0  # lanes, and pieces of a road, that follow each other are no farther apart [m]
 FAR = 1e5  # single precision is 8 mm here: coordinates beyond are taken from a point near [m]
 NO_ROUTES = "no vehicles drive through: the map links no lanes through the junction"
@@ -101,6 +104,27 @@ def joined_lines(lines: list[np.ndarray]) -> Iterator[np.ndarray]:
             line = found[1]
         if np.hypot(*np.diff(line, axis=0).T).sum() >= 5.0:
             yield resampled(line)
+
+
+def off_roads(
+    lines: Iterable[np.ndarray], areas: Areas, notes: list[str]
+) -> Iterator[Float[np.ndarray, "N 2"]]:
+    """Footpaths (N, 2) without what leads over a road beside crossings for more than
+    :data:`STRAY`, as where a map's junctions are joined; ``notes`` get how many are cut."""
+    roads = unary_union([areas[Region.JUNCTION], areas[Region.DRIVEWAY]])
+    roads, cut = roads.difference(areas[Region.CROSSWALK].buffer(0.5)), 0
+    for line in lines:
+        path = LineString(line)
+        on = shapely.get_parts(path.intersection(roads))
+        stray = on[shapely.length(on) > STRAY]
+        if not len(stray):
+            yield line
+            continue
+        cut += 1
+        rest = path.difference(unary_union(stray).buffer(0.01))
+        yield from (resampled(np.array(p.coords)) for p in shapely.get_parts(rest) if p.length >= 5)
+    if cut:
+        notes.append(f"footpaths over the carriageway beside crossings: {cut}, cut off there")
 
 
 def mounting_of(
@@ -165,27 +189,29 @@ class MapJunction(ABC):
 
     def crosswalks(
         self, areas: Areas, arms: tuple[Arm, ...], ground: Float[np.ndarray, "N 3"], disc: Polygon
-    ) -> list[BaseGeometry]:
-        """The crosswalks of its map inside the disc and near ground points [m].
+    ) -> tuple[list[BaseGeometry], list[np.ndarray]]:
+        """The crosswalks of its map inside the disc and near ground points [m], and the ``walked``
+        lines of the first of them.
 
         If there is none at the junction, strips across the arms' mouths are added, with a note.
         """
         index = cKDTree(ground[:, :2])
-        walks = []
-        for loop in self.map.crossings:
+        walks, lines = [], list[np.ndarray]()
+        for k, loop in enumerate(self.map.crossings):
             middle = loop.mean(0)
             level = ground[index.query(middle[:2])[1], 2]
             if disc.contains(Point(middle)) and abs(middle[2] - level) < 2.0:
                 walks.append(valid(Polygon(loop[:, :2])))
+                lines += self.map.walked[k : k + 1]
         if any(walk.distance(areas[Region.JUNCTION]) < 8.0 for walk in walks):
-            return walks
+            return walks, lines
         if areas[Region.SIDEWALK].intersection(disc).is_empty:
             none = "no crosswalks: the map has none here, and no sidewalks they could join"
             self.notes.append(none)
-            return walks
+            return walks, lines
         strips = "the map has no crosswalks here; strips across the junction's mouths stand in"
         self.notes.append(strips)
-        return walks + [mouth_crosswalks((arm,)) for arm in arms]
+        return walks + [mouth_crosswalks((arm,)) for arm in arms], lines
 
     @abstractmethod
     def lanes(self) -> tuple[list[LaneStrip], list[bool]]:
@@ -289,10 +315,10 @@ class RoadMap(ABC):
 
     ``format`` is how the source of its places ends, ``around`` how a junction is read. ``name`` is
     that of its file without suffixes. ``crossings`` are the outlines of all crosswalks, each
-    (K, 3). ``georeference`` is the projection of its coordinates, None without a usable one.
-    ``notes`` are on all of it; ``unread`` are junctions that are left out, with why. Coordinates
-    are less than in the file by ``moved`` [m]. ``follows`` and ``leads`` have the lanes after and
-    before each, as traffic runs.
+    (K, 3), and ``walked`` the lines (N, 2) over them, where the format has these. ``georeference``
+    is the projection of its coordinates, None without a usable one. ``notes`` are on all of it;
+    ``unread`` are junctions that are left out, with why. Coordinates are less than in the file by
+    ``moved`` [m]. ``follows`` and ``leads`` have the lanes after and before each, as traffic runs.
     """
 
     format: ClassVar[str]
@@ -300,6 +326,7 @@ class RoadMap(ABC):
     path: Path
     name: str
     crossings: Sequence[np.ndarray]
+    walked: Sequence[np.ndarray] = ()
     georeference: Georeference | None
     follows: Mapping[Any, Sequence[Any]]
     leads: Mapping[Any, Sequence[Any]]
@@ -366,7 +393,7 @@ class RoadMap(ABC):
         arms, arm_of = arms_of(here.approaches)
         areas = _side_by_side(here.areas(lane_strips))
         disc = Point(middle[:2]).buffer(reach, quad_segs=32)
-        walks = here.crosswalks(areas, arms, ground, disc)
+        walks, known = here.crosswalks(areas, arms, ground, disc)
         areas[Region.CROSSWALK] = clean(unary_union(walks))
         regions = {region: areas[region].intersection(disc) for region in Region}
         medians = [s.polygon for s in lane_strips if s.kind == "median"]
@@ -390,7 +417,8 @@ class RoadMap(ABC):
             for run in strip.runs(distance_from(strip.center, middle) <= radius)
         ]
         lanes = [s.center for s in lane_strips if s.kind in CARRIAGEWAY]
-        people = walking_routes(place, [*crossing_lines(walks, lanes), *joined_lines(pavements)])
+        paths = [*known, *crossing_lines(walks[len(known) :], lanes), *joined_lines(pavements)]
+        people = walking_routes(place, off_roads(paths, areas, here.notes))
         place = replace(
             place,
             center=place.on_ground(middle[None])[0],

@@ -53,7 +53,7 @@ def network_file(path: Path, side: str | None = None) -> tuple[Path, list[str]]:
     if name.endswith((".xodr", *NET_SUFFIXES)):
         kind = "opendrive" if name.endswith(".xodr") else "net"
     if not name.endswith(".gz"):
-        check_kind(path, rb"[^{]*<osm")
+        check_kind(path, b"<osm")
     if kind != "opendrive":
         with _opened(path) as f:
             check_xml(f, str(path), kind)

@@ -15,7 +15,7 @@ from shapely.ops import unary_union
 from inspe_jax.core.errors import InspeError, error_at, needs
 from inspe_jax.core.files import cached_by_file
 from inspe_jax.scene.georeference import Georeference
-from inspe_jax.scene.intersection import Intersection
+from inspe_jax.scene.intersection import BEYOND, Intersection
 from inspe_jax.scene.lines import distance_from, distinct, resampled
 from inspe_jax.scene.maps.bodies import with_bodies
 from inspe_jax.scene.maps.lanes import Approach, LaneStrip, heading
@@ -169,6 +169,7 @@ class SumoMap(RoadMap):
         self.leads: dict[str, list[str]] = {}
         self.walks: list[tuple[str, BaseGeometry]] = []
         self.crossings: list[np.ndarray] = []
+        self.walked: list[np.ndarray] = []
         self.edges = net.getEdges(withInternal=True)
         self.numbers = {edge.getID(): number for number, edge in enumerate(self.edges)}
         for edge in self.edges:
@@ -192,6 +193,8 @@ class SumoMap(RoadMap):
         strip = LaneStrip.along(number, inside, kind, center, ahead, lane.getWidth())
         if use == "crossing":
             self.crossings.append(np.concatenate([strip.left, strip.right[::-1]]))
+            ends = line[[0, -1], :2] + [-BEYOND * ahead[0], BEYOND * ahead[-1]]
+            self.walked.append(resampled(np.vstack([ends[0], line[:, :2], ends[1]])))
         elif kind:
             self.lane_strips[lane.getID()] = strip
             after = (link.getViaLaneID() or link.getToLane().getID() for link in lane.getOutgoing())

@@ -6,7 +6,7 @@ import tracemalloc
 import numpy as np
 import pytest
 import shapely
-from osm_town import LAT, LON, METRES, Town, box, degrees, full_town
+from osm_town import LAT, LON, METRES, ROAD, Town, box, degrees, full_town
 from shapely.geometry import LineString, Point, Polygon
 
 from inspe_jax.core.digest import digest
@@ -343,6 +343,29 @@ def test_traffic_drives_on_the_side_of_its_country_or_that_is_asked_for(tmp_path
     assert (onward != 0).sum() > 5  # on the arm, also for SUMO
     wrong = np.sign(onward) * np.sign(across) == (1 if looking_out == "left" else -1)
     assert not wrong.any()
+
+
+def test_people_walk_on_no_carriageway_where_junctions_are_joined(tmp_path):
+    """Two carriageways of three lanes 8 m apart, which overlap, with sidewalks in each other's
+    lanes, and a street across: SUMO joins their two nodes."""
+    town = Town()
+    town.ways.clear()
+    one, two = (town.node((x, 0), highway="traffic_signals") for x in (-4, 4))
+    wide = dict(highway="secondary", lanes="3", oneway="yes", sidewalk="both")
+    for node, x, y in ((one, -4, 100), (two, 4, -100)):
+        town.way([town.node((x, y)), node, town.node((x, -y))], **wide)
+    town.way([town.node((-100, 0)), one, two, town.node((100, 0))], **ROAD)
+    path = town.write(tmp_path / "joined.osm")
+    (joined,) = list_junctions(path)
+    place = read_map(path, junction=joined.id, radius=40)
+    roads = place.regions[Region.JUNCTION].union(place.regions[Region.DRIVEWAY])
+    beside = roads.difference(place.regions[Region.CROSSWALK].buffer(0.5))
+    people = [LineString(r.waypoints[:, :2]) for r in place.routes if r.user == "pedestrian"]
+    assert sum(one.length for one in people) > 300
+    for part in shapely.get_parts(shapely.intersection(people, beside)):
+        assert part.length < 4.0  # crossing lines end 3 m beyond the crosswalk
+    note = "footpaths over the carriageway beside crossings: 4, cut off there"
+    assert note in place.notes
 
 
 def test_points_with_heights_make_the_ground(tmp_path):

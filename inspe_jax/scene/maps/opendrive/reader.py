@@ -149,8 +149,11 @@ class OpenDriveMap(RoadMap):
         if not self.roads:
             why = f" that can be read: {'; '.join(out[:MOST_NAMED])}" if out else ""
             raise InspeError(f"{path}: the map has no roads{why}")
-        self._strips: dict[tuple[Id, int], dict[int, LaneStrip]] = {}
         graph = LaneGraph(self.roads, root)
+        self.inside: dict[Id, list[OpenDriveRoad]] = {}
+        for road in self.roads.values():
+            self.inside.setdefault(road.junction, []).append(road)
+        self._strips: dict[tuple[Id, int], dict[int, LaneStrip]] = {}
         self.follows, self.leads = graph.follows, graph.leads
         self.shapes, on_shapes = shapes_of(found.values())
         self.crossings = tuple(
@@ -231,8 +234,8 @@ class OpenDriveMap(RoadMap):
     def node(self, junction: Id) -> Node:
         lines = [
             cut.middle
-            for road in self.roads.values()
-            for section in (road.sections if road.junction == junction else ())
+            for road in self.inside[junction]
+            for section in road.sections
             for name, cut in along(road, section, (section.end - section.start) / BOX).items()
             if section.lanes[name].kind != "none"
         ]
@@ -257,7 +260,7 @@ def along(road: OpenDriveRoad, section: Section, spacing: float) -> dict[int, La
 def interior_of(town: OpenDriveMap, members: set[Id]) -> set[Id]:
     """The roads of member junctions, and of short chains from one to another, as the ring of a
     roundabout."""
-    found = {road.id for road in town.roads.values() if road.junction in members}
+    found = {road.id for name in members for road in town.inside[name]}
     if len(members) < 2:
         return found
     for first in town.roads.values():
@@ -279,8 +282,8 @@ def approaches_of(town: OpenDriveMap, members: set[Id]) -> list[Approach]:
     inside = interior_of(town, members)
     touched = {
         _beyond(town, link[1], link[2])
-        for road in town.roads.values()
-        if road.junction in members
+        for name in members
+        for road in town.inside[name]
         for link in road.links.values()
         if link[0] == "road" and link[1] in town.roads and link[1] not in inside
     }

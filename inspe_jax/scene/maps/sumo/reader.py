@@ -32,6 +32,7 @@ from inspe_jax.scene.terrain import laid_on
 
 NEAR_SPOTS = 20.0  # spot heights count as around a place if no road is so far out of their hull [m]
 SPOTS = 3  # fewer points with a height make no surface
+LONGEST = 1e5  # no lane is so long [m]
 NO_JUNCTION = ("dead_end", "internal", "unregulated", "rail_signal", "rail_crossing")
 MOTORS = {"passenger", "private", "taxi", "bus", "truck", "delivery", "hov", "evehicle"}
 
@@ -186,6 +187,11 @@ class SumoMap(RoadMap):
             self.walks.append((edge.getFromNode().getID(), valid(Polygon(line[:, :2]))))
         if use == "walkingarea" or len(line) < 2:
             return
+        if (length := np.hypot(*np.diff(line[:, :2], axis=0).T).sum()) > LONGEST:
+            raise InspeError(
+                f"{self.path}: lane '{lane.getID()}' is {length / 1000:,.0f} km long; are the "
+                "coordinates of its nodes right?"
+            )
         center = resampled(line)
         ahead = np.gradient(center[:, :2], axis=0)
         ahead /= np.hypot(*ahead.T)[:, None]

@@ -3,6 +3,7 @@
 import atexit
 import functools
 import gzip
+import io
 import os
 import shutil
 import subprocess
@@ -14,7 +15,6 @@ from collections.abc import Sequence
 from contextlib import suppress
 from importlib.resources import files
 from pathlib import Path
-from typing import IO
 
 import shapely
 from shapely.geometry import Point
@@ -77,7 +77,7 @@ def network_file(path: Path, side: str | None = None) -> tuple[Path, list[str]]:
     return made, [note] if note else []
 
 
-def _opened(path: Path) -> IO[bytes]:
+def _opened(path: Path) -> io.BufferedIOBase:
     return gzip.open(path) if path.name.lower().endswith(".gz") else path.open("rb")
 
 

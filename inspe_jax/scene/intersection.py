@@ -3,6 +3,7 @@
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +28,7 @@ CLEARANCE = 2.5  # what is higher or lower than the road by more is on another l
 ALONG = 0.87  # lines that differ by less than 30° run along each other
 LOW = 0.4  # what of a mesh rises less over the ground is part of it, as kerbs are [m]
 BEYOND = 3.0  # people who cross begin and end so far beyond a crosswalk [m]
+STRAY = 4.0  # footpaths lead no farther over a road beside crossings [m]
 CROSSWALK_WIDTH = 3.0  # width of a crosswalk that is added where a map has none [m]
 
 
@@ -215,6 +217,47 @@ def crossing_lines(
         reach = along / 2 + BEYOND * along / np.linalg.norm(along)
         middle = corners.mean(0)
         yield resampled(np.array([middle - reach, middle + reach]))
+
+
+def joined_lines(lines: list[np.ndarray]) -> Iterator[np.ndarray]:
+    """Footpaths (N, 2), joined where the end of one is within 1.5 m of another; 5 m or longer."""
+    lines = list(lines)
+
+    def joint(line: np.ndarray) -> tuple[int, np.ndarray] | None:
+        for i, other in enumerate(lines):
+            for a, b in product((line, line[::-1]), (other, other[::-1])):
+                if np.hypot(*(a[-1] - b[0])) < 1.5:
+                    return i, np.concatenate([a, b])
+        return None
+
+    while lines:
+        line = lines.pop()
+        while found := joint(line):
+            del lines[found[0]]
+            line = found[1]
+        if np.hypot(*np.diff(line, axis=0).T).sum() >= 5.0:
+            yield resampled(line)
+
+
+def off_roads(
+    lines: Iterable[np.ndarray], areas: Mapping[Region, BaseGeometry], notes: list[str]
+) -> Iterator[Float[np.ndarray, "N 2"]]:
+    """Footpaths (N, 2) without what leads over a road beside crossings for more than
+    :data:`STRAY`, as where a map's junctions are joined; ``notes`` get how many are cut."""
+    roads = unary_union([areas[Region.JUNCTION], areas[Region.DRIVEWAY]])
+    roads, cut = roads.difference(areas[Region.CROSSWALK].buffer(0.5)), 0
+    for line in lines:
+        path = LineString(line)
+        on = shapely.get_parts(path.intersection(roads))
+        stray = on[shapely.length(on) > STRAY]
+        if not len(stray):
+            yield line
+            continue
+        cut += 1
+        rest = path.difference(unary_union(stray).buffer(0.01))
+        yield from (resampled(np.array(p.coords)) for p in shapely.get_parts(rest) if p.length >= 5)
+    if cut:
+        notes.append(f"footpaths over the carriageway beside crossings: {cut}, cut off there")
 
 
 def walking_routes(place: Intersection, lines: Iterable[np.ndarray]) -> Iterator[Route]:

@@ -1,10 +1,10 @@
 """A map of roads: what each format reads of it, and the place that is made of that."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from itertools import pairwise, product
+from itertools import pairwise
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, ClassVar, NamedTuple
@@ -13,7 +13,7 @@ import numpy as np
 import shapely
 from jaxtyping import Float
 from scipy.spatial import cKDTree
-from shapely.geometry import LineString, MultiPolygon, Point, Polygon
+from shapely.geometry import MultiPolygon, Point, Polygon
 from shapely.geometry.base import BaseGeometry
 from shapely.ops import unary_union
 
@@ -25,7 +25,9 @@ from inspe_jax.scene.intersection import (
     Route,
     corner_islands,
     crossing_lines,
+    joined_lines,
     mouth_crosswalks,
+    off_roads,
     walking_routes,
 )
 from inspe_jax.scene.lines import distance_from, distinct, onward, resampled
@@ -48,9 +50,6 @@ CLUSTER = 35.0  # junctions whose middle is this near to ``center`` count as one
 MARGIN = 10.0  # a map is read this much beyond the radius [m]
 AHEAD = 10  # which of lanes is straight on, is seen from so many stations of each
 MOST_LANES = 200  # a route goes along at most so many beyond its junction
-STRAY = (
-    4.0  # footpaths lead no farther over a road beside crossings, whose lines end 3 m beyond [m]
-)
 APART = 20.0  # lanes, and pieces of a road, that follow each other are no farther apart [m]
 FAR = 1e5  # single precision is 8 mm here: coordinates beyond are taken from a point near [m]
 NO_ROUTES = "no vehicles drive through: the map links no lanes through the junction"
@@ -84,47 +83,6 @@ def clean(shape: BaseGeometry) -> BaseGeometry:
         for step in (0.05, -0.12, 0.07):
             shape = shape.buffer(step, join_style="mitre")
     return unary_union([part for part in shapely.get_parts(shape) if part.area > 0.5])
-
-
-def joined_lines(lines: list[np.ndarray]) -> Iterator[np.ndarray]:
-    """Footpaths (N, 2), joined where the end of one is within 1.5 m of another; 5 m or longer."""
-    lines = list(lines)
-
-    def joint(line: np.ndarray) -> tuple[int, np.ndarray] | None:
-        for i, other in enumerate(lines):
-            for a, b in product((line, line[::-1]), (other, other[::-1])):
-                if np.hypot(*(a[-1] - b[0])) < 1.5:
-                    return i, np.concatenate([a, b])
-        return None
-
-    while lines:
-        line = lines.pop()
-        while found := joint(line):
-            del lines[found[0]]
-            line = found[1]
-        if np.hypot(*np.diff(line, axis=0).T).sum() >= 5.0:
-            yield resampled(line)
-
-
-def off_roads(
-    lines: Iterable[np.ndarray], areas: Areas, notes: list[str]
-) -> Iterator[Float[np.ndarray, "N 2"]]:
-    """Footpaths (N, 2) without what leads over a road beside crossings for more than
-    :data:`STRAY`, as where a map's junctions are joined; ``notes`` get how many are cut."""
-    roads = unary_union([areas[Region.JUNCTION], areas[Region.DRIVEWAY]])
-    roads, cut = roads.difference(areas[Region.CROSSWALK].buffer(0.5)), 0
-    for line in lines:
-        path = LineString(line)
-        on = shapely.get_parts(path.intersection(roads))
-        stray = on[shapely.length(on) > STRAY]
-        if not len(stray):
-            yield line
-            continue
-        cut += 1
-        rest = path.difference(unary_union(stray).buffer(0.01))
-        yield from (resampled(np.array(p.coords)) for p in shapely.get_parts(rest) if p.length >= 5)
-    if cut:
-        notes.append(f"footpaths over the carriageway beside crossings: {cut}, cut off there")
 
 
 def mounting_of(

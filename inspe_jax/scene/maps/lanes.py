@@ -149,21 +149,18 @@ class LaneStrip:
     @classmethod
     def along(
         cls, road: int | str, junction: int | str, kind: str, center: Float[np.ndarray, "N 3"],
-        ahead: Float[np.ndarray, "N 2"], width: Float[np.ndarray, " N"] | float,
+        ahead: Float[np.ndarray, "N 2"], width: float,
     ) -> "LaneStrip":  # fmt: skip
         """A strip of a width [m] along a middle line with unit headings ``ahead``."""
-        half = np.broadcast_to(width, len(center))[:, None] / 2
-        across = np.column_stack([-ahead[:, 1], ahead[:, 0], np.zeros(len(ahead))]) * half
+        across = np.column_stack([-ahead[:, 1], ahead[:, 0], 0 * ahead[:, 0]]) * width / 2
         return cls(road, junction, kind, center, center + across, center - across)
 
     @property
     def ground(self) -> Float[np.ndarray, "G 3"]:
         """Points of its surface [m]: of the middle line, and of the edges where it tilts."""
-        lines = (
-            self.center,
-            *(e[abs(e - self.center)[:, 2] > LEVEL] for e in (self.left, self.right)),
-        )
-        return np.concatenate(lines)
+        edges = np.stack([self.left, self.right])
+        tilted = abs(edges - self.center)[..., 2] > LEVEL
+        return np.concatenate([self.center, edges[tilted]])
 
     @functools.cached_property
     def polygon(self) -> BaseGeometry:

@@ -164,10 +164,9 @@ class MapJunction(ABC):
         if any(walk.distance(areas[Region.JUNCTION]) < 8.0 for walk in walks):
             return walks, lines
         if areas[Region.SIDEWALK].intersection(disc).is_empty:
-            none = "no crosswalks: the map has none here, and no sidewalks they could join"
-            self.notes.append(none)
-            return walks, lines
-        strips = "the map has no crosswalks here; strips across the junction's mouths stand in"
+            strips, arms = "no crosswalks: the map has none here, nor sidewalks they could join", ()
+        else:
+            strips = "the map has no crosswalks here; strips across the junction's mouths stand in"
         self.notes.append(strips)
         return walks + [mouth_crosswalks((arm,)) for arm in arms], lines
 

@@ -83,29 +83,24 @@ def _opened(path: Path) -> io.BufferedIOBase:
 
 def driving_side(path: Path, wanted: str | None) -> tuple[str, str]:
     """The side of :data:`SIDES` that traffic of an extract drives on, and a note on why: the one
-    that is wanted, or that of the country. Raises InspeError if another is wanted."""
+    that is wanted, or that of the country where its first point lies. Raises InspeError if another
+    is wanted."""
     if wanted is not None:
         check_known(wanted, SIDES, f"{path}: driving side")
         return wanted, f"traffic drives on the {wanted}, as was asked for"
-    where = left_hand(path)
+    at = Point()
+    with _opened(path) as f, suppress(StopIteration, ValueError):  # netconvert says what is wrong
+        first = next(one for _, one in ET.iterparse(f, ["start"]) if one.tag == "node")
+        at = Point(float(first.get("lon", "")), float(first.get("lat", "")))
+    table = files("inspe_jax.scene.maps.openstreetmap").joinpath("left_hand.toml").read_text()
+    rings = (
+        (name, f"({line}, {line.split(',')[0]})") for name, line in tomllib.loads(table).items()
+    )
+    lands = ((name, shapely.from_wkt(f"POLYGON ({ring})")) for name, ring in rings)
+    where = next((name for name, land in lands if land.covers(at)), "")
     side, other = reversed(SIDES) if where else SIDES
     why = f"as in {where or 'most countries'}"
     return side, f"traffic drives on the {side}, {why}; if not so, give --driving-side {other}"
-
-
-def left_hand(path: Path) -> str:
-    """Where an OpenStreetMap extract with left-hand traffic lies, by its first point; else ''."""
-    with _opened(path) as f:
-        nodes = (one for _, one in ET.iterparse(f, ["start"]) if one.tag == "node")
-        try:
-            at = [float(next(nodes).get(key, "")) for key in ("lon", "lat")]
-        except (StopIteration, ValueError):  # netconvert says what is wrong
-            return ""
-    table = files("inspe_jax.scene.maps.openstreetmap").joinpath("left_hand.toml").read_text()
-    for name, line in tomllib.loads(table).items():
-        if shapely.from_wkt(f"POLYGON (({line}, {line.split(',')[0]}))").covers(Point(at)):
-            return name
-    return ""
 
 
 def run(name: str, arguments: Sequence[str], where: str) -> None:

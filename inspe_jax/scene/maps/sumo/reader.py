@@ -188,10 +188,8 @@ class SumoMap(RoadMap):
         if use == "walkingarea" or len(line) < 2:
             return
         if (length := np.hypot(*np.diff(line[:, :2], axis=0).T).sum()) > LONGEST:
-            raise InspeError(
-                f"{self.path}: lane '{lane.getID()}' is {length / 1000:,.0f} km long; are the "
-                "coordinates of its nodes right?"
-            )
+            long = f"lane '{lane.getID()}' is {length / 1000:,.0f} km long"
+            raise InspeError(f"{self.path}: {long}; mend the coordinates of its nodes")
         center = resampled(line)
         ahead = np.gradient(center[:, :2], axis=0)
         ahead /= np.hypot(*ahead.T)[:, None]

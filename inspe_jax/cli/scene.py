@@ -41,6 +41,7 @@ def scene(
     junction: str | None = None,
     center: tuple[float, float] | None = None,
     at: str | None = None,
+    driving_side: str | None = None,
     bodies: Path | None = None,
     options: SceneOptions,
     mesh: Path | None = None,
@@ -68,6 +69,8 @@ def scene(
         center (X Y): Centre [m] in place of a junction id, for a place with several junctions.
         at (LAT,LON): The junction nearest to a latitude and longitude [degrees], on a map that
             has them.
+        driving_side (left|right): Side of the road that traffic of an OpenStreetMap extract drives
+            on, in place of its country's.
         bodies (FILE.geojson|csv): Houses, walls, trees and poles of your own, besides
             those of the map: polygons, lines and points in degrees, with properties kind and
             height_m; points without a kind are poles. Poles can carry sensors; with --statics map
@@ -94,7 +97,7 @@ def scene(
     traffic = options.traffic
     path, own = Path(source), list[np.ndarray]()
     places = dict(junction=junction, center=center, at=at, bodies=bodies)
-    places |= dict(elevation=elevation, mesh=mesh)
+    places |= dict(elevation=elevation, mesh=mesh, driving_side=driving_side)
     given = [name for name, value in places.items() if value is not None]
     if path.suffix == ".npz":
         _refuse(source, "a saved scene keeps the settings it was built with", [*settings, *given])
@@ -120,8 +123,9 @@ def scene(
             size = profile.of_scene(radius=options.radius)["radius"]
             with common.busy(f"reading {path.name}"):
                 if at is not None:
-                    junction = str(junction_at(path, *_degrees(at)).id)
-                place = read_map(path, junction=junction, center=center, radius=size)
+                    junction = str(junction_at(path, *_degrees(at), driving_side).id)
+                named: dict[str, Any] = dict(junction=junction, center=center)
+                place = read_map(path, **named, radius=size, driving_side=driving_side)
                 place = place if elevation is None else with_elevation(place, elevation, size)
                 place = place if mesh is None else with_mesh(place, mesh, size)
                 before = place.poles
@@ -190,7 +194,7 @@ def layout(
 def _refuse(what: str, why: str, options: Sequence[str]) -> None:
     """Raise InspeError that names the options that are given and cannot be, if any."""
     if options:
-        names = ", ".join(f"--{name}" for name in options)
+        names = ", ".join(f"--{name.replace('_', '-')}" for name in options)
         raise InspeError(f"{what}: {why}; leave out {names}")
 
 

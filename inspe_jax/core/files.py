@@ -222,6 +222,27 @@ def check_input(path: Path, most: float = math.inf) -> None:
     check_size(path, facts.st_size, most, "content")
 
 
+OTHER_KINDS = {
+    b"\x1f\x8b\x08": "is packed with gzip; unpack it: gunzip FILE",
+    b"1AY&SY": "is packed with bzip2; unpack it: bunzip2 FILE",
+    b"PK\x03\x04": "is a zip archive; unpack it: unzip FILE",
+    b"OSMHeader": "is OpenStreetMap's PBF; make XML of it: osmium cat FILE -o city.osm",
+    b"<kml": "is KML; make bodies of it: ogr2ogr -f GeoJSON bodies.geojson FILE",
+    b"<osm": "is XML of OpenStreetMap or Lanelet2; the first is a map: name it city.osm",
+}
+"""What files begin with of kinds that are given in place of others, and what to do with them."""
+
+
+def check_kind(path: Path, *allowed: bytes) -> None:
+    """Raise InspeError if a file is missing, or of :data:`OTHER_KINDS` but for the allowed."""
+    check_input(path)
+    with path.open("rb") as f:
+        start = f.read(1024).partition(b"{")[0]  # of JSON, nothing
+    for mark, words in OTHER_KINDS.items():
+        if mark in start and mark not in allowed:
+            raise InspeError(f"{path}: {words}")
+
+
 def check_size(where: object, size: float, most: float, what: str) -> None:
     """Raise InspeError if ``what`` has more than ``most`` bytes."""
     if size > most:
@@ -230,20 +251,18 @@ def check_size(where: object, size: float, most: float, what: str) -> None:
         )
 
 
-def cached_by_file(
-    size: int,
-) -> Callable[[Callable[[Path], Content]], Callable[[str | os.PathLike[str]], Content]]:
+def cached_by_file(size: int) -> Callable[[Callable[..., Content]], Callable[..., Content]]:
     """A decorator for readers of files: it caches the content of ``size`` files, until they change.
-    The reader then raises InspeError if there is no file."""
+    The reader then raises InspeError if there is no file. It may take an option besides."""
 
-    def decorated(read: Callable[[Path], Content]) -> Callable[[str | os.PathLike[str]], Content]:
-        cached = functools.lru_cache(maxsize=size)(lambda path, *facts: read(path))
+    def decorated(read: Callable[..., Content]) -> Callable[..., Content]:
+        cached = functools.lru_cache(maxsize=size)(lambda facts, *given: read(*given))
 
         @functools.wraps(read)
-        def load(path: str | os.PathLike[str]) -> Content:
+        def load(path: str | os.PathLike[str], *options: Any) -> Content:
             check_input(path := Path(path))
             facts = path.stat()
-            return cached(path, path.resolve(), facts.st_mtime_ns, facts.st_size)
+            return cached((path.resolve(), facts.st_mtime_ns, facts.st_size), path, *options)
 
         return load
 

@@ -14,7 +14,7 @@ from shapely.geometry import shape
 from shapely.geometry.base import BaseGeometry
 
 from inspe_jax.core.errors import InspeError, error_at
-from inspe_jax.core.files import check_model, read_csv, read_json
+from inspe_jax.core.files import check_kind, check_model, read_csv, read_json
 from inspe_jax.scene.georeference import WGS84, Georeference, wgs84
 from inspe_jax.scene.intersection import Intersection
 
@@ -77,6 +77,7 @@ def read_features(
     file is no such file, or a wanted feature has no coordinates.
     """
     georeference = known_georeference(place)
+    check_kind(Path(path))
     content = _points(Path(path)) if str(path).lower().endswith(".csv") else read_json(Path(path))
     found = check_model(_File, content, str(path))
     system = WGS84 if found.crs is None else found.crs.properties.name

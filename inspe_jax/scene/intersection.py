@@ -3,6 +3,7 @@
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +27,8 @@ BUILT_IN = "built-in"  # source of a place that is made up
 CLEARANCE = 2.5  # what is higher or lower than the road by more is on another level [m]
 ALONG = 0.87  # lines that differ by less than 30° run along each other
 LOW = 0.4  # what of a mesh rises less over the ground is part of it, as kerbs are [m]
+BEYOND = 3.0  # people who cross begin and end so far beyond a crosswalk [m]
+STRAY = 4.0  # footpaths lead no farther over a road beside crossings [m]
 CROSSWALK_WIDTH = 3.0  # width of a crosswalk that is added where a map has none [m]
 
 
@@ -107,7 +110,8 @@ class Intersection(Described):
     which a scene has with ``statics="map"``; ``mesh`` are the triangles that bodies of kind
     ``solid`` stand for. ``georeference`` is the projection of its coordinates, None if unknown.
     ``level_points`` are the ground points of the map, where the place stands on other ground
-    (:meth:`standing_on`). A saved scene keeps neither the map nor these.
+    (:meth:`standing_on`). ``driving_side`` is what was asked for in place of the country's. A saved
+    scene keeps neither the map nor these.
     """
 
     name: str
@@ -125,6 +129,7 @@ class Intersection(Described):
     georeference: Georeference | None = field(default=None, metadata={ORIGIN: None})
     mesh: Mesh | None = None
     level_points: Float[np.ndarray, "N 3"] | None = field(default=None, metadata={ORIGIN: None})
+    driving_side: str | None = field(default=None, metadata={ORIGIN: None})
 
     def _facts(self) -> dict[str, Any]:
         counts = {part: len(getattr(self, part)) for part in ("arms", "routes", "poles", "bodies")}
@@ -196,7 +201,7 @@ def mouth_crosswalks(arms: tuple[Arm, ...]) -> BaseGeometry:
 def crossing_lines(
     walks: list[BaseGeometry], lanes: Iterable[np.ndarray] = ()
 ) -> Iterator[np.ndarray]:
-    """The middle line (N, 2) of each crosswalk, 3 m beyond both ends: along its longer side, or
+    """The middle line (N, 2) of each crosswalk, :data:`BEYOND` both ends: along its longer side, or
     along the other if the lines of ``lanes`` under it run along that."""
     steps = [np.diff(line[:, :2], axis=0) for line in lanes]
     at = np.concatenate([np.zeros((0, 2)), *(line[:-1, :2] for line in lanes)])
@@ -209,9 +214,50 @@ def crossing_lines(
         alike = abs(under @ along) > ALONG * length.max() * np.hypot(*under.T)
         if alike.sum() > len(under) / 2:
             along = sides[np.argmin(length)]
-        reach = along / 2 + 3.0 * along / np.linalg.norm(along)
+        reach = along / 2 + BEYOND * along / np.linalg.norm(along)
         middle = corners.mean(0)
         yield resampled(np.array([middle - reach, middle + reach]))
+
+
+def joined_lines(lines: list[np.ndarray]) -> Iterator[np.ndarray]:
+    """Footpaths (N, 2), joined where the end of one is within 1.5 m of another; 5 m or longer."""
+    lines = list(lines)
+
+    def joint(line: np.ndarray) -> tuple[int, np.ndarray] | None:
+        for i, other in enumerate(lines):
+            for a, b in product((line, line[::-1]), (other, other[::-1])):
+                if np.hypot(*(a[-1] - b[0])) < 1.5:
+                    return i, np.concatenate([a, b])
+        return None
+
+    while lines:
+        line = lines.pop()
+        while found := joint(line):
+            del lines[found[0]]
+            line = found[1]
+        if np.hypot(*np.diff(line, axis=0).T).sum() >= 5.0:
+            yield resampled(line)
+
+
+def off_roads(
+    lines: Iterable[np.ndarray], areas: Mapping[Region, BaseGeometry], notes: list[str]
+) -> Iterator[Float[np.ndarray, "N 2"]]:
+    """Footpaths (N, 2) without what leads over a road beside crossings for more than
+    :data:`STRAY`, as where a map's junctions are joined; ``notes`` get how many are cut."""
+    roads = unary_union([areas[Region.JUNCTION], areas[Region.DRIVEWAY]])
+    roads, cut = roads.difference(areas[Region.CROSSWALK].buffer(0.5)), 0
+    for line in lines:
+        path = LineString(line)
+        on = shapely.get_parts(path.intersection(roads))
+        stray = on[shapely.length(on) > STRAY]
+        if not len(stray):
+            yield line
+            continue
+        cut += 1
+        rest = path.difference(unary_union(stray).buffer(0.01))
+        yield from (resampled(np.array(p.coords)) for p in shapely.get_parts(rest) if p.length >= 5)
+    if cut:
+        notes.append(f"footpaths over the carriageway beside crossings: {cut}, cut off there")
 
 
 def walking_routes(place: Intersection, lines: Iterable[np.ndarray]) -> Iterator[Route]:

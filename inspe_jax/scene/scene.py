@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float
 from shapely.geometry.base import BaseGeometry
 
 from inspe_jax.core.errors import InspeError, error_at, nearest, wrong_kind
-from inspe_jax.core.files import cached_by_file, check_output, open_arrays, whole_file
+from inspe_jax.core.files import cached_by_file, check_kind, check_output, open_arrays, whole_file
 from inspe_jax.core.pytree import pytree
 from inspe_jax.core.records import Described, check_record
 from inspe_jax.scene.geojson import SUFFIX as GEOJSON
@@ -31,7 +31,7 @@ from inspe_jax.scene.regions import Region
 from inspe_jax.scene.statics import StaticBody, pack_bodies, unpack_bodies
 from inspe_jax.scene.street import check_statics, statics_of
 from inspe_jax.scene.terrain import Terrain, check_terrain, terrain_of
-from inspe_jax.scene.traffic.carla_log import LOG_SUFFIXES, load_log, log_traffic
+from inspe_jax.scene.traffic.carla_log import LOG_SUFFIXES, log_traffic
 from inspe_jax.scene.traffic.frames import DENSITIES, TrafficFrames, shortfall, traffic_model
 from inspe_jax.scene.voxels import VoxelGrid, build_voxels
 
@@ -195,9 +195,9 @@ def build_scene(
     size: dict[str, Any] = dict(radius=radius, frames=frames, step=step)
     source, drawn = str(traffic), str(seed)
     if source.endswith(LOG_SUFFIXES):
-        found = log_traffic(intersection, Path(traffic), **size)
-        notes = (*intersection.notes, *load_log(traffic).notes)
-        intersection = replace(intersection, notes=notes)
+        notes = [*intersection.notes]
+        found = log_traffic(intersection, Path(traffic), **size, notes=notes)
+        intersection = replace(intersection, notes=tuple(notes))
         density, mix, source, drawn = AS_RECORDED, AS_RECORDED, Path(traffic).name, ""
     else:
         size |= dict(count=density_count(density), mix=mix, seed=seed, progress=progress)
@@ -257,6 +257,8 @@ def check_scene_name(source: str | os.PathLike[str]) -> None:
         return
     if other := what_is(source):
         raise InspeError(f"{source}: {other}")
+    if Path(source).is_file():
+        check_kind(Path(source))
     raise InspeError(
         f"no scene '{source}': give a built-in ({', '.join(BUILT_INS)}), a saved .npz, or a map "
         f"(.xodr, .net.xml, .osm){nearest(str(source), tuple(BUILT_INS))}"

@@ -65,6 +65,7 @@ def files(tmp_path_factory, scene):
     (folder / "rule.yaml").write_text(LAYOUT.replace("yaw_deg: 0", "yaw_deg: 0, offset: [3, 0]"))
     (folder / "page.xodr").write_text("<html></html>")
     (folder / "cut.xodr").write_text("<OpenDRIVE><road id='1'>")
+    (folder / "city.osm.bz2").write_bytes(b"BZh91AY&SY")
     return folder
 
 
@@ -327,6 +328,8 @@ BAD = [
     (("scene", "four_way", "--traffic", "a.log", "--seed", 1), "a log has traffic of its own"),
     (("scene", "none.net.xml", "--list"), "none.net.xml: no such file"),
     (("scene", "cut.xodr", "--list"), "cut.xodr"),
+    (("scene", "four_way", "--driving-side", "left"), "is no map; leave out --driving-side"),
+    (("scene", "city.osm.bz2", "--list"), "city.osm.bz2: is packed with bzip2; unpack it"),
     (("sweep", "missing.yaml"), "missing.yaml: no such file"),
     (("generate", "missing.yaml", "--out", "no/such"), "no/such: no such folder: no"),
     (("generate", "none.yaml", "--out", "set", "--server", "sim:two"), "server 'sim:two': HOST"),

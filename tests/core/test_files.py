@@ -1,11 +1,13 @@
 """Reading files: each once for as long as it does not change, and none beyond its bounds."""
 
+import bz2
 import gzip
 import io
 import os
 import pickle
 import resource
 import zipfile
+from contextlib import nullcontext
 
 import numpy as np
 import pytest
@@ -17,6 +19,7 @@ from inspe_jax.core.files import (
     STRICT,
     YAML,
     cached_by_file,
+    check_kind,
     check_model,
     check_xml,
     csv_text,
@@ -51,6 +54,25 @@ def test_a_file_is_read_again_only_when_it_changes(tmp_path):
     path.unlink()
     with pytest.raises(InspeError, match="no such file"):
         words(path)
+
+
+OTHER = {
+    gzip.compress(b"{}"): "is packed with gzip; unpack it: gunzip FILE",
+    bz2.compress(b"{}"): "is packed with bzip2; unpack it: bunzip2 FILE",
+    b"PK\x03\x04": "is a zip archive",
+    b"\0\0\0\r\n\tOSMHeader": "is OpenStreetMap's PBF",
+    b'<?xml version="1.0"?>\n<kml xmlns="x"/>': "is KML; make bodies of it: ogr2ogr",
+    b"<!-- a map -->\n<osm/>": "is XML of OpenStreetMap or Lanelet2",
+    b'{"name": "<kml"}': "",
+}
+
+
+@pytest.mark.parametrize("start", OTHER)
+def test_a_file_of_another_kind_says_what_it_is(tmp_path, start):
+    path = tmp_path / "bodies.geojson"
+    path.write_bytes(start)
+    with pytest.raises(InspeError, match=OTHER[start]) if OTHER[start] else nullcontext():
+        check_kind(path)
 
 
 LAUGHS = "a0: &a0 [x, x, x, x, x, x, x, x, x, x]\n" + "".join(

@@ -139,7 +139,9 @@ def test_who_is_above_the_road_is_left_out(path):
 def test_bad_input(place, path, tmp_path):
     beside = {key: shapely.affinity.translate(of, 30, 30) for key, of in place.regions.items()}
     with pytest.raises(InspeError, match=r"map 'Town01', and not of test crossing: 33% of"):
-        log_traffic(replace(place, regions=beside), path, radius=60, frames=3)
+        log_traffic(replace(place, regions=beside, map=None), path, radius=60, frames=3)
+    log_traffic(replace(place, regions=beside), path, radius=60, frames=3, notes=(said := []))
+    assert said == ["33% of the log's cars and trucks are on the roads here"]
     for name in ("renamed.xodr", "Town05.net.xml"):  # what its map's file is called says nothing
         named = log_traffic(replace(place, map=Path(name)), path, radius=60, frames=3)
         assert named.frame_count == 3

@@ -196,7 +196,15 @@ ERRORS = {
     "direct": (
         GOOD.replace("<junction", '<junction id="5" type="direct"/><junction', 1),
         {"junction": 5},
-        r"street.xodr: junction 5 is not read: a direct junction has no area of its own; choose an",
+        r"street.xodr: junction 5 is not read: a direct junction has no area of its own, choose an",
+    ),
+    "no contact point": (
+        re.sub(
+            r'(tRoad|cessor elementType="road" elementId="[12]") contactPoint="\w*"', r"\1", GOOD
+        ),
+        {},
+        r"junction 7 is not read: none of its roads that can be read has lanes; road 10 "
+        r"\(contactPoint of its <predecessor> is missing; write start or end\); road 11 \(",
     ),
     "unknown junction": (GOOD, {"junction": 3}, r"street.xodr: no junction '3'; there are: 7$"),
     "far center": (
@@ -330,6 +338,9 @@ def test_traffic_drives_on_the_left_where_the_rule_says_so(write):
 def test_a_road_tilts_and_lanes_are_raised(write):
     tilt = '<lateralProfile><superelevation s="0" a="0.1" b="0" c="0" d="0"/></lateralProfile>'
     text = GOOD.replace("<lanes>", tilt + "<lanes>")
+    kerbs = np.array([[-20.3, t * np.cos(0.1), 0.794 + t * np.sin(0.1)] for t in (-4.5, -3.5, 4.5)])
+    ground = read_map(write(text), junction=7, radius=30).ground(kerbs[:, :2])
+    np.testing.assert_allclose(ground, kerbs[:, 2], atol=0.01)  # between stations 1 m apart
     text = text.replace('type="sidewalk">', 'type="sidewalk" level="true">')
     text = text.replace(
         "</lane></left>", '<height sOffset="0" inner="0.1" outer="0.1"/></lane></left>'

@@ -6,7 +6,7 @@ import tracemalloc
 import numpy as np
 import pytest
 import shapely
-from osm_town import LAT, LON, METRES, Town, box, degrees, full_town
+from osm_town import LAT, LON, METRES, ROAD, Town, box, degrees, full_town
 from shapely.geometry import LineString, Point, Polygon
 
 from inspe_jax.core.digest import digest
@@ -23,6 +23,7 @@ pytest.importorskip("sumolib", reason="needs SUMO: extra [sumo]")
 pytest.importorskip("pyproj", reason="needs pyproj: extra [sumo]")
 
 from inspe_jax.scene.maps.sumo.reader import load_net
+from inspe_jax.scene.traffic.sumo.generate import sumo_traffic
 
 
 @pytest.fixture(scope="module")
@@ -302,18 +303,69 @@ def test_a_scene_has_the_map_s_bodies_and_keeps_them(place, tmp_path):
     assert digest(rebuilt.statics) == digest(scene.statics)
 
 
-def test_traffic_drives_on_the_left_where_the_country_does(tmp_path):
+SIDES = {  # the side that is asked for, where the town lies, and its note
+    (
+        "right",
+        None,
+        "51",
+        "-1",
+    ): "on the left, as in Great Britain or Ireland; if not so, give --dr",
+    (
+        "left",
+        None,
+        "48",
+        "11",
+    ): "on the right, as in most countries; if not so, give --driving-side",
+    ("right", "left", "48", "11"): "on the left, as was asked for",
+    ("left", "right", "51", "-1"): "on the right, as was asked for",
+}
+
+
+@pytest.mark.parametrize("case", SIDES)
+def test_traffic_drives_on_the_side_of_its_country_or_that_is_asked_for(tmp_path, case):
+    looking_out, side, lat, lon = case
     text = full_town().write(tmp_path / "town.osm").read_text()
-    (tmp_path / "town.osm").write_text(
-        text.replace('lat="48', 'lat="51').replace('lon="11', 'lon="-1')
-    )
-    place = read_map(tmp_path / "town.osm", junction="1", radius=40.0)
-    assert "on the left, as in Great Britain or Ireland; where" in " ".join(place.notes)
-    vehicles = [r for r in place.routes if r.user == "vehicle"]
-    assert vehicles
-    for route in vehicles:
+    text = text.replace('lat="48', f'lat="{lat}').replace('lon="11', f'lon="{lon}')
+    (tmp_path / "town.osm").write_text(text)
+    place = read_map(tmp_path / "town.osm", junction="1", radius=40.0, driving_side=side)
+    assert f"traffic drives {SIDES[case]}" in " ".join(place.notes)
+    starts = [r for r in place.routes if r.user == "vehicle"]
+    assert starts
+    for route in starts:
         arm = place.arms[route.through[0]]
-        assert (arm.axes @ (route.waypoints[0, :2] - arm.mouth))[1] < 0  # right, looking outwards
+        inbound = (arm.axes @ (route.waypoints[0, :2] - arm.mouth))[1]
+        assert (inbound > 0) == (looking_out == "left")
+    traffic = sumo_traffic(place, radius=40, count=15, frames=20, mix="largest")
+    arm, there = place.arms[0], traffic.valid
+    along, across = arm.axes @ (traffic.center[there, :2] - arm.mouth).T
+    onward = (traffic.velocity[there, :2] @ arm.axes[0])[(along > 10) & (abs(across) < 8)]
+    across = across[(along > 10) & (abs(across) < 8)]
+    assert (onward != 0).sum() > 5  # on the arm, also for SUMO
+    wrong = np.sign(onward) * np.sign(across) == (1 if looking_out == "left" else -1)
+    assert not wrong.any()
+
+
+def test_people_walk_on_no_carriageway_where_junctions_are_joined(tmp_path):
+    """Two carriageways of three lanes 8 m apart, which overlap, with sidewalks in each other's
+    lanes, and a street across: SUMO joins their two nodes."""
+    town = Town()
+    town.ways.clear()
+    one, two = (town.node((x, 0), highway="traffic_signals") for x in (-4, 4))
+    wide = dict(highway="secondary", lanes="3", oneway="yes", sidewalk="both")
+    for node, x, y in ((one, -4, 100), (two, 4, -100)):
+        town.way([town.node((x, y)), node, town.node((x, -y))], **wide)
+    town.way([town.node((-100, 0)), one, two, town.node((100, 0))], **ROAD)
+    path = town.write(tmp_path / "joined.osm")
+    (joined,) = list_junctions(path)
+    place = read_map(path, junction=joined.id, radius=40)
+    roads = place.regions[Region.JUNCTION].union(place.regions[Region.DRIVEWAY])
+    beside = roads.difference(place.regions[Region.CROSSWALK].buffer(0.5))
+    people = [LineString(r.waypoints[:, :2]) for r in place.routes if r.user == "pedestrian"]
+    assert sum(one.length for one in people) > 300
+    for part in shapely.get_parts(shapely.intersection(people, beside)):
+        assert part.length < 4.0  # crossing lines end 3 m beyond the crosswalk
+    note = "footpaths over the carriageway beside crossings: 4, cut off there"
+    assert note in place.notes
 
 
 def test_points_with_heights_make_the_ground(tmp_path):

@@ -14,7 +14,7 @@ from worlds import rilsa
 
 import inspe_jax
 from inspe_jax.core.errors import InspeError
-from inspe_jax.scene.maps.registry import list_junctions, read_map
+from inspe_jax.scene.maps.registry import list_junctions, open_map, read_map
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.scene import build_scene
 from inspe_jax.scene.traffic.frames import CLASSES, ROAD_USERS
@@ -220,6 +220,13 @@ BROKEN = {
     "other": ("a.net.xml", "<html/>", "the root element is <html>, not <net>"),
     "nothing": ("a.net.xml", "", "not well-formed XML"),
     "other extract": ("a.osm", "<html/>", "the root element is <html>, not <osm>"),
+    "another side": ("a.osm", "<osm/>", "driving side 'links': one of right, left"),
+    "a network's side": ("a.net.xml", NET, "only OpenStreetMap takes a driving side; leave it out"),
+    "Lanelet2": (
+        "a.osm",
+        '<osm><relation id="1"><tag k="type" v="lanelet"/></relation></osm>',
+        "is a map of Lanelet2, which is not read; convert it to OpenDRIVE",
+    ),
     "empty extract": ("a.osm", '<osm version="0.6"></osm>', "netconvert failed"),
 }
 
@@ -229,8 +236,9 @@ def test_each_bad_map_gets_its_message(tmp_path, case):
     name, text, message = BROKEN[case]
     path = tmp_path / name
     path.write_text(text)
+    side = "links" if "side" in case else None
     with pytest.raises(InspeError, match=message) as raised:
-        list_junctions(path)
+        open_map(path, side)
     assert str(path) in str(raised.value)
 
 

@@ -129,6 +129,7 @@ def _arm(group: list[Approach]) -> Arm:
 
 
 GRADE = 0.3  # a lane that climbs more steeply is on another level; Town03 has streets of 0.2
+LEVEL = 1e-3  # an edge whose height differs less from the middle's adds nothing [m]
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,27 +143,33 @@ class LaneStrip:
     junction: int | str
     kind: str
     center: Float[np.ndarray, "N 3"]
-    left: Float[np.ndarray, "N 2"]
-    right: Float[np.ndarray, "N 2"]
+    left: Float[np.ndarray, "N 3"]
+    right: Float[np.ndarray, "N 3"]
 
     @classmethod
     def along(
         cls, road: int | str, junction: int | str, kind: str, center: Float[np.ndarray, "N 3"],
-        ahead: Float[np.ndarray, "N 2"], width: Float[np.ndarray, " N"] | float,
+        ahead: Float[np.ndarray, "N 2"], width: float,
     ) -> "LaneStrip":  # fmt: skip
         """A strip of a width [m] along a middle line with unit headings ``ahead``."""
-        half = np.broadcast_to(width, len(center))[:, None] / 2
-        across = np.column_stack([-ahead[:, 1], ahead[:, 0]]) * half
-        left, right = center[:, :2] + across, center[:, :2] - across
-        return cls(road, junction, kind, center, left, right)
+        across = np.column_stack([-ahead[:, 1], ahead[:, 0], 0 * ahead[:, 0]]) * width / 2
+        return cls(road, junction, kind, center, center + across, center - across)
+
+    @property
+    def ground(self) -> Float[np.ndarray, "G 3"]:
+        """Points of its surface [m]: of the middle line, and of the edges where it tilts."""
+        edges = np.stack([self.left, self.right])
+        tilted = abs(edges - self.center)[..., 2] > LEVEL
+        return np.concatenate([self.center, edges[tilted]])
 
     @functools.cached_property
     def polygon(self) -> BaseGeometry:
         """The lane's surface. Where a tight bend folds an edge over, it is joined from quads."""
-        whole = Polygon(np.concatenate([self.left, self.right[::-1]]))
+        left, right = self.left[:, :2], self.right[:, :2]
+        whole = Polygon(np.concatenate([left, right[::-1]]))
         if whole.is_valid:
             return whole
-        quads = np.stack([self.left[:-1], self.left[1:], self.right[1:], self.right[:-1]], 1)
+        quads = np.stack([left[:-1], left[1:], right[1:], right[:-1]], 1)
         return unary_union(shapely.convex_hull(shapely.polygons(quads)))
 
     def runs(self, keep: np.ndarray) -> "Iterator[LaneStrip]":

@@ -29,14 +29,18 @@ def is_map(path: str | os.PathLike[str]) -> bool:
     return any(str(path).lower().endswith(suffixes) for suffixes in FORMATS)
 
 
-def open_map(path: str | os.PathLike[str]) -> RoadMap:
-    """The map of a file.
+def open_map(path: str | os.PathLike[str], driving_side: str | None = None) -> RoadMap:
+    """The map of a file. ``driving_side``, ``left`` or ``right``, of an OpenStreetMap extract is
+    that of its country if it is None.
 
-    Raises InspeError if an extra or the file is missing, or if the file is not a map.
+    Raises InspeError if an extra or the file is missing, if the file is not a map, or if it is one
+    that says itself on which side traffic drives.
     """
+    if driving_side is not None and not str(path).lower().endswith(OSM_SUFFIXES):
+        raise InspeError(f"{path}: only OpenStreetMap takes a driving side; leave it out")
     for suffixes, reader in FORMATS.items():
         if str(path).lower().endswith(suffixes):
-            return resolve_name(reader)(path)
+            return resolve_name(reader)(path, *(() if driving_side is None else (driving_side,)))
     known = ", ".join(suffix for suffixes in FORMATS for suffix in suffixes)
     raise InspeError(f"{path}: not a map: its name must end in {known}")
 
@@ -46,13 +50,16 @@ def list_junctions(path: str | os.PathLike[str]) -> tuple[JunctionInfo, ...]:
     return open_map(path).list_junctions()
 
 
-def junction_at(path: str | os.PathLike[str], lat: float, lon: float) -> JunctionInfo:
+def junction_at(
+    path: str | os.PathLike[str], lat: float, lon: float, driving_side: str | None = None
+) -> JunctionInfo:
     """The junction of a map that is nearest to a latitude and longitude [degrees].
 
     Raises InspeError if the map has no projection, if every junction is farther than :data:`FAR`,
     or as :func:`read_map`.
     """
-    georeference = open_map(path).georeference
+    whole = open_map(path, driving_side)
+    georeference = whole.georeference
     if georeference is None:
         raise InspeError(
             f"{path}: the map does not say where on the Earth it is: choose a place with "
@@ -61,7 +68,7 @@ def junction_at(path: str | os.PathLike[str], lat: float, lon: float) -> Junctio
     if not (abs(lat) <= 90 and abs(lon) <= 180):
         raise InspeError(f"{lat:g},{lon:g}: a latitude of -90 to 90, and then a longitude")
     at = georeference.from_degrees(np.array([[lon, lat]]))[0]
-    found = list_junctions(path)
+    found = whole.list_junctions()
     away = [float(np.hypot(*(np.array(one.center[:2]) - at))) for one in found]
     if not found:
         raise InspeError(f"{path}: the map has no junction")
@@ -80,6 +87,7 @@ def read_map(
     junction: str | int | None = None,
     center: tuple[float, float] | None = None,
     radius: float = 50.0,
+    driving_side: str | None = None,
 ) -> Intersection:
     """One junction of a map and its surroundings, in world metres (ENU).
 
@@ -92,9 +100,10 @@ def read_map(
         junction: Id of a junction of OpenDRIVE, or of a node of a network.
         center: (x, y) [m] in place of an id. All junctions within 35 m count as one.
         radius: Routes begin and end there [m].
+        driving_side: ``left`` or ``right`` for an OpenStreetMap extract, in place of its country's.
 
     Raises:
         InspeError: An extra or the file is missing, the file is not a map, or it has no such
             junction or no road near.
     """
-    return open_map(path).read(junction, center, radius)
+    return open_map(path, driving_side).read(junction, center, radius)

@@ -4,7 +4,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from itertools import pairwise, product
+from itertools import pairwise
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, ClassVar, NamedTuple
@@ -25,7 +25,9 @@ from inspe_jax.scene.intersection import (
     Route,
     corner_islands,
     crossing_lines,
+    joined_lines,
     mouth_crosswalks,
+    off_roads,
     walking_routes,
 )
 from inspe_jax.scene.lines import distance_from, distinct, onward, resampled
@@ -81,26 +83,6 @@ def clean(shape: BaseGeometry) -> BaseGeometry:
         for step in (0.05, -0.12, 0.07):
             shape = shape.buffer(step, join_style="mitre")
     return unary_union([part for part in shapely.get_parts(shape) if part.area > 0.5])
-
-
-def joined_lines(lines: list[np.ndarray]) -> Iterator[np.ndarray]:
-    """Footpaths (N, 2), joined where the end of one is within 1.5 m of another; 5 m or longer."""
-    lines = list(lines)
-
-    def joint(line: np.ndarray) -> tuple[int, np.ndarray] | None:
-        for i, other in enumerate(lines):
-            for a, b in product((line, line[::-1]), (other, other[::-1])):
-                if np.hypot(*(a[-1] - b[0])) < 1.5:
-                    return i, np.concatenate([a, b])
-        return None
-
-    while lines:
-        line = lines.pop()
-        while found := joint(line):
-            del lines[found[0]]
-            line = found[1]
-        if np.hypot(*np.diff(line, axis=0).T).sum() >= 5.0:
-            yield resampled(line)
 
 
 def mounting_of(
@@ -165,27 +147,28 @@ class MapJunction(ABC):
 
     def crosswalks(
         self, areas: Areas, arms: tuple[Arm, ...], ground: Float[np.ndarray, "N 3"], disc: Polygon
-    ) -> list[BaseGeometry]:
-        """The crosswalks of its map inside the disc and near ground points [m].
+    ) -> tuple[list[BaseGeometry], list[np.ndarray]]:
+        """The crosswalks of its map inside the disc and near ground points [m], and the ``walked``
+        lines of the first of them.
 
         If there is none at the junction, strips across the arms' mouths are added, with a note.
         """
         index = cKDTree(ground[:, :2])
-        walks = []
-        for loop in self.map.crossings:
+        walks, lines = [], list[np.ndarray]()
+        for k, loop in enumerate(self.map.crossings):
             middle = loop.mean(0)
             level = ground[index.query(middle[:2])[1], 2]
             if disc.contains(Point(middle)) and abs(middle[2] - level) < 2.0:
                 walks.append(valid(Polygon(loop[:, :2])))
+                lines += self.map.walked[k : k + 1]
         if any(walk.distance(areas[Region.JUNCTION]) < 8.0 for walk in walks):
-            return walks
+            return walks, lines
         if areas[Region.SIDEWALK].intersection(disc).is_empty:
-            none = "no crosswalks: the map has none here, and no sidewalks they could join"
-            self.notes.append(none)
-            return walks
-        strips = "the map has no crosswalks here; strips across the junction's mouths stand in"
+            strips, arms = "no crosswalks: the map has none here, nor sidewalks they could join", ()
+        else:
+            strips = "the map has no crosswalks here; strips across the junction's mouths stand in"
         self.notes.append(strips)
-        return walks + [mouth_crosswalks((arm,)) for arm in arms]
+        return walks + [mouth_crosswalks((arm,)) for arm in arms], lines
 
     @abstractmethod
     def lanes(self) -> tuple[list[LaneStrip], list[bool]]:
@@ -289,10 +272,10 @@ class RoadMap(ABC):
 
     ``format`` is how the source of its places ends, ``around`` how a junction is read. ``name`` is
     that of its file without suffixes. ``crossings`` are the outlines of all crosswalks, each
-    (K, 3). ``georeference`` is the projection of its coordinates, None without a usable one.
-    ``notes`` are on all of it; ``unread`` are junctions that are left out, with why. Coordinates
-    are less than in the file by ``moved`` [m]. ``follows`` and ``leads`` have the lanes after and
-    before each, as traffic runs.
+    (K, 3), and ``walked`` the lines (N, 2) over them, where the format has these. ``georeference``
+    is the projection of its coordinates, None without a usable one. ``notes`` are on all of it;
+    ``unread`` are junctions that are left out, with why. Coordinates are less than in the file by
+    ``moved`` [m]. ``follows`` and ``leads`` have the lanes after and before each, as traffic runs.
     """
 
     format: ClassVar[str]
@@ -300,6 +283,7 @@ class RoadMap(ABC):
     path: Path
     name: str
     crossings: Sequence[np.ndarray]
+    walked: Sequence[np.ndarray] = ()
     georeference: Georeference | None
     follows: Mapping[Any, Sequence[Any]]
     leads: Mapping[Any, Sequence[Any]]
@@ -357,7 +341,7 @@ class RoadMap(ABC):
         here = self.around(self, members, middle, radius)
         lane_strips = same_level(*here.lanes())
         reach = radius + MARGIN
-        ground = np.concatenate([np.zeros((0, 3)), *(s.center for s in lane_strips)])
+        ground = np.concatenate([np.zeros((0, 3)), *(s.ground for s in lane_strips)])
         ground = ground[distance_from(ground, middle) <= reach + 5.0]
         if not len(ground):
             raise InspeError(
@@ -366,7 +350,7 @@ class RoadMap(ABC):
         arms, arm_of = arms_of(here.approaches)
         areas = _side_by_side(here.areas(lane_strips))
         disc = Point(middle[:2]).buffer(reach, quad_segs=32)
-        walks = here.crosswalks(areas, arms, ground, disc)
+        walks, known = here.crosswalks(areas, arms, ground, disc)
         areas[Region.CROSSWALK] = clean(unary_union(walks))
         regions = {region: areas[region].intersection(disc) for region in Region}
         medians = [s.polygon for s in lane_strips if s.kind == "median"]
@@ -390,13 +374,15 @@ class RoadMap(ABC):
             for run in strip.runs(distance_from(strip.center, middle) <= radius)
         ]
         lanes = [s.center for s in lane_strips if s.kind in CARRIAGEWAY]
-        people = walking_routes(place, [*crossing_lines(walks, lanes), *joined_lines(pavements)])
+        paths = [*known, *crossing_lines(walks[len(known) :], lanes), *joined_lines(pavements)]
+        people = walking_routes(place, off_roads(paths, areas, here.notes))
         place = replace(
             place,
             center=place.on_ground(middle[None])[0],
             poles=place.on_ground(here.poles),
             routes=(*here.drives(arm_of), *people),
         )
+        here.notes += self.notes
         place = here.with_bodies(place, lane_strips)
         if not len(place.poles):
             here.notes.append(NO_POLES)

@@ -160,14 +160,16 @@ def kind_of(name: str, facts: dict[str, str], length: float) -> int | None:
 
 
 def log_traffic(
-    intersection: Intersection, path: Path, *, radius: float, frames: int, step: float = 1.0
-) -> TrafficFrames:
+    intersection: Intersection, path: Path, *, radius: float, frames: int, step: float = 1.0,
+    notes: list[str] | None = None,
+) -> TrafficFrames:  # fmt: skip
     """The recorded traffic at an intersection of the log's own map, whatever its file is called.
 
     There are up to ``frames`` frames ``step`` seconds apart from the log's beginning, interpolated
     linearly, with all road users within ``radius`` [m] of the centre. Those above or beneath the
-    ground, as just after spawning, are left out. Raises InspeError if the log cannot be read, if
-    nobody comes within the radius, or if most cars and trucks are beside the roads.
+    ground, as just after spawning, are left out. ``notes`` get those of the log, and that most cars
+    and trucks are beside the roads of a map of the log's name. Raises InspeError if the log cannot
+    be read, if nobody comes within the radius, or if they are so on another map.
     """
     log = load_log(path)
     times = np.array([moment.time for moment in log.moments])
@@ -184,7 +186,12 @@ def log_traffic(
     middle = np.concatenate([frame.center for frame in seen])
     cars = middle[np.isin(kind, [CLASSES.index("car"), CLASSES.index("truck")])]
     share = shapely.intersects_xy(roads, *cars[:, :2].T).mean() if len(cars) else 1.0
-    if share < ON_ROADS:
+    notes = [] if notes is None else notes
+    notes += log.notes
+    own = intersection.map is not None and intersection.map.name.split(".")[0] == log.map
+    if share < ON_ROADS and own:
+        notes.append(f"{share:.0%} of the log's cars and trucks are on the roads here")
+    elif share < ON_ROADS:
         raise InspeError(
             f"{path}: a log of map '{log.map}', and not of {intersection.name}: {share:.0%} of its "
             "cars and trucks are on the roads here; read the intersection from the log's own map"

@@ -279,7 +279,7 @@ def _along(lanes: Iterable[LaneStrip]) -> Iterator[Spot]:
     for lane in lanes:
         line = lane.center[:, :2]
         arc = arc_of(line)
-        wide = np.hypot(*(lane.left - lane.right).T)
+        wide = np.hypot(*(lane.left - lane.right)[:, :2].T)
         across = float(np.median(wide)) > DEEP
         pitch = ABREAST if across else PARALLEL
         for at in np.arange(pitch / 2, arc[-1] - pitch / 2 + 1e-9, pitch):

@@ -60,7 +60,8 @@ from inspe_jax.scene.regions import Region
 ISLAND = 3.0  # a gap between a junction's lanes is paved unless such a circle fits in it [m]
 COARSE = 5.0  # spacing of the points of a map's road lines [m]
 MOST_NAMED = 6  # at most so many of what is left out are named in a note
-NO_AREA = "a {} junction has no area of its own; choose another"
+NO_AREA = "a {} junction has no area of its own, choose another"
+NO_LANES = "none of its roads that can be read has lanes"
 BOX = 10  # a bounding box is that of so many stretches of each lane
 KINDS = CARRIAGEWAY | SHOULDER | SIDEWALK | {"none", "median", "rail", "tram"}  # known types
 APRON = 25.0  # lanes are read so much farther than kept [m]: none ends inside the rim
@@ -81,7 +82,7 @@ class OpenDriveJunction(MapJunction):
         for road in self.map.roads.values():
             for index in range(len(road.sections)) if road.near(self.middle, reach) else ():
                 for strip in self.map.strips(road, index).values():
-                    width = np.hypot(*(strip.left - strip.right).T).max()
+                    width = np.hypot(*(strip.left - strip.right)[:, :2].T).max()
                     if width < 0.05:
                         continue
                     # One lane's width farther: the disc cuts the lane, and not its stations.
@@ -117,7 +118,6 @@ class OpenDriveJunction(MapJunction):
 
     def with_bodies(self, place: Intersection, lane_strips: list[LaneStrip]) -> Intersection:
         reach, shapes = self.radius + MARGIN, self.map.shapes
-        self.notes += self.map.notes
         lanes = unary_union([s.polygon for s in lane_strips if s.kind in CARRIAGEWAY])
         hung = shapely.intersects_xy(lanes, *place.poles[:, :2].T)
         if hung.any():
@@ -143,13 +143,17 @@ class OpenDriveMap(RoadMap):
         self.path, self.name = path, path.stem
         root = read_tree(path)
         self.moved = moved = moved_near(root)
-        found, out = read_roads(root)
+        found, roads_out = read_roads(root)
+        out = [words for _, words in roads_out]
         self.roads = {name: road for name, (_, road) in found.items()}
         if not self.roads:
             why = f" that can be read: {'; '.join(out[:MOST_NAMED])}" if out else ""
             raise InspeError(f"{path}: the map has no roads{why}")
-        self._strips: dict[tuple[Id, int], dict[int, LaneStrip]] = {}
         graph = LaneGraph(self.roads, root)
+        self.inside: dict[Id, list[OpenDriveRoad]] = {}
+        for road in self.roads.values():
+            self.inside.setdefault(road.junction, []).append(road)
+        self._strips: dict[tuple[Id, int], dict[int, LaneStrip]] = {}
         self.follows, self.leads = graph.follows, graph.leads
         self.shapes, on_shapes = shapes_of(found.values())
         self.crossings = tuple(
@@ -168,11 +172,14 @@ class OpenDriveMap(RoadMap):
         self.unread = {
             str(name): NO_AREA.format(kind)
             if kind in ("direct", "virtual")
-            else "none of its roads that can be read has lanes"
+            else "; ".join(
+                [NO_LANES, *(words for junction, words in roads_out if junction == name)]
+            )
             for name, kind in graph.junctions.items()
             if name not in with_lanes
         }
-        out += [*graph.left_out, *(f"junction {n} ({w})" for n, w in self.unread.items())]
+        unread = (f"junction {n} ({w.partition(';')[0]})" for n, w in self.unread.items())
+        out += [*graph.left_out, *unread]
         self.notes = (*self._notes(out, moved), *on_shapes, *on_it)
 
     def _notes(self, out: list[str], moved: tuple[float, float]) -> Iterator[str]:
@@ -227,8 +234,8 @@ class OpenDriveMap(RoadMap):
     def node(self, junction: Id) -> Node:
         lines = [
             cut.middle
-            for road in self.roads.values()
-            for section in (road.sections if road.junction == junction else ())
+            for road in self.inside[junction]
+            for section in road.sections
             for name, cut in along(road, section, (section.end - section.start) / BOX).items()
             if section.lanes[name].kind != "none"
         ]
@@ -253,7 +260,7 @@ def along(road: OpenDriveRoad, section: Section, spacing: float) -> dict[int, La
 def interior_of(town: OpenDriveMap, members: set[Id]) -> set[Id]:
     """The roads of member junctions, and of short chains from one to another, as the ring of a
     roundabout."""
-    found = {road.id for road in town.roads.values() if road.junction in members}
+    found = {road.id for name in members for road in town.inside[name]}
     if len(members) < 2:
         return found
     for first in town.roads.values():
@@ -275,8 +282,8 @@ def approaches_of(town: OpenDriveMap, members: set[Id]) -> list[Approach]:
     inside = interior_of(town, members)
     touched = {
         _beyond(town, link[1], link[2])
-        for road in town.roads.values()
-        if road.junction in members
+        for name in members
+        for road in town.inside[name]
         for link in road.links.values()
         if link[0] == "road" and link[1] in town.roads and link[1] not in inside
     }

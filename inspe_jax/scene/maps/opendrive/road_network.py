@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from inspe_jax.core.errors import InspeError
-from inspe_jax.core.files import TEXT, check_input, check_xml
+from inspe_jax.core.files import TEXT, check_input, check_kind, check_xml
 from inspe_jax.scene.georeference import Georeference, of_open_drive
 from inspe_jax.scene.lines import distance_from
 from inspe_jax.scene.maps.opendrive.geometry import LONGEST, Cubics, ReferenceLine, number
@@ -50,8 +50,8 @@ class LaneCut(NamedTuple):
     """A lane's middle line, inner and outer edge, and width [m] at stations."""
 
     middle: Float[np.ndarray, "N 3"]
-    inner: Float[np.ndarray, "N 2"]
-    outer: Float[np.ndarray, "N 2"]
+    inner: Float[np.ndarray, "N 3"]
+    outer: Float[np.ndarray, "N 3"]
     width: Float[np.ndarray, " N"]
 
 
@@ -94,7 +94,8 @@ class OpenDriveRoad:
                 kind, other = link.get("elementType", "road"), identity(link.get("elementId", ""))
                 contact = link.get("contactPoint", "")
                 if kind == "road" and contact not in ("start", "end") and not link.get("elementS"):
-                    raise ValueError(f"contactPoint of its <{tag}> is '{contact[:40]}'")
+                    given = f"is '{contact[:40]}'" if contact else "is missing"
+                    raise ValueError(f"contactPoint of its <{tag}> {given}; write start or end")
                 links[end] = (kind, other, contact)
         offset = Cubics(element.iterfind("lanes/laneOffset"))
         elevation = Cubics(element.iterfind("elevationProfile/elevation"))
@@ -147,9 +148,12 @@ class OpenDriveRoad:
         for (lane, one), (middle, inner, outer), (_, t, u) in zip(
             section.lanes.items(), points, rows, strict=True
         ):
-            for lift in one.heights.T[1:] if len(one.heights) else ():
-                middle[:, 2] += np.interp(s - section.start, one.heights[:, 0], lift) / 2
-            found[lane] = LaneCut(middle, inner[:, :2], outer[:, :2], abs(u - t))
+            for edge, lift in zip((inner, outer), one.heights.T[1:], strict=True):
+                if len(lift):
+                    rise = np.interp(s - section.start, one.heights[:, 0], lift)
+                    edge[:, 2] += rise
+                    middle[:, 2] += rise / 2
+            found[lane] = LaneCut(middle, inner, outer, abs(u - t))
         return found
 
     def kinds(self) -> set[str]:
@@ -206,6 +210,7 @@ def listed(name: Id) -> tuple[bool, Id]:
 def read_tree(path: Path) -> ET.Element:
     """The elements of a map without namespaces. Raises InspeError if it is not OpenDRIVE."""
     check_input(path, TEXT)
+    check_kind(path)
     data = path.read_bytes()
     if not data.startswith(UTF_16):
         data = data.decode("utf-8-sig", "replace").strip().encode()
@@ -217,8 +222,11 @@ def read_tree(path: Path) -> ET.Element:
     return root
 
 
-def read_roads(root: ET.Element) -> tuple[dict[Id, tuple[ET.Element, OpenDriveRoad]], list[str]]:
-    """The roads of a map by id, with their elements, and what is left out, with why."""
+def read_roads(
+    root: ET.Element,
+) -> tuple[dict[Id, tuple[ET.Element, OpenDriveRoad]], list[tuple[Id, str]]]:
+    """The roads of a map by id, with their elements, and the junctions of those that are left out,
+    with what they are and why."""
     found: dict[Id, tuple[ET.Element, OpenDriveRoad]] = {}
     out = []
     for element in root.iterfind("road"):
@@ -228,7 +236,8 @@ def read_roads(root: ET.Element) -> tuple[dict[Id, tuple[ET.Element, OpenDriveRo
                 raise ValueError("another road has this id")
             found[road.id] = element, road
         except ValueError as error:
-            out.append(f"road {element.get('id')} ({error})")
+            junction = identity(element.get("junction", ""))
+            out.append((junction, f"road {element.get('id')} ({error})"))
     return found, out
 
 

@@ -3,6 +3,7 @@
 import atexit
 import functools
 import gzip
+import io
 import os
 import shutil
 import subprocess
@@ -18,8 +19,8 @@ from pathlib import Path
 import shapely
 from shapely.geometry import Point
 
-from inspe_jax.core.errors import InspeError, missing_extra
-from inspe_jax.core.files import check_xml, digest_of
+from inspe_jax.core.errors import InspeError, check_known, missing_extra
+from inspe_jax.core.files import check_kind, check_xml, digest_of
 
 NET_SUFFIXES = (".net.xml", ".net.xml.gz")
 OSM_SUFFIXES = (".osm", ".osm.xml", ".osm.gz", ".osm.xml.gz")
@@ -32,6 +33,8 @@ _OPTIONS = {
     f"--tls.guess-signals true --tls.discard-simple true --tls.join true {_GUESSED}",
 }
 """Options of netconvert for each kind of map. It guesses sidewalks where a map has none."""
+SIDES = ("right", "left")  # of the road, that traffic of an extract may drive on
+LANELET = b'v="lanelet"'  # how a map of Lanelet2, which has the suffix of an extract, is told
 
 
 @functools.cache
@@ -42,40 +45,62 @@ def _folder() -> Path:
     return Path(folder.name)
 
 
-def network_file(path: Path) -> Path:
-    """The file of a network, or of what netconvert makes of another map. Raises InspeError if it is
-    another kind of file."""
+def network_file(path: Path, side: str | None = None) -> tuple[Path, list[str]]:
+    """The file of a network, or of what netconvert makes of another map, and notes on that. Traffic
+    of an extract drives on a ``side``, or by its country. Raises InspeError if the file is of
+    another kind."""
     name, kind = path.name.lower(), "osm"
     if name.endswith((".xodr", *NET_SUFFIXES)):
         kind = "opendrive" if name.endswith(".xodr") else "net"
+    if not name.endswith(".gz"):
+        check_kind(path, b"<osm")
     if kind != "opendrive":
-        with gzip.open(path) if name.endswith(".gz") else path.open("rb") as f:
+        with _opened(path) as f:
             check_xml(f, str(path), kind)
     if kind == "net":
-        return path.resolve()
-    made = _folder() / f"{digest_of(path)[:16]}.net.xml"
+        return path.resolve(), []
+    used, note = driving_side(path, side) if kind == "osm" else ("right", "")
+    made = _folder() / f"{digest_of(path)[:16]}_{used}.net.xml"
     if not made.exists():
         part = made.with_suffix(".part.xml")
         given = [f"--{kind}-files", str(path), "-o", str(part), *_OPTIONS[kind].split()]
-        given += ["--lefthand", "true"] if kind == "osm" and left_hand(path) else []
-        run("netconvert", given, f"{path}")
-        part.rename(made)
-    return made
-
-
-def left_hand(path: Path) -> str:
-    """Where an OpenStreetMap extract with left-hand traffic lies, by its first point; else ''."""
-    with gzip.open(path) if path.name.lower().endswith(".gz") else path.open("rb") as f:
-        nodes = (one for _, one in ET.iterparse(f, ["start"]) if one.tag == "node")
+        given += ["--lefthand", "true"] if used == "left" else []
         try:
-            at = [float(next(nodes).get(key, "")) for key in ("lon", "lat")]
-        except (StopIteration, ValueError):  # netconvert says what is wrong
-            return ""
+            run("netconvert", given, f"{path}")
+        except InspeError as error:
+            with _opened(path) as f:
+                if kind == "osm" and any(LANELET in line for line in f):
+                    wrong = "is a map of Lanelet2, which is not read; convert it to OpenDRIVE"
+                    raise InspeError(f"{path}: {wrong}") from error
+            raise
+        part.rename(made)
+    return made, [note] if note else []
+
+
+def _opened(path: Path) -> io.BufferedIOBase:
+    return gzip.open(path) if path.name.lower().endswith(".gz") else path.open("rb")
+
+
+def driving_side(path: Path, wanted: str | None) -> tuple[str, str]:
+    """The side of :data:`SIDES` that traffic of an extract drives on, and a note on why: the one
+    that is wanted, or that of the country where its first point lies. Raises InspeError if another
+    is wanted."""
+    if wanted is not None:
+        check_known(wanted, SIDES, f"{path}: driving side")
+        return wanted, f"traffic drives on the {wanted}, as was asked for"
+    at = Point()
+    with _opened(path) as f, suppress(StopIteration, ValueError):  # netconvert says what is wrong
+        first = next(one for _, one in ET.iterparse(f, ["start"]) if one.tag == "node")
+        at = Point(float(first.get("lon", "")), float(first.get("lat", "")))
     table = files("inspe_jax.scene.maps.openstreetmap").joinpath("left_hand.toml").read_text()
-    for name, line in tomllib.loads(table).items():
-        if shapely.from_wkt(f"POLYGON (({line}, {line.split(',')[0]}))").covers(Point(at)):
-            return name
-    return ""
+    rings = (
+        (name, f"({line}, {line.split(',')[0]})") for name, line in tomllib.loads(table).items()
+    )
+    lands = ((name, shapely.from_wkt(f"POLYGON ({ring})")) for name, ring in rings)
+    where = next((name for name, land in lands if land.covers(at)), "")
+    side, other = reversed(SIDES) if where else SIDES
+    why = f"as in {where or 'most countries'}"
+    return side, f"traffic drives on the {side}, {why}; if not so, give --driving-side {other}"
 
 
 def run(name: str, arguments: Sequence[str], where: str) -> None:

@@ -1,6 +1,7 @@
 """Reads SUMO networks and OpenStreetMap extracts: lanes, crossings, sidewalks and bodies."""
 
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from xml.sax import SAXException
@@ -14,7 +15,7 @@ from shapely.ops import unary_union
 from inspe_jax.core.errors import InspeError, error_at, needs
 from inspe_jax.core.files import cached_by_file
 from inspe_jax.scene.georeference import Georeference
-from inspe_jax.scene.intersection import Intersection
+from inspe_jax.scene.intersection import BEYOND, Intersection
 from inspe_jax.scene.lines import distance_from, distinct, resampled
 from inspe_jax.scene.maps.bodies import with_bodies
 from inspe_jax.scene.maps.lanes import Approach, LaneStrip, heading
@@ -24,7 +25,6 @@ from inspe_jax.scene.maps.sumo.network import (
     GEOGRAPHIC,
     OSM_SUFFIXES,
     SUMO,
-    left_hand,
     network_file,
 )
 from inspe_jax.scene.regions import Region
@@ -32,6 +32,7 @@ from inspe_jax.scene.terrain import laid_on
 
 NEAR_SPOTS = 20.0  # spot heights count as around a place if no road is so far out of their hull [m]
 SPOTS = 3  # fewer points with a height make no surface
+LONGEST = 1e5  # no lane is so long [m]
 NO_JUNCTION = ("dead_end", "internal", "unregulated", "rail_signal", "rail_crossing")
 MOTORS = {"passenger", "private", "taxi", "bus", "truck", "delivery", "hov", "evehicle"}
 
@@ -118,14 +119,9 @@ class SumoJunction(MapJunction):
         return parts
 
     def with_bodies(self, place: Intersection, lane_strips: list[LaneStrip]) -> Intersection:
-        is_extract = str(self.map.path).lower().endswith(OSM_SUFFIXES)
-        if is_extract and (where := left_hand(self.map.path)):
-            self.notes.append(
-                f"traffic drives on the left, as in {where}; where that is wrong, give a network "
-                "that netconvert made without --lefthand"
-            )
-        if place.georeference is None or not is_extract:
+        if place.georeference is None or not str(self.map.path).lower().endswith(OSM_SUFFIXES):
             return place
+        place = replace(place, driving_side=self.map.side)
         reach = self.radius + MARGIN
         reader = BodyReader(self.map.path, place, reach, self.notes)
         place = self._on_heights(place, reader.spot_heights())
@@ -149,7 +145,8 @@ class SumoMap(RoadMap):
 
     ``file`` is what SUMO can run on, ``net`` sumolib's. World coordinates are those of the map that
     the network was made from: they are the network's less ``shift`` [m], but for geographic
-    projections, whose coordinates are millions of metres.
+    projections, whose coordinates are millions of metres. ``side`` is what traffic of an extract
+    was asked to drive on, None if its country says.
 
     Every lane is a strip by the network's name. ``road`` of a strip is the number of its edge,
     ``junction`` is 1 inside any junction, else −1. ``walks`` are nodes with their walking areas.
@@ -157,8 +154,10 @@ class SumoMap(RoadMap):
 
     format, around = SUMO, SumoJunction
 
-    def __init__(self, path: Path, file: Path, net: Any) -> None:
-        self.path, self.file, self.net = path, file, net
+    def __init__(
+        self, path: Path, file: Path, net: Any, side: str | None, notes: list[str]
+    ) -> None:
+        self.path, self.file, self.net, self.side, self.notes = path, file, net, side, notes
         self.name = path.name.split(".")[0]
         moved = np.array(net.getLocationOffset(), float)
         self.shift = moved if np.abs(moved).max() <= GEOGRAPHIC else np.zeros(2)
@@ -171,6 +170,7 @@ class SumoMap(RoadMap):
         self.leads: dict[str, list[str]] = {}
         self.walks: list[tuple[str, BaseGeometry]] = []
         self.crossings: list[np.ndarray] = []
+        self.walked: list[np.ndarray] = []
         self.edges = net.getEdges(withInternal=True)
         self.numbers = {edge.getID(): number for number, edge in enumerate(self.edges)}
         for edge in self.edges:
@@ -187,15 +187,18 @@ class SumoMap(RoadMap):
             self.walks.append((edge.getFromNode().getID(), valid(Polygon(line[:, :2]))))
         if use == "walkingarea" or len(line) < 2:
             return
+        if (length := np.hypot(*np.diff(line[:, :2], axis=0).T).sum()) > LONGEST:
+            long = f"lane '{lane.getID()}' is {length / 1000:,.0f} km long"
+            raise InspeError(f"{self.path}: {long}; mend the coordinates of its nodes")
         center = resampled(line)
         ahead = np.gradient(center[:, :2], axis=0)
         ahead /= np.hypot(*ahead.T)[:, None]
         number, inside, kind = self.numbers[edge.getID()], 1 if use else -1, kind_of(lane)
         strip = LaneStrip.along(number, inside, kind, center, ahead, lane.getWidth())
         if use == "crossing":
-            outline = np.concatenate([strip.left, strip.right[::-1]])
-            heights = np.concatenate([strip.center, strip.center[::-1]])[:, 2]
-            self.crossings.append(np.column_stack([outline, heights]))
+            self.crossings.append(np.concatenate([strip.left, strip.right[::-1]]))
+            ends = line[[0, -1], :2] + [-BEYOND * ahead[0], BEYOND * ahead[-1]]
+            self.walked.append(resampled(np.vstack([ends[0], line[:, :2], ends[1]])))
         elif kind:
             self.lane_strips[lane.getID()] = strip
             after = (link.getViaLaneID() or link.getToLane().getID() for link in lane.getOutgoing())
@@ -236,14 +239,15 @@ class SumoMap(RoadMap):
 
 
 @cached_by_file(8)
-def load_net(path: Path) -> SumoMap:
+def load_net(path: Path, side: str | None = None) -> SumoMap:
     """The network of a .net.xml, .osm or .xodr file, cached while the file does not change.
 
-    Raises InspeError if SUMO or the file is missing, or it is of another kind or without roads.
+    Traffic of an extract drives on a ``side``, or by its country. Raises InspeError if SUMO or the
+    file is missing, it is of another kind or without roads, or if there is no such side.
     """
     with needs("SUMO networks and OpenStreetMap need sumolib", "sumo"):
         import sumolib
-    file = network_file(path)
+    file, notes = network_file(path, side)
     wrong = f"{path}: not a SUMO network: missing or wrong"
     with error_at(wrong, SAXException, KeyError, ValueError, AttributeError, TypeError):
         net = sumolib.net.readNet(
@@ -251,7 +255,7 @@ def load_net(path: Path) -> SumoMap:
         )
     if not any(edge.getFunction() == "" for edge in net.getEdges()):
         raise InspeError(f"{path}: the network has no roads")
-    return SumoMap(path, file, net)
+    return SumoMap(path, file, net, side, notes)
 
 
 def _approach(streets: SumoMap, number: int, edge: Any, end: str) -> Approach:

@@ -114,6 +114,7 @@ def elements(table: Candidates) -> tuple[np.ndarray, np.ndarray]:
     kind, count = table.kinds[0], table.kinds[0].looked
     (rows,), (tiled,) = joined(kind.rows), map(one_tile_a_slab, table.sampled.sample.scenes)
     (chunk,), levels = tiled.chunks, tiled.tiles.level_count
+    assert levels <= bitmask.WORD, "elements are of one slab of levels"
     seen, view, there, solid = (
         bitmask.unpack(np.asarray(x)[..., None], levels)
         for x in (
@@ -141,7 +142,7 @@ def discrete(table: Candidates, seconds: float) -> tuple[list[dict[str, Any]], d
     began = time.perf_counter()
     chosen, value, bound = best_subset(seen, worth, k, seconds)
     solved = time.perf_counter()
-    picks, looked = lazy_greedy(table)
+    picks, again = lazy_greedy(table)
     done = time.perf_counter()
     start = problem.space.start(problem.layout)[0]
     best = dict(enumerate(chosen.tolist()))
@@ -161,7 +162,7 @@ def discrete(table: Candidates, seconds: float) -> tuple[list[dict[str, Any]], d
         frames=scene.traffic.frame_count,
         bound=bound,
         gap=bound - value,
-        gains_worked_out=looked,
+        gains_worked_out=count + again,
         gains_of_plain_greedy=sum(count - n for n in range(k)),
     )
     return rows, figures

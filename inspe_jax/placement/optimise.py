@@ -16,6 +16,7 @@ from inspe_jax.core.files import check_output, check_writable, json_value
 from inspe_jax.core.version import versions
 from inspe_jax.placement.checkpoint import SUFFIXES, CheckpointWriter
 from inspe_jax.placement.constraints import Constraints
+from inspe_jax.placement.methods import greedy
 from inspe_jax.placement.methods.registry import METHODS
 from inspe_jax.placement.objective import Objective
 from inspe_jax.placement.problem import AnyScene, Problem, cases_of
@@ -248,6 +249,8 @@ def _result(run: Run, row: Method, status: str, begun: str | Layout) -> Result:
         notes.append(f"nothing was searched, only the start was scored: {STATUSES[status]}{more}")
     elif run.best == before:
         notes.append("nothing better than the start was found; try a larger budget or start")
+    if greedy.Placing in row.states and not problem.submodular:
+        notes.append(greedy.GROWS)
     if objective.pole_price:
         began, paid = (float(problem.pole_costs(x).sum()) for x in (run.start, run.best_x))
         count = round(paid / objective.pole_price)

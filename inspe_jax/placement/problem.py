@@ -156,6 +156,17 @@ class Problem:
         """Where sensors may be. Raises InspeError for bad constraints, or a unit without place."""
         return Space(self.cases[0].scene, self.layout, self._constraints)
 
+    @property
+    def submodular(self) -> bool:
+        """Whether a sensor never takes anything from the objective, and adds the less the more
+        others there are. So an earlier gain is an upper bound of a later one."""
+        weights = self.objective.weights_by_name
+        if self.objective.occlusion_reference == "covered" and weights["occlusion"]:
+            return False  # the more is in view, the more counts
+        if self.objective.over == "worst" and len(self.cases) > 1:
+            return False
+        return all(row.submodular for row in self.options.metrics if weights[row.name])
+
     @cached_property
     def arrays(self) -> tuple[SceneArrays, ...]:
         """Every case's arrays, of all columns and frames.

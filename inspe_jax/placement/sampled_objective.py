@@ -25,7 +25,7 @@ from inspe_jax.scoring.detection import detection_curves
 from inspe_jax.scoring.driver import MetricValues, readings_of_tile, summarise_readings
 from inspe_jax.scoring.metric import TileEvidence
 from inspe_jax.scoring.options import ScoreOptions
-from inspe_jax.scoring.reading import BITS, KNOWN, Frames
+from inspe_jax.scoring.reading import BITS, PRECOMPUTED, Frames
 from inspe_jax.scoring.target_evidence import TargetEvidence, target_evidence_of_sensor
 from inspe_jax.scoring.tiled_scene import TiledScene, WorkChunk
 from inspe_jax.sensing.rays import Rays
@@ -96,15 +96,17 @@ def view_jobs(
     assert chunk.solid is not None  # the scene has masks
     rays = grid.rays
     lengths = rays.table.rows.shape + rays.table.nearest.shape
-    targets = any(metric.targets for metric in options.metrics)
+    targets = tuple(sorted({name for metric in options.metrics for name in metric.targets}))
+    kept = any(metric.sight and not metric.targets for metric in options.metrics)
+    kept |= options.visibility != "in_view"
     # Metrics do not change what is seen: without them fewer programs are compiled.
     options = options.counted._replace(detection=options.detection if targets else None)
     shapes = chunk.solid.shape, chunk.prisms.top.shape, tiled.statics and tiled.statics.shapes
-    key = (_view, grid.kind, lengths, *shapes, options, targets)
+    key = (_view, grid.kind, lengths, *shapes, tiled.tiles.slabs, options, targets, kept)
     fixed: dict[str, Any] = dict(
         chunk=chunk, statics=tiled.statics, last=tiled.tiles.last, options=options
     )
-    fixed |= dict(slabs=tiled.tiles.slabs, targets=targets)
+    fixed |= dict(slabs=tiled.tiles.slabs, targets=targets, kept=kept)
 
     def rows(part: np.ndarray) -> SceneRows:
         return jax.tree.map(np.asarray, _view(rays, half, pixels, part, **fixed))
@@ -112,7 +114,7 @@ def view_jobs(
     return [(key, partial(rows, part)) for part in parts_of(on_host(poses, float), TOGETHER)]
 
 
-@partial(jax.jit, static_argnames=("options", "slabs", "targets"))
+@partial(jax.jit, static_argnames=("options", "slabs", "targets", "kept"))
 def _view(
     rays: Rays,
     half: Float[Array, ""],
@@ -124,9 +126,11 @@ def _view(
     last: Bool[Array, " N"],
     options: ScoreOptions,
     slabs: int,
-    targets: bool,
+    targets: tuple[str, ...],
+    kept: bool,
 ) -> SceneRows:
-    """The rows of K poses; the tiles of each slab side by side."""
+    """The rows of K poses; the tiles of each slab side by side. ``targets`` are the fields that are
+    wanted of what the sensor has on road users; ``kept``: the numbers of frames are."""
     curves = options.detection or detection_curves()
 
     def view_from(pose: Array) -> SceneRows:
@@ -151,7 +155,9 @@ def _view(
                 return seen, sights, None
             share = sights.T.astype(tile.heights.dtype) / len(chunk.prisms.top)
             at = rays, pixels, pose, tile, share, last, None, curves
-            return seen, sights, target_evidence_of_sensor(*at)
+            evidence = target_evidence_of_sensor(*at)
+            others: Any = {name: None for name in evidence._fields if name not in targets}
+            return seen, sights if kept else None, evidence._replace(**others)
 
         found = jax.lax.map(
             lambda part: jax.lax.cond(
@@ -203,6 +209,7 @@ def one_tile_a_slab(tiled: TiledScene) -> TiledScene:
         occupancy=_side_by_side(tiled.tile_occupancy.swapaxes(1, 2), slabs, 2),
         column=none,
         level=none,
+        statics=None,
     )
     return jax.tree.map(on_device, whole)
 
@@ -216,9 +223,9 @@ def measure_rows(
     def read_tile(part: tuple[Tile, Array, Array, tuple]) -> Any:
         tile, last, solid, (view, seen, sights, targets) = part
         given, frames = (rows.pose[:, :3], (seen, sights), view), Frames(chunk.prisms, solid)
-        counts = count_tile(KNOWN, tile, given, frames, sensors.failures, options)
+        counts = count_tile(PRECOMPUTED, tile, given, frames, sensors.failures, options)
         of_sensors = view, sights, tiled.frame_count, rows.pose, sensors
-        at = TileEvidence(KNOWN, tile, *of_sensors, last, whole, options.detection, known=targets)
+        at = TileEvidence(PRECOMPUTED, tile, *of_sensors, last, whole, options.detection, targets)
         return readings_of_tile(at, counts, options)
 
     by_tile = jax.tree.map(lambda leaf: jnp.moveaxis(leaf, 1, 0), rows[1:])
@@ -257,21 +264,7 @@ class SampledObjective:
 
     def __init__(self, problem: Problem, sample: Sample) -> None:
         self.problem, self.sample = problem, sample
-
-    @cached_property
-    def submodular(self) -> bool:
-        """Whether a sensor only ever adds to the objective, and the less the more others there are.
-
-        So an earlier gain is a bound of a later one.
-        """
-        objective, weights = self.problem.objective, self.problem.objective.weights_by_name
-        if objective.occlusion_reference == "covered" and weights["occlusion"]:
-            return False  # the more is in view, the more counts
-        if objective.over == "worst" and len(self.problem.cases) > 1:
-            return False
-        return all(
-            metric.submodular for metric in self.problem.options.metrics if weights[metric.name]
-        )
+        self._nobody: Any = None  # a row of zeros
 
     @cached_property
     def _scenes(self) -> tuple[TiledScene, ...]:
@@ -301,26 +294,31 @@ class SampledObjective:
             for s in sensors:
                 found.setdefault(s, []).extend(rows_at(rows, slice(first, first + len(poses[s]))))
                 first += len(poses[s])
-        self._nobody = jax.tree.map(lambda leaf: np.zeros_like(leaf[0]), tuple(found[s]))
+        if self._nobody is None:
+            some = tuple(next(iter(found.values())))
+            self._nobody = jax.tree.map(lambda leaf: np.zeros_like(leaf[0]), some)
         return {s: tuple(parts) for s, parts in found.items()}
 
     def scores(
         self, rows: SampledRows, at: Int[np.ndarray, "K n"], choices: Sequence[Rows]
     ) -> Float[np.ndarray, " K"]:
         """The scores of K sets: the sensors of ``rows``, and in set k the sensors ``at[k]``, of
-        which the i-th has row k of ``choices[i]``."""
+        which the i-th has row k of ``choices[i]``. One that is no number counts as the worst."""
         problem, scenes = self.problem, self._scenes
         places = range(len(problem.terms.sensors[0].kind))
         fixed = _stacked([rows.get(s, self._nobody) for s in places])
         given = _stacked(choices, 1)
-        key = (set_scores, problem.options, at.shape[1], shapes_of(scenes, fixed, problem.terms))
+        how = dict(options=problem.options, over=problem.objective.over)
+        kinds = tuple(sensors.kinds for sensors in problem.terms.sensors)
+        shapes = shapes_of(scenes, fixed, problem.terms)
+        key = (set_scores, *how.values(), kinds, at.shape[1], shapes)
         jobs: list[Job] = []
         for first in range(0, len(at), SETS):
             index = np.minimum(np.arange(first, first + SETS), len(at) - 1)
             part = fixed, at[index].astype(np.int32), rows_at(given, index), scenes, problem.terms
-            how = dict(options=problem.options, over=problem.objective.over)
             jobs.append((key, partial(set_scores, *part, **how)))
-        return np.concatenate(run(jobs))[: len(at)].astype(float)
+        found = np.concatenate(run(jobs))[: len(at)].astype(float)
+        return np.where(np.isnan(found), -np.inf, found)
 
     def value(self, rows: SampledRows) -> float:
         """The score of a set of sensors, given the row of each."""

@@ -24,8 +24,8 @@ class TileEvidence:
     ``sights`` (S, C, Z) is the number of ``frames`` in which each has each voxel in line of sight;
     None unless some metric needs it. ``poses`` (S, 6) are about the scene's centre. ``last``: no
     slab of levels is above the tile; ``whole``: there are no slabs, the tile has whole columns.
-    ``detection`` has the curves of detection, None for the usual ones. ``known`` are the
-    ``targets`` where they were found before.
+    ``detection`` has the curves of detection, None for the usual ones. ``precomputed`` are the
+    ``targets``, where they were found before.
     """
 
     reading: Reading
@@ -38,7 +38,7 @@ class TileEvidence:
     last: Bool[Array, ""]
     whole: bool
     detection: DetectionCurves | None = None
-    known: TargetEvidence | None = None
+    precomputed: TargetEvidence | None = None
 
     @property
     def failures(self) -> Groups | None:
@@ -59,8 +59,8 @@ class TileEvidence:
     @cached_property
     def targets(self) -> TargetEvidence:
         """What each sensor has on road users that stand at each column."""
-        if self.known is not None:
-            return self.known
+        if self.precomputed is not None:
+            return self.precomputed
         given = self.sensors, self.poses, self.tile, self.sight, self.last
         return target_evidence(*given, self.reading.width, self.detection)
 
@@ -116,8 +116,11 @@ class Metric:
     has: a function of :class:`TileEvidence` that gives arrays, which are then
     ``evidence.terms[name]``, one row for each tile. ``sight``: it reads ``sight`` there. A metric
     that is not ``usual`` is computed only where it is asked for or has weight. One ``by_region``
-    weighs columns by their regions. Searches are faster where ``targets`` says that it reads them
-    there, and ``submodular`` that a sensor adds at least 0, and the less the more others there are.
+    weighs columns by their regions.
+
+    Two more make searches faster. ``targets`` names the fields of ``targets`` that ``terms`` reads,
+    and no others. ``submodular`` promises that a sensor never takes anything away, and adds the
+    less the more others there are; where that is not so, candidates are left out wrongly.
     """
 
     name: str
@@ -129,7 +132,7 @@ class Metric:
     sight: bool = False
     usual: bool = True
     by_region: bool = False
-    targets: bool = False
+    targets: tuple[str, ...] = ()
     submodular: bool = False
 
     @property

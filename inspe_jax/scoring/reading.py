@@ -264,8 +264,8 @@ BITS = Bits()
 
 @pytree
 @dataclass(frozen=True)
-class Known(Bits):
-    """As :class:`Bits`, of what each sensor sees that is known: it takes no geometry.
+class Precomputed(Bits):
+    """As :class:`Bits`, of what each sensor was found to see before: it takes no geometry.
 
     In place of shadows, rows have the set (F, C) that a sensor sees in each frame, and the numbers
     of frames (C, Z) in which it has each voxel in line of sight, or None.
@@ -280,5 +280,5 @@ class Known(Bits):
         return Union(unions[0], lambda of: self.count(unions & of[None])), sights
 
 
-KNOWN = Known()
-"""The exact reading of what is known."""
+PRECOMPUTED = Precomputed()
+"""The exact reading of what was found before."""

@@ -156,7 +156,7 @@ def _of_targets(
             columns = of_columns(fuse(columns, found.failures), found.width)
         return weighted_mean(columns, found.weight)
 
-    how = dict(value=value, terms=terms, targets=True, submodular=submodular)
+    how = dict(value=value, terms=terms, targets=(field,), submodular=submodular)
     return _row(name, symbol, summary, **how)
 
 

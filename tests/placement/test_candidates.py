@@ -220,13 +220,13 @@ def may_stand(table, picks, s, k):
 
 
 def test_lazy_greedy_takes_what_an_exhaustive_search_would(table):
-    assert check_lazy(table) < 1 / 2
+    assert check_lazy(table) < 1 / 5
 
 
 def test_lazy_greedy_is_right_for_detectability(finding):
     """The chance that some sensor finds a road user, 1 − ∏(1 − p), gains less and less, too: every
     candidate's gain is worked out anew beside every set of picks, and never grows."""
-    assert check_lazy(finding) < 1 / 2
+    assert check_lazy(finding) < 1 / 5
     picks, _ = greedy.lazy_greedy(finding)
     so_far, bounds = {}, {}
     for s, k in picks.items():
@@ -246,8 +246,8 @@ def test_lazy_greedy_is_right_for_detectability(finding):
 
 def check_lazy(table):
     """Every sensor placed is the one that adds most, at its best candidate, all worked out anew.
-    Returns the share of gains that lazy greedy worked out."""
-    picks, count = greedy.lazy_greedy(table)
+    Returns the share of gains that lazy greedy worked out again."""
+    picks, again = greedy.lazy_greedy(table)
     assert sorted(picks) == list(range(5))
     so_far, looked = {}, 0
     for s, k in picks.items():
@@ -263,7 +263,7 @@ def check_lazy(table):
         assert gain(table, so_far, s, k) == pytest.approx(best, abs=2e-6)
         assert may_stand(table, so_far, s, k)
         so_far[s] = k
-    return count / looked
+    return again / looked
 
 
 def test_a_layout_of_picks_sees_what_their_candidates_see(table, problem, start):
@@ -298,10 +298,30 @@ def test_exchange_finds_the_best_replacement_there_is(table):
     picks, _ = greedy.lazy_greedy(table)
     rest = {s: k for s, k in picks.items() if s not in (2, 3)}
     filled = [
-        greedy._fill(table, rest, (2, 3), int(foot)) for foot in np.flatnonzero(table.stand[1])
+        greedy._fill(table, rest, (2, 3), int(foot))[0] for foot in np.flatnonzero(table.stand[1])
     ]
     best = max(table.sampled.value(table.rows(found)) for found in filled)
     assert table.sampled.value(table.rows(greedy.exchange(table, picks, 1))) >= best - 1e-6
+
+
+def test_where_gains_may_grow_all_candidates_and_feet_are_tried(scene):
+    """As under the reference that counts what is in view; and one unit may not stand everywhere."""
+    found = whole_table(Problem(scene, team(scene), Objective(occlusion_reference="covered")))
+    assert not found.problem.submodular
+    found.stand[1, ::2] = False
+    check_lazy(found)
+    picks, _ = greedy.lazy_greedy(found)
+    for u, s in ((2, 4), (1, 2), (0, 0)):
+        rest = {t: k for t, k in picks.items() if t not in found.problem.layout.members()[u]}
+        new = greedy.exchange(found, picks, u)
+        assert all(may_stand(found, new, t, k) for t, k in new.items())
+        before, after = (found.value(which, u) for which in (picks, new))
+        assert after >= before - 1e-7
+        if len(new) == len(rest) + 1:
+            feet = [k for k in range(found.kind_of(s).looked) if may_stand(found, rest, s, k)]
+            best = max(found.value(rest | {s: k}, u) for k in feet)
+            assert max(before, best) == pytest.approx(after, abs=2e-6)
+        picks = new
 
 
 @pytest.mark.parametrize("units", [(1,), (0, 1, 2)])
@@ -345,7 +365,7 @@ def new_poles(space, x):
 def test_a_new_pole_is_paid_once_by_its_unit(priced):
     """By exact and rough scores, and by what candidates add."""
     problem, table = priced(0.02), whole_table(priced(0.02))
-    assert check_lazy(table) < 1 / 2
+    assert check_lazy(table) < 1 / 4
     space, x = problem.space, problem.space.random(np.random.default_rng(1), 4)
     paid = [0.02 * new_poles(space, row) for row in x]
     assert len({*paid}) > 1

@@ -23,7 +23,7 @@ from worlds import (
 from inspe_jax.core.arrays import from_center, pad_rows
 from inspe_jax.core.numerics import Softness
 from inspe_jax.core.parallel import run
-from inspe_jax.placement.sampled_objective import view_jobs
+from inspe_jax.placement.sampled_objective import one_tile_a_slab, view_jobs
 from inspe_jax.scoring import exact
 from inspe_jax.scoring import tiled_scene as made
 from inspe_jax.scoring.driver import measure_tiles
@@ -159,7 +159,8 @@ def test_a_sample_is_counted_as_a_scene_of_its_own():
 
     grid, s = layout.sensors[0].spec.grid, np.asarray(poses)[[0, 3, 0]]
     (together,) = run(view_jobs(grid, voxel / 2, s, sample, ScoreOptions()))
-    views, seen = together.bits[:3, 0], together.bits[:3, 1:]
+    tiles = replace(one_tile_a_slab(sample).tiles, place=sample.tiles.place)
+    views, seen = (tiles.by_voxel(x[:3]) for x in (together.view, together.seen.swapaxes(1, 2)))
     assert views.shape == (3, 77 * levels)
     assert seen.shape == (3, 2, 77 * levels)
     np.testing.assert_array_equal(views[0], views[2])

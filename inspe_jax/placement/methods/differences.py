@@ -33,9 +33,9 @@ def differences(
     rows, slope = {s: rows_at(seen, 0) for s, seen in views.items()}, np.zeros(np.shape(poses))
     for s, seen in views.items():
         scores = sampled.scores(rows, np.full((len(_STEPS), 1), s), [seen])
-        _, after, before = np.split(scores, [1, 6])
+        value, after, before = np.split(scores, [1, 6])
         slope[s, HALF > 0] = (after - before) / (2 * HALF[HALF > 0])
-    return sampled.value(rows), on_host(slope, float)
+    return float(value[0]), on_host(slope, float)
 
 
 def _cost(problem: Problem, drawn: Drawn) -> float:

@@ -1,11 +1,12 @@
 """Greedy placement over candidate poses, with lazy evaluation; exchanges and finer moves after it.
 
-What a candidate pose sees is found once, for one sensor and not for a whole layout; after
-that what it adds to any layout is a sum over bits (:mod:`inspe_jax.placement.sampled_objective`).
+What a candidate pose sees is found once, for one sensor and not for a whole layout; after that
+any set of them is scored without geometry (:mod:`inspe_jax.placement.sampled_objective`).
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -26,15 +27,16 @@ PASSES = 3
 VIEW_COST = 1.1
 """What one sensor sees of a sample, in a sensor's share of a rough score of it. This and the next
 three are measured on 8 cameras, 4 LiDARs and both, 150,000 voxels."""
-MOVE_COST, PLACE_COST, EXCHANGE_COST = 2.2, 0.45, 0.125
+MOVE_COST, PLACE_COST, EXCHANGE_COST = 1.4, 0.45, 0.125
 """In views: a finer move of one sensor; placing all sensors greedily, for each candidate; and
 exchanging a unit, for each candidate of each of its sensors."""
 
 BATCH = 32
 """Candidates that are tried at once."""
 GROWS = (
-    "a sensor may add more to this objective the more others there are: greedy placement tries all "
-    "candidates for every sensor, and is no longer within 1 - 1/e of the best of them"
+    "a sensor may add more to this objective the more others there are, or take away: greedy "
+    "placement tries all candidates for every sensor, and where none adds anything alone, chance "
+    "places the first; exchanges mend that"
 )
 """A note of searches whose objective is not submodular."""
 
@@ -52,9 +54,9 @@ class Effort(NamedTuple):
     narrow: float
 
 
-AIMED = Effort(COLUMNS, HEIGHTS, tries=64, narrow=0.02)
+AIMED = Effort(COLUMNS, HEIGHTS, tries=63, narrow=0.02)
 """Where some sensor is aimed, as cameras are."""
-LEVEL = Effort(2 * COLUMNS, 2 * HEIGHTS, tries=32, narrow=0.1)
+LEVEL = Effort(2 * COLUMNS, 2 * HEIGHTS, tries=31, narrow=0.1)
 """Where none is."""
 
 
@@ -70,39 +72,46 @@ def _effort(problem: Problem) -> Effort:
 # ── Greedy, lazily ──────────────────────────────────────────────────────────
 
 
-def lazy_greedy(table: Table) -> tuple[Picks, int]:
+def lazy_greedy(table: Table, before: Callable[[], None] = lambda: None) -> tuple[Picks, int]:
     """Place one sensor after the other, each time the one that adds most, at its best candidate.
 
-    Returns the chosen candidates, and how many gains were computed. Where the objective is
+    Returns the chosen candidates, and how many gains were computed again. Where the objective is
     submodular, an earlier gain is an upper bound of a later one (Minoux 1978): candidates are tried
-    in the order of it, until none can be better. The first sensor of a unit fixes the unit's foot;
-    its other sensors choose among the candidates there.
+    in the order of it, until none can be better. Else all are tried for every sensor. The first
+    sensor of a unit fixes the unit's foot; its other sensors choose among the candidates there.
+    ``before`` is called before each sensor is placed.
     """
-    picks, count = Picks(), 0
-    number = [table.kind_of(group[0]).looked for group in table.alike]
-    at = [(g, k) for g, looked in enumerate(number) for k in range(looked)]
-    bound = np.full(len(at), np.inf)
-    while True:
+    picks, again, submodular = Picks(), 0, table.problem.submodular
+    looked = [table.kind_of(group[0]).looked for group in table.alike]
+    at = [(g, k) for g, count in enumerate(looked) for k in range(count)]
+    free, gain = np.ones(len(at), bool), np.full(len(at), np.inf)
+    while len(picks) < len(table.problem.layout):
+        before()
         rows, best, pick = table.rows(picks), -np.inf, None
-        nothing = table.sampled.value(rows)
-        order = np.argsort(-bound, kind="stable")
+        nothing = table.sampled.value(rows) if submodular else 0.0
+        limit = np.where(free, gain, -np.inf)
+        order = np.argsort(-limit, kind="stable")[: free.sum()]
         for part in np.split(order, range(BATCH, len(order), BATCH)):
-            if bound[part].max(initial=-np.inf) <= best:
+            if nothing + limit[part].max(initial=-np.inf) <= best:
                 break
             tried = [(i, s) for i in part for s in _may_stand(table, picks, *at[i])]
-            bound[part] = -np.inf  # nor ever after: units only ever take places
+            free[part] = False  # for good where none may: units only ever take places
             if not tried:
                 continue
-            pairs = [(s, at[i][1]) for i, s in tried]
-            gains = table.scores(rows, pairs) - nothing
-            count += len(gains)
             index = np.array([i for i, _ in tried])
-            np.maximum.at(bound, index, gains if table.sampled.submodular else np.inf)
-            if gains.max() > best:
-                best, pick = gains.max(), pairs[int(gains.argmax())]
+            free[index] = True
+            scores = table.scores(rows, [(s, at[i][1]) for i, s in tried])
+            again += int(np.isfinite(gain[index]).sum())
+            if submodular:
+                gain[part] = -np.inf
+                np.maximum.at(gain, index, scores - nothing)
+            if pick is None or scores.max() > best:
+                best, pick = scores.max(), tried[int(scores.argmax())]
         if pick is None:
-            return picks, count
-        picks[pick[0]] = pick[1]
+            break
+        i, s = pick
+        picks[s], free[i] = at[i][1], False
+    return picks, again
 
 
 def _may_stand(table: Table, picks: Picks, g: int, k: int) -> list[int]:
@@ -110,41 +119,45 @@ def _may_stand(table: Table, picks: Picks, g: int, k: int) -> list[int]:
     already, then one of a unit that is free to go elsewhere."""
     there, free = dict[int, int](), list[int]()
     for s in table.alike[g]:
-        if s not in picks and table.fits(picks, s, k):
-            if table.mast(picks, s)[0] < 0:
-                free.append(s)
-            else:
-                there.setdefault(table.problem.layout.sensors[s].unit, s)
-    return [*there.values(), *free[:1]]
+        unit, stands = table.problem.layout.sensors[s].unit, table.mast(picks, s)[0] >= 0
+        if s in picks or (unit in there if stands else free) or not table.fits(picks, s, k):
+            continue
+        if stands:
+            there[unit] = s
+        else:
+            free.append(s)
+    return [*there.values(), *free]
 
 
 def exchange(table: Table, picks: Picks, u: int) -> Picks:
     """Unit ``u`` taken out and put back where it adds most, all else as it is.
 
-    At a foot it is filled greedily, sensor by sensor, and can add no more than its sensors would
-    each alone; so feet are tried in the order of that bound until none can be better. Then each
-    of its sensors chooses again, the others as they are.
+    At a foot it is filled greedily, sensor by sensor. Where the objective is submodular they add no
+    more than each alone; so feet are tried in the order of that bound until none can be better,
+    else all. Then each of its sensors chooses again, the others as they are.
     """
-    sampled, members = table.sampled, table.problem.layout.members()[u]
+    members, submodular = table.problem.layout.members()[u], table.problem.submodular
     others = {s: k for s, k in picks.items() if s not in members}
     rows = table.rows(others)
-    nothing = sampled.value(rows)
     bound, alone = np.where(table.stand[u], 0.0, -np.inf), table.scores_of_all(rows, members)
-    for s in members:
-        most = np.full(len(bound), -np.inf)
-        np.maximum.at(most, table.kind_of(s).foot, alone[s] - nothing)
-        bound += most if sampled.submodular else np.inf
+    if submodular:
+        nothing = table.sampled.value(rows)
+        bound += nothing
+        for s in members:
+            most = np.full(len(bound), -np.inf)
+            np.maximum.at(most, table.kind_of(s).foot, alone[s] - nothing)
+            bound += most
     best, value = picks, table.value(picks, u) + LEAST
-    for foot in np.argsort(-bound, kind="stable"):
-        if nothing + bound[foot] <= value:
+    for foot in np.argsort(-bound, kind="stable")[: (bound > -np.inf).sum()]:
+        if submodular and bound[foot] <= value:
             break
-        filled = _fill(table, others, members, int(foot), alone)
-        if (score := table.value(filled, u)) > value:
+        filled, score = _fill(table, others, members, int(foot), alone)
+        if score > value:
             best, value = filled, score
     for s in members:
         rest = {t: k for t, k in best.items() if t != s}
-        again = _fill(table, rest, (s,), int(table.kind_of(s).foot[best[s]]))
-        if (score := table.value(again, u)) > value:
+        again, score = _fill(table, rest, (s,), int(table.kind_of(s).foot[best[s]]))
+        if score > value:
             best, value = again, score
     return best
 
@@ -154,21 +167,27 @@ def _fill(
     picks: Picks,
     sensors: Sequence[int],
     foot: int,
-    known: Mapping[int, Float[np.ndarray, " K"]] | None = None,
-) -> Picks:
-    """The sensors placed greedily at one foot beside the picks; ``known`` are scores of the first
-    at its candidates."""
-    picks, left = dict(picks), list(sensors)
+    alone: Mapping[int, Float[np.ndarray, " K"]] | None = None,
+) -> tuple[Picks, float]:
+    """The sensors of a unit placed greedily at one foot beside the picks, and the score, less what
+    the unit pays. ``alone`` are scores of each as the first at its candidates, if they are known.
+    """
+    picks, left, score = dict(picks), list(sensors), -np.inf
     while left:
         at = []
         for s in table.one_of_each(left):
             there = np.flatnonzero(table.kind_of(s).foot == foot)
             at += [(s, k) for k in there[table.fits(picks, s, there)].tolist()]
-        found = known and [known[s][k] for s, k in at]
-        s, k = at[int(np.argmax(found or table.scores(table.rows(picks), at)))]
-        picks[s], known = k, None
+        scores = (
+            table.scores(table.rows(picks), at) if alone is None else [alone[s][k] for s, k in at]
+        )
+        best, alone = int(np.argmax(scores)), None
+        (s, k), score = at[best], float(scores[best])
+        picks[s] = k
         left.remove(s)
-    return picks
+    return picks, score + table.share(s)[foot] - table.price[
+        table.problem.layout.sensors[s].unit, foot
+    ]
 
 
 # ── Finer moves: random ones of single units, each judged on a sample ───────
@@ -346,21 +365,21 @@ def place(run: Run, state: Placing) -> Exchanging | Moving:
     If some sensor found no place, candidates are not exchanged.
     """
     table, sensors = _table(run, state.round, state.part), range(len(run.problem.layout))
-    passes = 1
-    if not table.sampled.submodular:
-        passes = len(sensors)
-        if GROWS not in run.notes:
-            run.notes.append(GROWS)
-    charge(run, table.sampled, PLACE_COST * passes * sum(len(kind.foot) for kind in table.kinds))
-    picks, x, value = _placed(run, table)
+    views = PLACE_COST * sum(len(kind.foot) for kind in table.kinds)
+    pay = partial(charge, run, table.sampled, views)
+    if run.problem.submodular:
+        pay()
+    picks, x, value = _placed(run, table, (lambda: None) if run.problem.submodular else pay)
     if len(picks) < len(sensors):
         return Moving(state.round, x, value, x)
     return Exchanging(state.round, x, value, np.array([picks[s] for s in sensors]))
 
 
-def _placed(run: Run, table: Table) -> tuple[Picks, Float[np.ndarray, " N"], float]:
+def _placed(
+    run: Run, table: Table, before: Callable[[], None] = lambda: None
+) -> tuple[Picks, Float[np.ndarray, " N"], float]:
     """The candidates that greedy placement picks, their coordinates (N,) and exact score."""
-    picks, _ = lazy_greedy(table)
+    picks, _ = lazy_greedy(table, before)
     x = table.layout(run.start, picks)
     run.hold(x)
     return picks, x, run.offer(x)
@@ -370,7 +389,8 @@ def _exchange(run: Run, state: Exchanging) -> Exchanging | Moving:
     table = _table(run, state.round)
     members = run.problem.layout.members()[state.unit]
     looked = sum(len(table.kind_of(s).foot) for s in members)
-    charge(run, table.sampled, EXCHANGE_COST * looked)
+    passes = 1 if run.problem.submodular else 2  # then every foot is filled
+    charge(run, table.sampled, EXCHANGE_COST * passes * looked)
     before = dict(enumerate(state.picks.tolist()))
     picks = exchange(table, before, state.unit)
     if picks != before:

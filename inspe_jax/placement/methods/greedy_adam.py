@@ -37,7 +37,7 @@ CALMER = 0.6
 """What both shrink by where a burst gained nothing."""
 NARROW = 0.1
 """Where moves get narrower, in typical steps, they and bursts begin again at the widest."""
-TRIES, GENERATIONS = 8, 8
+TRIES, GENERATIONS = 7, 8
 """Moves of each unit that are tried at once, and how often for each sensor."""
 
 

@@ -23,7 +23,7 @@ from inspe_jax import Constraints, Layout, Scene, Sensor
 from inspe_jax.placement.candidate_table import CandidateKind
 from inspe_jax.placement.candidate_table import Table as Candidates
 from inspe_jax.placement.candidates import lattice
-from inspe_jax.placement.methods.greedy import lazy_greedy
+from inspe_jax.placement.greedy_placement import lazy_greedy
 from inspe_jax.placement.problem import Problem
 from inspe_jax.placement.sampled_objective import SampledObjective, joined, one_tile_a_slab
 from inspe_jax.scoring.metrics import entropy

@@ -8,9 +8,8 @@ from mounts import team
 from worlds import random_traffic, slow_but
 
 from inspe_jax.placement import candidate_table as tables
-from inspe_jax.placement import candidates
+from inspe_jax.placement import candidates, greedy_placement
 from inspe_jax.placement.constraints import Constraints
-from inspe_jax.placement.methods import greedy
 from inspe_jax.placement.methods.greedy import finer, of_unit, sights
 from inspe_jax.placement.objective import Objective
 from inspe_jax.placement.problem import Case, Problem
@@ -131,7 +130,7 @@ def test_bits_add_up_to_the_score(scene, name):
     for m, score in enumerate(problem.rough(x, sample)):
         rows = {s: rows_at(of, m) for s, of in bits.items()}
         assert sampled.value(rows) == pytest.approx(score, abs=2e-6)
-        for s in rows if sampled.submodular else ():
+        for s in rows if problem.submodular else ():
             rest = {t: of for t, of in rows.items() if t != s}
             fewer = dict(list(rest.items())[::2])
             added, before = (
@@ -227,7 +226,7 @@ def test_lazy_greedy_is_right_for_detectability(finding):
     """The chance that some sensor finds a road user, 1 − ∏(1 − p), gains less and less, too: every
     candidate's gain is worked out anew beside every set of picks, and never grows."""
     assert check_lazy(finding) < 1 / 5
-    picks, _ = greedy.lazy_greedy(finding)
+    picks, _ = greedy_placement.lazy_greedy(finding)
     so_far, bounds = {}, {}
     for s, k in picks.items():
         rows = finding.rows(so_far)
@@ -247,7 +246,7 @@ def test_lazy_greedy_is_right_for_detectability(finding):
 def check_lazy(table):
     """Every sensor placed is the one that adds most, at its best candidate, all worked out anew.
     Returns the share of gains that lazy greedy worked out again."""
-    picks, again = greedy.lazy_greedy(table)
+    picks, again = greedy_placement.lazy_greedy(table)
     assert sorted(picks) == list(range(5))
     so_far, looked = {}, 0
     for s, k in picks.items():
@@ -267,7 +266,7 @@ def check_lazy(table):
 
 
 def test_a_layout_of_picks_sees_what_their_candidates_see(table, problem, start):
-    picks, _ = greedy.lazy_greedy(table)
+    picks, _ = greedy_placement.lazy_greedy(table)
     x = table.layout(start, picks)
     assert problem.space.violations(problem.space.layout(x)) == []
     score = problem.rough(x[None], table.sampled.sample)[0]
@@ -286,22 +285,25 @@ def test_exchange_finds_the_best_replacement_there_is(table):
             picks[s] = int(at[0])
         before = table.sampled.value(table.rows(picks))
         rest = {s: k for s, k in picks.items() if s != 4}
-        found = greedy.exchange(table, picks, 2)
+        found = greedy_placement.exchange(table, picks, 2)
         assert found | rest == found
         best = max(gain(table, rest, 4, k) for k in range(len(table.kind_of(4).foot)))
         assert gain(table, rest, 4, found[4]) == pytest.approx(best, abs=2e-6)
         for u in (0, 1):
-            found = greedy.exchange(table, found, u)
+            found = greedy_placement.exchange(table, found, u)
             assert all(may_stand(table, found, s, k) for s, k in found.items())
         assert table.sampled.value(table.rows(found)) > before
     # For two sensors the bound leaves out no foot at which the greedy filling is better.
-    picks, _ = greedy.lazy_greedy(table)
+    picks, _ = greedy_placement.lazy_greedy(table)
     rest = {s: k for s, k in picks.items() if s not in (2, 3)}
     filled = [
-        greedy._fill(table, rest, (2, 3), int(foot))[0] for foot in np.flatnonzero(table.stand[1])
+        greedy_placement._fill(table, rest, (2, 3), int(foot))[0]
+        for foot in np.flatnonzero(table.stand[1])
     ]
     best = max(table.sampled.value(table.rows(found)) for found in filled)
-    assert table.sampled.value(table.rows(greedy.exchange(table, picks, 1))) >= best - 1e-6
+    assert (
+        table.sampled.value(table.rows(greedy_placement.exchange(table, picks, 1))) >= best - 1e-6
+    )
 
 
 def test_where_gains_may_grow_all_candidates_and_feet_are_tried(scene):
@@ -310,10 +312,10 @@ def test_where_gains_may_grow_all_candidates_and_feet_are_tried(scene):
     assert not found.problem.submodular
     found.stand[1, ::2] = False
     check_lazy(found)
-    picks, _ = greedy.lazy_greedy(found)
+    picks, _ = greedy_placement.lazy_greedy(found)
     for u, s in ((2, 4), (1, 2), (0, 0)):
         rest = {t: k for t, k in picks.items() if t not in found.problem.layout.members()[u]}
-        new = greedy.exchange(found, picks, u)
+        new = greedy_placement.exchange(found, picks, u)
         assert all(may_stand(found, new, t, k) for t, k in new.items())
         before, after = (found.value(which, u) for which in (picks, new))
         assert after >= before - 1e-7
@@ -380,11 +382,11 @@ def test_where_new_poles_are_dear_units_go_to_poles_and_stay(priced):
     cheap, dear = (whole_table(priced(price)) for price in (0.0, 0.9))
     space = dear.problem.space
     given, _ = space.start(space.given)
-    free, tied = (greedy.lazy_greedy(table)[0] for table in (cheap, dear))
+    free, tied = (greedy_placement.lazy_greedy(table)[0] for table in (cheap, dear))
     x = dear.layout(given, tied)
     assert new_poles(space, x) == 0 < new_poles(space, cheap.layout(given, free))
     for u in range(3):
-        free = greedy.exchange(dear, free, u)
+        free = greedy_placement.exchange(dear, free, u)
     assert new_poles(space, dear.layout(given, free)) == 0
     for table, stays in (dear, True), (cheap, False):
         at = x, sights(table.sampled, x)

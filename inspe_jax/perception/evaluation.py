@@ -41,6 +41,26 @@ class Detections(NamedTuple):
     score: Float32[np.ndarray, " N"]
 
 
+def check(detections: Detections, where: str) -> None:
+    """Raise InspeError, which begins with ``where``, if a box is not finite, a size is not above 0,
+    a score is not from 0 to 1, a kind is not known, or numbers of boxes differ."""
+    boxes, kind, score = (np.asarray(part) for part in detections)
+    if boxes.shape != (len(kind), 9) or kind.shape != score.shape or kind.ndim != 1:
+        raise InspeError(
+            f"{where}: boxes, kind and score have the shapes {boxes.shape}, {kind.shape} and "
+            f"{score.shape}: (N, 9), (N,) and (N,) are needed"
+        )
+    fine = np.isfinite(boxes).all(1) & (boxes[:, 3:6] > 0).all(1)
+    fine &= (score >= 0) & (score <= 1) & np.isin(kind, range(len(KINDS)))
+    if not fine.all():
+        n = int(np.argmin(fine))
+        raise InspeError(
+            f"{where}: box {n}: {boxes[n].tolist()} of kind {kind[n]} and score {score[n]:g}: "
+            f"numbers must be finite, sizes above 0, scores from 0 to 1, and kinds from 0 to "
+            f"{len(KINDS) - 1}"
+        )
+
+
 def truth_of(targets: Targets, b: int) -> Detections:
     """The road users of frame b of a batch as detections with score 1, also those that no sensor
     saw, so that placements are compared on the same truth; nuScenes leaves these out."""
@@ -110,14 +130,17 @@ def evaluate(detections: Sequence[Detections], truth: Sequence[Detections]) -> E
     The scores of ``truth`` mean nothing. Of equal scores, the later frame and in it the later box
     comes first, as in nuScenes' code. The caller leaves out boxes that are not to count.
 
-    Raises InspeError if the numbers of frames differ, and :class:`NoTruth` if there is no road user
-    in any frame.
+    Raises InspeError if the numbers of frames differ or boxes are not valid, and :class:`NoTruth`
+    if there is no road user in any frame.
     """
     if len(detections) != len(truth):
         raise InspeError(
             f"detections of {counted(len(detections), 'frame')}, but ground truth of "
             f"{len(truth):,}: give one of each for every frame, empty if there is none"
         )
+    for frames, what in ((detections, "detections"), (truth, "truth")):
+        for t, frame in enumerate(frames):
+            check(frame, f"{what}: frame {t}")
     users = np.bincount(
         np.concatenate([np.zeros(0, int), *(frame.kind for frame in truth)]), minlength=len(KINDS)
     )

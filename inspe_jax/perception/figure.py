@@ -16,7 +16,7 @@ from inspe_jax.core.sheet import CLASS_COLORS, KEYS, heading, house_style
 from inspe_jax.core.words import counted
 from inspe_jax.dataset import frame_figure
 from inspe_jax.dataset.loading.batch import Batch, Cameras
-from inspe_jax.perception.evaluation import USUAL_DISTANCE, Detections, matched, truth_of
+from inspe_jax.perception.evaluation import USUAL_DISTANCE, Detections, check, matched, truth_of
 from inspe_jax.simulation.frame import KINDS, Image, RoadUserBox
 from inspe_jax.simulation.projection import corners, edge_lines
 
@@ -61,10 +61,11 @@ def draw(
     yellow; a detection that takes none is false, and dashed
     (:func:`~inspe_jax.perception.evaluation.matched`). Detections with a score below
     ``least_score`` count as not made. Points in pillars are not drawn. All is in the frame of the
-    intersection, as in the batch. Raises InspeError if b is padding.
+    intersection, as in the batch. Raises InspeError if b is padding, or a detection is not valid.
     """
     if not batch.valid[b]:
         raise InspeError(f"frame {b} of the batch is padding: use one that is valid")
+    check(detections, "detections")
     found = Detections(*(np.asarray(p)[detections.score >= least_score] for p in detections))
     truth = truth_of(batch.targets, b)
     taken = matched(found, truth)

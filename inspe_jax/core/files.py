@@ -225,7 +225,7 @@ def check_input(path: Path, most: float = math.inf) -> None:
 OTHER_KINDS = {
     b"\x1f\x8b\x08": "is packed with gzip; unpack it: gunzip FILE",
     b"1AY&SY": "is packed with bzip2; unpack it: bunzip2 FILE",
-    b"PK\x03\x04": "is a zip archive; unpack it: unzip FILE",
+    b"PK\x03\x04": "is a zip archive; unpack it: unzip FILE (a saved scene's name ends in .npz)",
     b"OSMHeader": "is OpenStreetMap's PBF; make XML of it: osmium cat FILE -o city.osm",
     b"<kml": "is KML; make bodies of it: ogr2ogr -f GeoJSON bodies.geojson FILE",
     b"<osm": "is XML of OpenStreetMap or Lanelet2; the first is a map: name it city.osm",
@@ -238,6 +238,7 @@ def check_kind(path: Path, *allowed: bytes) -> None:
     check_input(path)
     with path.open("rb") as f:
         start = f.read(1024).partition(b"{")[0]  # of JSON, nothing
+    start = re.sub(rb"<!--.*?(-->|\Z)", b"", start, flags=re.DOTALL)  # they may name other files
     for mark, words in OTHER_KINDS.items():
         if mark in start and mark not in allowed:
             raise InspeError(f"{path}: {words}")

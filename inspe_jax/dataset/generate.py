@@ -34,7 +34,7 @@ from inspe_jax.simulation.backends import BACKENDS, server_of
 from inspe_jax.simulation.recorder import Server
 
 UNFINISHED = ".unfinished"
-FORMAT = "inspe_jax data set 2"
+FORMAT = "inspe_jax data set 3"
 CONTINUE = "give the same command again to resume"
 
 

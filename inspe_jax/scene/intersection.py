@@ -110,8 +110,8 @@ class Intersection(Described):
     which a scene has with ``statics="map"``; ``mesh`` are the triangles that bodies of kind
     ``solid`` stand for. ``georeference`` is the projection of its coordinates, None if unknown.
     ``level_points`` are the ground points of the map, where the place stands on other ground
-    (:meth:`standing_on`). ``driving_side`` is what was asked for in place of the country's. A saved
-    scene keeps neither the map nor these.
+    (:meth:`standing_on`). ``driving_side`` is the side that was given, None for the country's.
+    A saved scene keeps neither the map nor these.
     """
 
     name: str
@@ -245,6 +245,7 @@ def off_roads(
     """Footpaths (N, 2) without what leads over a road beside crossings for more than
     :data:`STRAY`, as where a map's junctions are joined; ``notes`` get how many are cut."""
     roads = unary_union([areas[Region.JUNCTION], areas[Region.DRIVEWAY]])
+    roads = roads.buffer(0.5).buffer(-0.8)  # without gaps between lanes, and inside the kerb
     roads, cut = roads.difference(areas[Region.CROSSWALK].buffer(0.5)), 0
     for line in lines:
         path = LineString(line)

@@ -99,7 +99,6 @@ class Image(Deferred):
     share: Float[np.ndarray, " B"] | None = field(default=None, repr=False)
 
     def _check(self, prefix: str) -> None:
-        check_values(self.rgb, f"{prefix}rgb", 0, 255)
         if self.depth is not None and self.depth.shape != self.rgb.shape[:2]:
             expected = f"{self.rgb.shape[:2]}, as rgb"
             raise InspeError(f"{prefix}depth: shape {self.depth.shape}, expected {expected}")

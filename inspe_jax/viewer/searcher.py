@@ -85,8 +85,9 @@ class Searcher:
         with self._lock:
             if not (self.running or self._closed):
                 self._best = None
-                self.thread = threading.Thread(target=self._search, kwargs=search, daemon=True)
-                self.thread.start()
+                thread = threading.Thread(target=self._search, kwargs=search, daemon=True)
+                thread.start()
+                self.thread = thread
 
     def stop(self) -> None:
         """End the search now, whatever it is doing, with the best layout so far."""
@@ -119,11 +120,14 @@ class Searcher:
         except InspeError as e:
             end = partial(self._end, str(e), failed=True)
         except Exception as e:
-            traceback.print_exception(e)
-            end = partial(self._end, f"the search failed: {e!r}", failed=True)
+            end = partial(self._fail, e)
         with self._lock:
             if threading.current_thread() is self.thread:
                 end()
+
+    def _fail(self, error: Exception) -> None:
+        traceback.print_exception(error)
+        self._end(f"the search failed: {error!r}", failed=True)
 
     def _tell(self, listener: Callable[..., None], *content: Any) -> None:
         """Call a listener, unless the search has been stopped."""

@@ -161,4 +161,4 @@ def image_size(spec: Spec) -> tuple[int, int] | None:
     if not isinstance(spec, CameraSpec):
         return None
     scale = min(1.0, float(np.sqrt(PIXELS / (spec.width * spec.height))))
-    return round(spec.width * scale), round(spec.height * scale)
+    return max(1, round(spec.width * scale)), max(1, round(spec.height * scale))

@@ -64,6 +64,7 @@ OTHER = {
     b'<?xml version="1.0"?>\n<kml xmlns="x"/>': "is KML; make bodies of it: ogr2ogr",
     b"<!-- a map -->\n<osm/>": "is XML of OpenStreetMap or Lanelet2",
     b'{"name": "<kml"}': "",
+    b"<!-- netconvert <osm-files value='a.osm'/> -->\n<OpenDRIVE/>": "",
 }
 
 

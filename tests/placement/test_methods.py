@@ -202,7 +202,7 @@ def test_wherever_its_time_ends_it_is_not_below_what_it_preferred(name, problem,
 
         monkeypatch.setattr(of, function, watched)
 
-    watch(greedy, "lazy_greedy", lambda found, table: table.layout(start, found[0]))
+    watch(greedy, "lazy_greedy", lambda found, table, *_: table.layout(start, found[0]))
     watch(greedy, "exchange", lambda found, table, *_: table.layout(start, found))
     watch(adam, "advance", lambda found, *_: adam.layouts(problem, found)[0])
     watch(greedy_adam, "_bursts", lambda found, *_: found[0][0])

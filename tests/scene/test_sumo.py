@@ -224,7 +224,7 @@ BROKEN = {
     "a network's side": ("a.net.xml", NET, "only OpenStreetMap takes a driving side; leave it out"),
     "Lanelet2": (
         "a.osm",
-        '<osm><relation id="1"><tag k="type" v="lanelet"/></relation></osm>',
+        "<osm><relation id='1'><tag k='type' v='lanelet'/></relation></osm>",
         "is a map of Lanelet2, which is not read; convert it to OpenDRIVE",
     ),
     "empty extract": ("a.osm", '<osm version="0.6"></osm>', "netconvert failed"),

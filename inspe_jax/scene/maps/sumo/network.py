@@ -5,6 +5,7 @@ import functools
 import gzip
 import io
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -34,7 +35,7 @@ _OPTIONS = {
 }
 """Options of netconvert for each kind of map. It guesses sidewalks where a map has none."""
 SIDES = ("right", "left")  # of the road, that traffic of an extract may drive on
-LANELET = b'v="lanelet"'  # how a map of Lanelet2, which has the suffix of an extract, is told
+LANELET = re.compile(rb"""v=["']lanelet["']""")  # only maps of Lanelet2 have such a tag
 
 
 @functools.cache
@@ -69,7 +70,7 @@ def network_file(path: Path, side: str | None = None) -> tuple[Path, list[str]]:
             run("netconvert", given, f"{path}")
         except InspeError as error:
             with _opened(path) as f:
-                if kind == "osm" and any(LANELET in line for line in f):
+                if kind == "osm" and any(map(LANELET.search, f)):
                     wrong = "is a map of Lanelet2, which is not read; convert it to OpenDRIVE"
                     raise InspeError(f"{path}: {wrong}") from error
             raise
@@ -87,7 +88,7 @@ def driving_side(path: Path, wanted: str | None) -> tuple[str, str]:
     is wanted."""
     if wanted is not None:
         check_known(wanted, SIDES, f"{path}: driving side")
-        return wanted, f"traffic drives on the {wanted}, as was asked for"
+        return wanted, f"traffic drives on the {wanted}, as --driving-side says"
     at = Point()
     with _opened(path) as f, suppress(StopIteration, ValueError):  # netconvert says what is wrong
         first = next(one for _, one in ET.iterparse(f, ["start"]) if one.tag == "node")
@@ -99,8 +100,9 @@ def driving_side(path: Path, wanted: str | None) -> tuple[str, str]:
     lands = ((name, shapely.from_wkt(f"POLYGON ({ring})")) for name, ring in rings)
     where = next((name for name, land in lands if land.covers(at)), "")
     side, other = reversed(SIDES) if where else SIDES
-    why = f"as in {where or 'most countries'}"
-    return side, f"traffic drives on the {side}, {why}; if not so, give --driving-side {other}"
+    why = f"as in {where or 'most countries'}" if at.is_valid and not at.is_empty else "by default"
+    remedy = f"if not so, give `inspe scene --driving-side {other}`"
+    return side, f"traffic drives on the {side}, {why}; {remedy}"
 
 
 def run(name: str, arguments: Sequence[str], where: str) -> None:

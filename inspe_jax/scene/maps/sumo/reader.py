@@ -119,9 +119,9 @@ class SumoJunction(MapJunction):
         return parts
 
     def with_bodies(self, place: Intersection, lane_strips: list[LaneStrip]) -> Intersection:
+        place = replace(place, driving_side=self.map.side)
         if place.georeference is None or not str(self.map.path).lower().endswith(OSM_SUFFIXES):
             return place
-        place = replace(place, driving_side=self.map.side)
         reach = self.radius + MARGIN
         reader = BodyReader(self.map.path, place, reach, self.notes)
         place = self._on_heights(place, reader.spot_heights())

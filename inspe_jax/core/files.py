@@ -254,7 +254,8 @@ def check_size(where: object, size: float, most: float, what: str) -> None:
 
 def cached_by_file(size: int) -> Callable[[Callable[..., Content]], Callable[..., Content]]:
     """A decorator for readers of files: it caches the content of ``size`` files, until they change.
-    The reader then raises InspeError if there is no file. It may take an option besides."""
+    The reader then raises InspeError if there is no file. It may take options besides; one that is
+    None counts as not given."""
 
     def decorated(read: Callable[..., Content]) -> Callable[..., Content]:
         cached = functools.lru_cache(maxsize=size)(lambda facts, *given: read(*given))
@@ -262,8 +263,8 @@ def cached_by_file(size: int) -> Callable[[Callable[..., Content]], Callable[...
         @functools.wraps(read)
         def load(path: str | os.PathLike[str], *options: Any) -> Content:
             check_input(path := Path(path))
-            facts = path.stat()
-            return cached((path.resolve(), facts.st_mtime_ns, facts.st_size), path, *options)
+            facts, given = path.stat(), [one for one in options if one is not None]
+            return cached((path.resolve(), facts.st_mtime_ns, facts.st_size), path, *given)
 
         return load
 

@@ -58,9 +58,9 @@ def _may_stand(table: Table, picks: Picks, g: int, k: int) -> list[int]:
     """The sensors of group ``g`` to try at candidate ``k``: one of each unit that stands there
     already, then one of a unit that is free to go elsewhere."""
     there, free = dict[int, int](), list[int]()
-    for s in table.alike[g]:
+    for s in (s for s in table.alike[g] if s not in picks):
         unit, stands = table.problem.layout.sensors[s].unit, table.mast(picks, s)[0] >= 0
-        if s in picks or (unit in there if stands else free) or not table.fits(picks, s, k):
+        if (unit in there if stands else free) or not table.fits(picks, s, k):
             continue
         if stands:
             there[unit] = s

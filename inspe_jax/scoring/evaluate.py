@@ -83,8 +83,8 @@ class Scores(PaperMetrics, ByContent, Described):
     """The scores of one layout on one scene, each between 0 and 1, higher is better.
 
     ``metrics`` are by name, and ``surrogate`` is their weighted sum P_sm. They are numbers, or JAX
-    arrays where the layout's poses are traced. ``region_coverage`` is the share in
-    view, unweighted, of the voxels of each region.
+    arrays where the layout's poses are traced. ``region_coverage`` is the share in view,
+    unweighted, of the voxels of each region.
 
     ``contributions`` has one row a sensor, in the layout's order; none where poses are traced. One
     can be negative only for occlusion with the reference ``covered``, whose voxels change with the

@@ -103,8 +103,7 @@ def sumo_traffic(
             f"{intersection.name}: SUMO runs on a map (.net.xml, .osm or .xodr); "
             "a built-in or a saved scene has none"
         )
-    side = intersection.driving_side
-    streets = load_net(intersection.map, *([] if side is None else [side]))
+    streets = load_net(intersection.map, intersection.driving_side)
     paths = paths_through(streets, intersection.center, radius)
     wanted = quota(MIXES[mix], [bool(paths[kind]) for kind in CLASSES], count)
     if count and not wanted.any():

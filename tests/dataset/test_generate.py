@@ -104,7 +104,7 @@ def assert_whole(out: Path) -> None:
         for scenario in (out / split).glob("*"):
             (found,) = dataset.open(scenario).scenarios
             assert found.frames == tuple(range(FRAMES)), scenario
-            assert not list(scenario.rglob(".*"))
+            assert not list(scenario.rglob(".*.part"))
 
 
 @pytest.fixture(scope="module")

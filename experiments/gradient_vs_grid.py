@@ -115,7 +115,7 @@ def scenes(quick: bool, only: str) -> Iterator[tuple[str, Scene]]:
 def warming(problem: Problem) -> float:
     """A budget in which any method comes to each of its parts [evaluations]."""
     drawn = problem.draw(np.random.default_rng(0), COLUMNS, FRAMES)
-    return max(14.0, 400.0 * problem.sample_cost(drawn))
+    return max(150.0, 400.0 * problem.sample_cost(drawn))
 
 
 def search(

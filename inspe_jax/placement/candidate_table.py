@@ -22,8 +22,10 @@ HEIGHTS, YAWS = 3, 8
 """Usual number of heights, and that of yaws, of candidates at each foot."""
 CHUNK = 128
 """Number of candidates in one step."""
+AS_IT_IS = -1
+"""In place of a candidate: as the sensor stands. All sensors of a unit do, or none."""
 Picks = dict[int, int]
-"""The candidate of each placed sensor."""
+"""The candidate of each placed sensor, or :data:`AS_IT_IS`."""
 
 
 @dataclass(eq=False)
@@ -54,13 +56,19 @@ class CandidateKind:
 
 @dataclass(eq=False)
 class Table:
-    """The candidates of every kind of sensor of a problem, on one sample."""
+    """The candidates of every kind of sensor of a problem, on one sample.
+
+    ``own`` are the rows of sensors that may stay as they are, and ``paid`` what the objective pays
+    for the pole of each unit as it is.
+    """
 
     problem: Problem
     sampled: SampledObjective
     feet: Float[np.ndarray, "F 2"]
     stand: Bool[np.ndarray, "U F"]
     kinds: list[CandidateKind]
+    own: dict[int, Rows] = field(default_factory=dict)
+    paid: Float[np.ndarray, " U"] = field(default_factory=lambda: np.zeros(0))
 
     @classmethod
     def of(
@@ -133,7 +141,9 @@ class Table:
 
     def rows(self, picks: Picks) -> dict[int, Rows]:
         """What each placed sensor sees."""
-        return {s: self.kind_of(s).row(k) for s, k in picks.items()}
+        return {
+            s: self.own[s] if k == AS_IT_IS else self.kind_of(s).row(k) for s, k in picks.items()
+        }
 
     def scores(self, rows: SampledRows, at: Sequence[tuple[int, int]]) -> Float[np.ndarray, " n"]:
         """The score with sensor s at candidate k, for each (s, k), beside others that see ``rows``;
@@ -178,7 +188,11 @@ class Table:
     def value(self, picks: Picks, u: int) -> float:
         """The score of sensors at the picks, without what unit ``u`` pays for its pole."""
         s = self.problem.layout.members()[u][0]
-        return self.sampled.value(self.rows(picks)) - self.price[u, self.kind_of(s).foot[picks[s]]]
+        if (k := picks[s]) == AS_IT_IS:
+            paid = self.paid[u]
+        else:
+            paid = self.price[u, self.kind_of(s).foot[k]]
+        return self.sampled.value(self.rows(picks)) - paid
 
     def fits(self, picks: Picks, s: int, k: Int[np.ndarray, " n"] | int) -> np.ndarray:
         """Whether sensor ``s`` may be at candidates ``k``, beside the sensors already placed."""
@@ -202,7 +216,7 @@ class Table:
         space, index = self.problem.space, self.problem.space.index
         x = np.array(x)[None]
         for u, members in enumerate(self.problem.layout.members()):
-            placed = [s for s in members if s in picks]
+            placed = [s for s in members if picks.get(s, AS_IT_IS) != AS_IT_IS]
             if len(placed) < len(members):
                 continue
             kinds = [(self.kind_of(s), picks[s]) for s in members]

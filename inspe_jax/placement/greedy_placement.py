@@ -5,23 +5,25 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 from jaxtyping import Float
 
-from inspe_jax.placement.candidate_table import Picks, Table
+from inspe_jax.placement.candidate_table import AS_IT_IS, Picks, Table
 from inspe_jax.placement.sampled_objective import LEAST
 
 BATCH = 32
 """Candidates that are tried at once."""
 
 
-def lazy_greedy(table: Table, before: Callable[[], None] = lambda: None) -> tuple[Picks, int]:
+def lazy_greedy(
+    table: Table, before: Callable[[], None] = lambda: None, kept: Sequence[int] = ()
+) -> tuple[Picks, int]:
     """Place one sensor after the other, each time the one that adds most, at its best candidate.
 
     Returns the chosen candidates, and how many gains were computed again. Where the objective is
     submodular, an earlier gain is an upper bound of a later one (Minoux 1978): candidates are tried
     in the order of it, until none can be better. Else all are tried for every sensor. The first
     sensor of a unit fixes the unit's foot; its other sensors choose among the candidates there.
-    ``before`` is called before each sensor is placed.
+    ``before`` is called before each sensor is placed. Those ``kept`` stay as they are.
     """
-    picks, again, submodular = Picks(), 0, table.problem.submodular
+    picks, again, submodular = dict.fromkeys(kept, AS_IT_IS), 0, table.problem.submodular
     looked = [table.kind_of(group[0]).looked for group in table.alike]
     at = [(g, k) for g, count in enumerate(looked) for k in range(count)]
     free, gain = np.ones(len(at), bool), np.full(len(at), np.inf)
@@ -94,7 +96,7 @@ def exchange(table: Table, picks: Picks, u: int) -> Picks:
         filled, score = _fill(table, others, members, int(foot), alone)
         if score > value:
             best, value = filled, score
-    for s in members:
+    for s in members if best[members[0]] != AS_IT_IS else ():
         rest = {t: k for t, k in best.items() if t != s}
         again, score = _fill(table, rest, (s,), int(table.kind_of(s).foot[best[s]]))
         if score > value:

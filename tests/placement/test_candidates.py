@@ -10,7 +10,7 @@ from worlds import random_traffic, slow_but
 from inspe_jax.placement import candidate_table as tables
 from inspe_jax.placement import candidates, greedy_placement
 from inspe_jax.placement.constraints import Constraints
-from inspe_jax.placement.methods.greedy import finer, of_unit, sights
+from inspe_jax.placement.methods.local_search import finer, of_unit, sights
 from inspe_jax.placement.objective import Objective
 from inspe_jax.placement.problem import Case, Problem
 from inspe_jax.placement.sampled_objective import SampledObjective, rows_at
@@ -304,6 +304,24 @@ def test_exchange_finds_the_best_replacement_there_is(table):
     assert (
         table.sampled.value(table.rows(greedy_placement.exchange(table, picks, 1))) >= best - 1e-6
     )
+
+
+def test_units_as_they_are_stand_beside_candidates(problem):
+    """They are scored as they stand, and exchanged only for what is better."""
+    table, x = whole_table(problem), problem.space.random(np.random.default_rng(7), 1)[0]
+    table.own, table.paid = sights(table.sampled, x), problem.pole_costs(x)
+    picks, _ = greedy_placement.lazy_greedy(table, kept=(0, 1, 4))
+    assert {s for s, k in picks.items() if k == tables.AS_IT_IS} == {0, 1, 4}
+    mixed = table.layout(x, picks)
+    kept = np.concatenate([of_unit(problem, u) for u in (0, 2)])
+    np.testing.assert_array_equal(mixed[kept], x[kept])
+    rough = problem.rough(mixed[None], table.sampled.sample)[0]
+    assert table.value(picks, 0) == pytest.approx(rough, abs=2e-3)
+    found = greedy_placement.exchange(table, picks, 2)
+    best = max(table.value(picks | {4: k}, 2) for k in range(table.kind_of(4).looked))
+    assert table.value(found, 2) == pytest.approx(max(best, table.value(picks, 2)), abs=2e-6)
+    assert greedy_placement.exchange(table, found, 2) == found
+    assert table.value(greedy_placement.exchange(table, found, 0), 0) >= table.value(found, 0)
 
 
 def test_where_gains_may_grow_all_candidates_and_feet_are_tried(scene):

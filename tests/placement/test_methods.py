@@ -24,8 +24,8 @@ from inspe_jax.placement.methods import (
     cma_es,
     differences,
     greedy,
-    greedy_adam,
     grid,
+    local_search,
     random_layouts,
     solver_rounds,
 )
@@ -43,16 +43,15 @@ from inspe_jax.sensing.layout import Layout
 SLOPES = ("adam", "lbfgsb", "projected-gradient")
 """Methods that need nothing but scores and slopes."""
 SMALL = [
-    ("COLUMNS", 96, (runs, greedy_adam)),
-    ("FRAMES", 3, (runs, candidate_table, greedy, greedy_adam)),
+    ("COLUMNS", 96, (runs, greedy, local_search)),
+    ("FRAMES", 3, (runs, candidate_table, local_search)),
     ("LARGER", 1, (adam,)),
     ("STEP_COLUMNS", 96, (adam,)),
     ("ROUND_COLUMNS", 96, (solver_rounds,)),
     ("ROUND_FRAMES", 3, (solver_rounds,)),
     ("SCREENED", 8, (adam, cma_es)),
     ("YAWS", 4, (candidate_table,)),
-    ("AIMED", greedy.Effort(96, 2, 8, 0.02), (greedy,)),
-    ("LEVEL", greedy.Effort(192, 4, 4, 0.1), (greedy,)),
+    ("HEIGHTS", 2, (greedy,)),
     ("CHUNK", 64, (candidate_table,)),
     ("BATCH", 8, (grid, random_layouts)),
     ("FINEST", 3, (grid,)),
@@ -118,12 +117,11 @@ def offers(run):
 
 # ── One contract for all methods ────────────────────────────────────────────
 
-BUDGET = {"grid": 30.0, "random": 20.0, "greedy": 45.0, "cma-es": 25.0}
+BUDGET = {"grid": 30.0, "random": 20.0, "greedy": 90.0, "cma-es": 25.0}
 BUDGET |= {"adam": 45.0, "greedy-adam": 120.0, "lbfgsb": 20.0, "projected-gradient": 30.0}
-BUDGET |= {"differences": 240.0, "moves": 90.0}
+BUDGET |= {"differences": 240.0}
 """Evaluations in which each method comes through all of its kinds of step, but for restarts."""
-PARTS = {key: {"Placing", "LocalSearch"} for key in ("greedy-adam", "differences", "moves")}
-PARTS |= {"greedy": {"Placing", "Exchanging", "Moving"}}
+PARTS = {name: {"Placing", "Exchanging", "LocalSearch"} for name in ("greedy-adam", "greedy")}
 
 
 @pytest.fixture(scope="module")
@@ -134,7 +132,7 @@ def ran(problem):
     def of(name):
         run = begun(problem, BUDGET[name])
         with pytest.MonkeyPatch.context() as patch:
-            if name in ("differences", "moves"):  # no gradient is asked for
+            if name in ("differences", "greedy"):  # no gradient is asked for
                 patch.setattr(problem, "slope", None)
             return run, list(steps(run, METHODS[name]))
 
@@ -159,7 +157,7 @@ def test_the_default_finds_what_detects_by_greedy_placement_and_gradients(scene)
     run = begun(Problem(scene, team(scene, second=CAMERA), objective), BUDGET["greedy-adam"])
     seen = [kept.state for kept in steps(run, METHODS["greedy-adam"])]
     assert {"Placing", "LocalSearch"} <= {state["class"] for state in seen}
-    assert max(state.get("count", 0) for state in seen) >= greedy_adam.BURST
+    assert max(state.get("count", 0) for state in seen) >= local_search.BURST
     assert run.best > run.history[0].score + 0.01
 
 
@@ -182,7 +180,7 @@ def test_from_a_checkpoint_it_goes_on_as_if_nothing_had_come_between(name, probl
 
 
 ENDS = {"adam": 50, "greedy-adam": 90, "lbfgsb": 20, "projected-gradient": 20}
-ENDS |= {"greedy": 60, "grid": 20, "random": 10, "cma-es": 20, "differences": 90, "moves": 90}
+ENDS |= {"greedy": 90, "grid": 20, "random": 10, "cma-es": 20, "differences": 90}
 """Looks at the clock in which a method comes through its kinds of step."""
 
 
@@ -205,8 +203,8 @@ def test_wherever_its_time_ends_it_is_not_below_what_it_preferred(name, problem,
     watch(greedy, "lazy_greedy", lambda found, table, *_: table.layout(start, found[0]))
     watch(greedy, "exchange", lambda found, table, *_: table.layout(start, found))
     watch(adam, "advance", lambda found, *_: adam.layouts(problem, found)[0])
-    watch(greedy_adam, "_bursts", lambda found, *_: found[0][0])
-    watch(greedy, "finer", lambda found, *_: found[0])
+    watch(local_search, "_bursts", lambda found, *_: found[0][0])
+    watch(local_search, "finer", lambda found, *_: found[0])
     inner = solver_rounds.charged
 
     def charged(run, drawn, score, layout):
@@ -500,7 +498,7 @@ def test_bursts_and_moves_gain_what_greedy_placement_left(ran):
     improving = [state["class"] == "LocalSearch" for state in states]
     passes = [(a, b) for (a, b), both in zip(pairwise(states), pairwise(improving), strict=True)
               if all(both)]  # fmt: skip
-    assert any(b["count"] > a["count"] + greedy_adam.BURST for a, b in passes)
+    assert any(b["count"] > a["count"] + local_search.BURST for a, b in passes)
     assert any(b["value"] > a["value"] for a, b in passes)
     assert all(b["value"] >= a["value"] for a, b in passes)
 
@@ -508,10 +506,10 @@ def test_bursts_and_moves_gain_what_greedy_placement_left(ran):
 def test_its_controls_have_bursts_by_differences_or_none(ran):
     def counts(name):
         kept = [at.state for at in ran(name)[1] if at.state["class"] == "LocalSearch"]
-        return {state["count"] - greedy_adam.STEPS * state["round"] for state in kept}
+        return {state["count"] - local_search.STEPS * state["round"] for state in kept}
 
-    assert max(counts("differences")) >= greedy_adam.BURST
-    assert counts("moves") == {0}
+    assert max(counts("differences")) >= local_search.BURST
+    assert counts("greedy") == {0}
 
 
 class Flat(Problem):
@@ -524,23 +522,45 @@ class Flat(Problem):
 def test_one_burst_a_pass_where_they_gain_nothing(monkeypatch):
     """It is not taken, and the next one is shorter, until moves that gained begin again at the
     widest."""
-    monkeypatch.setattr(greedy_adam, "NARROW", 0.5)  # after two passes that gain nothing
+    monkeypatch.setattr(local_search, "NARROW", 0.5)  # after two passes that gain nothing
     small = build_scene(built_in("four_way"), radius=15, voxel=2.0, frames=2, density=20)
     whole, method = strategy(small, "Cam-d1"), METHODS["greedy-adam"]
     three = Layout(whole.poses[:3], whole.sensors[:3], whole.units[:2], "three cameras")
     run = begun(Flat(small, three), 5000)
     first, state = [], method.begin(run)
     while run.done < 0.8 and state.round == 0:
-        first += [state] if isinstance(state, greedy_adam.LocalSearch) else []
+        first += [state] if isinstance(state, local_search.LocalSearch) else []
         state = method.step(run, state)
     assert run.best > run.history[0].score
-    assert [state.count for state in first] == [k * greedy_adam.BURST for k in range(len(first))]
+    assert [state.count for state in first] == [k * local_search.BURST for k in range(len(first))]
     wider = [after.width > before.width for before, after in pairwise(first)]
     assert {True, False} == set(wider)
     for (before, after), again in zip(pairwise(first), wider, strict=True):
-        rate = greedy_adam.RATE if again else before.rate * greedy_adam.CALMER
+        rate = local_search.RATE if again else before.rate * local_search.CALMER
         assert after.rate == pytest.approx(rate)
         assert (after.widest > before.widest) == again
+
+
+def test_a_later_round_takes_some_units_out_of_the_best_layout_and_places_them(problem):
+    """The others stay where they are, to the bit, until an exchange moves them."""
+    run = begun(problem, 10_000)
+    method, sizes = METHODS["greedy"], set[int]()
+    for number in range(1, 4):
+        run.offer(problem.space.random(run.rng(9, number), 1)[0])
+        state, best = greedy._again(run, number), run.best_x
+        np.testing.assert_array_equal(state.x, best)
+        sizes.add(int(state.out.sum()))
+        while isinstance(state, greedy.Placing):
+            out, state = state.out, method.step(run, state)
+        offered = state.x
+        for u, taken in enumerate(out):
+            own = local_search.of_unit(problem, u)
+            assert (offered[own] != best[own]).any() == taken
+        as_they_are = {s for s, k in enumerate(state.picks) if k == candidate_table.AS_IT_IS}
+        units = [sensor.unit for sensor in problem.layout.sensors]
+        assert as_they_are == {s for s, u in enumerate(units) if not out[u]}
+        assert problem.exact(offered) == pytest.approx(state.value)
+    assert max(sizes) < len(problem.layout.units)
 
 
 def test_where_no_sensor_is_aimed_it_is_greedy(scene):

@@ -1,9 +1,8 @@
-"""Controls of the default search: the same, with another thing in place of its gradient.
+"""A control: the default search with central differences of the hard score for its gradient.
 
-What the default gains over them in equal time is what its gradient gains.
+What the default gains over it, and over ``greedy``, in equal time is what its gradient gains.
 """
 
-from functools import partial
 from typing import Any
 
 import jax
@@ -12,10 +11,9 @@ from jaxtyping import Float
 
 from inspe_jax.core.arrays import on_host
 from inspe_jax.placement.methods.adam import Slope
-from inspe_jax.placement.methods.greedy import VIEW_COST
-from inspe_jax.placement.methods.greedy_adam import GREEDY_ADAM, step
+from inspe_jax.placement.methods.greedy import method
+from inspe_jax.placement.methods.local_search import VIEW_COST
 from inspe_jax.placement.problem import Drawn, Problem, Sample
-from inspe_jax.placement.run import Method
 from inspe_jax.placement.sampled_objective import SampledObjective, rows_at
 
 HALF = np.array([0.5, 0.5, 0.5, 0.0, 0.03, 0.03])
@@ -42,14 +40,8 @@ def _cost(problem: Problem, drawn: Drawn) -> float:
     return len(_STEPS) * VIEW_COST * problem.sample_cost(drawn)
 
 
-def _control(name: str, summary: str, by: Slope | None) -> Method:
-    same = GREEDY_ADAM.states, GREEDY_ADAM.begin, partial(step, by=by)
-    return Method(name, f"a control: greedy-adam {summary}", *same)
-
-
-DIFFERENCES = _control(
+DIFFERENCES = method(
     "differences",
-    "with central differences of the hard score for gradients",
+    "a control: greedy-adam with central differences of the hard score for gradients",
     Slope(differences, _cost),
 )
-MOVES = _control("moves", "without bursts of Adam; finer moves have their time", None)

@@ -8,6 +8,10 @@ own that keeps nothing compiled, and its time is its user's: it begins when the 
 and compiling is part of it. With ``--processor`` the seconds are processor time, which other work
 on the machine does not lengthen: run it on one core. Scores are exact, of the whole scene.
 
+``rises`` has what a search reached at which second. The best layout that any run has found of each
+cell is kept in ``best_known/``, with its score in ``best_known.csv``: a method's figure is the
+share of it at a second, and the seconds to 99 % of it.
+
 A run that is stopped goes on from what it has written: rows are appended as they come. To use
 several cores, run it for some places on each, and put their CSVs together; each search then has
 one core.
@@ -17,6 +21,7 @@ import argparse
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -41,6 +46,7 @@ from inspe_jax.placement.candidates import COLUMNS, FRAMES
 from inspe_jax.placement.methods.registry import GRADIENTS, METHODS
 from inspe_jax.placement.problem import Problem
 from inspe_jax.placement.run import BudgetSpent, Method, Progress, Run
+from inspe_jax.sensing.layout import save_layout
 
 BUILT_INS = ("four_way", "t_junction", "roundabout")
 TOWNS = (("Town03", 422), ("Town04", 53), ("Town05", 53), ("Town07", 725), ("Town10HD", 189))
@@ -54,13 +60,15 @@ PLACES = (*BUILT_INS, *(f"{town} {junction}" for town, junction in TOWNS))
 GRADIENT = [method.name for method in GRADIENTS]
 FIELDS = (
     "place", "mix", "method", "seed", "budget", "start", "score", "evaluations", "seconds",
-    "compiling", "clock",
+    "compiling", "clock", "rises",
 )  # fmt: skip
+BEST = ("place", "mix", "score", "method", "seed", "budget")
 
 Clock = Callable[[], float]
 """Seconds by the clock that budgets are counted with."""
-Found = Iterator[tuple[int, str, list[Progress], float, float]]
-"""Searches as they come: seed, method, scores, work in exact scores, and seconds of compiling."""
+Found = Iterator[tuple[int, str, Layout, list[Progress], float, float]]
+"""Searches as they come: seed, method, the layout found, scores, work in exact scores, and seconds
+of compiling."""
 
 
 def options() -> argparse.Namespace:
@@ -142,14 +150,15 @@ def search(
 
 def cold_search(
     scene: Scene, layout: Layout, name: str, seed: int, seconds: float, clock: Clock
-) -> tuple[list[Progress], float, float]:
-    """A search in a process that has compiled nothing: its scores, work, and time compiling."""
+) -> tuple[Layout, list[Progress], float, float]:
+    """A search in a process that has compiled nothing: its layout, scores, work, and compiling."""
     jax.config.update("jax_enable_compilation_cache", False)
     before, began = compiled().seconds, clock()
     problem = Problem(scene, layout)
     spent = lambda: clock() - began  # noqa: E731
     run, history = search(problem, METHODS[name], seed, spent, seconds=seconds, clock=clock)
-    return history, run.evaluations, compiled().seconds - before
+    found = problem.space.layout(run.best_x)
+    return found, history, run.evaluations, compiled().seconds - before
 
 
 def cold_cell(
@@ -174,7 +183,8 @@ def warm_cell(
         compiling[name] = time.monotonic() - began
     for seed, name in todo:
         run, history = search(problem, METHODS[name], seed, seconds=seconds, clock=clock)
-        yield seed, name, history, run.evaluations, compiling[name]
+        found = problem.space.layout(run.best_x)
+        yield seed, name, found, history, run.evaluations, compiling[name]
 
 
 def cell(
@@ -190,10 +200,31 @@ def cell(
     searches, words = (cold_cell, "cold") if given.cold else (warm_cell, "compiled")
     words += ", processor time" * given.processor
     clock = time.process_time if given.processor else time.monotonic
-    for seed, name, history, work, compiling in searches(scene, layout, given.seconds, clock, todo):
-        row = (place, mix, name, seed, given.seconds, history[0].best, history[-1].best)
-        spent = (work, history[-1].seconds, compiling, words)
-        yield dict(zip(FIELDS, (*row, *spent), strict=True))
+    for seed, name, found, history, work, compiling in searches(
+        scene, layout, given.seconds, clock, todo
+    ):
+        first, last = history[0], history[-1]
+        row = (place, mix, name, seed, given.seconds, first.best, last.best)
+        rises = [first] + [b for a, b in pairwise(history) if b.best > a.best]
+        spent = (work, last.seconds, compiling, words)
+        told = " ".join(f"{at.seconds:.2f}:{at.best:.4f}" for at in rises)
+        yield dict(zip(FIELDS, (*row, *spent, told), strict=True))
+        if not given.quick:
+            keep_best(given.out, dict(zip(FIELDS, row, strict=False)), found)
+
+
+def keep_best(folder: Path, row: dict[str, Any], layout: Layout) -> None:
+    """Keep a layout that is better than the best known of its cell."""
+    path = folder / "best_known.csv"
+    best = {(r["place"], r["mix"]): r for r in read_rows(path)}
+    cell = row["place"], row["mix"]
+    if cell in best and float(best[cell]["score"]) >= row["score"]:
+        return
+    best[cell] = {key: row[key] for key in BEST}
+    (folder / "best_known").mkdir(exist_ok=True)
+    save_layout(layout, folder / "best_known" / f"{' '.join(cell).replace(' ', '_')}.yaml")
+    path.unlink(missing_ok=True)
+    append_rows(path, [best[key] for key in sorted(best)])
 
 
 def draw(rows: list[dict[str, str]], path: Path) -> None:

@@ -14,7 +14,6 @@ from inspe_jax.cli.claims import claims
 from inspe_jax.cli.options import command
 from inspe_jax.core.errors import InspeError, check_known
 from inspe_jax.core.files import check_folder, csv_text, write_text
-from inspe_jax.core.parallel import cores
 from inspe_jax.core.words import counted
 from inspe_jax.simulation.backends import BACKENDS, server_of
 
@@ -78,8 +77,7 @@ def generate(
         address (--server HOST:PORT): Address of the CARLA server, with --backend carla;
             127.0.0.1:2000 if not given.
         files (DIR): Folder of the map or saved scene that a data_protocol.yaml names.
-        dry_run: Say what the set would hold, its size and the time it takes: builds every
-            scene, and tries every layout on two frames.
+        dry_run: Only check the study, and print what its splits would hold.
     """
     from inspe_jax.dataset import generate as run
     from inspe_jax.dataset import load_generation
@@ -94,7 +92,7 @@ def generate(
     server_of(backend or generation.backend, server)
     common.note(*generation.notes)
     if dry_run:
-        _tell_what_it_would_hold(generation, backend or generation.backend, workers)
+        _tell_what_it_would_hold(generation)
         return
     with common.resumable(), common.progress("frames") as report:
         result = run(
@@ -114,7 +112,9 @@ def generate(
     common.out.print(f"wrote {result.folder}")
     again = [f"{one}: recorded again" for faults in result.repaired.values() for one in faults]
     common.note_some(again, FAILURES, "recorded again, too")
-    _note_often(Counter(words for notes in result.notes.values() for words in notes))
+    often = Counter(words for notes in result.notes.values() for words in notes)
+    notes = [f"{words} ({counted(count, 'scenario')})" for words, count in often.items()]
+    common.note_some(notes, NOTES, "see notes in each data_protocol.yaml")
     common.note(*[f"{name}: {error}" for name, error in result.failures.items()][:FAILURES])
     if result.failures:
         failed = counted(len(result.failures), "scenario")
@@ -122,35 +122,16 @@ def generate(
         raise typer.Exit(1)
 
 
-def _note_often(counts: Counter[str]) -> None:
-    """Print notes on scenarios, each with their number; of many only the first."""
-    notes = [f"{words} ({counted(count, 'scenario')})" for words, count in counts.items()]
-    common.note_some(notes, NOTES, "see notes in each data_protocol.yaml")
-
-
-def _tell_what_it_would_hold(generation: "Generation", backend: str, workers: int | None) -> None:
-    """Print a table of the splits, and the size and the time that the set would take."""
-    from inspe_jax.dataset.estimate import estimate
+def _tell_what_it_would_hold(generation: "Generation") -> None:
+    """Print how many scenes, scenarios and frames the splits have, and of what."""
     from inspe_jax.dataset.tables import content_table
 
-    workers = workers or cores()
-    with common.progress("scenarios") as report:
-        found = estimate(generation, backend, workers, report)
     each = ", ".join(f"{len(plans)} {split}" for split, plans in generation.splits.items())
     common.out.print(
         f"{generation.name}: {counted(len(generation.scenarios), 'scenario')} ({each}), "
         f"{counted(generation.frames, 'frame')}"
     )
-    common.out.print(content_table(generation, found))
-    _note_often(found.shortfalls)
-    if found.size is None or found.seconds is None:
-        common.note(f"backend {backend}: size and time are not known without its server")
-        return
-    hours = found.seconds / 3600
-    took = f"{hours:.1f} h" if hours >= 1 else f"{max(60 * hours, 0.1):.1f} min"
-    common.out.print(
-        f"about {found.size / 1e9:.3g} GB, and {took} with {counted(workers, 'worker')} like this"
-    )
+    common.out.print(content_table(generation))
 
 
 @command(dataset_app, name="stats")

@@ -10,7 +10,6 @@ from rich.text import Text
 
 from inspe_jax.core.tables import table_of
 from inspe_jax.core.version import __version__
-from inspe_jax.dataset.estimate import Estimate
 from inspe_jax.dataset.folders import Scenario
 from inspe_jax.dataset.plan import Generation
 from inspe_jax.dataset.points_in_boxes import count_inside
@@ -21,18 +20,14 @@ _AXES = ("length", "width", "height")
 _NONE = "–"
 
 
-def content_table(generation: Generation, found: Estimate) -> RenderableType:
+def content_table(generation: Generation) -> RenderableType:
     """Tables of a data set that is to be generated: its splits, and how balanced they are."""
     splits = {name: plans for name, plans in generation.splits.items() if plans}
-    sizes = table_of(
-        f"Data set {generation.name}", "split", "scenes", "scenarios", "frames",
-        *(f"{kind}s" for kind in KINDS),
-    )  # fmt: skip
+    sizes = table_of(f"Data set {generation.name}", "split", "scenes", "scenarios", "frames")
     for name, plans in splits.items():
         scenes = len({plan.traffic_key for plan in plans})
         counts = scenes, len(plans), sum(plan.frames for plan in plans)
-        boxes = (found.boxes[name][kind] for kind in KINDS)
-        sizes.add_row(name, *(f"{count:,}" for count in (*counts, *boxes)))
+        sizes.add_row(name, *(f"{count:,}" for count in counts))
     balance = table_of("Scenarios of each split", "", *splits)
     for of in (lambda plan: str(plan.settings["density"]), lambda plan: plan.kind):
         each = [Counter(map(of, plans)) for plans in splits.values()]

@@ -291,18 +291,13 @@ def loading() -> str:
 
 
 def training_step() -> str:
-    """A step of each detector: its data, its time, what takes most of it, and memory."""
+    """A step of each detector: its data, its time, and memory."""
     rows = []
     for row in rows_of("training_step"):
-        times = {k.removesuffix("_ms"): float(row[k]) for k in row if k.endswith("_ms")}
-        batch, step = times.pop("loading"), times.pop("step")
-        first, second = sorted(times, key=times.__getitem__, reverse=True)[:2]
-        most = [f"{part} {times[part] / step:.0%}" for part in (first, second)]
-        memory = f"{float(row['memory_gib']):.1f} GiB"
+        times = f"{row['loading_ms']} ms", f"{float(row['step_ms']) / 1000:.2f} s"
         about = [row["model"], row["after"], f"{int(row['parameters']):,}"]
-        rows.append([*about, f"{batch:.1f} ms", f"{step / 1000:.2f} s", *most, memory])
-    heads = ["detector", "after", "parameters", "a batch", "a step", "most of it", "next", "memory"]
-    return markdown(heads, rows)
+        rows.append([*about, *times, f"{float(row['memory_gib']):.1f} GiB"])
+    return markdown(["detector", "after", "parameters", "a batch", "a step", "memory"], rows)
 
 
 def road_users() -> str:

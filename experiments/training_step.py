@@ -3,22 +3,14 @@
 The frames are like those of ``table1.py``: LiDARs and cameras of Cam-d1/L-d1, at the built-in
 four-way intersection, pictures of 400 × 300, and two frames a step. Measured for each detector, in
 a process of its own, one after the other: its number of parameters, how long a batch takes to load
-in one thread, what a step takes and its parts, and the peak of the process's memory, in which its
-compiling is included.
-
-The parts are from a profile of whole steps, by the scopes (``jax.named_scope``) in the names that
-operations have in the compiled program: what goes forwards and what goes backwards together. What
-runs at the same time shares it. Operations without a scope are the losses: of heat, of values, of
-what a teacher says, and of heat on the pictures.
+in one thread, what a step takes, and the peak of the process's memory, in which its compiling is
+included.
 
 Recorded frames stay in the folder of --keep.
 """
 
 import argparse
-import re
-import tempfile
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -54,9 +46,6 @@ from inspe_jax.perception.training.train import training_step
 QUICK_MODELS = ("coalign",)
 SHARE = 0.1
 """The largest share of a step that loading may take."""
-LOSSES = "losses"
-PARTS = ("pillars", "pictures", "pyramids", "fusion", "head", LOSSES, "teacher", "optimiser")
-"""Of a step. All but losses are named scopes."""
 
 
 def frames(given: argparse.Namespace, into: Path) -> Path:
@@ -71,67 +60,6 @@ def frames(given: argparse.Namespace, into: Path) -> Path:
         settings=settings, splits=dict(train=1), pictures="jpeg", image_size=list(PICTURES),
     )  # fmt: skip
     return recorded(given, make_generation(content, into), into / "frames").path
-
-
-def part_of(name: str) -> str:
-    """The part of a step that an operation belongs to, by its name in the program: of a teacher's
-    pyramids the teacher, of pyramids within a fusion the pyramids."""
-    scopes = re.findall(r"\w+", name)
-    return next((part for part in ("teacher", *PARTS) if part in scopes), LOSSES)
-
-
-def parts_of(program: str) -> dict[str, str]:
-    """The part of each operation that a compiled program does itself: those of its entry.
-
-    XLA leaves those that it makes of others without a name, as convolutions: they are of the part
-    that the first of what they take is of.
-    """
-    found: dict[str, str] = {}
-    for line in program[program.index("\nENTRY ") :].splitlines():
-        if operation := re.match(r"\s*(?:ROOT )?%?([\w.-]+) = ", line):
-            name = re.search(r'op_name="([^"]*)"', line)
-            taken = (found.get(of, LOSSES) for of in re.findall(r"%([\w.-]+)", line))
-            known = (part for part in taken if part != LOSSES)
-            found[operation[1]] = part_of(name[1]) if name else next(known, LOSSES)
-    return found
-
-
-def spans(folder: Path, parts: dict[str, str]) -> Iterator[tuple[float, float, str]]:
-    """Begin, end [ns] and part of each operation in a profile."""
-    (path,) = folder.glob("**/*.xplane.pb")
-    for plane in jax.profiler.ProfileData.from_file(str(path)).planes:
-        for line in plane.lines:
-            for event in line.events:
-                part = parts.get(str(dict(event.stats).get("hlo_op")))
-                if part is not None:
-                    yield event.start_ns, event.end_ns, part
-
-
-def shares(found: Iterator[tuple[float, float, str]]) -> dict[str, float]:
-    """Each part's share of the time from the first operation's begin to the last one's end.
-
-    Those that run at the same time share it. Where none runs, the program waits for what the ones
-    before began in other threads: it is theirs.
-    """
-    begins, ends, parts = map(np.array, zip(*found, strict=True))
-    moments = np.unique([begins, ends])
-    running = np.zeros((len(PARTS), len(moments)))
-    for k, part in enumerate(PARTS):
-        own = parts == part
-        np.add.at(running[k], np.searchsorted(moments, begins[own]), 1)
-        np.add.at(running[k], np.searchsorted(moments, ends[own]), -1)
-    running = running.cumsum(1)[:, :-1]
-    some = np.where(running.any(0), np.arange(len(moments) - 1), 0)
-    running = running[:, np.maximum.accumulate(some)]
-    durations = (running / running.sum(0) * np.diff(moments)).sum(1)
-    return dict(zip(PARTS, durations / durations.sum(), strict=True))
-
-
-def profiler_options() -> jax.profiler.ProfileOptions:
-    """Without Python's calls, which are many."""
-    found = jax.profiler.ProfileOptions()
-    found.python_tracer_level = 0
-    return found
 
 
 def measured(name: str, path: Path, times: int, half: float) -> dict[str, Any]:
@@ -162,23 +90,16 @@ def measured(name: str, path: Path, times: int, half: float) -> dict[str, Any]:
     compiled = step.lower(constant, detector, moments).compile()
     compiling = time.perf_counter() - began
     steps = []
-    with tempfile.TemporaryDirectory() as folder:
-        for number in range(times + 1):
-            if number == 1:  # the first touches its memory
-                jax.profiler.start_trace(folder, profiler_options=profiler_options())
-            began = time.perf_counter()
-            detector, moments, losses = compiled(constant, detector, moments)
-            jax.block_until_ready(losses)
-            steps.append(time.perf_counter() - began)
-        memory = peak_memory()
-        jax.profiler.stop_trace()
-        share = shares(spans(Path(folder), parts_of(compiled.compiled.as_text())))
-    whole = float(np.median(steps[1:]))
+    for _ in range(times + 1):  # the first touches its memory
+        began = time.perf_counter()
+        detector, moments, losses = compiled(constant, detector, moments)
+        jax.block_until_ready(losses)
+        steps.append(time.perf_counter() - began)
     return dict(
         model=name, after=model.source, parameters=count,
-        loading_ms=round(1e3 * float(np.median(loading[1:])), 1), step_ms=round(1e3 * whole),
-        **{f"{part}_ms": round(1e3 * whole * share[part]) for part in PARTS},
-        compiling_s=round(compiling, 1), memory_gib=round(memory, 2),
+        loading_ms=round(1e3 * float(np.median(loading[1:])), 1),
+        step_ms=round(1e3 * float(np.median(steps[1:]))),
+        compiling_s=round(compiling, 1), memory_gib=round(peak_memory(), 2),
     )  # fmt: skip
 
 

@@ -8,7 +8,6 @@ import pytest
 import readme_tables
 import table1
 from common import read_rows
-from training_step import PARTS, parts_of, shares
 
 from inspe_jax.simulation.frame import KINDS
 
@@ -78,41 +77,3 @@ def test_what_is_concluded_is_yes_or_no(found):
         one, other = (np.array(re.findall(r"[+-][\d.]+", of[k]), float) for of in (told, turned))
         assert len(one) == (3, 0, 0, 2)[k]
         np.testing.assert_allclose(one, -other, atol=0.051)
-
-
-PROGRAM = """HloModule jit_training_step
-
-%fused (p: f32[2]) -> f32[2] {
-  ROOT %dot.1 = f32[2] dot(%p), metadata={op_name="jit(step)/jvp(head)/dot"}
-}
-
-ENTRY %main (a: f32[2]) -> f32[2] {
-  %a = f32[2] parameter(0)
-  %conv.1 = f32[2] fusion(%a), metadata={op_name="jit(step)/jvp(fusion)/pyramids/conv"}
-  %conv.2 = f32[2] fusion(%a, %conv.1), kind=kCustom
-  %exp.1 = f32[2] fusion(%conv.2), metadata={op_name="jit(step)/jvp()/exp"}
-  %of.teacher = f32[2] fusion(%a), metadata={op_name="jit(step)/teacher/fusion/pyramids/conv"}
-  ROOT %add.1 = f32[2] add(%exp.1), metadata={op_name="jit(step)/optimiser/add"}
-}
-"""
-
-
-def test_operations_belong_to_the_parts_that_they_are_named_by():
-    assert parts_of(PROGRAM) == {
-        "a": "losses",
-        "conv.1": "pyramids",
-        "conv.2": "pyramids",  # without a name, as what it takes
-        "exp.1": "losses",
-        "of.teacher": "teacher",
-        "add.1": "optimiser",
-    }
-
-
-def test_parts_that_run_at_the_same_time_share_it():
-    spans = [(0, 4, "pillars"), (2, 4, "head"), (6, 8, "optimiser")]
-    found = shares(iter(spans))
-    assert list(found) == list(PARTS)
-    assert found["pillars"] == pytest.approx((2 + 1 + 1) / 8)  # and half of the wait
-    assert found["head"] == pytest.approx((1 + 1) / 8)
-    assert found["optimiser"] == pytest.approx(2 / 8)
-    assert sum(found.values()) == pytest.approx(1)

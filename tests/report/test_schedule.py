@@ -1,13 +1,10 @@
 """The installation schedule, worked out by hand; and that a page says the same."""
 
 import re
-import shutil
-import subprocess
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from browser import browser
 from worlds import CAMERA, LIDAR, crossing, world
 
 from inspe_jax.placement.objective import Objective
@@ -116,51 +113,3 @@ def test_a_page_says_what_to_mount_where(page):
     assert f"Most is missed on the {first.name} ({first.unseen:.0%} of time" in words
     assert f"1 {first.name} {100 * first.unseen:.0f} %" in words
     assert f"2 {second.name} {100 * second.unseen:.0f} %" in words
-
-
-@pytest.mark.slow
-@pytest.mark.browser
-def test_pages_are_printed_on_a4(tmp_path, page):
-    """One layout is on eight sheets at most, with each sensor of the schedule, and no 3-D stage. A
-    schedule of several sheets has what its columns mean on each of them."""
-    if shutil.which("pdftotext") is None:
-        pytest.skip("needs pdftotext")
-    units = [Unit(f"unit {k}", (k - 9.0, 8.0, 0.0)) for k in range(19)]
-    sensors = [Sensor(f"{u} {k}", (CAMERA, LIDAR)[k], u) for u in range(19) for k in range(2)]
-    poses = np.array([[s.unit - 9.0, 8.0, 5.0, 0.0, 0.0, 0.0] for s in sensors])
-    html, scene, _ = page
-    entry = report_entry(Case(scene), make_layout(sensors, units, poses), Objective())
-    many = report_page(scene, [entry])
-    with browser() as chromium:
-        tab = chromium.new_page()
-        sheets, of_many = (_printed(tab, tmp_path, one) for one in (html, many))
-    assert 2 <= len(sheets) <= 8
-    assert "scores.json" not in "".join(sheets)  # which is to be clicked on
-    assert "scores.json" in html
-    for heading, last in {
-        "Installation schedule": "inspe tolerance",
-        "Bill of materials": "--price test-lidar=USD",
-        "What each sensor adds": "3 top pole",
-    }.items():  # a table is on the sheet of its heading
-        (sheet,) = (sheet for sheet in sheets if heading in sheet.split("\n"))
-        assert last in sheet
-    of_schedule = [sheet.replace("\n", " ") for sheet in of_many if "azimuth" in sheet]
-    assert len(of_schedule) > 1
-    for words in of_schedule:
-        assert "Azimuth: clockwise from north, the y axis of the map" in words
-        assert "Height: from the ground at the foot of the pole" in words
-    headings = {" ".join(found.split()) for found in re.findall(r"<h[23][^>]*>(.*?)</h", many)}
-    for sheet in of_many:
-        assert sheet.split("\n")[-1] not in headings
-
-
-def _printed(tab, folder, html):
-    """The text of each sheet that a browser prints a page on."""
-    path, pdf = folder / "report.html", folder / "report.pdf"
-    path.write_text(html, encoding="utf-8")
-    tab.goto(path.as_uri())
-    tab.pdf(path=pdf, prefer_css_page_size=True)
-    told = subprocess.run(["pdftotext", "-layout", pdf, "-"], capture_output=True, check=True)
-    sheets = told.stdout.decode().split("\f")[:-1]
-    lines = [[" ".join(line.split()) for line in sheet.split("\n")] for sheet in sheets]
-    return ["\n".join(line for line in of if line) for of in lines]

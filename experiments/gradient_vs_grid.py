@@ -36,11 +36,13 @@ from common import (
     read_rows,
     write_settings,
 )
+from filelock import FileLock
 from matplotlib.figure import Figure
 
 import inspe_jax
 from inspe_jax import Layout, Scene
 from inspe_jax.core.compiling import compiled
+from inspe_jax.core.files import csv_text, write_text
 from inspe_jax.mounting.mixes import starting_layout
 from inspe_jax.placement.candidates import COLUMNS, FRAMES
 from inspe_jax.placement.methods.registry import GRADIENTS, METHODS
@@ -178,9 +180,9 @@ def warm_cell(
     problem.exact(problem.space.start(layout)[0])
     compiling = {}
     for name in dict.fromkeys(name for _, name in todo):
-        began = time.monotonic()
+        before = compiled().seconds
         search(problem, METHODS[name], 0, evaluations=warming(problem))
-        compiling[name] = time.monotonic() - began
+        compiling[name] = compiled().seconds - before
     for seed, name in todo:
         run, history = search(problem, METHODS[name], seed, seconds=seconds, clock=clock)
         found = problem.space.layout(run.best_x)
@@ -208,23 +210,23 @@ def cell(
         rises = [first] + [b for a, b in pairwise(history) if b.best > a.best]
         spent = (work, last.seconds, compiling, words)
         told = " ".join(f"{at.seconds:.2f}:{at.best:.4f}" for at in rises)
-        yield dict(zip(FIELDS, (*row, *spent, told), strict=True))
         if not given.quick:
             keep_best(given.out, dict(zip(FIELDS, row, strict=False)), found)
+        yield dict(zip(FIELDS, (*row, *spent, told), strict=True))
 
 
 def keep_best(folder: Path, row: dict[str, Any], layout: Layout) -> None:
     """Keep a layout that is better than the best known of its cell."""
     path = folder / "best_known.csv"
-    best = {(r["place"], r["mix"]): r for r in read_rows(path)}
     cell = row["place"], row["mix"]
-    if cell in best and float(best[cell]["score"]) >= row["score"]:
-        return
-    best[cell] = {key: row[key] for key in BEST}
-    (folder / "best_known").mkdir(exist_ok=True)
-    save_layout(layout, folder / "best_known" / f"{' '.join(cell).replace(' ', '_')}.yaml")
-    path.unlink(missing_ok=True)
-    append_rows(path, [best[key] for key in sorted(best)])
+    with FileLock(path.with_name(".best_known.lock")):
+        best = {(r["place"], r["mix"]): r for r in read_rows(path)}
+        if cell in best and float(best[cell]["score"]) >= row["score"]:
+            return
+        best[cell] = {key: row[key] for key in BEST}
+        (folder / "best_known").mkdir(exist_ok=True)
+        save_layout(layout, folder / "best_known" / f"{'_'.join(cell).replace(' ', '_')}.yaml")
+        write_text(path, csv_text([best[one] for one in sorted(best)]))
 
 
 def draw(rows: list[dict[str, str]], path: Path) -> None:
@@ -270,6 +272,8 @@ def main() -> None:
         draw(read_rows(path), path.with_suffix(".png"))
         return
     for row in read_rows(path):
+        if missing := {*FIELDS} - {*row}:
+            raise SystemExit(f"{path} is of before, without {', '.join(missing)}: delete it")
         if float(row["budget"]) != given.seconds:
             raise SystemExit(
                 f"{path} has searches of {row['budget']} s, not {given.seconds:g} s: name another "

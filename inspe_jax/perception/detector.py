@@ -131,7 +131,6 @@ class Detector(eqx.Module):
         fused = self.fused(encoded, present)
         return Predictions(self.head(fused), fused, on_pictures)
 
-    @jax.named_scope("fusion")
     def fused(self, encoded: list[AgentMaps], present: Present) -> FusedMap:
         """The map of all agents together."""
         maps = [pyramid(x) for pyramid, x in zip(self.pyramids, encoded, strict=True)]

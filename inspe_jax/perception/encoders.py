@@ -25,7 +25,6 @@ class PillarEncoder(eqx.Module):
         self.network = Perceptron(9, channels, channels, key)
         self.grid = grid
 
-    @jax.named_scope("pillars")
     def __call__(self, pillars: Pillars) -> Float[Array, "B G H W C"]:
         features = pillar_features(pillars, self.grid, jnp) * _scales(self.grid)
         there = taken(pillars, self.grid, jnp)
@@ -70,7 +69,6 @@ class Pyramid(eqx.Module):
             self.blocks.append((halve, Block(channels, channels, second)))
             inputs = channels
 
-    @jax.named_scope("pyramids")
     def __call__(self, x: Map) -> Maps:
         found = []
         for halve, keep in self.blocks:
@@ -91,7 +89,6 @@ class Neck(eqx.Module):
         self.level = [Block(width, channels, own, width=1) for width, own in pairs]
         self.smooth = Block(channels, channels, last)
 
-    @jax.named_scope("pyramids")
     def __call__(self, maps: Maps) -> Map:
         pairs = zip(self.level, maps, strict=True)
         parts = [enlarged(level(x), 2**k) for k, (level, x) in enumerate(pairs)]
@@ -247,7 +244,6 @@ class LiftSplat(eqx.Module):
         self.heat = HeatHead(FEATURES, third)
         self.grid, self.units = grid, units
 
-    @jax.named_scope("pictures")
     def __call__(self, inputs: Inputs) -> tuple[Float[Array, "B U H W C"], Heat]:
         assert inputs.pixels is not None
         frames, _, high, wide, _ = inputs.pixels.shape

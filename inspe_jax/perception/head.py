@@ -118,7 +118,6 @@ class CenterHead(eqx.Module):
         self.heat = HeatHead(HIDDEN, d)
         self.values = Conv(HIDDEN, VALUES, e, width=1)
 
-    @jax.named_scope("head")
     def __call__(self, x: Float[Array, "B h w c"]) -> HeadOutput:
         shared = self.shared(enlarged(x, 2))
         heat, values = self.heat_block(shared), self.value_block(shared)

@@ -7,7 +7,7 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from inspe_jax.placement.candidates import FRAMES, lattice, poses, set_heights
+from inspe_jax.placement.candidates import FRAMES, lattice, of_unit, poses, set_heights
 from inspe_jax.placement.problem import Problem
 from inspe_jax.placement.sampled_objective import (
     Rows,
@@ -213,11 +213,12 @@ class Table:
 
     def layout(self, x: Float[np.ndarray, " N"], picks: Picks) -> Float[np.ndarray, " N"]:
         """Coordinates (N,) with sensors at the picks; the others stay as in ``x``."""
-        space, index = self.problem.space, self.problem.space.index
-        x = np.array(x)[None]
+        space, index, stay = self.problem.space, self.problem.space.index, [np.zeros(0, int)]
+        given, x = np.asarray(x), np.array(x)[None]
         for u, members in enumerate(self.problem.layout.members()):
             placed = [s for s in members if picks.get(s, AS_IT_IS) != AS_IT_IS]
             if len(placed) < len(members):
+                stay.append(of_unit(space, u))
                 continue
             kinds = [(self.kind_of(s), picks[s]) for s in members]
             x[:, index.base[u]] = self.feet[kinds[0][0].foot[kinds[0][1]]]
@@ -226,6 +227,8 @@ class Table:
             x[:, index.yaw[list(members)]] = [kind.yaw[k] for kind, k in kinds]
             x[:, index.pitch[list(members)]] = [kind.pitch[k] for kind, k in kinds]
             x = set_heights(space, x, u, members, np.array([[kind.height[k] for kind, k in kinds]]))
+        own = np.concatenate(stay)
+        x[0, own] = given[own]  # to the bit: projections round
         return x[0]
 
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import jax
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from inspe_jax.core.arrays import on_host
 from inspe_jax.core.parallel import parts_of
@@ -52,6 +52,13 @@ def _in_parts(function: Any, x: np.ndarray, rows: int = _ROWS) -> np.ndarray:
     """A function of M layouts, called on parts of one shape so that it compiles once."""
     done = [np.asarray(function(part), float) for part in parts_of(x, rows)]
     return np.concatenate(done)[: len(x)]
+
+
+def of_unit(space: Space, u: int) -> Int[np.ndarray, " n"]:
+    """The coordinates of a unit and its sensors: their indices."""
+    index, members = space.index, list(space.given.members()[u])
+    own = [index.base[u], index.arm[u], index.height[[u]]]
+    return np.concatenate([*own, *(part[members].ravel() for part in index[3:])])
 
 
 def lattice(space: Space, most: int = FEET) -> Float[np.ndarray, "F 2"]:

@@ -19,14 +19,13 @@ class Backend:
 
     ``open`` takes the keywords of :func:`recorder_of` but ``backend``. ``packages`` are the
     libraries that the recorded bytes depend on. A ``remote`` backend records with a server. At most
-    ``most_workers`` processes record at once. ``statics``: it records the scene's static bodies.
+    ``most_workers`` processes record at once.
     """
 
     open: Callable[..., AbstractContextManager[Recorder]]
     packages: tuple[str, ...]
     remote: bool = False
     most_workers: int | None = None
-    statics: bool = False
 
 
 def _embedded(server: None, **options: Any) -> AbstractContextManager[Recorder]:
@@ -42,7 +41,7 @@ def _carla(**options: Any) -> AbstractContextManager[Recorder]:
 
 
 BACKENDS: dict[str, Backend] = {
-    "embedded": Backend(_embedded, ("embreex",), statics=True),
+    "embedded": Backend(_embedded, ("embreex",)),
     "carla": Backend(_carla, ("carla",), remote=True, most_workers=1),  # a server has one world
 }
 """The backends by name."""

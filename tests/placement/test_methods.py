@@ -1,6 +1,7 @@
 """The search methods: one contract for all of them, and what is particular to some."""
 
 import itertools
+from dataclasses import replace
 from functools import cache
 from itertools import pairwise
 from types import SimpleNamespace
@@ -195,8 +196,7 @@ def test_wherever_its_time_ends_it_is_not_below_what_it_preferred(name, problem,
 
         monkeypatch.setattr(of, function, watched)
 
-    watch(greedy, "lazy_greedy", lambda found, table, *_: table.layout(start, found[0]))
-    watch(greedy, "exchange", lambda found, table, *_: table.layout(start, found))
+    watch(candidate_table.Table, "layout", lambda found, *_: found)
     watch(adam, "advance", lambda found, *_: adam.layouts(problem, found)[0])
     watch(local_search, "_bursts", lambda found, *_: found[0][0])
     watch(local_search, "finer", lambda found, *_: found[0])
@@ -508,22 +508,45 @@ def test_its_controls_have_bursts_by_differences_or_none(ran):
 
 
 def test_a_later_round_takes_some_units_out_of_the_best_layout_and_places_them(problem):
-    """The others stay where they are, to the bit, until an exchange moves them."""
-    run = begun(problem, 10_000)
-    method = METHODS["greedy"]
+    """The others stay, to the bit, until an exchange moves them. Wherever it is stopped, it goes on
+    as if nothing had come between: with the same candidates, for the same charge."""
+    run, method = begun(problem, 10_000), METHODS["greedy"]
+
+    def step(state):
+        again = begun(problem, 10_000)
+        again.take_up(0.0, run.evaluations, run.history, run.path, run.held)
+        found, other = method.step(run, state), method.step(again, state)
+        assert again.evaluations == run.evaluations
+        for name, value in vars(found).items():
+            np.testing.assert_array_equal(getattr(other, name), value)
+        return found
+
     for number in range(1, 4):
-        run.offer(problem.space.random(run.rng(9, number), 1)[0])
+        x = problem.space.random(run.rng(9, number), 4)
+        x += 0.1 * problem.space.scale  # projected as moves are
+        run.offer(candidates.project(problem.space, x)[0])
         state, best = greedy._again(run, number), run.best_x
         np.testing.assert_array_equal(state.x, best)
         assert 0 < state.out.sum() < len(state.out)
         while isinstance(state, greedy.Placing):
-            out, state = state.out, method.step(run, state)
+            out, state = state.out, step(state)
         for u, taken in enumerate(out):
-            own = local_search.of_unit(problem, u)
+            own = candidates.of_unit(problem.space, u)
             assert (state.x[own] != best[own]).any() == taken
         units = [sensor.unit for sensor in problem.layout.sensors]
         np.testing.assert_array_equal(state.picks == candidate_table.AS_IT_IS, ~out[units])
         assert problem.exact(state.x) == pytest.approx(state.value)
+        step(step(state))
+
+
+def test_a_round_ends_where_moves_of_all_widths_gained_little(problem, monkeypatch):
+    monkeypatch.setattr(local_search, "finer", lambda sampled, x, rows, *_: (x, rows))
+    run, width = begun(problem, 10_000), 1.1 * local_search.NARROW
+    last = local_search.LocalSearch(0, run.start, run.best, 0, widest=run.best, width=width)
+    assert local_search.improve(run, last, None) is None
+    more = replace(last, widest=run.best - 1.1 * local_search.ENOUGH)
+    again = local_search.improve(run, more, None)
+    assert (again.width, again.widest) == (local_search.WIDTH, run.best)
 
 
 def test_where_no_sensor_is_aimed_it_is_greedy(scene):

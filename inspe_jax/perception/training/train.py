@@ -158,9 +158,7 @@ def objective(
     heat, values = loss(predicted.found, aims(targets, grid))
     taught = on_pictures = jnp.zeros(())
     if teacher is not None:
-        with jax.named_scope("teacher"):
-            teaching = teacher(inputs).fused
-        taught = distillation(predicted.fused, teaching)
+        taught = distillation(predicted.fused, teacher(inputs).fused)
     if predicted.on_pictures is not None:
         aim, shown = perspective_aims(inputs, targets, predicted.on_pictures.shape[1:3])
         on_pictures = focal_loss(predicted.on_pictures, aim, shown)
@@ -190,7 +188,7 @@ def training_step(
     gradient, losses = eqx.filter_grad(objective, has_aux=True)(detector, *of)
     weights = eqx.filter(detector, eqx.is_inexact_array)
     # optax mixes whole numbers and fractions
-    with jax.named_scope("optimiser"), jax.numpy_dtype_promotion("standard"):
+    with jax.numpy_dtype_promotion("standard"):
         updates, moments = chain.update(gradient, moments, weights)
     return eqx.apply_updates(detector, updates), moments, losses
 

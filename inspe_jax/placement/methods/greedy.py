@@ -1,8 +1,9 @@
 """The default search and the same without its gradient: greedy placement, then local search.
 
-1. Greedy placement and exchanges find the poles: gradients cannot jump to another pole, candidates
-   can. What a candidate pose sees is found once, for one sensor and not for a whole layout; after
-   that any set of them is scored without geometry (:mod:`inspe_jax.placement.sampled_objective`).
+1. Greedy placement and a pass of exchanges find the poles: gradients cannot jump to another pole,
+   candidates can. What a candidate pose sees is found once, for one sensor and not for a whole
+   layout; after that any set of them is scored without geometry
+   (:mod:`inspe_jax.placement.sampled_objective`).
 2. Bursts of Adam move all sensors at once: not in ``greedy``, and not where no sensor is aimed,
    since there moves gain as much in the time. Where the budget has no room for a burst, units are
    exchanged further instead.
@@ -34,10 +35,10 @@ from inspe_jax.placement.methods.local_search import (
 from inspe_jax.placement.run import Method, Run
 
 PLACE_COST, EXCHANGE_COST = 0.45, 0.125
-"""In views: placing all sensors greedily, for each candidate; and exchanging a unit, for each
-candidate of each of its sensors. Measured as :data:`~.local_search.VIEW_COST`."""
+"""In views: greedy placement, for each candidate; and exchanging a unit, for each candidate of each
+of its sensors. Measured as :data:`~.local_search.VIEW_COST`."""
 MOST = 0.5
-"""Share of the units that a round takes out at most, but for the first, which places all."""
+"""Share of the units that a round takes out at most, if it is one or more; the first places all."""
 
 GROWS = (
     "a sensor may add more to this objective the more others there are, or take away: greedy "
@@ -101,15 +102,20 @@ def step(run: Run, state: State, by: Slope | None = None) -> State:
     if not _aimed(run):
         by = None
     match state:
-        case Placing():
-            return place(run, state) if state.looked else look(run, state)
         case LocalSearch():
             return improve(run, state, by) or _again(run, state.round + 1)
-    found = _exchange(run, state)
-    if isinstance(found, Exchanging) and (found.unit or not (by is None or bursts_fit(run, by))):
-        return found
-    run.cache.pop("table", None)  # some 100 MB
-    return _local(found.round, found.x, found.value)
+        case Placing() if not state.looked:
+            return look(run, state)
+        case Placing():
+            found = place(run, state)
+        case Exchanging():
+            found = _exchange(run, state)
+            through = isinstance(found, Exchanging) and not found.unit
+            if through and (by is None or bursts_fit(run, by)):
+                found = _local(found.round, found.x, found.value)
+    if isinstance(found, LocalSearch):
+        run.cache.pop("table", None)  # some 100 MB
+    return found
 
 
 def _local(number: int, x: Float[np.ndarray, " N"], value: float) -> LocalSearch:
@@ -138,7 +144,6 @@ def _table(
     sizes = times * COLUMNS, times * HEIGHTS
     table = Table.of(run.problem, run.rng(0, number), *sizes, first=number == 0)
     if kept:
-        charge(run, table.sampled, len(run.problem.layout))
         rows = sights(table.sampled, x)
         table.own, table.paid = {s: rows[s] for s in kept}, run.problem.pole_costs(x)
     for part in range(len(table.parts) if looked is None else looked):
@@ -153,9 +158,10 @@ def _kept(run: Run, state: Placing) -> list[int]:
 
 def look(run: Run, state: Placing) -> Placing:
     """Look at a further part of the candidates."""
-    table = _table(run, state.round, state.x, _kept(run, state), state.part)
-    part = state.part + 1
-    charge(run, table.sampled, table.look(part - 1))
+    kept, part = _kept(run, state), state.part + 1
+    table = _table(run, state.round, state.x, kept, state.part)
+    own = len(run.problem.layout) if kept and not state.part else 0
+    charge(run, table.sampled, table.look(part - 1) + own)
     # A first layout soon: as soon as some candidates of every kind have been looked at.
     if state.round == 0 and part == len(table.kinds) < len(table.parts):
         _placed(run, table, state)

@@ -5,9 +5,9 @@ from dataclasses import dataclass, replace
 from functools import reduce
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
-from inspe_jax.placement.candidates import COLUMNS, FRAMES, poses, project
+from inspe_jax.placement.candidates import COLUMNS, FRAMES, of_unit, poses, project
 from inspe_jax.placement.methods import adam
 from inspe_jax.placement.methods.adam import Slope, advance, charted, layouts
 from inspe_jax.placement.problem import Problem
@@ -21,7 +21,7 @@ FINER = 0.6
 NARROW = 0.1
 """Where moves get narrower, in typical steps, they and bursts begin again at the widest."""
 ENOUGH = 0.003
-"""Gain in score for which a search begins again at the widest moves, and does not end."""
+"""Gain in score for which a round begins again at the widest moves, and does not end."""
 TRIES, GENERATIONS = 7, 8
 """Moves of each unit that are tried at once, and how often for each sensor."""
 UNTIL = 0.85
@@ -71,7 +71,7 @@ def improve(run: Run, state: LocalSearch, by: Slope | None) -> LocalSearch | Non
     """Bursts while they gain, then moves of every unit, on a sample of its own; judged exactly.
 
     At first all together; once that gained nothing, the bursts and each unit's moves on their own.
-    None if moves of all widths, from the widest on, gained nothing.
+    None if moves of all widths, from the widest on, gained no more than :data:`ENOUGH`.
     """
     problem, key, careful = run.problem, (state.round, state.passes), state.careful
     sampled = SampledObjective(problem, problem.sample(run.rng(1, *key), COLUMNS, FRAMES))
@@ -90,7 +90,7 @@ def improve(run: Run, state: LocalSearch, by: Slope | None) -> LocalSearch | Non
         if new[0] is not before[0]:
             run.hold(new[0])
     differs = new[0] != at[0]
-    changed = [u for u in range(len(members)) if differs[of_unit(problem, u)].any()]
+    changed = [u for u in range(len(members)) if differs[of_unit(problem.space, u)].any()]
     if careful:
         for k, u in enumerate(changed):
             before = at
@@ -184,7 +184,7 @@ def finer(
     space, members = problem.space, problem.layout.members()
     tried = np.tile(x, (len(units), tries, 1))
     for u, part in zip(units, tried, strict=True):
-        at = of_unit(problem, u)
+        at = of_unit(problem.space, u)
         at = at[space.scale[at] > 0]
         length = width * 10 ** rng.uniform(-1, 0, (tries, 1))
         moves = rng.normal(size=(tries, len(at))) * (rng.uniform(size=(tries, len(at))) < 0.5)
@@ -207,15 +207,8 @@ def finer(
     return x, rows
 
 
-def of_unit(problem: Problem, u: int) -> Int[np.ndarray, " n"]:
-    """The coordinates of a unit and its sensors: their indices."""
-    index, members = problem.space.index, list(problem.layout.members()[u])
-    own = [index.base[u], index.arm[u], index.height[[u]]]
-    return np.concatenate([*own, *(part[members].ravel() for part in index[3:])])
-
-
 def with_unit(problem: Problem, at: Sighted, other: Sighted, u: int) -> Sighted:
     """A layout with unit ``u`` as another layout has it."""
-    x, own = np.array(at[0]), of_unit(problem, u)
+    x, own = np.array(at[0]), of_unit(problem.space, u)
     x[own] = other[0][own]
     return x, at[1] | {s: other[1][s] for s in problem.layout.members()[u]}

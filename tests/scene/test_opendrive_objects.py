@@ -44,6 +44,7 @@ ROAD_CORNERS = "".join(
 LOCAL_CORNERS = "".join(
     f'<cornerLocal u="{u}" v="{v}" z="1" height="4"/>' for u, v in ((0, 0), (6, 0), (6, 2), (0, 2))
 )
+ON_A_LINE = "".join(f'<cornerLocal u="{u}" v="2"/>' for u in (0, 3, 1))
 HOUSE = 'type="building" s="30" t="15" length="12" width="8" height="7"'
 TRIANGLE = Polygon([(30, 25), (40, 25), (40, 32)])
 ON_PAPER = {  # object: kind, base, height, and area, or what it measures about its middle
@@ -128,13 +129,14 @@ def test_what_is_no_body_or_makes_no_sense():
         '<object type="building" s="x" t="0"/>'
         '<object type="building" s="nan" length="5" width="5"/>'
         '<object type="building" s="4" t="9"/>'
+        f'<object type="crosswalk" s="4" t="9"><outline>{ON_A_LINE}</outline></object>'
         '<object type="building" s="9" t="9"><outline><cornerLocal u="1"/></outline></object>'
         '<object type="building" s="9" t="9" length="5" width="5"/>'
     )
     assert [s.height for s in some] == [6]
     assert notes == (
         "objects of the map without a height: 1, taken as of a usual one",
-        "objects of the map without a size: 1, left out",
+        "objects of the map without a size: 2, left out",
         "objects of the map with a number missing or wrong: 3, left out",
     )
 

@@ -34,7 +34,7 @@ from inspe_jax.placement.methods.local_search import (
 )
 from inspe_jax.placement.run import Method, Run
 
-PLACE_COST, EXCHANGE_COST = 0.45, 0.125
+PLACE_COST, EXCHANGE_COST = 0.4, 0.2
 """In views: greedy placement, for each candidate; and exchanging a unit, for each candidate of each
 of its sensors. Measured as :data:`~.local_search.VIEW_COST`."""
 MOST = 0.5
@@ -200,8 +200,7 @@ def _exchange(run: Run, state: Exchanging) -> Exchanging | LocalSearch:
     table = _table(run, state.round, state.x, kept)
     members = run.problem.layout.members()[state.unit]
     looked = sum(len(table.kind_of(s).foot) for s in members)
-    passes = 1 if run.problem.submodular else 2  # then every foot is filled
-    charge(run, table.sampled, EXCHANGE_COST * passes * looked)
+    charge(run, table.sampled, EXCHANGE_COST * looked)
     before = dict(enumerate(state.picks.tolist()))
     picks = exchange(table, before, state.unit)
     if picks != before:

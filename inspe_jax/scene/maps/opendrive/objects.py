@@ -194,7 +194,8 @@ def _outlined(
         return None, 0.0, 0.0
     area = Polygon(corners)
     area = area if area.is_valid else area.convex_hull  # corners in another order
-    return area, place.zOffset + min(low), place.zOffset + max(high)
+    on_a_line = not area.area
+    return None if on_a_line else area, place.zOffset + min(low), place.zOffset + max(high)
 
 
 def _place_at(own: Place, repeat: ET.Element, share: float) -> Place:

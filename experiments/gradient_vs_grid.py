@@ -254,7 +254,11 @@ def draw(rows: list[dict[str, str]], path: Path) -> None:
         ax.margins(x=0)
         ax.invert_yaxis() if ax is axes[0] else None
     seeds, last = len({row["seed"] for row in rows}), rows[-1]
-    spread = f"median of {seeds} seeds, and from the worst to the best" if seeds > 1 else "one seed"
+    spread = (
+        f"median of {seeds} seeds at most, and from the worst to the best"
+        if seeds > 1
+        else "one seed"
+    )
     figure.legend(
         *axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=len(names),
         title=f"after {float(last['budget']):g} s ({last['clock']}), midday, clear, profile paper: "

@@ -76,22 +76,48 @@ def phases() -> str:
 
 
 def searches() -> str:
-    """Exact P_sm after searches: of each cell the median over seeds, then the mean over cells."""
-    methods = ("greedy-adam", "greedy", "grid", "random", "cma-es")
-    clocks = {"gradient_vs_grid": "warm, 10 s", "gradient_vs_grid_cold": "cold, 20 s"}
-    found = []
-    for file, mix in ((f, mix) for f in clocks for mix in values(rows_of(f), "mix")):
-        cells = [rows_of(file, mix=mix, place=place) for place in values(rows_of(file), "place")]
-        scores = np.array([
-            [np.median(numbers([r for r in cell if r["method"] == m], "score")) for m in methods]
-            for cell in cells
-        ])  # fmt: skip
-        start = np.mean([float(cell[0]["start"]) for cell in cells])
-        lead = scores[:, 0] - scores[:, 1:].max(1)
-        means = [f"{x:.4f}" for x in scores.mean(0)]
-        first = [f"{(lead >= 0).sum()} of {len(lead)}", f"{lead.min():+.4f}"]
-        found.append([clocks[file], mix, f"{start:.3f}", *means, *first])
-    return markdown(["clock", "sensors", "start", *methods, "first in", "least lead"], found)
+    """How near searches come to the best known of each cell, how soon they are within a hundredth,
+    and how they end beside the default: of a cell the median over seeds, then over places the mean,
+    its interval and the median."""
+    moments, found = (3.0, 10.0, 30.0), []
+    rows = rows_of("gradient_vs_grid")
+    best = {(r["place"], r["mix"]): float(r["score"]) for r in rows_of("best_known")}
+    for mix in values(rows, "mix"):
+        ends = dict[str, dict[str, float]]()
+        for method in values([row for row in rows if row["mix"] == mix], "method"):
+            shares, soon, ends[method] = [], [], {}
+            own = [row for row in rows if (row["mix"], row["method"]) == (mix, method)]
+            for place in values(own, "place"):
+                of = best[place, mix]
+                told = [rises(row["rises"]) for row in own if row["place"] == place]
+                at = [[max(b for s, b in one if s <= t) / of for t in moments] for one in told]
+                shares.append(100 * np.median(at, 0))
+                near = [next((s for s, b in one if b >= 0.99 * of), np.inf) for one in told]
+                soon.append(float(np.median(near)))
+                ends[method][place] = shares[-1][-1]
+            half, count = float(np.median(soon)), int(np.isfinite(soon).sum())
+            first = ends["greedy-adam"]
+            beside = "" if method == "greedy-adam" else interval(
+                [end - first[place] for place, end in ends[method].items()]
+            )  # fmt: skip
+            mean = np.mean([score for (_, of_mix), score in best.items() if of_mix == mix])
+            cells = [f"{x:.1f}" for x in np.mean(shares, 0)] + [beside]
+            cells += [f"{half:.0f} s" if np.isfinite(half) else "–", f"{count} of {len(soon)}"]
+            found.append([mix, f"{mean:.4f}", method, *cells])
+    heads = [f"after {t:g} s" for t in moments] + ["beside the default", "to 99 %", "cells"]
+    return markdown(["sensors", "best known", "method", *heads], found)
+
+
+def interval(differences: list[float]) -> str:
+    """A mean, and its interval of 95 % by Student's t."""
+    mean = np.mean(differences)
+    low, high = ttest_1samp(differences, 0).confidence_interval()
+    return f"{mean:+.1f} [{low:+.1f}, {high:+.1f}]"
+
+
+def rises(text: str) -> list[tuple[float, float]]:
+    """Seconds and best scores of a search."""
+    return [(float(a), float(b)) for a, b in (part.split(":") for part in text.split())]
 
 
 def detectability() -> str:

@@ -206,13 +206,13 @@ def cell(
         scene, layout, given.seconds, clock, todo
     ):
         first, last = history[0], history[-1]
-        row = (place, mix, name, seed, given.seconds, first.best, last.best)
         rises = [first] + [b for a, b in pairwise(history) if b.best > a.best]
-        spent = (work, last.seconds, compiling, words)
         told = " ".join(f"{at.seconds:.2f}:{at.best:.4f}" for at in rises)
+        ends = (given.seconds, first.best, last.best, work, last.seconds, compiling, words, told)
+        row = dict(zip(FIELDS, (place, mix, name, seed, *ends), strict=True))
         if not given.quick:
-            keep_best(given.out, dict(zip(FIELDS, row, strict=False)), found)
-        yield dict(zip(FIELDS, (*row, *spent, told), strict=True))
+            keep_best(given.out, row, found)
+        yield row
 
 
 def keep_best(folder: Path, row: dict[str, Any], layout: Layout) -> None:

@@ -97,9 +97,8 @@ def searches() -> str:
                 ends[method][place] = shares[-1][-1]
             half, count = float(np.median(soon)), int(np.isfinite(soon).sum())
             first = ends["greedy-adam"]
-            beside = "" if method == "greedy-adam" else interval(
-                [end - first[place] for place, end in ends[method].items()]
-            )  # fmt: skip
+            less = [end - first[place] for place, end in ends[method].items()]
+            beside = "" if method == "greedy-adam" else interval(less)
             mean = np.mean([score for (_, of_mix), score in best.items() if of_mix == mix])
             cells = [f"{x:.1f}" for x in np.mean(shares, 0)] + [beside]
             cells += [f"{half:.0f} s" if np.isfinite(half) else "–", f"{count} of {len(soon)}"]
@@ -108,11 +107,11 @@ def searches() -> str:
     return markdown(["sensors", "best known", "method", *heads], found)
 
 
-def interval(differences: list[float]) -> str:
+def interval(differences: Iterable[float]) -> str:
     """A mean, and its interval of 95 % by Student's t."""
-    mean = np.mean(differences)
-    low, high = ttest_1samp(differences, 0).confidence_interval()
-    return f"{mean:+.1f} [{low:+.1f}, {high:+.1f}]"
+    given = np.array([*differences])
+    low, high = ttest_1samp(given, 0.0).confidence_interval()
+    return f"{given.mean():+.1f} [{low:.1f}, {high:.1f}]"
 
 
 def rises(text: str) -> list[tuple[float, float]]:
@@ -220,9 +219,7 @@ def found_placements() -> str:
         ])  # fmt: skip
     rows.append(line(DOWN, "found_placements", FOUND["Cam-d2"], DOWN, "surrogate"))
     *lidars, cameras = np.array(gains)
-    low, high = ttest_1samp(lidars, 0.0).confidence_interval()
-    of_lidars = zip(np.mean(lidars, 0), low, high, strict=True)
-    intervals = ["{:+.1f} [{:.1f}, {:.1f}]".format(*each) for each in of_lidars]
+    intervals = [interval(gain) for gain in np.transpose(lidars)]
     rows.append(["gain with LiDARs, 95 % interval", "", intervals[0], "", intervals[1]])
     rows.append(["gain with cameras", "", f"{cameras[0]:+.1f}", "", f"{cameras[1]:+.1f}"])
     heads = ["P_sm, other places", "mAP", "P_sm, another time", "mAP"]

@@ -188,10 +188,8 @@ class Table:
     def value(self, picks: Picks, u: int) -> float:
         """The score of sensors at the picks, without what unit ``u`` pays for its pole."""
         s = self.problem.layout.members()[u][0]
-        if (k := picks[s]) == AS_IT_IS:
-            paid = self.paid[u]
-        else:
-            paid = self.price[u, self.kind_of(s).foot[k]]
+        k = picks[s]
+        paid = self.paid[u] if k == AS_IT_IS else self.price[u, self.kind_of(s).foot[k]]
         return self.sampled.value(self.rows(picks)) - paid
 
     def fits(self, picks: Picks, s: int, k: Int[np.ndarray, " n"] | int) -> np.ndarray:
@@ -213,12 +211,12 @@ class Table:
 
     def layout(self, x: Float[np.ndarray, " N"], picks: Picks) -> Float[np.ndarray, " N"]:
         """Coordinates (N,) with sensors at the picks; the others stay as in ``x``."""
-        space, index, stay = self.problem.space, self.problem.space.index, [np.zeros(0, int)]
+        space, index, stay = self.problem.space, self.problem.space.index, list[int]()
         given, x = np.asarray(x), np.array(x)[None]
         for u, members in enumerate(self.problem.layout.members()):
             placed = [s for s in members if picks.get(s, AS_IT_IS) != AS_IT_IS]
             if len(placed) < len(members):
-                stay.append(of_unit(space, u))
+                stay.append(u)
                 continue
             kinds = [(self.kind_of(s), picks[s]) for s in members]
             x[:, index.base[u]] = self.feet[kinds[0][0].foot[kinds[0][1]]]
@@ -227,8 +225,9 @@ class Table:
             x[:, index.yaw[list(members)]] = [kind.yaw[k] for kind, k in kinds]
             x[:, index.pitch[list(members)]] = [kind.pitch[k] for kind, k in kinds]
             x = set_heights(space, x, u, members, np.array([[kind.height[k] for kind, k in kinds]]))
-        own = np.concatenate(stay)
-        x[0, own] = given[own]  # to the bit: projections round
+        for u in stay:  # to the bit: projections round
+            own = of_unit(space, u)
+            x[0, own] = given[own]
         return x[0]
 
 

@@ -12,18 +12,16 @@ BATCH = 32
 """Candidates that are tried at once."""
 
 
-def lazy_greedy(
-    table: Table, before: Callable[[], None] = lambda: None, kept: Sequence[int] = ()
-) -> tuple[Picks, int]:
+def lazy_greedy(table: Table, before: Callable[[], None] = lambda: None) -> tuple[Picks, int]:
     """Place one sensor after the other, each time the one that adds most, at its best candidate.
 
     Returns the chosen candidates, and how many gains were computed again. Where the objective is
     submodular, an earlier gain is an upper bound of a later one (Minoux 1978): candidates are tried
     in the order of it, until none can be better. Else all are tried for every sensor. The first
     sensor of a unit fixes the unit's foot; its other sensors choose among the candidates there.
-    ``before`` is called before each sensor is placed. Those ``kept`` stay as they are.
+    ``before`` is called before each sensor is placed. Those that the table has as they are stay so.
     """
-    picks, again, submodular = dict.fromkeys(kept, AS_IT_IS), 0, table.problem.submodular
+    picks, again, submodular = dict.fromkeys(table.own, AS_IT_IS), 0, table.problem.submodular
     looked = [table.kind_of(group[0]).looked for group in table.alike]
     at = [(g, k) for g, count in enumerate(looked) for k in range(count)]
     free, gain = np.ones(len(at), bool), np.full(len(at), np.inf)

@@ -158,13 +158,12 @@ def _kept(run: Run, state: Placing) -> list[int]:
 
 def look(run: Run, state: Placing) -> Placing:
     """Look at a further part of the candidates."""
-    kept, part = _kept(run, state), state.part + 1
-    table = _table(run, state.round, state.x, kept, state.part)
-    own = len(run.problem.layout) if kept and not state.part else 0
+    table, part = _table(run, state.round, state.x, _kept(run, state), state.part), state.part + 1
+    own = len(run.problem.layout) if table.own and not state.part else 0
     charge(run, table.sampled, table.look(part - 1) + own)
     # A first layout soon: as soon as some candidates of every kind have been looked at.
     if state.round == 0 and part == len(table.kinds) < len(table.parts):
-        _placed(run, table, state)
+        _placed(run, table, state.x)
     return replace(state, part=part, looked=part == len(table.parts))
 
 
@@ -179,18 +178,20 @@ def place(run: Run, state: Placing) -> Exchanging | LocalSearch:
     pay = partial(charge, run, table.sampled, views)
     if run.problem.submodular:
         pay()
-    picks, x, value = _placed(run, table, state, (lambda: None) if run.problem.submodular else pay)
+    picks, x, value = _placed(
+        run, table, state.x, (lambda: None) if run.problem.submodular else pay
+    )
     if len(picks) < len(sensors):
         return _local(state.round, x, value)
     return Exchanging(state.round, x, value, np.array([picks[s] for s in sensors]))
 
 
 def _placed(
-    run: Run, table: Table, state: Placing, before: Callable[[], None] = lambda: None
+    run: Run, table: Table, x: Float[np.ndarray, " N"], before: Callable[[], None] = lambda: None
 ) -> tuple[Picks, Float[np.ndarray, " N"], float]:
     """The candidates that greedy placement picks, their coordinates (N,) and exact score."""
-    picks, _ = lazy_greedy(table, before, _kept(run, state))
-    x = table.layout(state.x, picks)
+    picks, _ = lazy_greedy(table, before)
+    x = table.layout(x, picks)
     run.hold(x)
     return picks, x, run.offer(x)
 

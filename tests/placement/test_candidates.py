@@ -302,14 +302,16 @@ def test_units_as_they_are_stand_beside_candidates(priced):
     """They stay to the bit, are scored as they stand, pay for their poles, and are exchanged only
     for what is better."""
     problem = priced(0.02)
-    table, x = whole_table(problem), problem.space.random(np.random.default_rng(7), 9)
-    x = candidates.project(problem.space, x + 0.1 * problem.space.scale)[4]
+    table, space, rng = whole_table(problem), problem.space, np.random.default_rng(7)
+    kept = np.concatenate([of_unit(space, u) for u in (0, 2)])
+    x = space.random(rng, 64) + 0.1 * rng.normal(size=(64, space.size)) * space.scale
+    each = candidates.project(space, x)  # as moves are; one by one they round otherwise
+    x = next(row for row in each if (space.project(row, np) != row)[kept].any())
     rows, table.paid = sights(table.sampled, x), problem.pole_costs(x)
     table.own = {s: rows[s] for s in (0, 1, 4)}
     picks, _ = greedy_placement.lazy_greedy(table)
     assert {s for s, k in picks.items() if k == tables.AS_IT_IS} == {0, 1, 4}
     mixed = table.layout(x, picks)
-    kept = np.concatenate([of_unit(problem.space, u) for u in (0, 2)])
     np.testing.assert_array_equal(mixed[kept], x[kept])
     rough = problem.rough(mixed[None], table.sampled.sample)[0]
     paid = problem.pole_costs(mixed)

@@ -42,7 +42,6 @@ def score(
 
     A layout that a search found says what it was searched for; that is scored too.
     """
-    from inspe_jax.report.figures import plan_view
     from inspe_jax.report.tables import blind_spots_table, scores_of, scores_record, scores_table
 
     claims.outputs(plot, record, force=force)
@@ -55,7 +54,13 @@ def score(
         sought = options.sought(case, placed)
     tables = Group(scores_table(scores, placed, sought), "", blind_spots_table(case.scene, scores))
     common.show(tables, scores_record(scores, case.scene, placed, sought), record)
-    common.draw(lambda: plan_view(case.scene, placed, scores), plot, record)
+
+    def figure() -> Any:
+        from inspe_jax.report.figures import plan_view
+
+        return plan_view(case.scene, placed, scores)
+
+    common.draw(figure, plot, record)
 
 
 @command()

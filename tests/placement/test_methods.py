@@ -114,10 +114,13 @@ def offers(run):
 
 # ── One contract for all methods ────────────────────────────────────────────
 
-BUDGET = {"grid": 30.0, "random": 20.0, "greedy": 90.0, "cma-es": 25.0, "differences": 240.0}
-BUDGET |= {"adam": 45.0, "greedy-adam": 120.0, "lbfgsb": 20.0, "projected-gradient": 30.0}
+BUDGET = {"grid": 30.0, "random": 20.0, "greedy": 60.0, "cma-es": 25.0, "differences": 100.0}
+BUDGET |= {"adam": 30.0, "greedy-adam": 90.0, "lbfgsb": 20.0, "projected-gradient": 30.0}
 """Evaluations in which each method comes through all of its kinds of step, but for restarts."""
-PARTS = {name: {"Placing", "Exchanging", "LocalSearch"} for name in ("greedy-adam", "greedy")}
+PARTS = {
+    name: {"Placing", "Exchanging", "LocalSearch"}
+    for name in ("greedy-adam", "greedy", "differences")
+}
 
 
 @pytest.fixture(scope="module")

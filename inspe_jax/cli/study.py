@@ -17,7 +17,8 @@ from inspe_jax.mounting.mixes import mix_name
 from inspe_jax.placement.objective import Objective
 from inspe_jax.placement.studies.pareto import device_mixes
 from inspe_jax.scene.georeference import Georeference
-from inspe_jax.scene.maps.registry import open_map, read_map
+from inspe_jax.scene.maps.registry import open_map
+from inspe_jax.scene.maps.road_map import RoadMap
 from inspe_jax.sensing.layout import load_layout
 from inspe_jax.sensing.layout_geojson import DIGITS, point_feature
 from inspe_jax.study.plan import SCORE_ONLY, Study, load_study
@@ -59,6 +60,7 @@ def plan(
     *,
     budget: float,
     junctions: str = "signals",
+    driving_side: str | None = None,
     device: list[str] | None = None,
     price: list[str] | None = None,
     worst: bool = False,
@@ -97,6 +99,8 @@ def plan(
         budget (USD): What all junctions together may cost.
         junctions (signals|all|ID,…): Junctions of the map: those with signals, all, or ids with
             commas between; `inspe scene MAP --list` lists them.
+        driving_side (left|right): Side of the road that traffic of an OpenStreetMap extract drives
+            on, in place of its country's.
         worst: Maximise the least score of a junction, and then the sum; without it, the
             weighted sum.
         importance (ID=WEIGHT): Weight of a junction in the sum, 1 if not given; repeat it for
@@ -137,13 +141,14 @@ def plan(
     if options.detection is not None:
         more["detection"] = str(options.detection.resolve())
     with common.busy(f"reading {source}"):
-        places = city.choose_junctions(source, junctions)
+        places = city.choose_junctions(source, junctions, driving_side)
         city.check_importance(given, places)
         study = city.city_study(
             source,
             places,
             [row for _, row in mixes],
             {key: value for key, value in settings.items() if value is not None} | build.given,
+            driving_side,
             **more,
         )
     size = float(study.jobs[0].settings["radius"])
@@ -163,16 +168,17 @@ def plan(
     with common.busy("sharing out the budget"):
         fronts = city.fronts_of(study, rows, places, costs)
         found = city.plan_city(fronts, budget, worst=worst, importance=given)
-    georeference = _projection(source)
+    place = open_map(source, driving_side)
+    georeference = _projection(place)
     if georeference and (doubt := georeference.doubt(places[0].center)):
         common.note(doubt)
     _show(found, georeference)
     with common.busy("drawing"):
         write_text(folder / "plan.csv", found.text(georeference))
-        view = city_view(found, source.name, open_map(source).road_lines())
+        view = city_view(found, source.name, place.road_lines())
         save_figure(view, folder / "plan.png")
         if georeference:
-            text = _geojson(found, source, folder, size, georeference)
+            text = _geojson(found, place, folder, size, georeference)
             write_text(folder / "plan.geojson", text)
     common.out.print(f"wrote {', '.join(FILES if georeference else FILES[:2])} into {folder}")
 
@@ -190,9 +196,9 @@ def _show(found: "CityPlan", georeference: Georeference | None) -> None:
         common.note("some searches failed; the same command tries them again")
 
 
-def _projection(source: Path) -> Georeference | None:
+def _projection(place: RoadMap) -> Georeference | None:
     """The projection of a map; None where it has none, and with a note where it cannot be used."""
-    georeference = open_map(source).georeference
+    georeference = place.georeference
     if georeference is not None:
         try:
             georeference.check()
@@ -203,7 +209,7 @@ def _projection(source: Path) -> Georeference | None:
 
 
 def _geojson(
-    found: "CityPlan", source: Path, folder: Path, radius: float, georeference: Georeference
+    found: "CityPlan", place: RoadMap, folder: Path, radius: float, georeference: Georeference
 ) -> str:
     """The plan as GeoJSON. Each junction that gets devices is read once more for its ground."""
     from inspe_jax.report.handover import city_geojson
@@ -214,8 +220,8 @@ def _geojson(
         about = dict(mix=option.mix, cost_usd=option.cost, score=option.score)
         points.append(point_feature(at.tolist(), feature="junction", junction=front.name, **about))
         if option.key:
-            place = read_map(source, junction=front.junction.id, radius=radius)
-            layouts[front.name] = load_layout(folder / option.layout), place
+            here = place.read(front.junction.id, None, radius)
+            layouts[front.name] = load_layout(folder / option.layout), here
     return city_geojson(layouts, points)
 
 

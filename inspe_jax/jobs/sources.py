@@ -16,6 +16,7 @@ from inspe_jax.core.parallel import compiled
 from inspe_jax.jobs.settings import Count, Length, Line, Strict, Text, check_names, check_settings
 from inspe_jax.mounting.mixes import mix_name, starting_layout
 from inspe_jax.mounting.strategies import choose, strategy
+from inspe_jax.scene.maps.registry import check_side, read_map
 from inspe_jax.scene.procedural.built_ins import BUILT_INS, built_in
 from inspe_jax.scene.profiles import BEFORE_PROFILES
 from inspe_jax.scene.scene import Scene, build_scene, load_scene
@@ -28,7 +29,8 @@ from inspe_jax.sensing.sensors import Spec
 class SceneSource:
     """Where a scene comes from: a built-in, a map's ``junction`` or ``center``, or a saved scene.
 
-    ``content`` is the digest of the file: a job is of the file as it was when the study was read.
+    ``driving_side`` is the one given for an extract, None for its country's. ``content`` is the
+    digest of the file: a job is of the file as it was when the study was read.
     The name of this class is part of the keys of jobs in saved results.
     """
 
@@ -39,6 +41,7 @@ class SceneSource:
     center: tuple[float, float] | None = None
     file: str | None = None
     content: str = ""
+    driving_side: str | None = None
 
     @property
     def anywhere(self) -> "SceneSource":
@@ -82,6 +85,7 @@ class SceneEntry(Strict):
     map: Text | None = None
     junction: str | int | None = None
     center: Annotated[list[float], Field(min_length=2, max_length=2)] | None = None
+    driving_side: str | None = None
     file: Text | None = None
     tags: dict[Line, Line] = Field(default={})
     note: str = ""
@@ -143,8 +147,9 @@ def scene_source(entry: SceneEntry, folder: Path, where: str) -> SceneSource:
     sources = [key for key in ("built_in", "map", "file") if getattr(entry, key) is not None]
     if len(sources) != 1:
         raise InspeError(f"{where}: give exactly one of built_in, map and file")
-    if entry.map is None and (entry.junction is not None or entry.center is not None):
-        raise InspeError(f"{where}: junction and center are only for maps")
+    places = entry.junction, entry.center, entry.driving_side
+    if entry.map is None and places != (None, None, None):
+        raise InspeError(f"{where}: junction, center and driving_side are only for maps")
     if entry.built_in is not None:
         check_known(entry.built_in, BUILT_INS, f"{where}.built_in:")
         return SceneSource(entry.name or entry.built_in, built_in=entry.built_in)
@@ -157,8 +162,10 @@ def scene_source(entry: SceneEntry, folder: Path, where: str) -> SceneSource:
         raise InspeError(f"{where}: choose a place on the map: give either junction or center")
     center = None if entry.center is None else (entry.center[0], entry.center[1])
     at = str(entry.junction) if center is None else "{:g}, {:g}".format(*center)
-    name = entry.name or f"{path.stem} {at}"
-    return SceneSource(name, None, str(path), entry.junction, center, content=content)
+    name, side = entry.name or f"{path.stem} {at}", entry.driving_side
+    with error_at(where):
+        check_side(path, side)
+    return SceneSource(name, None, str(path), entry.junction, center, None, content, side)
 
 
 def scene_settings(
@@ -251,10 +258,9 @@ def scene_of(source: SceneSource, settings: dict[str, Any]) -> Scene:
         raise InspeError(f"{path}: has changed since the study was read")
     if source.file is not None:
         return load_scene(path)
-    from inspe_jax.scene.maps.registry import read_map
-
-    at: dict[str, Any] = dict(junction=source.junction, center=source.center)
-    return build_scene(read_map(path, **at, radius=settings["radius"]), **settings)
+    at = dict(junction=source.junction, center=source.center, driving_side=source.driving_side)
+    at["radius"] = settings["radius"]
+    return build_scene(read_map(path, **at), **settings)
 
 
 def place_layout(source: LayoutSource, scene: Scene) -> Layout:

@@ -105,12 +105,14 @@ class CityPlan:
         return csv_text(rows)
 
 
-def choose_junctions(path: str | os.PathLike[str], wanted: str) -> tuple[JunctionInfo, ...]:
+def choose_junctions(
+    path: str | os.PathLike[str], wanted: str, driving_side: str | None = None
+) -> tuple[JunctionInfo, ...]:
     """Junctions of a map: those with ``signals``, ``all``, or those of ids with commas between.
 
     Raises InspeError if there is none, an id is unknown, or the map cannot be read.
     """
-    known = list_junctions(path)
+    known = list_junctions(path, driving_side)
     if not known:
         raise InspeError(f"{path}: the map has no junction")
     if wanted == ALL:
@@ -154,14 +156,16 @@ def city_study(
     junctions: Sequence[JunctionInfo],
     mixes: Sequence[Mapping[str, int]],
     settings: Mapping[str, Any],
+    driving_side: str | None = None,
     **more: Any,
 ) -> Study:
     """The study of every mix of devices at every junction of a map. ``settings``, which need a
-    method of search, and ``more`` are as in a study file (:mod:`inspe_jax.study.plan`). Raises
-    InspeError as :func:`~inspe_jax.study.plan.make_study`."""
+    method of search, ``driving_side`` and ``more`` are as in a study file
+    (:mod:`inspe_jax.study.plan`). Raises InspeError as :func:`~inspe_jax.study.plan.make_study`."""
     place = Path(path)
     at = str(place.resolve())
-    scenes = [{"name": str(one.id), "map": at, "junction": one.id} for one in junctions]
+    of_all = {"map": at, "driving_side": driving_side}
+    scenes = [{"name": str(one.id), "junction": one.id, **of_all} for one in junctions]
     layouts = [{"mix": {name: n for name, n in mix.items() if n}} for mix in mixes]
     content = dict(scenes=scenes, layouts=layouts, settings=dict(settings), **more)
     return make_study(content, place.parent, str(place), place.stem)

@@ -354,6 +354,20 @@ def test_a_road_tilts_and_lanes_are_raised(write):
     np.testing.assert_allclose(z, 0.2 + up + [0, 0, 0.1, 0])
 
 
+def test_a_road_has_a_profile_across(write):
+    """A crown of 2 cm a metre at s = 0, which is level at s = 40; cubics of t beyond 1 m."""
+    rows = ((0, -5, 0.1, -0.02, 0), (0, 1, -0.02, 0.02, 0.001), (40, -5, 0, 0, 0))
+    row = '<shape s="{}" t="{}" a="{}" b="{}" c="0" d="{}"/>'
+    profile = "".join(row.format(*values) for values in rows)
+    text = GOOD.replace("<lanes>", f"<lateralProfile>{profile}</lateralProfile><lanes>")
+    road = load_map(write(text)).roads[1]
+    t = np.array([[-5.0, 0.0, 3.0, 3.0, 3.0, 3.0]])
+    rise = road.points(np.array([0, 0, 0, 10, 40, 45.0]), t)[0, :, 2] - 0.02 * np.array(
+        [0, 0, 0, 10, 40, 45]
+    )
+    np.testing.assert_allclose(rise, [0.1, 0.0, 0.028, 0.021, 0, 0], atol=1e-12)
+
+
 CORNERS = "".join(
     f'<cornerLocal u="{u}" v="{v}"/>' for u, v in ((-1, -4), (1, -4), (1, 4), (-1, 4))
 )

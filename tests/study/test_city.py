@@ -289,10 +289,10 @@ def test_choosing_junctions(files, monkeypatch):
     assert len(more.jobs) == 4
     assert {job.key for job in one.jobs} < {job.key for job in more.jobs}
     some = (junction("a", signals=0), junction("b", signals=0))
-    monkeypatch.setattr("inspe_jax.study.city.list_junctions", lambda path: some)
+    monkeypatch.setattr("inspe_jax.study.city.list_junctions", lambda *_: some)
     assert choose_junctions(path, "all") == some
     with pytest.raises(InspeError, match="none of its 2 junctions has signals; `all` takes all"):
         choose_junctions(path, "signals")
-    monkeypatch.setattr("inspe_jax.study.city.list_junctions", lambda path: ())
+    monkeypatch.setattr("inspe_jax.study.city.list_junctions", lambda *_: ())
     with pytest.raises(InspeError, match="the map has no junction"):
         choose_junctions(path, "all")

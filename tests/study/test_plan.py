@@ -6,9 +6,10 @@ from itertools import product
 
 import pytest
 import yaml
+from osm_town import full_town
 
 from inspe_jax.core.errors import InspeError
-from inspe_jax.jobs.sources import place_layout
+from inspe_jax.jobs.sources import place_layout, scene_of
 from inspe_jax.mounting.mixes import starting_layout
 from inspe_jax.mounting.strategies import strategy
 from inspe_jax.scene.procedural.built_ins import built_in
@@ -204,13 +205,31 @@ def test_saved_scenes_and_layout_files(read, scene, tmp_path):
     assert {job.layout.name for job in beside.jobs} == {"L-c", "mine"}
 
 
+def test_an_extract_is_read_with_the_side_that_is_given(read, tmp_path):
+    full_town().write(tmp_path / "town.osm")
+    place = {"map": "town.osm", "junction": "1", "voxel": 2, "frames": 1}
+    own, left = read(STUDY, scenes=[place, place | {"name": "l", "driving_side": "left"}]).jobs[
+        ::16
+    ]
+    assert own.scene != left.scene
+    assert scene_of(own.source, own.build).intersection.driving_side is None
+    assert scene_of(left.source, left.build).intersection.driving_side == "left"
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
         (dict(scenes=[]), r"study.yaml: scenes: needs at least 1, has 0"),
         (dict(scenes=[{}]), r"scenes\[0\]: give exactly one of built_in, map and file"),
         (dict(scenes=[{"built_in": "five_ways"}]), r"scenes\[0\].built_in.*did you mean five_way"),
-        (dict(scenes=[{"built_in": "four_way", "center": [1, 2]}]), "junction and center are only"),
+        (
+            dict(scenes=[{"built_in": "four_way", "center": [1, 2]}]),
+            "center and driving_side are only",
+        ),
+        (
+            dict(scenes=[{"map": "study.yaml", "junction": 1, "driving_side": "left"}]),
+            "only OpenStreet",
+        ),
         (dict(scenes=[{"built_in": "four_way", "radios": 3}]), r"unknown key; did you mean radius"),
         (dict(scenes=[{"built_in": "four_way"}] * 2), r"scenes: two are named 'four_way'"),
         (dict(scenes=[{"map": "a.xodr", "junction": 3}]), r"a.xodr: no such file"),

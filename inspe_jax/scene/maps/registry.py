@@ -8,10 +8,10 @@ from pkgutil import resolve_name
 
 import numpy as np
 
-from inspe_jax.core.errors import InspeError
+from inspe_jax.core.errors import InspeError, check_known
 from inspe_jax.scene.intersection import Intersection
 from inspe_jax.scene.maps.road_map import JunctionInfo, RoadMap
-from inspe_jax.scene.maps.sumo.network import NET_SUFFIXES, OSM_SUFFIXES
+from inspe_jax.scene.maps.sumo.network import NET_SUFFIXES, OSM_SUFFIXES, SIDES
 
 FORMATS: dict[tuple[str, ...], str] = {
     (".xodr",): "inspe_jax.scene.maps.opendrive.reader:load_map",
@@ -29,15 +29,23 @@ def is_map(path: str | os.PathLike[str]) -> bool:
     return any(str(path).lower().endswith(suffixes) for suffixes in FORMATS)
 
 
+def check_side(path: str | os.PathLike[str], driving_side: str | None) -> None:
+    """Raise InspeError for neither ``left`` nor ``right``, or a map that says itself on which side
+    traffic drives; None is that of the map or its country."""
+    if driving_side is not None:
+        if not str(path).lower().endswith(OSM_SUFFIXES):
+            raise InspeError(f"{path}: only OpenStreetMap takes a driving side; leave it out")
+        check_known(driving_side, SIDES, f"{path}: driving side")
+
+
 def open_map(path: str | os.PathLike[str], driving_side: str | None = None) -> RoadMap:
     """The map of a file. ``driving_side``, ``left`` or ``right``, of an OpenStreetMap extract is
     that of its country if it is None.
 
-    Raises InspeError if an extra or the file is missing, if the file is not a map, or if it is one
-    that says itself on which side traffic drives.
+    Raises InspeError if an extra or the file is missing, if the file is not a map, or as
+    :func:`check_side`.
     """
-    if driving_side is not None and not str(path).lower().endswith(OSM_SUFFIXES):
-        raise InspeError(f"{path}: only OpenStreetMap takes a driving side; leave it out")
+    check_side(path, driving_side)
     for suffixes, reader in FORMATS.items():
         if str(path).lower().endswith(suffixes):
             return resolve_name(reader)(path, *(() if driving_side is None else (driving_side,)))
@@ -45,9 +53,11 @@ def open_map(path: str | os.PathLike[str], driving_side: str | None = None) -> R
     raise InspeError(f"{path}: not a map: its name must end in {known}")
 
 
-def list_junctions(path: str | os.PathLike[str]) -> tuple[JunctionInfo, ...]:
+def list_junctions(
+    path: str | os.PathLike[str], driving_side: str | None = None
+) -> tuple[JunctionInfo, ...]:
     """The junctions of a map. Raises InspeError as :func:`open_map`."""
-    return open_map(path).list_junctions()
+    return open_map(path, driving_side).list_junctions()
 
 
 def junction_at(

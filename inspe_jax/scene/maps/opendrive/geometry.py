@@ -4,6 +4,7 @@ s runs along a road's reference line [m], t to its left [m].
 """
 
 import xml.etree.ElementTree as ET
+from collections import defaultdict
 from collections.abc import Callable, Iterable
 
 import numpy as np
@@ -47,14 +48,35 @@ class Cubics:
         rows = [[number(one, name) for name in (key, *values)] for one in elements]
         self.rows = np.array(sorted(rows, key=lambda row: row[0])).reshape(-1, 1 + len(values))
 
-    def __call__(self, s: Float[np.ndarray, " N"]) -> Float[np.ndarray, " N"]:
+    def __call__(self, s: Float[np.ndarray, "*N"]) -> Float[np.ndarray, "*N"]:
         """The values at s."""
         if not len(self.rows):
             return np.zeros_like(s)
         which = np.searchsorted(self.rows[1:, 0], s, side="right") if len(self.rows) > 1 else 0
-        start, a, b, c, d = self.rows[which].T
+        start, a, b, c, d = np.moveaxis(self.rows[which], -1, 0)
         ds = np.maximum(s - start, 0.0)
         return a + ds * (b + ds * (c + ds * d))
+
+
+class Crossfall:
+    """The height of a road's surface over what it is by elevation and superelevation, from its
+    ``<shape>`` records: cubics of t at each of their s, between them in proportion."""
+
+    def __init__(self, records: Iterable[ET.Element]) -> None:
+        at = defaultdict[float, list[ET.Element]](list)
+        for one in records:
+            at[number(one, "s")].append(one)
+        self.starts = np.array(sorted(at))
+        self.profiles = [Cubics(at[s], "t") for s in self.starts.tolist()]
+
+    def __call__(self, s: Float[np.ndarray, " N"], t: Float[np.ndarray, "*B N"]) -> np.ndarray:
+        """The heights [m] at s and t."""
+        rise = np.zeros(t.shape)
+        for hat, profile in zip(np.eye(len(self.starts)), self.profiles, strict=True):
+            share = np.interp(s, self.starts, hat)
+            here = share > 0
+            rise[..., here] += share[here] * profile(t[..., here])
+        return rise
 
 
 class ReferenceLine:

@@ -188,8 +188,6 @@ class OpenDriveMap(RoadMap):
             yield f"left out of the map: {'; '.join(out[:MOST_NAMED])}{more}"
         if kinds := set().union(*(road.kinds() for road in self.roads.values())) - KINDS:
             yield f"lanes of other types are left out: {', '.join(sorted(kinds)[:MOST_NAMED])}"
-        if count := sum(road.shaped for road in self.roads.values()):
-            yield f"lateral profiles (<shape>) of {counted(count, 'road')} are not read"
         if any(moved):
             east, north = moved
             yield f"coordinates are those of the map less ({east:.0f}, {north:.0f}) m"

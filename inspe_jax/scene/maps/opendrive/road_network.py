@@ -15,13 +15,20 @@ from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import TEXT, check_input, check_kind, check_xml
 from inspe_jax.scene.georeference import Georeference, of_open_drive
 from inspe_jax.scene.lines import distance_from
-from inspe_jax.scene.maps.opendrive.geometry import LONGEST, Cubics, ReferenceLine, number
+from inspe_jax.scene.maps.opendrive.geometry import (
+    LONGEST,
+    Crossfall,
+    Cubics,
+    ReferenceLine,
+    number,
+)
 from inspe_jax.scene.maps.road_map import FAR, Id
 
 INSET = 1e-3  # lanes and offsets may jump at the ends of sections: cuts stay inside [m]
 UTF_16 = (b"\xff\xfe", b"\xfe\xff")
 WIDEST = 200.0  # no lane is so wide, and none so far from its road's line [m]
 HIGHEST = 1e4  # no road is so high [m]
+FALL = 5.0  # no road falls so much over 10 m across [m]
 
 
 class Lane(NamedTuple):
@@ -57,8 +64,7 @@ class LaneCut(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class OpenDriveRoad:
-    """A road: ``links`` are 'start'/'end' → ('road'/'junction', id, contact); one that is
-    ``shaped`` has a lateral profile, which is not read."""
+    """A road: ``links`` are 'start'/'end' → ('road'/'junction', id, contact)."""
 
     id: Id
     junction: Id  # −1 outside junctions
@@ -66,7 +72,7 @@ class OpenDriveRoad:
     line: ReferenceLine
     elevation: Cubics
     superelevation: Cubics
-    shaped: bool
+    crossfall: Crossfall
     offset: Cubics
     sections: tuple[Section, ...]
     links: dict[str, tuple[str, Id, str]]
@@ -102,6 +108,9 @@ class OpenDriveRoad:
         for cubics, most in ((offset, WIDEST), (elevation, HIGHEST)):
             if abs(cubics(np.linspace(0.0, length, 9))).max() > most:
                 raise ValueError(f"its lane offset or elevation is over {most:g} m")
+        fall = Crossfall(element.iterfind("lateralProfile/shape"))
+        if abs(fall(np.array([0.0, length]), np.array([[-10.0] * 2, [10.0] * 2]))).max() > FALL:
+            raise ValueError(f"its lateral <shape> is over {FALL:g} m high")
         return cls(
             identity(element.get("id", "")),
             identity(element.get("junction") or "-1") if element.get("junction") != "none" else -1,
@@ -109,7 +118,7 @@ class OpenDriveRoad:
             ReferenceLine(element),
             elevation,
             Cubics(element.iterfind("lateralProfile/superelevation")),
-            element.find("lateralProfile/shape") is not None,
+            fall,
             offset,
             sections,
             links,
@@ -128,7 +137,8 @@ class OpenDriveRoad:
         tilt, tilted = self.superelevation(s), t if tilted is None else tilted
         across = t + tilted * (np.cos(tilt) - 1)
         x, y = at[:, 0] - across * np.sin(heading), at[:, 1] + across * np.cos(heading)
-        return np.stack([x, y, self.elevation(s) + tilted * np.sin(tilt)], -1)
+        up = tilted * np.sin(tilt) + self.crossfall(s, tilted)
+        return np.stack([x, y, self.elevation(s) + up], -1)
 
     def cuts(self, section: Section, s: Float[np.ndarray, " N"]) -> dict[int, LaneCut]:
         """The lanes of a section at stations."""

@@ -20,7 +20,7 @@ from pathlib import Path
 import shapely
 from shapely.geometry import Point
 
-from inspe_jax.core.errors import InspeError, check_known, missing_extra
+from inspe_jax.core.errors import InspeError, missing_extra
 from inspe_jax.core.files import check_kind, check_xml, digest_of
 
 NET_SUFFIXES = (".net.xml", ".net.xml.gz")
@@ -84,10 +84,8 @@ def _opened(path: Path) -> io.BufferedIOBase:
 
 def driving_side(path: Path, wanted: str | None) -> tuple[str, str]:
     """The side of :data:`SIDES` that traffic of an extract drives on, and a note on why: the one
-    that is wanted, or that of the country where its first point lies. Raises InspeError if another
-    is wanted."""
+    that is wanted, or that of the country where its first point lies."""
     if wanted is not None:
-        check_known(wanted, SIDES, f"{path}: driving side")
         return wanted, f"traffic drives on the {wanted}, as --driving-side says"
     at = Point()
     with _opened(path) as f, suppress(StopIteration, ValueError):  # netconvert says what is wrong
@@ -101,7 +99,7 @@ def driving_side(path: Path, wanted: str | None) -> tuple[str, str]:
     where = next((name for name, land in lands if land.covers(at)), "")
     side, other = reversed(SIDES) if where else SIDES
     why = f"as in {where or 'most countries'}" if at.is_valid and not at.is_empty else "by default"
-    remedy = f"if not so, give `inspe scene --driving-side {other}`"
+    remedy = f"if not so, give --driving-side {other}"
     return side, f"traffic drives on the {side}, {why}; {remedy}"
 
 

@@ -124,16 +124,18 @@ def junctions_table(
     infos: Iterable[JunctionInfo], map_name: str, georeference: Georeference | None = None
 ) -> RenderableType:
     """The junctions of a map: id, centre (x, y, z) [m], arms, size, crosswalks and signals. With a
-    projection, also latitude and longitude."""
+    projection also latitude and longitude, and streets where they have names."""
     infos = list(infos)
     places = [_on_earth(georeference, np.array(info.center)) for info in infos]
     degrees = ["latitude, longitude"] if any(places) else []
-    heads = ("arms", "size\n[m]", "cross-\nwalks", "signals")
+    named = ["streets"] if any(info.streets for info in infos) else []
+    heads = ("arms", "size\n[m]", "cross-\nwalks", "signals", *named)
     table = table_of(f"Junctions of {map_name}", "id", "centre [m]", *degrees, *heads)
     for info, place in zip(infos, places, strict=True):
         at = [_position(info.center), *([place] if degrees else [])]
         numbers = (f"{info.arms}", f"{info.size:.1f}", f"{info.crosswalks}", f"{info.signals}")
-        table.add_row(f"{info.id}", *at, *numbers)
+        streets = [Text(", ".join(info.streets))] if named else []
+        table.add_row(f"{info.id}", *at, *numbers, *streets)
     return table
 
 

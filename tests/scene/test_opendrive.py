@@ -343,7 +343,7 @@ def test_a_road_tilts_and_lanes_are_raised(write):
     np.testing.assert_allclose(ground, kerbs[:, 2], atol=0.01)  # between stations 1 m apart
     text = text.replace('type="sidewalk">', 'type="sidewalk" level="true">')
     text = text.replace(
-        "</lane></left>", '<height sOffset="0" inner="0.1" outer="0.1"/></lane></left>'
+        "</lane></left>", '<height sOffset="0" heightInner="0.1" outer="0.1"/></lane></left>'
     )
     lanes = load_map(write(text)).roads[1]
     cuts = lanes.cuts(lanes.sections[0], np.array([10.0]))
@@ -352,6 +352,24 @@ def test_a_road_tilts_and_lanes_are_raised(write):
     np.testing.assert_allclose(t, [1.75 * np.cos(0.1), 4 * np.cos(0.1), flat, -flat])
     up = np.sin(0.1) * np.array([1.75, 4, 4.5, -4.5])
     np.testing.assert_allclose(z, 0.2 + up + [0, 0, 0.1, 0])
+
+
+def test_streets_have_the_names_that_a_person_gave(write):
+    text = GOOD.replace('<road id="1"', '<road name="Ring" id="1"')
+    (info,) = list_junctions(write(text.replace('<road id="2"', '<road name="Road 2" id="2"')))
+    assert info.streets == ("Ring",)
+
+
+def test_pieces_of_centimetres_are_as_sharp_and_steep_as_they_say(write):
+    """As RoadRunner and CARLA's towns have them: they are no reason to leave a road out."""
+    sharp = '<geometry s="50" x="-10" y="0" hdg="0" length="0.01">'
+    sharp += '<spiral curvStart="126" curvEnd="-246"/></geometry></planView>'
+    steep = '<width sOffset="0" a="3.5" b="0" c="0" d="1e25"/><width sOffset="1e-14" a="3.5" b="0" '
+    text = GOOD.replace("</planView>", sharp, 1).replace('<width sOffset="0" a="3.5" b="0" ', steep)
+    road = load_map(write(text)).roads[1]
+    assert road.line.at(50.01)[1] == pytest.approx((126 - 246) / 2 * 0.01, abs=1e-9)
+    cuts = road.cuts(road.sections[0], np.array([10.0]))
+    np.testing.assert_allclose(cuts[1].width, 3.5)
 
 
 def test_a_road_has_a_profile_across(write):

@@ -236,6 +236,13 @@ def test_what_is_deleted_or_rubbish_is_not_there(tmp_path):
         read_extract(file, (-1, -1, 1, 1))
 
 
+def test_a_junction_says_its_streets(tmp_path):
+    path = Town().write(tmp_path / "town.osm")
+    named = path.read_text().replace("</way>", '<tag k="name" v="A &amp; B"/></way>')
+    path.write_text(named)
+    assert list_junctions(path)[0].streets == ("A & B",)
+
+
 def test_outlines_that_the_extract_cuts_are_closed_or_left_out(tmp_path):
     town = Town()
     nodes = [town.node(p) for p in box(10, 10, 20, 20)]

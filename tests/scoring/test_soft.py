@@ -334,7 +334,8 @@ def test_a_compiled_gradient_reads_each_tile_once_with_the_programs_of_another(
     assert once == len(tiled_scene_of(scene, whole=True, masks=False).apart) > 1
     _, found = jax.jit(slope)(poses)
     assert len(calls) == 2 * once
-    assert compiled().programs <= programs + 2  # its own, and how the summary slopes
+    # Its own, how the summary slopes, and on a single core how a tile does.
+    assert compiled().programs <= programs + 3
     np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-7)
 
 

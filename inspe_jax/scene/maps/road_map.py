@@ -62,7 +62,8 @@ Areas = dict[Region, BaseGeometry]
 @dataclass(frozen=True)
 class JunctionInfo:
     """A junction of a map: its id, middle [m], number of arms, the larger side of its bounding box
-    [m], and the numbers of crosswalks and signals that the map has near it."""
+    [m], the numbers of crosswalks and signals that the map has near it, and the names of its
+    streets, where the map has them."""
 
     id: int | str
     center: tuple[float, float, float]
@@ -70,6 +71,7 @@ class JunctionInfo:
     size: float
     crosswalks: int
     signals: int
+    streets: tuple[str, ...] = ()
 
 
 def valid(shape: BaseGeometry) -> BaseGeometry:
@@ -303,6 +305,10 @@ class RoadMap(ABC):
     def lane_at(self, approach: Approach, lane: int) -> Any:
         """The key of a lane at the end of its road."""
 
+    @abstractmethod
+    def street(self, approach: Approach) -> str:
+        """The name of the street of an approach; empty where the map has none."""
+
     def entry(self, lane: Any) -> tuple[Id, str]:
         """The road of a lane, and the end by which its traffic enters it."""
         return self.strip(lane).road, "start"
@@ -326,10 +332,12 @@ class RoadMap(ABC):
         found = []
         for name in self.junctions():
             middle, size, signals = self.node(name)
-            arms, _ = arms_of(self.around(self, {name}, middle, 0.0).approaches)
+            approaches = self.around(self, {name}, middle, 0.0).approaches
+            arms, _ = arms_of(approaches)
+            streets = dict.fromkeys(filter(None, (self.street(one) for one in approaches)))
             near = int((distance_from(walks, middle) < size / 2 + 8.0).sum())
             x, y, z = middle.tolist()
-            found.append(JunctionInfo(name, (x, y, z), len(arms), size, near, signals))
+            found.append(JunctionInfo(name, (x, y, z), len(arms), size, near, signals, (*streets,)))
         return tuple(found)
 
     def read(

@@ -14,10 +14,11 @@ from inspe_jax.scene.lines import turned
 from inspe_jax.scene.maps.road_map import APART
 
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(8)  # Gauss's quadrature on −1 … 1
-STRETCH = 5.0  # spirals are integrated in stretches of at most this [m]: errors are below 1 µm
+STRETCH = 5.0  # spirals are integrated in stretches of at most 1 rad and this [m]: to below 1 µm
 STEPS = 512  # a cubic's length is summed up over so many
 HUGE = 1e9  # no number of a map is so large
-SHARPEST = 10.0  # no curve is so sharp [1/m]
+STEEP = 1e30  # no coefficient of a cubic, which may be of a stretch of nanometres
+TURNS = 100.0  # no piece turns so far [rad]; short ones are sharp
 LONGEST = 1e5  # no road is so long, nor so far from others [m]
 
 Course = Callable[[Float[np.ndarray, " N"]], tuple[Float[np.ndarray, "N 2"], np.ndarray]]
@@ -45,7 +46,7 @@ class Cubics:
     """A cubic of s from each start on, which ``values`` of elements give; 0 without elements."""
 
     def __init__(self, elements: Iterable[ET.Element], key: str = "s", values: str = "abcd"):
-        rows = [[number(one, name) for name in (key, *values)] for one in elements]
+        rows = [[number(one, name, most=STEEP) for name in (key, *values)] for one in elements]
         self.rows = np.array(sorted(rows, key=lambda row: row[0])).reshape(-1, 1 + len(values))
 
     def __call__(self, s: Float[np.ndarray, "*N"]) -> Float[np.ndarray, "*N"]:
@@ -132,9 +133,9 @@ def _course(shape: ET.Element, length: float) -> Course:
     if shape.tag == "line":
         return _arc(0.0)
     if shape.tag == "arc":
-        return _arc(number(shape, "curvature", most=SHARPEST))
+        return _arc(number(shape, "curvature", most=TURNS / length))
     if shape.tag == "spiral":
-        first, last = (number(shape, key, most=SHARPEST) for key in ("curvStart", "curvEnd"))
+        first, last = (number(shape, k, most=TURNS / length) for k in ("curvStart", "curvEnd"))
         return _spiral(first, (last - first) / length, length)
     if shape.tag == "poly3":
         rows = np.array([[0, 1, 0, 0], [number(shape, k) for k in "abcd"]], float)
@@ -157,7 +158,8 @@ def _arc(curvature: float) -> Course:
 
 def _spiral(curvature: float, change: float, length: float) -> Course:
     """A curve of a curvature at its start [1/m], which changes evenly [1/m²]."""
-    knots = np.linspace(0.0, length, int(np.ceil(length / STRETCH)) + 1)
+    turns = length * max(abs(curvature), abs(curvature + change * length))
+    knots = np.linspace(0.0, length, int(np.ceil(max(length / STRETCH, turns))) + 1)
 
     def turn(along: np.ndarray) -> np.ndarray:
         return along * (curvature + change * along / 2)

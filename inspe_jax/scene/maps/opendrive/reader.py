@@ -211,6 +211,10 @@ class OpenDriveMap(RoadMap):
         last = len(self.roads[approach.road].sections) - 1
         return approach.road, 0 if approach.end == "start" else last, lane
 
+    def street(self, approach: Approach) -> str:
+        name = self.roads[approach.road].name
+        return name if name != f"Road {approach.road}" else ""  # as RoadRunner names all
+
     def entry(self, lane: LaneKey) -> tuple[Id, str]:
         one = self.roads[lane[0]].sections[lane[1]].lanes[lane[2]]
         return lane[0], "start" if one.onward else "end"

@@ -25,6 +25,7 @@ from inspe_jax.scene.maps.opendrive.geometry import (
 from inspe_jax.scene.maps.road_map import FAR, Id
 
 INSET = 1e-3  # lanes and offsets may jump at the ends of sections: cuts stay inside [m]
+HEIGHTS = (("inner", "heightInner"), ("outer", "heightOuter"))  # of a lane, and as some write it
 UTF_16 = (b"\xff\xfe", b"\xfe\xff")
 WIDEST = 200.0  # no lane is so wide, and none so far from its road's line [m]
 HIGHEST = 1e4  # no road is so high [m]
@@ -67,6 +68,7 @@ class OpenDriveRoad:
     """A road: ``links`` are 'start'/'end' → ('road'/'junction', id, contact)."""
 
     id: Id
+    name: str
     junction: Id  # −1 outside junctions
     length: float
     line: ReferenceLine
@@ -113,6 +115,7 @@ class OpenDriveRoad:
             raise ValueError(f"its lateral <shape> is over {FALL:g} m high")
         return cls(
             identity(element.get("id", "")),
+            element.get("name", ""),
             identity(element.get("junction") or "-1") if element.get("junction") != "none" else -1,
             length,
             ReferenceLine(element),
@@ -187,7 +190,10 @@ def _lanes(element: ET.Element, left_hand: bool, length: float) -> dict[int, Lan
             edge.rows[:, 1:] *= -1
         if abs(edge(at)).max() > WIDEST:
             raise ValueError(f"lane {name} is wider than {WIDEST:g} m")
-        rows = [[number(h, k) for k in ("sOffset", "inner", "outer")] for h in lane.iter("height")]
+        rows = [
+            [number(h, "sOffset"), *(number(h, k, number(h, old, 0.0)) for k, old in HEIGHTS)]
+            for h in lane.iter("height")
+        ]
         links = {
             end: [int(number(link, "id")) for link in lane.iterfind(f"link/{tag}")]
             for end, tag in (("start", "predecessor"), ("end", "successor"))

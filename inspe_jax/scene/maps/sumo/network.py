@@ -31,6 +31,7 @@ _GUESSED = "--sidewalks.guess true --crossings.guess true --no-turnarounds.excep
 _OPTIONS = {
     "opendrive": f"--offset.disable-normalization true {_GUESSED}",
     "osm": "--geometry.remove true --junctions.join true --ramps.guess true --osm.sidewalks true "
+    "--output.street-names true "
     f"--tls.guess-signals true --tls.discard-simple true --tls.join true {_GUESSED}",
 }
 """Options of netconvert for each kind of map. It guesses sidewalks where a map has none."""

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 from xml.sax import SAXException
 
+import html
 import numpy as np
 from jaxtyping import Float
 from shapely.geometry import MultiPoint, Point, Polygon
@@ -218,6 +219,10 @@ class SumoMap(RoadMap):
 
     def lane_at(self, approach: Approach, lane: int) -> str:
         return str(self.edges[int(approach.road)].getLane(lane).getID())
+
+    def street(self, approach: Approach) -> str:
+        name = self.edges[int(approach.road)].getName() or ""
+        return html.unescape(name)  # netconvert escapes it twice
 
     def road_lines(self) -> list[Float[np.ndarray, "N 2"]]:
         to_world = self.to_world

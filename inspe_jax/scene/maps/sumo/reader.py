@@ -1,12 +1,12 @@
 """Reads SUMO networks and OpenStreetMap extracts: lanes, crossings, sidewalks and bodies."""
 
+import html
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from xml.sax import SAXException
 
-import html
 import numpy as np
 from jaxtyping import Float
 from shapely.geometry import MultiPoint, Point, Polygon

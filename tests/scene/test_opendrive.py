@@ -114,16 +114,21 @@ def test_street_has_the_areas_worked_out_on_paper(plain):
 
 
 def test_street_has_the_bodies_of_its_objects(write):
-    """Beside road 1, which runs along x from −60: a house, and a lamp on a lane."""
+    """Beside road 1, which runs along x from −60: a house, a lamp on a lane, and two islands,
+    one of them on the road."""
     objects = (
         '<objects><object type="building" s="40" t="14" length="10" width="6" height="8"/>'
-        '<object type="pole" s="45" t="1" height="7"/></objects>'
+        '<object type="pole" s="45" t="1" height="7"/>'
+        '<object type="trafficIsland" s="45" t="9" length="2" width="2"/>'
+        '<object type="trafficIsland" s="45" t="2" length="2" width="2"/></objects>'
     )
     text = street().replace("</lanes></road>", f"</lanes>{objects}</road>", 1)
     place = read_map(write(text), junction=7, radius=30)
     (house,) = place.bodies
     assert house.middle == pytest.approx([-20, 14], abs=1e-6)
     assert any(note.startswith("1 body of the map on lanes, crossings") for note in place.notes)
+    where = shapely.contains_xy(place.mounting, -15, [9, 2])
+    assert where.tolist() == [True, False]
 
 
 def test_street_has_two_arms_and_drives_on_the_right(plain):

@@ -1,9 +1,9 @@
 """The bodies of an OpenDRIVE map: its ``<object>`` elements of types that hide what is behind them,
-its crosswalks, and vehicles that stand in its parking lanes and spaces, at random but the same for
-a place.
+its crosswalks and traffic islands, and vehicles that stand in its parking lanes and spaces, at
+random but the same for a place.
 
 Objects are at (s, t) of a road's reference line. Not read: guard rails, railings and fences, which
-one sees through; islands, marks and signs.
+one sees through; marks and signs.
 """
 
 import xml.etree.ElementTree as ET
@@ -33,7 +33,12 @@ from inspe_jax.scene.statics import HIGHEST, LEAFY, StaticBody, octagon, upright
 from inspe_jax.scene.street import PARKED
 from inspe_jax.scene.traffic.frames import drawn_size
 
-PARKING, CROSSWALK, SIGNAL = FLAT = "parking space", "crosswalk", "signal"
+PARKING, CROSSWALK, SIGNAL, TRAFFIC_ISLAND = FLAT = (
+    "parking space",
+    "crosswalk",
+    "signal",
+    "traffic island",
+)
 """Kinds of shapes that are no bodies."""
 KINDS = {
     "building": "building",
@@ -47,6 +52,7 @@ KINDS = {
     "obstacle": "furniture",
     "parkingSpace": PARKING,
     "crosswalk": CROSSWALK,
+    "trafficIsland": TRAFFIC_ISLAND,
     "1000001": SIGNAL,
     "1000002": SIGNAL,
 }

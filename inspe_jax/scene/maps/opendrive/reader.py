@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import shapely
 from jaxtyping import Float
-from shapely.geometry import LineString, Polygon
+from shapely.geometry import LineString, Point, Polygon
 from shapely.geometry.base import BaseGeometry
 from shapely.ops import unary_union
 
@@ -32,6 +32,7 @@ from inspe_jax.scene.maps.opendrive.objects import (
     FLAT,
     PARKING,
     SIGNAL,
+    TRAFFIC_ISLAND,
     shapes_of,
     with_parked,
 )
@@ -123,6 +124,10 @@ class OpenDriveJunction(MapJunction):
         if hung.any():
             self.notes.append(f"{counted(int(hung.sum()), 'signal')} over lanes: no standing poles")
             place = replace(place, poles=place.poles[~hung])
+        islands = unary_union([s.area for s in shapes if s.kind == TRAFFIC_ISLAND])
+        taken = unary_union([lanes, place.regions[Region.CROSSWALK]])
+        free = islands.intersection(Point(self.middle[:2]).buffer(reach)).difference(taken)
+        place = replace(place, mounting=unary_union([place.mounting, free]))
         bodies = [s for s in shapes if s.kind not in FLAT]
         place = with_bodies(place, bodies, reach, self.notes)
         parking = [strip for strip in lane_strips if strip.kind == "parking"]

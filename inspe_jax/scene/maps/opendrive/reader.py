@@ -124,10 +124,10 @@ class OpenDriveJunction(MapJunction):
         if hung.any():
             self.notes.append(f"{counted(int(hung.sum()), 'signal')} over lanes: no standing poles")
             place = replace(place, poles=place.poles[~hung])
-        islands = unary_union([s.area for s in shapes if s.kind == TRAFFIC_ISLAND])
-        taken = unary_union([lanes, place.regions[Region.CROSSWALK]])
-        free = islands.intersection(Point(self.middle[:2]).buffer(reach)).difference(taken)
-        place = replace(place, mounting=unary_union([place.mounting, free]))
+        if islands := [s.area for s in shapes if s.kind == TRAFFIC_ISLAND]:
+            near = unary_union(islands).intersection(Point(self.middle[:2]).buffer(reach))
+            free = near.difference(unary_union([lanes, place.regions[Region.CROSSWALK]]))
+            place = replace(place, mounting=unary_union([place.mounting, free]))
         bodies = [s for s in shapes if s.kind not in FLAT]
         place = with_bodies(place, bodies, reach, self.notes)
         parking = [strip for strip in lane_strips if strip.kind == "parking"]

@@ -1,12 +1,14 @@
 """Claim: at equal wall time, searches along the gradient find better places than searches without.
 
 Every method, several seeds, on three built-in and five town junctions under the default profile,
-with 6 cameras, with 4 LiDARs, and with 4 cameras and 2 LiDARs: 24 cells. All start from the same
-layout, work on samples of the same size, and get the same seconds; each is compiled before its time
-begins, and what that takes is a column of its own. With ``--cold`` each runs in a process of its
-own that keeps nothing compiled, and its time is its user's: it begins when the search is called,
-and compiling is part of it. With ``--processor`` the seconds are processor time, which other work
-on the machine does not lengthen: run it on one core. Scores are exact, of the whole scene.
+with 6 cameras, with 4 LiDARs, and with 4 cameras and 2 LiDARs, these also for detectability in
+place of P_sm: 32 cells. ``--large`` has 6 to 48 cameras on one scene of five times the area. All
+start from the same layout, work on samples of the same size, and get the same seconds; each is
+compiled before its time begins, and what that takes is a column of its own. With ``--cold`` each
+runs in a process of its own that keeps nothing compiled, and its time is its user's: it begins when
+the search is called, and compiling is part of it. With ``--processor`` the seconds are processor
+time, which other work on the machine does not lengthen: run it on one core. Scores are exact, of
+the whole scene.
 
 ``rises`` has what a search reached at which second. The best layout that any run has found of each
 cell is kept in ``best_known/``, with its score in ``best_known.csv``: a method's figure is the
@@ -21,6 +23,7 @@ import argparse
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -46,6 +49,7 @@ from inspe_jax.core.files import csv_text, write_text
 from inspe_jax.mounting.mixes import starting_layout
 from inspe_jax.placement.candidates import COLUMNS, FRAMES
 from inspe_jax.placement.methods.registry import GRADIENTS, METHODS
+from inspe_jax.placement.objective import Objective
 from inspe_jax.placement.problem import Problem
 from inspe_jax.placement.run import BudgetSpent, Method, Progress, Run
 from inspe_jax.sensing.layout import save_layout
@@ -56,9 +60,15 @@ MIXES = {
     "cameras": {"paper-camera": 6},
     "lidars": {"paper-lidar-32": 4},
     "both": {"paper-camera": 4, "paper-lidar-32": 2},
+    "detectability": {"paper-camera": 4, "paper-lidar-32": 2},
 }
 """So few that even the best places known leave something to gain: P_sm below 0.95."""
 PLACES = (*BUILT_INS, *(f"{town} {junction}" for town, junction in TOWNS))
+LARGE, SIZES = 110.0, {f"{n} cameras": {"paper-camera": n} for n in (6, 12, 24, 48)}
+"""Radius of the large scene [m], and what stands there."""
+SCORE = {"detectability": "D"}
+OBJECTIVES = {"detectability": Objective(weights={"detectability": 1.0})}
+"""What is searched for with a mix, if it is not P_sm."""
 GRADIENT = [method.name for method in GRADIENTS]
 FIELDS = (
     "place", "mix", "method", "seed", "budget", "start", "score", "evaluations", "seconds",
@@ -85,6 +95,7 @@ def options() -> argparse.Namespace:
         processor=dict(action="store_true", help="seconds of processor time"),
         draw=dict(action="store_true", help="only the picture, from the CSV"),
         mixes=dict(default=",".join(MIXES), help="with commas"),
+        large=dict(action="store_true", help="6 to 48 cameras on a scene of 110 m"),
     )
     for name, known in (("methods", METHODS), ("mixes", MIXES), ("places", PLACES)):
         for part in getattr(found, name).split(","):
@@ -99,9 +110,9 @@ def options() -> argparse.Namespace:
     return found
 
 
-def scenes(quick: bool, only: str) -> Iterator[tuple[str, Scene]]:
+def scenes(quick: bool, only: str, radius: float) -> Iterator[tuple[str, Scene]]:
     """The junctions, one after another; towns where their maps are at hand."""
-    size: dict[str, Any] = dict(radius=50, frames=40, seed=0)
+    size: dict[str, Any] = dict(radius=radius, frames=40, seed=0)
     if quick:
         size |= dict(radius=15, voxel=1.0, frames=3, density=8)
     wanted = [name for name in only.split(",") if name]
@@ -151,33 +162,33 @@ def search(
 
 
 def cold_search(
-    scene: Scene, layout: Layout, name: str, seed: int, seconds: float, clock: Clock
+    problem: Callable[[], Problem], name: str, seed: int, seconds: float, clock: Clock
 ) -> tuple[Layout, list[Progress], float, float]:
     """A search in a process that has compiled nothing: its layout, scores, work, and compiling."""
     jax.config.update("jax_enable_compilation_cache", False)
     before, began = compiled().seconds, clock()
-    problem = Problem(scene, layout)
+    made = problem()
     spent = lambda: clock() - began  # noqa: E731
-    run, history = search(problem, METHODS[name], seed, spent, seconds=seconds, clock=clock)
-    found = problem.space.layout(run.best_x)
+    run, history = search(made, METHODS[name], seed, spent, seconds=seconds, clock=clock)
+    found = made.space.layout(run.best_x)
     return found, history, run.evaluations, compiled().seconds - before
 
 
 def cold_cell(
-    scene: Scene, layout: Layout, seconds: float, clock: Clock, todo: list[tuple[int, str]]
+    problem: Callable[[], Problem], seconds: float, clock: Clock, todo: list[tuple[int, str]]
 ) -> Found:
     """Every search in a process of its own, which imports and gets the scene before it begins."""
     for seed, name in todo:
-        found = in_fresh_process(cold_search, scene, layout, name, seed, seconds, clock)
+        found = in_fresh_process(cold_search, problem, name, seed, seconds, clock)
         yield seed, name, *found
 
 
 def warm_cell(
-    scene: Scene, layout: Layout, seconds: float, clock: Clock, todo: list[tuple[int, str]]
+    made: Callable[[], Problem], seconds: float, clock: Clock, todo: list[tuple[int, str]]
 ) -> Found:
     """Every search in this process, each method compiled before."""
-    problem = Problem(scene, layout)
-    problem.exact(problem.space.start(layout)[0])
+    problem = made()
+    problem.exact(problem.space.start(problem.layout)[0])
     compiling = {}
     for name in dict.fromkeys(name for _, name in todo):
         before = compiled().seconds
@@ -202,8 +213,9 @@ def cell(
     searches, words = (cold_cell, "cold") if given.cold else (warm_cell, "compiled")
     words += ", processor time" * given.processor
     clock = time.process_time if given.processor else time.monotonic
+    problem = partial(Problem, scene, layout, OBJECTIVES.get(mix))
     for seed, name, found, history, work, compiling in searches(
-        scene, layout, given.seconds, clock, todo
+        problem, given.seconds, clock, todo
     ):
         first, last = history[0], history[-1]
         rises = [first] + [b for a, b in pairwise(history) if b.best > a.best]
@@ -249,7 +261,12 @@ def draw(rows: list[dict[str, str]], path: Path) -> None:
                 filled = f"C{k}" if name in GRADIENT else "white"
                 mark = ax.plot(np.median(found), up, "o^sDv"[k % 5], ms=5, mfc=filled, **look)
                 mark[0].set_label(name if y == 0 else "")
-        ax.set(title=mix, xlabel="exact P_sm", yticks=range(len(places)), yticklabels=places)
+        ax.set(
+            title=mix,
+            xlabel=f"exact {SCORE.get(mix, 'P_sm')}",
+            yticks=range(len(places)),
+            yticklabels=places,
+        )
         ax.hlines(np.arange(len(places) - 1) + 0.5, *ax.get_xlim(), color="#d0d0d0", lw=0.6)
         ax.margins(x=0)
         ax.invert_yaxis() if ax is axes[0] else None
@@ -270,7 +287,8 @@ def draw(rows: list[dict[str, str]], path: Path) -> None:
 def main() -> None:
     """Run what is missing; then the picture of all there is."""
     given = options()
-    stem = "gradient_vs_grid" + "_cold" * given.cold + "_quick" * given.quick
+    stem = "gradient_vs_grid" + "_large" * given.large + "_cold" * given.cold
+    stem += "_quick" * given.quick
     path = given.out / f"{stem}.csv"
     if given.draw:
         draw(read_rows(path), path.with_suffix(".png"))
@@ -284,10 +302,11 @@ def main() -> None:
                 "folder, or delete it to begin anew"
             )
     done = {(r["place"], r["mix"], r["method"], r["seed"]) for r in read_rows(path)}
-    for place, scene in scenes(given.quick, given.places):
-        for mix in given.mixes.split(",")[: 1 if given.quick else None]:
+    mixes = SIZES if given.large else {mix: MIXES[mix] for mix in given.mixes.split(",")}
+    for place, scene in scenes(given.quick, given.places, LARGE if given.large else 50.0):
+        for mix, devices in list(mixes.items())[: 1 if given.quick else None]:
             jax.clear_caches()  # else the compiled code of many cells exhausts the memory maps
-            layout = starting_layout(scene, MIXES[mix])
+            layout = starting_layout(scene, devices)
             for row in cell(place, mix, scene, layout, given, done):
                 append_rows(path, [row])
                 console.print(

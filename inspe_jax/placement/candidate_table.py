@@ -91,7 +91,8 @@ class Table:
         bounds, pitches = space.limits
         groups: dict[object, list[int]] = {}
         for s, sensor in enumerate(layout.sensors):
-            grids = tuple(case.conditions.spec(sensor.spec).grid for case in problem.cases)
+            usual = sensor.spec.with_lens(0.0)
+            grids = tuple(case.conditions.spec(usual).grid for case in problem.cases)
             sector = space.constraints.yaw.get(sensor.name)
             key = (grids, sector, *bounds[s].round(3), *pitches[s].round(3))
             groups.setdefault(key, []).append(s)
@@ -224,6 +225,7 @@ class Table:
             x[:, index.offset[list(members)]] = 0.0
             x[:, index.yaw[list(members)]] = [kind.yaw[k] for kind, k in kinds]
             x[:, index.pitch[list(members)]] = [kind.pitch[k] for kind, k in kinds]
+            x[:, index.lens[list(members)]] = 0.0
             x = set_heights(space, x, u, members, np.array([[kind.height[k] for kind, k in kinds]]))
         for u in stay:  # to the bit: projections round
             own = of_unit(space, u)

@@ -36,8 +36,8 @@ def project(space: Space, x: Float[np.ndarray, "M N"]) -> Float[np.ndarray, "M N
     return _in_parts(_mapped(space)[0], x, _ROWS if len(x) > _SOME else _SOME)
 
 
-def poses(space: Space, x: Float[np.ndarray, "M N"]) -> Float[np.ndarray, "M S 6"]:
-    """The poses of each layout, about the scene's centre [m, rad]."""
+def poses(space: Space, x: Float[np.ndarray, "M N"]) -> Float[np.ndarray, "M S p"]:
+    """The poses of each layout, about the scene's centre [m, rad], as of :meth:`Space.poses`."""
     return _in_parts(_mapped(space)[1], x)
 
 

@@ -20,7 +20,7 @@ from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import open_arrays, whole_file
 from inspe_jax.placement.run import Progress, Run
 
-FORMAT = "inspe_jax checkpoint 6"
+FORMAT = "inspe_jax checkpoint 7"
 SUFFIXES = (".npz",)
 EVERY = 10.0
 """Time between two writes of a search's checkpoint [s]."""

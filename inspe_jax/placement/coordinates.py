@@ -13,7 +13,8 @@ from jaxtyping import Bool, Float
 from inspe_jax.placement.convex_regions import INSIDE, from_bounded, to_bounded, turns
 
 STEPS = dict(base=5.0, arm=0.5, height=2.0, offset=0.5, rise=1.0, yaw=np.pi / 4, pitch=np.pi / 18)
-"""A typical step of each coordinate [m or rad]."""
+STEPS |= dict(lens=0.25)
+"""A typical step of each coordinate [m or rad]; of a lens in the logarithm of its focal length."""
 PLANE = ("base", "arm", "offset")
 """Coordinates that come in pairs, x and y."""
 
@@ -27,7 +28,8 @@ class Coordinates(NamedTuple):
 
     ``base`` is the foot of each unit, ``arm`` the offset from there to its mast head, and
     ``height`` the height of the head above the ground at the foot. ``offset`` and ``rise`` lead
-    from the head to each sensor; both are 0 for a unit's only sensor. Roll is not searched.
+    from the head to each sensor; both are 0 for a unit's only sensor. ``lens`` is the logarithm of
+    a focal length, in times the usual one of the camera. Roll is not searched.
     """
 
     base: Float[Any, "U 2"]
@@ -37,6 +39,7 @@ class Coordinates(NamedTuple):
     rise: Float[Any, " S"]
     yaw: Float[Any, " S"]
     pitch: Float[Any, " S"]
+    lens: Float[Any, " S"]
 
     def flat(self, xp: Any = np) -> Float[Any, " N"]:
         """All coordinates in one array, in the order of the fields."""
@@ -44,8 +47,8 @@ class Coordinates(NamedTuple):
 
     @classmethod
     def split(cls, x: Float[Any, " N"], units: int, sensors: int) -> "Coordinates":
-        """The coordinates in a flat array of 5·(units + sensors) numbers."""
-        sizes = [2 * units, 2 * units, units, 2 * sensors, sensors, sensors, sensors]
+        """The coordinates in a flat array of 5·units + 6·sensors numbers."""
+        sizes = [2 * units, 2 * units, units, 2 * sensors, *[sensors] * 4]
         ends = np.cumsum(sizes).tolist()
         parts = [x[end - n : end] for end, n in zip(ends, sizes, strict=True)]
         named = zip(cls._fields, parts, strict=True)
@@ -128,6 +131,7 @@ class Limits:
     rise: Range
     yaw: Range
     pitch: Range
+    lens: Range
     sector: Bool[np.ndarray, " S"]
     aimed: Bool[np.ndarray, " S"]
 
@@ -150,7 +154,7 @@ class Limits:
         return self._each("from_bounded", c, yaw, np)
 
     def _each(self, method: str, c: Coordinates, yaw: Any, xp: Any) -> Coordinates:
-        names = ("arm", "height", "offset", "rise", "pitch")
+        names = ("arm", "height", "offset", "rise", "pitch", "lens")
         parts = {name: getattr(getattr(self, name), method)(getattr(c, name), xp) for name in names}
         return c._replace(yaw=yaw, **parts)
 
@@ -159,9 +163,9 @@ class Limits:
     ) -> list[Coordinates]:
         """Random coordinates within the limits, one for each row of feet.
 
-        They are spread evenly over discs, heights and rises. Sensors that are aimed, as cameras,
-        look down by 5° to 40°; others are level to within 10°. Half of all sensors look within 60°
-        of the centre, half in any direction.
+        They are spread evenly over discs, heights, rises and lenses. Sensors that are aimed, as
+        cameras, look down by 5° to 40°; others are level to within 10°. Half of all sensors look
+        within 60° of the centre, half in any direction.
         """
         count = len(base)
 
@@ -189,7 +193,8 @@ class Limits:
             even(self.rise),
         )
         pitch = rng.uniform(low, high, (count, len(low)))
-        return [Coordinates(*row) for row in zip(*parts, yaw, pitch, strict=True)]
+        rows = zip(*parts, yaw, pitch, even(self.lens), strict=True)
+        return [Coordinates(*row) for row in rows]
 
 
 def nearest_turn(angle: Any, about: Any, xp: Any) -> Any:

@@ -139,10 +139,9 @@ class Problem:
         failures = layout.members() if self.objective.failures else ()
         if self.objective.failures and len(layout.units) < 2:
             raise InspeError(f"{layout.name}: failures need at least two units, it has one")
-        self.sensor_sets = tuple(
-            SensorSet.of(perceiving(case.scene, layout, case.conditions), failures)
-            for case in self.cases
-        )
+        self._failures = failures
+        usual = [replace(sensor, spec=sensor.spec.with_lens(0.0)) for sensor in layout.sensors]
+        self.sensor_sets = self._sets_of(replace(layout, sensors=tuple(usual)))
         self.terms = ScoreTerms(
             tuple(sensor_array(sensor_set) for sensor_set in self.sensor_sets),
             tuple(case.scene.voxels.size for case in self.cases),
@@ -150,6 +149,12 @@ class Problem:
             np.array(len(failures), np.int32),
         )
         self.known: set[Hashable] = set()  # what is compiled already, for methods to note
+
+    def _sets_of(self, layout: Layout) -> tuple[SensorSet, ...]:
+        return tuple(
+            SensorSet.of(perceiving(case.scene, layout, case.conditions), self._failures)
+            for case in self.cases
+        )
 
     @cached_property
     def space(self) -> Space:
@@ -200,8 +205,8 @@ class Problem:
     def exact_of(self, layout: Layout) -> float:
         """The exact objective of a layout of these sensors, without what its poles cost."""
         poses = from_center(self.cases[0].scene.voxels.center, layout.poses)
-        measures = []
-        for case, sensor_set in zip(self.cases, self.sensor_sets, strict=True):
+        measures, sets = [], self._sets_of(layout) if self.space.zooms else self.sensor_sets
+        for case, sensor_set in zip(self.cases, sets, strict=True):
             found = measure_exactly(
                 tiled_scene_of(case.scene),
                 poses,

@@ -100,6 +100,7 @@ class Space:
             rise=Range(-spread[self._unit], spread[self._unit]),
             yaw=yaw,
             pitch=Range(*np.array([options.pitch[sensor.spec.kind] for sensor in sensors]).T),
+            lens=Range(*np.array([sensor.spec.lens_limits for sensor in sensors]).T),
             sector=yaw.half < np.pi,
             aimed=np.array([sensor.spec.aimed for sensor in sensors]),
         )
@@ -160,7 +161,12 @@ class Space:
         """The coordinates by name."""
         return Coordinates.split(x, len(self._feet), len(self._unit))
 
-    def poses(self, x: Float[Array, " N"]) -> Float[Array, "S 6"]:
+    @property
+    def zooms(self) -> bool:
+        """Whether some camera has a varifocal lens: then poses have a lens behind them."""
+        return bool((self._limits.lens.half > 0).any())
+
+    def poses(self, x: Float[Array, " N"]) -> Float[Array, "S p"]:
         """Poses relative to the scene's centre, as the scores take them; differentiable in x.
 
         The height of the ground at a foot is interpolated between points 1 m apart.
@@ -172,7 +178,8 @@ class Space:
         (fx, fy), (i, j) = jnp.clip(t - corner, 0, 1).T, corner.astype(int).T
         low = (1 - fy) * table[i, j] + fy * table[i, j + 1]
         high = (1 - fy) * table[i + 1, j] + fy * table[i + 1, j + 1]
-        return self._sensors(c, (1 - fx) * low + fx * high, jnp)
+        found = self._sensors(c, (1 - fx) * low + fx * high, jnp)
+        return jnp.column_stack([found, c.lens]) if self.zooms else found
 
     def _sensors(self, c: Coordinates, ground: Float[Any, " U"], xp: Any) -> Float[Any, "S 6"]:
         at = c.base[self._unit] + c.arm[self._unit] + c.offset
@@ -213,7 +220,9 @@ class Space:
         poses[:, 5] = np.arctan2(np.sin(poses[:, 5]), np.cos(poses[:, 5]))
         bases = zip(self.given.units, np.column_stack([feet, ground]).tolist(), strict=True)
         units = [replace(unit, base=(px, py, pz)) for unit, (px, py, pz) in bases]
-        return make_layout(list(self.given.sensors), units, poses, self.given.name)
+        lenses = zip(self.given.sensors, inside[self.index.lens], strict=True)
+        sensors = [replace(one, spec=one.spec.with_lens(float(lens))) for one, lens in lenses]
+        return make_layout(sensors, units, poses, self.given.name)
 
     # ── Two ways to stay in the set ──
 
@@ -261,7 +270,9 @@ class Space:
         A unit's sensors move with its foot and keep their heights above the ground. Units with a
         name in ``added`` are said to be added. Raises InspeError if the layout has other sensors.
         """
-        ours, theirs = ([(s.spec, s.unit) for s in of.sensors] for of in (self.given, layout))
+        ours, theirs = (
+            [(s.spec.with_lens(0.0), s.unit) for s in of.sensors] for of in (self.given, layout)
+        )
         if ours != theirs:
             raise InspeError(
                 f"{layout.name} cannot be the start for {self.given.name}: it has other sensors or "
@@ -293,6 +304,7 @@ class Space:
             above - height[self._unit],
             poses[:, 5],
             poses[:, 4],
+            np.array([sensor.spec.lens for sensor in layout.sensors]),
         )
         x = self.project(wanted.flat(), np)
         return x, tuple(differences(layout, self.layout(x), self.site, added))

@@ -46,7 +46,7 @@ from inspe_jax.scene.traffic.frames import CLASSES
 from inspe_jax.scene.voxels import VoxelGrid
 from inspe_jax.scoring.evaluate import Scores
 from inspe_jax.scoring.metrics import Metric, listed_in
-from inspe_jax.sensing.layout import Layout
+from inspe_jax.sensing.layout import Layout, device_words
 from inspe_jax.sensing.sensors import CameraSpec, Spec
 from inspe_jax.visibility.queries import check_frame
 
@@ -405,4 +405,4 @@ def _list_sensors(panel: Axes, layout: Layout, top: float) -> None:
             y -= _ROW
             spec, height = layout.sensors[k].spec, poses[k, 2] - unit.base[2]
             _badge(panel, (6, y), k + 1, spec.kind)
-            panel.text(13, y, **look | fit(f"{spec.name}, {height:.1f} m", 30, 6.5))
+            panel.text(13, y, **look | fit(f"{device_words(spec)}, {height:.1f} m", 30, 6.5))

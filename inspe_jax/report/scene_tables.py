@@ -18,7 +18,7 @@ from inspe_jax.scene.regions import WEIGHTS, Region
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scene.terrain import Terrain
 from inspe_jax.sensing.catalogue import Device
-from inspe_jax.sensing.layout import Layout
+from inspe_jax.sensing.layout import Layout, device_words
 from inspe_jax.sensing.sensors import Spec
 
 
@@ -90,7 +90,7 @@ def layout_table(layout: Layout) -> RenderableType:
     }
     table = table_of(f"Layout {layout.name}", "#", "sensor", "device", *numbers)
     for k, sensor in enumerate(layout.sensors):
-        names = [Text(name) for name in (sensor.name, sensor.spec.name)]
+        names = [Text(name) for name in (sensor.name, device_words(sensor.spec))]
         table.add_row(str(k + 1), *names, *(f"{values[k]:z.1f}" for values in numbers.values()))
     return table
 

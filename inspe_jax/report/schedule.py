@@ -10,7 +10,7 @@ import numpy as np
 from inspe_jax.core.words import counted
 from inspe_jax.scene.intersection import Intersection
 from inspe_jax.sensing.catalogue import devices
-from inspe_jax.sensing.layout import Layout
+from inspe_jax.sensing.layout import Layout, device_words
 
 SAME_POLE = 1.0  # a unit this near to an existing pole is mounted on it [m]
 EXISTING_POLE = "existing pole"  # what such a unit stands on, in words
@@ -101,7 +101,7 @@ def installation_schedule(
             SensorRow(
                 number=s + 1,
                 name=layout.sensors[s].name,
-                device=(name := layout.sensors[s].spec.name),
+                device=(name := device_words(layout.sensors[s].spec)),
                 title=bought[name].title,
                 position=(float(poses[s, 0]), float(poses[s, 1])),
                 height=float(poses[s, 2] - ground[u]),
@@ -121,15 +121,18 @@ def installation_schedule(
 
 
 def materials(layout: Layout, prices: Mapping[str, float]) -> tuple[MaterialRow, ...]:
-    """The devices of a layout, in its order. ``prices`` replace the catalogue's."""
+    """The devices of a layout, in its order, those with another lens apart. ``prices`` replace the
+    catalogue's."""
     known, rows = devices(), []
-    for name, count in Counter(sensor.spec.name for sensor in layout.sensors).items():
-        at = [layout.units[s.unit].name for s in layout.sensors if s.spec.name == name]
+    specs = {device_words(sensor.spec): sensor.spec for sensor in layout.sensors}
+    for words, spec in specs.items():
+        at = [layout.units[s.unit].name for s in layout.sensors if device_words(s.spec) == words]
+        name, count = spec.name, len(at)
         units = tuple(unit for unit, _ in groupby(at))
         one = known.get(name)
         title, maker = (one.title, one.maker) if one else ("", "")
         price, product = prices.get(name, one.price_usd if one else None), not one or one.product
-        rows.append(MaterialRow(name, title, maker, count, price, units, product))
+        rows.append(MaterialRow(words, title, maker, count, price, units, product))
     return tuple(rows)
 
 

@@ -25,7 +25,7 @@ from inspe_jax.scoring.blind_spots import blind_spots
 from inspe_jax.scoring.evaluate import Scores, evaluate
 from inspe_jax.scoring.metrics import METRICS, listed, listed_in
 from inspe_jax.sensing.conditions import Conditions
-from inspe_jax.sensing.layout import Layout
+from inspe_jax.sensing.layout import Layout, device_words
 from inspe_jax.visibility.tiles import CORE
 
 SPOTS = 5  # most blind spots in a table
@@ -309,6 +309,6 @@ def _members(scores: Scores, layout: Layout) -> list[tuple[Any, str, str]]:
             f"expected {', '.join(placed)}"
         )
     return [
-        (part, layout.units[sensor.unit].name, sensor.spec.name)
+        (part, layout.units[sensor.unit].name, device_words(sensor.spec))
         for part, sensor in zip(scores.contributions, layout.sensors, strict=True)
     ]

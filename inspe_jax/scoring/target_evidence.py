@@ -104,6 +104,7 @@ def target_evidence_of_sensor(
 ) -> TargetEvidence:
     """:func:`target_evidence` of one sensor; ``pixels`` is the number that a ray stands for."""
     kind, transform, noise = tile.heights.dtype, transform_of(pose), rays.signal.noise
+    rays, transform = transform.through(rays), transform._replace(lens=None)
     to = tile.columns[0] - pose[0], tile.columns[1] - pose[1]
     away = jnp.sqrt(jnp.maximum(to[0] ** 2 + to[1] ** 2, CHORD.max() ** 2))
     foot, (low, high) = tile.ground - pose[2], _slabs(tile)

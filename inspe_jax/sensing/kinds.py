@@ -9,7 +9,7 @@ from itertools import pairwise
 from typing import Annotated, Any, ClassVar
 
 import numpy as np
-from pydantic import BaseModel, Field
+from pydantic import BaseModel, Field, model_validator
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import STRICT
@@ -17,6 +17,7 @@ from inspe_jax.sensing.sensors import CameraSpec, LidarSpec, Spec
 
 Positive = Annotated[float, Field(gt=0)]
 _Elevation = Annotated[float, Field(ge=-90, le=90)]
+_View = Annotated[float, Field(gt=0, lt=180)]
 _Limits = Annotated[list[_Elevation], Field(min_length=2, max_length=2)]
 
 
@@ -113,7 +114,8 @@ class LidarKeys(DeviceKeys):
 
 
 class CameraKeys(DeviceKeys):
-    """A camera: its picture, its focal length or field of view, and its effective depth."""
+    """A camera: its picture, its focal length or field of view, or the range of a varifocal lens,
+    and its effective depth."""
 
     spec_type = CameraSpec
     replaces = {"hfov_deg": ("focal_px",), "focal_px": ("hfov_deg",)}
@@ -122,35 +124,63 @@ class CameraKeys(DeviceKeys):
     height: Annotated[int, Field(ge=1)]
     depth_m: Positive
     downsample: Annotated[float, Field(gt=0, le=1)]
-    hfov_deg: Annotated[float, Field(gt=0, lt=180)] | None = None
+    hfov_deg: _View | None = None
+    hfov_range_deg: Annotated[list[_View], Field(min_length=2, max_length=2)] | None = None
     focal_px: Positive | None = None
     principal_px: Annotated[list[float], Field(min_length=2, max_length=2)] | None = None
 
+    @model_validator(mode="before")
+    @classmethod
+    def _range(cls, given: dict[str, Any]) -> dict[str, Any]:
+        if not isinstance(given.get("hfov_deg"), list):
+            return given
+        return given | {"hfov_range_deg": given["hfov_deg"], "hfov_deg": None}
+
     def spec(self, name: str, where: str) -> CameraSpec:
         """The spec [pixel, m]; the principal point is the middle of the image if not given."""
-        if (self.hfov_deg is None) == (self.focal_px is None):
+        if [self.hfov_deg, self.focal_px, self.hfov_range_deg].count(None) != 2:
             raise InspeError(f"{where}: give either hfov_deg or focal_px")
-        focal = self.focal_px
-        if self.hfov_deg is not None:
-            focal = float(self.width / 2 / np.tan(np.radians(self.hfov_deg) / 2))
+        focal, lens = self.focal_px, None
+        if self.hfov_range_deg is not None:
+            narrow, wide = self.hfov_range_deg
+            if not narrow < wide:
+                raise InspeError(f"{where}: hfov_deg: must ascend, but {wide:g} follows {narrow:g}")
+            lens = focal_of(self.width, wide), focal_of(self.width, narrow)
+            focal = float(np.sqrt(lens[0] * lens[1]))
+        elif self.hfov_deg is not None:
+            focal = focal_of(self.width, self.hfov_deg)
         assert focal is not None
         cx, cy = self.principal_px or (self.width / 2, self.height / 2)
         same = self.model_dump(include={"width", "height", "downsample", "reliability"})
-        return CameraSpec(name, focal=focal, principal=(cx, cy), depth=self.depth_m, **same)
+        same |= dict(depth=self.depth_m, focal_range=lens)
+        return CameraSpec(name, focal=focal, principal=(cx, cy), **same)
 
     @classmethod
     def table(cls, spec: CameraSpec) -> dict[str, Any]:
-        """The keys of a camera's spec."""
+        """The keys of a camera's spec; of a varifocal lens its range, not how it is set."""
+        lens: dict[str, Any] = dict(focal_px=float(spec.focal))
+        if spec.focal_range is not None:
+            lens = dict(hfov_deg=[hfov_of(spec.width, x) for x in spec.focal_range[::-1]])
         return dict(
             kind="camera",
             width=int(spec.width),
             height=int(spec.height),
-            focal_px=float(spec.focal),
+            **lens,
             principal_px=[float(x) for x in spec.principal],
             downsample=float(spec.downsample),
             depth_m=float(spec.depth),
             reliability=float(spec.reliability),
         )
+
+
+def focal_of(width: int, hfov_deg: float) -> float:
+    """The focal length [px] with which a picture of so many pixels is so wide [degrees]."""
+    return float(width / 2 / np.tan(np.radians(hfov_deg) / 2))
+
+
+def hfov_of(width: int, focal: float) -> float:
+    """The inverse: how wide a picture is [degrees]."""
+    return float(np.degrees(2 * np.arctan(width / 2 / focal)).round(9))
 
 
 SENSOR_KINDS: dict[str, type[DeviceKeys]] = {

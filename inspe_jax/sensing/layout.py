@@ -38,7 +38,8 @@ from inspe_jax.scene.regions import regions_of
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scene.traffic.frames import CLASSES
 from inspe_jax.sensing.catalogue import check_spec, device, devices, spec_of, table_of
-from inspe_jax.sensing.sensors import Pose, RayGrid, Spec
+from inspe_jax.sensing.kinds import focal_of, hfov_of
+from inspe_jax.sensing.sensors import CameraSpec, Pose, RayGrid, Spec
 
 UNIT_PLAN = 2.0  # largest distance between sensors of one unit in plan [m]
 UNIT_HEIGHT = 4.0  # largest difference in height between sensors of one unit [m]
@@ -221,6 +222,7 @@ _Degrees = Annotated[float, Field(ge=-360, le=360)]
 
 class _SensorEntry(BaseModel, **STRICT):
     device: str
+    hfov_deg: Annotated[float, Field(gt=0, lt=180)] | None = None
     height: _Metres
     yaw_deg: _Degrees
     pitch_deg: Annotated[float, Field(ge=-90, le=90)] = 0.0
@@ -285,6 +287,9 @@ def parse_layout(
         for k, item in enumerate(unit.sensors):
             with error_at(f"{where}: units[{u}].sensors[{k}].device"):
                 spec = own.get(item.device) or device(item.device).spec
+            if item.hfov_deg is not None:
+                with error_at(f"{where}: units[{u}].sensors[{k}].hfov_deg"):
+                    spec = with_hfov(spec, item.hfov_deg)
             sensors.append(Sensor(item.name or f"{units[u].name} {k + 1}", spec, u))
             (dx, dy), height = item.offset, item.height
             angles = np.radians([item.roll_deg, item.pitch_deg, item.yaw_deg])
@@ -296,6 +301,30 @@ def parse_layout(
     ordered, at = [sensors[s] for s in rows], np.array(poses)[rows]
     layout = make_layout(ordered, units, at, entry.name or name, where, unit_rule=unit_rule)
     return replace(layout, profile=entry.profile, goal=_goal(entry.searched_for, where))
+
+
+def lens_keys(spec: Spec) -> dict[str, float]:
+    """How a varifocal lens is set, as a layout file has it; nothing for others."""
+    if not isinstance(spec, CameraSpec) or spec.focal_range is None:
+        return {}
+    return {"hfov_deg": hfov_of(spec.width, spec.focal)}
+
+
+def device_words(spec: Spec) -> str:
+    """The name of a device, and how its varifocal lens is set."""
+    return ", ".join([spec.name, *(f"{view:.1f}°" for view in lens_keys(spec).values())])
+
+
+def with_hfov(spec: Spec, hfov_deg: float) -> Spec:
+    """A camera with its varifocal lens set to a horizontal field of view. Raises InspeError if its
+    lens cannot be set so."""
+    if not isinstance(spec, CameraSpec) or spec.focal_range is None:
+        raise InspeError(f"'{spec.name}' has no varifocal lens (hfov_deg: [40, 100] of a device)")
+    near, far = (hfov_of(spec.width, focal) for focal in spec.focal_range)
+    if not far - 1e-6 <= hfov_deg <= near + 1e-6:
+        raise InspeError(f"{hfov_deg:g} is not between {far:g} and {near:g} of '{spec.name}'")
+    focal = np.clip(focal_of(spec.width, hfov_deg), *spec.focal_range)
+    return replace(spec, focal=float(focal))
 
 
 def _goal(entry: _GoalEntry | None, where: str) -> Goal | None:
@@ -329,7 +358,8 @@ def layout_text(layout: Layout) -> str:
             *offset, height = (poses[s, :3] - np.array(unit.base)).round(9).tolist()
             roll, pitch, yaw = np.degrees(poses[s, 3:]).round(9).tolist()
             at = dict(height=height, offset=offset, yaw_deg=yaw, pitch_deg=pitch, roll_deg=roll)
-            entries.append(dict(name=sensor.name, device=sensor.spec.name) | at)
+            named = dict(name=sensor.name, device=sensor.spec.name)
+            entries.append(named | lens_keys(sensor.spec) | at)
         units.append(dict(name=unit.name, base=list(unit.base), sensors=entries))
     content = {"name": layout.name, **made_with(layout), "units": units}
     check_model(_LayoutFile, content, f"{layout.name}, to be saved")
@@ -354,7 +384,7 @@ def made_with(layout: Layout) -> dict[str, Any]:
 def _own_devices(layout: Layout) -> dict[str, dict[str, Any]]:
     """The devices that are not in the catalogue, or differ from it, by name."""
     known, found = devices(), {}
-    for spec in dict.fromkeys(sensor.spec for sensor in layout.sensors):
+    for spec in dict.fromkeys(sensor.spec.with_lens(0.0) for sensor in layout.sensors):
         if spec.name in found:
             raise InspeError(f"{layout.name}, to be saved: two devices are named '{spec.name}'")
         if spec.name not in known or known[spec.name].spec != spec:

@@ -18,7 +18,7 @@ from inspe_jax.core.files import check_model
 from inspe_jax.scene.geojson import Feature, known_georeference, read_features
 from inspe_jax.scene.intersection import Intersection
 from inspe_jax.scene.scene import Scene
-from inspe_jax.sensing.layout import Layout, made_with, parse_layout
+from inspe_jax.sensing.layout import Layout, lens_keys, made_with, parse_layout
 
 DIGITS = 9  # decimals of degrees: a tenth of a millimetre
 
@@ -34,6 +34,7 @@ class _Sensor(BaseModel):
     name: str
     unit: str
     device: str
+    hfov_deg: _Finite | None = None
     height_m: _Finite
     azimuth_deg: Annotated[float, Field(ge=-360, le=720)]
     pitch_deg: _Finite = 0.0
@@ -65,6 +66,7 @@ def layout_features(layout: Layout, place: Intersection) -> list[dict[str, Any]]
                     name=layout.sensors[s].name,
                     unit=name,
                     device=spec.name,
+                    **lens_keys(spec),
                     kind=spec.kind,
                     height_m=round(float(z - ground[u]), 4),
                     azimuth_deg=round(float(azimuth[s]), 6) % 360,
@@ -113,7 +115,8 @@ def load_layout_geojson(
             raise InspeError(f"{where}: no unit '{sensor.unit}'{nearest(sensor.unit, [*units])}")
         base, members = units[sensor.unit]
         yaw = known_georeference(place).yaw(at[None], np.array([sensor.azimuth_deg]))[0]
-        own = dict(name=sensor.name, device=sensor.device, height=sensor.height_m)
+        own: dict[str, Any] = dict(name=sensor.name, device=sensor.device, height=sensor.height_m)
+        own |= {} if sensor.hfov_deg is None else {"hfov_deg": sensor.hfov_deg}
         own |= dict(offset=(at - base).tolist(), yaw_deg=float(np.degrees(yaw)))
         members.append(own | dict(pitch_deg=sensor.pitch_deg, roll_deg=sensor.roll_deg))
     content: dict[str, Any] = {"profile": profiles[0]} if profiles else {}

@@ -87,6 +87,10 @@ class Rays:
     table: RayTable
     wraps: bool = field(metadata={"static": True})
 
+    def zoomed(self, zoom: Float[Array, ""]) -> "Rays":
+        """The grid at so many times its focal length; of what has no lens, as it is."""
+        return self
+
     def nearest_row(self, row: Float[Array, "*n"]) -> Int[Array, "*n"]:
         """Index of the row nearest to a row coordinate, an end row beyond the ends; from a table
         with steps of an eighth of the least row spacing, so that midway it may be either."""
@@ -317,6 +321,22 @@ class PinholeRays(Rays):
         """(1, column, row), scaled to unit length."""
         scale = 1.0 / xp.sqrt(1.0 + row * row + column * column)
         return scale, column * scale, row * scale
+
+    def zoomed(self, zoom: Float[Array, ""]) -> "PinholeRays":
+        """All tangents are so many times smaller."""
+        table = self.table
+
+        def within(edges: Edges) -> Edges:
+            row, column = jnp.asarray(edges.row) / zoom, jnp.asarray(edges.column) / zoom
+            turns = (jnp.stack([t * 0 + 1, t]) / jnp.sqrt(1 + t * t)[None] for t in (row, column))
+            return Edges(row, column, *turns)
+
+        smaller = ("rows", "column_step")
+        larger = ("steps", "columns_per_unit", "count_steps")
+        changed: dict[str, Any] = {name: getattr(table, name) / zoom for name in smaller}
+        changed |= {name: getattr(table, name) * zoom for name in larger}
+        edges = dict(edges=within(table.edges), outer=within(table.outer))
+        return PinholeRays(table._replace(**changed, **edges), self.wraps)
 
     def row(self, q: Point) -> Float[Array, "*n"]:
         """z/x, the tangent of the angle above the optical axis; very large behind the sensor."""

@@ -96,7 +96,7 @@ class RayGrid:
             self._edges(ends, np.array([first - half, last + half])),
             counts,
             np.array((COUNTS - 1) / (ends[1] - ends[0])),
-            np.array(last - first > np.pi),
+            np.array(not self.of.slants and last - first > np.pi),
         )
 
     @property
@@ -184,6 +184,21 @@ class Spec:
         right, left = self.azimuth_limits
         return left - right, self.grid.rows[-1] - self.grid.rows[0]
 
+    @property
+    def lens_limits(self) -> tuple[float, float]:
+        """Logarithms of the least and the greatest focal length, in times the usual one: the middle
+        of both. They are 0 without a varifocal lens."""
+        return 0.0, 0.0
+
+    @property
+    def lens(self) -> float:
+        """The logarithm of its focal length, in times the usual one."""
+        return 0.0
+
+    def with_lens(self, lens: float) -> Self:
+        """The same sensor with a varifocal lens set within its limits; without one, as it is."""
+        return self
+
     def with_performance(self, reliability: float, reach: float | None = None) -> Self:
         """The same sensor with another reliability, and with another reach [m] if one is given."""
         changed: dict[str, float] = {"reliability": reliability}
@@ -196,9 +211,10 @@ class Spec:
 class CameraSpec(Spec):
     """A pinhole camera: one ray per downsampled pixel, to its effective depth.
 
-    ``width``, ``height``, the ``focal`` length and the ``principal`` point are in
-    pixels. ``downsample`` is λ: the rays are ⌊λ·height⌋ × ⌊λ·width⌋ and pass through
-    the centres of the enlarged pixels. ``depth`` [m] is measured along the ray.
+    ``width``, ``height``, the ``focal`` length and the ``principal`` point are in pixels, and so is
+    the ``focal_range`` of a varifocal lens. ``downsample`` is λ: the rays are
+    ⌊λ·height⌋ × ⌊λ·width⌋ and pass through the centres of the enlarged pixels. ``depth`` [m] is
+    measured along the ray.
     """
 
     name: str
@@ -209,6 +225,7 @@ class CameraSpec(Spec):
     downsample: float
     depth: float
     reliability: float = 1.0
+    focal_range: tuple[float, float] | None = None
 
     kind = "camera"
     title = "camera"
@@ -227,6 +244,30 @@ class CameraSpec(Spec):
         tangents = tuple((self.principal[1] - pixel[::-1]) / self.focal)  # pixel rows run downward
         leftmost = (self.principal[0] - self.width) / self.focal + pitch / 2
         return RayGrid(tangents, leftmost, pitch, columns, False, self.depth, PinholeRays)
+
+    @property
+    def lens_limits(self) -> tuple[float, float]:
+        """Even about 0, by what makes the focal length usual."""
+        half = (
+            float(np.log(self.focal_range[1] / self.focal_range[0]) / 2)
+            if self.focal_range
+            else 0.0
+        )
+        return -half, half
+
+    @property
+    def lens(self) -> float:
+        """0 in the middle of the range, by its logarithm."""
+        if self.focal_range is None:
+            return 0.0
+        return float(np.log(self.focal / np.sqrt(self.focal_range[0] * self.focal_range[1])))
+
+    def with_lens(self, lens: float) -> Self:
+        """The same camera with another focal length."""
+        if self.focal_range is None:
+            return self
+        focal = float(np.sqrt(self.focal_range[0] * self.focal_range[1]) * np.exp(lens))
+        return replace(self, focal=min(max(focal, self.focal_range[0]), self.focal_range[1]))
 
     @property
     def azimuth_limits(self) -> tuple[float, float]:

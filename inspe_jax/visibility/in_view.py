@@ -33,15 +33,21 @@ voxel has a ray at least as deep, and which is the deepest changes with every mo
 
 
 class RigidTransform(NamedTuple):
-    """A sensor's ``position``, and the rotation ``to_world`` from body axes to world axes."""
+    """A sensor's ``position``, and the rotation ``to_world`` from body axes to world axes. ``lens``
+    is the logarithm of how many times its usual focal length a camera has; None if as usual."""
 
     position: Float[Array, "3"]
     to_world: Float[Array, "3 3"]
+    lens: Float[Array, ""] | None = None
+
+    def through(self, rays: Rays) -> Rays:
+        """A sensor's usual rays, through the lens."""
+        return rays if self.lens is None else rays.zoomed(jnp.exp(self.lens))
 
 
-def transform_of(pose: Float[Array, "6"]) -> RigidTransform:
-    """The transform of a pose (x, y, z [m], roll, pitch, yaw [rad])."""
-    return RigidTransform(pose[:3], rotation(pose[3:]))
+def transform_of(pose: Float[Array, "*p"]) -> RigidTransform:
+    """The transform of a pose (x, y, z [m], roll, pitch, yaw [rad]), and of a lens behind these."""
+    return RigidTransform(pose[:3], rotation(pose[3:6]), *pose[6:])
 
 
 def _to_voxels(transform: RigidTransform, centers: Float[Array, "V 3"]) -> Point:
@@ -53,7 +59,7 @@ def _to_voxels(transform: RigidTransform, centers: Float[Array, "V 3"]) -> Point
 def _field_margin(
     rays: Rays, half: Scalar, transform: RigidTransform, centers: Float[Array, "V 3"]
 ) -> Float[Array, " V"]:
-    q = to_body(transform.to_world, _to_voxels(transform, centers))
+    rays, q = transform.through(rays), to_body(transform.to_world, _to_voxels(transform, centers))
     return rays.field_margin(q, rays.table.edges) + half
 
 
@@ -104,8 +110,9 @@ def _best_margin_jvp(primals, tangents):  # type: ignore[no-untyped-def]
     margin, row, column = best_ray(rays, half, transform, centers)
 
     @jax.checkpoint  # the intermediates are 30 numbers a voxel, the winning ray is two
-    def winning_margin(transform):  # type: ignore[no-untyped-def]
-        return _ray_margin(rays, half, transform, centers, row, column)
+    def winning_margin(at):  # type: ignore[no-untyped-def]
+        wider = 1.0 if at.lens is None else jnp.exp(jax.lax.stop_gradient(at.lens) - at.lens)
+        return _ray_margin(rays, half, at, centers, row * wider, column * wider)
 
     return margin, jax.jvp(winning_margin, (transform,), (d_transform,))[1]
 
@@ -114,6 +121,7 @@ def best_ray(
     rays: Rays, half: Scalar, transform: RigidTransform, centers: Float[Array, "V 3"]
 ) -> tuple[Float[Array, " V"], Float[Array, " V"], Float[Array, " V"]]:
     """(margin [m], row, column) of the ray that passes deepest through each voxel."""
+    rays = transform.through(rays)
     of_row = _candidates(rays, transform.to_world, _to_voxels(transform, centers), half)
 
     def try_row(neighbour: Array, best: tuple[Array, ...]) -> tuple[Array, ...]:
@@ -294,6 +302,7 @@ def density_view(
 
     ``softness`` [m] is that of the field's edges. Only the transform has a gradient.
     """
+    rays = transform.through(rays)
     to_world = transform.to_world
     x, y, z = (
         (2 * half * to_world[k, 0], 2 * half * to_world[k, 1], 2 * half * to_world[k, 2])
@@ -304,7 +313,7 @@ def density_view(
 
 
 density_view_by_motions = jax.custom_vjp(density_view)
-"""The same; its gradient is found in forward mode, from the sensor's six motions.
+"""The same; its gradient is found in forward mode, from the sensor's six motions and its lens.
 
 Each motion is one pass over the voxels. In reverse mode XLA finds each of a dozen slopes in a pass
 that begins anew, which takes twice to three times as long."""
@@ -318,11 +327,13 @@ def _by_motions_forward(
 
     seen, along = jax.linearize(view, transform)
 
-    def slope(motion: Float[Array, "6"]) -> Float[Array, " V"]:
-        """Along a shift [m] and a turn [rad] about the body's axes."""
-        return along(RigidTransform(to_world @ motion[:3], to_world @ cross_matrix(motion[3:])))
+    def slope(motion: Float[Array, " m"]) -> Float[Array, " V"]:
+        """Along a shift [m] and a turn [rad] about the body's axes, and along the lens."""
+        turned = to_world @ cross_matrix(motion[3:6])
+        return along(RigidTransform(to_world @ motion[:3], turned, *motion[6:]))
 
-    slopes = jax.lax.map(slope, jnp.eye(6, dtype=to_world.dtype))
+    motions = 6 if transform.lens is None else 7
+    slopes = jax.lax.map(slope, jnp.eye(motions, dtype=to_world.dtype))
     return seen, (slopes, to_world)
 
 
@@ -331,8 +342,8 @@ def _by_motions_backward(kept: tuple[Array, Array], wanted: Float[Array, " V"]) 
     gradient to_world·[g]×/2 is w·g."""
     slopes, to_world = kept
     along = slopes @ wanted
-    turned = to_world @ cross_matrix(along[3:]) / 2
-    return None, None, RigidTransform(to_world @ along[:3], turned), None, None
+    turned = to_world @ cross_matrix(along[3:6]) / 2
+    return None, None, RigidTransform(to_world @ along[:3], turned, *along[6:]), None, None
 
 
 density_view_by_motions.defvjp(_by_motions_forward, _by_motions_backward)
@@ -347,7 +358,7 @@ def may_touch_field(
     """
     middle = (tile.low + tile.high) / 2
     radius = jnp.hypot(tile.radius, middle - tile.low) + 3.0**0.5 * half + SLACK
-    x, y, z = transform.position
+    rays, (x, y, z) = transform.through(rays), transform.position
     offset = tile.center[0] - x, tile.center[1] - y, middle - z
     edges = rays.table.outer if outer else rays.table.edges
     return rays.field_margin(to_body(transform.to_world, offset), edges) > -radius

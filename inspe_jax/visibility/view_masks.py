@@ -26,7 +26,7 @@ CHUNK = 256
 
 @jax.jit
 def view_masks(
-    rays: Rays, pose: Float[Array, "6"], tiles: Tile, half: Scalar
+    rays: Rays, pose: Float[Array, "*p"], tiles: Tile, half: Scalar
 ) -> UInt[Array, "N C"]:
     """Masks of the voxels that one sensor has in view: some ray passes through the voxel.
 
@@ -39,6 +39,7 @@ def view_masks(
     Grids of one kind share a compiled program if their arrays have equal shapes.
     """
     transform = transform_of(pose)
+    rays, transform = transform.through(rays), transform._replace(lens=None)
     x, y, up = transform.position
 
     def test_tile(tile: Tile) -> tuple[Array, Array]:

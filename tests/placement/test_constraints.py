@@ -260,7 +260,7 @@ def test_coordinates_that_are_not_feasible_are_refused():
     with pytest.raises(InspeError, match=r"coordinate [01] is 0\.000; .*project the coord"):
         space.layout(x * (np.arange(space.size) >= 2))
     for bad in (x[:-1], x * np.nan):
-        with pytest.raises(InspeError, match="expected 80 finite numbers"):
+        with pytest.raises(InspeError, match="expected 92 finite numbers"):
             space.layout(bad)
     with pytest.raises(InspeError, match="other sensors or units"):
         space.start(strategy(scene_named("four_way"), "L-d1"))

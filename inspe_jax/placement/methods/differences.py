@@ -16,9 +16,8 @@ from inspe_jax.placement.methods.local_search import VIEW_COST
 from inspe_jax.placement.problem import Drawn, Problem, Sample
 from inspe_jax.placement.sampled_objective import SampledObjective, rows_at
 
-HALF = np.array([0.5, 0.5, 0.5, 0.0, 0.03, 0.03])
-"""Half of a difference in x, y, z [m], roll, which is not searched, pitch and yaw [rad]."""
-_STEPS = np.concatenate([np.zeros((1, 6)), np.diag(HALF)[HALF > 0], -np.diag(HALF)[HALF > 0]])
+HALF = np.array([0.5, 0.5, 0.5, 0.0, 0.03, 0.03, 0.05])
+"""Half of a difference in x, y, z [m], roll, which is not searched, pitch, yaw [rad] and lens."""
 
 
 def differences(
@@ -27,17 +26,20 @@ def differences(
     """The hard score of poses on samples ``on`` and its central differences, as
     :meth:`Problem.slope`. Each redoes only the sensor that moves."""
     sampled = SampledObjective(problem, Sample(jax.device_put(on), 0.0))
-    views = sampled.views({s: pose + _STEPS for s, pose in enumerate(np.asarray(poses, float))})
+    half = HALF[: poses.shape[1]]
+    away = np.diag(half)[half > 0]
+    steps = np.concatenate([0 * away[:1], away, -away])
+    views = sampled.views({s: pose + steps for s, pose in enumerate(np.asarray(poses, float))})
     rows, slope = {s: rows_at(seen, 0) for s, seen in views.items()}, np.zeros(np.shape(poses))
     for s, seen in views.items():
-        scores = sampled.scores(rows, np.full((len(_STEPS), 1), s), [seen])
-        value, after, before = np.split(scores, [1, 6])
-        slope[s, HALF > 0] = (after - before) / (2 * HALF[HALF > 0])
+        scores = sampled.scores(rows, np.full((len(steps), 1), s), [seen])
+        value, after, before = np.split(scores, [1, 1 + len(away)])
+        slope[s, half > 0] = (after - before) / (2 * half[half > 0])
     return float(value[0]), on_host(slope, float)
 
 
 def _cost(problem: Problem, drawn: Drawn) -> float:
-    return len(_STEPS) * VIEW_COST * problem.sample_cost(drawn)
+    return (11 + 2 * problem.space.zooms) * VIEW_COST * problem.sample_cost(drawn)
 
 
 DIFFERENCES = method(

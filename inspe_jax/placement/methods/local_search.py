@@ -191,7 +191,8 @@ def finer(
         part[:, at] += length * moves * space.scale[at]
     flat = project(space, tried.reshape(-1, space.size))
     tried = flat.reshape(tried.shape)
-    stand = poses(space, flat).reshape(len(units), tries, -1, 6)
+    stand = poses(space, flat)
+    stand = stand.reshape(len(units), tries, *stand.shape[1:])
     new = sampled.views(
         {s: at[:, s] for u, at in zip(units, stand, strict=True) for s in members[u]}
     )

@@ -9,7 +9,9 @@ The file is in metres and degrees of the world frame; README.md shows one::
           - {device: paper-camera, height: 6.0, yaw_deg: -135.0}  # also offset, pitch_deg, roll_deg
 
 Sensors are in the order of the file, unit by unit, unless ``order`` has their names in another.
-``devices`` describes those that are not in the catalogue, with its keys, or ``like`` another.
+``devices`` describes those that are not in the catalogue, with its keys, or ``like`` another. A
+sensor of a camera whose ``hfov_deg`` is a range has an ``hfov_deg`` of its own, how its varifocal
+lens is set; without one it is in the middle of the range, by its logarithm.
 ``profile`` names the profile that the layout was made under, ``searched_for`` what a search has
 maximised, where that is not the usual P_sm, such as
 ``{weights: {detectability: 1.0}, regions: [crosswalk], road_users: [pedestrian]}``.

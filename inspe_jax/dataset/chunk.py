@@ -18,13 +18,7 @@ from inspe_jax.dataset.manifest import record_frame, recorded_frames
 from inspe_jax.dataset.plan import ScenarioPlan
 from inspe_jax.dataset.points_in_boxes import with_counts
 from inspe_jax.dataset.protocol import protocol_of
-from inspe_jax.jobs.sources import (
-    SceneSource,
-    message_of,
-    place_layout,
-    release_compiled,
-    scene_of,
-)
+from inspe_jax.jobs.sources import SceneSource, message_of, place_layout, release_compiled, scene_of
 from inspe_jax.scene.scene import Scene
 from inspe_jax.sensing.layout import Layout, layout_text, parse_layout
 from inspe_jax.simulation.backends import recorder_of

@@ -57,9 +57,7 @@ def frame_view(scenario: Scenario, number: int) -> Figure:
     return fig
 
 
-def sheet_of_pictures(
-    shapes: Sequence[tuple[int, ...]],
-) -> tuple[Figure, Axes, Axes, list[Axes]]:
+def sheet_of_pictures(shapes: Sequence[tuple[int, ...]]) -> tuple[Figure, Axes, Axes, list[Axes]]:
     """An empty sheet: figure, plan, panel beside it, and below a place for each picture of height
     and width ``shapes`` [pixels]."""
     columns = 2 if len(shapes) <= 4 else 3 if len(shapes) <= 12 else 4

@@ -104,8 +104,7 @@ def plan_kml(layout: Layout, place: Intersection) -> str:
     folders = [Folder(name=f"{kind}s", features=own) for kind, own in by_kind.items()]
     styles = [
         Style(
-            id=kind,
-            styles=[LineStyle(color=colour, width=1.5), PolyStyle(color=FILL + colour[2:])],
+            id=kind, styles=[LineStyle(color=colour, width=1.5), PolyStyle(color=FILL + colour[2:])]
         )
         for kind, colour in LINE.items()
     ]

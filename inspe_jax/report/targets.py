@@ -141,12 +141,7 @@ def _panels(scene: Scene, layout: Layout, view: TargetView) -> list[Panel]:
 
 
 def targets_view(
-    scene: Scene,
-    layout: Layout,
-    view: TargetView,
-    *,
-    frame: int = 0,
-    conditions: Conditions = FAIR,
+    scene: Scene, layout: Layout, view: TargetView, *, frame: int = 0, conditions: Conditions = FAIR
 ) -> Figure:
     """Maps of what a road user gets at each place: LiDAR returns, pixels per metre, and for layouts
     of one kind of sensor the chance that it is found.

@@ -111,11 +111,7 @@ class Recorder(Protocol):
 
 
 def frame_of(
-    scene: Scene,
-    layout: Layout,
-    t: int,
-    boxes: Boxes,
-    recorded: Sequence[Image | Scan],
+    scene: Scene, layout: Layout, t: int, boxes: Boxes, recorded: Sequence[Image | Scan]
 ) -> Frame:
     """Frame t of a scene's traffic, with one station for each unit of the layout. ``recorded`` has
     one image or scan for each sensor of the layout, in the layout's order."""

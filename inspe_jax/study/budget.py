@@ -115,9 +115,7 @@ def _greatest_worst(
 
 
 def _greatest_sum(
-    cents: Sequence[Int[np.ndarray, " K"]],
-    worth: Sequence[Float[np.ndarray, " K"]],
-    limit: int,
+    cents: Sequence[Int[np.ndarray, " K"]], worth: Sequence[Float[np.ndarray, " K"]], limit: int
 ) -> tuple[list[int], float]:
     """(The option of each place with the greatest sum within the limit, what no sum can exceed).
     HiGHS works in floating point: a choice that exceeds the limit in whole cents after all is

@@ -172,10 +172,7 @@ def city_study(
 
 
 def fronts_of(
-    study: Study,
-    rows: Sequence[Row],
-    junctions: Sequence[JunctionInfo],
-    costs: Mapping[str, float],
+    study: Study, rows: Sequence[Row], junctions: Sequence[JunctionInfo], costs: Mapping[str, float]
 ) -> tuple[JunctionFront, ...]:
     """The front of each junction, from the rows of a study; ``costs`` are those of mixes by name.
     No mix is on it that failed, or is beaten by one that costs no more."""

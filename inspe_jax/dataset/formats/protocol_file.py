@@ -23,9 +23,7 @@ class _Dumper(yaml.CSafeDumper):
 
 
 def write_protocol(
-    scenario: str | os.PathLike[str],
-    protocol: Mapping[str, Any],
-    stations: Iterable[Station] = (),
+    scenario: str | os.PathLike[str], protocol: Mapping[str, Any], stations: Iterable[Station] = ()
 ) -> None:
     """Write what made a scenario into its folder, as :data:`PROTOCOL`, its keys in the order given.
 

@@ -22,12 +22,7 @@ from inspe_jax.scene.maps.bodies import with_bodies
 from inspe_jax.scene.maps.lanes import Approach, LaneStrip, heading
 from inspe_jax.scene.maps.openstreetmap.bodies import BodyReader
 from inspe_jax.scene.maps.road_map import CLUSTER, MARGIN, Id, MapJunction, Node, RoadMap, valid
-from inspe_jax.scene.maps.sumo.network import (
-    GEOGRAPHIC,
-    OSM_SUFFIXES,
-    SUMO,
-    network_file,
-)
+from inspe_jax.scene.maps.sumo.network import GEOGRAPHIC, OSM_SUFFIXES, SUMO, network_file
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.terrain import laid_on
 

@@ -34,6 +34,7 @@ from inspe_jax.core.words import counted
 from inspe_jax.dataset.folders import SPLITS
 from inspe_jax.dataset.formats.other_readers import DEFAULT_OPTIONS, FileOptions
 from inspe_jax.dataset.formats.registry import DEFAULT_FORMAT, FORMATS
+from inspe_jax.jobs import sources
 from inspe_jax.jobs.settings import (
     CONDITIONS,
     WORLD,
@@ -46,14 +47,6 @@ from inspe_jax.jobs.settings import (
     combinations,
     conditioned,
     defaults_of,
-)
-from inspe_jax.jobs.sources import (
-    LayoutSource,
-    SceneEntry,
-    SceneSource,
-    Sources,
-    each_scene,
-    layout_sources,
 )
 from inspe_jax.scene.traffic.frames import DENSITIES, MOST_FRAMES
 from inspe_jax.sensing.conditions import CLEAR, Conditions
@@ -77,8 +70,8 @@ class ScenarioPlan:
 
     name: str
     split: str
-    source: SceneSource
-    layout: LayoutSource
+    source: sources.SceneSource
+    layout: sources.LayoutSource
     settings: Mapping[str, Any]
     recording: Recording
     seed: int
@@ -172,7 +165,7 @@ class Settings(WorldSettings):
     seconds: Several[Length] = Field(default=[])
 
 
-class _SceneEntry(SceneEntry, WorldSettings):
+class _SceneEntry(sources.SceneEntry, WorldSettings):
     pass
 
 
@@ -213,7 +206,7 @@ class RecordingEntry(Strict):
         return options
 
 
-class _File(Sources, RecordingEntry):
+class _File(sources.Sources, RecordingEntry):
     scenes: Annotated[list[_SceneEntry], Field(min_length=1)]
     settings: Settings = Settings()
     splits: dict[Literal["train", "validate", "test"], _Proportion] = Field(default=PROPORTIONS)
@@ -236,10 +229,10 @@ def make_generation(
     proportions = [each.get(split, 0) for split in SPLITS]
     if not sum(proportions):
         raise InspeError(f"{where}: splits: one of {', '.join(SPLITS)} must be above 0")
-    layouts = layout_sources(entry, folder, where)
+    layouts = sources.layout_sources(entry, folder, where)
     defaults = defaults_of((*WORLD, *CONDITIONS)) | {"seconds": [SECONDS]}
     plans: dict[str, ScenarioPlan] = {}
-    for at, item, source, own in each_scene(entry.scenes, WORLD, whole, folder, where):
+    for at, item, source, own in sources.each_scene(entry.scenes, WORLD, whole, folder, where):
         if source.file is not None:
             own["seconds"] = saved_seconds(source, own["seconds"], recording.rate, at)
         builds = combinations(own, (*WORLD, "seconds"), defaults)
@@ -277,7 +270,7 @@ def check_seconds(seconds: float, rate: float, where: str) -> None:
 
 
 def saved_seconds(
-    source: SceneSource, wanted: Sequence[float], rate: float, where: str
+    source: sources.SceneSource, wanted: Sequence[float], rate: float, where: str
 ) -> list[float]:
     """Lengths of the scenarios of a saved scene [s]: those wanted, or the length of the scene.
     Raises InspeError if the scene is shorter, or its frames are not 1 / ``rate`` apart."""
@@ -339,7 +332,7 @@ def _fit(part: Any) -> str:
 
 
 @cache
-def place_of(source: SceneSource) -> str:
+def place_of(source: sources.SceneSource) -> str:
     """A short text that identifies the intersection, whatever it is called. Saved scenes are of one
     place if their regions are the same. A junction of a map that is given by its number once, and
     by its ``center`` another time, counts as two."""

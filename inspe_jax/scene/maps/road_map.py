@@ -18,18 +18,9 @@ from shapely.geometry.base import BaseGeometry
 from shapely.ops import unary_union
 
 from inspe_jax.core.errors import InspeError, nearest
+from inspe_jax.scene import intersection
 from inspe_jax.scene.georeference import Georeference
-from inspe_jax.scene.intersection import (
-    Arm,
-    Intersection,
-    Route,
-    corner_islands,
-    crossing_lines,
-    joined_lines,
-    mouth_crosswalks,
-    off_roads,
-    walking_routes,
-)
+from inspe_jax.scene.intersection import Arm, Intersection, Route, crossing_lines, joined_lines
 from inspe_jax.scene.lines import distance_from, distinct, onward, resampled
 from inspe_jax.scene.maps.bodies import NO_POLES
 from inspe_jax.scene.maps.lanes import (
@@ -98,7 +89,7 @@ def mounting_of(
     standing = [regions[Region.SIDEWALK], regions[Region.SHOULDER], *medians]
     beside = unary_union(standing).distance(regions[Region.JUNCTION])
     if not beside <= 5.0:  # also if there is nothing: the distance is then not a number
-        standing.append(corner_islands(arms))
+        standing.append(intersection.corner_islands(arms))
     traffic = [regions[r] for r in (Region.DRIVEWAY, Region.JUNCTION, Region.CROSSWALK)]
     free = unary_union(standing).intersection(disc).difference(unary_union(traffic))
     return clean(free)
@@ -170,7 +161,7 @@ class MapJunction(ABC):
         else:
             strips = "the map has no crosswalks here; strips across the junction's mouths stand in"
         self.notes.append(strips)
-        return walks + [mouth_crosswalks((arm,)) for arm in arms], lines
+        return walks + [intersection.mouth_crosswalks((arm,)) for arm in arms], lines
 
     @abstractmethod
     def lanes(self) -> tuple[list[LaneStrip], list[bool]]:
@@ -383,7 +374,8 @@ class RoadMap(ABC):
         ]
         lanes = [s.center for s in lane_strips if s.kind in CARRIAGEWAY]
         paths = [*known, *crossing_lines(walks[len(known) :], lanes), *joined_lines(pavements)]
-        people = walking_routes(place, off_roads(paths, areas, here.notes))
+        walked = intersection.off_roads(paths, areas, here.notes)
+        people = intersection.walking_routes(place, walked)
         place = replace(
             place,
             center=place.on_ground(middle[None])[0],

@@ -24,17 +24,9 @@ from inspe_jax.scene.regions import Region
 from inspe_jax.scene.statics import StaticBody
 from inspe_jax.scene.street import HEADROOM, OVER_LANES
 from inspe_jax.scene.terrain import MARGIN, lattice_faces
+from inspe_jax.simulation.embedded import static_bodies
 from inspe_jax.simulation.embedded.embree import F33, R3, Caster
-from inspe_jax.simulation.embedded.static_bodies import (
-    FOUNDATION,
-    Material,
-    Part,
-    body_parts,
-    flat_triangles,
-    foot_of,
-    prism,
-    walls,
-)
+from inspe_jax.simulation.embedded.static_bodies import Material, Part, prism, walls
 from inspe_jax.simulation.embedded.surface import GRASS, Surface, lay_surface, noise
 
 SRGB = 2.2
@@ -188,8 +180,8 @@ def _all_but_masts(
             taken = unary_union([taken, own.buffer(CLEAR)])
         built = list[Polygon]()
         for k, corners in enumerate(_plots(intersection, taken, radius, rng)):
-            base, height = foot_of(corners, intersection), float(rng.uniform(6, 18))
-            sides, roof, _ = prism(corners, base, base + FOUNDATION + height)
+            base, height = static_bodies.foot_of(corners, intersection), float(rng.uniform(6, 18))
+            sides, roof, _ = prism(corners, base, base + static_bodies.FOUNDATION + height)
             parts += [Part(sides, Material.BUILDING, body=k), Part(roof, Material.ROOF, body=k)]
             built.append(Polygon(corners).buffer(1.0))
         taken = unary_union([taken, *built])
@@ -201,7 +193,7 @@ def _all_but_masts(
         parts.append(Part(faces, Material.SURVEYED, colour))
     for k, one in enumerate(bodies):
         if mesh is None or one.kind != "solid":
-            parts += [part._replace(body=k) for part in body_parts(one, intersection)]
+            parts += [part._replace(body=k) for part in static_bodies.body_parts(one, intersection)]
     surface = lay_surface(intersection, radius + MARGIN)
     return tuple(parts), _poles(intersection, radius, own), surface
 
@@ -269,7 +261,7 @@ def _kerbs(intersection: Intersection) -> Iterator[F33]:
             line = np.asarray(ring.coords)[:-1, :2]
             low = np.column_stack([line, intersection.ground(line) - 0.05])
             yield walls(low, low + [0.0, 0.0, height + 0.05])
-        top = flat_triangles(part)
+        top = static_bodies.flat_triangles(part)
         z = intersection.ground(top.reshape(-1, 2)).reshape(-1, 3) + height
         yield np.concatenate([top, z[..., None]], -1)
 

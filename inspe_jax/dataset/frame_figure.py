@@ -21,8 +21,7 @@ from inspe_jax.dataset.points_in_boxes import world_points
 from inspe_jax.simulation.frame import KINDS, Frame, Image, Picture, RoadUserBox, Station
 from inspe_jax.simulation.projection import corners, edge_lines
 
-MARGIN = 6.0
-"""Margin of the plan around road users and stations [m]."""
+MARGIN = 6.0  # margin of the plan around road users and stations [m]
 BADGE_COLOR = "#00543d"
 """Colour of stations: a green that no class has."""
 _HEIGHTS = LinearSegmentedColormap.from_list(

@@ -53,14 +53,12 @@ from inspe_jax.sensing.conditions import CLEAR, Conditions
 from inspe_jax.simulation.backends import DEFAULT_BACKEND
 from inspe_jax.simulation.recorder import TURN, Recording
 
-SECONDS = 10.0
-"""Length of a scenario, if none is given [s]."""
+SECONDS = 10.0  # length of a scenario, if none is given [s]
 SETTINGS = (*WORLD, *CONDITIONS, "seconds")
 PROPORTIONS: dict[Any, float] = {"train": 7, "validate": 1, "test": 2}
 """Proportions of the scenarios in the splits, if none are given."""
 LONGEST_NAME = 120
-CHUNK = 10
-"""Number of frames that a worker records at a time."""
+CHUNK = 10  # number of frames that a worker records at a time
 
 
 @dataclass(frozen=True)

@@ -19,8 +19,7 @@ from inspe_jax.core.words import counted
 
 SECONDS = 60.0
 """Longest time of a solution [s]. The best by then is taken, with how far off it may be."""
-DEAREST = 1e10
-"""Largest budget and largest cost of an option [US dollars]."""
+DEAREST = 1e10  # largest budget and largest cost of an option [US dollars]
 _SCALE = 1e4  # HiGHS ends within 1e-6 of the optimum, whatever the gap that is asked for
 _TRIES = 20
 

@@ -26,8 +26,7 @@ from inspe_jax.study.budget import Share, share_out
 from inspe_jax.study.plan import Study, make_study
 from inspe_jax.study.sweep import LAYOUTS, Row
 
-SIGNALS, ALL = "signals", "all"
-"""Words for junctions with signals, and for all."""
+SIGNALS, ALL = "signals", "all"  # words for junctions with signals, and for all
 
 
 @dataclass(frozen=True)
@@ -46,8 +45,7 @@ class Option:
         return f"{LAYOUTS}/{self.key}.yaml" if self.key else ""
 
 
-NOTHING = Option("", 0.0, 0.0)
-"""No devices: nothing is seen, and every score is 0."""
+NOTHING = Option("", 0.0, 0.0)  # no devices: nothing is seen, and every score is 0
 
 
 @dataclass(frozen=True)

@@ -63,8 +63,7 @@ from inspe_jax.scoring import metrics
 from inspe_jax.scoring.detection import DetectionCurves, detection_curves, load_detection
 from inspe_jax.scoring.evaluate import check_options
 
-SCORE_ONLY = "none"
-"""The method that scores a layout as it is, without a search."""
+SCORE_ONLY = "none"  # the method that scores a layout as it is, without a search
 BUILD_SETTINGS = (
     *("profile", "radius", "voxel", "spacing", "density", "frames", "step", "mix", "traffic"),
     *("seed", "statics", "terrain"),

@@ -29,10 +29,8 @@ Row = dict[str, str]
 TABLE = "results.csv"
 FACTS = ("sensors", "voxels", "objects")
 """Columns: number of sensors, of voxels, and mean number of objects in a frame."""
-BEFORE = "surrogate_before"
-"""Column of P_sm before a search; empty where nothing was searched."""
-LAYOUTS = "layouts"
-"""Folder of the layouts that searches found, by the keys of their jobs."""
+BEFORE = "surrogate_before"  # column of P_sm before a search; empty where nothing was searched
+LAYOUTS = "layouts"  # folder of the layouts that searches found, by the keys of their jobs
 
 
 def sweep(

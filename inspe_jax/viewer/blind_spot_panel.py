@@ -22,12 +22,10 @@ from inspe_jax.viewer.job_queue import JobQueue
 from inspe_jax.viewer.panel import SLATE, bind
 
 LETTERS = "ABCDE"  # of the worst blind spots, on the plan view and in the list
-SIDE, DOTS = 3.4, 160
-"""Side of the plan view [inch], and pixels per inch."""
+SIDE, DOTS = 3.4, 160  # side of the plan view [inch], and pixels per inch
 APART = 0.07  # least distance between two letters, as a share of the side
 _IMAGE = template("viewer", "blind_spots.html.j2")
-AWAY = np.array([0.0, -22.0, 20.0])
-"""From a blind spot to the camera that looks at it [m]."""
+AWAY = np.array([0.0, -22.0, 20.0])  # from a blind spot to the camera that looks at it [m]
 
 
 class BlindSpotPanel:

@@ -13,8 +13,7 @@ from inspe_jax.scoring.viewshed import Visibility
 from inspe_jax.viewer.score_panel import VISIBILITY_NAMES
 
 SECONDS = 60.0  # usual time of a search [s]
-SLATE = (86, 104, 122)
-"""Colour of buttons that are not the main one of their folder."""
+SLATE = (86, 104, 122)  # colour of buttons that are not the main one of their folder
 BLIND_SPOTS = "Blind spots"
 """The title of their folder, while what is in it is of the layout in hand."""
 

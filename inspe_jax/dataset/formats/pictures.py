@@ -17,8 +17,7 @@ as long again, and saves nothing."""
 QUALITY = {"quality": 95, "subsampling": 0}
 """Of JPEG files: colours at full resolution, and errors of about two steps of 255."""
 SUFFIXES = {"png": ".png", "jpeg": ".jpg"}
-DEPTH_UNIT = 0.01
-"""The resolution of a depth picture [m]."""
+DEPTH_UNIT = 0.01  # the resolution of a depth picture [m]
 DEPTH_CAP = 2**16 - 1
 """The largest value of a depth picture; it stands for this distance and all beyond."""
 

@@ -25,10 +25,8 @@ from inspe_jax.simulation.carla.traffic import Actors
 from inspe_jax.simulation.frame import Boxes, Frame, Image, Scan
 from inspe_jax.simulation.recorder import Recording, Server, frame_of, noise_source, row_of
 
-SETTLE = 1.0
-"""Simulated time before the first frame [s], in which cameras adjust their exposure."""
-PATIENCE = 1.0
-"""How long to wait for the sensors' first measurements before the next tick [s]."""
+SETTLE = 1.0  # simulated time before the first frame [s], in which cameras adjust their exposure
+PATIENCE = 1.0  # how long to wait for the sensors' first measurements before the next tick [s]
 
 
 class CarlaRecorder:

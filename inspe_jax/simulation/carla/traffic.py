@@ -17,8 +17,7 @@ from inspe_jax.simulation.frame import Boxes, Pose6, RoadUserBox
 
 SPAWN_HEIGHT = 300.0
 """Actors are spawned this high above the junction [m], in free air, and then moved down."""
-SPAWN_GAP = 8.0
-"""Vertical distance between actors that are spawned together [m]."""
+SPAWN_GAP = 8.0  # vertical distance between actors that are spawned together [m]
 SIZE_TOLERANCE = 0.1
 """A blueprint may be used if its error in size is at most this much larger than the best one's. The
 error is the largest absolute logarithm of the ratios of length, width and height."""

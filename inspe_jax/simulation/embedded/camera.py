@@ -25,8 +25,7 @@ from inspe_jax.simulation.projection import Corners, corners, outlines
 
 SHADOWED = 150.0
 """Shadows of road users are rendered up to this distance from the centre, along x and y [m]."""
-LONGEST = 200.0
-"""Longest shadow of anything [m]."""
+LONGEST = 200.0  # longest shadow of anything [m]
 ASIDE = 10.0
 """No road user reaches further from its centre in plan [m]: road trains are 18.75 m long."""
 SKY = 11

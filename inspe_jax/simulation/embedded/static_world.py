@@ -29,20 +29,15 @@ from inspe_jax.simulation.embedded.embree import F33, R3, Caster
 from inspe_jax.simulation.embedded.static_bodies import Material, Part, prism, walls
 from inspe_jax.simulation.embedded.surface import GRASS, Surface, lay_surface, noise
 
-SRGB = 2.2
-"""Exponent of sRGB's curve, nearly."""
-HORIZON = 400.0
-"""The ground reaches this far from the centre [m]."""
-KERB_SIZE = (0.15, 0.12)
-"""Width and height of a kerb [m]."""
+SRGB = 2.2  # exponent of sRGB's curve, nearly
+HORIZON = 400.0  # the ground reaches this far from the centre [m]
+KERB_SIZE = (0.15, 0.12)  # width and height of a kerb [m]
 POLE_RADIUS = 0.08
 POLE_HEIGHT = 6.0
-CLEAR = 2.0
-"""Least distance of trees and buildings from any region [m]."""
+CLEAR = 2.0  # least distance of trees and buildings from any region [m]
 CARRIAGEWAY = (Region.DRIVEWAY, Region.JUNCTION, Region.CROSSWALK)
 """Regions in which nothing stands."""
-BUILDINGS, TREES = 44, 60
-"""How many the generator tries to place."""
+BUILDINGS, TREES = 44, 60  # how many the generator tries to place
 
 _LABELS = np.array([0, 2, 3, 3, 9, 9, 6, 4, 20, 14, 15, 20])
 """CARLA's semantic labels of each :data:`Material`; the ground has those of its own labels."""

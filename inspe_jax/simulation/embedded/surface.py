@@ -15,12 +15,9 @@ from shapely.ops import unary_union
 from inspe_jax.scene.intersection import Intersection
 from inspe_jax.scene.regions import PRECEDENCE, Region
 
-CELL = 0.05
-"""Edge of a cell of the raster [m]."""
-STRIPE = 0.5
-"""Width of the stripes of a zebra crossing, and of the gaps between them [m]."""
-LINE = 0.12
-"""Width of a line between lanes [m]."""
+CELL = 0.05  # edge of a cell of the raster [m]
+STRIPE = 0.5  # width of the stripes of a zebra crossing, and of the gaps between them [m]
+LINE = 0.12  # width of a line between lanes [m]
 
 GRASS, PAINT = len(Region), len(Region) + 1
 """Labels in addition to the regions': no region, and white paint."""

@@ -21,8 +21,7 @@ from inspe_jax.dataset.formats.protocol_file import as_mapping
 from inspe_jax.simulation.frame import Boxes, Frame, Image, RoadUserBox, Scan, Station
 from inspe_jax.simulation.recorder import LAYERS
 
-TICK = 0.05
-"""Time from one frame number to the next [s], if no protocol says it."""
+TICK = 0.05  # time from one frame number to the next [s], if no protocol says it
 
 OBJ_TYPES: dict[str, str] = {
     "car": "car",

@@ -29,10 +29,8 @@ SECTIONS: dict[str, str] = {
     "truck": "trucks",
 }
 """The Infra-Set variant's section for each kind, in addition to ``vehicles`` with all kinds."""
-NO_LIDAR = "no LiDAR"
-"""The comment in the empty PCD file of a station without one."""
-KMH = 3.6
-"""1 m/s in km/h."""
+NO_LIDAR = "no LiDAR"  # the comment in the empty PCD file of a station without one
+KMH = 3.6  # 1 m/s in km/h
 DECIMALS = 7
 """Decimals of lengths [m], angles [°] and speeds [km/h]: values are right to 1e-6, and so is the
 sum of ``location`` and ``center``."""

@@ -175,8 +175,7 @@ def plan(
     _show(found, georeference)
     with common.busy("drawing"):
         write_text(folder / "plan.csv", found.text(georeference))
-        view = city_view(found, source.name, place.road_lines())
-        save_figure(view, folder / "plan.png")
+        save_figure(city_view(found, source.name, place.road_lines()), folder / "plan.png")
         if georeference:
             text = _geojson(found, place, folder, size, georeference)
             write_text(folder / "plan.geojson", text)

@@ -59,8 +59,7 @@ def check_model(model: type[Model], content: Any, where: str) -> Model:
         return model.model_validate(content)
     except ValidationError as e:
         # A misspelt key is also a missing key. The unknown key is reported: it shows the mistake.
-        faults = e.errors(include_url=False)
-        fault = max(faults, key=lambda f: f["type"] == "extra_forbidden")
+        fault = max(e.errors(include_url=False), key=lambda f: f["type"] == "extra_forbidden")
         key = "".join(
             f"[{part}]" if isinstance(part, int) else f".{part}" for part in fault["loc"]
         ).lstrip(".")

@@ -148,8 +148,7 @@ def aims(targets: Targets, grid: BevGrid) -> Aims:
     # As is usual, a radius is three standard deviations of a Gaussian on 2 r + 1 cells.
     deviation = (2 * radius(size[..., 0] / grid.cell, size[..., 1] / grid.cell) + 1) / 6
     along, across = (bumps(at.astype(float), deviation, grid.side, mask) for at in (row, column))
-    heat = class_heat(along, across, jnp.asarray(targets.kind))
-    return Aims(heat, row, column, values, mask)
+    return Aims(class_heat(along, across, jnp.asarray(targets.kind)), row, column, values, mask)
 
 
 def radius(length: Float[Array, "*n"], width: Float[Array, "*n"]) -> Float[Array, "*n"]:

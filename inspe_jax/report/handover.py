@@ -43,8 +43,7 @@ def plan_features(layout: Layout, place: Intersection) -> list[dict[str, Any]]:
         outline = view_outline(sensor.spec, pose, float(level))
         if len(outline) < 4:  # it looks at nothing, as from below the ground
             continue
-        degrees = known_georeference(place).to_degrees(outline).round(DIGITS)
-        ring = orient(Polygon(degrees))
+        ring = orient(Polygon(known_georeference(place).to_degrees(outline).round(DIGITS)))
         about = dict(feature="view", name=sensor.name, kind=sensor.spec.kind)
         found.append({"type": "Feature", "geometry": mapping(ring), "properties": about})
     return found

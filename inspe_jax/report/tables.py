@@ -93,8 +93,7 @@ def scores_table(scores: Scores, layout: Layout, sought: float | None = None) ->
         each.add_row(str(k + 1), Text(part.sensor), Text(device), *drops)
 
     # Side by side as far as the terminal has room.
-    beside = Columns([total, regions], padding=(0, 4))
-    tables = Group(beside, "", each)
+    tables = Group(Columns([total, regions], padding=(0, 4)), "", each)
     if sought is None:
         return tables
     return Group(Text(goal_words(layout, scores, sought)), "", tables)

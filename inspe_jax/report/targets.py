@@ -164,8 +164,7 @@ def targets_change(
     """The maps of :func:`targets_view` of two layouts of the same sensors, one above the other.
     Raises InspeError if there is no such ``frame``."""
     title = f"What a {before[1].road_user} gets: before and after, at {scene.name}"
-    rows = [("before: ", *before), ("after: ", *after)]
-    return _sheet(scene, title, rows, frame, conditions)
+    return _sheet(scene, title, [("before: ", *before), ("after: ", *after)], frame, conditions)
 
 
 def _sheet(

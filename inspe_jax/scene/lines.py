@@ -65,8 +65,7 @@ def joined(*parts: Float[np.ndarray, "..."]) -> Line:
 
 def arc(center: Vector, radius: float, start: float, end: float) -> Line:
     """A circular arc from the direction ``start`` to ``end`` about its centre [m, rad]."""
-    sweep = abs(end - start)
-    steps = int(np.ceil(round(sweep / min(_ARC_STEP, _CHORD / radius), 6)))
+    steps = int(np.ceil(round(abs(end - start) / min(_ARC_STEP, _CHORD / radius), 6)))
     angle = np.linspace(start, end, steps + 1)
     return center + radius * np.column_stack([np.cos(angle), np.sin(angle)])
 

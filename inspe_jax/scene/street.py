@@ -165,8 +165,7 @@ class _Room:
 
     def add(self, *tries: StaticBody, from_crossings: float = 0.3) -> None:
         """Let the first body stand that may stand where it is, if any."""
-        fits = (one for one in tries if self.takes(one, from_crossings))
-        self.bodies += islice(fits, 1)
+        self.bodies += islice((one for one in tries if self.takes(one, from_crossings)), 1)
 
     def along(self, line: BaseGeometry, step: Callable[[], float]) -> Iterator[Spot]:
         """Spots along the parts of a line, ``step()`` metres apart, within the area."""

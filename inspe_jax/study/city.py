@@ -161,8 +161,7 @@ def city_study(
     method of search, ``driving_side`` and ``more`` are as in a study file
     (:mod:`inspe_jax.study.plan`). Raises InspeError as :func:`~inspe_jax.study.plan.make_study`."""
     place = Path(path)
-    at = str(place.resolve())
-    of_all = {"map": at, "driving_side": driving_side}
+    of_all = {"map": str(place.resolve()), "driving_side": driving_side}
     scenes = [{"name": str(one.id), "junction": one.id, **of_all} for one in junctions]
     layouts = [{"mix": {name: n for name, n in mix.items() if n}} for mix in mixes]
     content = dict(scenes=scenes, layouts=layouts, settings=dict(settings), **more)

@@ -170,8 +170,7 @@ def load_study(path: str | os.PathLike[str]) -> Study:
     """Read a study file; its form is in this module's docstring. Raises InspeError that names the
     file, the key and what is allowed."""
     path = Path(path)
-    content = sources.read_study(path)
-    return make_study(content, path.parent, str(path), path.stem)
+    return make_study(sources.read_study(path), path.parent, str(path), path.stem)
 
 
 def make_study(

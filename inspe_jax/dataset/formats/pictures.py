@@ -58,6 +58,5 @@ def read_picture(path: Path, layer: str) -> np.ndarray:
     if layer != "rgb" and mode not in (("L", "P") if bits == 8 else ("I;16", "I;16B", "I")):
         raise InspeError(f"{path}: its pixels are {mode}: must be {bits}-bit greyscale")
     if layer == "depth":
-        metres = np.where(pixels >= DEPTH_CAP, np.inf, pixels * DEPTH_UNIT)
-        return metres.astype(np.float32)
+        return np.where(pixels >= DEPTH_CAP, np.inf, pixels * DEPTH_UNIT).astype(np.float32)
     return pixels.astype(np.int32) if layer == "instance" else pixels

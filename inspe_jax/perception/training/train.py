@@ -95,8 +95,7 @@ def train(
         if model.taught:
             own = settings.model_copy(update={"model": TEACHER})
             into = run.path / runs.TEACHER_RUN
-            taught = train(cache, into, own, grid=grid, progress=progress)
-            _, teacher = taught.last()
+            _, teacher = train(cache, into, own, grid=grid, progress=progress).last()
         _train(loader, run, teacher, progress)
     return run
 

@@ -91,8 +91,7 @@ def mounting_of(
     if not beside <= 5.0:  # also if there is nothing: the distance is then not a number
         standing.append(intersection.corner_islands(arms))
     traffic = [regions[r] for r in (Region.DRIVEWAY, Region.JUNCTION, Region.CROSSWALK)]
-    free = unary_union(standing).intersection(disc).difference(unary_union(traffic))
-    return clean(free)
+    return clean(unary_union(standing).intersection(disc).difference(unary_union(traffic)))
 
 
 RADIUS_READ = (0.0, 500.0)  # allowed radius of what is read of a map [m]

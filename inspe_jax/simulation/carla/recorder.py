@@ -132,5 +132,4 @@ class CarlaRecorder:
             data[name] = queue.take(number, until)
             if data[name] is None:
                 self._fail(queue, f"frame {number}")
-        noise = noise_source(self.seed, t, s)
-        return self.sensors[s].record(self.poses[s], data, boxes, noise)
+        return self.sensors[s].record(self.poses[s], data, boxes, noise_source(self.seed, t, s))

@@ -141,8 +141,7 @@ def build_static_world(
     fixed, poles, surface = _all_but_masts(intersection, radius, tuple(bodies))
     apart = [p for p in poles if all(np.hypot(*(p[:2] - m[:2])) > 0.5 for m in masts)]
     posts = np.array([*masts, *apart], float).reshape(-1, 4)
-    tubes = [Part(_tube(p[:3], POLE_RADIUS, p[3]), Material.POLE) for p in posts]
-    parts = [*tubes, *fixed]
+    parts = [*(Part(_tube(p[:3], POLE_RADIUS, p[3]), Material.POLE) for p in posts), *fixed]
     sizes = [len(part.triangles) for part in parts]
     return StaticWorld(
         center=center,

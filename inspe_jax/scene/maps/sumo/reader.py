@@ -220,8 +220,7 @@ class SumoMap(RoadMap):
         return html.unescape(name)  # netconvert escapes it twice
 
     def road_lines(self) -> list[Float[np.ndarray, "N 2"]]:
-        to_world = self.to_world
-        return [to_world(edge.getShape())[:, :2] for edge in _roads(self.net.getEdges())]
+        return [self.to_world(edge.getShape())[:, :2] for edge in _roads(self.net.getEdges())]
 
     def junctions(self) -> list[Id]:
         return [node.getID() for node in self.net.getNodes() if _is_junction(node)]

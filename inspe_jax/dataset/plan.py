@@ -34,20 +34,8 @@ from inspe_jax.core.words import counted
 from inspe_jax.dataset.folders import SPLITS
 from inspe_jax.dataset.formats.other_readers import DEFAULT_OPTIONS, FileOptions
 from inspe_jax.dataset.formats.registry import DEFAULT_FORMAT, FORMATS
-from inspe_jax.jobs import sources
-from inspe_jax.jobs.settings import (
-    CONDITIONS,
-    WORLD,
-    Length,
-    Several,
-    Strict,
-    WorldSettings,
-    check_names,
-    check_settings,
-    combinations,
-    conditioned,
-    defaults_of,
-)
+from inspe_jax.jobs import settings, sources
+from inspe_jax.jobs.settings import CONDITIONS, WORLD, Length, Several, Strict, WorldSettings
 from inspe_jax.scene.traffic.frames import DENSITIES, MOST_FRAMES
 from inspe_jax.sensing.conditions import CLEAR, Conditions
 from inspe_jax.simulation.backends import DEFAULT_BACKEND
@@ -189,7 +177,7 @@ class RecordingEntry(Strict):
     def recording(self, where: str) -> Recording:
         """The settings of the recording. Raises InspeError where a value is not allowed."""
         check_known(self.format, FORMATS, f"{where}: format:")
-        check_names([str(layer) for layer in self.layers], f"{where}: layers")
+        settings.check_names([str(layer) for layer in self.layers], f"{where}: layers")
         size = (self.image_size[0], self.image_size[1]) if self.image_size else None
         turn, layers = self.lidar_turn_s, tuple(self.layers)
         found = Recording(self.rate_hz, layers, turn=turn, image_size=size)
@@ -220,7 +208,7 @@ def make_generation(
     entry = check_model(_File, content, where)
     recording, files = entry.recording(where), entry.files(where)
     whole = {key: getattr(entry.settings, key) for key in SETTINGS}
-    check_settings(whole, f"{where}: settings")
+    settings.check_settings(whole, f"{where}: settings")
     for seconds in whole["seconds"]:
         check_seconds(seconds, recording.rate, f"{where}: settings.seconds")
     each: Mapping[Any, float] = entry.splits
@@ -228,17 +216,16 @@ def make_generation(
     if not sum(proportions):
         raise InspeError(f"{where}: splits: one of {', '.join(SPLITS)} must be above 0")
     layouts = sources.layout_sources(entry, folder, where)
-    defaults = defaults_of((*WORLD, *CONDITIONS)) | {"seconds": [SECONDS]}
+    defaults = settings.defaults_of((*WORLD, *CONDITIONS)) | {"seconds": [SECONDS]}
     plans: dict[str, ScenarioPlan] = {}
     for at, item, source, own in sources.each_scene(entry.scenes, WORLD, whole, folder, where):
         if source.file is not None:
             own["seconds"] = saved_seconds(source, own["seconds"], recording.rate, at)
-        builds = combinations(own, (*WORLD, "seconds"), defaults)
-        for build, layout, around in product(
-            builds, layouts, combinations(own, CONDITIONS, defaults)
-        ):
-            settings = build | conditioned(around)
-            plan = ScenarioPlan("", "", source, layout, settings, recording, 0)
+        builds = settings.combinations(own, (*WORLD, "seconds"), defaults)
+        around = settings.combinations(own, CONDITIONS, defaults)
+        for build, layout, rest in product(builds, layouts, around):
+            values = build | settings.conditioned(rest)
+            plan = ScenarioPlan("", "", source, layout, values, recording, 0)
             plans.setdefault(plan.key, replace(plan, tags=dict(item.tags), files=files))
     done = _named([replace(plan, seed=_seed(key)) for key, plan in plans.items()])
     groups = [_group(plan, entry.split_by) for plan in done]

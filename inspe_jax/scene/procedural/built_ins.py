@@ -13,17 +13,9 @@ from jaxtyping import Float
 from shapely.geometry import MultiPolygon, Polygon, box
 
 from inspe_jax.core.errors import check_known
+from inspe_jax.scene import lines
 from inspe_jax.scene.intersection import CROSSWALK_WIDTH, Arm, Intersection
-from inspe_jax.scene.lines import (
-    arc,
-    at_distance,
-    bend,
-    joined,
-    offset,
-    onto_ring,
-    resampled,
-    turned,
-)
+from inspe_jax.scene.lines import arc, at_distance, bend, joined, offset, onto_ring, turned
 from inspe_jax.scene.procedural.roads import (
     LENGTH,
     LEVEL,
@@ -119,7 +111,7 @@ def ramp() -> Intersection:
     # The ramp's middle line: straight, then an arc that ends beside the outer lane, then along it.
     turn = np.array([parallel - bend_radius * np.tan(angle / 2), beside])
     along = bend(turn - LENGTH * up, up, np.array([narrows, beside]), _EAST, bend_radius)[1:]
-    middle = joined(resampled(np.array([at_distance(turn, -up, LENGTH), along[0]])), along)
+    middle = joined(lines.resampled(np.array([at_distance(turn, -up, LENGTH), along[0]])), along)
     left, right = offset(middle, lane_width / 2), offset(middle, -lane_width / 2)
     taper = bend(right[-1], _EAST, np.array([end, -high]), _EAST)
     edge = joined(right, taper, np.array([LENGTH, -high]))

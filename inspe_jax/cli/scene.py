@@ -69,8 +69,6 @@ def scene(
         center (X Y): Centre [m] in place of a junction id, for a place with several junctions.
         at (LAT,LON): The junction nearest to a latitude and longitude [degrees], on a map that
             has them.
-        driving_side (left|right): Side of the road that traffic of an OpenStreetMap extract drives
-            on, in place of its country's.
         bodies (FILE.geojson|csv): Houses, walls, trees and poles of your own, besides
             those of the map: polygons, lines and points in degrees, with properties kind and
             height_m; points without a kind are poles. Poles can carry sensors; with --statics map

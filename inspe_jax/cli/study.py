@@ -99,8 +99,6 @@ def plan(
         budget (USD): What all junctions together may cost.
         junctions (signals|all|ID,…): Junctions of the map: those with signals, all, or ids with
             commas between; `inspe scene MAP --list` lists them.
-        driving_side (left|right): Side of the road that traffic of an OpenStreetMap extract drives
-            on, in place of its country's.
         worst: Maximise the least score of a junction, and then the sum; without it, the
             weighted sum.
         importance (ID=WEIGHT): Weight of a junction in the sum, 1 if not given; repeat it for

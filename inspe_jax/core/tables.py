@@ -16,7 +16,6 @@ PROSE = {
     "devices",
 }  # fmt: skip
 
-
 NAMES = {
     "mix", "P_sm", "metric", "method", "symbol", "region", "scene", "device", "kind", "name",
     "centre [m]", "pixels,\nchannels", "split", "class", "column", "setting", "value", "id",

@@ -3,7 +3,7 @@
 import multiprocessing
 import threading
 from collections.abc import Iterator
-from contextlib import AbstractContextManager, ExitStack
+from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -86,7 +86,8 @@ class WorkerState:
         self.close()
         release_compiled(chunk.scene)
         layout, content = layout_of(plan, scene)
-        opened = open_recorder(chunk.backend, plan, scene, layout, chunk.server)
+        given = (scene, layout, plan.conditions, plan.recording, plan.seed, chunk.server)
+        opened = recorder_of(chunk.backend, *given, plan.appearance_seed)
         recorder = self.stack.enter_context(opened)
         short = scene.shortfall
         self.notes = (*recorder.notes, *([f"road users: {short}"] if short else []))
@@ -112,14 +113,6 @@ def layout_of(plan: ScenarioPlan, scene: Scene) -> tuple[Layout, dict[str, Any]]
     text = source.text or layout_text(place_layout(source, scene))
     content = {"name": source.name, **parse_yaml(text, source.name)}
     return parse_layout(content, source.name, source.name, scene), content
-
-
-def open_recorder(
-    backend: str, plan: ScenarioPlan, scene: Scene, layout: Layout, server: Server | None = None
-) -> AbstractContextManager[Recorder]:
-    """A recorder of a scenario with this layout on its scene."""
-    given = (scene, layout, plan.conditions, plan.recording, plan.seed, server)
-    return recorder_of(backend, *given, plan.appearance_seed)
 
 
 def build(chunk: Chunk) -> Scene | str:

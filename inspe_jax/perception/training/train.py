@@ -39,8 +39,6 @@ class Report(NamedTuple):
 
 
 Progress = Callable[[Report], None]  # what is called after each step of a training
-
-
 Scalar = Float[Array, ""]
 
 

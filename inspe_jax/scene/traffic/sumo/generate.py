@@ -33,7 +33,6 @@ OPTIONS = (
     "--ignore-route-errors true --no-step-log true --no-warnings true"
 )
 
-
 Arrival = tuple[int, int, np.ndarray]  # class, track and size [m] of a road user
 Progress = Callable[[int, int], None]
 

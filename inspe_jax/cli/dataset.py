@@ -174,9 +174,8 @@ def stats(
     common.draw(lambda: statistics_view(found), plot, record)
     if damaged:
         files = counted(len(damaged), "file")
-        common.note(
-            f"{damaged[0]}", f"{files} not as the manifests say: see inspe dataset check {data}"
-        )
+        words = f"{files} not as the manifests say: see inspe dataset check {data}"
+        common.note(f"{damaged[0]}", words)
         raise typer.Exit(1)
 
 

@@ -48,10 +48,8 @@ class RunOptions:
 
     def rows(self, study: Study, folder: Path, what: str) -> list[Row]:
         """The rows of a study, run with a bar that counts ``what``."""
-        with common.resumable(), common.progress(what) as report:
-            return run(
-                study, folder, scheduler=self.scheduler, workers=self.workers, progress=report
-            )
+        with common.resumable(), common.progress(what) as tell:
+            return run(study, folder, scheduler=self.scheduler, workers=self.workers, progress=tell)
 
 
 @command()

@@ -360,9 +360,8 @@ def csv_text(rows: Sequence[Mapping[str, Any]]) -> str:
     Text that a spreadsheet would run as a formula gets an apostrophe before it (OWASP, "CSV
     injection"), which :func:`parse_csv` takes away. Numbers stay as they are.
     """
-    return csv_line(rows[0]) + "".join(
-        csv_line(row.get(key, "") for key in rows[0]) for row in rows
-    )
+    keys = list(rows[0])
+    return csv_line(keys) + "".join(csv_line(row.get(key, "") for key in keys) for row in rows)
 
 
 def csv_line(cells: Iterable[Any]) -> str:

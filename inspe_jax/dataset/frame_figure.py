@@ -66,9 +66,8 @@ def sheet_of_pictures(shapes: Sequence[tuple[int, ...]]) -> tuple[Figure, Axes, 
     height = _HEAD + MAP + _FOOT + (rows * step + _GAP if shapes else 0.0)
     fig = Figure(figsize=(WIDTH, height), facecolor="white")
     ax = fig.add_axes((LEFT / WIDTH, 1 - (_HEAD + MAP) / height, MAP / WIDTH, MAP / height))
-    panel = fig.add_axes(
-        (sheet.PANEL / WIDTH, 1 - (_HEAD + MAP) / height, ASIDE / WIDTH, MAP / height)
-    )
+    beside = (sheet.PANEL / WIDTH, 1 - (_HEAD + MAP) / height, ASIDE / WIDTH, MAP / height)
+    panel = fig.add_axes(beside)
     panel.set(xlim=(0, ASIDE * 72), ylim=(-MAP * 72, 0))  # in points
     panel.axis("off")
     pictures = []
@@ -186,9 +185,8 @@ def _draw_panel(fig: Figure, panel: Axes, frame: Frame, cloud: Any, images: bool
     for station in frame.stations[:most]:
         y -= ROW
         badge(panel, (6, y), name_of(station))
-        panel.text(
-            13 + 3.2 * (len(name_of(station)) - 1), y, **look | sheet.fit(station.name, 26, 6.5)
-        )
+        x = 13 + 3.2 * (len(name_of(station)) - 1)
+        panel.text(x, y, **look | sheet.fit(station.name, 26, 6.5))
     more = len(frame.stations[most:])
     panel.text(0, y - ROW, f"and {counted(more, 'more station')}" if more else "", **look)
     panel.legend(handles=_keys(frame, images), loc="lower left", **sheet.KEYS)

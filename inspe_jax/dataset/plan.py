@@ -295,9 +295,7 @@ def _named(plans: list[ScenarioPlan]) -> list[ScenarioPlan]:
         given = plan.settings
         parts = [plan.source.name, plan.layout.name, given["density"], given["light"]]
         parts += [given["weather"]] * (given["weather"] != CLEAR)
-        more = [
-            key for (name, key), values in varied.items() if name == parts[0] and len(values) > 1
-        ]
+        more = [key for (name, key), own in varied.items() if name == parts[0] and len(own) > 1]
         parts += [f"{key}-{_word(given[key])}" for key in more]
         names.append("__".join(map(_fit, (*parts, given["seed"])))[:LONGEST_NAME])
     counts = Counter(name.lower() for name in names)  # some disks ignore upper case

@@ -139,10 +139,8 @@ def load_generation(
         return make_generation(content, path.parent, str(path), path.stem)
     if "format" not in content:
         raise InspeError(f"{path}: a protocol that was not written by this package")
-    above = path.resolve().parents
-    return _from_protocol(
-        content, str(path), [*([Path(files)] if files else above[:3]), Path.cwd()]
-    )
+    folders = [Path(files)] if files else path.resolve().parents[:3]
+    return _from_protocol(content, str(path), [*folders, Path.cwd()])
 
 
 def _from_protocol(content: dict[str, Any], where: str, folders: Iterable[Path]) -> Generation:

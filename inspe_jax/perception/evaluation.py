@@ -191,8 +191,7 @@ def matched(
         rows, columns = np.nonzero(away < distance)
         order = np.lexsort((away[rows, columns], rows))  # stable: of equal ones, the first user
         taken: set[int] = set()
-        near = own[rows[order]].tolist(), users[columns[order]].tolist()
-        for n, user in zip(*near, strict=True):
+        for n, user in zip(own[rows[order]].tolist(), users[columns[order]].tolist(), strict=True):
             if found[n] < 0 and user not in taken:
                 found[n] = user
                 taken.add(user)

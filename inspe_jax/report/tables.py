@@ -124,8 +124,7 @@ def before_after_table(result: Result) -> RenderableType:
         rows.append(("objective", "", result.objective_before, result.objective))
     for name, symbol, old, new in rows:
         look = "bold" if name == rows[-1][0] else ""
-        numbers = (f"{old:.3f}", f"{new:.3f}", f"{new - old:+z.3f}")
-        table.add_row(name, symbol, *numbers, style=look)
+        table.add_row(name, symbol, f"{old:.3f}", f"{new:.3f}", f"{new - old:+z.3f}", style=look)
     return table
 
 
@@ -173,8 +172,7 @@ def comparison_table(results: Sequence[Result]) -> RenderableType:
     """The results of several searches: one row for each method, the best median first."""
     by = by_method(results)
     name = f"{results[0].start.name}: {results[0].objective_before:.4f} at the start"
-    heads = ("seeds", "median", "worst", "best", "work", "time\n[s]")
-    table = table_of(name, "method", *heads)
+    table = table_of(name, "method", "seeds", "median", "worst", "best", "work", "time\n[s]")
     for method, of in sorted(by.items(), key=lambda row: -np.median([r.objective for r in row[1]])):
         scores = [result.objective for result in of]
         work = [np.median([getattr(r, key) for r in of]) for key in ("evaluations", "seconds")]
@@ -282,8 +280,7 @@ def scores_record(
 
 def blind_spots_table(scene: Scene, scores: Scores) -> RenderableType:
     """Where most is unseen: the first of :func:`~inspe_jax.scoring.blind_spots.blind_spots`."""
-    heads = ("unseen", "area\n[m²]", "of all unseen", "x, y [m]")
-    table = table_of("Blind spots", "region", *heads)
+    table = table_of("Blind spots", "region", "unseen", "area\n[m²]", "of all unseen", "x, y [m]")
     for spot in blind_spots(scene, scores.seen_share)[:SPOTS]:
         x, y = spot.at
         numbers = (f"{spot.unseen:.0%}", f"{spot.area:.0f}", f"{spot.loss:.0%}")

@@ -182,9 +182,7 @@ class _Room:
                     continue
                 along = along / size
                 out = np.array([-along[1], along[0]])
-                left, right = (
-                    Point(at + side * 0.3 * out).distance(self.lanes) for side in (1, -1)
-                )
+                left, right = (Point(at + s * 0.3 * out).distance(self.lanes) for s in (1, -1))
                 yield Spot(at, along, out if left > right else -out)
 
 

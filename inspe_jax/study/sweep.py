@@ -158,8 +158,7 @@ def columns(study: Study) -> tuple[str, ...]:
     """The columns of a study's results."""
     first = ("key", "scene", "layout", *(f"tag_{name}" for name in study.tags))
     names = (m.name for m in listed(study.metrics))
-    last = (BEFORE, "status", "error", *versions())
-    return (*first, *SETTINGS, *FACTS, *names, *last)
+    return (*first, *SETTINGS, *FACTS, *names, BEFORE, "status", "error", *versions())
 
 
 def scene_of_job(job: StudyJob) -> Scene:

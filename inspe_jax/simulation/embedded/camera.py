@@ -169,8 +169,7 @@ class Camera:
             wet = wet[self.static_world.paved(point[wet])]
         albedo[wet] *= 1 - np.float32(DARKER * shading.wet)
         ambient = shading.ambient_light(point, normal, albedo)
-        given = point[wet], normal[wet], self.directions[pixels][wet]
-        ambient[wet] += shading.reflected(*given)
+        ambient[wet] += shading.reflected(point[wet], normal[wet], self.directions[pixels][wet])
         ambient[~hit] = shading.sky(self.directions[pixels][~hit])
         direct = shading.sunlight(normal, albedo)
         in_sun = direct[:, 0] > 0

@@ -192,12 +192,10 @@ def _all_but_masts(
     return tuple(parts), _poles(intersection, radius, own), surface
 
 
-def _poles(
-    intersection: Intersection, radius: float, own: BaseGeometry
-) -> Float[np.ndarray, "P 4"]:
+def _poles(place: Intersection, radius: float, own: BaseGeometry) -> Float[np.ndarray, "P 4"]:
     """Feet and heights of the poles of the place that are near and clear of its bodies ``own``."""
-    feet = np.asarray(intersection.poles, float)
-    away = np.hypot(*(feet - np.asarray(intersection.center, float))[:, :2].T)
+    feet = np.asarray(place.poles, float)
+    away = np.hypot(*(feet - np.asarray(place.center, float))[:, :2].T)
     beside = shapely.dwithin(shapely.points(feet[:, :2]), own, 0.5)
     feet = feet[(away <= radius + MARGIN) & ~beside]
     return np.column_stack([feet, np.full(len(feet), POLE_HEIGHT)])

@@ -110,9 +110,8 @@ def _lines(intersection: Intersection) -> list[BaseGeometry]:
     driveway = intersection.regions.get(Region.DRIVEWAY)
     if driveway is None or driveway.is_empty:
         return []
-    others = [
-        s for r, s in intersection.regions.items() if r in (Region.JUNCTION, Region.CROSSWALK)
-    ]
+    crossed = (Region.JUNCTION, Region.CROSSWALK)
+    others = [shape for region, shape in intersection.regions.items() if region in crossed]
     free = driveway.buffer(-0.7).difference(unary_union(others).buffer(0.8))
     sides = [
         LineString(route.waypoints[:, :2]).offset_curve(side * route.width / 2)

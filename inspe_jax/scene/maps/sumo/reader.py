@@ -92,9 +92,8 @@ class SumoJunction(MapJunction):
         reach = max(float(distance_from(s.center, middle).max()) for s in lane_strips)
         ground = np.concatenate([s.center for s in lane_strips])
         corners = {n for n, _ in self.map.walks}
-        waiting = [
-            shape for _, shape in self.map.walks if shape.distance(Point(middle[:2])) <= reach
-        ]
+        at = Point(middle[:2])
+        waiting = [shape for _, shape in self.map.walks if shape.distance(at) <= reach]
         parts: dict[Region, list[BaseGeometry]] = {region: [] for region in Region}
         parts[Region.SIDEWALK] += waiting
         walked = unary_union(waiting)

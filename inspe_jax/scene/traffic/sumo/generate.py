@@ -227,9 +227,8 @@ class _SumoRuns:
             for n, (at_one, number, size) in enumerate(stream.until(end * rate)):
                 who, when, path = f"{name}.{n}", at_one / rate, stream.paths[number]
                 sizes[who] = (stream.kind, len(CLASSES) * n + stream.kind, size)
-                body = dict(
-                    zip(("length", "width", "height"), (f"{x:.3f}" for x in size), strict=True)
-                )
+                sides = zip(("length", "width", "height"), size, strict=True)
+                body = {side: f"{x:.3f}" for side, x in sides}
                 ET.SubElement(root, "vType", {"id": who} | looks | body)
                 start = {"id": who, "type": who, "depart": f"{when:.2f}"}
                 start["departPos"], arrival = f"{path.begin:.2f}", f"{path.end:.2f}"

@@ -57,9 +57,8 @@ def waypoint_traffic(
     has_path = [bool((paths.user == PATH_USERS.index(u.path)).any()) for u in ROAD_USERS]
     # Cyclists ride only where there are pedestrians too, so not on motorways.
     has_path[CLASSES.index("cyclist")] &= has_path[WALKER]
-    kind = np.repeat(
-        np.arange(len(CLASSES), dtype=np.int8), traffic.quota(MIXES[mix], has_path, count)
-    )
+    numbers = traffic.quota(MIXES[mix], has_path, count)
+    kind = np.repeat(np.arange(len(CLASSES), dtype=np.int8), numbers)
     if len(kind) < count:
         raise InspeError(
             f"{intersection.name}: no route within {radius:g} m of the centre for mix '{mix}'"

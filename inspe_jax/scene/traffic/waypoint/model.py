@@ -295,9 +295,8 @@ class WaypointModel:
             # Where that does not decide who is first, the two try in turn. If both were held back,
             # they would stand for ever.
             a_later = self.track[on[a]] > self.track[on[b]]
-            a_waits = np.where(
-                a_behind == b_behind, a_later == (self.time % (2 * TRY) < TRY), a_behind
-            )
+            a_last = a_later == (self.time % (2 * TRY) < TRY)
+            a_waits = np.where(a_behind == b_behind, a_last, a_behind)
             both = ~moves[a] | ~moves[b]
             held = np.concatenate([a[a_waits | both], b[~a_waits | both]])
             speed[held], moves[held] = 0.0, False

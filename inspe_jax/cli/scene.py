@@ -175,9 +175,8 @@ def layout(
     """
     from inspe_jax.report.scene_tables import layout_table
 
-    devices: dict[str, Any] = {
-        k: v for k, v in dict(camera=camera, lidar=lidar).items() if v is not None
-    }
+    given = dict(camera=camera, lidar=lidar)
+    devices: dict[str, Any] = {key: name for key, name in given.items() if name is not None}
     claims.file(save, (".yaml", ".yml"), force=force)
     common.check_layout(strategy)
     for name in devices.values():

@@ -60,9 +60,8 @@ def check_model(model: type[Model], content: Any, where: str) -> Model:
     except ValidationError as e:
         # A misspelt key is also a missing key. The unknown key is reported: it shows the mistake.
         fault = max(e.errors(include_url=False), key=lambda f: f["type"] == "extra_forbidden")
-        key = "".join(
-            f"[{part}]" if isinstance(part, int) else f".{part}" for part in fault["loc"]
-        ).lstrip(".")
+        parts = (f"[{x}]" if isinstance(x, int) else f".{x}" for x in fault["loc"])
+        key = "".join(parts).lstrip(".")
         given = brief(fault["input"])
         if fault["type"] == "extra_forbidden":
             known = sorted(_fields(model, fault["loc"][:-1]))

@@ -230,9 +230,8 @@ def make_generation(
     done = _named([replace(plan, seed=_seed(key)) for key, plan in plans.items()])
     groups = [_group(plan, entry.split_by) for plan in done]
     splits = _split(dict(groups), proportions)
-    scenarios = tuple(
-        replace(plan, split=splits[group]) for (group, _), plan in zip(groups, done, strict=True)
-    )
+    grouped = zip(groups, done, strict=True)
+    scenarios = tuple(replace(plan, split=splits[group]) for (group, _), plan in grouped)
     given = [split for split, share in zip(SPLITS, proportions, strict=True) if share]
     advice = "scenes" if entry.split_by == "intersection" else "values of seed"
     notes = tuple(

@@ -141,9 +141,8 @@ def evaluate(detections: Sequence[Detections], truth: Sequence[Detections]) -> E
     for frames, what in ((detections, "detections"), (truth, "truth")):
         for t, frame in enumerate(frames):
             check(frame, f"{what}: frame {t}")
-    users = np.bincount(
-        np.concatenate([np.zeros(0, int), *(frame.kind for frame in truth)]), minlength=len(KINDS)
-    )
+    kinds = np.concatenate([np.zeros(0, int), *(frame.kind for frame in truth)])
+    users = np.bincount(kinds, minlength=len(KINDS))
     if not users.any():
         raise NoTruth(
             f"truth: no {' or '.join(KINDS)} in {counted(len(truth), 'frame')}: there is nothing "

@@ -216,9 +216,8 @@ def perspective_aims(
     scale = np.array(cells) / inputs.pixels.shape[2:4]
     boxes = jnp.asarray(targets.boxes)
     on_each = jax.vmap(jax.vmap(partial(on_picture, xp=jnp), in_axes=(None, 0, 0)))
-    seen = on_each(
-        _corners(boxes), jnp.asarray(inputs.pose), jnp.asarray(inputs.intrinsic)
-    )  # (B, C, M, 8, 3)
+    cameras = jnp.asarray(inputs.pose), jnp.asarray(inputs.intrinsic)
+    seen = on_each(_corners(boxes), *cameras)  # (B, C, M, 8, 3)
     pixels = jnp.moveaxis(jnp.asarray(targets.pixels), -1, 1)  # (B, C, M)
     visible = (pixels >= LEAST_PIXELS) | (pixels == -1)  # -1: the set does not say
     shown = visible & jnp.asarray(targets.mask)[:, None] & (seen[..., 2].min(-1) > NEAREST)

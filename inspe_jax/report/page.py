@@ -244,11 +244,9 @@ def check_names(names: Sequence[str]) -> None:
     """Raise InspeError if there is no layout, or two have the same name."""
     if not names:
         raise InspeError("no layout to report on")
-    for name in names:
-        if names.count(name) > 1:
-            raise InspeError(
-                f"two layouts are named '{name}': give each layout file another `name:`"
-            )
+    name = next((name for name in names if names.count(name) > 1), None)
+    if name is not None:
+        raise InspeError(f"two layouts are named '{name}': give each layout file another `name:`")
 
 
 def _shares(blind: MapLayer) -> list[tuple[str, str, float]]:
@@ -264,9 +262,8 @@ def _in_words(value: Any) -> str:
     if isinstance(value, Mapping):
         nested = any(isinstance(part, Mapping) for part in value.values())
         mark, form = ("; ", "{} ({})") if nested else (", ", "{} {}")
-        return mark.join(
-            form.format(str(key).replace("_", " "), _in_words(part)) for key, part in value.items()
-        )
+        pairs = ((str(key).replace("_", " "), _in_words(part)) for key, part in value.items())
+        return mark.join(form.format(*pair) for pair in pairs)
     if isinstance(value, list | tuple):
         return ", ".join(_in_words(part) for part in value)
     return str(value)

@@ -150,9 +150,8 @@ def moves_table(before: Layout, after: Layout) -> RenderableType:
 def sweep_table(rows: Sequence[Mapping[str, str]]) -> RenderableType:
     """The results of a study by layout: mean ± standard deviation over scenes and settings."""
     metrics = listed({key for row in rows for key in row})
-    table = table_of(
-        "Mean ± standard deviation", "layout", "jobs", "failed", *(m.symbol for m in metrics)
-    )
+    symbols = (metric.symbol for metric in metrics)
+    table = table_of("Mean ± standard deviation", "layout", "jobs", "failed", *symbols)
     for name in dict.fromkeys(row["layout"] for row in rows):
         own = [row for row in rows if row["layout"] == name]
         done = [row for row in own if row["status"] == "done"]
@@ -184,9 +183,8 @@ def comparison_table(results: Sequence[Result]) -> RenderableType:
 def pareto_table(found: Sequence[DeviceMix]) -> RenderableType:
     """Cost and scores of mixes of devices, cheapest first; those on the Pareto front in bold."""
     metrics = listed_in(*(mix.result.scores for mix in found))
-    table = table_of(
-        "Cost against score", "mix", "cost\n[US$]", *(m.symbol for m in metrics), "objective", ""
-    )
+    symbols = (metric.symbol for metric in metrics)
+    table = table_of("Cost against score", "mix", "cost\n[US$]", *symbols, "objective", "")
     for mix in found:
         scores = [f"{mix.result.scores.value(m.name):z.3f}" for m in metrics]
         numbers = (f"{mix.cost:,.0f}", *scores, f"{mix.result.objective:.4f}")

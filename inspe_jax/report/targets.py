@@ -90,9 +90,8 @@ def targets_record(scene: Scene, layout: Layout, view: TargetView) -> dict[str, 
         record["lidar_returns"] = of(view.points_on_target, returns)
     if any(pictures):
         record["pixels_per_metre"] = of(view.pixel_density, BANDS)
-    record["detectability"] = {
-        region: float(values.mean()) for region, values in _shares(scene, view.detectability)
-    }
+    found = _shares(scene, view.detectability)
+    record["detectability"] = {region: float(values.mean()) for region, values in found}
     return record
 
 

@@ -107,9 +107,8 @@ def town(
         driveway, junction = driveway.difference(islands), junction.difference(islands)
         mounting = unary_union([mounting, islands])
     # People walk from sidewalk to sidewalk, so a crosswalk spans the shoulders too.
-    crosswalks = intersection.mouth_crosswalks(
-        tuple(replace(arm, width=arm.width + 2 * SHOULDER) for arm in arms)
-    )
+    whole = tuple(replace(arm, width=arm.width + 2 * SHOULDER) for arm in arms)
+    crosswalks = intersection.mouth_crosswalks(whole)
     regions = {
         Region.DRIVEWAY: driveway,
         Region.JUNCTION: junction,

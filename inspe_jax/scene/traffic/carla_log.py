@@ -211,9 +211,7 @@ def _at(log: RecorderLog, times: np.ndarray, time: float) -> _Moment:
     return _Moment(time, where, velocity)
 
 
-def _snapshot(
-    log: RecorderLog, moment: _Moment, intersection: Intersection, radius: float
-) -> Snapshot:
+def _snapshot(log: RecorderLog, moment: _Moment, place: Intersection, radius: float) -> Snapshot:
     who = [actor for actor in moment.where if actor in log.kinds]
     x, y, z, roll, pitch, yaw = np.reshape([moment.where[actor] for actor in who], (-1, 6)).T
     poses = from_carla(np.column_stack([x / 100, y / 100, z / 100, roll, yaw, pitch]))
@@ -222,10 +220,9 @@ def _snapshot(
     velocity = np.reshape([moment.velocity.get(actor, np.zeros(6)) for actor in who], (-1, 6))
     offset, speed, size = flip(box[:, :3]), flip(velocity[:, :3]), 2 * box[:, 3:]
     cos, sin = np.cos(yaw), np.sin(yaw)
-    middle = at[:, :2] + np.column_stack(
-        [cos * offset[:, 0] - sin * offset[:, 1], sin * offset[:, 0] + cos * offset[:, 1]]
-    )
+    ahead, left = offset[:, :2].T
+    middle = at[:, :2] + np.column_stack([cos * ahead - sin * left, sin * ahead + cos * left])
     kind = np.array([log.kinds[actor] for actor in who], np.int8)
     everybody = Snapshot(middle, yaw, size, kind, np.array(who, np.int32), speed)
     foot = at[:, 2] + offset[:, 2] - size[:, 2] / 2
-    return traffic.standing_on(intersection, radius, everybody, foot)
+    return traffic.standing_on(place, radius, everybody, foot)

@@ -67,9 +67,8 @@ class CarlaRecorder:
     def __enter__(self) -> Self:
         with plain_errors(self.server), ExitStack() as stack:
             place, rate = self.scene.intersection, self.recording.rate
-            self.session: CarlaSession = stack.enter_context(
-                session_on(self.server, place, rate, self.conditions)
-            )
+            opened = session_on(self.server, place, rate, self.conditions)
+            self.session: CarlaSession = stack.enter_context(opened)
             lights = self.conditions != FAIR
             self.actors = Actors(self.session, self.scene.traffic, lights, self.appearance_seed)
             self.queues = [self._listen(s) for s in range(len(self.sensors))]

@@ -143,6 +143,7 @@ def build_static_world(
     posts = np.array([*masts, *apart], float).reshape(-1, 4)
     parts = [*(Part(_tube(p[:3], POLE_RADIUS, p[3]), Material.POLE) for p in posts), *fixed]
     sizes = [len(part.triangles) for part in parts]
+    colours = [np.broadcast_to(part.colour, (len(part.triangles), 3)) for part in parts]
     return StaticWorld(
         center=center,
         triangles=(np.concatenate([part.triangles for part in parts]) - center).astype(np.float32),
@@ -150,9 +151,7 @@ def build_static_world(
         body=np.repeat([part.body for part in parts], sizes),
         surface=surface,
         poles=posts[:, :3] + np.array([0.0, 0.0, 1.0]) * posts[:, 3:],
-        colour=np.concatenate(
-            [np.broadcast_to(part.colour, (len(part.triangles), 3)) for part in parts]
-        ).astype(np.float32),
+        colour=np.concatenate(colours).astype(np.float32),
     )
 
 

@@ -174,10 +174,8 @@ class WaypointModel:
 
     def _pressed(self, on: np.ndarray, leader: np.ndarray) -> np.ndarray:
         """Whether each user has stood long while one of the six behind it holds a block."""
-        holds = self.granted[on] & (
-            self.paths.leave[self.paths.block[self.path[on]]] > self._ends(on)[1][:, None]
-        )
-        pressing = holds.any(1)
+        leave = self.paths.leave[self.paths.block[self.path[on]]]
+        pressing = (self.granted[on] & (leave > self._ends(on)[1][:, None])).any(1)
         pressed = np.zeros(len(on), bool)
         for _ in range(6):
             pressed[leader[(pressing | pressed) & (leader >= 0)]] = True
@@ -225,9 +223,8 @@ class WaypointModel:
         return self.arc[on] + half, self.arc[on] - half
 
     def _place(self, on: np.ndarray) -> None:
-        self.point[on], self.heading[on] = self.paths.chord(
-            self.path[on], self.arc[on], self.size[on, 0]
-        )
+        at = self.path[on], self.arc[on], self.size[on, 0]
+        self.point[on], self.heading[on] = self.paths.chord(*at)
 
     def _look_ahead(self, on: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Free distance along each path [m] less the user's gap, and the user that ends it.

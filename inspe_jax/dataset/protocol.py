@@ -14,19 +14,11 @@ from pydantic import Field
 from inspe_jax.core import version
 from inspe_jax.core.errors import InspeError, brief, check_known
 from inspe_jax.core.files import check_model, digest_of
+from inspe_jax.dataset import plan as plans
 from inspe_jax.dataset.folders import SPLITS
 from inspe_jax.dataset.formats.other_readers import DEFAULT_OPTIONS
 from inspe_jax.dataset.formats.registry import DEFAULT_FORMAT
-from inspe_jax.dataset.plan import (
-    SETTINGS,
-    Generation,
-    RecordingEntry,
-    ScenarioPlan,
-    Settings,
-    check_seconds,
-    make_generation,
-    saved_seconds,
-)
+from inspe_jax.dataset.plan import SETTINGS, Generation, ScenarioPlan
 from inspe_jax.jobs import settings, sources
 from inspe_jax.jobs.settings import Count, Line, Strict, Text
 from inspe_jax.sensing.layout import parse_layout
@@ -42,7 +34,7 @@ class _Scene(sources.SceneEntry):
     content: str = ""
 
 
-class _Recording(RecordingEntry):
+class _Recording(plans.RecordingEntry):
     backend: str
     seed: Count
 
@@ -136,7 +128,7 @@ def load_generation(
     path = Path(path)
     content = sources.read_study(path)
     if "world" not in content:
-        return make_generation(content, path.parent, str(path), path.stem)
+        return plans.make_generation(content, path.parent, str(path), path.stem)
     if "format" not in content:
         raise InspeError(f"{path}: a protocol that was not written by this package")
     folders = [Path(files)] if files else path.resolve().parents[:3]
@@ -202,15 +194,15 @@ def _settings(
         if key not in given:
             raise InspeError(f"{where}: {key}: missing key")
     kept = sources.scene_settings(source, dict.fromkeys(settings.WORLD, ()), {}, where)
-    entry = check_model(Settings, {k: v for k, v in given.items() if k not in kept}, where)
+    entry = check_model(plans.Settings, {k: v for k, v in given.items() if k not in kept}, where)
     several = {key: getattr(entry, key) for key in SETTINGS if key not in kept}
     twice = next((key for key, values in several.items() if len(values) != 1), None)
     if twice is not None:
         raise InspeError(f"{where}: {twice}: must be one value, got {brief(given[twice])}")
     settings.check_settings(several, where)
-    check_seconds(several["seconds"][0], rate, f"{where}: seconds")
+    plans.check_seconds(several["seconds"][0], rate, f"{where}: seconds")
     if source.file is not None:
-        saved_seconds(source, several["seconds"], rate, where)
+        plans.saved_seconds(source, several["seconds"], rate, where)
     one = {key: values[0] for key, values in (several | kept).items()}
     one |= settings.conditioned({key: one[key] for key in settings.CONDITIONS})
     return {key: one[key] for key in SETTINGS}

@@ -22,17 +22,9 @@ from inspe_jax.scene import intersection
 from inspe_jax.scene.georeference import Georeference
 from inspe_jax.scene.intersection import Arm, Intersection, Route, crossing_lines, joined_lines
 from inspe_jax.scene.lines import distance_from, distinct, onward, resampled
+from inspe_jax.scene.maps import lanes
 from inspe_jax.scene.maps.bodies import NO_POLES
-from inspe_jax.scene.maps.lanes import (
-    CARRIAGEWAY,
-    SHOULDER,
-    SIDEWALK,
-    TRAVEL,
-    Approach,
-    LaneStrip,
-    arms_of,
-    same_level,
-)
+from inspe_jax.scene.maps.lanes import CARRIAGEWAY, SIDEWALK, TRAVEL, Approach, LaneStrip
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.voxels import check_range
 
@@ -133,7 +125,7 @@ class MapJunction(ABC):
         """The region of a lane; None of one that is in no region."""
         if strip.kind in CARRIAGEWAY:
             return Region.JUNCTION if strip.road in self.interior else Region.DRIVEWAY
-        if strip.kind in SHOULDER:
+        if strip.kind in lanes.SHOULDER:
             return Region.SHOULDER
         return Region.SIDEWALK if strip.kind in SIDEWALK else None
 
@@ -323,7 +315,7 @@ class RoadMap(ABC):
         for name in self.junctions():
             middle, size, signals = self.node(name)
             approaches = self.around(self, {name}, middle, 0.0).approaches
-            arms, _ = arms_of(approaches)
+            arms, _ = lanes.arms_of(approaches)
             streets = dict.fromkeys(filter(None, (self.street(one) for one in approaches)))
             near = int((distance_from(walks, middle) < size / 2 + 8.0).sum())
             x, y, z = middle.tolist()
@@ -337,7 +329,7 @@ class RoadMap(ABC):
         members, middle, where = self._chosen(junction, center)
         check_range("radius", radius, RADIUS_READ)
         here = self.around(self, members, middle, radius)
-        lane_strips = same_level(*here.lanes())
+        lane_strips = lanes.same_level(*here.lanes())
         reach = radius + MARGIN
         ground = np.concatenate([np.zeros((0, 3)), *(s.ground for s in lane_strips)])
         ground = ground[distance_from(ground, middle) <= reach + 5.0]
@@ -345,7 +337,7 @@ class RoadMap(ABC):
             raise InspeError(
                 f"{self.source}: no roads within {radius:g} m of ({middle[0]:.1f}, {middle[1]:.1f})"
             )
-        arms, arm_of = arms_of(here.approaches)
+        arms, arm_of = lanes.arms_of(here.approaches)
         areas = _side_by_side(here.areas(lane_strips))
         disc = Point(middle[:2]).buffer(reach, quad_segs=32)
         walks, known = here.crosswalks(areas, arms, ground, disc)
@@ -371,8 +363,8 @@ class RoadMap(ABC):
             if strip.kind in SIDEWALK
             for run in strip.runs(distance_from(strip.center, middle) <= radius)
         ]
-        lanes = [s.center for s in lane_strips if s.kind in CARRIAGEWAY]
-        paths = [*known, *crossing_lines(walks[len(known) :], lanes), *joined_lines(pavements)]
+        middles = [s.center for s in lane_strips if s.kind in CARRIAGEWAY]
+        paths = [*known, *crossing_lines(walks[len(known) :], middles), *joined_lines(pavements)]
         walked = intersection.off_roads(paths, areas, here.notes)
         people = intersection.walking_routes(place, walked)
         place = replace(

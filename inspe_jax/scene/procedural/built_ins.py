@@ -16,20 +16,8 @@ from inspe_jax.core.errors import check_known
 from inspe_jax.scene import lines
 from inspe_jax.scene.intersection import CROSSWALK_WIDTH, Arm, Intersection
 from inspe_jax.scene.lines import arc, at_distance, bend, joined, offset, onto_ring, turned
-from inspe_jax.scene.procedural.roads import (
-    LENGTH,
-    LEVEL,
-    ROUTE_LENGTH,
-    Road,
-    corners,
-    gap,
-    neighbours,
-    route,
-    station,
-    strip,
-    town,
-    turns,
-)
+from inspe_jax.scene.procedural import roads as town_roads
+from inspe_jax.scene.procedural.roads import LENGTH, ROUTE_LENGTH, Road, route, station, strip, town
 from inspe_jax.scene.regions import Region
 
 LANE = 3.5  # width of a lane in towns [m]
@@ -51,8 +39,8 @@ def crossing(
         corner_radius: Radius of the kerbs [m].
     """
     roads = [Road(float(np.radians(b)), n, LANE) for b, n in zip(bearings_deg, lanes, strict=True)]
-    roads, kerbs = corners(roads, corner_radius)
-    return town(name, roads, kerbs, list(turns(roads, corner_radius)))
+    roads, kerbs = town_roads.corners(roads, corner_radius)
+    return town(name, roads, kerbs, list(town_roads.turns(roads, corner_radius)))
 
 
 def roundabout() -> Intersection:
@@ -70,12 +58,12 @@ def roundabout() -> Intersection:
         """In along one road, ``left`` of its axis, round the ring, and out along another."""
         on = onto_ring(left, radius, bend)
         until = float(np.arctan2(on[-1, 1], on[-1, 0]))
-        sweep = gap(a, b)
+        sweep = town_roads.gap(a, b)
         round_it = arc(np.zeros(2), radius, until, sweep - until)
         off = turned(on * [1, -1], sweep)[::-1]
         return turned(joined(on, round_it, off), a.bearing)
 
-    kerbs = [from_to(a, b, half, outer, corner_radius) for a, b in neighbours(roads)]
+    kerbs = [from_to(a, b, half, outer, corner_radius) for a, b in town_roads.neighbours(roads)]
     # A lane keeps its distance from the kerb on the arm, and follows the middle of the ring.
     lane = roads[0].lane(0)
     inner, bent = island + ring / 2, corner_radius + LANE / 2
@@ -175,7 +163,7 @@ def ramp() -> Intersection:
         mounting=MultiPolygon(mounting),
         poles=lamps,
         notes=("a motorway: no crosswalks and no sidewalks",),
-        **LEVEL,
+        **town_roads.LEVEL,
     )
 
 

@@ -115,17 +115,16 @@ def plan_kml(layout: Layout, place: Intersection) -> str:
 def bill_of_materials(layout: Layout, prices: Mapping[str, float]) -> str:
     """The devices of a layout as CSV: how many, where, and what they cost [US dollars]. ``prices``
     replace the catalogue's. A device without a price has none here."""
-    return csv_text(
-        [
-            dict(
-                **{key: getattr(row, key) for key in ("device", "title", "maker", "count")},
-                price_usd="" if row.price is None else f"{row.price:.2f}",
-                total_usd="" if row.total is None else f"{row.total:.2f}",
-                units="; ".join(row.units),
-            )
-            for row in materials(layout, prices)
-        ]
-    )
+    rows = [
+        dict(
+            **{key: getattr(row, key) for key in ("device", "title", "maker", "count")},
+            price_usd="" if row.price is None else f"{row.price:.2f}",
+            total_usd="" if row.total is None else f"{row.total:.2f}",
+            units="; ".join(row.units),
+        )
+        for row in materials(layout, prices)
+    ]
+    return csv_text(rows)
 
 
 PLAN_FORMATS: dict[str, Callable[[Layout, Intersection, Mapping[str, float]], str]] = {

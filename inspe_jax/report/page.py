@@ -152,25 +152,22 @@ def report_page(
         record = scores_record(scores, scene, layout, entry.sought)
         shown = scores.conditions.layout(layout)
         photograph = done(views and views.photograph(scene, shown, frame))
-        parts.append(
-            dict(
-                entry=entry,
-                name=layout.name,
-                record=record,
-                units=schedule.installation_schedule(layout, scene.intersection, prices or {}),
-                materials=rows,
-                total=schedule.total_price(rows),
-                specs={sensor.spec.name: sensor.spec for sensor in layout.sensors},
-                counts=f"{counted(len(layout.units), 'unit')} with {words}",
-                goal=None if entry.sought is None else goal_words(layout, scores, entry.sought),
-                blind=_shares(of_columns["blind"]),
-                images=done(_images(scene, entry, of_columns, frame)),
-                photograph=photograph and image_text(photograph, DPI, "jpeg"),
-                scene3d=done(
-                    views and _text(views.scene3d(scene, layout, scores.conditions, frame))
-                ),
-            )
+        part = dict(
+            entry=entry,
+            name=layout.name,
+            record=record,
+            units=schedule.installation_schedule(layout, scene.intersection, prices or {}),
+            materials=rows,
+            total=schedule.total_price(rows),
+            specs={sensor.spec.name: sensor.spec for sensor in layout.sensors},
+            counts=f"{counted(len(layout.units), 'unit')} with {words}",
+            goal=None if entry.sought is None else goal_words(layout, scores, entry.sought),
+            blind=_shares(of_columns["blind"]),
+            images=done(_images(scene, entry, of_columns, frame)),
+            photograph=photograph and image_text(photograph, DPI, "jpeg"),
+            scene3d=done(views and _text(views.scene3d(scene, layout, scores.conditions, frame))),
         )
+        parts.append(part)
     records = [part["record"] for part in parts]
     metrics = listed_in(*(entry.scores for entry in entries))
     return template("report", "page.html.j2").render(

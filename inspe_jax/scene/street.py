@@ -257,6 +257,5 @@ def _walls(room: _Room, rng: np.random.Generator) -> None:
     for spot in room.along(room.back, lambda: float(rng.uniform(9, 16))):
         kind, width, height = ("hedge", 0.7, 1.5) if rng.uniform() < 0.5 else ("wall", 0.25, 1.8)
         long, height = float(rng.uniform(5, 8)), height * float(rng.uniform(0.8, 1.15))
-        out = spot.moved(0.2 + width / 2)
-        one = upright_box(kind, out, (long, width, height), spot.yaw)
+        one = upright_box(kind, spot.moved(0.2 + width / 2), (long, width, height), spot.yaw)
         room.add(one, from_crossings=FROM_CROSSING)

@@ -97,8 +97,7 @@ def plan_picture(
         key = ax.inset_axes((0.03, 0.03, 0.26, 0.022), zorder=10)
         key.imshow(np.linspace(0, 1, 64)[None], cmap=layer.colors, aspect="auto")
         key.axis("off")
+        look: dict[str, Any] = dict(size=6.5, va="bottom", transform=ax.transAxes, zorder=10)
         for x, words, side in ((0.03, "never", "left"), (0.29, "always seen", "right")):
-            ax.text(
-                x, 0.06, words, size=6.5, ha=side, va="bottom", transform=ax.transAxes, zorder=10
-            )
+            ax.text(x, 0.06, words, ha=side, **look)
     return fig

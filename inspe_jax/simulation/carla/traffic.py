@@ -75,17 +75,16 @@ class Actors:
             where = snapshot.find(actor).get_transform()
             at, turn = where.location, where.rotation
             pose = from_carla([at.x, at.y, at.z, turn.roll, turn.yaw, turn.pitch])
-            found.append(
-                RoadUserBox(
-                    track=int(track),
-                    kind=CLASSES[kind],
-                    name=body.name,
-                    center=pose[:3] + rotation(pose[3:], np) @ body.middle,
-                    yaw=float(pose[5]),
-                    size=body.size,
-                    velocity=np.asarray(velocity, float),
-                )
+            box = RoadUserBox(
+                track=int(track),
+                kind=CLASSES[kind],
+                name=body.name,
+                center=pose[:3] + rotation(pose[3:], np) @ body.middle,
+                yaw=float(pose[5]),
+                size=body.size,
+                velocity=np.asarray(velocity, float),
             )
+            found.append(box)
         return tuple(found)
 
     def _bodies(self) -> dict[int, list[ActorBody]]:

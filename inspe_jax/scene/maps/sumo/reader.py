@@ -247,10 +247,9 @@ def load_net(path: Path, side: str | None = None) -> SumoMap:
         import sumolib
     file, notes = network_file(path, side)
     wrong = f"{path}: not a SUMO network: missing or wrong"
+    how = dict(withInternal=True, withPedestrianConnections=True, lxml=False)
     with error_at(wrong, SAXException, KeyError, ValueError, AttributeError, TypeError):
-        net = sumolib.net.readNet(
-            str(file), withInternal=True, withPedestrianConnections=True, lxml=False
-        )
+        net = sumolib.net.readNet(str(file), **how)
     if not any(edge.getFunction() == "" for edge in net.getEdges()):
         raise InspeError(f"{path}: the network has no roads")
     return SumoMap(path, file, net, side, notes)

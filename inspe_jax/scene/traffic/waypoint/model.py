@@ -72,15 +72,14 @@ class WaypointModel:
         free, leader, follows = self._look_ahead(on)
         self._give_way(on, free, leader, follows)
         line = self._line_distance(on)  # to the stop line of the next block not granted
-        speed = np.minimum.reduce(
-            [
-                self.speed[on] + self.acceleration[on] * dt,
-                self.wish[on],
-                self.paths.speed_limit(self.path[on], self.arc[on]),
-                _safe_speed(free, self.speed[on][leader] * follows),
-                _safe_speed(line, np.zeros(len(on))),
-            ]
-        )
+        most = [
+            self.speed[on] + self.acceleration[on] * dt,
+            self.wish[on],
+            self.paths.speed_limit(self.path[on], self.arc[on]),
+            _safe_speed(free, self.speed[on][leader] * follows),
+            _safe_speed(line, np.zeros(len(on))),
+        ]
+        speed = np.minimum.reduce(most)
         self._move(on, np.where(speed < 0.05, 0.0, speed), dt)
 
     def _place_at_random(self, who: int | np.intp) -> None:

@@ -245,9 +245,8 @@ def check_kind(path: Path, *allowed: bytes) -> None:
 def check_size(where: object, size: float, most: float, what: str) -> None:
     """Raise InspeError if ``what`` has more than ``most`` bytes."""
     if size > most:
-        raise InspeError(
-            f"{where}: has more than {most / 1e6:,.0f} MB of {what}, the most that is read"
-        )
+        limit = f"{most / 1e6:,.0f} MB of {what}"
+        raise InspeError(f"{where}: has more than {limit}, the most that is read")
 
 
 def cached_by_file(size: int) -> Callable[[Callable[..., Content]], Callable[..., Content]]:

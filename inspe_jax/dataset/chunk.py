@@ -91,9 +91,8 @@ class WorkerState:
         recorder = self.stack.enter_context(opened)
         short = scene.shortfall
         self.notes = (*recorder.notes, *([f"road users: {short}"] if short else []))
-        self.protocol = protocol_of(
-            plan, content, chunk.backend, self.notes, chunk.format, scene.voxels.center.tolist()
-        )
+        about = (chunk.backend, self.notes, chunk.format, scene.voxels.center.tolist())
+        self.protocol = protocol_of(plan, content, *about)
         self.key, self.recorder = plan.key, recorder
         return recorder
 

@@ -104,13 +104,12 @@ def _draw_moves(ax: Axes, layout: Layout, path: Float[np.ndarray, "K S 6"]) -> b
         ax.plot(*track[0], "o", ms=4, mfc="white", mec=_ARROW["color"], mew=0.8, zorder=5.5)
         ax.plot(*track[:-1].T, "-", marker=".", ms=2.5, zorder=5.4, **{**_ARROW, "lw": 0.5})
         bend = 0.12 if len(track) == 2 else 0.0
-        ax.add_patch(
-            FancyArrowPatch(
-                tuple(track[-2]), tuple(track[-1]), connectionstyle=f"arc3,rad={bend}",
-                arrowstyle="-|>,head_width=1.6,head_length=3", shrinkA=2, shrinkB=6, zorder=5.4,
-                path_effects=sheet.HALO, **_ARROW,
-            )
+        arrow = FancyArrowPatch(
+            tuple(track[-2]), tuple(track[-1]), connectionstyle=f"arc3,rad={bend}",
+            arrowstyle="-|>,head_width=1.6,head_length=3", shrinkA=2, shrinkB=6, zorder=5.4,
+            path_effects=sheet.HALO, **_ARROW,
         )  # fmt: skip
+        ax.add_patch(arrow)
     return moved
 
 

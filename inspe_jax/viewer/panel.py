@@ -166,10 +166,9 @@ class Panel:
 
             self._changes(self._gui.add_button(words, color=color), answer)
 
+        words = "was not written by this run of the viewer. It may hold other work."
         with question:
-            self._gui.add_markdown(
-                f"`{path.name}` was not written by this run of the viewer. It may hold other work."
-            )
+            self._gui.add_markdown(f"`{path.name}` {words}")
             offer(f"Save as {other.name}", None, other)
             offer(f"Replace {path.name}", "red", path)
             offer("Cancel", "gray", None)

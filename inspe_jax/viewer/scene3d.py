@@ -248,9 +248,8 @@ class Scene3D:
         return np.column_stack([xy, self._ground(np.asarray(xy, float)) + lift]) - self.shift
 
     def _lines(self, name: str, ends: np.ndarray, color: str, wide: float) -> None:
-        self.drawn[name] = self.api.add_line_segments(
-            name, ends.astype(np.float32), colors=rgb(color), thickness=wide
-        )
+        at = ends.astype(np.float32)
+        self.drawn[name] = self.api.add_line_segments(name, at, colors=rgb(color), thickness=wide)
 
     def _draw_bodies(self) -> None:
         """Draw the static bodies as they are recorded."""

@@ -96,9 +96,7 @@ class Claims:
 
     def record(self) -> None:
         """List what was written so far: also where the command does not come to its end."""
-        written = [
-            path for path, before in self._before.items() if _stamp(path) not in (None, before)
-        ]
+        written = [path for path, old in self._before.items() if _stamp(path) not in (None, old)]
         if not written:
             return
         with suppress(OSError, RuntimeError, InspeError):  # there is no such folder, or it is full

@@ -174,9 +174,8 @@ def stats(
     common.draw(lambda: statistics_view(found), plot, record)
     if damaged:
         files = counted(len(damaged), "file")
-        common.note(
-            f"{damaged[0]}", f"{files} not as the manifests say: see inspe dataset check {data}"
-        )
+        words = f"{files} not as the manifests say: see inspe dataset check {data}"
+        common.note(f"{damaged[0]}", words)
         raise typer.Exit(1)
 
 
@@ -239,9 +238,8 @@ def decode(data: Path, *, into: Path, size: str = "400x300", workers: int | None
     with common.progress("frames") as tell:
         made = cache(data, into, pictures=_picture_size(size), workers=workers, progress=tell)
     frames = sum(scenario.record.frames for scenario in made.scenarios)
-    common.out.print(
-        f"{counted(len(made.scenarios), 'scenario')}, {counted(frames, 'frame')}\nwrote {into}"
-    )
+    scenarios = counted(len(made.scenarios), "scenario")
+    common.out.print(f"{scenarios}, {counted(frames, 'frame')}\nwrote {into}")
 
 
 def _picture_size(text: str) -> tuple[int, int] | None:

@@ -65,6 +65,8 @@ SHARED = """
     recorded (CACHE): The cache of a data set, as `inspe dataset cache` makes it.
     split: Split of the set.
     run (RUN): The folder of a training.
+    driving_side (left|right): Side of the road that traffic of an OpenStreetMap extract drives on,
+        in place of its country's.
     folder (--out DIR): Folder for the results.
     force: Replace files that this command did not write, or were changed.
 """

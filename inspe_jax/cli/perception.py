@@ -217,9 +217,8 @@ def detect(
     ]
     where = {"run": str(training.path), "step": step, "scenario": name, "frame": number}
     until = _unfinished(training, step)
-    common.show(
-        detections_table(found, least, until), json_value({**where, "detections": boxes}), record
-    )
+    written = json_value({**where, "detections": boxes})
+    common.show(detections_table(found, least, until), written, record)
 
     def drawn() -> Any:
         title = f"{training.content.settings.model}: {name}, frame {number}{until}"

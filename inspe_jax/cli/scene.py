@@ -69,8 +69,6 @@ def scene(
         center (X Y): Centre [m] in place of a junction id, for a place with several junctions.
         at (LAT,LON): The junction nearest to a latitude and longitude [degrees], on a map that
             has them.
-        driving_side (left|right): Side of the road that traffic of an OpenStreetMap extract drives
-            on, in place of its country's.
         bodies (FILE.geojson|csv): Houses, walls, trees and poles of your own, besides
             those of the map: polygons, lines and points in degrees, with properties kind and
             height_m; points without a kind are poles. Poles can carry sensors; with --statics map
@@ -177,9 +175,8 @@ def layout(
     """
     from inspe_jax.report.scene_tables import layout_table
 
-    devices: dict[str, Any] = {
-        k: v for k, v in dict(camera=camera, lidar=lidar).items() if v is not None
-    }
+    given = dict(camera=camera, lidar=lidar)
+    devices: dict[str, Any] = {key: name for key, name in given.items() if name is not None}
     claims.file(save, (".yaml", ".yml"), force=force)
     common.check_layout(strategy)
     for name in devices.values():

@@ -135,9 +135,8 @@ def tolerance(
 
     claims.file(record, force=force)
     objective = options.objective()
-    errors = dict[str, Any](
-        position=position, angle=float(np.radians(angle)), samples=samples, seed=seed
-    )
+    turn = float(np.radians(angle))
+    errors = dict[str, Any](position=position, angle=turn, samples=samples, seed=seed)
     check_errors(**errors)
     conditions = options.conditions
     with common.busy(f"reading {source}"):

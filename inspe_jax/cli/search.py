@@ -87,9 +87,8 @@ def optimise(
             world = load_scene(source, options.profile)
             placed = starting_layout(world, mix, poles=poles)
         else:
-            world, placed = common.scene_and_layout(
-                source, sensors or common.DEFAULT_LAYOUT, options.profile
-            )
+            given = sensors or common.DEFAULT_LAYOUT
+            world, placed = common.scene_and_layout(source, given, options.profile)
         cases = options.cases(world)
     with common.search_bar("searching") as callback:
         result = search.optimise(

@@ -77,10 +77,8 @@ def report(
             entry = report_entry(case, layout, objective, result)
             entry = replace(entry, sought=options.sought(case, layout))
         entries.append(entry)
-    with common.progress("drawing") as callback:
-        page = report_page(
-            world, entries, prices=priced, frame=frame, views=VIEWS, progress=callback
-        )
+    with common.progress("drawing") as tell:
+        page = report_page(world, entries, prices=priced, frame=frame, views=VIEWS, progress=tell)
     path = claims.keep(lambda at: write_text(at, page), path)
     for entry in entries:
         common.out.print(goal_words(entry.layout, entry.scores, entry.sought))

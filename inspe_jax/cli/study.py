@@ -48,10 +48,8 @@ class RunOptions:
 
     def rows(self, study: Study, folder: Path, what: str) -> list[Row]:
         """The rows of a study, run with a bar that counts ``what``."""
-        with common.resumable(), common.progress(what) as report:
-            return run(
-                study, folder, scheduler=self.scheduler, workers=self.workers, progress=report
-            )
+        with common.resumable(), common.progress(what) as tell:
+            return run(study, folder, scheduler=self.scheduler, workers=self.workers, progress=tell)
 
 
 @command()
@@ -99,8 +97,6 @@ def plan(
         budget (USD): What all junctions together may cost.
         junctions (signals|all|ID,…): Junctions of the map: those with signals, all, or ids with
             commas between; `inspe scene MAP --list` lists them.
-        driving_side (left|right): Side of the road that traffic of an OpenStreetMap extract drives
-            on, in place of its country's.
         worst: Maximise the least score of a junction, and then the sum; without it, the
             weighted sum.
         importance (ID=WEIGHT): Weight of a junction in the sum, 1 if not given; repeat it for
@@ -175,8 +171,7 @@ def plan(
     _show(found, georeference)
     with common.busy("drawing"):
         write_text(folder / "plan.csv", found.text(georeference))
-        view = city_view(found, source.name, place.road_lines())
-        save_figure(view, folder / "plan.png")
+        save_figure(city_view(found, source.name, place.road_lines()), folder / "plan.png")
         if georeference:
             text = _geojson(found, place, folder, size, georeference)
             write_text(folder / "plan.geojson", text)

@@ -59,11 +59,9 @@ def check_model(model: type[Model], content: Any, where: str) -> Model:
         return model.model_validate(content)
     except ValidationError as e:
         # A misspelt key is also a missing key. The unknown key is reported: it shows the mistake.
-        faults = e.errors(include_url=False)
-        fault = max(faults, key=lambda f: f["type"] == "extra_forbidden")
-        key = "".join(
-            f"[{part}]" if isinstance(part, int) else f".{part}" for part in fault["loc"]
-        ).lstrip(".")
+        fault = max(e.errors(include_url=False), key=lambda f: f["type"] == "extra_forbidden")
+        parts = (f"[{x}]" if isinstance(x, int) else f".{x}" for x in fault["loc"])
+        key = "".join(parts).lstrip(".")
         given = brief(fault["input"])
         if fault["type"] == "extra_forbidden":
             known = sorted(_fields(model, fault["loc"][:-1]))
@@ -247,9 +245,8 @@ def check_kind(path: Path, *allowed: bytes) -> None:
 def check_size(where: object, size: float, most: float, what: str) -> None:
     """Raise InspeError if ``what`` has more than ``most`` bytes."""
     if size > most:
-        raise InspeError(
-            f"{where}: has more than {most / 1e6:,.0f} MB of {what}, the most that is read"
-        )
+        limit = f"{most / 1e6:,.0f} MB of {what}"
+        raise InspeError(f"{where}: has more than {limit}, the most that is read")
 
 
 def cached_by_file(size: int) -> Callable[[Callable[..., Content]], Callable[..., Content]]:
@@ -361,9 +358,8 @@ def csv_text(rows: Sequence[Mapping[str, Any]]) -> str:
     Text that a spreadsheet would run as a formula gets an apostrophe before it (OWASP, "CSV
     injection"), which :func:`parse_csv` takes away. Numbers stay as they are.
     """
-    return csv_line(rows[0]) + "".join(
-        csv_line(row.get(key, "") for key in rows[0]) for row in rows
-    )
+    keys = list(rows[0])
+    return csv_line(keys) + "".join(csv_line(row.get(key, "") for key in keys) for row in rows)
 
 
 def csv_line(cells: Iterable[Any]) -> str:

@@ -45,13 +45,12 @@ def rotation(angles: Any, xp: Any = jnp) -> Any:
     which computes in double precision but cannot be traced.
     """
     (cr, cp, cy), (sr, sp, sy) = xp.cos(angles), xp.sin(angles)
-    return xp.array(
-        [
-            [cy * cp, -sy * cr - cy * sp * sr, sy * sr - cy * sp * cr],
-            [sy * cp, cy * cr - sy * sp * sr, -cy * sr - sy * sp * cr],
-            [sp, cp * sr, cp * cr],
-        ]
-    )
+    rows = [
+        [cy * cp, -sy * cr - cy * sp * sr, sy * sr - cy * sp * cr],
+        [sy * cp, cy * cr - sy * sp * sr, -cy * sr - sy * sp * cr],
+        [sp, cp * sr, cp * cr],
+    ]
+    return xp.array(rows)
 
 
 def pose_matrix(pose: Any) -> Float[np.ndarray, "4 4"]:

@@ -16,7 +16,6 @@ PROSE = {
     "devices",
 }  # fmt: skip
 
-
 NAMES = {
     "mix", "P_sm", "metric", "method", "symbol", "region", "scene", "device", "kind", "name",
     "centre [m]", "pixels,\nchannels", "split", "class", "column", "setting", "value", "id",
@@ -44,9 +43,8 @@ class WholeTable(Table):
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         """The table in the width that there is, or in the least that it needs."""
         least = Measurement.get(console, options.update(width=_UNBOUNDED), self).minimum
-        yield from super().__rich_console__(
-            console, options.update(width=max(options.max_width, least))
-        )
+        wide = options.update(width=max(options.max_width, least))
+        yield from super().__rich_console__(console, wide)
 
 
 def _width(column: Column, cell: RenderableType) -> int:
@@ -58,10 +56,8 @@ def _width(column: Column, cell: RenderableType) -> int:
 
 def table_of(title: str, *columns: str) -> Table:
     """An empty table. Columns of prose may break between words; numbers and names never break."""
-    table = WholeTable(
-        title=Text(title), title_justify="left", title_style="bold", box=box.SIMPLE_HEAD
-    )
-    table.pad_edge, table.collapse_padding = False, True
+    table = WholeTable(title=Text(title), title_justify="left", title_style="bold")
+    table.box, table.pad_edge, table.collapse_padding = box.SIMPLE_HEAD, False, True
     for name in columns:
         table.add_column(
             Text(name),

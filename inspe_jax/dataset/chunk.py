@@ -3,7 +3,7 @@
 import multiprocessing
 import threading
 from collections.abc import Iterator
-from contextlib import AbstractContextManager, ExitStack
+from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -18,13 +18,7 @@ from inspe_jax.dataset.manifest import record_frame, recorded_frames
 from inspe_jax.dataset.plan import ScenarioPlan
 from inspe_jax.dataset.points_in_boxes import with_counts
 from inspe_jax.dataset.protocol import protocol_of
-from inspe_jax.jobs.sources import (
-    SceneSource,
-    message_of,
-    place_layout,
-    release_compiled,
-    scene_of,
-)
+from inspe_jax.jobs.sources import SceneSource, message_of, place_layout, release_compiled, scene_of
 from inspe_jax.scene.scene import Scene
 from inspe_jax.sensing.layout import Layout, layout_text, parse_layout
 from inspe_jax.simulation.backends import recorder_of
@@ -92,13 +86,13 @@ class WorkerState:
         self.close()
         release_compiled(chunk.scene)
         layout, content = layout_of(plan, scene)
-        opened = open_recorder(chunk.backend, plan, scene, layout, chunk.server)
+        given = (scene, layout, plan.conditions, plan.recording, plan.seed, chunk.server)
+        opened = recorder_of(chunk.backend, *given, plan.appearance_seed)
         recorder = self.stack.enter_context(opened)
         short = scene.shortfall
         self.notes = (*recorder.notes, *([f"road users: {short}"] if short else []))
-        self.protocol = protocol_of(
-            plan, content, chunk.backend, self.notes, chunk.format, scene.voxels.center.tolist()
-        )
+        about = (chunk.backend, self.notes, chunk.format, scene.voxels.center.tolist())
+        self.protocol = protocol_of(plan, content, *about)
         self.key, self.recorder = plan.key, recorder
         return recorder
 
@@ -118,14 +112,6 @@ def layout_of(plan: ScenarioPlan, scene: Scene) -> tuple[Layout, dict[str, Any]]
     text = source.text or layout_text(place_layout(source, scene))
     content = {"name": source.name, **parse_yaml(text, source.name)}
     return parse_layout(content, source.name, source.name, scene), content
-
-
-def open_recorder(
-    backend: str, plan: ScenarioPlan, scene: Scene, layout: Layout, server: Server | None = None
-) -> AbstractContextManager[Recorder]:
-    """A recorder of a scenario with this layout on its scene."""
-    given = (scene, layout, plan.conditions, plan.recording, plan.seed, server)
-    return recorder_of(backend, *given, plan.appearance_seed)
 
 
 def build(chunk: Chunk) -> Scene | str:

@@ -17,8 +17,7 @@ from inspe_jax.core.words import counted
 from inspe_jax.dataset.statistics import Statistics, bands
 from inspe_jax.simulation.frame import KINDS
 
-FEWEST = 5
-"""Range bands with fewer boxes than this are left out of the curves."""
+FEWEST = 5  # range bands with fewer boxes than this are left out of the curves
 MOST_DOTS = 2000
 """Largest number of boxes of a class that are drawn as dots; of more, every n-th is drawn."""
 

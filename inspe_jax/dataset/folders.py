@@ -15,8 +15,7 @@ from inspe_jax.simulation.frame import Frame
 
 SPLITS = ("train", "validate", "test")
 """The usual splits, in their order; a data set may have others, such as ``test_culvercity``."""
-MOST_LISTED = 20
-"""Largest number of scenarios that an error lists."""
+MOST_LISTED = 20  # largest number of scenarios that an error lists
 
 
 @dataclass(frozen=True)

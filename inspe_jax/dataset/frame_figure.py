@@ -21,8 +21,7 @@ from inspe_jax.dataset.points_in_boxes import world_points
 from inspe_jax.simulation.frame import KINDS, Frame, Image, Picture, RoadUserBox, Station
 from inspe_jax.simulation.projection import corners, edge_lines
 
-MARGIN = 6.0
-"""Margin of the plan around road users and stations [m]."""
+MARGIN = 6.0  # margin of the plan around road users and stations [m]
 BADGE_COLOR = "#00543d"
 """Colour of stations: a green that no class has."""
 _HEIGHTS = LinearSegmentedColormap.from_list(
@@ -57,9 +56,7 @@ def frame_view(scenario: Scenario, number: int) -> Figure:
     return fig
 
 
-def sheet_of_pictures(
-    shapes: Sequence[tuple[int, ...]],
-) -> tuple[Figure, Axes, Axes, list[Axes]]:
+def sheet_of_pictures(shapes: Sequence[tuple[int, ...]]) -> tuple[Figure, Axes, Axes, list[Axes]]:
     """An empty sheet: figure, plan, panel beside it, and below a place for each picture of height
     and width ``shapes`` [pixels]."""
     columns = 2 if len(shapes) <= 4 else 3 if len(shapes) <= 12 else 4
@@ -69,9 +66,8 @@ def sheet_of_pictures(
     height = _HEAD + MAP + _FOOT + (rows * step + _GAP if shapes else 0.0)
     fig = Figure(figsize=(WIDTH, height), facecolor="white")
     ax = fig.add_axes((LEFT / WIDTH, 1 - (_HEAD + MAP) / height, MAP / WIDTH, MAP / height))
-    panel = fig.add_axes(
-        (sheet.PANEL / WIDTH, 1 - (_HEAD + MAP) / height, ASIDE / WIDTH, MAP / height)
-    )
+    beside = (sheet.PANEL / WIDTH, 1 - (_HEAD + MAP) / height, ASIDE / WIDTH, MAP / height)
+    panel = fig.add_axes(beside)
     panel.set(xlim=(0, ASIDE * 72), ylim=(-MAP * 72, 0))  # in points
     panel.axis("off")
     pictures = []
@@ -189,9 +185,8 @@ def _draw_panel(fig: Figure, panel: Axes, frame: Frame, cloud: Any, images: bool
     for station in frame.stations[:most]:
         y -= ROW
         badge(panel, (6, y), name_of(station))
-        panel.text(
-            13 + 3.2 * (len(name_of(station)) - 1), y, **look | sheet.fit(station.name, 26, 6.5)
-        )
+        x = 13 + 3.2 * (len(name_of(station)) - 1)
+        panel.text(x, y, **look | sheet.fit(station.name, 26, 6.5))
     more = len(frame.stations[most:])
     panel.text(0, y - ROW, f"and {counted(more, 'more station')}" if more else "", **look)
     panel.legend(handles=_keys(frame, images), loc="lower left", **sheet.KEYS)

@@ -34,40 +34,19 @@ from inspe_jax.core.words import counted
 from inspe_jax.dataset.folders import SPLITS
 from inspe_jax.dataset.formats.other_readers import DEFAULT_OPTIONS, FileOptions
 from inspe_jax.dataset.formats.registry import DEFAULT_FORMAT, FORMATS
-from inspe_jax.jobs.settings import (
-    CONDITIONS,
-    WORLD,
-    Length,
-    Several,
-    Strict,
-    WorldSettings,
-    check_names,
-    check_settings,
-    combinations,
-    conditioned,
-    defaults_of,
-)
-from inspe_jax.jobs.sources import (
-    LayoutSource,
-    SceneEntry,
-    SceneSource,
-    Sources,
-    each_scene,
-    layout_sources,
-)
+from inspe_jax.jobs import settings, sources
+from inspe_jax.jobs.settings import CONDITIONS, WORLD, Length, Several, Strict, WorldSettings
 from inspe_jax.scene.traffic.frames import DENSITIES, MOST_FRAMES
 from inspe_jax.sensing.conditions import CLEAR, Conditions
 from inspe_jax.simulation.backends import DEFAULT_BACKEND
 from inspe_jax.simulation.recorder import TURN, Recording
 
-SECONDS = 10.0
-"""Length of a scenario, if none is given [s]."""
+SECONDS = 10.0  # length of a scenario, if none is given [s]
 SETTINGS = (*WORLD, *CONDITIONS, "seconds")
 PROPORTIONS: dict[Any, float] = {"train": 7, "validate": 1, "test": 2}
 """Proportions of the scenarios in the splits, if none are given."""
 LONGEST_NAME = 120
-CHUNK = 10
-"""Number of frames that a worker records at a time."""
+CHUNK = 10  # number of frames that a worker records at a time
 
 
 @dataclass(frozen=True)
@@ -77,8 +56,8 @@ class ScenarioPlan:
 
     name: str
     split: str
-    source: SceneSource
-    layout: LayoutSource
+    source: sources.SceneSource
+    layout: sources.LayoutSource
     settings: Mapping[str, Any]
     recording: Recording
     seed: int
@@ -172,7 +151,7 @@ class Settings(WorldSettings):
     seconds: Several[Length] = Field(default=[])
 
 
-class _SceneEntry(SceneEntry, WorldSettings):
+class _SceneEntry(sources.SceneEntry, WorldSettings):
     pass
 
 
@@ -198,7 +177,7 @@ class RecordingEntry(Strict):
     def recording(self, where: str) -> Recording:
         """The settings of the recording. Raises InspeError where a value is not allowed."""
         check_known(self.format, FORMATS, f"{where}: format:")
-        check_names([str(layer) for layer in self.layers], f"{where}: layers")
+        settings.check_names([str(layer) for layer in self.layers], f"{where}: layers")
         size = (self.image_size[0], self.image_size[1]) if self.image_size else None
         turn, layers = self.lidar_turn_s, tuple(self.layers)
         found = Recording(self.rate_hz, layers, turn=turn, image_size=size)
@@ -213,7 +192,7 @@ class RecordingEntry(Strict):
         return options
 
 
-class _File(Sources, RecordingEntry):
+class _File(sources.Sources, RecordingEntry):
     scenes: Annotated[list[_SceneEntry], Field(min_length=1)]
     settings: Settings = Settings()
     splits: dict[Literal["train", "validate", "test"], _Proportion] = Field(default=PROPORTIONS)
@@ -229,32 +208,30 @@ def make_generation(
     entry = check_model(_File, content, where)
     recording, files = entry.recording(where), entry.files(where)
     whole = {key: getattr(entry.settings, key) for key in SETTINGS}
-    check_settings(whole, f"{where}: settings")
+    settings.check_settings(whole, f"{where}: settings")
     for seconds in whole["seconds"]:
         check_seconds(seconds, recording.rate, f"{where}: settings.seconds")
     each: Mapping[Any, float] = entry.splits
     proportions = [each.get(split, 0) for split in SPLITS]
     if not sum(proportions):
         raise InspeError(f"{where}: splits: one of {', '.join(SPLITS)} must be above 0")
-    layouts = layout_sources(entry, folder, where)
-    defaults = defaults_of((*WORLD, *CONDITIONS)) | {"seconds": [SECONDS]}
+    layouts = sources.layout_sources(entry, folder, where)
+    defaults = settings.defaults_of((*WORLD, *CONDITIONS)) | {"seconds": [SECONDS]}
     plans: dict[str, ScenarioPlan] = {}
-    for at, item, source, own in each_scene(entry.scenes, WORLD, whole, folder, where):
+    for at, item, source, own in sources.each_scene(entry.scenes, WORLD, whole, folder, where):
         if source.file is not None:
             own["seconds"] = saved_seconds(source, own["seconds"], recording.rate, at)
-        builds = combinations(own, (*WORLD, "seconds"), defaults)
-        for build, layout, around in product(
-            builds, layouts, combinations(own, CONDITIONS, defaults)
-        ):
-            settings = build | conditioned(around)
-            plan = ScenarioPlan("", "", source, layout, settings, recording, 0)
+        builds = settings.combinations(own, (*WORLD, "seconds"), defaults)
+        around = settings.combinations(own, CONDITIONS, defaults)
+        for build, layout, rest in product(builds, layouts, around):
+            values = build | settings.conditioned(rest)
+            plan = ScenarioPlan("", "", source, layout, values, recording, 0)
             plans.setdefault(plan.key, replace(plan, tags=dict(item.tags), files=files))
     done = _named([replace(plan, seed=_seed(key)) for key, plan in plans.items()])
     groups = [_group(plan, entry.split_by) for plan in done]
     splits = _split(dict(groups), proportions)
-    scenarios = tuple(
-        replace(plan, split=splits[group]) for (group, _), plan in zip(groups, done, strict=True)
-    )
+    grouped = zip(groups, done, strict=True)
+    scenarios = tuple(replace(plan, split=splits[group]) for (group, _), plan in grouped)
     given = [split for split, share in zip(SPLITS, proportions, strict=True) if share]
     advice = "scenes" if entry.split_by == "intersection" else "values of seed"
     notes = tuple(
@@ -277,7 +254,7 @@ def check_seconds(seconds: float, rate: float, where: str) -> None:
 
 
 def saved_seconds(
-    source: SceneSource, wanted: Sequence[float], rate: float, where: str
+    source: sources.SceneSource, wanted: Sequence[float], rate: float, where: str
 ) -> list[float]:
     """Lengths of the scenarios of a saved scene [s]: those wanted, or the length of the scene.
     Raises InspeError if the scene is shorter, or its frames are not 1 / ``rate`` apart."""
@@ -317,9 +294,7 @@ def _named(plans: list[ScenarioPlan]) -> list[ScenarioPlan]:
         given = plan.settings
         parts = [plan.source.name, plan.layout.name, given["density"], given["light"]]
         parts += [given["weather"]] * (given["weather"] != CLEAR)
-        more = [
-            key for (name, key), values in varied.items() if name == parts[0] and len(values) > 1
-        ]
+        more = [key for (name, key), own in varied.items() if name == parts[0] and len(own) > 1]
         parts += [f"{key}-{_word(given[key])}" for key in more]
         names.append("__".join(map(_fit, (*parts, given["seed"])))[:LONGEST_NAME])
     counts = Counter(name.lower() for name in names)  # some disks ignore upper case
@@ -339,7 +314,7 @@ def _fit(part: Any) -> str:
 
 
 @cache
-def place_of(source: SceneSource) -> str:
+def place_of(source: sources.SceneSource) -> str:
     """A short text that identifies the intersection, whatever it is called. Saved scenes are of one
     place if their regions are the same. A junction of a map that is given by its number once, and
     by its ``center`` another time, counts as two."""

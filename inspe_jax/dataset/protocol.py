@@ -14,37 +14,13 @@ from pydantic import Field
 from inspe_jax.core import version
 from inspe_jax.core.errors import InspeError, brief, check_known
 from inspe_jax.core.files import check_model, digest_of
+from inspe_jax.dataset import plan as plans
 from inspe_jax.dataset.folders import SPLITS
 from inspe_jax.dataset.formats.other_readers import DEFAULT_OPTIONS
 from inspe_jax.dataset.formats.registry import DEFAULT_FORMAT
-from inspe_jax.dataset.plan import (
-    SETTINGS,
-    Generation,
-    RecordingEntry,
-    ScenarioPlan,
-    Settings,
-    check_seconds,
-    make_generation,
-    saved_seconds,
-)
-from inspe_jax.jobs.settings import (
-    CONDITIONS,
-    WORLD,
-    Count,
-    Line,
-    Strict,
-    Text,
-    check_settings,
-    conditioned,
-)
-from inspe_jax.jobs.sources import (
-    LayoutSource,
-    SceneEntry,
-    SceneSource,
-    read_study,
-    scene_settings,
-    scene_source,
-)
+from inspe_jax.dataset.plan import SETTINGS, Generation, ScenarioPlan
+from inspe_jax.jobs import settings, sources
+from inspe_jax.jobs.settings import Count, Line, Strict, Text
 from inspe_jax.sensing.layout import parse_layout
 from inspe_jax.simulation.backends import BACKENDS
 
@@ -53,12 +29,12 @@ PORT = 2000
 """CARLA's usual port. Readers of OPV2V data sets expect one in the protocol; it has no effect."""
 
 
-class _Scene(SceneEntry):
+class _Scene(sources.SceneEntry):
     name: Line
     content: str = ""
 
 
-class _Recording(RecordingEntry):
+class _Recording(plans.RecordingEntry):
     backend: str
     seed: Count
 
@@ -150,15 +126,13 @@ def load_generation(
     InspeError that names the file, the key and what is allowed.
     """
     path = Path(path)
-    content = read_study(path)
+    content = sources.read_study(path)
     if "world" not in content:
-        return make_generation(content, path.parent, str(path), path.stem)
+        return plans.make_generation(content, path.parent, str(path), path.stem)
     if "format" not in content:
         raise InspeError(f"{path}: a protocol that was not written by this package")
-    above = path.resolve().parents
-    return _from_protocol(
-        content, str(path), [*([Path(files)] if files else above[:3]), Path.cwd()]
-    )
+    folders = [Path(files)] if files else path.resolve().parents[:3]
+    return _from_protocol(content, str(path), [*folders, Path.cwd()])
 
 
 def _from_protocol(content: dict[str, Any], where: str, folders: Iterable[Path]) -> Generation:
@@ -177,7 +151,7 @@ def _from_protocol(content: dict[str, Any], where: str, folders: Iterable[Path])
         name=entry.name,
         split=entry.split,
         source=source,
-        layout=LayoutSource(str(entry.layout.get("name", entry.name)), text=text),
+        layout=sources.LayoutSource(str(entry.layout.get("name", entry.name)), text=text),
         settings=_settings(entry.settings, source, recording.rate, f"{where}: settings"),
         recording=recording,
         seed=entry.recording.seed,
@@ -195,11 +169,11 @@ def _from_protocol(content: dict[str, Any], where: str, folders: Iterable[Path])
     return Generation(entry.name, (plan,), recorded.backend, tuple(notes), recorded.format)
 
 
-def _source(entry: _Scene, folders: Iterable[Path], where: str) -> SceneSource:
+def _source(entry: _Scene, folders: Iterable[Path], where: str) -> sources.SceneSource:
     """The source of the scene; its file is searched in the folders, by name and content."""
     given = entry.map or entry.file
     if given is None:
-        return scene_source(entry, Path(), where)
+        return sources.scene_source(entry, Path(), where)
     folders = list(dict.fromkeys(folders))
     there = [folder for folder in folders if (folder / Path(given).name).is_file()]
     same = [folder for folder in there if digest_of(folder / Path(given).name) == entry.content]
@@ -209,26 +183,26 @@ def _source(entry: _Scene, folders: Iterable[Path], where: str) -> SceneSource:
         raise InspeError(
             f"{where}: {given} {what}; searched in {searched}; name its folder: --files"
         )
-    return scene_source(entry, same[0], where)
+    return sources.scene_source(entry, same[0], where)
 
 
 def _settings(
-    given: dict[str, Any], source: SceneSource, rate: float, where: str
+    given: dict[str, Any], source: sources.SceneSource, rate: float, where: str
 ) -> dict[str, Any]:
     """The settings of a protocol. For a saved scene, most of them are taken from its file."""
     for key in SETTINGS:
         if key not in given:
             raise InspeError(f"{where}: {key}: missing key")
-    kept = scene_settings(source, dict.fromkeys(WORLD, ()), {}, where)
-    entry = check_model(Settings, {k: v for k, v in given.items() if k not in kept}, where)
+    kept = sources.scene_settings(source, dict.fromkeys(settings.WORLD, ()), {}, where)
+    entry = check_model(plans.Settings, {k: v for k, v in given.items() if k not in kept}, where)
     several = {key: getattr(entry, key) for key in SETTINGS if key not in kept}
     twice = next((key for key, values in several.items() if len(values) != 1), None)
     if twice is not None:
         raise InspeError(f"{where}: {twice}: must be one value, got {brief(given[twice])}")
-    check_settings(several, where)
-    check_seconds(several["seconds"][0], rate, f"{where}: seconds")
+    settings.check_settings(several, where)
+    plans.check_seconds(several["seconds"][0], rate, f"{where}: seconds")
     if source.file is not None:
-        saved_seconds(source, several["seconds"], rate, where)
+        plans.saved_seconds(source, several["seconds"], rate, where)
     one = {key: values[0] for key, values in (several | kept).items()}
-    one |= conditioned({key: one[key] for key in CONDITIONS})
+    one |= settings.conditioned({key: one[key] for key in settings.CONDITIONS})
     return {key: one[key] for key in SETTINGS}

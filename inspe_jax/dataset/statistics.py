@@ -119,8 +119,7 @@ class Statistics:
 
 
 def statistics(
-    given: Dataset | str | os.PathLike[str],
-    progress: Callable[[int, int], None] | None = None,
+    given: Dataset | str | os.PathLike[str], progress: Callable[[int, int], None] | None = None
 ) -> Statistics:
     """Count the content of a data set, frame by frame. Pictures are not read.
 

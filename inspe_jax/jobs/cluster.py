@@ -98,8 +98,7 @@ see mallopt(3) and glibc's manual, Memory Allocation Tunables. With Dask's own s
 return all of it, and spend a third of their time on getting it again. Arrays above 32 MiB always
 return: in pages of 2 MiB, not 4 KiB, they cost a twentieth of the time, not a third."""
 
-TIMEOUT = 10
-"""Time that a scheduler gets to answer [s]."""
+TIMEOUT = 10  # time that a scheduler gets to answer [s]
 
 
 def _check_workers(there: Client, scheduler: str) -> None:

@@ -70,8 +70,7 @@ def combinations(
 
 def conditioned(settings: dict[str, Any]) -> dict[str, Any]:
     """Settings with light and weather in one spelling."""
-    around = Conditions.of(settings["light"], settings["weather"])
-    return settings | around.record
+    return settings | Conditions.of(settings["light"], settings["weather"]).record
 
 
 CHECKS: dict[str, Callable[[Any], Any]] = {

@@ -258,9 +258,8 @@ def scene_of(source: SceneSource, settings: dict[str, Any]) -> Scene:
         raise InspeError(f"{path}: has changed since the study was read")
     if source.file is not None:
         return load_scene(path)
-    at = dict(junction=source.junction, center=source.center, driving_side=source.driving_side)
-    at["radius"] = settings["radius"]
-    return build_scene(read_map(path, **at), **settings)
+    at: dict[str, Any] = {k: getattr(source, k) for k in ("junction", "center", "driving_side")}
+    return build_scene(read_map(path, **at, radius=settings["radius"]), **settings)
 
 
 def place_layout(source: LayoutSource, scene: Scene) -> Layout:

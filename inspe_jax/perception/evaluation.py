@@ -141,9 +141,8 @@ def evaluate(detections: Sequence[Detections], truth: Sequence[Detections]) -> E
     for frames, what in ((detections, "detections"), (truth, "truth")):
         for t, frame in enumerate(frames):
             check(frame, f"{what}: frame {t}")
-    users = np.bincount(
-        np.concatenate([np.zeros(0, int), *(frame.kind for frame in truth)]), minlength=len(KINDS)
-    )
+    kinds = np.concatenate([np.zeros(0, int), *(frame.kind for frame in truth)])
+    users = np.bincount(kinds, minlength=len(KINDS))
     if not users.any():
         raise NoTruth(
             f"truth: no {' or '.join(KINDS)} in {counted(len(truth), 'frame')}: there is nothing "
@@ -191,8 +190,7 @@ def matched(
         rows, columns = np.nonzero(away < distance)
         order = np.lexsort((away[rows, columns], rows))  # stable: of equal ones, the first user
         taken: set[int] = set()
-        near = own[rows[order]].tolist(), users[columns[order]].tolist()
-        for n, user in zip(*near, strict=True):
+        for n, user in zip(own[rows[order]].tolist(), users[columns[order]].tolist(), strict=True):
             if found[n] < 0 and user not in taken:
                 found[n] = user
                 taken.add(user)

@@ -188,9 +188,8 @@ def _draw_image(ax: Axes, cameras: Cameras, b: int, c: int, groups: list[_Group]
         there = (corners(group.boxes) - pose[:3, 3]) @ pose[:3, :3]
         lines, owner = edge_lines(image, there, width, height)
         colors = group.line or [group.colors[k] for k in owner]
-        ax.add_collection(
-            LineCollection(list(lines), colors=colors, **group.on_pictures), autolim=False
-        )
+        drawn = LineCollection(list(lines), colors=colors, **group.on_pictures)
+        ax.add_collection(drawn, autolim=False)
         shown += 0 if group.line else len(np.unique(owner))
     number = int((cameras.unit[b, :c] == cameras.unit[b, c]).sum())
     words = f"unit {cameras.unit[b, c]}, camera {number}"

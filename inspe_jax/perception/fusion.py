@@ -71,8 +71,7 @@ class DiscoNet(eqx.Module):
         pairs = self.receiver(x)[:, :, None] + self.sender(x)[:, None]  # (B, A, A, H, W, c)
         scores = self.edge(jax.nn.relu(pairs))[..., 0]
         scores = jnp.where(present[:, None, :, None, None], scores, -jnp.inf)
-        weights = jax.nn.softmax(scores, 2)
-        return mean_of(jnp.einsum("bijhw,bjhwc->bihwc", weights, x), present)
+        return mean_of(jnp.einsum("bijhw,bjhwc->bihwc", jax.nn.softmax(scores, 2), x), present)
 
 
 # ── V2VNet ──────────────────────────────────────────────────────────────────

@@ -148,8 +148,7 @@ def aims(targets: Targets, grid: BevGrid) -> Aims:
     # As is usual, a radius is three standard deviations of a Gaussian on 2 r + 1 cells.
     deviation = (2 * radius(size[..., 0] / grid.cell, size[..., 1] / grid.cell) + 1) / 6
     along, across = (bumps(at.astype(float), deviation, grid.side, mask) for at in (row, column))
-    heat = class_heat(along, across, jnp.asarray(targets.kind))
-    return Aims(heat, row, column, values, mask)
+    return Aims(class_heat(along, across, jnp.asarray(targets.kind)), row, column, values, mask)
 
 
 def radius(length: Float[Array, "*n"], width: Float[Array, "*n"]) -> Float[Array, "*n"]:
@@ -217,9 +216,8 @@ def perspective_aims(
     scale = np.array(cells) / inputs.pixels.shape[2:4]
     boxes = jnp.asarray(targets.boxes)
     on_each = jax.vmap(jax.vmap(partial(on_picture, xp=jnp), in_axes=(None, 0, 0)))
-    seen = on_each(
-        _corners(boxes), jnp.asarray(inputs.pose), jnp.asarray(inputs.intrinsic)
-    )  # (B, C, M, 8, 3)
+    cameras = jnp.asarray(inputs.pose), jnp.asarray(inputs.intrinsic)
+    seen = on_each(_corners(boxes), *cameras)  # (B, C, M, 8, 3)
     pixels = jnp.moveaxis(jnp.asarray(targets.pixels), -1, 1)  # (B, C, M)
     visible = (pixels >= LEAST_PIXELS) | (pixels == -1)  # -1: the set does not say
     shown = visible & jnp.asarray(targets.mask)[:, None] & (seen[..., 2].min(-1) > NEAREST)

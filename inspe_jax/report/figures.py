@@ -23,20 +23,8 @@ from matplotlib.ticker import MaxNLocator
 from scipy.ndimage import uniform_filter
 from shapely.geometry.base import BaseGeometry
 
+from inspe_jax.core import sheet
 from inspe_jax.core.errors import InspeError
-from inspe_jax.core.sheet import (
-    CIRCLE,
-    CLASS_COLORS,
-    HALO,
-    KEYS,
-    LINE,
-    MAP,
-    fit,
-    frame_map,
-    house_style,
-    setting_words,
-    sheet,
-)
 from inspe_jax.report.bodies import LANE, WALK, body_keys, draw_bodies, draw_routes
 from inspe_jax.report.layers import MapLayer, cell_rows, seen_layer
 from inspe_jax.report.outlines import clear_outlines
@@ -79,18 +67,18 @@ def scene_view(scene: Scene, *, frame: int = 0) -> Figure:
         f"radius {grid.radius:g} m, {grid.words}: {len(grid.columns):,} columns × "
         f"{grid.level_count} levels = {grid.count:,} voxels\n"
         f"{len(place.arms)} arms, {len(scene.poles)} poles; {_users(scene, frame)}; "
-        f"{setting_words({'profile': scene.profile.name})}"
+        f"{sheet.setting_words({'profile': scene.profile.name})}"
     )
-    with house_style():
-        fig, ax, panel = sheet(scene.name, facts, notes, 0.0)
-        frame_map(ax, scene.voxels.center, scene.voxels.radius, grid.radius)
+    with sheet.house_style():
+        fig, ax, panel = sheet.sheet(scene.name, facts, notes, 0.0)
+        sheet.frame_map(ax, scene.voxels.center, scene.voxels.radius, grid.radius)
         draw_regions(ax, scene, lambda region: dict(_LINE, fc=REGION_COLORS[region]))
         ax.add_patch(_patch(place.mounting.intersection(_disc(scene)), **_HATCH, zorder=2))
         draw_routes(ax, scene)
         draw_bodies(ax, scene)
-        draw_users(ax, scene, frame, [dict(fc=c, ec="black", lw=0.3) for c in CLASS_COLORS])
+        draw_users(ax, scene, frame, [dict(fc=c, ec="black", lw=0.3) for c in sheet.CLASS_COLORS])
         ax.plot(*scene.poles.T[:2], **_POLE, zorder=6)
-        panel.legend(handles=_scene_keys(scene), loc="upper left", **KEYS)
+        panel.legend(handles=_scene_keys(scene), loc="upper left", **sheet.KEYS)
     return fig
 
 
@@ -107,22 +95,22 @@ def plan_view(
     layout = scores.conditions.layout(layout)
     values = [(m, f"{in_math(m)} {scores.value(m.name):.3f}") for m in listed_in(scores)]
     line = ",  ".join(f"{metric.words} {value}" for metric, value in values)
-    if len(line) > LINE:  # then by their symbols alone
+    if len(line) > sheet.LINE:  # then by their symbols alone
         line = ",  ".join(value for _, value in values)
     facts = (
         f"{line}\n"
         f"radius {scene.voxels.radius:g} m, {scene.voxels.words}; {_users(scene, frame)}; "
-        f"{setting_words(scores.settings)}"
+        f"{sheet.setting_words(scores.settings)}"
     )
     keys = plan_keys(scene, layout)
     rows = 8 + len(layout) + len({s.unit for s in layout.sensors}) + 1.4 * len(keys)
-    with house_style():
+    with sheet.house_style():
         title = f"{layout.name} at {scene.name}"
-        fig, ax, panel = sheet(title, facts, [], rows * _ROW / 72, math=True)
+        fig, ax, panel = sheet.sheet(title, facts, [], rows * _ROW / 72, math=True)
         image = draw_plan(ax, scene, layout, layer, reach_of(scene, layout), frame)
         top = _list_kinds(panel, layer) if layer.kinds else _color_bar(fig, panel, image, layer)
         _list_sensors(panel, layout, top)
-        panel.legend(handles=keys, loc="lower left", **KEYS)
+        panel.legend(handles=keys, loc="lower left", **sheet.KEYS)
     return fig
 
 
@@ -207,7 +195,7 @@ def _scene_keys(scene: Scene) -> list[Any]:
     place = scene.intersection
     here, users = set(scene.voxels.region.tolist()), {route.user for route in place.routes}
     kinds = set(scene.traffic.kind[scene.traffic.valid].tolist())
-    classes = zip(CLASSES, CLASS_COLORS, strict=True)
+    classes = zip(CLASSES, sheet.CLASS_COLORS, strict=True)
     offered: list[tuple[bool, Any]] = [
         *((r in here, Patch(**_LINE, fc=c, label=r.key)) for r, c in REGION_COLORS.items()),
         (not place.mounting.is_empty, Patch(**{**_HATCH, "fc": "white"}, label="mounting area")),
@@ -219,7 +207,7 @@ def _scene_keys(scene: Scene) -> list[Any]:
             for k, (name, c) in enumerate(classes)
         ),
         *((True, key) for key in body_keys(scene)),
-        (True, Line2D([], [], **CIRCLE, label="region of interest")),
+        (True, Line2D([], [], **sheet.CIRCLE, label="region of interest")),
     ]
     return [key for there, key in offered if there]
 
@@ -236,7 +224,7 @@ def plan_keys(scene: Scene, layout: Layout) -> list[Any]:
         keys.append(Patch(**USER, label="road user"))
     keys += body_keys(scene)
     keys.append(Line2D([], [], color=OUTLINE["ec"], lw=0.8, label="region outlined"))
-    return [*keys, Line2D([], [], **CIRCLE, label="region of interest")]
+    return [*keys, Line2D([], [], **sheet.CIRCLE, label="region of interest")]
 
 
 def _users(scene: Scene, frame: int) -> str:
@@ -271,7 +259,7 @@ def draw_plan(
     reach: float,
     frame: int | None = 0,
     *,
-    side: float = MAP,
+    side: float = sheet.MAP,
     own: Sequence[int] | None = None,
 ) -> AxesImage:
     """Draw a map of ``reach`` [m] and ``side`` [inch]: a layer, and over it a frame's road users if
@@ -281,7 +269,7 @@ def draw_plan(
     InspeError if the layer is of another scene.
     """
     raster, extent = layer_raster(scene.voxels, layer)
-    frame_map(ax, scene.voxels.center, scene.voxels.radius, reach)
+    sheet.frame_map(ax, scene.voxels.center, scene.voxels.radius, reach)
     own = range(len(layout)) if own is None else own
     specs, poses = [layout.sensors[s].spec for s in own], np.asarray(layout.poses, float)[[*own]]
     colors: Any = layer.colors
@@ -329,7 +317,7 @@ def wedge_look(spec: Spec, halo: bool = True) -> dict[str, Any]:
     """Line style of the outline of what a sensor looks at."""
     line = "-" if isinstance(spec, CameraSpec) else (0, (4, 2))
     look: dict[str, Any] = dict(color=SENSOR_COLORS[spec.kind], lw=0.8, ls=line)
-    return dict(look, path_effects=HALO) if halo else look
+    return dict(look, path_effects=sheet.HALO) if halo else look
 
 
 def _badge(ax: Axes, at: Sequence[float] | np.ndarray, number: int, kind: str) -> None:
@@ -384,7 +372,7 @@ def _list_kinds(panel: Axes, layer: MapLayer) -> float:
     """Draw the legend of the kinds of columns; returns its height [pt]."""
     keys = panel.legend(
         handles=kind_keys(layer), loc="upper left", title=layer.label, title_fontsize=7,
-        alignment="left", **KEYS,
+        alignment="left", **sheet.KEYS,
     )  # fmt: skip
     panel.add_artist(keys)
     lines = sum(name.count("\n") for name, _ in layer.kinds)
@@ -400,9 +388,9 @@ def _list_sensors(panel: Axes, layout: Layout, top: float) -> None:
     for unit, members in zip(layout.units, layout.members(), strict=True):
         if members:
             y -= _ROW
-            panel.text(0, y, **look | fit(unit.name, 28, 6.5), weight="bold")
+            panel.text(0, y, **look | sheet.fit(unit.name, 28, 6.5), weight="bold")
         for k in members:
             y -= _ROW
             spec, height = layout.sensors[k].spec, poses[k, 2] - unit.base[2]
             _badge(panel, (6, y), k + 1, spec.kind)
-            panel.text(13, y, **look | fit(f"{device_words(spec)}, {height:.1f} m", 30, 6.5))
+            panel.text(13, y, **look | sheet.fit(f"{device_words(spec)}, {height:.1f} m", 30, 6.5))

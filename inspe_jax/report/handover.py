@@ -43,8 +43,7 @@ def plan_features(layout: Layout, place: Intersection) -> list[dict[str, Any]]:
         outline = view_outline(sensor.spec, pose, float(level))
         if len(outline) < 4:  # it looks at nothing, as from below the ground
             continue
-        degrees = known_georeference(place).to_degrees(outline).round(DIGITS)
-        ring = orient(Polygon(degrees))
+        ring = orient(Polygon(known_georeference(place).to_degrees(outline).round(DIGITS)))
         about = dict(feature="view", name=sensor.name, kind=sensor.spec.kind)
         found.append({"type": "Feature", "geometry": mapping(ring), "properties": about})
     return found
@@ -104,8 +103,7 @@ def plan_kml(layout: Layout, place: Intersection) -> str:
     folders = [Folder(name=f"{kind}s", features=own) for kind, own in by_kind.items()]
     styles = [
         Style(
-            id=kind,
-            styles=[LineStyle(color=colour, width=1.5), PolyStyle(color=FILL + colour[2:])],
+            id=kind, styles=[LineStyle(color=colour, width=1.5), PolyStyle(color=FILL + colour[2:])]
         )
         for kind, colour in LINE.items()
     ]
@@ -117,17 +115,16 @@ def plan_kml(layout: Layout, place: Intersection) -> str:
 def bill_of_materials(layout: Layout, prices: Mapping[str, float]) -> str:
     """The devices of a layout as CSV: how many, where, and what they cost [US dollars]. ``prices``
     replace the catalogue's. A device without a price has none here."""
-    return csv_text(
-        [
-            dict(
-                **{key: getattr(row, key) for key in ("device", "title", "maker", "count")},
-                price_usd="" if row.price is None else f"{row.price:.2f}",
-                total_usd="" if row.total is None else f"{row.total:.2f}",
-                units="; ".join(row.units),
-            )
-            for row in materials(layout, prices)
-        ]
-    )
+    rows = [
+        dict(
+            **{key: getattr(row, key) for key in ("device", "title", "maker", "count")},
+            price_usd="" if row.price is None else f"{row.price:.2f}",
+            total_usd="" if row.total is None else f"{row.total:.2f}",
+            units="; ".join(row.units),
+        )
+        for row in materials(layout, prices)
+    ]
+    return csv_text(rows)
 
 
 PLAN_FORMATS: dict[str, Callable[[Layout, Intersection, Mapping[str, float]], str]] = {

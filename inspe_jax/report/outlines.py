@@ -9,8 +9,7 @@ from inspe_jax.scene.placed_bodies import convex_parts
 from inspe_jax.scene.scene import Scene
 from inspe_jax.sensing.sensors import Spec
 
-FAN = 97, 33
-"""Rows and columns of the rays that outline a camera's view."""
+FAN = 97, 33  # rows and columns of the rays that outline a camera's view
 HIDING = ("building", "wall", "solid")
 """Kinds of bodies that a drawn view ends at. The others are small, or let light through."""
 FARTHEST = 100.0  # a shadow on the ground ends at most this many times as far away as what casts it

@@ -152,25 +152,22 @@ def report_page(
         record = scores_record(scores, scene, layout, entry.sought)
         shown = scores.conditions.layout(layout)
         photograph = done(views and views.photograph(scene, shown, frame))
-        parts.append(
-            dict(
-                entry=entry,
-                name=layout.name,
-                record=record,
-                units=schedule.installation_schedule(layout, scene.intersection, prices or {}),
-                materials=rows,
-                total=schedule.total_price(rows),
-                specs={device_words(sensor.spec): sensor.spec for sensor in layout.sensors},
-                counts=f"{counted(len(layout.units), 'unit')} with {words}",
-                goal=None if entry.sought is None else goal_words(layout, scores, entry.sought),
-                blind=_shares(of_columns["blind"]),
-                images=done(_images(scene, entry, of_columns, frame)),
-                photograph=photograph and image_text(photograph, DPI, "jpeg"),
-                scene3d=done(
-                    views and _text(views.scene3d(scene, layout, scores.conditions, frame))
-                ),
-            )
+        part = dict(
+            entry=entry,
+            name=layout.name,
+            record=record,
+            units=schedule.installation_schedule(layout, scene.intersection, prices or {}),
+            materials=rows,
+            total=schedule.total_price(rows),
+            specs={device_words(sensor.spec): sensor.spec for sensor in layout.sensors},
+            counts=f"{counted(len(layout.units), 'unit')} with {words}",
+            goal=None if entry.sought is None else goal_words(layout, scores, entry.sought),
+            blind=_shares(of_columns["blind"]),
+            images=done(_images(scene, entry, of_columns, frame)),
+            photograph=photograph and image_text(photograph, DPI, "jpeg"),
+            scene3d=done(views and _text(views.scene3d(scene, layout, scores.conditions, frame))),
         )
+        parts.append(part)
     records = [part["record"] for part in parts]
     metrics = listed_in(*(entry.scores for entry in entries))
     return template("report", "page.html.j2").render(
@@ -244,11 +241,9 @@ def check_names(names: Sequence[str]) -> None:
     """Raise InspeError if there is no layout, or two have the same name."""
     if not names:
         raise InspeError("no layout to report on")
-    for name in names:
-        if names.count(name) > 1:
-            raise InspeError(
-                f"two layouts are named '{name}': give each layout file another `name:`"
-            )
+    name = next((name for name in names if names.count(name) > 1), None)
+    if name is not None:
+        raise InspeError(f"two layouts are named '{name}': give each layout file another `name:`")
 
 
 def _shares(blind: MapLayer) -> list[tuple[str, str, float]]:
@@ -264,9 +259,8 @@ def _in_words(value: Any) -> str:
     if isinstance(value, Mapping):
         nested = any(isinstance(part, Mapping) for part in value.values())
         mark, form = ("; ", "{} ({})") if nested else (", ", "{} {}")
-        return mark.join(
-            form.format(str(key).replace("_", " "), _in_words(part)) for key, part in value.items()
-        )
+        pairs = ((str(key).replace("_", " "), _in_words(part)) for key, part in value.items())
+        return mark.join(form.format(*pair) for pair in pairs)
     if isinstance(value, list | tuple):
         return ", ".join(_in_words(part) for part in value)
     return str(value)

@@ -9,17 +9,9 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import FancyArrowPatch
 
+from inspe_jax.core import sheet
 from inspe_jax.core.errors import InspeError
-from inspe_jax.core.sheet import (
-    HALO,
-    KEYS,
-    SIDE,
-    SIDE_LEFT,
-    WIDTH,
-    house_style,
-    setting_words,
-    sheet_of_two,
-)
+from inspe_jax.core.sheet import SIDE, SIDE_LEFT, WIDTH
 from inspe_jax.report.figures import draw_plan, in_math, plan_keys, reach_of
 from inspe_jax.report.layers import seen_layer
 from inspe_jax.scene.scene import Scene
@@ -57,13 +49,13 @@ def before_after(
     moved = not np.array_equal(before.poses, after.poses)
     when = (("before" if moved else "nothing moved", before, scores_before),
             ("after", after, scores))[: 1 + moved]  # fmt: skip
-    with house_style():
+    with sheet.house_style():
         title = f"{before.name} at {scene.name}"
         facts = f"radius {scene.voxels.radius:g} m, {scene.voxels.words}; frame {frame} of the "
-        facts += f"traffic; {setting_words(scores.settings)}"
+        facts += f"traffic; {sheet.setting_words(scores.settings)}"
         keys = plan_keys(scene, before)
         below = _BELOW + _ROW * np.ceil((len(keys) + 1) / 2)
-        fig, axes = sheet_of_two(title, facts, len(when), _HEAD, below)
+        fig, axes = sheet.sheet_of_two(title, facts, len(when), _HEAD, below)
         height, reach = fig.get_figheight(), reach_of(scene, before, after)
         for ax, (words, layout, of) in zip(axes, when, strict=True):
             layer, shown = seen_layer(of.seen_share, scene), of.conditions.layout(layout)
@@ -82,7 +74,7 @@ def before_after(
         keys_left = (SIDE_LEFT + SIDE) / WIDTH
         fig.legend(
             handles=keys, loc="lower left", bbox_to_anchor=(keys_left, 0.10 / height), ncols=2,
-            columnspacing=1.6, **KEYS,
+            columnspacing=1.6, **sheet.KEYS,
         )  # fmt: skip
     return fig
 
@@ -112,13 +104,12 @@ def _draw_moves(ax: Axes, layout: Layout, path: Float[np.ndarray, "K S 6"]) -> b
         ax.plot(*track[0], "o", ms=4, mfc="white", mec=_ARROW["color"], mew=0.8, zorder=5.5)
         ax.plot(*track[:-1].T, "-", marker=".", ms=2.5, zorder=5.4, **{**_ARROW, "lw": 0.5})
         bend = 0.12 if len(track) == 2 else 0.0
-        ax.add_patch(
-            FancyArrowPatch(
-                tuple(track[-2]), tuple(track[-1]), connectionstyle=f"arc3,rad={bend}",
-                arrowstyle="-|>,head_width=1.6,head_length=3", shrinkA=2, shrinkB=6, zorder=5.4,
-                path_effects=HALO, **_ARROW,
-            )
+        arrow = FancyArrowPatch(
+            tuple(track[-2]), tuple(track[-1]), connectionstyle=f"arc3,rad={bend}",
+            arrowstyle="-|>,head_width=1.6,head_length=3", shrinkA=2, shrinkB=6, zorder=5.4,
+            path_effects=sheet.HALO, **_ARROW,
         )  # fmt: skip
+        ax.add_patch(arrow)
     return moved
 
 

@@ -105,8 +105,7 @@ def devices_table(devices: Mapping[str, Device]) -> RenderableType:
         grid = device.spec.grid
         price = "–" if device.price_usd is None else f"{device.price_usd:,.0f}"
         rays = f"{len(grid.rows) * grid.column_count:,}"
-        numbers = (resolution, view, f"{grid.reach:g}", rays, price)
-        table.add_row(device.name, device.kind, *numbers)
+        table.add_row(device.name, device.kind, resolution, view, f"{grid.reach:g}", rays, price)
         words = f"{device.name}: {device.source.rstrip('.')}. {device.note}".strip()
         sources.append(Text(words, style="dim"))
     return Group(table, "", *sources)

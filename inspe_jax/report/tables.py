@@ -93,8 +93,7 @@ def scores_table(scores: Scores, layout: Layout, sought: float | None = None) ->
         each.add_row(str(k + 1), Text(part.sensor), Text(device), *drops)
 
     # Side by side as far as the terminal has room.
-    beside = Columns([total, regions], padding=(0, 4))
-    tables = Group(beside, "", each)
+    tables = Group(Columns([total, regions], padding=(0, 4)), "", each)
     if sought is None:
         return tables
     return Group(Text(goal_words(layout, scores, sought)), "", tables)
@@ -125,8 +124,7 @@ def before_after_table(result: Result) -> RenderableType:
         rows.append(("objective", "", result.objective_before, result.objective))
     for name, symbol, old, new in rows:
         look = "bold" if name == rows[-1][0] else ""
-        numbers = (f"{old:.3f}", f"{new:.3f}", f"{new - old:+z.3f}")
-        table.add_row(name, symbol, *numbers, style=look)
+        table.add_row(name, symbol, f"{old:.3f}", f"{new:.3f}", f"{new - old:+z.3f}", style=look)
     return table
 
 
@@ -152,9 +150,8 @@ def moves_table(before: Layout, after: Layout) -> RenderableType:
 def sweep_table(rows: Sequence[Mapping[str, str]]) -> RenderableType:
     """The results of a study by layout: mean ± standard deviation over scenes and settings."""
     metrics = listed({key for row in rows for key in row})
-    table = table_of(
-        "Mean ± standard deviation", "layout", "jobs", "failed", *(m.symbol for m in metrics)
-    )
+    symbols = (metric.symbol for metric in metrics)
+    table = table_of("Mean ± standard deviation", "layout", "jobs", "failed", *symbols)
     for name in dict.fromkeys(row["layout"] for row in rows):
         own = [row for row in rows if row["layout"] == name]
         done = [row for row in own if row["status"] == "done"]
@@ -174,8 +171,7 @@ def comparison_table(results: Sequence[Result]) -> RenderableType:
     """The results of several searches: one row for each method, the best median first."""
     by = by_method(results)
     name = f"{results[0].start.name}: {results[0].objective_before:.4f} at the start"
-    heads = ("seeds", "median", "worst", "best", "work", "time\n[s]")
-    table = table_of(name, "method", *heads)
+    table = table_of(name, "method", "seeds", "median", "worst", "best", "work", "time\n[s]")
     for method, of in sorted(by.items(), key=lambda row: -np.median([r.objective for r in row[1]])):
         scores = [result.objective for result in of]
         work = [np.median([getattr(r, key) for r in of]) for key in ("evaluations", "seconds")]
@@ -187,9 +183,8 @@ def comparison_table(results: Sequence[Result]) -> RenderableType:
 def pareto_table(found: Sequence[DeviceMix]) -> RenderableType:
     """Cost and scores of mixes of devices, cheapest first; those on the Pareto front in bold."""
     metrics = listed_in(*(mix.result.scores for mix in found))
-    table = table_of(
-        "Cost against score", "mix", "cost\n[US$]", *(m.symbol for m in metrics), "objective", ""
-    )
+    symbols = (metric.symbol for metric in metrics)
+    table = table_of("Cost against score", "mix", "cost\n[US$]", *symbols, "objective", "")
     for mix in found:
         scores = [f"{mix.result.scores.value(m.name):z.3f}" for m in metrics]
         numbers = (f"{mix.cost:,.0f}", *scores, f"{mix.result.objective:.4f}")
@@ -283,8 +278,7 @@ def scores_record(
 
 def blind_spots_table(scene: Scene, scores: Scores) -> RenderableType:
     """Where most is unseen: the first of :func:`~inspe_jax.scoring.blind_spots.blind_spots`."""
-    heads = ("unseen", "area\n[m²]", "of all unseen", "x, y [m]")
-    table = table_of("Blind spots", "region", *heads)
+    table = table_of("Blind spots", "region", "unseen", "area\n[m²]", "of all unseen", "x, y [m]")
     for spot in blind_spots(scene, scores.seen_share)[:SPOTS]:
         x, y = spot.at
         numbers = (f"{spot.unseen:.0%}", f"{spot.area:.0f}", f"{spot.loss:.0%}")

@@ -90,9 +90,8 @@ def targets_record(scene: Scene, layout: Layout, view: TargetView) -> dict[str, 
         record["lidar_returns"] = of(view.points_on_target, returns)
     if any(pictures):
         record["pixels_per_metre"] = of(view.pixel_density, BANDS)
-    record["detectability"] = {
-        region: float(values.mean()) for region, values in _shares(scene, view.detectability)
-    }
+    found = _shares(scene, view.detectability)
+    record["detectability"] = {region: float(values.mean()) for region, values in found}
     return record
 
 
@@ -141,12 +140,7 @@ def _panels(scene: Scene, layout: Layout, view: TargetView) -> list[Panel]:
 
 
 def targets_view(
-    scene: Scene,
-    layout: Layout,
-    view: TargetView,
-    *,
-    frame: int = 0,
-    conditions: Conditions = FAIR,
+    scene: Scene, layout: Layout, view: TargetView, *, frame: int = 0, conditions: Conditions = FAIR
 ) -> Figure:
     """Maps of what a road user gets at each place: LiDAR returns, pixels per metre, and for layouts
     of one kind of sensor the chance that it is found.
@@ -169,8 +163,7 @@ def targets_change(
     """The maps of :func:`targets_view` of two layouts of the same sensors, one above the other.
     Raises InspeError if there is no such ``frame``."""
     title = f"What a {before[1].road_user} gets: before and after, at {scene.name}"
-    rows = [("before: ", *before), ("after: ", *after)]
-    return _sheet(scene, title, rows, frame, conditions)
+    return _sheet(scene, title, [("before: ", *before), ("after: ", *after)], frame, conditions)
 
 
 def _sheet(

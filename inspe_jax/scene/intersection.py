@@ -164,8 +164,7 @@ class Intersection(Described):
         distance, index = self._ground_index.query(xy, k=neighbours)
         distance, index = (found.reshape(len(xy), neighbours) for found in (distance, index))
         weight = 1.0 / np.maximum(distance, 1e-6) ** 2
-        height = self.ground_points[index, 2]
-        return (weight * height).sum(1) / weight.sum(1)
+        return (weight * self.ground_points[index, 2]).sum(1) / weight.sum(1)
 
     def level(self, xy: Float[np.ndarray, "N 2"]) -> Float[np.ndarray, " N"]:
         """Height [m] of the roads in the map's own coordinates, by which one tells other levels:

@@ -65,8 +65,7 @@ def joined(*parts: Float[np.ndarray, "..."]) -> Line:
 
 def arc(center: Vector, radius: float, start: float, end: float) -> Line:
     """A circular arc from the direction ``start`` to ``end`` about its centre [m, rad]."""
-    sweep = abs(end - start)
-    steps = int(np.ceil(round(sweep / min(_ARC_STEP, _CHORD / radius), 6)))
+    steps = int(np.ceil(round(abs(end - start) / min(_ARC_STEP, _CHORD / radius), 6)))
     angle = np.linspace(start, end, steps + 1)
     return center + radius * np.column_stack([np.cos(angle), np.sin(angle)])
 
@@ -81,10 +80,8 @@ def bend(start: Vector, out: Vector, end: Vector, into: Vector, radius: float = 
     if not len(curve):
         handle = _HANDLE * np.hypot(*(end - start))
         t = np.linspace(0, 1, 33)[:, None]
-        a, b = start + handle * out, end - handle * into
-        curve = (
-            (1 - t) ** 3 * start + 3 * (1 - t) ** 2 * t * a + 3 * (1 - t) * t**2 * b + t**3 * end
-        )
+        u, a, b = 1 - t, start + handle * out, end - handle * into
+        curve = u**3 * start + 3 * u**2 * t * a + 3 * u * t**2 * b + t**3 * end
     return joined(start, curve, end)
 
 

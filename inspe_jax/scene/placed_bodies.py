@@ -43,9 +43,8 @@ def convex_parts(bodies: Sequence[StaticBody], place: Intersection) -> ConvexPar
             rows.append((octagon(one.middle, one.trunk), -np.inf, level + one.base, 0.0, k))
     corners = [row[0][np.minimum(np.arange(CORNERS), len(row[0]) - 1)] for row in rows]
     bottom, top, through, number = np.array([row[1:] for row in rows], float).reshape(-1, 4).T
-    return ConvexParts(
-        np.array(corners, float).reshape(-1, CORNERS, 2), bottom, top, through, number.astype(int)
-    )
+    rings = np.array(corners, float).reshape(-1, CORNERS, 2)
+    return ConvexParts(rings, bottom, top, through, number.astype(int))
 
 
 def grounds(bodies: Sequence[StaticBody], place: Intersection) -> Float[np.ndarray, " N"]:

@@ -213,13 +213,12 @@ def pack_bodies(bodies: Sequence[StaticBody], name: str = "statics") -> dict[str
     """Bodies as plain arrays and one JSON text, whose names begin with ``name``; none of none."""
     if not bodies:
         return {}
+    numbers = [[one.height, one.base, one.transmittance, one.trunk] for one in bodies]
     return {
         f"{name}_kinds": np.array(json.dumps([one.kind for one in bodies])),
         f"{name}_lengths": np.array([len(one.outline) for one in bodies], int),
         f"{name}_corners": np.concatenate([one.outline for one in bodies]),
-        f"{name}_numbers": np.array(
-            [[one.height, one.base, one.transmittance, one.trunk] for one in bodies]
-        ),
+        f"{name}_numbers": np.array(numbers),
     }
 
 

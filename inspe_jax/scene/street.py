@@ -165,8 +165,7 @@ class _Room:
 
     def add(self, *tries: StaticBody, from_crossings: float = 0.3) -> None:
         """Let the first body stand that may stand where it is, if any."""
-        fits = (one for one in tries if self.takes(one, from_crossings))
-        self.bodies += islice(fits, 1)
+        self.bodies += islice((one for one in tries if self.takes(one, from_crossings)), 1)
 
     def along(self, line: BaseGeometry, step: Callable[[], float]) -> Iterator[Spot]:
         """Spots along the parts of a line, ``step()`` metres apart, within the area."""
@@ -183,9 +182,7 @@ class _Room:
                     continue
                 along = along / size
                 out = np.array([-along[1], along[0]])
-                left, right = (
-                    Point(at + side * 0.3 * out).distance(self.lanes) for side in (1, -1)
-                )
+                left, right = (Point(at + s * 0.3 * out).distance(self.lanes) for s in (1, -1))
                 yield Spot(at, along, out if left > right else -out)
 
 
@@ -260,6 +257,5 @@ def _walls(room: _Room, rng: np.random.Generator) -> None:
     for spot in room.along(room.back, lambda: float(rng.uniform(9, 16))):
         kind, width, height = ("hedge", 0.7, 1.5) if rng.uniform() < 0.5 else ("wall", 0.25, 1.8)
         long, height = float(rng.uniform(5, 8)), height * float(rng.uniform(0.8, 1.15))
-        out = spot.moved(0.2 + width / 2)
-        one = upright_box(kind, out, (long, width, height), spot.yaw)
+        one = upright_box(kind, spot.moved(0.2 + width / 2), (long, width, height), spot.yaw)
         room.add(one, from_crossings=FROM_CROSSING)

@@ -79,8 +79,7 @@ class VoxelGrid(ByContent, Described):
     def column_weight(self) -> Float[np.ndarray, " L"]:
         """Region weight w of each column; 0 in a region that does not count."""
         some = self.counted or tuple(Region)
-        table = np.array([WEIGHTS[r] if r in some else 0.0 for r in Region])
-        return table[self.region]
+        return np.array([WEIGHTS[r] if r in some else 0.0 for r in Region])[self.region]
 
     @cached_property
     def weight(self) -> Float[np.ndarray, " V"]:

@@ -15,14 +15,11 @@ from inspe_jax.scene.traffic.frames import CLASSES
 Pose6 = Float[np.ndarray, "6"]
 Picture = UInt8[np.ndarray, "H W 3"]
 
-KINDS = CLASSES
-"""Kinds of :class:`RoadUserBox`."""
+KINDS = CLASSES  # kinds of :class:`RoadUserBox`
 
-MOST_TRACK = 2**16 - 2
-"""The largest track: ``track + 1`` must fit into a 16-bit picture."""
+MOST_TRACK = 2**16 - 2  # the largest track: ``track + 1`` must fit into a 16-bit picture
 
-LEAST_SIZE = 1e-3
-"""The smallest length, width or height of a box [m]."""
+LEAST_SIZE = 1e-3  # the smallest length, width or height of a box [m]
 
 MOST_FRAME = 999_999
 """The largest number of a frame: file names have six digits, and are sorted as text."""

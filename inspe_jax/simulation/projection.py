@@ -12,10 +12,8 @@ from inspe_jax.simulation.frame import RoadUserBox
 Corners = Float[np.ndarray, "B 8 3"]
 Edges = tuple[Float[np.ndarray, "M 2 2"], Int[np.ndarray, " M"]]
 
-NEAR = 0.1
-"""Edges are cut where they come closer to the plane of the camera than this [m]."""
-TOUCHING = 0.01
-"""The same for outlines: road users are rendered from this distance on [m]."""
+NEAR = 0.1  # edges are cut where they come closer to the plane of the camera than this [m]
+TOUCHING = 0.01  # the same for outlines: road users are rendered from this distance on [m]
 
 _SIGNS = np.array([[x, y, z] for z in (-1, 1) for x, y in ((1, 1), (-1, 1), (-1, -1), (1, -1))])
 _BOTTOM = [(0, 1), (1, 2), (2, 3), (3, 0)]

@@ -15,12 +15,10 @@ from inspe_jax.sensing.layout import Layout
 from inspe_jax.sensing.lidar_returns import ATTENUATION, LidarNoise
 from inspe_jax.simulation.frame import Boxes, Frame, Image, Scan, Station
 
-LAYERS = ("depth", "instance", "semantic")
-"""What a camera can record in addition to its pictures."""
+LAYERS = ("depth", "instance", "semantic")  # what a camera can record in addition to its pictures
 TURN = 0.1
 """How long a LiDAR's turn takes, if nothing else is said [s]: usual devices turn at 10 Hz."""
-MOST_PIXELS = 8192
-"""The largest width and height of a picture."""
+MOST_PIXELS = 8192  # the largest width and height of a picture
 
 Row = TypeVar("Row")
 
@@ -111,11 +109,7 @@ class Recorder(Protocol):
 
 
 def frame_of(
-    scene: Scene,
-    layout: Layout,
-    t: int,
-    boxes: Boxes,
-    recorded: Sequence[Image | Scan],
+    scene: Scene, layout: Layout, t: int, boxes: Boxes, recorded: Sequence[Image | Scan]
 ) -> Frame:
     """Frame t of a scene's traffic, with one station for each unit of the layout. ``recorded`` has
     one image or scan for each sensor of the layout, in the layout's order."""

@@ -19,8 +19,7 @@ from inspe_jax.core.words import counted
 
 SECONDS = 60.0
 """Longest time of a solution [s]. The best by then is taken, with how far off it may be."""
-DEAREST = 1e10
-"""Largest budget and largest cost of an option [US dollars]."""
+DEAREST = 1e10  # largest budget and largest cost of an option [US dollars]
 _SCALE = 1e4  # HiGHS ends within 1e-6 of the optimum, whatever the gap that is asked for
 _TRIES = 20
 
@@ -115,9 +114,7 @@ def _greatest_worst(
 
 
 def _greatest_sum(
-    cents: Sequence[Int[np.ndarray, " K"]],
-    worth: Sequence[Float[np.ndarray, " K"]],
-    limit: int,
+    cents: Sequence[Int[np.ndarray, " K"]], worth: Sequence[Float[np.ndarray, " K"]], limit: int
 ) -> tuple[list[int], float]:
     """(The option of each place with the greatest sum within the limit, what no sum can exceed).
     HiGHS works in floating point: a choice that exceeds the limit in whole cents after all is

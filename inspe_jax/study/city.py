@@ -26,8 +26,7 @@ from inspe_jax.study.budget import Share, share_out
 from inspe_jax.study.plan import Study, make_study
 from inspe_jax.study.sweep import LAYOUTS, Row
 
-SIGNALS, ALL = "signals", "all"
-"""Words for junctions with signals, and for all."""
+SIGNALS, ALL = "signals", "all"  # words for junctions with signals, and for all
 
 
 @dataclass(frozen=True)
@@ -46,8 +45,7 @@ class Option:
         return f"{LAYOUTS}/{self.key}.yaml" if self.key else ""
 
 
-NOTHING = Option("", 0.0, 0.0)
-"""No devices: nothing is seen, and every score is 0."""
+NOTHING = Option("", 0.0, 0.0)  # no devices: nothing is seen, and every score is 0
 
 
 @dataclass(frozen=True)
@@ -163,8 +161,7 @@ def city_study(
     method of search, ``driving_side`` and ``more`` are as in a study file
     (:mod:`inspe_jax.study.plan`). Raises InspeError as :func:`~inspe_jax.study.plan.make_study`."""
     place = Path(path)
-    at = str(place.resolve())
-    of_all = {"map": at, "driving_side": driving_side}
+    of_all = {"map": str(place.resolve()), "driving_side": driving_side}
     scenes = [{"name": str(one.id), "junction": one.id, **of_all} for one in junctions]
     layouts = [{"mix": {name: n for name, n in mix.items() if n}} for mix in mixes]
     content = dict(scenes=scenes, layouts=layouts, settings=dict(settings), **more)
@@ -172,10 +169,7 @@ def city_study(
 
 
 def fronts_of(
-    study: Study,
-    rows: Sequence[Row],
-    junctions: Sequence[JunctionInfo],
-    costs: Mapping[str, float],
+    study: Study, rows: Sequence[Row], junctions: Sequence[JunctionInfo], costs: Mapping[str, float]
 ) -> tuple[JunctionFront, ...]:
     """The front of each junction, from the rows of a study; ``costs`` are those of mixes by name.
     No mix is on it that failed, or is beaten by one that costs no more."""

@@ -42,20 +42,8 @@ from pydantic import Field
 from inspe_jax.core.digest import digest
 from inspe_jax.core.errors import check_known, error_at
 from inspe_jax.core.files import check_model
-from inspe_jax.jobs import sources
-from inspe_jax.jobs.settings import (
-    CHECKS,
-    CONDITIONS,
-    Count,
-    Length,
-    Several,
-    Text,
-    WorldSettings,
-    check_settings,
-    combinations,
-    conditioned,
-    defaults_of,
-)
+from inspe_jax.jobs import settings, sources
+from inspe_jax.jobs.settings import Count, Length, Several, Text, WorldSettings
 from inspe_jax.placement.optimise import DEFAULT_SECONDS, METHODS
 from inspe_jax.placement.run import check_budget, check_seed
 from inspe_jax.scene.profiles import DEFAULT_PROFILE, profile_of
@@ -63,8 +51,7 @@ from inspe_jax.scoring import metrics
 from inspe_jax.scoring.detection import DetectionCurves, detection_curves, load_detection
 from inspe_jax.scoring.evaluate import check_options
 
-SCORE_ONLY = "none"
-"""The method that scores a layout as it is, without a search."""
+SCORE_ONLY = "none"  # the method that scores a layout as it is, without a search
 BUILD_SETTINGS = (
     *("profile", "radius", "voxel", "spacing", "density", "frames", "step", "mix", "traffic"),
     *("seed", "statics", "terrain"),
@@ -72,7 +59,7 @@ BUILD_SETTINGS = (
 """Settings that a scene is built with."""
 SCORE_SETTINGS = ("weights", "occlusion_reference", "visibility")
 SEARCH_SETTINGS = ("method", "seconds", "evaluations", "search_seed")
-SETTINGS = (*BUILD_SETTINGS, *CONDITIONS, *SCORE_SETTINGS, *SEARCH_SETTINGS)
+SETTINGS = (*BUILD_SETTINGS, *settings.CONDITIONS, *SCORE_SETTINGS, *SEARCH_SETTINGS)
 
 
 @dataclass(frozen=True)
@@ -156,7 +143,7 @@ class _StudyFile(sources.Sources):
     detection: Text | None = None
 
 
-_CHECKS = CHECKS | {
+_CHECKS = settings.CHECKS | {
     "weights": metrics.weights_of,
     "occlusion_reference": lambda value: check_options(None, value, "in_view"),
     "visibility": lambda value: check_options(None, "roi", value),
@@ -171,8 +158,7 @@ def load_study(path: str | os.PathLike[str]) -> Study:
     """Read a study file; its form is in this module's docstring. Raises InspeError that names the
     file, the key and what is allowed."""
     path = Path(path)
-    content = sources.read_study(path)
-    return make_study(content, path.parent, str(path), path.stem)
+    return make_study(sources.read_study(path), path.parent, str(path), path.stem)
 
 
 def make_study(
@@ -181,7 +167,7 @@ def make_study(
     """A study from the content of a study file; its paths are relative to ``folder``."""
     entry = check_model(_StudyFile, content, where)
     whole = {key: getattr(entry.settings, key) for key in SETTINGS}
-    check_settings(whole, f"{where}: settings", _CHECKS)
+    settings.check_settings(whole, f"{where}: settings", _CHECKS)
     weights = [metrics.weights_of(given) for given in entry.settings.weights]
     with error_at(f"{where}: metrics"):
         most = {name: max(row[name] for row in weights) for name in metrics.METRICS if weights}
@@ -198,11 +184,11 @@ def make_study(
         for profile in given["profile"] or [DEFAULT_PROFILE]:
             of = given | dict(profile=[profile])
             defaults = _defaults(profile, sized=bool(given["voxel"]))
-            builds = combinations(of, BUILD_SETTINGS, defaults)
-            rests = combinations(of, SETTINGS[len(BUILD_SETTINGS) :], defaults)
+            builds = settings.combinations(of, BUILD_SETTINGS, defaults)
+            rests = settings.combinations(of, SETTINGS[len(BUILD_SETTINGS) :], defaults)
             for build, layout, rest in product(builds, layouts, rests):
-                settings = build | _completed(conditioned(rest))
-                job = StudyJob(source, layout, settings, dict(item.tags), found, curves)
+                values = build | _completed(settings.conditioned(rest))
+                job = StudyJob(source, layout, values, dict(item.tags), found, curves)
                 jobs.setdefault(job.key, job)
     return Study(entry.name or name, tuple(jobs.values()))
 
@@ -214,16 +200,16 @@ def _defaults(profile: str, sized: bool) -> dict[str, list[Any]]:
     rest: dict[str, Any] = dict.fromkeys((*SCORE_SETTINGS, *SEARCH_SETTINGS))
     rest |= dict(occlusion_reference=own.occlusion_reference, visibility=own.visibility)
     rest |= dict(method=SCORE_ONLY, search_seed=0) | (dict(spacing=None) if sized else {})
-    usual = defaults_of((*BUILD_SETTINGS, *CONDITIONS), profile)
+    usual = settings.defaults_of((*BUILD_SETTINGS, *settings.CONDITIONS), profile)
     return usual | {key: [value] for key, value in rest.items()}
 
 
-def _completed(settings: dict[str, Any]) -> dict[str, Any]:
+def _completed(given: dict[str, Any]) -> dict[str, Any]:
     """Settings with the weights above 0, and without a budget where nothing is searched."""
-    by_name = metrics.weights_of(settings["weights"])
-    settings = settings | dict(weights={name: value for name, value in by_name.items() if value})
-    if settings["method"] == SCORE_ONLY:
-        return settings | dict(seconds=None, evaluations=None, search_seed=None)
-    if settings["seconds"] is None and settings["evaluations"] is None:
-        return settings | dict(seconds=DEFAULT_SECONDS)
-    return settings
+    by_name = metrics.weights_of(given["weights"])
+    given = given | dict(weights={name: value for name, value in by_name.items() if value})
+    if given["method"] == SCORE_ONLY:
+        return given | dict(seconds=None, evaluations=None, search_seed=None)
+    if given["seconds"] is None and given["evaluations"] is None:
+        return given | dict(seconds=DEFAULT_SECONDS)
+    return given

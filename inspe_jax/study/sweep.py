@@ -29,10 +29,8 @@ Row = dict[str, str]
 TABLE = "results.csv"
 FACTS = ("sensors", "voxels", "objects")
 """Columns: number of sensors, of voxels, and mean number of objects in a frame."""
-BEFORE = "surrogate_before"
-"""Column of P_sm before a search; empty where nothing was searched."""
-LAYOUTS = "layouts"
-"""Folder of the layouts that searches found, by the keys of their jobs."""
+BEFORE = "surrogate_before"  # column of P_sm before a search; empty where nothing was searched
+LAYOUTS = "layouts"  # folder of the layouts that searches found, by the keys of their jobs
 
 
 def sweep(
@@ -160,8 +158,7 @@ def columns(study: Study) -> tuple[str, ...]:
     """The columns of a study's results."""
     first = ("key", "scene", "layout", *(f"tag_{name}" for name in study.tags))
     names = (m.name for m in listed(study.metrics))
-    last = (BEFORE, "status", "error", *versions())
-    return (*first, *SETTINGS, *FACTS, *names, *last)
+    return (*first, *SETTINGS, *FACTS, *names, BEFORE, "status", "error", *versions())
 
 
 def scene_of_job(job: StudyJob) -> Scene:

@@ -65,8 +65,7 @@ class Viewer:
         self._reports = JobQueue(self._failed)  # a report takes seconds to draw
         token = token or new_token()
         title = f"{layout.name} at {case.scene.name} – inspe_jax"
-        head = template("viewer", "head.html.j2").render(title=title)
-        self.server = serve(port, token, head)
+        self.server = serve(port, token, template("viewer", "head.html.j2").render(title=title))
         self.port = self.server.get_port()
         self.url = f"http://{HOST}:{self.port}/{token}/"
         self.panel = Panel(self.server.gui, self, self.frames)

@@ -22,12 +22,10 @@ from inspe_jax.viewer.job_queue import JobQueue
 from inspe_jax.viewer.panel import SLATE, bind
 
 LETTERS = "ABCDE"  # of the worst blind spots, on the plan view and in the list
-SIDE, DOTS = 3.4, 160
-"""Side of the plan view [inch], and pixels per inch."""
+SIDE, DOTS = 3.4, 160  # side of the plan view [inch], and pixels per inch
 APART = 0.07  # least distance between two letters, as a share of the side
 _IMAGE = template("viewer", "blind_spots.html.j2")
-AWAY = np.array([0.0, -22.0, 20.0])
-"""From a blind spot to the camera that looks at it [m]."""
+AWAY = np.array([0.0, -22.0, 20.0])  # from a blind spot to the camera that looks at it [m]
 
 
 class BlindSpotPanel:
@@ -99,8 +97,7 @@ def plan_picture(
         key = ax.inset_axes((0.03, 0.03, 0.26, 0.022), zorder=10)
         key.imshow(np.linspace(0, 1, 64)[None], cmap=layer.colors, aspect="auto")
         key.axis("off")
+        look: dict[str, Any] = dict(size=6.5, va="bottom", transform=ax.transAxes, zorder=10)
         for x, words, side in ((0.03, "never", "left"), (0.29, "always seen", "right")):
-            ax.text(
-                x, 0.06, words, size=6.5, ha=side, va="bottom", transform=ax.transAxes, zorder=10
-            )
+            ax.text(x, 0.06, words, ha=side, **look)
     return fig

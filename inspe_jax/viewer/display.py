@@ -45,9 +45,8 @@ class Display:
         self._waiting = DelayedAction()
         server.gui.set_panel_label(f"{visible(opened.name)} at {visible(case.scene.name)}")
         self.scene3d = Scene3D(server.scene, case.scene)
-        self.blind_spots = BlindSpotPanel(
-            server.gui, self._panel.blind_spots, case.scene, self._queue.failed
-        )
+        where = self._panel.blind_spots
+        self.blind_spots = BlindSpotPanel(server.gui, where, case.scene, self._queue.failed)
         self.scene3d.draw_mounting()
         look_from(server.initial_camera, case.scene, back=BACK)
 

@@ -26,8 +26,7 @@ from inspe_jax.simulation.frame import Image
 from inspe_jax.viewer.scene3d import Scene3D, look_from
 from inspe_jax.viewer.server import quiet, serve
 
-WIDTH, HEIGHT, DOTS = 1200, 660, 170
-"""Of the picture [pixels], and how many of them an inch has."""
+WIDTH, HEIGHT, DOTS = 1200, 660, 170  # of the picture [pixels], and how many of them an inch has
 FOCAL = 0.72  # focal length of the camera, in widths of the picture
 BACK, UP, BEYOND = 1.25, 0.95, 0.12
 """Where the camera is, south of the middle and above it, and where it looks, south of the middle:

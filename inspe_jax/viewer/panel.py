@@ -13,8 +13,7 @@ from inspe_jax.scoring.viewshed import Visibility
 from inspe_jax.viewer.score_panel import VISIBILITY_NAMES
 
 SECONDS = 60.0  # usual time of a search [s]
-SLATE = (86, 104, 122)
-"""Colour of buttons that are not the main one of their folder."""
+SLATE = (86, 104, 122)  # colour of buttons that are not the main one of their folder
 BLIND_SPOTS = "Blind spots"
 """The title of their folder, while what is in it is of the layout in hand."""
 
@@ -167,10 +166,9 @@ class Panel:
 
             self._changes(self._gui.add_button(words, color=color), answer)
 
+        words = "was not written by this run of the viewer. It may hold other work."
         with question:
-            self._gui.add_markdown(
-                f"`{path.name}` was not written by this run of the viewer. It may hold other work."
-            )
+            self._gui.add_markdown(f"`{path.name}` {words}")
             offer(f"Save as {other.name}", None, other)
             offer(f"Replace {path.name}", "red", path)
             offer("Cancel", "gray", None)

@@ -240,19 +240,16 @@ class Scene3D:
             if route.user == "vehicle":
                 line = route.waypoints - self.shift
                 inside = np.hypot(*line[:, :2].T) <= self.scene.voxels.radius
-                both = segments(line + [0, 0, LIFT])[inside[:-1] & inside[1:]]
-                near.append(both)
+                near.append(segments(line + [0, 0, LIFT])[inside[:-1] & inside[1:]])
         if near:
             self._lines("ground/lanes", np.concatenate(near), "#ffffff", 0.06)
 
     def _on_ground(self, xy: Float[np.ndarray, "N 2"], lift: float = LIFT) -> np.ndarray:
-        z = self._ground(np.asarray(xy, float))
-        return np.column_stack([xy, z + lift]) - self.shift
+        return np.column_stack([xy, self._ground(np.asarray(xy, float)) + lift]) - self.shift
 
     def _lines(self, name: str, ends: np.ndarray, color: str, wide: float) -> None:
-        self.drawn[name] = self.api.add_line_segments(
-            name, ends.astype(np.float32), colors=rgb(color), thickness=wide
-        )
+        at = ends.astype(np.float32)
+        self.drawn[name] = self.api.add_line_segments(name, at, colors=rgb(color), thickness=wide)
 
     def _draw_bodies(self) -> None:
         """Draw the static bodies as they are recorded."""

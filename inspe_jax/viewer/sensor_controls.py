@@ -36,12 +36,10 @@ class SensorControls:
         known = sorted((one.spec for one in devices().values()), key=lambda spec: spec.title)
         self._devices = {label_of(spec): spec.name for spec in known}
         with gui.add_folder("New sensor", order=after + 0.1):
-            self.new = gui.add_dropdown(
-                "New device", list(self._devices), hint="The device that Add mounts"
-            )
-            self.add = gui.add_button(
-                "Add", hint="Mount a new sensor as near as possible to the point you look at"
-            )
+            hint = "The device that Add mounts"
+            self.new = gui.add_dropdown("New device", list(self._devices), hint=hint)
+            hint = "Mount a new sensor as near as possible to the point you look at"
+            self.add = gui.add_button("Add", hint=hint)
         with gui.add_folder("Sensor", order=after + 0.2):
             self.sensor = gui.add_dropdown("Sensor", ("1",))
             self.name = gui.add_text("Name", "")

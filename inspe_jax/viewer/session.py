@@ -21,8 +21,7 @@ TOLD = 0.01  # a number that comes out farther from what was typed is said [m, d
 BESIDE = 0.8
 """A copy is turned by this fraction of the field of view, so that both views overlap a little."""
 
-LARGEST = 1e9
-"""A number that is typed is not larger [m, degrees]: poses are in single precision."""
+LARGEST = 1e9  # a number that is typed is not larger [m, degrees]: poses are in single precision
 
 MountedLayout = tuple[Layout, tuple[str, ...]]
 """A layout, and in words how it differs from the one that was asked for."""

@@ -50,8 +50,7 @@ class FileOptions:
 
 DEFAULT_OPTIONS = FileOptions()
 
-UP = np.array([0.0, np.pi / 2, 0.0])
-"""Roll, pitch and yaw of a camera that looks straight up [rad]."""
+UP = np.array([0.0, np.pi / 2, 0.0])  # roll, pitch and yaw of a camera that looks straight up [rad]
 
 HIGHEST = 5.0
 """No road user is higher [m]: vehicles are limited to 4 m in most of Europe, 4.9 m in Britain."""
@@ -63,12 +62,9 @@ BELOW = 0.5
 STEP = 6.4
 """Limits along x and y are multiples of this [m]: 16 pillars of 0.4 m, to be halved four times."""
 
-PIXELS = 256
-"""Width and height of a map, as in OPV2V and these readers."""
-PIXEL = 0.39
-"""Size of a pixel [m]: they see 50 m ahead, back and aside."""
-MIDDLE = 127
-"""Row and column of the agent."""
+PIXELS = 256  # width and height of a map, as in OPV2V and these readers
+PIXEL = 0.39  # size of a pixel [m]: they see 50 m ahead, back and aside
+MIDDLE = 127  # row and column of the agent
 
 
 def frame_of(agent: Station) -> Float[np.ndarray, "6"]:

@@ -17,8 +17,7 @@ as long again, and saves nothing."""
 QUALITY = {"quality": 95, "subsampling": 0}
 """Of JPEG files: colours at full resolution, and errors of about two steps of 255."""
 SUFFIXES = {"png": ".png", "jpeg": ".jpg"}
-DEPTH_UNIT = 0.01
-"""The resolution of a depth picture [m]."""
+DEPTH_UNIT = 0.01  # the resolution of a depth picture [m]
 DEPTH_CAP = 2**16 - 1
 """The largest value of a depth picture; it stands for this distance and all beyond."""
 
@@ -59,6 +58,5 @@ def read_picture(path: Path, layer: str) -> np.ndarray:
     if layer != "rgb" and mode not in (("L", "P") if bits == 8 else ("I;16", "I;16B", "I")):
         raise InspeError(f"{path}: its pixels are {mode}: must be {bits}-bit greyscale")
     if layer == "depth":
-        metres = np.where(pixels >= DEPTH_CAP, np.inf, pixels * DEPTH_UNIT)
-        return metres.astype(np.float32)
+        return np.where(pixels >= DEPTH_CAP, np.inf, pixels * DEPTH_UNIT).astype(np.float32)
     return pixels.astype(np.int32) if layer == "instance" else pixels

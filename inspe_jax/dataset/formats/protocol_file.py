@@ -11,8 +11,7 @@ from inspe_jax.core.errors import InspeError, brief
 from inspe_jax.core.files import read_yaml, write_text
 from inspe_jax.simulation.frame import Station
 
-PROTOCOL = "data_protocol.yaml"
-"""The name of the file, in the scenario's folder."""
+PROTOCOL = "data_protocol.yaml"  # the name of the file, in the scenario's folder
 
 
 class _Dumper(yaml.CSafeDumper):
@@ -23,9 +22,7 @@ class _Dumper(yaml.CSafeDumper):
 
 
 def write_protocol(
-    scenario: str | os.PathLike[str],
-    protocol: Mapping[str, Any],
-    stations: Iterable[Station] = (),
+    scenario: str | os.PathLike[str], protocol: Mapping[str, Any], stations: Iterable[Station] = ()
 ) -> None:
     """Write what made a scenario into its folder, as :data:`PROTOCOL`, its keys in the order given.
 

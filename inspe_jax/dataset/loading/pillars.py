@@ -61,10 +61,7 @@ class PillarGrid:
         )
 
     def fill(
-        self,
-        points: Float[np.ndarray, "N 4"],
-        out: Pillars,
-        rng: np.random.Generator | None = None,
+        self, points: Float[np.ndarray, "N 4"], out: Pillars, rng: np.random.Generator | None = None
     ) -> None:
         """Put points, in random order, into the pillars ``out`` of one group, which are empty.
 

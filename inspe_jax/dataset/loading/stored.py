@@ -211,9 +211,7 @@ def _write(scenario: Scenario, part: Path, source: str, size: tuple[int, int] | 
                 each[key].append(value)
     counts = [len(boxes) for boxes in each["boxes"]]
     of_boxes = ("boxes", "kind", "track", "returns", "pixels")
-    index = {
-        key: (np.concatenate if key in of_boxes else np.stack)(rows) for key, rows in each.items()
-    }
+    index = {key: (np.concatenate if key in of_boxes else np.stack)(of) for key, of in each.items()}
     lidar_unit, camera_unit = units or ([], [])
     index |= {
         "number": np.array(scenario.frames, np.int32),

@@ -22,20 +22,8 @@ from inspe_jax.perception.detector import TEACHER, Detector, Predictor, loader_o
 from inspe_jax.perception.evaluation import NoTruth
 from inspe_jax.perception.head import aims, focal_loss, loss, perspective_aims
 from inspe_jax.perception.inputs import BevGrid, Inputs, inputs_of
-from inspe_jax.perception.training.run import (
-    AUGMENT,
-    LOSSES,
-    TEACHER_RUN,
-    VALIDATION,
-    Content,
-    Optimiser,
-    TrainingRun,
-    TrainingSettings,
-    agents_of,
-    begun,
-    check_sensors,
-    optimiser,
-)
+from inspe_jax.perception.training import run as runs
+from inspe_jax.perception.training.run import VALIDATION, TrainingRun, TrainingSettings
 from inspe_jax.simulation.frame import KINDS
 
 
@@ -51,8 +39,6 @@ class Report(NamedTuple):
 
 
 Progress = Callable[[Report], None]  # what is called after each step of a training
-
-
 Scalar = Float[Array, ""]
 
 
@@ -63,16 +49,16 @@ class _Losses(NamedTuple):
     on_pictures: Scalar
 
 
-def content_of(cache: Cache, settings: TrainingSettings, grid: BevGrid) -> Content:
+def content_of(cache: Cache, settings: TrainingSettings, grid: BevGrid) -> runs.Content:
     """What a run of these settings on a cache depends on."""
     sources = sorted((each.split, each.name, each.record.source) for each in cache.scenarios)
     frames = {name: sum(one.record.frames for one in own) for name, own in cache.splits.items()}
-    return Content(
+    return runs.Content(
         settings=settings,
         frames=frames,
         scenarios=digest(sources),
         pictures=None if cache.pictures is None else list(cache.pictures),
-        **agents_of(cache)._asdict(),
+        **runs.agents_of(cache)._asdict(),
         **asdict(grid),
     )
 
@@ -98,17 +84,16 @@ def train(
     grid = grid or BevGrid()
     grid.check()
     model = model_of(settings.model)
-    check_sensors(settings.model, cache)
+    runs.check_sensors(settings.model, cache)
     how: dict[str, Any] = dict(batch=settings.batch, seed=settings.seed, workers=1)
-    how["augment"] = AUGMENT if settings.augment else None
+    how["augment"] = runs.AUGMENT if settings.augment else None
     loader = loader_of(settings.model, cache, "train", grid, **how)
-    with begun(folder, content_of(cache, settings, grid)) as run:
+    with runs.begun(folder, content_of(cache, settings, grid)) as run:
         teacher = None
         if model.taught:
             own = settings.model_copy(update={"model": TEACHER})
-            into = run.path / TEACHER_RUN
-            taught = train(cache, into, own, grid=grid, progress=progress)
-            _, teacher = taught.last()
+            into = run.path / runs.TEACHER_RUN
+            _, teacher = train(cache, into, own, grid=grid, progress=progress).last()
         _train(loader, run, teacher, progress)
     return run
 
@@ -124,7 +109,7 @@ def _train(
         _validate(loader.cache, run, predictor, first)  # a kill came between state and mAP
     if first >= settings.steps:
         return
-    chain = optimiser(settings.steps, settings.rate)
+    chain = runs.optimiser(settings.steps, settings.rate)
     measured = run.rows(VALIDATION)
     late, mean_ap = None, measured[-1]["mean_ap"] if measured else None
     for number, batch in enumerate(loader.steps(first, settings.steps), first + 1):
@@ -140,7 +125,7 @@ def _train(
                 f"{run.path}: step {number} gave no numbers: train into another folder, at a lower "
                 f"rate than {settings.rate:g}; the state after step {run.steps} stays"
             )
-        run.write(LOSSES, {"step": number, **row})
+        run.write(runs.LOSSES, {"step": number, **row})
         late = total if late is None else 0.95 * late + 0.05 * total
         if due:
             run.keep(number, (detector, moments))
@@ -179,7 +164,7 @@ def distillation(taught: Float[Array, "B h w c"], teacher: Float[Array, "B h w c
 
 @eqx.filter_jit(donate="all-except-first")
 def training_step(
-    constant: tuple[Detector | None, Inputs, Targets, BevGrid, Optimiser],
+    constant: tuple[Detector | None, Inputs, Targets, BevGrid, runs.Optimiser],
     detector: Detector,
     moments: Any,
 ) -> tuple[Detector, Any, _Losses]:

@@ -15,17 +15,8 @@ from inspe_jax.core.errors import InspeError, check_known
 from inspe_jax.core.files import check_model
 from inspe_jax.scene.geojson import Feature, read_features
 from inspe_jax.scene.intersection import Intersection
-from inspe_jax.scene.maps.bodies import (
-    BARRIERS,
-    HEIGHTS,
-    NO_POLES,
-    POLE,
-    SAME_POLE,
-    TREE,
-    Shape,
-    crown_base,
-    with_bodies,
-)
+from inspe_jax.scene.maps import bodies
+from inspe_jax.scene.maps.bodies import Shape
 from inspe_jax.scene.statics import HIGHEST, LEAFY, octagon
 
 LARGE = 10.0  # what lies this much beyond the reach may still come into it, as a crown [m]
@@ -71,12 +62,12 @@ def with_own_bodies(
     near = [one for one, far in zip(features, away, strict=True) if far <= reach + LARGE]
     shapes = list(_once(made for one in near for made in _shapes(one)))
     notes: list[str] = []
-    found = with_bodies(replace(place, bodies=()), shapes, reach, notes)
+    found = bodies.with_bodies(replace(place, bodies=()), shapes, reach, notes)
     poles = [one.polygon for one in found.bodies if one.kind == "pole"]
     kept = tuple(
         one
         for one in place.bodies
-        if one.kind != "pole" or not shapely.dwithin(poles, one.polygon, SAME_POLE).any()
+        if one.kind != "pole" or not shapely.dwithin(poles, one.polygon, bodies.SAME_POLE).any()
     )
     if len(near) < len(features):
         far = f"{len(features) - len(near)} of {len(features)} features"
@@ -87,7 +78,7 @@ def with_own_bodies(
     notes += lost[:NAMED]
     notes += [f"and {len(lost) - NAMED:,} more poles: left out"] if len(lost) > NAMED else []
     words = [f"{os.path.basename(path)}: {note.replace('of the map ', '')}" for note in notes]
-    before = tuple(note for note in place.notes if note != NO_POLES or not len(found.poles))
+    before = tuple(note for note in place.notes if note != bodies.NO_POLES or not len(found.poles))
     return replace(found, bodies=(*kept, *found.bodies), notes=(*before, *words))
 
 
@@ -97,7 +88,7 @@ def _poles_left_out(
     """A line for each pole of the file that is not among ``poles``: its name or number, and why."""
     for one in features:
         kind = _kind_of(one.properties.get("kind"), one.geometry)
-        if kind != "pole" or shapely.dwithin(poles, one.geometry, SAME_POLE).any():
+        if kind != "pole" or shapely.dwithin(poles, one.geometry, bodies.SAME_POLE).any():
             continue
         away = one.geometry.distance(shapely.Point(place.center[:2]))
         far = f"{away:.0f} m from the centre, farther than {reach:g} m"
@@ -113,7 +104,7 @@ def _kind_of(given: Any, geometry: BaseGeometry) -> Any:
 def _once(shapes: Iterable[Shape]) -> Iterator[Shape]:
     feet: list[BaseGeometry] = []
     for one in shapes:
-        if one.kind != "pole" or not shapely.dwithin(feet, one.area, SAME_POLE).any():
+        if one.kind != "pole" or not shapely.dwithin(feet, one.area, bodies.SAME_POLE).any():
             feet += [one.area] * (one.kind == "pole")
             yield one
 
@@ -124,21 +115,21 @@ def _shapes(one: Feature) -> Iterator[Shape]:
         if part.geom_type not in USUAL or part.is_empty:
             raise InspeError(f"{where}: a {part.geom_type} is no body: {', '.join(USUAL)}")
         kind = _kind_of(own.kind, part)
-        check_known(kind, HEIGHTS, f"{where}: kind")
-        height, base = own.height_m or HEIGHTS[kind], own.base_m
+        check_known(kind, bodies.HEIGHTS, f"{where}: kind")
+        height, base = own.height_m or bodies.HEIGHTS[kind], own.base_m
         if base >= height:
             raise InspeError(f"{where}: base_m {base:g} m must be below height_m {height:g} m")
         trunk, through = 0.0, own.transmittance
         if kind == "tree":
-            base = base or crown_base(height)
-            trunk = TREE["circumference"] / (2 * np.pi)
+            base = base or bodies.crown_base(height)
+            trunk = bodies.TREE["circumference"] / (2 * np.pi)
             through = LEAFY if through is None else through
         area = part
         if part.geom_type == "LineString":
-            usual = BARRIERS["hedge" if kind == "hedge" else "wall"][1]
+            usual = bodies.BARRIERS["hedge" if kind == "hedge" else "wall"][1]
             area = part.buffer((own.width_m or usual) / 2, cap_style="flat", join_style="mitre")
         elif part.geom_type == "Point":
-            usual = TREE["diameter_crown"] if kind == "tree" else 2 * POLE[1]
+            usual = bodies.TREE["diameter_crown"] if kind == "tree" else 2 * bodies.POLE[1]
             radius = (own.diameter_m or usual) / 2
             area, trunk = Polygon(octagon(part.coords[0], radius)), min(trunk, radius / 2)
         yield Shape(kind, area, height, base, through or 0.0, trunk)

@@ -18,30 +18,13 @@ from shapely.geometry.base import BaseGeometry
 from shapely.ops import unary_union
 
 from inspe_jax.core.errors import InspeError, nearest
+from inspe_jax.scene import intersection
 from inspe_jax.scene.georeference import Georeference
-from inspe_jax.scene.intersection import (
-    Arm,
-    Intersection,
-    Route,
-    corner_islands,
-    crossing_lines,
-    joined_lines,
-    mouth_crosswalks,
-    off_roads,
-    walking_routes,
-)
+from inspe_jax.scene.intersection import Arm, Intersection, Route, crossing_lines, joined_lines
 from inspe_jax.scene.lines import distance_from, distinct, onward, resampled
+from inspe_jax.scene.maps import lanes
 from inspe_jax.scene.maps.bodies import NO_POLES
-from inspe_jax.scene.maps.lanes import (
-    CARRIAGEWAY,
-    SHOULDER,
-    SIDEWALK,
-    TRAVEL,
-    Approach,
-    LaneStrip,
-    arms_of,
-    same_level,
-)
+from inspe_jax.scene.maps.lanes import CARRIAGEWAY, SIDEWALK, TRAVEL, Approach, LaneStrip
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.voxels import check_range
 
@@ -98,10 +81,9 @@ def mounting_of(
     standing = [regions[Region.SIDEWALK], regions[Region.SHOULDER], *medians]
     beside = unary_union(standing).distance(regions[Region.JUNCTION])
     if not beside <= 5.0:  # also if there is nothing: the distance is then not a number
-        standing.append(corner_islands(arms))
+        standing.append(intersection.corner_islands(arms))
     traffic = [regions[r] for r in (Region.DRIVEWAY, Region.JUNCTION, Region.CROSSWALK)]
-    free = unary_union(standing).intersection(disc).difference(unary_union(traffic))
-    return clean(free)
+    return clean(unary_union(standing).intersection(disc).difference(unary_union(traffic)))
 
 
 RADIUS_READ = (0.0, 500.0)  # allowed radius of what is read of a map [m]
@@ -143,7 +125,7 @@ class MapJunction(ABC):
         """The region of a lane; None of one that is in no region."""
         if strip.kind in CARRIAGEWAY:
             return Region.JUNCTION if strip.road in self.interior else Region.DRIVEWAY
-        if strip.kind in SHOULDER:
+        if strip.kind in lanes.SHOULDER:
             return Region.SHOULDER
         return Region.SIDEWALK if strip.kind in SIDEWALK else None
 
@@ -170,7 +152,7 @@ class MapJunction(ABC):
         else:
             strips = "the map has no crosswalks here; strips across the junction's mouths stand in"
         self.notes.append(strips)
-        return walks + [mouth_crosswalks((arm,)) for arm in arms], lines
+        return walks + [intersection.mouth_crosswalks((arm,)) for arm in arms], lines
 
     @abstractmethod
     def lanes(self) -> tuple[list[LaneStrip], list[bool]]:
@@ -333,7 +315,7 @@ class RoadMap(ABC):
         for name in self.junctions():
             middle, size, signals = self.node(name)
             approaches = self.around(self, {name}, middle, 0.0).approaches
-            arms, _ = arms_of(approaches)
+            arms, _ = lanes.arms_of(approaches)
             streets = dict.fromkeys(filter(None, (self.street(one) for one in approaches)))
             near = int((distance_from(walks, middle) < size / 2 + 8.0).sum())
             x, y, z = middle.tolist()
@@ -347,7 +329,7 @@ class RoadMap(ABC):
         members, middle, where = self._chosen(junction, center)
         check_range("radius", radius, RADIUS_READ)
         here = self.around(self, members, middle, radius)
-        lane_strips = same_level(*here.lanes())
+        lane_strips = lanes.same_level(*here.lanes())
         reach = radius + MARGIN
         ground = np.concatenate([np.zeros((0, 3)), *(s.ground for s in lane_strips)])
         ground = ground[distance_from(ground, middle) <= reach + 5.0]
@@ -355,7 +337,7 @@ class RoadMap(ABC):
             raise InspeError(
                 f"{self.source}: no roads within {radius:g} m of ({middle[0]:.1f}, {middle[1]:.1f})"
             )
-        arms, arm_of = arms_of(here.approaches)
+        arms, arm_of = lanes.arms_of(here.approaches)
         areas = _side_by_side(here.areas(lane_strips))
         disc = Point(middle[:2]).buffer(reach, quad_segs=32)
         walks, known = here.crosswalks(areas, arms, ground, disc)
@@ -381,9 +363,10 @@ class RoadMap(ABC):
             if strip.kind in SIDEWALK
             for run in strip.runs(distance_from(strip.center, middle) <= radius)
         ]
-        lanes = [s.center for s in lane_strips if s.kind in CARRIAGEWAY]
-        paths = [*known, *crossing_lines(walks[len(known) :], lanes), *joined_lines(pavements)]
-        people = walking_routes(place, off_roads(paths, areas, here.notes))
+        middles = [s.center for s in lane_strips if s.kind in CARRIAGEWAY]
+        paths = [*known, *crossing_lines(walks[len(known) :], middles), *joined_lines(pavements)]
+        walked = intersection.off_roads(paths, areas, here.notes)
+        people = intersection.walking_routes(place, walked)
         place = replace(
             place,
             center=place.on_ground(middle[None])[0],

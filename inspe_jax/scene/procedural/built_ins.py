@@ -13,31 +13,11 @@ from jaxtyping import Float
 from shapely.geometry import MultiPolygon, Polygon, box
 
 from inspe_jax.core.errors import check_known
+from inspe_jax.scene import lines
 from inspe_jax.scene.intersection import CROSSWALK_WIDTH, Arm, Intersection
-from inspe_jax.scene.lines import (
-    arc,
-    at_distance,
-    bend,
-    joined,
-    offset,
-    onto_ring,
-    resampled,
-    turned,
-)
-from inspe_jax.scene.procedural.roads import (
-    LENGTH,
-    LEVEL,
-    ROUTE_LENGTH,
-    Road,
-    corners,
-    gap,
-    neighbours,
-    route,
-    station,
-    strip,
-    town,
-    turns,
-)
+from inspe_jax.scene.lines import arc, at_distance, bend, joined, offset, onto_ring, turned
+from inspe_jax.scene.procedural import roads as town_roads
+from inspe_jax.scene.procedural.roads import LENGTH, ROUTE_LENGTH, Road, route, station, strip, town
 from inspe_jax.scene.regions import Region
 
 LANE = 3.5  # width of a lane in towns [m]
@@ -59,8 +39,8 @@ def crossing(
         corner_radius: Radius of the kerbs [m].
     """
     roads = [Road(float(np.radians(b)), n, LANE) for b, n in zip(bearings_deg, lanes, strict=True)]
-    roads, kerbs = corners(roads, corner_radius)
-    return town(name, roads, kerbs, list(turns(roads, corner_radius)))
+    roads, kerbs = town_roads.corners(roads, corner_radius)
+    return town(name, roads, kerbs, list(town_roads.turns(roads, corner_radius)))
 
 
 def roundabout() -> Intersection:
@@ -78,12 +58,12 @@ def roundabout() -> Intersection:
         """In along one road, ``left`` of its axis, round the ring, and out along another."""
         on = onto_ring(left, radius, bend)
         until = float(np.arctan2(on[-1, 1], on[-1, 0]))
-        sweep = gap(a, b)
+        sweep = town_roads.gap(a, b)
         round_it = arc(np.zeros(2), radius, until, sweep - until)
         off = turned(on * [1, -1], sweep)[::-1]
         return turned(joined(on, round_it, off), a.bearing)
 
-    kerbs = [from_to(a, b, half, outer, corner_radius) for a, b in neighbours(roads)]
+    kerbs = [from_to(a, b, half, outer, corner_radius) for a, b in town_roads.neighbours(roads)]
     # A lane keeps its distance from the kerb on the arm, and follows the middle of the ring.
     lane = roads[0].lane(0)
     inner, bent = island + ring / 2, corner_radius + LANE / 2
@@ -119,7 +99,7 @@ def ramp() -> Intersection:
     # The ramp's middle line: straight, then an arc that ends beside the outer lane, then along it.
     turn = np.array([parallel - bend_radius * np.tan(angle / 2), beside])
     along = bend(turn - LENGTH * up, up, np.array([narrows, beside]), _EAST, bend_radius)[1:]
-    middle = joined(resampled(np.array([at_distance(turn, -up, LENGTH), along[0]])), along)
+    middle = joined(lines.resampled(np.array([at_distance(turn, -up, LENGTH), along[0]])), along)
     left, right = offset(middle, lane_width / 2), offset(middle, -lane_width / 2)
     taper = bend(right[-1], _EAST, np.array([end, -high]), _EAST)
     edge = joined(right, taper, np.array([LENGTH, -high]))
@@ -183,7 +163,7 @@ def ramp() -> Intersection:
         mounting=MultiPolygon(mounting),
         poles=lamps,
         notes=("a motorway: no crosswalks and no sidewalks",),
-        **LEVEL,
+        **town_roads.LEVEL,
     )
 
 

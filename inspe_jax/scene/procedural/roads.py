@@ -10,14 +10,8 @@ from shapely.geometry import MultiPolygon, Polygon
 from shapely.geometry.base import BaseGeometry
 from shapely.ops import unary_union
 
-from inspe_jax.scene.intersection import (
-    BUILT_IN,
-    CROSSWALK_WIDTH,
-    Arm,
-    Intersection,
-    Route,
-    mouth_crosswalks,
-)
+from inspe_jax.scene import intersection
+from inspe_jax.scene.intersection import CROSSWALK_WIDTH, Arm, Intersection, Route
 from inspe_jax.scene.lines import Line, arc_of, bend, fillet, joined, offset, resampled
 from inspe_jax.scene.regions import Region
 
@@ -26,7 +20,7 @@ ROUTE_LENGTH = 110.0  # length of routes from the middle [m]
 SHOULDER, SIDEWALK = 1.0, 3.0  # width of shoulders and of sidewalks [m]
 _SIDE = (-LENGTH, 0.0, LENGTH)
 LEVEL: dict[str, Any] = dict(
-    source=BUILT_IN,
+    source=intersection.BUILT_IN,
     center=np.zeros(3),
     ground_points=np.array([(x, y, 0.0) for x in _SIDE for y in _SIDE]),
 )
@@ -113,9 +107,8 @@ def town(
         driveway, junction = driveway.difference(islands), junction.difference(islands)
         mounting = unary_union([mounting, islands])
     # People walk from sidewalk to sidewalk, so a crosswalk spans the shoulders too.
-    crosswalks = mouth_crosswalks(
-        tuple(replace(arm, width=arm.width + 2 * SHOULDER) for arm in arms)
-    )
+    whole = tuple(replace(arm, width=arm.width + 2 * SHOULDER) for arm in arms)
+    crosswalks = intersection.mouth_crosswalks(whole)
     regions = {
         Region.DRIVEWAY: driveway,
         Region.JUNCTION: junction,

@@ -18,14 +18,8 @@ from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import ARRAYS, cached_by_file, check_input
 from inspe_jax.core.words import counted
 from inspe_jax.scene.intersection import Intersection
-from inspe_jax.scene.traffic.frames import (
-    CLASSES,
-    ROAD_USERS,
-    Snapshot,
-    TrafficFrames,
-    pack_frames,
-    standing_on,
-)
+from inspe_jax.scene.traffic import frames as traffic
+from inspe_jax.scene.traffic.frames import CLASSES, Snapshot, TrafficFrames
 
 LOG_SUFFIXES = (".log",)
 LONG = 6.0  # a vehicle longer than this [m] is a truck, whatever its name
@@ -135,7 +129,7 @@ def _read_packets(reader: _PacketReader, log: RecorderLog) -> None:
             kind = kind_of(name, facts, 2 * log.boxes[actor][3])
             if kind is not None:
                 log.kinds[actor], box = kind, log.boxes[actor]
-                whole = whole_box(box[:3], box[3:], np.array(ROAD_USERS[kind].size))
+                whole = whole_box(box[:3], box[3:], np.array(traffic.ROAD_USERS[kind].size))
                 log.boxes[actor] = np.concatenate(whole)
                 usual += not np.array_equal(log.boxes[actor], box)
     if usual:
@@ -196,7 +190,7 @@ def log_traffic(
             f"{path}: a log of map '{log.map}', and not of {intersection.name}: {share:.0%} of its "
             "cars and trucks are on the roads here; read the intersection from the log's own map"
         )
-    return pack_frames(seen, step)
+    return traffic.pack_frames(seen, step)
 
 
 def _at(log: RecorderLog, times: np.ndarray, time: float) -> _Moment:
@@ -217,9 +211,7 @@ def _at(log: RecorderLog, times: np.ndarray, time: float) -> _Moment:
     return _Moment(time, where, velocity)
 
 
-def _snapshot(
-    log: RecorderLog, moment: _Moment, intersection: Intersection, radius: float
-) -> Snapshot:
+def _snapshot(log: RecorderLog, moment: _Moment, place: Intersection, radius: float) -> Snapshot:
     who = [actor for actor in moment.where if actor in log.kinds]
     x, y, z, roll, pitch, yaw = np.reshape([moment.where[actor] for actor in who], (-1, 6)).T
     poses = from_carla(np.column_stack([x / 100, y / 100, z / 100, roll, yaw, pitch]))
@@ -228,10 +220,9 @@ def _snapshot(
     velocity = np.reshape([moment.velocity.get(actor, np.zeros(6)) for actor in who], (-1, 6))
     offset, speed, size = flip(box[:, :3]), flip(velocity[:, :3]), 2 * box[:, 3:]
     cos, sin = np.cos(yaw), np.sin(yaw)
-    middle = at[:, :2] + np.column_stack(
-        [cos * offset[:, 0] - sin * offset[:, 1], sin * offset[:, 0] + cos * offset[:, 1]]
-    )
+    ahead, left = offset[:, :2].T
+    middle = at[:, :2] + np.column_stack([cos * ahead - sin * left, sin * ahead + cos * left])
     kind = np.array([log.kinds[actor] for actor in who], np.int8)
     everybody = Snapshot(middle, yaw, size, kind, np.array(who, np.int32), speed)
     foot = at[:, 2] + offset[:, 2] - size[:, 2] / 2
-    return standing_on(intersection, radius, everybody, foot)
+    return traffic.standing_on(place, radius, everybody, foot)

@@ -25,10 +25,8 @@ from inspe_jax.simulation.carla.traffic import Actors
 from inspe_jax.simulation.frame import Boxes, Frame, Image, Scan
 from inspe_jax.simulation.recorder import Recording, Server, frame_of, noise_source, row_of
 
-SETTLE = 1.0
-"""Simulated time before the first frame [s], in which cameras adjust their exposure."""
-PATIENCE = 1.0
-"""How long to wait for the sensors' first measurements before the next tick [s]."""
+SETTLE = 1.0  # simulated time before the first frame [s], in which cameras adjust their exposure
+PATIENCE = 1.0  # how long to wait for the sensors' first measurements before the next tick [s]
 
 
 class CarlaRecorder:
@@ -69,9 +67,8 @@ class CarlaRecorder:
     def __enter__(self) -> Self:
         with plain_errors(self.server), ExitStack() as stack:
             place, rate = self.scene.intersection, self.recording.rate
-            self.session: CarlaSession = stack.enter_context(
-                session_on(self.server, place, rate, self.conditions)
-            )
+            opened = session_on(self.server, place, rate, self.conditions)
+            self.session: CarlaSession = stack.enter_context(opened)
             lights = self.conditions != FAIR
             self.actors = Actors(self.session, self.scene.traffic, lights, self.appearance_seed)
             self.queues = [self._listen(s) for s in range(len(self.sensors))]
@@ -134,5 +131,4 @@ class CarlaRecorder:
             data[name] = queue.take(number, until)
             if data[name] is None:
                 self._fail(queue, f"frame {number}")
-        noise = noise_source(self.seed, t, s)
-        return self.sensors[s].record(self.poses[s], data, boxes, noise)
+        return self.sensors[s].record(self.poses[s], data, boxes, noise_source(self.seed, t, s))

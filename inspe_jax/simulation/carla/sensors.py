@@ -22,8 +22,7 @@ from inspe_jax.sensing.sensors import CameraSpec, LidarSpec
 from inspe_jax.simulation.frame import Boxes, Image, Picture, Pose6, Scan
 from inspe_jax.simulation.recorder import Recording, apply_noise
 
-FAR = 1000.0
-"""The largest depth that CARLA's depth camera can tell [m]."""
+FAR = 1000.0  # the largest depth that CARLA's depth camera can tell [m]
 EVEN = np.radians(0.02)
 """Channels that are this close to evenly spaced ones count as even [rad]: tables are rounded."""
 NEEDS: dict[str, tuple[str, ...]] = {
@@ -35,8 +34,7 @@ NEEDS: dict[str, tuple[str, ...]] = {
 number an actor has, so pixels are matched to road users by place."""
 ROAD_USER_LABELS = (12, 13, 14, 15, 16, 18, 19)
 """CARLA's labels (from 0.9.14 on) of people, riders, cars, trucks, buses, motorcycles, bicycles."""
-MARGIN = 0.3
-"""Mirrors and limbs may reach this far out of a box [m]."""
+MARGIN = 0.3  # mirrors and limbs may reach this far out of a box [m]
 
 Measured: TypeAlias = Mapping[str, Any]
 """What sensors of CARLA have measured, by the name of their blueprint."""

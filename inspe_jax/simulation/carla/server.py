@@ -15,12 +15,9 @@ from inspe_jax.sensing.conditions import Conditions
 from inspe_jax.simulation.embedded.light import LIGHTS
 from inspe_jax.simulation.recorder import Server
 
-LOADING = 180.0
-"""How long a map may take to load [s]."""
-ENDING = 5.0
-"""How long a call may take while everything is restored [s]: the server may be gone."""
-ROLE_NAME = "inspe"
-"""The role name of the actors that this package spawns."""
+LOADING = 180.0  # how long a map may take to load [s]
+ENDING = 5.0  # how long a call may take while everything is restored [s]: the server may be gone
+ROLE_NAME = "inspe"  # the role name of the actors that this package spawns
 
 _OPENDRIVE = " (OpenDRIVE)"
 

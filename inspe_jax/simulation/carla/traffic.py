@@ -17,8 +17,7 @@ from inspe_jax.simulation.frame import Boxes, Pose6, RoadUserBox
 
 SPAWN_HEIGHT = 300.0
 """Actors are spawned this high above the junction [m], in free air, and then moved down."""
-SPAWN_GAP = 8.0
-"""Vertical distance between actors that are spawned together [m]."""
+SPAWN_GAP = 8.0  # vertical distance between actors that are spawned together [m]
 SIZE_TOLERANCE = 0.1
 """A blueprint may be used if its error in size is at most this much larger than the best one's. The
 error is the largest absolute logarithm of the ratios of length, width and height."""
@@ -76,17 +75,16 @@ class Actors:
             where = snapshot.find(actor).get_transform()
             at, turn = where.location, where.rotation
             pose = from_carla([at.x, at.y, at.z, turn.roll, turn.yaw, turn.pitch])
-            found.append(
-                RoadUserBox(
-                    track=int(track),
-                    kind=CLASSES[kind],
-                    name=body.name,
-                    center=pose[:3] + rotation(pose[3:], np) @ body.middle,
-                    yaw=float(pose[5]),
-                    size=body.size,
-                    velocity=np.asarray(velocity, float),
-                )
+            box = RoadUserBox(
+                track=int(track),
+                kind=CLASSES[kind],
+                name=body.name,
+                center=pose[:3] + rotation(pose[3:], np) @ body.middle,
+                yaw=float(pose[5]),
+                size=body.size,
+                velocity=np.asarray(velocity, float),
             )
+            found.append(box)
         return tuple(found)
 
     def _bodies(self) -> dict[int, list[ActorBody]]:

@@ -25,8 +25,7 @@ from inspe_jax.simulation.projection import Corners, corners, outlines
 
 SHADOWED = 150.0
 """Shadows of road users are rendered up to this distance from the centre, along x and y [m]."""
-LONGEST = 200.0
-"""Longest shadow of anything [m]."""
+LONGEST = 200.0  # longest shadow of anything [m]
 ASIDE = 10.0
 """No road user reaches further from its centre in plan [m]: road trains are 18.75 m long."""
 SKY = 11
@@ -170,8 +169,7 @@ class Camera:
             wet = wet[self.static_world.paved(point[wet])]
         albedo[wet] *= 1 - np.float32(DARKER * shading.wet)
         ambient = shading.ambient_light(point, normal, albedo)
-        given = point[wet], normal[wet], self.directions[pixels][wet]
-        ambient[wet] += shading.reflected(*given)
+        ambient[wet] += shading.reflected(point[wet], normal[wet], self.directions[pixels][wet])
         ambient[~hit] = shading.sky(self.directions[pixels][~hit])
         direct = shading.sunlight(normal, albedo)
         in_sun = direct[:, 0] > 0

@@ -20,8 +20,7 @@ asks for 5,100 to 44,100 cd a lamp at 25 m on its own side of the road."""
 COLOUR = np.array([1.0, 0.95, 0.86], np.float32)
 CUT_OFF, GLARE = 0.01, 0.01
 """Slope of the cut-off (UN Regulation 48: 1 to 1.5 %) and the share of light that is above it."""
-BLUR = 0.008
-"""Half the slope over which the cut-off fades: lamps differ in height and aim."""
+BLUR = 0.008  # half the slope over which the cut-off fades: lamps differ in height and aim
 ASIDE, BELOW = np.radians(20.0), np.radians(4.0)
 """Where the beam is 1/e of its maximum: to either side, and below the cut-off [rad]."""
 HEIGHT = 0.4, 0.5, 0.95
@@ -30,18 +29,12 @@ REACH = 35.0
 """Beams are followed to this distance [m]; further ahead the sky lights the ground more."""
 FAINT = 0.25
 """Light that is left out, as a share of the sky's. It is subtracted, so that there is no edge."""
-CLEAR = 1.5
-"""Light of a beam that changes the look of a road user, as a share of the sky's."""
-MOST = 2
-"""A road user is lit by so many beams at most: in a queue, others are behind those nearby."""
-STEP = 0.5
-"""Spacing of the map [m]."""
-FINE = 4
-"""Cells of the fine map to a step: 12.5 cm."""
-BEYOND = 40.0
-"""The map reaches this far beyond the region of interest [m]."""
-WORTH = 0.2
-"""A further beam counts if it is at least so bright as a share of the brightest."""
+CLEAR = 1.5  # light of a beam that changes the look of a road user, as a share of the sky's
+MOST = 2  # a road user is lit by so many beams at most: in a queue, others are behind those nearby
+STEP = 0.5  # spacing of the map [m]
+FINE = 4  # cells of the fine map to a step: 12.5 cm
+BEYOND = 40.0  # the map reaches this far beyond the region of interest [m]
+WORTH = 0.2  # a further beam counts if it is at least so bright as a share of the brightest
 
 
 class Beams(NamedTuple):

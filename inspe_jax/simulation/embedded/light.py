@@ -73,8 +73,7 @@ road with 10 lx, white is 0.11 at night. A gain of 32 is 30 dB, a usual limit of
 
 LAMP = (6.0, 5.0, 3.6)
 """Light of a street lamp at 1 m: warm white; at 7.5 m 10 lx, as EN 13201 asks for mixed traffic."""
-CANDELA = 6.0 / 560
-"""Light of 1 cd at 1 m: 10 lx at 7.5 m are 560 cd."""
+CANDELA = 6.0 / 560  # light of 1 cd at 1 m: 10 lx at 7.5 m are 560 cd
 ELECTRONS = 6000.0
 """Photo-electrons of a pixel at brightness 1. White at midday, about 1.8, is then 11,000 electrons,
 the full well of pixels of 3 µm; at night, 10 lx on asphalt (albedo 0.1) are 0.3 cd/m², through a
@@ -83,10 +82,8 @@ READ = 2.5
 """Standard deviation of a pixel's noise in the dark, in electrons: that of CMOS sensors now."""
 REDUCED = 0.5
 """What a camera's own noise reduction leaves of the noise: as the mean over 4 pixels does."""
-KOSCHMIEDER = 3.0
-"""Contrast falls to 5 % = exp(−3) at the meteorological optical range."""
-RAIN = 0.00025
-"""Extinction per 1 mm/h of rain [1/m]."""
+KOSCHMIEDER = 3.0  # contrast falls to 5 % = exp(−3) at the meteorological optical range
+RAIN = 0.00025  # extinction per 1 mm/h of rain [1/m]
 
 SOAKED = 1.0
 """Rain that leaves 1/e of a road dry [mm/h]: in drizzle it dries in places, in more it is wet."""
@@ -145,10 +142,8 @@ def _curve() -> UInt8[np.ndarray, " N"]:
     return np.round(255 * np.clip(curve, 0, 1)).astype(np.uint8)
 
 
-WHITE = 2.5
-"""Brightness after the gain that becomes white in an image."""
-AT_ONCE = 2**16
-"""Largest number of items in a slice of :func:`parts`."""
+WHITE = 2.5  # brightness after the gain that becomes white in an image
+AT_ONCE = 2**16  # largest number of items in a slice of :func:`parts`
 _FINE = 2**14
 _CURVE = _curve()
 _QUANTILES = ndtri((np.arange(2**16) + 0.5) / 2**16).astype(np.float32)

@@ -98,9 +98,8 @@ class LiveSensor:
 
         @lru_cache(maxsize=1)
         def placed(*pose: float) -> SimulatedSensor:
-            return simulated_sensor(
-                self.spec, np.array(pose), own if pose == self._own else moved()
-            )
+            around = own if pose == self._own else moved()
+            return simulated_sensor(self.spec, np.array(pose), around)
 
         self._placed, self._actors = placed, lru_cache(maxsize=1)(own.actors)
 

@@ -19,8 +19,7 @@ from inspe_jax.simulation.frame import MOST_TRACK, Boxes, RoadUserBox
 
 STRIDE = {"pedestrian": 1.4, "cyclist": 4.5}
 """Distance of a whole stride, or of a turn of the crank [m]."""
-LARGEST_CAR = 6.5
-"""A parked vehicle that is longer than this is a truck [m]."""
+LARGEST_CAR = 6.5  # a parked vehicle that is longer than this is a truck [m]
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,19 +14,16 @@ from inspe_jax.simulation.embedded.light import LAMP, LIGHTS, haze, parts, wetne
 from inspe_jax.simulation.embedded.static_world import StaticWorld
 from inspe_jax.simulation.embedded.surface import noise
 
-LAMP_ABOVE = 1.5
-"""Height of street lamps above the tops of the poles [m]."""
+LAMP_ABOVE = 1.5  # height of street lamps above the tops of the poles [m]
 FAR = 1000.0
 """Range of cameras in clear air [m]. How far they can detect road users matters to scores only."""
 
 DARKER = 0.45
 """Share of the albedo that a soaked road loses: rough asphalt, by Lekner and Dorf's model."""
-HEAD_ON = 0.02
-"""Reflectance of water along the normal (refractive index 1.33)."""
+HEAD_ON = 0.02  # reflectance of water along the normal (refractive index 1.33)
 ROUGH, SMOOTH = 0.12, 0.04
 """Root-mean-square slope of the film, on the grains of asphalt and in puddles."""
-COVER = 0.12
-"""Share of the film that shines between the grains; in puddles all of it does."""
+COVER = 0.12  # share of the film that shines between the grains; in puddles all of it does
 LEVEL = (0.6, 0.76)
 """Where the noise of a road's unevenness begins to hold water, and where it holds a puddle."""
 

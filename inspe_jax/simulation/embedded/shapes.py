@@ -18,8 +18,7 @@ from jaxtyping import Float, Int
 from inspe_jax.core.errors import check_known
 
 _HERE = files("inspe_jax.simulation.embedded")
-PHASES = 24
-"""Number of steps of a cycle. Phases are rounded to a step."""
+PHASES = 24  # number of steps of a cycle. Phases are rounded to a step
 
 STRETCH = 0.15
 """A shape fits a box if no side of the box is larger or smaller than its own by a larger share.

@@ -53,8 +53,7 @@ def body_parts(one: StaticBody, place: Intersection) -> Iterator[Part]:
     """The triangles of one body on the ground of a place."""
     level = float(place.ground(one.middle[None])[0])
     # Its look depends on its own place alone: other bodies do not change it.
-    rng = np.random.default_rng(one.number)
-    yield from _LOOKS[one.kind](one, place, level, rng)
+    yield from _LOOKS[one.kind](one, place, level, np.random.default_rng(one.number))
 
 
 def walls(low: Float[np.ndarray, "*n N 3"], high: Float[np.ndarray, "*n N 3"]) -> F33:

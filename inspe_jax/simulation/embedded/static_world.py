@@ -24,33 +24,20 @@ from inspe_jax.scene.regions import Region
 from inspe_jax.scene.statics import StaticBody
 from inspe_jax.scene.street import HEADROOM, OVER_LANES
 from inspe_jax.scene.terrain import MARGIN, lattice_faces
+from inspe_jax.simulation.embedded import static_bodies
 from inspe_jax.simulation.embedded.embree import F33, R3, Caster
-from inspe_jax.simulation.embedded.static_bodies import (
-    FOUNDATION,
-    Material,
-    Part,
-    body_parts,
-    flat_triangles,
-    foot_of,
-    prism,
-    walls,
-)
+from inspe_jax.simulation.embedded.static_bodies import Material, Part, prism, walls
 from inspe_jax.simulation.embedded.surface import GRASS, Surface, lay_surface, noise
 
-SRGB = 2.2
-"""Exponent of sRGB's curve, nearly."""
-HORIZON = 400.0
-"""The ground reaches this far from the centre [m]."""
-KERB_SIZE = (0.15, 0.12)
-"""Width and height of a kerb [m]."""
+SRGB = 2.2  # exponent of sRGB's curve, nearly
+HORIZON = 400.0  # the ground reaches this far from the centre [m]
+KERB_SIZE = (0.15, 0.12)  # width and height of a kerb [m]
 POLE_RADIUS = 0.08
 POLE_HEIGHT = 6.0
-CLEAR = 2.0
-"""Least distance of trees and buildings from any region [m]."""
+CLEAR = 2.0  # least distance of trees and buildings from any region [m]
 CARRIAGEWAY = (Region.DRIVEWAY, Region.JUNCTION, Region.CROSSWALK)
 """Regions in which nothing stands."""
-BUILDINGS, TREES = 44, 60
-"""How many the generator tries to place."""
+BUILDINGS, TREES = 44, 60  # how many the generator tries to place
 
 _LABELS = np.array([0, 2, 3, 3, 9, 9, 6, 4, 20, 14, 15, 20])
 """CARLA's semantic labels of each :data:`Material`; the ground has those of its own labels."""
@@ -154,9 +141,9 @@ def build_static_world(
     fixed, poles, surface = _all_but_masts(intersection, radius, tuple(bodies))
     apart = [p for p in poles if all(np.hypot(*(p[:2] - m[:2])) > 0.5 for m in masts)]
     posts = np.array([*masts, *apart], float).reshape(-1, 4)
-    tubes = [Part(_tube(p[:3], POLE_RADIUS, p[3]), Material.POLE) for p in posts]
-    parts = [*tubes, *fixed]
+    parts = [*(Part(_tube(p[:3], POLE_RADIUS, p[3]), Material.POLE) for p in posts), *fixed]
     sizes = [len(part.triangles) for part in parts]
+    colours = [np.broadcast_to(part.colour, (len(part.triangles), 3)) for part in parts]
     return StaticWorld(
         center=center,
         triangles=(np.concatenate([part.triangles for part in parts]) - center).astype(np.float32),
@@ -164,9 +151,7 @@ def build_static_world(
         body=np.repeat([part.body for part in parts], sizes),
         surface=surface,
         poles=posts[:, :3] + np.array([0.0, 0.0, 1.0]) * posts[:, 3:],
-        colour=np.concatenate(
-            [np.broadcast_to(part.colour, (len(part.triangles), 3)) for part in parts]
-        ).astype(np.float32),
+        colour=np.concatenate(colours).astype(np.float32),
     )
 
 
@@ -188,8 +173,8 @@ def _all_but_masts(
             taken = unary_union([taken, own.buffer(CLEAR)])
         built = list[Polygon]()
         for k, corners in enumerate(_plots(intersection, taken, radius, rng)):
-            base, height = foot_of(corners, intersection), float(rng.uniform(6, 18))
-            sides, roof, _ = prism(corners, base, base + FOUNDATION + height)
+            base, height = static_bodies.foot_of(corners, intersection), float(rng.uniform(6, 18))
+            sides, roof, _ = prism(corners, base, base + static_bodies.FOUNDATION + height)
             parts += [Part(sides, Material.BUILDING, body=k), Part(roof, Material.ROOF, body=k)]
             built.append(Polygon(corners).buffer(1.0))
         taken = unary_union([taken, *built])
@@ -201,17 +186,15 @@ def _all_but_masts(
         parts.append(Part(faces, Material.SURVEYED, colour))
     for k, one in enumerate(bodies):
         if mesh is None or one.kind != "solid":
-            parts += [part._replace(body=k) for part in body_parts(one, intersection)]
+            parts += [part._replace(body=k) for part in static_bodies.body_parts(one, intersection)]
     surface = lay_surface(intersection, radius + MARGIN)
     return tuple(parts), _poles(intersection, radius, own), surface
 
 
-def _poles(
-    intersection: Intersection, radius: float, own: BaseGeometry
-) -> Float[np.ndarray, "P 4"]:
+def _poles(place: Intersection, radius: float, own: BaseGeometry) -> Float[np.ndarray, "P 4"]:
     """Feet and heights of the poles of the place that are near and clear of its bodies ``own``."""
-    feet = np.asarray(intersection.poles, float)
-    away = np.hypot(*(feet - np.asarray(intersection.center, float))[:, :2].T)
+    feet = np.asarray(place.poles, float)
+    away = np.hypot(*(feet - np.asarray(place.center, float))[:, :2].T)
     beside = shapely.dwithin(shapely.points(feet[:, :2]), own, 0.5)
     feet = feet[(away <= radius + MARGIN) & ~beside]
     return np.column_stack([feet, np.full(len(feet), POLE_HEIGHT)])
@@ -269,7 +252,7 @@ def _kerbs(intersection: Intersection) -> Iterator[F33]:
             line = np.asarray(ring.coords)[:-1, :2]
             low = np.column_stack([line, intersection.ground(line) - 0.05])
             yield walls(low, low + [0.0, 0.0, height + 0.05])
-        top = flat_triangles(part)
+        top = static_bodies.flat_triangles(part)
         z = intersection.ground(top.reshape(-1, 2)).reshape(-1, 3) + height
         yield np.concatenate([top, z[..., None]], -1)
 

@@ -15,12 +15,9 @@ from shapely.ops import unary_union
 from inspe_jax.scene.intersection import Intersection
 from inspe_jax.scene.regions import PRECEDENCE, Region
 
-CELL = 0.05
-"""Edge of a cell of the raster [m]."""
-STRIPE = 0.5
-"""Width of the stripes of a zebra crossing, and of the gaps between them [m]."""
-LINE = 0.12
-"""Width of a line between lanes [m]."""
+CELL = 0.05  # edge of a cell of the raster [m]
+STRIPE = 0.5  # width of the stripes of a zebra crossing, and of the gaps between them [m]
+LINE = 0.12  # width of a line between lanes [m]
 
 GRASS, PAINT = len(Region), len(Region) + 1
 """Labels in addition to the regions': no region, and white paint."""
@@ -113,9 +110,8 @@ def _lines(intersection: Intersection) -> list[BaseGeometry]:
     driveway = intersection.regions.get(Region.DRIVEWAY)
     if driveway is None or driveway.is_empty:
         return []
-    others = [
-        s for r, s in intersection.regions.items() if r in (Region.JUNCTION, Region.CROSSWALK)
-    ]
+    crossed = (Region.JUNCTION, Region.CROSSWALK)
+    others = [shape for region, shape in intersection.regions.items() if region in crossed]
     free = driveway.buffer(-0.7).difference(unary_union(others).buffer(0.8))
     sides = [
         LineString(route.waypoints[:, :2]).offset_curve(side * route.width / 2)

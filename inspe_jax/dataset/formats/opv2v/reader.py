@@ -21,19 +21,13 @@ from inspe_jax.dataset.formats.protocol_file import as_mapping
 from inspe_jax.simulation.frame import Boxes, Frame, Image, RoadUserBox, Scan, Station
 from inspe_jax.simulation.recorder import LAYERS
 
-TICK = 0.05
-"""Time from one frame number to the next [s], if no protocol says it."""
+TICK = 0.05  # time from one frame number to the next [s], if no protocol says it
 
 OBJ_TYPES: dict[str, str] = {
-    "car": "car",
-    "van": "car",
-    "truck": "truck",
-    "bus": "truck",
-    "cyclist": "cyclist",
-    "bicycle": "cyclist",
-    "motorcycle": "cyclist",
-    "pedestrian": "pedestrian",
-    "walker": "pedestrian",
+    **dict.fromkeys(("car", "van"), "car"),
+    **dict.fromkeys(("truck", "bus"), "truck"),
+    **dict.fromkeys(("cyclist", "bicycle", "motorcycle"), "cyclist"),
+    **dict.fromkeys(("pedestrian", "walker"), "pedestrian"),
 }
 """The kind of road user for each ``obj_type``, in lower case."""
 

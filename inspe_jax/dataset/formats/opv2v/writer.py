@@ -22,17 +22,10 @@ from inspe_jax.dataset.formats.protocol_file import dump_yaml, make_folder
 from inspe_jax.simulation.frame import Boxes, Frame, Image, RoadUserBox, Scan, Station, check_frame
 from inspe_jax.simulation.recorder import LAYERS
 
-SECTIONS: dict[str, str] = {
-    "car": "cars",
-    "cyclist": "cyclists",
-    "pedestrian": "pedestrians",
-    "truck": "trucks",
-}
+SECTIONS = {kind: f"{kind}s" for kind in ("car", "cyclist", "pedestrian", "truck")}
 """The Infra-Set variant's section for each kind, in addition to ``vehicles`` with all kinds."""
-NO_LIDAR = "no LiDAR"
-"""The comment in the empty PCD file of a station without one."""
-KMH = 3.6
-"""1 m/s in km/h."""
+NO_LIDAR = "no LiDAR"  # the comment in the empty PCD file of a station without one
+KMH = 3.6  # 1 m/s in km/h
 DECIMALS = 7
 """Decimals of lengths [m], angles [°] and speeds [km/h]: values are right to 1e-6, and so is the
 sum of ``location`` and ``center``."""

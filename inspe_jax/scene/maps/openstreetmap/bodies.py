@@ -187,9 +187,8 @@ class BodyReader:
 
     def _near(self, *of: Float[np.ndarray, "N 2"] | Float[np.ndarray, "2"]) -> bool:
         """Whether what lies between points may come into the disc."""
-        return bool(
-            shapely.MultiPoint(np.vstack([np.zeros((0, 2)), *of])).convex_hull.intersects(self.disc)
-        )
+        points = shapely.MultiPoint(np.vstack([np.zeros((0, 2)), *of]))
+        return bool(points.convex_hull.intersects(self.disc))
 
     def _line(self, way: Way) -> Float[np.ndarray, "N 2"]:
         return np.array([self.at[n] for n in way.nodes if n in self.at], float).reshape(-1, 2)

@@ -22,12 +22,7 @@ from inspe_jax.scene.maps.bodies import with_bodies
 from inspe_jax.scene.maps.lanes import Approach, LaneStrip, heading
 from inspe_jax.scene.maps.openstreetmap.bodies import BodyReader
 from inspe_jax.scene.maps.road_map import CLUSTER, MARGIN, Id, MapJunction, Node, RoadMap, valid
-from inspe_jax.scene.maps.sumo.network import (
-    GEOGRAPHIC,
-    OSM_SUFFIXES,
-    SUMO,
-    network_file,
-)
+from inspe_jax.scene.maps.sumo.network import GEOGRAPHIC, OSM_SUFFIXES, SUMO, network_file
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.terrain import laid_on
 
@@ -97,9 +92,8 @@ class SumoJunction(MapJunction):
         reach = max(float(distance_from(s.center, middle).max()) for s in lane_strips)
         ground = np.concatenate([s.center for s in lane_strips])
         corners = {n for n, _ in self.map.walks}
-        waiting = [
-            shape for _, shape in self.map.walks if shape.distance(Point(middle[:2])) <= reach
-        ]
+        at = Point(middle[:2])
+        waiting = [shape for _, shape in self.map.walks if shape.distance(at) <= reach]
         parts: dict[Region, list[BaseGeometry]] = {region: [] for region in Region}
         parts[Region.SIDEWALK] += waiting
         walked = unary_union(waiting)
@@ -225,8 +219,7 @@ class SumoMap(RoadMap):
         return html.unescape(name)  # netconvert escapes it twice
 
     def road_lines(self) -> list[Float[np.ndarray, "N 2"]]:
-        to_world = self.to_world
-        return [to_world(edge.getShape())[:, :2] for edge in _roads(self.net.getEdges())]
+        return [self.to_world(edge.getShape())[:, :2] for edge in _roads(self.net.getEdges())]
 
     def junctions(self) -> list[Id]:
         return [node.getID() for node in self.net.getNodes() if _is_junction(node)]
@@ -254,10 +247,9 @@ def load_net(path: Path, side: str | None = None) -> SumoMap:
         import sumolib
     file, notes = network_file(path, side)
     wrong = f"{path}: not a SUMO network: missing or wrong"
+    how = dict(withInternal=True, withPedestrianConnections=True, lxml=False)
     with error_at(wrong, SAXException, KeyError, ValueError, AttributeError, TypeError):
-        net = sumolib.net.readNet(
-            str(file), withInternal=True, withPedestrianConnections=True, lxml=False
-        )
+        net = sumolib.net.readNet(str(file), **how)
     if not any(edge.getFunction() == "" for edge in net.getEdges()):
         raise InspeError(f"{path}: the network has no roads")
     return SumoMap(path, file, net, side, notes)

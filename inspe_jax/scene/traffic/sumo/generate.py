@@ -17,18 +17,8 @@ from inspe_jax.core.errors import InspeError
 from inspe_jax.scene.intersection import Intersection
 from inspe_jax.scene.maps.sumo.network import run
 from inspe_jax.scene.maps.sumo.reader import SumoMap, load_net
-from inspe_jax.scene.traffic.frames import (
-    CLASSES,
-    MIXES,
-    ROAD_USERS,
-    Mix,
-    Snapshot,
-    TrafficFrames,
-    check_traffic,
-    pack_frames,
-    quota,
-    standing_on,
-)
+from inspe_jax.scene.traffic import frames as traffic
+from inspe_jax.scene.traffic.frames import CLASSES, ROAD_USERS, Mix, Snapshot, TrafficFrames
 from inspe_jax.scene.traffic.sumo.routes import V_CLASS, TravelPath, paths_through
 
 WARM_UP = 120.0  # time [s] that SUMO runs before the first frame
@@ -42,7 +32,6 @@ OPTIONS = (
     "--time-to-teleport 60 --collision.action remove --max-depart-delay 10 "
     "--ignore-route-errors true --no-step-log true --no-warnings true"
 )
-
 
 Arrival = tuple[int, int, np.ndarray]  # class, track and size [m] of a road user
 Progress = Callable[[int, int], None]
@@ -96,7 +85,7 @@ def sumo_traffic(
     does, and if the intersection was not read from a map, SUMO is missing, or no road leads
     through the radius.
     """
-    check_traffic(radius=radius, count=count, frames=frames, mix=mix, step=step, seed=seed)
+    traffic.check_traffic(radius=radius, count=count, frames=frames, mix=mix, step=step, seed=seed)
     small = _small_step(step)
     if intersection.map is None:
         raise InspeError(
@@ -105,14 +94,14 @@ def sumo_traffic(
         )
     streets = load_net(intersection.map, intersection.driving_side)
     paths = paths_through(streets, intersection.center, radius)
-    wanted = quota(MIXES[mix], [bool(paths[kind]) for kind in CLASSES], count)
+    wanted = traffic.quota(traffic.MIXES[mix], [bool(paths[kind]) for kind in CLASSES], count)
     if count and not wanted.any():
         raise InspeError(
             f"{intersection.name}: no road leads through {radius:g} m of the centre for mix '{mix}'"
         )
     own = np.random.default_rng(seed).spawn(len(CLASSES))  # random numbers for each class
     streams = [
-        ArrivalStream(kind, paths[name], MIXES[mix], own[kind])
+        ArrivalStream(kind, paths[name], traffic.MIXES[mix], own[kind])
         for kind, name in enumerate(CLASSES)
         if wanted[kind]
     ]
@@ -121,7 +110,7 @@ def sumo_traffic(
         seen = sumo.simulate(sumo.rates(wanted, frames * step, progress), frames, step)
     if progress is not None:
         progress(TRIES + 1, TRIES + 1)
-    return pack_frames(seen, step)
+    return traffic.pack_frames(seen, step)
 
 
 def _small_step(step: float) -> float:
@@ -222,7 +211,7 @@ class _SumoRuns:
         middle = at[:, :2] - heading * size[:, :1] / 2
         velocity = np.column_stack([heading * speed[:, None], np.zeros(len(speed))])
         everybody = Snapshot(middle, yaw, size, kind, track, velocity)
-        return standing_on(self.intersection, self.radius, everybody, at[:, 2])
+        return traffic.standing_on(self.intersection, self.radius, everybody, at[:, 2])
 
     def _write_routes(self, file: Path, rates: list[float], end: float) -> dict[str, Arrival]:
         root = ET.Element("routes")
@@ -238,9 +227,8 @@ class _SumoRuns:
             for n, (at_one, number, size) in enumerate(stream.until(end * rate)):
                 who, when, path = f"{name}.{n}", at_one / rate, stream.paths[number]
                 sizes[who] = (stream.kind, len(CLASSES) * n + stream.kind, size)
-                body = dict(
-                    zip(("length", "width", "height"), (f"{x:.3f}" for x in size), strict=True)
-                )
+                sides = zip(("length", "width", "height"), size, strict=True)
+                body = {side: f"{x:.3f}" for side, x in sides}
                 ET.SubElement(root, "vType", {"id": who} | looks | body)
                 start = {"id": who, "type": who, "depart": f"{when:.2f}"}
                 start["departPos"], arrival = f"{path.begin:.2f}", f"{path.end:.2f}"

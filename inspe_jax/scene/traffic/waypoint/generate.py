@@ -7,17 +7,8 @@ from jaxtyping import Float, Int
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.scene.intersection import Intersection
-from inspe_jax.scene.traffic.frames import (
-    CLASSES,
-    MIXES,
-    ROAD_USERS,
-    Mix,
-    Snapshot,
-    TrafficFrames,
-    check_traffic,
-    pack_frames,
-    quota,
-)
+from inspe_jax.scene.traffic import frames as traffic
+from inspe_jax.scene.traffic.frames import CLASSES, MIXES, ROAD_USERS, Mix, Snapshot, TrafficFrames
 from inspe_jax.scene.traffic.waypoint.model import ARRIVALS, BRAKING, REACTION, WaypointModel
 from inspe_jax.scene.traffic.waypoint.paths import PATH_USERS, Paths, lay_paths, with_walkways
 
@@ -59,14 +50,15 @@ def waypoint_traffic(
     The same seed gives the same traffic; turning the intersection turns it. Raises InspeError if a
     value is out of range, the mix is unknown, or no route lies within the radius.
     """
-    check_traffic(radius=radius, count=count, frames=frames, mix=mix, step=step, seed=seed)
+    traffic.check_traffic(radius=radius, count=count, frames=frames, mix=mix, step=step, seed=seed)
     walked = MIXES[mix].shares[WALKER] > 0
     place = with_walkways(intersection, radius) if walked else intersection
     paths = lay_paths(place, radius)
     has_path = [bool((paths.user == PATH_USERS.index(u.path)).any()) for u in ROAD_USERS]
     # Cyclists ride only where there are pedestrians too, so not on motorways.
     has_path[CLASSES.index("cyclist")] &= has_path[WALKER]
-    kind = np.repeat(np.arange(len(CLASSES), dtype=np.int8), quota(MIXES[mix], has_path, count))
+    numbers = traffic.quota(MIXES[mix], has_path, count)
+    kind = np.repeat(np.arange(len(CLASSES), dtype=np.int8), numbers)
     if len(kind) < count:
         raise InspeError(
             f"{intersection.name}: no route within {radius:g} m of the centre for mix '{mix}'"
@@ -79,7 +71,7 @@ def waypoint_traffic(
         seen.append(_snapshot(model).within(intersection.center, radius))
         if progress is not None:
             progress(frame + 1, frames)
-    return pack_frames(seen, step)
+    return traffic.pack_frames(seen, step)
 
 
 def _warmed_up(paths: Paths, kind: np.ndarray, mix: str, seed: int) -> WaypointModel:

@@ -72,15 +72,14 @@ class WaypointModel:
         free, leader, follows = self._look_ahead(on)
         self._give_way(on, free, leader, follows)
         line = self._line_distance(on)  # to the stop line of the next block not granted
-        speed = np.minimum.reduce(
-            [
-                self.speed[on] + self.acceleration[on] * dt,
-                self.wish[on],
-                self.paths.speed_limit(self.path[on], self.arc[on]),
-                _safe_speed(free, self.speed[on][leader] * follows),
-                _safe_speed(line, np.zeros(len(on))),
-            ]
-        )
+        most = [
+            self.speed[on] + self.acceleration[on] * dt,
+            self.wish[on],
+            self.paths.speed_limit(self.path[on], self.arc[on]),
+            _safe_speed(free, self.speed[on][leader] * follows),
+            _safe_speed(line, np.zeros(len(on))),
+        ]
+        speed = np.minimum.reduce(most)
         self._move(on, np.where(speed < 0.05, 0.0, speed), dt)
 
     def _place_at_random(self, who: int | np.intp) -> None:
@@ -174,10 +173,8 @@ class WaypointModel:
 
     def _pressed(self, on: np.ndarray, leader: np.ndarray) -> np.ndarray:
         """Whether each user has stood long while one of the six behind it holds a block."""
-        holds = self.granted[on] & (
-            self.paths.leave[self.paths.block[self.path[on]]] > self._ends(on)[1][:, None]
-        )
-        pressing = holds.any(1)
+        leave = self.paths.leave[self.paths.block[self.path[on]]]
+        pressing = (self.granted[on] & (leave > self._ends(on)[1][:, None])).any(1)
         pressed = np.zeros(len(on), bool)
         for _ in range(6):
             pressed[leader[(pressing | pressed) & (leader >= 0)]] = True
@@ -225,9 +222,8 @@ class WaypointModel:
         return self.arc[on] + half, self.arc[on] - half
 
     def _place(self, on: np.ndarray) -> None:
-        self.point[on], self.heading[on] = self.paths.chord(
-            self.path[on], self.arc[on], self.size[on, 0]
-        )
+        at = self.path[on], self.arc[on], self.size[on, 0]
+        self.point[on], self.heading[on] = self.paths.chord(*at)
 
     def _look_ahead(self, on: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Free distance along each path [m] less the user's gap, and the user that ends it.
@@ -295,9 +291,8 @@ class WaypointModel:
             # Where that does not decide who is first, the two try in turn. If both were held back,
             # they would stand for ever.
             a_later = self.track[on[a]] > self.track[on[b]]
-            a_waits = np.where(
-                a_behind == b_behind, a_later == (self.time % (2 * TRY) < TRY), a_behind
-            )
+            a_last = a_later == (self.time % (2 * TRY) < TRY)
+            a_waits = np.where(a_behind == b_behind, a_last, a_behind)
             both = ~moves[a] | ~moves[b]
             held = np.concatenate([a[a_waits | both], b[~a_waits | both]])
             speed[held], moves[held] = 0.0, False

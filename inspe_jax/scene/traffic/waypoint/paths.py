@@ -285,8 +285,7 @@ def with_walkways(intersection: Intersection, radius: float) -> Intersection:
     if len(lanes) < len(near) or not _cross(lanes):
         return intersection
     crosswalks = [mouth_crosswalks((arm,)) for arm in intersection.arms]
-    lines = [*_beside(lanes), *crossing_lines(crosswalks)]
-    walks = walking_routes(intersection, lines)
+    walks = walking_routes(intersection, [*_beside(lanes), *crossing_lines(crosswalks)])
     return replace(intersection, routes=(*intersection.routes, *walks))
 
 

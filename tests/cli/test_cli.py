@@ -600,15 +600,12 @@ def no_home(*_, **__):
     raise RuntimeError
 
 
-@pytest.mark.parametrize(
-    ("folder", "before"),
-    [
-        (no_home, None),
-        (lambda *_, **__: Path("~/x"), None),
-        (lambda *_, **__: Path("/dev/null/x"), None),
-        (lambda *_, **__: pytest.fail("not asked for"), "/own"),
-    ],
-)
+@pytest.mark.parametrize(("folder", "before"), [
+    (no_home, None),
+    (lambda *_, **__: Path("~/x"), None),
+    (lambda *_, **__: Path("/dev/null/x"), None),
+    (lambda *_, **__: pytest.fail("not asked for"), "/own"),
+])  # fmt: skip
 def test_nowhere_to_keep_what_is_compiled_is_no_error_and_ones_own_folder_stays(
     monkeypatch, folder, before
 ):
@@ -646,13 +643,10 @@ LATER = "Note: stops once XLA has compiled, and keeps what it has; Ctrl-C again 
 
 
 @pytest.mark.process
-@pytest.mark.parametrize(
-    ("scores", "words"),
-    [
-        (0, ["", "stopped before the start was scored: nothing was searched, nothing is written"]),
-        (1, [LATER, "stopped; not finished: searching"]),
-    ],
-)
+@pytest.mark.parametrize(("scores", "words"), [
+    (0, ["", "stopped before the start was scored: nothing was searched, nothing is written"]),
+    (1, [LATER, "stopped; not finished: searching"]),
+])  # fmt: skip
 def test_ctrl_c_is_answered_while_xla_compiles(files, tmp_path, scores, words):
     arguments = ("optimise", files / "s.npz", files / "layout.yaml", "--method", "random")
     code = IN_XLA.format(scores=scores)

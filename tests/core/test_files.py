@@ -81,24 +81,21 @@ LAUGHS = "a0: &a0 [x, x, x, x, x, x, x, x, x, x]\n" + "".join(
 )
 
 
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        (LAUGHS, "1,000,000 values, with its aliases"),
-        (LAUGHS.replace("[", "{<<: [").replace("]", "]}").replace("x", "{a: 1}"), "its aliases"),
-        ("&a [*a]", "its aliases"),
-        ("[" * 101 + "]" * 101, "nested more than 100 deep"),
-        ("a0: &a0 1\n" + "".join(f"a{k}: &a{k} [*a{k - 1}]\n" for k in range(1, 150)), "100 deep"),
-        ("[" * 200_000, "not YAML"),
-        ("9" * 5000, "a number of 5,000 digits"),
-        ("a: 1\n" * 2, "'a' is given twice, in line 1"),
-        ("!!int ''", "not of its tag"),
-        ("!!timestamp x", "not of its tag"),
-        ("2001-99-99", "month must be"),
-        ("? [1]\n: 2", "not YAML"),
-        (b"\xff\xfea\0", "not YAML"),
-    ],
-)
+@pytest.mark.parametrize(("text", "words"), [
+    (LAUGHS, "1,000,000 values, with its aliases"),
+    (LAUGHS.replace("[", "{<<: [").replace("]", "]}").replace("x", "{a: 1}"), "its aliases"),
+    ("&a [*a]", "its aliases"),
+    ("[" * 101 + "]" * 101, "nested more than 100 deep"),
+    ("a0: &a0 1\n" + "".join(f"a{k}: &a{k} [*a{k - 1}]\n" for k in range(1, 150)), "100 deep"),
+    ("[" * 200_000, "not YAML"),
+    ("9" * 5000, "a number of 5,000 digits"),
+    ("a: 1\n" * 2, "'a' is given twice, in line 1"),
+    ("!!int ''", "not of its tag"),
+    ("!!timestamp x", "not of its tag"),
+    ("2001-99-99", "month must be"),
+    ("? [1]\n: 2", "not YAML"),
+    (b"\xff\xfea\0", "not YAML"),
+])  # fmt: skip
 def test_yaml_that_asks_for_too_much_is_refused_at_once(text, words):
     with pytest.raises(InspeError, match=r"a\.yaml: not YAML: ") as caught:
         parse_yaml(text, "a.yaml")
@@ -112,14 +109,11 @@ def test_yaml_of_many_keys_aliases_and_merges_is_read():
     assert parse_yaml("a: &a {x: 1, y: 2}\nb: {<<: *a, y: 3}", "a")["b"] == {"x": 1, "y": 3}
 
 
-@pytest.mark.parametrize(
-    ("read", "make"),
-    [
-        (read_yaml, os.mkfifo),
-        (read_json, os.mkdir),
-        (read_toml, lambda path: os.symlink("/dev/zero", path)),
-    ],
-)
+@pytest.mark.parametrize(("read", "make"), [
+    (read_yaml, os.mkfifo),
+    (read_json, os.mkdir),
+    (read_toml, lambda path: os.symlink("/dev/zero", path)),
+])  # fmt: skip
 def test_what_is_no_file_is_not_opened(tmp_path, read, make):
     make(tmp_path / "a")
     with pytest.raises(InspeError, match=r"a: is (a folder|not a file on disk); name"):
@@ -161,17 +155,14 @@ def header(*shape: int) -> bytes:
 
 
 @pytest.mark.filterwarnings("ignore:Duplicate name")
-@pytest.mark.parametrize(
-    ("members", "words"),
-    [
-        ([("a.npy", header(2**18) + bytes(2**21))], "has more than 1 MB of arrays"),
-        ([("a.npy", header(0)), ("other", bytes(2**21))], "has more than 1 MB of arrays"),
-        ([("a.npy", header(10**15))], "not this"),
-        ([("a.npy", header(-1))], "not this"),
-        ([("a.npy", header(0)), ("a.npy", header(0))], "not this"),
-        ([("b.npy", header(0))], "not this"),
-    ],
-)
+@pytest.mark.parametrize(("members", "words"), [
+    ([("a.npy", header(2**18) + bytes(2**21))], "has more than 1 MB of arrays"),
+    ([("a.npy", header(0)), ("other", bytes(2**21))], "has more than 1 MB of arrays"),
+    ([("a.npy", header(10**15))], "not this"),
+    ([("a.npy", header(-1))], "not this"),
+    ([("a.npy", header(0)), ("a.npy", header(0))], "not this"),
+    ([("b.npy", header(0))], "not this"),
+])  # fmt: skip
 def test_arrays_are_bounded_before_they_are_unpacked(tmp_path, members, words, monkeypatch):
     monkeypatch.setattr(files, "ARRAYS", 2**20)
     (tmp_path / "a.npz").write_bytes(zipped(*members))
@@ -182,19 +173,15 @@ def test_arrays_are_bounded_before_they_are_unpacked(tmp_path, members, words, m
         arrays["a"]
 
 
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        (b"<osm>" + b"<a>" * 200_000, "nested more than 100 deep"),
-        (gzip.compress(b"<osm>" + b" " * 2**27, 1), "has more than 67 MB of unpacked text"),
-        (gzip.compress(b"<osm/>")[:-9], "not well-formed XML"),
-        (b"<" + b"x" * 60_000 + b"/>", "the root element is <x+>, not <osm>"),
-        (b"<osm>", "not well-formed XML"),
-        (b"<!DOCTYPE a [<!ENTITY a SYSTEM 'b'>]><osm>&a;</osm>", "has XML entities of its own"),
-        (b"<!DOCTYPE a SYSTEM 'b'><osm>&a;</osm>", "has XML entities of its own"),
-    ],
-    ids=["deep", "bomb", "cut", "root", "open", "entity", "outside"],
-)
+@pytest.mark.parametrize(("text", "words"), [
+    (b"<osm>" + b"<a>" * 200_000, "nested more than 100 deep"),
+    (gzip.compress(b"<osm>" + b" " * 2**27, 1), "has more than 67 MB of unpacked text"),
+    (gzip.compress(b"<osm/>")[:-9], "not well-formed XML"),
+    (b"<" + b"x" * 60_000 + b"/>", "the root element is <x+>, not <osm>"),
+    (b"<osm>", "not well-formed XML"),
+    (b"<!DOCTYPE a [<!ENTITY a SYSTEM 'b'>]><osm>&a;</osm>", "has XML entities of its own"),
+    (b"<!DOCTYPE a SYSTEM 'b'><osm>&a;</osm>", "has XML entities of its own"),
+], ids=["deep", "bomb", "cut", "root", "open", "entity", "outside"])  # fmt: skip
 def test_xml_is_bounded_before_its_tree_is_made(text, words, tmp_path):
     (tmp_path / "a").write_bytes(text)
     read = gzip.open if text[:2] == b"\x1f\x8b" else open
@@ -212,16 +199,13 @@ class Row(BaseModel):
     names: list[str] = []
 
 
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("height: 1e9", "height: must be a number (in YAML without quotes, and 1.0e+9, not 1e9)"),
-        ("count: '5'", "count: must be a whole number (without quotes), got '5'"),
-        (f"height: '{'x' * 60_000}'", "1e9), got 'xxx"),
-        (f"names: '{'x' * 60_000}'", "names: must be a list, got 'xxx"),
-        (f"{'x' * 900}: 1", "unknown key; allowed: count, height, names"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("text", "words"), [
+    ("height: 1e9", "height: must be a number (in YAML without quotes, and 1.0e+9, not 1e9)"),
+    ("count: '5'", "count: must be a whole number (without quotes), got '5'"),
+    (f"height: '{'x' * 60_000}'", "1e9), got 'xxx"),
+    (f"names: '{'x' * 60_000}'", "names: must be a list, got 'xxx"),
+    (f"{'x' * 900}: 1", "unknown key; allowed: count, height, names"),
+])  # fmt: skip
 def test_a_wrong_value_is_quoted_shortly(text, words):
     with pytest.raises(InspeError) as caught:
         check_model(Row, parse_yaml(text, "a"), "a.yaml")

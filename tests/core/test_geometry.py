@@ -49,21 +49,18 @@ def test_rotation_follows_the_conventions():
     assert np.linalg.det(r) == pytest.approx(1, abs=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("direction", "offset", "reach", "margin"),
-    [
-        ((1, 0, 0), (5, 0, 0), 100, 0.5),  # through the centre
-        ((1, 0, 0), (5, 0.3, 0), 100, 0.2),  # 0.2 m inside one face
-        ((1, 0, 0), (5, 0.8, 0), 100, -0.3),  # misses it by 0.3 m
-        ((1, 0, 0), (5, 0, 0), 4.6, 0.1),  # ends 0.1 m inside
-        ((1, 0, 0), (5, 0, 0), 4.0, -0.5),  # ends 0.5 m before
-        ((1, 0, 0), (-5, 0, 0), 100, -4.5),  # behind
-        ((0, 0, 0), (0, 0, 0), 100, 0.5),  # a sensor in the cube
-        ((2**-0.5, 2**-0.5, 0), (5, 5, 0), 100, 0.5),
-        # Diagonal ray past an edge: support √½, offset 1.2·√½ across.
-        ((2**-0.5, 2**-0.5, 0), (5, 6.2, 0), 100, 2**0.5 / 2 * (1 - 1.2)),
-    ],
-)
+@pytest.mark.parametrize(("direction", "offset", "reach", "margin"), [
+    ((1, 0, 0), (5, 0, 0), 100, 0.5),  # through the centre
+    ((1, 0, 0), (5, 0.3, 0), 100, 0.2),  # 0.2 m inside one face
+    ((1, 0, 0), (5, 0.8, 0), 100, -0.3),  # misses it by 0.3 m
+    ((1, 0, 0), (5, 0, 0), 4.6, 0.1),  # ends 0.1 m inside
+    ((1, 0, 0), (5, 0, 0), 4.0, -0.5),  # ends 0.5 m before
+    ((1, 0, 0), (-5, 0, 0), 100, -4.5),  # behind
+    ((0, 0, 0), (0, 0, 0), 100, 0.5),  # a sensor in the cube
+    ((2**-0.5, 2**-0.5, 0), (5, 5, 0), 100, 0.5),
+    # Diagonal ray past an edge: support √½, offset 1.2·√½ across.
+    ((2**-0.5, 2**-0.5, 0), (5, 6.2, 0), 100, 2**0.5 / 2 * (1 - 1.2)),
+])  # fmt: skip
 def test_ray_cube_margin_by_hand(direction, offset, reach, margin):
     d, o = (tuple(singles([v]) for v in vector) for vector in (direction, offset))
     assert float(compiled_margin(d, float(reach), o, 0.5)[0]) == pytest.approx(margin, abs=1e-5)
@@ -72,23 +69,20 @@ def test_ray_cube_margin_by_hand(direction, offset, reach, margin):
 OVER, LOW = (0.0, 0.0, 5.0), (0.0, 0.0, 1.0)
 
 
-@pytest.mark.parametrize(
-    ("sensor", "column", "how", "height"),
-    [
-        # From 5 m up over the car's far top edge, 12 m away and 1.5 m high: 5 − 3.5·24/12 at 24 m.
-        (OVER, (24.0, 0.0), {}, -2.0),
-        (OVER, (15.0, 0.0), {}, 0.625),
-        (LOW, (16.0, 0.0), dict(top=3.0), 5.0),  # from below, over the near top edge of a truck
-        (OVER, (7.9, 0.0), {}, NEVER),  # before it
-        (OVER, (24.0, 3.0), {}, NEVER),  # beside it
-        (OVER, (-24.0, 0.0), {}, NEVER),  # on the other side
-        (OVER, (24.0, 0.0), dict(valid=False), NEVER),
-        (OVER, (10.0, 0.5), {}, 1.5),  # inside it, up to the top
-        (OVER, (10.0, 0.5), dict(ignore_self_occlusion=True), NEVER),
-        (OVER, (24.0, 0.0), dict(ignore_self_occlusion=True), -2.0),
-        (OVER, (4.0, 0.0), dict(x=0.0), 5 - 3.5 * 2),  # from a mast over it, t₀ = 0
-    ],
-)
+@pytest.mark.parametrize(("sensor", "column", "how", "height"), [
+    # From 5 m up over the car's far top edge, 12 m away and 1.5 m high: 5 − 3.5·24/12 at 24 m.
+    (OVER, (24.0, 0.0), {}, -2.0),
+    (OVER, (15.0, 0.0), {}, 0.625),
+    (LOW, (16.0, 0.0), dict(top=3.0), 5.0),  # from below, over the near top edge of a truck
+    (OVER, (7.9, 0.0), {}, NEVER),  # before it
+    (OVER, (24.0, 3.0), {}, NEVER),  # beside it
+    (OVER, (-24.0, 0.0), {}, NEVER),  # on the other side
+    (OVER, (24.0, 0.0), dict(valid=False), NEVER),
+    (OVER, (10.0, 0.5), {}, 1.5),  # inside it, up to the top
+    (OVER, (10.0, 0.5), dict(ignore_self_occlusion=True), NEVER),
+    (OVER, (24.0, 0.0), dict(ignore_self_occlusion=True), -2.0),
+    (OVER, (4.0, 0.0), dict(x=0.0), 5 - 3.5 * 2),  # from a mast over it, t₀ = 0
+])  # fmt: skip
 def test_the_ceiling_of_a_shadow_by_hand(sensor, column, how, height):
     assert ceiling(sensor, column, **how) == pytest.approx(height, abs=1e-4)
 

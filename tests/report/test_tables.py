@@ -175,19 +175,15 @@ SWEPT = dict(layout="Cam-d1/L-d1", status="done", coverage="0.81", occlusion="0.
 
 
 @pytest.mark.parametrize("width", [40, 80])
-@pytest.mark.parametrize(
-    "table",
-    [
-        mixes(),
-        junctions("cluster_1580411983_1580411984_26704401_26704402_29271345_3_4_5_6_7_8_9"),
-        junctions(*range(26704401, 26704409)),
-        devices_table(devices()).renderables[0],
-        *(profile_table(profile) for profile in profiles().values()),
-        sweep_table([SWEPT]),
-        built_ins_table(),
-    ],
-    ids=lambda x: str(getattr(x, "title", x)).split(":")[0],
-)
+@pytest.mark.parametrize("table", [
+    mixes(),
+    junctions("cluster_1580411983_1580411984_26704401_26704402_29271345_3_4_5_6_7_8_9"),
+    junctions(*range(26704401, 26704409)),
+    devices_table(devices()).renderables[0],
+    *(profile_table(profile) for profile in profiles().values()),
+    sweep_table([SWEPT]),
+    built_ins_table(),
+], ids=lambda x: str(getattr(x, "title", x)).split(":")[0])  # fmt: skip
 def test_no_table_cuts_a_number_or_a_name(table, width):
     """Lines are longer than the terminal where they must be; only long words of prose break."""
     lines = [line.rstrip() for line in printed(table, width).splitlines()]

@@ -41,16 +41,13 @@ def comb(teeth: int) -> np.ndarray:
     return np.concatenate([[[0, 0]], top, [[2 * teeth, 0]]])
 
 
-@pytest.mark.parametrize(
-    "outline",
-    [
-        ELL,
-        ELL[::-1],
-        comb(5),
-        np.array(Polygon(ELL).buffer(1.0, quad_segs=6).exterior.coords),
-        ELL + [1873.2, -951.7],
-    ],
-)
+@pytest.mark.parametrize("outline", [
+    ELL,
+    ELL[::-1],
+    comb(5),
+    np.array(Polygon(ELL).buffer(1.0, quad_segs=6).exterior.coords),
+    ELL + [1873.2, -951.7],
+])  # fmt: skip
 def test_convex_pieces_cover_the_outline_exactly(outline):
     found = body("building", outline, 9.0)
     parts = [Polygon(piece) for piece in found.pieces]
@@ -62,23 +59,20 @@ def test_convex_pieces_cover_the_outline_exactly(outline):
     assert shapely.union_all(parts).symmetric_difference(Polygon(outline)).area < 1e-9
 
 
-@pytest.mark.parametrize(
-    ("wrong", "message"),
-    [
-        (lambda: body("hous", ELL, 3), "body 'hous': one of building.*"),
-        (lambda: body("building", BOW, 3), r"building at \(2.0, 2.0\): its outline crosses"),
-        (lambda: body("building", [[0, 0], [1, 1], [0, 0]], 3), "three corners or more"),
-        (lambda: body("building", [[0, 0], [np.nan, 1], [2, 0]], 3), "not finite"),
-        (lambda: body("building", ELL[:, :1], 3), r"shape \(6, 1\)"),
-        (lambda: body("building", "house", 3), "must be numbers"),
-        (lambda: body("building", ELL, 2, base=2), "from 2 to 2 m above the ground; its height"),
-        (lambda: body("building", ELL, 2, base=-1), "the base 0 or more"),
-        (lambda: body("building", ELL, 5000), "at most 1000 m"),
-        (lambda: tree((0, 0), radius=2, height=7, base=3, transmittance=1.5), "transmittance 1.5"),
-        (lambda: tree((0, 0), radius=2, height=7, base=0), "a trunk of 0.15 m"),
-        (lambda: wall([[0, 0]], 2), "two points"),
-    ],
-)
+@pytest.mark.parametrize(("wrong", "message"), [
+    (lambda: body("hous", ELL, 3), "body 'hous': one of building.*"),
+    (lambda: body("building", BOW, 3), r"building at \(2.0, 2.0\): its outline crosses"),
+    (lambda: body("building", [[0, 0], [1, 1], [0, 0]], 3), "three corners or more"),
+    (lambda: body("building", [[0, 0], [np.nan, 1], [2, 0]], 3), "not finite"),
+    (lambda: body("building", ELL[:, :1], 3), r"shape \(6, 1\)"),
+    (lambda: body("building", "house", 3), "must be numbers"),
+    (lambda: body("building", ELL, 2, base=2), "from 2 to 2 m above the ground; its height"),
+    (lambda: body("building", ELL, 2, base=-1), "the base 0 or more"),
+    (lambda: body("building", ELL, 5000), "at most 1000 m"),
+    (lambda: tree((0, 0), radius=2, height=7, base=3, transmittance=1.5), "transmittance 1.5"),
+    (lambda: tree((0, 0), radius=2, height=7, base=0), "a trunk of 0.15 m"),
+    (lambda: wall([[0, 0]], 2), "two points"),
+])  # fmt: skip
 def test_bodies_that_cannot_be_meant(wrong, message):
     with pytest.raises(InspeError, match=message):
         wrong()

@@ -60,10 +60,9 @@ def model_of(place: Intersection, count: int) -> WaypointModel:
     return WaypointModel(paths, kind, mix, np.random.default_rng(0))
 
 
-@pytest.mark.parametrize(
-    ("mix", "count"),
-    [("mixed", 20), ("mixed", 40), ("mixed", 60), ("largest", 40), ("fleet", 40)],
-)
+@pytest.mark.parametrize(("mix", "count"), [
+    ("mixed", 20), ("mixed", 40), ("mixed", 60), ("largest", 40), ("fleet", 40),
+])  # fmt: skip
 def test_as_many_as_asked_for_and_nobody_overlaps(mix: str, count: int) -> None:
     traffic = usual(mix, count)
     assert overlapping(traffic) == []
@@ -253,17 +252,14 @@ def test_turning_the_world_turns_the_traffic() -> None:
     assert wrapped[v] == pytest.approx(0, abs=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        ({"mix": "mixd"}, "traffic mix 'mixd': one of mixed, fleet, largest; did you mean mixed?"),
-        ({"count": -1}, "traffic count -1 is out of range: at least 0"),
-        ({"frames": 0}, "traffic frames 0 is out of range: at least 1"),
-        ({"seed": -1}, "traffic seed -1 is out of range: at least 0"),
-        ({"radius": float("nan")}, "traffic radius nan is out of range: above 0"),
-        ({"step": -1.0}, "traffic step -1.0 is out of range: above 0"),
-    ],
-)
+@pytest.mark.parametrize(("change", "words"), [
+    ({"mix": "mixd"}, "traffic mix 'mixd': one of mixed, fleet, largest; did you mean mixed?"),
+    ({"count": -1}, "traffic count -1 is out of range: at least 0"),
+    ({"frames": 0}, "traffic frames 0 is out of range: at least 1"),
+    ({"seed": -1}, "traffic seed -1 is out of range: at least 0"),
+    ({"radius": float("nan")}, "traffic radius nan is out of range: above 0"),
+    ({"step": -1.0}, "traffic step -1.0 is out of range: above 0"),
+])  # fmt: skip
 def test_bad_input(change: dict, words: str) -> None:
     with pytest.raises(InspeError) as raised:
         waypoint_traffic(crossing(), **({"radius": 50.0, "count": 1, "frames": 1} | change))
@@ -428,18 +424,15 @@ def test_other_places_stay_as_they_are(place: Intersection) -> None:
     assert with_walkways(place, 50) is place
 
 
-@pytest.mark.parametrize(
-    ("counts", "count", "words"),
-    [
-        ([40, 6, 6, 7], 60, ""),
-        ([45, 6, 0, 0], 60, "asked 60, got 51.0: cyclists 0.0 of 6, pedestrians 0.0 of 7"),
-        (
-            [30, 4, 6, 20],
-            60,
-            "asked 60, got 60.0: cars 30.0 of 41, trucks 4.0 of 6; pedestrians 20.0 instead of 7",
-        ),
-    ],
-)
+@pytest.mark.parametrize(("counts", "count", "words"), [
+    ([40, 6, 6, 7], 60, ""),
+    ([45, 6, 0, 0], 60, "asked 60, got 51.0: cyclists 0.0 of 6, pedestrians 0.0 of 7"),
+    (
+        [30, 4, 6, 20],
+        60,
+        "asked 60, got 60.0: cars 30.0 of 41, trucks 4.0 of 6; pedestrians 20.0 instead of 7",
+    ),
+])  # fmt: skip
 def test_what_falls_short_is_said(counts: list[int], count: int, words: str) -> None:
     assert shortfall(counted(counts), count, "mixed") == words
 

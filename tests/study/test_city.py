@@ -265,10 +265,9 @@ def synthetic(count: int, name: str = "{}") -> list[JunctionFront]:
     return found
 
 
-@pytest.mark.parametrize(
-    ("count", "name", "labels"),
-    [(3, "J{}", ["J0", "J1", "J2"]), (2, "cluster_{}00000", ["1", "2"]), (61, "{}", [])],
-)
+@pytest.mark.parametrize(("count", "name", "labels"), [
+    (3, "J{}", ["J0", "J1", "J2"]), (2, "cluster_{}00000", ["1", "2"]), (61, "{}", []),
+])  # fmt: skip
 def test_the_figure_names_junctions_where_there_is_room(count, name, labels):
     plan = plan_city(synthetic(count, name), 4000.0 * count)
     figure = city_view(plan, "town", [np.array([[0, 0], [3000, 3000]])])

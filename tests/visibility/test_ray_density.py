@@ -219,17 +219,14 @@ def on_faces(rays, pose, to, edges, middle, wide, tall):
     return rays_on_face(rays, transform, to, edges[:-1], edges[1:])[0], share
 
 
-@pytest.mark.parametrize(
-    ("kind", "turns"),
-    [
-        ("camera", (0.0, -np.pi / 2, 0.4)),
-        ("camera", (np.pi, -0.2, 0.4)),
-        ("camera", (2.6, -0.2, 0.4)),
-        ("sector", (np.pi, -0.25, 0.4)),
-        ("sector", (0.2, -0.2, -3.0)),
-        ("nearly round", (0.15, 0.0, 0.4)),
-    ],
-)
+@pytest.mark.parametrize(("kind", "turns"), [
+    ("camera", (0.0, -np.pi / 2, 0.4)),
+    ("camera", (np.pi, -0.2, 0.4)),
+    ("camera", (2.6, -0.2, 0.4)),
+    ("sector", (np.pi, -0.25, 0.4)),
+    ("sector", (0.2, -0.2, -3.0)),
+    ("nearly round", (0.15, 0.0, 0.4)),
+])  # fmt: skip
 def test_a_field_of_view_ends_at_its_sides_however_it_is_turned(kind, turns):
     """The share of places where a pedestrian has rays, and their number there."""
     rows = tuple(np.radians(np.linspace(-30, 20, 40)).tolist())

@@ -99,10 +99,7 @@ def of_grids(read, poses: Float[Array, "S 6"], groups: SensorsOfGrids) -> Array:
 
 
 def view_margins(
-    poses: Float[Array, "S 6"],
-    centers: Float[Array, "V 3"],
-    groups: SensorsOfGrids,
-    half: float,
+    poses: Float[Array, "S 6"], centers: Float[Array, "V 3"], groups: SensorsOfGrids, half: float
 ) -> tuple[Float[Array, "S V"], Float[Array, "S V"]]:
     """:func:`in_view_margins` of all sensors."""
 

@@ -34,13 +34,7 @@ from inspe_jax.scene.traffic.waypoint.generate import (
     waypoint_traffic,
 )
 from inspe_jax.scene.traffic.waypoint.model import WEDGED, WaypointModel, _overlap
-from inspe_jax.scene.traffic.waypoint.paths import (
-    BESIDE,
-    SLACK,
-    SPACING,
-    lay_paths,
-    with_walkways,
-)
+from inspe_jax.scene.traffic.waypoint.paths import BESIDE, SLACK, SPACING, lay_paths, with_walkways
 
 CAR, TRUCK, CYCLIST, PEDESTRIAN = range(4)
 STREET = Route(line((-FAR, 0), (FAR, 0)), LANE)

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import psutil
+import pytest
 
 from inspe_jax.cli import main, stopping
 
@@ -48,6 +49,11 @@ def inspe_here(
         status = e.code or 0
     captured = capsys.readouterr()
     return status, captured.out, captured.err
+
+
+def cases(*rows: tuple[Any, str]) -> list[Any]:
+    """Parameters of (arguments, message) each, named by the arguments."""
+    return [pytest.param(*row, id=" ".join(map(str, row[0]))) for row in rows]
 
 
 def refused(inspe: Any, folder: Path, arguments: Any, message: str) -> None:

@@ -20,7 +20,7 @@ import jax
 import numpy as np
 import pytest
 import typer
-from processes import inspe_process, refused
+from processes import cases, inspe_process, refused
 from rich.text import Text
 
 from inspe_jax.cli import stopping
@@ -305,7 +305,7 @@ def test_every_command_has_examples_and_says_what_its_options_are():
     assert count > 20
 
 
-BAD = [
+@pytest.mark.parametrize(("arguments", "message"), cases(
     (("score", "none.npz"), "none.npz: no such file"),
     (("score", "s.npz", "zero.npz"), "no layout: is a scene, which comes before the layout"),
     (("score", "s.npz", "town.xodr"), "no layout: a map is not a scene yet; build one: inspe sc"),
@@ -350,17 +350,12 @@ BAD = [
     (("report", "s.npz", "--frame", 99), "frame 99 is out of range"),
     (("report", "s.npz", "."), "result.json: no such file"),
     (("view", "nosuch", "--out", "moved.json"), "moved.json: the name must end in .yaml"),
-]
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"), BAD, ids=[" ".join(map(str, arguments)) for arguments, _ in BAD]
-)
+))  # fmt: skip
 def test_bad_input_is_one_message_and_status_2(inspe, files, arguments, message):
     refused(inspe, files, arguments, message)
 
 
-SLOW = [
+@pytest.mark.parametrize(("arguments", "message"), cases(
     (("score", "four_way", "missing.yaml"), "missing.yaml: no such file"),
     (("score", "four_way", "Cam-d3"), "no layout 'Cam-d3': give a .yaml or .geojson file, or"),
     (("targets", "four_way", "missing.geojson"), "missing.geojson: no such file"),
@@ -387,12 +382,7 @@ SLOW = [
     (("scene", "page.xodr", "--junction", 1, "--traffic", "no.log"), "no.log: no such file"),
     (("scene", "page.xodr", "--junction", 1, "--traffic", "page.log"), "not a log of CARLA"),
     (("scene", "page.xodr", "--junction", 1, "--mesh", "no.glb"), "no.glb: no such file"),
-]
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"), SLOW, ids=[" ".join(map(str, arguments)) for arguments, _ in SLOW]
-)
+))  # fmt: skip
 def test_what_needs_no_scene_is_refused_before_one_is_read(
     inspe, files, monkeypatch, arguments, message
 ):

@@ -4,18 +4,11 @@ import jax
 import numpy as np
 import pytest
 
-from inspe_jax.core.geometry import (
-    NEVER,
-    Prism,
-    ray_cube_margin,
-    rotation,
-    shadow_ceiling,
-    shadow_terms,
-    top_over,
-)
+from inspe_jax.core import geometry
+from inspe_jax.core.geometry import NEVER, Prism
 
 singles = partial(np.array, dtype=np.float32)
-compiled_margin, compiled_rotation = jax.jit(ray_cube_margin), jax.jit(rotation)
+compiled_margin, compiled_rotation = jax.jit(geometry.ray_cube_margin), jax.jit(geometry.rotation)
 
 
 def prism(x=10.0, top=1.5, valid=True):
@@ -25,8 +18,8 @@ def prism(x=10.0, top=1.5, valid=True):
 
 @partial(jax.jit, static_argnums=3)
 def compiled_ceiling(sensor, column, prism, ignore_self_occlusion):
-    d, seen = column - sensor[:2], shadow_terms(sensor, prism)
-    return shadow_ceiling(
+    d, seen = column - sensor[:2], geometry.shadow_terms(sensor, prism)
+    return geometry.shadow_ceiling(
         seen, d[:1], d[1:], sensor[2], ignore_self_occlusion=ignore_self_occlusion
     )
 
@@ -110,5 +103,5 @@ def test_a_prism_has_its_top_where_it_stands():
     )
     x, y = singles([[0.0, -1.0, 0.5, 9.0, 5.0]] * 3), singles([[0.0, 0.0, 1.9, 9.0, 5.0]] * 3)
     each = jax.tree.map(lambda leaf: leaf[:, None], prisms)
-    found = jax.jit(top_over)(each, x, y).max(0)
+    found = jax.jit(geometry.top_over)(each, x, y).max(0)
     assert found.tolist() == [3.0, 1.5, 3.0, NEVER, NEVER]

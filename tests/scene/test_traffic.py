@@ -18,16 +18,8 @@ from inspe_jax.scene.intersection import Arm, Intersection, Route
 from inspe_jax.scene.maps.registry import read_map
 from inspe_jax.scene.procedural.built_ins import built_in
 from inspe_jax.scene.scene import AS_RECORDED, build_scene
-from inspe_jax.scene.traffic.frames import (
-    CLASSES,
-    MIXES,
-    ROAD_USERS,
-    Snapshot,
-    TrafficFrames,
-    pack_frames,
-    quota,
-    shortfall,
-)
+from inspe_jax.scene.traffic import frames
+from inspe_jax.scene.traffic.frames import MIXES, ROAD_USERS, TrafficFrames, quota, shortfall
 from inspe_jax.scene.traffic.waypoint.generate import (
     LONGEST_HEADWAY,
     CongestedModel,
@@ -94,7 +86,7 @@ def test_shares() -> None:
 def test_a_fleet_has_bodies_by_their_shares():
     """Every body occurs, and sizes are within two standard deviations of a body's."""
     mix, rng = MIXES["fleet"], np.random.default_rng(0)
-    for kind, name in enumerate(CLASSES):
+    for kind, name in enumerate(frames.CLASSES):
         bodies = mix.bodies[name]
         drawn = np.array([mix.mean_size(kind, rng) for _ in range(4000)])
         share = np.array([body.share for body in bodies])
@@ -328,14 +320,14 @@ def test_lorries_in_narrow_streets_do_not_stand_for_good(maps, density: int) -> 
     assert np.mean(shares) < (0.6 if density == 20 else 0.83)
 
 
-def counted(counts: list[int], frames: int = 2) -> TrafficFrames:
+def counted(counts: list[int]) -> TrafficFrames:
     """Frames with so many of each class."""
     kind = np.repeat(np.arange(4, dtype=np.int8), counts)
     n = len(kind)
-    there = Snapshot(
+    there = frames.Snapshot(
         np.zeros((n, 3)), np.zeros(n), np.ones((n, 3)), kind, np.arange(n), np.zeros((n, 3))
     )
-    return pack_frames([there] * frames, 1.0)
+    return frames.pack_frames([there] * 2, 1.0)
 
 
 def test_a_full_place_has_as_many_as_asked_for_and_every_class() -> None:

@@ -5,19 +5,10 @@ import jax
 import numpy as np
 import pytest
 import raycast
+import worlds
 from dense_reference import shadow_ceilings, view_margins
 from scipy.spatial import cKDTree
-from worlds import (
-    CAMERA,
-    LIDAR,
-    TALL,
-    embree_line_of_sight,
-    place_sensors,
-    random_layout,
-    slow_but,
-    with_boxes,
-    world,
-)
+from worlds import CAMERA, LIDAR, place_sensors, random_layout, slow_but, with_boxes, world
 
 from inspe_jax.core.arrays import from_center
 from inspe_jax.core.errors import InspeError
@@ -144,7 +135,7 @@ def test_line_of_sight_agrees_with_embree(seed, slope, heights, center):
     layout = random_layout(scene, [LIDAR] * 3 + [CAMERA] * 3, seed=seed, heights=heights)
     ours, embree = (
         np.stack([of(scene, layout, frame) for frame in range(4)])
-        for of in (line_of_sight, embree_line_of_sight)
+        for of in (line_of_sight, worlds.embree_line_of_sight)
     )
     shares = embree.mean((1, 2))
     assert 0.05 < shares.min() < shares.max() < 0.999
@@ -233,7 +224,7 @@ def test_in_view_by_masks_is_in_view_by_margins(name):
         np.testing.assert_array_equal(masks[differ], walked[differ])
 
 
-@pytest.mark.parametrize("voxel", [TALL["voxel"], 0.5])
+@pytest.mark.parametrize("voxel", [worlds.TALL["voxel"], 0.5])
 def test_line_of_sight_by_masks_is_that_of_all_ceilings(voxel):
     """Just above and below a top, beside and inside a vehicle, lower than the lowest voxel."""
     scene = world(radius=10.0, voxel=voxel, count=0)

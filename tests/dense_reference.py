@@ -142,15 +142,8 @@ def measure(
     ground = field.centered
     f = views(poses, ground, sensor_set.groups, voxel / 2, softness)
     failures = Groups.of_rows(sensor_set.failures, len(poses))
-    seen = accumulate_frames(
-        ground,
-        poses[:, :3],
-        f,
-        softness.shadow,
-        failures=failures,
-        reference=occlusion_reference,
-        visibility=visibility,
-    )
+    how = dict(failures=failures, reference=occlusion_reference, visibility=visibility)
+    seen = accumulate_frames(ground, poses[:, :3], f, softness.shadow, **how)
     return summarise(field, f, seen, np.array(sensor_set.reliability), failures)
 
 

@@ -413,11 +413,8 @@ def test_other_places_stay_as_they_are(place: Intersection) -> None:
 @pytest.mark.parametrize(("counts", "count", "words"), [
     ([40, 6, 6, 7], 60, ""),
     ([45, 6, 0, 0], 60, "asked 60, got 51.0: cyclists 0.0 of 6, pedestrians 0.0 of 7"),
-    (
-        [30, 4, 6, 20],
-        60,
-        "asked 60, got 60.0: cars 30.0 of 41, trucks 4.0 of 6; pedestrians 20.0 instead of 7",
-    ),
+    ([30, 4, 6, 20], 60,
+     "asked 60, got 60.0: cars 30.0 of 41, trucks 4.0 of 6; pedestrians 20.0 instead of 7"),
 ])  # fmt: skip
 def test_what_falls_short_is_said(counts: list[int], count: int, words: str) -> None:
     assert shortfall(counted(counts), count, "mixed") == words

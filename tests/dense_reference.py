@@ -12,15 +12,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from inspe_jax.core import geometry
 from inspe_jax.core.convex import outlines
-from inspe_jax.core.geometry import (
-    NEVER,
-    Prism,
-    ShadowTerms,
-    shadow_ceiling,
-    shadow_terms,
-    top_over,
-)
+from inspe_jax.core.geometry import NEVER, Prism
 from inspe_jax.core.numerics import Groups, Softness, Width, exact, leave_one_out, step
 from inspe_jax.scoring import metrics
 from inspe_jax.scoring.driver import MetricValues
@@ -49,13 +43,13 @@ def shadow_ceilings(
 ) -> Float[Array, "S L"]:
     """Height [m] below which the prisms (B,) of one frame hide each column from each sensor."""
 
-    def of_prism(sensor: Float[Array, "3"], terms: ShadowTerms) -> Float[Array, " L"]:
+    def of_prism(sensor: Float[Array, "3"], terms: geometry.ShadowTerms) -> Float[Array, " L"]:
         dx, dy = columns[:, 0] - sensor[0], columns[:, 1] - sensor[1]
         own = ignore_self_occlusion
-        return shadow_ceiling(terms, dx, dy, sensor[2], ignore_self_occlusion=own)
+        return geometry.shadow_ceiling(terms, dx, dy, sensor[2], ignore_self_occlusion=own)
 
     def of_sensor(sensor: Float[Array, "3"]) -> Float[Array, " L"]:
-        each = jax.vmap(of_prism, (None, 0))(sensor, shadow_terms(sensor, prisms))
+        each = jax.vmap(of_prism, (None, 0))(sensor, geometry.shadow_terms(sensor, prisms))
         return each.max(0, initial=NEVER)
 
     return jax.vmap(of_sensor)(sensors)
@@ -99,10 +93,7 @@ def of_grids(read, poses: Float[Array, "S 6"], groups: SensorsOfGrids) -> Array:
 
 
 def view_margins(
-    poses: Float[Array, "S 6"],
-    centers: Float[Array, "V 3"],
-    groups: SensorsOfGrids,
-    half: float,
+    poses: Float[Array, "S 6"], centers: Float[Array, "V 3"], groups: SensorsOfGrids, half: float
 ) -> tuple[Float[Array, "S V"], Float[Array, "S V"]]:
     """:func:`in_view_margins` of all sensors."""
 
@@ -151,15 +142,8 @@ def measure(
     ground = field.centered
     f = views(poses, ground, sensor_set.groups, voxel / 2, softness)
     failures = Groups.of_rows(sensor_set.failures, len(poses))
-    seen = accumulate_frames(
-        ground,
-        poses[:, :3],
-        f,
-        softness.shadow,
-        failures=failures,
-        reference=occlusion_reference,
-        visibility=visibility,
-    )
+    how = dict(failures=failures, reference=occlusion_reference, visibility=visibility)
+    seen = accumulate_frames(ground, poses[:, :3], f, softness.shadow, **how)
     return summarise(field, f, seen, np.array(sensor_set.reliability), failures)
 
 
@@ -243,5 +227,5 @@ def accumulate_frames(
 def solid_top(columns: Float[Array, "L 2"], prism: Prism) -> Float[Array, " L"]:
     """Top [m] of the highest prism that stands on each column; :data:`NEVER` where none does."""
     prism = jax.tree.map(lambda leaf: leaf[:, None], prism)  # (B, 1, …)
-    tops = top_over(prism, columns[None, :, 0], columns[None, :, 1])
+    tops = geometry.top_over(prism, columns[None, :, 0], columns[None, :, 1])
     return jnp.max(tops, axis=0, initial=NEVER)

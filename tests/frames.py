@@ -6,13 +6,8 @@ from hypothesis import strategies as st
 from inspe_jax.dataset import Frame, Image, RoadUserBox, Scan, Station
 from inspe_jax.simulation.frame import KINDS, MOST_TRACK
 
-WORLD = {
-    "fixed_delta_seconds": 0.05,
-    "client_port": 2000,
-    "seed": 7,
-    "weather": {"cloudiness": 10.0},
-    "town": "four_way",
-}
+WORLD = dict(fixed_delta_seconds=0.05, client_port=2000, seed=7, town="four_way")
+WORLD["weather"] = {"cloudiness": 10.0}
 """The keys that a protocol must have."""
 
 UNIT = np.array([12.0, 8.0, 6.0, 0.0, 0.0, np.radians(-150)])
@@ -27,16 +22,10 @@ CAMERA = Image(LEVEL, INTRINSIC, np.zeros((600, 800, 3), np.uint8))
 
 def car(track: int = 3, **changes) -> RoadUserBox:
     """A car on the ground at (10, 20), facing north at 10 m/s."""
-    values = {
-        "track": track,
-        "kind": "car",
-        "name": "vehicle.audi.tt",
-        "center": np.array([10.0, 20.0, 0.75]),
-        "yaw": np.pi / 2,
-        "size": np.array([4.2, 1.8, 1.5]),
-        "velocity": np.array([0.0, 10.0, 0.0]),
-    }
-    return RoadUserBox(**{**values, **changes})
+    values = dict(track=track, kind="car", name="vehicle.audi.tt", yaw=np.pi / 2)
+    values |= dict(center=np.array([10.0, 20.0, 0.75]), size=np.array([4.2, 1.8, 1.5]))
+    values |= dict(velocity=np.array([0.0, 10.0, 0.0]))
+    return RoadUserBox(**values | changes)
 
 
 AHEAD = car(1, center=np.array([10.0, 0.0, 1.0]), yaw=0.0, size=np.array([4.0, 2.0, 2.0]))
@@ -56,13 +45,9 @@ def image(
         "instance": rng.integers(0, MOST_TRACK + 2, shape).astype(np.int32),
         "semantic": rng.integers(0, 256, shape).astype(np.uint8),
     }
-    return Image(
-        pose=np.asarray(pose),
-        intrinsic=np.array([[5.0, 0, width / 2], [0, 5.0, height / 2], [0, 0, 1]]),
-        rgb=rng.integers(0, 256, (*shape, 3)).astype(np.uint8),
-        **(extra if layers else {}),
-        **counts,
-    )
+    intrinsic = np.array([[5.0, 0, width / 2], [0, 5.0, height / 2], [0, 0, 1]])
+    rgb = rng.integers(0, 256, (*shape, 3)).astype(np.uint8)
+    return Image(np.asarray(pose), intrinsic, rgb, **(extra if layers else {}), **counts)
 
 
 def scan(count: int = 50, pose=UNIT, seed: int = 0) -> Scan:
@@ -76,13 +61,9 @@ def scan(count: int = 50, pose=UNIT, seed: int = 0) -> Scan:
 def station(number: int = 1, cameras: int = 2, lidars: int = 1, layers: bool = True) -> Station:
     """A station whose cameras and LiDARs are close to its pose."""
     poses = UNIT + np.linspace(0.1, 0.4, cameras + lidars + 1)[:, None]
-    return Station(
-        number=number,
-        name=f"mast {number}",
-        pose=UNIT,
-        images=tuple(image(pose=poses[i], layers=layers, seed=i) for i in range(cameras)),
-        scans=tuple(scan(pose=poses[cameras + i], seed=i) for i in range(lidars)),
-    )
+    images = tuple(image(pose=poses[i], layers=layers, seed=i) for i in range(cameras))
+    scans = tuple(scan(pose=poses[cameras + i], seed=i) for i in range(lidars))
+    return Station(number, f"mast {number}", UNIT, images, scans)
 
 
 def frame(number: int = 68, boxes=None, stations=None) -> Frame:

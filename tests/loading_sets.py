@@ -33,17 +33,9 @@ def boxes(kinds=KINDS, seed=0) -> tuple[RoadUserBox, ...]:
         bearing = 2 * np.pi * (k + rng.uniform(0, 0.5)) / len(kinds)
         yaw, size = rng.uniform(-np.pi, np.pi), np.array(SIZES[KINDS.index(kind)])
         away = rng.uniform(5, 12) * np.array([np.cos(bearing), np.sin(bearing)])
-        found.append(
-            RoadUserBox(
-                track=k,
-                kind=kind,
-                name=kind,
-                center=MIDDLE + [*away, size[2] / 2],
-                yaw=yaw,
-                size=size,
-                velocity=rng.uniform(1, 9) * np.array([np.cos(yaw), np.sin(yaw), 0.0]),
-            )
-        )
+        velocity = rng.uniform(1, 9) * np.array([np.cos(yaw), np.sin(yaw), 0.0])
+        center = MIDDLE + [*away, size[2] / 2]
+        found.append(RoadUserBox(k, kind, kind, center, yaw, size, velocity))
     return tuple(found)
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import psutil
+import pytest
 
 from inspe_jax.cli import main, stopping
 
@@ -22,15 +23,10 @@ main()
 """
 
 
-def inspe_process(*arguments: str, before: str = "", **options: Any) -> subprocess.Popen:
+def inspe_process(*arguments: str | Path, before: str = "", **options: Any) -> subprocess.Popen:
     """`inspe` with arguments, its output in pipes; Python that runs ``before`` it."""
-    return subprocess.Popen(
-        [sys.executable, "-c", f"{before}\n{COMMAND}", *arguments],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        **options,
-    )
+    options |= dict(stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    return subprocess.Popen([sys.executable, "-c", f"{before}\n{COMMAND}", *arguments], **options)
 
 
 def inspe_here(
@@ -50,6 +46,11 @@ def inspe_here(
     return status, captured.out, captured.err
 
 
+def cases(*rows: tuple[Any, str]) -> list[Any]:
+    """Parameters of (arguments, message) each, named by the arguments."""
+    return [pytest.param(*row, id=" ".join(map(str, row[0]))) for row in rows]
+
+
 def refused(inspe: Any, folder: Path, arguments: Any, message: str) -> None:
     """The command ends with a message and status 2, and writes nothing in the folder."""
     before = sorted(folder.iterdir())
@@ -64,13 +65,8 @@ def in_this_process() -> Any:
     """A scheduler with a worker that is a thread."""
     import distributed
 
-    return distributed.LocalCluster(
-        n_workers=1,
-        threads_per_worker=1,
-        processes=False,
-        protocol="tcp",
-        dashboard_address="127.0.0.1:0",
-    )
+    own = dict(n_workers=1, threads_per_worker=1, processes=False, protocol="tcp")
+    return distributed.LocalCluster(**own, dashboard_address="127.0.0.1:0")
 
 
 def wait_for_rows(

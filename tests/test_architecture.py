@@ -14,22 +14,9 @@ FILES = sorted(PACKAGE.rglob("*.py"))
 
 # Lowest first. A module may import its own room and the rooms above it in this list.
 LADDER = [
-    "core",
-    "scene",
-    "sensing",
-    "visibility",
-    "mounting",
-    "scoring",
-    "jobs",
-    "placement",
-    "study",
-    "report",
-    "simulation",
-    "dataset",
-    "perception",
-    "viewer",
-    "cli",
-]
+    "core", "scene", "sensing", "visibility", "mounting", "scoring", "jobs", "placement", "study",
+    "report", "simulation", "dataset", "perception", "viewer", "cli",
+]  # fmt: skip
 SCIENCE = LADDER[: LADDER.index("simulation")]
 RECORDINGS = {"simulation", "dataset", "perception"}
 APPS = {"viewer", "cli"}

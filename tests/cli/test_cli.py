@@ -20,7 +20,7 @@ import jax
 import numpy as np
 import pytest
 import typer
-from processes import inspe_process, refused
+from processes import cases, inspe_process, refused
 from rich.text import Text
 
 from inspe_jax.cli import stopping
@@ -305,7 +305,7 @@ def test_every_command_has_examples_and_says_what_its_options_are():
     assert count > 20
 
 
-BAD = [
+@pytest.mark.parametrize(("arguments", "message"), cases(
     (("score", "none.npz"), "none.npz: no such file"),
     (("score", "s.npz", "zero.npz"), "no layout: is a scene, which comes before the layout"),
     (("score", "s.npz", "town.xodr"), "no layout: a map is not a scene yet; build one: inspe sc"),
@@ -350,17 +350,12 @@ BAD = [
     (("report", "s.npz", "--frame", 99), "frame 99 is out of range"),
     (("report", "s.npz", "."), "result.json: no such file"),
     (("view", "nosuch", "--out", "moved.json"), "moved.json: the name must end in .yaml"),
-]
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"), BAD, ids=[" ".join(map(str, arguments)) for arguments, _ in BAD]
-)
+))  # fmt: skip
 def test_bad_input_is_one_message_and_status_2(inspe, files, arguments, message):
     refused(inspe, files, arguments, message)
 
 
-SLOW = [
+@pytest.mark.parametrize(("arguments", "message"), cases(
     (("score", "four_way", "missing.yaml"), "missing.yaml: no such file"),
     (("score", "four_way", "Cam-d3"), "no layout 'Cam-d3': give a .yaml or .geojson file, or"),
     (("targets", "four_way", "missing.geojson"), "missing.geojson: no such file"),
@@ -387,12 +382,7 @@ SLOW = [
     (("scene", "page.xodr", "--junction", 1, "--traffic", "no.log"), "no.log: no such file"),
     (("scene", "page.xodr", "--junction", 1, "--traffic", "page.log"), "not a log of CARLA"),
     (("scene", "page.xodr", "--junction", 1, "--mesh", "no.glb"), "no.glb: no such file"),
-]
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"), SLOW, ids=[" ".join(map(str, arguments)) for arguments, _ in SLOW]
-)
+))  # fmt: skip
 def test_what_needs_no_scene_is_refused_before_one_is_read(
     inspe, files, monkeypatch, arguments, message
 ):
@@ -478,18 +468,15 @@ def test_what_cannot_be_written_after_the_work_is_kept_elsewhere(tmp_path, capsy
 
 
 HERE = "file:///home/a%20b/inspe"
-ORIGINS = [
+
+
+@pytest.mark.parametrize(("origin", "command"), [
     (None, "pip install 'inspe_jax[carla]' (Linux"),
     ({"url": HERE, "dir_info": {}}, "in /home/a b/inspe: pip install '.[carla]' (Linux"),
     ({"url": HERE, "dir_info": {"editable": True}}, "inspe: pip install -e '.[carla]'"),
-    (
-        {"url": "https://a.org/i.git", "vcs_info": {"vcs": "git"}},
-        "pip install 'inspe_jax[carla] @ git+https://a.org/i.git'",
-    ),
-]
-
-
-@pytest.mark.parametrize(("origin", "command"), ORIGINS)
+    ({"url": "https://a.org/i.git", "vcs_info": {"vcs": "git"}},
+     "pip install 'inspe_jax[carla] @ git+https://a.org/i.git'"),
+])  # fmt: skip
 def test_missing_extra_says_what_to_install(monkeypatch, origin, command):
     """As this package was installed: from a registry, a folder or an address."""
     text = SimpleNamespace(read_text=lambda _: origin and json.dumps(origin))
@@ -539,14 +526,8 @@ def in_a_new_shell(files, cache, *arguments, code="from inspe_jax.cli import mai
     own |= {key: str(cache) for key in ("XDG_CACHE_HOME", "HOME", "LOCALAPPDATA")}
     other = ("JAX_", "INSPE_")
     env = {key: value for key, value in os.environ.items() if not key.startswith(other)}
-    ran = subprocess.run(
-        [sys.executable, "-c", ON_ONE_CORE + code, *arguments],
-        env=env | own,
-        cwd=files,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    given = dict(env=env | own, cwd=files, capture_output=True, text=True)
+    ran = subprocess.run([sys.executable, "-c", ON_ONE_CORE + code, *arguments], **given)
     assert ran.returncode == 0, ran.stderr
     told = f"what is compiled once is kept in {cache / 'inspe_jax'}", "nothing is kept of it"
     assert ran.stderr in ("", *(f"Note: compiling; {words}\n" for words in told))  # if it is long
@@ -600,15 +581,12 @@ def no_home(*_, **__):
     raise RuntimeError
 
 
-@pytest.mark.parametrize(
-    ("folder", "before"),
-    [
-        (no_home, None),
-        (lambda *_, **__: Path("~/x"), None),
-        (lambda *_, **__: Path("/dev/null/x"), None),
-        (lambda *_, **__: pytest.fail("not asked for"), "/own"),
-    ],
-)
+@pytest.mark.parametrize(("folder", "before"), [
+    (no_home, None),
+    (lambda *_, **__: Path("~/x"), None),
+    (lambda *_, **__: Path("/dev/null/x"), None),
+    (lambda *_, **__: pytest.fail("not asked for"), "/own"),
+])  # fmt: skip
 def test_nowhere_to_keep_what_is_compiled_is_no_error_and_ones_own_folder_stays(
     monkeypatch, folder, before
 ):
@@ -626,9 +604,7 @@ def test_nowhere_to_keep_what_is_compiled_is_no_error_and_ones_own_folder_stays(
 
 
 IN_XLA = """
-import hashlib, signal, threading
-signal.signal(signal.SIGINT, signal.default_int_handler)
-from inspe_jax.cli import main
+import hashlib, threading
 from inspe_jax.core import compiling
 from inspe_jax.placement.problem import Problem
 scores = iter([0.5] * {scores})
@@ -640,29 +616,19 @@ def exact(self, x):
     threading.Timer(1.0, print, ("compiles",), dict(flush=True)).start()
     hashlib.pbkdf2_hmac("sha256", b"", b"", 2**31 - 1)  # minutes of C
 Problem.exact = exact
-main()
 """
 LATER = "Note: stops once XLA has compiled, and keeps what it has; Ctrl-C again ends it now\n"
 
 
 @pytest.mark.process
-@pytest.mark.parametrize(
-    ("scores", "words"),
-    [
-        (0, ["", "stopped before the start was scored: nothing was searched, nothing is written"]),
-        (1, [LATER, "stopped; not finished: searching"]),
-    ],
-)
+@pytest.mark.parametrize(("scores", "words"), [
+    (0, ["", "stopped before the start was scored: nothing was searched, nothing is written"]),
+    (1, [LATER, "stopped; not finished: searching"]),
+])  # fmt: skip
 def test_ctrl_c_is_answered_while_xla_compiles(files, tmp_path, scores, words):
     arguments = ("optimise", files / "s.npz", files / "layout.yaml", "--method", "random")
-    code = IN_XLA.format(scores=scores)
-    with subprocess.Popen(
-        [sys.executable, "-c", code, *arguments],
-        cwd=tmp_path,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    ) as process:
+    before = IN_XLA.format(scores=scores)
+    with inspe_process(*arguments, before=before, cwd=tmp_path) as process:
         try:
             assert process.stdout.readline() == "compiles\n"
             first, last = words

@@ -6,7 +6,7 @@ from functools import partial
 
 import pytest
 from frames import WORLD, frame
-from processes import refused
+from processes import cases, refused
 
 from inspe_jax.dataset import write_frame, write_protocol
 
@@ -57,7 +57,7 @@ def test_show_lists_and_draws_a_frame(inspe, files):
     assert inspe("show", "infra/train", 4, "--scenario", "a")[0] == 0
 
 
-BAD = [
+@pytest.mark.parametrize(("arguments", "message"), cases(
     (("stats", "nosuch"), "nosuch: no such folder"),
     (("stats", "none"), "none: not a data set"),
     (("stats", "bare"), "no frame in 1 scenario:"),
@@ -69,11 +69,6 @@ BAD = [
     (("show", "infra", 4, "--scenario", "a"), "scenario 'a' is in 2 splits: train/a, test/a"),
     (("show", "infra", 4, "--scenario", "tset/a"), "no scenario 'tset/a': one of train/a, test/a"),
     (("show", "infra/test/a", 5), "000005.yaml: no such frame; there are 2, 4 to 6"),
-]
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"), BAD, ids=[" ".join(map(str, arguments)) for arguments, _ in BAD]
-)
+))  # fmt: skip
 def test_bad_input_is_one_message_and_status_2(inspe, files, arguments, message):
     refused(inspe, files, arguments, message)

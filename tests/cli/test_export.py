@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import rasters
 from osm_town import LAT, LON, full_town
-from processes import refused
+from processes import cases, refused
 
 from inspe_jax import build_scene, built_in, save_scene
 from inspe_jax.scene.georeference import Georeference
@@ -76,17 +76,14 @@ def test_a_plan_in_the_sea_is_doubted(inspe, files):
     assert "Note: coordinates are in the sea, at 0.000000, 0.000000" in error
 
 
-BAD = [
+@pytest.mark.parametrize(("arguments", "message"), cases(
     (("scene", "city.osm", "--at", "48.1"), "--at 48.1: write LAT,LON, such as 48.137,11.575"),
     (("scene", "city.osm", "--at", "10,10"), "no junction within 100 m of 10,10; the middle of"),
     (("scene", "city.osm", "--at", "48,11", "--junction", "1"), "choose a place on the map"),
     (("export", "four_way", "Cam-d1", "--force"), "four_way: has no coordinates on the Earth"),
     (("export", "four_way", "Cam-d1", "--out", "plan.shp"), "must end in .geojson or .kml or .csv"),
     (("export", "four_way", "Cam-d1", "--out", "b.csv", "--price", "x"), "--price x: write"),
-]
-
-
-@pytest.mark.parametrize(("arguments", "message"), BAD, ids=[" ".join(a) for a, _ in BAD])
+))  # fmt: skip
 def test_bad_input_is_one_message(inspe, files, arguments, message):
     refused(inspe, files, arguments, message)
 

@@ -70,19 +70,16 @@ def test_the_cheapest_mix_is_told_with_those_that_fall_short(run, tmp_path):
     assert read_csv(tmp_path / "d" / "history.csv")
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (("--target", "95"), "scores are between 0 and 1"),
-        (("--target", "0.9", "--start", "random"), "leave out --checkpoint and --start"),
-        (("--device", "velodyne-vlp-16:1"), "layout.yaml has its own devices: give one of them"),
-        (("--price", "paper-camera=1"), "--price is for --target"),
-        (("--target", "0.9", "--device", "paper-camera:1"), "--price paper-camera=USD"),
-        (("--region", "crosswalk"), "occlusion counts every voxel"),
-        (("--region", "kerb", "--weight", "coverage=1"), "region 'kerb': one of driveway"),
-        (("--region", "crosswalks", "--weight", "coverage=1"), "did you mean crosswalk"),
-    ],
-)
+@pytest.mark.parametrize(("arguments", "words"), [
+    (("--target", "95"), "scores are between 0 and 1"),
+    (("--target", "0.9", "--start", "random"), "leave out --checkpoint and --start"),
+    (("--device", "velodyne-vlp-16:1"), "layout.yaml has its own devices: give one of them"),
+    (("--price", "paper-camera=1"), "--price is for --target"),
+    (("--target", "0.9", "--device", "paper-camera:1"), "--price paper-camera=USD"),
+    (("--region", "crosswalk"), "occlusion counts every voxel"),
+    (("--region", "kerb", "--weight", "coverage=1"), "region 'kerb': one of driveway"),
+    (("--region", "crosswalks", "--weight", "coverage=1"), "did you mean crosswalk"),
+])  # fmt: skip
 def test_what_does_not_go_together_is_said(run, arguments, words):
     assert words in run("optimise", "s.npz", "layout.yaml", *arguments, fails=True)
 

@@ -7,16 +7,7 @@ import pytest
 from shapely.geometry import LineString, MultiPoint, Polygon
 from worlds import double_precision
 
-from inspe_jax.core.convex import (
-    NO_LEVER,
-    SEAM,
-    ConvexPrism,
-    convex_shadow,
-    convex_terms,
-    outlines,
-    sides,
-    sight_cut,
-)
+from inspe_jax.core import convex
 from inspe_jax.core.geometry import FAR, Prism, shadow_ceiling, shadow_terms
 
 ROOM = 8
@@ -34,16 +25,16 @@ def random_outlines(seed: int, count: int) -> np.ndarray:
     return np.array(found)
 
 
-def prisms(corners: np.ndarray) -> ConvexPrism:
+def prisms(corners: np.ndarray) -> convex.ConvexPrism:
     each = np.zeros(len(corners))
-    return ConvexPrism(corners, *sides(corners), each, each, each, each == 0)
+    return convex.ConvexPrism(corners, *convex.sides(corners), each, each, each, each == 0)
 
 
 @jax.jit
 def cuts(prism, sensors, columns):
     """The cuts (P, N) of P prisms by N sight lines."""
     at = *sensors.T, *columns.T
-    return jax.vmap(lambda one: sight_cut(one, *at))(prism)
+    return jax.vmap(lambda one: convex.sight_cut(one, *at))(prism)
 
 
 def test_a_line_meets_what_shapely_says_and_there():
@@ -80,7 +71,7 @@ def by_the_cut(prism, sensor, columns, z):
     """The least of a prism's margins (P, N) on the sight lines to N voxels: it hides where it is
     positive."""
     sx, sy, sz = sensor
-    cut = jax.vmap(lambda one: sight_cut(one, sx, sy, *columns))(prism)
+    cut = jax.vmap(lambda one: convex.sight_cut(one, sx, sy, *columns))(prism)
     top, bottom = prism.top[:, None], prism.bottom[:, None]
     lowest = jnp.where(sz > z, cut.near, cut.far)
     highest = jnp.where(sz > z, cut.far, cut.near)
@@ -99,11 +90,11 @@ def test_both_exact_forms_follow_from_the_cut(kind):
     alone, which the lever makes 1/NO_LEVER times as large.
     """
     rng, count = np.random.default_rng(5), 60
-    sure = 1.01 * SEAM / NO_LEVER if kind == "bodies" else 1e-9
+    sure = 1.01 * convex.SEAM / convex.NO_LEVER if kind == "bodies" else 1e-9
     with double_precision():
         if kind == "vehicles":
             own = jax.tree.map(jnp.asarray, vehicles(rng, count))
-            prism = jax.jit(outlines)(own)
+            prism = jax.jit(convex.outlines)(own)
         else:
             bottom = np.where(np.arange(count) % 2, rng.uniform(0, 3, count), -FAR)
             top = np.maximum(bottom, 0) + rng.uniform(0.5, 4, count)
@@ -116,7 +107,8 @@ def test_both_exact_forms_follow_from_the_cut(kind):
         def exactly(sensor):
             dx, dy = columns - sensor[:2, None]
             if kind == "bodies":
-                floor, ceiling = convex_shadow(convex_terms(sensor, prism), dx, dy, sensor[2])
+                terms = convex.convex_terms(sensor, prism)
+                floor, ceiling = convex.convex_shadow(terms, dx, dy, sensor[2])
                 return (z > floor) & (z < ceiling)
             terms = jax.tree.map(lambda leaf: leaf[:, None], shadow_terms(sensor, own))
             return z < shadow_ceiling(terms, dx[None], dy[None], sensor[2])
@@ -140,10 +132,8 @@ def test_derivatives_of_a_cut_are_its_differences():
     with double_precision():
         prism = jax.tree.map(jnp.asarray, prisms(random_outlines(8, count)))
         at = lambda sensors: jax.tree.map(np.asarray, cuts(prism, sensors, columns))  # noqa: E731
-        cut, moves = (
-            at(sensors),
-            [[at(sensors + k * h * way) for k in (1, -1)] for way in (along, across)],
-        )
+        moves = [[at(sensors + k * h * way) for k in (1, -1)] for way in (along, across)]
+        cut = at(sensors)
     length = np.hypot(*(sensors - columns).T)
     far = np.where(cut.far < 1, cut.far, 0)
     expected = (

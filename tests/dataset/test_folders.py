@@ -182,17 +182,14 @@ def in_colour(path: Path) -> None:
     Pillow.new("RGB", (8, 6)).save(path)
 
 
-@pytest.mark.parametrize(
-    ("name", "field", "damage", "message"),
-    [
-        ("_camera0.png", "rgb", short(0), "not a readable picture"),
-        ("_instance0.png", "instance", short(60), "not a readable picture"),
-        ("_depth0.png", "depth", in_colour, "its pixels are RGB: must be 16-bit"),
-        ("_semantic0.png", "semantic", in_colour, "its pixels are RGB: must be 8-bit"),
-        (".pcd", "points", short(-1), "cut short"),
-        (".pcd", "", short(0), "not a PCD file"),
-    ],
-)
+@pytest.mark.parametrize(("name", "field", "damage", "message"), [
+    ("_camera0.png", "rgb", short(0), "not a readable picture"),
+    ("_instance0.png", "instance", short(60), "not a readable picture"),
+    ("_depth0.png", "depth", in_colour, "its pixels are RGB: must be 16-bit"),
+    ("_semantic0.png", "semantic", in_colour, "its pixels are RGB: must be 8-bit"),
+    (".pcd", "points", short(-1), "cut short"),
+    (".pcd", "", short(0), "not a PCD file"),
+])  # fmt: skip
 def test_broken_pictures_and_points(tmp_path, name, field, damage, message):
     write_frame(tmp_path, frame(stations=[station()]))
     path = tmp_path / "-1" / f"000068{name}"
@@ -206,23 +203,20 @@ def test_broken_pictures_and_points(tmp_path, name, field, damage, message):
         use()
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "message"),
-    [
-        (OTHERS, "", "must hold keys with values, got None"),
-        ("  215:", "  215: [", "not YAML: .*line 1[0-9]"),
-        ("lidar_pose: [100.0,", "lidar_pose: [", "lidar_pose: must be 6 numbers, got"),
-        ("lidar_pose: [100.0,", "lidar_pose: [.nan,", "lidar_pose: must be 6 numbers, got"),
-        ("true_ego_pos: [100.0", "true_ego_pos: ['100'", "true_ego_pos: must be 6 numbers"),
-        ("    location", "    place", "vehicles.215: location: missing key"),
-        ("    speed: 36", "    speed: fast", "vehicles.215: speed: must be 1 numbers, got 'fast'"),
-        ("    speed: 36", "    obj_type: Tram", "vehicles.215: obj_type 'Tram': one of car, van"),
-        ("  215:", "  abc:", "vehicles.abc: the id must be a whole number"),
-        ("  cords", "  coords", "camera0: cords: missing key"),
-        ("[0, 335.64, 300]", "[0, 335.64]", "camera0: intrinsic: must be 3 x 3 numbers"),
-        ("camera0:\n", "camera2:\ncamera0:\n", "camera2: must hold keys with values, got None"),
-    ],
-)
+@pytest.mark.parametrize(("old", "new", "message"), [
+    (OTHERS, "", "must hold keys with values, got None"),
+    ("  215:", "  215: [", "not YAML: .*line 1[0-9]"),
+    ("lidar_pose: [100.0,", "lidar_pose: [", "lidar_pose: must be 6 numbers, got"),
+    ("lidar_pose: [100.0,", "lidar_pose: [.nan,", "lidar_pose: must be 6 numbers, got"),
+    ("true_ego_pos: [100.0", "true_ego_pos: ['100'", "true_ego_pos: must be 6 numbers"),
+    ("    location", "    place", "vehicles.215: location: missing key"),
+    ("    speed: 36", "    speed: fast", "vehicles.215: speed: must be 1 numbers, got 'fast'"),
+    ("    speed: 36", "    obj_type: Tram", "vehicles.215: obj_type 'Tram': one of car, van"),
+    ("  215:", "  abc:", "vehicles.abc: the id must be a whole number"),
+    ("  cords", "  coords", "camera0: cords: missing key"),
+    ("[0, 335.64, 300]", "[0, 335.64]", "camera0: intrinsic: must be 3 x 3 numbers"),
+    ("camera0:\n", "camera2:\ncamera0:\n", "camera2: must hold keys with values, got None"),
+])  # fmt: skip
 def test_broken_frames(others, old, new, message):
     path = others / "-1" / "00068.yaml"
     assert old in OTHERS

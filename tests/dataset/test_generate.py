@@ -297,18 +297,15 @@ def test_other_folders_are_not_changed(undisturbed, tmp_path):
     assert made_up.content(out) == files
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        (dict(workers=0), "workers 0: 1 or more"),
-        (dict(backend="carla", workers=2), "workers 2: 1 with backend carla"),
-        (dict(backend="carla", server=dataset.Server(port=70000)), "port 70000 is out of range"),
-        (dict(server=dataset.Server("sim")), "server sim:2000: goes with backend carla, and this"),
-        (dict(backend="carl"), "backend 'carl': one of embedded, carla; did you mean carla"),
-        (dict(folder="no/such"), "no/such: no such folder: no"),
-        (dict(folder="study.yaml"), "study.yaml: is a file; name a folder"),
-    ],
-)
+@pytest.mark.parametrize(("options", "message"), [
+    (dict(workers=0), "workers 0: 1 or more"),
+    (dict(backend="carla", workers=2), "workers 2: 1 with backend carla"),
+    (dict(backend="carla", server=dataset.Server(port=70000)), "port 70000 is out of range"),
+    (dict(server=dataset.Server("sim")), "server sim:2000: goes with backend carla, and this"),
+    (dict(backend="carl"), "backend 'carl': one of embedded, carla; did you mean carla"),
+    (dict(folder="no/such"), "no/such: no such folder: no"),
+    (dict(folder="study.yaml"), "study.yaml: is a file; name a folder"),
+])  # fmt: skip
 def test_bad_options(tmp_path, monkeypatch, options, message):
     monkeypatch.chdir(tmp_path)
     generation = load_generation(write(tmp_path))

@@ -106,15 +106,12 @@ def test_a_similarity_by_hand():
     assert Similarity(turn=2.0).of_boxes(box)[0, 6] == pytest.approx(5 - 2 * np.pi)
 
 
-@pytest.mark.parametrize(
-    ("bad", "message"),
-    [
-        (dict(flip=1.5), "flip 1.5: a chance"),
-        (dict(turn=4.0), "turn 4.0: 0 to π, in radians"),
-        (dict(scale=(1.1, 0.9)), "the smaller first"),
-        (dict(scale=(0.0, 1.0)), "above 0"),
-    ],
-)
+@pytest.mark.parametrize(("bad", "message"), [
+    (dict(flip=1.5), "flip 1.5: a chance"),
+    (dict(turn=4.0), "turn 4.0: 0 to π, in radians"),
+    (dict(scale=(1.1, 0.9)), "the smaller first"),
+    (dict(scale=(0.0, 1.0)), "above 0"),
+])  # fmt: skip
 def test_bad_augmentations(cached, bad, message):
     with pytest.raises(InspeError, match=message):
         Loader(cached, augment=Augment(**bad))

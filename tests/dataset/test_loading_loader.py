@@ -162,19 +162,16 @@ def test_a_loader_can_be_sent_to_another_process_and_a_batch_is_a_pytree(cached)
     assert type(sent) is type(batch)
 
 
-@pytest.mark.parametrize(
-    ("bad", "message"),
-    [
-        (dict(split="trian"), "no split 'trian': there is train, test; did you mean train"),
-        (dict(batch=0), "batch 0: a whole number, at least 1"),
-        (dict(batch=8), "split 'train' has 7 frames, less than a batch of 8: use a smaller"),
-        (dict(seed=-1), "seed -1"),
-        (dict(workers=1.5), "workers 1.5"),
-        (dict(sensors=("radar",)), "sensors: 'radar': one of camera, lidar"),
-        (dict(sensors="lidar"), "sensors 'lidar': a list"),
-        (dict(sensors=()), "a list with at least one"),
-    ],
-)
+@pytest.mark.parametrize(("bad", "message"), [
+    (dict(split="trian"), "no split 'trian': there is train, test; did you mean train"),
+    (dict(batch=0), "batch 0: a whole number, at least 1"),
+    (dict(batch=8), "split 'train' has 7 frames, less than a batch of 8: use a smaller"),
+    (dict(seed=-1), "seed -1"),
+    (dict(workers=1.5), "workers 1.5"),
+    (dict(sensors=("radar",)), "sensors: 'radar': one of camera, lidar"),
+    (dict(sensors="lidar"), "sensors 'lidar': a list"),
+    (dict(sensors=()), "a list with at least one"),
+])  # fmt: skip
 def test_bad_arguments(cached, bad, message):
     with pytest.raises(InspeError, match=message):
         Loader(cached, **bad)

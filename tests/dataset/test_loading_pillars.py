@@ -128,15 +128,12 @@ def test_clouds_are_woven_evenly():
     assert len(woven([clouds[0][:0], clouds[2]])) == 10
 
 
-@pytest.mark.parametrize(
-    ("bad", "message"),
-    [
-        (dict(cell=0.3), r"not a whole number of cells of 0\.3 m: use half: 51\.15"),
-        (dict(cell=0.0), "cell 0.0 m must be above 0"),
-        (dict(low=3.0, high=3.0), "low 3.0 m must be below"),
-        (dict(most_points=0), "most_points 0"),
-    ],
-)
+@pytest.mark.parametrize(("bad", "message"), [
+    (dict(cell=0.3), r"not a whole number of cells of 0\.3 m: use half: 51\.15"),
+    (dict(cell=0.0), "cell 0.0 m must be above 0"),
+    (dict(low=3.0, high=3.0), "low 3.0 m must be below"),
+    (dict(most_points=0), "most_points 0"),
+])  # fmt: skip
 def test_bad_grids(bad, message):
     with pytest.raises(InspeError, match=message):
         PillarGrid(**bad).check()

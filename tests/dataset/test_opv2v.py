@@ -254,31 +254,22 @@ def heard(points) -> dict:
     return {"stations": (replace(station(), scans=(replace(scan(), points=points),)),)}
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"number": 10**6}, "number: 1e.06 is out of range: from 0 to 999999"),
-        ({"boxes": (car(), car())}, "track 3 is given twice"),
-        ({"boxes": (car(65535),)}, r"boxes\[0\].track: 65535 is out of range: from 0 to 65534"),
-        ({"boxes": (car(kind="bus"),)}, r"boxes\[0\].kind 'bus': one of car, truck"),
-        (
-            {"boxes": (car(size=np.array([1, 1, 0])),)},
-            r"boxes\[0\].size\[2\]: 0 is out of range: at least 0.001",
-        ),
-        ({"stations": (station(0),)}, r"stations\[0\].number: 0 is out of range: at least 1"),
-        ({"stations": (station(1), station(1))}, "station 1 is given twice"),
-        (seen(rgb=np.zeros((6, 8), np.uint8)), r"images\[0\].rgb: shape \(6, 8\), expected \("),
-        (seen(depth=np.zeros((6, 9))), r"depth: shape \(6, 9\), expected \(6, 8\), as rgb"),
-        (
-            seen(instance=np.full((6, 8), 2**16)),
-            r"instance\[0, 0\]: 65536 is out of range: from 0 to 65535",
-        ),
-        (
-            heard(np.array([[0, 0, 0, 1.01]])),
-            r"points: intensity\[0\]: 1.01 is out of range: from 0 to 1",
-        ),
-    ],
-)
+@pytest.mark.parametrize(("changes", "message"), [
+    ({"number": 10**6}, "number: 1e.06 is out of range: from 0 to 999999"),
+    ({"boxes": (car(), car())}, "track 3 is given twice"),
+    ({"boxes": (car(65535),)}, r"boxes\[0\].track: 65535 is out of range: from 0 to 65534"),
+    ({"boxes": (car(kind="bus"),)}, r"boxes\[0\].kind 'bus': one of car, truck"),
+    ({"boxes": (car(size=np.array([1, 1, 0])),)},
+     r"boxes\[0\].size\[2\]: 0 is out of range: at least 0.001"),
+    ({"stations": (station(0),)}, r"stations\[0\].number: 0 is out of range: at least 1"),
+    ({"stations": (station(1), station(1))}, "station 1 is given twice"),
+    (seen(rgb=np.zeros((6, 8), np.uint8)), r"images\[0\].rgb: shape \(6, 8\), expected \("),
+    (seen(depth=np.zeros((6, 9))), r"depth: shape \(6, 9\), expected \(6, 8\), as rgb"),
+    (seen(instance=np.full((6, 8), 2**16)),
+     r"instance\[0, 0\]: 65536 is out of range: from 0 to 65535"),
+    (heard(np.array([[0, 0, 0, 1.01]])),
+     r"points: intensity\[0\]: 1.01 is out of range: from 0 to 1"),
+])  # fmt: skip
 def test_frames_that_cannot_be_written_leave_no_file(tmp_path, changes, message):
     with pytest.raises(InspeError, match=message):
         write_frame(tmp_path / "a", replace(frame(), **changes))

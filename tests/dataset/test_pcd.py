@@ -77,42 +77,35 @@ def test_fields_in_any_order_and_more_of_them(tmp_path):
     np.testing.assert_array_equal(read_pcd(put(tmp_path, text)), expected)
 
 
-@pytest.mark.parametrize(
-    ("text", "expected"),
-    [
-        (header(FIELDS="x y z intensity") + "1 2 3 0.25\n4 5 6 1\n", [0.25, 1]),
-        (header(FIELDS="x y z", SIZE="4 4 4", TYPE="F F F", COUNT="") + "1 2 3\n4 5 6\n", [0, 0]),
-        (header(WIDTH="3", POINTS="3") + "1 2 3 0\nnan nan nan 0\n4 5 6 0\n", [0, 0]),
-    ],
-    ids=["an intensity in place of a colour", "neither", "empty places are left out"],
-)
+@pytest.mark.parametrize(("text", "expected"), [
+    (header(FIELDS="x y z intensity") + "1 2 3 0.25\n4 5 6 1\n", [0.25, 1]),
+    (header(FIELDS="x y z", SIZE="4 4 4", TYPE="F F F", COUNT="") + "1 2 3\n4 5 6\n", [0, 0]),
+    (header(WIDTH="3", POINTS="3") + "1 2 3 0\nnan nan nan 0\n4 5 6 0\n", [0, 0]),
+], ids=["an intensity in place of a colour", "neither", "empty places are left out"])  # fmt: skip
 def test_intensities_and_empty_places(tmp_path, text, expected):
     points = np.column_stack([[[1, 2, 3], [4, 5, 6]], expected])
     np.testing.assert_array_equal(read_pcd(put(tmp_path, text)), points)
 
 
-@pytest.mark.parametrize(
-    ("content", "message"),
-    [
-        (b"", "ends before DATA"),
-        (b"\x89PNG\r\n\x1a\n\x00\x00", "not a PCD file: its header holds"),
-        (header("binary_compressed"), "DATA binary_compressed cannot be read"),
-        (header(VERSION="0.5"), "VERSION 0.5: must be 0.7"),
-        (header(FIELDS=""), "FIELDS is missing"),
-        (header(POINTS="two"), "POINTS two: must be whole numbers"),
-        (header(POINTS="", WIDTH=""), "POINTS is missing"),
-        (header(POINTS="3"), "3 POINTS are not WIDTH 2 x HEIGHT 1"),
-        (header(POINTS="-2", WIDTH="-2"), "POINTS is missing or not a number"),
-        (header(SIZE="4 4 4"), "do not have the same length"),
-        (header(COUNT="1 1 1 99999999999"), "field rgb: TYPE F SIZE 4 COUNT 99999999999"),
-        (header(TYPE="F F F X"), "field rgb: TYPE X"),
-        (header(FIELDS="x y w rgb") + "1 2 3 0\n4 5 6 0\n", "no field z; the fields are x, y, w"),
-        (header(SIZE="4 4 4 8") + "1 2 3 0\n4 5 6 0\n", "field rgb: SIZE 8"),
-        (header() + "1 2 3 0\n4 5 6\n", "2 POINTS need 4 numbers each, there are 7"),
-        (header() + "1 2 3 0\n4 5 six 0\n", "not numbers"),
-        (header("binary") + "too short", "cut short: 2 POINTS need 32 bytes, there are 9"),
-    ],
-)
+@pytest.mark.parametrize(("content", "message"), [
+    (b"", "ends before DATA"),
+    (b"\x89PNG\r\n\x1a\n\x00\x00", "not a PCD file: its header holds"),
+    (header("binary_compressed"), "DATA binary_compressed cannot be read"),
+    (header(VERSION="0.5"), "VERSION 0.5: must be 0.7"),
+    (header(FIELDS=""), "FIELDS is missing"),
+    (header(POINTS="two"), "POINTS two: must be whole numbers"),
+    (header(POINTS="", WIDTH=""), "POINTS is missing"),
+    (header(POINTS="3"), "3 POINTS are not WIDTH 2 x HEIGHT 1"),
+    (header(POINTS="-2", WIDTH="-2"), "POINTS is missing or not a number"),
+    (header(SIZE="4 4 4"), "do not have the same length"),
+    (header(COUNT="1 1 1 99999999999"), "field rgb: TYPE F SIZE 4 COUNT 99999999999"),
+    (header(TYPE="F F F X"), "field rgb: TYPE X"),
+    (header(FIELDS="x y w rgb") + "1 2 3 0\n4 5 6 0\n", "no field z; the fields are x, y, w"),
+    (header(SIZE="4 4 4 8") + "1 2 3 0\n4 5 6 0\n", "field rgb: SIZE 8"),
+    (header() + "1 2 3 0\n4 5 6\n", "2 POINTS need 4 numbers each, there are 7"),
+    (header() + "1 2 3 0\n4 5 six 0\n", "not numbers"),
+    (header("binary") + "too short", "cut short: 2 POINTS need 32 bytes, there are 9"),
+])  # fmt: skip
 def test_other_files_are_rejected(tmp_path, content, message):
     path = put(tmp_path, content)
     with pytest.raises(InspeError, match=message) as e:

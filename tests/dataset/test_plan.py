@@ -202,25 +202,22 @@ def test_splits_of_any_number(kinds, proportions, random):
     assert _split({key: kinds[key] for key in keys}, proportions) == found
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        (dict(scenes=[{"built_in": "four_way", "frames": 3}]), r"scenes\[0\].frames: unknown key"),
-        (dict(settings=dict(weather="hail")), r"settings.weather: weather 'hail'"),
-        (dict(settings=dict(frames=5)), r"settings.frames: unknown key.*allowed: density, light"),
-        (dict(settings=dict(seconds=0)), r"settings.seconds\[0\]: .*greater than 0"),
-        (dict(settings=dict(seconds=0.25)), r"settings.seconds: 0.25 s are 2.5 frames at 10 Hz"),
-        (dict(settings=dict(seconds=1e4)), r"settings.seconds: 10000 s are 100000 frames .* 10000"),
-        (dict(rate=10), r"rate: unknown key; did you mean rate_hz"),
-        (dict(layers=["depth", "depth"]), r"layers: two are named 'depth'"),
-        (dict(image_size=[352, 0]), r"image_size \[352, 0\] is out of range: width and"),
-        (dict(pictures="jpg"), r"pictures: 'jpg': one of png, jpeg; did you mean jpeg"),
-        (dict(cameras_per_agent=99), r"cameras_per_agent: 99 is out of range: 1 to 16, or 0"),
-        (dict(splits=dict(train=0)), r"splits: one of train, validate, test must be above 0"),
-        (dict(splits=dict(train=-1)), r"splits.train: .*greater than or equal to 0"),
-        (dict(split_by="layout"), r"split_by: .*'intersection' or 'scenario', got 'layout'"),
-    ],
-)
+@pytest.mark.parametrize(("changes", "message"), [
+    (dict(scenes=[{"built_in": "four_way", "frames": 3}]), r"scenes\[0\].frames: unknown key"),
+    (dict(settings=dict(weather="hail")), r"settings.weather: weather 'hail'"),
+    (dict(settings=dict(frames=5)), r"settings.frames: unknown key.*allowed: density, light"),
+    (dict(settings=dict(seconds=0)), r"settings.seconds\[0\]: .*greater than 0"),
+    (dict(settings=dict(seconds=0.25)), r"settings.seconds: 0.25 s are 2.5 frames at 10 Hz"),
+    (dict(settings=dict(seconds=1e4)), r"settings.seconds: 10000 s are 100000 frames .* 10000"),
+    (dict(rate=10), r"rate: unknown key; did you mean rate_hz"),
+    (dict(layers=["depth", "depth"]), r"layers: two are named 'depth'"),
+    (dict(image_size=[352, 0]), r"image_size \[352, 0\] is out of range: width and"),
+    (dict(pictures="jpg"), r"pictures: 'jpg': one of png, jpeg; did you mean jpeg"),
+    (dict(cameras_per_agent=99), r"cameras_per_agent: 99 is out of range: 1 to 16, or 0"),
+    (dict(splits=dict(train=0)), r"splits: one of train, validate, test must be above 0"),
+    (dict(splits=dict(train=-1)), r"splits.train: .*greater than or equal to 0"),
+    (dict(split_by="layout"), r"split_by: .*'intersection' or 'scenario', got 'layout'"),
+])  # fmt: skip
 def test_bad_studies(read, changes, message):
     with pytest.raises(InspeError, match=message):
         read(**changes)
@@ -316,24 +313,21 @@ def test_protocols_find_their_maps(read, tmp_path, kind, monkeypatch):
     assert found() == tmp_path / name
 
 
-@pytest.mark.parametrize(
-    ("key", "value", "message"),
-    [
-        ("format", "inspe_jax scenario 9", r"format: 'inspe_jax scenario 9': one of inspe_jax sc"),
-        ("format", None, r"a protocol that was not written by this package"),
-        ("split", "trial", r"split: 'trial': one of train, validate, test; did you mean train"),
-        ("name", "../../etc", r"name: string should match"),
-        ("scene", {"name": "a", "built_in": "b"}, r"scene.built_in: 'b': one of four_way"),
-        ("scene", {"built_in": "four_way"}, r"scene.name: missing key"),
-        ("settings", {}, r"settings: radius: missing key"),
-        ("settings.light", ["midday", "dusk"], r"settings: light: must be one value, got \['midda"),
-        ("settings.seconds", 0.01, r"settings: seconds: 0.01 s are 0.1 frames at 10 Hz"),
-        ("settings.wind", 1, r"settings: wind: unknown key"),
-        ("recording.backend", "film", r"recording.backend: 'film': one of embedded, carla"),
-        ("layout", {"units": []}, r"layout: units: needs at least 1, has 0"),
-        ("colour", "red", r"colour: unknown key"),
-    ],
-)
+@pytest.mark.parametrize(("key", "value", "message"), [
+    ("format", "inspe_jax scenario 9", r"format: 'inspe_jax scenario 9': one of inspe_jax sc"),
+    ("format", None, r"a protocol that was not written by this package"),
+    ("split", "trial", r"split: 'trial': one of train, validate, test; did you mean train"),
+    ("name", "../../etc", r"name: string should match"),
+    ("scene", {"name": "a", "built_in": "b"}, r"scene.built_in: 'b': one of four_way"),
+    ("scene", {"built_in": "four_way"}, r"scene.name: missing key"),
+    ("settings", {}, r"settings: radius: missing key"),
+    ("settings.light", ["midday", "dusk"], r"settings: light: must be one value, got \['midda"),
+    ("settings.seconds", 0.01, r"settings: seconds: 0.01 s are 0.1 frames at 10 Hz"),
+    ("settings.wind", 1, r"settings: wind: unknown key"),
+    ("recording.backend", "film", r"recording.backend: 'film': one of embedded, carla"),
+    ("layout", {"units": []}, r"layout: units: needs at least 1, has 0"),
+    ("colour", "red", r"colour: unknown key"),
+])  # fmt: skip
 def test_bad_protocols(read, tmp_path, key, value, message):
     path = protocol(read().scenarios[0], tmp_path)
     content = yaml.safe_load(path.read_text())

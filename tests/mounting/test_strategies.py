@@ -132,17 +132,14 @@ def test_standing_poles_near_a_corner_are_used():
     assert min(away[1:]) > 1.0
 
 
-@pytest.mark.parametrize(
-    ("where", "name", "expected"),
-    [
-        # Between kerb points (15, 7) and (7, 15) the chord's middle is on the sidewalk.
-        ("four_way", "L-d1", [[11, 11], [-11, 11], [-11, -11], [11, -11]]),
-        # 8 m outside the mouths at ±15, on the right looking outward, 0.3 m beyond the kerb at 7.
-        ("four_way", "Cam-d2", [[23, -7.3], [7.3, 23], [-23, 7.3], [-7.3, -23]]),
-        # On a tee's far side each kerb has a corner of its own, 0.3 m off its crosswalk at 11.5 m.
-        ("t_junction", "L-d1", [[11.2, 7.3], [-11.2, 7.3], [-7.5, -11], [7.5, -11]]),
-    ],
-)
+@pytest.mark.parametrize(("where", "name", "expected"), [
+    # Between kerb points (15, 7) and (7, 15) the chord's middle is on the sidewalk.
+    ("four_way", "L-d1", [[11, 11], [-11, 11], [-11, -11], [11, -11]]),
+    # 8 m outside the mouths at ±15, on the right looking outward, 0.3 m beyond the kerb at 7.
+    ("four_way", "Cam-d2", [[23, -7.3], [7.3, 23], [-23, 7.3], [-7.3, -23]]),
+    # On a tee's far side each kerb has a corner of its own, 0.3 m off its crosswalk at 11.5 m.
+    ("t_junction", "L-d1", [[11.2, 7.3], [-11.2, 7.3], [-7.5, -11], [7.5, -11]]),
+])  # fmt: skip
 def test_feet_by_hand(where, name, expected):
     got = np.array([unit.base[:2] for unit in strategy(scene_of(bare(where)), name).units])
     order = [np.hypot(*(got - foot).T).argmin() for foot in expected]
@@ -215,10 +212,9 @@ def test_central_cameras_look_all_round_and_higher_or_shorter_sighted_ones_steep
     assert (dip(camera_height=9.0) > dip()).all()
 
 
-@pytest.mark.parametrize(
-    ("name", "degrees"),
-    [("four_way", 37), ("t_junction", 251), ("triangle", 37), ("five_way", 251)],
-)
+@pytest.mark.parametrize(("name", "degrees"), [
+    ("four_way", 37), ("t_junction", 251), ("triangle", 37), ("five_way", 251),
+])  # fmt: skip
 def test_layout_turns_with_the_world(name, degrees):
     """1 cm allows for GEOS's polygons in place of circles."""
     place = sloped(built_in(name) if name == "four_way" else bare(name))
@@ -267,18 +263,15 @@ def test_heights_and_pitches_can_be_chosen():
     assert "corner 1, lidar" in {unit.name for unit in apart.units}
 
 
-@pytest.mark.parametrize(
-    ("name", "options", "said"),
-    [
-        ("Cam-d3", {}, r"no strategy 'Cam-d3': one of Cam-c, .*Cam-d2/L-d2; did you mean Cam-d"),
-        ("Cam-d1", {"camera_height": 2.0}, r"camera_height 2 m .* Cam-d1: between 3 and 12 m"),
-        ("L-c", {"lidar_height": 4.0}, r"lidar_height 4 m .* L-c: between 5 and 12 m"),
-        ("L-c", {"lidar_height": float("nan")}, r"lidar_height nan m is out of range"),
-        ("Cam-d1", {"camera_pitch_deg": 5.0}, r"camera_pitch_deg 5: between -90, .* and 0"),
-        ("L-c", {"lidar": "paper-camera"}, r"lidar 'paper-camera' is a camera"),
-        ("L-c", {"lidar": "no-such-thing"}, r"no-such-thing"),
-    ],
-)
+@pytest.mark.parametrize(("name", "options", "said"), [
+    ("Cam-d3", {}, r"no strategy 'Cam-d3': one of Cam-c, .*Cam-d2/L-d2; did you mean Cam-d"),
+    ("Cam-d1", {"camera_height": 2.0}, r"camera_height 2 m .* Cam-d1: between 3 and 12 m"),
+    ("L-c", {"lidar_height": 4.0}, r"lidar_height 4 m .* L-c: between 5 and 12 m"),
+    ("L-c", {"lidar_height": float("nan")}, r"lidar_height nan m is out of range"),
+    ("Cam-d1", {"camera_pitch_deg": 5.0}, r"camera_pitch_deg 5: between -90, .* and 0"),
+    ("L-c", {"lidar": "paper-camera"}, r"lidar 'paper-camera' is a camera"),
+    ("L-c", {"lidar": "no-such-thing"}, r"no-such-thing"),
+])  # fmt: skip
 def test_bad_input_is_named(name, options, said):
     with pytest.raises(InspeError, match=said):
         strategy(scene_named("four_way"), name, **options)

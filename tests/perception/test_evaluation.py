@@ -162,19 +162,16 @@ def spoilt(name: str, value, at=1) -> Detections:
     return CAR._replace(**{name: part})
 
 
-@pytest.mark.parametrize(
-    ("found", "truth", "message"),
-    [
-        ([CAR], [CAR, CAR], "of 1 frame, but ground truth of 2: give one of each for every frame"),
-        ([CAR, spoilt("boxes", np.nan)], [CAR, CAR], "detections: frame 1: box 1: .*nan.* finite"),
-        ([spoilt("boxes", 0, (1, 4))], [CAR], r"4.0, 0.0, 1.5, .* sizes above 0"),
-        ([spoilt("score", np.nan)], [CAR], "detections: frame 0: box 1: .* score nan: .* 0 to 1"),
-        ([spoilt("kind", -1)], [CAR], "of kind -1 .* kinds from 0 to 3"),
-        ([CAR._replace(score=CAR.score[:1])], [CAR], r"shapes \(2, 9\), \(2,\) and \(1,\)"),
-        ([CAR], [NOTHING], "truth: no car or truck or cyclist or pedestrian in 1 frame: there is"),
-        ([], [], "in 0 frames: there is nothing to find"),
-    ],
-)
+@pytest.mark.parametrize(("found", "truth", "message"), [
+    ([CAR], [CAR, CAR], "of 1 frame, but ground truth of 2: give one of each for every frame"),
+    ([CAR, spoilt("boxes", np.nan)], [CAR, CAR], "detections: frame 1: box 1: .*nan.* finite"),
+    ([spoilt("boxes", 0, (1, 4))], [CAR], r"4.0, 0.0, 1.5, .* sizes above 0"),
+    ([spoilt("score", np.nan)], [CAR], "detections: frame 0: box 1: .* score nan: .* 0 to 1"),
+    ([spoilt("kind", -1)], [CAR], "of kind -1 .* kinds from 0 to 3"),
+    ([CAR._replace(score=CAR.score[:1])], [CAR], r"shapes \(2, 9\), \(2,\) and \(1,\)"),
+    ([CAR], [NOTHING], "truth: no car or truck or cyclist or pedestrian in 1 frame: there is"),
+    ([], [], "in 0 frames: there is nothing to find"),
+])  # fmt: skip
 def test_bad_input(found, truth, message):
     with pytest.raises(InspeError, match=message):
         evaluate(found, truth)

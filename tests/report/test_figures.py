@@ -15,15 +15,9 @@ from worlds import CAMERA, LIDAR, no_traffic, place_sensors, random_layout, worl
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.geometry import rotation
 from inspe_jax.core.sheet import CLASS_COLORS, fit, save_figure
+from inspe_jax.report import figures
 from inspe_jax.report.bodies import arrow_heads
-from inspe_jax.report.figures import (
-    REGION_COLORS,
-    column_raster,
-    layer_raster,
-    plan_view,
-    scene_view,
-    spread_badges,
-)
+from inspe_jax.report.figures import REGION_COLORS, plan_view, scene_view
 from inspe_jax.report.layers import MapLayer
 from inspe_jax.report.outlines import clear_outlines, view_outline
 from inspe_jax.scene.procedural.built_ins import built_in
@@ -78,7 +72,7 @@ def drawn_boxes(fig):
 
 def test_the_raster_puts_each_column_on_its_square(scene):
     share = np.random.default_rng(0).uniform(size=len(scene.voxels.columns))
-    raster, (x0, x1, y0, y1) = column_raster(scene.voxels, share)
+    raster, (x0, x1, y0, y1) = figures.column_raster(scene.voxels, share)
     assert (x0, x1, y0, y1) == pytest.approx((0.3, 24.3, -19.7, 4.3))
     assert np.isfinite(raster).sum() == len(share)
     for (x, y), value in zip(scene.voxels.columns, share, strict=True):
@@ -100,8 +94,8 @@ def test_a_map_shows_the_mean_or_the_most_frequent_kind_of_a_square(scene):
         (MapLayer("", values), values),
         (MapLayer("", kinds, kinds=(("x", ""), ("y", "")), averaged=True), most > 0.5),
     ):
-        shown = layer_raster(scene.voxels, layer)[0]
-        where = column_raster(scene.voxels, np.arange(len(columns)))[0]
+        shown = figures.layer_raster(scene.voxels, layer)[0]
+        where = figures.column_raster(scene.voxels, np.arange(len(columns)))[0]
         there = ~np.isnan(where)
         assert (there == ~np.isnan(shown)).all()
         np.testing.assert_allclose(shown[there], wanted[where[there].astype(int)], atol=1e-9)
@@ -237,13 +231,13 @@ def test_numbers_keep_apart_however_crowded_the_sensors_are():
         anchors = spots[rng.integers(0, len(spots), count)]
         turn = rng.uniform(-np.pi, np.pi, count) * (case % 2)  # half the cases all wish the same
         wish = np.column_stack([np.cos(turn), np.sin(turn)])
-        place = spread_badges(anchors, wish, 3.0)
+        place = figures.spread_badges(anchors, wish, 3.0)
         apart = np.hypot(*(place[:, None] - place).T) + 9 * np.eye(count)
         assert apart.min() > 2.99
         cross = np.hypot(*(place[:, None] - anchors).reshape(-1, 2).T)
         assert cross.min() > 0.749 * 3
         assert np.hypot(*(place - anchors).T).max() < 4 * 3.0  # and near what they name
-    alone = spread_badges(np.array([[5.0, 6.0]]), np.array([[0.0, -1.0]]), 2.0)
+    alone = figures.spread_badges(np.array([[5.0, 6.0]]), np.array([[0.0, -1.0]]), 2.0)
     assert alone[0] == pytest.approx([5.0, 4.0], abs=0.01)
 
 
@@ -373,10 +367,10 @@ def test_arrow_heads_point_along_the_lanes():
 
 
 def test_a_figure_is_written_by_its_suffix_the_same_each_time(scene, pair, tmp_path):
-    figures = [plan_view(scene, pair, scores_of(scene, pair)) for _ in range(2)]
+    drawn = [plan_view(scene, pair, scores_of(scene, pair)) for _ in range(2)]
     for suffix, magic in ((".PNG", b"\x89PNG"), (".svg", b"<?xml"), (".pdf", b"%PDF")):
         path, written = tmp_path / f"a{suffix}", []
-        for figure in figures:
+        for figure in drawn:
             save_figure(figure, path)
             written.append(path.read_bytes())
         assert written[0].startswith(magic)

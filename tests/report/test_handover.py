@@ -223,29 +223,26 @@ def set_at(*path, to):
     return change
 
 
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        (lambda c: [1], "must hold keys"),
-        (lambda c: {"type": "Feature"}, "type"),
-        (set_at("features", to=[]), "no unit: a layout is features whose property"),
-        (set_at("features", 1, "properties", "unit", to="nowhere"), "no unit 'nowhere'"),
-        (set_at("features", 1, "properties", "device", to="no-such"), "device"),
-        (set_at("features", 1, "geometry", "coordinates", to=["a", "b"]), "no geometry"),
-        (set_at("features", 0, "geometry", "coordinates", to=[691600.0, 5334700.0]),
-         "is no longitude and latitude; write the file in WGS 84"),
-        (set_at("crs", to={"type": "name", "properties": {"name": "EPSG:1"}}),
-         "crs: 'EPSG:1' is no coordinate system"),
-        (set_at("features", 0, "geometry", to={"type": "LineString",
-                                               "coordinates": [[11, 48], [11.1, 48]]}),
-         "a unit is a Point"),
-        (set_at("features", 1, "geometry", "coordinates", to=[11.6, 48.14]), "at most 2 m"),
-        (set_at("features", 1, "geometry", to=None), "features[1].geometry: no geometry"),
-        (set_at("features", 0, "geometry", "coordinates", to=[]), "has no coordinates"),
-        (set_at("features", 1, "geometry", "coordinates", to=[int("9" * 400), 1]), "400 digits"),
-        (set_at("features", 1, "properties", "azimuth_deg", to=1e300), "azimuth_deg"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("change", "words"), [
+    (lambda c: [1], "must hold keys"),
+    (lambda c: {"type": "Feature"}, "type"),
+    (set_at("features", to=[]), "no unit: a layout is features whose property"),
+    (set_at("features", 1, "properties", "unit", to="nowhere"), "no unit 'nowhere'"),
+    (set_at("features", 1, "properties", "device", to="no-such"), "device"),
+    (set_at("features", 1, "geometry", "coordinates", to=["a", "b"]), "no geometry"),
+    (set_at("features", 0, "geometry", "coordinates", to=[691600.0, 5334700.0]),
+     "is no longitude and latitude; write the file in WGS 84"),
+    (set_at("crs", to={"type": "name", "properties": {"name": "EPSG:1"}}),
+     "crs: 'EPSG:1' is no coordinate system"),
+    (set_at("features", 0, "geometry", to={"type": "LineString",
+                                           "coordinates": [[11, 48], [11.1, 48]]}),
+     "a unit is a Point"),
+    (set_at("features", 1, "geometry", "coordinates", to=[11.6, 48.14]), "at most 2 m"),
+    (set_at("features", 1, "geometry", to=None), "features[1].geometry: no geometry"),
+    (set_at("features", 0, "geometry", "coordinates", to=[]), "has no coordinates"),
+    (set_at("features", 1, "geometry", "coordinates", to=[int("9" * 400), 1]), "400 digits"),
+    (set_at("features", 1, "properties", "azimuth_deg", to=1e300), "azimuth_deg"),
+])  # fmt: skip
 def test_a_wrong_file_says_what_is_wrong(scene, layout, tmp_path, change, words):
     """The plan is changed in place before it is read."""
     content = json.loads(plan_geojson(layout, scene.intersection))

@@ -31,8 +31,7 @@ def scene():
 @pytest.fixture(scope="module")
 def result(scene):
     start = place_sensors(
-        (CAMERA, [9.0, 9.0, 6.0, 0, -0.3, np.radians(-135)]),
-        (LIDAR, [-9.0, -9.0, 5.0, 0, 0, 0]),
+        (CAMERA, [9.0, 9.0, 6.0, 0, -0.3, np.radians(-135)]), (LIDAR, [-9.0, -9.0, 5.0, 0, 0, 0])
     )
     poses = np.array(start.poses)
     poses[0] = [9.0, -8.0, 8.5, 0, -0.3 + np.radians(4), np.radians(175)]

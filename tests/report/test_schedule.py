@@ -9,13 +9,8 @@ from worlds import CAMERA, LIDAR, crossing, world
 
 from inspe_jax.placement.objective import Objective
 from inspe_jax.placement.problem import Case
+from inspe_jax.report import schedule
 from inspe_jax.report.page import report_entry, report_page
-from inspe_jax.report.schedule import (
-    installation_schedule,
-    materials,
-    sensors_in_words,
-    total_price,
-)
 from inspe_jax.scene.georeference import Georeference
 from inspe_jax.scoring.blind_spots import blind_spots
 from inspe_jax.sensing.layout import Sensor, Unit, make_layout
@@ -26,29 +21,24 @@ def layout():
     """A pole with two cameras, one on an arm of 1.5 m to the north, and a LiDAR on a second."""
     units = [Unit("corner", (9.0, 8.0, 0.0)), Unit("pole", (-9.0, 8.0, 0.0))]
     sensors = [Sensor("east", CAMERA, 0), Sensor("arm", CAMERA, 0), Sensor("top", LIDAR, 1)]
-    poses = np.array(
-        [
-            [9.0, 8.0, 5.0, 0.0, np.radians(-12), 0.0],
-            [9.0, 9.5, 6.0, np.radians(3), np.radians(-30), np.radians(-135)],
-            [-9.0, 8.0, 4.25, 0.0, 0.0, np.radians(100)],
-        ]
-    )
+    poses = np.array([[9.0, 8.0, 5.0], [9.0, 9.5, 6.0], [-9.0, 8.0, 4.25]])
+    turns = np.radians([[0, -12, 0], [3, -30, -135], [0, 0, 100]])
+    poses = np.column_stack([poses, turns])
     return make_layout(sensors, units, poses, name="three")
 
 
 def test_on_a_map_without_coordinates(layout):
     """Azimuths are clockwise from the y axis: yaw 0 is east, 90°."""
     place = replace(crossing(), poles=np.array([[-9.0, 8.4, 0.0]]))
-    corner, pole = installation_schedule(layout, place, {"test-camera": 900.0})
+    corner, pole = schedule.installation_schedule(layout, place, {"test-camera": 900.0})
     assert (corner.position, corner.degrees) == ((9.0, 8.0, 0.0), None)
     assert corner.pole == "new pole, 18 m from the nearest"
     assert (pole.pole, pole.position[:2]) == ("existing pole", (-9.0, 8.4))
     assert (pole.sensors[0].offset, pole.sensors[0].offset_azimuth) == pytest.approx((0.4, 180.0))
     assert [row.number for unit in (corner, pole) for row in unit.sensors] == [1, 2, 3]
     east, arm = corner.sensors
-    assert (east.height, east.azimuth, east.tilt, east.roll, east.offset) == pytest.approx(
-        (5.0, 90.0, 12.0, 0.0, 0.0)
-    )
+    of_east = (east.height, east.azimuth, east.tilt, east.roll, east.offset)
+    assert of_east == pytest.approx((5.0, 90.0, 12.0, 0.0, 0.0))
     assert (arm.azimuth, arm.tilt, arm.roll) == pytest.approx((225.0, 30.0, 3.0))
     assert (arm.offset, arm.offset_azimuth) == pytest.approx((1.5, 0.0))
     assert (east.price, pole.sensors[0].price) == (900.0, None)
@@ -58,7 +48,7 @@ def test_on_a_map_without_coordinates(layout):
 def test_heights_are_above_the_ground_at_the_base(layout):
     place = crossing(slope=0.1)
     lifted = replace(layout, poses=np.asarray(layout.poses) + np.array([[0, 0, 0.9, 0, 0, 0]]))
-    corner, _ = installation_schedule(lifted, place, {})
+    corner, _ = schedule.installation_schedule(lifted, place, {})
     assert corner.position[2] == pytest.approx(0.9, abs=0.05)
     assert corner.sensors[1].position == pytest.approx((9.0, 9.5))
     assert corner.sensors[0].height == pytest.approx(5.9 - corner.position[2])
@@ -68,7 +58,7 @@ def test_on_the_earth_azimuths_are_from_true_north(layout):
     """UTM's north is off by the convergence, 1.9° near Munich."""
     pytest.importorskip("pyproj", reason="needs pyproj: extra [geo]")
     place = replace(crossing(), georeference=Georeference("EPSG:32632", (-690_000.0, -5_335_000.0)))
-    corner, _ = installation_schedule(layout, place, {})
+    corner, _ = schedule.installation_schedule(layout, place, {})
     latitude, longitude = corner.degrees
     assert 48.0 < latitude < 48.3
     assert 11.4 < longitude < 11.7
@@ -77,15 +67,15 @@ def test_on_the_earth_azimuths_are_from_true_north(layout):
 
 
 def test_materials_and_their_price(layout):
-    rows = materials(layout, {"test-camera": 900.0})
+    rows = schedule.materials(layout, {"test-camera": 900.0})
     camera, lidar = rows
-    assert (camera.count, camera.price, camera.total, camera.units) == (
-        2, 900.0, 1800.0, ("corner",),
-    )  # fmt: skip
+    of_camera = (camera.count, camera.price, camera.total, camera.units)
+    assert of_camera == (2, 900.0, 1800.0, ("corner",))
     assert (lidar.count, lidar.price, lidar.total) == (1, None, None)
-    assert total_price(rows) == (1800.0, ("test-lidar",))
-    assert total_price(materials(layout, {})) == (None, ("test-camera", "test-lidar"))
-    assert sensors_in_words(layout) == "2 cameras and 1 LiDAR"
+    assert schedule.total_price(rows) == (1800.0, ("test-lidar",))
+    unknown = schedule.total_price(schedule.materials(layout, {}))
+    assert unknown == (None, ("test-camera", "test-lidar"))
+    assert schedule.sensors_in_words(layout) == "2 cameras and 1 LiDAR"
 
 
 @pytest.fixture(scope="module")

@@ -12,14 +12,7 @@ from worlds import CAMERA, LIDAR, place_sensors, world
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.tables import table_of
-from inspe_jax.report.scene_tables import (
-    built_ins_table,
-    devices_table,
-    junctions_table,
-    layout_table,
-    profile_table,
-    scene_table,
-)
+from inspe_jax.report import scene_tables
 from inspe_jax.report.tables import scores_record, scores_table, sweep_table
 from inspe_jax.scene.maps.road_map import JunctionInfo
 from inspe_jax.scene.profiles import profiles
@@ -68,9 +61,8 @@ def layout():
 
 def row(text, *begins):
     """The one line that begins with these words, as its words."""
-    found = [
-        ws for ws in (line.split() for line in text.splitlines()) if ws[: len(begins)] == [*begins]
-    ]
+    lines = map(str.split, text.splitlines())
+    found = [words for words in lines if words[: len(begins)] == [*begins]]
     assert len(found) == 1, f"{begins}: {found}"
     return found[0]
 
@@ -127,12 +119,13 @@ def test_scores_for_people_are_whole(layout, width):
 
 
 def test_a_scene_for_people(scene):
-    text = printed(scene_table(scene))
+    text = printed(scene_tables.scene_table(scene))
     count = len(scene.voxels.columns)
     assert f"{count:,} columns × 4 levels = {4 * count:,}; voxel 1 m" in text
     assert "one every" not in text
     apart = replace(scene, voxels=replace(scene.voxels, size=0.2))
-    assert "voxel 0.2 m, one every 1 m" in " ".join(printed(scene_table(apart)).split())
+    words = printed(scene_tables.scene_table(apart)).split()
+    assert "voxel 0.2 m, one every 1 m" in " ".join(words)
     assert f"3 frames, {scene.traffic.mean_count:.1f} road users" in text
     assert "radius 12, seed 0" in text
     for region, key in ((1, "junction"), (3, "sidewalk")):
@@ -142,7 +135,7 @@ def test_a_scene_for_people(scene):
 
 
 def test_a_layout_for_people(layout):
-    text = printed(layout_table(layout))
+    text = printed(scene_tables.layout_table(layout))
     # Height is above the unit's base, and yaw lies in (−180°, 180°].
     camera = ["test-camera", "-10.0", "0.5", "6.0", "-90.0", "-15.5"]
     assert row(text, "1", "cam", "a")[-6:] == camera
@@ -150,7 +143,7 @@ def test_a_layout_for_people(layout):
     assert "roll" not in text
     poses = np.array(layout.poses)
     poses[0, 3] = math.radians(-3)
-    tilted = printed(layout_table(layout.with_poses(poses)))
+    tilted = printed(scene_tables.layout_table(layout.with_poses(poses)))
     assert "roll" in tilted
     assert row(tilted, "1", "cam", "a")[-2:] == ["-15.5", "-3.0"]
 
@@ -160,7 +153,7 @@ def test_a_layout_for_people(layout):
 
 def junctions(*ids):
     infos = [JunctionInfo(i, (-12.5, 7.0, 0.0), 4, 44.26, 12, 3) for i in ids]
-    return junctions_table(infos, "city.osm")
+    return scene_tables.junctions_table(infos, "city.osm")
 
 
 def mixes():
@@ -175,19 +168,15 @@ SWEPT = dict(layout="Cam-d1/L-d1", status="done", coverage="0.81", occlusion="0.
 
 
 @pytest.mark.parametrize("width", [40, 80])
-@pytest.mark.parametrize(
-    "table",
-    [
-        mixes(),
-        junctions("cluster_1580411983_1580411984_26704401_26704402_29271345_3_4_5_6_7_8_9"),
-        junctions(*range(26704401, 26704409)),
-        devices_table(devices()).renderables[0],
-        *(profile_table(profile) for profile in profiles().values()),
-        sweep_table([SWEPT]),
-        built_ins_table(),
-    ],
-    ids=lambda x: str(getattr(x, "title", x)).split(":")[0],
-)
+@pytest.mark.parametrize("table", [
+    mixes(),
+    junctions("cluster_1580411983_1580411984_26704401_26704402_29271345_3_4_5_6_7_8_9"),
+    junctions(*range(26704401, 26704409)),
+    scene_tables.devices_table(devices()).renderables[0],
+    *(scene_tables.profile_table(profile) for profile in profiles().values()),
+    sweep_table([SWEPT]),
+    scene_tables.built_ins_table(),
+], ids=lambda x: str(getattr(x, "title", x)).split(":")[0])  # fmt: skip
 def test_no_table_cuts_a_number_or_a_name(table, width):
     """Lines are longer than the terminal where they must be; only long words of prose break."""
     lines = [line.rstrip() for line in printed(table, width).splitlines()]

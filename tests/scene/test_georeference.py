@@ -13,10 +13,9 @@ pyproj = pytest.importorskip("pyproj", reason="needs pyproj: extra [geo]")
 SOME = np.array([[0.0, 0.0], [30.0, -20.0], [-400.0, 900.0]])
 
 
-@pytest.mark.parametrize(
-    ("code", "middle"),
-    [("EPSG:25832", (691608, 5334763)), ("EPSG:3067", (385000, 6672000))],
-)
+@pytest.mark.parametrize(("code", "middle"), [
+    ("EPSG:25832", (691608, 5334763)), ("EPSG:3067", (385000, 6672000)),
+])  # fmt: skip
 def test_degrees_are_those_of_the_projection(code, middle):
     """Against pyproj's other interface, which has no datum; both are on WGS 84 or ETRS89."""
     georeference = Georeference(code, tuple(-np.array(middle, float)))

@@ -12,12 +12,7 @@ from worlds import crossing
 import inspe_jax
 from inspe_jax.scene.maps.lanes import LaneStrip
 from inspe_jax.scene.maps.opendrive.geometry import ReferenceLine
-from inspe_jax.scene.maps.opendrive.objects import (
-    OCCUPIED,
-    PARKING,
-    shapes_of,
-    with_parked,
-)
+from inspe_jax.scene.maps.opendrive.objects import OCCUPIED, PARKING, shapes_of, with_parked
 from inspe_jax.scene.maps.opendrive.road_network import OpenDriveRoad
 from inspe_jax.scene.maps.registry import read_map
 from inspe_jax.scene.regions import Region

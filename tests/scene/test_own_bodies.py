@@ -161,17 +161,14 @@ def test_a_table_of_poles(place, spots, tmp_path):
     assert [one.height for one in found.bodies] == [8.0, 6.0]
 
 
-@pytest.mark.parametrize(
-    ("properties", "words"),
-    [
-        (dict(kind="house"), r"features\[0\]: kind 'house': one of building, wall"),
-        (dict(height_m=-1), "height_m: input should be greater than 0"),
-        (dict(height_m="high"), "height_m: input should be a valid number"),
-        (dict(base_m=9), r"base_m 9 m must be below height_m 6 m"),
-        (dict(transmittance=2), "transmittance"),
-        ({}, r"nothing within 40 m of .* the nearest is [89],\d\d\d m away"),
-    ],
-)
+@pytest.mark.parametrize(("properties", "words"), [
+    (dict(kind="house"), r"features\[0\]: kind 'house': one of building, wall"),
+    (dict(height_m=-1), "height_m: input should be greater than 0"),
+    (dict(height_m="high"), "height_m: input should be a valid number"),
+    (dict(base_m=9), r"base_m 9 m must be below height_m 6 m"),
+    (dict(transmittance=2), "transmittance"),
+    ({}, r"nothing within 40 m of .* the nearest is [89],\d\d\d m away"),
+])  # fmt: skip
 def test_a_wrong_property_says_what_is_wrong(place, spots, tmp_path, properties, words):
     at = spots[0] if properties else spots[0] + [0.0, 9000.0]
     path = write(tmp_path / "own.geojson", place, [shapely.Point(at)], [properties])
@@ -179,17 +176,14 @@ def test_a_wrong_property_says_what_is_wrong(place, spots, tmp_path, properties,
         with_own_bodies(place, path, REACH)
 
 
-@pytest.mark.parametrize(
-    ("name", "text", "words"),
-    [
-        ("a.geojson", '{"type": "FeatureCollection", "features": []}', "has no features"),
-        ("a.geojson", "{", "not JSON"),
-        ("a.geojson", "[" * 100_000, "not JSON"),
-        ("a.csv", "lat,lon\n1,2\n", "each of 'latitude' and 'longitude'; columns are lat, lon"),
-        ("a.csv", "latitude,longitude\n48,\n", "row 1: needs a number"),
-        ("a.csv", "", "it is empty"),
-    ],
-)
+@pytest.mark.parametrize(("name", "text", "words"), [
+    ("a.geojson", '{"type": "FeatureCollection", "features": []}', "has no features"),
+    ("a.geojson", "{", "not JSON"),
+    ("a.geojson", "[" * 100_000, "not JSON"),
+    ("a.csv", "lat,lon\n1,2\n", "each of 'latitude' and 'longitude'; columns are lat, lon"),
+    ("a.csv", "latitude,longitude\n48,\n", "row 1: needs a number"),
+    ("a.csv", "", "it is empty"),
+])  # fmt: skip
 def test_a_file_of_another_kind_says_so(place, tmp_path, name, text, words):
     (tmp_path / name).write_text(text)
     with pytest.raises(InspeError, match=words):

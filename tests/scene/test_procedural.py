@@ -121,17 +121,14 @@ def points_of(lines):
     return {tuple(map(tuple, (np.round(line, 6) + 0.0).tolist())) for line in lines}
 
 
-@pytest.mark.parametrize(
-    ("name", "moved", "backwards"),
-    [
-        ("four_way", turned(90), False),
-        ("four_way", mirrored(1, -1), True),  # in the mirror everybody drives on the left
-        ("triangle", turned(120), False),
-        ("roundabout", turned(90), False),
-        ("roundabout", mirrored(1, -1), True),
-        ("t_junction", mirrored(-1, 1), True),
-    ],
-)
+@pytest.mark.parametrize(("name", "moved", "backwards"), [
+    ("four_way", turned(90), False),
+    ("four_way", mirrored(1, -1), True),  # in the mirror everybody drives on the left
+    ("triangle", turned(120), False),
+    ("roundabout", turned(90), False),
+    ("roundabout", mirrored(1, -1), True),
+    ("t_junction", mirrored(-1, 1), True),
+])  # fmt: skip
 def test_places_are_symmetric(name, moved, backwards):
     place = PLACES[name]
     for shape in (*place.regions.values(), place.mounting):

@@ -72,37 +72,28 @@ def test_a_saved_scene_loads_the_same(tmp_path):
     assert again.settings == scene.settings
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        (dict(radius=5), "radius 5 m is out of range: between 10 and 200 m"),
-        (dict(radius=float("nan")), "radius nan m is out of range"),
-        (dict(voxel=0), "voxel 0 m is out of range: between 0.05 and 2 m"),
-        (dict(voxel=0.5, spacing=0.4), "spacing 0.4 m is out of range: between 0.5 and 4 m"),
-        (
-            dict(radius=200, voxel=0.05),
-            r"too large for memory: .* million voxels .* about [\d,]+ G",
-        ),
-        (dict(density="heavy"), "density 'heavy': none, low, medium, high"),
-        (dict(density=-3), "density '-3'"),
-    ],
-)
+@pytest.mark.parametrize(("options", "message"), [
+    (dict(radius=5), "radius 5 m is out of range: between 10 and 200 m"),
+    (dict(radius=float("nan")), "radius nan m is out of range"),
+    (dict(voxel=0), "voxel 0 m is out of range: between 0.05 and 2 m"),
+    (dict(voxel=0.5, spacing=0.4), "spacing 0.4 m is out of range: between 0.5 and 4 m"),
+    (dict(radius=200, voxel=0.05), r"too large for memory: .* million voxels .* about [\d,]+ G"),
+    (dict(density="heavy"), "density 'heavy': none, low, medium, high"),
+    (dict(density=-3), "density '-3'"),
+])  # fmt: skip
 def test_values_out_of_range(options, message):
     with pytest.raises(InspeError, match=message):
         build_scene("four_way", **{"frames": 2, **options})
 
 
-@pytest.mark.parametrize(
-    ("name", "message"),
-    [
-        ("for_way", "no scene 'for_way': .*did you mean four_way"),
-        ("none.npz", "none.npz: no such file"),
-        ("bad.npz", "bad.npz: not a scene saved by this package"),
-        ("town.xodr", "inspe scene .*--junction"),
-        ("own.yaml", "own.yaml: is a layout or a study, not a scene: inspe score SCENE own.yaml"),
-        (".", "is a folder; its layout is layout.yaml"),
-    ],
-)
+@pytest.mark.parametrize(("name", "message"), [
+    ("for_way", "no scene 'for_way': .*did you mean four_way"),
+    ("none.npz", "none.npz: no such file"),
+    ("bad.npz", "bad.npz: not a scene saved by this package"),
+    ("town.xodr", "inspe scene .*--junction"),
+    ("own.yaml", "own.yaml: is a layout or a study, not a scene: inspe score SCENE own.yaml"),
+    (".", "is a folder; its layout is layout.yaml"),
+])  # fmt: skip
 def test_what_cannot_be_loaded(tmp_path, monkeypatch, name, message):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "bad.npz").write_bytes(b"PK\x03\x04 not really")
@@ -131,16 +122,13 @@ def test_no_array_of_a_saved_scene_may_have_a_value_that_is_not_finite(tmp_path)
     assert len(str(caught.value)) < 300
 
 
-@pytest.mark.parametrize(
-    ("name", "change", "message"),
-    [
-        ("yaw", lambda x: x[:, :-1], r"traffic.yaw: shape \(2, \d+\), expected \(2, \d+\)"),
-        ("kind", lambda x: x + 9, r"traffic.kind\[0, 0\]: 9 is out of range: from 0 to 3"),
-        ("kind", lambda x: x + 0.5, "traffic.kind: must be whole numbers, got an array of float64"),
-        ("size", lambda x: x * 0, r"traffic.size\[0, 0, 0\]: 0 is out of range: at least 0.01"),
-        ("time", lambda x: x.astype(str), "traffic.time: must be numbers, got an array of str"),
-    ],
-)
+@pytest.mark.parametrize(("name", "change", "message"), [
+    ("yaw", lambda x: x[:, :-1], r"traffic.yaw: shape \(2, \d+\), expected \(2, \d+\)"),
+    ("kind", lambda x: x + 9, r"traffic.kind\[0, 0\]: 9 is out of range: from 0 to 3"),
+    ("kind", lambda x: x + 0.5, "traffic.kind: must be whole numbers, got an array of float64"),
+    ("size", lambda x: x * 0, r"traffic.size\[0, 0, 0\]: 0 is out of range: at least 0.01"),
+    ("time", lambda x: x.astype(str), "traffic.time: must be numbers, got an array of str"),
+])  # fmt: skip
 def test_traffic_of_ones_own_is_checked(name, change, message):
     scene = world(radius=10.0, voxel=2.0, frames=2, count=6)
     wrong = change(getattr(scene.traffic, name))

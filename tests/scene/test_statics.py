@@ -15,18 +15,11 @@ from worlds import crossing, slow_but, world
 import inspe_jax
 from inspe_jax.core.digest import digest
 from inspe_jax.core.errors import InspeError
+from inspe_jax.scene import street
 from inspe_jax.scene.placed_bodies import body_at
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.scene import load_scene, save_scene
 from inspe_jax.scene.statics import CORNERS, body, octagon, pole, tree, upright_box, wall
-from inspe_jax.scene.street import (
-    BEYOND,
-    FROM_CROSSING,
-    FROM_POLES,
-    HEADROOM,
-    street_bodies,
-    untouched,
-)
 from inspe_jax.scene.traffic.waypoint.paths import with_walkways
 
 ELL = np.array([[0, 0], [6, 0], [6, 2], [2, 2], [2, 6], [0, 6]], float)
@@ -41,16 +34,13 @@ def comb(teeth: int) -> np.ndarray:
     return np.concatenate([[[0, 0]], top, [[2 * teeth, 0]]])
 
 
-@pytest.mark.parametrize(
-    "outline",
-    [
-        ELL,
-        ELL[::-1],
-        comb(5),
-        np.array(Polygon(ELL).buffer(1.0, quad_segs=6).exterior.coords),
-        ELL + [1873.2, -951.7],
-    ],
-)
+@pytest.mark.parametrize("outline", [
+    ELL,
+    ELL[::-1],
+    comb(5),
+    np.array(Polygon(ELL).buffer(1.0, quad_segs=6).exterior.coords),
+    ELL + [1873.2, -951.7],
+])  # fmt: skip
 def test_convex_pieces_cover_the_outline_exactly(outline):
     found = body("building", outline, 9.0)
     parts = [Polygon(piece) for piece in found.pieces]
@@ -62,23 +52,20 @@ def test_convex_pieces_cover_the_outline_exactly(outline):
     assert shapely.union_all(parts).symmetric_difference(Polygon(outline)).area < 1e-9
 
 
-@pytest.mark.parametrize(
-    ("wrong", "message"),
-    [
-        (lambda: body("hous", ELL, 3), "body 'hous': one of building.*"),
-        (lambda: body("building", BOW, 3), r"building at \(2.0, 2.0\): its outline crosses"),
-        (lambda: body("building", [[0, 0], [1, 1], [0, 0]], 3), "three corners or more"),
-        (lambda: body("building", [[0, 0], [np.nan, 1], [2, 0]], 3), "not finite"),
-        (lambda: body("building", ELL[:, :1], 3), r"shape \(6, 1\)"),
-        (lambda: body("building", "house", 3), "must be numbers"),
-        (lambda: body("building", ELL, 2, base=2), "from 2 to 2 m above the ground; its height"),
-        (lambda: body("building", ELL, 2, base=-1), "the base 0 or more"),
-        (lambda: body("building", ELL, 5000), "at most 1000 m"),
-        (lambda: tree((0, 0), radius=2, height=7, base=3, transmittance=1.5), "transmittance 1.5"),
-        (lambda: tree((0, 0), radius=2, height=7, base=0), "a trunk of 0.15 m"),
-        (lambda: wall([[0, 0]], 2), "two points"),
-    ],
-)
+@pytest.mark.parametrize(("wrong", "message"), [
+    (lambda: body("hous", ELL, 3), "body 'hous': one of building.*"),
+    (lambda: body("building", BOW, 3), r"building at \(2.0, 2.0\): its outline crosses"),
+    (lambda: body("building", [[0, 0], [1, 1], [0, 0]], 3), "three corners or more"),
+    (lambda: body("building", [[0, 0], [np.nan, 1], [2, 0]], 3), "not finite"),
+    (lambda: body("building", ELL[:, :1], 3), r"shape \(6, 1\)"),
+    (lambda: body("building", "house", 3), "must be numbers"),
+    (lambda: body("building", ELL, 2, base=2), "from 2 to 2 m above the ground; its height"),
+    (lambda: body("building", ELL, 2, base=-1), "the base 0 or more"),
+    (lambda: body("building", ELL, 5000), "at most 1000 m"),
+    (lambda: tree((0, 0), radius=2, height=7, base=3, transmittance=1.5), "transmittance 1.5"),
+    (lambda: tree((0, 0), radius=2, height=7, base=0), "a trunk of 0.15 m"),
+    (lambda: wall([[0, 0]], 2), "two points"),
+])  # fmt: skip
 def test_bodies_that_cannot_be_meant(wrong, message):
     with pytest.raises(InspeError, match=message):
         wrong()
@@ -189,7 +176,7 @@ def test_street_bodies_on_a_town_map(maps):
     from inspe_jax.scene.maps.registry import read_map
 
     place = read_map(maps / "Town10HD.xodr", junction=189, radius=RADIUS)
-    bodies = street_bodies(place, RADIUS)
+    bodies = street.street_bodies(place, RADIUS)
     check(place, bodies)
     assert len(bodies) > 50
 
@@ -203,13 +190,13 @@ def check(place, bodies):
     for one, foot in zip(bodies, feet, strict=True):
         assert foot.distance(lanes) > 0.03, one.words
         assert not foot.distance(walked) <= 0.75, one.words  # not a number where nobody walks
-        assert one.base == 0 or one.base >= HEADROOM
+        assert one.base == 0 or one.base >= street.HEADROOM
         assert one.polygon.distance(lanes) > 0.03 or one.base >= 4.5
-        assert np.hypot(*(one.middle - place.center[:2])) < RADIUS + BEYOND
-        assert np.hypot(*(place.poles[:, :2] - one.middle).T).min(initial=99) > FROM_POLES
+        assert np.hypot(*(one.middle - place.center[:2])) < RADIUS + street.BEYOND
+        assert np.hypot(*(place.poles[:, :2] - one.middle).T).min(initial=99) > street.FROM_POLES
         crossing = place.regions.get(Region.CROSSWALK)
         if crossing is not None and not crossing.is_empty:
-            least = FROM_CROSSING if one.kind in ("parked vehicle", "tree") else 0.0
+            least = street.FROM_CROSSING if one.kind in ("parked vehicle", "tree") else 0.0
             assert one.polygon.distance(crossing) >= least - 1e-6
     pairs = shapely.STRtree(feet).query(feet, "intersects").T
     assert (pairs[:, 0] == pairs[:, 1]).all()
@@ -218,7 +205,7 @@ def check(place, bodies):
 @pytest.mark.parametrize("name", slow_but(inspe_jax.BUILT_INS, "four_way", "highway_ramp"))
 def test_nothing_is_in_the_way_of_traffic(name):
     place = inspe_jax.built_in(name)
-    bodies = street_bodies(place, RADIUS)
+    bodies = street.street_bodies(place, RADIUS)
     counts = Counter(one.kind for one in bodies)
     check(place, bodies)
     if name == "highway_ramp":  # nobody walks or parks there
@@ -232,22 +219,22 @@ def test_no_road_user_touches_a_body_and_what_one_touches_is_left_out():
     scene = inspe_jax.build_scene(
         place, radius=40, voxel=1.0, frames=10, density="high", mix="fleet", statics="street"
     )
-    bodies = street_bodies(place, 40.0)
+    bodies = street.street_bodies(place, 40.0)
     assert len(scene.statics) >= len(bodies) - 1
-    assert untouched(scene.statics, scene.traffic) == scene.statics
+    assert street.untouched(scene.statics, scene.traffic) == scene.statics
     car = next(one for one in bodies if one.kind == "parked vehicle")
     moved = scene.traffic.center.copy()
     moved[0, np.flatnonzero(scene.traffic.valid[0])[0], :2] = car.middle
-    left = untouched(bodies, replace(scene.traffic, center=moved))
+    left = street.untouched(bodies, replace(scene.traffic, center=moved))
     assert car not in left
 
 
 def test_a_scene_says_that_it_has_them():
     size = dict(radius=30, voxel=1.0, spacing=2.0, frames=2, density=5)
     place = inspe_jax.built_in("four_way")
-    street = inspe_jax.build_scene(place, **size, statics="street")
-    assert dict(street.settings)["statics"] == "street"
+    built = inspe_jax.build_scene(place, **size, statics="street")
+    assert dict(built.settings)["statics"] == "street"
     other = inspe_jax.build_scene(place, **(size | dict(density=9)), statics="street", seed=3)
-    assert digest(other.statics) == digest(street.statics)  # a place stays what it is
+    assert digest(other.statics) == digest(built.statics)  # a place stays what it is
     with pytest.raises(InspeError, match="one of none, map, street; did you mean"):
         inspe_jax.build_scene(place, **size, statics="streets")

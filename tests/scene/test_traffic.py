@@ -18,29 +18,15 @@ from inspe_jax.scene.intersection import Arm, Intersection, Route
 from inspe_jax.scene.maps.registry import read_map
 from inspe_jax.scene.procedural.built_ins import built_in
 from inspe_jax.scene.scene import AS_RECORDED, build_scene
-from inspe_jax.scene.traffic.frames import (
-    CLASSES,
-    MIXES,
-    ROAD_USERS,
-    Snapshot,
-    TrafficFrames,
-    pack_frames,
-    quota,
-    shortfall,
-)
+from inspe_jax.scene.traffic import frames
+from inspe_jax.scene.traffic.frames import MIXES, ROAD_USERS, TrafficFrames, quota, shortfall
 from inspe_jax.scene.traffic.waypoint.generate import (
     LONGEST_HEADWAY,
     CongestedModel,
     waypoint_traffic,
 )
 from inspe_jax.scene.traffic.waypoint.model import WEDGED, WaypointModel, _overlap
-from inspe_jax.scene.traffic.waypoint.paths import (
-    BESIDE,
-    SLACK,
-    SPACING,
-    lay_paths,
-    with_walkways,
-)
+from inspe_jax.scene.traffic.waypoint.paths import BESIDE, SLACK, SPACING, lay_paths, with_walkways
 
 CAR, TRUCK, CYCLIST, PEDESTRIAN = range(4)
 STREET = Route(line((-FAR, 0), (FAR, 0)), LANE)
@@ -60,10 +46,9 @@ def model_of(place: Intersection, count: int) -> WaypointModel:
     return WaypointModel(paths, kind, mix, np.random.default_rng(0))
 
 
-@pytest.mark.parametrize(
-    ("mix", "count"),
-    [("mixed", 20), ("mixed", 40), ("mixed", 60), ("largest", 40), ("fleet", 40)],
-)
+@pytest.mark.parametrize(("mix", "count"), [
+    ("mixed", 20), ("mixed", 40), ("mixed", 60), ("largest", 40), ("fleet", 40),
+])  # fmt: skip
 def test_as_many_as_asked_for_and_nobody_overlaps(mix: str, count: int) -> None:
     traffic = usual(mix, count)
     assert overlapping(traffic) == []
@@ -101,7 +86,7 @@ def test_shares() -> None:
 def test_a_fleet_has_bodies_by_their_shares():
     """Every body occurs, and sizes are within two standard deviations of a body's."""
     mix, rng = MIXES["fleet"], np.random.default_rng(0)
-    for kind, name in enumerate(CLASSES):
+    for kind, name in enumerate(frames.CLASSES):
         bodies = mix.bodies[name]
         drawn = np.array([mix.mean_size(kind, rng) for _ in range(4000)])
         share = np.array([body.share for body in bodies])
@@ -253,17 +238,14 @@ def test_turning_the_world_turns_the_traffic() -> None:
     assert wrapped[v] == pytest.approx(0, abs=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        ({"mix": "mixd"}, "traffic mix 'mixd': one of mixed, fleet, largest; did you mean mixed?"),
-        ({"count": -1}, "traffic count -1 is out of range: at least 0"),
-        ({"frames": 0}, "traffic frames 0 is out of range: at least 1"),
-        ({"seed": -1}, "traffic seed -1 is out of range: at least 0"),
-        ({"radius": float("nan")}, "traffic radius nan is out of range: above 0"),
-        ({"step": -1.0}, "traffic step -1.0 is out of range: above 0"),
-    ],
-)
+@pytest.mark.parametrize(("change", "words"), [
+    ({"mix": "mixd"}, "traffic mix 'mixd': one of mixed, fleet, largest; did you mean mixed?"),
+    ({"count": -1}, "traffic count -1 is out of range: at least 0"),
+    ({"frames": 0}, "traffic frames 0 is out of range: at least 1"),
+    ({"seed": -1}, "traffic seed -1 is out of range: at least 0"),
+    ({"radius": float("nan")}, "traffic radius nan is out of range: above 0"),
+    ({"step": -1.0}, "traffic step -1.0 is out of range: above 0"),
+])  # fmt: skip
 def test_bad_input(change: dict, words: str) -> None:
     with pytest.raises(InspeError) as raised:
         waypoint_traffic(crossing(), **({"radius": 50.0, "count": 1, "frames": 1} | change))
@@ -338,14 +320,14 @@ def test_lorries_in_narrow_streets_do_not_stand_for_good(maps, density: int) -> 
     assert np.mean(shares) < (0.6 if density == 20 else 0.83)
 
 
-def counted(counts: list[int], frames: int = 2) -> TrafficFrames:
+def counted(counts: list[int]) -> TrafficFrames:
     """Frames with so many of each class."""
     kind = np.repeat(np.arange(4, dtype=np.int8), counts)
     n = len(kind)
-    there = Snapshot(
+    there = frames.Snapshot(
         np.zeros((n, 3)), np.zeros(n), np.ones((n, 3)), kind, np.arange(n), np.zeros((n, 3))
     )
-    return pack_frames([there] * frames, 1.0)
+    return frames.pack_frames([there] * 2, 1.0)
 
 
 def test_a_full_place_has_as_many_as_asked_for_and_every_class() -> None:
@@ -428,18 +410,12 @@ def test_other_places_stay_as_they_are(place: Intersection) -> None:
     assert with_walkways(place, 50) is place
 
 
-@pytest.mark.parametrize(
-    ("counts", "count", "words"),
-    [
-        ([40, 6, 6, 7], 60, ""),
-        ([45, 6, 0, 0], 60, "asked 60, got 51.0: cyclists 0.0 of 6, pedestrians 0.0 of 7"),
-        (
-            [30, 4, 6, 20],
-            60,
-            "asked 60, got 60.0: cars 30.0 of 41, trucks 4.0 of 6; pedestrians 20.0 instead of 7",
-        ),
-    ],
-)
+@pytest.mark.parametrize(("counts", "count", "words"), [
+    ([40, 6, 6, 7], 60, ""),
+    ([45, 6, 0, 0], 60, "asked 60, got 51.0: cyclists 0.0 of 6, pedestrians 0.0 of 7"),
+    ([30, 4, 6, 20], 60,
+     "asked 60, got 60.0: cars 30.0 of 41, trucks 4.0 of 6; pedestrians 20.0 instead of 7"),
+])  # fmt: skip
 def test_what_falls_short_is_said(counts: list[int], count: int, words: str) -> None:
     assert shortfall(counted(counts), count, "mixed") == words
 

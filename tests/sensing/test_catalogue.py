@@ -53,40 +53,34 @@ def test_lidars_match_their_sheets(name, channels, lowest, highest, azimuths, re
     assert spec.grid.wraps == (name != "livox-horizon")
 
 
-@pytest.mark.parametrize(
-    ("name", "outer", "slack"),
-    [
-        # A calibrated Ruby Plus, which has the Ruby's design.
-        ("robosense-ruby-128", [-25.05, -19.65, -16.06, -13.58, -11.75, -10.36, -9.25], 0.07),
-        ("robosense-ruby-128", [4.16, 4.41, 4.71, 5.06, 5.46, 5.96, 6.56, 7.41, 9.01, 11.52], 0.03),
-        ("velodyne-vlp-32c", [-15.639, -11.31, -8.843, -7.254, -6.148, -5.333, 3.333, 4.667, 7], 0),
-        # A calibrated Pandar64, less its constant of 0.018 degrees.
-        ("hesai-pandar64", [-24.897, -18.889, 3.04, 5.057, 8.059, 11.032, 14.882], 0.001),
-    ],
-)
+@pytest.mark.parametrize(("name", "outer", "slack"), [
+    # A calibrated Ruby Plus, which has the Ruby's design.
+    ("robosense-ruby-128", [-25.05, -19.65, -16.06, -13.58, -11.75, -10.36, -9.25], 0.07),
+    ("robosense-ruby-128", [4.16, 4.41, 4.71, 5.06, 5.46, 5.96, 6.56, 7.41, 9.01, 11.52], 0.03),
+    ("velodyne-vlp-32c", [-15.639, -11.31, -8.843, -7.254, -6.148, -5.333, 3.333, 4.667, 7], 0),
+    # A calibrated Pandar64, less its constant of 0.018 degrees.
+    ("hesai-pandar64", [-24.897, -18.889, 3.04, 5.057, 8.059, 11.032, 14.882], 0.001),
+])  # fmt: skip
 def test_outer_rings_are_near_those_of_a_unit(name, outer, slack):
     away = np.abs(rings(name)[:, None] - outer).min(axis=0)
     assert away.max() <= slack + 1e-9
 
 
-@pytest.mark.parametrize(
-    ("name", "low", "high", "step", "slack"),
-    [
-        ("hesai-pandar128", -6.11, 2.02, 0.125, 0.007),
-        ("hesai-pandar128", 2.0, 13.6, 0.5, 0.06),
-        ("hesai-pandar128", -24.2, -6.05, 0.5, 0.06),
-        ("hesai-pandar64", -6.07, 2.03, 1 / 6, 0.012),
-        ("hesai-pandar64", -14.0, -6.05, 1.0, 0.05),  # with the table's -9.885 one gap is 1.15
-        ("robosense-ruby-128", -6.4, 3.82, 0.1, 1e-6),
-        ("robosense-helios-32", -8.1, 4.1, 4 / 3, 0.011),
-        ("robosense-helios-32", -55, -10, 3.0, 1e-6),
-        ("hesai-xt32", -16, 15, 1.0, 1e-6),
-        ("velodyne-vlp-16", -15, 15, 2.0, 1e-6),
-        ("velodyne-vlp-32c", -4, 1.667, 1 / 3, 0.0011),  # of the manual's uneven table
-        ("velodyne-hdl-64e", -24.33, -8.83, 0.5, 1e-6),  # two blocks
-        ("velodyne-hdl-64e", -8.34, 2, 1 / 3, 0.0011),
-    ],
-)
+@pytest.mark.parametrize(("name", "low", "high", "step", "slack"), [
+    ("hesai-pandar128", -6.11, 2.02, 0.125, 0.007),
+    ("hesai-pandar128", 2.0, 13.6, 0.5, 0.06),
+    ("hesai-pandar128", -24.2, -6.05, 0.5, 0.06),
+    ("hesai-pandar64", -6.07, 2.03, 1 / 6, 0.012),
+    ("hesai-pandar64", -14.0, -6.05, 1.0, 0.05),  # with the table's -9.885 one gap is 1.15
+    ("robosense-ruby-128", -6.4, 3.82, 0.1, 1e-6),
+    ("robosense-helios-32", -8.1, 4.1, 4 / 3, 0.011),
+    ("robosense-helios-32", -55, -10, 3.0, 1e-6),
+    ("hesai-xt32", -16, 15, 1.0, 1e-6),
+    ("velodyne-vlp-16", -15, 15, 2.0, 1e-6),
+    ("velodyne-vlp-32c", -4, 1.667, 1 / 3, 0.0011),  # of the manual's uneven table
+    ("velodyne-hdl-64e", -24.33, -8.83, 0.5, 1e-6),  # two blocks
+    ("velodyne-hdl-64e", -8.34, 2, 1 / 3, 0.0011),
+])  # fmt: skip
 def test_resolution_is_the_published_one(name, low, high, step, slack):
     elevations = rings(name)
     gaps = np.diff(elevations[(elevations > low - 1e-9) & (elevations < high + 1e-9)])
@@ -160,34 +154,31 @@ def test_specs_are_in_radians_with_both_ends_of_even_elevations():
     assert square.focal == pytest.approx(320)  # half the width
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "message"),
-    [
-        ("range_m = 25", "range = 25", r"range: unknown key; did you mean range_m\?; allowed"),
-        ("range_m = 25\n", "", "mine: range_m: missing key"),
-        ("range_m = 25", "range_m = -5", r"mine: range_m: .*greater than 0, got -5"),
-        ("range_m = 25", "range_m = inf", r"mine: range_m: .*finite.*got inf"),
-        ("reliability = 0.8", "reliability = 1.5", r"mine: reliability: .*equal to 1, got 1.5"),
-        ("azimuth_step_deg = 0.5", "azimuth_step_deg = 0", "mine: azimuth_step_deg: .*0.001"),
-        ("azimuth_step_deg = 0.5", "azimuth_step_deg = 91", "azimuth_step_deg: 91 is wider.* 90"),
-        ("azimuth_fov_deg = 90", "azimuth_fov_deg = 400", "azimuth_fov_deg: .*360, got 400"),
-        ("channels = 4", "channels = 5", "mine: channels: 5, but elevations_deg has 4"),
-        ("-10.5, 0, 2]", "-40, 0, 2]", "elevations_deg: must ascend strictly, but -40 follows -30"),
-        ("-10.5, 0, 2]", "-10.5, 0, 92]", r"elevations_deg\[3\]: .*equal to 90, got 92"),
-        ("[-30, -10.5, 0, 2]", "[]", "mine: elevations_deg: .*at least 1"),
-        ("elevations_deg = [-30, -10.5, 0, 2]\n", "", "mine: give either elevations_deg or elev"),
-        ("range_m", "elevation_range_deg = [0, 1]\nrange_m", "mine: give either elevations_deg or"),
-        (f"channels = 4\n{EVEN[0]}", EVEN[1], "channels: elevation_range_deg needs 2 or more"),
-        (EVEN[0], "elevation_range_deg = [2, -30]", "elevation_range_deg: must ascend strictly"),
-        (EVEN[0], "elevation_range_deg = [2]", "elevation_range_deg: .*at least 2"),
-        ('kind = "lidar"', 'kind = "radar"', "kind: must be 'lidar' or 'camera', got 'radar'"),
-        ('kind = "lidar"\n', "", "mine: kind: missing key"),
-        ('kind = "lidar"', 'kind = "camera"', "mine: .*unknown key"),
-        ("focal_px = 320", "hfov_deg = 180", r"hfov_deg: .*less than 180, got 180"),
-        ("focal_px = 320\n", "", "give either hfov_deg or focal_px"),
-        ("focal_px = 320", "focal_px = 320\nhfov_deg = 90", "give either hfov_deg or"),
-    ],
-)
+@pytest.mark.parametrize(("old", "new", "message"), [
+    ("range_m = 25", "range = 25", r"range: unknown key; did you mean range_m\?; allowed"),
+    ("range_m = 25\n", "", "mine: range_m: missing key"),
+    ("range_m = 25", "range_m = -5", r"mine: range_m: .*greater than 0, got -5"),
+    ("range_m = 25", "range_m = inf", r"mine: range_m: .*finite.*got inf"),
+    ("reliability = 0.8", "reliability = 1.5", r"mine: reliability: .*equal to 1, got 1.5"),
+    ("azimuth_step_deg = 0.5", "azimuth_step_deg = 0", "mine: azimuth_step_deg: .*0.001"),
+    ("azimuth_step_deg = 0.5", "azimuth_step_deg = 91", "azimuth_step_deg: 91 is wider.* 90"),
+    ("azimuth_fov_deg = 90", "azimuth_fov_deg = 400", "azimuth_fov_deg: .*360, got 400"),
+    ("channels = 4", "channels = 5", "mine: channels: 5, but elevations_deg has 4"),
+    ("-10.5, 0, 2]", "-40, 0, 2]", "elevations_deg: must ascend strictly, but -40 follows -30"),
+    ("-10.5, 0, 2]", "-10.5, 0, 92]", r"elevations_deg\[3\]: .*equal to 90, got 92"),
+    ("[-30, -10.5, 0, 2]", "[]", "mine: elevations_deg: .*at least 1"),
+    ("elevations_deg = [-30, -10.5, 0, 2]\n", "", "mine: give either elevations_deg or elev"),
+    ("range_m", "elevation_range_deg = [0, 1]\nrange_m", "mine: give either elevations_deg or"),
+    (f"channels = 4\n{EVEN[0]}", EVEN[1], "channels: elevation_range_deg needs 2 or more"),
+    (EVEN[0], "elevation_range_deg = [2, -30]", "elevation_range_deg: must ascend strictly"),
+    (EVEN[0], "elevation_range_deg = [2]", "elevation_range_deg: .*at least 2"),
+    ('kind = "lidar"', 'kind = "radar"', "kind: must be 'lidar' or 'camera', got 'radar'"),
+    ('kind = "lidar"\n', "", "mine: kind: missing key"),
+    ('kind = "lidar"', 'kind = "camera"', "mine: .*unknown key"),
+    ("focal_px = 320", "hfov_deg = 180", r"hfov_deg: .*less than 180, got 180"),
+    ("focal_px = 320\n", "", "give either hfov_deg or focal_px"),
+    ("focal_px = 320", "focal_px = 320\nhfov_deg = 90", "give either hfov_deg or"),
+])  # fmt: skip
 def test_bad_keys_get_one_clear_message(old, new, message):
     (text,) = (text for text in (LIDAR, CAMERA) if old in text)
     with pytest.raises(InspeError, match=message) as caught:

@@ -69,18 +69,15 @@ def test_names_are_read_and_written():
     assert Conditions("night", "rain") == Conditions.of("night", "rain:10")
 
 
-@pytest.mark.parametrize(
-    ("light", "weather", "message"),
-    [
-        ("noon", "clear", r"light 'noon': one of midday, dusk, night"),
-        ("nihgt", "clear", r"did you mean night\?"),
-        ("midday", "snow", r"weather 'snow': one of clear, rain, fog"),
-        ("midday", "clear:1", r"clear weather has no intensity"),
-        ("midday", "rain:", r"weather rain:nan: give rain:NUMBER, between 0.1 and 200 mm/h"),
-        ("midday", "rain:-3", r"between 0.1 and 200 mm/h"),
-        ("midday", "fog:1", r"fog:NUMBER, between 10 and 50000 m of met"),
-    ],
-)
+@pytest.mark.parametrize(("light", "weather", "message"), [
+    ("noon", "clear", r"light 'noon': one of midday, dusk, night"),
+    ("nihgt", "clear", r"did you mean night\?"),
+    ("midday", "snow", r"weather 'snow': one of clear, rain, fog"),
+    ("midday", "clear:1", r"clear weather has no intensity"),
+    ("midday", "rain:", r"weather rain:nan: give rain:NUMBER, between 0.1 and 200 mm/h"),
+    ("midday", "rain:-3", r"between 0.1 and 200 mm/h"),
+    ("midday", "fog:1", r"fog:NUMBER, between 10 and 50000 m of met"),
+])  # fmt: skip
 def test_bad_input(light, weather, message):
     with pytest.raises(InspeError, match=message):
         Conditions.of(light, weather)

@@ -46,39 +46,36 @@ def test_a_file_gives_world_poses(tmp_path):
     assert layout.units == (Unit("pole", (12.0, -3.0, 0.5)),)
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "message"),
-    [
-        ("height: 6.0", "heigth: 6.0", r"sensors\[0\].heigth: unknown key; did you mean height"),
-        ("units:", "unit:", r"unit: unknown key; did you mean units\?"),
-        ("        height: 6.0\n", "", r"units\[0\].sensors\[0\].height: missing key"),
-        ("device: paper-camera", "device: paper-camera-middy", "paper-camera"),
-        ("height: 6.0", "height: .nan", r"height: .*finite"),
-        ("base: [12.0, -3.0, 0.5]", "base: [12.0]", r"units\[0\].base: needs at least 2, has 1"),
-        ("pitch_deg: -15", "pitch_deg: -115", r"pitch_deg: .*-90.*-115"),
-        ("offset: [0.5, -0.25]", "offset: [0.0, 2.1]", r"unit 'pole': sensors 'pole 1' and 'pole "
-         "2' are 2.10 m apart in plan; at most 2 m"),
-        ("height: 6.0", "height: 9.5", r"'pole 2' are 4.50 m apart in height; at most 4 m"),
-        ("yaw_deg: 90", "yaw_deg: 1.0e+30", r"yaw_deg: .*360"),
-        ("base: [12.0,", "base: [1.0e+200,", r"units\[0\].base\[0\]: "),
-        ("height: 5.0,", "height: 5.0, name: pole 1,", "two sensors are named 'pole 1'"),
-        ("units:", "order: [pole 2, pole 3]\nunits:", "order: must name each sensor once: pole 1"),
-        (GOOD, "", "the layout is empty"),
-        (GOOD, "units:\n  - base: [0, 0]\n    sensors: []", r"sensors: needs at least 1, has 0"),
-        (GOOD, "just words", "the file: must hold keys with values: devices, name, order, profile, "
-         "searched_for, units"),
-        (GOOD, "units: [}", "not YAML"),
-        *(("units:", f"devices:\n  x: {table}\nunits:", rf"devices.x: {message}")
-          for table, message in (
-            ("{like: paper-camara}", "like: no device 'paper-camara'.*mean paper-camera"),
-            ("{depth_m: 3}", "kind: missing key"),
-            ("{kind: [lidar]}", r"kind: must be 'lidar' or 'camera', got \['lidar'\]"),
-            ("{like: paper-camera, range_m: 3}", "range_m: unknown key"),
-            ("{like: paper-lidar-32, channels: 3}", "channels: 3, but elevations_deg has"),
-            ("3", "must be a table of one device, got 3"),
-          )),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("old", "new", "message"), [
+    ("height: 6.0", "heigth: 6.0", r"sensors\[0\].heigth: unknown key; did you mean height"),
+    ("units:", "unit:", r"unit: unknown key; did you mean units\?"),
+    ("        height: 6.0\n", "", r"units\[0\].sensors\[0\].height: missing key"),
+    ("device: paper-camera", "device: paper-camera-middy", "paper-camera"),
+    ("height: 6.0", "height: .nan", r"height: .*finite"),
+    ("base: [12.0, -3.0, 0.5]", "base: [12.0]", r"units\[0\].base: needs at least 2, has 1"),
+    ("pitch_deg: -15", "pitch_deg: -115", r"pitch_deg: .*-90.*-115"),
+    ("offset: [0.5, -0.25]", "offset: [0.0, 2.1]", r"unit 'pole': sensors 'pole 1' and 'pole "
+     "2' are 2.10 m apart in plan; at most 2 m"),
+    ("height: 6.0", "height: 9.5", r"'pole 2' are 4.50 m apart in height; at most 4 m"),
+    ("yaw_deg: 90", "yaw_deg: 1.0e+30", r"yaw_deg: .*360"),
+    ("base: [12.0,", "base: [1.0e+200,", r"units\[0\].base\[0\]: "),
+    ("height: 5.0,", "height: 5.0, name: pole 1,", "two sensors are named 'pole 1'"),
+    ("units:", "order: [pole 2, pole 3]\nunits:", "order: must name each sensor once: pole 1"),
+    (GOOD, "", "the layout is empty"),
+    (GOOD, "units:\n  - base: [0, 0]\n    sensors: []", r"sensors: needs at least 1, has 0"),
+    (GOOD, "just words", "the file: must hold keys with values: devices, name, order, profile, "
+     "searched_for, units"),
+    (GOOD, "units: [}", "not YAML"),
+    *(("units:", f"devices:\n  x: {table}\nunits:", rf"devices.x: {message}")
+      for table, message in (
+        ("{like: paper-camara}", "like: no device 'paper-camara'.*mean paper-camera"),
+        ("{depth_m: 3}", "kind: missing key"),
+        ("{kind: [lidar]}", r"kind: must be 'lidar' or 'camera', got \['lidar'\]"),
+        ("{like: paper-camera, range_m: 3}", "range_m: unknown key"),
+        ("{like: paper-lidar-32, channels: 3}", "channels: 3, but elevations_deg has"),
+        ("3", "must be a table of one device, got 3"),
+      )),
+])  # fmt: skip
 def test_each_bad_file_gets_one_clear_message(tmp_path, old, new, message):
     path = write(tmp_path, GOOD.replace(old, new))
     with pytest.raises(InspeError, match=message) as caught:
@@ -211,16 +208,13 @@ def test_what_could_not_be_read_back_is_not_written(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize(
-    ("units", "poses", "message"),
-    [
-        ([7], np.ones((1, 6)), "no unit 7"),
-        ([0], np.ones((1, 5)), r"shape \(1, 5\), expected \(1, 6\)"),
-        ([0], [[1.0], [2.0, 3.0]], "poses: give rows of six numbers"),
-        ([0], np.full((1, 6), np.inf), r"poses\[0, 0\]: inf is not finite"),
-        ([], np.zeros((0, 6)), "the layout is empty"),
-    ],
-)
+@pytest.mark.parametrize(("units", "poses", "message"), [
+    ([7], np.ones((1, 6)), "no unit 7"),
+    ([0], np.ones((1, 5)), r"shape \(1, 5\), expected \(1, 6\)"),
+    ([0], [[1.0], [2.0, 3.0]], "poses: give rows of six numbers"),
+    ([0], np.full((1, 6), np.inf), r"poses\[0, 0\]: inf is not finite"),
+    ([], np.zeros((0, 6)), "the layout is empty"),
+])  # fmt: skip
 def test_layouts_that_do_not_fit_together(units, poses, message):
     sensors = [Sensor(f"s{i}", LIDAR, u) for i, u in enumerate(units)]
     with pytest.raises(InspeError, match=message):

@@ -54,10 +54,9 @@ def scan_of(scene, layout, conditions="clear", recording=EXACT):
     return recorder.frame(0).stations[0].scans[0]
 
 
-@pytest.mark.parametrize(
-    ("kind", "weather"),
-    [("car", "clear"), ("truck", "rain:50"), ("cyclist", "fog:50"), ("pedestrian", "rain:50")],
-)
+@pytest.mark.parametrize(("kind", "weather"), [
+    ("car", "clear"), ("truck", "rain:50"), ("cyclist", "fog:50"), ("pedestrian", "rain:50"),
+])  # fmt: skip
 def test_road_users_beyond_the_reach_have_no_return(empty, kind, weather):
     """Rain and fog shorten the reach. The static world is as far away."""
     layout = lidar()

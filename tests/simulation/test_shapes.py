@@ -60,18 +60,15 @@ def test_every_class_has_shapes_and_every_part_is_used_and_painted():
             assert 0 <= colours.min() <= colours.max() <= 1
 
 
-@pytest.mark.parametrize(
-    ("kind", "size", "fit"),
-    [
-        ("truck", (16.5, 2.55, 4.0), {"truck.articulated", "truck.container",
-                                      "truck.articulated_tank", "truck.road_train"}),
-        ("truck", (30.0, 2.55, 4.0), {"truck.road_train"}),  # none: the nearest
-        ("car", (3.7, 1.66, 1.48), {name for name in VARIANTS["car"] if "van" not in name}),
-        ("pedestrian", ADULT, {name for name in VARIANTS["pedestrian"] if "child" not in name}),
-        ("cyclist", (2.5, 0.7, 1.75), {"bicycle.cargo", "motorcycle.tourer"}),
-        ("pedestrian", (0.3, 0.3, 0.8), {"walker.child_3"}),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("kind", "size", "fit"), [
+    ("truck", (16.5, 2.55, 4.0), {"truck.articulated", "truck.container",
+                                  "truck.articulated_tank", "truck.road_train"}),
+    ("truck", (30.0, 2.55, 4.0), {"truck.road_train"}),  # none: the nearest
+    ("car", (3.7, 1.66, 1.48), {name for name in VARIANTS["car"] if "van" not in name}),
+    ("pedestrian", ADULT, {name for name in VARIANTS["pedestrian"] if "child" not in name}),
+    ("cyclist", (2.5, 0.7, 1.75), {"bicycle.cargo", "motorcycle.tourer"}),
+    ("pedestrian", (0.3, 0.3, 0.8), {"walker.child_3"}),
+])  # fmt: skip
 def test_the_size_of_a_box_decides(kind, size, fit):
     """Among others: the length, for what is long; the height, for children."""
     found = {*fitting(kind, size)}

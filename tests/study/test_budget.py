@@ -117,17 +117,14 @@ def test_how_far_from_the_best_it_may_be(monkeypatch):
         share_out([[1, 5]], [[1.0, 0.5]], 2, [1])
 
 
-@pytest.mark.parametrize(
-    ("costs", "amount", "message"),
-    [
-        ([[0]], -1, "budget -1: 0 to 1e"),
-        ([[0]], float("nan"), "budget nan: 0 to 1e"),
-        ([[-1]], 1, "cost -1: 0 or more US dollars, to the cent"),
-        ([[float("inf")]], 1, "cost inf"),
-        ([[0.001]], 1, "cost 0.001: 0 or more US dollars, to the cent"),
-        ([[5], [7]], 11, r"budget of 11.00 US dollars is too small: .* 12.00"),
-    ],
-)
+@pytest.mark.parametrize(("costs", "amount", "message"), [
+    ([[0]], -1, "budget -1: 0 to 1e"),
+    ([[0]], float("nan"), "budget nan: 0 to 1e"),
+    ([[-1]], 1, "cost -1: 0 or more US dollars, to the cent"),
+    ([[float("inf")]], 1, "cost inf"),
+    ([[0.001]], 1, "cost 0.001: 0 or more US dollars, to the cent"),
+    ([[5], [7]], 11, r"budget of 11.00 US dollars is too small: .* 12.00"),
+])  # fmt: skip
 def test_bad_input(costs, amount, message):
     for worst in (False, True):
         with pytest.raises(InspeError, match=message):

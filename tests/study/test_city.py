@@ -9,22 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from drawn import misplaced
-from processes import in_this_process, inspe_here, refused
+from processes import cases, in_this_process, inspe_here, refused
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import read_csv
 from inspe_jax.scene.maps.road_map import JunctionInfo
 from inspe_jax.scene.maps.sumo.network import run
 from inspe_jax.sensing.layout import load_layout
-from inspe_jax.study.city import (
-    NOTHING,
-    JunctionFront,
-    Option,
-    choose_junctions,
-    city_study,
-    fronts_of,
-    plan_city,
-)
+from inspe_jax.study import city
 from inspe_jax.study.city_report import city_view
 
 LIES = "+proj=utm +zone=32 +ellps=WGS84 +datum=WGS84 +units=m +no_defs"
@@ -167,7 +159,7 @@ def test_dry_runs_and_ctrl_c(inspe, files, monkeypatch):
     assert "give the same command again to resume" in error
 
 
-BAD = [
+@pytest.mark.parametrize(("arguments", "message"), cases(
     (("none.net.xml",), "none.net.xml: no such file"),
     (("grid.net.xml", "--junctions", "A0,B7"), "no junction 'B7' among A0, A1, B0, B1; did you"),
     (("grid.net.xml", "--junctions", ","), "junctions ',': write signals, all, or ids"),
@@ -177,10 +169,7 @@ BAD = [
     (("grid.net.xml", "--method", "none"), "--method none: a plan needs a search"),
     (("grid.net.xml", "--method", "gready"), "settings.method: 'gready': one of"),
     (("grid.net.xml", "--workers", "0"), "workers 0: give 1 or more"),
-]
-
-
-@pytest.mark.parametrize(("arguments", "message"), BAD, ids=[" ".join(a) for a, _ in BAD])
+))  # fmt: skip
 def test_bad_input_is_one_message(inspe, files, arguments, message):
     budget = () if "--budget" in arguments else ("--budget", 1)
     refused(inspe, files, ("plan", *arguments, *budget), message)
@@ -207,27 +196,27 @@ def rows_of(study, scores):
 def test_fronts_have_no_mix_that_another_beats(files):
     places = [junction("A0"), junction("A1"), junction("B0")]
     mixes = [{"paper-camera": n, "paper-lidar-32": 0} for n in (1, 2, 3)]
-    study = city_study(files / "grid.net.xml", places, mixes, dict(method="random"))
+    study = city.city_study(files / "grid.net.xml", places, mixes, dict(method="random"))
     names = [job.layout.name for job in study.jobs[:3]]
     assert names == ["1 paper-camera", "2 paper-camera", "3 paper-camera"]
     costs = dict(zip(names, (10.0, 20.0, 20.0), strict=True))
     values = [0.3, 0.2, 0.5, 0.3, "too many posts", 0.25, "no pole", "no pole", "no mast"]
     keys = [(place.id, name) for place in places for name in names]
     rows = rows_of(study, dict(zip(keys, values, strict=True)))
-    first, second, third = fronts_of(study, rows, places, costs)
+    first, second, third = city.fronts_of(study, rows, places, costs)
     assert [(one.cost, one.score) for one in first.options] == [(0, 0), (10, 0.3), (20, 0.5)]
     assert first.options[2].layout == f"layouts/{study.jobs[2].key}.yaml"
     assert [(one.cost, one.score) for one in second.options] == [(0, 0), (10, 0.3)]
     assert second.errors == ("2 paper-camera: too many posts",)
     assert not second.failed
     assert third.failed
-    plan = plan_city([first, second, third], 30)
+    plan = city.plan_city([first, second, third], 30)
     assert plan.left_out == {"B0": "1 paper-camera: no pole"}
     assert [one.mix for one in plan.chosen] == ["3 paper-camera", "1 paper-camera"]
     assert plan.text(None).splitlines()[0] == "junction,x,y,importance,mix,cost_usd,score,layout"
     with pytest.raises(InspeError, match="every search failed; at B0: 1 paper-camera: no pole"):
-        plan_city([third], 30)
-    free = fronts_of(study, rows, places, costs | {"1 paper-camera": 0.0})
+        city.plan_city([third], 30)
+    free = city.fronts_of(study, rows, places, costs | {"1 paper-camera": 0.0})
     assert free[0].options[0].score == 0.3
 
 
@@ -253,46 +242,45 @@ def test_what_failed_is_told_and_left_out(inspe, files, monkeypatch):
     assert "every search failed; at B0" in error
 
 
-def synthetic(count: int, name: str = "{}") -> list[JunctionFront]:
+def synthetic(count: int, name: str = "{}") -> list[city.JunctionFront]:
     rng = np.random.default_rng(0)
     found = []
     for k in range(count):
         at = (*rng.uniform(0, 3000, 2).tolist(), 0.0)
         scores = np.sort(rng.uniform(0.1, 0.9, 3)).tolist()
-        options = [Option(f"{n} x", 4000.0 * n, scores[n - 1], f"k{n}") for n in (1, 2, 3)]
+        options = [city.Option(f"{n} x", 4000.0 * n, scores[n - 1], f"k{n}") for n in (1, 2, 3)]
         place = JunctionInfo(name.format(k), at, 4, 20.0, 0, 4)
-        found.append(JunctionFront(place, (NOTHING, *options)))
+        found.append(city.JunctionFront(place, (city.NOTHING, *options)))
     return found
 
 
-@pytest.mark.parametrize(
-    ("count", "name", "labels"),
-    [(3, "J{}", ["J0", "J1", "J2"]), (2, "cluster_{}00000", ["1", "2"]), (61, "{}", [])],
-)
+@pytest.mark.parametrize(("count", "name", "labels"), [
+    (3, "J{}", ["J0", "J1", "J2"]), (2, "cluster_{}00000", ["1", "2"]), (61, "{}", []),
+])  # fmt: skip
 def test_the_figure_names_junctions_where_there_is_room(count, name, labels):
-    plan = plan_city(synthetic(count, name), 4000.0 * count)
+    plan = city.plan_city(synthetic(count, name), 4000.0 * count)
     figure = city_view(plan, "town", [np.array([[0, 0], [3000, 3000]])])
     texts = [text.get_text() for text in figure.axes[0].texts]
     assert [text for text in texts if text not in ("N", "1 km", "500 m", "200 m")] == labels
     assert misplaced(figure) == []
-    assert city_view(plan_city(synthetic(4), 0.0, worst=True), "town").axes
+    assert city_view(city.plan_city(synthetic(4), 0.0, worst=True), "town").axes
 
 
 def test_choosing_junctions(files, monkeypatch):
     """And a junction or a mix more only adds jobs to a study."""
     path = files / "grid.net.xml"
-    assert [one.id for one in choose_junctions(path, "signals")] == ["A0", "A1", "B0", "B1"]
-    assert [one.id for one in choose_junctions(path, "B1, A0")] == ["B1", "A0"]
+    assert [one.id for one in city.choose_junctions(path, "signals")] == ["A0", "A1", "B0", "B1"]
+    assert [one.id for one in city.choose_junctions(path, "B1, A0")] == ["B1", "A0"]
     both, settings = [junction("A0"), junction("A1")], dict(method="greedy", evaluations=3)
-    one = city_study(path, both[:1], [{"paper-camera": 1}], settings)
-    more = city_study(path, both, [{"paper-camera": 1}, {"paper-camera": 2}], settings)
+    one = city.city_study(path, both[:1], [{"paper-camera": 1}], settings)
+    more = city.city_study(path, both, [{"paper-camera": 1}, {"paper-camera": 2}], settings)
     assert len(more.jobs) == 4
     assert {job.key for job in one.jobs} < {job.key for job in more.jobs}
     some = (junction("a", signals=0), junction("b", signals=0))
     monkeypatch.setattr("inspe_jax.study.city.list_junctions", lambda *_: some)
-    assert choose_junctions(path, "all") == some
+    assert city.choose_junctions(path, "all") == some
     with pytest.raises(InspeError, match="none of its 2 junctions has signals; `all` takes all"):
-        choose_junctions(path, "signals")
+        city.choose_junctions(path, "signals")
     monkeypatch.setattr("inspe_jax.study.city.list_junctions", lambda *_: ())
     with pytest.raises(InspeError, match="the map has no junction"):
-        choose_junctions(path, "all")
+        city.choose_junctions(path, "all")

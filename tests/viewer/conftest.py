@@ -15,8 +15,7 @@ def scene():
 def layout():
     """A camera in the north-east that looks south, and a LiDAR in the south-west."""
     return place_sensors(
-        (CAMERA, [9.0, 9.0, 6.0, 0, -0.3, np.radians(-100)]),
-        (LIDAR, [-9.0, -9.0, 5.0, 0, 0, 0]),
+        (CAMERA, [9.0, 9.0, 6.0, 0, -0.3, np.radians(-100)]), (LIDAR, [-9.0, -9.0, 5.0, 0, 0, 0])
     )
 
 

@@ -63,25 +63,22 @@ def own_of(viewer):
 # ── Who is let in ──
 
 
-@pytest.mark.parametrize(
-    ("path", "host", "origin", "why"),
-    [
-        ("/{token}/", "127.0.0.1:8080", None, ""),
-        ("/{token}", "localhost:9000", "http://localhost:9000", ""),  # through a tunnel
-        ("/{token}/?a=b", "[::1]:8080", "http://[::1]:8080", ""),
-        ("/{token}/", "localhost", EVIL, "another page asked"),
-        ("/{token}/", "127.0.0.1:8080", "http://127.0.0.1:1", "another page asked"),
-        ("/{token}/", "127.0.0.1:8080", "null", "another page asked"),
-        ("/{token}/", "evil.example:8080", f"{EVIL}:8080", "not this machine"),
-        ("/{token}/", "127.0.0.1@evil.example", None, "not this machine"),
-        ("/{token}/", "127.0.0.1.evil.example", None, "not this machine"),
-        ("/{token}/", None, None, "not this machine"),
-        ("/", "localhost", None, "does not have the token"),
-        ("/x{token}/", "localhost", None, "does not have the token"),
-        ("/?token={token}", "localhost", None, "does not have the token"),
-        ("/x/{token}/", "localhost", None, "does not have the token"),
-    ],
-)
+@pytest.mark.parametrize(("path", "host", "origin", "why"), [
+    ("/{token}/", "127.0.0.1:8080", None, ""),
+    ("/{token}", "localhost:9000", "http://localhost:9000", ""),  # through a tunnel
+    ("/{token}/?a=b", "[::1]:8080", "http://[::1]:8080", ""),
+    ("/{token}/", "localhost", EVIL, "another page asked"),
+    ("/{token}/", "127.0.0.1:8080", "http://127.0.0.1:1", "another page asked"),
+    ("/{token}/", "127.0.0.1:8080", "null", "another page asked"),
+    ("/{token}/", "evil.example:8080", f"{EVIL}:8080", "not this machine"),
+    ("/{token}/", "127.0.0.1@evil.example", None, "not this machine"),
+    ("/{token}/", "127.0.0.1.evil.example", None, "not this machine"),
+    ("/{token}/", None, None, "not this machine"),
+    ("/", "localhost", None, "does not have the token"),
+    ("/x{token}/", "localhost", None, "does not have the token"),
+    ("/?token={token}", "localhost", None, "does not have the token"),
+    ("/x/{token}/", "localhost", None, "does not have the token"),
+])  # fmt: skip
 def test_a_page_has_the_address_and_asks_for_itself(path, host, origin, why):
     token = new_token()
     pairs = [("Host", host), ("Origin", origin)]

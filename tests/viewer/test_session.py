@@ -107,17 +107,14 @@ def test_what_is_let_go_on_the_road_snaps_to_the_sidewalk(session):
     assert_mounted(session)
 
 
-@pytest.mark.parametrize(
-    ("key", "typed", "said"),
-    [
-        ("x", 1000.0, "x is {x:.2f} m, not 1000 m as asked for"),
-        ("y", -14.0, "y is {y:.2f} m, not -14 m as asked for"),
-        ("height", 60.0, "height is 12.00 m, not 60 m as asked for"),
-        ("pitch", 85.5, "pitch is 10.00°, not 85.5° as asked for"),
-        ("yaw", 400.0, None),
-        ("x", 9.5, None),
-    ],
-)
+@pytest.mark.parametrize(("key", "typed", "said"), [
+    ("x", 1000.0, "x is {x:.2f} m, not 1000 m as asked for"),
+    ("y", -14.0, "y is {y:.2f} m, not -14 m as asked for"),
+    ("height", 60.0, "height is 12.00 m, not 60 m as asked for"),
+    ("pitch", 85.5, "pitch is 10.00°, not 85.5° as asked for"),
+    ("yaw", 400.0, None),
+    ("x", 9.5, None),
+])  # fmt: skip
 def test_what_is_typed_and_what_comes_of_it_are_said(session, key, typed, said):
     session.set_number(0, key, typed)
     assert session.notes[:1] == (() if said is None else (said.format(**numbers(session)),))

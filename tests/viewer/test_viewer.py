@@ -97,10 +97,9 @@ def pull(viewer, shift=(0, 0, 0), turn=None, phases=("start", "update", "end"), 
     done(viewer)
 
 
-@pytest.mark.parametrize(
-    ("axis", "degrees", "yaw", "pitch"),
-    [(UP, 30, 30, 0), (LEFT, -12, 0, 12), (LEFT, 12, 0, -12), (AHEAD, 90, 0, 0)],
-)
+@pytest.mark.parametrize(("axis", "degrees", "yaw", "pitch"), [
+    (UP, 30, 30, 0), (LEFT, -12, 0, 12), (LEFT, 12, 0, -12), (AHEAD, 90, 0, 0),
+])  # fmt: skip
 def test_rings_turn_by_yaw_and_pitch_and_never_roll(layout, axis, degrees, yaw, pitch):
     """Nose-up is a turn about the axis to the left by a negative angle."""
     pose, away = np.array(layout.poses[0], float), np.array([1.0, 2.0, 3.0])

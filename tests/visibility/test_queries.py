@@ -5,19 +5,10 @@ import jax
 import numpy as np
 import pytest
 import raycast
+import worlds
 from dense_reference import shadow_ceilings, view_margins
 from scipy.spatial import cKDTree
-from worlds import (
-    CAMERA,
-    LIDAR,
-    TALL,
-    embree_line_of_sight,
-    place_sensors,
-    random_layout,
-    slow_but,
-    with_boxes,
-    world,
-)
+from worlds import CAMERA, LIDAR, place_sensors, random_layout, slow_but, with_boxes, world
 
 from inspe_jax.core.arrays import from_center
 from inspe_jax.core.errors import InspeError
@@ -89,14 +80,11 @@ def test_in_view_of_a_tilted_lidar_with_part_of_a_turn(fov, turn):
     assert (ours == walked).mean() >= 0.999
 
 
-@pytest.mark.parametrize(
-    "pose",
-    [
-        [9.3, 9.3, 3.0, 0, 0, 0.1],  # a level channel along a face of the voxels
-        [2.0, 1.5, 4.3, 0, 0, 0],  # azimuths along faces
-        [0.0, 0.0, 5.0, 0, 0, np.pi / 2],
-    ],
-)
+@pytest.mark.parametrize("pose", [
+    [9.3, 9.3, 3.0, 0, 0, 0.1],  # a level channel along a face of the voxels
+    [2.0, 1.5, 4.3, 0, 0, 0],  # azimuths along faces
+    [0.0, 0.0, 5.0, 0, 0, np.pi / 2],
+])  # fmt: skip
 def test_a_ray_along_a_face_touches_the_voxels_on_both_sides(pose):
     """Ties are many where poses are round numbers; both sides read them as touching."""
     level = LidarSpec(
@@ -135,22 +123,19 @@ def test_a_sensor_straight_above_a_voxel_and_level_rays_give_no_nan():
         assert np.isfinite(of(sensor.spec.grid.rays, np.float32(pose))).all()
 
 
-@pytest.mark.parametrize(
-    ("seed", "slope", "heights", "center"),
-    [
-        (0, 0.0, (1.0, 3.0), (0, 0, 0)),  # below and among the tops
-        (1, 0.0, (4.0, 9.0), (0, 0, 0)),  # above them
-        (2, 0.08, (1.0, 9.0), (0, 0, 0)),
-        (3, -0.12, (1.0, 9.0), (1873.2, -951.7, 41.0)),  # far from the origin, sloping
-    ],
-)
+@pytest.mark.parametrize(("seed", "slope", "heights", "center"), [
+    (0, 0.0, (1.0, 3.0), (0, 0, 0)),  # below and among the tops
+    (1, 0.0, (4.0, 9.0), (0, 0, 0)),  # above them
+    (2, 0.08, (1.0, 9.0), (0, 0, 0)),
+    (3, -0.12, (1.0, 9.0), (1873.2, -951.7, 41.0)),  # far from the origin, sloping
+])  # fmt: skip
 def test_line_of_sight_agrees_with_embree(seed, slope, heights, center):
     """At least 99.99 % of (sensor, voxel, frame); both round in single precision at an edge."""
     scene = world(count=16, seed=seed, slope=slope, center=center)
     layout = random_layout(scene, [LIDAR] * 3 + [CAMERA] * 3, seed=seed, heights=heights)
     ours, embree = (
         np.stack([of(scene, layout, frame) for frame in range(4)])
-        for of in (line_of_sight, embree_line_of_sight)
+        for of in (line_of_sight, worlds.embree_line_of_sight)
     )
     shares = embree.mean((1, 2))
     assert 0.05 < shares.min() < shares.max() < 0.999
@@ -171,16 +156,13 @@ def test_line_of_sight_behind_a_car_by_hand():
     assert clear[at[(14.25, 2.25, 0.25)]]  # beside the shadow
 
 
-@pytest.mark.parametrize(
-    ("pose", "message"),
-    [
-        ([5.0, 0, 5, 0, 0, np.nan], "not finite"),
-        ([np.inf, 0, 5, 0, 0, 0], "not finite"),
-        ([8000.0, 0, 15, 0, 0, 0], "7980 m from the region of interest of test crossing"),
-        ([10.0, 0, 0.9, 0, 0, 0], r"'s0' at \(10.00, 0.00\) is in the ground"),
-        ([0.0, 0, 5, 0, 0, 0], r"frame 9 is out of range: .* has frames 0 to 3"),
-    ],
-)
+@pytest.mark.parametrize(("pose", "message"), [
+    ([5.0, 0, 5, 0, 0, np.nan], "not finite"),
+    ([np.inf, 0, 5, 0, 0, 0], "not finite"),
+    ([8000.0, 0, 15, 0, 0, 0], "7980 m from the region of interest of test crossing"),
+    ([10.0, 0, 0.9, 0, 0, 0], r"'s0' at \(10.00, 0.00\) is in the ground"),
+    ([0.0, 0, 5, 0, 0, 0], r"frame 9 is out of range: .* has frames 0 to 3"),
+])  # fmt: skip
 def test_poses_and_frames_that_cannot_be_meant(pose, message):
     layout = place_sensors((LIDAR, [0.0, 0.0, 5.0, 0.0, 0.0, 0.0]))
     with pytest.raises(InspeError, match=message):
@@ -242,7 +224,7 @@ def test_in_view_by_masks_is_in_view_by_margins(name):
         np.testing.assert_array_equal(masks[differ], walked[differ])
 
 
-@pytest.mark.parametrize("voxel", [TALL["voxel"], 0.5])
+@pytest.mark.parametrize("voxel", [worlds.TALL["voxel"], 0.5])
 def test_line_of_sight_by_masks_is_that_of_all_ceilings(voxel):
     """Just above and below a top, beside and inside a vehicle, lower than the lowest voxel."""
     scene = world(radius=10.0, voxel=voxel, count=0)

@@ -4,17 +4,9 @@ users, against rays that are walked at boxes one by one."""
 import jax
 import numpy as np
 import pytest
+import worlds
 from phases import in_phase
-from worlds import (
-    CAMERA,
-    LIDAR,
-    double_precision,
-    emptied,
-    place_sensors,
-    rays_on_box,
-    slow_but,
-    world,
-)
+from worlds import CAMERA, LIDAR, place_sensors, world
 
 import inspe_jax
 from inspe_jax.scene.traffic.frames import ROAD_USERS
@@ -22,19 +14,14 @@ from inspe_jax.scoring.detection import detection_curves
 from inspe_jax.scoring.targets import target_view
 from inspe_jax.sensing.lidar_returns import LidarNoise
 from inspe_jax.sensing.sensors import LidarSpec
+from inspe_jax.visibility import in_view
 from inspe_jax.visibility.centered_scene import about_center
-from inspe_jax.visibility.in_view import (
-    RigidTransform,
-    density_view,
-    density_view_by_motions,
-    transform_of,
-)
 from inspe_jax.visibility.ray_density import footprint
 from inspe_jax.visibility.target_rays import rays_on_face, share_between_sides
 from inspe_jax.visibility.tiles import tiles_of
 from inspe_jax.visibility.view_masks import view_masks
 
-DEVICES = slow_but(inspe_jax.devices(), "paper-lidar-32", "paper-camera", "velodyne-vlp-32c")
+DEVICES = worlds.slow_but(inspe_jax.devices(), "paper-lidar-32", "paper-camera", "velodyne-vlp-32c")
 
 
 @pytest.fixture(scope="module")
@@ -52,9 +39,9 @@ def pose_of(spec, seed):
     return [12 * np.cos(around), 12 * np.sin(around), rng.uniform(4, 8), 0.02, pitch, turned]
 
 
-compiled_view, compiled_footprint = jax.jit(density_view), jax.jit(footprint)
-compiled_transform = jax.jit(transform_of)
-LEVEL = RigidTransform(np.zeros(3, np.float32), np.eye(3, dtype=np.float32))
+compiled_view, compiled_footprint = jax.jit(in_view.density_view), jax.jit(footprint)
+compiled_transform = jax.jit(in_view.transform_of)
+LEVEL = in_view.RigidTransform(np.zeros(3, np.float32), np.eye(3, dtype=np.float32))
 
 
 @pytest.mark.parametrize("name", DEVICES)
@@ -114,17 +101,17 @@ def test_rays_nowhere_near_have_no_chance():
 @pytest.mark.parametrize("spec", [CAMERA, LIDAR])
 def test_the_gradient_by_motions_is_that_of_reverse_mode(spec):
     at = world(radius=10.0, voxel=2.0, count=0).voxels.centers
-    with double_precision():
+    with worlds.double_precision():
         pose, rays = np.array(pose_of(spec, 3)), spec.grid.rays
         weight = np.sin(np.arange(len(at), dtype=float))
 
         def slope(view):
-            of = lambda pose: view(rays, 1.0, transform_of(pose), at, 0.4) @ weight  # noqa: E731
+            of = lambda pose: view(rays, 1.0, in_view.transform_of(pose), at, 0.4) @ weight  # noqa: E731
             return np.asarray(jax.jit(jax.grad(of))(pose))
 
-        ours = slope(density_view_by_motions)
+        ours = slope(in_view.density_view_by_motions)
         assert np.abs(ours).min() > 1e-3
-        np.testing.assert_allclose(ours, slope(density_view), rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(ours, slope(in_view.density_view), rtol=1e-9, atol=1e-9)
 
 
 # ── On road users ───────────────────────────────────────────────────────────
@@ -135,7 +122,7 @@ KEPT = 1.0 - LidarNoise().lost
 
 @pytest.fixture(scope="module")
 def empty():
-    return emptied(world(radius=32.0, voxel=0.5))
+    return worlds.emptied(world(radius=32.0, voxel=0.5))
 
 
 def rays_on(scene, spec, pose, user):
@@ -150,7 +137,7 @@ def rays_on(scene, spec, pose, user):
 
 @pytest.mark.parametrize(
     "name",
-    slow_but(
+    worlds.slow_but(
         ["paper-camera", "hesai-pandar64", "paper-lidar-32", "velodyne-vlp-32c", "livox-mid-360"],
         "paper-camera",
         "hesai-pandar64",
@@ -181,7 +168,7 @@ def test_the_expected_number_is_the_mean_of_what_is_cast(empty, name):
                 ahead = np.abs((bearing - pose[5] + np.pi) % (2 * np.pi) - np.pi) < 0.4
                 there = (away > least) & (away < most) & (ahead if spec.aimed else True)
                 for k in rng.choice(np.flatnonzero(there), 10):
-                    walked = rays_on_box(spec, pose, [*columns[k], 0.0], user.size)[0]
+                    walked = worlds.rays_on_box(spec, pose, [*columns[k], 0.0], user.size)[0]
                     found.append((of[k], walked))
             of, walked = np.array(found).T
             if of.mean() < 5:
@@ -214,22 +201,19 @@ def test_a_pedestrian_by_hand(empty):
 @jax.jit
 def on_faces(rays, pose, to, edges, middle, wide, tall):
     """Rays on faces between edges, and which share of a face is between the sides of the view."""
-    transform = transform_of(pose)
+    transform = in_view.transform_of(pose)
     share = share_between_sides(rays, transform, middle, wide, tall)
     return rays_on_face(rays, transform, to, edges[:-1], edges[1:])[0], share
 
 
-@pytest.mark.parametrize(
-    ("kind", "turns"),
-    [
-        ("camera", (0.0, -np.pi / 2, 0.4)),
-        ("camera", (np.pi, -0.2, 0.4)),
-        ("camera", (2.6, -0.2, 0.4)),
-        ("sector", (np.pi, -0.25, 0.4)),
-        ("sector", (0.2, -0.2, -3.0)),
-        ("nearly round", (0.15, 0.0, 0.4)),
-    ],
-)
+@pytest.mark.parametrize(("kind", "turns"), [
+    ("camera", (0.0, -np.pi / 2, 0.4)),
+    ("camera", (np.pi, -0.2, 0.4)),
+    ("camera", (2.6, -0.2, 0.4)),
+    ("sector", (np.pi, -0.25, 0.4)),
+    ("sector", (0.2, -0.2, -3.0)),
+    ("nearly round", (0.15, 0.0, 0.4)),
+])  # fmt: skip
 def test_a_field_of_view_ends_at_its_sides_however_it_is_turned(kind, turns):
     """The share of places where a pedestrian has rays, and their number there."""
     rows = tuple(np.radians(np.linspace(-30, 20, 40)).tolist())
@@ -242,7 +226,7 @@ def test_a_field_of_view_ends_at_its_sides_however_it_is_turned(kind, turns):
     rng = np.random.default_rng(3)
     away, bearing = rng.uniform(4, 14, 60), rng.uniform(-np.pi, np.pi, 60)
     feet = np.column_stack([away * np.cos(bearing), away * np.sin(bearing), np.zeros(60)])
-    walked = np.array([rays_on_box(spec, pose, foot, size)[0] for foot in feet])
+    walked = np.array([worlds.rays_on_box(spec, pose, foot, size)[0] for foot in feet])
     slabs, rays = np.float32([0.0, 0.5, 1.0, 1.5, 2.0]), spec.grid.rays
     to = np.float32(feet[:, 0]), np.float32(feet[:, 1])
     edges = np.minimum(slabs, np.float32(size[2]))[:, None] - np.float32(np.full((1, 60), pose[2]))

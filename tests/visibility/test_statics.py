@@ -8,18 +8,8 @@ import jax
 import numpy as np
 import pytest
 import raycast
-from worlds import (
-    CAMERA,
-    LIDAR,
-    double_precision,
-    embree_line_of_sight,
-    emptied,
-    place_sensors,
-    slow_but,
-    solid_voxels,
-    street_bodies,
-    world,
-)
+import worlds
+from worlds import CAMERA, LIDAR, embree_line_of_sight, place_sensors, street_bodies, world
 
 import inspe_jax
 from inspe_jax.core.errors import InspeError
@@ -158,7 +148,7 @@ def test_scores_are_counts_of_voxels_outside_bodies():
     t, share = scene.traffic, []
     for frame in range(t.frame_count):
         seen = (f & line_of_sight(scene, layout, frame)).any(0)
-        free = there & ~solid_voxels(scene, frame)
+        free = there & ~worlds.solid_voxels(scene, frame)
         share.append((seen & free).sum() / free.sum())
     assert scores.occlusion == pytest.approx(np.mean(share), abs=1e-4)
     region = np.repeat(scene.voxels.region, scene.voxels.level_count)
@@ -201,7 +191,7 @@ def test_a_sensor_in_a_body_is_refused_and_one_on_it_is_not():
     in_view(scene, place_sensors((LIDAR, [9.5, -9.6, 2.0, 0.0, 0.0, 0.0])))  # beneath its crown
 
 
-@pytest.mark.parametrize("hilly", slow_but([False, True], True))
+@pytest.mark.parametrize("hilly", worlds.slow_but([False, True], True))
 def test_a_real_block_agrees_with_embree(hilly):
     """A crossroads of Berlin-Neukölln from OpenStreetMap, level and on made-up slopes of 12 %."""
     pytest.importorskip("sumolib", reason="needs SUMO: extra [sumo]")
@@ -342,7 +332,7 @@ def test_the_two_forms_agree():
 def test_soft_ground_becomes_the_exact_one():
     scene, half = hills(), 0
     layout = sensors_in(scene)
-    exact = line_of_sight(emptied(scene), layout, 0)
+    exact = line_of_sight(worlds.emptied(scene), layout, 0)
     for s, pose in enumerate(np.asarray(layout.poses)):
         found = chances(scene, pose[:3], 1e-3)
         half += ((found > 0.01) & (found < 0.99)).sum()
@@ -431,7 +421,7 @@ def behind_knolls():
 def test_gradients_are_differences(case):
     """In double precision, of the sum of chances over a tile, in x, y and z: behind every kind of
     body at once; and behind ground, where one crossing decides throughout."""
-    with double_precision():
+    with worlds.double_precision():
         scene, sensors, width, within = case()
         at, total = about_center(scene), 0.0
         tile = jax.tree.map(lambda leaf: np.asarray(leaf)[0], tiles_of(at).tile)

@@ -335,8 +335,8 @@ class PinholeRays(Rays):
         larger = ("steps", "columns_per_unit", "count_steps")
         changed: dict[str, Any] = {name: getattr(table, name) / zoom for name in smaller}
         changed |= {name: getattr(table, name) * zoom for name in larger}
-        edges = dict(edges=within(table.edges), outer=within(table.outer))
-        return PinholeRays(table._replace(**changed, **edges), self.wraps)
+        changed |= dict(edges=within(table.edges), outer=within(table.outer))
+        return PinholeRays(table._replace(**changed), self.wraps)
 
     def row(self, q: Point) -> Float[Array, "*n"]:
         """z/x, the tangent of the angle above the optical axis; very large behind the sensor."""

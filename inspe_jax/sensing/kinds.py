@@ -119,6 +119,7 @@ class CameraKeys(DeviceKeys):
 
     spec_type = CameraSpec
     replaces = {"hfov_deg": ("focal_px",), "focal_px": ("hfov_deg",)}
+    replaces |= {"hfov_range_deg": ("focal_px", "hfov_deg")}
 
     width: Annotated[int, Field(ge=1)]
     height: Annotated[int, Field(ge=1)]

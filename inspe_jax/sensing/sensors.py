@@ -248,11 +248,8 @@ class CameraSpec(Spec):
     @property
     def lens_limits(self) -> tuple[float, float]:
         """Even about 0, by what makes the focal length usual."""
-        half = (
-            float(np.log(self.focal_range[1] / self.focal_range[0]) / 2)
-            if self.focal_range
-            else 0.0
-        )
+        low, high = self.focal_range or (1.0, 1.0)
+        half = float(np.log(high / low) / 2)
         return -half, half
 
     @property

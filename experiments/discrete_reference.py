@@ -68,7 +68,8 @@ def candidates(problem: Problem, quick: bool, seed: int) -> Candidates:
     foot, height, yaw, pitch = (
         part.ravel() for part in np.meshgrid(common, [HEIGHT], yaws, PITCHES, indexing="ij")
     )
-    kind = CandidateKind(tuple(range(len(layout))), foot, height, yaw, pitch)
+    lens = np.zeros(len(foot))
+    kind = CandidateKind(tuple(range(len(layout))), foot, height, yaw, pitch, lens)
     table = Candidates(problem, sampled, feet, stand, [kind])
     for part in range(len(table.parts)):
         table.look(part)

@@ -30,13 +30,15 @@ Picks = dict[int, int]
 
 @dataclass(eq=False)
 class CandidateKind:
-    """Sensors with the same K candidate poses, each on a ``foot`` (index), and what they see."""
+    """Sensors with the same K candidate poses, each on a ``foot`` (index) and with a ``lens`` at
+    random, and what they see."""
 
     sensors: tuple[int, ...]
     foot: Int[np.ndarray, " K"]
     height: Float[np.ndarray, " K"]
     yaw: Float[np.ndarray, " K"]
     pitch: Float[np.ndarray, " K"]
+    lens: Float[np.ndarray, " K"]
     rows: list[Rows] = field(default_factory=list)
 
     @property
@@ -105,7 +107,9 @@ class Table:
             # In random order, so that the first chunk is a sample of all.
             order = rng.permutation(product[0].size)
             foot, height, yaw, pitch = (part.ravel()[order] for part in product)
-            kinds.append(CandidateKind(tuple(sensors), foot, height, yaw, pitch))
+            low, high = layout.sensors[s].spec.lens_limits
+            lens = rng.uniform(low, high, len(foot)) if low < high else np.zeros(len(foot))
+            kinds.append(CandidateKind(tuple(sensors), foot, height, yaw, pitch, lens))
         return cls(problem, sampled, feet, stand, kinds)
 
     @cached_property
@@ -133,6 +137,7 @@ class Table:
         x[:, index.height[u]] = kind.height[at]
         x[:, index.yaw[s]] = kind.yaw[at]
         x[:, index.pitch[s]] = kind.pitch[at]
+        x[:, index.lens[s]] = kind.lens[at]
         kind.rows.append(self.sampled.views({s: poses(space, x)[:, s]})[s])
         return len(np.unique(at))
 
@@ -225,7 +230,7 @@ class Table:
             x[:, index.offset[list(members)]] = 0.0
             x[:, index.yaw[list(members)]] = [kind.yaw[k] for kind, k in kinds]
             x[:, index.pitch[list(members)]] = [kind.pitch[k] for kind, k in kinds]
-            x[:, index.lens[list(members)]] = 0.0
+            x[:, index.lens[list(members)]] = [kind.lens[k] for kind, k in kinds]
             x = set_heights(space, x, u, members, np.array([[kind.height[k] for kind, k in kinds]]))
         for u in stay:  # to the bit: projections round
             own = of_unit(space, u)

@@ -25,7 +25,7 @@ from inspe_jax.scoring.blind_spots import blind_spots
 from inspe_jax.scoring.evaluate import Scores, evaluate
 from inspe_jax.scoring.metrics import METRICS, listed, listed_in
 from inspe_jax.sensing.conditions import Conditions
-from inspe_jax.sensing.layout import Layout, device_words
+from inspe_jax.sensing.layout import Layout, device_words, lens_keys
 from inspe_jax.visibility.tiles import CORE
 
 SPOTS = 5  # most blind spots in a table
@@ -130,8 +130,11 @@ def before_after_table(result: Result) -> RenderableType:
 
 def moves_table(before: Layout, after: Layout) -> RenderableType:
     """How far each sensor was moved [m] and turned [degrees] from one layout to another. Distance
-    is in plan. Turns are positive counter-clockwise and nose-up."""
-    heads = ("moved\n[m]", "height\n[m]", "raised\n[m]", "yaw\n[°]", "pitch\n[°]")
+    is in plan. Turns are positive counter-clockwise and nose-up. View is that of a varifocal lens
+    now."""
+    heads = ["moved\n[m]", "height\n[m]", "raised\n[m]", "yaw\n[°]", "pitch\n[°]"]
+    lenses = [lens_keys(sensor.spec) for sensor in after.sensors]
+    heads += ["view\n[°]"] * any(lenses)
     table = table_of("What moved", "#", "sensor", *heads)
     old, new = (np.asarray(of.poses, float) for of in (before, after))
     low, high = (
@@ -143,7 +146,8 @@ def moves_table(before: Layout, after: Layout) -> RenderableType:
     for k, sensor in enumerate(after.sensors):
         numbers = (f"{went[k]:.1f}", f"{high[k]:.1f}", f"{raised[k]:+z.1f}")
         turns = (f"{180 - (180 - yaw[k]) % 360:+z.0f}", f"{pitch[k]:+z.0f}")
-        table.add_row(str(k + 1), Text(sensor.name), *numbers, *turns)
+        view = (f"{lens:.0f}" for lens in lenses[k].values())
+        table.add_row(str(k + 1), Text(sensor.name), *numbers, *turns, *view)
     return table
 
 

@@ -101,6 +101,10 @@ def options() -> argparse.Namespace:
         for part in getattr(found, name).split(","):
             if part and part not in known:
                 raise SystemExit(f"--{name} {part}: some of {', '.join(known)}")
+    if found.large:
+        found.places = found.places or "Town05 53"
+        if found.mixes != ",".join(MIXES):
+            raise SystemExit("--large has mixes of its own; leave out --mixes")
     if found.quick:
         found.seconds, found.seeds = 5.0 if found.cold else 0.5, 1
         if found.methods == ",".join(METHODS):
@@ -162,32 +166,32 @@ def search(
 
 
 def cold_search(
-    problem: Callable[[], Problem], name: str, seed: int, seconds: float, clock: Clock
+    make: Callable[[], Problem], name: str, seed: int, seconds: float, clock: Clock
 ) -> tuple[Layout, list[Progress], float, float]:
     """A search in a process that has compiled nothing: its layout, scores, work, and compiling."""
     jax.config.update("jax_enable_compilation_cache", False)
     before, began = compiled().seconds, clock()
-    made = problem()
+    problem = make()
     spent = lambda: clock() - began  # noqa: E731
-    run, history = search(made, METHODS[name], seed, spent, seconds=seconds, clock=clock)
-    found = made.space.layout(run.best_x)
+    run, history = search(problem, METHODS[name], seed, spent, seconds=seconds, clock=clock)
+    found = problem.space.layout(run.best_x)
     return found, history, run.evaluations, compiled().seconds - before
 
 
 def cold_cell(
-    problem: Callable[[], Problem], seconds: float, clock: Clock, todo: list[tuple[int, str]]
+    make: Callable[[], Problem], seconds: float, clock: Clock, todo: list[tuple[int, str]]
 ) -> Found:
     """Every search in a process of its own, which imports and gets the scene before it begins."""
     for seed, name in todo:
-        found = in_fresh_process(cold_search, problem, name, seed, seconds, clock)
+        found = in_fresh_process(cold_search, make, name, seed, seconds, clock)
         yield seed, name, *found
 
 
 def warm_cell(
-    made: Callable[[], Problem], seconds: float, clock: Clock, todo: list[tuple[int, str]]
+    make: Callable[[], Problem], seconds: float, clock: Clock, todo: list[tuple[int, str]]
 ) -> Found:
     """Every search in this process, each method compiled before."""
-    problem = made()
+    problem = make()
     problem.exact(problem.space.start(problem.layout)[0])
     compiling = {}
     for name in dict.fromkeys(name for _, name in todo):
@@ -213,16 +217,14 @@ def cell(
     searches, words = (cold_cell, "cold") if given.cold else (warm_cell, "compiled")
     words += ", processor time" * given.processor
     clock = time.process_time if given.processor else time.monotonic
-    problem = partial(Problem, scene, layout, OBJECTIVES.get(mix))
-    for seed, name, found, history, work, compiling in searches(
-        problem, given.seconds, clock, todo
-    ):
+    make = partial(Problem, scene, layout, OBJECTIVES.get(mix))
+    for seed, name, found, history, work, compiling in searches(make, given.seconds, clock, todo):
         first, last = history[0], history[-1]
         rises = [first] + [b for a, b in pairwise(history) if b.best > a.best]
         told = " ".join(f"{at.seconds:.2f}:{at.best:.4f}" for at in rises)
         ends = (given.seconds, first.best, last.best, work, last.seconds, compiling, words, told)
         row = dict(zip(FIELDS, (place, mix, name, seed, *ends), strict=True))
-        if not given.quick:
+        if not given.quick and not given.large:
             keep_best(given.out, row, found)
         yield row
 

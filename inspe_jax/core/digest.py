@@ -15,6 +15,8 @@ import numpy as np
 ORIGIN = "origin"
 """Key of the metadata of a field that says where a record came from, which is no content: digests
 take the value under this key for it."""
+OPTIONAL = {"optional": True}
+"""Metadata of a field that digests leave out where it is None, as of before there was the field."""
 
 
 def digest(thing: Any) -> str:
@@ -39,6 +41,8 @@ def _feed(found: "hashlib._Hash", thing: Any) -> None:
         found.update(f"record {type(thing).__name__};".encode())
         for part in fields(thing):
             value = part.metadata.get(ORIGIN, getattr(thing, part.name))
+            if value is None and "optional" in part.metadata:
+                continue
             found.update(f"{part.name}=".encode())
             _feed(found, value)
     elif isinstance(thing, Mapping):

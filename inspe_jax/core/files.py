@@ -60,7 +60,9 @@ def check_model(model: type[Model], content: Any, where: str) -> Model:
     except ValidationError as e:
         # A misspelt key is also a missing key. The unknown key is reported: it shows the mistake.
         fault = max(e.errors(include_url=False), key=lambda f: f["type"] == "extra_forbidden")
-        parts = (f"[{x}]" if isinstance(x, int) else f".{x}" for x in fault["loc"])
+        parts = (
+            f"[{x}]" if isinstance(x, int) else f".{x}" for x in fault["loc"] if x not in ("", " ")
+        )
         key = "".join(parts).lstrip(".")
         given = brief(fault["input"])
         if fault["type"] == "extra_forbidden":

@@ -1,7 +1,7 @@
 """Where the scenes and layouts of sweeps and data sets come from, and how workers make them."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
 from typing import Annotated, Any
@@ -10,6 +10,7 @@ import jax
 from pydantic import Field, model_validator
 
 from inspe_jax.core import version
+from inspe_jax.core.digest import OPTIONAL
 from inspe_jax.core.errors import InspeError, check_known, error_at
 from inspe_jax.core.files import check_input, digest_of, parse_yaml, read_yaml
 from inspe_jax.core.parallel import compiled
@@ -41,7 +42,7 @@ class SceneSource:
     center: tuple[float, float] | None = None
     file: str | None = None
     content: str = ""
-    driving_side: str | None = None
+    driving_side: str | None = field(default=None, metadata=OPTIONAL)
 
     @property
     def anywhere(self) -> "SceneSource":

@@ -96,7 +96,7 @@ class Table:
             usual = sensor.spec.with_lens(0.0)
             grids = tuple(case.conditions.spec(usual).grid for case in problem.cases)
             sector = space.constraints.yaw.get(sensor.name)
-            key = (grids, sector, *bounds[s].round(3), *pitches[s].round(3))
+            key = (grids, usual.lens_limits, sector, *bounds[s].round(3), *pitches[s].round(3))
             groups.setdefault(key, []).append(s)
         kinds = []
         for sensors in groups.values():

@@ -12,8 +12,8 @@ from jaxtyping import Bool, Float
 
 from inspe_jax.placement.convex_regions import INSIDE, from_bounded, to_bounded, turns
 
-STEPS = dict(base=5.0, arm=0.5, height=2.0, offset=0.5, rise=1.0, yaw=np.pi / 4, pitch=np.pi / 18)
-STEPS |= dict(lens=0.25)
+STEPS = dict(base=5.0, arm=0.5, height=2.0, offset=0.5, rise=1.0, yaw=np.pi / 4, pitch=np.pi / 18,
+             lens=0.25)  # fmt: skip
 """A typical step of each coordinate [m or rad]; of a lens in the logarithm of its focal length."""
 PLANE = ("base", "arm", "offset")
 """Coordinates that come in pairs, x and y."""

@@ -139,6 +139,8 @@ class Problem:
         failures = layout.members() if self.objective.failures else ()
         if self.objective.failures and len(layout.units) < 2:
             raise InspeError(f"{layout.name}: failures need at least two units, it has one")
+        limits = [sensor.spec.lens_limits for sensor in layout.sensors]
+        self.zooms = any(low < high for low, high in limits)  # then poses have a lens behind them
         self._failures = failures
         usual = [replace(sensor, spec=sensor.spec.with_lens(0.0)) for sensor in layout.sensors]
         self.sensor_sets = self._sets_of(replace(layout, sensors=tuple(usual)))
@@ -202,10 +204,16 @@ class Problem:
         feet = np.asarray(x)[..., self.space.index.base]
         return self.objective.pole_price * self.space.new_poles(feet)
 
+    def poses_of(self, layout: Layout) -> Float[np.ndarray, "S p"]:
+        """The poses of a layout of these sensors as of :meth:`Space.poses`."""
+        found = from_center(self.cases[0].scene.voxels.center, layout.poses)
+        lenses = [sensor.spec.lens for sensor in layout.sensors]
+        return np.column_stack([found, lenses]) if self.zooms else np.asarray(found)
+
     def exact_of(self, layout: Layout) -> float:
         """The exact objective of a layout of these sensors, without what its poles cost."""
         poses = from_center(self.cases[0].scene.voxels.center, layout.poses)
-        measures, sets = [], self._sets_of(layout) if self.space.zooms else self.sensor_sets
+        measures, sets = [], self._sets_of(layout) if self.zooms else self.sensor_sets
         for case, sensor_set in zip(self.cases, sets, strict=True):
             found = measure_exactly(
                 tiled_scene_of(case.scene),
@@ -296,11 +304,11 @@ class Problem:
 
     def slope(
         self,
-        poses: Float[Any, "S 6"],
+        poses: Float[Any, "S p"],
         on: tuple[SceneArrays, ...] | tuple[TiledScene, ...],
         softness: Float[Array, ""],
-    ) -> tuple[float, Float[np.ndarray, "S 6"]]:
-        """The objective of poses about the centre, read with ``softness`` [m], and its gradient.
+    ) -> tuple[float, Float[np.ndarray, "S p"]]:
+        """The objective of poses as of :meth:`poses_of`, with ``softness`` [m], and its gradient.
 
         ``on`` are the samples or the scenes that it is computed on.
         """
@@ -374,13 +382,13 @@ def scores(
 @partial(jax.jit, static_argnames="options")
 def case_scores(
     reading: Reading,
-    poses: Float[Array, "S 6"],
+    poses: Float[Array, "S p"],
     scenes: tuple[TiledScene, ...],
     terms: ScoreTerms,
     *,
     options: ScoreOptions,
 ) -> Float[Array, " N"]:
-    """P_sm of N cases; ``poses`` are about the scene's centre and padded.
+    """P_sm of N cases; ``poses`` are as of :meth:`Problem.poses_of`, and padded.
 
     ``scenes`` are samples or whole scenes, in tiles.
     """
@@ -393,14 +401,14 @@ def case_scores(
 
 @partial(jax.jit, static_argnames=("options", "over"))
 def soft_slope(
-    poses: Float[Array, "S 6"],
+    poses: Float[Array, "S p"],
     scenes: tuple[TiledScene, ...],
     terms: ScoreTerms,
     softness: Float[Array, ""],
     *,
     options: ScoreOptions,
     over: str,
-) -> tuple[Float[Array, ""], Float[Array, "S 6"]]:
+) -> tuple[Float[Array, ""], Float[Array, "S p"]]:
     """The combined score of all cases, read with ``softness`` [m], and its gradient in the poses.
 
     The arguments are those of :func:`case_scores`; ``over`` is one of :data:`COMBINATIONS`.

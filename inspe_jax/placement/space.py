@@ -161,13 +161,9 @@ class Space:
         """The coordinates by name."""
         return Coordinates.split(x, len(self._feet), len(self._unit))
 
-    @property
-    def zooms(self) -> bool:
-        """Whether some camera has a varifocal lens: then poses have a lens behind them."""
-        return bool((self._limits.lens.half > 0).any())
-
     def poses(self, x: Float[Array, " N"]) -> Float[Array, "S p"]:
-        """Poses relative to the scene's centre, as the scores take them; differentiable in x.
+        """Poses relative to the scene's centre, as the scores take them; differentiable in x. Where
+        a camera has a varifocal lens, all have their lens behind them.
 
         The height of the ground at a foot is interpolated between points 1 m apart.
         """
@@ -179,7 +175,8 @@ class Space:
         low = (1 - fy) * table[i, j] + fy * table[i, j + 1]
         high = (1 - fy) * table[i + 1, j] + fy * table[i + 1, j + 1]
         found = self._sensors(c, (1 - fx) * low + fx * high, jnp)
-        return jnp.column_stack([found, c.lens]) if self.zooms else found
+        zooms = (self._limits.lens.half > 0).any()
+        return jnp.column_stack([found, c.lens]) if zooms else found
 
     def _sensors(self, c: Coordinates, ground: Float[Any, " U"], xp: Any) -> Float[Any, "S 6"]:
         at = c.base[self._unit] + c.arm[self._unit] + c.offset

@@ -114,15 +114,19 @@ def plan_kml(layout: Layout, place: Intersection) -> str:
 
 def bill_of_materials(layout: Layout, prices: Mapping[str, float]) -> str:
     """The devices of a layout as CSV: how many, where, and what they cost [US dollars]. ``prices``
-    replace the catalogue's. A device without a price has none here."""
+    replace the catalogue's. A device without a price has none here. Where there are varifocal
+    lenses, a row is of those that are set alike, ``hfov_deg``."""
+    bought = materials(layout, prices)
+    zooms = any(row.hfov_deg is not None for row in bought)
     rows = [
         dict(
             **{key: getattr(row, key) for key in ("device", "title", "maker", "count")},
             price_usd="" if row.price is None else f"{row.price:.2f}",
             total_usd="" if row.total is None else f"{row.total:.2f}",
             units="; ".join(row.units),
+            **({"hfov_deg": row.hfov_deg or ""} if zooms else {}),
         )
-        for row in materials(layout, prices)
+        for row in bought
     ]
     return csv_text(rows)
 

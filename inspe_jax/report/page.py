@@ -41,7 +41,7 @@ from inspe_jax.scoring.target_metrics import ROWS
 from inspe_jax.scoring.targets import TargetView, target_view
 from inspe_jax.scoring.viewshed import Viewshed, Visibility, viewshed
 from inspe_jax.sensing.conditions import Conditions
-from inspe_jax.sensing.layout import Layout, device_words
+from inspe_jax.sensing.layout import Layout
 from inspe_jax.visibility.tiles import CORE
 
 DPI = 170  # resolution of the figures in a page [dots per inch]
@@ -159,7 +159,7 @@ def report_page(
             units=schedule.installation_schedule(layout, scene.intersection, prices or {}),
             materials=rows,
             total=schedule.total_price(rows),
-            specs={device_words(sensor.spec): sensor.spec for sensor in layout.sensors},
+            specs={sensor.spec.name: sensor.spec for sensor in layout.sensors},
             counts=f"{counted(len(layout.units), 'unit')} with {words}",
             goal=None if entry.sought is None else goal_words(layout, scores, entry.sought),
             blind=_shares(of_columns["blind"]),

@@ -10,7 +10,7 @@ import numpy as np
 from inspe_jax.core.words import counted
 from inspe_jax.scene.intersection import Intersection
 from inspe_jax.sensing.catalogue import devices
-from inspe_jax.sensing.layout import Layout, device_words
+from inspe_jax.sensing.layout import Layout, device_words, lens_keys
 
 SAME_POLE = 1.0  # a unit this near to an existing pole is mounted on it [m]
 EXISTING_POLE = "existing pole"  # what such a unit stands on, in words
@@ -74,6 +74,12 @@ class MaterialRow:
     price: float | None
     units: tuple[str, ...]
     product: bool = True
+    hfov_deg: float | None = None
+
+    @property
+    def words(self) -> str:
+        """The device, and how its varifocal lens is set."""
+        return self.device if self.hfov_deg is None else f"{self.device}, {self.hfov_deg:.1f}°"
 
     @property
     def total(self) -> float | None:
@@ -101,8 +107,8 @@ def installation_schedule(
             SensorRow(
                 number=s + 1,
                 name=layout.sensors[s].name,
-                device=(name := device_words(layout.sensors[s].spec)),
-                title=bought[name].title,
+                device=device_words(spec := layout.sensors[s].spec),
+                title=bought[spec.name].title,
                 position=(float(poses[s, 0]), float(poses[s, 1])),
                 height=float(poses[s, 2] - ground[u]),
                 azimuth=float(azimuths[s]) % 360,
@@ -110,7 +116,7 @@ def installation_schedule(
                 roll=float(np.degrees(poses[s, 3])) + 0.0,
                 offset=float(np.hypot(*away[s])),
                 offset_azimuth=float(arms[s]) % 360,
-                price=bought[name].price,
+                price=bought[spec.name].price,
             )
             for s in members
         )
@@ -126,13 +132,14 @@ def materials(layout: Layout, prices: Mapping[str, float]) -> tuple[MaterialRow,
     known, rows = devices(), []
     specs = {device_words(sensor.spec): sensor.spec for sensor in layout.sensors}
     for words, spec in specs.items():
+        view = next((round(view, 1) for view in lens_keys(spec).values()), None)
         at = [layout.units[s.unit].name for s in layout.sensors if device_words(s.spec) == words]
         name, count = spec.name, len(at)
         units = tuple(unit for unit, _ in groupby(at))
         one = known.get(name)
         title, maker = (one.title, one.maker) if one else ("", "")
         price, product = prices.get(name, one.price_usd if one else None), not one or one.product
-        rows.append(MaterialRow(words, title, maker, count, price, units, product))
+        rows.append(MaterialRow(name, title, maker, count, price, units, product, view))
     return tuple(rows)
 
 

@@ -26,6 +26,7 @@ from inspe_jax.scoring.evaluate import Scores, evaluate
 from inspe_jax.scoring.metrics import METRICS, listed, listed_in
 from inspe_jax.sensing.conditions import Conditions
 from inspe_jax.sensing.layout import Layout, device_words, lens_keys
+from inspe_jax.sensing.sensors import Spec
 from inspe_jax.visibility.tiles import CORE
 
 SPOTS = 5  # most blind spots in a table
@@ -87,10 +88,10 @@ def scores_table(scores: Scores, layout: Layout, sought: float | None = None) ->
         regions.add_row(key, f"{WEIGHTS[Region[key.upper()]]:g}", f"{share:.3f}")
 
     each = table_of("What each sensor adds", "#", "sensor", "device", *(m.symbol for m in rows))
-    for k, (part, _, device) in enumerate(members):
+    for k, (part, _, spec) in enumerate(members):
         digits = 4 if len(rows) <= 5 else 3  # as many as a narrow terminal shows
         drops = [f"{part.value(metric.name):+z.{digits}f}" for metric in rows]
-        each.add_row(str(k + 1), Text(part.sensor), Text(device), *drops)
+        each.add_row(str(k + 1), Text(part.sensor), Text(device_words(spec)), *drops)
 
     # Side by side as far as the terminal has room.
     tables = Group(Columns([total, regions], padding=(0, 4)), "", each)
@@ -268,10 +269,11 @@ def scores_record(
             {
                 "sensor": part.sensor,
                 "unit": unit,
-                "device": device,
+                "device": spec.name,
+                **lens_keys(spec),
                 **{m.name: float(part.value(m.name)) for m in listed_in(scores)},
             }
-            for part, unit, device in _members(scores, layout)
+            for part, unit, spec in _members(scores, layout)
         ],
         "blind_spots": [json_value(asdict(spot)) for spot in blind_spots(scene, scores.seen_share)],
         "settings": json_value(scores.settings),
@@ -297,8 +299,8 @@ def _origin(scene: Scene, layout: Layout) -> dict[str, Any]:
     return {"scene": about, "layout": layout.name, "versions": versions}
 
 
-def _members(scores: Scores, layout: Layout) -> list[tuple[Any, str, str]]:
-    """(contribution, unit, device) of each sensor. Raises InspeError if names do not match."""
+def _members(scores: Scores, layout: Layout) -> list[tuple[Any, str, Spec]]:
+    """(contribution, unit, spec) of each sensor. Raises InspeError if names do not match."""
     scored = [part.sensor for part in scores.contributions]
     placed = [sensor.name for sensor in layout.sensors]
     if scored != placed:
@@ -307,6 +309,6 @@ def _members(scores: Scores, layout: Layout) -> list[tuple[Any, str, str]]:
             f"expected {', '.join(placed)}"
         )
     return [
-        (part, layout.units[sensor.unit].name, device_words(sensor.spec))
+        (part, layout.units[sensor.unit].name, sensor.spec)
         for part, sensor in zip(scores.contributions, layout.sensors, strict=True)
     ]

@@ -9,7 +9,7 @@ from itertools import pairwise
 from typing import Annotated, Any, ClassVar
 
 import numpy as np
-from pydantic import BaseModel, Field, model_validator
+from pydantic import BaseModel, Discriminator, Field, Tag
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import STRICT
@@ -18,6 +18,11 @@ from inspe_jax.sensing.sensors import CameraSpec, LidarSpec, Spec
 Positive = Annotated[float, Field(gt=0)]
 _Elevation = Annotated[float, Field(ge=-90, le=90)]
 _View = Annotated[float, Field(gt=0, lt=180)]
+_Views = Annotated[
+    Annotated[_View, Tag("")] | Annotated[list[_View], Field(min_length=2, max_length=2), Tag(" ")],
+    Discriminator(lambda given: " " if isinstance(given, list) else ""),
+]
+"""A field of view, or the range of a varifocal lens. The tags are blank, and not in messages."""
 _Limits = Annotated[list[_Elevation], Field(min_length=2, max_length=2)]
 
 
@@ -119,31 +124,22 @@ class CameraKeys(DeviceKeys):
 
     spec_type = CameraSpec
     replaces = {"hfov_deg": ("focal_px",), "focal_px": ("hfov_deg",)}
-    replaces |= {"hfov_range_deg": ("focal_px", "hfov_deg")}
 
     width: Annotated[int, Field(ge=1)]
     height: Annotated[int, Field(ge=1)]
     depth_m: Positive
     downsample: Annotated[float, Field(gt=0, le=1)]
-    hfov_deg: _View | None = None
-    hfov_range_deg: Annotated[list[_View], Field(min_length=2, max_length=2)] | None = None
+    hfov_deg: _Views | None = None
     focal_px: Positive | None = None
     principal_px: Annotated[list[float], Field(min_length=2, max_length=2)] | None = None
 
-    @model_validator(mode="before")
-    @classmethod
-    def _range(cls, given: dict[str, Any]) -> dict[str, Any]:
-        if not isinstance(given.get("hfov_deg"), list):
-            return given
-        return given | {"hfov_range_deg": given["hfov_deg"], "hfov_deg": None}
-
     def spec(self, name: str, where: str) -> CameraSpec:
         """The spec [pixel, m]; the principal point is the middle of the image if not given."""
-        if [self.hfov_deg, self.focal_px, self.hfov_range_deg].count(None) != 2:
+        if (self.hfov_deg is None) == (self.focal_px is None):
             raise InspeError(f"{where}: give either hfov_deg or focal_px")
         focal, lens = self.focal_px, None
-        if self.hfov_range_deg is not None:
-            narrow, wide = self.hfov_range_deg
+        if isinstance(self.hfov_deg, list):
+            narrow, wide = self.hfov_deg
             if not narrow < wide:
                 raise InspeError(f"{where}: hfov_deg: must ascend, but {wide:g} follows {narrow:g}")
             lens = focal_of(self.width, wide), focal_of(self.width, narrow)
@@ -154,7 +150,7 @@ class CameraKeys(DeviceKeys):
         cx, cy = self.principal_px or (self.width / 2, self.height / 2)
         same = self.model_dump(include={"width", "height", "downsample", "reliability"})
         same |= dict(depth=self.depth_m, focal_range=lens)
-        return CameraSpec(name, focal=focal, principal=(cx, cy), **same)
+        return CameraSpec(name, focal=focal, principal=(cx, cy), **same).with_lens(0.0)
 
     @classmethod
     def table(cls, spec: CameraSpec) -> dict[str, Any]:
@@ -181,7 +177,7 @@ def focal_of(width: int, hfov_deg: float) -> float:
 
 def hfov_of(width: int, focal: float) -> float:
     """The inverse: how wide a picture is [degrees]."""
-    return float(np.degrees(2 * np.arctan(width / 2 / focal)).round(9))
+    return float(np.degrees(2 * np.arctan(width / 2 / focal)))
 
 
 SENSOR_KINDS: dict[str, type[DeviceKeys]] = {

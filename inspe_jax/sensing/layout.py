@@ -309,7 +309,7 @@ def lens_keys(spec: Spec) -> dict[str, float]:
     """How a varifocal lens is set, as a layout file has it; nothing for others."""
     if not isinstance(spec, CameraSpec) or spec.focal_range is None:
         return {}
-    return {"hfov_deg": hfov_of(spec.width, spec.focal)}
+    return {"hfov_deg": round(hfov_of(spec.width, spec.focal), 9)}
 
 
 def device_words(spec: Spec) -> str:
@@ -322,9 +322,9 @@ def with_hfov(spec: Spec, hfov_deg: float) -> Spec:
     lens cannot be set so."""
     if not isinstance(spec, CameraSpec) or spec.focal_range is None:
         raise InspeError(f"'{spec.name}' has no varifocal lens (hfov_deg: [40, 100] of a device)")
-    near, far = (hfov_of(spec.width, focal) for focal in spec.focal_range)
-    if not far - 1e-6 <= hfov_deg <= near + 1e-6:
-        raise InspeError(f"{hfov_deg:g} is not between {far:g} and {near:g} of '{spec.name}'")
+    wide, narrow = (hfov_of(spec.width, focal) for focal in spec.focal_range)
+    if not narrow - 1e-6 <= hfov_deg <= wide + 1e-6:
+        raise InspeError(f"{hfov_deg:g} is not between {narrow:g} and {wide:g} of '{spec.name}'")
     focal = np.clip(focal_of(spec.width, hfov_deg), *spec.focal_range)
     return replace(spec, focal=float(focal))
 

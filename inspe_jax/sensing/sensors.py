@@ -4,7 +4,7 @@ Every sensor is a grid of rays, rows × columns, in the body frame: a camera's d
 the plane of tangents, a LiDAR's channels × azimuths on the sphere.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, ClassVar, NamedTuple, Self
 
@@ -13,6 +13,8 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from inspe_jax.core.arrays import on_host, wide_bucket
+from inspe_jax.core.digest import OPTIONAL
+from inspe_jax.core.errors import InspeError
 from inspe_jax.sensing.rays import Edges, Kind, PinholeRays, Rays, RayTable, SphericalRays
 
 ROWS, STEPS = 128, 1024
@@ -225,7 +227,7 @@ class CameraSpec(Spec):
     downsample: float
     depth: float
     reliability: float = 1.0
-    focal_range: tuple[float, float] | None = None
+    focal_range: tuple[float, float] | None = field(default=None, metadata=OPTIONAL)
 
     kind = "camera"
     title = "camera"
@@ -233,6 +235,18 @@ class CameraSpec(Spec):
     aimed = True
     pitch_limits_deg = (-80.0, 10.0)
     candidate_pitches_deg = (-25.0, -10.0)
+
+    def __post_init__(self) -> None:
+        """A range is rounded, so that it is the same when it is read from a file. Raises InspeError
+        where it does not ascend, or the focal length is outside of it."""
+        if self.focal_range is not None:
+            low, high = (round(float(focal), 6) for focal in self.focal_range)
+            object.__setattr__(self, "focal_range", (low, high))
+            if not (0 < low < high and low - 1e-5 <= self.focal <= high + 1e-5):
+                raise InspeError(
+                    f"device '{self.name}': focal_range must ascend about the focal length, but is "
+                    f"{low:g} to {high:g} about {self.focal:g} px"
+                )
 
     @cached_property
     def grid(self) -> RayGrid:

@@ -10,7 +10,7 @@ from inspe_jax.report.schedule import materials, total_price
 from inspe_jax.scoring.evaluate import Scores
 from inspe_jax.scoring.metrics import METRICS, SURROGATE
 from inspe_jax.scoring.viewshed import Visibility
-from inspe_jax.sensing.layout import Layout, device_words
+from inspe_jax.sensing.layout import Layout
 from inspe_jax.viewer.scene3d import BROKEN_COLOR, MOUNTING_COLOR
 from inspe_jax.viewer.scorer import ScoredLayout
 
@@ -97,7 +97,7 @@ def sensor_table(layout: Layout, scored: ScoredLayout | None, selection: Sequenc
     scores = None if scored is None else scored.scores
     lost = [row.surrogate for row in scores.contributions] if scores else [None] * len(layout)
     prices = {row.device: row.price for row in materials(layout, {})}
-    names = [(sensor.name, prices[device_words(sensor.spec)]) for sensor in layout.sensors]
+    names = [(sensor.name, prices[sensor.spec.name]) for sensor in layout.sensors]
     return _TABLE.render(
         rows=[(*of, loss) for of, loss in zip(names, lost, strict=True)],
         priced=any(price is not None for price in prices.values()),

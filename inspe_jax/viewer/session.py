@@ -39,7 +39,7 @@ class LayoutSession:
         self._past: list[Layout] = []
         self._future: list[Layout] = []
         self._space: Space | None = None
-        self._own = {sensor.spec.name: sensor.spec for sensor in layout.sensors}
+        self._own = {sensor.spec.name: sensor.spec.with_lens(0.0) for sensor in layout.sensors}
 
     def faults(self) -> list[Fault]:
         """The rules of mounting that the layout breaks; empty if it can be mounted."""

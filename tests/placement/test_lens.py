@@ -6,7 +6,7 @@ from dataclasses import replace
 import jax
 import numpy as np
 import pytest
-from mounts import team
+from mounts import SIDEWALK, team
 from worlds import TINY, double_precision, place_sensors, random_layout, slow_but, world
 
 import inspe_jax
@@ -14,6 +14,7 @@ from inspe_jax.core.arrays import from_center, pad_rows
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.numerics import Softness
 from inspe_jax.placement import candidates
+from inspe_jax.placement.candidate_table import Table
 from inspe_jax.placement.methods.differences import differences
 from inspe_jax.placement.problem import Problem
 from inspe_jax.report.handover import bill_of_materials
@@ -38,6 +39,10 @@ def test_its_range_is_that_of_the_field_of_view():
     assert ZOOM.with_lens(0.1).lens == pytest.approx(0.1)
     assert low.lens == pytest.approx(ZOOM.lens_limits[0])
     assert spec_of(table_of(low), "zoom", "here") == ZOOM
+    odd = replace(ZOOM, focal=700.0, focal_range=(500.0, 1234.5678901))
+    assert spec_of(table_of(odd), "zoom", "here") == odd.with_lens(0.0)
+    with pytest.raises(InspeError, match="must ascend about the focal length, but is 500 to 900"):
+        replace(ZOOM, focal=3000.0, focal_range=(500.0, 900.0))
     assert replace(ZOOM, focal_range=None).with_lens(0.3).lens == 0.0
 
 
@@ -106,11 +111,31 @@ def test_a_search_sets_it_and_its_result_is_kept(scene, tmp_path):
     assert hard[1, 6] * soft[1, 6] > 0
 
 
+def test_slopes_of_a_set_lens_are_those_of_a_camera_of_its_focal_length(scene):
+    """Also where no search could place it. And a search keeps those apart that have no lens."""
+    layout = place_sensors((ZOOM.with_lens(0.5), [9.0, 9.0, 5.0, 0.0, -0.4, -2.4]))
+    fixed = replace(layout.sensors[0].spec, focal_range=None)
+    given = dict(samples=1, seed=0)
+    ours = inspe_jax.tolerance(scene, layout, **given)
+    theirs = inspe_jax.tolerance(scene, place_sensors((fixed, layout.poses[0].tolist())), **given)
+    assert ours.score == pytest.approx(theirs.score)
+    assert ours.slopes[0].pitch == pytest.approx(theirs.slopes[0].pitch, rel=1e-3, abs=1e-6)
+    usual = replace(ZOOM, focal_range=None)
+    for specs in ((ZOOM, usual), (usual, ZOOM)):
+        both = place_sensors(*((spec, [*SIDEWALK, 5.0, 0.0, -0.4, 0.0]) for spec in specs))
+        table = Table.of(Problem(scene, both), np.random.default_rng(0), 96, 1)
+        zooms = [bool(table.kind_of(s).lens.any()) for s in range(2)]
+        assert zooms == [spec is ZOOM for spec in specs]
+
+
 def test_devices_of_one_lens_are_a_row_of_the_bill():
     specs = [ZOOM.with_lens(0.2), ZOOM.with_lens(0.2), ZOOM]
     layout = place_sensors(*((spec, [5.0 * k, 12.0, 4.0, 0, 0, 0]) for k, spec in enumerate(specs)))
     rows = [*csv.DictReader(bill_of_materials(layout, {"zoom": 900.0}).splitlines())]
-    assert [row["device"] for row in rows] == ["zoom, 66.1°", "zoom, 76.9°"]
+    assert [(row["device"], row["hfov_deg"]) for row in rows] == [
+        ("zoom", "66.1"),
+        ("zoom", "76.9"),
+    ]
     assert [row["total_usd"] for row in rows] == ["1800.00", "900.00"]
 
 
@@ -118,7 +143,7 @@ def test_devices_of_one_lens_are_a_row_of_the_bill():
     ("keys", "message"),
     [
         (dict(hfov_deg=[100, 40]), "hfov_deg: must ascend, but 40 follows 100"),
-        (dict(hfov_deg=[40, 200]), r"hfov_range_deg\[1\]: .*less than 180, got 200"),
+        (dict(hfov_deg=[40, 200]), r"hfov_deg\[1\]: .*less than 180, got 200"),
         (dict(hfov_deg=[40, 100], focal_px=500), "give either hfov_deg or focal_px"),
     ],
 )

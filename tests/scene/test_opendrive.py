@@ -389,6 +389,8 @@ def test_a_road_has_a_profile_across(write):
         [0, 0, 0, 10, 40, 45]
     )
     np.testing.assert_allclose(rise, [0.1, 0.0, 0.028, 0.021, 0, 0], atol=1e-12)
+    text = text.replace("</lateralProfile>", row.format(20, -5, 9, 0, 0) + "</lateralProfile>", 1)
+    assert "road 1 (its lateral <shape> is over 5 m high)" in load_map(write(text)).notes[0]
 
 
 CORNERS = "".join(

@@ -23,6 +23,7 @@ from worlds import (
 )
 
 import inspe_jax
+from inspe_jax.core import parallel
 from inspe_jax.core.arrays import from_center, pad_rows
 from inspe_jax.core.compiling import compiled
 from inspe_jax.core.numerics import Softness
@@ -335,7 +336,7 @@ def test_a_compiled_gradient_reads_each_tile_once_with_the_programs_of_another(
     _, found = jax.jit(slope)(poses)
     assert len(calls) == 2 * once
     # Its own, how the summary slopes, and on a single core how a tile does.
-    assert compiled().programs <= programs + 3
+    assert compiled().programs <= programs + 2 + (parallel.cores() == 1)
     np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-7)
 
 

@@ -21,8 +21,8 @@ HALF = np.array([0.5, 0.5, 0.5, 0.0, 0.03, 0.03, 0.05])
 
 
 def differences(
-    problem: Problem, poses: Float[Any, "S 6"], on: Any, softness: Any
-) -> tuple[float, Float[np.ndarray, "S 6"]]:
+    problem: Problem, poses: Float[Any, "S p"], on: Any, softness: Any
+) -> tuple[float, Float[np.ndarray, "S p"]]:
     """The hard score of poses on samples ``on`` and its central differences, as
     :meth:`Problem.slope`. Each redoes only the sensor that moves."""
     sampled = SampledObjective(problem, Sample(jax.device_put(on), 0.0))
@@ -39,7 +39,7 @@ def differences(
 
 
 def _cost(problem: Problem, drawn: Drawn) -> float:
-    return (11 + 2 * problem.space.zooms) * VIEW_COST * problem.sample_cost(drawn)
+    return (11 + 2 * problem.zooms) * VIEW_COST * problem.sample_cost(drawn)
 
 
 DIFFERENCES = method(

@@ -8,7 +8,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from inspe_jax.core.arrays import from_center
 from inspe_jax.core.errors import InspeError
 from inspe_jax.placement.objective import Objective
 from inspe_jax.placement.problem import AnyScene, Problem, cases_of
@@ -105,14 +104,14 @@ def tolerance(
     problem = Problem(cases_of(scene, conditions), layout, objective)
     layout = problem.layout
     planned = problem.exact_of(layout)
-    poses = from_center(problem.cases[0].scene.voxels.center, layout.poses)
     worlds = tuple(
         tiled_scene_of(case.scene, whole=True, masks=False).bucketed for case in problem.cases
     )
-    slope = np.asarray(problem.slope(poses, worlds, jnp.asarray(SOFTNESS, float))[1], float)
+    softness = jnp.asarray(SOFTNESS, float)
+    slope = np.asarray(problem.slope(problem.poses_of(layout), worlds, softness)[1], float)
     per = np.array([POSITION_STEP] * 3 + [np.radians(1.0)] * 3)
     rows = tuple(
-        Slopes(sensor.name, *(row * per)[[0, 1, 2, 5, 4]].tolist())
+        Slopes(sensor.name, *(row[:6] * per)[[0, 1, 2, 5, 4]].tolist())
         for sensor, row in zip(layout.sensors, slope, strict=True)
     )
     rng = np.random.default_rng([seed, 7])

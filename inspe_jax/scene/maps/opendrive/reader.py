@@ -54,6 +54,7 @@ from inspe_jax.scene.maps.road_map import (
     MapJunction,
     Node,
     RoadMap,
+    clean,
     valid,
 )
 from inspe_jax.scene.regions import Region
@@ -127,7 +128,7 @@ class OpenDriveJunction(MapJunction):
         if islands := [s.area for s in shapes if s.kind == TRAFFIC_ISLAND]:
             near = unary_union(islands).intersection(Point(self.middle[:2]).buffer(reach))
             free = near.difference(unary_union([lanes, place.regions[Region.CROSSWALK]]))
-            place = replace(place, mounting=unary_union([place.mounting, free]))
+            place = replace(place, mounting=unary_union([place.mounting, clean(free)]))
         bodies = [s for s in shapes if s.kind not in FLAT]
         place = with_bodies(place, bodies, reach, self.notes)
         parking = [strip for strip in lane_strips if strip.kind == "parking"]

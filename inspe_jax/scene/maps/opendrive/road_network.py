@@ -3,7 +3,7 @@
 import io
 import xml.etree.ElementTree as ET
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
@@ -29,7 +29,7 @@ HEIGHTS = (("inner", "heightInner"), ("outer", "heightOuter"))  # of a lane, and
 UTF_16 = (b"\xff\xfe", b"\xfe\xff")
 WIDEST = 200.0  # no lane is so wide, and none so far from its road's line [m]
 HIGHEST = 1e4  # no road is so high [m]
-FALL = 5.0  # no road falls so much over 10 m across [m]
+FALL = 5.0  # no road's surface is so far from level across [m]
 
 
 class Lane(NamedTuple):
@@ -111,9 +111,7 @@ class OpenDriveRoad:
             if abs(cubics(np.linspace(0.0, length, 9))).max() > most:
                 raise ValueError(f"its lane offset or elevation is over {most:g} m")
         fall = Crossfall(element.iterfind("lateralProfile/shape"))
-        if abs(fall(np.array([0.0, length]), np.array([[-10.0] * 2, [10.0] * 2]))).max() > FALL:
-            raise ValueError(f"its lateral <shape> is over {FALL:g} m high")
-        return cls(
+        road = cls(
             identity(element.get("id", "")),
             element.get("name", ""),
             identity(element.get("junction") or "-1") if element.get("junction") != "none" else -1,
@@ -126,6 +124,14 @@ class OpenDriveRoad:
             sections,
             links,
         )
+        level = replace(road, crossfall=Crossfall([]))
+        for section in sections if len(fall.starts) else ():
+            s = np.union1d(np.linspace(section.start, section.end, 9), fall.starts)
+            s = s[(s >= section.start) & (s <= section.end)]
+            both = (one.cuts(section, s).values() for one in (road, level))
+            if any(abs(a.outer - b.outer)[:, 2].max() > FALL for a, b in zip(*both, strict=True)):
+                raise ValueError(f"its lateral <shape> is over {FALL:g} m high")
+        return road
 
     def near(self, middle: np.ndarray, reach: float) -> bool:
         """Whether a piece, nowhere farther from its start than its length, may come in reach."""
@@ -191,7 +197,7 @@ def _lanes(element: ET.Element, left_hand: bool, length: float) -> dict[int, Lan
         if abs(edge(at)).max() > WIDEST:
             raise ValueError(f"lane {name} is wider than {WIDEST:g} m")
         rows = [
-            [number(h, "sOffset"), *(number(h, k, number(h, old, 0.0)) for k, old in HEIGHTS)]
+            [number(h, "sOffset"), *(number(h, k if h.get(k) else old) for k, old in HEIGHTS)]
             for h in lane.iter("height")
         ]
         links = {

@@ -206,6 +206,7 @@ def test_saved_scenes_and_layout_files(read, scene, tmp_path):
 
 
 def test_an_extract_is_read_with_the_side_that_is_given(read, tmp_path):
+    pytest.importorskip("sumolib", reason="needs SUMO: extra [sumo]")
     full_town().write(tmp_path / "town.osm")
     place = {"map": "town.osm", "junction": "1", "voxel": 2, "frames": 1}
     own, left = read(STUDY, scenes=[place, place | {"name": "l", "driving_side": "left"}]).jobs[

@@ -141,7 +141,7 @@ def pytest_terminal_summary(terminalreporter) -> None:
 
 LONG = (
     "test_docs", "test_notebooks", "test_methods", "test_soft", "test_page", "test_cli",
-    "test_sweep", "test_target_metrics", "test_evaluate", "test_exact", "test_statics",
+    "test_sweep", "test_lens", "test_target_metrics", "test_evaluate", "test_exact", "test_statics",
     "test_generate", "test_city", "test_traffic", "test_candidates", "test_queries",
     "test_compiles", "test_constraints",
 )  # fmt: skip

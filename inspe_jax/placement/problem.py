@@ -139,8 +139,6 @@ class Problem:
         failures = layout.members() if self.objective.failures else ()
         if self.objective.failures and len(layout.units) < 2:
             raise InspeError(f"{layout.name}: failures need at least two units, it has one")
-        limits = [sensor.spec.lens_limits for sensor in layout.sensors]
-        self.zooms = any(low < high for low, high in limits)  # then poses have a lens behind them
         self._failures = failures
         usual = [replace(sensor, spec=sensor.spec.with_lens(0.0)) for sensor in layout.sensors]
         self.sensor_sets = self._sets_of(replace(layout, sensors=tuple(usual)))
@@ -208,12 +206,12 @@ class Problem:
         """The poses of a layout of these sensors as of :meth:`Space.poses`."""
         found = from_center(self.cases[0].scene.voxels.center, layout.poses)
         lenses = [sensor.spec.lens for sensor in layout.sensors]
-        return np.column_stack([found, lenses]) if self.zooms else np.asarray(found)
+        return np.column_stack([found, lenses]) if layout.zooms else np.asarray(found)
 
     def exact_of(self, layout: Layout) -> float:
         """The exact objective of a layout of these sensors, without what its poles cost."""
         poses = from_center(self.cases[0].scene.voxels.center, layout.poses)
-        measures, sets = [], self._sets_of(layout) if self.zooms else self.sensor_sets
+        measures, sets = [], self._sets_of(layout) if layout.zooms else self.sensor_sets
         for case, sensor_set in zip(self.cases, sets, strict=True):
             found = measure_exactly(
                 tiled_scene_of(case.scene),

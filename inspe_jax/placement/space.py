@@ -175,8 +175,7 @@ class Space:
         low = (1 - fy) * table[i, j] + fy * table[i, j + 1]
         high = (1 - fy) * table[i + 1, j] + fy * table[i + 1, j + 1]
         found = self._sensors(c, (1 - fx) * low + fx * high, jnp)
-        zooms = (self._limits.lens.half > 0).any()
-        return jnp.column_stack([found, c.lens]) if zooms else found
+        return jnp.column_stack([found, c.lens]) if self.given.zooms else found
 
     def _sensors(self, c: Coordinates, ground: Float[Any, " U"], xp: Any) -> Float[Any, "S 6"]:
         at = c.base[self._unit] + c.arm[self._unit] + c.offset

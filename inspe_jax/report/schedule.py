@@ -63,23 +63,20 @@ class UnitRow:
 class MaterialRow:
     """A device: how many, on which units, and what one and all of them cost [US dollars].
 
+    ``words`` are the device and how its varifocal lens is set, ``hfov_deg``, None without one.
     ``maker`` is empty for a device that the layout itself describes. ``product`` is False for the
     model of a device that nobody sells.
     """
 
     device: str
+    words: str
+    hfov_deg: float | None
     title: str
     maker: str
     count: int
     price: float | None
     units: tuple[str, ...]
     product: bool = True
-    hfov_deg: float | None = None
-
-    @property
-    def words(self) -> str:
-        """The device, and how its varifocal lens is set."""
-        return self.device if self.hfov_deg is None else f"{self.device}, {self.hfov_deg:.1f}°"
 
     @property
     def total(self) -> float | None:
@@ -139,13 +136,14 @@ def materials(layout: Layout, prices: Mapping[str, float]) -> tuple[MaterialRow,
         one = known.get(name)
         title, maker = (one.title, one.maker) if one else ("", "")
         price, product = prices.get(name, one.price_usd if one else None), not one or one.product
-        rows.append(MaterialRow(name, title, maker, count, price, units, product, view))
+        row = MaterialRow(name, words, view, title, maker, count, price, units, product)
+        rows.append(row)
     return tuple(rows)
 
 
 def total_price(rows: tuple[MaterialRow, ...]) -> tuple[float | None, tuple[str, ...]]:
     """What all devices of known price cost [US dollars], None if there are none; and the others."""
-    unknown = tuple(row.device for row in rows if row.total is None)
+    unknown = tuple(row.words for row in rows if row.total is None)
     known = [row.total for row in rows if row.total is not None]
     return sum(known) if known else None, unknown
 

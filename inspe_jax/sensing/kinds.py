@@ -143,7 +143,7 @@ class CameraKeys(DeviceKeys):
             if not narrow < wide:
                 raise InspeError(f"{where}: hfov_deg: must ascend, but {wide:g} follows {narrow:g}")
             lens = focal_of(self.width, wide), focal_of(self.width, narrow)
-            focal = float(np.sqrt(lens[0] * lens[1]))
+            focal = lens[0]  # set to the usual one below
         elif self.hfov_deg is not None:
             focal = focal_of(self.width, self.hfov_deg)
         assert focal is not None

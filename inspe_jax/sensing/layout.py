@@ -109,6 +109,12 @@ class Layout(ByContent, Described):
     def __len__(self) -> int:
         return len(self.sensors)
 
+    @property
+    def zooms(self) -> bool:
+        """Whether some camera has a varifocal lens; then the poses of a search have a lens each."""
+        limits = (sensor.spec.lens_limits for sensor in self.sensors)
+        return any(low < high for low, high in limits)
+
     def _facts(self) -> dict[str, Any]:
         each = Counter(sensor.spec.name for sensor in self.sensors)
         devices = " + ".join(f"{count} {name}" for name, count in each.items())

@@ -115,8 +115,8 @@ def load_layout_geojson(
             raise InspeError(f"{where}: no unit '{sensor.unit}'{nearest(sensor.unit, [*units])}")
         base, members = units[sensor.unit]
         yaw = known_georeference(place).yaw(at[None], np.array([sensor.azimuth_deg]))[0]
-        own: dict[str, Any] = dict(name=sensor.name, device=sensor.device, height=sensor.height_m)
-        own |= {} if sensor.hfov_deg is None else {"hfov_deg": sensor.hfov_deg}
+        own = dict(name=sensor.name, device=sensor.device, hfov_deg=sensor.hfov_deg)
+        own |= dict(height=sensor.height_m)
         own |= dict(offset=(at - base).tolist(), yaw_deg=float(np.degrees(yaw)))
         members.append(own | dict(pitch_deg=sensor.pitch_deg, roll_deg=sensor.roll_deg))
     content: dict[str, Any] = {"profile": profiles[0]} if profiles else {}

@@ -267,17 +267,22 @@ class CameraSpec(Spec):
         return -half, half
 
     @property
-    def lens(self) -> float:
-        """0 in the middle of the range, by its logarithm."""
+    def _usual(self) -> float:
+        """The usual focal length [px]: the middle of the range, by its logarithm."""
         if self.focal_range is None:
-            return 0.0
-        return float(np.log(self.focal / np.sqrt(self.focal_range[0] * self.focal_range[1])))
+            return self.focal
+        return float(np.sqrt(self.focal_range[0] * self.focal_range[1]))
+
+    @property
+    def lens(self) -> float:
+        """0 at the usual focal length."""
+        return float(np.log(self.focal / self._usual))
 
     def with_lens(self, lens: float) -> Self:
         """The same camera with another focal length."""
         if self.focal_range is None:
             return self
-        focal = float(np.sqrt(self.focal_range[0] * self.focal_range[1]) * np.exp(lens))
+        focal = float(self._usual * np.exp(lens))
         return replace(self, focal=min(max(focal, self.focal_range[0]), self.focal_range[1]))
 
     @property

@@ -26,20 +26,24 @@ def differences(
     """The hard score of poses on samples ``on`` and its central differences, as
     :meth:`Problem.slope`. Each redoes only the sensor that moves."""
     sampled = SampledObjective(problem, Sample(jax.device_put(on), 0.0))
-    half = HALF[: poses.shape[1]]
-    away = np.diag(half)[half > 0]
-    steps = np.concatenate([0 * away[:1], away, -away])
+    half, steps = HALF[: poses.shape[1]], _steps(poses.shape[1])
     views = sampled.views({s: pose + steps for s, pose in enumerate(np.asarray(poses, float))})
     rows, slope = {s: rows_at(seen, 0) for s, seen in views.items()}, np.zeros(np.shape(poses))
     for s, seen in views.items():
         scores = sampled.scores(rows, np.full((len(steps), 1), s), [seen])
-        value, after, before = np.split(scores, [1, 1 + len(away)])
+        value, after, before = np.split(scores, [1, 1 + len(steps) // 2])
         slope[s, half > 0] = (after - before) / (2 * half[half > 0])
     return float(value[0]), on_host(slope, float)
 
 
+def _steps(numbers: int) -> Float[np.ndarray, "K p"]:
+    """None, half a difference up in each number of a pose, and down in each."""
+    away = np.diag(HALF[:numbers])[HALF[:numbers] > 0]
+    return np.concatenate([0 * away[:1], away, -away])
+
+
 def _cost(problem: Problem, drawn: Drawn) -> float:
-    return (11 + 2 * problem.zooms) * VIEW_COST * problem.sample_cost(drawn)
+    return len(_steps(6 + problem.layout.zooms)) * VIEW_COST * problem.sample_cost(drawn)
 
 
 DIFFERENCES = method(

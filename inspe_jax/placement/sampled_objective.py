@@ -155,9 +155,8 @@ def _view(
                 return seen, sights, None
             share = sights.T.astype(tile.heights.dtype) / len(chunk.prisms.top)
             at = rays, pixels, pose, tile, share, last, None, curves
-            evidence = target_evidence_of_sensor(*at)
-            others: Any = {name: None for name in evidence._fields if name not in targets}
-            return seen, sights if kept else None, evidence._replace(**others)
+            evidence = target_evidence_of_sensor(*at).only(targets)
+            return seen, sights if kept else None, evidence
 
         found = jax.lax.map(
             lambda part: jax.lax.cond(

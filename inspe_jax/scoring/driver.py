@@ -136,7 +136,8 @@ def read_tiles(
             if past is not None:
                 sights = sights * reading.chances(past, len(tile.heights)).swapaxes(1, 2)
         of_sensors = f, sights, tiled.frame_count, poses, sensors
-        at = TileEvidence(reading, tile, *of_sensors, last, tiles.slabs == 1, options.detection)
+        whole, fields = tiles.slabs == 1, options.target_fields
+        at = TileEvidence(reading, tile, *of_sensors, last, whole, options.detection, fields=fields)
         return readings_of_tile(at, counts, options)
 
     if kept is not None:

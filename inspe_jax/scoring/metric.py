@@ -39,6 +39,7 @@ class TileEvidence:
     whole: bool
     detection: DetectionCurves | None = None
     precomputed: TargetEvidence | None = None
+    fields: tuple[str, ...] = TargetEvidence._fields
 
     @property
     def failures(self) -> Groups | None:
@@ -62,7 +63,7 @@ class TileEvidence:
         if self.precomputed is not None:
             return self.precomputed
         given = self.sensors, self.poses, self.tile, self.sight, self.last
-        return target_evidence(*given, self.reading.width, self.detection)
+        return target_evidence(*given, self.reading.width, self.detection, self.fields)
 
 
 class Evidence(NamedTuple):

@@ -7,6 +7,7 @@ from inspe_jax.scoring.detection import DetectionCurves, detection_curves
 from inspe_jax.scoring.metric import Metric
 from inspe_jax.scoring.metrics import METRICS, chosen
 from inspe_jax.scoring.reading import SightOptions
+from inspe_jax.scoring.target_evidence import TargetEvidence
 
 
 class ScoreOptions(NamedTuple):
@@ -46,6 +47,13 @@ class ScoreOptions(NamedTuple):
         if self.visibility != "in_view":
             return self.visibility
         return "past_others" if any(metric.sight for metric in self.metrics) else None
+
+    @property
+    def target_fields(self) -> tuple[str, ...]:
+        """What the metrics read of what sensors have on road users; all, where one does not say."""
+        if any(metric.terms and not metric.targets for metric in self.metrics):
+            return TargetEvidence._fields
+        return tuple(sorted({name for metric in self.metrics for name in metric.targets}))
 
     @property
     def counted(self) -> "ScoreOptions":

@@ -6,6 +6,7 @@ middle, with a roof behind it; rays are counted slab by slab. Metrics are means 
 but for cameras nearer than two lengths of a vehicle: there up to 15 % too low.
 """
 
+from collections.abc import Collection
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -56,6 +57,11 @@ class TargetEvidence(NamedTuple):
     sharp: Float[Array, "*S C"]
     precision: Float[Array, "*S 3 C"]
 
+    def only(self, fields: Collection[str]) -> "TargetEvidence":
+        """These fields; the others are None."""
+        others: Any = {name: None for name in self._fields if name not in fields}
+        return self._replace(**others)
+
 
 def target_evidence(
     sensors: SensorArray,
@@ -65,31 +71,65 @@ def target_evidence(
     last: Bool[Array, ""],
     width: Width,
     detection: DetectionCurves | None = None,
+    fields: tuple[str, ...] = TargetEvidence._fields,
 ) -> TargetEvidence:
     """What every sensor has on the road users at the columns of one tile.
 
     ``sight`` is the share of frames in which each voxel is in line of sight, ``last`` whether no
     slab of levels is above the tile, ``width`` [m] that with which the ends of reach and pictures
-    are read. A sensor with nothing in sight is skipped.
+    are read. A sensor with nothing in sight is skipped. ``fields`` are wanted, others are None.
     """
-    curves = detection or detection_curves()
-
-    def look(kind: Kind, row: tuple[RayTable, Array, Array, Array]) -> TargetEvidence:
-        table, pixels, pose, seen = row
-        rays = kind.rays(table)
-        return target_evidence_of_sensor(rays, pixels, pose, tile, seen, last, width, curves)
-
-    looks = [partial(look, kind) for kind in sensors.kinds]
+    curves, beside = detection or detection_curves(), (tile, last, width)
+    looks = [partial(_look, kind, curves, fields) for kind in sensors.kinds]
     branches: list[Any] = [*looks, partial(zeros_of, looks[0])]
 
-    def of_row(row: tuple[Array, tuple[RayTable, Array, Array, Array]]) -> TargetEvidence:
-        kind, given = row
-        some = (given[-1] > 0).any()
-        return jax.lax.switch(jnp.where(some, kind, len(sensors.kinds)), branches, given)
+    def of_row(row: tuple[Array, tuple[Array, Array, RayTable, Array]]) -> TargetEvidence:
+        kind, (pose, seen, *own) = row
+        some = (seen > 0).any()
+        of = jnp.where(some, kind, len(sensors.kinds))
+        return jax.lax.switch(of, branches, pose, seen, (*own, *beside))
 
     of_sensors = jax.tree.map(jnp.asarray, (sensors.table, sensors.pixels))
     kind = jnp.asarray(sensors.kind)
-    return jax.lax.map(of_row, (kind, (*of_sensors, poses, sight)))
+    return jax.lax.map(of_row, (kind, (poses, sight, *of_sensors)))
+
+
+@partial(jax.custom_vjp, nondiff_argnums=(0, 1, 2))
+def _look(
+    kind: Kind,
+    curves: DetectionCurves,
+    fields: tuple[str, ...],
+    pose: Float[Array, " p"],
+    sight: Float[Array, "Z C"],
+    given: tuple,
+) -> TargetEvidence:
+    """:func:`target_evidence_of_sensor`, with gradients in ``pose`` and ``sight`` alone."""
+    table, pixels, tile, last, width = given
+    at = kind.rays(table), pixels, pose, tile, sight, last, width, curves
+    return target_evidence_of_sensor(*at).only(fields)
+
+
+def _look_forward(*given: Any) -> tuple[TargetEvidence, tuple]:
+    """With slopes in the few numbers of the pose: reverse mode would keep every step of it."""
+    *static, pose, sight, rest = given
+
+    def along(tangent: Array) -> tuple[TargetEvidence, TargetEvidence]:
+        return jax.jvp(lambda pose: _look.fun(*static, pose, sight, rest), (pose,), (tangent,))
+
+    found, slopes = jax.vmap(along, out_axes=(None, 0))(jnp.eye(len(pose), dtype=pose.dtype))
+    return found, (slopes, pose, sight, rest)
+
+
+def _look_backward(*given: Any) -> tuple[Array, Array, None]:
+    *static, (slopes, pose, sight, rest), wanted = given
+    of_pose = jax.tree.map(
+        lambda slope, wants: jnp.tensordot(slope, wants, wants.ndim), slopes, wanted
+    )
+    back = jax.vjp(lambda sight: _look.fun(*static, pose, sight, rest), sight)[1]
+    return sum(jax.tree.leaves(of_pose)), *back(wanted), None
+
+
+_look.defvjp(_look_forward, _look_backward)
 
 
 def target_evidence_of_sensor(
@@ -122,20 +162,23 @@ def target_evidence_of_sensor(
         share = jnp.asarray(pixels, kind) if noise is None else noise.share_returned(distance, jnp)
         return number * share
 
-    def of_class(tall: Array, wide: Array, chord: Array) -> Float[Array, "Z+1 C"]:
-        """Returns or pixels on each slab of a class: on its front, and from above on its roof."""
+    def of_class(size: tuple[Array, Array]) -> tuple[Float[Array, "Z+1 C"], Float[Array, "1 C"]]:
+        """Returns or pixels on a metre of a class: on slabs of its front, and above on its roof."""
+        tall, chord = size
         front, back = away - chord / 2, away + chord / 2
         upright = (foot[None] + jnp.minimum(edge, tall) for edge in (low, high))
         face = counted((bearing[0] * front, bearing[1] * front), *upright) * (front / away)[None]
         top = jnp.minimum(foot + tall, 0.0) * away
-        roof = counted(
-            (bearing[0] * away, bearing[1] * away), (top / front)[None], (top / back)[None]
-        )
-        return wide * (face + jnp.where((low < tall) & (high >= tall), roof, 0.0))
+        at = bearing[0] * away, bearing[1] * away
+        return face, counted(at, (top / front)[None], (top / back)[None])
 
     tall, wide, chord = (jnp.asarray(x[users], kind) for x in (SIZES[:, 2], WIDTH, CHORD))
-    inside = share_between_sides(rays, transform, middle, wide[:, None], tall[:, None])
-    on = jax.vmap(of_class, out_axes=1)(tall, wide, chord) * inside[None]  # (Z + 1, K, C)
+    # A loop, so that XLA does not count the rays on a roof again for each level.
+    face, roof = (x.swapaxes(0, 1) for x in jax.lax.map(of_class, (tall, chord)))
+    tall, wide = tall[:, None], wide[:, None]
+    topmost = (low[:, None] < tall[None]) & (high[:, None] >= tall[None])
+    inside = share_between_sides(rays, transform, middle, wide, tall)
+    on = (face + jnp.where(topmost, roof, 0.0)) * (wide * inside)[None]  # (Z + 1, K, C)
     sight *= bitmask.chances(tile.there, len(tile.heights))
     # A level that no frame shows counts for no other: below one that traffic hides all are hidden,
     # but below a crown they may be in sight.

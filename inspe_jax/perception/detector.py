@@ -203,19 +203,22 @@ class Predictor:
         most: int | None = None,
         progress: Callable[[int, int], None] | None = None,
     ) -> Evaluation:
-        """The measures over the batches of a loader, or over about ``most`` frames, evenly.
+        """The measures over the batches of a loader, or over about ``most`` frames, evenly: against
+        all road users, and against those that the detector's kinds of sensors see.
 
         Detections count where road users do: within the loader's ``half``. ``progress`` is called
         with (batches done, all batches). Raises :class:`~inspe_jax.perception.evaluation.NoTruth`.
         """
-        found, truth = list[Detections](), list[Detections]()
+        found, truth, seen = list[Detections](), list[Detections](), list[Detections]()
         half, count = loader.half, len(loader)
         some = count if most is None else min(count, -(-most // loader.batch))
         spread = np.linspace(0, count - 1, some).round().astype(int).tolist()
         batches = loader if some == count else (loader[k] for k in spread)
         for done, batch in enumerate(batches, 1):
             found += [frame if half is None else within(frame, half) for frame in self(batch)]
-            truth += [truth_of(batch.targets, b) for b in np.flatnonzero(batch.valid).tolist()]
+            for b in np.flatnonzero(batch.valid).tolist():
+                truth.append(truth_of(batch.targets, b))
+                seen.append(truth_of(batch.targets, b, self.detector.model.sensors))
             if progress:
                 progress(done, some)
-        return evaluate(found, truth)
+        return evaluate(found, truth, seen)

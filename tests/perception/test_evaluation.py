@@ -89,6 +89,22 @@ def test_ap_by_hand():
     assert np.isnan(ours.ap[1:]).all()
 
 
+def test_of_road_users_that_are_seen_alone():
+    """Of two, one is seen, and found: AP is 1 of it. A more certain find of the other is false."""
+    truth, seen = [boxes_at((0, 0), (10, 0))], [boxes_at((0, 0))]
+    right = boxes_at((0, 0), score=0.5)
+    found = evaluate([right], truth, seen)
+    assert found.seen is not None
+    assert found.mean_ap == evaluate([right], truth).mean_ap < 0.5
+    assert found.seen.mean_ap == pytest.approx(1)
+    both = boxes_at((0, 0), (10, 0))._replace(score=np.array([0.5, 0.9], "f4"))
+    other = evaluate([both], truth, seen)
+    assert other.mean_ap == pytest.approx(1)
+    assert other.seen.mean_ap == evaluate([both], seen).mean_ap < 0.9
+    assert [(row["seen"], row["road_users"]) for row in found.rows()[::4]] == [(1, 2)] * 2
+    assert evaluate([right], truth, [NOTHING]).seen is None
+
+
 def test_of_equal_scores_the_last_comes_first():
     """The false detection before or after the true one, in a frame and over frames. If it comes
     after, precision is 1, and 1/2 at the recall 1 alone."""

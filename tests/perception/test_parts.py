@@ -366,6 +366,37 @@ def test_what_the_head_is_to_tell_is_read_back_as_the_boxes():
     assert len(KINDS) == aim.heat.shape[-1]
 
 
+def test_a_road_user_that_no_sensor_sees_gives_no_loss():
+    """The slope of the loss at the cells of each, in the heat of its class and in its values."""
+    returns = np.full((2, 6, 1), 5, np.int32)
+    returns[0, 1] = 0
+    targets = road_users()._replace(returns=returns)
+    found = head.HeadOutput(noise(2, GRID.side, GRID.side, 4), noise(2, GRID.side, GRID.side, 8))
+
+    @jax.jit
+    def slopes(counted):
+        aim = head.aims(targets, GRID, counted)
+        slope = jax.grad(lambda found: sum(head.loss(found, aim)))(found)
+        at = np.arange(2)[:, None], aim.row, aim.column
+        return abs(slope.heat[(*at, targets.kind)]), abs(slope.values[at]).sum(-1)
+
+    inside = targets.mask & (np.abs(targets.boxes[..., :2]) < GRID.half).all(-1)
+    seen = targets.seen_by(["lidar"])
+    for counted in (seen, np.ones_like(seen)):
+        for slope in map(np.asarray, slopes(counted)):
+            assert slope[inside & counted].min() > 1e-3
+            assert slope[inside & ~counted].max(initial=0) < 1e-9
+
+
+def test_who_is_seen_hangs_on_the_sensors_that_a_detector_has():
+    returns = np.array([[[0, 0], [0, 3], [0, 0], [0, 0]]], np.int32)
+    pixels = np.array([[[0, 0], [0, 0], [0.3, 0], [-1, -1]]], np.float32)  # -1: not said
+    targets = Targets(*[np.zeros((1, 4))] * 3, returns, pixels, np.ones((1, 4), bool))
+    assert targets.seen_by(["lidar"]).tolist() == [[False, True, False, False]]
+    assert targets.seen_by(["camera"]).tolist() == [[False, False, True, True]]
+    assert targets.seen_by(["lidar", "camera"]).tolist() == [[False, True, True, True]]
+
+
 def test_the_radius_of_a_gaussian_keeps_boxes_overlapping():
     length, width = np.array([30.0, 12.0, 25.0]), np.array([8.0, 10.0, 20.0])
     found = np.asarray(jax.jit(head.radius)(np.array([*length, 0.8]), np.array([*width, 0.8])))

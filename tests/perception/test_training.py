@@ -1,5 +1,6 @@
 """Trainings: repeated, stopped, damaged, refused."""
 
+import json
 import shutil
 from dataclasses import replace
 from importlib import import_module
@@ -202,6 +203,10 @@ def test_other_settings_are_refused_in_the_same_folder(stopped_and_not, cached, 
         open_run(tmp_path)
     shutil.copytree(folder, tmp_path / "old")
     record = tmp_path / "old" / "run.json"
+    given = json.loads(record.read_text())
+    assert given["content"]["settings"].pop("targets") == "seen"
+    record.write_text(json.dumps(given))  # as before there was the setting
+    assert open_run(tmp_path / "old").content.settings.targets == "all"
     record.write_text(record.read_text().replace('"inspe_jax run 2"', '"inspe_jax run 1"'))
     with pytest.raises(InspeError, match="format: input should be 'inspe_jax run 2'"):
         open_run(tmp_path / "old")

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from inspe_jax.core.digest import digest
 from inspe_jax.core.errors import InspeError
@@ -113,7 +113,10 @@ def _train(
     measured = run.rows(VALIDATION)
     late, mean_ap = None, measured[-1]["mean_ap"] if measured else None
     for number, batch in enumerate(loader.steps(first, settings.steps), first + 1):
-        constant = teacher, inputs_of(batch, agents), batch.targets, grid, chain
+        counted = None
+        if settings.targets == "seen":
+            counted = batch.targets.seen_by(model_of(settings.model).sensors)
+        constant = teacher, inputs_of(batch, agents), batch.targets, counted, grid, chain
         detector, moments, losses = training_step(constant, detector, moments)
         row = {name: float(value) for name, value in losses._asdict().items()}
         total = sum(row.values())
@@ -136,11 +139,16 @@ def _train(
 
 
 def objective(
-    detector: Detector, teacher: Detector | None, inputs: Inputs, targets: Targets, grid: BevGrid
+    detector: Detector,
+    teacher: Detector | None,
+    inputs: Inputs,
+    targets: Targets,
+    counted: Bool[Array, "B M"] | None,
+    grid: BevGrid,
 ) -> tuple[Scalar, _Losses]:
-    """What is made small, and its parts."""
+    """What is made small, and its parts. Road users that are not ``counted`` have no part in it."""
     predicted = detector(inputs)
-    heat, values = loss(predicted.found, aims(targets, grid))
+    heat, values = loss(predicted.found, aims(targets, grid, counted))
     taught = on_pictures = jnp.zeros(())
     if teacher is not None:
         taught = distillation(predicted.fused, teacher(inputs).fused)
@@ -164,7 +172,7 @@ def distillation(taught: Float[Array, "B h w c"], teacher: Float[Array, "B h w c
 
 @eqx.filter_jit(donate="all-except-first")
 def training_step(
-    constant: tuple[Detector | None, Inputs, Targets, BevGrid, runs.Optimiser],
+    constant: tuple[Detector | None, Inputs, Targets, Any, BevGrid, runs.Optimiser],
     detector: Detector,
     moments: Any,
 ) -> tuple[Detector, Any, _Losses]:

@@ -41,6 +41,9 @@ class Detections(NamedTuple):
     score: Float32[np.ndarray, " N"]
 
 
+Frames = Sequence[Detections]
+
+
 def check(detections: Detections, where: str) -> None:
     """Raise InspeError, which begins with ``where``, if a box is not finite, a size is not above 0,
     a score is not from 0 to 1, a kind is not known, or numbers of boxes differ."""
@@ -121,24 +124,21 @@ class Evaluation:
         means = [*np.column_stack([self.ap, self.class_ap])]
         means.append(np.array([*np.mean(self.ap[self.present], 0), self.mean_ap]))
         names = [*(f"ap_{distance:g}m" for distance in DISTANCES), "ap"]
-        rows: list[dict[str, Any]] = [
+        seen = self.seen.rows() if self.seen else []
+        more = [dict(seen=own["road_users"], ap_seen=own["ap"]) for own in seen] or [{}] * len(
+            counts
+        )
+        return [
             {"class": kind, "road_users": int(count)}
             | {name: "" if np.isnan(x) else float(x) for name, x in zip(names, ap, strict=True)}
-            for kind, count, ap in zip([*KINDS, "all"], counts, means, strict=True)
+            | rest
+            for kind, count, ap, rest in zip([*KINDS, "all"], counts, means, more, strict=True)
         ]
-        for row, own in zip(rows, self.seen.rows() if self.seen else (), strict=False):
-            row |= {"seen": own["road_users"], "ap_seen": own["ap"]}
-        return rows
 
 
-def evaluate(
-    detections: Sequence[Detections],
-    truth: Sequence[Detections],
-    seen: Sequence[Detections] | None = None,
-) -> Evaluation:
-    """The measures of ``detections`` against ``truth``, which both have a record for each frame.
-    With ``seen``, the part of the truth that sensors see, also those against it alone; a detection
-    of another road user is then false, as in nuScenes.
+def evaluate(detections: Frames, truth: Frames, seen: Frames | None = None) -> Evaluation:
+    """The measures of ``detections`` against ``truth``, which both have a record for each frame;
+    with ``seen``, also against this part of the truth alone: a find of the rest is then false.
 
     The scores of ``truth`` mean nothing. Of equal scores, the later frame and in it the later box
     comes first, as in nuScenes' code. The caller leaves out boxes that are not to count.
@@ -173,9 +173,9 @@ def evaluate(
         own = own[_by_score(score[own])]
         ap[k] = [average_precision(row[own], users[k]) for row in true]
     found = Evaluation(len(truth), ap, users)
-    if seen is not None and any(len(frame.kind) for frame in seen):
-        return replace(found, seen=evaluate(detections, seen))
-    return found
+    if seen is None or not any(len(frame.kind) for frame in seen):
+        return found
+    return replace(found, seen=evaluate(detections, seen))
 
 
 def average_precision(true: Bool[np.ndarray, " N"], users: int) -> float:
@@ -228,10 +228,7 @@ def evaluation_table(found: Evaluation, note: str = "") -> Table:
     table = table_of(title, "class", "users", *(f"{each:g} m" for each in DISTANCES), "AP", *more)
     for row in found.rows():
         kind, *values = row.values()
-        cells = (
-            f"{value:,}" if isinstance(value, int) else f"{value:.1%}" if value != "" else "–"
-            for value in values
-        )
+        cells = ("–" if x == "" else f"{x:,}" if isinstance(x, int) else f"{x:.1%}" for x in values)
         table.add_row(kind, *cells)
     return table
 

@@ -519,10 +519,10 @@ def correlation(
     By Fisher's z, whose variance is 1 / (n - g - 2) of n pairs less the means of g groups, and for
     Spearman's 1 + r² / 2 times that (Bonett and Wright 2000): of nine placements, the middle 95 %
     over placements drawn anew is too narrow. NaN where it is not defined: the interval of ±1, and
-    all if x is the same within each group.
+    all if x or y is the same within each group.
     """
     x, y = (less_group_means(values, groups) for values in (x, y))
-    if np.ptp(x) < 1e-9:
+    if min(np.ptp(x), np.ptp(y)) < 1e-9:
         return np.nan, np.nan, np.nan
     value = float((spearmanr if name == "spearman" else pearsonr)(x, y)[0])
     if abs(value) > 1 - 1e-9:

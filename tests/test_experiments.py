@@ -26,50 +26,42 @@ def test_the_tables_of_the_readme_are_those_of_the_rows():
 
 @pytest.mark.parametrize("conditions", ["recorded", "usual"])
 def test_correlations_are_those_of_the_rows(conditions):
-    keys = ("frames_of", "less", "road_user", "metric", "correlation")
-    kept = {
-        tuple(row[key] for key in keys): [float(row[key]) for key in ("value", "low", "high")]
-        for row in read_rows(HERE / "table1_correlations.csv") if row["conditions"] == conditions
-    }  # fmt: skip
-    scores = [r for r in read_rows(HERE / "table1_scores.csv") if r["conditions"] == conditions]
-    count = 0
+    keys = ("less", "road_user", "metric", "correlation", "value", "low", "high")
+    scores, kept = (
+        [r for r in read_rows(HERE / f"table1_{name}.csv") if r["conditions"] == conditions]
+        for name in ("scores", "correlations")
+    )
     for of in table1.HELD_OUT:
         own = {(r["placement"], r["metric"]): (float(r["mean"]), 0.0)
                for r in scores if r["frames_of"] == of}  # fmt: skip
-        for row in table1.correlations(table1.means(ROWS, of), own):
-            found = [row[key] for key in ("value", "low", "high")]
-            at = of, *(row[key] for key in keys[1:])
-            np.testing.assert_allclose(kept[at], found, rtol=1e-9)
-            count += 1
-    assert count == 2 * (2 + len(KINDS)) * len(table1.COMPARED) * 2
+        correlated = table1.correlations(table1.means(ROWS, of), own)
+        found = [[str(row[key]) for key in keys] for row in correlated]
+        assert found == [[row[key] for key in keys] for row in kept if row["frames_of"] == of]
+        assert len(found) == (2 + len(KINDS)) * len(table1.COMPARED) * 2
 
 
 def test_intervals_are_fishers():
     """Of one group as SciPy's; of three, they hold the true correlation in 95 % of samples."""
     rng, groups, holds = np.random.default_rng(0), np.repeat(range(3), 10), []
-    for _ in range(400):
-        x, y = rng.multivariate_normal([0, 0], [[1, 0.8], [0.8, 1]], 30).T
+    for x, y in rng.multivariate_normal([0, 0], [[1, 0.8], [0.8, 1]], (400, 30)).swapaxes(1, 2):
         for name, true in (("pearson", 0.8), ("spearman", 6 / np.pi * np.arcsin(0.4))):
             _, low, high = table1.correlation(x + 9 * groups, y - 9 * groups, groups, name)
             holds.append(low < true < high)
     assert 0.92 < np.mean(holds) < 0.97
-    own, scipys = table1.correlation(x, y, [0] * 30, "pearson"), pearsonr(x, y)
-    np.testing.assert_allclose(own, [scipys[0], *scipys.confidence_interval()])
+    ends = table1.correlation(x, y, [0] * 30, "pearson")[1:]
+    np.testing.assert_allclose(ends, pearsonr(x, y).confidence_interval())
     assert np.isnan(table1.correlation(groups, y, groups, "pearson")).all()
-    assert np.isnan(table1.correlation(x, 2 * x, groups, "spearman")[1:]).all()
 
 
 def test_baselines_by_hand():
     """A camera's area is a sector of 100°, also where its view is across 180°."""
     columns = np.stack(np.meshgrid(*[np.arange(-99.5, 100)] * 2), -1).reshape(-1, 2)
     scene = SimpleNamespace(voxels=SimpleNamespace(columns=columns))
-    sensors = [
-        SimpleNamespace(spec=device(f"paper-{name}").spec) for name in ("camera", "lidar-32")
-    ]
-    poses = [[50, 50, 5, 0, 0, 3.0], [-50, -50, 5, 0, 0, 1.0]]
+    specs = (device(f"paper-{name}").spec for name in ("camera", "lidar-32"))
+    poses, sensors = [[50, 50, 5, 0, 0, 3], [-50] * 6], [SimpleNamespace(spec=s) for s in specs]
     found = table1.baselines(scene, SimpleNamespace(sensors=sensors, poses=poses))
-    area = 38**2 * np.radians(100) / 2 + 50**2 * np.pi
-    assert found.pop("area") == pytest.approx(area / 200**2, rel=0.01)
+    area = (38**2 * np.radians(100) / 2 + 50**2 * np.pi) / 200**2
+    assert found.pop("area") == pytest.approx(area, rel=0.01)
     assert found == dict(sensors=2, log_lidars=np.log(2), rays=160 * 120 + 32 * 1280)
 
 

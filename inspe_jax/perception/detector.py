@@ -72,7 +72,9 @@ MODELS: dict[str, Model] = {
         LIDAR, Mean, "DiscoNet's teacher: the pillars of all units together", joined=True
     ),
 }
-"""Detectors by name. CoAlign's correction of poses is left out: the poses are exact."""
+"""Detectors by name. Unlike the published ones, all have few channels, one head, exact poses
+without delay or warps, and the mean over agents in place of what an ego has. CoAlign has no pose
+graph. In AttFuse, DiscoNet and HM-ViT cameras are agents; DiscoNet's teacher has LiDARs alone."""
 
 
 def model_of(name: str) -> Model:

@@ -14,7 +14,8 @@ four placements that P_sm ranks worst: how often each place is seen, and which r
 detector finds and which it misses.
 
 Sets, caches, scores and the training are in the folder of --keep. A run that was stopped goes on
-there. ``--rescore`` correlates the mAP in the CSV in --out again, without a search or a training.
+there. ``--rescore`` scores the poses in the CSV in --out, and correlates the mAP there, without a
+search or a training.
 """
 
 import argparse

@@ -37,7 +37,7 @@ DIFFERS = {
     "attfuse": "cameras are agents, too",
     "disconet": "cameras are agents, too, but the teacher has LiDARs alone; one map is taught, not "
     "four; edges of 32 and 8 channels, not 128, 32 and 8",
-    "hm-vit": "one of three blocks; modalities share norms, perceptrons and head; no bias by "
+    "hm-vit": "one of two blocks; modalities share norms, perceptrons and head; no bias by "
     "the offset of cells",
 }
 """What a detector has otherwise than the published one, besides what all have."""

@@ -13,8 +13,8 @@ observation of their intervals, by Fisher's z.
 
 Scores are of the default profile, the mean over the intersections where mAP is measured, and over
 the lights, densities and mix of road users of the recordings; beside them are those of midday,
-medium density and the profile's mix, as in ``table2.csv``. The paper does not say over which lights
-and densities its mAP is: it is compared with the latter, at all ten.
+medium density and the profile's mix, as in ``table2.csv``. Over which lights and densities the
+paper's mAP is, is not known here: it is compared with the latter, at all ten.
 
 Detectors are to find those road users that their sensors see (``--targets seen``), or all, as in
 the rows of ``table1.csv``. AP is of all road users, and in the last columns of those that are seen.

@@ -241,9 +241,9 @@ class HMViT(eqx.Module):
     """HM-ViT (Xiang et al. 2023): attention over agents and cells at once, by modality.
 
     All agents' features at the cells of a window, then at those of a sparse grid over the whole
-    map, attend to one another. Then the mean over agents is taken. HM-ViT has three such pairs; one
-    takes as long as all that comes before it. Its norms and perceptrons are by modality, and it has
-    a bias by the offset of cells: here all modalities share them, and there is no bias.
+    map, attend to one another. Then the mean over agents is taken. One such pair takes as long as
+    all that comes before it; HM-ViT's code has two. Its norms and perceptrons are by modality, and
+    it has a bias by the offset of cells: here all modalities share them, and there is no bias.
     """
 
     blocks: list[GraphAttention]

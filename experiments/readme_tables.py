@@ -123,11 +123,11 @@ def searches() -> str:
     return markdown(["sensors", "best known", "method", *heads], found)
 
 
-def interval(differences: Iterable[float]) -> str:
+def interval(differences: Iterable[float], digits: int = 1) -> str:
     """A mean, and its interval of 95 % by Student's t."""
     given = np.array([*differences])
     low, high = ttest_1samp(given, 0.0).confidence_interval()
-    return f"{given.mean():+.1f} [{low:.1f}, {high:.1f}]"
+    return f"{given.mean():+.{digits}f} [{low:.{digits}f}, {high:.{digits}f}]"
 
 
 def rises(text: str) -> list[tuple[float, float]]:
@@ -257,14 +257,20 @@ def random_gains() -> str:
     all_rows = rows_of("random_placements")
     places = values(all_rows, "place")
     own = {(row["place"], row["layout"]): row for row in all_rows}
-    rows = []
+    kinds = (("surrogate", 3), ("detectability", 3), ("mean_ap", 1))
+    rows, gains = [], dict[tuple[str, str], list[float]]()
     for name, goal in ((name, goal) for name in ("L-c", "L-d2", "L-d1") for goal in ("P_sm", "D")):
         cells = [name, goal]
         for place in places:
             old, new = own[place, name], own[place, f"found for {goal} from {name}"]
-            for key, digits in (("surrogate", 3), ("detectability", 3), ("mean_ap", 1)):
-                cells.append(f"{float(new[key]) - float(old[key]):+.{digits}f}")
+            for key, digits in kinds:
+                gain = float(new[key]) - float(old[key])
+                gains.setdefault((goal, key), []).append(gain)
+                cells.append(f"{gain:+.{digits}f}")
         rows.append(cells)
+    for goal in ("P_sm", "D"):
+        means = [interval(gains[goal, key], digits) for key, digits in kinds]
+        rows.append(["all, both places", goal, *means, "", "", ""])
     heads = [f"{what}, {place.split()[0]}" for place in places for what in ("P_sm", "D", "mAP")]
     return markdown(["from", "searched", *heads], rows)
 

@@ -19,7 +19,6 @@ search or a training.
 """
 
 import argparse
-import itertools
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -44,6 +43,7 @@ from table1 import (
     MIX,
     QUICK_HALF,
     baselines,
+    compared,
     correlation,
     less_group_means,
     predictor_of,
@@ -306,20 +306,14 @@ def correlations(rows: Rows, scores: Rows) -> Rows:
     """Of AP with what it is compared with, over random placements."""
     own = {(row["place"], row["layout"]): row for row in rows}
     chosen = [own[row["place"], row["layout"]] for row in scores]
+    each = {metric: np.array([float(row[metric]) for row in scores]) for metric in COMPARED}
     found = []
     for less, keys in (("place", ["place"]), ("place and number", ["place", "lidars"])):
         groups = [[row[key] for key in keys] for row in chosen]
         for kind in ("mean", *KINDS):
-            y = np.array(
-                [float(row["mean_ap" if kind == "mean" else f"ap_{kind}"]) for row in chosen]
-            )
-            for metric, name in itertools.product(COMPARED, ("pearson", "spearman")):
-                x = np.array([float(row[metric]) for row in scores])
-                value, low, high = (round(part, 3) for part in correlation(x, y, groups, name))
-                found.append(
-                    dict(less=less, road_user=kind, metric=metric, correlation=name,
-                         value=value, low=low, high=high)
-                )  # fmt: skip
+            ap = "mean_ap" if kind == "mean" else f"ap_{kind}"
+            y = np.array([float(row[ap]) for row in chosen])
+            found += [dict(less=less, road_user=kind) | row for row in compared(each, y, groups)]
     return found
 
 

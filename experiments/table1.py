@@ -9,7 +9,8 @@ placement with P_sm, C, O, IG and D, and with what needs no model of perception:
 sensors, of LiDARs and of rays, and the area in range; and what the paper concludes from its table,
 yes or no with numbers. All but the first are told for another time, too, and for the paper's own
 mAP. Correlations are over the nine placements, and within a kind of sensors; a placement is one
-observation of their intervals, by Fisher's z.
+observation of their intervals, by Fisher's z, and of Williams' test of each beside P_sm and beside
+the best of what needs no model.
 
 Scores are of the default profile, the mean over the intersections where mAP is measured, and over
 the lights, densities and mix of road users of the recordings; beside them are those of midday,
@@ -59,6 +60,7 @@ from common import (
 )
 from matplotlib.figure import Figure
 from scipy.stats import norm, pearsonr, spearmanr
+from scipy.stats import t as student
 from table2 import QUICK_SIZE, Row, Stats, places, run, statistics
 
 from inspe_jax import Layout, Scene
@@ -533,6 +535,40 @@ def correlation(
     return value, float(low), float(high)
 
 
+def p_beside(x: np.ndarray, other: np.ndarray, y: np.ndarray, groups: Sequence[Any]) -> float:
+    """The p, two-sided, with which ``y`` correlates within groups as well with ``other`` as with x.
+
+    By Williams' test of two correlations with one variable (Steiger 1980), for n - g + 1
+    observations. NaN where a correlation is not defined.
+    """
+    parts = np.stack([less_group_means(values, groups) for values in (y, x, other)])
+    if np.ptp(parts, 1).min() < 1e-9 or np.allclose(parts[1], parts[2]):
+        return np.nan
+    r = np.corrcoef(parts)
+    (own, theirs), both, count = r[0, 1:], r[1, 2], len(y) - len({*map(str, groups)}) + 1
+    spread = 2 * np.linalg.det(r) * (count - 1) / (count - 3)
+    spread += (own + theirs) ** 2 / 4 * (1 - both) ** 3
+    value = (own - theirs) * np.sqrt((count - 1) * (1 + both) / spread)
+    return float(2 * student.sf(abs(value), count - 3))
+
+
+def compared(each: dict[str, np.ndarray], y: np.ndarray, groups: Sequence[Any]) -> Rows:
+    """The correlations of y with each of :data:`COMPARED`; and for Pearson's the p beside that of
+    the best of :data:`BASELINES`, and beside that of P_sm."""
+    of = {name: correlation(each[name], y, groups, "pearson")[0] for name in BASELINES}
+    best = each[max(of, key=lambda name: -1 if np.isnan(of[name]) else abs(of[name]))]
+    rows = []
+    for metric, name in itertools.product(COMPARED, ("pearson", "spearman")):
+        row: dict[str, Any] = dict(metric=metric, correlation=name, p_baseline="", p_surrogate="")
+        found = correlation(each[metric], y, groups, name)
+        row |= dict(zip(("value", "low", "high"), (round(part, 3) for part in found), strict=True))
+        if name == "pearson":
+            row["p_baseline"] = round(p_beside(each[metric], best, y, groups), 4)
+            row["p_surrogate"] = round(p_beside(each[metric], each["surrogate"], y, groups), 4)
+        rows.append(row)
+    return rows
+
+
 def correlations(found: Means, ours: Stats) -> Rows:
     """Of mAP over placements with what is compared: of all classes, also less the means of kinds of
     sensors, and of each."""
@@ -543,14 +579,9 @@ def correlations(found: Means, ours: Stats) -> Rows:
             less and next(n for n, group in enumerate(BY_SENSORS.values()) if placement in group)
             for placement in own
         ]
-        for metric, name in itertools.product(COMPARED, ("pearson", "spearman")):
-            x = np.array([ours[placement, metric][0] for placement in own])
-            each = correlation(x, np.array([*own.values()]), groups, name)
-            value, low, high = (round(part, 3) for part in each)
-            rows.append(
-                dict(less=less, road_user=kind or "all", metric=metric, correlation=name,
-                     value=value, low=low, high=high)
-            )  # fmt: skip
+        each = {metric: np.array([ours[p, metric][0] for p in own]) for metric in COMPARED}
+        of = dict(less=less, road_user=kind or "all")
+        rows += [of | row for row in compared(each, np.array([*own.values()]), groups)]
     return rows
 
 

@@ -41,12 +41,15 @@ def test_correlations_are_those_of_the_rows(conditions):
 
 
 def test_intervals_are_fishers():
-    """Of one group as SciPy's; of three, they hold the true correlation in 95 % of samples."""
+    """Of one group as SciPy's; of three, they hold the true correlation in 95 % of samples, and of
+    two correlations that are the same, 5 % have p < 0.05."""
     rng, groups, holds = np.random.default_rng(0), np.repeat(range(3), 10), []
-    for x, y in rng.multivariate_normal([0, 0], [[1, 0.8], [0.8, 1]], (400, 30)).swapaxes(1, 2):
+    both = [[1, 0.8, 0.8], [0.8, 1, 0.5], [0.8, 0.5, 1]]
+    for y, x, z in rng.multivariate_normal([0] * 3, both, (400, 30)).swapaxes(1, 2):
         for name, true in (("pearson", 0.8), ("spearman", 6 / np.pi * np.arcsin(0.4))):
             _, low, high = table1.correlation(x + 9 * groups, y - 9 * groups, groups, name)
             holds.append(low < true < high)
+        holds.append(table1.p_beside(x, z - 9 * groups, y + 9 * groups, groups) > 0.05)
     assert 0.92 < np.mean(holds) < 0.97
     ends = table1.correlation(x, y, [0] * 30, "pearson")[1:]
     np.testing.assert_allclose(ends, pearsonr(x, y).confidence_interval())

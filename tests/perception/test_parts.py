@@ -367,7 +367,6 @@ def test_what_the_head_is_to_tell_is_read_back_as_the_boxes():
 
 
 def test_a_road_user_that_no_sensor_sees_gives_no_loss():
-    """The slope of the loss at the cells of each, in the heat of its class and in its values."""
     returns, pixels = np.ones((2, 2, 6, 1), np.float32)
     returns[0, 1], pixels[0, :3, 0] = 0, (0.3, -1, 0)  # -1: the set does not say
     targets = road_users()._replace(returns=returns, pixels=pixels)

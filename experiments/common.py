@@ -36,6 +36,8 @@ METRICS = {
     "surrogate": "P_sm",
 }
 """The columns of the paper's Table 2: names in records, and symbols."""
+SCORES = {"surrogate": "P_sm", **METRICS, "detectability": "D"}
+"""What is compared with mAP."""
 MAPS = Path(__file__).resolve().parents[1].parent / "shared" / "maps"
 """Town maps beside the checkout, where there are any."""
 
@@ -231,6 +233,13 @@ def markdown(heads: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
     """A table in Markdown."""
     lines = [heads, ["---"] * len(heads), *rows]
     return "\n".join(f"| {' | '.join(map(str, line))} |" for line in lines)
+
+
+def with_interval(value: float, low: float, high: float) -> str:
+    """A value and its interval in words: without one where that is NaN, a dash where both are."""
+    if np.isnan(value):
+        return "–"
+    return f"{value:.2f}" + ("" if np.isnan(low) else f" [{low:.2f}, {high:.2f}]")
 
 
 def append_rows(path: Path, rows: list[dict[str, Any]]) -> None:

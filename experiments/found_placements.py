@@ -23,7 +23,7 @@ from common import MAPS, arguments, kept_folder, need_maps, output, write_result
 from table1 import (
     QUICK_HALF,
     SETS,
-    STEPS,
+    TRAINED,
     Job,
     Rows,
     check_settings,
@@ -58,11 +58,9 @@ def options() -> argparse.Namespace:
     given = arguments(
         __doc__,
         *("keep", "workers"),
-        steps=dict(type=int, default=STEPS, help="of each training"),
+        **TRAINED,
         seeds=dict(type=int, default=3, help="trainings of each placement"),
         search=dict(type=float, default=SEARCH, help="in exact scores' work"),
-        lights=dict(nargs="+", default=["midday", "night"]),
-        densities=dict(nargs="+", default=["medium", "high"]),
     )  # fmt: skip
     given.scheduler = None  # its workers could not import table1.py
     need_maps(given)
@@ -134,7 +132,7 @@ def run_all(
     given: argparse.Namespace, into: Path, found: Searched, down: Layouts, path: Path
 ) -> None:
     """Every training that is not done yet, placement by placement."""
-    done = {of_job(row) for row in done_in(path, given.steps)}
+    done = {of_job(row) for row in done_in(path, given)}
     each = [(name, found_from(name), f"from-{name}", layouts) for name, layouts in found.items()]
     each.append((LOOKS_DOWN["strategy"], AIMED, "aimed", down))
     for placement, title, name, layouts in each:
@@ -152,9 +150,9 @@ def quick(given: argparse.Namespace, into: Path, found: Searched) -> Rows:
     [(name, layouts)] = found.items()
     data = recording_of(given, into, name, "train", layouts, f"from-{name}")
     job = Job(BY_HAND[name], found_from(name), 0)
-    settings = TrainingSettings(model=job.model, steps=2, validate_frames=0)
-    predictor = predictor_of(trained(data, into / job.folder, settings, BevGrid(half=QUICK_HALF)))
-    return rows_of(job, "training", measured(predictor, job.model, data, "train"), 2, 0)
+    settings = TrainingSettings(model=job.model, steps=2, validate_frames=0, targets=given.targets)
+    run = trained(data, into / job.folder, settings, BevGrid(half=QUICK_HALF))
+    return rows_of(job, "training", measured(predictor_of(run), job.model, data, "train"), run, 0)
 
 
 def main() -> None:

@@ -5,16 +5,20 @@ placements that can be mounted, of one to four LiDARs, at eight of the ten inter
 each for every one. It is then measured at the two others: under thirty random placements, the
 paper's three by hand with LiDARs, and what searches for P_sm and for detectability D found from
 each of those three. All placements at a place see the same traffic. Tells the correlation of mAP,
-of all classes and of each, with P_sm, C, O, IG and D, with intervals from resampling the
-placements: over all of them with what differs between the two places taken out, and also with what
-the number of LiDARs alone explains taken out. A picture shows the four placements that P_sm ranks
-worst: how often each place is seen, and which road users the detector finds and which it misses.
+of all classes and of each, with P_sm, C, O, IG and D, and with what needs no model of perception:
+less the means of the two places, and less those of places and numbers of LiDARs. A placement is one
+observation of the intervals, by Fisher's z. The scores that are correlated are of the densities and
+the mix of road users of the recordings; those in the CSV beside mAP, and in the picture of mAP over
+scores, are of what was searched on: medium density, the profile's mix. Another picture shows the
+four placements that P_sm ranks worst: how often each place is seen, and which road users the
+detector finds and which it misses.
 
-Sets, caches and the training are in the folder of --keep. A run that was stopped goes on there.
+Sets, caches, scores and the training are in the folder of --keep. A run that was stopped goes on
+there. ``--rescore`` scores the poses in the CSV in --out, and correlates the mAP there, without a
+search or a training.
 """
 
 import argparse
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -22,7 +26,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 from common import (
-    METRICS,
+    SCORES,
     arguments,
     kept_folder,
     need_maps,
@@ -30,12 +34,23 @@ from common import (
     output,
     progress,
     read_rows,
+    with_interval,
     write_results,
 )
 from matplotlib.figure import Figure
-from scipy.stats import pearsonr, spearmanr
-from table1 import QUICK_HALF, interval, predictor_of, recorded, trained
-from table2 import places
+from table1 import (
+    COMPARED,
+    MIX,
+    QUICK_HALF,
+    baselines,
+    compared,
+    correlation,
+    less_group_means,
+    predictor_of,
+    recorded,
+    trained,
+)
+from table2 import places, run, statistics
 
 import inspe_jax
 from inspe_jax import Layout, Objective, Scene
@@ -58,15 +73,15 @@ from inspe_jax.perception.training import TrainingRun, TrainingSettings
 from inspe_jax.placement.problem import Problem
 from inspe_jax.report.figures import OUTLINE, column_raster, draw_regions
 from inspe_jax.sensing.layout import save_layout
+from inspe_jax.sensing.sensors import Pose
 from inspe_jax.simulation.frame import KINDS
+from inspe_jax.study.plan import make_study
 
 TEST_PLACES = ("Town05 four-way", "Town10HD four-way")
 """Where the detector is measured: one of two roads of many lanes, and one with crosswalks."""
 LIDAR = "paper-lidar-32"
 COUNTS = (1, 2, 3, 4)
 """Numbers of LiDARs, in turns."""
-SCORES = {"surrogate": "P_sm", **METRICS, "detectability": "D"}
-"""What is compared with mAP: names in records, and symbols."""
 SEARCHED = ("surrogate", "detectability")
 """What is searched for, from each placement by hand."""
 MODEL = "coalign"
@@ -94,17 +109,16 @@ class Size(NamedTuple):
     by_hand: tuple[str, ...]
     search: float  # the work of a search, in exact scores
     steps: int
-    resamples: int  # for each interval
     scene: dict[str, Any]
     grid: BevGrid
 
 
 WHOLE = Size(
-    *(8, 15, 5, 12, ("medium", "high"), ("L-c", "L-d2", "L-d1"), 150, 600, 1000),
+    *(8, 15, 5, 12, ("medium", "high"), ("L-c", "L-d2", "L-d1"), 150, 600),
     *(dict(frames=100, radius=50.0), BevGrid()),
 )
 QUICK = Size(
-    *(4, 4, 1, 2, (8,), ("L-c",), 4, 2, 50),
+    *(4, 4, 1, 2, (8,), ("L-c",), 4, 2),
     dict(frames=3, radius=15.0, voxel=1.0, density=8),
     BevGrid(half=QUICK_HALF),
 )
@@ -185,15 +199,19 @@ def scored_on(given: argparse.Namespace, size: Size) -> dict[str, Any]:
     return dict(seed=given.seed, **size.scene)
 
 
+def scenes_of(given: argparse.Namespace, test: bool) -> list[dict[str, Any]]:
+    """The intersections to train on, or to ``test``."""
+    scenes = places(given) if given.quick else on_maps(places(given))
+    held_out = [scenes[-1]["built_in"]] if given.quick else TEST_PLACES
+    return [s for s in scenes if test == (s.get("name", s.get("built_in")) in held_out)]
+
+
 def planned(given: argparse.Namespace, size: Size, test: bool, into: Path) -> Generation:
     """The set to train on, or to ``test``: each place's own placements in the same traffic."""
     scenarios: list[Any] = []
-    scenes = places(given) if given.quick else on_maps(places(given))
-    for number, scene in enumerate(scenes, 1):
-        if test != (number == len(scenes) if given.quick else scene["name"] in TEST_PLACES):
-            continue
+    for scene in scenes_of(given, test):
         settings: dict[str, Any] = dict(
-            mix="fleet", density=list(size.densities), seed=given.seed,
+            mix=MIX, density=list(size.densities), seed=given.seed,
             seconds=size.test_seconds if test else size.train_seconds,
         )  # fmt: skip
         settings |= {k: v for k, v in size.scene.items() if k != "frames"}
@@ -208,20 +226,60 @@ def planned(given: argparse.Namespace, size: Size, test: bool, into: Path) -> Ge
     return Generation("random", tuple(scenarios))
 
 
-ByPlacement = dict[tuple[str, str], tuple[list[Detections], list[Detections]]]
+def poses_of(rows: Rows, into: Path) -> Rows:
+    """A row for each LiDAR of the random placements that rows are of."""
+    found = []
+    for row in filter(at_random, rows):
+        at = dict(place=row["place"], layout=row["layout"])
+        layout = inspe_jax.load_layout(into / "layouts" / at["place"] / f"{at['layout']}.yaml")
+        found += [at | dict(zip(Pose._fields, pose, strict=True)) for pose in layout.poses.tolist()]
+    return found
+
+
+def scored(given: argparse.Namespace, size: Size, poses: Rows, into: Path) -> Rows:
+    """What is compared with mAP, of random placements with these poses."""
+    found = []
+    for scene in scenes_of(given, True):
+        content: dict[str, Any] = dict(scenes=[scene], layouts=["L-c"])
+        content["settings"] = scored_on(given, size)
+        job = make_study(content, into).jobs[0]
+        place, built = job.source.name, scene_of(job.source, job.build)
+        folder, layouts = into / "scored" / place, {}
+        folder.mkdir(parents=True, exist_ok=True)
+        for name in dict.fromkeys(row["layout"] for row in poses if row["place"] == place):
+            own = [row for row in poses if (row["place"], row["layout"]) == (place, name)]
+            layout = starting_layout(built, {LIDAR: len(own)})
+            layout = layout.with_poses(np.array([[float(r[k]) for k in Pose._fields] for r in own]))
+            layouts[name] = replace(layout, name=name)
+            save_layout(layouts[name], folder / f"{name}.yaml")
+        content["layouts"] = [
+            dict(file=str(folder / f"{name}.yaml"), name=name) for name in layouts
+        ]
+        content["settings"] |= dict(mix=MIX, density=list(size.densities))
+        study = make_study(content | dict(metrics=["detectability"]), into, "study", place)
+        means = statistics(run(study, folder / "jobs", given), metrics=SCORES)
+        for name, layout in layouts.items():
+            row: dict[str, Any] = dict(place=place, layout=name) | baselines(built, layout)
+            found.append(row | {metric: round(means[name, metric][0], 5) for metric in SCORES})
+    return found
+
+
+ByPlacement = dict[tuple[str, str], tuple[list[Detections], list[Detections], list[Detections]]]
 
 
 def detected(run: TrainingRun, data: Cache, which: dict[str, tuple[str, str]]) -> ByPlacement:
-    """Detections and truth of each place and placement; ``which`` these are, by scenario."""
+    """Detections, truth, and what of it LiDARs see, of each place and placement; ``which`` these
+    are, by scenario."""
     predictor = predictor_of(run)
     loader: Loader = loader_of(MODEL, data, "test", predictor.grid, batch=1, shuffle=False)
     found: ByPlacement = {}
     with progress("measuring") as bar:
         for done, batch in enumerate(loader, 1):
             at = which[loader.scenarios[int(batch.scenario[0])].name]
-            detections, truth = found.setdefault(at, ([], []))
+            detections, truth, seen = found.setdefault(at, ([], [], []))
             detections += predictor(batch)
             truth.append(truth_of(batch.targets, 0))
+            seen.append(truth_of(batch.targets, 0, ["lidar"]))
             bar(done, len(loader))
     return found
 
@@ -232,7 +290,8 @@ def row_of(place: str, scores: dict[str, str], found: Evaluation) -> dict[str, A
     row |= {metric: round(float(scores[metric]), 5) for metric in SCORES}
     row |= dict(frames=found.frames, mean_ap=round(100 * found.mean_ap, 3))
     each = zip(KINDS, found.class_ap, strict=True)
-    return row | {f"ap_{kind}": round(100 * float(ap), 3) for kind, ap in each}
+    row |= {f"ap_{kind}": round(100 * float(ap), 3) for kind, ap in each}
+    return row | dict(mean_ap_seen=round(100 * found.seen.mean_ap, 3) if found.seen else "")
 
 
 # ── What it tells ───────────────────────────────────────────────────────────
@@ -243,50 +302,18 @@ def at_random(row: dict[str, Any]) -> bool:
     return bool(row["layout"].startswith("random"))
 
 
-def less_group_means(values: np.ndarray, groups: list[str]) -> np.ndarray:
-    """Values less the mean of their group."""
-    of = np.unique(groups, return_inverse=True)[1]
-    return values - (np.bincount(of, values) / np.bincount(of))[of]
-
-
-def correlation(
-    rows: Rows,
-    metric: str,
-    ap: str,
-    group: Callable[[dict[str, Any]], Any],
-    measure: Any,
-    resamples: int,
-) -> tuple[float, float, float]:
-    """A correlation within groups of rows, and the middle 95 % of it over rows drawn anew."""
-
-    x, y = (np.array([float(row[key]) for row in rows]) for key in (metric, ap))
-    groups = [str(group(row)) for row in rows]
-
-    def of(some: np.ndarray) -> float:
-        own = [groups[k] for k in some]
-        return float(measure(less_group_means(x[some], own), less_group_means(y[some], own))[0])
-
-    return of(np.arange(len(rows))), *interval(of, len(rows), resamples)
-
-
-def correlations(rows: Rows, resamples: int) -> Rows:
-    """Of AP with each metric, over random placements."""
-    chosen = [row for row in rows if at_random(row)]
-    groups: dict[str, Callable[[dict[str, Any]], Any]] = {
-        "place": lambda row: row["place"],
-        "place and number": lambda row: (row["place"], row["lidars"]),
-    }
+def correlations(rows: Rows, scores: Rows) -> Rows:
+    """Of AP with what it is compared with, over random placements."""
+    own = {(row["place"], row["layout"]): row for row in rows}
+    chosen = [own[row["place"], row["layout"]] for row in scores]
+    each = {metric: np.array([float(row[metric]) for row in scores]) for metric in COMPARED}
     found = []
-    for less, group in groups.items():
+    for less, keys in (("place", ["place"]), ("place and number", ["place", "lidars"])):
+        groups = [[row[key] for key in keys] for row in chosen]
         for kind in ("mean", *KINDS):
             ap = "mean_ap" if kind == "mean" else f"ap_{kind}"
-            for metric in SCORES:
-                for name, measure in (("pearson", pearsonr), ("spearman", spearmanr)):
-                    value, low, high = correlation(chosen, metric, ap, group, measure, resamples)
-                    found.append(
-                        dict(less=less, road_user=kind, metric=metric, correlation=name,
-                             value=round(value, 3), low=round(low, 3), high=round(high, 3))
-                    )  # fmt: skip
+            y = np.array([float(row[ap]) for row in chosen])
+            found += [dict(less=less, road_user=kind) | row for row in compared(each, y, groups)]
     return found
 
 
@@ -319,7 +346,7 @@ def draw_furthest(rows: Rows, found: ByPlacement, scenes: dict[str, Scene], into
         ax.plot(*poses[:, :2].T, "w*", ms=16, mec="k", zorder=8, label="LiDAR")
         for hit, look in FOUND.items():
             own = np.concatenate(
-                [boxes[taken == hit, :2] for boxes, taken in map(taken_of, *found[at])]
+                [boxes[taken == hit, :2] for boxes, taken in map(taken_of, *found[at][:2])]
             )
             there = scene.intersection.center[:2] + own
             words = f"{'found' if hit else 'missed'}: {len(own)} road users"
@@ -345,13 +372,15 @@ def taken_of(found: Detections, truth: Detections) -> tuple[np.ndarray, np.ndarr
     return truth.boxes, np.isin(np.arange(len(truth.kind)), matched(sure, truth))
 
 
-def draw(rows: Rows, related: Rows) -> Figure:
-    """mAP over each metric: colours are places, signs the numbers of LiDARs."""
-    figure = Figure(figsize=(15, 3.8), layout="constrained")
+def draw(rows: Rows) -> Figure:
+    """mAP over each metric and over the number of LiDARs: colours are places, signs the numbers of
+    LiDARs. Correlations are those of the random placements that are drawn, less means of places."""
+    figure = Figure(figsize=(12, 7.4), layout="constrained")
     places_ = list(dict.fromkeys(row["place"] for row in rows))
-    for ax, (metric, symbol) in zip(
-        figure.subplots(1, len(SCORES), sharey=True), SCORES.items(), strict=True
-    ):
+    random = [row for row in rows if at_random(row)]
+    shown = SCORES | {"lidars": "LiDARs"}
+    panels = figure.subplots(2, 3, sharey=True)
+    for ax, (metric, symbol) in zip(panels.flat, shown.items(), strict=True):
         for row in rows:
             sign = f"${row['lidars']}$" if at_random(row) else "s"
             sign = next(
@@ -360,54 +389,68 @@ def draw(rows: Rows, related: Rows) -> Figure:
             look = dict(color=f"C{places_.index(row['place'])}", ms=7, ls="none")
             fill = "none" if sign == "s" else None
             ax.plot(float(row[metric]), float(row["mean_ap"]), marker=sign, mfc=fill, **look)
-        wanted = dict(less="place", road_user="mean", metric=metric, correlation="pearson")
-        r = next(row for row in related if wanted.items() <= row.items())
+        x, y = (np.array([float(row[key]) for row in random]) for key in (metric, "mean_ap"))
+        each = correlation(x, y, [row["place"] for row in random], "pearson")
         ax.set_xlabel(symbol)
-        ax.set_title(f"r = {r['value']:.3f} [{r['low']:.3f}, {r['high']:.3f}]", fontsize=10)
+        ax.set_title(f"r = {with_interval(*each)}", fontsize=10)
     for n, place in enumerate(places_):
         figure.axes[0].plot([], [], "o", color=f"C{n}", label=place)
     signs = {"$4$": "4 LiDARs at random", "s": "by hand", **FOUND_BY}
     for sign, words in signs.items():
         fill = "none" if sign == "s" else None
         figure.axes[0].plot([], [], marker=sign, ls="none", color="0.3", mfc=fill, label=words)
-    figure.axes[0].set_ylabel("mAP [%]")
+    for ax in panels[:, 0]:
+        ax.set_ylabel("mAP [%]")
     figure.legend(loc="outside upper center", ncols=6, fontsize=9)
     return figure
+
+
+def measure(given: argparse.Namespace, size: Size, into: Path) -> Rows:
+    """Place, record, train, detect: the rows of all placements. Draws the furthest off."""
+    plan = planned(given, size, True, into)
+    training = recorded(given, planned(given, size, False, into), into / "training")
+    testing = recorded(given, plan, into / "testing")
+    settings = TrainingSettings(
+        model=MODEL, steps=given.steps or size.steps, seed=given.seed, validate_frames=0
+    )
+    run = trained(training, into / "run", settings, size.grid)
+    which = {s.name: (s.source.name, s.layout.name) for s in plan.scenarios}
+    found = detected(run, testing, which)
+    rows = [
+        row_of(place, scores, evaluate(*found[place, scores["layout"]]))
+        for place in dict.fromkeys(at[0] for at in found)
+        for scores in read_rows(into / "layouts" / place / "scores.csv")
+    ]
+    sources = {s.source.name: s.source for s in plan.scenarios}
+    scenes = {
+        place: scene_of(sources[place], scored_on(given, size))
+        for place in dict.fromkeys(row["place"] for row in rows)
+    }
+    furthest = draw_furthest(rows, found, scenes, into)
+    furthest.savefig(f"{output(given, 'random_placements')}_furthest.png", dpi=110)
+    return rows
 
 
 def main() -> None:
     """Place, record, train, measure, tell."""
     steps = dict(type=int, help=f"of the training; {WHOLE.steps} if not given")
-    given = arguments(__doc__, "keep", "seed", "workers", steps=steps)
+    rescore = dict(action="store_true", help="correlate the mAP of before again")
+    given = arguments(__doc__, "keep", "seed", "workers", steps=steps, rescore=rescore)
+    given.scheduler = None
     need_maps(given)
     stem = output(given, "random_placements")
     size = QUICK if given.quick else WHOLE
     with kept_folder(given.keep) as into:
-        plan = planned(given, size, True, into)
-        training = recorded(given, planned(given, size, False, into), into / "training")
-        testing = recorded(given, plan, into / "testing")
-        settings = TrainingSettings(
-            model=MODEL, steps=given.steps or size.steps, seed=given.seed, validate_frames=0
-        )
-        run = trained(training, into / "run", settings, size.grid)
-        which = {s.name: (s.source.name, s.layout.name) for s in plan.scenarios}
-        found = detected(run, testing, which)
-        rows = [
-            row_of(place, scores, evaluate(*found[place, scores["layout"]]))
-            for place in dict.fromkeys(at[0] for at in found)
-            for scores in read_rows(into / "layouts" / place / "scores.csv")
-        ]
-        sources = {s.source.name: s.source for s in plan.scenarios}
-        scenes = {
-            place: scene_of(sources[place], scored_on(given, size))
-            for place in dict.fromkeys(row["place"] for row in rows)
-        }
-        furthest = draw_furthest(rows, found, scenes, into)
-    related = correlations(rows, size.resamples)
-    facts = dict(vars(given), size=size._asdict())
-    write_results(stem, rows, facts, draw(rows, related))
-    write_results(Path(f"{stem}_correlations"), related, dict(vars(given)))
-    furthest.savefig(f"{stem}_furthest.png", dpi=110)
+        if given.rescore:
+            rows, poses = read_rows(stem.with_suffix(".csv")), read_rows(Path(f"{stem}_poses.csv"))
+        else:
+            rows = measure(given, size, into)
+            poses = poses_of(rows, into)
+        scores = scored(given, size, poses, into)
+    write_results(Path(f"{stem}_poses"), poses, dict(vars(given)))
+    write_results(stem, rows, dict(vars(given), size=size._asdict()), draw(rows))
+    write_results(Path(f"{stem}_scores"), scores, dict(vars(given)))
+    write_results(Path(f"{stem}_correlations"), correlations(rows, scores), dict(vars(given)))
 
 
 if __name__ == "__main__":

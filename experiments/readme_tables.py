@@ -4,13 +4,15 @@ A table stands between a line ``<!-- NAME -->``, with the name of a function of 
 line ``<!-- end -->``.
 """
 
+import itertools
 import re
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import numpy as np
-from common import METRICS, markdown, read_rows
+from common import METRICS, markdown, read_rows, with_interval
 from scipy.stats import ttest_1samp
+from table1 import COMPARED
 
 from inspe_jax.core.files import write_text
 
@@ -25,6 +27,20 @@ HELD_OUT = {"places": ("Town03 five-way", "Town04 T"), "time": ()}
 FOUND = {"L-d1": "coalign", "L-d2": "coalign", "L-c": "coalign", "Cam-d2": "lss-resnet"}
 """Placements from which searches start, and the detector that is trained under each."""
 DOWN = "Cam-d2, 25° down"
+DIFFERS = {
+    "lss-eff": "lifts by height above the road, not by depth; mean, not sum, of what falls into a "
+    "cell; 4 blocks of EfficientNet-B0's 16, not pre-trained; also learns heat on pictures",
+    "lss-resnet": "as lss-eff, with 4 blocks of ResNet-101's 33",
+    "v2vnet": "messages are not compressed; no perceptron on the last state",
+    "v2x-vit": "agents are of one type, so attention by type has one; no delay",
+    "coalign": "no pose graph, nor the boxes that it aligns",
+    "attfuse": "cameras are agents, too",
+    "disconet": "cameras are agents, too, but the teacher has LiDARs alone; one map is taught, not "
+    "four; edges of 32 and 8 channels, not 128, 32 and 8",
+    "hm-vit": "one of two blocks; modalities share norms, perceptrons and head; no bias by "
+    "the offset of cells",
+}
+"""What a detector has otherwise than the published one, besides what all have."""
 USERS = ("car", "truck", "cyclist", "pedestrian")
 
 Row = dict[str, str]
@@ -107,11 +123,11 @@ def searches() -> str:
     return markdown(["sensors", "best known", "method", *heads], found)
 
 
-def interval(differences: Iterable[float]) -> str:
+def interval(differences: Iterable[float], digits: int = 1) -> str:
     """A mean, and its interval of 95 % by Student's t."""
     given = np.array([*differences])
     low, high = ttest_1samp(given, 0.0).confidence_interval()
-    return f"{given.mean():+.1f} [{low:.1f}, {high:.1f}]"
+    return f"{given.mean():+.{digits}f} [{low:.{digits}f}, {high:.{digits}f}]"
 
 
 def rises(text: str) -> list[tuple[float, float]]:
@@ -165,35 +181,45 @@ def mean_ap(file: str, of: str, placement: str, model: str | None = None) -> flo
 
 
 def table1() -> str:
-    """mAP of the nine placements beside P_sm at the same intersections."""
-    scores = rows_of("table1_scores", metric="surrogate")
+    """mAP of the nine placements beside P_sm, D and LiDARs at the same intersections."""
     rows = []
     for placement in PLACEMENTS:
         cells = [placement]
         for of in HELD_OUT:
-            (own,) = (r for r in scores if (r["frames_of"], r["placement"]) == (of, placement))
-            cells += [f"{float(own['mean']):.3f}", f"{mean_ap('table1', of, placement):.1f}"]
-        rows.append(cells)
-    heads = ["P_sm, other places", "mAP, other places", "P_sm, all ten", "mAP, another time"]
-    return markdown(["placement", *heads], rows)
+            own = rows_of("table1_scores", conditions="recorded", frames_of=of, placement=placement)
+            mean = {row["metric"]: float(row["mean"]) for row in own}
+            cells += [f"{mean[metric]:.3f}" for metric in ("surrogate", "detectability")]
+            cells += [f"{mean_ap('table1', of, placement):.1f}"]
+        rows.append(
+            [*cells, *(f"{mean[name]:,.{k}f}" for name, k in (("sensors", 1), ("area", 2)))]
+        )
+    heads = [
+        f"{what}, {at}" for at in ("other places", "another time") for what in ("P_sm", "D", "mAP")
+    ]
+    return markdown(["placement", *heads, "sensors, all ten", "area, all ten"], rows)
 
 
-def with_interval(row: Row) -> str:
-    """A correlation with the middle 95 % of it."""
-    value, low, high = (float(row[key]) for key in ("value", "low", "high"))
-    return f"{value:.2f} [{low:.2f}, {high:.2f}]"
+def correlated(rows: Iterable[Row]) -> list[str]:
+    """Correlations with everything, each kind of them with its interval."""
+    found: dict[str, list[str]] = {metric: [] for metric in COMPARED}
+    for row in rows:
+        value, low, high = (float(row[key]) for key in ("value", "low", "high"))
+        found[row["metric"]].append(with_interval(value, low, high))
+    return [", ".join(cells) for cells in found.values()]
 
 
 def correlations() -> str:
-    """Correlations of mAP with the metrics over the nine placements, Pearson's and Spearman's."""
+    """Correlations of mAP over the nine placements and random ones, Pearson's and Spearman's."""
+    own = [("places", "recorded"), ("time", "recorded"), ("paper", "usual"), ("places", "usual")]
     rows = []
-    for of in ("places", "time", "paper"):
-        cells = [of]
-        for metric in ("surrogate", "coverage", "occlusion", "information_gain"):
-            own = rows_of("table1_correlations", frames_of=of, road_user="all", metric=metric)
-            cells.append(", ".join(with_interval(row) for row in own))
-        rows.append(cells)
-    return markdown(["mAP at", "P_sm", "C", "O", "IG"], rows)
+    for (of, conditions), less in [*itertools.product(own, ("", "kind of sensors"))][:-1]:
+        chosen = dict(frames_of=of, conditions=conditions, less=less, road_user="all")
+        words = of + ", midday" * (conditions == "usual") + f", less {less}" * bool(less)
+        rows.append([words, *correlated(rows_of("table1_correlations", **chosen))])
+    for less in ("place", "place and number"):
+        found = rows_of("random_placements_correlations", less=less, road_user="mean")
+        rows.append([f"random, less {less}", *correlated(found)])
+    return markdown(["mAP at", *COMPARED.values()], rows)
 
 
 def found_placements() -> str:
@@ -226,32 +252,25 @@ def found_placements() -> str:
     return markdown(["placement", *heads], rows)
 
 
-def random_correlations() -> str:
-    """Pearson's correlation of mAP with the metrics over random placements."""
-    names = ("surrogate", "coverage", "occlusion", "information_gain", "detectability")
-    rows = []
-    for less in ("place", "place and number"):
-        own = rows_of(
-            "random_placements_correlations", less=less, road_user="mean", correlation="pearson"
-        )
-        by_metric = {row["metric"]: with_interval(row) for row in own}
-        rows.append([f"less the mean of the {less}", *(by_metric[name] for name in names)])
-    return markdown(["", "P_sm", "C", "O", "IG", "D"], rows)
-
-
 def random_gains() -> str:
     """What searches gain in P_sm, D and mAP, by what they search for and where they start."""
     all_rows = rows_of("random_placements")
     places = values(all_rows, "place")
     own = {(row["place"], row["layout"]): row for row in all_rows}
-    rows = []
+    kinds = (("surrogate", 3), ("detectability", 3), ("mean_ap", 1))
+    rows, gains = [], dict[tuple[str, str], list[float]]()
     for name, goal in ((name, goal) for name in ("L-c", "L-d2", "L-d1") for goal in ("P_sm", "D")):
         cells = [name, goal]
         for place in places:
             old, new = own[place, name], own[place, f"found for {goal} from {name}"]
-            for key, digits in (("surrogate", 3), ("detectability", 3), ("mean_ap", 1)):
-                cells.append(f"{float(new[key]) - float(old[key]):+.{digits}f}")
+            for key, digits in kinds:
+                gain = float(new[key]) - float(old[key])
+                gains.setdefault((goal, key), []).append(gain)
+                cells.append(f"{gain:+.{digits}f}")
         rows.append(cells)
+    for goal in ("P_sm", "D"):
+        means = [interval(gains[goal, key], digits) for key, digits in kinds]
+        rows.append(["all, both places", goal, *means, "", "", ""])
     heads = [f"{what}, {place.split()[0]}" for place in places for what in ("P_sm", "D", "mAP")]
     return markdown(["from", "searched", *heads], rows)
 
@@ -318,9 +337,10 @@ def training_step() -> str:
     rows = []
     for row in rows_of("training_step"):
         times = f"{row['loading_ms']} ms", f"{float(row['step_ms']) / 1000:.2f} s"
-        about = [row["model"], row["after"], f"{int(row['parameters']):,}"]
+        about = [row["model"], row["after"], DIFFERS[row["model"]], f"{int(row['parameters']):,}"]
         rows.append([*about, *times, f"{float(row['memory_gib']):.1f} GiB"])
-    return markdown(["detector", "after", "parameters", "a batch", "a step", "memory"], rows)
+    heads = ["detector", "after", "but", "parameters", "a batch", "a step", "memory"]
+    return markdown(heads, rows)
 
 
 def road_users() -> str:
@@ -338,7 +358,7 @@ def road_users() -> str:
 
 TABLES: tuple[Callable[[], str], ...] = (
     slopes, phases, searches, detectability, table2, table1, correlations, found_placements,
-    random_correlations, random_gains, statics, terrain, recorded_returns, loading, training_step,
+    random_gains, statics, terrain, recorded_returns, loading, training_step,
     road_users,
 )  # fmt: skip
 

@@ -5,27 +5,35 @@ other six are parts, and trains the eight detectors on three placements each, al
 number of steps. Each is measured on two intersections that it has not seen, and on another time at
 all ten. Tells nuScenes' mAP by detector, placement and class beside the paper's (``--paper1 FILE``,
 with the columns model, placement, class, map_percent); the correlation of the mean mAP of each
-placement with P_sm, C, O and IG, with intervals from resampling the placements; and what the paper
-concludes from its table, yes or no with numbers. All but the first are told for another time, too,
-and for the paper's own mAP.
+placement with P_sm, C, O, IG and D, and with what needs no model of perception: the numbers of
+sensors, of LiDARs and of rays, and the area in range; and what the paper concludes from its table,
+yes or no with numbers. All but the first are told for another time, too, and for the paper's own
+mAP. Correlations are over the nine placements, and within a kind of sensors; a placement is one
+observation of their intervals, by Fisher's z, and of Williams' test of each beside P_sm and beside
+the best of what needs no model.
 
-P_sm, C, O and IG are the mean over the intersections where mAP is measured, and for the paper's
-over all ten; at midday and medium density, of the default profile, as in ``table2.csv``.
+Scores are of the default profile, the mean over the intersections where mAP is measured, and over
+the lights, densities and mix of road users of the recordings; beside them are those of midday,
+medium density and the profile's mix, as in ``table2.csv``. Over which lights and densities the
+paper's mAP is, is not known here: it is compared with the latter, at all ten.
+
+Detectors are to find those road users that their sensors see (``--targets seen``), or all, as in
+the rows of ``table1.csv``. AP is of all road users, and in the last columns of those that are seen.
 
 All sets, caches and trainings are in the folder of --keep. A run that was stopped goes on there. A
 training that is done has its rows in the CSV in --out: with that file at hand, on any machine and
 with an empty --keep, the run goes on with those that are left. Trainings run on all cores, or by a
 Dask scheduler. ``--models`` does some of the detectors.
 
-``--quick`` trains detectors until they overfit eight frames: one of LiDARs and one of cameras, or
-those of ``--models``.
+``--quick`` scores three placements at a small intersection, and trains detectors until they overfit
+eight frames: one of LiDARs and one of cameras, or those of ``--models``.
 """
 
 import argparse
 import itertools
 import json
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -33,7 +41,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from common import (
     MAPS,
-    METRICS,
+    SCORES,
     append_rows,
     arguments,
     console,
@@ -46,15 +54,19 @@ from common import (
     progress,
     read_rows,
     say,
+    with_interval,
     write_results,
     write_settings,
 )
 from matplotlib.figure import Figure
-from scipy.stats import bootstrap, pearsonr, rankdata
-from table2 import Stats, places, run, statistics
+from scipy.stats import norm, pearsonr, spearmanr
+from scipy.stats import t as student
+from table2 import QUICK_SIZE, Row, Stats, places, run, statistics
 
+from inspe_jax import Layout, Scene
 from inspe_jax.dataset import Cache, Generation, cache, generate, open_cache
 from inspe_jax.dataset.plan import make_generation
+from inspe_jax.jobs.sources import place_layout, scene_of
 from inspe_jax.mounting.strategies import STRATEGIES
 from inspe_jax.perception.detector import MODELS, TEACHER, loader_of, model_of
 from inspe_jax.perception.evaluation import Evaluation
@@ -100,10 +112,20 @@ SETS: dict[str, dict[str, Any]] = {
 scenario has a frame a second."""
 HELD_OUT = {"places": "On other intersections", "time": "At another time"}
 """Titles, by what rows are of."""
-STEPS = 600
-DECISIVE = ("steps", "lights", "densities", "search")
+MIX = "fleet"
+"""Of the road users that are recorded."""
+DECISIVE = ("steps", "targets", "lights", "densities", "search")
 """Options that rows depend on, of this study and of ``found_placements.py``."""
-RESAMPLES = 10_000
+TRAINED: dict[str, dict[str, Any]] = dict(
+    steps=dict(type=int, default=600, help="of each training"),
+    targets=dict(default="seen", choices=("seen", "all"), help="road users that are to be found"),
+    lights=dict(nargs="+", default=["midday", "night"]),
+    densities=dict(nargs="+", default=["medium", "high"]),
+)
+"""Options of both."""
+BASELINES = {"sensors": "sensors", "log_lidars": "log(1 + LiDARs)", "rays": "rays", "area": "area"}
+"""What needs no model of perception: names in records, and symbols."""
+COMPARED = SCORES | BASELINES
 KNOWN = 0.95
 """AP of cars that a detector must reach on the eight frames that it was trained on."""
 QUICK_MODELS = ("coalign", "lss-resnet")
@@ -137,11 +159,9 @@ def options() -> argparse.Namespace:
     given = arguments(
         __doc__,
         *("keep", "workers", "scheduler"),
-        steps=dict(type=int, default=STEPS, help="of each training"),
+        **TRAINED,
         models=dict(metavar="NAMES", help="only these detectors, with commas"),
         record=dict(action="store_true", help="only record and decode"),
-        lights=dict(nargs="+", default=["midday", "night"]),
-        densities=dict(nargs="+", default=["medium", "high"]),
         paper1=dict(type=Path, metavar="FILE", help="the paper's Table 1 as CSV"),
     )
     for name in given.models.split(",") if given.models else ():
@@ -158,7 +178,7 @@ def planned(given: argparse.Namespace, placement: str, part: str) -> Generation:
     """What is recorded of a placement: a part of :data:`SETS`."""
     lights, densities, size, content = given.lights, given.densities, PICTURES, dict(SETS[part])
     seconds = content.pop("seconds")
-    settings: dict[str, Any] = dict(mix="fleet", seed=content.pop("seed"))
+    settings: dict[str, Any] = dict(mix=MIX, seed=content.pop("seed"))
     if given.quick:
         content = dict(splits=dict(train=1))
         lights, densities, size, seconds = ["midday"], ["high"], (200, 150), 8
@@ -233,30 +253,35 @@ def measured(predictor: Predictor, model: str, data: Cache, split: str) -> Evalu
     return predictor.evaluate(loader)
 
 
-def rows_of(job: Job, of: str, found: Evaluation, steps: int, seconds: float) -> Rows:
+def rows_of(job: Job, of: str, found: Evaluation, run: TrainingRun, seconds: float) -> Rows:
     """A row for each class."""
+    seen = found.seen
     return [
         dict(
             model=job.model, placement=job.placement, seed=job.seed, frames_of=of, road_user=kind,
-            road_users=int(found.users[k]), steps=steps, ap=round(float(found.class_ap[k]), 5),
+            road_users=int(found.users[k]), steps=run.steps, ap=round(float(found.class_ap[k]), 5),
             **{f"ap_{d}m": round(float(found.ap[k, n]), 5) for n, d in enumerate((0.5, 1, 2, 4))},
-            seconds=round(seconds),
+            seconds=round(seconds), targets=run.content.settings.targets,
+            seen=int(seen.users[k]) if seen else 0,
+            ap_seen=round(float(seen.class_ap[k]), 5) if seen else "",
         )
         for k, kind in enumerate(KINDS)
     ]  # fmt: skip
 
 
-def done_in(path: Path, steps: int) -> Rows:
-    """The rows of trainings that are done. Raises SystemExit if they had other numbers of steps."""
+def done_in(path: Path, given: argparse.Namespace) -> Rows:
+    """The rows of trainings that are done. Raises SystemExit if they had other steps or targets."""
     rows = read_rows(path)
-    for other in {row["steps"] for row in rows} - {str(steps)}:
-        raise SystemExit(f"{path} has trainings of {other} steps, not {steps}: use another --out")
+    for key in ("steps", "targets"):
+        now = str(getattr(given, key))
+        for other in {row[key] for row in rows} - {now}:
+            raise SystemExit(f"{path} has rows with {key} {other}, not {now}: use another --out")
     return rows
 
 
 def check_settings(path: Path, given: argparse.Namespace) -> None:
     """Raise SystemExit if there are rows of other settings; else write down those of now."""
-    record, rows = path.with_suffix(".json"), done_in(path, given.steps)
+    record, rows = path.with_suffix(".json"), done_in(path, given)
     if rows and record.exists():
         before = json.loads(record.read_text(encoding="utf-8"))["settings"]
         for key in DECISIVE:
@@ -271,7 +296,7 @@ def check_settings(path: Path, given: argparse.Namespace) -> None:
 def run_all(given: argparse.Namespace, into: Path, path: Path) -> Rows:
     """Every training that is not done yet, recording by recording; gives all rows."""
     wanted = given.models.split(",") if given.models else NAMES
-    done = {of_job(row) for row in done_in(path, given.steps)}
+    done = {of_job(row) for row in done_in(path, given)}
     todo = [job for job in every_job() if job.model in wanted and job not in done]
     for seed, placement in dict.fromkeys((job.seed, job.recorded) for job in todo):
         data, later = (recording_of(given, into, placement, part) for part in SETS)
@@ -279,18 +304,19 @@ def run_all(given: argparse.Namespace, into: Path, path: Path) -> Rows:
             continue
         some = [job for job in todo if (job.seed, job.recorded) == (seed, placement)]
         train_some(given, {into.resolve() / job.folder: job for job in some}, data, later, path)
-    return done_in(path, given.steps)
+    return done_in(path, given)
 
 
 def train_some(
     given: argparse.Namespace, jobs: dict[Path, Job], data: Cache, later: Cache, path: Path
 ) -> None:
     """The trainings on one recording, by folder; appends their rows as they come."""
+    how = dict(steps=given.steps, targets=given.targets)
     trainings = [
         Training(
             data.path,
             folder,
-            TrainingSettings(model=job.model, steps=given.steps, seed=job.seed),
+            TrainingSettings(model=job.model, seed=job.seed, **how),
             BevGrid(),
         )
         for folder, job in jobs.items()
@@ -323,7 +349,7 @@ def train_and_measure(
     rows, predictor = [], predictor_of(run)
     for of, frames in (("places", training.data), ("time", later)):
         found = measured(predictor, job.model, open_cache(frames), "test")
-        rows += rows_of(job, of, found, run.steps, seconds)
+        rows += rows_of(job, of, found, run, seconds)
     return rows
 
 
@@ -335,8 +361,9 @@ def quick(given: argparse.Namespace, into: Path) -> Rows:
         job, steps = Job(model, BY_SENSORS[sensors][1], 0), QUICK_STEPS[sensors]
         data = recording_of(given, into, job.placement, "train")
         settings = TrainingSettings(
-            model=model, steps=steps, every=steps, rate=4e-3, augment=False, validate_frames=0
-        )
+            model=model, steps=steps, every=steps, rate=4e-3, augment=False, validate_frames=0,
+            targets=given.targets,
+        )  # fmt: skip
         began = time.monotonic()
         run = trained(data, into / job.folder, settings, BevGrid(half=QUICK_HALF))
         seconds = time.monotonic() - began
@@ -345,7 +372,7 @@ def quick(given: argparse.Namespace, into: Path) -> Rows:
             f"{model}: AP of cars {found.class_ap[0]:.1%}, {seconds:.0f} s", highlight=False
         )
         assert found.class_ap[0] >= KNOWN, found.class_ap
-        rows += rows_of(job, "training", found, run.steps, seconds)
+        rows += rows_of(job, "training", found, run, seconds)
     return rows
 
 
@@ -363,20 +390,67 @@ def curves(into: Path) -> Rows:
 # ── Scores ──────────────────────────────────────────────────────────────────
 
 
-def scores_of(given: argparse.Namespace, folder: Path) -> dict[str, Stats]:
-    """C, O, IG and P_sm of the nine placements where detectors are measured: at the intersections
-    that are held out, and at all."""
-    content = dict(scenes=places(given), layouts=list(STRATEGIES), settings=dict(seed=0))
-    rows = run(make_study(content, MAPS, "intersections.yaml", "scores"), folder, given)
-    held_out = {s.source.name for s in planned(given, "L-c", "train").splits["test"]}
-    own = {"places": [row for row in rows if row["scene"] in held_out], "time": rows}
-    found = {of: statistics(some) for of, some in own.items()}
+Scores = dict[tuple[str, str], Stats]
+"""By the frames that mAP is of, and the conditions: "recorded", or the "usual" ones."""
+
+
+def baselines(scene: Scene, layout: Layout) -> dict[str, float]:
+    """What needs no model of perception. ``rays`` are a LiDAR's channels × azimuths and a camera's
+    downsampled pixels; ``area`` is the share of the region's columns of voxels that are, in plan,
+    within a sensor's range at midday and between the sides of its view."""
+    specs = [sensor.spec for sensor in layout.sensors]
+    inside = np.zeros(len(scene.voxels.columns), bool)
+    for spec, pose in zip(specs, np.asarray(layout.poses), strict=True):
+        east, north = (scene.voxels.columns - pose[:2]).T
+        bearing = (np.arctan2(north, east) - pose[5] + np.pi) % (2 * np.pi) - np.pi
+        right, left = spec.azimuth_limits
+        near = np.hypot(east, north) <= spec.grid.reach
+        inside |= near & (right <= bearing) & (bearing <= left)
+    return dict(
+        sensors=len(specs),
+        log_lidars=float(np.log1p(sum(spec.kind == "lidar" for spec in specs))),
+        rays=sum(len(spec.grid.rows) * spec.grid.column_count for spec in specs),
+        area=float(inside.mean()),
+    )
+
+
+def scores_of(given: argparse.Namespace, into: Path) -> Scores:
+    """What is compared with mAP, of the nine placements where detectors are measured: at the
+    intersections that are held out, and at all."""
+    scenes, layouts, size = places(given), list(STRATEGIES), dict[str, Any](seed=0)
+    conditions: dict[str, dict[str, Any]] = {
+        "recorded": dict(mix=MIX, density=given.densities, light=given.lights),
+        "usual": {},
+    }
+    if given.quick:
+        scenes, layouts, size = scenes[:1], list(RECORDED), size | QUICK_SIZE
+        conditions = {"recorded": dict(mix=MIX, light=given.lights)}
+    rows: dict[str, list[Row]] = {}
+    for name, own in conditions.items():
+        content = dict(scenes=scenes, layouts=layouts, metrics=["detectability"])
+        study = make_study(content | dict(settings=size | own), MAPS, "intersections.yaml", name)
+        rows[name] = run(study, into / f"scores_{name}", given)
+        if len(rows[name]) < len(study.jobs):
+            raise SystemExit("some scores failed, see above; the same command does those again")
+    simple: dict[tuple[str, str], dict[str, float]] = {}
+    for source, jobs in itertools.groupby(study.jobs, lambda job: job.source):
+        scene = None
+        for job in jobs:
+            scene = scene or scene_of(source, job.build | dict(frames=1))
+            simple[source.name, job.layout.name] = baselines(scene, place_layout(job.layout, scene))
+    held_out = {s.source.name for s in planned(given, "L-c", "train").splits.get("test", ())}
+    found: Scores = {}
+    for name, of in itertools.product(rows, HELD_OUT if held_out else ("time",)):
+        at = [row for row in rows[name] if of == "time" or row["scene"] in held_out]
+        whole = [{**row, **simple[row["scene"], row["layout"]]} for row in at]
+        means = statistics(whole, metrics=COMPARED)
+        found[of, name] = {key: (round(mean, 5), spread) for key, (mean, spread) in means.items()}
     written = [
-        dict(frames_of=of, placement=placement, metric=metric, mean=round(mean, 5))
-        for of, stats in found.items()
+        dict(frames_of=of, conditions=name, placement=placement, metric=metric, mean=mean)
+        for (of, name), stats in found.items()
         for (placement, metric), (mean, _) in stats.items()
     ]
-    write_results(given.out / "table1_scores.csv", written, dict(vars(given)))
+    write_results(output(given, "table1_scores"), written, dict(vars(given)))
     return found
 
 
@@ -433,40 +507,81 @@ def of_placements(found: Means, kind: str | None = None) -> dict[str, float]:
     }
 
 
-def pearson(x: np.ndarray, y: np.ndarray, axis: int = -1) -> np.ndarray:
-    """Pearson's correlation along an axis."""
-    return pearsonr(x, y, axis=axis).statistic
+def less_group_means(values: np.ndarray, groups: Sequence[Any]) -> np.ndarray:
+    """Values less the mean of their group."""
+    of = np.unique([str(group) for group in groups], return_inverse=True)[1]
+    return values - (np.bincount(of, values) / np.bincount(of))[of]
 
 
-def spearman(x: np.ndarray, y: np.ndarray, axis: int = -1) -> np.ndarray:
-    """Spearman's: Pearson's of the ranks."""
-    return pearson(rankdata(x, axis=axis), rankdata(y, axis=axis), axis)
+def correlation(
+    x: np.ndarray, y: np.ndarray, groups: Sequence[Any], name: str
+) -> tuple[float, float, float]:
+    """Pearson's or Spearman's correlation within groups, and its interval of 95 %.
+
+    By Fisher's z, whose variance is 1 / (n - g - 2) of n pairs less the means of g groups, and for
+    Spearman's 1 + r² / 2 times that (Bonett and Wright 2000): of nine placements, the middle 95 %
+    over placements drawn anew is too narrow. NaN where it is not defined: the interval of ±1, and
+    all if x or y is the same within each group.
+    """
+    x, y = (less_group_means(values, groups) for values in (x, y))
+    if min(np.ptp(x), np.ptp(y)) < 1e-9:
+        return np.nan, np.nan, np.nan
+    value = float((spearmanr if name == "spearman" else pearsonr)(x, y)[0])
+    if abs(value) > 1 - 1e-9:
+        return value, np.nan, np.nan
+    variance = 1 / (len(x) - len({*map(str, groups)}) - 2)
+    half = norm.ppf(0.975) * np.sqrt(variance * (1 + value**2 / 2 * (name == "spearman")))
+    low, high = np.tanh(np.arctanh(value) + [-half, half])
+    return value, float(low), float(high)
 
 
-def interval(of: Any, count: int, resamples: int = RESAMPLES) -> tuple[float, float]:
-    """The middle 95 % of ``of(rows)``, over ``count`` rows drawn anew with replacement."""
-    found = bootstrap((np.arange(count),), of, n_resamples=resamples, method="percentile", rng=0)
-    return found.confidence_interval
+def p_beside(x: np.ndarray, other: np.ndarray, y: np.ndarray, groups: Sequence[Any]) -> float:
+    """The p, two-sided, with which ``y`` correlates within groups as well with ``other`` as with x.
+
+    By Williams' test of two correlations with one variable (Steiger 1980), for n - g + 1
+    observations. NaN where a correlation is not defined.
+    """
+    parts = np.stack([less_group_means(values, groups) for values in (y, x, other)])
+    if np.ptp(parts, 1).min() < 1e-9 or np.allclose(parts[1], parts[2]):
+        return np.nan
+    r = np.corrcoef(parts)
+    (own, theirs), both, count = r[0, 1:], r[1, 2], len(y) - len({*map(str, groups)}) + 1
+    spread = 2 * np.linalg.det(r) * (count - 1) / (count - 3)
+    spread += (own + theirs) ** 2 / 4 * (1 - both) ** 3
+    value = (own - theirs) * np.sqrt((count - 1) * (1 + both) / spread)
+    return float(2 * student.sf(abs(value), count - 3))
 
 
-def correlations(found: Means, ours: Any) -> list[dict[str, Any]]:
-    """Of mAP over placements, all classes and each, with each metric."""
+def compared(each: dict[str, np.ndarray], y: np.ndarray, groups: Sequence[Any]) -> Rows:
+    """The correlations of y with each of :data:`COMPARED`; and for Pearson's the p beside that of
+    the best of :data:`BASELINES`, and beside that of P_sm."""
+    of = {name: correlation(each[name], y, groups, "pearson")[0] for name in BASELINES}
+    best = each[max(of, key=lambda name: -1 if np.isnan(of[name]) else abs(of[name]))]
     rows = []
-    for kind in (None, *KINDS):
+    for metric, name in itertools.product(COMPARED, ("pearson", "spearman")):
+        row: dict[str, Any] = dict(metric=metric, correlation=name, p_baseline="", p_surrogate="")
+        found = correlation(each[metric], y, groups, name)
+        row |= dict(zip(("value", "low", "high"), (round(part, 3) for part in found), strict=True))
+        if name == "pearson":
+            row["p_baseline"] = round(p_beside(each[metric], best, y, groups), 4)
+            row["p_surrogate"] = round(p_beside(each[metric], each["surrogate"], y, groups), 4)
+        rows.append(row)
+    return rows
+
+
+def correlations(found: Means, ours: Stats) -> Rows:
+    """Of mAP over placements with what is compared: of all classes, also less the means of kinds of
+    sensors, and of each."""
+    rows = []
+    for less, kind in (("", None), ("kind of sensors", None), *(("", kind) for kind in KINDS)):
         own = of_placements(found, kind)
-        y = np.array(list(own.values()))
-        for metric in METRICS:
-            x = np.array([ours[placement, metric][0] for placement in own])
-            for name, measure in (("pearson", pearson), ("spearman", spearman)):
-                low, high = interval(
-                    lambda rows, axis=-1: measure(x[rows], y[rows], axis),  # noqa: B023
-                    len(own),
-                )
-                value = float(measure(x, y))
-                rows.append(
-                    dict(road_user=kind or "all", metric=metric, correlation=name,
-                         value=value, low=low, high=high)
-                )  # fmt: skip
+        groups = [
+            less and next(n for n, group in enumerate(BY_SENSORS.values()) if placement in group)
+            for placement in own
+        ]
+        each = {metric: np.array([ours[p, metric][0] for p in own]) for metric in COMPARED}
+        of = dict(less=less, road_user=kind or "all")
+        rows += [of | row for row in compared(each, np.array([*own.values()]), groups)]
     return rows
 
 
@@ -500,36 +615,42 @@ def conclusions(found: Means) -> list[str]:
     ]
 
 
-def draw(found: Means, ours: Any, paper: Means) -> Figure:
-    """Fig. 4: mean mAP of each placement over its P_sm, C, O and IG; hollow, the paper's mAP."""
-    own, theirs = of_placements(found), of_placements(paper)
-    figure = Figure(figsize=(13, 3.8), layout="constrained")
+def draw(found: Means, ours: Stats, paper: Means, theirs: Stats) -> Figure:
+    """Fig. 4: mean mAP of each placement over its scores, and over a baseline; hollow, the paper's
+    mAP over the scores that it is compared with."""
+    figure = Figure(figsize=(12, 7), layout="constrained")
+    shown = SCORES | {"log_lidars": BASELINES["log_lidars"]}
     for ax, (metric, symbol) in zip(
-        figure.subplots(1, 4, sharey=True), METRICS.items(), strict=True
+        figure.subplots(2, 3, sharey=True).flat, shown.items(), strict=True
     ):
-        at = {p: ours[p, metric][0] for p in own}
-        x, y = np.array(list(at.values())), np.array(list(own.values()))
-        for n, (sensors, group) in enumerate(BY_SENSORS.items()):
-            name = " and ".join(sensors).replace("lidar", "LiDAR")
-            for values, label, fill in ((own, name, "full"), (theirs, None, "none")):
-                shown = [p for p in group if p in values]
+        both = ((of_placements(found), ours, "full"), (of_placements(paper), theirs, "none"))
+        for own, scores, fill in both:
+            at = {p: scores[p, metric][0] for p in own}
+            for n, (sensors, group) in enumerate(BY_SENSORS.items()):
+                name = " and ".join(sensors).replace("lidar", "LiDAR")
+                there = [p for p in group if p in own]
                 ax.plot(
-                    [at[p] for p in shown], [values[p] for p in shown], f"C{n}o",
-                    label=label, fillstyle=fill,
+                    [at[p] for p in there], [own[p] for p in there], f"C{n}o",
+                    label=name if fill == "full" else None, fillstyle=fill,
                 )  # fmt: skip
-        for p in own:
-            beside, where = ((0, -11), "center") if "/" in p else ((6, -3), "left")
-            if p.startswith("L") and at[p] > (min(x) + max(x)) / 2:
-                beside, where = (-6, -3), "right"
-            ax.annotate(
-                p, (at[p], own[p]), beside, textcoords="offset points", ha=where, fontsize=7
-            )
-        ax.margins(x=0.2)
+            if fill == "none":
+                continue
+            for p in own:
+                beside, where = ((-6, -3), "right") if p.startswith("L") else ((6, -3), "left")
+                ax.annotate(
+                    p, (at[p], own[p]), beside, textcoords="offset points", ha=where, fontsize=7
+                )
+            x, y = np.array([*at.values()]), np.array([*own.values()])
+            each = [correlation(x, y, [0] * len(x), name) for name in ("pearson", "spearman")]
+            first, second = (with_interval(*given) for given in each)
+            ax.set_title(f"Pearson {first}\nSpearman {second}", fontsize=9)
+        ax.margins(x=0.32)
         ax.set_xlabel(symbol)
-        ax.set_title(f"Pearson {pearson(x, y):.2f}, Spearman {spearman(x, y):.2f}")
-    figure.axes[0].set_ylabel("mean mAP [%]")
-    if theirs:
-        figure.axes[0].plot([], [], "o", color="0.3", fillstyle="none", label="in the paper")
+    for ax in figure.axes[::3]:
+        ax.set_ylabel("mean mAP [%]")
+    if paper:
+        words = "the paper's; scores at midday,\nmedium density"
+        figure.axes[0].plot([], [], "o", color="0.3", fillstyle="none", label=words)
     figure.axes[0].legend(fontsize=8)
     return figure
 
@@ -540,6 +661,7 @@ def main() -> None:
     path = output(given, "table1").with_suffix(".csv")
     with kept_folder(given.keep) as into:
         if given.quick:
+            scores_of(given, into)
             write_results(path, quick(given, into), dict(vars(given)))
             return
         check_settings(path, given)
@@ -563,23 +685,21 @@ def tell(given: argparse.Namespace, into: Path, path: Path, rows: Rows) -> None:
         return
     if course := curves(into):
         write_results(path.with_name("table1_validation.csv"), course, dict(vars(given)))
-    every = of_own | ({"paper": paper} if paper else {})
-    scored = scores_of(given, into / "scores")
-    ours = {of: scored.get(of, scored["time"]) for of in every}  # the paper's: at all ten
-    related = [
-        dict(frames_of=of, **row)
-        for of, found in every.items()
-        for row in correlations(found, ours[of])
-    ]
-    for of, found in every.items():
+    scored = scores_of(given, into)
+    related = []
+    for of, found in (of_own | ({"paper": paper} if paper else {})).items():
         say("\n".join([f"# What the paper concludes: {of}", *conclusions(found)]))
-    written = [
-        row | {key: round(row[key], 3) for key in ("value", "low", "high")} for row in related
-    ]
-    write_results(path.with_name("table1_correlations.csv"), written, dict(vars(given)))
-    of_all = [row.values() for row in written if row["road_user"] == "all"]
-    say(f"# Correlations of mAP over placements\n\n{markdown(list(written[0]), map(list, of_all))}")
-    draw(of_own["places"], ours["places"], paper).savefig(path.with_suffix(".png"), dpi=150)
+        for conditions in ("recorded", "usual"):
+            if (of, conditions) != ("paper", "recorded"):
+                ours = scored["time" if of == "paper" else of, conditions]
+                own = dict(frames_of=of, conditions=conditions)
+                related += [own | row for row in correlations(found, ours)]
+    write_results(path.with_name("table1_correlations.csv"), related, dict(vars(given)))
+    of_all = [row.values() for row in related if row["road_user"] == "all"]
+    say(f"# Correlations of mAP over placements\n\n{markdown(list(related[0]), map(list, of_all))}")
+    theirs = scored["time", "usual"]
+    figure = draw(of_own["places"], scored["places", "recorded"], paper, theirs)
+    figure.savefig(path.with_suffix(".png"), dpi=150)
 
 
 if __name__ == "__main__":

@@ -17,7 +17,7 @@ The study runs on all cores, or by a Dask scheduler, and goes on where it was st
 """
 
 import argparse
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -118,11 +118,15 @@ def run(study: Study, folder: Path, given: argparse.Namespace) -> list[Row]:
     return [row for row in rows if row["status"] == "done"]
 
 
-def statistics(rows: list[Row], by: Callable[[Row], str] = lambda row: row["layout"]) -> Stats:
+def statistics(
+    rows: Sequence[Mapping[str, Any]],
+    by: Callable[[Row], str] = lambda row: row["layout"],
+    metrics: Iterable[str] = METRICS,
+) -> Stats:
     """Mean and standard deviation of every metric, of the rows that ``by`` puts together."""
     values: dict[tuple[str, str], list[float]] = {}
     for row in rows:
-        for metric in METRICS:
+        for metric in metrics:
             values.setdefault((by(row), metric), []).append(float(row[metric]))
     return {at: (float(np.mean(x)), float(np.std(x))) for at, x in values.items()}
 

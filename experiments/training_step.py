@@ -82,7 +82,8 @@ def measured(name: str, path: Path, times: int, half: float) -> dict[str, Any]:
     )
     count = parameters(detector)
     chain = optimiser(settings.steps, settings.rate)
-    constant = teacher if model.taught else None, inputs, targets, grid, chain
+    counted = batch.targets.seen_by(model.sensors)
+    constant = teacher if model.taught else None, inputs, targets, counted, grid, chain
     moments = chain.init(eqx.filter(detector, eqx.is_inexact_array))
 
     began = time.perf_counter()

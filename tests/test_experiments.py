@@ -1,14 +1,16 @@
 """What experiments tell of their rows."""
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import readme_tables
 import table1
 from common import read_rows
+from scipy.stats import pearsonr
 
-from inspe_jax.simulation.frame import KINDS
+from inspe_jax.sensing.catalogue import device
 
 HERE = Path(table1.__file__).parent
 README = (HERE / "README.md").read_text(encoding="utf-8")
@@ -21,21 +23,45 @@ def test_the_tables_of_the_readme_are_those_of_the_rows():
         readme_tables.with_tables("")
 
 
-def test_correlations_are_those_of_the_rows(monkeypatch):
-    monkeypatch.setattr(table1, "interval", lambda *of: (np.nan, np.nan))
-    kept = {
-        tuple(row[key] for key in ("frames_of", "road_user", "metric", "correlation")): row["value"]
-        for row in read_rows(HERE / "table1_correlations.csv")
-    }
-    count, scores = 0, read_rows(HERE / "table1_scores.csv")
+@pytest.mark.parametrize("conditions", ["recorded", "usual"])
+def test_correlations_are_those_of_the_rows(conditions):
+    keys = ("less", "road_user", "metric", "correlation", "value", "low", "high")
+    scores, kept = (
+        [r for r in read_rows(HERE / f"table1_{name}.csv") if r["conditions"] == conditions]
+        for name in ("scores", "correlations")
+    )
     for of in table1.HELD_OUT:
         own = {(r["placement"], r["metric"]): (float(r["mean"]), 0.0)
                for r in scores if r["frames_of"] == of}  # fmt: skip
-        for row in table1.correlations(table1.means(ROWS, of), own):
-            at = of, row["road_user"], row["metric"], row["correlation"]
-            assert float(kept[at]) == pytest.approx(row["value"], abs=6e-4)  # of three digits
-            count += 1
-    assert count == 2 * (1 + len(KINDS)) * 4 * 2
+        correlated = table1.correlations(table1.means(ROWS, of), own)
+        found = [[str(row[key]) for key in keys] for row in correlated]
+        assert found == [[row[key] for key in keys] for row in kept if row["frames_of"] == of]
+
+
+def test_intervals_are_fishers():
+    """They hold what is true in 95 % of samples, and 5 % have p < 0.05 where two are the same."""
+    rng, groups, holds = np.random.default_rng(0), np.repeat(range(3), 10), []
+    both = [[1, 0.8, 0.8], [0.8, 1, 0.5], [0.8, 0.5, 1]]
+    for y, x, z in rng.multivariate_normal([0] * 3, both, (400, 30)).swapaxes(1, 2):
+        for name, true in (("pearson", 0.8), ("spearman", 6 / np.pi * np.arcsin(0.4))):
+            _, low, high = table1.correlation(x + 9 * groups, y - 9 * groups, groups, name)
+            holds.append(low < true < high)
+        holds.append(table1.p_beside(x, z - 9 * groups, y + 9 * groups, groups) > 0.05)
+    assert 0.92 < np.mean(holds) < 0.97
+    ends = table1.correlation(x, y, [0] * 30, "pearson")[1:]
+    np.testing.assert_allclose(ends, pearsonr(x, y).confidence_interval())
+    assert np.isnan(table1.correlation(groups, y, groups, "pearson")).all()
+
+
+def test_baselines_by_hand():
+    columns = np.stack(np.meshgrid(*[np.arange(-99.5, 100)] * 2), -1).reshape(-1, 2)
+    scene = SimpleNamespace(voxels=SimpleNamespace(columns=columns))
+    specs = (device(f"paper-{name}").spec for name in ("camera", "lidar-32"))
+    poses, sensors = [[50, 50, 5, 0, 0, 3], [-50] * 6], [SimpleNamespace(spec=s) for s in specs]
+    found = table1.baselines(scene, SimpleNamespace(sensors=sensors, poses=poses))
+    area = (38**2 * np.radians(100) / 2 + 50**2 * np.pi) / 200**2  # a sector and a disc
+    assert found.pop("area") == pytest.approx(area, rel=0.01)
+    assert found == dict(sensors=2, log_lidars=np.log(2), rays=160 * 120 + 32 * 1280)
 
 
 @pytest.mark.parametrize("of", ["places", "time"])

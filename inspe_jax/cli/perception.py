@@ -34,6 +34,7 @@ def train_detector(
     every: Positive = 250,
     validate: Whole = 60,
     augment: bool = True,
+    targets: str = "seen",
     workers: int | None = None,
     scheduler: str | None = None,
 ) -> None:
@@ -64,13 +65,14 @@ def train_detector(
         every: Steps after which the state is kept, and mAP measured.
         validate: Frames of the split validate that mAP is measured on.
         augment: Mirror, turn and scale frames at random.
+        targets (seen|all): Road users to be found: those that the detector's sensors see, or all.
     """
     from inspe_jax.dataset import open_cache
     from inspe_jax.perception import training
 
     check_folder(folder)
-    given = dict(steps=steps, batch=batch, rate=rate, every=every)
-    given |= dict(validate_frames=validate, augment=augment)
+    given: dict[str, Any] = dict(steps=steps, batch=batch, rate=rate, every=every)
+    given |= dict(validate_frames=validate, augment=augment, targets=targets)
     wanted = []
     for name, number in dict.fromkeys(product(model or ["coalign"], seed or [0])):
         own = dict(model=name, seed=number, **given)
@@ -158,7 +160,8 @@ def evaluate_detector(
 
     Detections are true if they are nearer than 0.5, 1, 2 and 4 m to a road user of their class; AP
     is the mean over these. All road users of the frames count, also those that no sensor sees, so
-    that placements of sensors are measured against the same traffic.
+    that placements of sensors are measured against the same traffic. The last columns are of those
+    that the detector's sensors see, a return or a pixel of them: nuScenes counts these alone.
 
     Examples:
 

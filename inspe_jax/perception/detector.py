@@ -72,7 +72,9 @@ MODELS: dict[str, Model] = {
         LIDAR, Mean, "DiscoNet's teacher: the pillars of all units together", joined=True
     ),
 }
-"""Detectors by name. CoAlign's correction of poses is left out: the poses are exact."""
+"""Detectors by name. Unlike the published ones, all have few channels, one head, exact poses
+without delay or warps, and the mean over agents in place of what an ego has. CoAlign has no pose
+graph. In AttFuse, DiscoNet and HM-ViT cameras are agents; DiscoNet's teacher has LiDARs alone."""
 
 
 def model_of(name: str) -> Model:
@@ -203,19 +205,22 @@ class Predictor:
         most: int | None = None,
         progress: Callable[[int, int], None] | None = None,
     ) -> Evaluation:
-        """The measures over the batches of a loader, or over about ``most`` frames, evenly.
+        """The measures over the batches of a loader, or over about ``most`` frames, evenly: against
+        all road users, and against those that the detector's kinds of sensors see.
 
         Detections count where road users do: within the loader's ``half``. ``progress`` is called
         with (batches done, all batches). Raises :class:`~inspe_jax.perception.evaluation.NoTruth`.
         """
-        found, truth = list[Detections](), list[Detections]()
+        found, truth, seen = list[Detections](), list[Detections](), list[Detections]()
         half, count = loader.half, len(loader)
         some = count if most is None else min(count, -(-most // loader.batch))
         spread = np.linspace(0, count - 1, some).round().astype(int).tolist()
         batches = loader if some == count else (loader[k] for k in spread)
         for done, batch in enumerate(batches, 1):
             found += [frame if half is None else within(frame, half) for frame in self(batch)]
-            truth += [truth_of(batch.targets, b) for b in np.flatnonzero(batch.valid).tolist()]
+            for b in np.flatnonzero(batch.valid).tolist():
+                truth.append(truth_of(batch.targets, b))
+                seen.append(truth_of(batch.targets, b, self.detector.model.sensors))
             if progress:
                 progress(done, some)
-        return evaluate(found, truth)
+        return evaluate(found, truth, seen)

@@ -6,7 +6,7 @@ something open, those of its ``nuscenes-devkit`` 1.2 with ``detection_cvpr_2019.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -41,6 +41,9 @@ class Detections(NamedTuple):
     score: Float32[np.ndarray, " N"]
 
 
+Frames = Sequence[Detections]
+
+
 def check(detections: Detections, where: str) -> None:
     """Raise InspeError, which begins with ``where``, if a box is not finite, a size is not above 0,
     a score is not from 0 to 1, a kind is not known, or numbers of boxes differ."""
@@ -61,10 +64,12 @@ def check(detections: Detections, where: str) -> None:
         )
 
 
-def truth_of(targets: Targets, b: int) -> Detections:
-    """The road users of frame b of a batch as detections with score 1, also those that no sensor
-    saw, so that placements are compared on the same truth; nuScenes leaves these out."""
+def truth_of(targets: Targets, b: int, sensors: Sequence[str] = ()) -> Detections:
+    """The road users of frame b of a batch as detections with score 1: all, so that placements are
+    compared on the same truth, or as nuScenes has it those that some of the ``sensors`` see."""
     kept = np.array(targets.mask[b], bool)
+    if sensors:
+        kept &= targets.seen_by(sensors)[b]
     boxes = np.asarray(targets.boxes[b], np.float32)[kept]
     kind = np.asarray(targets.kind[b], np.int32)[kept]
     return Detections(boxes, kind, np.ones(len(boxes), np.float32))
@@ -89,12 +94,14 @@ class Evaluation:
     """AP of the K classes of :data:`~inspe_jax.simulation.frame.KINDS` at the D :data:`DISTANCES`.
 
     ``users`` are the numbers of road users. Classes that the truth has none of have the AP NaN, and
-    are left out of all means; the devkit counts them with AP 0.
+    are left out of all means; the devkit counts them with AP 0. ``seen`` is the same with those
+    road users alone as truth that the detector's sensors see, None if not asked for.
     """
 
     frames: int
     ap: Float[np.ndarray, "K D"]
     users: Int[np.ndarray, " K"]
+    seen: "Evaluation | None" = None
 
     @property
     def present(self) -> Bool[np.ndarray, " K"]:
@@ -117,15 +124,21 @@ class Evaluation:
         means = [*np.column_stack([self.ap, self.class_ap])]
         means.append(np.array([*np.mean(self.ap[self.present], 0), self.mean_ap]))
         names = [*(f"ap_{distance:g}m" for distance in DISTANCES), "ap"]
+        seen = self.seen.rows() if self.seen else []
+        more = [dict(seen=own["road_users"], ap_seen=own["ap"]) for own in seen] or [{}] * len(
+            counts
+        )
         return [
             {"class": kind, "road_users": int(count)}
             | {name: "" if np.isnan(x) else float(x) for name, x in zip(names, ap, strict=True)}
-            for kind, count, ap in zip([*KINDS, "all"], counts, means, strict=True)
+            | rest
+            for kind, count, ap, rest in zip([*KINDS, "all"], counts, means, more, strict=True)
         ]
 
 
-def evaluate(detections: Sequence[Detections], truth: Sequence[Detections]) -> Evaluation:
-    """The measures of ``detections`` against ``truth``, which both have a record for each frame.
+def evaluate(detections: Frames, truth: Frames, seen: Frames | None = None) -> Evaluation:
+    """The measures of ``detections`` against ``truth``, which both have a record for each frame;
+    with ``seen``, also against this part of the truth alone: a find of the rest is then false.
 
     The scores of ``truth`` mean nothing. Of equal scores, the later frame and in it the later box
     comes first, as in nuScenes' code. The caller leaves out boxes that are not to count.
@@ -159,7 +172,10 @@ def evaluate(detections: Sequence[Detections], truth: Sequence[Detections]) -> E
         own = np.flatnonzero(kind == k)
         own = own[_by_score(score[own])]
         ap[k] = [average_precision(row[own], users[k]) for row in true]
-    return Evaluation(len(truth), ap, users)
+    found = Evaluation(len(truth), ap, users)
+    if seen is None or not any(len(frame.kind) for frame in seen):
+        return found
+    return replace(found, seen=evaluate(detections, seen))
 
 
 def average_precision(true: Bool[np.ndarray, " N"], users: int) -> float:
@@ -208,11 +224,12 @@ def _by_score(score: Float[np.ndarray, " N"]) -> Int[np.ndarray, " N"]:
 def evaluation_table(found: Evaluation, note: str = "") -> Table:
     """AP by class and distance; ``note`` ends the title."""
     title = f"mAP {found.mean_ap:.1%} of {found.frames:,} frames{note}"
-    table = table_of(title, "class", "users", *(f"{each:g} m" for each in DISTANCES), "AP")
+    more = ("seen", "AP of seen") if found.seen else ()
+    table = table_of(title, "class", "users", *(f"{each:g} m" for each in DISTANCES), "AP", *more)
     for row in found.rows():
-        kind, users, *precisions = row.values()
-        shares = ("–" if value == "" else f"{value:.1%}" for value in precisions)
-        table.add_row(kind, f"{users:,}", *shares)
+        kind, *values = row.values()
+        cells = ("–" if x == "" else f"{x:,}" if isinstance(x, int) else f"{x:.1%}" for x in values)
+        table.add_row(kind, *cells)
     return table
 
 

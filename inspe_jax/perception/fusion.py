@@ -53,8 +53,8 @@ EDGES = (32, 8)  # channels of the edges' network. DiscoNet has 128, 32 and 8
 
 class DiscoNet(eqx.Module):
     """DiscoNet (Li et al. 2021): a graph of agents whose edges have a weight for each cell: 1 × 1
-    convolutions of a pair of agents, which sum to one over senders. The distillation loss is in
-    :mod:`inspe_jax.perception.training.train`."""
+    convolutions of a pair of agents, which sum to one over senders. The distillation loss, of one
+    map where DiscoNet has four, is in :mod:`inspe_jax.perception.training.train`."""
 
     receiver: Linear
     sender: Linear
@@ -99,7 +99,8 @@ class ConvGRU(eqx.Module):
 
 class V2VNet(eqx.Module):
     """V2VNet (Wang et al. 2020): rounds of messages between agents, convolutions of sender and
-    receiver; a gated unit takes in their mean over senders."""
+    receiver; a gated unit takes in their mean over senders. Messages are not compressed, and no
+    perceptron follows the last state."""
 
     receiver: Conv
     sender: Conv
@@ -240,8 +241,9 @@ class HMViT(eqx.Module):
     """HM-ViT (Xiang et al. 2023): attention over agents and cells at once, by modality.
 
     All agents' features at the cells of a window, then at those of a sparse grid over the whole
-    map, attend to one another. Then the mean over agents is taken. HM-ViT has three such pairs; one
-    takes as long as all that comes before it.
+    map, attend to one another. Then the mean over agents is taken. One such pair takes as long as
+    all that comes before it; HM-ViT's code has two. Its norms and perceptrons are by modality, and
+    it has a bias by the offset of cells: here all modalities share them, and there is no bias.
     """
 
     blocks: list[GraphAttention]
@@ -329,7 +331,8 @@ class Layer(eqx.Module):
 class V2XViT(eqx.Module):
     """V2X-ViT (Xu et al. 2022): layers of heterogeneous attention over the agents at a cell, of
     attention within windows at three scales whose results are weighed (split attention, Zhang et
-    al. 2020), and of a perceptron. Then the mean over agents is taken."""
+    al. 2020), and of a perceptron. Then the mean over agents is taken. Here all agents are LiDARs:
+    there is one type, and attention by type has one matrix. No delay is encoded."""
 
     layers: list[Layer]
 

@@ -84,6 +84,10 @@ OVERLAP = 0.1
 LEAST_RADIUS = 2.0
 """Least radius of a Gaussian [cells], as in CenterPoint: a pedestrian would have none."""
 
+UNSEEN = 1 - 1e-6
+"""Height of the bump of a road user that does not count: its cell is no positive, and as a negative
+weighs (1e-6)⁴; cells near it weigh less as near any other."""
+
 VALUE_WEIGHT = 0.5  # weight of the values' loss, which sums over eight; that of heat is 1
 
 MOST = 100
@@ -134,20 +138,24 @@ class Aims(NamedTuple):
     mask: Bool[Array, "B M"]
 
 
-def aims(targets: Targets, grid: BevGrid) -> Aims:
-    """The aims of road users; those outside the grid are left out. x runs along rows."""
+def aims(targets: Targets, grid: BevGrid, counted: Bool[Array, "B M"] | None = None) -> Aims:
+    """The aims of road users; those outside the grid are left out. x runs along rows. Of those that
+    are not ``counted``, nothing is to be told: neither that they are there nor that they are not.
+    """
     boxes = jnp.asarray(targets.boxes)
     place = (boxes[..., :2] + grid.half) / grid.cell
     cell = jnp.floor(place)
     inside = ((cell >= 0) & (cell < grid.side)).all(-1)
-    mask = jnp.asarray(targets.mask) & inside
+    there = jnp.asarray(targets.mask) & inside
+    mask = there if counted is None else there & counted
     size = jnp.maximum(boxes[..., 3:6], 0.01)  # padding has none
     z, yaw = boxes[..., 2:3], boxes[..., 6:7]
     values = jnp.concatenate([place - cell, z, jnp.log(size), jnp.sin(yaw), jnp.cos(yaw)], -1)
     row, column = (jnp.clip(cell[..., k], 0, grid.side - 1).astype(int) for k in range(2))
     # As is usual, a radius is three standard deviations of a Gaussian on 2 r + 1 cells.
     deviation = (2 * radius(size[..., 0] / grid.cell, size[..., 1] / grid.cell) + 1) / 6
-    along, across = (bumps(at.astype(float), deviation, grid.side, mask) for at in (row, column))
+    along, across = (bumps(at.astype(float), deviation, grid.side, there) for at in (row, column))
+    along = jnp.where(mask[..., None], along, UNSEEN * along)
     return Aims(class_heat(along, across, jnp.asarray(targets.kind)), row, column, values, mask)
 
 

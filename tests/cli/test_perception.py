@@ -92,7 +92,7 @@ def test_evaluate_tells_by_class(trained):
     assert found.exit_code == 0, found.output
     classes = json.loads(found.stdout)["classes"]
     assert [row["class"] for row in classes] == ["car", "truck", "cyclist", "pedestrian", "all"]
-    assert classes[-1]["road_users"] == 12
+    assert classes[-1]["road_users"] == 12 >= classes[-1]["seen"] > 0
 
 
 def test_detect_lists_and_draws_a_frame(trained, tmp_path):

@@ -89,6 +89,14 @@ def test_ap_by_hand():
     assert np.isnan(ours.ap[1:]).all()
 
 
+def test_of_road_users_that_are_seen_alone():
+    truth, seen = [boxes_at((0, 0), (10, 0))], [boxes_at((0, 0))]
+    for found in (seen, [truth[0]._replace(score=np.array([0.5, 0.9], "f4"))]):
+        ours, own = evaluate(found, truth, seen), evaluate(found, seen)
+        assert (ours.mean_ap, ours.seen.mean_ap) == (evaluate(found, truth).mean_ap, own.mean_ap)
+        assert [(row["seen"], row["ap_seen"]) for row in ours.rows()[::4]] == [(1, own.mean_ap)] * 2
+
+
 def test_of_equal_scores_the_last_comes_first():
     """The false detection before or after the true one, in a frame and over frames. If it comes
     after, precision is 1, and 1/2 at the recall 1 alone."""

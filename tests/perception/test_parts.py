@@ -366,6 +366,31 @@ def test_what_the_head_is_to_tell_is_read_back_as_the_boxes():
     assert len(KINDS) == aim.heat.shape[-1]
 
 
+def test_a_road_user_that_no_sensor_sees_gives_no_loss():
+    returns, pixels = np.ones((2, 2, 6, 1), np.float32)
+    returns[0, 1], pixels[0, :3, 0] = 0, (0.3, -1, 0)  # -1: the set does not say
+    targets = road_users()._replace(returns=returns, pixels=pixels)
+    found = head.HeadOutput(*(noise(2, GRID.side, GRID.side, count) for count in (4, 8)))
+
+    @jax.jit
+    def slopes(counted):
+        aim = head.aims(targets, GRID, counted)
+        slope = jax.grad(lambda found: sum(head.loss(found, aim)))(found)
+        at = np.arange(2)[:, None], aim.row, aim.column
+        return abs(slope.heat[(*at, targets.kind)]), abs(slope.values[at]).sum(-1)
+
+    inside = targets.mask & (np.abs(targets.boxes[..., :2]) < GRID.half).all(-1)
+    for sensors, unseen in (
+        (["lidar"], [[0, 1]]),
+        (["camera"], [[0, 2]]),
+        (["lidar", "camera"], []),
+    ):
+        counted = targets.seen_by(sensors)
+        assert np.argwhere(~counted).tolist() == unseen
+        for slope in map(np.asarray, slopes(counted)):
+            np.testing.assert_array_equal(slope[inside] > 1e-9, counted[inside])
+
+
 def test_the_radius_of_a_gaussian_keeps_boxes_overlapping():
     length, width = np.array([30.0, 12.0, 25.0]), np.array([8.0, 10.0, 20.0])
     found = np.asarray(jax.jit(head.radius)(np.array([*length, 0.8]), np.array([*width, 0.8])))

@@ -6,6 +6,7 @@ LiDARs, P pillars, K points of a pillar. Positions are in metres from the middle
 on the ground; the axes are those of the world, unless the frame was augmented.
 """
 
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
@@ -72,6 +73,12 @@ class Targets(NamedTuple):
     returns: Int32[np.ndarray, "B M S"]
     pixels: Float32[np.ndarray, "B M C"]
     mask: Bool[np.ndarray, "B M"]
+
+    def seen_by(self, sensors: Iterable[str]) -> Bool[np.ndarray, "B M"]:
+        """Whether a sensor of these kinds, "camera" or "lidar", sees a road user: a picture shows a
+        pixel of it, or a LiDAR has a return; also where the set does not say."""
+        each = {"camera": self.pixels != 0, "lidar": self.returns > 0}
+        return np.any([each[sensor].any(-1) for sensor in sensors], 0)
 
 
 class Batch(NamedTuple):

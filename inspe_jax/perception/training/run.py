@@ -18,7 +18,7 @@ import equinox as eqx
 import jax
 import numpy as np
 import optax
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 
 from inspe_jax.core import files
 from inspe_jax.core.errors import InspeError, error_at
@@ -57,8 +57,10 @@ class TrainingSettings(Strict):
     frames each; ``rate`` is the highest learning rate, of AdamW under a schedule that rises for
     three tenths of the steps and falls for the rest (Smith and Topin 2019). After every ``every``
     steps the state is kept, and the mAP of ``validate_frames`` frames of the split ``validate`` is
-    measured. With ``augment``, frames are mirrored, turned and scaled at random. The defaults are
-    what two cores train in an hour.
+    measured. With ``augment``, frames are mirrored, turned and scaled at random. ``targets`` are
+    the road users that the detector is to find: those that its kinds of sensors see, of others
+    neither finding nor missing them has a loss; or all. The defaults are what two cores train in an
+    hour.
     """
 
     model: str
@@ -69,12 +71,18 @@ class TrainingSettings(Strict):
     every: Positive = 250
     validate_frames: Count = 60
     augment: bool = True
+    targets: Literal["seen", "all"] = "seen"
+
+
+def _of_record(given: Any) -> Any:
+    """Settings of a record: runs of before there were ``targets`` are of all."""
+    return {"targets": "all"} | given if isinstance(given, dict) else given
 
 
 class Content(Strict):
     """What a run depends on: its settings, and what of the data set decides shapes and samples."""
 
-    settings: TrainingSettings
+    settings: Annotated[TrainingSettings, BeforeValidator(_of_record)]
     frames: dict[str, int]
     scenarios: str
     pictures: list[int] | None

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from inspe_jax.core.digest import digest
 from inspe_jax.core.errors import InspeError
@@ -20,7 +20,7 @@ from inspe_jax.dataset.loading import Cache, Loader, Targets, open_cache
 from inspe_jax.jobs.engine import Messages, check_workers, load_cluster, run_jobs
 from inspe_jax.perception.detector import TEACHER, Detector, Predictor, loader_of, model_of
 from inspe_jax.perception.evaluation import NoTruth
-from inspe_jax.perception.head import aims, focal_loss, loss, perspective_aims
+from inspe_jax.perception.head import aims, focal_loss, loss, per_road_user, perspective_aims
 from inspe_jax.perception.inputs import BevGrid, Inputs, inputs_of
 from inspe_jax.perception.training import run as runs
 from inspe_jax.perception.training.run import VALIDATION, TrainingRun, TrainingSettings
@@ -113,7 +113,9 @@ def _train(
     measured = run.rows(VALIDATION)
     late, mean_ap = None, measured[-1]["mean_ap"] if measured else None
     for number, batch in enumerate(loader.steps(first, settings.steps), first + 1):
-        constant = teacher, inputs_of(batch, agents), batch.targets, grid, chain
+        seen = batch.targets.seen_by(model_of(settings.model).sensors)
+        counted = seen if settings.targets == "seen" else None
+        constant = teacher, inputs_of(batch, agents), batch.targets, counted, grid, chain
         detector, moments, losses = training_step(constant, detector, moments)
         row = {name: float(value) for name, value in losses._asdict().items()}
         total = sum(row.values())
@@ -136,14 +138,21 @@ def _train(
 
 
 def objective(
-    detector: Detector, teacher: Detector | None, inputs: Inputs, targets: Targets, grid: BevGrid
+    detector: Detector,
+    teacher: Detector | None,
+    inputs: Inputs,
+    targets: Targets,
+    counted: Bool[Array, "B M"] | None,
+    grid: BevGrid,
 ) -> tuple[Scalar, _Losses]:
-    """What is made small, and its parts."""
+    """What is made small, and its parts. Road users that are not ``counted`` have no part in it."""
     predicted = detector(inputs)
-    heat, values = loss(predicted.found, aims(targets, grid))
+    bev = aims(targets, grid, counted)
+    heat, values = loss(predicted.found, bev)
     taught = on_pictures = jnp.zeros(())
     if teacher is not None:
-        taught = distillation(predicted.fused, teacher(inputs).fused)
+        divergence = distillation(predicted.fused, teacher(inputs).fused)
+        taught = per_road_user(TAUGHT * len(bev.mask) * divergence, bev.mask)
     if predicted.on_pictures is not None:
         aim, shown = perspective_aims(inputs, targets, predicted.on_pictures.shape[1:3])
         on_pictures = focal_loss(predicted.on_pictures, aim, shown)
@@ -151,20 +160,22 @@ def objective(
     return sum(losses, jnp.zeros(())), losses
 
 
+TAUGHT = 1e5  # weight beside the sum of a frame's other losses, as in DiscoNet's code
+
+
 def distillation(taught: Float[Array, "B h w c"], teacher: Float[Array, "B h w c"]) -> Scalar:
     """The loss of a student whose features are to say what its teacher's say (DiscoNet, Li et al.
-    2021): the Kullback–Leibler divergence of their distributions over channels, for a cell.
-
-    DiscoNet's code weighs its sum by 1e5; a mean over cells needs no weight beside the others.
+    2021): the Kullback–Leibler divergence of their distributions over channels, as in DiscoNet's
+    code the mean over cells and channels. It has this of four maps, here it is of the fused one.
     """
     target = jax.nn.log_softmax(lax.stop_gradient(teacher), -1)
     own = jax.nn.log_softmax(taught, -1)
-    return (jnp.exp(target) * (target - own)).sum(-1).mean()
+    return (jnp.exp(target) * (target - own)).mean()
 
 
 @eqx.filter_jit(donate="all-except-first")
 def training_step(
-    constant: tuple[Detector | None, Inputs, Targets, BevGrid, runs.Optimiser],
+    constant: tuple[Detector | None, Inputs, Targets, Any, BevGrid, runs.Optimiser],
     detector: Detector,
     moments: Any,
 ) -> tuple[Detector, Any, _Losses]:

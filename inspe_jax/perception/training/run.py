@@ -18,7 +18,7 @@ import equinox as eqx
 import jax
 import numpy as np
 import optax
-from pydantic import BeforeValidator, Field
+from pydantic import Field
 
 from inspe_jax.core import files
 from inspe_jax.core.errors import InspeError, error_at
@@ -74,15 +74,10 @@ class TrainingSettings(Strict):
     targets: Literal["seen", "all"] = "seen"
 
 
-def _of_record(given: Any) -> Any:
-    """Settings of a record: runs of before there were ``targets`` are of all."""
-    return {"targets": "all"} | given if isinstance(given, dict) else given
-
-
 class Content(Strict):
     """What a run depends on: its settings, and what of the data set decides shapes and samples."""
 
-    settings: Annotated[TrainingSettings, BeforeValidator(_of_record)]
+    settings: TrainingSettings
     frames: dict[str, int]
     scenarios: str
     pictures: list[int] | None
@@ -114,7 +109,7 @@ def optimiser(steps: int, rate: float) -> Optimiser:
 
 
 class _Record(Strict):
-    format: Literal["inspe_jax run 2"] = "inspe_jax run 2"
+    format: Literal["inspe_jax run 3"] = "inspe_jax run 3"
     content: Content
 
 

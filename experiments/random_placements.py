@@ -418,6 +418,7 @@ def measure(given: argparse.Namespace, size: Size, into: Path) -> Rows:
     found = detected(run, testing, which)
     rows = [
         row_of(place, scores, evaluate(*found[place, scores["layout"]]))
+        | dict(targets=settings.targets)
         for place in dict.fromkeys(at[0] for at in found)
         for scores in read_rows(into / "layouts" / place / "scores.csv")
     ]

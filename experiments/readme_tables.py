@@ -248,7 +248,7 @@ def found_placements() -> str:
     intervals = [interval(gain) for gain in np.transpose(lidars)]
     rows.append(["gain with LiDARs, 95 % interval", "", intervals[0], "", intervals[1]])
     rows.append(["gain with cameras", "", f"{cameras[0]:+.1f}", "", f"{cameras[1]:+.1f}"])
-    heads = ["P_sm, other places", "mAP", "P_sm, another time", "mAP"]
+    heads = ["P_sm at midday, other places", "mAP", "P_sm at midday, another time", "mAP"]
     return markdown(["placement", *heads], rows)
 
 
@@ -258,19 +258,21 @@ def random_gains() -> str:
     places = values(all_rows, "place")
     own = {(row["place"], row["layout"]): row for row in all_rows}
     kinds = (("surrogate", 3), ("detectability", 3), ("mean_ap", 1))
-    rows, gains = [], dict[tuple[str, str], list[float]]()
+    rows, gains = [], dict[tuple[str, int], list[float]]()
     for name, goal in ((name, goal) for name in ("L-c", "L-d2", "L-d1") for goal in ("P_sm", "D")):
         cells = [name, goal]
         for place in places:
             old, new = own[place, name], own[place, f"found for {goal} from {name}"]
             for key, digits in kinds:
                 gain = float(new[key]) - float(old[key])
-                gains.setdefault((goal, key), []).append(gain)
+                gains.setdefault((goal, len(cells)), []).append(gain)
                 cells.append(f"{gain:+.{digits}f}")
         rows.append(cells)
     for goal in ("P_sm", "D"):
-        means = [interval(gains[goal, key], digits) for key, digits in kinds]
-        rows.append(["all, both places", goal, *means, "", "", ""])
+        means = [
+            f"{np.mean(gains[goal, n]):+.{1 if n % 3 == 1 else 3}f}" for n in range(2, len(cells))
+        ]
+        rows.append(["mean", goal, *means])
     heads = [f"{what}, {place.split()[0]}" for place in places for what in ("P_sm", "D", "mAP")]
     return markdown(["from", "searched", *heads], rows)
 

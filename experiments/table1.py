@@ -274,7 +274,7 @@ def done_in(path: Path, given: argparse.Namespace) -> Rows:
     rows = read_rows(path)
     for key in ("steps", "targets"):
         now = str(getattr(given, key))
-        for other in {row[key] for row in rows} - {now}:
+        for other in {row.get(key) for row in rows} - {now}:
             raise SystemExit(f"{path} has rows with {key} {other}, not {now}: use another --out")
     return rows
 

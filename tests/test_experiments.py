@@ -51,6 +51,10 @@ def test_intervals_are_fishers():
     ends = table1.correlation(x, y, [0] * 30, "pearson")[1:]
     np.testing.assert_allclose(ends, pearsonr(x, y).confidence_interval())
     assert np.isnan(table1.correlation(groups, y, groups, "pearson")).all()
+    # By hand: r = 0.9, artanh 1.4722 ± 1.95996 √(1.405 / 6) = 0.9485.
+    nine, swapped = np.arange(9), np.array([1, 0, 3, 2, 5, 4, 8, 6, 7])
+    found = table1.correlation(nine, swapped, [0] * 9, "spearman")
+    assert found == pytest.approx((0.9, 0.4806, 0.9843), abs=1e-3)
 
 
 def test_baselines_by_hand():

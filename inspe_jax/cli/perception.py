@@ -161,7 +161,7 @@ def evaluate_detector(
     Detections are true if they are nearer than 0.5, 1, 2 and 4 m to a road user of their class; AP
     is the mean over these. All road users of the frames count, also those that no sensor sees, so
     that placements of sensors are measured against the same traffic. The last columns are of those
-    that the detector's sensors see, a return or a pixel of them: nuScenes counts these alone.
+    that the detector's sensors see, a return or a pixel of them: nuScenes counts those with points.
 
     Examples:
 

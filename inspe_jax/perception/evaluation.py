@@ -66,7 +66,7 @@ def check(detections: Detections, where: str) -> None:
 
 def truth_of(targets: Targets, b: int, sensors: Sequence[str] = ()) -> Detections:
     """The road users of frame b of a batch as detections with score 1: all, so that placements are
-    compared on the same truth, or as nuScenes has it those that some of the ``sensors`` see."""
+    compared on the same truth, or those that some of the ``sensors`` see; nuScenes has points."""
     kept = np.array(targets.mask[b], bool)
     if sensors:
         kept &= targets.seen_by(sensors)[b]

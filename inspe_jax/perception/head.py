@@ -85,8 +85,8 @@ LEAST_RADIUS = 2.0
 """Least radius of a Gaussian [cells], as in CenterPoint: a pedestrian would have none."""
 
 UNSEEN = 1 - 1e-6
-"""Height of the bump of a road user that does not count: its cell is no positive, and as a negative
-weighs (1e-6)⁴; cells near it weigh less as near any other."""
+"""Height of the bump of a road user that does not count, flat out to its radius: no cell there is a
+positive, and as a negative each weighs some (1e-6)⁴; beyond, cells weigh less as near any other."""
 
 VALUE_WEIGHT = 0.5  # weight of the values' loss, which sums over eight; that of heat is 1
 
@@ -153,10 +153,17 @@ def aims(targets: Targets, grid: BevGrid, counted: Bool[Array, "B M"] | None = N
     values = jnp.concatenate([place - cell, z, jnp.log(size), jnp.sin(yaw), jnp.cos(yaw)], -1)
     row, column = (jnp.clip(cell[..., k], 0, grid.side - 1).astype(int) for k in range(2))
     # As is usual, a radius is three standard deviations of a Gaussian on 2 r + 1 cells.
-    deviation = (2 * radius(size[..., 0] / grid.cell, size[..., 1] / grid.cell) + 1) / 6
-    along, across = (bumps(at.astype(float), deviation, grid.side, there) for at in (row, column))
-    along = jnp.where(mask[..., None], along, UNSEEN * along)
-    return Aims(class_heat(along, across, jnp.asarray(targets.kind)), row, column, values, mask)
+    reach = radius(size[..., 0] / grid.cell, size[..., 1] / grid.cell)
+
+    def spread(at: Float[Array, "B M"]) -> Float[Array, "B M c"]:
+        bump = bumps(at, (2 * reach + 1) / 6, grid.side, there)
+        cells = jnp.arange(grid.side).astype(float)[None, None]
+        near = jnp.abs(cells - at[..., None]) <= reach[..., None]
+        return jnp.where(mask[..., None], bump, jnp.where(near & there[..., None], UNSEEN, bump))
+
+    along, across = (spread(at.astype(float)) for at in (row, column))
+    heat = class_heat(along, across, jnp.asarray(targets.kind))
+    return Aims(heat, row, column, values, mask)
 
 
 def radius(length: Float[Array, "*n"], width: Float[Array, "*n"]) -> Float[Array, "*n"]:

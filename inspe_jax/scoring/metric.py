@@ -120,8 +120,8 @@ class Metric:
     weighs columns by their regions.
 
     Two more make searches faster. ``targets`` names the fields of ``targets`` that ``terms`` reads,
-    and no others. ``submodular`` promises that a sensor never takes anything away, and adds the
-    less the more others there are; where that is not so, candidates are left out wrongly.
+    if any; others may be None there. ``submodular`` promises that a sensor never takes anything
+    away, and adds the less the more others there are; else candidates are left out wrongly.
     """
 
     name: str
@@ -133,7 +133,7 @@ class Metric:
     sight: bool = False
     usual: bool = True
     by_region: bool = False
-    targets: tuple[str, ...] = ()
+    targets: tuple[str, ...] | None = None
     submodular: bool = False
 
     @property

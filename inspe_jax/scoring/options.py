@@ -51,9 +51,9 @@ class ScoreOptions(NamedTuple):
     @property
     def target_fields(self) -> tuple[str, ...]:
         """What the metrics read of what sensors have on road users; all, where one does not say."""
-        if any(metric.terms and not metric.targets for metric in self.metrics):
+        if any(metric.terms and metric.targets is None for metric in self.metrics):
             return TargetEvidence._fields
-        return tuple(sorted({name for metric in self.metrics for name in metric.targets}))
+        return tuple(sorted({name for metric in self.metrics for name in metric.targets or ()}))
 
     @property
     def counted(self) -> "ScoreOptions":

@@ -65,7 +65,7 @@ class TargetEvidence(NamedTuple):
 
 def target_evidence(
     sensors: SensorArray,
-    poses: Float[Array, "S 6"],
+    poses: Float[Array, "S p"],
     tile: Tile,
     sight: Float[Array, "S Z C"],
     last: Bool[Array, ""],
@@ -135,7 +135,7 @@ _look.defvjp(_look_forward, _look_backward)
 def target_evidence_of_sensor(
     rays: Rays,
     pixels: Float[Array, ""],
-    pose: Float[Array, "6"],
+    pose: Float[Array, " p"],
     tile: Tile,
     sight: Float[Array, "Z C"],
     last: Bool[Array, ""],

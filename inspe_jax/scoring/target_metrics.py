@@ -197,6 +197,7 @@ ROWS = (
         "share of voxels that two units or more see, behind traffic",
         value=lambda found: redundancy(found.level_means("redundancy"), found.weight),
         terms=seen_twice,
+        targets=(),
     ),
 )
 """The rows of the registry for these metrics."""

@@ -366,7 +366,7 @@ def test_what_the_head_is_to_tell_is_read_back_as_the_boxes():
     assert len(KINDS) == aim.heat.shape[-1]
 
 
-def test_a_road_user_that_no_sensor_sees_gives_no_loss():
+def test_a_road_user_that_no_sensor_sees_gives_no_loss_out_to_its_radius():
     returns, pixels = np.ones((2, 2, 6, 1), np.float32)
     returns[0, 1], pixels[0, :3, 0] = 0, (0.3, -1, 0)  # -1: the set does not say
     targets = road_users()._replace(returns=returns, pixels=pixels)
@@ -376,9 +376,9 @@ def test_a_road_user_that_no_sensor_sees_gives_no_loss():
     def slopes(counted):
         aim = head.aims(targets, GRID, counted)
         slope = jax.grad(lambda found: sum(head.loss(found, aim)))(found)
-        at = np.arange(2)[:, None], aim.row, aim.column
-        return abs(slope.heat[(*at, targets.kind)]), abs(slope.values[at]).sum(-1)
+        return aim.row, aim.column, abs(slope.heat), abs(slope.values)
 
+    batch, (down, across) = np.arange(2)[:, None], np.mgrid[-2:3, -2:3].reshape(2, 1, 1, -1)
     inside = targets.mask & (np.abs(targets.boxes[..., :2]) < GRID.half).all(-1)
     for sensors, unseen in (
         (["lidar"], [[0, 1]]),
@@ -387,7 +387,11 @@ def test_a_road_user_that_no_sensor_sees_gives_no_loss():
     ):
         counted = targets.seen_by(sensors)
         assert np.argwhere(~counted).tolist() == unseen
-        for slope in map(np.asarray, slopes(counted)):
+        row, column, heat, values = map(np.asarray, slopes(counted))
+        cells = (np.clip(at[..., None] + by, 0, GRID.side - 1)
+                 for at, by in ((row, down), (column, across)))  # fmt: skip
+        near = heat[(batch[..., None], *cells, targets.kind[..., None])].max(-1)
+        for slope in (near, values[batch, row, column].sum(-1)):
             np.testing.assert_array_equal(slope[inside] > 1e-9, counted[inside])
 
 

@@ -1,8 +1,10 @@
 """What a detector gets, as metrics and as maps: against Embree, walked rays, and by hand."""
 
 from dataclasses import replace
+from functools import partial
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from worlds import (
@@ -31,6 +33,7 @@ from inspe_jax.scoring.detection import BANDS, FEW, detection_curves
 from inspe_jax.scoring.exact import ONE_MORE, evidence_of_tiles
 from inspe_jax.scoring.metrics import chosen
 from inspe_jax.scoring.options import ScoreOptions
+from inspe_jax.scoring.target_evidence import TargetEvidence, _look
 from inspe_jax.scoring.target_metrics import UNKNOWN, position_error, redundancy
 from inspe_jax.scoring.targets import target_view
 from inspe_jax.scoring.tiled_scene import tiled_scene_of
@@ -304,6 +307,29 @@ def test_softly_they_become_the_exact_ones(scene, layout, scores):
     for name in FURTHER:
         assert soft[name] == pytest.approx(scores.metrics[name], abs=2e-3), name
         assert scores.metrics[name] > 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("s", [0, 1])
+def test_slopes_in_the_pose_are_those_of_reverse_mode(scene, layout, s):
+    """With random wishes of all that a sensor has on road users, some of them behind traffic."""
+    sensors = sensor_array(SensorSet.of(layout))
+    tile = jax.tree.map(lambda leaf: leaf[0], tiled_scene_of(scene).tiles.tile)
+    table, pixels = jax.tree.map(lambda leaf: jnp.asarray(leaf[s]), (sensors.table, sensors.pixels))
+    pose = jnp.asarray(from_center(scene.voxels.center, layout.poses)[s], float)
+    sight = np.random.default_rng(s).uniform(size=tile.heights.shape).clip(0.3) - 0.3
+    look = sensors.kinds[sensors.kind[s]], detection_curves(), TargetEvidence._fields
+    given = table, pixels, tile, jnp.array(True), jnp.array(0.5)
+
+    @partial(jax.jit, static_argnums=0)
+    def slopes(of):
+        rng = np.random.default_rng(s)
+        found, back = jax.vjp(lambda *at: of(*look, *at, given), pose, jnp.asarray(sight, float))
+        return back(jax.tree.map(lambda x: jnp.asarray(rng.normal(size=x.shape), float), found))
+
+    for ours, theirs in zip(slopes(_look), slopes(_look.fun), strict=True):
+        assert jnp.abs(theirs).max() > 0
+        np.testing.assert_allclose(ours, theirs, 0, 2e-5 * jnp.abs(theirs).max())
 
 
 # ── Maps ────────────────────────────────────────────────────────────────────

@@ -76,7 +76,7 @@ class Targets(NamedTuple):
 
     def seen_by(self, sensors: Iterable[str]) -> Bool[np.ndarray, "B M"]:
         """Whether a sensor of these kinds, "camera" or "lidar", sees a road user: a picture shows a
-        pixel of it, or a LiDAR has a return; also where the set does not say."""
+        part of a pixel of it, or a LiDAR has a return; also where the set does not say."""
         each = {"camera": self.pixels != 0, "lidar": self.returns > 0}
         return np.any([each[sensor].any(-1) for sensor in sensors], 0)
 

@@ -148,6 +148,7 @@ def aims(targets: Targets, grid: BevGrid, counted: Bool[Array, "B M"] | None = N
     inside = ((cell >= 0) & (cell < grid.side)).all(-1)
     there = jnp.asarray(targets.mask) & inside
     mask = there if counted is None else there & counted
+    unseen = (there & ~mask)[..., None]
     size = jnp.maximum(boxes[..., 3:6], 0.01)  # padding has none
     z, yaw = boxes[..., 2:3], boxes[..., 6:7]
     values = jnp.concatenate([place - cell, z, jnp.log(size), jnp.sin(yaw), jnp.cos(yaw)], -1)
@@ -159,7 +160,7 @@ def aims(targets: Targets, grid: BevGrid, counted: Bool[Array, "B M"] | None = N
         bump = bumps(at, (2 * reach + 1) / 6, grid.side, there)
         cells = jnp.arange(grid.side).astype(float)[None, None]
         near = jnp.abs(cells - at[..., None]) <= reach[..., None]
-        return jnp.where(mask[..., None], bump, jnp.where(near & there[..., None], UNSEEN, bump))
+        return jnp.where(near & unseen, UNSEEN, bump)
 
     along, across = (spread(at.astype(float)) for at in (row, column))
     heat = class_heat(along, across, jnp.asarray(targets.kind))

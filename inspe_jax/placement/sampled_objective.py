@@ -155,8 +155,7 @@ def _view(
                 return seen, sights, None
             share = sights.T.astype(tile.heights.dtype) / len(chunk.prisms.top)
             at = rays, pixels, pose, tile, share, last, None, curves
-            evidence = target_evidence_of_sensor(*at).only(targets)
-            return seen, sights if kept else None, evidence
+            return seen, sights if kept else None, target_evidence_of_sensor(*at).only(targets)
 
         found = jax.lax.map(
             lambda part: jax.lax.cond(

@@ -96,7 +96,7 @@ def view_jobs(
     assert chunk.solid is not None  # the scene has masks
     rays = grid.rays
     lengths = rays.table.rows.shape + rays.table.nearest.shape
-    targets = tuple(sorted({name for metric in options.metrics for name in metric.targets or ()}))
+    targets = options.target_fields if any(metric.targets for metric in options.metrics) else ()
     kept = any(metric.sight and not metric.targets for metric in options.metrics)
     kept |= options.visibility != "in_view"
     # Metrics do not change what is seen: without them fewer programs are compiled.

@@ -18,6 +18,7 @@ from inspe_jax.placement.sampled_objective import SampledObjective, rows_at
 from inspe_jax.placement.space import Space
 from inspe_jax.scene.statics import tree, upright_box
 from inspe_jax.scoring.detection import detection_curves
+from inspe_jax.scoring.metrics import METRICS
 
 
 @pytest.fixture(scope="module")
@@ -102,6 +103,9 @@ OBJECTIVES = {
     "targets, past others": Objective(occlusion_reference="targets", visibility="past_others"),
     "the worst of two scenes": Objective(over="worst"),
     "a place, in view": Objective({"localisation": 0.5, "occlusion": 0.5}, "covered"),
+    "a place, whose metric says nothing of what it reads": Objective(
+        {"localisation": 0.5, "detectability": 0.5}
+    ),
     "detectability, N−1, in sight, two scenes": Objective(
         {"detectability": 0.6, "occlusion": 0.2, "information_gain": 0.2},
         "targets",
@@ -116,8 +120,10 @@ OBJECTIVES = {
     "name",
     slow_but(OBJECTIVES, "the worst of two scenes", "detectability, N−1, in sight, two scenes"),
 )
-def test_bits_add_up_to_the_score(scene, name):
+def test_bits_add_up_to_the_score(scene, name, monkeypatch):
     """The score from what each sensor sees is the rough score, of sets and of choices alike."""
+    if "says nothing" in name:
+        monkeypatch.setitem(METRICS, "localisation", replace(METRICS["localisation"], targets=None))
     traffic = random_traffic(scene.intersection, 5, 16, 20.0, seed=8)
     both = [scene, Case(replace(scene, traffic=traffic))]
     problem = Problem(both if name.endswith("two scenes") else scene, team(scene), OBJECTIVES[name])

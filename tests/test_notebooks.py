@@ -11,7 +11,7 @@ import pytest
 from nbclient import NotebookClient
 
 SHORTER = {
-    r"radius[=:] ?[34]0": lambda found: found[0][:-2] + "15",
+    r"radius[=:] ?[34]0": lambda found: found[0][:-2] + "20",
     r"frames([=:] ?)\d+": r"frames\g<1>3",
     r'density="medium"': "density=5",
     r"density: \[10, 30, 50\]": "density: [5]",
@@ -43,4 +43,5 @@ def test_notebook_runs(path, tmp_path, monkeypatch):
 
 def kinds(cell):
     """Of what a cell has printed and drawn."""
-    return {kind for o in cell.get("outputs", ()) for kind in o.get("data", ["text"])} - {"text/html"}
+    found = {kind for o in cell.get("outputs", ()) for kind in o.get("data", ["text"])}
+    return found - {"text/html"}

@@ -70,10 +70,10 @@ def test_contributing_names_files_that_are_there():
 
 def text_of(page):
     """A page's Markdown; of a guide, that of its cells."""
-    if page.suffix == ".md":
-        return page.read_text(encoding="utf-8")
-    cells = json.loads(page.read_text(encoding="utf-8"))["cells"]
-    return "\n\n".join("".join(c["source"]) for c in cells if c["cell_type"] == "markdown")
+    text = page.read_text(encoding="utf-8")
+    cells = json.loads(text)["cells"] if page.suffix == ".ipynb" else ()
+    words = ["".join(cell["source"]) for cell in cells if cell["cell_type"] == "markdown"]
+    return "\n\n".join(words) or text
 
 
 PAGES = {page: text_of(page) for page in (ROOT / "README.md", *GUIDES)}

@@ -1,5 +1,4 @@
-"""The notebooks run from top to bottom, as a reader would run them, on less; and they keep what
-they printed and drew."""
+"""The notebooks keep what they printed, and run from top to bottom as for a reader, on less."""
 
 import os
 import re

@@ -1,5 +1,6 @@
-"""What CONTRIBUTING.md names is there, and what the README shows runs."""
+"""What CONTRIBUTING.md and links name is there, and what the README and the guides show runs."""
 
+import json
 import re
 import shlex
 import time
@@ -14,6 +15,8 @@ from inspe_jax.cli.common import app
 
 ROOT = Path(__file__).parents[1]
 BLOCK = re.compile(r"^```(bash|python|yaml)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+GUIDES = sorted(ROOT.glob("notebooks/*.ipynb"))
+LINK = re.compile(r"\]\((?!https?:)([^)#]+)\)")
 ELSEWHERE = {
     "bin/inspe optimise": ".ci/run runs it, in a new environment",
     "bin/pytest": ".ci/run runs it, in a new environment",
@@ -65,28 +68,50 @@ def test_contributing_names_files_that_are_there():
     assert not missing
 
 
+def text_of(page):
+    """A page's Markdown; of a guide, that of its cells."""
+    text = page.read_text(encoding="utf-8")
+    cells = json.loads(text)["cells"] if page.suffix == ".ipynb" else ()
+    words = ["".join(cell["source"]) for cell in cells if cell["cell_type"] == "markdown"]
+    return "\n\n".join(words) or text
+
+
+PAGES = {page: text_of(page) for page in (ROOT / "README.md", *GUIDES)}
+
+
+def test_links_lead_to_files_and_every_guide_is_linked():
+    named = [page.parent / name for page in PAGES for name in LINK.findall(PAGES[page])]
+    assert not [path for path in named if not path.exists()]
+    assert {*GUIDES} <= {*named}
+    assert {key for key in ELSEWHERE for text in PAGES.values() if key in text} == {*ELSEWHERE}
+
+
+@pytest.fixture(scope="module")
+def cluster():
+    with in_this_process() as found:
+        yield found
+
+
 @pytest.mark.slow
-def test_every_block_of_the_readme_runs(tmp_path, monkeypatch):
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_every_block_of_a_page_runs(page, cluster, tmp_path, monkeypatch):
     """In order, in one folder, as a reader would paste them; YAML says its file's name first."""
     pytest.importorskip("sumolib", reason="OpenStreetMap needs SUMO")
-    text, names, skipped = (ROOT / "README.md").read_text(encoding="utf-8"), {}, []
+    text, names = PAGES[page], {}
     monkeypatch.chdir(tmp_path)
-    with in_this_process() as cluster:
-        for found in BLOCK.finditer(text):
-            where = f"README.md:{text[: found.start()].count(chr(10)) + 2}"
-            language, block = found.groups()
-            if why := [key for key in ELSEWHERE if key in block]:
-                skipped += why
-                continue
-            for long, short in SHORTER.items():
-                block = re.sub(long, short.replace("HERE", cluster.scheduler_address), block)
-            if language == "yaml":
-                Path(re.match(r"# (\w+\.yaml)\n", block)[1]).write_text(block)
-            elif language == "python":
-                exec(compile(block, where, "exec"), names)
-            else:
-                run(where, block)
-    assert sorted(skipped) == sorted(ELSEWHERE)
+    for found in BLOCK.finditer(text):
+        where = f"{page.name}:{text[: found.start()].count(chr(10)) + 2}"
+        language, block = found.groups()
+        if any(key in block for key in ELSEWHERE):
+            continue
+        for long, short in SHORTER.items():
+            block = re.sub(long, short.replace("HERE", cluster.scheduler_address), block)
+        if language == "yaml":
+            Path(re.match(r"# (\w+\.yaml)\n", block)[1]).write_text(block)
+        elif language == "python":
+            exec(compile(block, where, "exec"), names)
+        else:
+            run(where, block)
 
 
 def run(where, block):

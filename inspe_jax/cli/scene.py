@@ -197,7 +197,7 @@ def _refuse(what: str, why: str, options: Sequence[str]) -> None:
 
 @command()
 def examples(folder: Path = Path()) -> None:
-    """Write the example files of the README: two maps, poles, and a log of traffic.
+    """Write the example files of the guides: two maps, poles, and a log of traffic.
 
     Their places are made up. A file that is there already stays as it is.
 

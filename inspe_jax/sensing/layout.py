@@ -1,6 +1,6 @@
 """A layout: infrastructure units, their sensors and the sensors' poses, and its YAML file.
 
-The file is in metres and degrees of the world frame; README.md shows one::
+The file is in metres and degrees of the world frame; notebooks/01 shows one::
 
     units:
       - name: north-east pole

@@ -1,4 +1,4 @@
-"""Claim: the README's pictures are real results, and this is how they are made.
+"""Claim: the pictures of the README and the guides are real results, and this is how they are made.
 
 Scores the eight corner cameras of the built-in four-way and draws how often each
 column is seen; the same as ``inspe score four_way Cam-d1 --plot four_way.png``. Draws what a

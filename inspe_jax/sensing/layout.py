@@ -1,6 +1,6 @@
 """A layout: infrastructure units, their sensors and the sensors' poses, and its YAML file.
 
-The file is in metres and degrees of the world frame; notebooks/01 shows one::
+The file is in metres and degrees of the world frame; notebooks/01_score_a_layout.ipynb shows one::
 
     units:
       - name: north-east pole

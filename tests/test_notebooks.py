@@ -27,9 +27,10 @@ NOTEBOOKS = sorted((Path(__file__).resolve().parents[1] / "notebooks").glob("*.i
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.stem)
 def test_notebook_runs(path, tmp_path, monkeypatch):
     """With outputs of the same kinds as those in the file, the first of which is a picture."""
-    pytest.importorskip("sumolib", reason="OpenStreetMap needs SUMO")
     monkeypatch.setenv("PATH", f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}")
     text = path.read_text(encoding="utf-8")
+    if ".osm" in text:
+        pytest.importorskip("sumolib", reason="OpenStreetMap needs SUMO")
     notebook = nbformat.reads(text, as_version=4)
     kept = list(map(kinds, notebook.cells))
     assert "image/png" in next(filter(None, kept))
@@ -44,6 +45,5 @@ def test_notebook_runs(path, tmp_path, monkeypatch):
 
 def kinds(cell):
     """Of what a cell has printed and drawn."""
-    outputs = cell.get("outputs", ())
-    found = {kind for o in outputs for kind in o.get("data", [o.get("name", "error")])}
+    found = {kind for o in cell.get("outputs", ()) for kind in o.get("data", [o.get("name")])}
     return found - {"text/html"}

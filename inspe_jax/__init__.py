@@ -47,6 +47,7 @@ from inspe_jax.scoring.targets import TargetView, target_view
 from inspe_jax.sensing.catalogue import Device, device, devices
 from inspe_jax.sensing.conditions import Case, Conditions
 from inspe_jax.sensing.layout import Layout, Sensor, Unit, load_layout, make_layout, save_layout
+from inspe_jax.sensing.pose_solver import Lens, PoseFit, solve_pose
 from inspe_jax.sensing.sensors import CameraSpec, LidarSpec, Pose
 from inspe_jax.study.plan import Study, load_study
 from inspe_jax.study.sweep import sweep
@@ -69,10 +70,12 @@ __all__ = [
     "InspeError",
     "Intersection",
     "Layout",
+    "Lens",
     "LidarSpec",
     "ManyScores",
     "Objective",
     "Pose",
+    "PoseFit",
     "Region",
     "Result",
     "Scene",
@@ -108,6 +111,7 @@ __all__ = [
     "save_layout",
     "save_result",
     "save_scene",
+    "solve_pose",
     "strategy",
     "sweep",
     "target_view",

@@ -25,6 +25,11 @@ from inspe_jax.sensing.sensors import CameraSpec, LidarSpec, Spec
 
 MAPS = Path(__file__).resolve().parents[1].parent / "shared" / "maps"
 """Town maps beside the checkout; tests that need them skip where they are absent."""
+DEPLOYMENTS = MAPS.parent / "deployments"
+"""Calibrations of real deployments, with the poses that they are of; beside them too."""
+needs_deployments = pytest.mark.skipif(
+    not DEPLOYMENTS.is_dir(), reason="the deployments are not beside this checkout"
+)
 
 LIDAR = LidarSpec(
     "test-lidar", tuple(np.radians(np.linspace(-25, 2, 32)).tolist()), 1800, 2 * np.pi, 50.0

@@ -123,7 +123,7 @@ class CameraKeys(DeviceKeys):
     and its effective depth."""
 
     spec_type = CameraSpec
-    replaces = {"hfov_deg": ("focal_px",), "focal_px": ("hfov_deg",)}
+    replaces = {"hfov_deg": ("focal_px", "focal_y_px"), "focal_px": ("hfov_deg", "focal_y_px")}
 
     width: Annotated[int, Field(ge=1)]
     height: Annotated[int, Field(ge=1)]
@@ -131,12 +131,15 @@ class CameraKeys(DeviceKeys):
     downsample: Annotated[float, Field(gt=0, le=1)]
     hfov_deg: _Views | None = None
     focal_px: Positive | None = None
+    focal_y_px: Positive | None = None  # where pixels are not square
     principal_px: Annotated[list[float], Field(min_length=2, max_length=2)] | None = None
 
     def spec(self, name: str, where: str) -> CameraSpec:
         """The spec [pixel, m]; the principal point is the middle of the image if not given."""
         if (self.hfov_deg is None) == (self.focal_px is None):
             raise InspeError(f"{where}: give either hfov_deg or focal_px")
+        if self.focal_y_px is not None and self.focal_px is None:
+            raise InspeError(f"{where}: focal_y_px: goes with focal_px, not with hfov_deg")
         focal, lens = self.focal_px, None
         if isinstance(self.hfov_deg, list):
             narrow, wide = self.hfov_deg
@@ -149,7 +152,7 @@ class CameraKeys(DeviceKeys):
         assert focal is not None
         cx, cy = self.principal_px or (self.width / 2, self.height / 2)
         same = self.model_dump(include={"width", "height", "downsample", "reliability"})
-        same |= dict(depth=self.depth_m, focal_range=lens)
+        same |= dict(depth=self.depth_m, focal_range=lens, focal_y=self.focal_y_px)
         return CameraSpec(name, focal=focal, principal=(cx, cy), **same).with_lens(0.0)
 
     @classmethod
@@ -163,6 +166,7 @@ class CameraKeys(DeviceKeys):
             width=int(spec.width),
             height=int(spec.height),
             **lens,
+            **({"focal_y_px": float(spec.focal_y)} if spec.focal_y else {}),
             principal_px=[float(x) for x in spec.principal],
             downsample=float(spec.downsample),
             depth_m=float(spec.depth),

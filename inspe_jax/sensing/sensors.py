@@ -15,10 +15,12 @@ from jaxtyping import Float, Int
 from inspe_jax.core.arrays import on_host, wide_bucket
 from inspe_jax.core.digest import OPTIONAL
 from inspe_jax.core.errors import InspeError
+from inspe_jax.core.rigid import pose_of
 from inspe_jax.sensing.rays import Edges, Kind, PinholeRays, Rays, RayTable, SphericalRays
 
 ROWS, STEPS = 128, 1024
 """Smallest lengths of a grid's tables of rows. Longer tables have 4, 16, … times that."""
+SWAPPED = 0.2  # a principal point farther off the middle, in picture sizes, is looked at twice
 COUNTS = 1024  # length of the table that counts rows
 
 
@@ -32,6 +34,30 @@ class Pose(NamedTuple):
     roll: float = 0.0
     pitch: float = 0.0
     yaw: float = 0.0
+
+    @classmethod
+    def from_matrix(cls, matrix: Any, *, convention: str, direction: str) -> "Pose":
+        """The pose that a calibration has as a matrix.
+
+        Args:
+            matrix: (4, 4), or (3, 4) without its last row [m].
+            convention: The sensor's axes: "body" (x forward, y left, z up), "optical" (OpenCV: x
+                right, y down, z forward) or "carla" (x forward, y right, z up, left-handed world).
+            direction: What the matrix takes points from and to: "sensor_to_world", or
+                "world_to_sensor", as OpenCV's extrinsics.
+
+        Returns:
+            The pose in world metres and radians.
+
+        Raises:
+            InspeError: The matrix is no rotation with a translation, is mirrored or transposed.
+
+        >>> north = [[1, 0, 0, 2], [0, 0, 1, 3], [0, -1, 0, 6], [0, 0, 0, 1]]  # level, 6 m up
+        >>> pose = Pose.from_matrix(north, convention="optical", direction="sensor_to_world")
+        >>> pose.x, pose.y, pose.z, round(float(np.degrees(pose.yaw)))
+        (2.0, 3.0, 6.0, 90)
+        """
+        return cls(*pose_of(matrix, convention, direction).tolist())
 
 
 @dataclass(frozen=True)
@@ -214,9 +240,9 @@ class CameraSpec(Spec):
     """A pinhole camera: one ray per downsampled pixel, to its effective depth.
 
     ``width``, ``height``, the ``focal`` length and the ``principal`` point are in pixels, and so is
-    the ``focal_range`` of a varifocal lens. ``downsample`` is λ: the rays are
-    ⌊λ·height⌋ × ⌊λ·width⌋ and pass through the centres of the enlarged pixels. ``depth`` [m] is
-    measured along the ray.
+    the ``focal_range`` of a varifocal lens, and ``focal_y``, down a column, where pixels are not
+    square. ``downsample`` is λ: the rays are ⌊λ·height⌋ × ⌊λ·width⌋ and pass through the centres of
+    the enlarged pixels. ``depth`` [m] is measured along the ray.
     """
 
     name: str
@@ -228,6 +254,7 @@ class CameraSpec(Spec):
     depth: float
     reliability: float = 1.0
     focal_range: tuple[float, float] | None = field(default=None, metadata=OPTIONAL)
+    focal_y: float | None = field(default=None, metadata=OPTIONAL)
 
     kind = "camera"
     title = "camera"
@@ -248,6 +275,69 @@ class CameraSpec(Spec):
                     f"{low:g} to {high:g} about {self.focal:g} px"
                 )
 
+    @classmethod
+    def from_intrinsics(
+        cls,
+        name: str,
+        width: int,
+        height: int,
+        *,
+        depth: float,
+        fx: float | None = None,
+        fy: float | None = None,
+        hfov_deg: float | None = None,
+        vfov_deg: float | None = None,
+        cx: float | None = None,
+        cy: float | None = None,
+        downsample: float = 0.1,
+        reliability: float = 1.0,
+    ) -> "CameraSpec":
+        """A camera from its calibration: focal lengths, or fields of view.
+
+        Args:
+            name: Name of the device.
+            width, height: Size of the picture [px].
+            depth: How far it perceives along a ray [m], which no calibration says.
+            fx, fy: Focal lengths [px]; one of them is both.
+            hfov_deg, vfov_deg: Fields of view [degrees] in place of fx and fy; one of them is
+                enough where pixels are square.
+            cx, cy: Principal point [px] from the outer corner of the first pixel; the middle of the
+                picture if not given.
+            downsample: Rays per pixel, along a row.
+            reliability: The chance that what is in view is perceived.
+
+        Raises:
+            InspeError: Neither or both of focal length and field of view are given, or the
+                principal point is outside of the picture, as where width and height are swapped.
+
+        >>> spec = CameraSpec.from_intrinsics("roof", 1920, 1080, hfov_deg=90.0, depth=60.0)
+        >>> round(spec.focal)
+        960
+        """
+        where = f"device '{name}'"
+        if ((fx or fy) is None) == ((hfov_deg or vfov_deg) is None):
+            raise InspeError(f"{where}: give either fx and fy, or a field of view")
+        focals = [fx, fy]
+        for k, (side, view) in enumerate(((width, hfov_deg), (height, vfov_deg))):
+            if view is not None and not 0 < view < 180:
+                raise InspeError(f"{where}: a field of view of {view:g}°; a pinhole's is below 180")
+            if view is not None:
+                focals[k] = float(side / 2 / np.tan(np.radians(view) / 2))
+        x, y = (float(focals[k] or focals[1 - k] or 0.0) for k in (0, 1))
+        cx, cy = width / 2 if cx is None else cx, height / 2 if cy is None else cy
+        numbers = np.array([width, height, x, y, depth, downsample, cx, cy])
+        if not (np.isfinite(numbers).all() and (numbers[:6] > 0).all()):
+            raise InspeError(f"{where}: sizes, focal lengths and depth must be positive numbers")
+        off, swapped = (abs(cx / w - 0.5) + abs(cy / h - 0.5) for w, h in
+                        ((width, height), (height, width)))  # fmt: skip
+        words = f"{where}: principal point ({cx:g}, {cy:g}) in a picture of {width} × {height}"
+        if off > SWAPPED and swapped < off / 2:
+            raise InspeError(f"{words}: width and height seem to be swapped")
+        if not (0 <= cx <= width and 0 <= cy <= height):
+            raise InspeError(f"{words} is outside of it: give the size that the lens was found for")
+        other = dict(reliability=reliability, focal_y=None if y == x else y)
+        return cls(name, width, height, x, (cx, cy), downsample, depth, **other)  # type: ignore[arg-type]
+
     @cached_property
     def grid(self) -> RayGrid:
         """Rays r_ij = O + μ·((w_j − c_x)/f, (h_i − c_y)/f, 1), turned to the body frame."""
@@ -255,7 +345,7 @@ class CameraSpec(Spec):
         rows = max(1, int(self.height * self.downsample + 1e-9))
         pitch = self.width / columns / self.focal
         pixel = (np.arange(rows) + 0.5) * self.height / rows
-        tangents = tuple((self.principal[1] - pixel[::-1]) / self.focal)  # pixel rows run downward
+        tangents = tuple((self.principal[1] - pixel[::-1]) / self.focals[1])  # rows run downward
         leftmost = (self.principal[0] - self.width) / self.focal + pitch / 2
         return RayGrid(tangents, leftmost, pitch, columns, False, self.depth, PinholeRays)
 
@@ -286,6 +376,11 @@ class CameraSpec(Spec):
         return replace(self, focal=min(max(focal, self.focal_range[0]), self.focal_range[1]))
 
     @property
+    def focals(self) -> tuple[float, float]:
+        """Focal lengths along a row and down a column [px]."""
+        return self.focal, self.focal_y or self.focal
+
+    @property
     def azimuth_limits(self) -> tuple[float, float]:
         """Right and left edge of the picture [rad]."""
         middle, focal = self.principal[0], self.focal
@@ -305,8 +400,10 @@ class CameraSpec(Spec):
     def field_of_view(self) -> tuple[float, float]:
         """Angle from edge to edge of the picture, horizontal and vertical [rad]."""
         wide, tall = (
-            float(np.arctan2(middle, self.focal) + np.arctan2(side - middle, self.focal))
-            for side, middle in zip((self.width, self.height), self.principal, strict=True)
+            float(np.arctan2(middle, focal) + np.arctan2(side - middle, focal))
+            for side, middle, focal in zip(
+                (self.width, self.height), self.principal, self.focals, strict=True
+            )
         )
         return wide, tall
 

@@ -168,7 +168,7 @@ class Scene3D:
             self.drawn[body] = self.api.add_box(body, rgb(color), dimensions=(0.7, 0.5, 0.5))
             self.drawn[f"{name}/frustum"] = self.api.add_camera_frustum(
                 f"{name}/frustum",
-                fov=2 * np.arctan(spec.height / 2 / spec.focal),
+                fov=2 * np.arctan(spec.height / 2 / spec.focals[1]),
                 aspect=spec.width / spec.height,
                 scale=1.2,
                 thickness=0.06,

@@ -34,6 +34,7 @@ NEEDS: dict[str, tuple[str, ...]] = {
 number an actor has, so pixels are matched to road users by place."""
 ROAD_USER_LABELS = (12, 13, 14, 15, 16, 18, 19)
 """CARLA's labels (from 0.9.14 on) of people, riders, cars, trucks, buses, motorcycles, bicycles."""
+SQUARE = 0.005  # focal lengths that differ by less count as one
 MARGIN = 0.3  # mirrors and limbs may reach this far out of a box [m]
 
 Measured: TypeAlias = Mapping[str, Any]
@@ -65,6 +66,11 @@ class CarlaCamera:
             raise InspeError(
                 f"image_size [{width}, {height}]: CARLA's pixels are square, and {spec.name} has "
                 f"{spec.width} x {spec.height} of them: give a size of the same shape"
+            )
+        if abs(spec.focals[1] / spec.focal - 1) > SQUARE:
+            raise InspeError(
+                f"{spec.name}: its pixels are not square, {spec.focal:g} and {spec.focals[1]:g} px "
+                "of focal length, and CARLA's are: give a device with one focal length"
             )
         self.layers = recording.layers
         needed = ["rgb", *(picture for layer in self.layers for picture in NEEDS[layer])]

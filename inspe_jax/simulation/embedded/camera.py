@@ -135,9 +135,9 @@ class Camera:
         self.recording, self.appearance_seed = surroundings.recording, surroundings.appearance_seed
         self.shading, self.light = surroundings.shading, surroundings.shading.light
         self.width, self.height = self.recording.image_size or (spec.width, spec.height)
-        (cx, cy), f = spec.principal, spec.focal
+        (cx, cy), (fx, fy) = spec.principal, spec.focals
         scale = np.diag([self.width / spec.width, self.height / spec.height, 1.0])
-        self.intrinsic = scale @ np.array([[f, 0.0, cx], [0.0, f, cy], [0.0, 0.0, 1.0]])
+        self.intrinsic = scale @ np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
         u, v = np.meshgrid(np.arange(self.width) + 0.5, np.arange(self.height) + 0.5)
         (fx, _, cx), (_, fy, cy), _ = self.intrinsic
         body = np.stack([np.ones_like(u), (cx - u) / fx, (cy - v) / fy], -1).reshape(-1, 3)

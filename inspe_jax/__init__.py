@@ -44,6 +44,7 @@ from inspe_jax.scoring.detection import (
 )
 from inspe_jax.scoring.evaluate import Contribution, ManyScores, Scores, evaluate, evaluate_many
 from inspe_jax.scoring.targets import TargetView, target_view
+from inspe_jax.sensing.calibrations import Imported, layouts_from
 from inspe_jax.sensing.catalogue import Device, device, devices
 from inspe_jax.sensing.conditions import Case, Conditions
 from inspe_jax.sensing.layout import Layout, Sensor, Unit, load_layout, make_layout, save_layout
@@ -67,6 +68,7 @@ __all__ = [
     "DetectionCurve",
     "DetectionCurves",
     "Device",
+    "Imported",
     "InspeError",
     "Intersection",
     "Layout",
@@ -97,6 +99,7 @@ __all__ = [
     "evaluate_many",
     "fit_detection",
     "in_view",
+    "layouts_from",
     "line_of_sight",
     "load_detection",
     "load_layout",

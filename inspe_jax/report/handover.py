@@ -1,4 +1,4 @@
-"""Files that a plan is handed on in: GeoJSON, KML and a bill of materials."""
+"""Files that a plan is handed on in: GeoJSON, KML, a calibration and a bill of materials."""
 
 import json
 from collections.abc import Callable, Mapping, Sequence
@@ -11,13 +11,16 @@ from shapely.geometry.polygon import orient
 
 from inspe_jax.core.errors import needs
 from inspe_jax.core.files import csv_text
+from inspe_jax.core.geometry import pose_matrix
+from inspe_jax.core.rigid import CONVENTIONS
 from inspe_jax.core.words import visible
 from inspe_jax.report.outlines import view_outline
 from inspe_jax.report.schedule import EXISTING_POLE, installation_schedule, materials
 from inspe_jax.scene.geojson import known_georeference
 from inspe_jax.scene.intersection import Intersection
-from inspe_jax.sensing.layout import Layout, made_with
+from inspe_jax.sensing.layout import Layout, lens_keys, made_with
 from inspe_jax.sensing.layout_geojson import DIGITS, collection, layout_features
+from inspe_jax.sensing.sensors import CameraSpec
 
 LINE = {"camera": "ffb27200", "lidar": "ff00559e"}
 """Colours of outlines in KML, by kind of sensor: alpha, blue, green, red."""
@@ -112,6 +115,44 @@ def plan_kml(layout: Layout, place: Intersection) -> str:
     return '<?xml version="1.0" encoding="UTF-8"?>\n' + document.to_string(prettyprint=True)
 
 
+def calibration_json(layout: Layout, place: Intersection) -> str:
+    """A layout as the calibration that its sensors should come to have, which
+    :func:`inspe_jax.layouts_from` reads back.
+
+    Lenses as OpenCV's camera matrices [px]; poses as 4 × 4 matrices from the sensor to the frame,
+    cameras in optical axes; and ``looks``: what each looks at, as a polygon on level ground at the
+    height of its foot [m], and, where the place has coordinates, its latitude, longitude and
+    azimuth, and the polygon in longitudes and latitudes.
+    """
+    known, sensors = place.georeference, []
+    made, poses = made_with(layout), np.asarray(layout.poses, float)
+    frame: dict[str, Any] = {}
+    if known is not None:
+        matrix = np.eye(4)
+        matrix[:2, 3] = np.negative(known.shift)
+        frame = dict(crs=known.crs, matrix=matrix.tolist())
+    for sensor, pose in zip(layout.sensors, poses, strict=True):
+        spec, unit, matrix = sensor.spec, layout.units[sensor.unit], pose_matrix(pose)
+        own: dict[str, Any] = dict(name=sensor.name, kind=spec.kind, device=spec.name)
+        own |= dict(unit=unit.name, **lens_keys(spec))
+        if isinstance(spec, CameraSpec):
+            (fx, fy), (cx, cy) = spec.focals, spec.principal
+            own |= dict(width=spec.width, height=spec.height)
+            own |= dict(camera_matrix=[[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+            matrix = matrix @ np.linalg.inv(CONVENTIONS["optical"][1])
+        level = float(place.ground(np.array([unit.base[:2]]))[0])
+        outline = view_outline(spec, pose, level)
+        looks: dict[str, Any] = dict(polygon=outline.round(3).tolist())
+        if known is not None:
+            lon, lat = known.to_degrees(pose[None, :2]).round(DIGITS)[0].tolist()
+            azimuth = float(known.azimuth(pose[None, :2], pose[5:])[0])
+            looks |= dict(lat=lat, lon=lon, azimuth_deg=round(azimuth, 6))
+            looks |= dict(wgs84=known.to_degrees(outline).round(DIGITS).tolist())
+        sensors.append(own | dict(sensor_to_frame=(matrix + 0.0).tolist(), looks=looks))
+    content = dict(name=layout.name, frame=frame, devices=made.get("devices", {}), sensors=sensors)
+    return json.dumps(content, indent=1) + "\n"
+
+
 def bill_of_materials(layout: Layout, prices: Mapping[str, float]) -> str:
     """The devices of a layout as CSV: how many, where, and what they cost [US dollars]. ``prices``
     replace the catalogue's. A device without a price has none here. Where there are varifocal
@@ -134,6 +175,7 @@ def bill_of_materials(layout: Layout, prices: Mapping[str, float]) -> str:
 PLAN_FORMATS: dict[str, Callable[[Layout, Intersection, Mapping[str, float]], str]] = {
     ".geojson": lambda layout, place, prices: plan_geojson(layout, place),
     ".kml": lambda layout, place, prices: plan_kml(layout, place),
+    ".json": lambda layout, place, prices: calibration_json(layout, place),
     ".csv": lambda layout, place, prices: bill_of_materials(layout, prices),
 }
 """What writes each file that a plan is handed on in, by its suffix."""

@@ -145,8 +145,9 @@ def test_mcitys_fisheyes_hang_where_its_solution_has_them(k):
     lens = Lens(lens["f"], lens["f"], lens["cx"], lens["cy"], fisheye=True)
     at = [given[key] for key in ("east_m", "north_m", "height_m")]
     right = np.array(given["rotation_world_to_camera"]).T @ OPTICAL.T
-    for robust, place, turned in ((1e6, 0.01, 0.1), (5.0, given["uncertainty"]["position_m"],
-                                                     given["uncertainty"]["azimuth_deg"])):  # fmt: skip
+    sure = given["uncertainty"]
+    rough = 5.0, sure["position_m"], sure["azimuth_deg"]
+    for robust, place, turned in ((1e6, 0.01, 0.1), rough):
         fit = solve_pose(np.column_stack([u, v]), own, lens, robust=robust)
         np.testing.assert_allclose(fit.pose[:3], at, atol=place)
         turn = Rotation.from_matrix(pose_matrix(fit.pose)[:3, :3] @ right.T)

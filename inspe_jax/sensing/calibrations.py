@@ -1,0 +1,437 @@
+"""Calibrations of sensors that hang already, as a layout on a scene.
+
+A file is YAML or JSON, in metres, degrees and pixels::
+
+    frame: {crs: EPSG:25832, matrix: [[0, -1, 0, 695310.501], …]}  # 4 × 4, to the CRS
+    sensors:
+      - {name: south, width: 1920, height: 1200,
+         camera_matrix: [[1315.2, 0, 962.7], [0, 1362.8, 580.6], [0, 0, 1]],
+         frame_to_sensor: [[…], …]}    # 4 × 4, as OpenCV's extrinsics; or sensor_to_frame
+      - {name: east, width: 1920, height: 1200, projection: [[…], […], […]]}  # frame to pixels
+      - {name: roof, kind: lidar, device: ouster-os1-64, position: [1.5, 2.0, 7.5], yaw_deg: 165.6}
+      - {name: mast, width: 1920, height: 1080, camera_matrix: […], pairs: [[u, v, x, y, z], …]}
+
+``frame.crs`` is a code, a PROJ string, or ``LAT,LON``: then x is east and y true north of there.
+Cameras have optical axes and LiDARs a body's, unless ``convention`` says another. ``lat``, ``lon``,
+``z`` may be in place of a position. ``pairs`` are pixels and where they are; a ``position`` beside
+them is held. ``unit`` names the unit of a sensor; others within 2 m are one. Pixels are as the file
+has them: OpenCV counts from the middle of the first, half a pixel from its corner. For files of
+others, see :mod:`inspe_jax.sensing.calibration_formats`.
+"""
+
+import os
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from jaxtyping import Float
+from pydantic import AliasChoices, BaseModel, Field
+from scipy.linalg import rq
+
+from inspe_jax.core.errors import InspeError, check_known, error_at
+from inspe_jax.core.files import STRICT, check_model
+from inspe_jax.core.geometry import pose_matrix
+from inspe_jax.core.rigid import array, pose_of, rigid
+from inspe_jax.scene.geojson import known_georeference
+from inspe_jax.scene.georeference import Georeference
+from inspe_jax.scene.scene import Scene
+from inspe_jax.sensing.calibration_formats import ANGLES, read_entries
+from inspe_jax.sensing.catalogue import device, spec_of
+from inspe_jax.sensing.layout import (
+    UNIT_HEIGHT,
+    UNIT_PLAN,
+    Layout,
+    Sensor,
+    Unit,
+    make_layout,
+    with_hfov,
+)
+from inspe_jax.sensing.pose_solver import Lens, PoseFit, solve_pose
+from inspe_jax.sensing.sensors import CameraSpec, Spec
+
+UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
+HIGHEST = 150.0  # above the ground no roadside sensor is so high [m]
+UPWARD, ROLLED = np.radians(30), np.radians(45)  # no camera looks up so far; few are rolled so far
+OFF = 0.25  # a principal point so far off the middle, in picture sizes, has taken up another error
+SKEW = 1e-3  # less, in focal lengths, is rounding
+HEIGHTS = "scene", "ground"
+POSES = "sensor_to_frame", "frame_to_sensor", "projection", "pairs", "position", "lat"
+"""Keys of which a sensor has one: how its pose is given. A position may go with pairs."""
+
+_Number = Annotated[float, Field(allow_inf_nan=False)]
+
+
+def _or(name: str, other: str, usual: Any) -> Any:
+    """A field that OpenCV or ROS names otherwise."""
+    return Field(usual, validation_alias=AliasChoices(name, other))
+
+
+class _Sensor(BaseModel, **STRICT):
+    name: str = _or("name", "camera_name", "camera")
+    kind: Literal["camera", "lidar"] = "camera"
+    device: str | None = None
+    unit: str | None = None
+    hfov_deg: Annotated[float, Field(gt=0, lt=180)] | None = None  # how a varifocal lens is set
+    width: int | None = _or("width", "image_width", None)
+    height: int | None = _or("height", "image_height", None)
+    camera_matrix: Any = None
+    distortion: Any = _or("distortion", "distortion_coefficients", ())
+    model: Literal["pinhole", "plumb_bob", "fisheye"] = _or("model", "distortion_model", "pinhole")
+    convention: Literal["optical", "body", "carla"] | None = None
+    sensor_to_frame: Any = None
+    frame_to_sensor: Any = None
+    projection: Any = None
+    pairs: Any = None
+    position: list[_Number] | None = None
+    lat: Annotated[float, Field(ge=-90, le=90)] | None = None
+    lon: Annotated[float, Field(ge=-180, le=180)] | None = None
+    z: _Number = 0.0
+    yaw_deg: _Number | None = None
+    azimuth_deg: _Number | None = None
+    pitch_deg: _Number = 0.0
+    roll_deg: _Number = 0.0
+    rectification_matrix: Any = None  # of ROS: as the next one, no part of the pose
+    projection_matrix: Any = None
+    looks: Any = None  # what an export adds for those who look: place, azimuth, polygon
+
+
+class _Frame(BaseModel, **STRICT):
+    crs: str | None = None
+    matrix: Any = None
+
+
+class _File(BaseModel, **STRICT):
+    name: str | None = None
+    frame: _Frame = _Frame()
+    devices: dict[str, Any] = {}
+    sensors: list[Any]
+
+
+@dataclass(frozen=True)
+class Imported:
+    """A layout of calibrations; ``notes`` say what was left out or assumed, ``fits`` are of the
+    sensors whose poses were solved from pairs, by name."""
+
+    layout: Layout
+    notes: tuple[str, ...]
+    fits: dict[str, PoseFit]
+
+
+def layouts_from(
+    *files: str | os.PathLike[str],
+    scene: Scene | None = None,
+    transform: Any = None,
+    crs: str | None = None,
+    unit: str = "m",
+    heights: str = "scene",
+    size: tuple[int, int] | None = None,
+    convention: str | None = None,
+    camera: str = "paper-camera",
+    lidar: str = "paper-lidar-64",
+) -> Imported:
+    """One layout of the sensors in calibration files.
+
+    Args:
+        files: Our own (:mod:`inspe_jax.sensing.calibrations`), with OpenCV's matrices or pairs of
+            pixels and places; of TUMTraf, OpenLABEL, OPV2V, V2XSet, V2X-Real, or a list of sensors.
+        scene: The scene to hang them in: by its projection where the files have a CRS, and with
+            heights checked against its ground. Without one, poses are in the files' CRS or frame.
+        transform: (4, 4) from the frame of the files to their CRS [m], or to the scene without one.
+        crs: CRS of the files where they name none: a code, a PROJ string, or ``LAT,LON``.
+        unit: Of lengths in the files: m, cm or mm.
+        heights: Above what z is: "scene" (its zero) or "ground" (at the sensor's foot).
+        size: Width and height of pictures [px] where the files have none.
+        convention: What the angles of a list of sensors are from: "body", "azimuth" or "carla".
+        camera: Device whose depth, rays and reliability cameras get, which files do not have.
+        lidar: Device of LiDARs for which the files name none.
+
+    Returns:
+        The layout, with notes and fits.
+
+    Raises:
+        InspeError: A file is none of these, or a matrix is no rotation, mirrored, transposed or in
+            another unit, a lens does not fit its picture, a camera looks up, or a sensor is in the
+            ground or too high; or the scene has no projection for the files' CRS.
+
+    >>> import pathlib, tempfile
+    >>> path = pathlib.Path(tempfile.mkdtemp(), "pole.yaml")
+    >>> _ = path.write_text('''sensors:
+    ...   - {name: a, width: 1920, height: 1080, position: [4, 3, 6], yaw_deg: 90, pitch_deg: -20,
+    ...      camera_matrix: [[1200, 0, 960], [0, 1200, 540], [0, 0, 1]]}''')
+    >>> layouts_from(path).layout.pose(0).z
+    6.0
+    """
+    for name, value, known in (("unit", unit, UNITS), ("heights", heights, HEIGHTS)):
+        check_known(value, known, name)
+    if convention is not None:
+        check_known(convention, ANGLES, "convention")
+    if heights == "ground" and scene is None:
+        raise InspeError("heights: those above the ground need a scene")
+    usual = {"camera": device(camera).spec, "lidar": device(lidar).spec}
+    for kind, spec in usual.items():
+        if spec.kind != kind:
+            raise InspeError(f"{kind}: '{spec.name}' is a {spec.kind}")
+    rows: list[tuple[_Sensor, np.ndarray, Spec]] = []
+    notes: list[str] = []
+    fits: dict[str, PoseFit] = {}
+    for path in map(Path, files):
+        content, entries = read_entries(path, convention, notes)
+        own = content if isinstance(content, dict) and "sensors" in content else {}
+        file = check_model(_File, own or dict(sensors=[]), str(path))
+        specs = {key: spec_of(x, key, f"{path}: devices.{key}") for key, x in file.devices.items()}
+        frame, system, at = file.frame.matrix, file.frame.crs or crs, f"{path}: frame.matrix"
+        if frame is not None and transform is not None:
+            raise InspeError(f"{at}: the file has one; leave out the transform")
+        frame = rigid(frame or np.eye(4) if transform is None else transform, at)
+        for where, entry in entries:
+            one = check_model(_Sensor, entry, where)
+            lens, matrix, system = _read(one, where, system, notes, fits)
+            matrix[:3, 3] *= UNITS[unit]
+            pose = pose_of(frame @ matrix, "body", "sensor_to_world", where)
+            if scene is not None and system is not None:
+                with error_at(f"{where}: in '{system}'"):
+                    pose = _in_scene(pose, projection_of(system), scene)
+            level = 0.0 if scene is None else scene.intersection.ground(pose[None, :2])[0]
+            pose[2] += level if heights == "ground" else 0.0
+            _check(one, pose, None if scene is None else float(level), where, notes)
+            with error_at(where):
+                rows.append((one, pose, _spec(one, lens, specs, usual, size, where, notes)))
+        if scene is not None and transform is None and system is None and "frame" not in own:
+            notes.append(f"{path}: names no CRS: its frame is taken for the scene's own")
+    if not rows:
+        raise InspeError("calibrations: name a file")
+    poses = np.array([pose for _, pose, _ in rows])
+    units, of = _units([one.unit for one, _, _ in rows], poses, scene)
+    sensors = [Sensor(one.name, spec, u) for (one, _, spec), u in zip(rows, of, strict=True)]
+    layout = make_layout(sensors, units, poses, Path(files[0]).stem, str(files[0]))
+    return Imported(layout, tuple(notes), fits)
+
+
+def projection_of(crs: str) -> Georeference:
+    """The projection of a code, a PROJ string, or ``LAT,LON``: the transverse Mercator there."""
+    if place := re.fullmatch(r"\s*(-?[\d.]+)\s*,\s*(-?[\d.]+)\s*", crs):
+        crs = f"+proj=tmerc +lat_0={place[1]} +lon_0={place[2]} +ellps=WGS84 +units=m"
+    return Georeference(crs)
+
+
+# ── Lenses and poses of entries ─────────────────────────────────────────────
+
+
+def lens_of(given: Any, where: str, notes: list[str], distortion: Any = ()) -> Lens:
+    """The lens of a camera matrix (3, 3), or (3, 4) of a rectified camera. Raises InspeError where
+    it is no upper triangle with positive focal lengths."""
+    found = array(_rows(given), where, (3, 3), (3, 4))[:, :3]
+    if np.abs(found[[1, 2, 2], [0, 0, 1]]).max() > 1e-9 * np.abs(found).max():
+        raise InspeError(
+            f"{where}: is no camera matrix [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]: below its "
+            "diagonal there are numbers, so that a rotation is mixed in; give its product with "
+            "the extrinsics, a 3 × 4 'projection', in place of both"
+        )
+    if (np.diag(found) <= 0).any():
+        raise InspeError(f"{where}: a focal length is not positive: the picture is mirrored")
+    found = found / found[2, 2]
+    if abs(found[0, 1]) > SKEW * found[0, 0]:
+        notes.append(f"{where}: its skew of {found[0, 1]:.1f} px is left out")
+    bent = tuple(np.ravel(_rows(() if distortion is None else distortion)).tolist())
+    if any(bent):
+        notes.append(f"{where}: its distortion is left out: layouts have pinhole cameras")
+    (fx, _, cx), (_, fy, cy), _ = found.tolist()
+    return Lens(fx, fy, cx, cy, bent)
+
+
+def split_projection(
+    given: Any, where: str, notes: list[str]
+) -> tuple[Lens, Float[np.ndarray, "4 4"]]:
+    """Lens, and matrix from the optical axes to the frame, of a projection P = K R [I | −C] (3, 4),
+    by RQ decomposition (Hartley and Zisserman, *Multiple View Geometry*, section 6.2.4). Raises
+    InspeError where it is singular or mirrored."""
+    found = array(_rows(given), where, (3, 4))
+    square, matrix = found[:, :3], np.eye(4)
+    if np.linalg.cond(square) > 1e9:
+        raise InspeError(f"{where}: is singular: no pinhole camera projects so")
+    if np.linalg.det(square) < 0:
+        raise InspeError(
+            f"{where}: is mirrored: the determinant of its first three columns is negative; if it "
+            "gives points before the camera a negative depth, multiply it by −1; if its frame is "
+            "left-handed, as CARLA's, flip the sign of its second column"
+        )
+    triangle, turn = rq(square)
+    signs = np.diag(np.sign(np.diag(triangle)))
+    matrix[:3, :3] = (signs @ turn).T
+    matrix[:3, 3] = -np.linalg.solve(square, found[:, 3])
+    return lens_of(np.triu(triangle @ signs), where, notes), matrix
+
+
+def _rows(given: Any) -> Any:
+    """The rows of a matrix that OpenCV or ROS writes with rows, cols and data."""
+    if isinstance(given, dict) and {"rows", "cols", "data"} <= given.keys():
+        flat, shape = np.ravel(given["data"]), (given["rows"], given["cols"])
+        return flat.reshape(shape) if flat.size == np.prod(shape) else flat
+    return given
+
+
+def _read(
+    one: _Sensor, where: str, crs: str | None, notes: list[str], fits: dict[str, PoseFit]
+) -> tuple[Lens | None, Float[np.ndarray, "4 4"], str | None]:
+    """The lens, the matrix from our axes of a sensor to the frame, and the frame's CRS."""
+    given = [key for key in POSES if getattr(one, key) is not None]
+    if len(given) != 1 and given != ["pairs", "position"]:
+        had = ", ".join(given) or "none"
+        raise InspeError(f"{where}: needs one of {', '.join(POSES)}; has {had}")
+    lens, at = None, f"{where}.{given[0]}"
+    if one.camera_matrix is not None:
+        lens = lens_of(one.camera_matrix, f"{where}.camera_matrix", notes, one.distortion)
+        lens = lens._replace(fisheye=one.model == "fisheye")
+    if given[0] in ("position", "lat"):
+        return lens, *_placed(one, where, crs)
+    if given[0] == "pairs":
+        if lens is None:
+            raise InspeError(f"{where}.camera_matrix: missing key: pairs need the lens")
+        rows = array(one.pairs, at, (len(one.pairs), 5))
+        with error_at(at):
+            fit = fits[one.name] = solve_pose(rows[:, :2], rows[:, 2:], lens, place=one.position)
+        notes.append(f"{at}: {fit.words}")
+        return lens, pose_matrix(fit.pose), crs
+    if given[0] == "projection":
+        if lens is not None:
+            raise InspeError(f"{where}.camera_matrix: leave it out: the projection has the lens")
+        lens, matrix = split_projection(one.projection, at, notes)
+    else:
+        matrix = rigid(_rows(getattr(one, given[0])), at)
+        matrix = np.linalg.inv(matrix) if given[0] == "frame_to_sensor" else matrix
+    axes = one.convention or ("optical" if one.kind == "camera" else "body")
+    return lens, pose_matrix(pose_of(matrix, axes, "sensor_to_world", at)), crs
+
+
+def _placed(
+    one: _Sensor, where: str, crs: str | None
+) -> tuple[Float[np.ndarray, "4 4"], str | None]:
+    """The matrix of a position and angles, and its CRS: about it, if it has degrees and no CRS."""
+    if (one.yaw_deg is None) == (one.azimuth_deg is None):
+        raise InspeError(
+            f"{where}: give either yaw_deg, counter-clockwise from x, or azimuth_deg, clockwise "
+            "from true north"
+        )
+    at = np.array(one.position or [0.0, 0.0, one.z])
+    if one.position is None:
+        if one.lat is None or one.lon is None:
+            raise InspeError(f"{where}.lon: missing key: lat and lon go together")
+        crs = crs or f"{one.lat},{one.lon}"
+        at[:2] = projection_of(crs).from_degrees(np.array([[one.lon, one.lat]]))[0]
+    array(at, f"{where}.position", (3,))
+    yaw = np.radians(one.yaw_deg or 0.0)
+    if one.azimuth_deg is not None:
+        if crs is None:
+            raise InspeError(f"{where}.azimuth_deg: needs frame.crs, or yaw_deg in its place")
+        yaw = projection_of(crs).yaw(at[None, :2], np.array([one.azimuth_deg]))[0]
+    return pose_matrix([*at, *np.radians([one.roll_deg, one.pitch_deg]), yaw]), crs
+
+
+# ── What hangs in the scene ─────────────────────────────────────────────────
+
+
+def _in_scene(
+    pose: Float[np.ndarray, "6"], here: Georeference, scene: Scene
+) -> Float[np.ndarray, "6"]:
+    """A pose of a projection in a scene, turned by what grid norths differ there."""
+    there = known_georeference(scene.intersection)
+    at = there.from_degrees(here.to_degrees(pose[None, :2]))
+    if not np.isfinite(at).all():
+        raise InspeError(f"({pose[0]:.1f}, {pose[1]:.1f}) is no place of that projection")
+    yaw = there.yaw(at, here.azimuth(pose[None, :2], pose[5:]))
+    return np.array([*at[0], *pose[2:5], yaw[0]])
+
+
+def _check(
+    one: _Sensor, pose: np.ndarray, level: float | None, where: str, notes: list[str]
+) -> None:
+    """Raise InspeError where no roadside sensor hangs or looks so; note what is unusual. ``level``
+    is the ground's [m]."""
+    x, y, z, roll, pitch, _ = pose
+    where = f"{where}: {one.name} at ({x:.2f}, {y:.2f})"
+    if level is not None and z <= level:
+        raise InspeError(
+            f"{where} is in the ground, at {z:.2f} m where the ground is at {level:.2f} m: is the "
+            "matrix of the other direction, or its height above the ground ('heights')?"
+        )
+    if z - (level or 0.0) > HIGHEST and (level is not None or z > 10 * HIGHEST):
+        raise InspeError(
+            f"{where} is {z - (level or 0.0):,.0f} m high, and {HIGHEST:g} m are the most: give "
+            "the 'unit' if it is mm or cm, or a 'transform' if heights are above the sea"
+        )
+    if one.kind == "camera" and pitch > UPWARD:
+        raise InspeError(
+            f"{where} looks up by {np.degrees(pitch):.1f}° and is rolled by "
+            f"{np.degrees(roll):.1f}°, as no roadside camera: the axes ('convention') or the "
+            "direction are others, or the calibration is wrong"
+        )
+    if abs(roll) > ROLLED and abs(pitch) < np.pi / 2 - ROLLED:
+        notes.append(
+            f"{where} is rolled by {np.degrees(roll):.0f}°; if it does not hang so, its axes are "
+            "others ('convention')"
+        )
+
+
+def _spec(
+    one: _Sensor, lens: Lens | None, specs: dict[str, Spec], usual: dict[str, Spec],
+    size: tuple[int, int] | None, where: str, notes: list[str],
+) -> Spec:  # fmt: skip
+    """What hangs there: the lens in a device, the device that is named, or the usual one."""
+    own = None if one.device is None else specs.get(one.device) or device(one.device).spec
+    if own is not None and own.kind != one.kind:
+        raise InspeError(f"device: '{one.device}' is a {own.kind}, and the sensor a {one.kind}")
+    if own is not None and one.hfov_deg is not None:
+        own = with_hfov(own, one.hfov_deg)
+    like = own or usual[one.kind]
+    if lens is None or (own is not None and lens.fisheye):
+        if own is None:
+            notes.append(f"{where}: names no device: taken as {like.name}")
+        return like
+    if lens.fisheye:
+        raise InspeError("is a fisheye, and layouts have pinhole cameras: name a 'device' for it")
+    if not isinstance(like, CameraSpec):
+        raise InspeError(f"camera_matrix: a {one.kind} has none")
+    fx, fy, cx, cy = lens[:4]
+    if own is not None and np.allclose([*like.focals, *like.principal], lens[:4], atol=1e-5):
+        return own
+    wide, high = (one.width, one.height) if one.width and one.height else size or (None, None)
+    if wide is None or high is None:
+        raise InspeError("width, height: missing keys: give the 'size' of its picture")
+    if 0.5 >= (off := max(abs(cx / wide - 0.5), abs(cy / high - 0.5))) > OFF:
+        notes.append(
+            f"{where}: its principal point is {100 * off:.0f} % of the picture off the middle: in "
+            "such a fit focal length, principal point and angles make up for each other"
+        )
+    return CameraSpec.from_intrinsics(
+        one.device or one.name, wide, high, fx=fx, fy=fy, cx=cx, cy=cy,
+        depth=like.depth, downsample=like.downsample, reliability=like.reliability,
+    )  # fmt: skip
+
+
+def _units(
+    named: list[str | None], poses: Float[np.ndarray, "S 6"], scene: Scene | None
+) -> tuple[list[Unit], list[int]]:
+    """Units, and the unit of each sensor: that which is named, or the first all of whose sensors
+    are as near as those of one unit must be."""
+    of: list[int] = []
+    names: list[str | None] = []
+    for s, name in enumerate(named):
+        away = np.abs(poses[:s, :3] - poses[s, :3])
+        far = (np.hypot(*away[:, :2].T) > UNIT_PLAN) | (away[:, 2] > UNIT_HEIGHT)
+        own = [
+            u
+            for u, other in enumerate(names)
+            if other == name and (name or not far[np.array(of) == u].any())
+        ]
+        of.append(own[0] if own else len(names))
+        names += [] if own else [name]
+    bases = [[*poses[of.index(u), :2].tolist(), 0.0] for u in range(len(names))]
+    if scene is not None:
+        for base in bases:
+            base[2] = float(scene.intersection.ground(np.array([base[:2]]))[0])
+    return [
+        Unit(name or f"unit {u + 1}", (x, y, z))
+        for u, (name, (x, y, z)) in enumerate(zip(names, bases, strict=True))
+    ], of

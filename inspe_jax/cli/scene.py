@@ -1,7 +1,9 @@
 """Scenes, and layouts by rule: `inspe scene` and `layout`."""
 
 import gzip
+import re
 from collections.abc import Sequence
+from dataclasses import dataclass, fields
 from functools import partial
 from importlib.resources import files
 from pathlib import Path
@@ -14,6 +16,7 @@ from inspe_jax.cli.claims import claims
 from inspe_jax.cli.options import SceneOptions, command
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import check_input, whole_file
+from inspe_jax.core.geometry import pose_matrix
 from inspe_jax.mounting import strategies
 from inspe_jax.mounting.site import Site
 from inspe_jax.scene.maps.registry import is_map, junction_at, open_map, read_map
@@ -29,8 +32,10 @@ from inspe_jax.scene.scene import (
 )
 from inspe_jax.scene.traffic.carla_log import LOG_SUFFIXES, load_log
 from inspe_jax.scene.traffic.frames import traffic_model
+from inspe_jax.sensing.calibrations import layouts_from
 from inspe_jax.sensing.catalogue import device
 from inspe_jax.sensing.layout import save_layout
+from inspe_jax.sensing.named import check_places
 
 
 @command()
@@ -149,39 +154,118 @@ def scene(
     common.draw(lambda: scene_view(built), plot)
 
 
+@dataclass(frozen=True)
+class CalibrationOptions:
+    """Calibrations of sensors that hang already, in place of a strategy.
+
+    Attributes:
+        files (--from FILE): Calibration of sensors that hang there, in place of a strategy: camera
+            matrices with extrinsics, projections or pairs of pixels and places (.yaml or .json);
+            of TUMTraf, OpenLABEL, OPV2V or V2X-Real; or a list of sensors. Repeat it for more.
+        crs: CRS of the calibrations where they name none: a code, a PROJ string, or LAT,LON.
+        transform (NUMBERS): From the calibrations' frame to their CRS, or to the scene without one:
+            X,Y,Z,YAW [m, degrees], or 16 numbers of a matrix, row by row.
+        unit: Of lengths in the calibrations: m, cm or mm.
+        heights: Above what heights in the calibrations are: scene (its zero) or ground.
+        size (WxH): Size of pictures [px], where the calibrations have none.
+        convention: What angles of a list of sensors are from: body, azimuth or carla.
+    """
+
+    files: list[Path] | None = None
+    crs: str | None = None
+    transform: str | None = None
+    unit: str = "m"
+    heights: str = "scene"
+    size: str | None = None
+    convention: str | None = None
+
+    @property
+    def given(self) -> dict[str, Any]:
+        """Those that are not as usual, by name of the option."""
+        usual = CalibrationOptions()
+        named = {field.name: getattr(self, field.name) for field in fields(self)}
+        return {key: x for key, x in named.items() if x != getattr(usual, key) and key != "files"}
+
+    def checked(self) -> dict[str, Any]:
+        """Arguments of :func:`inspe_jax.layouts_from`, before a scene is read. Raises InspeError
+        if a file is missing, or a transform or a size is written otherwise."""
+        given = self.given
+        for path in self.files or ():
+            check_input(path)
+        if self.transform is not None:
+            given["transform"] = _transform(self.transform)
+        if self.size is not None:
+            if not (size := re.fullmatch(r"(\d+)[x×](\d+)", self.size)):
+                raise InspeError(f"--size {self.size}: write WIDTHxHEIGHT, such as 1920x1080")
+            given["size"] = int(size[1]), int(size[2])
+        return given
+
+
+def _transform(text: str) -> Any:
+    """The matrix of ``--transform``. Raises InspeError for any other text."""
+    try:
+        numbers = np.array([float(part) for part in text.split(",")])
+    except ValueError:
+        numbers = np.zeros(0)
+    if numbers.size not in (4, 16):
+        raise InspeError(
+            f"--transform {text}: write X,Y,Z,YAW, such as 12.5,-3,0,90, or 16 numbers"
+        )
+    if numbers.size == 16:
+        return numbers.reshape(4, 4)
+    return pose_matrix([*numbers[:3], 0.0, 0.0, np.radians(numbers[3])])
+
+
 @command()
 def layout(
     source: str = common.DEFAULT_SCENE,
     *,
-    strategy: str = common.DEFAULT_LAYOUT,
+    strategy: str | None = None,
     camera: str | None = None,
     lidar: str | None = None,
     profile: str | None = None,
     save: Path | None = None,
     force: bool = False,
+    options: CalibrationOptions,
 ) -> None:
-    """Place sensors on a scene by one of the paper's strategies.
+    """Place sensors on a scene by one of the paper's strategies, or as they hang there already.
 
     Examples:
 
     - `inspe layout four_way --strategy Cam-d1/L-d1 --out layout.yaml`
     - `inspe layout j189.npz --strategy L-c --lidar ouster-os1-128`
+    - `inspe layout city.npz --from south.yaml --from lidar.json --crs EPSG:25832 --out now.yaml`
 
     Args:
-        strategy: Cam-c, Cam-d1, Cam-d2, L-c, L-d1, L-d2, or a pair such as Cam-c/L-c.
-        camera: Camera device; see `inspe devices`.
-        lidar: LiDAR device; see `inspe devices`.
+        strategy: Cam-c, Cam-d1, Cam-d2, L-c, L-d1, L-d2, or a pair such as Cam-c/L-c; Cam-d1 if not
+            given.
+        camera: Camera device; see `inspe devices`. With --from, what a calibration lacks is its.
+        lidar: LiDAR device; see `inspe devices`. With --from, of LiDARs without a device.
         save (--out FILE.yaml): Save the layout.
     """
     from inspe_jax.report.scene_tables import layout_table
 
-    given = dict(camera=camera, lidar=lidar)
-    devices: dict[str, Any] = {key: name for key, name in given.items() if name is not None}
+    named = dict(camera=camera, lidar=lidar)
+    devices: dict[str, Any] = {key: name for key, name in named.items() if name is not None}
     claims.file(save, (".yaml", ".yml"), force=force)
-    common.check_layout(strategy)
     for name in devices.values():
         device(name)
-    placed = strategies.strategy(load_scene(source, profile), strategy, **devices)
+    if options.files is None:
+        _refuse("--from", "these go with a calibration", [*options.given])
+        common.check_layout(strategy or common.DEFAULT_LAYOUT)
+        world = load_scene(source, profile)
+        placed = strategies.strategy(world, strategy or common.DEFAULT_LAYOUT, **devices)
+    else:
+        _refuse("--from", "sensors hang where they are", ["strategy"] if strategy else [])
+        hung = options.checked()
+        world = load_scene(source, profile)
+        found = layouts_from(*options.files, scene=world, **hung, **devices)
+        common.note(*found.notes)
+        placed = found.layout
+        try:
+            check_places(world, placed)
+        except InspeError as error:
+            common.note(str(error))
     common.out.print(layout_table(placed))
     if save:
         save_layout(placed, save)

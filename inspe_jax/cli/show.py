@@ -178,11 +178,13 @@ def export(
     - `inspe export city.npz better/layout.yaml --out plan.geojson --out plan.kml`
     - `inspe export city.npz Cam-d1/L-d1 --out bill.csv --price paper-camera=900`
     - `inspe score city.npz plan.geojson`  (reads it back)
+    - `inspe export city.npz better/layout.yaml --out calibration.json`
 
     Args:
-        files (--out FILE.geojson|kml|csv): A file to write; repeat it for more. GeoJSON and
-            KML: poles, sensors with height, azimuth and tilt, and what each looks at. CSV: a
-            bill of materials. If not given, plan.geojson.
+        files (--out FILE.geojson|kml|json|csv): A file to write; repeat it for more. GeoJSON and
+            KML: poles, sensors with height, azimuth and tilt, and what each looks at. JSON: a
+            calibration, which `inspe layout --from` reads; it needs no projection. CSV: a bill of
+            materials. If not given, plan.geojson.
     """
     from inspe_jax.report.handover import PLAN_FORMATS
 

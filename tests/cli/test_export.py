@@ -52,12 +52,18 @@ def test_a_scene_by_coordinates_and_a_plan_to_hand_on(inspe, files):
     )  # fmt: skip
     assert status == 0, error
     assert text.count("wrote") == 3
-    first, again = (
+    assert inspe("export", "city.npz", "Cam-d1/L-d1", "--out", "calibration.json")[0] == 0
+    status, _, error = inspe(
+        "layout", "city.npz", "--from", "calibration.json", "--out", "hung.yaml"
+    )
+    assert (status, error) == (0, "")
+    first, *again = (
         json.loads(inspe("score", "city.npz", layout, "--json", "-")[1])
-        for layout in ("Cam-d1/L-d1", "plan.geojson")
+        for layout in ("Cam-d1/L-d1", "plan.geojson", "hung.yaml")
     )
     for metric in ("coverage", "occlusion", "information_gain", "surrogate"):
-        assert again[metric] == pytest.approx(first[metric], abs=1e-4)
+        for other in again:
+            assert other[metric] == pytest.approx(first[metric], abs=1e-4)
     (files / "plan.kml").write_text("mine")
     status, _, error = inspe("export", "city.npz", "L-d1", "--out", "plan.kml")
     assert status == 2
@@ -81,7 +87,7 @@ def test_a_plan_in_the_sea_is_doubted(inspe, files):
     (("scene", "city.osm", "--at", "10,10"), "no junction within 100 m of 10,10; the middle of"),
     (("scene", "city.osm", "--at", "48,11", "--junction", "1"), "choose a place on the map"),
     (("export", "four_way", "Cam-d1", "--force"), "four_way: has no coordinates on the Earth"),
-    (("export", "four_way", "Cam-d1", "--out", "plan.shp"), "must end in .geojson or .kml or .csv"),
+    (("export", "four_way", "Cam-d1", "--out", "plan.shp"), "in .geojson or .kml or .json or .csv"),
     (("export", "four_way", "Cam-d1", "--out", "b.csv", "--price", "x"), "--price x: write"),
 ))  # fmt: skip
 def test_bad_input_is_one_message(inspe, files, arguments, message):

@@ -1,9 +1,8 @@
 """Scenes, and layouts by rule: `inspe scene` and `layout`."""
 
 import gzip
-import re
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import asdict, dataclass
 from functools import partial
 from importlib.resources import files
 from pathlib import Path
@@ -14,9 +13,8 @@ import numpy as np
 from inspe_jax.cli import common
 from inspe_jax.cli.claims import claims
 from inspe_jax.cli.options import SceneOptions, command
-from inspe_jax.core.errors import InspeError
+from inspe_jax.core.errors import InspeError, error_at
 from inspe_jax.core.files import check_input, whole_file
-from inspe_jax.core.geometry import pose_matrix
 from inspe_jax.mounting import strategies
 from inspe_jax.mounting.site import Site
 from inspe_jax.scene.maps.registry import is_map, junction_at, open_map, read_map
@@ -174,46 +172,26 @@ class CalibrationOptions:
     files: list[Path] | None = None
     crs: str | None = None
     transform: str | None = None
-    unit: str = "m"
-    heights: str = "scene"
+    unit: str | None = None
+    heights: str | None = None
     size: str | None = None
     convention: str | None = None
 
-    @property
-    def given(self) -> dict[str, Any]:
-        """Those that are not as usual, by name of the option."""
-        usual = CalibrationOptions()
-        named = {field.name: getattr(self, field.name) for field in fields(self)}
-        return {key: x for key, x in named.items() if x != getattr(usual, key) and key != "files"}
-
-    def checked(self) -> dict[str, Any]:
-        """Arguments of :func:`inspe_jax.layouts_from`, before a scene is read. Raises InspeError
-        if a file is missing, or a transform or a size is written otherwise."""
-        given = self.given
+    def arguments(self) -> dict[str, Any]:
+        """Those of :func:`inspe_jax.layouts_from` that are given, before a scene is read. Raises
+        InspeError if a file is missing, or a transform or a size is written otherwise."""
+        given = {key: x for key, x in asdict(self).items() if x is not None and key != "files"}
         for path in self.files or ():
             check_input(path)
-        if self.transform is not None:
-            given["transform"] = _transform(self.transform)
-        if self.size is not None:
-            if not (size := re.fullmatch(r"(\d+)[x×](\d+)", self.size)):
-                raise InspeError(f"--size {self.size}: write WIDTHxHEIGHT, such as 1920x1080")
-            given["size"] = int(size[1]), int(size[2])
+        for key, mark, kind, counts, form in (
+            ("transform", ",", float, (4, 16), "X,Y,Z,YAW, such as 12.5,-3,0,90, or 16 numbers"),
+            ("size", "x", int, (2,), "WIDTHxHEIGHT, such as 1920x1080"),
+        ):
+            parts = str(given.get(key, "")).split(mark)
+            with error_at(f"--{key} {given.get(key)}: write {form}", ValueError):
+                if key in given:
+                    given[key] = tuple(map(kind, parts if len(parts) in counts else [""]))
         return given
-
-
-def _transform(text: str) -> Any:
-    """The matrix of ``--transform``. Raises InspeError for any other text."""
-    try:
-        numbers = np.array([float(part) for part in text.split(",")])
-    except ValueError:
-        numbers = np.zeros(0)
-    if numbers.size not in (4, 16):
-        raise InspeError(
-            f"--transform {text}: write X,Y,Z,YAW, such as 12.5,-3,0,90, or 16 numbers"
-        )
-    if numbers.size == 16:
-        return numbers.reshape(4, 4)
-    return pose_matrix([*numbers[:3], 0.0, 0.0, np.radians(numbers[3])])
 
 
 @command()
@@ -250,14 +228,14 @@ def layout(
     claims.file(save, (".yaml", ".yml"), force=force)
     for name in devices.values():
         device(name)
+    hung = options.arguments()
     if options.files is None:
-        _refuse("--from", "these go with a calibration", [*options.given])
+        _refuse("--from", "these go with a calibration", [*hung])
         common.check_layout(strategy or common.DEFAULT_LAYOUT)
         world = load_scene(source, profile)
         placed = strategies.strategy(world, strategy or common.DEFAULT_LAYOUT, **devices)
     else:
         _refuse("--from", "sensors hang where they are", ["strategy"] if strategy else [])
-        hung = options.checked()
         world = load_scene(source, profile)
         found = layouts_from(*options.files, scene=world, **hung, **devices)
         common.note(*found.notes)

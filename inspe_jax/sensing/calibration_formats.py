@@ -65,7 +65,7 @@ def _opv2v(given: Source) -> list[Entry]:
     content, path = given.content, given.path
     names = [key for key in content if re.fullmatch(r"lidar_pose\d*", str(key))]
     lidars = [array(content[key], f"{path}: {key}", (6,)) for key in names]
-    first, real, cameras = lidars[0], "infra" in content, list[Entry]()
+    first, worlds, cameras = lidars[0], set[str](), list[Entry]()
     for name, own in content.items():
         where = f"{path}: {name}"
         if str(name).startswith("radar"):
@@ -81,12 +81,16 @@ def _opv2v(given: Source) -> list[Entry]:
                     f"{where}.extrinsic: is neither OPV2V's, LiDAR to camera, which differs from "
                     f"the cords by {off:.2f}, nor V2X-Real's, camera to LiDAR: correct one of both"
                 )
-            pose, axes, real = carla_matrix(first) @ extrinsic, "optical", True
+            pose, axes = carla_matrix(first) @ extrinsic, "optical"
+        worlds.add(axes)
         about = dict(name=str(name), camera_matrix=own["intrinsic"], convention=axes)
-        if not real:  # CARLA's principal point is the middle of the picture
+        if axes == "carla":  # its principal point is the middle of the picture
             sides = 2 * array(own["intrinsic"], f"{where}.intrinsic", (3, 3))[:2, 2]
             about |= dict(zip(("width", "height"), map(round, sides), strict=True))
         cameras.append((where, about | dict(sensor_to_frame=pose)))
+    if len(worlds) == 2:
+        raise InspeError(f"{path}: some cameras' extrinsic is OPV2V's, and some V2X-Real's")
+    real = worlds == {"optical"} or (not worlds and "infra" in content)
     about = dict(kind="lidar", convention="body" if real else "carla")
     return [
         (f"{path}: {key}", about | dict(name=key[:5] + key[10:], sensor_to_frame=carla_matrix(at)))

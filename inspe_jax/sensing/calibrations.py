@@ -138,7 +138,8 @@ def layouts_from(
             pixels and places; of TUMTraf, OpenLABEL, OPV2V, V2XSet, V2X-Real, or a list of sensors.
         scene: The scene to hang them in: by its projection where the files have a CRS, and with
             heights checked against its ground. Without one, poses are in the files' CRS or frame.
-        transform: (4, 4) from the frame of the files to their CRS [m], or to the scene without one.
+        transform: (4, 4) from the frame of the files to their CRS [m], or to the scene without one;
+            or x, y, z [m] and yaw [degrees].
         crs: CRS of the files where they name none: a code, a PROJ string, or ``LAT,LON``.
         unit: Of lengths in the files: m, cm or mm.
         heights: Above what z is: "scene" (its zero) or "ground" (at the sensor's foot).
@@ -176,15 +177,18 @@ def layouts_from(
     rows: list[tuple[_Sensor, np.ndarray, Spec]] = []
     notes: list[str] = []
     fits: dict[str, PoseFit] = {}
+    shift = None if transform is None else _transform(transform)
+    if size is not None:
+        array(size, "size", (2,))
     for path in map(Path, files):
         content, entries = read_entries(path, convention, notes)
         own = content if isinstance(content, dict) and "sensors" in content else {}
         file = check_model(_File, own or dict(sensors=[]), str(path))
         specs = {key: spec_of(x, key, f"{path}: devices.{key}") for key, x in file.devices.items()}
         frame, system, at = file.frame.matrix, file.frame.crs or crs, f"{path}: frame.matrix"
-        if frame is not None and transform is not None:
+        if frame is not None and shift is not None:
             raise InspeError(f"{at}: the file has one; leave out the transform")
-        frame = rigid(frame or np.eye(4) if transform is None else transform, at)
+        frame = np.eye(4) if frame is None and shift is None else rigid(frame or shift, at)
         for where, entry in entries:
             one = check_model(_Sensor, entry, where)
             lens, matrix, system = _read(one, where, system, notes, fits)
@@ -207,6 +211,13 @@ def layouts_from(
     sensors = [Sensor(one.name, spec, u) for (one, _, spec), u in zip(rows, of, strict=True)]
     layout = make_layout(sensors, units, poses, Path(files[0]).stem, str(files[0]))
     return Imported(layout, tuple(notes), fits)
+
+
+def _transform(given: Any) -> list[list[float]]:
+    found = array(given, "transform", (4, 4), (16,), (4,))
+    if found.shape == (4,):
+        found = pose_matrix([*found[:3], 0.0, 0.0, np.radians(found[3])])
+    return rigid(found.reshape(4, 4), "transform").tolist()
 
 
 def projection_of(crs: str) -> Georeference:
@@ -324,7 +335,7 @@ def _placed(
     yaw = np.radians(one.yaw_deg or 0.0)
     if one.azimuth_deg is not None:
         if crs is None:
-            raise InspeError(f"{where}.azimuth_deg: needs frame.crs, or yaw_deg in its place")
+            raise InspeError(f"{where}.azimuth_deg: needs a CRS, or yaw_deg in its place")
         yaw = projection_of(crs).yaw(at[None, :2], np.array([one.azimuth_deg]))[0]
     return pose_matrix([*at, *np.radians([one.roll_deg, one.pitch_deg]), yaw]), crs
 
@@ -405,7 +416,7 @@ def _spec(
             "such a fit focal length, principal point and angles make up for each other"
         )
     return CameraSpec.from_intrinsics(
-        one.device or one.name, wide, high, fx=fx, fy=fy, cx=cx, cy=cy,
+        one.name, wide, high, fx=fx, fy=fy, cx=cx, cy=cy,
         depth=like.depth, downsample=like.downsample, reliability=like.reliability,
     )  # fmt: skip
 

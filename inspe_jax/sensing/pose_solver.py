@@ -108,6 +108,8 @@ def solve_pose(
     pixels = array(pixels, "pixels", (len(points), 2))
     if len(points) < FEWEST:
         raise InspeError(f"pairs: {len(points)}, but a pose needs {FEWEST} or more")
+    if any(lens.distortion[0 if lens.fisheye else 5 :]):
+        raise InspeError("distortion: only k1, k2, p1, p2, k3 of a pinhole are known; undistort")
     middle = points.mean(0)
     if np.linalg.svd(points - middle, compute_uv=False)[1] < 1e-6:
         raise InspeError("pairs: all points lie on one line; add some beside it")
@@ -120,7 +122,8 @@ def solve_pose(
         """From a place and a rotation on; x is a turn about the world's axes, and a shift."""
 
         def parts(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            return start + (x[3:] if place is None else 0), _turned(x[:3], first)
+            turn = Rotation.from_rotvec(x[:3]).as_matrix() @ first
+            return start + (x[3:] if place is None else 0), turn
 
         x = np.zeros(6 if place is None else 3)
         how: dict[str, Any] = dict(loss="soft_l1", f_scale=robust, x_scale="jac", max_nfev=steps)
@@ -150,10 +153,6 @@ class _Fit(NamedTuple):
     center: Float[np.ndarray, "3"]
     turn: Float[np.ndarray, "3 3"]
     slopes: Float[np.ndarray, "K P"]
-
-
-def _turned(by: np.ndarray, turn: np.ndarray) -> np.ndarray:
-    return Rotation.from_rotvec(by).as_matrix() @ turn
 
 
 def _looking(start: np.ndarray, to: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -362,7 +362,7 @@ def test_bad_input_is_one_message_and_status_2(inspe, files, arguments, message)
     (("targets", "four_way", "--road-user", "dog"), "one of car, truck, cyclist, pedestrian"),
     (("layout", "four_way", "--strategy", "L-x"), "no layout 'L-x'"),
     (("layout", "four_way", "--from", "none.json"), "none.json: no such file"),
-    (("layout", "four_way", "--from", "a.json", "--strategy", "L-c"), "leave out --strategy"),
+    (("layout", "four_way", "--from", "s.npz", "--strategy", "L-c"), "leave out --strategy"),
     (("layout", "four_way", "--crs", "EPSG:25832"), "these go with a calibration; leave out --crs"),
     (("layout", "four_way", "--from", "s.npz", "--transform", "1"), "--transform 1: write X,Y,Z"),
     (("layout", "four_way", "--from", "s.npz", "--size", "9"), "--size 9: write WIDTHxHEIGHT"),

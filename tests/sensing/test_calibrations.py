@@ -348,7 +348,7 @@ BAD = [
     (one(wdith=1920), {}, "wdith: unknown key; did you mean width"),
     (one(device="paper-lidar-32"), {}, "device: 'paper-lidar-32' is a lidar, and the sensor a cam"),
     (posed(position=[1, 2, 3]), {}, "give either yaw_deg, .* or azimuth_deg"),
-    (posed(position=[1, 2, 3], azimuth_deg=3), {}, "azimuth_deg: needs frame.crs, or yaw_deg"),
+    (posed(position=[1, 2, 3], azimuth_deg=3), {}, "azimuth_deg: needs a CRS, or yaw_deg"),
     (posed(pairs=[[1, 2, 3]]), {}, r"pairs: must be 1 × 5 numbers"),
     (one() | dict(frame=dict(crs=UTM)), {}, "has no coordinates on the Earth; build"),
     (one() | dict(frame=dict(matrix=np.diag([2, 2, 2, 1]))), {}, "frame.matrix: is not a rotation"),

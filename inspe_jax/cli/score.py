@@ -15,6 +15,7 @@ from inspe_jax.placement.studies.tolerance import check_errors
 from inspe_jax.placement.studies.tolerance import tolerance as installed
 from inspe_jax.scene.profiles import profiles as known_profiles
 from inspe_jax.scene.traffic.frames import CLASSES
+from inspe_jax.scoring.detection import BANDS, EDITION
 from inspe_jax.scoring.targets import target_view
 from inspe_jax.sensing import catalogue
 
@@ -69,6 +70,7 @@ def targets(
     sensors: str = common.DEFAULT_LAYOUT,
     *,
     road_user: str = "pedestrian",
+    edition: str = EDITION,
     record: str | None = None,
     plot: Path | None = None,
     force: bool = False,
@@ -77,7 +79,7 @@ def targets(
     """Show what a road user gets at each place: LiDAR returns, and pixels per metre of the cameras.
 
     Returns are expected numbers, behind traffic, mean over its frames. Pixels per metre are those
-    of the best camera without traffic, with the bands of EN 62676-4.
+    of the best camera without traffic, with the bands of IEC 62676-4.
 
     Examples:
 
@@ -86,20 +88,24 @@ def targets(
 
     Args:
         road_user: Who stands there: car, truck, cyclist or pedestrian.
+        edition: Edition of IEC 62676-4 with the bands: 2025 (overview to scrutinise) or 2015
+            (monitor to identify).
     """
     from inspe_jax.report.targets import targets_record, targets_table, targets_view
 
     claims.outputs(plot, record, force=force)
     conditions, curves = options.conditions, options.curves()
     check_known(road_user, CLASSES, "road user")
+    check_known(edition, BANDS, "edition")
     with common.busy(f"reading {source}"):
         world, placed = common.scene_and_layout(source, sensors, options.profile)
     with common.busy("counting rays"):
         view = target_view(world, placed, road_user, conditions=conditions, detection=curves)
-    found = targets_record(world, placed, view)
+    found = targets_record(world, placed, view, edition)
     common.show(targets_table(found), found, record)
     placed = conditions.layout(placed)
-    common.draw(lambda: targets_view(world, placed, view, conditions=conditions), plot, record)
+    how: dict[str, Any] = dict(conditions=conditions, edition=edition)
+    common.draw(lambda: targets_view(world, placed, view, **how), plot, record)
 
 
 @command()

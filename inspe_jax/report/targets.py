@@ -14,7 +14,7 @@ from inspe_jax.report.figures import draw_plan, kind_keys, reach_of
 from inspe_jax.report.layers import MapLayer, free_of_bodies
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.scene import Scene
-from inspe_jax.scoring.detection import BANDS, FEW
+from inspe_jax.scoring.detection import BANDS, EDITION, FEW
 from inspe_jax.scoring.targets import TargetView
 from inspe_jax.sensing.conditions import FAIR, Conditions
 from inspe_jax.sensing.layout import Layout
@@ -30,16 +30,18 @@ RETURNS: Bands = (
     (64.0, "≥ 64", "#2171b5"),
 )
 """Kinds of columns by LiDAR returns on a target."""
-PIXELS: Bands = (
-    (0.0, f"< {BANDS['monitor']:g}", "#202020"),
-    *(
-        (least, f"{name}, ≥ {least:g}", color)
-        for (name, least), color in zip(
-            BANDS.items(), ("#7a3b00", "#d55e00", "#f0e442", "#9ecae1", "#2171b5"), strict=True
-        )
-    ),
-)
-"""Kinds of columns by pixels per metre: the bands of EN 62676-4."""
+_COLORS = "#7a3b00", "#d55e00", "#f0e442", "#9ecae1", "#2171b5", "#6a51a3", "#3f007d"
+PIXELS: dict[str, Bands] = {
+    edition: (
+        (0.0, f"< {min(bands.values()):g}", "#202020"),
+        *(
+            (least, f"{name}, ≥ {least:g}", color)
+            for (name, least), color in zip(bands.items(), _COLORS, strict=False)
+        ),
+    )
+    for edition, bands in BANDS.items()
+}
+"""Kinds of columns by pixels per metre: the bands of each edition of EN 62676-4."""
 
 CHANCES: Bands = (
     (0.0, "< 50 %", "#202020"),
@@ -50,7 +52,7 @@ CHANCES: Bands = (
 )
 """Kinds of columns by the chance that a detector finds a target."""
 
-_HEAD, _BELOW = 0.80, 0.96  # above and below the maps [inch]
+_HEAD, _BELOW = 0.80, 1.10  # above and below the maps [inch]
 
 
 def banded(name: str, values: Float[np.ndarray, " L"], bands: Bands) -> MapLayer:
@@ -70,9 +72,12 @@ def _shares(
     return [*((region.key, values[label == region]) for region in there), ("all", values)]
 
 
-def targets_record(scene: Scene, layout: Layout, view: TargetView) -> dict[str, Any]:
+def targets_record(
+    scene: Scene, layout: Layout, view: TargetView, edition: str = EDITION
+) -> dict[str, Any]:
     """By region, as a record for JSON: how many LiDAR returns and how many pixels per metre a road
-    user gets, as medians and shares of places, and the mean chance that it is found."""
+    user gets, as medians and shares of places, and the mean chance that it is found. Pixels are by
+    the bands of an ``edition`` of EN 62676-4."""
 
     def of(values: np.ndarray, least: dict[str, float]) -> dict[str, Any]:
         return {
@@ -89,7 +94,7 @@ def targets_record(scene: Scene, layout: Layout, view: TargetView) -> dict[str, 
         returns = {f"at least {least:g}": least for least, _, _ in RETURNS[1:]}
         record["lidar_returns"] = of(view.points_on_target, returns)
     if any(pictures):
-        record["pixels_per_metre"] = of(view.pixel_density, BANDS)
+        record["pixels_per_metre"] = of(view.pixel_density, BANDS[edition])
     found = _shares(scene, view.detectability)
     record["detectability"] = {region: float(values.mean()) for region, values in found}
     return record
@@ -98,13 +103,14 @@ def targets_record(scene: Scene, layout: Layout, view: TargetView) -> dict[str, 
 def targets_table(record: Mapping[str, Any]) -> RenderableType:
     """The numbers of :func:`targets_record` as tables."""
     user, tables = record["road_user"], list[RenderableType]()
+    least = {name: number for bands in BANDS.values() for name, number in bands.items()}
     for key, title in (
         ("lidar_returns", f"LiDAR returns on a {user}, mean over frames: share of places"),
         ("pixels_per_metre", "Pixels per metre of the best camera, no traffic: share of places"),
     ):
         if key in record:
             names = record[key]["all"]["shares"]
-            heads = [f"{name}\n≥ {BANDS[name]:g}" if name in BANDS else name for name in names]
+            heads = [f"{name}\n≥ {least[name]:g}" if name in least else name for name in names]
             table = table_of(title, "region", "median", *heads)
             for region, of in record[key].items():
                 shares = (f"{share:.0%}" for share in of["shares"].values())
@@ -120,7 +126,7 @@ Panel = tuple[str, MapLayer, list[int]]
 """A map: its words, its layer, and the places in the layout of the sensors that it is of."""
 
 
-def _panels(scene: Scene, layout: Layout, view: TargetView) -> list[Panel]:
+def _panels(scene: Scene, layout: Layout, view: TargetView, edition: str) -> list[Panel]:
     """The maps of what a layout has, two at most: what its sensors have on a road user, and the
     chance that it is found where one kind of sensor leaves room for it."""
     taken, panels = ~free_of_bodies(scene).any(1), list[Panel]()
@@ -133,23 +139,30 @@ def _panels(scene: Scene, layout: Layout, view: TargetView) -> list[Panel]:
     words = f"LiDAR returns on a {view.road_user},\nmean over frames of traffic"
     add(words, view.points_on_target, RETURNS, [s for s, camera in enumerate(sees) if not camera])
     words = f"pixels per metre across a {view.road_user},\nbest camera, without traffic"
-    add(words, view.pixel_density, PIXELS, [s for s, camera in enumerate(sees) if camera])
+    add(words, view.pixel_density, PIXELS[edition], [s for s, camera in enumerate(sees) if camera])
     words = f"chance that a detector finds a {view.road_user},\nmean over frames of traffic"
     add(words, view.detectability, CHANCES, list(range(len(layout))))
     return panels[:2]
 
 
 def targets_view(
-    scene: Scene, layout: Layout, view: TargetView, *, frame: int = 0, conditions: Conditions = FAIR
+    scene: Scene,
+    layout: Layout,
+    view: TargetView,
+    *,
+    frame: int = 0,
+    conditions: Conditions = FAIR,
+    edition: str = EDITION,
 ) -> Figure:
     """Maps of what a road user gets at each place: LiDAR returns, pixels per metre, and for layouts
     of one kind of sensor the chance that it is found.
 
-    ``view`` and ``layout`` are those in ``conditions``, which are named on the sheet.
+    ``view`` and ``layout`` are those in ``conditions``, which are named on the sheet. Pixels
+    per metre are by the bands of an ``edition`` of EN 62676-4.
     Raises InspeError if there is no such ``frame``.
     """
     title = f"What a {view.road_user} gets: {layout.name} at {scene.name}"
-    return _sheet(scene, title, [("", layout, view)], frame, conditions)
+    return _sheet(scene, title, [("", layout, view)], frame, conditions, edition)
 
 
 def targets_change(
@@ -172,6 +185,7 @@ def _sheet(
     rows: Sequence[tuple[str, Layout, TargetView]],
     frame: int,
     conditions: Conditions,
+    edition: str = EDITION,
 ) -> Figure:
     """The maps of layouts, one below the other, each with what its titles begin with."""
     check_frame(scene, frame)
@@ -183,7 +197,7 @@ def _sheet(
         fig, axes = sheet_of_two(title, facts, 2, _HEAD, _BELOW, rows=len(rows))
         for row, (when, layout, view) in enumerate(rows):
             last = row + 1 == len(rows)
-            for k, (words, layer, own) in enumerate(_panels(scene, layout, view)):
+            for k, (words, layer, own) in enumerate(_panels(scene, layout, view, edition)):
                 ax = axes[2 * row + k]
                 words = when + words.splitlines()[0].rstrip(",") if when else words
                 draw_plan(ax, scene, layout, layer, reach, frame, side=SIDE, own=own)

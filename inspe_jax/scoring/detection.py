@@ -30,14 +30,28 @@ from inspe_jax.core.files import STRICT, check_model, check_output, read_json, r
 from inspe_jax.scene.traffic.frames import CLASSES
 from inspe_jax.sensing.kinds import SENSOR_KINDS
 
-BANDS: dict[str, float] = {
-    "monitor": 12.5,
-    "detect": 25.0,
-    "observe": 62.5,
-    "recognise": 125.0,
-    "identify": 250.0,
+BANDS: dict[str, dict[str, float]] = {
+    "2025": {
+        "overview": 20.0,
+        "outline": 40.0,
+        "discern": 80.0,
+        "perceive": 125.0,
+        "characterise": 250.0,
+        "validate": 500.0,
+        "scrutinise": 1500.0,
+    },
+    "2015": {
+        "monitor": 12.5,
+        "detect": 25.0,
+        "observe": 62.5,
+        "recognise": 125.0,
+        "identify": 250.0,
+    },
 }
-"""Least pixels per metre across a target for each task of an operator: EN 62676-4."""
+"""Least pixels per metre across a target for each task of an operator, by edition of EN and IEC
+62676-4: that of October 2025 and the one before it (jvsg.com/?p=11243 has the numbers of both)."""
+EDITION = "2025"
+DETECT = BANDS["2015"]["detect"]  # pixels per metre that the metric asks for
 
 FEW = 5.0
 """Fewer LiDAR returns on a target than this are called few: a convention."""

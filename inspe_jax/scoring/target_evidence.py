@@ -17,7 +17,7 @@ from jaxtyping import Array, Bool, Float
 
 from inspe_jax.core.numerics import Width, step
 from inspe_jax.scene.traffic.frames import CLASSES, ROAD_USERS
-from inspe_jax.scoring.detection import BANDS, DetectionCurves, detection_curves
+from inspe_jax.scoring.detection import DETECT, DetectionCurves, detection_curves
 from inspe_jax.sensing.lidar_returns import LidarNoise
 from inspe_jax.sensing.rays import Kind, Rays, RayTable
 from inspe_jax.sensing.sensor_array import SensorArray
@@ -26,8 +26,6 @@ from inspe_jax.visibility.in_view import transform_of
 from inspe_jax.visibility.target_rays import NEAR, rays_on_face, scale_at, share_between_sides
 from inspe_jax.visibility.tiles import Tile, zeros_of
 
-DETECT = BANDS["detect"]
-"""Pixels per metre that are asked for."""
 LEVEL_GROUND = 0.05
 """Standard deviation of the ground's height, by which a camera ranges [m]."""
 

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from inspe_jax.core.numerics import Groups, Width, leave_one_out, step, weighted_mean, without_each
-from inspe_jax.scoring.detection import BANDS, FEW
+from inspe_jax.scoring.detection import DETECT, FEW
 from inspe_jax.scoring.metric import Evidence, Metric, TileEvidence
 
 SCALE = 20.0
@@ -46,7 +46,8 @@ def points_on_target(returns: Float[Array, "R K L"], width: Width = None) -> Flo
 def pixel_density(sharp: Float[Array, "R L"], width: Width = None) -> Float[Array, "R L"]:
     """X: whether some camera has 25 pixels per metre or more.
 
-    The task "detect" of EN 62676-4, here at half a pedestrian's height and without traffic.
+    The task "detect" of EN 62676-4:2015, between "overview" and "outline" of 2025; here at half a
+    pedestrian's height and without traffic.
     """
     return sharp
 
@@ -179,7 +180,7 @@ ROWS = (
     _of_targets(
         pixel_density,
         "X",
-        f"share of places with {BANDS['detect']:g} pixels per metre or more, without traffic",
+        f"share of places with {DETECT:g} pixels per metre or more, without traffic",
         "sharp",
         leave_one_out,
         submodular=True,

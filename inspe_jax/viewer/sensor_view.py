@@ -17,7 +17,7 @@ from inspe_jax.core.words import counted
 from inspe_jax.dataset.points_in_boxes import world_points
 from inspe_jax.placement.problem import Case
 from inspe_jax.report.page import template
-from inspe_jax.scoring.detection import BANDS, FEW
+from inspe_jax.scoring.detection import BANDS, EDITION, FEW
 from inspe_jax.scoring.targets import pixel_density_at
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.sensing.sensors import CameraSpec, Spec
@@ -146,13 +146,13 @@ def _page(spec: Spec, boxes: Sequence[RoadUserBox], seen: Image | Scan) -> str:
 
 
 def _sharpness(density: float) -> str:
-    """Pixels per metre in words, with the band of EN 62676-4; those of the camera itself, whose
-    picture here is smaller."""
+    """Pixels per metre in words, with the band of IEC 62676-4:2025; those of the camera itself,
+    whose picture here is smaller."""
     if np.isnan(density):
         return "beyond its reach"
     if density <= 0:
         return "at the picture's edge"
-    band = [name for name, least in BANDS.items() if density >= least][-1:]
+    band = [name for name, least in BANDS[EDITION].items() if density >= least][-1:]
     return ", ".join([f"{int(density)} px/m", *band])
 
 

@@ -418,9 +418,12 @@ def test_fog_takes_what_is_far(scene, lidars):
 
 
 def test_bands_and_records():
-    kinds = banded("", np.array([0.0, 12.4, 12.5, 62.5, 249.0, 1e3]), PIXELS).values
-    assert kinds.tolist() == [0, 0, 1, 3, 4, 5]
-    assert list(BANDS.values()) == [12.5, 25.0, 62.5, 125.0, 250.0]  # EN 62676-4
+    """Of EN 62676-4, in both editions."""
+    density = np.array([0.0, 12.4, 12.5, 62.5, 249.0, 1e3])
+    assert banded("", density, PIXELS["2015"]).values.tolist() == [0, 0, 1, 3, 4, 5]
+    assert banded("", 2 * density, PIXELS["2025"]).values.tolist() == [0, 1, 1, 4, 5, 7]
+    assert list(BANDS["2015"].values()) == [12.5, 25.0, 62.5, 125.0, 250.0]
+    assert list(BANDS["2025"].values()) == [20.0, 40.0, 80.0, 125.0, 250.0, 500.0, 1500.0]
 
 
 def test_the_map_has_one_panel_for_each_kind_of_sensor(scene, lidars):
@@ -442,7 +445,10 @@ def test_the_map_has_one_panel_for_each_kind_of_sensor(scene, lidars):
     shares = record["lidar_returns"]["all"]["shares"]
     values = view.points_on_target
     assert shares["at least 5"] == pytest.approx((values >= 5).mean())
-    assert set(record["pixels_per_metre"]["all"]["shares"]) == set(BANDS)
+    assert set(record["pixels_per_metre"]["all"]["shares"]) == set(BANDS["2025"])
+    record = targets_record(scene, both, view, edition="2015")
+    assert set(record["pixels_per_metre"]["all"]["shares"]) == set(BANDS["2015"])
+    assert len(targets_view(scene, both, view, edition="2015").axes) == 2
     assert record["detectability"]["all"] == pytest.approx(view.detectability.mean())
     assert len(targets_change(scene, (both, view), (both, view)).axes) == 4
 

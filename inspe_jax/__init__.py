@@ -48,7 +48,8 @@ from inspe_jax.sensing.calibrations import Imported, layouts_from
 from inspe_jax.sensing.catalogue import Device, device, devices
 from inspe_jax.sensing.conditions import Case, Conditions
 from inspe_jax.sensing.layout import Layout, Sensor, Unit, load_layout, make_layout, save_layout
-from inspe_jax.sensing.pose_solver import Lens, PoseFit, solve_pose
+from inspe_jax.sensing.lens import Lens
+from inspe_jax.sensing.pose_solver import PoseFit, solve_pose
 from inspe_jax.sensing.sensors import CameraSpec, LidarSpec, Pose
 from inspe_jax.study.plan import Study, load_study
 from inspe_jax.study.sweep import sweep

@@ -8,6 +8,7 @@ from jaxtyping import Float
 from inspe_jax.core.errors import InspeError, check_known
 
 ROUNDED = 2e-3  # what rounding to three decimals does at most to R · Rᵀ
+LARGEST = 1e12
 _OPTICAL = np.array([[0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1.0]])
 _MIRROR = np.diag([1.0, -1.0, 1.0, 1.0])
 
@@ -60,16 +61,19 @@ def rigid(matrix: Any, what: str = "matrix") -> Float[np.ndarray, "4 4"]:
 
 
 def array(given: Any, what: str, *shapes: tuple[int, ...]) -> np.ndarray:
-    """Numbers of one of the shapes. Raises InspeError for others, or if they are not finite."""
+    """Numbers of one of the shapes, also as OpenCV and ROS write them, with rows, cols and data.
+    Raises InspeError for others, or if they are not finite or beyond :data:`LARGEST`."""
     try:
+        if isinstance(given, dict):
+            given = np.reshape(given["data"], (given["rows"], given["cols"]))
         found = np.array(given, float)
-    except (TypeError, ValueError):
+    except (KeyError, TypeError, ValueError, OverflowError):
         found = np.zeros(0)
     if found.shape not in shapes:
         wanted = " or ".join(" × ".join(map(str, shape)) for shape in shapes)
         raise InspeError(f"{what}: must be {wanted} numbers, got shape {found.shape}")
-    if not np.isfinite(found).all():
-        raise InspeError(f"{what}: has a number that is not finite")
+    if not (np.abs(found) < LARGEST).all():
+        raise InspeError(f"{what}: has a number that is not finite, or beyond {LARGEST:g}")
     return found
 
 

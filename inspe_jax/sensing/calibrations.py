@@ -13,10 +13,10 @@ A file is YAML or JSON, in metres, degrees and pixels::
 
 ``frame.crs`` is a code, a PROJ string, or ``LAT,LON``: then x is east and y true north of there.
 Cameras have optical axes and LiDARs a body's, unless ``convention`` says another. ``lat``, ``lon``,
-``z`` may be in place of a position. ``pairs`` are pixels and where they are; a ``position`` beside
-them is held. ``unit`` names the unit of a sensor; others within 2 m are one. Pixels are as the file
-has them: OpenCV counts from the middle of the first, half a pixel from its corner. For files of
-others, see :mod:`inspe_jax.sensing.calibration_formats`.
+``z`` may be in place of a position, ``hfov_deg`` in place of a camera matrix. ``pairs`` are pixels
+and where they are; a ``position`` beside them is held. ``unit`` names the unit of a sensor; others
+within 2 m are one. Pixels are as the file has them: OpenCV counts from the middle of the first,
+half a pixel from its corner. Files of others: :mod:`inspe_jax.sensing.calibration_formats`.
 """
 
 import os
@@ -28,7 +28,6 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from jaxtyping import Float
 from pydantic import AliasChoices, BaseModel, Field
-from scipy.linalg import rq
 
 from inspe_jax.core.errors import InspeError, check_known, error_at
 from inspe_jax.core.files import STRICT, check_model
@@ -39,6 +38,7 @@ from inspe_jax.scene.georeference import Georeference
 from inspe_jax.scene.scene import Scene
 from inspe_jax.sensing.calibration_formats import ANGLES, read_entries
 from inspe_jax.sensing.catalogue import device, spec_of
+from inspe_jax.sensing.kinds import focal_of
 from inspe_jax.sensing.layout import (
     UNIT_HEIGHT,
     UNIT_PLAN,
@@ -48,19 +48,20 @@ from inspe_jax.sensing.layout import (
     make_layout,
     with_hfov,
 )
-from inspe_jax.sensing.pose_solver import Lens, PoseFit, solve_pose
+from inspe_jax.sensing.lens import Lens, lens_of, split_projection
+from inspe_jax.sensing.pose_solver import PoseFit, solve_pose
 from inspe_jax.sensing.sensors import CameraSpec, Spec
 
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 HIGHEST = 150.0  # above the ground no roadside sensor is so high [m]
 UPWARD, ROLLED = np.radians(30), np.radians(45)  # no camera looks up so far; few are rolled so far
 OFF = 0.25  # a principal point so far off the middle, in picture sizes, has taken up another error
-SKEW = 1e-3  # less, in focal lengths, is rounding
 HEIGHTS = "scene", "ground"
 POSES = "sensor_to_frame", "frame_to_sensor", "projection", "pairs", "position", "lat"
 """Keys of which a sensor has one: how its pose is given. A position may go with pairs."""
 
-_Number = Annotated[float, Field(allow_inf_nan=False)]
+_Number = Annotated[float, Field(ge=-1e8, le=1e8)]
+_Side = Annotated[int, Field(ge=1, le=100_000)]
 
 
 def _or(name: str, other: str, usual: Any) -> Any:
@@ -73,9 +74,9 @@ class _Sensor(BaseModel, **STRICT):
     kind: Literal["camera", "lidar"] = "camera"
     device: str | None = None
     unit: str | None = None
-    hfov_deg: Annotated[float, Field(gt=0, lt=180)] | None = None  # how a varifocal lens is set
-    width: int | None = _or("width", "image_width", None)
-    height: int | None = _or("height", "image_height", None)
+    hfov_deg: Annotated[float, Field(gt=0, lt=180)] | None = None  # of a device, if it is varifocal
+    width: _Side | None = _or("width", "image_width", None)
+    height: _Side | None = _or("height", "image_height", None)
     camera_matrix: Any = None
     distortion: Any = _or("distortion", "distortion_coefficients", ())
     model: Literal["pinhole", "plumb_bob", "fisheye"] = _or("model", "distortion_model", "pinhole")
@@ -191,6 +192,12 @@ def layouts_from(
         frame = np.eye(4) if frame is None and shift is None else rigid(frame or shift, at)
         for where, entry in entries:
             one = check_model(_Sensor, entry, where)
+            earth = one.lat is not None or one.azimuth_deg is not None
+            if earth and not (unit == "m" and np.array_equal(frame, np.eye(4))):
+                raise InspeError(
+                    f"{where}: lat, lon and azimuth_deg are of the Earth, and not of a frame: "
+                    "leave out its matrix, the transform and the unit"
+                )
             lens, matrix, system = _read(one, where, system, notes, fits)
             matrix[:3, 3] *= UNITS[unit]
             pose = pose_of(frame @ matrix, "body", "sensor_to_world", where)
@@ -227,60 +234,7 @@ def projection_of(crs: str) -> Georeference:
     return Georeference(crs)
 
 
-# ── Lenses and poses of entries ─────────────────────────────────────────────
-
-
-def lens_of(given: Any, where: str, notes: list[str], distortion: Any = ()) -> Lens:
-    """The lens of a camera matrix (3, 3), or (3, 4) of a rectified camera. Raises InspeError where
-    it is no upper triangle with positive focal lengths."""
-    found = array(_rows(given), where, (3, 3), (3, 4))[:, :3]
-    if np.abs(found[[1, 2, 2], [0, 0, 1]]).max() > 1e-9 * np.abs(found).max():
-        raise InspeError(
-            f"{where}: is no camera matrix [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]: below its "
-            "diagonal there are numbers, so that a rotation is mixed in; give its product with "
-            "the extrinsics, a 3 × 4 'projection', in place of both"
-        )
-    if (np.diag(found) <= 0).any():
-        raise InspeError(f"{where}: a focal length is not positive: the picture is mirrored")
-    found = found / found[2, 2]
-    if abs(found[0, 1]) > SKEW * found[0, 0]:
-        notes.append(f"{where}: its skew of {found[0, 1]:.1f} px is left out")
-    bent = tuple(np.ravel(_rows(() if distortion is None else distortion)).tolist())
-    if any(bent):
-        notes.append(f"{where}: its distortion is left out: layouts have pinhole cameras")
-    (fx, _, cx), (_, fy, cy), _ = found.tolist()
-    return Lens(fx, fy, cx, cy, bent)
-
-
-def split_projection(
-    given: Any, where: str, notes: list[str]
-) -> tuple[Lens, Float[np.ndarray, "4 4"]]:
-    """Lens, and matrix from the optical axes to the frame, of a projection P = K R [I | −C] (3, 4),
-    by RQ decomposition (Hartley and Zisserman, *Multiple View Geometry*, section 6.2.4). Raises
-    InspeError where it is singular or mirrored."""
-    found = array(_rows(given), where, (3, 4))
-    square, matrix = found[:, :3], np.eye(4)
-    if np.linalg.cond(square) > 1e9:
-        raise InspeError(f"{where}: is singular: no pinhole camera projects so")
-    if np.linalg.det(square) < 0:
-        raise InspeError(
-            f"{where}: is mirrored: the determinant of its first three columns is negative; if it "
-            "gives points before the camera a negative depth, multiply it by −1; if its frame is "
-            "left-handed, as CARLA's, flip the sign of its second column"
-        )
-    triangle, turn = rq(square)
-    signs = np.diag(np.sign(np.diag(triangle)))
-    matrix[:3, :3] = (signs @ turn).T
-    matrix[:3, 3] = -np.linalg.solve(square, found[:, 3])
-    return lens_of(np.triu(triangle @ signs), where, notes), matrix
-
-
-def _rows(given: Any) -> Any:
-    """The rows of a matrix that OpenCV or ROS writes with rows, cols and data."""
-    if isinstance(given, dict) and {"rows", "cols", "data"} <= given.keys():
-        flat, shape = np.ravel(given["data"]), (given["rows"], given["cols"])
-        return flat.reshape(shape) if flat.size == np.prod(shape) else flat
-    return given
+# ── Poses of entries ─────────────────────────────────────────────
 
 
 def _read(
@@ -295,12 +249,17 @@ def _read(
     if one.camera_matrix is not None:
         lens = lens_of(one.camera_matrix, f"{where}.camera_matrix", notes, one.distortion)
         lens = lens._replace(fisheye=one.model == "fisheye")
+    elif one.device is None and one.hfov_deg is not None:
+        if one.width is None or one.height is None:
+            raise InspeError(f"{where}: width, height: missing keys: hfov_deg needs them")
+        focal = focal_of(one.width, one.hfov_deg)
+        lens = Lens(focal, focal, one.width / 2, one.height / 2)
     if given[0] in ("position", "lat"):
         return lens, *_placed(one, where, crs)
     if given[0] == "pairs":
         if lens is None:
             raise InspeError(f"{where}.camera_matrix: missing key: pairs need the lens")
-        rows = array(one.pairs, at, (len(one.pairs), 5))
+        rows = array(one.pairs, at, (len(one.pairs) if isinstance(one.pairs, list) else 0, 5))
         with error_at(at):
             fit = fits[one.name] = solve_pose(rows[:, :2], rows[:, 2:], lens, place=one.position)
         notes.append(f"{at}: {fit.words}")
@@ -310,7 +269,7 @@ def _read(
             raise InspeError(f"{where}.camera_matrix: leave it out: the projection has the lens")
         lens, matrix = split_projection(one.projection, at, notes)
     else:
-        matrix = rigid(_rows(getattr(one, given[0])), at)
+        matrix = rigid(getattr(one, given[0]), at)
         matrix = np.linalg.inv(matrix) if given[0] == "frame_to_sensor" else matrix
     axes = one.convention or ("optical" if one.kind == "camera" else "body")
     return lens, pose_matrix(pose_of(matrix, axes, "sensor_to_world", at)), crs
@@ -325,18 +284,20 @@ def _placed(
             f"{where}: give either yaw_deg, counter-clockwise from x, or azimuth_deg, clockwise "
             "from true north"
         )
-    at = np.array(one.position or [0.0, 0.0, one.z])
+    at = np.array([0.0, 0.0, one.z] if one.position is None else one.position)
     if one.position is None:
         if one.lat is None or one.lon is None:
             raise InspeError(f"{where}.lon: missing key: lat and lon go together")
         crs = crs or f"{one.lat},{one.lon}"
-        at[:2] = projection_of(crs).from_degrees(np.array([[one.lon, one.lat]]))[0]
+        with error_at(where):
+            at[:2] = projection_of(crs).from_degrees(np.array([[one.lon, one.lat]]))[0]
     array(at, f"{where}.position", (3,))
     yaw = np.radians(one.yaw_deg or 0.0)
     if one.azimuth_deg is not None:
         if crs is None:
             raise InspeError(f"{where}.azimuth_deg: needs a CRS, or yaw_deg in its place")
-        yaw = projection_of(crs).yaw(at[None, :2], np.array([one.azimuth_deg]))[0]
+        with error_at(where):
+            yaw = projection_of(crs).yaw(at[None, :2], np.array([one.azimuth_deg]))[0]
     return pose_matrix([*at, *np.radians([one.roll_deg, one.pitch_deg]), yaw]), crs
 
 

@@ -71,7 +71,7 @@ def spec_of(table: Any, name: str, where: str) -> Spec:
     table = dict(table)
     if "like" in table:
         with error_at(f"{where}: like"):
-            other = device(table.pop("like")).spec
+            other = device(str(table.pop("like"))).spec
         replaces = SENSOR_KINDS[other.kind].replaces
         gone = {key for own in table for key in replaces.get(own, ())}
         table = {key: x for key, x in table_of(other).items() if key not in gone} | table

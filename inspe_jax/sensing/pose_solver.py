@@ -2,7 +2,7 @@
 
 Least squares of the reprojection error over place and rotation, from starts all around the places,
 of which the best counts (the camera resection of Hartley and Zisserman, *Multiple View Geometry*,
-section 7). Brown's distortion as in OpenCV; fisheyes are equidistant, r = f θ.
+section 7).
 """
 
 from dataclasses import dataclass
@@ -16,41 +16,15 @@ from scipy.spatial.transform import Rotation
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.geometry import rotation
 from inspe_jax.core.rigid import array, pose_of, words
+from inspe_jax.sensing.lens import Lens
 from inspe_jax.sensing.sensors import Pose
 
 ROBUST = 5.0  # residuals beyond this count less than squared [px]: some pixels are misread
-NEAR = 0.05  # least depth that is projected [m]
 HEIGHTS = 8.0, 20.0  # of starts above the places [m]
 SPREADS = 0.6, 1.0, 2.0  # distances of starts, in times that at which the places fill their pixels
 ROUGH, FINE = 25, 200  # most steps from each start, and from the best on
 OPEN = 1e12  # a greater condition number of the slopes is no pose
 FEWEST = 4  # pairs: of three, up to four poses agree
-
-
-class Lens(NamedTuple):
-    """Intrinsics [px]; ``distortion`` is OpenCV's k1, k2, p1, p2, k3."""
-
-    fx: float
-    fy: float
-    cx: float
-    cy: float
-    distortion: tuple[float, ...] = ()
-    fisheye: bool = False
-
-    def pixels(self, optical: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 2"]:
-        """Pixels of points in the camera's optical axes [m]; what is behind is far off."""
-        x, y, z = optical.T
-        if self.fisheye:
-            off = np.maximum(np.hypot(x, y), 1e-12)
-            a, b = np.arctan2(off, z) / off * (x, y)
-        else:
-            a, b = np.array([x, y]) / np.maximum(z, NEAR)
-        k1, k2, p1, p2, k3 = (*self.distortion, *[0.0] * 5)[:5]
-        r = a * a + b * b
-        radial = 1 + r * (k1 + r * (k2 + r * k3))
-        u = a * radial + 2 * p1 * a * b + p2 * (r + 2 * a * a)
-        v = b * radial + p1 * (r + 2 * b * b) + 2 * p2 * a * b
-        return np.column_stack([self.fx * u + self.cx, self.fy * v + self.cy])
 
 
 @dataclass(frozen=True)

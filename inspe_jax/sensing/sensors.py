@@ -323,7 +323,7 @@ class CameraSpec(Spec):
             if view is not None:
                 given[k] = float(side / 2 / np.tan(np.radians(view) / 2))
         x, y = (float(given[k] or given[1 - k] or 0.0) for k in (0, 1))
-        numbers = np.array([width, height, x, y, depth, downsample, cx, cy])
+        numbers = np.array([width, height, x, y, depth, downsample, cx, cy], float)
         if not (np.isfinite(numbers).all() and (numbers > 0).all()):
             raise InspeError(f"{where}: its numbers must be positive, a field of view below 180°")
         off, swapped = (abs(cx / w - 0.5) + abs(cy / h - 0.5) for w, h in

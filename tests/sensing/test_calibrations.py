@@ -349,6 +349,7 @@ BAD = [
     (one(device="paper-lidar-32"), {}, "device: 'paper-lidar-32' is a lidar, and the sensor a cam"),
     (posed(position=[1, 2, 3]), {}, "give either yaw_deg, .* or azimuth_deg"),
     (posed(position=[1, 2, 3], azimuth_deg=3), {}, "azimuth_deg: needs a CRS, or yaw_deg"),
+    (posed(lat=48, lon=11, azimuth_deg=3), dict(unit="mm"), "are of the Earth, and not of a frame"),
     (posed(pairs=[[1, 2, 3]]), {}, r"pairs: must be 1 × 5 numbers"),
     (one() | dict(frame=dict(crs=UTM)), {}, "has no coordinates on the Earth; build"),
     (one() | dict(frame=dict(matrix=np.diag([2, 2, 2, 1]))), {}, "frame.matrix: is not a rotation"),
@@ -380,5 +381,7 @@ def test_units_and_heights_are_as_said_and_what_is_unusual_is_noted(tmp_path):
     np.testing.assert_allclose(pose.layout.poses[0], [4, 3, 6 + ground, 0, 0, 0], atol=1e-6)
     off = one(camera_matrix=[[1200, 0, 1500], [0, 1200, 540], [0, 0, 1]])
     assert "its principal point is 28 % of the picture off" in read(tmp_path, off).notes[0]
+    by_view = read(tmp_path, one(camera_matrix=None, hfov_deg=90.0)).layout.sensors[0].spec
+    assert (by_view.width, round(by_view.focal)) == (1920, 960)
     axes = read(tmp_path, one(convention="body")).notes[0]
     assert "is rolled by -90°; if it does not hang so, its axes are others" in axes

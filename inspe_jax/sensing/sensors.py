@@ -317,14 +317,15 @@ class CameraSpec(Spec):
         where = f"device '{name}'"
         if ((fx or fy) is None) == ((hfov_deg or vfov_deg) is None):
             raise InspeError(f"{where}: give either fx and fy, or a field of view")
-        views, cx, cy = (hfov_deg, vfov_deg), cx or width / 2, cy or height / 2
+        cx, cy = width / 2 if cx is None else cx, height / 2 if cy is None else cy
         given = [fx, fy]
-        for k, (side, view) in enumerate(zip((width, height), views, strict=True)):
+        for k, (side, view) in enumerate(((width, hfov_deg), (height, vfov_deg))):
             if view is not None:
-                given[k] = float(side / 2 / np.tan(np.radians(view) / 2))
+                half = np.radians(view) / 2 if 0 < view < 180 else np.nan
+                given[k] = float(side / 2 / np.tan(half))
         x, y = (float(given[k] or given[1 - k] or 0.0) for k in (0, 1))
         numbers = np.array([width, height, x, y, depth, downsample, cx, cy], float)
-        if not (np.isfinite(numbers).all() and (numbers > 0).all()):
+        if not (np.isfinite(numbers).all() and (numbers[:6] > 0).all()):
             raise InspeError(f"{where}: its numbers must be positive, a field of view below 180°")
         off, swapped = (abs(cx / w - 0.5) + abs(cy / h - 0.5) for w, h in
                         ((width, height), (height, width)))  # fmt: skip

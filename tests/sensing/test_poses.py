@@ -2,6 +2,7 @@
 
 import csv
 import doctest
+import re
 
 import numpy as np
 import pytest
@@ -77,10 +78,10 @@ def test_a_camera_has_the_views_of_its_intrinsics_and_is_saved():
 @pytest.mark.parametrize(("given", "message"), [
     (dict(), "give either fx and fy, or a field of view"),
     (dict(fx=900, hfov_deg=60), "give either"),
-    (dict(hfov_deg=185), "must be positive, a field of view below 180°"),
+    (dict(hfov_deg=400), "must be positive, a field of view below 180°"),
     (dict(fx=900, fy=np.nan), "its numbers must be positive"),
     (dict(fx=900, cx=600, cy=960), r"\(600, 960\) in a picture of 1920 × 1200: width and height"),
-    (dict(fx=900, cx=2500), "is outside of it: give the size that the lens was found for"),
+    (dict(fx=900, cx=-1), "is outside of it: give the size that the lens was found for"),
 ])  # fmt: skip
 def test_no_camera_is_made_of_intrinsics_that_do_not_fit(given, message):
     with pytest.raises(InspeError, match=message):
@@ -152,10 +153,11 @@ def test_mcitys_fisheyes_hang_where_its_solution_has_them(k):
 
 
 @needs_deployments
-@pytest.mark.parametrize(("k", "focal"), [*enumerate((2788.86, 9023.48, 2820.46, 8878.58))])
-def test_the_a9s_long_lenses_look_as_its_independent_check_has_them(k, focal):
+@pytest.mark.parametrize("k", range(4))
+def test_the_a9s_long_lenses_look_as_its_independent_check_has_them(k):
     """With the place free. It is weak along the road there, and only the ray is compared."""
     content = yaml.safe_load((DEPLOYMENTS / "a9_s040_s050.yaml").read_text())
+    focal = float(re.findall(r"\d{4}\.\d+", content["independent_check"]["what"])[k])
     given = content["cameras"][k]
     columns = "u_px", "v_px", "east_m", "north_m", "z_m"
     rows = pairs("a9_pairs.csv", given["name"], *columns)

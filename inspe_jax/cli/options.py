@@ -183,8 +183,8 @@ class SceneOptions(MapOptions):
         step: Time from one frame to the next [s]; 1 if not given.
         mix: Road users: mixed, fleet (sizes as varied as real ones), or largest (only the paper's
             largest vehicle).
-        traffic (waypoints|sumo|LOG): Traffic model: waypoints (the paper's; used if not given),
-            sumo (on maps), or a .log file of CARLA's recorder.
+        traffic (waypoints|sumo|FILE): Traffic model: waypoints (the paper's; used if not given) or
+            sumo (on maps); or a recording: tracks (.csv), or a log of CARLA's recorder (.log).
         seed: Seed of the traffic; 0 if not given.
         terrain (none|ground): Whether the ground hides what is behind its brows: none (if not
             given) or ground.

@@ -22,13 +22,13 @@ from inspe_jax.scene.maps.road_map import MARGIN
 from inspe_jax.scene.procedural.built_ins import built_in
 from inspe_jax.scene.profiles import DEFAULT_PROFILE, profile_of
 from inspe_jax.scene.scene import (
+    RECORDED,
     SCENE_SUFFIXES,
     build_scene,
     check_scene_name,
     load_scene,
     save_scene,
 )
-from inspe_jax.scene.traffic.carla_log import LOG_SUFFIXES, load_log
 from inspe_jax.scene.traffic.frames import traffic_model
 from inspe_jax.sensing.calibrations import layouts_from
 from inspe_jax.sensing.catalogue import device
@@ -63,6 +63,7 @@ def scene(
     - `inspe scene city.osm --at 48.137,11.575 --statics map --out city.npz`
     - `inspe scene city.osm --at 48.137,11.575 --elevation dem.tif --terrain ground`
     - `inspe scene crossroads.xodr --junction 100 --traffic run.log --step 0.1 --frames 200`
+    - `inspe scene crossroads.xodr --junction 100 --traffic tracks.csv --step 0.5`
 
     Args:
         source (SCENE): A built-in intersection, a map (.xodr, .net.xml, .osm), or a scene saved
@@ -104,10 +105,11 @@ def scene(
         _refuse(source, "a saved scene keeps the settings it was built with", [*settings, *given])
         built = load_scene(source)
     else:
-        if traffic is not None and traffic.endswith(LOG_SUFFIXES):
+        recorded = [load for end, (load, _) in RECORDED.items() if (traffic or "").endswith(end)]
+        if recorded:
             ours = [name for name in ("density", "mix", "seed") if name in settings]
-            _refuse(f"--traffic {traffic}", "a log has traffic of its own", ours)
-            load_log(traffic)
+            _refuse(f"--traffic {traffic}", "what was recorded has all of this", ours)
+            recorded[0](traffic)
         elif traffic is not None:
             traffic_model(traffic)
         if elevation is not None and mesh is not None:

@@ -136,15 +136,33 @@ def read_csv(path: Path) -> list[dict[str, str]]:
     return parse_csv(path.read_bytes(), str(path))
 
 
+def read_columns(path: Path) -> dict[str, list[str]]:
+    """The columns of a CSV file by the names in its head. Raises InspeError as :func:`read_csv`,
+    and where there are no rows, or one has another number of cells than the head."""
+    check_input(path, TEXT)
+    head, *rows = _cells(path.read_bytes(), str(path))
+    for k, row in enumerate(rows):
+        if len(row) != len(head):
+            raise InspeError(f"{path}: row {k + 1} has {len(row)} cells, the head {len(head)}")
+    if not rows:
+        raise InspeError(f"{path}: has no rows")
+    return dict(zip(head, map(list, zip(*rows, strict=True)), strict=True))
+
+
 def parse_csv(text: bytes, where: str) -> list[dict[str, str]]:
     """The rows of a CSV text, as :func:`csv_text` had them, without cells beyond the head's. Raises
     InspeError, which names ``where``, for other text."""
+    cells = _cells(text, where)
+    return [dict(zip(cells[0], row, strict=False)) for row in cells[1:]]
+
+
+def _cells(text: bytes, where: str) -> list[list[str]]:
     with error_at(f"{where}: not CSV", ValueError, csv.Error):
         rows = [*csv.reader(io.StringIO(text.decode("utf-8-sig"), newline=""))]
     cells = [[_without_prefix(cell) for cell in row] for row in rows if row]
     if not cells:
         raise InspeError(f"{where}: not CSV: it is empty")
-    return [dict(zip(cells[0], row, strict=False)) for row in cells[1:]]
+    return cells
 
 
 @contextmanager

@@ -31,14 +31,20 @@ from inspe_jax.scene.regions import Region
 from inspe_jax.scene.statics import StaticBody, pack_bodies, unpack_bodies
 from inspe_jax.scene.street import check_statics, statics_of
 from inspe_jax.scene.terrain import Terrain, check_terrain, terrain_of
-from inspe_jax.scene.traffic.carla_log import LOG_SUFFIXES, log_traffic
+from inspe_jax.scene.traffic.carla_log import LOG_SUFFIXES, load_log, log_traffic
 from inspe_jax.scene.traffic.frames import DENSITIES, TrafficFrames, shortfall, traffic_model
+from inspe_jax.scene.traffic.tracks import TRACK_SUFFIXES, load_tracks, tracks_traffic
 from inspe_jax.scene.voxels import VoxelGrid, build_voxels
 
 FORMAT = "inspe_jax scene 5"
 OF_MAP = "map_bodies"  # how the names of arrays begin that hold the bodies of a place's map
 SCENE_SUFFIXES = (".npz",)
 AS_RECORDED = "as recorded"
+RECORDED: dict[tuple[str, ...], tuple[Callable[..., Any], Callable[..., TrafficFrames]]] = {
+    LOG_SUFFIXES: (load_log, log_traffic),
+    TRACK_SUFFIXES: (load_tracks, tracks_traffic),
+}
+"""What reads a file of recorded traffic, and what makes frames of it, by how its name ends."""
 
 
 @pytree
@@ -150,7 +156,7 @@ def build_scene(
     frames: int = 100,
     step: float = 1.0,
     mix: str | None = None,
-    traffic: str | os.PathLike[str] = "waypoints",
+    traffic: str | os.PathLike[str] | Mapping[str, Any] = "waypoints",
     seed: int = 0,
     statics: str = "none",
     terrain: str = "none",
@@ -169,8 +175,9 @@ def build_scene(
         step: Time between frames [s].
         mix: A key of :data:`~inspe_jax.scene.traffic.frames.MIXES`.
         traffic: A key of :data:`~inspe_jax.scene.traffic.frames.TRAFFIC_MODELS`: ``waypoints``, the
-            paper's model; ``sumo``, for a place that was read from a map. Or a log of CARLA's
-            recorder (.log), which has its own density and mix.
+            paper's model; ``sumo``, for a place that was read from a map. Or recorded traffic,
+            which has its own density and mix: tracks (.csv) or their columns by name
+            (:mod:`inspe_jax.scene.traffic.tracks`), or a log of CARLA's recorder (.log).
         seed: Of the traffic.
         statics: One of :data:`~inspe_jax.scene.street.STATICS`.
         terrain: ``none``, or ``ground`` for :meth:`Scene.with_terrain`.
@@ -193,12 +200,14 @@ def build_scene(
     radius, density, mix = own["radius"], own["density"], own["mix"]
     voxels = build_voxels(intersection, radius=radius, voxel=own["voxel"], spacing=own["spacing"])
     size: dict[str, Any] = dict(radius=radius, frames=frames, step=step)
-    source, drawn = str(traffic), str(seed)
-    if source.endswith(LOG_SUFFIXES):
-        notes = [*intersection.notes]
-        found = log_traffic(intersection, Path(traffic), **size, notes=notes)
+    source, drawn = "tracks" if isinstance(traffic, Mapping) else str(traffic), str(seed)
+    reader = next((own for end, (_, own) in RECORDED.items() if source.endswith(end)), None)
+    if isinstance(traffic, Mapping) or reader is not None:
+        notes, path = [*intersection.notes], Path(source)
+        given: Any = traffic if isinstance(traffic, Mapping) else path
+        found = (reader or tracks_traffic)(intersection, given, **size, notes=notes)
         intersection = replace(intersection, notes=tuple(notes))
-        density, mix, source, drawn = AS_RECORDED, AS_RECORDED, Path(traffic).name, ""
+        density, mix, source, drawn = AS_RECORDED, AS_RECORDED, path.name, ""
     else:
         size |= dict(count=density_count(density), mix=mix, seed=seed, progress=progress)
         found = traffic_model(source)(intersection, **size)

@@ -325,7 +325,7 @@ def test_every_command_has_examples_and_says_what_its_options_are():
     (("scene", "s.npz", "--radius", 30), "a saved scene keeps the settings it was built with"),
     (("scene", "page.xodr"), "choose a place on the map with --junction ID, --at LAT,LON or"),
     (("scene", "four_way", "--frames", 10**9), "at most 10000"),
-    (("scene", "four_way", "--traffic", "a.log", "--seed", 1), "a log has traffic of its own"),
+    (("scene", "four_way", "--traffic", "a.log", "--seed", 1), "what was recorded has all of this"),
     (("scene", "none.net.xml", "--list"), "none.net.xml: no such file"),
     (("scene", "cut.xodr", "--list"), "cut.xodr"),
     (("scene", "four_way", "--driving-side", "left"), "is no map; leave out --driving-side"),

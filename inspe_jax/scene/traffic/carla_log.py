@@ -10,8 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import shapely
-from shapely.ops import unary_union
 
 from inspe_jax.core.carla_frame import flip, from_carla, whole_box
 from inspe_jax.core.errors import InspeError
@@ -20,11 +18,9 @@ from inspe_jax.core.words import counted
 from inspe_jax.scene.intersection import Intersection
 from inspe_jax.scene.traffic import frames as traffic
 from inspe_jax.scene.traffic.frames import CLASSES, Snapshot, TrafficFrames
+from inspe_jax.scene.traffic.tracks import LONG, ON_ROADS, Tracks, track_frames
 
 LOG_SUFFIXES = (".log",)
-LONG = 6.0  # a vehicle longer than this [m] is a truck, whatever its name
-JUMP = 5.0  # an actor that moves farther than this between two recorded frames [m] was teleported
-ON_ROADS = 0.5  # least share of the cars and trucks that are on the roads of the log's own map
 _MAGIC = "CARLA_RECORDER"
 _FRAME, _APPEARS, _POSITIONS, _KINEMATICS, _BOXES = 0, 2, 6, 12, 13
 _VEHICLE, _WALKER = "vehicle.", "walker."
@@ -149,80 +145,54 @@ def kind_of(name: str, facts: dict[str, str], length: float) -> int | None:
         return None
     if facts.get("number_of_wheels") == "2":
         return CLASSES.index("cyclist")
-    large = length > LONG or facts.get("base_type", "").lower() in ("truck", "bus")
+    large = length >= LONG or facts.get("base_type", "").lower() in ("truck", "bus")
     return CLASSES.index("truck" if large else "car")
 
 
 def log_traffic(
-    intersection: Intersection, path: Path, *, radius: float, frames: int, step: float = 1.0,
+    intersection: Intersection, source: Path, *, radius: float, frames: int, step: float = 1.0,
     notes: list[str] | None = None,
 ) -> TrafficFrames:  # fmt: skip
     """The recorded traffic at an intersection of the log's own map, whatever its file is called.
 
-    There are up to ``frames`` frames ``step`` seconds apart from the log's beginning, interpolated
-    linearly, with all road users within ``radius`` [m] of the centre. Those above or beneath the
-    ground, as just after spawning, are left out. ``notes`` get those of the log, and that most cars
-    and trucks are beside the roads of a map of the log's name. Raises InspeError if the log cannot
-    be read, if nobody comes within the radius, or if they are so on another map.
+    Frames are as :func:`~inspe_jax.scene.traffic.tracks.track_frames` makes them; who is above or
+    beneath the ground, as just after spawning, is left out. ``notes`` get those of the log, and
+    that most cars and trucks are beside the roads of a map of the log's name. Raises InspeError if
+    the log cannot be read, if nobody comes within the radius, or if they are so on another map.
     """
-    log = load_log(path)
-    times = np.array([moment.time for moment in log.moments])
-    wanted = times[0] + step * np.arange(frames)
-    wanted = wanted[wanted <= times[-1] + 1e-9]
-    seen = [_snapshot(log, _at(log, times, time), intersection, radius) for time in wanted]
-    if not any(len(frame.kind) for frame in seen):
-        raise InspeError(
-            f"{path}: in {times[-1] - times[0]:.0f} s nobody comes within {radius:g} m of "
-            f"({intersection.center[0]:.1f}, {intersection.center[1]:.1f})"
-        )
-    roads = unary_union(list(intersection.regions.values()))
-    kind = np.concatenate([frame.kind for frame in seen])
-    middle = np.concatenate([frame.center for frame in seen])
-    cars = middle[np.isin(kind, [CLASSES.index("car"), CLASSES.index("truck")])]
-    share = shapely.intersects_xy(roads, *cars[:, :2].T).mean() if len(cars) else 1.0
+    log = load_log(source)
+    size: dict[str, Any] = dict(radius=radius, frames=frames, step=step)
+    found, on = track_frames(_tracks(log), intersection, source, **size)
     notes = [] if notes is None else notes
     notes += log.notes
     own = intersection.map is not None and intersection.map.name.split(".")[0] == log.map
-    if share < ON_ROADS and own:
-        notes.append(f"{share:.0%} of the log's cars and trucks are on the roads here")
-    elif share < ON_ROADS:
+    if on < ON_ROADS and own:
+        notes.append(f"{on:.0%} of the log's cars and trucks are on the roads here")
+    elif on < ON_ROADS:
         raise InspeError(
-            f"{path}: a log of map '{log.map}', and not of {intersection.name}: {share:.0%} of its "
+            f"{source}: a log of map '{log.map}', and not of {intersection.name}: {on:.0%} of its "
             "cars and trucks are on the roads here; read the intersection from the log's own map"
         )
-    return traffic.pack_frames(seen, step)
+    return found
 
 
-def _at(log: RecorderLog, times: np.ndarray, time: float) -> _Moment:
-    """All actors at a time between two moments; as in the nearer one who was teleported."""
-    after = min(max(int(np.searchsorted(times, time)), 1), len(times) - 1)
-    one, two = log.moments[max(after - 1, 0)], log.moments[after]
-    share = (time - one.time) / max(two.time - one.time, 1e-9)
-    near = one if share < 0.5 else two
-    where, velocity = dict(near.where), dict(near.velocity)
-    for actor in one.where.keys() & two.where.keys():
-        change = two.where[actor] - one.where[actor]
-        change[3:] = (change[3:] + 180.0) % 360.0 - 180.0
-        if np.abs(change[:3]).max() < JUMP * 100:
-            where[actor] = one.where[actor] + share * change
-    for actor in one.velocity.keys() & two.velocity.keys():
-        change = two.velocity[actor] - one.velocity[actor]
-        velocity[actor] = one.velocity[actor] + share * change
-    return _Moment(time, where, velocity)
-
-
-def _snapshot(log: RecorderLog, moment: _Moment, place: Intersection, radius: float) -> Snapshot:
-    who = [actor for actor in moment.where if actor in log.kinds]
-    x, y, z, roll, pitch, yaw = np.reshape([moment.where[actor] for actor in who], (-1, 6)).T
+def _tracks(log: RecorderLog) -> Tracks:
+    """Everybody at every moment, in our coordinates."""
+    rows = [
+        (moment.time, actor, *pose, *moment.velocity.get(actor, np.zeros(6))[:3], *log.boxes[actor])
+        for moment in log.moments
+        for actor, pose in moment.where.items()
+        if actor in log.kinds
+    ]
+    table = np.reshape(rows, (-1, 17))
+    time, actor, x, y, z, roll, pitch, yaw = table[:, :8].T
     poses = from_carla(np.column_stack([x / 100, y / 100, z / 100, roll, yaw, pitch]))
     at, yaw = poses[:, :3], poses[:, 5]
-    box = np.reshape([log.boxes[actor] for actor in who], (-1, 6))
-    velocity = np.reshape([moment.velocity.get(actor, np.zeros(6)) for actor in who], (-1, 6))
-    offset, speed, size = flip(box[:, :3]), flip(velocity[:, :3]), 2 * box[:, 3:]
+    speed, offset, size = flip(table[:, 8:11]), flip(table[:, 11:14]), 2 * table[:, 14:]
     cos, sin = np.cos(yaw), np.sin(yaw)
     ahead, left = offset[:, :2].T
     middle = at[:, :2] + np.column_stack([cos * ahead - sin * left, sin * ahead + cos * left])
-    kind = np.array([log.kinds[actor] for actor in who], np.int8)
-    everybody = Snapshot(middle, yaw, size, kind, np.array(who, np.int32), speed)
     foot = at[:, 2] + offset[:, 2] - size[:, 2] / 2
-    return traffic.standing_on(place, radius, everybody, foot)
+    kind = np.array([log.kinds[int(one)] for one in actor], np.int8)
+    center = np.column_stack([middle, foot + size[:, 2] / 2])
+    return Tracks(Snapshot(center, yaw, size, kind, actor.astype(np.int32), speed), time, foot)

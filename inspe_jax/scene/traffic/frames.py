@@ -290,7 +290,7 @@ def traffic_model(name: str) -> Callable[..., TrafficFrames]:
     """A model by name. Raises InspeError that names those there are."""
     if name not in TRAFFIC_MODELS:
         raise InspeError(
-            f"traffic '{name}': {', '.join(TRAFFIC_MODELS)}, or a log of CARLA's recorder (.log)"
-            + nearest(name, tuple(TRAFFIC_MODELS))
+            f"traffic '{name}': {', '.join(TRAFFIC_MODELS)}, or a file of tracks (.csv) or of "
+            "CARLA's recorder (.log)" + nearest(name, tuple(TRAFFIC_MODELS))
         )
     return resolve_name(TRAFFIC_MODELS[name])

@@ -136,33 +136,37 @@ def read_csv(path: Path) -> list[dict[str, str]]:
     return parse_csv(path.read_bytes(), str(path))
 
 
-def read_columns(path: Path) -> dict[str, list[str]]:
-    """The columns of a CSV file by the names in its head. Raises InspeError as :func:`read_csv`,
-    and where there are no rows, or one has another number of cells than the head."""
+def read_columns(
+    path: Path, numbers: Collection[str], words: Collection[str]
+) -> dict[str, np.ndarray]:
+    """The columns of a large CSV file that have these names, as arrays. Raises InspeError if it is
+    missing, too large or not CSV, has no rows, or if a cell of ``numbers`` is none."""
     check_input(path, TEXT)
-    head, *rows = _cells(path.read_bytes(), str(path))
-    for k, row in enumerate(rows):
-        if len(row) != len(head):
-            raise InspeError(f"{path}: row {k + 1} has {len(row)} cells, the head {len(head)}")
-    if not rows:
-        raise InspeError(f"{path}: has no rows")
-    return dict(zip(head, map(list, zip(*rows, strict=True)), strict=True))
+    with error_at(f"{path}", ValueError, csv.Error):
+        with path.open(encoding="utf-8-sig", newline="") as file:
+            head = next(csv.reader(file), [])
+            if not any(line.strip() for line in file):
+                raise ValueError("has no rows")
+
+        def load(names: Collection[str], kind: type) -> dict[str, np.ndarray]:
+            own = [name for name in dict.fromkeys(head) if name in names]
+            at = [head.index(name) for name in own]
+            form: dict[str, Any] = dict(delimiter=",", quotechar='"', comments=None, ndmin=2)
+            form |= dict(encoding="utf-8-sig", skiprows=1, usecols=at, unpack=True)
+            return dict(zip(own, np.loadtxt(path, kind, **form) if own else (), strict=True))
+
+        return load(numbers, float) | load(words, str)
 
 
 def parse_csv(text: bytes, where: str) -> list[dict[str, str]]:
     """The rows of a CSV text, as :func:`csv_text` had them, without cells beyond the head's. Raises
     InspeError, which names ``where``, for other text."""
-    cells = _cells(text, where)
-    return [dict(zip(cells[0], row, strict=False)) for row in cells[1:]]
-
-
-def _cells(text: bytes, where: str) -> list[list[str]]:
     with error_at(f"{where}: not CSV", ValueError, csv.Error):
         rows = [*csv.reader(io.StringIO(text.decode("utf-8-sig"), newline=""))]
     cells = [[_without_prefix(cell) for cell in row] for row in rows if row]
     if not cells:
         raise InspeError(f"{where}: not CSV: it is empty")
-    return cells
+    return [dict(zip(cells[0], row, strict=False)) for row in cells[1:]]
 
 
 @contextmanager

@@ -155,9 +155,11 @@ def test_bad_tracks(place, columns, message):
 
 def test_bad_files(place, tmp_path):
     for text, message in (
-        ("", "not CSV: it is empty"),
-        ("id,time", "has no rows"),
-        ("id,time\n1,2,3", "row 1 has 3 cells, the head 2"),
+        ("", "has no rows"),
+        ("id,time\n\n", "has no rows"),
+        ("id,time\n1", "invalid column index 1 at row 1 with 1 columns"),
+        ("id,time\n1,2\n1,?", "could not convert string '\\?' to float64 at row 1, column 2"),
+        ("version https://git-lfs.github.com/spec/v1\nsize 1", "needs a column of track"),
     ):
         (path := tmp_path / "a.csv").write_text(text)
         with pytest.raises(InspeError, match=message):

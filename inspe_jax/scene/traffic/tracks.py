@@ -1,10 +1,10 @@
 """Traffic from tracks: where road users were, in a CSV file or arrays.
 
 A row is a road user at a moment, in any order. What a column holds is told by its name, as in the
-data sets inD, rounD, SinD and V2X-Seq (:data:`COLUMNS`); others are not read. There have to be the
-road user's number, a time, a place and a class. A place is that of the box's middle: ``x`` and
-``y`` in the map's coordinates [m], or ``lat`` and ``lon`` [degrees]. Everybody stands on the
-ground. Without a direction, it is that of movement; without sizes, they are the usual ones.
+data sets inD, rounD, SinD, INTERACTION and V2X-Seq (:data:`COLUMNS`); others are not read. There
+have to be the road user's number, a time, a place and a class. A place is that of the box's middle:
+``x`` and ``y`` in the map's coordinates [m], or ``lat`` and ``lon`` [degrees]. Everybody stands on
+the ground. Without a direction, it is that of movement; without sizes, they are the usual ones.
 
 Of inD and rounD name ``00_tracks.csv``; its two files of facts, which lie beside it, have classes,
 frame rate and the place on the Earth.
@@ -20,7 +20,7 @@ from jaxtyping import Float
 from shapely.ops import unary_union
 
 from inspe_jax.core.errors import InspeError, brief, error_at
-from inspe_jax.core.files import cached_by_file, read_columns
+from inspe_jax.core.files import cached_by_file, read_columns, read_csv
 from inspe_jax.core.words import counted
 from inspe_jax.scene.geojson import known_georeference
 from inspe_jax.scene.georeference import Georeference
@@ -45,7 +45,7 @@ COLUMNS: dict[str, tuple[str, float]] = {
     **dict.fromkeys(("y", "yCenter"), ("y", 1.0)),
     **dict.fromkeys(("lat", "latitude"), ("lat", 1.0)),
     **dict.fromkeys(("lon", "longitude"), ("lon", 1.0)),
-    **dict.fromkeys(("yaw", "yaw_rad", "theta"), ("yaw", 1.0)),
+    **dict.fromkeys(("yaw", "yaw_rad", "psi_rad", "theta"), ("yaw", 1.0)),
     **dict.fromkeys(("yaw_deg", "heading"), ("yaw", DEGREE)),
     **dict.fromkeys(("sub_type", "class", "agent_type", "type", "category"), ("class", 1.0)),
     **{size: (size, 1.0) for size in ("length", "width", "height")},
@@ -58,7 +58,7 @@ NAMES: dict[str, int] = {
     **dict.fromkeys(("car", "van"), 0),
     **dict.fromkeys(("truck", "bus", "truck_bus", "trailer"), 1),
     **dict.fromkeys(("cyclist", "bicycle", "motorcycle", "motorcyclist", "tricycle"), 2),
-    **dict.fromkeys(("pedestrian", "person", "walker"), 3),
+    **dict.fromkeys(("pedestrian", "person", "walker", "pedestrian/bicycle"), 3),
 }
 """Names of classes, as indices of :data:`~inspe_jax.scene.traffic.frames.CLASSES`."""
 VEHICLE, LONG = "vehicle", 6.0  # one of no other name is a truck from this length on [m]
@@ -115,15 +115,16 @@ def track_frames(
             change = (change + period / 2) % period - period / 2
         return part[one] + share.reshape(-1, *[1] * (part.ndim - 1)) * change
 
-    everybody = Snapshot(
-        between(who.center), between(who.yaw, 2 * np.pi), who.size[one], who.kind[one],
-        who.track[one], between(who.velocity),
+    center = between(who.center)
+    near = np.flatnonzero(np.hypot(*(center - place.center)[:, :2].T) <= radius)
+    near = near[np.argsort(frame[near], kind="stable")]
+    parts = (
+        center, between(who.yaw, 2 * np.pi), who.size[one], who.kind[one], who.track[one],
+        between(who.velocity), between(foot),
     )  # fmt: skip
-    level, they = between(foot), [frame == k for k in range(len(wanted))]
-    kept = [
-        standing_on(place, radius, Snapshot(*(part[own] for part in everybody)), level[own])
-        for own in they
-    ]
+    ends = np.searchsorted(frame[near], np.arange(1, len(wanted)))
+    each = zip(*(np.split(part[near], ends) for part in parts), strict=True)
+    kept = [standing_on(place, radius, Snapshot(*own), level) for *own, level in each]
     if not any(len(part.kind) for part in kept):
         raise InspeError(
             f"{where}: in {time.max() - time.min():.0f} s nobody comes within {radius:g} m of "
@@ -172,21 +173,22 @@ def tracks_traffic(
 def load_tracks(path: Path) -> dict[str, Any]:
     """The columns of a file, cached while it does not change; of inD's with the facts that lie
     beside it. Raises InspeError if a file is missing or not CSV."""
-    columns: dict[str, Any] = read_columns(path)
+    words = {name for name, (field, _) in COLUMNS.items() if field in ("track", "class")}
+    columns: dict[str, Any] = read_columns(path, {*COLUMNS} - words, words)
     if "xCenter" not in columns or not path.name.endswith("tracks.csv"):
         return columns
     tracks, recording = (
-        read_columns(path.with_name(path.name.replace("tracks.csv", f"{of}Meta.csv")))
+        read_csv(path.with_name(path.name.replace("tracks.csv", f"{of}Meta.csv")))
         for of in ("tracks", "recording")
     )
     with error_at(f"{path}: the files of facts beside it", KeyError, IndexError, ValueError):
-        names = dict(zip(tracks["trackId"], tracks["class"], strict=True))
+        names = {row["trackId"]: row["class"] for row in tracks}
         columns["class"] = [names[track] for track in columns["trackId"]]
         rate, lat, lon, x, y = (
-            float(recording[key][0])
+            float(recording[0][key])
             for key in ("frameRate", "latLocation", "lonLocation", "xUtmOrigin", "yUtmOrigin")
         )
-        columns["time"] = np.asarray(columns["frame"], float) / rate
+        columns["time"] = columns["frame"] / rate
     zone = int((lon + 180) // 6) + 1
     columns["utm"] = f"EPSG:{326 if lat >= 0 else 327}{zone:02d}", x, y
     return columns

@@ -17,6 +17,7 @@ from inspe_jax.core.errors import InspeError, error_at
 from inspe_jax.core.files import check_input, whole_file
 from inspe_jax.mounting import strategies
 from inspe_jax.mounting.site import Site
+from inspe_jax.scene.geojson import SUFFIX as GEOJSON
 from inspe_jax.scene.maps.registry import is_map, junction_at, open_map, read_map
 from inspe_jax.scene.maps.road_map import MARGIN
 from inspe_jax.scene.procedural.built_ins import built_in
@@ -66,8 +67,9 @@ def scene(
     - `inspe scene crossroads.xodr --junction 100 --traffic tracks.csv --step 0.5`
 
     Args:
-        source (SCENE): A built-in intersection, a map (.xodr, .net.xml, .osm), or a scene saved
-            as .npz.
+        source (SCENE): A built-in intersection, a map (.xodr, .net.xml, .osm), regions of your
+            own (.geojson: polygons with a property region, lines with a route, points as poles), or
+            a scene saved as .npz.
         list_ (--list): List the junctions of a map, or the built-in intersections.
         junction: Id of a junction on the map; see --list.
         center (X Y): Centre [m] in place of a junction id, for a place with several junctions.
@@ -115,16 +117,20 @@ def scene(
         if elevation is not None and mesh is not None:
             raise InspeError("--elevation and --mesh: each brings the ground; give one of them")
         if is_map(path):
-            if [junction, center, at].count(None) != 2:
-                raise InspeError(
-                    f"{source}: choose a place on the map with --junction ID, --at LAT,LON or "
-                    "--center X Y; --list shows the junctions"
-                )
+            choose = "choose a place on the map with --junction ID, --at LAT,LON or --center X Y"
+            open_ = [junction, center, at].count(None)
+            if open_ != 2 and not (open_ == 3 and path.suffix.lower() == GEOJSON):
+                raise InspeError(f"{source}: {choose}; --list shows the junctions")
             for file in filter(None, (bodies, elevation, mesh)):
                 check_input(file)
             profile = profile_of(options.profile or DEFAULT_PROFILE)
             size = profile.of_scene(radius=options.radius)["radius"]
             with common.busy(f"reading {path.name}"):
+                if open_ == 3:
+                    known = open_map(path, driving_side).list_junctions()
+                    if len(known) != 1:
+                        raise InspeError(f"{source}: {choose}; --list shows the junctions")
+                    junction = str(known[0].id)
                 if at is not None:
                     junction = str(junction_at(path, *_degrees(at), driving_side).id)
                 named: dict[str, Any] = dict(junction=junction, center=center)

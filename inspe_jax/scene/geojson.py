@@ -1,4 +1,4 @@
-"""GeoJSON (RFC 7946) and CSV of points: features in world metres."""
+"""GeoJSON (RFC 7946) and CSV of points: features in world metres, or in degrees."""
 
 import os
 from collections.abc import Callable
@@ -64,10 +64,11 @@ def known_georeference(place: Intersection) -> Georeference:
 
 def read_features(
     path: str | os.PathLike[str],
-    place: Intersection,
+    place: Intersection | None,
     wanted: Callable[[dict[str, Any]], bool] = lambda properties: True,
 ) -> tuple[tuple[Feature, ...], dict[str, Any], list[int]]:
-    """The features of a file in the world metres of a place, and its further members.
+    """The features of a file in the world metres of a place, and its further members; in degrees
+    of longitude and latitude without a place.
 
     Coordinates are longitudes and latitudes, or those of the system that an older GeoJSON file
     names in ``crs``. A CSV file has a row for each point, with columns ``latitude``, ``longitude``
@@ -76,14 +77,15 @@ def read_features(
     which are left out. Raises InspeError if the place has no coordinates, the
     file is no such file, or a wanted feature has no coordinates.
     """
-    georeference = known_georeference(place)
+    georeference = None if place is None else known_georeference(place)
     check_kind(Path(path))
     content = _points(Path(path)) if str(path).lower().endswith(".csv") else read_json(Path(path))
     found = check_model(_File, content, str(path))
     system = WGS84 if found.crs is None else found.crs.properties.name
 
     def to_world(points: Float[np.ndarray, "N 2"]) -> Float[np.ndarray, "N 2"]:
-        return georeference.from_degrees(wgs84(system, points))
+        degrees = wgs84(system, points)
+        return degrees if georeference is None else georeference.from_degrees(degrees)
 
     features, bare = [], []
     for k, entry in enumerate(found.features):

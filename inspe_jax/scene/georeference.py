@@ -84,6 +84,11 @@ class Georeference:
         return np.arctan2(*(end - start).T[::-1])
 
 
+def about(lat: float | str, lon: float | str) -> Georeference:
+    """The transverse Mercator of true scale about a place [degrees]: x is east, y true north."""
+    return Georeference(f"+proj=tmerc +lat_0={lat} +lon_0={lon} +ellps=WGS84 +units=m")
+
+
 def wgs84(
     system: str, points: Float[np.ndarray, "N 2"], *, back: bool = False
 ) -> Float[np.ndarray, "N 2"]:

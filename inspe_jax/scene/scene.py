@@ -280,12 +280,15 @@ def what_is(path: str | os.PathLike[str]) -> str:
     if path.is_dir():
         own = path / "layout.yaml"
         return f"is a folder; its layout is {own}" if own.is_file() else "is a folder; name a file"
+    if path.suffix.lower() == GEOJSON:
+        made = f"first inspe scene {path} --out scene.npz"
+        return f"is a layout (inspe score SCENE {path}), or regions of a place ({made})"
     if is_map(path):
         build = f"inspe scene {path} --junction ID --out scene.npz (--list shows the junctions)"
         return f"a map is not a scene yet; build one: {build}"
     if path.suffix.lower() in SCENE_SUFFIXES:
         return f"is a scene, which comes before the layout: inspe score {path} LAYOUT"
-    if path.suffix.lower() in (".yaml", ".yml", GEOJSON):
+    if path.suffix.lower() in (".yaml", ".yml"):
         takes = f"inspe score SCENE {path}, or inspe sweep {path}"
         return f"is a layout or a study, not a scene: {takes}"
     return ""

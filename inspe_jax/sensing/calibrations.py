@@ -34,7 +34,7 @@ from inspe_jax.core.files import STRICT, check_model
 from inspe_jax.core.geometry import pose_matrix
 from inspe_jax.core.rigid import array, pose_of, rigid
 from inspe_jax.scene.geojson import known_georeference
-from inspe_jax.scene.georeference import Georeference
+from inspe_jax.scene.georeference import Georeference, about
 from inspe_jax.scene.scene import Scene
 from inspe_jax.sensing.calibration_formats import ANGLES, read_entries
 from inspe_jax.sensing.catalogue import device, spec_of
@@ -230,7 +230,7 @@ def _transform(given: Any) -> list[list[float]]:
 def projection_of(crs: str) -> Georeference:
     """The projection of a code, a PROJ string, or ``LAT,LON``: the transverse Mercator there."""
     if place := re.fullmatch(r"\s*(-?[\d.]+)\s*,\s*(-?[\d.]+)\s*", crs):
-        crs = f"+proj=tmerc +lat_0={place[1]} +lon_0={place[2]} +ellps=WGS84 +units=m"
+        return about(place[1], place[2])
     return Georeference(crs)
 
 

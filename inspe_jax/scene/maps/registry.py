@@ -1,4 +1,4 @@
-"""The registry of map formats: OpenDRIVE, SUMO networks and OpenStreetMap.
+"""The registry of map formats: OpenDRIVE, SUMO networks, OpenStreetMap, and own regions.
 
 To add a format, write a module that reads it and add its row to :data:`FORMATS`.
 """
@@ -9,6 +9,7 @@ from pkgutil import resolve_name
 import numpy as np
 
 from inspe_jax.core.errors import InspeError, check_known
+from inspe_jax.scene.geojson import SUFFIX as GEOJSON
 from inspe_jax.scene.intersection import Intersection
 from inspe_jax.scene.maps.road_map import JunctionInfo, RoadMap
 from inspe_jax.scene.maps.sumo.network import NET_SUFFIXES, OSM_SUFFIXES, SIDES
@@ -16,6 +17,7 @@ from inspe_jax.scene.maps.sumo.network import NET_SUFFIXES, OSM_SUFFIXES, SIDES
 FORMATS: dict[tuple[str, ...], str] = {
     (".xodr",): "inspe_jax.scene.maps.opendrive.reader:load_map",
     (*NET_SUFFIXES, *OSM_SUFFIXES): "inspe_jax.scene.maps.sumo.reader:load_net",
+    (GEOJSON,): "inspe_jax.scene.maps.own_regions:load_regions",
 }
 """For the suffixes of files, in lower case, a module and in it what opens such a file as
 a :class:`~inspe_jax.scene.maps.road_map.RoadMap`, or as what has the same ``georeference``,

@@ -1,0 +1,292 @@
+"""Places without a map: regions, routes and poles of one's own make an intersection.
+
+In a GeoJSON file, polygons have a property ``region``: driveway, junction, crosswalk, sidewalk or
+shoulder; lines a ``route``, ``vehicle`` in the direction of travel or ``pedestrian`` in both, and
+``width_m``; points are poles. Junctions are listed in the order of the file. The ground is level.
+"""
+
+import os
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Any, Literal, NamedTuple
+
+import numpy as np
+import shapely
+from jaxtyping import Float
+from numpy.typing import ArrayLike
+from pydantic import BaseModel, ConfigDict, Field
+from shapely.geometry import LineString, Point
+from shapely.geometry.base import BaseGeometry
+from shapely.ops import linemerge, unary_union
+
+from inspe_jax.core.errors import InspeError, check_known, nearest
+from inspe_jax.core.files import check_model
+from inspe_jax.scene.geojson import SUFFIX, Feature, read_features
+from inspe_jax.scene.georeference import Georeference, about
+from inspe_jax.scene.intersection import (
+    Arm,
+    Intersection,
+    Route,
+    crossing_lines,
+    walking_routes,
+)
+from inspe_jax.scene.lines import distance_from, resampled
+from inspe_jax.scene.maps.bodies import NO_POLES
+from inspe_jax.scene.maps.road_map import (
+    MARGIN,
+    RADIUS_READ,
+    Areas,
+    JunctionInfo,
+    clean,
+    mounting_of,
+    valid,
+)
+from inspe_jax.scene.regions import Region, regions_of
+from inspe_jax.scene.voxels import check_range
+
+REGION_SUFFIXES = (SUFFIX,)
+WIDTHS = {"vehicle": 3.5, "pedestrian": 2.0}  # of routes of which nothing says so [m]
+TOUCH = 0.5  # a driveway this near to a junction meets it [m]
+NARROW = 2.0  # an arm is wider [m]
+
+
+class Line(NamedTuple):
+    """A route: its ``line`` (N, 2) [m], who goes along it, and its width [m]."""
+
+    line: Float[np.ndarray, "N 2"]
+    user: str = "vehicle"
+    width: float | None = None
+
+
+def intersection_of(
+    regions: Mapping[str, BaseGeometry],
+    routes: Iterable[Line | tuple[Any, ...]] = (),
+    poles: ArrayLike = (),
+    *,
+    name: str = "own place",
+    center: tuple[float, float] | None = None,
+    radius: float = 50.0,
+    georeference: Georeference | None = None,
+    source: str = "regions",
+) -> Intersection:
+    """An intersection of one's own regions, on level ground.
+
+    Its arms are where driveways meet the junction. New poles may stand on sidewalks, shoulders and,
+    where there are none beside the junction, at its corners. Without routes of pedestrians, they
+    walk over the crosswalks.
+
+    Args:
+        regions: Shapely polygons [m] by name: driveway, junction, crosswalk, sidewalk, shoulder.
+        routes: Each (line, user, width): points (N, 2) [m] in the direction of travel; ``vehicle``
+            or ``pedestrian``; and the width [m], 3.5 or 2 if it is not given.
+        poles: Feet of poles (P, 2) [m].
+        name: Its name.
+        center: (x, y) [m]; the middle of the junction if not given.
+        radius: What is farther than this and 10 m is left out, and routes end there [m].
+        georeference: The projection of the coordinates, if they have one.
+        source: Where it comes from.
+
+    Raises:
+        InspeError: A name is of no region, there is no junction, no driveway meets it, or a route
+            has fewer than two points or another user.
+
+    >>> from shapely.geometry import box
+    >>> roads = unary_union([box(-40, -5, 40, 5), box(-5, -40, 5, 40)])
+    >>> place = intersection_of(
+    ...     {"junction": box(-5, -5, 5, 5), "driveway": roads},
+    ...     [([(-40, -2), (40, -2)], "vehicle")],
+    ... )
+    >>> len(place.arms), place.routes[0].through
+    (4, (2, 0))
+    """
+    check_range("radius", radius, RADIUS_READ)
+    regions_of(tuple(regions))
+    given = {Region[key.upper()]: valid(shape) for key, shape in regions.items()}
+    empty = shapely.MultiPolygon()
+    areas: Areas = {region: clean(given.get(region, empty)) for region in Region}
+    junction = areas[Region.JUNCTION]
+    if junction.is_empty:
+        raise InspeError(f"{source}: has no region 'junction'")
+    areas[Region.DRIVEWAY] = areas[Region.DRIVEWAY].difference(junction)
+    middle = np.array([*(center or (junction.centroid.x, junction.centroid.y)), 0.0])
+    disc = Point(middle[:2]).buffer(radius + MARGIN, quad_segs=32)
+    areas = {region: area.intersection(disc) for region, area in areas.items()}
+    arms = _arms(areas)
+    if not arms:
+        raise InspeError(f"{source}: no driveway meets the junction within {radius:g} m")
+    feet = np.asarray(poles, float).reshape(-1, 2)
+    feet = feet[distance_from(feet, middle) <= radius + MARGIN]
+    place = Intersection(
+        name=name,
+        source=source,
+        center=middle,
+        regions=areas,
+        arms=arms,
+        routes=(),
+        mounting=mounting_of(areas, [], arms, disc),
+        poles=np.column_stack([feet, np.zeros(len(feet))]),
+        ground_points=middle[None],
+        notes=() if len(feet) else (NO_POLES,),
+        georeference=georeference,
+    )
+    drives, walks = _routes(place, [Line(*one) for one in routes], radius, source)
+    lanes = [route.waypoints for route in drives]
+    walks = walks or [*crossing_lines([*shapely.get_parts(areas[Region.CROSSWALK])], lanes)]
+    found = (*drives, *walking_routes(place, walks))
+    return replace(place, routes=found)
+
+
+def _arms(areas: Areas) -> tuple[Arm, ...]:
+    """Where each piece of driveway meets the junction, counter-clockwise from the east. A road
+    with a gap between its directions is two."""
+    junction, found = areas[Region.JUNCTION], list[Arm]()
+    middle = np.array(junction.centroid.coords[0])
+    for part in shapely.get_parts(areas[Region.DRIVEWAY].buffer(-TOUCH)):  # not joined at corners
+        meets = junction.boundary.intersection(part.buffer(2 * TOUCH))
+        meets = linemerge(meets) if meets.geom_type == "MultiLineString" else meets
+        for piece in shapely.get_parts(meets):
+            if piece.length <= NARROW:
+                continue
+            ends = shapely.get_coordinates(piece)[[0, -1]]
+            (x, y), mouth = ends[1] - ends[0], ends.mean(0)
+            out = np.array([y, -x]) * (1 if np.dot([y, -x], mouth - middle) >= 0 else -1)
+            if (width := float(np.hypot(x, y))) > NARROW:
+                found.append(Arm((mouth[0], mouth[1]), float(np.arctan2(out[1], out[0])), width))
+    away = [np.array(arm.mouth) - middle for arm in found]
+    order = np.argsort([np.arctan2(y, x) % (2 * np.pi) for x, y in away])
+    return tuple(found[k] for k in order)
+
+
+def _routes(
+    place: Intersection, lines: list[Line], radius: float, source: str
+) -> tuple[list[Route], list[np.ndarray]]:
+    """The vehicles' routes, and the lines along which people walk, both cut at the radius."""
+    drives, walks = list[Route](), list[np.ndarray]()
+    mouths = np.array([arm.mouth for arm in place.arms])
+    disc = Point(place.center[:2]).buffer(radius, quad_segs=32)
+    junction = place.regions[Region.JUNCTION]
+    for k, one in enumerate(lines):
+        where, points = f"{source}: route {k + 1}", np.asarray(one.line, float)
+        check_known(one.user, WIDTHS, f"{where}, user")
+        if points.ndim != 2 or points.shape[1] != 2 or len(points) < 2:
+            raise InspeError(f"{where}: needs two or more points x, y")
+        within = [p for p in shapely.get_parts(LineString(points).intersection(disc)) if p.length]
+        if not within:
+            continue
+        path = max(within, key=lambda part: (part.intersection(junction).length, part.length))
+        line = resampled(shapely.get_coordinates(path))
+        if one.user == "pedestrian":
+            walks.append(line)
+            continue
+        through = [-1, -1]
+        inside = np.flatnonzero(shapely.intersects_xy(junction, *line.T))
+        for end, at in enumerate((0, -1)):
+            if len(inside) and 0 < inside[at] < len(line) - 1:
+                through[end] = int(distance_from(mouths, line[inside[at]]).argmin())
+        width = one.width or WIDTHS["vehicle"]
+        drives.append(Route(place.on_ground(line), width, "vehicle", (through[0], through[1])))
+    return drives, walks
+
+
+# ── GeoJSON ─────────────────────────────────────────────────────────────────
+
+
+class _Properties(BaseModel):
+    model_config = ConfigDict(extra="ignore", allow_inf_nan=False)
+    region: str | None = None
+    route: Literal["vehicle", "pedestrian"] | None = None
+    kind: Literal["pole"] = "pole"
+    width_m: Annotated[float, Field(gt=0, le=50)] | None = None
+    name: Any = None
+
+
+class RegionFile:
+    """A GeoJSON file of regions, with the methods of a
+    :class:`~inspe_jax.scene.maps.road_map.RoadMap` that readers of maps need."""
+
+    notes: tuple[str, ...] = ()
+
+    def __init__(self, path: Path) -> None:
+        self.path, self.name = path, path.name.removesuffix(SUFFIX)
+        features, _, _ = read_features(path, None)
+        rows = [(one, check_model(_Properties, one.properties, one.where)) for one in features]
+        at = [shapely.get_coordinates(one.geometry) for one, own in rows if own.region]
+        if not at:
+            raise InspeError(
+                f"{path}: no feature has a property 'region'; as bodies it goes with --bodies, as "
+                "a layout with inspe score SCENE"
+            )
+        lon, lat = np.concatenate(at).mean(0)
+        self.georeference = about(lat, lon)
+        self.regions: dict[str, list[BaseGeometry]] = {}
+        self.lines, self.poles = list[Line](), list[np.ndarray]()
+        for one, own in rows:
+            self._add(one, own)
+        self.junctions = [*map(valid, self.regions.get("junction", []))]
+
+    def _add(self, one: Feature, own: _Properties) -> None:
+        shape = shapely.transform(one.geometry, self.georeference.from_degrees)
+        kind = one.geometry.geom_type.removeprefix("Multi")
+        if kind == "Polygon" and own.region is not None:
+            check_known(own.region, [r.key for r in Region], f"{one.where}.properties: region")
+            self.regions.setdefault(own.region, []).append(shape)
+        elif kind == "LineString" and own.route is not None:
+            for part in shapely.get_parts(shape):
+                self.lines.append(Line(shapely.get_coordinates(part), own.route, own.width_m))
+        elif kind == "Point":
+            self.poles += [*shapely.get_coordinates(shape)]
+        else:
+            raise InspeError(
+                f"{one.where}: polygons need a 'region', lines a 'route': this {kind} has neither"
+            )
+
+    def road_lines(self) -> list[Float[np.ndarray, "N 2"]]:
+        """The lines of its vehicles' routes [m], for drawing."""
+        return [one.line for one in self.lines if one.user == "vehicle"]
+
+    def list_junctions(self) -> tuple[JunctionInfo, ...]:
+        """Its junctions, numbered from 1."""
+        crosswalks = self.regions.get("crosswalk", [])
+        found = []
+        for k, junction in enumerate(self.junctions):
+            x0, y0, x1, y1 = junction.bounds
+            size = max(x1 - x0, y1 - y0)
+            near = sum(walk.distance(junction) < 8.0 for walk in crosswalks)
+            middle = (junction.centroid.x, junction.centroid.y, 0.0)
+            drive = unary_union(self.regions.get("driveway", [])).difference(junction)
+            arms = _arms({Region.JUNCTION: junction, Region.DRIVEWAY: drive})
+            found.append(JunctionInfo(k + 1, middle, len(arms), size, near, 0))
+        return tuple(found)
+
+    def read(
+        self, junction: int | str | None, center: tuple[float, float] | None, radius: float
+    ) -> Intersection:
+        """One junction, or all about a ``center``: :func:`intersection_of`."""
+        if (junction is None) == (center is None):
+            raise InspeError("say which place to read: either a junction id or a center (x, y)")
+        regions = {key: unary_union(shapes) for key, shapes in self.regions.items()}
+        where = f"at {center}"
+        if center is None:
+            known = {str(k + 1): one for k, one in enumerate(self.junctions)}
+            if str(junction) not in known:
+                names = ", ".join(known) or "none"
+                hint = nearest(str(junction), [*known])
+                raise InspeError(
+                    f"{self.path.name}: no junction '{junction}'; there are: {names}{hint}"
+                )
+            one = known[str(junction)]
+            center, where = (one.centroid.x, one.centroid.y), f"junction {junction}"
+        place = intersection_of(
+            regions, self.lines, np.array(self.poles), center=center, radius=radius,
+            name=f"{self.name} {where}", source=f"{self.path.name} (regions)",
+            georeference=self.georeference,
+        )  # fmt: skip
+        return replace(place, map=self.path.resolve())
+
+
+def load_regions(path: str | os.PathLike[str]) -> RegionFile:
+    """The regions of a GeoJSON file. Raises InspeError as
+    :func:`~inspe_jax.scene.geojson.read_features`, and where a feature is no region, route or
+    pole."""
+    return RegionFile(Path(path))

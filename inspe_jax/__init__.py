@@ -24,13 +24,18 @@ from inspe_jax.core.numerics import Softness
 from inspe_jax.core.version import __version__ as __version__
 from inspe_jax.mounting.strategies import STRATEGIES, strategy
 from inspe_jax.placement.constraints import Constraints
+from inspe_jax.placement.methods.registry import METHODS
 from inspe_jax.placement.objective import Objective
 from inspe_jax.placement.optimise import compare, methods, optimise
 from inspe_jax.placement.result import Result, load_result, save_result
+from inspe_jax.placement.run import Method
 from inspe_jax.placement.studies.pareto import cheapest, pareto
 from inspe_jax.placement.studies.tolerance import tolerance
+from inspe_jax.scene.georeference import Georeference
 from inspe_jax.scene.intersection import Intersection
+from inspe_jax.scene.maps.registry import junction_at, list_junctions, read_map
 from inspe_jax.scene.procedural.built_ins import BUILT_INS, built_in
+from inspe_jax.scene.profiles import Profile, profiles
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.scene import Scene, build_scene, load_scene, save_scene
 from inspe_jax.scene.traffic.frames import TrafficFrames
@@ -43,6 +48,8 @@ from inspe_jax.scoring.detection import (
     save_detection,
 )
 from inspe_jax.scoring.evaluate import Contribution, ManyScores, Scores, evaluate, evaluate_many
+from inspe_jax.scoring.metric import Metric
+from inspe_jax.scoring.metrics import METRICS
 from inspe_jax.scoring.targets import TargetView, target_view
 from inspe_jax.sensing.calibrations import Imported, layouts_from
 from inspe_jax.sensing.catalogue import Device, device, devices
@@ -50,7 +57,8 @@ from inspe_jax.sensing.conditions import Case, Conditions
 from inspe_jax.sensing.layout import Layout, Sensor, Unit, load_layout, make_layout, save_layout
 from inspe_jax.sensing.lens import Lens
 from inspe_jax.sensing.pose_solver import PoseFit, solve_pose
-from inspe_jax.sensing.sensors import CameraSpec, LidarSpec, Pose
+from inspe_jax.sensing.rays import SphericalRays
+from inspe_jax.sensing.sensors import CameraSpec, LidarSpec, Pose, RayGrid, Spec
 from inspe_jax.study.plan import Study, load_study
 from inspe_jax.study.sweep import sweep
 from inspe_jax.visibility.queries import in_view, line_of_sight
@@ -60,6 +68,8 @@ if os.environ.get("INSPE_CACHE", "").lower() not in NOTHING:
 
 __all__ = [
     "BUILT_INS",
+    "METHODS",
+    "METRICS",
     "STRATEGIES",
     "CameraSpec",
     "Case",
@@ -69,6 +79,7 @@ __all__ = [
     "DetectionCurve",
     "DetectionCurves",
     "Device",
+    "Georeference",
     "Imported",
     "InspeError",
     "Intersection",
@@ -76,15 +87,21 @@ __all__ = [
     "Lens",
     "LidarSpec",
     "ManyScores",
+    "Method",
+    "Metric",
     "Objective",
     "Pose",
     "PoseFit",
+    "Profile",
+    "RayGrid",
     "Region",
     "Result",
     "Scene",
     "Scores",
     "Sensor",
     "Softness",
+    "Spec",
+    "SphericalRays",
     "Study",
     "TargetView",
     "TrafficFrames",
@@ -100,8 +117,10 @@ __all__ = [
     "evaluate_many",
     "fit_detection",
     "in_view",
+    "junction_at",
     "layouts_from",
     "line_of_sight",
+    "list_junctions",
     "load_detection",
     "load_layout",
     "load_result",
@@ -111,6 +130,8 @@ __all__ = [
     "methods",
     "optimise",
     "pareto",
+    "profiles",
+    "read_map",
     "save_detection",
     "save_layout",
     "save_result",

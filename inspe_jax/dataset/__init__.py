@@ -1,6 +1,9 @@
 """Data sets of recorded frames: generate, write and read them, in OPV2V's format or another, and
 load them for training."""
 
+from typing import Any
+
+from inspe_jax.core.lazily import lazily
 from inspe_jax.dataset.folders import Dataset, Scenario
 from inspe_jax.dataset.folders import open_dataset as open
 from inspe_jax.dataset.formats.other_readers import FileOptions
@@ -16,8 +19,20 @@ from inspe_jax.simulation.frame import Frame, Image, RoadUserBox, Scan, Station
 from inspe_jax.simulation.recorder import Server
 
 __all__ = [
-    "Augment", "Cache", "Check", "Dataset", "FileOptions", "Frame", "Generation",
-    "GenerationResult", "Image", "Loader", "PillarGrid", "RoadUserBox", "Scan", "Scenario",
-    "ScenarioPlan", "Server", "Station", "Statistics", "cache", "check", "generate",
-    "load_generation", "open", "open_cache", "statistics", "write_frame", "write_protocol",
+    "Augment", "Cache", "Check", "Dataset", "EmbeddedRecorder", "FileOptions", "Frame",
+    "Generation", "GenerationResult", "Image", "Loader", "PillarGrid", "RoadUserBox", "Scan",
+    "Scenario", "ScenarioPlan", "Server", "Station", "Statistics", "cache", "check", "frame_view",
+    "generate", "load_generation", "open", "open_cache", "statistics", "write_frame",
+    "write_protocol",
 ]  # fmt: skip
+_get = lazily(
+    __name__,
+    {
+        "dataset.frame_figure": ("frame_view",),
+        "simulation.embedded.recorder": ("EmbeddedRecorder",),
+    },
+)
+
+
+def __getattr__(name: str) -> Any:
+    return _get(name)

@@ -12,6 +12,13 @@ Conventions, stated once:
   another folder.
 - Axis letters in shapes: S sensors, U infrastructure units, V voxels, L columns,
   Z levels, T frames, B boxes, R rays.
+
+Public is what this package, :mod:`inspe_jax.report`, :mod:`inspe_jax.dataset`, its ``loading`` and
+:mod:`inspe_jax.perception.training` list. Examples in docstrings have these by their last name,
+NumPy as ``np``, the files of ``inspe examples``, and a small scene and a layout:
+
+>>> scene = inspe_jax.build_scene("four_way", radius=15, spacing=2.0, frames=4, seed=0)
+>>> layout = inspe_jax.strategy(scene, "Cam-d1")
 """
 
 import os

@@ -22,6 +22,11 @@ class InspeError(ValueError):
     The message names what was given, where, and what is allowed; the command line prints it and
     exits with status 2. It shows control characters of names as their escapes, and has at most
     :data:`LONGEST` characters.
+
+    >>> inspe_jax.device("hesai-xt23")
+    Traceback (most recent call last):
+        ...
+    inspe_jax.core.errors.InspeError: no device 'hesai-xt23': ... did you mean hesai-xt32 or ...
     """
 
     def __init__(self, message: str) -> None:

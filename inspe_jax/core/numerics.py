@@ -90,6 +90,9 @@ class Softness:
         has no useful slope; how dense rays are has one.
 
         Raises InspeError if a width is negative or not a finite number, or ``rays`` is unknown.
+
+        >>> inspe_jax.Softness.of(0.5).rays
+        'density'
         """
         whole = isinstance(value, Softness)
         if whole and value.rays not in (None, *RAYS):

@@ -36,3 +36,7 @@ _get = lazily(
 
 def __getattr__(name: str) -> Any:
     return _get(name)
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -92,6 +92,12 @@ def open_dataset(path: str | os.PathLike[str]) -> Dataset:
     A split has the name of the folder that holds its scenarios. Scenarios may be in any format of
     :data:`~inspe_jax.dataset.formats.registry.FORMATS`. Only the names of files are read here.
     Raises InspeError if there is no such folder, or it is none of the three.
+
+    >>> empty = dataset.Frame(0, 0.0, (), (dataset.Station(1, "pole", np.zeros(6), (), ()),))
+    >>> _ = dataset.write_frame("mine/train/four_way", empty)
+    >>> found = dataset.open("mine")
+    >>> [(scenario.name, scenario.frames) for scenario in found.splits["train"]]
+    [('four_way', (0,))]
     """
     given = Path(path)
     if not given.is_dir():

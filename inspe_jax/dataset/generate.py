@@ -197,20 +197,28 @@ def generate(
 ) -> GenerationResult:
     """Generate the scenarios of a data set that ``folder`` does not have yet.
 
-    A scenario appears as ``folder/SPLIT/SCENARIO`` when it is complete. ``backend`` is one of
-    :data:`~inspe_jax.simulation.backends.BACKENDS`, that of the generation if not given. The work
-    is divided among ``workers`` processes, a few frames at a time: one per core if not given, or
-    as many as the backend allows. ``server`` is the address of the server if the backend needs one,
-    the usual one if not given. ``progress`` is called with (frames done, all frames).
+    A scenario appears as ``folder/SPLIT/SCENARIO`` when it is complete. After a run was killed,
+    call this again: it continues, and gives the same bytes. Scenarios that are there are compared
+    with their manifests, by digests, and those that are damaged are recorded again. Scripts that
+    call this need the usual ``if __name__ == "__main__":``, because workers are processes.
 
-    After a run was killed, call this again: it continues, and gives the same bytes. Scenarios that
-    are there are compared with their manifests, by digests, and those that are damaged are recorded
-    again; ``checking`` is called with (scenarios compared, all). If a scenario cannot be generated,
-    its error is in the result's ``failures``, and the others are generated.
+    Args:
+        generation: The plan, as of :func:`inspe_jax.dataset.load_generation`.
+        folder: Where the set is.
+        backend: One of :data:`~inspe_jax.simulation.backends.BACKENDS`, that of the plan if None.
+        workers: Processes that share the work, a few frames at a time: one per core if None, or as
+            many as the backend allows.
+        server: Address of the server if the backend needs one, the usual one if None.
+        progress: Called with (frames done, all frames).
+        checking: Called with (scenarios compared, all).
 
-    Scripts that call this need the usual ``if __name__ == "__main__":``, because workers are
-    processes. Raises InspeError if Dask is missing, no server answers, the disk is full or cannot
-    be written to, or the folder contains something else. The files written until then are valid.
+    Returns:
+        What is complete now. If a scenario cannot be generated, its error is in ``failures``, and
+        the others are generated.
+
+    Raises:
+        InspeError: Dask is missing, no server answers, the disk is full or cannot be written to, or
+            the folder contains something else. The files written until then are valid.
     """
     began = time.monotonic()
     backend = generation.backend if backend is None else backend

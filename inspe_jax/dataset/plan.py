@@ -120,7 +120,15 @@ class ScenarioPlan:
 
 @dataclass(frozen=True)
 class Generation:
-    """A data set to be generated: its scenarios, in order, and ``notes`` for the user."""
+    """A data set to be generated: its scenarios, in order, and ``notes`` for the user.
+
+    >>> from pathlib import Path
+    >>> text = "{scenes: [{built_in: four_way}], layouts: [L-d1], settings: {seconds: 2}}"
+    >>> _ = Path("set.yaml").write_text(text)
+    >>> plan = dataset.load_generation("set.yaml")
+    >>> plan.frames, [scenario.name for scenario in plan.scenarios]
+    (20, ['four_way__L-d1__medium__midday__0'])
+    """
 
     name: str
     scenarios: tuple[ScenarioPlan, ...]

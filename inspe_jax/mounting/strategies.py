@@ -159,15 +159,23 @@ def strategy(
 ) -> Layout:
     """The layout that a strategy of :data:`STRATEGIES` gives on a scene.
 
-    ``name`` may be in lower or upper case. ``camera`` and ``lidar`` are names of devices in the
-    catalogue, or specs. Heights are in metres above the ground, ``camera_pitch_deg`` in degrees
-    (negative is down). Options that are None are those of the scene's profile. If the profile has
-    None too, cameras are at 6 m and LiDARs at 5 m, at the centre at 7 and 6.5 m, and each camera is
-    aimed at its target. The paper's discussion of L-d2 uses ``lidar="paper-lidar-32"``.
+    Options that are None are those of the scene's profile. If the profile has None too, cameras are
+    at 6 m and LiDARs at 5 m, at the centre at 7 and 6.5 m, and each camera is aimed at its target.
+    The paper's discussion of L-d2 uses ``lidar="paper-lidar-32"``.
 
-    Raises InspeError if a name or device is unknown, if a device is of another kind, if a height
-    or pitch is out of range, or if the intersection has fewer than two arms or no place for a
-    pole.
+    Args:
+        scene: A scene, or the name of one.
+        name: Of the strategy, in lower or upper case.
+        camera, lidar: Names of devices in the catalogue, or specs.
+        camera_height, lidar_height: Above the ground [m].
+        camera_pitch_deg: In degrees; negative is down.
+
+    Raises:
+        InspeError: A name or device is unknown, a device is of another kind, a height or pitch is
+            out of range, or the intersection has fewer than two arms or no place for a pole.
+
+    >>> inspe_jax.strategy(scene, "L-d1", lidar="hesai-xt32")
+    <Layout: name L-d1, sensors 4 hesai-xt32, units 4, profile paper>
     """
     scene = scene_of(scene)
     own, place = scene.profile, scene.intersection

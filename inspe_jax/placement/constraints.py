@@ -44,6 +44,10 @@ class Constraints:
     has "any". With "poles" a unit stands on one of the poles, with "areas" anywhere in the mounting
     areas, with "keep" where it is. ``area``, a shapely polygon in world metres, replaces the map's
     mounting area.
+
+    >>> limits = inspe_jax.Constraints(heights=(4.0, 8.0), places="poles")
+    >>> limits.heights, limits.clearance
+    ((4.0, 8.0), 5.0)
     """
 
     heights: tuple[float, float] = POLE_HEIGHTS
@@ -55,7 +59,13 @@ class Constraints:
     area: BaseGeometry | None = None
 
     def check(self) -> None:
-        """Raise InspeError if a value is unknown, out of range or contradicts another."""
+        """Raise InspeError if a value is unknown, out of range or contradicts another.
+
+        >>> inspe_jax.Constraints(heights=(8.0, 4.0)).check()
+        Traceback (most recent call last):
+            ...
+        inspe_jax.core.errors.InspeError: heights 8 to 4 m: give 0 or more, the lower first
+        """
         for places in [self.places] if isinstance(self.places, str) else self.places.values():
             check_known(places, PLACES, "places")
         for name in ("heights", "span_heights"):
@@ -90,5 +100,10 @@ class Constraints:
             raise InspeError("area: not a valid polygon with an area")
 
     def places_of(self, unit: str) -> str:
-        """Where one unit may stand, one of :data:`PLACES`."""
+        """Where one unit may stand, one of :data:`PLACES`.
+
+        >>> limits = inspe_jax.Constraints(places={"corner 1": "poles"})
+        >>> limits.places_of("corner 1"), limits.places_of("corner 2")
+        ('poles', 'any')
+        """
         return self.places if isinstance(self.places, str) else self.places.get(unit, "any")

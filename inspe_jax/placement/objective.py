@@ -103,7 +103,12 @@ class Objective:
             )
 
     def within(self, scene: Scene) -> Scene:
-        """The scene with weight only in regions that count. Raises InspeError if it has none."""
+        """The scene with weight only in regions that count. Raises InspeError if it has none.
+
+        >>> junction = inspe_jax.Objective(regions=("junction",)).within(scene)
+        >>> round(float((junction.voxel_weight > 0).mean()), 2)
+        0.95
+        """
         if not self.regions:
             return scene
         some = regions_of(self.regions)
@@ -113,7 +118,11 @@ class Objective:
         return replace(scene, voxels=replace(scene.voxels, counted=some))
 
     def price_of(self, name: str) -> float:
-        """Price of a device [US dollars]. Raises InspeError where none is known."""
+        """Price of a device [US dollars]. Raises InspeError where none is known.
+
+        >>> inspe_jax.Objective(prices={"hesai-xt32": 4000.0}).price_of("hesai-xt32")
+        4000.0
+        """
         price = self.prices.get(name)
         if price is None:
             price = device(name).price_usd
@@ -125,7 +134,14 @@ class Objective:
         return price
 
     def check_cost(self, layout: Layout) -> None:
-        """Raise InspeError where the layout's sensors cost more than the budget."""
+        """Raise InspeError where the layout's sensors cost more than the budget.
+
+        >>> prices = {"paper-camera": 500.0}
+        >>> inspe_jax.Objective(budget=3000.0, prices=prices).check_cost(layout)
+        Traceback (most recent call last):
+            ...
+        inspe_jax.core.errors.InspeError: Cam-d1: the sensors cost 4,000.00 US dollars, more ...
+        """
         if self.budget is None:
             return
         names = [sensor.spec.name for sensor in layout.sensors]

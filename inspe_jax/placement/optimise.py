@@ -47,7 +47,11 @@ _ENDING = 0.1
 
 
 def methods() -> dict[str, str]:
-    """The names of all search methods, each with a line about it."""
+    """The names of all search methods, each with a line about it.
+
+    >>> inspe_jax.methods()["random"]
+    'random feasible layouts'
+    """
     return {row.name: row.summary for row in METHODS.values()}
 
 
@@ -69,30 +73,41 @@ def optimise(
 ) -> Result:
     """Search better places for the sensors of a layout, under constraints and within a budget.
 
-    ``scene`` is one scene, or several of one intersection; ``objective.over`` says how their scores
-    are combined. ``layout`` gives the sensors and their units. Both can be given by name, as in
-    :func:`inspe_jax.evaluate`, and so can ``conditions``, the light and weather; several scenes in
-    several conditions are a list of :class:`~inspe_jax.sensing.conditions.Case`. ``method`` is one
-    of :func:`methods`.
-
-    ``start`` is "given" (the layout itself), "random", or a layout of the same sensors. If mounting
-    does not allow it, the search begins at the nearest layout that it allows, and ``notes`` say so.
-
-    The budget is in ``seconds`` (60 if no budget is given), in ``evaluations`` (exact scores, with
-    all other work in their equivalents), or both. Seconds of wall time count from the first exact
-    score on; while a program is compiled they do not. With ``evaluations`` alone, the same ``seed``
-    gives the same result on the same machine. A best score of ``target`` or more also ends it.
-
-    ``progress`` is called with the share of the budget that is spent and the best score so far.
-    ``found`` is called with every layout that is the best so far, and its score.
-
-    ``checkpoint`` names an ``.npz`` file, which is written every 10 s and at the end. If the file
-    exists, the search goes on from it as if never stopped, and further with a larger budget.
-
     Ctrl-C ends a search with the best layout so far; so does a KeyboardInterrupt in ``progress``.
-    The result is feasible, as checked on the map's polygons, and its exact score is never below
-    that of the start. Raises InspeError if an option is unknown or out of range, if a unit has
-    nowhere to stand, or if the checkpoint is of another search.
+
+    Args:
+        scene: One scene, or several of one intersection, as in :func:`inspe_jax.evaluate`; several
+            scenes in several conditions are a list of :class:`~inspe_jax.sensing.conditions.Case`.
+        layout: The sensors and their units, also by name.
+        method: One of :func:`methods`.
+        seconds: Budget of wall time [s], from the first exact score on, without the time in which a
+            program is compiled; 60 if no budget is given.
+        evaluations: Budget in exact scores, with all other work in their equivalents. With it
+            alone, the same ``seed`` gives the same result on the same machine.
+        seed: Of the search.
+        objective: What is maximised; ``objective.over`` says how scores of scenes are combined.
+        constraints: What mounting allows.
+        start: "given" (the layout itself), "random", or a layout of the same sensors. If mounting
+            does not allow it, the search begins at the nearest layout that it allows, and the
+            result's ``notes`` say so.
+        progress: Called with the share of the budget that is spent and the best score so far.
+        checkpoint: An ``.npz`` file, written every 10 s and at the end. If it exists, the search
+            goes on from it as if never stopped, and further with a larger budget.
+        found: Called with every layout that is the best so far, and its score.
+        target: A best score of this or more ends the search.
+        conditions: Light and weather, as in :func:`inspe_jax.evaluate`.
+
+    Returns:
+        A result that is feasible, as checked on the map's polygons; its exact score is never below
+        that of the start.
+
+    Raises:
+        InspeError: An option is unknown or out of range, a unit has nowhere to stand, or the
+            checkpoint is of another search.
+
+    >>> result = inspe_jax.optimise(scene, layout, "random", evaluations=2)
+    >>> result.objective >= result.objective_before, result.status
+    (True, 'budget spent')
     """
     (row,) = check_search((method,), start, (seed,))
     seconds = _seconds(seconds, evaluations)
@@ -129,11 +144,25 @@ def compare(
 ) -> list[Result]:
     """Search by several methods on equal terms, once for each seed.
 
-    ``methods`` are names of :func:`methods`; None means all. ``seeds`` is a number of seeds, from
-    0 on, or the seeds. The other options are as in :func:`optimise`. All
-    searches use the same compiled scores. ``progress`` is called with the method, the seed, the
-    share of its budget spent and its best score. Ctrl-C ends the comparison with the searches so
-    far, the last one as it stands. Raises InspeError as :func:`optimise`.
+    All searches use the same compiled scores. Ctrl-C ends the comparison with the searches so far,
+    the last one as it stands.
+
+    Args:
+        scene, layout, seconds, evaluations, objective, constraints, start, conditions: As in
+            :func:`optimise`.
+        methods: Names of :func:`methods`; None means all.
+        seeds: A number of seeds, from 0 on, or the seeds.
+        progress: Called with the method, the seed, the share of its budget and its best score.
+
+    Returns:
+        The results, method by method.
+
+    Raises:
+        InspeError: As :func:`optimise`.
+
+    >>> found = inspe_jax.compare(scene, layout, ["random"], evaluations=2, seeds=2)
+    >>> [(result.method, result.seed) for result in found]
+    [('random', 0), ('random', 1)]
     """
     several = range(seeds) if isinstance(seeds, int) else seeds
     rows = check_search(tuple(METHODS) if methods is None else methods, start, several)

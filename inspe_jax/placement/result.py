@@ -89,6 +89,11 @@ def save_result(result: Result, folder: str | os.PathLike[str]) -> None:
 
     :func:`load_result` reads everything back except ``seen_share``. Raises InspeError if the folder
     cannot be written, or as :func:`~inspe_jax.sensing.layout.save_layout` does.
+
+    >>> result = inspe_jax.optimise(scene, layout, "random", evaluations=2)
+    >>> inspe_jax.save_result(result, "found")
+    >>> inspe_jax.load_result("found").method
+    'random'
     """
     place = prepare_folder(folder)
     save_layout(result.layout, place / "layout.yaml")

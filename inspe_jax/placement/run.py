@@ -36,6 +36,9 @@ class Method:
     ``states`` are the frozen dataclasses of its states. Their fields are NumPy arrays, numbers and
     strings, as a checkpoint holds them. ``begin`` gives the first state. ``step`` does about a
     second of work and gives the next state, or None if nothing is left to do.
+
+    >>> inspe_jax.METHODS["greedy-adam"].summary
+    'greedy placement, then Adam and moves of single units'
     """
 
     name: str

@@ -11,7 +11,6 @@ _MODULES = {
     "report.curves": ("history_view", "pareto_view"),
     "report.figures": ("plan_view", "scene_view"),
     "report.handover": ("bill_of_materials", "calibration_json", "plan_geojson", "plan_kml"),
-    "report.page": ("report_entry", "report_page"),
     "report.progress": ("before_after",),
     "report.scene_tables": ("devices_table", "layout_table", "scene_table"),
     "report.tables": (

@@ -60,7 +60,10 @@ _BADGE = 8.5  # diameter of a sensor's number on the map [pt]
 
 def scene_view(scene: Scene, *, frame: int = 0) -> Figure:
     """Plan view of a scene: its regions, lanes, mounting areas, poles, and one frame's road users.
-    World metres, north up. Raises InspeError if there is no such ``frame``."""
+    World metres, north up. Raises InspeError if there is no such ``frame``.
+
+    >>> report.scene_view(scene, frame=2).savefig("scene.png")
+    """
     place, grid = scene.intersection, scene.voxels
     notes = [f"• {note}" for note in (f"source: {place.source}", *place.notes)]
     facts = (
@@ -87,9 +90,19 @@ def plan_view(
 ) -> Figure:
     """Plan view of a scored layout: how often each column is seen, and what each sensor looks at.
 
-    The raster shows ``scores.seen_share``, the share of frames and levels in which a column is
-    seen, or another ``layer``. For a camera the horizontal field of view is drawn up to its depth,
-    for a LiDAR its reach. Raises InspeError for no such ``frame``, or scores of another scene.
+    For a camera the horizontal field of view is drawn up to its depth, for a LiDAR its reach.
+
+    Args:
+        scene, layout, scores: A layout and its scores on the scene.
+        layer: What the raster shows; ``scores.seen_share``, the share of frames and levels in which
+            a column is seen, if None.
+        frame: Number of the frame of traffic that is drawn.
+
+    Raises:
+        InspeError: There is no such frame, or scores are of another scene.
+
+    >>> figure = report.plan_view(scene, layout, inspe_jax.evaluate(scene, layout))
+    >>> figure.savefig("plan.png")
     """
     layer = layer or seen_layer(scores.seen_share, scene)
     layout = scores.conditions.layout(layout)

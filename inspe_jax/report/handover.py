@@ -156,7 +156,11 @@ def calibration_json(layout: Layout, place: Intersection) -> str:
 def bill_of_materials(layout: Layout, prices: Mapping[str, float]) -> str:
     """The devices of a layout as CSV: how many, where, and what they cost [US dollars]. ``prices``
     replace the catalogue's. A device without a price has none here. Where there are varifocal
-    lenses, a row is of those that are set alike, ``hfov_deg``."""
+    lenses, a row is of those that are set alike, ``hfov_deg``.
+
+    >>> print(report.bill_of_materials(layout, {"paper-camera": 500.0}).splitlines()[0])
+    device,title,maker,count,price_usd,total_usd,units
+    """
     bought = materials(layout, prices)
     zooms = any(row.hfov_deg is not None for row in bought)
     rows = [

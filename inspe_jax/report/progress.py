@@ -40,9 +40,17 @@ def before_after(
 
     One view where nothing moved. Colours are those of
     :func:`~inspe_jax.report.figures.plan_view`. Arrows in the right view lead from the old to the
-    new place of each unit. ``path`` is that of :class:`~inspe_jax.placement.result.Result`; if
-    given, arrows follow the places in between. Raises InspeError if the layouts have different
-    sensors, or if the scores are of another scene.
+    new place of each unit.
+
+    Args:
+        scene: The scene of both.
+        before, after: Layouts of the same sensors.
+        scores_before, scores: Their scores.
+        path: (K, S, 6) poses that arrows follow, as of :class:`~inspe_jax.placement.result.Result`.
+        frame: Number of the frame of traffic that is drawn.
+
+    Raises:
+        InspeError: The layouts have different sensors, or the scores are of another scene.
     """
     if not same_sensors(before, after):
         raise InspeError(f"{before.name} and {after.name} are not of the same sensors")

@@ -67,8 +67,13 @@ def _only(scores: Scores) -> str:
 def scores_table(scores: Scores, layout: Layout, sought: float | None = None) -> RenderableType:
     """Scores: every metric and P_sm, coverage by region, and what each sensor adds.
 
-    What a sensor adds is what the layout loses without it. ``sought`` is the score that the layout
-    was searched for, if that is not P_sm. Raises InspeError if the scores are of another layout.
+    Args:
+        scores, layout: The scores and what they are of. What a sensor adds is what the layout loses
+            without it.
+        sought: The score that the layout was searched for, if that is not P_sm.
+
+    Raises:
+        InspeError: The scores are of another layout.
     """
     members = _members(scores, layout)
     weights, rows = scores.settings.get("weights", {}), listed_in(scores)
@@ -101,7 +106,11 @@ def scores_table(scores: Scores, layout: Layout, sought: float | None = None) ->
 
 
 def metrics_table() -> RenderableType:
-    """The registered metrics and P_sm: name, symbol, usual weight and meaning."""
+    """The registered metrics and P_sm: name, symbol, usual weight and meaning.
+
+    >>> report.metrics_table().row_count == len(inspe_jax.METRICS) + 1
+    True
+    """
     table = table_of("Metrics, each from 0 to 1, higher is better", "name", "symbol", "weight", "")
     for metric in listed(METRICS):
         weight = f"{metric.weight:g}" if metric.name in METRICS else ""
@@ -132,7 +141,11 @@ def before_after_table(result: Result) -> RenderableType:
 def moves_table(before: Layout, after: Layout) -> RenderableType:
     """How far each sensor was moved [m] and turned [degrees] from one layout to another. Distance
     is in plan. Turns are positive counter-clockwise and nose-up. View is that of a varifocal lens
-    now."""
+    now.
+
+    >>> report.moves_table(layout, layout.with_poses(layout.poses + [1.0, 0, 0, 0, 0, 0])).row_count
+    8
+    """
     heads = ["moved\n[m]", "height\n[m]", "raised\n[m]", "yaw\n[°]", "pitch\n[°]"]
     lenses = [lens_keys(sensor.spec) for sensor in after.sensors]
     heads += ["view\n[°]"] * any(lenses)

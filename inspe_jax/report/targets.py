@@ -157,9 +157,15 @@ def targets_view(
     """Maps of what a road user gets at each place: LiDAR returns, pixels per metre, and for layouts
     of one kind of sensor the chance that it is found.
 
-    ``view`` and ``layout`` are those in ``conditions``, which are named on the sheet. Pixels
-    per metre are by the bands of an ``edition`` of EN 62676-4.
-    Raises InspeError if there is no such ``frame``.
+    Args:
+        scene: The scene.
+        layout, view: A layout and its :func:`inspe_jax.target_view`, both in ``conditions``.
+        frame: Number of the frame of traffic that is drawn.
+        conditions: Light and weather, which are named on the sheet.
+        edition: Of EN 62676-4, whose bands pixels per metre are by.
+
+    Raises:
+        InspeError: There is no such frame.
     """
     title = f"What a {view.road_user} gets: {layout.name} at {scene.name}"
     return _sheet(scene, title, [("", layout, view)], frame, conditions, edition)
@@ -174,7 +180,14 @@ def targets_change(
     conditions: Conditions = FAIR,
 ) -> Figure:
     """The maps of :func:`targets_view` of two layouts of the same sensors, one above the other.
-    Raises InspeError if there is no such ``frame``."""
+
+    Args:
+        scene, frame, conditions: As in :func:`targets_view`.
+        before, after: A layout and its :func:`inspe_jax.target_view` each.
+
+    Raises:
+        InspeError: There is no such frame.
+    """
     title = f"What a {before[1].road_user} gets: before and after, at {scene.name}"
     return _sheet(scene, title, [("before: ", *before), ("after: ", *after)], frame, conditions)
 

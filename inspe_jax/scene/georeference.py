@@ -41,7 +41,12 @@ class Georeference:
             return pyproj.Transformer.from_crs(WGS84, system.to_2d(), always_xy=True)
 
     def to_degrees(self, points: Float[np.ndarray, "N 2"]) -> Float[np.ndarray, "N 2"]:
-        """Longitudes and latitudes [degrees] of world coordinates [m]. Raises as :meth:`check`."""
+        """Longitudes and latitudes [degrees] of world coordinates [m]. Raises as :meth:`check`.
+
+        >>> munich = inspe_jax.Georeference("EPSG:25832")
+        >>> munich.to_degrees(np.array([[691600.0, 5334760.0]])).round(3).tolist()
+        [[11.575, 48.137]]
+        """
         at = np.asarray(points, float) - self.shift
         return np.column_stack(self._to_world.transform(*at.T, direction="INVERSE"))
 

@@ -158,6 +158,9 @@ class Intersection(Described):
         """Ground height [m] at plan points: inverse-distance mean of the 4 nearest points.
 
         Exact at a ground point; on level ground it is that level everywhere.
+
+        >>> scene.intersection.ground(np.array([[0.0, 0.0], [10.0, 5.0]])).tolist()
+        [0.0, 0.0]
         """
         xy = np.atleast_2d(np.asarray(xy, float))
         neighbours = min(4, len(self.ground_points))

@@ -62,7 +62,13 @@ class Profile:
 
 @cache
 def profiles() -> Mapping[str, Profile]:
-    """Every profile by name, the default first."""
+    """Every profile by name, the default first.
+
+    >>> list(inspe_jax.profiles())
+    ['paper', 'ideal']
+    >>> inspe_jax.profiles()["paper"].voxel
+    0.2
+    """
     text = files("inspe_jax.scene").joinpath("profiles.toml").read_text(encoding="utf-8")
     found = {}
     for name, table in tomllib.loads(text).items():

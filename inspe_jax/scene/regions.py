@@ -7,7 +7,11 @@ from inspe_jax.core.errors import check_known
 
 
 class Region(IntEnum):
-    """What a piece of ground is for. The value is the label of a column."""
+    """What a piece of ground is for. The value is the label of a column.
+
+    >>> inspe_jax.Region.CROSSWALK.key, inspe_jax.Region(1).key
+    ('crosswalk', 'junction')
+    """
 
     DRIVEWAY = 0
     JUNCTION = 1

@@ -185,6 +185,9 @@ def build_scene(
 
     Raises:
         InspeError: A value is out of range; and as the model of the traffic does.
+
+    >>> inspe_jax.build_scene("t_junction", radius=20, voxel=1.0, density="none").voxels.count
+    3904
     """
     own = profile_of(profile).of_scene(
         radius=radius, voxel=voxel, spacing=spacing, density=density, mix=mix
@@ -295,7 +298,12 @@ def what_is(path: str | os.PathLike[str]) -> str:
 
 
 def save_scene(scene: Scene, path: str | os.PathLike[str]) -> None:
-    """Write a scene to an ``.npz`` file, whole or not at all. Raises as :meth:`Scene.check`."""
+    """Write a scene to an ``.npz`` file, whole or not at all. Raises as :meth:`Scene.check`.
+
+    >>> inspe_jax.save_scene(scene, "four_way.npz")
+    >>> inspe_jax.load_scene("four_way.npz").voxels.count == scene.voxels.count
+    True
+    """
     if not isinstance(scene, Scene):
         raise wrong_kind("scene", scene, "a Scene")
     check_output(path, SCENE_SUFFIXES)

@@ -31,6 +31,10 @@ class VoxelGrid(ByContent, Described):
     at ground + (k + ½)·spacing. Every voxel is a cube of edge ``size`` [m] in the middle of its
     lattice cell: a sample, if the spacing is wider. Voxel v is column v // Z, level v % Z.
     ``counted`` are the labels of the regions that have weight; all if there are none.
+
+    >>> grid = scene.voxels
+    >>> grid.columns.shape, grid.level_count, grid.count
+    ((172, 2), 2, 344)
     """
 
     columns: Float[np.ndarray, "L 2"]

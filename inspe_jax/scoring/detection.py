@@ -82,7 +82,12 @@ class DetectionCurve:
             )
 
     def chance(self, number: Float[Array, "*n"]) -> Float[Array, "*n"]:
-        """g(n), of expected numbers n ≥ 0. Its slope in n is finite everywhere, also at 0."""
+        """g(n), of expected numbers n ≥ 0. Its slope in n is finite everywhere, also at 0.
+
+        >>> curve = inspe_jax.DetectionCurve(most=0.9, half=8.0, slope=1.5)
+        >>> round(float(curve.chance(np.float32(8.0))), 2)
+        0.45
+        """
         share, some = jnp.maximum(number, NONE) / self.half, number > NONE
         if self.slope in (1.0, 1.5):  # without a logarithm
             power = share if self.slope == 1.0 else share * jnp.sqrt(share)
@@ -220,6 +225,11 @@ def save_detection(curves: DetectionCurves | Fitted, path: str | os.PathLike[str
     """Write curves to a JSON file that :func:`load_detection` reads.
 
     Curves of :func:`fit_detection` replace usual ones. Raises InspeError if it cannot be written.
+
+    >>> curve = inspe_jax.DetectionCurve(most=0.9, half=8.0, slope=1.5)
+    >>> inspe_jax.save_detection({("lidar", "pedestrian"): curve}, "mine.json")
+    >>> inspe_jax.load_detection("mine.json").record["lidar"]["pedestrian"]
+    {'most': 0.9, 'half': 8.0, 'slope': 1.5}
     """
     check_output(path, SUFFIXES[1:])
     if not isinstance(curves, DetectionCurves):
@@ -235,6 +245,14 @@ def fit_detection(boxes: Iterable[Mapping[str, Any]]) -> dict[tuple[str, str], D
     "0" as in a CSV). The likelihood of the matches is maximised. Raises InspeError where a column
     is missing or a value is no such thing, and where a kind and class has fewer than 30 boxes, or
     only boxes that are all found or all missed.
+
+    >>> boxes = [
+    ...     dict(sensor="lidar", road_user="car", number=n, found=n > 10 + k)
+    ...     for n in range(30) for k in range(-3, 4)
+    ... ]
+    >>> curves = inspe_jax.fit_detection(boxes)
+    >>> round(curves["lidar", "car"].half)
+    10
     """
     by: dict[tuple[str, str], list[tuple[float, float]]] = {}
     for line, row in enumerate(boxes, 1):

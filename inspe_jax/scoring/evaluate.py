@@ -128,34 +128,46 @@ def evaluate(
 ) -> Scores:
     """Scores of a layout on a scene: exact ones, or soft ones that have gradients.
 
-    Both can be given by name: ``evaluate("four_way", "Cam-d1")``. A scene is that of a built-in or
-    of a saved file, a layout that of a strategy or of a file.
+    P_sm is the weighted sum of metrics, usually 0.3 C + 0.5 O + 0.2 IG. The scene's static bodies
+    hide voxels in every frame, from every metric. Read exactly, a tree's crown hides if its
+    transmittance is below 0.5; read softly, transmittances are multiplied.
 
-    The scene's static bodies hide voxels in every frame, from every metric. Read exactly, a tree's
-    crown hides if its transmittance is below 0.5; read softly, transmittances are multiplied.
+    Args:
+        scene: A scene, the name of a built-in or of a saved file; or a
+            :class:`~inspe_jax.sensing.conditions.Case`.
+        layout: A layout, or the name of a strategy or of a file.
+        weights: Of the metrics in P_sm, by name, or three numbers for C, O and IG.
+        occlusion_reference: As in :func:`~inspe_jax.scoring.metrics.occlusion_terms`; without it,
+            the scene's profile decides.
+        visibility: One of :data:`VISIBILITIES`, for information gain; without it, the profile
+            decides. Metrics that need line of sight take the same, or ``past_others`` in place of
+            ``in_view``.
+        softness: 0 for the exact scores; or the width [m] with which fields of view and shadows are
+            read, and then rays are read as a density; or a
+            :class:`~inspe_jax.core.numerics.Softness`.
+        conditions: Light and weather, also as text such as "night, rain:10".
+        metrics: Those to compute besides the usual ones and those with weight, or "all".
+        detection: Curves of detectability
+            (:func:`~inspe_jax.scoring.detection.load_detection`), the usual ones if None.
 
-    ``weights`` of the metrics in P_sm are given by name, or as three numbers for C, O and IG.
-    ``metrics`` are the names of those to compute besides the usual ones and those with weight, or
-    "all".
-    ``occlusion_reference`` is as in :func:`~inspe_jax.scoring.metrics.occlusion_terms`, and
-    ``visibility`` for information gain is one of :data:`VISIBILITIES`; without them, the scene's
-    profile decides. Metrics that need line of sight take the same, or ``past_others`` in place of
-    ``in_view``. ``softness`` [m] is 0 for the exact scores; or the width with which fields of
-    view and shadows are read, and then rays are read as a density; or a
-    :class:`~inspe_jax.core.numerics.Softness`. ``conditions`` are the light and the weather that
-    the sensors work in, also as text such as "night, rain:10"; or ``scene`` is a
-    :class:`~inspe_jax.sensing.conditions.Case`. ``detection`` has the curves of detectability, the
-    usual ones if None (:func:`~inspe_jax.scoring.detection.load_detection`).
+    Returns:
+        The scores. With traced poses P (S, 6), ``evaluate(scene, layout.with_poses(P),
+        softness=0.5).surrogate`` is differentiable in P, once and in reverse mode. The exact score
+        is a step function, with gradient 0. The gradient needs no ``jax.jit`` around it. On a CPU
+        it runs on all cores either way, in compiled programs that serve other scenes and layouts;
+        on one core, in double precision or on another device, with ``jax.jit`` the scene becomes a
+        part of the program.
 
-    With traced poses P (S, 6), ``evaluate(scene, layout.with_poses(P), softness=0.5).surrogate`` is
-    differentiable in P, once and in reverse mode. The exact score is a step function, with gradient
-    0. The gradient needs no ``jax.jit`` around it. On a CPU it runs on all cores either way, in
-    compiled programs that serve other scenes and layouts; on one core, in double precision or on
-    another device, with ``jax.jit`` the scene becomes a part of the program.
+    Raises:
+        InspeError: A sensor is in the ground or out of reach of the scene, an option is unknown, or
+            the arrays would not fit in memory; or there is no traffic and so no entropy to resolve,
+            unless information gain has weight 0, which is then 0.
 
-    Raises InspeError where a sensor is in the ground or out of reach of the scene, an option is
-    unknown, or the arrays would not fit in memory. It is also raised where there is no traffic and
-    so no entropy to resolve, unless information gain has weight 0; then information gain is 0.
+    >>> scores = inspe_jax.evaluate(scene, layout)
+    >>> {name: round(float(value), 3) for name, value in scores.metrics.items()}
+    {'coverage': 0.952, 'occlusion': 0.916, 'information_gain': 0.438}
+    >>> round(float(inspe_jax.evaluate(scene, layout, softness=0.5).surrogate), 2)
+    0.84
     """
     scene, layout, conditions = check_layout(scene, layout, conditions)
     readings = options_of(scene, occlusion_reference, visibility)
@@ -257,9 +269,23 @@ def evaluate_many(
 ) -> ManyScores:
     """Exact scores of one layout's sensors at M sets of S poses: the metrics and P_sm only.
 
-    Layouts are scored in parallel, on all cores or devices. The options and, but for the last
-    digits of sums, the scores are those of :func:`evaluate`. ``poses`` are x, y, z [m], roll,
-    pitch, yaw [rad]. Raises InspeError as that does, and for traced poses or another shape.
+    Layouts are scored in parallel, on all cores or devices.
+
+    Args:
+        scene, layout, weights, occlusion_reference, visibility, conditions, metrics, detection: As
+            in :func:`evaluate`.
+        poses: (M, S, 6) x, y, z [m], roll, pitch, yaw [rad].
+
+    Returns:
+        The scores; but for the last digits of sums, those of :func:`evaluate`.
+
+    Raises:
+        InspeError: As :func:`evaluate`, and for traced poses or another shape.
+
+    >>> poses = np.stack([layout.poses, layout.poses + [0, 0, 2.0, 0, 0, 0]])  # and 2 m up
+    >>> found = inspe_jax.evaluate_many(scene, layout, poses)
+    >>> [round(float(value), 2) for value in found.surrogate]
+    [0.83, 0.8]
     """
     scene, layout, conditions = check_layout(scene, layout, conditions)
     readings = options_of(scene, occlusion_reference, visibility)

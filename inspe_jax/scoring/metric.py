@@ -122,6 +122,9 @@ class Metric:
     Two more make searches faster. ``targets`` names the fields of ``targets`` that ``terms`` reads,
     if any; others may be None there. ``submodular`` promises that a sensor never takes anything
     away, and adds the less the more others there are; else candidates are left out wrongly.
+
+    >>> {row.symbol: row.weight for row in inspe_jax.METRICS.values() if row.weight}
+    {'C': 0.3, 'O': 0.5, 'IG': 0.2}
     """
 
     name: str

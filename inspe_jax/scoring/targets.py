@@ -85,13 +85,26 @@ def target_view(
 ) -> TargetView:
     """LiDAR returns and pixels per metre on a road user that stands at each column of a scene.
 
-    ``road_user`` is one of :data:`~inspe_jax.scene.traffic.frames.CLASSES`, in its typical size and
-    with any heading. ``conditions`` shorten what a sensor reaches; ``detection`` has the curves of
-    detection, the usual ones if None. A vehicle that stands on the target's own place does not hide
-    it: the target is in its stead.
-
+    A vehicle that stands on the target's own place does not hide it: the target is in its stead.
     Traffic is looked at slab by slab of the target's height, by the line of sight to the middle of
-    the column. Raises InspeError as :func:`inspe_jax.evaluate` does, and for an unknown road user.
+    the column.
+
+    Args:
+        scene, layout: As in :func:`inspe_jax.evaluate`, also by name.
+        road_user: One of :data:`~inspe_jax.scene.traffic.frames.CLASSES`, in its typical size and
+            with any heading.
+        conditions: Light and weather, which shorten what a sensor reaches.
+        detection: Curves of detection, the usual ones if None.
+
+    Returns:
+        What each sensor has on the road user at each column.
+
+    Raises:
+        InspeError: The road user is unknown, or as :func:`inspe_jax.evaluate`.
+
+    >>> view = inspe_jax.target_view(scene, layout, "pedestrian")
+    >>> view.pixels_per_metre.shape, round(float(view.detectability.mean()), 2)
+    ((8, 172), 0.73)
     """
     check_known(road_user, CLASSES, "road user")
     curves = None if detection is None else detection.for_road_users(())

@@ -162,7 +162,7 @@ def layouts_from(
     >>> _ = path.write_text('''sensors:
     ...   - {name: a, width: 1920, height: 1080, position: [4, 3, 6], yaw_deg: 90, pitch_deg: -20,
     ...      camera_matrix: [[1200, 0, 960], [0, 1200, 540], [0, 0, 1]]}''')
-    >>> layouts_from(path).layout.pose(0).z
+    >>> inspe_jax.layouts_from(path).layout.pose(0).z
     6.0
     """
     for name, value, known in (("unit", unit, UNITS), ("heights", heights, HEIGHTS)):

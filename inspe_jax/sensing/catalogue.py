@@ -19,7 +19,12 @@ from inspe_jax.sensing.sensors import Spec
 class Device:
     """One row of the catalogue: a spec, its maker and its list price [US$] in the year of ``note``,
     None if none is public. ``source`` says where the figures come from, ``note`` what was assumed.
-    ``product`` is False for the model of a device that nobody sells."""
+    ``product`` is False for the model of a device that nobody sells.
+
+    >>> device = inspe_jax.device("hesai-xt32")
+    >>> device.kind, device.maker, device.price_usd
+    ('lidar', 'Hesai', None)
+    """
 
     name: str
     kind: str
@@ -33,12 +38,20 @@ class Device:
 
 
 def devices() -> dict[str, Device]:
-    """The built-in catalogue by name, in the order of its file."""
+    """The built-in catalogue by name, in the order of its file.
+
+    >>> [name for name in inspe_jax.devices() if name.startswith("paper")]
+    ['paper-lidar-32', 'paper-lidar-64', 'paper-camera']
+    """
     return dict(_built_in())
 
 
 def device(name: str) -> Device:
-    """A built-in device by name. Raises InspeError with the most similar names."""
+    """A built-in device by name. Raises InspeError with the most similar names.
+
+    >>> inspe_jax.device("hesai-xt32").spec.reach
+    80.0
+    """
     known = _built_in()
     if name not in known:
         hint = nearest(name, list(known))

@@ -38,6 +38,9 @@ class Conditions:
 
     ``intensity`` is the rate of rain [mm/h] or the meteorological optical range in fog [m], None
     for the usual one. Raises InspeError if a name is unknown or the intensity is out of range.
+
+    >>> inspe_jax.Conditions("night", "rain", 10.0).weather_text
+    'rain:10'
     """
 
     light: str = "midday"
@@ -66,7 +69,11 @@ class Conditions:
     @classmethod
     def of(cls, light: str = "midday", weather: str = CLEAR) -> "Conditions":
         """Conditions by name; weather may have its intensity, as "rain:10" or "fog:200". Raises
-        InspeError as the constructor does."""
+        InspeError as the constructor does.
+
+        >>> inspe_jax.Conditions.of("dusk", "fog:200")
+        Conditions(light='dusk', weather='fog', intensity=200.0)
+        """
         name, colon, number = weather.strip().lower().partition(":")
         try:
             intensity = float(number) if colon else None
@@ -94,7 +101,13 @@ class Conditions:
 
     def spec(self, spec: Spec) -> Spec:
         """A sensor with the reach [m] and the reliability that it has in these conditions. Light or
-        weather without figures for its kind changes nothing."""
+        weather without figures for its kind changes nothing.
+
+        >>> spec = inspe_jax.device("paper-camera").spec
+        >>> fog = inspe_jax.Conditions.of(weather="fog:100")
+        >>> spec.depth, round(fog.spec(spec).depth, 1)
+        (38.0, 20.5)
+        """
         light = _figures()["light"][self.light]
         depth = spec.grid.reach * light.get(f"{spec.kind}_depth", 1.0)
         share = light.get(f"{spec.kind}_reliability", 1.0)
@@ -160,7 +173,12 @@ FAIR = Conditions()  # midday and clear air, the conditions of a catalogue's fig
 
 @dataclass(frozen=True)
 class Case:
-    """A scene to score on, and the light and weather that the sensors work in."""
+    """A scene to score on, and the light and weather that the sensors work in.
+
+    >>> night = inspe_jax.Case(scene, inspe_jax.Conditions("night"))
+    >>> float(inspe_jax.evaluate(night, layout).surrogate) < 0.8
+    True
+    """
 
     scene: Scene
     conditions: Conditions = FAIR

@@ -131,21 +131,36 @@ class Layout(ByContent, Described):
 
     def with_poses(self, poses: Float[Any, "S 6"]) -> "Layout":
         """The same sensors at other world poses, traced or not: an array, or rows of numbers.
-        Raises InspeError on a wrong shape."""
+        Raises InspeError on a wrong shape.
+
+        >>> higher = layout.with_poses(layout.poses + [0, 0, 1, 0, 0, 0])
+        >>> higher.pose(0).z - layout.pose(0).z
+        1.0
+        """
         found = poses if hasattr(poses, "shape") else _numbers(poses)
         if tuple(found.shape) != (len(self), 6):
             raise InspeError(f"poses have shape {tuple(found.shape)}, expected ({len(self)}, 6)")
         return replace(self, poses=found)
 
     def rays(self, s: int) -> tuple[np.ndarray, np.ndarray, float]:
-        """Every ray of sensor ``s``: origin (3,) [m], unit directions (R, 3), reach [m], world."""
+        """Every ray of sensor ``s``: origin (3,) [m], unit directions (R, 3), reach [m], world.
+
+        >>> origin, directions, reach = layout.rays(0)
+        >>> origin.shape, directions.shape, reach
+        ((3,), (19200, 3), 38.0)
+        """
         pose = np.asarray(self.poses[s], float)
         grid = self.sensors[s].spec.grid
         turn = rotation(pose[3:], np)
         return pose[:3], grid.directions() @ turn.T, grid.reach
 
     def pose(self, s: int) -> Pose:
-        """The pose of sensor ``s``, by name."""
+        """The pose of sensor ``s``, by name.
+
+        >>> pose = layout.pose(0)
+        >>> [round(float(number), 1) for number in pose]
+        [9.3, 9.3, 6.5, 0.0, 0.0, 0.0]
+        """
         return Pose(*np.asarray(self.poses[s], float).tolist())
 
     def groups(self) -> tuple[tuple[RayGrid, tuple[int, ...]], ...]:
@@ -156,7 +171,11 @@ class Layout(ByContent, Described):
         return tuple((grid, tuple(index)) for grid, index in found.items())
 
     def members(self) -> tuple[tuple[int, ...], ...]:
-        """Indices of each unit's sensors."""
+        """Indices of each unit's sensors.
+
+        >>> layout.members()
+        ((0, 1), (2, 3), (4, 5), (6, 7))
+        """
         return tuple(
             tuple(s for s, sensor in enumerate(self.sensors) if sensor.unit == u)
             for u in range(len(self.units))
@@ -178,12 +197,23 @@ def make_layout(
     *,
     unit_rule: bool = True,
 ) -> Layout:
-    """A checked layout, its sensors in this order; ``poses`` may be rows of :class:`Pose`.
+    """A checked layout, its sensors in the order given.
 
-    Raises InspeError, which names ``where`` or the layout, if the layout is empty, poses are not
-    finite or of another shape, a unit is missing, a device has impossible numbers, or two sensors
-    or units have one name; with ``unit_rule`` also if two sensors of one unit are more than 2 m
-    apart in plan or 4 m in height.
+    Args:
+        sensors, units: Those of the layout.
+        poses: (S, 6) x, y, z [m], roll, pitch, yaw [rad], or rows of :class:`Pose`.
+        name: Of the layout.
+        where: What error messages name, the layout if None.
+        unit_rule: Sensors of one unit are at most 2 m apart in plan and 4 m in height.
+
+    Raises:
+        InspeError: The layout is empty, poses are not finite or of another shape, a unit is missing
+            or broken up, a device has impossible numbers, or two sensors or units have one name.
+
+    >>> units = [inspe_jax.Unit("pole", (12.0, 12.0, 0.0))]
+    >>> sensors = [inspe_jax.Sensor("north", inspe_jax.device("paper-camera").spec, 0)]
+    >>> inspe_jax.make_layout(sensors, units, [inspe_jax.Pose(12, 12, 6, yaw=np.pi / 2)]).pose(0).z
+    6.0
     """
     where = where or name
     poses = _numbers(poses)
@@ -264,9 +294,16 @@ class _LayoutFile(BaseModel, **STRICT):
 def load_layout(
     path: str | os.PathLike[str], scene: Scene | None = None, *, unit_rule: bool = True
 ) -> Layout:
-    """Read a layout file; a base of two numbers stands on the ground of ``scene``, or at height 0
-    without one. ``unit_rule`` as in :func:`make_layout`. Raises InspeError that names the file, the
-    key and what is allowed."""
+    """Read a layout file.
+
+    Args:
+        path: The file; its form is in this module's docstring.
+        scene: A base of two numbers stands on its ground, or at height 0 without one.
+        unit_rule: As in :func:`make_layout`.
+
+    Raises:
+        InspeError: Names the file, the key and what is allowed.
+    """
     path = Path(path)
     return parse_layout(read_yaml(path), str(path), path.stem, scene, unit_rule=unit_rule)
 
@@ -348,7 +385,12 @@ def _goal(entry: _GoalEntry | None, where: str) -> Goal | None:
 
 def save_layout(layout: Layout, path: str | os.PathLike[str]) -> None:
     """Write a layout file that :func:`load_layout` reads back to the same poses, to 1e-9. Raises
-    InspeError as :func:`layout_text` does."""
+    InspeError as :func:`layout_text` does.
+
+    >>> inspe_jax.save_layout(layout, "layout.yaml")
+    >>> inspe_jax.load_layout("layout.yaml").sensors == layout.sensors
+    True
+    """
     write_text(path, layout_text(layout))
 
 

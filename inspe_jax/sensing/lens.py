@@ -27,7 +27,12 @@ class Lens(NamedTuple):
     fisheye: bool = False
 
     def pixels(self, optical: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 2"]:
-        """Pixels of points in the camera's optical axes [m]; what is behind is far off."""
+        """Pixels of points in the camera's optical axes [m]; what is behind is far off.
+
+        >>> lens = inspe_jax.Lens(1000.0, 1000.0, 960.0, 540.0)
+        >>> lens.pixels(np.array([[1.0, 0.5, 10.0]])).tolist()  # right, down, ahead
+        [[1060.0, 590.0]]
+        """
         x, y, z = optical.T
         if self.fisheye:
             off = np.maximum(np.hypot(x, y), 1e-12)

@@ -72,10 +72,10 @@ def solve_pose(
         InspeError: There are too few pairs, shapes differ, all points lie on one line, or the
             pairs leave the pose open.
 
-    >>> lens = Lens(1000.0, 1000.0, 960.0, 540.0)
+    >>> lens = inspe_jax.Lens(1000.0, 1000.0, 960.0, 540.0)
     >>> at = [[20, -5, 0], [20, 5, 0], [40, -8, 0], [40, 8, 0], [30, 0, 2]]
     >>> seen = [[1194, 828], [726, 828], [1153, 682], [767, 682], [960, 676]]
-    >>> solve_pose(seen, at, lens).pose.z > 5
+    >>> inspe_jax.solve_pose(seen, at, lens).pose.z > 5
     True
     """
     points = array(points, "points", (len(points), 3))

@@ -52,8 +52,8 @@ class Pose(NamedTuple):
         Raises:
             InspeError: The matrix is no rotation with a translation, is mirrored or transposed.
 
-        >>> north = [[1, 0, 0, 2], [0, 0, 1, 3], [0, -1, 0, 6], [0, 0, 0, 1]]  # level, 6 m up
-        >>> pose = Pose.from_matrix(north, convention="optical", direction="sensor_to_world")
+        >>> m = [[1, 0, 0, 2], [0, 0, 1, 3], [0, -1, 0, 6], [0, 0, 0, 1]]  # level, to the north
+        >>> pose = inspe_jax.Pose.from_matrix(m, convention="optical", direction="sensor_to_world")
         >>> pose.x, pose.y, pose.z, round(float(np.degrees(pose.yaw)))
         (2.0, 3.0, 6.0, 90)
         """
@@ -310,7 +310,7 @@ class CameraSpec(Spec):
             InspeError: Neither or both of focal length and field of view are given, or the
                 principal point is outside of the picture, as where width and height are swapped.
 
-        >>> spec = CameraSpec.from_intrinsics("roof", 1920, 1080, hfov_deg=90.0, depth=60.0)
+        >>> spec = inspe_jax.CameraSpec.from_intrinsics("roof", 1920, 1080, hfov_deg=90, depth=60)
         >>> round(spec.focal)
         960
         """

@@ -108,7 +108,8 @@ class Image(Deferred):
 @dataclass(frozen=True, eq=False)
 class Scan(Deferred):
     """The points of a LiDAR: x, y, z in its body frame (x forward, y left, z up) [m], intensity
-    0…1. ``returns`` is how many are of each of the frame's B road users; None: not counted."""
+    0…1. ``returns`` is how many are of each of the frame's B road users; None: not counted.
+    """
 
     pose: Pose6
     points: Float[np.ndarray, "N 4"] = field(repr=False)

@@ -71,7 +71,11 @@ class Server:
 
     @classmethod
     def of(cls, text: str) -> "Server":
-        """The server at "HOST", "HOST:PORT" or "PORT". Raises InspeError for any other text."""
+        """The server at "HOST", "HOST:PORT" or "PORT". Raises InspeError for any other text.
+
+        >>> dataset.Server.of("10.0.0.7:2500")
+        Server(host='10.0.0.7', port=2500, timeout=20.0)
+        """
         found = re.fullmatch(r"(?P<alone>\d+)|(?P<host>[^\s:]+)(:(?P<port>\d+))?", text.strip())
         if found is None:
             raise InspeError(f"server '{text}': HOST, HOST:PORT or PORT, as {cls()}")

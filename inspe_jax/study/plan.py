@@ -155,8 +155,15 @@ _CHECKS = settings.CHECKS | {
 
 
 def load_study(path: str | os.PathLike[str]) -> Study:
-    """Read a study file; its form is in this module's docstring. Raises InspeError that names the
-    file, the key and what is allowed."""
+    r"""Read a study file; its form is in this module's docstring. Raises InspeError that names the
+    file, the key and what is allowed.
+
+    >>> from pathlib import Path
+    >>> text = "{scenes: [{built_in: four_way}], layouts: [Cam-d1, L-d1]}"
+    >>> _ = Path("study.yaml").write_text(text)
+    >>> len(inspe_jax.load_study("study.yaml").jobs)
+    2
+    """
     path = Path(path)
     return make_study(sources.read_study(path), path.parent, str(path), path.stem)
 

@@ -41,24 +41,30 @@ def sweep(
     workers: int | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> list[Row]:
-    """Run every job of a study that ``folder`` has no row of yet; returns all rows, in order.
+    """Run every job of a study that ``folder`` has no row of yet.
 
     Rows are appended to ``results.csv`` as jobs finish; layouts that searches found go into
     ``layouts/``. To resume a run that was killed, or to run again what failed, call this again: the
     table comes out the same, except for searches with a budget in ``seconds``, which do not repeat
-    to the digit.
+    to the digit. A job that fails has a row with its error; so has a job whose worker dies each
+    time. Workers are processes of their own, so a script that calls this needs ``if __name__ ==
+    "__main__":``, and must register its metrics above that line.
 
-    ``scheduler``: address of a running Dask scheduler. Its workers need one thread each, the same
-    versions of Python, JAX, NumPy and this package, and maps and saved scenes at the same paths.
-    ``workers``: without a scheduler, number of processes on this machine; one per core by default.
-    ``progress``: called with (jobs done, jobs).
+    Args:
+        study: The jobs, as of :func:`load_study`.
+        folder: Where results go.
+        scheduler: Address of a running Dask scheduler. Its workers need one thread each, the same
+            versions of Python, JAX, NumPy and this package, and maps and saved scenes at the same
+            paths.
+        workers: Without a scheduler, number of processes on this machine; one per core if None.
+        progress: Called with (jobs done, jobs).
 
-    A job that fails has a row with its error; so has a job whose worker dies each time. Workers are
-    processes of their own, so a script that calls this needs ``if __name__ == "__main__":``, and
-    must register its metrics above that line.
+    Returns:
+        All rows, in order.
 
-    Raises InspeError if Dask is missing, if no scheduler answers or its workers have other
-    versions, or as :class:`Results` does.
+    Raises:
+        InspeError: Dask is missing, no scheduler answers or its workers have other versions, or as
+            :class:`Results`.
     """
     if not isinstance(study, Study):
         raise wrong_kind("study", study, "a Study, as load_study reads it")

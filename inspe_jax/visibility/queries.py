@@ -23,7 +23,19 @@ def in_view(scene: Scene | Case | str, layout: Layout | str) -> Bool[np.ndarray,
     """Whether some ray of each sensor passes through each voxel; traffic does not matter.
 
     A ray ends at a static body: a voxel behind one, by the line to its centre, is not in view.
-    Raises InspeError as :func:`check_layout` does.
+
+    Args:
+        scene, layout: As in :func:`inspe_jax.evaluate`, also by name.
+
+    Returns:
+        (S, V) by sensor and voxel; voxel v is in column v // Z, level v % Z.
+
+    Raises:
+        InspeError: As :func:`check_layout`.
+
+    >>> seen = inspe_jax.in_view(scene, layout)
+    >>> seen.shape, round(float(seen.any(0).mean()), 3)
+    ((8, 344), 0.953)
     """
     scene, layout, conditions = check_layout(scene, layout)
     layout = conditions.layout(layout)
@@ -52,7 +64,21 @@ def line_of_sight(
     vehicle, and no static body of which less than half of the light passes through.
 
     The rays and the reach do not matter. A voxel inside a vehicle or a body is not in line of
-    sight. Raises InspeError where there is no such frame, and as :func:`check_layout` does.
+    sight.
+
+    Args:
+        scene, layout: As in :func:`inspe_jax.evaluate`, also by name.
+        frame: Number of the frame.
+
+    Returns:
+        (S, V) by sensor and voxel.
+
+    Raises:
+        InspeError: There is no such frame, or as :func:`check_layout`.
+
+    >>> clear = inspe_jax.line_of_sight(scene, layout, frame=0)
+    >>> clear.shape, bool(clear.all())
+    ((8, 344), False)
     """
     scene, layout, _ = check_layout(scene, layout)
     frame = check_frame(scene, frame)

@@ -3,7 +3,6 @@
 Numbers of deployments are read beside the checkout, with the poses that they have there.
 """
 
-import doctest
 import json
 from dataclasses import replace
 from functools import cache
@@ -17,7 +16,6 @@ from inspe_jax import CameraSpec, InspeError, layouts_from
 from inspe_jax.core import carla_frame
 from inspe_jax.core.geometry import pixels, pose_matrix
 from inspe_jax.report.handover import calibration_json
-from inspe_jax.sensing import calibrations
 from inspe_jax.sensing.calibrations import projection_of
 from inspe_jax.sensing.catalogue import device
 from inspe_jax.sensing.layout import Sensor, Unit, make_layout
@@ -60,10 +58,6 @@ def check(poses, *expected, cm=CM, centidegree=CENTIDEGREE):
 
 def matrix_of(lens):
     return [[lens["fx"], 0, lens["cx"]], [0, lens["fy"], lens["cy"]], [0, 0, 1]]
-
-
-def test_its_example_runs():
-    assert doctest.testmod(calibrations).failed == 0
 
 
 # ── Deployments ─────────────────────────────────────────────────────────────

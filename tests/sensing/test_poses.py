@@ -1,7 +1,6 @@
 """Poses of matrices, cameras of intrinsics, and poses solved from pixels."""
 
 import csv
-import doctest
 import re
 
 import numpy as np
@@ -13,18 +12,12 @@ from worlds import DEPLOYMENTS, needs_deployments
 from inspe_jax import CameraSpec, InspeError, Lens, Pose, solve_pose
 from inspe_jax.core import carla_frame
 from inspe_jax.core.geometry import pose_matrix
-from inspe_jax.sensing import pose_solver, sensors
 from inspe_jax.sensing.catalogue import check_spec, spec_of, table_of
 
 rng = np.random.default_rng(5)
 POSES = [[1, -2, 6, 0.2, -0.5, 2.5], [0, 0, 8, 0, -np.pi / 2, 1.0], [3, 4, 5, -3.0, 1.2, -3.1]]
 LENS = Lens(1200.0, 1210.0, 950.0, 545.0)
 OPTICAL = np.array([[0, 0, 1], [-1, 0, 0], [0, -1, 0]])  # columns: right, down, ahead in the body
-
-
-@pytest.mark.parametrize("module", [sensors, pose_solver])
-def test_examples_run(module):
-    assert doctest.testmod(module).failed == 0
 
 
 @pytest.mark.parametrize("pose", POSES)

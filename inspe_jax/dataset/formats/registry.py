@@ -62,11 +62,25 @@ def write_frame(
     format: str = DEFAULT_FORMAT,
     options: FileOptions = DEFAULT_OPTIONS,
 ) -> tuple[Path, ...]:
-    """Write a frame into the folder of a scenario, in a format of :data:`FORMATS`; gives its files.
+    """Write a frame into the folder of a scenario, over one of this number that is there.
 
-    A frame of this number that is there is replaced. Every frame of a scenario should have the
-    same stations. Raises InspeError, before anything is written, where the format is unknown, an
-    option is out of range, or the frame is not valid.
+    Args:
+        scenario: The folder.
+        frame: Every frame of a scenario should have the same stations.
+        format: One of :data:`FORMATS`.
+        options: How its files are written.
+
+    Returns:
+        Its files.
+
+    Raises:
+        InspeError: Before anything is written, where the format is unknown, an option is out of
+            range, or the frame is not valid.
+
+    >>> empty = dataset.Frame(0, 0.0, (), (dataset.Station(1, "pole", np.zeros(6), (), ()),))
+    >>> files = dataset.write_frame("mine/train/four_way", empty)
+    >>> [file.name for file in files]
+    ['000000.pcd', '000000.yaml']
     """
     check_known(format, FORMATS, "format:")
     options.check("options")

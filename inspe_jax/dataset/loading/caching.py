@@ -75,14 +75,20 @@ def cache(
 ) -> Cache:
     """Decode a data set into ``folder``, as far as it is not there yet, also after a kill.
 
-    ``pictures`` are resized to (height, width); None leaves them out. The scenarios are divided
-    among ``workers`` processes, one per core if not given; with 1, this process does it. A scenario
-    appears when it is complete. ``progress`` is called with (frames done, all frames).
+    A scenario appears when it is complete. Scripts that call this need the usual ``if __name__ ==
+    "__main__":``, because workers are processes.
 
-    Scripts that call this need the usual ``if __name__ == "__main__":``, because workers are
-    processes. Raises InspeError if the folder holds anything else, such as the cache of another
-    state of the set or with pictures of another size; if another run uses it; or if a file of the
-    set is broken. What was decoded until then stays.
+    Args:
+        dataset: A data set, or its folder.
+        folder: Where the cache is.
+        pictures: Size (height, width) [px] that they get; None leaves them out.
+        workers: Processes that share the scenarios, one per core if None; with 1, this one.
+        progress: Called with (frames done, all frames).
+
+    Raises:
+        InspeError: The folder holds anything else, such as the cache of another state of the set or
+            with pictures of another size; another run uses it; or a file of the set is broken. What
+            was decoded until then stays.
     """
     data = dataset if isinstance(dataset, Dataset) else open_dataset(dataset)
     if pictures is not None and not all(isinstance(n, int) and n >= 1 for n in pictures):

@@ -14,9 +14,11 @@ from inspe_jax.simulation.frame import Picture
 def on_picture(points: Any, pose: Any, intrinsic: Any, xp: Any = np) -> Any:
     """Points on a picture: column and row [pixels], and depth [m], negative behind the camera.
 
-    ``points`` (…, 3) are in the frame that ``pose`` (4, 4) leads to from the camera's body (x
-    forward, y left, z up); ``intrinsic`` is (3, 3). (0, 0) is the outer corner of the first pixel.
-    ``xp`` is numpy or jax.numpy.
+    Args:
+        points: (…, 3) in the frame that ``pose`` leads to.
+        pose: (4, 4) from the camera's body (x forward, y left, z up).
+        intrinsic: (3, 3) [px]; (0, 0) is the outer corner of the first pixel.
+        xp: numpy or jax.numpy.
     """
     body = (points - xp.broadcast_to(pose[:3, 3], points.shape)) @ pose[:3, :3]
     seen = xp.stack([-body[..., 1], -body[..., 2], body[..., 0]], -1) @ intrinsic.T
@@ -95,6 +97,10 @@ class Augment:
     side of the road. Its turn about the vertical is uniform within ± ``turn`` [rad], its scale
     within ``scale``. The defaults are those of SECOND (Yan, Mao and Li 2018) and PointPillars (Lang
     et al. 2019).
+
+    >>> change = dataset.Augment(flip=0.0, turn=0.1).similarity(np.random.default_rng(0))
+    >>> change.mirrored, abs(change.turn) < 0.1
+    (False, True)
     """
 
     flip: float = 0.5

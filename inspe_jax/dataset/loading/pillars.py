@@ -22,6 +22,9 @@ class PillarGrid:
     50 m and can be halved eight times; a lorry fits, also on a slope. A cloud of the paper's LiDARs
     has points in 6,400 of these pillars, one of a Velodyne HDL-64E in 14,000; 16 points a pillar
     are 94 % of the latter's.
+
+    >>> dataset.PillarGrid(half=40.0, cell=0.4).side
+    200
     """
 
     half: float = 51.2

@@ -71,15 +71,23 @@ def train(
     grid: BevGrid | None = None,
     progress: Progress | None = None,
 ) -> TrainingRun:
-    """Train a detector on the split ``train`` of a cache; the run is in ``folder``.
+    """Train a detector on the split ``train`` of a cache.
 
     After a kill, call this again: it goes on from the last state. On a CPU, its losses are then the
     same to the last digit as without the kill. A model that is taught has its teacher
     trained first, in ``folder/teacher``.
 
-    Raises InspeError if the cache has no data of the model's sensors or no split ``train``; if the
-    folder has another run, or another process trains it; if the last state is damaged; or if a
-    loss is not a number, in which case the states before it stay.
+    Args:
+        cache: The decoded data set.
+        folder: Where the run is.
+        settings: The model, its steps and their size.
+        grid: In plan, from above; the usual one if None.
+        progress: Called with a :class:`Report`.
+
+    Raises:
+        InspeError: The cache has no data of the model's sensors or no split ``train``; the folder
+            has another run, or another process trains it; the last state is damaged; or a loss is
+            not a number, in which case the states before it stay.
     """
     grid = grid or BevGrid()
     grid.check()
@@ -253,15 +261,21 @@ def train_all(
 ) -> Iterator[tuple[Training, Any]]:
     """Train every detector; yields each training as it is done, with its run or its exception.
 
-    Each goes on from its last state. ``progress`` is called with (steps done, steps) of all
-    trainings together. With ``work``, a worker does ``work(training, progress)``, which may measure
-    what was trained, and what that gives takes the place of the run.
+    Each goes on from its last state.
 
-    ``scheduler``: address of a running Dask scheduler, whose workers reach caches and runs at the
-    same paths. ``workers``: without a scheduler, number of processes on this machine, which share
-    its cores; by default one per core, but no more than trainings. Raises InspeError if two
-    trainings have the same folder, if both of these are given, if Dask is missing, or if no
-    scheduler answers.
+    Args:
+        trainings: What is trained where.
+        work: What a worker does with (training, progress) in place of training; it may measure what
+            was trained, and what it gives takes the place of the run.
+        scheduler: Address of a running Dask scheduler, whose workers reach caches and runs at the
+            same paths.
+        workers: Without a scheduler, number of processes on this machine, which share its cores; by
+            default one per core, but no more than trainings.
+        progress: Called with (steps done, steps) of all trainings together.
+
+    Raises:
+        InspeError: Two trainings have the same folder, both of scheduler and workers are given,
+            Dask is missing, or no scheduler answers.
     """
     folders = [training.folder for training in trainings]
     if twice := [folder for folder in folders if folders.count(folder) > 1]:

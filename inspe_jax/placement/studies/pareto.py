@@ -108,17 +108,31 @@ def pareto(
     conditions: Conditions | str | None = None,
     **options: Unpack[SearchOptions],
 ) -> list[DeviceMix]:
-    """Search for the best layout of every mix of devices; returns the mixes, cheapest first.
+    """Search for the best layout of every mix of devices.
 
-    ``scene``, ``conditions``: as in :func:`~inspe_jax.placement.optimise.optimise`.
-    ``counts``: the numbers of each device to try, such as ``{"hesai-xt32": range(5)}``.
-    ``options``: of each mix's search, see :class:`SearchOptions`. Mixes that cost more than the
-    objective's ``budget`` are left out; its ``prices`` replace those of the catalogue; with its
-    ``failures`` a mix has at least two sensors.
+    Ctrl-C ends with the mixes so far; the last one has the best layout up to then.
 
-    Ctrl-C ends with the mixes so far; the last one has the best layout up to then. Raises
-    InspeError, before the first search, if a device is unknown or has no price, a number is not
-    valid, the place has too few posts, or no mix is left.
+    Args:
+        scene, conditions: As in :func:`~inspe_jax.placement.optimise.optimise`.
+        counts: Numbers of each device to try, such as ``{"hesai-xt32": range(5)}``.
+        progress: Called with the mix, the share of its budget spent and its best score.
+        options: Of each mix's search, see :class:`SearchOptions`. Mixes that cost more than the
+            objective's ``budget`` are left out; its ``prices`` [US dollars] replace those of the
+            catalogue; with its ``failures`` a mix has at least two sensors.
+
+    Returns:
+        The mixes, cheapest first.
+
+    Raises:
+        InspeError: Before the first search, if a device is unknown or has no price, a number is not
+            valid, the place has too few posts, or no mix is left.
+
+    >>> objective = inspe_jax.Objective(prices={"paper-camera": 500.0})
+    >>> mixes = inspe_jax.pareto(
+    ...     scene, {"paper-camera": [8]}, method="random", evaluations=2, objective=objective
+    ... )
+    >>> [(mix.name, mix.cost, mix.front) for mix in mixes]
+    [('8 paper-camera', 4000.0, True)]
     """
     wanted = device_mixes(counts, options.get("objective"))
     found = searched(wanted, scene, conditions, progress, float("inf"), **options)
@@ -136,12 +150,19 @@ def cheapest(
 ) -> Cheapest:
     """Search for the cheapest mix of devices whose objective is at least ``target``.
 
-    Mixes are searched in the order of their cost. The first that reaches the target, such as D of
-    0.95 on crosswalks, ends the study, and its own search. ``objective`` is detectability if none
-    is given. The other options are as in :func:`pareto`.
+    Mixes are searched in the order of their cost. The first that reaches the target ends the study,
+    and its own search. Ctrl-C ends with the mixes so far.
 
-    Ctrl-C ends with the mixes so far. Raises InspeError as :func:`pareto` does, and where no score
-    could be so high.
+    Args:
+        scene, counts, conditions, progress, options: As in :func:`pareto`; without an ``objective``
+            it is detectability.
+        target: The objective to reach, such as D of 0.95 on crosswalks.
+
+    Returns:
+        The mixes that were searched, and the one that reaches the target, if any.
+
+    Raises:
+        InspeError: As :func:`pareto`, and where no score could be so high.
     """
     check_target(target)
     objective = options.get("objective") or Objective(weights={"detectability": 1.0})

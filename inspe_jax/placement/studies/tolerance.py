@@ -91,14 +91,22 @@ def tolerance(
 ) -> Tolerance:
     """Slopes of the objective for every sensor, and the objectives after random errors.
 
-    ``scene``, ``layout``, ``conditions``: as in :func:`inspe_jax.evaluate`, also by name.
-    ``position`` [m], ``angle`` [rad]: standard deviations of independent normal errors. Every
-    sensor is shifted along x, y and z, and turned in yaw and pitch.
-    ``samples``: number of random installations; ``seed``: of their errors. Scores are exact.
-    Slopes are those of the soft score: the exact score is a step function, and has none.
-    ``progress``: called with (installations done, installations).
+    Every sensor is shifted along x, y and z, and turned in yaw and pitch. Slopes are those of the
+    soft score: the exact score is a step function, and has none.
 
-    Raises InspeError if an option is out of range, or as :func:`inspe_jax.evaluate` does.
+    Args:
+        scene, layout, conditions: As in :func:`inspe_jax.evaluate`, also by name.
+        position, angle: Standard deviations of independent normal errors [m, rad].
+        samples: Number of random installations, whose scores are exact.
+        seed: Of their errors.
+        objective: What is scored, P_sm if None.
+        progress: Called with (installations done, installations).
+
+    Returns:
+        The slopes, the score as planned, and those of the installations.
+
+    Raises:
+        InspeError: An option is out of range, or as :func:`inspe_jax.evaluate`.
     """
     check_errors(position, angle, samples, seed)
     problem = Problem(cases_of(scene, conditions), layout, objective)

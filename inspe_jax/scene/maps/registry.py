@@ -58,17 +58,27 @@ def open_map(path: str | os.PathLike[str], driving_side: str | None = None) -> R
 def list_junctions(
     path: str | os.PathLike[str], driving_side: str | None = None
 ) -> tuple[JunctionInfo, ...]:
-    """The junctions of a map. Raises InspeError as :func:`open_map`."""
+    """The junctions of a map, ``driving_side`` as in :func:`read_map`. Raises as :func:`open_map`.
+
+    >>> [(one.id, one.arms) for one in inspe_jax.list_junctions("crossroads.xodr")]
+    [(100, 4)]
+    """
     return open_map(path, driving_side).list_junctions()
 
 
 def junction_at(
     path: str | os.PathLike[str], lat: float, lon: float, driving_side: str | None = None
 ) -> JunctionInfo:
-    """The junction of a map that is nearest to a latitude and longitude [degrees].
+    """The junction of a map that is nearest to a latitude and longitude.
 
-    Raises InspeError if the map has no projection, if every junction is farther than :data:`FAR`,
-    or as :func:`read_map`.
+    Args:
+        path: File of one of the :data:`FORMATS`.
+        lat, lon: Latitude and longitude [degrees].
+        driving_side: As in :func:`read_map`.
+
+    Raises:
+        InspeError: The map has no projection, every junction is farther than :data:`FAR`, or as
+            :func:`read_map`.
     """
     whole = open_map(path, driving_side)
     georeference = whole.georeference
@@ -117,5 +127,9 @@ def read_map(
     Raises:
         InspeError: An extra or the file is missing, the file is not a map, or it has no such
             junction or no road near.
+
+    >>> place = inspe_jax.read_map("crossroads.xodr", junction=100, radius=40)
+    >>> place.name, len(place.arms)
+    ('crossroads junction 100', 4)
     """
     return open_map(path, driving_side).read(junction, center, radius)

@@ -192,6 +192,11 @@ BUILT_INS: dict[str, Callable[[], Intersection]] = {
 
 
 def built_in(name: str) -> Intersection:
-    """A built-in intersection by name. Raises InspeError with the known names."""
+    """A built-in intersection by name. Raises InspeError with the known names.
+
+    >>> place = inspe_jax.built_in("four_way")
+    >>> len(place.arms), len(place.poles)
+    (4, 4)
+    """
     check_known(name, BUILT_INS, "no built-in intersection")
     return BUILT_INS[name]()

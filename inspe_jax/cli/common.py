@@ -26,8 +26,24 @@ from inspe_jax.scene.scene import Scene, load_scene
 from inspe_jax.sensing.layout import Layout, load_layout
 from inspe_jax.sensing.named import layout_of, rule_of
 
+GROUPS = {
+    "Start here": (
+        "examples", "scene", "layout", "score", "targets", "view", "metrics", "devices", "profiles",
+    ),
+    "Search": ("optimise", "compare", "pareto"),
+    "Hand over": ("report", "export", "tolerance"),
+    "Studies": ("sweep", "plan"),
+    "Data sets and detectors": ("generate", "dataset", "train", "evaluate", "detect"),
+}  # fmt: skip
+"""The commands in the order of ``inspe --help``."""
+PANELS = {name: group for group, names in GROUPS.items() for name in names}
+"""The group of each command."""
+
 
 class _Group(TyperGroup):
+    def list_commands(self, ctx: Any) -> list[str]:
+        return list(PANELS)
+
     def invoke(self, ctx: Any) -> Any:
         try:
             return super().invoke(ctx)

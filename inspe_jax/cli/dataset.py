@@ -25,7 +25,7 @@ dataset_app = typer.Typer(
     no_args_is_help=True,
     rich_markup_mode="markdown",
 )
-common.app.add_typer(dataset_app, name="dataset")
+common.app.add_typer(dataset_app, name="dataset", rich_help_panel=common.PANELS["dataset"])
 
 FAILURES, FAULTS, NOTES = 3, 20, 12
 """Number of failed scenarios, of damaged files and of different notes that are printed."""

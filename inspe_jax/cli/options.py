@@ -24,7 +24,7 @@ from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
 import typer
 
-from inspe_jax.cli.common import app
+from inspe_jax.cli.common import PANELS, app
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import check_input
 from inspe_jax.mounting.mixes import mix_name
@@ -112,7 +112,8 @@ def command(group: typer.Typer = app, name: str | None = None) -> Callable[[_Com
 
         called.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
         called.__annotations__ = {one.name: one.annotation for one in parameters}
-        group.command(name, help=words)(called)
+        panel = PANELS[name or function.__name__] if group is app else None
+        group.command(name, help=words, rich_help_panel=panel)(called)
         return function
 
     return decorate

@@ -1,5 +1,8 @@
 """Tables for a terminal."""
 
+from collections.abc import Iterator
+from copy import copy
+from dataclasses import replace
 from typing import Any
 
 from rich import box
@@ -12,13 +15,14 @@ from rich.text import Text
 from inspe_jax.core.words import visible
 
 PROSE = {
-    "", "sensor", "unit", "maker", "source", "notes", "reason", "regions", "field of view",
-    "devices",
+    "", "unit", "maker", "source", "notes", "reason", "regions", "field of view", "devices",
+    "streets",
 }  # fmt: skip
 
 NAMES = {
-    "mix", "P_sm", "metric", "method", "symbol", "region", "scene", "device", "kind", "name",
+    "mix", "metric", "method", "symbol", "region", "scene", "device", "kind", "name", "sensor",
     "centre [m]", "pixels,\nchannels", "split", "class", "column", "setting", "value", "id",
+    "layout", "installed",
 }  # fmt: skip
 
 _WORD = 24  # longer words of prose may break [characters]
@@ -27,7 +31,8 @@ _UNBOUNDED = 10_000
 
 class WholeTable(Table):
     """A table that cuts no number and no name: columns of prose break between words, and where that
-    is not enough, lines are longer than the terminal."""
+    is not enough, further columns follow below, beside the names of the rows. A title may be longer
+    than its table. Lines are longer than the terminal where a single column is."""
 
     def add_row(self, *cells: RenderableType | None, **how: Any) -> None:
         """Add a row; control characters of its texts show as escapes."""
@@ -41,10 +46,36 @@ class WholeTable(Table):
             column.min_width = max(column.min_width or 0, least)
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        """The table in the width that there is, or in the least that it needs."""
-        least = Measurement.get(console, options.update(width=_UNBOUNDED), self).minimum
-        wide = options.update(width=max(options.max_width, least))
-        yield from super().__rich_console__(console, wide)
+        """The title and the table, in parts where there is not the width for the least it needs."""
+        if self.title is not None:
+            yield Text.assemble((str(self.title), "bold"))
+        for part in self._parts(console, options):
+            wide = max(options.max_width, part._least(console, options))
+            yield from super(WholeTable, part).__rich_console__(console, options.update(width=wide))
+
+    def _least(self, console: Console, options: ConsoleOptions) -> int:
+        return Measurement.get(console, options.update(width=_UNBOUNDED), self).minimum
+
+    def _with(self, columns: list[Column]) -> "WholeTable":
+        """A table of some of the columns, without its title."""
+        part = copy(self)
+        part.title, part.columns = None, [replace(c, _index=k) for k, c in enumerate(columns)]
+        return part
+
+    def _parts(self, console: Console, options: ConsoleOptions) -> Iterator["WholeTable"]:
+        """Tables of as many columns as have room, each after those that name the rows."""
+        names = 1 + any(str(column.header) in ("#", "track") for column in self.columns[:1])
+        heads, left = self.columns[:names], self.columns[names:]
+        while True:
+            count = len(left)
+            while count > 1 and (
+                self._with(heads + left[:count])._least(console, options) > options.max_width
+            ):
+                count -= 1
+            yield self._with(heads + left[:count])
+            left = left[count:]
+            if not left:
+                return
 
 
 def _width(column: Column, cell: RenderableType) -> int:
@@ -56,7 +87,7 @@ def _width(column: Column, cell: RenderableType) -> int:
 
 def table_of(title: str, *columns: str) -> Table:
     """An empty table. Columns of prose may break between words; numbers and names never break."""
-    table = WholeTable(title=Text(title), title_justify="left", title_style="bold")
+    table = WholeTable(title=Text(title))
     table.box, table.pad_edge, table.collapse_padding = box.SIMPLE_HEAD, False, True
     for name in columns:
         table.add_column(

@@ -22,10 +22,11 @@ import pytest
 import typer
 from processes import cases, inspe_process, refused
 from rich.text import Text
+from typer.testing import CliRunner
 
 from inspe_jax.cli import stopping
 from inspe_jax.cli.claims import Claims
-from inspe_jax.cli.common import app, err, out
+from inspe_jax.cli.common import GROUPS, PANELS, app, err, out
 from inspe_jax.core.compiling import keep_programs, prune
 from inspe_jax.core.errors import missing_extra
 from inspe_jax.core.files import read_csv, write_text
@@ -303,6 +304,14 @@ def test_every_command_has_examples_and_says_what_its_options_are():
             assert all(one.help for one in command.params), (name, word)
             count += 1
     assert count > 20
+
+
+def test_the_help_has_every_command_in_its_group():
+    assert {*typer.main.get_command(app).commands} == {*PANELS}
+    words = CliRunner().invoke(app, ["--help"]).output
+    first = [words.index(f"─ {group} ─") for group in GROUPS]
+    assert first == sorted(first)
+    assert [*PANELS] == [name for name in re.findall(r"^│ (\w+) ", words, re.M) if name in PANELS]
 
 
 @pytest.mark.parametrize(("arguments", "message"), cases(

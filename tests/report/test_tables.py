@@ -189,3 +189,17 @@ def test_no_table_cuts_a_number_or_a_name(table, width):
     for column in table.columns:
         for word in " ".join(map(str, column.cells)).split():
             assert len(word) > 24 or word in " ".join(lines)
+
+
+@pytest.mark.parametrize("width", [60, 80])
+def test_what_is_too_wide_goes_on_below_beside_the_names_of_its_rows(width):
+    numbers = [f"{k}.0000" for k in range(12)]
+    table = table_of("What each sensor adds, in a title as long as a line", "#", "sensor", *numbers)
+    table.add_row("1", "corner 1 camera 1", *numbers)
+    table.add_row("2", "corner 1 camera 2", *numbers)
+    lines = printed(table, width).splitlines()
+    assert max(map(len, lines)) <= width
+    assert sum("corner 1 camera 2" in line for line in lines) > 1
+    assert lines[0].startswith(str(table.title))
+    first = [line for line in lines if line.strip().startswith("1 ")]
+    assert [cell for line in first for cell in line.split() if cell in numbers] == numbers

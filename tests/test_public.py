@@ -19,12 +19,13 @@ from inspe_jax import dataset, report
 from inspe_jax.cli.common import app
 
 ROOT = Path(__file__).parents[1]
+CONF = ROOT / "notebooks" / "conf.py"
 NEEDS = {
     "inspe_jax": None,
+    "inspe_jax.report": None,
     "inspe_jax.dataset": None,
     "inspe_jax.dataset.loading": None,
     "inspe_jax.perception.training": "equinox",
-    "inspe_jax.report": None,
 }
 """The packages whose ``__all__`` is public, and what they need of an extra that may be missing."""
 PUBLIC = {
@@ -86,6 +87,12 @@ def test_the_examples_of_a_docstring_run(name, names, monkeypatch):
 
 def test_there_are_examples_of_what_users_call():
     assert len(EXAMPLES) >= 60
+
+
+def test_the_site_has_what_is_public():
+    """Building it takes an extra: .ci/run does that."""
+    listed = re.search(r"^PACKAGES = \((.*?)^\)", CONF.read_text(), re.MULTILINE | re.DOTALL)[1]
+    assert re.findall(r'"([\w.]+)"', listed) == [*NEEDS]
 
 
 @pytest.mark.parametrize("package", PUBLIC)

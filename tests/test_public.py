@@ -5,6 +5,8 @@ import doctest
 import inspect
 import json
 import re
+import subprocess
+import sys
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
@@ -110,6 +112,19 @@ def test_what_is_listed_is_there_and_says_what_it_is(package):
             entries = re.findall(r"^    (\w[\w,\s]*):", section[1] if section else "", re.MULTILINE)
             assert {*re.findall(r"\w+", " ".join(entries))} == {*of}, name
             assert "\nRaises:\n" in text, name
+
+
+LATER = {"jaxopt", "matplotlib", "optax", "rich", "scipy.optimize", "scipy.spatial", "typer"}
+"""What takes as long to import as a tenth of the package, and not all who import it need."""
+
+
+@pytest.mark.process
+def test_importing_the_package_does_not_wait_for_what_few_need():
+    code = "import sys, inspe_jax, inspe_jax.report; print(*sys.modules)"
+    command = [sys.executable, "-W", "error", "-c", code]
+    ran = subprocess.run(command, capture_output=True, text=True)
+    assert not ran.stderr
+    assert not LATER & {*ran.stdout.split()}
 
 
 def code_of(page):

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import scipy
 import shapely
 from jaxtyping import Float, UInt8
-from scipy.spatial import cKDTree
 from shapely.geometry import LineString, MultiPolygon, Point, Polygon
 from shapely.geometry.base import BaseGeometry
 from shapely.ops import unary_union
@@ -151,8 +151,8 @@ class Intersection(Described):
         return unary_union(shapely.buffer(lines, half, cap_style="flat", join_style="mitre"))
 
     @cached_property
-    def _ground_index(self) -> cKDTree:
-        return cKDTree(self.ground_points[:, :2])
+    def _ground_index(self) -> "scipy.spatial.cKDTree":
+        return scipy.spatial.cKDTree(self.ground_points[:, :2])
 
     def ground(self, xy: Float[np.ndarray, "N 2"]) -> Float[np.ndarray, " N"]:
         """Ground height [m] at plan points: inverse-distance mean of the 4 nearest points.

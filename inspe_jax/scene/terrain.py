@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+import scipy
 import shapely
 from jaxtyping import Float, Int
-from scipy.spatial import QhullError
 
 from inspe_jax.core.errors import InspeError, nearest
 from inspe_jax.scene.intersection import Intersection
@@ -118,7 +118,7 @@ def between(given: Float[np.ndarray, "G 3"], at: Float[np.ndarray, "N 2"]) -> np
     known = np.bincount(same.ravel(), given[:, 2]) / np.bincount(same.ravel())
     try:
         surface = LinearNDInterpolator(plan, known)
-    except (QhullError, ValueError):  # fewer than three, or all on one line
+    except (scipy.spatial.QhullError, ValueError):  # fewer than three, or all on one line
         return np.asarray(NearestNDInterpolator(plan, known)(at))
     # It solves two equations for each triangle, at each of which OpenBLAS's threads wait for each
     # other, also while another process has their cores.

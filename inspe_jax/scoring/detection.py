@@ -20,10 +20,9 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+import scipy
 from jaxtyping import Array, Bool, Float
 from pydantic import BaseModel, create_model
-from scipy.optimize import minimize
-from scipy.special import expit, logit
 
 from inspe_jax.core.errors import InspeError, check_known, error_at
 from inspe_jax.core.files import STRICT, check_model, check_output, read_json, read_toml, write_text
@@ -59,7 +58,7 @@ FEW = 5.0
 NONE = 1e-6
 """Fewer returns or pixels than this are none."""
 _FEWEST = 30  # boxes that three numbers are fitted to
-_BOUNDS = (logit(0.5), logit(0.9999)), (np.log(0.1), np.log(1e6)), (np.log(0.2), np.log(10.0))
+_BOUNDS = (0.5, 0.9999), (0.1, 1e6), (0.2, 10.0)
 
 
 @dataclass(frozen=True)
@@ -285,7 +284,7 @@ def _fitted(
             f"{' '.join(key)}: {len(found)} boxes with something on them, {int(found.sum())} of "
             f"them found; at least {_FEWEST} are needed, some found and some missed"
         )
-    logs = np.log(number)
+    logs, expit, logit = np.log(number), scipy.special.expit, scipy.special.logit
 
     def unlikely(x: np.ndarray) -> float:
         chance = expit(x[0]) * expit(np.exp(x[2]) * (logs - x[1]))
@@ -294,6 +293,8 @@ def _fitted(
 
     # A steep and a flat start: the likelihood has more than one peak on few boxes.
     starts = [np.array([logit(0.95), np.median(logs), np.log(slope)]) for slope in (0.7, 2.0)]
-    ends = [minimize(unlikely, start, bounds=_BOUNDS, method="L-BFGS-B") for start in starts]
+    bounds = [logit(_BOUNDS[0]), *np.log(_BOUNDS[1:])]
+    how = dict(bounds=bounds, method="L-BFGS-B")
+    ends = [scipy.optimize.minimize(unlikely, start, **how) for start in starts]
     best = min(ends, key=lambda end: end.fun).x
     return DetectionCurve(float(expit(best[0])), float(np.exp(best[1])), float(np.exp(best[2])))

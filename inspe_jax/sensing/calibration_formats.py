@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import scipy
 
 from inspe_jax.core.carla_frame import between
 from inspe_jax.core.carla_frame import matrix as carla_matrix
@@ -132,7 +132,8 @@ def _openlabel(given: Source) -> list[Entry]:
 def _to_parent(given: Any, where: str) -> np.ndarray:
     where += ".pose_wrt_parent"
     if isinstance(given, dict) and "quaternion" in given:
-        turn = Rotation.from_quat(array(given["quaternion"], where, (4,)))  # x, y, z, w
+        quaternion = array(given["quaternion"], where, (4,))  # x, y, z, w
+        turn = scipy.spatial.transform.Rotation.from_quat(quaternion)
         at = array(given.get("translation"), where, (3,))
         return rigid(np.column_stack([turn.as_matrix(), at]), where)
     flat = np.ravel(given["matrix4x4"] if isinstance(given, dict) else given)

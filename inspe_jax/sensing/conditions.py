@@ -22,7 +22,7 @@ from importlib.resources import files
 from typing import Any
 
 import numpy as np
-from scipy.special import lambertw
+import scipy
 
 from inspe_jax.core.errors import InspeError, check_known, wrong_kind
 from inspe_jax.scene.scene import Scene, scene_of
@@ -149,7 +149,7 @@ def effective_depth(depth: float, extinction: float) -> float:
     """z with z · exp(k z) = z₀ [m], for a depth z₀ [m] and an extinction k [1/m]."""
     if extinction == 0:
         return depth
-    return float(lambertw(extinction * depth).real / extinction)
+    return float(scipy.special.lambertw(extinction * depth).real / extinction)
 
 
 def lights() -> tuple[str, ...]:

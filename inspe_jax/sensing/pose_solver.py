@@ -9,9 +9,8 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
+import scipy
 from jaxtyping import Float
-from scipy.optimize import least_squares
-from scipy.spatial.transform import Rotation
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.geometry import rotation
@@ -96,12 +95,12 @@ def solve_pose(
         """From a place and a rotation on; x is a turn about the world's axes, and a shift."""
 
         def parts(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            turn = Rotation.from_rotvec(x[:3]).as_matrix() @ first
+            turn = scipy.spatial.transform.Rotation.from_rotvec(x[:3]).as_matrix() @ first
             return start + (x[3:] if place is None else 0), turn
 
         x = np.zeros(6 if place is None else 3)
         how: dict[str, Any] = dict(loss="soft_l1", f_scale=robust, x_scale="jac", max_nfev=steps)
-        found = least_squares(lambda x: off(*parts(x)), x, **how)
+        found = scipy.optimize.least_squares(lambda x: off(*parts(x)), x, **how)
         return _Fit(found.cost, *parts(found.x), found.jac)
 
     starts = _starts(points, pixels, lens) if place is None else [array(place, "place", (3,))]

@@ -6,13 +6,12 @@ end, so that the edges of views are precise.
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cache, partial
 from typing import Any, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-import optax
 from jaxtyping import Float, Int
 
 from inspe_jax.core.arrays import on_host
@@ -40,8 +39,17 @@ SCREENED = 32
 """Number of random layouts, the best of which become starts."""
 _LAST = 0.95  # share of the budget at which the search ends, to leave time for the last scores
 
-_adam = optax.chain(optax.clip_by_global_norm(10.0), optax.scale_by_adam(b1=0.9, b2=0.98))
-_at_rest = jax.jit(jax.vmap(_adam.init))
+
+@cache
+def _adam() -> Any:
+    import optax  # takes longer to import than all of this room
+
+    return optax.chain(optax.clip_by_global_norm(10.0), optax.scale_by_adam(b1=0.9, b2=0.98))
+
+
+@cache
+def _at_rest() -> Any:
+    return jax.jit(jax.vmap(_adam().init))
 
 
 class Slope(NamedTuple):
@@ -118,7 +126,7 @@ def charted(
     """Layouts (M, N) in new charts, with Adam at rest."""
     anchor, place = _charts(problem, x)
     still = np.zeros_like(anchor)
-    return ChartedLayouts(anchor, still, place, *_moments(_at_rest(still)), line, count)
+    return ChartedLayouts(anchor, still, place, *_moments(_at_rest()(still)), line, count)
 
 
 def _charts(problem: Problem, x: Float[np.ndarray, "M N"]) -> tuple[np.ndarray, np.ndarray]:
@@ -135,7 +143,7 @@ def _moments(optimiser: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 def _optimiser_state(state: ChartedLayouts) -> Any:
     """The arrays of :func:`_moments` as optax's state."""
-    tree = jax.tree.structure(jax.eval_shape(_at_rest, state.z))
+    tree = jax.tree.structure(jax.eval_shape(_at_rest(), state.z))
     return jax.tree.unflatten(tree, map(jnp.asarray, (state.steps, state.mean, state.square)))
 
 
@@ -198,7 +206,7 @@ def advance(
 def _move(z, slope, optimiser, rate):  # type: ignore[no-untyped-def]
     """One step of Adam for each layout, and its state after it."""
     with jax.numpy_dtype_promotion("standard"):  # optax's own, whatever the caller's is
-        update, optimiser = jax.vmap(_adam.update)(slope, optimiser)
+        update, optimiser = jax.vmap(_adam().update)(slope, optimiser)
     return z - rate * update, optimiser
 
 

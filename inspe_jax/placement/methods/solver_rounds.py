@@ -7,7 +7,7 @@ softness, and ends when the solver ends.
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 from typing import Any
 
 import jax.numpy as jnp
@@ -19,10 +19,15 @@ from inspe_jax.placement.methods.adam import SOFTNESS, annealed, screened
 from inspe_jax.placement.problem import Drawn
 from inspe_jax.placement.run import Method, Run
 
-with warnings.catch_warnings():
-    # On import it warns that it is no longer maintained; the parts used here are tested here.
-    warnings.simplefilter("ignore", DeprecationWarning)
-    import jaxopt
+
+@cache
+def _jaxopt() -> Any:
+    with warnings.catch_warnings():
+        # On import it warns that it is no longer maintained; the parts used here are tested here.
+        warnings.simplefilter("ignore", DeprecationWarning)
+        import jaxopt
+    return jaxopt
+
 
 ROUND_COLUMNS, ROUND_FRAMES = 1536, 8
 """Size of the sample of one round: larger than Adam's, because a round keeps its sample."""
@@ -101,7 +106,7 @@ def _lbfgsb(run: Run, x: np.ndarray, data: tuple) -> np.ndarray:
         return problem.space.from_chart(anchor + scale * z, place, np)
 
     # SciPy's solver through jaxopt's interface: jaxopt's own compiles for half a minute.
-    solver = jaxopt.ScipyBoundedMinimize(
+    solver = _jaxopt().ScipyBoundedMinimize(
         fun=charged(
             run,
             data[0],
@@ -138,7 +143,7 @@ def _projected_gradient(run: Run, x: np.ndarray, data: tuple) -> np.ndarray:
 
     # All coordinates of a block, as a foot's, have one scale. So the nearest point is the same in
     # coordinates divided by their scale.
-    solver = jaxopt.ProjectedGradient(
+    solver = _jaxopt().ProjectedGradient(
         charged(run, data[0], lambda z: problem.scaled_loss(z, *data), project),
         projection=lambda z, _: jnp.asarray(project(z) / scale, float),
         value_and_grad=True,

@@ -7,9 +7,9 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 import shapely
 import shapely.affinity
-from scipy.spatial import cKDTree
 from shapely.geometry import LineString, Point, Polygon, box
 from shapely.geometry.base import BaseGeometry
 from shapely.ops import unary_union
@@ -124,7 +124,7 @@ def with_bodies(
     own = place.on_ground(feet) if len(feet) else np.zeros((0, 3))
     poles = np.asarray(place.poles, float).reshape(-1, 3)
     if len(own) and len(poles):  # a signal's mark is where its pole is
-        poles = poles[cKDTree(own[:, :2]).query(poles[:, :2])[0] > SAME_POLE]
+        poles = poles[scipy.spatial.cKDTree(own[:, :2]).query(poles[:, :2])[0] > SAME_POLE]
     return replace(place, bodies=tuple(found), poles=np.vstack([poles, own]))
 
 

@@ -5,11 +5,9 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 import shapely
 from jaxtyping import Float
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import dijkstra
-from scipy.spatial import cKDTree
 from shapely.geometry import Polygon
 from shapely.geometry.base import BaseGeometry
 from shapely.ops import unary_union
@@ -194,20 +192,21 @@ def same_level(lane_strips: list[LaneStrip], core: list[bool]) -> list[LaneStrip
     points = np.concatenate([s.center for s in lane_strips])  # (N, 3)
     sizes = [len(s.center) for s in lane_strips]
     is_core = np.repeat(core, sizes)
-    pairs = cKDTree(points * [1, 1, 3]).query_pairs(5.0, output_type="ndarray")
-    graph = csr_array((np.ones(len(pairs)), pairs.T), shape=(len(points),) * 2)
+    pairs = scipy.spatial.cKDTree(points * [1, 1, 3]).query_pairs(5.0, output_type="ndarray")
+    graph = scipy.sparse.csr_array((np.ones(len(pairs)), pairs.T), shape=(len(points),) * 2)
     seeds = np.flatnonzero(is_core)
-    hops = dijkstra(graph, directed=False, unweighted=True, indices=seeds, min_only=True)
+    how = dict(directed=False, unweighted=True, indices=seeds, min_only=True)
+    hops = scipy.sparse.csgraph.dijkstra(graph, **how)
 
     def rise_from(some: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        away, index = cKDTree(points[some, :2]).query(points[:, :2])
+        away, index = scipy.spatial.cKDTree(points[some, :2]).query(points[:, :2])
         return np.abs(points[:, 2] - points[some][index, 2]), away
 
     rise, away = rise_from(is_core)
     joined = np.isfinite(hops)
     keep = joined & (rise <= 1.5 + GRADE * away)
     if np.ptp(points[:, 2]) > CLEARANCE:
-        near = cKDTree(points[:, :2]).query_pairs(6.0, output_type="ndarray")
+        near = scipy.spatial.cKDTree(points[:, :2]).query_pairs(6.0, output_type="ndarray")
         near = near[np.abs(points[near[:, 0], 2] - points[near[:, 1], 2]) > CLEARANCE]
         near = near[joined[near].all(1)]
         farther = np.where(hops[near[:, 0]] > hops[near[:, 1]], near[:, 0], near[:, 1])

@@ -10,9 +10,9 @@ from types import MappingProxyType
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
+import scipy
 import shapely
 from jaxtyping import Float
-from scipy.spatial import cKDTree
 from shapely.geometry import MultiPolygon, Point, Polygon
 from shapely.geometry.base import BaseGeometry
 from shapely.ops import unary_union
@@ -137,7 +137,7 @@ class MapJunction(ABC):
 
         If there is none at the junction, strips across the arms' mouths are added, with a note.
         """
-        index = cKDTree(ground[:, :2])
+        index = scipy.spatial.cKDTree(ground[:, :2])
         walks, lines = [], list[np.ndarray]()
         for k, loop in enumerate(self.map.crossings):
             middle = loop.mean(0)

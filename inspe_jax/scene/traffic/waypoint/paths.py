@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+import scipy
 from jaxtyping import Float, Int
-from scipy.spatial import cKDTree
 
 from inspe_jax.scene.intersection import (
     Intersection,
@@ -221,7 +221,7 @@ def _conflicts(
     if not len(sample):
         return np.zeros(0, int), np.zeros(0, int)
     reach = WIDEST.max() + SIDE_ROOM
-    pairs = cKDTree(point[sample]).query_pairs(reach, output_type="ndarray")
+    pairs = scipy.spatial.cKDTree(point[sample]).query_pairs(reach, output_type="ndarray")
     one, two = sample[pairs].reshape(-1, 2).T
     apart = path[one] != path[two]
     # Pedestrians walk round each other, so there is no right of way among them.
@@ -295,7 +295,7 @@ def _cross(lanes: list[Route]) -> bool:
         return False
     fine = [resample(lane.waypoints) for lane in lanes]
     point, heading = np.concatenate(fine), np.concatenate([_heading(line) for line in fine])
-    one, two = cKDTree(point).query_pairs(1.0, output_type="ndarray").reshape(-1, 2).T
+    one, two = scipy.spatial.cKDTree(point).query_pairs(1.0, output_type="ndarray").reshape(-1, 2).T
     return bool(((heading[one] * heading[two]).sum(1) < CROSSING).any())
 
 
@@ -303,7 +303,7 @@ def _beside(lanes: list[Route]) -> Iterator[np.ndarray]:
     """Lines (N, 2) to the right of lanes where no other lane is; the longest first."""
     fine = [(lane.width, resample(lane.waypoints)[:, :2]) for lane in lanes]
     trees = {
-        width: cKDTree(np.concatenate([line for own, line in fine if own == width]))
+        width: scipy.spatial.cKDTree(np.concatenate([line for own, line in fine if own == width]))
         for width, _ in fine
     }
     runs: list[np.ndarray] = []
@@ -316,7 +316,7 @@ def _beside(lanes: list[Route]) -> Iterator[np.ndarray]:
     for run in sorted(runs, key=len, reverse=True):
         free = np.ones(len(run), bool)
         if kept:
-            free = cKDTree(np.concatenate(kept)).query(run)[0] >= WALKS_APART
+            free = scipy.spatial.cKDTree(np.concatenate(kept)).query(run)[0] >= WALKS_APART
         kept += _runs(run, free)
     yield from kept
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from common import METRICS, markdown, read_rows, with_interval
 from scipy.stats import ttest_1samp
-from table1 import COMPARED
+from table1 import COMPARED, correlation
 
 from inspe_jax.core.files import write_text
 
@@ -145,14 +145,16 @@ def detectability() -> str:
             for profile, metric in columns
             for row in rows_of("detectability", profile=profile, metric=metric, layouts=layouts)
         ]
-        for layouts in values(rows_of("detectability"), "layouts")
+        for layouts in ("the nine placements", "all at random")
     ]
     return markdown(["layouts", *(f"{metric}, {profile}" for profile, metric in columns)], rows)
 
 
-def by_placement(heads: Iterable[str], cells: Callable[[str], list[str]]) -> str:
-    """A table with a row for each of the nine placements."""
-    rows = [[placement, *cells(placement)] for placement in PLACEMENTS]
+def by_placement(
+    heads: Iterable[str], cells: Callable[[str], list[str]], placements: Iterable[str] = PLACEMENTS
+) -> str:
+    """A table with a row for each of some placements, the nine if none are given."""
+    rows = [[placement, *cells(placement)] for placement in placements]
     return markdown(["placement", *heads], rows)
 
 
@@ -253,32 +255,112 @@ def found_placements() -> str:
 
 
 def random_gains() -> str:
-    """What searches gain in P_sm, D and mAP, by what they search for and where they start."""
+    """What searches gain in P_sm, D and mAP, by what they search for: means of three starts."""
     all_rows = rows_of("random_placements")
     places = values(all_rows, "place")
     own = {(row["place"], row["layout"]): row for row in all_rows}
-    kinds = (("surrogate", 3), ("detectability", 3), ("mean_ap", 1))
-    rows, gains = [], dict[tuple[str, int], list[float]]()
-    for name, goal in ((name, goal) for name in ("L-c", "L-d2", "L-d1") for goal in ("P_sm", "D")):
-        cells = [name, goal]
-        for place in places:
-            old, new = own[place, name], own[place, f"found for {goal} from {name}"]
-            for key, digits in kinds:
-                gain = float(new[key]) - float(old[key])
-                gains.setdefault((goal, len(cells)), []).append(gain)
-                cells.append(f"{gain:+.{digits}f}")
-        rows.append(cells)
+    rows = []
     for goal in ("P_sm", "D"):
-        means = [
-            f"{np.mean(gains[goal, n]):+.{1 if n % 3 == 1 else 3}f}" for n in range(2, len(cells))
-        ]
-        rows.append(["mean", goal, *means])
+        cells = [goal]
+        for place, (key, digits) in itertools.product(
+            places, (("surrogate", 3), ("detectability", 3), ("mean_ap", 1))
+        ):
+            pairs = (
+                (own[place, x], own[place, f"found for {goal} from {x}"])
+                for x in ("L-c", "L-d2", "L-d1")
+            )
+            gains = [float(new[key]) - float(old[key]) for old, new in pairs]
+            cells.append(f"{np.mean(gains):+.{digits}f}")
+        rows.append(cells)
     heads = [f"{what}, {place.split()[0]}" for place in places for what in ("P_sm", "D", "mAP")]
-    return markdown(["from", "searched", *heads], rows)
+    return markdown(["searched", *heads], rows)
+
+
+def fishers(values: Iterable[float]) -> str:
+    """The mean of correlations by Fisher's z, and its interval of 95 % by Student's t."""
+    z = np.arctanh(np.clip([*values], -0.999, 0.999))
+    ends = ttest_1samp(z, 0.0).confidence_interval()
+    return with_interval(*np.tanh([z.mean(), *ends]))
+
+
+def real_deployments() -> str:
+    """Scores beside what was measured: S110, SensorSpacing, and the pitch of InSPE's cameras."""
+    scores = {"detectability": "D", "information_gain": "IG", "surrogate": "P_sm"}
+    spacing = rows_of("real_deployments_spacing")
+    vehicles = numbers(rows_of("real_deployments_spacing", score="sensors"), "vehicles")
+
+    def of(score: str, **having: str) -> np.ndarray:
+        return numbers(rows_of("real_deployments", profile="paper", **having), score)
+
+    def over(score: str, key: str) -> np.ndarray:
+        return numbers([row for row in spacing if row["score"] == score], key)
+
+    def places(x: np.ndarray) -> str:
+        same = [0] * len(x)
+        return with_interval(*correlation(x, over("sensors", "mean_ap"), same, "spearman"))
+
+    def down(score: str, level: str = "at 0°", **having: str) -> np.ndarray:
+        """What cameras gain that are turned down."""
+        is_down = {"InSPE": "as hung"}.get(having.get("deployment", ""), "at -30.6°")
+        return of(score, cameras=is_down, **having) - of(score, cameras=level, **having)
+
+    def s110(score: str, kinds: str) -> list[np.ndarray]:
+        """With the depth of the profile, and by pixels."""
+        own = dict(deployment="S110", sensors=kinds)
+        return [of(score, cameras=cameras, **own) for cameras in ("as hung", "depth by pixels")]
+
+    rows = []
+    for kinds, count, ap in (("cameras", 4, 35.0), ("LiDARs", 1, 84.9), ("both", 5, 87.0)):
+        own = ["; ".join(f"{x.mean():.2f}" for x in s110(name, kinds)) for name in scores]
+        rows.append([f"S110, {kinds}: mAP {ap}", *own, f"sensors: {count}"])
+    pairs = (zip(s110(name, "LiDARs"), s110(name, "cameras"), strict=True) for name in scores)
+    gained = ["; ".join(interval(a - b, 2) for a, b in both) for both in pairs]
+    rows.append(["S110, LiDAR less cameras: mAP +49.8", *gained, "sensors: -3"])
+    beside, *others = (fishers(over(x, "correlation")) for x in ("spacing", *scores))
+    rows.append(["AP over spacings: correlation", *others, f"the spacing: {beside}"])
+    rows.append(["… given the spacing", *(fishers(over(x, "given_spacing")) for x in scores), ""])
+    least = over("spacing", "lost")
+    beside, *others = (interval(over(x, "lost") - least) for x in ("sensors", *scores))
+    rows.append(["AP lost by its choice, less by the widest", *others, f"any: {beside}"])
+    others = [places(over(x, "mean")) for x in scores]
+    rows.append(["AP over places: correlation", *others, f"vehicles: {places(vehicles)}"])
+    inspe = dict(deployment="InSPE", sensors="cameras")
+    means = [of(x, cameras="as hung", **inspe).mean() for x in scores]
+    own = [f"{m:.3f}; {interval(down(x, **inspe), 3)}" for m, x in zip(means, scores, strict=True)]
+    rows.append(["cameras of InSPE's author, 30.6° down; less level", *own, ""])
+    mean = [np.mean([down(x, sensors=name) for name in PLACEMENTS[:3]], 0) for x in scores]
+    rows.append(
+        ["Cam-c, -d1 and -d2, ten places: down less level", *(interval(x, 3) for x in mean), ""]
+    )
+    return markdown(["", *scores.values(), "baseline"], rows)
+
+
+def mcity() -> str:
+    """Shares of road users found at Mcity, and predicted, by part of the way; Brier scores."""
+    columns, rows = ("step", "D", "D fitted", "D fitted, range"), []
+    parts = values(rows_of("real_deployments_mcity"), "part")
+    for part in (part for part in parts if not part.endswith((" arm", " another"))):
+        own = rows_of("real_deployments_mcity", part=part)
+        found = numbers(own, "found")
+        some = len(own) > 2 and np.ptp(found) > 0
+        ends = ttest_1samp(found, 0.0).confidence_interval() if some else [np.nan] * 2
+        words = with_interval(found.mean(), *np.clip(ends, 0, 1))
+        count = f"{len(own)}, {numbers(own, 'instants').sum():.0f}"
+        means = (numbers(own, key).mean() for key in columns)
+        cells = [count, words, *("–" if np.isnan(x) else f"{x:.2f}" for x in means)]
+        if part != parts[-1]:
+            rows.append([part, *cells])
+            continue
+        step, *miss = (numbers(own, f"Brier, {key}") for key in columns)
+        less = (f"{x.mean():.3f}, {interval(x - step, 3)}" for x in miss)
+        rows.append(
+            [f"{part}: Brier score, less the step's", count, "", f"{step.mean():.3f}", *less]
+        )
+    return markdown(["", "passes, instants", "found", *columns], rows)
 
 
 def statics() -> str:
-    """P_sm of the nine placements without and with static bodies."""
+    """P_sm of the distributed placements without and with static bodies."""
     scenes = values(rows_of("statics"), "scene")
     return by_placement(
         scenes,
@@ -287,15 +369,18 @@ def statics() -> str:
             for scene in scenes
             for row in rows_of("statics", scene=scene, placement=placement)
         ],
+        (placement for placement in PLACEMENTS if "-d" in placement),
     )
 
 
 def terrain() -> str:
-    """What the ground takes from P_sm at each scene: the most of the nine placements."""
+    """What the ground takes from P_sm at each steep scene: the most of the nine placements."""
     rows = []
     for scene in values(rows_of("terrain"), "scene")[2:]:  # after two made-up crests
         own = rows_of("terrain", scene=scene)
         steep, high = (float(own[0][key]) for key in ("steepest", "range"))
+        if steep < 0.1:
+            continue
         lost = numbers(own, "surrogate_none") - numbers(own, "surrogate_ground")
         times = np.median(numbers(own, "time_ratio"))
         rows.append([scene, f"{steep:.0%}", f"{high:.1f} m", f"{lost.max():.3f}", f"{times:.2f}"])
@@ -360,8 +445,8 @@ def road_users() -> str:
 
 TABLES: tuple[Callable[[], str], ...] = (
     slopes, phases, searches, detectability, table2, table1, correlations, found_placements,
-    random_gains, statics, terrain, recorded_returns, loading, training_step,
-    road_users,
+    random_gains, real_deployments, mcity, statics, terrain, recorded_returns, loading,
+    training_step, road_users,
 )  # fmt: skip
 
 

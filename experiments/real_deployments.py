@@ -382,7 +382,7 @@ def compared(scores: list[Row], ap: list[Row], vehicles: float) -> list[Row]:
             by.setdefault(row["spacing_m"], []).append(100 * float(row["ap50"]))
     scores = [row | dict(sensors=3) for row in scores if row["spacing"] in by]
     found = np.array([np.mean(by[row["spacing"]]) for row in scores])
-    spacing, rows = np.array([int(row["spacing"]) for row in scores]), []
+    spacing, rows = rankdata([int(row["spacing"]) for row in scores]), []
 
     def beyond(x: np.ndarray) -> np.ndarray:
         """Ranks less their line over the spacing."""
@@ -395,8 +395,10 @@ def compared(scores: list[Row], ap: list[Row], vehicles: float) -> list[Row]:
         row["lost"] = round(found.max() - found[x.argmax()] if np.ptp(x) else least, 2)
         if np.ptp(x):
             row["correlation"] = round(spearmanr(x, found)[0], 4)
-        if name in SCORED:
-            row["given_spacing"] = round(np.corrcoef(beyond(x), beyond(found))[0, 1], 4)
+        if name in SCORED:  # one in the spacing's own order tells nothing beyond it
+            own, other = beyond(x), beyond(found)
+            given = np.corrcoef(own, other)[0, 1] if np.ptp(own) > 1e-6 else 0.0
+            row["given_spacing"] = round(given, 4)
         rows.append(row)
     return rows
 

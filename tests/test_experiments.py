@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import readme_tables
+import real_deployments
 import table1
 from common import read_rows
 from scipy.stats import pearsonr
@@ -82,3 +83,21 @@ def test_a_placement_is_one_observation_however_many_seeds(of):
     mean, half = np.mean(gains), t * np.std(gains, ddof=1) / 3**0.5
     gain = f"{mean:+.1f} [{mean - half:.1f}, {mean + half:.1f}]"
     assert gain in readme_tables.found_placements()
+
+
+def test_scores_beside_ap_over_spacings_by_hand():
+    """AP falls and rises: a score that is AP finds it, one that rises with the spacing finds its
+    end, and outliers do not count."""
+    ap, own = [3, 1, 2, 9], dict.fromkeys(real_deployments.SCORED, 0)
+    rows = [dict(place="a", spacing=f"{s}") | own | dict(surrogate=ap[s], coverage=2 * s)
+            for s in range(4)]  # fmt: skip
+    rows = [row | dict(occlusion=-s, information_gain=s % 2, detectability=s * s)
+            for s, row in enumerate(rows)]  # fmt: skip
+    table = [dict(spacing_m=f"{s}", flag="outlier" * (s == 3), ap50=f"{v / 100}")
+             for s, v in enumerate(ap)]  # fmt: skip
+    found = {row["score"]: row for row in real_deployments.compared(rows, table, 5)}
+    assert [found[key]["lost"] for key in ("surrogate", "spacing", "sensors")] == [0, 1, 1]
+    assert [found[key]["correlation"] for key in ("surrogate", "spacing")] == [1, -0.5]
+    assert found["surrogate"]["given_spacing"] == pytest.approx(1)
+    assert found["coverage"]["given_spacing"] == 0
+    assert np.isnan([found[key]["given_spacing"] for key in ("spacing", "sensors")]).all()

@@ -278,6 +278,7 @@ class Problem:
                 jax.tree.map(lambda leaf: leaf[when], centered.prisms),  # noqa: B023
                 None if centered.inside is None else centered.inside[at],
                 centered.statics,
+                jax.tree.map(lambda leaf: leaf[..., at], centered.motion),  # noqa: B023
             )
             parts.append(SceneArrays(place, *rows))
         return tuple(parts)

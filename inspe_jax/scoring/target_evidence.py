@@ -18,6 +18,7 @@ from jaxtyping import Array, Bool, Float
 from inspe_jax.core.numerics import Width, step
 from inspe_jax.scene.traffic.frames import CLASSES, ROAD_USERS
 from inspe_jax.scoring.detection import DETECT, DetectionCurves, detection_curves
+from inspe_jax.scoring.radar_evidence import radar_precision, share_told_apart, strength
 from inspe_jax.sensing.lidar_returns import LidarNoise
 from inspe_jax.sensing.rays import Kind, Rays, RayTable
 from inspe_jax.sensing.sensor_array import SensorArray
@@ -141,7 +142,8 @@ def target_evidence_of_sensor(
     detection: DetectionCurves,
 ) -> TargetEvidence:
     """:func:`target_evidence` of one sensor; ``pixels`` is the number that a ray stands for."""
-    kind, transform, noise = tile.heights.dtype, transform_of(pose), rays.signal.noise
+    kind, transform, signal = tile.heights.dtype, transform_of(pose), rays.signal
+    noise = signal.noise
     rays, transform = transform.through(rays), transform._replace(lens=None)
     to = tile.columns[0] - pose[0], tile.columns[1] - pose[1]
     away = jnp.sqrt(jnp.maximum(to[0] ** 2 + to[1] ** 2, CHORD.max() ** 2))
@@ -149,14 +151,17 @@ def target_evidence_of_sensor(
     # What is above the highest level is a slab of its own.
     low, high = jnp.concatenate([low, high[-1:]]), jnp.concatenate([high, high[-1:] + HIGHEST])
     users = detection.counted
-    curves = [detection.of(rays.signal.name)[k] for k in users]
+    curves = [detection.of(signal.name)[k] for k in users]
     plan = jnp.sqrt(jnp.maximum(to[0] ** 2 + to[1] ** 2, NEAR**2))
     bearing, middle = (to[0] / plan, to[1] / plan), (*to, foot + WALKER / 2)
 
     def counted(at: tuple[Array, Array], low: Array, high: Array) -> Float[Array, "Z C"]:
-        """Returns or pixels on slabs of a face, a metre wide, between heights above the sensor."""
+        """Returns or pixels on slabs of a face, a metre wide, between heights above the sensor; of
+        a radar the strength of the echo, times the area of the face [m²]."""
         number, distance = rays_on_face(rays, transform, at, low, high)
         number *= step(jnp.asarray(rays.table.reach, kind) - distance, width)
+        if signal.echo:
+            return number * strength(rays, distance)
         share = jnp.asarray(pixels, kind) if noise is None else noise.share_returned(distance, jnp)
         return number * share
 
@@ -176,7 +181,10 @@ def target_evidence_of_sensor(
     tall, wide = tall[:, None], wide[:, None]
     topmost = (low[:, None] < tall[None]) & (high[:, None] >= tall[None])
     inside = share_between_sides(rays, transform, middle, wide, tall)
-    on = (face + jnp.where(topmost, roof, 0.0)) * (wide * inside)[None]  # (Z + 1, K, C)
+    if signal.echo:  # all of its cross section is on its front
+        on = face * (inside / tall)[None]
+    else:
+        on = (face + jnp.where(topmost, roof, 0.0)) * (wide * inside)[None]  # (Z + 1, K, C)
     sight *= bitmask.chances(tile.there, len(tile.heights))
     # A level that no frame shows counts for no other: below one that traffic hides all are hidden,
     # but below a crown they may be in sight.
@@ -204,13 +212,19 @@ def target_evidence_of_sensor(
     (_, _, chance, amount), _ = jax.lax.scan(
         add_level, begin, (on[:-1] * shown, sight), reverse=True
     )
+    if signal.echo:
+        if tile.motion is not None:
+            chance *= share_told_apart(rays, middle, tile.motion, users)
+        sizes = wide, jnp.asarray(CHORD[users], kind)[:, None]
+        information = radar_precision(rays, away, chance, *sizes)
+    else:
+        share = sight[0] * inside[-1]
+        information = _information(away, foot, amount, WIDTH[users], ground, share, low[0], noise)
     return TargetEvidence(
         chance,
         none if noise is None else amount,
         _sharp(rays, transform, pixels, middle, tile, width),
-        _precision(
-            to, away, foot, amount, WIDTH[users], ground, sight[0] * inside[-1], low[0], noise
-        ),
+        _precision(to, *information),
     )
 
 
@@ -233,7 +247,7 @@ def _sharp(
 
     The margin [m] is how much further off that would still be so. Only the lowest slab counts it.
     """
-    if rays.signal.noise is not None:
+    if not rays.signal.pictures:
         return jnp.zeros_like(to[0])
     scale, inside = scale_at(rays, transform, to)
     focal = jnp.sqrt(jnp.asarray(pixels, scale.dtype)) * rays.table.columns_per_unit
@@ -243,8 +257,7 @@ def _sharp(
     return jnp.where(lowest, step(further, width) * step(inside, width), 0.0)
 
 
-def _precision(
-    to: tuple[Float[Array, " C"], Float[Array, " C"]],
+def _information(
     away: Float[Array, " C"],
     foot: Float[Array, " C"],
     amount: Float[Array, "K C"],
@@ -253,8 +266,9 @@ def _precision(
     foot_seen: Float[Array, " C"],
     low: Float[Array, " C"],
     noise: LidarNoise | None,
-) -> Float[Array, "3 C"]:
-    """Fisher's information of one sensor on a road user's place in plan [1/m²], mean over classes.
+) -> tuple[Float[Array, " C"], Float[Array, " C"]]:
+    """Fisher's information of a camera or a LiDAR on a road user's place, along and across the line
+    of sight in plan [1/m²], mean over classes.
 
     Across the line of sight, n returns or pixels lie evenly over a width w, so that their mean has
     the variance w²/(12 n). Along it, each return has the noise of range. A camera ranges by
@@ -271,6 +285,15 @@ def _precision(
         along = jnp.where(low < 1e-3, ranged, 0.0)
     else:
         along = amount.mean(0) / noise.range**2
+    return along, across
+
+
+def _precision(
+    to: tuple[Float[Array, " C"], Float[Array, " C"]],
+    along: Float[Array, " C"],
+    across: Float[Array, " C"],
+) -> Float[Array, "3 C"]:
+    """Information along and across the line of sight in plan, as xx, xy and yy [1/m²]."""
     length = jnp.sqrt(jnp.maximum(to[0] ** 2 + to[1] ** 2, 1e-6))
     cos, sin = to[0] / length, to[1] / length
     return jnp.stack(

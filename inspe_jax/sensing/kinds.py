@@ -13,6 +13,7 @@ from pydantic import BaseModel, Discriminator, Field, Tag
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import STRICT
+from inspe_jax.sensing.radar import RadarSpec
 from inspe_jax.sensing.sensors import CameraSpec, LidarSpec, Spec
 
 Positive = Annotated[float, Field(gt=0)]
@@ -174,6 +175,51 @@ class CameraKeys(DeviceKeys):
         )
 
 
+class RadarKeys(DeviceKeys):
+    """A radar: its field of view, its range on a car, and what it tells apart."""
+
+    spec_type = RadarSpec
+
+    range_m: Positive
+    azimuth_fov_deg: Annotated[float, Field(gt=0, le=360)]
+    elevation_fov_deg: Annotated[float, Field(gt=0, lt=180)]
+    range_resolution_m: Positive
+    azimuth_resolution_deg: Positive
+    speed_resolution_mps: Positive
+    min_speed_mps: Annotated[float, Field(ge=0)] | None = None
+
+    def spec(self, name: str, where: str) -> RadarSpec:
+        """The spec [rad, m, m/s]; the least radial speed is the resolution of speed if not
+        given."""
+        least = self.min_speed_mps
+        return RadarSpec(
+            name=name,
+            reach=self.range_m,
+            azimuth_fov=float(np.radians(self.azimuth_fov_deg)),
+            elevation_fov=float(np.radians(self.elevation_fov_deg)),
+            range_resolution=self.range_resolution_m,
+            azimuth_resolution=float(np.radians(self.azimuth_resolution_deg)),
+            speed_resolution=self.speed_resolution_mps,
+            min_speed=self.speed_resolution_mps if least is None else least,
+            reliability=self.reliability,
+        )
+
+    @classmethod
+    def table(cls, spec: RadarSpec) -> dict[str, Any]:
+        """The keys of a radar's spec."""
+        return dict(
+            kind="radar",
+            range_m=float(spec.reach),
+            azimuth_fov_deg=float(np.degrees(spec.azimuth_fov)),
+            elevation_fov_deg=float(np.degrees(spec.elevation_fov)),
+            range_resolution_m=float(spec.range_resolution),
+            azimuth_resolution_deg=float(np.degrees(spec.azimuth_resolution)),
+            speed_resolution_mps=float(spec.speed_resolution),
+            min_speed_mps=float(spec.min_speed),
+            reliability=float(spec.reliability),
+        )
+
+
 def focal_of(width: int, hfov_deg: float) -> float:
     """The focal length [px] with which a picture of so many pixels is so wide [degrees]."""
     return float(width / 2 / np.tan(np.radians(hfov_deg) / 2))
@@ -185,6 +231,6 @@ def hfov_of(width: int, focal: float) -> float:
 
 
 SENSOR_KINDS: dict[str, type[DeviceKeys]] = {
-    keys.spec_type.kind: keys for keys in (LidarKeys, CameraKeys)
+    keys.spec_type.kind: keys for keys in (LidarKeys, CameraKeys, RadarKeys)
 }
 """Every kind of sensor by name."""

@@ -42,7 +42,8 @@ class RayTable(NamedTuple):
     last rows and columns of rays; ``outer`` lie half a spacing further out, and there are
     ``column_count`` column spacings between them. ``counts`` (N,) are numbers of row spacings, from
     the outer first row to each of N even steps on the way to the outer last one; there are
-    ``count_steps`` steps to a unit. ``wide``: the columns take up more than half a turn.
+    ``count_steps`` steps to a unit. ``wide``: the columns take up more than half a turn. ``cell``
+    is what a radar tells apart, as in :class:`~inspe_jax.sensing.sensors.RayGrid`.
     """
 
     rows: Float[Array | np.ndarray, "*S R"]
@@ -58,15 +59,23 @@ class RayTable(NamedTuple):
     counts: Float[Array | np.ndarray, "*S N"]
     count_steps: Float[Array | np.ndarray, "*S"]
     wide: Bool[Array | np.ndarray, "*S"]
+    cell: Float[Array | np.ndarray, "*S 4"]
 
 
 class Signal(NamedTuple):
     """What a sensor's rays bring a detector: the ``name`` of the curves by which it finds road
     users (:mod:`inspe_jax.scoring.detection`), and the ``noise``, which says which rays come back
-    and how exactly they range; None for pictures, of which all pixels count."""
+    and how exactly they range; None for pictures, of which all pixels count. With ``echo`` it is
+    the strength of one echo that counts, as a radar's."""
 
     name: str
     noise: LidarNoise | None = None
+    echo: bool = False
+
+    @property
+    def pictures(self) -> bool:
+        """Whether pixels are what it has on a road user."""
+        return self.noise is None and not self.echo
 
 
 class Kind(NamedTuple):

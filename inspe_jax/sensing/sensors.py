@@ -66,7 +66,8 @@ class RayGrid:
 
     ``rows`` ascend. Column j lies at ``first_column + j · column_step``. If ``wraps``, the first
     column follows the last. ``reach`` is in metres. Coordinates are those of the class ``of`` rays:
-    angles [rad] on the sphere, or tangents on a plane.
+    angles [rad] on the sphere, or tangents on a plane. ``cell`` is a radar's resolution in range
+    [m], azimuth [rad] and radial speed [m/s], and the least radial speed that it finds; else 0.
     """
 
     rows: tuple[float, ...]
@@ -76,6 +77,7 @@ class RayGrid:
     wraps: bool
     reach: float
     of: type[Rays]
+    cell: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
 
     @property
     def column_limits(self) -> tuple[float, float]:
@@ -125,6 +127,7 @@ class RayGrid:
             counts,
             np.array((COUNTS - 1) / (ends[1] - ends[0])),
             np.array(not self.of.slants and last - first > np.pi),
+            np.array(self.cell),
         )
 
     @property

@@ -13,6 +13,7 @@ from inspe_jax.core.height_field import HeightField
 from inspe_jax.core.parallel import shapes_of
 from inspe_jax.scene.placed_bodies import convex_parts
 from inspe_jax.scene.scene import Scene
+from inspe_jax.visibility.motion import Motion, motion_of
 
 PRISMS = 16  # least number of places for prisms in a frame
 PARTS = 32  # least number of places for the convex prisms of static bodies
@@ -37,7 +38,8 @@ class CenteredScene(NamedTuple):
     ``columns`` (L, 2) are x and y of the columns, ``heights`` (L, Z) those of the voxel centres
     and ``ground`` (L,) that of the ground [m], ``prisms`` (T, B) the road users in T frames.
     ``statics`` are static bodies and the ground where it hides something, and ``inside`` (L, Z)
-    says which voxels are inside a body; None where there is nothing of it.
+    says which voxels are inside a body; None where there is nothing of it. ``motion`` is how road
+    users move about each column, in all frames; None where it is not known.
     """
 
     columns: Float[Array, "L 2"]
@@ -46,6 +48,7 @@ class CenteredScene(NamedTuple):
     prisms: Prism
     inside: Bool[Array, "L Z"] | None = None
     statics: Statics | None = None
+    motion: Motion | None = None
 
     @property
     def centers(self) -> Float[Array, "V 3"]:
@@ -80,6 +83,7 @@ def about_center(scene: Scene) -> CenteredScene:
         ),
         inside=None if scene.inside_statics is None else on_device(scene.inside_statics),
         statics=None if bodies is None and ground is None else Statics(bodies, ground),
+        motion=Motion(*(on_device(x, float) for x in motion_of(traffic, grid.columns))),
     )
 
 

@@ -19,6 +19,7 @@ from inspe_jax.core.geometry import NEVER, Prism, top_over
 from inspe_jax.core.pytree import pytree
 from inspe_jax.visibility import bitmask
 from inspe_jax.visibility.centered_scene import CenteredScene
+from inspe_jax.visibility.motion import Motion
 
 COLUMNS = (96, 320)
 """Columns of a tile: in a small sample, and otherwise."""
@@ -41,7 +42,8 @@ class Tile(NamedTuple):
     of the ground [m]. ``there`` is one mask for each column: a bit is 1 where the voxel exists. All
     columns are within ``radius`` of ``center``, and all centres of voxels are between the heights
     ``low`` and ``high`` [m]. A cell is C/K columns one after another; ``cells`` has the x and y of
-    the middle of each, and the radius within which its columns are [m].
+    the middle of each, and the radius within which its columns are [m]. ``motion`` is how road
+    users move at each column, None where that is not known.
     """
 
     columns: Float[Array, "*N 2 C"]
@@ -53,6 +55,7 @@ class Tile(NamedTuple):
     low: Float[Array, "*N"]
     high: Float[Array, "*N"]
     cells: Float[Array, "*N 3 K"]
+    motion: Motion | None = None
 
     @property
     def core(self) -> Bool[Array, "*N C"]:
@@ -160,6 +163,9 @@ def tiles_of(scene: CenteredScene, cell: int = CELL) -> Tiles:
         low=stacked(z.min((2, 3))),
         high=stacked(z.max((2, 3))),
         cells=repeated(cells),
+        motion=jax.tree.map(
+            lambda of: repeated(np.moveaxis(np.asarray(of)[..., index], -2, 0)), scene.motion
+        ),
     )
     return Tiles(tile, place, heights.shape[1], scene.inside is not None)
 

@@ -107,13 +107,15 @@ class Image(Deferred):
 
 @dataclass(frozen=True, eq=False)
 class Scan(Deferred):
-    """The points of a LiDAR: x, y, z in its body frame (x forward, y left, z up) [m], intensity
-    0…1. ``returns`` is how many are of each of the frame's B road users; None: not counted.
+    """The points of a LiDAR or a radar: x, y, z in its body frame (x forward, y left, z up) [m],
+    intensity 0…1. ``returns`` is how many are of each of the frame's B road users; None: not
+    counted. ``speeds`` are a radar's radial speeds [m/s], positive away from it; None of a LiDAR.
     """
 
     pose: Pose6
     points: Float[np.ndarray, "N 4"] = field(repr=False)
     returns: Int[np.ndarray, " B"] | None = field(default=None, repr=False)
+    speeds: Float[np.ndarray, " N"] | None = field(default=None, repr=False)
 
     def _check(self, prefix: str) -> None:
         check_values(self.points[:, 3], f"{prefix}points: intensity", 0, 1)

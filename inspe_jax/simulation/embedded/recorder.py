@@ -11,6 +11,7 @@ from inspe_jax.sensing.conditions import FAIR, Conditions
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.simulation.embedded.camera import Camera
 from inspe_jax.simulation.embedded.lidar import Lidar
+from inspe_jax.simulation.embedded.radar import Radar
 from inspe_jax.simulation.embedded.road_users import FrameActors
 from inspe_jax.simulation.embedded.surroundings import Surroundings
 from inspe_jax.simulation.frame import Boxes, Frame, Image, Pose6, Scan
@@ -27,6 +28,7 @@ class SimulatedSensor(Protocol):
 SENSORS: dict[str, Callable[[Any, Pose6, Surroundings], SimulatedSensor]] = {
     "camera": Camera,
     "lidar": Lidar,
+    "radar": Radar,
 }
 """What simulates each ``kind`` of a spec: called with the spec, the pose in the world and the
 surroundings. To add a kind, add a row."""

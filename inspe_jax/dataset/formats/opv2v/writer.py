@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from inspe_jax.core.carla_frame import between, flip, to_carla
+from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import whole_file, write_text
 from inspe_jax.dataset.formats import other_readers
 from inspe_jax.dataset.formats.other_readers import DEFAULT_OPTIONS, FileOptions
@@ -46,9 +47,17 @@ def write_frame(
 
     Gives the files. Every file appears when it is complete, and the YAML files come last: without
     them a frame does not count as complete. Every frame of a scenario should have the same
-    stations. Raises InspeError, before anything is written, if the frame is not valid.
+    stations. Raises InspeError, before anything is written, if the frame is not valid, or has scans
+    of a radar, for which the format has no place.
     """
     check_frame(frame)
+    for station in frame.stations:
+        if any(scan.speeds is not None for scan in station.scans):
+            raise InspeError(
+                f"frame {frame.number}: station {station.name} has scans of a radar, and OPV2V has "
+                "no place for their speeds; generate the set of a layout without radars, and take "
+                "their points from inspe_jax.simulation.embedded.recorder.EmbeddedRecorder"
+            )
     stem = f"{frame.number:06d}"
     stations = other_readers.with_cameras(frame.stations, options.cameras_per_agent)
     boxes = dump_yaml(_sections(frame.boxes, stations))

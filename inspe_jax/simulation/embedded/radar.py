@@ -1,0 +1,74 @@
+"""A radar in a world of triangles: echoes of road users with their radial speeds.
+
+1. Rays that fill the beam are cast at the frame's time. Each that meets a road user adds to an echo
+   as the radar equation has it (:mod:`inspe_jax.scoring.radar_evidence`).
+2. What has less radial speed than the radar finds is left out, and so is all that always stands.
+3. Rays in one cell of range, azimuth and radial speed make one echo, which is found with the chance
+   that its strength gives.
+4. Its place is the mean of its rays, and its speed, each with the noise of a cell that is hit
+   anywhere: a twelfth of the square of the resolution.
+
+Echoes by way of walls and the road, and false alarms, are left out. A point has the elevation of
+its rays, as of a radar that measures it.
+"""
+
+import numpy as np
+from numpy.random import Generator
+
+from inspe_jax.core.geometry import rotation
+from inspe_jax.scene.traffic.frames import CLASSES
+from inspe_jax.scoring.detection import detection_curves
+from inspe_jax.scoring.target_evidence import SIZES, WIDTH
+from inspe_jax.sensing.radar import RadarSpec
+from inspe_jax.simulation.embedded.road_users import FrameActors
+from inspe_jax.simulation.embedded.surroundings import Surroundings
+from inspe_jax.simulation.frame import Pose6, Scan
+
+
+class Radar:
+    """One radar at its place. Rays into the static world are cast only once."""
+
+    def __init__(self, spec: RadarSpec, pose: Pose6, surroundings: Surroundings) -> None:
+        self.spec, self.pose = spec, np.asarray(pose, float)
+        self.body = spec.grid.directions()  # (R, 3)
+        self.directions = self.body @ rotation(self.pose[3:], np).T
+        self.origin = self.pose[:3] - surroundings.static_world.center
+        hits = surroundings.caster.cast(self.origin, self.directions, spec.reach)
+        self.limit = np.minimum(hits.distance, spec.reach)
+        self.steradians = 2 * np.sin(spec.elevation_fov / 2) * spec.azimuth_fov / len(self.body)
+
+    def record(self, actors: FrameActors, rng: Generator) -> Scan:
+        """The echoes of one frame as points, each with its chance as intensity and its speed."""
+        spec, (road_users, caster) = self.spec, actors.at(0.0)
+        hits = caster.cast(self.origin, self.directions, self.limit)
+        met = np.flatnonzero(hits.face >= 0)
+        box = road_users.box[hits.face[met]]
+        speed = (actors.velocity[box] * self.directions[met]).sum(-1)
+        fast = np.abs(speed) >= spec.min_speed
+        met, box, speed = met[fast], box[fast], speed[fast]
+
+        curves = detection_curves().of(spec.kind)
+        kinds = np.array([CLASSES.index(each.kind) for each in actors.boxes], int)[box]
+        area = (WIDTH * SIZES[:, 2])[kinds]
+        half = np.array([curve.half for curve in curves])[kinds]
+        far, (x, y, z) = hits.distance[met], self.body[met].T
+        power = self.steradians * spec.reach**4 / (far**2 * area * half)
+
+        measured = np.stack([far, np.arctan2(y, x), speed, np.arcsin(z)])  # (4, hits)
+        cell = np.array([spec.range_resolution, spec.azimuth_resolution, spec.speed_resolution])
+        _, first, own = np.unique(
+            np.floor(measured[:3] / cell[:, None]), axis=1, return_index=True, return_inverse=True
+        )
+        count = len(first)
+        total = np.bincount(own, power, count)
+        mean = np.stack([np.bincount(own, power * row, count) / total for row in measured])
+        chance = 1 / (1 + total ** -curves[0].slope)
+        found = rng.random(count) < chance
+        mean[:3] += rng.standard_normal((3, count)) * cell[:, None] / 12**0.5
+        (far, azimuth, speed, up), owner = mean[:, found], box[first[found]]
+        plan = far * np.cos(up)
+        points = np.column_stack(
+            [plan * np.cos(azimuth), plan * np.sin(azimuth), far * np.sin(up), chance[found]]
+        )
+        counted = np.bincount(owner, minlength=len(actors.boxes))
+        return Scan(self.pose, points.astype(np.float32), counted, speed.astype(np.float32))

@@ -168,7 +168,7 @@ def metrics() -> None:
 
 @command()
 def devices() -> None:
-    """List the cameras and LiDARs of the catalogue, with the sources of their data.
+    """List the cameras, LiDARs and radars of the catalogue, with the sources of their data.
 
     Example: `inspe devices`; in a layout file write `device: hesai-xt32`.
     """

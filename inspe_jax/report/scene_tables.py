@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping
 import numpy as np
 from jaxtyping import Float
 from rich.console import Group, RenderableType
+from rich.table import Table
 from rich.text import Text
 
 from inspe_jax.core.errors import InspeError
@@ -95,20 +96,26 @@ def layout_table(layout: Layout) -> RenderableType:
     return table
 
 
+RESOLUTIONS = {"camera": "pixels", "lidar": "channels", "radar": "range,\nazimuth"}
+"""What the resolution of each kind of sensor is of."""
+
+
 def devices_table(devices: Mapping[str, Device]) -> RenderableType:
-    """The catalogue: resolution, reach and price of each device, and the sources of the data."""
-    heads = ("pixels,\nchannels", "field\nof view", "reach\n[m]", "rays", "price\n[US$]")
-    table = table_of("Devices", "device", "kind", *heads)
+    """The catalogue: maker, resolution, reach and price of each device, a table for each kind of
+    sensor, and the sources of the data."""
+    tables: dict[str, Table] = {}
     sources = [Text("Where their figures are from", style="bold")]
     for device in devices.values():
-        resolution, view = resolution_of(device.spec)
-        grid = device.spec.grid
+        spec, kind = device.spec, device.kind
+        if kind not in tables:
+            heads = RESOLUTIONS.get(kind, "resolution"), "view", "reach\n[m]", "price\n[US$]"
+            tables[kind] = table_of(f"Devices: {spec.title}s", "device", "maker", *heads)
         price = "–" if device.price_usd is None else f"{device.price_usd:,.0f}"
-        rays = f"{len(grid.rows) * grid.column_count:,}"
-        table.add_row(device.name, device.kind, resolution, view, f"{grid.reach:g}", rays, price)
+        numbers = *resolution_of(spec), f"{spec.grid.reach:g}", price
+        tables[kind].add_row(device.name, device.maker, *numbers)
         words = f"{device.name}: {device.source.rstrip('.')}. {device.note}".strip()
         sources.append(Text(words, style="dim"))
-    return Group(table, "", *sources)
+    return Group(*tables.values(), "", *sources)
 
 
 def profile_table(profile: Profile) -> RenderableType:
@@ -152,7 +159,7 @@ def built_ins_table() -> RenderableType:
 
 
 def resolution_of(spec: Spec) -> tuple[str, str]:
-    """Pixels or channels, and the field of view from edge to edge [degrees], as text."""
+    """The resolution, and the field of view from edge to edge [degrees], as text."""
     across, high = np.degrees(spec.field_of_view)
     return spec.resolution, f"{across:.0f}° × {high:.0f}°"
 

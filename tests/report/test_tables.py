@@ -172,7 +172,7 @@ SWEPT = dict(layout="Cam-d1/L-d1", status="done", coverage="0.81", occlusion="0.
     mixes(),
     junctions("cluster_1580411983_1580411984_26704401_26704402_29271345_3_4_5_6_7_8_9"),
     junctions(*range(26704401, 26704409)),
-    scene_tables.devices_table(devices()).renderables[0],
+    *scene_tables.devices_table(devices()).renderables[:3],
     *(scene_tables.profile_table(profile) for profile in profiles().values()),
     sweep_table([SWEPT]),
     scene_tables.built_ins_table(),

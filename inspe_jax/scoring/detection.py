@@ -1,4 +1,5 @@
-"""How likely a detector finds a road user, by the LiDAR returns or the pixels on it.
+"""How likely a detector finds a road user, by the LiDAR returns or the pixels on it, or by the
+strength of its echo to a radar (:mod:`inspe_jax.scoring.radar_evidence`).
 
 The chance is a logistic function of the logarithm of the number:
 

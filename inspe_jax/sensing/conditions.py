@@ -6,9 +6,10 @@ is in clear air at z₀, so
 
     z · exp(k z) = z₀,    z = W(k z₀) / k,
 
-where W is Lambert's function. For a LiDAR this is the range equation, power ∝ exp(−2 k z) / z².
-For a camera it is contrast exp(−k z) times the size of an object in the image, ∝ 1/z. Light and
-weather also multiply reliability by a share, which falls as extinction grows.
+where W is Lambert's function. For a LiDAR this is the range equation, power ∝ exp(−2 k z) / z²;
+for a radar, ∝ exp(−2 k z) / z⁴, k is half of the extinction. For a camera it is contrast exp(−k z)
+times the size of an object in the image, ∝ 1/z. Light and weather also multiply reliability by a
+share, which falls as extinction grows.
 
 The figures and their sources are in ``conditions.toml``. Published losses of detectors include a
 loss of range, so depth and reliability together are somewhat pessimistic.

@@ -197,6 +197,7 @@ def one_tile_a_slab(tiled: TiledScene) -> TiledScene:
         radius=np.full(slabs, np.inf, old.low.dtype),
         low=old.low.reshape(slabs, -1).min(1),
         high=old.high.reshape(slabs, -1).max(1),
+        motion=None,  # what sensors have on road users is in their rows
     )
     chunk = replace(chunk, tile=tile, solid=_side_by_side(np.asarray(chunk.solid), slabs, 2))
     none: Any = np.zeros(0, int)

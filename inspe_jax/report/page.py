@@ -183,8 +183,11 @@ def report_page(
             f"hidden by traffic in frame {frame}": SIGHT_COLORS[Visibility.HIDDEN],
             "never in view": SIGHT_COLORS[Visibility.OUT_OF_VIEW],
             "road user": USER_COLOR,
-            "camera": SENSOR_COLORS["camera"],
-            "LiDAR": SENSOR_COLORS["lidar"],
+            **{
+                spec.title: SENSOR_COLORS[spec.kind]
+                for part in parts
+                for spec in part["specs"].values()
+            },
         },
         parts=parts,
         maps=(*CAPTIONS.values(), ON_TARGET),

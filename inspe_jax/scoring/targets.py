@@ -41,8 +41,8 @@ def _scale_at(rays: Any, pose: Float[Array, "6"], points: Any) -> Any:
 class TargetView:
     """What a layout's sensors have on one road user that stands at each of L columns.
 
-    ``returns`` are expected LiDAR returns of each sensor, the mean over frames; 0 for cameras.
-    ``pixels_per_metre`` are those across the middle of the target, without traffic; 0 for LiDARs,
+    ``returns`` are expected LiDAR returns of each sensor, the mean over frames; 0 for others.
+    ``pixels_per_metre`` are those across the middle of the target, without traffic; 0 for others,
     and where the middle is out of the picture or of reach. ``found`` is the chance that a detector
     finds the target by that sensor alone, mean over frames.
     """

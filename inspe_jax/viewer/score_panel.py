@@ -25,6 +25,7 @@ LEGEND = (
     ("road user", USER_COLOR),
     ("camera", SENSOR_COLORS["camera"]),
     ("LiDAR", SENSOR_COLORS["lidar"]),
+    ("radar", SENSOR_COLORS["radar"]),
 )
 
 TARGET_COLOR = "#d55e00"  # of the mark of the target

@@ -6,7 +6,7 @@ import jax
 import numpy as np
 import pytest
 from scipy.special import erf, erfc
-from worlds import TINY, emptied, place_sensors, with_boxes, world
+from worlds import CAMERA, TINY, emptied, place_sensors, with_boxes, world
 
 import inspe_jax
 from inspe_jax.scene.traffic.frames import CLASSES, ROAD_USERS
@@ -136,6 +136,15 @@ def test_localisation_by_hand(scene):
 
 
 @pytest.mark.slow
+def test_a_search_places_a_radar_beside_a_camera(scene):
+    layout = place_sensors((RADAR, POSE), (CAMERA, [9.0, 9.0, 5.0, 0.0, -0.3, 0.5]))
+    given = dict(weights={"detectability": 1.0}, method="greedy", evaluations=40)
+    found = inspe_jax.optimise(scene, layout, **given)
+    assert found.objective > found.objective_before
+    assert [sensor.spec.kind for sensor in found.layout.sensors] == ["radar", "camera"]
+
+
+@pytest.mark.slow
 def test_slopes_are_those_of_differences_and_soft_tends_to_exact():
     scene = world(**TINY)
     velocity = np.random.default_rng(1).normal(0, 4, scene.traffic.velocity.shape)
@@ -154,7 +163,7 @@ def test_slopes_are_those_of_differences_and_soft_tends_to_exact():
             assert np.isfinite(slope).all()
             assert np.abs(slope).max() > 0
             steps = 1e-4 * np.eye(6)
-            ends = [[score(poses + s * step, 0.5)[name] for s in (1, -1)] for step in steps]
+            ends = [[score(poses + s * step[None], 0.5)[name] for s in (1, -1)] for step in steps]
             rough = np.array([(float(up) - float(down)) / 2e-4 for up, down in ends])
             cosine = slope @ rough / np.linalg.norm(slope) / np.linalg.norm(rough)
             assert cosine > 0.999

@@ -64,6 +64,7 @@ from inspe_jax.sensing.conditions import Case, Conditions
 from inspe_jax.sensing.layout import Layout, Sensor, Unit, load_layout, make_layout, save_layout
 from inspe_jax.sensing.lens import Lens
 from inspe_jax.sensing.pose_solver import PoseFit, solve_pose
+from inspe_jax.sensing.radar import RadarSpec
 from inspe_jax.sensing.rays import SphericalRays
 from inspe_jax.sensing.sensors import CameraSpec, LidarSpec, Pose, RayGrid, Spec
 from inspe_jax.study.plan import Study, load_study
@@ -100,6 +101,7 @@ __all__ = [
     "Pose",
     "PoseFit",
     "Profile",
+    "RadarSpec",
     "RayGrid",
     "Region",
     "Result",

@@ -107,7 +107,10 @@ def test_fitted_curves_are_written_and_read(tmp_path):
     ("text", "message"),
     [
         ("[lidar.pedestrain]\nmost = 0.9\nhalf = 8\nslope = 1", "did you mean pedestrian"),
-        ("[radar.car]\nmost = 0.9\nhalf = 8\nslope = 1", "unknown key.*allowed: camera, lidar"),
+        (
+            "[sonar.car]\nmost = 0.9\nhalf = 8\nslope = 1",
+            "unknown key.*allowed: camera, lidar, radar",
+        ),
         ("[lidar.car]\nmost = 0.9\nhalf = 8", r"lidar.car.slope: missing key"),
         ("[lidar.car]\nmost = 1.2\nhalf = 8\nslope = 1", r"lidar.car: .*most is in 0 … 1"),
         ("[lidar.car]\nmost = '0.9'\nhalf = 8\nslope = 1", "most: must be a number .* got '0.9'"),

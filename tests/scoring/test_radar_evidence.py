@@ -9,6 +9,7 @@ from scipy.special import erf, erfc
 from worlds import CAMERA, TINY, emptied, place_sensors, with_boxes, world
 
 import inspe_jax
+from inspe_jax.placement.objective import Objective
 from inspe_jax.scene.traffic.frames import CLASSES, ROAD_USERS
 from inspe_jax.scoring.detection import detection_curves
 from inspe_jax.scoring.radar_evidence import share_told_apart
@@ -138,8 +139,8 @@ def test_localisation_by_hand(scene):
 @pytest.mark.slow
 def test_a_search_places_a_radar_beside_a_camera(scene):
     layout = place_sensors((RADAR, POSE), (CAMERA, [9.0, 9.0, 5.0, 0.0, -0.3, 0.5]))
-    given = dict(weights={"detectability": 1.0}, method="greedy", evaluations=40)
-    found = inspe_jax.optimise(scene, layout, **given)
+    objective = Objective(weights={"detectability": 1.0})
+    found = inspe_jax.optimise(scene, layout, "greedy", evaluations=40, objective=objective)
     assert found.objective > found.objective_before
     assert [sensor.spec.kind for sensor in found.layout.sensors] == ["radar", "camera"]
 

@@ -106,7 +106,7 @@ def test_camera_rays_span_its_field_of_view_a_degree_apart(name, rows, field):
 def test_every_device_says_where_its_figures_come_from(name):
     d = DEVICES[name]
     assert d.name == d.spec.name == name
-    assert min(map(len, (d.title, d.maker, d.source, d.note))) > 4
+    assert min(map(len, (d.title, d.maker, d.source, d.note))) >= 4
     assert d.product == (d.maker != "InSPE paper")
     if d.price_usd is not None:
         assert "rice" in d.note  # of which year, or by whom

@@ -12,11 +12,11 @@
    has Poisson's distribution about λ, density · Δr · r Δα · m · erf(Δv / (2 s)); the one echo
    belongs to each of them alike: E[1 / (1 + N)] = (1 − e^−λ) / λ.
 
-2 and 3 are means over traffic, not frame by frame. Beside the frames of `four_way`, looked at one by
-one from a corner, 2 is low: 0.49 of all road users in place of 0.54 for v₀ = 0.12 m/s, since where
-all drive alike their speeds are not normal about 0; of pedestrians for v₀ = 1 m/s 0.27 in place of
-0.57. 3 takes road users as points that may be at one place: 0.994 in place of 0.997 in cells of 4 m
-by 6° by 0.5 m/s; without Doppler, where bodies keep apart, 0.86 in place of 0.99.
+2 and 3 are means over traffic, not frame by frame. Beside the frames of ``four_way``, looked at one
+by one from a corner, 2 is low: 0.49 of all road users in place of 0.54 for v₀ = 0.12 m/s, since
+where all drive alike their speeds are not normal about 0; of pedestrians for v₀ = 1 m/s 0.27 in
+place of 0.57. 3 takes road users as points that may be at one place: 0.994 in place of 0.997 in
+cells of 4 m by 6° by 0.5 m/s; without Doppler, where bodies keep apart, 0.86 in place of 0.99.
 """
 
 import jax.numpy as jnp

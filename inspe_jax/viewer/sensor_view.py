@@ -135,8 +135,9 @@ def _page(spec: Spec, boxes: Sequence[RoadUserBox], seen: Image | Scan) -> str:
         much = [f"{_sharpness(d)}; {1 - s:.0%} hidden" for d, s in zip(sharp, share, strict=True)]
     else:
         image, returns = "", np.asarray(seen.returns)
-        enough = np.count_nonzero(returns >= FEW)
-        summary = f"{len(seen.points):,} points; {enough} of {len(boxes)} road users have {FEW:g}"
+        least = FEW if seen.speeds is None else 1  # a radar's echo is enough
+        enough = np.count_nonzero(returns >= least)
+        summary = f"{len(seen.points):,} points; {enough} of {len(boxes)} road users have {least:g}"
         summary += " or more"
         there, much = returns > 0, [counted(int(points), "point") for points in returns]
     nearest = [k for k in np.argsort(away, kind="stable") if there[k]][:LISTED]

@@ -9,7 +9,7 @@
    anywhere: a twelfth of the square of the resolution.
 
 Echoes by way of walls and the road, and false alarms, are left out. A point has the elevation of
-its rays, as of a radar that measures it.
+its rays, as of a radar that measures it. Echoes are not grouped into objects: a near car has tens.
 """
 
 import numpy as np

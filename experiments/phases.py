@@ -19,7 +19,7 @@ from slopes import feasible
 
 import inspe_jax
 from inspe_jax import Layout
-from inspe_jax.sensing.sensors import RayGrid
+from inspe_jax.sensing.ray_grid import RayGrid
 
 WIDTHS = (1e-3, 0.5)
 """Of soft scores [m]: next to nothing, and what searches use."""

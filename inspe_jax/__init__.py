@@ -65,8 +65,9 @@ from inspe_jax.sensing.layout import Layout, Sensor, Unit, load_layout, make_lay
 from inspe_jax.sensing.lens import Lens
 from inspe_jax.sensing.pose_solver import PoseFit, solve_pose
 from inspe_jax.sensing.radar import RadarSpec
+from inspe_jax.sensing.ray_grid import RayGrid
 from inspe_jax.sensing.rays import SphericalRays
-from inspe_jax.sensing.sensors import CameraSpec, LidarSpec, Pose, RayGrid, Spec
+from inspe_jax.sensing.sensors import CameraSpec, LidarSpec, Pose, Spec
 from inspe_jax.study.plan import Study, load_study
 from inspe_jax.study.sweep import sweep
 from inspe_jax.visibility.queries import in_view, line_of_sight

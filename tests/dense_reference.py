@@ -19,8 +19,8 @@ from inspe_jax.core.numerics import Groups, Softness, Width, exact, leave_one_ou
 from inspe_jax.scoring import metrics
 from inspe_jax.scoring.driver import MetricValues
 from inspe_jax.scoring.tiled_scene import SceneArrays
+from inspe_jax.sensing.ray_grid import RayGrid
 from inspe_jax.sensing.sensor_array import SensorSet
-from inspe_jax.sensing.sensors import RayGrid
 from inspe_jax.visibility import bitmask
 from inspe_jax.visibility.centered_scene import CenteredScene
 from inspe_jax.visibility.in_view import density_view, in_view_margins, transform_of

@@ -28,9 +28,9 @@ from inspe_jax.scoring.options import ScoreOptions
 from inspe_jax.scoring.reading import BITS, PRECOMPUTED, Frames
 from inspe_jax.scoring.target_evidence import TargetEvidence, target_evidence_of_sensor
 from inspe_jax.scoring.tiled_scene import TiledScene, WorkChunk
+from inspe_jax.sensing.ray_grid import RayGrid
 from inspe_jax.sensing.rays import Rays
 from inspe_jax.sensing.sensor_array import SensorArray
-from inspe_jax.sensing.sensors import RayGrid
 from inspe_jax.visibility import bitmask
 from inspe_jax.visibility.centered_scene import Statics
 from inspe_jax.visibility.statics import past_statics_masks

@@ -139,6 +139,10 @@ def calibration_json(layout: Layout, place: Intersection) -> str:
             (fx, fy), (cx, cy) = spec.focals, spec.principal
             own |= dict(width=spec.width, height=spec.height)
             own |= dict(camera_matrix=[[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+            own |= dict(distortion=list(spec.distortion)) if spec.distortion else {}
+            own |= dict(model="fisheye") if spec.fisheye else {}
+            if spec.image_circle:
+                own |= dict(image_circle_deg=float(np.degrees(spec.image_circle)))
             matrix = matrix @ np.linalg.inv(CONVENTIONS["optical"][1])
         level = float(place.ground(np.array([unit.base[:2]]))[0])
         outline = view_outline(spec, pose, level)

@@ -54,7 +54,7 @@ def share_told_apart(
         motion: Of all classes at these places.
         users: The classes that are wanted.
     """
-    rest = jnp.asarray(rays.table.cell, to[0].dtype)
+    rest = jnp.asarray(rays.table.own, to[0].dtype)
     deep, wide, step, least = rest[0], rest[1], rest[2], rest[3]
     distance = jnp.sqrt(jnp.maximum(to[0] ** 2 + to[1] ** 2 + to[2] ** 2, 1e-6))
     x, y = (to[0] / distance)[None], (to[1] / distance)[None]
@@ -81,7 +81,7 @@ def radar_precision(
     One echo comes from anywhere in its cell and from anywhere on the road user, evenly: along, its
     variance is (Δr² + depth²) / 12, and across (r² Δα² + width²) / 12. It is there with ``chance``.
     """
-    deep, angle = rays.table.cell[0], rays.table.cell[1]
+    deep, angle = rays.table.own[0], rays.table.own[1]
     along = 12.0 * chance / (deep**2 + chord**2)
     across = 12.0 * chance / ((distance * angle)[None] ** 2 + wide**2)
     return along.mean(0), across.mean(0)

@@ -14,9 +14,10 @@ A file is YAML or JSON, in metres, degrees and pixels::
 ``frame.crs`` is a code, a PROJ string, or ``LAT,LON``: then x is east and y true north of there.
 Cameras have optical axes and LiDARs a body's, unless ``convention`` says another. ``lat``, ``lon``,
 ``z`` may be in place of a position, ``hfov_deg`` in place of a camera matrix. ``pairs`` are pixels
-and where they are; a ``position`` beside them is held. ``unit`` names the unit of a sensor; others
-within 2 m are one. Pixels are as the file has them: OpenCV counts from the middle of the first,
-half a pixel from its corner. Files of others: :mod:`inspe_jax.sensing.calibration_formats`.
+and where they are; a ``position`` beside them is held. ``distortion`` is OpenCV's, also of a
+``model: fisheye``, which may have an ``image_circle_deg``. ``unit`` names the unit of a sensor;
+others within 2 m are one. Pixels are as the file has them: OpenCV counts from the middle of the
+first, half a pixel from its corner. Files of others: :mod:`inspe_jax.sensing.calibration_formats`.
 """
 
 import os
@@ -59,6 +60,7 @@ OFF = 0.25  # a principal point so far off the middle, in picture sizes, has tak
 HEIGHTS = "scene", "ground"
 POSES = "sensor_to_frame", "frame_to_sensor", "projection", "pairs", "position", "lat"
 """Keys of which a sensor has one: how its pose is given. A position may go with pairs."""
+FISHEYES = "fisheye", "equidistant"  # OpenCV's and ROS's names of one model
 
 _Number = Annotated[float, Field(ge=-1e8, le=1e8)]
 _Side = Annotated[int, Field(ge=1, le=100_000)]
@@ -79,7 +81,10 @@ class _Sensor(BaseModel, **STRICT):
     height: _Side | None = _or("height", "image_height", None)
     camera_matrix: Any = None
     distortion: Any = _or("distortion", "distortion_coefficients", ())
-    model: Literal["pinhole", "plumb_bob", "fisheye"] = _or("model", "distortion_model", "pinhole")
+    model: Literal["pinhole", "plumb_bob", "rational_polynomial", "fisheye", "equidistant"] = _or(
+        "model", "distortion_model", "pinhole"
+    )
+    image_circle_deg: Annotated[float, Field(gt=0, le=220)] | None = None
     convention: Literal["optical", "body", "carla"] | None = None
     sensor_to_frame: Any = None
     frame_to_sensor: Any = None
@@ -247,8 +252,8 @@ def _read(
         raise InspeError(f"{where}: needs one of {', '.join(POSES)}; has {had}")
     lens, at = None, f"{where}.{given[0]}"
     if one.camera_matrix is not None:
-        lens = lens_of(one.camera_matrix, f"{where}.camera_matrix", notes, one.distortion)
-        lens = lens._replace(fisheye=one.model == "fisheye")
+        fisheye = one.model in FISHEYES
+        lens = lens_of(one.camera_matrix, f"{where}.camera_matrix", notes, one.distortion, fisheye)
     elif one.device is None and one.hfov_deg is not None:
         if one.width is None or one.height is None:
             raise InspeError(f"{where}: width, height: missing keys: hfov_deg needs them")
@@ -357,16 +362,15 @@ def _spec(
     if own is not None and one.hfov_deg is not None:
         own = with_hfov(own, one.hfov_deg)
     like = own or usual[one.kind]
-    if lens is None or (own is not None and lens.fisheye):
+    if lens is None:
         if own is None:
             notes.append(f"{where}: names no device: taken as {like.name}")
         return like
-    if lens.fisheye:
-        raise InspeError("is a fisheye, and layouts have pinhole cameras: name a 'device' for it")
     if not isinstance(like, CameraSpec):
         raise InspeError(f"camera_matrix: a {one.kind} has none")
-    fx, fy, cx, cy = lens[:4]
-    if own is not None and np.allclose([*like.focals, *like.principal], lens[:4], atol=1e-5):
+    fx, fy, cx, cy, distortion, fisheye, _ = lens
+    near = np.allclose(like.optics[:4], lens[:4], atol=1e-5)
+    if own is not None and near and like.optics[4:6] == lens[4:6]:
         return own
     wide, high = (one.width, one.height) if one.width and one.height else size or (None, None)
     if wide is None or high is None:
@@ -379,6 +383,7 @@ def _spec(
     return CameraSpec.from_intrinsics(
         one.name, wide, high, fx=fx, fy=fy, cx=cx, cy=cy,
         depth=like.depth, downsample=like.downsample, reliability=like.reliability,
+        distortion=distortion, fisheye=fisheye, image_circle_deg=one.image_circle_deg,
     )  # fmt: skip
 
 

@@ -6,19 +6,20 @@ does not change its reliability.
 """
 
 from itertools import pairwise
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import BaseModel, Discriminator, Field, Tag
 
-from inspe_jax.core.errors import InspeError
+from inspe_jax.core.errors import InspeError, error_at
 from inspe_jax.core.files import STRICT
+from inspe_jax.sensing.lens import Lens
 from inspe_jax.sensing.radar import RadarSpec
 from inspe_jax.sensing.sensors import CameraSpec, LidarSpec, Spec
 
 Positive = Annotated[float, Field(gt=0)]
 _Elevation = Annotated[float, Field(ge=-90, le=90)]
-_View = Annotated[float, Field(gt=0, lt=180)]
+_View = Annotated[float, Field(gt=0, le=220)]
 _Views = Annotated[
     Annotated[_View, Tag("")] | Annotated[list[_View], Field(min_length=2, max_length=2), Tag(" ")],
     Discriminator(lambda given: " " if isinstance(given, list) else ""),
@@ -121,7 +122,7 @@ class LidarKeys(DeviceKeys):
 
 class CameraKeys(DeviceKeys):
     """A camera: its picture, its focal length or field of view, or the range of a varifocal lens,
-    and its effective depth."""
+    how its lens bends lines, and its effective depth."""
 
     spec_type = CameraSpec
     replaces = {"hfov_deg": ("focal_px", "focal_y_px"), "focal_px": ("hfov_deg", "focal_y_px")}
@@ -134,11 +135,17 @@ class CameraKeys(DeviceKeys):
     focal_px: Positive | None = None
     focal_y_px: Positive | None = None  # where pixels are not square
     principal_px: Annotated[list[float], Field(min_length=2, max_length=2)] | None = None
+    lens: Literal["pinhole", "fisheye"] = "pinhole"
+    distortion: Annotated[list[float], Field(max_length=8)] = []  # as OpenCV has it
+    image_circle_deg: Annotated[float, Field(gt=0, le=220)] | None = None
 
     def spec(self, name: str, where: str) -> CameraSpec:
         """The spec [pixel, m]; the principal point is the middle of the image if not given."""
+        fisheye, bent = self.lens == "fisheye", tuple(self.distortion)
         if (self.hfov_deg is None) == (self.focal_px is None):
             raise InspeError(f"{where}: give either hfov_deg or focal_px")
+        if not fisheye and np.max(self.hfov_deg or 0.0) >= 180:
+            raise InspeError(f"{where}: hfov_deg: only a 'lens: fisheye' sees 180° or more")
         if self.focal_y_px is not None and self.focal_px is None:
             raise InspeError(f"{where}: focal_y_px: goes with focal_px, not with hfov_deg")
         focal, lens = self.focal_px, None
@@ -149,16 +156,21 @@ class CameraKeys(DeviceKeys):
             lens = focal_of(self.width, wide), focal_of(self.width, narrow)
             focal = lens[0]  # set to the usual one below
         elif self.hfov_deg is not None:
-            focal = focal_of(self.width, self.hfov_deg)
+            focal = focal_of(self.width, self.hfov_deg, Lens(1.0, 1.0, 0.0, 0.0, bent, fisheye))
         assert focal is not None
         cx, cy = self.principal_px or (self.width / 2, self.height / 2)
         same = self.model_dump(include={"width", "height", "downsample", "reliability"})
         same |= dict(depth=self.depth_m, focal_range=lens, focal_y=self.focal_y_px)
-        return CameraSpec(name, focal=focal, principal=(cx, cy), **same).with_lens(0.0)
+        same |= dict(distortion=bent or None, fisheye=fisheye or None)
+        if self.image_circle_deg is not None:
+            same |= dict(image_circle=float(np.radians(self.image_circle_deg)))
+        with error_at(where):
+            return CameraSpec(name, focal=focal, principal=(cx, cy), **same).with_lens(0.0)
 
     @classmethod
     def table(cls, spec: CameraSpec) -> dict[str, Any]:
         """The keys of a camera's spec; of a varifocal lens its range, not how it is set."""
+        circle = round(float(np.degrees(spec.image_circle or 0.0)), 12)
         lens: dict[str, Any] = dict(focal_px=float(spec.focal))
         if spec.focal_range is not None:
             lens = dict(hfov_deg=[hfov_of(spec.width, x) for x in spec.focal_range[::-1]])
@@ -168,6 +180,9 @@ class CameraKeys(DeviceKeys):
             height=int(spec.height),
             **lens,
             **({"focal_y_px": float(spec.focal_y)} if spec.focal_y else {}),
+            **({"lens": "fisheye"} if spec.fisheye else {}),
+            **({"distortion": [float(k) for k in spec.distortion]} if spec.distortion else {}),
+            **({"image_circle_deg": circle} if circle else {}),
             principal_px=[float(x) for x in spec.principal],
             downsample=float(spec.downsample),
             depth_m=float(spec.depth),
@@ -220,9 +235,13 @@ class RadarKeys(DeviceKeys):
         )
 
 
-def focal_of(width: int, hfov_deg: float) -> float:
-    """The focal length [px] with which a picture of so many pixels is so wide [degrees]."""
-    return float(width / 2 / np.tan(np.radians(hfov_deg) / 2))
+def focal_of(width: int, hfov_deg: float, unit: Lens | None = None) -> float:
+    """The focal length [px] with which a picture of so many pixels is so wide [degrees]; of a lens
+    that bends, by the same lens with a focal length of 1."""
+    half = np.radians(hfov_deg) / 2
+    if unit is None or not (unit.fisheye or unit.distortion):
+        return float(width / 2 / np.tan(half))
+    return float(width / 2 / unit.pixels(np.array([[np.sin(half), 0.0, np.cos(half)]]))[0, 0])
 
 
 def hfov_of(width: int, focal: float) -> float:

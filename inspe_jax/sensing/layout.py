@@ -41,7 +41,8 @@ from inspe_jax.scene.scene import Scene
 from inspe_jax.scene.traffic.frames import CLASSES
 from inspe_jax.sensing.catalogue import check_spec, device, devices, spec_of, table_of
 from inspe_jax.sensing.kinds import focal_of, hfov_of
-from inspe_jax.sensing.sensors import CameraSpec, Pose, RayGrid, Spec
+from inspe_jax.sensing.ray_grid import RayGrid
+from inspe_jax.sensing.sensors import CameraSpec, Pose, Spec
 
 UNIT_PLAN = 2.0  # largest distance between sensors of one unit in plan [m]
 UNIT_HEIGHT = 4.0  # largest difference in height between sensors of one unit [m]

@@ -68,8 +68,8 @@ def solve_pose(
         The pose, residuals and covariance of the best of the starts.
 
     Raises:
-        InspeError: There are too few pairs, shapes differ, all points lie on one line, or the
-            pairs leave the pose open.
+        InspeError: There are too few pairs, shapes differ, all points lie on one line, the pairs
+            leave the pose open, or the lens has distortion of an unknown kind.
 
     >>> lens = inspe_jax.Lens(1000.0, 1000.0, 960.0, 540.0)
     >>> at = [[20, -5, 0], [20, 5, 0], [40, -8, 0], [40, 8, 0], [30, 0, 2]]
@@ -81,8 +81,6 @@ def solve_pose(
     pixels = array(pixels, "pixels", (len(points), 2))
     if len(points) < FEWEST:
         raise InspeError(f"pairs: {len(points)}, but a pose needs {FEWEST} or more")
-    if any(lens.distortion[0 if lens.fisheye else 5 :]):
-        raise InspeError("distortion: only k1, k2, p1, p2, k3 of a pinhole are known; undistort")
     middle = points.mean(0)
     if np.linalg.svd(points - middle, compute_uv=False)[1] < 1e-6:
         raise InspeError("pairs: all points lie on one line; add some beside it")

@@ -12,8 +12,9 @@ from functools import cached_property
 import numpy as np
 
 from inspe_jax.core.pytree import pytree
+from inspe_jax.sensing.ray_grid import RayGrid
 from inspe_jax.sensing.rays import Signal, SphericalRays
-from inspe_jax.sensing.sensors import RayGrid, Spec
+from inspe_jax.sensing.sensors import Spec
 
 FILL = np.radians(0.25)
 """Angle between neighbouring rays [rad]: 0.44 m at 100 m, less than the edge of a voxel."""

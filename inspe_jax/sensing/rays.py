@@ -19,8 +19,8 @@ from inspe_jax.core.numerics import arctan2
 from inspe_jax.core.pytree import pytree
 from inspe_jax.sensing.lidar_returns import LidarNoise
 
-_MIN_DISTANCE = 1e-6  # least distance from an axis on which an angle has no derivative [m]
-_ANGLE_ERROR = 1e-6  # largest error of an angle in single precision [rad]
+MIN_DISTANCE = 1e-6  # least distance from an axis on which an angle has no derivative [m]
+ANGLE_ERROR = 1e-6  # largest error of an angle in single precision [rad]
 
 
 class Edges(NamedTuple):
@@ -42,8 +42,8 @@ class RayTable(NamedTuple):
     last rows and columns of rays; ``outer`` lie half a spacing further out, and there are
     ``column_count`` column spacings between them. ``counts`` (N,) are numbers of row spacings, from
     the outer first row to each of N even steps on the way to the outer last one; there are
-    ``count_steps`` steps to a unit. ``wide``: the columns take up more than half a turn. ``cell``
-    is what a radar tells apart, as in :class:`~inspe_jax.sensing.sensors.RayGrid`.
+    ``count_steps`` steps to a unit. ``wide``: the columns take up more than half a turn. ``own`` is
+    what else rays of a class know, as in :class:`~inspe_jax.sensing.ray_grid.RayGrid`.
     """
 
     rows: Float[Array | np.ndarray, "*S R"]
@@ -59,7 +59,7 @@ class RayTable(NamedTuple):
     counts: Float[Array | np.ndarray, "*S N"]
     count_steps: Float[Array | np.ndarray, "*S"]
     wide: Bool[Array | np.ndarray, "*S"]
-    cell: Float[Array | np.ndarray, "*S 4"]
+    own: Float[Array | np.ndarray, "*S 12"]
 
 
 class Signal(NamedTuple):
@@ -132,18 +132,41 @@ class Rays:
         """How deep points lie in the field of view within ``edges`` [m], negative outside: the
         least distance to an edge row, an edge column and the end of the reach."""
         above, below = (self.square_row(q, edges, k) for k in range(2))
-        distance = jnp.sqrt(jnp.maximum(dot3(q, q), _MIN_DISTANCE**2))
+        distance = jnp.sqrt(jnp.maximum(dot3(q, q), MIN_DISTANCE**2))
         margin = jnp.minimum(jnp.minimum(self.table.reach - distance, above), -below)
         return margin if self.wraps else jnp.minimum(margin, self.column_margin(q, edges))
 
     def column_margin(self, q: Point, edges: Edges) -> Float[Array, "*n"]:
-        """How far points lie between the first and the last column of ``edges`` [m]."""
-        after, before = (self.square_column(q, edges, k) for k in range(2))
+        """How far points lie between the sides of the field within ``edges`` [m]."""
+        after, before, *others = self.sides(q, edges)
         # A field of more than half a turn is the union of the two half-spaces, else their overlap.
-        both = jnp.minimum(after, -before)
+        both = jnp.minimum(after, before)
         if self.slants:
             return both
-        return jnp.where(self.table.wide, jnp.maximum(after, -before), both)
+        for other in others:
+            both = jnp.minimum(both, other)
+        return jnp.where(self.table.wide, jnp.maximum(after, before), both)
+
+    def sides(self, q: Point, edges: Edges) -> tuple[Float[Array, "*n"], ...]:
+        """How far points lie to the left of the first column, to the right of the last, and inside
+        of any further side of a field of view that does not wrap round [m]."""
+        return self.square_column(q, edges, 0), -self.square_column(q, edges, 1)
+
+    def surely_outside(self, q: Point, edges: Edges, radius: Any) -> Bool[Array, "*n"]:
+        """Whether all within ``radius`` [m] of points is outside of the field within ``edges``."""
+        return self.field_margin(q, edges) < -radius
+
+    def exist(self, row: Any, column: Any) -> Any:
+        """Whether there are rays at rows and columns of the grid."""
+        return True
+
+    def shown(self, row: Any, column: Float[Array, "*n"]) -> Float[Array, "*n"]:
+        """Column coordinates, or the nearest up to which there are rays at these rows."""
+        return column
+
+    def existing(self, row: Any, column: Any, margin: Float[Array, "*n"]) -> Float[Array, "*n"]:
+        """The margins of rays at rows and columns [m]; negative where there are none."""
+        return margin
 
     def square_column(self, q: Point, edges: Edges, edge: int) -> Float[Array, "*n"]:
         """Perpendicular distance of points to the left of the first column (0) or the last (1) [m]:
@@ -169,11 +192,12 @@ class Rays:
     # Each kind defines the following in its own coordinates.
 
     signal: ClassVar[Signal]  # what they bring a detector
+    bends: ClassVar[bool] = False
+    """Whether straight lines are curves in rows and columns."""
     slants: ClassVar[bool] = False
     """Whether coordinates are tangents; then :meth:`beyond_row` measures along an axis."""
 
-    @staticmethod
-    def direction(row: Any, column: Any, xp: Any = jnp) -> tuple[Any, Any, Any]:
+    def direction(self, row: Any, column: Any, xp: Any = jnp) -> tuple[Any, Any, Any]:
         """Unit direction of the ray at a row and a column coordinate."""
         raise NotImplementedError
 
@@ -228,7 +252,28 @@ class Rays:
         exists = (index >= 0) & (index < self.table.row_count)
         return nearest, self.row_at(jnp.clip(index, 0, self.table.row_count - 1)), exists
 
-    def _nearest_column(self, column: Float[Array, "*n"]) -> Float[Array, "*n"]:
+    def apart(
+        self,
+        row: Float[Array, "*n"],
+        column: Float[Array, "*n"],
+        above: Callable[[Any], Any],
+        left_of: Callable[[Any], Any],
+    ) -> Bool[Array, "*n"]:
+        """Whether cubes at rows and columns lie between two rows or columns, or beyond an end;
+        ``above`` and ``left_of`` are how far beyond a row or a column they lie, in extents."""
+
+        def clear(gap: Callable[[Any], Any], nearest: Any, other: Any, exists: Any) -> Any:
+            near, far = gap(nearest), gap(other)
+            return (jnp.abs(near) > 1) & (~exists | ((jnp.abs(far) > 1) & (near * far < 0)))
+
+        nearest, (first, last) = self.nearest_column(column), self.table.edges.column
+        step = self.table.column_step
+        other = nearest + jnp.where(column > nearest, 1.0, -1.0) * step
+        exists = (other > first - step / 2) & (other < last + step / 2)
+        either = clear(above, *self._neighbour(row))
+        return either | clear(left_of, nearest, other, exists)
+
+    def nearest_column(self, column: Float[Array, "*n"]) -> Float[Array, "*n"]:
         """Coordinate of the nearest column, not wrapped."""
         table = self.table
         first, count = table.edges.column[0], jnp.asarray(table.column_count)
@@ -245,8 +290,7 @@ class SphericalRays(Rays):
 
     signal = Signal("lidar", LidarNoise())
 
-    @staticmethod
-    def direction(row: Any, column: Any, xp: Any = jnp) -> tuple[Any, Any, Any]:
+    def direction(self, row: Any, column: Any, xp: Any = jnp) -> tuple[Any, Any, Any]:
         """(cos ψ cos θ, cos ψ sin θ, sin ψ)."""
         cos = xp.cos(row)
         return cos * xp.cos(column), cos * xp.sin(column), xp.sin(row)
@@ -292,12 +336,12 @@ class SphericalRays(Rays):
         and below the sensor there is no meridian, and so no ray."""
         elevation, azimuth = self.row(q), self.column(q)
         up = self.row_at(self.nearest_row(elevation)) - elevation
-        left = self._nearest_column(azimuth) - azimuth
+        left = self.nearest_column(azimuth) - azimuth
         plan, distance = _plan(q), jnp.sqrt(_plan(q) ** 2 + q[2] * q[2])
         inward = up * q[2] / plan
         bend = (jnp.abs(up) + jnp.abs(left)) ** 2 / 2
         to = -inward * q[0] - left * q[1], -inward * q[1] + left * q[0], up * plan
-        return to, jnp.where(plan > 2 * _MIN_DISTANCE, distance * (bend + _ANGLE_ERROR), FAR)
+        return to, jnp.where(plan > 2 * MIN_DISTANCE, distance * (bend + ANGLE_ERROR), FAR)
 
     def between(self, q: Point, half: Any, extent: Callable[[Point], Any]) -> Bool[Array, "*n"]:
         """Whether cubes lie between the cones of two rows. A cube's extent across a cone is that
@@ -310,7 +354,7 @@ class SphericalRays(Rays):
         def clear(row: Any) -> Bool[Array, "*n"]:
             away = jnp.abs(elevation - row)
             turned = across + away * span + bend * (jnp.abs(q[2]) / distance + away)
-            return distance * (away - away**3 / 6 - _ANGLE_ERROR) > turned
+            return distance * (away - away**3 / 6 - ANGLE_ERROR) > turned
 
         nearest, other, exists = self._neighbour(elevation)
         opposite = (elevation - nearest) * (elevation - other) < 0
@@ -325,8 +369,7 @@ class PinholeRays(Rays):
     signal = Signal("camera")
     slants = True
 
-    @staticmethod
-    def direction(row: Any, column: Any, xp: Any = jnp) -> tuple[Any, Any, Any]:
+    def direction(self, row: Any, column: Any, xp: Any = jnp) -> tuple[Any, Any, Any]:
         """(1, column, row), scaled to unit length."""
         scale = 1.0 / xp.sqrt(1.0 + row * row + column * column)
         return scale, column * scale, row * scale
@@ -349,11 +392,11 @@ class PinholeRays(Rays):
 
     def row(self, q: Point) -> Float[Array, "*n"]:
         """z/x, the tangent of the angle above the optical axis; very large behind the sensor."""
-        return q[2] / jnp.maximum(q[0], _MIN_DISTANCE)
+        return q[2] / jnp.maximum(q[0], MIN_DISTANCE)
 
     def column(self, q: Point) -> Float[Array, "*n"]:
         """y/x, the tangent of the angle to the left of the optical axis."""
-        return q[1] / jnp.maximum(q[0], _MIN_DISTANCE)
+        return q[1] / jnp.maximum(q[0], MIN_DISTANCE)
 
     def beyond_row(self, q: Point, row: Any) -> Float[Array, "*n"]:
         """Height above the plane through row ``row``, along z."""
@@ -370,11 +413,11 @@ class PinholeRays(Rays):
 
     def row_normal(self, q: Point) -> Point:
         """Gradient of z/x, times x²."""
-        return -q[2], jnp.zeros_like(q[0]), jnp.maximum(q[0], _MIN_DISTANCE)
+        return -q[2], jnp.zeros_like(q[0]), jnp.maximum(q[0], MIN_DISTANCE)
 
     def column_normal(self, q: Point) -> Point:
         """Gradient of y/x, times x²."""
-        return -q[1], jnp.maximum(q[0], _MIN_DISTANCE), jnp.zeros_like(q[0])
+        return -q[1], jnp.maximum(q[0], MIN_DISTANCE), jnp.zeros_like(q[0])
 
     def slopes(self, q: Point, near: Any) -> tuple[Point, Point]:
         """Of the tangents z/x and y/x."""
@@ -385,7 +428,7 @@ class PinholeRays(Rays):
     def to_ray(self, q: Point) -> tuple[Point, Any]:
         """Within the plane x = const through the point; behind the sensor there is no ray."""
         row = self.row_at(self.nearest_row(self.row(q)))
-        column = self._nearest_column(self.column(q))
+        column = self.nearest_column(self.column(q))
         to = jnp.zeros_like(q[0]), column * q[0] - q[1], row * q[0] - q[2]
         return to, jnp.where(q[0] > 0, 0.0, FAR)
 
@@ -394,25 +437,16 @@ class PinholeRays(Rays):
         x, y, z = q
         zero, one = jnp.zeros_like(x), jnp.ones_like(x)
 
-        def clear(gap: Callable[[Any], Any], nearest: Any, other: Any, exists: Any) -> Any:
-            near, far = gap(nearest), gap(other)  # in extents of the cube
-            return (jnp.abs(near) > 1) & (~exists | ((jnp.abs(far) > 1) & (near * far < 0)))
-
         def above(row: Any) -> Any:
             return (z - row * x) / extent((-row * one, zero, one))
 
         def left_of(column: Any) -> Any:
             return (y - column * x) / extent((-column * one, one, zero))
 
-        column, (first, last) = self._nearest_column(self.column(q)), self.table.edges.column
-        step = self.table.column_step
-        other = column + jnp.where(self.column(q) > column, 1.0, -1.0) * step
-        exists = (other > first - step / 2) & (other < last + step / 2)
-        either = clear(above, *self._neighbour(self.row(q)))
-        either |= clear(left_of, column, other, exists)
+        either = self.apart(self.row(q), self.column(q), above, left_of)
         return either & (x > 2 * half)
 
 
 def _plan(q: Point) -> Float[Array, "*n"]:
-    """Distance from the z axis [m], at least :data:`_MIN_DISTANCE`."""
-    return jnp.sqrt(jnp.maximum(q[0] * q[0] + q[1] * q[1], _MIN_DISTANCE**2))
+    """Distance from the z axis [m], at least :data:`MIN_DISTANCE`."""
+    return jnp.sqrt(jnp.maximum(q[0] * q[0] + q[1] * q[1], MIN_DISTANCE**2))

@@ -15,8 +15,8 @@ from inspe_jax.core.arrays import bucket
 from inspe_jax.core.numerics import Groups
 from inspe_jax.core.pytree import pytree
 from inspe_jax.sensing.layout import Layout
+from inspe_jax.sensing.ray_grid import RayGrid, repeat_last
 from inspe_jax.sensing.rays import Kind, RayTable
-from inspe_jax.sensing.sensors import RayGrid, repeat_last
 
 
 class SensorSet(NamedTuple):

@@ -8,20 +8,18 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, ClassVar, NamedTuple, Self
 
-import jax
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
-from inspe_jax.core.arrays import on_host, wide_bucket
 from inspe_jax.core.digest import OPTIONAL
-from inspe_jax.core.errors import InspeError
+from inspe_jax.core.errors import InspeError, error_at
 from inspe_jax.core.rigid import pose_of
-from inspe_jax.sensing.rays import Edges, Kind, PinholeRays, Rays, RayTable, SphericalRays
+from inspe_jax.sensing.lens import Lens
+from inspe_jax.sensing.lens_rays import DistortedRays, FisheyeRays
+from inspe_jax.sensing.ray_grid import RayGrid
+from inspe_jax.sensing.rays import PinholeRays, Rays, SphericalRays
 
-ROWS, STEPS = 128, 1024
-"""Smallest lengths of a grid's tables of rows. Longer tables have 4, 16, … times that."""
 SWAPPED = 0.2  # a principal point farther off the middle, in picture sizes, is looked at twice
-COUNTS = 1024  # length of the table that counts rows
 
 
 class Pose(NamedTuple):
@@ -58,112 +56,6 @@ class Pose(NamedTuple):
         (2.0, 3.0, 6.0, 90)
         """
         return cls(*pose_of(matrix, convention, direction).tolist())
-
-
-@dataclass(frozen=True)
-class RayGrid:
-    """Rows at given coordinates and evenly spaced columns, with a ray at each crossing.
-
-    ``rows`` ascend. Column j lies at ``first_column + j · column_step``. If ``wraps``, the first
-    column follows the last. ``reach`` is in metres. Coordinates are those of the class ``of`` rays:
-    angles [rad] on the sphere, or tangents on a plane. ``cell`` is a radar's resolution in range
-    [m], azimuth [rad] and radial speed [m/s], and the least radial speed that it finds; else 0.
-    """
-
-    rows: tuple[float, ...]
-    first_column: float
-    column_step: float
-    column_count: int
-    wraps: bool
-    reach: float
-    of: type[Rays]
-    cell: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
-
-    @property
-    def column_limits(self) -> tuple[float, float]:
-        """Coordinates of the first and the last column."""
-        last = self.first_column + (self.column_count - 1) * self.column_step
-        return self.first_column, last
-
-    def directions(self) -> Float[np.ndarray, "R 3"]:
-        """Unit directions of all rays in the body frame, row by row."""
-        columns = self.first_column + np.arange(self.column_count) * self.column_step
-        row, column = np.meshgrid(np.asarray(self.rows), columns, indexing="ij")
-        return np.stack(self.rays.direction(row.ravel(), column.ravel(), np), axis=-1)
-
-    @property
-    def kind(self) -> Kind:
-        """The kind that code is compiled for; grids of one kind differ only in numbers."""
-        return Kind(self.of, self.wraps)
-
-    @property
-    def rays(self) -> Rays:
-        """The grid in the form that scores use, in JAX's precision at the moment."""
-        return self.kind.rays(jax.tree.map(on_host, self.table))
-
-    @cached_property
-    def table(self) -> RayTable:
-        """The grid's numbers, in tables of a few fixed lengths."""
-        rows, (first, last) = np.asarray(self.rows, float), self.column_limits
-        nearest, steps = self._nearest
-        ends = self.outer_rows
-        at = np.linspace(ends[0], ends[1], COUNTS)
-        # Halfway between rows a spacing ends: there the count is whole.
-        counts = np.interp(
-            at, [ends[0], *rows, ends[1]], [0.0, *(np.arange(len(rows)) + 0.5), len(rows)]
-        )
-        half = self.column_step / 2
-        return RayTable(
-            repeat_last(rows, wide_bucket(len(rows), ROWS)),
-            repeat_last(nearest, wide_bucket(len(nearest), STEPS)),
-            np.array(steps),
-            np.array(len(rows), np.int32),
-            np.array(self.column_step),
-            np.array(1.0 / self.column_step),
-            np.array(self.column_count, np.int32),
-            np.array(self.reach),
-            self._edges(rows[[0, -1]], np.array([first, last])),
-            self._edges(ends, np.array([first - half, last + half])),
-            counts,
-            np.array((COUNTS - 1) / (ends[1] - ends[0])),
-            np.array(not self.of.slants and last - first > np.pi),
-            np.array(self.cell),
-        )
-
-    @property
-    def outer_rows(self) -> Float[np.ndarray, "2"]:
-        """Coordinates half a spacing beyond the first and the last row. A single row has no
-        spacing; that of the columns is taken for it."""
-        rows = np.asarray(self.rows, float)
-        if len(rows) == 1:
-            return rows[[0, 0]] + np.array([-0.5, 0.5]) * self.column_step
-        return np.array([rows[0] - (rows[1] - rows[0]) / 2, rows[-1] + (rows[-1] - rows[-2]) / 2])
-
-    def _edges(self, row: Float[np.ndarray, "2"], column: Float[np.ndarray, "2"]) -> Edges:
-        return Edges(row, column, self._turn(row), self._turn(column))
-
-    def _turn(self, coordinate: Float[np.ndarray, " n"]) -> Float[np.ndarray, "2 n"]:
-        """Cosines and sines of the angles at coordinates."""
-        angle = np.arctan(coordinate) if self.of.slants else coordinate
-        return np.array([np.cos(angle), np.sin(angle)])
-
-    @property
-    def _nearest(self) -> tuple[Int[np.ndarray, " K"], float]:
-        """(row nearest to each of many even steps between the end rows, steps per unit)."""
-        rows = np.asarray(self.rows)
-        if len(rows) == 1:
-            return np.zeros(1, np.uint8), 0.0
-        span = rows[-1] - rows[0]
-        steps = int(min(4 * STEPS - 1, np.ceil(8 * span / np.diff(rows).min())))
-        at = rows[0] + np.arange(steps + 1) * span / steps
-        nearest = np.abs(at[:, None] - rows).argmin(1)
-        # Loops copy the table, so it is kept small.
-        return nearest.astype(np.uint8 if len(rows) <= 2**8 else np.uint16), steps / span
-
-
-def repeat_last(x: Any, length: int) -> np.ndarray:
-    """A table with its last entry repeated up to a length."""
-    return np.concatenate([x, np.repeat(x[-1:], length - len(x))])
 
 
 class Spec:
@@ -240,12 +132,16 @@ class Spec:
 
 @dataclass(frozen=True)
 class CameraSpec(Spec):
-    """A pinhole camera: one ray per downsampled pixel, to its effective depth.
+    """A camera: one ray per downsampled pixel, to its effective depth.
 
     ``width``, ``height``, the ``focal`` length and the ``principal`` point are in pixels, and so is
     the ``focal_range`` of a varifocal lens, and ``focal_y``, down a column, where pixels are not
     square. ``downsample`` is λ: the rays are ⌊λ·height⌋ × ⌊λ·width⌋ and pass through the centres of
     the enlarged pixels. ``depth`` [m] is measured along the ray.
+
+    Without ``distortion``, as OpenCV has it, it is a pinhole; or a ``fisheye``, equidistant but for
+    its own distortion. ``image_circle`` is the angle across what a lens shows [rad], beyond which
+    pictures are black; by a fisheye 180° if it is None.
     """
 
     name: str
@@ -258,6 +154,9 @@ class CameraSpec(Spec):
     reliability: float = 1.0
     focal_range: tuple[float, float] | None = field(default=None, metadata=OPTIONAL)
     focal_y: float | None = field(default=None, metadata=OPTIONAL)
+    distortion: tuple[float, ...] | None = field(default=None, metadata=OPTIONAL)
+    fisheye: bool | None = field(default=None, metadata=OPTIONAL)
+    image_circle: float | None = field(default=None, metadata=OPTIONAL)
 
     kind = "camera"
     title = "camera"
@@ -268,7 +167,8 @@ class CameraSpec(Spec):
 
     def __post_init__(self) -> None:
         """A range is rounded, so that it is the same when it is read from a file. Raises InspeError
-        where it does not ascend, or the focal length is outside of it."""
+        where it does not ascend, or the focal length is outside of it; where a lens is not known,
+        or folds the picture."""
         if self.focal_range is not None:
             low, high = (round(float(focal), 6) for focal in self.focal_range)
             object.__setattr__(self, "focal_range", (low, high))
@@ -277,6 +177,14 @@ class CameraSpec(Spec):
                     f"device '{self.name}': focal_range must ascend about the focal length, but is "
                     f"{low:g} to {high:g} about {self.focal:g} px"
                 )
+        if self.bends:
+            with error_at(f"device '{self.name}'"):
+                if self.focal_range is not None:
+                    raise InspeError(
+                        "a varifocal lens is a pinhole: distortion is that of one focal length, so "
+                        "give focal_px with it"
+                    )
+                self._lens_table  # noqa: B018
 
     @classmethod
     def from_intrinsics(
@@ -294,6 +202,9 @@ class CameraSpec(Spec):
         cy: float | None = None,
         downsample: float = 0.1,
         reliability: float = 1.0,
+        distortion: tuple[float, ...] = (),
+        fisheye: bool = False,
+        image_circle_deg: float | None = None,
     ) -> "CameraSpec":
         """A camera from its calibration: focal lengths, or fields of view.
 
@@ -308,10 +219,14 @@ class CameraSpec(Spec):
                 picture if not given.
             downsample: Rays per pixel, along a row.
             reliability: The chance that what is in view is perceived.
+            distortion: OpenCV's k1, k2, p1, p2, k3, k4, k5, k6; of a fisheye k1 … k4.
+            fisheye: Whether the lens is equidistant; then focal lengths are needed.
+            image_circle_deg: Angle across what the lens shows at all [degrees].
 
         Raises:
-            InspeError: Neither or both of focal length and field of view are given, or the
-                principal point is outside of the picture, as where width and height are swapped.
+            InspeError: Neither or both of focal length and field of view are given, the principal
+                point is outside of the picture, as where width and height are swapped, or the lens
+                is not known or folds the picture.
 
         >>> spec = inspe_jax.CameraSpec.from_intrinsics("roof", 1920, 1080, hfov_deg=90, depth=60)
         >>> round(spec.focal)
@@ -337,7 +252,11 @@ class CameraSpec(Spec):
             raise InspeError(f"{words}: width and height seem to be swapped")
         if not (0 <= cx <= width and 0 <= cy <= height):
             raise InspeError(f"{words} is outside of it: give the size that the lens was found for")
+        if fisheye and fx is None and fy is None:
+            raise InspeError(f"{where}: a fisheye has no focal length by field of view: give fx")
         other = dict(reliability=reliability, focal_y=None if y == x else y)
+        other |= dict(distortion=tuple(distortion) or None, fisheye=fisheye or None)  # type: ignore[dict-item]
+        other |= dict(image_circle=image_circle_deg and float(np.radians(image_circle_deg)))
         return cls(name, width, height, x, (cx, cy), downsample, depth, **other)  # type: ignore[arg-type]
 
     @cached_property
@@ -349,7 +268,25 @@ class CameraSpec(Spec):
         pixel = (np.arange(rows) + 0.5) * self.height / rows
         tangents = tuple((self.principal[1] - pixel[::-1]) / self.focals[1])  # rows run downward
         leftmost = (self.principal[0] - self.width) / self.focal + pitch / 2
-        return RayGrid(tangents, leftmost, pitch, columns, False, self.depth, PinholeRays)
+        of: type[Rays] = FisheyeRays if self.fisheye else DistortedRays
+        lens = self._lens_table if self.bends else ()
+        of = of if self.bends else PinholeRays
+        return RayGrid(tangents, leftmost, pitch, columns, False, self.depth, of, lens)
+
+    @property
+    def optics(self) -> Lens:
+        """Its lens."""
+        (fx, fy), (cx, cy) = self.focals, self.principal
+        return Lens(fx, fy, cx, cy, self.distortion or (), bool(self.fisheye), self.image_circle)
+
+    @property
+    def bends(self) -> bool:
+        """Whether its lens is another than a pinhole that shows all of the picture."""
+        return bool(self.fisheye or self.image_circle or any(self.distortion or ()))
+
+    @cached_property
+    def _lens_table(self) -> tuple[float, ...]:
+        return self.optics.table(self.width, self.height)
 
     @property
     def lens_limits(self) -> tuple[float, float]:
@@ -384,9 +321,15 @@ class CameraSpec(Spec):
 
     @property
     def azimuth_limits(self) -> tuple[float, float]:
-        """Right and left edge of the picture [rad]."""
-        middle, focal = self.principal[0], self.focal
-        return float(np.arctan2(middle - self.width, focal)), float(np.arctan2(middle, focal))
+        """Right and left edge of what it shows, along the row of the principal point [rad]."""
+        x, y, _ = self.optics.rays(self._across(0)).T
+        return float(np.arctan2(y[1], x[1])), float(np.arctan2(y[0], x[0]))
+
+    def _across(self, axis: int) -> Float[np.ndarray, "2 2"]:
+        """The ends of the row (0) or the column (1) through the principal point [px]."""
+        ends = np.array([self.principal, self.principal])
+        ends[:, axis] = 0, (self.width, self.height)[axis]
+        return ends
 
     @property
     def resolution(self) -> str:
@@ -400,14 +343,10 @@ class CameraSpec(Spec):
 
     @property
     def field_of_view(self) -> tuple[float, float]:
-        """Angle from edge to edge of the picture, horizontal and vertical [rad]."""
-        wide, tall = (
-            float(np.arctan2(middle, focal) + np.arctan2(side - middle, focal))
-            for side, middle, focal in zip(
-                (self.width, self.height), self.principal, self.focals, strict=True
-            )
-        )
-        return wide, tall
+        """Angle from edge to edge of what it shows, horizontal and vertical [rad]."""
+        ends = [self.optics.rays(self._across(axis)).T for axis in (0, 1)]
+        wide, tall = (np.arctan2(ends[k][k + 1], ends[k][0]) for k in (0, 1))
+        return float(wide[0] - wide[1]), float(tall[0] - tall[1])
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from inspe_jax.core.geometry import Point, cross_matrix, ray_cube_margin, rotation
 from inspe_jax.core.numerics import Softness, Width, certain_beyond, step
+from inspe_jax.sensing.lens_rays import DistortedRays
 from inspe_jax.sensing.rays import Kind, Rays, RayTable
 from inspe_jax.visibility.ray_density import in_view_chance
 from inspe_jax.visibility.tiles import Tile
@@ -153,7 +154,8 @@ def _ray_margin(
     offset = tuple(
         x.reshape((1,) * (row.ndim - 1) + x.shape) for x in _to_voxels(transform, centers)
     )
-    return ray_cube_margin(world, rays.table.reach, offset, half + TOUCH)  # type: ignore[arg-type]
+    margin = ray_cube_margin(world, rays.table.reach, offset, half + TOUCH)  # type: ignore[arg-type]
+    return rays.existing(row, column, margin)
 
 
 def _candidates(
@@ -210,8 +212,11 @@ def _candidates(
             outside = (rays.column(aim) - rays.table.edges.column[edge]) * outward < 0
             beyond = jnp.where(outside, jnp.minimum(rays.beyond_edge(aim, edge) * outward, 0), 0)
             inner = corner(q, rays.column_normal(aim), jnp.full_like(beyond, outward))
-            gain = rays.beyond_edge(inner, edge) * outward - beyond
-            aim = _between(aim, inner, jnp.where(gain > 0, -beyond / jnp.maximum(gain, 1e-9), 1.0))
+            aim = _to_edge(aim, beyond, inner, rays.beyond_edge(inner, edge) * outward)
+    if isinstance(rays, DistortedRays):
+        beyond = jnp.minimum(rays.cone_margin(aim), 0.0)
+        inner = corner(q, rays.inward(aim), jnp.ones_like(beyond))
+        aim = _to_edge(aim, beyond, inner, rays.cone_margin(inner))
 
     here = rays.row(aim)
     normal = rays.row_normal(aim)
@@ -226,7 +231,7 @@ def _candidates(
         start, end = rays.beyond_row(aim, row), rays.beyond_row(far, row)  # type: ignore[arg-type]
         crossing = start / jnp.where(jnp.abs(start - end) < 1e-9, 1e-9, start - end)
         p = _between(aim, far, crossing)  # type: ignore[arg-type]
-        before = rays.column_index(rays.column(p))
+        before = rays.column_index(rays.shown(row, rays.column(p)))
         return row, rays.column_at(before), rays.column_at(before + 1)
 
     return of_row
@@ -242,6 +247,13 @@ def _within_reach(rays: Rays, q: Point, corner) -> Point:  # type: ignore[no-unt
     beyond = jnp.maximum(far_range - rays.table.reach, 0.0)
     meets = beyond / jnp.maximum(far_range - near_range, 1e-9)
     return _between(q, near, jnp.where(beyond > 0, (1 + meets) / 2, 0.0))
+
+
+def _to_edge(aim: Point, beyond: Array, inner: Point, inside: Array) -> Point:
+    """A point that is ``beyond`` an edge, by a negative margin [m], or is not, with 0: moved as far
+    toward one that is ``inside`` [m] as it takes."""
+    gain = inside - beyond
+    return _between(aim, inner, jnp.where(gain > 0, -beyond / jnp.maximum(gain, 1e-9), 1.0))
 
 
 def _between(a: Point, b: Point, t: Float[Array, " V"]) -> Point:
@@ -361,4 +373,4 @@ def may_touch_field(
     rays, (x, y, z) = transform.through(rays), transform.position
     offset = tile.center[0] - x, tile.center[1] - y, middle - z
     edges = rays.table.outer if outer else rays.table.edges
-    return rays.field_margin(to_body(transform.to_world, offset), edges) > -radius
+    return ~rays.surely_outside(to_body(transform.to_world, offset), edges, radius)

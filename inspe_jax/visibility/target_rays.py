@@ -66,14 +66,19 @@ def share_between_sides(
     if rays.wraps:
         return jnp.ones((len(width), len(to[0])), to[0].dtype)
     q, aside, up = jax.tree.map(lambda x: x[None], _face_axes(transform, to))
+    of = lambda q: rays.sides(q, rays.table.outer)  # noqa: E731
+    margins, across = jax.jvp(of, (q,), (aside,))
+    _, along = jax.jvp(of, (q,), (up,))
     inside = []
-    for k, sign in enumerate((1.0, -1.0)):  # to the left of the right side, and the other way
-        margin, across, along = (rays.square_column(x, rays.table.outer, k) for x in (q, aside, up))
-        spread = jnp.maximum(jnp.abs(across) * width + jnp.abs(along) * tall, _SMALL)
-        inside.append(jnp.clip(0.5 + sign * margin / spread, 0.0, 1.0))
+    for margin, level, upright in zip(margins, across, along, strict=True):
+        spread = jnp.maximum(jnp.abs(level) * width + jnp.abs(upright) * tall, _SMALL)
+        inside.append(jnp.clip(0.5 + margin / spread, 0.0, 1.0))
     # A field of more than half a turn is what is inside of either side.
     total = inside[0] + inside[1]
-    return jnp.clip(jnp.where(rays.table.wide, total, total - 1.0), 0.0, 1.0)
+    share = jnp.clip(jnp.where(rays.table.wide, total, total - 1.0), 0.0, 1.0)
+    for other in inside[2:]:
+        share *= other
+    return share
 
 
 def _face_axes(transform: RigidTransform, to: Point) -> tuple[Point, Point, Point]:
@@ -89,8 +94,8 @@ def _shift_inside(rays: Rays, transform: RigidTransform, to: Point) -> Float[Arr
     """How far faces go aside [m], to :data:`ASIDE`, to have their middles between the sides."""
     q, aside, _ = _face_axes(transform, to)
     found, out = [], []
-    for k, sign in enumerate((1.0, -1.0)):
-        margin, across = (sign * rays.square_column(x, rays.table.outer, k) for x in (q, aside))
+    sides = jax.jvp(lambda q: rays.sides(q, rays.table.outer)[:2], (q,), (aside,))
+    for margin, across in zip(*sides, strict=True):
         slope = jnp.where(jnp.abs(across) > _SLANT, across, _SLANT)
         out.append(margin < 0)
         found.append(jnp.where(margin < 0, jnp.clip(-margin / slope, -ASIDE, ASIDE), 0.0))

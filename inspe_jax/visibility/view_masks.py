@@ -93,7 +93,7 @@ def _by_nearest_ray(
         turned = (sum(to_world[k, m] * direction[m] for m in range(3)) for k in range(3))
         return (half + SLACK) * sum(map(jnp.abs, turned), jnp.zeros_like(q[0]))
 
-    outside = rays.field_margin(q, rays.table.edges) < -corner
+    outside = rays.surely_outside(q, rays.table.edges, corner)
     return hit, outside | rays.between(q, half + SLACK, extent)
 
 

@@ -285,8 +285,9 @@ frame_to_sensor: [[0, -1, 0, 3], [0, 0, -1, 6], [1, 0, 0, -4], [0, 0, 0, 1]]
 """
     found = read(tmp_path, text, name="camera.yaml")
     np.testing.assert_allclose(found.layout.poses, [[4, 3, 6, 0, 0, 0]], atol=1e-12)
-    assert found.layout.sensors[0].spec.focals == (1200, 1300)
-    assert "its distortion is left out: layouts have pinhole cameras" in found.notes[0]
+    spec = found.layout.sensors[0].spec
+    assert spec.focals == (1200, 1300)
+    assert (spec.distortion, spec.fisheye) == ((-0.1, 0, 0, 0, 0), None)
 
 
 def test_pairs_give_a_pose_and_say_how_well_they_fit(tmp_path):
@@ -336,7 +337,9 @@ BAD = [
     (one(camera_matrix=[[-9, 0, 9], [0, 9, 9], [0, 0, 1]]), {}, "the picture is mirrored"),
     (posed(camera_matrix=None, projection=-np.eye(4)[:3]), {}, "is mirrored: .*multiply it by −1"),
     (posed(camera_matrix=None, projection=np.zeros((3, 4))), {}, "projection: is singular"),
-    (one(model="fisheye"), {}, "is a fisheye, and layouts have pinhole cameras: name a 'device'"),
+    (one(distortion=[0.0] * 8 + [0.1]), {}, "camera_matrix: distortion: only k1, k2, p1, p2, k3, "),
+    (one(distortion=[-0.5]), {}, "distortion: folds the picture, .*image_circle_deg"),
+    (one(image_circle_deg=180), {}, "image_circle_deg: only a 'lens: fisheye' sees 180° or more"),
     (one(width=None), {}, "width, height: missing keys: give the 'size'"),
     (one(width="1920"), {}, "width: must be a whole number .*got '1920'"),
     (one(wdith=1920), {}, "wdith: unknown key; did you mean width"),

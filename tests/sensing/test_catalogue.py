@@ -175,7 +175,7 @@ def test_specs_are_in_radians_with_both_ends_of_even_elevations():
     ('kind = "lidar"', 'kind = "sonar"', "must be 'lidar' or 'camera' or 'radar', got 'sonar'"),
     ('kind = "lidar"\n', "", "mine: kind: missing key"),
     ('kind = "lidar"', 'kind = "camera"', "mine: .*unknown key"),
-    ("focal_px = 320", "hfov_deg = 180", r"hfov_deg: .*less than 180, got 180"),
+    ("focal_px = 320", "hfov_deg = 180", "hfov_deg: only a 'lens: fisheye' sees 180° or more"),
     ("focal_px = 320\n", "", "give either hfov_deg or focal_px"),
     ("focal_px = 320", "focal_px = 320\nhfov_deg = 90", "give either hfov_deg or"),
 ])  # fmt: skip

@@ -23,8 +23,9 @@ from inspe_jax.sensing.conditions import FAIR, Conditions
 from inspe_jax.sensing.kinds import DeviceKeys, Positive
 from inspe_jax.sensing.layout import load_layout, save_layout
 from inspe_jax.sensing.lidar_returns import LidarNoise
+from inspe_jax.sensing.ray_grid import RayGrid
 from inspe_jax.sensing.rays import Signal, SphericalRays
-from inspe_jax.sensing.sensors import RayGrid, Spec
+from inspe_jax.sensing.sensors import Spec
 from inspe_jax.visibility.queries import in_view
 
 # ── First file: the spec ────────────────────────────────────────────────────

@@ -10,6 +10,7 @@ from typing import Any
 
 from filelock import FileLock
 
+from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import parse_yaml
 from inspe_jax.dataset.formats.other_readers import lidar_range, with_cameras
 from inspe_jax.dataset.formats.protocol_file import PROTOCOL, write_protocol
@@ -21,6 +22,7 @@ from inspe_jax.dataset.protocol import protocol_of
 from inspe_jax.jobs.sources import SceneSource, message_of, place_layout, release_compiled, scene_of
 from inspe_jax.scene.scene import Scene
 from inspe_jax.sensing.layout import Layout, layout_text, parse_layout
+from inspe_jax.sensing.sensors import CameraSpec
 from inspe_jax.simulation.backends import recorder_of
 from inspe_jax.simulation.recorder import Recorder, Server
 
@@ -107,11 +109,19 @@ _recording = threading.Lock()
 
 
 def layout_of(plan: ScenarioPlan, scene: Scene) -> tuple[Layout, dict[str, Any]]:
-    """The layout of a scenario on its scene, and its content as in a layout file."""
+    """The layout of a scenario on its scene, and its content as in a layout file. Raises InspeError
+    where a camera is no pinhole."""
     source = plan.layout
     text = source.text or layout_text(place_layout(source, scene))
     content = {"name": source.name, **parse_yaml(text, source.name)}
-    return parse_layout(content, source.name, source.name, scene), content
+    layout = parse_layout(content, source.name, source.name, scene)
+    for sensor in layout.sensors:
+        if isinstance(sensor.spec, CameraSpec) and sensor.spec.bends:
+            raise InspeError(
+                f"{source.name}: {sensor.spec.name}: formats and detectors of data sets know "
+                "pinholes alone: give a device without 'lens', 'distortion' and 'image_circle_deg'"
+            )
+    return layout, content
 
 
 def build(chunk: Chunk) -> Scene | str:

@@ -67,6 +67,12 @@ class CarlaCamera:
                 f"image_size [{width}, {height}]: CARLA's pixels are square, and {spec.name} has "
                 f"{spec.width} x {spec.height} of them: give a size of the same shape"
             )
+        if spec.bends:
+            raise InspeError(
+                f"{spec.name}: CARLA's cameras are pinholes here, and its own parameters of a lens "
+                "are not OpenCV's: record with the backend embedded, or give a device without "
+                "'lens', 'distortion' and 'image_circle_deg'"
+            )
         if abs(spec.focals[1] / spec.focal - 1) > SQUARE:
             raise InspeError(
                 f"{spec.name}: its pixels are not square, {spec.focal:g} and {spec.focals[1]:g} px "

@@ -26,6 +26,7 @@ from inspe_jax.simulation.projection import Corners, corners, outlines
 SHADOWED = 150.0
 """Shadows of road users are rendered up to this distance from the centre, along x and y [m]."""
 LONGEST = 200.0  # longest shadow of anything [m]
+NEAR = 0.1  # so far beside the sphere about a road user it may still be seen [m]
 ASIDE = 10.0
 """No road user reaches further from its centre in plan [m]: road trains are 18.75 m long."""
 SKY = 11
@@ -140,9 +141,11 @@ class Camera:
         self.intrinsic = scale @ np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
         u, v = np.meshgrid(np.arange(self.width) + 0.5, np.arange(self.height) + 0.5)
         (fx, _, cx), (_, fy, cy), _ = self.intrinsic
-        body = np.stack([np.ones_like(u), (cx - u) / fx, (cy - v) / fy], -1).reshape(-1, 3)
-        self.ahead = 1.0 / np.linalg.norm(body, axis=1)  # depth along the axis for 1 m of ray
-        turned = (body * self.ahead[:, None]) @ rotation(self.pose[3:], np).T
+        self.bends, at = spec.bends, np.column_stack([u.ravel(), v.ravel()])
+        lens = spec.optics._replace(fx=fx, fy=fy, cx=cx, cy=cy)
+        body, self.dark = lens.rays(at), np.flatnonzero(lens.beyond_circle(at))
+        self.ahead = body[:, 0]  # depth along the axis for 1 m of ray
+        turned = body @ rotation(self.pose[3:], np).T
         self.directions = np.ascontiguousarray(turned, np.float32)
         self.origin = (self.pose[:3] - self.static_world.center).astype(np.float32)
         hits = self.static_world.caster.cast(self.origin, self.directions, FAR)
@@ -150,7 +153,10 @@ class Camera:
         found = [self._background_part(part, *(x[part] for x in hits)) for part in slices]
         whole = (np.concatenate(field) for field in zip(*found, strict=True))
         self.background = Background(hits.distance, *whole)
-        self.gain = metered_gain(self.background.colour, self.light)
+        self.gain = metered_gain(np.delete(self.background.colour, self.dark, 0), self.light)
+        for field in self.background:
+            field[self.dark] = 0
+        self.background.distance[self.dark] = np.inf
         self.lit_ground = None
         if surroundings.ground is not None:
             self.lit_ground = LitGround(surroundings.ground, self.shading, self.background)
@@ -296,9 +302,24 @@ class Camera:
         return pixels[self._in_shadow(caster, self.background.point[pixels], up)]
 
     def _pixels_near(self, box_corners: Corners) -> Int[np.ndarray, " P"]:
-        """The pixels inside the outlines of boxes, and close around them."""
+        """The pixels inside the outlines of boxes, and close around them; through a lens that bends
+        lines, those whose rays come near the spheres about them."""
+        if self.bends:
+            return self._pixels_at_spheres(box_corners)
         wanted = Pillow.new("1", (self.width, self.height))
         pen = ImageDraw.Draw(wanted)
         for outline in outlines(self, box_corners, self.width, self.height, margin=2.0):
             pen.polygon(outline.ravel().tolist(), fill=1)
         return np.flatnonzero(np.asarray(wanted))
+
+    def _pixels_at_spheres(self, box_corners: Corners) -> Int[np.ndarray, " P"]:
+        middle = box_corners.mean(1)
+        radius = np.linalg.norm(box_corners - middle[:, None], axis=-1).max(1)
+        to = (middle - self.pose[:3]).astype(np.float32)
+        away = np.linalg.norm(to, axis=1)
+        beside = np.sqrt(np.maximum(away**2 - (radius + NEAR) ** 2, 0.0))  # the tangent's length
+        near = np.zeros(len(self.directions), bool)
+        for way, least in zip(to, np.where(away > radius + NEAR, beside, -np.inf), strict=True):
+            near |= self.directions @ way >= least
+        near[self.dark] = False
+        return np.flatnonzero(near)

@@ -112,6 +112,13 @@ class DistortedRays(Rays):
         """And how deep points lie in the cone of view."""
         return *super().sides(q, edges), self.cone_margin(q)
 
+    def toward_sides(self, q: Point, way: Point, edges: Edges) -> tuple[Float[Array, "*n"], ...]:
+        """Along the normals of the sides at the points."""
+        _, left = self.slopes(q, MIN_DISTANCE)
+        inward = self.inward(q)
+        across = dot3(left, way) / jnp.sqrt(dot3(left, left))
+        return across, -across, dot3(inward, way) / jnp.sqrt(dot3(inward, inward))
+
     def cone_margin(self, q: Point) -> Float[Array, "*n"]:
         """How deep points lie in the cone of view [m], along an arc about the camera."""
         distance, _, angle = _polar(q)

@@ -152,6 +152,10 @@ class Rays:
         of any further side of a field of view that does not wrap round [m]."""
         return self.square_column(q, edges, 0), -self.square_column(q, edges, 1)
 
+    def toward_sides(self, q: Point, way: Point, edges: Edges) -> tuple[Float[Array, "*n"], ...]:
+        """How much of vectors at points leads inward from each of the :meth:`sides`."""
+        return self.sides(way, edges)  # which are planes
+
     def surely_outside(self, q: Point, edges: Edges, radius: Any) -> Bool[Array, "*n"]:
         """Whether all within ``radius`` [m] of points is outside of the field within ``edges``."""
         return self.field_margin(q, edges) < -radius

@@ -66,10 +66,8 @@ def share_between_sides(
     if rays.wraps:
         return jnp.ones((len(width), len(to[0])), to[0].dtype)
     q, aside, up = jax.tree.map(lambda x: x[None], _face_axes(transform, to))
-    of = lambda q: rays.sides(q, rays.table.outer)  # noqa: E731
-    margins, across = jax.jvp(of, (q,), (aside,))
-    _, along = jax.jvp(of, (q,), (up,))
-    inside = []
+    across, along = (rays.toward_sides(q, way, rays.table.outer) for way in (aside, up))
+    margins, inside = rays.sides(q, rays.table.outer), []
     for margin, level, upright in zip(margins, across, along, strict=True):
         spread = jnp.maximum(jnp.abs(level) * width + jnp.abs(upright) * tall, _SMALL)
         inside.append(jnp.clip(0.5 + margin / spread, 0.0, 1.0))
@@ -94,8 +92,8 @@ def _shift_inside(rays: Rays, transform: RigidTransform, to: Point) -> Float[Arr
     """How far faces go aside [m], to :data:`ASIDE`, to have their middles between the sides."""
     q, aside, _ = _face_axes(transform, to)
     found, out = [], []
-    sides = jax.jvp(lambda q: rays.sides(q, rays.table.outer)[:2], (q,), (aside,))
-    for margin, across in zip(*sides, strict=True):
+    sides = rays.sides(q, rays.table.outer), rays.toward_sides(q, aside, rays.table.outer)
+    for margin, across in zip(sides[0][:2], sides[1][:2], strict=True):
         slope = jnp.where(jnp.abs(across) > _SLANT, across, _SLANT)
         out.append(margin < 0)
         found.append(jnp.where(margin < 0, jnp.clip(-margin / slope, -ASIDE, ASIDE), 0.0))

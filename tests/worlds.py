@@ -38,6 +38,20 @@ CAMERA = CameraSpec(
     "test-camera", 800, 600, 400 / np.tan(np.radians(50)), (400.0, 300.0), 0.1, 30.0, 0.9
 )
 
+BARREL = CameraSpec(
+    "barrel", 1920, 1080, 1150.0, (930.0, 560.0), 0.1, 30.0,
+    distortion=(-0.28, 0.09, 1e-3, -2e-3, -0.013),
+)  # fmt: skip
+CEILING = CameraSpec(
+    "ceiling", 1280, 960, 339.7, (634.0, 460.0), 0.1, 30.0,
+    fisheye=True, image_circle=np.radians(185.0),
+)  # fmt: skip
+"""As those of Mcity, but for the circle."""
+CIRCULAR = CameraSpec(
+    "circular", 1280, 1280, 380.0, (640.0, 640.0), 0.1, 30.0,
+    fisheye=True, image_circle=np.radians(150.0), distortion=(-0.03, 0.004, -0.002, 3e-4),
+)  # fmt: skip
+
 
 TINY = dict(radius=10.0, voxel=2.0, frames=2, count=6)
 """The size of :func:`world` where gradients are taken and differences of them."""

@@ -28,13 +28,13 @@ def poses(spec, seed):
 
 @pytest.mark.parametrize("spec", LENSES, ids=lambda spec: spec.name)
 def test_in_view_agrees_with_every_ray_walked(spec):
-    """At least 99.9 % of voxels: others are clipped at a corner, or by the circle's last rays."""
+    """At least 99.95 % of voxels: others are clipped at a corner, or by the circle's last rays."""
     scene = world(count=0, slope=0.04)
     for seed in (1, 2):
         layout = poses(spec, seed)
         ours, walked = in_view(scene, layout), raycast.in_view(scene, layout, "exact")
         assert 0.05 < walked.mean() < 0.95
-        assert (ours == walked).mean(axis=1).min() >= 0.999
+        assert (ours == walked).mean(axis=1).min() >= 0.9995
         assert (ours & ~walked).sum() <= 1e-4 * ours.size
 
 

@@ -19,8 +19,8 @@ from inspe_jax.scene.maps.registry import read_map
 from inspe_jax.scene.scene import Scene, build_scene
 from inspe_jax.sensing.conditions import FAIR, Conditions
 from inspe_jax.sensing.layout import Layout, Sensor, Unit, make_layout
-from inspe_jax.sensing.lidar_returns import LidarNoise
 from inspe_jax.sensing.sensors import CameraSpec, LidarSpec
+from inspe_jax.sensing.signals import LidarNoise
 from inspe_jax.simulation.backends import recorder_of
 from inspe_jax.simulation.recorder import Recording, Server
 

@@ -37,7 +37,7 @@ class Constraints:
     ``span_heights`` are those of sensors on a span wire: the unit's foot is then in the middle of
     the junction, and stays there. A sensor lower than ``clearance`` may not hang over a lane; a
     search also keeps it up to 0.3 m away from the lane. ``pitch`` gives (from, to) by kind of
-    sensor. ``yaw`` gives (from, to), counter-clockwise, by name of sensor; a sensor that is not
+    sensor; a kind that is not named has its own. ``yaw`` gives (from, to), counter-clockwise, by name of sensor; a sensor that is not
     named may look in any direction.
 
     ``places`` is one of :data:`PLACES`, for all units or by name of unit; a unit that is not named
@@ -57,6 +57,10 @@ class Constraints:
     yaw: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     places: str | Mapping[str, str] = "any"
     area: BaseGeometry | None = None
+
+    def __post_init__(self) -> None:
+        """Kinds of sensor without a pitch have their usual one."""
+        object.__setattr__(self, "pitch", default_pitch() | dict(self.pitch))
 
     def check(self) -> None:
         """Raise InspeError if a value is unknown, out of range or contradicts another.
@@ -79,12 +83,8 @@ class Constraints:
                     f"clearance {self.clearance:g} m: must be from 0 to {most:g} m where {name} "
                     f"are {low:g} to {high:g} m"
                 )
-        if set(self.pitch) != (kinds := set(SENSOR_KINDS)):
-            raise InspeError(
-                f"pitch: give limits for {' and '.join(sorted(kinds))} and for no other kind, got "
-                f"{', '.join(self.pitch) or 'none'}"
-            )
         for kind, (low, high) in self.pitch.items():
+            check_known(kind, SENSOR_KINDS, "pitch of kind")
             if not -np.pi / 2 <= low <= high <= np.pi / 2:
                 raise InspeError(
                     f"pitch of {kind} {np.degrees(low):g}° to {np.degrees(high):g}°: "

@@ -19,9 +19,9 @@ from inspe_jax.core.numerics import Width, step
 from inspe_jax.scene.traffic.frames import CLASSES, ROAD_USERS
 from inspe_jax.scoring.detection import DETECT, DetectionCurves, detection_curves
 from inspe_jax.scoring.radar_evidence import radar_precision, share_told_apart, strength
-from inspe_jax.sensing.lidar_returns import LidarNoise
 from inspe_jax.sensing.rays import Kind, Rays, RayTable
 from inspe_jax.sensing.sensor_array import SensorArray
+from inspe_jax.sensing.signals import LidarNoise
 from inspe_jax.visibility import bitmask
 from inspe_jax.visibility.in_view import transform_of
 from inspe_jax.visibility.target_rays import NEAR, rays_on_face, scale_at, share_between_sides

@@ -13,8 +13,9 @@ import numpy as np
 
 from inspe_jax.core.pytree import pytree
 from inspe_jax.sensing.ray_grid import RayGrid
-from inspe_jax.sensing.rays import Signal, SphericalRays
+from inspe_jax.sensing.rays import SphericalRays
 from inspe_jax.sensing.sensors import Spec
+from inspe_jax.sensing.signals import Signal
 
 FILL = np.radians(0.25)
 """Angle between neighbouring rays [rad]: 0.44 m at 100 m, less than the edge of a voxel."""

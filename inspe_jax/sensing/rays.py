@@ -17,7 +17,7 @@ from jaxtyping import Array, Bool, Float, Int
 from inspe_jax.core.geometry import FAR, Point, dot3
 from inspe_jax.core.numerics import arctan2
 from inspe_jax.core.pytree import pytree
-from inspe_jax.sensing.lidar_returns import LidarNoise
+from inspe_jax.sensing.signals import LidarNoise, Signal
 
 MIN_DISTANCE = 1e-6  # least distance from an axis on which an angle has no derivative [m]
 ANGLE_ERROR = 1e-6  # largest error of an angle in single precision [rad]
@@ -60,22 +60,6 @@ class RayTable(NamedTuple):
     count_steps: Float[Array | np.ndarray, "*S"]
     wide: Bool[Array | np.ndarray, "*S"]
     own: Float[Array | np.ndarray, "*S 12"]
-
-
-class Signal(NamedTuple):
-    """What a sensor's rays bring a detector: the ``name`` of the curves by which it finds road
-    users (:mod:`inspe_jax.scoring.detection`), and the ``noise``, which says which rays come back
-    and how exactly they range; None for pictures, of which all pixels count. With ``echo`` it is
-    the strength of one echo that counts, as a radar's."""
-
-    name: str
-    noise: LidarNoise | None = None
-    echo: bool = False
-
-    @property
-    def pictures(self) -> bool:
-        """Whether pixels are what it has on a road user."""
-        return self.noise is None and not self.echo
 
 
 class Kind(NamedTuple):

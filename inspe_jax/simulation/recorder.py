@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float
 from inspe_jax.core.errors import InspeError, check_known
 from inspe_jax.scene.scene import Scene
 from inspe_jax.sensing.layout import Layout
-from inspe_jax.sensing.lidar_returns import ATTENUATION, LidarNoise
+from inspe_jax.sensing.signals import ATTENUATION, LidarNoise
 from inspe_jax.simulation.frame import Boxes, Frame, Image, Scan, Station
 
 LAYERS = ("depth", "instance", "semantic")  # what a camera can record in addition to its pictures

@@ -149,7 +149,8 @@ def test_devices_of_one_lens_are_a_row_of_the_bill():
     ("keys", "message"),
     [
         (dict(hfov_deg=[100, 40]), "hfov_deg: must ascend, but 40 follows 100"),
-        (dict(hfov_deg=[40, 200]), r"hfov_deg\[1\]: .*less than 180, got 200"),
+        (dict(hfov_deg=[40, 230]), r"hfov_deg\[1\]: .*less than or equal to 220, got 230"),
+        (dict(hfov_deg=[40, 200]), "hfov_deg: only a 'lens: fisheye' sees 180° or more"),
         (dict(hfov_deg=[40, 100], focal_px=500), "give either hfov_deg or focal_px"),
     ],
 )

@@ -38,8 +38,8 @@ from inspe_jax.scoring.target_metrics import UNKNOWN, position_error, redundancy
 from inspe_jax.scoring.targets import target_view
 from inspe_jax.scoring.tiled_scene import tiled_scene_of
 from inspe_jax.sensing.layout import Sensor, Unit, make_layout
-from inspe_jax.sensing.lidar_returns import LidarNoise
 from inspe_jax.sensing.sensor_array import SensorSet, sensor_array
+from inspe_jax.sensing.signals import LidarNoise
 
 FURTHER = ("detectability", "points_on_target", "pixel_density", "localisation", "redundancy")
 UNWEIGHTED = dict(metrics=FURTHER, weights=(0.5, 0.5, 0.0))

@@ -22,10 +22,10 @@ from inspe_jax.sensing.catalogue import spec_of, table_of
 from inspe_jax.sensing.conditions import FAIR, Conditions
 from inspe_jax.sensing.kinds import DeviceKeys, Positive
 from inspe_jax.sensing.layout import load_layout, save_layout
-from inspe_jax.sensing.lidar_returns import LidarNoise
 from inspe_jax.sensing.ray_grid import RayGrid
-from inspe_jax.sensing.rays import Signal, SphericalRays
+from inspe_jax.sensing.rays import SphericalRays
 from inspe_jax.sensing.sensors import Spec
+from inspe_jax.sensing.signals import LidarNoise, Signal
 from inspe_jax.visibility.queries import in_view
 
 # ── First file: the spec ────────────────────────────────────────────────────

@@ -10,8 +10,8 @@ from inspe_jax.core.geometry import rotation
 from inspe_jax.dataset.points_in_boxes import count_inside
 from inspe_jax.scene.traffic.frames import CLASSES
 from inspe_jax.sensing.conditions import Conditions
-from inspe_jax.sensing.lidar_returns import LidarNoise
 from inspe_jax.sensing.sensors import LidarSpec
+from inspe_jax.sensing.signals import LidarNoise
 from inspe_jax.simulation.embedded.recorder import EmbeddedRecorder
 from inspe_jax.simulation.embedded.road_users import boxes_of
 from inspe_jax.simulation.recorder import Recording

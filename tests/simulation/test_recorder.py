@@ -19,8 +19,8 @@ from inspe_jax.scene.regions import Region
 from inspe_jax.scene.scene import build_scene
 from inspe_jax.sensing.conditions import FAIR, Conditions
 from inspe_jax.sensing.layout import Unit
-from inspe_jax.sensing.lidar_returns import LidarNoise
 from inspe_jax.sensing.sensors import LidarSpec
+from inspe_jax.sensing.signals import LidarNoise
 from inspe_jax.simulation.backends import recorder_of
 from inspe_jax.simulation.embedded.camera import SHADOWED, SunlitPoints
 from inspe_jax.simulation.embedded.embree import Caster

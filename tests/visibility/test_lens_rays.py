@@ -44,7 +44,7 @@ def test_slopes_are_those_of_the_coordinates_and_edges_have_depth(spec):
     rng = np.random.default_rng(0)
     with worlds.double_precision():
         rays = spec.grid.rays
-        off, around = rng.uniform(0.01, rays.table.lens[10], 200), rng.uniform(0, 2 * np.pi, 200)
+        off, around = rng.uniform(0.01, rays.table.own[10], 200), rng.uniform(0, 2 * np.pi, 200)
         aside = np.sin(off) * [np.cos(around), np.sin(around)]
         q = tuple(jnp.asarray(x) for x in rng.uniform(1, 30, 200) * [np.cos(off), *aside])
         for slope, of in zip(rays.slopes(q, 1e-6), (rays.row, rays.column), strict=True):

@@ -12,8 +12,8 @@ import inspe_jax
 from inspe_jax.scene.traffic.frames import ROAD_USERS
 from inspe_jax.scoring.detection import detection_curves
 from inspe_jax.scoring.targets import target_view
-from inspe_jax.sensing.lidar_returns import LidarNoise
 from inspe_jax.sensing.sensors import LidarSpec
+from inspe_jax.sensing.signals import LidarNoise
 from inspe_jax.visibility import in_view
 from inspe_jax.visibility.centered_scene import about_center
 from inspe_jax.visibility.ray_density import footprint

@@ -17,8 +17,8 @@ from numpy.random import Generator
 from inspe_jax.core.carla_frame import flip
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.geometry import rotation
-from inspe_jax.sensing.lidar_returns import ATTENUATION
 from inspe_jax.sensing.sensors import CameraSpec, LidarSpec
+from inspe_jax.sensing.signals import ATTENUATION
 from inspe_jax.simulation.frame import Boxes, Image, Picture, Pose6, Scan
 from inspe_jax.simulation.recorder import Recording, apply_noise
 

@@ -8,8 +8,8 @@ from jaxtyping import Float, Int
 from numpy.random import Generator
 
 from inspe_jax.core.geometry import rotation
-from inspe_jax.sensing.lidar_returns import LidarNoise
 from inspe_jax.sensing.sensors import LidarSpec
+from inspe_jax.sensing.signals import LidarNoise
 from inspe_jax.simulation.embedded.road_users import FrameActors
 from inspe_jax.simulation.embedded.surroundings import Surroundings
 from inspe_jax.simulation.frame import Pose6, Scan

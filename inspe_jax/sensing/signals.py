@@ -1,8 +1,8 @@
-"""Which of a LiDAR's rays come back: the share that is lost, at random and over range, as in
-CARLA's model. It is the same for every recorder and for expected numbers of returns."""
+"""What rays bring a detector; and which of a LiDAR's come back: the share that is lost, at random
+and over range, as in CARLA's model, the same for every recorder and for expected returns."""
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -33,3 +33,19 @@ class LidarNoise:
     def share_returned(self, distance: Any, xp: Any = np) -> Any:
         """The share of rays that hit something at a distance [m] and come back."""
         return (1.0 - self.lost) * (1.0 - self.weak_lost(distance, xp))
+
+
+class Signal(NamedTuple):
+    """What a sensor's rays bring a detector: the ``name`` of the curves by which it finds road
+    users (:mod:`inspe_jax.scoring.detection`), and the ``noise``, which says which rays come back
+    and how exactly they range; None for pictures, of which all pixels count. With ``echo`` it is
+    the strength of one echo that counts, as a radar's."""
+
+    name: str
+    noise: LidarNoise | None = None
+    echo: bool = False
+
+    @property
+    def pictures(self) -> bool:
+        """Whether pixels are what it has on a road user."""
+        return self.noise is None and not self.echo

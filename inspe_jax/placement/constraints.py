@@ -37,8 +37,8 @@ class Constraints:
     ``span_heights`` are those of sensors on a span wire: the unit's foot is then in the middle of
     the junction, and stays there. A sensor lower than ``clearance`` may not hang over a lane; a
     search also keeps it up to 0.3 m away from the lane. ``pitch`` gives (from, to) by kind of
-    sensor; a kind that is not named has its own. ``yaw`` gives (from, to), counter-clockwise, by name of sensor; a sensor that is not
-    named may look in any direction.
+    sensor; a kind that is not named has its own. ``yaw`` gives (from, to), counter-clockwise, by
+    name of sensor; a sensor that is not named may look in any direction.
 
     ``places`` is one of :data:`PLACES`, for all units or by name of unit; a unit that is not named
     has "any". With "poles" a unit stands on one of the poles, with "areas" anywhere in the mounting

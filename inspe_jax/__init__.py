@@ -40,6 +40,7 @@ from inspe_jax.placement.studies.pareto import cheapest, pareto
 from inspe_jax.placement.studies.tolerance import tolerance
 from inspe_jax.scene.georeference import Georeference
 from inspe_jax.scene.intersection import Intersection
+from inspe_jax.scene.maps.own_regions import intersection_of
 from inspe_jax.scene.maps.registry import junction_at, list_junctions, read_map
 from inspe_jax.scene.procedural.built_ins import BUILT_INS, built_in
 from inspe_jax.scene.profiles import Profile, profiles
@@ -127,6 +128,7 @@ __all__ = [
     "evaluate_many",
     "fit_detection",
     "in_view",
+    "intersection_of",
     "junction_at",
     "layouts_from",
     "line_of_sight",

@@ -91,12 +91,11 @@ def intersection_of(
         InspeError: A name is of no region, there is no junction, no driveway meets it, or a route
             has fewer than two points or another user.
 
-    >>> from shapely.geometry import box
-    >>> roads = unary_union([box(-40, -5, 40, 5), box(-5, -40, 5, 40)])
-    >>> place = intersection_of(
-    ...     {"junction": box(-5, -5, 5, 5), "driveway": roads},
-    ...     [([(-40, -2), (40, -2)], "vehicle")],
-    ... )
+    >>> import shapely
+    >>> along, across = shapely.box(-40, -5, 40, 5), shapely.box(-5, -40, 5, 40)
+    >>> regions = {"junction": along & across, "driveway": along | across}
+    >>> line = [(-40, -2), (40, -2)]
+    >>> place = inspe_jax.intersection_of(regions, [(line, "vehicle")])
     >>> len(place.arms), place.routes[0].through
     (4, (2, 0))
     """

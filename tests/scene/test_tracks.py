@@ -15,7 +15,7 @@ SIZE = dict(radius=60, frames=3)
 CAR, TRUCK, CYCLIST, PEDESTRIAN = range(4)
 TWO = {
     "id": ["b", "b", "a", "a"],
-    "time": [10.0, 12.0, 12.0, 10.0],  # in any order
+    "time": [1.7e9, 1.7e9 + 2, 1.7e9 + 2, 1.7e9],  # in any order
     "x": [0.0, 4.0, 10.0, 10.0],
     "y": [0.0, 0.0, 3.0, -1.0],
     "yaw_deg": [170.0, -170.0, 90.0, 90.0],
@@ -139,6 +139,7 @@ def test_a_scene_has_it(tmp_path):
     [
         (dict(id=None), "needs a column of track: one of track_id, trackId, id"),
         (dict(time=None), "needs a column of time: one of time, timestamp, timestamp_ms"),
+        (dict(x=[0.0]), "columns have different numbers of rows"),
         (dict(x=None), "needs a column of x: one of x, xCenter"),
         (dict(x=[0, "?", 1, 2]), "row 2, x: '\\?' is no number"),
         (dict(time=[0, 1, np.nan, 2]), "row 3, time: nan is no number"),

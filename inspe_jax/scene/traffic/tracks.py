@@ -64,6 +64,7 @@ NAMES: dict[str, int] = {
 VEHICLE, LONG = "vehicle", 6.0  # one of no other name is a truck from this length on [m]
 JUMP = 5.0  # who moves farther than this between two rows [m] was set down elsewhere,
 NEAR = 1.0  # and is where the nearer row says, so long before and after it [s]
+SAME = 1e-6  # times this near are one: those of the Earth's clocks are rounded so far [s]
 MOVES = 0.5  # least speed that has a direction [m/s]
 ON_ROADS = 0.5  # least share of the cars and trucks that are on roads
 
@@ -91,18 +92,19 @@ def track_frames(
         Snapshot(*(part[order] for part in tracks.who)),
         *(part[order] for part in tracks[1:]),
     )
-    wanted = time.min() + step * np.arange(frames)
-    wanted = wanted[wanted <= time.max() + 1e-9]
+    time = time - time.min()
+    wanted = step * np.arange(frames)
+    wanted = wanted[wanted <= time.max() + SAME]
     ends = np.append(np.flatnonzero(np.diff(who.track)) + 1, len(time))
     found: list[tuple[np.ndarray, np.ndarray]] = []  # frames, and rows at or before them
     for first, end in zip([0, *ends[:-1]], ends, strict=True):
         own = time[first:end]
-        seen = np.flatnonzero((wanted >= own[0] - 1e-9) & (wanted <= own[-1] + 1e-9))
-        before = np.searchsorted(own, wanted[seen] + 1e-9, "right") - 1
+        seen = np.flatnonzero((wanted >= own[0] - SAME) & (wanted <= own[-1] + SAME))
+        before = np.searchsorted(own, wanted[seen] + SAME, "right") - 1
         found.append((seen, first + np.minimum(before, max(len(own) - 2, 0))))
     frame, one = map(np.concatenate, zip(*found, strict=True))
     two = np.minimum(one + 1, ends[np.searchsorted(ends, one, "right")] - 1)
-    gap = np.maximum(time[two] - time[one], 1e-9)
+    gap = np.maximum(time[two] - time[one], SAME)
     share = np.clip((wanted[frame] - time[one]) / gap, 0.0, 1.0)
     jumps = np.abs(who.center[two] - who.center[one]).max(1) > JUMP
     share = np.where(jumps, np.round(share), share)
@@ -127,7 +129,7 @@ def track_frames(
     kept = [standing_on(place, radius, Snapshot(*own), level) for *own, level in each]
     if not any(len(part.kind) for part in kept):
         raise InspeError(
-            f"{where}: in {time.max() - time.min():.0f} s nobody comes within {radius:g} m of "
+            f"{where}: in {time.max():.0f} s nobody comes within {radius:g} m of "
             f"({place.center[0]:.1f}, {place.center[1]:.1f})"
         )
     cars = np.concatenate([part.center[part.kind < CLASSES.index("cyclist")] for part in kept])
@@ -200,6 +202,9 @@ def _tracks(columns: dict[str, Any], place: Intersection, where: str, notes: lis
         field: (name, factor) for name, (field, factor) in reversed(COLUMNS.items())
         if name in columns
     }  # fmt: skip
+
+    if len({len(columns[name]) for name, _ in given.values()}) > 1:
+        raise InspeError(f"{where}: columns have different numbers of rows")
 
     def numbers(field: str) -> Float[np.ndarray, " N"]:
         name, factor = given[field]

@@ -143,7 +143,8 @@ class Camera:
         (fx, _, cx), (_, fy, cy), _ = self.intrinsic
         self.bends, at = spec.bends, np.column_stack([u.ravel(), v.ravel()])
         lens = spec.optics._replace(fx=fx, fy=fy, cx=cx, cy=cy)
-        body, self.dark = lens.rays(at), np.flatnonzero(lens.beyond_circle(at))
+        body = lens.rays(at)
+        self.dark = np.flatnonzero(lens.beyond_circle(at)) if self.bends else np.zeros(0, int)
         self.ahead = body[:, 0]  # depth along the axis for 1 m of ray
         turned = body @ rotation(self.pose[3:], np).T
         self.directions = np.ascontiguousarray(turned, np.float32)
@@ -153,7 +154,9 @@ class Camera:
         found = [self._background_part(part, *(x[part] for x in hits)) for part in slices]
         whole = (np.concatenate(field) for field in zip(*found, strict=True))
         self.background = Background(hits.distance, *whole)
-        self.gain = metered_gain(np.delete(self.background.colour, self.dark, 0), self.light)
+        colour = self.background.colour
+        lit = np.delete(colour, self.dark, 0) if len(self.dark) else colour
+        self.gain = metered_gain(lit, self.light)
         for field in self.background:
             field[self.dark] = 0
         self.background.distance[self.dark] = np.inf

@@ -23,11 +23,11 @@ from inspe_jax.scene.maps.road_map import MARGIN
 from inspe_jax.scene.procedural.built_ins import built_in
 from inspe_jax.scene.profiles import DEFAULT_PROFILE, profile_of
 from inspe_jax.scene.scene import (
-    RECORDED,
     SCENE_SUFFIXES,
     build_scene,
     check_scene_name,
     load_scene,
+    recorded,
     save_scene,
 )
 from inspe_jax.scene.traffic.frames import traffic_model
@@ -107,11 +107,11 @@ def scene(
         _refuse(source, "a saved scene keeps the settings it was built with", [*settings, *given])
         built = load_scene(source)
     else:
-        recorded = [load for end, (load, _) in RECORDED.items() if (traffic or "").endswith(end)]
-        if recorded:
+        load, _ = recorded(traffic or "")
+        if load is not None:
             ours = [name for name in ("density", "mix", "seed") if name in settings]
             _refuse(f"--traffic {traffic}", "what was recorded has all of this", ours)
-            recorded[0](traffic)
+            load(traffic)
         elif traffic is not None:
             traffic_model(traffic)
         if elevation is not None and mesh is not None:

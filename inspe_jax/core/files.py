@@ -152,8 +152,10 @@ def read_columns(
             own = [name for name in dict.fromkeys(head) if name in names]
             at = [head.index(name) for name in own]
             form: dict[str, Any] = dict(delimiter=",", quotechar='"', comments=None, ndmin=2)
-            form |= dict(encoding="utf-8-sig", skiprows=1, usecols=at, unpack=True)
-            return dict(zip(own, np.loadtxt(path, kind, **form) if own else (), strict=True))
+            form |= dict(skiprows=1, usecols=at, unpack=True)
+            with path.open(encoding="utf-8-sig") as file:
+                lines = (line for line in file if not line.isspace())
+                return dict(zip(own, np.loadtxt(lines, kind, **form) if own else (), strict=True))
 
         return load(numbers, float) | load(words, str)
 

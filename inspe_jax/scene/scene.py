@@ -47,6 +47,12 @@ RECORDED: dict[tuple[str, ...], tuple[Callable[..., Any], Callable[..., TrafficF
 """What reads a file of recorded traffic, and what makes frames of it, by how its name ends."""
 
 
+def recorded(name: str) -> tuple[Callable[..., Any] | None, Callable[..., TrafficFrames] | None]:
+    """The row of :data:`RECORDED` of a file's name; None of what is none."""
+    own = (row for ends, row in RECORDED.items() if name.lower().endswith(ends))
+    return next(own, (None, None))
+
+
 @pytree
 @dataclass(frozen=True, eq=False, repr=False)
 class Scene(Described):
@@ -204,7 +210,7 @@ def build_scene(
     voxels = build_voxels(intersection, radius=radius, voxel=own["voxel"], spacing=own["spacing"])
     size: dict[str, Any] = dict(radius=radius, frames=frames, step=step)
     source, drawn = "tracks" if isinstance(traffic, Mapping) else str(traffic), str(seed)
-    reader = next((own for end, (_, own) in RECORDED.items() if source.endswith(end)), None)
+    reader = recorded(source)[1]
     if isinstance(traffic, Mapping) or reader is not None:
         notes, path = [*intersection.notes], Path(source)
         given: Any = traffic if isinstance(traffic, Mapping) else path

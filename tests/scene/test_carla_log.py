@@ -123,11 +123,12 @@ def test_a_box_without_a_size_has_the_usual_one(place, tmp_path, monkeypatch):
     )
 
 
-def test_who_is_set_down_elsewhere_does_not_fly_there(place, tmp_path):
+def test_who_is_set_down_elsewhere_does_not_fly_there(place, tmp_path, monkeypatch):
+    monkeypatch.setitem(ACTORS, 1, (*ACTORS[1][:-1], (100, 0)))  # 50 m from frame to frame
     path = tmp_path / "a.log"
-    path.write_bytes(log(after=2.0))  # 16 m from frame to frame
-    traffic = log_traffic(place, path, radius=80, frames=2, step=0.8)
-    assert traffic.center[1, 0, 0] == pytest.approx(0.1)  # where it was, not 8 m on
+    path.write_bytes(log())
+    traffic = log_traffic(place, path, radius=80, frames=2, step=0.2)
+    assert traffic.center[1, 0, 0] == pytest.approx(0.1)  # where it was, not 20 m on
 
 
 def test_who_is_above_the_road_is_left_out(path):

@@ -22,6 +22,7 @@ REGIONS = {
 }
 ALONG = ([(-70, -3), (70, -3)], "vehicle", 4.0)
 TURN = ([(3, -40), (3, -3), (40, -3)], "vehicle")
+BOW = shapely.Polygon([(0, 0), (5, 5), (5, 0), (0, 8)])
 ON_FOOT = ([(-30, 7), (30, 7)], "pedestrian")
 
 
@@ -41,6 +42,18 @@ def test_arms_and_routes_by_hand():
     assert place.poles.tolist() == [[7, 8, 0]]
     assert place.mounting.covers(shapely.Point(0, 8))
     assert not place.regions[Region.DRIVEWAY].intersects(box(-5, -5, 5, 5))
+
+
+def test_arms_lead_away_from_their_own_junction_and_what_is_far_is_named():
+    far = ([(900, 0), (950, 0)], "vehicle")
+    two = dict(junction=box(-6, -6, 6, 6) | box(24, -6, 36, 6), driveway=box(-60, -6, 60, 6))
+    place = intersection_of(two, [ALONG, far], center=(0, 0))
+    turns = np.degrees([arm.bearing for arm in place.arms]).round() % 360
+    at = [round(arm.mouth[0]) for arm in place.arms]
+    assert dict(zip(at, turns, strict=True)) == {6: 0, 24: 180, 36: 0, -6: 180}
+    assert place.notes[-1] == "routes that do not come within 50 m: 2"
+    wide = intersection_of(REGIONS, [(*ON_FOOT, 3.0)])
+    assert [route.width for route in wide.routes] == [3.0, 3.0]
 
 
 def test_people_cross_where_nothing_else_is_said():
@@ -100,6 +113,9 @@ def test_a_file_is_a_map(tmp_path):
         ({"junction": box(-6, -6, 6, 6)}, [], "no driveway meets the junction within 50 m"),
         (REGIONS, [([(0, 0)], "vehicle")], "route 1: needs two or more points x, y"),
         (REGIONS, [ALONG, ([(0, 0), (1, 0)], "tram")], "route 2, user 'tram': one of vehicle, ped"),
+        (REGIONS, [(*ALONG[:2], -1.0)], "route 1: needs finite points, and a width up to 50 m"),
+        (dict(junction=None), [], "region 'junction': needs a polygon of shapely with an area"),
+        (REGIONS | dict(sidewalk=BOW), [], "Self-intersection.*: draw it without crossings"),
     ],
 )
 def test_bad_regions(regions, routes, message):
@@ -113,7 +129,9 @@ def test_bad_files(tmp_path):
     for features, message in (
         ([(shapely.Point(0, 0), {})], "no feature has a property 'region'"),
         ([(ROADS, dict(region="street"))], "region 'street': one of driveway, junction"),
-        ([junction, (ROADS, {})], r"features\[1\]: polygons need a 'region', lines a 'route'"),
+        ([junction, (shapely.Point(0, 0), dict(region="sidewalk"))], "points neither: this Point"),
+        ([junction, (shapely.Point(0, 0), dict(feature="unit"))], "is a layout: inspe score SCENE"),
+        ([junction, (ROADS, {})], r"features\[1\]: polygons have a 'region', lines a 'route'"),
         ([junction, (ROADS, dict(region="driveway", width_m=-1))], "width_m"),
     ):
         with pytest.raises(InspeError, match=message):

@@ -80,6 +80,13 @@ def test_who_is_lost_does_not_fly(place):
     assert ((found.kind == PEDESTRIAN) & found.valid).any(1).all()
 
 
+def test_fast_cars_are_between_the_rows_of_a_slow_recorder(place):
+    columns = dict(id=[1] * 4, time=[0, 1, 2, 3], x=[-21, -7, 7, 21], y=[-3] * 4)
+    columns |= {"class": ["car"] * 4}
+    found = tracks_traffic(place, columns, radius=60, frames=9, step=0.5)
+    assert found.center[:, 0, 0] == pytest.approx(np.arange(-21, 22, 7.0))
+
+
 def test_the_names_of_other_data_sets(place, tmp_path):
     """SinD's: milliseconds and radians. V2X-Seq's: vehicles by their kind or their length."""
     sind = dict(track_id=[1, 1], timestamp_ms=[0, 1000], agent_type=["bus", "bus"], x=[0, 3])
@@ -139,7 +146,10 @@ def test_a_scene_has_it(tmp_path):
     [
         (dict(id=None), "needs a column of track: one of track_id, trackId, id"),
         (dict(time=None), "needs a column of time: one of time, timestamp, timestamp_ms"),
-        (dict(x=[0.0]), "columns have different numbers of rows"),
+        (dict(x=[0.0]), "columns are not arrays of one length"),
+        (dict(x=np.zeros((4, 2))), "columns are not arrays of one length"),
+        (dict(length=[450.0] * 4), "length: 450 is too large for metres"),
+        (dict(yaw_deg=None, yaw=[90.0] * 4), "yaw: 90 is too large for radians; name a column"),
         (dict(x=None), "needs a column of x: one of x, xCenter"),
         (dict(x=[0, "?", 1, 2]), "row 2, x: '\\?' is no number"),
         (dict(time=[0, 1, np.nan, 2]), "row 3, time: nan is no number"),

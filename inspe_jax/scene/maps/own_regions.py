@@ -6,22 +6,23 @@ shoulder; lines a ``route``, ``vehicle`` in the direction of travel or ``pedestr
 """
 
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 import shapely
 from jaxtyping import Float
-from numpy.typing import ArrayLike
 from pydantic import BaseModel, ConfigDict, Field
-from shapely.geometry import LineString, Point
+from shapely.geometry import LineString, MultiPolygon, Point, Polygon
 from shapely.geometry.base import BaseGeometry
 from shapely.ops import linemerge, unary_union
 
 from inspe_jax.core.errors import InspeError, check_known, nearest
 from inspe_jax.core.files import check_model
+from inspe_jax.core.rigid import array
 from inspe_jax.scene.geojson import SUFFIX, Feature, read_features
 from inspe_jax.scene.georeference import Georeference, about
 from inspe_jax.scene.intersection import (
@@ -40,7 +41,6 @@ from inspe_jax.scene.maps.road_map import (
     JunctionInfo,
     clean,
     mounting_of,
-    valid,
 )
 from inspe_jax.scene.regions import Region, regions_of
 from inspe_jax.scene.voxels import check_range
@@ -49,6 +49,7 @@ REGION_SUFFIXES = (SUFFIX,)
 WIDTHS = {"vehicle": 3.5, "pedestrian": 2.0}  # of routes of which nothing says so [m]
 TOUCH = 0.5  # a driveway this near to a junction meets it [m]
 NARROW = 2.0  # an arm is wider [m]
+WIDEST = 50.0  # the widest route [m]
 
 
 class Line(NamedTuple):
@@ -62,7 +63,7 @@ class Line(NamedTuple):
 def intersection_of(
     regions: Mapping[str, BaseGeometry],
     routes: Iterable[Line | tuple[Any, ...]] = (),
-    poles: ArrayLike = (),
+    poles: Sequence[Sequence[float]] | Float[np.ndarray, "P 2"] = (),
     *,
     name: str = "own place",
     center: tuple[float, float] | None = None,
@@ -101,20 +102,23 @@ def intersection_of(
     """
     check_range("radius", radius, RADIUS_READ)
     regions_of(tuple(regions))
-    given = {Region[key.upper()]: valid(shape) for key, shape in regions.items()}
+    for key, shape in regions.items():
+        _check_shape(shape, f"{source}: region '{key}'")
+    given = {Region[key.upper()]: shape for key, shape in regions.items()}
     empty = shapely.MultiPolygon()
     areas: Areas = {region: clean(given.get(region, empty)) for region in Region}
     junction = areas[Region.JUNCTION]
     if junction.is_empty:
         raise InspeError(f"{source}: has no region 'junction'")
     areas[Region.DRIVEWAY] = areas[Region.DRIVEWAY].difference(junction)
-    middle = np.array([*(center or (junction.centroid.x, junction.centroid.y)), 0.0])
+    at = junction.centroid.coords[0] if center is None else center
+    middle = np.array([*array(at, f"{source}: center", (2,)), 0.0])
     disc = Point(middle[:2]).buffer(radius + MARGIN, quad_segs=32)
     areas = {region: area.intersection(disc) for region, area in areas.items()}
     arms = _arms(areas)
     if not arms:
         raise InspeError(f"{source}: no driveway meets the junction within {radius:g} m")
-    feet = np.asarray(poles, float).reshape(-1, 2)
+    feet = array(poles, f"{source}: poles", (len(poles), 2)) if len(poles) else np.zeros((0, 2))
     feet = feet[distance_from(feet, middle) <= radius + MARGIN]
     place = Intersection(
         name=name,
@@ -129,19 +133,35 @@ def intersection_of(
         notes=() if len(feet) else (NO_POLES,),
         georeference=georeference,
     )
-    drives, walks = _routes(place, [Line(*one) for one in routes], radius, source)
+    drives, walks, left = _routes(place, [Line(*one) for one in routes], radius, source)
     lanes = [route.waypoints for route in drives]
-    walks = walks or [*crossing_lines([*shapely.get_parts(areas[Region.CROSSWALK])], lanes)]
-    found = (*drives, *walking_routes(place, walks))
-    return replace(place, routes=found)
+    crossings = crossing_lines([*shapely.get_parts(areas[Region.CROSSWALK])], lanes)
+    walks = walks or [(line, WIDTHS["pedestrian"]) for line in crossings]
+    found = [
+        replace(walk, width=width)
+        for line, width in walks
+        for walk in walking_routes(place, [line])
+    ]
+    lost = f"routes that do not come within {radius:g} m: {', '.join(map(str, left))}"
+    notes = (*place.notes, *([lost] if left else []))
+    return replace(place, routes=(*drives, *found), notes=notes)
+
+
+def _check_shape(shape: Any, where: str) -> None:
+    """Raise InspeError unless it is an area whose outline does not cross itself."""
+    if not isinstance(shape, Polygon | MultiPolygon) or not shape.area > 0:
+        raise InspeError(f"{where}: needs a polygon of shapely with an area")
+    if not shape.is_valid:
+        raise InspeError(f"{where}: {shapely.is_valid_reason(shape)}: draw it without crossings")
 
 
 def _arms(areas: Areas) -> tuple[Arm, ...]:
     """Where each piece of driveway meets the junction, counter-clockwise from the east. A road
     with a gap between its directions is two."""
-    junction, found = areas[Region.JUNCTION], list[Arm]()
-    middle = np.array(junction.centroid.coords[0])
-    for part in shapely.get_parts(areas[Region.DRIVEWAY].buffer(-TOUCH)):  # not joined at corners
+    found = list[Arm]()
+    pieces = shapely.get_parts(areas[Region.DRIVEWAY].buffer(-TOUCH))  # not joined at corners
+    for junction, part in product(shapely.get_parts(areas[Region.JUNCTION]), pieces):
+        middle = np.array(junction.centroid.coords[0])
         meets = junction.boundary.intersection(part.buffer(2 * TOUCH))
         meets = linemerge(meets) if meets.geom_type == "MultiLineString" else meets
         for piece in shapely.get_parts(meets):
@@ -152,6 +172,7 @@ def _arms(areas: Areas) -> tuple[Arm, ...]:
             out = np.array([y, -x]) * (1 if np.dot([y, -x], mouth - middle) >= 0 else -1)
             if (width := float(np.hypot(x, y))) > NARROW:
                 found.append(Arm((mouth[0], mouth[1]), float(np.arctan2(out[1], out[0])), width))
+    middle = np.array(areas[Region.JUNCTION].centroid.coords or [(0.0, 0.0)])[0]
     away = [np.array(arm.mouth) - middle for arm in found]
     order = np.argsort([np.arctan2(y, x) % (2 * np.pi) for x, y in away])
     return tuple(found[k] for k in order)
@@ -159,9 +180,10 @@ def _arms(areas: Areas) -> tuple[Arm, ...]:
 
 def _routes(
     place: Intersection, lines: list[Line], radius: float, source: str
-) -> tuple[list[Route], list[np.ndarray]]:
-    """The vehicles' routes, and the lines along which people walk, both cut at the radius."""
-    drives, walks = list[Route](), list[np.ndarray]()
+) -> tuple[list[Route], list[tuple[np.ndarray, float]], list[int]]:
+    """The vehicles' routes, the lines along which people walk, with their widths, both cut at the
+    radius, and the numbers of those that do not come so near."""
+    drives, walks, left = list[Route](), list[tuple[np.ndarray, float]](), list[int]()
     mouths = np.array([arm.mouth for arm in place.arms])
     disc = Point(place.center[:2]).buffer(radius, quad_segs=32)
     junction = place.regions[Region.JUNCTION]
@@ -170,22 +192,25 @@ def _routes(
         check_known(one.user, WIDTHS, f"{where}, user")
         if points.ndim != 2 or points.shape[1] != 2 or len(points) < 2:
             raise InspeError(f"{where}: needs two or more points x, y")
+        width = WIDTHS[one.user] if one.width is None else one.width
+        if not (np.isfinite(points).all() and 0 < width <= WIDEST):
+            raise InspeError(f"{where}: needs finite points, and a width up to {WIDEST:g} m")
         within = [p for p in shapely.get_parts(LineString(points).intersection(disc)) if p.length]
         if not within:
+            left.append(k + 1)
             continue
         path = max(within, key=lambda part: (part.intersection(junction).length, part.length))
         line = resampled(shapely.get_coordinates(path))
         if one.user == "pedestrian":
-            walks.append(line)
+            walks.append((line, width))
             continue
         through = [-1, -1]
         inside = np.flatnonzero(shapely.intersects_xy(junction, *line.T))
         for end, at in enumerate((0, -1)):
             if len(inside) and 0 < inside[at] < len(line) - 1:
                 through[end] = int(distance_from(mouths, line[inside[at]]).argmin())
-        width = one.width or WIDTHS["vehicle"]
         drives.append(Route(place.on_ground(line), width, "vehicle", (through[0], through[1])))
-    return drives, walks
+    return drives, walks, left
 
 
 # ── GeoJSON ─────────────────────────────────────────────────────────────────
@@ -196,7 +221,7 @@ class _Properties(BaseModel):
     region: str | None = None
     route: Literal["vehicle", "pedestrian"] | None = None
     kind: Literal["pole"] = "pole"
-    width_m: Annotated[float, Field(gt=0, le=50)] | None = None
+    width_m: Annotated[float, Field(gt=0, le=WIDEST)] | None = None
     name: Any = None
 
 
@@ -209,6 +234,8 @@ class RegionFile:
     def __init__(self, path: Path) -> None:
         self.path, self.name = path, path.name.removesuffix(SUFFIX)
         features, _, _ = read_features(path, None)
+        if any(one.properties.get("feature") in ("unit", "sensor") for one in features):
+            raise InspeError(f"{path}: is a layout: inspe score SCENE {path}")
         rows = [(one, check_model(_Properties, one.properties, one.where)) for one in features]
         at = [shapely.get_coordinates(one.geometry) for one, own in rows if own.region]
         if not at:
@@ -222,22 +249,24 @@ class RegionFile:
         self.lines, self.poles = list[Line](), list[np.ndarray]()
         for one, own in rows:
             self._add(one, own)
-        self.junctions = [*map(valid, self.regions.get("junction", []))]
+        self.junctions = self.regions.get("junction", [])
 
     def _add(self, one: Feature, own: _Properties) -> None:
         shape = shapely.transform(one.geometry, self.georeference.from_degrees)
         kind = one.geometry.geom_type.removeprefix("Multi")
         if kind == "Polygon" and own.region is not None:
             check_known(own.region, [r.key for r in Region], f"{one.where}.properties: region")
-            self.regions.setdefault(own.region, []).append(shape)
+            _check_shape(shape, one.where)
+            self.regions.setdefault(own.region, []).extend(shapely.get_parts(shape))
         elif kind == "LineString" and own.route is not None:
             for part in shapely.get_parts(shape):
                 self.lines.append(Line(shapely.get_coordinates(part), own.route, own.width_m))
-        elif kind == "Point":
+        elif kind == "Point" and own.region is own.route is None:
             self.poles += [*shapely.get_coordinates(shape)]
         else:
             raise InspeError(
-                f"{one.where}: polygons need a 'region', lines a 'route': this {kind} has neither"
+                f"{one.where}: polygons have a 'region', lines a 'route', points neither: this "
+                f"{kind} does not"
             )
 
     def road_lines(self) -> list[Float[np.ndarray, "N 2"]]:

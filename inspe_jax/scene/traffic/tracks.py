@@ -61,9 +61,15 @@ NAMES: dict[str, int] = {
     **dict.fromkeys(("pedestrian", "person", "walker", "pedestrian/bicycle"), 3),
 }
 """Names of classes, as indices of :data:`~inspe_jax.scene.traffic.frames.CLASSES`."""
+LARGEST = (
+    ("length", 60.0, "metres"), ("width", 10.0, "metres"), ("height", 10.0, "metres"),
+    ("yaw", 13.0, "radians"),
+)  # fmt: skip
+"""Columns with the largest value that is meant; directions count to two turns."""
 VEHICLE, LONG = "vehicle", 6.0  # one of no other name is a truck from this length on [m]
-JUMP = 5.0  # who moves farther than this between two rows [m] was set down elsewhere,
-NEAR = 1.0  # and is where the nearer row says, so long before and after it [s]
+JUMP = 5.0  # who moves farther than this between two rows [m]
+FASTEST = 70.0  # and faster than anybody drives [m/s], was set down elsewhere,
+NEAR = 1.0  # as who was lost for twice this: they are where a row says, so long from it [s]
 SAME = 1e-6  # times this near are one: those of the Earth's clocks are rounded so far [s]
 MOVES = 0.5  # least speed that has a direction [m/s]
 ON_ROADS = 0.5  # least share of the cars and trucks that are on roads
@@ -84,8 +90,9 @@ def track_frames(
     """Frames of tracks, and the share of the cars and trucks in them that are on the roads.
 
     There are up to ``frames`` frames ``step`` seconds apart from the first row, interpolated
-    linearly between rows, with all road users within ``radius`` [m] of the centre. Those above or
-    beneath the ground are left out. Raises InspeError if nobody is left.
+    linearly between rows, but not over jumps and gaps (:data:`JUMP`), with all road users within
+    ``radius`` [m] of the centre. Those above or beneath the ground are left out. Raises InspeError
+    if nobody is left.
     """
     order = np.lexsort((tracks.time, tracks.who.track))
     who, time, foot = (
@@ -106,7 +113,8 @@ def track_frames(
     two = np.minimum(one + 1, ends[np.searchsorted(ends, one, "right")] - 1)
     gap = np.maximum(time[two] - time[one], SAME)
     share = np.clip((wanted[frame] - time[one]) / gap, 0.0, 1.0)
-    jumps = np.abs(who.center[two] - who.center[one]).max(1) > JUMP
+    away = np.abs(who.center[two] - who.center[one]).max(1)
+    jumps = (away > JUMP) & ((away > FASTEST * gap) | (gap > 2 * NEAR))
     share = np.where(jumps, np.round(share), share)
     there = ~jumps | (np.abs(wanted[frame] - time[np.where(share > 0.5, two, one)]) <= NEAR)
     frame, one, two, share = (part[there] for part in (frame, one, two, share))
@@ -203,8 +211,9 @@ def _tracks(columns: dict[str, Any], place: Intersection, where: str, notes: lis
         if name in columns
     }  # fmt: skip
 
-    if len({len(columns[name]) for name, _ in given.values()}) > 1:
-        raise InspeError(f"{where}: columns have different numbers of rows")
+    shapes = {np.shape(columns[name]) for name, _ in given.values()}
+    if len(shapes) > 1 or any(len(shape) != 1 for shape in shapes):
+        raise InspeError(f"{where}: columns are not arrays of one length")
 
     def numbers(field: str) -> Float[np.ndarray, " N"]:
         name, factor = given[field]
@@ -220,6 +229,12 @@ def _tracks(columns: dict[str, Any], place: Intersection, where: str, notes: lis
             )
         return found
 
+    for field, most, unit in LARGEST:
+        if field in given and (large := np.abs(numbers(field))).max(initial=0.0) > most:
+            raise InspeError(
+                f"{where}: {given[field][0]}: {large.max():g} is too large for {unit}"
+                + "; name a column in degrees yaw_deg" * (field == "yaw")
+            )
     spot = ("lat", "lon") if {"lat", "lon"} <= {*given} else ("x", "y")
     for field in ("track", "time", *spot, "class"):
         if field not in given:
@@ -244,7 +259,8 @@ def _tracks(columns: dict[str, Any], place: Intersection, where: str, notes: lis
     elif "utm" in columns and place.georeference is not None:
         crs, x, y = columns["utm"]
         at = place.georeference.from_degrees(Georeference(crs).to_degrees(at + [x, y]))
-    names, track = np.unique(np.asarray(columns[given["track"][0]]), return_inverse=True)
+    ids = np.array([str(one) for one in columns[given["track"][0]]])
+    names, track = np.unique(ids, return_inverse=True)
     time, velocity, yaw = numbers("time"), np.zeros((len(kind), 3)), np.zeros(len(kind))
     moves, turns = {"vx", "vy"} <= {*given}, "yaw" in given
     if moves:

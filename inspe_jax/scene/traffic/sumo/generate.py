@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Int
 
 from inspe_jax.core.errors import InspeError
+from inspe_jax.scene.geojson import SUFFIX as GEOJSON
 from inspe_jax.scene.intersection import Intersection
 from inspe_jax.scene.maps.sumo.network import run
 from inspe_jax.scene.maps.sumo.reader import SumoMap, load_net
@@ -87,7 +88,7 @@ def sumo_traffic(
     """
     traffic.check_traffic(radius=radius, count=count, frames=frames, mix=mix, step=step, seed=seed)
     small = _small_step(step)
-    if intersection.map is None:
+    if intersection.map is None or intersection.map.suffix.lower() == GEOJSON:
         raise InspeError(
             f"{intersection.name}: SUMO runs on a map (.net.xml, .osm or .xodr); "
             "a built-in or a saved scene has none"

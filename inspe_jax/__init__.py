@@ -1,4 +1,4 @@
-"""Score and optimise the placement of roadside cameras and LiDARs at road intersections.
+"""Score and optimise where roadside cameras, LiDARs and radars go at road intersections.
 
 Conventions, stated once:
 

@@ -54,7 +54,7 @@ class _Group(TyperGroup):
 
 app = typer.Typer(
     cls=_Group,
-    help="Score and optimise roadside cameras and LiDARs at road intersections.",
+    help="Score and optimise roadside cameras, LiDARs and radars at road intersections.",
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,

@@ -29,6 +29,11 @@ from inspe_jax.sensing.layout import Layout, device_words, lens_keys
 from inspe_jax.sensing.sensors import Spec
 from inspe_jax.visibility.tiles import CORE
 
+RADARS = (
+    "C, O and IG count where radars look; what they find is in detectability (--metrics "
+    "detectability)"
+)
+"""Below the scores of a layout with radars."""
 SPOTS = 5  # most blind spots in a table
 _SAME = 1e-5  # objectives and scores are summed in different orders, in single precision
 
@@ -100,6 +105,8 @@ def scores_table(scores: Scores, layout: Layout, sought: float | None = None) ->
 
     # Side by side as far as the terminal has room.
     tables = Group(Columns([total, regions], padding=(0, 4)), "", each)
+    if any(spec.grid.of.signal.echo for _, _, spec in members):
+        tables = Group(tables, Text(RADARS))
     if sought is None:
         return tables
     return Group(Text(goal_words(layout, scores, sought)), "", tables)

@@ -41,7 +41,7 @@ PIXELS: dict[str, Bands] = {
     )
     for edition, bands in BANDS.items()
 }
-"""Kinds of columns by pixels per metre: the bands of each edition of EN 62676-4."""
+"""Kinds of columns by pixels per metre: the bands of each edition of IEC 62676-4."""
 
 CHANCES: Bands = (
     (0.0, "< 50 %", "#202020"),
@@ -62,6 +62,16 @@ def banded(name: str, values: Float[np.ndarray, " L"], bands: Bands) -> MapLayer
     return MapLayer(name, number, kinds=tuple((words, color) for _, words, color in bands))
 
 
+def _ranging(layout: Layout) -> list[bool]:
+    """Which sensors count returns: LiDARs."""
+    return [sensor.spec.grid.of.signal.noise is not None for sensor in layout.sensors]
+
+
+def _seeing(layout: Layout) -> list[bool]:
+    """Which sensors count pixels: cameras."""
+    return [sensor.spec.focal_pixels is not None for sensor in layout.sensors]
+
+
 def _shares(
     scene: Scene, values: Float[np.ndarray, " L"]
 ) -> list[tuple[str, Float[np.ndarray, " l"]]]:
@@ -77,7 +87,7 @@ def targets_record(
 ) -> dict[str, Any]:
     """By region, as a record for JSON: how many LiDAR returns and how many pixels per metre a road
     user gets, as medians and shares of places, and the mean chance that it is found. Pixels are by
-    the bands of an ``edition`` of EN 62676-4."""
+    the bands of an ``edition`` of IEC 62676-4."""
 
     def of(values: np.ndarray, least: dict[str, float]) -> dict[str, Any]:
         return {
@@ -88,12 +98,11 @@ def targets_record(
             for region, part in _shares(scene, values)
         }
 
-    pictures = [sensor.spec.focal_pixels is not None for sensor in layout.sensors]
     record: dict[str, Any] = dict(scene=scene.name, layout=layout.name, road_user=view.road_user)
-    if not all(pictures):
+    if any(_ranging(layout)):
         returns = {f"at least {least:g}": least for least, _, _ in RETURNS[1:]}
         record["lidar_returns"] = of(view.points_on_target, returns)
-    if any(pictures):
+    if any(_seeing(layout)):
         record["pixels_per_metre"] = of(view.pixel_density, BANDS[edition])
     found = _shares(scene, view.detectability)
     record["detectability"] = {region: float(values.mean()) for region, values in found}
@@ -131,17 +140,17 @@ def _panels(scene: Scene, layout: Layout, view: TargetView, edition: str) -> lis
     chance that it is found where one kind of sensor leaves room for it."""
     taken, panels = ~free_of_bodies(scene).any(1), list[Panel]()
 
-    def add(words: str, values: np.ndarray, bands: Bands, own: list[int]) -> None:
-        if own:
+    def add(words: str, values: np.ndarray, bands: Bands, of: Sequence[bool]) -> None:
+        if any(of):
+            own = np.flatnonzero(of).tolist()
             panels.append((words, banded("", np.where(taken, np.nan, values), bands), own))
 
-    sees = [sensor.spec.focal_pixels is not None for sensor in layout.sensors]
     words = f"LiDAR returns on a {view.road_user},\nmean over frames of traffic"
-    add(words, view.points_on_target, RETURNS, [s for s, camera in enumerate(sees) if not camera])
+    add(words, view.points_on_target, RETURNS, _ranging(layout))
     words = f"pixels per metre across a {view.road_user},\nbest camera, without traffic"
-    add(words, view.pixel_density, PIXELS[edition], [s for s, camera in enumerate(sees) if camera])
+    add(words, view.pixel_density, PIXELS[edition], _seeing(layout))
     words = f"chance that a detector finds a {view.road_user},\nmean over frames of traffic"
-    add(words, view.detectability, CHANCES, list(range(len(layout))))
+    add(words, view.detectability, CHANCES, [True] * len(layout))
     return panels[:2]
 
 
@@ -162,7 +171,7 @@ def targets_view(
         layout, view: A layout and its :func:`inspe_jax.target_view`, both in ``conditions``.
         frame: Number of the frame of traffic that is drawn.
         conditions: Light and weather, which are named on the sheet.
-        edition: Of EN 62676-4, whose bands pixels per metre are by.
+        edition: Of IEC 62676-4, whose bands pixels per metre are by.
 
     Raises:
         InspeError: There is no such frame.
@@ -205,13 +214,15 @@ def _sheet(
     reach = reach_of(scene, *(layout for _, layout, _ in rows))
     settings = setting_words(conditions.record | dict(profile=scene.profile.name))
     where = f"at each place of the region, radius {scene.voxels.radius:g} m"
+    maps = [_panels(scene, layout, view, edition) for _, layout, view in rows]
+    beside = max(map(len, maps))  # one for radars alone
     with house_style():
         facts = f"{where}; frame {frame}; {settings}"
-        fig, axes = sheet_of_two(title, facts, 2, _HEAD, _BELOW, rows=len(rows))
-        for row, (when, layout, view) in enumerate(rows):
+        fig, axes = sheet_of_two(title, facts, beside, _HEAD, _BELOW, rows=len(rows))
+        for row, (when, layout, _) in enumerate(rows):
             last = row + 1 == len(rows)
-            for k, (words, layer, own) in enumerate(_panels(scene, layout, view, edition)):
-                ax = axes[2 * row + k]
+            for k, (words, layer, own) in enumerate(maps[row]):
+                ax = axes[beside * row + k]
                 words = when + words.splitlines()[0].rstrip(",") if when else words
                 draw_plan(ax, scene, layout, layer, reach, frame, side=SIDE, own=own)
                 ax.set_title(words, size=7.5, loc="left", pad=4)

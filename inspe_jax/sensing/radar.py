@@ -1,9 +1,10 @@
 """A radar: its beam fills a field of view, and its resolution says what it tells apart in it.
 
 To coverage, occlusion and information gain it is a field of view: its rays lie so close that they
-leave no voxel out, and what hides a voxel from other sensors hides it from a radar. These three say
-where it looks. They do not say what it finds there: it tells no voxels of half a metre apart. That
-is what detectability and localisation are for (:mod:`inspe_jax.scoring.radar_evidence`).
+leave out no voxel of 0.2 m, the smallest of a profile, and what hides a voxel from other sensors
+hides it from a radar. These three say where it looks. They do not say what it finds there: it tells
+no voxels of half a metre apart. That is what detectability and localisation are for
+(:mod:`inspe_jax.scoring.radar_evidence`).
 """
 
 from dataclasses import dataclass
@@ -17,8 +18,11 @@ from inspe_jax.sensing.rays import SphericalRays
 from inspe_jax.sensing.sensors import Spec
 from inspe_jax.sensing.signals import Signal
 
-FILL = np.radians(0.25)
-"""Angle between neighbouring rays [rad]: 0.44 m at 100 m, less than the edge of a voxel."""
+GAP = 0.2
+"""Largest distance between neighbouring rays at the reach [m]: the edge of the smallest voxel."""
+STEPS = np.radians(0.02), np.radians(0.25)
+"""Least and largest angle between neighbouring rays [rad]; the least is ``GAP`` at 573 m."""
+_STEEP = np.radians(60)  # edges that are steeper than this have rays further apart
 
 
 @pytree
@@ -62,8 +66,10 @@ class RadarSpec(Spec):
     @cached_property
     def grid(self) -> RayGrid:
         """Rays at even azimuths and even sines of elevation, in the middle of their share."""
-        fields = self.azimuth_fov, self.elevation_fov
-        columns, rows = (max(2, int(np.ceil(fov / FILL - 1e-9))) for fov in fields)
+        most = np.clip(GAP / self.reach, *STEPS)
+        # Rows are furthest apart at the edges: 2 tan(elevation_fov / 2) / rows.
+        spans = self.azimuth_fov, 2 * np.tan(min(self.elevation_fov / 2, _STEEP))
+        columns, rows = (max(2, int(np.ceil(span / most - 1e-9))) for span in spans)
         step = self.azimuth_fov / columns
         sine = np.sin(self.elevation_fov / 2) * ((np.arange(rows) + 0.5) * 2 / rows - 1)
         return RayGrid(

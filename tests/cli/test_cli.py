@@ -9,6 +9,7 @@ import socket
 import subprocess
 import sys
 import time
+import tomllib
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
@@ -24,9 +25,11 @@ from processes import cases, inspe_process, refused
 from rich.text import Text
 from typer.testing import CliRunner
 
+import inspe_jax
 from inspe_jax.cli import stopping
 from inspe_jax.cli.claims import Claims
 from inspe_jax.cli.common import GROUPS, PANELS, app, err, out
+from inspe_jax.cli.score import targets
 from inspe_jax.core.compiling import keep_programs, prune
 from inspe_jax.core.errors import missing_extra
 from inspe_jax.core.files import read_csv, write_text
@@ -34,6 +37,7 @@ from inspe_jax.core.tables import table_of
 from inspe_jax.core.words import visible
 from inspe_jax.placement.result import FILES
 from inspe_jax.placement.studies.tolerance import Slopes, Tolerance, tolerance
+from inspe_jax.report.targets import targets_record, targets_view
 from inspe_jax.scene.scene import load_scene, save_scene
 
 LAYOUT = """
@@ -78,6 +82,14 @@ def test_score_prints_a_table_and_the_same_numbers_as_json(done, scored, files):
         assert 0 < record[name] < 1
         assert f"{record[name]:.3f}" in table
     assert len(record["contributions"]) == 2
+
+
+def test_help_and_package_name_every_kind_of_sensor_and_one_standard():
+    project = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())["project"]
+    for words in (app.info.help, project["description"], inspe_jax.__doc__.splitlines()[0]):
+        assert "cameras, LiDARs and radars" in words
+    for words in (inspect.getdoc(targets), targets_record.__doc__, targets_view.__doc__):
+        assert " IEC 62676-4" in words
 
 
 def test_targets_prints_tables_and_the_same_numbers_as_json(done, files):

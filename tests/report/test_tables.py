@@ -13,7 +13,7 @@ from worlds import CAMERA, LIDAR, place_sensors, world
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.tables import table_of
 from inspe_jax.report import scene_tables
-from inspe_jax.report.tables import scores_record, scores_table, sweep_table
+from inspe_jax.report.tables import RADARS, scores_record, scores_table, sweep_table
 from inspe_jax.scene.maps.road_map import JunctionInfo
 from inspe_jax.scene.profiles import profiles
 from inspe_jax.scoring.evaluate import Contribution, Scores
@@ -113,6 +113,14 @@ def test_scores_for_people_are_whole(layout, width):
     assert row(text, "1", "cam", "a")[-4:] == ["+0.0123", "+0.0456", "+0.0789", "+0.0099"]
     assert "-0.0001  +0.2222  +0.0000  +0.1111" in text
     assert "[red]top" in text  # names are not markup
+
+
+def test_scores_say_that_coverage_is_only_where_a_radar_looks(layout):
+    assert RADARS not in " ".join(printed(scores_table(SCORES, layout), 80).split())
+    radar = devices()["continental-ars408-near"].spec
+    sensors = [layout.sensors[0], replace(layout.sensors[1], spec=radar)]
+    both = make_layout(sensors, layout.units, layout.poses, "a layout")
+    assert RADARS in " ".join(printed(scores_table(SCORES, both), 80).split())
 
 
 # ── Scene, layout, catalogue, map ───────────────────────────────────────────

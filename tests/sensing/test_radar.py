@@ -46,6 +46,24 @@ def test_its_beam_fills_its_field_of_view():
     assert (ours == (depth > 0))[sure].all()
 
 
+@pytest.mark.parametrize("reach", [70.0, 250.0])
+@pytest.mark.parametrize("voxel", [0.2, 0.5])
+def test_its_beam_fills_it_up_to_its_reach_for_voxels_of_any_profile(reach, voxel):
+    """A region in the middle of the beam is in view, however small its voxels are."""
+    scene = world(radius=10.0, voxel=voxel, frames=1, count=2)
+    spec = spec_of(TABLE | dict(range_m=reach), "r", "here")
+    pose = [12.0 - reach, 0.1, 1.5, 0.01, 0.02, 0.02]
+    assert in_view(scene, place_sensors((spec, pose)))[0].all()
+
+
+@pytest.mark.parametrize("name", [n for n, d in inspe_jax.devices().items() if d.kind == "radar"])
+def test_neighbouring_rays_are_at_most_a_small_voxel_apart(name):
+    spec = device(name).spec
+    rows = np.diff(spec.grid.rows).max() * spec.reach
+    assert max(rows, spec.grid.column_step * spec.reach) <= 0.2 + 1e-9
+    assert len(spec.grid.rows) * spec.grid.column_count < 150_000
+
+
 def test_each_ray_stands_for_the_same_solid_angle():
     spec = spec_of(TABLE | dict(elevation_fov_deg=120.0), "r", "here")
     up = np.sin(spec.grid.rows)

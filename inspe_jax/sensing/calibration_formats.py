@@ -1,4 +1,5 @@
-"""Calibration files of others, in the words of our own (:mod:`inspe_jax.sensing.calibrations`).
+"""The keys of our own calibration files (:mod:`inspe_jax.sensing.calibrations`), and files of
+others in these words.
 
 A reader gives the entries of sensors, each with where it is in the file. A new format is a row of
 :data:`FORMATS`.
@@ -7,15 +8,16 @@ A reader gives the entries of sensors, each with where it is in the file. A new 
 import re
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 import scipy
+from pydantic import AliasChoices, BaseModel, Field
 
 from inspe_jax.core.carla_frame import between
 from inspe_jax.core.carla_frame import matrix as carla_matrix
 from inspe_jax.core.errors import InspeError
-from inspe_jax.core.files import YAML, check_input, parse_yaml, read_json
+from inspe_jax.core.files import STRICT, YAML, check_input, parse_yaml, read_json
 from inspe_jax.core.rigid import array, rigid
 
 AGREE = 0.01  # a camera's two poses in one file may differ by so much
@@ -23,8 +25,84 @@ ANGLES = "body", "azimuth", "carla"
 """What the angles of a list of sensors are from: yaw counter-clockwise from x, yaw clockwise from
 true north, or CARLA's left-handed axes."""
 
+POSES = "sensor_to_frame", "frame_to_sensor", "projection", "pairs", "position", "lat"
+"""Keys of which a sensor has one: how its pose is given. A position may go with pairs."""
+ANGLED = "yaw_deg", "azimuth_deg", "pitch_deg", "roll_deg"
+GOES_WITH = {"position": ANGLED, "lat": (*ANGLED, "lon", "z")}  # of lon, z and angles
+FISHEYES = "fisheye", "equidistant"  # OpenCV's and ROS's names of one model
+
 Entry = tuple[str, dict[str, Any]]
 """Where a sensor is in its file, and its entry as our own file has it."""
+
+_Number = Annotated[float, Field(ge=-1e8, le=1e8)]
+_Side = Annotated[int, Field(ge=1, le=100_000)]
+
+
+def _or(name: str, other: str, usual: Any) -> Any:
+    """A field that OpenCV or ROS names otherwise."""
+    return Field(usual, validation_alias=AliasChoices(name, other))
+
+
+class SensorKeys(BaseModel, **STRICT):
+    """The keys of a sensor in our own file."""
+
+    name: str = _or("name", "camera_name", "camera")
+    kind: Literal["camera", "lidar", "radar"] = "camera"
+    device: str | None = None
+    unit: str | None = None
+    hfov_deg: Annotated[float, Field(gt=0, lt=180)] | None = None  # of a device, if it is varifocal
+    width: _Side | None = _or("width", "image_width", None)
+    height: _Side | None = _or("height", "image_height", None)
+    camera_matrix: Any = None
+    distortion: Any = _or("distortion", "distortion_coefficients", ())
+    model: Literal["pinhole", "plumb_bob", "rational_polynomial", "fisheye", "equidistant"] = _or(
+        "model", "distortion_model", "pinhole"
+    )
+    image_circle_deg: Annotated[float, Field(gt=0, le=220)] | None = None
+    convention: Literal["optical", "body", "carla"] | None = None
+    sensor_to_frame: Any = None
+    frame_to_sensor: Any = None
+    projection: Any = None
+    pairs: Any = None
+    position: list[_Number] | None = None
+    lat: Annotated[float, Field(ge=-90, le=90)] | None = None
+    lon: Annotated[float, Field(ge=-180, le=180)] | None = None
+    z: _Number = 0.0
+    yaw_deg: _Number | None = None
+    azimuth_deg: _Number | None = None
+    pitch_deg: _Number = 0.0
+    roll_deg: _Number = 0.0
+    rectification_matrix: Any = None  # of ROS: as the next one, no part of the pose
+    projection_matrix: Any = None
+    looks: Any = None  # what an export adds for those who look: place, azimuth, polygon
+
+    def check(self, where: str, pose: str) -> None:
+        """Raise InspeError for what is said of a lens or of a pose and cannot be used."""
+        bends = dict(distortion=self.distortion, model=self.model in FISHEYES)
+        bends |= dict(image_circle_deg=self.image_circle_deg)
+        for key, value in bends.items():
+            if value and self.camera_matrix is None:
+                raise InspeError(f"{where}.{key}: goes with camera_matrix")
+        if self.hfov_deg is not None and self.device is None and self.camera_matrix is not None:
+            raise InspeError(f"{where}.hfov_deg: leave it out: the camera_matrix has the lens")
+        unused = {*GOES_WITH["lat"]} - {*GOES_WITH.get(pose, ())}
+        for key in sorted(unused & self.model_fields_set):
+            with_ = " or ".join(name for name, keys in GOES_WITH.items() if key in keys)
+            raise InspeError(f"{where}.{key}: goes with {with_}, not with {pose}")
+
+
+class _Frame(BaseModel, **STRICT):
+    crs: str | None = None
+    matrix: Any = None
+
+
+class FileKeys(BaseModel, **STRICT):
+    """The keys of our own file."""
+
+    name: str | None = None
+    frame: _Frame = _Frame()
+    devices: dict[str, Any] = {}
+    sensors: list[Any]
 
 
 class Source(NamedTuple):
@@ -38,7 +116,9 @@ class Source(NamedTuple):
 
     def leave_out(self, where: str, why: str) -> None:
         """Note that a sensor is left out."""
-        self.notes.append(f"{where}: {why}, and is left out: layouts have cameras and LiDARs")
+        self.notes.append(
+            f"{where}: {why}, and is left out: of such files cameras and LiDARs are read"
+        )
 
 
 def _own(given: Source) -> list[Entry]:
@@ -100,7 +180,8 @@ def _opv2v(given: Source) -> list[Entry]:
 
 def _openlabel(given: Source) -> list[Entry]:
     """ASAM OpenLABEL 1.0: ``pose_wrt_parent`` takes a system's points to its parent's; chains are
-    followed to their root, which is the frame."""
+    followed to their root, which is the frame. Cameras whose lens is no ``intrinsics_pinhole`` are
+    left out."""
     label, path, found = given.content["openlabel"], given.path, list[Entry]()
     systems = label.get("coordinate_systems", {})
     for name, stream in label.get("streams", {}).items():
@@ -108,6 +189,13 @@ def _openlabel(given: Source) -> list[Entry]:
         if kind not in ("camera", "lidar") or name not in systems:
             known = kind in ("camera", "lidar")
             given.leave_out(where, "has no coordinate system" if known else f"is a {kind}")
+            continue
+        lenses = {k for k in stream.get("stream_properties", {}) if k.startswith("intrinsics_")}
+        if lenses and "intrinsics_pinhole" not in lenses:
+            given.notes.append(
+                f"{where}: {', '.join(sorted(lenses))}: only intrinsics_pinhole is read, and it is "
+                "left out; give it as a sensor with camera_matrix, distortion and model"
+            )
             continue
         matrix, system, seen = np.eye(4), name, {name}
         while parent := systems.get(system, {}).get("parent"):
@@ -183,7 +271,7 @@ def _list(given: Source) -> list[Entry]:
                 f"{where}.orientation: does not say what its angles are from: give a convention, "
                 f"one of {', '.join(ANGLES)}"
             )
-        own: dict[str, Any] = dict(name=one["sensorId"], kind=kind)
+        own: dict[str, Any] = dict(name=one.get("sensorId") or one["id"], kind=kind)
         if given.convention == "carla":
             if earth:
                 raise InspeError(f"{where}.ref.type: CARLA's axes have no latitude; give another")

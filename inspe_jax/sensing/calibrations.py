@@ -12,32 +12,39 @@ A file is YAML or JSON, in metres, degrees and pixels::
       - {name: mast, width: 1920, height: 1080, camera_matrix: […], pairs: [[u, v, x, y, z], …]}
 
 ``frame.crs`` is a code, a PROJ string, or ``LAT,LON``: then x is east and y true north of there.
-Cameras have optical axes and LiDARs a body's, unless ``convention`` says another. ``lat``, ``lon``,
-``z`` may be in place of a position, ``hfov_deg`` in place of a camera matrix. ``pairs`` are pixels
-and where they are; a ``position`` beside them is held. ``distortion`` is OpenCV's, also of a
-``model: fisheye``, which may have an ``image_circle_deg``. ``unit`` names the unit of a sensor;
-others within 2 m are one. Pixels are as the file has them: OpenCV counts from the middle of the
-first, half a pixel from its corner. Files of others: :mod:`inspe_jax.sensing.calibration_formats`.
+Cameras have optical axes, others a body's, unless ``convention`` says another; a radar needs a
+``device``, as a LiDAR may have. ``lat``, ``lon``, ``z`` may be in place of a position, ``hfov_deg``
+in place of a camera matrix. ``pairs`` are pixels and where they are; a ``position`` beside them is
+held. ``distortion`` is OpenCV's, also of a ``model: fisheye``, which may have an
+``image_circle_deg``; each needs the camera matrix. ``unit`` names the unit of a sensor; others
+within 2 m are one. Pixels are as the file has them: OpenCV counts from the middle of the first,
+half a pixel from its corner. Files of others: :mod:`inspe_jax.sensing.calibration_formats`.
 """
 
 import os
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
-from pydantic import AliasChoices, BaseModel, Field
 
 from inspe_jax.core.errors import InspeError, check_known, error_at
-from inspe_jax.core.files import STRICT, check_model
+from inspe_jax.core.files import check_model
 from inspe_jax.core.geometry import pose_matrix
 from inspe_jax.core.rigid import array, pose_of, rigid
 from inspe_jax.scene.geojson import known_georeference
 from inspe_jax.scene.georeference import Georeference, about
 from inspe_jax.scene.scene import Scene
-from inspe_jax.sensing.calibration_formats import ANGLES, read_entries
+from inspe_jax.sensing.calibration_formats import (
+    ANGLES,
+    FISHEYES,
+    POSES,
+    FileKeys,
+    SensorKeys,
+    read_entries,
+)
 from inspe_jax.sensing.catalogue import device, spec_of
 from inspe_jax.sensing.kinds import focal_of
 from inspe_jax.sensing.layout import (
@@ -58,61 +65,6 @@ HIGHEST = 150.0  # above the ground no roadside sensor is so high [m]
 UPWARD, ROLLED = np.radians(30), np.radians(45)  # no camera looks up so far; few are rolled so far
 OFF = 0.25  # a principal point so far off the middle, in picture sizes, has taken up another error
 HEIGHTS = "scene", "ground"
-POSES = "sensor_to_frame", "frame_to_sensor", "projection", "pairs", "position", "lat"
-"""Keys of which a sensor has one: how its pose is given. A position may go with pairs."""
-FISHEYES = "fisheye", "equidistant"  # OpenCV's and ROS's names of one model
-
-_Number = Annotated[float, Field(ge=-1e8, le=1e8)]
-_Side = Annotated[int, Field(ge=1, le=100_000)]
-
-
-def _or(name: str, other: str, usual: Any) -> Any:
-    """A field that OpenCV or ROS names otherwise."""
-    return Field(usual, validation_alias=AliasChoices(name, other))
-
-
-class _Sensor(BaseModel, **STRICT):
-    name: str = _or("name", "camera_name", "camera")
-    kind: Literal["camera", "lidar"] = "camera"
-    device: str | None = None
-    unit: str | None = None
-    hfov_deg: Annotated[float, Field(gt=0, lt=180)] | None = None  # of a device, if it is varifocal
-    width: _Side | None = _or("width", "image_width", None)
-    height: _Side | None = _or("height", "image_height", None)
-    camera_matrix: Any = None
-    distortion: Any = _or("distortion", "distortion_coefficients", ())
-    model: Literal["pinhole", "plumb_bob", "rational_polynomial", "fisheye", "equidistant"] = _or(
-        "model", "distortion_model", "pinhole"
-    )
-    image_circle_deg: Annotated[float, Field(gt=0, le=220)] | None = None
-    convention: Literal["optical", "body", "carla"] | None = None
-    sensor_to_frame: Any = None
-    frame_to_sensor: Any = None
-    projection: Any = None
-    pairs: Any = None
-    position: list[_Number] | None = None
-    lat: Annotated[float, Field(ge=-90, le=90)] | None = None
-    lon: Annotated[float, Field(ge=-180, le=180)] | None = None
-    z: _Number = 0.0
-    yaw_deg: _Number | None = None
-    azimuth_deg: _Number | None = None
-    pitch_deg: _Number = 0.0
-    roll_deg: _Number = 0.0
-    rectification_matrix: Any = None  # of ROS: as the next one, no part of the pose
-    projection_matrix: Any = None
-    looks: Any = None  # what an export adds for those who look: place, azimuth, polygon
-
-
-class _Frame(BaseModel, **STRICT):
-    crs: str | None = None
-    matrix: Any = None
-
-
-class _File(BaseModel, **STRICT):
-    name: str | None = None
-    frame: _Frame = _Frame()
-    devices: dict[str, Any] = {}
-    sensors: list[Any]
 
 
 @dataclass(frozen=True)
@@ -180,41 +132,50 @@ def layouts_from(
     for kind, spec in usual.items():
         if spec.kind != kind:
             raise InspeError(f"{kind}: '{spec.name}' is a {spec.kind}")
-    rows: list[tuple[_Sensor, np.ndarray, Spec]] = []
+    rows: list[tuple[SensorKeys, np.ndarray, Spec]] = []
     notes: list[str] = []
     fits: dict[str, PoseFit] = {}
-    shift = None if transform is None else _transform(transform)
+    shift, local = None if transform is None else _transform(transform), None
     if size is not None:
         array(size, "size", (2,))
     for path in map(Path, files):
         content, entries = read_entries(path, convention, notes)
         own = content if isinstance(content, dict) and "sensors" in content else {}
-        file = check_model(_File, own or dict(sensors=[]), str(path))
+        file = check_model(FileKeys, own or dict(sensors=[]), str(path))
         specs = {key: spec_of(x, key, f"{path}: devices.{key}") for key, x in file.devices.items()}
         frame, system, at = file.frame.matrix, file.frame.crs or crs, f"{path}: frame.matrix"
         if frame is not None and shift is not None:
             raise InspeError(f"{at}: the file has one; leave out the transform")
         frame = np.eye(4) if frame is None and shift is None else rigid(frame or shift, at)
-        for where, entry in entries:
-            one = check_model(_Sensor, entry, where)
+        ones = [(where, check_model(SensorKeys, entry, where)) for where, entry in entries]
+        degrees = {one.lat is not None for _, one in ones}
+        if system is None and len(degrees) == 2:
+            raise InspeError(
+                f"{path}: some of its sensors have lat and lon, and others are in a frame of no "
+                "CRS: name frame.crs, or give the 'crs'"
+            )
+        for where, one in ones:
             earth = one.lat is not None or one.azimuth_deg is not None
             if earth and not (unit == "m" and np.array_equal(frame, np.eye(4))):
                 raise InspeError(
                     f"{where}: lat, lon and azimuth_deg are of the Earth, and not of a frame: "
                     "leave out its matrix, the transform and the unit"
                 )
-            lens, matrix, system = _read(one, where, system, notes, fits)
-            matrix[:3, 3] *= UNITS[unit]
+            there = system
+            if one.lat is not None and there is None:
+                there = local = local or f"{one.lat},{one.lon}"
+            lens, matrix = _read(one, where, there, UNITS[unit], notes, fits)
             pose = pose_of(frame @ matrix, "body", "sensor_to_world", where)
-            if scene is not None and system is not None:
-                with error_at(f"{where}: in '{system}'"):
-                    pose = _in_scene(pose, projection_of(system), scene)
+            if scene is not None and there is not None:
+                with error_at(f"{where}: in '{there}'"):
+                    pose = _in_scene(pose, projection_of(there), scene)
             level = 0.0 if scene is None else scene.intersection.ground(pose[None, :2])[0]
             pose[2] += level if heights == "ground" else 0.0
             _check(one, pose, None if scene is None else float(level), where, notes)
             with error_at(where):
                 rows.append((one, pose, _spec(one, lens, specs, usual, size, where, notes)))
-        if scene is not None and transform is None and system is None and "frame" not in own:
+        nameless = system is None and ("frame" not in own or file.frame.matrix is not None)
+        if scene is not None and transform is None and nameless and not any(degrees):
             notes.append(f"{path}: names no CRS: its frame is taken for the scene's own")
     if not rows:
         raise InspeError("calibrations: name a file")
@@ -243,14 +204,17 @@ def projection_of(crs: str) -> Georeference:
 
 
 def _read(
-    one: _Sensor, where: str, crs: str | None, notes: list[str], fits: dict[str, PoseFit]
-) -> tuple[Lens | None, Float[np.ndarray, "4 4"], str | None]:
-    """The lens, the matrix from our axes of a sensor to the frame, and the frame's CRS."""
+    one: SensorKeys, where: str, crs: str | None, unit: float, notes: list[str],
+    fits: dict[str, PoseFit],
+) -> tuple[Lens | None, Float[np.ndarray, "4 4"]]:  # fmt: skip
+    """The lens, and the matrix from our axes of a sensor to the frame [m], whose CRS and unit [m]
+    are given."""
     given = [key for key in POSES if getattr(one, key) is not None]
     if len(given) != 1 and given != ["pairs", "position"]:
         had = ", ".join(given) or "none"
         raise InspeError(f"{where}: needs one of {', '.join(POSES)}; has {had}")
     lens, at = None, f"{where}.{given[0]}"
+    one.check(where, given[0])
     if one.camera_matrix is not None:
         fisheye = one.model in FISHEYES
         lens = lens_of(one.camera_matrix, f"{where}.camera_matrix", notes, one.distortion, fisheye)
@@ -260,15 +224,19 @@ def _read(
         focal = focal_of(one.width, one.hfov_deg)
         lens = Lens(focal, focal, one.width / 2, one.height / 2)
     if given[0] in ("position", "lat"):
-        return lens, *_placed(one, where, crs)
+        matrix = _placed(one, where, crs)
+        matrix[:3, 3] *= unit
+        return lens, matrix
     if given[0] == "pairs":
         if lens is None:
             raise InspeError(f"{where}.camera_matrix: missing key: pairs need the lens")
         rows = array(one.pairs, at, (len(one.pairs) if isinstance(one.pairs, list) else 0, 5))
         with error_at(at):
-            fit = fits[one.name] = solve_pose(rows[:, :2], rows[:, 2:], lens, place=one.position)
+            place = None if one.position is None else np.multiply(one.position, unit)
+            fit = solve_pose(rows[:, :2], unit * rows[:, 2:], lens, place=place)
+        fits[one.name] = fit
         notes.append(f"{at}: {fit.words}")
-        return lens, pose_matrix(fit.pose), crs
+        return lens, pose_matrix(fit.pose)
     if given[0] == "projection":
         if lens is not None:
             raise InspeError(f"{where}.camera_matrix: leave it out: the projection has the lens")
@@ -277,13 +245,13 @@ def _read(
         matrix = rigid(getattr(one, given[0]), at)
         matrix = np.linalg.inv(matrix) if given[0] == "frame_to_sensor" else matrix
     axes = one.convention or ("optical" if one.kind == "camera" else "body")
-    return lens, pose_matrix(pose_of(matrix, axes, "sensor_to_world", at)), crs
+    matrix = pose_matrix(pose_of(matrix, axes, "sensor_to_world", at))
+    matrix[:3, 3] *= unit
+    return lens, matrix
 
 
-def _placed(
-    one: _Sensor, where: str, crs: str | None
-) -> tuple[Float[np.ndarray, "4 4"], str | None]:
-    """The matrix of a position and angles, and its CRS: about it, if it has degrees and no CRS."""
+def _placed(one: SensorKeys, where: str, crs: str | None) -> Float[np.ndarray, "4 4"]:
+    """The matrix of a position, or of degrees in the CRS, and angles."""
     if (one.yaw_deg is None) == (one.azimuth_deg is None):
         raise InspeError(
             f"{where}: give either yaw_deg, counter-clockwise from x, or azimuth_deg, clockwise "
@@ -293,7 +261,7 @@ def _placed(
     if one.position is None:
         if one.lat is None or one.lon is None:
             raise InspeError(f"{where}.lon: missing key: lat and lon go together")
-        crs = crs or f"{one.lat},{one.lon}"
+        assert crs is not None
         with error_at(where):
             at[:2] = projection_of(crs).from_degrees(np.array([[one.lon, one.lat]]))[0]
     array(at, f"{where}.position", (3,))
@@ -303,7 +271,7 @@ def _placed(
             raise InspeError(f"{where}.azimuth_deg: needs a CRS, or yaw_deg in its place")
         with error_at(where):
             yaw = projection_of(crs).yaw(at[None, :2], np.array([one.azimuth_deg]))[0]
-    return pose_matrix([*at, *np.radians([one.roll_deg, one.pitch_deg]), yaw]), crs
+    return pose_matrix([*at, *np.radians([one.roll_deg, one.pitch_deg]), yaw])
 
 
 # ── What hangs in the scene ─────────────────────────────────────────────────
@@ -322,7 +290,7 @@ def _in_scene(
 
 
 def _check(
-    one: _Sensor, pose: np.ndarray, level: float | None, where: str, notes: list[str]
+    one: SensorKeys, pose: np.ndarray, level: float | None, where: str, notes: list[str]
 ) -> None:
     """Raise InspeError where no roadside sensor hangs or looks so; note what is unusual. ``level``
     is the ground's [m]."""
@@ -352,7 +320,7 @@ def _check(
 
 
 def _spec(
-    one: _Sensor, lens: Lens | None, specs: dict[str, Spec], usual: dict[str, Spec],
+    one: SensorKeys, lens: Lens | None, specs: dict[str, Spec], usual: dict[str, Spec],
     size: tuple[int, int] | None, where: str, notes: list[str],
 ) -> Spec:  # fmt: skip
     """What hangs there: the lens in a device, the device that is named, or the usual one."""
@@ -361,7 +329,16 @@ def _spec(
         raise InspeError(f"device: '{one.device}' is a {own.kind}, and the sensor a {one.kind}")
     if own is not None and one.hfov_deg is not None:
         own = with_hfov(own, one.hfov_deg)
+    if own is None and one.kind not in usual:
+        raise InspeError(f"device: missing key: a {one.kind} needs one, and none is usual")
     like = own or usual[one.kind]
+    same = not isinstance(like, CameraSpec) or (
+        one.width in (None, like.width) and one.height in (None, like.height)
+    )
+    if lens is None and not same:
+        raise InspeError(
+            f"width, height: '{like.name}' has {like.resolution}: give a camera_matrix, or hfov_deg"
+        )
     if lens is None:
         if own is None:
             notes.append(f"{where}: names no device: taken as {like.name}")
@@ -369,7 +346,10 @@ def _spec(
     if not isinstance(like, CameraSpec):
         raise InspeError(f"camera_matrix: a {one.kind} has none")
     fx, fy, cx, cy, distortion, fisheye, _ = lens
-    near = np.allclose(like.optics[:4], lens[:4], atol=1e-5)
+    near = same and np.allclose(like.optics[:4], lens[:4], atol=1e-5)
+    if one.image_circle_deg is not None:
+        circle = float(np.degrees(like.image_circle or 0.0))
+        near &= abs(circle - one.image_circle_deg) < 1e-6
     if own is not None and near and like.optics[4:6] == lens[4:6]:
         return own
     wide, high = (one.width, one.height) if one.width and one.height else size or (None, None)

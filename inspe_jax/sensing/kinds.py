@@ -13,7 +13,7 @@ from pydantic import BaseModel, Discriminator, Field, Tag
 
 from inspe_jax.core.errors import InspeError, error_at
 from inspe_jax.core.files import STRICT
-from inspe_jax.sensing.lens import Lens
+from inspe_jax.sensing.lens import Lens, focal_of
 from inspe_jax.sensing.radar import RadarSpec
 from inspe_jax.sensing.sensors import CameraSpec, LidarSpec, Spec
 
@@ -162,8 +162,11 @@ class CameraKeys(DeviceKeys):
         same = self.model_dump(include={"width", "height", "downsample", "reliability"})
         same |= dict(depth=self.depth_m, focal_range=lens, focal_y=self.focal_y_px)
         same |= dict(distortion=bent or None, fisheye=fisheye or None)
-        if self.image_circle_deg is not None:
-            same |= dict(image_circle=float(np.radians(self.image_circle_deg)))
+        circle = self.image_circle_deg
+        if circle is None and np.max(self.hfov_deg or 0.0) > 180:  # else a fisheye's is 180°
+            circle = float(np.max(self.hfov_deg or 0.0))
+        if circle is not None:
+            same |= dict(image_circle=float(np.radians(circle)))
         with error_at(where):
             return CameraSpec(name, focal=focal, principal=(cx, cy), **same).with_lens(0.0)
 
@@ -233,15 +236,6 @@ class RadarKeys(DeviceKeys):
             min_speed_mps=float(spec.min_speed),
             reliability=float(spec.reliability),
         )
-
-
-def focal_of(width: int, hfov_deg: float, unit: Lens | None = None) -> float:
-    """The focal length [px] with which a picture of so many pixels is so wide [degrees]; of a lens
-    that bends, by the same lens with a focal length of 1."""
-    half = np.radians(hfov_deg) / 2
-    if unit is None or not (unit.fisheye or unit.distortion):
-        return float(width / 2 / np.tan(half))
-    return float(width / 2 / unit.pixels(np.array([[np.sin(half), 0.0, np.cos(half)]]))[0, 0])
 
 
 def hfov_of(width: int, focal: float) -> float:

@@ -137,20 +137,22 @@ class Lens(NamedTuple):
         [[1060.0, 590.0]]
         """
         far = np.pi if self.fisheye else ASIDE
-        right, down, ahead = optical.T
+        right, down, ahead = np.asarray(optical, float).T
+        behind = (ahead < 0) & (np.hypot(right, down) < _ON_AXIS)  # the way off the axis is lost
+        right = np.where(behind, _ON_AXIS, right)
         u, v = project(right, down, ahead, self.coefficients, self.fisheye, far)
         return np.column_stack([self.fx * u + self.cx, self.fy * v + self.cy])
 
     def rays(self, pixels: Float[np.ndarray, "N 2"]) -> Float[np.ndarray, "N 3"]:
         """Unit directions, in body axes, of what pixels show: of those beyond the image circle,
         its rim."""
-        u, v = ((pixels - [self.cx, self.cy]) / [self.fx, self.fy]).T
+        u, v = ((np.asarray(pixels) - [self.cx, self.cy]) / [self.fx, self.fy]).T
         right, down, ahead = ray(u, v, self.coefficients, self.fisheye, self.circle)
         return np.column_stack([ahead, -right, -down])
 
     def beyond_circle(self, pixels: Float[np.ndarray, "N 2"]) -> Bool[np.ndarray, " N"]:
         """Which pixels are beyond the image circle, and black."""
-        u, v = ((pixels - [self.cx, self.cy]) / [self.fx, self.fy]).T
+        u, v = ((np.asarray(pixels) - [self.cx, self.cy]) / [self.fx, self.fy]).T
         return np.hypot(u, v) > self.circle
 
     @property
@@ -216,6 +218,25 @@ class Lens(NamedTuple):
         return 1.5 * float(np.abs(bends).max()) / _STEP**2
 
 
+def focal_of(side: int, fov_deg: float, unit: Lens | None = None, axis: int = 0) -> float:
+    """The focal length [px] with which a picture of so many pixels along a row (``axis`` 0) or down
+    a column (1) shows a field of view [degrees]; of a lens that bends, by the same lens with a
+    focal length of 1."""
+    half = np.radians(fov_deg) / 2
+    if unit is None or not (unit.fisheye or unit.distortion):
+        return float(side / 2 / np.tan(half))
+    edge = np.array([[np.sin(half), 0.0, np.cos(half)]])[:, [axis, 1 - axis, 2]]
+    return float(side / 2 / unit.pixels(edge)[0, axis])
+
+
+def distortion_of(given: Any) -> tuple[float, ...]:
+    """Coefficients as OpenCV has them, also as an array of one row or one column, or as a file's
+    mapping with ``data``. Raises InspeError where they are no numbers."""
+    with error_at("must be numbers", TypeError, ValueError, KeyError):
+        found = given["data"] if isinstance(given, dict) else given
+        return tuple(np.array(() if found is None else found, float).ravel().tolist())
+
+
 def lens_of(
     given: Any, where: str, notes: list[str], distortion: Any = (), fisheye: bool = False
 ) -> Lens:
@@ -233,9 +254,8 @@ def lens_of(
     found = found / found[2, 2]
     if abs(found[0, 1]) > SKEW * found[0, 0]:
         notes.append(f"{where}: its skew of {found[0, 1]:.1f} px is left out")
-    with error_at(f"{where}, its distortion", TypeError, ValueError, KeyError):
-        bent = distortion["data"] if isinstance(distortion, dict) else distortion or ()
-        bent = tuple(np.array(bent, float).ravel().tolist())
+    with error_at(f"{where}, its distortion"):
+        bent = distortion_of(distortion)
     (fx, _, cx), (_, fy, cy), _ = found.tolist()
     lens = Lens(fx, fy, cx, cy, bent if any(bent) else (), fisheye)
     with error_at(where):

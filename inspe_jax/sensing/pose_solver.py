@@ -77,7 +77,7 @@ def solve_pose(
     >>> inspe_jax.solve_pose(seen, at, lens).pose.z > 5
     True
     """
-    points = array(points, "points", (len(points), 3))
+    points = array(points, "points", (len(points) if np.ndim(points) else 0, 3))
     pixels = array(pixels, "pixels", (len(points), 2))
     if len(points) < FEWEST:
         raise InspeError(f"pairs: {len(points)}, but a pose needs {FEWEST} or more")

@@ -14,11 +14,12 @@ from jaxtyping import Float
 from inspe_jax.core.digest import OPTIONAL
 from inspe_jax.core.errors import InspeError, error_at
 from inspe_jax.core.rigid import pose_of
-from inspe_jax.sensing.lens import Lens
+from inspe_jax.sensing.lens import Lens, distortion_of, focal_of
 from inspe_jax.sensing.lens_rays import DistortedRays, FisheyeRays
 from inspe_jax.sensing.ray_grid import RayGrid
 from inspe_jax.sensing.rays import PinholeRays, Rays, SphericalRays
 
+WIDEST = np.radians(220.0)  # across an image circle
 SWAPPED = 0.2  # a principal point farther off the middle, in picture sizes, is looked at twice
 
 
@@ -168,7 +169,7 @@ class CameraSpec(Spec):
     def __post_init__(self) -> None:
         """A range is rounded, so that it is the same when it is read from a file. Raises InspeError
         where it does not ascend, or the focal length is outside of it; where a lens is not known,
-        or folds the picture."""
+        folds the picture, or has no such image circle."""
         if self.focal_range is not None:
             low, high = (round(float(focal), 6) for focal in self.focal_range)
             object.__setattr__(self, "focal_range", (low, high))
@@ -177,6 +178,11 @@ class CameraSpec(Spec):
                     f"device '{self.name}': focal_range must ascend about the focal length, but is "
                     f"{low:g} to {high:g} about {self.focal:g} px"
                 )
+        if self.image_circle is not None and not 0 < self.image_circle <= WIDEST + 1e-9:
+            raise InspeError(
+                f"device '{self.name}': image_circle_deg: must be above 0 and at most "
+                f"{np.degrees(WIDEST):g}, got {np.degrees(self.image_circle):g}"
+            )
         if self.bends:
             with error_at(f"device '{self.name}'"):
                 if self.focal_range is not None:
@@ -202,7 +208,7 @@ class CameraSpec(Spec):
         cy: float | None = None,
         downsample: float = 0.1,
         reliability: float = 1.0,
-        distortion: tuple[float, ...] = (),
+        distortion: Any = (),
         fisheye: bool = False,
         image_circle_deg: float | None = None,
     ) -> "CameraSpec":
@@ -214,14 +220,15 @@ class CameraSpec(Spec):
             depth: How far it perceives along a ray [m], which no calibration says.
             fx, fy: Focal lengths [px]; one of them is both.
             hfov_deg, vfov_deg: Fields of view [degrees] in place of fx and fy; one of them is
-                enough where pixels are square.
+                enough where pixels are square. Of what a lens with distortion, or a fisheye, shows.
             cx, cy: Principal point [px] from the outer corner of the first pixel; the middle of the
                 picture if not given.
             downsample: Rays per pixel, along a row.
             reliability: The chance that what is in view is perceived.
             distortion: OpenCV's k1, k2, p1, p2, k3, k4, k5, k6; of a fisheye k1 … k4.
-            fisheye: Whether the lens is equidistant; then focal lengths are needed.
-            image_circle_deg: Angle across what the lens shows at all [degrees].
+            fisheye: Whether the lens is equidistant.
+            image_circle_deg: Angle across what the lens shows at all [degrees]; of a fisheye 180,
+                or the field of view if that is wider, if not given.
 
         Raises:
             InspeError: Neither or both of focal length and field of view are given, the principal
@@ -236,15 +243,24 @@ class CameraSpec(Spec):
         if ((fx or fy) is None) == ((hfov_deg or vfov_deg) is None):
             raise InspeError(f"{where}: give either fx and fy, or a field of view")
         cx, cy = width / 2 if cx is None else cx, height / 2 if cy is None else cy
-        given = [fx, fy]
+        circle = image_circle_deg
+        with error_at(f"{where}: distortion"):
+            bent = distortion_of(distortion)
+        given, unit = [fx, fy], Lens(1.0, 1.0, 0.0, 0.0, bent, fisheye)
+        widest = np.degrees(WIDEST) if fisheye else np.nextafter(180.0, 0.0)
         for k, (side, view) in enumerate(((width, hfov_deg), (height, vfov_deg))):
             if view is not None:
-                half = np.radians(view) / 2 if 0 < view < 180 else np.nan
-                given[k] = float(side / 2 / np.tan(half))
+                with error_at(where):
+                    given[k] = focal_of(side, view, unit, k) if 0 < view <= widest else np.nan
+                if view > 180 and image_circle_deg is None:
+                    circle = max(circle or 0.0, view)
         x, y = (float(given[k] or given[1 - k] or 0.0) for k in (0, 1))
         numbers = np.array([width, height, x, y, depth, downsample, cx, cy], float)
         if not (np.isfinite(numbers).all() and (numbers[:6] > 0).all()):
-            raise InspeError(f"{where}: its numbers must be positive, a field of view below 180°")
+            raise InspeError(
+                f"{where}: its numbers must be positive, a field of view below 180°, or of a "
+                f"fisheye at most {np.degrees(WIDEST):g}°"
+            )
         off, swapped = (abs(cx / w - 0.5) + abs(cy / h - 0.5) for w, h in
                         ((width, height), (height, width)))  # fmt: skip
         words = f"{where}: principal point ({cx:g}, {cy:g}) in a picture of {width} × {height}"
@@ -252,11 +268,9 @@ class CameraSpec(Spec):
             raise InspeError(f"{words}: width and height seem to be swapped")
         if not (0 <= cx <= width and 0 <= cy <= height):
             raise InspeError(f"{words} is outside of it: give the size that the lens was found for")
-        if fisheye and fx is None and fy is None:
-            raise InspeError(f"{where}: a fisheye has no focal length by field of view: give fx")
         other = dict(reliability=reliability, focal_y=None if y == x else y)
-        other |= dict(distortion=tuple(distortion) or None, fisheye=fisheye or None)  # type: ignore[dict-item]
-        other |= dict(image_circle=image_circle_deg and float(np.radians(image_circle_deg)))
+        other |= dict(distortion=bent or None, fisheye=fisheye or None)  # type: ignore[dict-item]
+        other |= dict(image_circle=None if circle is None else float(np.radians(circle)))
         return cls(name, width, height, x, (cx, cy), downsample, depth, **other)  # type: ignore[arg-type]
 
     @cached_property

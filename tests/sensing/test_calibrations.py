@@ -243,9 +243,9 @@ def test_an_exported_calibration_is_read_back_as_the_same_layout(tmp_path, earth
     zoom = replace(usual, name="zoom", focal_range=(300.0, 900.0), focal=500.0)
     lens = CameraSpec.from_intrinsics("own", 1920, 1200, fx=1345.6, fy=1500, cx=975.9, depth=70.0)
     poses = [[3, 4, 6, 0.1, -0.4, 2.0], [3.5, 4, 7, 0, -0.5, -3], [-9, 8, 5, 0, -0.2, 1],
-             [-9, 8, 6, 0.01, 0.02, -1]]  # fmt: skip
-    specs = usual, lens, zoom, device("ouster-os1-64").spec
-    sensors = [Sensor(f"s{k}", spec, k // 2) for k, spec in enumerate(specs)]
+             [-9, 8, 6, 0.01, 0.02, -1], [-9, 8, 4, 0, -0.1, 2]]  # fmt: skip
+    specs = usual, lens, zoom, device("ouster-os1-64").spec, device("continental-ars408-near").spec
+    sensors = [Sensor(f"s{k}", spec, min(k // 2, 1)) for k, spec in enumerate(specs)]
     made = make_layout(sensors, [Unit("a", (3, 4, 0)), Unit("b", (-9, 8, 0))], np.array(poses))
     text = calibration_json(made, place.intersection)
     again = read(tmp_path, text, scene=place)
@@ -312,6 +312,25 @@ def posed(**change):
     return one(**dict(sensor_to_frame=None) | change)
 
 
+def by_view(**change):
+    return one(camera_matrix=None, hfov_deg=60.0, **change)
+
+
+def projected(**change):
+    matrix = LENS @ np.linalg.inv(OPTICAL)[:3]
+    return posed(camera_matrix=None, projection=matrix, **change)
+
+
+def named(**change):
+    return one(**dict(camera_matrix=None, width=None, height=None, device="paper-camera") | change)
+
+
+def mixed(first):
+    """Two cameras, of which one is in degrees, in either order."""
+    degrees, frame = posed(lat=48, lon=11, z=6, yaw_deg=3)["sensors"], one(name="b")["sensors"]
+    return dict(sensors=frame + degrees if first else degrees + frame)
+
+
 def listed(**change):
     place = dict(lat=48.0, lon=11.0, elevation=5.0)
     return [dict(sensorId="1", type="Camera", ref=dict(type="WGS84", location=place)) | change]
@@ -347,6 +366,18 @@ BAD = [
     (posed(position=[1, 2, 3]), {}, "give either yaw_deg, .* or azimuth_deg"),
     (posed(position=[1, 2, 3], azimuth_deg=3), {}, "azimuth_deg: needs a CRS, or yaw_deg"),
     (posed(lat=48, lon=11, azimuth_deg=3), dict(unit="mm"), "are of the Earth, and not of a frame"),
+    (one(z=3.0), {}, r"\[0\].z: goes with lat, not with sensor_to_frame"),
+    (posed(pairs=[[0] * 5] * 4, yaw_deg=3), {}, "yaw_deg: goes with position or lat, not with pai"),
+    (posed(position=[1, 2, 3], yaw_deg=3, z=9), {}, "z: goes with lat, not with position"),
+    (by_view(distortion=[-0.1]), {}, r"distortion: goes with camera_matrix"),
+    (by_view(model="fisheye"), {}, r"model: goes with camera_matrix"),
+    (one(hfov_deg=60), {}, r"hfov_deg: leave it out: the camera_matrix has the lens"),
+    (projected(distortion=[-0.1]), {}, r"distortion: goes with camera_matrix"),
+    (named(distortion=[-0.1]), {}, r"distortion: goes with camera_matrix"),
+    (named(width=640), {}, "width, height: 'paper-camera' has .*: give a camera_matrix"),
+    (one(kind="radar", camera_matrix=None), {}, "device: missing key: a radar needs one"),
+    (mixed(0), {}, "some of its sensors have lat and lon, .*: name frame.crs, or give the 'crs'"),
+    (mixed(1), {}, "some of its sensors have lat and lon, .*: name frame.crs, or give the 'crs'"),
     (posed(pairs=[[1, 2, 3]]), {}, r"pairs: must be 1 × 5 numbers"),
     (one() | dict(frame=dict(crs=UTM)), {}, "has no coordinates on the Earth; build"),
     (one() | dict(frame=dict(matrix=np.diag([2, 2, 2, 1]))), {}, "frame.matrix: is not a rotation"),
@@ -380,5 +411,40 @@ def test_units_and_heights_are_as_said_and_what_is_unusual_is_noted(tmp_path):
     assert "its principal point is 28 % of the picture off" in read(tmp_path, off).notes[0]
     by_view = read(tmp_path, one(camera_matrix=None, hfov_deg=90.0)).layout.sensors[0].spec
     assert (by_view.width, round(by_view.focal)) == (1920, 960)
+    by_id = read(tmp_path, [dict(id="x", type="lidar", location=dict(x=1, y=2, z=5))])
+    assert by_id.layout.sensors[0].name == "x"
     axes = read(tmp_path, one(convention="body")).notes[0]
     assert "is rolled by -90°; if it does not hang so, its axes are others" in axes
+
+
+def test_cameras_in_degrees_without_a_crs_hang_in_one_frame(tmp_path):
+    """Of which the first is the origin; in a scene they are where their degrees are. A file after
+    them that names no CRS is still in the scene's own frame."""
+    degrees = [posed(name=f"{k}", lat=48 + k / 3600, lon=11, z=6, yaw_deg=3)["sensors"][0]
+               for k in (0, 1)]  # fmt: skip
+    place = scene_at(48, 11)
+    alone = read(tmp_path, dict(sensors=degrees)).layout.poses
+    np.testing.assert_allclose(alone[:, :2], [[0, 0], [0, 30.89]], atol=0.01)
+    (tmp_path / "own.json").write_text(json.dumps(one(), default=np.ndarray.tolist))
+    for order in (degrees, degrees[::-1]):
+        (tmp_path / "in.json").write_text(json.dumps(dict(sensors=order)))
+        found = layouts_from(tmp_path / "in.json", tmp_path / "own.json", scene=place)
+        poses, last = found.layout.poses, order.index(degrees[1])
+        np.testing.assert_allclose(poses[last, :2], [0, 30.89], atol=0.01)
+        np.testing.assert_allclose(poses[2, :3], [4, 3, 6], atol=1e-9)
+        assert "own.json: names no CRS: its frame is taken for the" in "".join(found.notes)
+
+
+def test_a_frame_with_a_matrix_and_no_crs_is_noted(tmp_path):
+    content = one() | dict(frame=dict(matrix=np.eye(4)))
+    assert "taken for the scene's own" in read(tmp_path, content, scene=scene_at()).notes[0]
+    assert read(tmp_path, content).notes == ()
+
+
+def test_a_stream_of_openlabel_with_a_fisheye_is_left_out(tmp_path):
+    eye = dict(type="camera", stream_properties=dict(intrinsics_fisheye=dict(width_px=9)))
+    streams = dict(eye=eye, lidar=dict(type="lidar"))
+    label = dict(coordinate_systems={name: dict(parent="") for name in streams}, streams=streams)
+    found = read(tmp_path, dict(openlabel=label))
+    assert [sensor.name for sensor in found.layout.sensors] == ["lidar"]
+    assert "streams.eye: intrinsics_fisheye: only intrinsics_pinhole is read" in found.notes[0]

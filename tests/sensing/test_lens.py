@@ -78,6 +78,55 @@ def test_lenses_that_show_a_direction_twice_are_refused(given, message):
         CameraSpec.from_intrinsics("x", 1920, 1080, fx=1000.0, depth=30.0, **given)
 
 
+@pytest.mark.parametrize("degrees", [0, -50, 500, np.nan])
+def test_an_image_circle_is_one_that_a_lens_has(degrees):
+    given = dict(fx=1000.0, depth=30.0, fisheye=True, image_circle_deg=degrees)
+    with pytest.raises(InspeError, match="image_circle_deg: must be above 0 and at most 220"):
+        CameraSpec.from_intrinsics("x", 1920, 1080, **given)
+
+
+def test_a_fisheyes_image_circle_is_as_wide_as_its_view():
+    for view, circle in ((200.0, 200.0), (170.0, None)):
+        spec = spec_of(KEYS | dict(lens="fisheye", hfov_deg=view), "eye", "here")
+        by_view = CameraSpec.from_intrinsics("eye", 1280, 960, hfov_deg=view, depth=30.0,
+                                             fisheye=True)  # fmt: skip
+        assert spec == by_view
+        assert np.degrees(spec.field_of_view[0]) == pytest.approx(view)
+        assert spec.image_circle == (circle and pytest.approx(np.radians(circle)))
+
+
+def test_a_field_of_view_is_what_a_bent_lens_shows():
+    """One rule for a catalogue's keys and for a calibration, along a row and down a column."""
+    keys = KEYS | dict(hfov_deg=80.0, distortion=list(BROWN[:2]))
+    given = dict(depth=30.0, distortion=BROWN[:2])
+    spec = CameraSpec.from_intrinsics("bent", 1280, 960, hfov_deg=80.0, **given)
+    assert spec == spec_of(keys, "bent", "here")
+    tall = CameraSpec.from_intrinsics("bent", 1280, 960, vfov_deg=60.0, **given)
+    np.testing.assert_allclose(np.degrees(tall.field_of_view[1]), 60.0)
+
+
+@pytest.mark.parametrize("fisheye", [False, True])
+def test_what_is_straight_behind_is_far_off(fisheye):
+    """And lists will do in place of arrays."""
+    lens = Lens(1000.0, 1000.0, 960.0, 540.0, fisheye=fisheye)
+    seen = lens.pixels([[0.0, 0.0, -5.0], [1e-9, 0.0, -5.0], [0.0, 0.0, 5.0]])
+    assert (np.hypot(*(seen[:2] - [960, 540]).T) > 3000).all()
+    np.testing.assert_allclose(seen[2], [960, 540])
+    np.testing.assert_allclose(lens.rays([[960.0, 540.0]]), [[1, 0, 0]], atol=1e-9)
+    assert not lens.beyond_circle([[960.0, 540.0]]).any()
+
+
+def test_distortion_is_also_opencvs_array():
+    given = dict(fx=1200.0, depth=30.0)
+    one, other = (
+        CameraSpec.from_intrinsics("x", 1920, 1080, distortion=own, **given)
+        for own in (BROWN, np.array([BROWN]))
+    )
+    assert one == other
+    with pytest.raises(InspeError, match="device 'x': distortion: must be numbers"):
+        CameraSpec.from_intrinsics("x", 1920, 1080, distortion="abcd", **given)
+
+
 def test_within_an_image_circle_a_lens_holds_that_folds_further_out():
     given = dict(fx=1000.0, depth=30.0, distortion=(-0.4,), image_circle_deg=60)
     spec = CameraSpec.from_intrinsics("x", 1920, 1080, **given)

@@ -1,6 +1,7 @@
 """Poses of matrices, cameras of intrinsics, and poses solved from pixels."""
 
 import csv
+import json
 import re
 
 import numpy as np
@@ -9,7 +10,7 @@ import yaml
 from scipy.spatial.transform import Rotation
 from worlds import DEPLOYMENTS, needs_deployments
 
-from inspe_jax import CameraSpec, InspeError, Lens, Pose, solve_pose
+from inspe_jax import CameraSpec, InspeError, Lens, Pose, layouts_from, solve_pose
 from inspe_jax.core import carla_frame
 from inspe_jax.core.geometry import pose_matrix
 from inspe_jax.sensing.catalogue import check_spec, spec_of, table_of
@@ -109,11 +110,60 @@ def test_a_pose_is_found_again_from_its_own_pixels(lens, held):
     (np.ones((3, 2)), np.eye(3), LENS, "pairs: 3, but a pose needs 4"),
     (np.ones((5, 2)), np.outer(np.arange(5), [1, 2, 0]), LENS, "all points lie on one line"),
     (np.ones((5, 2)), np.ones((4, 3)), LENS, r"pixels: must be 4 × 2 numbers, got shape \(5, 2\)"),
+    (5, 5, LENS, "points: must be 0 × 3"),
     (np.ones((4, 2)), np.eye(4, 3), LENS._replace(distortion=(0.0,) * 8 + (1.0,)), "only k1, k2"),
 ])  # fmt: skip
 def test_pairs_without_a_pose_are_refused(pixels, points, lens, message):
     with pytest.raises(InspeError, match=message):
         solve_pose(pixels, points, lens)
+
+
+CAMERA = dict(name="a", width=1920, height=1080)
+LEVEL = np.eye(4)
+LEVEL[:3] = np.column_stack([OPTICAL, [4, 3, 6]])
+CAMERA |= dict(camera_matrix=[[1200, 0, 960], [0, 1210, 545], [0, 0, 1]])
+
+
+def calibrated(folder, *, devices=(), unit="m", **camera):
+    """What is read of a calibration with one camera."""
+    content = dict(devices=dict(devices), sensors=[CAMERA | camera])
+    (folder / "in.json").write_text(json.dumps(content, default=np.ndarray.tolist))
+    return layouts_from(folder / "in.json", unit=unit)
+
+
+@pytest.mark.parametrize("place", [None, [4.0, 3.0, 6.0]])
+def test_pairs_in_millimetres_give_the_pose_and_deviations_in_metres(tmp_path, place):
+    at = np.array([[20, -5, 0], [20, 5, 0], [40, -8, 0], [40, 8, 0], [30, 0, 2], [25, 3, 1]], float)
+    seen = Lens(1200.0, 1210.0, 960.0, 545.0).pixels((at - [4, 3, 6]) @ OPTICAL)
+    seen += np.random.default_rng(1).normal(0, 1, seen.shape)
+    metres, again = (
+        calibrated(
+            tmp_path, pairs=np.column_stack([seen, at / scale]), unit=unit,
+            **({} if place is None else dict(position=np.divide(place, scale))),
+        )
+        for unit, scale in (("m", 1.0), ("mm", 0.001))
+    )  # fmt: skip
+    np.testing.assert_allclose(again.layout.poses, metres.layout.poses, atol=1e-6)
+    np.testing.assert_allclose(again.fits["a"].pose, metres.fits["a"].pose, atol=1e-6)
+    assert again.notes == metres.notes
+
+
+def test_a_calibrated_camera_is_its_device_only_with_the_same_picture(tmp_path):
+    """Another size of the picture or image circle is another camera, with the device's depth."""
+    ceiling = dict(kind="camera", width=1920, height=1080, depth_m=33.0, downsample=0.1)
+    ceiling |= dict(focal_px=1200.0, focal_y_px=1210.0, principal_px=[960.0, 545.0])
+    ceiling |= dict(lens="fisheye", image_circle_deg=150.0)
+    for change, same in (
+        (dict(), True), (dict(image_circle_deg=150), True), (dict(image_circle_deg=120), False),
+        (dict(width=1900), False), (dict(height=1090), False),
+    ):  # fmt: skip
+        own = CAMERA | dict(model="fisheye", device="eye", sensor_to_frame=LEVEL) | change
+        spec = calibrated(tmp_path, **own, devices=dict(eye=ceiling)).layout.sensors[0].spec
+        assert (spec.name == "eye", spec.depth) == (same, 33.0)
+        for key in change.keys() - {"image_circle_deg"}:
+            assert getattr(spec, key) == change[key]
+        circle = change.get("image_circle_deg", 150 if same else None)
+        assert spec.image_circle == (circle and pytest.approx(np.radians(circle)))
 
 
 def pairs(name, camera, *columns):

@@ -47,8 +47,10 @@ def test_slopes_are_those_of_the_coordinates_and_edges_have_depth(spec):
         off, around = rng.uniform(0.01, rays.table.own[10], 200), rng.uniform(0, 2 * np.pi, 200)
         aside = np.sin(off) * [np.cos(around), np.sin(around)]
         q = tuple(jnp.asarray(x) for x in rng.uniform(1, 30, 200) * [np.cos(off), *aside])
-        for slope, of in zip(rays.slopes(q, 1e-6), (rays.row, rays.column), strict=True):
-            expected = jax.grad(lambda q, of=of: of(q).sum())(q)
+        slopes = jax.jit(lambda rays, q: rays.slopes(q, 1e-6))(rays, q)
+        total = lambda name: lambda q, rays: getattr(rays, name)(q).sum()  # noqa: E731
+        for slope, name in zip(slopes, ("row", "column"), strict=True):
+            expected = jax.jit(jax.grad(total(name)))(q, rays)
             np.testing.assert_allclose(slope, expected, atol=1e-6)
 
 
@@ -56,14 +58,18 @@ def test_slopes_are_those_of_the_coordinates_and_edges_have_depth(spec):
 def test_a_centimetre_beyond_the_last_row_is_one_outside(spec):
     with worlds.double_precision():
         rays = spec.grid.rays
-        way = rays.direction(rays.table.outer.row[1], np.array([0.1]))
-        at = tuple(20.0 * jnp.asarray(x) for x in way)
-        up, _ = rays.slopes(at, 1e-6)
-        length = sum(x**2 for x in up) ** 0.5
-        for away in (0.0, 0.01):
+
+        @jax.jit
+        def found(rays, away):
+            way = rays.direction(rays.table.outer.row[1], jnp.array([0.1]))
+            at = tuple(20.0 * x for x in way)
+            up, _ = rays.slopes(at, 1e-6)
+            length = jnp.sqrt(sum(x**2 for x in up))
             moved = tuple(a + away * b / length for a, b in zip(at, up, strict=True))
-            found = rays.square_row(moved, rays.table.outer, 1)
-            np.testing.assert_allclose(found, away, atol=2e-5)
+            return rays.square_row(moved, rays.table.outer, 1)
+
+        for away in (0.0, 0.01):
+            np.testing.assert_allclose(found(rays, away), away, atol=2e-5)
 
 
 def test_read_softly_in_view_tends_to_exact():

@@ -521,7 +521,7 @@ def main() -> None:
         say("left out: InSPE's layout and the ten intersections, which need the town maps")
     if given.keep:
         given.keep.mkdir(parents=True, exist_ok=True)
-    drawn(cases, given.keep, quick).savefig(stem.with_name(f"{stem.name}_views.png"), dpi=90)
+    drawn(cases, given.keep, quick).savefig(stem.with_name(f"{stem.name}_views.png"), dpi=80)
     charts(read_rows(total), mcity, chance, spacing).savefig(stem.with_suffix(".png"), dpi=110)
     write_settings(stem.with_suffix(".json"), dict(seed=seed, mast=MAST, device=DEVICE))
 

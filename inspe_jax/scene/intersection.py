@@ -30,6 +30,7 @@ LOW = 0.4  # what of a mesh rises less over the ground is part of it, as kerbs a
 BEYOND = 3.0  # people who cross begin and end so far beyond a crosswalk [m]
 STRAY = 4.0  # footpaths lead no farther over a road beside crossings [m]
 CROSSWALK_WIDTH = 3.0  # width of a crosswalk that is added where a map has none [m]
+FOOTPATH_WIDTH = 2.0  # of routes of pedestrians of which nothing says so [m]
 
 
 @dataclass(frozen=True)
@@ -263,11 +264,13 @@ def off_roads(
         notes.append(f"footpaths over the carriageway beside crossings: {cut}, cut off there")
 
 
-def walking_routes(place: Intersection, lines: Iterable[np.ndarray]) -> Iterator[Route]:
+def walking_routes(
+    place: Intersection, lines: Iterable[np.ndarray], width: float = FOOTPATH_WIDTH
+) -> Iterator[Route]:
     """Footpaths (N, 2) as routes on the ground of a place, in both directions."""
     for line in lines:
         for path in (line, line[::-1]):
-            yield Route(place.on_ground(path), 2.0, "pedestrian")
+            yield Route(place.on_ground(path), width, "pedestrian")
 
 
 def corner_islands(arms: tuple[Arm, ...]) -> BaseGeometry:

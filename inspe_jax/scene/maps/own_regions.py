@@ -26,6 +26,7 @@ from inspe_jax.core.rigid import array
 from inspe_jax.scene.geojson import SUFFIX, Feature, read_features
 from inspe_jax.scene.georeference import Georeference, about
 from inspe_jax.scene.intersection import (
+    FOOTPATH_WIDTH,
     Arm,
     Intersection,
     Route,
@@ -46,7 +47,7 @@ from inspe_jax.scene.regions import Region, regions_of
 from inspe_jax.scene.voxels import check_range
 
 REGION_SUFFIXES = (SUFFIX,)
-WIDTHS = {"vehicle": 3.5, "pedestrian": 2.0}  # of routes of which nothing says so [m]
+WIDTHS = {"vehicle": 3.5, "pedestrian": FOOTPATH_WIDTH}  # of routes of which nothing says so [m]
 TOUCH = 0.5  # a driveway this near to a junction meets it [m]
 NARROW = 2.0  # an arm is wider [m]
 WIDEST = 50.0  # the widest route [m]
@@ -137,11 +138,7 @@ def intersection_of(
     lanes = [route.waypoints for route in drives]
     crossings = crossing_lines([*shapely.get_parts(areas[Region.CROSSWALK])], lanes)
     walks = walks or [(line, WIDTHS["pedestrian"]) for line in crossings]
-    found = [
-        replace(walk, width=width)
-        for line, width in walks
-        for walk in walking_routes(place, [line])
-    ]
+    found = [walk for line, width in walks for walk in walking_routes(place, [line], width)]
     lost = f"routes that do not come within {radius:g} m: {', '.join(map(str, left))}"
     notes = (*place.notes, *([lost] if left else []))
     return replace(place, routes=(*drives, *found), notes=notes)

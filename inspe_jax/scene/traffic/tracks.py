@@ -11,6 +11,7 @@ frame rate and the place on the Earth.
 """
 
 from collections.abc import Mapping
+from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -215,6 +216,7 @@ def _tracks(columns: dict[str, Any], place: Intersection, where: str, notes: lis
     if len(shapes) > 1 or any(len(shape) != 1 for shape in shapes):
         raise InspeError(f"{where}: columns are not arrays of one length")
 
+    @cache
     def numbers(field: str) -> Float[np.ndarray, " N"]:
         name, factor = given[field]
         try:
@@ -241,11 +243,10 @@ def _tracks(columns: dict[str, Any], place: Intersection, where: str, notes: lis
             known_as = ", ".join(name for name, (of, _) in COLUMNS.items() if of == field)
             raise InspeError(f"{where}: needs a column of {field}: one of {known_as}")
     kind, known = _kinds(columns[given["class"][0]], where, notes)
-    length = numbers("length") if "length" in given else np.zeros(len(kind))
-    kind = np.where(kind < 0, length >= LONG, kind)
     size = np.column_stack(
         [numbers(s) if s in given else np.zeros(len(kind)) for s in ("length", "width", "height")]
     )
+    kind = np.where(kind < 0, size[:, 0] >= LONG, kind)
     usual = np.array([user.size for user in ROAD_USERS])[kind]
     if (lacks := (size <= 0)[known].any(1)).any():
         notes.append(

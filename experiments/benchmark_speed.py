@@ -50,7 +50,7 @@ SAMPLES = ((384, 3), (768, 6), (1536, 8), (2048, 8))
 
 WORKLOADS: dict[str, dict[str, Any]] = {
     "W1": dict(radius=50.0, voxel=0.5, density=40, frames=100),
-    "W2": dict(radius=50.0, voxel=0.2, density=40, frames=100),
+    "W2": dict(radius=50.0, voxel=0.2, spacing=0.2, density=40, frames=100),
     "W3": dict(radius=100.0, voxel=0.5, density=60, frames=300),
     "quick": dict(radius=20.0, voxel=0.5, density=20, frames=10),
 }

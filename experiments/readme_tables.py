@@ -307,7 +307,9 @@ def real_deployments() -> str:
     def s110(score: str, kinds: str) -> list[np.ndarray]:
         """With the depth of the profile, and by pixels."""
         own = dict(deployment="S110", sensors=kinds)
-        return [of(score, cameras=cameras, **own) for cameras in ("as hung", "depth by pixels")]
+        return [
+            of(score, cameras=cameras, **own) for cameras in ("as hung", "depth of the paper's")
+        ]
 
     rows = []
     for kinds, count, ap in (("cameras", 4, 35.0), ("LiDARs", 1, 84.9), ("both", 5, 87.0)):

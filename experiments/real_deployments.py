@@ -83,7 +83,7 @@ def deployments() -> dict[str, Any]:
 
 
 def hung(own: Row, profile: str = "paper", to: Sequence[float] | None = None) -> Layout:
-    """The layout of a deployment's sensors, with the depth and rays of a profile's camera."""
+    """The layout of a deployment's sensors, with the rays of a profile's camera."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, "calibration.json")
         path.write_text(json.dumps({k: own[k] for k in ("frame", "sensors") if k in own}))
@@ -106,14 +106,15 @@ def pitched(layout: Layout, pitch_deg: float) -> Layout:
     return layout.with_poses(poses)
 
 
-def by_pixels(layout: Layout) -> Layout:
-    """The layout with cameras that see up to where their pixels are as dense as the paper's
-    camera's are at its depth."""
-    usual: Any = inspe_jax.device("paper-camera").spec
-    specs: list[Any] = [sensor.spec for sensor in layout.sensors]
-    pairs = [(s, usual.depth * s.focals[0] / usual.focals[0]) for s in specs if s.kind == "camera"]
-    deep = {s: replace(s, depth=depth) for s, depth in pairs}
-    sensors = (replace(one, spec=deep.get(one.spec, one.spec)) for one in layout.sensors)
+def shallow(layout: Layout) -> Layout:
+    """The layout with cameras that see as far as the paper's."""
+    depth: Any = inspe_jax.device("paper-camera").spec.grid.reach
+    sensors = (
+        replace(one, spec=one.spec.with_performance(one.spec.reliability, depth))
+        if one.spec.kind == "camera"
+        else one
+        for one in layout.sensors
+    )
     return replace(layout, sensors=tuple(sensors))
 
 
@@ -210,7 +211,7 @@ def variants(name: str, scene: Scene, layout: Layout) -> Iterator[tuple[str, str
         own = only(layout, SETS[kinds])
         yield kinds, "as hung", own
         if name != "InSPE":
-            yield kinds, "depth by pixels", by_pixels(own)
+            yield kinds, "depth of the paper's", shallow(own)
         elif kinds != "LiDARs":
             yield from ((kinds, f"at {pitch:g}°", pitched(own, pitch)) for pitch in PITCHES)
 
@@ -448,7 +449,7 @@ def charts(rows: list[Row], mcity: Mcity, chance: Row, spacing: list[Row]) -> Fi
             each = [[np.mean(one)] if one else [] for one in each]
         line(1, BINS[:-1] + 2, each, "ks" if name == "found" else "-", label=name)
     for k, (name, symbol) in enumerate(names.items()):
-        for cameras, look in (("as hung", "o-"), ("depth by pixels", "o:")):
+        for cameras, look in (("as hung", "o-"), ("depth of the paper's", "o:")):
             own = dict(deployment="S110", profile="paper", cameras=cameras)
             label = f"{symbol}, {cameras}"
             line(
@@ -499,7 +500,7 @@ def main() -> None:
             kept(total, key, partial(scored, name, make, profile, own, 2 if quick else None))
         if name in PLACES and name not in cases:
             scene, layout = make(profile, seed)
-            cases[name] = scene, by_pixels(layout) if name == "A9" else layout
+            cases[name] = scene, layout
     mcity = Mcity(quick)
     chance = mcity.predicted(mcity.car & ~mcity.blind, seed)
     append_rows(by_pass, mcity.rows(chance))

@@ -58,7 +58,7 @@ from inspe_jax.sensing.layout import (
 )
 from inspe_jax.sensing.lens import Lens, lens_of, split_projection
 from inspe_jax.sensing.pose_solver import PoseFit, solve_pose
-from inspe_jax.sensing.sensors import CameraSpec, Spec
+from inspe_jax.sensing.sensors import PIXELS_PER_METRE, CameraSpec, Spec
 
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 HIGHEST = 150.0  # above the ground no roadside sensor is so high [m]
@@ -103,7 +103,8 @@ def layouts_from(
         heights: Above what z is: "scene" (its zero) or "ground" (at the sensor's foot).
         size: Width and height of pictures [px] where the files have none.
         convention: What the angles of a list of sensors are from: "body", "azimuth" or "carla".
-        camera: Device whose depth, rays and reliability cameras get, which files do not have.
+        camera: Device whose rays and reliability cameras get, which files do not have; they see as
+            far as there are 25 px per metre, unless the file names their device.
         lidar: Device of LiDARs for which the files name none.
 
     Returns:
@@ -179,6 +180,10 @@ def layouts_from(
             notes.append(f"{path}: names no CRS: its frame is taken for the scene's own")
     if not rows:
         raise InspeError("calibrations: name a file")
+    assumed = (spec for one, _, spec in rows if one.device is None and spec != usual["camera"])
+    far = [f"{spec.name} {spec.grid.reach:.0f} m" for spec in assumed if spec.kind == "camera"]
+    if far:
+        notes.append(f"cameras see up to {PIXELS_PER_METRE:g} px per metre: {', '.join(far)}")
     poses = np.array([pose for _, pose, _ in rows])
     units, of = _units([one.unit for one, _, _ in rows], poses, scene)
     sensors = [Sensor(one.name, spec, u) for (one, _, spec), u in zip(rows, of, strict=True)]
@@ -362,8 +367,9 @@ def _spec(
         )
     return CameraSpec.from_intrinsics(
         one.name, wide, high, fx=fx, fy=fy, cx=cx, cy=cy,
-        depth=like.depth, downsample=like.downsample, reliability=like.reliability,
-        distortion=distortion, fisheye=fisheye, image_circle_deg=one.image_circle_deg,
+        depth=None if own is None else like.depth, downsample=like.downsample,
+        reliability=like.reliability, distortion=distortion, fisheye=fisheye,
+        image_circle_deg=one.image_circle_deg,
     )  # fmt: skip
 
 

@@ -5,6 +5,7 @@ Light and weather take nothing from it until ``conditions.toml`` has figures for
 does not change its reliability.
 """
 
+from dataclasses import replace
 from itertools import pairwise
 from typing import Annotated, Any, ClassVar, Literal
 
@@ -13,9 +14,9 @@ from pydantic import BaseModel, Discriminator, Field, Tag
 
 from inspe_jax.core.errors import InspeError, error_at
 from inspe_jax.core.files import STRICT
-from inspe_jax.sensing.lens import Lens, focal_of
+from inspe_jax.sensing.lens import focal_of
 from inspe_jax.sensing.radar import RadarSpec
-from inspe_jax.sensing.sensors import CameraSpec, LidarSpec, Spec
+from inspe_jax.sensing.sensors import PIXELS_PER_METRE, CameraSpec, LidarSpec, Spec
 
 Positive = Annotated[float, Field(gt=0)]
 _Elevation = Annotated[float, Field(ge=-90, le=90)]
@@ -35,23 +36,45 @@ class DeviceKeys(BaseModel, **STRICT):
     reliability: Annotated[float, Field(ge=0, le=1)] = 1.0
 
     spec_type: ClassVar[type[Spec]]  # what they make
+    fields: ClassVar[dict[str, str]] = {}
+    """Keys that are a field of the spec as they are, but for those in degrees, which it has in
+    radians."""
     replaces: ClassVar[dict[str, tuple[str, ...]]] = {}
     """What a key of a device that is like another takes the place of, besides its namesake."""
 
     def spec(self, name: str, where: str) -> Spec:
         """The spec [rad, m] of a device. Raises InspeError that names ``where`` and the key."""
-        raise NotImplementedError
+        return self.spec_type(name=name, **self._given())  # type: ignore[call-arg]
+
+    def _given(self) -> dict[str, Any]:
+        """The fields of the spec that keys name."""
+        given = ((key, getattr(self, key), to) for key, to in self._all_fields().items())
+        return {
+            to: float(np.radians(x)) if key.endswith("_deg") and x is not None else x
+            for key, x, to in given
+        }
+
+    @classmethod
+    def _all_fields(cls) -> dict[str, str]:
+        return cls.fields | {"reliability": "reliability"}
 
     @classmethod
     def table(cls, spec: Any) -> dict[str, Any]:
         """The keys of a spec of this kind, as Python's own numbers; :meth:`spec` reads them."""
-        raise NotImplementedError
+        given = ((key, getattr(spec, to)) for key, to in cls._all_fields().items())
+        found = {
+            key: np.degrees(x).item() if key.endswith("_deg") else np.asarray(x).item()
+            for key, x in given
+            if x is not None
+        }
+        return {"kind": spec.kind, **found}
 
 
 class LidarKeys(DeviceKeys):
     """A LiDAR: elevations as a table or as even steps, and a step of azimuth."""
 
     spec_type = LidarSpec
+    fields = {"range_m": "reach", "azimuth_fov_deg": "azimuth_fov"}
     replaces = {
         "elevations_deg": ("elevation_range_deg", "channels"),
         "elevation_range_deg": ("elevations_deg",),
@@ -76,23 +99,17 @@ class LidarKeys(DeviceKeys):
             name=name,
             elevations=tuple(np.radians(elevations).tolist()),
             azimuth_count=round(self.azimuth_fov_deg / self.azimuth_step_deg),
-            azimuth_fov=float(np.radians(self.azimuth_fov_deg)),
-            reach=self.range_m,
-            reliability=self.reliability,
+            **self._given(),
         )
 
     @classmethod
     def table(cls, spec: LidarSpec) -> dict[str, Any]:
         """The keys of a LiDAR's spec."""
         fov = float(np.degrees(spec.azimuth_fov))
-        return dict(
-            kind="lidar",
+        return super().table(spec) | dict(
             channels=len(spec.elevations),
             elevations_deg=np.degrees(spec.elevations).round(9).tolist(),
-            azimuth_fov_deg=fov,
             azimuth_step_deg=fov / spec.azimuth_count,
-            range_m=float(spec.reach),
-            reliability=float(spec.reliability),
         )
 
     def _elevations(self, where: str) -> list[float]:
@@ -125,11 +142,15 @@ class CameraKeys(DeviceKeys):
     how its lens bends lines, and its effective depth."""
 
     spec_type = CameraSpec
+    fields = {
+        "width": "width", "height": "height", "downsample": "downsample", "depth_m": "depth",
+        "focal_px": "focal", "focal_y_px": "focal_y",
+    }  # fmt: skip
     replaces = {"hfov_deg": ("focal_px", "focal_y_px"), "focal_px": ("hfov_deg", "focal_y_px")}
 
     width: Annotated[int, Field(ge=1)]
     height: Annotated[int, Field(ge=1)]
-    depth_m: Positive
+    depth_m: Positive | None = None  # where there are 25 px per metre, if not given
     downsample: Annotated[float, Field(gt=0, le=1)]
     hfov_deg: _Views | None = None
     focal_px: Positive | None = None
@@ -141,62 +162,57 @@ class CameraKeys(DeviceKeys):
 
     def spec(self, name: str, where: str) -> CameraSpec:
         """The spec [pixel, m]; the principal point is the middle of the image if not given."""
-        fisheye, bent = self.lens == "fisheye", tuple(self.distortion)
-        if (self.hfov_deg is None) == (self.focal_px is None):
+        fisheye, view = self.lens == "fisheye", self.hfov_deg
+        lens, focal = None, self.focal_px
+        if (view is None) == (focal is None):
             raise InspeError(f"{where}: give either hfov_deg or focal_px")
-        if not fisheye and np.max(self.hfov_deg or 0.0) >= 180:
+        if not fisheye and np.max(view or 0.0) >= 180:
             raise InspeError(f"{where}: hfov_deg: only a 'lens: fisheye' sees 180° or more")
         if self.focal_y_px is not None and self.focal_px is None:
             raise InspeError(f"{where}: focal_y_px: goes with focal_px, not with hfov_deg")
-        focal, lens = self.focal_px, None
-        if isinstance(self.hfov_deg, list):
-            narrow, wide = self.hfov_deg
+        if isinstance(view, list):
+            narrow, wide = view
             if not narrow < wide:
                 raise InspeError(f"{where}: hfov_deg: must ascend, but {wide:g} follows {narrow:g}")
-            lens = focal_of(self.width, wide), focal_of(self.width, narrow)
-            focal = lens[0]  # set to the usual one below
-        elif self.hfov_deg is not None:
-            focal = focal_of(self.width, self.hfov_deg, Lens(1.0, 1.0, 0.0, 0.0, bent, fisheye))
-        assert focal is not None
-        cx, cy = self.principal_px or (self.width / 2, self.height / 2)
-        same = self.model_dump(include={"width", "height", "downsample", "reliability"})
-        same |= dict(depth=self.depth_m, focal_range=lens, focal_y=self.focal_y_px)
-        same |= dict(distortion=bent or None, fisheye=fisheye or None)
-        circle = self.image_circle_deg
-        if circle is None and np.max(self.hfov_deg or 0.0) > 180:  # else a fisheye's is 180°
-            circle = float(np.max(self.hfov_deg or 0.0))
-        if circle is not None:
-            same |= dict(image_circle=float(np.radians(circle)))
+            lens, view = (focal_of(self.width, wide), focal_of(self.width, narrow)), None
+            focal = lens[0]
+        cx, cy = self.principal_px or (None, None)
         with error_at(where):
-            return CameraSpec(name, focal=focal, principal=(cx, cy), **same).with_lens(0.0)
+            found = CameraSpec.from_intrinsics(
+                name, self.width, self.height, depth=self.depth_m, downsample=self.downsample,
+                fx=focal, fy=self.focal_y_px, hfov_deg=view, cx=cx, cy=cy,
+                reliability=self.reliability, distortion=self.distortion, fisheye=fisheye,
+                image_circle_deg=self.image_circle_deg,
+            )  # fmt: skip
+            found = replace(found, focal_range=lens).with_lens(0.0)
+        depth = self.depth_m or found.focal / PIXELS_PER_METRE
+        return replace(found, depth=depth)
 
     @classmethod
     def table(cls, spec: CameraSpec) -> dict[str, Any]:
         """The keys of a camera's spec; of a varifocal lens its range, not how it is set."""
-        circle = round(float(np.degrees(spec.image_circle or 0.0)), 12)
-        lens: dict[str, Any] = dict(focal_px=float(spec.focal))
+        found = super().table(spec) | dict(principal_px=[float(x) for x in spec.principal])
         if spec.focal_range is not None:
-            lens = dict(hfov_deg=[hfov_of(spec.width, x) for x in spec.focal_range[::-1]])
-        return dict(
-            kind="camera",
-            width=int(spec.width),
-            height=int(spec.height),
-            **lens,
-            **({"focal_y_px": float(spec.focal_y)} if spec.focal_y else {}),
-            **({"lens": "fisheye"} if spec.fisheye else {}),
-            **({"distortion": [float(k) for k in spec.distortion]} if spec.distortion else {}),
-            **({"image_circle_deg": circle} if circle else {}),
-            principal_px=[float(x) for x in spec.principal],
-            downsample=float(spec.downsample),
-            depth_m=float(spec.depth),
-            reliability=float(spec.reliability),
-        )
+            del found["focal_px"]
+            found["hfov_deg"] = [hfov_of(spec.width, x) for x in spec.focal_range[::-1]]
+        if spec.fisheye:
+            found["lens"] = "fisheye"
+        if spec.distortion:
+            found["distortion"] = [float(k) for k in spec.distortion]
+        if spec.image_circle:
+            found["image_circle_deg"] = round(float(np.degrees(spec.image_circle)), 12)
+        return found
 
 
 class RadarKeys(DeviceKeys):
     """A radar: its field of view, its range on a car, and what it tells apart."""
 
     spec_type = RadarSpec
+    fields = {
+        "range_m": "reach", "azimuth_fov_deg": "azimuth_fov", "elevation_fov_deg": "elevation_fov",
+        "range_resolution_m": "range_resolution", "azimuth_resolution_deg": "azimuth_resolution",
+        "speed_resolution_mps": "speed_resolution", "min_speed_mps": "min_speed",
+    }  # fmt: skip
 
     range_m: Positive
     azimuth_fov_deg: Annotated[float, Field(gt=0, le=360)]
@@ -206,36 +222,12 @@ class RadarKeys(DeviceKeys):
     speed_resolution_mps: Positive
     min_speed_mps: Annotated[float, Field(ge=0)] | None = None
 
-    def spec(self, name: str, where: str) -> RadarSpec:
-        """The spec [rad, m, m/s]; the least radial speed is the resolution of speed if not
-        given."""
-        least = self.min_speed_mps
-        return RadarSpec(
-            name=name,
-            reach=self.range_m,
-            azimuth_fov=float(np.radians(self.azimuth_fov_deg)),
-            elevation_fov=float(np.radians(self.elevation_fov_deg)),
-            range_resolution=self.range_resolution_m,
-            azimuth_resolution=float(np.radians(self.azimuth_resolution_deg)),
-            speed_resolution=self.speed_resolution_mps,
-            min_speed=self.speed_resolution_mps if least is None else least,
-            reliability=self.reliability,
-        )
-
-    @classmethod
-    def table(cls, spec: RadarSpec) -> dict[str, Any]:
-        """The keys of a radar's spec."""
-        return dict(
-            kind="radar",
-            range_m=float(spec.reach),
-            azimuth_fov_deg=float(np.degrees(spec.azimuth_fov)),
-            elevation_fov_deg=float(np.degrees(spec.elevation_fov)),
-            range_resolution_m=float(spec.range_resolution),
-            azimuth_resolution_deg=float(np.degrees(spec.azimuth_resolution)),
-            speed_resolution_mps=float(spec.speed_resolution),
-            min_speed_mps=float(spec.min_speed),
-            reliability=float(spec.reliability),
-        )
+    def _given(self) -> dict[str, Any]:
+        """The least radial speed is the resolution of speed if not given."""
+        found = super()._given()
+        least = found["min_speed"]
+        least = found["speed_resolution"] if least is None else least
+        return found | dict(min_speed=least)
 
 
 def hfov_of(width: int, focal: float) -> float:

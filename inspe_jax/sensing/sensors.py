@@ -20,6 +20,8 @@ from inspe_jax.sensing.ray_grid import RayGrid
 from inspe_jax.sensing.rays import PinholeRays, Rays, SphericalRays
 
 WIDEST = np.radians(220.0)  # across an image circle
+PIXELS_PER_METRE = 25.0
+"""At a camera's depth where none is given: enough to detect by EN 62676-4:2015."""
 SWAPPED = 0.2  # a principal point farther off the middle, in picture sizes, is looked at twice
 
 
@@ -199,7 +201,7 @@ class CameraSpec(Spec):
         width: int,
         height: int,
         *,
-        depth: float,
+        depth: float | None = None,
         fx: float | None = None,
         fy: float | None = None,
         hfov_deg: float | None = None,
@@ -217,7 +219,8 @@ class CameraSpec(Spec):
         Args:
             name: Name of the device.
             width, height: Size of the picture [px].
-            depth: How far it perceives along a ray [m], which no calibration says.
+            depth: How far it perceives along a ray [m], which no calibration says; if not given,
+                where there are 25 px per metre.
             fx, fy: Focal lengths [px]; one of them is both.
             hfov_deg, vfov_deg: Fields of view [degrees] in place of fx and fy; one of them is
                 enough where pixels are square. Of what a lens with distortion, or a fisheye, shows.
@@ -235,9 +238,9 @@ class CameraSpec(Spec):
                 point is outside of the picture, as where width and height are swapped, or the lens
                 is not known or folds the picture.
 
-        >>> spec = inspe_jax.CameraSpec.from_intrinsics("roof", 1920, 1080, hfov_deg=90, depth=60)
-        >>> round(spec.focal)
-        960
+        >>> spec = inspe_jax.CameraSpec.from_intrinsics("roof", 1920, 1080, hfov_deg=90)
+        >>> round(spec.focal), round(spec.depth, 1)
+        (960, 38.4)
         """
         where = f"device '{name}'"
         if ((fx or fy) is None) == ((hfov_deg or vfov_deg) is None):
@@ -255,6 +258,7 @@ class CameraSpec(Spec):
                 if view > 180 and image_circle_deg is None:
                     circle = max(circle or 0.0, view)
         x, y = (float(given[k] or given[1 - k] or 0.0) for k in (0, 1))
+        depth = x / PIXELS_PER_METRE if depth is None else depth
         numbers = np.array([width, height, x, y, depth, downsample, cx, cy], float)
         if not (np.isfinite(numbers).all() and (numbers[:6] > 0).all()):
             raise InspeError(

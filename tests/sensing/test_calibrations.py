@@ -90,7 +90,10 @@ def test_s110_of_projections_and_matrices_over_a_grid_that_is_turned(tmp_path):
         numbers = [*spec.focals, *spec.principal, *np.degrees(spec.field_of_view)[:1]]
         wanted = [lens[key] for key in ("fx", "fy", "cx", "cy", "hfov_deg")]
         np.testing.assert_allclose(numbers, wanted, atol=0.01)
-    assert [note.endswith("taken as ouster-os1-64") for note in found.notes] == [True, True]
+    assert [note.endswith("taken as ouster-os1-64") for note in found.notes] == [True, True, False]
+    fx = given["cameras"][0]["intrinsics"]["fx"]
+    assert f"up to 25 px per metre: {given['cameras'][0]['name']} {fx / 25:.0f} m" in found.notes[2]
+    assert found.layout.sensors[0].spec.depth == pytest.approx(fx / 25, abs=0.01)
     assert len(found.layout.units) == 4  # of one gantry, 20 m long
     bases = {own["name"][18:]: np.array(own["raw"]["lidar_to_base"]) for own in given["lidars"]}
     for own in given["cameras"]:
@@ -438,7 +441,7 @@ def test_cameras_in_degrees_without_a_crs_hang_in_one_frame(tmp_path):
 def test_a_frame_with_a_matrix_and_no_crs_is_noted(tmp_path):
     content = one() | dict(frame=dict(matrix=np.eye(4)))
     assert "taken for the scene's own" in read(tmp_path, content, scene=scene_at()).notes[0]
-    assert read(tmp_path, content).notes == ()
+    assert read(tmp_path, content).notes == ("cameras see up to 25 px per metre: a 48 m",)
 
 
 def test_a_stream_of_openlabel_with_a_fisheye_is_left_out(tmp_path):

@@ -4,7 +4,7 @@ import platform
 from collections.abc import Sequence
 from importlib import metadata
 
-__version__ = "0.1.0"
+__version__ = "1.0.0"
 
 
 def versions(libraries: Sequence[str]) -> dict[str, str]:

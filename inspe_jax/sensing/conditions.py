@@ -57,7 +57,7 @@ class Conditions:
                     f"weather clear:{self.intensity:g}: clear weather has no intensity"
                 )
             return
-        row = _figures()["weather"][self.weather]
+        row = figures()["weather"][self.weather]
         low, high = row["limits"]
         if self.intensity is None:
             object.__setattr__(self, "intensity", row["usual"])
@@ -109,10 +109,10 @@ class Conditions:
         >>> spec.depth, round(fog.spec(spec).depth, 1)
         (38.0, 20.5)
         """
-        light = _figures()["light"][self.light]
+        light = figures()["light"][self.light]
         depth = spec.grid.reach * light.get(f"{spec.kind}_depth", 1.0)
         share = light.get(f"{spec.kind}_reliability", 1.0)
-        weather = _figures()["weather"].get(self.weather, {})
+        weather = figures()["weather"].get(self.weather, {})
         row = weather.get(spec.kind)
         if self.intensity is not None and row is not None:
             worse = (self.intensity / weather["usual"]) ** row["exponent"]
@@ -155,16 +155,17 @@ def effective_depth(depth: float, extinction: float) -> float:
 
 def lights() -> tuple[str, ...]:
     """The names of all lights."""
-    return tuple(_figures()["light"])
+    return tuple(figures()["light"])
 
 
 def weathers() -> tuple[str, ...]:
     """The names of all weathers, the clear one first."""
-    return (CLEAR, *_figures()["weather"])
+    return (CLEAR, *figures()["weather"])
 
 
 @cache
-def _figures() -> dict[str, Any]:
+def figures() -> dict[str, Any]:
+    """The content of ``conditions.toml``."""
     resource = files("inspe_jax.sensing").joinpath("conditions.toml")
     return tomllib.loads(resource.read_text(encoding="utf-8"))
 

@@ -13,8 +13,8 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+import scipy
 from jaxtyping import Bool, Float
-from scipy.linalg import rq
 
 from inspe_jax.core.errors import InspeError, error_at
 from inspe_jax.core.numerics import arctan2
@@ -279,7 +279,7 @@ def split_projection(
             "gives points before the camera a negative depth, multiply it by −1; if its frame is "
             "left-handed, as CARLA's, flip the sign of its second column"
         )
-    triangle, turn = rq(square)
+    triangle, turn = scipy.linalg.rq(square)
     signs = np.diag(np.sign(np.diag(triangle)))
     matrix[:3, :3] = (signs @ turn).T
     matrix[:3, 3] = -np.linalg.solve(square, found[:, 3])

@@ -7,8 +7,8 @@ often one there moves, how fast and which way, and how many others are about.
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from jaxtyping import Array, Float
-from scipy.ndimage import gaussian_filter
 
 from inspe_jax.scene.traffic.frames import ROAD_USERS, TrafficFrames
 
@@ -58,7 +58,7 @@ def motion_of(traffic: TrafficFrames, columns: Float[np.ndarray, "L 2"]) -> Moti
             square = float(((vx * vx + vy * vy) * some).sum() / max(some.sum(), 1.0))
         at = traffic.center[own]
         near = [
-            gaussian_filter(
+            scipy.ndimage.gaussian_filter(
                 np.histogram2d(at[:, 0], at[:, 1], edges, weights=weights)[0], BLUR / _CELL
             )[x, y]
             for weights in (

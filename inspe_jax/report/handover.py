@@ -15,6 +15,7 @@ from inspe_jax.core.geometry import pose_matrix
 from inspe_jax.core.rigid import CONVENTIONS
 from inspe_jax.core.words import visible
 from inspe_jax.report.outlines import view_outline
+from inspe_jax.report.perception_regions import perception_regions
 from inspe_jax.report.schedule import EXISTING_POLE, installation_schedule, materials
 from inspe_jax.scene.geojson import known_georeference
 from inspe_jax.scene.intersection import Intersection
@@ -122,7 +123,8 @@ def calibration_json(layout: Layout, place: Intersection) -> str:
     Lenses as OpenCV's camera matrices [px]; poses as 4 × 4 matrices from the sensor to the frame,
     cameras in optical axes; and ``looks``: what each looks at, as a polygon on level ground at the
     height of its foot [m], and, where the place has coordinates, its latitude, longitude and
-    azimuth, and the polygon in longitudes and latitudes.
+    azimuth, and the polygon in longitudes and latitudes. There also ``stations``, by
+    :func:`~inspe_jax.report.perception_regions.perception_regions`.
     """
     known, sensors = place.georeference, []
     made, poses = made_with(layout), np.asarray(layout.poses, float)
@@ -154,6 +156,8 @@ def calibration_json(layout: Layout, place: Intersection) -> str:
             looks |= dict(wgs84=known.to_degrees(outline).round(DIGITS).tolist())
         sensors.append(own | dict(sensor_to_frame=(matrix + 0.0).tolist(), looks=looks))
     content = dict(name=layout.name, frame=frame, devices=made.get("devices", {}), sensors=sensors)
+    if known is not None:
+        content |= dict(stations=perception_regions(layout, place))
     return json.dumps(content, indent=1) + "\n"
 
 

@@ -103,6 +103,7 @@ class FileKeys(BaseModel, **STRICT):
     frame: _Frame = _Frame()
     devices: dict[str, Any] = {}
     sensors: list[Any]
+    stations: Any = None  # what an export adds: perception regions of ETSI's messages
 
 
 class Source(NamedTuple):

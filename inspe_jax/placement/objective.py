@@ -115,7 +115,8 @@ class Objective:
         if not np.isin(scene.voxels.region, some).any():
             words = " and no ".join(region.key for region in some)
             raise InspeError(f"{scene.name}: it has no {words}")
-        return replace(scene, voxels=replace(scene.voxels, counted=some))
+        weight = tuple(w * (k in some) for k, w in enumerate(scene.voxels.region_weight))
+        return replace(scene, voxels=replace(scene.voxels, region_weight=weight))
 
     def price_of(self, name: str) -> float:
         """Price of a device [US dollars]. Raises InspeError where none is known.

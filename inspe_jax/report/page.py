@@ -33,7 +33,7 @@ from inspe_jax.report.tables import goal_words, scores_of, scores_record
 from inspe_jax.report.targets import targets_view
 from inspe_jax.scene.intersection import BUILT_IN
 from inspe_jax.scene.maps.sumo.network import GEOGRAPHIC, SUMO
-from inspe_jax.scene.regions import WEIGHTS, Region
+from inspe_jax.scene.regions import Region
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scoring.evaluate import Scores
 from inspe_jax.scoring.metrics import listed_in
@@ -196,7 +196,11 @@ def report_page(
         best={m.name: max(record[m.name] for record in records) for m in metrics},
         weights=entries[0].scores.settings["weights"],
         core=CORE,
-        regions={r.key: WEIGHTS[r] for r in Region if r.key in records[0]["region_coverage"]},
+        regions={
+            r.key: scene.voxels.region_weight[r]
+            for r in Region
+            if r.key in records[0]["region_coverage"]
+        },
         image=image_text(scene_view(scene, frame=frame), DPI),
         record=_text(json.dumps(records, indent=2)),
         made=date.today().isoformat(),

@@ -15,7 +15,7 @@ from inspe_jax.scene.georeference import Georeference
 from inspe_jax.scene.maps.road_map import JunctionInfo
 from inspe_jax.scene.procedural.built_ins import BUILT_INS, built_in
 from inspe_jax.scene.profiles import Profile
-from inspe_jax.scene.regions import WEIGHTS, Region
+from inspe_jax.scene.regions import Region
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scene.terrain import Terrain
 from inspe_jax.sensing.catalogue import Device
@@ -49,7 +49,7 @@ def scene_table(scene: Scene) -> RenderableType:
         count = int((grid.region == region).sum())
         if count:
             part = f"{count / len(grid.columns):.1%}"
-            regions.add_row(region.key, f"{WEIGHTS[region]:g}", f"{count:,}", part)
+            regions.add_row(region.key, f"{grid.region_weight[region]:g}", f"{count:,}", part)
     return Group(facts, "", regions)
 
 

@@ -19,7 +19,7 @@ from inspe_jax.placement.problem import Case
 from inspe_jax.placement.result import Result
 from inspe_jax.placement.studies.pareto import Cheapest, DeviceMix
 from inspe_jax.placement.studies.tolerance import POSITION_STEP, Tolerance
-from inspe_jax.scene.regions import WEIGHTS, Region
+from inspe_jax.scene.regions import PAPER_WEIGHTS, Region
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scoring.blind_spots import blind_spots
 from inspe_jax.scoring.evaluate import Scores, evaluate
@@ -94,8 +94,10 @@ def scores_table(scores: Scores, layout: Layout, sought: float | None = None) ->
         total.add_row(metric.words, metric.symbol, weight, *numbers, style=look)
 
     regions = table_of("Share covered by region", "region", "weight", "share")
+    usual = dict(zip((region.key for region in Region), PAPER_WEIGHTS, strict=True))
+    each_weight = scores.settings.get("region_weights", usual)
     for key, share in scores.region_coverage.items():
-        regions.add_row(key, f"{WEIGHTS[Region[key.upper()]]:g}", f"{share:.3f}")
+        regions.add_row(key, f"{each_weight.get(key, 0.0):g}", f"{share:.3f}")
 
     each = table_of("What each sensor adds", "#", "sensor", "device", *(m.symbol for m in rows))
     for k, (part, _, spec) in enumerate(members):

@@ -1,9 +1,11 @@
-"""The five regions of the ground and the paper's weights for them."""
+"""The five regions of the ground, and their weights."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from enum import IntEnum
 
-from inspe_jax.core.errors import check_known
+import numpy as np
+
+from inspe_jax.core.errors import InspeError, check_known
 
 
 class Region(IntEnum):
@@ -25,14 +27,8 @@ class Region(IntEnum):
         return self.name.lower()
 
 
-WEIGHTS: dict[Region, float] = {
-    Region.DRIVEWAY: 0.22,
-    Region.JUNCTION: 0.25,
-    Region.CROSSWALK: 0.23,
-    Region.SIDEWALK: 0.17,
-    Region.SHOULDER: 0.13,
-}
-"""Region weights w of the paper's coverage; they sum to 1."""
+PAPER_WEIGHTS = (0.22, 0.25, 0.23, 0.17, 0.13)
+"""Region weights w of the paper's coverage, by label; they sum to 1."""
 
 PRECEDENCE: tuple[Region, ...] = (
     Region.CROSSWALK,
@@ -51,3 +47,15 @@ def regions_of(names: Sequence[str]) -> tuple[Region, ...]:
     for name in names:
         check_known(name, known, "region")
     return tuple(known[name] for name in names)
+
+
+def weights_of_regions(given: Mapping[str, float] | None) -> tuple[float, ...]:
+    """Region weights by label; the paper's where none is given, and 0 of regions that are not
+    named. Raises InspeError where a name is of no region, or weights are below 0 or none is
+    above."""
+    if given is None:
+        return PAPER_WEIGHTS
+    regions_of(tuple(given))
+    if not (min(given.values(), default=0.0) >= 0 and 0 < sum(given.values()) < np.inf):
+        raise InspeError(f"region weights: must be at least 0, and one above 0, got {dict(given)}")
+    return tuple(float(given.get(region.key, 0.0)) for region in Region)

@@ -27,7 +27,7 @@ from inspe_jax.scene.maps.registry import is_map
 from inspe_jax.scene.placed_bodies import inside_bodies
 from inspe_jax.scene.procedural.built_ins import BUILT_INS, built_in
 from inspe_jax.scene.profiles import BEFORE_PROFILES, DEFAULT_PROFILE, Profile, profile_of
-from inspe_jax.scene.regions import Region
+from inspe_jax.scene.regions import Region, weights_of_regions
 from inspe_jax.scene.statics import StaticBody, pack_bodies, unpack_bodies
 from inspe_jax.scene.street import check_statics, statics_of
 from inspe_jax.scene.terrain import Terrain, check_terrain, terrain_of
@@ -166,6 +166,7 @@ def build_scene(
     seed: int = 0,
     statics: str = "none",
     terrain: str = "none",
+    region_weights: Mapping[str, float] | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Scene:
     """Voxelise an intersection, or the built-in one of a name, and fill it with traffic.
@@ -187,6 +188,8 @@ def build_scene(
         seed: Of the traffic.
         statics: One of :data:`~inspe_jax.scene.street.STATICS`.
         terrain: ``none``, or ``ground`` for :meth:`Scene.with_terrain`.
+        region_weights: Weight w of each region by name, 0 where it is not named; the paper's if
+            None.
         progress: Called with (steps done, steps).
 
     Raises:
@@ -208,6 +211,7 @@ def build_scene(
     check_record(intersection, intersection.name)
     radius, density, mix = own["radius"], own["density"], own["mix"]
     voxels = build_voxels(intersection, radius=radius, voxel=own["voxel"], spacing=own["spacing"])
+    voxels = replace(voxels, region_weight=weights_of_regions(region_weights))
     size: dict[str, Any] = dict(radius=radius, frames=frames, step=step)
     source, drawn = "tracks" if isinstance(traffic, Mapping) else str(traffic), str(seed)
     reader = recorded(source)[1]
@@ -346,7 +350,7 @@ def _pack(scene: Scene) -> dict[str, np.ndarray]:
         "notes": place.notes,
         "arms": [[*a.mouth, a.bearing, a.width] for a in place.arms],
         "routes": [[r.width, r.user, list(r.through)] for r in place.routes],
-        "grid": [grid.size, grid.radius, grid.level_count, grid.spacing],
+        "grid": [grid.size, grid.radius, grid.level_count, grid.spacing, grid.region_weight],
         "settings": scene.settings,
         "regions": [r.key for r in place.regions],
         "georeference": place.georeference and [place.georeference.crs, *place.georeference.shift],
@@ -420,7 +424,8 @@ def _unpack(data: Mapping[str, np.ndarray]) -> Scene:
         mesh=saved("mesh", Mesh),
     )
     columns, ground, region, center = (data[f"grid_{k}"] for k in _GRID)
-    grid = VoxelGrid(columns, ground, region, center, *record["grid"])
+    *size, weights = record["grid"]
+    grid = VoxelGrid(columns, ground, region, center, *size, tuple(weights))
     settings = tuple((k, v) for k, v in record["settings"])
     terrain = saved("terrain", Terrain)
     terrain = terrain and replace(terrain, step=float(terrain.step))

@@ -13,7 +13,7 @@ from inspe_jax.core.parallel import check_memory
 from inspe_jax.core.pytree import pytree
 from inspe_jax.core.records import ByContent, Described, check_values
 from inspe_jax.scene.intersection import Intersection
-from inspe_jax.scene.regions import PRECEDENCE, WEIGHTS, Region
+from inspe_jax.scene.regions import PAPER_WEIGHTS, PRECEDENCE, Region
 
 ROI_HEIGHT = 4.0  # height of the region of interest above the ground [m]
 RADIUS_LIMITS = (10.0, 200.0)  # allowed radius of the region of interest, D_inf [m]
@@ -30,7 +30,7 @@ class VoxelGrid(ByContent, Described):
     ``ground`` is the height of the ground under each, ``region`` its label. Level k has its centre
     at ground + (k + ½)·spacing. Every voxel is a cube of edge ``size`` [m] in the middle of its
     lattice cell: a sample, if the spacing is wider. Voxel v is column v // Z, level v % Z.
-    ``counted`` are the labels of the regions that have weight; all if there are none.
+    ``region_weight`` is the weight w of each label.
 
     >>> grid = scene.voxels
     >>> grid.columns.shape, grid.level_count, grid.count
@@ -45,7 +45,7 @@ class VoxelGrid(ByContent, Described):
     radius: float = field(metadata={"static": True})
     level_count: int = field(metadata={"static": True})
     spacing: float = field(metadata={"static": True})
-    counted: tuple[int, ...] = field(metadata={"static": True}, default=())
+    region_weight: tuple[float, ...] = field(metadata={"static": True}, default=PAPER_WEIGHTS)
 
     def _facts(self) -> dict[str, Any]:
         return {"radius": f"{self.radius:g} m", "size": self.words, "voxels": self.count}
@@ -82,8 +82,7 @@ class VoxelGrid(ByContent, Described):
     @cached_property
     def column_weight(self) -> Float[np.ndarray, " L"]:
         """Region weight w of each column; 0 in a region that does not count."""
-        some = self.counted or tuple(Region)
-        return np.array([WEIGHTS[r] if r in some else 0.0 for r in Region])[self.region]
+        return np.array(self.region_weight)[self.region]
 
     @cached_property
     def weight(self) -> Float[np.ndarray, " V"]:

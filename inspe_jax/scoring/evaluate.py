@@ -14,7 +14,7 @@ from inspe_jax.core.errors import InspeError, check_known, wrong_kind
 from inspe_jax.core.numerics import Softness
 from inspe_jax.core.parallel import check_memory
 from inspe_jax.core.records import ByContent, Described, check_values
-from inspe_jax.scene.regions import Region
+from inspe_jax.scene.regions import PAPER_WEIGHTS, Region
 from inspe_jax.scene.scene import Scene
 from inspe_jax.scoring.detection import DetectionCurves
 from inspe_jax.scoring.driver import MetricValues, measure_tiles
@@ -220,8 +220,12 @@ def evaluate(
 def _limits(scene: Scene, detection: DetectionCurves | None) -> dict[str, Any]:
     """The settings of a score that not all have: what alone counts, and curves of one's own."""
     found: dict[str, Any] = {}
-    if scene.voxels.counted:
-        found["regions"] = [Region(region).key for region in scene.voxels.counted]
+    weights = scene.voxels.region_weight
+    some = {region.key: weights[region] for region in Region if weights[region]}
+    if len(some) < len(Region):
+        found["regions"] = [*some]
+    if any(w not in (0.0, usual) for w, usual in zip(weights, PAPER_WEIGHTS, strict=True)):
+        found["region_weights"] = some
     if detection is not None:
         found["detection"] = detection.record
         if detection.road_users:

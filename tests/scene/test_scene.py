@@ -13,7 +13,7 @@ from inspe_jax.core.digest import digest
 from inspe_jax.core.errors import InspeError
 from inspe_jax.placement.problem import Problem
 from inspe_jax.scene.profiles import BEFORE_PROFILES, DEFAULT_PROFILE, Profile, profile_of, profiles
-from inspe_jax.scene.regions import PRECEDENCE, WEIGHTS, Region
+from inspe_jax.scene.regions import PAPER_WEIGHTS, PRECEDENCE, Region
 from inspe_jax.scene.scene import build_scene, load_scene, save_scene
 from inspe_jax.scene.voxels import build_voxels
 from inspe_jax.scoring.evaluate import check_options
@@ -49,9 +49,29 @@ def test_voxels_run_from_the_ground_to_four_metres():
     assert sorted(set(grid.centers[:, 2])) == pytest.approx(np.arange(0.25, 4, 0.5))
     # Voxel v is column v // Z, level v % Z.
     assert grid.centers[8 * 5 + 3].tolist() == [*grid.columns[5], 1.75]
-    assert grid.weight[8 * 5] == WEIGHTS[Region(grid.region[5])]
-    assert set(PRECEDENCE) == set(Region) == set(WEIGHTS)
-    assert sum(WEIGHTS.values()) == pytest.approx(1)  # as the paper has them
+    assert grid.weight[8 * 5] == PAPER_WEIGHTS[grid.region[5]]
+    assert set(PRECEDENCE) == set(Region)
+    assert sum(PAPER_WEIGHTS) == pytest.approx(1)  # as the paper has them
+
+
+def test_regions_have_weights_of_ones_own(tmp_path):
+    """In the scene, its file and its coverage; those that are not named count for nothing."""
+    own = dict(crosswalk=3.0, sidewalk=1.0)
+    made = build_scene("four_way", radius=20, voxel=1.0, frames=1, region_weights=own)
+    save_scene(made, tmp_path / "s.npz")
+    scene = load_scene(tmp_path / "s.npz")
+    assert scene.voxels == made.voxels
+    label = scene.voxels.region
+    weight = np.where(label == Region.CROSSWALK, 3.0, 1.0 * (label == Region.SIDEWALK))
+    np.testing.assert_array_equal(scene.voxels.column_weight, weight)
+    found = evaluate(scene, strategy(scene, "Cam-c"))
+    area = np.array([weight[label == Region[key.upper()]].sum() for key in own])
+    covered = [found.region_coverage[key] for key in own]
+    assert found.coverage == pytest.approx(covered @ area / area.sum(), abs=1e-6)
+    assert found.settings["region_weights"] == own
+    for bad, message in (({"pavement": 1}, "no region 'pavement'"), ({"sidewalk": -1}, "at least")):
+        with pytest.raises(InspeError, match=message):
+            build_scene("four_way", region_weights=bad)
 
 
 def test_the_area_of_the_columns_is_that_of_the_regions():

@@ -27,6 +27,7 @@ from inspe_jax.core.arrays import from_center, pad_rows
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.geometry import rotation
 from inspe_jax.report.targets import PIXELS, banded, targets_change, targets_record, targets_view
+from inspe_jax.scene.regions import PAPER_WEIGHTS
 from inspe_jax.scene.statics import body, octagon
 from inspe_jax.scene.traffic.frames import CLASSES, ROAD_USERS
 from inspe_jax.scoring.detection import BANDS, FEW, detection_curves
@@ -129,7 +130,9 @@ def test_the_chance_of_detection_is_that_of_every_frame(scene, layout, clear):
     columns = np.sort(np.random.default_rng(0).choice(free, 120, replace=False))
     region = np.full_like(scene.voxels.region, 4)
     region[columns] = scene.voxels.region[columns]
-    only = replace(scene, voxels=replace(scene.voxels, region=region, counted=(0, 1, 2, 3)))
+    only = replace(
+        scene, voxels=replace(scene.voxels, region=region, region_weight=(*PAPER_WEIGHTS[:4], 0.0))
+    )
     weight = only.voxels.column_weight[columns]
     on_users = [on_slabs(scene, layout, user, columns) for user in ROAD_USERS]
     for sensors in ([0], [1], [0, 1, 2]):
@@ -286,7 +289,7 @@ def test_two_cameras_measure_where_one_does_not(empty):
 def test_a_camera_knows_nothing_of_what_is_behind_it(empty):
     """Nor is anything found there, nor pixels counted, however the scene is cut into tiles."""
     behind = empty.voxels.columns[:, 0] < -3
-    only = replace(empty.voxels, region=np.where(behind, 0, 1), counted=(0,))
+    only = replace(empty.voxels, region=np.where(behind, 0, 1), region_weight=(1.0, 0, 0, 0, 0))
     layout = place_sensors(AWAY, (CAMERA, [0.0, 0.0, 6.0, 0.0, -0.2, 0.0]))
     found = evaluate(replace(empty, voxels=only), layout, **UNWEIGHTED).metrics
     assert [found[name] for name in FURTHER] == pytest.approx([0] * 5, abs=1e-6)

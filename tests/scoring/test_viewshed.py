@@ -18,7 +18,7 @@ from worlds import (
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.report.tables import blind_spots_table, scores_record
-from inspe_jax.scene.regions import WEIGHTS, Region
+from inspe_jax.scene.regions import PAPER_WEIGHTS, Region
 from inspe_jax.scoring import tiled_scene as made
 from inspe_jax.scoring.blind_spots import LEAST_AREA, MIDDLE, blind_spots
 from inspe_jax.scoring.evaluate import evaluate
@@ -135,10 +135,10 @@ def test_losses_go_by_the_weights_of_regions(scene):
     assert sum(spot.loss for spot in spots) == pytest.approx(1.0, abs=0.01)
     by_area = {s.region: s.loss / s.area for s in spots}
     for region, rate in by_area.items():
-        weight = WEIGHTS[Region[region.upper()]] / WEIGHTS[Region.SIDEWALK]
+        weight = PAPER_WEIGHTS[Region[region.upper()]] / PAPER_WEIGHTS[Region.SIDEWALK]
         assert rate / by_area["sidewalk"] == pytest.approx(weight, rel=1e-3)
     assert all(spot.unseen == pytest.approx(0.75) for spot in spots)
-    some = replace(scene, voxels=replace(scene.voxels, counted=(int(Region.SIDEWALK),)))
+    some = replace(scene, voxels=replace(scene.voxels, region_weight=(0, 0, 0, 1.0, 0)))
     shares = np.full(len(scene.voxels.columns), 0.25)
     assert {spot.region for spot in blind_spots(some, shares)} == {"sidewalk"}
     assert blind_spots(scene, np.zeros(0)) == ()

@@ -276,9 +276,8 @@ def check_size(where: object, size: float, most: float, what: str) -> None:
 
 
 def cached_by_file(size: int) -> Callable[[Callable[..., Content]], Callable[..., Content]]:
-    """A decorator for readers of files: it caches the content of ``size`` files, until they change.
-    The reader then raises InspeError if there is no file. It may take options besides; one that is
-    None counts as not given."""
+    """A decorator for readers of files: it caches the content of ``size`` files, until they change,
+    and raises InspeError if there is no file. Options that are None count as not given."""
 
     def decorated(read: Callable[..., Content]) -> Callable[..., Content]:
         cached = functools.lru_cache(maxsize=size)(lambda facts, *given: read(*given))

@@ -1,15 +1,10 @@
 """Sight line against the ground: a surface of triangles over a square lattice.
 
-In plan the line from sensor s to column c is s + t·(c − s). The surface is linear between the
-points where this crosses edges of triangles, so that only these decide. Three families of lines
-hold all edges: x = k, y = k and x − y = k, in steps of the lattice. Where the surface has the
-height h at a crossing,
-
-- it hides the column below the ceiling z_s + (h − z_s)/t (:func:`ground_ceiling`, exact scores);
-- the sensor sees the voxel at height z only from above z + (h − z)/(1 − t)
-  (:func:`ground_margin`, soft scores: how far the sensor is below the highest such height).
-
-Both are the same comparison of h with the line's height at t.
+The surface is linear between the points where the line from sensor s to column c, in plan s + t·(c
+− s), crosses edges of triangles. These lie on x = k, y = k and x − y = k, in steps of the lattice.
+Where the surface has the height h at a crossing, it hides the column below the ceiling z_s + (h −
+z_s)/t (:func:`ground_ceiling`, exact scores), and the sensor sees the voxel at height z only from
+above z + (h − z)/(1 − t) (:func:`ground_margin`, soft scores).
 """
 
 from collections.abc import Callable

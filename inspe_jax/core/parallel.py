@@ -1,7 +1,7 @@
 """Runs work on all cores of this machine, and knows what fits in its memory.
 
-XLA runs the body of a loop on one core, and the programs that one thread sends to a CPU one after
-the other. Programs from several threads run at the same time.
+XLA runs the programs that one thread sends to a CPU one after the other, each on one core; those of
+several threads run at the same time.
 """
 
 import os

@@ -1,8 +1,5 @@
-"""The sheet that maps are drawn on, and how figures are saved.
-
-A sheet is 180 mm wide, with fixed places in inches for its parts: the map on the left, a panel for
-the legend on the right, a heading above, notes below.
-"""
+"""The sheet that maps are drawn on, 180 mm wide: the map on the left, a panel for the legend on the
+right, a heading above, notes below. And how figures are saved."""
 
 import base64
 import io

@@ -71,11 +71,9 @@ def arc(center: Vector, radius: float, start: float, end: float) -> Line:
 
 
 def bend(start: Vector, out: Vector, end: Vector, into: Vector, radius: float = np.inf) -> Line:
-    """A line from ``start`` along ``out`` to ``end`` along ``into``, tangent to these unit vectors.
-
-    It is straight, then an arc of ``radius`` [m] or the largest that fits, then straight again; or
-    a cubic curve, if the turn is slight or the two straights do not meet in between.
-    """
+    """A line from ``start`` along ``out`` to ``end`` along ``into``, tangent to these unit vectors:
+    straight, an arc of ``radius`` [m] or the largest that fits, and straight; or a cubic curve, if
+    the turn is slight or the two straights do not meet in between."""
     curve = fillet(start, out, end, into, radius)
     if not len(curve):
         handle = _HANDLE * np.hypot(*(end - start))

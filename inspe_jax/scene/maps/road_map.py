@@ -44,9 +44,9 @@ Areas = dict[Region, BaseGeometry]
 
 @dataclass(frozen=True)
 class JunctionInfo:
-    """A junction of a map: its id, middle [m], number of arms, the larger side of its bounding box
-    [m], the numbers of crosswalks and signals that the map has near it, and the names of its
-    streets, where the map has them."""
+    """A junction of a map: id, middle [m], number of arms, larger side of its bounding box [m],
+    numbers of crosswalks and signals near it, and the names of its streets where the map has
+    them."""
 
     id: int | str
     center: tuple[float, float, float]
@@ -74,10 +74,8 @@ def mounting_of(
     regions: Areas, medians: list[BaseGeometry], arms: tuple[Arm, ...], disc: Polygon
 ) -> BaseGeometry:
     """Where a pole may stand: sidewalks, shoulders and medians, but not carriageway or crosswalks.
-
-    Islands at the corners are added only if none of these is beside the junction: on a deck they
-    would hang in the air.
-    """
+    Only if none of these is beside the junction, islands at its corners: on a deck they would
+    hang."""
     standing = [regions[Region.SIDEWALK], regions[Region.SHOULDER], *medians]
     beside = unary_union(standing).distance(regions[Region.JUNCTION])
     if not beside <= 5.0:  # also if there is nothing: the distance is then not a number
@@ -133,10 +131,8 @@ class MapJunction(ABC):
         self, areas: Areas, arms: tuple[Arm, ...], ground: Float[np.ndarray, "N 3"], disc: Polygon
     ) -> tuple[list[BaseGeometry], list[np.ndarray]]:
         """The crosswalks of its map inside the disc and near ground points [m], and the ``walked``
-        lines of the first of them.
-
-        If there is none at the junction, strips across the arms' mouths are added, with a note.
-        """
+        lines of the first of them; with strips across the arms' mouths and a note if the junction
+        has none."""
         index = scipy.spatial.cKDTree(ground[:, :2])
         walks, lines = [], list[np.ndarray]()
         for k, loop in enumerate(self.map.crossings):

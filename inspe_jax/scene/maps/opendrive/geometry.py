@@ -61,7 +61,7 @@ class Cubics:
 
 class Crossfall:
     """The height of a road's surface over what it is by elevation and superelevation, from its
-    ``<shape>`` records: cubics of t at each of their s, between them in proportion."""
+    ``<shape>`` records: cubics of t at some s, between them in proportion."""
 
     def __init__(self, records: Iterable[ET.Element]) -> None:
         at = defaultdict[float, list[ET.Element]](list)
@@ -81,11 +81,9 @@ class Crossfall:
 
 
 class ReferenceLine:
-    """The pieces of a road's ``<planView>``, by s; straight on beyond both ends.
-
-    ``starts`` are the points (K, 2) where pieces start, ``lengths`` (K,) theirs [m]. Raises
-    ValueError where a piece lacks something, or there is none.
-    """
+    """The pieces of a road's ``<planView>``, by s; straight on beyond both ends. ``starts`` are the
+    points (K, 2) where pieces start, ``lengths`` (K,) theirs [m]. Raises ValueError where a piece
+    lacks something, or there is none."""
 
     def __init__(self, road: ET.Element) -> None:
         pieces = []

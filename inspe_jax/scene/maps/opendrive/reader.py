@@ -137,11 +137,9 @@ class OpenDriveJunction(MapJunction):
 
 
 class OpenDriveMap(RoadMap):
-    """An OpenDRIVE file.
-
-    ``notes`` are on what is left out of it, on the ``shapes`` of its objects and on its projection.
-    Raises InspeError if the file is not OpenDRIVE, or has no road that can be read.
-    """
+    """An OpenDRIVE file. ``notes`` are on what is left out of it, on the ``shapes`` of its objects
+    and on its projection. Raises InspeError if it is not OpenDRIVE, or has no road that can be
+    read."""
 
     format, around = "(OpenDRIVE)", OpenDriveJunction
 

@@ -86,11 +86,8 @@ class Paths:
         arc: Float[np.ndarray, "*S"],
         length: Float[np.ndarray, "*S"],
     ) -> tuple[Float[np.ndarray, "*S 3"], Float[np.ndarray, "*S 2"]]:
-        """Centre [m] and unit heading of a body of some length [m] whose axles are on the path.
-
-        In a bend a long body cuts the corner. Tangent to the path, its rear would swing into the
-        next lane.
-        """
+        """Centre [m] and unit heading of a body of some length [m] whose axles are on the path: in
+        a bend a long body cuts the corner."""
         rear = self.at(path, arc - AXLE * length)
         front = self.at(path, arc + AXLE * length)
         along = front[..., :2] - rear[..., :2]
@@ -273,12 +270,9 @@ CROSSING = np.cos(np.radians(45.0))  # lanes that meet at a larger angle cross; 
 
 
 def with_walkways(intersection: Intersection, radius: float) -> Intersection:
-    """The intersection with footpaths for traffic, if nobody walks within ``radius`` [m].
-
-    People walk beside the lanes, on the right of the outermost, and cross each arm at its mouth.
-    The regions stay those of the map. An intersection where somebody walks, or no lanes cross, as
-    on a motorway, stays as it is.
-    """
+    """The intersection with footpaths for traffic, if nobody walks within ``radius`` [m] and lanes
+    cross, as on no motorway: beside the lanes, on the right of the outermost, and over each arm at
+    its mouth. The regions stay those of the map."""
     away = [distance_from(route.waypoints, intersection.center) for route in intersection.routes]
     near = [r for r, far in zip(intersection.routes, away, strict=True) if (far <= radius).any()]
     lanes = [route for route in near if route.user == "vehicle"]

@@ -15,7 +15,7 @@ import shapely
 from jaxtyping import Bool, Float
 from shapely.geometry.base import BaseGeometry
 
-from inspe_jax.core.errors import InspeError, error_at, nearest, wrong_kind
+from inspe_jax.core.errors import InspeError, check_known, error_at, nearest, wrong_kind
 from inspe_jax.core.files import cached_by_file, check_kind, check_output, open_arrays, whole_file
 from inspe_jax.core.pytree import pytree
 from inspe_jax.core.records import Described, check_record
@@ -29,7 +29,7 @@ from inspe_jax.scene.procedural.built_ins import BUILT_INS, built_in
 from inspe_jax.scene.profiles import BEFORE_PROFILES, DEFAULT_PROFILE, Profile, profile_of
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.statics import StaticBody, pack_bodies, unpack_bodies
-from inspe_jax.scene.street import check_statics, statics_of
+from inspe_jax.scene.street import STATICS, statics_of
 from inspe_jax.scene.terrain import Terrain, check_terrain, terrain_of
 from inspe_jax.scene.traffic.carla_log import LOG_SUFFIXES, load_log, log_traffic
 from inspe_jax.scene.traffic.frames import DENSITIES, TrafficFrames, shortfall, traffic_model
@@ -198,7 +198,7 @@ def build_scene(
     own = profile_of(profile).of_scene(
         radius=radius, voxel=voxel, spacing=spacing, density=density, mix=mix
     )
-    check_statics(statics)
+    check_known(statics, STATICS, "statics")
     check_terrain(terrain)
     if isinstance(intersection, str) and not is_map(intersection):
         intersection = built_in(intersection)

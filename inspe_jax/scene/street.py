@@ -47,7 +47,7 @@ def statics_of(
     """The static bodies of a name of :data:`STATICS`, without those that traffic touches, but for a
     map's buildings and a mesh's solids. Raises InspeError where the name is another, or the place's
     map brings no bodies."""
-    check_statics(name)
+    check_known(name, STATICS, "statics")
     if name == "none":
         return ()
     if name == "street":
@@ -68,11 +68,6 @@ def map_bodies(place: Intersection, radius: float) -> tuple[StaticBody, ...]:
         )
     area = Point(place.center[:2]).buffer(radius + BEYOND)
     return tuple(one for one in place.bodies if one.polygon.intersects(area))
-
-
-def check_statics(name: str) -> None:
-    """Raise InspeError where ``name`` is none of :data:`STATICS`."""
-    check_known(name, STATICS, "statics")
 
 
 def street_bodies(place: Intersection, radius: float) -> tuple[StaticBody, ...]:

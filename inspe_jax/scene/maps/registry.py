@@ -17,7 +17,7 @@ from inspe_jax.scene.maps.sumo.network import NET_SUFFIXES, OSM_SUFFIXES, SIDES
 FORMATS: dict[tuple[str, ...], str] = {
     (".xodr",): "inspe_jax.scene.maps.opendrive.reader:load_map",
     (*NET_SUFFIXES, *OSM_SUFFIXES): "inspe_jax.scene.maps.sumo.reader:load_net",
-    (GEOJSON,): "inspe_jax.scene.maps.own_regions:load_regions",
+    (GEOJSON,): "inspe_jax.scene.maps.own_regions:RegionFile",
 }
 """For the suffixes of files, in lower case, a module and in it what opens such a file as
 a :class:`~inspe_jax.scene.maps.road_map.RoadMap`, or as what has the same ``georeference``,

@@ -1,13 +1,13 @@
 """A map of roads: what each format reads of it, and the place that is made of that."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Container, Iterator, Mapping, Sequence
+from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple, TypeVar
 
 import numpy as np
 import scipy
@@ -87,6 +87,23 @@ def mounting_of(
 RADIUS_READ = (0.0, 500.0)  # allowed radius of what is read of a map [m]
 
 Id = int | str  # a junction's id
+Name = TypeVar("Name", bound=Id)
+
+
+def check_choice(junction: Id | None, center: tuple[float, float] | None) -> None:
+    """Raise InspeError unless a place is named by one of the two."""
+    if (junction is None) == (center is None):
+        raise InspeError("say which place to read: either a junction id or a center (x, y)")
+
+
+def named_junction(source: str, junction: Id | None, ids: Iterable[Name]) -> Name:
+    """The one of ``ids`` that a user writes so. Raises InspeError that lists those there are."""
+    named = {str(one): one for one in ids}
+    if (name := str(junction)) not in named:
+        known = ", ".join([*named][:MOST_LISTED]) + ", …" * (len(named) > MOST_LISTED)
+        hint = nearest(name, [*named])
+        raise InspeError(f"{source}: no junction '{name}'; there are: {known or 'none'}{hint}")
+    return named[name]
 
 
 class Node(NamedTuple):
@@ -379,21 +396,13 @@ class RoadMap(ABC):
         self, junction: Id | None, center: tuple[float, float] | None
     ) -> tuple[set[Id], Float[np.ndarray, "3"], str]:
         """The junctions that a user names, their middle [m], and words for the place."""
-        if (junction is None) == (center is None):
-            raise InspeError("say which place to read: either a junction id or a center (x, y)")
+        check_choice(junction, center)
         ids = self.junctions()
         if center is None:
-            named = {str(j): j for j in ids}
-            name = str(junction)
-            if why := self.unread.get(name):
-                raise InspeError(f"{self.source}: junction {name} is not read: {why}")
-            if name not in named:
-                known = ", ".join([*named][:MOST_LISTED]) + ", …" * (len(named) > MOST_LISTED)
-                raise InspeError(
-                    f"{self.source}: no junction '{name}'; there are: {known or 'none'}"
-                    f"{nearest(name, [*named])}"
-                )
-            return {named[name]}, self.node(named[name]).middle, f"junction {name}"
+            if why := self.unread.get(str(junction)):
+                raise InspeError(f"{self.source}: junction {junction} is not read: {why}")
+            one = named_junction(self.source, junction, ids)
+            return {one}, self.node(one).middle, f"junction {one}"
         where = f"({center[0]:.10g}, {center[1]:.10g})"
         whole = np.abs(center).max() > FAR  # given in coordinates of the file
         at = np.array([*center, 0.0], float) - [*(self.moved if whole else (0.0, 0.0)), 0.0]

@@ -1,6 +1,7 @@
 """Reads an OpenStreetMap extract as a stream, and keeps what lies in a box of degrees."""
 
 import gzip
+import io
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -82,9 +83,14 @@ def _read(path: Path, area: Box, found: Extract) -> bool:
     return sorted_
 
 
+def opened(path: Path) -> io.BufferedIOBase:
+    """A file to read, unpacked if it is packed with gzip."""
+    return gzip.open(path) if path.name.lower().endswith(".gz") else path.open("rb")
+
+
 def _elements(path: Path) -> Iterator[ET.Element]:
     """The nodes, ways and relations of a file, one at a time: each is gone when the next comes."""
-    with gzip.open(path) if path.name.lower().endswith(".gz") else path.open("rb") as f:
+    with opened(path) as f:
         events = ET.iterparse(f, events=("start", "end"))
         root = next(events)[1]
         for event, element in events:

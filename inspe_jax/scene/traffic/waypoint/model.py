@@ -4,7 +4,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from inspe_jax.scene.traffic.frames import ROAD_USERS, Mix
-from inspe_jax.scene.traffic.waypoint.paths import PATH_USERS, Paths, cross, dot
+from inspe_jax.scene.traffic.waypoint.paths import PATH_USERS, SPACING, Paths, cross, dot
 
 BRAKING = 3.0  # that drivers expect of themselves and of the road user ahead [m/s²]
 REACTION = 0.7  # [s]
@@ -72,10 +72,12 @@ class WaypointModel:
         free, leader, follows = self._look_ahead(on)
         self._give_way(on, free, leader, follows)
         line = self._line_distance(on)  # to the stop line of the next block not granted
+        path, paths = self.path[on], self.paths
+        pose = np.minimum((self.arc[on] / SPACING).astype(int), paths.count[path] - 1)
         most = [
             self.speed[on] + self.acceleration[on] * dt,
             self.wish[on],
-            self.paths.speed_limit(self.path[on], self.arc[on]),
+            paths.limit[paths.start[path] + pose],  # that the bends ahead allow
             _safe_speed(free, self.speed[on][leader] * follows),
             _safe_speed(line, np.zeros(len(on))),
         ]

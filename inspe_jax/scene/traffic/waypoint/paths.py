@@ -93,13 +93,6 @@ class Paths:
         along = front[..., :2] - rear[..., :2]
         return (rear + front) / 2, along / np.sqrt(dot(along, along))[..., None]
 
-    def speed_limit(
-        self, path: Int[np.ndarray, "*S"], arc: Float[np.ndarray, "*S"]
-    ) -> Float[np.ndarray, "*S"]:
-        """Speed [m/s] that the bends ahead allow."""
-        pose = np.minimum((arc / SPACING).astype(int), self.count[path] - 1)
-        return self.limit[self.start[path] + pose]
-
 
 def lay_paths(intersection: Intersection, radius: float) -> Paths:
     """The intersection's routes within ``radius`` [m] of its centre, as :class:`Paths`."""

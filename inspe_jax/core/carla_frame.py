@@ -1,8 +1,6 @@
-"""Converts poses and points between our world frame and CARLA's.
-
-CARLA's is left-handed and in degrees: y and yaw change sign. Its body frame is x forward, y right,
-z up. Its files hold *cords*: x, y, z, roll, yaw, pitch.
-"""
+"""Converts poses and points between our world frame and CARLA's: left-handed, in degrees, so that y
+and yaw change sign. Its body frame is x forward, y right, z up. Its files hold *cords*: x, y, z,
+roll, yaw, pitch."""
 
 from typing import Any
 

@@ -27,8 +27,7 @@ that is compiled, or read from the cache on disk."""
 
 @dataclass(frozen=True)
 class Compiled:
-    """Number of ``programs`` compiled so far, in ``seconds`` of wall time with tracing, and whether
-    one is being compiled ``now``."""
+    """``programs`` compiled so far, in ``seconds`` of wall time, and whether one is ``now``."""
 
     programs: int
     seconds: float

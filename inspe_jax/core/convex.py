@@ -214,8 +214,7 @@ def sight_cut(
     aside = jnp.where(to_left, passes, -passes) * jnp.where(corner > NO_LEVER, corner, NO_LEVER)
 
     def kept(at: Array, turn: Array, most: float) -> tuple[Array, Array]:
-        """τ of a crossing, kept on the line, and its derivative across. Where the line misses, they
-        are those of the corner that it passes."""
+        """τ of a crossing on the line and its derivative across; of the corner if it misses."""
         at, turn = jnp.where(misses, corner, at), jnp.where(misses, aside / squared, turn)
         return jnp.clip(at, 0.0, most), jnp.where((at > 0) & (at < most), turn, 0.0)
 

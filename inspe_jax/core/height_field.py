@@ -105,11 +105,9 @@ def fold_crossings(
     add: Callable[..., Any],
     start: Any,
 ) -> Any:
-    """``total = add(total, number, t, height, there)`` over all crossings that can hide something.
-
-    Left out are those before which a line from ``spare`` metres below the sensor is above all of
-    the ground. ``number`` tells lines apart: k of family f is 3·k + f.
-    """
+    """``total = add(total, number, t, height, there)`` over all crossings but those before which a
+    line from ``spare`` metres below the sensor is above all ground. Line k of family f has the
+    number 3·k + f."""
     height = sensor[2] - spare
     clear = (height - field.highest) / jnp.maximum(height - lowest, 1e-3)
     after = jnp.where(height > field.highest, jnp.clip(clear, 0.0, 1.0), 0.0)
@@ -148,10 +146,7 @@ def ground_margin(
     beyond: float | Array,
 ) -> Float[Array, "Z C"]:
     """How far the sensor is too low to see each voxel over the ground [m]; negative if it sees it.
-
-    Margins of less than −``beyond`` may be any such. Only the sensor has a gradient: that at the
-    crossing which decides.
-    """
+    Margins of less than −``beyond`` may be any such. Only the sensor has a gradient."""
     fixed = jax.lax.stop_gradient(sensor)
 
     def needed(t: Array, height: Array) -> Array:

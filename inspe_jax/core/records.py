@@ -129,8 +129,7 @@ def _content(x: Any) -> Any:
 
 
 class Described:
-    """For dataclasses with ``repr=False``: one line for a prompt, a small table for a notebook, of
-    the facts by name that ``_facts`` has."""
+    """For dataclasses with ``repr=False``: ``_facts`` in a line, or as a table in a notebook."""
 
     def _facts(self) -> dict[str, Any]:
         raise NotImplementedError

@@ -70,11 +70,10 @@ def read_features(
     """The features of a file in the world metres of a place, or in degrees without one; its further
     members; and the numbers of features without a geometry, which are left out.
 
-    Coordinates are longitudes and latitudes, or those of the system that an older GeoJSON file
-    names in ``crs``. A CSV file has a row for each point, with columns ``latitude``, ``longitude``
-    and those of its properties. ``wanted`` says by its properties whether a feature is read. Raises
-    InspeError if the place has no coordinates, the file is no such file, or a wanted feature has
-    none.
+    Coordinates are longitudes and latitudes, or those of an older GeoJSON file's ``crs``. A CSV
+    file has a row for each point, with columns ``latitude``, ``longitude`` and properties.
+    ``wanted`` says by its properties whether a feature is read. Raises InspeError if the place has
+    no coordinates, the file is no such file, or a wanted feature has none.
     """
     georeference = None if place is None else known_georeference(place)
     check_kind(Path(path))

@@ -49,20 +49,17 @@ class Arm:
         return np.array([[x, y], [-y, x]])
 
     def kerb(self, side: int, outward: float = 0.0) -> Float[np.ndarray, "2"]:
-        """The kerb's point ``outward`` [m] of the mouth: left (+1) or right (−1) looking outward;
-        0: middle."""
+        """The kerb ``outward`` [m] of the mouth, on the left (+1) or right (−1); 0: middle."""
         along, across = self.axes
         return np.asarray(self.mouth) + outward * along + side * self.width / 2 * across
 
 
 @dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
 class Route:
-    """A path that one kind of road user follows through the scene.
-
-    ``waypoints`` are about 1 m apart, in the direction of travel [m]; ``width`` is that of the lane
-    [m]; ``user`` is ``'vehicle'`` or ``'pedestrian'``. ``through`` are the indices of the (entry,
-    exit) arms of a vehicle's route, −1 where it begins or ends elsewhere.
-    """
+    """A path that one kind of road user follows: ``waypoints`` about 1 m apart, in the direction of
+    travel [m]; ``width`` of the lane [m]; ``user``, ``'vehicle'`` or ``'pedestrian'``; and
+    ``through``, the indices of a vehicle's (entry, exit) arms, −1 where it begins or ends
+    elsewhere."""
 
     waypoints: Float[np.ndarray, "N 3"]
     width: float
@@ -82,10 +79,8 @@ class Route:
 
 @dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
 class Mesh:
-    """Triangles (F, 3, 3) relative to ``origin`` (3,) in the world [m], in single precision.
-
-    ``colour`` (F, 3) is that of each face in sRGB, 0 to 255.
-    """
+    """Triangles (F, 3, 3) relative to ``origin`` (3,) in the world [m], in single precision, and
+    the ``colour`` (F, 3) of each in sRGB, 0 to 255."""
 
     origin: Float[np.ndarray, "3"]
     triangles: Float[np.ndarray, "F 3 3"]
@@ -168,8 +163,7 @@ class Intersection(Described):
         return (weight * self.ground_points[index, 2]).sum(1) / weight.sum(1)
 
     def level(self, xy: Float[np.ndarray, "N 2"]) -> Float[np.ndarray, " N"]:
-        """Height [m] of the roads in the map's own coordinates, by which other levels are told
-        apart."""
+        """Height [m] of the roads in the map's own coordinates, which tells levels apart."""
         return self._on_own_ground.ground(xy)
 
     @cached_property
@@ -242,8 +236,7 @@ def joined_lines(lines: list[np.ndarray]) -> Iterator[np.ndarray]:
 def off_roads(
     lines: Iterable[np.ndarray], areas: Mapping[Region, BaseGeometry], notes: list[str]
 ) -> Iterator[Float[np.ndarray, "N 2"]]:
-    """Footpaths (N, 2) without what leads over a road beside crossings for more than :data:`STRAY`;
-    ``notes`` get how many are cut."""
+    """Footpaths (N, 2) without what leads over a road for more than :data:`STRAY`; with a note."""
     roads = unary_union([areas[Region.JUNCTION], areas[Region.DRIVEWAY]])
     roads = roads.buffer(0.5).buffer(-0.8)  # without gaps between lanes, and inside the kerb
     roads, cut = roads.difference(areas[Region.CROSSWALK].buffer(0.5)), 0

@@ -76,20 +76,16 @@ class Scene(Described):
         return own | self.voxels._facts() | self.traffic._facts() | bodies
 
     def check(self) -> "Scene":
-        """This scene, checked once: shapes, kinds, and that values are finite and in range.
-
-        Raises InspeError that names the part and the index of the first wrong value.
-        """
+        """This scene, checked once: shapes, kinds, and that values are finite and in range. Raises
+        InspeError that names the part and the index of the first wrong value."""
         if "_checked" not in self.__dict__:
             check_record(self, getattr(self.intersection, "name", "scene"))
             self.__dict__["_checked"] = True
         return self
 
     def with_terrain(self) -> "Scene":
-        """This scene with the ground of its map in the way: it hides what is behind its brows.
-
-        All stands on its surface. Level ground leaves the scene as it is.
-        """
+        """This scene with the ground of its map, on which all then stands, in the way: it hides
+        what is behind its brows. Level ground leaves the scene as it is."""
         terrain = terrain_of(self.intersection, self.voxels.radius)
         if terrain is None:
             return self
@@ -102,11 +98,9 @@ class Scene(Described):
         return replace(self, voxels=grid, traffic=traffic, intersection=place, terrain=terrain)
 
     def with_statics(self, bodies: Sequence[StaticBody]) -> "Scene":
-        """This scene with these bodies in place of its own; with none, an open scene.
-
-        Voxels inside them are no part of the region of interest. Raises InspeError where they leave
-        nothing of it, or one alone swallows it.
-        """
+        """This scene with these bodies in place of its own; voxels inside them are no part of the
+        region of interest. Raises InspeError where they leave nothing of it, or one alone swallows
+        it."""
         scene = replace(self, statics=tuple(bodies))
         scene.inside_statics  # noqa: B018  # which checks them
         return scene

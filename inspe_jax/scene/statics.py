@@ -155,8 +155,7 @@ def _without_straight(corners: Float[np.ndarray, "N 2"]) -> Float[np.ndarray, "M
 def upright_box(
     kind: str, at: Sequence[float] | Vector, size: Sequence[float], yaw: float = 0.0
 ) -> StaticBody:
-    """A box on the ground: middle (x, y), length, width and height [m], heading ``yaw`` [rad].
-    Raises InspeError as :func:`body`."""
+    """A :func:`body` on the ground: middle (x, y), length, width, height [m], heading [rad]."""
     length, width, height = (float(x) for x in size)
     along = np.array([np.cos(yaw), np.sin(yaw)]) * length / 2
     across = np.array([-np.sin(yaw), np.cos(yaw)]) * width / 2

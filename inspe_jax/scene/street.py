@@ -44,9 +44,9 @@ PARKED = (
 def statics_of(
     name: str, place: Intersection, radius: float, traffic: TrafficFrames
 ) -> tuple[StaticBody, ...]:
-    """The static bodies of a name of :data:`STATICS`, without those that traffic touches, but for a
-    map's buildings and a mesh's solids. Raises InspeError where the name is another, or the place's
-    map brings no bodies."""
+    """The static bodies of a name, without those that traffic touches, but for a map's buildings
+    and a mesh's solids. Raises InspeError for another name, or if the place's map brings no
+    bodies."""
     check_known(name, STATICS, "statics")
     if name == "none":
         return ()
@@ -71,8 +71,7 @@ def map_bodies(place: Intersection, radius: float) -> tuple[StaticBody, ...]:
 
 
 def street_bodies(place: Intersection, radius: float) -> tuple[StaticBody, ...]:
-    """Street furniture of an intersection out to :data:`BEYOND` its region of interest, the same
-    for any traffic; lamp posts only where nobody walks."""
+    """Street furniture of a place, the same for any traffic; where nobody walks, lamps only."""
     rng = np.random.default_rng([0, zlib.crc32(place.name.encode())])
     room = _Room(place, radius)
     town = (_signals, _shelters, _parked, _lamps, _trees, _boxes, _walls)

@@ -23,8 +23,8 @@ MARGIN = 15.0  # the surface reaches so far beyond the region of interest [m]: u
 @dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
 class Terrain:
     """A surface of triangles over a square lattice: its first point (``corner``), the edge of its
-    cells (``step``), and the ``heights`` of its points [m]. Each cell is cut from its first point
-    to the opposite one."""
+    cells (``step``), and its ``heights`` [m]. Cells are cut from their first point to the opposite
+    one."""
 
     corner: Float[np.ndarray, "2"]
     step: float

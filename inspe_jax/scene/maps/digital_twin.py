@@ -180,9 +180,7 @@ class _FromAbove:
 
     def upright(self) -> tuple[Int[np.ndarray, " N"], Float[np.ndarray, " N"]]:
         """Points on the edges of steep triangles, at most half a cell apart: cells and heights [m].
-
-        Lines through the middles of cells miss walls, which lie between them.
-        """
+        Lines through the middles of cells miss walls."""
         across = np.cross(*np.diff(self.triangles, axis=1).swapaxes(0, 1))
         steep = np.abs(across[:, 2]) < STEEP * np.linalg.norm(across, axis=1)
         ends = self.triangles[steep][:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2, 3)

@@ -1,7 +1,5 @@
-"""Heights of the ground from an elevation model: GeoTIFF, ASCII grid, or a tile of SRTM or DTED.
-
-Only the part around the place is read, and no format that refers to other files or addresses.
-"""
+"""Heights of the ground from an elevation model: GeoTIFF, ASCII grid, or a tile of SRTM or DTED,
+but no format that refers to other files or addresses. Only the part around the place is read."""
 
 import os
 from collections.abc import Iterator

@@ -24,8 +24,7 @@ SIDEWALK = {"sidewalk", "walking"}
 
 @dataclass(frozen=True, eq=False)
 class Approach:
-    """The end of a road at a junction, as a cut across it. Offsets run to the left, looking away
-    [m]."""
+    """The end of a road at a junction: a cut with offsets to the left, looking away [m]."""
 
     road: int | str
     end: str  # 'start' or 'end' of the road
@@ -70,8 +69,7 @@ class Approach:
         return {frozenset([True]): 1, frozenset([False]): -1}.get(frozenset(ways), 0)
 
     def lane_range(self, kinds: set[str], side: int) -> tuple[float, float] | None:
-        """Inner and outer offset of the lanes of some kinds beyond the left (+1) or right (−1)
-        kerb; None if there are none."""
+        """Inner and outer offset of some lanes beyond the left (+1) or right (−1) kerb, if any."""
         kerb = self.kerbs[1] if side > 0 else self.kerbs[0]
         beyond = [x for x in self.lanes if x[1] in kinds and side * ((x[2] + x[3]) / 2 - kerb) > 0]
         if not beyond:

@@ -1,7 +1,5 @@
-"""The registry of map formats: OpenDRIVE, SUMO networks, OpenStreetMap, and own regions.
-
-To add a format, write a module that reads it and add its row to :data:`FORMATS`.
-"""
+"""The registry of map formats. To add one, write a module that reads it and a row of
+:data:`FORMATS`."""
 
 import os
 from pkgutil import resolve_name
@@ -41,12 +39,8 @@ def check_side(path: str | os.PathLike[str], driving_side: str | None) -> None:
 
 
 def open_map(path: str | os.PathLike[str], driving_side: str | None = None) -> RoadMap:
-    """The map of a file. ``driving_side``, ``left`` or ``right``, of an OpenStreetMap extract is
-    that of its country if it is None.
-
-    Raises InspeError if an extra or the file is missing, if the file is not a map, or as
-    :func:`check_side`.
-    """
+    """The map of a file; ``driving_side`` as in :func:`read_map`. Raises InspeError if an extra or
+    the file is missing, if the file is not a map, or as :func:`check_side`."""
     check_side(path, driving_side)
     for suffixes, reader in FORMATS.items():
         if str(path).lower().endswith(suffixes):

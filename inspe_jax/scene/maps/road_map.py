@@ -45,8 +45,7 @@ Areas = dict[Region, BaseGeometry]
 @dataclass(frozen=True)
 class JunctionInfo:
     """A junction of a map: id, middle [m], number of arms, larger side of its bounding box [m],
-    numbers of crosswalks and signals near it, and the names of its streets where the map has
-    them."""
+    numbers of crosswalks and signals near it, and the names of its streets if there are any."""
 
     id: int | str
     center: tuple[float, float, float]
@@ -73,9 +72,8 @@ def clean(shape: BaseGeometry) -> BaseGeometry:
 def mounting_of(
     regions: Areas, medians: list[BaseGeometry], arms: tuple[Arm, ...], disc: Polygon
 ) -> BaseGeometry:
-    """Where a pole may stand: sidewalks, shoulders and medians, but not carriageway or crosswalks.
-    Only if none of these is beside the junction, islands at its corners: on a deck they would
-    hang."""
+    """Where a pole may stand: sidewalks, shoulders and medians, off carriageway and crosswalks; if
+    none is beside the junction, islands at its corners, which on a deck would hang in the air."""
     standing = [regions[Region.SIDEWALK], regions[Region.SHOULDER], *medians]
     beside = unary_union(standing).distance(regions[Region.JUNCTION])
     if not beside <= 5.0:  # also if there is nothing: the distance is then not a number
@@ -148,8 +146,8 @@ class MapJunction(ABC):
         self, areas: Areas, arms: tuple[Arm, ...], ground: Float[np.ndarray, "N 3"], disc: Polygon
     ) -> tuple[list[BaseGeometry], list[np.ndarray]]:
         """The crosswalks of its map inside the disc and near ground points [m], and the ``walked``
-        lines of the first of them; with strips across the arms' mouths and a note if the junction
-        has none."""
+        lines of the first ones; if the junction has none, strips across its mouths too, with a
+        note."""
         index = scipy.spatial.cKDTree(ground[:, :2])
         walks, lines = [], list[np.ndarray]()
         for k, loop in enumerate(self.map.crossings):
@@ -176,8 +174,7 @@ class MapJunction(ABC):
         """Parts, which may overlap, of all regions but crosswalks."""
 
     def drives(self, arm_of: dict[tuple[Id, str], int]) -> Iterator[Route]:
-        """Every path from an inbound lane to another arm of ``arm_of`` (road, end), from radius to
-        radius; no U-turns."""
+        """Every path from an inbound lane to another arm (road, end), between radii; no U-turns."""
         town, broken, driven = self.map, 0, 0
         for approach in self.approaches:
             arm = arm_of[approach.road, approach.end]

@@ -1,9 +1,6 @@
-"""The built-in intersections: crossings, a roundabout and a motorway ramp, without a file.
-
-The ground is flat at z = 0, traffic drives on the right, the middle of the junction is the origin.
-Shapes follow from the kerbs, each one line from road to road: shoulder, sidewalk and footpath are
-offsets of it.
-"""
+"""The built-in intersections: crossings, a roundabout and a motorway ramp, without a file. The
+ground is flat at z = 0, traffic drives on the right, the middle of the junction is the origin.
+Shoulder, sidewalk and footpath are offsets of kerbs, each one line from road to road."""
 
 from collections.abc import Callable, Sequence
 from itertools import permutations
@@ -80,9 +77,8 @@ def roundabout() -> Intersection:
 def ramp() -> Intersection:
     """A motorway along x of three lanes each way, and an on-ramp from the south-west that merges
     into its eastbound carriageway: beside the outer lane to x = 30 m, tapering off until 70 m. The
-    junction is that carriageway from the nose of the gore to the end of the taper. There are
-    shoulders and a median, but no sidewalks, crosswalks or pedestrians. Lamps stand on the
-    verge."""
+    junction is from the nose of the gore to the end of the taper. There are shoulders and a median,
+    lamps on the verge, but no sidewalks, crosswalks or pedestrians."""
     lanes, lane_width, median, shoulder, inner_shoulder = 3, 3.6, 3.0, 3.0, 1.0  # widths [m]
     verge, nose_width = 2.0, 0.6  # [m]; at the nose the gore between motorway and ramp begins
     parallel, narrows, end = -30.0, 30.0, 70.0  # x [m] where the extra lane begins, narrows, ends

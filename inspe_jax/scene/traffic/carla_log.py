@@ -1,7 +1,5 @@
-"""Traffic from logs of CARLA's recorder, which are read without a server.
-
-A log is a sequence of packets, each with an id and a length, in centimetres and left-handed.
-"""
+"""Traffic from logs of CARLA's recorder: packets, each with an id and a length, in centimetres and
+left-handed. No server is needed."""
 
 import struct
 from collections.abc import Iterator
@@ -53,8 +51,7 @@ class _PacketReader:
 
 @dataclass
 class _Moment:
-    """One recorded frame: its time [s], and by actor the pose and the velocity, six numbers each,
-    in the log's units."""
+    """A recorded frame: time [s], and by actor pose and velocity, six numbers in log units."""
 
     time: float
     where: dict[int, np.ndarray] = field(default_factory=dict)

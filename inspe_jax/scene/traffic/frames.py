@@ -28,9 +28,9 @@ CLASSES: tuple[str, ...] = ("car", "truck", "cyclist", "pedestrian")
 
 @dataclass(frozen=True)
 class RoadUser:
-    """One class: mean ``size`` (length, width, height) [m] and how it moves [m/s, m/s²]. ``path``
-    is one of :data:`~inspe_jax.scene.traffic.waypoint.paths.PATH_USERS`; ``gap`` [m] is kept at a
-    standstill."""
+    """One class: mean ``size`` (length, width, height) [m], how it moves [m/s, m/s²], which
+    ``path`` of :data:`~inspe_jax.scene.traffic.waypoint.paths.PATH_USERS`, and its ``gap`` at a
+    standstill [m]."""
 
     name: str
     path: str
@@ -64,9 +64,9 @@ def drawn_size(bodies: Sequence[BodySize], rng: np.random.Generator) -> tuple[fl
 
 @dataclass(frozen=True)
 class Mix:
-    """Who is on the road: the share of each of :data:`CLASSES`, and how much sizes vary. They are
-    normal, with standard deviation ``spread``·mean, cut at two, about the mean of the class, or of
-    one of its ``bodies``, drawn by their shares."""
+    """Who is on the road: the share of each of :data:`CLASSES`. Sizes are normal, of standard
+    deviation ``spread``·mean, cut at two, about the mean of the class or of ``bodies`` drawn by
+    their shares."""
 
     shares: tuple[float, ...]
     spread: float
@@ -250,9 +250,9 @@ def shortfall(traffic: TrafficFrames, count: int, mix: str) -> str:
 def standing_on(
     place: Intersection, radius: float, snapshot: Snapshot, foot: Float[np.ndarray, " n"]
 ) -> Snapshot:
-    """The road users on the ground of a place and within ``radius`` [m] of its centre. ``foot`` [m]
-    are their heights in the map's own coordinates, which say who is on another level; one that is
-    not a number is on the ground."""
+    """The road users on the ground of a place and within ``radius`` [m] of its centre; ``foot`` [m]
+    are heights in the map's own coordinates, which say who is on another level, NaN for the
+    ground."""
     middle, up = snapshot.center[:, :2], snapshot.size[:, 2] / 2
     here = ~(np.abs(foot - place.level(middle)) > CLEARANCE)
     center = np.column_stack([middle, place.ground(middle) + up])

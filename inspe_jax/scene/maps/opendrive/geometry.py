@@ -1,7 +1,4 @@
-"""The geometry of OpenDRIVE roads: numbers of elements, cubics along s, and reference lines.
-
-s runs along a road's reference line [m], t to its left [m].
-"""
+"""The geometry of OpenDRIVE roads: s runs along a road's reference line [m], t to its left [m]."""
 
 import xml.etree.ElementTree as ET
 from collections import defaultdict
@@ -82,8 +79,8 @@ class Crossfall:
 
 class ReferenceLine:
     """The pieces of a road's ``<planView>``, by s; straight on beyond both ends. ``starts`` are the
-    points (K, 2) where pieces start, ``lengths`` (K,) theirs [m]. Raises ValueError where a piece
-    lacks something, or there is none."""
+    points (K, 2) where they start, ``lengths`` (K,) theirs [m]. Raises ValueError if one lacks
+    something."""
 
     def __init__(self, road: ET.Element) -> None:
         pieces = []

@@ -60,8 +60,7 @@ STEP = 2.0  # strips along a road have a corner this often [m]
 
 
 class Place(NamedTuple):
-    """Where an object stands on its road and how large it is [m], by the names of its attributes;
-    sizes are 0 where unknown."""
+    """Where an object stands on its road and its size [m], by its attributes; 0 if unknown."""
 
     s: float
     t: float

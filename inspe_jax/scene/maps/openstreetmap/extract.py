@@ -41,9 +41,9 @@ class Extract:
 
 
 def read_extract(path: Path, area: Box) -> Extract:
-    """What an extract has in a box, in memory that grows with that, and not with the file. One in
-    another order than :data:`ORDER` is read again, until the parts of each are known. Raises
-    InspeError where it is not well-formed XML."""
+    """What an extract has in a box, in memory that grows with that, and not with the file, which is
+    read again if it is in another order than :data:`ORDER`. Raises InspeError where it is no
+    XML."""
     found = Extract()
     with error_at(f"{path}: not well-formed XML", ET.ParseError, OSError, EOFError):
         for _ in ORDER:

@@ -47,9 +47,8 @@ def _folder() -> Path:
 
 
 def network_file(path: Path, side: str | None = None) -> tuple[Path, list[str]]:
-    """The file of a network, or of what netconvert makes of another map, and notes on that. Traffic
-    of an extract drives on a ``side``, or by its country. Raises InspeError if the file is of
-    another kind."""
+    """The file of a network, or of what netconvert makes of another map, with notes. Traffic of an
+    extract drives on a ``side``, or by its country. Raises InspeError if it is of another kind."""
     name, kind = path.name.lower(), "osm"
     if name.endswith((".xodr", *NET_SUFFIXES)):
         kind = "opendrive" if name.endswith(".xodr") else "net"

@@ -236,9 +236,9 @@ class SumoMap(RoadMap):
 
 @cached_by_file(8)
 def load_net(path: Path, side: str | None = None) -> SumoMap:
-    """The network of a .net.xml, .osm or .xodr file, cached while the file does not change. Traffic
-    of an extract drives on a ``side``, or by its country. Raises InspeError if SUMO or the file is
-    missing, it is of another kind or without roads, or if there is no such side."""
+    """The network of a .net.xml, .osm or .xodr file, cached. Traffic of an extract drives on a
+    ``side``, or by its country. Raises InspeError if SUMO is missing, or the file is missing or no
+    such map."""
     with needs("SUMO networks and OpenStreetMap need sumolib", "sumo"):
         import sumolib
     file, notes = network_file(path, side)

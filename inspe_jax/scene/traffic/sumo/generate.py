@@ -1,8 +1,5 @@
-"""Traffic from SUMO: signals, turning, queues, and people on crossings.
-
-The arrivals of each class are a Poisson process, whose rate is changed until as many road users are
-in the region of interest as wanted.
-"""
+"""Traffic from SUMO: signals, turning, queues, and people on crossings. Each class arrives by a
+Poisson process, whose rate is changed until as many are in the region as wanted."""
 
 import tempfile
 import xml.etree.ElementTree as ET
@@ -40,10 +37,8 @@ Progress = Callable[[int, int], None]
 
 @dataclass
 class ArrivalStream:
-    """Arrivals of one class: their times at a rate of one a second, numbers of paths, and sizes.
-
-    Another rate brings the same road users, earlier or later.
-    """
+    """Arrivals of one class: times at a rate of one a second, numbers of paths, and sizes. Another
+    rate brings the same road users, earlier or later."""
 
     kind: int
     paths: list[TravelPath]

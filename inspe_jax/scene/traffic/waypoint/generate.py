@@ -112,10 +112,9 @@ def _snapshot(model: WaypointModel) -> Snapshot:
 
 
 class CongestedModel(WaypointModel):
-    """As :class:`WaypointModel`, but each class has its share of what the roads hold: the class
-    with the largest part missing comes in first. Vehicles leave at intervals, which grow while
-    vehicles are missing, so queues stand behind the junction; at the longest, more people come on
-    foot."""
+    """As :class:`WaypointModel`, but the class with the largest part missing comes in first.
+    Vehicles leave at intervals, which grow while vehicles are missing, so queues stand behind the
+    junction; at the longest, more people come on foot."""
 
     def __init__(
         self, paths: Paths, kind: Int[np.ndarray, " M"], mix: Mix, rng: np.random.Generator

@@ -264,8 +264,8 @@ CROSSING = np.cos(np.radians(45.0))  # lanes that meet at a larger angle cross; 
 
 def with_walkways(intersection: Intersection, radius: float) -> Intersection:
     """The intersection with footpaths for traffic, if nobody walks within ``radius`` [m] and lanes
-    cross, as on no motorway: beside the lanes, on the right of the outermost, and over each arm at
-    its mouth. The regions stay those of the map."""
+    cross, as on no motorway: to the right of the outermost lanes, and over each arm at its
+    mouth."""
     away = [distance_from(route.waypoints, intersection.center) for route in intersection.routes]
     near = [r for r, far in zip(intersection.routes, away, strict=True) if (far <= radius).any()]
     lanes = [route for route in near if route.user == "vehicle"]

@@ -1,5 +1,6 @@
 """Small scenes with known answers, and a segment–triangle oracle, for the tests."""
 
+import json
 from collections.abc import Iterable
 from dataclasses import replace
 from functools import cache, partial
@@ -9,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 import shapely
-from shapely.geometry import box
+from shapely.geometry import box, mapping
 
 from inspe_jax.core.geometry import rotation
 from inspe_jax.core.parallel import at_precision
@@ -67,6 +68,16 @@ def rilsa() -> Path:
     sumo = pytest.importorskip("sumo", reason="needs SUMO: extra [sumo]")
     home = Path(sumo.SUMO_HOME)
     return home / "tools" / "sumolib" / "scenario" / "scenarios" / "RiLSA1" / "rilsa1.net.xml"
+
+
+def write_geojson(path: Path, features: Iterable[Any], to_file: Any, **members: Any) -> Path:
+    """Writes shapes and their properties, in the coordinates that ``to_file`` makes of theirs."""
+    rows = [
+        dict(type="Feature", geometry=mapping(shapely.transform(shape, to_file)), properties=own)
+        for shape, own in features
+    ]
+    path.write_text(json.dumps(dict(type="FeatureCollection", features=rows, **members)))
+    return path
 
 
 def slow_but(names: Iterable[Any], *quick: Any) -> list[Any]:

@@ -85,11 +85,11 @@ def bend(start: Vector, out: Vector, end: Vector, into: Vector, radius: float = 
 
 def fillet(start: Vector, out: Vector, end: Vector, into: Vector, radius: float) -> Line:
     """Only the arc of :func:`bend`; no points if there is none."""
-    chord, sine = end - start, _cross(out, into)
+    chord, sine = end - start, cross(out, into)
     turn = float(np.arctan2(sine, out @ into))
     if abs(turn) < _STRAIGHT:
         return np.zeros((0, 2))
-    before, after = _cross(chord, into) / sine, _cross(out, chord) / sine  # to where they meet
+    before, after = cross(chord, into) / sine, cross(out, chord) / sine  # to where they meet
     if min(before, after) <= 0:
         return np.zeros((0, 2))
     half = abs(np.tan(turn / 2))
@@ -123,5 +123,6 @@ def at_distance(start: Vector, direction: Vector, distance: float) -> Vector:
     return start + (np.sqrt(along**2 + distance**2 - start @ start) - along) * direction
 
 
-def _cross(a: np.ndarray, b: np.ndarray) -> float:
-    return float(a[0] * b[1] - a[1] * b[0])
+def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Of plan vectors (…, 2): positive where b points to the left of a."""
+    return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]

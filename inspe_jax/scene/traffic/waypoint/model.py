@@ -3,8 +3,9 @@
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from inspe_jax.scene.lines import cross
 from inspe_jax.scene.traffic.frames import ROAD_USERS, Mix
-from inspe_jax.scene.traffic.waypoint.paths import PATH_USERS, SPACING, Paths, cross, dot
+from inspe_jax.scene.traffic.waypoint.paths import PATH_USERS, SPACING, Paths, dot
 
 BRAKING = 3.0  # that drivers expect of themselves and of the road user ahead [m/s²]
 REACTION = 0.7  # [s]

@@ -16,7 +16,7 @@ from inspe_jax.scene.intersection import (
     mouth_crosswalks,
     walking_routes,
 )
-from inspe_jax.scene.lines import distance_from
+from inspe_jax.scene.lines import cross, distance_from
 
 SPACING = 0.5  # distance between poses of a path [m]
 PATH_USERS: tuple[str, ...] = ("vehicle", "cyclist", "pedestrian")
@@ -248,11 +248,6 @@ def _since_stream(
 def dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Scalar products of plan vectors (…, 2)."""
     return a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1]
-
-
-def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Positive where b points to the left of a."""
-    return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
 
 
 BESIDE = 1.5  # distance of a footpath's middle from the lane's edge [m]: room for two that meet

@@ -512,6 +512,46 @@ def test_lanes_are_where_carla_s_client_says(maps, town):
     assert abs(np.array(off)).max() < 2e-3
 
 
+@pytest.mark.parametrize(("name", "junction"), [("Town05", 53), ("Town03", 222), ("Town07", 725)])
+def test_lanes_lie_where_the_raw_xml_puts_them(maps, name, junction):
+    """Lane middles from the file's own numbers, right-handed, without CARLA."""
+    place = read_map(maps / f"{name}.xodr", junction=junction)
+    regions = {"driving": Region.DRIVEWAY, "sidewalk": Region.SIDEWALK, "shoulder": Region.SHOULDER}
+    checked = 0
+    for element in ET.parse(maps / f"{name}.xodr").iter("road"):
+        sections = element.findall("lanes/laneSection")
+        if element.get("junction") != "-1" or len(sections) != 1:
+            continue
+        for piece in element.iter("geometry"):
+            if piece.find("line") is None or float(piece.get("length")) < 4:
+                continue
+            s = float(piece.get("s")) + 2.0
+            heading = float(piece.get("hdg"))
+            along = np.array([np.cos(heading), np.sin(heading)])
+            point = np.array([float(piece.get("x")), float(piece.get("y"))]) + 2.0 * along
+            if np.hypot(*(point - place.center[:2])) > 35:
+                continue
+            shift = polynomial(element.findall("lanes/laneOffset"), "s", s)
+            for side, sign in (("left", 1), ("right", -1)):
+                rows, inner = sections[0].findall(f"{side}/lane"), 0.0
+                for row in sorted(rows, key=lambda r: abs(int(r.get("id")))):
+                    width = polynomial(row.findall("width"), "sOffset", s)
+                    t = shift + sign * (inner + width / 2)
+                    inner += width
+                    middle = shapely.Point(point + t * np.array([-along[1], along[0]]))
+                    if row.get("type") in regions and width > 0.3:
+                        own = (regions[row.get("type")], Region.CROSSWALK)
+                        assert min(place.regions[r].distance(middle) for r in own) < 0.02
+                        checked += 1
+    assert checked >= 15
+
+
+def polynomial(rows, key: str, s: float) -> float:
+    row = [r for r in rows if float(r.get(key)) <= s][-1:]
+    ds = s - float(row[0].get(key)) if row else 0.0
+    return sum(float(row[0].get(k)) * ds**i for i, k in enumerate("abcd")) if row else 0.0
+
+
 def test_levels_that_overlap_are_told_apart(maps):
     """Town05's elevated road over 53, and Town04's interchange whose ramps join both levels."""
     for name, junction in (("Town05", 53), ("Town04", 1061)):

@@ -1,19 +1,19 @@
 """Small scenes with known answers, and a segment–triangle oracle, for the tests."""
 
+import json
 from collections.abc import Iterable
-from contextlib import AbstractContextManager
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
-import jax
 import numpy as np
 import pytest
 import shapely
-from shapely.geometry import box
+from shapely.geometry import box, mapping
 
 from inspe_jax.core.geometry import rotation
+from inspe_jax.core.parallel import at_precision
 from inspe_jax.scene.intersection import Intersection
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.scene import Scene
@@ -68,6 +68,16 @@ def rilsa() -> Path:
     sumo = pytest.importorskip("sumo", reason="needs SUMO: extra [sumo]")
     home = Path(sumo.SUMO_HOME)
     return home / "tools" / "sumolib" / "scenario" / "scenarios" / "RiLSA1" / "rilsa1.net.xml"
+
+
+def write_geojson(path: Path, features: Iterable[Any], to_file: Any, **members: Any) -> Path:
+    """Writes shapes and their properties, in the coordinates that ``to_file`` makes of theirs."""
+    rows = [
+        dict(type="Feature", geometry=mapping(shapely.transform(shape, to_file)), properties=own)
+        for shape, own in features
+    ]
+    path.write_text(json.dumps(dict(type="FeatureCollection", features=rows, **members)))
+    return path
 
 
 def slow_but(names: Iterable[Any], *quick: Any) -> list[Any]:
@@ -151,14 +161,9 @@ def _filled_up(
 
 def no_traffic() -> TrafficFrames:
     """One frame of an empty road."""
-    return TrafficFrames(
-        center=np.zeros((1, 0, 3)),
-        yaw=np.zeros((1, 0)),
-        size=np.ones((1, 0, 3)),
-        valid=np.zeros((1, 0), bool),
-        kind=np.zeros((1, 0), np.int8),
-        **still(1, 0),
-    )
+    nobody, vectors = np.zeros((1, 0)), np.zeros((1, 0, 3))
+    kind = nobody.astype(np.int8)
+    return TrafficFrames(vectors, nobody, vectors, nobody.astype(bool), kind, **still(1, 0))
 
 
 def emptied(scene: Scene) -> Scene:
@@ -351,10 +356,5 @@ def solid_voxels(scene, frame):
     return solid
 
 
-def double_precision() -> AbstractContextManager[None]:
-    """Floats of 64 bits within; the name of the switch changed between versions of JAX."""
-    if hasattr(jax, "enable_x64"):
-        return jax.enable_x64(True)
-    from jax.experimental import enable_x64
-
-    return enable_x64()
+double_precision = partial(at_precision, True)
+"""Floats of 64 bits within."""

@@ -44,10 +44,8 @@ def on_device(x: Any, kind: Any = None) -> Array:
 
 @partial(jax.custom_vjp, nondiff_argnums=(1,))
 def pad_rows(rows: Float[Array | np.ndarray, "s n"], count: int) -> Any:
-    """``count`` rows: those given, then the first one repeated.
-
-    In NumPy unless traced, the gradient too: JAX would compile a program for every number of rows.
-    """
+    """``count`` rows: those given, then the first one repeated. In NumPy unless traced, the
+    gradient too: JAX would compile a program for every number of rows."""
     if isinstance(rows, jax.core.Tracer):
         return jnp.concatenate([rows, jnp.repeat(rows[:1], count - len(rows), 0)])
     rows = np.asarray(rows)

@@ -1,9 +1,6 @@
-"""Converts poses and points between our world frame and CARLA's.
-
-Ours is right-handed, x east and y north, in radians. CARLA's is left-handed and in degrees, as
-Unreal's: y and yaw change sign, roll and pitch do not. Its body frame is x forward, y right, z up.
-Its files hold *cords*: x, y, z, roll, yaw, pitch.
-"""
+"""Converts poses and points between our world frame and CARLA's: left-handed, in degrees, so that y
+and yaw change sign. Its body frame is x forward, y right, z up. Its files hold *cords*: x, y, z,
+roll, yaw, pitch."""
 
 from typing import Any
 

@@ -1,8 +1,5 @@
-"""What XLA compiles in this process: how many programs, for how long, and who waits for it.
-
-Measured from the events that JAX records, for progress displays and for the clock of a search,
-which stands still meanwhile. The programs are kept on disk for the next process.
-"""
+"""What XLA compiles in this process: how many programs, for how long, and who waits for it. The
+clock of a search stands still meanwhile. The programs are kept on disk for the next process."""
 
 import atexit
 import contextlib
@@ -30,8 +27,7 @@ that is compiled, or read from the cache on disk."""
 
 @dataclass(frozen=True)
 class Compiled:
-    """Number of ``programs`` compiled so far, in ``seconds`` of wall time with tracing, and whether
-    one is being compiled ``now``."""
+    """``programs`` compiled so far, in ``seconds`` of wall time, and whether one is ``now``."""
 
     programs: int
     seconds: float
@@ -157,9 +153,8 @@ CACHE_SETTINGS = (
 
 
 def keep_programs() -> None:
-    """Keep all programs that this process compiles in the user's cache folder for the next one.
-    ``import inspe_jax`` calls it, unless INSPE_CACHE is 0. A folder that the user sets for JAX,
-    before or after, stays. If no folder can be written, nothing is kept."""
+    """Keep all programs that this process compiles in the user's cache folder for the next one. A
+    folder that the user sets for JAX stays. If no folder can be written, nothing is kept."""
     if jax.config.jax_compilation_cache_dir is not None:  # type: ignore[attr-defined]
         return
     try:

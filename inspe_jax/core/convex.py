@@ -1,10 +1,8 @@
-"""Sight line against upright prisms on convex outlines: vehicles and static bodies; and such
-outlines from triangles.
+"""Sight line against upright prisms on convex outlines, and such outlines from triangles.
 
-- :func:`sight_cut` is the cut of a line and a prism, in the margins [m] that soft scores read.
-- :func:`convex_shadow`, for exact scores, follows from it: the heights between which a prism hides
-  a column, in u = 1/t, without a division for each sight line. Of rectangles,
-  :func:`inspe_jax.core.geometry.shadow_ceiling` is the same and faster.
+:func:`sight_cut` gives the margins [m] that soft scores read. :func:`convex_shadow`, for exact
+scores, follows from it without a division for each sight line; of rectangles,
+:func:`inspe_jax.core.geometry.shadow_ceiling` is the same and faster.
 """
 
 from typing import NamedTuple
@@ -79,12 +77,10 @@ def convex_shadow(
 ) -> tuple[Float[Array, "B C"], Float[Array, "B C"]]:
     """Heights [m] between which B prisms hide each column: from the first up to the second.
 
-    (dx, dy) is column minus sensor [m]. Along the line, a side is crossed at t = 1/u, with u linear
-    in the column: from outside it is an entry, from inside an exit. The prism is met where the last
-    entry comes before the first exit, and before the column; else the second height is
-    :data:`~inspe_jax.core.geometry.NEVER`. It is that of
-    :func:`~inspe_jax.core.geometry.shadow_ceiling`. The first is the height at which the line
-    touches the bottom, where it is highest in the prism.
+    (dx, dy) is column minus sensor [m]. A side is crossed at u = 1/t, linear in the column: entered
+    from outside, left from inside. Where the last entry does not come before the first exit and the
+    column, the second height is :data:`~inspe_jax.core.geometry.NEVER`; else it is that of
+    :func:`~inspe_jax.core.geometry.shadow_ceiling`. At the first the line touches the bottom.
     """
     terms = jax.tree.map(lambda leaf: leaf[..., None], terms)  # (B, K, 1), (B, 1)
     dx, dy = dx[None], dy[None]
@@ -162,15 +158,14 @@ def sight_cut(
 ) -> SightCut:
     """How sight lines from (sx, sy) to columns at (x, y) cut one convex outline in plan.
 
-    A line turns about the column where it ends. So to pass a corner at a share τ of the line from
-    the column, the sensor has to move by the corner's distance from the line over τ; and to pass a
-    side of the prism, by the most that a corner asks for. Corners beyond the column ask for
-    nothing, unless the line enters the prism before it ends. Where the line misses the prism,
-    ``near`` and ``far`` are at the corner that it passes.
+    A line turns about its column. To pass a corner at a share τ of the line from the column, the
+    sensor has to move by the corner's distance from the line over τ; to pass a side of the prism,
+    by the most that a corner asks for. Corners beyond the column ask for nothing, unless the line
+    enters the prism before it ends. Where the line misses, ``near`` and ``far`` are at the corner
+    that it passes.
 
-    With φ the angle between the line and the direction to a corner, that move is L·tan φ. Its
-    derivative along the line is tan φ, and across it 1 + tan² φ; where τ is kept at NO_LEVER, they
-    are 0 and τ/NO_LEVER.
+    That move is L·tan φ, with φ the angle between the line and the corner. Its derivative along the
+    line is tan φ, and across it 1 + tan² φ; where τ is kept at NO_LEVER, they are 0 and τ/NO_LEVER.
     """
     dx, dy = sx - x, sy - y
     squared = jnp.maximum(dx * dx + dy * dy, 1e-9)
@@ -219,8 +214,7 @@ def sight_cut(
     aside = jnp.where(to_left, passes, -passes) * jnp.where(corner > NO_LEVER, corner, NO_LEVER)
 
     def kept(at: Array, turn: Array, most: float) -> tuple[Array, Array]:
-        """τ of a crossing, kept on the line, and its derivative across. Where the line misses, they
-        are those of the corner that it passes."""
+        """τ of a crossing on the line and its derivative across; of the corner if it misses."""
         at, turn = jnp.where(misses, corner, at), jnp.where(misses, aside / squared, turn)
         return jnp.clip(at, 0.0, most), jnp.where((at > 0) & (at < most), turn, 0.0)
 

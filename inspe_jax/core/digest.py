@@ -1,7 +1,4 @@
-"""Digests of content: the same text for the same arrays, shapes and records of them.
-
-Fields alone are hashed, not pickles, so a checkpoint fits the same search in a later version.
-"""
+"""Digests of content: of fields alone, so a checkpoint fits the same search in a later version."""
 
 import hashlib
 from collections.abc import Mapping, Sequence

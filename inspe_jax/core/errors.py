@@ -62,8 +62,7 @@ def brief(value: Any) -> str:
 
 
 def check_known(name: str, known: Iterable[str], what: str) -> None:
-    """Raise InspeError, which lists the known names of ``what``, if ``name`` is none of them;
-    ``what`` may be empty."""
+    """Raise InspeError, which lists the known names of ``what``, if ``name`` is none of them."""
     known = tuple(known)
     if name not in known:
         hint = nearest(str(name), known)

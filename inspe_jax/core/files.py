@@ -276,9 +276,8 @@ def check_size(where: object, size: float, most: float, what: str) -> None:
 
 
 def cached_by_file(size: int) -> Callable[[Callable[..., Content]], Callable[..., Content]]:
-    """A decorator for readers of files: it caches the content of ``size`` files, until they change.
-    The reader then raises InspeError if there is no file. It may take options besides; one that is
-    None counts as not given."""
+    """A decorator for readers of files: it caches the content of ``size`` files, until they change,
+    and raises InspeError if there is no file. Options that are None count as not given."""
 
     def decorated(read: Callable[..., Content]) -> Callable[..., Content]:
         cached = functools.lru_cache(maxsize=size)(lambda facts, *given: read(*given))
@@ -310,8 +309,7 @@ def check_output(path: str | os.PathLike[str] | None, suffixes: Collection[str] 
 
 @contextmanager
 def whole_file(path: str | os.PathLike[str]) -> Iterator[IO[bytes]]:
-    """A binary file to write. It gets its name when it is complete, and is deleted on any error.
-    Raises InspeError if it cannot be written."""
+    """A binary file that gets its name when complete. Raises InspeError if it can't be written."""
     check_output(path)
     path = Path(path)
     part = path.with_name(f".{path.name}.{secrets.token_hex(4)}.part")
@@ -379,11 +377,8 @@ def write_text(path: str | os.PathLike[str], text: str) -> None:
 
 
 def csv_text(rows: Sequence[Mapping[str, Any]]) -> str:
-    """Rows as CSV text, under the keys of the first; there must be at least one.
-
-    Text that a spreadsheet would run as a formula gets an apostrophe before it (OWASP, "CSV
-    injection"), which :func:`parse_csv` takes away. Numbers stay as they are.
-    """
+    """Rows as CSV text, under the keys of the first. Text that a spreadsheet would run as a formula
+    gets an apostrophe before it (OWASP, "CSV injection"), which :func:`parse_csv` takes away."""
     keys = list(rows[0])
     return csv_line(keys) + "".join(csv_line(row.get(key, "") for key in keys) for row in rows)
 

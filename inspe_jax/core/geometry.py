@@ -1,13 +1,10 @@
 """Rotations, pictures, and the two tests of visibility: ray against cube, sight line against prism.
 
-Sight line against prism: in plan the line from sensor s to column c is s + t·(c − s), 0 ≤ t ≤ 1. It
-cuts the prism's rectangle from t₀ to t₁, or misses it. The prism hides the column below the height
-at which the line touches its top: z* = z_s + rise/t, with rise the top's height above the sensor,
-t = t₁ for a sensor above the top and t = t₀ for one below.
-
-:func:`shadow_ceiling`, for exact scores, works in u = 1/t. Each u is linear in the column, so a
-sight line costs no division, and t₀ and t₁ are compared but never computed. It follows from the one
-cut of all prisms, :func:`inspe_jax.core.convex.sight_cut`.
+In plan the line from sensor s to column c is s + t·(c − s), 0 ≤ t ≤ 1. A prism whose rectangle it
+cuts from t₀ to t₁ hides the column below the height at which the line touches its top: z* = z_s +
+rise/t, with rise the top's height above the sensor, t = t₁ for a sensor above the top and t₀ for
+one below. :func:`shadow_ceiling` works in u = 1/t, which is linear in the column, so a sight line
+costs no division. It follows from :func:`inspe_jax.core.convex.sight_cut`.
 """
 
 from typing import Any, NamedTuple, Protocol
@@ -40,9 +37,8 @@ class Prism(NamedTuple):
 def rotation(angles: Any, xp: Any = jnp) -> Any:
     """The rotation from the body frame to the world, Rz(yaw) Ry(−pitch) Rx(roll), as a (3, 3).
 
-    ``angles`` (3,) are roll, pitch and yaw [rad]. Pitch is positive nose-up. The body's y axis
-    points left, so pitch is a rotation about −y. ``xp`` is the array module: jax.numpy, or numpy,
-    which computes in double precision but cannot be traced.
+    ``angles`` (3,) are roll, pitch and yaw [rad]; pitch is positive nose-up. ``xp`` is jax.numpy,
+    or numpy, which computes in double precision but cannot be traced.
     """
     (cr, cp, cy), (sr, sp, sy) = xp.cos(angles), xp.sin(angles)
     rows = [
@@ -98,11 +94,10 @@ def ray_cube_margin(
 ) -> Float[Array, "*n"]:
     """How deep a ray passes through a cube [m]; negative by how far it misses.
 
-    The ray starts at 0 and goes ``reach`` metres along the unit ``direction``. The cube is aligned
-    with the axes, centred at ``offset``, with half edge ``half`` [m]. The separating axes of a
-    segment and a box are the box's three and the cross products of the ray with them. On each, the
-    margin is the sum of the supports minus the offset, divided by the axis's length. Unlike slab
-    parameters, it stays in metres when the ray is parallel to a face.
+    The ray goes ``reach`` metres from 0 along the unit ``direction``. The cube is aligned with the
+    axes, centred at ``offset``, with half edge ``half`` [m]. On each separating axis, the box's
+    three and their cross products with the ray, the margin is the sum of the supports minus the
+    offset: it stays in metres when the ray is parallel to a face.
     """
     margin = jnp.full_like(direction[0], FAR)
     for k in range(3):
@@ -137,10 +132,9 @@ class ShadowTerms(NamedTuple):
 def shadow_terms(sensor: Float[Array, "3"], prism: Prism) -> ShadowTerms:
     """The terms of a sensor's sight lines against a prism, with the divisions done once for all.
 
-    In the prism's frame, the sight line s + t·(c − s) crosses the slab −a ≤ x ≤ a at
-    t = (±a − s_x)/d_x, with d = c − s. In u = 1/t that is d_x/(±a − s_x): linear in the column, and
-    divided by a number that depends on sensor and prism only. A sight line parallel to a side has
-    u = 0, t = ∞, and needs no special case. An invalid prism has u = 0 and hides nothing.
+    In the prism's frame, the line s + t·d, with d = c − s, crosses the slab −a ≤ x ≤ a at u = 1/t =
+    d_x/(±a − s_x): linear in the column. A line parallel to a side, and an invalid prism, has u =
+    0.
     """
     dx, dy = sensor[0] - prism.center[..., 0], sensor[1] - prism.center[..., 1]
     cos, sin = jnp.cos(prism.yaw), jnp.sin(prism.yaw)
@@ -165,10 +159,7 @@ def shadow_ceiling(
 ) -> Float[Array, " L"]:
     """Height [m] below which one prism hides each column; :data:`NEVER` where it does not.
 
-    (dx, dy) is column minus sensor [m], ``sensor_z`` is z_s. With h the top, and t₀ and t₁ the
-    entry and exit in plan (t₁ clipped to 1): z* = z_s − (z_s − h)/t₁ for a sensor above the top,
-    whose sight line is lowest where it leaves the prism; z* = z_s + (h − z_s)/t₀ for a sensor
-    below, whose sight line is lowest where it enters. Nothing is seen beneath a prism. With
+    (dx, dy) is column minus sensor [m], ``sensor_z`` is z_s. Nothing is seen beneath a prism. With
     ``ignore_self_occlusion`` a prism does not hide the columns it stands on.
     """
     ex, ey = terms.cos * dx + terms.sin * dy, terms.cos * dy - terms.sin * dx

@@ -1,15 +1,10 @@
 """Sight line against the ground: a surface of triangles over a square lattice.
 
-In plan the line from sensor s to column c is s + t·(c − s). The surface is linear between the
-points where this crosses edges of triangles, so that only these decide. Three families of lines
-hold all edges: x = k, y = k and x − y = k, in steps of the lattice. Where the surface has the
-height h at a crossing,
-
-- it hides the column below the ceiling z_s + (h − z_s)/t (:func:`ground_ceiling`, exact scores);
-- the sensor sees the voxel at height z only from above z + (h − z)/(1 − t)
-  (:func:`ground_margin`, soft scores: how far the sensor is below the highest such height).
-
-Both are the same comparison of h with the line's height at t.
+The surface is linear between the points where the line from sensor s to column c, in plan s + t·(c
+− s), crosses edges of triangles. These lie on x = k, y = k and x − y = k, in steps of the lattice.
+Where the surface has the height h at a crossing, it hides the column below the ceiling z_s + (h −
+z_s)/t (:func:`ground_ceiling`, exact scores), and the sensor sees the voxel at height z only from
+above z + (h − z)/(1 − t) (:func:`ground_margin`, soft scores).
 """
 
 from collections.abc import Callable
@@ -110,11 +105,9 @@ def fold_crossings(
     add: Callable[..., Any],
     start: Any,
 ) -> Any:
-    """``total = add(total, number, t, height, there)`` over all crossings that can hide something.
-
-    Left out are those before which a line from ``spare`` metres below the sensor is above all of
-    the ground. ``number`` tells lines apart: k of family f is 3·k + f.
-    """
+    """``total = add(total, number, t, height, there)`` over all crossings but those before which a
+    line from ``spare`` metres below the sensor is above all ground. Line k of family f has the
+    number 3·k + f."""
     height = sensor[2] - spare
     clear = (height - field.highest) / jnp.maximum(height - lowest, 1e-3)
     after = jnp.where(height > field.highest, jnp.clip(clear, 0.0, 1.0), 0.0)
@@ -153,10 +146,7 @@ def ground_margin(
     beyond: float | Array,
 ) -> Float[Array, "Z C"]:
     """How far the sensor is too low to see each voxel over the ground [m]; negative if it sees it.
-
-    Margins of less than −``beyond`` may be any such. Only the sensor has a gradient: that at the
-    crossing which decides.
-    """
+    Margins of less than −``beyond`` may be any such. Only the sensor has a gradient."""
     fixed = jax.lax.stop_gradient(sensor)
 
     def needed(t: Array, height: Array) -> Array:

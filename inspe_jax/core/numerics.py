@@ -28,9 +28,9 @@ def exact(width: Width) -> bool:
 def step(margin: Float[Array, "*n"], width: Width = None) -> Float[Array, "*n"]:
     """1 where ``margin`` [m] is positive and 0 elsewhere; read softly, a cubic rises in between.
 
-    With w = ``width`` and u = 1/2 + margin / (2·REACH·w), clipped to 0 … 1, the soft reading is
-    u²(3 − 2u). At 0 its slope is 1/(4w), that of the logistic function of width w. It is exactly 0
-    or 1 beyond :data:`REACH` widths, where it has no slope. Read exactly, a margin of 0 gives 0.
+    With u = 1/2 + margin / (2·REACH·w), clipped to 0 … 1, and w = ``width``, it is u²(3 − 2u): of
+    slope 1/(4w) at 0, as the logistic function, and certain beyond :data:`REACH` widths. Read
+    exactly, a margin of 0 gives 0.
     """
     if exact(width):
         return (margin > 0).astype(margin.dtype)
@@ -131,8 +131,7 @@ class Groups(NamedTuple):
     def of_rows(
         cls, groups: Sequence[Sequence[int]], rows: int, room: int | None = None
     ) -> "Groups | None":
-        """``groups`` of row numbers, of ``rows`` rows, with spare groups up to ``room``; None if
-        there are no groups."""
+        """Groups of numbers of ``rows`` rows, with spare ones up to ``room``; None without any."""
         if not groups:
             return None
         listed = [row for group in groups for row in group]
@@ -156,8 +155,7 @@ def without_each(
     nothing: Shaped[Array, "..."],
 ) -> Shaped[Array, "1+G ..."]:
     """All rows combined by ``both``, whose neutral element is ``nothing``, and for each group all
-    rows outside it. Rows are combined from both ends: leaving a group out combines what comes
-    before it with what comes after it, and needs no inverse."""
+    rows outside it: what comes before it with what comes after it, without an inverse."""
 
     def combine(total: Array, row: Array) -> tuple[Array, Array]:
         total = both(total, row)
@@ -181,8 +179,7 @@ def leave_one_out(p: Float[Array, "S ..."], groups: Groups | None) -> Float[Arra
 
 def dot(x: Float[Array, "... V"], y: Float[Array, " V"]) -> Float[Array, "..."]:
     """Σ x·y along the last axis, in three levels of partial sums: of a million numbers in single
-    precision, the relative error is 1e-6, and 1e-4 of one sum after another. The barriers keep XLA
-    from merging the three sums."""
+    precision, the error is 1e-6, not 1e-4. Barriers keep XLA from merging the sums."""
     n = y.shape[-1]
     block = max(1, round(n ** (1 / 3)))
     room = block * block * max(1, -(-n // (block * block)))
@@ -212,9 +209,9 @@ _ARCTAN = (
 
 
 def arctan2(y: Float[Array, "*n"], x: Float[Array, "*n"]) -> Float[Array, "*n"]:
-    """Angle of (x, y) [rad], to 2e-7; at the origin both it and its derivative are 0. Abramowitz
-    and Stegun, 4.4.49, |error| ≤ 2e-8 before rounding: some forty times faster than the C
-    library's, which XLA calls point by point on a CPU."""
+    """Angle of (x, y) [rad], to 2e-7, with its derivative 0 at the origin (Abramowitz and Stegun,
+    4.4.49). Some forty times faster than the C library's, which XLA calls point by point on a
+    CPU."""
     a, b = jnp.abs(x), jnp.abs(y)
     larger = jnp.maximum(a, b)
     t = jnp.minimum(a, b) / jnp.where(larger > 0, larger, 1.0)

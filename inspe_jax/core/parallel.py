@@ -1,8 +1,6 @@
-"""Runs work on all cores of this machine, and knows what fits in its memory.
-
-XLA runs the body of a loop on one core, and the programs that one thread sends to a CPU one after
-the other. Programs from several threads run at the same time.
-"""
+"""Runs work on all cores, and knows what fits in memory. XLA runs the programs that one thread
+sends to a CPU one after the other, each on one core; those of several threads run at the same
+time."""
 
 import os
 from collections.abc import Callable, Hashable, Sequence
@@ -53,9 +51,8 @@ def shapes_of(*arrays: Any) -> tuple[tuple[int, ...], ...]:
 
 
 def run(jobs: Sequence[Job], known: set[Hashable] = compiled) -> list[Any]:
-    """Run jobs on all cores and return their finished results, in order. For each key that is not
-    ``known``, one job runs first, so that its code is compiled only once; the key is then added to
-    ``known``. Jobs must not call this function themselves."""
+    """Run jobs on all cores and return their finished results, in order. Of each key that is not
+    ``known``, which it then is, one runs first and compiles. Jobs must not call this themselves."""
     here = this_thread()
 
     def finished(number: int) -> Any:
@@ -85,8 +82,7 @@ def at_precision(double: bool) -> AbstractContextManager[None]:
 
 
 def untraced(work: Callable[[], Result]) -> Result:
-    """The result of ``work``, computed now even while a function is being traced: in a thread of
-    its own, at this thread's precision."""
+    """The result of ``work``, computed now even under a trace, at this thread's precision."""
     double = jax.config.jax_enable_x64  # type: ignore[attr-defined]
 
     def there() -> Result:

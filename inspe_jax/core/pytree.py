@@ -10,12 +10,9 @@ Class = TypeVar("Class", bound=type)
 
 
 def pytree(cls: Class) -> Class:
-    """Register a dataclass with JAX; fields with ``metadata={"static": True}`` are no arrays.
-
-    Unlike :func:`jax.tree_util.register_dataclass`, the class is part of the structure: JAX 0.10
-    holds the structures of two dataclasses of as many fields to be equal, and now and then runs
-    what was traced for one class on the other.
-    """
+    """Register a dataclass with JAX; fields with ``metadata={"static": True}`` are no arrays. The
+    class is part of the structure: JAX 0.10 takes dataclasses of as many fields for equal, and at
+    times runs one's program on the other."""
     arrays = tuple(f.name for f in fields(cls) if not f.metadata.get("static"))
     static = tuple(f.name for f in fields(cls) if f.metadata.get("static"))
     keys = tuple(map(jax.tree_util.GetAttrKey, arrays))

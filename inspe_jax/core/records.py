@@ -25,9 +25,8 @@ def check_record(record: Any, where: str, **axes: int) -> None:
     """Raise InspeError where a dataclass, or one in it, has a value of another kind than annotated,
     a number that is not finite, or an array of another shape, as of ``Float[Array, "T B 3"]``.
 
-    A letter is one length in a whole record; ``axes`` are those that are known. What is traced has
-    no values to check and passes. A record's own method ``_check`` adds what annotations cannot
-    say; it is given what its messages begin with.
+    A letter is one length in a whole record; ``axes`` are known ones. What is traced passes. A
+    record's own ``_check`` adds to this; it is given what its messages begin with.
     """
     _walk(record, f"{where}: ", axes)
 
@@ -130,8 +129,7 @@ def _content(x: Any) -> Any:
 
 
 class Described:
-    """For dataclasses with ``repr=False``: one line for a prompt, a small table for a notebook, of
-    the facts by name that ``_facts`` has."""
+    """For dataclasses with ``repr=False``: ``_facts`` in a line, or as a table in a notebook."""
 
     def _facts(self) -> dict[str, Any]:
         raise NotImplementedError

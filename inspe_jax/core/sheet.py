@@ -1,8 +1,5 @@
-"""The sheet that maps are drawn on, and how figures are saved.
-
-A sheet is 180 mm wide, with fixed places in inches for its parts: the map on the left, a panel for
-the legend on the right, a heading above, notes below.
-"""
+"""The sheet that maps are drawn on, 180 mm wide: the map on the left, a panel for the legend on the
+right, a heading above, notes below. And how figures are saved."""
 
 import base64
 import io
@@ -133,8 +130,8 @@ def heading(fig: Figure, title: str, facts: str, left: float = LEFT / WIDTH, **h
 
 
 def frame_map(ax: Axes, middle: Float[np.ndarray, "..."], radius: float, reach: float) -> None:
-    """Set a map's limits, ``reach`` [m] about the ``middle``; draw a circle of ``radius`` [m]
-    there, scale bar and north arrow."""
+    """Frame ``reach`` [m] about the ``middle``; draw a circle of ``radius`` [m], scale and
+    arrow."""
     x, y = map(float, middle[:2])
     limit = 1.06 * reach
     ax.set(xlim=(x - limit, x + limit), ylim=(y - limit, y + limit), aspect="equal")
@@ -159,10 +156,8 @@ def draw_scale(ax: Axes, limit: float) -> None:
 
 def fit(words: str, length: int, size: float) -> dict[str, Any]:
     """Text that is never cut: what to pass to matplotlib for its words and their size [pt].
-
-    ``length`` characters of this ``size`` fit on its line. Longer words are smaller; below
-    :data:`READABLE` of the size they are on several lines, together 1.2 times as high.
-    """
+    ``length`` characters of this ``size`` fit on a line; longer words are smaller, and below
+    :data:`READABLE` of the size on several lines, together 1.2 times as high."""
     if READABLE * len(words) <= length:
         return dict(s=words, size=size * min(1.0, length / max(len(words), 1)))
     for lines in itertools.count(2):

@@ -30,9 +30,8 @@ _UNBOUNDED = 10_000
 
 
 class WholeTable(Table):
-    """A table that cuts no number and no name: columns of prose break between words, and where that
-    is not enough, further columns follow below, beside the names of the rows. A title may be longer
-    than its table. Lines are longer than the terminal where a single column is."""
+    """A table that cuts no number and no name: prose breaks between words, further columns follow
+    below, beside the names of the rows, and lines may be longer than the terminal."""
 
     def add_row(self, *cells: RenderableType | None, **how: Any) -> None:
         """Add a row; control characters of its texts show as escapes."""

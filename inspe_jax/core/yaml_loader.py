@@ -55,11 +55,8 @@ def check_digits(text: str) -> str:
 
 
 def load_yaml(text: str) -> Any:
-    """The content of a YAML text.
-
-    Raises YAMLError if it is not YAML, has a key twice, or is larger than :data:`VALUES` and
-    :data:`DEPTH`; and what PyYAML raises on a value that is not of its tag.
-    """
+    """The content of a YAML text. Raises YAMLError if it is not YAML, has a key twice, or is larger
+    than :data:`VALUES` and :data:`DEPTH`; and what PyYAML raises on a value not of its tag."""
     loader = _Loader(text)
     try:
         node = loader.get_single_node()

@@ -11,7 +11,7 @@ from inspe_jax.core.errors import InspeError, check_known, error_at
 from inspe_jax.core.files import STRICT
 from inspe_jax.scene.profiles import DEFAULT_PROFILE, profile_of, profiles
 from inspe_jax.scene.scene import build_scene, density_count
-from inspe_jax.scene.street import check_statics
+from inspe_jax.scene.street import STATICS
 from inspe_jax.scene.terrain import check_terrain
 from inspe_jax.scene.traffic.frames import MIXES, TRAFFIC_MODELS
 from inspe_jax.sensing.conditions import FAIR, Conditions
@@ -78,7 +78,7 @@ CHECKS: dict[str, Callable[[Any], Any]] = {
     "density": density_count,
     "mix": lambda value: check_known(value, MIXES, ""),
     "traffic": lambda value: check_known(value, TRAFFIC_MODELS, ""),
-    "statics": check_statics,
+    "statics": lambda value: check_known(value, STATICS, "statics"),
     "terrain": check_terrain,
     "light": Conditions.of,
     "weather": lambda value: Conditions.of("midday", value),

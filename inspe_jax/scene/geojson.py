@@ -67,15 +67,13 @@ def read_features(
     place: Intersection | None,
     wanted: Callable[[dict[str, Any]], bool] = lambda properties: True,
 ) -> tuple[tuple[Feature, ...], dict[str, Any], list[int]]:
-    """The features of a file in the world metres of a place, and its further members; in degrees
-    of longitude and latitude without a place.
+    """The features of a file in the world metres of a place, or in degrees without one; its further
+    members; and the numbers of features without a geometry, which are left out.
 
-    Coordinates are longitudes and latitudes, or those of the system that an older GeoJSON file
-    names in ``crs``. A CSV file has a row for each point, with columns ``latitude``, ``longitude``
-    and those of its properties. Properties that are null are left out. ``wanted`` says by its
-    properties whether a feature is read. The last are the numbers of features without a geometry,
-    which are left out. Raises InspeError if the place has no coordinates, the
-    file is no such file, or a wanted feature has no coordinates.
+    Coordinates are longitudes and latitudes, or those of an older GeoJSON file's ``crs``. A CSV
+    file has a row for each point, with columns ``latitude``, ``longitude`` and properties.
+    ``wanted`` says by its properties whether a feature is read. Raises InspeError if the place has
+    no coordinates, the file is no such file, or a wanted feature has none.
     """
     georeference = None if place is None else known_georeference(place)
     check_kind(Path(path))

@@ -111,11 +111,9 @@ def wgs84(
 
 
 def of_open_drive(text: str, shift: tuple[float, float] = (0.0, 0.0)) -> Georeference | None:
-    """The projection that an OpenDRIVE ``<geoReference>`` names; None for an empty one.
-
-    Where the text names none, as in CARLA's own maps, it is the transverse Mercator of true scale
-    about its ``+lat_0`` and ``+lon_0``.
-    """
+    """The projection that an OpenDRIVE ``<geoReference>`` names, None for an empty one. Where it
+    names none, as in CARLA's maps, it is the transverse Mercator of true scale about ``+lat_0``,
+    ``+lon_0``."""
     words = dict(part.lstrip("+").partition("=")[::2] for part in text.split())
     words.pop("geoidgrids", None)  # for heights, and often a file that is not there
     if not words:

@@ -35,11 +35,8 @@ FOOTPATH_WIDTH = 2.0  # of routes of pedestrians of which nothing says so [m]
 
 @dataclass(frozen=True)
 class Arm:
-    """One road that meets the junction.
-
-    ``mouth`` is the middle of its carriageway where it enters the junction [m]; ``bearing`` points
-    away from the junction [rad]; ``width`` is that of both directions, kerb to kerb [m].
-    """
+    """One road that meets the junction. ``mouth`` is the middle of its carriageway where it enters
+    [m]; ``bearing`` points away [rad]; ``width`` is that of both directions, kerb to kerb [m]."""
 
     mouth: tuple[float, float]
     bearing: float
@@ -52,20 +49,17 @@ class Arm:
         return np.array([[x, y], [-y, x]])
 
     def kerb(self, side: int, outward: float = 0.0) -> Float[np.ndarray, "2"]:
-        """The kerb's point ``outward`` [m] of the mouth: left (+1) or right (−1) looking outward;
-        0 is the middle of the road."""
+        """The kerb ``outward`` [m] of the mouth, on the left (+1) or right (−1); 0: middle."""
         along, across = self.axes
         return np.asarray(self.mouth) + outward * along + side * self.width / 2 * across
 
 
 @dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
 class Route:
-    """A path that one kind of road user follows through the scene.
-
-    ``waypoints`` are about 1 m apart, in the direction of travel [m]; ``width`` is that of the lane
-    [m]; ``user`` is ``'vehicle'`` or ``'pedestrian'``. ``through`` are the indices of the (entry,
-    exit) arms of a vehicle's route, −1 where it begins or ends elsewhere.
-    """
+    """A path that one kind of road user follows: ``waypoints`` about 1 m apart, in the direction of
+    travel [m]; ``width`` of the lane [m]; ``user``, ``'vehicle'`` or ``'pedestrian'``; and
+    ``through``, the indices of a vehicle's (entry, exit) arms, −1 where it begins or ends
+    elsewhere."""
 
     waypoints: Float[np.ndarray, "N 3"]
     width: float
@@ -85,10 +79,8 @@ class Route:
 
 @dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
 class Mesh:
-    """Triangles (F, 3, 3) relative to ``origin`` (3,) in the world [m], in single precision.
-
-    ``colour`` (F, 3) is that of each face in sRGB, 0 to 255.
-    """
+    """Triangles (F, 3, 3) relative to ``origin`` (3,) in the world [m], in single precision, and
+    the ``colour`` (F, 3) of each in sRGB, 0 to 255."""
 
     origin: Float[np.ndarray, "3"]
     triangles: Float[np.ndarray, "F 3 3"]
@@ -171,8 +163,7 @@ class Intersection(Described):
         return (weight * self.ground_points[index, 2]).sum(1) / weight.sum(1)
 
     def level(self, xy: Float[np.ndarray, "N 2"]) -> Float[np.ndarray, " N"]:
-        """Height [m] of the roads in the map's own coordinates, by which one tells other levels:
-        the ground's, unless the place stands on other ground."""
+        """Height [m] of the roads in the map's own coordinates, which tells levels apart."""
         return self._on_own_ground.ground(xy)
 
     @cached_property
@@ -205,7 +196,7 @@ def crossing_lines(
     walks: list[BaseGeometry], lanes: Iterable[np.ndarray] = ()
 ) -> Iterator[np.ndarray]:
     """The middle line (N, 2) of each crosswalk, :data:`BEYOND` both ends: along its longer side, or
-    along the other if the lines of ``lanes`` under it run along that."""
+    the other if the lines of ``lanes`` under it run along that."""
     steps = [np.diff(line[:, :2], axis=0) for line in lanes]
     at = np.concatenate([np.zeros((0, 2)), *(line[:-1, :2] for line in lanes)])
     ahead = np.concatenate([np.zeros((0, 2)), *steps])
@@ -245,8 +236,7 @@ def joined_lines(lines: list[np.ndarray]) -> Iterator[np.ndarray]:
 def off_roads(
     lines: Iterable[np.ndarray], areas: Mapping[Region, BaseGeometry], notes: list[str]
 ) -> Iterator[Float[np.ndarray, "N 2"]]:
-    """Footpaths (N, 2) without what leads over a road beside crossings for more than
-    :data:`STRAY`, as where a map's junctions are joined; ``notes`` get how many are cut."""
+    """Footpaths (N, 2) without what leads over a road for more than :data:`STRAY`; with a note."""
     roads = unary_union([areas[Region.JUNCTION], areas[Region.DRIVEWAY]])
     roads = roads.buffer(0.5).buffer(-0.8)  # without gaps between lanes, and inside the kerb
     roads, cut = roads.difference(areas[Region.CROSSWALK].buffer(0.5)), 0
@@ -274,11 +264,8 @@ def walking_routes(
 
 
 def corner_islands(arms: tuple[Arm, ...]) -> BaseGeometry:
-    """Square islands of 2 m at the corners between neighbouring arms; none of fewer than two arms.
-
-    A corner is midway between the facing kerb points of two neighbouring mouths, moved 1.5 m
-    outward from the middle of all mouths.
-    """
+    """Square islands of 2 m at the corners between neighbouring arms: midway between their facing
+    kerb points, moved 1.5 m out from the middle of all mouths. None of fewer than two arms."""
     if len(arms) < 2:
         return MultiPolygon()
     ordered = sorted(arms, key=lambda a: a.bearing % (2 * np.pi))

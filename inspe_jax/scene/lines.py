@@ -71,11 +71,9 @@ def arc(center: Vector, radius: float, start: float, end: float) -> Line:
 
 
 def bend(start: Vector, out: Vector, end: Vector, into: Vector, radius: float = np.inf) -> Line:
-    """A line from ``start`` along ``out`` to ``end`` along ``into``, tangent to these unit vectors.
-
-    It is straight, then an arc of ``radius`` [m] or the largest that fits, then straight again; or
-    a cubic curve, if the turn is slight or the two straights do not meet in between.
-    """
+    """A line from ``start`` along ``out`` to ``end`` along ``into``, tangent to these unit vectors:
+    straight, an arc of ``radius`` [m] or the largest that fits, and straight; or a cubic curve, if
+    the turn is slight or the two straights do not meet in between."""
     curve = fillet(start, out, end, into, radius)
     if not len(curve):
         handle = _HANDLE * np.hypot(*(end - start))
@@ -87,11 +85,11 @@ def bend(start: Vector, out: Vector, end: Vector, into: Vector, radius: float = 
 
 def fillet(start: Vector, out: Vector, end: Vector, into: Vector, radius: float) -> Line:
     """Only the arc of :func:`bend`; no points if there is none."""
-    chord, sine = end - start, _cross(out, into)
+    chord, sine = end - start, cross(out, into)
     turn = float(np.arctan2(sine, out @ into))
     if abs(turn) < _STRAIGHT:
         return np.zeros((0, 2))
-    before, after = _cross(chord, into) / sine, _cross(out, chord) / sine  # to where they meet
+    before, after = cross(chord, into) / sine, cross(out, chord) / sine  # to where they meet
     if min(before, after) <= 0:
         return np.zeros((0, 2))
     half = abs(np.tan(turn / 2))
@@ -125,5 +123,6 @@ def at_distance(start: Vector, direction: Vector, distance: float) -> Vector:
     return start + (np.sqrt(along**2 + distance**2 - start @ start) - along) * direction
 
 
-def _cross(a: np.ndarray, b: np.ndarray) -> float:
-    return float(a[0] * b[1] - a[1] * b[0])
+def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Of plan vectors (…, 2): positive where b points to the left of a."""
+    return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]

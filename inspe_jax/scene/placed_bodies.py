@@ -18,11 +18,9 @@ SWALLOWED = 0.5  # a body on more than this share of the region of interest is t
 
 
 class ConvexParts(NamedTuple):
-    """P convex prisms that bodies consist of, in world metres.
-
-    ``corners`` are counter-clockwise, the last one repeated up to :data:`CORNERS`. ``bottom`` is
-    −∞ for what stands on the ground. ``body`` is the body's index.
-    """
+    """P convex prisms that bodies consist of, in world metres. ``corners`` are counter-clockwise,
+    the last repeated. ``bottom`` is −∞ for what stands on the ground. ``body`` is the body's
+    index."""
 
     corners: Float[np.ndarray, "P K 2"]
     bottom: Float[np.ndarray, " P"]

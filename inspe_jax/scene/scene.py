@@ -15,7 +15,7 @@ import shapely
 from jaxtyping import Bool, Float
 from shapely.geometry.base import BaseGeometry
 
-from inspe_jax.core.errors import InspeError, error_at, nearest, wrong_kind
+from inspe_jax.core.errors import InspeError, check_known, error_at, nearest, wrong_kind
 from inspe_jax.core.files import cached_by_file, check_kind, check_output, open_arrays, whole_file
 from inspe_jax.core.pytree import pytree
 from inspe_jax.core.records import Described, check_record
@@ -29,7 +29,7 @@ from inspe_jax.scene.procedural.built_ins import BUILT_INS, built_in
 from inspe_jax.scene.profiles import BEFORE_PROFILES, DEFAULT_PROFILE, Profile, profile_of
 from inspe_jax.scene.regions import Region, weights_of_regions
 from inspe_jax.scene.statics import StaticBody, pack_bodies, unpack_bodies
-from inspe_jax.scene.street import check_statics, statics_of
+from inspe_jax.scene.street import STATICS, statics_of
 from inspe_jax.scene.terrain import Terrain, check_terrain, terrain_of
 from inspe_jax.scene.traffic.carla_log import LOG_SUFFIXES, load_log, log_traffic
 from inspe_jax.scene.traffic.frames import DENSITIES, TrafficFrames, shortfall, traffic_model
@@ -76,20 +76,16 @@ class Scene(Described):
         return own | self.voxels._facts() | self.traffic._facts() | bodies
 
     def check(self) -> "Scene":
-        """This scene, checked once: shapes, kinds, and that values are finite and in range.
-
-        Raises InspeError that names the part and the index of the first wrong value.
-        """
+        """This scene, checked once: shapes, kinds, and that values are finite and in range. Raises
+        InspeError that names the part and the index of the first wrong value."""
         if "_checked" not in self.__dict__:
             check_record(self, getattr(self.intersection, "name", "scene"))
             self.__dict__["_checked"] = True
         return self
 
     def with_terrain(self) -> "Scene":
-        """This scene with the ground of its map in the way: it hides what is behind its brows.
-
-        All stands on its surface. Level ground leaves the scene as it is.
-        """
+        """This scene with the ground of its map, on which all then stands, in the way: it hides
+        what is behind its brows. Level ground leaves the scene as it is."""
         terrain = terrain_of(self.intersection, self.voxels.radius)
         if terrain is None:
             return self
@@ -102,11 +98,9 @@ class Scene(Described):
         return replace(self, voxels=grid, traffic=traffic, intersection=place, terrain=terrain)
 
     def with_statics(self, bodies: Sequence[StaticBody]) -> "Scene":
-        """This scene with these bodies in place of its own; with none, an open scene.
-
-        Voxels inside them are no part of the region of interest. Raises InspeError where they leave
-        nothing of it, or one alone swallows it.
-        """
+        """This scene with these bodies in place of its own; voxels inside them are no part of the
+        region of interest. Raises InspeError where they leave nothing of it, or one alone swallows
+        it."""
         scene = replace(self, statics=tuple(bodies))
         scene.inside_statics  # noqa: B018  # which checks them
         return scene
@@ -201,7 +195,7 @@ def build_scene(
     own = profile_of(profile).of_scene(
         radius=radius, voxel=voxel, spacing=spacing, density=density, mix=mix
     )
-    check_statics(statics)
+    check_known(statics, STATICS, "statics")
     check_terrain(terrain)
     if isinstance(intersection, str) and not is_map(intersection):
         intersection = built_in(intersection)

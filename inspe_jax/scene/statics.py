@@ -25,9 +25,8 @@ STRAIGHT = 1e-4
 """A corner so near the line between its neighbours is none [m]: by so much sight lines are wider
 (:data:`~inspe_jax.core.convex.SEAM`), on either side."""
 LEAFY = 0.05
-"""Share of light that a crown in leaf lets through: Konarska et al., Transmissivity of solar
-radiation through crowns of single urban trees, Theor. Appl. Climatol. 117, 2014, measured 0.01 to
-0.05 in leaf and 0.40 to 0.52 without."""
+"""Share of light that a crown in leaf lets through: 0.01 to 0.05 in Konarska et al., Transmissivity
+of solar radiation through crowns of single urban trees, Theor. Appl. Climatol. 117, 2014."""
 HIGHEST = 1000.0  # no body is higher than this [m]
 
 
@@ -97,10 +96,8 @@ def body(
     trunk: float = 0.0,
 ) -> StaticBody:
     """A body on any simple outline (N, 2) [m], in either sense, closed or not: :class:`StaticBody`.
-
     Raises InspeError where the kind is unknown, the outline has fewer than three corners, crosses
-    itself or has no area, or a number is not finite or out of range.
-    """
+    itself or has no area, or a number is not finite or out of range."""
     check_known(kind, KINDS, "body")
     try:
         corners = np.array(outline, float)
@@ -158,8 +155,7 @@ def _without_straight(corners: Float[np.ndarray, "N 2"]) -> Float[np.ndarray, "M
 def upright_box(
     kind: str, at: Sequence[float] | Vector, size: Sequence[float], yaw: float = 0.0
 ) -> StaticBody:
-    """A box on the ground: middle (x, y), length, width and height [m], heading ``yaw`` [rad].
-    Raises InspeError as :func:`body`."""
+    """A :func:`body` on the ground: middle (x, y), length, width, height [m], heading [rad]."""
     length, width, height = (float(x) for x in size)
     along = np.array([np.cos(yaw), np.sin(yaw)]) * length / 2
     across = np.array([-np.sin(yaw), np.cos(yaw)]) * width / 2
@@ -188,11 +184,8 @@ def tree(
     trunk: float = 0.15,
     transmittance: float = LEAFY,
 ) -> StaticBody:
-    """A tree at (x, y) [m]: a crown from ``base`` to ``height`` [m] on a trunk.
-
-    Both are prisms on an :func:`octagon`, of the radii ``radius`` and ``trunk`` [m]. Raises
-    InspeError as :func:`body`.
-    """
+    """A tree at (x, y) [m]: a crown from ``base`` to ``height`` [m] on a trunk, both prisms on an
+    :func:`octagon` of a radius [m]. Raises InspeError as :func:`body`."""
     crown = octagon(at, radius)
     return body("tree", crown, height, base=base, transmittance=transmittance, trunk=trunk)
 

@@ -38,19 +38,16 @@ PARKED = (
     BodySize(0.12, (4.7, 1.89, 1.70)),
     BodySize(0.08, (5.3, 1.99, 2.10)),
 )
-"""Shares and sizes of parked vehicles [m]: city car, small car, saloon or estate, SUV and van.
-Where the first choice does not fit, a narrower one may."""
+"""Shares and sizes of parked vehicles [m]: city car, small car, saloon or estate, SUV and van."""
 
 
 def statics_of(
     name: str, place: Intersection, radius: float, traffic: TrafficFrames
 ) -> tuple[StaticBody, ...]:
-    """The static bodies of a name of :data:`STATICS`, without those that traffic touches.
-
-    Buildings of a map and solids of a mesh stay, whoever touches them. Raises InspeError where the
-    name is another, or the place's map brings no bodies.
-    """
-    check_statics(name)
+    """The static bodies of a name, without those that traffic touches, but for a map's buildings
+    and a mesh's solids. Raises InspeError for another name, or if the place's map brings no
+    bodies."""
+    check_known(name, STATICS, "statics")
     if name == "none":
         return ()
     if name == "street":
@@ -73,14 +70,8 @@ def map_bodies(place: Intersection, radius: float) -> tuple[StaticBody, ...]:
     return tuple(one for one in place.bodies if one.polygon.intersects(area))
 
 
-def check_statics(name: str) -> None:
-    """Raise InspeError where ``name`` is none of :data:`STATICS`."""
-    check_known(name, STATICS, "statics")
-
-
 def street_bodies(place: Intersection, radius: float) -> tuple[StaticBody, ...]:
-    """Street furniture of an intersection out to :data:`BEYOND` its region of interest, the same
-    for any traffic. Where nobody walks, as at a motorway's ramp, there are lamp posts only."""
+    """Street furniture of a place, the same for any traffic; where nobody walks, lamps only."""
     rng = np.random.default_rng([0, zlib.crc32(place.name.encode())])
     room = _Room(place, radius)
     town = (_signals, _shelters, _parked, _lamps, _trees, _boxes, _walls)

@@ -22,11 +22,9 @@ MARGIN = 15.0  # the surface reaches so far beyond the region of interest [m]: u
 
 @dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
 class Terrain:
-    """A surface of triangles over a square lattice.
-
-    ``corner`` is the lattice's first point [m], ``step`` the edge of its cells [m] and ``heights``
-    are those of its points [m]. Each cell is cut from its first point to the opposite one.
-    """
+    """A surface of triangles over a square lattice: its first point (``corner``), the edge of its
+    cells (``step``), and its ``heights`` [m]. Cells are cut from their first point to the opposite
+    one."""
 
     corner: Float[np.ndarray, "2"]
     step: float
@@ -106,11 +104,8 @@ def laid_on(place: Intersection, points: Float[np.ndarray, "G 3"], radius: float
 
 
 def between(given: Float[np.ndarray, "G 3"], at: Float[np.ndarray, "N 2"]) -> np.ndarray:
-    """Heights (N,) of a surface through given points: linear in triangles (Delaunay).
-
-    Beyond their hull it is that of the nearest place on its rim, so that there is no step. Points
-    at one place have their mean height.
-    """
+    """Heights (N,) of a surface through given points, linear in Delaunay triangles; beyond their
+    hull that of the nearest place on its rim. Points at one place have their mean height."""
     # Here, because their import takes a tenth of a second.
     from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
 

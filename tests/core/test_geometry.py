@@ -80,10 +80,6 @@ def test_the_ceiling_of_a_shadow_by_hand(sensor, column, how, height):
     assert ceiling(sensor, column, **how) == pytest.approx(height, abs=1e-4)
 
 
-def test_a_sensor_inside_a_prism_sees_nothing():
-    assert ceiling(LOW, (4.0, 0.0), x=0.0) > 1e6
-
-
 @pytest.mark.parametrize("x", [-2.0, 2.0])
 def test_a_sensor_in_the_plane_of_a_side_sees_as_from_either_side_of_it(x):
     """Sensor 5 m beside the prism, exactly in the plane of its front or back."""

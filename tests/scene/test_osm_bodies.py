@@ -310,29 +310,15 @@ def test_a_scene_has_the_map_s_bodies_and_keeps_them(place, tmp_path):
     assert digest(rebuilt.statics) == digest(scene.statics)
 
 
-SIDES = (  # where traffic looks out, the side that is asked for, where the town lies, and the note
-    (
-        "right",
-        None,
-        "51",
-        "-1",
-        "left, as in Great Britain or Ireland; if not so, give --driving-side right",
-    ),
-    (
-        "left",
-        None,
-        "48",
-        "11",
-        "right, as in most countries; if not so, give --driving-side left",
-    ),
+@pytest.mark.parametrize(("looking_out", "side", "lat", "lon", "note"), [
+    ("right", None, "51", "-1", "left, as in Great Britain or Ireland; if not so, give --driving"),
+    ("left", None, "48", "11", "right, as in most countries; if not so, give --driving-side left"),
     ("right", "left", "48", "11", "left, as --driving-side says"),
     ("left", "right", "51", "-1", "right, as --driving-side says"),
-)
-
-
-@pytest.mark.parametrize("case", SIDES)
-def test_traffic_drives_on_the_side_of_its_country_or_that_is_asked_for(tmp_path, case):
-    looking_out, side, lat, lon, note = case
+])  # fmt: skip
+def test_traffic_drives_on_the_side_of_its_country_or_that_is_asked_for(
+    tmp_path, looking_out, side, lat, lon, note
+):
     text = full_town().write(tmp_path / "town.osm").read_text()
     text = text.replace('lat="48', f'lat="{lat}').replace('lon="11', f'lon="{lon}')
     (tmp_path / "town.osm").write_text(text)

@@ -7,7 +7,7 @@ from itertools import zip_longest
 import numpy as np
 import pytest
 import shapely
-from shapely.geometry import mapping
+from worlds import write_geojson
 
 import inspe_jax
 from inspe_jax.core.errors import InspeError
@@ -47,15 +47,9 @@ def write(path, place, geometries, properties=(), crs=None):
         there = pyproj.Transformer.from_crs(4326, crs, always_xy=True)
         return np.column_stack(there.transform(*degrees.T))
 
-    features = [
-        {"type": "Feature", "geometry": mapping(shapely.transform(g, to_file)), "properties": p}
-        for g, p in zip_longest(geometries, properties, fillvalue={})
-    ]
-    content = {"type": "FeatureCollection", "features": features}
-    if crs is not None:
-        content["crs"] = {"type": "name", "properties": {"name": f"urn:ogc:def:crs:EPSG::{crs}"}}
-    path.write_text(json.dumps(content))
-    return path
+    named = {"type": "name", "properties": {"name": f"urn:ogc:def:crs:EPSG::{crs}"}}
+    features = zip_longest(geometries, properties, fillvalue={})
+    return write_geojson(path, features, to_file, **({} if crs is None else {"crs": named}))
 
 
 @pytest.mark.parametrize("crs", [None, 31468])

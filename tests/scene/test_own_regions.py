@@ -1,11 +1,10 @@
 """Places of own regions: arms, routes and poles worked out by hand, GeoJSON, and bad files."""
 
-import json
-
 import numpy as np
 import pytest
 import shapely
-from shapely.geometry import box, mapping
+from shapely.geometry import box
+from worlds import write_geojson
 
 from inspe_jax import InspeError, build_scene, evaluate, strategy
 from inspe_jax.scene.georeference import about
@@ -63,18 +62,8 @@ def test_people_cross_where_nothing_else_is_said():
     assert np.ptp(walk.waypoints[:, 0]) < 0.1
 
 
-def write(path, *features, lat=48.2, lon=11.6):
-    here = about(lat, lon)
-    rows = [
-        dict(
-            type="Feature",
-            properties=properties,
-            geometry=mapping(shapely.transform(shape, here.to_degrees)),
-        )
-        for shape, properties in features
-    ]
-    path.write_text(json.dumps(dict(type="FeatureCollection", features=rows)))
-    return path
+def write(path, *features):
+    return write_geojson(path, features, about(48.2, 11.6).to_degrees)
 
 
 def test_a_file_is_a_map(tmp_path):

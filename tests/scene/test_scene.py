@@ -74,15 +74,6 @@ def test_regions_have_weights_of_ones_own(tmp_path):
             build_scene("four_way", region_weights=bad)
 
 
-def test_the_area_of_the_columns_is_that_of_the_regions():
-    """14 m roads and 4 m sidewalks within 20 m, by shapely."""
-    place = crossing()
-    disc = shapely.Point(0, 0).buffer(20, 64)
-    area = shapely.union_all(list(place.regions.values())).intersection(disc).area
-    grid = build_voxels(place, radius=20, voxel=0.25)
-    assert len(grid.columns) * 0.25**2 == pytest.approx(area, rel=0.01)
-
-
 def test_a_saved_scene_loads_the_same(tmp_path):
     scene = build_scene("t_junction", radius=20, spacing=1.25, frames=3, density=5)
     assert dict(scene.settings)["spacing"] == "1.25"

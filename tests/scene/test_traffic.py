@@ -10,7 +10,6 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-import shapely
 from streets import FAR, LANE, crossing, intersection, line, overlapping, quarter_bend, turned
 
 from inspe_jax.core.errors import InspeError
@@ -25,7 +24,7 @@ from inspe_jax.scene.traffic.waypoint.generate import (
     CongestedModel,
     waypoint_traffic,
 )
-from inspe_jax.scene.traffic.waypoint.model import WEDGED, WaypointModel, _overlap
+from inspe_jax.scene.traffic.waypoint.model import WEDGED, WaypointModel
 from inspe_jax.scene.traffic.waypoint.paths import BESIDE, SLACK, SPACING, lay_paths, with_walkways
 
 CAR, TRUCK, CYCLIST, PEDESTRIAN = range(4)
@@ -256,21 +255,6 @@ def test_no_route_within_reach() -> None:
     away = intersection([Route(line((500, 0), (600, 0)), LANE)])
     with pytest.raises(InspeError, match=r"test crossing: no route within 50 m .* mix 'mixed'"):
         waypoint_traffic(away, radius=50, count=1, frames=1)
-
-
-def test_overlap_agrees_with_shapely() -> None:
-    rng = np.random.default_rng(3)
-    n = 2000
-    point, half = rng.uniform(-4, 4, (2, n, 2)), rng.uniform(0.2, 3, (2, n, 2))
-    angle = rng.uniform(-np.pi, np.pi, (2, n))
-    heading = np.stack([np.cos(angle), np.sin(angle)], -1)
-    found = _overlap(point[0], heading[0], half[0], point[1], heading[1], half[1])
-    corners = half[:, :, None] * [[1, 1], [-1, 1], [-1, -1], [1, -1]]  # (2, n, 4, 2)
-    across = np.stack([-heading[..., 1], heading[..., 0]], -1)
-    turned_ = corners[..., :1] * heading[:, :, None] + corners[..., 1:] * across[:, :, None]
-    a, b = shapely.polygons(turned_ + point[:, :, None])
-    assert found.tolist() == shapely.intersects(a, b).tolist()
-    assert 0.2 < found.mean() < 0.9
 
 
 def test_bends_slow_one_down_and_axles_are_on_the_path() -> None:

@@ -96,7 +96,7 @@ def with_bodies(
     """A place with the bodies of its map that come within ``reach`` [m] of its centre.
 
     Outlines that cross themselves are mended. What is on lanes, crossings or the middle of
-    footpaths is cut off; a tree or a pole there is left out, and a crown begins above lanes or is
+    footpaths is cut off; a tree or a pole there is left out, a crown begins above lanes or is
     narrower. Poles on the ground can carry sensors. ``notes`` get what was done.
     """
     ways, disc = Ways.of(place), Point(place.center[:2]).buffer(reach)

@@ -43,14 +43,13 @@ GREY = (128, 128, 128)
 
 
 def with_mesh(place: Intersection, path: str | os.PathLike[str], radius: float) -> Intersection:
-    """A place on the ground of a mesh, with what stands on it as bodies of kind ``solid``.
+    """A place on the ground of a mesh, with what stands on it as bodies of kind ``solid`` in place
+    of those of its map.
 
     The mesh is in the map's coordinates [m], x east and z up, or y up and z south in glTF. What
-    stands on lanes, crossings or footpaths is cut off there: a survey has road users in it. The
-    mesh takes the place of the bodies that the map brings.
-
-    Raises InspeError if trimesh is missing, if the file can't be read or has no triangles, if the
-    mesh has no ground in the regions of the place, and if it has too many triangles or solids.
+    stands on lanes, crossings or footpaths, as a survey's road users, is cut off there. Raises
+    InspeError if trimesh is missing, the file can't be read or has no triangles, the mesh has no
+    ground in the regions of the place, or too many triangles or solids.
     """
     mesh = _near(read_mesh(path), place, radius + MARGIN, path)
     seen = _FromAbove(mesh, place, radius + MARGIN)
@@ -181,9 +180,7 @@ class _FromAbove:
 
     def upright(self) -> tuple[Int[np.ndarray, " N"], Float[np.ndarray, " N"]]:
         """Points on the edges of steep triangles, at most half a cell apart: cells and heights [m].
-
-        Lines through the middles of cells miss walls, which lie between them.
-        """
+        Lines through the middles of cells miss walls."""
         across = np.cross(*np.diff(self.triangles, axis=1).swapaxes(0, 1))
         steep = np.abs(across[:, 2]) < STEEP * np.linalg.norm(across, axis=1)
         ends = self.triangles[steep][:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2, 3)

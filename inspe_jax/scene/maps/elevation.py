@@ -1,7 +1,5 @@
-"""Heights of the ground from an elevation model: GeoTIFF, ASCII grid, or a tile of SRTM or DTED.
-
-Only the part around the place is read, and no format that refers to other files or addresses.
-"""
+"""Heights of the ground from an elevation model: GeoTIFF, ASCII grid, or a tile of SRTM or DTED,
+but no format that refers to other files or addresses. Only the part around the place is read."""
 
 import os
 from collections.abc import Iterator
@@ -35,15 +33,13 @@ def with_elevation(
     place: Intersection, path: str | os.PathLike[str], radius: float
 ) -> Intersection:
     """A place on the ground of an elevation model, to :data:`~inspe_jax.scene.terrain.MARGIN`
-    beyond ``radius`` [m] of its centre.
+    beyond ``radius`` [m] of its centre, on one level: a deck above another road is not known to a
+    model.
 
     Heights [m] between the model's cells are bilinear. A file that names no projection has that of
-    the place, or world coordinates where the place has none either. A deck that crosses above
-    another road is not known to a model: the place lies on one level.
-
-    Raises InspeError if rasterio or pyproj is missing, if the file can't be read, if only one of
-    the two says where on the Earth it is, if the file is no elevation model in metres, and if it
-    has no heights within ``radius``.
+    the place, or world coordinates where the place has none either. Raises InspeError if rasterio
+    or pyproj is missing, the file can't be read, only one of the two says where on the Earth it is,
+    or the file is no elevation model in metres or does not cover the radius.
     """
     _, at = lattice(place.center, radius)
     heights = _heights(place, Path(path), at)

@@ -24,10 +24,7 @@ SIDEWALK = {"sidewalk", "walking"}
 
 @dataclass(frozen=True, eq=False)
 class Approach:
-    """The end of a road at a junction, as a cut across the road.
-
-    Offsets along the cut run to the left, looking away from the junction [m].
-    """
+    """The end of a road at a junction: a cut with offsets to the left, looking away [m]."""
 
     road: int | str
     end: str  # 'start' or 'end' of the road
@@ -72,8 +69,7 @@ class Approach:
         return {frozenset([True]): 1, frozenset([False]): -1}.get(frozenset(ways), 0)
 
     def lane_range(self, kinds: set[str], side: int) -> tuple[float, float] | None:
-        """Inner and outer offset of the lanes of some kinds beyond the left (+1) or right (−1)
-        kerb; None if there are none."""
+        """Inner and outer offset of some lanes beyond the left (+1) or right (−1) kerb, if any."""
         kerb = self.kerbs[1] if side > 0 else self.kerbs[0]
         beyond = [x for x in self.lanes if x[1] in kinds and side * ((x[2] + x[3]) / 2 - kerb) > 0]
         if not beyond:
@@ -88,10 +84,8 @@ def heading(vector: np.ndarray) -> float:
 
 
 def arms_of(approaches: list[Approach]) -> tuple[tuple[Arm, ...], dict[tuple[int | str, str], int]]:
-    """The arms of a junction, counter-clockwise by bearing, and the arm of each (road, end).
-
-    Each approach is an arm; two by which a divided road leads in and out are one arm.
-    """
+    """The arms of a junction, counter-clockwise by bearing, and the arm of each (road, end). Each
+    approach is an arm; two by which a divided road leads in and out are one."""
     groups = [[approach] for approach in approaches]
     for i, approach in enumerate(approaches):
         partners = [
@@ -132,10 +126,8 @@ LEVEL = 1e-3  # an edge whose height differs less from the middle's adds nothing
 
 @dataclass(frozen=True, eq=False)
 class LaneStrip:
-    """A stretch of one lane: its middle line and both edges, at stations about 1 m apart [m].
-
-    ``junction`` is −1 outside junctions; ``kind`` is one of the words above.
-    """
+    """A stretch of one lane, of a ``kind`` above: its middle line and both edges, at stations about
+    1 m apart [m]. ``junction`` is −1 outside junctions."""
 
     road: int | str
     junction: int | str
@@ -182,10 +174,10 @@ class LaneStrip:
 def same_level(lane_strips: list[LaneStrip], core: list[bool]) -> list[LaneStrip]:
     """The parts of lanes that lie on the same level as the core lanes, station by station.
 
-    Two stations are connected if they are within 5 m, where height counts three times. One that is
-    connected to the core is left out if it is higher or lower than the steepest grade allows. Where
-    two levels overlap, the one farther from the core along the roads is left out. One that is not
-    connected, as on a street behind a verge, stays if it is level with the nearest that stays.
+    Stations within 5 m, where height counts three times, are connected. One connected to the core
+    is left out if the steepest grade does not lead there. Where two levels overlap, the one farther
+    from the core along the roads is left out. One that is not connected, as on a street behind a
+    verge, stays if it is level with the nearest that stays.
     """
     if not any(core):
         return []

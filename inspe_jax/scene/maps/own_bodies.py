@@ -46,9 +46,8 @@ def with_own_bodies(
     Polygons, lines and points; properties are ``kind``, one of
     :data:`~inspe_jax.scene.maps.bodies.HEIGHTS`, ``height_m``, ``base_m``, ``width_m`` of a line,
     ``diameter_m`` of a point, and ``transmittance``; what is missing is usual. They are treated as
-    a map's bodies: :func:`~inspe_jax.scene.maps.bodies.with_bodies`. Raises InspeError as
-    :func:`~inspe_jax.scene.geojson.read_features`, if a property is wrong, and if nothing is so
-    near.
+    a map's: :func:`~inspe_jax.scene.maps.bodies.with_bodies`. Raises InspeError as
+    :func:`~inspe_jax.scene.geojson.read_features`, if a property is wrong, and if nothing is near.
     """
     features, _, bare = read_features(path, place)
     if not features:

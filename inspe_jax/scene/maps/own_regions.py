@@ -20,7 +20,7 @@ from shapely.geometry import LineString, MultiPolygon, Point, Polygon
 from shapely.geometry.base import BaseGeometry
 from shapely.ops import linemerge, unary_union
 
-from inspe_jax.core.errors import InspeError, check_known, nearest
+from inspe_jax.core.errors import InspeError, check_known
 from inspe_jax.core.files import check_model
 from inspe_jax.core.rigid import array
 from inspe_jax.scene.geojson import SUFFIX, Feature, read_features
@@ -40,13 +40,14 @@ from inspe_jax.scene.maps.road_map import (
     RADIUS_READ,
     Areas,
     JunctionInfo,
+    check_choice,
     clean,
     mounting_of,
+    named_junction,
 )
 from inspe_jax.scene.regions import Region, regions_of
 from inspe_jax.scene.voxels import check_range
 
-REGION_SUFFIXES = (SUFFIX,)
 WIDTHS = {"vehicle": 3.5, "pedestrian": FOOTPATH_WIDTH}  # of routes of which nothing says so [m]
 TOUCH = 0.5  # a driveway this near to a junction meets it [m]
 NARROW = 2.0  # an arm is wider [m]
@@ -224,12 +225,14 @@ class _Properties(BaseModel):
 
 class RegionFile:
     """A GeoJSON file of regions, with the methods of a
-    :class:`~inspe_jax.scene.maps.road_map.RoadMap` that readers of maps need."""
+    :class:`~inspe_jax.scene.maps.road_map.RoadMap` that readers of maps need. Raises InspeError as
+    :func:`~inspe_jax.scene.geojson.read_features`, and where a feature is none of a place."""
 
     notes: tuple[str, ...] = ()
 
-    def __init__(self, path: Path) -> None:
-        self.path, self.name = path, path.name.removesuffix(SUFFIX)
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        self.path = Path(path)
+        self.name = self.path.name.removesuffix(SUFFIX)
         features, _, _ = read_features(path, None)
         if any(one.properties.get("feature") in ("unit", "sensor") for one in features):
             raise InspeError(f"{path}: is a layout: inspe score SCENE {path}")
@@ -288,30 +291,17 @@ class RegionFile:
         self, junction: int | str | None, center: tuple[float, float] | None, radius: float
     ) -> Intersection:
         """One junction, or all about a ``center``: :func:`intersection_of`."""
-        if (junction is None) == (center is None):
-            raise InspeError("say which place to read: either a junction id or a center (x, y)")
+        check_choice(junction, center)
         regions = {key: unary_union(shapes) for key, shapes in self.regions.items()}
         where = f"at {center}"
         if center is None:
-            known = {str(k + 1): one for k, one in enumerate(self.junctions)}
-            if str(junction) not in known:
-                names = ", ".join(known) or "none"
-                hint = nearest(str(junction), [*known])
-                raise InspeError(
-                    f"{self.path.name}: no junction '{junction}'; there are: {names}{hint}"
-                )
-            one = known[str(junction)]
-            center, where = (one.centroid.x, one.centroid.y), f"junction {junction}"
+            ids = range(1, len(self.junctions) + 1)
+            number = named_junction(self.path.name, junction, ids)
+            middle = self.junctions[number - 1].centroid
+            center, where = (middle.x, middle.y), f"junction {number}"
         place = intersection_of(
             regions, self.lines, np.array(self.poles), center=center, radius=radius,
             name=f"{self.name} {where}", source=f"{self.path.name} (regions)",
             georeference=self.georeference,
         )  # fmt: skip
         return replace(place, map=self.path.resolve())
-
-
-def load_regions(path: str | os.PathLike[str]) -> RegionFile:
-    """The regions of a GeoJSON file. Raises InspeError as
-    :func:`~inspe_jax.scene.geojson.read_features`, and where a feature is no region, route or
-    pole."""
-    return RegionFile(Path(path))

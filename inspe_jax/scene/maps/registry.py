@@ -1,7 +1,5 @@
-"""The registry of map formats: OpenDRIVE, SUMO networks, OpenStreetMap, and own regions.
-
-To add a format, write a module that reads it and add its row to :data:`FORMATS`.
-"""
+"""The registry of map formats. To add one, write a module that reads it and a row of
+:data:`FORMATS`."""
 
 import os
 from pkgutil import resolve_name
@@ -17,7 +15,7 @@ from inspe_jax.scene.maps.sumo.network import NET_SUFFIXES, OSM_SUFFIXES, SIDES
 FORMATS: dict[tuple[str, ...], str] = {
     (".xodr",): "inspe_jax.scene.maps.opendrive.reader:load_map",
     (*NET_SUFFIXES, *OSM_SUFFIXES): "inspe_jax.scene.maps.sumo.reader:load_net",
-    (GEOJSON,): "inspe_jax.scene.maps.own_regions:load_regions",
+    (GEOJSON,): "inspe_jax.scene.maps.own_regions:RegionFile",
 }
 """For the suffixes of files, in lower case, a module and in it what opens such a file as
 a :class:`~inspe_jax.scene.maps.road_map.RoadMap`, or as what has the same ``georeference``,
@@ -41,12 +39,8 @@ def check_side(path: str | os.PathLike[str], driving_side: str | None) -> None:
 
 
 def open_map(path: str | os.PathLike[str], driving_side: str | None = None) -> RoadMap:
-    """The map of a file. ``driving_side``, ``left`` or ``right``, of an OpenStreetMap extract is
-    that of its country if it is None.
-
-    Raises InspeError if an extra or the file is missing, if the file is not a map, or as
-    :func:`check_side`.
-    """
+    """The map of a file; ``driving_side`` as in :func:`read_map`. Raises InspeError if an extra or
+    the file is missing, if the file is not a map, or as :func:`check_side`."""
     check_side(path, driving_side)
     for suffixes, reader in FORMATS.items():
         if str(path).lower().endswith(suffixes):

@@ -1,13 +1,13 @@
 """A map of roads: what each format reads of it, and the place that is made of that."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Container, Iterator, Mapping, Sequence
+from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple, TypeVar
 
 import numpy as np
 import scipy
@@ -44,9 +44,8 @@ Areas = dict[Region, BaseGeometry]
 
 @dataclass(frozen=True)
 class JunctionInfo:
-    """A junction of a map: its id, middle [m], number of arms, the larger side of its bounding box
-    [m], the numbers of crosswalks and signals that the map has near it, and the names of its
-    streets, where the map has them."""
+    """A junction of a map: id, middle [m], number of arms, larger side of its bounding box [m],
+    numbers of crosswalks and signals near it, and the names of its streets if there are any."""
 
     id: int | str
     center: tuple[float, float, float]
@@ -73,11 +72,8 @@ def clean(shape: BaseGeometry) -> BaseGeometry:
 def mounting_of(
     regions: Areas, medians: list[BaseGeometry], arms: tuple[Arm, ...], disc: Polygon
 ) -> BaseGeometry:
-    """Where a pole may stand: sidewalks, shoulders and medians, but not carriageway or crosswalks.
-
-    Islands at the corners are added only if none of these is beside the junction: on a deck they
-    would hang in the air.
-    """
+    """Where a pole may stand: sidewalks, shoulders and medians, off carriageway and crosswalks; if
+    none is beside the junction, islands at its corners, which on a deck would hang in the air."""
     standing = [regions[Region.SIDEWALK], regions[Region.SHOULDER], *medians]
     beside = unary_union(standing).distance(regions[Region.JUNCTION])
     if not beside <= 5.0:  # also if there is nothing: the distance is then not a number
@@ -89,6 +85,23 @@ def mounting_of(
 RADIUS_READ = (0.0, 500.0)  # allowed radius of what is read of a map [m]
 
 Id = int | str  # a junction's id
+Name = TypeVar("Name", bound=Id)
+
+
+def check_choice(junction: Id | None, center: tuple[float, float] | None) -> None:
+    """Raise InspeError unless a place is named by one of the two."""
+    if (junction is None) == (center is None):
+        raise InspeError("say which place to read: either a junction id or a center (x, y)")
+
+
+def named_junction(source: str, junction: Id | None, ids: Iterable[Name]) -> Name:
+    """The one of ``ids`` that a user writes so. Raises InspeError that lists those there are."""
+    named = {str(one): one for one in ids}
+    if (name := str(junction)) not in named:
+        known = ", ".join([*named][:MOST_LISTED]) + ", …" * (len(named) > MOST_LISTED)
+        hint = nearest(name, [*named])
+        raise InspeError(f"{source}: no junction '{name}'; there are: {known or 'none'}{hint}")
+    return named[name]
 
 
 class Node(NamedTuple):
@@ -133,10 +146,8 @@ class MapJunction(ABC):
         self, areas: Areas, arms: tuple[Arm, ...], ground: Float[np.ndarray, "N 3"], disc: Polygon
     ) -> tuple[list[BaseGeometry], list[np.ndarray]]:
         """The crosswalks of its map inside the disc and near ground points [m], and the ``walked``
-        lines of the first of them.
-
-        If there is none at the junction, strips across the arms' mouths are added, with a note.
-        """
+        lines of the first ones; if the junction has none, strips across its mouths too, with a
+        note."""
         index = scipy.spatial.cKDTree(ground[:, :2])
         walks, lines = [], list[np.ndarray]()
         for k, loop in enumerate(self.map.crossings):
@@ -163,8 +174,7 @@ class MapJunction(ABC):
         """Parts, which may overlap, of all regions but crosswalks."""
 
     def drives(self, arm_of: dict[tuple[Id, str], int]) -> Iterator[Route]:
-        """Every path from an inbound lane to another arm of ``arm_of`` (road, end), from radius to
-        radius; no U-turns."""
+        """Every path from an inbound lane to another arm (road, end), between radii; no U-turns."""
         town, broken, driven = self.map, 0, 0
         for approach in self.approaches:
             arm = arm_of[approach.road, approach.end]
@@ -383,21 +393,13 @@ class RoadMap(ABC):
         self, junction: Id | None, center: tuple[float, float] | None
     ) -> tuple[set[Id], Float[np.ndarray, "3"], str]:
         """The junctions that a user names, their middle [m], and words for the place."""
-        if (junction is None) == (center is None):
-            raise InspeError("say which place to read: either a junction id or a center (x, y)")
+        check_choice(junction, center)
         ids = self.junctions()
         if center is None:
-            named = {str(j): j for j in ids}
-            name = str(junction)
-            if why := self.unread.get(name):
-                raise InspeError(f"{self.source}: junction {name} is not read: {why}")
-            if name not in named:
-                known = ", ".join([*named][:MOST_LISTED]) + ", …" * (len(named) > MOST_LISTED)
-                raise InspeError(
-                    f"{self.source}: no junction '{name}'; there are: {known or 'none'}"
-                    f"{nearest(name, [*named])}"
-                )
-            return {named[name]}, self.node(named[name]).middle, f"junction {name}"
+            if why := self.unread.get(str(junction)):
+                raise InspeError(f"{self.source}: junction {junction} is not read: {why}")
+            one = named_junction(self.source, junction, ids)
+            return {one}, self.node(one).middle, f"junction {one}"
         where = f"({center[0]:.10g}, {center[1]:.10g})"
         whole = np.abs(center).max() > FAR  # given in coordinates of the file
         at = np.array([*center, 0.0], float) - [*(self.moved if whole else (0.0, 0.0)), 0.0]

@@ -1,9 +1,6 @@
-"""The built-in intersections: crossings, a roundabout and a motorway ramp, without a file.
-
-The ground is flat at z = 0, traffic drives on the right, and the middle of the junction is the
-origin. All shapes follow from the kerbs, each of which is one line from road to road round a
-corner: shoulder, sidewalk and footpath are offsets of it, without gaps between them.
-"""
+"""The built-in intersections: crossings, a roundabout and a motorway ramp, without a file. The
+ground is flat at z = 0, traffic drives on the right, the middle of the junction is the origin.
+Shoulder, sidewalk and footpath are offsets of kerbs, each one line from road to road."""
 
 from collections.abc import Callable, Sequence
 from itertools import permutations
@@ -44,11 +41,9 @@ def crossing(
 
 
 def roundabout() -> Intersection:
-    """A roundabout of one lane, counter-clockwise round an island.
-
-    Each of four arms has one lane each way, on either side of a splitter island. Its crosswalk is
-    about a car's length from the ring. The islands belong to no region, but can carry a pole.
-    """
+    """A roundabout of one lane, counter-clockwise round an island. Each of four arms has one lane
+    each way, on either side of a splitter island, and a crosswalk about a car's length from the
+    ring. The islands belong to no region, but can carry a pole."""
     island, ring, splitter, corner_radius = 12.0, 6.0, 2.0, 12.0  # [m]; widths but of the radii
     outer, half = island + ring, splitter / 2 + LANE
     mouth = float(onto_ring(half, outer, corner_radius)[0, 0])
@@ -80,13 +75,10 @@ def roundabout() -> Intersection:
 
 
 def ramp() -> Intersection:
-    """A motorway along x, and an on-ramp that merges into its eastbound carriageway.
-
-    There are three lanes each way, on either side of a median. The ramp's lane comes from the
-    south-west, runs beside the outer lane to x = 30 m, and tapers off until 70 m. The junction is
-    the eastbound carriageway from the nose of the gore to the end of the taper. There are
-    shoulders, but no sidewalks, crosswalks or pedestrians. Lamps stand on the verge.
-    """
+    """A motorway along x of three lanes each way, and an on-ramp from the south-west that merges
+    into its eastbound carriageway: beside the outer lane to x = 30 m, tapering off until 70 m. The
+    junction is from the nose of the gore to the end of the taper. There are shoulders and a median,
+    lamps on the verge, but no sidewalks, crosswalks or pedestrians."""
     lanes, lane_width, median, shoulder, inner_shoulder = 3, 3.6, 3.0, 3.0, 1.0  # widths [m]
     verge, nose_width = 2.0, 0.6  # [m]; at the nose the gore between motorway and ramp begins
     parallel, narrows, end = -30.0, 30.0, 70.0  # x [m] where the extra lane begins, narrows, ends

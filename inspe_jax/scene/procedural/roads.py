@@ -33,10 +33,8 @@ _STOP = CROSSWALK_WIDTH + 1.0  # from the mouth to where drivers stop [m]
 
 @dataclass(frozen=True)
 class Road:
-    """A straight arm: as many lanes in as out, on either side of an axis through the origin.
-
-    ``mouth`` is how far from the middle the junction ends on it [m].
-    """
+    """A straight arm: as many lanes in as out, on either side of an axis through the origin. The
+    junction ends on it ``mouth`` [m] from there."""
 
     bearing: float
     lanes: int
@@ -91,10 +89,8 @@ def town(
     notes: tuple[str, ...] = (),
 ) -> Intersection:
     """An intersection of roads with shoulders, sidewalks, crosswalks, footpaths and signal poles.
-
-    Kerb i runs from the mouth of road i, on its left looking outward, to the mouth of the next
-    road, on its right. ``islands`` are cut out of the carriageway.
-    """
+    Kerb i runs from the left of the mouth of road i, looking outward, to the right of that of the
+    next. ``islands`` are cut out of the carriageway."""
     long = [
         joined(a.at(LENGTH, a.half), kerb, b.at(LENGTH, -b.half))
         for (a, b), kerb in zip(neighbours(roads), kerbs, strict=True)
@@ -183,10 +179,8 @@ def strip(line: Line, near: float, far: float) -> Polygon:
 
 
 def turns(roads: list[Road], corner_radius: float) -> Iterator[Route]:
-    """Every movement from every road to every other, on the lanes for it.
-
-    Turns are arcs as wide as the mouths allow; round corners lanes keep their distance from kerbs.
-    """
+    """Every movement from every road to every other, on the lanes for it: arcs as wide as the
+    mouths allow; round corners lanes keep their distance from kerbs."""
     for i, a in enumerate(roads):
         for j, k, n in _movements(roads, i):
             b = roads[j]

@@ -1,7 +1,5 @@
-"""Traffic from logs of CARLA's recorder, which are read without a server.
-
-A log is a sequence of packets, each with an id and a length, in centimetres and left-handed.
-"""
+"""Traffic from logs of CARLA's recorder: packets, each with an id and a length, in centimetres and
+left-handed. No server is needed."""
 
 import struct
 from collections.abc import Iterator
@@ -53,8 +51,7 @@ class _PacketReader:
 
 @dataclass
 class _Moment:
-    """One recorded frame: its time [s], and by actor the pose and the velocity, six numbers each,
-    in the log's units."""
+    """A recorded frame: time [s], and by actor pose and velocity, six numbers in log units."""
 
     time: float
     where: dict[int, np.ndarray] = field(default_factory=dict)
@@ -63,10 +60,8 @@ class _Moment:
 
 @dataclass
 class RecorderLog:
-    """A log: the name of its map, its moments in order, and by actor the class and the box.
-
-    A box is its offset from the actor and its half sizes [m]. ``notes`` say which are usual ones.
-    """
+    """A log: the name of its map, its moments in order, and by actor the class and the box, its
+    offset from the actor and its half sizes [m]. ``notes`` say which are usual ones."""
 
     map: str
     moments: list[_Moment] = field(default_factory=list)
@@ -77,10 +72,8 @@ class RecorderLog:
 
 @cached_by_file(4)
 def load_log(path: Path) -> RecorderLog:
-    """A recorder log, cached while the file does not change.
-
-    Raises InspeError if the file is missing, cut short or not a log.
-    """
+    """A recorder log, cached while the file does not change. Raises InspeError if the file is
+    missing, cut short or not a log."""
     check_input(path, ARRAYS)
     reader = _PacketReader(path.read_bytes())
     fault = "not a log of CARLA's recorder"
@@ -134,11 +127,8 @@ def _read_packets(reader: _PacketReader, log: RecorderLog) -> None:
 
 
 def kind_of(name: str, facts: dict[str, str], length: float) -> int | None:
-    """The class of an actor, an index into :data:`CLASSES`; None if it is no road user.
-
-    A vehicle with two wheels is a cyclist, also a motorcycle. From CARLA 0.9.14 on, the blueprint
-    says whether a vehicle is a truck or a bus; before, its length [m] does.
-    """
+    """The class of an actor, an index into :data:`CLASSES`; None if it is no road user. Two wheels
+    are a cyclist's. Before CARLA 0.9.14 the length [m] tells trucks, since then the blueprint."""
     if name.startswith(_WALKER):
         return CLASSES.index("pedestrian")
     if not name.startswith(_VEHICLE):
@@ -153,12 +143,12 @@ def log_traffic(
     intersection: Intersection, source: Path, *, radius: float, frames: int, step: float = 1.0,
     notes: list[str] | None = None,
 ) -> TrafficFrames:  # fmt: skip
-    """The recorded traffic at an intersection of the log's own map, whatever its file is called.
+    """The recorded traffic at an intersection of the log's own map, whatever its file is called:
+    :func:`~inspe_jax.scene.traffic.tracks.track_frames`.
 
-    Frames are as :func:`~inspe_jax.scene.traffic.tracks.track_frames` makes them; who is above or
-    beneath the ground, as just after spawning, is left out. ``notes`` get those of the log, and
-    that most cars and trucks are beside the roads of a map of the log's name. Raises InspeError if
-    the log cannot be read, if nobody comes within the radius, or if they are so on another map.
+    ``notes`` get those of the log, and that most cars and trucks are beside the roads of a map of
+    the log's name. Raises InspeError if the log cannot be read, if nobody comes within the radius,
+    or if they are so on another map.
     """
     log = load_log(source)
     size: dict[str, Any] = dict(radius=radius, frames=frames, step=step)

@@ -28,11 +28,9 @@ CLASSES: tuple[str, ...] = ("car", "truck", "cyclist", "pedestrian")
 
 @dataclass(frozen=True)
 class RoadUser:
-    """One class: mean ``size`` (length, width, height) [m] and how it moves [m/s, m/s²].
-
-    ``path`` is one of :data:`~inspe_jax.scene.traffic.waypoint.paths.PATH_USERS`; ``gap`` [m]
-    is kept ahead at a standstill.
-    """
+    """One class: mean ``size`` (length, width, height) [m], how it moves [m/s, m/s²], which
+    ``path`` of :data:`~inspe_jax.scene.traffic.waypoint.paths.PATH_USERS`, and its ``gap`` at a
+    standstill [m]."""
 
     name: str
     path: str
@@ -66,11 +64,9 @@ def drawn_size(bodies: Sequence[BodySize], rng: np.random.Generator) -> tuple[fl
 
 @dataclass(frozen=True)
 class Mix:
-    """Who is on the road: the share of each of :data:`CLASSES`, and how much sizes vary.
-
-    Length, width and height are normal about a mean, with standard deviation ``spread``·mean, cut
-    at two. The mean is that of the class, or of one of its ``bodies``, drawn by their shares.
-    """
+    """Who is on the road: the share of each of :data:`CLASSES`. Sizes are normal, of standard
+    deviation ``spread``·mean, cut at two, about the mean of the class or of ``bodies`` drawn by
+    their shares."""
 
     shares: tuple[float, ...]
     spread: float
@@ -234,12 +230,9 @@ def quota(mix: Mix, may: Sequence[bool], count: int) -> Int[np.ndarray, " K"]:
 def shortfall(traffic: TrafficFrames, count: int, mix: str) -> str:
     """What frames have less of than ``count`` road users of a mix, in words; empty if they have it.
 
-    The mean of each class over the frames is compared with its quota: a class is named where it is
-    short by half a user and a tenth of it, or has as many too many. For example::
-
-        asked 60, got 58.9: cars 35.0 of 41, trucks 3.9 of 6; pedestrians 13.2 instead of 7
-
-    Raises InspeError if the mix is unknown.
+    A class is named where its mean is short of its quota by half a user and a tenth of it, or has
+    as many too many: ``asked 60, got 58.9: cars 35.0 of 41, trucks 3.9 of 6; pedestrians 13.2
+    instead of 7``. Raises InspeError if the mix is unknown.
     """
     check_known(mix, MIXES, "traffic mix")
     wanted = quota(MIXES[mix], [True] * len(CLASSES), count)
@@ -257,11 +250,9 @@ def shortfall(traffic: TrafficFrames, count: int, mix: str) -> str:
 def standing_on(
     place: Intersection, radius: float, snapshot: Snapshot, foot: Float[np.ndarray, " n"]
 ) -> Snapshot:
-    """The road users on the ground of a place and within ``radius`` [m] of its centre.
-
-    ``foot`` [m] are their heights in the map's own coordinates, which say who is on another level;
-    one that is not a number is on the ground.
-    """
+    """The road users on the ground of a place and within ``radius`` [m] of its centre; ``foot`` [m]
+    are heights in the map's own coordinates, which say who is on another level, NaN for the
+    ground."""
     middle, up = snapshot.center[:, :2], snapshot.size[:, 2] / 2
     here = ~(np.abs(foot - place.level(middle)) > CLEARANCE)
     center = np.column_stack([middle, place.ground(middle) + up])
@@ -288,9 +279,8 @@ TRAFFIC_MODELS: dict[str, str] = {
     "waypoints": "inspe_jax.scene.traffic.waypoint.generate:waypoint_traffic",
     "sumo": "inspe_jax.scene.traffic.sumo.generate:sumo_traffic",
 }
-"""Module and function of each model that moves road users, called as
-:func:`~inspe_jax.scene.traffic.waypoint.generate.waypoint_traffic`. Modules are imported on first
-use: they may need an extra."""
+"""Module and function of each model, called as
+:func:`~inspe_jax.scene.traffic.waypoint.generate.waypoint_traffic`; imported on first use."""
 
 
 def traffic_model(name: str) -> Callable[..., TrafficFrames]:

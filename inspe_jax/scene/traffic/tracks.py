@@ -1,13 +1,10 @@
 """Traffic from tracks: where road users were, in a CSV file or arrays.
 
-A row is a road user at a moment, in any order. What a column holds is told by its name, as in the
-data sets inD, rounD, SinD, INTERACTION and V2X-Seq (:data:`COLUMNS`); others are not read. There
-have to be the road user's number, a time, a place and a class. A place is that of the box's middle:
-``x`` and ``y`` in the map's coordinates [m], or ``lat`` and ``lon`` [degrees]. Everybody stands on
-the ground. Without a direction, it is that of movement; without sizes, they are the usual ones.
-
-Of inD and rounD name ``00_tracks.csv``; its two files of facts, which lie beside it, have classes,
-frame rate and the place on the Earth.
+A row is a road user at a moment, in any order. Columns go by their names, as in inD, rounD, SinD,
+INTERACTION and V2X-Seq (:data:`COLUMNS`): needed are the user's number, a time, a class and the
+box's middle, ``x`` and ``y`` in the map's coordinates [m] or ``lat`` and ``lon`` [degrees].
+Everybody stands on the ground. Without a direction, it is that of movement; without sizes, they are
+the usual ones. Of inD and rounD name ``00_tracks.csv``: its two files of facts lie beside it.
 """
 
 from collections.abc import Mapping
@@ -91,9 +88,8 @@ def track_frames(
     """Frames of tracks, and the share of the cars and trucks in them that are on the roads.
 
     There are up to ``frames`` frames ``step`` seconds apart from the first row, interpolated
-    linearly between rows, but not over jumps and gaps (:data:`JUMP`), with all road users within
-    ``radius`` [m] of the centre. Those above or beneath the ground are left out. Raises InspeError
-    if nobody is left.
+    linearly but not over jumps and gaps (:data:`JUMP`), with all road users on the ground within
+    ``radius`` [m] of the centre. Raises InspeError if nobody is left.
     """
     order = np.lexsort((tracks.time, tracks.who.track))
     who, time, foot = (
@@ -151,19 +147,13 @@ def tracks_traffic(
     intersection: Intersection, source: Path | Mapping[str, Any], *, radius: float, frames: int,
     step: float = 1.0, notes: list[str] | None = None,
 ) -> TrafficFrames:  # fmt: skip
-    """The traffic of tracks at an intersection.
+    """The traffic of tracks at an intersection: a CSV file, or its columns by name, each an array
+    of N.
 
-    Args:
-        intersection: Where.
-        source: A CSV file, or its columns by name, each an array of N.
-        radius: Of the road users that are kept about its centre [m].
-        frames: At most so many, from the first row on.
-        step: Time between frames [s].
-        notes: Get what was assumed.
-
-    Raises:
-        InspeError: A column is missing or has what is no number, a class is unknown, nobody comes
-            within the radius, or most cars and trucks are beside the roads.
+    It has at most ``frames`` frames ``step`` seconds apart, with the road users within ``radius``
+    [m] of the centre. ``notes`` get what was assumed. Raises InspeError if a column is missing or
+    has what is no number, a class is unknown, nobody comes within the radius, or most cars and
+    trucks are beside the roads.
     """
     notes = [] if notes is None else notes
     where = "tracks" if isinstance(source, Mapping) else str(source)

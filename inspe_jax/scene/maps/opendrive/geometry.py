@@ -1,7 +1,4 @@
-"""The geometry of OpenDRIVE roads: numbers of elements, cubics along s, and reference lines.
-
-s runs along a road's reference line [m], t to its left [m].
-"""
+"""The geometry of OpenDRIVE roads: s runs along a road's reference line [m], t to its left [m]."""
 
 import xml.etree.ElementTree as ET
 from collections import defaultdict
@@ -61,7 +58,7 @@ class Cubics:
 
 class Crossfall:
     """The height of a road's surface over what it is by elevation and superelevation, from its
-    ``<shape>`` records: cubics of t at each of their s, between them in proportion."""
+    ``<shape>`` records: cubics of t at some s, between them in proportion."""
 
     def __init__(self, records: Iterable[ET.Element]) -> None:
         at = defaultdict[float, list[ET.Element]](list)
@@ -81,11 +78,9 @@ class Crossfall:
 
 
 class ReferenceLine:
-    """The pieces of a road's ``<planView>``, by s; straight on beyond both ends.
-
-    ``starts`` are the points (K, 2) where pieces start, ``lengths`` (K,) theirs [m]. Raises
-    ValueError where a piece lacks something, or there is none.
-    """
+    """The pieces of a road's ``<planView>``, by s; straight on beyond both ends. ``starts`` are the
+    points (K, 2) where they start, ``lengths`` (K,) theirs [m]. Raises ValueError if one lacks
+    something."""
 
     def __init__(self, road: ET.Element) -> None:
         pieces = []

@@ -13,11 +13,8 @@ LaneKey = tuple[Id, int, int]
 
 
 class LaneGraph:
-    """The lanes of roads, and which ``follows`` and ``leads`` to which, as traffic runs.
-
-    ``junctions`` are the declared ones, with their types; ``left_out`` are connections that are not
-    read, with why.
-    """
+    """The lanes of roads, and which ``follows`` and ``leads`` to which, as traffic runs; the
+    declared ``junctions`` with their types; and the connections that are ``left_out``, with why."""
 
     def __init__(self, roads: Mapping[Id, OpenDriveRoad], root: ET.Element) -> None:
         self.roads = roads

@@ -1,10 +1,6 @@
 """The bodies of an OpenDRIVE map: its ``<object>`` elements of types that hide what is behind them,
-its crosswalks and traffic islands, and vehicles that stand in its parking lanes and spaces, at
-random but the same for a place.
-
-Objects are at (s, t) of a road's reference line. Not read: guard rails, railings and fences, which
-one sees through; marks and signs.
-"""
+at (s, t) of a road's reference line, its crosswalks and traffic islands, and vehicles parked at
+random, the same for a place. Not read: guard rails, railings, fences, marks and signs."""
 
 import xml.etree.ElementTree as ET
 import zlib
@@ -64,8 +60,7 @@ STEP = 2.0  # strips along a road have a corner this often [m]
 
 
 class Place(NamedTuple):
-    """Where an object stands on its road and how large it is [m], by the names of its attributes;
-    sizes are 0 where unknown."""
+    """Where an object stands on its road and its size [m], by its attributes; 0 if unknown."""
 
     s: float
     t: float

@@ -137,11 +137,8 @@ class OpenDriveJunction(MapJunction):
 
 
 class OpenDriveMap(RoadMap):
-    """An OpenDRIVE file.
-
-    ``notes`` are on what is left out of it, on the ``shapes`` of its objects and on its projection.
-    Raises InspeError if the file is not OpenDRIVE, or has no road that can be read.
-    """
+    """An OpenDRIVE file; ``notes`` are on what is left out, its ``shapes`` and its projection.
+    Raises InspeError if it is not OpenDRIVE, or has no road that can be read."""
 
     format, around = "(OpenDRIVE)", OpenDriveJunction
 
@@ -266,8 +263,7 @@ def along(road: OpenDriveRoad, section: Section, spacing: float) -> dict[int, La
 
 
 def interior_of(town: OpenDriveMap, members: set[Id]) -> set[Id]:
-    """The roads of member junctions, and of short chains from one to another, as the ring of a
-    roundabout."""
+    """The roads of member junctions, and of short chains between them, as a roundabout's ring."""
     found = {road.id for name in members for road in town.inside[name]}
     if len(members) < 2:
         return found

@@ -247,8 +247,7 @@ def read_tree(path: Path) -> ET.Element:
 def read_roads(
     root: ET.Element,
 ) -> tuple[dict[Id, tuple[ET.Element, OpenDriveRoad]], list[tuple[Id, str]]]:
-    """The roads of a map by id, with their elements, and the junctions of those that are left out,
-    with what they are and why."""
+    """The roads of a map by id, with elements, and of those left out junction, name and why."""
     found: dict[Id, tuple[ET.Element, OpenDriveRoad]] = {}
     out = []
     for element in root.iterfind("road"):
@@ -264,8 +263,7 @@ def read_roads(
 
 
 def moved_near(root: ET.Element) -> tuple[float, float]:
-    """Take coordinates that are too large for single precision from a point near all roads; how
-    much they are less then (x, y) [m]."""
+    """Take coordinates too large for single precision from a point near; returns it (x, y) [m]."""
     pieces = list[tuple[ET.Element, float, float]]()
     for piece in root.iterfind("road/planView/geometry"):
         with suppress(ValueError):  # said of its road

@@ -1,7 +1,5 @@
-"""The bodies of an OpenStreetMap extract: buildings, trees, walls, hedges, fences and poles.
-
-Not read: woods, bushes and other areas of plants, power towers, and fences that one sees through.
-"""
+"""The bodies of an OpenStreetMap extract: buildings, trees, walls, hedges, fences and poles. Not
+read: woods, bushes and other plants, power towers, and fences that one sees through."""
 
 import re
 from collections import Counter
@@ -119,8 +117,7 @@ class Sizes:
         return base or 0.0, height
 
     def size_or(self, tags: Tags, key: str, kind: str, default: float, *limits: float) -> float:
-        """The length under a key [m], or a default that is counted for its kind of body; limits
-        are the least and the most that it can be."""
+        """The length under a key [m], between limits, or a default that is counted."""
         value = self.value(tags, key, *limits)
         if value is None and key == "height":
             self.assumed[kind] += 1
@@ -146,11 +143,9 @@ class Sizes:
 
 
 class BodyReader:
-    """Reads what an extract has beside lanes within ``reach`` [m] of the centre of a place.
-
+    """Reads what an extract has beside lanes within ``reach`` [m] of the centre of a place;
     ``notes`` get what was assumed. Raises InspeError where the place has no georeference, and as
-    :func:`~inspe_jax.scene.maps.openstreetmap.extract.read_extract`.
-    """
+    :func:`~inspe_jax.scene.maps.openstreetmap.extract.read_extract`."""
 
     def __init__(self, path: Path, place: Intersection, reach: float, notes: list[str]) -> None:
         self.notes, self.sizes = notes, Sizes()

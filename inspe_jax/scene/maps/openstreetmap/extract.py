@@ -1,6 +1,7 @@
 """Reads an OpenStreetMap extract as a stream, and keeps what lies in a box of degrees."""
 
 import gzip
+import io
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -40,11 +41,9 @@ class Extract:
 
 
 def read_extract(path: Path, area: Box) -> Extract:
-    """What an extract has in a box. Memory grows with that, and not with the file.
-
-    A file in another order than :data:`ORDER` is read again, until the parts of each are known.
-    Raises InspeError where it is not well-formed XML.
-    """
+    """What an extract has in a box, in memory that grows with that, and not with the file, which is
+    read again if it is in another order than :data:`ORDER`. Raises InspeError where it is no
+    XML."""
     found = Extract()
     with error_at(f"{path}: not well-formed XML", ET.ParseError, OSError, EOFError):
         for _ in ORDER:
@@ -84,9 +83,14 @@ def _read(path: Path, area: Box, found: Extract) -> bool:
     return sorted_
 
 
+def opened(path: Path) -> io.BufferedIOBase:
+    """A file to read, unpacked if it is packed with gzip."""
+    return gzip.open(path) if path.name.lower().endswith(".gz") else path.open("rb")
+
+
 def _elements(path: Path) -> Iterator[ET.Element]:
     """The nodes, ways and relations of a file, one at a time: each is gone when the next comes."""
-    with gzip.open(path) if path.name.lower().endswith(".gz") else path.open("rb") as f:
+    with opened(path) as f:
         events = ET.iterparse(f, events=("start", "end"))
         root = next(events)[1]
         for event, element in events:

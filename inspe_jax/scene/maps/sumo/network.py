@@ -2,8 +2,6 @@
 
 import atexit
 import functools
-import gzip
-import io
 import os
 import re
 import shutil
@@ -22,6 +20,7 @@ from shapely.geometry import Point
 
 from inspe_jax.core.errors import InspeError, missing_extra
 from inspe_jax.core.files import check_kind, check_xml, digest_of
+from inspe_jax.scene.maps.openstreetmap.extract import opened
 
 NET_SUFFIXES = (".net.xml", ".net.xml.gz")
 OSM_SUFFIXES = (".osm", ".osm.xml", ".osm.gz", ".osm.xml.gz")
@@ -48,16 +47,15 @@ def _folder() -> Path:
 
 
 def network_file(path: Path, side: str | None = None) -> tuple[Path, list[str]]:
-    """The file of a network, or of what netconvert makes of another map, and notes on that. Traffic
-    of an extract drives on a ``side``, or by its country. Raises InspeError if the file is of
-    another kind."""
+    """The file of a network, or of what netconvert makes of another map, with notes. Traffic of an
+    extract drives on a ``side``, or by its country. Raises InspeError if it is of another kind."""
     name, kind = path.name.lower(), "osm"
     if name.endswith((".xodr", *NET_SUFFIXES)):
         kind = "opendrive" if name.endswith(".xodr") else "net"
     if not name.endswith(".gz"):
         check_kind(path, b"<osm")
     if kind != "opendrive":
-        with _opened(path) as f:
+        with opened(path) as f:
             check_xml(f, str(path), kind)
     if kind == "net":
         return path.resolve(), []
@@ -70,7 +68,7 @@ def network_file(path: Path, side: str | None = None) -> tuple[Path, list[str]]:
         try:
             run("netconvert", given, f"{path}")
         except InspeError as error:
-            with _opened(path) as f:
+            with opened(path) as f:
                 if kind == "osm" and any(map(LANELET.search, f)):
                     wrong = "is a map of Lanelet2, which is not read; convert it to OpenDRIVE"
                     raise InspeError(f"{path}: {wrong}") from error
@@ -79,17 +77,13 @@ def network_file(path: Path, side: str | None = None) -> tuple[Path, list[str]]:
     return made, [note] if note else []
 
 
-def _opened(path: Path) -> io.BufferedIOBase:
-    return gzip.open(path) if path.name.lower().endswith(".gz") else path.open("rb")
-
-
 def driving_side(path: Path, wanted: str | None) -> tuple[str, str]:
     """The side of :data:`SIDES` that traffic of an extract drives on, and a note on why: the one
     that is wanted, or that of the country where its first point lies."""
     if wanted is not None:
         return wanted, f"traffic drives on the {wanted}, as --driving-side says"
     at = Point()
-    with _opened(path) as f, suppress(StopIteration, ValueError):  # netconvert says what is wrong
+    with opened(path) as f, suppress(StopIteration, ValueError):  # netconvert says what is wrong
         first = next(one for _, one in ET.iterparse(f, ["start"]) if one.tag == "node")
         at = Point(float(first.get("lon", "")), float(first.get("lat", "")))
     table = files("inspe_jax.scene.maps.openstreetmap").joinpath("left_hand.toml").read_text()

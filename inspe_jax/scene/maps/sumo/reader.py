@@ -138,12 +138,10 @@ class SumoJunction(MapJunction):
 class SumoMap(RoadMap):
     """A SUMO network, or an OpenStreetMap extract by the network that netconvert makes of it.
 
-    ``file`` is what SUMO can run on, ``net`` sumolib's. World coordinates are those of the map that
-    the network was made from: they are the network's less ``shift`` [m], but for geographic
-    projections, whose coordinates are millions of metres. ``side`` is what traffic of an extract
-    was asked to drive on, None if its country says.
-
-    Every lane is a strip by the network's name. ``road`` of a strip is the number of its edge,
+    ``file`` is what SUMO can run on, ``net`` sumolib's. World coordinates are the network's less
+    ``shift`` [m], those of the map that it was made from, but for geographic projections, whose
+    coordinates are millions of metres. ``side`` is what traffic of an extract was asked to drive
+    on. Every lane is a strip by the network's name: ``road`` is the number of its edge,
     ``junction`` is 1 inside any junction, else −1. ``walks`` are nodes with their walking areas.
     """
 
@@ -238,11 +236,9 @@ class SumoMap(RoadMap):
 
 @cached_by_file(8)
 def load_net(path: Path, side: str | None = None) -> SumoMap:
-    """The network of a .net.xml, .osm or .xodr file, cached while the file does not change.
-
-    Traffic of an extract drives on a ``side``, or by its country. Raises InspeError if SUMO or the
-    file is missing, it is of another kind or without roads, or if there is no such side.
-    """
+    """The network of a .net.xml, .osm or .xodr file, cached. Traffic of an extract drives on a
+    ``side``, or by its country. Raises InspeError if SUMO is missing, or the file is missing or no
+    such map."""
     with needs("SUMO networks and OpenStreetMap need sumolib", "sumo"):
         import sumolib
     file, notes = network_file(path, side)

@@ -1,8 +1,5 @@
-"""Traffic from SUMO: signals, turning, queues, and people on crossings.
-
-The arrivals of each class are a Poisson process, whose rate is changed until as many road users are
-in the region of interest as wanted.
-"""
+"""Traffic from SUMO: signals, turning, queues, and people on crossings. Each class arrives by a
+Poisson process, whose rate is changed until as many are in the region as wanted."""
 
 import tempfile
 import xml.etree.ElementTree as ET
@@ -40,10 +37,8 @@ Progress = Callable[[int, int], None]
 
 @dataclass
 class ArrivalStream:
-    """Arrivals of one class: their times at a rate of one a second, numbers of paths, and sizes.
-
-    Another rate brings the same road users, earlier or later.
-    """
+    """Arrivals of one class: times at a rate of one a second, numbers of paths, and sizes. Another
+    rate brings the same road users, earlier or later."""
 
     kind: int
     paths: list[TravelPath]
@@ -78,13 +73,11 @@ def sumo_traffic(
     """Traffic that SUMO simulates on the map an intersection was read from.
 
     Options are those of :func:`~inspe_jax.scene.traffic.waypoint.generate.waypoint_traffic`. People
-    walk where the network has sidewalks, and cross where it has crossings. Bodies overlap where
-    SUMO allows it, as where long vehicles turn. Road users on another level are left out.
-    ``progress`` is called with (runs done, most runs).
-
-    The same seed gives the same traffic with the same version of SUMO. Raises InspeError as that
-    does, and if the intersection was not read from a map, SUMO is missing, or no road leads
-    through the radius.
+    walk and cross where the network has sidewalks and crossings. Bodies overlap where SUMO allows
+    it, as where long vehicles turn. ``progress`` is called with (runs done, most runs). The same
+    seed gives the same traffic with the same version of SUMO. Raises InspeError as that does, and
+    if the intersection was not read from a map, SUMO is missing, or no road leads through the
+    radius.
     """
     traffic.check_traffic(radius=radius, count=count, frames=frames, mix=mix, step=step, seed=seed)
     small = _small_step(step)

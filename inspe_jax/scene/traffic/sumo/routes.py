@@ -21,11 +21,8 @@ V_CLASS = {"car": "passenger", "truck": "truck", "cyclist": "bicycle", "pedestri
 
 @dataclass(frozen=True)
 class TravelPath:
-    """A path through the region by its ``edges``.
-
-    It begins at ``begin`` on the first edge and ends at ``end`` on the last [m]. ``weight`` is its
-    share of the arrivals.
-    """
+    """A path through the region by its ``edges``, from ``begin`` on the first to ``end`` on the
+    last [m]; ``weight`` is its share of the arrivals."""
 
     edges: tuple[str, ...]
     begin: float

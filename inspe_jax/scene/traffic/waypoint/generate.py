@@ -42,13 +42,12 @@ def waypoint_traffic(
 
     There are about ``count`` objects at a time within ``radius`` [m] of the centre, in ``frames``
     frames ``step`` seconds apart. ``mix`` is a key of :data:`MIXES`. Unlike in the paper, road
-    users never overlap: they keep their distance, slow down for bends and give way where paths
-    cross. Where roads do not hold all, traffic is that of :class:`CongestedModel`; where nobody
-    walks on the map, people walk as :func:`~inspe_jax.scene.traffic.waypoint.paths.with_walkways`
-    says. ``progress`` is called with (frames done, frames).
-
-    The same seed gives the same traffic; turning the intersection turns it. Raises InspeError if a
-    value is out of range, the mix is unknown, or no route lies within the radius.
+    users never overlap: they keep their distance, slow down for bends and give way. Where roads do
+    not hold all, traffic is that of :class:`CongestedModel`; where nobody walks on the map, people
+    walk as in :func:`~inspe_jax.scene.traffic.waypoint.paths.with_walkways`. ``progress`` is called
+    with (frames done, frames). The same seed gives the same traffic; turning the intersection turns
+    it. Raises InspeError if a value is out of range, the mix is unknown, or no route lies within
+    the radius.
     """
     traffic.check_traffic(radius=radius, count=count, frames=frames, mix=mix, step=step, seed=seed)
     walked = MIXES[mix].shares[WALKER] > 0
@@ -113,12 +112,9 @@ def _snapshot(model: WaypointModel) -> Snapshot:
 
 
 class CongestedModel(WaypointModel):
-    """As :class:`WaypointModel`, but each class has its share of what the roads hold.
-
-    The class with the largest part missing comes in first. Vehicles leave at intervals, which grow
-    while vehicles are missing, so that queues stand behind the junction. If some are missing at the
-    longest, more people come on foot.
-    """
+    """As :class:`WaypointModel`, but the class with the largest part missing comes in first.
+    Vehicles leave at intervals, which grow while vehicles are missing, so queues stand behind the
+    junction; at the longest, more people come on foot."""
 
     def __init__(
         self, paths: Paths, kind: Int[np.ndarray, " M"], mix: Mix, rng: np.random.Generator

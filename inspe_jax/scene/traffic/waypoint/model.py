@@ -3,8 +3,9 @@
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from inspe_jax.scene.lines import cross
 from inspe_jax.scene.traffic.frames import ROAD_USERS, Mix
-from inspe_jax.scene.traffic.waypoint.paths import PATH_USERS, Paths, cross, dot
+from inspe_jax.scene.traffic.waypoint.paths import PATH_USERS, SPACING, Paths, dot
 
 BRAKING = 3.0  # that drivers expect of themselves and of the road user ahead [m/s²]
 REACTION = 0.7  # [s]
@@ -24,9 +25,9 @@ ARRIVALS = 4  # most that are tried in one step
 class WaypointModel:
     """Up to ``len(kind)`` users on ``paths``; ``step`` moves them all, never into each other.
 
-    Each entry of the arrays below is one user. When it leaves, another of the same class enters as
-    soon as there is room, with another size and path. Where ``active`` is false, the user waits
-    outside. ``arc`` [m] places its centre on ``path``; ``track`` numbers users by arrival.
+    Each entry of the arrays is one user. When it leaves, another of its class enters as soon as
+    there is room, with another size and path; until then it is not ``active``. ``arc`` [m] places
+    its centre on ``path``; ``track`` numbers users by arrival.
     """
 
     def __init__(
@@ -72,10 +73,12 @@ class WaypointModel:
         free, leader, follows = self._look_ahead(on)
         self._give_way(on, free, leader, follows)
         line = self._line_distance(on)  # to the stop line of the next block not granted
+        path, paths = self.path[on], self.paths
+        pose = np.minimum((self.arc[on] / SPACING).astype(int), paths.count[path] - 1)
         most = [
             self.speed[on] + self.acceleration[on] * dt,
             self.wish[on],
-            self.paths.speed_limit(self.path[on], self.arc[on]),
+            paths.limit[paths.start[path] + pose],  # that the bends ahead allow
             _safe_speed(free, self.speed[on][leader] * follows),
             _safe_speed(line, np.zeros(len(on))),
         ]
@@ -226,11 +229,9 @@ class WaypointModel:
         self.point[on], self.heading[on] = self.paths.chord(*at)
 
     def _look_ahead(self, on: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Free distance along each path [m] less the user's gap, and the user that ends it.
-
-        The latter is an index into ``on``, −1 for nobody. Third is the cosine between the headings
-        of a user and one that it follows, else 0.
-        """
+        """Free distance along each path [m] less the user's gap, the user that ends it, as an index
+        into ``on`` or −1, and the cosine between the headings of a user and one that it follows,
+        else 0."""
         # The body, slightly widened, is moved along its path until it meets another.
         half = self.size[on, :2] / 2
         probe = half + [0.0, SIDE_MARGIN]

@@ -16,7 +16,7 @@ from inspe_jax.scene.intersection import (
     mouth_crosswalks,
     walking_routes,
 )
-from inspe_jax.scene.lines import distance_from
+from inspe_jax.scene.lines import cross, distance_from
 
 SPACING = 0.5  # distance between poses of a path [m]
 PATH_USERS: tuple[str, ...] = ("vehicle", "cyclist", "pedestrian")
@@ -86,22 +86,12 @@ class Paths:
         arc: Float[np.ndarray, "*S"],
         length: Float[np.ndarray, "*S"],
     ) -> tuple[Float[np.ndarray, "*S 3"], Float[np.ndarray, "*S 2"]]:
-        """Centre [m] and unit heading of a body of some length [m] whose axles are on the path.
-
-        In a bend a long body cuts the corner. Tangent to the path, its rear would swing into the
-        next lane.
-        """
+        """Centre [m] and unit heading of a body of some length [m] whose axles are on the path: in
+        a bend a long body cuts the corner."""
         rear = self.at(path, arc - AXLE * length)
         front = self.at(path, arc + AXLE * length)
         along = front[..., :2] - rear[..., :2]
         return (rear + front) / 2, along / np.sqrt(dot(along, along))[..., None]
-
-    def speed_limit(
-        self, path: Int[np.ndarray, "*S"], arc: Float[np.ndarray, "*S"]
-    ) -> Float[np.ndarray, "*S"]:
-        """Speed [m/s] that the bends ahead allow."""
-        pose = np.minimum((arc / SPACING).astype(int), self.count[path] - 1)
-        return self.limit[self.start[path] + pose]
 
 
 def lay_paths(intersection: Intersection, radius: float) -> Paths:
@@ -260,11 +250,6 @@ def dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1]
 
 
-def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Positive where b points to the left of a."""
-    return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
-
-
 BESIDE = 1.5  # distance of a footpath's middle from the lane's edge [m]: room for two that meet
 SLACK = 0.3  # footpaths come nearer to another lane's edge than BESIDE by at most this [m]
 WALKS_APART = 2.0  # two footpaths nearer than this are one [m]
@@ -273,12 +258,9 @@ CROSSING = np.cos(np.radians(45.0))  # lanes that meet at a larger angle cross; 
 
 
 def with_walkways(intersection: Intersection, radius: float) -> Intersection:
-    """The intersection with footpaths for traffic, if nobody walks within ``radius`` [m].
-
-    People walk beside the lanes, on the right of the outermost, and cross each arm at its mouth.
-    The regions stay those of the map. An intersection where somebody walks, or no lanes cross, as
-    on a motorway, stays as it is.
-    """
+    """The intersection with footpaths for traffic, if nobody walks within ``radius`` [m] and lanes
+    cross, as on no motorway: to the right of the outermost lanes, and over each arm at its
+    mouth."""
     away = [distance_from(route.waypoints, intersection.center) for route in intersection.routes]
     near = [r for r, far in zip(intersection.routes, away, strict=True) if (far <= radius).any()]
     lanes = [route for route in near if route.user == "vehicle"]

@@ -1,8 +1,5 @@
-"""Brackets: sensors hang beside a pole that stands in the scene, never within it.
-
-A sensor that is aimed hangs on the side that it looks to; another hangs towards the middle of the
-junction. Behind it the pole hides: one of 0.2 m hides 29° of a sensor 0.4 m from its axis.
-"""
+"""Brackets: sensors hang beside a pole that stands in the scene, never within it: on the side that
+they look to, if aimed, else towards the middle. A pole of 0.2 m hides 29° of one 0.4 m away."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -44,10 +41,9 @@ class Brackets:
     """The poles (P,) that carry sensors: each ``axis`` about the scene's centre, and the ``length``
     of its brackets from there [m].
 
-    Coordinates know no poles: in them a sensor may be anywhere about its foot. A point at r < 2
-    bracket lengths from an axis is a position at ``length + r / 2``, in the same direction; a point
-    on the axis is the end of the usual bracket. So no position is nearer than ``length``, and none
-    farther out moves.
+    A point in coordinates at r < 2 lengths from an axis is a position at ``length + r / 2``, in the
+    same direction; one on the axis is the end of the usual bracket. Positions farther out are
+    points.
     """
 
     axis: Float[np.ndarray, "P 2"]
@@ -89,8 +85,8 @@ class Brackets:
     def points(
         self, positions: Float[np.ndarray, "S 2"], yaw: Float[np.ndarray, " S"], aimed: np.ndarray
     ) -> Float[np.ndarray, "S 2"]:
-        """The inverse of :meth:`positions`. What is nearer to an axis than a bracket's end is taken
-        as at the end of one in its direction."""
+        """The inverse of :meth:`positions`; what is nearer to an axis counts as at the end of a
+        bracket."""
         pole, away, off = self._nearest(positions, np)
         length, axis = self.length[pole], self.axis[pole]
         usual = axis + length[:, None] * self._usual(pole, yaw, aimed, np)

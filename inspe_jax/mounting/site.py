@@ -40,8 +40,8 @@ _AIM_HEIGHT = 1.0  # aim this high above the ground, at people and vehicle bodie
 
 @dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
 class View:
-    """One sensor of a strategy: the name and the ``foot`` (x, y) of its post, the ``offset`` (x, y)
-    from there, the ``height`` above the ground at the foot [m], and its angles [rad]."""
+    """One sensor of a strategy: the ``post`` and its ``foot`` (x, y), the ``offset`` from there,
+    the ``height`` above the ground at the foot [m], and its angles [rad]."""
 
     post: str
     foot: Float[np.ndarray, "2"]
@@ -55,10 +55,10 @@ class View:
 class Site:
     """An intersection as a placement rule sees it: its arms in order, and places for poles.
 
-    ``radius`` bounds the region of interest [m]. ``depth`` is the cameras' effective depth [m].
-    Heights [m] and ``camera_pitch`` [rad] are None if the rule chooses them. ``bodies`` stand in
-    every frame: no unit stands in one, nor within :data:`~inspe_jax.sensing.layout.UNIT_PLAN` of
-    one that reaches to ``lowest``, the lowest height of a sensor [m above the ground].
+    ``radius`` bounds the region of interest, ``depth`` is the cameras' effective one [m]. Heights
+    [m] and ``camera_pitch`` [rad] are None if the rule chooses them. No unit stands in one of the
+    ``bodies``, nor within UNIT_PLAN of one as high as ``lowest``, the lowest height of a sensor
+    [m].
     """
 
     place: Intersection
@@ -247,10 +247,8 @@ class Site:
     @cached_property
     def corners(self) -> Float[np.ndarray, "2N 2"]:
         """Feet of the corner poles [m]: one at the left kerb of each arm, then at the right kerbs.
-
-        Where the gap between two arms is narrow, one pole serves both, and the right one stands
-        :data:`SETBACK` farther out.
-        """
+        One pole serves both sides of a narrow gap; the right one then stands :data:`SETBACK`
+        farther out."""
         arms, wide = self.arms, self.gaps > WIDE
         facing = zip(arms, arms[1:] + arms[:1], wide, strict=True)
         left = [a.kerb(+1) if alone else (a.kerb(+1) + b.kerb(-1)) / 2 for a, b, alone in facing]
@@ -294,12 +292,9 @@ class Site:
         height: float = 6.0,
         mast: float = 0.0,
     ) -> View:
-        """A camera that looks at ``target`` (x, y) [m], or along ``yaw`` [rad] as far as that.
-
-        The optical axis meets the target 1 m above the ground, at 5 m or more in plan and at most
-        at 0.6 of the camera's depth. ``mast`` is the length of an arm towards the junction [m],
-        none if the camera is too low to hang over traffic.
-        """
+        """A camera that looks at ``target`` (x, y) [m], 1 m above the ground, or along ``yaw``
+        [rad] as far, at 5 m or more in plan and at most at 0.6 of its depth. ``mast`` is the length
+        of an arm towards the junction [m], none if the camera is too low to hang over traffic."""
         height, inward, aim = self.camera_height or height, self.center - foot, target - foot
         reach = min(mast, float(np.hypot(*inward))) if height >= _CLEARANCE else 0.0
         offset = reach * inward / max(float(np.hypot(*inward)), 1e-9)

@@ -14,10 +14,8 @@ from inspe_jax.mounting.site import farthest_first
 from inspe_jax.placement.space import Space
 
 COLUMNS, FRAMES = 768, 6
-"""Columns and frames in a sample on which layouts are compared.
-
-Layouts that are compared share a sample. The next comparison has another one, so that no layout is
-chosen because it suits one sample."""
+"""Columns and frames in a sample on which layouts are compared. The next comparison has another
+one, so that no layout is chosen because it suits one sample."""
 BATCH = 32
 """Layouts in one step of grid and random search: about half a second on a large scene."""
 SPACING = 8.0
@@ -62,11 +60,9 @@ def of_unit(space: Space, u: int) -> Int[np.ndarray, " n"]:
 
 
 def lattice(space: Space, most: int = FEET) -> Float[np.ndarray, "F 2"]:
-    """Candidate feet about the centre [m]: a lattice of :data:`SPACING`, and poles.
-
-    If there are more than ``most``, those furthest apart are kept. For a unit that can stand on
-    none of them, as on a span wire, its given foot is added.
-    """
+    """Candidate feet about the centre [m]: a lattice of :data:`SPACING`, and poles; of more than
+    ``most`` those furthest apart, and the given foot of a unit that can stand on none, as on a span
+    wire."""
     feet = space.feet(SPACING)
     found = feet[farthest_first(feet, most)]
     given = space.split(space.start(space.given)[0]).base
@@ -81,10 +77,8 @@ def set_heights(
     sensors: Sequence[int],
     above: Float[np.ndarray, "M m"],
 ) -> Float[np.ndarray, "M N"]:
-    """The feasible layouts nearest to ``x`` with unit ``u``'s sensors at heights ``above`` [m].
-
-    Heights are above the ground at the unit's foot.
-    """
+    """The feasible layouts nearest to ``x`` with unit ``u``'s sensors at heights ``above`` the
+    ground [m]."""
     index, x = space.index, np.array(x)
     rise = index.rise[list(sensors)]
     x[:, rise] = 0.0

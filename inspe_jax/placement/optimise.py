@@ -366,8 +366,7 @@ def _seconds(seconds: float | None, evaluations: float | None) -> float | None:
 def check_search(
     methods: Sequence[str], start: str | Layout = "given", seeds: Sequence[int] = (0,)
 ) -> list[Method]:
-    """The methods of these names. Raises InspeError where one is unknown or named twice, or the
-    start or a seed cannot be: all that needs no scene to be seen."""
+    """The methods of these names. Raises InspeError for what needs no scene to be seen."""
     for name in methods:
         check_known(name, METHODS, "method")
     rows = [METHODS[name] for name in methods]

@@ -1,8 +1,6 @@
-"""Adam on the soft score, with a new sample of columns and frames at every step.
-
-The softness is large at first, so that distant traffic and voxels have a slope, and small at the
-end, so that the edges of views are precise.
-"""
+"""Adam on the soft score, with a new sample at every step. The softness is large at first, where
+distant traffic then has a slope, and small at the end, where the edges of views are then
+precise."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -72,12 +70,11 @@ def annealed(ends: Any, done: float) -> float:
 
 @dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
 class ChartedLayouts:
-    """M layouts in charts of their coordinates, and what Adam remembers of their slopes.
+    """M layouts in charts, and what Adam remembers of their slopes.
 
-    A layout stands ``z`` (M, N) typical steps from ``anchor`` (M, N), in the charts ``place``
-    (M, U). ``steps`` (M,) are Adam's so far, ``mean`` and ``square`` (M, N) its running means of
-    slopes and of their squares. Layouts of the same ``line`` (M,) take their mean slope. ``count``
-    is the number of steps since the search began.
+    A layout stands ``z`` (M, N) typical steps from ``anchor`` (M, N) in the charts ``place`` (M,
+    U). ``steps`` (M,) are Adam's, ``mean`` and ``square`` (M, N) its running means. Layouts of one
+    ``line`` (M,) take their mean slope. ``count`` steps were done since the search began.
     """
 
     anchor: Float[np.ndarray, "M N"]
@@ -92,9 +89,9 @@ class ChartedLayouts:
 
 @dataclass(frozen=True, eq=False)
 class AdamState(ChartedLayouts):
-    """Adam's layouts, the one that was best when they were last compared first; how often some were
-    ``culled``; and what was spent [s, exact scores] when the search ``began`` and when it last
-    ``looked`` at the best of them."""
+    """Adam's layouts, the best when last compared first; how often some were ``culled``; and what
+    was spent [s, exact scores] when the search ``began`` and when it last ``looked`` at the
+    best."""
 
     culled: int
     began: Float[np.ndarray, "2"]

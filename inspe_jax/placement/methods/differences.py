@@ -1,7 +1,5 @@
-"""A control: the default search with central differences of the hard score for its gradient.
-
-What the default gains over it, and over ``greedy``, in equal time is what its gradient gains.
-"""
+"""A control: the default search with central differences of the hard score for its gradient. What
+the default gains over it in equal time is what its gradient gains."""
 
 from typing import Any
 

@@ -50,10 +50,8 @@ GROWS = (
 
 @dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
 class Placing:
-    """Before the units ``out`` (U,) of the layout ``x`` (N,) are placed anew, in a round.
-
-    ``part`` parts of the candidates were looked at; ``looked``: whether that is all of them.
-    """
+    """Before the units ``out`` (U,) of the layout ``x`` (N,) are placed anew. ``part`` parts of the
+    candidates were looked at; ``looked``: whether that is all of them."""
 
     round: int
     x: Float[np.ndarray, " N"]
@@ -64,11 +62,8 @@ class Placing:
 
 @dataclass(frozen=True, eq=False)
 class Exchanging:
-    """All sensors are placed, at the candidates ``picks`` (S,); next, ``unit`` chooses again.
-
-    ``x`` (N,) is the best layout of the round and ``value`` its exact score. ``moved`` units have
-    chosen other candidates in this pass.
-    """
+    """All sensors are at the candidates ``picks`` (S,); next, ``unit`` chooses again, ``moved``
+    have in this pass. ``x`` (N,) is the best layout of the round and ``value`` its exact score."""
 
     round: int
     x: Float[np.ndarray, " N"]
@@ -95,10 +90,8 @@ def _again(run: Run, number: int) -> Placing:
 
 
 def step(run: Run, state: State, by: Slope | None = None) -> State:
-    """A piece of a round, see the module; ``by`` is the slope that bursts follow, if there are any.
-
-    Placing and every pass of exchanges end with an exact score.
-    """
+    """A piece of a round, see the module; bursts follow the slope ``by``. Placing and every pass of
+    exchanges end with an exact score."""
     if not _aimed(run):
         by = None
     match state:
@@ -168,10 +161,8 @@ def look(run: Run, state: Placing) -> Placing:
 
 
 def place(run: Run, state: Placing) -> Exchanging | LocalSearch:
-    """Place the units greedily at candidates looked at, and score the layout exactly.
-
-    If some sensor found no place, candidates are not exchanged.
-    """
+    """Place the units greedily at candidates looked at, and score the layout exactly. If some
+    sensor found no place, candidates are not exchanged."""
     table = _table(run, state.round, state.x, _kept(run, state), state.part)
     sensors = range(len(run.problem.layout))
     views = PLACE_COST * sum(len(kind.foot) for kind in table.kinds)

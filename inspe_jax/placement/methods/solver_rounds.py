@@ -1,8 +1,5 @@
-"""L-BFGS-B and projected gradients on the soft score, in rounds.
-
-These solvers search along a line and cannot work with noise. So a round keeps its sample and its
-softness, and ends when the solver ends.
-"""
+"""L-BFGS-B and projected gradients on the soft score, in rounds: these solvers cannot work with
+noise, so a round keeps its sample and its softness, and ends when the solver ends."""
 
 import warnings
 from collections.abc import Callable
@@ -74,10 +71,8 @@ def charged(
     score: Callable[[Array], tuple[Array, Array]],
     layout: Callable[[Array], Float[np.ndarray, " N"]],
 ) -> Callable[[Array], tuple[Array, Array]]:
-    """A loss and its slope, charged to the budget at every call.
-
-    What is better than the first is held, in the coordinates (N,) that ``layout`` gives.
-    """
+    """A loss and its slope, charged at every call. What is better than the first is held, in the
+    coordinates (N,) that ``layout`` gives."""
     best: float | None = None
 
     def evaluate(z: Array) -> tuple[Array, Array]:

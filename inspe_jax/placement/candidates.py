@@ -41,14 +41,12 @@ def poses(space: Space, x: Float[np.ndarray, "M N"]) -> Float[np.ndarray, "M S p
 
 @lru_cache(maxsize=4)  # compiled functions keep their space in memory, so only a few are kept
 def _mapped(space: Space) -> tuple[Any, Any]:
-    compiled = (jax.jit(jax.vmap(space.project)), jax.jit(jax.vmap(space.poses)))
-    project, poses = (lambda x, f=f: f(on_host(x, float)) for f in compiled)
-    return project, poses
+    return jax.jit(jax.vmap(space.project)), jax.jit(jax.vmap(space.poses))
 
 
 def _in_parts(function: Any, x: np.ndarray, rows: int = _ROWS) -> np.ndarray:
     """A function of M layouts, called on parts of one shape so that it compiles once."""
-    done = [np.asarray(function(part), float) for part in parts_of(x, rows)]
+    done = [np.asarray(function(on_host(part, float)), float) for part in parts_of(x, rows)]
     return np.concatenate(done)[: len(x)]
 
 

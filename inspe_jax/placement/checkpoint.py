@@ -83,7 +83,7 @@ def load_checkpoint(path: str | os.PathLike[str]) -> Checkpoint:
     other = "not a checkpoint of a search; name a new file, or one that --checkpoint wrote"
     with open_arrays(Path(path), other) as data:
         record = json.loads(str(data["record"]))
-        written = str(record["format"])
+        written = str(record.pop("format"))
         if written != FORMAT:
             if written.startswith(FORMAT.rstrip("0123456789")):
                 raise InspeError(
@@ -96,11 +96,7 @@ def load_checkpoint(path: str | os.PathLike[str]) -> Checkpoint:
             path=data["path"],
             held=data["held"],
             history=tuple(Progress(*row) for row in data["history"].tolist()),
-            of=dict(record["of"]),
-            seconds=float(record["seconds"]),
-            evaluations=float(record["evaluations"]),
-            limits=tuple(record["limits"]),
-            status=str(record["status"]),
+            **record | {"limits": tuple(record["limits"])},
         )
 
 
@@ -137,7 +133,7 @@ class CheckpointWriter:
         self._kept = kept
         reached, same = run.best >= run.target, kept.limits == run.limits
         over = kept.status == "converged" or (kept.status == "budget spent" and same)
-        if reached or over or run.left <= 0:
+        if reached or over or run.done >= 1:
             self.ended = kept.status or ("target reached" if reached else "budget spent")
             run.notes.append(
                 f"{self.path} has a search that has ended ({self.ended}); delete it to start "

@@ -236,7 +236,7 @@ def _drive(run: Run, row: Method, writer: CheckpointWriter | None = None) -> str
                 writer.mark(state)
             following = row.step(run, state)
             run.report()
-        status = "converged" if run.left > _ENDING else "budget spent"
+        status = "converged" if run.done < 1 - _ENDING else "budget spent"
     except BudgetSpent:
         status = "budget spent"
     except TargetReached:
@@ -292,12 +292,11 @@ def _result(run: Run, row: Method, status: str, begun: str | Layout) -> Result:
     def scores(of: Layout) -> Scores:
         return evaluate(case.scene, of, conditions=case.conditions, **readings)
 
-    after = scores(found)
     return Result(
         layout=replace(named_optimised(found), goal=objective.goal),
         start=start,
         scores_before=scores(start),
-        scores=after,
+        scores=scores(found),
         objective_before=before,
         objective=run.best,
         history=tuple(run.history),

@@ -125,17 +125,16 @@ class Problem:
         _, layout, _ = check_layout(first, layout)
         self.layout = layout
         self.objective.check_cost(layout)
-        failures = layout.members() if self.objective.failures else ()
+        self._failures = layout.members() if self.objective.failures else ()
         if self.objective.failures and len(layout.units) < 2:
             raise InspeError(f"{layout.name}: failures need at least two units, it has one")
-        self._failures = failures
         usual = [replace(sensor, spec=sensor.spec.with_lens(0.0)) for sensor in layout.sensors]
         self.sensor_sets = self._sets_of(replace(layout, sensors=tuple(usual)))
         self.terms = ScoreTerms(
             tuple(sensor_array(sensor_set) for sensor_set in self.sensor_sets),
             tuple(case.scene.voxels.size for case in self.cases),
             {name: np.array(weight) for name, weight in self.objective.weights_by_name.items()},
-            np.array(len(failures), np.int32),
+            np.array(len(self._failures), np.int32),
         )
         self.known: set[Hashable] = set()  # what is compiled already, for methods to note
 

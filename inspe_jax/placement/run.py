@@ -107,11 +107,6 @@ class Run:
         return self._clock() - self._began
 
     @property
-    def left(self) -> float:
-        """Share of the budget that is left, from 1 to 0."""
-        return 1.0 - self.done
-
-    @property
     def done(self) -> float:
         """Share of the budget that is spent, from 0 to 1."""
         return min(max(self.share(self.spent), 0.0), 1.0)

@@ -70,9 +70,9 @@ def run_jobs(
 ) -> Iterator[tuple[J, Any]]:
     """Run all jobs; yields each with its result or with its exception, as they finish.
 
-    A result is ``work(scene, job, *given)``, with the ``scene`` that ``build`` makes of the first
-    of its jobs. ``ahead`` jobs wait at each thread of a worker; with 1, workers get jobs in order.
-    What a dying worker held runs once more at the end, one at a time. Raises InspeError without a
+    A result is ``work(scene, job, *given)``, with the ``scene`` that ``build`` makes of its first
+    job. ``ahead`` jobs wait at each thread of a worker; with 1, workers get jobs in order. What a
+    dying worker held runs once more at the end, one at a time. Raises InspeError without a
     scheduler.
     """
     from distributed import KilledWorker

@@ -28,9 +28,9 @@ from inspe_jax.sensing.sensors import Spec
 
 @dataclass(frozen=True)
 class SceneSource:
-    """Where a scene comes from: a built-in, a map's ``junction`` or ``center``, or a saved scene,
-    with the digest of the file (``content``) and the ``driving_side`` given for an extract. The
-    name of this class is part of the keys of jobs in saved results."""
+    """Where a scene comes from: a built-in, a map's ``junction`` or ``center`` (with the
+    ``driving_side`` given for an extract), or a saved scene; ``content`` is the digest of the file.
+    The name of this class is part of the keys of jobs in saved results."""
 
     name: str
     built_in: str | None = None
@@ -242,8 +242,7 @@ def versions() -> dict[str, str]:
 
 
 def scene_of(source: SceneSource, settings: dict[str, Any]) -> Scene:
-    """Build the scene of a source with ``settings``, or load a saved one. Raises InspeError if its
-    file is missing or has changed since the study was read, or as building does."""
+    """Build the scene of a source, or load a saved one that has not changed since the study."""
     if source.built_in is not None:
         return build_scene(built_in(source.built_in), **settings)
     path = Path(str(source.map or source.file))

@@ -42,8 +42,7 @@ class Brackets:
     of its brackets from there [m].
 
     A point in coordinates at r < 2 lengths from an axis is a position at ``length + r / 2``, in the
-    same direction; one on the axis is the end of the usual bracket. Positions farther out are
-    points.
+    same direction; one on the axis is the end of the usual bracket. Points farther out do not move.
     """
 
     axis: Float[np.ndarray, "P 2"]
@@ -59,12 +58,11 @@ class Brackets:
         return len(self.axis) > 0
 
     def largest_offset(self, plan: float) -> float:
-        """How far points of a unit may be from each other and their foot, for their positions to be
-        within ``plan`` of each other [m].
+        """How far points of a unit may be apart, for their positions to be within ``plan`` [m].
 
-        Two points d apart, r and s from an axis, become positions that are at most
-        d + max(0, length − r/2) + max(0, length − s/2) apart, and r + s ≥ d: at most d + length
-        where one is far out, and d/2 + 2 length where neither is.
+        Two points d apart, r and s from an axis, become positions that are at most d + max(0,
+        length − r/2) + max(0, length − s/2) apart, and r + s ≥ d: at most d + length where one is
+        far out, and d/2 + 2 length where neither is.
         """
         longest = float(self.length.max(initial=0.0))
         return min(plan - longest, 2 * plan - 4 * longest)
@@ -85,8 +83,7 @@ class Brackets:
     def points(
         self, positions: Float[np.ndarray, "S 2"], yaw: Float[np.ndarray, " S"], aimed: np.ndarray
     ) -> Float[np.ndarray, "S 2"]:
-        """The inverse of :meth:`positions`; what is nearer to an axis counts as at the end of a
-        bracket."""
+        """The inverse of :meth:`positions`; what is too near to an axis is moved out."""
         pole, away, off = self._nearest(positions, np)
         length, axis = self.length[pole], self.axis[pole]
         usual = axis + length[:, None] * self._usual(pole, yaw, aimed, np)

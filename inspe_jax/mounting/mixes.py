@@ -28,8 +28,7 @@ def starting_layout(
     poles: int | None = None,
 ) -> Layout:
     """The layout from which the search of a mix starts: so many of each device, ``counts``, at
-    corners and roadsides, each a unit that looks at the centre, LiDARs first, as far apart as can
-    be.
+    corners and roadsides, each a unit that looks at the centre, LiDARs first, far apart.
 
     With so many ``poles`` at most, further sensors join the first, in turn; those that are aimed
     look 60° aside of each other. ``own`` has specs of devices that are not in the catalogue.

@@ -57,8 +57,7 @@ class Site:
 
     ``radius`` bounds the region of interest, ``depth`` is the cameras' effective one [m]. Heights
     [m] and ``camera_pitch`` [rad] are None if the rule chooses them. No unit stands in one of the
-    ``bodies``, nor within UNIT_PLAN of one as high as ``lowest``, the lowest height of a sensor
-    [m].
+    ``bodies``, nor within UNIT_PLAN of one as high as the ``lowest`` sensor [m].
     """
 
     place: Intersection
@@ -141,8 +140,7 @@ class Site:
 
     @cached_property
     def carriers(self) -> tuple[StaticBody, ...]:
-        """The bodies that are poles where a unit may be mounted: as high as the lowest sensor, and
-        well away from each other."""
+        """The bodies that are poles for units: high enough, and well away from each other."""
         feet = np.asarray(self.place.poles, float).reshape(-1, 3)[:, :2]
         poles = [one for one in self.bodies if one.kind == "pole" and one.base == 0
                  and one.height >= self.lowest]  # fmt: skip
@@ -194,8 +192,7 @@ class Site:
     def carries(
         self, foot: Float[np.ndarray, "2"], within: float, *, areas: bool = True, poles: bool = True
     ) -> bool:
-        """Whether a unit may stand at ``foot`` (x, y) [m], on free mounting area or on a pole, or
-        ``within`` a tolerance [m] of them."""
+        """Whether a unit may stand ``within`` a tolerance [m] of ``foot`` (x, y)."""
         on_pole = poles and (np.hypot(*(self.poles - foot).T) <= within).any()
         return bool(on_pole or (areas and self.free.distance(Point(foot)) <= within))
 
@@ -263,8 +260,7 @@ class Site:
         return self._stand(wanted, "roadside")
 
     def _stand(self, wanted: list[np.ndarray], post: str) -> Float[np.ndarray, "N 2"]:
-        """The place nearest to each wanted one that can carry a pole; all are different. Raises
-        InspeError if there is no such place."""
+        """The places for poles nearest to the wanted ones, all different."""
         feet: list[np.ndarray] = []
         for spot in wanted:
             poles = [p for p in self.poles if all(np.hypot(*(p - f)) > _APART for f in feet)]

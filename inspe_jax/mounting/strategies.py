@@ -32,8 +32,7 @@ from inspe_jax.sensing.sensors import CameraSpec, LidarSpec, Spec
 
 
 def central_cameras(site: Site) -> list[View]:
-    """Cameras over the centre in all directions, the first along the widest arm, each aimed at
-    where its line leaves the junction."""
+    """Cameras over the centre in all directions, from the widest arm's on, aimed at the edge."""
     main = max(site.arms, key=lambda arm: arm.width).bearing
     views = []
     for yaw in main + 2 * np.pi * np.arange(site.camera_count) / site.camera_count:
@@ -43,9 +42,8 @@ def central_cameras(site: Site) -> list[View]:
 
 
 def corner_cameras(site: Site) -> list[View]:
-    """A camera on each arm's corner pole looks out along the arm, or at it from far beside, as at a
-    roundabout; a second one looks back. With two arms, the poles at their other kerbs look out as
-    well."""
+    """A camera on each arm's corner pole looks along the arm, or at it from far beside; a second
+    one looks back. With two arms, cameras at their other kerbs look out as well."""
     arms, corners = site.arms, site.corners
 
     def out(i: int, right: bool = False) -> View:
@@ -210,8 +208,7 @@ def choose(
     camera_pitch_deg: float | None = None,
     profile: Profile | None = None,
 ) -> Chosen:
-    """The strategy and devices that the options of :func:`strategy` mean, by default under the
-    default profile."""
+    """The strategy and devices that the options of :func:`strategy` mean under a profile."""
     own = profile or profile_of(DEFAULT_PROFILE)
     camera_height = own.camera_height if camera_height is None else camera_height
     lidar_height = own.lidar_height if lidar_height is None else lidar_height

@@ -77,8 +77,7 @@ class Table:
         heights: int,
         first: bool = True,
     ) -> "Table":
-        """Feet × so many heights × yaws × pitches, on a sample of so many columns; shifted at
-        random by up to a step if not ``first``."""
+        """Feet × heights × yaws × pitches on a new sample; if not ``first``, shifted at random."""
         space, layout = problem.space, problem.layout
         sampled = SampledObjective(problem, problem.sample(rng, columns, FRAMES))
         feet = lattice(space)
@@ -146,8 +145,7 @@ class Table:
         }
 
     def scores(self, rows: SampledRows, at: Sequence[tuple[int, int]]) -> Float[np.ndarray, " n"]:
-        """The score with sensor s at candidate k, less its share of the pole, for each (s, k)
-        beside ``rows``."""
+        """The scores beside ``rows`` with sensor s at candidate k for each (s, k), less poles."""
         new = joined([rows_at(self.kind_of(s).row(k), None) for s, k in at])
         paid = [self.share(s)[self.kind_of(s).foot[k]] for s, k in at]
         return self.sampled.scores(rows, np.array(at)[:, :1], [new]) - np.array(paid)

@@ -59,8 +59,7 @@ def of_unit(space: Space, u: int) -> Int[np.ndarray, " n"]:
 
 def lattice(space: Space, most: int = FEET) -> Float[np.ndarray, "F 2"]:
     """Candidate feet about the centre [m]: a lattice of :data:`SPACING`, and poles; of more than
-    ``most`` those furthest apart, and the given foot of a unit that can stand on none, as on a span
-    wire."""
+    ``most`` those furthest apart, and the given foot of a unit that can stand on none."""
     feet = space.feet(SPACING)
     found = feet[farthest_first(feet, most)]
     given = space.split(space.start(space.given)[0]).base
@@ -75,8 +74,7 @@ def set_heights(
     sensors: Sequence[int],
     above: Float[np.ndarray, "M m"],
 ) -> Float[np.ndarray, "M N"]:
-    """The feasible layouts nearest to ``x`` with unit ``u``'s sensors at heights ``above`` the
-    ground [m]."""
+    """The feasible layouts nearest to ``x`` with sensors of unit ``u`` ``above`` the ground [m]."""
     index, x = space.index, np.array(x)
     rise = index.rise[list(sensors)]
     x[:, rise] = 0.0

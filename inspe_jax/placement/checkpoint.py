@@ -113,8 +113,7 @@ class CheckpointWriter:
         self._kept = Checkpoint.now(run, None, of)
 
     def take_up(self, states: Sequence[type[Any]]) -> Any:
-        """Restore the run from the file and return the method's state, None at the start. Raises
-        InspeError if the file is not a checkpoint of this search."""
+        """Restore the run from the file; the method's state, None at the start."""
         if not self.path.exists():
             return None
         run, kept = self._run, load_checkpoint(self.path)

@@ -82,8 +82,8 @@ class Range(NamedTuple):
 
 
 class Disc(NamedTuple):
-    """Discs about 0 with the radii ``half`` (n,), with the methods of :class:`Range`: along each
-    ray, points are mapped as numbers are."""
+    """Discs about 0 with the radii ``half`` (n,), with the methods of :class:`Range` along each
+    ray."""
 
     half: Float[np.ndarray, " n"]
 

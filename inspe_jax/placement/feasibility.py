@@ -119,8 +119,8 @@ def _sensor(
 def differences(
     before: Layout, after: Layout, site: Site, added: Collection[str] = ()
 ) -> Iterator[str]:
-    """What differs, in words, between a layout and the same made feasible, relative to the ground
-    at the units' feet; units with a name in ``added`` are new."""
+    """What differs, in words, between a layout and the same made feasible; ``added`` units are
+    new."""
     for old, new in zip(before.units, after.units, strict=True):
         foot = np.array(new.base[:2])
         away = float(np.hypot(*(foot - old.base[:2])))

@@ -54,8 +54,8 @@ def lazy_greedy(table: Table, before: Callable[[], None] = lambda: None) -> tupl
 
 
 def _may_stand(table: Table, picks: Picks, g: int, k: int) -> list[int]:
-    """The sensors of group ``g`` to try at candidate ``k``: one of each unit that stands there
-    already, then one of a unit that is free to go elsewhere."""
+    """The sensors of group ``g`` to try at candidate ``k``: one of each unit there, and a free
+    one."""
     there, free = dict[int, int](), list[int]()
     for s in (s for s in table.alike[g] if s not in picks):
         unit, stands = table.problem.layout.sensors[s].unit, table.mast(picks, s)[0] >= 0
@@ -70,9 +70,8 @@ def _may_stand(table: Table, picks: Picks, g: int, k: int) -> list[int]:
 
 def exchange(table: Table, picks: Picks, u: int) -> Picks:
     """Unit ``u`` taken out and put back where it adds most, all else as it is. At a foot it is
-    filled greedily; where the objective is submodular, sensors add no more than each alone, which
-    bounds the feet that are tried. Then each of its sensors chooses again, the others as they
-    are."""
+    filled greedily; where the objective is submodular, what each sensor adds alone bounds the feet
+    that are tried. Then each of its sensors chooses again, the others as they are."""
     members, submodular = table.problem.layout.members()[u], table.problem.submodular
     others = {s: k for s, k in picks.items() if s not in members}
     rows = table.rows(others)

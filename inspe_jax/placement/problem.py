@@ -63,14 +63,9 @@ Drawn = tuple[tuple[Int[np.ndarray, " l"], Int[np.ndarray, " t"]], ...]
 """The numbers of the drawn columns and frames of every case."""
 
 
-Loss = Callable[..., tuple[Any, Any]]
-"""A loss and its slope in the first argument; the last two are the drawn columns and frames, and
-the softness [m]. ``of`` is what gives the slope in poses, :meth:`Problem.slope` if not given."""
-
-
 @dataclass(frozen=True, eq=False)
 class Sample:
-    """Some columns and frames of every case; ``cost`` is that of a score on them, in exact
+    """Some columns and frames of every case, and the ``cost`` of a score on them in exact
     scores."""
 
     arrays: tuple[SceneArrays, ...]
@@ -151,8 +146,7 @@ class Problem:
 
     @property
     def submodular(self) -> bool:
-        """Whether a sensor never takes anything from the objective, and adds the less the more
-        others there are: an earlier gain is then an upper bound of a later one."""
+        """Whether no sensor takes anything, and each adds the less the more others there are."""
         weights = self.objective.weights_by_name
         if self.objective.occlusion_reference == "covered" and weights["occlusion"]:
             return False  # the more is in view, the more counts
@@ -162,8 +156,7 @@ class Problem:
 
     @cached_property
     def arrays(self) -> tuple[SceneArrays, ...]:
-        """Every case's arrays, of all columns and frames. Raises InspeError for information gain of
-        nothing."""
+        """Every case's arrays, of all columns and frames; information gain needs traffic."""
         found = []
         for case in self.cases:
             tiled = tiled_scene_of(case.scene)
@@ -305,7 +298,7 @@ class Problem:
         return float(value), np.asarray(slope)[: len(poses)]
 
     @cached_property
-    def charted_loss(self) -> Loss:
+    def charted_loss(self) -> Callable[..., tuple[Any, Any]]:
         """The loss in typical steps ``z`` (N,) from an ``anchor`` (N,) in charts ``place`` (U,)."""
         space, scale = self.space, on_host(self.space.scale, float)
         return self._loss_through(
@@ -313,7 +306,7 @@ class Problem:
         )
 
     @cached_property
-    def scaled_loss(self) -> Loss:
+    def scaled_loss(self) -> Callable[..., tuple[Any, Any]]:
         """The loss in coordinates (N,) divided by :attr:`nonzero_scale`."""
         scale = on_host(self.nonzero_scale, float)
         return self._loss_through(lambda z: self.space.poses(scale * z))
@@ -323,9 +316,9 @@ class Problem:
         """A typical step of each coordinate, 1 for those that may not change."""
         return np.where(self.space.scale > 0, self.space.scale, 1.0)
 
-    def _loss_through(self, poses: Callable[..., Any]) -> Loss:
-        """The loss as a function of what ``poses`` takes; what follows the poses is compiled once
-        for all."""
+    def _loss_through(self, poses: Callable[..., Any]) -> Callable[..., tuple[Any, Any]]:
+        """A loss of what ``poses`` takes, then drawn columns and frames and softness [m], with its
+        slope in the first, by :meth:`slope` or ``of``. What follows poses is compiled once."""
         forward = jax.jit(poses)
 
         @jax.jit
@@ -387,8 +380,7 @@ def soft_slope(
     options: ScoreOptions,
     over: str,
 ) -> tuple[Float[Array, ""], Float[Array, "S p"]]:
-    """The combined score of all cases, read with ``softness`` [m], and its gradient in the poses;
-    ``over`` is one of :data:`COMBINATIONS`."""
+    """The combined score of all cases with ``softness`` [m], and its gradient in the poses."""
     reading = Numbers(Softness.of(softness))
 
     def score(poses: Array) -> Array:

@@ -62,8 +62,7 @@ class Run:
     It begins at the feasible coordinates ``start`` (N,). ``path`` has those of every layout that
     was the best so far, ``best`` the score of the last, ``history`` every exact score. ``limits``
     is the budget in seconds and evaluations, ``target`` the score that ends it. ``held`` (N,) is a
-    layout that the method prefers, not scored yet. ``cache`` is for what a method can compute
-    again.
+    layout that the method prefers, not scored yet. ``cache`` has what can be computed again.
     """
 
     def __init__(
@@ -79,8 +78,7 @@ class Run:
         found: Callable[[Float[np.ndarray, " N"], float], None] | None = None,
         target: float = np.inf,
     ) -> None:
-        """The options are those of :func:`~inspe_jax.placement.optimise.optimise`; ``found`` is
-        called with coordinates."""
+        """As :func:`~inspe_jax.placement.optimise.optimise`; ``found`` gets coordinates."""
         check_budget(seconds, evaluations)
         self.problem, self.seed, self.start = problem, seed, np.array(start, float)
         self.evaluations = 0.0
@@ -122,13 +120,12 @@ class Run:
         return max(used / limit for used, limit in parts if limit is not None)
 
     def rng(self, *key: int) -> np.random.Generator:
-        """Random numbers of the seed and the key alone: by its steps' numbers, a resumed search
-        repeats."""
+        """Random numbers of the seed and the key alone: by the step's number, they repeat on
+        resuming."""
         return np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=key))
 
     def offer(self, x: Float[np.ndarray, " N"]) -> float:
-        """The exact score of feasible coordinates (N,), for one evaluation. Raises BudgetSpent,
-        except for the first score, and TargetReached."""
+        """The exact score of feasible coordinates (N,), for one evaluation. May end the search."""
         if self.history:
             self._check_left()
         return self._score(np.array(x, float))
@@ -137,17 +134,15 @@ class Run:
         self, x: Float[np.ndarray, "M N"], scores: Float[np.ndarray, " M"], value: float
     ) -> tuple[int, float]:
         """Score exactly the row of ``x`` that has the best of ``scores``, unless that is row 0,
-        whose exact score is ``value``. Returns the better row's index, and its score. Raises as
-        :meth:`offer`."""
+        whose exact score is ``value``. Returns the better row's index, and its score."""
         best = int(np.argmax(scores))
         if best and (exact := self.offer(x[best])) > value:
             return best, exact
         return 0, value
 
     def hold(self, x: Float[np.ndarray, " N"]) -> None:
-        """Keep the feasible coordinates (N,) that the method would end with, were it stopped now:
-        they are scored if the search ends before the next :meth:`offer`, and the budget keeps room
-        for that."""
+        """Keep the feasible coordinates (N,) that the method would end with, were it stopped now.
+        They are scored if the search ends before the next :meth:`offer`; the budget keeps room."""
         self.held = None if np.array_equal(x, self.best_x) else np.array(x, float)
 
     def settle(self) -> None:
@@ -177,9 +172,9 @@ class Run:
     def rough(
         self, x: Float[np.ndarray, "M N"], *key: int, size: int = 1
     ) -> Float[np.ndarray, " M"]:
-        """Hard scores of layouts on the sample of ``key``, ``size`` times as large as usual in
-        columns and frames; the best so far is held. Raises BudgetSpent, which it checks every
-        :data:`AT_ONCE` layouts."""
+        """Hard scores of M layouts on the sample of ``key``, charged M times its cost; ``size``
+        times the usual columns and frames. The best so far is held. May end the search,
+        BudgetSpent."""
         sample = self.problem.sample(self.rng(*key), size * COLUMNS, size * FRAMES)
         scores: list[np.ndarray] = []
         for first in range(0, len(x), AT_ONCE):

@@ -1,6 +1,5 @@
-"""The objective on a sample, of sensors whose views are found one by one. Given what each sensor
-has of the sample, :class:`Rows`, the metrics' own code scores any set of sensors without
-geometry."""
+"""The objective on a sample, of sensors whose views are found one by one: given each sensor's
+:class:`Rows`, the metrics' own code scores any set of them without geometry."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -47,8 +46,7 @@ class SceneRows(NamedTuple):
 
     ``view`` and ``seen`` are masks of voxels in view, and seen in each frame; ``sights`` counts the
     frames with each voxel in line of sight, and ``targets`` is what the sensor has on road users,
-    both None unless a metric asks. ``pose`` is about the centre. A row of zeros is that of no
-    sensor.
+    both None unless a metric asks. ``pose`` is about the centre. Zeros are no sensor's.
     """
 
     pose: Float[Array, "*k 6"]
@@ -122,8 +120,7 @@ def _view(
     targets: tuple[str, ...],
     kept: bool,
 ) -> SceneRows:
-    """The rows of K poses; ``targets`` are the fields that are wanted of what the sensor has on
-    road users; ``kept``: the numbers of frames are."""
+    """The rows of K poses, with ``targets`` of road users; ``kept``: with numbers of frames."""
     curves = options.detection or detection_curves()
 
     def view_from(pose: Array) -> SceneRows:
@@ -166,8 +163,7 @@ def _view(
 
 
 def _side_by_side(found: Any, slabs: int, axis: int) -> Any:
-    """Arrays (N, …, C, …) of tiles as (slabs, …, N/slabs · C, …); ``axis`` is that of the
-    columns."""
+    """Arrays (N, …, C, …) of tiles as (slabs, …, N/slabs · C, …); ``axis`` is C's."""
     each = found.reshape(slabs, -1, *found.shape[1:])
     each = each.transpose(0, *range(2, axis + 1), 1, *range(axis + 1, each.ndim))
     return each.reshape(*each.shape[:axis], -1, *each.shape[axis + 2 :])
@@ -234,8 +230,7 @@ def set_scores(
     options: ScoreOptions,
     over: str,
 ) -> Float[Array, " K"]:
-    """The combined scores of K sets of S sensors: ``fixed`` rows of all, ``choices`` (K, n) those
-    of the sensors ``at`` in each set."""
+    """Combined scores of K sets: ``fixed`` rows, but ``choices`` (K, n) for the sensors ``at``."""
 
     def score(chosen: tuple[Array, tuple[SceneRows, ...]]) -> Array:
         rows = jax.tree.map(lambda every, new: every.at[chosen[0]].set(new), fixed, chosen[1])

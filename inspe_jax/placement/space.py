@@ -32,8 +32,7 @@ _GROUND_CELL = 1.0  # of the raster of the ground's height [m]
 class Space:
     """The feasible set of one layout's units and sensors on one intersection. ``given`` is that
     layout; ``scale`` (N,) is a typical step of each coordinate [m or rad], 0 for those that may not
-    change, and ``free`` the indices of the others; ``index`` is the place of each coordinate in a
-    flat array."""
+    change, the others being ``free``; ``index`` is the place of each coordinate in a flat array."""
 
     def __init__(
         self, scene: Scene, layout: Layout, constraints: Constraints | None = None
@@ -184,8 +183,7 @@ class Space:
 
     def layout(self, x: Float[Any, " N"]) -> Layout:
         """The layout at feasible coordinates, with world poses and the exact ground. Raises
-        InspeError if one is outside the set by more than :data:`TOLERANCE`; less, as by rounding,
-        is corrected."""
+        InspeError if one is outside the set by more than :data:`TOLERANCE`."""
         x = np.asarray(x, float)
         if x.shape != (self.size,) or not np.isfinite(x).all():
             raise InspeError(f"coordinates: expected {self.size} finite numbers")
@@ -221,8 +219,7 @@ class Space:
     ) -> tuple[Float[np.ndarray, " N"], Int[np.ndarray, " U"]]:
         """Feasible coordinates as coordinates without bounds, and the region (U,) of each unit: a
         pole, or a piece of ground, which is also taken for a pole within 0.5 m of it unless units
-        ``stay``. In the middle of their ranges both move alike; what is on a bound counts as 1 %
-        inside."""
+        ``stay``. Mid-range both move alike; what is on a bound counts as 1 % inside."""
         c = self.split(np.asarray(x, float))
         far = self._pieces.nearest(c.base, self._allowed)[2]  # (U, K), squared
         wide = np.where(self._pieces.area > 0, far, np.inf)
@@ -247,8 +244,8 @@ class Space:
         self, layout: Layout, added: Collection[str] = ()
     ) -> tuple[Float[np.ndarray, " N"], tuple[str, ...]]:
         """The feasible coordinates nearest to a layout of these sensors, and notes on what moved.
-        Sensors move with their unit's foot and keep their heights; units named in ``added`` are
-        said to be added."""
+        Sensors move with their unit's foot and keep their heights; units in ``added`` are said to
+        be added."""
         ours, theirs = (
             [(s.spec.with_lens(0.0), s.unit) for s in of.sensors] for of in (self.given, layout)
         )
@@ -290,7 +287,7 @@ class Space:
 
     def random(self, rng: np.random.Generator, count: int) -> Float[np.ndarray, "M N"]:
         """Random feasible coordinates, one layout in each row. Feet are spread evenly over the
-        areas, half of them on poles if there are both, 2.5 m apart if there is room; the rest is
+        areas, half of them on poles if there are both, 2.5 m apart if there is room; see
         :meth:`Limits.draw`."""
         base = np.zeros((count, len(self._feet), 2))
         for u in range(len(self._feet)):
@@ -339,8 +336,7 @@ class Space:
         return np.stack([low, high], -1), np.stack([pitch.low, pitch.high], -1)
 
     def faults(self, layout: Layout) -> list[Fault]:
-        """The rules of mounting that a layout of these sensors breaks, on the map's polygons and to
-        :data:`TOLERANCE`, not by this class's geometry."""
+        """The rules of mounting that a layout of these sensors breaks, on the map's polygons."""
         return list(faults(layout, self.given, self.site, self.constraints))
 
     def violations(self, layout: Layout) -> list[str]:

@@ -53,8 +53,7 @@ def share_out(
 
     ``costs`` [US dollars, to the cent] and ``scores`` have a row for each place. With ``worst``,
     the least score is maximised, and then the sum. Cents are exact, and never exceed the budget.
-    Raises InspeError if an amount is not valid, the budget too small, or HiGHS finds no choice in
-    time.
+    Raises InspeError if an amount is wrong, the budget too small, or HiGHS too slow.
     """
     check_budget(budget)
     for cost in (cost for row in costs for cost in row):
@@ -92,8 +91,7 @@ def check_budget(budget: float) -> None:
 def _greatest_worst(
     cents: Sequence[Int[np.ndarray, " K"]], values: Sequence[Float[np.ndarray, " K"]], limit: int
 ) -> float:
-    """The greatest score that every place can reach within the limit, exactly: one of the scores. A
-    higher one costs no less to reach, so it is found by halving."""
+    """The greatest score that every place can reach within the limit, by halving all scores."""
     steps = np.unique(np.concatenate(values))
     low, high = 0, len(steps) - 1  # the lowest score is reached by all options
     while low < high:

@@ -1,6 +1,5 @@
-"""A plan of many junctions: a front of device mixes for each, and one budget shared among them.
-Prices and budget are no part of the study that searches the layouts, so another budget only chooses
-again."""
+"""A plan of many junctions: a front of device mixes for each, and one budget shared among them. The
+study that searches the layouts knows no prices, so another budget only chooses again."""
 
 import os
 from collections import defaultdict
@@ -46,8 +45,8 @@ NOTHING = Option("", 0.0, 0.0)  # no devices: nothing is seen, and every score i
 
 @dataclass(frozen=True)
 class JunctionFront:
-    """A junction, the options on its front, cheapest first, from :data:`NOTHING` on unless a mix is
-    free, and the errors of mixes that failed."""
+    """A junction, its options from :data:`NOTHING` up, cheapest first, and errors of failed
+    mixes."""
 
     junction: JunctionInfo
     options: tuple[Option, ...]
@@ -84,8 +83,7 @@ class CityPlan:
         return tuple(front.options[k] for front, k in pairs)
 
     def text(self, georeference: Georeference | None) -> str:
-        """The plan as CSV, one row for each junction that can get devices, with latitudes and
-        longitudes where the map's projection is given."""
+        """The plan as CSV, a row for each junction; in degrees too if the projection is given."""
         rows: list[dict[str, Any]] = []
         for front, option, weight in zip(self.fronts, self.chosen, self.weights, strict=True):
             middle = np.array(front.junction.center[:2])
@@ -150,8 +148,7 @@ def city_study(
     driving_side: str | None = None,
     **more: Any,
 ) -> Study:
-    """The study of every mix of devices at every junction of a map. ``settings`` need a method of
-    search; the rest is as in a study file (:mod:`inspe_jax.study.plan`)."""
+    """The study of every mix at every junction of a map; options as in a study file."""
     place = Path(path)
     of_all = {"map": str(place.resolve()), "driving_side": driving_side}
     scenes = [{"name": str(one.id), "junction": one.id, **of_all} for one in junctions]
@@ -163,8 +160,8 @@ def city_study(
 def fronts_of(
     study: Study, rows: Sequence[Row], junctions: Sequence[JunctionInfo], costs: Mapping[str, float]
 ) -> tuple[JunctionFront, ...]:
-    """The front of each junction, from the rows of a study; ``costs`` are those of mixes by name.
-    No mix is on it that failed, or is beaten by one that costs no more."""
+    """Each junction's front, from a study's rows and the costs of mixes by name, without
+    failures."""
     by_key = {row["key"]: row for row in rows}
     options = defaultdict[str, list[Option]](lambda: [NOTHING])
     errors = defaultdict[str, list[str]](list)

@@ -1,6 +1,5 @@
 """Runs all jobs of a study on Dask workers: on this machine, or on a running cluster. Each job's
-row is flushed to ``results.csv`` as it ends; a run that is killed leaves at most one incomplete
-row."""
+row is flushed to ``results.csv`` as it ends; a killed run leaves at most one incomplete row."""
 
 import os
 from collections.abc import Callable, Mapping
@@ -84,12 +83,10 @@ def sweep(
 
 
 class Results:
-    """The results of one study in a folder, open for one run at a time. ``rows`` are those so far,
-    by the keys of their jobs; without those of earlier failures."""
+    """The results of a study in a folder, open for one run; ``rows`` by key, without failures."""
 
     def __init__(self, study: Study, folder: str | os.PathLike[str]) -> None:
-        """Raises InspeError if the folder cannot be written, another run uses it, or it has results
-        of another study or version."""
+        """Raises InspeError if another run uses the folder, or it has other results."""
         self.study = study
         self.columns = columns(study)
         self.folder = prepare_folder(folder)

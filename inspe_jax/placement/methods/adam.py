@@ -1,6 +1,5 @@
 """Adam on the soft score, with a new sample at every step. The softness is large at first, where
-distant traffic then has a slope, and small at the end, where the edges of views are then
-precise."""
+distant traffic then has a slope, and small at the end, where edges of views are precise."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -85,8 +84,7 @@ class ChartedLayouts:
 @dataclass(frozen=True, eq=False)
 class AdamState(ChartedLayouts):
     """Adam's layouts, the best when last compared first; how often some were ``culled``; and what
-    was spent [s, exact scores] when the search ``began`` and when it last ``looked`` at the
-    best."""
+    was spent [s, exact scores] when the search ``began`` and when it ``looked`` at the best."""
 
     culled: int
     began: Float[np.ndarray, "2"]
@@ -157,7 +155,7 @@ def advance(
 ) -> L:
     """Do ``count`` gradient steps, each on new samples; ``now`` gives softness [m] and rate."""
     problem, line, z = run.problem, state.line, state.z
-    tree = jax.tree.structure(_adam().init(z))
+    tree = jax.tree.structure(jax.eval_shape(_adam().init, z))
     optimiser = jax.tree.unflatten(tree, (state.steps, state.mean, state.square))
     loss = partial(problem.charted_loss, of=partial(by.at, problem))
     together = (line[:, None] == line[None]).astype(z.dtype)

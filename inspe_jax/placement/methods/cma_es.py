@@ -28,7 +28,7 @@ SCREENED = 16
 @dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
 class CmaState:
     """The ``losses`` (G, P) of G generations of P since the last restart, its number, and the
-    ``origin`` (N,) where it began; ``best``, its best exact score, and ``waited``, the exact scores
+    ``origin`` (N,) where it began; its ``best`` exact score, and ``waited``, the exact scores
     since."""
 
     restart: int
@@ -97,8 +97,7 @@ def _layouts(
 
 
 def _strategy(run: Run, state: CmaState) -> Any:
-    """The strategy at this state: from the run's cache, or made from the losses. It is taken out:
-    one whose generation was cut short must not be used again."""
+    """The strategy at this state. It leaves the cache: a generation may be cut short."""
     from cmaes import CMA  # only here: its import takes a third as long as all others
 
     losses, restart = state.losses, state.restart

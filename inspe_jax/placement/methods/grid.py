@@ -48,8 +48,8 @@ def step(run: Run, state: GridState) -> GridState | None:
     """Score some more points of the block's grid; score the best exactly when all are done.
 
     A block is yaw × pitch × height of a sensor, or, after a unit's sensors, its foot × turns.
-    Sweeps follow until one finds nothing better; then the grid is made finer, about the present
-    layout.
+    Sweeps follow until one finds nothing better; then the grid about the present layout is made
+    finer.
     """
     problem = run.problem
     members = problem.layout.members()

@@ -50,8 +50,7 @@ class LocalSearch:
 
     Moves are at most ``width`` typical steps; the next burst has this ``softness`` [m] and
     ``rate``, and its first step the number ``count``. ``careful``: what is found is judged piece by
-    piece, since a pass gained nothing. ``widest`` is the exact score when moves were last at their
-    widest.
+    piece, since a pass gained nothing. ``widest`` is the exact score when moves last were widest.
     """
 
     round: int
@@ -68,8 +67,8 @@ class LocalSearch:
 
 def improve(run: Run, state: LocalSearch, by: Slope | None) -> LocalSearch | None:
     """Bursts while they gain, then moves of every unit, on a sample of its own; judged exactly
-    together, or, once that gained nothing, piece by piece. None if moves of all widths gained no
-    more than :data:`ENOUGH`."""
+    together, or, once that gained nothing, piece by piece. None if all widths gained at most
+    :data:`ENOUGH`."""
     problem, key, careful = run.problem, (state.round, state.passes), state.careful
     sampled = SampledObjective(problem, problem.sample(run.rng(1, *key), COLUMNS, FRAMES))
     members = problem.layout.members()

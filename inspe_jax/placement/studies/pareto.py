@@ -71,8 +71,7 @@ class DeviceMix:
 
 @dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
 class Cheapest:
-    """Mixes in the order of their cost, up to the first that reaches the ``target``, of
-    ``total``."""
+    """Mixes by cost, up to the first of ``total`` that reaches the ``target``."""
 
     target: float
     searched: tuple[DeviceMix, ...]
@@ -181,8 +180,7 @@ def searched(
     target: float = float("inf"),
     **options: Unpack[SearchOptions],
 ) -> list[DeviceMix]:
-    """The mixes ``wanted``, one after another until one has an objective of ``target``; Ctrl-C ends
-    with those so far. Raises TypeError where an option is of no search of mixes."""
+    """The mixes ``wanted``, one after another until one has the ``target`` or Ctrl-C."""
     if others := set(options) - set(SearchOptions.__annotations__):
         raise TypeError(f"unexpected options of a search of mixes: {', '.join(sorted(others))}")
     cases = cases_of(scene, conditions)

@@ -17,8 +17,7 @@ from inspe_jax.sensing.conditions import Conditions
 from inspe_jax.sensing.layout import Layout
 
 SOFTNESS = 0.2
-"""Softness of the slopes [m], over which edges of views and shadows are blurred; rays are a
-density."""
+"""Softness of the slopes [m]; rays are read as a density."""
 POSITION_STEP = 0.1
 """Shift for which slopes along x, y and z are given [m]."""
 LIMITS = dict(position=(0, 2, " m"), angle=(0, 30, "°"), samples=(1, 10_000, ""))

@@ -22,7 +22,7 @@ Started = TypeVar("Started")
 @contextmanager
 def client(scheduler: str | None, workers: int | None) -> Iterator[Client]:
     """A client of the scheduler at an address, or of a new cluster of ``workers`` processes here,
-    one per core if None. Raises InspeError if none answers, has workers, or has the same
+    one per core if None. Raises InspeError if it does not answer, has no workers, or other
     versions."""
     if scheduler is not None:
         wrong = f"scheduler '{scheduler}' does not answer"

@@ -1,5 +1,5 @@
-"""Schedules jobs on Dask workers, each as a future of its own, which goes to a worker that holds
-its scene: a run that is killed, or a job that kills its worker, takes no other job with it."""
+"""Schedules jobs on Dask workers, each a future of its own at a worker that holds its scene: a
+killed run loses what was running, and a job that kills its worker takes no other with it."""
 
 from collections import deque
 from collections.abc import Callable, Hashable, Iterator, Sequence

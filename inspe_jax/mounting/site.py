@@ -192,7 +192,7 @@ class Site:
     def carries(
         self, foot: Float[np.ndarray, "2"], within: float, *, areas: bool = True, poles: bool = True
     ) -> bool:
-        """Whether a unit may stand ``within`` a tolerance [m] of ``foot`` (x, y)."""
+        """Whether free mounting area or a pole is ``within`` [m] of ``foot`` (x, y), for a unit."""
         on_pole = poles and (np.hypot(*(self.poles - foot).T) <= within).any()
         return bool(on_pole or (areas and self.free.distance(Point(foot)) <= within))
 
@@ -244,8 +244,8 @@ class Site:
     @cached_property
     def corners(self) -> Float[np.ndarray, "2N 2"]:
         """Feet of the corner poles [m]: one at the left kerb of each arm, then at the right kerbs.
-        One pole serves both sides of a narrow gap; the right one then stands :data:`SETBACK`
-        farther out."""
+        One pole serves both sides of a narrow gap; then the right one is :data:`SETBACK` farther
+        out."""
         arms, wide = self.arms, self.gaps > WIDE
         facing = zip(arms, arms[1:] + arms[:1], wide, strict=True)
         left = [a.kerb(+1) if alone else (a.kerb(+1) + b.kerb(-1)) / 2 for a, b, alone in facing]

@@ -58,8 +58,8 @@ def of_unit(space: Space, u: int) -> Int[np.ndarray, " n"]:
 
 
 def lattice(space: Space, most: int = FEET) -> Float[np.ndarray, "F 2"]:
-    """Candidate feet about the centre [m]: a lattice of :data:`SPACING`, and poles; of more than
-    ``most`` those furthest apart, and the given foot of a unit that can stand on none."""
+    """Candidate feet about the centre [m]: a lattice of :data:`SPACING`, and poles, the ``most``
+    that are furthest apart, and the given foot of a unit that can stand on none."""
     feet = space.feet(SPACING)
     found = feet[farthest_first(feet, most)]
     given = space.split(space.start(space.given)[0]).base

@@ -30,8 +30,7 @@ def turns(v: Any, radius: Any, xp: Any) -> Any:
 
 def from_bounded(x: Any, radius: Any, xp: Any) -> Any:
     """The inverse of :func:`to_bounded`; an end counts as slightly inside."""
-    safe = xp.where(radius > 0, radius, xp.ones_like(radius))
-    return radius * xp.arcsin(xp.clip(x / safe, -INSIDE, INSIDE))
+    return radius * xp.arcsin(xp.clip(turns(x, radius, xp), -INSIDE, INSIDE))
 
 
 # ── Regions ─────────────────────────────────────────────────────────────────

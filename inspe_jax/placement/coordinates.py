@@ -82,8 +82,7 @@ class Range(NamedTuple):
 
 
 class Disc(NamedTuple):
-    """Discs about 0 with the radii ``half`` (n,), with the methods of :class:`Range` along each
-    ray."""
+    """Discs about 0 with the radii ``half`` (n,); methods as of :class:`Range`, along each ray."""
 
     half: Float[np.ndarray, " n"]
 

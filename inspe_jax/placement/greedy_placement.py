@@ -54,8 +54,7 @@ def lazy_greedy(table: Table, before: Callable[[], None] = lambda: None) -> tupl
 
 
 def _may_stand(table: Table, picks: Picks, g: int, k: int) -> list[int]:
-    """The sensors of group ``g`` to try at candidate ``k``: one of each unit there, and a free
-    one."""
+    """Sensors of group ``g`` to try at candidate ``k``: one of each unit there, and a free one."""
     there, free = dict[int, int](), list[int]()
     for s in (s for s in table.alike[g] if s not in picks):
         unit, stands = table.problem.layout.sensors[s].unit, table.mast(picks, s)[0] >= 0

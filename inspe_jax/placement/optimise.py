@@ -225,7 +225,6 @@ def _drive(run: Run, row: Method, writer: CheckpointWriter | None = None) -> str
     state = writer.take_up(row.states) if writer else None
     if writer and writer.ended:
         return _settled(run, writer.ended)
-    status = ""
     try:
         if not run.history:
             run.offer(run.start)

@@ -65,8 +65,7 @@ Drawn = tuple[tuple[Int[np.ndarray, " l"], Int[np.ndarray, " t"]], ...]
 
 @dataclass(frozen=True, eq=False)
 class Sample:
-    """Some columns and frames of every case, and the ``cost`` of a score on them in exact
-    scores."""
+    """Some columns and frames of every case; a score on them costs ``cost`` exact scores."""
 
     arrays: tuple[SceneArrays, ...]
     cost: float

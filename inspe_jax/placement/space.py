@@ -244,8 +244,8 @@ class Space:
         self, layout: Layout, added: Collection[str] = ()
     ) -> tuple[Float[np.ndarray, " N"], tuple[str, ...]]:
         """The feasible coordinates nearest to a layout of these sensors, and notes on what moved.
-        Sensors move with their unit's foot and keep their heights; units in ``added`` are said to
-        be added."""
+        Sensors keep their heights and move with their unit's foot; units in ``added`` are noted as
+        added."""
         ours, theirs = (
             [(s.spec.with_lens(0.0), s.unit) for s in of.sensors] for of in (self.given, layout)
         )
@@ -286,8 +286,8 @@ class Space:
         return x, tuple(differences(layout, self.layout(x), self.site, added))
 
     def random(self, rng: np.random.Generator, count: int) -> Float[np.ndarray, "M N"]:
-        """Random feasible coordinates, one layout in each row. Feet are spread evenly over the
-        areas, half of them on poles if there are both, 2.5 m apart if there is room; see
+        """Random feasible coordinates, one layout in each row: feet 2.5 m apart if there is room,
+        spread evenly over the areas, half of them on poles if there are both; see
         :meth:`Limits.draw`."""
         base = np.zeros((count, len(self._feet), 2))
         for u in range(len(self._feet)):

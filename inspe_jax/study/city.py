@@ -45,8 +45,8 @@ NOTHING = Option("", 0.0, 0.0)  # no devices: nothing is seen, and every score i
 
 @dataclass(frozen=True)
 class JunctionFront:
-    """A junction, its options from :data:`NOTHING` up, cheapest first, and errors of failed
-    mixes."""
+    """A junction, its options, cheapest first from :data:`NOTHING` on unless a mix is free, and the
+    errors of mixes that failed."""
 
     junction: JunctionInfo
     options: tuple[Option, ...]
@@ -100,7 +100,7 @@ class CityPlan:
 def choose_junctions(
     path: str | os.PathLike[str], wanted: str, driving_side: str | None = None
 ) -> tuple[JunctionInfo, ...]:
-    """Junctions of a map: those with ``signals``, ``all``, or those of ids with commas between."""
+    """Junctions of a map: those with ``signals``, ``all``, or of ids with commas between."""
     known = list_junctions(path, driving_side)
     if not known:
         raise InspeError(f"{path}: the map has no junction")
@@ -160,8 +160,7 @@ def city_study(
 def fronts_of(
     study: Study, rows: Sequence[Row], junctions: Sequence[JunctionInfo], costs: Mapping[str, float]
 ) -> tuple[JunctionFront, ...]:
-    """Each junction's front, from a study's rows and the costs of mixes by name, without
-    failures."""
+    """Each junction's front, from a study's rows and the costs of mixes by name."""
     by_key = {row["key"]: row for row in rows}
     options = defaultdict[str, list[Option]](lambda: [NOTHING])
     errors = defaultdict[str, list[str]](list)

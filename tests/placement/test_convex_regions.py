@@ -20,43 +20,12 @@ PIECES = make_regions(SHAPES)
 SOLID = [Polygon(shape) for shape in SHAPES if len(shape) > 1]
 ALL = np.ones((1, len(SHAPES)), bool)
 
-at = jax.jit(lambda v, which: PIECES.at(v, which, jnp))
 nearest = jax.jit(lambda p, ok: PIECES.nearest(p, ok, jnp))
 
 
 def triangles(shape) -> np.ndarray:
     parts = shapely.constrained_delaunay_triangles(shape).geoms
     return np.array([t.exterior.coords[:3] for t in parts])
-
-
-def ragged(seed: int) -> Polygon:
-    """A star-shaped outline with a hole."""
-    rng = np.random.default_rng(seed)
-    angle = np.sort(rng.uniform(0, 2 * np.pi, 25))
-    far = rng.uniform(6, 10, (25, 1))
-    outer = far * np.stack([np.cos(angle), np.sin(angle)], 1)
-    return Polygon(outer).difference(Point(0.5, 0).buffer(3, quad_segs=4)).buffer(0)
-
-
-ELL = Polygon([(0, 0), (6, 0), (6, 2), (2, 2), (2, 6), (0, 6)])
-RING = box(0, 0, 10, 10).difference(box(4, 4, 6, 6))
-
-
-@pytest.mark.parametrize(
-    ("shape", "most"),
-    [(box(0, 0, 3, 1), 1), (ELL, 2), (RING, 6), *[(ragged(seed), 30) for seed in range(6)]],
-)
-def test_merged_pieces_are_convex_and_cover_exactly(shape, most):
-    outlines = merge(triangles(shape))
-    parts = [Polygon(outline) for outline in outlines]
-    assert len(parts) <= most < len(triangles(shape)) + most
-    for part in parts:
-        assert part.exterior.is_ccw
-        assert part.convex_hull.area == pytest.approx(part.area, abs=1e-9)
-        assert shape.buffer(1e-9).covers(part)
-    lost = shape.area - sum(part.area for part in parts)
-    assert -1e-9 <= lost <= len(triangles(shape)) * LEAST_AREA
-    assert shapely.union_all(parts).area == pytest.approx(sum(part.area for part in parts))
 
 
 def test_pieces_that_share_two_sides_in_line_stay_apart_and_slivers_are_left_out():

@@ -27,9 +27,8 @@ SCREENED = 16
 
 @dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
 class CmaState:
-    """The ``losses`` (G, P) of G generations of P since the last restart, its number, and the
-    ``origin`` (N,) where it began; its ``best`` exact score, and ``waited``, the exact scores
-    since."""
+    """The ``losses`` (G, P) of G generations of P since the last restart, its number, ``origin``
+    (N,) and ``best`` exact score; and ``waited``, the exact scores since that."""
 
     restart: int
     origin: Float[np.ndarray, " N"]

@@ -86,8 +86,7 @@ def _again(run: Run, number: int) -> Placing:
 
 
 def step(run: Run, state: State, by: Slope | None = None) -> State:
-    """A piece of a round, see the module; placing and passes of exchanges end with an exact
-    score."""
+    """A piece of a round, see the module; placing and exchanges end with an exact score."""
     if not _aimed(run):
         by = None
     match state:

@@ -48,8 +48,7 @@ def step(run: Run, state: GridState) -> GridState | None:
     """Score some more points of the block's grid; score the best exactly when all are done.
 
     A block is yaw × pitch × height of a sensor, or, after a unit's sensors, its foot × turns.
-    Sweeps follow until one finds nothing better; then the grid about the present layout is made
-    finer.
+    Sweeps follow until one finds nothing better; the next grid, about that layout, is finer.
     """
     problem = run.problem
     members = problem.layout.members()

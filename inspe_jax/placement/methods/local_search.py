@@ -35,8 +35,8 @@ SOFTNESS, RATE = 0.5, 0.3
 CALMER = 0.6
 """What both shrink by where a burst gained nothing."""
 VIEW_COST = 0.6
-"""What one sensor sees of a sample, in its share of a rough score: 0.25 to 0.5 with AVX-512, 0.8 to
-0.9 with AVX2."""
+"""What one sensor sees, in its share of a rough score: 0.25 to 0.5 with AVX-512, 0.8 to 0.9 with
+AVX2."""
 MOVE_COST = 1.5
 """A move of one sensor, in views."""
 
@@ -67,7 +67,7 @@ class LocalSearch:
 
 def improve(run: Run, state: LocalSearch, by: Slope | None) -> LocalSearch | None:
     """Bursts while they gain, then moves of every unit, on a sample of its own; judged exactly
-    together, or, once that gained nothing, piece by piece. None if all widths gained at most
+    together, or, once that gained nothing, piece by piece. None if no width gained
     :data:`ENOUGH`."""
     problem, key, careful = run.problem, (state.round, state.passes), state.careful
     sampled = SampledObjective(problem, problem.sample(run.rng(1, *key), COLUMNS, FRAMES))

@@ -21,9 +21,9 @@ Started = TypeVar("Started")
 
 @contextmanager
 def client(scheduler: str | None, workers: int | None) -> Iterator[Client]:
-    """A client of the scheduler at an address, or of a new cluster of ``workers`` processes on this
-    machine, one per core if not given, which ends with the client. Raises InspeError if no
-    scheduler answers, or its workers are none or have other versions."""
+    """A client of the scheduler at an address, or of a new cluster of ``workers`` processes here,
+    one per core if None. Raises InspeError if it does not answer, has no workers, or other
+    versions."""
     if scheduler is not None:
         wrong = f"scheduler '{scheduler}' does not answer"
         with error_at(wrong, OSError, TimeoutError, ValueError):
@@ -93,10 +93,9 @@ MALLOC_SETTINGS = {
     "MALLOC_MMAP_THRESHOLD_": 2**25,
     "GLIBC_TUNABLES": "glibc.malloc.hugetlb=1",
 }
-"""How much freed memory workers keep for the next arrays [byte], and that it comes in huge pages;
-see mallopt(3) and glibc's manual, Memory Allocation Tunables. With Dask's own settings workers
-return all of it, and spend a third of their time on getting it again. Arrays above 32 MiB always
-return: in pages of 2 MiB, not 4 KiB, they cost a twentieth of the time, not a third."""
+"""How much freed memory workers keep [byte], in huge pages; see mallopt(3) and glibc's Memory
+Allocation Tunables. With Dask's settings they return all, and spend a third of their time on
+getting it again; arrays above 32 MiB always return, which in huge pages costs a twentieth."""
 
 TIMEOUT = 10  # time that a scheduler gets to answer [s]
 
@@ -116,9 +115,8 @@ def _check_workers(there: Client, scheduler: str) -> None:
 
 
 class WorkerSetup(WorkerPlugin):
-    """Sets up each of ``count`` workers that this process starts: the worker uses this process's
-    cache of compiled programs, keeps to its own cores where the system allows that, and ignores
-    Ctrl-C, which is for the process that started it."""
+    """Sets up each of ``count`` workers of this process: its cache of compiled programs, cores of
+    its own where the system allows that, and no Ctrl-C, which is for this process."""
 
     name = "inspe-jax"
 

@@ -1,8 +1,5 @@
-"""Schedules jobs on Dask workers. A job goes to a worker that already holds its scene.
-
-Each job is a future of its own: a run that is killed loses only the jobs that were running, the
-jobs of one large scene occupy all workers, and a job that kills its worker takes no other with it.
-"""
+"""Schedules jobs on Dask workers, each a future of its own at a worker that holds its scene: a
+killed run loses what was running, and a job that kills its worker takes no other with it."""
 
 from collections import deque
 from collections.abc import Callable, Hashable, Iterator, Sequence
@@ -49,8 +46,7 @@ def load_cluster() -> Any:
 
 
 class Messages:
-    """What jobs tell the process that runs them: ``heard`` is called with each message, in a thread
-    of the client. Jobs send to the ``topic``."""
+    """What jobs send to the ``topic``: ``heard`` gets each message, in a thread of the client."""
 
     def __init__(self, client: Any, heard: Callable[[Any], None]) -> None:
         self.topic = f"inspe-{uuid4().hex[:8]}"
@@ -74,11 +70,10 @@ def run_jobs(
 ) -> Iterator[tuple[J, Any]]:
     """Run all jobs; yields each with its result or with its exception, as they finish.
 
-    A result is that of ``work(scene, job, *given)``, where ``scene`` is the result of ``build`` for
-    the first job of a scene. ``ahead`` is the number of jobs that wait at each thread of a worker,
-    so that none waits for the next; with 1, workers get jobs in order and of one scene. When a
-    worker dies, Dask suspects every job that it held: all of them are run once more at the end, one
-    at a time. Raises InspeError if the scheduler is lost.
+    A result is ``work(scene, job, *given)``, with the ``scene`` that ``build`` makes of its first
+    job. ``ahead`` jobs wait at each thread of a worker; with 1, workers get jobs in order. What a
+    dying worker held runs once more at the end, one at a time. Raises InspeError without a
+    scheduler.
     """
     from distributed import KilledWorker
 

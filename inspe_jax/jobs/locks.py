@@ -13,8 +13,8 @@ ADVICE = "name another folder, or delete this one to start again"
 
 
 def lock_folder(folder: Path, name: str) -> "AcquireReturnProxy":
-    """Take the lock ``name`` of a folder for a ``with`` block; a killed process leaves none. Raises
-    InspeError if another run has it, or filelock is missing."""
+    """Take the lock ``name`` of a folder for a ``with`` block; raises InspeError if a run has
+    it."""
     with needs("sweeps, data sets and trainings lock their folders by filelock", "sweep"):
         from filelock import FileLock, Timeout
     try:

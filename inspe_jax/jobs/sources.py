@@ -28,12 +28,9 @@ from inspe_jax.sensing.sensors import Spec
 
 @dataclass(frozen=True)
 class SceneSource:
-    """Where a scene comes from: a built-in, a map's ``junction`` or ``center``, or a saved scene.
-
-    ``driving_side`` is the one given for an extract, None for its country's. ``content`` is the
-    digest of the file: a job is of the file as it was when the study was read.
-    The name of this class is part of the keys of jobs in saved results.
-    """
+    """Where a scene comes from: a built-in, a map's ``junction`` or ``center`` (with the
+    ``driving_side`` given for an extract), or a saved scene; ``content`` is the digest of the file.
+    The name of this class is part of the keys of jobs in saved results."""
 
     name: str
     built_in: str | None = None
@@ -53,12 +50,9 @@ class SceneSource:
 
 @dataclass(frozen=True)
 class LayoutSource:
-    """Where a layout comes from: a strategy with its ``options``, the ``text`` of a file, or a mix.
-
-    The study's own devices are specs in the options of a strategy, and devices of the catalogue
-    names. A ``mix`` has the number of each device; its options are the specs of the study's own.
-    The name of this class is part of the keys of jobs in saved results.
-    """
+    """Where a layout comes from: a strategy with its ``options``, the ``text`` of a file, or a
+    ``mix`` of numbers of devices; the study's own devices are specs in the options. The name of
+    this class is part of the keys of jobs in saved results."""
 
     name: str
     strategy: str | None = None
@@ -129,9 +123,8 @@ def each_scene(
     folder: Path,
     where: str,
 ) -> Iterator[tuple[str, SceneEntry, SceneSource, dict[str, list[Any]]]]:
-    """(place in the file, entry, source, settings) of every scene of a study. Its own settings,
-    named by ``keys``, replace those of the ``whole`` study. Raises InspeError if a setting or a
-    source is not valid, or two scenes have one name."""
+    """(place in the file, entry, source, settings) of every scene of a study; its own settings,
+    named by ``keys``, replace those of the ``whole`` study."""
     keys, names = tuple(keys), []
     for k, entry in enumerate(entries):
         at = f"{where}: scenes[{k}]"
@@ -172,8 +165,8 @@ def scene_source(entry: SceneEntry, folder: Path, where: str) -> SceneSource:
 def scene_settings(
     source: SceneSource, own: Mapping[str, Any], whole: Mapping[str, Any], where: str
 ) -> dict[str, Any]:
-    """The values of a scene's settings, as lists: its ``own``, else those of the ``whole`` study;
-    of a saved scene those it was built with. Raises InspeError if it is given others."""
+    """A scene's settings, as lists: its ``own``, else those of the ``whole`` study; of a saved
+    scene those it was built with. Raises InspeError if it is given others."""
     if source.file is None:
         return {**whole} | {key: value for key, value in own.items() if value}
     if given := ", ".join(key for key, value in own.items() if value):
@@ -249,8 +242,7 @@ def versions() -> dict[str, str]:
 
 
 def scene_of(source: SceneSource, settings: dict[str, Any]) -> Scene:
-    """Build the scene of a source with ``settings``, or load a saved one. Raises InspeError if its
-    file is missing or has changed since the study was read, or as building does."""
+    """Build the scene of a source, or load a saved one that has not changed since the study."""
     if source.built_in is not None:
         return build_scene(built_in(source.built_in), **settings)
     path = Path(str(source.map or source.file))

@@ -1,8 +1,5 @@
-"""Brackets: sensors hang beside a pole that stands in the scene, never within it.
-
-A sensor that is aimed hangs on the side that it looks to; another hangs towards the middle of the
-junction. Behind it the pole hides: one of 0.2 m hides 29° of a sensor 0.4 m from its axis.
-"""
+"""Brackets: sensors hang beside a pole that stands in the scene, never within it: on the side that
+they look to, if aimed, else towards the middle. A pole of 0.2 m hides 29° of one 0.4 m away."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -44,10 +41,8 @@ class Brackets:
     """The poles (P,) that carry sensors: each ``axis`` about the scene's centre, and the ``length``
     of its brackets from there [m].
 
-    Coordinates know no poles: in them a sensor may be anywhere about its foot. A point at r < 2
-    bracket lengths from an axis is a position at ``length + r / 2``, in the same direction; a point
-    on the axis is the end of the usual bracket. So no position is nearer than ``length``, and none
-    farther out moves.
+    A point in coordinates at r < 2 lengths from an axis is a position at ``length + r / 2``, in the
+    same direction; one on the axis is the end of the usual bracket. Points farther out do not move.
     """
 
     axis: Float[np.ndarray, "P 2"]
@@ -63,12 +58,11 @@ class Brackets:
         return len(self.axis) > 0
 
     def largest_offset(self, plan: float) -> float:
-        """How far points of a unit may be from each other and their foot, for their positions to be
-        within ``plan`` of each other [m].
+        """How far points of a unit may be apart, for their positions to be within ``plan`` [m].
 
-        Two points d apart, r and s from an axis, become positions that are at most
-        d + max(0, length − r/2) + max(0, length − s/2) apart, and r + s ≥ d: at most d + length
-        where one is far out, and d/2 + 2 length where neither is.
+        Two points d apart, r and s from an axis, become positions that are at most d + max(0,
+        length − r/2) + max(0, length − s/2) apart, and r + s ≥ d: at most d + length where one is
+        far out, and d/2 + 2 length where neither is.
         """
         longest = float(self.length.max(initial=0.0))
         return min(plan - longest, 2 * plan - 4 * longest)
@@ -89,8 +83,7 @@ class Brackets:
     def points(
         self, positions: Float[np.ndarray, "S 2"], yaw: Float[np.ndarray, " S"], aimed: np.ndarray
     ) -> Float[np.ndarray, "S 2"]:
-        """The inverse of :meth:`positions`. What is nearer to an axis than a bracket's end is taken
-        as at the end of one in its direction."""
+        """The inverse of :meth:`positions`; what is too near to an axis is moved out."""
         pole, away, off = self._nearest(positions, np)
         length, axis = self.length[pole], self.axis[pole]
         usual = axis + length[:, None] * self._usual(pole, yaw, aimed, np)

@@ -27,14 +27,11 @@ def starting_layout(
     own: Mapping[str, Spec] | None = None,
     poles: int | None = None,
 ) -> Layout:
-    """The layout from which the search of a mix starts, of so many of each device (``counts``).
+    """The layout from which the search of a mix starts: so many of each device, ``counts``, at
+    corners and roadsides, each a unit that looks at the centre, LiDARs first, far apart.
 
-    Posts are at the junction's corners and roadsides. Each sensor is a unit of its own and looks
-    at the centre. LiDARs are placed first; each sensor takes the post that is furthest from those
-    already taken. With so many ``poles`` at most, further sensors join the first on their posts, in
-    turn, and further ones that are aimed there, up to six, look 60° aside of each other. ``own``
-    has the specs of devices that are not in the catalogue. Raises InspeError if there are more
-    poles than posts, no sensor, no pole, or nowhere to put one.
+    With so many ``poles`` at most, further sensors join the first, in turn; those that are aimed
+    look 60° aside of each other. ``own`` has specs of devices that are not in the catalogue.
     """
     specs = {name: (own or {}).get(name) or device(name).spec for name in counts}
     wanted = [specs[name] for name, n in counts.items() for _ in range(n)]

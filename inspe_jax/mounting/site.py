@@ -40,8 +40,8 @@ _AIM_HEIGHT = 1.0  # aim this high above the ground, at people and vehicle bodie
 
 @dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
 class View:
-    """One sensor of a strategy: the name and the ``foot`` (x, y) of its post, the ``offset`` (x, y)
-    from there, the ``height`` above the ground at the foot [m], and its angles [rad]."""
+    """One sensor of a strategy: the ``post`` and its ``foot`` (x, y), the ``offset`` from there,
+    the ``height`` above the ground at the foot [m], and its angles [rad]."""
 
     post: str
     foot: Float[np.ndarray, "2"]
@@ -55,10 +55,9 @@ class View:
 class Site:
     """An intersection as a placement rule sees it: its arms in order, and places for poles.
 
-    ``radius`` bounds the region of interest [m]. ``depth`` is the cameras' effective depth [m].
-    Heights [m] and ``camera_pitch`` [rad] are None if the rule chooses them. ``bodies`` stand in
-    every frame: no unit stands in one, nor within :data:`~inspe_jax.sensing.layout.UNIT_PLAN` of
-    one that reaches to ``lowest``, the lowest height of a sensor [m above the ground].
+    ``radius`` bounds the region of interest, ``depth`` is the cameras' effective one [m]. Heights
+    [m] and ``camera_pitch`` [rad] are None if the rule chooses them. No unit stands in one of the
+    ``bodies``, nor within UNIT_PLAN of one as high as the ``lowest`` sensor [m].
     """
 
     place: Intersection
@@ -141,8 +140,7 @@ class Site:
 
     @cached_property
     def carriers(self) -> tuple[StaticBody, ...]:
-        """The bodies that are poles where a unit may be mounted: as high as the lowest sensor, and
-        well away from each other."""
+        """The bodies that are poles for units: high enough, and well away from each other."""
         feet = np.asarray(self.place.poles, float).reshape(-1, 3)[:, :2]
         poles = [one for one in self.bodies if one.kind == "pole" and one.base == 0
                  and one.height >= self.lowest]  # fmt: skip
@@ -194,8 +192,7 @@ class Site:
     def carries(
         self, foot: Float[np.ndarray, "2"], within: float, *, areas: bool = True, poles: bool = True
     ) -> bool:
-        """Whether a unit may stand at ``foot`` (x, y) [m], on free mounting area or on a pole, or
-        ``within`` a tolerance [m] of them."""
+        """Whether free mounting area or a pole is ``within`` [m] of ``foot`` (x, y), for a unit."""
         on_pole = poles and (np.hypot(*(self.poles - foot).T) <= within).any()
         return bool(on_pole or (areas and self.free.distance(Point(foot)) <= within))
 
@@ -247,10 +244,8 @@ class Site:
     @cached_property
     def corners(self) -> Float[np.ndarray, "2N 2"]:
         """Feet of the corner poles [m]: one at the left kerb of each arm, then at the right kerbs.
-
-        Where the gap between two arms is narrow, one pole serves both, and the right one stands
-        :data:`SETBACK` farther out.
-        """
+        One pole serves both sides of a narrow gap; then the right one is :data:`SETBACK` farther
+        out."""
         arms, wide = self.arms, self.gaps > WIDE
         facing = zip(arms, arms[1:] + arms[:1], wide, strict=True)
         left = [a.kerb(+1) if alone else (a.kerb(+1) + b.kerb(-1)) / 2 for a, b, alone in facing]
@@ -265,8 +260,7 @@ class Site:
         return self._stand(wanted, "roadside")
 
     def _stand(self, wanted: list[np.ndarray], post: str) -> Float[np.ndarray, "N 2"]:
-        """The place nearest to each wanted one that can carry a pole; all are different. Raises
-        InspeError if there is no such place."""
+        """The places for poles nearest to the wanted ones, all different."""
         feet: list[np.ndarray] = []
         for spot in wanted:
             poles = [p for p in self.poles if all(np.hypot(*(p - f)) > _APART for f in feet)]
@@ -294,12 +288,9 @@ class Site:
         height: float = 6.0,
         mast: float = 0.0,
     ) -> View:
-        """A camera that looks at ``target`` (x, y) [m], or along ``yaw`` [rad] as far as that.
-
-        The optical axis meets the target 1 m above the ground, at 5 m or more in plan and at most
-        at 0.6 of the camera's depth. ``mast`` is the length of an arm towards the junction [m],
-        none if the camera is too low to hang over traffic.
-        """
+        """A camera that looks at ``target`` (x, y) [m], 1 m above the ground, or along ``yaw``
+        [rad] as far, at 5 m or more in plan and at most at 0.6 of its depth. ``mast`` is the length
+        of an arm towards the junction [m], none if the camera is too low to hang over traffic."""
         height, inward, aim = self.camera_height or height, self.center - foot, target - foot
         reach = min(mast, float(np.hypot(*inward))) if height >= _CLEARANCE else 0.0
         offset = reach * inward / max(float(np.hypot(*inward)), 1e-9)

@@ -1,10 +1,7 @@
-"""The paper's placements by name, generated for any intersection.
-
-InSPE (arXiv 2504.08240), section 4, names the placements and counts their devices. A *corner* is
-where the left kerb of an arm (looking outward) meets the right kerb of the next; a *roadside* pole
-is at the right kerb of an arm, :data:`SETBACK` outside the mouth; the *centre* is a span wire, or
-the island of a roundabout. All is relative to the first arm: a layout turns with its intersection.
-"""
+"""The paper's placements by name, generated for any intersection (InSPE, arXiv 2504.08240, section
+4). A *corner* is where the left kerb of an arm (looking outward) meets the right kerb of the next;
+a *roadside* pole is at an arm's right kerb, :data:`SETBACK` outside the mouth; the *centre* is a
+span wire, or the island of a roundabout. A layout turns with its intersection."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -35,8 +32,7 @@ from inspe_jax.sensing.sensors import CameraSpec, LidarSpec, Spec
 
 
 def central_cameras(site: Site) -> list[View]:
-    """Cameras over the centre in all directions, the first along the widest arm, each aimed at
-    where its line leaves the junction."""
+    """Cameras over the centre in all directions, from the widest arm's on, aimed at the edge."""
     main = max(site.arms, key=lambda arm: arm.width).bearing
     views = []
     for yaw in main + 2 * np.pi * np.arange(site.camera_count) / site.camera_count:
@@ -46,11 +42,8 @@ def central_cameras(site: Site) -> list[View]:
 
 
 def corner_cameras(site: Site) -> list[View]:
-    """A camera on each arm's corner pole looks out along the arm; a second one looks back.
-
-    From a pole far beside its arm, as at a roundabout, the first camera looks at the arm. With two
-    arms, cameras on the poles at their other kerbs look out as well.
-    """
+    """A camera on each arm's corner pole looks along the arm, or at it from far beside; a second
+    one looks back. With two arms, cameras at their other kerbs look out as well."""
     arms, corners = site.arms, site.corners
 
     def out(i: int, right: bool = False) -> View:
@@ -215,8 +208,7 @@ def choose(
     camera_pitch_deg: float | None = None,
     profile: Profile | None = None,
 ) -> Chosen:
-    """The strategy and devices that the options of :func:`strategy` mean under a profile, None for
-    the default one. Raises InspeError as :func:`strategy` does for its options."""
+    """The strategy and devices that the options of :func:`strategy` mean under a profile."""
     own = profile or profile_of(DEFAULT_PROFILE)
     camera_height = own.camera_height if camera_height is None else camera_height
     lidar_height = own.lidar_height if lidar_height is None else lidar_height

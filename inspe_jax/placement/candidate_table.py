@@ -30,8 +30,7 @@ Picks = dict[int, int]
 
 @dataclass(eq=False)
 class CandidateKind:
-    """Sensors with the same K candidate poses, each on a ``foot`` (index) and with a ``lens`` at
-    random, and what they see."""
+    """Sensors with the same K candidate poses, each on a ``foot`` (index), and what they see."""
 
     sensors: tuple[int, ...]
     foot: Int[np.ndarray, " K"]
@@ -58,11 +57,8 @@ class CandidateKind:
 
 @dataclass(eq=False)
 class Table:
-    """The candidates of every kind of sensor of a problem, on one sample.
-
-    ``own`` are the rows of sensors that may stay as they are, and ``paid`` what the objective pays
-    for the pole of each unit as it is.
-    """
+    """The candidates of every kind of sensor, on one sample. ``own`` are the rows of sensors that
+    may stay as they are, ``paid`` what the objective pays for each unit's present pole."""
 
     problem: Problem
     sampled: SampledObjective
@@ -81,10 +77,7 @@ class Table:
         heights: int,
         first: bool = True,
     ) -> "Table":
-        """Feet × so many heights × yaws × pitches, on a sample of so many columns.
-
-        The candidates are shifted at random by up to a step if not ``first``.
-        """
+        """Feet × heights × yaws × pitches on a new sample; if not ``first``, shifted at random."""
         space, layout = problem.space, problem.layout
         sampled = SampledObjective(problem, problem.sample(rng, columns, FRAMES))
         feet = lattice(space)
@@ -152,8 +145,7 @@ class Table:
         }
 
     def scores(self, rows: SampledRows, at: Sequence[tuple[int, int]]) -> Float[np.ndarray, " n"]:
-        """The score with sensor s at candidate k, for each (s, k), beside others that see ``rows``;
-        the sensor's share of the pole is paid."""
+        """The scores beside ``rows`` with sensor s at candidate k for each (s, k), less poles."""
         new = joined([rows_at(self.kind_of(s).row(k), None) for s, k in at])
         paid = [self.share(s)[self.kind_of(s).foot[k]] for s, k in at]
         return self.sampled.scores(rows, np.array(at)[:, :1], [new]) - np.array(paid)

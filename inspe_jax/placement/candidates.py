@@ -14,10 +14,8 @@ from inspe_jax.mounting.site import farthest_first
 from inspe_jax.placement.space import Space
 
 COLUMNS, FRAMES = 768, 6
-"""Columns and frames in a sample on which layouts are compared.
-
-Layouts that are compared share a sample. The next comparison has another one, so that no layout is
-chosen because it suits one sample."""
+"""Columns and frames in a sample on which layouts are compared. The next comparison has another
+one, so that no layout is chosen because it suits one sample."""
 BATCH = 32
 """Layouts in one step of grid and random search: about half a second on a large scene."""
 SPACING = 8.0
@@ -43,14 +41,12 @@ def poses(space: Space, x: Float[np.ndarray, "M N"]) -> Float[np.ndarray, "M S p
 
 @lru_cache(maxsize=4)  # compiled functions keep their space in memory, so only a few are kept
 def _mapped(space: Space) -> tuple[Any, Any]:
-    compiled = (jax.jit(jax.vmap(space.project)), jax.jit(jax.vmap(space.poses)))
-    project, poses = (lambda x, f=f: f(on_host(x, float)) for f in compiled)
-    return project, poses
+    return jax.jit(jax.vmap(space.project)), jax.jit(jax.vmap(space.poses))
 
 
 def _in_parts(function: Any, x: np.ndarray, rows: int = _ROWS) -> np.ndarray:
     """A function of M layouts, called on parts of one shape so that it compiles once."""
-    done = [np.asarray(function(part), float) for part in parts_of(x, rows)]
+    done = [np.asarray(function(on_host(part, float)), float) for part in parts_of(x, rows)]
     return np.concatenate(done)[: len(x)]
 
 
@@ -62,11 +58,8 @@ def of_unit(space: Space, u: int) -> Int[np.ndarray, " n"]:
 
 
 def lattice(space: Space, most: int = FEET) -> Float[np.ndarray, "F 2"]:
-    """Candidate feet about the centre [m]: a lattice of :data:`SPACING`, and poles.
-
-    If there are more than ``most``, those furthest apart are kept. For a unit that can stand on
-    none of them, as on a span wire, its given foot is added.
-    """
+    """Candidate feet about the centre [m]: a lattice of :data:`SPACING`, and poles, the ``most``
+    that are furthest apart, and the given foot of a unit that can stand on none."""
     feet = space.feet(SPACING)
     found = feet[farthest_first(feet, most)]
     given = space.split(space.start(space.given)[0]).base
@@ -81,10 +74,7 @@ def set_heights(
     sensors: Sequence[int],
     above: Float[np.ndarray, "M m"],
 ) -> Float[np.ndarray, "M N"]:
-    """The feasible layouts nearest to ``x`` with unit ``u``'s sensors at heights ``above`` [m].
-
-    Heights are above the ground at the unit's foot.
-    """
+    """The feasible layouts nearest to ``x`` with sensors of unit ``u`` ``above`` the ground [m]."""
     index, x = space.index, np.array(x)
     rise = index.rise[list(sensors)]
     x[:, rise] = 0.0

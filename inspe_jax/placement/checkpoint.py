@@ -1,9 +1,5 @@
-"""Checkpoints: the state of a search on disk, from which it can go on.
-
-A checkpoint is an ``.npz`` file of plain arrays and one JSON text. It is written whole or not at
-all, and read without pickle. It has a digest of everything that the search depends on, so that it
-is not used for another scene, layout or method.
-"""
+"""Checkpoints: the state of a search on disk, from which it can go on. An ``.npz`` file of arrays
+and one JSON text, written whole or not at all, read without pickle."""
 
 import json
 import os
@@ -29,14 +25,9 @@ _STATE = "state: "  # before the names of a state's fields
 
 @dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
 class Checkpoint:
-    """A search after a step.
-
-    ``of`` has what the search depends on, by name, as digests or words; ``state`` has the fields
-    of the method's state by name, and the name of its class. ``path`` (K, N) has the coordinates of
-    every layout that was the best so far, ``held`` (0 or 1, N) those that the run holds.
-    ``seconds`` and ``evaluations`` are spent, ``limits`` is the budget of both. ``status`` is ""
-    while the search runs, then how it ended.
-    """
+    """A search after a step. ``of`` are digests or words of all that it depends on; ``state`` has
+    the fields of the method's state and the name of its class; ``path`` (K, N) and ``held`` (0 or
+    1, N) are the run's; ``status`` is "" while it runs, then how it ended."""
 
     of: dict[str, str]
     state: dict[str, Any]
@@ -65,10 +56,7 @@ class Checkpoint:
 
 
 def state_of(states: Sequence[type[Any]], named: Mapping[str, Any]) -> Any:
-    """The state of one of the classes ``states`` with the fields ``named``; None for no fields.
-
-    Raises KeyError if a field is missing.
-    """
+    """The state of one of the classes ``states`` with the fields ``named``; None for no fields."""
     if not named:
         return None
     kind = {kind.__name__: kind for kind in states}[named["class"]]
@@ -95,7 +83,7 @@ def load_checkpoint(path: str | os.PathLike[str]) -> Checkpoint:
     other = "not a checkpoint of a search; name a new file, or one that --checkpoint wrote"
     with open_arrays(Path(path), other) as data:
         record = json.loads(str(data["record"]))
-        written = str(record["format"])
+        written = str(record.pop("format"))
         if written != FORMAT:
             if written.startswith(FORMAT.rstrip("0123456789")):
                 raise InspeError(
@@ -108,21 +96,15 @@ def load_checkpoint(path: str | os.PathLike[str]) -> Checkpoint:
             path=data["path"],
             held=data["held"],
             history=tuple(Progress(*row) for row in data["history"].tolist()),
-            of=dict(record["of"]),
-            seconds=float(record["seconds"]),
-            evaluations=float(record["evaluations"]),
-            limits=tuple(record["limits"]),
-            status=str(record["status"]),
+            **record | {"limits": tuple(record["limits"])},
         )
 
 
 class CheckpointWriter:
-    """Writes the state of a search to its checkpoint from time to time, and restores it.
+    """Writes a search to its checkpoint from time to time, and restores it.
 
-    The state before a step is written. A step that was cut short is done again when the search is
-    restored, so the search ends as it would have without the stop. ``ended`` is the status of a
-    search that had already ended, otherwise "". Where the file cannot be written, the search goes
-    on, and a note says so.
+    The state before a step is written, so a step that was cut short is done again. ``ended`` is the
+    status of a search that had ended, or "". If the file cannot be written, a note says so.
     """
 
     def __init__(self, path: str | os.PathLike[str], of: dict[str, str], run: Run) -> None:
@@ -131,10 +113,7 @@ class CheckpointWriter:
         self._kept = Checkpoint.now(run, None, of)
 
     def take_up(self, states: Sequence[type[Any]]) -> Any:
-        """Restore the run from the file and return the method's state, None at the start.
-
-        Raises InspeError if the file is not a checkpoint of this search.
-        """
+        """Restore the run from the file; the method's state, None at the start."""
         if not self.path.exists():
             return None
         run, kept = self._run, load_checkpoint(self.path)
@@ -153,7 +132,7 @@ class CheckpointWriter:
         self._kept = kept
         reached, same = run.best >= run.target, kept.limits == run.limits
         over = kept.status == "converged" or (kept.status == "budget spent" and same)
-        if reached or over or run.left <= 0:
+        if reached or over or run.done >= 1:
             self.ended = kept.status or ("target reached" if reached else "budget spent")
             run.notes.append(
                 f"{self.path} has a search that has ended ({self.ended}); delete it to start "

@@ -1,8 +1,5 @@
-"""Convex pieces of ground: the nearest point of their union, and a smooth chart of each.
-
-A single point, as the foot of a pole, is a piece too. All is plan geometry in metres. Functions
-work with NumPy or JAX, given as ``xp``; JAX can differentiate them.
-"""
+"""Convex pieces of ground, and single points, as of poles: the nearest point of their union, and a
+smooth chart of each. Plan geometry in metres, by ``xp``, NumPy or JAX."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -20,10 +17,8 @@ _FURTHEST = 1e4  # chart coordinates are cut at this many radii, after many turn
 
 
 def to_bounded(v: Any, radius: Any, xp: Any) -> Any:
-    """r·sin(v/r), which maps any v to −r … r; near 0, v counts metres (or radians).
-
-    At 98 % of the range its slope is 0.2, that of v/√(1 + v²) 0.0075. A radius of 0 gives 0.
-    """
+    """r·sin(v/r), from any v to −r … r; near 0, v counts metres or radians. At 98 % of the range
+    its slope is 0.2, that of v/√(1 + v²) 0.0075."""
     return radius * xp.sin(turns(v, radius, xp))
 
 
@@ -35,8 +30,7 @@ def turns(v: Any, radius: Any, xp: Any) -> Any:
 
 def from_bounded(x: Any, radius: Any, xp: Any) -> Any:
     """The inverse of :func:`to_bounded`; an end counts as slightly inside."""
-    safe = xp.where(radius > 0, radius, xp.ones_like(radius))
-    return radius * xp.arcsin(xp.clip(x / safe, -INSIDE, INSIDE))
+    return radius * xp.arcsin(xp.clip(turns(x, radius, xp), -INSIDE, INSIDE))
 
 
 # ── Regions ─────────────────────────────────────────────────────────────────
@@ -46,11 +40,10 @@ def from_bounded(x: Any, radius: Any, xp: Any) -> Any:
 class ConvexRegions:
     """K convex pieces, made by :func:`make_regions`.
 
-    ``corners`` are counter-clockwise, with the last one repeated as padding. ``area`` [m²] is 0 for
-    a single point. The chart of a piece has its long side along ``axis`` through ``middle``, and
-    extends by ``half`` to each side of it. Across the axis the piece lies between the highest of
-    the lines ``lower`` and the lowest of the lines ``upper`` (slope, height), at most ``across`` to
-    each side of their mean [m].
+    ``corners`` are counter-clockwise, the last one repeated; ``area`` [m²] is 0 for a single point.
+    A chart's long side is along ``axis`` through ``middle``, ``half`` to each side; across it the
+    piece lies between the highest of the lines ``lower`` (slope, height) and the lowest of
+    ``upper``, at most ``across`` to each side of their mean [m].
     """
 
     corners: Float[np.ndarray, "K E 2"]
@@ -68,11 +61,8 @@ class ConvexRegions:
     def nearest(
         self, p: Float[Any, "U 2"], allowed: Bool[np.ndarray, "U K"], xp: Any = np
     ) -> tuple[Float[Any, "U 2"], Int[Any, " U"], Float[Any, "U K"]]:
-        """The point of the allowed pieces that is nearest to each given point.
-
-        Returns that point, the index of its piece, and the squared distance to every piece [m²],
-        which is infinite for pieces that are not allowed.
-        """
+        """The nearest point of the allowed pieces to each given point, the index of its piece, and
+        the squared distance to every piece [m²], infinite for those that are not allowed."""
         start = xp.asarray(self.corners, p.dtype)  # (K, E, 2)
         edge = xp.roll(start, -1, axis=1) - start
         to = p[:, None, None] - start[None]  # (U, K, E, 2)

@@ -1,8 +1,5 @@
 """The coordinates of a search, and their limits: discs about feet and mast heads, and intervals.
-
-The limits do not change ``base``; :mod:`inspe_jax.placement.space` decides where a foot may stand.
-Functions work with NumPy or JAX, given as ``xp``.
-"""
+Where a foot may stand is for :mod:`inspe_jax.placement.space`. ``xp`` is NumPy or JAX."""
 
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -26,10 +23,10 @@ _LEVEL = np.radians([-10.0, 10.0])  # … and of the others
 class Coordinates(NamedTuple):
     """The variables of a search, in metres about the scene's centre and radians.
 
-    ``base`` is the foot of each unit, ``arm`` the offset from there to its mast head, and
-    ``height`` the height of the head above the ground at the foot. ``offset`` and ``rise`` lead
-    from the head to each sensor; both are 0 for a unit's only sensor. ``lens`` is the logarithm of
-    a focal length, in times the usual one of the camera. Roll is not searched.
+    Of units: the ``base`` is the foot, ``arm`` leads from there to the mast head, ``height`` is
+    that of the head above the ground at the foot. Of sensors: ``offset`` and ``rise`` lead there
+    from the head, 0 for a unit's only sensor; ``lens`` is the logarithm of the focal length, in
+    times the usual one.
     """
 
     base: Float[Any, "U 2"]
@@ -76,8 +73,7 @@ class Range(NamedTuple):
         return xp.clip(x, xp.asarray(self.low, x.dtype), xp.asarray(self.high, x.dtype))
 
     def to_bounded(self, v: Any, xp: Any) -> Any:
-        """Values within the intervals, from any numbers, as in
-        :func:`inspe_jax.placement.convex_regions.to_bounded`."""
+        """Values within the intervals, from any numbers, as by :func:`to_bounded`."""
         return xp.asarray(self.middle, v.dtype) + to_bounded(v, xp.asarray(self.half, v.dtype), xp)
 
     def from_bounded(self, x: Any, xp: Any) -> Any:
@@ -86,11 +82,7 @@ class Range(NamedTuple):
 
 
 class Disc(NamedTuple):
-    """Discs about 0 with the radii ``half`` (n,), with the methods of :class:`Range`.
-
-    Points are mapped along each ray as numbers are by
-    :func:`inspe_jax.placement.convex_regions.to_bounded`.
-    """
+    """Discs about 0 with the radii ``half`` (n,); methods as of :class:`Range`, along each ray."""
 
     half: Float[np.ndarray, " n"]
 
@@ -120,10 +112,8 @@ def _length(x: Any, xp: Any) -> Any:
 
 @dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
 class Limits:
-    """The limits of all coordinates except ``base``.
-
-    ``sector`` (S,): whose yaw is limited. ``aimed`` (S,): which are usually aimed down, as cameras.
-    """
+    """The limits of all coordinates except ``base``; ``sector`` (S,): whose yaw is limited,
+    ``aimed`` (S,): which are usually aimed down, as cameras."""
 
     arm: Disc
     height: Range
@@ -161,12 +151,9 @@ class Limits:
     def draw(
         self, rng: np.random.Generator, base: Float[np.ndarray, "M U 2"], unit: np.ndarray
     ) -> list[Coordinates]:
-        """Random coordinates within the limits, one for each row of feet.
-
-        They are spread evenly over discs, heights, rises and lenses. Sensors that are aimed, as
-        cameras, look down by 5° to 40°; others are level to within 10°. Half of all sensors look
-        within 60° of the centre, half in any direction.
-        """
+        """Random coordinates within the limits, one for each row of feet, spread evenly. Sensors
+        that are aimed look down by 5° to 40°, others are level to within 10°; half of all look
+        within 60° of the centre, half in any direction."""
         count = len(base)
 
         def even(limits: Range) -> np.ndarray:

@@ -39,10 +39,7 @@ class Fault:
 
 
 def faults(layout: Layout, given: Layout, site: Site, constraints: Constraints) -> Iterator[Fault]:
-    """The rules that a layout of the sensors of ``given`` breaks; none if it can be mounted.
-
-    Distances and angles have a tolerance of :data:`TOLERANCE`.
-    """
+    """The rules, to :data:`TOLERANCE`, that a layout of the sensors of ``given`` breaks."""
     poses, hung = np.asarray(layout.poses, float), _about_feet(layout, site)
     span = on_span(given, site)
     names = [f"'{sensor.name}'" for sensor in layout.sensors]
@@ -122,11 +119,8 @@ def _sensor(
 def differences(
     before: Layout, after: Layout, site: Site, added: Collection[str] = ()
 ) -> Iterator[str]:
-    """What differs between two layouts of the same sensors, in words.
-
-    ``after`` is ``before`` made feasible. Sensors are compared relative to the ground at their
-    units' feet. Units with a name in ``added`` are new.
-    """
+    """What differs, in words, between a layout and the same made feasible; ``added`` units are
+    new."""
     for old, new in zip(before.units, after.units, strict=True):
         foot = np.array(new.base[:2])
         away = float(np.hypot(*(foot - old.base[:2])))

@@ -14,12 +14,11 @@ BATCH = 32
 
 def lazy_greedy(table: Table, before: Callable[[], None] = lambda: None) -> tuple[Picks, int]:
     """Place one sensor after the other, each time the one that adds most, at its best candidate.
+    Returns the picks, and how many gains were computed again.
 
-    Returns the chosen candidates, and how many gains were computed again. Where the objective is
-    submodular, an earlier gain is an upper bound of a later one (Minoux 1978): candidates are tried
-    in the order of it, until none can be better. Else all are tried for every sensor. The first
-    sensor of a unit fixes the unit's foot; its other sensors choose among the candidates there.
-    ``before`` is called before each sensor is placed. Those that the table has as they are stay so.
+    Where the objective is submodular, an earlier gain bounds a later one (Minoux 1978): candidates
+    are tried in that order until none can be better. The first sensor of a unit fixes its foot.
+    ``before`` is called before each sensor; those that the table has as they are stay so.
     """
     picks, again, submodular = dict.fromkeys(table.own, AS_IT_IS), 0, table.problem.submodular
     looked = [table.kind_of(group[0]).looked for group in table.alike]
@@ -55,8 +54,7 @@ def lazy_greedy(table: Table, before: Callable[[], None] = lambda: None) -> tupl
 
 
 def _may_stand(table: Table, picks: Picks, g: int, k: int) -> list[int]:
-    """The sensors of group ``g`` to try at candidate ``k``: one of each unit that stands there
-    already, then one of a unit that is free to go elsewhere."""
+    """Sensors of group ``g`` to try at candidate ``k``: one of each unit there, and a free one."""
     there, free = dict[int, int](), list[int]()
     for s in (s for s in table.alike[g] if s not in picks):
         unit, stands = table.problem.layout.sensors[s].unit, table.mast(picks, s)[0] >= 0
@@ -70,12 +68,9 @@ def _may_stand(table: Table, picks: Picks, g: int, k: int) -> list[int]:
 
 
 def exchange(table: Table, picks: Picks, u: int) -> Picks:
-    """Unit ``u`` taken out and put back where it adds most, all else as it is.
-
-    At a foot it is filled greedily, sensor by sensor. Where the objective is submodular they add no
-    more than each alone; so feet are tried in the order of that bound until none can be better,
-    else all. Then each of its sensors chooses again, the others as they are.
-    """
+    """Unit ``u`` taken out and put back where it adds most, all else as it is. At a foot it is
+    filled greedily; where the objective is submodular, what each sensor adds alone bounds the feet
+    that are tried. Then each of its sensors chooses again, the others as they are."""
     members, submodular = table.problem.layout.members()[u], table.problem.submodular
     others = {s: k for s, k in picks.items() if s not in members}
     rows = table.rows(others)
@@ -109,9 +104,8 @@ def _fill(
     foot: int,
     alone: Mapping[int, Float[np.ndarray, " K"]] | None = None,
 ) -> tuple[Picks, float]:
-    """The sensors of a unit placed greedily at one foot beside the picks, and the score, less what
-    the unit pays. ``alone`` are scores of each as the first at its candidates, if they are known.
-    """
+    """The sensors of a unit placed greedily at one foot, and the score less what the unit pays;
+    ``alone`` are scores of each as the first at its candidates, if known."""
     picks, left, score = dict(picks), list(sensors), -np.inf
     while left:
         at = []

@@ -225,7 +225,6 @@ def _drive(run: Run, row: Method, writer: CheckpointWriter | None = None) -> str
     state = writer.take_up(row.states) if writer else None
     if writer and writer.ended:
         return _settled(run, writer.ended)
-    status = ""
     try:
         if not run.history:
             run.offer(run.start)
@@ -236,7 +235,7 @@ def _drive(run: Run, row: Method, writer: CheckpointWriter | None = None) -> str
                 writer.mark(state)
             following = row.step(run, state)
             run.report()
-        status = "converged" if run.left > _ENDING else "budget spent"
+        status = "converged" if run.done < 1 - _ENDING else "budget spent"
     except BudgetSpent:
         status = "budget spent"
     except TargetReached:
@@ -292,12 +291,11 @@ def _result(run: Run, row: Method, status: str, begun: str | Layout) -> Result:
     def scores(of: Layout) -> Scores:
         return evaluate(case.scene, of, conditions=case.conditions, **readings)
 
-    after = scores(found)
     return Result(
         layout=replace(named_optimised(found), goal=objective.goal),
         start=start,
         scores_before=scores(start),
-        scores=after,
+        scores=scores(found),
         objective_before=before,
         objective=run.best,
         history=tuple(run.history),
@@ -366,8 +364,7 @@ def _seconds(seconds: float | None, evaluations: float | None) -> float | None:
 def check_search(
     methods: Sequence[str], start: str | Layout = "given", seeds: Sequence[int] = (0,)
 ) -> list[Method]:
-    """The methods of these names. Raises InspeError where one is unknown or named twice, or the
-    start or a seed cannot be: all that needs no scene to be seen."""
+    """The methods of these names. Raises InspeError for what needs no scene to be seen."""
     for name in methods:
         check_known(name, METHODS, "method")
     rows = [METHODS[name] for name in methods]

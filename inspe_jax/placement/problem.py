@@ -1,9 +1,6 @@
-"""What a search maximises: the objective of a layout's coordinates, exact, rough or soft.
-
-These are three readings of one number. *Exact*: on every voxel and frame, with margins read hard;
-results report it. *Rough*: also read hard, but on a sample of columns and frames; methods without
-gradients rank candidates by it. *Soft*: margins are read softly, on a sample; it has gradients.
-"""
+"""What a search maximises: the objective of a layout's coordinates, in three readings. *Exact*:
+every voxel and frame, read hard, as results report it. *Rough*: read hard on a sample of columns
+and frames. *Soft*: read softly on a sample, with gradients."""
 
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, replace
@@ -40,15 +37,13 @@ from inspe_jax.sensing.sensor_array import SensorArray, SensorSet, sensor_array
 from inspe_jax.visibility.centered_scene import CenteredScene, about_center
 
 _SAMPLE_COST = (0.05, 0.3, 1.9)
-"""The cost of a rough score in exact scores is a + b·columns + c·columns·frames, of the shares of
-the columns and of the frames that are in the sample. Measured on two cores, with 8 cameras, 4
-LiDARs and both, on 150,000 voxels and 100 frames: 0.04 to 0.21."""
+"""A rough score costs a + b·columns + c·columns·frames exact ones, by the sample's shares. Measured
+on two cores with 8 cameras, 4 LiDARs and both, on 150,000 voxels and 100 frames: 0.04 to 0.21."""
 
 GRADIENT_COST = (14.0, 3.6e3, 22.6e3)
-"""The cost of a gradient in hard scores of the same sample is a·(n + b)/(n + c), with n
-columns·frames. On 384 × 3, 768 × 6 and 2048 × 8 columns × frames it gives 2.8, 4.2 and 7.2.
-`experiments/benchmark_speed.py` measures it on two cores: 2.7, 3.4 and 6.1 with eight cameras, 2.7,
-4.3 and 6.5 with four LiDARs, 2.8, 4.6 and 7.6 with both."""
+"""A gradient costs a·(n + b)/(n + c) hard scores of its sample of n columns·frames. 384 × 3, 768 ×
+6 and 2048 × 8 give 2.8, 4.2 and 7.2; `experiments/benchmark_speed.py` measures 2.7, 3.4 and 6.1
+with eight cameras, 2.7, 4.3 and 6.5 with four LiDARs, 2.8, 4.6 and 7.6 with both."""
 
 AnyScene = Scene | Case | str
 """A scene as users give it: as such, in conditions, or by name."""
@@ -57,8 +52,7 @@ AnyScene = Scene | Case | str
 def cases_of(
     scenes: AnyScene | Sequence[AnyScene], conditions: Conditions | str | None = None
 ) -> tuple[Case, ...]:
-    """One or several scenes as cases. Raises InspeError where the list is empty, and as
-    :func:`~inspe_jax.sensing.conditions.case_of`."""
+    """One or several scenes as cases. Raises InspeError where the list is empty."""
     listed = scenes if isinstance(scenes, list | tuple) else [scenes]
     if not listed:
         raise InspeError("no scene to search on: give at least one")
@@ -69,17 +63,9 @@ Drawn = tuple[tuple[Int[np.ndarray, " l"], Int[np.ndarray, " t"]], ...]
 """The numbers of the drawn columns and frames of every case."""
 
 
-Loss = Callable[..., tuple[Any, Any]]
-"""A loss and its slope in the first argument; the last two are the drawn columns and frames, and
-the softness [m]. ``of`` is what gives the slope in poses, :meth:`Problem.slope` if not given."""
-
-
 @dataclass(frozen=True, eq=False)
 class Sample:
-    """Some columns and frames of every case.
-
-    ``cost`` is that of a score on the sample, in exact scores.
-    """
+    """Some columns and frames of every case; a score on them costs ``cost`` exact scores."""
 
     arrays: tuple[SceneArrays, ...]
     cost: float
@@ -91,11 +77,8 @@ class Sample:
 
 
 class ScoreTerms(NamedTuple):
-    """What a score depends on besides the poses and the sample.
-
-    ``sensors`` and ``voxel``, a voxel's edge [m], of every case; ``weights`` of every metric by
-    name; ``failures``, the number of units that are left out in turn, or 0.
-    """
+    """What a score depends on besides poses and sample: ``sensors`` and edge of a ``voxel`` [m] of
+    every case, ``weights`` by metric, and number of units left out in turn (``failures``), or 0."""
 
     sensors: tuple[SensorArray, ...]
     voxel: tuple[float, ...]
@@ -136,17 +119,16 @@ class Problem:
         _, layout, _ = check_layout(first, layout)
         self.layout = layout
         self.objective.check_cost(layout)
-        failures = layout.members() if self.objective.failures else ()
+        self._failures = layout.members() if self.objective.failures else ()
         if self.objective.failures and len(layout.units) < 2:
             raise InspeError(f"{layout.name}: failures need at least two units, it has one")
-        self._failures = failures
         usual = [replace(sensor, spec=sensor.spec.with_lens(0.0)) for sensor in layout.sensors]
         self.sensor_sets = self._sets_of(replace(layout, sensors=tuple(usual)))
         self.terms = ScoreTerms(
             tuple(sensor_array(sensor_set) for sensor_set in self.sensor_sets),
             tuple(case.scene.voxels.size for case in self.cases),
             {name: np.array(weight) for name, weight in self.objective.weights_by_name.items()},
-            np.array(len(failures), np.int32),
+            np.array(len(self._failures), np.int32),
         )
         self.known: set[Hashable] = set()  # what is compiled already, for methods to note
 
@@ -163,8 +145,7 @@ class Problem:
 
     @property
     def submodular(self) -> bool:
-        """Whether a sensor never takes anything from the objective, and adds the less the more
-        others there are. So an earlier gain is an upper bound of a later one."""
+        """Whether no sensor takes anything, and each adds the less the more others there are."""
         weights = self.objective.weights_by_name
         if self.objective.occlusion_reference == "covered" and weights["occlusion"]:
             return False  # the more is in view, the more counts
@@ -174,10 +155,7 @@ class Problem:
 
     @cached_property
     def arrays(self) -> tuple[SceneArrays, ...]:
-        """Every case's arrays, of all columns and frames.
-
-        Raises InspeError where a case has no entropy and information gain has weight.
-        """
+        """Every case's arrays, of all columns and frames; information gain needs traffic."""
         found = []
         for case in self.cases:
             tiled = tiled_scene_of(case.scene)
@@ -232,9 +210,7 @@ class Problem:
 
     def draw(self, rng: np.random.Generator, columns: int, frames: int) -> Drawn:
         """Evenly spread columns and frames of each case, from a random first one; all if fewer.
-
-        Estimates of scores have no bias, and less noise than with columns drawn one by one.
-        """
+        They estimate scores without bias, with less noise than columns drawn one by one."""
         return tuple(
             (
                 _spread(rng, len(part.centered.columns), columns),
@@ -307,10 +283,8 @@ class Problem:
         on: tuple[SceneArrays, ...] | tuple[TiledScene, ...],
         softness: Float[Array, ""],
     ) -> tuple[float, Float[np.ndarray, "S p"]]:
-        """The objective of poses as of :meth:`poses_of`, with ``softness`` [m], and its gradient.
-
-        ``on`` are the samples or the scenes that it is computed on.
-        """
+        """The objective of poses as of :meth:`poses_of`, with ``softness`` [m], on samples or
+        scenes ``on``, and its gradient."""
         tiled = (tiled_sample(x, masks=False) if isinstance(x, SceneArrays) else x for x in on)
         value, slope = soft_slope(
             pad_rows(on_host(poses, float), len(self.terms.sensors[0].kind)),
@@ -323,7 +297,7 @@ class Problem:
         return float(value), np.asarray(slope)[: len(poses)]
 
     @cached_property
-    def charted_loss(self) -> Loss:
+    def charted_loss(self) -> Callable[..., tuple[Any, Any]]:
         """The loss in typical steps ``z`` (N,) from an ``anchor`` (N,) in charts ``place`` (U,)."""
         space, scale = self.space, on_host(self.space.scale, float)
         return self._loss_through(
@@ -331,7 +305,7 @@ class Problem:
         )
 
     @cached_property
-    def scaled_loss(self) -> Loss:
+    def scaled_loss(self) -> Callable[..., tuple[Any, Any]]:
         """The loss in coordinates (N,) divided by :attr:`nonzero_scale`."""
         scale = on_host(self.nonzero_scale, float)
         return self._loss_through(lambda z: self.space.poses(scale * z))
@@ -341,9 +315,9 @@ class Problem:
         """A typical step of each coordinate, 1 for those that may not change."""
         return np.where(self.space.scale > 0, self.space.scale, 1.0)
 
-    def _loss_through(self, poses: Callable[..., Any]) -> Loss:
-        """The loss as a function of what ``poses`` takes. What follows the poses is compiled once
-        for all problems."""
+    def _loss_through(self, poses: Callable[..., Any]) -> Callable[..., tuple[Any, Any]]:
+        """A loss of what ``poses`` takes, then drawn columns and frames and softness [m], with its
+        slope in the first, by :meth:`slope` or ``of``. What follows poses is compiled once."""
         forward = jax.jit(poses)
 
         @jax.jit
@@ -387,10 +361,7 @@ def case_scores(
     *,
     options: ScoreOptions,
 ) -> Float[Array, " N"]:
-    """P_sm of N cases; ``poses`` are as of :meth:`Problem.poses_of`, and padded.
-
-    ``scenes`` are samples or whole scenes, in tiles.
-    """
+    """P_sm of N cases; ``poses`` are as of :meth:`Problem.poses_of`, and padded."""
     measures = [
         measure_tiles(reading, tiled, poses, sensors, voxel, options=options)
         for tiled, sensors, voxel in zip(scenes, terms.sensors, terms.voxel, strict=True)
@@ -408,10 +379,7 @@ def soft_slope(
     options: ScoreOptions,
     over: str,
 ) -> tuple[Float[Array, ""], Float[Array, "S p"]]:
-    """The combined score of all cases, read with ``softness`` [m], and its gradient in the poses.
-
-    The arguments are those of :func:`case_scores`; ``over`` is one of :data:`COMBINATIONS`.
-    """
+    """The combined score of all cases with ``softness`` [m], and its gradient in the poses."""
     reading = Numbers(Softness.of(softness))
 
     def score(poses: Array) -> Array:

@@ -1,8 +1,5 @@
-"""One run of a search: its start, its budget, exact and rough scores, and the best so far.
-
-A method says how a search begins and does one step of it. A step goes from one state to the next,
-so a search can be stopped after any step and resumed.
-"""
+"""One run of a search: its start, its budget, exact and rough scores, and the best so far. A step
+goes from one state to the next, so a search can be stopped after any step and resumed."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -50,11 +47,8 @@ class Method:
 
 @dataclass(frozen=True)
 class Progress:
-    """One exact score of a search.
-
-    ``seconds`` since the first one, see :class:`Run`; ``evaluations``, the number of exact scores
-    so far, with all other work counted in exact scores; the ``score``, and the ``best`` so far.
-    """
+    """One exact score of a search, ``seconds`` after the first; ``evaluations`` so far, all work
+    counted in exact scores; the ``score``, and the ``best`` so far."""
 
     seconds: float
     evaluations: float
@@ -65,12 +59,10 @@ class Progress:
 class Run:
     """One search: its problem, its budget, and what it has found.
 
-    ``start`` (N,) are the feasible coordinates where it begins. ``path`` has the coordinates (N,)
-    of every layout that was the best so far, and ``best`` is the exact score of the last of them.
-    ``history`` has every exact score. ``evaluations`` are spent so far; ``limits`` is the budget in
-    seconds and in evaluations, and ``target`` the score that ends it. ``notes`` are for people.
-    ``held`` (N,) is a layout that the method prefers and that has no exact score yet, or None.
-    ``cache`` is for what a method can compute again from its state.
+    It begins at the feasible coordinates ``start`` (N,). ``path`` has those of every layout that
+    was the best so far, ``best`` the score of the last, ``history`` every exact score. ``limits``
+    is the budget in seconds and evaluations, ``target`` the score that ends it. ``held`` (N,) is a
+    layout that the method prefers, not scored yet. ``cache`` has what can be computed again.
     """
 
     def __init__(
@@ -86,8 +78,7 @@ class Run:
         found: Callable[[Float[np.ndarray, " N"], float], None] | None = None,
         target: float = np.inf,
     ) -> None:
-        """The options are those of :func:`~inspe_jax.placement.optimise.optimise`; ``found`` is
-        called with coordinates. Raises InspeError where there is no budget, or one of nothing."""
+        """As :func:`~inspe_jax.placement.optimise.optimise`; ``found`` gets coordinates."""
         check_budget(seconds, evaluations)
         self.problem, self.seed, self.start = problem, seed, np.array(start, float)
         self.evaluations = 0.0
@@ -114,11 +105,6 @@ class Run:
         return self._clock() - self._began
 
     @property
-    def left(self) -> float:
-        """Share of the budget that is left, from 1 to 0."""
-        return 1.0 - self.done
-
-    @property
     def done(self) -> float:
         """Share of the budget that is spent, from 0 to 1."""
         return min(max(self.share(self.spent), 0.0), 1.0)
@@ -134,18 +120,12 @@ class Run:
         return max(used / limit for used, limit in parts if limit is not None)
 
     def rng(self, *key: int) -> np.random.Generator:
-        """Random numbers that depend only on the seed and the key.
-
-        If the key contains the number of the step, a resumed search draws the same numbers.
-        """
+        """Random numbers of the seed and the key alone: by the step's number, they repeat on
+        resuming."""
         return np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=key))
 
     def offer(self, x: Float[np.ndarray, " N"]) -> float:
-        """The exact score of feasible coordinates (N,), for one evaluation.
-
-        Raises BudgetSpent, except for the first score, that of the start; TargetReached; and
-        InspeError if ``x`` is not feasible.
-        """
+        """The exact score of feasible coordinates (N,), for one evaluation. May end the search."""
         if self.history:
             self._check_left()
         return self._score(np.array(x, float))
@@ -153,11 +133,8 @@ class Run:
     def offer_better(
         self, x: Float[np.ndarray, "M N"], scores: Float[np.ndarray, " M"], value: float
     ) -> tuple[int, float]:
-        """Score exactly the row of ``x`` that has the best of ``scores``, unless that is row 0.
-
-        ``value`` is the exact score of row 0. Returns the index of the row with the better exact
-        score, and that score. Raises as :meth:`offer`.
-        """
+        """Score exactly the row of ``x`` that has the best of ``scores``, unless that is row 0,
+        whose exact score is ``value``. Returns the better row's index, and its score."""
         best = int(np.argmax(scores))
         if best and (exact := self.offer(x[best])) > value:
             return best, exact
@@ -165,10 +142,7 @@ class Run:
 
     def hold(self, x: Float[np.ndarray, " N"]) -> None:
         """Keep the feasible coordinates (N,) that the method would end with, were it stopped now.
-
-        If the search ends before the next :meth:`offer`, :meth:`settle` scores them; the budget
-        keeps room for that.
-        """
+        They are scored if the search ends before the next :meth:`offer`; the budget keeps room."""
         self.held = None if np.array_equal(x, self.best_x) else np.array(x, float)
 
     def settle(self) -> None:
@@ -198,11 +172,9 @@ class Run:
     def rough(
         self, x: Float[np.ndarray, "M N"], *key: int, size: int = 1
     ) -> Float[np.ndarray, " M"]:
-        """Hard scores of layouts on a sample; the best so far is held. Charges M times its cost.
-
-        ``key`` is the sample's, for :meth:`rng`. It has ``size`` times as many columns, and as many
-        frames, as usual. Raises BudgetSpent, which it checks every :data:`AT_ONCE` layouts.
-        """
+        """Hard scores of M layouts on the sample of ``key``, charged M times its cost; ``size``
+        times the usual columns and frames. The best so far is held. May end the search,
+        BudgetSpent."""
         sample = self.problem.sample(self.rng(*key), size * COLUMNS, size * FRAMES)
         scores: list[np.ndarray] = []
         for first in range(0, len(x), AT_ONCE):

@@ -1,9 +1,5 @@
-"""The objective on a sample, of sensors whose views are found one by one.
-
-What a sensor has of a sample from a pose is found once, :class:`Rows`. After that the score of any
-set of sensors takes no geometry: the metrics' own code fuses the rows and counts. So every metric
-has it, and one's own.
-"""
+"""The objective on a sample, of sensors whose views are found one by one: given each sensor's
+:class:`Rows`, the metrics' own code scores any set of them without geometry."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -48,10 +44,9 @@ SETS = 8
 class SceneRows(NamedTuple):
     """What one sensor has of a sample of one scene: N slabs of levels, C columns, T frames.
 
-    ``view`` is the voxels in view and ``seen`` those seen in each frame, as masks; ``sights`` the
-    number of frames in which each voxel is in line of sight, and ``targets`` what the sensor has on
-    road users at each column, both None unless some metric asks for it. ``pose`` is about the
-    scene's centre. A row of zeros is that of no sensor.
+    ``view`` and ``seen`` are masks of voxels in view, and seen in each frame; ``sights`` counts the
+    frames with each voxel in line of sight, and ``targets`` is what the sensor has on road users,
+    both None unless a metric asks. ``pose`` is about the centre. Zeros are no sensor's.
     """
 
     pose: Float[Array, "*k 6"]
@@ -85,13 +80,9 @@ def view_jobs(
     options: ScoreOptions,
     pixels: float = 1.0,
 ) -> list[Job]:
-    """Jobs for what one sensor has from each of K poses, :class:`SceneRows`.
-
-    Each gives the rows of :data:`TOGETHER` poses; after the last pose, it is repeated.
-    ``poses`` are about the scene's centre, ``half`` is half a voxel's edge [m], and ``tiled`` is a
-    scene in one chunk. ``pixels`` is the number of pixels that a ray stands for. What the sensor
-    has on road users is found if a metric of ``options`` asks for it.
-    """
+    """Jobs for the :class:`SceneRows` of one sensor, each of :data:`TOGETHER` of its K poses about
+    the centre; the last pose fills up. ``half`` is half a voxel's edge [m], ``tiled`` a scene in
+    one chunk, ``pixels`` the number that a ray stands for."""
     (chunk,) = tiled.chunks
     assert chunk.solid is not None  # the scene has masks
     rays = grid.rays
@@ -129,8 +120,7 @@ def _view(
     targets: tuple[str, ...],
     kept: bool,
 ) -> SceneRows:
-    """The rows of K poses; the tiles of each slab side by side. ``targets`` are the fields that are
-    wanted of what the sensor has on road users; ``kept``: the numbers of frames are."""
+    """The rows of K poses, with ``targets`` of road users; ``kept``: with numbers of frames."""
     curves = options.detection or detection_curves()
 
     def view_from(pose: Array) -> SceneRows:
@@ -173,10 +163,7 @@ def _view(
 
 
 def _side_by_side(found: Any, slabs: int, axis: int) -> Any:
-    """Arrays (N, …, C, …) of tiles as (slabs, …, N/slabs · C, …), each slab's tiles as one.
-
-    ``axis`` is that of the columns.
-    """
+    """Arrays (N, …, C, …) of tiles as (slabs, …, N/slabs · C, …); ``axis`` is C's."""
     each = found.reshape(slabs, -1, *found.shape[1:])
     each = each.transpose(0, *range(2, axis + 1), 1, *range(axis + 1, each.ndim))
     return each.reshape(*each.shape[:axis], -1, *each.shape[axis + 2 :])
@@ -243,11 +230,7 @@ def set_scores(
     options: ScoreOptions,
     over: str,
 ) -> Float[Array, " K"]:
-    """The combined scores of K sets of S sensors.
-
-    ``fixed`` are the rows of all, ``choices`` (K, n) those of the sensors ``at`` in each set. The
-    other arguments are as of :func:`~inspe_jax.placement.problem.case_scores`.
-    """
+    """Combined scores of K sets: ``fixed`` rows, but ``choices`` (K, n) for the sensors ``at``."""
 
     def score(chosen: tuple[Array, tuple[SceneRows, ...]]) -> Array:
         rows = jax.tree.map(lambda every, new: every.at[chosen[0]].set(new), fixed, chosen[1])

@@ -1,11 +1,6 @@
-"""The feasible set of one layout on one intersection: the space of a search.
-
-A point of the set is a flat array of :class:`Coordinates`. The set is a product of the places
-where each unit's foot may stand (a union of convex pieces of ground and of poles), of discs, and
-of intervals. :meth:`Space.project` gives its nearest point; :meth:`Space.chart` and
-:meth:`Space.from_chart` convert to coordinates without bounds and back. :meth:`Space.faults`
-checks a layout on the map instead.
-"""
+"""The feasible set of one layout on one intersection: the space of a search. It is a product of
+places for each unit's foot (convex pieces of ground, and poles), of discs and of intervals;
+:meth:`Space.faults` checks layouts on the map instead."""
 
 from collections.abc import Collection
 from dataclasses import replace
@@ -35,12 +30,9 @@ _GROUND_CELL = 1.0  # of the raster of the ground's height [m]
 
 
 class Space:
-    """The feasible set of one layout's units and sensors on one intersection.
-
-    ``given`` is that layout. ``scale`` (N,) is a typical step of each coordinate [m or rad], 0 for
-    those that may not change; ``free`` has the indices of those that may. ``index`` is the place of
-    each coordinate in a flat array, by name.
-    """
+    """The feasible set of one layout's units and sensors on one intersection. ``given`` is that
+    layout; ``scale`` (N,) is a typical step of each coordinate [m or rad], 0 for those that may not
+    change, the others being ``free``; ``index`` is the place of each coordinate in a flat array."""
 
     def __init__(
         self, scene: Scene, layout: Layout, constraints: Constraints | None = None
@@ -162,11 +154,8 @@ class Space:
         return Coordinates.split(x, len(self._feet), len(self._unit))
 
     def poses(self, x: Float[Array, " N"]) -> Float[Array, "S p"]:
-        """Poses relative to the scene's centre, as the scores take them; differentiable in x. Where
-        a camera has a varifocal lens, all have their lens behind them.
-
-        The height of the ground at a foot is interpolated between points 1 m apart.
-        """
+        """Poses about the scene's centre, differentiable in x; where a camera zooms, all have their
+        lens behind them. The ground at a foot is interpolated between points 1 m apart."""
         c = self.split(x)
         table = jnp.asarray(self._ground, x.dtype)
         t = (c.base + self._reach) / _GROUND_CELL
@@ -193,11 +182,8 @@ class Space:
         return xp.stack([at[:, 0], at[:, 1], z, roll, c.pitch, c.yaw], -1)
 
     def layout(self, x: Float[Any, " N"]) -> Layout:
-        """The layout at feasible coordinates, with world poses and the exact ground.
-
-        Raises InspeError if a coordinate is outside the set by more than :data:`TOLERANCE`. Smaller
-        errors, as from single precision, are corrected.
-        """
+        """The layout at feasible coordinates, with world poses and the exact ground. Raises
+        InspeError if one is outside the set by more than :data:`TOLERANCE`."""
         x = np.asarray(x, float)
         if x.shape != (self.size,) or not np.isfinite(x).all():
             raise InspeError(f"coordinates: expected {self.size} finite numbers")
@@ -231,13 +217,9 @@ class Space:
     def chart(
         self, x: Float[Any, " N"], stay: bool = False
     ) -> tuple[Float[np.ndarray, " N"], Int[np.ndarray, " U"]]:
-        """Feasible coordinates as coordinates without bounds, and the region (U,) of each unit.
-
-        A region is a piece of ground or a pole; the area, if a unit's pole is on one where the unit
-        may stand, or within 0.5 m of it, unless units on poles ``stay`` there. In the middle of its
-        range, a coordinate without bounds moves as the coordinate itself. A coordinate on a bound
-        counts as slightly inside, by 1 % of the way to the middle.
-        """
+        """Feasible coordinates as coordinates without bounds, and the region (U,) of each unit: a
+        pole, or a piece of ground, which is also taken for a pole within 0.5 m of it unless units
+        ``stay``. Mid-range both move alike; what is on a bound counts as 1 % inside."""
         c = self.split(np.asarray(x, float))
         far = self._pieces.nearest(c.base, self._allowed)[2]  # (U, K), squared
         wide = np.where(self._pieces.area > 0, far, np.inf)
@@ -262,10 +244,8 @@ class Space:
         self, layout: Layout, added: Collection[str] = ()
     ) -> tuple[Float[np.ndarray, " N"], tuple[str, ...]]:
         """The feasible coordinates nearest to a layout of these sensors, and notes on what moved.
-
-        A unit's sensors move with its foot and keep their heights above the ground. Units with a
-        name in ``added`` are said to be added. Raises InspeError if the layout has other sensors.
-        """
+        Sensors keep their heights and move with their unit's foot; units in ``added`` are noted as
+        added."""
         ours, theirs = (
             [(s.spec.with_lens(0.0), s.unit) for s in of.sensors] for of in (self.given, layout)
         )
@@ -306,11 +286,9 @@ class Space:
         return x, tuple(differences(layout, self.layout(x), self.site, added))
 
     def random(self, rng: np.random.Generator, count: int) -> Float[np.ndarray, "M N"]:
-        """Random feasible coordinates, one layout in each row.
-
-        Feet are spread evenly over the areas. If there are areas and poles, half of the units stand
-        on poles. Units are 2.5 m apart if there is room. The rest is as in :meth:`Limits.draw`.
-        """
+        """Random feasible coordinates, one layout in each row: feet 2.5 m apart if there is room,
+        spread evenly over the areas, half of them on poles if there are both; see
+        :meth:`Limits.draw`."""
         base = np.zeros((count, len(self._feet), 2))
         for u in range(len(self._feet)):
             tries = self._draw_feet(rng, u, _TRIES * count).reshape(_TRIES, count, 2)
@@ -358,10 +336,7 @@ class Space:
         return np.stack([low, high], -1), np.stack([pitch.low, pitch.high], -1)
 
     def faults(self, layout: Layout) -> list[Fault]:
-        """The rules of mounting that a layout of these sensors breaks; empty if it is feasible.
-
-        They are checked on the map's polygons, to :data:`TOLERANCE`, not by this class's geometry.
-        """
+        """The rules of mounting that a layout of these sensors breaks, on the map's polygons."""
         return list(faults(layout, self.given, self.site, self.constraints))
 
     def violations(self, layout: Layout) -> list[str]:

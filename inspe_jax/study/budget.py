@@ -1,9 +1,5 @@
-"""One budget for many places: one option of each, so that all together are worth most.
-
-This is the multiple-choice knapsack problem, a mixed-integer program, which HiGHS solves
-(:func:`scipy.optimize.milp`). The worst place needs no program: whether every place can reach a
-score is known from the cheapest options that do.
-"""
+"""One budget for many places: one option of each, so that all together are worth most: the
+multiple-choice knapsack problem, which HiGHS solves (:func:`scipy.optimize.milp`)."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -26,12 +22,9 @@ _TRIES = 20
 
 @dataclass(frozen=True)
 class Share:
-    """The option chosen for each place, by number, and what they cost together [US dollars].
-
-    ``total`` is the weighted sum of their scores, and ``worst`` the least of them. ``bound`` is
-    what no choice within the budget can exceed in ``total``: of all choices, or of those with this
-    ``worst`` where it is maximised.
-    """
+    """The option of each place, by number, and their cost [US dollars]; ``total`` is the weighted
+    sum of their scores, ``worst`` the least. No choice within the budget exceeds ``bound`` in
+    ``total``, of all or, where the worst is maximised, of those with this ``worst``."""
 
     options: tuple[int, ...]
     cost: float
@@ -58,12 +51,9 @@ def share_out(
 ) -> Share:
     """Choose one option for each place within a budget: the greatest weighted sum of scores.
 
-    ``costs`` and ``scores`` have a row for each place with a number for each of its options [US
-    dollars, to the cent], ``weights`` a number for each place. With ``worst``, the least score is
-    maximised, and then the sum among the choices that reach it.
-
-    The cost is exact, in cents, and never exceeds the budget. Raises InspeError if the budget or a
-    cost is not valid, the cheapest options exceed the budget, or HiGHS finds no choice in time.
+    ``costs`` [US dollars, to the cent] and ``scores`` have a row for each place. With ``worst``,
+    the least score is maximised, and then the sum. Cents are exact, and never exceed the budget.
+    Raises InspeError if an amount is wrong, the budget too small, or HiGHS too slow.
     """
     check_budget(budget)
     for cost in (cost for row in costs for cost in row):
@@ -101,8 +91,7 @@ def check_budget(budget: float) -> None:
 def _greatest_worst(
     cents: Sequence[Int[np.ndarray, " K"]], values: Sequence[Float[np.ndarray, " K"]], limit: int
 ) -> float:
-    """The greatest score that every place can reach within the limit, exactly: one of the scores. A
-    higher one costs no less to reach, so it is found by halving."""
+    """The greatest score that every place can reach within the limit, by halving all scores."""
     steps = np.unique(np.concatenate(values))
     low, high = 0, len(steps) - 1  # the lowest score is reached by all options
     while low < high:

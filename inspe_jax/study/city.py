@@ -1,10 +1,5 @@
-"""A plan of many junctions: a front of device mixes for each, and one budget shared among them.
-
-The study of a map searches a layout for every mix of devices at every junction (:func:`city_study`,
-run by :func:`~inspe_jax.study.sweep.sweep`). From its rows come the fronts of cost against score
-(:func:`fronts_of`), and from the fronts the plan (:func:`plan_city`). Neither prices nor the budget
-are part of the study, so another budget only chooses again.
-"""
+"""A plan of many junctions: a front of device mixes for each, and one budget shared among them. The
+study that searches the layouts knows no prices, so another budget only chooses again."""
 
 import os
 from collections import defaultdict
@@ -50,8 +45,8 @@ NOTHING = Option("", 0.0, 0.0)  # no devices: nothing is seen, and every score i
 
 @dataclass(frozen=True)
 class JunctionFront:
-    """A junction, the options on its front, cheapest first, and the errors of mixes that failed. A
-    front begins with :data:`NOTHING`, unless a mix is free."""
+    """A junction, its options, cheapest first from :data:`NOTHING` on unless a mix is free, and the
+    errors of mixes that failed."""
 
     junction: JunctionInfo
     options: tuple[Option, ...]
@@ -70,9 +65,9 @@ class JunctionFront:
 
 @dataclass(frozen=True)
 class CityPlan:
-    """A budget [US dollars] shared among the junctions of ``fronts``, which can get devices, with
-    the importance of each. ``share`` has the option of each; ``worst`` says whether the least score
-    is maximised; ``left_out`` are junctions where every mix failed, with the first error."""
+    """A budget [US dollars] shared among the junctions of ``fronts``, with the importance of each.
+    ``share`` has the option of each; ``worst``: the least score is maximised; ``left_out`` are
+    junctions where every mix failed, with the first error."""
 
     budget: float
     fronts: tuple[JunctionFront, ...]
@@ -88,8 +83,7 @@ class CityPlan:
         return tuple(front.options[k] for front, k in pairs)
 
     def text(self, georeference: Georeference | None) -> str:
-        """The plan as CSV, one row for each junction that can get devices, with latitudes and
-        longitudes where the map's projection is given."""
+        """The plan as CSV, a row for each junction; in degrees too if the projection is given."""
         rows: list[dict[str, Any]] = []
         for front, option, weight in zip(self.fronts, self.chosen, self.weights, strict=True):
             middle = np.array(front.junction.center[:2])
@@ -106,10 +100,7 @@ class CityPlan:
 def choose_junctions(
     path: str | os.PathLike[str], wanted: str, driving_side: str | None = None
 ) -> tuple[JunctionInfo, ...]:
-    """Junctions of a map: those with ``signals``, ``all``, or those of ids with commas between.
-
-    Raises InspeError if there is none, an id is unknown, or the map cannot be read.
-    """
+    """Junctions of a map: those with ``signals``, ``all``, or of ids with commas between."""
     known = list_junctions(path, driving_side)
     if not known:
         raise InspeError(f"{path}: the map has no junction")
@@ -157,9 +148,7 @@ def city_study(
     driving_side: str | None = None,
     **more: Any,
 ) -> Study:
-    """The study of every mix of devices at every junction of a map. ``settings``, which need a
-    method of search, ``driving_side`` and ``more`` are as in a study file
-    (:mod:`inspe_jax.study.plan`). Raises InspeError as :func:`~inspe_jax.study.plan.make_study`."""
+    """The study of every mix at every junction of a map; options as in a study file."""
     place = Path(path)
     of_all = {"map": str(place.resolve()), "driving_side": driving_side}
     scenes = [{"name": str(one.id), "junction": one.id, **of_all} for one in junctions]
@@ -171,8 +160,7 @@ def city_study(
 def fronts_of(
     study: Study, rows: Sequence[Row], junctions: Sequence[JunctionInfo], costs: Mapping[str, float]
 ) -> tuple[JunctionFront, ...]:
-    """The front of each junction, from the rows of a study; ``costs`` are those of mixes by name.
-    No mix is on it that failed, or is beaten by one that costs no more."""
+    """Each junction's front, from a study's rows and the costs of mixes by name."""
     by_key = {row["key"]: row for row in rows}
     options = defaultdict[str, list[Option]](lambda: [NOTHING])
     errors = defaultdict[str, list[str]](list)
@@ -200,13 +188,9 @@ def plan_city(
     worst: bool = False,
     importance: Mapping[str, float] | None = None,
 ) -> CityPlan:
-    """Share a budget [US dollars] out among junctions, by their fronts.
-
-    The weighted sum of the scores is maximised; with ``worst`` the least score, and then the sum.
-    ``importance`` of junctions, by id, is 1 where it is not given. Junctions where every mix failed
-    are left out. Raises InspeError if all failed, an id is unknown, or as
-    :func:`~inspe_jax.study.budget.share_out`.
-    """
+    """Share a budget [US dollars] out among junctions, for the greatest weighted sum of scores, or
+    with ``worst`` the least score first. ``importance``, by id, is 1 where it is not given.
+    Junctions where every mix failed are left out; raises InspeError if all did."""
     given = importance or {}
     check_importance(given, [front.junction for front in fronts])
     left_out = {front.name: front.errors[0] for front in fronts if front.failed}

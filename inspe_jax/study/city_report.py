@@ -30,8 +30,7 @@ _SMALL, _LARGE, _MANY = 4.0, 13.0, 60  # diameters of dots [points], of up to so
 
 
 def plan_table(plan: CityPlan, georeference: Georeference | None = None) -> RenderableType:
-    """What each junction gets: its place, in degrees where the map's projection is given, else in
-    metres; its mix of devices, the cost and the score."""
+    """What each junction gets: its place, in degrees or metres, its devices, the cost and score."""
     where = "x, y [m]" if georeference is None else "latitude, longitude"
     some = len(set(plan.weights)) > 1
     heads = ("importance",) if some else ()

@@ -201,8 +201,7 @@ def make_study(
 
 
 def _defaults(profile: str, sized: bool) -> dict[str, list[Any]]:
-    """The values of settings that are not given, by the profile. Where the study gives a voxel size
-    (``sized``), the spacing is found when a scene is built."""
+    """The values of settings that are not given, by the profile; no spacing if ``sized``."""
     own = profile_of(profile)
     rest: dict[str, Any] = dict.fromkeys((*SCORE_SETTINGS, *SEARCH_SETTINGS))
     rest |= dict(occlusion_reference=own.occlusion_reference, visibility=own.visibility)

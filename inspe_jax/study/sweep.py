@@ -1,9 +1,5 @@
-"""Runs all jobs of a study on Dask workers: on this machine, or on a running cluster.
-
-``results.csv`` has one row for each job, which is flushed to disk as the job ends; at the end rows
-are put in the study's order. A run that is killed leaves whole rows and at most one incomplete row,
-which is dropped when the run is resumed. Jobs that failed are then run again.
-"""
+"""Runs all jobs of a study on Dask workers: on this machine, or on a running cluster. Each job's
+row is flushed to ``results.csv`` as it ends; a killed run leaves at most one incomplete row."""
 
 import os
 from collections.abc import Callable, Mapping
@@ -87,12 +83,10 @@ def sweep(
 
 
 class Results:
-    """The results of one study in a folder, which only one run at a time may have open. ``rows``
-    are the rows so far, by the keys of their jobs; without those of earlier failures."""
+    """The results of a study in a folder, open for one run; ``rows`` by key, without failures."""
 
     def __init__(self, study: Study, folder: str | os.PathLike[str]) -> None:
-        """Open the folder, and read the rows that it has. Raises InspeError if it cannot be
-        written, another run uses it, or it has results of another study or version."""
+        """Raises InspeError if another run uses the folder, or it has other results."""
         self.study = study
         self.columns = columns(study)
         self.folder = prepare_folder(folder)
@@ -173,10 +167,7 @@ def scene_of_job(job: StudyJob) -> Scene:
 
 
 def run_job(scene: Scene, job: StudyJob, wanted: Row) -> tuple[Row, str | None]:
-    """Run a job: (its row of the results, the layout that a search found as YAML text or None).
-
-    Raises InspeError if the worker has other versions than those ``wanted``, or as what it runs.
-    """
+    """Run a job: (its row of the results, the layout that a search found as YAML text or None)."""
     if versions() != wanted:
         raise InspeError(f"this worker has other versions: {versions()}")
     release_compiled(job.scene)

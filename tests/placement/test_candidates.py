@@ -66,15 +66,6 @@ def test_few_layouts_are_projected_as_many_are(problem):
     np.testing.assert_allclose(few, many[:6], atol=1e-4)
 
 
-def test_limits_are_those_of_the_constraints(scene):
-    constraints = Constraints(heights=(4.0, 9.0))
-    space = Space(scene, team(scene), constraints)
-    heights, pitches = space.limits
-    assert np.allclose(heights, [[4.0, 9.0]] * 5, atol=1e-4)
-    camera, lidar = (np.array(constraints.pitch[kind]) for kind in ("camera", "lidar"))
-    assert np.allclose(pitches, [camera, lidar, camera, camera, camera], atol=1e-5)
-
-
 def test_few_feet_of_a_lattice_are_far_apart(problem, monkeypatch):
     monkeypatch.setattr(candidates, "SPACING", 3.0)
     every, few = candidates.lattice(problem.space, 10**6), candidates.lattice(problem.space, 12)

@@ -20,45 +20,12 @@ PIECES = make_regions(SHAPES)
 SOLID = [Polygon(shape) for shape in SHAPES if len(shape) > 1]
 ALL = np.ones((1, len(SHAPES)), bool)
 
-at = jax.jit(lambda v, which: PIECES.at(v, which, jnp))
 nearest = jax.jit(lambda p, ok: PIECES.nearest(p, ok, jnp))
-slope_of_at = jax.jit(jax.jacobian(lambda v, which: PIECES.at(v, which, jnp).sum(0)))
-slope_of_nearest = jax.jit(jax.jacobian(lambda p, ok: PIECES.nearest(p, ok, jnp)[0].sum(0)))
 
 
 def triangles(shape) -> np.ndarray:
     parts = shapely.constrained_delaunay_triangles(shape).geoms
     return np.array([t.exterior.coords[:3] for t in parts])
-
-
-def ragged(seed: int) -> Polygon:
-    """A star-shaped outline with a hole."""
-    rng = np.random.default_rng(seed)
-    angle = np.sort(rng.uniform(0, 2 * np.pi, 25))
-    far = rng.uniform(6, 10, (25, 1))
-    outer = far * np.stack([np.cos(angle), np.sin(angle)], 1)
-    return Polygon(outer).difference(Point(0.5, 0).buffer(3, quad_segs=4)).buffer(0)
-
-
-ELL = Polygon([(0, 0), (6, 0), (6, 2), (2, 2), (2, 6), (0, 6)])
-RING = box(0, 0, 10, 10).difference(box(4, 4, 6, 6))
-
-
-@pytest.mark.parametrize(
-    ("shape", "most"),
-    [(box(0, 0, 3, 1), 1), (ELL, 2), (RING, 6), *[(ragged(seed), 30) for seed in range(6)]],
-)
-def test_merged_pieces_are_convex_and_cover_exactly(shape, most):
-    outlines = merge(triangles(shape))
-    parts = [Polygon(outline) for outline in outlines]
-    assert len(parts) <= most < len(triangles(shape)) + most
-    for part in parts:
-        assert part.exterior.is_ccw
-        assert part.convex_hull.area == pytest.approx(part.area, abs=1e-9)
-        assert shape.buffer(1e-9).covers(part)
-    lost = shape.area - sum(part.area for part in parts)
-    assert -1e-9 <= lost <= len(triangles(shape)) * LEAST_AREA
-    assert shapely.union_all(parts).area == pytest.approx(sum(part.area for part in parts))
 
 
 def test_pieces_that_share_two_sides_in_line_stay_apart_and_slivers_are_left_out():
@@ -125,21 +92,6 @@ def test_charts_reach_across_to_the_edges_and_stop_short_of_a_steep_end():
     along = PIECES.at(ends, np.full(2, 3), np)[:, 0]
     np.testing.assert_allclose(np.sort(along), [20.0, 26.0], atol=0.1)
     assert along.max() < 26.02  # and not 26.06, where the edge across leans by 1 in 33
-
-
-def test_everything_has_a_gradient():
-    corners = np.concatenate(SHAPES)
-    edges = (SQUARE + np.roll(SQUARE, 1, 0)) / 2
-    p = np.concatenate([corners, edges, corners + 1e-3, [[1e4, -1e4]]]).astype(np.float32)
-    assert np.isfinite(slope_of_nearest(p, np.repeat(ALL, len(p), 0))).all()
-    # Inside nothing is held back; on a point everything is.
-    inside, point = np.array([[[1.0, 1.2]], [[-5.0, 6.0]]], np.float32)
-    for q, expected in ((inside, np.eye(2)), (point, np.zeros((2, 2)))):
-        slope = slope_of_nearest(q, ALL)[:, 0]
-        np.testing.assert_allclose(slope, expected, atol=1e-6)
-    v = np.array([[0, 0], [1e30, -1e30], [3.0, 1e-9], [np.pi, -np.pi]], np.float32)
-    for k in range(len(SHAPES)):
-        assert np.isfinite(slope_of_at(v, np.full(4, k))).all()
 
 
 def test_intervals_and_discs_swing_and_invert():

@@ -1,8 +1,5 @@
-"""Adam on the soft score, with a new sample of columns and frames at every step.
-
-The softness is large at first, so that distant traffic and voxels have a slope, and small at the
-end, so that the edges of views are precise.
-"""
+"""Adam on the soft score, with a new sample at every step. The softness is large at first, where
+distant traffic then has a slope, and small at the end, where edges of views are precise."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -47,11 +44,6 @@ def _adam() -> Any:
     return optax.chain(optax.clip_by_global_norm(10.0), optax.scale_by_adam(b1=0.9, b2=0.98))
 
 
-@cache
-def _at_rest() -> Any:
-    return jax.jit(jax.vmap(_adam().init))
-
-
 class Slope(NamedTuple):
     """What steps follow: ``at`` gives a score and its slope in poses, of a problem and what
     :meth:`Problem.slope` takes; ``cost`` is what one costs on a sample, in exact scores."""
@@ -72,12 +64,11 @@ def annealed(ends: Any, done: float) -> float:
 
 @dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
 class ChartedLayouts:
-    """M layouts in charts of their coordinates, and what Adam remembers of their slopes.
+    """M layouts in charts, and what Adam remembers of their slopes.
 
-    A layout stands ``z`` (M, N) typical steps from ``anchor`` (M, N), in the charts ``place``
-    (M, U). ``steps`` (M,) are Adam's so far, ``mean`` and ``square`` (M, N) its running means of
-    slopes and of their squares. Layouts of the same ``line`` (M,) take their mean slope. ``count``
-    is the number of steps since the search began.
+    A layout stands ``z`` (M, N) typical steps from ``anchor`` (M, N) in the charts ``place`` (M,
+    U). ``steps`` (M,) are Adam's, ``mean`` and ``square`` (M, N) its running means. Layouts of one
+    ``line`` (M,) take their mean slope. ``count`` steps were done since the search began.
     """
 
     anchor: Float[np.ndarray, "M N"]
@@ -92,9 +83,8 @@ class ChartedLayouts:
 
 @dataclass(frozen=True, eq=False)
 class AdamState(ChartedLayouts):
-    """Adam's layouts, the one that was best when they were last compared first; how often some were
-    ``culled``; and what was spent [s, exact scores] when the search ``began`` and when it last
-    ``looked`` at the best of them."""
+    """Adam's layouts, the best when last compared first; how often some were ``culled``; and what
+    was spent [s, exact scores] when the search ``began`` and when it ``looked`` at the best."""
 
     culled: int
     began: Float[np.ndarray, "2"]
@@ -124,27 +114,10 @@ def charted(
     problem: Problem, x: Float[np.ndarray, "M N"], line: Int[np.ndarray, " M"], count: int = 0
 ) -> ChartedLayouts:
     """Layouts (M, N) in new charts, with Adam at rest."""
-    anchor, place = _charts(problem, x)
-    still = np.zeros_like(anchor)
-    return ChartedLayouts(anchor, still, place, *_moments(_at_rest()(still)), line, count)
-
-
-def _charts(problem: Problem, x: Float[np.ndarray, "M N"]) -> tuple[np.ndarray, np.ndarray]:
-    """The layouts' places in new charts, and which charts these are."""
     v, place = zip(*map(problem.chart, x), strict=True)
-    return on_host(np.stack(v), float), np.stack(place)
-
-
-def _moments(optimiser: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Optax's state as arrays: steps, mean and square of :class:`ChartedLayouts`."""
-    steps, mean, square = map(np.asarray, jax.tree.leaves(optimiser))
-    return steps, mean, square
-
-
-def _optimiser_state(state: ChartedLayouts) -> Any:
-    """The arrays of :func:`_moments` as optax's state."""
-    tree = jax.tree.structure(jax.eval_shape(_at_rest(), state.z))
-    return jax.tree.unflatten(tree, map(jnp.asarray, (state.steps, state.mean, state.square)))
+    anchor = on_host(np.stack(v), float)
+    still, steps = np.zeros_like(anchor), np.zeros(len(x), np.int32)
+    return ChartedLayouts(anchor, still, np.stack(place), steps, still, still, line, count)
 
 
 def step_adam(run: Run, state: AdamState) -> AdamState | None:
@@ -164,10 +137,9 @@ def step_adam(run: Run, state: AdamState) -> AdamState | None:
         order = _ranked(run, x, state.count)
         run.offer(x[order[0]])
         # In new charts: a unit at the edge of a region can go on into the next.
-        anchor, place = _charts(problem, x[order])
-        adam = {name: getattr(state, name)[order] for name in ("steps", "mean", "square", "line")}
-        still = np.zeros_like(anchor)
-        state = replace(state, anchor=anchor, z=still, place=place, **adam, looked=run.spent)
+        fresh = vars(charted(problem, x[order], state.line[order], state.count))
+        moments = {name: getattr(state, name)[order] for name in ("steps", "mean", "square")}
+        state = replace(state, **fresh | moments, looked=run.spent)
 
     def now() -> tuple[float, float]:
         through = (run.done - began) / (_LAST - began)
@@ -183,7 +155,8 @@ def advance(
 ) -> L:
     """Do ``count`` gradient steps, each on new samples; ``now`` gives softness [m] and rate."""
     problem, line, z = run.problem, state.line, state.z
-    optimiser = _optimiser_state(state)
+    tree = jax.tree.structure(jax.eval_shape(_adam().init, z))
+    optimiser = jax.tree.unflatten(tree, (state.steps, state.mean, state.square))
     loss = partial(problem.charted_loss, of=partial(by.at, problem))
     together = (line[:, None] == line[None]).astype(z.dtype)
     mean = together / together.sum(1, keepdims=True)
@@ -198,7 +171,7 @@ def advance(
         slopes = [slope for _, slope in on_all_cores(jobs, problem.known)]
         moved, optimiser = _move(z, mean @ np.stack(slopes), optimiser, rate)
         z = np.asarray(moved)
-    steps, running, square = _moments(optimiser)
+    steps, running, square = map(np.asarray, jax.tree.leaves(optimiser))
     return replace(state, z=z, steps=steps, mean=running, square=square, count=state.count + count)
 
 

@@ -27,11 +27,8 @@ SCREENED = 16
 
 @dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
 class CmaState:
-    """The losses since the last restart, from which the strategy can be made again.
-
-    ``restart``, its number; ``origin`` (N,), the layout where it began; ``losses`` (G, P), those
-    of G generations of P; ``best``, its best exact score; ``waited``, the exact scores since.
-    """
+    """The ``losses`` (G, P) of G generations of P since the last restart, its number, ``origin``
+    (N,) and ``best`` exact score; and ``waited``, the exact scores since that."""
 
     restart: int
     origin: Float[np.ndarray, " N"]
@@ -99,10 +96,7 @@ def _layouts(
 
 
 def _strategy(run: Run, state: CmaState) -> Any:
-    """The strategy at this state, a ``cmaes.CMA``: from the run's cache or made from the losses.
-
-    It is taken out of the cache: one whose generation was cut short must not be used again.
-    """
+    """The strategy at this state. It leaves the cache: a generation may be cut short."""
     from cmaes import CMA  # only here: its import takes a third as long as all others
 
     losses, restart = state.losses, state.restart

@@ -1,7 +1,5 @@
-"""A control: the default search with central differences of the hard score for its gradient.
-
-What the default gains over it, and over ``greedy``, in equal time is what its gradient gains.
-"""
+"""A control: the default search with central differences of the hard score for its gradient. What
+the default gains over it in equal time is what its gradient gains."""
 
 from typing import Any
 
@@ -23,8 +21,7 @@ HALF = np.array([0.5, 0.5, 0.5, 0.0, 0.03, 0.03, 0.05])
 def differences(
     problem: Problem, poses: Float[Any, "S p"], on: Any, softness: Any
 ) -> tuple[float, Float[np.ndarray, "S p"]]:
-    """The hard score of poses on samples ``on`` and its central differences, as
-    :meth:`Problem.slope`. Each redoes only the sensor that moves."""
+    """The hard score of poses on samples ``on`` and its central differences, sensor by sensor."""
     sampled = SampledObjective(problem, Sample(jax.device_put(on), 0.0))
     half, steps = HALF[: poses.shape[1]], _steps(poses.shape[1])
     views = sampled.views({s: pose + steps for s, pose in enumerate(np.asarray(poses, float))})

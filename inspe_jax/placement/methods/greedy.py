@@ -1,15 +1,11 @@
 """The default search and the same without its gradient: greedy placement, then local search.
 
-1. Greedy placement and a pass of exchanges find the poles: gradients cannot jump to another pole,
-   candidates can. What a candidate pose sees is found once, for one sensor and not for a whole
-   layout; after that any set of them is scored without geometry
-   (:mod:`inspe_jax.placement.sampled_objective`).
-2. Bursts of Adam move all sensors at once: not in ``greedy``, and not where no sensor is aimed,
-   since there moves gain as much in the time. Where the budget has no room for a burst, units are
-   exchanged further instead.
-3. Moves of single units, judged hard, gain where the score has no slope.
-4. The next round takes some units out of the best layout and places them anew (large neighbourhood
-   search, Shaw 1998), with other candidates and another sample.
+Greedy placement and a pass of exchanges find the poles, to which gradients cannot jump, among
+candidates (:mod:`inspe_jax.placement.sampled_objective`). Bursts of Adam then move all sensors at
+once: not in ``greedy``, not where no sensor is aimed, since there moves gain as much, and not where
+the budget has no room. Moves of single units, judged hard, gain where the score has no slope. The
+next round places some units of the best layout anew, with other candidates and another sample
+(large neighbourhood search, Shaw 1998).
 """
 
 from collections.abc import Callable
@@ -50,10 +46,8 @@ GROWS = (
 
 @dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
 class Placing:
-    """Before the units ``out`` (U,) of the layout ``x`` (N,) are placed anew, in a round.
-
-    ``part`` parts of the candidates were looked at; ``looked``: whether that is all of them.
-    """
+    """Before the units ``out`` (U,) of the layout ``x`` (N,) are placed anew. ``part`` parts of the
+    candidates were looked at; ``looked``: whether that is all of them."""
 
     round: int
     x: Float[np.ndarray, " N"]
@@ -64,11 +58,8 @@ class Placing:
 
 @dataclass(frozen=True, eq=False)
 class Exchanging:
-    """All sensors are placed, at the candidates ``picks`` (S,); next, ``unit`` chooses again.
-
-    ``x`` (N,) is the best layout of the round and ``value`` its exact score. ``moved`` units have
-    chosen other candidates in this pass.
-    """
+    """All sensors are at the candidates ``picks`` (S,); next, ``unit`` chooses again, ``moved``
+    have in this pass. ``x`` (N,) is the best layout of the round and ``value`` its exact score."""
 
     round: int
     x: Float[np.ndarray, " N"]
@@ -95,10 +86,7 @@ def _again(run: Run, number: int) -> Placing:
 
 
 def step(run: Run, state: State, by: Slope | None = None) -> State:
-    """A piece of a round, see the module; ``by`` is the slope that bursts follow, if there are any.
-
-    Placing and every pass of exchanges end with an exact score.
-    """
+    """A piece of a round, see the module; placing and exchanges end with an exact score."""
     if not _aimed(run):
         by = None
     match state:
@@ -133,8 +121,7 @@ def _table(
     kept: list[int],
     looked: int | None = None,
 ) -> Table:
-    """A round's candidates beside the sensors ``kept`` of a layout, with so many parts looked at,
-    or all; from memory or once more."""
+    """A round's candidates beside ``kept`` sensors, ``looked`` parts or all looked at; cached."""
     held, table = run.cache.get("table", (-1, None))
     if held == number:
         looked = len(table.parts) if looked is None else looked
@@ -168,10 +155,7 @@ def look(run: Run, state: Placing) -> Placing:
 
 
 def place(run: Run, state: Placing) -> Exchanging | LocalSearch:
-    """Place the units greedily at candidates looked at, and score the layout exactly.
-
-    If some sensor found no place, candidates are not exchanged.
-    """
+    """Place the units greedily at candidates looked at; exchanges follow if all found a place."""
     table = _table(run, state.round, state.x, _kept(run, state), state.part)
     sensors = range(len(run.problem.layout))
     views = PLACE_COST * sum(len(kind.foot) for kind in table.kinds)

@@ -26,12 +26,9 @@ FINEST = 5
 
 @dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
 class GridState:
-    """The place of the search on the grid of one block.
-
-    ``x`` (N,) is the present layout and ``value`` its exact score. ``scores`` are those of the
-    block's grid so far. ``level`` counts how often the grid was made finer. ``sweep`` and ``block``
-    are the numbers of the sweep and of the block in it. ``moved``: this sweep has found better.
-    """
+    """The place of the search on the grid of one ``block`` of one ``sweep``. ``x`` (N,) is the
+    present layout and ``value`` its exact score; ``scores`` are those of the grid so far; it was
+    made finer ``level`` times; ``moved``: this sweep has found better."""
 
     x: Float[np.ndarray, " N"]
     value: float
@@ -50,9 +47,8 @@ def begin(run: Run) -> GridState:
 def step(run: Run, state: GridState) -> GridState | None:
     """Score some more points of the block's grid; score the best exactly when all are done.
 
-    One block is searched at a time: yaw × pitch × height for each sensor of a unit, then where the
-    unit stands and which way it is turned, then the next unit. Sweeps over all units follow until
-    one finds nothing better. Then the grid is made finer, about the present layout.
+    A block is yaw × pitch × height of a sensor, or, after a unit's sensors, its foot × turns.
+    Sweeps follow until one finds nothing better; the next grid, about that layout, is finer.
     """
     problem = run.problem
     members = problem.layout.members()

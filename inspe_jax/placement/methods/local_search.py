@@ -29,15 +29,14 @@ UNTIL = 0.85
 BURST = 12
 """Gradient steps from one look at what they gain to the next."""
 STEPS = 2**20
-"""More gradient steps than a round has: those of the next are numbered from here on, and so are
-the samples that they draw."""
+"""More gradient steps than a round has: those of the next are numbered from here on."""
 SOFTNESS, RATE = 0.5, 0.3
 """Softness [m] and length of a step, in typical steps, of the first burst of a round."""
 CALMER = 0.6
 """What both shrink by where a burst gained nothing."""
 VIEW_COST = 0.6
-"""What one sensor sees of a sample, in a sensor's share of a rough score of it: 0.25 to 0.5 with
-AVX-512, 0.8 to 0.9 with AVX2."""
+"""What one sensor sees, in its share of a rough score: 0.25 to 0.5 with AVX-512, 0.8 to 0.9 with
+AVX2."""
 MOVE_COST = 1.5
 """A move of one sensor, in views."""
 
@@ -47,12 +46,11 @@ Sighted = tuple[Float[np.ndarray, " N"], dict[int, Rows]]
 
 @dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
 class LocalSearch:
-    """Before a pass of bursts and moves: ``x`` (N,) is the layout and ``value`` its exact score.
+    """Before a pass of bursts and moves from the layout ``x`` (N,) with the exact score ``value``.
 
-    Moves are at most ``width`` typical steps. The next burst has this ``softness`` [m] and
-    ``rate``, in typical steps, and its first gradient step the number ``count``. ``careful``: what
-    is found is judged exactly piece by piece, since a pass gained nothing. ``widest`` is the exact
-    score when moves were last at their widest.
+    Moves are at most ``width`` typical steps; the next burst has this ``softness`` [m] and
+    ``rate``, and its first step the number ``count``. ``careful``: what is found is judged piece by
+    piece, since a pass gained nothing. ``widest`` is the exact score when moves last were widest.
     """
 
     round: int
@@ -68,11 +66,9 @@ class LocalSearch:
 
 
 def improve(run: Run, state: LocalSearch, by: Slope | None) -> LocalSearch | None:
-    """Bursts while they gain, then moves of every unit, on a sample of its own; judged exactly.
-
-    At first all together; once that gained nothing, the bursts and each unit's moves on their own.
-    None if moves of all widths, from the widest on, gained no more than :data:`ENOUGH`.
-    """
+    """Bursts while they gain, then moves of every unit, on a sample of its own; judged exactly
+    together, or, once that gained nothing, piece by piece. None if no width gained
+    :data:`ENOUGH`."""
     problem, key, careful = run.problem, (state.round, state.passes), state.careful
     sampled = SampledObjective(problem, problem.sample(run.rng(1, *key), COLUMNS, FRAMES))
     members = problem.layout.members()
@@ -121,11 +117,8 @@ def _better(run: Run, at: Sighted, value: float, new: Sighted) -> tuple[Sighted,
 def _bursts(
     run: Run, state: LocalSearch, sampled: SampledObjective, rows: dict[int, Rows], by: Slope
 ) -> tuple[Sighted, LocalSearch]:
-    """Bursts of Adam, each at rest at first, until one gains nothing on the sample or does not fit.
-
-    Returns the layout, and the state with what the next burst begins with; ``rows`` are what the
-    sensors see of the sample now.
-    """
+    """Bursts of Adam until one gains nothing on the sample, of which the sensors see ``rows``, or
+    does not fit. Returns the layout, and the state with what the next burst begins with."""
     problem, x = run.problem, state.x
     count, softness, rate = state.count, state.softness, state.rate
     while bursts_fit(run, by):
@@ -176,9 +169,8 @@ def finer(
 ) -> tuple[Float[np.ndarray, " N"], dict[int, Rows]]:
     """For each of some units, the best of so many random moves of it and its sensors, if better.
 
-    Each changes half of the unit's coordinates, by 0.1 to 1 times ``width`` typical steps. What the
-    sensors see after all these moves is found at once; then each unit is judged in turn, beside the
-    others as they are by then.
+    Each changes half of the unit's coordinates by 0.1 to 1 times ``width`` typical steps. All are
+    looked at together; then each unit is judged in turn, beside the others as they are by then.
     """
     problem = sampled.problem
     space, members = problem.space, problem.layout.members()

@@ -1,8 +1,5 @@
-"""L-BFGS-B and projected gradients on the soft score, in rounds.
-
-These solvers search along a line and cannot work with noise. So a round keeps its sample and its
-softness, and ends when the solver ends.
-"""
+"""L-BFGS-B and projected gradients on the soft score, in rounds: these solvers cannot work with
+noise, so a round keeps its sample and its softness, and ends when the solver ends."""
 
 import warnings
 from collections.abc import Callable
@@ -37,9 +34,6 @@ TRUST = 2.0
 """How far a coordinate may go in one round of L-BFGS-B, in typical steps."""
 _LAST_ROUND = 0.9  # share of the budget after which no new round begins
 
-Solve = Callable[[Run, np.ndarray, tuple[Any, Any]], np.ndarray]
-"""A solver's run in one round: from coordinates (N,), on a sample and a softness, to others."""
-
 
 @dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
 class RoundState:
@@ -55,7 +49,7 @@ def begin(run: Run) -> RoundState:
     return RoundState(x[scores.argmax()])
 
 
-def _step(solve: Solve, run: Run, state: RoundState) -> RoundState | None:
+def _step(solve: Callable[..., np.ndarray], run: Run, state: RoundState) -> RoundState | None:
     """One round: a fresh sample, a softness, and some iterations of the solver on them."""
     done = run.done
     if done >= _LAST_ROUND:
@@ -74,10 +68,7 @@ def charged(
     score: Callable[[Array], tuple[Array, Array]],
     layout: Callable[[Array], Float[np.ndarray, " N"]],
 ) -> Callable[[Array], tuple[Array, Array]]:
-    """A loss and its slope, charged to the budget at every call.
-
-    What is better than the first is held, in the coordinates (N,) that ``layout`` gives.
-    """
+    """A loss and its slope, charged at every call; a better ``layout`` than the first is held."""
     best: float | None = None
 
     def evaluate(z: Array) -> tuple[Array, Array]:

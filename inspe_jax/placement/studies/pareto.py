@@ -41,10 +41,7 @@ class SearchOptions(TypedDict, total=False):
 @dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
 class DeviceMix:
     """A mix of devices: the number of each, the cost [US dollars], and the search that placed them.
-
-    ``front``: whether the mix is on the Pareto front. Then no other mix has at least its objective
-    for less money, or a higher objective for no more money.
-    """
+    ``front``: whether no other mix is as good for less money, or better for no more."""
 
     counts: Mapping[str, int]
     cost: float
@@ -74,10 +71,7 @@ class DeviceMix:
 
 @dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
 class Cheapest:
-    """Mixes of devices in the order of their cost, up to the first that reaches the ``target``.
-
-    ``total`` mixes could have been searched.
-    """
+    """Mixes by cost, up to the first of ``total`` that reaches the ``target``."""
 
     target: float
     searched: tuple[DeviceMix, ...]
@@ -186,10 +180,7 @@ def searched(
     target: float = float("inf"),
     **options: Unpack[SearchOptions],
 ) -> list[DeviceMix]:
-    """The mixes ``wanted``, searched one after another until one has an objective of ``target``.
-
-    Ctrl-C ends with the mixes so far. Raises TypeError where an option is of no search of mixes.
-    """
+    """The mixes ``wanted``, one after another until one has the ``target`` or Ctrl-C."""
     if others := set(options) - set(SearchOptions.__annotations__):
         raise TypeError(f"unexpected options of a search of mixes: {', '.join(sorted(others))}")
     cases = cases_of(scene, conditions)
@@ -214,11 +205,7 @@ def searched(
 
 
 def save_pareto(found: Sequence[DeviceMix], folder: str | os.PathLike[str]) -> None:
-    """Write ``pareto.csv``, and a layout file for each mix on the front.
-
-    The table has one row for each mix, cheapest first. Raises InspeError as
-    :func:`~inspe_jax.placement.result.save_result` does.
-    """
+    """Write ``pareto.csv``, a row for each mix, and a layout file for each on the front."""
     place = prepare_folder(folder)
     rows, metrics = [], listed_in(*(mix.result.scores for mix in found))
     for mix in found:
@@ -236,10 +223,7 @@ def save_pareto(found: Sequence[DeviceMix], folder: str | os.PathLike[str]) -> N
 def device_mixes(
     counts: Mapping[str, Sequence[int]], objective: Objective | None
 ) -> list[tuple[float, dict[str, int]]]:
-    """Cost [US dollars] and counts of every mix within the budget, cheapest first.
-
-    Raises InspeError as :func:`pareto` does.
-    """
+    """Cost [US dollars] and counts of every mix within the budget, cheapest first."""
     objective = or_usual("objective", objective, Objective)
     objective.check()
     if not counts:

@@ -17,8 +17,7 @@ from inspe_jax.sensing.conditions import Conditions
 from inspe_jax.sensing.layout import Layout
 
 SOFTNESS = 0.2
-"""Softness of the slopes [m]: the width over which edges of fields of view and shadows are blurred.
-Rays are read as a density."""
+"""Softness of the slopes [m]; rays are read as a density."""
 POSITION_STEP = 0.1
 """Shift for which slopes along x, y and z are given [m]."""
 LIMITS = dict(position=(0, 2, " m"), angle=(0, 30, "°"), samples=(1, 10_000, ""))
@@ -27,11 +26,8 @@ LIMITS = dict(position=(0, 2, " m"), angle=(0, 30, "°"), samples=(1, 10_000, ""
 
 @dataclass(frozen=True)
 class Slopes:
-    """What P_sm gains when one sensor is moved by 10 cm along x, y or z, or turned by 1°.
-
-    ``yaw`` is a turn to the left, ``pitch`` one upwards. Negative values are losses. The slopes are
-    derivatives, so they are small at a layout where a search has ended.
-    """
+    """What P_sm gains when one sensor moves by 10 cm along x, y or z, or turns by 1° to the left
+    (``yaw``) or up (``pitch``): derivatives, so small where a search has ended."""
 
     sensor: str
     x: float
@@ -43,11 +39,8 @@ class Slopes:
 
 @dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
 class Tolerance:
-    """How installation errors change the objective of a layout.
-
-    ``score``: the exact objective as planned. ``left`` (M,): the exact objectives after M random
-    errors. ``slopes``: one row for each sensor. ``settings``: the options that were used.
-    """
+    """How installation errors change the objective: the exact ``score`` as planned, those ``left``
+    (M,) after M random errors, ``slopes`` of each sensor, and the ``settings``."""
 
     score: float
     slopes: tuple[Slopes, ...]

@@ -21,12 +21,3 @@ def test_it_finds_the_best_of_all_subsets(k):
     assert values[tuple(chosen)] == pytest.approx(best, abs=1e-9)
     assert value == pytest.approx(best, abs=1e-9)
     assert best - 1e-9 <= bound <= best * (1 + 1e-5)  # HiGHS closes the gap to 1e-6
-
-
-def test_greedy_is_misled_where_the_program_is_not():
-    """Two candidates that halve the elements beat one that has most of them and another."""
-    seen = np.zeros((3, 8), bool)
-    seen[0, 1:7], seen[1, :4], seen[2, 4:] = True, True, True
-    chosen, value, _ = best_subset(seen, np.full(8, 1 / 8), 2, seconds=60.0)
-    assert chosen.tolist() == [1, 2]
-    assert value == pytest.approx(1.0)

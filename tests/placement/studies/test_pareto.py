@@ -1,24 +1,23 @@
 """Cost against score: which mixes are tried, which are on the front, what is written; and the
 cheapest mix that reaches a target."""
 
-import csv
 from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from drawn import printed
-from mounts import assert_mountable, lanes_of
 from worlds import SMALL
 
 import inspe_jax
 from inspe_jax.core.errors import InspeError
+from inspe_jax.core.files import read_csv
 from inspe_jax.mounting.mixes import starting_layout
 from inspe_jax.placement.objective import Objective
 from inspe_jax.placement.optimise import optimise
 from inspe_jax.placement.problem import Problem
 from inspe_jax.placement.studies import pareto as module
-from inspe_jax.placement.studies.pareto import cheapest, device_mixes, pareto, save_pareto, searched
+from inspe_jax.placement.studies.pareto import device_mixes, pareto, save_pareto, searched
 from inspe_jax.report.tables import before_after_table
 from inspe_jax.scene.procedural.built_ins import built_in
 from inspe_jax.scene.regions import Region
@@ -59,31 +58,25 @@ def test_every_mix_is_searched_cheapest_first(found):
     assert [row for row, _, _ in told][-1] == mixed[-1].counts
 
 
-def test_the_front_is_what_no_other_mix_beats(found, scene):
+def test_the_front_is_what_no_other_mix_beats(found):
     """Against its definition: another is no dearer and no worse, and cheaper or better."""
     mixed, _ = found
     for mix in mixed:
-        beaten = [
-            other
+        beaten = any(
+            other.cost <= mix.cost and other.objective >= mix.objective
             for other in mixed
-            if other.cost <= mix.cost
-            and other.result.objective >= mix.result.objective
-            and (other.cost, other.result.objective) != (mix.cost, mix.result.objective)
-        ]
-        assert mix.front == (not beaten)
-    assert mixed[0].front
-    lanes = lanes_of(scene.intersection)
-    for mix in mixed:
+            if (other.cost, other.objective) != (mix.cost, mix.objective)
+        )
+        assert mix.front != beaten
         names = [sensor.spec.name for sensor in mix.result.layout.sensors]
         assert {name: names.count(name) for name in mix.counts} == dict(mix.counts)
-        assert_mountable(scene, mix.result.layout, lanes)
+    assert mixed[0].front
 
 
 def test_it_is_saved(found, scene, tmp_path):
     mixed, _ = found
     save_pareto(mixed, tmp_path / "pareto")
-    with (tmp_path / "pareto" / "pareto.csv").open() as f:
-        rows = list(csv.DictReader(f))
+    rows = read_csv(tmp_path / "pareto" / "pareto.csv")
     assert [float(row["cost_usd"]) for row in rows] == [mix.cost for mix in mixed]
     assert [float(row["objective"]) for row in rows] == [mix.result.objective for mix in mixed]
     for row, mix in zip(rows, mixed, strict=True):
@@ -193,39 +186,9 @@ def test_bad_input(scene, counts, objective, message):
         pareto(scene, counts, method="random", evaluations=2, objective=objective)
 
 
-# ── The cheapest that reaches a target; and some regions only ───────────────
-
-COUNTS = {CAMERA: (0, 1, 2), LIDAR: (0, 1)}
-FOUND = Objective(weights={"detectability": 1.0}, prices={CAMERA: 1000.0})
-
-
 @pytest.fixture(scope="module")
 def large():
     return build_scene(built_in("four_way"), radius=25, voxel=1.0, frames=3, density=20)
-
-
-@pytest.mark.slow
-def test_the_first_mix_that_reaches_the_target_ends_the_study(large):
-    """Two cameras reach less than one LiDAR; all mixes that are cheaper were searched."""
-    told = []
-    given = dict(method="random", evaluations=6, objective=FOUND)
-    found = cheapest(
-        large, COUNTS, 0.72, **given, progress=lambda row, done, best: told.append((row, done))
-    )
-    assert [mix.cost for mix in found.searched] == [1000, 2000, 4000]
-    assert found.found is found.best is found.searched[-1]
-    assert found.found.counts == {CAMERA: 0, LIDAR: 1}
-    assert found.found.result.status == "target reached"
-    assert found.found.result.objective >= 0.72 > found.searched[1].result.objective
-    assert found.total == 5
-    shares = [done for _, done in told]
-    assert shares == sorted(shares)
-    assert shares[-1] <= 3 / 5
-    short = replace(found, target=0.999)
-    assert short.found is None
-    assert short.best is found.searched[-1]  # what comes nearest
-    with pytest.raises(InspeError, match="between 0 and 1"):
-        cheapest(large, COUNTS, 95)
 
 
 @pytest.mark.slow

@@ -29,9 +29,8 @@ from inspe_jax.simulation.recorder import Recorder, Server
 
 @dataclass(frozen=True)
 class Chunk:
-    """Some ``frames`` of a scenario that is written to ``folder``; ``missing`` of them were not yet
-    when the chunk was sent. A process that writes a chunk holds the file ``lock``. ``server`` is
-    the one that the backend records with, if it needs one."""
+    """Some ``frames`` of a scenario, written to ``folder`` by the process that holds ``lock``;
+    ``missing`` of them were not there when the chunk was sent."""
 
     plan: ScenarioPlan
     backend: str
@@ -60,8 +59,8 @@ class Chunk:
 
 @dataclass(frozen=True)
 class Outcome:
-    """Why a chunk could not be recorded (``error``) or written (``fault``), if it could not; and
-    what the recorder cannot record as the layout has it."""
+    """Why a chunk could not be recorded (``error``) or written (``fault``), and notes of the
+    recorder."""
 
     error: str = ""
     fault: str = ""
@@ -70,8 +69,7 @@ class Outcome:
 
 @dataclass
 class WorkerState:
-    """The recorder that a worker process has open, of the scenario with this ``key``, if any. Once
-    ``closing`` is true, no further frame is recorded."""
+    """The recorder that a worker process has open. Once ``closing``, it records no further frame."""
 
     key: str = ""
     recorder: Recorder | None = None
@@ -109,8 +107,7 @@ _recording = threading.Lock()
 
 
 def layout_of(plan: ScenarioPlan, scene: Scene) -> tuple[Layout, dict[str, Any]]:
-    """The layout of a scenario on its scene, and its content as in a layout file. Raises InspeError
-    where a camera is no pinhole."""
+    """The layout of a scenario on its scene, and its content as in a layout file."""
     source = plan.layout
     text = source.text or layout_text(place_layout(source, scene))
     content = {"name": source.name, **parse_yaml(text, source.name)}
@@ -134,7 +131,7 @@ def build(chunk: Chunk) -> Scene | str:
 
 def work(scene: Scene | str, chunk: Chunk) -> Outcome:
     """Record and write the missing frames of a chunk, to the same bytes whenever and whoever does
-    it. A message of :func:`build` in place of the scene is the error of the chunk."""
+    it."""
     if isinstance(scene, str):
         return Outcome(error=scene)
     notes, options = tuple[str, ...](), chunk.plan.files

@@ -1,8 +1,5 @@
-"""Generates a data set with worker processes on this machine.
-
-A scenario is written under ``.unfinished``, where readers do not look, and moves into its split
-when it is complete.
-"""
+"""Generates a data set with worker processes on this machine. A scenario is written under
+``.unfinished``, where readers do not look, and moves into its split when it is complete."""
 
 import errno
 import os
@@ -39,9 +36,8 @@ CONTINUE = "give the same command again to resume"
 
 
 class DatasetWriter:
-    """The folder of a data set, locked by its run. ``there`` holds the numbers of the complete
-    frames of each scenario, by name, as last counted; ``damage`` what was found wrong with
-    scenarios that had been complete."""
+    """The folder of a data set, locked by its run. ``there`` holds the complete frames of each
+    scenario, as last counted; ``damage`` what was wrong with scenarios that had been complete."""
 
     def __init__(
         self,
@@ -50,10 +46,8 @@ class DatasetWriter:
         backend: str,
         progress: Callable[[int, int], None] | None = None,
     ) -> None:
-        """Compare finished scenarios with their manifests, by digests.
-
-        ``progress`` is called with (scenarios compared, all). Raises InspeError if the folder
-        contains another data set or other files.
+        """Compare finished scenarios with their manifests, by digests; ``progress`` is called with
+        (compared, all). Raises InspeError if the folder contains another data set or other files.
         """
         self.folder, self.format_name = folder, generation.format
         self._check(record_of(generation, backend))
@@ -128,8 +122,7 @@ class DatasetWriter:
         check_versions(kept.get("versions") or {}, record["versions"], self.folder)
 
     def _resume(self, plan: ScenarioPlan) -> set[int]:
-        """Numbers of the complete frames of a scenario. A finished scenario of which a file is
-        damaged or missing becomes unfinished again."""
+        """Numbers of the complete frames of a scenario. A damaged one becomes unfinished again."""
         place, folder = self.place(plan), self.unfinished(plan)
         if place.exists():
             shutil.rmtree(place / RECORDS, ignore_errors=True)  # of a run that was killed

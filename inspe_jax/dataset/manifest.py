@@ -1,8 +1,8 @@
 """The manifest of a scenario: size and digest of every file, so that damage is found.
 
-While a scenario is generated, each frame that is written gets a record of its files, in the folder
-:data:`RECORDS`. When the scenario is complete, these become its ``manifest.json``: ``{"format": …,
-"files": {"data_protocol.yaml": [2041, "9f8…"]}, "frames": {"0": {"-1/000000.pcd": […], …}, …}}``.
+Each frame that is written gets a record of its files in :data:`RECORDS`. In the end these become
+``manifest.json``: ``{"format": …, "files": {"data_protocol.yaml": [2041, "9f8…"]}, "frames": {"0":
+{…}, …}}``.
 """
 
 import json
@@ -57,8 +57,8 @@ def record_frame(folder: Path, number: int, files: Iterable[Path]) -> None:
 
 
 def recorded_frames(folder: Path, deep: bool = False) -> dict[int, Files]:
-    """The records of the frames of an unfinished scenario, of which all files have their size;
-    ``deep`` compares digests, too. Other records are deleted: their frames are then missing."""
+    """The records of frames of which all files have their size (and digest if ``deep``). Others are
+    deleted: their frames are then missing."""
     found = dict[int, Files]()
     for path in sorted((folder / RECORDS).glob("[0-9]*.json")):
         try:
@@ -117,12 +117,9 @@ def manifest_of(folder: Path) -> tuple[Manifest | None, list[Fault]]:
 def compare(
     folder: Path, count: int | None = None, deep: bool = False, others: bool = False
 ) -> tuple[Manifest | None, list[Fault]]:
-    """The manifest of a scenario, None where there is none, and what is not as it says.
-
-    With ``count``, a manifest has a fault that lacks the protocol, or files of a frame 0 … count −
-    1. ``deep`` also compares digests, for which every file is read; with ``others``, files that the
-    manifest does not know are faults too, but for hidden ones.
-    """
+    """The manifest of a scenario, None where there is none, and what is not as it says. It must
+    list the protocol and files of ``count`` frames, if given. ``deep`` compares digests; with
+    ``others``, visible files that the manifest does not know are faults, too."""
     manifest, found = manifest_of(folder)
     if manifest is None:
         return None, found

@@ -1,5 +1,4 @@
-"""The protocol of a scenario, ``data_protocol.yaml``: all that is needed to generate it again. It
-has the whole layout, and of a map or a saved scene the name and the digest of the content."""
+"""The protocol of a scenario, ``data_protocol.yaml``: all that is needed to generate it again."""
 
 import os
 from collections.abc import Iterable, Mapping, Sequence
@@ -70,9 +69,7 @@ def protocol_of(
     format: str = DEFAULT_FORMAT,
     middle: Sequence[float] | None = None,
 ) -> dict[str, Any]:
-    """The content of a scenario's protocol. ``layout`` is the content of a layout file; ``notes``
-    say what could not be recorded as it has it; ``middle`` is that of the region of interest [m].
-    """
+    """The content of a scenario's protocol; ``middle`` is that of the region of interest [m]."""
     source = plan.source.anywhere
     scene = asdict(source) | {"content": source.content or None}
     if source.center is not None:

@@ -40,8 +40,8 @@ COUNTS = tuple(f.name for f in fields(Split) if f.name != "name")
 
 @dataclass(frozen=True, eq=False)
 class Users:
-    """The K road users of all scenarios: the index of each in KINDS, and the size (length, width,
-    height) of its first box [m]."""
+    """The K road users of all scenarios: index in KINDS, and length, width, height [m] of the first
+    box."""
 
     kind: Int[np.ndarray, " K"]
     size: Float[np.ndarray, "K 3"]
@@ -49,8 +49,8 @@ class Users:
 
 @dataclass(frozen=True, eq=False)
 class PointCounts:
-    """The points of all scans of a frame inside N boxes: the index of each box in KINDS, the
-    distance from the nearest LiDAR to the middle of the box [m], and the number of points."""
+    """Of N boxes: index in KINDS, distance of the middle from the nearest LiDAR [m], and points
+    inside."""
 
     kind: Int[np.ndarray, " N"]
     range: Float[np.ndarray, " N"]
@@ -59,8 +59,8 @@ class PointCounts:
 
 @dataclass(frozen=True)
 class Band:
-    """The boxes between two ranges ``low`` and ``high`` [m]. ``share`` of them (0…1) have a point
-    inside; ``quartiles`` are of the points of these boxes."""
+    """Boxes between two ranges [m]; a ``share`` of them has a point, and ``quartiles`` are of their
+    points."""
 
     low: float
     high: float
@@ -180,8 +180,7 @@ def statistics(
 
 
 def bands(counts: PointCounts, kind: int) -> tuple[Band, ...]:
-    """The boxes of the class KINDS[kind] by range, without empty bands. Boxes closer or further
-    than all of :data:`RANGE_EDGES` are in the first or the last band."""
+    """The boxes of a class by range, without empty bands; the first and last have all beyond."""
     own = counts.kind == kind
     points = counts.points[own]
     last = len(RANGE_EDGES) - 2
@@ -197,9 +196,7 @@ def bands(counts: PointCounts, kind: int) -> tuple[Band, ...]:
 
 
 def table_row(found: Statistics) -> dict[str, str | int | None]:
-    """The row of a data set in a table that compares data sets; unknown values are None. ``V2X`` is
-    V2V, I2I or V2X for vehicles, infrastructure or both (V or I if no scenario has two agents);
-    ``cameras`` and ``LiDARs`` are per frame."""
+    """The row of a data set in a table that compares data sets; unknown values are None."""
     total = found.total
     return {
         "name": found.name,

@@ -1,5 +1,5 @@
-"""A frame of a data set: the road users as boxes, and stations with images and LiDAR scans, in the
-world frame (ENU), in metres and radians. A pose is (x, y, z, roll, pitch, yaw)."""
+"""A frame of a data set: the road users as boxes, and stations with images and scans, in the world
+frame (ENU), in metres and radians. A pose is (x, y, z, roll, pitch, yaw)."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field

@@ -25,13 +25,9 @@ Row = TypeVar("Row")
 
 @dataclass(frozen=True)
 class Recording:
-    """Settings of a recording.
-
-    ``rate`` is the number of frames per second [Hz]; ``layers`` are of :data:`LAYERS`;
-    ``image_size`` (width, height), where given, is that of all pictures, in place of the cameras'
-    own: they show the same, with pixels that need not be square.
-    ``noise`` is that of the LiDARs, and ``turn`` how long a turn of theirs takes [s], 0 if all rays
-    are fired at once.
+    """Settings of a recording: ``rate`` [Hz], ``layers`` of :data:`LAYERS`, ``noise`` and ``turn``
+    [s] of LiDARs (0: all rays at once), and ``image_size`` (width, height), if not the cameras'
+    own.
 
     The digest of a scenario contains the names of this class, of :class:`LidarNoise`, and of their
     fields. If these changed, runs that were stopped could not go on.
@@ -103,8 +99,7 @@ class Server:
 
 
 class Recorder(Protocol):
-    """A recorder of a scene's traffic. It records the same frame every time it is asked for it.
-    ``notes`` say what it cannot record as the layout has it."""
+    """A recorder of a scene's traffic; ``notes`` say what it cannot record as the layout has it."""
 
     notes: tuple[str, ...]
 
@@ -115,8 +110,8 @@ class Recorder(Protocol):
 def frame_of(
     scene: Scene, layout: Layout, t: int, boxes: Boxes, recorded: Sequence[Image | Scan]
 ) -> Frame:
-    """Frame t of a scene's traffic, with one station for each unit of the layout. ``recorded`` has
-    one image or scan for each sensor of the layout, in the layout's order."""
+    """Frame t of a scene's traffic, with a station for each unit of the layout; ``recorded`` has an
+    image or scan for each sensor, in the layout's order."""
     stations = tuple(
         Station(
             number=u + 1,
@@ -151,11 +146,8 @@ def apply_noise(
     noise: LidarNoise,
     rng: np.random.Generator,
 ) -> tuple[Float[np.ndarray, "N 4"], Bool[np.ndarray, " R"]]:
-    """Points of those of R rays that come back, and which these are; others are lost as in CARLA.
-
-    A point is x, y, z [m] and intensity 0…1, float32. ``direction`` holds unit vectors in the body
-    frame; ``distance`` [m] is infinite where nothing was hit.
-    """
+    """Points (x, y, z [m] and intensity 0…1) of those of R rays that come back, and which these
+    are; losses are as in CARLA. ``distance`` [m] is infinite where nothing was hit."""
     lost = rng.random((2, len(direction)))
     error = rng.standard_normal(len(direction)) * noise.range
     back = np.isfinite(distance) & (lost[0] >= noise.lost)

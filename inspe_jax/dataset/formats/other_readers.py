@@ -1,8 +1,6 @@
-"""How files are written, and what other people's readers of OPV2V data sets need: agents with the
-same number of cameras each, four in OPV2V; the range of points and boxes to keep, as that of a
-LiDAR on a car keeps no road user of one on a pole; and maps of what cameras see: HEAL's and
-CoAlign's camera readers keep the boxes whose middle lies on a pixel that is not black.
-"""
+"""How files are written, and what other people's readers need: as many cameras for each agent, the
+range of points and boxes to keep, and maps of what cameras see, by whose pixels HEAL and CoAlign
+keep boxes."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -68,15 +66,13 @@ MIDDLE = 127  # row and column of the agent
 
 
 def frame_of(agent: Station) -> Float[np.ndarray, "6"]:
-    """The pose of the frame that readers know an agent by: that of its first LiDAR, or of its unit
-    where it has none (x, y, z [m], roll, pitch, yaw [rad])."""
+    """The pose by which readers know an agent: its first LiDAR's, or its unit's if it has none."""
     return np.asarray(agent.scans[0].pose if agent.scans else agent.pose, float)
 
 
 def with_cameras(stations: Sequence[Station], count: int) -> tuple[Station, ...]:
-    """The stations as agents with ``count`` cameras each; as they are if that is 0, or none has a
-    camera. The first agent of a station keeps its number and its LiDARs. Others have the numbers
-    after the last station's, in the order of the stations, and no LiDAR."""
+    """Agents with ``count`` cameras each; as they are if that is 0 or there is no camera. A
+    station's further agents have the numbers after the last station's, and no LiDAR."""
     if not count or not any(station.images for station in stations):
         return tuple(stations)
     first, further = [], []
@@ -114,9 +110,8 @@ def _filled(images: list[Image], count: int, station: Station, like: Image) -> t
 
 
 def lidar_range(agents: Sequence[Station], voxels: VoxelGrid) -> list[float]:
-    """The range that holds every road user of the region as a whole, seen from any agent: [x, y, z,
-    x, y, z] [m], lower and upper limits in the frame of any agent, the same on all four sides.
-    Readers call it ``cav_lidar_range``, and drop a box unless all of its corners lie inside."""
+    """The range that holds every road user of the region, seen from any agent: lower and upper x,
+    y, z [m] in an agent's frame. Readers drop a box unless all of its corners lie inside."""
     ground = np.column_stack([voxels.columns, voxels.ground])
     around = np.concatenate([ground - [0.0, 0.0, BELOW], ground + [0.0, 0.0, HIGHEST]])
     side, low, high = 0.0, np.inf, -np.inf
@@ -132,8 +127,7 @@ def lidar_range(agents: Sequence[Station], voxels: VoxelGrid) -> list[float]:
 
 
 def visibility_map(agent: Station, boxes: Sequence[RoadUserBox]) -> UInt8[np.ndarray, "256 256"]:
-    """The map of an agent in its own frame: white on black, ahead is up. A road user is white where
-    at least one pixel of a camera shows it, or where pixels were not counted."""
+    """The map of an agent, ahead is up: road users that its cameras show, or did not count."""
     pose = frame_of(agent)
     turn = rotation(pose[3:], np)
     picture = Pillow.new("L", (PIXELS, PIXELS))

@@ -1,5 +1,4 @@
-"""The registry of data-set formats. To add one, write a module with the four functions of a
-:class:`DatasetFormat`, and add a row to :data:`FORMATS`."""
+"""The registry of data-set formats: to add one, add a row to :data:`FORMATS`."""
 
 import os
 from collections.abc import Callable, Mapping, Sequence
@@ -19,12 +18,10 @@ from inspe_jax.simulation.frame import Frame
 class DatasetFormat:
     """How the frames of a scenario are stored in its folder.
 
-    ``agents(folder)`` gives the ids of the agents: infrastructure −1, −2, … first, then vehicles.
-    ``frames(folder, agents)`` gives the numbers of the frames that are complete. ``read(folder,
-    number, agents, protocol)`` gives a frame; raises InspeError where there is none or a file is
-    broken. ``write(folder, frame, options)`` writes a frame over an earlier one, and gives its
-    files; the folder may be missing, and a frame that is half written must not count as complete.
-    ``example`` is the path of a file of frame 0, for error messages.
+    ``agents`` gives the agents' ids: infrastructure −1, −2, … first, then vehicles. ``frames``
+    gives the numbers of complete frames. ``read`` raises InspeError where there is none or a file
+    is broken. ``write`` replaces an earlier frame and gives its files; a frame that is half written
+    must not count. ``example`` is the path of a file of frame 0, for error messages.
     """
 
     agents: Callable[[Path], tuple[int, ...]]
@@ -48,8 +45,7 @@ FORMATS: dict[str, DatasetFormat] = {
 
 
 def format_of(folder: Path) -> DatasetFormat | None:
-    """The format of a scenario's folder: the first of which an agent has a frame, even if other
-    agents do not; None where the folder is no scenario."""
+    """The first format of which an agent has a frame; None where the folder is no scenario."""
     for row in FORMATS.values():
         if any(row.frames(folder, (agent,)) for agent in row.agents(folder)):
             return row

@@ -1,6 +1,5 @@
-"""The decoded cache of a data set: a folder with ``cache.json`` and, for each scenario, a folder
-``SPLIT/SCENARIO`` as :mod:`inspe_jax.dataset.loading.stored` has it, mapped into memory when read.
-"""
+"""The decoded cache of a data set: a folder with ``cache.json`` and a folder for each scenario, as
+:mod:`inspe_jax.dataset.loading.stored` has it."""
 
 import json
 import multiprocessing
@@ -25,8 +24,8 @@ FORMAT = "inspe_jax cache 3"
 LOCK = f".{CACHE}.lock"
 
 PICTURES = (300, 400)
-"""Height and width of pictures, if none are given. A cyclist in a camera of 800 × 600 has about 200
-pixels in the median, and about 50 at this size; at half of it, a dozen, which is too few."""
+"""Height and width of pictures: a cyclist has about 50 pixels in the median, a dozen at half of it.
+"""
 
 Job = tuple[Scenario, Path, str, tuple[int, int] | None]
 """The arguments of :func:`~inspe_jax.dataset.loading.stored.decode`."""

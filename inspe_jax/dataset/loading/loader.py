@@ -1,8 +1,5 @@
-"""Batches of a cache for training: in a repeatable order, augmented, read ahead by threads.
-
-Threads, not worker processes: NumPy copies and multiplies large arrays without Python's lock, and
-no batch is copied from another process. ``grain`` can read a :class:`Loader` as well.
-"""
+"""Batches of a cache for training: in a repeatable order, augmented, read ahead by threads. NumPy
+copies large arrays without Python's lock, and no batch is copied from another process."""
 
 from collections import deque
 from collections.abc import Iterator, Sequence
@@ -26,8 +23,7 @@ SENSORS: tuple[Sensor, ...] = get_args(Sensor)
 _Frame = tuple[StoredScenario, int]  # a scenario, and the place of a frame in it
 
 AHEAD = 2
-"""Batches that each worker may be ahead of what was asked for: one that is being made, and one that
-is ready when a step of training is quicker than usual."""
+"""Batches that each worker may be ahead: one that is being made, and one that is ready."""
 
 
 class Loader:

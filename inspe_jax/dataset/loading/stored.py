@@ -1,8 +1,6 @@
-"""A scenario in the cache: decoded from the set once, then mapped into memory when it is used.
-
-Its folder holds ``points.raw`` (all clouds one after the other, 16-bit), ``pictures.raw``,
-``index.npz`` (poses, calibration, boxes, and where each cloud begins) and ``scenario.json``.
-"""
+"""A scenario in the cache: ``points.raw`` (all clouds one after the other, 16-bit),
+``pictures.raw``, ``index.npz`` (poses, calibration, boxes, where each cloud begins) and
+``scenario.json``."""
 
 import hashlib
 import json
@@ -30,22 +28,17 @@ RECORD, INDEX, POINTS, PICTURES = "scenario.json", "index.npz", "points.raw", "p
 PART = ".part"
 
 STEPS = 32_640
-"""Steps from 0 to the farthest coordinate of a cloud, or to intensity 1. 16 bits hold 32,767 with a
-sign; 32,640 is 128 × 255, so that intensities of 8 bits are exact. Over a reach of 120 m a step is
-3.7 mm, and the error of at most 1.8 mm is below a tenth of the 20 mm that LiDARs scatter."""
+"""Steps from 0 to the farthest coordinate, or to intensity 1: 128 × 255, so that intensities of 8
+bits are exact. Over 120 m a step is 3.7 mm; LiDARs scatter 20 mm."""
 
 AT_ONCE = 8192
 """Points that are converted at once: their 128 kB stay in a core's cache from step to step."""
 
 
 class ScenarioRecord(Strict):
-    """What ``scenario.json`` says.
-
-    ``source`` is the digest of the scenario that was decoded, ``middle`` that of the intersection
-    on the ground [m] in its world, ``pictures`` their height and width, and ``files`` the size of
-    each file [bytes]. The counts are the largest of a frame: LiDARs, units that have any, cameras,
-    points of a cloud, boxes.
-    """
+    """What ``scenario.json`` says: the digest of its ``source``, the ``middle`` of the intersection
+    in its world [m], the size of ``pictures`` and of ``files`` [bytes], and the largest counts of a
+    frame."""
 
     source: str
     middle: list[float]
@@ -60,8 +53,7 @@ class ScenarioRecord(Strict):
 
 
 class StoredScenario:
-    """A decoded scenario of T frames with S LiDARs and C cameras each. It holds its place alone
-    until its arrays are used, also when it is sent to another process."""
+    """A decoded scenario of T frames, S LiDARs and C cameras; pickled without its arrays."""
 
     def __init__(self, path: Path, split: str) -> None:
         """Raises InspeError if a file is missing, or has another size than when it was written."""
@@ -100,11 +92,10 @@ class StoredScenario:
     def index(self) -> Mapping[str, np.ndarray]:
         """All else, in memory.
 
-        ``number`` (T,) of each frame; ``starts`` (T, S + 1), where each cloud begins and the last
-        ends; ``steps`` (T, S, 4); ``lidar_pose`` (T, S, 4, 4) and ``camera_pose`` (T, C, 4, 4) in
-        the world; ``lidar_unit`` (S,), ``camera_unit`` (C,); ``intrinsic`` (T, C, 3, 3);
-        ``box_starts`` (T + 1,), ``boxes`` (N, 9), ``kind`` (N,), ``track`` (N,), ``returns``
-        (N, S), ``pixels`` (N, C).
+        ``number`` (T,) of each frame; ``starts`` (T, S + 1) of clouds; ``steps`` (T, S, 4);
+        ``lidar_pose`` (T, S, 4, 4) and ``camera_pose`` (T, C, 4, 4) in the world; ``lidar_unit``
+        (S,), ``camera_unit`` (C,); ``intrinsic`` (T, C, 3, 3); ``box_starts`` (T + 1,), ``boxes``
+        (N, 9), ``kind``, ``track`` (N,), ``returns`` (N, S), ``pixels`` (N, C).
         """
         with open_arrays(self.path / INDEX, self._damaged) as file:
             return dict(file)
@@ -134,8 +125,8 @@ class StoredScenario:
 
 
 def digest_of_scenario(scenario: Scenario) -> str:
-    """Identifies what a scenario holds, by its protocol and the names and sizes of its files, the
-    same for a copy. A file that was altered but kept its size is not noticed."""
+    """Identifies a scenario by its protocol and the names and sizes of its files, the same for a
+    copy."""
     found = hashlib.sha256()
     found.update(json.dumps(json_value(scenario.protocol), sort_keys=True, default=str).encode())
     for place, folders, names in os.walk(scenario.path):
@@ -148,11 +139,8 @@ def digest_of_scenario(scenario: Scenario) -> str:
 
 
 def decode(scenario: Scenario, place: Path, source: str, pictures: tuple[int, int] | None) -> int:
-    """Decode a scenario into the folder ``place``, which appears when it is complete.
-
-    ``source`` is its digest; ``pictures`` are resized to (height, width), or left out if None.
-    Gives the number of its frames. Raises InspeError if a file is broken or cannot be written, or
-    frames do not have the same sensors.
+    """Decode a scenario into ``place``, which appears when it is complete; gives the number of its
+    frames. Raises InspeError if a file is broken or cannot be written, or sensors differ by frame.
     """
     part = place.with_name(f".{place.name}{PART}")
     shutil.rmtree(part, ignore_errors=True)
@@ -251,8 +239,7 @@ def _poses(of: Sequence[Scan | Image]) -> Float[np.ndarray, "S 4 4"]:
 def _calibration(
     images: Sequence[Image], size: tuple[int, int], boxes: int
 ) -> dict[str, np.ndarray]:
-    """Matrices of pictures of this size, and how many of their pixels show each road user, −1
-    where the set does not say. (0, 0) is a corner, so both scale with the size."""
+    """Matrices of pictures of this size, and their pixels of each road user, −1 if unknown."""
     intrinsic = np.zeros((len(images), 3, 3))
     pixels = np.full((boxes, len(images)), -1, np.float32)
     for c, image in enumerate(images):
@@ -274,9 +261,8 @@ def _boxes(boxes: Sequence[RoadUserBox]) -> dict[str, np.ndarray]:
 
 
 def _middle(scenario: Scenario, index: dict[str, np.ndarray]) -> list[float]:
-    """The middle of the intersection on the ground [m], as the protocol says; else that of where
-    road users are in all frames, on the median of the bottoms of their boxes; else of the sensors.
-    """
+    """The middle of the intersection on the ground [m]: as the protocol says, else of the road
+    users, on the median of the bottoms of their boxes, else of the sensors."""
     told = scenario.protocol.get("middle")
     if isinstance(told, list) and len(told) == 3:
         return [float(x) for x in told]
@@ -297,12 +283,8 @@ def _middle(scenario: Scenario, index: dict[str, np.ndarray]) -> list[float]:
 def to_steps(
     points: Any, pose: Any, rng: np.random.Generator
 ) -> tuple[Int16[np.ndarray, "N 4"], Float[np.ndarray, "4"]]:
-    """A cloud as stored: steps of x, y, z and intensity, and the size of one step of each.
-
-    ``points`` (N, 4) are in the frame of a LiDAR with this ``pose`` (6,). Stored positions are
-    relative to the LiDAR, along the axes of the world. They are in random order: any stretch of
-    them is a fair sample of the cloud.
-    """
+    """A cloud (N, 4) of a LiDAR with this ``pose`` as stored: steps of x, y, z and intensity, and
+    the size of each. Positions are from the LiDAR, along the axes of the world, in random order."""
     values = np.array(points, np.float64).reshape(-1, 4)
     values[:, :3] = values[:, :3] @ rotation(np.asarray(pose, float)[3:], np).T
     reach = np.abs(values).max(0, initial=1.0)

@@ -1,9 +1,7 @@
-"""What a training depends on; its folder: its record, what each step told, and its last two states.
-
-``run.json`` says what is trained on what. ``losses.csv`` has a row for each step, and
-``validation.csv`` one for each time that mAP was measured. ``step_00000250.eqx`` is the state after
-250 steps: the detector and the optimiser's moments, as Equinox writes them.
-"""
+"""What a training depends on, and its folder: ``run.json`` (what is trained on what),
+``losses.csv`` (a row for each step), ``validation.csv`` (mAP), and the last two states, as
+``step_00000250.eqx``: detector and moments of the optimiser after so many steps, as Equinox writes
+them."""
 
 import functools
 import json
@@ -101,8 +99,7 @@ class Content(Strict):
 
 @functools.cache  # equal ones are the same, so that a step is compiled once for all of them
 def optimiser(steps: int, rate: float) -> Optimiser:
-    """AdamW on cut gradients; its rate rises to ``rate`` and falls once in ``steps`` (Smith and
-    Topin 2019)."""
+    """AdamW on cut gradients; its rate rises and falls once in ``steps`` (Smith and Topin 2019)."""
     rates = optax.cosine_onecycle_schedule(max(steps, FEWEST), rate, RISE)
     cut = optax.clip_by_global_norm(MOST_GRADIENT)
     return optax.chain(cut, optax.adamw(rates, weight_decay=DECAY))
@@ -165,8 +162,7 @@ class TrainingRun:
             path.unlink()
 
     def restore(self) -> tuple[int, State]:
-        """The last state and its step; that before the first step if there is none. Raises
-        InspeError if its file is damaged."""
+        """The last state and its step, or the first one. Raises InspeError if it is damaged."""
         if not self.states:
             # Compiled as one: dispatched one by one, each shape of weights would be compiled.
             return 0, eqx.filter_jit(self._first)()
@@ -200,9 +196,8 @@ class TrainingRun:
 
 @contextmanager
 def begun(folder: str | os.PathLike[str], content: Content) -> Iterator[TrainingRun]:
-    """A run in ``folder``, new or begun before with the same content, locked while it is trained.
-    What a kill left unfinished goes. Raises InspeError if another process trains it, or if the
-    folder has another run, saying what is different, or other files."""
+    """A run in ``folder``, new or begun with the same content, locked while it is trained. Raises
+    InspeError if another process trains it, or the folder has another run or other files."""
     path = prepare_folder(folder).resolve()
     if not (path / RECORD).is_file():  # a new one, but for a teacher, and what a kill left
         names = (child.name for child in path.iterdir() if child.suffix != ".part")

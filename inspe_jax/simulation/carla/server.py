@@ -35,9 +35,8 @@ def plain_errors(server: Server) -> Iterator[None]:
 
 @dataclass(eq=False)
 class CarlaSession:
-    """A connected client, its world, and what has to be restored there at the end: ``settings`` and
-    ``weather`` of before, the ids of spawned ``actors``, the sensors ``listening`` among them, and
-    the ids of parked vehicles that were ``hidden``."""
+    """A connected client, its world, and what is restored at the end: settings, weather, spawned
+    actors, sensors that listen, and parked vehicles that were hidden."""
 
     carla: Any
     client: Any
@@ -62,8 +61,7 @@ class CarlaSession:
         return actor
 
     def command(self, commands: list[Any]) -> list[int]:
-        """Run commands as a batch; gives the ids of their actors, which may be new. Raises
-        InspeError, after the whole batch, if a command failed."""
+        """Run a batch of commands; gives the ids of actors. Raises InspeError if one failed."""
         if not commands:
             return []
         replies = self.client.apply_batch_sync(commands, False)
@@ -98,13 +96,9 @@ class CarlaSession:
 def session_on(
     server: Server, place: Intersection, rate: float, conditions: Conditions
 ) -> Iterator[CarlaSession]:
-    """A session on the map of an intersection, where every tick is 1 / ``rate`` seconds long.
-
-    The server is in synchronous mode: it waits for each tick. Vehicles that are parked there as
-    part of the map are hidden, because frames have no boxes for them. Actors, settings and weather
-    are restored when the block ends, in whichever way. Raises InspeError where no server answers,
-    its version is not the client's, it does not have the map, or other traffic is there.
-    """
+    """A session on the map of an intersection, in ticks of 1 / ``rate`` seconds. Vehicles parked
+    there, of which frames have no boxes, are hidden. Everything is restored when the block ends.
+    Raises InspeError where no server answers, or version, map or traffic do not fit."""
     if not place.source.endswith(_OPENDRIVE):
         raise InspeError(
             f"{place.name}: its source is {place.source}, which a CARLA server cannot show; read "
@@ -143,9 +137,8 @@ def session_on(
 
 
 def weather_of(carla: Any, conditions: Conditions) -> Any:
-    """CARLA's weather parameters; the sun stands where it does for the embedded recorder. Rain of
-    10 mm/h becomes 63 %, between CARLA's presets of medium (60 %) and hard rain (100 %). Fog with
-    a visual range of 200 m becomes 26 %, and with 50 m 70 %, equally dense at all heights."""
+    """CARLA's weather, under the embedded recorder's sun. Rain of 10 mm/h is 63 %, between its
+    medium (60 %) and hard rain (100 %); fog of 200 m is 26 %, of 50 m 70 %."""
     light, strength = LIGHTS[conditions.light], conditions.intensity or 0.0
     weather = dict(cloudiness=10.0, wind_intensity=10.0)
     if conditions.weather == "rain":

@@ -1,5 +1,4 @@
-"""The scene's road users as CARLA's actors: one per track, of its class, and close to its size,
-without physics. The boxes in frames are the server's, at the places that the server reports."""
+"""The scene's road users as CARLA's actors without physics, of each class, and close in size."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -19,8 +18,8 @@ SPAWN_HEIGHT = 300.0
 """Actors are spawned this high above the junction [m], in free air, and then moved down."""
 SPAWN_GAP = 8.0  # vertical distance between actors that are spawned together [m]
 SIZE_TOLERANCE = 0.1
-"""A blueprint may be used if its error in size is at most this much larger than the best one's. The
-error is the largest absolute logarithm of the ratios of length, width and height."""
+"""Blueprints may be used whose error (of the logarithm of a side) is this much beyond the best's.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,9 +32,8 @@ class ActorBody:
 
 
 class Actors:
-    """The actors that stand for the road users of the current frame. ``lights`` switches the
-    vehicles' lights on; ``seed`` decides blueprints and colours. Raises InspeError where the server
-    has no blueprint for a class of the traffic."""
+    """The actors of the current frame's road users. ``seed`` decides blueprints and colours. Raises
+    InspeError where the server has no blueprint for a class of the traffic."""
 
     def __init__(
         self, session: CarlaSession, traffic: TrafficFrames, lights: bool, seed: int
@@ -146,8 +144,8 @@ def _origin(
 
 
 def body_of(name: str, box: Any, usual: Float[np.ndarray, "3"]) -> ActorBody:
-    """A blueprint's body, from the bounding box of an actor. ``usual`` is the size to take where
-    the box has none [m]."""
+    """A blueprint's body, from an actor's bounding box; of ``usual`` size [m] where the box has
+    none."""
     middle, half = (np.array([v.x, v.y, v.z]) for v in (box.location, box.extent))
     middle, half = whole_box(middle, half, usual)
     return ActorBody(name, flip(middle), 2 * half)

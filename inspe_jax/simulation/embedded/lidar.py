@@ -1,5 +1,4 @@
-"""A LiDAR in a world of triangles: a ray of every channel at every azimuth, in one turn per frame,
-which is centred on the frame's time; road users move meanwhile."""
+"""A LiDAR in a world of triangles: one turn per frame, centred on its time; road users move."""
 
 from typing import NamedTuple
 
@@ -20,8 +19,7 @@ SECTORS = 12
 
 
 class Returns(NamedTuple):
-    """What R rays hit before noise is added, channel by channel: the distance [m], infinite where
-    nothing was hit, and the index of the road user, −1 for the static world or nothing."""
+    """What R rays hit before noise is added: distance [m], and index of the road user, or −1."""
 
     distance: Float[np.ndarray, " R"]
     box: Int[np.ndarray, " R"]

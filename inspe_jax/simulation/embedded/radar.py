@@ -1,15 +1,11 @@
 """A radar in a world of triangles: echoes of road users with their radial speeds.
 
-1. Rays that fill the beam are cast at the frame's time. Each that meets a road user adds to an echo
-   as the radar equation has it (:mod:`inspe_jax.scoring.radar_evidence`).
-2. What has less radial speed than the radar finds is left out, and so is all that always stands.
-3. Rays in one cell of range, azimuth and radial speed make one echo, which is found with the chance
-   that its strength gives.
-4. Its place is the mean of its rays, and its speed, each with the noise of a cell that is hit
-   anywhere: a twelfth of the square of the resolution.
+1. Rays that fill the beam meet road users, and each adds to an echo as the radar equation has it
+   (:mod:`inspe_jax.scoring.radar_evidence`), unless it is slower than the radar finds.
+2. Rays in one cell of range, azimuth and radial speed make one echo, found with its chance.
+3. Its place and speed are the mean of its rays, with the noise of a cell that is hit anywhere.
 
-Echoes by way of walls and the road, and false alarms, are left out. A point has the elevation of
-its rays, as of a radar that measures it. Echoes are not grouped into objects: a near car has tens.
+Echoes by way of walls and the road, and false alarms, are left out; a near car has tens of echoes.
 """
 
 import numpy as np

@@ -30,8 +30,7 @@ SENSORS: dict[str, Callable[[Any, Pose6, Surroundings], SimulatedSensor]] = {
     "lidar": Lidar,
     "radar": Radar,
 }
-"""What simulates each ``kind`` of a spec: called with the spec, the pose in the world and the
-surroundings. To add a kind, add a row."""
+"""What simulates each ``kind`` of a spec. To add a kind, add a row."""
 
 
 def simulated_sensor(spec: Any, pose: Pose6, surroundings: Surroundings) -> SimulatedSensor:
@@ -77,12 +76,8 @@ class EmbeddedRecorder:
 
 
 class LiveSensor:
-    """One sensor of a layout, recorded wherever it is held: what a person sees who drags it.
-
-    At its own pose it records what :class:`EmbeddedRecorder` records with it. Elsewhere its unit
-    has no mast, and all else stays where the layout has it. Parameters and errors are those of
-    :class:`EmbeddedRecorder`; ``s`` is the sensor's place in the layout.
-    """
+    """Sensor ``s`` of a layout, recorded wherever it is held. At its own pose it records what
+    :class:`EmbeddedRecorder` does, with the same errors; elsewhere its unit has no mast."""
 
     def __init__(
         self,

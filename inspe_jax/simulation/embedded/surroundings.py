@@ -18,13 +18,9 @@ BELOW = 2.5
 
 
 class Surroundings:
-    """The world around a layout's sensors in a scene, its light, and what is to be recorded.
-
-    There is a mast for each unit, except for the unit ``mastless``. ``appearance_seed`` is that of
-    the road users' shapes and colours, also of those that are ``parked`` in all frames. ``ground``
-    is where headlights are followed, None by day. Raises InspeError where the recording is not
-    valid, or Embree is missing.
-    """
+    """The world around a layout's sensors in a scene, its light, and what is to be recorded. There
+    is a mast for each unit but ``mastless``. ``ground`` is where headlights are followed, None by
+    day. Raises InspeError where the recording is not valid, or Embree is missing."""
 
     def __init__(
         self,

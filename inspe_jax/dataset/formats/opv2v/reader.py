@@ -58,12 +58,10 @@ def frame_of(
 ) -> Frame:
     """A frame of a scenario; pictures and points are read when they are first used.
 
-    Its boxes are those of all ``agents`` together, in the order of their tracks. Where agents
-    differ in one, the first agent that lists it is taken. Where files hold the speed of a road
-    user alone, it is taken to move the way it faces; roll and pitch of its box are left out. A
-    camera without its picture is left out, too, and so is one that only fills up an agent's.
-    Raises InspeError where there is no such frame, or a file is broken: for pixels and points, only
-    when they are used.
+    Of a road user, the first agent that lists it is taken. One whose speed alone is given moves the
+    way it faces; roll and pitch of boxes are left out, and so is a camera without a picture or one
+    that only fills up an agent's. Raises InspeError where there is no such frame, or a file is
+    broken.
     """
     if not agents:
         raise InspeError(f"{scenario}: not a scenario: it has no folder of an agent, as -1")
@@ -103,9 +101,8 @@ def _frame_file(agent: Path, number: int) -> Path:
 
 
 def _content(path: Path, known: dict[bytes, dict[str, Any]]) -> dict[str, Any]:
-    """What a frame's YAML file holds. Most of it is road users, the same for every agent: this text
-    is parsed once, and ``known`` keeps it. A file that cannot be divided so, because it is broken
-    or an anchor in one half is used in the other, is parsed as a whole."""
+    """What a frame's YAML file holds. The text of road users, the same for every agent, is parsed
+    once and kept in ``known``. A file with anchors across both halves is parsed as a whole."""
     check_input(path, YAML)
     text = path.read_bytes()
     head, mark, tail = text.partition(_BOXES)
@@ -136,8 +133,8 @@ def _numbers(
 
 
 def _boxes(contents: list[dict[str, Any]], files: list[Path]) -> Boxes:
-    """The boxes that all agents list, each track once. The sections of one kind come before
-    ``vehicles``, which does not say the kind."""
+    """The boxes that all agents list, each track once; ``vehicles``, which does not say the kind,
+    last."""
     found: dict[int, RoadUserBox] = {}
     places = [*((section, kind) for kind, section in SECTIONS.items()), ("vehicles", "car")]
     for content, path in zip(contents, files, strict=True):
@@ -201,8 +198,7 @@ Counts = Mapping[str, Float[np.ndarray, "K B"]]
 
 
 def _observed(content: Mapping[str, Any], agent: int, records: str, boxes: Boxes) -> Counts:
-    """What an agent's scans or images recorded of each road user, as far as the file says it. A
-    section ``observed`` of another shape is another one's, and is left out."""
+    """What an agent's scans or images recorded of each road user; other shapes are left out."""
     observed = content.get("observed")
     found = dict[str, np.ndarray]()
     for key, of, field, decimals in OBSERVED:

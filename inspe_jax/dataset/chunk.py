@@ -2,7 +2,6 @@
 
 import multiprocessing
 import threading
-from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -69,7 +68,7 @@ class Outcome:
 
 @dataclass
 class WorkerState:
-    """The recorder that a worker process has open. Once ``closing``, it records no further frame."""
+    """The recorder that a worker process has open. Once ``closing``, no frame is begun."""
 
     key: str = ""
     recorder: Recorder | None = None
@@ -137,7 +136,10 @@ def work(scene: Scene | str, chunk: Chunk) -> Outcome:
     notes, options = tuple[str, ...](), chunk.plan.files
     try:
         with FileLock(chunk.lock):
-            for t in _missing(chunk):
+            sender = multiprocessing.parent_process()
+            for t in sorted({*chunk.frames} - set(recorded_frames(chunk.folder))):
+                if sender is not None and not sender.is_alive():
+                    break
                 with _recording:
                     if _worker.closing:
                         break
@@ -166,12 +168,3 @@ def close() -> None:
     _worker.closing = True
     with _recording:
         _worker.close()
-
-
-def _missing(chunk: Chunk) -> Iterator[int]:
-    """Frames of a chunk that are not written yet; stops when the sending process is gone."""
-    sender = multiprocessing.parent_process()
-    for t in sorted({*chunk.frames} - set(recorded_frames(chunk.folder))):
-        if sender is not None and not sender.is_alive():
-            return
-        yield t

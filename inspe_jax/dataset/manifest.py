@@ -46,9 +46,6 @@ class Fault:
         return f"{self.path}: {self.what}"
 
 
-# ── Writing ─────────────────────────────────────────────────────────────────
-
-
 def record_frame(folder: Path, number: int, files: Iterable[Path]) -> None:
     """Record the files of a frame that has been written. Its record is its last file."""
     record = folder / RECORDS / f"{number:06d}.json"
@@ -88,9 +85,6 @@ def _measured(folder: Path, files: Iterable[Path]) -> Files:
 
 def _write(path: Path, content: Mapping[str, Any]) -> None:
     write_text(path, json.dumps(content, indent=1) + "\n")
-
-
-# ── Reading and comparing ───────────────────────────────────────────────────
 
 
 def manifest_of(folder: Path) -> tuple[Manifest | None, list[Fault]]:
@@ -171,9 +165,6 @@ def _files(content: Any, where: Path) -> Files:
             case _:
                 raise InspeError(f"{where}: {path}: must be the size and the digest of a file")
     return found
-
-
-# ── A whole set ─────────────────────────────────────────────────────────────
 
 
 @dataclass(frozen=True)

@@ -145,9 +145,6 @@ class Generation:
         return {split: tuple(plan for plan in plans if plan.split == split) for split in SPLITS}
 
 
-# ── The file ────────────────────────────────────────────────────────────────
-
-
 class Settings(WorldSettings):
     """The section ``settings`` of the file."""
 
@@ -281,9 +278,6 @@ def saved_seconds(
 
 def _seed(key: str) -> int:
     return int(key[:8], 16) >> 1  # a seed is below 2³¹
-
-
-# ── Names and splits ────────────────────────────────────────────────────────
 
 
 def _named(plans: list[ScenarioPlan]) -> list[ScenarioPlan]:

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from inspe_jax.core.errors import InspeError, nearest
+from inspe_jax.core.errors import check_known
 from inspe_jax.dataset.loading import Batch, Cache, Loader
 from inspe_jax.dataset.loading.loader import Sensor
 from inspe_jax.perception import encoders, fusion
@@ -70,8 +70,7 @@ without delay or warps, and the mean over agents. CoAlign has no pose graph."""
 
 def model_of(name: str) -> Model:
     """The row of a name. Raises InspeError, which lists the models, for another one."""
-    if name not in MODELS:
-        raise InspeError(f"no model '{name}': {', '.join(MODELS)}{nearest(name, tuple(MODELS))}")
+    check_known(name, MODELS, "model")
     return MODELS[name]
 
 
@@ -152,8 +151,6 @@ def parameters(detector: Detector) -> int:
     """Number of parameters."""
     return sum(leaf.size for leaf in jax.tree.leaves(eqx.filter(detector, eqx.is_inexact_array)))
 
-
-# ── In frames ───────────────────────────────────────────────────────────────
 
 LEAST_SCORE = 0.01
 """Detections with a lower score are dropped; nuScenes counts nothing below a precision of 0.1."""

@@ -46,8 +46,6 @@ def _scales(grid: PillarGrid) -> Float[Array, "1 1 1 1 9"]:
     return jnp.asarray(np.array(scales + [2 / grid.cell] * 2, np.float32))[None, None, None, None]
 
 
-# ── Maps at three scales ────────────────────────────────────────────────────
-
 WIDTHS = (64, 96, 128)
 """Channels at a half, a quarter and an eighth of the side: PointPillars' 64, 128, 256 take thrice
 as long."""
@@ -93,8 +91,6 @@ class Neck(eqx.Module):
         parts = [enlarged(level(x), 2**k) for k, (level, x) in enumerate(pairs)]
         return self.smooth(sum(parts[1:], parts[0]))
 
-
-# ── Pictures ────────────────────────────────────────────────────────────────
 
 STEM = (16, 24)
 """Channels at a half and a quarter of the sides. EfficientNet's inverted residuals there would take
@@ -199,8 +195,6 @@ def _beside(
     high, wide = finer.shape[1:3]
     return jnp.concatenate([finer, enlarged(coarser, 2)[:, :high, :wide]], -1)
 
-
-# ── Lift, splat ─────────────────────────────────────────────────────────────
 
 FEATURES = 32  # channels of a picture's cells before they are lifted
 HEIGHTS = np.array([-2.4, -1.6, -0.8, -0.2, 0.2, 0.6, 1.0, 1.4, 1.8, 2.6], np.float32)

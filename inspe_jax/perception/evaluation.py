@@ -73,9 +73,6 @@ def within(detections: Detections, half: float) -> Detections:
     return Detections(*(part[kept] for part in detections))
 
 
-# ── The measures ────────────────────────────────────────────────────────────
-
-
 class NoTruth(InspeError):
     """Frames without a road user: there is nothing to find, and no mAP."""
 
@@ -197,9 +194,6 @@ def matched(
 def _by_score(score: Float[np.ndarray, " N"]) -> Int[np.ndarray, " N"]:
     """Indices by falling score. Of equal scores, the last comes first, as in nuScenes' code."""
     return np.argsort(score, kind="stable")[::-1]
-
-
-# ── Tables ──────────────────────────────────────────────────────────────────
 
 
 def evaluation_table(found: Evaluation, note: str = "") -> Table:

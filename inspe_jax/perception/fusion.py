@@ -42,8 +42,6 @@ class AttFuse(Mean):
         return mean_of(jnp.moveaxis(found[..., 0, :], 3, 1), present)
 
 
-# ── DiscoNet ────────────────────────────────────────────────────────────────
-
 EDGES = (32, 8)  # channels of the edges' network. DiscoNet has 128, 32 and 8
 
 
@@ -68,8 +66,6 @@ class DiscoNet(eqx.Module):
         scores = jnp.where(present[:, None, :, None, None], scores, -jnp.inf)
         return mean_of(jnp.einsum("bijhw,bjhwc->bihwc", jax.nn.softmax(scores, 2), x), present)
 
-
-# ── V2VNet ──────────────────────────────────────────────────────────────────
 
 ROUNDS = 2
 
@@ -119,9 +115,6 @@ class V2VNet(eqx.Module):
             heard = jnp.einsum("bijhwc,bij->bihwc", messages, weight)
             state = self.unit(heard, state)
         return mean_of(state, present)
-
-
-# ── Attention by modality, and within windows ───────────────────────────────
 
 
 def to_windows(x: Map, side: int, *, sparse: bool = False) -> Float[Array, "*n m t c"]:
@@ -200,8 +193,6 @@ class HeterogeneousAttention(eqx.Module):
         return jnp.einsum("bamtc,acd->bamtd", found, self.outputs[kinds])
 
 
-# ── HM-ViT ──────────────────────────────────────────────────────────────────
-
 HM_HEADS = 2
 HM_SIDE = 4  # cells along the side of a window and of a sparse grid
 
@@ -246,8 +237,6 @@ class HMViT(eqx.Module):
             x = block(x, present)
         return mean_of(x, present)
 
-
-# ── V2X-ViT ─────────────────────────────────────────────────────────────────
 
 V2X_LAYERS = 3
 V2X_HEADS = 4

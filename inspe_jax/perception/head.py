@@ -73,8 +73,6 @@ def focal_loss(heat: Heat, aim: Heat, mask: Bool[Array, "*m"]) -> Float[Array, "
     return per_road_user(jnp.where(aim == 1, right, wrong).sum(), mask)
 
 
-# ── The head ────────────────────────────────────────────────────────────────
-
 HIDDEN = 32
 VALUES = 8
 
@@ -203,8 +201,6 @@ def peaks(found: HeadOutput, grid: BevGrid) -> Peaks:
     still = jnp.zeros((*yaw.shape[:-1], 2))
     return Peaks(jnp.concatenate([place, values[..., 2:3], size, yaw, still], -1), kind, score)
 
-
-# ── Heat on pictures ────────────────────────────────────────────────────────
 
 LEAST_PIXELS = 4
 """Pixels that show a road user who is to be found on a picture: a quarter of a cell's."""

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from inspe_jax.core.errors import InspeError, check_known
+from inspe_jax.core.records import check_values
 from inspe_jax.scene.scene import Scene
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.sensing.signals import ATTENUATION, LidarNoise
@@ -43,13 +44,8 @@ class Recording:
         """Raise InspeError where a value is out of range."""
         if not (np.isfinite(self.rate) and self.rate > 0):
             raise InspeError(f"rate {self.rate} Hz is out of range: above 0")
-        if self.image_size is not None and not all(1 <= n <= MOST_PIXELS for n in self.image_size):
-            raise InspeError(
-                f"image_size {list(self.image_size)} is out of range: width and height, each 1 to "
-                f"{MOST_PIXELS}"
-            )
-        if not (np.isfinite(self.turn) and 0 <= self.turn <= 1):
-            raise InspeError(f"turn {self.turn} s is out of range: 0 to 1")
+        check_values(self.image_size or 1, "image_size", 1, MOST_PIXELS)
+        check_values(self.turn, "turn [s]", 0, 1)
         for name in self.layers:
             check_known(name, LAYERS, "layer")
 

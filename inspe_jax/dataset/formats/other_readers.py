@@ -10,8 +10,9 @@ from jaxtyping import Float, UInt8
 from PIL import Image as Pillow
 from PIL import ImageDraw
 
-from inspe_jax.core.errors import InspeError, check_known
+from inspe_jax.core.errors import check_known
 from inspe_jax.core.geometry import rotation
+from inspe_jax.core.records import check_values
 from inspe_jax.dataset.formats.pictures import SUFFIXES
 from inspe_jax.scene.voxels import VoxelGrid
 from inspe_jax.simulation.frame import Image, RoadUserBox, Station
@@ -39,11 +40,7 @@ class FileOptions:
     def check(self, where: str) -> None:
         """Raise InspeError where a value is out of range."""
         check_known(self.pictures, SUFFIXES, f"{where}: pictures:")
-        if not 0 <= self.cameras_per_agent <= MOST_CAMERAS:
-            raise InspeError(
-                f"{where}: cameras_per_agent: {self.cameras_per_agent} is out of range: 1 to "
-                f"{MOST_CAMERAS}, or 0 for as many as there are"
-            )
+        check_values(self.cameras_per_agent, f"{where}: cameras_per_agent", 0, MOST_CAMERAS)
 
 
 DEFAULT_OPTIONS = FileOptions()

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
 
-from inspe_jax.core.errors import InspeError, nearest
+from inspe_jax.core.errors import InspeError, check_known
 from inspe_jax.core.files import check_model, prepare_folder, read_json, write_text
 from inspe_jax.core.parallel import cores
 from inspe_jax.dataset.folders import Dataset, Scenario, open_dataset, split_folders, subfolders
@@ -57,11 +57,8 @@ class Cache:
 
     def split(self, name: str) -> tuple[StoredScenario, ...]:
         """The scenarios of a split. Raises InspeError, which lists the splits, for another name."""
-        splits = self.splits
-        if name not in splits:
-            hint = nearest(name, tuple(splits))
-            raise InspeError(f"{self.path}: no split '{name}': there is {', '.join(splits)}{hint}")
-        return splits[name]
+        check_known(name, self.splits, f"{self.path}: split")
+        return self.splits[name]
 
 
 def cache(

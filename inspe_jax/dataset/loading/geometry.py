@@ -8,6 +8,7 @@ from jaxtyping import Float
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.geometry import rotation
+from inspe_jax.core.records import check_values
 from inspe_jax.simulation.frame import Picture
 
 
@@ -109,10 +110,8 @@ class Augment:
 
     def check(self) -> None:
         """Raise InspeError where a value is out of range."""
-        if not 0 <= self.flip <= 1:
-            raise InspeError(f"augment: flip {self.flip}: a chance, 0 to 1")
-        if not 0 <= self.turn <= np.pi:
-            raise InspeError(f"augment: turn {self.turn}: 0 to π, in radians")
+        check_values(self.flip, "augment: flip", 0, 1)
+        check_values(self.turn, "augment: turn [rad]", 0, np.pi)
         low, high = self.scale
         if not 0 < low <= high < np.inf:
             raise InspeError(f"augment: scale {self.scale}: two numbers above 0, the smaller first")

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from inspe_jax.core.errors import InspeError
+from inspe_jax.core.records import check_values
 from inspe_jax.dataset.loading.batch import Pillars
 
 
@@ -51,8 +52,7 @@ class PillarGrid:
         if not self.low < self.high:
             raise InspeError(f"pillars: low {self.low} m must be below high {self.high} m")
         for name in ("most_points", "most_pillars"):
-            if getattr(self, name) < 1:
-                raise InspeError(f"pillars: {name} {getattr(self, name)}: must be 1 or more")
+            check_values(getattr(self, name), f"pillars: {name}", 1)
 
     def empty(self, *leading: int) -> Pillars:
         """Arrays without a point, with these leading axes."""

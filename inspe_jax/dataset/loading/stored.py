@@ -121,9 +121,6 @@ class StoredScenario:
         return f"is missing or damaged: delete {self.path} and cache it again"
 
 
-# ── Decoding ────────────────────────────────────────────────────────────────
-
-
 def digest_of_scenario(scenario: Scenario) -> str:
     """Identifies a scenario by its protocol and the names and sizes of its files, the same for a
     copy."""
@@ -275,9 +272,6 @@ def _middle(scenario: Scenario, index: dict[str, np.ndarray]) -> list[float]:
     elif len(poses):
         middle[:2] = (poses[:, :2, 3].min(0) + poses[:, :2, 3].max(0)) / 2
     return middle.tolist()
-
-
-# ── Points ──────────────────────────────────────────────────────────────────
 
 
 def to_steps(

@@ -242,9 +242,6 @@ def _step(line: str) -> float:
     return int(first) if more and first.isdigit() else float("inf")
 
 
-# ── The data set ────────────────────────────────────────────────────────────
-
-
 def agents_of(cache: Cache) -> Agents:
     """The most units with LiDARs, and with cameras, that a scenario of a cache has."""
     lidars = max(each.record.lidar_units for each in cache.scenarios)

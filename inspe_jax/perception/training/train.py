@@ -210,9 +210,6 @@ def _validate(cache: Cache, run: TrainingRun, predictor: Predictor, step: int) -
     return found.mean_ap
 
 
-# ── Many at once, on Dask workers ───────────────────────────────────────────
-
-
 @dataclass(frozen=True)
 class Training:
     """A detector to be trained on the cache in the folder ``data``; its run is in ``folder``."""

@@ -99,8 +99,6 @@ class Wire:
                     self.world.tick_cue()
                     self.publish()
 
-    # -- Calls ---------------------------------------------------------------------------------
-
     def answer(self, message: list, connection: socket.socket) -> None:
         """Replies first, and publishes the frame afterwards, as CARLA does."""
         _, number, name, (_, *arguments) = message
@@ -116,8 +114,6 @@ class Wire:
             connection.sendall(msgpack.packb([1, number, None, reply]))
             if self.world.ticked:
                 self.publish()
-
-    # -- Frames --------------------------------------------------------------------------------
 
     def gather(self) -> None:
         """Waits until all clients that asked for a stream have connected to it."""
@@ -159,8 +155,6 @@ class Wire:
         for actor in world.actors.values():
             body += struct.pack("<IB6f", actor.number, 1, *actor.pose) + bytes(36 + 54)
         return self.header("snapshot", (0.0,) * 6) + body
-
-    # -- Streams -------------------------------------------------------------------------------
 
     def token(self, stream: int) -> bytes:
         return struct.pack("<IHBB4B12x", stream, self.stream_port, 1, 1, 127, 0, 0, 1)

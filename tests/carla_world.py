@@ -83,8 +83,6 @@ class World:
         self.actors: dict[int, Actor] = {}
         self.spectator = self.add(SPECTATOR, [0, "spectator", []], (0.0, 0.0, 10.0, 0.0, 0.0, 0.0))
 
-    # -- Episode -------------------------------------------------------------------------------
-
     def version(self) -> str:
         return self.release
 
@@ -110,8 +108,6 @@ class World:
 
     def query_lights_state(self, client: str) -> list:
         return []
-
-    # -- Map -----------------------------------------------------------------------------------
 
     def get_available_maps(self) -> list[str]:
         return [f"/Game/Carla/Maps/{name}" for name in self.maps]
@@ -162,8 +158,6 @@ class World:
         found = bool(far[0] * np.linalg.norm(along) <= reach)
         where = (start + far[0] * along).tolist() if found else start
         return [found, [where, boxes[which[0]].tag if which[0] >= 0 else GROUND]]
-
-    # -- Actors --------------------------------------------------------------------------------
 
     def get_actor_definitions(self) -> list:
         return definitions()
@@ -223,8 +217,6 @@ class World:
             return self.spawn_actor(*arguments[:2])[0]
         getattr(self, COMMANDS[kind])(*arguments)
         return arguments[0]
-
-    # -- Time ----------------------------------------------------------------------------------
 
     @property
     def step(self) -> float:

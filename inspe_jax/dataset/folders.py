@@ -63,8 +63,8 @@ class Dataset:
         return tuple(scenario for split in self.splits.values() for scenario in split)
 
     def scenario(self, name: str | None = None) -> Scenario:
-        """A scenario by its name or ``SPLIT/NAME``, or the only one if no name is given. Raises
-        InspeError, which lists the scenarios, if none or several have the name."""
+        """A scenario by its name or ``SPLIT/NAME``, or the only one. Raises InspeError that lists
+        them."""
         named = {
             f"{split}/{scenario.name}": scenario
             for split, scenarios in self.splits.items()

@@ -159,13 +159,9 @@ def record_of(generation: Generation, backend: str) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class GenerationResult:
-    """The result of a run.
-
-    ``scenarios`` and ``frames`` are complete now; ``size`` is that of all files [bytes]. This run
-    ``recorded`` so many frames in ``seconds``. By the name of the scenario, ``failures`` says why
-    it could not be generated, ``notes`` what was not recorded in this run as its layout has it, and
-    ``repaired`` what was wrong with its files, if it was complete before.
-    """
+    """The result of a run: ``scenarios`` and ``frames`` that are complete now, ``size`` of all
+    files [bytes], frames ``recorded`` in ``seconds``; and by scenario, ``failures``, ``notes`` on
+    what was not recorded as the layout has it, and ``repaired`` faults of its files."""
 
     folder: Path
     scenarios: int

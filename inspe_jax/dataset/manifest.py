@@ -169,11 +169,8 @@ def _files(content: Any, where: Path) -> Files:
 
 @dataclass(frozen=True)
 class Check:
-    """The result of a check.
-
-    ``scenarios``, ``files`` and ``size`` [bytes] are those with a manifest. ``faults`` are what is
-    wrong with them; ``unknown`` are scenarios without a manifest, of which nothing can be said.
-    """
+    """The result of a check: ``scenarios``, ``files`` and ``size`` [bytes] with a manifest, their
+    ``faults``, and ``unknown`` scenarios without one."""
 
     scenarios: int
     files: int

@@ -161,7 +161,7 @@ _Proportion = Annotated[float, Field(ge=0)]
 
 
 class RecordingEntry(Strict):
-    """The keys of the file that concern the recording; the last four are :class:`FileOptions`."""
+    """Keys that concern the recording and, the last four, :class:`FileOptions`."""
 
     rate_hz: Annotated[float, Field(gt=0, le=1000)] = 10.0
     # Beside pictures.

@@ -115,13 +115,10 @@ def _without_none(content: Mapping[str, Any]) -> dict[str, Any]:
 def load_generation(
     path: str | os.PathLike[str], files: str | os.PathLike[str] | None = None
 ) -> Generation:
-    """Read the plan of a data set: a study file, see :mod:`inspe_jax.dataset.plan`, or the
-    ``data_protocol.yaml`` of a scenario, which is the plan of this scenario alone.
-
-    The map or the saved scene that a protocol names is searched in the folder ``files`` if given,
-    otherwise in the protocol's folder and the two above it; then in the current folder. Raises
-    InspeError that names the file, the key and what is allowed.
-    """
+    """Read the plan of a data set: a study file, see :mod:`inspe_jax.dataset.plan`, or the protocol
+    of a scenario, which is the plan of this scenario alone. Its map or saved scene is searched in
+    ``files`` if given, else in its folder and the two above it; then in the current folder. Raises
+    InspeError that names the file, the key and what is allowed."""
     path = Path(path)
     content = sources.read_study(path)
     if "world" not in content:

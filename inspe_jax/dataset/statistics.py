@@ -76,13 +76,9 @@ class Band:
 
 @dataclass(frozen=True, eq=False)
 class Statistics:
-    """The statistics of a data set.
-
-    ``boxes`` of each class count once per frame. ``crowd`` is the number of road users in each of F
-    frames; ``cameras`` and ``lidars`` are the smallest and the largest number in a frame.
-    ``agents`` are those of each scenario; ``towns`` are the different maps, None where a protocol
-    does not say it.
-    """
+    """The statistics of a data set: ``boxes`` of each class count once per frame; ``crowd`` is the
+    number of road users in each of F frames; ``cameras`` and ``lidars`` are the least and the most
+    in a frame; ``agents`` are of each scenario; ``towns`` are the maps, None where unknown."""
 
     path: Path
     splits: tuple[Split, ...]
@@ -121,11 +117,8 @@ class Statistics:
 def statistics(
     given: Dataset | str | os.PathLike[str], progress: Callable[[int, int], None] | None = None
 ) -> Statistics:
-    """Count the content of a data set, frame by frame. Pictures are not read.
-
-    ``progress`` is called with the number of frames done and the number of all frames. Raises
-    InspeError if there is no such data set, it has no frame, or one of its files is broken.
-    """
+    """Count the content of a data set; ``progress`` is called with (frames done, all). Raises
+    InspeError if there is no such data set, it has no frame, or a file is broken."""
     data = given if isinstance(given, Dataset) else open_dataset(given)
     total_frames = sum(len(scenario.frames) for scenario in data.scenarios)
     if not total_frames:

@@ -17,7 +17,6 @@ from inspe_jax.dataset.figure import statistics_view
 from inspe_jax.dataset.frame_figure import frame_view
 from inspe_jax.dataset.statistics import bands, statistics
 from inspe_jax.dataset.tables import frame_table, statistics_record, statistics_table
-from inspe_jax.simulation.frame import KINDS
 
 BEHIND = car(2, kind="truck", center=np.array([-20.0, 0.0, 2.0]), size=np.array([9.0, 2.5, 4.0]))
 
@@ -84,21 +83,6 @@ def test_sets_without_point_clouds_or_road_users(tmp_path):
     assert "pedestrian" in panels(missed)
     assert "car" not in panels(blind)
     assert "The data set has no point clouds" in words(blind)
-
-
-def test_boxes_are_where_the_calibration_puts_them(scenario):
-    """As in test_projection. The box behind the camera is not on the picture."""
-    fig = frame_view(scenario, 3)
-    (ax,) = panels(fig)["station 1, camera 0: 1 box"]
-    lines = [line for drawn in ax.collections for line in drawn.get_segments()]
-    assert len(lines) == 12
-    ends = np.concatenate(lines)
-    for corner in ([387.5, 350], [412.5, 350], [387.5, 375], [412.5, 375]):
-        assert (np.abs(ends - corner).max(1) < 1e-4).sum() == 3
-    colors = {to_hex(c) for drawn in ax.collections for c in drawn.get_colors()}
-    assert colors == {CLASS_COLORS[KINDS.index("car")]}
-    assert ax.get_xlim() == (0, 800)
-    assert ax.get_ylim() == (600, 0)
 
 
 def test_boxes_that_no_pixel_shows_are_dotted(tmp_path):

@@ -17,8 +17,6 @@ from inspe_jax.dataset.formats.registry import FORMATS, DatasetFormat
 from inspe_jax.dataset.generate import DatasetWriter
 from inspe_jax.dataset.plan import make_generation
 
-# ---- the toy format: a frame is one pickle -----------------------------------------------------
-
 
 def toy_agents(folder: Path) -> tuple[int, ...]:
     frames = toy_frames(folder, ())
@@ -53,9 +51,6 @@ def generation(folder: Path, **changes) -> Generation:
     settings = dict(radius=15, voxel=2, density=5, seconds=1.4)
     content = dict(scenes=[{"built_in": "four_way"}], layouts=["Cam-d1/L-d1"], settings=settings)
     return make_generation(content | changes, folder)
-
-
-# ---- what works then -----------------------------------------------------------------------
 
 
 def test_frames_are_read_back_as_they_were_written(tmp_path):

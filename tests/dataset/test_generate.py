@@ -352,13 +352,3 @@ def test_a_worker_has_one_recorder_at_a_time(tmp_path, monkeypatch):
     chunk.close()
     assert told == [(word, light) for light in ("midday", "night") for word in ("open", "close")]
     assert dataset.open(tmp_path / day.name).scenarios[0].frames == (0, 1, 10, 11)
-
-
-def test_a_disk_error_is_no_error_of_the_scenario(tmp_path):
-    (plan, *_) = load_generation(write(tmp_path)).scenarios
-    (tmp_path / "file").touch()
-    given = tmp_path / "file" / "scenario", tmp_path / "lock", range(10), 10
-    todo = chunk.Chunk(plan, "embedded", *given)
-    found = made_up.work(chunk.build(todo), todo)
-    why = f"{given[0]}: the folder cannot be created: Not a directory"
-    assert found == chunk.Outcome(fault=why)

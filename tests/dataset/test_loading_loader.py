@@ -163,7 +163,7 @@ def test_a_loader_can_be_sent_to_another_process_and_a_batch_is_a_pytree(cached)
 
 
 @pytest.mark.parametrize(("bad", "message"), [
-    (dict(split="trian"), "no split 'trian': there is train, test; did you mean train"),
+    (dict(split="trian"), "split 'trian': one of train, test; did you mean train"),
     (dict(batch=0), "batch 0: a whole number, at least 1"),
     (dict(batch=8), "split 'train' has 7 frames, less than a batch of 8: use a smaller"),
     (dict(seed=-1), "seed -1"),

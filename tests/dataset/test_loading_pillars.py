@@ -132,7 +132,7 @@ def test_clouds_are_woven_evenly():
     (dict(cell=0.3), r"not a whole number of cells of 0\.3 m: use half: 51\.15"),
     (dict(cell=0.0), "cell 0.0 m must be above 0"),
     (dict(low=3.0, high=3.0), "low 3.0 m must be below"),
-    (dict(most_points=0), "most_points 0"),
+    (dict(most_points=0), "most_points: 0 is out of range: at least 1"),
 ])  # fmt: skip
 def test_bad_grids(bad, message):
     with pytest.raises(InspeError, match=message):

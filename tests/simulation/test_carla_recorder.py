@@ -267,9 +267,6 @@ def test_notes_are_in_the_data_set_and_the_address_of_the_server_is_not(maps, tm
     assert (again.backend, again.notes) == ("carla", ())
 
 
-# ── Without a server ────────────────────────────────────────────────────────────────────────────
-
-
 def test_scenes_that_no_server_has_and_a_missing_client(monkeypatch):
     monkeypatch.setitem(sys.modules, "carla", None)
     scene, layout = world(count=0), place_sensors((client.CAMERA, [0, 0, 6, 0, 0, 0]))

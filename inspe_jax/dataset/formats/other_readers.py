@@ -23,14 +23,11 @@ MOST_CAMERAS = 16
 
 @dataclass(frozen=True)
 class FileOptions:
-    """How the files of a frame are written.
-
-    ``pictures``: JPEG files are a quarter of the size of PNG and are read four times as fast, but
-    few other readers look for them. ``cameras_per_agent``, for readers that want the same number
-    of all; 0 leaves them as they are. ``infra_set_names`` gives the first point cloud of each agent
-    a second name, ``_lidar0.pcd``, as the Infra-Set variant of OPV2V has it. ``visibility_maps``
-    adds a picture of the road users that the cameras of each agent see, ``_bev_visibility.png``.
-    """
+    """How the files of a frame are written. JPEG ``pictures`` are a quarter of the size of PNG and
+    are read four times as fast, but few other readers look for them. ``cameras_per_agent`` makes
+    agents with as many each; 0 leaves them as they are. ``infra_set_names`` gives the first point
+    cloud a second name, ``_lidar0.pcd``, and ``visibility_maps`` adds ``_bev_visibility.png``: the
+    road users that the cameras of an agent see."""
 
     pictures: str = "png"
     cameras_per_agent: int = 0

@@ -24,12 +24,10 @@ class _Dumper(yaml.CSafeDumper):
 def write_protocol(
     scenario: str | os.PathLike[str], protocol: Mapping[str, Any], stations: Iterable[Station] = ()
 ) -> None:
-    """Write what made a scenario into its folder, as :data:`PROTOCOL`, its keys in the order given.
-
-    ``protocol`` must have ``world`` with fixed_delta_seconds (the time step [s]), client_port,
-    seed, weather and town, which some readers need. The names of ``stations`` are added under
-    ``stations``. Raises InspeError where a key is missing, or YAML cannot hold a value.
-    """
+    """Write what made a scenario into its folder, as :data:`PROTOCOL`, with the names of
+    ``stations``. ``world`` must have fixed_delta_seconds (the time step [s]), client_port, seed,
+    weather and town, which some readers need. Raises InspeError where a key is missing, or YAML
+    cannot hold a value."""
     path = make_folder(Path(scenario)) / PROTOCOL
     world = protocol.get("world")
     for key in ("fixed_delta_seconds", "client_port", "seed", "weather", "town"):

@@ -28,9 +28,8 @@ def on_picture(points: Any, pose: Any, intrinsic: Any, xp: Any = np) -> Any:
 
 @dataclass(frozen=True)
 class Similarity:
-    """Mirrors the plane y = 0 if ``mirrored``, then turns about the z axis by ``turn`` [rad], then
-    scales by ``scale``, all about the middle of the intersection: points, poses, boxes, pictures.
-    """
+    """Mirrors the plane y = 0 if ``mirrored``, turns about the z axis by ``turn`` [rad], and
+    scales, about the middle of the intersection: points, poses, boxes, pictures."""
 
     mirrored: bool = False
     turn: float = 0.0
@@ -50,8 +49,7 @@ class Similarity:
         return found
 
     def of_poses(self, poses: Float[np.ndarray, "*n 4 4"]) -> Float[np.ndarray, "*n 4 4"]:
-        """Poses of the sensors in the moved world: rotations, not scaled and not mirrored. The body
-        frame of a mirrored sensor is the mirrored one with y reversed."""
+        """Poses of sensors in the moved world; a mirrored body frame has its y reversed."""
         moved = np.array(poses)
         moved[..., :3, 3] = poses[..., :3, 3] @ self.linear.T
         moved[..., :3, :3] = (self.linear / self.scale) @ poses[..., :3, :3]
@@ -62,8 +60,7 @@ class Similarity:
     def of_intrinsics(
         self, intrinsics: Float[np.ndarray, "*n 3 3"], width: float
     ) -> Float[np.ndarray, "*n 3 3"]:
-        """Calibrations of pictures, which :meth:`copy_picture` mirrors if the world is mirrored:
-        column u becomes ``width`` − u. Turns and scales leave a picture as it is."""
+        """Calibrations of pictures, mirrored if the world is: column u becomes ``width`` − u."""
         moved = np.array(intrinsics)
         if self.mirrored:
             moved[..., 0, 1] *= -1
@@ -79,8 +76,7 @@ class Similarity:
             out[..., colour] = picture[:, ::-1, colour]
 
     def of_boxes(self, boxes: Float[np.ndarray, "N 9"]) -> Float[np.ndarray, "N 9"]:
-        """Boxes: x, y, z, length, width, height, yaw within ±π, and velocity in x and y, which
-        scales as lengths do: the time between frames stays."""
+        """Boxes as of targets, with yaw within ±π and velocities that scale as lengths do."""
         moved = np.array(boxes)
         moved[:, :3] = boxes[:, :3] @ self.linear.T
         moved[:, 3:6] *= self.scale
@@ -92,12 +88,9 @@ class Similarity:
 
 @dataclass(frozen=True)
 class Augment:
-    """How frames are changed at random, each by itself.
-
-    ``flip`` is the chance that the intersection is mirrored, which puts its traffic on the other
-    side of the road. Its turn about the vertical is uniform within ± ``turn`` [rad], its scale
-    within ``scale``. The defaults are those of SECOND (Yan, Mao and Li 2018) and PointPillars (Lang
-    et al. 2019).
+    """How frames are changed at random: ``flip`` is the chance to be mirrored, which puts traffic
+    on the other side of the road; turns are within ± ``turn`` [rad], scales within ``scale``.
+    Defaults are of SECOND (Yan, Mao and Li 2018) and PointPillars (Lang et al. 2019).
 
     >>> change = dataset.Augment(flip=0.0, turn=0.1).similarity(np.random.default_rng(0))
     >>> change.mirrored, abs(change.turn) < 0.1

@@ -49,17 +49,11 @@ MOST_GRADIENT = 10.0
 
 
 class TrainingSettings(Strict):
-    """How a detector is trained.
-
-    ``model`` is a name of :data:`~inspe_jax.perception.detector.MODELS`. ``steps`` of ``batch``
-    frames each; ``rate`` is the highest learning rate, of AdamW under a schedule that rises for
-    three tenths of the steps and falls for the rest (Smith and Topin 2019). After every ``every``
-    steps the state is kept, and the mAP of ``validate_frames`` frames of the split ``validate`` is
-    measured. With ``augment``, frames are mirrored, turned and scaled at random. ``targets`` are
-    the road users that the detector is to find: those that its kinds of sensors see, of others
-    neither finding nor missing them has a loss; or all. The defaults are what two cores train in an
-    hour.
-    """
+    """How a detector is trained: ``steps`` of ``batch`` frames at the highest learning ``rate`` of
+    AdamW, which rises for three tenths of the steps and falls for the rest (Smith and Topin 2019).
+    After every ``every`` steps the state is kept, and mAP measured on ``validate_frames`` frames of
+    the split ``validate``. ``targets``: road users that no sensor of the detector sees have no loss
+    ("seen"), or all are to be found. The defaults take two cores an hour."""
 
     model: str
     steps: Positive = 1500

@@ -39,12 +39,9 @@ def simulated_sensor(spec: Any, pose: Pose6, surroundings: Surroundings) -> Simu
 
 
 class EmbeddedRecorder:
-    """Records a scene's traffic with ray casting; it needs Embree, but no simulator.
-
-    ``seed`` is that of the sensors' noise; ``appearance_seed`` that of the road users' shapes and
-    colours. Raises InspeError where Embree is missing, the recording is not valid, or a sensor is
-    of a kind that this recorder does not know.
-    """
+    """Records a scene's traffic with ray casting. ``seed`` is that of noise, ``appearance_seed`` of
+    road users' shapes and colours. Raises InspeError where Embree is missing, the recording is not
+    valid, or a sensor is of a kind that it does not know."""
 
     notes: tuple[str, ...] = ()
 

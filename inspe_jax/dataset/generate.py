@@ -49,8 +49,8 @@ class DatasetWriter:
         """Compare finished scenarios with their manifests, by digests; ``progress`` is called with
         (compared, all). Raises InspeError if the folder contains another data set or other files.
         """
-        self.folder, self.format_name = folder, generation.format
-        self._check(record_of(generation, backend))
+        self.generation, self.folder, self.backend = generation, folder, backend
+        self._check()
         self.there: dict[str, set[int]] = {}
         self.damage: dict[str, list[Fault]] = {}
         for plan in generation.scenarios:
@@ -71,6 +71,15 @@ class DatasetWriter:
         locks = self.folder / UNFINISHED / ".locks"
         locks.mkdir(parents=True, exist_ok=True)
         return locks / f"{plan.key}-{first}.lock"
+
+    def chunks(self, plan: ScenarioPlan, server: Server | None) -> list[Chunk]:
+        """What is missing of a scenario, in parts."""
+        folder, format = self.unfinished(plan), self.generation.format
+        return [
+            Chunk(plan, self.backend, folder, self.lock(plan, k.start), k, missing, server, format)
+            for k in plan.chunks
+            if (missing := len({*k} - self.there[plan.name]))
+        ]
 
     def finish(self, plan: ScenarioPlan) -> bool:
         """Move a scenario into its split; gives False, and does not, if a frame is missing."""
@@ -95,9 +104,21 @@ class DatasetWriter:
         """Number of complete frames, as last counted."""
         return sum(map(len, self.there.values()))
 
-    def _check(self, record: dict[str, Any]) -> None:
+    def _check(self) -> None:
         """Write the record of the data set, or compare it with the one that is there."""
-        path = self.folder / GENERATION
+        path, made = self.folder / GENERATION, self.generation
+        plans = [[p.name, p.split, p.seed, p.tags, p.key, p.files] for p in made.scenarios]
+        record: dict[str, Any] = {
+            "format": FORMAT,
+            "name": made.name,
+            "digest": digest(plans),
+            "backend": self.backend,
+            "frames": made.frames,
+            "scenarios": {name: [p.name for p in plans] for name, plans in made.splits.items()},
+            "versions": versions(self.backend),
+        }
+        if made.format != DEFAULT_FORMAT:
+            record["data_format"] = made.format
         text = yaml.safe_dump(record, sort_keys=False, default_flow_style=None)
         if not path.exists():
             names = (path.name for path in self.folder.iterdir())
@@ -139,22 +160,6 @@ class DatasetWriter:
                 (place / name).unlink(missing_ok=True)
             os.replace(place, folder)
         return set(manifest.recorded_frames(folder, deep=True))
-
-
-def record_of(generation: Generation, backend: str) -> dict[str, Any]:
-    """The content of a data set's ``generation.yaml``."""
-    plans = [[p.name, p.split, p.seed, p.tags, p.key, p.files] for p in generation.scenarios]
-    record: dict[str, Any] = {
-        "format": FORMAT,
-        "name": generation.name,
-        "digest": digest(plans),
-        "backend": backend,
-        "frames": generation.frames,
-        "scenarios": {name: [p.name for p in plans] for name, plans in generation.splits.items()},
-        "versions": versions(backend),
-    }
-    other = generation.format != DEFAULT_FORMAT
-    return record | ({"data_format": generation.format} if other else {})
 
 
 @dataclass(frozen=True)
@@ -218,7 +223,7 @@ def generate(
         with lock_folder(place, f".{GENERATION}.lock"):
             writer = DatasetWriter(generation, place, backend, checking)
             had = writer.frames
-            failures, notes = _record(writer, generation, backend, workers, server, progress)
+            failures, notes = _record(writer, workers, server, progress)
             if not failures:
                 writer.clear()
             placed = [plan.frames for plan in generation.scenarios if writer.place(plan).exists()]
@@ -251,14 +256,13 @@ def _checked(backend: str, workers: int | None) -> int | None:
 
 def _record(
     writer: DatasetWriter,
-    generation: Generation,
-    backend: str,
     workers: int | None,
     server: Server | None,
     progress: Callable[[int, int], None] | None,
 ) -> tuple[dict[str, str], dict[str, tuple[str, ...]]]:
     """Record what is missing. Gives the failures and the notes, see :class:`GenerationResult`."""
-    chunks = {plan.name: _chunks(writer, plan, backend, server) for plan in generation.scenarios}
+    generation = writer.generation
+    chunks = {plan.name: writer.chunks(plan, server) for plan in generation.scenarios}
     unsettled = {name: len(own) for name, own in chunks.items()}
     recorded, failures, notes = writer.frames, dict[str, str](), dict[str, tuple[str, ...]]()
 
@@ -300,14 +304,3 @@ def _record(
                 client.run(close, on_error="ignore")
     names = [plan.name for plan in generation.scenarios if plan.name not in failures]
     return failures, {name: notes[name] for name in names if name in notes}
-
-
-def _chunks(
-    writer: DatasetWriter, plan: ScenarioPlan, backend: str, server: Server | None
-) -> list[Chunk]:
-    folder, format = writer.unfinished(plan), writer.format_name
-    return [
-        Chunk(plan, backend, folder, writer.lock(plan, part.start), part, missing, server, format)
-        for part in plan.chunks
-        if (missing := len({*part} - writer.there[plan.name]))
-    ]

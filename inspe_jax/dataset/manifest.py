@@ -125,8 +125,12 @@ def compare(
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         each = pool.map(lambda path: _fault_of(path, *paths[path], deep), paths)
     found += [Fault(path, what) for path, what in zip(paths, each, strict=True) if what]
-    strange = _visible_files(folder) - {*paths, folder / MANIFEST} if others else ()
-    return manifest, found + [Fault(path, "not in the manifest") for path in sorted(strange)]
+    known = {*paths, folder / MANIFEST}
+    for path in sorted(folder.rglob("*")) if others else ():
+        hidden = any(part.startswith(".") for part in path.relative_to(folder).parts)
+        if path.is_file() and not hidden and path not in known:
+            found.append(Fault(path, "not in the manifest"))
+    return manifest, found
 
 
 def _fault_of(path: Path, size: int, digest: str, deep: bool) -> str:
@@ -142,14 +146,6 @@ def _fault_of(path: Path, size: int, digest: str, deep: bool) -> str:
     except OSError as e:
         return f"cannot be read: {e.strerror}"
     return ""
-
-
-def _visible_files(folder: Path) -> set[Path]:
-    found = set[Path]()
-    for top, folders, names in os.walk(folder):
-        folders[:] = [name for name in folders if not name.startswith(".")]
-        found |= {Path(top) / name for name in names if not name.startswith(".")}
-    return found
 
 
 def _files(content: Any, where: Path) -> Files:

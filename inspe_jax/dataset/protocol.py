@@ -125,11 +125,8 @@ def load_generation(
         return plans.make_generation(content, path.parent, str(path), path.stem)
     if "format" not in content:
         raise InspeError(f"{path}: a protocol that was not written by this package")
-    folders = [Path(files)] if files else path.resolve().parents[:3]
-    return _from_protocol(content, str(path), [*folders, Path.cwd()])
-
-
-def _from_protocol(content: dict[str, Any], where: str, folders: Iterable[Path]) -> Generation:
+    folders = [*([Path(files)] if files else path.resolve().parents[:3]), Path.cwd()]
+    where = str(path)
     entry = check_model(_Protocol, content, where)
     for key, value, known in (
         ("format", entry.format, (FORMAT,)),

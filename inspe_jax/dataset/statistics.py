@@ -10,7 +10,9 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from inspe_jax.core.errors import InspeError
+from inspe_jax.core.words import counted
 from inspe_jax.dataset.folders import Dataset, Scenario, disk_size, open_dataset
+from inspe_jax.dataset.formats.protocol_file import section_of
 from inspe_jax.dataset.formats.registry import FORMATS
 from inspe_jax.dataset.points_in_boxes import count_inside
 from inspe_jax.simulation.frame import KINDS, Boxes, Scan
@@ -122,12 +124,9 @@ def statistics(
     data = given if isinstance(given, Dataset) else open_dataset(given)
     total_frames = sum(len(scenario.frames) for scenario in data.scenarios)
     if not total_frames:
-        count = len(data.scenarios)
         examples = " or ".join(row.example for row in FORMATS.values())
-        raise InspeError(
-            f"{data.path}: no frame in {count} scenario{'s' * (count != 1)}: expected {examples}, "
-            f"for every agent"
-        )
+        where = counted(len(data.scenarios), "scenario")
+        raise InspeError(f"{data.path}: no frame in {where}: expected {examples}, for every agent")
     splits, crowd, inside, sensors = [], [], [], []
     users: dict[tuple[Path, int], tuple[int, list[float]]] = {}
     boxes = dict.fromkeys(KINDS, 0)
@@ -207,8 +206,7 @@ def table_row(found: Statistics) -> dict[str, str | int | None]:
 
 
 def _town(scenario: Scenario) -> str | None:
-    world = scenario.protocol.get("world")
-    town = world.get("town") if isinstance(world, Mapping) else None
+    town = section_of(scenario.protocol, "world").get("town")
     return None if town is None else str(town)
 
 

@@ -22,7 +22,7 @@ from inspe_jax.core.geometry import pose_matrix, rotation
 from inspe_jax.dataset.folders import Scenario
 from inspe_jax.dataset.points_in_boxes import count_inside
 from inspe_jax.jobs.settings import Strict
-from inspe_jax.simulation.frame import KINDS, Image, RoadUserBox, Scan
+from inspe_jax.simulation.frame import KINDS, Image, Scan
 
 RECORD, INDEX, POINTS, PICTURES = "scenario.json", "index.npz", "points.raw", "pictures.raw"
 PART = ".part"
@@ -183,13 +183,19 @@ def _write(scenario: Scenario, part: Path, source: str, size: tuple[int, int] | 
                 returns = count_inside(scans, frame.boxes)
             starts = end + np.cumsum([0, *(len(cloud) for cloud, _ in clouds)])
             end = starts[-1]
+            rows = [
+                [*box.center, *box.size, box.yaw, *np.asarray(box.velocity)[:2]]
+                for box in frame.boxes
+            ]
             row = {
                 "starts": starts,
                 "steps": np.array([step for _, step in clouds]).reshape(-1, 4),
                 "lidar_pose": _poses(scans),
                 "camera_pose": _poses(images),
                 **_calibration(images, shape, len(frame.boxes)),
-                **_boxes(frame.boxes),
+                "boxes": np.array(rows, float).reshape(-1, 9),
+                "kind": np.array([KINDS.index(box.kind) for box in frame.boxes], np.int32),
+                "track": np.array([box.track for box in frame.boxes], np.int32),
                 "returns": returns.reshape(len(scans), len(frame.boxes)).T.astype(np.int32),
             }
             for key, value in row.items():
@@ -246,15 +252,6 @@ def _calibration(
         if image.pixels is not None:
             pixels[:, c] = np.asarray(image.pixels) * (size[0] * size[1] / (height * width))
     return {"intrinsic": intrinsic, "pixels": pixels}
-
-
-def _boxes(boxes: Sequence[RoadUserBox]) -> dict[str, np.ndarray]:
-    rows = [[*box.center, *box.size, box.yaw, *np.asarray(box.velocity)[:2]] for box in boxes]
-    return {
-        "boxes": np.array(rows, float).reshape(-1, 9),
-        "kind": np.array([KINDS.index(box.kind) for box in boxes], np.int32),
-        "track": np.array([box.track for box in boxes], np.int32),
-    }
 
 
 def _middle(scenario: Scenario, index: dict[str, np.ndarray]) -> list[float]:

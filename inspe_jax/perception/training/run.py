@@ -200,25 +200,20 @@ def begun(folder: str | os.PathLike[str], content: Content) -> Iterator[Training
     with lock_folder(path, LOCK):
         for part in path.glob(".*.part"):
             part.unlink()
-        yield _recorded(path, content)
-
-
-def _recorded(path: Path, content: Content) -> TrainingRun:
-    """The run of a folder, whose record is written if it has none."""
-    if (path / RECORD).is_file():
+        if not (path / RECORD).is_file():
+            record = _Record(content=content).model_dump()
+            write_text(path / RECORD, json.dumps(record, indent=2) + "\n")
         run = open_run(path)
-        if run.content == content:
-            return run
-        here, there = (each.model_dump() for each in (run.content, content))
-        had, given = ({**each, **each["settings"]} for each in (here, there))
-        key = next(key for key in given if key != "settings" and had[key] != given[key])
-        what = f"{key} {had[key]}, not {given[key]}"
-        raise InspeError(
-            f"{path}: this run has {'other scenarios' if key == 'scenarios' else what}: name "
-            f"another folder, or give the same again to go on"
-        )
-    write_text(path / RECORD, json.dumps(_Record(content=content).model_dump(), indent=2) + "\n")
-    return TrainingRun(path, content)
+        if run.content != content:
+            here, there = (each.model_dump() for each in (run.content, content))
+            had, given = ({**each, **each["settings"]} for each in (here, there))
+            key = next(key for key in given if key != "settings" and had[key] != given[key])
+            what = f"{key} {had[key]}, not {given[key]}"
+            raise InspeError(
+                f"{path}: this run has {'other scenarios' if key == 'scenarios' else what}: name "
+                f"another folder, or give the same again to go on"
+            )
+        yield run
 
 
 def open_run(folder: str | os.PathLike[str]) -> TrainingRun:

@@ -17,7 +17,7 @@ from inspe_jax.core.files import YAML, check_input, parse_yaml
 from inspe_jax.dataset.formats.opv2v.writer import KMH, NO_LIDAR, OBSERVED, SECTIONS
 from inspe_jax.dataset.formats.pcd import read_notes, read_pcd
 from inspe_jax.dataset.formats.pictures import SUFFIXES, read_picture
-from inspe_jax.dataset.formats.protocol_file import as_mapping
+from inspe_jax.dataset.formats.protocol_file import as_mapping, section_of
 from inspe_jax.simulation.frame import Boxes, Frame, Image, RoadUserBox, Scan, Station
 from inspe_jax.simulation.recorder import LAYERS
 
@@ -68,9 +68,9 @@ def frame_of(
     files = [_frame_file(scenario / str(agent), number) for agent in agents]
     known: dict[bytes, dict[str, Any]] = {}
     contents = [_content(path, known) for path in files]
-    boxes, names = _boxes(contents, files), _section(protocol, "stations")
-    tick = _section(protocol, "world").get("fixed_delta_seconds")
-    told = SUFFIXES.get(_section(protocol, "recording").get("pictures", "png"))
+    boxes, names = _boxes(contents, files), section_of(protocol, "stations")
+    tick = section_of(protocol, "world").get("fixed_delta_seconds")
+    told = SUFFIXES.get(section_of(protocol, "recording").get("pictures", "png"))
     suffixes = sorted(SUFFIXES.values(), key=lambda suffix: suffix != told)
     return Frame(
         number=number,
@@ -81,12 +81,6 @@ def frame_of(
             for agent, content, path in zip(agents, contents, files, strict=True)
         ),
     )
-
-
-def _section(protocol: Mapping[str, Any], key: str) -> Mapping[Any, Any]:
-    """A section of a protocol; empty where there is none."""
-    found = protocol.get(key)
-    return found if isinstance(found, Mapping) else {}
 
 
 def _frame_file(agent: Path, number: int) -> Path:

@@ -28,8 +28,7 @@ from inspe_jax.simulation.recorder import Recorder, Server
 
 @dataclass(frozen=True)
 class Chunk:
-    """Some ``frames`` of a scenario, written to ``folder`` by the process that holds ``lock``;
-    ``missing`` of them were not there when the chunk was sent."""
+    """``frames`` of a scenario for ``folder``, written under ``lock``; so many ``missing``."""
 
     plan: ScenarioPlan
     backend: str
@@ -58,8 +57,7 @@ class Chunk:
 
 @dataclass(frozen=True)
 class Outcome:
-    """Why a chunk could not be recorded (``error``) or written (``fault``), and notes of the
-    recorder."""
+    """Why a chunk could not be recorded (``error``) or written (``fault``), and notes."""
 
     error: str = ""
     fault: str = ""
@@ -129,8 +127,7 @@ def build(chunk: Chunk) -> Scene | str:
 
 
 def work(scene: Scene | str, chunk: Chunk) -> Outcome:
-    """Record and write the missing frames of a chunk, to the same bytes whenever and whoever does
-    it."""
+    """Record and write the missing frames of a chunk, to the same bytes whoever does it."""
     if isinstance(scene, str):
         return Outcome(error=scene)
     notes, options = tuple[str, ...](), chunk.plan.files

@@ -63,8 +63,7 @@ class Dataset:
         return tuple(scenario for split in self.splits.values() for scenario in split)
 
     def scenario(self, name: str | None = None) -> Scenario:
-        """A scenario by its name or ``SPLIT/NAME``, or the only one. Raises InspeError that lists
-        them."""
+        """A scenario by its name or ``SPLIT/NAME``, or the only one; an error lists them."""
         named = {
             f"{split}/{scenario.name}": scenario
             for split, scenarios in self.splits.items()

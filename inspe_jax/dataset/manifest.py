@@ -54,8 +54,7 @@ def record_frame(folder: Path, number: int, files: Iterable[Path]) -> None:
 
 
 def recorded_frames(folder: Path, deep: bool = False) -> dict[int, Files]:
-    """The records of frames of which all files have their size (and digest if ``deep``). Others are
-    deleted: their frames are then missing."""
+    """Records of frames whose files have their size (``deep``: digest). Others are deleted."""
     found = dict[int, Files]()
     for path in sorted((folder / RECORDS).glob("[0-9]*.json")):
         try:

@@ -48,8 +48,7 @@ CHUNK = 10  # number of frames that a worker records at a time
 
 @dataclass(frozen=True)
 class ScenarioPlan:
-    """A scenario to be generated; ``settings`` has every key of :data:`SETTINGS`, ``seed`` is of
-    noise."""
+    """A scenario to be generated, with every one of :data:`SETTINGS`; ``seed`` is of noise."""
 
     name: str
     split: str
@@ -312,8 +311,7 @@ def _fit(part: Any) -> str:
 
 @cache
 def place_of(source: sources.SceneSource) -> str:
-    """A short text that identifies the intersection, whatever its name: a saved one by its regions.
-    A map's junction by number and by ``center`` counts as two."""
+    """Identifies the intersection, whatever its name: a saved one by its regions."""
     if source.file is not None:
         from inspe_jax.scene.scene import load_scene
 

@@ -10,8 +10,7 @@ from inspe_jax.core.geometry import rotation
 from inspe_jax.simulation.frame import MOST_TRACK, Frame, RoadUserBox, Scan
 
 SLACK = 1e-3
-"""Boxes are larger by this on every side but the bottom [m]: for points on faces, not of the road.
-"""
+"""Boxes are larger by this, but not at the bottom [m]: points on faces count, not the road."""
 
 
 def count_inside(scans: Sequence[Scan], boxes: Sequence[RoadUserBox]) -> Int[np.ndarray, "S B"]:

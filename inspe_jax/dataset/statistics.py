@@ -23,8 +23,7 @@ RANGE_EDGES: Float[np.ndarray, " R"] = 5 * 2 ** (np.arange(-4, 14) / 2)
 
 @dataclass(frozen=True)
 class Split:
-    """The counts of a split. An agent counts once per scenario, a box once per frame. ``points``
-    are those of all ``clouds``; ``size`` is that of all files in the scenarios' folders [bytes]."""
+    """The counts of a split: agents of each scenario, boxes of each frame, and ``size`` [bytes]."""
 
     name: str
     scenarios: int
@@ -42,8 +41,7 @@ COUNTS = tuple(f.name for f in fields(Split) if f.name != "name")
 
 @dataclass(frozen=True, eq=False)
 class Users:
-    """The K road users of all scenarios: index in KINDS, and length, width, height [m] of the first
-    box."""
+    """The K road users of all scenarios: index in KINDS, and sizes of their first boxes [m]."""
 
     kind: Int[np.ndarray, " K"]
     size: Float[np.ndarray, "K 3"]
@@ -51,8 +49,7 @@ class Users:
 
 @dataclass(frozen=True, eq=False)
 class PointCounts:
-    """Of N boxes: index in KINDS, distance of the middle from the nearest LiDAR [m], and points
-    inside."""
+    """Of N boxes: index in KINDS, ``range`` from the nearest LiDAR [m], and points inside."""
 
     kind: Int[np.ndarray, " N"]
     range: Float[np.ndarray, " N"]
@@ -61,8 +58,7 @@ class PointCounts:
 
 @dataclass(frozen=True)
 class Band:
-    """Boxes between two ranges [m]; a ``share`` of them has a point, and ``quartiles`` are of their
-    points."""
+    """Boxes between two ranges [m]: the ``share`` with a point, and quartiles of their points."""
 
     low: float
     high: float

@@ -21,8 +21,7 @@ from inspe_jax.perception.head import CenterHead, HeadOutput, Heat, Peaks, peaks
 from inspe_jax.perception.inputs import Agents, BevGrid, Inputs, inputs_of
 
 ENCODED, CHANNELS = 32, 48
-"""Channels of encoders, and of fused maps: what two cores train in hours (PointPillars: 64 and
-384)."""
+"""Channels of encoders and of fused maps: half of PointPillars' 64, an eighth of its 384."""
 
 Fusion = Callable[[AgentMaps, Present], FusedMap]
 

@@ -47,8 +47,7 @@ def _scales(grid: PillarGrid) -> Float[Array, "1 1 1 1 9"]:
 
 
 WIDTHS = (64, 96, 128)
-"""Channels at a half, a quarter and an eighth of the side: PointPillars' 64, 128, 256 take thrice
-as long."""
+"""Channels at 1/2, 1/4 and 1/8 of the side: PointPillars' 64, 128, 256 take thrice as long."""
 
 Maps = tuple[Map, ...]  # maps at three scales
 
@@ -103,8 +102,7 @@ JOINED = 64  # channels of the stages' maps after they are joined
 
 
 class InvertedResidual(eqx.Module):
-    """EfficientNet's MBConv: widen, convolve each channel, weigh channels by the whole picture
-    (squeeze and excitation, Hu et al. 2018), narrow."""
+    """EfficientNet's MBConv, with squeeze and excitation (Hu et al. 2018)."""
 
     widen: Block
     depthwise: Depthwise
@@ -198,11 +196,9 @@ def _beside(
 
 FEATURES = 32  # channels of a picture's cells before they are lifted
 HEIGHTS = np.array([-2.4, -1.6, -0.8, -0.2, 0.2, 0.6, 1.0, 1.4, 1.8, 2.6], np.float32)
-"""Heights of what a cell of a picture shows [m]: road users' middles are at 0.8 to 1.8 m on level
-roads."""
+"""Heights of what a cell of a picture shows [m]: middles are at 0.8 to 1.8 m on level roads."""
 EMPTY_WEIGHT = 0.05
-"""Weight of features of 0 in the mean of each cell, for cells into which hardly any chance falls.
-"""
+"""Weight of features of 0 in a cell, for those into which hardly any chance falls."""
 
 
 class LiftSplat(eqx.Module):

@@ -38,8 +38,7 @@ Frames = Sequence[Detections]
 
 
 def check(detections: Detections, where: str) -> None:
-    """Raise InspeError, which begins with ``where``, if a box, size, score, kind or shape is not
-    valid."""
+    """Raise InspeError, which begins with ``where``, if a value or a shape is not valid."""
     boxes, kind, score = (np.asarray(part) for part in detections)
     if boxes.shape != (len(kind), 9) or kind.shape != score.shape or kind.ndim != 1:
         raise InspeError(

@@ -33,8 +33,7 @@ class Mean(eqx.Module):
 
 
 class AttFuse(Mean):
-    """AttFuse (Xu et al. 2022, OPV2V): scaled dot-product attention of each cell's features over
-    agents."""
+    """AttFuse (Xu et al. 2022, OPV2V): agents' features at a cell attend to one another."""
 
     def __call__(self, x: AgentMaps, present: Present) -> FusedMap:
         cells = jnp.moveaxis(x, 1, 3)[..., None, :]  # (B, H, W, A, 1, C)

@@ -24,8 +24,7 @@ from inspe_jax.simulation.frame import KINDS
 Heat = Float[Array, "*n h w K"]
 
 RARE = -2.19
-"""First bias of the heat: a chance of 0.1, as most cells are empty (Lin et al. 2017, focal loss).
-"""
+"""First bias of the heat: a chance of 0.1, as in focal loss (Lin et al. 2017)."""
 HARD, FAR = 2.0, 4.0
 """Exponents of the focal loss: cells that are right already, and cells near a peak, count less."""
 
@@ -82,8 +81,7 @@ LEAST_RADIUS = 2.0
 """Least radius of a Gaussian [cells], as in CenterPoint: a pedestrian would have none."""
 
 UNSEEN = 1 - 1e-6
-"""Height of the flat bump of a road user that does not count: no positive, and a negative of
-(1e-6)⁴."""
+"""Height of the flat bump of a road user that does not count: no positive, hardly a negative."""
 
 VALUE_WEIGHT = 0.5  # weight of the values' loss, which sums over eight; that of heat is 1
 

@@ -1,5 +1,4 @@
-"""What a detector takes of a batch. An agent is what a unit has of one modality: LiDARs, or
-cameras."""
+"""What a detector takes of a batch. An agent has the LiDARs, or the cameras, of a unit."""
 
 from dataclasses import asdict, dataclass
 from typing import NamedTuple

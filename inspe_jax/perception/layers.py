@@ -60,8 +60,7 @@ class Conv(eqx.Module):
 
 
 class Depthwise(eqx.Module):
-    """A convolution of each channel by itself, as a sum of shifted maps: many times as fast on a
-    CPU as XLA's grouped convolution."""
+    """A convolution of each channel: shifted maps are faster on CPUs than XLA's groups."""
 
     weight: Float[Array, "k k c"]
     stride: int = eqx.field(static=True)
@@ -82,8 +81,7 @@ class Depthwise(eqx.Module):
 
 
 class Norm(eqx.Module):
-    """Normalisation of maps over all cells and a group of channels (Wu and He 2018), in one
-    reading."""
+    """Normalisation over all cells and a group of channels (Wu and He 2018), in one reading."""
 
     scale: Float[Array, " c"]
     shift: Float[Array, " c"]

@@ -45,8 +45,7 @@ DEFAULT_BACKEND = "embedded"
 
 
 def server_of(backend: str, server: Server | None) -> Server | None:
-    """The server that a backend records with, None if it needs none. Raises InspeError where one is
-    given without need, or is not valid."""
+    """The server of a backend, None if it needs none. Raises InspeError where it is not valid."""
     if not BACKENDS[backend].remote:
         if server is not None:
             remote = " or ".join(name for name, row in BACKENDS.items() if row.remote)
@@ -67,8 +66,7 @@ def recorder_of(
     server: Server | None = None,
     appearance_seed: int = 0,
 ) -> AbstractContextManager[Recorder]:
-    """A recorder of a scene's traffic, for a ``with`` block. Raises InspeError for an unknown
-    backend."""
+    """A recorder of a scene's traffic, to be opened. Raises InspeError for unknown backends."""
     check_known(backend, BACKENDS, "backend")
     seeds = dict(seed=seed, appearance_seed=appearance_seed)
     given = dict(conditions=conditions, recording=recording, server=server)

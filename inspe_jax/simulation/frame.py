@@ -114,8 +114,7 @@ class Scan(Deferred):
 
 @dataclass(frozen=True, eq=False)
 class Station:
-    """An infrastructure unit and what its sensors recorded. ``number`` n ≥ 1 is the agent −n; an
-    agent of other people's data sets that is the vehicle n has the number −n."""
+    """An infrastructure unit, whose agent is −``number``, and what its sensors recorded."""
 
     number: int
     name: str
@@ -126,8 +125,7 @@ class Station:
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """One moment of a scenario: the box of every road user, and what every station recorded.
-    ``number`` counts the frames of the scenario; ``time`` is in seconds."""
+    """One moment [s] of a scenario: the box of every road user, and what every station recorded."""
 
     number: int
     time: float

@@ -22,8 +22,7 @@ EDGES = np.array([*_BOTTOM, *((a + 4, b + 4) for a, b in _BOTTOM), *((k, k + 4) 
 
 
 def corners(boxes: Sequence[RoadUserBox]) -> Corners:
-    """Corners of boxes in the world [m]: front left, rear left, rear right, front right; bottom,
-    then top."""
+    """Corners [m]: front left, rear left, rear right, front right; at the bottom, then the top."""
     found = np.zeros((len(boxes), 8, 3))
     for k, box in enumerate(boxes):
         turn = rotation(np.array([0.0, 0.0, box.yaw]), np)

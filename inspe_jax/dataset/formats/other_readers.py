@@ -47,8 +47,7 @@ UP = np.array([0.0, np.pi / 2, 0.0])  # roll, pitch and yaw of a camera that loo
 HIGHEST = 5.0
 """No road user is higher [m]: vehicles are limited to 4 m in most of Europe, 4.9 m in Britain."""
 BEYOND = 9.5
-"""How far a road user in the region may reach out of it [m]: half the diagonal of a road train,
-18.75 m × 2.55 m, the longest vehicle of directive 96/53/EC."""
+"""How far road users reach out of the region [m]: half the diagonal of a road train (18.75 m)."""
 BELOW = 0.5
 """How far the ground out there may lie below the region's lowest [m]: 5 % over that length."""
 STEP = 6.4

@@ -1,5 +1,4 @@
-"""PCD files, version 0.7: ``x y z rgb``, with the intensity in the red byte, as OPV2V has it.
-pypcd4 (1.5) rejects files without COUNT, and raises errors of many kinds on damaged ones."""
+"""PCD files 0.7, ``x y z rgb``, as OPV2V has them. pypcd4 (1.5) rejects files without COUNT."""
 
 import os
 from dataclasses import dataclass

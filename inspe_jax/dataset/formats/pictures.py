@@ -1,5 +1,4 @@
-"""Reads and writes pictures, the same picture always to the same bytes: colour as PNG or JPEG,
-layers as PNG."""
+"""Reads and writes pictures: colour as PNG or JPEG, layers as PNG, always to the same bytes."""
 
 import zlib
 from pathlib import Path

@@ -58,20 +58,9 @@ def write_frame(
     format: str = DEFAULT_FORMAT,
     options: FileOptions = DEFAULT_OPTIONS,
 ) -> tuple[Path, ...]:
-    """Write a frame into the folder of a scenario, over one of this number that is there.
-
-    Args:
-        scenario: The folder.
-        frame: Every frame of a scenario should have the same stations.
-        format: One of :data:`FORMATS`.
-        options: How its files are written.
-
-    Returns:
-        Its files.
-
-    Raises:
-        InspeError: Before anything is written, where the format is unknown, an option is out of
-            range, or the frame is not valid.
+    """Write a frame into the folder of a scenario, over one of this number; gives its files. Every
+    frame of a scenario should have the same stations. ``format`` is one of :data:`FORMATS`. Raises
+    InspeError, before anything is written, where it, an option or the frame is not valid.
 
     >>> empty = dataset.Frame(0, 0.0, (), (dataset.Station(1, "pole", np.zeros(6), (), ()),))
     >>> files = dataset.write_frame("mine/train/four_way", empty)

@@ -1,5 +1,4 @@
-"""The decoded cache of a data set: a folder with ``cache.json`` and a folder for each scenario, as
-:mod:`inspe_jax.dataset.loading.stored` has it."""
+"""The decoded cache of a data set: ``cache.json``, and a folder for each scenario."""
 
 import json
 import multiprocessing
@@ -24,8 +23,7 @@ FORMAT = "inspe_jax cache 3"
 LOCK = f".{CACHE}.lock"
 
 PICTURES = (300, 400)
-"""Height and width of pictures: a cyclist has about 50 pixels in the median, a dozen at half of it.
-"""
+"""Height and width of pictures: a cyclist has about 50 pixels; a dozen at half is too few."""
 
 Job = tuple[Scenario, Path, str, tuple[int, int] | None]
 """The arguments of :func:`~inspe_jax.dataset.loading.stored.decode`."""

@@ -1,5 +1,4 @@
-"""Batches of a cache for training: in a repeatable order, augmented, read ahead by threads. NumPy
-copies large arrays without Python's lock, and no batch is copied from another process."""
+"""Batches of a cache for training: in a repeatable order, augmented, read ahead by threads."""
 
 from collections import deque
 from collections.abc import Iterator, Sequence
@@ -110,8 +109,7 @@ class Loader:
         return self.steps(0, len(self))
 
     def steps(self, start: int = 0, stop: int | None = None) -> Iterator[Batch]:
-        """The batches from step ``start`` to below ``stop``, or without an end, made ahead by
-        threads."""
+        """The batches from step ``start`` to below ``stop``, or without an end, made ahead."""
         each = count(start) if stop is None else iter(range(start, stop))
         if not self.workers:
             yield from map(self.__getitem__, each)

@@ -63,8 +63,7 @@ class PillarGrid:
     def fill(
         self, points: Float[np.ndarray, "N 4"], out: Pillars, rng: np.random.Generator | None = None
     ) -> None:
-        """Put points, in random order, into the empty pillars ``out`` of one group; ``rng`` draws
-        which are kept of too many; without it, they are always the same."""
+        """Put points, in random order, into empty pillars; ``rng`` draws which are kept."""
         side, nowhere = self.side, self.side**2
         x, y, z = np.ascontiguousarray(points[:, :3].T)
         inside = (x >= -self.half) & (x < self.half) & (y >= -self.half) & (y < self.half)

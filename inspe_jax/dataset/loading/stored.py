@@ -122,8 +122,7 @@ class StoredScenario:
 
 
 def digest_of_scenario(scenario: Scenario) -> str:
-    """Identifies a scenario by its protocol and the names and sizes of its files, the same for a
-    copy."""
+    """Identifies a scenario, and copies of it, by its protocol and names and sizes of files."""
     found = hashlib.sha256()
     found.update(json.dumps(json_value(scenario.protocol), sort_keys=True, default=str).encode())
     for place, folders, names in os.walk(scenario.path):

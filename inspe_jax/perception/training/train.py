@@ -72,21 +72,13 @@ def train(
 ) -> TrainingRun:
     """Train a detector on the split ``train`` of a cache.
 
-    After a kill, call this again: it goes on from the last state. On a CPU, its losses are then the
-    same to the last digit as without the kill. A model that is taught has its teacher
-    trained first, in ``folder/teacher``.
+    After a kill, call this again: it goes on from the last state, on a CPU to the same losses. A
+    model that is taught has its teacher trained first, in ``folder/teacher``. ``grid`` is the usual
+    one if None; ``progress`` is called with a :class:`Report`.
 
-    Args:
-        cache: The decoded data set.
-        folder: Where the run is.
-        settings: The model, its steps and their size.
-        grid: In plan, from above; the usual one if None.
-        progress: Called with a :class:`Report`.
-
-    Raises:
-        InspeError: The cache has no data of the model's sensors or no split ``train``; the folder
-            has another run, or another process trains it; the last state is damaged; or a loss is
-            not a number, in which case the states before it stay.
+    Raises InspeError where the cache has no data of the model's sensors or no split ``train``; the
+    folder has another run, or another process trains it; the last state is damaged; or a loss is
+    not a number, in which case the states before it stay.
     """
     grid = grid or BevGrid()
     grid.check()

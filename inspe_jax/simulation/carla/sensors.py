@@ -38,8 +38,7 @@ Measured: TypeAlias = Mapping[str, Any]
 
 
 class CarlaSensor(Protocol):
-    """How CARLA records one sensor: with sensors named ``blueprints``, of these ``attributes``;
-    ``notes`` say what it cannot record."""
+    """CARLA's sensors (``blueprints``, with ``attributes``) that record one; notes say what not."""
 
     blueprints: tuple[str, ...]
     attributes: dict[str, str]
@@ -157,8 +156,7 @@ class SensorQueue:
         sensor.listen(self._queue.put)
 
     def take(self, frame: int, until: float) -> Any:
-        """The measurement of a frame; None if it has not arrived by ``until`` (monotonic clock
-        [s])."""
+        """The measurement of a frame; None if it has not come by ``until`` (monotonic [s])."""
         try:
             while True:
                 found = self._queue.get(timeout=max(until - time.monotonic(), 1e-3))

@@ -18,8 +18,7 @@ SPAWN_HEIGHT = 300.0
 """Actors are spawned this high above the junction [m], in free air, and then moved down."""
 SPAWN_GAP = 8.0  # vertical distance between actors that are spawned together [m]
 SIZE_TOLERANCE = 0.1
-"""Blueprints may be used whose error (of the logarithm of a side) is this much beyond the best's.
-"""
+"""Blueprints are used whose error (log of a side) is at most so much above the best one's."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,8 +143,7 @@ def _origin(
 
 
 def body_of(name: str, box: Any, usual: Float[np.ndarray, "3"]) -> ActorBody:
-    """A blueprint's body, from an actor's bounding box; of ``usual`` size [m] where the box has
-    none."""
+    """A blueprint's body, from an actor's bounding box, or of the ``usual`` size [m]."""
     middle, half = (np.array([v.x, v.y, v.z]) for v in (box.location, box.extent))
     middle, half = whole_box(middle, half, usual)
     return ActorBody(name, flip(middle), 2 * half)

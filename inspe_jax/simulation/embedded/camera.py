@@ -91,8 +91,7 @@ class SunlitPoints:
         return np.concatenate([self.pixels[a:b] for a, b in runs])
 
     def ends(self, top: R3, along: Float[np.ndarray, "3"]) -> Float[np.ndarray, " R"]:
-        """How far in plan shadows of points ``top`` reach along a direction that points down [m]:
-        until no sunlit point is below their upper edge, also on falling ground."""
+        """How far in plan shadows of ``top`` reach [m]: until no sunlit point is below them."""
         far = np.arange(0, LONGEST)
         unit = along / np.hypot(*along[:2])
         at = top[:, None] + far[:, None] * unit

@@ -64,8 +64,7 @@ LIGHTS: dict[str, Light] = {
         lamps=1.0, exposure=0.033, target=0.05, most=32.0, moments=3,
     ),
 }  # fmt: skip
-"""Plausible values: where a street lamp gives 10 lx, white is 0.11 at night. A gain of 32 is 30 dB.
-"""
+"""Plausible values: under 10 lx at night white is 0.11. A gain of 32 is 30 dB."""
 
 LAMP = (6.0, 5.0, 3.6)
 """Light of a street lamp at 1 m: warm white; at 7.5 m 10 lx, as EN 13201 asks for mixed traffic."""

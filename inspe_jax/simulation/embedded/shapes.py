@@ -78,8 +78,7 @@ def natural_size(name: str) -> Float[np.ndarray, "3"]:
 
 
 def fitting(kind: str, size: Sequence[float] | Float[np.ndarray, "3"]) -> tuple[str, ...]:
-    """The names of a class's shapes that fit a box (length, width, height) [m], or the one that is
-    stretched least. Of pedestrians only the height counts."""
+    """The names of a class's shapes that fit a box [m], or the one that is stretched least."""
     check_known(kind, VARIANTS, "class")
     own = np.array([natural_size(name) for name in VARIANTS[kind]])
     stretch = np.abs(np.log(np.asarray(size, float) / own))
@@ -89,8 +88,7 @@ def fitting(kind: str, size: Sequence[float] | Float[np.ndarray, "3"]) -> tuple[
 
 
 def paint(kind: str, rng: np.random.Generator) -> Float[np.ndarray, "P 3"]:
-    """Linear albedo of the P :data:`PARTS` of one road user of a class: drawn, a few per cent
-    brighter or darker, and converted from sRGB (IEC 61966-2-1)."""
+    """Linear albedo of all :data:`PARTS` of a road user: drawn, and converted from sRGB."""
     check_known(kind, VARIANTS, "class")
     palettes = _PAINT["all"] | _PAINT.get(kind, {})
     srgb = np.zeros((len(PARTS), 3))

@@ -36,8 +36,7 @@ Material = IntEnum(
 
 
 class Part(NamedTuple):
-    """Triangles of one material in world metres, colours of their own, and the number of their
-    body."""
+    """Triangles of one material [m], colours of their own, and the number of their body."""
 
     triangles: F33
     material: Material

@@ -152,8 +152,7 @@ def build_static_world(
 def _all_but_masts(
     intersection: Intersection, radius: float, bodies: tuple[StaticBody, ...]
 ) -> tuple[tuple[Part, ...], Float[np.ndarray, "P 4"], Surface]:
-    """All but poles, the foot (x, y, z) and height of each pole [m], and the surface: nearly all of
-    the time, kept for the next layout."""
+    """All but poles, foot (x, y, z) and height of each pole [m], and surface; takes longest."""
     rng = np.random.default_rng(zlib.crc32(intersection.name.encode()))
     own = unary_union([one.polygon for one in bodies])
     mesh = intersection.mesh if any(one.kind == "solid" for one in bodies) else None

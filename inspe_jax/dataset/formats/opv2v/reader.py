@@ -1,5 +1,4 @@
-"""Reads frames from OPV2V files: of this package, and of other people, which need only have
-``lidar_pose`` or ``true_ego_pos``, and ``angle``, ``extent`` and ``location`` of each road user."""
+"""Reads frames from OPV2V files: of this package, and of other people, which may say less."""
 
 import os
 import re
@@ -95,8 +94,7 @@ def _frame_file(agent: Path, number: int) -> Path:
 
 
 def _content(path: Path, known: dict[bytes, dict[str, Any]]) -> dict[str, Any]:
-    """What a frame's YAML file holds. The text of road users, the same for every agent, is parsed
-    once and kept in ``known``. A file with anchors across both halves is parsed as a whole."""
+    """A frame's YAML file. The text of road users, the same for all agents, is parsed once."""
     check_input(path, YAML)
     text = path.read_bytes()
     head, mark, tail = text.partition(_BOXES)
@@ -127,8 +125,7 @@ def _numbers(
 
 
 def _boxes(contents: list[dict[str, Any]], files: list[Path]) -> Boxes:
-    """The boxes that all agents list, each track once; ``vehicles``, which does not say the kind,
-    last."""
+    """The boxes that all agents list, each track once; ``vehicles`` say no kind, and come last."""
     found: dict[int, RoadUserBox] = {}
     places = [*((section, kind) for kind, section in SECTIONS.items()), ("vehicles", "car")]
     for content, path in zip(contents, files, strict=True):

@@ -245,23 +245,15 @@ def train_all(
     workers: int | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Iterator[tuple[Training, Any]]:
-    """Train every detector; yields each training as it is done, with its run or its exception.
+    """Train every detector from its last state; yields each training with its run or exception.
 
-    Each goes on from its last state.
+    Workers call ``work`` with (training, progress), and its result takes the place of the run. They
+    are those of a Dask ``scheduler``, which reach caches and runs at the same paths, or ``workers``
+    processes on this machine, by default one per core, but no more than trainings. ``progress`` is
+    called with (steps done, steps) of all together.
 
-    Args:
-        trainings: What is trained where.
-        work: What a worker does with (training, progress) in place of training; it may measure what
-            was trained, and what it gives takes the place of the run.
-        scheduler: Address of a running Dask scheduler, whose workers reach caches and runs at the
-            same paths.
-        workers: Without a scheduler, number of processes on this machine, which share its cores; by
-            default one per core, but no more than trainings.
-        progress: Called with (steps done, steps) of all trainings together.
-
-    Raises:
-        InspeError: Two trainings have the same folder, both of scheduler and workers are given,
-            Dask is missing, or no scheduler answers.
+    Raises InspeError where two trainings have the same folder, both of scheduler and workers are
+    given, Dask is missing, or no scheduler answers.
     """
     folders = [training.folder for training in trainings]
     if twice := [folder for folder in folders if folders.count(folder) > 1]:

@@ -18,10 +18,7 @@ ROLE = ("role_name", STRING, ("autopilot", "scenario", "ego_vehicle"))
 
 @dataclass(frozen=True)
 class Blueprint:
-    """A blueprint; centre and extent are those of its box [m]; sensors have no box.
-
-    An attribute is its name, its type, and recommended values of which the first is the default.
-    """
+    """A blueprint: attributes are name, type and recommended values; sensors have no box [m]."""
 
     name: str
     attributes: tuple[tuple[str, int, tuple[str, ...]], ...] = ()

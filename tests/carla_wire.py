@@ -63,11 +63,8 @@ KINDS = {
 
 
 class Wire:
-    """A world and the clients that listen to it; code that uses either holds `changed`.
-
-    `scenery` are solids of the map, with tag, pose and extent each. Sensors of the blueprint `mute`
-    go silent when `after` measurements are sent. `version` is what the server says that it is.
-    """
+    """A world and its listeners; code that uses either holds `changed`. Sensors `mute` go silent
+    `after` so many measurements; `version` is what the server says that it is."""
 
     def __init__(
         self,
@@ -128,7 +125,6 @@ class Wire:
                 self.send(self.measurement(actor), listeners)
 
     def silent(self, actor: Actor) -> bool:
-        """Whether a measurement is not sent."""
         if actor.blueprint.name != self.mute:
             return False
         self.left -= 1
@@ -180,7 +176,6 @@ class Wire:
 
 
 def attempt(work: Callable, *arguments: Any) -> list:
-    """The response to a call."""
     try:
         value = work(*arguments)
     except Refused as error:
@@ -229,10 +224,7 @@ class Streams(StreamRequestHandler):
 
 @contextmanager
 def serving(*maps: Path, **options: Any) -> Iterator[int]:
-    """The port of a server in a new process, which ends with the block.
-
-    The first of the maps is loaded. Options are those of :class:`Wire`.
-    """
+    """The port of a server in a process of its own; the first map is loaded, options are of `Wire`."""
     given = json.dumps({"maps": [*map(str, maps)], **options})
     command = [sys.executable, __file__, given]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:

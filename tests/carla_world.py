@@ -35,8 +35,6 @@ class Refused(Exception):
 
 @dataclass
 class Actor:
-    """An actor; a sensor has a stream."""
-
     number: int
     blueprint: Blueprint
     description: list
@@ -54,10 +52,7 @@ class Actor:
 
 
 class World:
-    """State of the episode; `token` gives the address of a stream.
-
-    Its methods answer the calls of a client of their names.
-    """
+    """State of the episode, whose methods answer calls; `token` gives the address of a stream."""
 
     def __init__(
         self,
@@ -212,7 +207,6 @@ class World:
         self.find(actor).pose = (*transform[0], *transform[1])
 
     def command(self, kind: int, arguments: list) -> int:
-        """Run one command of a batch; gives the actor's number."""
         if COMMANDS[kind] == "spawn_actor":
             return self.spawn_actor(*arguments[:2])[0]
         getattr(self, COMMANDS[kind])(*arguments)

@@ -43,7 +43,6 @@ def scenario(folder):
 
 
 def panels(fig: Figure) -> dict[str, list]:
-    """Panels by their titles."""
     by: dict[str, list] = {}
     for ax in fig.axes:
         by.setdefault(ax.get_title(loc="left"), []).append(ax)

@@ -43,7 +43,6 @@ TOY = DatasetFormat(toy_agents, toy_frames, toy_read, toy_write, "0.pickle")
 
 @pytest.fixture(autouse=True)
 def _toy(monkeypatch):
-    """Add the row, which is the only change to the package."""
     monkeypatch.setitem(FORMATS, "pickle", TOY)
 
 
@@ -69,7 +68,6 @@ def test_frames_are_read_back_as_they_were_written(tmp_path):
 
 
 def test_a_data_set_is_generated_in_a_new_format(tmp_path, monkeypatch):
-    """By the functions of a worker, and the writer that moves finished scenarios."""
     made_up.here(monkeypatch)
     toy = generation(tmp_path, format="pickle")
     (plan,) = toy.scenarios

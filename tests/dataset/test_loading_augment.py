@@ -19,7 +19,6 @@ def batch(cached):
 
 
 def inside(points, box, margin=0.0) -> np.ndarray:
-    """Which points lie in a box."""
     local = (points[:, :3] - box[:3]) @ rotation(np.array([0.0, 0.0, box[6]]), np)
     return (np.abs(local) <= box[3:6] / 2 + margin).all(1)
 
@@ -80,7 +79,6 @@ def test_poses_stay_rotations_and_hold_the_same_points(batch, cached):
 
 
 def test_frames_differ_in_how_they_are_changed(cached):
-    """Also from batch to batch of an epoch, of which there are three."""
     loader = Loader(cached, "train", batch=2, augment=Augment(), sensors=("lidar",), workers=0)
     transforms = np.concatenate([loader[k].transform for k in range(70)])[:, :3, :3]
     determinants = np.linalg.det(transforms.astype(float))

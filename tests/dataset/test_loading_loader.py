@@ -23,7 +23,6 @@ def numbers(batches) -> list[int]:
 
 
 def test_the_order_repeats_with_its_seed_whatever_the_workers(cached):
-    """Also all random changes; and a training that goes on gets what it would have got."""
     settings = dict(batch=2, augment=Augment())
     given = [list(Loader(cached, seed=3, workers=w, **settings).steps(0, 8)) for w in (0, 1, 3)]
     for others in given[1:]:
@@ -178,7 +177,6 @@ def test_bad_arguments(cached, bad, message):
 
 
 def test_targets_say_how_many_pixels_show_a_road_user(tmp_path):
-    """As recorded, in pixels of the batch's pictures."""
     frame, stations = frame_of(0), []
     pixels = np.arange(4)[:, None] * 100 + [1, 2]
     for k, station in enumerate(frame.stations):

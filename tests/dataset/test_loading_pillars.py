@@ -21,7 +21,6 @@ def cloud(count=500, seed=0) -> np.ndarray:
 
 
 def by_hand(points, grid) -> dict[tuple[int, int], list[tuple[float, ...]]]:
-    """The points of each pillar, in their order."""
     found = defaultdict(list)
     for point in points:
         x, y, z = point[:3]
@@ -94,7 +93,6 @@ def test_features_are_those_of_pointpillars():
 
 
 def test_pillars_of_a_unit_have_the_points_of_all_its_lidars(tmp_path):
-    """The second unit has two LiDARs."""
     frame = frame_of(0, cameras=False)
     first, second = frame.stations
     both = replace(second, scans=(second.scans[0], first.scans[0]))

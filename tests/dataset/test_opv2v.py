@@ -19,7 +19,6 @@ from inspe_jax.dataset.formats.pictures import read_picture, write_picture
 
 
 def written(folder: Path, given: Frame | None = None) -> Path:
-    """A scenario with a protocol and one frame."""
     given = given or frame()
     write_protocol(folder, {"world": WORLD}, given.stations)
     write_frame(folder, given)
@@ -198,7 +197,6 @@ def test_what_others_call_observed_is_left_out(tmp_path, observed):
 
 
 def test_what_was_observed_of_each_road_user(tmp_path):
-    """Counts of every sensor are read back, also where tracks are not in order."""
     given = frame()
     order = len(given.boxes)
     seen, stations = dict(pixels=np.arange(order) * 3, share=np.linspace(0, 1, order)), []

@@ -63,7 +63,6 @@ def test_the_range_is_one_grid_for_all_agents():
 
 
 def readers_pixel(thing: dict, lidar_pose) -> tuple[int, int]:
-    """Row and column of a box's middle in HEAL's and CoAlign's code."""
     x, y, _ = box_in_lidar(thing, lidar_pose)[1]
     return 127 - int(x / 0.39), 127 + int(y / 0.39)
 

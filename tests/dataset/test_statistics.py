@@ -19,7 +19,6 @@ LEVEL = np.array([0.0, 0.0, 5.0, 0.0, 0.0, 0.0])
 
 
 def scan_of(world_points, pose=LEVEL) -> Scan:
-    """A scan whose points are at these places in the world."""
     body = (np.asarray(world_points, float) - pose[:3]) @ rotation(np.asarray(pose)[3:], np)
     return Scan(np.asarray(pose), np.column_stack([body, np.zeros(len(body))]).astype(np.float32))
 

@@ -57,7 +57,6 @@ def evaluated(case):
 
 
 def main():
-    """Write the file, and say what is in it."""
     with np.load(FILE) as file:
         content = dict(file)
     for name in dict.fromkeys(key.partition("/")[0] for key in content):

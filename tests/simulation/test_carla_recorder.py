@@ -48,7 +48,6 @@ TAGS = {"car": {14}, "truck": {15, 16}, "cyclist": {18, 19}, "pedestrian": {12}}
 
 
 def run_client(task: str, port: int, file, *arguments: object) -> dict:
-    """What a client writes to a file."""
     words = [sys.executable, client.__file__, task, str(port), str(file), *map(str, arguments)]
     ran = subprocess.run(words, capture_output=True, text=True)
     assert ran.returncode == 0, ran.stdout + ran.stderr
@@ -83,7 +82,6 @@ def gaps(points: np.ndarray, boxes) -> np.ndarray:
 
 
 def carried(pose: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Points of a sensor's frame in the world."""
     return points @ rotation(pose[3:], np).T + pose[:3]
 
 

@@ -70,7 +70,6 @@ def test_an_unlit_car_stands_out_from_the_road_at_night():
 
 
 def lights_of(*boxes):
-    """Road users on a level road, and the map of their light."""
     scene = with_boxes(empty(), *boxes)
     actors = FrameActors(boxes_of(scene.traffic.at(0), 0), scene.intersection.center)
     ground = GroundMap(scene.intersection, 30.0, light.LIGHTS["night"])
@@ -79,7 +78,6 @@ def lights_of(*boxes):
 
 @pytest.fixture(scope="module")
 def driver():
-    """A car at the centre that looks east."""
     return lights_of((0, 0, 0.0, *CAR))
 
 

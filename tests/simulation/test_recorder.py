@@ -55,7 +55,6 @@ def scene():
 
 @pytest.fixture(scope="module")
 def corners(scene):
-    """A LiDAR at each of four corners, 6 m up."""
     return lidars((9, 9, 6), (-9, 9, 6), (-9, -9, 6), (9, -9, 6))
 
 
@@ -125,7 +124,6 @@ def test_no_ray_slips_through_between_two_faces():
 
 
 def test_points_lie_on_surfaces_within_the_noise_and_the_given_share_is_lost(scene, corners):
-    """A turn of a LiDAR on the empty road."""
     recorder = EmbeddedRecorder(scene, corners)
     (lidar, *_), center = recorder.sensors, recorder.surroundings.static_world.center
     returns = lidar.cast(FrameActors((), center), 0.1)
@@ -427,7 +425,6 @@ POLE_LABEL = 6  # CARLA's
 
 @pytest.fixture(scope="module")
 def both():
-    """Two cameras and a LiDAR on two units."""
     cameras = [12.0, 9.5, 5.0, 0.0, -0.3, -2.4], [-9.0, 9.0, 5.0, 0.0, -0.3, -0.8]
     lidar = COARSE, [-9.0, -9.0, 6.0, 0.0, 0.0, 0.0]
     return place_sensors((SMALL, cameras[0]), lidar, (SMALL, cameras[1]))

@@ -32,8 +32,6 @@ class FanSpec(Spec):
 
 
 class Fan:
-    """Its simulation: the nearest return of each ray."""
-
     def __init__(self, spec, pose, surroundings):
         turn = np.linspace(-spec.fov / 2, spec.fov / 2, spec.count)
         self.body = np.column_stack([np.cos(turn), np.sin(turn), np.zeros(spec.count)])

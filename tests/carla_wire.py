@@ -224,7 +224,7 @@ class Streams(StreamRequestHandler):
 
 @contextmanager
 def serving(*maps: Path, **options: Any) -> Iterator[int]:
-    """The port of a server in a process of its own; the first map is loaded, options are of `Wire`."""
+    """The port of a server in a process of its own, as of `Wire`; the first map is open."""
     given = json.dumps({"maps": [*map(str, maps)], **options})
     command = [sys.executable, __file__, given]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:

@@ -76,7 +76,6 @@ def _notes(found: Statistics) -> str:
 
 
 def _class_rows(ax: Axes) -> None:
-    """One row per class, the first at the top."""
     ax.set(ylim=(len(KINDS) - 0.5, -0.5), yticks=range(len(KINDS)), yticklabels=KINDS)
     ax.tick_params(axis="y", length=0)
 

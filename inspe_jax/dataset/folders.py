@@ -86,11 +86,9 @@ class Dataset:
 
 
 def open_dataset(path: str | os.PathLike[str]) -> Dataset:
-    """Open a data set on disk: a folder of splits, one split, or one scenario.
-
-    A split has the name of the folder that holds its scenarios. Scenarios may be in any format of
-    :data:`~inspe_jax.dataset.formats.registry.FORMATS`. Only the names of files are read here.
-    Raises InspeError if there is no such folder, or it is none of the three.
+    """Open a data set on disk: a folder of splits, one split, or one scenario, in any format of
+    :data:`~inspe_jax.dataset.formats.registry.FORMATS`. A split has the name of its folder. Raises
+    InspeError if there is no such folder, or it is none of the three.
 
     >>> empty = dataset.Frame(0, 0.0, (), (dataset.Station(1, "pole", np.zeros(6), (), ()),))
     >>> _ = dataset.write_frame("mine/train/four_way", empty)

@@ -46,9 +46,8 @@ class DatasetWriter:
         backend: str,
         progress: Callable[[int, int], None] | None = None,
     ) -> None:
-        """Compare finished scenarios with their manifests, by digests; ``progress`` is called with
-        (compared, all). Raises InspeError if the folder contains another data set or other files.
-        """
+        """Compare finished scenarios with their manifests; ``progress`` is called with (compared,
+        all). Raises InspeError if the folder contains another data set or other files."""
         self.generation, self.folder, self.backend = generation, folder, backend
         self._check()
         self.there: dict[str, set[int]] = {}
@@ -211,7 +210,12 @@ def generate(
     """
     began = time.monotonic()
     backend = generation.backend if backend is None else backend
-    workers = _checked(backend, workers)
+    check_known(backend, BACKENDS, "backend")
+    most = BACKENDS[backend].most_workers
+    if workers is not None and (workers < 1 or (most is not None and workers > most)):
+        allowed = "1 or more" if most is None else f"{most} with backend {backend}"
+        raise InspeError(f"workers {workers}: {allowed}")
+    workers = most if workers is None else workers
     server = server_of(backend, server)
     try:
         place = prepare_folder(folder)
@@ -237,16 +241,6 @@ def generate(
         if e.errno not in (errno.ENOSPC, errno.EDQUOT):
             raise
         raise InspeError(f"{folder}: the disk is full; {CONTINUE}") from e
-
-
-def _checked(backend: str, workers: int | None) -> int | None:
-    """The number of workers to use. Raises InspeError if ``workers`` is not allowed."""
-    check_known(backend, BACKENDS, "backend")
-    most = BACKENDS[backend].most_workers
-    if workers is not None and (workers < 1 or (most is not None and workers > most)):
-        allowed = "1 or more" if most is None else f"{most} with backend {backend}"
-        raise InspeError(f"workers {workers}: {allowed}")
-    return most if workers is None else workers
 
 
 def _record(

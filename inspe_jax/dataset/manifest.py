@@ -133,7 +133,6 @@ def compare(
 
 
 def _fault_of(path: Path, size: int, digest: str, deep: bool) -> str:
-    """What is wrong with a file; empty if nothing is."""
     try:
         now = path.stat().st_size
         if now != size:
@@ -191,8 +190,7 @@ def check(
     progress: Callable[[int, int], None] | None = None,
 ) -> Check:
     """Compare every file of a data set with its manifest: by size, and if ``deep`` by digest.
-    Scenarios that a generated data set should have and has not are faults, too. ``progress`` is
-    called with (scenarios done, all). Raises InspeError if there is no such data set."""
+    Missing scenarios are faults, too. ``progress`` is called with (scenarios done, all)."""
     data = given if isinstance(given, Dataset) else open_dataset(given)
     faults, known, unknown = _missing_scenarios(data), list[Manifest](), list[Path]()
     for number, scenario in enumerate(data.scenarios, 1):

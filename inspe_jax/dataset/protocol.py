@@ -161,7 +161,6 @@ def load_generation(
 
 
 def _source(entry: _Scene, folders: Iterable[Path], where: str) -> sources.SceneSource:
-    """The source of the scene; its file is searched in the folders, by name and content."""
     given = entry.map or entry.file
     if given is None:
         return sources.scene_source(entry, Path(), where)

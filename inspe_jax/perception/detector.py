@@ -1,5 +1,4 @@
-"""A detector (its modalities' encoders, a fusion of agents, the head), and what it finds in frames.
-The eight of the paper's Table 1 are rows of :data:`MODELS`, as in their papers but smaller."""
+"""A detector, which finds road users in frames: encoders of its modalities, a fusion, a head."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -40,7 +40,6 @@ class PillarEncoder(eqx.Module):
 
 
 def _scales(grid: PillarGrid) -> Float[Array, "1 1 1 1 9"]:
-    """What brings x, y, z, intensity, and the two offsets, to about 1."""
     tall = grid.high - grid.low
     scales = [1 / grid.half] * 2 + [2 / tall, 1.0] + [2 / grid.cell] * 2 + [2 / tall]
     return jnp.asarray(np.array(scales + [2 / grid.cell] * 2, np.float32))[None, None, None, None]
@@ -202,13 +201,10 @@ EMPTY_WEIGHT = 0.05
 
 
 class LiftSplat(eqx.Module):
-    """Pictures of each agent as a map of features; and heat on the pictures, for training.
-
-    Lift, Splat, Shoot (Philion and Fidler 2020). *Lift*: a cell's features times the chance of each
-    depth along its ray. *Splat*: each cell of the map has the mean of what falls into it. The
-    depths are those at which a ray is at certain heights above the road, as in BEVHeight (Yang et
-    al. 2023).
-    """
+    """Pictures of each agent as a map of features, and heat on them, for training (Lift, Splat,
+    Shoot, Philion and Fidler 2020): features times the chance of each depth along a ray fall into
+    the map, and each cell has their mean. Depths are those of certain heights above the road, as in
+    BEVHeight (Yang et al. 2023)."""
 
     images: ImageEncoder
     heat: HeatHead

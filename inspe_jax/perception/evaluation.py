@@ -78,9 +78,8 @@ class NoTruth(InspeError):
 
 @dataclass(frozen=True, eq=False)
 class Evaluation:
-    """AP of the K classes at the D :data:`DISTANCES`. Classes without road users have AP NaN and
-    count in no mean; the devkit counts them with AP 0. ``seen`` has those road users alone as truth
-    that the detector's sensors see, None if not asked for."""
+    """AP of K classes at D :data:`DISTANCES`; NaN, and in no mean, of classes without road users.
+    ``seen`` takes those alone as truth that the detector's sensors see."""
 
     frames: int
     ap: Float[np.ndarray, "K D"]

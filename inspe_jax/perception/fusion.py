@@ -1,5 +1,4 @@
-"""How the maps of several agents become one: the mean of what each has after fusion, where papers
-take their ego vehicle's. Maps are in the frame of the intersection, and are not warped."""
+"""How agents' maps, in the intersection's frame, become one: by the mean of what each has fused."""
 
 from collections.abc import Sequence
 
@@ -220,8 +219,7 @@ class GraphAttention(eqx.Module):
 
 class HMViT(eqx.Module):
     """HM-ViT (Xiang et al. 2023): cells of all agents attend to one another within windows, then
-    within sparse grids over the whole map; then the mean over agents. Its code has two such pairs,
-    norms and perceptrons by modality, and a bias by offset."""
+    within sparse grids (once; its code has two pairs, parts by modality, and a bias by offset)."""
 
     blocks: list[GraphAttention]
 
@@ -304,9 +302,8 @@ class Layer(eqx.Module):
 
 
 class V2XViT(eqx.Module):
-    """V2X-ViT (Xu et al. 2022): layers of attention over agents, of attention within windows at
-    three scales (split attention, Zhang et al. 2020), and of a perceptron; then the mean over
-    agents."""
+    """V2X-ViT (Xu et al. 2022): layers of attention over agents, of split attention within windows
+    (Zhang et al. 2020), and of a perceptron; then the mean over agents."""
 
     layers: list[Layer]
 

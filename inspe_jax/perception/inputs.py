@@ -15,9 +15,8 @@ MULTIPLE = 32
 
 @dataclass(frozen=True)
 class BevGrid:
-    """The cells of bird's-eye view: a square about the middle of the intersection, ``half`` to each
-    side, ``low`` to ``high`` above the ground there, of cells ``cell`` wide [m]. Features are fused
-    on cells of twice that width, and a pedestrian has one of 0.8 m about alone."""
+    """The cells of bird's-eye view about the middle of the intersection: ``half`` to each side,
+    ``low`` to ``high`` above the ground, ``cell`` wide [m], of which a pedestrian has about one."""
 
     half: float = 51.2
     cell: float = 0.8
@@ -84,7 +83,6 @@ def inputs_of(batch: Batch, agents: Agents) -> Inputs:
 
 
 def _filled_up(pillars: Pillars, count: int) -> Pillars:
-    """Pillars with ``count`` groups: the last ones are empty."""
     missing = count - pillars.counts.shape[1]
     used = np.flatnonzero(pillars.counts.any(axis=(0, 2)))
     _check_count(int(used.max(initial=-1)) + 1, count, "LiDARs")

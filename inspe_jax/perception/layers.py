@@ -1,5 +1,4 @@
-"""The layers of detectors. Maps are (…, H, W, C), channels last. Norms are over what one map holds,
-not over a batch, which here is a few frames of agents that are much alike."""
+"""Layers of detectors. Maps are (…, H, W, C); norms are over one map: a batch's are much alike."""
 
 from collections.abc import Callable
 from typing import Any

@@ -64,8 +64,7 @@ def frame_of(agent: Station) -> Float[np.ndarray, "6"]:
 
 
 def with_cameras(stations: Sequence[Station], count: int) -> tuple[Station, ...]:
-    """Agents with ``count`` cameras each; as they are if that is 0 or there is no camera. A
-    station's further agents have the numbers after the last station's, and no LiDAR."""
+    """Agents with ``count`` cameras each, if not 0: further ones have new numbers and no LiDAR."""
     if not count or not any(station.images for station in stations):
         return tuple(stations)
     first, further = [], []

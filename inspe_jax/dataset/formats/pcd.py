@@ -44,9 +44,8 @@ def write_pcd(path: str | os.PathLike[str], points: Any, note: str = "") -> None
 
 
 def read_pcd(path: str | os.PathLike[str]) -> Float[np.ndarray, "N 4"]:
-    """Points of a PCD file, ASCII or binary: x, y, z and intensity, float32. The intensity is the
-    field ``intensity``, or the red byte of ``rgb``, or 0. Points that are not finite, which mark
-    empty places, are left out. Raises InspeError for any other file."""
+    """Points of a PCD file, ASCII or binary: x, y, z and ``intensity``, or the red byte of ``rgb``,
+    or 0. Empty places are left out. Raises InspeError for any other file."""
     path = Path(path)
     check_input(path, ARRAYS)
     with path.open("rb") as f:

@@ -138,7 +138,6 @@ def pictures_of(folder: str | os.PathLike[str]) -> tuple[int, int] | None:
 
 
 def _decode_all(todo: list[Job], workers: int) -> Iterator[int]:
-    """Decode scenarios, in this process or in several; yields the number of frames of each."""
     workers = min(workers, len(todo))
     if workers <= 1:
         yield from (decode(*job) for job in todo)
@@ -172,7 +171,6 @@ def _claim(path: Path, pictures: tuple[int, int] | None) -> None:
 
 
 def _stored(path: Path) -> Iterator[StoredScenario]:
-    """The complete scenarios of a cache, split by split."""
     for split in split_folders(path):
         for place in subfolders(split):
             if not (place.name.startswith(".") and place.name.endswith(storage.PART)):

@@ -13,14 +13,9 @@ from inspe_jax.simulation.frame import Picture
 
 
 def on_picture(points: Any, pose: Any, intrinsic: Any, xp: Any = np) -> Any:
-    """Points on a picture: column and row [pixels], and depth [m], negative behind the camera.
-
-    Args:
-        points: (…, 3) in the frame that ``pose`` leads to.
-        pose: (4, 4) from the camera's body (x forward, y left, z up).
-        intrinsic: (3, 3) [px]; (0, 0) is the outer corner of the first pixel.
-        xp: numpy or jax.numpy.
-    """
+    """Points (…, 3) on a picture, whose (4, 4) ``pose`` leads from the body (x forward, y left, z
+    up) to their frame: column and row [px] from the outer corner of the first pixel, and depth [m],
+    negative behind the camera. ``xp`` is numpy or jax.numpy."""
     body = (points - xp.broadcast_to(pose[:3, 3], points.shape)) @ pose[:3, :3]
     seen = xp.stack([-body[..., 1], -body[..., 2], body[..., 0]], -1) @ intrinsic.T
     return xp.concatenate([seen[..., :2] / seen[..., 2:], seen[..., 2:]], -1)

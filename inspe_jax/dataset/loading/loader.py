@@ -248,7 +248,6 @@ def _fill_poses(
 
 
 def _no_sensors(*shape: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """``pose``, ``present`` and ``unit`` of padding."""
     return _identities(*shape), np.zeros(shape, bool), np.zeros(shape, np.int32)
 
 

@@ -1,6 +1,4 @@
-"""A scenario in the cache: ``points.raw`` (all clouds one after the other, 16-bit),
-``pictures.raw``, ``index.npz`` (poses, calibration, boxes, where each cloud begins) and
-``scenario.json``."""
+"""A scenario in the cache: 16-bit clouds, pictures, an index of all else, and a record."""
 
 import hashlib
 import json
@@ -36,9 +34,8 @@ AT_ONCE = 8192
 
 
 class ScenarioRecord(Strict):
-    """What ``scenario.json`` says: the digest of its ``source``, the ``middle`` of the intersection
-    in its world [m], the size of ``pictures`` and of ``files`` [bytes], and the largest counts of a
-    frame."""
+    """What ``scenario.json`` says: digest of the source, middle of the intersection in its world
+    [m], sizes of pictures and of files [bytes], and the largest counts of a frame."""
 
     source: str
     middle: list[float]
@@ -135,9 +132,8 @@ def digest_of_scenario(scenario: Scenario) -> str:
 
 
 def decode(scenario: Scenario, place: Path, source: str, pictures: tuple[int, int] | None) -> int:
-    """Decode a scenario into ``place``, which appears when it is complete; gives the number of its
-    frames. Raises InspeError if a file is broken or cannot be written, or sensors differ by frame.
-    """
+    """Decode a scenario into ``place``, which appears when it is complete; gives its number of
+    frames. Raises InspeError if a file is broken or not writable, or sensors differ by frame."""
     part = place.with_name(f".{place.name}{PART}")
     shutil.rmtree(part, ignore_errors=True)
     try:

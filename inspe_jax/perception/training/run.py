@@ -1,7 +1,5 @@
-"""What a training depends on, and its folder: ``run.json`` (what is trained on what),
-``losses.csv`` (a row for each step), ``validation.csv`` (mAP), and the last two states, as
-``step_00000250.eqx``: detector and moments of the optimiser after so many steps, as Equinox writes
-them."""
+"""What a training depends on, and its folder: ``run.json``, ``losses.csv``, ``validation.csv``, and
+the last two states (detector and moments of the optimiser), as ``step_00000250.eqx``."""
 
 import functools
 import json

@@ -187,7 +187,6 @@ def training_step(
 
 
 def _validate(cache: Cache, run: TrainingRun, predictor: Predictor, step: int) -> float | None:
-    """The mAP on the split ``validate``, if there is one, as a row of the run."""
     settings = run.content.settings
     if not settings.validate_frames or "validate" not in cache.splits:
         return None

@@ -1,8 +1,7 @@
 """Records the sensors of a layout and the traffic of a scene in a CARLA server's town.
 
-Exposure, weather and wind change from tick to tick. All rays of a LiDAR's turn are fired at one
-moment, and sensors have no masts. Tests run CARLA's own client against a stand-in: pictures,
-returns and timing of a real server are untested.
+Exposure and weather change from tick to tick; LiDARs' rays are fired at one moment; there are no
+masts. Tests run CARLA's client against a stand-in: a real server's data are untested.
 """
 
 import time
@@ -82,7 +81,6 @@ class CarlaRecorder:
         return frame_of(self.scene, self.layout, t, boxes, recorded)
 
     def _listen(self, s: int) -> dict[str, SensorQueue]:
-        """Spawn CARLA's sensors for sensor s of the layout: their queues, by blueprint."""
         sensor, cords = self.layout.sensors[s], to_carla(self.poses[s])
         queues, unit = {}, self.layout.units[sensor.unit].name
         for name in self.sensors[s].blueprints:

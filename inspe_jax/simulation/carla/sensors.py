@@ -1,6 +1,5 @@
-"""CARLA's sensors: which of them record each kind of sensor, and what becomes of their data. Its
-LiDAR has evenly spaced channels, and the principal point of its cameras is the middle: notes say
-what is left out. To add a kind, add a row to :data:`SENSOR_KINDS`."""
+"""CARLA's sensors for each kind of sensor, and what becomes of their data; notes say what CARLA
+leaves out. To add a kind, add a row to :data:`SENSOR_KINDS`."""
 
 import queue
 import time
@@ -89,7 +88,10 @@ class CarlaCamera:
         pictures = {name.rpartition(".")[2]: _colours(image) for name, image in data.items()}
         layers: dict[str, np.ndarray] = {}
         if "depth" in pictures:
-            layers["depth"] = _depth(pictures["depth"])
+            red, green, blue = np.moveaxis(pictures["depth"].astype(np.int64), -1, 0)
+            code = red + 256 * green + 65536 * blue
+            depth = np.where(code >= 2**24 - 1, np.inf, code * (FAR / (2**24 - 1)))
+            layers["depth"] = depth.astype(np.float32)
         if "semantic_segmentation" in pictures:
             layers["semantic"] = pictures["semantic_segmentation"][..., 0].copy()
         if "instance" in self.layers:
@@ -170,13 +172,6 @@ def _colours(image: Any) -> Picture:
     """Red, green and blue of a picture, which CARLA stores as blue, green, red and alpha."""
     bgra = np.frombuffer(image.raw_data, np.uint8).reshape(image.height, image.width, 4)
     return np.ascontiguousarray(bgra[..., 2::-1])
-
-
-def _depth(colours: Picture) -> Float[np.ndarray, "H W"]:
-    """Depth along the axis [m], infinite from :data:`FAR` on, from the 24 bits of the colours."""
-    red, green, blue = np.moveaxis(colours.astype(np.int64), -1, 0)
-    code = red + 256 * green + 65536 * blue
-    return np.where(code >= 2**24 - 1, np.inf, code * (FAR / (2**24 - 1))).astype(np.float32)
 
 
 def instances_of(

@@ -108,7 +108,15 @@ def session_on(
     what = "recording with CARLA needs its client, in the server's version"
     with needs(what, "carla", "Linux and Windows, Python up to 3.12"):
         import carla
-    client = _connected(carla, server)
+    server.reach()
+    client = carla.Client(server.host, server.port)
+    client.set_timeout(server.timeout)
+    theirs, own = client.get_server_version(), client.get_client_version()
+    if _release(theirs) != _release(own):  # messages of another version crash the process
+        raise InspeError(
+            f"CARLA at {server} is {theirs} and the client here {own}: "
+            f"pip install carla=={_release(theirs)}"
+        )
     world = client.get_world()
     settings = world.get_settings()
     world = _on_map(client, world, town, server)
@@ -158,20 +166,6 @@ def weather_of(carla: Any, conditions: Conditions) -> Any:
     )
 
 
-def _connected(carla: Any, server: Server) -> Any:
-    """A client for a server. Raises InspeError if the server has another version."""
-    server.reach()
-    client = carla.Client(server.host, server.port)
-    client.set_timeout(server.timeout)
-    theirs, own = client.get_server_version(), client.get_client_version()
-    if _release(theirs) != _release(own):  # messages of another version crash the process
-        raise InspeError(
-            f"CARLA at {server} is {theirs} and the client here {own}: "
-            f"pip install carla=={_release(theirs)}"
-        )
-    return client
-
-
 def _release(version: str) -> str:
     """The release of a version: 0.9.16 of 0.9.16-3-gabc, which is a build from source."""
     found = re.match(r"\d+(\.\d+)*", version)
@@ -179,7 +173,6 @@ def _release(version: str) -> str:
 
 
 def _on_map(client: Any, world: Any, town: str, server: Server) -> Any:
-    """The world with a map, which is loaded if the server has another one open."""
     if _plain(world.get_map().name) == _plain(town):
         return world
     there = sorted({name.rpartition("/")[2] for name in client.get_available_maps()})

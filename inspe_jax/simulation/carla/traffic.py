@@ -109,7 +109,6 @@ class Actors:
         return bodies[np.random.default_rng([self.seed, track, 1]).choice(near)]
 
     def _in_the_air(self, k: int) -> Pose6:
-        """The cords of the k-th actor that is spawned, above the others."""
         x, y, z = self.middle
         return to_carla([x, y, z + SPAWN_HEIGHT + SPAWN_GAP * k, 0.0, 0.0, 0.0])
 

@@ -1,5 +1,4 @@
-"""A camera in a world of triangles: a ray through every pixel, lit by sun, sky and street lamps.
-Each frame renders only pixels again on which a road user or its shadow may fall."""
+"""A camera in a world of triangles, lit by sun, sky and lamps; each frame, changes are rendered."""
 
 from typing import NamedTuple
 
@@ -164,7 +163,6 @@ class Camera:
     def _background_part(
         self, pixels: slice, distance: np.ndarray, face: np.ndarray, normal: np.ndarray
     ) -> tuple[np.ndarray, ...]:
-        """The fields of :class:`Background` but ``distance``, for some of the pixels."""
         shading, hit = self.shading, face >= 0
         point = self.origin + self.directions[pixels] * np.where(hit, distance, 0)[:, None]
         albedo, semantic = self.static_world.look(face, point, normal)
@@ -185,7 +183,6 @@ class Camera:
         return point, in_sun, ambient, colour, np.where(hit, semantic, SKY).astype(np.uint8)
 
     def _in_shadow(self, caster: Caster, point: R3, normal: R3) -> Bool[np.ndarray, " R"]:
-        """Whether the caster's triangles stand between points and the sun."""
         return caster.meets(point + np.float32(0.02) * normal, self.shading.to_sun, LONGEST)
 
     def record(self, actors: FrameActors, rng: np.random.Generator) -> Image:

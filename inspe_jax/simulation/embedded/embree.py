@@ -60,7 +60,6 @@ class Caster:
 
 
 def _rays(origins: Any, directions: Any, reach: Any) -> tuple[np.ndarray, ...]:
-    """Origins, directions and reaches, one for each ray, in the form that Embree needs."""
     start, to = np.broadcast_arrays(origins, directions)
     given = start, to, np.broadcast_to(reach, start.shape[:1])
     return tuple(np.array(x, np.float32, order="C") for x in given)

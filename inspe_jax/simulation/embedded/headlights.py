@@ -1,8 +1,5 @@
-"""The lamps of vehicles: what they light, on the ground and on other road users.
-
-A vehicle has one dipped beam, in the middle of its front, with its maximum just below a cut-off. It
-falls with the square of the distance. The ground's light is a map, made once a frame.
-"""
+"""What vehicles' lamps light, on the ground and on road users: one dipped beam each, with a
+cut-off, that falls with the square of the distance; the ground's is a map, made once a frame."""
 
 from typing import NamedTuple
 

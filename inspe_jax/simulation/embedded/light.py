@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Float
 from scipy.special import ndtri
 
 from inspe_jax.sensing.conditions import Conditions
@@ -127,16 +127,11 @@ def parts(many: int) -> Iterator[slice]:
     return (slice(k, k + AT_ONCE) for k in range(0, many, AT_ONCE))
 
 
-def _curve() -> UInt8[np.ndarray, " N"]:
-    """The 8-bit values of evenly spaced brightness from 0 to :data:`WHITE`."""
-    value = (np.arange(_FINE + 1) + 0.5) / _FINE * WHITE
-    value = value * (1 + value / WHITE**2) / (1 + value)  # Reinhard's, which ends at white
-    curve = np.where(value <= 0.0031308, 12.92 * value, 1.055 * value ** (1 / 2.4) - 0.055)
-    return np.round(255 * np.clip(curve, 0, 1)).astype(np.uint8)
-
-
 WHITE = 2.5  # brightness after the gain that becomes white in an image
 AT_ONCE = 2**16  # largest number of items in a slice of :func:`parts`
 _FINE = 2**14
-_CURVE = _curve()
+_LINEAR = (np.arange(_FINE + 1) + 0.5) / _FINE * WHITE
+_ROLLED = _LINEAR * (1 + _LINEAR / WHITE**2) / (1 + _LINEAR)  # Reinhard's, which ends at white
+_SRGB = np.where(_ROLLED <= 0.0031308, 12.92 * _ROLLED, 1.055 * _ROLLED ** (1 / 2.4) - 0.055)
+_CURVE = np.round(255 * np.clip(_SRGB, 0, 1)).astype(np.uint8)
 _QUANTILES = ndtri((np.arange(2**16) + 0.5) / 2**16).astype(np.float32)

@@ -1,6 +1,5 @@
 """The colours of surfaces, lit by sun, sky and street lamps, and seen through the air. Wet roads
-are darker (Lekner and Dorf 1988); the film over them reflects as water does (Schlick 1994),
-roughened by the grains of asphalt and smooth in puddles. Lamps are not mirrored."""
+are darker (Lekner and Dorf 1988), and reflect as water does (Schlick 1994)."""
 
 import numpy as np
 from jaxtyping import Float

@@ -24,9 +24,8 @@ STRETCH = 0.15
 
 @dataclass(frozen=True)
 class Shape:
-    """A mesh that fills −0.5 … 0.5 on each axis: x forward, y left, z up. Faces run
-    counter-clockwise, seen from outside; ``part`` is an index into ``PARTS``. Arrays are shared and
-    read-only."""
+    """A mesh that fills −0.5 … 0.5 on each axis: x forward, y left, z up; faces run
+    counter-clockwise, seen from outside. Arrays are shared and read-only."""
 
     vertices: Float[np.ndarray, "N 3"]
     faces: Int[np.ndarray, "F 3"]

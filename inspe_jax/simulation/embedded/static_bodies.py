@@ -1,6 +1,5 @@
-"""The static bodies of a scene as triangles: the same outlines and heights that scores take. Crowns
-are rounded, to nine tenths of their prisms; as much light passes between leaves as the body says.
-Parked vehicles outside the region have the shapes of road users."""
+"""The static bodies of a scene as triangles: the same outlines and heights that scores take, but
+for rounded crowns, with gaps that let light through, and shapes of parked vehicles."""
 
 from collections.abc import Callable, Iterator
 from enum import IntEnum

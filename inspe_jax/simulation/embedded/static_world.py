@@ -1,8 +1,5 @@
-"""The static world: ground, kerbs, buildings, trees and poles, as triangles with a material.
-
-Clear of the static bodies, buildings and trees outside the region of interest, and in it low kerbs
-and thin poles, make pictures look like a place. Of a mesh of the place, its faces stand instead.
-"""
+"""The static world: ground, kerbs, buildings, trees and poles, as triangles with a material. What
+is not of the scene or its mesh stands clear of sight lines inside the region."""
 
 import zlib
 from collections.abc import Iterator, Sequence
@@ -56,9 +53,8 @@ _WALLS = np.array(
 
 @dataclass(frozen=True, eq=False)
 class StaticWorld:
-    """Triangles relative to ``center`` [m], with a :class:`Material` each; ``body`` numbers
-    buildings and trees, ``poles`` are tops in the world [m], ``colour`` is the albedo of faces with
-    one of their own."""
+    """Triangles relative to ``center`` [m], with material, number of the building or tree, and
+    colour, if of their own; ``poles`` are tops in the world [m]."""
 
     center: Float[np.ndarray, "3"]
     triangles: F33
@@ -226,7 +222,6 @@ def _ground(intersection: Intersection, radius: float) -> F33:
 
 
 def _kerbs(intersection: Intersection) -> Iterator[F33]:
-    """Kerbs along the edge of the carriageway, with gaps at crossings."""
     regions = intersection.regions
     road = [regions[r] for r in (Region.DRIVEWAY, Region.JUNCTION) if r in regions]
     foot = [regions[r] for r in (Region.SIDEWALK, Region.SHOULDER) if r in regions]
@@ -249,7 +244,6 @@ def _kerbs(intersection: Intersection) -> Iterator[F33]:
 
 
 def _tube(foot: np.ndarray, radius: float, height: float) -> F33:
-    """A vertical prism with eight sides, closed at the top."""
     turn = np.linspace(0, 2 * np.pi, 8, endpoint=False)
     ring = foot + radius * np.column_stack([np.cos(turn), np.sin(turn), np.zeros(8)])
     top = ring + [0.0, 0.0, height]
@@ -284,7 +278,6 @@ def _plots(
 def _trees(
     intersection: Intersection, taken: BaseGeometry, radius: float, rng: np.random.Generator
 ) -> Iterator[tuple[Float[np.ndarray, "3"], float]]:
-    """Feet and heights of trees whose crowns keep clear of ``taken`` [m]."""
     for _ in range(TREES):
         height = rng.uniform(4.5, 9.0)
         for _ in range(15):
@@ -296,7 +289,6 @@ def _trees(
 
 
 def _crown(foot: np.ndarray, height: float, rng: np.random.Generator) -> F33:
-    """A crown: a ball of rings of latitude, each point moved a little."""
     tall, wide = 0.62 * height / 2, 0.28 * height
     rows, columns = 5, 8
     up = np.linspace(-np.pi / 2, np.pi / 2, rows + 1)[:, None]

@@ -89,7 +89,6 @@ def _fill(
 
 
 def _zebras(intersection: Intersection) -> Iterator[BaseGeometry]:
-    """The stripes of zebra crossings, along the direction of the traffic that is crossed."""
     walks = intersection.regions.get(Region.CROSSWALK, MultiPolygon())
     for walk in shapely.get_parts(walks):
         corners = np.array(walk.minimum_rotated_rectangle.exterior.coords)[:4]
@@ -104,7 +103,6 @@ def _zebras(intersection: Intersection) -> Iterator[BaseGeometry]:
 
 
 def _lines(intersection: Intersection) -> list[BaseGeometry]:
-    """Lines between lanes, outside junctions and away from kerbs."""
     driveway = intersection.regions.get(Region.DRIVEWAY)
     if driveway is None or driveway.is_empty:
         return []

@@ -18,9 +18,8 @@ BELOW = 2.5
 
 
 class Surroundings:
-    """The world around a layout's sensors in a scene, its light, and what is to be recorded. There
-    is a mast for each unit but ``mastless``. ``ground`` is where headlights are followed, None by
-    day. Raises InspeError where the recording is not valid, or Embree is missing."""
+    """The world around a layout's sensors, with a mast for each unit but ``mastless``, its light,
+    and what is recorded; ``ground`` is where headlights are followed, None by day."""
 
     def __init__(
         self,

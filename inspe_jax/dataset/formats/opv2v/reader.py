@@ -55,13 +55,10 @@ def frame_numbers(scenario: Path, agents: tuple[int, ...]) -> tuple[int, ...]:
 def frame_of(
     scenario: Path, number: int, agents: tuple[int, ...], protocol: Mapping[str, Any]
 ) -> Frame:
-    """A frame of a scenario; pictures and points are read when they are first used.
-
-    Of a road user, the first agent that lists it is taken. One whose speed alone is given moves the
-    way it faces; roll and pitch of boxes are left out, and so is a camera without a picture or one
-    that only fills up an agent's. Raises InspeError where there is no such frame, or a file is
-    broken.
-    """
+    """A frame of a scenario; pictures and points are read when they are first used. The first agent
+    that lists a road user counts. One whose speed alone is given moves the way it faces. Cameras
+    without a picture, or that only fill up an agent's, are left out. Raises InspeError where there
+    is no such frame, or a file is broken."""
     if not agents:
         raise InspeError(f"{scenario}: not a scenario: it has no folder of an agent, as -1")
     files = [_frame_file(scenario / str(agent), number) for agent in agents]
@@ -209,7 +206,6 @@ def _of(counts: Counts, i: int) -> dict[str, Any]:
 
 
 def _numbered(content: Mapping[str, Any], word: str) -> dict[int, str]:
-    """The keys that consist of ``word`` and a number, by the number."""
     found = (re.fullmatch(rf"{word}(\d+)", key) for key in content if isinstance(key, str))
     return dict(sorted((int(m[1]), m[0]) for m in found if m))
 

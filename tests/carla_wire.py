@@ -1,7 +1,7 @@
 """A CARLA 0.9.16 server without a simulator, for the unmodified client: the wire.
 
 `serving` starts one in a process of its own, on the loopback only. What it tells is in
-`carla_world`, what its sensors see in `carla_rays`, what can be spawned in `carla_blueprints`. A
+`carla_world`, what its sensors see in `carla_rays`. A
 layout that the client does not expect ends the client's process: clients of tests run in processes
 of their own.
 

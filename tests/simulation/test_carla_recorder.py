@@ -21,7 +21,7 @@ pytest.importorskip("msgpack", reason="what the CARLA client talks: extra [test]
 
 import carla_recording as client
 import carla_wire
-from carla_blueprints import BLUEPRINTS
+from carla_world import BLUEPRINTS
 from frames import car
 from processes import inspe_process
 from worlds import place_sensors, world

@@ -10,8 +10,7 @@ from inspe_jax.scene.scene import Scene
 from inspe_jax.sensing.conditions import FAIR, Conditions
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.simulation.embedded.camera import Camera
-from inspe_jax.simulation.embedded.lidar import Lidar
-from inspe_jax.simulation.embedded.radar import Radar
+from inspe_jax.simulation.embedded.ray_sensors import Lidar, Radar
 from inspe_jax.simulation.embedded.road_users import FrameActors
 from inspe_jax.simulation.embedded.surroundings import Surroundings
 from inspe_jax.simulation.frame import Boxes, Frame, Image, Pose6, Scan

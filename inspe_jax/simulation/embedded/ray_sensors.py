@@ -1,4 +1,6 @@
-"""A radar in a world of triangles: echoes of road users with their radial speeds.
+"""LiDARs and radars in a world of triangles.
+
+A LiDAR has one turn per frame, centred on its time, in which road users move. What a radar has:
 
 1. Rays that fill the beam meet road users, and each adds to an echo as the radar equation has it
    (:mod:`inspe_jax.scoring.radar_evidence`), unless it is slower than the radar finds.
@@ -8,7 +10,10 @@
 Echoes by way of walls and the road, and false alarms, are left out; a near car has tens of echoes.
 """
 
+from typing import Any, NamedTuple
+
 import numpy as np
+from jaxtyping import Float, Int
 from numpy.random import Generator
 
 from inspe_jax.core.geometry import rotation
@@ -16,21 +21,78 @@ from inspe_jax.scene.traffic.frames import CLASSES
 from inspe_jax.scoring.detection import detection_curves
 from inspe_jax.scoring.target_evidence import SIZES, WIDTH
 from inspe_jax.sensing.radar import RadarSpec
+from inspe_jax.sensing.sensors import LidarSpec
+from inspe_jax.sensing.signals import LidarNoise
 from inspe_jax.simulation.embedded.road_users import FrameActors
 from inspe_jax.simulation.embedded.surroundings import Surroundings
 from inspe_jax.simulation.frame import Pose6, Scan
+from inspe_jax.simulation.recorder import apply_noise
+
+SECTORS = 12
+"""Number of parts of a turn. Road users stand still within a part, and move from part to part."""
 
 
-class Radar:
-    """One radar at its place. Rays into the static world are cast only once."""
+class Returns(NamedTuple):
+    """What R rays hit before noise is added: distance [m], and index of the road user, or −1."""
 
-    def __init__(self, spec: RadarSpec, pose: Pose6, surroundings: Surroundings) -> None:
-        self.spec, self.pose = spec, np.asarray(pose, float)
-        self.body = spec.grid.directions()  # (R, 3)
+    distance: Float[np.ndarray, " R"]
+    box: Int[np.ndarray, " R"]
+
+
+class RaySensor:
+    """A sensor at its place. Rays into the static world are cast only once."""
+
+    def __init__(self, spec: Any, pose: Pose6, surroundings: Surroundings) -> None:
+        self.pose, self.reach = np.asarray(pose, float), spec.reach
+        self.body = spec.grid.directions()  # (R, 3), channel by channel
         self.directions = self.body @ rotation(self.pose[3:], np).T
         self.origin = self.pose[:3] - surroundings.static_world.center
         hits = surroundings.caster.cast(self.origin, self.directions, spec.reach)
-        self.limit = np.minimum(hits.distance, spec.reach)
+        self.static_distance = hits.distance
+
+
+class Lidar(RaySensor):
+    """One LiDAR at its place."""
+
+    def __init__(self, spec: LidarSpec, pose: Pose6, surroundings: Surroundings) -> None:
+        super().__init__(spec, pose, surroundings)
+        self.recording = surroundings.recording
+        column = np.tile(np.arange(spec.azimuth_count), len(spec.elevations))
+        self.phase = (column + 0.5) / spec.azimuth_count  # of a turn, 0 … 1
+
+    def record(self, actors: FrameActors, rng: Generator) -> Scan:
+        """The points of one turn."""
+        returns = self.cast(actors, self.recording.turn)
+        return self.scan(returns, len(actors.boxes), self.recording.noise, rng)
+
+    def cast(self, actors: FrameActors, turn: float) -> Returns:
+        """What the rays hit in one turn of ``turn`` seconds; if 0, all are fired at once."""
+        distance, box = self.static_distance.copy(), np.full(len(self.body), -1)
+        sectors = SECTORS if turn > 0 else 1
+        sector = (self.phase * sectors).astype(int)
+        for k in range(sectors):
+            road_users, caster = actors.at(((k + 0.5) / sectors - 0.5) * turn)
+            own = np.flatnonzero(sector == k)
+            limit = np.minimum(distance[own], self.reach)
+            hits = caster.cast(self.origin, self.directions[own], limit)
+            hit = hits.face >= 0
+            distance[own[hit]] = hits.distance[hit]
+            box[own[hit]] = road_users.box[hits.face[hit]]
+        return Returns(distance, box)
+
+    def scan(self, returns: Returns, boxes: int, noise: LidarNoise, rng: Generator) -> Scan:
+        """The points of the returns that are not lost; ``boxes`` is the number of road users."""
+        points, back = apply_noise(self.body, returns.distance, noise, rng)
+        own = returns.box[back]
+        return Scan(self.pose, points, np.bincount(own[own >= 0], minlength=boxes))
+
+
+class Radar(RaySensor):
+    """One radar at its place."""
+
+    def __init__(self, spec: RadarSpec, pose: Pose6, surroundings: Surroundings) -> None:
+        super().__init__(spec, pose, surroundings)
+        self.spec, self.limit = spec, np.minimum(self.static_distance, spec.reach)
         self.steradians = 2 * np.sin(spec.elevation_fov / 2) * spec.azimuth_fov / len(self.body)
 
     def record(self, actors: FrameActors, rng: Generator) -> Scan:

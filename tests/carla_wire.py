@@ -1,34 +1,21 @@
 """A CARLA 0.9.16 server without a simulator, for the unmodified client: the wire.
 
 `serving` starts one in a process of its own, on the loopback only. What it tells is in
-`carla_world`, what its sensors see in `carla_rays`. A
-layout that the client does not expect ends the client's process: clients of tests run in processes
-of their own.
+`carla_world`, what its sensors see in `carla_rays`. A layout that the client does not expect ends
+the client's process: clients of tests run in processes of their own.
 
-**Calls** are msgpack over TCP. A request is [0, id, name, [[no reply wanted], *arguments]], a
-reply [1, id, nil, response]. A response is [[1, value]], or [[False]] where nothing is returned.
-An error is [[0, [text]]] for both; a client raises it as RuntimeError.
-
-- Without synchronous mode `get_world` waits for a snapshot: the server brings some by itself.
-- `apply_settings` with `fixed_delta_seconds` sends tick_cues until snapshots tell that time, which
-  is [False] or [True, seconds] on the wire.
-- `tick` waits for a snapshot of the frame that tick_cue answered. Measurements come after it here,
-  as a recorder must not count on finding them.
-- `apply_batch_sync` sends commands [[number, fields]]; its response is a bare list of responses
-  with actors' ids. In SpawnActor what is to be done then has 0 for the actor that is spawned.
-- `load_world` sends load_new_episode and begins anew with get_episode_info, which must have another
-  id by then. What listened to snapshots is thrown away meanwhile: none should come just then.
+**Calls** are msgpack over TCP. A request is [0, id, name, [[no reply wanted], *arguments]], a reply
+[1, id, nil, response], a response [[1, value]], [[False]] for nothing, or [[0, [text]]], which a
+client raises as RuntimeError. `get_world` waits for a snapshot, which the server brings by itself;
+`apply_settings` sends tick_cues until snapshots tell the time [True, seconds]; `tick` waits for the
+frame that tick_cue answered, and measurements come after it. In SpawnActor, what is to be done then
+has 0 for the actor that is spawned. `load_world` begins anew with get_episode_info, of another id;
+what listened to snapshots is thrown away meanwhile.
 
 **Streams.** A client connects once for each thing it listens to and sends the u32 number of the
 stream; the server sends u32 lengths and payloads. `listen` returns before that connection is made;
-here a tick waits for who asked for a stream. `stop` closes the connection and makes no call.
-
-A payload has 48 bytes: kind and frame u64, time f64, the sensor's x, y, z, pitch, yaw, roll f32.
-Then for a LiDAR the angle [rad] f32, the number of channels u32, the points of each u32, and points
-of four f32; for a picture width and height u32, field of view [deg] f32, and BGRA. For a snapshot
-the episode u64, wall clock f64, seconds since the last f32, an origin of three i32, and flags u32,
-where 1 is a change of map; then 119 bytes an actor: id u32, state u8 (1 is active), pose, velocity,
-turning [deg/s] and acceleration in 15 f32, and 54 bytes that are of vehicles and traffic lights.
+here a tick waits for who asked for a stream. Payloads begin with kind and frame u64, time f64, and
+a pose in f32; a snapshot has 119 bytes an actor, of which 54 are of vehicles and traffic lights.
 """
 
 import json

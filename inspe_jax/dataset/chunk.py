@@ -28,7 +28,7 @@ from inspe_jax.simulation.recorder import Recorder, Server
 
 @dataclass(frozen=True)
 class Chunk:
-    """``frames`` of a scenario for ``folder``, written under ``lock``; so many ``missing``."""
+    """Some frames of a scenario, for ``folder`` under ``lock``; so many are ``missing``."""
 
     plan: ScenarioPlan
     backend: str

@@ -61,7 +61,7 @@ class Targets(NamedTuple):
     mask: Bool[np.ndarray, "B M"]
 
     def seen_by(self, sensors: Iterable[str]) -> Bool[np.ndarray, "B M"]:
-        """Whether "camera" or "lidar", as of ``sensors``, see a road user, or the set is silent."""
+        """Whether one of ``sensors``, "camera" or "lidar", sees a road user, or may."""
         each = {"camera": self.pixels != 0, "lidar": self.returns > 0}
         return np.any([each[sensor].any(-1) for sensor in sensors], 0)
 

@@ -28,8 +28,7 @@ SECTIONS = {kind: f"{kind}s" for kind in ("car", "cyclist", "pedestrian", "truck
 NO_LIDAR = "no LiDAR"  # the comment in the empty PCD file of a station without one
 KMH = 3.6  # 1 m/s in km/h
 DECIMALS = 7
-"""Decimals of lengths [m], angles [°] and speeds [km/h]: values are right to 1e-6, and sums, too.
-"""
+"""Decimals of lengths [m], angles [°] and speeds [km/h]: values and sums are right to 1e-6."""
 OBSERVED = (
     ("lidar_points", "scans", "returns", 0),
     ("camera_pixels", "images", "pixels", 0),
@@ -87,7 +86,7 @@ def _clear(agent: Path, stem: str) -> None:
 
 
 def _write_scans(agent: Path, stem: str, scans: Sequence[Scan], options: FileOptions) -> list[Path]:
-    """Write the scans. Infra-Set's name is a copy: a hard link grows to one with the set's."""
+    """Write the scans. Infra-Set's name is a copy: where sets are copied, links become files."""
     first = agent / f"{stem}.pcd"
     files = [first, *(agent / f"{stem}_lidar{i}.pcd" for i in range(1, len(scans)))]
     if not scans:

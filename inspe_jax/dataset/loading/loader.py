@@ -1,4 +1,4 @@
-"""Batches of a cache for training: in a repeatable order, augmented, read ahead by threads."""
+"""Batches of a cache, in a repeatable order, read ahead by threads; ``grain`` reads loaders, too."""
 
 from collections import deque
 from collections.abc import Iterator, Sequence

@@ -1,4 +1,4 @@
-"""Batches of a cache, in a repeatable order, read ahead by threads; ``grain`` reads loaders, too."""
+"""Batches of a cache, in repeatable order, read ahead by threads; ``grain`` reads them, too."""
 
 from collections import deque
 from collections.abc import Iterator, Sequence

@@ -192,21 +192,26 @@ def generate(
 
     A scenario appears as ``folder/SPLIT/SCENARIO`` when it is complete. After a run was killed,
     call this again: it continues, and gives the same bytes. Scenarios that are there are compared
-    with their manifests, by digests, and damaged ones are recorded again; one that cannot be
-    generated is in ``failures``. Scripts need the usual ``if __name__ == "__main__":``, because
-    workers are processes.
+    with their manifests, by digests, and those that are damaged are recorded again. Scripts that
+    call this need the usual ``if __name__ == "__main__":``, because workers are processes.
 
     Args:
         generation: The plan, as of :func:`inspe_jax.dataset.load_generation`.
         folder: Where the set is.
         backend: One of :data:`~inspe_jax.simulation.backends.BACKENDS`, that of the plan if None.
-        workers: Processes, one per core if None, or as many as the backend allows.
+        workers: Processes that share the work, a few frames at a time: one per core if None, or as
+            many as the backend allows.
         server: Address of the server if the backend needs one, the usual one if None.
         progress: Called with (frames done, all frames).
         checking: Called with (scenarios compared, all).
 
-    Raises InspeError where Dask is missing, no server answers, the disk is full or cannot be
-    written to, or the folder contains something else. The files written until then are valid.
+    Returns:
+        What is complete now. If a scenario cannot be generated, its error is in ``failures``, and
+        the others are generated.
+
+    Raises:
+        InspeError: Dask is missing, no server answers, the disk is full or cannot be written to, or
+            the folder contains something else. The files written until then are valid.
     """
     began = time.monotonic()
     backend = generation.backend if backend is None else backend

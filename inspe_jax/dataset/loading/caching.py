@@ -69,14 +69,20 @@ def cache(
 ) -> Cache:
     """Decode a data set into ``folder``, as far as it is not there yet, also after a kill.
 
-    A scenario appears when it is complete. Pictures get the size ``pictures`` (height, width) [px];
-    None leaves them out. Scenarios are shared by ``workers`` processes, one per core if None:
-    scripts need the usual ``if __name__ == "__main__":``; with 1, this process decodes.
-    ``progress`` is called with (frames done, all frames).
+    A scenario appears when it is complete. Scripts that call this need the usual ``if __name__ ==
+    "__main__":``, because workers are processes.
 
-    Raises InspeError where the folder holds anything else, such as the cache of another state of
-    the set or with pictures of another size, another run uses it, or a file of the set is broken.
-    What was decoded until then stays.
+    Args:
+        dataset: A data set, or its folder.
+        folder: Where the cache is.
+        pictures: Size (height, width) [px] that they get; None leaves them out.
+        workers: Processes that share the scenarios, one per core if None; with 1, this one.
+        progress: Called with (frames done, all frames).
+
+    Raises:
+        InspeError: The folder holds anything else, such as the cache of another state of the set or
+            with pictures of another size; another run uses it; or a file of the set is broken. What
+            was decoded until then stays.
     """
     data = dataset if isinstance(dataset, Dataset) else open_dataset(dataset)
     if pictures is not None and not all(isinstance(n, int) and n >= 1 for n in pictures):

@@ -72,13 +72,21 @@ def train(
 ) -> TrainingRun:
     """Train a detector on the split ``train`` of a cache.
 
-    After a kill, call this again: it goes on from the last state, on a CPU to the same losses. A
-    model that is taught has its teacher trained first, in ``folder/teacher``. ``grid`` is the usual
-    one if None; ``progress`` is called with a :class:`Report`.
+    After a kill, call this again: it goes on from the last state. On a CPU, its losses are then the
+    same to the last digit as without the kill. A model that is taught has its teacher
+    trained first, in ``folder/teacher``.
 
-    Raises InspeError where the cache has no data of the model's sensors or no split ``train``; the
-    folder has another run, or another process trains it; the last state is damaged; or a loss is
-    not a number, in which case the states before it stay.
+    Args:
+        cache: The decoded data set.
+        folder: Where the run is.
+        settings: The model, its steps and their size.
+        grid: In plan, from above; the usual one if None.
+        progress: Called with a :class:`Report`.
+
+    Raises:
+        InspeError: The cache has no data of the model's sensors or no split ``train``; the folder
+            has another run, or another process trains it; the last state is damaged; or a loss is
+            not a number, in which case the states before it stay.
     """
     grid = grid or BevGrid()
     grid.check()
@@ -244,15 +252,23 @@ def train_all(
     workers: int | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Iterator[tuple[Training, Any]]:
-    """Train every detector from its last state; yields each training with its run or exception.
+    """Train every detector; yields each training as it is done, with its run or its exception.
 
-    Workers call ``work`` with (training, progress), and its result takes the place of the run. They
-    are those of a Dask ``scheduler``, which reach caches and runs at the same paths, or ``workers``
-    processes on this machine, by default one per core, but no more than trainings. ``progress`` is
-    called with (steps done, steps) of all together.
+    Each goes on from its last state.
 
-    Raises InspeError where two trainings have the same folder, both of scheduler and workers are
-    given, Dask is missing, or no scheduler answers.
+    Args:
+        trainings: What is trained where.
+        work: What a worker does with (training, progress) in place of training; it may measure what
+            was trained, and what it gives takes the place of the run.
+        scheduler: Address of a running Dask scheduler, whose workers reach caches and runs at the
+            same paths.
+        workers: Without a scheduler, number of processes on this machine, which share its cores; by
+            default one per core, but no more than trainings.
+        progress: Called with (steps done, steps) of all trainings together.
+
+    Raises:
+        InspeError: Two trainings have the same folder, both of scheduler and workers are given,
+            Dask is missing, or no scheduler answers.
     """
     folders = [training.folder for training in trainings]
     if twice := [folder for folder in folders if folders.count(folder) > 1]:

@@ -22,8 +22,7 @@ from inspe_jax.simulation.frame import KINDS, Frame, Image, Picture, RoadUserBox
 from inspe_jax.simulation.projection import corners, edge_lines
 
 MARGIN = 6.0  # margin of the plan around road users and stations [m]
-BADGE_COLOR = "#00543d"
-"""Colour of stations: a green that no class has."""
+BADGE_COLOR = "#00543d"  # of stations: a green that no class has
 _HEIGHTS = LinearSegmentedColormap.from_list(
     "heights", ["#d4d4d4", "#9db8c8", "#4c7f94", "#0d3b4a"]
 )

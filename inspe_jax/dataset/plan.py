@@ -156,9 +156,6 @@ class _SceneEntry(sources.SceneEntry, WorldSettings):
     pass
 
 
-_Proportion = Annotated[float, Field(ge=0)]
-
-
 class RecordingEntry(Strict):
     """Keys that concern the recording and, the last four, :class:`FileOptions`."""
 
@@ -196,7 +193,9 @@ class RecordingEntry(Strict):
 class _File(sources.Sources, RecordingEntry):
     scenes: Annotated[list[_SceneEntry], Field(min_length=1)]
     settings: Settings = Settings()
-    splits: dict[Literal["train", "validate", "test"], _Proportion] = Field(default=PROPORTIONS)
+    splits: dict[Literal["train", "validate", "test"], Annotated[float, Field(ge=0)]] = Field(
+        default=PROPORTIONS
+    )
     split_by: Literal["scene", "intersection", "scenario"] = "scene"
 
 

@@ -85,8 +85,7 @@ UNSEEN = 1 - 1e-6
 
 VALUE_WEIGHT = 0.5  # weight of the values' loss, which sums over eight; that of heat is 1
 
-MOST = 100
-"""Detections of a frame and class that are kept; nuScenes allows 500 of ten classes."""
+MOST = 100  # detections of a frame and class that are kept; nuScenes allows 500 of ten classes
 LARGEST_LOG = 5.0
 """Largest logarithm of a side of a box, either way: 7 mm and 148 m, for trainings that diverge."""
 

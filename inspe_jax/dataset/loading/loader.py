@@ -21,8 +21,7 @@ SENSORS: tuple[Sensor, ...] = get_args(Sensor)
 
 _Frame = tuple[StoredScenario, int]  # a scenario, and the place of a frame in it
 
-AHEAD = 2
-"""Batches that each worker may be ahead: one that is being made, and one that is ready."""
+AHEAD = 2  # batches that each worker may be ahead: one that is being made, and one that is ready
 
 
 class Loader:

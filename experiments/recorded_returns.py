@@ -19,7 +19,7 @@ from inspe_jax.scene.scene import Scene, build_scene
 from inspe_jax.sensing.catalogue import device
 from inspe_jax.sensing.conditions import Conditions
 from inspe_jax.sensing.layout import Layout, Sensor, Unit, make_layout
-from inspe_jax.simulation.embedded.lidar import Lidar
+from inspe_jax.simulation.embedded.ray_sensors import Lidar
 from inspe_jax.simulation.embedded.recorder import EmbeddedRecorder
 
 DEVICES = ("velodyne-vlp-16", "paper-lidar-32", "ouster-os1-128")

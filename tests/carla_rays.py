@@ -51,10 +51,8 @@ def colour_of(actor: int) -> tuple[int, int, int]:
 def cast(
     origin: np.ndarray, directions: np.ndarray, boxes: Sequence[Box]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """First hits of rays in the world: multiples of `directions` (R, 3), and which box was hit.
-
-    -1 is the ground; -2 is nothing, at infinity. Boxes around the origin are transparent.
-    """
+    """Which box rays in the world hit first (-1: the ground, -2: nothing), and the multiple of
+    `directions` (R, 3); boxes around the origin are transparent."""
     nearest = np.full(len(directions), np.inf)
     which = np.full(len(directions), -2)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -83,11 +81,8 @@ def overlap(a: Box, b: Box) -> bool:
 def scan(
     spec: Mapping[str, str], where: np.ndarray, boxes: Sequence[Box], seconds: float
 ) -> tuple[list[int], np.ndarray]:
-    """What a LiDAR measures in a time: points per channel, and all points (P, 4), float32.
-
-    Points are in the sensor's own frame with intensity exp(-a d), channel after channel from the
-    upper one down. As in CARLA there are `points_per_second` × `seconds` rays.
-    """
+    """Points per channel, from the upper one down, and all points (P, 4), float32, in the sensor's
+    frame with intensity exp(-a d): `points_per_second` × `seconds` rays."""
     channels, span = int(spec["channels"]), float(spec["horizontal_fov"])
     upper, lower = float(spec["upper_fov"]), float(spec["lower_fov"])
     rays = int(np.floor(float(spec["points_per_second"]) * seconds / channels + 0.5))
@@ -107,11 +102,7 @@ def scan(
 def sight(
     spec: Mapping[str, str], where: np.ndarray, boxes: Sequence[Box]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The depth of a pinhole camera's pixels, row by row, and the index of the box, as in `cast`.
-
-    Rays go through the middles of pixels; the focal length is W / (2 tan(fov / 2)). Depth is along
-    the axis, not along the ray.
-    """
+    """The depth along the axis of a camera's pixels, row by row, and the index of the box."""
     width, height = int(spec["image_size_x"]), int(spec["image_size_y"])
     focal = width / (2 * np.tan(np.radians(float(spec["fov"])) / 2))
     right, below = np.meshgrid(

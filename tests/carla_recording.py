@@ -64,8 +64,7 @@ def at(port: int, seen: Scene, server: Server | None = None, conditions: Conditi
 
 
 def record(port: int, file: Path) -> None:
-    """Records a scenario of all frames, one of them twice; writes the server's state meanwhile and
-    afterwards."""
+    """Records a scenario, one frame twice; writes the server's state meanwhile and afterwards."""
     seen, folder = scene(), file.parent / "train" / TOWN
     with at(port, seen, conditions=RAIN) as recorder:
         frames = [recorder.frame(t) for t in range(FRAMES)]
@@ -90,7 +89,6 @@ def record(port: int, file: Path) -> None:
 
 
 def look_at(port: int) -> dict:
-    """The state of a server."""
     import carla
 
     client = carla.Client("127.0.0.1", port)
@@ -112,10 +110,7 @@ def look_at(port: int) -> dict:
 
 
 def errors(_: int, file: Path, *ports: str) -> None:
-    """The errors for servers that cannot be used, NAME:PORT each, and their state afterwards.
-
-    There is a car already on the one named "taken", and Ctrl-C is pressed on "stopped".
-    """
+    """The errors of servers NAME:PORT, and their state then; Ctrl-C is pressed on "stopped"."""
     told, seen, quick = {}, scene(), Server(timeout=1.5)
     for name, port in (given.split(":") for given in ports):
         if name == "taken":

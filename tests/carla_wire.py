@@ -1,34 +1,21 @@
 """A CARLA 0.9.16 server without a simulator, for the unmodified client: the wire.
 
 `serving` starts one in a process of its own, on the loopback only. What it tells is in
-`carla_world`, what its sensors see in `carla_rays`, what can be spawned in `carla_blueprints`. A
-layout that the client does not expect ends the client's process: clients of tests run in processes
-of their own.
+`carla_world`, what its sensors see in `carla_rays`. A layout that the client does not expect ends
+the client's process: clients of tests run in processes of their own.
 
-**Calls** are msgpack over TCP. A request is [0, id, name, [[no reply wanted], *arguments]], a
-reply [1, id, nil, response]. A response is [[1, value]], or [[False]] where nothing is returned.
-An error is [[0, [text]]] for both; a client raises it as RuntimeError.
-
-- Without synchronous mode `get_world` waits for a snapshot: the server brings some by itself.
-- `apply_settings` with `fixed_delta_seconds` sends tick_cues until snapshots tell that time, which
-  is [False] or [True, seconds] on the wire.
-- `tick` waits for a snapshot of the frame that tick_cue answered. Measurements come after it here,
-  as a recorder must not count on finding them.
-- `apply_batch_sync` sends commands [[number, fields]]; its response is a bare list of responses
-  with actors' ids. In SpawnActor what is to be done then has 0 for the actor that is spawned.
-- `load_world` sends load_new_episode and begins anew with get_episode_info, which must have another
-  id by then. What listened to snapshots is thrown away meanwhile: none should come just then.
+**Calls** are msgpack over TCP. A request is [0, id, name, [[no reply wanted], *arguments]], a reply
+[1, id, nil, response], a response [[1, value]], [[False]] for nothing, or [[0, [text]]], which a
+client raises as RuntimeError. `get_world` waits for a snapshot, which the server brings by itself;
+`apply_settings` sends tick_cues until snapshots tell the time [True, seconds]; `tick` waits for the
+frame that tick_cue answered, and measurements come after it. In SpawnActor, what is to be done then
+has 0 for the actor that is spawned. `load_world` begins anew with get_episode_info, of another id;
+what listened to snapshots is thrown away meanwhile.
 
 **Streams.** A client connects once for each thing it listens to and sends the u32 number of the
 stream; the server sends u32 lengths and payloads. `listen` returns before that connection is made;
-here a tick waits for who asked for a stream. `stop` closes the connection and makes no call.
-
-A payload has 48 bytes: kind and frame u64, time f64, the sensor's x, y, z, pitch, yaw, roll f32.
-Then for a LiDAR the angle [rad] f32, the number of channels u32, the points of each u32, and points
-of four f32; for a picture width and height u32, field of view [deg] f32, and BGRA. For a snapshot
-the episode u64, wall clock f64, seconds since the last f32, an origin of three i32, and flags u32,
-where 1 is a change of map; then 119 bytes an actor: id u32, state u8 (1 is active), pose, velocity,
-turning [deg/s] and acceleration in 15 f32, and 54 bytes that are of vehicles and traffic lights.
+here a tick waits for who asked for a stream. Payloads begin with kind and frame u64, time f64, and
+a pose in f32; a snapshot has 119 bytes an actor, of which 54 are of vehicles and traffic lights.
 """
 
 import json
@@ -63,11 +50,8 @@ KINDS = {
 
 
 class Wire:
-    """A world and the clients that listen to it; code that uses either holds `changed`.
-
-    `scenery` are solids of the map, with tag, pose and extent each. Sensors of the blueprint `mute`
-    go silent when `after` measurements are sent. `version` is what the server says that it is.
-    """
+    """A world and its listeners; code that uses either holds `changed`. Sensors `mute` go silent
+    `after` so many measurements; `version` is what the server says that it is."""
 
     def __init__(
         self,
@@ -99,8 +83,6 @@ class Wire:
                     self.world.tick_cue()
                     self.publish()
 
-    # -- Calls ---------------------------------------------------------------------------------
-
     def answer(self, message: list, connection: socket.socket) -> None:
         """Replies first, and publishes the frame afterwards, as CARLA does."""
         _, number, name, (_, *arguments) = message
@@ -117,8 +99,6 @@ class Wire:
             if self.world.ticked:
                 self.publish()
 
-    # -- Frames --------------------------------------------------------------------------------
-
     def gather(self) -> None:
         """Waits until all clients that asked for a stream have connected to it."""
         if not self.changed.wait_for(lambda: not +self.world.awaited, timeout=2):
@@ -132,7 +112,6 @@ class Wire:
                 self.send(self.measurement(actor), listeners)
 
     def silent(self, actor: Actor) -> bool:
-        """Whether a measurement is not sent."""
         if actor.blueprint.name != self.mute:
             return False
         self.left -= 1
@@ -160,8 +139,6 @@ class Wire:
             body += struct.pack("<IB6f", actor.number, 1, *actor.pose) + bytes(36 + 54)
         return self.header("snapshot", (0.0,) * 6) + body
 
-    # -- Streams -------------------------------------------------------------------------------
-
     def token(self, stream: int) -> bytes:
         return struct.pack("<IHBB4B12x", stream, self.stream_port, 1, 1, 127, 0, 0, 1)
 
@@ -186,7 +163,6 @@ class Wire:
 
 
 def attempt(work: Callable, *arguments: Any) -> list:
-    """The response to a call."""
     try:
         value = work(*arguments)
     except Refused as error:
@@ -235,10 +211,7 @@ class Streams(StreamRequestHandler):
 
 @contextmanager
 def serving(*maps: Path, **options: Any) -> Iterator[int]:
-    """The port of a server in a new process, which ends with the block.
-
-    The first of the maps is loaded. Options are those of :class:`Wire`.
-    """
+    """The port of a server in a process of its own, as of `Wire`; the first map is open."""
     given = json.dumps({"maps": [*map(str, maps)], **options})
     command = [sys.executable, __file__, given]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:

@@ -2,7 +2,8 @@
 
 There is no simulation: actors stay where they are placed. There is no gravity, and the only
 collision is an actor that is spawned where another one is. Calls that recording does not need are
-not answered, so that the client raises a RuntimeError.
+not answered, so that the client raises a RuntimeError. Blueprints are a selection: names and boxes
+are close to the simulator's; a walker's origin is its middle, a vehicle's is on the ground.
 """
 
 import time
@@ -12,8 +13,100 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from carla_blueprints import BLUEPRINTS, SPECTATOR, Blueprint, definitions
 from carla_rays import GROUND, Box, cast, colour_of, matrix, overlap
+
+BOOL, INT, FLOAT, STRING, COLOUR = 1, 2, 3, 4, 5
+"""Attribute types on the wire."""
+
+TAGS = {"walker": 12, "car": 14, "van": 14, "truck": 15, "bus": 16, "motorcycle": 18, "bicycle": 19}
+"""CARLA's semantic tags."""
+
+PAINT = ("17,37,103", "75,87,173", "180,44,44", "137,0,0")
+ROLE = ("role_name", STRING, ("autopilot", "scenario", "ego_vehicle"))
+
+
+@dataclass(frozen=True)
+class Blueprint:
+    """A blueprint: attributes are name, type and recommended values; sensors have no box [m]."""
+
+    name: str
+    attributes: tuple[tuple[str, int, tuple[str, ...]], ...] = ()
+    tag: int = 0
+    centre: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    extent: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    defaults: dict[str, str] = field(init=False)
+
+    def __post_init__(self):
+        object.__setattr__(self, "defaults", {name: of[0] for name, _, of in self.attributes})
+
+
+def vehicle(name, kind, height, extent, ahead=0.0, painted=True) -> Blueprint:
+    """The middle of its box is above its origin, and may be ahead of it."""
+    wheels = "2" if kind in ("bicycle", "motorcycle") else "4"
+    attributes = (ROLE, ("base_type", STRING, (kind,)), ("number_of_wheels", INT, (wheels,)))
+    if painted:
+        attributes += (("color", COLOUR, PAINT),)
+    return Blueprint(f"vehicle.{name}", attributes, TAGS[kind], (ahead, 0.0, height), extent)
+
+
+def walker(number, extent) -> Blueprint:
+    name = f"walker.pedestrian.{number:04}"
+    return Blueprint(name, (ROLE,), TAGS["walker"], extent=extent)
+
+
+def sensor(name, **attributes) -> Blueprint:
+    kinds = {int: INT, float: FLOAT}
+    own = [(key, kinds[type(value)], (str(value),)) for key, value in attributes.items()]
+    return Blueprint(f"sensor.{name}", (ROLE, *own))
+
+
+def camera(name) -> Blueprint:
+    return sensor(f"camera.{name}", image_size_x=800, image_size_y=600, fov=90.0)
+
+
+LIDAR = sensor(
+    "lidar.ray_cast", channels=32, range=10.0, points_per_second=56000, rotation_frequency=10.0,
+    upper_fov=10.0, lower_fov=-30.0, horizontal_fov=360.0, atmosphere_attenuation_rate=0.004,
+    dropoff_general_rate=0.45, dropoff_zero_intensity=0.4, noise_stddev=0.0,
+)  # fmt: skip
+
+BLUEPRINTS = {
+    blueprint.name: blueprint
+    for blueprint in (
+        vehicle("tesla.model3", "car", 0.72, (2.396, 1.082, 0.744)),
+        vehicle("lincoln.mkz_2017", "car", 0.719, (2.451, 1.064, 0.755), ahead=0.004),
+        vehicle("nissan.patrol", "car", 0.935, (2.302, 0.966, 0.927), ahead=-0.057),
+        vehicle("dodge.charger_2020", "car", 0.77, (2.504, 1.049, 0.767)),
+        vehicle("volkswagen.t2", "van", 1.02, (2.24, 1.035, 1.019)),
+        vehicle("carlamotors.carlacola", "truck", 1.25, (2.601, 1.313, 1.234)),
+        vehicle("carlamotors.firetruck", "truck", 1.93, (4.234, 1.446, 1.914), painted=False),
+        vehicle("mitsubishi.fusorosa", "bus", 2.13, (5.136, 1.972, 2.126)),
+        vehicle("vespa.zx125", "motorcycle", 0.62, (0.902, 0.43, 0.619)),
+        vehicle("diamondback.century", "bicycle", 0.78, (0.821, 0.187, 0.775)),
+        vehicle("bh.crossbike", "bicycle", 0.54, (0.744, 0.429, 0.54)),
+        walker(1, (0.188, 0.188, 0.93)),
+        walker(2, (0.188, 0.188, 0.93)),
+        walker(9, (0.25, 0.25, 0.55)),
+        LIDAR,
+        *map(camera, ("rgb", "depth", "semantic_segmentation")),
+    )
+}
+
+SPECTATOR = Blueprint("spectator")
+
+
+def definitions() -> list:
+    """The library as `get_actor_definitions` returns it; blueprints are numbered from 1."""
+    return [
+        [
+            number,
+            blueprint.name,
+            blueprint.name.replace(".", ","),
+            [[a, kind, of[0], list(of), True, False] for a, kind, of in blueprint.attributes],
+        ]
+        for number, blueprint in enumerate(BLUEPRINTS.values(), 1)
+    ]
+
 
 VERSION = "0.9.16"
 SNAPSHOTS = 1
@@ -35,8 +128,6 @@ class Refused(Exception):
 
 @dataclass
 class Actor:
-    """An actor; a sensor has a stream."""
-
     number: int
     blueprint: Blueprint
     description: list
@@ -54,10 +145,7 @@ class Actor:
 
 
 class World:
-    """State of the episode; `token` gives the address of a stream.
-
-    Its methods answer the calls of a client of their names.
-    """
+    """State of the episode, whose methods answer calls; `token` gives the address of a stream."""
 
     def __init__(
         self,
@@ -82,8 +170,6 @@ class World:
     def begin(self) -> None:
         self.actors: dict[int, Actor] = {}
         self.spectator = self.add(SPECTATOR, [0, "spectator", []], (0.0, 0.0, 10.0, 0.0, 0.0, 0.0))
-
-    # -- Episode -------------------------------------------------------------------------------
 
     def version(self) -> str:
         return self.release
@@ -110,8 +196,6 @@ class World:
 
     def query_lights_state(self, client: str) -> list:
         return []
-
-    # -- Map -----------------------------------------------------------------------------------
 
     def get_available_maps(self) -> list[str]:
         return [f"/Game/Carla/Maps/{name}" for name in self.maps]
@@ -162,8 +246,6 @@ class World:
         found = bool(far[0] * np.linalg.norm(along) <= reach)
         where = (start + far[0] * along).tolist() if found else start
         return [found, [where, boxes[which[0]].tag if which[0] >= 0 else GROUND]]
-
-    # -- Actors --------------------------------------------------------------------------------
 
     def get_actor_definitions(self) -> list:
         return definitions()
@@ -218,13 +300,10 @@ class World:
         self.find(actor).pose = (*transform[0], *transform[1])
 
     def command(self, kind: int, arguments: list) -> int:
-        """Run one command of a batch; gives the actor's number."""
         if COMMANDS[kind] == "spawn_actor":
             return self.spawn_actor(*arguments[:2])[0]
         getattr(self, COMMANDS[kind])(*arguments)
         return arguments[0]
-
-    # -- Time ----------------------------------------------------------------------------------
 
     @property
     def step(self) -> float:

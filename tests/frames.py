@@ -76,11 +76,8 @@ def frame(number: int = 68, boxes=None, stations=None) -> Frame:
 
 
 def assert_same(read: Frame, given: Frame) -> None:
-    """Two frames agree, as far as files can tell.
-
-    Lengths to 1e-6 m and angles to 1e-6 °; speeds, but not their directions; intensities to half
-    of 1/255, depths to half a centimetre; everything else exactly.
-    """
+    """Two frames agree as far as files can tell: lengths to 1e-6 m and angles to 1e-6 °; speeds,
+    but not their directions; intensities to half of 1/255, depths to half a centimetre."""
     assert read.number == given.number
     assert read.time == given.number * 0.05
     ordered = sorted(given.boxes, key=lambda box: box.track)
@@ -122,7 +119,6 @@ def assert_same_image(read: Image, given: Image) -> None:
 
 
 def vectors(low: list[float], high: list[float]) -> st.SearchStrategy[np.ndarray]:
-    """Vectors inside a box with these corners."""
     each = [st.floats(a, b) for a, b in zip(low, high, strict=True)]
     return st.tuples(*each).map(np.array)
 

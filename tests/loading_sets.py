@@ -78,7 +78,6 @@ def frame_of(number: int, kinds=KINDS, cameras=True, lidars=True, points=60) -> 
 
 
 def write_scenario(folder: Path, frames, **protocol) -> None:
-    """Write frames and a protocol that says where the middle is."""
     for frame in frames:
         write_frame(folder, frame)
     told = {"world": WORLD, "middle": MIDDLE.tolist(), **protocol}

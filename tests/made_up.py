@@ -111,7 +111,9 @@ def record(writer, plan):
     told = []
     for part in plan.chunks:
         place = writer.unfinished(plan), writer.lock(plan, part.start)
-        todo = chunk.Chunk(plan, "embedded", *place, part, len(part), format=writer.format_name)
+        todo = chunk.Chunk(
+            plan, "embedded", *place, part, len(part), format=writer.generation.format
+        )
         told.append(chunk.work(chunk.build(todo), todo))
         assert not told[-1].error
     return told

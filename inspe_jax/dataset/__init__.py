@@ -1,5 +1,4 @@
-"""Data sets of recorded frames: generate, write and read them, in OPV2V's format or another, and
-load them for training."""
+"""Data sets of recorded frames: generate, write, read and load them, as OPV2V's or others'."""
 
 from typing import Any
 

@@ -2,7 +2,6 @@
 
 import multiprocessing
 import threading
-from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -29,9 +28,7 @@ from inspe_jax.simulation.recorder import Recorder, Server
 
 @dataclass(frozen=True)
 class Chunk:
-    """Some ``frames`` of a scenario that is written to ``folder``; ``missing`` of them were not yet
-    when the chunk was sent. A process that writes a chunk holds the file ``lock``. ``server`` is
-    the one that the backend records with, if it needs one."""
+    """Some frames of a scenario, for ``folder`` under ``lock``; so many are ``missing``."""
 
     plan: ScenarioPlan
     backend: str
@@ -60,8 +57,7 @@ class Chunk:
 
 @dataclass(frozen=True)
 class Outcome:
-    """Why a chunk could not be recorded (``error``) or written (``fault``), if it could not; and
-    what the recorder cannot record as the layout has it."""
+    """Why a chunk could not be recorded (``error``) or written (``fault``), and notes."""
 
     error: str = ""
     fault: str = ""
@@ -70,8 +66,7 @@ class Outcome:
 
 @dataclass
 class WorkerState:
-    """The recorder that a worker process has open, of the scenario with this ``key``, if any. Once
-    ``closing`` is true, no further frame is recorded."""
+    """The recorder that a worker process has open. Once ``closing``, no frame is begun."""
 
     key: str = ""
     recorder: Recorder | None = None
@@ -109,8 +104,7 @@ _recording = threading.Lock()
 
 
 def layout_of(plan: ScenarioPlan, scene: Scene) -> tuple[Layout, dict[str, Any]]:
-    """The layout of a scenario on its scene, and its content as in a layout file. Raises InspeError
-    where a camera is no pinhole."""
+    """The layout of a scenario on its scene, and its content as in a layout file."""
     source = plan.layout
     text = source.text or layout_text(place_layout(source, scene))
     content = {"name": source.name, **parse_yaml(text, source.name)}
@@ -133,14 +127,16 @@ def build(chunk: Chunk) -> Scene | str:
 
 
 def work(scene: Scene | str, chunk: Chunk) -> Outcome:
-    """Record and write the missing frames of a chunk, to the same bytes whenever and whoever does
-    it. A message of :func:`build` in place of the scene is the error of the chunk."""
+    """Record and write the missing frames of a chunk, to the same bytes whoever does it."""
     if isinstance(scene, str):
         return Outcome(error=scene)
     notes, options = tuple[str, ...](), chunk.plan.files
     try:
         with FileLock(chunk.lock):
-            for t in _missing(chunk):
+            sender = multiprocessing.parent_process()
+            for t in sorted({*chunk.frames} - set(recorded_frames(chunk.folder))):
+                if sender is not None and not sender.is_alive():
+                    break
                 with _recording:
                     if _worker.closing:
                         break
@@ -169,12 +165,3 @@ def close() -> None:
     _worker.closing = True
     with _recording:
         _worker.close()
-
-
-def _missing(chunk: Chunk) -> Iterator[int]:
-    """Frames of a chunk that are not written yet; stops when the sending process is gone."""
-    sender = multiprocessing.parent_process()
-    for t in sorted({*chunk.frames} - set(recorded_frames(chunk.folder))):
-        if sender is not None and not sender.is_alive():
-            return
-        yield t

@@ -27,8 +27,7 @@ _MEDIAN: dict[str, Any] = dict(lw=1.4, marker="o", ms=2.2)
 
 
 def statistics_view(found: Statistics) -> Figure:
-    """A figure of a data set: objects per class and per frame, their sizes, and points by range, if
-    a road user was scanned."""
+    """A figure of a data set: objects per class and frame, sizes, and points by range, if any."""
     scanned = len(found.points.kind) > 0
     notes = textwrap.wrap(_notes(found), 130)
     rows, foot = [1.5, 1.8, *[2.8] * scanned], 0.1 + NOTE_LINE * len(notes)
@@ -77,7 +76,6 @@ def _notes(found: Statistics) -> str:
 
 
 def _class_rows(ax: Axes) -> None:
-    """One row per class, the first at the top."""
     ax.set(ylim=(len(KINDS) - 0.5, -0.5), yticks=range(len(KINDS)), yticklabels=KINDS)
     ax.tick_params(axis="y", length=0)
 

@@ -63,8 +63,7 @@ class Dataset:
         return tuple(scenario for split in self.splits.values() for scenario in split)
 
     def scenario(self, name: str | None = None) -> Scenario:
-        """A scenario by its name or ``SPLIT/NAME``, or the only one if no name is given. Raises
-        InspeError, which lists the scenarios, if none or several have the name."""
+        """A scenario by its name or ``SPLIT/NAME``, or the only one; an error lists them."""
         named = {
             f"{split}/{scenario.name}": scenario
             for split, scenarios in self.splits.items()
@@ -87,11 +86,9 @@ class Dataset:
 
 
 def open_dataset(path: str | os.PathLike[str]) -> Dataset:
-    """Open a data set on disk: a folder of splits, one split, or one scenario.
-
-    A split has the name of the folder that holds its scenarios. Scenarios may be in any format of
-    :data:`~inspe_jax.dataset.formats.registry.FORMATS`. Only the names of files are read here.
-    Raises InspeError if there is no such folder, or it is none of the three.
+    """Open a data set on disk: a folder of splits, one split, or one scenario, in any format of
+    :data:`~inspe_jax.dataset.formats.registry.FORMATS`. A split has the name of its folder. Raises
+    InspeError if there is no such folder, or it is none of the three.
 
     >>> empty = dataset.Frame(0, 0.0, (), (dataset.Station(1, "pole", np.zeros(6), (), ()),))
     >>> _ = dataset.write_frame("mine/train/four_way", empty)

@@ -22,8 +22,7 @@ from inspe_jax.simulation.frame import KINDS, Frame, Image, Picture, RoadUserBox
 from inspe_jax.simulation.projection import corners, edge_lines
 
 MARGIN = 6.0  # margin of the plan around road users and stations [m]
-BADGE_COLOR = "#00543d"
-"""Colour of stations: a green that no class has."""
+BADGE_COLOR = "#00543d"  # of stations: a green that no class has
 _HEIGHTS = LinearSegmentedColormap.from_list(
     "heights", ["#d4d4d4", "#9db8c8", "#4c7f94", "#0d3b4a"]
 )
@@ -34,12 +33,9 @@ ROW = 9.5  # height of a row of the panel [pt]
 
 
 def frame_view(scenario: Scenario, number: int) -> Figure:
-    """A figure of a frame: all points in plan, coloured by height, all images, and boxes on both.
-
-    A box has the colour of its class, and in plan a line to its front. If an image has a layer of
-    instances, boxes without a visible pixel are dotted. Raises InspeError if there is no such
-    frame, or one of its files is broken.
-    """
+    """A figure of a frame: points in plan, coloured by height, images, and boxes on both: those
+    without a visible pixel are dotted. Raises InspeError if there is no such frame, or a file is
+    broken."""
     frame = scenario.frame(number)
     images = [
         (f"station {name_of(station)}, camera {i}", image)
@@ -57,8 +53,7 @@ def frame_view(scenario: Scenario, number: int) -> Figure:
 
 
 def sheet_of_pictures(shapes: Sequence[tuple[int, ...]]) -> tuple[Figure, Axes, Axes, list[Axes]]:
-    """An empty sheet: figure, plan, panel beside it, and below a place for each picture of height
-    and width ``shapes`` [pixels]."""
+    """An empty sheet: figure, plan, panel, and a place for each picture of ``shapes`` [pixels]."""
     columns = 2 if len(shapes) <= 4 else 3 if len(shapes) <= 12 else 4
     width = (WIDTH - 2 * _GAP - _GAP * (columns - 1)) / columns
     step = width * max((tall / wide for tall, wide in shapes), default=0.0) + _WORDS + _GAP

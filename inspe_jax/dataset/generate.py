@@ -1,8 +1,5 @@
-"""Generates a data set with worker processes on this machine.
-
-A scenario is written under ``.unfinished``, where readers do not look, and moves into its split
-when it is complete.
-"""
+"""Generates a data set with worker processes on this machine. A scenario is written under
+``.unfinished``, where readers do not look, and moves into its split when it is complete."""
 
 import errno
 import os
@@ -39,9 +36,8 @@ CONTINUE = "give the same command again to resume"
 
 
 class DatasetWriter:
-    """The folder of a data set, locked by its run. ``there`` holds the numbers of the complete
-    frames of each scenario, by name, as last counted; ``damage`` what was found wrong with
-    scenarios that had been complete."""
+    """The folder of a data set, locked by its run. ``there`` holds the complete frames of each
+    scenario, as last counted; ``damage`` what was wrong with scenarios that had been complete."""
 
     def __init__(
         self,
@@ -50,13 +46,10 @@ class DatasetWriter:
         backend: str,
         progress: Callable[[int, int], None] | None = None,
     ) -> None:
-        """Compare finished scenarios with their manifests, by digests.
-
-        ``progress`` is called with (scenarios compared, all). Raises InspeError if the folder
-        contains another data set or other files.
-        """
-        self.folder, self.format_name = folder, generation.format
-        self._check(record_of(generation, backend))
+        """Compare finished scenarios with their manifests; ``progress`` is called with (compared,
+        all). Raises InspeError if the folder contains another data set or other files."""
+        self.generation, self.folder, self.backend = generation, folder, backend
+        self._check()
         self.there: dict[str, set[int]] = {}
         self.damage: dict[str, list[Fault]] = {}
         for plan in generation.scenarios:
@@ -77,6 +70,15 @@ class DatasetWriter:
         locks = self.folder / UNFINISHED / ".locks"
         locks.mkdir(parents=True, exist_ok=True)
         return locks / f"{plan.key}-{first}.lock"
+
+    def chunks(self, plan: ScenarioPlan, server: Server | None) -> list[Chunk]:
+        """What is missing of a scenario, in parts."""
+        folder, format = self.unfinished(plan), self.generation.format
+        return [
+            Chunk(plan, self.backend, folder, self.lock(plan, k.start), k, missing, server, format)
+            for k in plan.chunks
+            if (missing := len({*k} - self.there[plan.name]))
+        ]
 
     def finish(self, plan: ScenarioPlan) -> bool:
         """Move a scenario into its split; gives False, and does not, if a frame is missing."""
@@ -101,9 +103,21 @@ class DatasetWriter:
         """Number of complete frames, as last counted."""
         return sum(map(len, self.there.values()))
 
-    def _check(self, record: dict[str, Any]) -> None:
+    def _check(self) -> None:
         """Write the record of the data set, or compare it with the one that is there."""
-        path = self.folder / GENERATION
+        path, made = self.folder / GENERATION, self.generation
+        plans = [[p.name, p.split, p.seed, p.tags, p.key, p.files] for p in made.scenarios]
+        record: dict[str, Any] = {
+            "format": FORMAT,
+            "name": made.name,
+            "digest": digest(plans),
+            "backend": self.backend,
+            "frames": made.frames,
+            "scenarios": {name: [p.name for p in plans] for name, plans in made.splits.items()},
+            "versions": versions(self.backend),
+        }
+        if made.format != DEFAULT_FORMAT:
+            record["data_format"] = made.format
         text = yaml.safe_dump(record, sort_keys=False, default_flow_style=None)
         if not path.exists():
             names = (path.name for path in self.folder.iterdir())
@@ -128,8 +142,7 @@ class DatasetWriter:
         check_versions(kept.get("versions") or {}, record["versions"], self.folder)
 
     def _resume(self, plan: ScenarioPlan) -> set[int]:
-        """Numbers of the complete frames of a scenario. A finished scenario of which a file is
-        damaged or missing becomes unfinished again."""
+        """Numbers of the complete frames of a scenario. A damaged one becomes unfinished again."""
         place, folder = self.place(plan), self.unfinished(plan)
         if place.exists():
             shutil.rmtree(place / RECORDS, ignore_errors=True)  # of a run that was killed
@@ -148,31 +161,11 @@ class DatasetWriter:
         return set(manifest.recorded_frames(folder, deep=True))
 
 
-def record_of(generation: Generation, backend: str) -> dict[str, Any]:
-    """The content of a data set's ``generation.yaml``."""
-    plans = [[p.name, p.split, p.seed, p.tags, p.key, p.files] for p in generation.scenarios]
-    record: dict[str, Any] = {
-        "format": FORMAT,
-        "name": generation.name,
-        "digest": digest(plans),
-        "backend": backend,
-        "frames": generation.frames,
-        "scenarios": {name: [p.name for p in plans] for name, plans in generation.splits.items()},
-        "versions": versions(backend),
-    }
-    other = generation.format != DEFAULT_FORMAT
-    return record | ({"data_format": generation.format} if other else {})
-
-
 @dataclass(frozen=True)
 class GenerationResult:
-    """The result of a run.
-
-    ``scenarios`` and ``frames`` are complete now; ``size`` is that of all files [bytes]. This run
-    ``recorded`` so many frames in ``seconds``. By the name of the scenario, ``failures`` says why
-    it could not be generated, ``notes`` what was not recorded in this run as its layout has it, and
-    ``repaired`` what was wrong with its files, if it was complete before.
-    """
+    """The result of a run: ``scenarios`` and ``frames`` that are complete now, ``size`` of all
+    files [bytes], frames ``recorded`` in ``seconds``; and by scenario, ``failures``, ``notes`` on
+    what was not recorded as the layout has it, and ``repaired`` faults of its files."""
 
     folder: Path
     scenarios: int
@@ -222,14 +215,19 @@ def generate(
     """
     began = time.monotonic()
     backend = generation.backend if backend is None else backend
-    workers = _checked(backend, workers)
+    check_known(backend, BACKENDS, "backend")
+    most = BACKENDS[backend].most_workers
+    if workers is not None and (workers < 1 or (most is not None and workers > most)):
+        allowed = "1 or more" if most is None else f"{most} with backend {backend}"
+        raise InspeError(f"workers {workers}: {allowed}")
+    workers = most if workers is None else workers
     server = server_of(backend, server)
     try:
         place = prepare_folder(folder)
         with lock_folder(place, f".{GENERATION}.lock"):
             writer = DatasetWriter(generation, place, backend, checking)
             had = writer.frames
-            failures, notes = _record(writer, generation, backend, workers, server, progress)
+            failures, notes = _record(writer, workers, server, progress)
             if not failures:
                 writer.clear()
             placed = [plan.frames for plan in generation.scenarios if writer.place(plan).exists()]
@@ -250,26 +248,15 @@ def generate(
         raise InspeError(f"{folder}: the disk is full; {CONTINUE}") from e
 
 
-def _checked(backend: str, workers: int | None) -> int | None:
-    """The number of workers to use. Raises InspeError if ``workers`` is not allowed."""
-    check_known(backend, BACKENDS, "backend")
-    most = BACKENDS[backend].most_workers
-    if workers is not None and (workers < 1 or (most is not None and workers > most)):
-        allowed = "1 or more" if most is None else f"{most} with backend {backend}"
-        raise InspeError(f"workers {workers}: {allowed}")
-    return most if workers is None else workers
-
-
 def _record(
     writer: DatasetWriter,
-    generation: Generation,
-    backend: str,
     workers: int | None,
     server: Server | None,
     progress: Callable[[int, int], None] | None,
 ) -> tuple[dict[str, str], dict[str, tuple[str, ...]]]:
     """Record what is missing. Gives the failures and the notes, see :class:`GenerationResult`."""
-    chunks = {plan.name: _chunks(writer, plan, backend, server) for plan in generation.scenarios}
+    generation = writer.generation
+    chunks = {plan.name: writer.chunks(plan, server) for plan in generation.scenarios}
     unsettled = {name: len(own) for name, own in chunks.items()}
     recorded, failures, notes = writer.frames, dict[str, str](), dict[str, tuple[str, ...]]()
 
@@ -311,14 +298,3 @@ def _record(
                 client.run(close, on_error="ignore")
     names = [plan.name for plan in generation.scenarios if plan.name not in failures]
     return failures, {name: notes[name] for name in names if name in notes}
-
-
-def _chunks(
-    writer: DatasetWriter, plan: ScenarioPlan, backend: str, server: Server | None
-) -> list[Chunk]:
-    folder, format = writer.unfinished(plan), writer.format_name
-    return [
-        Chunk(plan, backend, folder, writer.lock(plan, part.start), part, missing, server, format)
-        for part in plan.chunks
-        if (missing := len({*part} - writer.there[plan.name]))
-    ]

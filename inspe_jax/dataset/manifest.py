@@ -1,8 +1,8 @@
 """The manifest of a scenario: size and digest of every file, so that damage is found.
 
-While a scenario is generated, each frame that is written gets a record of its files, in the folder
-:data:`RECORDS`. When the scenario is complete, these become its ``manifest.json``: ``{"format": …,
-"files": {"data_protocol.yaml": [2041, "9f8…"]}, "frames": {"0": {"-1/000000.pcd": […], …}, …}}``.
+Each frame that is written gets a record of its files in :data:`RECORDS`. In the end these become
+``manifest.json``: ``{"format": …, "files": {"data_protocol.yaml": [2041, "9f8…"]}, "frames": {"0":
+{…}, …}}``.
 """
 
 import json
@@ -46,9 +46,6 @@ class Fault:
         return f"{self.path}: {self.what}"
 
 
-# ── Writing ─────────────────────────────────────────────────────────────────
-
-
 def record_frame(folder: Path, number: int, files: Iterable[Path]) -> None:
     """Record the files of a frame that has been written. Its record is its last file."""
     record = folder / RECORDS / f"{number:06d}.json"
@@ -57,8 +54,7 @@ def record_frame(folder: Path, number: int, files: Iterable[Path]) -> None:
 
 
 def recorded_frames(folder: Path, deep: bool = False) -> dict[int, Files]:
-    """The records of the frames of an unfinished scenario, of which all files have their size;
-    ``deep`` compares digests, too. Other records are deleted: their frames are then missing."""
+    """Records of frames whose files have their size (``deep``: digest). Others are deleted."""
     found = dict[int, Files]()
     for path in sorted((folder / RECORDS).glob("[0-9]*.json")):
         try:
@@ -90,9 +86,6 @@ def _write(path: Path, content: Mapping[str, Any]) -> None:
     write_text(path, json.dumps(content, indent=1) + "\n")
 
 
-# ── Reading and comparing ───────────────────────────────────────────────────
-
-
 def manifest_of(folder: Path) -> tuple[Manifest | None, list[Fault]]:
     """The manifest of a scenario, None where there is none; or the fault of a broken one."""
     path = folder / MANIFEST
@@ -117,12 +110,9 @@ def manifest_of(folder: Path) -> tuple[Manifest | None, list[Fault]]:
 def compare(
     folder: Path, count: int | None = None, deep: bool = False, others: bool = False
 ) -> tuple[Manifest | None, list[Fault]]:
-    """The manifest of a scenario, None where there is none, and what is not as it says.
-
-    With ``count``, a manifest has a fault that lacks the protocol, or files of a frame 0 … count −
-    1. ``deep`` also compares digests, for which every file is read; with ``others``, files that the
-    manifest does not know are faults too, but for hidden ones.
-    """
+    """The manifest of a scenario, None where there is none, and what is not as it says. It must
+    list the protocol and files of ``count`` frames, if given. ``deep`` compares digests; with
+    ``others``, visible files that the manifest does not know are faults, too."""
     manifest, found = manifest_of(folder)
     if manifest is None:
         return None, found
@@ -134,12 +124,15 @@ def compare(
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         each = pool.map(lambda path: _fault_of(path, *paths[path], deep), paths)
     found += [Fault(path, what) for path, what in zip(paths, each, strict=True) if what]
-    strange = _visible_files(folder) - {*paths, folder / MANIFEST} if others else ()
-    return manifest, found + [Fault(path, "not in the manifest") for path in sorted(strange)]
+    known = {*paths, folder / MANIFEST}
+    for path in sorted(folder.rglob("*")) if others else ():
+        hidden = any(part.startswith(".") for part in path.relative_to(folder).parts)
+        if path.is_file() and not hidden and path not in known:
+            found.append(Fault(path, "not in the manifest"))
+    return manifest, found
 
 
 def _fault_of(path: Path, size: int, digest: str, deep: bool) -> str:
-    """What is wrong with a file; empty if nothing is."""
     try:
         now = path.stat().st_size
         if now != size:
@@ -151,14 +144,6 @@ def _fault_of(path: Path, size: int, digest: str, deep: bool) -> str:
     except OSError as e:
         return f"cannot be read: {e.strerror}"
     return ""
-
-
-def _visible_files(folder: Path) -> set[Path]:
-    found = set[Path]()
-    for top, folders, names in os.walk(folder):
-        folders[:] = [name for name in folders if not name.startswith(".")]
-        found |= {Path(top) / name for name in names if not name.startswith(".")}
-    return found
 
 
 def _files(content: Any, where: Path) -> Files:
@@ -176,16 +161,10 @@ def _files(content: Any, where: Path) -> Files:
     return found
 
 
-# ── A whole set ─────────────────────────────────────────────────────────────
-
-
 @dataclass(frozen=True)
 class Check:
-    """The result of a check.
-
-    ``scenarios``, ``files`` and ``size`` [bytes] are those with a manifest. ``faults`` are what is
-    wrong with them; ``unknown`` are scenarios without a manifest, of which nothing can be said.
-    """
+    """The result of a check: ``scenarios``, ``files`` and ``size`` [bytes] with a manifest, their
+    ``faults``, and ``unknown`` scenarios without one."""
 
     scenarios: int
     files: int
@@ -211,8 +190,7 @@ def check(
     progress: Callable[[int, int], None] | None = None,
 ) -> Check:
     """Compare every file of a data set with its manifest: by size, and if ``deep`` by digest.
-    Scenarios that a generated data set should have and has not are faults, too. ``progress`` is
-    called with (scenarios done, all). Raises InspeError if there is no such data set."""
+    Missing scenarios are faults, too. ``progress`` is called with (scenarios done, all)."""
     data = given if isinstance(given, Dataset) else open_dataset(given)
     faults, known, unknown = _missing_scenarios(data), list[Manifest](), list[Path]()
     for number, scenario in enumerate(data.scenarios, 1):

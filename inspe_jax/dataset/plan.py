@@ -1,16 +1,13 @@
-"""The plan of a data set: every layout on every scene in every setting. Read from YAML.
+"""The plan of a data set, read from YAML: every layout on every scene in every setting.
 
 The file is like that of a study (:mod:`inspe_jax.study.plan`), with ``seconds``, the length of a
-scenario, among its settings, and with the keys of :class:`RecordingEntry`, ``splits`` and
-``split_by``. The frames of a saved scene must be 1 / ``rate_hz`` apart, and there must be enough of
-them; without ``seconds`` all of them are used.
+scenario, among its settings, and the keys of :class:`RecordingEntry`, ``splits`` and ``split_by``.
+The frames of a saved scene must be 1 / ``rate_hz`` apart; without ``seconds`` all are used.
 
-Scenarios that differ only in layout, light or weather are of the same scene: the same road users,
-which look the same. A scene is in one split, so that no detector is tested on traffic that it was
-trained on. To test on other places, use ``split_by: intersection``; with ``statics: street`` in any
-case, as a place has the same parked vehicles, which have boxes, in all its scenes. ``split_by:
-scenario`` divides what is of one scene. Densities and kinds of intersections (the tag ``kind``,
-else the name) are spread over the splits as evenly as whole numbers allow.
+Scenarios that differ only in layout, light or weather have the same road users: they are of one
+scene, which is in one split. To test on other places, use ``split_by: intersection``; with
+``statics: street`` in any case, as parked vehicles are the same in all scenes of a place. Densities
+and kinds of intersections (the tag ``kind``, else the name) are spread over the splits evenly.
 """
 
 import hashlib
@@ -51,8 +48,7 @@ CHUNK = 10  # number of frames that a worker records at a time
 
 @dataclass(frozen=True)
 class ScenarioPlan:
-    """A scenario to be generated; ``settings`` has every key of :data:`SETTINGS`. ``seed`` is that
-    of the sensors' noise: another one in every scenario, also of the same traffic."""
+    """A scenario to be generated, with every one of :data:`SETTINGS`; ``seed`` is of noise."""
 
     name: str
     split: str
@@ -148,9 +144,6 @@ class Generation:
         return {split: tuple(plan for plan in plans if plan.split == split) for split in SPLITS}
 
 
-# ── The file ────────────────────────────────────────────────────────────────
-
-
 class Settings(WorldSettings):
     """The section ``settings`` of the file."""
 
@@ -163,11 +156,8 @@ class _SceneEntry(sources.SceneEntry, WorldSettings):
     pass
 
 
-_Proportion = Annotated[float, Field(ge=0)]
-
-
 class RecordingEntry(Strict):
-    """The keys of the file that concern the recording; the last four are :class:`FileOptions`."""
+    """Keys that concern the recording and, the last four, :class:`FileOptions`."""
 
     rate_hz: Annotated[float, Field(gt=0, le=1000)] = 10.0
     # Beside pictures.
@@ -203,16 +193,17 @@ class RecordingEntry(Strict):
 class _File(sources.Sources, RecordingEntry):
     scenes: Annotated[list[_SceneEntry], Field(min_length=1)]
     settings: Settings = Settings()
-    splits: dict[Literal["train", "validate", "test"], _Proportion] = Field(default=PROPORTIONS)
+    splits: dict[Literal["train", "validate", "test"], Annotated[float, Field(ge=0)]] = Field(
+        default=PROPORTIONS
+    )
     split_by: Literal["scene", "intersection", "scenario"] = "scene"
 
 
 def make_generation(
     content: Mapping[str, Any], folder: Path, where: str = "study", name: str = "study"
 ) -> Generation:
-    """The plan of a data set, from the content of a file; paths in it are relative to ``folder``.
-    ``where`` is the name of the file for errors, ``name`` that of the data set if the file gives
-    none. Raises InspeError that names the file, the key and what is allowed."""
+    """The plan of a data set, from the content of the file ``where`` in ``folder``; ``name`` is its
+    name if it gives none. Raises InspeError that names the file, the key and what is allowed."""
     entry = check_model(_File, content, where)
     recording, files = entry.recording(where), entry.files(where)
     whole = {key: getattr(entry.settings, key) for key in SETTINGS}
@@ -264,8 +255,7 @@ def check_seconds(seconds: float, rate: float, where: str) -> None:
 def saved_seconds(
     source: sources.SceneSource, wanted: Sequence[float], rate: float, where: str
 ) -> list[float]:
-    """Lengths of the scenarios of a saved scene [s]: those wanted, or the length of the scene.
-    Raises InspeError if the scene is shorter, or its frames are not 1 / ``rate`` apart."""
+    """Lengths of the scenarios of a saved scene [s]. Raises InspeError if it has other frames."""
     from inspe_jax.scene.scene import load_scene
 
     traffic = load_scene(str(source.file)).traffic
@@ -286,9 +276,6 @@ def saved_seconds(
 
 def _seed(key: str) -> int:
     return int(key[:8], 16) >> 1  # a seed is below 2³¹
-
-
-# ── Names and splits ────────────────────────────────────────────────────────
 
 
 def _named(plans: list[ScenarioPlan]) -> list[ScenarioPlan]:
@@ -323,9 +310,7 @@ def _fit(part: Any) -> str:
 
 @cache
 def place_of(source: sources.SceneSource) -> str:
-    """A short text that identifies the intersection, whatever it is called. Saved scenes are of one
-    place if their regions are the same. A junction of a map that is given by its number once, and
-    by its ``center`` another time, counts as two."""
+    """Identifies the intersection, whatever its name: a saved one by its regions."""
     if source.file is not None:
         from inspe_jax.scene.scene import load_scene
 
@@ -346,11 +331,8 @@ def _group(plan: ScenarioPlan, split_by: str) -> tuple[str, tuple[str, ...]]:
 
 
 def _split(kinds: Mapping[str, tuple[str, ...]], proportions: Sequence[float]) -> dict[str, str]:
-    """The split of each key of ``kinds``, which maps keys to their kinds, coarse to fine.
-
-    Keys are sorted by the hashes of their kinds, then by their own, and every stretch of this order
-    is divided in proportion. So each kind is in all splits, if there are enough keys of it.
-    """
+    """The split of each key of ``kinds``, which maps keys to their kinds, coarse to fine. Keys are
+    sorted by hashes of kinds, then their own, and every stretch is divided in proportion."""
     total, count = sum(proportions), len(kinds)
     exact = [proportion * count / total for proportion in proportions]
     quota = [math.floor(value + 1e-9) for value in exact]

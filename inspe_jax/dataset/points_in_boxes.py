@@ -10,13 +10,11 @@ from inspe_jax.core.geometry import rotation
 from inspe_jax.simulation.frame import MOST_TRACK, Frame, RoadUserBox, Scan
 
 SLACK = 1e-3
-"""A box is made larger by this on every side but the bottom [m]. So points on its faces are inside
-in spite of rounding, and points of the road below are not."""
+"""Boxes are larger by this, but not at the bottom [m]: points on faces count, not the road."""
 
 
 def count_inside(scans: Sequence[Scan], boxes: Sequence[RoadUserBox]) -> Int[np.ndarray, "S B"]:
-    """How many points of each of S scans lie in each of B boxes. The points are sorted by x once:
-    each box is compared with those in its own range of x."""
+    """How many points of each of S scans lie in each of B boxes; points are sorted by x once."""
     counts = np.zeros((len(scans), len(boxes)), np.int64)
     if not counts.size:
         return counts
@@ -42,8 +40,7 @@ def count_inside(scans: Sequence[Scan], boxes: Sequence[RoadUserBox]) -> Int[np.
 
 
 def with_counts(frame: Frame) -> Frame:
-    """The frame with the returns and the pixels of each road user: where its recorder told none,
-    the points inside its box, and its pixels in the instance picture, if there is one."""
+    """The frame with returns and pixels of each road user, counted where its recorder told none."""
     tracks, stations = np.array([box.track for box in frame.boxes], int), []
     for station in frame.stations:
         images, scans = list(station.images), list(station.scans)

@@ -1,5 +1,4 @@
-"""The protocol of a scenario, ``data_protocol.yaml``: all that is needed to generate it again. It
-has the whole layout, and of a map or a saved scene the name and the digest of the content."""
+"""The protocol of a scenario, ``data_protocol.yaml``: all that is needed to generate it again."""
 
 import os
 from collections.abc import Iterable, Mapping, Sequence
@@ -70,9 +69,7 @@ def protocol_of(
     format: str = DEFAULT_FORMAT,
     middle: Sequence[float] | None = None,
 ) -> dict[str, Any]:
-    """The content of a scenario's protocol. ``layout`` is the content of a layout file; ``notes``
-    say what could not be recorded as it has it; ``middle`` is that of the region of interest [m].
-    """
+    """The content of a scenario's protocol; ``middle`` is that of the region of interest [m]."""
     source = plan.source.anywhere
     scene = asdict(source) | {"content": source.content or None}
     if source.center is not None:
@@ -118,24 +115,18 @@ def _without_none(content: Mapping[str, Any]) -> dict[str, Any]:
 def load_generation(
     path: str | os.PathLike[str], files: str | os.PathLike[str] | None = None
 ) -> Generation:
-    """Read the plan of a data set: a study file, see :mod:`inspe_jax.dataset.plan`, or the
-    ``data_protocol.yaml`` of a scenario, which is the plan of this scenario alone.
-
-    The map or the saved scene that a protocol names is searched in the folder ``files`` if given,
-    otherwise in the protocol's folder and the two above it; then in the current folder. Raises
-    InspeError that names the file, the key and what is allowed.
-    """
+    """Read the plan of a data set: a study file, see :mod:`inspe_jax.dataset.plan`, or the protocol
+    of a scenario, which is the plan of this scenario alone. Its map or saved scene is searched in
+    ``files`` if given, else in its folder and the two above it; then in the current folder. Raises
+    InspeError that names the file, the key and what is allowed."""
     path = Path(path)
     content = sources.read_study(path)
     if "world" not in content:
         return plans.make_generation(content, path.parent, str(path), path.stem)
     if "format" not in content:
         raise InspeError(f"{path}: a protocol that was not written by this package")
-    folders = [Path(files)] if files else path.resolve().parents[:3]
-    return _from_protocol(content, str(path), [*folders, Path.cwd()])
-
-
-def _from_protocol(content: dict[str, Any], where: str, folders: Iterable[Path]) -> Generation:
+    folders = [*([Path(files)] if files else path.resolve().parents[:3]), Path.cwd()]
+    where = str(path)
     entry = check_model(_Protocol, content, where)
     for key, value, known in (
         ("format", entry.format, (FORMAT,)),
@@ -170,7 +161,6 @@ def _from_protocol(content: dict[str, Any], where: str, folders: Iterable[Path])
 
 
 def _source(entry: _Scene, folders: Iterable[Path], where: str) -> sources.SceneSource:
-    """The source of the scene; its file is searched in the folders, by name and content."""
     given = entry.map or entry.file
     if given is None:
         return sources.scene_source(entry, Path(), where)

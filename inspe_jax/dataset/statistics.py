@@ -10,7 +10,9 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from inspe_jax.core.errors import InspeError
+from inspe_jax.core.words import counted
 from inspe_jax.dataset.folders import Dataset, Scenario, disk_size, open_dataset
+from inspe_jax.dataset.formats.protocol_file import section_of
 from inspe_jax.dataset.formats.registry import FORMATS
 from inspe_jax.dataset.points_in_boxes import count_inside
 from inspe_jax.simulation.frame import KINDS, Boxes, Scan
@@ -21,8 +23,7 @@ RANGE_EDGES: Float[np.ndarray, " R"] = 5 * 2 ** (np.arange(-4, 14) / 2)
 
 @dataclass(frozen=True)
 class Split:
-    """The counts of a split. An agent counts once per scenario, a box once per frame. ``points``
-    are those of all ``clouds``; ``size`` is that of all files in the scenarios' folders [bytes]."""
+    """The counts of a split: agents of each scenario, boxes of each frame, and ``size`` [bytes]."""
 
     name: str
     scenarios: int
@@ -40,8 +41,7 @@ COUNTS = tuple(f.name for f in fields(Split) if f.name != "name")
 
 @dataclass(frozen=True, eq=False)
 class Users:
-    """The K road users of all scenarios: the index of each in KINDS, and the size (length, width,
-    height) of its first box [m]."""
+    """The K road users of all scenarios: index in KINDS, and sizes of their first boxes [m]."""
 
     kind: Int[np.ndarray, " K"]
     size: Float[np.ndarray, "K 3"]
@@ -49,8 +49,7 @@ class Users:
 
 @dataclass(frozen=True, eq=False)
 class PointCounts:
-    """The points of all scans of a frame inside N boxes: the index of each box in KINDS, the
-    distance from the nearest LiDAR to the middle of the box [m], and the number of points."""
+    """Of N boxes: index in KINDS, ``range`` from the nearest LiDAR [m], and points inside."""
 
     kind: Int[np.ndarray, " N"]
     range: Float[np.ndarray, " N"]
@@ -59,8 +58,7 @@ class PointCounts:
 
 @dataclass(frozen=True)
 class Band:
-    """The boxes between two ranges ``low`` and ``high`` [m]. ``share`` of them (0…1) have a point
-    inside; ``quartiles`` are of the points of these boxes."""
+    """Boxes between two ranges [m]: the ``share`` with a point, and quartiles of their points."""
 
     low: float
     high: float
@@ -76,13 +74,9 @@ class Band:
 
 @dataclass(frozen=True, eq=False)
 class Statistics:
-    """The statistics of a data set.
-
-    ``boxes`` of each class count once per frame. ``crowd`` is the number of road users in each of F
-    frames; ``cameras`` and ``lidars`` are the smallest and the largest number in a frame.
-    ``agents`` are those of each scenario; ``towns`` are the different maps, None where a protocol
-    does not say it.
-    """
+    """The statistics of a data set: ``boxes`` of each class count once per frame; ``crowd`` is the
+    number of road users in each of F frames; ``cameras`` and ``lidars`` are the least and the most
+    in a frame; ``agents`` are of each scenario; ``towns`` are the maps, None where unknown."""
 
     path: Path
     splits: tuple[Split, ...]
@@ -121,20 +115,14 @@ class Statistics:
 def statistics(
     given: Dataset | str | os.PathLike[str], progress: Callable[[int, int], None] | None = None
 ) -> Statistics:
-    """Count the content of a data set, frame by frame. Pictures are not read.
-
-    ``progress`` is called with the number of frames done and the number of all frames. Raises
-    InspeError if there is no such data set, it has no frame, or one of its files is broken.
-    """
+    """Count the content of a data set; ``progress`` is called with (frames done, all). Raises
+    InspeError if there is no such data set, it has no frame, or a file is broken."""
     data = given if isinstance(given, Dataset) else open_dataset(given)
     total_frames = sum(len(scenario.frames) for scenario in data.scenarios)
     if not total_frames:
-        count = len(data.scenarios)
         examples = " or ".join(row.example for row in FORMATS.values())
-        raise InspeError(
-            f"{data.path}: no frame in {count} scenario{'s' * (count != 1)}: expected {examples}, "
-            f"for every agent"
-        )
+        where = counted(len(data.scenarios), "scenario")
+        raise InspeError(f"{data.path}: no frame in {where}: expected {examples}, for every agent")
     splits, crowd, inside, sensors = [], [], [], []
     users: dict[tuple[Path, int], tuple[int, list[float]]] = {}
     boxes = dict.fromkeys(KINDS, 0)
@@ -180,8 +168,7 @@ def statistics(
 
 
 def bands(counts: PointCounts, kind: int) -> tuple[Band, ...]:
-    """The boxes of the class KINDS[kind] by range, without empty bands. Boxes closer or further
-    than all of :data:`RANGE_EDGES` are in the first or the last band."""
+    """The boxes of a class by range, without empty bands; the first and last have all beyond."""
     own = counts.kind == kind
     points = counts.points[own]
     last = len(RANGE_EDGES) - 2
@@ -197,9 +184,7 @@ def bands(counts: PointCounts, kind: int) -> tuple[Band, ...]:
 
 
 def table_row(found: Statistics) -> dict[str, str | int | None]:
-    """The row of a data set in a table that compares data sets; unknown values are None. ``V2X`` is
-    V2V, I2I or V2X for vehicles, infrastructure or both (V or I if no scenario has two agents);
-    ``cameras`` and ``LiDARs`` are per frame."""
+    """The row of a data set in a table that compares data sets; unknown values are None."""
     total = found.total
     return {
         "name": found.name,
@@ -217,8 +202,7 @@ def table_row(found: Statistics) -> dict[str, str | int | None]:
 
 
 def _town(scenario: Scenario) -> str | None:
-    world = scenario.protocol.get("world")
-    town = world.get("town") if isinstance(world, Mapping) else None
+    town = section_of(scenario.protocol, "world").get("town")
     return None if town is None else str(town)
 
 

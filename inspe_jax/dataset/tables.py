@@ -83,10 +83,7 @@ def statistics_record(found: Statistics) -> dict[str, Any]:
 
 
 def frame_table(scenario: Scenario, number: int) -> RenderableType:
-    """A table of the road users of a frame, with the points of all scans inside the box of each.
-
-    Raises InspeError if there is no such frame, or one of its files is broken.
-    """
+    """A table of the road users of a frame, with the points of all scans inside the box of each."""
     frame = scenario.frame(number)
     heads = ("x\n[m]", "y\n[m]", "yaw\n[°]", "speed\n[m/s]", *(f"{axis}\n[m]" for axis in _AXES))
     table = table_of(f"{scenario.name}, frame {number}", "track", "class", *heads, "points")

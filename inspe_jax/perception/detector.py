@@ -1,9 +1,4 @@
-"""A detector (its modalities' encoders, a fusion of agents, the head), and what it finds in frames.
-
-The eight of the paper's Table 1 are rows of :data:`MODELS`. They differ in encoder and fusion,
-which are as in their papers but smaller. In profiles of JAX, operations have the names of their
-parts: pillars, pictures, pyramids, fusion, head, and in a training teacher and optimiser.
-"""
+"""A detector, which finds road users in frames: encoders of its modalities, a fusion, a head."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -15,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from inspe_jax.core.errors import InspeError, nearest
+from inspe_jax.core.errors import check_known
 from inspe_jax.dataset.loading import Batch, Cache, Loader
 from inspe_jax.dataset.loading.loader import Sensor
 from inspe_jax.perception import encoders, fusion
@@ -25,22 +20,17 @@ from inspe_jax.perception.head import CenterHead, HeadOutput, Heat, Peaks, peaks
 from inspe_jax.perception.inputs import Agents, BevGrid, Inputs, inputs_of
 
 ENCODED, CHANNELS = 32, 48
-"""Channels of what encoders give, and of the maps that are fused. Half of PointPillars' 64, and an
-eighth of its 384: what two cores train in hours instead of days."""
+"""Channels of encoders and of fused maps: half of PointPillars' 64, an eighth of its 384."""
 
 Fusion = Callable[[AgentMaps, Present], FusedMap]
 
 
 @dataclass(frozen=True)
 class Model:
-    """A row of the registry.
-
-    ``images`` are the blocks of the encoder of pictures. ``fuse`` makes a fusion of maps with so
-    many channels and of agents with these modalities (0 LiDAR, 1 camera). With ``every_scale`` the
-    maps of all three scales are fused, otherwise the one made of them. With ``joined``, all agents
-    of a modality are one from the start, early fusion: cells have the maximum over the pillars of
-    all units, and the mean over all cameras. ``taught`` models learn from the maps of a teacher.
-    """
+    """A row of the registry: ``images`` are blocks of the encoder of pictures; ``fuse`` makes a
+    fusion from channels, modalities of agents (0 LiDAR, 1 camera) and a key. With ``every_scale``
+    all three scales are fused; ``joined`` makes one agent of all of a modality (early fusion);
+    ``taught`` models learn from a teacher."""
 
     sensors: tuple[Sensor, ...]
     fuse: Callable[[int, tuple[int, ...], Array], Fusion]
@@ -73,20 +63,17 @@ MODELS: dict[str, Model] = {
     ),
 }
 """Detectors by name. Unlike the published ones, all have few channels, one head, exact poses
-without delay or warps, and the mean over agents in place of what an ego has. CoAlign has no pose
-graph. In AttFuse, DiscoNet and HM-ViT cameras are agents; DiscoNet's teacher has LiDARs alone."""
+without delay or warps, and the mean over agents. CoAlign has no pose graph."""
 
 
 def model_of(name: str) -> Model:
     """The row of a name. Raises InspeError, which lists the models, for another one."""
-    if name not in MODELS:
-        raise InspeError(f"no model '{name}': {', '.join(MODELS)}{nearest(name, tuple(MODELS))}")
+    check_known(name, MODELS, "model")
     return MODELS[name]
 
 
 class Predictions(NamedTuple):
-    """The head's heat and values, the fused map that they are made of, and heat on the pictures, if
-    there are any. The latter two are for training."""
+    """Heat and values of the head; and for training, the fused map and heat on the pictures."""
 
     found: HeadOutput
     fused: Float[Array, "B h w C"]
@@ -163,11 +150,8 @@ def parameters(detector: Detector) -> int:
     return sum(leaf.size for leaf in jax.tree.leaves(eqx.filter(detector, eqx.is_inexact_array)))
 
 
-# ── In frames ───────────────────────────────────────────────────────────────
-
 LEAST_SCORE = 0.01
-"""Detections with a lower score are dropped: of a hundred such, one is right by the detector's own
-word. nuScenes' AP counts nothing below a precision of 0.1."""
+"""Detections with a lower score are dropped; nuScenes counts nothing below a precision of 0.1."""
 
 
 def loader_of(name: str, cache: Cache, split: str, grid: BevGrid, **how: Any) -> Loader:
@@ -205,12 +189,9 @@ class Predictor:
         most: int | None = None,
         progress: Callable[[int, int], None] | None = None,
     ) -> Evaluation:
-        """The measures over the batches of a loader, or over about ``most`` frames, evenly: against
-        all road users, and against those that the detector's kinds of sensors see.
-
-        Detections count where road users do: within the loader's ``half``. ``progress`` is called
-        with (batches done, all batches). Raises :class:`~inspe_jax.perception.evaluation.NoTruth`.
-        """
+        """The measures over a loader's batches, or over about ``most`` frames, evenly: against all
+        road users within the loader's ``half``, and those that the detector's sensors see. Raises
+        :class:`~inspe_jax.perception.evaluation.NoTruth`."""
         found, truth, seen = list[Detections](), list[Detections](), list[Detections]()
         half, count = loader.half, len(loader)
         some = count if most is None else min(count, -(-most // loader.batch))

@@ -15,8 +15,7 @@ from inspe_jax.perception.layers import Block, Conv, Depthwise, Map, Norm, Perce
 
 
 class PillarEncoder(eqx.Module):
-    """PointPillars (Lang et al. 2019): each agent's pillars as a map of features, by a small
-    network of each point, and the maximum of each pillar."""
+    """PointPillars (Lang et al. 2019): a small network of each point, and each pillar's maximum."""
 
     network: Perceptron
     grid: PillarGrid = eqx.field(static=True)
@@ -41,17 +40,13 @@ class PillarEncoder(eqx.Module):
 
 
 def _scales(grid: PillarGrid) -> Float[Array, "1 1 1 1 9"]:
-    """What brings x, y, z, intensity, and the two offsets, to about 1."""
     tall = grid.high - grid.low
     scales = [1 / grid.half] * 2 + [2 / tall, 1.0] + [2 / grid.cell] * 2 + [2 / tall]
     return jnp.asarray(np.array(scales + [2 / grid.cell] * 2, np.float32))[None, None, None, None]
 
 
-# ── Maps at three scales ────────────────────────────────────────────────────
-
 WIDTHS = (64, 96, 128)
-"""Channels at a half, a quarter and an eighth of the side. As PointPillars' 64, 128, 256, but that
-a CPU would take three times as long for these."""
+"""Channels at 1/2, 1/4 and 1/8 of the side: PointPillars' 64, 128, 256 take thrice as long."""
 
 Maps = tuple[Map, ...]  # maps at three scales
 
@@ -95,23 +90,18 @@ class Neck(eqx.Module):
         return self.smooth(sum(parts[1:], parts[0]))
 
 
-# ── Pictures ────────────────────────────────────────────────────────────────
-
 STEM = (16, 24)
-"""Channels at a half and a quarter of the sides, which two blocks give: the inverted residuals that
-EfficientNet has there widen maps of 60,000 cells, and would take a CPU longer than all that follows
-(EfficientNetV2 has none there either)."""
+"""Channels at a half and a quarter of the sides. EfficientNet's inverted residuals there would take
+a CPU longer than all that follows (EfficientNetV2 has none there either)."""
 STAGES = (48, 96)
 """Channels at an eighth and a sixteenth of the sides; EfficientNet-B0 has 40 and 112."""
 EXPANSION = 3
-"""How many times wider an inverted residual is inside; EfficientNet has 6, for 1,000 classes, which
-takes twice as long."""
+"""How many times wider an inverted residual is inside: EfficientNet has 6, for 1,000 classes."""
 JOINED = 64  # channels of the stages' maps after they are joined
 
 
 class InvertedResidual(eqx.Module):
-    """EfficientNet's MBConv: widen, convolve each channel, weigh channels by the whole picture
-    (squeeze and excitation, Hu et al. 2018), narrow."""
+    """EfficientNet's MBConv, with squeeze and excitation (Hu et al. 2018)."""
 
     widen: Block
     depthwise: Depthwise
@@ -162,13 +152,10 @@ Residual = type[InvertedResidual] | type[Bottleneck]
 
 
 class ImageEncoder(eqx.Module):
-    """A stem, whose two blocks each halve the sides; two stages of two blocks, of which the first
-    does; and their maps joined.
+    """A stem of two blocks and two stages of two blocks, each halving the sides, with maps joined
+    twice: a sixteenth to an eighth, as in Lift, Splat, Shoot, and that to the stem's quarter.
 
-    Blocks are as in EfficientNet (Tan and Le 2019) or ResNet (He et al. 2016), but fewer, and not
-    pre-trained. Coarser maps, enlarged, are joined to finer ones twice: those at a sixteenth to
-    those at an eighth, as in Lift, Splat, Shoot, and what comes of it to the stem's. On a picture
-    of 400 x 300 from 7 m above the road, a cell of an eighth is 6 m of the road 30 m away.
+    Blocks are as in EfficientNet (Tan and Le 2019) or ResNet (He et al. 2016), not pre-trained.
     """
 
     stem: tuple[Block, Block]
@@ -206,28 +193,18 @@ def _beside(
     return jnp.concatenate([finer, enlarged(coarser, 2)[:, :high, :wide]], -1)
 
 
-# ── Lift, splat ─────────────────────────────────────────────────────────────
-
 FEATURES = 32  # channels of a picture's cells before they are lifted
 HEIGHTS = np.array([-2.4, -1.6, -0.8, -0.2, 0.2, 0.6, 1.0, 1.4, 1.8, 2.6], np.float32)
-"""Heights of what a cell of a picture shows [m]. On a level road, the middles of road users are at
-0.8 to 1.8 m. The others are for slopes, and for cells that a road user is not in the middle of."""
+"""Heights of what a cell of a picture shows [m]: middles are at 0.8 to 1.8 m on level roads."""
 EMPTY_WEIGHT = 0.05
-"""Weight of features of 0 in the mean of each cell of the map, so that a cell into which hardly any
-chance falls is much like one that no pixel shows."""
+"""Weight of features of 0 in a cell, for those into which hardly any chance falls."""
 
 
 class LiftSplat(eqx.Module):
-    """Pictures of each agent as a map of features; and heat on the pictures, for training.
-
-    Lift, Splat, Shoot (Philion and Fidler 2020). Each cell of a picture has features and a
-    distribution over depth. *Lift*: features times chance at each depth along the cell's ray.
-    *Splat*: each cell of the map has the mean of what falls into it.
-
-    The depths of a ray are those at which it is at certain heights, as in BEVHeight (Yang et al.
-    2023): sensors at the roadside look down on a road that they know. Heights are those of the
-    intersection's frame: a road user below the least of them is placed nearer than it is.
-    """
+    """Pictures of each agent as a map of features, and heat on them, for training (Lift, Splat,
+    Shoot, Philion and Fidler 2020): features times the chance of each depth along a ray fall into
+    the map, and each cell has their mean. Depths are those of certain heights above the road, as in
+    BEVHeight (Yang et al. 2023)."""
 
     images: ImageEncoder
     heat: HeatHead
@@ -276,8 +253,7 @@ class LiftSplat(eqx.Module):
     def _cells(
         self, inputs: Inputs, picture: tuple[int, int], cells: tuple[int, ...]
     ) -> Int[Array, "B C h w D"]:
-        """The cell of the map that each height on each ray, from the middle of a cell of the
-        features, is in; outside of it, one past the last."""
+        """The cell of the map that each height on each ray is in; outside, one past the last."""
         assert inputs.intrinsic is not None
         assert inputs.unit is not None
         # With one agent of cameras, it has all of them.

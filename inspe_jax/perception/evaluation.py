@@ -1,9 +1,6 @@
-"""Detections, and nuScenes' mean average precision (mAP) of them against ground truth.
-
-Equations and constants are those of nuScenes' detection challenge (Caesar et al., "nuScenes: A
-Multimodal Dataset for Autonomous Driving", CVPR 2020, section 3.1), and, where the paper leaves
-something open, those of its ``nuscenes-devkit`` 1.2 with ``detection_cvpr_2019.json``.
-"""
+"""Detections, and nuScenes' mean average precision (mAP) of them against ground truth: equations
+and constants of its detection challenge (Caesar et al., CVPR 2020, section 3.1), and where the
+paper leaves something open, of its ``nuscenes-devkit`` 1.2 with ``detection_cvpr_2019.json``."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -28,13 +25,9 @@ LEAST_RECALL = LEAST_PRECISION = 0.1
 
 
 class Detections(NamedTuple):
-    """The N boxes of one frame, without padding.
-
-    ``boxes`` are as in :class:`~inspe_jax.dataset.loading.batch.Targets`: x, y, z of the middle,
-    length, width, height [m], yaw [rad], and velocity in x and y [m/s], in the frame of the
-    intersection. A detector that does not estimate velocity gives 0 for it. ``kind`` is the index
-    in :data:`~inspe_jax.simulation.frame.KINDS`, ``score`` how sure the detector is, from 0 to 1.
-    """
+    """The N boxes of one frame, without padding: ``boxes`` as in
+    :class:`~inspe_jax.dataset.loading.batch.Targets`, with velocity 0 if it is not estimated;
+    ``kind`` is the index in KINDS, ``score`` 0 to 1."""
 
     boxes: Float32[np.ndarray, "N 9"]
     kind: Int32[np.ndarray, " N"]
@@ -45,8 +38,7 @@ Frames = Sequence[Detections]
 
 
 def check(detections: Detections, where: str) -> None:
-    """Raise InspeError, which begins with ``where``, if a box is not finite, a size is not above 0,
-    a score is not from 0 to 1, a kind is not known, or numbers of boxes differ."""
+    """Raise InspeError, which begins with ``where``, if a value or a shape is not valid."""
     boxes, kind, score = (np.asarray(part) for part in detections)
     if boxes.shape != (len(kind), 9) or kind.shape != score.shape or kind.ndim != 1:
         raise InspeError(
@@ -65,8 +57,7 @@ def check(detections: Detections, where: str) -> None:
 
 
 def truth_of(targets: Targets, b: int, sensors: Sequence[str] = ()) -> Detections:
-    """The road users of frame b of a batch as detections with score 1: all, so that placements are
-    compared on the same truth, or those that some of the ``sensors`` see; nuScenes has points."""
+    """Frame b's road users as detections with score 1: all, or those that ``sensors`` see."""
     kept = np.array(targets.mask[b], bool)
     if sensors:
         kept &= targets.seen_by(sensors)[b]
@@ -76,13 +67,9 @@ def truth_of(targets: Targets, b: int, sensors: Sequence[str] = ()) -> Detection
 
 
 def within(detections: Detections, half: float) -> Detections:
-    """The boxes whose middle is at most ``half`` [m] from the origin along x and along y: in the
-    region that :class:`~inspe_jax.dataset.loading.Loader` keeps boxes in."""
+    """The boxes whose middle is at most ``half`` [m] from the origin along x and along y."""
     kept = (np.abs(detections.boxes[:, :2]) <= half).all(1)
     return Detections(*(part[kept] for part in detections))
-
-
-# ── The measures ────────────────────────────────────────────────────────────
 
 
 class NoTruth(InspeError):
@@ -91,12 +78,8 @@ class NoTruth(InspeError):
 
 @dataclass(frozen=True, eq=False)
 class Evaluation:
-    """AP of the K classes of :data:`~inspe_jax.simulation.frame.KINDS` at the D :data:`DISTANCES`.
-
-    ``users`` are the numbers of road users. Classes that the truth has none of have the AP NaN, and
-    are left out of all means; the devkit counts them with AP 0. ``seen`` is the same with those
-    road users alone as truth that the detector's sensors see, None if not asked for.
-    """
+    """AP of K classes at D :data:`DISTANCES`; NaN, and in no mean, of classes without road users.
+    ``seen`` takes those alone as truth that the detector's sensors see."""
 
     frames: int
     ap: Float[np.ndarray, "K D"]
@@ -137,15 +120,10 @@ class Evaluation:
 
 
 def evaluate(detections: Frames, truth: Frames, seen: Frames | None = None) -> Evaluation:
-    """The measures of ``detections`` against ``truth``, which both have a record for each frame;
-    with ``seen``, also against this part of the truth alone: a find of the rest is then false.
-
-    The scores of ``truth`` mean nothing. Of equal scores, the later frame and in it the later box
-    comes first, as in nuScenes' code. The caller leaves out boxes that are not to count.
-
-    Raises InspeError if the numbers of frames differ or boxes are not valid, and :class:`NoTruth`
-    if there is no road user in any frame.
-    """
+    """The measures of ``detections`` against ``truth``, a record a frame each; with ``seen``, also
+    against this part of the truth alone: a find of the rest is then false. Of equal scores, the
+    later frame and in it the later box comes first, as in nuScenes' code. Raises InspeError for
+    invalid input, and :class:`NoTruth`."""
     if len(detections) != len(truth):
         raise InspeError(
             f"detections of {counted(len(detections), 'frame')}, but ground truth of "
@@ -179,9 +157,8 @@ def evaluate(detections: Frames, truth: Frames, seen: Frames | None = None) -> E
 
 
 def average_precision(true: Bool[np.ndarray, " N"], users: int) -> float:
-    """AP of N detections by falling score, of which some are ``true``, of ``users`` road users: the
-    mean of max(0, precision − 0.1) / 0.9 over the recalls above 0.1, with precision interpolated
-    between the recalls that are reached, and 0 beyond them."""
+    """AP of N detections by falling score: the mean of max(0, precision − 0.1) / 0.9 over the
+    recalls above 0.1, with precision interpolated between those reached, and 0 beyond them."""
     if not true.any():
         return 0.0
     hits = np.cumsum(true).astype(float)
@@ -194,9 +171,8 @@ def average_precision(true: Bool[np.ndarray, " N"], users: int) -> float:
 def matched(
     detections: Detections, truth: Detections, distance: float = USUAL_DISTANCE
 ) -> Int[np.ndarray, " N"]:
-    """The index of the road user in ``truth`` that each detection of one frame takes; −1 if none.
-    By falling score, each takes the nearest road user of its class that is not taken yet, if it is
-    nearer in plan than the ``distance`` [m]."""
+    """The road user in ``truth`` that each detection takes, or −1. By falling score, each takes the
+    nearest of its class that is free and nearer in plan than ``distance`` [m]."""
     found = np.full(len(detections.kind), -1)
     for kind in np.unique(detections.kind):
         own, users = (np.flatnonzero(of.kind == kind) for of in (detections, truth))
@@ -216,9 +192,6 @@ def matched(
 def _by_score(score: Float[np.ndarray, " N"]) -> Int[np.ndarray, " N"]:
     """Indices by falling score. Of equal scores, the last comes first, as in nuScenes' code."""
     return np.argsort(score, kind="stable")[::-1]
-
-
-# ── Tables ──────────────────────────────────────────────────────────────────
 
 
 def evaluation_table(found: Evaluation, note: str = "") -> Table:

@@ -41,8 +41,7 @@ class _Compared(NamedTuple):
 
 
 class _Group(NamedTuple):
-    """Boxes that are drawn alike, their colours in plan, and their looks there and on pictures;
-    ``line`` is their colour on pictures, None for the same as in plan."""
+    """Boxes that are drawn alike; ``line`` is their colour on pictures, if not as in plan."""
 
     boxes: list[RoadUserBox]
     colors: list[str]
@@ -56,12 +55,10 @@ def draw(
 ) -> Figure:
     """A figure of frame b of a batch: points and boxes in plan, and every picture with the boxes.
 
-    Ground truth is grey, white on pictures; detections have the colour of their class, and a line
-    to their front. A road user that no detection of its class takes at 2 m is missed, and drawn in
-    yellow; a detection that takes none is false, and dashed
-    (:func:`~inspe_jax.perception.evaluation.matched`). Detections with a score below
-    ``least_score`` count as not made. Points in pillars are not drawn. All is in the frame of the
-    intersection, as in the batch. Raises InspeError if b is padding, or a detection is not valid.
+    Truth is grey, white on pictures; detections have their class's colour. Road users that no
+    detection takes at 2 m are missed, in yellow; detections that take none are false, and dashed.
+    Scores below ``least_score`` are left out. Raises InspeError if b is padding, or a detection is
+    not valid.
     """
     if not batch.valid[b]:
         raise InspeError(f"frame {b} of the batch is padding: use one that is valid")

@@ -1,9 +1,4 @@
-"""How the maps of several agents become one.
-
-The papers take what their ego vehicle has after fusion. At an intersection every agent is the ego,
-in turn, and the mean of what all have is taken. Maps are not warped from one agent's frame to
-another's: all are in that of the intersection.
-"""
+"""How agents' maps, in the intersection's frame, become one: by the mean of what each has fused."""
 
 from collections.abc import Sequence
 
@@ -37,8 +32,7 @@ class Mean(eqx.Module):
 
 
 class AttFuse(Mean):
-    """AttFuse (Xu et al. 2022, OPV2V): scaled dot-product attention of the features themselves, by
-    which the agents at each cell attend to one another."""
+    """AttFuse (Xu et al. 2022, OPV2V): agents' features at a cell attend to one another."""
 
     def __call__(self, x: AgentMaps, present: Present) -> FusedMap:
         cells = jnp.moveaxis(x, 1, 3)[..., None, :]  # (B, H, W, A, 1, C)
@@ -46,15 +40,12 @@ class AttFuse(Mean):
         return mean_of(jnp.moveaxis(found[..., 0, :], 3, 1), present)
 
 
-# ── DiscoNet ────────────────────────────────────────────────────────────────
-
 EDGES = (32, 8)  # channels of the edges' network. DiscoNet has 128, 32 and 8
 
 
 class DiscoNet(eqx.Module):
-    """DiscoNet (Li et al. 2021): a graph of agents whose edges have a weight for each cell: 1 × 1
-    convolutions of a pair of agents, which sum to one over senders. The distillation loss, of one
-    map where DiscoNet has four, is in :mod:`inspe_jax.perception.training.train`."""
+    """DiscoNet (Li et al. 2021): a graph of agents whose edges have a weight for each cell, by 1 ×
+    1 convolutions of pairs, which sum to one over senders. Of four maps, one is distilled."""
 
     receiver: Linear
     sender: Linear
@@ -73,8 +64,6 @@ class DiscoNet(eqx.Module):
         scores = jnp.where(present[:, None, :, None, None], scores, -jnp.inf)
         return mean_of(jnp.einsum("bijhw,bjhwc->bihwc", jax.nn.softmax(scores, 2), x), present)
 
-
-# ── V2VNet ──────────────────────────────────────────────────────────────────
 
 ROUNDS = 2
 
@@ -98,9 +87,8 @@ class ConvGRU(eqx.Module):
 
 
 class V2VNet(eqx.Module):
-    """V2VNet (Wang et al. 2020): rounds of messages between agents, convolutions of sender and
-    receiver; a gated unit takes in their mean over senders. Messages are not compressed, and no
-    perceptron follows the last state."""
+    """V2VNet (Wang et al. 2020): rounds of messages, convolutions of sender and receiver, whose
+    mean a gated unit takes in. They are not compressed, and no perceptron follows."""
 
     receiver: Conv
     sender: Conv
@@ -125,9 +113,6 @@ class V2VNet(eqx.Module):
             heard = jnp.einsum("bijhwc,bij->bihwc", messages, weight)
             state = self.unit(heard, state)
         return mean_of(state, present)
-
-
-# ── Attention by modality, and within windows ───────────────────────────────
 
 
 def to_windows(x: Map, side: int, *, sparse: bool = False) -> Float[Array, "*n m t c"]:
@@ -164,11 +149,8 @@ def _by_modality(shape: tuple[int, ...], key: Array) -> Float[Array, "*k c d"]:
 
 class HeterogeneousAttention(eqx.Module):
     """In each window, the cells of all agents attend to one another, by modality: as in V2X-ViT (Xu
-    et al. 2022) and, over more than one cell, in HM-ViT (Xiang et al. 2023).
-
-    Queries, keys, values and outputs have matrices by the modality of the agent. How well a sender
-    matches a receiver, and what the receiver takes of it, have matrices by both modalities.
-    """
+    et al. 2022) and HM-ViT (Xiang et al. 2023). Queries, keys, values and outputs have matrices by
+    modality; relations and messages, by those of receiver and sender."""
 
     queries: Float[Array, "k c c"]
     keys: Float[Array, "k c c"]
@@ -209,8 +191,6 @@ class HeterogeneousAttention(eqx.Module):
         return jnp.einsum("bamtc,acd->bamtd", found, self.outputs[kinds])
 
 
-# ── HM-ViT ──────────────────────────────────────────────────────────────────
-
 HM_HEADS = 2
 HM_SIDE = 4  # cells along the side of a window and of a sparse grid
 
@@ -238,13 +218,8 @@ class GraphAttention(eqx.Module):
 
 
 class HMViT(eqx.Module):
-    """HM-ViT (Xiang et al. 2023): attention over agents and cells at once, by modality.
-
-    All agents' features at the cells of a window, then at those of a sparse grid over the whole
-    map, attend to one another. Then the mean over agents is taken. One such pair takes as long as
-    all that comes before it; HM-ViT's code has two. Its norms and perceptrons are by modality, and
-    it has a bias by the offset of cells: here all modalities share them, and there is no bias.
-    """
+    """HM-ViT (Xiang et al. 2023): cells of all agents attend to one another within windows, then
+    within sparse grids (once; its code has two pairs, parts by modality, and a bias by offset)."""
 
     blocks: list[GraphAttention]
 
@@ -259,8 +234,6 @@ class HMViT(eqx.Module):
             x = block(x, present)
         return mean_of(x, present)
 
-
-# ── V2X-ViT ─────────────────────────────────────────────────────────────────
 
 V2X_LAYERS = 3
 V2X_HEADS = 4
@@ -329,10 +302,8 @@ class Layer(eqx.Module):
 
 
 class V2XViT(eqx.Module):
-    """V2X-ViT (Xu et al. 2022): layers of heterogeneous attention over the agents at a cell, of
-    attention within windows at three scales whose results are weighed (split attention, Zhang et
-    al. 2020), and of a perceptron. Then the mean over agents is taken. Here all agents are LiDARs:
-    there is one type, and attention by type has one matrix. No delay is encoded."""
+    """V2X-ViT (Xu et al. 2022): layers of attention over agents, of split attention within windows
+    (Zhang et al. 2020), and of a perceptron; then the mean over agents."""
 
     layers: list[Layer]
 

@@ -1,9 +1,8 @@
 """What detectors tell, what they are to tell, and the losses: as CenterPoint's (Yin et al. 2021).
 
-*Heat* has a peak at each road user of a class, at the cell of its middle (Law and Deng 2018; Zhou
-et al. 2019). What else is told there, the *values*, are: the middle's place within the cell (x, y)
-[cells], z [m], the logarithms of length, width and height [m], and sine and cosine of yaw. In
-training, detectors of cameras also tell heat on the pictures, at the road users that they show.
+*Heat* peaks at the cell of each road user's middle (Law and Deng 2018; Zhou et al. 2019). *Values*
+there are the place within the cell (x, y) [cells], z [m], logarithms of length, width and height
+[m], and sine and cosine of yaw. Detectors of cameras also tell heat on pictures in training.
 """
 
 from functools import partial
@@ -25,8 +24,7 @@ from inspe_jax.simulation.frame import KINDS
 Heat = Float[Array, "*n h w K"]
 
 RARE = -2.19
-"""First bias of the heat: a chance of 0.1, so that the loss does not begin with every cell being
-wrong (Lin et al. 2017, focal loss)."""
+"""First bias of the heat: a chance of 0.1, as in focal loss (Lin et al. 2017)."""
 HARD, FAR = 2.0, 4.0
 """Exponents of the focal loss: cells that are right already, and cells near a peak, count less."""
 
@@ -74,8 +72,6 @@ def focal_loss(heat: Heat, aim: Heat, mask: Bool[Array, "*m"]) -> Float[Array, "
     return per_road_user(jnp.where(aim == 1, right, wrong).sum(), mask)
 
 
-# ── The head ────────────────────────────────────────────────────────────────
-
 HIDDEN = 32
 VALUES = 8
 
@@ -85,17 +81,13 @@ LEAST_RADIUS = 2.0
 """Least radius of a Gaussian [cells], as in CenterPoint: a pedestrian would have none."""
 
 UNSEEN = 1 - 1e-6
-"""Height of the bump of a road user that does not count, flat out to its radius: no cell there is a
-positive, and as a negative each weighs some (1e-6)⁴; beyond, cells weigh less as near any other."""
+"""Height of the flat bump of a road user that does not count: no positive, hardly a negative."""
 
 VALUE_WEIGHT = 0.5  # weight of the values' loss, which sums over eight; that of heat is 1
 
-MOST = 100
-"""Detections of a frame and class that are kept, so that many of one class crowd out no other:
-nuScenes allows 500 of ten classes, and the densest traffic has 60 road users."""
+MOST = 100  # detections of a frame and class that are kept; nuScenes allows 500 of ten classes
 LARGEST_LOG = 5.0
-"""Largest logarithm of a side of a box, either way: 7 mm and 148 m. A training that diverges tells
-larger ones, whose side is no number."""
+"""Largest logarithm of a side of a box, either way: 7 mm and 148 m, for trainings that diverge."""
 
 
 class HeadOutput(NamedTuple):
@@ -139,9 +131,8 @@ class Aims(NamedTuple):
 
 
 def aims(targets: Targets, grid: BevGrid, counted: Bool[Array, "B M"] | None = None) -> Aims:
-    """The aims of road users; those outside the grid are left out. x runs along rows. Of those that
-    are not ``counted``, nothing is to be told: neither that they are there nor that they are not.
-    """
+    """The aims of road users in the grid; x runs along rows. Of those that are not ``counted``,
+    nothing is to be told: neither that they are there nor that they are not."""
     boxes = jnp.asarray(targets.boxes)
     place = (boxes[..., :2] + grid.half) / grid.cell
     cell = jnp.floor(place)
@@ -169,8 +160,7 @@ def aims(targets: Targets, grid: BevGrid, counted: Bool[Array, "B M"] | None = N
 
 def radius(length: Float[Array, "*n"], width: Float[Array, "*n"]) -> Float[Array, "*n"]:
     """How far a box can be off along both sides and still overlap :data:`OVERLAP` of the union
-    [cells]: (l − r)(w − r) = 2 o / (1 + o) l w with the overlap o; at least :data:`LEAST_RADIUS`.
-    """
+    [cells]: (l − r)(w − r) = 2 o / (1 + o) l w; at least :data:`LEAST_RADIUS`."""
     both = length + width
     apart = jnp.sqrt(both**2 - 4 * length * width * (1 - OVERLAP) / (1 + OVERLAP))
     return jnp.maximum((both - apart) / 2, LEAST_RADIUS)
@@ -209,11 +199,8 @@ def peaks(found: HeadOutput, grid: BevGrid) -> Peaks:
     return Peaks(jnp.concatenate([place, values[..., 2:3], size, yaw, still], -1), kind, score)
 
 
-# ── Heat on pictures ────────────────────────────────────────────────────────
-
 LEAST_PIXELS = 4
-"""Pixels that show a road user who is to be found on a picture: a quarter of a cell's. Others are
-as if they were not there."""
+"""Pixels that show a road user who is to be found on a picture: a quarter of a cell's."""
 NEAREST = 0.5
 """Least depth of a box whose place on a picture is told [m]; nearer ones are cut by its edge."""
 SPREAD, LEAST_SPREAD = 0.25, 0.5
@@ -223,10 +210,8 @@ SPREAD, LEAST_SPREAD = 0.25, 0.5
 def perspective_aims(
     inputs: Inputs, targets: Targets, cells: tuple[int, ...]
 ) -> tuple[Heat, Bool[Array, "n M"]]:
-    """The heat to be told on the ``cells`` (h, w) of each picture, with bumps at the middles of the
-    boxes' extents on it, and whom each picture shows: perspective supervision (BEVFormer v2, Yang
-    et al. 2023). From a loss in bird's-eye view alone, encoders of pictures that are not
-    pre-trained learn slowly."""
+    """The heat to be told on the ``cells`` (h, w) of each picture, and whom each shows: perspective
+    supervision (BEVFormer v2, Yang et al. 2023), as encoders are not pre-trained."""
     assert inputs.pixels is not None
     assert inputs.unit is not None
     scale = np.array(cells) / inputs.pixels.shape[2:4]

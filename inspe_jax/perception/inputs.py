@@ -1,5 +1,4 @@
-"""What a detector takes of a batch: the data of the agents, in arrays of fixed shape. An agent is
-what an infrastructure unit has of one modality: its LiDARs, which come first, or its cameras."""
+"""What a detector takes of a batch. An agent has the LiDARs, or the cameras, of a unit."""
 
 from dataclasses import asdict, dataclass
 from typing import NamedTuple
@@ -16,15 +15,8 @@ MULTIPLE = 32
 
 @dataclass(frozen=True)
 class BevGrid:
-    """The cells of bird's-eye view: a square about the middle of the intersection.
-
-    It reaches ``half`` to each side [m], and from ``low`` to ``high`` above the ground at the
-    middle [m]: where a street climbs or falls further, LiDARs' points are left out. Its cells are
-    ``cell`` wide [m]. Features are fused on cells of twice that width, and road users are found on
-    the cells themselves.
-
-    By default, a pedestrian has a cell of 0.8 m about alone.
-    """
+    """The cells of bird's-eye view about the middle of the intersection: ``half`` to each side,
+    ``low`` to ``high`` above the ground, ``cell`` wide [m], of which a pedestrian has about one."""
 
     half: float = 51.2
     cell: float = 0.8
@@ -51,11 +43,8 @@ class BevGrid:
 
 
 class Inputs(NamedTuple):
-    """Letters in shapes: B frames, G agents of LiDARs, U agents of cameras, C cameras.
-
-    ``unit`` is the number of each camera's agent, 0 to U − 1, and −1 for padding. ``present`` says
-    which agents there are.
-    """
+    """Of B frames, G agents of LiDARs, U agents of cameras and C cameras; ``unit`` is the number of
+    each camera's agent, −1 for padding, and ``present`` says which agents there are."""
 
     pillars: Pillars | None
     pixels: UInt8[np.ndarray, "B C H W 3"] | None
@@ -73,8 +62,7 @@ class Agents(NamedTuple):
 
 
 def inputs_of(batch: Batch, agents: Agents) -> Inputs:
-    """The inputs of a batch whose pillars are by unit, filled up to the number of ``agents``.
-    Raises InspeError if a frame has more."""
+    """The inputs of a batch, filled up to the number of ``agents``. Raises InspeError at more."""
     lidars, cameras = batch.lidars, batch.cameras
     pillars, unit, present = None, None, []
     if lidars is not None and lidars.pillars is not None:
@@ -95,7 +83,6 @@ def inputs_of(batch: Batch, agents: Agents) -> Inputs:
 
 
 def _filled_up(pillars: Pillars, count: int) -> Pillars:
-    """Pillars with ``count`` groups: the last ones are empty."""
     missing = count - pillars.counts.shape[1]
     used = np.flatnonzero(pillars.counts.any(axis=(0, 2)))
     _check_count(int(used.max(initial=-1)) + 1, count, "LiDARs")

@@ -1,6 +1,4 @@
-"""The layers that the detectors are made of. Maps are (…, H, W, C), channels last, so that a linear
-map of every cell is a product with a matrix. Norms are over what one map holds and not over a
-batch, which here is a few frames of agents that are much alike."""
+"""Layers of detectors. Maps are (…, H, W, C); norms are over one map: a batch's are much alike."""
 
 from collections.abc import Callable
 from typing import Any
@@ -61,8 +59,7 @@ class Conv(eqx.Module):
 
 
 class Depthwise(eqx.Module):
-    """A convolution of each channel by itself, as a sum of shifted maps: XLA's grouped convolution
-    on a CPU is not vectorised over channels, and takes many times as long."""
+    """A convolution of each channel: shifted maps are faster on CPUs than XLA's groups."""
 
     weight: Float[Array, "k k c"]
     stride: int = eqx.field(static=True)
@@ -83,9 +80,7 @@ class Depthwise(eqx.Module):
 
 
 class Norm(eqx.Module):
-    """Normalisation of maps over all cells and a group of channels (Wu and He 2018). A variance is
-    the mean square less the square of the mean: a CPU reads the map once, in a fifth of the time.
-    """
+    """Normalisation over all cells and a group of channels (Wu and He 2018), in one reading."""
 
     scale: Float[Array, " c"]
     shift: Float[Array, " c"]
@@ -184,8 +179,7 @@ def attend(
     bias: Any = None,
 ) -> Float[Array, "*n q h d"]:
     """Scaled dot-product attention with heads h (Vaswani et al. 2017). ``mask`` (…, k) is true for
-    keys that are there, of which there must be one; ``bias`` is added to the scores (…, h, q, k).
-    """
+    at least one key; ``bias`` is added to the scores (…, h, q, k)."""
     scores = jnp.einsum("...qhc,...khc->...hqk", query, key) * query.shape[-1] ** -0.5
     if bias is not None:
         scores = scores + bias

@@ -1,5 +1,4 @@
-"""The registry of backends: what records a scene. To add one, add a row to :data:`BACKENDS`. A
-recorder is imported when it is opened, since it needs libraries of its own."""
+"""The registry of backends, which record scenes; recorders are imported when they are opened."""
 
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
@@ -15,12 +14,9 @@ from inspe_jax.simulation.recorder import Recorder, Recording, Server
 
 @dataclass(frozen=True)
 class Backend:
-    """A way to record.
-
-    ``open`` takes the keywords of :func:`recorder_of` but ``backend``. ``packages`` are the
-    libraries that the recorded bytes depend on. A ``remote`` backend records with a server. At most
-    ``most_workers`` processes record at once.
-    """
+    """A way to record: ``open`` takes the keywords of :func:`recorder_of` but ``backend``; bytes
+    depend on ``packages``; a ``remote`` one needs a server; ``most_workers`` processes record at
+    once."""
 
     open: Callable[..., AbstractContextManager[Recorder]]
     packages: tuple[str, ...]
@@ -49,11 +45,7 @@ DEFAULT_BACKEND = "embedded"
 
 
 def server_of(backend: str, server: Server | None) -> Server | None:
-    """The server that a backend records with: the usual address if none is given.
-
-    None for a backend that needs no server. Raises InspeError where a server is given to such a
-    backend, or a value of it is out of range.
-    """
+    """The server of a backend, None if it needs none. Raises InspeError where it is not valid."""
     if not BACKENDS[backend].remote:
         if server is not None:
             remote = " or ".join(name for name, row in BACKENDS.items() if row.remote)
@@ -74,11 +66,7 @@ def recorder_of(
     server: Server | None = None,
     appearance_seed: int = 0,
 ) -> AbstractContextManager[Recorder]:
-    """A recorder of a scene's traffic, for a ``with`` block.
-
-    ``seed`` is that of the noise, ``appearance_seed`` that of the road users' shapes and colours.
-    Raises InspeError for a backend that is not in :data:`BACKENDS`, or as the recorder does.
-    """
+    """A recorder of a scene's traffic, to be opened. Raises InspeError for unknown backends."""
     check_known(backend, BACKENDS, "backend")
     seeds = dict(seed=seed, appearance_seed=appearance_seed)
     given = dict(conditions=conditions, recording=recording, server=server)

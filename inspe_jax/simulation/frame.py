@@ -1,5 +1,5 @@
-"""A frame of a data set: the road users as boxes, and stations with images and LiDAR scans, in the
-world frame (ENU), in metres and radians. A pose is (x, y, z, roll, pitch, yaw)."""
+"""A frame of a data set: the road users as boxes, and stations with images and scans, in the world
+frame (ENU), in metres and radians. A pose is (x, y, z, roll, pitch, yaw)."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -47,13 +47,10 @@ class Deferred:
 
 @dataclass(frozen=True, eq=False)
 class RoadUserBox:
-    """The box of a road user, which stands upright.
-
-    ``track`` identifies the road user in all frames of a scenario. ``center`` is the middle of the
-    box [m]; ``size`` is length, width and height [m]; ``velocity`` is in m/s. ``kind`` is one of
-    :data:`KINDS`, ``name`` a blueprint's such as ``vehicle.audi.tt``. The lights of one that is
-    ``parked`` are off.
-    """
+    """The upright box of a road user: ``track`` identifies it in all frames, ``center`` is its
+    middle, ``size`` length, width and height [m], ``velocity`` in m/s; ``kind`` is one of
+    :data:`KINDS`, ``name`` a blueprint's such as ``vehicle.audi.tt``. Lights of ``parked`` ones are
+    off."""
 
     track: int
     kind: str
@@ -75,15 +72,10 @@ Boxes = tuple[RoadUserBox, ...]
 
 @dataclass(frozen=True, eq=False)
 class Image(Deferred):
-    """A camera's picture, and what each pixel of it shows.
-
-    ``intrinsic`` is the calibration in pixels. ``depth`` (H, W) is measured along the camera's axis
-    [m], and infinite where nothing was hit; ``instance`` is track + 1, and 0 where there is no road
-    user; ``semantic`` is a label. Each of these three may be None.
-
-    ``pixels`` is the number of pixels that show each of the frame's B road users, ``share`` their
-    share (0…1) of those that would show it if nothing stood before it; None: not counted.
-    """
+    """A camera's picture, with its calibration in pixels, and layers, each of which may be None:
+    ``depth`` along the axis [m], infinite where nothing was hit; ``instance``, track + 1 or 0;
+    ``semantic`` labels. Of each of B road users, ``pixels`` show it, which is a ``share`` (0…1) of
+    those that would if nothing stood before it; None: not counted."""
 
     pose: Pose6
     intrinsic: Float[np.ndarray, "3 3"]
@@ -107,10 +99,9 @@ class Image(Deferred):
 
 @dataclass(frozen=True, eq=False)
 class Scan(Deferred):
-    """The points of a LiDAR or a radar: x, y, z in its body frame (x forward, y left, z up) [m],
-    intensity 0…1. ``returns`` is how many are of each of the frame's B road users; None: not
-    counted. ``speeds`` are a radar's radial speeds [m/s], positive away from it; None of a LiDAR.
-    """
+    """Points of a LiDAR or a radar: x, y, z in its body frame (x forward, y left, z up) [m],
+    intensity 0…1. ``returns`` of each of B road users, None: not counted; ``speeds`` are a radar's
+    radial speeds [m/s], positive away from it."""
 
     pose: Pose6
     points: Float[np.ndarray, "N 4"] = field(repr=False)
@@ -123,8 +114,7 @@ class Scan(Deferred):
 
 @dataclass(frozen=True, eq=False)
 class Station:
-    """An infrastructure unit and what its sensors recorded. ``number`` n ≥ 1 is the agent −n; an
-    agent of other people's data sets that is the vehicle n has the number −n."""
+    """An infrastructure unit, whose agent is −``number``, and what its sensors recorded."""
 
     number: int
     name: str
@@ -135,8 +125,7 @@ class Station:
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """One moment of a scenario: the box of every road user, and what every station recorded.
-    ``number`` counts the frames of the scenario; ``time`` is in seconds."""
+    """One moment [s] of a scenario: the box of every road user, and what every station recorded."""
 
     number: int
     time: float

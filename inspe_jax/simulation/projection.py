@@ -22,8 +22,7 @@ EDGES = np.array([*_BOTTOM, *((a + 4, b + 4) for a, b in _BOTTOM), *((k, k + 4) 
 
 
 def corners(boxes: Sequence[RoadUserBox]) -> Corners:
-    """Corners of boxes in the world [m]: front left, rear left, rear right, front right at the
-    bottom, then the same at the top."""
+    """Corners [m]: front left, rear left, rear right, front right; at the bottom, then the top."""
     found = np.zeros((len(boxes), 8, 3))
     for k, box in enumerate(boxes):
         turn = rotation(np.array([0.0, 0.0, box.yaw]), np)
@@ -32,10 +31,7 @@ def corners(boxes: Sequence[RoadUserBox]) -> Corners:
 
 
 def edge_lines(image: Pinhole, box_corners: Corners, width: int, height: int) -> Edges:
-    """The parts of boxes' edges that lie in a picture of ``width`` and ``height`` pixels: (column,
-    row) of their ends, and the index of the box of each. ``box_corners`` are those of
-    :func:`corners`. A box behind the camera, or outside the picture, has no edges.
-    """
+    """The parts of boxes' edges in a picture: (column, row) of their ends, and the box of each."""
     lines, owner = _in_front(image, box_corners, NEAR)
     for axis, most in ((0, width), (1, height)):
         lines, owner = _cut(lines, owner, lines[..., axis])
@@ -46,8 +42,8 @@ def edge_lines(image: Pinhole, box_corners: Corners, width: int, height: int) ->
 def outlines(
     image: Pinhole, box_corners: Corners, width: int, height: int, margin: float = 0.0
 ) -> list[Float[np.ndarray, "N 2"]]:
-    """The areas of a picture that boxes with these :func:`corners` cover, as polygons of (column,
-    row), each ``margin`` pixels wider than its box. A box that is not in it has no polygon."""
+    """Areas of a picture that boxes with these :func:`corners` cover, ``margin`` pixels wider, as
+    polygons of (column, row). A box that is not in it has no polygon."""
     lines, owner = _in_front(image, box_corners, TOUCHING)
     _, own = np.unique(np.repeat(owner, 2), return_inverse=True)
     hulls = shapely.convex_hull(shapely.multipoints(lines.reshape(-1, 2), indices=own))
@@ -57,8 +53,7 @@ def outlines(
 
 
 def _in_front(image: Pinhole, box_corners: Corners, near: float) -> Edges:
-    """The edges of boxes in the plane of a picture, cut where they come closer than ``near`` [m],
-    and the index of the box of each."""
+    """The edges of boxes in a picture's plane, cut at ``near`` [m], and the box of each."""
     pose = np.asarray(image.pose, float)
     ends = box_corners[:, EDGES].reshape(-1, 2, 3)
     owner = np.repeat(np.arange(len(box_corners)), len(EDGES))

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from inspe_jax.core.errors import InspeError, check_known
+from inspe_jax.core.records import check_values
 from inspe_jax.scene.scene import Scene
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.sensing.signals import ATTENUATION, LidarNoise
@@ -25,13 +26,9 @@ Row = TypeVar("Row")
 
 @dataclass(frozen=True)
 class Recording:
-    """Settings of a recording.
-
-    ``rate`` is the number of frames per second [Hz]; ``layers`` are of :data:`LAYERS`;
-    ``image_size`` (width, height), where given, is that of all pictures, in place of the cameras'
-    own: they show the same, with pixels that need not be square.
-    ``noise`` is that of the LiDARs, and ``turn`` how long a turn of theirs takes [s], 0 if all rays
-    are fired at once.
+    """Settings of a recording: ``rate`` [Hz], ``layers`` of :data:`LAYERS`, ``noise`` and ``turn``
+    [s] of LiDARs (0: all rays at once), and ``image_size`` (width, height), if not the cameras'
+    own.
 
     The digest of a scenario contains the names of this class, of :class:`LidarNoise`, and of their
     fields. If these changed, runs that were stopped could not go on.
@@ -47,13 +44,8 @@ class Recording:
         """Raise InspeError where a value is out of range."""
         if not (np.isfinite(self.rate) and self.rate > 0):
             raise InspeError(f"rate {self.rate} Hz is out of range: above 0")
-        if self.image_size is not None and not all(1 <= n <= MOST_PIXELS for n in self.image_size):
-            raise InspeError(
-                f"image_size {list(self.image_size)} is out of range: width and height, each 1 to "
-                f"{MOST_PIXELS}"
-            )
-        if not (np.isfinite(self.turn) and 0 <= self.turn <= 1):
-            raise InspeError(f"turn {self.turn} s is out of range: 0 to 1")
+        check_values(self.image_size or 1, "image_size", 1, MOST_PIXELS)
+        check_values(self.turn, "turn [s]", 0, 1)
         for name in self.layers:
             check_known(name, LAYERS, "layer")
 
@@ -103,8 +95,7 @@ class Server:
 
 
 class Recorder(Protocol):
-    """A recorder of a scene's traffic. It records the same frame every time it is asked for it.
-    ``notes`` say what it cannot record as the layout has it."""
+    """A recorder of a scene's traffic; ``notes`` say what it cannot record as the layout has it."""
 
     notes: tuple[str, ...]
 
@@ -115,8 +106,8 @@ class Recorder(Protocol):
 def frame_of(
     scene: Scene, layout: Layout, t: int, boxes: Boxes, recorded: Sequence[Image | Scan]
 ) -> Frame:
-    """Frame t of a scene's traffic, with one station for each unit of the layout. ``recorded`` has
-    one image or scan for each sensor of the layout, in the layout's order."""
+    """Frame t of a scene's traffic, with a station for each unit of the layout; ``recorded`` has an
+    image or scan for each sensor, in the layout's order."""
     stations = tuple(
         Station(
             number=u + 1,
@@ -151,11 +142,8 @@ def apply_noise(
     noise: LidarNoise,
     rng: np.random.Generator,
 ) -> tuple[Float[np.ndarray, "N 4"], Bool[np.ndarray, " R"]]:
-    """Points of those of R rays that come back, and which these are; others are lost as in CARLA.
-
-    A point is x, y, z [m] and intensity 0…1, float32. ``direction`` holds unit vectors in the body
-    frame; ``distance`` [m] is infinite where nothing was hit.
-    """
+    """Points (x, y, z [m] and intensity 0…1) of those of R rays that come back, and which these
+    are; losses are as in CARLA. ``distance`` [m] is infinite where nothing was hit."""
     lost = rng.random((2, len(direction)))
     error = rng.standard_normal(len(direction)) * noise.range
     back = np.isfinite(distance) & (lost[0] >= noise.lost)

@@ -128,7 +128,7 @@ def test_a_training_that_is_not_done_is_measured_as_such(trained, tmp_path):
 @pytest.mark.parametrize(("words", "said"), [
     (("--scenario", "d"), "no scenario 'd' in split 'test': it has c"),
     (("--frame", "6"), "c: no frame 6: it has 3, from 7 to 9"),
-    (("--split", "tset"), "no split 'tset': there is"),
+    (("--split", "tset"), "split 'tset': one of"),
 ])  # fmt: skip
 def test_what_is_not_in_the_set_is_said(trained, words, said):
     found = run("detect", trained / "run", trained / "set_cache", *words)

@@ -17,8 +17,6 @@ from inspe_jax.dataset.formats.registry import FORMATS, DatasetFormat
 from inspe_jax.dataset.generate import DatasetWriter
 from inspe_jax.dataset.plan import make_generation
 
-# ---- the toy format: a frame is one pickle -----------------------------------------------------
-
 
 def toy_agents(folder: Path) -> tuple[int, ...]:
     frames = toy_frames(folder, ())
@@ -45,7 +43,6 @@ TOY = DatasetFormat(toy_agents, toy_frames, toy_read, toy_write, "0.pickle")
 
 @pytest.fixture(autouse=True)
 def _toy(monkeypatch):
-    """Add the row, which is the only change to the package."""
     monkeypatch.setitem(FORMATS, "pickle", TOY)
 
 
@@ -53,9 +50,6 @@ def generation(folder: Path, **changes) -> Generation:
     settings = dict(radius=15, voxel=2, density=5, seconds=1.4)
     content = dict(scenes=[{"built_in": "four_way"}], layouts=["Cam-d1/L-d1"], settings=settings)
     return make_generation(content | changes, folder)
-
-
-# ---- what works then -----------------------------------------------------------------------
 
 
 def test_frames_are_read_back_as_they_were_written(tmp_path):
@@ -74,7 +68,6 @@ def test_frames_are_read_back_as_they_were_written(tmp_path):
 
 
 def test_a_data_set_is_generated_in_a_new_format(tmp_path, monkeypatch):
-    """By the functions of a worker, and the writer that moves finished scenarios."""
     made_up.here(monkeypatch)
     toy = generation(tmp_path, format="pickle")
     (plan,) = toy.scenarios

@@ -150,7 +150,6 @@ def test_every_scenario_is_valid_and_in_its_split(undisturbed):
 
 
 def test_existing_frames_are_not_recorded_again(undisturbed, tmp_path):
-    """No worker is started either; scenarios of which a file is missing are."""
     path, files = undisturbed
     out = tmp_path / "out"
     shutil.copytree(path.parent / "out", out)
@@ -202,7 +201,6 @@ def test_a_run_that_was_killed_continues_where_it_was(undisturbed, tmp_path):
 
 
 def test_a_full_disk(undisturbed, tmp_path, monkeypatch):
-    """All files are complete, and with free space again the data set becomes the same."""
     path, files = undisturbed
     out = tmp_path / "out"
     monkeypatch.setenv(made_up.ROOM, "400")
@@ -217,7 +215,6 @@ def test_a_full_disk(undisturbed, tmp_path, monkeypatch):
 
 
 def test_scenarios_that_cannot_be_generated(tmp_path, monkeypatch):
-    """The errors say why, also that of a worker, and the other scenarios are generated."""
     for name in ("broken", "unheard of"):
         (tmp_path / f"{name}.yaml").write_text(LAYOUT.replace("two masts", name))
     (tmp_path / "broken.xodr").write_text("<OpenDRIVE/>")
@@ -331,7 +328,6 @@ def test_workers_need_dask(tmp_path, monkeypatch):
 
 
 def test_a_worker_has_one_recorder_at_a_time(tmp_path, monkeypatch):
-    """It stays open for the chunks of its scenario, and is closed at the end."""
     told = []
 
     @contextmanager
@@ -352,13 +348,3 @@ def test_a_worker_has_one_recorder_at_a_time(tmp_path, monkeypatch):
     chunk.close()
     assert told == [(word, light) for light in ("midday", "night") for word in ("open", "close")]
     assert dataset.open(tmp_path / day.name).scenarios[0].frames == (0, 1, 10, 11)
-
-
-def test_a_disk_error_is_no_error_of_the_scenario(tmp_path):
-    (plan, *_) = load_generation(write(tmp_path)).scenarios
-    (tmp_path / "file").touch()
-    given = tmp_path / "file" / "scenario", tmp_path / "lock", range(10), 10
-    todo = chunk.Chunk(plan, "embedded", *given)
-    found = made_up.work(chunk.build(todo), todo)
-    why = f"{given[0]}: the folder cannot be created: Not a directory"
-    assert found == chunk.Outcome(fault=why)

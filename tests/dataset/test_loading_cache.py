@@ -95,7 +95,6 @@ def test_boxes_and_their_returns(made, cached):
 
 
 def test_poses_that_change_and_a_middle_that_no_protocol_says(tmp_path):
-    """The middle is that of the road users in plan and on the ground."""
     first, second = frame_of(0), frame_of(1)
     (one, other), scan = second.stations, second.stations[0].scans[0]
     moved = replace(one, scans=(replace(scan, pose=scan.pose + 0.1),))
@@ -183,7 +182,6 @@ def test_another_size_of_pictures_needs_another_folder(made, cached):
 
 
 def test_damage_is_noticed(cached, tmp_path):
-    """A file cut short when the cache is opened; a broken index when it is used."""
     shutil.copytree(cached.path, tmp_path / "cache")
     for name in ("points.raw", "index.npz"):
         file = tmp_path / "cache" / "test" / "c" / name

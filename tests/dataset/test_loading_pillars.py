@@ -21,7 +21,6 @@ def cloud(count=500, seed=0) -> np.ndarray:
 
 
 def by_hand(points, grid) -> dict[tuple[int, int], list[tuple[float, ...]]]:
-    """The points of each pillar, in their order."""
     found = defaultdict(list)
     for point in points:
         x, y, z = point[:3]
@@ -94,7 +93,6 @@ def test_features_are_those_of_pointpillars():
 
 
 def test_pillars_of_a_unit_have_the_points_of_all_its_lidars(tmp_path):
-    """The second unit has two LiDARs."""
     frame = frame_of(0, cameras=False)
     first, second = frame.stations
     both = replace(second, scans=(second.scans[0], first.scans[0]))
@@ -132,7 +130,7 @@ def test_clouds_are_woven_evenly():
     (dict(cell=0.3), r"not a whole number of cells of 0\.3 m: use half: 51\.15"),
     (dict(cell=0.0), "cell 0.0 m must be above 0"),
     (dict(low=3.0, high=3.0), "low 3.0 m must be below"),
-    (dict(most_points=0), "most_points 0"),
+    (dict(most_points=0), "most_points: 0 is out of range: at least 1"),
 ])  # fmt: skip
 def test_bad_grids(bad, message):
     with pytest.raises(InspeError, match=message):

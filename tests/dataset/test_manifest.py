@@ -169,8 +169,7 @@ def test_a_manifest_that_lists_too_little_is_no_proof(made, copy):
 
 @pytest.mark.parametrize("text", ["", '{"a": 3}'])
 def test_a_broken_record_of_a_frame_counts_as_none(made, copy, text):
-    """Of a run that was cut off: it goes on, and records that frame again, and those with a file
-    that was changed, or left empty by a crash of the machine."""
+    """Nor do those with a file that was changed, or left empty by a crash of the machine."""
     plan, out = copy
     one = plan.scenarios[0]
     writer = DatasetWriter(plan, out, "embedded")
@@ -192,7 +191,6 @@ def test_a_broken_record_of_a_frame_counts_as_none(made, copy, text):
 def test_a_kill_while_a_scenario_is_finished_leaves_no_records_in_it(
     made, copy, monkeypatch, ended
 ):
-    """Before the scenario moves, and before its records are gone: no frame is recorded again."""
     plan, out = copy
     (one, _) = plan.scenarios
     shutil.rmtree(out / one.split / one.name)
@@ -243,7 +241,6 @@ def test_the_command(copy, tmp_path):
 
 
 def test_counts_where_a_recorder_tells_none():
-    """Points in the box, and pixels in the instance picture."""
     here = station(1, cameras=1, lidars=0)
     points = np.array([[0.0, 0.0, 0.0, 1.0], [30.0, 0.0, 0.0, 1.0]])
     on = replace(scan(), pose=np.array([10.0, 20.0, 0.75, 0, 0, 0]), points=points)

@@ -57,16 +57,12 @@ def evaluated(case):
 
 
 def main():
-    """Write the file, and say what is in it."""
     with np.load(FILE) as file:
         content = dict(file)
-    for name in dict.fromkeys(key.partition("/")[0] for key in content):
-        case = {
-            key.partition("/")[2]: content[key] for key in content if key.startswith(f"{name}/")
-        }
-        said = evaluated(case)
+    for name in {key.partition("/")[0] for key in content}:
+        own = [key for key in content if key.startswith(f"{name}/")]
+        said = evaluated({key.partition("/")[2]: content[key] for key in own})
         content |= {f"{name}/{key}": np.asarray(value, float) for key, value in said.items()}
-        print(f"{name:13} {len(case['kind'])} detections, mAP {said['mean_ap']:.4f}")
     np.savez_compressed(FILE, **content)
 
 

@@ -102,5 +102,5 @@ def test_agents_are_filled_up_and_never_left_out(cached):
 
 
 def test_an_unknown_model_is_told_which_there_are():
-    with pytest.raises(InspeError, match=r"no model 'v2xvit': lss-eff, .*did you mean v2x-vit"):
+    with pytest.raises(InspeError, match=r"model 'v2xvit': one of lss-eff, .*did you mean v2x-vit"):
         model_of("v2xvit")

@@ -22,7 +22,6 @@ with np.load(REFERENCE) as file:
 
 @pytest.fixture(scope="module")
 def reference():
-    """By case: what the devkit says, and the frames as it was given them."""
     with np.load(REFERENCE) as file:
         content = {key: file[key] for key in file.files}
     cases = {}
@@ -33,7 +32,6 @@ def reference():
 
 
 def frames_of(case) -> tuple[list[Detections], list[Detections]]:
-    """The detections and the truth of each frame of a case."""
     count = 1 + max(case.frame.max(), case.truth_frame.max())
     found, truth = [], []
     for t in range(count):
@@ -164,7 +162,6 @@ CAR = boxes_at((0, 0), (5, 5))
 
 
 def spoilt(name: str, value, at=1) -> Detections:
-    """Two cars, of which a value of the second is another."""
     part = np.array(getattr(CAR, name))
     part[at] = value
     return CAR._replace(**{name: part})

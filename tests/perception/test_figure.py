@@ -69,7 +69,7 @@ def plan_of(fig: Figure):
 
 
 def polygons(ax) -> list[tuple[tuple[str, str], np.ndarray]]:
-    """Fill and edge colour of each polygon of a plan, and its corners."""
+    """Fill and edge colour, and corners."""
     found = []
     for drawn in ax.collections:
         if type(drawn).__name__ == "PolyCollection":
@@ -81,7 +81,6 @@ def polygons(ax) -> list[tuple[tuple[str, str], np.ndarray]]:
 
 
 def panel_rows(fig: Figure) -> dict[str, list[str]]:
-    """The table of the panel: the row of each class."""
     panel = next(ax for ax in fig.axes if ax.get_legend())
     rows: dict[float, list[str]] = {}
     for text in sorted(panel.texts, key=lambda text: text.get_position()[0]):

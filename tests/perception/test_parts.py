@@ -47,9 +47,6 @@ def made(part):
     return eqx.filter_jit(part)(jax.random.key(3))
 
 
-# ── Layers ──────────────────────────────────────────────────────────────────
-
-
 def test_depthwise_norm_and_attention():
     x = noise(2, 9, 8, 16)
     depthwise, norm = made(lambda key: (layers.Depthwise(16, key, stride=2), layers.Norm(16)))
@@ -93,9 +90,6 @@ def test_windows_and_grids_are_cells_of_the_map():
     number = fusions.offsets(3)
     assert number[0, 4] == number[4, 8] != number[8, 4]
     assert len(np.unique(number)) == 25
-
-
-# ── Encoders ────────────────────────────────────────────────────────────────
 
 
 def test_a_pillar_is_the_maximum_over_its_points_and_padding_changes_nothing():
@@ -181,8 +175,6 @@ def test_a_cell_of_the_map_has_the_mean_of_what_falls_into_it():
         np.testing.assert_allclose(maps[k], mean, rtol=1e-4, atol=1e-5)
     assert not maps[7:].any()
 
-
-# ── Fusion ──────────────────────────────────────────────────────────────────
 
 TYPES = (0, 0, 1)
 
@@ -307,9 +299,6 @@ def test_disconet_weighs_senders_for_each_cell():
         np.testing.assert_allclose(found[c], np.mean(own, 0), rtol=1e-3, atol=1e-4)
 
 
-# ── Head ────────────────────────────────────────────────────────────────────
-
-
 def road_users() -> Targets:
     """Two frames: of four kinds, well apart, one outside the grid; and of one."""
     rng = np.random.default_rng(5)
@@ -404,9 +393,6 @@ def test_the_radius_of_a_gaussian_keeps_boxes_overlapping():
         there = translate(here, r, r)
         overlap = here.intersection(there).area / here.union(there).area
         assert overlap == pytest.approx(head.OVERLAP, rel=1e-4)
-
-
-# ── Heat on pictures ────────────────────────────────────────────────────────
 
 
 def test_heat_on_pictures_is_where_they_show_road_users():

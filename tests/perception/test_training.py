@@ -46,7 +46,6 @@ def cached(tmp_path_factory):
 
 
 def stop_at(step: int, model: str = "coalign"):
-    """A stop by the user after a step of a model."""
 
     def stop(report):
         if (report.step, report.model) == (step, model):
@@ -87,7 +86,6 @@ def test_a_stopped_training_goes_on_to_the_same_losses(stopped_and_not):
 def test_trainings_by_workers_are_the_same_and_one_that_fails_stops_no_other(
     stopped_and_not, cached, tmp_path
 ):
-    """By a worker that is a thread; those of the command line are processes."""
     whole, _ = stopped_and_not
     (tmp_path / "bad").mkdir()
     (tmp_path / "bad" / "notes.txt").write_text("of somebody else")
@@ -119,7 +117,6 @@ def test_a_damaged_state_is_named_and_the_one_before_is_there(stopped_and_not, c
 
 
 def test_whatever_a_kill_leaves_is_mended(stopped_and_not, cached, tmp_path):
-    """A state without its mAP, files without a head, and parts of files."""
     whole = stopped_and_not[0]
     folder = tmp_path / "run"
     shutil.copytree(whole.path, folder)

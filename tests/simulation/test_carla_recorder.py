@@ -21,7 +21,7 @@ pytest.importorskip("msgpack", reason="what the CARLA client talks: extra [test]
 
 import carla_recording as client
 import carla_wire
-from carla_blueprints import BLUEPRINTS
+from carla_world import BLUEPRINTS
 from frames import car
 from processes import inspe_process
 from worlds import place_sensors, world
@@ -48,7 +48,6 @@ TAGS = {"car": {14}, "truck": {15, 16}, "cyclist": {18, 19}, "pedestrian": {12}}
 
 
 def run_client(task: str, port: int, file, *arguments: object) -> dict:
-    """What a client writes to a file."""
     words = [sys.executable, client.__file__, task, str(port), str(file), *map(str, arguments)]
     ran = subprocess.run(words, capture_output=True, text=True)
     assert ran.returncode == 0, ran.stdout + ran.stderr
@@ -83,7 +82,6 @@ def gaps(points: np.ndarray, boxes) -> np.ndarray:
 
 
 def carried(pose: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Points of a sensor's frame in the world."""
     return points @ rotation(pose[3:], np).T + pose[:3]
 
 
@@ -265,9 +263,6 @@ def test_notes_are_in_the_data_set_and_the_address_of_the_server_is_not(maps, tm
     assert f"Note: {kept} (1 scenario)" in words + err
     again = dataset.load_generation(scenario.path / "data_protocol.yaml", tmp_path)
     assert (again.backend, again.notes) == ("carla", ())
-
-
-# ── Without a server ────────────────────────────────────────────────────────────────────────────
 
 
 def test_scenes_that_no_server_has_and_a_missing_client(monkeypatch):

@@ -165,7 +165,6 @@ def test_the_lights_of_parked_vehicles_are_off():
 
 
 def test_a_parked_vehicle_looks_the_same_in_any_traffic():
-    """Its track decides, which hangs on its own place."""
     empty, busy = world(count=0), world(count=9, seed=4)
     places = (empty.voxels.center[:2] + [x, 0.0] for x in (6.0, -6.0))
     car, other = (upright_box("parked vehicle", at, (4.6, 1.8, 1.5)) for at in places)

@@ -1,8 +1,6 @@
-"""How files are written, and what other people's readers of OPV2V data sets need: agents with the
-same number of cameras each, four in OPV2V; the range of points and boxes to keep, as that of a
-LiDAR on a car keeps no road user of one on a pole; and maps of what cameras see: HEAL's and
-CoAlign's camera readers keep the boxes whose middle lies on a pixel that is not black.
-"""
+"""How files are written, and what other people's readers need: as many cameras for each agent, the
+range of points and boxes to keep, and maps of what cameras see, by whose pixels HEAL and CoAlign
+keep boxes."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -12,8 +10,9 @@ from jaxtyping import Float, UInt8
 from PIL import Image as Pillow
 from PIL import ImageDraw
 
-from inspe_jax.core.errors import InspeError, check_known
+from inspe_jax.core.errors import check_known
 from inspe_jax.core.geometry import rotation
+from inspe_jax.core.records import check_values
 from inspe_jax.dataset.formats.pictures import SUFFIXES
 from inspe_jax.scene.voxels import VoxelGrid
 from inspe_jax.simulation.frame import Image, RoadUserBox, Station
@@ -24,14 +23,11 @@ MOST_CAMERAS = 16
 
 @dataclass(frozen=True)
 class FileOptions:
-    """How the files of a frame are written.
-
-    ``pictures``: JPEG files are a quarter of the size of PNG and are read four times as fast, but
-    few other readers look for them. ``cameras_per_agent``, for readers that want the same number
-    of all; 0 leaves them as they are. ``infra_set_names`` gives the first point cloud of each agent
-    a second name, ``_lidar0.pcd``, as the Infra-Set variant of OPV2V has it. ``visibility_maps``
-    adds a picture of the road users that the cameras of each agent see, ``_bev_visibility.png``.
-    """
+    """How the files of a frame are written. JPEG ``pictures`` are a quarter of the size of PNG and
+    are read four times as fast, but few other readers look for them. ``cameras_per_agent`` makes
+    agents with as many each; 0 leaves them as they are. ``infra_set_names`` gives the first point
+    cloud a second name, ``_lidar0.pcd``, and ``visibility_maps`` adds ``_bev_visibility.png``: the
+    road users that the cameras of an agent see."""
 
     pictures: str = "png"
     cameras_per_agent: int = 0
@@ -41,11 +37,7 @@ class FileOptions:
     def check(self, where: str) -> None:
         """Raise InspeError where a value is out of range."""
         check_known(self.pictures, SUFFIXES, f"{where}: pictures:")
-        if not 0 <= self.cameras_per_agent <= MOST_CAMERAS:
-            raise InspeError(
-                f"{where}: cameras_per_agent: {self.cameras_per_agent} is out of range: 1 to "
-                f"{MOST_CAMERAS}, or 0 for as many as there are"
-            )
+        check_values(self.cameras_per_agent, f"{where}: cameras_per_agent", 0, MOST_CAMERAS)
 
 
 DEFAULT_OPTIONS = FileOptions()
@@ -55,8 +47,7 @@ UP = np.array([0.0, np.pi / 2, 0.0])  # roll, pitch and yaw of a camera that loo
 HIGHEST = 5.0
 """No road user is higher [m]: vehicles are limited to 4 m in most of Europe, 4.9 m in Britain."""
 BEYOND = 9.5
-"""How far a road user in the region may reach out of it [m]: half the diagonal of a road train,
-18.75 m × 2.55 m, the longest vehicle of directive 96/53/EC."""
+"""How far road users reach out of the region [m]: half the diagonal of a road train (18.75 m)."""
 BELOW = 0.5
 """How far the ground out there may lie below the region's lowest [m]: 5 % over that length."""
 STEP = 6.4
@@ -68,15 +59,12 @@ MIDDLE = 127  # row and column of the agent
 
 
 def frame_of(agent: Station) -> Float[np.ndarray, "6"]:
-    """The pose of the frame that readers know an agent by: that of its first LiDAR, or of its unit
-    where it has none (x, y, z [m], roll, pitch, yaw [rad])."""
+    """The pose by which readers know an agent: its first LiDAR's, or its unit's if it has none."""
     return np.asarray(agent.scans[0].pose if agent.scans else agent.pose, float)
 
 
 def with_cameras(stations: Sequence[Station], count: int) -> tuple[Station, ...]:
-    """The stations as agents with ``count`` cameras each; as they are if that is 0, or none has a
-    camera. The first agent of a station keeps its number and its LiDARs. Others have the numbers
-    after the last station's, in the order of the stations, and no LiDAR."""
+    """Agents with ``count`` cameras each, if not 0: further ones have new numbers and no LiDAR."""
     if not count or not any(station.images for station in stations):
         return tuple(stations)
     first, further = [], []
@@ -114,9 +102,8 @@ def _filled(images: list[Image], count: int, station: Station, like: Image) -> t
 
 
 def lidar_range(agents: Sequence[Station], voxels: VoxelGrid) -> list[float]:
-    """The range that holds every road user of the region as a whole, seen from any agent: [x, y, z,
-    x, y, z] [m], lower and upper limits in the frame of any agent, the same on all four sides.
-    Readers call it ``cav_lidar_range``, and drop a box unless all of its corners lie inside."""
+    """The range that holds every road user of the region, seen from any agent: lower and upper x,
+    y, z [m] in an agent's frame. Readers drop a box unless all of its corners lie inside."""
     ground = np.column_stack([voxels.columns, voxels.ground])
     around = np.concatenate([ground - [0.0, 0.0, BELOW], ground + [0.0, 0.0, HIGHEST]])
     side, low, high = 0.0, np.inf, -np.inf
@@ -132,8 +119,7 @@ def lidar_range(agents: Sequence[Station], voxels: VoxelGrid) -> list[float]:
 
 
 def visibility_map(agent: Station, boxes: Sequence[RoadUserBox]) -> UInt8[np.ndarray, "256 256"]:
-    """The map of an agent in its own frame: white on black, ahead is up. A road user is white where
-    at least one pixel of a camera shows it, or where pixels were not counted."""
+    """The map of an agent, ahead is up: road users that its cameras show, or did not count."""
     pose = frame_of(agent)
     turn = rotation(pose[3:], np)
     picture = Pillow.new("L", (PIXELS, PIXELS))

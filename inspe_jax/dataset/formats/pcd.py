@@ -1,6 +1,4 @@
-"""Reads and writes PCD files, version 0.7: ``x y z rgb``, with the intensity in the red byte of
-``rgb``, as OPV2V has it. A reader of its own: pypcd4 (1.5) rejects files without COUNT, which the
-format allows, and raises errors of many kinds on damaged ones."""
+"""PCD files 0.7, ``x y z rgb``, as OPV2V has them. pypcd4 (1.5) rejects files without COUNT."""
 
 import os
 from dataclasses import dataclass
@@ -34,8 +32,7 @@ _SIZES = {"F": (4, 8), "I": (1, 2, 4, 8), "U": (1, 2, 4, 8)}
 
 
 def write_pcd(path: str | os.PathLike[str], points: Any, note: str = "") -> None:
-    """Write points (N, 4): x, y, z [m] and intensity 0…1, which is rounded to 1/255. The file
-    appears when it is complete. ``note`` becomes a comment in the header."""
+    """Write points (N, 4): x, y, z [m] and intensity 0…1, in 1/255; ``note`` is a comment."""
     points = np.asarray(points)
     rows = np.empty((len(points), 4), "<f4")
     rows[:, :3] = points[:, :3]
@@ -47,12 +44,8 @@ def write_pcd(path: str | os.PathLike[str], points: Any, note: str = "") -> None
 
 
 def read_pcd(path: str | os.PathLike[str]) -> Float[np.ndarray, "N 4"]:
-    """Points of a PCD file, ASCII or binary: x, y, z and intensity, float32.
-
-    The fields may have any order, and there may be more of them. The intensity is the unchanged
-    field ``intensity``, or the red byte of ``rgb``, or 0. Points that are not finite are left out:
-    PCD marks empty places so. Raises InspeError for any other file.
-    """
+    """Points of a PCD file, ASCII or binary: x, y, z and ``intensity``, or the red byte of ``rgb``,
+    or 0. Empty places are left out. Raises InspeError for any other file."""
     path = Path(path)
     check_input(path, ARRAYS)
     with path.open("rb") as f:
@@ -79,8 +72,7 @@ def read_notes(path: str | os.PathLike[str]) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class _Header:
-    """``row`` is the layout of a point; its fields are named by their index, because ``names`` may
-    repeat. ``notes`` are the comments."""
+    """``row`` is the layout of a point, its fields named by index, because ``names`` may repeat."""
 
     names: tuple[str, ...]
     row: np.dtype

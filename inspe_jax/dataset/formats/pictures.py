@@ -1,5 +1,4 @@
-"""Reads and writes pictures: colour as PNG or JPEG, depth, instance and semantic as PNG. The
-compression is fixed, so that the same picture always gives the same bytes."""
+"""Reads and writes pictures: colour as PNG or JPEG, layers as PNG, always to the same bytes."""
 
 import zlib
 from pathlib import Path
@@ -12,8 +11,7 @@ from inspe_jax.core.errors import InspeError, error_at
 from inspe_jax.core.files import check_input, whole_file
 
 COMPRESSION = {"compress_level": 1, "compress_type": zlib.Z_RLE}
-"""Runs of one value are what repeats in these pictures. Searching for longer repetitions takes half
-as long again, and saves nothing."""
+"""Runs of one value are what repeats here; searching for longer repetitions saves nothing."""
 QUALITY = {"quality": 95, "subsampling": 0}
 """Of JPEG files: colours at full resolution, and errors of about two steps of 255."""
 SUFFIXES = {"png": ".png", "jpeg": ".jpg"}
@@ -23,11 +21,8 @@ DEPTH_CAP = 2**16 - 1
 
 
 def write_picture(path: Path, layer: str, pixels: Any) -> None:
-    """Write ``rgb`` (H, W, 3), as the suffix says, or a layer (H, W).
-
-    Depths [m] are written in 16 bits, in centimetres, capped beyond 655.35 m; instances, which are
-    track + 1 or 0, in 16 bits; labels in 8.
-    """
+    """Write ``rgb`` (H, W, 3), as the suffix says, or a layer (H, W): depths [m] in 16 bits, in
+    centimetres, capped beyond 655.35 m; instances, track + 1 or 0, in 16 bits; labels in 8."""
     pixels = np.asarray(pixels)
     if layer == "depth":
         pixels = np.rint(np.minimum(pixels.astype(float) / DEPTH_UNIT, DEPTH_CAP))
@@ -39,12 +34,9 @@ def write_picture(path: Path, layer: str, pixels: Any) -> None:
 
 
 def read_picture(path: Path, layer: str) -> np.ndarray:
-    """The pixels of ``rgb`` (H, W, 3), uint8, or of a layer (H, W).
-
-    Grey pictures and those with transparency are converted to colours. Depths are in metres,
-    float32, infinite where the file has its largest value; instances are int32. Raises InspeError
-    for a file that is no picture, or of other bits.
-    """
+    """The pixels of ``rgb`` (H, W, 3), uint8, or of a layer (H, W): depths in metres, float32,
+    infinite at the cap; instances int32. Raises InspeError for a file that is no picture, or of
+    other bits."""
     check_input(path)
     wrong = f"{path}: not a readable picture"
     with (

@@ -24,16 +24,13 @@ class _Dumper(yaml.CSafeDumper):
 def write_protocol(
     scenario: str | os.PathLike[str], protocol: Mapping[str, Any], stations: Iterable[Station] = ()
 ) -> None:
-    """Write what made a scenario into its folder, as :data:`PROTOCOL`, its keys in the order given.
-
-    ``protocol`` must have ``world`` with fixed_delta_seconds (the time step [s]), client_port,
-    seed, weather and town, which some readers need. The names of ``stations`` are added under
-    ``stations``. Raises InspeError where a key is missing, or YAML cannot hold a value.
-    """
+    """Write what made a scenario into its folder, as :data:`PROTOCOL`, with the names of
+    ``stations``. ``world`` must have fixed_delta_seconds (the time step [s]), client_port, seed,
+    weather and town, which some readers need. Raises InspeError where a key is missing, or YAML
+    cannot hold a value."""
     path = make_folder(Path(scenario)) / PROTOCOL
-    world = protocol.get("world")
     for key in ("fixed_delta_seconds", "client_port", "seed", "weather", "town"):
-        if not isinstance(world, Mapping) or key not in world:
+        if key not in section_of(protocol, "world"):
             raise InspeError(f"{path}: world.{key}: missing key")
     names = {-station.number: station.name for station in stations}
     content = {**protocol, "stations": names} if names else dict(protocol)
@@ -48,6 +45,12 @@ def read_protocol(scenario: Path) -> dict[str, Any]:
     """What made a scenario; empty if nothing says so. Raises InspeError if it is not YAML."""
     path = scenario / PROTOCOL
     return as_mapping(read_yaml(path), path) if path.is_file() else {}
+
+
+def section_of(protocol: Mapping[str, Any], key: str) -> Mapping[Any, Any]:
+    """A section of a protocol; empty where there is none."""
+    found = protocol.get(key)
+    return found if isinstance(found, Mapping) else {}
 
 
 def make_folder(path: Path) -> Path:

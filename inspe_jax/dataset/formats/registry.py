@@ -1,5 +1,4 @@
-"""The registry of data-set formats. To add one, write a module with the four functions of a
-:class:`DatasetFormat`, and add a row to :data:`FORMATS`."""
+"""The registry of data-set formats: to add one, add a row to :data:`FORMATS`."""
 
 import os
 from collections.abc import Callable, Mapping, Sequence
@@ -19,12 +18,10 @@ from inspe_jax.simulation.frame import Frame
 class DatasetFormat:
     """How the frames of a scenario are stored in its folder.
 
-    ``agents(folder)`` gives the ids of the agents: infrastructure −1, −2, … first, then vehicles.
-    ``frames(folder, agents)`` gives the numbers of the frames that are complete. ``read(folder,
-    number, agents, protocol)`` gives a frame; raises InspeError where there is none or a file is
-    broken. ``write(folder, frame, options)`` writes a frame over an earlier one, and gives its
-    files; the folder may be missing, and a frame that is half written must not count as complete.
-    ``example`` is the path of a file of frame 0, for error messages.
+    ``agents`` gives the agents' ids: infrastructure −1, −2, … first, then vehicles. ``frames``
+    gives the numbers of complete frames. ``read`` raises InspeError where there is none or a file
+    is broken. ``write`` replaces an earlier frame and gives its files; a frame that is half written
+    must not count. ``example`` is the path of a file of frame 0, for error messages.
     """
 
     agents: Callable[[Path], tuple[int, ...]]
@@ -48,8 +45,7 @@ FORMATS: dict[str, DatasetFormat] = {
 
 
 def format_of(folder: Path) -> DatasetFormat | None:
-    """The format of a scenario's folder: the first of which an agent has a frame, even if other
-    agents do not; None where the folder is no scenario."""
+    """The first format of which an agent has a frame; None where the folder is no scenario."""
     for row in FORMATS.values():
         if any(row.frames(folder, (agent,)) for agent in row.agents(folder)):
             return row
@@ -62,20 +58,9 @@ def write_frame(
     format: str = DEFAULT_FORMAT,
     options: FileOptions = DEFAULT_OPTIONS,
 ) -> tuple[Path, ...]:
-    """Write a frame into the folder of a scenario, over one of this number that is there.
-
-    Args:
-        scenario: The folder.
-        frame: Every frame of a scenario should have the same stations.
-        format: One of :data:`FORMATS`.
-        options: How its files are written.
-
-    Returns:
-        Its files.
-
-    Raises:
-        InspeError: Before anything is written, where the format is unknown, an option is out of
-            range, or the frame is not valid.
+    """Write a frame into the folder of a scenario, over one of this number; gives its files. Every
+    frame of a scenario should have the same stations. ``format`` is one of :data:`FORMATS`. Raises
+    InspeError, before anything is written, where it, an option or the frame is not valid.
 
     >>> empty = dataset.Frame(0, 0.0, (), (dataset.Station(1, "pole", np.zeros(6), (), ()),))
     >>> files = dataset.write_frame("mine/train/four_way", empty)

@@ -1,6 +1,4 @@
-"""The decoded cache of a data set: a folder with ``cache.json`` and, for each scenario, a folder
-``SPLIT/SCENARIO`` as :mod:`inspe_jax.dataset.loading.stored` has it, mapped into memory when read.
-"""
+"""The decoded cache of a data set: ``cache.json``, and a folder for each scenario."""
 
 import json
 import multiprocessing
@@ -11,7 +9,7 @@ from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
 
-from inspe_jax.core.errors import InspeError, nearest
+from inspe_jax.core.errors import InspeError, check_known
 from inspe_jax.core.files import check_model, prepare_folder, read_json, write_text
 from inspe_jax.core.parallel import cores
 from inspe_jax.dataset.folders import Dataset, Scenario, open_dataset, split_folders, subfolders
@@ -25,8 +23,7 @@ FORMAT = "inspe_jax cache 3"
 LOCK = f".{CACHE}.lock"
 
 PICTURES = (300, 400)
-"""Height and width of pictures, if none are given. A cyclist in a camera of 800 × 600 has about 200
-pixels in the median, and about 50 at this size; at half of it, a dozen, which is too few."""
+"""Height and width of pictures: a cyclist has about 50 pixels; a dozen at half is too few."""
 
 Job = tuple[Scenario, Path, str, tuple[int, int] | None]
 """The arguments of :func:`~inspe_jax.dataset.loading.stored.decode`."""
@@ -58,11 +55,8 @@ class Cache:
 
     def split(self, name: str) -> tuple[StoredScenario, ...]:
         """The scenarios of a split. Raises InspeError, which lists the splits, for another name."""
-        splits = self.splits
-        if name not in splits:
-            hint = nearest(name, tuple(splits))
-            raise InspeError(f"{self.path}: no split '{name}': there is {', '.join(splits)}{hint}")
-        return splits[name]
+        check_known(name, self.splits, f"{self.path}: split")
+        return self.splits[name]
 
 
 def cache(
@@ -150,7 +144,6 @@ def pictures_of(folder: str | os.PathLike[str]) -> tuple[int, int] | None:
 
 
 def _decode_all(todo: list[Job], workers: int) -> Iterator[int]:
-    """Decode scenarios, in this process or in several; yields the number of frames of each."""
     workers = min(workers, len(todo))
     if workers <= 1:
         yield from (decode(*job) for job in todo)
@@ -184,7 +177,6 @@ def _claim(path: Path, pictures: tuple[int, int] | None) -> None:
 
 
 def _stored(path: Path) -> Iterator[StoredScenario]:
-    """The complete scenarios of a cache, split by split."""
     for split in split_folders(path):
         for place in subfolders(split):
             if not (place.name.startswith(".") and place.name.endswith(storage.PART)):

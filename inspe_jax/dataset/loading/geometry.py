@@ -8,18 +8,14 @@ from jaxtyping import Float
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.geometry import rotation
+from inspe_jax.core.records import check_values
 from inspe_jax.simulation.frame import Picture
 
 
 def on_picture(points: Any, pose: Any, intrinsic: Any, xp: Any = np) -> Any:
-    """Points on a picture: column and row [pixels], and depth [m], negative behind the camera.
-
-    Args:
-        points: (…, 3) in the frame that ``pose`` leads to.
-        pose: (4, 4) from the camera's body (x forward, y left, z up).
-        intrinsic: (3, 3) [px]; (0, 0) is the outer corner of the first pixel.
-        xp: numpy or jax.numpy.
-    """
+    """Points (…, 3) on a picture, whose (4, 4) ``pose`` leads from the body (x forward, y left, z
+    up) to their frame: column and row [px] from the outer corner of the first pixel, and depth [m],
+    negative behind the camera. ``xp`` is numpy or jax.numpy."""
     body = (points - xp.broadcast_to(pose[:3, 3], points.shape)) @ pose[:3, :3]
     seen = xp.stack([-body[..., 1], -body[..., 2], body[..., 0]], -1) @ intrinsic.T
     return xp.concatenate([seen[..., :2] / seen[..., 2:], seen[..., 2:]], -1)
@@ -27,9 +23,8 @@ def on_picture(points: Any, pose: Any, intrinsic: Any, xp: Any = np) -> Any:
 
 @dataclass(frozen=True)
 class Similarity:
-    """Mirrors the plane y = 0 if ``mirrored``, then turns about the z axis by ``turn`` [rad], then
-    scales by ``scale``, all about the middle of the intersection: points, poses, boxes, pictures.
-    """
+    """Mirrors the plane y = 0 if ``mirrored``, turns about the z axis by ``turn`` [rad], and
+    scales, about the middle of the intersection: points, poses, boxes, pictures."""
 
     mirrored: bool = False
     turn: float = 0.0
@@ -49,8 +44,7 @@ class Similarity:
         return found
 
     def of_poses(self, poses: Float[np.ndarray, "*n 4 4"]) -> Float[np.ndarray, "*n 4 4"]:
-        """Poses of the sensors in the moved world: rotations, not scaled and not mirrored. The body
-        frame of a mirrored sensor is the mirrored one with y reversed."""
+        """Poses of sensors in the moved world; a mirrored body frame has its y reversed."""
         moved = np.array(poses)
         moved[..., :3, 3] = poses[..., :3, 3] @ self.linear.T
         moved[..., :3, :3] = (self.linear / self.scale) @ poses[..., :3, :3]
@@ -61,8 +55,7 @@ class Similarity:
     def of_intrinsics(
         self, intrinsics: Float[np.ndarray, "*n 3 3"], width: float
     ) -> Float[np.ndarray, "*n 3 3"]:
-        """Calibrations of pictures, which :meth:`copy_picture` mirrors if the world is mirrored:
-        column u becomes ``width`` − u. Turns and scales leave a picture as it is."""
+        """Calibrations of pictures, mirrored if the world is: column u becomes ``width`` − u."""
         moved = np.array(intrinsics)
         if self.mirrored:
             moved[..., 0, 1] *= -1
@@ -78,8 +71,7 @@ class Similarity:
             out[..., colour] = picture[:, ::-1, colour]
 
     def of_boxes(self, boxes: Float[np.ndarray, "N 9"]) -> Float[np.ndarray, "N 9"]:
-        """Boxes: x, y, z, length, width, height, yaw within ±π, and velocity in x and y, which
-        scales as lengths do: the time between frames stays."""
+        """Boxes as of targets, with yaw within ±π and velocities that scale as lengths do."""
         moved = np.array(boxes)
         moved[:, :3] = boxes[:, :3] @ self.linear.T
         moved[:, 3:6] *= self.scale
@@ -91,12 +83,9 @@ class Similarity:
 
 @dataclass(frozen=True)
 class Augment:
-    """How frames are changed at random, each by itself.
-
-    ``flip`` is the chance that the intersection is mirrored, which puts its traffic on the other
-    side of the road. Its turn about the vertical is uniform within ± ``turn`` [rad], its scale
-    within ``scale``. The defaults are those of SECOND (Yan, Mao and Li 2018) and PointPillars (Lang
-    et al. 2019).
+    """How frames are changed at random: ``flip`` is the chance to be mirrored, which puts traffic
+    on the other side of the road; turns are within ± ``turn`` [rad], scales within ``scale``.
+    Defaults are of SECOND (Yan, Mao and Li 2018) and PointPillars (Lang et al. 2019).
 
     >>> change = dataset.Augment(flip=0.0, turn=0.1).similarity(np.random.default_rng(0))
     >>> change.mirrored, abs(change.turn) < 0.1
@@ -109,10 +98,8 @@ class Augment:
 
     def check(self) -> None:
         """Raise InspeError where a value is out of range."""
-        if not 0 <= self.flip <= 1:
-            raise InspeError(f"augment: flip {self.flip}: a chance, 0 to 1")
-        if not 0 <= self.turn <= np.pi:
-            raise InspeError(f"augment: turn {self.turn}: 0 to π, in radians")
+        check_values(self.flip, "augment: flip", 0, 1)
+        check_values(self.turn, "augment: turn [rad]", 0, np.pi)
         low, high = self.scale
         if not 0 < low <= high < np.inf:
             raise InspeError(f"augment: scale {self.scale}: two numbers above 0, the smaller first")

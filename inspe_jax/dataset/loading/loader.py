@@ -1,8 +1,4 @@
-"""Batches of a cache for training: in a repeatable order, augmented, read ahead by threads.
-
-Threads, not worker processes: NumPy copies and multiplies large arrays without Python's lock, and
-no batch is copied from another process. ``grain`` can read a :class:`Loader` as well.
-"""
+"""Batches of a cache, in repeatable order, read ahead by threads; ``grain`` reads them, too."""
 
 from collections import deque
 from collections.abc import Iterator, Sequence
@@ -25,34 +21,23 @@ SENSORS: tuple[Sensor, ...] = get_args(Sensor)
 
 _Frame = tuple[StoredScenario, int]  # a scenario, and the place of a frame in it
 
-AHEAD = 2
-"""Batches that each worker may be ahead of what was asked for: one that is being made, and one that
-is ready when a step of training is quicker than usual."""
+AHEAD = 2  # batches that each worker may be ahead: one that is being made, and one that is ready
 
 
 class Loader:
-    """The batches of a split.
+    """The batches of a split, in shapes of the whole cache.
 
-    ``loader[k]`` is the batch of step k ≥ 0, also beyond the first epoch: a training that was
-    killed goes on with ``loader.steps(k)``. It depends on ``k``, the seed and the other arguments
-    alone, not on ``workers`` or on what was read before. ``len(loader)`` is the number of batches
-    of an epoch, and iterating gives the first epoch.
+    ``loader[k]`` is the batch of step k ≥ 0, also beyond the first epoch of ``len(loader)``
+    batches; it depends on ``k`` and the arguments but ``workers`` alone, so a training goes on with
+    ``loader.steps(k)``.
 
     With ``shuffle``, each epoch has another order, and leaves out what does not fill a batch.
-    Without, frames come as stored, and the last batch is filled up with frames that are not
-    ``valid``: for evaluation.
-
-    ``sensors`` are "camera", "lidar" or both; what the cache does not have is None in the batches.
-    Clouds are given as they are, or their ``points`` as pillars of a grid. They are in random
-    order, so the first points of a cloud are a fair sample of it. Where there is no place for all
-    pillars, those that are kept are drawn at random with ``shuffle`` or ``augment``; otherwise they
-    are always the same.
-
-    Road users are left out whose middle is farther than ``half`` [m] from the middle of the
-    intersection, along x or y: the half of a pillar grid if not given, otherwise none is.
-
-    Shapes come from the whole cache, so that they are the same for all of its splits: each cloud
-    has room for the largest one, and each frame for the most road users.
+    Without, for evaluation, frames come as stored, and the last batch is filled up with frames that
+    are not ``valid``. ``sensors`` are "camera", "lidar" or both; what the cache does not have is
+    None. Clouds are in random order, given as they are or as ``points`` of a pillar grid; which
+    pillars are kept of too many is drawn with ``shuffle`` or ``augment``. Road users farther than
+    ``half`` [m] from the middle along x or y are left out: the half of a pillar grid if not given,
+    otherwise none is.
     """
 
     def __init__(
@@ -123,10 +108,7 @@ class Loader:
         return self.steps(0, len(self))
 
     def steps(self, start: int = 0, stop: int | None = None) -> Iterator[Batch]:
-        """The batches of the steps from ``start`` to below ``stop``, or without an end.
-
-        ``workers`` threads make them ahead of time; with 0 they are made when they are asked for.
-        """
+        """The batches from step ``start`` to below ``stop``, or without an end, made ahead."""
         each = count(start) if stop is None else iter(range(start, stop))
         if not self.workers:
             yield from map(self.__getitem__, each)
@@ -144,11 +126,9 @@ class Loader:
             pool.shutdown(cancel_futures=True)
 
     def find(self, scenario: str | None = None, frame: int | None = None) -> tuple[str, int, int]:
-        """A frame by its scenario and number: both, and the step whose batch has it.
-
-        The first scenario, or its first frame, if not given. For loaders without ``shuffle`` and
-        with batches of one. Raises InspeError that says which there are.
-        """
+        """A frame by its scenario and number, or the first: both, and the step whose batch has it.
+        For loaders without ``shuffle``, of batches of one. Raises InspeError that says which there
+        are."""
         names = [each.name for each in self.scenarios]
         name = names[0] if scenario is None else scenario
         if name not in names:
@@ -267,7 +247,6 @@ def _fill_poses(
 
 
 def _no_sensors(*shape: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """``pose``, ``present`` and ``unit`` of padding."""
     return _identities(*shape), np.zeros(shape, bool), np.zeros(shape, np.int32)
 
 

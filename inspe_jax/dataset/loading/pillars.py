@@ -7,21 +7,19 @@ import numpy as np
 from jaxtyping import Float
 
 from inspe_jax.core.errors import InspeError
+from inspe_jax.core.records import check_values
 from inspe_jax.dataset.loading.batch import Pillars
 
 
 @dataclass(frozen=True)
 class PillarGrid:
-    """A square grid of pillars about the middle of the intersection.
+    """A square grid of pillars about the middle of the intersection, out to ``half`` and from
+    ``low`` to ``high`` above the ground, each ``cell`` wide [m]. At random, ``most_points`` of a
+    pillar's points are kept, and ``most_pillars`` pillars.
 
-    It reaches ``half`` to each side [m], and from ``low`` to ``high`` above the ground [m];
-    pillars are ``cell`` wide [m]. The points of an infrastructure unit are together. At random,
-    ``most_points`` of a pillar's points are kept, and ``most_pillars`` of the pillars with a point.
-
-    The defaults: 256 × 256 pillars of 0.4 m, the usual width for OPV2V, reach beyond the region of
-    50 m and can be halved eight times; a lorry fits, also on a slope. A cloud of the paper's LiDARs
-    has points in 6,400 of these pillars, one of a Velodyne HDL-64E in 14,000; 16 points a pillar
-    are 94 % of the latter's.
+    The default, 256 × 256 pillars of 0.4 m as usual for OPV2V, can be halved eight times. Clouds
+    fill 6,400 (the paper's LiDARs) to 14,000 pillars (Velodyne HDL-64E); 16 points hold 94 % of the
+    latter.
 
     >>> dataset.PillarGrid(half=40.0, cell=0.4).side
     200
@@ -51,8 +49,7 @@ class PillarGrid:
         if not self.low < self.high:
             raise InspeError(f"pillars: low {self.low} m must be below high {self.high} m")
         for name in ("most_points", "most_pillars"):
-            if getattr(self, name) < 1:
-                raise InspeError(f"pillars: {name} {getattr(self, name)}: must be 1 or more")
+            check_values(getattr(self, name), f"pillars: {name}", 1)
 
     def empty(self, *leading: int) -> Pillars:
         """Arrays without a point, with these leading axes."""
@@ -66,10 +63,7 @@ class PillarGrid:
     def fill(
         self, points: Float[np.ndarray, "N 4"], out: Pillars, rng: np.random.Generator | None = None
     ) -> None:
-        """Put points, in random order, into the pillars ``out`` of one group, which are empty.
-
-        Of too many pillars ``rng`` draws which are kept; without it, they are always the same.
-        """
+        """Put points, in random order, into empty pillars; ``rng`` draws which are kept."""
         side, nowhere = self.side, self.side**2
         x, y, z = np.ascontiguousarray(points[:, :3].T)
         inside = (x >= -self.half) & (x < self.half) & (y >= -self.half) & (y < self.half)
@@ -106,11 +100,8 @@ class PillarGrid:
 
 
 def pillar_features(pillars: Pillars, grid: PillarGrid, xp: Any = np) -> Any:
-    """What PointPillars tells of each point, as (…, P, K, 9), 0 in padding.
-
-    x, y, z and intensity; x, y, z from the mean of the pillar's points; x and y from its middle.
-    ``xp`` is numpy or jax.numpy.
-    """
+    """PointPillars' features (…, P, K, 9), 0 in padding: x, y, z, intensity; x, y, z from the mean
+    of the pillar's points; x and y from its middle. ``xp`` is numpy or jax.numpy."""
     mask = taken(pillars, grid, xp)
     count = xp.maximum(pillars.counts, 1).astype(xp.float32)[..., None, None]
     mean = pillars.points[..., :3].sum(-2, keepdims=True) / count

@@ -1,8 +1,4 @@
-"""A scenario in the cache: decoded from the set once, then mapped into memory when it is used.
-
-Its folder holds ``points.raw`` (all clouds one after the other, 16-bit), ``pictures.raw``,
-``index.npz`` (poses, calibration, boxes, and where each cloud begins) and ``scenario.json``.
-"""
+"""A scenario in the cache: 16-bit clouds, pictures, an index of all else, and a record."""
 
 import hashlib
 import json
@@ -24,28 +20,22 @@ from inspe_jax.core.geometry import pose_matrix, rotation
 from inspe_jax.dataset.folders import Scenario
 from inspe_jax.dataset.points_in_boxes import count_inside
 from inspe_jax.jobs.settings import Strict
-from inspe_jax.simulation.frame import KINDS, Image, RoadUserBox, Scan
+from inspe_jax.simulation.frame import KINDS, Image, Scan
 
 RECORD, INDEX, POINTS, PICTURES = "scenario.json", "index.npz", "points.raw", "pictures.raw"
 PART = ".part"
 
 STEPS = 32_640
-"""Steps from 0 to the farthest coordinate of a cloud, or to intensity 1. 16 bits hold 32,767 with a
-sign; 32,640 is 128 × 255, so that intensities of 8 bits are exact. Over a reach of 120 m a step is
-3.7 mm, and the error of at most 1.8 mm is below a tenth of the 20 mm that LiDARs scatter."""
+"""Steps from 0 to the farthest coordinate, or to intensity 1: 128 × 255, so that intensities of 8
+bits are exact. Over 120 m a step is 3.7 mm; LiDARs scatter 20 mm."""
 
 AT_ONCE = 8192
 """Points that are converted at once: their 128 kB stay in a core's cache from step to step."""
 
 
 class ScenarioRecord(Strict):
-    """What ``scenario.json`` says.
-
-    ``source`` is the digest of the scenario that was decoded, ``middle`` that of the intersection
-    on the ground [m] in its world, ``pictures`` their height and width, and ``files`` the size of
-    each file [bytes]. The counts are the largest of a frame: LiDARs, units that have any, cameras,
-    points of a cloud, boxes.
-    """
+    """What ``scenario.json`` says: digest of the source, middle of the intersection in its world
+    [m], sizes of pictures and of files [bytes], and the largest counts of a frame."""
 
     source: str
     middle: list[float]
@@ -60,8 +50,7 @@ class ScenarioRecord(Strict):
 
 
 class StoredScenario:
-    """A decoded scenario of T frames with S LiDARs and C cameras each. It holds its place alone
-    until its arrays are used, also when it is sent to another process."""
+    """A decoded scenario of T frames, S LiDARs and C cameras; pickled without its arrays."""
 
     def __init__(self, path: Path, split: str) -> None:
         """Raises InspeError if a file is missing, or has another size than when it was written."""
@@ -100,11 +89,10 @@ class StoredScenario:
     def index(self) -> Mapping[str, np.ndarray]:
         """All else, in memory.
 
-        ``number`` (T,) of each frame; ``starts`` (T, S + 1), where each cloud begins and the last
-        ends; ``steps`` (T, S, 4); ``lidar_pose`` (T, S, 4, 4) and ``camera_pose`` (T, C, 4, 4) in
-        the world; ``lidar_unit`` (S,), ``camera_unit`` (C,); ``intrinsic`` (T, C, 3, 3);
-        ``box_starts`` (T + 1,), ``boxes`` (N, 9), ``kind`` (N,), ``track`` (N,), ``returns``
-        (N, S), ``pixels`` (N, C).
+        ``number`` (T,) of each frame; ``starts`` (T, S + 1) of clouds; ``steps`` (T, S, 4);
+        ``lidar_pose`` (T, S, 4, 4) and ``camera_pose`` (T, C, 4, 4) in the world; ``lidar_unit``
+        (S,), ``camera_unit`` (C,); ``intrinsic`` (T, C, 3, 3); ``box_starts`` (T + 1,), ``boxes``
+        (N, 9), ``kind``, ``track`` (N,), ``returns`` (N, S), ``pixels`` (N, C).
         """
         with open_arrays(self.path / INDEX, self._damaged) as file:
             return dict(file)
@@ -130,12 +118,8 @@ class StoredScenario:
         return f"is missing or damaged: delete {self.path} and cache it again"
 
 
-# ── Decoding ────────────────────────────────────────────────────────────────
-
-
 def digest_of_scenario(scenario: Scenario) -> str:
-    """Identifies what a scenario holds, by its protocol and the names and sizes of its files, the
-    same for a copy. A file that was altered but kept its size is not noticed."""
+    """Identifies a scenario, and copies of it, by its protocol and names and sizes of files."""
     found = hashlib.sha256()
     found.update(json.dumps(json_value(scenario.protocol), sort_keys=True, default=str).encode())
     for place, folders, names in os.walk(scenario.path):
@@ -148,12 +132,8 @@ def digest_of_scenario(scenario: Scenario) -> str:
 
 
 def decode(scenario: Scenario, place: Path, source: str, pictures: tuple[int, int] | None) -> int:
-    """Decode a scenario into the folder ``place``, which appears when it is complete.
-
-    ``source`` is its digest; ``pictures`` are resized to (height, width), or left out if None.
-    Gives the number of its frames. Raises InspeError if a file is broken or cannot be written, or
-    frames do not have the same sensors.
-    """
+    """Decode a scenario into ``place``, which appears when it is complete; gives its number of
+    frames. Raises InspeError if a file is broken or not writable, or sensors differ by frame."""
     part = place.with_name(f".{place.name}{PART}")
     shutil.rmtree(part, ignore_errors=True)
     try:
@@ -198,13 +178,19 @@ def _write(scenario: Scenario, part: Path, source: str, size: tuple[int, int] | 
                 returns = count_inside(scans, frame.boxes)
             starts = end + np.cumsum([0, *(len(cloud) for cloud, _ in clouds)])
             end = starts[-1]
+            rows = [
+                [*box.center, *box.size, box.yaw, *np.asarray(box.velocity)[:2]]
+                for box in frame.boxes
+            ]
             row = {
                 "starts": starts,
                 "steps": np.array([step for _, step in clouds]).reshape(-1, 4),
                 "lidar_pose": _poses(scans),
                 "camera_pose": _poses(images),
                 **_calibration(images, shape, len(frame.boxes)),
-                **_boxes(frame.boxes),
+                "boxes": np.array(rows, float).reshape(-1, 9),
+                "kind": np.array([KINDS.index(box.kind) for box in frame.boxes], np.int32),
+                "track": np.array([box.track for box in frame.boxes], np.int32),
                 "returns": returns.reshape(len(scans), len(frame.boxes)).T.astype(np.int32),
             }
             for key, value in row.items():
@@ -251,8 +237,7 @@ def _poses(of: Sequence[Scan | Image]) -> Float[np.ndarray, "S 4 4"]:
 def _calibration(
     images: Sequence[Image], size: tuple[int, int], boxes: int
 ) -> dict[str, np.ndarray]:
-    """Matrices of pictures of this size, and how many of their pixels show each road user, −1
-    where the set does not say. (0, 0) is a corner, so both scale with the size."""
+    """Matrices of pictures of this size, and their pixels of each road user, −1 if unknown."""
     intrinsic = np.zeros((len(images), 3, 3))
     pixels = np.full((boxes, len(images)), -1, np.float32)
     for c, image in enumerate(images):
@@ -264,19 +249,9 @@ def _calibration(
     return {"intrinsic": intrinsic, "pixels": pixels}
 
 
-def _boxes(boxes: Sequence[RoadUserBox]) -> dict[str, np.ndarray]:
-    rows = [[*box.center, *box.size, box.yaw, *np.asarray(box.velocity)[:2]] for box in boxes]
-    return {
-        "boxes": np.array(rows, float).reshape(-1, 9),
-        "kind": np.array([KINDS.index(box.kind) for box in boxes], np.int32),
-        "track": np.array([box.track for box in boxes], np.int32),
-    }
-
-
 def _middle(scenario: Scenario, index: dict[str, np.ndarray]) -> list[float]:
-    """The middle of the intersection on the ground [m], as the protocol says; else that of where
-    road users are in all frames, on the median of the bottoms of their boxes; else of the sensors.
-    """
+    """The middle of the intersection on the ground [m]: as the protocol says, else of the road
+    users, on the median of the bottoms of their boxes, else of the sensors."""
     told = scenario.protocol.get("middle")
     if isinstance(told, list) and len(told) == 3:
         return [float(x) for x in told]
@@ -291,18 +266,11 @@ def _middle(scenario: Scenario, index: dict[str, np.ndarray]) -> list[float]:
     return middle.tolist()
 
 
-# ── Points ──────────────────────────────────────────────────────────────────
-
-
 def to_steps(
     points: Any, pose: Any, rng: np.random.Generator
 ) -> tuple[Int16[np.ndarray, "N 4"], Float[np.ndarray, "4"]]:
-    """A cloud as stored: steps of x, y, z and intensity, and the size of one step of each.
-
-    ``points`` (N, 4) are in the frame of a LiDAR with this ``pose`` (6,). Stored positions are
-    relative to the LiDAR, along the axes of the world. They are in random order: any stretch of
-    them is a fair sample of the cloud.
-    """
+    """A cloud (N, 4) of a LiDAR with this ``pose`` as stored: steps of x, y, z and intensity, and
+    the size of each. Positions are from the LiDAR, along the axes of the world, in random order."""
     values = np.array(points, np.float64).reshape(-1, 4)
     values[:, :3] = values[:, :3] @ rotation(np.asarray(pose, float)[3:], np).T
     reach = np.abs(values).max(0, initial=1.0)

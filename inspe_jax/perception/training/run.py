@@ -1,9 +1,5 @@
-"""What a training depends on; its folder: its record, what each step told, and its last two states.
-
-``run.json`` says what is trained on what. ``losses.csv`` has a row for each step, and
-``validation.csv`` one for each time that mAP was measured. ``step_00000250.eqx`` is the state after
-250 steps: the detector and the optimiser's moments, as Equinox writes them.
-"""
+"""What a training depends on, and its folder: ``run.json``, ``losses.csv``, ``validation.csv``, and
+the last two states (detector and moments of the optimiser), as ``step_00000250.eqx``."""
 
 import functools
 import json
@@ -51,17 +47,11 @@ MOST_GRADIENT = 10.0
 
 
 class TrainingSettings(Strict):
-    """How a detector is trained.
-
-    ``model`` is a name of :data:`~inspe_jax.perception.detector.MODELS`. ``steps`` of ``batch``
-    frames each; ``rate`` is the highest learning rate, of AdamW under a schedule that rises for
-    three tenths of the steps and falls for the rest (Smith and Topin 2019). After every ``every``
-    steps the state is kept, and the mAP of ``validate_frames`` frames of the split ``validate`` is
-    measured. With ``augment``, frames are mirrored, turned and scaled at random. ``targets`` are
-    the road users that the detector is to find: those that its kinds of sensors see, of others
-    neither finding nor missing them has a loss; or all. The defaults are what two cores train in an
-    hour.
-    """
+    """How a detector is trained: ``steps`` of ``batch`` frames at the highest learning ``rate`` of
+    AdamW, which rises for three tenths of the steps and falls for the rest (Smith and Topin 2019).
+    After every ``every`` steps the state is kept, and mAP measured on ``validate_frames`` frames of
+    the split ``validate``. ``targets``: road users that no sensor of the detector sees have no loss
+    ("seen"), or all are to be found. The defaults take two cores an hour."""
 
     model: str
     steps: Positive = 1500
@@ -101,8 +91,7 @@ class Content(Strict):
 
 @functools.cache  # equal ones are the same, so that a step is compiled once for all of them
 def optimiser(steps: int, rate: float) -> Optimiser:
-    """AdamW on cut gradients; its rate rises to ``rate`` and falls once in ``steps`` (Smith and
-    Topin 2019)."""
+    """AdamW on cut gradients; its rate rises and falls once in ``steps`` (Smith and Topin 2019)."""
     rates = optax.cosine_onecycle_schedule(max(steps, FEWEST), rate, RISE)
     cut = optax.clip_by_global_norm(MOST_GRADIENT)
     return optax.chain(cut, optax.adamw(rates, weight_decay=DECAY))
@@ -165,8 +154,7 @@ class TrainingRun:
             path.unlink()
 
     def restore(self) -> tuple[int, State]:
-        """The last state and its step; that before the first step if there is none. Raises
-        InspeError if its file is damaged."""
+        """The last state and its step, or the first one. Raises InspeError if it is damaged."""
         if not self.states:
             # Compiled as one: dispatched one by one, each shape of weights would be compiled.
             return 0, eqx.filter_jit(self._first)()
@@ -200,9 +188,8 @@ class TrainingRun:
 
 @contextmanager
 def begun(folder: str | os.PathLike[str], content: Content) -> Iterator[TrainingRun]:
-    """A run in ``folder``, new or begun before with the same content, locked while it is trained.
-    What a kill left unfinished goes. Raises InspeError if another process trains it, or if the
-    folder has another run, saying what is different, or other files."""
+    """A run in ``folder``, new or begun with the same content, locked while it is trained. Raises
+    InspeError if another process trains it, or the folder has another run or other files."""
     path = prepare_folder(folder).resolve()
     if not (path / RECORD).is_file():  # a new one, but for a teacher, and what a kill left
         names = (child.name for child in path.iterdir() if child.suffix != ".part")
@@ -211,25 +198,20 @@ def begun(folder: str | os.PathLike[str], content: Content) -> Iterator[Training
     with lock_folder(path, LOCK):
         for part in path.glob(".*.part"):
             part.unlink()
-        yield _recorded(path, content)
-
-
-def _recorded(path: Path, content: Content) -> TrainingRun:
-    """The run of a folder, whose record is written if it has none."""
-    if (path / RECORD).is_file():
+        if not (path / RECORD).is_file():
+            record = _Record(content=content).model_dump()
+            write_text(path / RECORD, json.dumps(record, indent=2) + "\n")
         run = open_run(path)
-        if run.content == content:
-            return run
-        here, there = (each.model_dump() for each in (run.content, content))
-        had, given = ({**each, **each["settings"]} for each in (here, there))
-        key = next(key for key in given if key != "settings" and had[key] != given[key])
-        what = f"{key} {had[key]}, not {given[key]}"
-        raise InspeError(
-            f"{path}: this run has {'other scenarios' if key == 'scenarios' else what}: name "
-            f"another folder, or give the same again to go on"
-        )
-    write_text(path / RECORD, json.dumps(_Record(content=content).model_dump(), indent=2) + "\n")
-    return TrainingRun(path, content)
+        if run.content != content:
+            here, there = (each.model_dump() for each in (run.content, content))
+            had, given = ({**each, **each["settings"]} for each in (here, there))
+            key = next(key for key in given if key != "settings" and had[key] != given[key])
+            what = f"{key} {had[key]}, not {given[key]}"
+            raise InspeError(
+                f"{path}: this run has {'other scenarios' if key == 'scenarios' else what}: name "
+                f"another folder, or give the same again to go on"
+            )
+        yield run
 
 
 def open_run(folder: str | os.PathLike[str]) -> TrainingRun:
@@ -245,9 +227,6 @@ def _step(line: str) -> float:
     """The step of a row; beyond all of them if a kill cut the row short."""
     first, more, _ = line.partition(",")
     return int(first) if more and first.isdigit() else float("inf")
-
-
-# ── The data set ────────────────────────────────────────────────────────────
 
 
 def agents_of(cache: Cache) -> Agents:

@@ -28,8 +28,7 @@ from inspe_jax.simulation.frame import KINDS
 
 
 class Report(NamedTuple):
-    """How far a training is: of which model, ``step`` of ``steps``, the loss of late, and the mAP
-    on the validation split, once there is one."""
+    """How far a training is: the loss is that of late; there is no mAP at first."""
 
     model: str
     step: int
@@ -172,10 +171,8 @@ TAUGHT = 1e5  # weight beside the sum of a frame's other losses, as in DiscoNet'
 
 
 def distillation(taught: Float[Array, "B h w c"], teacher: Float[Array, "B h w c"]) -> Scalar:
-    """The loss of a student whose features are to say what its teacher's say (DiscoNet, Li et al.
-    2021): the Kullback–Leibler divergence of their distributions over channels, as in DiscoNet's
-    code the mean over cells and channels. It has this of four maps, here it is of the fused one.
-    """
+    """The loss of a student (DiscoNet, Li et al. 2021): the Kullback–Leibler divergence of
+    distributions over channels, as in DiscoNet's code the mean over cells and channels."""
     target = jax.nn.log_softmax(lax.stop_gradient(teacher), -1)
     own = jax.nn.log_softmax(taught, -1)
     return (jnp.exp(target) * (target - own)).mean()
@@ -198,7 +195,6 @@ def training_step(
 
 
 def _validate(cache: Cache, run: TrainingRun, predictor: Predictor, step: int) -> float | None:
-    """The mAP on the split ``validate``, if there is one, as a row of the run."""
     settings = run.content.settings
     if not settings.validate_frames or "validate" not in cache.splits:
         return None
@@ -211,9 +207,6 @@ def _validate(cache: Cache, run: TrainingRun, predictor: Predictor, step: int) -
     classes = dict(zip(KINDS, found.class_ap.tolist(), strict=True))
     run.write(VALIDATION, {"step": step, "mean_ap": found.mean_ap, **classes})
     return found.mean_ap
-
-
-# ── Many at once, on Dask workers ───────────────────────────────────────────
 
 
 @dataclass(frozen=True)

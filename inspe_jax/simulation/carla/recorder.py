@@ -1,11 +1,7 @@
-"""The CARLA recorder: the sensors of a layout and the traffic of a scene, in a CARLA server.
+"""Records the sensors of a layout and the traffic of a scene in a CARLA server's town.
 
-The server has the town; the scene's road users are placed in it frame by frame. Exposure, weather
-and wind change from tick to tick. Unlike in the embedded recorder, all rays of a LiDAR's turn are
-fired at one moment, and sensors have no masts.
-
-Limit: tests run CARLA's own client against a stand-in for the server. Pictures, returns and timing
-of a real server are untested.
+Exposure and weather change from tick to tick; LiDARs' rays are fired at one moment; there are no
+masts. Tests run CARLA's client against a stand-in: a real server's data are untested.
 """
 
 import time
@@ -30,14 +26,9 @@ PATIENCE = 1.0  # how long to wait for the sensors' first measurements before th
 
 
 class CarlaRecorder:
-    """Records in a CARLA server's world, within a ``with`` block.
-
-    ``notes`` say what CARLA cannot record as the layout has it. Entering the block raises
-    InspeError where the client is missing, no server answers, the server has another version than
-    the client, it does not have the map of the scene, other clients' traffic is there, or a sensor
-    measures nothing. When the block ends, in whichever way, all spawned actors are destroyed, and
-    settings and weather are as before; only the map stays.
-    """
+    """Records in a CARLA server's world, within a ``with`` block. Entering it raises InspeError
+    where client, server or map do not fit, other traffic is there, or a sensor measures nothing. In
+    the end actors, settings and weather are as before; only the map stays."""
 
     def __init__(
         self,
@@ -81,10 +72,7 @@ class CarlaRecorder:
             self._stack.__exit__(*error)
 
     def frame(self, t: int) -> Frame:
-        """Frame t, as every station recorded it.
-
-        Raises InspeError where the server or a sensor does not answer in time.
-        """
+        """Frame t. Raises InspeError where the server or a sensor does not answer in time."""
         with plain_errors(self.server):
             self.actors.move(t)
             number = self.session.world.tick(self.server.timeout)
@@ -93,7 +81,6 @@ class CarlaRecorder:
         return frame_of(self.scene, self.layout, t, boxes, recorded)
 
     def _listen(self, s: int) -> dict[str, SensorQueue]:
-        """Spawn CARLA's sensors for sensor s of the layout: their queues, by blueprint."""
         sensor, cords = self.layout.sensors[s], to_carla(self.poses[s])
         queues, unit = {}, self.layout.units[sensor.unit].name
         for name in self.sensors[s].blueprints:

@@ -1,9 +1,5 @@
-"""CARLA's sensors: which of them record each kind of sensor, and what becomes of their data.
-
-CARLA's LiDAR has evenly spaced channels and is not affected by weather. The principal point of its
-cameras is the middle of the picture. What a spec says beyond that is left out, and a note says so.
-To add a kind, add a row to :data:`SENSOR_KINDS`.
-"""
+"""CARLA's sensors for each kind of sensor, and what becomes of their data; notes say what CARLA
+leaves out. To add a kind, add a row to :data:`SENSOR_KINDS`."""
 
 import queue
 import time
@@ -30,8 +26,7 @@ NEEDS: dict[str, tuple[str, ...]] = {
     "instance": ("semantic_segmentation", "depth"),
     "semantic": ("semantic_segmentation",),
 }
-"""CARLA's pictures that each layer is made of. CARLA numbers instances, but does not say which
-number an actor has, so pixels are matched to road users by place."""
+"""CARLA's pictures that each layer is made of; instances are matched to road users by place."""
 ROAD_USER_LABELS = (12, 13, 14, 15, 16, 18, 19)
 """CARLA's labels (from 0.9.14 on) of people, riders, cars, trucks, buses, motorcycles, bicycles."""
 SQUARE = 0.005  # focal lengths that differ by less count as one
@@ -42,11 +37,7 @@ Measured: TypeAlias = Mapping[str, Any]
 
 
 class CarlaSensor(Protocol):
-    """How CARLA records one sensor.
-
-    ``blueprints`` are the names of CARLA's sensors, and ``attributes`` are those of each of them.
-    ``notes`` say what CARLA cannot record as it is asked for.
-    """
+    """CARLA's sensors (``blueprints``, with ``attributes``) that record one; notes say what not."""
 
     blueprints: tuple[str, ...]
     attributes: dict[str, str]
@@ -57,8 +48,7 @@ class CarlaSensor(Protocol):
 
 
 class CarlaCamera:
-    """A camera, and a camera of CARLA for each picture that its layers are made of. Raises
-    InspeError where pictures have another shape than the spec's own."""
+    """A camera, and a camera of CARLA for each picture that its layers are made of."""
 
     def __init__(self, spec: CameraSpec, recording: Recording) -> None:
         width, height = recording.image_size or (spec.width, spec.height)
@@ -98,7 +88,10 @@ class CarlaCamera:
         pictures = {name.rpartition(".")[2]: _colours(image) for name, image in data.items()}
         layers: dict[str, np.ndarray] = {}
         if "depth" in pictures:
-            layers["depth"] = _depth(pictures["depth"])
+            red, green, blue = np.moveaxis(pictures["depth"].astype(np.int64), -1, 0)
+            code = red + 256 * green + 65536 * blue
+            depth = np.where(code >= 2**24 - 1, np.inf, code * (FAR / (2**24 - 1)))
+            layers["depth"] = depth.astype(np.float32)
         if "semantic_segmentation" in pictures:
             layers["semantic"] = pictures["semantic_segmentation"][..., 0].copy()
         if "instance" in self.layers:
@@ -109,8 +102,7 @@ class CarlaCamera:
 
 
 class CarlaLidar:
-    """A LiDAR: one turn per frame, all rays of the spec. Losses are added afterwards: CARLA's own
-    random numbers continue from frame to frame, so a frame would not repeat."""
+    """A LiDAR: one turn per frame. Losses are added afterwards: CARLA's own would not repeat."""
 
     blueprints: tuple[str, ...] = ("sensor.lidar.ray_cast",)
 
@@ -158,8 +150,7 @@ SENSOR_KINDS: dict[str, Callable[[Any, Recording], CarlaSensor]] = {
 
 
 class SensorQueue:
-    """The measurements of one of CARLA's sensors: they arrive in the order of the frames, after
-    some time. ``name`` is for error messages."""
+    """The measurements of one of CARLA's sensors, frame by frame; ``name`` is for errors."""
 
     def __init__(self, sensor: Any, name: str) -> None:
         self.name = name
@@ -167,8 +158,7 @@ class SensorQueue:
         sensor.listen(self._queue.put)
 
     def take(self, frame: int, until: float) -> Any:
-        """The measurement of a frame of the server; None if it has not arrived by ``until``, a time
-        on the monotonic clock [s]. Measurements of earlier frames are dropped."""
+        """The measurement of a frame; None if it has not come by ``until`` (monotonic [s])."""
         try:
             while True:
                 found = self._queue.get(timeout=max(until - time.monotonic(), 1e-3))
@@ -184,13 +174,6 @@ def _colours(image: Any) -> Picture:
     return np.ascontiguousarray(bgra[..., 2::-1])
 
 
-def _depth(colours: Picture) -> Float[np.ndarray, "H W"]:
-    """Depth along the axis [m], infinite from :data:`FAR` on, from the 24 bits of the colours."""
-    red, green, blue = np.moveaxis(colours.astype(np.int64), -1, 0)
-    code = red + 256 * green + 65536 * blue
-    return np.where(code >= 2**24 - 1, np.inf, code * (FAR / (2**24 - 1))).astype(np.float32)
-
-
 def instances_of(
     semantic: UInt8[np.ndarray, "H W"],
     depth: Float[np.ndarray, "H W"],
@@ -198,8 +181,7 @@ def instances_of(
     intrinsic: Float[np.ndarray, "3 3"],
     boxes: Boxes,
 ) -> Int[np.ndarray, "H W"]:
-    """Track + 1 of each pixel, 0 where there is no road user: a pixel with the label of one shows
-    that whose box its point lies in, or is nearest to within :data:`MARGIN`."""
+    """Track + 1 of each pixel: that of the box nearest to its point; 0: no road user."""
     found = np.zeros(depth.shape, np.int32)
     rows, columns = np.nonzero(np.isin(semantic, ROAD_USER_LABELS) & np.isfinite(depth))
     away = depth[rows, columns].astype(float)

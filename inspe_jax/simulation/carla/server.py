@@ -35,9 +35,8 @@ def plain_errors(server: Server) -> Iterator[None]:
 
 @dataclass(eq=False)
 class CarlaSession:
-    """A connected client, its world, and what has to be restored there at the end: ``settings`` and
-    ``weather`` of before, the ids of spawned ``actors``, the sensors ``listening`` among them, and
-    the ids of parked vehicles that were ``hidden``."""
+    """A connected client, its world, and what is restored at the end: settings, weather, spawned
+    actors, sensors that listen, and parked vehicles that were hidden."""
 
     carla: Any
     client: Any
@@ -62,8 +61,7 @@ class CarlaSession:
         return actor
 
     def command(self, commands: list[Any]) -> list[int]:
-        """Run commands as a batch; gives the ids of their actors, which may be new. Raises
-        InspeError, after the whole batch, if a command failed."""
+        """Run a batch of commands; gives the ids of actors. Raises InspeError if one failed."""
         if not commands:
             return []
         replies = self.client.apply_batch_sync(commands, False)
@@ -98,13 +96,9 @@ class CarlaSession:
 def session_on(
     server: Server, place: Intersection, rate: float, conditions: Conditions
 ) -> Iterator[CarlaSession]:
-    """A session on the map of an intersection, where every tick is 1 / ``rate`` seconds long.
-
-    The server is in synchronous mode: it waits for each tick. Vehicles that are parked there as
-    part of the map are hidden, because frames have no boxes for them. Actors, settings and weather
-    are restored when the block ends, in whichever way. Raises InspeError where no server answers,
-    its version is not the client's, it does not have the map, or other traffic is there.
-    """
+    """A session on the map of an intersection, in ticks of 1 / ``rate`` seconds. Vehicles parked
+    there, of which frames have no boxes, are hidden. Everything is restored when the block ends.
+    Raises InspeError where no server answers, or version, map or traffic do not fit."""
     if not place.source.endswith(_OPENDRIVE):
         raise InspeError(
             f"{place.name}: its source is {place.source}, which a CARLA server cannot show; read "
@@ -114,7 +108,15 @@ def session_on(
     what = "recording with CARLA needs its client, in the server's version"
     with needs(what, "carla", "Linux and Windows, Python up to 3.12"):
         import carla
-    client = _connected(carla, server)
+    server.reach()
+    client = carla.Client(server.host, server.port)
+    client.set_timeout(server.timeout)
+    theirs, own = client.get_server_version(), client.get_client_version()
+    if _release(theirs) != _release(own):  # messages of another version crash the process
+        raise InspeError(
+            f"CARLA at {server} is {theirs} and the client here {own}: "
+            f"pip install carla=={_release(theirs)}"
+        )
     world = client.get_world()
     settings = world.get_settings()
     world = _on_map(client, world, town, server)
@@ -143,9 +145,8 @@ def session_on(
 
 
 def weather_of(carla: Any, conditions: Conditions) -> Any:
-    """CARLA's weather parameters; the sun stands where it does for the embedded recorder. Rain of
-    10 mm/h becomes 63 %, between CARLA's presets of medium (60 %) and hard rain (100 %). Fog with
-    a visual range of 200 m becomes 26 %, and with 50 m 70 %, equally dense at all heights."""
+    """CARLA's weather, under the embedded recorder's sun. Rain of 10 mm/h is 63 %, between its
+    medium (60 %) and hard rain (100 %); fog of 200 m is 26 %, of 50 m 70 %."""
     light, strength = LIGHTS[conditions.light], conditions.intensity or 0.0
     weather = dict(cloudiness=10.0, wind_intensity=10.0)
     if conditions.weather == "rain":
@@ -165,20 +166,6 @@ def weather_of(carla: Any, conditions: Conditions) -> Any:
     )
 
 
-def _connected(carla: Any, server: Server) -> Any:
-    """A client for a server. Raises InspeError if the server has another version."""
-    server.reach()
-    client = carla.Client(server.host, server.port)
-    client.set_timeout(server.timeout)
-    theirs, own = client.get_server_version(), client.get_client_version()
-    if _release(theirs) != _release(own):  # messages of another version crash the process
-        raise InspeError(
-            f"CARLA at {server} is {theirs} and the client here {own}: "
-            f"pip install carla=={_release(theirs)}"
-        )
-    return client
-
-
 def _release(version: str) -> str:
     """The release of a version: 0.9.16 of 0.9.16-3-gabc, which is a build from source."""
     found = re.match(r"\d+(\.\d+)*", version)
@@ -186,7 +173,6 @@ def _release(version: str) -> str:
 
 
 def _on_map(client: Any, world: Any, town: str, server: Server) -> Any:
-    """The world with a map, which is loaded if the server has another one open."""
     if _plain(world.get_map().name) == _plain(town):
         return world
     there = sorted({name.rpartition("/")[2] for name in client.get_available_maps()})

@@ -1,5 +1,4 @@
-"""The scene's road users as CARLA's actors: one per track, of its class, and close to its size,
-without physics. The boxes in frames are the server's, at the places that the server reports."""
+"""The scene's road users as CARLA's actors without physics, of each class, and close in size."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -19,8 +18,7 @@ SPAWN_HEIGHT = 300.0
 """Actors are spawned this high above the junction [m], in free air, and then moved down."""
 SPAWN_GAP = 8.0  # vertical distance between actors that are spawned together [m]
 SIZE_TOLERANCE = 0.1
-"""A blueprint may be used if its error in size is at most this much larger than the best one's. The
-error is the largest absolute logarithm of the ratios of length, width and height."""
+"""Blueprints are used whose error (log of a side) is at most so much above the best one's."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,9 +31,8 @@ class ActorBody:
 
 
 class Actors:
-    """The actors that stand for the road users of the current frame. ``lights`` switches the
-    vehicles' lights on; ``seed`` decides blueprints and colours. Raises InspeError where the server
-    has no blueprint for a class of the traffic."""
+    """The actors of the current frame's road users. ``seed`` decides blueprints and colours. Raises
+    InspeError where the server has no blueprint for a class of the traffic."""
 
     def __init__(
         self, session: CarlaSession, traffic: TrafficFrames, lights: bool, seed: int
@@ -112,7 +109,6 @@ class Actors:
         return bodies[np.random.default_rng([self.seed, track, 1]).choice(near)]
 
     def _in_the_air(self, k: int) -> Pose6:
-        """The cords of the k-th actor that is spawned, above the others."""
         x, y, z = self.middle
         return to_carla([x, y, z + SPAWN_HEIGHT + SPAWN_GAP * k, 0.0, 0.0, 0.0])
 
@@ -146,8 +142,7 @@ def _origin(
 
 
 def body_of(name: str, box: Any, usual: Float[np.ndarray, "3"]) -> ActorBody:
-    """A blueprint's body, from the bounding box of an actor. ``usual`` is the size to take where
-    the box has none [m]."""
+    """A blueprint's body, from an actor's bounding box, or of the ``usual`` size [m]."""
     middle, half = (np.array([v.x, v.y, v.z]) for v in (box.location, box.extent))
     middle, half = whole_box(middle, half, usual)
     return ActorBody(name, flip(middle), 2 * half)

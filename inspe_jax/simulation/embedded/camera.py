@@ -1,5 +1,4 @@
-"""A camera in a world of triangles: a ray through every pixel, lit by sun, sky and street lamps. In
-each frame only those pixels are rendered again on which a road user or its shadow may fall."""
+"""A camera in a world of triangles, lit by sun, sky and lamps; each frame, changes are rendered."""
 
 from typing import NamedTuple
 
@@ -43,9 +42,8 @@ _GLOW[PARTS.index("lamp rear")] = [0.5, 0.02, 0.02]
 
 
 class Background(NamedTuple):
-    """What each of R pixels, row by row, shows of the static world: ``point`` is relative to the
-    centre [m]; ``ambient`` the colour without sunlight and before haze; ``colour`` that in the
-    picture, linear; ``semantic`` CARLA's label."""
+    """The static world in each of R pixels: ``point`` from the centre [m], ``ambient`` the colour
+    without sunlight and haze, ``colour`` that in the picture, linear, and CARLA's label."""
 
     distance: Float[np.ndarray, " R"]
     point: R3
@@ -56,8 +54,7 @@ class Background(NamedTuple):
 
 
 class ChangedPixels(NamedTuple):
-    """P pixels that differ from the static world's picture: their linear colours, the distance of
-    what they show [m], and the index of the road user (−1: the static world, in a shadow)."""
+    """Pixels that differ from the static world's picture; ``box`` is −1 where it is in a shadow."""
 
     pixels: Int[np.ndarray, " P"]
     colour: Float[np.ndarray, "P 3"]
@@ -66,8 +63,7 @@ class ChangedPixels(NamedTuple):
 
 
 class SunlitPoints:
-    """Those of R points that are in the sun (``lit``), sorted by the square metre of the plan they
-    lie in. ``reach`` is how far from the centre, along x and y, points count [m]."""
+    """Those of R points that are in the sun, by square metre of the plan, out to ``reach`` [m]."""
 
     def __init__(self, point: np.ndarray, lit: np.ndarray, reach: float) -> None:
         self.reach, self.size = reach, int(2 * reach)
@@ -94,8 +90,7 @@ class SunlitPoints:
         return np.concatenate([self.pixels[a:b] for a, b in runs])
 
     def ends(self, top: R3, along: Float[np.ndarray, "3"]) -> Float[np.ndarray, " R"]:
-        """How far in plan shadows of points ``top`` reach along a direction that points down [m]:
-        to where no sunlit point is below their upper edge any more, also on falling ground."""
+        """How far in plan shadows of ``top`` reach [m]: until no sunlit point is below them."""
         far = np.arange(0, LONGEST)
         unit = along / np.hypot(*along[:2])
         at = top[:, None] + far[:, None] * unit
@@ -168,7 +163,6 @@ class Camera:
     def _background_part(
         self, pixels: slice, distance: np.ndarray, face: np.ndarray, normal: np.ndarray
     ) -> tuple[np.ndarray, ...]:
-        """The fields of :class:`Background` but ``distance``, for some of the pixels."""
         shading, hit = self.shading, face >= 0
         point = self.origin + self.directions[pixels] * np.where(hit, distance, 0)[:, None]
         albedo, semantic = self.static_world.look(face, point, normal)
@@ -189,7 +183,6 @@ class Camera:
         return point, in_sun, ambient, colour, np.where(hit, semantic, SKY).astype(np.uint8)
 
     def _in_shadow(self, caster: Caster, point: R3, normal: R3) -> Bool[np.ndarray, " R"]:
-        """Whether the caster's triangles stand between points and the sun."""
         return caster.meets(point + np.float32(0.02) * normal, self.shading.to_sun, LONGEST)
 
     def record(self, actors: FrameActors, rng: np.random.Generator) -> Image:
@@ -305,8 +298,7 @@ class Camera:
         return pixels[self._in_shadow(caster, self.background.point[pixels], up)]
 
     def _pixels_near(self, box_corners: Corners) -> Int[np.ndarray, " P"]:
-        """The pixels inside the outlines of boxes, and close around them; through a lens that bends
-        lines, those whose rays come near the spheres about them."""
+        """The pixels in and close around the outlines of boxes, or the spheres about them."""
         if self.bends:
             return self._pixels_at_spheres(box_corners)
         wanted = Pillow.new("1", (self.width, self.height))

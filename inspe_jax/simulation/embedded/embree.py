@@ -21,10 +21,7 @@ class RayHits(NamedTuple):
 
 
 class Caster:
-    """Triangles, ready for rays. There may be none; rays then hit nothing.
-
-    Raises InspeError where Embree is missing.
-    """
+    """Triangles, perhaps none, ready for rays. Raises InspeError where Embree is missing."""
 
     def __init__(self, triangles: F33) -> None:
         with needs("recording needs Embree", "dataset", "no wheels for Linux on ARM"):
@@ -36,10 +33,8 @@ class Caster:
             TriangleMesh(self._scene, np.ascontiguousarray(triangles, np.float32))
 
     def cast(self, origins: Float[np.ndarray, "*R 3"], directions: R3, reach: Reach) -> RayHits:
-        """The first face on each ray within ``reach`` [m], from one origin, or one for each ray.
-
-        Normals point towards the origin of the ray. ``distance`` is infinite where nothing is hit.
-        """
+        """The first face on each ray within ``reach`` [m], from one origin, or one for each ray;
+        its normal points towards the origin. ``distance`` is infinite where nothing is hit."""
         many = len(directions)
         distance, normal = np.full(many, np.inf, np.float32), np.zeros((many, 3), np.float32)
         if not (self.count and many):
@@ -65,7 +60,6 @@ class Caster:
 
 
 def _rays(origins: Any, directions: Any, reach: Any) -> tuple[np.ndarray, ...]:
-    """Origins, directions and reaches, one for each ray, in the form that Embree needs."""
     start, to = np.broadcast_arrays(origins, directions)
     given = start, to, np.broadcast_to(reach, start.shape[:1])
     return tuple(np.array(x, np.float32, order="C") for x in given)

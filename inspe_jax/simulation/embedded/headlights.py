@@ -1,8 +1,5 @@
-"""The lamps of vehicles: what they light, on the ground and on other road users.
-
-A vehicle has one dipped beam, in the middle of its front: it is wide, has its maximum just below a
-cut-off and falls with the square of the distance. The ground's light is a map, made once a frame.
-"""
+"""What vehicles' lamps light, on the ground and on road users: one dipped beam each, with a
+cut-off, that falls with the square of the distance; the ground's is a map, made once a frame."""
 
 from typing import NamedTuple
 
@@ -15,8 +12,7 @@ from inspe_jax.simulation.embedded.light import CANDELA, Light
 from inspe_jax.simulation.embedded.road_users import FrameActors
 
 PEAK = 15_000 * CANDELA
-"""Brightness of both dipped beams at 1 m: 7,500 cd each, as lamps in use have it; UN Regulation 112
-asks for 5,100 to 44,100 cd a lamp at 25 m on its own side of the road."""
+"""Brightness of both dipped beams at 1 m: 7,500 cd each (UN Regulation 112: 5,100 to 44,100 cd)."""
 COLOUR = np.array([1.0, 0.95, 0.86], np.float32)
 CUT_OFF, GLARE = 0.01, 0.01
 """Slope of the cut-off (UN Regulation 48: 1 to 1.5 %) and the share of light that is above it."""
@@ -45,8 +41,7 @@ class Beams(NamedTuple):
 
 
 def dipped(to: R3, ahead: Float[np.ndarray, "*R 2"]) -> Float[np.ndarray, " R"]:
-    """Light of dipped beams, over :data:`PEAK`, at the ends of vectors ``to`` from their fronts;
-    ``ahead`` is the beam's direction in plan, one for all or one for each."""
+    """Light of dipped beams, over :data:`PEAK`, at the ends of vectors ``to`` from their fronts."""
     x, y = ahead[..., 0], ahead[..., 1]
     along, across = to[:, 0] * x + to[:, 1] * y, to[:, 1] * x - to[:, 0] * y
     onward = np.maximum(along, np.float32(1e-3))
@@ -140,8 +135,7 @@ class GroundMap:
 def on_road_users(
     actors: FrameActors, point: R3, normal: R3, box: Int[np.ndarray, " R"], light: Light
 ) -> Float[np.ndarray, " R"]:
-    """The light that beams throw on road users, as if nothing stood between them. ``box`` is the
-    index of the road user that each of R points is on; the centre is the origin."""
+    """The light that beams throw on road users at R points, as if nothing stood between them."""
     beams, total = actors.once(beams_of), np.zeros(len(point), np.float32)
     many, count = len(actors.boxes), len(beams.front)
     middle = np.array([b.center for b in actors.boxes]).reshape(-1, 3) - actors.center

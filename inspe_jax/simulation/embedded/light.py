@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Float
 from scipy.special import ndtri
 
 from inspe_jax.sensing.conditions import Conditions
@@ -13,14 +13,10 @@ from inspe_jax.simulation.frame import Picture
 
 @dataclass(frozen=True)
 class Light:
-    """One time of day. Colours are linear; a white wall at midday has brightness 1.
-
-    ``elevation`` and ``azimuth`` are those of the sun [rad], the azimuth counter-clockwise from
-    east. ``sun``, ``ambient`` and ``sky`` are the colours of direct light, of diffuse light and of
-    the sky; ``lamps`` is how bright street lamps and headlights are, of 1. ``exposure`` is in
-    seconds. A camera's automatic gain aims at ``target`` for the mean brightness and goes up to
-    ``most``. A picture is the mean of so many ``moments`` of the exposure.
-    """
+    """One time of day; colours are linear, and a white wall at midday has brightness 1. Angles of
+    the sun are in radians, from east; ``lamps`` is how bright lamps are, of 1; ``exposure`` in
+    seconds. The gain aims at ``target`` for the mean brightness, up to ``most``. A picture is the
+    mean of ``moments``."""
 
     elevation: float
     azimuth: float
@@ -68,16 +64,14 @@ LIGHTS: dict[str, Light] = {
         lamps=1.0, exposure=0.033, target=0.05, most=32.0, moments=3,
     ),
 }  # fmt: skip
-"""Plausible values. The unit is fixed by exposure, not by the scene: where a street lamp lights the
-road with 10 lx, white is 0.11 at night. A gain of 32 is 30 dB, a usual limit of traffic cameras."""
+"""Plausible values: under 10 lx at night white is 0.11. A gain of 32 is 30 dB."""
 
 LAMP = (6.0, 5.0, 3.6)
 """Light of a street lamp at 1 m: warm white; at 7.5 m 10 lx, as EN 13201 asks for mixed traffic."""
 CANDELA = 6.0 / 560  # light of 1 cd at 1 m: 10 lx at 7.5 m are 560 cd
 ELECTRONS = 6000.0
-"""Photo-electrons of a pixel at brightness 1. White at midday, about 1.8, is then 11,000 electrons,
-the full well of pixels of 3 µm; at night, 10 lx on asphalt (albedo 0.1) are 0.3 cd/m², through a
-lens of f/1.4 and in 33 ms some 60 electrons."""
+"""Photo-electrons of a pixel at brightness 1. White at midday is then 11,000, the full well of
+pixels of 3 µm; at night, 10 lx on asphalt are some 60 through f/1.4 in 33 ms."""
 READ = 2.5
 """Standard deviation of a pixel's noise in the dark, in electrons: that of CMOS sensors now."""
 REDUCED = 0.5
@@ -102,8 +96,7 @@ def wetness(conditions: Conditions) -> float:
 
 
 def metered_gain(linear: Float[np.ndarray, "R 3"], light: Light) -> float:
-    """The automatic gain for a picture of linear light: it brings the geometric mean of every
-    seventh pixel to the target, within 1, which is none, and the light's largest."""
+    """The automatic gain: it brings the geometric mean of every seventh pixel to the target."""
     brightness = np.asarray(linear, np.float64)[::7].mean(1)
     mean = float(np.exp(np.log(np.maximum(brightness, 1e-5)).mean())) if len(brightness) else 1.0
     return float(np.clip(light.target / mean, 1.0, light.most))
@@ -134,16 +127,11 @@ def parts(many: int) -> Iterator[slice]:
     return (slice(k, k + AT_ONCE) for k in range(0, many, AT_ONCE))
 
 
-def _curve() -> UInt8[np.ndarray, " N"]:
-    """The 8-bit values of evenly spaced brightness from 0 to :data:`WHITE`."""
-    value = (np.arange(_FINE + 1) + 0.5) / _FINE * WHITE
-    value = value * (1 + value / WHITE**2) / (1 + value)  # Reinhard's, which ends at white
-    curve = np.where(value <= 0.0031308, 12.92 * value, 1.055 * value ** (1 / 2.4) - 0.055)
-    return np.round(255 * np.clip(curve, 0, 1)).astype(np.uint8)
-
-
 WHITE = 2.5  # brightness after the gain that becomes white in an image
 AT_ONCE = 2**16  # largest number of items in a slice of :func:`parts`
 _FINE = 2**14
-_CURVE = _curve()
+_LINEAR = (np.arange(_FINE + 1) + 0.5) / _FINE * WHITE
+_ROLLED = _LINEAR * (1 + _LINEAR / WHITE**2) / (1 + _LINEAR)  # Reinhard's, which ends at white
+_SRGB = np.where(_ROLLED <= 0.0031308, 12.92 * _ROLLED, 1.055 * _ROLLED ** (1 / 2.4) - 0.055)
+_CURVE = np.round(255 * np.clip(_SRGB, 0, 1)).astype(np.uint8)
 _QUANTILES = ndtri((np.arange(2**16) + 0.5) / 2**16).astype(np.float32)

@@ -10,8 +10,7 @@ from inspe_jax.scene.scene import Scene
 from inspe_jax.sensing.conditions import FAIR, Conditions
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.simulation.embedded.camera import Camera
-from inspe_jax.simulation.embedded.lidar import Lidar
-from inspe_jax.simulation.embedded.radar import Radar
+from inspe_jax.simulation.embedded.ray_sensors import Lidar, Radar
 from inspe_jax.simulation.embedded.road_users import FrameActors
 from inspe_jax.simulation.embedded.surroundings import Surroundings
 from inspe_jax.simulation.frame import Boxes, Frame, Image, Pose6, Scan
@@ -30,8 +29,7 @@ SENSORS: dict[str, Callable[[Any, Pose6, Surroundings], SimulatedSensor]] = {
     "lidar": Lidar,
     "radar": Radar,
 }
-"""What simulates each ``kind`` of a spec: called with the spec, the pose in the world and the
-surroundings. To add a kind, add a row."""
+"""What simulates each ``kind`` of a spec. To add a kind, add a row."""
 
 
 def simulated_sensor(spec: Any, pose: Pose6, surroundings: Surroundings) -> SimulatedSensor:
@@ -40,12 +38,9 @@ def simulated_sensor(spec: Any, pose: Pose6, surroundings: Surroundings) -> Simu
 
 
 class EmbeddedRecorder:
-    """Records a scene's traffic with ray casting; it needs Embree, but no simulator.
-
-    ``seed`` is that of the sensors' noise; ``appearance_seed`` that of the road users' shapes and
-    colours. Raises InspeError where Embree is missing, the recording is not valid, or a sensor is
-    of a kind that this recorder does not know.
-    """
+    """Records a scene's traffic with ray casting. ``seed`` is that of noise, ``appearance_seed`` of
+    road users' shapes and colours. Raises InspeError where Embree is missing, the recording is not
+    valid, or a sensor is of a kind that it does not know."""
 
     notes: tuple[str, ...] = ()
 
@@ -77,12 +72,8 @@ class EmbeddedRecorder:
 
 
 class LiveSensor:
-    """One sensor of a layout, recorded wherever it is held: what a person sees who drags it.
-
-    At its own pose it records what :class:`EmbeddedRecorder` records with it. Elsewhere its unit
-    has no mast, and all else stays where the layout has it. Parameters and errors are those of
-    :class:`EmbeddedRecorder`; ``s`` is the sensor's place in the layout.
-    """
+    """Sensor ``s`` of a layout, recorded wherever it is held. At its own pose it records what
+    :class:`EmbeddedRecorder` does, with the same errors; elsewhere its unit has no mast."""
 
     def __init__(
         self,

@@ -24,8 +24,7 @@ LARGEST_CAR = 6.5  # a parked vehicle that is longer than this is a truck [m]
 
 @dataclass(frozen=True, eq=False)
 class RoadUserTriangles:
-    """Triangles relative to a centre [m]. ``box`` is the index of the road user that each belongs
-    to, ``part`` the index of its part in ``PARTS``."""
+    """Triangles relative to a centre [m], with the index of the road user and that of its part."""
 
     triangles: F33
     box: Int[np.ndarray, " F"]
@@ -33,8 +32,7 @@ class RoadUserTriangles:
 
 
 def boxes_of(seen: Snapshot, seed: int) -> Boxes:
-    """Road users as boxes with names. A name, which is a shape, depends only on the track, the size
-    and the seed, so it is the same in every frame."""
+    """Road users as boxes; names, which are shapes, depend only on track, size and seed."""
     return tuple(
         RoadUserBox(
             track=int(track),
@@ -130,8 +128,8 @@ def is_box(one: StaticBody) -> bool:
 
 
 def parked_vehicles(scene: Scene) -> tuple[Snapshot, tuple[StaticBody, ...]]:
-    """The parked vehicles with centres in a scene's region as road users, and the other bodies. A
-    track, and so shape and colour, hangs on its own place alone, unless that number is taken."""
+    """Parked vehicles with centres in a scene's region as road users, and the other bodies; tracks,
+    and so looks, depend on their own place, unless that number is taken."""
     place, radius = scene.intersection, scene.voxels.radius
     found, left = list[StaticBody](), list[StaticBody]()
     for one in scene.statics:

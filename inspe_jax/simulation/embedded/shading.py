@@ -1,9 +1,5 @@
-"""The colours of surfaces, lit by sun, sky and street lamps, and seen through the air.
-
-Wet roads are darker (Lekner and Dorf, "Why some things are darker when wet", Applied Optics 27,
-1988). The film over them reflects as water does (Fresnel, in the form of Schlick 1994). The grains
-of the asphalt roughen it; in puddles it is smooth. The lamps themselves are not mirrored.
-"""
+"""The colours of surfaces, lit by sun, sky and street lamps, and seen through the air. Wet roads
+are darker (Lekner and Dorf 1988), and reflect as water does (Schlick 1994)."""
 
 import numpy as np
 from jaxtyping import Float
@@ -29,8 +25,7 @@ LEVEL = (0.6, 0.76)
 
 
 class Shading:
-    """The light in a static world. Colours are linear; everything is in single precision. Points
-    are relative to the centre of the world [m]."""
+    """The light in a static world, linear, in single precision; points are from its centre [m]."""
 
     def __init__(self, conditions: Conditions, static_world: StaticWorld) -> None:
         self.static_world = static_world
@@ -86,8 +81,7 @@ class Shading:
         return colour
 
     def mirrored(self, head_on: Float[np.ndarray, " R"], to: R3, normal: R3) -> R3:
-        """Light of the sky that lacquer and glass mirror, more at grazing angles (Schlick 1994).
-        ``head_on`` is the reflectance for rays along the normal; rays go ``to`` the surface."""
+        """Light of the sky that lacquer and glass mirror, more at grazing angles (Schlick 1994)."""
         along = np.einsum("rk,rk->r", to, normal)
         grazing = head_on * (1 + (1 / 0.04 - 1) * (1 + np.minimum(along, 0)) ** 5)
         up = to[:, 2] - 2 * along * normal[:, 2]

@@ -1,10 +1,8 @@
-"""Low-polygon shapes of the road users, read from ``shapes.npz``, and their colours, from
-``paint.toml``. A shape fills a unit box: scaled by (length, width, height), that of a road user.
+"""Low-polygon shapes of road users (``shapes.npz``) and their colours (``paint.toml``). A shape
+fills a unit box: scaled by (length, width, height), that of a road user.
 
-The entry ``made`` of ``shapes.npz`` says how the shapes were made. For each shape there is the
-class ``kind``, the ``name``, the natural ``size`` [m], the ``steps`` of its cycle, and how many
-vertices and faces it has. The arrays ``vertices`` (step by step), ``faces`` and ``part`` (an index
-into ``parts`` for each face) hold all shapes, one after another: to add one, append to them.
+``made`` says how shapes were made. Each has a ``kind``, ``name``, natural ``size`` [m], ``steps``
+of its cycle and counts; ``vertices``, ``faces`` and ``part`` hold all shapes, one after another.
 """
 
 import tomllib
@@ -21,17 +19,13 @@ _HERE = files("inspe_jax.simulation.embedded")
 PHASES = 24  # number of steps of a cycle. Phases are rounded to a step
 
 STRETCH = 0.15
-"""A shape fits a box if no side of the box is larger or smaller than its own by a larger share.
-Models of one segment differ by about as much."""
+"""Shapes fit boxes whose sides differ by this share at most, as models of one segment do."""
 
 
 @dataclass(frozen=True)
 class Shape:
-    """A mesh that fills −0.5 … 0.5 on each axis: x forward, y left, z up, the ground at −0.5.
-
-    The corners of a face run counter-clockwise, seen from outside. ``part`` is an index into
-    ``PARTS``. At its :func:`natural_size` proportions are natural. Arrays are shared and read-only.
-    """
+    """A mesh that fills −0.5 … 0.5 on each axis: x forward, y left, z up; faces run
+    counter-clockwise, seen from outside. Arrays are shared and read-only."""
 
     vertices: Float[np.ndarray, "N 3"]
     faces: Int[np.ndarray, "F 3"]
@@ -71,9 +65,7 @@ VARIANTS: dict[str, tuple[str, ...]] = {
 
 
 def shape_of(name: str, phase: float = 0.0) -> Shape:
-    """The shape of a name. ``phase`` is how far a stride (pedestrian) or a turn of the crank
-    (cyclist) has come, in cycles; it is ignored for people who stand and for vehicles. Raises
-    InspeError for an unknown name."""
+    """The shape of a name; ``phase`` of a stride or a turn of the crank is in cycles."""
     check_known(name, _BY_NAME, "shape")
     steps = _BY_NAME[name][2]
     return steps[round(phase * PHASES) % len(steps)]
@@ -85,9 +77,7 @@ def natural_size(name: str) -> Float[np.ndarray, "3"]:
 
 
 def fitting(kind: str, size: Sequence[float] | Float[np.ndarray, "3"]) -> tuple[str, ...]:
-    """The names of a class's shapes that fit a box of ``size`` (length, width, height) [m]: those
-    to be stretched by at most :data:`STRETCH`, or if there are none, the one that needs it least.
-    Of pedestrians only the height counts. Raises InspeError for an unknown class."""
+    """The names of a class's shapes that fit a box [m], or the one that is stretched least."""
     check_known(kind, VARIANTS, "class")
     own = np.array([natural_size(name) for name in VARIANTS[kind]])
     stretch = np.abs(np.log(np.asarray(size, float) / own))
@@ -97,9 +87,7 @@ def fitting(kind: str, size: Sequence[float] | Float[np.ndarray, "3"]) -> tuple[
 
 
 def paint(kind: str, rng: np.random.Generator) -> Float[np.ndarray, "P 3"]:
-    """Linear RGB albedo of the P :data:`PARTS` of one road user of a class: drawn, a few per cent
-    brighter or darker, and converted from sRGB (IEC 61966-2-1). Raises InspeError for an unknown
-    class."""
+    """Linear albedo of all :data:`PARTS` of a road user: drawn, and converted from sRGB."""
     check_known(kind, VARIANTS, "class")
     palettes = _PAINT["all"] | _PAINT.get(kind, {})
     srgb = np.zeros((len(PARTS), 3))

@@ -1,9 +1,5 @@
-"""The static bodies of a scene as triangles: the same outlines and heights that scores take.
-
-Buildings, walls, hedges, poles and furniture fill their prisms. The crown of a tree is rounded, and
-fills some nine tenths of its prism. As much light passes between leaves as the body says. A parked
-vehicle outside the region has the shape of a road user of its size, within its box.
-"""
+"""The static bodies of a scene as triangles: the same outlines and heights that scores take, but
+for rounded crowns, with gaps that let light through, and shapes of parked vehicles."""
 
 from collections.abc import Callable, Iterator
 from enum import IntEnum
@@ -35,13 +31,11 @@ Material = IntEnum(
     "GROUND KERB BUILDING ROOF TRUNK CROWN POLE WALL FURNITURE PARKED_CAR PARKED_TRUCK SURVEYED",
     start=0,
 )
-"""What faces of the static world are made of. Those of parked vehicles and of a mesh (SURVEYED)
-have colours of their own."""
+"""What faces are made of; parked vehicles and meshes (SURVEYED) have colours of their own."""
 
 
 class Part(NamedTuple):
-    """Triangles of one material in world metres, their colours where they have own ones, and the
-    number of the body that they are of."""
+    """Triangles of one material [m], colours of their own, and the number of their body."""
 
     triangles: F33
     material: Material

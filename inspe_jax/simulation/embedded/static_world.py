@@ -1,10 +1,5 @@
-"""The static world: ground, kerbs, buildings, trees and poles, as triangles with a material.
-
-Besides the static bodies of the scene, and clear of them, there is what makes pictures look like a
-place: buildings and trees outside the region of interest, where they block no line of sight inside
-it, and in it low kerbs and thin poles. Where bodies are part of a mesh of the place, its faces
-stand in their place, and nothing else is made up.
-"""
+"""The static world: ground, kerbs, buildings, trees and poles, as triangles with a material. What
+is not of the scene or its mesh stands clear of sight lines inside the region."""
 
 import zlib
 from collections.abc import Iterator, Sequence
@@ -58,10 +53,8 @@ _WALLS = np.array(
 
 @dataclass(frozen=True, eq=False)
 class StaticWorld:
-    """Triangles relative to ``center`` [m], and for each its :data:`Material`. ``body`` numbers the
-    buildings and the trees. ``poles`` are the tops of the poles in the world [m]. ``colour`` is the
-    linear albedo of the faces of parked vehicles and of meshes, 0 for others.
-    """
+    """Triangles relative to ``center`` [m], with material, number of the building or tree, and
+    colour, if of their own; ``poles`` are tops in the world [m]."""
 
     center: Float[np.ndarray, "3"]
     triangles: F33
@@ -128,13 +121,9 @@ def build_static_world(
     masts: Float[np.ndarray, "U 4"],
     bodies: Sequence[StaticBody] = (),
 ) -> StaticWorld:
-    """The static world of an intersection, out to :data:`HORIZON`.
-
-    ``masts`` holds the foot (x, y, z) and the height of each infrastructure unit's mast [m]; units
-    over the carriageway get no mast, as they hang on wires. ``bodies`` are those of the scene.
-    Other buildings and trees stand at random places, which depend only on the intersection's name
-    and on where bodies leave room.
-    """
+    """The static world of an intersection, out to :data:`HORIZON`. ``masts`` holds foot (x, y, z)
+    and height of each unit's mast [m]; those over the carriageway hang on wires and get none. Other
+    buildings and trees stand at random places, seeded by the intersection's name."""
     center = np.asarray(intersection.center, float)
     road = [s for r, s in intersection.regions.items() if r in CARRIAGEWAY]
     masts = masts[~shapely.intersects_xy(unary_union(road), *masts[:, :2].T)]
@@ -159,9 +148,7 @@ def build_static_world(
 def _all_but_masts(
     intersection: Intersection, radius: float, bodies: tuple[StaticBody, ...]
 ) -> tuple[tuple[Part, ...], Float[np.ndarray, "P 4"], Surface]:
-    """What stands whatever the masts: all but poles, the foot (x, y, z) and the height of each pole
-    [m], and the ground's surface. It takes nearly all the time, so it is kept for the next layout.
-    """
+    """All but poles, foot (x, y, z) and height of each pole [m], and surface; takes longest."""
     rng = np.random.default_rng(zlib.crc32(intersection.name.encode()))
     own = unary_union([one.polygon for one in bodies])
     mesh = intersection.mesh if any(one.kind == "solid" for one in bodies) else None
@@ -201,8 +188,8 @@ def _poles(place: Intersection, radius: float, own: BaseGeometry) -> Float[np.nd
 
 
 def _surveyed(mesh: Mesh, place: Intersection) -> tuple[F33, Float[np.ndarray, "F 3"]]:
-    """The faces of a mesh, and their linear albedos: without the ground's, those beyond the ground
-    that is known, and what stands in the way of traffic, as scores."""
+    """The faces of a mesh, and their albedos: without the ground's, those beyond the known ground,
+    and what stands in the way of traffic, as scores."""
     triangles = mesh.world
     corners = triangles.reshape(-1, 3)
     over = (corners[:, 2] - place.ground(corners[:, :2])).reshape(-1, 3)
@@ -235,7 +222,6 @@ def _ground(intersection: Intersection, radius: float) -> F33:
 
 
 def _kerbs(intersection: Intersection) -> Iterator[F33]:
-    """Kerbs along the edge of the carriageway, with gaps at crossings."""
     regions = intersection.regions
     road = [regions[r] for r in (Region.DRIVEWAY, Region.JUNCTION) if r in regions]
     foot = [regions[r] for r in (Region.SIDEWALK, Region.SHOULDER) if r in regions]
@@ -258,7 +244,6 @@ def _kerbs(intersection: Intersection) -> Iterator[F33]:
 
 
 def _tube(foot: np.ndarray, radius: float, height: float) -> F33:
-    """A vertical prism with eight sides, closed at the top."""
     turn = np.linspace(0, 2 * np.pi, 8, endpoint=False)
     ring = foot + radius * np.column_stack([np.cos(turn), np.sin(turn), np.zeros(8)])
     top = ring + [0.0, 0.0, height]
@@ -293,7 +278,6 @@ def _plots(
 def _trees(
     intersection: Intersection, taken: BaseGeometry, radius: float, rng: np.random.Generator
 ) -> Iterator[tuple[Float[np.ndarray, "3"], float]]:
-    """Feet and heights of trees whose crowns keep clear of ``taken`` [m]."""
     for _ in range(TREES):
         height = rng.uniform(4.5, 9.0)
         for _ in range(15):
@@ -305,7 +289,6 @@ def _trees(
 
 
 def _crown(foot: np.ndarray, height: float, rng: np.random.Generator) -> F33:
-    """A crown: a ball of rings of latitude, each point moved a little."""
     tall, wide = 0.62 * height / 2, 0.28 * height
     rows, columns = 5, 8
     up = np.linspace(-np.pi / 2, np.pi / 2, rows + 1)[:, None]

@@ -1,5 +1,4 @@
-"""What the ground looks like: a raster of regions and paint, drawn once for a scene, and colours
-that follow from it and from noise that is fixed to the ground."""
+"""What the ground looks like: a raster of regions and paint, and noise fixed to the ground."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -79,8 +78,7 @@ def lay_surface(intersection: Intersection, reach: float) -> Surface:
 def _fill(
     pen: ImageDraw.ImageDraw, shape: BaseGeometry, corner: np.ndarray, label: int, hole: int | None
 ) -> None:
-    """Draw a shape with a label, and its holes with another (``hole``; None leaves them as they
-    are). What lies in the holes is drawn later."""
+    """Draw a shape with a label, and its holes with ``hole``; None leaves them as they are."""
     for part in shapely.get_parts(shape):
         if part.geom_type != "Polygon" or part.is_empty:
             continue
@@ -91,7 +89,6 @@ def _fill(
 
 
 def _zebras(intersection: Intersection) -> Iterator[BaseGeometry]:
-    """The stripes of zebra crossings, along the direction of the traffic that is crossed."""
     walks = intersection.regions.get(Region.CROSSWALK, MultiPolygon())
     for walk in shapely.get_parts(walks):
         corners = np.array(walk.minimum_rotated_rectangle.exterior.coords)[:4]
@@ -106,7 +103,6 @@ def _zebras(intersection: Intersection) -> Iterator[BaseGeometry]:
 
 
 def _lines(intersection: Intersection) -> list[BaseGeometry]:
-    """Lines between lanes, outside junctions and away from kerbs."""
     driveway = intersection.regions.get(Region.DRIVEWAY)
     if driveway is None or driveway.is_empty:
         return []
@@ -123,8 +119,7 @@ def _lines(intersection: Intersection) -> list[BaseGeometry]:
 
 
 def noise(at: Float[np.ndarray, "R 2"]) -> Float[np.ndarray, " R"]:
-    """Smooth noise of 0 … 1, always the same at the same point: random values on a lattice with
-    spacing 1, and a smooth blend between them."""
+    """Smooth noise of 0 … 1 with spacing 1, always the same at the same point."""
     cell = np.floor(at.T)
     x, y = cell.astype(np.int64)
     part = (at.T - cell).astype(np.float32)

@@ -18,13 +18,8 @@ BELOW = 2.5
 
 
 class Surroundings:
-    """The world around a layout's sensors in a scene, its light, and what is to be recorded.
-
-    There is a mast for each unit, except for the unit ``mastless``. ``appearance_seed`` is that of
-    the road users' shapes and colours, also of those that are ``parked`` in all frames. ``ground``
-    is where headlights are followed, None by day. Raises InspeError where the recording is not
-    valid, or Embree is missing.
-    """
+    """The world around a layout's sensors, with a mast for each unit but ``mastless``, its light,
+    and what is recorded; ``ground`` is where headlights are followed, None by day."""
 
     def __init__(
         self,
@@ -42,8 +37,14 @@ class Surroundings:
         parked, statics = parked_vehicles(scene)
         boxes = boxes_of(parked, appearance_seed)
         self.parked = tuple(replace(box, parked=True) for box in boxes)
-        place = scene.intersection, scene.voxels.radius
-        self.static_world = build_static_world(*place, _masts(layout, mastless), statics)
+        place, up = (scene.intersection, scene.voxels.radius), np.asarray(layout.poses, float)[:, 2]
+        masts = [
+            (*unit.base, max(up[list(members)].min() - BELOW - unit.base[2], 0.5))
+            for u, (unit, members) in enumerate(zip(layout.units, layout.members(), strict=True))
+            if members and u != mastless
+        ]  # foot (x, y, z) and height [m]
+        standing = np.array(masts, float).reshape(-1, 4)
+        self.static_world = build_static_world(*place, standing, statics)
         self.caster = self.static_world.caster  # which needs Embree, and says so now
         self.shading = Shading(conditions, self.static_world)
         light = self.shading.light
@@ -53,14 +54,3 @@ class Surroundings:
         """The road users of frame t."""
         boxes = boxes_of(self.traffic.at(t), self.appearance_seed) + self.parked
         return FrameActors(boxes, self.static_world.center)
-
-
-def _masts(layout: Layout, mastless: int | None) -> np.ndarray:
-    """Foot (x, y, z) and height of the mast of each unit that carries sensors, (M, 4) [m]."""
-    poses = np.asarray(layout.poses, float)
-    masts = [
-        (*unit.base, max(poses[list(members), 2].min() - BELOW - unit.base[2], 0.5))
-        for u, (unit, members) in enumerate(zip(layout.units, layout.members(), strict=True))
-        if members and u != mastless
-    ]
-    return np.array(masts, float).reshape(-1, 4)

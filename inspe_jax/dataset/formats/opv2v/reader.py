@@ -1,5 +1,4 @@
-"""Reads frames from OPV2V files: of this package, and of other people, which need only have
-``lidar_pose`` or ``true_ego_pos``, and ``angle``, ``extent`` and ``location`` of each road user."""
+"""Reads frames from OPV2V files: of this package, and of other people, which may say less."""
 
 import os
 import re
@@ -17,7 +16,7 @@ from inspe_jax.core.files import YAML, check_input, parse_yaml
 from inspe_jax.dataset.formats.opv2v.writer import KMH, NO_LIDAR, OBSERVED, SECTIONS
 from inspe_jax.dataset.formats.pcd import read_notes, read_pcd
 from inspe_jax.dataset.formats.pictures import SUFFIXES, read_picture
-from inspe_jax.dataset.formats.protocol_file import as_mapping
+from inspe_jax.dataset.formats.protocol_file import as_mapping, section_of
 from inspe_jax.simulation.frame import Boxes, Frame, Image, RoadUserBox, Scan, Station
 from inspe_jax.simulation.recorder import LAYERS
 
@@ -56,23 +55,18 @@ def frame_numbers(scenario: Path, agents: tuple[int, ...]) -> tuple[int, ...]:
 def frame_of(
     scenario: Path, number: int, agents: tuple[int, ...], protocol: Mapping[str, Any]
 ) -> Frame:
-    """A frame of a scenario; pictures and points are read when they are first used.
-
-    Its boxes are those of all ``agents`` together, in the order of their tracks. Where agents
-    differ in one, the first agent that lists it is taken. Where files hold the speed of a road
-    user alone, it is taken to move the way it faces; roll and pitch of its box are left out. A
-    camera without its picture is left out, too, and so is one that only fills up an agent's.
-    Raises InspeError where there is no such frame, or a file is broken: for pixels and points, only
-    when they are used.
-    """
+    """A frame of a scenario; pictures and points are read when they are first used. The first agent
+    that lists a road user counts. One whose speed alone is given moves the way it faces. Cameras
+    without a picture, or that only fill up an agent's, are left out. Raises InspeError where there
+    is no such frame, or a file is broken."""
     if not agents:
         raise InspeError(f"{scenario}: not a scenario: it has no folder of an agent, as -1")
     files = [_frame_file(scenario / str(agent), number) for agent in agents]
     known: dict[bytes, dict[str, Any]] = {}
     contents = [_content(path, known) for path in files]
-    boxes, names = _boxes(contents, files), _section(protocol, "stations")
-    tick = _section(protocol, "world").get("fixed_delta_seconds")
-    told = SUFFIXES.get(_section(protocol, "recording").get("pictures", "png"))
+    boxes, names = _boxes(contents, files), section_of(protocol, "stations")
+    tick = section_of(protocol, "world").get("fixed_delta_seconds")
+    told = SUFFIXES.get(section_of(protocol, "recording").get("pictures", "png"))
     suffixes = sorted(SUFFIXES.values(), key=lambda suffix: suffix != told)
     return Frame(
         number=number,
@@ -83,12 +77,6 @@ def frame_of(
             for agent, content, path in zip(agents, contents, files, strict=True)
         ),
     )
-
-
-def _section(protocol: Mapping[str, Any], key: str) -> Mapping[Any, Any]:
-    """A section of a protocol; empty where there is none."""
-    found = protocol.get(key)
-    return found if isinstance(found, Mapping) else {}
 
 
 def _frame_file(agent: Path, number: int) -> Path:
@@ -103,9 +91,7 @@ def _frame_file(agent: Path, number: int) -> Path:
 
 
 def _content(path: Path, known: dict[bytes, dict[str, Any]]) -> dict[str, Any]:
-    """What a frame's YAML file holds. Most of it is road users, the same for every agent: this text
-    is parsed once, and ``known`` keeps it. A file that cannot be divided so, because it is broken
-    or an anchor in one half is used in the other, is parsed as a whole."""
+    """A frame's YAML file. The text of road users, the same for all agents, is parsed once."""
     check_input(path, YAML)
     text = path.read_bytes()
     head, mark, tail = text.partition(_BOXES)
@@ -136,8 +122,7 @@ def _numbers(
 
 
 def _boxes(contents: list[dict[str, Any]], files: list[Path]) -> Boxes:
-    """The boxes that all agents list, each track once. The sections of one kind come before
-    ``vehicles``, which does not say the kind."""
+    """The boxes that all agents list, each track once; ``vehicles`` say no kind, and come last."""
     found: dict[int, RoadUserBox] = {}
     places = [*((section, kind) for kind, section in SECTIONS.items()), ("vehicles", "car")]
     for content, path in zip(contents, files, strict=True):
@@ -201,8 +186,7 @@ Counts = Mapping[str, Float[np.ndarray, "K B"]]
 
 
 def _observed(content: Mapping[str, Any], agent: int, records: str, boxes: Boxes) -> Counts:
-    """What an agent's scans or images recorded of each road user, as far as the file says it. A
-    section ``observed`` of another shape is another one's, and is left out."""
+    """What an agent's scans or images recorded of each road user; other shapes are left out."""
     observed = content.get("observed")
     found = dict[str, np.ndarray]()
     for key, of, field, decimals in OBSERVED:
@@ -222,7 +206,6 @@ def _of(counts: Counts, i: int) -> dict[str, Any]:
 
 
 def _numbered(content: Mapping[str, Any], word: str) -> dict[int, str]:
-    """The keys that consist of ``word`` and a number, by the number."""
     found = (re.fullmatch(rf"{word}(\d+)", key) for key in content if isinstance(key, str))
     return dict(sorted((int(m[1]), m[0]) for m in found if m))
 

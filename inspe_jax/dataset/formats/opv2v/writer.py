@@ -1,8 +1,8 @@
 """Writes frames as OPV2V files, which also have the keys of the Infra-Set variant.
 
-SCENARIO/AGENT/ holds ``000068.yaml``, ``.pcd``, ``_lidar1.pcd`` …, ``_camera0.png`` …, and, if they
-were recorded or asked for, ``_depth0.png``, ``_instance0.png``, ``_semantic0.png`` and
-``_bev_visibility.png``. Under ``observed`` is what each sensor recorded of each road user.
+SCENARIO/AGENT/ holds ``000068.yaml``, ``.pcd``, ``_lidar1.pcd`` …, ``_camera0.png`` …, layers as
+``_depth0.png``, and ``_bev_visibility.png``. ``observed`` is what sensors recorded of each road
+user.
 """
 
 import os
@@ -28,8 +28,7 @@ SECTIONS = {kind: f"{kind}s" for kind in ("car", "cyclist", "pedestrian", "truck
 NO_LIDAR = "no LiDAR"  # the comment in the empty PCD file of a station without one
 KMH = 3.6  # 1 m/s in km/h
 DECIMALS = 7
-"""Decimals of lengths [m], angles [°] and speeds [km/h]: values are right to 1e-6, and so is the
-sum of ``location`` and ``center``."""
+"""Decimals of lengths [m], angles [°] and speeds [km/h]: values and sums are right to 1e-6."""
 OBSERVED = (
     ("lidar_points", "scans", "returns", 0),
     ("camera_pixels", "images", "pixels", 0),
@@ -43,13 +42,9 @@ MATRIX_DECIMALS = 12
 def write_frame(
     scenario: str | os.PathLike[str], frame: Frame, options: FileOptions = DEFAULT_OPTIONS
 ) -> tuple[Path, ...]:
-    """Write a frame into the folder of each station, over an earlier frame of this number.
-
-    Gives the files. Every file appears when it is complete, and the YAML files come last: without
-    them a frame does not count as complete. Every frame of a scenario should have the same
-    stations. Raises InspeError, before anything is written, if the frame is not valid, or has scans
-    of a radar, for which the format has no place.
-    """
+    """Write a frame into the folder of each station, over an earlier frame of this number; gives
+    the files. YAML files come last: without them a frame is not complete. Raises InspeError, before
+    anything is written, if the frame is not valid, or has scans of a radar."""
     check_frame(frame)
     for station in frame.stations:
         if any(scan.speeds is not None for scan in station.scans):
@@ -79,8 +74,7 @@ def write_frame(
 
 
 def _clear(agent: Path, stem: str) -> None:
-    """Delete the files of a frame: first the YAML file, and last the file that is written first. A
-    folder with many files is listed only if a frame of this number was begun before."""
+    """Delete the files of a frame: first the YAML file, and last the file that is written first."""
     last, first = agent / f"{stem}.yaml", agent / f"{stem}.pcd"
     if not (last.exists() or first.exists()):
         return
@@ -92,8 +86,7 @@ def _clear(agent: Path, stem: str) -> None:
 
 
 def _write_scans(agent: Path, stem: str, scans: Sequence[Scan], options: FileOptions) -> list[Path]:
-    """Write the scans: the first one with OPV2V's name, and with Infra-Set's if it is asked for: a
-    copy, as a hard link would grow to one when the set is copied."""
+    """Write the scans. Infra-Set's name is a copy: where sets are copied, links become files."""
     first = agent / f"{stem}.pcd"
     files = [first, *(agent / f"{stem}_lidar{i}.pcd" for i in range(1, len(scans)))]
     if not scans:
@@ -156,8 +149,7 @@ def _sections(boxes: Boxes, stations: Sequence[Station]) -> dict[str, dict[int, 
 
 
 def _observed(k: int, stations: Sequence[Station]) -> dict[str, Any]:
-    """What each sensor of each agent recorded of road user ``k``: LiDAR returns; the pixels that
-    show it, and their share of those that would if nothing stood before it."""
+    """What each sensor recorded of road user ``k``: returns, pixels, and the visible share."""
     found: dict[str, Any] = {}
     for key, records, field, decimals in OBSERVED:
         each = {
@@ -177,8 +169,7 @@ def _observed(k: int, stations: Sequence[Station]) -> dict[str, Any]:
 
 
 def _entry(box: RoadUserBox) -> dict[str, Any]:
-    """The entry of a road user. ``location`` is the middle of the bottom of the box, and ``center``
-    points straight up from there, because readers add it without rotating it."""
+    """A road user. ``center`` points straight up from ``location``: readers do not rotate it."""
     half = np.asarray(box.size, float) / 2
     x, y, z = np.asarray(box.center, float)
     cords = to_carla([x, y, z - half[2], 0.0, 0.0, box.yaw])

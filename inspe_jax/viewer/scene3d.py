@@ -98,11 +98,8 @@ class Scene3D:
             self._boxes(f"road users/{name}", center, traffic.size[frame, who], yaw, USER_COLOR)
 
     def draw_voxels(self, sight: Int[np.ndarray, " V"], shown: Iterable[Visibility]) -> None:
-        """Draw the voxels of the kinds ``shown``: hidden ones as boxes, others as tinted ground.
-
-        ``sight`` is the :class:`Visibility` of each voxel in a frame. A column has the tint of the
-        kind of most of its voxels, so that no tint lies on another one, and none hides a box.
-        """
+        """Draw the voxels of the kinds ``shown``, by the ``sight`` of each in a frame: hidden ones
+        as boxes, others as ground in the tint of most voxels of a column."""
         free, wanted = free_of_bodies(self.scene), set(shown)
         kinds = np.where(free, np.asarray(sight).reshape(free.shape), -1)
         self._forget("voxels/")
@@ -131,12 +128,9 @@ class Scene3D:
             self._squares(name, mostly & (self.scene.voxels.region == region), color, LIFT / 2)
 
     def draw_layout(self, layout: Layout, broken: Iterable[int] = ()) -> dict[int, Any]:
-        """Draw every sensor on its pole, the outline of what it looks at, and its number.
-
-        The ``broken`` sensors, which break a rule of mounting, are red. If only poses differ from
-        the layout before, what is drawn is moved. Returns the bodies of sensors that are new, by
-        their place in the layout.
-        """
+        """Draw every sensor on its pole, the outline of what it looks at, and its number; move what
+        is drawn already. The ``broken`` sensors, which break a rule of mounting, are red. Returns
+        the bodies of sensors that are new, by their place in the layout."""
         wrong, new = set(broken), {}
         looks = [
             (sensor.spec, BROKEN_COLOR if k in wrong else SENSOR_COLORS[sensor.spec.kind])

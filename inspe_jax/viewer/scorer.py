@@ -45,12 +45,10 @@ class Scorer:
         case: Case,
         objective: Objective,
         scored: Callable[[ScoredLayout], None],
-        sighted: Callable[[Layout, int, UInt[np.ndarray, " V"]], None],
+        sighted: Callable[[int, UInt[np.ndarray, " V"]], None],
     ) -> None:
-        """The callbacks run on the scorer's thread.
-
-        ``scored`` gets scores; ``sighted`` gets a layout, a frame and the Visibility of each voxel.
-        """
+        """On the scorer's thread, ``scored`` gets scores, and ``sighted`` a frame with the
+        Visibility of each voxel."""
         self.case, self._objective = case, objective
         self._scored, self._sighted = scored, sighted
         traffic = case.scene.traffic
@@ -105,8 +103,6 @@ class Scorer:
         self._scored(ScoredLayout(layout, scores, frames, time.monotonic() - since, wrong))
 
     def _find_sight(self) -> None:
-        layout, frame = self._layout, self._frame
+        layout, frame, case = self._layout, self._frame, self.case
         if layout is not None:
-            case = self.case
-            sight = sight_in(case.scene, layout, frame, conditions=case.conditions)
-            self._sighted(layout, frame, sight)
+            self._sighted(frame, sight_in(case.scene, layout, frame, conditions=case.conditions))

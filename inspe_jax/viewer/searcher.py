@@ -84,7 +84,7 @@ class Searcher:
         search = dict(layout=layout, method=method, seconds=seconds, target=target)
         with self._lock:
             if not (self.running or self._closed):
-                self._best = None
+                self._best, self._first = None, 0.0
                 thread = threading.Thread(target=self._search, kwargs=search, daemon=True)
                 thread.start()
                 self.thread = thread
@@ -117,8 +117,6 @@ class Searcher:
             end = partial(self._end_with, ending)
         except _Stopped:
             return
-        except InspeError as e:
-            end = partial(self._end, str(e), failed=True)
         except Exception as e:
             end = partial(self._fail, e)
         with self._lock:
@@ -126,8 +124,11 @@ class Searcher:
                 end()
 
     def _fail(self, error: Exception) -> None:
-        traceback.print_exception(error)
-        self._end(f"the search failed: {error!r}", failed=True)
+        why = str(error)
+        if not isinstance(error, InspeError):
+            traceback.print_exception(error)
+            why = f"the search failed: {error!r}"
+        self._end(why, failed=True)
 
     def _tell(self, listener: Callable[..., None], *content: Any) -> None:
         """Call a listener, unless the search has been stopped."""
@@ -146,11 +147,9 @@ class Searcher:
         """Report the end of a search that has no result."""
         if self._best is None:
             reason = reason if failed else "stopped before there was a score"
-            self._end_with(SearchEnding(None, 0.0, 0.0, reason, failed))
-        else:
-            layout, score = self._best
-            layout = named_optimised(layout)
-            self._end_with(SearchEnding(layout, self._first, score, reason, failed))
+        layout, score = self._best or (None, 0.0)
+        layout = None if layout is None else named_optimised(layout)
+        self._end_with(SearchEnding(layout, self._first, score, reason, failed))
 
     def _end_with(self, ending: SearchEnding) -> None:
         self.thread = None

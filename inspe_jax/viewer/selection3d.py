@@ -28,17 +28,11 @@ class HandleDrag:
     turn: Float[np.ndarray, "3 3"]
 
     def on(self, pose: Float[np.ndarray, "6"]) -> Float[np.ndarray, "6"]:
-        """The world pose that the drag gives a sensor.
-
-        The handle stands upright and faces along the yaw of ``pose``, the pose that it was put on.
-        A turn about the vertical axis changes the yaw, one about the left axis the pitch. A turn
-        about the forward axis changes nothing, since no sensor is mounted with a roll.
-        """
-        ahead, dragged = self.turn[:, 0], pose.copy()
-        dragged[:3] = self.at
-        dragged[4] += np.arcsin(np.clip(ahead[2], -1, 1))
-        dragged[5] = np.arctan2(ahead[1], ahead[0])
-        return dragged
+        """The world pose that the drag gives a sensor. The handle was put upright on ``pose``,
+        along its yaw; a turn about the forward axis changes nothing: no sensor has a roll."""
+        ahead, (roll, pitch) = self.turn[:, 0], pose[3:5]
+        pitch += np.arcsin(np.clip(ahead[2], -1, 1))
+        return np.array([*self.at, roll, pitch, np.arctan2(ahead[1], ahead[0])])
 
 
 class Selection3D:

@@ -251,7 +251,7 @@ def test_a_search_ends_a_drag_and_shows_what_it_begins_from(viewer, monkeypatch)
         pull(page, owner, (at + [0, 0, 2.0]).tolist())
         pull(page, owner, None, "End")
         wait_until(lambda: np.allclose(view.selection3d.gizmo.position, at))
-        viewer._on_end(SearchEnding(None, 0.0, 0.0, "stopped"))
+        viewer.searcher._ended(SearchEnding(None, 0.0, 0.0, "stopped"))
         wait_until(lambda: not viewer.searching)
     assert viewer.layout is before
 
@@ -259,7 +259,7 @@ def test_a_search_ends_a_drag_and_shows_what_it_begins_from(viewer, monkeypatch)
 def test_what_another_browser_does_in_vain_leaves_a_drag_as_it_is(viewer):
     before = viewer.layout
     with dragging(viewer) as (page, owner, view, at):
-        viewer.restore()
+        viewer.queue.submit(viewer.show_controls)
         view.select(1)
         done = []
         viewer.queue.submit(lambda: done.append(True))
@@ -277,7 +277,7 @@ def test_a_typed_number_is_read_before_the_controls_are_shown_anew(viewer, monke
     asked, before = [], viewer.layout
 
     def meanwhile(*_):
-        asked.append(threading.Thread(target=viewer._show_controls))
+        asked.append(threading.Thread(target=viewer.show_controls))
         asked[-1].start()
         asked[-1].join()
 

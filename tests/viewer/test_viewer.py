@@ -156,8 +156,8 @@ def test_a_search_that_fails_leaves_its_best(viewer, layout, monkeypatch):
     monkeypatch.setattr(viewer.searcher, "start", lambda *_: None)
     viewer.optimise()
     done(viewer, lambda: viewer.searching)
-    viewer._on_better(better, 0.9)
-    viewer._on_end(SearchEnding(better, 0.8, 0.9, "too large", failed=True))
+    viewer.searcher._found(better, 0.9)
+    viewer.searcher._ended(SearchEnding(better, 0.8, 0.9, "too large", failed=True))
     done(viewer, lambda: viewer.told)
     assert not viewer.searching
     assert viewer.panel.course.content.startswith("Failed: too large: P_sm 0.8000 → 0.9000")
@@ -170,7 +170,7 @@ def test_nothing_is_changed_or_saved_while_a_search_runs(viewer, layout, monkeyp
     monkeypatch.setattr(viewer.searcher, "start", lambda *_: None)
     viewer.optimise()
     better = replace(layout, poses=np.array(layout.poses) + [0, 0, 1.0, 0, 0, 0])
-    viewer._on_better(better, 0.9)
+    viewer.searcher._found(better, 0.9)
     done(viewer, lambda: viewer.view.controls.add.disabled)
     for control in (viewer.panel.save, viewer.panel.report, viewer.panel.target):
         assert control.disabled
@@ -183,7 +183,7 @@ def test_nothing_is_changed_or_saved_while_a_search_runs(viewer, layout, monkeyp
     kept = load_layout(viewer.store.unsaved)  # the search's best so far
     np.testing.assert_allclose(kept.poses, better.poses, atol=1e-8)
     same = replace(layout, name="layout, optimised")
-    viewer._on_end(SearchEnding(same, 0.5, 0.5, "ended"))
+    viewer.searcher._ended(SearchEnding(same, 0.5, 0.5, "ended"))
     done(viewer, lambda: not viewer.panel.save.disabled)
     assert viewer.layout is layout
     assert viewer.told[-1][:2] == ("Search", "ended: P_sm stays at 0.5000 in 0 s, with compiling")

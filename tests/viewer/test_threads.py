@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import jax
 import numpy as np
 import pytest
+from page_socket import wait_until
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.placement.constraints import Constraints
@@ -138,15 +139,13 @@ def test_what_is_out_of_date_is_not_begun(layout, listening, monkeypatch):
 
     monkeypatch.setattr(scorers, "scores_of", slowly)
     scorer.score(replace(layout, name="first"), whole=True)
-    while not begun:
-        time.sleep(0.01)
+    wait_until(lambda: begun)
     for k in range(10):
         scorer.score(replace(layout, name=f"dragged {k}"), whole=False)
     scorer.score(replace(layout, name="last"), whole=True)
     go[0].set()
     scores.wait(lambda heard: len(heard) == 2)
-    while begun[-1] != ("last", 3):
-        time.sleep(0.01)
+    wait_until(lambda: begun[-1] == ("last", 3))
     scorer.close(wait=False)
     assert len(scores.heard) == 2  # it has come back before the score
     go[1].set()

@@ -125,11 +125,9 @@ def _train_many(
         training.Training(data.path.resolve(), into, own, BevGrid())
         for into, own in zip(folders, wanted, strict=True)
     ]
-    failed = 0
+    failed, how = 0, dict[str, Any](workers=workers, scheduler=scheduler)
     with common.progress("steps") as tell:
-        for job, found in training.train_all(
-            jobs, workers=workers, scheduler=scheduler, progress=tell
-        ):
+        for job, found in training.train_all(jobs, progress=tell, **how):
             if isinstance(found, Exception):
                 failed += 1
                 common.err.print(f"{job.folder.name}: {found}")

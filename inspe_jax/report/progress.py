@@ -74,8 +74,8 @@ def before_after(
             way = [before.poses, after.poses] if path is None else path
             moved = _draw_moves(ax, before, np.asarray(way, float))
         bar = fig.add_axes((SIDE_LEFT / WIDTH, 0.30 / height, 1.75 / WIDTH, 0.09 / height))
-        fig.colorbar(image, cax=bar, orientation="horizontal", ticks=[0, 0.25, 0.5, 0.75, 1])
-        bar.set_xticklabels(["0", "0.25", "0.5", "0.75", "1"])
+        ticks = [0, 0.25, 0.5, 0.75, 1]
+        fig.colorbar(image, cax=bar, orientation="horizontal", ticks=ticks, format="{x:g}")
         bar.set_title(layer.label.replace("\n", " ", 1), loc="left", size=7)
         if moved:
             keys.insert(0, Line2D([], [], **_ARROW, marker=">", ms=3, label=WENT))
@@ -122,8 +122,8 @@ def _draw_moves(ax: Axes, layout: Layout, path: Float[np.ndarray, "K S 6"]) -> b
 
 
 def _thinned(track: Float[np.ndarray, "K 2"]) -> Float[np.ndarray, "J 2"]:
-    """The points of a track that are further than :data:`MOVED` from the one kept before. The end
-    of the track replaces the last of them. If no point is so far, only the first is kept."""
+    """The points of a track further than :data:`MOVED` from the one kept before, its end in place
+    of the last of them; the first alone if none is so far."""
     kept = [track[0]]
     for at in track[1:]:
         if np.hypot(*(at - kept[-1])) > MOVED:

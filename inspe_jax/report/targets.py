@@ -62,14 +62,11 @@ def banded(name: str, values: Float[np.ndarray, " L"], bands: Bands) -> MapLayer
     return MapLayer(name, number, kinds=tuple((words, color) for _, words, color in bands))
 
 
-def _ranging(layout: Layout) -> list[bool]:
-    """Which sensors count returns: LiDARs."""
-    return [sensor.spec.grid.of.signal.noise is not None for sensor in layout.sensors]
-
-
-def _seeing(layout: Layout) -> list[bool]:
-    """Which sensors count pixels: cameras."""
-    return [sensor.spec.focal_pixels is not None for sensor in layout.sensors]
+def _counting(layout: Layout) -> tuple[list[bool], list[bool]]:
+    """Which sensors count returns: LiDARs; and which pixels: cameras."""
+    specs = [sensor.spec for sensor in layout.sensors]
+    ranging = [spec.grid.of.signal.noise is not None for spec in specs]
+    return ranging, [spec.focal_pixels is not None for spec in specs]
 
 
 def _shares(
@@ -99,10 +96,11 @@ def targets_record(
         }
 
     record: dict[str, Any] = dict(scene=scene.name, layout=layout.name, road_user=view.road_user)
-    if any(_ranging(layout)):
+    ranging, seeing = _counting(layout)
+    if any(ranging):
         returns = {f"at least {least:g}": least for least, _, _ in RETURNS[1:]}
         record["lidar_returns"] = of(view.points_on_target, returns)
-    if any(_seeing(layout)):
+    if any(seeing):
         record["pixels_per_metre"] = of(view.pixel_density, BANDS[edition])
     found = _shares(scene, view.detectability)
     record["detectability"] = {region: float(values.mean()) for region, values in found}
@@ -138,19 +136,19 @@ Panel = tuple[str, MapLayer, list[int]]
 def _panels(scene: Scene, layout: Layout, view: TargetView, edition: str) -> list[Panel]:
     """The maps of what a layout has, two at most: what its sensors have on a road user, and the
     chance that it is found where one kind of sensor leaves room for it."""
-    taken, panels = ~free_of_bodies(scene).any(1), list[Panel]()
-
-    def add(words: str, values: np.ndarray, bands: Bands, of: Sequence[bool]) -> None:
+    free, user, panels = free_of_bodies(scene).any(1), view.road_user, list[Panel]()
+    ranging, seeing = _counting(layout)
+    mean = "mean over frames of traffic"
+    for words, values, bands, of in (
+        (f"LiDAR returns on a {user},\n{mean}", view.points_on_target, RETURNS, ranging),
+        (f"pixels per metre across a {user},\nbest camera, without traffic", view.pixel_density,
+         PIXELS[edition], seeing),
+        (f"chance that a detector finds a {user},\n{mean}", view.detectability, CHANCES,
+         [True] * len(layout)),
+    ):  # fmt: skip
         if any(of):
-            own = np.flatnonzero(of).tolist()
-            panels.append((words, banded("", np.where(taken, np.nan, values), bands), own))
-
-    words = f"LiDAR returns on a {view.road_user},\nmean over frames of traffic"
-    add(words, view.points_on_target, RETURNS, _ranging(layout))
-    words = f"pixels per metre across a {view.road_user},\nbest camera, without traffic"
-    add(words, view.pixel_density, PIXELS[edition], _seeing(layout))
-    words = f"chance that a detector finds a {view.road_user},\nmean over frames of traffic"
-    add(words, view.detectability, CHANCES, [True] * len(layout))
+            layer = banded("", np.where(free, values, np.nan), bands)
+            panels.append((words, layer, np.flatnonzero(of).tolist()))
     return panels[:2]
 
 

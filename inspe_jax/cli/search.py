@@ -147,7 +147,7 @@ def compare(
         methods (A,B,…): Search methods, separated by commas; all but the controls if not given.
         seeds: Number of searches by each method; their seeds count from 0.
     """
-    from inspe_jax.report.curves import history_view
+    from inspe_jax.report.searches import history_view
     from inspe_jax.report.tables import comparison_table
 
     files = ("compare.csv", "history.csv", "layout.yaml", "compare.png")
@@ -210,7 +210,7 @@ def pareto(
     Args:
         budget (USD): Leave out mixes of devices that cost more.
     """
-    from inspe_jax.report.curves import pareto_view
+    from inspe_jax.report.searches import pareto_view
     from inspe_jax.report.tables import pareto_table
 
     objective, constraints = options.checked(budget=budget)
@@ -290,7 +290,7 @@ def _find_cheapest(
 
 def _save(world: Scene, result: Result, folder: Path) -> Path:
     """Write and draw a search, in the folder that is returned."""
-    from inspe_jax.report.progress import before_after
+    from inspe_jax.report.searches import before_after
 
     folder = claims.keep(partial(save_result, result), folder)
     common.out.print(

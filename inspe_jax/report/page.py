@@ -24,11 +24,10 @@ from inspe_jax.placement.objective import Objective
 from inspe_jax.placement.problem import Case
 from inspe_jax.placement.result import STATUSES, Result
 from inspe_jax.report import schedule
-from inspe_jax.report.curves import history_view
 from inspe_jax.report.figures import SENSOR_COLORS, plan_view, scene_view
 from inspe_jax.report.layers import BLIND, SIGHT_COLORS, USER_COLOR, MapLayer, layers
-from inspe_jax.report.progress import before_after, same_sensors
 from inspe_jax.report.scene_tables import resolution_of
+from inspe_jax.report.searches import before_after, history_view, same_sensors
 from inspe_jax.report.tables import goal_words, scores_of, scores_record
 from inspe_jax.report.targets import targets_view
 from inspe_jax.scene.intersection import BUILT_IN

@@ -22,11 +22,10 @@ from inspe_jax.viewer.job_queue import JobQueue
 from inspe_jax.viewer.page_views import VIEWS
 from inspe_jax.viewer.panel import Panel, set_value
 from inspe_jax.viewer.scene3d import look_from
-from inspe_jax.viewer.scorer import Scorer
-from inspe_jax.viewer.searcher import SearchEnding, Searcher
 from inspe_jax.viewer.server import HOST, new_token, quiet, serve
 from inspe_jax.viewer.session import LayoutSession
 from inspe_jax.viewer.store import LayoutStore
+from inspe_jax.viewer.workers import Scorer, SearchEnding, Searcher
 
 _FILE = '<div data-file style="padding:.2em 1em;font-size:.875em;overflow-wrap:anywhere">{}</div>'
 
@@ -154,10 +153,6 @@ class Viewer:
 
         self.change(change)
 
-    def select_frame(self) -> None:
-        """Show the slider's frame."""
-        self.scorer.select_frame(self.panel.shown_frame)
-
     def look_at_all(self, client: Any) -> None:
         """Point a browser's camera at the whole scene again."""
         look_from(client.camera, self.case.scene, back=BACK)
@@ -183,10 +178,6 @@ class Viewer:
             self.searcher.start(self.layout, method, seconds, target)
 
         self.queue.submit(job)
-
-    def stop(self) -> None:
-        """Stop the search with its best layout so far."""
-        self.queue.submit(self.searcher.stop)
 
     # ── Files ──
 

@@ -16,7 +16,7 @@ from inspe_jax.viewer.browser_view import BrowserView
 from inspe_jax.viewer.job_queue import DelayedAction
 from inspe_jax.viewer.scene3d import Scene3D, look_from
 from inspe_jax.viewer.score_panel import score_panel
-from inspe_jax.viewer.scorer import ScoredLayout
+from inspe_jax.viewer.workers import ScoredLayout
 
 BACK = 1.25  # how far the camera is at first, in the usual distance
 STALE = 0.5  # what is being done is said anew after this time [s]

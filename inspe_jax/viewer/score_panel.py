@@ -12,7 +12,7 @@ from inspe_jax.scoring.metrics import METRICS, SURROGATE
 from inspe_jax.scoring.viewshed import Visibility
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.viewer.scene3d import BROKEN_COLOR, MOUNTING_COLOR
-from inspe_jax.viewer.scorer import ScoredLayout
+from inspe_jax.viewer.workers import ScoredLayout
 
 VISIBILITY_NAMES = {
     Visibility.HIDDEN: "hidden by traffic",

@@ -17,7 +17,7 @@ from inspe_jax.sensing.layout import layout_text, load_layout
 from inspe_jax.viewer.app import Viewer
 from inspe_jax.viewer.blind_spot_panel import LETTERS
 from inspe_jax.viewer.panel import set_value
-from inspe_jax.viewer.selection3d import LENGTH
+from inspe_jax.viewer.scene3d import LENGTH
 from inspe_jax.viewer.server import new_token
 
 pytestmark = pytest.mark.browser

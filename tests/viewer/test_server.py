@@ -17,8 +17,8 @@ from websockets.http11 import Request
 
 from inspe_jax.placement.problem import Case
 from inspe_jax.viewer.app import Viewer
-from inspe_jax.viewer.searcher import SearchEnding
 from inspe_jax.viewer.server import kept_token, new_token, quiet, refusal, serve
+from inspe_jax.viewer.workers import SearchEnding
 
 EVIL = "http://evil.example"
 

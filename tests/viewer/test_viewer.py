@@ -33,11 +33,10 @@ from inspe_jax.viewer import sensor_view
 from inspe_jax.viewer.app import Viewer
 from inspe_jax.viewer.blind_spot_panel import LETTERS, plan_picture
 from inspe_jax.viewer.panel import set_value
-from inspe_jax.viewer.scene3d import BROKEN_COLOR, Scene3D, rgb
+from inspe_jax.viewer.scene3d import BROKEN_COLOR, HandleDrag, Scene3D, rgb
 from inspe_jax.viewer.score_panel import LEGEND
-from inspe_jax.viewer.searcher import SearchEnding
-from inspe_jax.viewer.selection3d import HandleDrag
 from inspe_jax.viewer.sensor_view import image_size
+from inspe_jax.viewer.workers import SearchEnding
 
 AHEAD, LEFT, UP = np.eye(3)
 YAW = np.radians(-100)
@@ -496,7 +495,7 @@ def test_what_a_sensor_sees_follows_the_drag_and_is_the_recorders_on_release(vie
 
     viewer.view.select(1)  # the LiDAR, in another frame
     set_value(viewer.panel.frame, 2)
-    viewer.select_frame()
+    viewer.scorer.select_frame(viewer.panel.shown_frame)
     scan = recorded(scene, viewer.layout, 1, 2)
     done(viewer, lambda: same(view.seen, scan))
     done(viewer, lambda: viewer.view.selection3d.points is not None)
@@ -514,7 +513,7 @@ def test_the_view_can_be_switched_off_and_says_what_it_needs(viewer, monkeypatch
     done(viewer, lambda: view.picture.content)
     set_value(view.on, False)
     set_value(viewer.panel.frame, 1)
-    viewer.select_frame()
+    viewer.scorer.select_frame(viewer.panel.shown_frame)
     done(viewer, lambda: view.seen is None and not view.picture.content)
 
     def none(*_):

@@ -15,10 +15,9 @@ from inspe_jax.placement.optimise import METHODS
 from inspe_jax.placement.result import Result
 from inspe_jax.placement.run import Progress
 from inspe_jax.placement.studies.pareto import DeviceMix
-from inspe_jax.report.curves import NAMED, history_view, pareto_view
 from inspe_jax.report.figures import layer_raster
 from inspe_jax.report.layers import seen_layer
-from inspe_jax.report.progress import MOVED, WENT, before_after
+from inspe_jax.report.searches import MOVED, NAMED, WENT, before_after, history_view, pareto_view
 from inspe_jax.report.tables import before_after_table, comparison_table, moves_table
 from inspe_jax.scoring.evaluate import ManyScores, evaluate
 

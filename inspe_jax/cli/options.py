@@ -24,7 +24,7 @@ from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
 import typer
 
-from inspe_jax.cli.common import PANELS, app
+from inspe_jax.cli.common import PANELS, app, busy
 from inspe_jax.core.errors import InspeError, error_at
 from inspe_jax.core.files import check_input
 from inspe_jax.mounting.mixes import mix_name
@@ -316,7 +316,8 @@ class SearchOptions(ScoreOptions):
 
     def cases(self, scene: Scene) -> list[Case]:
         """The scene and those of ``--also``, each in every light that is given."""
-        worlds = [scene, *(load_scene(other, self.profile) for other in self.also or ())]
+        with busy("reading the other scenes"):
+            worlds = [scene, *(load_scene(other, self.profile) for other in self.also or ())]
         return [Case(world, conditions) for world in worlds for conditions in self.each_light()]
 
     def checked(self, **objective: Any) -> tuple[Objective, Constraints]:

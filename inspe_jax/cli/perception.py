@@ -121,10 +121,9 @@ def _train_many(
     if len(wanted) > 1:
         folders = [folders[0] / f"{own.model}_{own.seed}" for own in wanted]
         prepare_folder(folder)
-    jobs = [
-        training.Training(data.path.resolve(), into, own, BevGrid())
-        for into, own in zip(folders, wanted, strict=True)
-    ]
+    path, grid = data.path.resolve(), BevGrid()
+    pairs = zip(folders, wanted, strict=True)
+    jobs = [training.Training(path, into, own, grid) for into, own in pairs]
     failed, how = 0, dict[str, Any](workers=workers, scheduler=scheduler)
     with common.progress("steps") as tell:
         for job, found in training.train_all(jobs, progress=tell, **how):

@@ -38,9 +38,8 @@ from inspe_jax.core.geometry import rotation
 from inspe_jax.placement.problem import Case
 from inspe_jax.viewer.app import Viewer
 from inspe_jax.viewer.browser_view import BrowserView
-from inspe_jax.viewer.panel import BLIND_SPOTS, set_value
-from inspe_jax.viewer.selection3d import HandleDrag
-from inspe_jax.viewer.sensor_controls import POSE
+from inspe_jax.viewer.panel import BLIND_SPOTS, POSE, set_value
+from inspe_jax.viewer.scene3d import HandleDrag
 
 Ready = Callable[[], object]
 """Comes back when something can be timed."""
@@ -192,7 +191,7 @@ def searching(viewer: Viewer, tab: Any) -> Iterator[Ready]:
     try:
         yield check
     finally:
-        viewer.stop()
+        viewer.queue.submit(viewer.searcher.stop)
         wait_until(lambda: not viewer.searching)
 
 

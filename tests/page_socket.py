@@ -1,11 +1,20 @@
 """A browser's side of the socket, without a browser: what a script can send."""
 
+import time
 from contextlib import contextmanager
 from urllib.parse import urlsplit
 
 import msgpack
 import viser
 from websockets.sync.client import connect
+
+
+def wait_until(true, seconds=120):
+    """Wait until something holds."""
+    end = time.monotonic() + seconds
+    while not true():
+        assert time.monotonic() < end, "it does not come to that"
+        time.sleep(0.01)
 
 
 @contextmanager

@@ -33,11 +33,8 @@ class Claims:
         self._before: dict[Path, tuple[int, int] | None] = {}
 
     def file(self, path: str | Path | None, suffixes: Collection[str] = (), *, force: bool) -> None:
-        """Raise InspeError unless the command may write a file, and could: before the work for it.
-
-        A ``path`` of None or "-" is accepted; ``suffixes`` as in
-        :func:`~inspe_jax.core.files.check_output`.
-        """
+        """Raise InspeError unless the command may write a file with one of the ``suffixes``, and
+        could: before the work for it. A ``path`` of None or "-" is accepted."""
         if path is not None and str(path) != "-":
             check_output(path, suffixes)
             check_writable(Path(path).parent)
@@ -73,11 +70,8 @@ class Claims:
         self._before |= {path: _stamp(path) for path in paths}
 
     def keep(self, save: Callable[[Path], Any], path: Path) -> Path:
-        """Save what the command has worked for: where that fails, in a folder for temporary files.
-
-        Returns the path that it has. If it is another than was asked for, the command says so, and
-        its exit status is 1.
-        """
+        """Save what the command has worked for, and return its path: where that fails, in a folder
+        for temporary files, which the command says, and its exit status is 1."""
         try:
             save(path)
             return path

@@ -169,11 +169,14 @@ def _root(
         jax.config.update("jax_enable_compilation_cache", False)
 
 
-def scene_and_layout(source: str, sensors: str, profile: str | None) -> tuple[Scene, Layout]:
+def scene_and_layout(
+    source: str, sensors: str, profile: str | None, *, unit_rule: bool = True
+) -> tuple[Scene, Layout]:
     """A scene, and a layout on it from a file or from the name of a strategy."""
-    check_layout(sensors)
-    world = load_scene(source, profile)
-    return world, layout_on(world, sensors)
+    check_layout(sensors, unit_rule=unit_rule)
+    with busy(f"reading {source}"):
+        world = load_scene(source, profile)
+        return world, layout_on(world, sensors, unit_rule=unit_rule)
 
 
 def check_layout(sensors: str, *, unit_rule: bool = True) -> None:
@@ -185,11 +188,8 @@ def check_layout(sensors: str, *, unit_rule: bool = True) -> None:
 
 
 def layout_on(world: Scene, sensors: str, *, unit_rule: bool = True) -> Layout:
-    """A layout on a scene, from a file or from the name of a strategy.
-
-    With ``unit_rule``, the sensors of each unit in the file must be close to each other; see
-    :func:`~inspe_jax.sensing.layout.make_layout`.
-    """
+    """A layout on a scene, from a file or from the name of a strategy. With ``unit_rule``, the
+    sensors of each unit in the file must be close to each other."""
     layout = layout_of(sensors, world, unit_rule=unit_rule)
     if layout.profile not in (None, here := world.profile.name):
         made = f"{layout.name} was made under the profile {layout.profile}"
@@ -206,11 +206,8 @@ def busy(what: str) -> Iterator[None]:
 
 @contextmanager
 def progress(what: str) -> Iterator[Any]:
-    """Show a progress bar on a terminal; yields a callback (done, total), or None elsewhere.
-
-    The callback may be told ``what`` is counted now, and begins anew where that has changed; and
-    ``facts`` to show beside it.
-    """
+    """Show a progress bar on a terminal; yields a callback (done, total), or None elsewhere. The
+    callback may be told ``what`` is counted now, and ``facts`` to show beside it."""
     with step(what, writes=True), _bar(what) as report:
         yield report
 
@@ -253,10 +250,8 @@ def resumable() -> Iterator[None]:
 
 @contextmanager
 def search_bar(what: str) -> Iterator[Callable[[float, float, str], None]]:
-    """Show a bar with the best score and the time left, on a terminal.
-
-    Yields a callback (fraction done, best score, what is being done).
-    """
+    """Show a bar with the best score and the time left, on a terminal; yields a callback (fraction
+    done, best score, what is being done)."""
     bar = _bar(what, counted=False, facts="compiling …")
     with step(what, search=True) as search, bar as report:
 

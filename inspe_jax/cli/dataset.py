@@ -1,24 +1,19 @@
 """Data sets: `inspe generate`, and `inspe dataset stats`, `check`, `cache` and `show`."""
 
-import re
 from collections import Counter
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import typer
 from rich.text import Text
 
 from inspe_jax.cli import common
 from inspe_jax.cli.claims import claims
-from inspe_jax.cli.options import command
-from inspe_jax.core.errors import InspeError, check_known
+from inspe_jax.cli.options import command, parts_of
+from inspe_jax.core.errors import check_known
 from inspe_jax.core.files import check_folder, csv_text, write_text
 from inspe_jax.core.words import counted
 from inspe_jax.simulation.backends import BACKENDS, server_of
-
-if TYPE_CHECKING:
-    from inspe_jax.dataset import Generation
 
 dataset_app = typer.Typer(
     help="Look at data sets: statistics, single frames, and whether files are damaged.",
@@ -81,6 +76,7 @@ def generate(
     """
     from inspe_jax.dataset import generate as run
     from inspe_jax.dataset import load_generation
+    from inspe_jax.dataset.tables import content_table
     from inspe_jax.simulation.recorder import Server
 
     check_folder(folder)
@@ -92,7 +88,12 @@ def generate(
     server_of(backend or generation.backend, server)
     common.note(*generation.notes)
     if dry_run:
-        _tell_what_it_would_hold(generation)
+        each = ", ".join(f"{len(plans)} {split}" for split, plans in generation.splits.items())
+        common.out.print(
+            f"{generation.name}: {counted(len(generation.scenarios), 'scenario')} ({each}), "
+            f"{counted(generation.frames, 'frame')}"
+        )
+        common.out.print(content_table(generation))
         return
     with common.resumable(), common.progress("frames") as report:
         result = run(
@@ -120,18 +121,6 @@ def generate(
         failed = counted(len(result.failures), "scenario")
         common.err.print(f"{failed} could not be generated; the same command tries again")
         raise typer.Exit(1)
-
-
-def _tell_what_it_would_hold(generation: "Generation") -> None:
-    """Print how many scenes, scenarios and frames the splits have, and of what."""
-    from inspe_jax.dataset.tables import content_table
-
-    each = ", ".join(f"{len(plans)} {split}" for split, plans in generation.splits.items())
-    common.out.print(
-        f"{generation.name}: {counted(len(generation.scenarios), 'scenario')} ({each}), "
-        f"{counted(generation.frames, 'frame')}"
-    )
-    common.out.print(content_table(generation))
 
 
 @command(dataset_app, name="stats")
@@ -235,19 +224,15 @@ def decode(data: Path, *, into: Path, size: str = "400x300", workers: int | None
     """
     from inspe_jax.dataset import cache
 
+    pictures = None
+    if size != "none":
+        form = "width and height such as 400x300, or none"
+        pictures = parts_of("pictures", size, "x", int, (2,), form)[::-1]
     with common.progress("frames") as tell:
-        made = cache(data, into, pictures=_picture_size(size), workers=workers, progress=tell)
+        made = cache(data, into, pictures=pictures, workers=workers, progress=tell)
     frames = sum(scenario.record.frames for scenario in made.scenarios)
     scenarios = counted(len(made.scenarios), "scenario")
     common.out.print(f"{scenarios}, {counted(frames, 'frame')}\nwrote {into}")
-
-
-def _picture_size(text: str) -> tuple[int, int] | None:
-    """Height and width of an option such as 400x300; None for none."""
-    found = re.fullmatch(r"(\d+)x(\d+)", text)
-    if not found and text != "none":
-        raise InspeError(f"--pictures {text}: width and height such as 400x300, or none")
-    return (int(found[2]), int(found[1])) if found else None
 
 
 @command(dataset_app, name="show")

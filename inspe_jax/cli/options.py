@@ -16,7 +16,7 @@ import copy
 import functools
 import inspect
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Container
 from dataclasses import asdict, dataclass, fields, is_dataclass
 from math import isnan
 from pathlib import Path
@@ -24,8 +24,8 @@ from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
 import typer
 
-from inspe_jax.cli.common import PANELS, app
-from inspe_jax.core.errors import InspeError
+from inspe_jax.cli.common import PANELS, app, busy
+from inspe_jax.core.errors import InspeError, error_at
 from inspe_jax.core.files import check_input
 from inspe_jax.mounting.mixes import mix_name
 from inspe_jax.placement.constraints import Constraints
@@ -316,7 +316,8 @@ class SearchOptions(ScoreOptions):
 
     def cases(self, scene: Scene) -> list[Case]:
         """The scene and those of ``--also``, each in every light that is given."""
-        worlds = [scene, *(load_scene(other, self.profile) for other in self.also or ())]
+        with busy("reading the other scenes"):
+            worlds = [scene, *(load_scene(other, self.profile) for other in self.also or ())]
         return [Case(world, conditions) for world in worlds for conditions in self.each_light()]
 
     def checked(self, **objective: Any) -> tuple[Objective, Constraints]:
@@ -378,6 +379,15 @@ def _places(given: list[str]) -> str | dict[str, str]:
             "you name; other units may then stand anywhere"
         )
     return named or (whole[0] if whole else "any")
+
+
+def parts_of(
+    option: str, text: str, mark: str, kind: Callable[[str], Any], counts: Container[int], form: str
+) -> tuple[Any, ...]:
+    """The numbers in an option's text, between marks. Raises InspeError for any other text."""
+    parts = text.split(mark)
+    with error_at(f"--{option} {text}: write {form}", ValueError):
+        return tuple(map(kind, parts if len(parts) in counts else [""]))
 
 
 def prices(given: list[str] | None) -> dict[str, float]:

@@ -121,15 +121,12 @@ def _train_many(
     if len(wanted) > 1:
         folders = [folders[0] / f"{own.model}_{own.seed}" for own in wanted]
         prepare_folder(folder)
-    jobs = [
-        training.Training(data.path.resolve(), into, own, BevGrid())
-        for into, own in zip(folders, wanted, strict=True)
-    ]
-    failed = 0
+    path, grid = data.path.resolve(), BevGrid()
+    pairs = zip(folders, wanted, strict=True)
+    jobs = [training.Training(path, into, own, grid) for into, own in pairs]
+    failed, how = 0, dict[str, Any](workers=workers, scheduler=scheduler)
     with common.progress("steps") as tell:
-        for job, found in training.train_all(
-            jobs, workers=workers, scheduler=scheduler, progress=tell
-        ):
+        for job, found in training.train_all(jobs, progress=tell, **how):
             if isinstance(found, Exception):
                 failed += 1
                 common.err.print(f"{job.folder.name}: {found}")

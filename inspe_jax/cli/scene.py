@@ -12,8 +12,8 @@ import numpy as np
 
 from inspe_jax.cli import common
 from inspe_jax.cli.claims import claims
-from inspe_jax.cli.options import SceneOptions, command
-from inspe_jax.core.errors import InspeError, error_at
+from inspe_jax.cli.options import SceneOptions, command, parts_of
+from inspe_jax.core.errors import InspeError
 from inspe_jax.core.files import check_input, whole_file
 from inspe_jax.mounting import strategies
 from inspe_jax.mounting.site import Site
@@ -132,7 +132,9 @@ def scene(
                         raise InspeError(f"{source}: {choose}; --list shows the junctions")
                     junction = str(known[0].id)
                 if at is not None:
-                    junction = str(junction_at(path, *_degrees(at), driving_side).id)
+                    form = "LAT,LON, such as 48.137,11.575"
+                    lat, lon = parts_of("at", at, ",", float, (2,), form)
+                    junction = str(junction_at(path, lat, lon, driving_side).id)
                 named: dict[str, Any] = dict(junction=junction, center=center)
                 place = read_map(path, **named, radius=size, driving_side=driving_side)
                 place = place if elevation is None else with_elevation(place, elevation, size)
@@ -191,14 +193,12 @@ class CalibrationOptions:
         given = {key: x for key, x in asdict(self).items() if x is not None and key != "files"}
         for path in self.files or ():
             check_input(path)
-        for key, mark, kind, counts, form in (
-            ("transform", ",", float, (4, 16), "X,Y,Z,YAW, such as 12.5,-3,0,90, or 16 numbers"),
-            ("size", "x", int, (2,), "WIDTHxHEIGHT, such as 1920x1080"),
-        ):
-            parts = str(given.get(key, "")).split(mark)
-            with error_at(f"--{key} {given.get(key)}: write {form}", ValueError):
-                if key in given:
-                    given[key] = tuple(map(kind, parts if len(parts) in counts else [""]))
+        if self.transform is not None:
+            form = "X,Y,Z,YAW, such as 12.5,-3,0,90, or 16 numbers"
+            given["transform"] = parts_of("transform", self.transform, ",", float, (4, 16), form)
+        if self.size is not None:
+            form = "WIDTHxHEIGHT, such as 1920x1080"
+            given["size"] = parts_of("size", self.size, "x", int, (2,), form)
         return given
 
 
@@ -286,15 +286,6 @@ def examples(folder: Path = Path()) -> None:
         with whole_file(path) as file:
             file.write(gzip.decompress(content) if item.name.endswith(".gz") else content)
         common.out.print(f"wrote {path}")
-
-
-def _degrees(text: str) -> tuple[float, float]:
-    """The latitude and longitude of ``--at``. Raises InspeError for any other text."""
-    try:
-        lat, lon = (float(part) for part in text.split(","))
-    except ValueError:
-        raise InspeError(f"--at {text}: write LAT,LON, such as 48.137,11.575") from None
-    return lat, lon
 
 
 def _list_places(source: str) -> None:

@@ -47,9 +47,8 @@ def score(
 
     claims.outputs(plot, record, force=force)
     conditions, objective = options.conditions, options.objective()
-    with common.busy(f"reading {source}"):
-        world, placed = common.scene_and_layout(source, sensors, options.profile)
-        case = Case(objective.within(world), conditions)
+    world, placed = common.scene_and_layout(source, sensors, options.profile)
+    case = Case(objective.within(world), conditions)
     with common.busy("scoring"):
         scores = scores_of(case, placed, objective)
         sought = options.sought(case, placed)
@@ -97,8 +96,7 @@ def targets(
     conditions, curves = options.conditions, options.curves()
     check_known(road_user, CLASSES, "road user")
     check_known(edition, BANDS, "edition")
-    with common.busy(f"reading {source}"):
-        world, placed = common.scene_and_layout(source, sensors, options.profile)
+    world, placed = common.scene_and_layout(source, sensors, options.profile)
     with common.busy("counting rays"):
         view = target_view(world, placed, road_user, conditions=conditions, detection=curves)
     found = targets_record(world, placed, view, edition)
@@ -145,8 +143,7 @@ def tolerance(
     errors = dict[str, Any](position=position, angle=turn, samples=samples, seed=seed)
     check_errors(**errors)
     conditions = options.conditions
-    with common.busy(f"reading {source}"):
-        world, placed = common.scene_and_layout(source, sensors, options.profile)
+    world, placed = common.scene_and_layout(source, sensors, options.profile)
     with common.progress("installations") as report:
         case = Case(world, conditions)
         found = installed(case, placed, **errors, objective=objective, progress=report)

@@ -82,14 +82,14 @@ def optimise(
     mix = _mix(options.device, sensors)
     if poles is not None and not mix:
         raise InspeError("--poles is for a mix: give --device; a layout has its poles already")
-    with common.busy(f"reading {source}"):
-        if mix:
+    if mix:
+        with common.busy(f"reading {source}"):
             world = load_scene(source, options.profile)
             placed = starting_layout(world, mix, poles=poles)
-        else:
-            given = sensors or common.DEFAULT_LAYOUT
-            world, placed = common.scene_and_layout(source, given, options.profile)
-        cases = options.cases(world)
+    else:
+        given = sensors or common.DEFAULT_LAYOUT
+        world, placed = common.scene_and_layout(source, given, options.profile)
+    cases = options.cases(world)
     with common.search_bar("searching") as callback:
         result = search.optimise(
             cases,
@@ -147,7 +147,7 @@ def compare(
         methods (A,B,…): Search methods, separated by commas; all but the controls if not given.
         seeds: Number of searches by each method; their seeds count from 0.
     """
-    from inspe_jax.report.curves import history_view
+    from inspe_jax.report.searches import history_view
     from inspe_jax.report.tables import comparison_table
 
     files = ("compare.csv", "history.csv", "layout.yaml", "compare.png")
@@ -157,9 +157,8 @@ def compare(
     controls = {method.name for method in CONTROLS}
     names = names or [name for name in search.methods() if name not in controls]
     search.check_search(names, start, range(seeds))
-    with common.busy(f"reading {source}"):
-        world, placed = common.scene_and_layout(source, sensors, options.profile)
-        cases = options.cases(world)
+    world, placed = common.scene_and_layout(source, sensors, options.profile)
+    cases = options.cases(world)
     runs = [(name, seed) for name in names for seed in range(seeds)]
     with common.search_bar("comparing") as callback:
         results = search.compare(
@@ -210,7 +209,7 @@ def pareto(
     Args:
         budget (USD): Leave out mixes of devices that cost more.
     """
-    from inspe_jax.report.curves import pareto_view
+    from inspe_jax.report.searches import pareto_view
     from inspe_jax.report.tables import pareto_table
 
     objective, constraints = options.checked(budget=budget)
@@ -219,7 +218,8 @@ def pareto(
     names = ("pareto.csv", "pareto.png", *map(studies.layout_file, mixes))
     claims.folder(folder, names, force=force)
     with common.busy(f"reading {source}"):
-        cases = options.cases(load_scene(source, options.profile))
+        world = load_scene(source, options.profile)
+    cases = options.cases(world)
     with common.search_bar("searching") as callback:
         found = studies.pareto(
             cases,
@@ -263,9 +263,8 @@ def _find_cheapest(
     given = device_counts(options.device) if options.device else None
     if given:
         studies.device_mixes(given, objective)
-    with common.busy(f"reading {source}"):
-        world, placed = common.scene_and_layout(source, sensors, options.profile)
-        cases = options.cases(world)
+    world, placed = common.scene_and_layout(source, sensors, options.profile)
+    cases = options.cases(world)
     names = [sensor.spec.name for sensor in placed.sensors]
     of_layout = {name: range(names.count(name) + 1) for name in sorted({*names})}
     with common.search_bar("searching") as callback:
@@ -290,7 +289,7 @@ def _find_cheapest(
 
 def _save(world: Scene, result: Result, folder: Path) -> Path:
     """Write and draw a search, in the folder that is returned."""
-    from inspe_jax.report.progress import before_after
+    from inspe_jax.report.searches import before_after
 
     folder = claims.keep(partial(save_result, result), folder)
     common.out.print(

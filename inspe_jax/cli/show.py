@@ -117,10 +117,7 @@ def view(
 
     check_output(path, (".yaml", ".yml"))
     conditions, objective = options.conditions, options.objective()
-    common.check_layout(sensors, unit_rule=False)
-    with common.busy(f"reading {source}"):
-        world = load_scene(source, options.profile)
-        layout = common.layout_on(world, sensors, unit_rule=False)
+    world, layout = common.scene_and_layout(source, sensors, options.profile, unit_rule=False)
     viewer = Viewer(
         Case(world, conditions),
         layout,
@@ -192,8 +189,7 @@ def export(
     paths = files or [Path("plan.geojson")]
     for path in paths:
         claims.file(path, PLAN_FORMATS, force=force)
-    with common.busy(f"reading {source}"):
-        world, placed = common.scene_and_layout(source, sensors, None)
+    world, placed = common.scene_and_layout(source, sensors, None)
     texts = [PLAN_FORMATS[p.suffix.lower()](placed, world.intersection, given) for p in paths]
     place = world.intersection
     if place.georeference and (doubt := place.georeference.doubt(place.center)):

@@ -24,11 +24,8 @@ CTRL_C = 130  # exit status of a command that Ctrl-C has ended
 
 @dataclass
 class Step:
-    """What a command does now.
-
-    ``search``: compiling does not count as its time. ``writes``: Ctrl-C lets it write what it has.
-    ``asked``: Ctrl-C was pressed.
-    """
+    """What a command does now. ``search``: compiling does not count as its time. ``writes``: Ctrl-C
+    lets it write what it has. ``asked``: Ctrl-C was pressed."""
 
     what: str
     search: bool = False
@@ -59,10 +56,8 @@ def stopped() -> str:
 
 @contextlib.contextmanager
 def attended(say: Callable[[str], None], leave: Callable[[int], Any]) -> Iterator[None]:
-    """Let Ctrl-C be answered in the block at any time, and long compiling be told of, once.
-
-    ``say`` prints a line; ``leave`` ends the process with a status.
-    """
+    """Let Ctrl-C be answered in the block at any time, and long compiling be told of, once: ``say``
+    prints a line, ``leave`` ends the process with a status."""
     _steps.clear()
     began = compiled().seconds
     # A shell's background job has Ctrl-C ignored.

@@ -193,14 +193,13 @@ def _show(found: "CityPlan", georeference: Georeference | None) -> None:
 
 def _projection(place: RoadMap) -> Georeference | None:
     """The projection of a map; None where it has none, and with a note where it cannot be used."""
-    georeference = place.georeference
-    if georeference is not None:
-        try:
-            georeference.check()
-        except InspeError as e:
-            common.note(f"no coordinates: {e}")
-            return None
-    return georeference
+    try:
+        if place.georeference is not None:
+            place.georeference.check()
+        return place.georeference
+    except InspeError as e:
+        common.note(f"no coordinates: {e}")
+        return None
 
 
 def _geojson(

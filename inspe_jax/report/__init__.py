@@ -8,11 +8,10 @@ from typing import Any
 from inspe_jax.core.lazily import lazily
 
 _MODULES = {
-    "report.curves": ("history_view", "pareto_view"),
     "report.figures": ("plan_view", "scene_view"),
     "report.handover": ("bill_of_materials", "calibration_json", "plan_geojson", "plan_kml"),
-    "report.progress": ("before_after",),
     "report.scene_tables": ("devices_table", "layout_table", "scene_table"),
+    "report.searches": ("before_after", "history_view", "pareto_view"),
     "report.tables": (
         "blind_spots_table", "comparison_table", "metrics_table", "moves_table", "pareto_table",
         "scores_table", "tolerance_table",

@@ -1,8 +1,5 @@
-"""Plan views of a scene and of a scored layout.
-
-Colours are those of Okabe and Ito's palette and of cividis, which readers with any colour vision
-can tell apart.
-"""
+"""Plan views of a scene and of a scored layout, in colours that readers with any colour vision can
+tell apart: those of Okabe and Ito's palette and of cividis."""
 
 from collections import defaultdict
 from collections.abc import Callable, Sequence
@@ -136,11 +133,9 @@ def in_math(metric: Metric) -> str:
 def column_raster(
     voxels: VoxelGrid, values: Float[np.ndarray, " L"]
 ) -> tuple[Float[np.ndarray, "N N"], tuple[float, float, float, float]]:
-    """A value for each column as an image, NaN where there is no column; and (x0, x1, y0, y1) [m].
-
-    Rows run northward and columns of the image eastward from the south-west corner, so that each
-    pixel is its voxel column's true square. Raises InspeError if L is not the number of columns.
-    """
+    """A value for each column as an image, NaN where there is no column, from the south-west corner
+    northward and eastward; and (x0, x1, y0, y1) [m]. Raises InspeError if L is not the number of
+    columns."""
     values = np.asarray(values, float)
     if values.shape != (len(voxels.columns),):
         raise InspeError(
@@ -158,8 +153,8 @@ def column_raster(
 def layer_raster(
     voxels: VoxelGrid, layer: MapLayer
 ) -> tuple[Float[np.ndarray, "N N"], tuple[float, float, float, float]]:
-    """:func:`column_raster` of a layer as maps show it: of squares about each column where it asks.
-    They are the columns that there are in :func:`~inspe_jax.report.layers.cell_rows` rows."""
+    """:func:`column_raster` of a layer as maps show it: where it asks, of squares of
+    :func:`~inspe_jax.report.layers.cell_rows` rows about each column."""
     raster, extent = column_raster(voxels, layer.values)
     rows = cell_rows(voxels.spacing)
     if not layer.averaged or rows < 2:
@@ -180,11 +175,8 @@ def layer_raster(
 def spread_badges(
     anchors: Float[np.ndarray, "S 2"], toward: Float[np.ndarray, "S 2"], gap: float
 ) -> Float[np.ndarray, "S 2"]:
-    """Places for labels, each ``gap`` from its anchor in the wished direction if possible.
-
-    No two labels are nearer to each other than ``gap``, and no label is nearer to an anchor than
-    0.75·``gap``. ``toward`` has unit vectors; the rest is in metres.
-    """
+    """Places [m] for labels, each ``gap`` from its anchor in the direction ``toward`` if possible;
+    no two are nearer to each other than ``gap``, and none to an anchor than 0.75·``gap``."""
     turn = np.arange(len(anchors)) * 2.4  # the golden angle separates labels with the same wish
     place = anchors + gap * toward + 1e-3 * gap * np.column_stack([np.cos(turn), np.sin(turn)])
     for _ in range(1000):
@@ -276,23 +268,18 @@ def draw_plan(
     own: Sequence[int] | None = None,
 ) -> AxesImage:
     """Draw a map of ``reach`` [m] and ``side`` [inch]: a layer, and over it a frame's road users if
-    one is given, what each sensor looks at, and its number.
-
-    ``own`` are the places in the layout of the sensors that are drawn, all if None. Raises
-    InspeError if the layer is of another scene.
-    """
+    one is given, what each sensor looks at, and its number; or only the sensors at the places
+    ``own``. Raises InspeError if the layer is of another scene."""
     raster, extent = layer_raster(scene.voxels, layer)
     sheet.frame_map(ax, scene.voxels.center, scene.voxels.radius, reach)
     own = range(len(layout)) if own is None else own
     specs, poses = [layout.sensors[s].spec for s in own], np.asarray(layout.poses, float)[[*own]]
-    colors: Any = layer.colors
+    look: dict[str, Any] = dict(cmap=layer.colors, vmin=0.0, vmax=layer.most)
     if layer.kinds:
         colors = ListedColormap([color for _, color in layer.kinds])
-    low, high = (-0.5, len(layer.kinds) - 0.5) if layer.kinds else (0.0, layer.most)
-    image = ax.imshow(
-        raster, extent=extent, origin="lower", cmap=colors, vmin=low, vmax=high,
-        interpolation="nearest", zorder=0.5,
-    )  # fmt: skip
+        look = dict(cmap=colors, vmin=-0.5, vmax=len(layer.kinds) - 0.5)
+    look |= dict(interpolation="nearest", zorder=0.5)
+    image = ax.imshow(raster, extent=extent, origin="lower", **look)
     draw_regions(ax, scene, lambda _: OUTLINE)
     draw_bodies(ax, scene)
     if frame is not None:
@@ -369,8 +356,7 @@ def _color_bar(fig: Figure, panel: Axes, image: Any, layer: MapLayer) -> float:
     if layer.most != 1.0:
         round_numbers = MaxNLocator(5, steps=[1, 2, 5, 10]).tick_values(0, layer.most)
         ticks = [float(f"{tick:g}") for tick in round_numbers if 0 <= tick <= layer.most]
-    bar = fig.colorbar(image, cax=axes, orientation="horizontal", ticks=ticks)
-    bar.ax.set_xticklabels([f"{tick:g}" for tick in ticks])
+    fig.colorbar(image, cax=axes, orientation="horizontal", ticks=ticks, format="{x:g}")
     middle = panel.get_xlim()[1] / 2
     panel.text(middle, -1, layer.label, ha="center", va="top", linespacing=1.2)
     return low + 22.0

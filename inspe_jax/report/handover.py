@@ -29,13 +29,10 @@ FILL = "30"  # alpha of what is within them
 
 
 def plan_features(layout: Layout, place: Intersection) -> list[dict[str, Any]]:
-    """A plan as GeoJSON features in degrees: units, sensors, and what each sensor looks at.
-
-    A ``view`` is a polygon on level ground at the height of the sensor's foot, without regard to
-    what stands in the way. A unit says what it ``stands_on``, as the installation schedule does; it
-    is where the layout has it, and ``pole`` is where an existing pole beside it stands (longitude,
-    latitude). Raises InspeError if the place has no coordinates.
-    """
+    """A plan as GeoJSON features in degrees: units, sensors, a ``view`` of each, on level ground
+    at the height of its foot, whatever stands in the way. A unit is where the layout has it, says
+    what it ``stands_on``, and where an existing ``pole`` beside it stands (longitude, latitude).
+    Raises InspeError if the place has no coordinates."""
     found, poses = layout_features(layout, place), np.asarray(layout.poses, float)
     units = (one["properties"] for one in found if one["properties"]["feature"] == "unit")
     for about, row in zip(units, installation_schedule(layout, place, {}), strict=True):

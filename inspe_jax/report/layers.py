@@ -32,14 +32,10 @@ USER_COLOR = "#fafafa"
 
 @dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
 class MapLayer:
-    """A value for each column, and how it is shown.
-
-    ``values`` (L,) may be NaN, for no value; ``label`` says what they are, with their unit. They
-    are shown in the colour map ``colors``, from 0 to ``most``. If there are ``kinds``, pairs of a
-    name and a colour, each value is the number of a kind instead. If ``averaged``, maps show the
-    mean or the most frequent kind of squares as wide as :data:`CELL`: of single columns, rays that
-    miss some voxels and hit their neighbours make rings.
-    """
+    """A value for each column, NaN for none, and how it is shown: in the colour map ``colors`` from
+    0 to ``most``; or each as the number of one of ``kinds``, pairs of a name and a colour. If
+    ``averaged``, maps show the mean or the most frequent kind of squares as wide as :data:`CELL`:
+    of single columns, rays that miss some voxels and hit their neighbours make rings."""
 
     label: str
     values: Float[np.ndarray, " L"]

@@ -18,12 +18,9 @@ FARTHEST = 100.0  # a shadow on the ground ends at most this many times as far a
 def view_outline(
     spec: Spec, pose: Float[np.ndarray, "6"], level: float
 ) -> Float[np.ndarray, "N 2"]:
-    """Closed outline [m] in plan of what a sensor looks at, above the ground at height ``level``.
-
-    Of a camera, which is aimed, its rays to where they meet level ground or end. Of others a sector
-    of the horizontal field of view, up to the reach, that begins and ends at the sensor; or a
-    circle for a sensor that looks all round.
-    """
+    """Closed outline [m] in plan of what a sensor looks at, above level ground at ``level``: of
+    one that is aimed, its rays to where they meet level ground or end; of others a sector from the
+    sensor up to the reach, or a circle."""
     if spec.aimed:
         points = np.vstack([pose[:2], _ray_ends(spec, pose, level)])
         return shapely.get_coordinates(shapely.convex_hull(shapely.multipoints(points)))
@@ -37,11 +34,8 @@ def view_outline(
 def clear_outlines(
     scene: Scene, spec: Spec, pose: Float[np.ndarray, "6"]
 ) -> list[Float[np.ndarray, "N 2"]]:
-    """:func:`view_outline` less what houses and walls hide of it, as closed rings [m].
-
-    Of the ground behind a body, it hides what lies below the sight lines over its top. One beneath
-    the sensor hides nothing here.
-    """
+    """:func:`view_outline` less the ground that houses and walls hide, below the sight lines over
+    their tops, as closed rings [m]. A body beneath the sensor hides nothing here."""
     level = float(scene.intersection.ground(pose[None, :2])[0])
     ring, high = view_outline(spec, pose, level), pose[2] - level
     bodies = [one for one in scene.statics if one.kind in HIDING and one.base == 0]

@@ -24,11 +24,10 @@ from inspe_jax.placement.objective import Objective
 from inspe_jax.placement.problem import Case
 from inspe_jax.placement.result import STATUSES, Result
 from inspe_jax.report import schedule
-from inspe_jax.report.curves import history_view
 from inspe_jax.report.figures import SENSOR_COLORS, plan_view, scene_view
 from inspe_jax.report.layers import BLIND, SIGHT_COLORS, USER_COLOR, MapLayer, layers
-from inspe_jax.report.progress import before_after, same_sensors
 from inspe_jax.report.scene_tables import resolution_of
+from inspe_jax.report.searches import before_after, history_view, same_sensors
 from inspe_jax.report.tables import goal_words, scores_of, scores_record
 from inspe_jax.report.targets import targets_view
 from inspe_jax.scene.intersection import BUILT_IN
@@ -70,12 +69,9 @@ class PageViews(NamedTuple):
 
 @dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
 class ReportEntry:
-    """A layout with all that a page shows of it.
-
-    ``result``: that of the search that found it. ``start`` and ``before``: the layout before, and
-    its scores. ``target``: the P_sm that it should reach. ``targets``: what a pedestrian gets at
-    each place. ``sought``: the score that it was searched for, if that is not P_sm.
-    """
+    """A layout with all that a page shows of it: the ``result`` of the search that found it, the
+    layout before (``start``) and its scores (``before``), the ``target`` for P_sm, what a
+    pedestrian gets at each place (``targets``), and the score ``sought``, if that is not P_sm."""
 
     layout: Layout
     scores: Scores
@@ -96,11 +92,8 @@ def report_entry(
     start: Layout | None = None,
     target: float | None = None,
 ) -> ReportEntry:
-    """Score a layout for a page. Raises InspeError as :func:`scores_of`.
-
-    ``result`` is that of the search that found the layout, if any. ``start`` is the layout to
-    compare with, that of the search if None. ``target`` is the P_sm that the layout should reach.
-    """
+    """Score a layout for a page, and ``start``, by default that of the search that has found it.
+    Raises InspeError as :func:`scores_of`."""
     scene, around = case.scene, case.conditions
     start = result.start if start is None and result is not None else start
     found, targets = scores_of(case, layout, objective), None
@@ -127,15 +120,9 @@ def report_page(
     views: PageViews | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> str:
-    """The page of one or several layouts on a scene, as HTML.
-
-    ``frame``: number of the frame of traffic that is drawn.
-    ``prices``: of devices [US dollars], in place of the catalogue's.
-    ``views``: without them the page has no photograph and no scene in three dimensions.
-    ``progress``: called with (steps done, steps).
-
-    Raises InspeError if there is no layout, two have the same name, or there is no such frame.
-    """
+    """The page of one or several layouts on a scene, as HTML, with ``prices`` [US dollars] in place
+    of the catalogue's. ``progress`` is called with (steps done, steps). Raises InspeError if there
+    is no layout, two have the same name, or there is no such frame."""
     check_names([entry.layout.name for entry in entries])
     parts: list[dict[str, Any]] = []
     steps = count(1)
@@ -170,6 +157,7 @@ def report_page(
         parts.append(part)
     records = [part["record"] for part in parts]
     metrics = listed_in(*(entry.scores for entry in entries))
+    covered = records[0]["region_coverage"]
     return template("report", "page.html.j2").render(
         scene=scene,
         north="true north" if scene.intersection.georeference else "north, the y axis of the map",
@@ -183,11 +171,7 @@ def report_page(
             f"hidden by traffic in frame {frame}": SIGHT_COLORS[Visibility.HIDDEN],
             "never in view": SIGHT_COLORS[Visibility.OUT_OF_VIEW],
             "road user": USER_COLOR,
-            **{
-                spec.title: SENSOR_COLORS[spec.kind]
-                for part in parts
-                for spec in part["specs"].values()
-            },
+            **{s.title: SENSOR_COLORS[s.kind] for part in parts for s in part["specs"].values()},
         },
         parts=parts,
         maps=(*CAPTIONS.values(), ON_TARGET),
@@ -248,9 +232,10 @@ def check_names(names: Sequence[str]) -> None:
     """Raise InspeError if there is no layout, or two have the same name."""
     if not names:
         raise InspeError("no layout to report on")
-    name = next((name for name in names if names.count(name) > 1), None)
-    if name is not None:
-        raise InspeError(f"two layouts are named '{name}': give each layout file another `name:`")
+    for name in names:
+        if names.count(name) > 1:
+            words = "give each layout file another `name:`"
+            raise InspeError(f"two layouts are named '{name}': {words}")
 
 
 def _shares(blind: MapLayer) -> list[tuple[str, str, float]]:

@@ -19,11 +19,10 @@ ON_AXIS = 0.005  # a sensor that is nearer to the axis of its pole is on it [m]
 
 @dataclass(frozen=True)
 class SensorRow:
-    """One sensor, with its ``number`` in the layout, from 1. ``position`` is x and y of its optical
-    centre [m], ``height`` that of the centre above the ground at its unit's base [m]. ``offset`` is
-    how far it hangs from the base in plan [m], towards ``offset_azimuth``. ``azimuth`` is the
-    direction that it faces; both are in degrees clockwise from north. ``tilt`` is how far it looks
-    down, ``roll`` how far its left side is up [degrees]. ``price``: US dollars, None if unknown."""
+    """One sensor, with its ``number`` from 1 and its ``price`` [US dollars], None if unknown.
+    ``position`` is x and y of its optical centre, ``height`` above the ground at its unit's base,
+    ``offset`` how far it hangs from that in plan [m]. ``azimuth`` and ``offset_azimuth`` are
+    clockwise from north, ``tilt`` downward, ``roll`` with its left side up [degrees]."""
 
     number: int
     name: str
@@ -61,12 +60,9 @@ class UnitRow:
 
 @dataclass(frozen=True)
 class MaterialRow:
-    """A device: how many, on which units, and what one and all of them cost [US dollars].
-
-    ``words`` are the device and how its varifocal lens is set, ``hfov_deg``, None without one.
-    ``maker`` is empty for a device that the layout itself describes. ``product`` is False for the
-    model of a device that nobody sells.
-    """
+    """A device with its varifocal lens set in one way, ``hfov_deg``: how many, on which units, and
+    what one and all of them cost [US dollars]. ``maker`` is empty for a device that the layout
+    itself describes; ``product`` is False for a model that nobody sells."""
 
     device: str
     words: str
@@ -136,23 +132,20 @@ def materials(layout: Layout, prices: Mapping[str, float]) -> tuple[MaterialRow,
         one = known.get(name)
         title, maker = (one.title, one.maker) if one else ("", "")
         price, product = prices.get(name, one.price_usd if one else None), not one or one.product
-        row = MaterialRow(name, words, view, title, maker, count, price, units, product)
-        rows.append(row)
+        rows.append(MaterialRow(name, words, view, title, maker, count, price, units, product))
     return tuple(rows)
 
 
 def total_price(rows: tuple[MaterialRow, ...]) -> tuple[float | None, tuple[str, ...]]:
     """What all devices of known price cost [US dollars], None if there are none; and the others."""
-    unknown = tuple(row.words for row in rows if row.total is None)
     known = [row.total for row in rows if row.total is not None]
-    return sum(known) if known else None, unknown
+    return sum(known) if known else None, tuple(row.words for row in rows if row.total is None)
 
 
 def sensors_in_words(layout: Layout) -> str:
     """How many sensors of each kind there are: ``8 cameras and 4 LiDARs``."""
-    count = Counter(sensor.spec.kind for sensor in layout.sensors)
-    words = {"lidar": "LiDAR"}
-    return " and ".join(counted(number, words.get(kind, kind)) for kind, number in count.items())
+    kinds = (sensor.spec.kind.replace("lidar", "LiDAR") for sensor in layout.sensors)
+    return " and ".join(counted(number, kind) for kind, number in Counter(kinds).items())
 
 
 def _azimuths(place: Intersection, points: np.ndarray, yaw: np.ndarray) -> np.ndarray:
@@ -167,7 +160,6 @@ def _stand(place: Intersection, foot: np.ndarray) -> tuple[np.ndarray, str]:
     if not len(place.poles):
         return foot, "new pole"
     away = np.hypot(*(place.poles[:, :2] - foot).T)
-    k = int(away.argmin())
-    if away[k] < SAME_POLE:
-        return place.poles[k, :2], EXISTING_POLE
-    return foot, f"new pole, {away[k]:.0f} m from the nearest"
+    if away.min() < SAME_POLE:
+        return place.poles[away.argmin(), :2], EXISTING_POLE
+    return foot, f"new pole, {away.min():.0f} m from the nearest"

@@ -138,9 +138,9 @@ def before_after_table(result: Result) -> RenderableType:
         (m.words, m.symbol, before.value(m.name), after.value(m.name))
         for m in listed_in(before, after)
     ]
-    ends = (result.objective_before, before), (result.objective, after)
-    if any(abs(value - scores.surrogate) > _SAME for value, scores in ends):
-        rows.append(("objective", "", result.objective_before, result.objective))
+    objective = result.objective_before, result.objective
+    if not np.allclose(objective, [of.surrogate for of in (before, after)], rtol=0, atol=_SAME):
+        rows.append(("objective", "", *objective))
     for name, symbol, old, new in rows:
         look = "bold" if name == rows[-1][0] else ""
         table.add_row(name, symbol, f"{old:.3f}", f"{new:.3f}", f"{new - old:+z.3f}", style=look)

@@ -20,56 +20,36 @@ from inspe_jax.sensing.conditions import FAIR, Conditions
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.visibility.queries import check_frame
 
-Bands = tuple[tuple[float, str, str], ...]
-"""Kinds of columns: least number, words and colour of each."""
-RETURNS: Bands = (
-    (0.0, "< 1", "#202020"),
-    (1.0, f"1 – {FEW:g}", "#d55e00"),
-    (FEW, f"{FEW:g} – 16", "#f0e442"),
-    (16.0, "16 – 64", "#9ecae1"),
-    (64.0, "≥ 64", "#2171b5"),
-)
+Bands = dict[str, float]
+"""Kinds of columns: the least number of each, by its words."""
+RETURNS = {"< 1": 0.0, f"1 – {FEW:g}": 1.0, f"{FEW:g} – 16": FEW, "16 – 64": 16.0, "≥ 64": 64.0}
 """Kinds of columns by LiDAR returns on a target."""
-_COLORS = "#7a3b00", "#d55e00", "#f0e442", "#9ecae1", "#2171b5", "#6a51a3", "#3f007d"
-PIXELS: dict[str, Bands] = {
-    edition: (
-        (0.0, f"< {min(bands.values()):g}", "#202020"),
-        *(
-            (least, f"{name}, ≥ {least:g}", color)
-            for (name, least), color in zip(bands.items(), _COLORS, strict=False)
-        ),
-    )
+CHANCES = {"< 50 %": 0.0, "50 – 80 %": 0.5, "80 – 90 %": 0.8, "90 – 95 %": 0.9, "≥ 95 %": 0.95}
+"""Kinds of columns by the chance that a detector finds a target."""
+PIXELS = {
+    edition: {f"< {min(bands.values()):g}": 0.0}
+    | {f"{name}, ≥ {least:g}": least for name, least in bands.items()}
     for edition, bands in BANDS.items()
 }
 """Kinds of columns by pixels per metre: the bands of each edition of IEC 62676-4."""
-
-CHANCES: Bands = (
-    (0.0, "< 50 %", "#202020"),
-    (0.5, "50 – 80 %", "#d55e00"),
-    (0.8, "80 – 90 %", "#f0e442"),
-    (0.9, "90 – 95 %", "#9ecae1"),
-    (0.95, "≥ 95 %", "#2171b5"),
-)
-"""Kinds of columns by the chance that a detector finds a target."""
+FIVE_COLORS = "#202020", "#d55e00", "#f0e442", "#9ecae1", "#2171b5"
+PIXEL_COLORS = "#202020", "#7a3b00", *FIVE_COLORS[1:], "#6a51a3", "#3f007d"
 
 _HEAD, _BELOW = 0.80, 1.10  # above and below the maps [inch]
 
 
-def banded(name: str, values: Float[np.ndarray, " L"], bands: Bands) -> MapLayer:
+def banded(values: Float[np.ndarray, " L"], bands: Bands, colors: Sequence[str]) -> MapLayer:
     """A layer whose columns have the kind of the highest band that they reach."""
-    number = np.searchsorted([least for least, _, _ in bands], values, side="right") - 1.0
+    number = np.searchsorted([*bands.values()], values, side="right") - 1.0
     number[np.isnan(values)] = np.nan
-    return MapLayer(name, number, kinds=tuple((words, color) for _, words, color in bands))
+    return MapLayer("", number, kinds=tuple(zip(bands, colors, strict=False)))
 
 
-def _ranging(layout: Layout) -> list[bool]:
-    """Which sensors count returns: LiDARs."""
-    return [sensor.spec.grid.of.signal.noise is not None for sensor in layout.sensors]
-
-
-def _seeing(layout: Layout) -> list[bool]:
-    """Which sensors count pixels: cameras."""
-    return [sensor.spec.focal_pixels is not None for sensor in layout.sensors]
+def _counting(layout: Layout) -> tuple[list[bool], list[bool]]:
+    """Which sensors count returns: LiDARs; and which pixels: cameras."""
+    specs = [sensor.spec for sensor in layout.sensors]
+    ranging = [spec.grid.of.signal.noise is not None for spec in specs]
+    return ranging, [spec.focal_pixels is not None for spec in specs]
 
 
 def _shares(
@@ -99,10 +79,11 @@ def targets_record(
         }
 
     record: dict[str, Any] = dict(scene=scene.name, layout=layout.name, road_user=view.road_user)
-    if any(_ranging(layout)):
-        returns = {f"at least {least:g}": least for least, _, _ in RETURNS[1:]}
+    ranging, seeing = _counting(layout)
+    if any(ranging):
+        returns = {f"at least {least:g}": least for least in [*RETURNS.values()][1:]}
         record["lidar_returns"] = of(view.points_on_target, returns)
-    if any(_seeing(layout)):
+    if any(seeing):
         record["pixels_per_metre"] = of(view.pixel_density, BANDS[edition])
     found = _shares(scene, view.detectability)
     record["detectability"] = {region: float(values.mean()) for region, values in found}
@@ -138,19 +119,20 @@ Panel = tuple[str, MapLayer, list[int]]
 def _panels(scene: Scene, layout: Layout, view: TargetView, edition: str) -> list[Panel]:
     """The maps of what a layout has, two at most: what its sensors have on a road user, and the
     chance that it is found where one kind of sensor leaves room for it."""
-    taken, panels = ~free_of_bodies(scene).any(1), list[Panel]()
-
-    def add(words: str, values: np.ndarray, bands: Bands, of: Sequence[bool]) -> None:
+    free, user, panels = free_of_bodies(scene).any(1), view.road_user, list[Panel]()
+    ranging, seeing = _counting(layout)
+    mean = "mean over frames of traffic"
+    for words, values, bands, of in (
+        (f"LiDAR returns on a {user},\n{mean}", view.points_on_target, RETURNS, ranging),
+        (f"pixels per metre across a {user},\nbest camera, without traffic", view.pixel_density,
+         PIXELS[edition], seeing),
+        (f"chance that a detector finds a {user},\n{mean}", view.detectability, CHANCES,
+         [True] * len(layout)),
+    ):  # fmt: skip
         if any(of):
-            own = np.flatnonzero(of).tolist()
-            panels.append((words, banded("", np.where(taken, np.nan, values), bands), own))
-
-    words = f"LiDAR returns on a {view.road_user},\nmean over frames of traffic"
-    add(words, view.points_on_target, RETURNS, _ranging(layout))
-    words = f"pixels per metre across a {view.road_user},\nbest camera, without traffic"
-    add(words, view.pixel_density, PIXELS[edition], _seeing(layout))
-    words = f"chance that a detector finds a {view.road_user},\nmean over frames of traffic"
-    add(words, view.detectability, CHANCES, [True] * len(layout))
+            colors = PIXEL_COLORS if of is seeing else FIVE_COLORS
+            layer = banded(np.where(free, values, np.nan), bands, colors)
+            panels.append((words, layer, np.flatnonzero(of).tolist()))
     return panels[:2]
 
 

@@ -11,9 +11,6 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from jaxtyping import UInt
-
 from inspe_jax.core.errors import InspeError
 from inspe_jax.placement.objective import Objective
 from inspe_jax.placement.problem import Case
@@ -25,11 +22,10 @@ from inspe_jax.viewer.job_queue import JobQueue
 from inspe_jax.viewer.page_views import VIEWS
 from inspe_jax.viewer.panel import Panel, set_value
 from inspe_jax.viewer.scene3d import look_from
-from inspe_jax.viewer.scorer import ScoredLayout, Scorer
-from inspe_jax.viewer.searcher import SearchEnding, Searcher
 from inspe_jax.viewer.server import HOST, new_token, quiet, serve
 from inspe_jax.viewer.session import LayoutSession
 from inspe_jax.viewer.store import LayoutStore
+from inspe_jax.viewer.workers import Scorer, SearchEnding, Searcher
 
 _FILE = '<div data-file style="padding:.2em 1em;font-size:.875em;overflow-wrap:anywhere">{}</div>'
 
@@ -48,12 +44,8 @@ class Viewer:
         token: str | None = None,
         port: int = 8080,
     ) -> None:
-        """Serve the page at once.
-
-        ``path`` is the layout's file. Of the ``objective``, weights, metrics and curves count.
-        ``token`` is the secret that ``url`` contains, a new one if not given: only who has it can
-        open the page. If ``port`` is taken, the next free one is used.
-        """
+        """Serve the page at once. ``path`` is the layout's file, ``token`` the secret in ``url``,
+        a new one if not given. If ``port`` is taken, the next free one is used."""
         self.case, self.objective = case, objective or Objective()
         self.store = LayoutStore(path, layout, case.scene)
         self.frames = case.scene.traffic.frame_count
@@ -71,14 +63,16 @@ class Viewer:
         self.panel = Panel(self.server.gui, self, self.frames)
         self.display = Display(self)
         self.scene3d = self.display.scene3d
-        self.scorer = Scorer(case, self.objective, self._on_scores, self._on_sight)
+        shown = self.display.show_scores, self.display.show_sight
+        later = self._in_turn(shown[0], "scores"), self._in_turn(shown[1], "sight")
+        self.scorer = Scorer(case, self.objective, *later)
         self.searcher = Searcher(
             case,
             self.objective,
             self.session.constraints,
-            progress=self._on_progress,
-            found=self._on_better,
-            ended=self._on_end,
+            progress=self._in_turn(self._on_progress, "progress"),
+            found=self._in_turn(self._on_better, "better"),
+            ended=self._in_turn(self._on_end),
         )
         self.panel.offer_earlier(self.store.earlier)
         self.queue.submit(lambda: self.display.draw_users(0))
@@ -95,10 +89,7 @@ class Viewer:
 
     def close(self, *, wait: bool = True) -> None:
         """Apply what is typed, stop the search, finish a report that is being written, and stop.
-
-        Without ``wait``, scores that are being computed are dropped: compiling may take a minute,
-        and cannot be interrupted.
-        """
+        Without ``wait``, scores that are being computed are dropped."""
         self.settle()
         self.searcher.close()
         self.scorer.close(wait=wait)
@@ -128,8 +119,7 @@ class Viewer:
 
     def _close_view(self, client: Any) -> None:
         """Keep what a browser has typed and dragged."""
-        view = self.views.get(client.client_id)
-        if view is not None:
+        if view := self.views.get(client.client_id):
             view.settle()
             self.views.pop(client.client_id, None)
             self.queue.submit(lambda: view.sensor_view.close(wait=False))
@@ -144,8 +134,7 @@ class Viewer:
 
     def remove(self, client: Any) -> None:
         """Remove what a browser has selected."""
-        view = self.views.get(client.client_id)
-        if view is not None:
+        if view := self.views.get(client.client_id):
             view.remove()
 
     # ── What any browser asks for ──
@@ -155,10 +144,6 @@ class Viewer:
         for view in list(self.views.values()):
             view.settle()
 
-    def restore(self) -> None:
-        """Show the controls as they were: a browser has asked in vain."""
-        self.queue.submit(self._show_controls, key="controls")
-
     def undo_or_redo(self, which: str) -> None:
         """Undo the last change, or redo it; ``which`` is "Undo" or "Redo"."""
 
@@ -167,10 +152,6 @@ class Viewer:
                 self.display.notify(which, f"there is nothing more to {which.lower()}", None)
 
         self.change(change)
-
-    def select_frame(self) -> None:
-        """Show the slider's frame."""
-        self.scorer.select_frame(self.panel.shown_frame)
 
     def look_at_all(self, client: Any) -> None:
         """Point a browser's camera at the whole scene again."""
@@ -193,20 +174,16 @@ class Viewer:
             if any(dropped):
                 self.show()  # and not what was being dragged
             else:
-                self._show_controls()
+                self.show_controls()
             self.searcher.start(self.layout, method, seconds, target)
 
         self.queue.submit(job)
 
-    def stop(self) -> None:
-        """Stop the search with its best layout so far."""
-        self.queue.submit(self.searcher.stop)
-
     # ── Files ──
 
     def save(self, path: Path | None = None) -> None:
-        """Save the layout in this file, which may be there, and in no other from now on; without
-        one in its own, but ask first if that would replace a file of an earlier run."""
+        """Save the layout in this file from now on, or in its own; of an earlier run's file, ask
+        before it is replaced."""
 
         def job() -> None:
             if path is None and self.store.would_replace(self.layout):
@@ -234,10 +211,8 @@ class Viewer:
         self.queue.submit(lambda: _send(client, self.store.path.name, layout_text(self.layout)))
 
     def write_report(self, client: Any) -> None:
-        """Write a report beside the layout's file, and send it to the browser that asks for it.
-
-        It has before and after where the layout is not as opened, and the target if one is set.
-        """
+        """Write a report beside the layout's file, and send it to the browser that asks for it:
+        with before and after where the layout is not as opened, and the target if one is set."""
 
         def job() -> None:
             self.panel.report.disabled = True
@@ -265,47 +240,34 @@ class Viewer:
 
         self.unless_searching(job)
 
-    # ── Callbacks of the scorer and the search, from their threads ──
+    # ── What the scorer and the search find; on the thread of the queue ──
 
-    def _on_scores(self, scored: ScoredLayout) -> None:
-        self.queue.submit(lambda: self.display.show_scores(scored), key="scores")
-
-    def _on_sight(self, layout: Layout, frame: int, sight: UInt[np.ndarray, " V"]) -> None:
-        self.queue.submit(lambda: self.display.show_sight(frame, sight), key="sight")
+    def _in_turn(self, show: Callable[..., Any], key: str | None = None) -> Callable[..., None]:
+        """A callback for other threads, which has this done by the queue."""
+        return lambda *found: self.queue.submit(lambda: show(*found), key=key)
 
     def _on_progress(self, done: float, best: float) -> None:
-        def job() -> None:
-            if not self.searching:
-                return
+        if self.searching:
             left = (1 - done) * float(self.panel.seconds.value)
             set_value(self.panel.bar, 100.0 * done)
             self.panel.course.content = f"best {best:.4f}, {left:.0f} s left"
 
-        self.queue.submit(job, key="progress")
-
     def _on_better(self, layout: Layout, score: float) -> None:
-        def job() -> None:
-            if not self.searching:
-                return
+        if self.searching:
             self.show_held(layout)
             self._keep(layout)
 
-        self.queue.submit(job, key="better")
-
     def _on_end(self, ending: SearchEnding) -> None:
-        def job() -> None:
-            self.searching = False
-            self.panel.searching(False)
-            if ending.layout is not None and (ending.gain > 0 or ending.failed):
-                self.session.take(ending.layout, ending.notes)
-            words = ending.words(time.monotonic() - self._began)
-            words = f"failed: {words}" if ending.failed else words
-            self.panel.course.content = f"{words[0].upper()}{words[1:]}"
-            color = "red" if ending.failed else "green" if ending.gain > 0 else None
-            self.display.notify("Search", words, color)
-            self.changed()
-
-        self.queue.submit(job)
+        self.searching = False
+        self.panel.searching(False)
+        if ending.layout is not None and (ending.gain > 0 or ending.failed):
+            self.session.take(ending.layout, ending.notes)
+        words = ending.words(time.monotonic() - self._began)
+        words = f"failed: {words}" if ending.failed else words
+        self.panel.course.content = f"{words[0].upper()}{words[1:]}"
+        color = "red" if ending.failed else "green" if ending.gain > 0 else None
+        self.display.notify("Search", words, color)
+        self.changed()
 
     # ── What is shown; on the thread of the queue ──
 
@@ -322,7 +284,7 @@ class Viewer:
                 change()
             finally:
                 if self.layout is before:
-                    self.restore()
+                    self.queue.submit(self.show_controls, key="controls")
                 else:
                     self.changed()
 
@@ -340,7 +302,7 @@ class Viewer:
             self._keep(self.layout)
         finally:
             self.display.draw(self.layout, self.session.faults(), self.session.notes)
-            self._show_controls()
+            self.show_controls()
             self.scorer.score(self.layout, whole=True)
 
     def show_held(self, layout: Layout) -> None:
@@ -348,7 +310,8 @@ class Viewer:
         self.display.draw(layout)
         self.scorer.score(layout, whole=False)
 
-    def _show_controls(self) -> None:
+    def show_controls(self) -> None:
+        """Show the controls of every browser as they should be."""
         for view in list(self.views.values()):
             view.show()
 

@@ -61,9 +61,8 @@ class BlindSpotPanel:
         self.picture.content = _IMAGE.render(png=image_text(figure, DOTS))
         for k, button in enumerate(self.buttons):
             button.visible = k < len(self.spots)
-            if button.visible:
-                spot = self.spots[k]
-                button.label = f"{LETTERS[k]}  {spot.name}: {spot.unseen:.0%} unseen"
+        for letter, button, spot in zip(LETTERS, self.buttons, self.spots, strict=False):
+            button.label = f"{letter}  {spot.name}: {spot.unseen:.0%} unseen"
         self._folder.visible = True
 
     def _look_at(self, k: int, client: Any) -> None:

@@ -11,12 +11,12 @@ from jaxtyping import Float
 from inspe_jax.core.errors import InspeError
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.viewer.job_queue import DelayedAction
+from inspe_jax.viewer.panel import POSE, SensorControls
+from inspe_jax.viewer.scene3d import HandleDrag, Selection3D
 from inspe_jax.viewer.score_panel import sensor_table
-from inspe_jax.viewer.scorer import ScoredLayout
-from inspe_jax.viewer.selection3d import HandleDrag, Selection3D
-from inspe_jax.viewer.sensor_controls import POSE, SensorControls
 from inspe_jax.viewer.sensor_view import SensorShot, SensorView
 from inspe_jax.viewer.session import LayoutSession
+from inspe_jax.viewer.workers import ScoredLayout
 
 TYPED = 0.7
 """A typed number is applied after this time without another key [s], or before another action."""

@@ -1,7 +1,7 @@
 """What browsers see: a layout in three dimensions, its voxels, and its scores beside them. Every
 public method runs on the queue's thread."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 from jaxtyping import UInt
@@ -13,11 +13,10 @@ from inspe_jax.scoring.evaluate import Scores
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.viewer.blind_spot_panel import BlindSpotPanel
 from inspe_jax.viewer.browser_view import BrowserView
-from inspe_jax.viewer.job_queue import DelayedAction, JobQueue
-from inspe_jax.viewer.panel import Panel
+from inspe_jax.viewer.job_queue import DelayedAction
 from inspe_jax.viewer.scene3d import Scene3D, look_from
 from inspe_jax.viewer.score_panel import score_panel
-from inspe_jax.viewer.scorer import ScoredLayout
+from inspe_jax.viewer.workers import ScoredLayout
 
 BACK = 1.25  # how far the camera is at first, in the usual distance
 STALE = 0.5  # what is being done is said anew after this time [s]
@@ -29,13 +28,9 @@ class Display:
 
     def __init__(self, viewer: Any) -> None:
         """Draw the scene. ``viewer`` has the server, the panel, and the views of browsers."""
-        self.shown = self.opened = opened = viewer.layout
+        self.shown = self.opened = viewer.layout
         self.scored: ScoredLayout | None = None
-        self._server, self._case = server, case = viewer.server, viewer.case
-        self._queue: JobQueue = viewer.queue
-        self._panel: Panel = viewer.panel
-        self._views: Mapping[int, BrowserView] = viewer.views
-        self._frames = case.scene.traffic.frame_count
+        self._viewer, server, case = viewer, viewer.server, viewer.case
         self._faults: Sequence[Fault] = ()
         self._notes: Sequence[str] = ()
         self._reference: dict[int, Scores] = {}  # scores of the opened layout, by number of frames
@@ -43,10 +38,10 @@ class Display:
         self._drawn_frame = -1
         self._compiled = compiled().seconds  # when the newest scores came
         self._waiting = DelayedAction()
-        server.gui.set_panel_label(f"{visible(opened.name)} at {visible(case.scene.name)}")
+        server.gui.set_panel_label(f"{visible(self.opened.name)} at {visible(case.scene.name)}")
         self.scene3d = Scene3D(server.scene, case.scene)
-        where = self._panel.blind_spots
-        self.blind_spots = BlindSpotPanel(server.gui, where, case.scene, self._queue.failed)
+        where, failed = viewer.panel.blind_spots, viewer.queue.failed
+        self.blind_spots = BlindSpotPanel(server.gui, where, case.scene, failed)
         self.scene3d.draw_mounting()
         look_from(server.initial_camera, case.scene, back=BACK)
 
@@ -54,10 +49,10 @@ class Display:
         """Show a layout, the rules of mounting that it breaks, and notes on the last change."""
         self.shown, self._faults, self._notes = layout, faults, notes
         broken = {s for fault in faults for s in fault.sensors}
-        seen = self._case.conditions.layout(layout)
+        seen = self._viewer.case.conditions.layout(layout)
         for s, body in self.scene3d.draw_layout(seen, broken).items():
             self._bind(body, s)
-        for view in list(self._views.values()):
+        for view in list(self._viewer.views.values()):
             view.show_outlines()
             self._look(view)
         self.update_panel()
@@ -74,7 +69,7 @@ class Display:
         if frame != self._drawn_frame:
             self.scene3d.draw_users(frame)
             self._drawn_frame = frame
-            for view in list(self._views.values()):
+            for view in list(self._viewer.views.values()):
                 self._look(view)
 
     def draw_voxels(self) -> None:
@@ -82,16 +77,16 @@ class Display:
         if self._sight is None:
             return
         frame, sight = self._sight
-        with self._server.atomic():
+        with self._viewer.server.atomic():
             self.draw_users(frame)
-            ticked = [kind for kind, box in self._panel.shown.items() if box.value]
+            ticked = [kind for kind, box in self._viewer.panel.shown.items() if box.value]
             self.scene3d.draw_voxels(sight, ticked)
 
     def show_scores(self, scored: ScoredLayout) -> None:
         """Show new scores."""
         self.scored, self._compiled = scored, compiled().seconds
         if scored.scores is not None:
-            if scored.frames == self._frames:
+            if scored.frames == self._viewer.frames:
                 self.blind_spots.show(scored.layout, scored.scores)
             if scored.layout is self.opened:
                 self._reference[scored.frames] = scored.scores
@@ -106,10 +101,10 @@ class Display:
         """Show every browser a message for a while, in its turn; of one title the newest."""
 
         def job() -> None:
-            for client in self._server.get_clients().values():
+            for client in self._viewer.server.get_clients().values():
                 client.add_notification(title, words, color=color, auto_close_seconds=8.0)
 
-        self._queue.submit(job, key=("message", title))
+        self._viewer.queue.submit(job, key=("message", title))
 
     def close(self) -> None:
         """Cancel the action that waits, and finish what is being drawn."""
@@ -121,7 +116,7 @@ class Display:
         for modifier in (None, "shift", "cmd/ctrl"):
 
             async def clicked(event: Any, toggle: bool = modifier is not None) -> None:
-                view = self._views.get(event.client_id)
+                view = self._viewer.views.get(event.client_id)
                 if view is not None:
                     view.select(s, toggle)
 
@@ -142,12 +137,12 @@ class Display:
                 self.update_panel()
                 self._wait()
 
-        self._waiting.start(STALE, lambda: self._queue.submit(job, key="waiting"))
+        self._waiting.start(STALE, lambda: self._viewer.queue.submit(job, key="waiting"))
 
     def update_panel(self) -> None:
         """Show what is known of the shown layout, and the target, in the panel."""
-        scored = self.scored
-        for view in list(self._views.values()):
+        scored, panel = self.scored, self._viewer.panel
+        for view in list(self._viewer.views.values()):
             view.show_table(self.shown, scored if self._current else None)
         state, waiting = compiled(), "scoring …"
         if state.now:
@@ -155,12 +150,12 @@ class Display:
         page = score_panel(
             self.shown,
             scored,
-            frames=self._frames,
+            frames=self._viewer.frames,
             reference=None if scored is None else self._reference.get(scored.frames),
             faults=[fault.words for fault in self._faults],
             notes=self._notes,
             waiting=waiting,
-            target=float(self._panel.target.value),
+            target=float(panel.target.value),
         )
-        self._panel.headline.content, self._panel.scores.content, self._panel.notes.content = page
-        self._panel.notes.visible = bool(page[2])
+        panel.headline.content, panel.scores.content, panel.notes.content = page
+        panel.notes.visible = bool(page[2])

@@ -64,10 +64,8 @@ class JobQueue:
 
 
 class DelayedAction:
-    """Runs one action after a delay; a newer action replaces the one that waits.
-
-    The lock is held while the action runs: a caller of :meth:`run_now` continues when it is done.
-    """
+    """Runs one action after a delay; a newer action replaces the one that waits. The lock is held
+    while it runs: a caller of :meth:`run_now` continues when it is done."""
 
     def __init__(self) -> None:
         self._lock = threading.RLock()

@@ -43,12 +43,8 @@ class _Eye(NamedTuple):
 
 
 def still_view(scene: Scene, layout: Layout, frame: int = 0) -> Figure | None:
-    """A layout in its place, from the south and above, with the road users of a frame.
-
-    Lines show what each sensor looks at, numbers stand at the units' highest sensors. It is midday,
-    whatever the conditions that are scored. ``layout`` has the reach that sensors have in those.
-    None where Embree is missing.
-    """
+    """A layout in its place at midday, from the south and above, with the road users of a frame,
+    what each sensor looks at, and numbers at the units' highest sensors; None without Embree."""
     eye = _eye_on(scene, layout)
     (focal, _, middle), (_, _, row), _ = eye.intrinsic
     spec = CameraSpec("still", WIDTH, HEIGHT, focal, (middle, row), 1.0, 1000.0)

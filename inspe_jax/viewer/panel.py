@@ -1,6 +1,7 @@
-"""The controls beside the scene: buttons, numbers, and the text between them."""
+"""The controls beside the scene: those that all browsers share, and those of one browser for new
+sensors, for the selected one, and the list of all."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from datetime import datetime
 from functools import partial
 from pathlib import Path
@@ -8,14 +9,22 @@ from typing import Any, NamedTuple
 
 import viser
 
+from inspe_jax.core.words import visible
 from inspe_jax.placement.optimise import DEFAULT_METHOD, METHODS
 from inspe_jax.scoring.viewshed import Visibility
+from inspe_jax.sensing.catalogue import devices
+from inspe_jax.sensing.layout import Sensor
 from inspe_jax.viewer.score_panel import VISIBILITY_NAMES
 
 SECONDS = 60.0  # usual time of a search [s]
 SLATE = (86, 104, 122)  # colour of buttons that are not the main one of their folder
 BLIND_SPOTS = "Blind spots"
 """The title of their folder, while what is in it is of the layout in hand."""
+DIGITS = {"x": 2, "y": 2, "height": 2, "yaw": 1, "pitch": 1}
+"""The numbers of a pose, with the decimals that are shown and typed."""
+POSE = {key: f"{key} [°]" if key in ("yaw", "pitch") else f"{key} [m]" for key in DIGITS}
+"""Their labels."""
+NONE, DEVICE = "No sensor is selected", "{0.title}: {0.name}"  # in the lists
 
 
 def bind(
@@ -119,9 +128,9 @@ class Panel:
         edit["Save"] = viewer.save
         self._changes(self.edit, lambda _: edit[self.edit.value]())
         self._changes(self.optimise, lambda _: viewer.optimise())
-        bind(self.stop, lambda _: viewer.stop())
+        bind(self.stop, lambda _: viewer.queue.submit(viewer.searcher.stop))
         bind(self.target, lambda _: viewer.queue.submit(viewer.display.update_panel, key="target"))
-        bind(self.frame, lambda _: viewer.select_frame())
+        bind(self.frame, lambda _: viewer.scorer.select_frame(self.shown_frame))
         for box in self.shown.values():
             bind(box, lambda _: viewer.queue.submit(viewer.display.draw_voxels, key="ticks"))
         self._changes(self.save, lambda _: viewer.save())
@@ -191,3 +200,79 @@ def _list_keys(client: Any) -> None:
     words = "; ".join(f"{key.text}: {key.words[0].lower()}{key.words[1:]}" for key in KEYS)
     more = "Arrows, W, A, S, D, Q and E move your view."
     client.add_notification("Keys", f"{words}. {more}", auto_close_seconds=20.0)
+
+
+class SensorControls:
+    """The same of one browser: a method of ``view`` is called, once ``viewer`` has applied what is
+    typed."""
+
+    def __init__(self, gui: viser.GuiApi, viewer: Any, view: Any) -> None:
+        # Of four folders, the notes on the last change are below the first two, whose buttons then
+        # stay where they are.
+        after = float(viewer.panel.target.order)
+        known = sorted((one.spec for one in devices().values()), key=lambda spec: spec.title)
+        self._devices = {DEVICE.format(spec): spec.name for spec in known}
+        with gui.add_folder("New sensor", order=after + 0.1):
+            hint = "The device that Add mounts"
+            self.new = gui.add_dropdown("New device", list(self._devices), hint=hint)
+            hint = "Mount a new sensor as near as possible to the point you look at"
+            self.add = gui.add_button("Add", hint=hint)
+        with gui.add_folder("Sensor", order=after + 0.2):
+            self.sensor = gui.add_dropdown("Sensor", ("1",))
+            self.name = gui.add_text("Name", "")
+            self.device = gui.add_dropdown("Device", list(self._devices))
+            self.pose = {
+                key: gui.add_number(label, 0.0, step=round(0.1 ** DIGITS[key], DIGITS[key]))
+                for key, label in POSE.items()
+            }
+            self.existing = gui.add_button_group(
+                "Selected",
+                ("Duplicate", "Remove"),
+                hint="Copy the sensor that has the handle; remove all that are selected",
+            )
+        self.sensor_view = gui.add_folder("Through the sensor", order=after + 0.4)
+        with gui.add_folder("All sensors", order=after + 0.5):
+            self.table = gui.add_html("")
+            # What a click on a row of the table presses; the page shows only the table.
+            self.row_buttons = gui.add_button_group("Select", ("1",))
+            self.toggle_buttons = gui.add_button_group("Select together", ("1",))
+
+        changes = partial(bind, settle=viewer.settle)
+        existing = {"Duplicate": view.duplicate, "Remove": view.remove}
+        bind(self.sensor, lambda _: view.select(self.sensor.options.index(self.sensor.value)))
+        bind(self.row_buttons, lambda _: view.select(int(self.row_buttons.value) - 1))
+        bind(self.toggle_buttons, lambda _: view.select(int(self.toggle_buttons.value) - 1, True))
+        bind(self.name, lambda _: view.rename(self.name.value))
+        for key, number in self.pose.items():
+            bind(number, partial(lambda key, _: view.type_number(key, self.pose[key].value), key))
+        changes(self.device, lambda _: view.swap(self._devices[self.device.value]))
+        changes(self.existing, lambda _: existing[self.existing.value]())
+        changes(self.add, lambda _: view.add(self._devices[self.new.value]))
+
+    def show(self, sensors: Sequence[Sensor], in_hand: int | None, *, change: bool) -> None:
+        """List the sensors, numbered from 1; show that at place ``in_hand``, if one is; enable only
+        what selects unless the layout may ``change``."""
+        held = None if in_hand is None else sensors[in_hand]
+        options = tuple(f"{k + 1}  {visible(one.name)}" for k, one in enumerate(sensors))
+        options += (NONE,) if held is None else ()
+        if options != tuple(self.sensor.options):
+            self.sensor.options = options
+            numbers = tuple(str(k + 1) for k in range(len(sensors)))
+            self.row_buttons.options = self.toggle_buttons.options = numbers
+        set_value(self.sensor, NONE if in_hand is None else options[in_hand])
+        if held is not None:
+            label = DEVICE.format(held.spec)
+            if label not in self.device.options:  # the catalogue does not have it
+                self._devices[label] = held.spec.name
+                self.device.options = (*self.device.options, label)
+            set_value(self.device, label)
+        set_value(self.name, "" if held is None else held.name)
+        self.new.disabled = self.add.disabled = not change
+        self.existing.visible = can = change and held is not None
+        for control in (self.device, self.name, *self.pose.values()):
+            control.disabled = not can
+
+    def show_pose(self, numbers: Mapping[str, float]) -> None:
+        """Show the numbers of a pose."""
+        for key, value in numbers.items():
+            set_value(self.pose[key], round(value, DIGITS[key]))

@@ -1,10 +1,10 @@
-"""A scene in three dimensions: ground, lanes, road users, sensors and voxels.
+"""A scene in three dimensions, drawn with viser, and what one browser has of its own in it.
 
-It is drawn with viser, for a browser. Positions are in metres about the scene's centre, since
-graphics cards work in single precision.
+Positions are in metres about the scene's centre, since graphics cards work in single precision.
 """
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -46,6 +46,9 @@ ABOVE = 0.8  # height of numbers above a unit's highest sensor [m]
 CROWN = 0.5  # opacity of the crowns of trees
 THIN = 0.12  # width of the outlines of what sensors look at [m]
 LIFT = 0.05  # height of lines above the ground [m]
+LENGTH = 90.0  # length of the handle's arrows [pixel]
+WIDE = 0.4  # width of the outline of what a selected sensor looks at [m]
+POINT_SIZE = 0.14  # of a LiDAR's points, which have the colour of LiDARs [m]
 
 _BOX = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
 _FACES = np.array(
@@ -98,11 +101,8 @@ class Scene3D:
             self._boxes(f"road users/{name}", center, traffic.size[frame, who], yaw, USER_COLOR)
 
     def draw_voxels(self, sight: Int[np.ndarray, " V"], shown: Iterable[Visibility]) -> None:
-        """Draw the voxels of the kinds ``shown``: hidden ones as boxes, others as tinted ground.
-
-        ``sight`` is the :class:`Visibility` of each voxel in a frame. A column has the tint of the
-        kind of most of its voxels, so that no tint lies on another one, and none hides a box.
-        """
+        """Draw the voxels of the kinds ``shown``, by the ``sight`` of each in a frame: hidden ones
+        as boxes, others as ground in the tint of most voxels of a column."""
         free, wanted = free_of_bodies(self.scene), set(shown)
         kinds = np.where(free, np.asarray(sight).reshape(free.shape), -1)
         self._forget("voxels/")
@@ -131,12 +131,9 @@ class Scene3D:
             self._squares(name, mostly & (self.scene.voxels.region == region), color, LIFT / 2)
 
     def draw_layout(self, layout: Layout, broken: Iterable[int] = ()) -> dict[int, Any]:
-        """Draw every sensor on its pole, the outline of what it looks at, and its number.
-
-        The ``broken`` sensors, which break a rule of mounting, are red. If only poses differ from
-        the layout before, what is drawn is moved. Returns the bodies of sensors that are new, by
-        their place in the layout.
-        """
+        """Draw every sensor on its pole, the outline of what it looks at, and its number; move what
+        is drawn already. The ``broken`` sensors, which break a rule of mounting, are red. Returns
+        the bodies of sensors that are new, by their place in the layout."""
         wrong, new = set(broken), {}
         looks = [
             (sensor.spec, BROKEN_COLOR if k in wrong else SENSOR_COLORS[sensor.spec.kind])
@@ -282,6 +279,81 @@ class Scene3D:
             batched_colors=rgb(color), opacity=opacity, lod="off", flat_shading=True,
             cast_shadow=opacity is None,
         )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)  # arrays inside: identity is equality
+class HandleDrag:
+    """One event of a drag: the handle is gripped ("start"), moved ("update") or let go ("end").
+    ``at`` (3,) is the handle's position in the world [m], ``turn`` its rotation matrix."""
+
+    phase: str
+    at: Float[np.ndarray, "3"]
+    turn: Float[np.ndarray, "3 3"]
+
+    def on(self, pose: Float[np.ndarray, "6"]) -> Float[np.ndarray, "6"]:
+        """The world pose that the drag gives a sensor. The handle was put upright on ``pose``,
+        along its yaw; a turn about the forward axis changes nothing: no sensor has a roll."""
+        ahead, (roll, pitch) = self.turn[:, 0], pose[3:5]
+        pitch += np.arcsin(np.clip(ahead[2], -1, 1))
+        return np.array([*self.at, roll, pitch, np.arctan2(ahead[1], ahead[0])])
+
+
+class Selection3D:
+    """The handle, outlines of what the selected sensors look at, wider than others, and points."""
+
+    def __init__(
+        self,
+        api: viser.SceneApi,
+        shift: Float[np.ndarray, "3"],
+        dragged: Callable[[HandleDrag], None],
+    ) -> None:
+        """``shift`` is the scene's centre [m]. ``dragged`` is called on the server's event loop."""
+        self._api, self._shift = api, shift
+        self.outlines: list[Any] = []
+        self.points: Any = None
+        self.gizmo = gizmo = api.add_transform_controls(
+            "handle", scale=LENGTH, fixed=True, line_width=3.5, depth_test=False
+        )
+
+        @gizmo.on_update
+        async def _(event: viser.TransformControlsEvent) -> None:
+            if event.client is not None:
+                at, turn = np.array(gizmo.position) + shift, SO3(np.array(gizmo.wxyz)).as_matrix()
+                dragged(HandleDrag(event.phase, at, turn))
+
+    def put_handle(self, pose: Float[np.ndarray, "6"], *, visible: bool) -> None:
+        """Put the handle on a world pose, upright."""
+        self.gizmo.wxyz = SO3.from_z_radians(pose[5]).wxyz
+        self.gizmo.position = pose[:3] - self._shift
+        self.gizmo.visible = visible
+
+    def draw_outlines(self, outlines: Sequence[tuple[Float[np.ndarray, "N 2 3"], str]]) -> None:
+        """Draw these line segments [m] in their colours, in place of those before."""
+        for k, (points, color) in enumerate(outlines):
+            if k == len(self.outlines):
+                name = f"selected/{k + 1}"
+                line = self._api.add_line_segments(name, points, rgb(color), thickness=WIDE)
+                self.outlines.append(line)
+            line = self.outlines[k]
+            line.points, line.colors = points, np.array(rgb(color), np.uint8)
+            line.visible = True
+        for line in self.outlines[len(outlines) :]:
+            line.visible = False
+
+    def draw_points(self, points: Float[np.ndarray, "N 3"] | None) -> None:
+        """Draw a LiDAR's points, given in the world [m], in place of those before; or none."""
+        if points is None or not len(points):
+            if self.points is not None:
+                self.points.remove()
+            self.points = None
+            return
+        at, color = (points - self._shift).astype(np.float32), rgb(SENSOR_COLORS["lidar"])
+        if self.points is None:
+            self.points = self._api.add_point_cloud(
+                "points", at, color, point_size=POINT_SIZE, point_shading="flat"
+            )
+        else:
+            self.points.points = at
 
 
 def look_from(camera: Any, scene: Scene, back: float = 1.0) -> None:

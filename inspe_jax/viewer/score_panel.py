@@ -12,7 +12,7 @@ from inspe_jax.scoring.metrics import METRICS, SURROGATE
 from inspe_jax.scoring.viewshed import Visibility
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.viewer.scene3d import BROKEN_COLOR, MOUNTING_COLOR
-from inspe_jax.viewer.scorer import ScoredLayout
+from inspe_jax.viewer.workers import ScoredLayout
 
 VISIBILITY_NAMES = {
     Visibility.HIDDEN: "hidden by traffic",
@@ -49,15 +49,10 @@ def score_panel(
 ) -> tuple[str, str, str]:
     """A layout's scores as HTML: P_sm and how far scoring is; all else; notes on the last change.
 
-    Args:
-        layout: The layout.
-        scored: The newest scores, or None. Those of another layout are shown in grey.
-        frames: Number of frames of the whole traffic.
-        reference: Scores of the layout as it was opened, on the same frames.
-        faults: The rules of mounting that the layout breaks, in words.
-        notes: How mounting has changed the last change, in words.
-        waiting: What is being done while the layout has no scores.
-        target: The P_sm that the layout should reach; 0 for none.
+    ``scored`` are the newest scores, in grey if of another layout, ``frames`` all that there are,
+    and ``reference`` the scores of the layout as it was opened. ``faults`` are the rules of
+    mounting that it breaks, ``waiting`` what is being done while it has no scores, ``target`` the
+    P_sm that it should reach, 0 for none.
     """
     scores = None if scored is None else scored.scores
     before = None if scores is None or reference is None else reference.surrogate
@@ -89,12 +84,8 @@ def score_panel(
 
 
 def sensor_table(layout: Layout, scored: ScoredLayout | None, selection: Sequence[int]) -> str:
-    """The sensors of a layout as HTML: name, what it costs, and what P_sm loses without it; and
-    what all of them cost.
-
-    ``scored`` are the layout's scores, None as long as there are none. The sensors at the places
-    of the ``selection`` are ticked, the last of them is bold.
-    """
+    """The sensors of a layout as HTML: name, what it costs, and what P_sm loses without it, and
+    what all of them cost. Those of the ``selection`` are ticked, the last of them is bold."""
     scores = None if scored is None else scored.scores
     lost = [row.surrogate for row in scores.contributions] if scores else [None] * len(layout)
     prices = {row.device: row.price for row in materials(layout, {})}
@@ -116,7 +107,7 @@ def _digits(value: float) -> str:
 
 
 def _change(value: float, before: float | None, digits: int = 4) -> str:
-    """A change with its sign; nothing where none is known, or would be seen in its digits."""
+    """A change with its sign; nothing where none is known or seen."""
     text = "" if before is None else f"{value - before:+.{digits}f}"
     return text if text.strip("+-0.") else ""
 

@@ -50,18 +50,12 @@ _serving = threading.Lock()
 
 
 def serve(port: int, token: str, head: str = "") -> viser.ViserServer:
-    """Start a server for browsers that have the token.
+    """Start a server for browsers that have the token, the first part of the page's path.
 
     viser opens its port with ``websockets.asyncio.server.serve``, which is replaced here by one
-    that checks requests while the port is opened.
-
-    Args:
-        port: Port; if it is taken, the next free one is used. 0 is any free one.
-        token: The first part of the page's path.
-        head: HTML for the page's head, in place of viser's title, icon and description.
-
-    Raises:
-        RuntimeError: If this version of viser opens its port in another way.
+    that checks requests while the port is opened. If ``port`` is taken, the next free one is used;
+    0 is any free one. ``head`` is HTML in place of viser's title, icon and description. Raises
+    RuntimeError if this version of viser opens its port in another way.
     """
     module, real, opened = websockets.asyncio.server, websockets.asyncio.server.serve, []
 
@@ -141,11 +135,8 @@ def new_token() -> str:
 
 def kept_token(name: str, cache: Path | None = None) -> str:
     """The token that this user's page of this ``name`` had last, so that one that is still open
-    gets in again; a new one if there is none.
-
-    It is in a file of the user's ``cache`` that nobody else can read; if others can, it is not
-    used. It must never be sent over a network, where others may read it.
-    """
+    gets in again; a new one if there is none in a file that only the user can read. It must never
+    be sent over a network, where others may read it."""
     token = new_token()
     with suppress(OSError, RuntimeError, UnicodeError):  # such as no folder of the user's own
         folder = (cache or user_cache_path("inspe_jax", appauthor=False)) / FOLDER

@@ -53,12 +53,11 @@ class LayoutSession:
     def moved(
         self, s: int, pose: Float[np.ndarray, "6"], along: Sequence[int] = ()
     ) -> MountedLayout:
-        """The layout with sensor ``s`` let go at a world pose; the session does not change.
+        """The nearest layout that can be mounted with sensor ``s`` let go at a world pose, or at
+        the rim of the region of interest; the session does not change.
 
-        A pose outside of the region of interest is moved to its rim. The sensor's unit moves with
-        it in plan, and its other sensors keep their heights above the ground. Height and direction
-        change for sensor ``s`` alone, and by as much for the sensors ``along``, whose units move as
-        far in plan. The result is the nearest layout that can be mounted.
+        Its unit moves with it in plan, and other sensors there keep their heights above the ground.
+        The sensors ``along`` move, rise and turn by as much.
         """
         old, pose, notes = self.layout, np.array(pose, float), list[str]()
         pose[:2] = self._inside(pose[:2], old.units[old.sensors[s].unit].name, notes)
@@ -85,11 +84,8 @@ class LayoutSession:
 
     def set_number(self, s: int, key: str, value: float, along: Sequence[int] = ()) -> None:
         """Set a number of a sensor's pose: "x" or "y" in the world [m], "height" above the ground
-        [m], "yaw" or "pitch" [degrees]. The sensors ``along`` change by as much.
-
-        Where it comes to another number, notes begin with both. Raises InspeError if it is not
-        finite, or larger than :data:`LARGEST`.
-        """
+        [m], "yaw" or "pitch" [degrees]; the sensors ``along`` change by as much. Raises InspeError
+        if it is not finite, or larger than :data:`LARGEST`."""
         if not abs(value) <= LARGEST:
             raise InspeError(f"{key}: {value} is not a finite number, or too large")
         pose = np.array(self.layout.poses[s], float)
@@ -127,11 +123,9 @@ class LayoutSession:
         return dict(x=x, y=y, height=z - self._ground(foot), **turns)
 
     def add(self, name: str, at: Float[np.ndarray, "2"]) -> int:
-        """Add a sensor of a device, on a unit of its own at ``at`` [m]; returns its number.
-
-        It looks at the scene's centre. A point outside of the region of interest is moved to its
-        rim. Raises InspeError if the catalogue has no such device.
-        """
+        """Add a sensor of a device that looks at the scene's centre, on a unit of its own at ``at``
+        [m], or at the rim of the region of interest; returns its number. Raises InspeError if the
+        catalogue has no such device."""
         spec, old, notes = device(name).spec, self.layout, list[str]()
         unit_name = _free("unit", [u.name for u in old.units])
         foot = self._inside(np.asarray(at, float), unit_name, notes)

@@ -100,8 +100,8 @@ class LayoutStore:
     def words(self, layout: Layout) -> str:
         """Where the layout is: in its file, in the one that keeps it until then, or in none."""
         if self.holds(layout):
-            there = self.path.exists()
-            return str(self.path) if there else f"nothing changed; to be saved in {self.path}"
+            new = "" if self.path.exists() else "nothing changed; to be saved in "
+            return f"{new}{self.path}"
         kept = self.kept(layout)
         where = f"kept in {kept}" if kept else f"and kept in no file: {self._wrong}"
         return f"{self.path}, not saved yet, {where}"

@@ -9,7 +9,6 @@ import socket
 import subprocess
 import sys
 import time
-import tomllib
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
@@ -23,13 +22,10 @@ import pytest
 import typer
 from processes import cases, inspe_process, refused
 from rich.text import Text
-from typer.testing import CliRunner
 
-import inspe_jax
 from inspe_jax.cli import stopping
 from inspe_jax.cli.claims import Claims
-from inspe_jax.cli.common import GROUPS, PANELS, app, err, out
-from inspe_jax.cli.score import targets
+from inspe_jax.cli.common import app, err, out
 from inspe_jax.core.compiling import keep_programs, prune
 from inspe_jax.core.errors import missing_extra
 from inspe_jax.core.files import read_csv, write_text
@@ -37,8 +33,7 @@ from inspe_jax.core.tables import table_of
 from inspe_jax.core.words import visible
 from inspe_jax.placement.result import FILES
 from inspe_jax.placement.studies.tolerance import Slopes, Tolerance, tolerance
-from inspe_jax.report.targets import targets_record, targets_view
-from inspe_jax.scene.scene import load_scene, save_scene
+from inspe_jax.scene.scene import save_scene
 
 LAYOUT = """
 units:
@@ -57,6 +52,9 @@ units:
 """
 
 
+STUDY = "scenes: [{file: s.npz}]\nlayouts: [layout.yaml, L-c]\nsettings: {light: [%s]}\n"
+
+
 @pytest.fixture(scope="module")
 def files(tmp_path_factory, scene):
     """A small scene, layouts, and files that are none."""
@@ -65,6 +63,8 @@ def files(tmp_path_factory, scene):
     (folder / "layout.yaml").write_text(LAYOUT)
     (folder / "away.yaml").write_text(AWAY)
     (folder / "none.yaml").write_text("")
+    for name, light in (("study", "midday, night"), ("dark", "dark")):
+        (folder / f"{name}.yaml").write_text(STUDY % light)
     (folder / "zero.npz").write_bytes(b"")
     (folder / "device.yaml").write_text(LAYOUT.replace("paper-lidar-32", "paper-lidar-23"))
     (folder / "rule.yaml").write_text(LAYOUT.replace("yaw_deg: 0", "yaw_deg: 0, offset: [3, 0]"))
@@ -82,14 +82,6 @@ def test_score_prints_a_table_and_the_same_numbers_as_json(done, scored, files):
         assert 0 < record[name] < 1
         assert f"{record[name]:.3f}" in table
     assert len(record["contributions"]) == 2
-
-
-def test_help_and_package_name_every_kind_of_sensor_and_one_standard():
-    project = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())["project"]
-    for words in (app.info.help, project["description"], inspe_jax.__doc__.splitlines()[0]):
-        assert "cameras, LiDARs and radars" in words
-    for words in (inspect.getdoc(targets), targets_record.__doc__, targets_view.__doc__):
-        assert " IEC 62676-4" in words
 
 
 def test_targets_prints_tables_and_the_same_numbers_as_json(done, files):
@@ -154,13 +146,12 @@ def test_a_scene_is_saved_and_says_what_its_roads_could_not_hold(inspe, files):
     assert re.search(shortfall, " ".join(told.split()))
 
 
-def test_a_scene_with_street_furniture_is_saved_and_scored(inspe, done, files):
+def test_a_scene_with_street_furniture_says_what_it_has(inspe, done):
     arguments = ("--radius", 30, "--voxel", 1, "--spacing", 2, "--density", "low", "--frames", 2)
     text = done("scene", "four_way", *arguments, "--statics", "street", "--out", "f.npz")
-    assert re.search(r"static bodies .*parked vehicle \d+, .*tree \d+", " ".join(text.split()))
-    assert "statics street" in " ".join(text.split())
-    assert "static bodies" in inspe("scene", "f.npz")[1]
-    assert len(load_scene(files / "f.npz").statics) > 20
+    words = " ".join(text.split())
+    assert re.search(r"static bodies .*parked vehicle \d+, .*tree \d+.* statics street", words)
+    assert inspe("scene", "f.npz")[1] == text.removesuffix("saved f.npz\n")
 
 
 def test_what_is_known_is_listed(inspe):
@@ -260,10 +251,7 @@ def test_tolerance_prints_and_writes_the_same(done, files, monkeypatch):
 def test_light_and_weather(inspe, scored, files):
     """In a score; and in a search, where every light is a scene of its own. Its start stands in
     the middle of the junction, and is moved."""
-    foul = scored("s.npz", "layout.yaml", "--light", "night", "--weather", "fog:50")
-    assert (foul["settings"]["light"], foul["settings"]["weather"]) == ("night", "fog:50")
-    title = inspe("score", "s.npz", "layout.yaml", "--light", "dusk")[1]
-    assert "dusk, clear" in title
+    assert "dusk, clear" in inspe("score", "s.npz", "layout.yaml", "--light", "dusk")[1]
     (files / "road.yaml").write_text(AWAY.replace("base: [9.6, 9.6]", "base: [3.0, 0.0]"))
     both = ("--light", "midday,night", "--weather", "fog:50", "--worst")
     arguments = ("--method", "random", "--evaluations", 2, "--out", "foggy")
@@ -275,19 +263,13 @@ def test_light_and_weather(inspe, scored, files):
     assert lights == ["midday", "night"]
     night = ("--light", "night", "--weather", "fog:50")
     start = scored("s.npz", "foggy/start.yaml", *night)
+    assert (start["settings"]["light"], start["settings"]["weather"]) == ("night", "fog:50")
     assert record["objective_before"] == pytest.approx(start["surrogate"], abs=1e-4)
 
 
-def test_a_study_is_checked_and_counted_before_it_is_run(inspe, done, files):
-    text = "scenes: [{file: s.npz}]\nlayouts: [layout.yaml, L-c]\nsettings: {light: [%s]}\n"
-    (files / "study.yaml").write_text(text % "midday, night")
-    words = done("sweep", "study.yaml", "--dry-run")
-    assert "study: 4 jobs, 2 layouts on 1 scene" in words
+def test_a_study_is_counted_before_it_is_run(done, files):
+    assert "study: 4 jobs, 2 layouts on 1 scene" in done("sweep", "study.yaml", "--dry-run")
     assert not (files / "sweep").exists()
-    (files / "dark.yaml").write_text(text % "dark")
-    status, _, words = inspe("sweep", "dark.yaml")
-    assert status == 2
-    assert "dark.yaml: settings.light: light 'dark': one of midday, dusk, night" in words
 
 
 def test_a_data_set_is_checked_and_counted_before_it_is_made(inspe, files):
@@ -296,8 +278,7 @@ def test_a_data_set_is_checked_and_counted_before_it_is_made(inspe, files):
         "settings: {light: [midday, night], seconds: 1}\nimage_size: [80, 60]\n"
     )
     (files / "set.yaml").write_text(text)
-    status, words, notes = inspe("generate", "set.yaml", "--out", "set", "--dry-run")
-    assert status == 0
+    _, words, notes = inspe("generate", "set.yaml", "--out", "set", "--dry-run")
     assert "set: 4 scenarios (4 train, 0 validate, 0 test), 40 frames" in words
     assert re.search("train +1 +4 +40", words)
     assert "test is empty: 1 scene for 3 splits; give more values of seed, or another" in notes
@@ -318,14 +299,6 @@ def test_every_command_has_examples_and_says_what_its_options_are():
     assert count > 20
 
 
-def test_the_help_has_every_command_in_its_group():
-    assert {*typer.main.get_command(app).commands} == {*PANELS}
-    words = CliRunner().invoke(app, ["--help"]).output
-    first = [words.index(f"─ {group} ─") for group in GROUPS]
-    assert first == sorted(first)
-    assert [*PANELS] == [name for name in re.findall(r"^│ (\w+) ", words, re.M) if name in PANELS]
-
-
 @pytest.mark.parametrize(("arguments", "message"), cases(
     (("score", "none.npz"), "none.npz: no such file"),
     (("score", "s.npz", "zero.npz"), "no layout: is a scene, which comes before the layout"),
@@ -340,18 +313,15 @@ def test_the_help_has_every_command_in_its_group():
     (("layout", "four_way", "--out", "l.txt"), "must end in .yaml"),
     (("scene", "nosuch", "--list"), "no scene 'nosuch': give a built-in (four_way"),
     (("scene", "four_way", "--junction", 3), "a built-in intersection is no map; leave out --ju"),
-    (("scene", "four_way", "--mesh", "twin.ply"), "a built-in intersection is no map"),
-    (("scene", "four_way", "--elevation", "dem.tif"), "a built-in intersection is no map"),
     (("scene", "four_way", "--radius", 500), "radius 500 m is out of range"),
     (("scene", "s.npz", "--radius", 30), "a saved scene keeps the settings it was built with"),
     (("scene", "page.xodr"), "choose a place on the map with --junction ID, --at LAT,LON or"),
     (("scene", "four_way", "--frames", 10**9), "at most 10000"),
     (("scene", "four_way", "--traffic", "a.log", "--seed", 1), "what was recorded has all of this"),
-    (("scene", "none.net.xml", "--list"), "none.net.xml: no such file"),
     (("scene", "cut.xodr", "--list"), "cut.xodr"),
-    (("scene", "four_way", "--driving-side", "left"), "is no map; leave out --driving-side"),
     (("scene", "city.osm.bz2", "--list"), "city.osm.bz2: is packed with bzip2; unpack it"),
     (("sweep", "missing.yaml"), "missing.yaml: no such file"),
+    (("sweep", "dark.yaml"), "dark.yaml: settings.light: light 'dark': one of midday, dusk, night"),
     (("generate", "missing.yaml", "--out", "no/such"), "no/such: no such folder: no"),
     (("generate", "none.yaml", "--out", "set", "--server", "sim:two"), "server 'sim:two': HOST"),
     (("optimise", "s.npz", "--worst"), "add scenes with --also"),
@@ -362,12 +332,10 @@ def test_the_help_has_every_command_in_its_group():
     (("optimise", "s.npz", "layout.yaml", "--failures"), "at least two units, it has one"),
     (("pareto", "s.npz", "--device", "hesai-xt32"), "--device hesai-xt32: write DEVICE:COUNTS"),
     (("pareto", "s.npz", "--device", "hesai-xt32:0-2"), "--price hesai-xt32=USD"),
-    (("pareto", "s.npz", "--device", "hesai-xt32:2-0"), "DEVICE:COUNTS"),
     (("scene", "four_way", "--out", "s2.txt"), "must end in .npz"),
     (("pareto", "s.npz", "--device", "a:1", "--device", "a:2"), "a is given twice"),
     (("pareto", "s.npz", "--price", "hesai-xt32"), "DEVICE=USD, such as"),
     (("report", "nosuch", "--out", "report.pdf"), "report.pdf: the name must end in .html"),
-    (("report", "nosuch", "--out", "no/such.html"), "no/such.html: no such folder: no"),
     (("report", "s.npz", "--frame", 99), "frame 99 is out of range"),
     (("report", "s.npz", "."), "result.json: no such file"),
     (("view", "nosuch", "--out", "moved.json"), "moved.json: the name must end in .yaml"),
@@ -388,7 +356,6 @@ def test_bad_input_is_one_message_and_status_2(inspe, files, arguments, message)
     (("layout", "four_way", "--from", "s.npz", "--transform", "1"), "--transform 1: write X,Y,Z"),
     (("layout", "four_way", "--from", "s.npz", "--size", "9"), "--size 9: write WIDTHxHEIGHT"),
     (("layout", "four_way", "--camera", "paper-camera-noon"), "did you mean paper-camera"),
-    (("optimise", "four_way", "missing.yaml"), "missing.yaml: no such file"),
     (("optimise", "four_way", "--method", "adm"), "method 'adm': one of adam"),
     (("optimise", "four_way", "--start", "givn"), "did you mean given"),
     (("optimise", "four_way", "--also", "missing.npz"), "missing.npz: no such file"),
@@ -399,12 +366,8 @@ def test_bad_input_is_one_message_and_status_2(inspe, files, arguments, message)
     (("optimise", "four_way", "--pole-price", 2), "pole_price 2: what a new pole must gain"),
     (("compare", "four_way", "--methods", "grid,grid"), "one is named twice"),
     (("compare", "four_way", "--out", "mine"), "mine/layout.yaml: is there already, and `inspe"),
-    (("pareto", "four_way", "--method", "adm"), "method 'adm': one of adam"),
     (("tolerance", "four_way", "--angle", 90), "angle 90° is out of range"),
-    (("report", "four_way", "Cam-d1", "missing.yaml"), "missing.yaml: no such file"),
     (("report", "four_way", "--out", "mine/r.html"), "r.html: is there already, and `inspe"),
-    (("export", "four_way", "missing.yaml"), "missing.yaml: no such file"),
-    (("view", "four_way", "missing.yaml"), "missing.yaml: no such file"),
     (("scene", "page.xodr", "--junction", 1, "--traffic", "no.log"), "no.log: no such file"),
     (("scene", "page.xodr", "--junction", 1, "--traffic", "page.log"), "not a log of CARLA"),
     (("scene", "page.xodr", "--junction", 1, "--mesh", "no.glb"), "no.glb: no such file"),

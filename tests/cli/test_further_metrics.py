@@ -24,8 +24,6 @@ def test_scores_have_those_that_are_named(run, scored, scene, layout):
         assert name in words
     usual = run("score", "s.npz", "layout.yaml")
     assert "detectability" not in usual
-    wrong = run("score", "s.npz", "layout.yaml", "--metrics", "localization", fails=True)
-    assert "did you mean localisation" in wrong
     assert "detectability D 0 chance that a detector finds a road user" in run("metrics")
 
 
@@ -71,17 +69,20 @@ def test_the_cheapest_mix_is_told_with_those_that_fall_short(run, tmp_path):
 
 
 @pytest.mark.parametrize(("arguments", "words"), [
-    (("--target", "95"), "scores are between 0 and 1"),
-    (("--target", "0.9", "--start", "random"), "leave out --checkpoint and --start"),
-    (("--device", "velodyne-vlp-16:1"), "layout.yaml has its own devices: give one of them"),
-    (("--price", "paper-camera=1"), "--price is for --target"),
+    (("layout.yaml", "--target", "95"), "scores are between 0 and 1"),
+    (("layout.yaml", "--target", "0.9", "--start", "random"), "leave out --checkpoint and --start"),
+    (("layout.yaml", "--device", "velodyne-vlp-16:1"), "layout.yaml has its own devices: give one"),
+    (("layout.yaml", "--price", "paper-camera=1"), "--price is for --target"),
     (("--target", "0.9", "--device", "paper-camera:1"), "--price paper-camera=USD"),
-    (("--region", "crosswalk"), "occlusion counts every voxel"),
-    (("--region", "kerb", "--weight", "coverage=1"), "region 'kerb': one of driveway"),
-    (("--region", "crosswalks", "--weight", "coverage=1"), "did you mean crosswalk"),
+    (("layout.yaml", "--region", "crosswalk"), "occlusion counts every voxel"),
+    (("layout.yaml", "--region", "kerbs", "--weight", "coverage=1"), "region 'kerbs': one of driv"),
+    (("layout.yaml", "--metrics", "localization"), "did you mean localisation"),
+    (("--device", "paper-camera:1-2"), "one number of it"),
+    (("--device", "a:1"), "device 'a'"),
+    (("--device", "paper-camera:0"), "no sensor"),
 ])  # fmt: skip
 def test_what_does_not_go_together_is_said(run, arguments, words):
-    assert words in run("optimise", "s.npz", "layout.yaml", *arguments, fails=True)
+    assert words in run("optimise", "s.npz", *arguments, fails=True)
 
 
 def test_a_search_begins_with_a_mix_of_devices(run, tmp_path):
@@ -89,9 +90,6 @@ def test_a_search_begins_with_a_mix_of_devices(run, tmp_path):
     run("optimise", "s.npz", *mix, "--method", "random", "--evaluations", 1, "--out", "m")
     text = (tmp_path / "m" / "start.yaml").read_text()
     assert (text.count("device: velodyne-vlp-16"), text.count("device: paper-camera")) == (1, 2)
-    for given, words in (("paper-camera:1-2", "one number of it"), ("a:1", "device 'a'")):
-        assert words in run("optimise", "s.npz", "--device", given, fails=True)
-    assert "no sensor" in run("optimise", "s.npz", "--device", "paper-camera:0", fails=True)
 
 
 AIM = ("--weight", "detectability=1", "--region", "crosswalk", "--road-user", "pedestrian")

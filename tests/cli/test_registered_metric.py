@@ -12,12 +12,12 @@ from inspe_jax.placement.result import load_result, save_result
 from inspe_jax.placement.studies.pareto import DeviceMix, save_pareto
 from inspe_jax.report import page, tables
 from inspe_jax.report.figures import plan_view
-from inspe_jax.report.progress import before_after
+from inspe_jax.report.searches import before_after
 from inspe_jax.scoring.metrics import METRICS, Metric
 from inspe_jax.study.plan import make_study
 from inspe_jax.study.sweep import Results, run_job
 from inspe_jax.viewer.score_panel import score_panel
-from inspe_jax.viewer.scorer import ScoredLayout
+from inspe_jax.viewer.workers import ScoredLayout
 
 TOY = Metric(
     "worst_frame",

@@ -6,27 +6,31 @@ import numpy as np
 import pytest
 import shapely
 import shapely.affinity
-from drawn import misplaced, pixels, texts
+from drawn import misplaced, pixels, printed, texts
 from matplotlib import colormaps, rc_context
 from matplotlib.collections import PolyCollection
 from matplotlib.colors import to_rgb
-from worlds import CAMERA, LIDAR, no_traffic, place_sensors, random_layout, world
+from worlds import CAMERA, LIDAR, no_traffic, place_sensors, random_layout, street_bodies, world
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.core.geometry import rotation
 from inspe_jax.core.sheet import CLASS_COLORS, fit, save_figure
 from inspe_jax.report import figures
-from inspe_jax.report.bodies import arrow_heads
+from inspe_jax.report.bodies import BODY_COLORS, arrow_heads, body_keys, look_of
 from inspe_jax.report.figures import REGION_COLORS, plan_view, scene_view
-from inspe_jax.report.layers import MapLayer
+from inspe_jax.report.layers import MapLayer, layers
 from inspe_jax.report.outlines import clear_outlines, view_outline
+from inspe_jax.report.targets import targets_record, targets_table, targets_view
 from inspe_jax.scene.procedural.built_ins import built_in
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.scene import build_scene
-from inspe_jax.scene.statics import tree, upright_box
+from inspe_jax.scene.statics import KINDS, tree, upright_box
 from inspe_jax.scoring.evaluate import Contribution, Scores
+from inspe_jax.scoring.targets import target_view
+from inspe_jax.scoring.viewshed import Viewshed
+from inspe_jax.sensing.catalogue import device
 from inspe_jax.sensing.layout import Sensor, Unit, make_layout
-from inspe_jax.sensing.sensors import CameraSpec, LidarSpec
+from inspe_jax.sensing.sensors import LidarSpec
 
 
 def scores_of(scene, layout, share=None):
@@ -128,18 +132,22 @@ def bearings(outline, pose):
     return (angle + np.pi) % (2 * np.pi) - np.pi, np.hypot(*way.T)
 
 
-@pytest.mark.parametrize(("pitch", "height"), [(-20, 6.0), (-75, 5.0), (10, 4.0), (-30, 20.0)])
-def test_a_cameras_outline_holds_what_its_picture_shows_near_the_ground(pitch, height):
-    """Points at random are projected into the picture: another reading of the same camera."""
+@pytest.mark.parametrize(("pitch", "height", "middle"), [
+    (-20, 6.0, 400.0), (-75, 5.0, 400.0), (10, 4.0, 400.0), (-30, 20.0, 400.0), (-10, 6.0, 100.0),
+    (-10, 6.0, 800.0),
+])  # fmt: skip
+def test_a_cameras_outline_holds_what_its_picture_shows_near_the_ground(pitch, height, middle):
+    """Points at random are projected into the picture: another reading of the same camera, also
+    where the middle of its picture is elsewhere."""
     pose, level = np.array([3.0, -4.0, 2.0 + height, 0.0, np.radians(pitch), 2.5]), 2.0
-    outline = view_outline(CAMERA, pose, level)
+    outline = view_outline(replace(CAMERA, principal=(middle, 300.0)), pose, level)
 
     def shown(points, slack=0.0):
         x, y, z = rotation(pose[3:], np).T @ (points - pose[:3]).T
         near = (x > 0) & (np.linalg.norm(points - pose[:3], axis=1) < CAMERA.depth)
-        across, down = CAMERA.focal * np.abs([y, z]) / np.maximum(x, 1e-9)
-        sides = CAMERA.width / 2 + slack, CAMERA.height / 2 + slack  # [pixels]
-        return near & (across < sides[0]) & (down < sides[1])
+        across, down = CAMERA.focal * np.array([y, z]) / np.maximum(x, 1e-9)
+        across, down = np.abs(middle - CAMERA.width / 2 - across), np.abs(down)
+        return near & (across < CAMERA.width / 2 + slack) & (down < CAMERA.height / 2 + slack)
 
     rng = np.random.default_rng(0)
     points = rng.uniform([-30, -34, level], [36, 26, pose[2] + 6], (40_000, 3))
@@ -154,21 +162,6 @@ def test_a_cameras_outline_holds_what_its_picture_shows_near_the_ground(pitch, h
         at = pose[:2] + 0.99 * (corner - pose[:2])
         column = np.column_stack([np.tile(at, (len(heights), 1)), heights])
         assert shown(column, 0.5).any() or np.hypot(*(corner - pose[:2])) < 1e-9
-
-
-@pytest.mark.parametrize("principal", [(400.0, 300.0), (100.0, 300.0), (800.0, 300.0)])
-def test_a_cameras_outline_holds_its_rays_and_no_more(principal):
-    """The rays are another reading of the same camera: half an enlarged pixel inside the edge."""
-    spec = CameraSpec("off-axis", 800, 600, 336.0, principal, 0.1, 30.0)
-    layout = place_sensors((spec, [0, 0, 6, 0, 0, 1.0]))
-    _, rays, _ = layout.rays(0)
-    level = np.arctan2(rays[:, 1], rays[:, 0]) - 1.0
-    angle, _ = bearings(
-        view_outline(spec, np.asarray(layout.poses)[0], 0.0), np.array([0, 0, 0, 0, 0, 1.0])
-    )
-    pixel = 10 / 336.0
-    assert 0 < level.min() - angle.min() < pixel / 2 + 1e-9
-    assert 0 < angle.max() - level.max() < pixel / 2 + 1e-9
 
 
 def test_a_lidar_looks_all_round_or_in_a_sector():
@@ -383,3 +376,76 @@ def test_the_readers_own_settings_change_nothing(scene, tmp_path):
     with rc_context({"font.size": 30, "axes.facecolor": "black", "savefig.bbox": "tight"}):
         save_figure(scene_view(scene), tmp_path / "odd.png")
     assert (tmp_path / "plain.png").read_bytes() == (tmp_path / "odd.png").read_bytes()
+
+
+# ── Static bodies, and what a road user gets ─────────────────────────────────
+
+
+@pytest.fixture(scope="module")
+def street():
+    scene = world(count=0, slope=0.03, center=(40.0, -20.0, 3.0))
+    return scene.with_statics(street_bodies(scene.intersection))
+
+
+def test_a_map_has_the_outline_of_every_body(street):
+    (ax, *_) = scene_view(street).axes
+    drawn = [
+        path.vertices[:-1]
+        for collection in ax.collections
+        if isinstance(collection, PolyCollection) and collection.zorder == 3.5
+        for path in collection.get_paths()
+    ]
+    assert len(drawn) == len(street.statics)
+    for one in street.statics:
+        assert any(
+            len(found) == len(one.outline) and np.allclose(found, one.outline) for found in drawn
+        )
+
+
+def test_the_legend_has_the_kinds_in_the_circle_each_once(street):
+    far = upright_box("hedge", street.voxels.center[:2] + 400.0, (2, 2, 2))
+    others = tuple(one for one in street.statics if one.kind != "hedge")
+    scene = street.with_statics([*others, far])
+    found = ", ".join(key.get_label() for key in body_keys(scene)).split(", ")
+    assert sorted(found) == sorted({one.kind for one in others})
+    assert set(BODY_COLORS) == set(KINDS)
+    assert look_of("tree")["fc"] == "none"  # the ground beneath is seen
+    rim = upright_box("building", street.voxels.center[:2] + [25.0, 0.0], (30, 10, 6))
+    (key,) = body_keys(street.with_statics([rim]))  # its middle is outside the circle
+    assert key.get_label() == "building"
+
+
+def test_layers_have_no_value_within_a_body(street):
+    """Nor does a voxel within one count as not seen."""
+    grid = street.voxels
+    inside = np.asarray(street.inside_statics)
+    whole = inside.all(1)
+    part = inside.any(1) & ~whole
+    assert whole.any()
+    assert part.any()
+    free = ~inside.ravel()
+    everything = Viewshed(sensors=3 * free, seen=5 * free, occupied=0 * free, frame_count=5)
+    found = layers(street, everything)
+    for name, value in (("seen", 1.0), ("redundancy", 3.0), ("blind", 0.0)):
+        values = found[name].values
+        assert np.isnan(values[whole]).all()
+        np.testing.assert_allclose(values[~whole], value, err_msg=name)
+    assert len(values) == len(grid.columns)
+
+
+def test_radars_are_no_lidars():
+    """Radars have no returns: alone they have the map of chances; beside a LiDAR its map is of the
+    LiDAR."""
+    scene, pose = world(radius=12, voxel=1.0, frames=3, count=5), [-10.0, 0.0, 6.0, 0.0, -0.3, 0.0]
+    radar = device("continental-ars408-near").spec
+    alone, both = place_sensors((radar, pose)), place_sensors((radar, pose), (LIDAR, pose))
+    for layout, lidar in ((alone, False), (both, True)):
+        view = target_view(scene, layout, "car")
+        record = targets_record(scene, layout, view)
+        assert ("lidar_returns" in record) == lidar
+        assert "pixels_per_metre" not in record
+        assert ("LiDAR returns" in printed(targets_table(record))) == lidar
+        figure = targets_view(scene, layout, view)
+        assert len(figure.axes) == 1 + lidar
+        assert any("LiDAR returns" in words for words, _ in texts(figure)) == lidar
+        assert record["detectability"]["all"] > 0

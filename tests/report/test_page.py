@@ -27,7 +27,6 @@ from inspe_jax.report.tables import scores_record
 from inspe_jax.scoring.evaluate import evaluate
 from inspe_jax.scoring.viewshed import viewshed
 from inspe_jax.viewer.page_views import VIEWS
-from inspe_jax.viewer.scene3d import runs
 
 
 @pytest.fixture(scope="module")
@@ -183,12 +182,6 @@ def test_layers_are_shares_of_what_is_counted(scene, entries):
     share = shed.seen.reshape(-1, levels).sum(1) / np.maximum(free, 1)
     hidden = whole & (free > 0) & (share < 1 - HIDDEN)
     np.testing.assert_array_equal(kind == 1, hidden)
-
-
-def test_runs_of_levels():
-    flags = np.array([[1, 1, 0, 1], [0, 0, 0, 0], [1, 1, 1, 1]], bool)
-    column, low, high = runs(flags)
-    assert list(zip(column, low, high, strict=True)) == [(0, 0, 2), (0, 3, 4), (2, 0, 4)]
 
 
 @pytest.mark.browser

@@ -1,4 +1,4 @@
-"""The installation schedule, worked out by hand; and that a page says the same."""
+"""The installation schedule, worked out by hand; and what a page says to who mounts it."""
 
 import re
 from dataclasses import replace
@@ -7,12 +7,15 @@ import numpy as np
 import pytest
 from worlds import CAMERA, LIDAR, crossing, world
 
+from inspe_jax import built_in
 from inspe_jax.placement.objective import Objective
 from inspe_jax.placement.problem import Case
 from inspe_jax.report import schedule
-from inspe_jax.report.page import report_entry, report_page
+from inspe_jax.report.page import FACTS, report_entry, report_page, template
 from inspe_jax.scene.georeference import Georeference
+from inspe_jax.scene.statics import pole
 from inspe_jax.scoring.blind_spots import blind_spots
+from inspe_jax.sensing.catalogue import device
 from inspe_jax.sensing.layout import Sensor, Unit, make_layout
 
 
@@ -87,19 +90,77 @@ def page(layout):
 
 def test_a_page_says_what_to_mount_where(page):
     html, scene, entry = page
-    words = " ".join(
-        re.sub(r"<style.*?</style>|<script.*?</script>|<[^>]+>", " ", html, flags=re.S).split()
-    )
-    assert "2 units with 2 cameras and 1 LiDAR watch 12 m around" in words
-    assert "for 1,800 US dollars without test-lidar, of unknown price" in words
-    assert "corner: x 9.00 , y 8.00 , z 0.00 m; new pole" in words
-    assert "1 east test-camera 9.00 8.00 5.00 90.0 12.0 0.0 0.00 – 900" in words
-    assert "2 arm test-camera 9.00 9.50 6.00 225.0 30.0 3.0 1.50 0 900" in words
-    assert "--price test-lidar=USD" in words
-    assert "scores, weights coverage 0.3, occlusion 0.5, information gain 0.2" in words
-    assert "inspe tolerance" in words
-    assert "total, without prices that are unknown 1,800" in words
+    markup = r"<style.*?</style>|<script.*?</script>|<[^>]+>"
+    page_words = " ".join(re.sub(markup, " ", html, flags=re.S).split())
     first, second, *_ = blind_spots(scene, entry.scores.seen_share)
-    assert f"Most is missed on the {first.name} ({first.unseen:.0%} of time" in words
-    assert f"1 {first.name} {100 * first.unseen:.0f} %" in words
-    assert f"2 {second.name} {100 * second.unseen:.0f} %" in words
+    for words in (
+        "2 units with 2 cameras and 1 LiDAR watch 12 m around",
+        "for 1,800 US dollars without test-lidar, of unknown price",
+        "corner: x 9.00 , y 8.00 , z 0.00 m; new pole",
+        "1 east test-camera 9.00 8.00 5.00 90.0 12.0 0.0 0.00 – 900",
+        "2 arm test-camera 9.00 9.50 6.00 225.0 30.0 3.0 1.50 0 900",
+        "--price test-lidar=USD",
+        "scores, weights coverage 0.3, occlusion 0.5, information gain 0.2",
+        "total, without prices that are unknown 1,800",
+        f"Most is missed on the {first.name} ({first.unseen:.0%} of time",
+        f"1 {first.name} {100 * first.unseen:.0f} %",
+        f"2 {second.name} {100 * second.unseen:.0f} %",
+    ):
+        assert words in page_words
+
+
+# ── What depends on the scene ──
+
+
+def rendered(name, **about):
+    return " ".join(template("report", name).render(**FACTS, **about).split())
+
+
+def test_what_the_plan_leaves_open(layout):
+    """Where a sensor is on the axis of a pole; where poles hide something, or nobody knows."""
+    scene = world(radius=12.0, voxel=2.0, count=2, frames=2, seed=1)
+    bare, on_axis = "no pole, arm or housing hides", "what the pole then hides, the scores count"
+    unknown, bodies = "How high existing poles are is not", "only poles that are bodies of the"
+    off = np.asarray(layout.poses) + [0, 1.0, 0, 0, 0, 0]
+    there = replace(scene.intersection, poles=np.array([[9.0, 8.0, 0.0]]))
+    for of, poses, said in (
+        (scene, off, {bare}),
+        (scene, layout.poses, {bare, on_axis}),
+        (replace(scene, intersection=there), off, {bare, unknown}),
+        (scene.with_statics([pole((-9.0, 9.0), radius=0.1, height=6.0)]), off, {bodies}),
+    ):
+        units = schedule.installation_schedule(layout.with_poses(poses), of.intersection, {})
+        words = rendered("mounting.html.j2", scene=of, units=units)
+        assert {part for part in (bare, on_axis, unknown, bodies) if part in words} == said
+
+
+def test_coordinates_are_those_of_a_built_in_place_a_map_or_a_projection():
+    far, sea = ("EPSG:32632", (-690_000.0, 12.5)), ("+proj=tmerc +lat_0=0 +lon_0=0",)
+    shifted, doubted = "the projection EPSG:32632, plus -690000.00 and 12.50;", "But coordinates"
+    for place, said, unsaid in (
+        (built_in("four_way"), "x and y are 0 in the middle of the junction, and z on", "map"),
+        (replace(crossing(), source="a.xodr"), "the coordinates of the map a.xodr; z is", "less"),
+        (replace(crossing(), source="a.net.xml (SUMO)"), "less its netOffset", doubted),
+        (replace(crossing(), georeference=Georeference(*far)), shifted, doubted),
+        (replace(crossing(), georeference=Georeference(far[0])), "projection EPSG:32632;", "plus"),
+        (replace(crossing(), georeference=Georeference(*sea)), f"{doubted} are in the sea", "plus"),
+    ):
+        words = rendered("origin.html.j2", place=place)
+        assert said in words
+        assert unsaid not in words
+
+
+def test_a_model_cannot_be_bought():
+    """The paper's devices; not those of makers, nor those that a layout describes."""
+    names = "paper-camera", "paper-lidar-32", "velodyne-vlp-16"
+    specs = [*(device(name).spec for name in names), CAMERA]
+    sensors = [Sensor(spec.name, spec, 0) for spec in specs]
+    poses = np.zeros((4, 6)) + [[0, 0, 5.0 + k, 0, 0, 0] for k in range(4)]
+    rows = schedule.materials(make_layout(sensors, [Unit("corner", (0.0, 0.0, 0.0))], poses), {})
+    assert [row.product for row in rows] == [False, False, True, True]
+    about = {spec.name: spec for spec in specs}
+    _, words, of_lidar = rendered("models.html.j2", materials=rows, specs=about).split("<p")
+    assert "paper-camera is a model and cannot be bought." in words
+    assert "800 × 600 pixels, a field of view of 100° × 84° and a reach of 38 m." in words
+    low, high = np.degrees(specs[1].elevations)[[0, -1]]
+    assert f"32 channels at elevations from {low:.1f}° to {high:.1f}°" in of_lidar

@@ -57,7 +57,7 @@ def test_voxels_run_from_the_ground_to_four_metres():
 def test_regions_have_weights_of_ones_own(tmp_path):
     """In the scene, its file and its coverage; those that are not named count for nothing."""
     own = dict(crosswalk=3.0, sidewalk=1.0)
-    made = build_scene("four_way", radius=20, voxel=1.0, frames=1, region_weights=own)
+    made = build_scene("four_way", radius=20, voxel=1.0, frames=2, region_weights=own)
     save_scene(made, tmp_path / "s.npz")
     scene = load_scene(tmp_path / "s.npz")
     assert scene.voxels == made.voxels

@@ -2,7 +2,6 @@
 
 import socket
 import threading
-import time
 from contextlib import contextmanager
 from dataclasses import replace
 from urllib.error import HTTPError
@@ -11,15 +10,15 @@ from urllib.request import urlopen
 
 import numpy as np
 import pytest
-from page_socket import enter, pull, send, set_value, socket_of
+from page_socket import enter, pull, send, set_value, socket_of, wait_until
 from websockets.datastructures import Headers
 from websockets.exceptions import InvalidStatus
 from websockets.http11 import Request
 
 from inspe_jax.placement.problem import Case
 from inspe_jax.viewer.app import Viewer
-from inspe_jax.viewer.searcher import SearchEnding
-from inspe_jax.viewer.server import kept_token, new_token, quiet, refusal, serve, with_head
+from inspe_jax.viewer.server import kept_token, new_token, quiet, refusal, serve
+from inspe_jax.viewer.workers import SearchEnding
 
 EVIL = "http://evil.example"
 
@@ -44,13 +43,6 @@ def viewer(served):
     """A page that others have used, and nobody looks at now."""
     wait_until(lambda: not served.server.get_clients() and not served.views)
     return served
-
-
-def wait_until(true, seconds=60):
-    end = time.monotonic() + seconds
-    while not true():
-        assert time.monotonic() < end, "it does not come to that"
-        time.sleep(0.02)
 
 
 def own_of(viewer):
@@ -120,11 +112,6 @@ def test_the_page_has_its_own_title_and_keeps_its_address_to_itself(viewer):
         urlopen(f"{viewer.url}..%2f..%2f_viser.py")
     with missing.value as answer:
         assert answer.code == 404
-
-
-def test_the_head_is_replaced_and_the_script_is_as_it_was():
-    own = '<head><title>Viser</title><link rel="icon" href="x"/><script>"<title>a</title>"</script>'
-    assert with_head(own, "<b>") == '<head><b><script>"<title>a</title>"</script>'
 
 
 def test_only_this_machine_can_connect_and_the_next_free_port_serves():
@@ -251,7 +238,7 @@ def test_a_search_ends_a_drag_and_shows_what_it_begins_from(viewer, monkeypatch)
         pull(page, owner, (at + [0, 0, 2.0]).tolist())
         pull(page, owner, None, "End")
         wait_until(lambda: np.allclose(view.selection3d.gizmo.position, at))
-        viewer._on_end(SearchEnding(None, 0.0, 0.0, "stopped"))
+        viewer.searcher._ended(SearchEnding(None, 0.0, 0.0, "stopped"))
         wait_until(lambda: not viewer.searching)
     assert viewer.layout is before
 
@@ -259,11 +246,11 @@ def test_a_search_ends_a_drag_and_shows_what_it_begins_from(viewer, monkeypatch)
 def test_what_another_browser_does_in_vain_leaves_a_drag_as_it_is(viewer):
     before = viewer.layout
     with dragging(viewer) as (page, owner, view, at):
-        viewer.restore()
+        viewer.queue.submit(viewer.show_controls)
         view.select(1)
-        done = []
-        viewer.queue.submit(lambda: done.append(True))
-        wait_until(lambda: done)
+        done = threading.Event()
+        viewer.queue.submit(done.set)
+        done.wait()
         up = at + [0, 0, 0.5]
         np.testing.assert_allclose(view.selection3d.gizmo.position, up, atol=1e-5)
         assert view.selection == (0,)
@@ -277,7 +264,7 @@ def test_a_typed_number_is_read_before_the_controls_are_shown_anew(viewer, monke
     asked, before = [], viewer.layout
 
     def meanwhile(*_):
-        asked.append(threading.Thread(target=viewer._show_controls))
+        asked.append(threading.Thread(target=viewer.show_controls))
         asked[-1].start()
         asked[-1].join()
 

@@ -61,18 +61,13 @@ def test_what_was_saved_earlier_is_offered_and_not_replaced_unasked(path, layout
     assert again.would_replace(layout)  # taken back: the better one would be lost
 
 
-def test_what_is_opened_from_its_own_file_is_saved_there(path, layout):
+def test_what_is_opened_from_its_own_file_is_saved_there_unless_somebody_changed_it(path, layout):
     save_layout(layout, path)
-    store = LayoutStore(path, load_layout(path))
+    store, moved = LayoutStore(path, load_layout(path)), raised(layout, 1.0)
     assert store.earlier == []
-    assert not store.would_replace(raised(layout, 1.0))
-
-
-def test_a_file_that_somebody_changed_meanwhile_is_not_replaced_unasked(path, layout):
-    store = LayoutStore(path, layout)
-    store.save(raised(layout, 1.0))
+    assert not store.would_replace(moved)
     path.write_text(path.read_text() + "# a word of mine\n")
-    assert store.would_replace(raised(layout, 2.0))
+    assert store.would_replace(moved)
 
 
 def test_what_an_earlier_run_did_not_save_is_kept_until_what_became_of_it_is(path, layout):

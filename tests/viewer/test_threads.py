@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import jax
 import numpy as np
 import pytest
+from page_socket import wait_until
 
 from inspe_jax.core.errors import InspeError
 from inspe_jax.placement.constraints import Constraints
@@ -18,11 +19,10 @@ from inspe_jax.scoring.evaluate import evaluate
 from inspe_jax.scoring.metrics import METRICS
 from inspe_jax.scoring.viewshed import sight_in
 from inspe_jax.sensing.conditions import Conditions
-from inspe_jax.viewer import scorer as scorers
+from inspe_jax.viewer import workers
 from inspe_jax.viewer.job_queue import DelayedAction, JobQueue
 from inspe_jax.viewer.score_panel import cost_of, score_panel
-from inspe_jax.viewer.scorer import Scorer
-from inspe_jax.viewer.searcher import Searcher
+from inspe_jax.viewer.workers import Scorer, Searcher
 
 # ── The queue ──
 
@@ -40,18 +40,6 @@ def test_jobs_are_done_in_turn_and_only_the_newest_of_a_key():
     assert done == ["soon", ("drag", 4), "end"]
 
 
-def test_the_end_comes_soon():
-    """What waits for longer than the patience is dropped."""
-    done, go = [], threading.Event()
-    queue = JobQueue(lambda _: None)
-    queue.submit(lambda: go.wait(1))
-    queue.submit(lambda: done.append("never"))
-    began = time.monotonic()
-    queue.close(0.1)
-    assert time.monotonic() - began < 2
-    assert done == []
-
-
 def test_of_what_is_to_be_done_later_the_last_is_done_once_and_can_be_done_now():
     done, later, told = [], DelayedAction(), threading.Event()
     for k in range(3):
@@ -67,12 +55,16 @@ def test_of_what_is_to_be_done_later_the_last_is_done_once_and_can_be_done_now()
     assert done == [2, "now"]
 
 
-def test_a_job_that_fails_does_not_end_the_others():
+def test_a_job_that_fails_does_not_end_the_others_and_the_end_comes_soon():
+    """What waits for longer than the patience is dropped."""
     failed, done = [], []
     queue = JobQueue(failed.append)
     queue.submit(lambda: 1 / 0)
-    queue.submit(lambda: done.append(1))
-    queue.close()
+    queue.submit(lambda: (done.append(1), threading.Event().wait(1)))
+    queue.submit(lambda: done.append("never"))
+    began = time.monotonic()
+    queue.close(0.1)
+    assert time.monotonic() - began < 2
     assert isinstance(failed[0], ZeroDivisionError)
     assert done == [1]
 
@@ -100,7 +92,7 @@ class Listener:
 @pytest.fixture
 def listening(scene, monkeypatch):
     """A scorer that scores two of three frames first."""
-    monkeypatch.setattr(scorers, "SHOWN", 2)
+    monkeypatch.setattr(workers, "SHOWN", 2)
     scores, sights = Listener(), Listener()
     case = Case(scene, Conditions.of("night", "clear"))
     scorer = Scorer(case, Objective(), scores, sights)
@@ -118,8 +110,7 @@ def test_a_few_frames_first_then_all_as_evaluate_has_them(scene, layout, listeni
     assert whole.scores.surrogate == evaluate(scene, layout, conditions=night).surrogate
     part = replace(scene, traffic=jax.tree.map(lambda leaf: leaf[::2], scene.traffic))
     assert few.scores.surrogate == evaluate(part, layout, conditions=night).surrogate
-    of, frame, sight = sights.wait(lambda heard: heard)[-1]
-    assert of is layout
+    frame, sight = sights.wait(lambda heard: heard)[-1]
     assert frame == 2
     np.testing.assert_array_equal(sight, sight_in(scene, layout, 2, conditions=night))
 
@@ -137,17 +128,15 @@ def test_what_is_out_of_date_is_not_begun(layout, listening, monkeypatch):
             go[1].wait(60)
         raise InspeError("no scores")
 
-    monkeypatch.setattr(scorers, "scores_of", slowly)
+    monkeypatch.setattr(workers, "scores_of", slowly)
     scorer.score(replace(layout, name="first"), whole=True)
-    while not begun:
-        time.sleep(0.01)
+    wait_until(lambda: begun)
     for k in range(10):
         scorer.score(replace(layout, name=f"dragged {k}"), whole=False)
     scorer.score(replace(layout, name="last"), whole=True)
     go[0].set()
     scores.wait(lambda heard: len(heard) == 2)
-    while begun[-1] != ("last", 3):
-        time.sleep(0.01)
+    wait_until(lambda: begun[-1] == ("last", 3))
     scorer.close(wait=False)
     assert len(scores.heard) == 2  # it has come back before the score
     go[1].set()
@@ -168,7 +157,7 @@ def test_a_layout_that_cannot_be_scored_is_said(layout, listening, monkeypatch):
         raise MemoryError("too large")
 
     with monkeypatch.context() as short:
-        short.setattr(scorers, "scores_of", failing)
+        short.setattr(workers, "scores_of", failing)
         scorer.score(layout, whole=False)
         assert "too large" in scores.wait(lambda heard: len(heard) == 2)[-1][0].wrong
     scorer.score(layout, whole=False)
@@ -243,7 +232,7 @@ def test_a_search_is_stopped_while_it_compiles_or_fails_with_its_best(
         raise MemoryError("too large")
 
     with monkeypatch.context() as short:
-        short.setattr("inspe_jax.viewer.searcher.optimise", compiling)
+        short.setattr("inspe_jax.viewer.workers.optimise", compiling)
         searcher.start(layout, "random", 600.0)
         left = searcher.thread
         assert compiles.wait(60)
@@ -271,7 +260,7 @@ def test_the_panel_says_scores_faults_and_cost(scene, layout):
         return "".join(score_panel(of, scored, frames=50, **further))
 
     assert cost_of(layout) == "no list price for test-camera, test-lidar"
-    scored = scorers.ScoredLayout(layout, evaluate(scene, layout), 50, 0.25)
+    scored = workers.ScoredLayout(layout, evaluate(scene, layout), 50, 0.25)
     scores, moved = scored.scores, replace(layout, name="moved")
     less = {name: value - 0.01 for name, value in scores.metrics.items()}
     opened = replace(scores, surrogate=0.1, metrics=less | {"coverage": scores.metrics["coverage"]})

@@ -15,10 +15,9 @@ from inspe_jax.placement.optimise import METHODS
 from inspe_jax.placement.result import Result
 from inspe_jax.placement.run import Progress
 from inspe_jax.placement.studies.pareto import DeviceMix
-from inspe_jax.report.curves import NAMED, history_view, pareto_view
 from inspe_jax.report.figures import layer_raster
 from inspe_jax.report.layers import seen_layer
-from inspe_jax.report.progress import MOVED, WENT, before_after
+from inspe_jax.report.searches import MOVED, NAMED, WENT, before_after, history_view, pareto_view
 from inspe_jax.report.tables import before_after_table, comparison_table, moves_table
 from inspe_jax.scoring.evaluate import ManyScores, evaluate
 
@@ -55,10 +54,8 @@ def maps_of(fig):
 
 def test_both_maps_show_their_scores_on_one_scale_and_an_arrow_what_moved(result, scene):
     left, right = maps_of(compare_of(result, scene))
-    for ax, scores, when in (
-        (left, result.scores_before, "before"),
-        (right, result.scores, "after"),
-    ):
+    scored = (left, result.scores_before, "before"), (right, result.scores, "after")
+    for ax, scores, when in scored:
         (image,) = ax.images
         assert (image.norm.vmin, image.norm.vmax) == (0, 1)
         shown = image.get_array().compressed()
@@ -115,12 +112,16 @@ def test_nothing_overlaps(result, scene):
     assert misplaced(history_view([replace(result, method=name) for name in METHODS])) == []
 
 
-def test_other_sensors_and_other_scenes_are_refused(result, scene):
-    other = place_sensors((CAMERA, [9.0, 9.0, 6.0, 0, -0.3, 0]))
-    with pytest.raises(InspeError, match="not of the same sensors"):
-        before_after(scene, result.start, other, result.scores_before, result.scores)
-    with pytest.raises(InspeError, match="scores of another scene"):
-        compare_of(result, world(radius=12, voxel=1.0))
+def test_what_cannot_be_drawn_is_refused(result, scene):
+    other = replace(result, layout=place_sensors((CAMERA, [9.0, 9.0, 6.0, 0, -0.3, 0])))
+    for draw, words in (
+        (lambda: compare_of(other, scene), "not of the same sensors"),
+        (lambda: compare_of(result, world(radius=12, voxel=1.0)), "scores of another scene"),
+        (lambda: history_view([]), "no result"),
+        (lambda: pareto_view([]), "no mix"),
+    ):
+        with pytest.raises(InspeError, match=words):
+            draw()
 
 
 def course(*rows):
@@ -161,8 +162,6 @@ def test_methods_can_be_told_apart_and_are_named_with_their_end(result):
     assert len({line.get_color() for line in lines}) == 8
     words = [text.get_text() for text in fig.legends[0].get_texts()]
     assert words == [f"m{k}, {0.1 * k:.4f}" for k in range(8)]
-    with pytest.raises(InspeError, match="no result"):
-        history_view([])
 
 
 def row_of(text, start):
@@ -240,5 +239,3 @@ def test_no_more_are_named_than_there_is_room_for(found):
 def test_one_mix_is_a_figure_too(found):
     (ax,) = pareto_view([replace(found[0], cost=0.0)]).axes
     assert ax.lines[1].get_data()[0].tolist() == [0.0]
-    with pytest.raises(InspeError, match="no mix"):
-        pareto_view([])

@@ -189,6 +189,9 @@ class SceneOptions(MapOptions):
         seed: Seed of the traffic; 0 if not given.
         terrain (none|ground): Whether the ground hides what is behind its brows: none (if not
             given) or ground.
+        region_weights (--region-weight NAME=VALUE): Weight of a region in the scores, such as
+            crosswalk=0.5; repeat it for others. Regions that you do not name get 0. The paper's if
+            not given.
     """
 
     profile: str | None = None
@@ -198,6 +201,15 @@ class SceneOptions(MapOptions):
     traffic: str | None = None
     seed: int | None = None
     terrain: str | None = None
+    region_weights: list[str] | None = None
+
+    @property
+    def given(self) -> dict[str, Any]:
+        """Those that are given, by name."""
+        found, form = super().given, "NAME=VALUE, such as crosswalk=0.5"
+        if self.region_weights:
+            found["region_weights"] = numbers("--region-weight", self.region_weights, form)
+        return found
 
 
 @dataclass(frozen=True)

@@ -157,7 +157,6 @@ def report_page(
         parts.append(part)
     records = [part["record"] for part in parts]
     metrics = listed_in(*(entry.scores for entry in entries))
-    covered = records[0]["region_coverage"]
     return template("report", "page.html.j2").render(
         scene=scene,
         north="true north" if scene.intersection.georeference else "north, the y axis of the map",

@@ -419,7 +419,8 @@ def _unpack(data: Mapping[str, np.ndarray]) -> Scene:
     )
     columns, ground, region, center = (data[f"grid_{k}"] for k in _GRID)
     *size, weights = record["grid"]
-    grid = VoxelGrid(columns, ground, region, center, *size, tuple(weights))
+    grid = VoxelGrid(columns, ground, region, center, *size)
+    grid = replace(grid, region_weight=tuple(weights))
     settings = tuple((k, v) for k, v in record["settings"])
     terrain = saved("terrain", Terrain)
     terrain = terrain and replace(terrain, step=float(terrain.step))

@@ -52,7 +52,7 @@ def test_several_are_trained_by_workers(trained, tmp_path):
     (("train", "set_cache", "--rate", "-1"), "training: rate: input should be greater than 0"),
     (("detect", "run", "set_cache", "--scenario", "d"), "no scenario 'd' in split 'test': it h"),
     (("detect", "run", "set_cache", "--frame", "6"), "c: no frame 6: it has 3, from 7 to 9"),
-    (("detect", "run", "set_cache", "--split", "tset"), "no split 'tset': there is"),
+    (("detect", "run", "set_cache", "--split", "tset"), "split 'tset': one of"),
 ])  # fmt: skip
 def test_what_cannot_be_done_is_said(trained, monkeypatch, words, said):
     monkeypatch.chdir(trained)

@@ -69,7 +69,8 @@ def test_regions_have_weights_of_ones_own(tmp_path):
     covered = [found.region_coverage[key] for key in own]
     assert found.coverage == pytest.approx(covered @ area / area.sum(), abs=1e-6)
     assert found.settings["region_weights"] == own
-    for bad, message in (({"pavement": 1}, "no region 'pavement'"), ({"sidewalk": -1}, "at least")):
+    unknown = {"pavement": 1}, "region 'pavement': one of"
+    for bad, message in (unknown, ({"sidewalk": -1}, "at least")):
         with pytest.raises(InspeError, match=message):
             build_scene("four_way", region_weights=bad)
 

@@ -162,7 +162,7 @@ def test_what_is_known_is_listed(inspe):
     assert "paper-lidar-64" in inspe("devices")[1]
     assert "ideal" in inspe("profiles")[1]
     assert "roundabout" in inspe("scene", "--list")[1]
-    assert inspe("--version")[1].startswith("inspe_jax 0.")
+    assert inspe("--version")[1].startswith("inspe_jax 1.")
 
 
 def test_optimise_writes_a_better_layout_and_shows_it(inspe, scored, files):

@@ -127,6 +127,7 @@ def options() -> argparse.Namespace:
         spacing=dict(type=float, default=0.8, help="of voxels in the search [m]"),
         folds=dict(type=int, default=9, help="placements left out in turn"),
         passes=dict(type=int, default=PASSES, help="through all, at most"),
+        pitch=dict(type=float, help="at which all cameras are held [degrees]"),
         design=dict(type=int, default=DESIGN, help="settings of a surrogate"),
         rounds=dict(type=int, default=ROUNDS, help="in which it proposes more"),
         scenes=dict(type=int, default=10, help="only the first so many of the ten"),
@@ -183,6 +184,7 @@ SCORED = ("visibility", "occlusion_reference", "voxel", "radius", "mix", "densit
 def jobs(at: Setting, given: argparse.Namespace, full: bool = False) -> tuple[StudyJob, ...]:
     """What is to be scored at a setting, of a sample or in ``full``: LiDARs alone, which need no
     light, once."""
+    at = at if given.pitch is None else at | dict(camera_pitch=given.pitch)
     whole = full or given.quick
     apart = at["voxel"] if whole else max(given.spacing, at["voxel"])
     settings = dict(

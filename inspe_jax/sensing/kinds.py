@@ -16,7 +16,7 @@ from inspe_jax.core.errors import InspeError, error_at
 from inspe_jax.core.files import STRICT
 from inspe_jax.sensing.lens import focal_of
 from inspe_jax.sensing.radar import RadarSpec
-from inspe_jax.sensing.sensors import PIXELS_PER_METRE, CameraSpec, LidarSpec, Spec
+from inspe_jax.sensing.sensors import CameraSpec, LidarSpec, Spec, usual_depth
 
 Positive = Annotated[float, Field(gt=0)]
 _Elevation = Annotated[float, Field(ge=-90, le=90)]
@@ -176,16 +176,15 @@ class CameraKeys(DeviceKeys):
                 raise InspeError(f"{where}: hfov_deg: must ascend, but {wide:g} follows {narrow:g}")
             lens, view = (focal_of(self.width, wide), focal_of(self.width, narrow)), None
             focal = lens[0]
-        cx, cy = self.principal_px or (None, None)
+        cx, cy = self.principal_px or (self.width / 2, self.height / 2)
         with error_at(where):
             found = CameraSpec.from_intrinsics(
                 name, self.width, self.height, depth=self.depth_m, downsample=self.downsample,
-                fx=focal, fy=self.focal_y_px, hfov_deg=view, cx=cx, cy=cy,
-                reliability=self.reliability, distortion=self.distortion, fisheye=fisheye,
-                image_circle_deg=self.image_circle_deg,
+                fx=focal, fy=self.focal_y_px, hfov_deg=view, reliability=self.reliability,
+                distortion=self.distortion, fisheye=fisheye, image_circle_deg=self.image_circle_deg,
             )  # fmt: skip
-            found = replace(found, focal_range=lens).with_lens(0.0)
-        depth = self.depth_m or found.focal / PIXELS_PER_METRE
+            found = replace(found, focal_range=lens, principal=(cx, cy)).with_lens(0.0)
+        depth = self.depth_m or usual_depth(found.focal)
         return replace(found, depth=depth)
 
     @classmethod

@@ -20,9 +20,14 @@ from inspe_jax.sensing.ray_grid import RayGrid
 from inspe_jax.sensing.rays import PinholeRays, Rays, SphericalRays
 
 WIDEST = np.radians(220.0)  # across an image circle
+SWAPPED = 0.2  # a principal point farther off the middle, in picture sizes, is looked at twice
 PIXELS_PER_METRE = 25.0
 """At a camera's depth where none is given: enough to detect by EN 62676-4:2015."""
-SWAPPED = 0.2  # a principal point farther off the middle, in picture sizes, is looked at twice
+
+
+def usual_depth(focal: float) -> float:
+    """How far a camera with a focal length [px] has :data:`PIXELS_PER_METRE` [m], to 0.1 m."""
+    return max(round(focal / PIXELS_PER_METRE, 1), 0.1)
 
 
 class Pose(NamedTuple):
@@ -258,7 +263,7 @@ class CameraSpec(Spec):
                 if view > 180 and image_circle_deg is None:
                     circle = max(circle or 0.0, view)
         x, y = (float(given[k] or given[1 - k] or 0.0) for k in (0, 1))
-        depth = x / PIXELS_PER_METRE if depth is None else depth
+        depth = usual_depth(x) if depth is None and np.isfinite(x) else depth
         numbers = np.array([width, height, x, y, depth, downsample, cx, cy], float)
         if not (np.isfinite(numbers).all() and (numbers[:6] > 0).all()):
             raise InspeError(

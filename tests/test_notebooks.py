@@ -17,6 +17,7 @@ SHORTER = {
     r"(?:seconds|evaluations)=\d+": "evaluations=4",
     r"samples=\d+": "samples=3",
     "-60, 60, 17": "-60, 60, 5",
+    r"range\(60\)": "range(3)",
     r"STEPS, STARTS, SOFTNESS = \d+, 3": "STEPS, STARTS, SOFTNESS = 2, 2",
 }
 """How much of what takes long is enough here: only budgets and sizes."""

@@ -184,7 +184,7 @@ SCORED = ("visibility", "occlusion_reference", "voxel", "radius", "mix", "densit
 def jobs(at: Setting, given: argparse.Namespace, full: bool = False) -> tuple[StudyJob, ...]:
     """What is to be scored at a setting, of a sample or in ``full``: LiDARs alone, which need no
     light, once."""
-    at = at if given.pitch is None else at | dict(camera_pitch=given.pitch)
+    at = at if given.pitch is None else at | dict(camera_aim="pitch", camera_pitch=given.pitch)
     whole = full or given.quick
     apart = at["voxel"] if whole else max(given.spacing, at["voxel"])
     settings = dict(

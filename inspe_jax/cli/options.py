@@ -34,6 +34,7 @@ from inspe_jax.placement.optimise import DEFAULT_METHOD, check_search
 from inspe_jax.placement.problem import Case, Problem
 from inspe_jax.placement.run import check_budget
 from inspe_jax.scene.procedural.built_ins import BUILT_INS
+from inspe_jax.scene.regions import weights_of_regions
 from inspe_jax.scene.scene import Scene, check_scene_name, load_scene
 from inspe_jax.scoring.detection import DetectionCurves, detection_curves, load_detection
 from inspe_jax.scoring.metrics import names_of, weights_of
@@ -189,7 +190,7 @@ class SceneOptions(MapOptions):
         seed: Seed of the traffic; 0 if not given.
         terrain (none|ground): Whether the ground hides what is behind its brows: none (if not
             given) or ground.
-        region_weights (--region-weight NAME=VALUE): Weight of a region in the scores, such as
+        region_weight (NAME=VALUE): Weight of a region in the scores, such as
             crosswalk=0.5; repeat it for others. Regions that you do not name get 0. The paper's if
             not given.
     """
@@ -201,14 +202,15 @@ class SceneOptions(MapOptions):
     traffic: str | None = None
     seed: int | None = None
     terrain: str | None = None
-    region_weights: list[str] | None = None
+    region_weight: list[str] | None = None
 
     @property
     def given(self) -> dict[str, Any]:
         """Those that are given, by name."""
         found, form = super().given, "NAME=VALUE, such as crosswalk=0.5"
-        if self.region_weights:
-            found["region_weights"] = numbers("--region-weight", self.region_weights, form)
+        if self.region_weight:
+            found["region_weight"] = numbers("--region-weight", self.region_weight, form)
+            weights_of_regions(found["region_weight"])
         return found
 
 

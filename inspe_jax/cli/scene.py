@@ -225,7 +225,8 @@ def layout(
     Args:
         strategy: Cam-c, Cam-d1, Cam-d2, L-c, L-d1, L-d2, or a pair such as Cam-c/L-c; Cam-d1 if not
             given.
-        camera: Camera device; see `inspe devices`. With --from, what a calibration lacks is its.
+        camera: Camera device; see `inspe devices`. With --from, of cameras
+            without a device: its rays and reliability; all of it without a lens.
         lidar: LiDAR device; see `inspe devices`. With --from, of LiDARs without a device.
         save (--out FILE.yaml): Save the layout.
     """

@@ -127,7 +127,7 @@ def compare(
     known = {*paths, folder / MANIFEST}
     for path in sorted(folder.rglob("*")) if others else ():
         hidden = any(part.startswith(".") for part in path.relative_to(folder).parts)
-        if path.is_file() and not hidden and path not in known:
+        if not path.is_dir() and not hidden and path not in known:
             found.append(Fault(path, "not in the manifest"))
     return manifest, found
 

@@ -310,7 +310,8 @@ def _fit(part: Any) -> str:
 
 @cache
 def place_of(source: sources.SceneSource) -> str:
-    """Identifies the intersection, whatever its name: a saved one by its regions."""
+    """Identifies the intersection, whatever its name: a saved one by its regions. A junction by its
+    number and by its ``center`` counts as two."""
     if source.file is not None:
         from inspe_jax.scene.scene import load_scene
 

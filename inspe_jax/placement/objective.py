@@ -112,9 +112,10 @@ class Objective:
         if not self.regions:
             return scene
         some = regions_of(self.regions)
-        if not np.isin(scene.voxels.region, some).any():
+        counted = [region for region in some if scene.voxels.region_weight[region]]
+        if not np.isin(scene.voxels.region, counted).any():
             words = " and no ".join(region.key for region in some)
-            raise InspeError(f"{scene.name}: it has no {words}")
+            raise InspeError(f"{scene.name}: it has no {words}, or gives it no weight")
         weight = tuple(w * (k in some) for k, w in enumerate(scene.voxels.region_weight))
         return replace(scene, voxels=replace(scene.voxels, region_weight=weight))
 

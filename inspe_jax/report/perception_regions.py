@@ -4,66 +4,84 @@ perception messages (TS 103 324, with the data elements of TS 102 894-2 v2.1.1),
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
+from inspe_jax.core.geometry import rotation
 from inspe_jax.scene.geojson import known_georeference
+from inspe_jax.scene.georeference import Georeference
 from inspe_jax.scene.intersection import Intersection
 from inspe_jax.sensing.layout import Layout
-from inspe_jax.sensing.sensors import CameraSpec
+from inspe_jax.sensing.lens import rim
+from inspe_jax.sensing.sensors import CameraSpec, Spec
 
 TYPES = {"radar": 1, "lidar": 2, "camera": 3}
-"""SensorType by kind; a fisheye's is 9, spherical camera, and 0 is undefined."""
+"""SensorType by kind; 0 is undefined."""
+SPHERICAL = 9  # of a fisheye
+ALL_ROUND = np.radians(10)  # a gap between rays in plan that is no side without view
 FARTHEST = 4095  # of StandardLength12b, in 0.1 m
 
 
 def perception_regions(layout: Layout, place: Intersection) -> list[dict[str, Any]]:
     """The sensors of each unit, which is a station, as it would send them.
 
-    Latitude and longitude are in 1e-7 degrees, lengths in 0.1 m, coordinates east, north and up of
-    the station in 0.01 m, angles in 0.1 degrees: horizontal ones clockwise from true north, from
-    start to end; vertical ones upward from the horizon. Regions are cones without regard to what
-    stands in the way, which ``shadowingApplies`` says. Raises InspeError if the place has no
-    coordinates.
+    Latitude and longitude are in 1e-7 degrees, lengths in 0.1 m, coordinates true east, north and
+    up of the station in 0.01 m, angles in 0.1 degrees: horizontal ones clockwise from true north,
+    from start to end; vertical ones upward from the horizon. A region is what a sensor looks at
+    without regard to what stands in the way, which ``shadowingApplies`` says: a cylinder if it
+    looks all round, else a cone. Raises InspeError if the place has no coordinates.
     """
-    known, found = known_georeference(place), []
+    known, poses, found = known_georeference(place), np.asarray(layout.poses, float), []
     for unit, members in zip(layout.units, layout.members(), strict=True):
         base = np.array(unit.base)
         lon, lat = known.to_degrees(base[None, :2])[0]
-        sensors = [
-            dict(
-                sensorId=s,
-                sensorType=_type(layout, s),
-                perceptionRegionShape=_shape(layout, s, base, known.azimuth),
-                shadowingApplies=True,
+        sensors = []
+        for s in members:
+            spec, away = layout.sensors[s].spec, poses[s, :3] - base
+            bearing = known.azimuth(base[None, :2], np.arctan2(away[1:2], away[:1]))
+            east, north = np.hypot(*away[:2]) * np.array(
+                [np.sin(np.radians(bearing[0])), np.cos(np.radians(bearing[0]))]
             )
-            for s in members
-        ]
+            x, y, z = (round(100 * float(part)) for part in (east, north, away[2]))
+            fisheye = isinstance(spec, CameraSpec) and bool(spec.fisheye)
+            sensors.append(
+                dict(
+                    sensorId=s,
+                    sensorType=SPHERICAL if fisheye else TYPES.get(spec.kind, 0),
+                    perceptionRegionShape=_shape(
+                        spec, poses[s], dict(xCoordinate=x, yCoordinate=y, zCoordinate=z), known
+                    ),
+                    shadowingApplies=True,
+                )
+            )
         position = dict(latitude=round(1e7 * float(lat)), longitude=round(1e7 * float(lon)))
         found.append(dict(name=unit.name, referencePosition=position, sensorInformation=sensors))
     return found
 
 
-def _type(layout: Layout, s: int) -> int:
-    spec = layout.sensors[s].spec
-    return 9 if isinstance(spec, CameraSpec) and spec.fisheye else TYPES.get(spec.kind, 0)
-
-
-def _shape(layout: Layout, s: int, base: np.ndarray, azimuth: Any) -> dict[str, Any]:
-    """A cylinder for what looks all round, else a cone."""
-    spec, pose = layout.sensors[s].spec, np.asarray(layout.poses[s], float)
-    x, y, z = np.round(100 * (pose[:3] - base)).astype(int).tolist()
-    at = dict(xCoordinate=x, yCoordinate=y, zCoordinate=z)
+def _shape(
+    spec: Spec, pose: Float[np.ndarray, "6"], at: dict[str, int], known: Georeference
+) -> dict[str, Any]:
+    """Of the rays at the rim of what a sensor looks at, turned as it hangs."""
     reach = min(round(10 * spec.grid.reach), FARTHEST)
-    right, left = spec.azimuth_limits
-    if left - right > 2 * np.pi - 1e-6:
+    if isinstance(spec, CameraSpec):
+        rays = spec.optics.rays(rim(spec.width, spec.height))
+    else:
+        rays = spec.grid.directions()
+    x, y, z = rotation(pose[3:], np) @ rays.T
+    level = np.hypot(x, y) > 1e-9
+    turn = np.sort(np.arctan2(y, x)[level])
+    gaps = np.diff(turn, append=turn[:1] + 2 * np.pi)
+    widest = int(gaps.argmax())
+    if gaps[widest] < ALL_ROUND:
         return dict(circular=dict(shapeReferencePoint=at, radius=reach))
-    start, end = azimuth(np.stack([pose[:2]] * 2), pose[5] + np.array([left, right]))
-    half = np.degrees(spec.field_of_view[1]) / 2
-    below, above = (np.degrees(pose[4]) + side for side in (-half, half))
+    ends = np.array([turn[widest], turn[(widest + 1) % len(turn)]])  # left and right
+    start, end = known.azimuth(np.stack([pose[:2]] * 2), ends)
+    steep = np.degrees(np.arcsin(np.clip(z, -1, 1)))
     turns = dict(
         stationaryHorizontalOpeningAngleStart=start,
         stationaryHorizontalOpeningAngleEnd=end,
-        verticalOpeningAngleStart=below,
-        verticalOpeningAngleEnd=above,
+        verticalOpeningAngleStart=steep.min(),
+        verticalOpeningAngleEnd=steep.max(),
     )
     angles = {key: round(10 * float(angle)) % 3600 for key, angle in turns.items()}
     return dict(radial=dict(shapeReferencePoint=at, range=reach) | angles)

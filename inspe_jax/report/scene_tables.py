@@ -111,7 +111,7 @@ def devices_table(devices: Mapping[str, Device]) -> RenderableType:
             heads = RESOLUTIONS.get(kind, "resolution"), "view", "reach\n[m]", "price\n[US$]"
             tables[kind] = table_of(f"Devices: {spec.title}s", "device", "maker", *heads)
         price = "–" if device.price_usd is None else f"{device.price_usd:,.0f}"
-        numbers = *resolution_of(spec), f"{spec.grid.reach:.3g}", price
+        numbers = *resolution_of(spec), f"{round(spec.grid.reach, 1):g}", price
         tables[kind].add_row(device.name, device.maker, *numbers)
         words = f"{device.name}: {device.source.rstrip('.')}. {device.note}".strip()
         sources.append(Text(words, style="dim"))

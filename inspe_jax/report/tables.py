@@ -95,7 +95,7 @@ def scores_table(scores: Scores, layout: Layout, sought: float | None = None) ->
 
     regions = table_of("Share covered by region", "region", "weight", "share")
     usual = dict(zip((region.key for region in Region), PAPER_WEIGHTS, strict=True))
-    each_weight = scores.settings.get("region_weights", usual)
+    each_weight = scores.settings.get("region_weight", usual)
     for key, share in scores.region_coverage.items():
         regions.add_row(key, f"{each_weight.get(key, 0.0):g}", f"{share:.3f}")
 
@@ -139,7 +139,8 @@ def before_after_table(result: Result) -> RenderableType:
         for m in listed_in(before, after)
     ]
     objective = result.objective_before, result.objective
-    if not np.allclose(objective, [of.surrogate for of in (before, after)], rtol=0, atol=_SAME):
+    usual = [of.surrogate for of in (before, after)]
+    if not np.allclose(objective, usual, rtol=0, atol=_SAME, equal_nan=True):
         rows.append(("objective", "", *objective))
     for name, symbol, old, new in rows:
         look = "bold" if name == rows[-1][0] else ""

@@ -3,9 +3,7 @@
 from collections.abc import Mapping, Sequence
 from enum import IntEnum
 
-import numpy as np
-
-from inspe_jax.core.errors import InspeError, check_known
+from inspe_jax.core.errors import InspeError, check_known, error_at
 
 
 class Region(IntEnum):
@@ -30,6 +28,8 @@ class Region(IntEnum):
 PAPER_WEIGHTS = (0.22, 0.25, 0.23, 0.17, 0.13)
 """Region weights w of the paper's coverage, by label; they sum to 1."""
 
+WEIGHT_LIMITS = (1e-3, 1e3)
+
 PRECEDENCE: tuple[Region, ...] = (
     Region.CROSSWALK,
     Region.JUNCTION,
@@ -51,11 +51,16 @@ def regions_of(names: Sequence[str]) -> tuple[Region, ...]:
 
 def weights_of_regions(given: Mapping[str, float] | None) -> tuple[float, ...]:
     """Region weights by label; the paper's where none is given, and 0 of regions that are not
-    named. Raises InspeError where a name is of no region, or weights are below 0 or none is
-    above."""
+    named. Raises InspeError where a name is of no region, or a weight is out of range."""
     if given is None:
         return PAPER_WEIGHTS
-    regions_of(tuple(given))
-    if not (min(given.values(), default=0.0) >= 0 and 0 < sum(given.values()) < np.inf):
-        raise InspeError(f"region weights: must be at least 0, and one above 0, got {dict(given)}")
+    with error_at("region_weight"):
+        regions_of(tuple(given))
+    low, high = WEIGHT_LIMITS
+    for name, weight in given.items():
+        if not (isinstance(weight, int | float) and (weight == 0 or low <= weight <= high)):
+            raise InspeError(
+                f"region_weight: {name}: must be 0, or a number from {low:g} to {high:g}, "
+                f"got {weight!r}"
+            )
     return tuple(float(given.get(region.key, 0.0)) for region in Region)

@@ -36,7 +36,7 @@ from inspe_jax.scene.traffic.frames import DENSITIES, TrafficFrames, shortfall, 
 from inspe_jax.scene.traffic.tracks import TRACK_SUFFIXES, load_tracks, tracks_traffic
 from inspe_jax.scene.voxels import VoxelGrid, build_voxels
 
-FORMAT = "inspe_jax scene 5"
+FORMAT = "inspe_jax scene 6"
 OF_MAP = "map_bodies"  # how the names of arrays begin that hold the bodies of a place's map
 SCENE_SUFFIXES = (".npz",)
 AS_RECORDED = "as recorded"
@@ -98,9 +98,9 @@ class Scene(Described):
         return replace(self, voxels=grid, traffic=traffic, intersection=place, terrain=terrain)
 
     def with_statics(self, bodies: Sequence[StaticBody]) -> "Scene":
-        """This scene with these bodies in place of its own; voxels inside them are no part of the
-        region of interest. Raises InspeError where they leave nothing of it, or one alone swallows
-        it."""
+        """This scene with these bodies, or none, in place of its own; voxels inside them are no
+        part of the region of interest. Raises InspeError where they leave nothing of it, or one
+        alone swallows it."""
         scene = replace(self, statics=tuple(bodies))
         scene.inside_statics  # noqa: B018  # which checks them
         return scene
@@ -160,7 +160,7 @@ def build_scene(
     seed: int = 0,
     statics: str = "none",
     terrain: str = "none",
-    region_weights: Mapping[str, float] | None = None,
+    region_weight: Mapping[str, float] | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Scene:
     """Voxelise an intersection, or the built-in one of a name, and fill it with traffic.
@@ -182,7 +182,7 @@ def build_scene(
         seed: Of the traffic.
         statics: One of :data:`~inspe_jax.scene.street.STATICS`.
         terrain: ``none``, or ``ground`` for :meth:`Scene.with_terrain`.
-        region_weights: Weight w of each region by name, 0 where it is not named; the paper's if
+        region_weight: Weight w of each region by name, 0 where it is not named; the paper's if
             None.
         progress: Called with (steps done, steps).
 
@@ -192,6 +192,7 @@ def build_scene(
     >>> inspe_jax.build_scene("t_junction", radius=20, voxel=1.0, density="none").voxels.count
     3904
     """
+    weights = weights_of_regions(region_weight)
     own = profile_of(profile).of_scene(
         radius=radius, voxel=voxel, spacing=spacing, density=density, mix=mix
     )
@@ -205,7 +206,7 @@ def build_scene(
     check_record(intersection, intersection.name)
     radius, density, mix = own["radius"], own["density"], own["mix"]
     voxels = build_voxels(intersection, radius=radius, voxel=own["voxel"], spacing=own["spacing"])
-    voxels = replace(voxels, region_weight=weights_of_regions(region_weights))
+    voxels = replace(voxels, region_weight=weights)
     size: dict[str, Any] = dict(radius=radius, frames=frames, step=step)
     source, drawn = "tracks" if isinstance(traffic, Mapping) else str(traffic), str(seed)
     reader = recorded(source)[1]
@@ -222,6 +223,10 @@ def build_scene(
     settings |= dict(spacing=f"{voxels.spacing:g}", density=str(density))
     settings |= dict(frames=str(found.frame_count), step=f"{step:g}", mix=mix, traffic=source)
     settings |= dict(seed=drawn, statics=statics, terrain=terrain)
+    if region_weight is not None:
+        settings |= dict(
+            region_weight=" ".join(f"{name}={w:g}" for name, w in region_weight.items())
+        )
     scene = Scene(voxels, found, intersection, tuple(settings.items()))
     scene = scene if terrain == "none" else scene.with_terrain()
     return scene.with_statics(statics_of(statics, intersection, radius, found)).check()

@@ -13,7 +13,7 @@ from inspe_jax.core.parallel import check_memory
 from inspe_jax.core.pytree import pytree
 from inspe_jax.core.records import ByContent, Described, check_values
 from inspe_jax.scene.intersection import Intersection
-from inspe_jax.scene.regions import PAPER_WEIGHTS, PRECEDENCE, Region
+from inspe_jax.scene.regions import PAPER_WEIGHTS, PRECEDENCE, WEIGHT_LIMITS, Region
 
 ROI_HEIGHT = 4.0  # height of the region of interest above the ground [m]
 RADIUS_LIMITS = (10.0, 200.0)  # allowed radius of the region of interest, D_inf [m]
@@ -53,6 +53,11 @@ class VoxelGrid(ByContent, Described):
     def _check(self, prefix: str) -> None:
         check_values(self.region, f"{prefix}region", 0, len(Region) - 1)
         check_values(self.level_count, f"{prefix}level_count", 1)
+        check_values(self.region_weight, f"{prefix}region_weight", 0, WEIGHT_LIMITS[1])
+        if len(self.region_weight) != len(Region) or not self.column_weight.any():
+            raise InspeError(
+                f"{prefix}region_weight: no region that is there has weight: {self.region_weight}"
+            )
         for name in ("size", "spacing", "radius"):
             check_values(getattr(self, name), prefix + name, VOXEL_LIMITS[0])
 

@@ -225,7 +225,7 @@ def _limits(scene: Scene, detection: DetectionCurves | None) -> dict[str, Any]:
     if len(some) < len(Region):
         found["regions"] = [*some]
     if any(w not in (0.0, usual) for w, usual in zip(weights, PAPER_WEIGHTS, strict=True)):
-        found["region_weights"] = some
+        found["region_weight"] = some
     if detection is not None:
         found["detection"] = detection.record
         if detection.road_users:

@@ -103,8 +103,8 @@ def layouts_from(
         heights: Above what z is: "scene" (its zero) or "ground" (at the sensor's foot).
         size: Width and height of pictures [px] where the files have none.
         convention: What the angles of a list of sensors are from: "body", "azimuth" or "carla".
-        camera: Device whose rays and reliability cameras get, which files do not have; they see as
-            far as there are 25 px per metre, unless the file names their device.
+        camera: Device whose rays and reliability cameras get, which files do not have. Those with
+            a lens see as far as there are 25 px per metre, unless the file names their device.
         lidar: Device of LiDARs for which the files name none.
 
     Returns:

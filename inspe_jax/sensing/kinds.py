@@ -171,6 +171,8 @@ class CameraKeys(DeviceKeys):
         if self.focal_y_px is not None and self.focal_px is None:
             raise InspeError(f"{where}: focal_y_px: goes with focal_px, not with hfov_deg")
         if isinstance(view, list):
+            if fisheye:
+                raise InspeError(f"{where}: hfov_deg: a varifocal lens is a pinhole")
             narrow, wide = view
             if not narrow < wide:
                 raise InspeError(f"{where}: hfov_deg: must ascend, but {wide:g} follows {narrow:g}")
@@ -191,6 +193,8 @@ class CameraKeys(DeviceKeys):
     def table(cls, spec: CameraSpec) -> dict[str, Any]:
         """The keys of a camera's spec; of a varifocal lens its range, not how it is set."""
         found = super().table(spec) | dict(principal_px=[float(x) for x in spec.principal])
+        if spec.depth == usual_depth(spec.with_lens(0.0).focal):
+            del found["depth_m"]  # so that it follows where a device is like this one
         if spec.focal_range is not None:
             del found["focal_px"]
             found["hfov_deg"] = [hfov_of(spec.width, x) for x in spec.focal_range[::-1]]

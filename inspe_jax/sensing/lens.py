@@ -179,10 +179,7 @@ class Lens(NamedTuple):
         Raises InspeError where distortion folds the picture: where one of its points is shown
         twice.
         """
-        side = np.linspace(0.0, 1.0, 65)
-        ends = [np.column_stack([side, 0 * side + end]) for end in (0, 1)]
-        rim = np.concatenate([way for end in ends for way in (end, end[:, ::-1])])
-        u, v = ((rim * [width, height] - [self.cx, self.cy]) / [self.fx, self.fy]).T
+        u, v = ((rim(width, height) - [self.cx, self.cy]) / [self.fx, self.fy]).T
         coefficients, out = self.coefficients, np.hypot(u, v)
         circle = min(self.circle, float(out.max()))
         inside = np.minimum(1.0, circle / np.maximum(out, _ON_AXIS))
@@ -216,6 +213,13 @@ class Lens(NamedTuple):
             seen(at + step[:, None]) - 2 * seen(at) + seen(at - step[:, None]) for step in steps
         ]
         return 1.5 * float(np.abs(bends).max()) / _STEP**2
+
+
+def rim(width: float, height: float) -> Float[np.ndarray, "N 2"]:
+    """Points all along the edge of a picture [px]."""
+    side = np.linspace(0.0, 1.0, 65)
+    ends = [np.column_stack([side, 0 * side + end]) for end in (0, 1)]
+    return np.concatenate([way for end in ends for way in (end, end[:, ::-1])]) * [width, height]
 
 
 def focal_of(side: int, fov_deg: float, unit: Lens | None = None, axis: int = 0) -> float:

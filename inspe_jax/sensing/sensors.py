@@ -177,6 +177,8 @@ class CameraSpec(Spec):
         """A range is rounded, so that it is the same when it is read from a file. Raises InspeError
         where it does not ascend, or the focal length is outside of it; where a lens is not known,
         folds the picture, or has no such image circle."""
+        if self.focal_y == self.focal:
+            object.__setattr__(self, "focal_y", None)
         if self.focal_range is not None:
             low, high = (round(float(focal), 6) for focal in self.focal_range)
             object.__setattr__(self, "focal_range", (low, high))
@@ -277,8 +279,8 @@ class CameraSpec(Spec):
             raise InspeError(f"{words}: width and height seem to be swapped")
         if not (0 <= cx <= width and 0 <= cy <= height):
             raise InspeError(f"{words} is outside of it: give the size that the lens was found for")
-        other = dict(reliability=reliability, focal_y=None if y == x else y)
-        other |= dict(distortion=bent or None, fisheye=fisheye or None)  # type: ignore[dict-item]
+        other: dict[str, Any] = dict(reliability=reliability, focal_y=y)
+        other |= dict(distortion=bent or None, fisheye=fisheye or None)
         other |= dict(image_circle=None if circle is None else float(np.radians(circle)))
         return cls(name, width, height, x, (cx, cy), downsample, depth, **other)  # type: ignore[arg-type]
 

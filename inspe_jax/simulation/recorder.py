@@ -44,7 +44,7 @@ class Recording:
         """Raise InspeError where a value is out of range."""
         if not (np.isfinite(self.rate) and self.rate > 0):
             raise InspeError(f"rate {self.rate} Hz is out of range: above 0")
-        check_values(self.image_size or 1, "image_size", 1, MOST_PIXELS)
+        check_values(self.image_size or 1, "image_size (width, height)", 1, MOST_PIXELS)
         check_values(self.turn, "turn [s]", 0, 1)
         for name in self.layers:
             check_known(name, LAYERS, "layer")

@@ -311,6 +311,8 @@ def test_every_command_has_examples_and_says_what_its_options_are():
     (("score", "s.npz", "layout.yaml", "--json", "no/such/folder.json"), "no such folder"),
     (("scene", "four_way", "--out", "s2.npz", "--plot", "b.xyz"), "must end in .png"),
     (("layout", "four_way", "--out", "l.txt"), "must end in .yaml"),
+    (("scene", "four_way", "--region-weight", "kerb=1"), "region_weight: region 'kerb': one of"),
+    (("scene", "s.npz", "--region-weight", "sidewalk=1"), "leave out --region-weight"),
     (("scene", "nosuch", "--list"), "no scene 'nosuch': give a built-in (four_way"),
     (("scene", "four_way", "--junction", 3), "a built-in intersection is no map; leave out --ju"),
     (("scene", "four_way", "--radius", 500), "radius 500 m is out of range"),

@@ -288,7 +288,7 @@ def test_a_similarity_by_hand():
 
 
 @pytest.mark.parametrize(("bad", "message"), [
-    (dict(flip=1.5), "flip: 1.5 is out of range: from 0 to 1"),
+    (dict(flip=1.5), "flip .a chance.: 1.5 is out of range: from 0 to 1"),
     (dict(turn=4.0), r"turn \[rad\]: 4 is out of range"),
     (dict(scale=(1.1, 0.9)), "the smaller first"),
     (dict(scale=(0.0, 1.0)), "above 0"),

@@ -51,7 +51,11 @@ def test_a_result_comes_back(result, tmp_path):
     save_result(result, folder)
     assert sorted(path.name for path in folder.iterdir()) == sorted(FILES)
     assert json.loads((folder / "result.json").read_text())["objective"] == 1 / 3
-    assert [row["best"] for row in read_csv(folder / "history.csv")] == ["0.3", "0.3"]
+    rows = read_csv(folder / "history.csv")
+    assert list(rows[0]) == ["seconds", "evaluations", "score", "best"]
+    assert [row["best"] for row in rows] == ["0.3", "0.3"]
+    record = json.loads((folder / "result.json").read_text())
+    assert record["scores"]["surrogate"] == result.scores.surrogate
     back = load_result(folder)
     for name in ("layout", "start"):
         mine, theirs = getattr(result, name), getattr(back, name)

@@ -57,7 +57,7 @@ def test_voxels_run_from_the_ground_to_four_metres():
 def test_regions_have_weights_of_ones_own(tmp_path):
     """In the scene, its file and its coverage; those that are not named count for nothing."""
     own = dict(crosswalk=3.0, sidewalk=1.0)
-    made = build_scene("four_way", radius=20, voxel=1.0, frames=2, region_weights=own)
+    made = build_scene("four_way", radius=20, voxel=1.0, frames=2, region_weight=own)
     save_scene(made, tmp_path / "s.npz")
     scene = load_scene(tmp_path / "s.npz")
     assert scene.voxels == made.voxels
@@ -68,11 +68,11 @@ def test_regions_have_weights_of_ones_own(tmp_path):
     area = np.array([weight[label == Region[key.upper()]].sum() for key in own])
     covered = [found.region_coverage[key] for key in own]
     assert found.coverage == pytest.approx(covered @ area / area.sum(), abs=1e-6)
-    assert found.settings["region_weights"] == own
+    assert found.settings["region_weight"] == own
     unknown = {"pavement": 1}, "region 'pavement': one of"
-    for bad, message in (unknown, ({"sidewalk": -1}, "at least")):
+    for bad, message in (unknown, ({"sidewalk": -1}, "sidewalk: must be 0, or")):
         with pytest.raises(InspeError, match=message):
-            build_scene("four_way", region_weights=bad)
+            build_scene("four_way", region_weight=bad)
 
 
 def test_a_saved_scene_loads_the_same(tmp_path):

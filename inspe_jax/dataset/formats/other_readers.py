@@ -10,7 +10,7 @@ from jaxtyping import Float, UInt8
 from PIL import Image as Pillow
 from PIL import ImageDraw
 
-from inspe_jax.core.errors import check_known
+from inspe_jax.core.errors import check_known, error_at
 from inspe_jax.core.geometry import rotation
 from inspe_jax.core.records import check_values
 from inspe_jax.dataset.formats.pictures import SUFFIXES
@@ -37,7 +37,8 @@ class FileOptions:
     def check(self, where: str) -> None:
         """Raise InspeError where a value is out of range."""
         check_known(self.pictures, SUFFIXES, f"{where}: pictures:")
-        check_values(self.cameras_per_agent, f"{where}: cameras_per_agent", 0, MOST_CAMERAS)
+        with error_at(f"{where}: cameras_per_agent (0 for as many as there are)"):
+            check_values(self.cameras_per_agent, "number", 0, MOST_CAMERAS)
 
 
 DEFAULT_OPTIONS = FileOptions()

@@ -98,7 +98,7 @@ class Augment:
 
     def check(self) -> None:
         """Raise InspeError where a value is out of range."""
-        check_values(self.flip, "augment: flip", 0, 1)
+        check_values(self.flip, "augment: flip (a chance)", 0, 1)
         check_values(self.turn, "augment: turn [rad]", 0, np.pi)
         low, high = self.scale
         if not 0 < low <= high < np.inf:

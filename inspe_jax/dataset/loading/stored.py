@@ -119,7 +119,8 @@ class StoredScenario:
 
 
 def digest_of_scenario(scenario: Scenario) -> str:
-    """Identifies a scenario, and copies of it, by its protocol and names and sizes of files."""
+    """Identifies a scenario, and copies of it, by its protocol and names and sizes of files. One
+    that was altered at the same size is not noticed."""
     found = hashlib.sha256()
     found.update(json.dumps(json_value(scenario.protocol), sort_keys=True, default=str).encode())
     for place, folders, names in os.walk(scenario.path):

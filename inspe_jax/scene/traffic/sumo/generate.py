@@ -74,10 +74,10 @@ def sumo_traffic(
 
     Options are those of :func:`~inspe_jax.scene.traffic.waypoint.generate.waypoint_traffic`. People
     walk and cross where the network has sidewalks and crossings. Bodies overlap where SUMO allows
-    it, as where long vehicles turn. ``progress`` is called with (runs done, most runs). The same
-    seed gives the same traffic with the same version of SUMO. Raises InspeError as that does, and
-    if the intersection was not read from a map, SUMO is missing, or no road leads through the
-    radius.
+    it, as where long vehicles turn. Road users on another level are left out. ``progress`` is
+    called with (runs done, most runs). The same seed gives the same traffic with the same version
+    of SUMO. Raises InspeError as that does, and if the intersection was not read from a map, SUMO
+    is missing, or no road leads through the radius.
     """
     traffic.check_traffic(radius=radius, count=count, frames=frames, mix=mix, step=step, seed=seed)
     small = _small_step(step)

@@ -411,7 +411,7 @@ def test_slopes_and_empty_roads_are_recorded():
 def test_bad_input(scene, corners):
     for given, words in (
         (dict(rate=0), "rate 0 Hz"),
-        (dict(image_size=(0, 9)), r"image_size\[0\]: 0 is out of range"),
+        (dict(image_size=(0, 9)), r"image_size .width, height.\[0\]: 0 is out of range"),
         (dict(layers=("dept",)), "layer 'dept': one of .*did you mean depth"),
     ):
         with pytest.raises(InspeError, match=words):

@@ -181,10 +181,15 @@ def layouts(at: Setting, placements: Sequence[str]) -> dict[str, Any]:
 SCORED = ("visibility", "occlusion_reference", "voxel", "radius", "mix", "density")
 
 
+def held(at: Setting, given: argparse.Namespace) -> Setting:
+    """A setting with all cameras at ``--pitch``, if that is given."""
+    return at if given.pitch is None else at | dict(camera_aim="pitch", camera_pitch=given.pitch)
+
+
 def jobs(at: Setting, given: argparse.Namespace, full: bool = False) -> tuple[StudyJob, ...]:
     """What is to be scored at a setting, of a sample or in ``full``: LiDARs alone, which need no
     light, once."""
-    at = at if given.pitch is None else at | dict(camera_aim="pitch", camera_pitch=given.pitch)
+    at = held(at, given)
     whole = full or given.quick
     apart = at["voxel"] if whole else max(given.spacing, at["voxel"])
     settings = dict(
@@ -478,7 +483,7 @@ def calibrate(given: argparse.Namespace, stem: Path, tables: Tables) -> None:
         raise SystemExit(f"{given.paper}: {len(names)} placements; at least 3 are needed")
     folds = {ALL: names}
     folds |= {name: [n for n in names if n != name] for name in names[: given.folds]}
-    best = Fit(tables, paper, folds, given).go()
+    best = {fold: held(at, given) for fold, at in Fit(tables, paper, folds, given).go().items()}
     fitted, *without = tables.of(list(best.values()), full=not given.quick)
     out = {
         (name, metric): fold[name, metric]

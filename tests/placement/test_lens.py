@@ -113,6 +113,18 @@ def test_a_search_sets_it_and_its_result_is_kept(scene, tmp_path):
     assert hard[1, 6] * soft[1, 6] > 0
 
 
+@pytest.mark.slow
+def test_slopes_of_a_set_lens_are_those_of_a_camera_of_its_focal_length(scene):
+    """Also where no search could place it."""
+    layout = place_sensors((ZOOM.with_lens(0.5), [9.0, 9.0, 5.0, 0.0, -0.4, -2.4]))
+    fixed = replace(layout.sensors[0].spec, focal_range=None)
+    given = dict(samples=1, seed=0)
+    ours = inspe_jax.tolerance(scene, layout, **given)
+    theirs = inspe_jax.tolerance(scene, place_sensors((fixed, layout.poses[0].tolist())), **given)
+    assert ours.score == pytest.approx(theirs.score)
+    assert ours.slopes[0].pitch == pytest.approx(theirs.slopes[0].pitch, rel=1e-3, abs=1e-6)
+
+
 def test_candidates_of_cameras_without_a_lens_are_their_own(scene):
     usual = replace(ZOOM, focal_range=None)
     for specs in ((ZOOM, usual), (usual, ZOOM)):

@@ -17,7 +17,7 @@ from websockets.http11 import Request
 
 from inspe_jax.placement.problem import Case
 from inspe_jax.viewer.app import Viewer
-from inspe_jax.viewer.server import kept_token, new_token, quiet, refusal, serve
+from inspe_jax.viewer.server import kept_token, new_token, quiet, refusal, serve, with_head
 from inspe_jax.viewer.workers import SearchEnding
 
 EVIL = "http://evil.example"
@@ -112,6 +112,11 @@ def test_the_page_has_its_own_title_and_keeps_its_address_to_itself(viewer):
         urlopen(f"{viewer.url}..%2f..%2f_viser.py")
     with missing.value as answer:
         assert answer.code == 404
+
+
+def test_the_head_is_replaced_and_the_script_is_as_it_was():
+    own = '<head><title>Viser</title><link rel="icon" href="x"/><script>"<title>a</title>"</script>'
+    assert with_head(own, "<b>") == '<head><b><script>"<title>a</title>"</script>'
 
 
 def test_only_this_machine_can_connect_and_the_next_free_port_serves():

@@ -51,6 +51,7 @@ from inspe_jax.scene.procedural.built_ins import crossing
 from inspe_jax.scene.traffic.frames import CLASSES, Snapshot, pack_frames
 from inspe_jax.scoring.detection import DetectionCurve, detection_curves
 from inspe_jax.sensing.catalogue import spec_of
+from inspe_jax.sensing.conditions import with_specs
 from inspe_jax.sensing.layout import make_layout
 from inspe_jax.simulation.embedded.recorder import EmbeddedRecorder
 from inspe_jax.simulation.recorder import Recording
@@ -109,13 +110,10 @@ def pitched(layout: Layout, pitch_deg: float) -> Layout:
 def shallow(layout: Layout) -> Layout:
     """The layout with cameras that see as far as the paper's."""
     depth: Any = inspe_jax.device("paper-camera").spec.grid.reach
-    sensors = (
-        replace(one, spec=one.spec.with_performance(one.spec.reliability, depth))
-        if one.spec.kind == "camera"
-        else one
-        for one in layout.sensors
+    return with_specs(
+        layout,
+        lambda x: x.with_performance(x.reliability, depth) if x.kind == "camera" else x,
     )
-    return replace(layout, sensors=tuple(sensors))
 
 
 def field_of(scene: Scene, layout: Layout, name: str) -> Scene:

@@ -37,11 +37,10 @@ def perception_regions(layout: Layout, place: Intersection) -> list[dict[str, An
         sensors = []
         for s in members:
             spec, away = layout.sensors[s].spec, poses[s, :3] - base
-            bearing = known.azimuth(base[None, :2], np.arctan2(away[1:2], away[:1]))
-            east, north = np.hypot(*away[:2]) * np.array(
-                [np.sin(np.radians(bearing[0])), np.cos(np.radians(bearing[0]))]
-            )
-            x, y, z = (round(100 * float(part)) for part in (east, north, away[2]))
+            (bearing,) = np.radians(known.azimuth(base[None, :2], np.arctan2([away[1]], [away[0]])))
+            flat = np.hypot(*away[:2])
+            offset = flat * np.sin(bearing), flat * np.cos(bearing), away[2]
+            x, y, z = (round(100 * float(part)) for part in offset)
             fisheye = isinstance(spec, CameraSpec) and bool(spec.fisheye)
             sensors.append(
                 dict(

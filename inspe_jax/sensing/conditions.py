@@ -124,7 +124,7 @@ class Conditions:
         """The same sensors with the reach and reliability that they have in these conditions."""
         if self == FAIR:
             return layout
-        return _with_specs(layout, self.spec)
+        return with_specs(layout, self.spec)
 
 
 def perceiving(scene: Scene, layout: Layout, conditions: Conditions) -> Layout:
@@ -134,12 +134,12 @@ def perceiving(scene: Scene, layout: Layout, conditions: Conditions) -> Layout:
     there = conditions.layout(layout)
     if set(share.values()) == {1.0}:
         return there
-    return _with_specs(
+    return with_specs(
         there, lambda spec: spec.with_performance(spec.reliability * share.get(spec.kind, 1.0))
     )
 
 
-def _with_specs(layout: Layout, change: Callable[[Spec], Spec]) -> Layout:
+def with_specs(layout: Layout, change: Callable[[Spec], Spec]) -> Layout:
     """The same sensors with each device changed, once for all that have it."""
     changed = {spec: change(spec) for spec in {sensor.spec for sensor in layout.sensors}}
     sensors = (replace(sensor, spec=changed[sensor.spec]) for sensor in layout.sensors)

@@ -178,16 +178,19 @@ class CameraKeys(DeviceKeys):
                 raise InspeError(f"{where}: hfov_deg: must ascend, but {wide:g} follows {narrow:g}")
             lens, view = (focal_of(self.width, wide), focal_of(self.width, narrow)), None
             focal = lens[0]
-        cx, cy = self.principal_px or (self.width / 2, self.height / 2)
         with error_at(where):
             found = CameraSpec.from_intrinsics(
                 name, self.width, self.height, depth=self.depth_m, downsample=self.downsample,
                 fx=focal, fy=self.focal_y_px, hfov_deg=view, reliability=self.reliability,
                 distortion=self.distortion, fisheye=fisheye, image_circle_deg=self.image_circle_deg,
             )  # fmt: skip
-            found = replace(found, focal_range=lens, principal=(cx, cy)).with_lens(0.0)
-        depth = self.depth_m or usual_depth(found.focal)
-        return replace(found, depth=depth)
+            if self.principal_px is not None:  # a part of a picture may have it outside
+                cx, cy = self.principal_px
+                found = replace(found, principal=(cx, cy))
+            if lens is None:
+                return found
+            found = replace(found, focal_range=lens).with_lens(0.0)
+        return replace(found, depth=self.depth_m or usual_depth(found.focal))
 
     @classmethod
     def table(cls, spec: CameraSpec) -> dict[str, Any]:

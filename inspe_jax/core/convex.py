@@ -176,32 +176,37 @@ def sight_cut(
     for k in range(len(prism.offset)):
         nx, ny = prism.normal[k, 0], prism.normal[k, 1]
         inside, along = prism.offset[k] - nx * x - ny * y, nx * ux + ny * uy
-        at = inside / nonzero(along * length)
-        turn = (nx * uy - ny * ux) * at / nonzero(along * length)
+        at = inside / nonzero(along)
+        turn = (nx * uy - ny * ux) * at / nonzero(along)
         nearer, farther = (along < 0) & (at > near), (along > 0) & (at < far)
         near, of_near = jnp.where(nearer, at, near), jnp.where(nearer, turn, of_near)
         far, of_far = jnp.where(farther, at, far), jnp.where(farther, turn, of_far)
         depth = jnp.where(inside < depth, inside, depth)
         enters &= (along <= 0) | (inside > -SEAM)
+    # Made shares at the end: XLA computes the choice of a side again for all that follows from it,
+    # but a quotient once.
+    near, far, of_near, of_far = near / length, far / length, of_near / squared, of_far / squared
     left, right = jnp.full_like(dx, -FAR), jnp.full_like(dx, -FAR)
     at_left, at_right = jnp.zeros_like(dx), jnp.zeros_like(dx)
     for k in range(len(prism.offset)):
         cx, cy = prism.corners[k, 0] - x, prism.corners[k, 1] - y
-        share, aside = (cx * ux + cy * uy) / length, cy * ux - cx * uy
-        move = aside / jnp.where(share > NO_LEVER, share, NO_LEVER)
-        asks = enters | (share > 0)
+        at, aside = cx * ux + cy * uy, cy * ux - cx * uy
+        move = aside * length / jnp.maximum(at, NO_LEVER * length)
+        asks = enters | (at > 0)
         wider, other = asks & (move > left), asks & (-move > right)
-        left, at_left = jnp.where(wider, move, left), jnp.where(wider, share, at_left)
-        right, at_right = jnp.where(other, -move, right), jnp.where(other, share, at_right)
+        left, at_left = jnp.where(wider, move, left), jnp.where(wider, at, at_left)
+        right, at_right = jnp.where(other, -move, right), jnp.where(other, at, at_right)
+    left, right, at_left, at_right = (a / length for a in (left, right, at_left, at_right))
 
     # A line straight down has no length in plan, and no sides: it is inside or not.
     straight = squared < 1e-8
 
-    def side(move: Array, share: Array) -> tuple[Array, Array, Array]:
+    def side(tangent: Array, share: Array) -> tuple[Array, Array, Array]:
         """How far to move past a corner, and the derivatives across the line and along it."""
-        tangent = jnp.where((share > NO_LEVER) & ~straight, move / length, 0.0)
+        move = jnp.where(straight, depth, tangent * length)
+        tangent = jnp.where((share > NO_LEVER) & ~straight, tangent, 0.0)
         across = jnp.where(share > NO_LEVER, 1.0 + tangent * tangent, share / NO_LEVER)
-        return jnp.where(straight, depth, move), across, tangent
+        return move, across, tangent
 
     left, of_left, along_left = side(left, at_left)
     right, of_right, along_right = side(right, at_right)

@@ -1,12 +1,11 @@
 """Runs work on all cores, and knows what fits in memory. XLA runs the programs that one thread
-sends to a CPU one after the other, each on one core; those of several threads run at the same
-time."""
+sends to a CPU one after the other; those of several threads run at the same time."""
 
 import os
 from collections.abc import Callable, Hashable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager
-from functools import cache
+from functools import cache, partial
 from typing import Any, TypeVar
 
 import jax
@@ -21,6 +20,11 @@ Result = TypeVar("Result")
 
 Job = tuple[Hashable, Callable[[], Any]]
 """A key and a function. Jobs with the same key need the same compiled code."""
+
+_ALONE = {"xla_disable_hlo_passes": "cpu-parallel-task-assigner"}
+jit_job = partial(jax.jit, compiler_options=_ALONE)
+"""``jax.jit`` of what jobs call. Else XLA divides each larger operation among all cores, which have
+a job each: scores take a tenth longer. It can't be called while another program is traced."""
 
 compiled: set[Hashable] = set()
 """Keys whose code is already compiled, of functions that live as long as the process."""

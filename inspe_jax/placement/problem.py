@@ -16,7 +16,7 @@ from inspe_jax.core.arrays import from_center, on_device, on_host, pad_rows
 from inspe_jax.core.digest import digest
 from inspe_jax.core.errors import InspeError, or_usual
 from inspe_jax.core.numerics import Softness
-from inspe_jax.core.parallel import Job, run, shapes_of
+from inspe_jax.core.parallel import Job, jit_job, run, shapes_of
 from inspe_jax.placement.candidates import poses
 from inspe_jax.placement.constraints import Constraints
 from inspe_jax.placement.objective import COMBINATIONS, Objective
@@ -267,11 +267,11 @@ class Problem:
         """The objective of M layouts at coordinates ``x``, read hard on a sample, in parallel."""
         scenes = tuple(tiled.bucketed for tiled in sample.scenes)
         kinds = tuple(sensors.kinds for sensors in self.terms.sensors)
-        key = (case_scores, self.options, kinds, shapes_of(scenes, self.terms.sensors))
+        key = (_hard_scores, self.options, kinds, shapes_of(scenes, self.terms.sensors))
         places = len(self.terms.sensors[0].kind)
         padded = [pad_rows(row, places) for row in on_host(poses(self.space, x), float)]
         jobs: list[Job] = [
-            (key, partial(case_scores, BITS, row, scenes, self.terms, options=self.options))
+            (key, partial(_hard_scores, BITS, row, scenes, self.terms, options=self.options))
             for row in padded
         ]
         scores = np.array([self._combined(row) for row in run(jobs)])
@@ -352,7 +352,6 @@ def scores(
     return jnp.stack(found)
 
 
-@partial(jax.jit, static_argnames="options")
 def case_scores(
     reading: Reading,
     poses: Float[Array, "S p"],
@@ -367,6 +366,9 @@ def case_scores(
         for tiled, sensors, voxel in zip(scenes, terms.sensors, terms.voxel, strict=True)
     ]
     return scores(measures, terms.weights, terms.failures)
+
+
+_hard_scores = jit_job(case_scores, static_argnames="options")
 
 
 @partial(jax.jit, static_argnames=("options", "over"))

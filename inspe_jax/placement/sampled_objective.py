@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Num, UInt
 
 from inspe_jax.core.arrays import on_device, on_host
-from inspe_jax.core.parallel import Job, parts_of, run, shapes_of
+from inspe_jax.core.parallel import Job, jit_job, parts_of, run, shapes_of
 from inspe_jax.placement.objective import COMBINATIONS
 from inspe_jax.placement.problem import Problem, Sample, ScoreTerms, scores
 from inspe_jax.scoring.accumulate import count_tile, seen_by_sensor
@@ -105,7 +105,7 @@ def view_jobs(
     return [(key, partial(rows, part)) for part in parts_of(on_host(poses, float), TOGETHER)]
 
 
-@partial(jax.jit, static_argnames=("options", "slabs", "targets", "kept"))
+@partial(jit_job, static_argnames=("options", "slabs", "targets", "kept"))
 def _view(
     rays: Rays,
     half: Float[Array, ""],
@@ -219,7 +219,7 @@ def measure_rows(
     return summarise_readings(found, tiled, sensors.failures, None, options)
 
 
-@partial(jax.jit, static_argnames=("options", "over"))
+@partial(jit_job, static_argnames=("options", "over"))
 def set_scores(
     fixed: tuple[SceneRows, ...],
     at: Int[Array, "K n"],

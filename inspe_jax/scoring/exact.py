@@ -15,7 +15,7 @@ from jaxtyping import Array, Bool, Float, Num, UInt
 from inspe_jax.core.arrays import pad_rows
 from inspe_jax.core.geometry import Prism
 from inspe_jax.core.numerics import Groups
-from inspe_jax.core.parallel import Job, cores, run, shapes_of
+from inspe_jax.core.parallel import Job, cores, jit_job, run, shapes_of
 from inspe_jax.scoring.accumulate import count_tile
 from inspe_jax.scoring.detection import DetectionCurves
 from inspe_jax.scoring.driver import MetricValues, measure_tiles, summarise
@@ -28,7 +28,7 @@ from inspe_jax.sensing.sensor_array import SensorArray, SensorSet, sensor_array
 from inspe_jax.visibility import bitmask
 from inspe_jax.visibility.statics import past_statics_of_sensor
 from inspe_jax.visibility.tiles import CHUNKS, Tile, unless_empty
-from inspe_jax.visibility.view_masks import view_masks
+from inspe_jax.visibility.view_masks import views_of_sensor
 
 ONE_MORE = 1
 """Spare places in an array of sensors. Here they cost next to nothing."""
@@ -94,8 +94,8 @@ def in_view_of(
     for s in present:
         kind = sensors.kinds[sensors.kind[s]]
         rays = kind.rays(jax.tree.map(lambda numbers: numbers[s], sensors.table))  # noqa: B023
-        key = view_masks, kind, shapes_of(rays.table.rows, rays.table.nearest, tile.heights)
-        jobs.append((key, partial(view_masks, rays, poses[s], tile, half)))
+        key = views_of_sensor, kind, shapes_of(rays.table.rows, rays.table.nearest, tile.heights)
+        jobs.append((key, partial(views_of_sensor, rays, poses[s], tile, half)))
     for s, view in zip(present, run(jobs), strict=True):
         views[s] = view
     return views & _past_statics(tiled, views, poses[:, :3])
@@ -169,7 +169,7 @@ def count_all(
     return Counts(*counts)
 
 
-@partial(jax.jit, static_argnames="options")
+@partial(jit_job, static_argnames="options")
 def _count(
     tile: Tile,
     views: UInt[Array, "S n C"],
@@ -261,7 +261,7 @@ def _terms(
     return jax.tree.map(joined, *parts)
 
 
-@partial(jax.jit, static_argnames=("metrics", "detection", "whole"))
+@partial(jit_job, static_argnames=("metrics", "detection", "whole"))
 def _tile_terms(
     tiles: Tile,
     last: Bool[Array, " N"],
@@ -344,7 +344,7 @@ def measure_many(
     return {metric.name: column for metric, column in zip(options.metrics, found.T, strict=True)}
 
 
-@partial(jax.jit, static_argnames="options")
+@partial(jit_job, static_argnames="options")
 def _one_layout(
     poses: Float[Array, "S 6"],
     tiled: TiledScene,

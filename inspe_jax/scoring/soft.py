@@ -14,7 +14,7 @@ from jaxtyping import Array, Float
 
 from inspe_jax.core.compiling import on_behalf_of, this_thread
 from inspe_jax.core.digest import digest
-from inspe_jax.core.parallel import Job, cores, run, shapes_of
+from inspe_jax.core.parallel import Job, cores, jit_job, run, shapes_of
 from inspe_jax.scoring.driver import (
     MetricValues,
     TileReadings,
@@ -161,11 +161,11 @@ def _backward(work: _Work, kept: tuple, wanted: MetricValues) -> tuple[None, Arr
 _measured.defvjp(_forward, _backward)
 
 
-_read = jax.jit(read_tiles, static_argnums=(5, 6))
+_read = jit_job(read_tiles, static_argnums=(5, 6))
 _summary = jax.jit(summarise_readings, static_argnums=4)
 
 
-@partial(jax.jit, static_argnums=(5, 6))
+@partial(jit_job, static_argnums=(5, 6))
 def _read_with_slope(
     reading: Numbers, tiled: TiledScene, poses: Float[Array, "S 6"], *given: Any
 ) -> tuple[TileReadings, Any]:
@@ -178,7 +178,7 @@ def _slope_of_summary(found: TileReadings, *given: Any) -> TileReadings:
     return jax.vjp(lambda found: summarise_readings(found, *rest), found)[1](wanted)[0]
 
 
-@jax.jit
+@jit_job
 def _pulled(slope: Callable[..., Any], wanted: Any) -> Any:
     """The gradient of what has a ``slope``, weighted by what is ``wanted``."""
     return slope(wanted)[0]

@@ -78,10 +78,13 @@ def marks(flags: Bool[Array, "B ..."]) -> UInt[Array, "W ..."]:
     number, rest = len(flags), flags.shape[1:]
     words = -(-number // WORD)
     flags = jnp.pad(flags, [(0, words * WORD - number)] + [(0, 0)] * len(rest))
-    bit = jnp.uint32(1) << jnp.arange(WORD, dtype=jnp.uint32)
-    bit = bit.reshape(1, -1, *(1 for _ in rest))
-    flags = flags.reshape(words, WORD, *rest)
-    return jnp.where(flags, bit, jnp.uint32(0)).sum(1, dtype=jnp.uint32)
+    bit = jnp.uint32(1) << jnp.arange(words * WORD, dtype=jnp.uint32) % WORD
+    found = jnp.where(flags, bit.reshape(-1, *(1 for _ in rest)), jnp.uint32(0))
+    found = found.reshape(words, WORD, *rest)
+    while found.shape[1] > 1:  # as a sum along the axis, XLA would compute one flag after the other
+        half = found.shape[1] // 2
+        found = found[:, :half] | found[:, half:]
+    return found[:, 0]
 
 
 def with_mark(
@@ -125,7 +128,8 @@ def fold_marked(
 
     def step(state: tuple[Any, Array]) -> tuple[Any, Array]:
         total, marked = state
+        some = (marked != 0).any(0)
         index, marked = first_mark(marked)
-        return add(total, jnp.maximum(index, 0), index >= 0), marked
+        return add(total, jnp.maximum(index, 0), some), marked
 
     return jax.lax.while_loop(lambda state: (state[1] != 0).any(), step, (start, marked))[0]

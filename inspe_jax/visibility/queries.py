@@ -16,7 +16,7 @@ from inspe_jax.visibility.centered_scene import CenteredScene, about_center
 from inspe_jax.visibility.shadows import sight_masks
 from inspe_jax.visibility.statics import past_statics_of_sensor
 from inspe_jax.visibility.tiles import Tiles, tiles_of
-from inspe_jax.visibility.view_masks import view_masks
+from inspe_jax.visibility.view_masks import views_of_sensor
 
 
 def in_view(scene: Scene | Case | str, layout: Layout | str) -> Bool[np.ndarray, "S V"]:
@@ -44,7 +44,7 @@ def in_view(scene: Scene | Case | str, layout: Layout | str) -> Bool[np.ndarray,
     half, found = scene.voxels.size / 2, np.zeros((len(layout), scene.voxels.count), bool)
     for grid, index in layout.groups():
         for s in index:
-            view = view_masks(grid.rays, poses[s], tiles.tile, half)
+            view = views_of_sensor(grid.rays, poses[s], tiles.tile, half)
             found[s] = tiles.by_voxel(_past_statics(centered, tiles, poses[s, :3], view))
     return found
 

@@ -17,14 +17,15 @@ from inspe_jax.visibility.tiles import CLOSE, Tile, pack_levels
 class ShadowBounds(NamedTuple):
     """Bounds of one sensor's shadows in T frames, which tell the tiles that a shadow misses.
 
-    ``terms`` (T, B) are for the sight lines. The others are of the circle around each prism in
+    ``terms`` are those of the sight lines, all numbers in one array, to be fetched together. The
+    others are of the circle around each prism in
     plan: the unit vector ``x``, ``y`` from the sensor to its centre; ``cos`` and ``sin`` of half
     the angle that it takes up; whether the sensor is inside it (``around``); how far away it begins
     (``near`` [m]); its radius (``span`` [m]); and ``fall``, how far from the sensor the shadow
     reaches for each metre of the sensor's height above the ground.
     """
 
-    terms: ShadowTerms
+    terms: Float[Array, "N T B"]
     x: Float[Array, "B T"]
     y: Float[Array, "B T"]
     cos: Float[Array, "B T"]
@@ -52,7 +53,8 @@ def shadow_bounds(sensor: Float[Array, "3"], prisms: Prism, wider: Any = 0.0) ->
     fall = jnp.where(above > CLOSE, (away + span) / jnp.maximum(above, CLOSE), FAR)
     near = jnp.where(prisms.valid, away - span, FAR)
     columns = x / away, y / away, jnp.sqrt(1.0 - sin * sin), sin, away <= span, near, span, fall
-    return ShadowBounds(shadow_terms(sensor, prisms), *(leaf.T for leaf in columns))
+    terms = jnp.stack([leaf.astype(x.dtype) for leaf in shadow_terms(sensor, prisms)])
+    return ShadowBounds(terms, *(leaf.T for leaf in columns))
 
 
 def may_shade(sensor: Float[Array, "3"], bounds: ShadowBounds, tile: Tile) -> Bool[Array, "B T"]:
@@ -85,7 +87,7 @@ def may_stand_on(
     away = bounds.near + bounds.span
     x = sensor[0] + away * bounds.x - tile.center[0]
     y = sensor[1] + away * bounds.y - tile.center[1]
-    low = (bounds.terms.rise + sensor[2] <= tile.heights[0].max() + CLOSE).T
+    low = (ShadowTerms(*bounds.terms).rise + sensor[2] <= tile.heights[0].max() + CLOSE).T
     close = jnp.hypot(x, y) <= bounds.span + tile.radius + CLOSE
     return close & (low | (solid != 0).any(1)[None])
 
@@ -116,7 +118,8 @@ def clear_masks(
     def above(frames: Array, marked: Array, standing: Array | None) -> UInt[Array, "F C"]:
 
         def lift(ceiling: Array, prism: Array, some: Array) -> Array:
-            of = jax.tree.map(lambda leaf: leaf[frames, prism][:, None], bounds.terms)  # (F, 1)
+            of = ShadowTerms(*bounds.terms[:, frames, prism][..., None])  # (F, 1)
+            of = of._replace(x_inside=of.x_inside > 0, y_inside=of.y_inside > 0)
             own = False if standing is None else standing[prism, frames][:, None]
             new = shadow_ceiling(of, dx[None], dy[None], sensor[2], ignore_self_occlusion=own)
             return jnp.maximum(ceiling, jnp.where(some[:, None], new, NEVER))

@@ -181,7 +181,7 @@ def _blocks(of: Sights, solid: bool) -> tuple[Array, Callable[[Array], _Rows]]:
             at = _at_level(prism, plan, z, sz, of.width, solid)
             found = plan.met * at.hidden
             if spared is not None:  # by those that stand on the column
-                found = jnp.where(spared & (cut.depth > 0), 0.0, found)
+                found *= jnp.where(spared, (cut.depth <= 0).astype(found.dtype), 1.0)
             return found, at
 
         def read(sensor: Float[Array, "3"]) -> tuple[Float[Array, "Z R G"], UInt[Array, "W R"]]:
@@ -191,11 +191,11 @@ def _blocks(of: Sights, solid: bool) -> tuple[Array, Callable[[Array], _Rows]]:
 
                 def level(between: Array, of: tuple) -> tuple[Array, Array]:
                     hidden, _ = hides(*prism, of[1:])
-                    return between | ((hidden > 0) & (hidden < 1.0)), of[0] * (1.0 - hidden)
+                    return between + hidden * (1.0 - hidden), of[0] * (1.0 - hidden)
 
                 # Level by level, or XLA would find the cut again for each.
-                between, clear = jax.lax.scan(level, jnp.zeros(x.shape, bool), (clear, z, spared))
-                mark = between.any(1)[:, None]
+                between, clear = jax.lax.scan(level, jnp.zeros_like(x), (clear, z, spared))
+                mark = (between > 0).any(1)[:, None]
                 return clear, bitmask.with_mark(sloped[..., None], index, mark)[..., 0]
 
             return bitmask.fold_marked(marks, hide, (jnp.ones_like(z), jnp.zeros_like(marks)))

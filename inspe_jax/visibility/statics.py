@@ -19,6 +19,7 @@ from inspe_jax.core.convex import ConvexPrism, convex_shadow, convex_terms
 from inspe_jax.core.geometry import FAR, NEVER, Prism
 from inspe_jax.core.height_field import HeightField, ground_ceiling, ground_margin
 from inspe_jax.core.numerics import Width, certain_beyond, step
+from inspe_jax.core.parallel import jit_job
 from inspe_jax.visibility.centered_scene import Statics
 from inspe_jax.visibility.shadows import ShadowBounds, may_shade, shadow_bounds
 from inspe_jax.visibility.soft_sight import HALF, Sights, cell_marks, clear_chance
@@ -153,7 +154,7 @@ def _fold(
     return jax.lax.fori_loop(0, -(-(end - begin) // TOGETHER), step, start)
 
 
-past_statics_of_sensor = jax.jit(past_statics_masks)
+past_statics_of_sensor = jit_job(past_statics_masks)
 """The same, compiled for one sensor."""
 
 

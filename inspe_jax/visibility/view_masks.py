@@ -7,6 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, UInt
 
 from inspe_jax.core.geometry import Point
+from inspe_jax.core.parallel import jit_job
 from inspe_jax.sensing.rays import Rays
 from inspe_jax.visibility import bitmask
 from inspe_jax.visibility.in_view import (
@@ -24,7 +25,6 @@ CHUNK = 256
 """Columns of which one undecided voxel each is tested at once."""
 
 
-@jax.jit
 def view_masks(
     rays: Rays, pose: Float[Array, "*p"], tiles: Tile, half: Scalar
 ) -> UInt[Array, "N C"]:
@@ -64,6 +64,10 @@ def view_masks(
 
     seen, undecided = jax.lax.map(unless_missed, tiles)
     return _settle(rays, half, transform, tiles, seen, undecided)
+
+
+views_of_sensor = jit_job(view_masks)
+"""The same, compiled for one sensor."""
 
 
 def _by_nearest_ray(

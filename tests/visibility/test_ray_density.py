@@ -19,7 +19,7 @@ from inspe_jax.visibility.centered_scene import about_center
 from inspe_jax.visibility.ray_density import footprint
 from inspe_jax.visibility.target_rays import rays_on_face, share_between_sides
 from inspe_jax.visibility.tiles import tiles_of
-from inspe_jax.visibility.view_masks import view_masks
+from inspe_jax.visibility.view_masks import views_of_sensor
 
 DEVICES = worlds.slow_but(inspe_jax.devices(), "paper-lidar-32", "paper-camera", "velodyne-vlp-32c")
 
@@ -57,7 +57,7 @@ def test_coverage_is_that_of_the_mean_over_phases(scene, name):
     mean = np.zeros(len(weight))
     for k in range(64):
         rays = in_phase(spec.grid, (k + rng.uniform()) / 64, rng.uniform()).rays
-        mean += tiles.by_voxel(np.asarray(view_masks(rays, pose, tiles.tile, half))) / 64
+        mean += tiles.by_voxel(np.asarray(views_of_sensor(rays, pose, tiles.tile, half))) / 64
     centers = np.float32(scene.voxels.centers - scene.voxels.center)
     chance = compiled_view(spec.grid.rays, half, compiled_transform(pose), centers, 0.0)
     chance = np.asarray(chance)

@@ -188,7 +188,7 @@ class Case:
 
 def case_of(scene: Any, conditions: Any = None) -> Case:
     """A scene in conditions: a Case; or a scene, also by name, and Conditions, or their text such
-    as "night" or "night, rain:10"; None is midday in clear air. Raises InspeError as
+    as "night", "rain:10" or "night, rain:10"; None is midday in clear air. Raises InspeError as
     :func:`~inspe_jax.scene.scene.scene_of`, and if conditions are none, or are given besides those
     of a Case."""
     if isinstance(scene, Case):
@@ -196,7 +196,8 @@ def case_of(scene: Any, conditions: Any = None) -> Case:
             raise InspeError(f"conditions: given twice, as {scene.conditions} and as {conditions}")
         scene, conditions = scene.scene, scene.conditions
     if isinstance(conditions, str):
-        conditions = Conditions.of(*conditions.split(",", 1))
+        alone = conditions.partition(":")[0].strip().lower() in weathers()
+        conditions = Conditions.of(*("midday," * alone + conditions).split(",", 1))
     if not isinstance(conditions, Conditions | None):
         wanted = "Conditions, or their text, such as 'night' or 'night, rain:10'"
         raise wrong_kind("conditions", conditions, wanted)

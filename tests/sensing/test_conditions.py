@@ -118,6 +118,8 @@ def test_scores_and_searches_take_conditions_in_the_same_ways(scene, layout):
     case = Case(scene, night)
     scores = evaluate(scene, layout, conditions=night)
     assert evaluate(scene, layout, conditions="night, rain:10") == scores == evaluate(case, layout)
+    rain = Case(scene, Conditions.of("midday", "rain:10"))
+    assert evaluate(scene, layout, conditions="rain:10") == evaluate(rain, layout) != scores
     for start in (
         optimise(scene, layout, "random", evaluations=1, conditions=night),
         optimise([case], layout, "random", evaluations=1),

@@ -33,13 +33,14 @@ from inspe_jax.core.version import __version__ as __version__
 if TYPE_CHECKING:
     from inspe_jax.public import *  # noqa: F403
     from inspe_jax.public import __all__ as __all__
-elif "jax" in sys.modules:  # what the user compiles is kept too
-    import_module("inspe_jax.core.kept")
+else:  # a checker of types would take every name for known
 
+    def __getattr__(name: str) -> Any:
+        return getattr(import_module("inspe_jax.public"), name)
 
-def __getattr__(name: str) -> Any:
-    return getattr(import_module("inspe_jax.public"), name)
+    if "jax" in sys.modules:  # what its user compiles is kept too
+        import_module("inspe_jax.core.kept")
 
 
 def __dir__() -> list[str]:
-    return [*globals(), *__getattr__("__all__")]
+    return [*globals(), *import_module("inspe_jax.public").__all__]

@@ -42,8 +42,7 @@ GROUPS = {
         "perception.detect",
     ),
 }  # fmt: skip
-"""The functions of the commands in the order of ``inspe --help``, each in a module of its own or
-with others."""
+"""The commands in the order of ``inspe --help``, each a function of a module in this folder."""
 MODULES = {name.split(".")[1]: name.split(".")[0] for names in GROUPS.values() for name in names}
 PANELS = {name.split(".")[1]: group for group, names in GROUPS.items() for name in names}
 """The module and the group of each command."""
@@ -51,22 +50,20 @@ PANELS = {name.split(".")[1]: group for group, names in GROUPS.items() for name 
 
 @cache
 def _docstrings(module: str) -> dict[str, str | None]:
-    """Those of the functions of a module of commands, which need not be imported for them."""
+    """Those of a module's functions, read from its text: importing it takes longer."""
     tree = ast.parse(files(__package__).joinpath(f"{module}.py").read_text("utf-8"))
     return {it.name: ast.get_docstring(it) for it in tree.body if isinstance(it, ast.FunctionDef)}
 
 
 class _Group(TyperGroup):
-    """The commands, of which one is imported when it is called: help takes a line of the others."""
+    """The commands. One's module is imported when it is called; the others have help alone."""
 
     def __init__(self, **how: Any) -> None:
         super().__init__(**how)
-        known, self.commands = self.commands, {}
         for name, panel in PANELS.items():
             words = _docstrings(MODULES[name])[name]
-            self.commands[name] = known.get(name) or TyperCommand(
-                name, help=words, rich_help_panel=panel
-            )
+            command = TyperCommand(name, help=words, rich_help_panel=panel)
+            self.commands[name] = self.commands.pop(name, command)  # in this order
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         if module := MODULES.get(args[0]):

@@ -1,48 +1,75 @@
 """What all commands share: the app, its consoles, arguments, progress bars, and errors."""
 
+import ast
 import json
 import os
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext, suppress
+from functools import cache
+from importlib import import_module
+from importlib.resources import files
 from pathlib import Path
-from typing import Annotated, Any, NoReturn
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
-import jax
 import typer
 from rich.console import Console
 from rich.text import Text
-from typer.core import TyperGroup
+from typer.core import TyperCommand, TyperGroup
 
 from inspe_jax.cli.claims import claims
 from inspe_jax.cli.stopping import CTRL_C, attended, step, stopped
-from inspe_jax.core.compiling import compiled, keep_programs, leave
+from inspe_jax.core.compiling import compiled, leave
 from inspe_jax.core.errors import InspeError, missing_extra
 from inspe_jax.core.files import read_json, write_text
 from inspe_jax.core.version import __version__
 from inspe_jax.core.words import visible
-from inspe_jax.scene.geojson import SUFFIX
-from inspe_jax.scene.scene import Scene, load_scene
-from inspe_jax.sensing.layout import Layout, load_layout
-from inspe_jax.sensing.named import layout_of, rule_of
+
+if TYPE_CHECKING:
+    from inspe_jax.scene.scene import Scene
+    from inspe_jax.sensing.layout import Layout
 
 GROUPS = {
     "Start here": (
-        "examples", "scene", "layout", "score", "targets", "view", "metrics", "devices", "profiles",
+        "scene.examples", "scene.scene", "scene.layout", "score.score", "score.targets",
+        "show.view", "score.metrics", "score.devices", "score.profiles",
     ),
-    "Search": ("optimise", "compare", "pareto"),
-    "Hand over": ("report", "export", "tolerance"),
-    "Studies": ("sweep", "plan"),
-    "Data sets and detectors": ("generate", "dataset", "train", "evaluate", "detect"),
+    "Search": ("search.optimise", "search.compare", "search.pareto"),
+    "Hand over": ("show.report", "show.export", "score.tolerance"),
+    "Studies": ("study.sweep", "study.plan"),
+    "Data sets and detectors": (
+        "dataset.generate", "dataset.dataset", "perception.train", "perception.evaluate",
+        "perception.detect",
+    ),
 }  # fmt: skip
-"""The commands in the order of ``inspe --help``."""
-PANELS = {name: group for group, names in GROUPS.items() for name in names}
-"""The group of each command."""
+"""The commands in the order of ``inspe --help``, each a function of a module in this folder."""
+MODULES = {name.split(".")[1]: name.split(".")[0] for names in GROUPS.values() for name in names}
+PANELS = {name.split(".")[1]: group for group, names in GROUPS.items() for name in names}
+"""The module and the group of each command."""
+
+
+@cache
+def _docstrings(module: str) -> dict[str, str | None]:
+    """Those of a module's functions, read from its text: importing it takes longer."""
+    tree = ast.parse(files(__package__).joinpath(f"{module}.py").read_text("utf-8"))
+    return {it.name: ast.get_docstring(it) for it in tree.body if isinstance(it, ast.FunctionDef)}
 
 
 class _Group(TyperGroup):
-    def list_commands(self, ctx: Any) -> list[str]:
-        return list(PANELS)
+    """The commands. One's module is imported when it is called; the others have help alone."""
+
+    def __init__(self, **how: Any) -> None:
+        super().__init__(**how)
+        for name, panel in PANELS.items():
+            words = _docstrings(MODULES[name])[name]
+            command = TyperCommand(name, help=words, rich_help_panel=panel)
+            self.commands[name] = self.commands.pop(name, command)  # in this order
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        if module := MODULES.get(args[0]):
+            import_module(f"{__package__}.{module}")
+            self.commands = typer.main.get_group(app).commands
+        return super().resolve_command(ctx, args)
 
     def invoke(self, ctx: Any) -> Any:
         try:
@@ -135,6 +162,8 @@ def _run() -> None:
 
 
 def _has_devices() -> bool:
+    import jax
+
     try:
         return bool(jax.devices())
     except (AssertionError, RuntimeError):
@@ -163,6 +192,10 @@ def _root(
 ) -> None:
     claims.begin(context.invoked_subcommand or "")
     context.call_on_close(claims.end)
+    import jax
+
+    from inspe_jax.core.kept import keep_programs
+
     if cache:
         keep_programs()
     else:
@@ -171,8 +204,10 @@ def _root(
 
 def scene_and_layout(
     source: str, sensors: str, profile: str | None, *, unit_rule: bool = True
-) -> tuple[Scene, Layout]:
+) -> "tuple[Scene, Layout]":
     """A scene, and a layout on it from a file or from the name of a strategy."""
+    from inspe_jax.scene.scene import load_scene
+
     check_layout(sensors, unit_rule=unit_rule)
     with busy(f"reading {source}"):
         world = load_scene(source, profile)
@@ -181,15 +216,21 @@ def scene_and_layout(
 
 def check_layout(sensors: str, *, unit_rule: bool = True) -> None:
     """Raise InspeError if a layout cannot be read: before its scene, which may take minutes."""
+    from inspe_jax.scene.geojson import SUFFIX
+    from inspe_jax.sensing.layout import load_layout
+    from inspe_jax.sensing.named import rule_of
+
     if Path(sensors).suffix.lower() == SUFFIX:
         read_json(Path(sensors))
     elif rule_of(sensors) is None:
         load_layout(sensors, unit_rule=unit_rule)
 
 
-def layout_on(world: Scene, sensors: str, *, unit_rule: bool = True) -> Layout:
+def layout_on(world: "Scene", sensors: str, *, unit_rule: bool = True) -> "Layout":
     """A layout on a scene, from a file or from the name of a strategy. With ``unit_rule``, the
     sensors of each unit in the file must be close to each other."""
+    from inspe_jax.sensing.named import layout_of
+
     layout = layout_of(sensors, world, unit_rule=unit_rule)
     if layout.profile not in (None, here := world.profile.name):
         made = f"{layout.name} was made under the profile {layout.profile}"

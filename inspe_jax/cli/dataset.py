@@ -15,12 +15,14 @@ from inspe_jax.core.files import check_folder, csv_text, write_text
 from inspe_jax.core.words import counted
 from inspe_jax.simulation.backends import BACKENDS, server_of
 
-dataset_app = typer.Typer(
-    help="Look at data sets: statistics, single frames, and whether files are damaged.",
-    no_args_is_help=True,
-    rich_markup_mode="markdown",
-)
+dataset_app = typer.Typer(no_args_is_help=True, rich_markup_mode="markdown")
 common.app.add_typer(dataset_app, name="dataset", rich_help_panel=common.PANELS["dataset"])
+
+
+@dataset_app.callback()
+def dataset() -> None:
+    """Look at data sets: statistics, single frames, and whether files are damaged."""
+
 
 FAILURES, FAULTS, NOTES = 3, 20, 12
 """Number of failed scenarios, of damaged files and of different notes that are printed."""

@@ -21,8 +21,8 @@ BOX = ("x", "y", "z", "length", "width", "height", "yaw", "velocity_x", "velocit
 """Names of a box's numbers in records [m, rad, m/s], about the middle of the intersection."""
 
 
-@command(name="train")
-def train_detector(
+@command()
+def train(
     recorded: Path,
     *,
     folder: Path,
@@ -144,8 +144,8 @@ def _summary(run: "TrainingRun") -> str:
     return f"{run.steps:,} steps{found}"
 
 
-@command(name="evaluate")
-def evaluate_detector(
+@command()
+def evaluate(
     run: Path,
     recorded: Path,
     *,
@@ -174,7 +174,7 @@ def evaluate_detector(
     common.show(evaluation_table(found, _unfinished(training, step)), json_value(content), record)
 
 
-@command(name="detect")
+@command()
 def detect(
     run: Path,
     recorded: Path,

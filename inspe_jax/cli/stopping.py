@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from inspe_jax.core.compiling import compiled, holds_main_thread, kept_in
+from inspe_jax.core.compiling import compiled, holds_main_thread
 
 PATIENCE = 0.5  # time in which the main thread hears Ctrl-C if it is in Python [s]
 TOGETHER = 0.2  # time between its two threads' hearing of one Ctrl-C, at most [s]
@@ -133,6 +133,8 @@ def _press() -> None:
 
 
 def _compiling() -> str:
+    from inspe_jax.core.kept import kept_in
+
     folder = kept_in()
     kept = f"what is compiled once is kept in {folder}" if folder else "nothing is kept of it"
     words = f"compiling; {kept}"

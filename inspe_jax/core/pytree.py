@@ -6,6 +6,8 @@ from typing import Any, TypeVar
 
 import jax
 
+import inspe_jax.core.kept  # noqa: F401
+
 Class = TypeVar("Class", bound=type)
 
 

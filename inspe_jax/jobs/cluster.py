@@ -11,8 +11,8 @@ import dask
 import jax
 from distributed import Client, LocalCluster, Worker, WorkerPlugin
 
-from inspe_jax.core.compiling import CACHE_SETTINGS
 from inspe_jax.core.errors import InspeError, error_at
+from inspe_jax.core.kept import CACHE_SETTINGS
 from inspe_jax.core.parallel import cores
 from inspe_jax.jobs.sources import versions
 

@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from functools import partial
+from importlib import import_module
 from pathlib import Path
 from types import SimpleNamespace
 from urllib.error import HTTPError
@@ -25,10 +26,10 @@ from rich.text import Text
 
 from inspe_jax.cli import stopping
 from inspe_jax.cli.claims import Claims
-from inspe_jax.cli.common import app, err, out
-from inspe_jax.core.compiling import keep_programs, prune
+from inspe_jax.cli.common import MODULES, app, err, out
 from inspe_jax.core.errors import missing_extra
 from inspe_jax.core.files import read_csv, write_text
+from inspe_jax.core.kept import keep_programs, prune
 from inspe_jax.core.tables import table_of
 from inspe_jax.core.words import visible
 from inspe_jax.placement.result import FILES
@@ -290,6 +291,8 @@ def test_a_data_set_is_checked_and_counted_before_it_is_made(inspe, files):
 
 def test_every_command_has_examples_and_says_what_its_options_are():
     count = 0
+    for module in MODULES.values():
+        import_module(f"inspe_jax.cli.{module}")
     for name, group in typer.main.get_command(app).commands.items():
         for word, command in getattr(group, "commands", {"": group}).items():
             example = f"Examples?:.*`inspe {name} {word}".strip()
@@ -297,6 +300,15 @@ def test_every_command_has_examples_and_says_what_its_options_are():
             assert all(one.help for one in command.params), (name, word)
             count += 1
     assert count > 20
+
+
+@pytest.mark.process
+def test_help_has_a_line_of_every_command_and_imports_no_jax():
+    code = "import atexit, sys; atexit.register(lambda: print('jax' in sys.modules))\n"
+    code += "from inspe_jax.cli import main; main()"
+    ran = subprocess.run([sys.executable, "-c", code, "--help"], capture_output=True, text=True)
+    assert ran.stdout.endswith("\nFalse\n")
+    assert re.findall(r"^│ (\w+) +[A-Z]\w+ \w", ran.stdout, re.MULTILINE) == [*MODULES]
 
 
 @pytest.mark.parametrize(("arguments", "message"), cases(
@@ -581,7 +593,7 @@ def no_home(*_, **__):
 def test_nowhere_to_keep_what_is_compiled_is_no_error_and_ones_own_folder_stays(
     monkeypatch, folder, before
 ):
-    monkeypatch.setattr("inspe_jax.core.compiling.user_cache_path", folder)
+    monkeypatch.setattr("inspe_jax.core.kept.user_cache_path", folder)
     usual = jax.config.jax_compilation_cache_dir
     jax.config.update("jax_compilation_cache_dir", before)
     try:

@@ -11,7 +11,8 @@ Conventions, stated once:
 - Compiled programs are kept in the user's cache folder, unless INSPE_CACHE is 0 or JAX is given
   another folder.
 - Axis letters in shapes: S sensors, U infrastructure units, V voxels, L columns,
-  Z levels, T frames, B boxes, R rays.
+  Z levels, T frames, B boxes, R rays, G groups of sensors that may fail: row 0 of 1 + G
+  is of all sensors.
 
 Public is what this package, :mod:`inspe_jax.report`, :mod:`inspe_jax.dataset`, its ``loading`` and
 :mod:`inspe_jax.perception.training` list. Examples in docstrings have these by their last name,

@@ -29,7 +29,7 @@ from inspe_jax.scoring.detection import (
     save_detection,
 )
 from inspe_jax.scoring.evaluate import Contribution, ManyScores, Scores, evaluate, evaluate_many
-from inspe_jax.scoring.metric import Metric
+from inspe_jax.scoring.metric import Evidence, Metric, TileEvidence
 from inspe_jax.scoring.metrics import METRICS
 from inspe_jax.scoring.targets import TargetView, target_view
 from inspe_jax.sensing.calibrations import Imported, layouts_from
@@ -59,6 +59,7 @@ __all__ = [
     "DetectionCurve",
     "DetectionCurves",
     "Device",
+    "Evidence",
     "Georeference",
     "Imported",
     "InspeError",
@@ -85,6 +86,7 @@ __all__ = [
     "SphericalRays",
     "Study",
     "TargetView",
+    "TileEvidence",
     "TrafficFrames",
     "Unit",
     "VoxelGrid",

@@ -35,6 +35,9 @@ PACKAGES = (
 )  # fmt: skip
 
 
+FILES = ("inspe_jax.sensing.layout", "inspe_jax.sensing.calibrations")
+"""Modules whose docstrings say what is in files that people write."""
+
 SEEN: set[int] = set()
 """What a page has already: a package's own package may list it too."""
 
@@ -107,4 +110,6 @@ for name in PACKAGES:
     path = Path(__file__).parent / "reference" / f"{name}.rst"
     path.parent.mkdir(exist_ok=True)
     path.write_text(page_of(name))
-(Path(__file__).parent / "reference" / "tables.md").write_text("\n".join(tables()))
+files = "\n\n".join(f".. automodule:: {name}\n   :no-members:" for name in FILES)
+(path.parent / "files.rst").write_text(f"Files\n=====\n\n{files}\n")
+(path.parent / "tables.md").write_text("\n".join(tables()))

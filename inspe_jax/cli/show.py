@@ -166,7 +166,8 @@ def export(
 ) -> None:
     """Write a plan in coordinates of the Earth, for maps, surveyors and contractors.
 
-    The scene must be of a map with a projection, as OpenStreetMap. Degrees are those of WGS 84;
+    GeoJSON and KML need a scene of a map with a projection, as OpenStreetMap; JSON and CSV do not.
+    Degrees are those of WGS 84;
     azimuths are clockwise from true north; heights are above the ground at the foot of the pole.
     The GeoJSON can be edited in a map and read back in place of a layout file.
 
@@ -180,8 +181,8 @@ def export(
     Args:
         files (--out FILE.geojson|kml|json|csv): A file to write; repeat it for more. GeoJSON and
             KML: poles, sensors with height, azimuth and tilt, and what each looks at. JSON: a
-            calibration, which `inspe layout --from` reads; it needs no projection. CSV: a bill of
-            materials. If not given, plan.geojson.
+            calibration, which `inspe layout --from` reads. CSV: a bill of materials. If not given,
+            plan.geojson.
     """
     from inspe_jax.report.handover import PLAN_FORMATS
 

@@ -79,7 +79,7 @@ def optimise(
         scene: One scene, or several of one intersection, as in :func:`inspe_jax.evaluate`; several
             scenes in several conditions are a list of :class:`~inspe_jax.sensing.conditions.Case`.
         layout: The sensors and their units, also by name.
-        method: One of :func:`methods`.
+        method: One of :func:`methods`, ``greedy-adam`` if not given.
         seconds: Budget of wall time [s], from the first exact score on, without the time in which a
             program is compiled; 60 if no budget is given.
         evaluations: Budget in exact scores, with all other work in their equivalents. With it

@@ -211,11 +211,11 @@ def summarise(
     evidence = Evidence(
         shares, tiled.weight, frames, whole, *entropy, terms, failures, own_levels, slabs, width
     )
-    parts = None
+    values, parts = {metric.name: metric.of(evidence) for metric in metrics}, None
     if entropy_of_parts is not None:
         parts = _of_parts(evidence, tiled.tiles, counts, entropy_of_parts, metrics)
     return MetricValues(
-        {metric.name: metric.value(evidence) for metric in metrics},
+        values,
         column_coverage=shares[0],
         entropy=entropy[1],
         seen_share=seen.astype(float) / (tiled.frame_count * own_levels),

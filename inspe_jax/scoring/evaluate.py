@@ -139,9 +139,10 @@ def evaluate(
         weights: Of the metrics in P_sm, by name, or three numbers for C, O and IG.
         occlusion_reference: As in :func:`~inspe_jax.scoring.metrics.occlusion_terms`; without it,
             the scene's profile decides.
-        visibility: One of :data:`VISIBILITIES`, for information gain; without it, the profile
-            decides. Metrics that need line of sight take the same, or ``past_others`` in place of
-            ``in_view``.
+        visibility: What information gain, and metrics that need line of sight, read:
+            ``line_of_sight``; ``past_others``, where a vehicle does not hide its own voxels; or
+            ``in_view``, without traffic, for which the others take ``past_others``. Without it, the
+            profile decides.
         softness: 0 for the exact scores; or the width [m] with which fields of view and shadows are
             read, and then rays are read as a density; or a
             :class:`~inspe_jax.core.numerics.Softness`.

@@ -8,7 +8,8 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Num
 
-from inspe_jax.core.numerics import Groups, Width
+from inspe_jax.core.errors import InspeError
+from inspe_jax.core.numerics import Groups, Width, leave_one_out
 from inspe_jax.scoring.detection import DetectionCurves
 from inspe_jax.scoring.numbers import Reading
 from inspe_jax.scoring.target_evidence import TargetEvidence, target_evidence
@@ -49,13 +50,19 @@ class TileEvidence:
     @cached_property
     def sight(self) -> Float[Array, "S Z C"]:
         """The share of frames in which each sensor has each voxel in line of sight."""
-        assert self.sights is not None  # the metric says that it needs it
+        if self.sights is None:
+            words = "terms of a metric read what is in line of sight: it must say sight=True"
+            raise InspeError(words)
         return self.sights.swapaxes(1, 2).astype(self.tile.heights.dtype) / self.frames
 
     @cached_property
     def visible(self) -> Float[Array, "S Z C"]:
         """The share of frames in which each sensor sees each voxel: in view, in line of sight."""
         return self.reading.chances(self.views, len(self.tile.heights)) * self.sight
+
+    def some(self, chances: Float[Array, "S ..."]) -> Float[Array, "1+G ..."]:
+        """The chance of some sensor, 1 − ∏(1 − p): of all, and without each group of failures."""
+        return leave_one_out(chances, self.failures)
 
     @cached_property
     def targets(self) -> TargetEvidence:
@@ -70,8 +77,8 @@ class Evidence(NamedTuple):
     """What metrics are computed from: the counts of a scene with T frames and L columns.
 
     ``covered`` is f, as the share of each column's levels that some sensor has in view; ``weight``
-    is that of the columns' regions. ``seen`` and ``original`` are |V_orig| − |V_occ| and |V_orig|
-    in each frame (:func:`~inspe_jax.scoring.metrics.occlusion_terms`). ``remaining`` and
+    is that of the columns' regions. ``seen`` and ``original`` are how many voxels V_orig has besides
+    V_occ, and in all, in each frame (:func:`~inspe_jax.scoring.metrics.occlusion_terms`). ``remaining`` and
     ``entropy`` are H(Ω|P) and H(Ω) in nats (:func:`~inspe_jax.scoring.metrics.entropy_terms`).
     ``terms`` holds the further terms of the registry's metrics by name, one row for each tile.
     ``levels`` is the number of a column's levels, of each where static bodies stand in some;
@@ -113,11 +120,12 @@ class Metric:
 
     ``name`` is used in records and options, ``symbol`` in tables. ``weight`` is the usual one in
     P_sm. ``summary`` says in one line what the metric is. ``value`` gives the metric (1 + G,) from
-    the :class:`Evidence` of a scene. ``terms`` is for a metric that needs more than the evidence
-    has: a function of :class:`TileEvidence` that gives arrays, which are then
-    ``evidence.terms[name]``, one row for each tile. ``sight``: it reads ``sight`` there. A metric
-    that is not ``usual`` is computed only where it is asked for or has weight. One ``by_region``
-    weighs columns by their regions.
+    the :class:`Evidence` of a scene: of all sensors, and without each of G groups of failures.
+    ``terms`` is for a metric that needs more than the evidence has: a function of
+    :class:`TileEvidence` that gives arrays, which are then ``evidence.terms[name]``, one row for
+    each tile. ``sight``: it reads ``sight`` or ``visible`` there. A metric that is not ``usual`` is
+    computed only where it is asked for or has weight. One ``by_region`` weighs columns by
+    ``evidence.weight``, so that regions may be chosen.
 
     Two more make searches faster. ``targets`` names the fields of ``targets`` that ``terms`` reads,
     if any; others may be None there. ``submodular`` promises that a sensor never takes anything
@@ -138,6 +146,16 @@ class Metric:
     by_region: bool = False
     targets: tuple[str, ...] | None = None
     submodular: bool = False
+
+    def of(self, found: Evidence) -> Float[Array, " 1+G"]:
+        """The ``value``. Raises InspeError if it is of another shape."""
+        value, rows = jnp.asarray(self.value(found)), found.seen.shape[1:]
+        if value.shape != rows:
+            raise InspeError(
+                f"metric '{self.name}': its value has the shape {value.shape}, not (1 + G,) = "
+                f"{rows}, a number of all sensors and one without each group of failures"
+            )
+        return value
 
     @property
     def words(self) -> str:

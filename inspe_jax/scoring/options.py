@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from typing import NamedTuple
 
+from inspe_jax.core.errors import InspeError
 from inspe_jax.scoring.detection import DetectionCurves, detection_curves
 from inspe_jax.scoring.metric import Metric
 from inspe_jax.scoring.metrics import METRICS, chosen
@@ -35,6 +36,10 @@ class ScoreOptions(NamedTuple):
         Curves that equal the usual ones are the usual ones.
         """
         names = chosen() if names is None else names
+        for name in names:
+            if METRICS[name].name != name:
+                words = f"METRICS['{name}'] has the name '{METRICS[name].name}': one name for both"
+                raise InspeError(words)
         curves = None if detection == detection_curves() else detection
         return cls(occlusion_reference, visibility, tuple(METRICS[name] for name in names), curves)
 

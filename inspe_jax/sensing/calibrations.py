@@ -12,6 +12,7 @@ A file is YAML or JSON, in metres, degrees and pixels::
       - {name: mast, width: 1920, height: 1080, camera_matrix: […], pairs: [[u, v, x, y, z], …]}
 
 ``frame.crs`` is a code, a PROJ string, or ``LAT,LON``: then x is east and y true north of there.
+Without a ``frame``, coordinates are the scene's own.
 Cameras have optical axes, others a body's, unless ``convention`` says another; a radar needs a
 ``device``, as a LiDAR may have. ``lat``, ``lon``, ``z`` may be in place of a position, ``hfov_deg``
 in place of a camera matrix. ``pairs`` are pixels and where they are; a ``position`` beside them is
@@ -62,7 +63,7 @@ from inspe_jax.sensing.sensors import PIXELS_PER_METRE, CameraSpec, Spec
 
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 HIGHEST = 150.0  # above the ground no roadside sensor is so high [m]
-UPWARD, ROLLED = np.radians(30), np.radians(45)  # no camera looks up so far; few are rolled so far
+UPWARD, ROLLED = np.radians(30), np.radians(20)  # no camera looks up so far; few are rolled so far
 OFF = 0.25  # a principal point so far off the middle, in picture sizes, has taken up another error
 HEIGHTS = "scene", "ground"
 
@@ -318,9 +319,10 @@ def _check(
             "direction are others, or the calibration is wrong"
         )
     if abs(roll) > ROLLED and abs(pitch) < np.pi / 2 - ROLLED:
+        hung = f"{where} is rolled by {np.degrees(roll):.0f}° and {z - (level or 0.0):.1f} m high"
         notes.append(
-            f"{where} is rolled by {np.degrees(roll):.0f}°; if it does not hang so, its axes are "
-            "others ('convention')"
+            f"{hung}; if it does not hang so, its axes are others ('convention'), or its matrix is "
+            "the inverse"
         )
 
 

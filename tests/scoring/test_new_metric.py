@@ -78,6 +78,18 @@ def test_it_carries_weight_in_the_surrogate(scene, layout):
         inspe_jax.evaluate(scene, layout, weights={"watched_twce": 1})
 
 
+@pytest.mark.parametrize(("name", "value", "terms", "words"), [
+    ("mine", lambda _: 0.5, None, r"'mine': its value has the shape \(\), not .* = \(5,\)"),
+    ("mine", lambda found: found.covered.mean(1), lambda tile: tile.visible, "say sight=True"),
+    ("other", lambda found: found.covered.mean(1), None, r"METRICS\['mine'\] has the name 'other'"),
+])  # fmt: skip
+def test_a_row_that_is_wrong_is_told_of(scene, layout, monkeypatch, name, value, terms, words):
+    row = Metric(name, "M", 0.0, "mine", value, terms)
+    monkeypatch.setitem(metrics.METRICS, "mine", row)
+    with pytest.raises(InspeError, match=words):
+        inspe_jax.evaluate(scene, layout, visibility="in_view")
+
+
 def test_softly_it_has_a_slope(scene, layout):
     def values(poses, width):
         softness = inspe_jax.Softness(width, width, "exact")

@@ -417,7 +417,7 @@ def test_units_and_heights_are_as_said_and_what_is_unusual_is_noted(tmp_path):
     by_id = read(tmp_path, [dict(id="x", type="lidar", location=dict(x=1, y=2, z=5))])
     assert by_id.layout.sensors[0].name == "x"
     axes = read(tmp_path, one(convention="body")).notes[0]
-    assert "is rolled by -90°; if it does not hang so, its axes are others" in axes
+    assert "is rolled by -90° and 6.0 m high; if it does not hang so, its axes are others" in axes
 
 
 def test_cameras_in_degrees_without_a_crs_hang_in_one_frame(tmp_path):

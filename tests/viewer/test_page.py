@@ -248,7 +248,10 @@ def test_the_score_stays_in_sight_and_the_page_is_its_own(tab, viewer):
     assert not tab.get_by_text("Software WebGL rendering detected").is_visible()
     set_value(viewer.panel.target, 0.3)
     viewer.queue.submit(viewer.display.update_panel)
-    box = tab.locator("[data-target]").bounding_box()
+    mark, boxes = tab.locator("[data-target='0.3']"), []
+    # Without a box while the panel is drawn anew, as it is for every score that comes.
+    wait_until(tab, lambda: boxes.append(mark.bounding_box()) or boxes[-1])
+    box = boxes[-1]
     assert box["width"] >= 8
     assert box["height"] >= 16
     middle = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2

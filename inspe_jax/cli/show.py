@@ -167,9 +167,9 @@ def export(
     """Write a plan in coordinates of the Earth, for maps, surveyors and contractors.
 
     GeoJSON and KML need a scene of a map with a projection, as OpenStreetMap; JSON and CSV do not.
-    Degrees are those of WGS 84;
-    azimuths are clockwise from true north; heights are above the ground at the foot of the pole.
-    The GeoJSON can be edited in a map and read back in place of a layout file.
+    Degrees are those of WGS 84; azimuths are clockwise from true north; heights are above the
+    ground at the foot of the pole. The GeoJSON can be edited in a map and read back in place of a
+    layout file.
 
     Examples:
 

@@ -80,10 +80,10 @@ class Evidence(NamedTuple):
     is that of the columns' regions. ``seen`` and ``original`` are how many voxels V_orig has
     besides V_occ, and in all, in each frame (:func:`~inspe_jax.scoring.metrics.occlusion_terms`).
     ``remaining`` and ``entropy`` are H(Ω|P) and H(Ω) in nats
-    (:func:`~inspe_jax.scoring.metrics.entropy_terms`).
-    ``terms`` holds the further terms of the registry's metrics by name, one row for each tile.
-    ``levels`` is the number of a column's levels, of each where static bodies stand in some;
-    ``slabs`` that of the tiles over a column; ``width`` [m] that with which margins are read.
+    (:func:`~inspe_jax.scoring.metrics.entropy_terms`). ``terms`` holds the further terms of the
+    registry's metrics by name, one row for each tile. ``levels`` is the number of a column's
+    levels, of each where static bodies stand in some; ``slabs`` that of the tiles over a column;
+    ``width`` [m] that with which margins are read.
     """
 
     covered: Float[Array, "1+G L"]

@@ -19,7 +19,7 @@ from inspe_jax.scene.procedural.built_ins import BUILT_INS, built_in
 from inspe_jax.scene.profiles import Profile, profiles
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.scene import Scene, build_scene, load_scene, save_scene
-from inspe_jax.scene.traffic.frames import TrafficFrames
+from inspe_jax.scene.traffic.frames import MIXES, BodySize, Mix, TrafficFrames
 from inspe_jax.scene.voxels import VoxelGrid
 from inspe_jax.scoring.detection import (
     DetectionCurve,
@@ -42,6 +42,7 @@ from inspe_jax.sensing.radar import RadarSpec
 from inspe_jax.sensing.ray_grid import RayGrid
 from inspe_jax.sensing.rays import SphericalRays
 from inspe_jax.sensing.sensors import CameraSpec, LidarSpec, Pose, Spec
+from inspe_jax.sensing.thermal import ThermalSpec
 from inspe_jax.study.plan import Study, load_study
 from inspe_jax.study.sweep import sweep
 from inspe_jax.visibility.queries import in_view, line_of_sight
@@ -50,7 +51,9 @@ __all__ = [
     "BUILT_INS",
     "METHODS",
     "METRICS",
+    "MIXES",
     "STRATEGIES",
+    "BodySize",
     "CameraSpec",
     "Case",
     "Conditions",
@@ -70,6 +73,7 @@ __all__ = [
     "ManyScores",
     "Method",
     "Metric",
+    "Mix",
     "Objective",
     "Pose",
     "PoseFit",
@@ -86,6 +90,7 @@ __all__ = [
     "SphericalRays",
     "Study",
     "TargetView",
+    "ThermalSpec",
     "TileEvidence",
     "TrafficFrames",
     "Unit",

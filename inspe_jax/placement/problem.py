@@ -40,10 +40,10 @@ _SAMPLE_COST = (0.05, 0.3, 1.9)
 """A rough score costs a + b·columns + c·columns·frames exact ones, by the sample's shares. Measured
 on two cores with 8 cameras, 4 LiDARs and both, on 150,000 voxels and 100 frames: 0.04 to 0.21."""
 
-GRADIENT_COST = (14.0, 3.6e3, 22.6e3)
-"""A gradient costs a·(n + b)/(n + c) hard scores of its sample of n columns·frames. 384 × 3, 768 ×
-6 and 2048 × 8 give 2.8, 4.2 and 7.2; `experiments/benchmark_speed.py` measures 2.7, 3.4 and 6.1
-with eight cameras, 2.7, 4.3 and 6.5 with four LiDARs, 2.8, 4.6 and 7.6 with both."""
+GRADIENT_COST = (55.0, 2.75e3, 60e3)
+"""A gradient costs a·(n + b)/(n + c) hard scores of its sample of n columns·frames, as that is
+charged. So 384 × 3, 768 × 6, 1536 × 8 and 2048 × 8 cost 0.20, 0.42, 0.98 and 1.37 exact ones;
+measured 0.17 to 0.22, 0.40 to 0.44, 0.93 to 1.14 and 1.22 to 1.49, on what the above is."""
 
 AnyScene = Scene | Case | str
 """A scene as users give it: as such, in conditions, or by name."""
@@ -371,7 +371,7 @@ def case_scores(
 _hard_scores = jit_job(case_scores, static_argnames="options")
 
 
-@partial(jax.jit, static_argnames=("options", "over"))
+@partial(jit_job, static_argnames=("options", "over"))
 def soft_slope(
     poses: Float[Array, "S p"],
     scenes: tuple[TiledScene, ...],

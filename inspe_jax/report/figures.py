@@ -40,9 +40,10 @@ REGION_COLORS: dict[Region, str] = dict(
 )
 """Tints of Okabe and Ito's black, yellow, orange, bluish green and sky blue, by region."""
 SENSOR_COLORS: defaultdict[str, str] = defaultdict(
-    lambda: "#2f5d50", {"camera": "#c04a00", "lidar": "#8a2f74"}
+    lambda: "#2f5d50", {"camera": "#c04a00", "lidar": "#8a2f74", "thermal": "#7a5c00"}
 )
-"""Vermilion, reddish purple and, for other kinds, dark green: dark enough for white digits."""
+"""Vermilion, reddish purple, dark yellow and, for other kinds, dark green: dark enough for white
+digits."""
 
 _LINE: dict[str, Any] = dict(ec="#707070", lw=0.3)
 OUTLINE: dict[str, Any] = dict(fc="none", ec="#999999", lw=0.45)
@@ -337,7 +338,7 @@ def _draw_badges(
     out = poses[:, :2] - [(left + right) / 2, (low + high) / 2]
     out /= np.maximum(np.hypot(*out.T), 1e-9)[:, None]
     ahead = np.column_stack([np.cos(poses[:, 5]), np.sin(poses[:, 5])])
-    camera = np.array([[spec.kind == "camera"] for spec in specs])
+    camera = np.array([[isinstance(spec, CameraSpec)] for spec in specs])
     gap = (_BADGE + 1.5) * (right - left) / (side * 72)
     places = spread_badges(poses[:, :2], np.where(camera, ahead, out), gap)
     for spec, number, foot, place in zip(specs, numbers, poses, places, strict=True):

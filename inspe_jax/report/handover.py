@@ -23,7 +23,7 @@ from inspe_jax.sensing.layout import Layout, lens_keys, made_with
 from inspe_jax.sensing.layout_geojson import DIGITS, collection, layout_features
 from inspe_jax.sensing.sensors import CameraSpec
 
-LINE = {"camera": "ffb27200", "lidar": "ff00559e", "radar": "ff505d2f"}
+LINE = {"camera": "ffb27200", "lidar": "ff00559e", "radar": "ff505d2f", "thermal": "ff005c7a"}
 """Colours of outlines in KML, by kind of sensor: alpha, blue, green, red."""
 FILL = "30"  # alpha of what is within them
 

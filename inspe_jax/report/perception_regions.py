@@ -14,8 +14,8 @@ from inspe_jax.sensing.layout import Layout
 from inspe_jax.sensing.lens import rim
 from inspe_jax.sensing.sensors import CameraSpec, Spec
 
-TYPES = {"radar": 1, "lidar": 2, "camera": 3}
-"""SensorType by kind; 0 is undefined."""
+TYPES = {"radar": 1, "lidar": 2, "camera": 3, "thermal": 5}
+"""SensorType by kind, of a thermal camera night vision; 0 is undefined."""
 SPHERICAL = 9  # of a fisheye
 ALL_ROUND = np.radians(10)  # a gap between rays in plan that is no side without view
 FARTHEST = 4095  # of StandardLength12b, in 0.1 m

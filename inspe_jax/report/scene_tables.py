@@ -96,7 +96,7 @@ def layout_table(layout: Layout) -> RenderableType:
     return table
 
 
-RESOLUTIONS = {"camera": "pixels", "lidar": "channels", "radar": "range,\nazimuth"}
+RESOLUTIONS = dict(camera="pixels", thermal="pixels", lidar="channels", radar="range,\nazimuth")
 """What the resolution of each kind of sensor is of."""
 
 

@@ -47,7 +47,8 @@ class Profile:
     @property
     def reliability(self) -> dict[str, float]:
         """Reliability by kind of sensor; 1 for kinds that are not named."""
-        return {"camera": self.camera_reliability, "lidar": self.lidar_reliability}
+        camera = self.camera_reliability
+        return {"camera": camera, "thermal": camera, "lidar": self.lidar_reliability}
 
     def of_scene(self, **given: Any) -> dict[str, Any]:
         """The options to build a scene with: the given ones, or the profile's where they are None.

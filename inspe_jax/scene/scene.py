@@ -174,7 +174,7 @@ def build_scene(
         density: ``none``, ``low``, ``medium``, ``high`` or a mean number of objects.
         frames: Number of frames.
         step: Time between frames [s].
-        mix: A key of :data:`~inspe_jax.scene.traffic.frames.MIXES`.
+        mix: A key of :data:`~inspe_jax.scene.traffic.frames.MIXES`, also one that you added.
         traffic: A key of :data:`~inspe_jax.scene.traffic.frames.TRAFFIC_MODELS`: ``waypoints``, the
             paper's model; ``sumo``, for a place that was read from a map. Or recorded traffic,
             which has its own density and mix: tracks (.csv) or their columns by name

@@ -47,7 +47,7 @@ class SensorKeys(BaseModel, **STRICT):
     """The keys of a sensor in our own file."""
 
     name: str = _or("name", "camera_name", "camera")
-    kind: Literal["camera", "lidar", "radar"] = "camera"
+    kind: Literal["camera", "lidar", "radar", "thermal"] = "camera"
     device: str | None = None
     unit: str | None = None
     hfov_deg: Annotated[float, Field(gt=0, lt=180)] | None = None  # of a device, if it is varifocal

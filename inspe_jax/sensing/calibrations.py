@@ -59,13 +59,14 @@ from inspe_jax.sensing.layout import (
 )
 from inspe_jax.sensing.lens import Lens, lens_of, split_projection
 from inspe_jax.sensing.pose_solver import PoseFit, solve_pose
-from inspe_jax.sensing.sensors import PIXELS_PER_METRE, CameraSpec, Spec
+from inspe_jax.sensing.sensors import CameraSpec, Spec
 
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 HIGHEST = 150.0  # above the ground no roadside sensor is so high [m]
 UPWARD, ROLLED = np.radians(30), np.radians(20)  # no camera looks up so far; few are rolled so far
 OFF = 0.25  # a principal point so far off the middle, in picture sizes, has taken up another error
 HEIGHTS = "scene", "ground"
+CAMERAS = "camera", "thermal"  # kinds with optical axes
 
 
 @dataclass(frozen=True)
@@ -184,7 +185,8 @@ def layouts_from(
     assumed = (spec for one, _, spec in rows if one.device is None and spec != usual["camera"])
     far = [f"{spec.name} {spec.grid.reach:.0f} m" for spec in assumed if spec.kind == "camera"]
     if far:
-        notes.append(f"cameras see up to {PIXELS_PER_METRE:g} px per metre: {', '.join(far)}")
+        most = f"{CameraSpec.pixels_per_metre:g} px per metre"
+        notes.append(f"cameras see up to {most}: {', '.join(far)}")
     poses = np.array([pose for _, pose, _ in rows])
     units, of = _units([one.unit for one, _, _ in rows], poses, scene)
     sensors = [Sensor(one.name, spec, u) for (one, _, spec), u in zip(rows, of, strict=True)]
@@ -250,7 +252,7 @@ def _read(
     else:
         matrix = rigid(getattr(one, given[0]), at)
         matrix = np.linalg.inv(matrix) if given[0] == "frame_to_sensor" else matrix
-    axes = one.convention or ("optical" if one.kind == "camera" else "body")
+    axes = one.convention or ("optical" if one.kind in CAMERAS else "body")
     matrix = pose_matrix(pose_of(matrix, axes, "sensor_to_world", at))
     matrix[:3, 3] *= unit
     return lens, matrix
@@ -312,7 +314,7 @@ def _check(
             f"{where} is {z - (level or 0.0):,.0f} m high, and {HIGHEST:g} m are the most: give "
             "the 'unit' if it is mm or cm, or a 'transform' if heights are above the sea"
         )
-    if one.kind == "camera" and pitch > UPWARD:
+    if one.kind in CAMERAS and pitch > UPWARD:
         raise InspeError(
             f"{where} looks up by {np.degrees(pitch):.1f}° and is rolled by "
             f"{np.degrees(roll):.1f}°, as no roadside camera: the axes ('convention') or the "
@@ -367,7 +369,7 @@ def _spec(
             f"{where}: its principal point is {100 * off:.0f} % of the picture off the middle: in "
             "such a fit focal length, principal point and angles make up for each other"
         )
-    return CameraSpec.from_intrinsics(
+    return type(like).from_intrinsics(
         one.name, wide, high, fx=fx, fy=fy, cx=cx, cy=cy,
         depth=None if own is None else like.depth, downsample=like.downsample,
         reliability=like.reliability, distortion=distortion, fisheye=fisheye,

@@ -16,7 +16,8 @@ from inspe_jax.core.errors import InspeError, error_at
 from inspe_jax.core.files import STRICT
 from inspe_jax.sensing.lens import focal_of
 from inspe_jax.sensing.radar import RadarSpec
-from inspe_jax.sensing.sensors import CameraSpec, LidarSpec, Spec, usual_depth
+from inspe_jax.sensing.sensors import CameraSpec, LidarSpec, Spec
+from inspe_jax.sensing.thermal import ThermalSpec
 
 Positive = Annotated[float, Field(gt=0)]
 _Elevation = Annotated[float, Field(ge=-90, le=90)]
@@ -141,7 +142,7 @@ class CameraKeys(DeviceKeys):
     """A camera: its picture, its focal length or field of view, or the range of a varifocal lens,
     how its lens bends lines, and its effective depth."""
 
-    spec_type = CameraSpec
+    spec_type: ClassVar[type[CameraSpec]] = CameraSpec
     fields = {
         "width": "width", "height": "height", "downsample": "downsample", "depth_m": "depth",
         "focal_px": "focal", "focal_y_px": "focal_y",
@@ -150,7 +151,7 @@ class CameraKeys(DeviceKeys):
 
     width: Annotated[int, Field(ge=1)]
     height: Annotated[int, Field(ge=1)]
-    depth_m: Positive | None = None  # where there are 25 px per metre, if not given
+    depth_m: Positive | None = None  # by pixels per metre if not given
     downsample: Annotated[float, Field(gt=0, le=1)]
     hfov_deg: _Views | None = None
     focal_px: Positive | None = None
@@ -179,7 +180,7 @@ class CameraKeys(DeviceKeys):
             lens, view = (focal_of(self.width, wide), focal_of(self.width, narrow)), None
             focal = lens[0]
         with error_at(where):
-            found = CameraSpec.from_intrinsics(
+            found = self.spec_type.from_intrinsics(
                 name, self.width, self.height, depth=self.depth_m, downsample=self.downsample,
                 fx=focal, fy=self.focal_y_px, hfov_deg=view, reliability=self.reliability,
                 distortion=self.distortion, fisheye=fisheye, image_circle_deg=self.image_circle_deg,
@@ -190,13 +191,13 @@ class CameraKeys(DeviceKeys):
             if lens is None:
                 return found
             found = replace(found, focal_range=lens).with_lens(0.0)
-        return replace(found, depth=self.depth_m or usual_depth(found.focal))
+        return replace(found, depth=self.depth_m or found.usual_depth(found.focal))
 
     @classmethod
     def table(cls, spec: CameraSpec) -> dict[str, Any]:
         """The keys of a camera's spec; of a varifocal lens its range, not how it is set."""
         found = super().table(spec) | dict(principal_px=[float(x) for x in spec.principal])
-        if spec.depth == usual_depth(spec.with_lens(0.0).focal):
+        if spec.depth == spec.usual_depth(spec.with_lens(0.0).focal):
             del found["depth_m"]  # so that it follows where a device is like this one
         if spec.focal_range is not None:
             del found["focal_px"]
@@ -208,6 +209,12 @@ class CameraKeys(DeviceKeys):
         if spec.image_circle:
             found["image_circle_deg"] = round(float(np.degrees(spec.image_circle)), 12)
         return found
+
+
+class ThermalKeys(CameraKeys):
+    """A thermal camera: the keys of a camera."""
+
+    spec_type = ThermalSpec
 
 
 class RadarKeys(DeviceKeys):
@@ -242,6 +249,6 @@ def hfov_of(width: int, focal: float) -> float:
 
 
 SENSOR_KINDS: dict[str, type[DeviceKeys]] = {
-    keys.spec_type.kind: keys for keys in (LidarKeys, CameraKeys, RadarKeys)
+    keys.spec_type.kind: keys for keys in (LidarKeys, CameraKeys, RadarKeys, ThermalKeys)
 }
 """Every kind of sensor by name."""

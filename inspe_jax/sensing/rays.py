@@ -376,7 +376,7 @@ class PinholeRays(Rays):
         changed: dict[str, Any] = {name: getattr(table, name) / zoom for name in smaller}
         changed |= {name: getattr(table, name) * zoom for name in larger}
         changed |= dict(edges=within(table.edges), outer=within(table.outer))
-        return PinholeRays(table._replace(**changed), self.wraps)
+        return type(self)(table._replace(**changed), self.wraps)
 
     def row(self, q: Point) -> Float[Array, "*n"]:
         """z/x, the tangent of the angle above the optical axis; very large behind the sensor."""

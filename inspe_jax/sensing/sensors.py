@@ -21,13 +21,6 @@ from inspe_jax.sensing.rays import PinholeRays, Rays, SphericalRays
 
 WIDEST = np.radians(220.0)  # across an image circle
 SWAPPED = 0.2  # a principal point farther off the middle, in picture sizes, is looked at twice
-PIXELS_PER_METRE = 25.0
-"""At a camera's depth where none is given: enough to detect by EN 62676-4:2015."""
-
-
-def usual_depth(focal: float) -> float:
-    """How far a camera with a focal length [px] has :data:`PIXELS_PER_METRE` [m], to 0.1 m."""
-    return max(round(focal / PIXELS_PER_METRE, 1), 0.1)
 
 
 class Pose(NamedTuple):
@@ -172,6 +165,13 @@ class CameraSpec(Spec):
     aimed = True
     pitch_limits_deg = (-80.0, 10.0)
     candidate_pitches_deg = (-25.0, -10.0)
+    pixels_per_metre: ClassVar[float] = 25.0
+    """At its depth where none is given: enough to detect by EN 62676-4:2015."""
+
+    @classmethod
+    def usual_depth(cls, focal: float) -> float:
+        """How far a focal length [px] gives ``pixels_per_metre`` [m], to 0.1 m."""
+        return max(round(focal / cls.pixels_per_metre, 1), 0.1)
 
     def __post_init__(self) -> None:
         """A range is rounded, so that it is the same when it is read from a file. Raises InspeError
@@ -220,14 +220,14 @@ class CameraSpec(Spec):
         distortion: Any = (),
         fisheye: bool = False,
         image_circle_deg: float | None = None,
-    ) -> "CameraSpec":
+    ) -> Self:
         """A camera from its calibration: focal lengths, or fields of view.
 
         Args:
             name: Name of the device.
             width, height: Size of the picture [px].
             depth: How far it perceives along a ray [m], which no calibration says; if not given,
-                where there are 25 px per metre.
+                where there are ``pixels_per_metre``: 25, of a thermal camera 8.
             fx, fy: Focal lengths [px]; one of them is both.
             hfov_deg, vfov_deg: Fields of view [degrees] in place of fx and fy; one of them is
                 enough where pixels are square. Of what a lens with distortion, or a fisheye, shows.
@@ -265,7 +265,7 @@ class CameraSpec(Spec):
                 if view > 180 and image_circle_deg is None:
                     circle = max(circle or 0.0, view)
         x, y = (float(given[k] or given[1 - k] or 0.0) for k in (0, 1))
-        depth = usual_depth(x) if depth is None and np.isfinite(x) else depth
+        depth = cls.usual_depth(x) if depth is None and np.isfinite(x) else depth
         numbers = np.array([width, height, x, y, depth, downsample, cx, cy], float)
         if not (np.isfinite(numbers).all() and (numbers[:6] > 0).all()):
             raise InspeError(

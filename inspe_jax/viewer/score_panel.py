@@ -26,6 +26,7 @@ LEGEND = (
     ("camera", SENSOR_COLORS["camera"]),
     ("LiDAR", SENSOR_COLORS["lidar"]),
     ("radar", SENSOR_COLORS["radar"]),
+    ("thermal camera", SENSOR_COLORS["thermal"]),
 )
 
 TARGET_COLOR = "#d55e00"  # of the mark of the target

@@ -66,11 +66,29 @@ def drawn_size(bodies: Sequence[BodySize], rng: np.random.Generator) -> tuple[fl
 class Mix:
     """Who is on the road: the share of each of :data:`CLASSES`. Sizes are normal, of standard
     deviation ``spread``·mean, cut at two, about the mean of the class or of ``bodies`` drawn by
-    their shares."""
+    their shares. Raises InspeError if shares or sizes are none.
+
+    Another one is a row of ``MIXES``, here with trams among the trucks:
+
+    >>> tram = inspe_jax.BodySize(share=1, size=(32.0, 2.65, 3.5))
+    >>> inspe_jax.MIXES["trams"] = inspe_jax.Mix((0.6, 0.1, 0.1, 0.2), 0.03, {"truck": (tram,)})
+    >>> trams = inspe_jax.build_scene("four_way", mix="trams", frames=1, voxel=2.0)
+    >>> bool(trams.traffic.size[..., 0].max() > 30)
+    True
+    """
 
     shares: tuple[float, ...]
     spread: float
     bodies: Mapping[str, tuple[BodySize, ...]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if len(self.shares) != len(CLASSES) or min(self.shares) < 0 or sum(self.shares) <= 0:
+            words = f"a share of each of {', '.join(CLASSES)}, none of them negative"
+            raise InspeError(f"shares: {words}; got {self.shares}")
+        for name, bodies in self.bodies.items():
+            check_known(name, CLASSES, "bodies: road user")
+            if any(body.share <= 0 or min(body.size) < SMALLEST for body in bodies):
+                raise InspeError(f"bodies: {name}: shares and sizes [m] must be positive")
 
     def mean_size(self, kind: int, rng: np.random.Generator) -> Float[np.ndarray, "3"]:
         """The mean size [m] of a road user of the class CLASSES[kind]."""

@@ -287,7 +287,8 @@ def _kinds(names: Any, where: str, notes: list[str]) -> tuple[np.ndarray, np.nda
     known = np.array([name in kinds for name in given], bool)
     if not known.any():
         raise InspeError(
-            f"{where}: no class of {', '.join(kinds)} among {', '.join(given[:5]) or 'no rows'}"
+            f"{where}: no class of {', '.join(kinds)} among {', '.join(given[:5]) or 'no rows'}: "
+            "rename them"
         )
     if not known.all():
         notes.append(f"{where}: left out are rows of class {', '.join(given[~known])}")

@@ -144,8 +144,8 @@ def total_price(rows: tuple[MaterialRow, ...]) -> tuple[float | None, tuple[str,
 
 def sensors_in_words(layout: Layout) -> str:
     """How many sensors of each kind there are: ``8 cameras and 4 LiDARs``."""
-    count, words = Counter(sensor.spec.kind for sensor in layout.sensors), {"lidar": "LiDAR"}
-    return " and ".join(counted(number, words.get(kind, kind)) for kind, number in count.items())
+    count = Counter(sensor.spec.title for sensor in layout.sensors)
+    return " and ".join(counted(number, title) for title, number in count.items())
 
 
 def _azimuths(place: Intersection, points: np.ndarray, yaw: np.ndarray) -> np.ndarray:

@@ -50,7 +50,7 @@ OUTLINE: dict[str, Any] = dict(fc="none", ec="#999999", lw=0.45)
 _HATCH: dict[str, Any] = dict(fc="none", ec="#606060", lw=0.0, hatch="//////")
 _POLE: dict[str, Any] = dict(ls="", marker="o", ms=4.5, mfc="white", mec="black", mew=1.0)
 USER: dict[str, Any] = dict(fc="white", ec="black", lw=0.4)
-_MARKERS = defaultdict(lambda: "D", {"camera": "o", "lidar": "s"})
+_MARKERS = defaultdict(lambda: "D", {"camera": "o", "lidar": "s", "thermal": "h"})
 _LABEL = 8.5  # height of a line of a layer's label [pt]
 _ROW = 9.5  # height of a row of the panel [pt]
 _BADGE = 8.5  # diameter of a sensor's number on the map [pt]

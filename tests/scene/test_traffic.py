@@ -18,7 +18,15 @@ from inspe_jax.scene.maps.registry import read_map
 from inspe_jax.scene.procedural.built_ins import built_in
 from inspe_jax.scene.scene import AS_RECORDED, build_scene
 from inspe_jax.scene.traffic import frames
-from inspe_jax.scene.traffic.frames import MIXES, ROAD_USERS, TrafficFrames, quota, shortfall
+from inspe_jax.scene.traffic.frames import (
+    MIXES,
+    ROAD_USERS,
+    BodySize,
+    Mix,
+    TrafficFrames,
+    quota,
+    shortfall,
+)
 from inspe_jax.scene.traffic.waypoint.generate import (
     LONGEST_HEADWAY,
     CongestedModel,
@@ -249,6 +257,18 @@ def test_bad_input(change: dict, words: str) -> None:
     with pytest.raises(InspeError) as raised:
         waypoint_traffic(crossing(), **({"radius": 50.0, "count": 1, "frames": 1} | change))
     assert str(raised.value) == words
+
+
+@pytest.mark.parametrize(("given", "words"), [
+    (((1.0, 0.0, 0.0), 0.0), "shares: a share of each of car, truck, cyclist, pedestrian"),
+    (((np.nan, 1.0, 0.0, 0.0), 0.0), "shares: .*none of them negative"),
+    (((1.0, 0.0, 0.0, 0.0), -0.1), "spread -0.1"),
+    (((1.0, 0.0, 0.0, 0.0), 0.0, {"tram": ()}), "bodies: road user 'tram'"),
+    (((1.0, 0.0, 0.0, 0.0), 0.0, {"car": (BodySize(1, (4.0, 0.0, 2.0)),)}), "bodies: car: "),
+])  # fmt: skip
+def test_each_bad_mix_gets_its_message(given: tuple, words: str) -> None:
+    with pytest.raises(InspeError, match=words):
+        Mix(*given)
 
 
 def test_no_route_within_reach() -> None:

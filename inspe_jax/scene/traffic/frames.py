@@ -82,12 +82,15 @@ class Mix:
     bodies: Mapping[str, tuple[BodySize, ...]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        if len(self.shares) != len(CLASSES) or min(self.shares) < 0 or sum(self.shares) <= 0:
+        own = len(self.shares) == len(CLASSES) and all(share >= 0 for share in self.shares)
+        if not (own and 0 < sum(self.shares) < np.inf):
             words = f"a share of each of {', '.join(CLASSES)}, none of them negative"
             raise InspeError(f"shares: {words}; got {self.shares}")
+        if not 0 <= self.spread < 0.5:
+            raise InspeError(f"spread {self.spread:g}: at least 0, and below 0.5")
         for name, bodies in self.bodies.items():
             check_known(name, CLASSES, "bodies: road user")
-            if any(body.share <= 0 or min(body.size) < SMALLEST for body in bodies):
+            if not all(body.share > 0 and min(body.size) >= SMALLEST for body in bodies):
                 raise InspeError(f"bodies: {name}: shares and sizes [m] must be positive")
 
     def mean_size(self, kind: int, rng: np.random.Generator) -> Float[np.ndarray, "3"]:

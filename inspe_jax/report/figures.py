@@ -1,6 +1,7 @@
 """Plan views of a scene and of a scored layout, in colours that readers with any colour vision can
 tell apart: those of Okabe and Ito's palette and of cividis."""
 
+import textwrap
 from collections import defaultdict
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -51,6 +52,7 @@ _HATCH: dict[str, Any] = dict(fc="none", ec="#606060", lw=0.0, hatch="//////")
 _POLE: dict[str, Any] = dict(ls="", marker="o", ms=4.5, mfc="white", mec="black", mew=1.0)
 USER: dict[str, Any] = dict(fc="white", ec="black", lw=0.4)
 _MARKERS = defaultdict(lambda: "D", {"camera": "o", "lidar": "s", "thermal": "h"})
+LEGEND_WIDTH = 27  # most letters of a line of the legend, as wide as the panel
 _LABEL = 8.5  # height of a line of a layer's label [pt]
 _ROW = 9.5  # height of a row of the panel [pt]
 _BADGE = 8.5  # diameter of a sensor's number on the map [pt]
@@ -225,6 +227,7 @@ def plan_keys(scene: Scene, layout: Layout) -> list[Any]:
         specs = [sensor.spec for sensor in layout.sensors if sensor.spec.kind == kind]
         far = ", ".join(f"{reach:g}" for reach in sorted({s.grid.reach for s in specs}))
         words = f"{specs[0].title}, {'view to' if specs[0].aimed else 'reach'} {far} m"
+        words = textwrap.fill(words, LEGEND_WIDTH)
         keys.append(Line2D([], [], **wedge_look(specs[0], halo=False), label=words))
     if scene.traffic.valid.any():
         keys.append(Patch(**USER, label="road user"))

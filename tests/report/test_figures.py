@@ -449,3 +449,13 @@ def test_radars_are_no_lidars():
         assert len(figure.axes) == 1 + lidar
         assert any("LiDAR returns" in words for words, _ in texts(figure)) == lidar
         assert record["detectability"]["all"] > 0
+
+
+def test_lines_of_the_legend_are_no_longer_than_its_panel_is_wide():
+    scene, pose = world(radius=12, voxel=1.0, frames=1, count=5), [-10.0, 0.0, 6.0, 0.0, -0.3, 0.0]
+    specs = [device(name).spec for name in ("axis-q1951-e", "flir-fc-644-o")]
+    labels = [
+        key.get_label()
+        for key in figures.plan_keys(scene, place_sensors(*[(s, pose) for s in specs]))
+    ]
+    assert labels[0] == "thermal camera, view to\n46.1, 99 m"

@@ -31,14 +31,7 @@ from table1 import PICTURES, QUICK_HALF, recorded
 
 from inspe_jax.dataset import open_cache
 from inspe_jax.dataset.plan import make_generation
-from inspe_jax.perception.detector import (
-    MODELS,
-    TEACHER,
-    Detector,
-    loader_of,
-    model_of,
-    parameters,
-)
+from inspe_jax.perception.detector import MODELS, TEACHER, Detector, loader_of, model_of
 from inspe_jax.perception.inputs import BevGrid, inputs_of
 from inspe_jax.perception.training.run import AUGMENT, TrainingSettings, agents_of, optimiser
 from inspe_jax.perception.training.train import training_step
@@ -80,11 +73,12 @@ def measured(name: str, path: Path, times: int, half: float) -> dict[str, Any]:
         eqx.filter_jit(Detector)(model_of(of), agents, grid, jax.random.key(0))
         for of in (name, TEACHER)
     )
-    count = parameters(detector)
+    weights = eqx.filter(detector, eqx.is_inexact_array)
+    count = sum(leaf.size for leaf in jax.tree.leaves(weights))
     chain = optimiser(settings.steps, settings.rate)
     counted = batch.targets.seen_by(model.sensors)
     constant = teacher if model.taught else None, inputs, targets, counted, grid, chain
-    moments = chain.init(eqx.filter(detector, eqx.is_inexact_array))
+    moments = chain.init(weights)
 
     began = time.perf_counter()
     step: Any = training_step  # jitted by Equinox, whose types do not say so

@@ -145,11 +145,6 @@ class Detector(eqx.Module):
         return maps, present.any(1, keepdims=True) if joined else present, on_pictures
 
 
-def parameters(detector: Detector) -> int:
-    """Number of parameters."""
-    return sum(leaf.size for leaf in jax.tree.leaves(eqx.filter(detector, eqx.is_inexact_array)))
-
-
 LEAST_SCORE = 0.01
 """Detections with a lower score are dropped; nuScenes counts nothing below a precision of 0.1."""
 

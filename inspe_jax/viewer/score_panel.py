@@ -10,6 +10,7 @@ from inspe_jax.report.schedule import materials, total_price
 from inspe_jax.scoring.evaluate import Scores
 from inspe_jax.scoring.metrics import METRICS, SURROGATE
 from inspe_jax.scoring.viewshed import Visibility
+from inspe_jax.sensing.kinds import SENSOR_KINDS
 from inspe_jax.sensing.layout import Layout
 from inspe_jax.viewer.scene3d import BROKEN_COLOR, MOUNTING_COLOR
 from inspe_jax.viewer.workers import ScoredLayout
@@ -23,10 +24,7 @@ VISIBILITY_NAMES = {
 LEGEND = (
     *((words, SIGHT_COLORS[kind]) for kind, words in VISIBILITY_NAMES.items()),
     ("road user", USER_COLOR),
-    ("camera", SENSOR_COLORS["camera"]),
-    ("LiDAR", SENSOR_COLORS["lidar"]),
-    ("radar", SENSOR_COLORS["radar"]),
-    ("thermal camera", SENSOR_COLORS["thermal"]),
+    *((keys.spec_type.title, SENSOR_COLORS[kind]) for kind, keys in SENSOR_KINDS.items()),
 )
 
 TARGET_COLOR = "#d55e00"  # of the mark of the target

@@ -48,6 +48,19 @@ def test_scores_and_slopes_are_those_of_a_camera(lens):
         np.testing.assert_array_equal(slope(poses, spec), slope(poses, as_camera(spec)))
 
 
+def test_a_search_moves_it_as_a_camera():
+    scene, spec = (
+        world(radius=16.0, voxel=1.0, frames=2),
+        spec_of(TABLE | LENSES["pinhole"], "t", "t"),
+    )
+    warm, light = (
+        inspe_jax.optimise(scene, place_sensors((of, POSE)), evaluations=20, seed=0)
+        for of in (spec, as_camera(spec))
+    )
+    np.testing.assert_array_equal(warm.layout.poses, light.layout.poses)
+    assert warm.scores.surrogate > warm.scores_before.surrogate + 0.03
+
+
 def test_depth_light_and_weather():
     """8 px per metre: 6 across the 0.75 m of a person. Weather takes what it takes of light."""
     spec = spec_of(TABLE, "t", "t")
@@ -69,13 +82,10 @@ def test_at_night_it_finds_what_a_camera_does_not_by_curves_of_its_own():
     )
 
     def found(layout, curves=None):
-        metrics = ("detectability",)
-        case = inspe_jax.Case(scene, night)
-        return float(
-            inspe_jax.evaluate(case, layout, metrics=metrics, detection=curves).metrics[
-                "detectability"
-            ]
-        )
+        asked = dict(metrics=("detectability",), detection=curves)
+        return inspe_jax.evaluate(inspe_jax.Case(scene, night), layout, **asked).metrics[
+            "detectability"
+        ]
 
     thermal, camera = map(found, layouts)
     assert thermal > 2 * camera > 0

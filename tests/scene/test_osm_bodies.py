@@ -126,15 +126,6 @@ def test_notes_say_what_was_assumed(place):
     assert "of the map on lanes, crossings or footpaths, or without an area: left out" in said
 
 
-def test_a_courtyard_is_left_free_by_simple_pieces(path, bodies):
-    pieces = [b for b in bodies if b.height == 12 and b.kind == "building"]
-    assert len(pieces) > 1
-    whole = shapely.union_all([b.polygon for b in pieces])
-    ring = Polygon(world(path, box(-40, -40, -12, -12)), [world(path, box(-32, -32, -20, -20))])
-    assert whole.symmetric_difference(ring).area < 160 * 1e-4
-    assert sum(b.polygon.area for b in pieces) == pytest.approx(ring.area, abs=160e-4)
-
-
 def test_simple_pieces_of_many_holes():
     plate = Polygon(box(0, 0, 40, 20), [box(x, y, x + 3, y + 2)[::-1] for x in (2, 9, 30)
                                         for y in (3, 11)])  # fmt: skip

@@ -33,11 +33,8 @@ def changed(**columns):
 
 
 def write(path, columns):
-    rows = [
-        ",".join(columns),
-        *(",".join(map(str, row)) for row in zip(*columns.values(), strict=True)),
-    ]
-    path.write_text("\n".join(rows))
+    rows = [columns, *zip(*columns.values(), strict=True)]
+    path.write_text("\n".join(",".join(map(str, row)) for row in rows))
     return path
 
 

@@ -250,10 +250,8 @@ class OpenDriveMap(RoadMap):
         return Node(middle, size, int(signals.sum()))
 
 
-@cached_by_file(8)
-def load_map(path: Path) -> OpenDriveMap:
-    """The map of a file, cached while it does not change. Raises as :class:`OpenDriveMap`."""
-    return OpenDriveMap(path)
+load_map = cached_by_file(8)(OpenDriveMap)
+"""The map of a file, cached while it does not change. Raises as :class:`OpenDriveMap`."""
 
 
 def along(road: OpenDriveRoad, section: Section, spacing: float) -> dict[int, LaneCut]:

@@ -139,8 +139,7 @@ class Intersection(Described):
         """The ground of all lanes of vehicles."""
         # Mitred, because round joins would change a little where the world is turned.
         drives = [r for r in self.routes if r.user == "vehicle" and len(r.waypoints) > 1]
-        lines = [LineString(route.waypoints[:, :2]) for route in drives]
-        half = [route.width / 2 for route in drives]
+        lines, half = lines_of(drives, "vehicle"), [route.width / 2 for route in drives]
         return unary_union(shapely.buffer(lines, half, cap_style="flat", join_style="mitre"))
 
     @cached_property
@@ -183,6 +182,12 @@ class Intersection(Described):
         center, poles = place.on_ground(self.center[None])[0], place.on_ground(self.poles)
         routes = tuple(replace(r, waypoints=place.on_ground(r.waypoints)) for r in self.routes)
         return replace(place, center=center, poles=poles, routes=routes)
+
+
+def lines_of(routes: Iterable[Route], user: str) -> list[LineString]:
+    """The routes of a kind of road user in plan, but for those of a single point."""
+    own = (r.waypoints[:, :2] for r in routes if r.user == user and len(r.waypoints) > 1)
+    return [LineString(line) for line in own]
 
 
 def mouth_crosswalks(arms: tuple[Arm, ...]) -> BaseGeometry:

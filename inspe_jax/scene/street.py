@@ -13,7 +13,7 @@ from shapely.geometry.base import BaseGeometry
 from shapely.ops import unary_union
 
 from inspe_jax.core.errors import InspeError, check_known
-from inspe_jax.scene.intersection import Intersection
+from inspe_jax.scene.intersection import Intersection, lines_of
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.statics import StaticBody, pole, tree, upright_box
 from inspe_jax.scene.traffic.frames import BodySize, TrafficFrames, drawn_size
@@ -123,11 +123,7 @@ class _Room:
         self.bodies: list[StaticBody] = []
         self.area = Point(place.center[:2]).buffer(radius + BEYOND)
         near = self.area.buffer(5.0)
-        paths = [
-            LineString(route.waypoints[:, :2])
-            for route in with_walkways(place, radius).routes
-            if route.user != "vehicle" and len(route.waypoints) > 1
-        ]
+        paths = lines_of(with_walkways(place, radius).routes, "pedestrian")
         some = [r for r in (Region.CROSSWALK, Region.JUNCTION) if r in place.regions]
         self.lanes = place.lanes.intersection(near)
         self.walked = unary_union([path.buffer(WALKED) for path in paths]).intersection(near)

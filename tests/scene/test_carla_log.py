@@ -100,15 +100,6 @@ def test_who_is_where_worked_out_on_paper(place, path):
     assert first.size[0] == pytest.approx([4.8, 2.0, 1.6])
 
 
-def test_frames_end_with_the_log(place, path):
-    scene = build_scene(place, radius=20, voxel=1.0, frames=50, step=0.5, traffic=path)
-    assert scene.traffic.frame_count == 5
-    settings = dict(scene.settings)
-    assert settings["frames"] == "5"
-    assert settings["density"] == settings["mix"] == "as recorded"
-    assert settings["traffic"] == "run.log"
-
-
 def test_a_box_without_a_size_has_the_usual_one(place, tmp_path, monkeypatch):
     name, facts, (long, _, high), *rest = ACTORS[2]
     monkeypatch.setitem(ACTORS, 2, (name, facts, (long, 0.0, np.inf), *rest))

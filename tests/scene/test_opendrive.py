@@ -456,15 +456,11 @@ PLACES = {  # place: (town, options, arms that one sees on the map)
 }
 
 
-@pytest.fixture(params=PLACES)
-def place(request, maps) -> Intersection:
-    name, options, arms = PLACES[request.param]
-    found = read_map(maps / f"{name}.xodr", **options)
-    assert len(found.arms) == arms
-    return found
-
-
-def test_places_are_whole(place):
+@pytest.mark.parametrize("where", PLACES)
+def test_places_are_whole(maps, where):
+    name, options, arms = PLACES[where]
+    place = read_map(maps / f"{name}.xodr", **options)
+    assert len(place.arms) == arms
     drivable = [place.regions[r] for r in (Region.JUNCTION, Region.DRIVEWAY, Region.CROSSWALK)]
     surface = shapely.union_all(drivable).buffer(0.2)
     for shape in [*place.regions.values(), place.mounting]:

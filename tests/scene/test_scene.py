@@ -300,5 +300,3 @@ def test_profiles_are_not_mixed(scene, ideal):
         Problem([scene, ideal], strategy(scene, "L-c"))
     with pytest.raises(InspeError, match=r"no profile 'papre'.*paper"):
         build_scene("four_way", profile="papre")
-    with pytest.raises(InspeError, match=r"no profile 'papre'.*paper"):
-        load_scene("four_way", "papre")

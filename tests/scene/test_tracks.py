@@ -132,6 +132,7 @@ def test_a_scene_has_it(tmp_path):
     settings = dict(scene.settings)
     assert settings["frames"] == "5"
     assert (settings["traffic"], settings["mix"]) == ("two.csv", "as recorded")
+    assert settings["density"] == "as recorded"
     assert "usual size" in scene.intersection.notes[-1]
     same = build_scene("four_way", radius=20, voxel=1.0, frames=50, step=0.5, traffic=TWO)
     assert same.traffic.center.tolist() == scene.traffic.center.tolist()

@@ -10,12 +10,12 @@ import numpy as np
 import scipy
 import shapely
 import shapely.affinity
-from shapely.geometry import LineString, Point, Polygon, box
+from shapely.geometry import Point, Polygon, box
 from shapely.geometry.base import BaseGeometry
 from shapely.ops import unary_union
 
 from inspe_jax.core.errors import InspeError
-from inspe_jax.scene.intersection import Intersection
+from inspe_jax.scene.intersection import Intersection, lines_of
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.statics import StaticBody, body
 from inspe_jax.scene.street import HEADROOM, OVER_LANES, WALKED
@@ -75,11 +75,7 @@ class Ways(NamedTuple):
         """Those of a place that has its regions and routes."""
         roads = (Region.DRIVEWAY, Region.JUNCTION, Region.CROSSWALK)
         lanes = unary_union([place.regions[r] for r in roads if r in place.regions])
-        lines = [
-            LineString(r.waypoints[:, :2])
-            for r in place.routes
-            if r.user == "pedestrian" and len(r.waypoints) > 1
-        ]
+        lines = lines_of(place.routes, "pedestrian")
         walked = shapely.buffer(lines, WALKED, cap_style="square", join_style="mitre")
         return cls(lanes, unary_union([lanes, *walked]))
 

@@ -16,6 +16,7 @@ import inspe_jax
 from inspe_jax.core.digest import digest
 from inspe_jax.core.errors import InspeError
 from inspe_jax.scene import street
+from inspe_jax.scene.maps.registry import read_map
 from inspe_jax.scene.placed_bodies import body_at
 from inspe_jax.scene.regions import Region
 from inspe_jax.scene.scene import load_scene, save_scene
@@ -173,8 +174,6 @@ TOWN = {"parked vehicle": 15, "tree": 12, "pole": 8, "furniture": 5}
 
 
 def test_street_bodies_on_a_town_map(maps):
-    from inspe_jax.scene.maps.registry import read_map
-
     place = read_map(maps / "Town10HD.xodr", junction=189, radius=RADIUS)
     bodies = street.street_bodies(place, RADIUS)
     check(place, bodies)

@@ -40,11 +40,11 @@ def number(
 
 
 class Cubics:
-    """A cubic of s from each start on, which ``values`` of elements give; 0 without elements."""
+    """A cubic of s from each start on, which a, b, c and d of elements give; 0 without elements."""
 
-    def __init__(self, elements: Iterable[ET.Element], key: str = "s", values: str = "abcd"):
-        rows = [[number(one, name, most=STEEP) for name in (key, *values)] for one in elements]
-        self.rows = np.array(sorted(rows, key=lambda row: row[0])).reshape(-1, 1 + len(values))
+    def __init__(self, elements: Iterable[ET.Element], key: str = "s") -> None:
+        rows = [[number(one, name, most=STEEP) for name in (key, *"abcd")] for one in elements]
+        self.rows = np.array(sorted(rows, key=lambda row: row[0])).reshape(-1, 5)
 
     def __call__(self, s: Float[np.ndarray, "*N"]) -> Float[np.ndarray, "*N"]:
         """The values at s."""

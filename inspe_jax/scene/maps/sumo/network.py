@@ -16,7 +16,7 @@ from importlib.resources import files
 from pathlib import Path
 
 import shapely
-from shapely.geometry import Point
+from shapely.geometry import Point, Polygon
 
 from inspe_jax.core.errors import InspeError, missing_extra
 from inspe_jax.core.files import check_kind, check_xml, digest_of
@@ -87,10 +87,8 @@ def driving_side(path: Path, wanted: str | None) -> tuple[str, str]:
         first = next(one for _, one in ET.iterparse(f, ["start"]) if one.tag == "node")
         at = Point(float(first.get("lon", "")), float(first.get("lat", "")))
     table = files("inspe_jax.scene.maps.openstreetmap").joinpath("left_hand.toml").read_text()
-    rings = (
-        (name, f"({line}, {line.split(',')[0]})") for name, line in tomllib.loads(table).items()
-    )
-    lands = ((name, shapely.from_wkt(f"POLYGON ({ring})")) for name, ring in rings)
+    rings = tomllib.loads(table).items()
+    lands = ((name, Polygon(shapely.from_wkt(f"LINESTRING ({ring})"))) for name, ring in rings)
     where = next((name for name, land in lands if land.covers(at)), "")
     side, other = reversed(SIDES) if where else SIDES
     why = f"as in {where or 'most countries'}" if at.is_valid and not at.is_empty else "by default"

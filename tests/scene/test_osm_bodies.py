@@ -184,7 +184,7 @@ def test_walls_hedges_fences_and_poles_beside_the_road(bodies):
     assert sorted(b.height for b in bodies if b.kind == "pole") == [3.4, 7.0, 9.0, 20.0]
 
 
-def test_the_order_of_elements_and_compression_change_nothing(tmp_path, path, place):
+def test_the_order_of_elements_and_compression_change_nothing(tmp_path, path):
     head, *lines, tail = path.read_text().splitlines()[1:]
     turned = "\n".join([head, *lines[::-1], tail])
     other = tmp_path / "town.osm.gz"

@@ -356,10 +356,8 @@ def _color_bar(fig: Figure, panel: Axes, image: Any, layer: MapLayer) -> float:
     depth = -panel.get_ylim()[0]
     low = 13.0 + _LABEL * (1 + layer.label.count("\n"))
     axes = panel.inset_axes((0.02, 1 - low / depth, 0.94, 7 / depth))
-    ticks = [0.0, 0.25, 0.5, 0.75, 1.0]
-    if layer.most != 1.0:
-        round_numbers = MaxNLocator(5, steps=[1, 2, 5, 10]).tick_values(0, layer.most)
-        ticks = [float(f"{tick:g}") for tick in round_numbers if 0 <= tick <= layer.most]
+    quarters: Any = [0.0, 0.25, 0.5, 0.75, 1.0]
+    ticks = quarters if layer.most == 1.0 else MaxNLocator(5, steps=[1, 2, 5, 10])
     fig.colorbar(image, cax=axes, orientation="horizontal", ticks=ticks, format="{x:g}")
     middle = panel.get_xlim()[1] / 2
     panel.text(middle, -1, layer.label, ha="center", va="top", linespacing=1.2)

@@ -1,7 +1,6 @@
 """What a report page shows that needs more than figures: a photograph, and the scene to turn. The
 photograph is the recorder's, from above, with the sensors marked on it."""
 
-import secrets
 from typing import NamedTuple
 
 import numpy as np
@@ -24,7 +23,7 @@ from inspe_jax.simulation.embedded.recorder import simulated_sensor
 from inspe_jax.simulation.embedded.surroundings import Surroundings
 from inspe_jax.simulation.frame import Image
 from inspe_jax.viewer.scene3d import Scene3D, look_from
-from inspe_jax.viewer.server import quiet, serve
+from inspe_jax.viewer.server import new_token, quiet, serve
 
 WIDTH, HEIGHT, DOTS = 1200, 660, 170  # of the picture [pixels], and how many of them an inch has
 FOCAL = 0.72  # focal length of the camera, in widths of the picture
@@ -117,7 +116,7 @@ def _label_unit(
 
 def scene3d_page(scene: Scene, layout: Layout, conditions: Conditions, frame: int) -> str:
     """An HTML page with one frame of a scene and what a layout sees of it, to turn and zoom."""
-    server = serve(0, secrets.token_urlsafe())  # nobody is told: the page is a file
+    server = serve(0, new_token())  # nobody is told: the page is a file
     try:
         scene3d = Scene3D(server.scene, scene)
         scene3d.draw_users(frame)

@@ -16,6 +16,7 @@ from matplotlib.colors import to_hex, to_rgb
 from viser.transforms import SO3
 
 from inspe_jax.core.geometry import rotation
+from inspe_jax.core.rigid import CONVENTIONS
 from inspe_jax.report.bodies import BODY_COLORS
 from inspe_jax.report.figures import SENSOR_COLORS
 from inspe_jax.report.layers import SIGHT_COLORS, USER_COLOR, free_of_bodies
@@ -34,12 +35,10 @@ GROUND_COLORS: dict[Region, str] = dict(
 """Greys, such as those of asphalt and paving; colours are kept for voxels and sensors."""
 BROKEN_COLOR = "#ff1744"
 """Colour of sensors that break a rule of mounting; their number has a ! beside it, too."""
+OPTICAL = CONVENTIONS["optical"][1][:3, :3].T  # from a camera's optical axes to ours
 OPACITY = 0.6  # opacity of hidden voxels
 TINTS = {Visibility.OUT_OF_VIEW: 0.75, Visibility.SEEN: 0.45}
 """Share of a kind's own colour in the ground below columns of voxels that are mostly of it."""
-OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
-"""Rotation from a camera's optical frame to the sensor body frame: its right, down and forward
-axes are −y, −z and x."""
 MOUNTING_COLOR = "#303030"  # colour of the outlines of mounting areas, and of standing poles
 POLE = 4.0  # height at which standing poles are drawn [m]
 ABOVE = 0.8  # height of numbers above a unit's highest sensor [m]

@@ -74,18 +74,6 @@ def drawn_boxes(fig):
 # ── The heat map ────────────────────────────────────────────────────────────
 
 
-def test_the_raster_puts_each_column_on_its_square(scene):
-    share = np.random.default_rng(0).uniform(size=len(scene.voxels.columns))
-    raster, (x0, x1, y0, y1) = figures.column_raster(scene.voxels, share)
-    assert (x0, x1, y0, y1) == pytest.approx((0.3, 24.3, -19.7, 4.3))
-    assert np.isfinite(raster).sum() == len(share)
-    for (x, y), value in zip(scene.voxels.columns, share, strict=True):
-        i = (y - y0) / (y1 - y0) * len(raster)
-        j = (x - x0) / (x1 - x0) * len(raster)
-        assert (i % 1, j % 1) == pytest.approx((0.5, 0.5))
-        assert raster[int(i), int(j)] == value
-
-
 def test_a_map_shows_the_mean_or_the_most_frequent_kind_of_a_square(scene):
     """Of the columns within 1 m in x and in y; of equally many, the first kind."""
     rng, columns = np.random.default_rng(1), scene.voxels.columns
@@ -105,7 +93,7 @@ def test_a_map_shows_the_mean_or_the_most_frequent_kind_of_a_square(scene):
         np.testing.assert_allclose(shown[there], wanted[where[there].astype(int)], atol=1e-9)
 
 
-def test_one_seen_column_is_painted_where_it_is(scene, pair):
+def test_one_seen_column_is_painted_where_it_is(scene):
     empty = replace(scene, traffic=no_traffic())
     columns = scene.voxels.columns
     one = int(np.argmin(np.hypot(*(columns - [14.8, -13.2]).T)))  # south-east of the centre

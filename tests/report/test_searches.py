@@ -228,7 +228,7 @@ def test_the_front_is_a_staircase_with_its_mixes_named(found):
     assert "Cost against score at here" in words
 
 
-def test_no_more_are_named_than_there_is_room_for(found):
+def test_no_more_are_named_than_there_is_room_for():
     many = [mix_of(k, 100 * k, 1 - 0.5**k, True) for k in range(1, NAMED + 9)]
     fig = pareto_view(many)
     assert len(fig.axes[0].texts) == NAMED

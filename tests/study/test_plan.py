@@ -260,9 +260,3 @@ def test_an_extract_is_read_with_the_side_that_is_given(read, tmp_path):
 def test_bad_studies(read, changes, message):
     with pytest.raises(InspeError, match=message):
         read(STUDY, **changes)
-
-
-def test_a_file_that_is_no_study(tmp_path):
-    (tmp_path / "study.yaml").write_text("[1, 2]")
-    with pytest.raises(InspeError, match="the study is empty"):
-        load_study(tmp_path / "study.yaml")

@@ -323,7 +323,7 @@ def test_bodies_stand_on_the_ground_where_they_are(viewer):
     assert low[2] < level
 
 
-def test_a_unit_has_a_number_for_each_of_its_sensors_and_none_without(viewer, layout):
+def test_a_unit_has_a_number_for_each_of_its_sensors_and_none_without(viewer):
     drawn = viewer.scene3d.drawn
     double = viewer.session.duplicate(0)
     bare = (*viewer.layout.units, Unit("spare", (0.0, 0.0, 0.0)))
@@ -400,7 +400,7 @@ def test_each_browser_selects_its_own_sensors_of_everybodys_layout(viewer, layou
     done(viewer, lambda: not ready())
 
 
-def test_what_somebody_else_removes_is_no_longer_selected_and_its_neighbour_is_not(viewer, layout):
+def test_what_somebody_else_removes_is_no_longer_selected_and_its_neighbour_is_not(viewer):
     """Nothing that follows, typed or pressed, is done to another sensor."""
     view = viewer.view
     viewer.change(lambda: viewer.session.remove(0))

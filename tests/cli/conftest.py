@@ -37,18 +37,6 @@ def inspe(files, monkeypatch, capsys):
 
 
 @pytest.fixture
-def done(inspe):
-    """Run a command that does what it is told; its stdout."""
-
-    def run(*arguments):
-        status, text, error = inspe(*arguments)
-        assert status == 0, error
-        return text
-
-    return run
-
-
-@pytest.fixture
 def run(inspe):
     """The words of a command that does what it is told, or with ``fails`` the error."""
 
@@ -61,6 +49,6 @@ def run(inspe):
 
 
 @pytest.fixture
-def scored(done):
+def scored(run):
     """The record of a score."""
-    return lambda *arguments: json.loads(done("score", *arguments, "--json", "-"))
+    return lambda *arguments: json.loads(run("score", *arguments, "--json", "-"))

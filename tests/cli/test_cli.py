@@ -74,8 +74,8 @@ def files(tmp_path_factory, scene):
     return folder
 
 
-def test_score_prints_a_table_and_the_same_numbers_as_json(done, scored, files):
-    table = done("score", "s.npz", "layout.yaml", "--json", "scores.json")
+def test_score_prints_a_table_and_the_same_numbers_as_json(run, scored, files):
+    table = run("score", "s.npz", "layout.yaml", "--json", "scores.json")
     record = scored("s.npz", "layout.yaml")
     assert record == json.loads((files / "scores.json").read_text())
     for name in ("coverage", "occlusion", "information_gain", "surrogate"):
@@ -84,9 +84,9 @@ def test_score_prints_a_table_and_the_same_numbers_as_json(done, scored, files):
     assert len(record["contributions"]) == 2
 
 
-def test_targets_prints_tables_and_the_same_numbers_as_json(done, files):
+def test_targets_prints_tables_and_the_same_numbers_as_json(run, files):
     given = ("targets", "s.npz", "layout.yaml", "--road-user", "cyclist")
-    table = done(*given, "--plot", "targets.png", "--json", "targets.json")
+    table = run(*given, "--plot", "targets.png", "--json", "targets.json")
     assert "on a cyclist" in table
     assert (files / "targets.png").stat().st_size > 10_000
     record = json.loads((files / "targets.json").read_text())
@@ -128,8 +128,8 @@ def test_view_serves_until_it_is_stopped(files, stop):
     assert not (files / "moved.yaml").exists()
 
 
-def test_a_strategy_is_written_and_scores_as_by_name(done, scored):
-    done("layout", "s.npz", "--strategy", "cam-d1/l-d1", "--out", "placed.yaml")
+def test_a_strategy_is_written_and_scores_as_by_name(run, scored):
+    run("layout", "s.npz", "--strategy", "cam-d1/l-d1", "--out", "placed.yaml")
     by_file = scored("s.npz", "placed.yaml")
     by_name = scored("s.npz", "Cam-d1/L-d1")
     # The file keeps 0.1 mm and 0.0001°.
@@ -176,14 +176,14 @@ def test_optimise_writes_a_better_layout_and_shows_it(inspe, scored, files):
     assert "next: inspe score s.npz o/layout.yaml" in text
 
 
-def test_optimise_goes_on_from_its_checkpoint_and_takes_every_option(inspe, done, files):
+def test_optimise_goes_on_from_its_checkpoint_and_takes_every_option(inspe, run, files):
     arguments = ("s.npz", "away.yaml", "--method", "random", "--evaluations", 3, "--out", "p")
     options = (
         *("--also", "s.npz", "--worst", "--places", "areas", "--heights", 4, 8, "--seed", 5),
         *("--weight", "coverage=0.5", "--weight", "occlusion=0.5"),
         *("--start", "random", "--checkpoint", "c.npz"),
     )
-    done("optimise", *arguments, *options)
+    run("optimise", *arguments, *options)
     settings = json.loads((files / "p" / "result.json").read_text())["settings"]
     assert (settings["start"], settings["budget"]["evaluations"]) == ("random", 3)
     assert settings["objective"]["over"] == "worst"
@@ -198,9 +198,9 @@ def test_optimise_goes_on_from_its_checkpoint_and_takes_every_option(inspe, done
     assert "c.npz: a checkpoint of another search, with another scene, another" in error
 
 
-def test_compare_ranks_methods(done, files):
+def test_compare_ranks_methods(run, files):
     arguments = ("--methods", "random, grid", "--evaluations", 40, "--seeds", 2, "--out", "v")
-    text = done("compare", "s.npz", "away.yaml", *arguments)
+    text = run("compare", "s.npz", "away.yaml", *arguments)
     assert {path.suffix for path in (files / "v").iterdir()} == {".csv", ".png", ".yaml"}
     rows = read_csv(files / "v" / "compare.csv")
     runs = [(row["method"], row["seed"]) for row in rows]
@@ -209,11 +209,11 @@ def test_compare_ranks_methods(done, files):
     assert {row["method"] for row in read_csv(files / "v" / "history.csv")} == {"random", "grid"}
 
 
-def test_pareto_finds_what_is_worth_its_money(done, files):
+def test_pareto_finds_what_is_worth_its_money(run, files):
     devices = ("--device", "velodyne-vlp-16:0,1", "--device", "paper-camera:0-1")
     prices = ("--price", "paper-camera=1,000")
     arguments = ("--method", "random", "--evaluations", 3, "--out", "w")
-    text = done("pareto", "s.npz", *devices, *prices, *arguments)
+    text = run("pareto", "s.npz", *devices, *prices, *arguments)
     rows = read_csv(files / "w" / "pareto.csv")
     assert [float(row["cost_usd"]) for row in rows] == [1000, 4000, 5000]
     front = [row for row in rows if row["layout"]]
@@ -222,7 +222,7 @@ def test_pareto_finds_what_is_worth_its_money(done, files):
     assert all(f"{float(row['objective']):.4f}" in text for row in front)
 
 
-def test_tolerance_prints_and_writes_the_same(done, files, monkeypatch):
+def test_tolerance_prints_and_writes_the_same(run, files, monkeypatch):
     def found(case, layout, *, objective, progress, **errors):
         inspect.signature(tolerance).bind(case, layout, objective=objective, **errors)
         asked.append(errors)
@@ -233,7 +233,7 @@ def test_tolerance_prints_and_writes_the_same(done, files, monkeypatch):
     asked = []
     monkeypatch.setattr("inspe_jax.cli.score.installed", found)
     arguments = ("--samples", 3, "--position", 0.2, "--angle", 2, "--json", "t.json")
-    text = done("tolerance", "s.npz", "away.yaml", *arguments)
+    text = run("tolerance", "s.npz", "away.yaml", *arguments)
     assert asked == [dict(position=0.2, angle=np.radians(2), samples=3, seed=0)]
     record = json.loads((files / "t.json").read_text())
     assert (record["score"], record["left"]) == (0.7654321, [0.71, 0.72, 0.73])
@@ -261,8 +261,8 @@ def test_light_and_weather(inspe, scored, files):
     assert record["objective_before"] == pytest.approx(start["surrogate"], abs=1e-4)
 
 
-def test_a_study_is_counted_before_it_is_run(done, files):
-    assert "study: 4 jobs, 2 layouts on 1 scene" in done("sweep", "study.yaml", "--dry-run")
+def test_a_study_is_counted_before_it_is_run(run, files):
+    assert "study: 4 jobs, 2 layouts on 1 scene" in run("sweep", "study.yaml", "--dry-run")
     assert not (files / "sweep").exists()
 
 
@@ -403,7 +403,7 @@ WRITES = [
 
 
 @pytest.mark.parametrize("arguments", WRITES, ids=[row[0] for row in WRITES])
-def test_a_command_replaces_what_it_wrote_itself_alone(inspe, done, files, arguments):
+def test_a_command_replaces_what_it_wrote_itself_alone(inspe, run, files, arguments):
     """And not when somebody has changed that since, nor what another command wrote."""
     path = files / arguments[-1]
     if not path.suffix:
@@ -419,9 +419,9 @@ def test_a_command_replaces_what_it_wrote_itself_alone(inspe, done, files, argum
             assert word in error
 
     refused("is there already", f"`inspe {arguments[0]}` did not write it")
-    done(*arguments, "--force")
+    run(*arguments, "--force")
     assert path.read_bytes() != b"mine"
-    done(*arguments)
+    run(*arguments)
     path.write_bytes(path.read_bytes() + b"# mine")
     refused("was changed since")
     status, _, error = inspe("score", "s.npz", "layout.yaml", "--json", path)

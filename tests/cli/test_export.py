@@ -1,6 +1,5 @@
 """From a map and a latitude to a plan in coordinates, on the command line, and back."""
 
-import json
 from dataclasses import replace
 
 import numpy as np
@@ -8,6 +7,8 @@ import pytest
 import rasters
 from osm_town import LAT, LON, full_town
 from processes import cases, refused
+from shapely import Point
+from worlds import write_geojson
 
 from inspe_jax import build_scene, built_in, save_scene
 from inspe_jax.scene.georeference import Georeference
@@ -23,17 +24,13 @@ SMALL = ("--radius", 25, "--voxel", 1, "--frames", 2, "--density", 5)
 def files(tmp_path_factory):
     folder = tmp_path_factory.mktemp("files")
     full_town().write(folder / "city.osm")
-    point = {"type": "Point", "coordinates": [LON + 1.5e-4, LAT + 1.0e-4]}
-    lamp = {"type": "Feature", "geometry": point, "properties": {"height_m": 7.0}}
-    (folder / "poles.geojson").write_text(
-        json.dumps({"type": "FeatureCollection", "features": [lamp]})
-    )
+    lamp = Point(LON + 1.5e-4, LAT + 1.0e-4), {"height_m": 7.0}
+    write_geojson(folder / "poles.geojson", [lamp], lambda degrees: degrees)
     return folder
 
 
-def test_a_scene_by_coordinates_and_a_plan_to_hand_on(inspe, files):
-    status, table, _ = inspe("scene", "city.osm", "--list")
-    assert status == 0
+def test_a_scene_by_coordinates_and_a_plan_to_hand_on(inspe, run, scored, files):
+    table = run("scene", "city.osm", "--list")
     assert "latitude, longitude" in table
     assert f"{LAT:.4f}"[:-1] in table
     here = f"{LAT + 2e-5},{LON - 2e-5}"
@@ -46,29 +43,23 @@ def test_a_scene_by_coordinates_and_a_plan_to_hand_on(inspe, files):
     assert error.count(") carries no sensor: in or beside a building") == 1
     place = load_scene(files / "city.npz").intersection
     assert any(one.height == 7.0 and one.kind == "pole" for one in place.bodies)
-    status, text, error = inspe(
-        "export", "city.npz", "Cam-d1/L-d1",
-        "--out", "plan.geojson", "--out", "plan.kml", "--out", "bill.csv",
-    )  # fmt: skip
-    assert status == 0, error
-    assert text.count("wrote") == 3
-    assert inspe("export", "city.npz", "Cam-d1/L-d1", "--out", "calibration.json")[0] == 0
+    paths = ("plan.geojson", "plan.kml", "bill.csv", "calibration.json")
+    text = run("export", "city.npz", "Cam-d1/L-d1", *(x for file in paths for x in ("--out", file)))
+    assert text.count("wrote") == 4
     status, _, error = inspe(
         "layout", "city.npz", "--from", "calibration.json", "--out", "hung.yaml"
     )
     assert (status, error) == (0, "")
     first, *again = (
-        json.loads(inspe("score", "city.npz", layout, "--json", "-")[1])
-        for layout in ("Cam-d1/L-d1", "plan.geojson", "hung.yaml")
+        scored("city.npz", layout) for layout in ("Cam-d1/L-d1", "plan.geojson", "hung.yaml")
     )
     for metric in ("coverage", "occlusion", "information_gain", "surrogate"):
         for other in again:
             assert other[metric] == pytest.approx(first[metric], abs=1e-4)
     (files / "plan.kml").write_text("mine")
-    status, _, error = inspe("export", "city.npz", "L-d1", "--out", "plan.kml")
-    assert status == 2
+    error = run("export", "city.npz", "L-d1", "--out", "plan.kml", fails=True)
     assert "plan.kml: is there already, and was changed since `inspe export` wrote it" in error
-    assert inspe("export", "city.npz", "L-d1", "--out", "plan.kml", "--force")[0] == 0
+    run("export", "city.npz", "L-d1", "--out", "plan.kml", "--force")
 
 
 def test_a_plan_in_the_sea_is_doubted(inspe, files):
@@ -94,7 +85,7 @@ def test_bad_input_is_one_message(inspe, files, arguments, message):
     refused(inspe, files, arguments, message)
 
 
-def test_a_scene_on_an_elevation_model(inspe, files):
+def test_a_scene_on_an_elevation_model(run, files):
     """The place stands on it; what is read of it: tests/scene/test_elevation.py."""
     rasterio = rasters.rasterio()
     cell, size = 1e-5, 600
@@ -106,10 +97,7 @@ def test_a_scene_on_an_elevation_model(inspe, files):
     ) as file:
         file.write(heights, 1)
     place = ("--at", f"{LAT + 2e-5},{LON - 2e-5}", "--elevation", "dem.tif")
-    status, table, _ = inspe(
-        "scene", "city.osm", *place, "--terrain", "ground", *SMALL, "--out", "hill.npz"
-    )
-    assert status == 0
+    table = run("scene", "city.osm", *place, "--terrain", "ground", *SMALL, "--out", "hill.npz")
     assert "heights of the ground from dem.tif" in table
     assert "slopes up to" in table
     scene = load_scene(files / "hill.npz")

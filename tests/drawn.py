@@ -55,3 +55,11 @@ def printed(table, width=160):
     out = io.StringIO()
     Console(file=out, width=width, color_system=None).print(table, crop=False)
     return out.getvalue()
+
+
+def row(text, *begins):
+    """The one line of a printed table that begins with these words, as its words."""
+    lines = map(str.split, text.splitlines())
+    found = [words for words in lines if words[: len(begins)] == [*begins]]
+    assert len(found) == 1, f"{begins}: {found}"
+    return found[0]

@@ -67,7 +67,6 @@ def files(tmp_path_factory, scene):
     for name, light in (("study", "midday, night"), ("dark", "dark")):
         (folder / f"{name}.yaml").write_text(STUDY % light)
     (folder / "zero.npz").write_bytes(b"")
-    (folder / "device.yaml").write_text(LAYOUT.replace("paper-lidar-32", "paper-lidar-23"))
     (folder / "rule.yaml").write_text(LAYOUT.replace("yaw_deg: 0", "yaw_deg: 0, offset: [3, 0]"))
     (folder / "page.xodr").write_text("<html></html>")
     (folder / "cut.xodr").write_text("<OpenDRIVE><road id='1'>")
@@ -308,7 +307,6 @@ def test_help_has_a_line_of_every_command_and_imports_no_jax():
     (("score", "none.npz"), "none.npz: no such file"),
     (("score", "s.npz", "zero.npz"), "no layout: is a scene, which comes before the layout"),
     (("score", "s.npz", "town.xodr"), "no layout: a map is not a scene yet; build one: inspe sc"),
-    (("score", "s.npz", "device.yaml"), "did you mean paper-lidar-"),
     (("score", "s.npz", "layout.yaml", "--plot", "plan.xyz"), "plan.xyz"),
     (("score", "s.npz", "layout.yaml", "--weight", "coverage"), "coverage=0.3"),
     (("score", "s.npz", "layout.yaml", "--weight", "coverag=1"), "did you mean coverage"),

@@ -13,14 +13,13 @@ from inspe_jax.dataset import write_frame, write_protocol
 
 @pytest.fixture(scope="module")
 def files(tmp_path_factory):
-    """A data set of two scenarios with two frames each, and a folder that is not a data set."""
+    """A data set of two scenarios with two frames each, and one without a frame."""
     root = tmp_path_factory.mktemp("files")
     for place in ("train/a", "test/a"):
         for number in (4, 6):
             write_frame(root / "infra" / place, frame(number))
         write_protocol(root / "infra" / place, {"world": WORLD})
     write_protocol(root / "bare" / "train" / "a", {"world": WORLD})
-    (root / "none").mkdir()
     return root
 
 
@@ -59,7 +58,6 @@ def test_show_lists_and_draws_a_frame(inspe, files):
 
 @pytest.mark.parametrize(("arguments", "message"), cases(
     (("stats", "nosuch"), "nosuch: no such folder"),
-    (("stats", "none"), "none: not a data set"),
     (("stats", "bare"), "no frame in 1 scenario:"),
     (("stats", "infra", "--plot", "set.jpg"), "set.jpg: the name must end in .png"),
     (("stats", "infra", "--csv", "row.txt"), "row.txt: the name must end in .csv"),
@@ -68,7 +66,6 @@ def test_show_lists_and_draws_a_frame(inspe, files):
     (("show", "infra", 4), "infra: 2 scenarios: name one of train/a, test/a"),
     (("show", "infra", 4, "--scenario", "a"), "scenario 'a' is in 2 splits: train/a, test/a"),
     (("show", "infra", 4, "--scenario", "tset/a"), "no scenario 'tset/a': one of train/a, test/a"),
-    (("show", "infra/test/a", 5), "000005.yaml: no such frame; there are 2, 4 to 6"),
 ))  # fmt: skip
 def test_bad_input_is_one_message_and_status_2(inspe, files, arguments, message):
     refused(inspe, files, arguments, message)

@@ -46,7 +46,6 @@ def test_several_are_trained_by_workers(run, tmp_path):
 
 @pytest.mark.parametrize(("words", "said"), [
     (("train", "set", "--workers", 2, "--scheduler", "tcp://host:1"), "workers 2: give 1 or more"),
-    (("train", "set"), "set: not a cache: make one with inspe dataset cache"),
     (("train", "set_cache", "--rate", "-1"), "training: rate: input should be greater than 0"),
     (("detect", "run", "set_cache", "--scenario", "d"), "no scenario 'd' in split 'test': it h"),
     (("detect", "run", "set_cache", "--frame", "6"), "c: no frame 6: it has 3, from 7 to 9"),

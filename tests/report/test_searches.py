@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from drawn import misplaced, printed
+from drawn import misplaced, printed, row
 from matplotlib.collections import PolyCollection
 from matplotlib.patches import FancyArrowPatch
 from worlds import CAMERA, LIDAR, place_sensors, world
@@ -164,35 +164,30 @@ def test_methods_can_be_told_apart_and_are_named_with_their_end(result):
     assert words == [f"m{k}, {0.1 * k:.4f}" for k in range(8)]
 
 
-def row_of(text, start):
-    (line,) = [line for line in text.splitlines() if line.strip().startswith(start)]
-    return line.split()
-
-
 def test_table_of_scores_before_and_after(result):
     text = printed(before_after_table(result))
     before, after = result.scores_before.coverage, result.scores.coverage
     change = f"{after - before:+.3f}"
-    assert row_of(text, "coverage")[2:] == [f"{before:.3f}", f"{after:.3f}", change]
-    assert row_of(text, "objective")[1:] == ["0.200", "0.400", "+0.200"]
+    assert row(text, "coverage")[2:] == [f"{before:.3f}", f"{after:.3f}", change]
+    assert row(text, "objective")[1:] == ["0.200", "0.400", "+0.200"]
     before, after = result.scores_before.surrogate, result.scores.surrogate
     same = replace(result, objective_before=before, objective=after)
     assert "objective" not in printed(before_after_table(same))
     paid = replace(same, objective_before=before - 0.01)  # for a new pole
-    assert row_of(printed(before_after_table(paid)), "objective")[2] == f"{after:.3f}"
+    assert row(printed(before_after_table(paid)), "objective")[2] == f"{after:.3f}"
 
 
 def test_table_of_moves(result):
     """By hand: 17 m south, from 6 m to 8 m above its foot, 50° clockwise past the west, 4° up."""
     text = printed(moves_table(result.start, result.layout))
-    assert row_of(text, "1")[1:] == ["s0", "17.0", "8.0", "+2.0", "-50", "+4"]
-    assert row_of(text, "2")[1:] == ["s1", "0.0", "5.0", "+0.0", "+0", "+0"]
+    assert row(text, "1")[1:] == ["s0", "17.0", "8.0", "+2.0", "-50", "+4"]
+    assert row(text, "2")[1:] == ["s1", "0.0", "5.0", "+0.0", "+0", "+0"]
 
 
 def test_table_of_methods_has_the_best_first(result):
     rows = [("slow", 0.1), ("slow", 0.4), ("slow", 0.2), ("quick", 0.3)]
     text = printed(comparison_table([replace(result, method=m, objective=s) for m, s in rows]))
-    assert row_of(text, "slow")[1:] == ["3", "0.2000", "0.1000", "0.4000", "12", "4"]
+    assert row(text, "slow")[1:] == ["3", "0.2000", "0.1000", "0.4000", "12", "4"]
     assert text.index("quick") < text.index("slow")
 
 

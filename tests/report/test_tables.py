@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from drawn import printed
+from drawn import printed, row
 from worlds import CAMERA, LIDAR, place_sensors, world
 
 from inspe_jax.core.errors import InspeError
@@ -57,14 +57,6 @@ def layout():
     turn = np.radians([[0.0, -15.5, 270.0], [0.0, 0.0, -180.0]])
     poses = np.column_stack([[[-10.0, 0.5, 6.0], [10.0, 0.0, 104.5]], turn])
     return make_layout(members, units, poses, "a layout")
-
-
-def row(text, *begins):
-    """The one line that begins with these words, as its words."""
-    lines = map(str.split, text.splitlines())
-    found = [words for words in lines if words[: len(begins)] == [*begins]]
-    assert len(found) == 1, f"{begins}: {found}"
-    return found[0]
 
 
 # ── Scores ──────────────────────────────────────────────────────────────────

@@ -241,8 +241,6 @@ def test_an_extract_is_read_with_the_side_that_is_given(read, tmp_path):
         (dict(layouts=[{"mix": {"paper-camera": 1}, "lidar": "x"}]), "a mix has its own devices"),
         (dict(layouts=[{"mix": {"paper-camara": 1}}]), r"layouts\[0\].mix: no device 'paper-cam"),
         (dict(layouts=[{"mix": {"paper-camera": 0}}]), r"layouts\[0\].mix: needs at least one"),
-        (dict(layouts=[{"strategy": "L-c", "lidar": "no"}]), r"layouts\[0\]: no device 'no'"),
-        (dict(layouts=[{"strategy": "L-c", "lidar": "paper-camera"}]), "paper-camera' is a camera"),
         (dict(layouts=[{"strategy": "L-c", "name": "two\nlines"}]), r"layouts\[0\].name: string"),
         (dict(settings=dict(density="many")), r"settings.density: density 'many': none, low"),
         (dict(settings=dict(light=["midday", "noon"])), r"settings.light: light 'noon': one of"),

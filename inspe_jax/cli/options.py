@@ -366,9 +366,16 @@ class DeviceOptions(SearchOptions):
     device: list[str] | None = None
     price: list[str] | None = None
 
-    def of_mixes(self, callback: Callable[[float, float, str], None]) -> dict[str, Any]:
-        """Method, budget, seed and progress of a search of many mixes of devices."""
+    def of_mixes(
+        self,
+        objective: Objective,
+        constraints: Constraints,
+        callback: Callable[[float, float, str], None],
+    ) -> dict[str, Any]:
+        """How a search of many mixes of devices goes."""
         return dict(
+            objective=objective,
+            constraints=constraints,
             method=self.method,
             seconds=self.seconds_each(),
             evaluations=self.evaluations,

@@ -221,13 +221,8 @@ def pareto(
         world = load_scene(source, options.profile)
     cases = options.cases(world)
     with common.search_bar("searching") as callback:
-        found = studies.pareto(
-            cases,
-            wanted,
-            objective=objective,
-            constraints=constraints,
-            **options.of_mixes(callback),
-        )
+        how = options.of_mixes(objective, constraints, callback)
+        found = studies.pareto(cases, wanted, **how)
     common.out.print(pareto_table(found))
     folder = claims.keep(partial(studies.save_pareto, found), folder)
     common.note(*(f"{mix.name}: {words}" for mix in found for words in mix.result.notes))
@@ -268,14 +263,8 @@ def _find_cheapest(
     names = [sensor.spec.name for sensor in placed.sensors]
     of_layout = {name: range(names.count(name) + 1) for name in sorted({*names})}
     with common.search_bar("searching") as callback:
-        found = studies.cheapest(
-            cases,
-            given or of_layout,
-            target,
-            objective=objective,
-            constraints=constraints,
-            **options.of_mixes(callback),
-        )
+        how = options.of_mixes(objective, constraints, callback)
+        found = studies.cheapest(cases, given or of_layout, target, **how)
     common.out.print(cheapest_table(found))
     best = found.best
     words = f"{best.name} reaches {target:g}"

@@ -24,7 +24,7 @@ VISIBILITY_NAMES = {
 LEGEND = (
     *((words, SIGHT_COLORS[kind]) for kind, words in VISIBILITY_NAMES.items()),
     ("road user", USER_COLOR),
-    *((keys.spec_type.title, SENSOR_COLORS[kind]) for kind, keys in SENSOR_KINDS.items()),
+    *((SENSOR_KINDS[kind].spec_type.title, SENSOR_COLORS[kind]) for kind in sorted(SENSOR_KINDS)),
 )
 
 TARGET_COLOR = "#d55e00"  # of the mark of the target

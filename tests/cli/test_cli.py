@@ -97,9 +97,7 @@ def test_targets_prints_tables_and_the_same_numbers_as_json(run, files):
 @pytest.mark.parametrize("stop", [signal.SIGINT, signal.SIGTERM])
 def test_view_serves_until_it_is_stopped(files, stop):
     """In a process of its own, as a stranger meets it; also a layout that breaks a rule."""
-    with socket.socket() as taken:
-        taken.bind(("127.0.0.1", 0))
-        taken.listen()
+    with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
         arguments = ("view", "s.npz", "rule.yaml", "--port", str(port), "--out", "moved.yaml")
         with inspe_process(*arguments, cwd=files) as served:

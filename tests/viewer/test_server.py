@@ -120,9 +120,7 @@ def test_the_head_is_replaced_and_the_script_is_as_it_was():
 
 
 def test_only_this_machine_can_connect_and_the_next_free_port_serves():
-    with socket.socket() as taken:
-        taken.bind(("127.0.0.1", 0))
-        taken.listen()
+    with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
         server = serve(port, new_token())
         with pytest.raises(OSError, match=r"refused|unreachable"):  # it has another address, too

@@ -52,9 +52,9 @@ def set_value(socket, control, value):
     send(socket, type="GuiUpdateMessage", uuid=control._impl.uuid, updates={"value": value})
 
 
-def pull(socket, owner, position, phase="Update", wxyz=(1.0, 0.0, 0.0, 0.0)):
+def pull(socket, owner, position, phase="Update"):
     """What a browser sends when somebody moves the handle of the client ``owner``."""
-    where = dict(position=position, wxyz=list(wxyz)) if phase == "Update" else {}
+    where = dict(position=position, wxyz=[1.0, 0.0, 0.0, 0.0]) if phase == "Update" else {}
     kind = "" if phase == "Update" else "Drag"
     kind = f"TransformControls{kind}{phase}Message"
     send(socket, type=kind, name="/handle", owner=str(owner), **where)

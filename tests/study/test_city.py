@@ -25,25 +25,19 @@ MIXES = ("--device", "velodyne-vlp-16:1-2", "--device", "paper-camera:0,1",
          "--price", "paper-camera=850.5")  # fmt: skip
 
 
-def grid(path: Path, across: int, up: int, length: float = 100.0) -> Path:
-    """A network of SUMO: a grid of junctions with signals, at a place on the Earth."""
+@pytest.fixture(scope="module")
+def files(tmp_path_factory) -> Path:
+    """A folder with a network of SUMO: four junctions with signals, at a place on the Earth."""
     pytest.importorskip("sumo", reason="needs SUMO: extra [sumo]")
     pytest.importorskip("pyproj", reason="needs pyproj: extra [geo]")
-    numbers = ("--grid.x-number", across, "--grid.y-number", up, "--grid.length", length)
-    ends = ("--grid.attach-length", length, "--sidewalks.guess", "true")
-    how = ("--default-junction-type", "traffic_light", "--seed", 1, "-o", path)
-    run("netgenerate", ["--grid", *map(str, (*numbers, *ends, *how))], "grid")
+    path = tmp_path_factory.mktemp("city") / "grid.net.xml"
+    size = ("--grid.number", 2, "--grid.length", 100, "--grid.attach-length", 100)
+    how = ("--sidewalks.guess", "true", "--default-junction-type", "traffic_light", "--seed", 1)
+    run("netgenerate", ["--grid", *map(str, (*size, *how, "-o", path))], "grid")
     text = path.read_text()
     text = re.sub(r'netOffset="[^"]*"', 'netOffset="-691000.00,-5334000.00"', text)
     path.write_text(re.sub(r'projParameter="[^"]*"', f'projParameter="{LIES}"', text))
-    return path
-
-
-@pytest.fixture(scope="module")
-def files(tmp_path_factory) -> Path:
-    folder = tmp_path_factory.mktemp("city")
-    grid(folder / "grid.net.xml", 2, 2)
-    return folder
+    return path.parent
 
 
 @pytest.fixture
@@ -169,8 +163,8 @@ def test_bad_input_is_one_message(inspe, files, arguments, message):
 # ── From rows to a plan, without a search ───────────────────────────────────
 
 
-def junction(name: str, x: float = 0.0, signals: int = 1) -> JunctionInfo:
-    return JunctionInfo(name, (x, 0.0, 0.0), 4, 20.0, 0, signals)
+def junction(name: str, signals: int = 1) -> JunctionInfo:
+    return JunctionInfo(name, (0.0, 0.0, 0.0), 4, 20.0, 0, signals)
 
 
 def rows_of(study, scores):

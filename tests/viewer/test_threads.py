@@ -83,9 +83,9 @@ class Listener:
             self.heard.append(told)
             self._changed.notify_all()
 
-    def wait(self, enough, seconds=120):
+    def wait(self, enough):
         with self._changed:
-            assert self._changed.wait_for(lambda: enough(self.heard), seconds), self.heard
+            assert self._changed.wait_for(lambda: enough(self.heard), 120), self.heard
             return list(self.heard)
 
 

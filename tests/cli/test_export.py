@@ -10,7 +10,7 @@ from processes import cases, refused
 from shapely import Point
 from worlds import write_geojson
 
-from inspe_jax import build_scene, built_in, save_scene
+from inspe_jax import save_scene
 from inspe_jax.scene.georeference import Georeference
 from inspe_jax.scene.scene import load_scene
 
@@ -62,9 +62,8 @@ def test_a_scene_by_coordinates_and_a_plan_to_hand_on(inspe, run, scored, files)
     run("export", "city.npz", "L-d1", "--out", "plan.kml", "--force")
 
 
-def test_a_plan_in_the_sea_is_doubted(inspe, files):
+def test_a_plan_in_the_sea_is_doubted(inspe, files, scene):
     """As of CARLA's own towns, whose projection begins at 0° N 0° E."""
-    scene = build_scene(built_in("four_way"), radius=25, voxel=1, frames=2, density=5)
     nowhere = Georeference("+proj=tmerc +lat_0=0 +lon_0=0 +datum=WGS84")
     place = replace(scene.intersection, georeference=nowhere)
     save_scene(replace(scene, intersection=place), files / "sea.npz")

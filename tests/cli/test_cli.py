@@ -13,6 +13,7 @@ from functools import partial
 from importlib import import_module
 from pathlib import Path
 from types import SimpleNamespace
+from unittest.mock import Mock
 from urllib.error import HTTPError
 from urllib.parse import urlsplit
 from urllib.request import urlopen
@@ -379,9 +380,7 @@ def test_what_needs_no_scene_is_refused_before_one_is_read(
 ):
     """To build the scene, or to read the map, takes up to minutes."""
 
-    def slow(*_, **__):
-        pytest.fail("the scene was read first")
-
+    slow = Mock(side_effect=pytest.fail.Exception("the scene was read first"))
     for name in ("scene.scene.build_voxels", "cli.scene.read_map"):
         monkeypatch.setattr(f"inspe_jax.{name}", slow)
     (files / "mine").mkdir(exist_ok=True)
@@ -568,12 +567,8 @@ def test_of_kept_programs_the_least_used_go_first(tmp_path):
     assert {path.name for path in tmp_path.iterdir()} == {"b-cache", "c-cache", "times.json"}
 
 
-def no_home(*_, **__):
-    raise RuntimeError
-
-
 @pytest.mark.parametrize(("folder", "before"), [
-    (no_home, None),
+    (Mock(side_effect=RuntimeError), None),  # no home
     (lambda *_, **__: Path("~/x"), None),
     (lambda *_, **__: Path("/dev/null/x"), None),
     (lambda *_, **__: pytest.fail("not asked for"), "/own"),
@@ -655,9 +650,7 @@ def test_ctrl_c_that_a_callback_swallows_comes_again():
 
 @pytest.mark.parametrize("wrong", [AssertionError, RuntimeError])
 def test_a_device_that_is_not_there_is_told_in_a_line(inspe, monkeypatch, wrong):
-    def fail(*_, **__):
-        raise wrong
-
+    fail = Mock(side_effect=wrong)
     monkeypatch.setenv("JAX_PLATFORMS", "cuda")
     monkeypatch.setattr("inspe_jax.report.tables.scores_of", fail)
     with pytest.raises(wrong):  # with devices it is this package's

@@ -3,6 +3,7 @@
 import json
 import shutil
 from importlib import import_module
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -76,10 +77,7 @@ def test_a_killed_training_goes_on_to_the_same_losses(run, files, tmp_path):
 def test_ctrl_c_says_how_to_go_on(inspe, tmp_path, monkeypatch):
     room = import_module("inspe_jax.perception.training.train")
 
-    def stop(*of):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(room, "training_step", stop)
+    monkeypatch.setattr(room, "training_step", Mock(side_effect=KeyboardInterrupt))
     status, _, error = inspe("train", "set_cache", *TRAIN, "--out", tmp_path / "run")
     assert status == 130
     assert "stopped; give the same command again to resume" in error

@@ -1,5 +1,7 @@
 """The picture of a layout in its place: its marks are where the sensors are in the picture."""
 
+from unittest.mock import Mock
+
 import numpy as np
 import pytest
 from worlds import CAMERA, LIDAR, place_sensors, with_boxes, world
@@ -80,8 +82,6 @@ def test_a_road_user_is_where_it_should_be_in_the_picture(scene, layout):
 
 
 def test_without_embree_there_is_none(layout, monkeypatch):
-    def none(*_):
-        raise InspeError("recording needs Embree")
-
+    none = Mock(side_effect=InspeError("recording needs Embree"))
     monkeypatch.setattr(page_views, "Surroundings", none)
     assert still_view(world(radius=RADIUS, voxel=1.0, frames=1, count=0), layout) is None

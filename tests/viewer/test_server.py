@@ -4,6 +4,7 @@ import socket
 import threading
 from contextlib import contextmanager
 from dataclasses import replace
+from unittest.mock import Mock
 from urllib.error import HTTPError
 from urllib.parse import urlsplit
 from urllib.request import urlopen
@@ -153,19 +154,11 @@ def test_a_kept_token_is_its_user_s_alone(tmp_path):
 
 def test_a_version_of_viser_that_opens_its_port_otherwise_is_not_used(monkeypatch):
     """There nothing would guard it."""
-
-    class Other:
-        def __init__(self, **_):
-            pass
-
-        def stop(self):
-            stopped.append(self)
-
-    stopped = []
-    monkeypatch.setattr("inspe_jax.viewer.server.viser.ViserServer", Other)
+    other = Mock()
+    monkeypatch.setattr("inspe_jax.viewer.server.viser.ViserServer", other)
     with pytest.raises(RuntimeError, match="would be unprotected"):
         serve(0, new_token())
-    assert stopped
+    other.return_value.stop.assert_called_once_with()
 
 
 # ── Browsers come and go ──

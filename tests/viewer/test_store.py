@@ -2,6 +2,7 @@
 
 import os
 from dataclasses import replace
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -109,15 +110,12 @@ def test_what_is_said_to_be_kept_is_what_was_written(path, layout, monkeypatch, 
     if begun:
         store.keep(raised(layout, 1.0))
 
-    def fails(*_):
-        raise InspeError("moved.unsaved.yaml: No space left on device")
-
+    why = "moved.unsaved.yaml: No space left on device"
     with monkeypatch.context() as full:
-        full.setattr("inspe_jax.viewer.store.save_layout", fails)
+        full.setattr("inspe_jax.viewer.store.save_layout", Mock(side_effect=InspeError(why)))
         with pytest.raises(InspeError, match="No space left"):
             store.keep(moved)
         assert store.kept(moved) is None
-        why = "moved.unsaved.yaml: No space left on device"
         assert store.words(moved) == f"{path}, not saved yet, and kept in no file: {why}"
     assert [found.name for found in path.parent.iterdir()] == ["moved.unsaved.yaml"] * begun
     store.keep(moved)

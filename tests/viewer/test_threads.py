@@ -4,6 +4,7 @@ import threading
 import time
 from dataclasses import replace
 from types import SimpleNamespace
+from unittest.mock import Mock
 
 import jax
 import numpy as np
@@ -152,12 +153,8 @@ def test_a_layout_that_cannot_be_scored_is_said(layout, listening, monkeypatch):
     told = scores.wait(lambda heard: heard)[-1][0]
     assert told.scores is None
     assert "is this layout for another scene" in told.wrong
-
-    def failing(*_):
-        raise MemoryError("too large")
-
     with monkeypatch.context() as short:
-        short.setattr(workers, "scores_of", failing)
+        short.setattr(workers, "scores_of", Mock(side_effect=MemoryError("too large")))
         scorer.score(layout, whole=False)
         assert "too large" in scores.wait(lambda heard: len(heard) == 2)[-1][0].wrong
     scorer.score(layout, whole=False)

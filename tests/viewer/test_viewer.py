@@ -7,6 +7,7 @@ from contextlib import closing
 from dataclasses import replace
 from io import BytesIO
 from types import SimpleNamespace
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -266,10 +267,7 @@ def test_a_report_is_sent_to_who_asks_with_the_layout_that_was_opened_and_the_ta
     before, after = (evaluate(scene, of).surrogate for of in (layout, viewer.layout))
     assert f"P_sm is {after:.4f}; before, it was {before:.4f} ({after - before:+.4f})." in page
     assert "The target for P_sm, 0.95, is" in page
-
-    def fails(*_, **__):
-        raise InspeError("no room")
-
+    fails = Mock(side_effect=InspeError("no room"))
     monkeypatch.setattr("inspe_jax.viewer.app.report_entry", fails)
     viewer.write_report(browser)
     done(viewer, lambda: viewer.told[-1][1] == "no room" and not viewer.panel.report.disabled)
@@ -515,10 +513,7 @@ def test_the_view_can_be_switched_off_and_says_what_it_needs(viewer, monkeypatch
     set_value(viewer.panel.frame, 1)
     viewer.scorer.select_frame(viewer.panel.shown_frame)
     done(viewer, lambda: view.seen is None and not view.picture.content)
-
-    def none(*_):
-        raise InspeError("recording needs Embree: pip install it")
-
+    none = Mock(side_effect=InspeError("recording needs Embree: pip install it"))
     monkeypatch.setattr(sensor_view, "LiveSensor", none)
     set_value(view.on, True)
     viewer.view.select(1)

@@ -73,21 +73,15 @@ def test_a_job_that_fails_does_not_end_the_others_and_the_end_comes_soon():
 # ── The scorer ──
 
 
-class Listener:
-    """Waits for what a thread tells."""
-
-    def __init__(self):
-        self.heard, self._changed = [], threading.Condition()
+class Listener(list):
+    """What a thread has told."""
 
     def __call__(self, *told):
-        with self._changed:
-            self.heard.append(told)
-            self._changed.notify_all()
+        self.append(told)
 
-    def wait(self, enough):
-        with self._changed:
-            assert self._changed.wait_for(lambda: enough(self.heard), 120), self.heard
-            return list(self.heard)
+    def wait(self, count):
+        wait_until(lambda: len(self) >= count)
+        return self[:]
 
 
 @pytest.fixture
@@ -105,13 +99,13 @@ def test_a_few_frames_first_then_all_as_evaluate_has_them(scene, layout, listeni
     scorer, scores, sights = listening
     scorer.select_frame(2)
     scorer.score(layout, whole=True)
-    few, whole = (told[0] for told in scores.wait(lambda heard: len(heard) == 2))
+    few, whole = (told[0] for told in scores.wait(2))
     night = Conditions.of("night", "clear")
     assert (few.frames, whole.frames) == (2, 3)
     assert whole.scores.surrogate == evaluate(scene, layout, conditions=night).surrogate
     part = replace(scene, traffic=jax.tree.map(lambda leaf: leaf[::2], scene.traffic))
     assert few.scores.surrogate == evaluate(part, layout, conditions=night).surrogate
-    frame, sight = sights.wait(lambda heard: heard)[-1]
+    frame, sight = sights.wait(1)[-1]
     assert frame == 2
     np.testing.assert_array_equal(sight, sight_in(scene, layout, 2, conditions=night))
 
@@ -136,10 +130,10 @@ def test_what_is_out_of_date_is_not_begun(layout, listening, monkeypatch):
         scorer.score(replace(layout, name=f"dragged {k}"), whole=False)
     scorer.score(replace(layout, name="last"), whole=True)
     go[0].set()
-    scores.wait(lambda heard: len(heard) == 2)
+    scores.wait(2)
     wait_until(lambda: begun[-1] == ("last", 3))
     scorer.close(wait=False)
-    assert len(scores.heard) == 2  # it has come back before the score
+    assert len(scores) == 2  # it has come back before the score
     go[1].set()
     scorer.close()
     assert begun == [("first", 2), ("last", 2), ("last", 3)]
@@ -150,15 +144,15 @@ def test_a_layout_that_cannot_be_scored_is_said(layout, listening, monkeypatch):
     scorer, scores, _ = listening
     away = replace(layout, poses=np.array(layout.poses) + [1e4, 0, 0, 0, 0, 0])
     scorer.score(away, whole=False)
-    told = scores.wait(lambda heard: heard)[-1][0]
+    told = scores.wait(1)[-1][0]
     assert told.scores is None
     assert "is this layout for another scene" in told.wrong
     with monkeypatch.context() as short:
         short.setattr(workers, "scores_of", Mock(side_effect=MemoryError("too large")))
         scorer.score(layout, whole=False)
-        assert "too large" in scores.wait(lambda heard: len(heard) == 2)[-1][0].wrong
+        assert "too large" in scores.wait(2)[-1][0].wrong
     scorer.score(layout, whole=False)
-    assert scores.wait(lambda heard: len(heard) == 3)[-1][0].scores.surrogate > 0
+    assert scores.wait(3)[-1][0].scores.surrogate > 0
 
 
 # ── The search ──
@@ -181,7 +175,7 @@ def test_searches_end_or_are_stopped_with_their_best(scene, layout, searcher, he
 
     def ended(*of, count):
         searcher.start(layout, "random", *of)
-        return heard.ended.wait(lambda told: len(told) == count)[-1][0]
+        return heard.ended.wait(count)[-1][0]
 
     first = ended(1.0, count=1)
     assert (first.reason, first.failed) == ("budget spent", False)
@@ -190,27 +184,27 @@ def test_searches_end_or_are_stopped_with_their_best(scene, layout, searcher, he
     second = ended(600.0, target, count=2)  # long before its time
     assert second.reason == "target reached"
     assert evaluate(scene, second.layout).surrogate >= target
-    heard.found.heard.clear()
+    heard.found.clear()
     searcher.start(layout, "random", 600.0)
     thread = searcher.thread
     searcher.start(layout, "random", 600.0)
     assert searcher.thread is thread
-    heard.found.wait(lambda told: len(told) >= 2)
+    heard.found.wait(2)
     began = time.monotonic()
     searcher.stop()
-    ending = heard.ended.wait(lambda told: len(told) == 3)[-1][0]
+    ending = heard.ended.wait(3)[-1][0]
     assert time.monotonic() - began < 2
     assert ending.reason == "interrupted"
     assert (ending.failed, searcher.running) == (False, False)
-    told = len(heard.progress.heard), len(heard.found.heard)
+    told = len(heard.progress), len(heard.found)
     thread.join(60)  # and takes up no core
     assert not thread.is_alive()
-    assert (len(heard.progress.heard), len(heard.found.heard)) == told
-    scores = [score for _, score in heard.found.heard]
+    assert (len(heard.progress), len(heard.found)) == told
+    scores = [score for _, score in heard.found]
     assert scores == sorted(scores)
     gain = evaluate(scene, ending.layout).surrogate - scores[0]
     assert ending.gain == scores[-1] - scores[0] == pytest.approx(gain, abs=1e-6)
-    np.testing.assert_array_equal(ending.layout.poses, heard.found.heard[-1][0].poses)
+    np.testing.assert_array_equal(ending.layout.poses, heard.found[-1][0].poses)
     assert ending.layout.name.endswith(", optimised")
     assert Space(scene, layout).violations(ending.layout) == []
 
@@ -236,14 +230,14 @@ def test_a_search_is_stopped_while_it_compiles_or_fails_with_its_best(
         searcher.stop()
         searcher.start(layout, "random", 600.0)
         go.set()
-        heard.ended.wait(lambda told: len(told) == 2)
+        heard.ended.wait(2)
         left.join(60)
     searcher.constraints = Constraints(places="poles")  # there is none
     searcher.start(layout, "random", 5.0)
-    stopped, failed, none = (ending for (ending,) in heard.ended.wait(lambda told: len(told) == 3))
+    stopped, failed, none = (ending for (ending,) in heard.ended.wait(3))
     assert (stopped.layout, stopped.failed) == (None, False)
     assert "before there was a score" in stopped.reason
-    assert (failed.after, failed.failed, len(heard.found.heard)) == (0.5, True, 1)
+    assert (failed.after, failed.failed, len(heard.found)) == (0.5, True, 1)
     assert "too large" in failed.reason
     assert (none.layout, none.failed) == (None, True)
     assert "nowhere to stand" in none.reason

@@ -1,6 +1,5 @@
 """`inspe dataset` on the command line: what it prints, what it writes, and its errors."""
 
-import csv
 import json
 from functools import partial
 
@@ -8,6 +7,7 @@ import pytest
 from frames import WORLD, frame
 from processes import cases, refused
 
+from inspe_jax.core.files import read_csv
 from inspe_jax.dataset import write_frame, write_protocol
 
 
@@ -37,8 +37,7 @@ def test_stats_prints_draws_and_writes_the_same(inspe, files):
     assert "drew set.png" in text
     record = json.loads((files / "set.json").read_text())
     assert record["total"]["frames"] == 4
-    with (files / "row.csv").open(newline="") as f:
-        (row,) = csv.DictReader(f)
+    (row,) = read_csv(files / "row.csv")
     assert row["3D boxes"] == "16"
     assert (files / "set.png").read_bytes().startswith(b"\x89PNG")
     status, text, error = inspe("stats", "infra", "--json", "-", "--csv", "row.csv")

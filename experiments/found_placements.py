@@ -4,11 +4,11 @@ At each of the ten intersections a search for P_sm, under the default profile, b
 paper's placements of LiDARs, and at that of its placements of cameras under which most is found,
 with the same sensors. Where there are cameras, it follows the gradient. By hand, that profile has
 cameras look level: what aiming alone brings is told by the same placement with all of them 25°
-down. Then all is as in ``table1.py``: the same traffic is recorded, a detector is trained for as
-many steps, and measured at two intersections that it has not seen, and on another time at all ten.
-``readme_tables.py`` sets its mAP beside that under the placements by hand, with the mean gain over
-placements of LiDARs. How much of a gain is due to gradients is not tested: there is no search
-without them beside it.
+down, and hung as InSPE's first author hung his, from which a search begins as well, and one without
+gradients at equal work. Then all is as in ``table1.py``: the same traffic is recorded, a detector
+is trained for as many steps, and measured at two intersections that it has not seen, and on another
+time at all ten. ``readme_tables.py`` sets its mAP beside that under the placements by hand, with
+the mean gain over placements of LiDARs.
 
 Searches, sets and trainings are in the folder of --keep. A run that was stopped goes on there. A
 training that is done has its rows in the CSV in --out.
@@ -46,10 +46,16 @@ from inspe_jax.perception.training import TrainingSettings
 from inspe_jax.study.plan import Study, make_study
 
 BY_HAND = {"L-d1": "coalign", "L-d2": "coalign", "L-c": "coalign", "Cam-d2": "lss-resnet"}
-"""The placements that searches begin at, and the detector that is trained under each."""
-AIMED = "Cam-d2, 25° down"
-LOOKS_DOWN: dict[str, Any] = {"strategy": "Cam-d2", "camera_pitch_deg": -25.0, "name": AIMED}
-"""The placement of cameras, aimed by hand, as a study file has it."""
+"""The paper's placements that searches begin at, and the detector that is trained under each."""
+AIMED, HUNG = "Cam-d2, 25° down", "Cam-d2, hung as InSPE's"
+LOOK_DOWN: list[dict[str, Any]] = [
+    dict(name=AIMED, strategy="Cam-d2", camera_pitch_deg=-25.0),
+    dict(name=HUNG, strategy="Cam-d2", camera_pitch_deg=-30.6, camera_height=5.7),
+]
+"""The placement of cameras, aimed by hand, as a study file has it: the second has the mean height
+and pitch of the cameras that InSPE's first author hung (``real_deployments.yaml``)."""
+SEARCHES = {"from": "greedy-adam", "without gradient from": "greedy"}
+"""Methods, by what a placement is called that one found. The second is for HUNG alone."""
 SEARCH = 150.0
 
 
@@ -61,6 +67,7 @@ def options() -> argparse.Namespace:
         **TRAINED,
         seeds=dict(type=int, default=3, help="trainings of each placement"),
         search=dict(type=float, default=SEARCH, help="in exact scores' work"),
+        hung=dict(action="store_true", help=f"only {HUNG}, and what is found from it"),
     )  # fmt: skip
     given.scheduler = None  # its workers could not import table1.py
     need_maps(given)
@@ -76,80 +83,79 @@ def study_of(given: argparse.Namespace, name: str, layouts: list[Any], **setting
     return make_study(content, MAPS, "intersections.yaml", name)
 
 
-def searches(given: argparse.Namespace) -> Study:
-    """A search from each placement at each intersection."""
+Placements = dict[str, dict[str, LayoutSource]]
+"""Layouts by the placement's name and the intersection's."""
+
+
+def searched(given: argparse.Namespace, folder: Path) -> tuple[Placements, list[Row]]:
+    """What was found, and the rows of the searches."""
     work = 4 if given.quick else given.search
-    how = dict(method="greedy-adam", evaluations=work)
-    return study_of(given, "found_placements", list(BY_HAND), **how)
-
-
-Layouts = dict[str, LayoutSource]
-Searched = dict[str, Layouts]
-
-
-def searched(given: argparse.Namespace, folder: Path) -> tuple[Searched, list[Row]]:
-    """What was found, by placement and intersection, and the rows of the searches."""
-    study = searches(given)
-    rows = run(study, folder, given)
-    if len(rows) < len(study.jobs):
-        raise SystemExit("some searches failed, see above; the same command does those again")
-    found: Searched = {}
-    for job in study.jobs:
-        text = (folder / "layouts" / f"{job.key}.yaml").read_text(encoding="utf-8")
-        own = LayoutSource(found_from(job.layout.name), text=text)
-        found.setdefault(job.layout.name, {})[job.source.name] = own
+    found: Placements = {}
+    rows: list[Row] = []
+    for how, method in SEARCHES.items():
+        begin: list[Any] = [] if method == "greedy" or given.hung else [*BY_HAND]
+        begin.append(LOOK_DOWN[1])
+        study = study_of(given, "found_placements", begin, method=method, evaluations=work)
+        own = run(study, folder.with_name(method), given)
+        if len(own) < len(study.jobs):
+            raise SystemExit("some searches failed, see above; the same command does those again")
+        for job in study.jobs:
+            path = folder.with_name(method) / "layouts" / f"{job.key}.yaml"
+            text = path.read_text(encoding="utf-8")
+            name = f"found {how} {job.layout.name}"
+            found.setdefault(name, {})[job.source.name] = LayoutSource(name, text=text)
+        rows += [row | dict(method=method) for row in own]
+        if given.quick:
+            break
     return found, rows
 
 
-def aimed(given: argparse.Namespace, folder: Path) -> tuple[Layouts, list[Row]]:
-    """The placement of cameras that look down, by intersection, and the rows of its scores."""
-    study = study_of(given, "aimed_cameras", [LOOKS_DOWN])
-    return {job.source.name: job.layout for job in study.jobs}, run(study, folder, given)
-
-
-def found_from(placement: str) -> str:
-    """The name of what was found from a placement."""
-    return f"found from {placement}"
+def aimed(given: argparse.Namespace, folder: Path) -> tuple[Placements, list[Row]]:
+    """The placements of cameras that look down, and the rows of their scores."""
+    study = study_of(given, "aimed_cameras", LOOK_DOWN[given.hung :])
+    down: Placements = {}
+    for job in study.jobs:
+        down.setdefault(job.layout.name, {})[job.source.name] = job.layout
+    return down, run(study, folder, given)
 
 
 # ── Data and trainings ──────────────────────────────────────────────────────
 
 
 def recording_of(
-    given: argparse.Namespace, into: Path, placement: str, part: str, found: Layouts, name: str
+    given: argparse.Namespace, into: Path, title: str, part: str, layouts: dict[str, LayoutSource]
 ) -> Cache:
-    """A part of the sets of ``table1.py``, under other layouts than a placement's; ``name`` is of
-    these."""
+    """A part of the sets of ``table1.py``, under layouts with the sensors of a placement."""
+    placement, name = by_hand(title), title.replace(" ", "-").replace(",", "")
     plan = planned(given, placement, part)
     own = tuple(
-        replace(s, layout=found[s.source.name], name=s.name.replace(placement, name))
+        replace(s, layout=layouts[s.source.name], name=s.name.replace(placement, name))
         for s in plan.scenarios
     )
     return recorded(given, replace(plan, scenarios=own), into / f"{part}__{name}")
 
 
-def run_all(
-    given: argparse.Namespace, into: Path, found: Searched, down: Layouts, path: Path
-) -> None:
+def by_hand(title: str) -> str:
+    """The paper's placement that a placement began at, or aims anew."""
+    return next(name for name in BY_HAND if name in title)
+
+
+def run_all(given: argparse.Namespace, into: Path, each: Placements, path: Path) -> None:
     """Every training that is not done yet, placement by placement."""
     done = {of_job(row) for row in done_in(path, given)}
-    each = [(name, found_from(name), f"from-{name}", layouts) for name, layouts in found.items()]
-    each.append((LOOKS_DOWN["strategy"], AIMED, "aimed", down))
-    for placement, title, name, layouts in each:
-        jobs = [Job(BY_HAND[placement], title, seed) for seed in range(given.seeds)]
+    for title, layouts in each.items():
+        jobs = [Job(BY_HAND[by_hand(title)], title, seed) for seed in range(given.seeds)]
         todo = [job for job in jobs if job not in done]
         if todo:
-            data, later = (
-                recording_of(given, into, placement, part, layouts, name) for part in SETS
-            )
+            data, later = (recording_of(given, into, title, part, layouts) for part in SETS)
             train_some(given, {into.resolve() / job.folder: job for job in todo}, data, later, path)
 
 
-def quick(given: argparse.Namespace, into: Path, found: Searched) -> Rows:
+def quick(given: argparse.Namespace, into: Path, found: Placements) -> Rows:
     """Two steps on eight frames."""
-    [(name, layouts)] = found.items()
-    data = recording_of(given, into, name, "train", layouts, f"from-{name}")
-    job = Job(BY_HAND[name], found_from(name), 0)
+    [(title, layouts)] = found.items()
+    data = recording_of(given, into, title, "train", layouts)
+    job = Job(BY_HAND[by_hand(title)], title, 0)
     settings = TrainingSettings(model=job.model, steps=2, validate_frames=0, targets=given.targets)
     run = trained(data, into / job.folder, settings, BevGrid(half=QUICK_HALF))
     return rows_of(job, "training", measured(predictor_of(run), job.model, data, "train"), run, 0)
@@ -168,8 +174,8 @@ def main() -> None:
         if given.quick:
             write_results(path, quick(given, into, found), dict(vars(given)))
             return
-        run_all(given, into, found, down, path)
-    kept = ("layout", "scene", "surrogate_before", "surrogate")
+        run_all(given, into, found | down, path)
+    kept = ("layout", "scene", "method", "surrogate_before", "surrogate")
     scores = [{key: row.get(key, "") for key in kept} for row in scored]
     write_results(path.with_name("found_placements_scores.csv"), scores, dict(vars(given)))
 

@@ -104,7 +104,7 @@ def searched(given: argparse.Namespace, folder: Path) -> tuple[Placements, list[
             text = path.read_text(encoding="utf-8")
             name = f"found {how} {job.layout.name}"
             found.setdefault(name, {})[job.source.name] = LayoutSource(name, text=text)
-        rows += [row | dict(method=method) for row in own]
+        rows += [{**row, "method": method} for row in own]
         if given.quick:
             break
     return found, rows

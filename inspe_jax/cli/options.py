@@ -367,15 +367,11 @@ class DeviceOptions(SearchOptions):
     price: list[str] | None = None
 
     def of_mixes(
-        self,
-        objective: Objective,
-        constraints: Constraints,
-        callback: Callable[[float, float, str], None],
+        self, callback: Callable[[float, float, str], None], **more: Any
     ) -> dict[str, Any]:
         """How a search of many mixes of devices goes."""
         return dict(
-            objective=objective,
-            constraints=constraints,
+            **more,
             method=self.method,
             seconds=self.seconds_each(),
             evaluations=self.evaluations,

@@ -221,7 +221,7 @@ def pareto(
         world = load_scene(source, options.profile)
     cases = options.cases(world)
     with common.search_bar("searching") as callback:
-        how = options.of_mixes(objective, constraints, callback)
+        how = options.of_mixes(callback, objective=objective, constraints=constraints)
         found = studies.pareto(cases, wanted, **how)
     common.out.print(pareto_table(found))
     folder = claims.keep(partial(studies.save_pareto, found), folder)
@@ -263,7 +263,7 @@ def _find_cheapest(
     names = [sensor.spec.name for sensor in placed.sensors]
     of_layout = {name: range(names.count(name) + 1) for name in sorted({*names})}
     with common.search_bar("searching") as callback:
-        how = options.of_mixes(objective, constraints, callback)
+        how = options.of_mixes(callback, objective=objective, constraints=constraints)
         found = studies.cheapest(cases, given or of_layout, target, **how)
     common.out.print(cheapest_table(found))
     best = found.best

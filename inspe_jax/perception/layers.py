@@ -101,8 +101,14 @@ class Norm(eqx.Module):
         return mean.reshape(moments.shape)
 
 
-class CellNorm(Norm):
+class CellNorm(eqx.Module):
     """Normalisation of the channels of each cell by themselves (Ba et al. 2016)."""
+
+    scale: Float[Array, " c"]
+    shift: Float[Array, " c"]
+
+    def __init__(self, channels: int) -> None:
+        self.scale, self.shift = jnp.ones(channels), jnp.zeros(channels)
 
     def __call__(self, x: Float[Array, "*n c"]) -> Float[Array, "*n c"]:
         off = x - x.mean(-1, keepdims=True)

@@ -21,10 +21,12 @@ from inspe_jax.visibility.tiles import Tile
 class TileEvidence:
     """What there is to know of one tile, for the metrics that need more than counts.
 
-    ``views`` are the sets that each of S sensors has in view, as ``reading`` stores them.
-    ``sights`` (S, C, Z) is the number of ``frames`` in which each has each voxel in line of sight;
-    None unless some metric needs it. ``poses`` (S, 6) are about the scene's centre. ``last``: no
-    slab of levels is above the tile; ``whole``: there are no slabs, the tile has whole columns.
+    ``tile.heights`` (Z, C) are those of the middles of its voxels and ``tile.ground`` (C) of the
+    ground, ``tile.columns`` (2, C) x and y, all from the scene's centre [m]. ``views`` are the sets
+    that each of S sensors has in view, as ``reading`` stores them. ``sights`` (S, C, Z) is the
+    number of ``frames`` in which each has each voxel in line of sight; None unless some metric
+    needs it. ``poses`` (S, 6) are about the scene's centre. ``last``: no slab of levels is above
+    the tile; ``whole``: there are no slabs, the tile has whole columns.
     ``detection`` has the curves of detection, None for the usual ones. ``precomputed`` are the
     ``targets``, where they were found before.
     """
@@ -49,7 +51,9 @@ class TileEvidence:
 
     @cached_property
     def sight(self) -> Float[Array, "S Z C"]:
-        """The share of frames in which each sensor has each voxel in line of sight."""
+        """The share of frames in which each sensor has each voxel in line of sight. As asked of a
+        score by ``visibility``: with "past_others", which the profile ``paper`` has, a vehicle does
+        not hide the voxels that it stands in; with "line_of_sight" it does."""
         if self.sights is None:
             words = "terms of a metric read what is in line of sight: it must say sight=True"
             raise InspeError(words)
@@ -57,7 +61,7 @@ class TileEvidence:
 
     @cached_property
     def visible(self) -> Float[Array, "S Z C"]:
-        """The share of frames in which each sensor sees each voxel: in view, in line of sight."""
+        """The same, and in view: the share of frames in which each sensor sees each voxel."""
         return self.reading.chances(self.views, len(self.tile.heights)) * self.sight
 
     def some(self, chances: Float[Array, "S ..."]) -> Float[Array, "1+G ..."]:

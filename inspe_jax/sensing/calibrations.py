@@ -16,10 +16,11 @@ Without a ``frame``, coordinates are the scene's own.
 Cameras have optical axes, others a body's, unless ``convention`` says another; a radar needs a
 ``device``, as a LiDAR may have. ``lat``, ``lon``, ``z`` may be in place of a position, ``hfov_deg``
 in place of a camera matrix. ``pairs`` are pixels and where they are; a ``position`` beside them is
-held. ``distortion`` is OpenCV's, also of a ``model: fisheye``, which may have an
-``image_circle_deg``; each needs the camera matrix. ``unit`` names the unit of a sensor; others
-within 2 m are one. Pixels are as the file has them: OpenCV counts from the middle of the first,
-half a pixel from its corner. Files of others: :mod:`inspe_jax.sensing.calibration_formats`.
+held. ``distortion`` is OpenCV's, [k1, k2, p1, p2, k3, …], also of a ``model: fisheye``, which may
+have an ``image_circle_deg``; each needs the camera matrix. ``unit`` names the unit of a sensor;
+others within 2 m are one. Pixels are counted from the corner of the first, and taken as the file
+has them: OpenCV's are from its middle, so add 0.5 to the cx and cy of its matrix. Files of others:
+:mod:`inspe_jax.sensing.calibration_formats`.
 """
 
 import os
